@@ -1,6 +1,8 @@
 """Libraries built by another process, so that nobody waits for a compiler.
 
-The process outlives the program that started it: what was begun is there for the next one.
+The process outlives the program that started it: what was begun is there for the next one. It works in a folder in
+the cache, all its temporary files included, and holds the lock of that folder as long as it lives. Where it is
+killed, the system lets go of the lock, so that the next process removes the folder and begins anew.
 """
 
 from __future__ import annotations
@@ -23,24 +25,37 @@ from pathlib import Path
 import casadi as ca
 
 from ctr_nlp.codegen import cache, directions, language, places, tape, vector
+from ctr_nlp.exceptions import OptionError
+from ctr_nlp.support.folder_lock import Held, hold_named, remove_abandoned
 from ctr_nlp.support.pool import Lasting
 
 NOTE = (
     "the programs for this kind of robot are being compiled in the background, which happens once; until that is "
     "done, they run several times slower. `ctr-nlp warm` compiles them beforehand"
 )
+WAITING = "another process is compiling the programs for this kind of robot; this one waits until it has"
+FAILED = "failed-"
+"""How files in the cache begin that tell why a library could not be made."""
 _begun: list[Lasting] = []
 """Processes started by this one that have not been seen to end."""
+_tried: dict[str, float] = {}
+"""When this process began builds, s, by the hash of their key."""
 NICE = 10
 """Increment of the compiling process's nice value, so that processes that somebody waits for come first."""
+TURN_S = 0.05
+"""s between two attempts to get hold of a library that another process makes."""
 POLL = 0.5
-"""Seconds between two looks at whether a library has been built meanwhile."""
+"""s between two looks at whether a library has been made meanwhile."""
+TEMPORARY = "TMPDIR", "TEMP", "TMP"
+"""What tells a process, and the compiler that it calls, where temporary files go."""
 TASK = "task"
 """Name of the file that tells the other process what to compile."""
 LOCKED = 12
-"""Digits of a key's hash that are its byte among the locks of one file."""
-CLAIMED = 900.0
-"""Seconds after which a build that has not ended is given up, and another process may start it."""
+"""Digits of a key's hash that tell its place among the locks of one file."""
+RETRY_S = 900.0
+"""s after which a build is begun again that the same process has begun before, or that a compiler has refused."""
+PATIENCE_S = 5.0
+"""s for which a process waits for another one's library without a word."""
 
 
 class Library:
@@ -84,10 +99,25 @@ class Library:
         found = cache.kept(self.key)
         if found is None:
             self._missed = time.monotonic()
-            if _claimed(self.key):
-                cache.say(NOTE)
-                _begin(self.key, self._functions, self._lanes)
+            self._build_in_background()
         return found
+
+    def _build_in_background(self) -> None:
+        """Begin to make the library unless another process is at it; either way, tell the user."""
+        failed = cache.folder() / f"{FAILED}{_hash(self.key)}"
+        with contextlib.suppress(OSError):
+            if time.time() - failed.stat().st_mtime < RETRY_S:
+                why = failed.read_text(encoding="utf-8", errors="replace")
+                cache.say(f"{why}; what needs it is solved without compiled code, several times slower")
+                return
+        try:
+            work = _claim(self.key)
+        except OSError as error:
+            cache.say_not_kept(error)
+            return
+        cache.say(NOTE)
+        if work is not None:
+            _begin(work, self.key, self._functions, self._lanes)
 
 
 @contextlib.contextmanager
@@ -101,7 +131,15 @@ def _alone(key: str) -> Iterator[None]:
             # One file for all keys: a lock covers one byte of it, whose offset is taken from the key's
             # hash.
             lock = stack.enter_context(open(Path(tempfile.gettempdir(), f"ctr_nlp-{os.getuid()}.lock"), "a"))
-            fcntl.lockf(lock, fcntl.LOCK_EX, 1, int(_hash(key)[:LOCKED], 16))
+            begin, place = time.monotonic(), int(_hash(key)[:LOCKED], 16)
+            while time.monotonic() - begin < PATIENCE_S:
+                with contextlib.suppress(BlockingIOError, PermissionError):  # either, says POSIX
+                    fcntl.lockf(lock, fcntl.LOCK_EX | fcntl.LOCK_NB, 1, place)
+                    break
+                time.sleep(TURN_S)
+            else:
+                cache.say(WAITING)
+                fcntl.lockf(lock, fcntl.LOCK_EX, 1, place)
         yield
 
 
@@ -116,38 +154,54 @@ def _writer() -> str:
     return "".join(map(inspect.getsource, (language, vector, tape, directions, places)))
 
 
-def _claimed(key: str) -> bool:
-    """Whether no process builds the library yet, so that this one is to begin."""
-    claim = cache.folder() / f"claim-{_hash(key)}"
-    with contextlib.suppress(OSError):
-        # A claim whose process was killed must not keep others from building for ever.
-        if claim.exists() and time.time() - claim.stat().st_mtime > CLAIMED:
-            claim.unlink()
-        claim.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
-        # Creating a file that must not exist is one step: only one of several processes succeeds.
-        claim.touch(exist_ok=False)
-        return True
-    return False
+def _claim(key: str) -> Held | None:
+    """The folder in which this process is to begin a library; None where one is at work, or has begun it before.
+
+    Raises OSError where nothing can be written into the cache.
+    """
+    name = _hash(key)
+    if time.monotonic() - _tried.get(name, -math.inf) < RETRY_S:
+        return None  # whatever ended that build, as a lack of memory, would end this one, too
+    place, own = cache.folder().absolute(), f"{cache.BUILDING}{name}"
+    place.mkdir(mode=0o700, parents=True, exist_ok=True)
+    remove_abandoned(place, own, cache.ABANDONED)
+    work = hold_named(place / own)
+    if work is not None:
+        _tried[name] = time.monotonic()
+        cache.sweep()
+    return work
 
 
-def _begin(key: str, functions: Callable[[], Sequence[ca.Function | places.Whole]], lanes: int | None) -> None:
-    """Start to build a library in another process, which derives the functions from their pickled form, too."""
-    work = Path(tempfile.mkdtemp(prefix="ctr_nlp-build-"))
-    (work / TASK).write_bytes(pickle.dumps((key, functions, lanes)))
+def _begin(
+    work: Held, key: str, functions: Callable[[], Sequence[ca.Function | places.Whole]], lanes: int | None
+) -> None:
+    """Begin to make a library: whoever waits for a solution need not even derive what is compiled.
+
+    The process that makes it takes over the claim, work, so that it lasts as long as that process.
+    """
     # The other process must import this very package, also where it is not installed.
     path = os.pathsep.join([str(Path(__file__).parents[2]), *filter(None, [os.environ.get("PYTHONPATH")])])
-    with contextlib.suppress(OSError):
+    own = {"PYTHONPATH": path, "PYTHONWARNINGS": "ignore", **dict.fromkeys(TEMPORARY, str(work.folder))}
+    try:
+        (work.folder / TASK).write_bytes(pickle.dumps((key, functions, lanes)))
         process = Lasting(
-            [sys.executable, "-m", "ctr_nlp.codegen.background", str(work)],
-            env=os.environ | {"PYTHONPATH": path, "PYTHONWARNINGS": "ignore"},
+            [sys.executable, "-m", "ctr_nlp.codegen.background", str(work.folder)],
+            env=os.environ | own,
             stdin=subprocess.DEVNULL,
             stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,
             # A session of its own: Ctrl-C and the end of the terminal do not reach the build.
             start_new_session=True,
+            pass_fds=work.inherited,
         )
+    except OSError as error:
+        shutil.rmtree(work.folder, ignore_errors=True)
+        cache.say_not_kept(error)
+    else:
         _begun.append(process)
         _step_back(process.pid)
+    finally:
+        work.release()
 
 
 def _step_back(pid: int) -> None:
@@ -163,10 +217,15 @@ def _step_back(pid: int) -> None:
 
 
 def main(work: Path) -> None:
-    """Build the library that the folder `work` describes, and remove the folder."""
+    """Make the library that a folder describes, or note why that failed, and remove the folder."""
     try:
         key, functions, lanes = pickle.loads((work / TASK).read_bytes())
-        cache.library(key, lambda: places.code(tuple(functions()), lanes))
+        failed = cache.folder() / f"{FAILED}{_hash(key)}"
+        try:
+            cache.library(key, lambda: places.code(tuple(functions()), lanes))
+            failed.unlink(missing_ok=True)
+        except OptionError as error:
+            failed.write_text(str(error), encoding="utf-8")
     finally:
         shutil.rmtree(work, ignore_errors=True)
 

@@ -7,11 +7,13 @@ is there is complete even if processes build the same library at once or are kil
 
 from __future__ import annotations
 
+import atexit
 import contextlib
 import ctypes
 import functools
 import hashlib
 import logging
+import math
 import os
 import shlex
 import shutil
@@ -26,6 +28,7 @@ from typing import NamedTuple
 import platformdirs
 
 from ctr_nlp.exceptions import OptionError
+from ctr_nlp.support import folder_lock
 
 SWITCH, FOLDER = "CTR_NLP_COMPILE", "CTR_NLP_CACHE"
 """Environment variables. CTR_NLP_COMPILE: 0 switches compiling off, `now` makes programs wait for it.
@@ -46,8 +49,10 @@ LIBRARIES = (
 """What is linked, in order of preference: glibc has sines of whole vectors."""
 TRIAL = "#include <math.h>\ndouble trial(double x) { return sin(x); }\n"
 """Smallest program that shows whether compiling and linking work."""
-ABANDONED = 3600.0
-"""Age in s after which the folder of an unfinished build is removed."""
+BUILDING, OWN = "building-", "ctr_nlp-libraries-"
+"""How folders begin that hold what a process is at work on: in the cache, and in the temporary folder."""
+ABANDONED = 900.0
+"""s after which such a folder is taken for one of a process that died, on file systems without locks."""
 
 
 class Compiler(NamedTuple):
@@ -186,15 +191,25 @@ _made: dict[str, Path] = {}
 
 
 @functools.cache
-def _own() -> tempfile.TemporaryDirectory[str]:
-    """A temporary folder that lives as long as this process."""
-    return tempfile.TemporaryDirectory(prefix="ctr_nlp-")
+def _own() -> Path:
+    """A folder that lives as long as this process; raises OSError."""
+    sweep()
+    own = folder_lock.hold_new(Path(tempfile.gettempdir()), OWN).folder
+    atexit.register(shutil.rmtree, own, ignore_errors=True)
+    return own
+
+
+def sweep() -> None:
+    """Remove what processes left that were killed, in the cache and in the temporary folder."""
+    folder_lock.remove_abandoned(folder(), f"{BUILDING}*", ABANDONED)
+    # without locks, age tells nothing of the libraries that a process has loaded: it may live for weeks
+    folder_lock.remove_abandoned(Path(tempfile.gettempdir()), f"{OWN}*", math.inf)
 
 
 def _build(code: str, chosen: Compiler) -> Path:
     """Compile code in a folder of this process, with the first set of libraries that can be linked."""
     try:
-        made = Path(tempfile.mkdtemp(dir=_own().name))
+        made = Path(tempfile.mkdtemp(dir=_own()))
         (made / "code.c").write_text(code, encoding="utf-8")
         # With glibc's vector sines if they can be linked, else without; --no-undefined makes the first try
         # fail in time.
@@ -212,33 +227,32 @@ def _keep(made: Path, kept: Path) -> None:
     place = kept.parent
     try:
         place.mkdir(mode=0o700, parents=True, exist_ok=True)
-        _sweep(place)
-        # Built beside its place, in the same file system, so that renaming it is one step for all other
-        # processes.
-        with tempfile.TemporaryDirectory(prefix="building-", dir=place, ignore_cleanup_errors=True) as new:
-            good = Path(new) / "good"
+        sweep()
+        # Built beside its place, in the same file system, so that renaming it is one step for all processes.
+        new = folder_lock.hold_new(place, BUILDING)
+        try:
+            good = new.folder / "good"
             good.mkdir(mode=0o700)
             shutil.copy(made, good)
             # The source is kept beside the library for people who look into it.
             shutil.copy(made.with_name("code.c"), good)
             (good / "sha256").write_text(_digest(good / made.name, kept.name), encoding="ascii")
             with contextlib.suppress(OSError):
-                # A folder cannot be renamed onto one that is not empty. The first rename fails where
-                # nothing is there, the second where another process has just stored the same library, which
-                # then stays.
-                kept.rename(Path(new) / "bad")
+                # A folder cannot be renamed onto one that is not empty. The first rename fails where nothing is
+                # there, the second where another process has just stored the same library, which then stays.
+                kept.rename(new.folder / "bad")
             with contextlib.suppress(OSError):
                 good.rename(kept)
+        finally:
+            shutil.rmtree(new.folder, ignore_errors=True)
+            new.release()
     except OSError as error:
-        say(f"compiled code cannot be kept in {place}: {error.strerror}")
+        say_not_kept(error)
 
 
-def _sweep(place: Path) -> None:
-    """Remove folders of builds that killed processes left."""
-    for left in place.glob("building-*"):
-        with contextlib.suppress(OSError):
-            if time.time() - left.lstat().st_mtime > ABANDONED:
-                shutil.rmtree(left)
+def say_not_kept(error: OSError) -> None:
+    """Tell a user, once a process, that nothing can be written into the cache."""
+    say(f"compiled code cannot be kept in {folder()}: {error.strerror}")
 
 
 def _whole(kept: Path) -> bool:

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import os
+import shutil
+import tempfile
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import NamedTuple
 
 try:
     import fcntl
@@ -15,6 +18,8 @@ except ImportError:  # on Windows
 
 POLL = 0.02
 """Seconds between two attempts to get hold of a folder."""
+PATIENCE = 1.0
+"""Seconds for which a process waits for one that looks whether its new folder is abandoned."""
 
 
 @contextmanager
@@ -40,14 +45,142 @@ def locked(folder: Path, patience: float = 0.0) -> Iterator[bool]:
     OSError
         There is no such folder, or it cannot be read.
     """
+    held = hold(folder, patience)
+    try:
+        yield held.certain
+    finally:
+        held.release()
+
+
+class Held(NamedTuple):
+    """A folder that this process holds, and every process that inherits its descriptor, until the last one ends."""
+
+    folder: Path
+    descriptor: int | None
+    """None where the file system knows no such locks."""
+
+    @property
+    def certain(self) -> bool:
+        """Whether others are kept off the folder."""
+        return self.descriptor is not None
+
+    @property
+    def inherited(self) -> tuple[int, ...]:
+        """What a child process must be given (``pass_fds``) to hold the folder, too."""
+        return () if self.descriptor is None else (self.descriptor,)
+
+    def release(self) -> None:
+        """Let go of the folder here; processes that inherited it still hold it."""
+        if self.descriptor is not None:
+            os.close(self.descriptor)
+
+
+def hold(folder: Path, patience: float = 0.0) -> Held:
+    """Hold a folder against other processes until it is released, or the last process that holds it has ended.
+
+    Parameters
+    ----------
+    folder : Path
+        An existing folder; nothing is written into it.
+    patience : float
+        For how many s to wait for another process that holds it.
+
+    Returns
+    -------
+    Held
+        To be released.
+
+    Raises
+    ------
+    BlockingIOError
+        Another process still holds the folder.
+    OSError
+        There is no such folder, or it cannot be read.
+    """
     if fcntl is None:
-        yield False
-        return
+        return Held(folder, None)
     door = os.open(folder, os.O_RDONLY)
     try:
-        yield _taken(door, folder, time.monotonic() + patience)
-    finally:
+        certain = _taken(door, folder, time.monotonic() + patience)
+    except BaseException:
         os.close(door)
+        raise
+    if not certain:
+        os.close(door)
+    return Held(folder, door if certain else None)
+
+
+def hold_new(place: Path, prefix: str) -> Held:
+    """Make a folder of a new name in a place and hold it; raises OSError where none can be made."""
+    while True:
+        held = _held_if_there(Path(tempfile.mkdtemp(prefix=prefix, dir=place)))
+        if held is not None:
+            return held
+
+
+def hold_named(folder: Path) -> Held | None:
+    """Make a folder of a given name and hold it.
+
+    Parameters
+    ----------
+    folder : Path
+        In a folder that exists; only its owner may look into it.
+
+    Returns
+    -------
+    Held or None
+        None where it is there already.
+
+    Raises
+    ------
+    OSError
+        It cannot be made.
+    """
+    try:
+        folder.mkdir(mode=0o700)
+    except FileExistsError:
+        return None
+    return _held_if_there(folder)
+
+
+def _held_if_there(folder: Path) -> Held | None:
+    """Hold a folder that was made just now; None where another process took it for abandoned and removed it."""
+    try:
+        held = hold(folder, PATIENCE)
+    except (BlockingIOError, FileNotFoundError):
+        return None
+    with suppress(OSError):
+        if held.descriptor is None or os.path.samestat(os.fstat(held.descriptor), folder.stat()):
+            return held
+    held.release()
+    return None
+
+
+def remove_abandoned(place: Path, pattern: str, uncertain_s: float) -> None:
+    """Remove folders that processes which have died held.
+
+    Parameters
+    ----------
+    place : Path
+        Where they are.
+    pattern : str
+        A glob of names that only such folders have.
+    uncertain_s : float
+        Where the file system knows no locks: age in s from which a folder is taken for abandoned.
+    """
+    found = list[Path]()
+    with suppress(OSError):  # as where the place is a file
+        found.extend(place.glob(pattern))
+    for folder in found:
+        with suppress(OSError):  # BlockingIOError: a living process holds it
+            if folder.is_symlink() or not folder.is_dir():
+                continue
+            held = hold(folder)
+            try:
+                if held.certain or time.time() - folder.stat().st_mtime > uncertain_s:
+                    shutil.rmtree(folder)
+            finally:
+                held.release()
 
 
 def _taken(door: int, folder: Path, deadline: float) -> bool:

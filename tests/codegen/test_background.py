@@ -3,6 +3,7 @@
 import logging
 import os
 import shutil
+import signal
 import subprocess
 import sys
 import time
@@ -103,7 +104,7 @@ def test_now_means_at_once(cold, monkeypatch):
 
 def test_what_a_process_begins_nobody_else_begins_and_it_is_said_once(cold, monkeypatch, caplog):
     begun = list[str]()
-    monkeypatch.setattr(background, "_begin", lambda key, functions, lanes: begun.append(key))
+    monkeypatch.setattr(background, "_begin", lambda work, key, functions, lanes: begun.append(key))
     with caplog.at_level(logging.WARNING, "ctr_nlp"):
         for factor in (2.0, 2.0, 2.25):
             assert compiled.library(toy(factor), 1).soon() is None
@@ -111,22 +112,156 @@ def test_what_a_process_begins_nobody_else_begins_and_it_is_said_once(cold, monk
     assert [record.getMessage() for record in caplog.records] == [background.NOTE]
 
 
-def test_a_build_that_never_ended_is_begun_again(cold, monkeypatch):
+def test_a_process_begins_a_build_that_died_again_only_later(cold, monkeypatch):
+    """What killed it, as a lack of memory, may kill the next one."""
     begun = list[str]()
-    monkeypatch.setattr(background, "_begin", lambda key, functions, lanes: begun.append(key))
-    nlp = toy(2.5)
-    compiled.library(nlp, 1).soon()
-    monkeypatch.setattr(background, "CLAIMED", -1.0)
+    monkeypatch.setattr(
+        background, "_begin", lambda work, key, functions, lanes: (begun.append(key), work.release())
+    )
     monkeypatch.setattr(background, "POLL", 0.0)
+    nlp = toy(2.5)
+    for _ in range(3):
+        compiled.library(nlp, 1).soon()
+    assert len(begun) == 1
+    monkeypatch.setattr(background, "RETRY_S", -1.0)
     compiled.library(nlp, 1).soon()
     assert len(begun) == 2
 
 
-def test_a_cache_that_cannot_be_written_leaves_programs_interpreted(cold, monkeypatch):
+BEGIN = """\
+import logging, sys, time
+from codegen.test_background import toy
+from ctr_nlp.codegen import background
+from ctr_nlp.solvers import compiled
+logging.basicConfig(format="%(message)s")
+library = compiled.library(toy(float(sys.argv[1])), 1)
+found = library.soon()
+print(*[process.pid for process in background._begun], flush=True)
+while len(sys.argv) > 2 and found is None:
+    time.sleep(0.1)
+    found = library.soon()
+"""
+"""A process that begins a build, tells its number, and waits for it where it has a second argument."""
+
+
+def begin(*arguments):
+    return subprocess.Popen(
+        [sys.executable, "-c", BEGIN, *arguments],
+        cwd=TESTS,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+
+
+@pytest.fixture
+def slow(tmp_path, monkeypatch):
+    """A compiler that waits for ever over a program, as long as the file that is yielded exists."""
+    real, script, gate = shutil.which("cc") or shutil.which("gcc"), tmp_path / "compiler", tmp_path / "gate"
+    gate.touch()
+    wait = f"case $(cat code.c) in *expansion_directed_0*) while [ -e {gate} ]; do sleep 0.1; done;; esac"
+    script.write_text(f'#!/bin/sh\ncase " $* " in *" -E "*) ;; *) {wait};; esac\nexec {real} "$@"\n')
+    script.chmod(0o755)
+    monkeypatch.setenv("CC", str(script))
+    cache.compiler.cache_clear()
+    yield gate
+    gate.unlink(missing_ok=True)
+    cache.compiler.cache_clear()
+
+
+def builds(cold):
+    """Folders in which processes are at work."""
+    return {path.name for path in cold.glob("building-*")}
+
+
+def test_a_build_that_is_killed_is_begun_again_by_the_next_process_at_once(cold, slow, tmp_path, monkeypatch):
+    """And nothing of it stays, neither in the cache nor in the temporary folder."""
+    temporary = tmp_path / "temporary"
+    temporary.mkdir()
+    monkeypatch.setenv("TMPDIR", str(temporary))
+    pid = int(begin("3.5").communicate()[0])
+    end = time.monotonic() + LONG
+    while not list(cold.glob("building-*/**/code.c")):
+        assert time.monotonic() < end, "not begun in time"
+        time.sleep(0.05)
+    (left,) = builds(cold)
+    second = begin("3.5")
+    assert second.communicate()[0] == "\n"  # the first one is still at work
+    os.kill(pid, signal.SIGKILL)
+    slow.unlink()
+    out, _ = begin("3.5", "wait").communicate(timeout=LONG)
+    assert int(out) != pid
+    while builds(cold):
+        assert time.monotonic() < end + LONG, left
+        time.sleep(0.05)
+    assert not [path for path in temporary.rglob("*") if path.suffix != ".lock"]
+
+
+def test_whoever_finds_a_build_at_work_is_told_so(cold, slow):
+    first = begin("3.75")
+    assert first.communicate()[0] != "\n"
+    out, said = begin("3.75").communicate()
+    assert (out, said) == ("\n", f"{background.NOTE}\n")
+
+
+def test_a_build_outlives_the_process_that_began_it(cold, slow):
+    """Also where that is killed, and the claim on it stays."""
+    process = begin("4.5", "wait")
+    pid = int(process.stdout.readline())
+    process.kill()
+    process.communicate()
+    assert begin("4.5").communicate()[0] == "\n"
+    slow.unlink()
+    begin("4.5", "wait").communicate(timeout=LONG)
+    with pytest.raises(ProcessLookupError):
+        for _ in range(round(LONG / 0.1)):
+            os.kill(pid, 0)
+            time.sleep(0.1)
+
+
+def test_what_a_compiler_refuses_is_told_and_not_begun_by_others(cold, tmp_path, monkeypatch):
+    real, script = shutil.which("cc") or shutil.which("gcc"), tmp_path / "compiler"
+    fail = "case $(cat code.c) in *expansion_directed_0*) echo no room >&2; exit 1;; esac"
+    script.write_text(f'#!/bin/sh\ncase " $* " in *" -E "*) ;; *) {fail};; esac\nexec {real} "$@"\n')
+    script.chmod(0o755)
+    monkeypatch.setenv("CC", str(script))
+    begin("5.5").communicate()
+    end = time.monotonic() + LONG
+    while not list(cold.glob("failed-*")) or builds(cold):
+        assert time.monotonic() < end, "not refused in time"
+        time.sleep(0.05)
+    out, said = begin("5.5").communicate()
+    assert out == "\n"
+    assert "no room" in said
+    assert said.count("\n") == 1
+
+
+def test_whoever_waits_for_another_process_is_told_in_one_line(cold, monkeypatch, caplog):
+    monkeypatch.setattr(background, "PATIENCE_S", 0.2)
+    nlp = toy(6.5)
+    hold = "import sys, time; from ctr_nlp.codegen import background\n"
+    hold += "with background._alone(sys.stdin.read()): print(flush=True); time.sleep(1.5)"
+    holder = subprocess.Popen(
+        [sys.executable, "-c", hold], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    )
+    holder.stdin.write(compiled.library(nlp, 1).key)
+    holder.stdin.close()
+    holder.stdout.readline()
+    with caplog.at_level(logging.WARNING, "ctr_nlp"):
+        assert compiled.library(nlp, 1).now().is_file()
+    holder.wait()
+    holder.stdout.close()
+    assert [record.getMessage() for record in caplog.records] == [background.WAITING]
+
+
+def test_a_cache_that_cannot_be_written_leaves_programs_interpreted(cold, caplog):
     cold.write_text("in the way")
-    program = Program(toy(2.75))
+    with caplog.at_level(logging.WARNING, "ctr_nlp"):
+        program = Program(toy(2.75))
     assert not program.compiled
     assert np.isfinite(solution(program)[1])
+    (record,) = caplog.records
+    assert f"compiled code cannot be kept in {cold}" in record.getMessage()
 
 
 @pytest.mark.parametrize("solve", [solve_per_frame, solve_horizon])

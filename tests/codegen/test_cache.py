@@ -22,6 +22,8 @@ from ctr_nlp.codegen import cache
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.solvers import default_chain_solver
 from ctr_nlp.solvers.compiled import compiled, fastest
+from ctr_nlp.support import folder_lock
+from ctr_nlp.support.folder_lock import locked
 
 OPTED_OUT = "CTR_NLP_COMPILE is 0"
 BUILD = """\
@@ -632,13 +634,23 @@ def test_a_build_that_is_killed_is_never_taken(place, tools, tmp_path, monkeypat
     assert list(place.iterdir()) == [path.parent]
 
 
-def test_what_was_half_kept_is_never_taken_and_swept_when_old(place, tmp_path):
-    """Another process was killed while it copied."""
+def test_what_was_half_kept_is_never_taken_and_removed(place, tmp_path):
+    """Another process was killed while it copied, and a third one is at it."""
+    left, held = place / "building-other", place / "building-third"
+    for folder in (left, held):
+        folder.mkdir(parents=True)
+        (folder / "library.so").write_bytes(b"half")
+    with locked(held):
+        path = kept("one", 1)
+    assert answer(path, tmp_path) == 1
+    assert sorted(place.iterdir()) == sorted([path.parent, held])
+
+
+def test_without_locks_what_was_half_kept_is_removed_when_old(place, monkeypatch):
+    monkeypatch.setattr(folder_lock, "fcntl", None)
     left = place / "building-other"
     left.mkdir(parents=True)
-    (left / "library.so").write_bytes(b"half")
     path = kept("one", 1)
-    assert answer(path, tmp_path) == 1
     assert sorted(place.iterdir()) == sorted([path.parent, left])
     ago = time.time() - cache.ABANDONED - 60
     os.utime(left, (ago, ago))
@@ -646,6 +658,26 @@ def test_what_was_half_kept_is_never_taken_and_swept_when_old(place, tmp_path):
     other = kept("two", 2)
     assert sorted(place.iterdir()) == sorted([path.parent, other.parent])
     assert cache.library("one", never) == path
+
+
+def test_what_a_killed_process_had_loaded_is_removed(tmp_path, monkeypatch):
+    """What living processes have loaded stays, and goes when they end."""
+    monkeypatch.setenv("TMPDIR", str(tmp_path))
+    wait = BUILD + "sys.stdout.flush(); sys.stdin.read()"
+    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True}
+    killed, living = (
+        subprocess.Popen([sys.executable, "-c", wait, key, code(1)], **pipes) for key in ("one", "two")
+    )
+    paths = [Path(one.stdout.readline().split()[0]) for one in (killed, living)]
+    killed.kill()
+    killed.communicate()
+    assert [path.exists() for path in paths] == [True, True]
+    answered(process("three", code(3)))
+    assert [path.exists() for path in paths] == [False, True]
+    (left,) = tmp_path.glob("ctr_nlp-*")
+    assert paths[1].is_relative_to(left)
+    living.communicate("")
+    assert not list(tmp_path.glob("ctr_nlp-*"))
 
 
 @pytest.mark.parametrize("damage", [None, truncated], ids=["new", "damaged"])
