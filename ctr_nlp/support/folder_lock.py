@@ -53,7 +53,7 @@ def locked(folder: Path, patience: float = 0.0) -> Iterator[bool]:
 
 
 class Held(NamedTuple):
-    """A folder that this process holds, and every process that inherits its descriptor, until the last one ends."""
+    """A folder that this process holds, and so does every process that inherits its descriptor."""
 
     folder: Path
     descriptor: int | None
