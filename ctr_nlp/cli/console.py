@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import argparse
+import os
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
 import ctr_nlp
-from ctr_nlp.cli.telling import print_stderr, telling
+from ctr_nlp.cli.telling import StdoutError, print_stderr, telling, write_stdout
 from ctr_nlp.exceptions import CtrError, escaped, meant
 from ctr_nlp.support.interrupt import deferred_interrupt
 
@@ -18,6 +19,8 @@ SOLVED, SOME_FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 EXAMPLES = Path(__file__).parent / "templates" / "examples.txt"
 """Calls of programs: after a line `[NAME]`, what each of its examples does, and in the next line its arguments."""
 INDENT = "  "
+STDOUT = 1
+"""The descriptor of standard output."""
 
 
 class Command(NamedTuple):
@@ -64,9 +67,9 @@ class Command(NamedTuple):
             try:
                 status = self.run(arguments)
             except CtrError as error:
-                sys.stdout.write(told.as_json(**known, exit_status=BAD_INPUT, error=str(error)) + "\n")
+                write_stdout(told.as_json(**known, exit_status=BAD_INPUT, error=str(error)) + "\n")
                 raise
-            sys.stdout.write(told.as_json(**known, exit_status=status, error=None) + "\n")
+            write_stdout(told.as_json(**known, exit_status=status, error=None) + "\n")
             return status
 
 
@@ -109,6 +112,18 @@ def guarded(program: Callable[[], int]) -> int:
     except CtrError as error:
         print_stderr(f"error: {error}")
         return BAD_INPUT
+    except StdoutError as error:
+        print_stderr(f"error: standard output cannot be written: {error}")
+        _forget_stdout()
+        return SOME_FAILED
     except KeyboardInterrupt:
         print_stderr("interrupted; nothing was written")
         return INTERRUPTED
+
+
+def _forget_stdout() -> None:
+    """Let what standard output could not take go nowhere, or Python would complain of it once more at its end."""
+    if sys.stdout is sys.__stdout__:
+        nowhere = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(nowhere, STDOUT)
+        os.close(nowhere)

@@ -30,6 +30,10 @@ Labelled = Callable[[str], Callable[[int, int, str], None]]
 """Turns a label into a callback (done, total, note)."""
 
 
+class StdoutError(Exception):
+    """Standard output cannot be written, as on a full disk. No OSError, which is what writing files raises."""
+
+
 @dataclass(frozen=True)
 class Told:
     """What a program has told that is called with --json."""
@@ -67,6 +71,15 @@ class _Console(Console):
     def __init__(self, **options: Any) -> None:
         super().__init__(highlight=False, markup=False, emoji=False, **options)
 
+    def print(self, *objects: Any, **options: Any) -> None:
+        """Print as rich does; raises StdoutError where standard output takes no more."""
+        try:
+            super().print(*objects, **options)
+        except OSError as error:
+            if self.stderr:
+                raise
+            raise StdoutError(error.strerror) from error
+
     def render_str(self, text: str, **options: Any) -> Text:
         """Turn a string into text; rich calls this for every string that is printed, those of tables too."""
         return super().render_str(escaped(text), **options)
@@ -90,6 +103,15 @@ def print_stderr(line: str) -> None:
         Without its line break.
     """
     sys.stderr.write(f"{escaped(line)}\n")
+
+
+def write_stdout(text: str) -> None:
+    """Write text as it is on standard output; raises StdoutError."""
+    try:
+        sys.stdout.write(text)
+        sys.stdout.flush()
+    except OSError as error:
+        raise StdoutError(error.strerror) from error
 
 
 def announce(line: str) -> None:

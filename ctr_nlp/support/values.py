@@ -120,6 +120,21 @@ def whole_number(error: type[CtrError], name: str, value: Any, least: int = 1) -
     return int(value)
 
 
+def text(error: type[CtrError], name: str, value: Any) -> str:
+    """A text with something in it that may name a file, or error."""
+    if not isinstance(value, str) or not value or "\0" in value:
+        raise error(f"{name} is {value!r:.80}; it must be a text that is not empty, without null characters")
+    return value
+
+
+def texts(error: type[CtrError], name: str, value: Any) -> list[str]:
+    """A list of such texts, or error."""
+    if not isinstance(value, list | tuple):
+        near = f"; did you mean [{value!r:.60}]?" if isinstance(value, str) else ""
+        raise error(f"{name} is {value!r:.80}; it must be a list of texts{near}")
+    return [text(error, f"number {number} of {name}", item) for number, item in enumerate(value, start=1)]
+
+
 def instance(error: type[CtrError], name: str, value: Any, *kinds: type) -> None:
     """Raise error unless a value is of one of some kinds."""
     if not isinstance(value, kinds):

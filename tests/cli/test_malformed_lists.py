@@ -7,7 +7,9 @@ from malformed import EXAMPLES, RIG, Said, plan_file, program, spoilt, written
 
 from ctr_nlp import Robot
 from ctr_nlp.cli.commands import export
-from ctr_nlp.exceptions import CtrError
+from ctr_nlp.cli.studies import study
+from ctr_nlp.exceptions import CtrError, HardwareError
+from ctr_nlp.hardware.arm.description import Arm
 from ctr_nlp.hardware.description import Hardware
 from ctr_nlp.loads import read_load
 from ctr_nlp.studies.grid.study_file import Study
@@ -24,6 +26,7 @@ MALFORMED = (
     *("[]", "[[]]", "[0, []]", "[[], 0]", "[0, [0, []]]", "[[0, 1], [2]]", "[[0, 1], 2]", "[[[0, 1]]]"),
     *('"x"', '["x"]', '[0, "x"]', "[nan]", "[nan, nan]", "[nan, nan, nan]", "[inf, 0, 0]", "[0, 1e400]"),
     *("[true]", "[true, false, true]", "{}", "{ a = 0 }", "[{}]", "[{ a = 0 }, 1]", "[0, { a = 0 }]"),
+    *('[""]', '["a\\u0000b"]', "[[1], 2]", '["x", 1]', "-1"),
     *("1", "true", "1979-05-27", "[1979-05-27]", f"1{'0' * 400}", f"[1{'0' * 400}]", f"[0, 1{'0' * 400}, 0]"),
     f"[{'9' * 5000}]",
 )
@@ -31,8 +34,6 @@ LIST = re.compile(r"^(?P<off># )?(?P<key>\w+) = (?P<value>\[.*?\]|\[\[.*\]\])(?P
 WITHIN = re.compile(r"(?P<key>\w+) = \[[^\[\]]*\]")
 """A list in a table of one line."""
 TABLE = re.compile(r"^# (\[[\w.]+\])\s*(#.*)?$")
-ELSEWHERE = "[problems] names", "[problems] files", "[problems] options", "[robots] files", "[ways.sample] ranges"
-"""Texts and tables of a study, which are no numbers: what reads a study is to check these by itself."""
 GIVEN = {
     "places": ('measures = "tip" ', 'measures = "points" '),
     "distributed_force": ("# between", "between"),
@@ -80,8 +81,7 @@ def cases():
     """A label, a reader and a text for every list of every template."""
     for name, reader in READERS.items():
         for number, (label, text) in enumerate(without_lists((TEMPLATES / name).read_text(encoding="utf-8"))):
-            if label not in ELSEWHERE:
-                yield f"{name} {number}: {label}", reader, text
+            yield f"{name} {number}: {label}", reader, text
 
 
 CASES = list(cases())
@@ -122,3 +122,52 @@ def test_a_command_ends_with_status_2_on_a_malformed_list(old, new, said, tmp_pa
     with pytest.raises(Said, match=f"^error: hardware file .*rig.toml: {said}"):
         program(export.main, plan_file(tmp_path), "--to", "csv", "--hardware", rig, "--out", tmp_path / "a.csv")
     assert not (tmp_path / "a.csv").exists()
+
+
+STUDY = """\
+[problems]
+names = ["arc"]
+{}
+[[ways]]
+models = ["dominant"]
+"""
+
+
+@pytest.mark.parametrize(
+    ("lines", "said"),
+    [
+        (
+            'files = "a.csv"',
+            r"files of problems of a study is 'a\.csv'; it must be a list of texts; .*\['a\.csv'\]",
+        ),
+        ("files = [1]", "number 1 of files of problems of a study is 1; it must be a text"),
+        ("folder = 3", "folder of problems of a study is 3; it must be a text"),
+        ("options = 3", "options of problems of a study is 3; it must be a table with the keys branch"),
+        ('options = { trimm = "end" }', "key 'trimm' is unknown in options.*Did you mean 'trim'"),
+        ("options = { trim = 3 }", "trim of options .* is 3; it must be one of start, end"),
+        ("options = { entry = [1, 2] }", r"entry of options .* has shape \(2,\); it must be \(3,\)"),
+        ("synthetic = 10000000000", "synthetic of problems of a study is 10000000000; it must be at most"),
+        ('[robots]\nfiles = "robot.toml"', "files of robots .* is 'robot.toml'; it must be a list of texts"),
+        ("[robots]\nfiles = [[]]", r"number 1 of files of robots of a study is \[\]; it must be a text"),
+        ("[robots]\ndrawn = { of = 3, count = 1 }", "of of drawn robots is 3; it must be a text"),
+        ("[[ways]]\nsample = { count = 4, ranges = 3 }", "ranges of a sample is 3; it must be a table"),
+        ("[[ways]]\nsample = { count = 4 }", "ranges of a sample are empty"),
+        (
+            '[[ways]]\nsample = { count = 4, ranges = { motion_weight = ["a", "b"] } }',
+            r"range of motion_weight is \['a', 'b'\]; it must be numbers",
+        ),
+    ],
+)
+def test_a_study_file_of_wrong_types_names_key_and_value(lines, said, tmp_path):
+    path = written(tmp_path, "study.toml", STUDY.format(lines))
+    with pytest.raises(Said, match=f"^error: study .*study.toml: {said}"):
+        program(study.main, path, "--out", tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    "value", [[[1], 2, 3], [1, [2, 3], 4], [[1, 2], [3]], [1, None, 3], {"a": 1}, [10**400] * 3]
+)
+def test_an_arm_refuses_ragged_lists_from_python(value):
+    with pytest.raises(HardwareError, match=r"insertion_point of the arm is .*; it must be 3 numbers"):
+        Arm(insertion_point=value)

@@ -3,14 +3,19 @@
 import json
 import re
 import shlex
+import subprocess
+import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
+from bench import sweep
 from problems import UNJUDGED
 
 from ctr_nlp.cli.console import examples
 from ctr_nlp.cli.main import COMMANDS, load, main
 from ctr_nlp.cli.telling import console, print_table, telling, wrote
+from ctr_nlp.plan.account import NOT_FOR_PATIENTS
 
 
 @pytest.mark.parametrize("name", COMMANDS)
@@ -126,3 +131,21 @@ def test_verbose_tells_on_stderr_how_far_the_work_is(tmp_path, capsys):
     assert told.search(capsys.readouterr().err)
     assert main(arguments) == 0
     assert not told.search(capsys.readouterr().err)
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
+@pytest.mark.parametrize("json_too", [(), ("--json",)], ids=["text", "json"])
+def test_a_full_standard_output_is_one_line_and_status_1(json_too, tmp_path):
+    sweep(3, 1.0).save(tmp_path / "plan.npz")
+    command = "play", "plan.npz", "--dry-run", "--uncertified", "--free-space", *json_too
+    with open("/dev/full", "w") as full:
+        done = subprocess.run(
+            [sys.executable, "-m", "ctr_nlp", *command],
+            cwd=tmp_path,
+            stdout=full,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+    assert done.returncode == 1
+    errors = [line for line in done.stderr.splitlines() if not line.startswith(("note: ", NOT_FOR_PATIENTS))]
+    assert errors == ["error: standard output cannot be written: No space left on device"]

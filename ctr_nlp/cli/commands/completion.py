@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from typing import Any
 
 from ctr_nlp.cli.console import SOLVED, Command
 from ctr_nlp.cli.main import parser as whole_parser
+from ctr_nlp.cli.telling import write_stdout
 from ctr_nlp.problems import NAMES
 from ctr_nlp.support.extras import needed
 
@@ -45,7 +45,7 @@ def _run(arguments: argparse.Namespace) -> int:
     for command in subparsers.choices.values():
         for action in command._actions:
             _complete(action, shtab)
-    sys.stdout.write(shtab.complete(parser, shell=arguments.shell, preamble=PREAMBLE))
+    write_stdout(shtab.complete(parser, shell=arguments.shell, preamble=PREAMBLE))
     return SOLVED
 
 

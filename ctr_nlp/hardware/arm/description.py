@@ -11,7 +11,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from ctr_nlp.exceptions import HardwareError, RobotError
-from ctr_nlp.support.values import frozen, numbers
+from ctr_nlp.support.values import frozen, numbers, plain_floats
 from ctr_nlp.typing import Array
 
 MODELS = (
@@ -121,9 +121,13 @@ def some_numbers(what: str, value: Any, size: int) -> Array:
 
 def all_numbers(what: str, value: Any, size: int) -> tuple[float, ...]:
     """Exactly size numbers: one does not stand for all here; raises HardwareError."""
-    if np.shape(value) != (size,):
-        raise HardwareError(f"{what} is {value!r}; it must be {size} numbers")
-    return tuple(some_numbers(what, value, size).tolist())
+    try:
+        found = plain_floats(value)
+    except (TypeError, ValueError, OverflowError):  # ValueError: also lists of several lengths
+        found = np.empty(0)
+    if found.shape != (size,) or not np.isfinite(found).all():
+        raise HardwareError(f"{what} is {value!r:.80}; it must be {size} numbers, all finite")
+    return tuple(found.tolist())
 
 
 def check_joints(arm: Arm, time: Array, joints: Array) -> None:

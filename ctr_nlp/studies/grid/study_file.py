@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import json
+import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -21,7 +22,7 @@ from ctr_nlp.studies.airways import SYNTHETIC
 from ctr_nlp.studies.grid.case import Case, content_of
 from ctr_nlp.studies.grid.reports import REPORTS
 from ctr_nlp.studies.grid.ways import OF_WAYS, check_table, ways
-from ctr_nlp.support.values import check_choice, instance, read_toml, whole_number
+from ctr_nlp.support.values import check_choice, floats, instance, number, read_toml, text, texts, whole_number
 
 KEYS = (
     *("name", "problems", "robots", "youngs_modulus", *OF_WAYS, "ways"),
@@ -30,6 +31,9 @@ KEYS = (
 OF_PROBLEMS = ("names", "files", "folder", "synthetic", "options")
 OF_ROBOTS = ("files", "drawn")
 OF_DRAWN = ("of", "count", "seed")
+OF_OPTIONS = ("branch", "entry", "target", "reverse", "smoothing", "trim", "insertion", "tilt")
+MOST_CASES = 1_000_000
+"""Plans of one study; a file that asks for more has a slip of the pen in it."""
 OWN = "its own"
 """The name of a problem's own robot."""
 
@@ -88,9 +92,8 @@ class Study:
         OptionError
             The file cannot be read, or does not describe a study; the message names the file.
         """
-        told = read_toml(path)
         try:
-            return cls.from_dict(told, Path(path).resolve().parent)
+            return cls.from_dict(read_toml(path), Path(path).resolve().parent)
         except CtrError as error:
             raise OptionError(f"study {path}: {error}") from error
 
@@ -126,6 +129,7 @@ class Study:
         check_table(told, KEYS, "a study")
         problems = tuple(_problems(told.get("problems", {}), folder))
         robots, every_way = tuple(_robots(told.get("robots", {}), folder)), tuple(ways(told, folder))
+        name = text(OptionError, "name of a study", told.get("name", "study"))
         draws, seed = (
             whole_number(OptionError, f"{key} of a study", told.get(key, 0), 0) for key in ("draws", "seed")
         )
@@ -136,19 +140,22 @@ class Study:
         instance(OptionError, "walls of a study", walled, bool)
         if report is not None:
             check_choice("report of a study", report, REPORTS)
-        options = tuple(sorted(told.get("problems", {}).get("options", {}).items()))
+        options = _options(told.get("problems", {}).get("options", {}))
+        count = len(problems) * len(robots) * len(every_way)
+        if count > MOST_CASES:
+            raise OptionError(f"study {name!r} has {count} cases; it must have at most {MOST_CASES}")
         cases = (
             Case(
                 problem,
                 content,
-                name,
+                robot_name,
                 robot,
                 way.model,
                 way.method,
                 frames,
                 way.settings,
                 draws,
-                seed + number if draws else 0,
+                seed + place if draws else 0,
                 options if content else (),
                 walled,
                 way.measures,
@@ -156,26 +163,53 @@ class Study:
                 way.load,
                 modulus,
             )
-            for (number, (problem, content)), (name, robot), way in itertools.product(
+            for (place, (problem, content)), (robot_name, robot), way in itertools.product(
                 enumerate(problems), robots, every_way
             )
         )
-        return cls(str(told.get("name", "study")), tuple(cases), report)
+        return cls(name, tuple(cases), report)
 
 
 def _problems(told: Any, folder: Path) -> Iterator[tuple[str, str]]:
     """Problems of the table [problems], each with the digest of its file, which is empty where it has none."""
     check_table(told, OF_PROBLEMS, "problems of a study")
-    for name in told.get("names", ()):
+    for name in texts(OptionError, "names of problems of a study", told.get("names", [])):
         check_choice("a problem of a study", name, NAMES)
         yield name, ""
-    files = [folder / name for name in told.get("files", ())]
+    files = [folder / name for name in texts(OptionError, "files of problems of a study", told.get("files", []))]
     if "folder" in told:
-        files += centrelines_in(folder / told["folder"])
+        files += centrelines_in(folder / text(OptionError, "folder of problems of a study", told["folder"]))
     for path in files:
         yield str(path), content_of(str(path))
-    for number in range(whole_number(OptionError, "synthetic of problems", told.get("synthetic", 0), 0)):
-        yield f"{SYNTHETIC}{number}", ""
+    for airway in range(_count("synthetic of problems of a study", told.get("synthetic", 0), 0)):
+        yield f"{SYNTHETIC}{airway}", ""
+
+
+def _options(told: Any) -> tuple[tuple[str, Any], ...]:
+    """How files become problems: options of problem_from_file, in the order of their names."""
+    check_table(told, OF_OPTIONS, "options of problems of a study")
+    if told.get("trim") is not None:
+        check_choice("trim of options of problems of a study", told["trim"], ("start", "end"))
+    for name in ("smoothing", "tilt"):
+        if name in told:
+            number(
+                OptionError, f"{name} of options of problems of a study", told[name], math.isfinite, "be finite"
+            )
+    for name in ("entry", "target", "insertion"):
+        if name in told:
+            floats(OptionError, f"{name} of options of problems of a study", told[name], (3,))
+    if "reverse" in told:
+        instance(OptionError, "reverse of options of problems of a study", told["reverse"], bool)
+    if "branch" in told:
+        instance(OptionError, "branch of options of problems of a study", told["branch"], str, int)
+    return tuple(sorted(told.items()))
+
+
+def _count(name: str, value: Any, least: int) -> int:
+    """A number of things that are gone through one by one; raises OptionError."""
+    if (count := whole_number(OptionError, name, value, least)) > MOST_CASES:
+        raise OptionError(f"{name} is {count}; it must be at most {MOST_CASES}")
+    return count
 
 
 def _robots(told: Any, folder: Path) -> Iterator[tuple[str, str | None]]:
@@ -183,20 +217,22 @@ def _robots(told: Any, folder: Path) -> Iterator[tuple[str, str | None]]:
     check_table(told, OF_ROBOTS, "robots of a study")
     if not told:
         yield OWN, None
-    for name in told.get("files", ()):
+    for name in texts(OptionError, "files of robots of a study", told.get("files", [])):
         yield Path(name).stem, _as_json(Robot.from_toml(folder / name))
     if "drawn" in told:
         asked = told["drawn"]
         check_table(asked, OF_DRAWN, "drawn robots of a study")
         if not {"of", "count"} <= asked.keys():
             raise OptionError("drawn robots of a study need of, a robot file, and count")
-        base = Robot.from_toml(folder / asked["of"])
-        count = whole_number(OptionError, "count of drawn robots", asked["count"], 1)
+        of = text(OptionError, "of of drawn robots", asked["of"])
+        base = Robot.from_toml(folder / of)
+        count = _count("count of drawn robots", asked["count"], 1)
+        seed = whole_number(OptionError, "seed of drawn robots", asked.get("seed", 0), 0)
         # Each robot is built as drawn, and as uncertain as the one that it is drawn from.
         none = np.zeros((5 * base.d, 5 * base.d))
-        for number, parts in enumerate(drawn(base, count, asked.get("seed", 0)).parts):
+        for draw, parts in enumerate(drawn(base, count, seed).parts):
             robot = known_robot(base, parts, none, 0.0)
-            yield f"{Path(asked['of']).stem} {number}", _as_json(replace(robot, tolerances=base.tolerances))
+            yield f"{Path(of).stem} {draw}", _as_json(replace(robot, tolerances=base.tolerances))
 
 
 def _as_json(robot: Robot) -> str:

@@ -19,9 +19,10 @@ from ctr_nlp.loads import Load, LoadOverTime, read_load
 from ctr_nlp.models import MODELS, under
 from ctr_nlp.studies.grid.case import METHODS, NO_LOAD
 from ctr_nlp.studies.grid.measures import MEASURES
-from ctr_nlp.support.values import check_choice, check_keys, instance, whole_number
+from ctr_nlp.support.values import check_choice, check_keys, floats, instance, whole_number
 
 OF_WAYS = ("models", "methods", "loads", "settings", "sample", "measures")
+MOST_SAMPLES = 100_000
 OF_SAMPLE = ("method", "count", "seed", "ranges")
 SAMPLERS: Mapping[str, type[qmc.QMCEngine]] = {"sobol": qmc.Sobol, "latin-hypercube": qmc.LatinHypercube}
 """How settings may be sampled, by name."""
@@ -67,6 +68,7 @@ def ways(told: Mapping[str, Any], folder: Path) -> Iterator[Way]:
         tables = [{name: told[name] for name in OF_WAYS if name in told}]
     elif both := sorted(set(OF_WAYS) & told.keys()):
         raise OptionError(f"{both[0]} of a study stands beside its tables [[ways]]; write it into each of these")
+    instance(OptionError, "ways of a study", tables, list)
     for table in tables:
         check_table(table, OF_WAYS, "ways of a study")
         measures = tuple(_listed(table.get("measures", [])))
@@ -123,10 +125,15 @@ def _sampled(told: Any) -> list[tuple[tuple[str, Any], ...]]:
     check_table(ranges, tuple(Settings.__dataclass_fields__), "ranges of a sample")
     check_choice("method of a sample", told.get("method", "sobol"), SAMPLERS)
     count = whole_number(OptionError, "count of a sample", told.get("count", 0), 1)
+    if count > MOST_SAMPLES:
+        raise OptionError(f"count of a sample is {count}; it must be at most {MOST_SAMPLES}")
     seed = whole_number(OptionError, "seed of a sample", told.get("seed", 0), 0)
     for name, ends in ranges.items():
-        if not (isinstance(ends, list) and len(ends) == 2 and ends[0] < ends[1]):
+        low, high = floats(OptionError, f"range of {name}", ends, (2,))
+        if low >= high:
             raise OptionError(f"range of {name} is {ends!r:.40}; it must be two numbers, the least first")
+    if not ranges:
+        raise OptionError("ranges of a sample are empty; name settings, each with two numbers, the least first")
     engine = SAMPLERS[told.get("method", "sobol")](len(ranges), rng=np.random.default_rng(seed))
     low, high = np.array([ranges[name] for name in ranges], dtype=float).T
     return [tuple(zip(ranges, row, strict=True)) for row in qmc.scale(engine.random(count), low, high).tolist()]
