@@ -5,6 +5,8 @@ import warnings
 from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any
 
+LONGEST, LEFT_OUT = 900, " [...] "
+"""Letters of a message, and what stands for those in the middle of a longer one, such as a key of thousands."""
 LIKELY, NEAR = 2, 0.7
 """Words that a message offers at most, and how alike they must be to what was given (difflib)."""
 
@@ -35,7 +37,12 @@ class CtrError(Exception):
     """Base of every error that ctr_nlp raises itself. Its message is one line, whatever it quotes from a file."""
 
     def __str__(self) -> str:
-        return escaped(super().__str__())
+        said = escaped(super().__str__())
+        if len(said) <= LONGEST:
+            return said
+        # what is wrong stands at the beginning, and what is allowed at the end; in between is what a file holds
+        half = (LONGEST - len(LEFT_OUT)) // 2
+        return f"{said[:half]}{LEFT_OUT}{said[-half:]}"
 
 
 class RobotError(CtrError):

@@ -4,20 +4,23 @@ from __future__ import annotations
 
 import copy
 import datetime
+import functools
 import io
 import json
 import math
 import random
 import re
 import sys
+import tempfile
 import zipfile
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from malformed import EXAMPLES, RIG, ROBOT, helix, legacy_vtk, markups, mask, plan, plan_entries, table
+from malformed import EXAMPLES, RIG, ROBOT, legacy_vtk, markups, mask, plan, plan_entries, table
 
-from ctr_nlp.plan.record import DIGEST, OF_DRAWS, SHAPES, digest
+from ctr_nlp.plan.record import DIGEST, SHAPES, digest
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -28,7 +31,20 @@ TEMPLATES = EXAMPLES.parent / "ctr_nlp" / "cli" / "templates"
 WRONG = [
     *(None, True, False, 0, -1, 1, 7, 2**31, 10**30, -0.5, 1e-300, 1e300, math.nan, math.inf, -math.inf),
     *("", "x", "nan", "0", "a\x00b", "../../x", "\u202e[red]", "9" * 400),
-    *([], {}, [[]], [0, []], [[1, 2], [3]], ["x"], [None], [math.nan] * 3, {"a": 1}, [{"a": 1}], [[[1]]], [1] * 50),
+    *(
+        [],
+        {},
+        [[]],
+        [0, []],
+        [[1, 2], [3]],
+        ["x"],
+        [None],
+        [math.nan] * 3,
+        {"a": 1},
+        [{"a": 1}],
+        [[[1]]],
+        [1] * 50,
+    ),
 ]
 """Values of wrong types or sizes, some of which a key may take."""
 
@@ -87,17 +103,13 @@ def sealed(entries: dict[str, Any]) -> dict[str, Any]:
 
 def drawn_entries() -> dict[str, Any]:
     """Entries of a plan that holds its robustness."""
-    held = io.BytesIO()
     with np.load(io.BytesIO(_drawn()), allow_pickle=False) as data:
         entries: dict[str, Any] = {name: data[name] for name in data.files if name != DIGEST}
-    held.close()
     return entries | {"meta": json.loads(str(entries["meta"]))}
 
 
+@functools.cache
 def _drawn() -> bytes:
-    import tempfile
-    from pathlib import Path
-
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "plan.npz"
         plan().with_draws(3, 1).save(path)
@@ -142,7 +154,9 @@ def corrupted(count: int, seed: int) -> Iterator[Corrupted]:
     for number in range(count):
         kind = kinds[number * 11 % len(kinds)]
         ways: list[Callable[[random.Random, str, bytes], Corrupted]] = [_bytes, _bytes, _tokens]
-        ways += [_toml] * 5 * (kind in TOML) + [_plan] * 6 * (kind == "plan") + [_json] * 4 * (kind == "slicer path")
+        ways += (
+            [_toml] * 5 * (kind in TOML) + [_plan] * 6 * (kind == "plan") + [_json] * 4 * (kind == "slicer path")
+        )
         ways += [_cells] * 4 * (kind in ("csv path", "configurations"))
         yield chance.choice(ways)(chance, kind, good[kind])
 
@@ -155,7 +169,9 @@ def _bytes(chance: random.Random, kind: str, good: bytes) -> Corrupted:
     """Bytes cut, flipped, overwritten, repeated or in another encoding."""
     at, size = chance.randrange(len(good)), chance.choice([1, 2, 8, 64, 600])
     text = kind not in ("plan", "mask")
-    how = chance.choice(["truncated", "flipped", "overwritten", "repeated", "dropped", "empty", "zeros", *["encoded"] * text])
+    how = chance.choice(
+        ["truncated", "flipped", "overwritten", "repeated", "dropped", "empty", "zeros", *["encoded"] * text]
+    )
     whole = kind == "plan"
     if how == "truncated":
         return _made(kind, how, good[:at], whole=whole)
@@ -194,7 +210,9 @@ def _tokens(chance: random.Random, kind: str, good: bytes) -> Corrupted:
         if how == "exchanged":
             content = good[:a] + good[c:d] + good[b:c] + good[a:b] + good[d:]
             break
-        new = chance.choice([b"nan", b"inf", b"-1", b"1e400", b"1e308", b"0", b"", b"true", b"x", b"9" * 5000, b"0x10"])
+        new = chance.choice(
+            [b"nan", b"inf", b"-1", b"1e400", b"1e308", b"0", b"", b"true", b"x", b"9" * 5000, b"0x10"]
+        )
         content = content[:a] + new + content[b:]
         places = [found.span() for found in TOKEN.finditer(content)]
         if len(places) < 3:
@@ -214,7 +232,9 @@ def _spoil(chance: random.Random, good: Any) -> tuple[str, Any]:
     """Nested tables with a value of a wrong type, or a key missing, added or called otherwise."""
     found = copy.deepcopy(good)
     places = list(_places(found))
-    how = chance.choice(["wrong type", "wrong type", "wrong type", "missing key", "extra key", "renamed key", "twice"])
+    how = chance.choice(
+        ["wrong type", "wrong type", "wrong type", "missing key", "extra key", "renamed key", "twice"]
+    )
     *way, last = chance.choice(places)
     at = found
     for key in way:
@@ -225,7 +245,9 @@ def _spoil(chance: random.Random, good: Any) -> tuple[str, Any]:
     if how == "missing key":
         del at[last]
     elif how == "extra key" and isinstance(at, dict):
-        at[chance.choice(["name", "extra", "", "a b", "__class__", "\u202e"])] = copy.deepcopy(chance.choice(WRONG))
+        at[chance.choice(["name", "extra", "", "a b", "__class__", "\u202e"])] = copy.deepcopy(
+            chance.choice(WRONG)
+        )
     elif how == "renamed key" and isinstance(at, dict):
         at[f"{last}s"] = at.pop(last)
     elif isinstance(at, list):
@@ -266,7 +288,9 @@ def _json(chance: random.Random, kind: str, good: bytes) -> Corrupted:
 def _cells(chance: random.Random, kind: str, good: bytes) -> Corrupted:
     """A table with cells, rows or columns spoilt."""
     rows = [line.split(",") for line in good.decode().splitlines()]
-    how = chance.choice(["cell", "cell", "ragged", "no head", "head twice", "one row", "same row", "separator", "quotes", "column"])
+    how = chance.choice(
+        ["cell", "cell", "ragged", "no head", "head twice", "one row", "same row", "separator", "quotes", "column"]
+    )
     row = chance.randrange(1, len(rows))
     cell = chance.randrange(len(rows[0]))
     if how == "cell":
@@ -321,7 +345,16 @@ def _plan(chance: random.Random, kind: str, good: bytes) -> Corrupted:
     elif how == "shape":
         array = entries[name]
         entries[name] = chance.choice(
-            [array[:0], array[None], array.ravel(), array.T, array[:-1], array[..., :1], np.float64(1.0), array[()].sum()]
+            [
+                array[:0],
+                array[None],
+                array.ravel(),
+                array.T,
+                array[:-1],
+                array[..., :1],
+                np.float64(1.0),
+                array[()].sum(),
+            ]
         )
         how = f"shape {name}"
     elif how == "values":
@@ -337,7 +370,7 @@ def _plan(chance: random.Random, kind: str, good: bytes) -> Corrupted:
         entries["extra"] = np.array([1, 2])
     if how in ("zip", "header"):
         return _archive(chance, how, entries)
-    if "meta" in entries and chance.random() < 0.5:
+    if "meta" in entries and not how.endswith("M8[s]") and chance.random() < 0.5:  # the digest reads no times
         return _made(kind, f"{how}, sealed", plan_bytes(sealed(entries)))
     return _made(kind, how, plan_bytes(entries, chance.random() < 0.5))
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from functools import cached_property
@@ -219,6 +220,9 @@ def stored(path: Path) -> Stored:
     OutputError where it holds no plan.
     """
     with open(path, "rb") as file:
+        if not zipfile.is_zipfile(file):  # numpy would offer to read it unsafely
+            raise OutputError("it is no archive of arrays (.npz); it is damaged, or another file")
+        file.seek(0)
         try:
             with np.load(file, allow_pickle=False) as data:
                 if "meta" not in data.files:

@@ -39,7 +39,7 @@ def toml_text(head: str, tables: Sequence[tuple[str, Mapping[str, Any]]], commen
 
     head: lines of comment that it begins with, without their marks. comments: what is said beside keys.
     """
-    lines = [f"# {line}" for line in head.splitlines()]
+    lines = [f"# {escaped(line)}" for line in head.splitlines()]  # TOML takes no control characters in comments
     for heading, table in tables:
         lines += ["", heading, *_lines(table, comments)]
     return "\n".join(lines) + "\n"
@@ -58,6 +58,6 @@ def _value(value: Any) -> str:
     if value in ("inf", "-inf"):
         return str(value)
     if isinstance(value, str):
-        return json.dumps(value)
+        return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")  # as TOML has it
     number = float(value)
     return repr(number) if math.isfinite(number) else f"{number}"

@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 from bench import sweep
-from corrupted import Corrupted, configurations, corrupted
+from corrupted import GOOD, Corrupted, configurations, corrupted
 from malformed import ENTRY, ROBOT, TARGET, plan, plan_entries
 from problems import UNJUDGED
 
@@ -26,16 +26,23 @@ from ctr_nlp.plan.account import NOT_FOR_PATIENTS
 
 pytestmark = [
     pytest.mark.interpreted,
-    # Of numbers on the edge of what floats hold, which is told in the end: users see no more than a line of numpy's.
+    # numbers on the edge of what floats hold: users see a line of numpy's, and then what is wrong with them
     pytest.mark.filterwarnings("default::RuntimeWarning"),
 ]
 SEED, COUNT, QUICK = 20261129, 1200, 40
 PATIENCE_S = 60
 """s after which a command is taken to hang; the longest of a good file takes a few."""
 LONGEST = 1000
-"""Letters of an error, with the path of the file and a quoted value."""
+"""Letters of an error of one line."""
 BRIEF = "--model", "dominant", "--no-figures", *UNJUDGED
 FOR_PLANS = ("--formulation", "joint", "--frames", "2", *BRIEF)
+FOR_PATHS = [
+    ["plan", "FILE", "--out", "out", *FOR_PLANS],
+    ["branches", "FILE", "--out", "out.png"],
+    *2 * [["import", "q.csv", "--problem", "FILE", "--out", "out", *BRIEF]],
+]
+ENDS = "--entry", *map(str, ENTRY), "--target", *map(str, TARGET)
+MODULUS = "--youngs-modulus", "60000"
 COMMANDS: dict[str, list[list[str]]] = {
     "plan": [
         ["play", "FILE", "--dry-run", "--uncertified"],
@@ -46,11 +53,11 @@ COMMANDS: dict[str, list[list[str]]] = {
         ["report", "FILE", "--out", "out"],
         ["robust", "FILE", "--draws", "1", "--no-figures", "--out", "out"],
         ["plan", "arc", "--initial", "FILE", "--formulation", "horizon", "--frames", "4", "--out", "out", *BRIEF],
-        ["contact", "FILE", "--youngs-modulus", "60000", "--no-figures", "--out", "out"],
+        ["contact", "FILE", *MODULUS, "--no-figures", "--out", "out"],
     ],
     "robot": [
         ["plan", "arc", "--robot", "FILE", "--out", "out", *FOR_PLANS],
-        ["import", "q.csv", "--problem", "arc", "--robot", "FILE", "--out", "out", *BRIEF],
+        *3 * [["import", "q.csv", "--problem", "arc", "--robot", "FILE", "--out", "out", *BRIEF]],
     ],
     "hardware": [
         ["play", "plan.npz", "--hardware", "FILE", "--dry-run", "--free-space", "--uncertified"],
@@ -59,24 +66,18 @@ COMMANDS: dict[str, list[list[str]]] = {
             for to in ("csv", "gcode", "rosbag2")
         ),
     ],
-    **dict.fromkeys(
-        ("csv path", "slicer path", "vtk path"),
-        [["branches", "FILE", "--out", "out.png"], ["plan", "FILE", "--out", "out", *FOR_PLANS]],
-    ),
+    "csv path": FOR_PATHS,
+    "slicer path": FOR_PATHS,
+    "vtk path": FOR_PATHS,
     "mask": [
-        [
-            *("plan", "FILE", "--entry", *map(str, ENTRY), "--target", *map(str, TARGET)),
-            *("--out", "out", *FOR_PLANS),
-        ]
+        ["plan", "FILE", *ENDS, "--out", "out", *FOR_PLANS],
+        *3 * [["import", "q.csv", "--problem", "FILE", *ENDS, "--out", "out", *BRIEF]],
     ],
-    "load": [
-        ["under", "plan.npz", "--load", "FILE", "--youngs-modulus", "60000", "--out", "out"]
-        + ["--no-figures", "--no-evaluate"]
-    ],
+    "load": [["under", "plan.npz", "--load", "FILE", *MODULUS, "--out", "out", "--no-figures", "--no-evaluate"]],
     "study": [["study", "FILE", "--only", "x", "--out", "out"]],
     "configurations": [["import", "FILE", "--problem", "arc", "--out", "out", *BRIEF]],
 }
-"""Commands that read a file of each kind, from a folder in which their other files are."""
+"""Commands that read a file of each kind, beside which their other files are; those that solve are few."""
 PARTIAL = re.compile(r"\.ctr_nlp-[0-9a-f]{8}|\..*-[0-9a-f]{8}(\..*)?")
 """Names of what is being written."""
 
@@ -173,6 +174,15 @@ def _read(given: Corrupted, command: list[str], folder: Path, status: int, new: 
     return Outcome("read", f"status {status}")
 
 
+def prepared(folder: Path) -> Path:
+    """A new folder with the files that commands need beside the one that is spoilt."""
+    folder.mkdir()
+    sweep(3, 1.0).save(folder / "plan.npz")
+    (folder / "robot.toml").write_text(ROBOT, encoding="utf-8")
+    (folder / "q.csv").write_text(configurations(), encoding="utf-8")
+    return folder
+
+
 @contextlib.contextmanager
 def within(folder: Path) -> Iterator[None]:
     """Work in a folder."""
@@ -188,11 +198,7 @@ def outcomes(count: int, seed: int, folder: Path) -> Iterator[tuple[int, Corrupt
     """The number, the file, the command and what it did, for so many files."""
     for number, given in enumerate(corrupted(count, seed)):
         commands = COMMANDS[given.kind]
-        command, place = commands[number * 7 % len(commands)], folder / str(number)
-        place.mkdir()
-        sweep(3, 1.0).save(place / "plan.npz")
-        (place / "robot.toml").write_text(ROBOT, encoding="utf-8")
-        (place / "q.csv").write_text(configurations(), encoding="utf-8")
+        command, place = commands[number * 7 % len(commands)], prepared(folder / str(number))
         with within(place):
             yield number, given, command, outcome(given, command, place)
 
@@ -208,6 +214,17 @@ def judge(count: int, seed: int, folder: Path) -> Counter[tuple[str, str]]:
     return found
 
 
+@pytest.mark.slow
+def test_good_files_are_read_by_every_command(tmp_path):
+    """So that no file is refused for what is amiss with a command."""
+    for kind, (name, make) in GOOD.items():
+        for number, command in enumerate(COMMANDS[kind]):
+            place = prepared(tmp_path / f"{kind}-{number}")
+            with within(place):
+                what = outcome(Corrupted(kind, "good", name, make()), command, place)
+            assert what.word == "read", (kind, command, what)
+
+
 def test_a_few_corrupted_files_are_read_or_refused(tmp_path):
     found = judge(QUICK, SEED, tmp_path)
     assert {kind for kind, _ in found} == set(COMMANDS)
@@ -215,7 +232,7 @@ def test_a_few_corrupted_files_are_read_or_refused(tmp_path):
 
 @pytest.mark.slow
 def test_twelve_hundred_corrupted_files_are_read_or_refused(tmp_path):
-    """Plans, robots, hardware, paths, loads, studies and configurations; the seed gives the same ones each time."""
+    """Plans, robots, hardware, paths, loads, studies and configurations; a seed gives the same ones each time."""
     found = judge(COUNT, SEED, tmp_path)
     print()
     for kind in COMMANDS:

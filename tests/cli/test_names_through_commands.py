@@ -8,15 +8,19 @@ import struct
 
 import pytest
 from bench import sweep
-from malformed import plan, table, written
+from exchange.test_peer_robots import INNER, OUTER
+from malformed import ROBOT, plan, table, written
 from problems import UNJUDGED
 from scipy.io import loadmat
 
-from ctr_nlp import Plan
-from ctr_nlp.cli.commands import export, play, report, robust
+from ctr_nlp import Plan, Robot, read_robot
+from ctr_nlp.cli.commands import export, new, play, report, robust, warm
 from ctr_nlp.cli.commands import plan as plan_command
 from ctr_nlp.cli.exchange import configurations
+from ctr_nlp.cli.loads import contact, force, under
+from ctr_nlp.cli.studies import baselines, compare, design, study, trade
 from ctr_nlp.exceptions import escaped
+from ctr_nlp.studies.grid.study_file import Study
 
 NAMES = {
     "markup": "airway [/left] [red]a[/red] [bold]",
@@ -169,3 +173,126 @@ def test_a_centreline_file_of_any_name_is_imported_for(name, tmp_path, monkeypat
     asked = f"{name}.q.csv", "--problem", f"{name}.csv", "--model", "dominant", "--no-figures", *UNJUDGED
     assert configurations.main(list(asked)) in (0, 1)
     assert escaped(name) in shown()
+
+
+NASTY = "airway [/left] [red]\x1b[2J\n../../x </script> $\\frac{$ 'a\"b (G28) \u202e\ud800"
+"""All at once, for commands that take long."""
+PROBLEM = """\
+from dataclasses import replace
+
+from ctr_nlp.problems import named
+
+
+def problem(frames, duration, robot):
+    return replace(named('arc', frames, duration, robot), name={name!a})
+"""
+
+
+def of_problem(folder, name=NASTY):
+    """The file of a problem of that name."""
+    return written(folder, "mine.py", PROBLEM.format(name=name)).name
+
+
+def whole(folder, *given):
+    """Whether a command wrote into its own folder alone, and left nothing that it was at work on."""
+    partial = re.compile(r"\.ctr_nlp-[0-9a-f]{8}|\..*-[0-9a-f]{8}(\..*)?")
+    assert not [path for path in folder.rglob("*") if partial.fullmatch(path.name)]
+    assert {path.name for path in folder.iterdir()} <= {*given, "runs", "__pycache__"}
+    for path in folder.rglob("*.json"):
+        json.loads(path.read_text(encoding="utf-8"))
+    for path in folder.rglob("*.html"):
+        assert len(re.findall("<script", path.read_text(encoding="utf-8"))) <= 2
+
+
+MORE = {
+    "under": (under.main, ("plan.npz", "--force", "0", "0", "0.01", "--youngs-modulus", "60000", "--no-evaluate")),
+    "contact": (contact.main, ("plan.npz", "--youngs-modulus", "60000", "--no-figures")),
+    "force": (force.main, ("plan.npz", "--youngs-modulus", "60000", "--every", "4", "--directions", "6")),
+}
+
+
+@pytest.mark.parametrize("name", MORE)
+def test_commands_on_loads_take_a_plan_of_any_name(name, tmp_path, monkeypatch, shown):
+    monkeypatch.chdir(tmp_path)
+    renamed(plan(), NASTY).save(tmp_path / "plan.npz")
+    command, line = MORE[name]
+    assert command(list(line)) in (0, 1)
+    assert "[red]" in shown()
+    whole(tmp_path, "plan.npz")
+
+
+@pytest.mark.real_time
+def test_a_plan_of_any_name_is_played(tmp_path, monkeypatch, shown):
+    monkeypatch.chdir(tmp_path)
+    renamed(sweep(3, 1.0), NASTY).save(tmp_path / "plan.npz")
+    argv = ["plan.npz", "--uncertified", "--free-space", "--position-verified"]
+    assert play.main(argv) == 0
+    assert play.main([*argv[:1], "--replay", *argv[1:3]]) in (1, 2)  # it was no closed loop, and says so
+    shown()
+    whole(tmp_path, "plan.npz")
+    (journal,) = tmp_path.rglob("journal.jsonl")
+    assert all(json.loads(line) for line in journal.read_text(encoding="utf-8").splitlines())
+
+
+def test_a_problem_of_any_name_is_steered(tmp_path, monkeypatch, shown):
+    monkeypatch.chdir(tmp_path)
+    argv = [of_problem(tmp_path), "--model", "dominant", "--frames", "3", "--no-figures", *UNJUDGED]
+    assert plan_command.steer(argv) in (0, 1)
+    assert "[red]" in shown()
+    whole(tmp_path, "mine.py")
+
+
+LONG = {
+    "design": (design.main, ("--nominal", "--model", "dominant", "--frames", "3", "--starts", "1")),
+    "compare": (compare.main, ("--frames", "3", "--variants", "joint")),
+    "trade": (trade.main, ("--frames", "3", "--draws", "2", "--amounts", "0.5", "--margins", "0.3")),
+    "baselines": (baselines.main, ("--starts", "1", "--times", "0.1", "--frames", "3")),
+    "warm": (warm.main, ("--models", "dominant")),
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", LONG)
+def test_long_commands_take_a_problem_of_any_name(name, tmp_path, monkeypatch, shown):
+    monkeypatch.chdir(tmp_path)
+    command, line = LONG[name]
+    assert command([of_problem(tmp_path), *line]) in (0, 1)
+    shown()
+    whole(tmp_path, "mine.py")
+
+
+IN_FILES = "a [red] b", "a'b\"c", "a\nb", "a\rname = 1", "a\x1b[31mb\x7f", "a#b = {", "\u202ea\U0001f600"
+"""Parts of names of files, which hold no separators."""
+
+
+@pytest.mark.parametrize("name", IN_FILES)
+def test_a_robot_file_of_any_name_is_made_and_read(name, tmp_path, monkeypatch, shown):
+    """From a file of another program whose tubes have such names, too."""
+    monkeypatch.chdir(tmp_path)
+    tubes = {f"{name} inner": INNER, f"{name} outer": OUTER}
+    written(tmp_path, f"{name}.json", json.dumps(tubes))
+    assert new.main(["robot", f"{name}.toml", "--from", f"{name}.json"]) == 0
+    assert escaped(name) in shown()
+    assert Robot.from_toml(tmp_path / f"{name}.toml") == read_robot(f"{name}.json").robot
+    written(tmp_path, f"{name}.toml", ROBOT)
+    head = [f"{axis}_{'mm' if axis.startswith('beta') else 'rad'}" for axis in plan().robot.axes]
+    rows = "\n".join(",".join(map(str, row)) for row in [head, *plan().q.tolist()])
+    written(tmp_path, "q.csv", rows + "\n")
+    asked = "q.csv", "--problem", "arc", "--robot", f"{name}.toml", "--model", "dominant", "--no-figures"
+    assert configurations.main([*asked, *UNJUDGED]) in (0, 1)
+    shown()
+    whole(tmp_path, "q.csv", f"{name}.toml", f"{name}.json")
+
+
+@pytest.mark.parametrize("kind", [kind for kind in NAMES if kind not in ("empty", "surrogate", "control")])
+def test_a_study_of_any_name_tells_its_cases(kind, tmp_path, monkeypatch, shown):
+    monkeypatch.chdir(tmp_path)
+    text = f"name = {json.dumps(NAMES[kind])}\nframes = 3\n[problems]\nnames = ['arc']\n"
+    text += '[[ways]]\nmodels = ["dominant"]\nmethods = ["joint"]\n'
+    written(tmp_path, "study.toml", text)
+    assert study.main(["study.toml", "--only", "no"]) == 2
+    shown()
+    only = Study.from_toml("study.toml").cases[0].digest
+    assert study.main(["study.toml", "--only", only, "--plans"]) in (0, 1)
+    shown()
+    whole(tmp_path, "study.toml")
