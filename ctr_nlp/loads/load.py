@@ -102,10 +102,10 @@ class Load:
         if self.axes not in AXES:
             raise LoadError(f"axes of a load are {self.axes!r}; they must be {' or '.join(AXES)}")
         vector = floats(LoadError, "force of a load", self.force, (3,))
-        _limited("force of a load", float(np.linalg.norm(vector)), FORCE, ("N", "mN", "µN", "nN"))
+        _limited("force of a load", math.hypot(*vector), FORCE, ("N", "mN", "µN", "nN"))
         axial = number(LoadError, "axial_moment of a load", self.axial_moment, math.isfinite, "be finite", " N mm")
         moment = floats(LoadError, "moment of a load", self.moment, (3,))
-        for name, size in ("axial_moment", axial), ("moment", float(np.linalg.norm(moment))):
+        for name, size in ("axial_moment", axial), ("moment", math.hypot(*moment)):
             _limited(f"{name} of a load", size, MOMENT, ("N mm", "mN mm", "µN mm", "nN mm"))
         object.__setattr__(self, "force", tuple(vector.tolist()))
         object.__setattr__(self, "moment", tuple(moment.tolist()))
@@ -120,7 +120,7 @@ class Load:
         if self.distributed_force is None:
             return
         vector = floats(LoadError, "distributed_force of a load", self.distributed_force, (3,))
-        size = float(np.linalg.norm(vector))
+        size = math.hypot(*vector)
         _limited("distributed_force of a load", size, PER_LENGTH, ("N/mm", "N/m"))
         begin, end = floats(LoadError, "between of a load", self.between, (2,)).tolist()
         if not 0 <= begin < end:
@@ -137,7 +137,7 @@ class Load:
         if self.densities is None:
             return
         down = floats(LoadError, "down of a load", self.down, (3,))
-        if not np.linalg.norm(down) > 0:
+        if not math.hypot(*down) > 0:
             raise LoadError(f"down of a load is {self.down}; it must be a direction, not zero")
         # How many densities there must be is known only where a robot is: numbers() looks.
         several = isinstance(self.densities, tuple)

@@ -163,10 +163,10 @@ def _tolerances(plan: Plan, part: float) -> str:
 
 
 def _failures(plan: Plan) -> list[str]:
-    reasons = list(plan.meta["failures"].items())
+    reasons = list(plan.meta.get("failures", {}).items())
     told = [f"{'' if frame == 'all' else 'frame '}{frame} not solved: {why}" for frame, why in reasons]
     told[MOST_REASONS:] = [f"and {len(reasons) - MOST_REASONS} more"] * (len(reasons) > MOST_REASONS)
-    if plan.meta["interrupted"]:
+    if plan.meta.get("interrupted", False):
         told.append("interrupted: the plan holds what was solved until then")
     return told
 

@@ -141,13 +141,13 @@ def summary(plan: Record) -> dict[str, Any]:
         "robustness": None if plan.drawn is None else plan.drawn.summary() | sample_summary(plan),
         "verdicts": {name: verdict._asdict() for name, verdict in verdicts(plan)._asdict().items()},
         "problem": plan.meta["problem"]["name"],
-        "formulation": plan.meta["formulation"],
+        "formulation": plan.meta.get("formulation"),
         "model": plan.meta["model"],
         "evaluated": plan.evaluated,
         "load": None if plan.bears is None else str(plan.bears),
-        "solver": plan.meta["solver"],
+        "solver": plan.meta.get("solver"),
         "direction": plan.options.get("direction"),
-        "smoothing_deviation": plan.meta["problem"]["deviation"],
+        "smoothing_deviation": plan.meta["problem"].get("deviation"),
         "smoothing_share": plan.meta["problem"].get("deviation_share"),
     }
 

@@ -22,6 +22,7 @@ from ctr_nlp.plan.robustness import PREFIX, Robustness
 from ctr_nlp.robot import Robot
 from ctr_nlp.support.equal import Value, read_only
 from ctr_nlp.support.values import frozen
+from ctr_nlp.target.points import FARTHEST_MM, LONGEST_S
 from ctr_nlp.typing import Array, Flags
 
 
@@ -167,8 +168,19 @@ COUNTED = {"D": "parts", "C": "cloud_frames"}
 REQUIRED = tuple(name for name in SHAPES if name not in OPTIONAL)
 META: dict[str, type] = {"robot": dict, "problem": dict, "model": str}
 """What meta must tell, and as what."""
-TOLD: dict[str, type] = {"options": dict, "formulation": str, "solver": str, "draws": dict}
+TOLD: dict[str, type] = {
+    **dict.fromkeys(("options", "draws", "failures", "fallbacks", "certificate"), dict),
+    **dict.fromkeys(("formulation", "solver", "not_shared"), str),
+    **dict.fromkeys(("snaps", "interpolated"), list),
+    **dict.fromkeys(("interrupted", "reversed"), bool),
+}
 """What meta may tell, and as what."""
+KNOWN = "target", "target_direction", "to_robot", "lumen", "lumen_radius", "truth"
+"""Arrays that are known in every frame."""
+MOVED = "alpha", "beta", "theta", "tip_direction"
+"""Arrays that are known in every frame in which the robot has a shape."""
+NUMBERS = "build_s", "search_s", "solve_s", "contact_weight", "iterations"
+"""What meta may tell as a number, or as null."""
 DIGEST = "digest"
 """Name of the entry of plan.npz that tells the digest of all others."""
 
@@ -229,11 +241,16 @@ def stored(path: Path) -> Stored:
                     raise OutputError("it has no meta")
                 arrays, meta = {name: data[name] for name in data.files if name in SHAPES}, str(data["meta"])
                 changed = DIGEST in data.files and str(data[DIGEST]) != digest(arrays, meta)
-                return Stored(arrays, json.loads(meta), changed)
+                return Stored(arrays, json.loads(meta, parse_constant=_refused), changed)
         except OutputError:
             raise
         except Exception as error:  # whatever the readers of zip archives, arrays and JSON meet in a damaged file
             raise OutputError(f"it is damaged, or another file: {error}") from error
+
+
+def _refused(constant: str) -> Any:
+    """Raise OutputError: JSON knows no NaN and no infinity, and what is saved holds none."""
+    raise OutputError(f"meta holds {constant}; its numbers must be finite")
 
 
 def check_meta(meta: Any) -> None:
@@ -252,6 +269,29 @@ def check_meta(meta: Any) -> None:
             raise OutputError(f"{key} of meta is {meta[key]!r:.60}; it must be one of {', '.join(MODELS)}")
     for key in ("load", "planned_load"):
         load_of(meta, key)
+    _check_told(meta)
+
+
+def _check_told(meta: Mapping[str, Any]) -> None:
+    """Raise OutputError where meta tells of frames and numbers in another way than plans do."""
+    for key in NUMBERS:
+        if isinstance(meta.get(key), bool) or not isinstance(meta.get(key), int | float | None):
+            raise OutputError(f"{key} of meta is {meta[key]!r:.60}; it must be a number or null")
+    for key in ("failures", "fallbacks"):
+        for frame, why in meta.get(key, {}).items():
+            if not (frame == "all" or (frame.isascii() and frame.isdigit())) or not isinstance(why, str):
+                raise OutputError(f"{key} of meta tell {frame!r:.40}: {why!r:.40}; it must be a frame and a text")
+    for snap in meta.get("snaps", []):
+        if not (
+            isinstance(snap, dict)
+            and isinstance(snap.get("frame"), int)
+            and isinstance(snap.get("tubes"), list)
+            and isinstance(snap.get("jump"), int | float | None)
+        ):
+            raise OutputError(f"snaps of meta hold {snap!r:.60}; each must have frame, tubes and jump")
+    for frame in meta.get("interpolated", []):
+        if not isinstance(frame, int):
+            raise OutputError(f"interpolated of meta holds {frame!r:.40}; it must be a list of frames")
 
 
 def check_arrays(arrays: Mapping[str, npt.NDArray[Any]], tubes: int) -> None:
@@ -275,7 +315,29 @@ def check_arrays(arrays: Mapping[str, npt.NDArray[Any]], tubes: int) -> None:
     if not frames:
         raise OutputError("it has no frames")
     time = arrays["time"]
-    if not (np.isfinite(time).all() and (np.diff(time, prepend=0.0) > 0).all()):
+    if not (np.isfinite(time).all() and (np.diff(time, prepend=0.0) > 0).all() and time[-1] <= LONGEST_S):
         raise OutputError(
-            f"time runs from {time[0]} to {time[-1]} s; it must be finite and grow from frame to frame"
+            f"time runs from {time[0]} to {time[-1]} s; it must be finite and grow from frame to frame, to "
+            f"{LONGEST_S:g} s at most"
         )
+    _check_values(arrays)
+
+
+def _check_values(arrays: Mapping[str, npt.NDArray[Any]]) -> None:
+    """Raise OutputError where a place, a direction or a joint is no number that a motion can have."""
+    reached = np.isfinite(arrays["shape"]).all(axis=(1, 2))
+    for name in (*KNOWN, *MOVED, "shape"):
+        array = arrays.get(name)
+        if array is None:
+            continue
+        bad = ~(np.abs(array) <= FARTHEST_MM)  # NaN, too
+        if name in MOVED:
+            bad = bad & reached.reshape(-1, *[1] * (array.ndim - 1))
+        elif name == "shape":
+            bad = bad & ~np.isnan(array)
+        if bad.any():
+            at = np.argwhere(bad)[0]
+            raise OutputError(
+                f"{name} is {array[tuple(at)]} at {[int(i) + 1 for i in at]}; it must be finite and at most "
+                f"{FARTHEST_MM:g} in size" + (", as the robot has a shape there" if name in MOVED else "")
+            )

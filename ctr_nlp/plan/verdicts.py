@@ -241,7 +241,7 @@ def _within_limits(plan: Record) -> Judgement:
     percent = 100 * most.part
     value = f"{percent:.0f} {unit}"
     if most.exceeded:
-        hint = "acceleration" in most.what and "horizon" not in plan.meta["formulation"]
+        hint = "acceleration" in most.what and "horizon" not in plan.meta.get("formulation", "")
         only = "; only a horizon keeps accelerations" * hint
         return NO, percent, unit, f"The {most.what} exceeds its limit{only}.", value
     if not np.isfinite(plan.q).all():

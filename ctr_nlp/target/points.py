@@ -21,6 +21,8 @@ LONGEST_MM = 1e5
 """Nor was a longer one written in millimetres."""
 FARTHEST_MM = 1e12
 """Largest coordinate."""
+LONGEST_S = 1e6
+"""No motion takes longer."""
 REPEATED_MM = 1e-6
 """Neighbouring points closer than this are one point given twice."""
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import json
-import math
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -21,6 +20,7 @@ from ctr_nlp.support.values import checked_path, floats, instance, number
 from ctr_nlp.support.whole_file import whole_file
 from ctr_nlp.target.curve import Curve
 from ctr_nlp.target.lumen import Lumen
+from ctr_nlp.target.points import LONGEST_S
 from ctr_nlp.target.target import Frame, Target
 from ctr_nlp.typing import Array
 
@@ -62,7 +62,8 @@ class Problem(Value):
             instance(ProblemError, f"{name} of a problem", getattr(self, name), kind)
         if self.space is not None:
             instance(ProblemError, "space of a problem", self.space, str)
-        number(ProblemError, "duration", self.duration, lambda x: 0 < x < math.inf, "be a finite number > 0", " s")
+        allowed = f"be a finite number > 0, at most {LONGEST_S:g}"
+        number(ProblemError, "duration", self.duration, lambda x: 0 < x <= LONGEST_S, allowed, " s")
         for name, shape in (("to_robot", (4, 4)), ("truth", (self.frames, 2 * self.robot.d + 2))):
             if getattr(self, name) is not None:  # a read-only copy is kept
                 object.__setattr__(self, name, floats(ProblemError, name, getattr(self, name), shape))

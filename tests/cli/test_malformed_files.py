@@ -7,12 +7,28 @@ import math
 
 import numpy as np
 import pytest
-from malformed import RIG, ROBOT, Case, changed, judge, of_file, plan_entries, plan_file, rig, spoilt, written
+from malformed import (
+    RIG,
+    ROBOT,
+    Case,
+    Said,
+    changed,
+    judge,
+    of_file,
+    plan_entries,
+    plan_file,
+    program,
+    rig,
+    spoilt,
+    written,
+)
 
 from ctr_nlp import Plan, Robot
 from ctr_nlp.cli.arguments import read_start
-from ctr_nlp.exceptions import HardwareError, OptionError, OutputError, RobotError
+from ctr_nlp.cli.commands import robust
+from ctr_nlp.exceptions import LONGEST, HardwareError, LoadError, OptionError, OutputError, RobotError
 from ctr_nlp.hardware.description import Hardware
+from ctr_nlp.loads import Load
 
 ROBOT_FILES = [
     ("length = 90 ", "length = 0.09 ",
@@ -191,6 +207,21 @@ PLANS = [
     ({"meta": changed(GOOD["meta"], "problem.name", ...)}, "name of meta's problem is None"),
     ({"meta": changed(GOOD["meta"], "options", [])}, r"options of meta is \[\]"),
     ({"meta": changed(GOOD["meta"], "solver", 3)}, "solver of meta is 3"),
+    ({"meta": changed(GOOD["meta"], "build_s", math.nan)}, "meta holds NaN; its numbers must be finite"),
+    ({"meta": changed(GOOD["meta"], "build_s", "x")}, "build_s of meta is 'x'; it must be a number or null"),
+    ({"meta": changed(GOOD["meta"], "failures", True)}, "failures of meta is True; it must be a dict"),
+    (
+        {"meta": changed(GOOD["meta"], "failures", {"a": "b"})},
+        "failures of meta tell 'a': 'b'; it must be a frame",
+    ),
+    ({"meta": changed(GOOD["meta"], "snaps", None)}, "snaps of meta is None; it must be a list"),
+    ({"meta": changed(GOOD["meta"], "snaps", [{"a": 1}])}, "snaps of meta hold .*must have frame, tubes and jump"),
+    ({"meta": changed(GOOD["meta"], "interrupted", 3)}, "interrupted of meta is 3; it must be a bool"),
+    ({"time": np.array([1e12, 2e12, 3e12, 4e12])}, r"time runs from .*; it must be finite and grow.* to 1e\+06 s"),
+    ({"target": np.full_like(GOOD["target"], 1e300)}, r"target is 1e\+300 at \[1, 1, 1\]; it must be finite"),
+    ({"target": np.full_like(GOOD["target"], math.nan)}, r"target is nan at \[1, 1, 1\]"),
+    ({"beta": np.full_like(GOOD["beta"], math.nan)}, "beta is nan at .*, as the robot has a shape there"),
+    ({"shape": np.full_like(GOOD["shape"], math.inf)}, "shape is inf at"),
     ({"extra": np.zeros(3)}, None),
     ({"lumen": ..., "clearance": ..., "lumen_radius": ...}, None),
 ]
@@ -235,3 +266,27 @@ def test_the_good_files_that_the_table_spoils_are_good(tmp_path):
     assert Robot.from_toml(written(tmp_path, "robot.toml", ROBOT)).d == 3
     assert rig(tmp_path, RIG).robot.d == 3
     assert Plan.load(plan_file(tmp_path)).complete
+
+
+@pytest.mark.parametrize(
+    ("interrupted", "said"), [(False, "has no frame that was reached"), (True, "was interrupted")]
+)
+def test_a_plan_of_which_nothing_can_be_simulated_is_refused_by_robust(interrupted, said, tmp_path):
+    none = {name: np.full_like(GOOD[name], math.nan) for name in ("shape", "alpha", "beta", "theta")}
+    path = plan_file(tmp_path, **none, meta=changed(GOOD["meta"], "interrupted", interrupted))
+    with pytest.raises(Said, match=f"plan .*plan.npz {said}"):
+        program(robust.main, path, "--draws", "1", "--out", tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_force_beyond_what_floats_square_is_refused_without_a_warning():
+    with pytest.raises(LoadError, match=r"force of a load is 1e\+300 N; it must be at most 100 N"):
+        Load((1e300, 0, 0))
+
+
+def test_an_error_that_quotes_thousands_of_letters_is_cut_in_the_middle(tmp_path):
+    path = written(tmp_path, "robot.toml", f"{'k' * 5000} = 1\n{ROBOT}")
+    with pytest.raises(RobotError) as raised:
+        Robot.from_toml(path)
+    assert len(str(raised.value)) <= LONGEST
+    assert "allowed are name, tubes" in str(raised.value)

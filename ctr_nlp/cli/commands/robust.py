@@ -12,6 +12,7 @@ from ctr_nlp.cli.output.folder import check_folder, published
 from ctr_nlp.cli.plan_options import add_evaluate_option, add_threshold_options, with_thresholds
 from ctr_nlp.cli.report import exit_status, print_robustness, write
 from ctr_nlp.cli.telling import busy, wrote
+from ctr_nlp.exceptions import OptionError
 from ctr_nlp.plan.draws import DRAWS, SEED
 from ctr_nlp.plan.plan import Plan
 
@@ -45,6 +46,9 @@ def _run(arguments: argparse.Namespace) -> int:
     with busy(f"{plan.meta['problem']['name']}: {arguments.draws} robots are moved"):
         look = plan.check if arguments.evaluate is None else plan.with_draws
         plan = look(arguments.draws, arguments.seed)
+    if plan.drawn is None:
+        why = "was interrupted" if plan.meta.get("interrupted", False) else "has no frame that was reached"
+        raise OptionError(f"plan {arguments.plan} {why}, so that there is nothing to simulate; plan anew")
     with published(out, "robust") as staging:
         write(plan, staging)
         if not arguments.no_figures:
