@@ -30,8 +30,9 @@ pytestmark = [
     pytest.mark.filterwarnings("default::RuntimeWarning"),
 ]
 SEED, COUNT, QUICK = 20261129, 1200, 40
-PATIENCE_S = 60
-"""s after which a command is taken to hang; the longest of a good file takes a few."""
+BUSY_S, PATIENCE_S = 60, 600
+"""s of work, and s on the clock of a machine that may be busy, after which a command is taken to hang; the longest
+of a good file works for a few."""
 LONGEST = 1000
 """Letters of an error of one line."""
 BRIEF = "--model", "dominant", "--no-figures", *UNJUDGED
@@ -102,19 +103,22 @@ class Outcome(NamedTuple):
 
 
 @contextlib.contextmanager
-def limited(seconds: float) -> Iterator[None]:
-    """Raise Hangs in the block when that is over."""
+def limited() -> Iterator[None]:
+    """Raise Hangs in the block when it has worked or waited for too long."""
 
     def over(*_: object) -> None:
         raise Hangs
 
-    before = signal.signal(signal.SIGALRM, over)
-    signal.setitimer(signal.ITIMER_REAL, seconds)
+    limits = (signal.SIGPROF, signal.ITIMER_PROF, BUSY_S), (signal.SIGALRM, signal.ITIMER_REAL, PATIENCE_S)
+    before = [signal.signal(number, over) for number, _, _ in limits]
+    for _, timer, seconds in limits:
+        signal.setitimer(timer, seconds)
     try:
         yield
     finally:
-        signal.setitimer(signal.ITIMER_REAL, 0)
-        signal.signal(signal.SIGALRM, before)
+        for (number, timer, _), handler in zip(limits, before, strict=True):
+            signal.setitimer(timer, 0)
+            signal.signal(number, handler)
 
 
 def outcome(given: Corrupted, command: list[str], folder: Path) -> Outcome:
@@ -124,7 +128,7 @@ def outcome(given: Corrupted, command: list[str], folder: Path) -> Outcome:
     out, err = io.StringIO(), io.StringIO()
     argv = [given.name if part == "FILE" else part for part in command]
     try:
-        with limited(PATIENCE_S), contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+        with limited(), contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
             status = main(argv)
     except SystemExit as ended:
         return Outcome("usage", f"{ended} {err.getvalue()}")
