@@ -1,4 +1,4 @@
-"""Tubes and the limits of their motors: what a robot is. Knows no target, no model and no solver."""
+"""Tubes and the limits of their motors: the description of a robot. Imports no target, model or solver."""
 
 from ctr_nlp.robot.limits import Limits
 from ctr_nlp.robot.paper import seed_robot, table_i_robot

@@ -1,4 +1,4 @@
-"""Tubes that cannot be nested, and angles that no motor turns by."""
+"""Checks of a robot's tubes against each other (they must nest), and of angles against what motors can turn by."""
 
 from __future__ import annotations
 
@@ -14,7 +14,23 @@ TURN = {"alpha": 20 * math.pi, "theta": 4 * math.pi}
 
 
 def sequence_of_tubes(tubes: Any) -> tuple[Tube, ...]:
-    """Tubes as a tuple; raises RobotError where they are none."""
+    """Return the tubes of a robot as a tuple.
+
+    Parameters
+    ----------
+    tubes : Any
+        What a user gave for them; a list or tuple of :class:`Tube` is accepted.
+
+    Returns
+    -------
+    tuple of Tube
+        In the given order, outermost first.
+
+    Raises
+    ------
+    RobotError
+        `tubes` is no list or tuple of tubes, or is empty.
+    """
     found = tuple(tubes) if isinstance(tubes, list | tuple) else None
     if found is None or not all(isinstance(tube, Tube) for tube in found):
         raise RobotError(f"tubes of a robot are {tubes!r}; give a sequence of Tube(...), the outermost first")
@@ -24,7 +40,21 @@ def sequence_of_tubes(tubes: Any) -> tuple[Tube, ...]:
 
 
 def check_pair(i: int, outer: Tube, inner: Tube) -> None:
-    """Raise RobotError unless tube i + 1 fits into tube i, from 1, and both are written in the same units."""
+    """Check that two neighbouring tubes nest and that their moduli are in the same unit.
+
+    Parameters
+    ----------
+    i : int
+        Number of the outer tube, from 1, for messages; the inner one is tube i + 1.
+    outer, inner : Tube
+        The two tubes; lengths and diameters in mm.
+
+    Raises
+    ------
+    RobotError
+        The tubes do not nest, are in the wrong order, the inner one is shorter than the outer one, or their moduli
+        differ by about a power of a thousand.
+    """
     if outer.inner_diameter < inner.outer_diameter:
         if inner.inner_diameter >= outer.outer_diameter:
             raise RobotError(f"tubes {i} and {i + 1} are in the wrong order: the outermost must come first")
@@ -46,7 +76,22 @@ def check_pair(i: int, outer: Tube, inner: Tube) -> None:
 
 
 def check_angle(what: str, axis: str, value: float) -> None:
-    """Raise RobotError where an angle is larger than any drive's; what: the message up to "must lie in"."""
+    """Check that an angle is one that a drive can turn by.
+
+    Parameters
+    ----------
+    what : str
+        The message up to "must lie in".
+    axis : str
+        Name of the entry of q, as ``"alpha_1"`` or ``"theta_x"``.
+    value : float
+        Angle, rad.
+
+    Raises
+    ------
+    RobotError
+        The angle is larger than any drive's; the message offers the value in rad where it was likely in degrees.
+    """
     most = TURN[axis.partition("_")[0]]
     if abs(value) > most * (1 + 1e-9):
         meant = angle_meant(value, between(-most, most))

@@ -1,4 +1,14 @@
-"""Robots that a robot may be, with the zeros of their motors and the lags of their tubes; and the one it is."""
+"""Perturbed robots: Monte Carlo samples of a robot within its tolerances, and robots with measured parameters.
+
+A perturbed robot differs from the nominal one by `parts`, one row a tube: relative changes of the pre-curvature
+(1), of the bending stiffness EI (2) and of the torsional ratio EI / GJ (3), an absolute change of the curved
+length in mm (4) and the error of its motor's zero delta_i in rad (5). With a backlash l_i, of its own, the angle
+of tube i follows that of its motor, from the aligned pose on, as a play operator:
+
+    alpha_i <- min(max(alpha_i, motor_i - l_i), motor_i + l_i),  and alpha_i + delta_i turns the tube.
+
+See docs/method.md, "Robots that are not quite known".
+"""
 
 from __future__ import annotations
 
@@ -20,18 +30,31 @@ from ctr_nlp.support.values import whole_number
 from ctr_nlp.typing import Array, Flags
 
 MOST_CORNERS = 2**16
-"""Corners that are given, at most; each takes some milliseconds to be moved through a plan."""
+"""Most box vertices that are returned; moving each one through a plan takes some milliseconds."""
 LEAST = 0.05
-"""The least part of a curvature, a stiffness or a length that a normal draw leaves of it."""
+"""Least part of a curvature, stiffness or length that is left of it: normal samples have no bound, and a tube of
+negative stiffness would have no equilibrium.
+"""
 
 
 @dataclass(frozen=True, eq=False)
 class Draws(Kept):
-    """Robots that differ in numbers (n, d, 8), in the order of structure.NUMBERS, and share a structure.
+    """Perturbed robots (samples) that share one structure, as a batch of n robots with d tubes each.
 
-    offsets (n, d): what alpha of a tube exceeds its motor's by, rad. lags (n, d): by which angle a tube may stay
-    behind its motor, rad. forces (n, 3): that act at the tips, N, in the directions of the base. parts (n, d, 5):
-    by how much they differ from the robot described, as NAMES.
+    Attributes
+    ----------
+    structure : Structure
+        What they have in common: compiled programs are shared.
+    numbers : ndarray
+        Tubes (n, d, 8), in the order of `structure.NUMBERS`.
+    offsets : ndarray
+        Errors of the motors' zeros (n, d), rad: by how much the angle of a tube exceeds that of its motor.
+    lags : ndarray
+        Backlash (n, d), rad: by which angle a tube may stay behind its motor, to either side.
+    forces : ndarray
+        Forces (n, 3) at the tips, N, in the axes of the base.
+    parts : ndarray
+        Differences (n, d, 5) from the nominal robot, in the order of `tolerances.NAMES`.
     """
 
     structure: Structure
@@ -45,17 +68,27 @@ class Draws(Kept):
         return len(self.numbers)
 
     def __getitem__(self, chosen: Any) -> Draws:
-        """Some of them."""
+        """Return the robots that `chosen` indexes (an integer array, a mask or a slice over n), as samples."""
         rows = (each[chosen] for each in (self.numbers, self.offsets, self.lags, self.forces, self.parts))
         return Draws(self.structure, *rows)
 
     def turned(self, q: Array, fresh: Flags) -> Array:
-        """The configurations (n, T, 2d + 2) of the draws' tubes where motors move a robot through q (T, 2d + 2).
+        """Return the angles that the tubes of the samples have where the motors move through a motion.
 
-        Rows of q are places between which every motor turns one way; at those that are fresh (T,), the first of
-        them one, the robot comes from where all tubes are aligned at alpha_d. A tube whose motor has turned by
-        more than its lag follows it at that angle, and stands still while a motor that turns back takes up the
-        play.
+        Parameters
+        ----------
+        q : ndarray
+            Configurations (T, 2d + 2) of the motors, rad and mm. Every motor turns in one direction from row to
+            row.
+        fresh : ndarray
+            Rows (T,) that the robot reaches from the aligned pose, all tubes at alpha_d. The first row is one of
+            them.
+
+        Returns
+        -------
+        ndarray
+            Configurations (n, T, 2d + 2) of the tubes. A tube whose motor has turned by more than its backlash
+            follows at that angle; it stands still while a motor that turns back takes up the play.
         """
         found = np.repeat(q[None], len(self), axis=0)
         d = self.offsets.shape[1]
@@ -69,24 +102,68 @@ class Draws(Kept):
 
 
 def dragged(alpha: Array, goal: Array, play: Array) -> Array:
-    """Where tubes at alpha (.., d) come to whose motors go to goal, with play (.., d) to either side; all rad."""
+    """Return the angles of tubes after their motors have turned, with backlash (play operator).
+
+    Parameters
+    ----------
+    alpha : ndarray
+        Angles (.., d) of the tubes before, rad.
+    goal : ndarray
+        Angles (.., d) of their motors after the turn, rad.
+    play : ndarray
+        Backlash (.., d) to either side, rad.
+
+    Returns
+    -------
+    ndarray
+        Angles (.., d) of the tubes after it, rad: clipped to within `play` of `goal`.
+    """
     found: Array = np.clip(alpha, goal - play, goal + play)
     return found
 
 
 def drawn(robot: Robot, count: int, seed: int) -> Draws:
-    """So many robots that a robot with its tolerances may be, drawn at random; raises RobotError.
+    """Sample robots at random from the tolerances of a robot.
 
-    Where a force may act at the tip, all of it does, in a direction of each robot's own.
-    seed: of numpy's default generator; the same seed gives the same draws, and fewer are the first of more.
+    Parameters
+    ----------
+    robot : Robot
+        The nominal robot, with its tolerances.
+    count : int
+        Number of samples n, at least 1.
+    seed : int
+        Seed of numpy's default generator, at least 0. The same seed gives the same samples, and fewer samples are
+        the first of more.
+
+    Returns
+    -------
+    Draws
+        The samples. Where a force may act at the tip, each has all of it, in a random direction of its own.
+
+    Raises
+    ------
+    RobotError
+        `count` or `seed` is out of range.
+
+    Examples
+    --------
+    >>> from ctr_nlp.robot import table_i_robot
+    >>> samples = drawn(table_i_robot(), count=3, seed=0)
+    >>> samples.numbers.shape, samples.offsets.shape
+    ((3, 3, 8), (3, 3))
     """
     count, seed = whole_number(RobotError, "draws", count), whole_number(RobotError, "seed of draws", seed, 0)
     tolerances, d = robot.tolerances, robot.d
+    # Three independent streams: robots without a tolerance of diameters or a backlash stay the same samples when
+    # another tolerance is added.
     random, shares, sections = (np.random.default_rng([seed, stream]) for stream in range(3))
     if tolerances.distribution == "uniform":
         bands = tolerances.stated(d)
         parts = random.uniform(-1.0, 1.0, (count, *bands.shape)) * bands
         off = sections.uniform(-1.0, 1.0, (count, d, 2)) * tolerances.diameters(d)[:, None]
+        # A view into parts: the factor of a section with both diameters off, (D^4 - d^4) / (D0^4 - d0^4),
+        # multiplies the factor that the band of the bending stiffness gives, so that thin tubes are not
+        # linearised.
         stiffness = parts[..., NAMES.index("bending_stiffness")]
         stiffness[:] = (1 + stiffness) * _stiffened(robot, off) - 1
     else:
@@ -97,10 +174,21 @@ def drawn(robot: Robot, count: int, seed: int) -> Draws:
 
 
 def corners(robot: Robot, most: int = MOST_CORNERS) -> Draws:
-    """The robots at the corners of what a robot may be within its tolerances: all, or so many at random.
+    """Return the robots at the vertices of the box that the tolerances span.
 
-    Every independent quantity is as far off as at the end of a uniform band: sqrt(3) standard deviations. Tubes
-    with a lag have all of it. Where a force may act at the tip, all of it does, in a direction of each one's own.
+    Parameters
+    ----------
+    robot : Robot
+        The nominal robot, with its tolerances.
+    most : int
+        Most vertices: with more than this, so many of them are chosen at random (seed 0).
+
+    Returns
+    -------
+    Draws
+        Robots of which every independent quantity is as far off as at the end of a uniform band. Tubes with a
+        backlash have all of it; where a force may act at the tip, all of it does, in a random direction of each
+        robot's own.
     """
     root = robot.tolerances.root(robot.tubes)
     deviations = root[:, abs(root).max(axis=0) > 0]
@@ -109,19 +197,24 @@ def corners(robot: Robot, most: int = MOST_CORNERS) -> Draws:
         signs = np.array(list(itertools.product((-1.0, 1.0), repeat=count))).reshape(-1, count)
     else:
         signs = np.random.default_rng(0).choice((-1.0, 1.0), (most, count))
+    # A uniform band of half width b has the standard deviation b / sqrt(3), which is the size of root's columns.
     parts = math.sqrt(3) * signs @ deviations.T
     lags = np.tile(robot.tolerances.lags(robot.d), (len(signs), 1))
     return drawn_from(robot, parts.reshape(-1, robot.d, len(NAMES)), lags, _forces(robot, len(signs), 0))
 
 
 def _forces(robot: Robot, count: int, seed: int) -> Array:
-    """At tips (n, 3) N, each as large as may be, in directions that are uniform over the sphere."""
+    """Return forces (count, 3) at tips, N, each as large as may be, in directions uniform over the sphere."""
+    # A normalised standard normal vector is uniform over the sphere. Stream 3 of the seed: 0 to 2 are those of
+    # `drawn`.
     directions = np.random.default_rng([seed, 3]).standard_normal((count, 3))
     return robot.tolerances.tip_force * directions / np.linalg.norm(directions, axis=1, keepdims=True)
 
 
 def _stiffened(robot: Robot, off: Array) -> Array:
-    """By what factors (n, d) bending stiffnesses change with both diameters off (n, d, 2) mm, outer and inner."""
+    """Return the factors (n, d) by which bending stiffnesses change where diameters are off by (n, d, 2) mm,
+    outer, inner.
+    """
     described = np.array([(tube.outer_diameter, tube.inner_diameter) for tube in robot.tubes])
     fourth = np.maximum(described + off, 0.0) ** 4
     whole = described**4
@@ -129,9 +222,24 @@ def _stiffened(robot: Robot, off: Array) -> Array:
 
 
 def drawn_from(robot: Robot, parts: Array, lags: Array, forces: Array | None = None) -> Draws:
-    """Robots that differ from one by parts (n, d, 5), as NAMES, with lags (n, d) rad.
+    """Return the robots that differ from a nominal one by given amounts.
 
-    forces (n, 3): at their tips, N; none by default.
+    Parameters
+    ----------
+    robot : Robot
+        The nominal robot, of d tubes.
+    parts : ndarray
+        Differences (n, d, 5), in the order of `tolerances.NAMES`: relative for the first three, then mm and rad.
+    lags : ndarray
+        Backlash (n, d), rad.
+    forces : ndarray, optional
+        Forces (n, 3) at the tips, N; none by default.
+
+    Returns
+    -------
+    Draws
+        Curvatures, stiffnesses and lengths are kept above a twentieth of the nominal ones, and curved parts no
+        longer than their tubes.
     """
     forces = np.zeros((len(parts), 3)) if forces is None else forces
     numbers = np.repeat(robot.numbers[None], len(parts), axis=0)
@@ -146,6 +254,8 @@ def drawn_from(robot: Robot, parts: Array, lags: Array, forces: Array | None = N
     length, curved = (NUMBERS.index(name) for name in ("length", "curved_length"))
     described = robot.numbers[:, curved]
     numbers[..., curved] = np.clip(described + parts[..., 3], LEAST * described, numbers[..., length])
+    # Where a perturbed curved part is shorter than the tube's largest extension, the straight transmission comes
+    # out of the insertion point. That is another structure, which then holds for the whole batch.
     reach = robot.upper[robot.d : 2 * robot.d]
     shown = tuple((numbers[..., curved] < reach).any(axis=0) | np.array(robot.structure.shown))
     structure = replace(robot.structure, shown=tuple(map(bool, shown)))
@@ -153,33 +263,61 @@ def drawn_from(robot: Robot, parts: Array, lags: Array, forces: Array | None = N
 
 
 def known_robot(robot: Robot, parts: Array, covariance: Array, rotation_lag: Any) -> Robot:
-    """The robot whose tubes differ from those described by parts (d, 5), as robot.tolerances.NAMES has them.
+    """Return the robot that a calibration found, with its remaining uncertainty as tolerances.
 
-    covariance (5 d, 5 d): of what is left to doubt of these parts; the robot has it, as parts of its own tubes, as
-    its tolerances, and rotation_lag, rad, beside it. Motors' zeros are no numbers of tubes: what they are off by
-    is left to the caller, and only what is left to doubt of it is in the tolerances. Stiffness is told by
-    youngs_modulus. Raises RobotError where no such tubes can be made.
+    Parameters
+    ----------
+    robot : Robot
+        The robot as described before.
+    parts : ndarray
+        Differences (d, 5) of its tubes from that description, in the order of `tolerances.NAMES`.
+    covariance : ndarray
+        Covariance (5 d, 5 d) that is left of these differences.
+    rotation_lag : float or sequence of float
+        Backlash, rad; one number or one a tube.
+
+    Returns
+    -------
+    Robot
+        The stiffness is changed through `youngs_modulus` and the torsional ratio through `poisson_ratio`. Errors
+        of motors' zeros are no numbers of tubes: correcting them is left to the caller, and only their uncertainty
+        is in the tolerances.
+
+    Raises
+    ------
+    RobotError
+        No such tubes can be made.
     """
     tubes = tuple(_tube(tube, own) for tube, own in zip(robot.tubes, parts, strict=True))
+    # Relative parts refer to the new tubes now: k0 (1 + p + e) = k (1 + e / (1 + p)) with k = k0 (1 + p). Lengths
+    # and zeros are absolute and keep their scale.
     scale = np.ones(parts.shape)
     scale[:, :3] = 1 / (1 + parts[:, :3])
     left = covariance * np.outer(scale.ravel(), scale.ravel())
+    # Averaged with its transpose, since rounding of the product may leave a covariance that is not quite
+    # symmetric.
     tolerances = Tolerances(rotation_lag=rotation_lag, distribution="normal", covariance=(left + left.T) / 2)
     return replace(robot, tubes=tubes, limits=_limits(robot), tolerances=tolerances)
 
 
 def _tube(tube: Tube, parts: Array) -> Tube:
+    """Return a tube changed by `parts` (5,): curvature, stiffness and torsional ratio as parts, curved length in
+    mm.
+    """
     curvature, stiffness, ratio, length, _ = parts.tolist()
     return replace(
         tube,
         curvature=(tube.root_curvature * (1 + curvature), tube.tip_curvature * (1 + curvature)),
         youngs_modulus=tube.youngs_modulus * (1 + stiffness),
+        # EI / GJ = 1 + Poisson's ratio for a round section (J = 2 I, G = E / (2 (1 + nu))).
         poisson_ratio=(1 + tube.poisson_ratio) * (1 + ratio) - 1,
         curved_length=tube.curved_length + length,
     )
 
 
 def _limits(robot: Robot) -> Limits:
-    """Those of the robot, of which positions do not change with the lengths found."""
+    """Return the robot's limits with explicit ones of beta: by default they would follow the curved
+    lengths found.
+    """
     beta = zip(*(robot.split(ends)[1].tolist() for ends in (robot.lower, robot.upper)), strict=True)
     return replace(robot.limits, beta=tuple(beta))

@@ -1,4 +1,4 @@
-"""How far nested tubes can be out together: their limits, their order and the gap between their carriages."""
+"""Extensions beta that nested tubes can have together: limits (3), order (2) and the gap between carriages."""
 
 from __future__ import annotations
 
@@ -17,7 +17,24 @@ from ctr_nlp.typing import Array
 def check_extensions(
     tubes: Sequence[Tube], lower: Sequence[float], upper: Sequence[float], gap: float | None
 ) -> None:
-    """Raise RobotError unless some beta (d,) mm keeps limits, order and carriage gap."""
+    """Check that some extensions satisfy limits, order and carriage gap together, eqs. (2) and (3).
+
+    Parameters
+    ----------
+    tubes : sequence of Tube
+        The d tubes, outermost first.
+    lower, upper : sequence of float
+        Limits (d,) of beta, mm.
+    gap : float or None
+        Least distance between neighbouring carriages, mm; None for no such limit.
+
+    Raises
+    ------
+    RobotError
+        No extensions satisfy all of these, or a limit lies beyond its tube or is likely not in mm.
+    """
+    # [low, high] is the interval of beta_i that the tubes outside leave. Each tube narrows it by its own limits,
+    # by the order beta_i <= beta_{i+1}, and by the gap: (L_{i+1} - beta_{i+1}) - (L_i - beta_i) >= gap.
     low, high = 0.0, math.inf
     for i, (tube, least, most) in enumerate(zip(tubes, lower, upper, strict=True)):
         name = f"beta_{i + 1}"
@@ -37,16 +54,34 @@ def check_extensions(
 
 
 def furthest(tubes: Sequence[Tube], upper: Array, gap: float | None) -> Array:
-    """The largest beta (d,) mm within upper limits (d,), order and carriage gap."""
+    """Return the largest extensions that limits, order and carriage gap allow.
+
+    Parameters
+    ----------
+    tubes : sequence of Tube
+        The d tubes, outermost first.
+    upper : ndarray
+        Upper limits (d,) of beta, mm.
+    gap : float or None
+        Least distance between neighbouring carriages, mm.
+
+    Returns
+    -------
+    ndarray
+        Largest beta (d,), mm, read-only.
+    """
     beta = upper.copy()
     for i in range(1, len(tubes)):
         if gap is not None:
             beta[i] = min(beta[i], beta[i - 1] + tubes[i].length - tubes[i - 1].length - gap)
+    # No outer tube may be out further than an inner one, eq. (2): the minimum over all tubes within it.
     return frozen(np.minimum.accumulate(beta[::-1])[::-1])
 
 
 def _check_ends(name: str, tube: Tube, least: float, most: float) -> None:
-    """Raise RobotError unless limits in mm lie along a tube and are likely in mm."""
+    """Raise RobotError unless the limits `least` and `most` of one beta lie along its tube and are
+    likely in mm.
+    """
     if least < 0 or most > tube.length:
         raise RobotError(
             f"limits of {name} are [{least:g}, {most:g}] mm; they must lie in [0, {tube.length:g}], "

@@ -13,14 +13,38 @@ from ctr_nlp.support.values import unchanging
 @packable("limits")
 @dataclass(frozen=True)
 class Limits:
-    """What the hardware allows: position, speed and acceleration of alpha, beta and theta.
+    """Limits of a robot's motors: position, speed and acceleration of alpha, beta and theta.
 
-    Positions are (lower, upper), or one such pair a tube (theta: one for x, one for y); speeds and
-    accelerations are a number, or one a tube. beta = None means [0, curved_length] for every tube.
-    Units: rad, mm, s. carriage_gap: least (L_{i+1} - beta_{i+1}) - (L_i - beta_i) in mm, None for no such
-    limit. Lists and arrays are kept as tuples. Steering frame by frame keeps positions and speeds; how much of
-    the acceleration it uses is in the plan's summary (acceleration_used, more than 1 where it is too much). The
-    default speeds are 0.2 rad, 9 mm and 0.08 rad a frame for 100 frames in 10 s.
+    Positions are a pair (lower, upper), or one pair a tube (of theta: one for x, one for y). Speeds and
+    accelerations are one number, or one a tube. Lists and arrays are stored as tuples. Values are checked by the
+    :class:`Robot` that they belong to.
+
+    Steering frame by frame satisfies positions and speeds; the part of the acceleration limit that a plan uses is
+    in its summary (``acceleration_used``, more than 1 where it is exceeded).
+
+    Attributes
+    ----------
+    alpha : pair or sequence of pairs
+        Rotation of the tubes, rad; no limit by default.
+    beta : pair or sequence of pairs, optional
+        Extension of the tubes beyond the insertion point, mm, the gamma of eq. (3); by default [0, curved_length]
+        of each tube.
+    theta : pair or sequence of pairs
+        Tilt of the base about x and y, rad.
+    alpha_speed, beta_speed, theta_speed : float or sequence of float
+        Largest speeds, rad/s and mm/s. The defaults are 0.2 rad, 9 mm and 0.08 rad a frame for 100 frames in 10 s.
+    alpha_acceleration, beta_acceleration, theta_acceleration : float or sequence of float
+        Largest accelerations, rad/s^2 and mm/s^2; no limit by default.
+    carriage_gap : float, optional
+        Least distance (L_{i+1} - beta_{i+1}) - (L_i - beta_i) between neighbouring carriages, mm; no limit by
+        default.
+
+    Examples
+    --------
+    >>> from ctr_nlp.robot import table_i_robot
+    >>> slow = table_i_robot().with_limits(beta_speed=20.0)
+    >>> slow.limits.beta_speed, slow.limits.theta_speed
+    (20.0, 0.8)
     """
 
     alpha: Any = (-math.inf, math.inf)

@@ -9,9 +9,28 @@ from ctr_nlp.robot.tube import Tube
 
 
 def table_i_robot(literal: bool = False) -> Robot:
-    """The robot of the paper, Table I, read so that only curved parts are deployed: 50, 107 and 150 mm.
+    """Return the robot of the paper, Table I.
 
-    literal=True takes the table at its word: those lengths are straight and 40, 95, 240 mm are curved.
+    Parameters
+    ----------
+    literal : bool
+        Whether the table's lengths 50, 107 and 150 mm are straight, as it says, so that 40, 95 and 240 mm are
+        curved. By default they are the curved lengths, since the paper deploys curved parts only (section III-A).
+
+    Returns
+    -------
+    Robot
+        Three tubes, outermost first, with default limits and tolerances. Young's moduli are ratios (all 1), which
+        is enough without a load.
+
+    Examples
+    --------
+    >>> import ctr_nlp as ctr
+    >>> robot = ctr.table_i_robot()
+    >>> robot.d, robot.reach
+    (3, 150.0)
+    >>> [tube.curved_length for tube in ctr.table_i_robot(literal=True).tubes]
+    [40.0, 95.0, 240.0]
     """
     curved = (40.0, 95.0, 240.0) if literal else (50.0, 107.0, 150.0)
     return Robot(
@@ -24,6 +43,19 @@ def table_i_robot(literal: bool = False) -> Robot:
 
 
 def seed_robot(literal: bool = False) -> Robot:
-    """The old name of table_i_robot, for one more version."""
+    """Return :func:`table_i_robot`, of which this is the old name.
+
+    Deprecated: the name stays for one more version, and warns.
+
+    Parameters
+    ----------
+    literal : bool
+        As that of :func:`table_i_robot`: whether the table's lengths are straight.
+
+    Returns
+    -------
+    Robot
+        The robot of the paper, Table I.
+    """
     warnings.warn("seed_robot is called table_i_robot now", DeprecationWarning, stacklevel=2)
     return table_i_robot(literal)

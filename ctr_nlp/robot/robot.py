@@ -1,4 +1,9 @@
-"""A robot: its tubes, and the one set of limits that every formulation, executor and check honours."""
+"""A robot: its tubes, and the one set of limits that every formulation, executor and check honours.
+
+The configuration is q = (alpha_1 .. alpha_d, beta_1 .. beta_d, theta_x, theta_y), eq. (5) of the paper: rotations
+of the tubes at their motors in rad, extensions beyond the insertion point in mm, and the tilt of the base in rad.
+Tube 1 is the outermost.
+"""
 
 from __future__ import annotations
 
@@ -35,9 +40,11 @@ from ctr_nlp.support.values import (
 from ctr_nlp.typing import Array
 
 MM_PER_RAD = 10.0
-"""What one radian counts as in the motion term and the roughness, in mm: the W of the design."""
+"""What one radian counts as in the motion term of eq. (9) and in the roughness, mm: the weights W of
+docs/method.md.
+"""
 KEYS = ("name", "tubes", "limits", "tolerances")
-"""Of a robot file."""
+"""Keys of a robot file."""
 UNITS = {
     "length": "mm, the whole tube, from its carriage to its tip",
     "curved_length": "mm, the part behind the tip that is pre-curved; the rest is straight transmission",
@@ -46,17 +53,42 @@ UNITS = {
     "inner_diameter": "mm",
     "pre_torsion": "rad/mm, by how much the direction of a helix's curvature turns along it",
 }
-"""What a robot file says beside numbers of its tubes."""
+"""Comments that a robot file has beside the numbers of its tubes."""
 
 
 @packable("robot")
 @dataclass(frozen=True)
 class Robot:
-    """d nested tubes, outermost first, their limits and tolerances; q = (alpha_1..d, beta_1..d, theta_x, theta_y).
+    """A concentric tube robot of d nested tubes, outermost first, with limits and tolerances.
 
     An inner tube may be as stiff as the one around it, or stiffer: only the dominant-stiffness model asks for an
-    order, and says so (Model.check). lower, upper, speed, acceleration: (2d + 2,) in the order of q. Raises
-    RobotError.
+    order, and checks it itself (``Model.check``).
+
+    Attributes
+    ----------
+    tubes : sequence of Tube
+        The d tubes, outermost first; stored as a tuple.
+    limits : Limits, optional
+        Limits of the motors.
+    tolerances : Tolerances, optional
+        By how much built robots differ from this description.
+
+    Raises
+    ------
+    RobotError
+        Tubes do not nest, limits leave no configuration, a tube of the deployed robot would be strained by more
+        than 6 %, or tolerances do not fit the tubes.
+
+    Examples
+    --------
+    >>> import ctr_nlp as ctr
+    >>> outer = ctr.Tube(90, 50, 1 / 130, outer_diameter=5.7, inner_diameter=4.3)
+    >>> inner = ctr.Tube(202, 107, 1 / 60, outer_diameter=3.7, inner_diameter=2.9)
+    >>> robot = ctr.Robot((outer, inner), ctr.Limits(theta=(0, 0)))
+    >>> robot.axes
+    ('alpha_1', 'alpha_2', 'beta_1', 'beta_2', 'theta_x', 'theta_y')
+    >>> robot.deployed
+    array([ 50., 107.])
     """
 
     tubes: tuple[Tube, ...]
@@ -81,6 +113,9 @@ class Robot:
         return Robot, (self.tubes, self.limits, self.tolerances)
 
     def _check_limits(self) -> None:
+        """Raise RobotError unless lower limits lie below upper ones, angles can be turned, and rates
+        are positive.
+        """
         lower, upper = self.lower, self.upper
         for name, lo, hi in zip(self.axes, lower, upper, strict=True):
             if math.isnan(lo) or math.isnan(hi) or lo > hi:
@@ -95,7 +130,7 @@ class Robot:
 
     @cached_property
     def deployed(self) -> Array:
-        """The largest beta (d,) mm that limits, order and carriage gap allow."""
+        """Largest beta (d,), mm, that limits, order and carriage gap allow together."""
         return furthest(self.tubes, self.split(self.upper)[1], self.carriage_gap)
 
     @cached_property
@@ -110,7 +145,7 @@ class Robot:
 
     @cached_property
     def structure(self) -> Structure:
-        """What must be compiled for the robot."""
+        """Structure of the robot: what programs are compiled for, apart from the numbers of the tubes."""
         low, high = self.d, 2 * self.d
         ends = zip(self.tubes, self.upper[low:high], strict=True)
         shown = tuple(bool(end > tube.curved_length) for tube, end in ends)
@@ -118,19 +153,20 @@ class Robot:
 
     @cached_property
     def numbers(self) -> Array:
-        """What models need to know of the tubes, (d, 8), in the order of structure.NUMBERS."""
+        """Numbers of the tubes that models use, (d, 8), in the order of `structure.NUMBERS`."""
         return frozen(np.array(numbers_of(self.tubes)))
 
     @cached_property
     def tube_numbers(self) -> tuple[TubeNumbers, ...]:
-        """The tubes as models take them."""
+        """The tubes as models take them, outermost first."""
         return tubes_of(self.structure, self.numbers.tolist())
 
     @cached_property
     def most_growth(self) -> Array:
-        """The largest beta_{i+1} - beta_i (d - 1,) mm that the carriage gap allows; inf without one."""
+        """Largest beta_{i+1} - beta_i (d - 1,), mm, that the carriage gap allows; inf without one."""
         if self.carriage_gap is None:
             return frozen(np.full(self.d - 1, np.inf))
+        # The gap (L_{i+1} - beta_{i+1}) - (L_i - beta_i) >= g, solved for beta_{i+1} - beta_i.
         return frozen(np.diff([tube.length for tube in self.tubes]) - self.carriage_gap)
 
     @property
@@ -140,22 +176,23 @@ class Robot:
 
     @cached_property
     def axes(self) -> tuple[str, ...]:
-        """The names of q's entries, in order."""
+        """Names of the entries of q, in order."""
         count = range(1, self.d + 1)
         return (*(f"alpha_{i}" for i in count), *(f"beta_{i}" for i in count), "theta_x", "theta_y")
 
     @cached_property
     def lower(self) -> Array:
-        """Smallest q, (2d + 2,)."""
+        """Lower limits of q, (2d + 2,), rad and mm."""
         return self._positions[:, 0]
 
     @cached_property
     def upper(self) -> Array:
-        """Largest q, (2d + 2,)."""
+        """Upper limits of q, (2d + 2,), rad and mm."""
         return self._positions[:, 1]
 
     @cached_property
     def _positions(self) -> Array:
+        """Lower and upper limits of q, (2d + 2, 2), rad and mm."""
         beta = self.limits.beta
         if beta is None:
             beta = [(0.0, tube.curved_length) for tube in self.tubes]
@@ -168,15 +205,16 @@ class Robot:
 
     @cached_property
     def speed(self) -> Array:
-        """Largest speed of q, (2d + 2,), rad/s and mm/s."""
+        """Largest speed of each entry of q, (2d + 2,), rad/s and mm/s."""
         return self._rates("speed")
 
     @cached_property
     def acceleration(self) -> Array:
-        """Largest acceleration of q, (2d + 2,), rad/s^2 and mm/s^2."""
+        """Largest acceleration of each entry of q, (2d + 2,), rad/s^2 and mm/s^2."""
         return self._rates("acceleration")
 
     def _rates(self, kind: str) -> Array:
+        """Return the limits of one kind, "speed" or "acceleration", in the order of q, (2d + 2,)."""
         names = (f"alpha_{kind}", f"beta_{kind}", f"theta_{kind}")
         sizes = (self.d, self.d, 2)
         return frozen(
@@ -187,20 +225,65 @@ class Robot:
 
     @cached_property
     def mm_per_unit(self) -> Array:
-        """W, (2d + 2,): what a unit of q counts as in the motion term, mm/rad for angles and 1 for beta."""
+        """Weights W of the motion term, eq. (9), (2d + 2,): MM_PER_RAD mm/rad for angles and 1 for beta."""
         return frozen(mm_per_unit(self.d))
 
     @property
     def reach(self) -> float:
-        """Largest beta_d, mm."""
+        """Upper limit of beta_d, mm: how long the robot can be."""
         return float(self.upper[2 * self.d - 1])
 
     def split(self, q: Any) -> tuple[Any, Any, Any]:
-        """Alpha (.., d), beta (.., d) and theta (.., 2) of q (.., 2d + 2)."""
+        """Split configurations into rotations, extensions and tilt.
+
+        Parameters
+        ----------
+        q : ndarray
+            Configurations (.., 2d + 2), or anything else with such a last axis.
+
+        Returns
+        -------
+        alpha : ndarray
+            Rotations (.., d), rad.
+        beta : ndarray
+            Extensions (.., d), mm.
+        theta : ndarray
+            Tilt of the base (.., 2), rad. All three are views.
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> from ctr_nlp.robot import table_i_robot
+        >>> alpha, beta, theta = table_i_robot().split(np.array([0, 0, 0, 20, 40, 60, 0, 0]))
+        >>> beta
+        array([20, 40, 60])
+        """
         return q[..., : self.d], q[..., self.d : 2 * self.d], q[..., 2 * self.d :]
 
     def with_limits(self, **limits: Any) -> Robot:
-        """The same robot with some of its Limits replaced; raises RobotError."""
+        """Return a copy of the robot with some of its limits replaced.
+
+        Parameters
+        ----------
+        **limits : Any
+            New values, by the names of the attributes of :class:`Limits`.
+
+        Returns
+        -------
+        Robot
+            The robot with these limits; all others stay.
+
+        Raises
+        ------
+        RobotError
+            A name is unknown, or the limits leave no configuration.
+
+        Examples
+        --------
+        >>> from ctr_nlp.robot import table_i_robot
+        >>> table_i_robot().with_limits(beta_speed=20.0).speed[3:6]
+        array([20., 20., 20.])
+        """
         allowed = [f.name for f in fields(Limits)]
         unknown = sorted(set(limits) - set(allowed))
         if unknown:
@@ -208,11 +291,42 @@ class Robot:
         return replace(self, limits=replace(self.limits, **limits))
 
     def with_locked_tilt(self) -> Robot:
-        """The same robot without an arm: theta stays 0."""
+        """Return a copy of the robot whose base cannot tilt (theta stays 0), as one that no arm carries."""
         return self.with_limits(theta=(0.0, 0.0))
 
     def check(self, q: npt.ArrayLike, name: str = "q", tolerance: float = 1e-6) -> Array:
-        """The array of q (2d + 2,); raises RobotError unless it keeps limits and order to tolerance (rad, mm)."""
+        """Check a configuration against limits, order and carriage gap, eqs. (2) and (3).
+
+        Speeds are not checked here, since they belong to a step between two configurations.
+
+        Parameters
+        ----------
+        q : array_like
+            Configuration (2d + 2,), rad and mm.
+        name : str
+            What messages call it.
+        tolerance : float
+            By how much a limit may be exceeded, rad or mm.
+
+        Returns
+        -------
+        ndarray
+            The configuration as an array of floats (2d + 2,), unchanged.
+
+        Raises
+        ------
+        RobotError
+            It has another shape, is not finite or violates a limit. The message names the entry, and offers an
+            angle in rad that was likely meant in degrees.
+
+        Examples
+        --------
+        >>> from ctr_nlp.robot import table_i_robot
+        >>> table_i_robot().check([0, 0, 0, 20, 60, 50, 0, 0])
+        Traceback (most recent call last):
+            ...
+        ctr_nlp.exceptions.RobotError: beta_2 of q is 60 mm and exceeds beta_3, 50 mm
+        """
         q = configuration(name, q)
         if q.shape != (2 * self.d + 2,):
             raise RobotError(f"{name} has shape {q.shape}; it must be ({2 * self.d + 2},): {', '.join(self.axes)}")
@@ -240,19 +354,65 @@ class Robot:
         return q
 
     def to_dict(self) -> dict[str, Any]:
-        """Numbers, strings and lists as a robot file holds them, fit for strict JSON (no limit is "inf")."""
+        """Return the robot as numbers, strings and lists, as a robot file holds them.
+
+        Returns
+        -------
+        dict
+            ``tubes``, ``limits`` and ``tolerances``, fit for strict JSON: no limit is written as ``"inf"``.
+        """
         plain = asdict(self)
         return {"tubes": list(plain["tubes"])} | {k: strict_json(plain[k]) for k in ("limits", "tolerances")}
 
     def to_toml(self, head: str = "") -> str:
-        """The text of a robot file that from_toml reads as the same robot; head: lines of comment on top."""
+        """Return the text of a robot file.
+
+        Parameters
+        ----------
+        head : str
+            Comment on top of the file, without comment marks; it may have several lines.
+
+        Returns
+        -------
+        str
+            TOML that :meth:`from_toml` reads as an equal robot, with units as comments.
+
+        Examples
+        --------
+        >>> from ctr_nlp.robot import table_i_robot
+        >>> table_i_robot().to_toml("Table I").splitlines()[:3]
+        ['# Table I', '', '[[tubes]]']
+        """
         plain = self.to_dict()
         tubes = toml_text(head, [("[[tubes]]", tube) for tube in plain["tubes"]], UNITS)
         return tubes + toml_text("", [(f"[{name}]", plain[name]) for name in ("limits", "tolerances")], {})
 
     @classmethod
     def from_dict(cls, data: dict[str, Any]) -> Robot:
-        """The robot that to_dict or a robot file describes; raises RobotError."""
+        """Build a robot from what :meth:`to_dict` or a robot file holds.
+
+        Parameters
+        ----------
+        data : dict
+            A list of tables ``tubes``, and optionally ``limits``, ``tolerances`` and a ``name``, which is ignored.
+
+        Returns
+        -------
+        Robot
+            The robot that it describes.
+
+        Raises
+        ------
+        RobotError
+            A key is unknown or missing, or the values describe no robot.
+
+        Examples
+        --------
+        >>> from ctr_nlp.robot import table_i_robot
+        >>> robot = table_i_robot()
+        >>> Robot.from_dict(robot.to_dict()) == robot
+        True
+        """
         if not isinstance(data, dict):
             raise RobotError(f"a robot is {data!r}; it must be a table with the keys {', '.join(KEYS)}")
         check_keys(RobotError, "a robot", data, KEYS)
@@ -267,7 +427,23 @@ class Robot:
 
     @classmethod
     def from_toml(cls, path: str | Path) -> Robot:
-        """The robot of a TOML file; raises RobotError where it cannot be read or is not a robot."""
+        """Read a robot from a TOML file.
+
+        Parameters
+        ----------
+        path : str or Path
+            The file; ``ctr-nlp new robot FILE.toml`` writes one in which every entry is explained.
+
+        Returns
+        -------
+        Robot
+            The robot that it describes.
+
+        Raises
+        ------
+        RobotError
+            The file cannot be read or does not describe a robot.
+        """
         try:
             return cls.from_dict(read_toml(path))
         except RobotError as error:
@@ -275,12 +451,41 @@ class Robot:
 
 
 def mm_per_unit(d: int) -> Array:
-    """W of d tubes, (2d + 2,), as Robot.mm_per_unit."""
+    """Return the weights W of the motion term, eq. (9), for d tubes.
+
+    Parameters
+    ----------
+    d : int
+        Number of tubes.
+
+    Returns
+    -------
+    ndarray
+        (2d + 2,): MM_PER_RAD mm/rad for angles and 1 for beta, so that all steps are lengths in mm.
+    """
     return np.concatenate([np.full(d, MM_PER_RAD), np.ones(d), np.full(2, MM_PER_RAD)])
 
 
 def configuration(name: str, q: Any) -> Array:
-    """Numbers that are to be a configuration, or several, as an array of any shape; raises RobotError."""
+    """Return one or several configurations as an array of floats.
+
+    Parameters
+    ----------
+    name : str
+        What messages call them.
+    q : Any
+        Numbers in rad and mm, of any shape.
+
+    Returns
+    -------
+    ndarray
+        The same numbers.
+
+    Raises
+    ------
+    RobotError
+        Some of them are no numbers.
+    """
     try:
         return plain_floats(q)
     except (TypeError, ValueError, OverflowError) as error:
@@ -288,7 +493,7 @@ def configuration(name: str, q: Any) -> Array:
 
 
 def _numbered(number: int, data: dict[str, Any]) -> Tube:
-    """The tube of a number, from 1, that a table of a file describes."""
+    """Return the tube that a table of a file describes; messages call it by its number, from 1."""
     try:
         tube: Tube = described(Tube, data)
     except RobotError as error:

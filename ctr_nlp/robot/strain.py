@@ -1,9 +1,13 @@
-"""How far tubes that share one curve are bent away from their own pre-curvature.
+"""Strain of aligned tubes: how far tubes that share one curve are bent away from their own pre-curvature.
 
 Where all tubes are turned alike, none twists another, and the balance of moments leaves them one curvature: the
-mean of their pre-curvatures, weighted with their bending stiffnesses (Dupont, Lock, Itkowitz, Butler, Design and
-control of concentric-tube robots, IEEE Transactions on Robotics 26(2), 2010). Its own shape being the one in which
-a tube is free of strain, its outer fibre is then strained by outer_diameter / 2 * |its own curvature - that one|.
+mean of their pre-curvatures k_i, weighted with their bending stiffnesses EI_i (Dupont, Lock, Itkowitz, Butler,
+Design and control of concentric-tube robots, IEEE Transactions on Robotics 26(2), 2010),
+
+    k = sum_j EI_j k_j / sum_j EI_j.
+
+A tube is free of strain in its own pre-curved shape, so that its outer fibre is then strained by D_i / 2 |k_i -
+k|, where D_i is its outer diameter.
 """
 
 from __future__ import annotations
@@ -18,12 +22,25 @@ from ctr_nlp.robot.tube import Tube
 STRAIN_DEPLOYED = 0.06
 """Largest strain of a tube's outer fibre, relative to its own pre-curved shape, by the other tubes."""
 INSIDE, SHORTEST = 1e-9, 1e-6
-"""mm from the ends of a piece at which its strains are looked at, and of the shortest piece that counts: a shorter
-one is what rounding leaves between tubes that end together."""
+"""Distance from the ends of a piece at which strains are evaluated, mm, and the shortest piece that counts, mm: a
+shorter one is what rounding leaves between tubes that end together.
+"""
 
 
 class Strain(NamedTuple):
-    """tube: which, from 1. place: arc length, mm. own, common: its pre-curvature, and the robot's, 1/mm."""
+    """Strain of one tube at one place of the aligned robot.
+
+    Attributes
+    ----------
+    tube : int
+        Its number, from 1.
+    place : float
+        Arc length from the insertion point, mm.
+    own, common : float
+        Its pre-curvature there, and the curvature that all tubes share, 1/mm.
+    strain : float
+        Strain of its outer fibre, as a part (0.06 is 6 %).
+    """
 
     tube: int
     place: float
@@ -33,10 +50,22 @@ class Strain(NamedTuple):
 
 
 def check_deployed(tubes: Sequence[Tube], beta: Sequence[float]) -> None:
-    """Raise RobotError where a tube of the aligned robot at beta (d,) mm is strained by more than 6 %.
+    """Check that no tube of the aligned robot is strained by more than 6 %.
 
-    6 % is the strain to which superelastic nitinol is loaded, and from which it must come back, where its
-    plateaus are measured (ASTM F2516).
+    6 % is the strain to which superelastic nitinol is loaded, and from which it must come back, where its plateaus
+    are measured (ASTM F2516).
+
+    Parameters
+    ----------
+    tubes : sequence of Tube
+        The d tubes, outermost first.
+    beta : sequence of float
+        Their extensions (d,), mm.
+
+    Raises
+    ------
+    RobotError
+        A tube is strained by more.
     """
     worst = largest_strain(tubes, beta)
     if worst is not None and worst.strain > STRAIN_DEPLOYED * (1 + 1e-9):
@@ -49,7 +78,22 @@ def check_deployed(tubes: Sequence[Tube], beta: Sequence[float]) -> None:
 
 
 def largest_strain(tubes: Sequence[Tube], beta: Sequence[float]) -> Strain | None:
-    """Where a tube of the aligned robot at beta (d,) mm is strained most; None where nothing is deployed."""
+    """Find where a tube of the aligned robot is strained most.
+
+    Parameters
+    ----------
+    tubes : sequence of Tube
+        The d tubes, outermost first.
+    beta : sequence of float
+        Their extensions (d,), mm.
+
+    Returns
+    -------
+    Strain or None
+        The largest strain; None where nothing is deployed.
+    """
+    # Between these edges the same tubes are present, and pre-curvatures are linear in arc length. The strain is
+    # then the absolute value of a linear function, which is largest at an end of the piece.
     starts = [max(b - tube.curved_length, 0.0) for tube, b in zip(tubes, beta, strict=True)]
     edges = sorted({0.0, *beta, *(start for start, b in zip(starts, beta, strict=True) if start < b)})
     pieces = [(a, b) for a, b in itertools.pairwise(edges) if b - a > SHORTEST]
@@ -59,7 +103,7 @@ def largest_strain(tubes: Sequence[Tube], beta: Sequence[float]) -> Strain | Non
 
 
 def _strains(tubes: Sequence[Tube], beta: Sequence[float], s: float) -> list[Strain]:
-    """Of all tubes that reach beyond s mm."""
+    """Return the strains of all tubes that reach beyond arc length s, mm."""
     there = [
         (i, tube, pre_curvature(tube, b - s)) for i, (tube, b) in enumerate(zip(tubes, beta, strict=True)) if b > s
     ]
@@ -69,7 +113,20 @@ def _strains(tubes: Sequence[Tube], beta: Sequence[float], s: float) -> list[Str
 
 
 def pre_curvature(tube: Tube, from_tip: float) -> float:
-    """Of a tube at a distance from its tip in mm, 1/mm: 0 along its transmission."""
+    """Return the pre-curvature of a tube at a distance from its tip.
+
+    Parameters
+    ----------
+    tube : Tube
+        The tube.
+    from_tip : float
+        Distance from its tip along it, mm.
+
+    Returns
+    -------
+    float
+        1/mm; linear along the curved part, and 0 along the straight transmission.
+    """
     if from_tip > tube.curved_length:
         return 0.0
     part = from_tip / tube.curved_length if tube.curved_length else 0.0

@@ -1,4 +1,8 @@
-"""What of a robot must be compiled, and the numbers of its tubes, which are parameters of every program."""
+"""Structure of a robot: what programs are compiled for, and the numbers of tubes that are their parameters.
+
+Programs depend on the structure as code and on the numbers as parameters, so that robots that differ in numbers
+alone (perturbed robots, designed tubes) share every compiled program.
+"""
 
 from __future__ import annotations
 
@@ -9,16 +13,23 @@ from typing import Any, Literal, NamedTuple
 from ctr_nlp.robot.tube import Tube
 
 Kind = Literal["straight", "arc", "linear", "helix"]
-"""Of a tube's curved part: without curvature, of one curvature, with one that is linear in arc length, or of one
-curvature whose direction turns."""
+"""Kind of a tube's curved part: without curvature, of one curvature, with a curvature that is linear in arc
+length, or of one curvature whose direction turns.
+"""
 
 
 @dataclass(frozen=True)
 class Structure:
-    """What must be compiled for a robot: robots that differ in numbers alone share every compiled program.
+    """What must be compiled for a robot; robots that differ in numbers alone have the same structure.
 
-    kinds: of the tubes' curved parts, outermost first. shown: which tubes can be pushed out so far that their
-    straight transmissions show. gap: whether carriages keep a least distance.
+    Attributes
+    ----------
+    kinds : tuple of str
+        Kinds of the tubes' curved parts, outermost first.
+    shown : tuple of bool
+        Which tubes can be extended so far that their straight transmissions come out of the insertion point.
+    gap : bool
+        Whether carriages are kept at a least distance.
     """
 
     kinds: tuple[Kind, ...]
@@ -32,11 +43,26 @@ class Structure:
 
 
 class TubeNumbers(NamedTuple):
-    """One tube as models take it: numbers, columns of numbers (T, 1) for T robots at once, or symbols.
+    """Numbers of one tube as models take them: floats, columns (T, 1) for T robots at once, or symbols.
 
-    length, curved_length: mm. root_curvature, tip_curvature: 1/mm, equal unless kind is linear.
-    bending_stiffness: EI, in any unit. torsional_ratio: EI / GJ = 1 + Poisson's ratio. pre_torsion: rad/mm.
-    area: of the material in a cross-section, mm^2, by which a tube weighs.
+    Attributes
+    ----------
+    kind : str
+        Kind of its curved part.
+    shown : bool
+        Whether its straight transmission can come out.
+    length, curved_length : Any
+        Lengths, mm.
+    root_curvature, tip_curvature : Any
+        Pre-curvature at both ends of the curved part, 1/mm; equal unless `kind` is ``"linear"``.
+    bending_stiffness : Any
+        EI, in any unit without a load, else N mm^2.
+    torsional_ratio : Any
+        EI / GJ, which is 1 + Poisson's ratio.
+    pre_torsion : Any
+        Torsion of a helix, rad/mm.
+    area : Any
+        Area of the material in a cross-section, mm^2, for the tube's own weight.
     """
 
     kind: Kind
@@ -57,7 +83,7 @@ class TubeNumbers(NamedTuple):
 
     @property
     def spin(self) -> Any:
-        """By how much the direction of the pre-curvature turns along the tube, rad/mm."""
+        """Angle by which the direction of the pre-curvature turns per length along the tube, rad/mm."""
         return self.pre_torsion if self.kind == "helix" else 0.0
 
 
@@ -65,24 +91,62 @@ Tubes = Sequence[TubeNumbers]
 """The tubes of a robot, outermost first."""
 
 NUMBERS = TubeNumbers._fields[2:]
-"""The names of a tube's numbers, in the order in which programs take them as parameters."""
+"""Names of a tube's numbers, in the order in which programs take them as parameters."""
 
 
 def tubes_of(structure: Structure, numbers: Sequence[Sequence[Any]]) -> tuple[TubeNumbers, ...]:
-    """The tubes of a structure whose numbers are given tube by tube, in the order of NUMBERS."""
+    """Return the tubes of a structure with given numbers.
+
+    Parameters
+    ----------
+    structure : Structure
+        Of d tubes.
+    numbers : sequence of sequences
+        For each tube its eight numbers, in the order of `NUMBERS`; floats, arrays or symbols.
+
+    Returns
+    -------
+    tuple of TubeNumbers
+        Outermost first.
+    """
     rows = zip(structure.kinds, structure.shown, numbers, strict=True)
     return tuple(TubeNumbers(kind, shown, *row) for kind, shown, row in rows)
 
 
 def tubes_in_columns(structure: Structure, numbers: Any) -> tuple[TubeNumbers, ...]:
-    """The tubes of robots that differ in numbers (T, d, 8), as columns (T, 1)."""
+    """Return the tubes of a batch of robots of one structure.
+
+    Parameters
+    ----------
+    structure : Structure
+        Of d tubes.
+    numbers : ndarray
+        Numbers (T, d, 8) of T robots.
+
+    Returns
+    -------
+    tuple of TubeNumbers
+        Each number a column (T, 1), which broadcasts against samples along the robots (T, n).
+    """
     return tubes_of(structure, [list(tube) for tube in numbers.transpose(1, 2, 0)[..., None]])
 
 
 def freed_places(structure: Structure, freed: Sequence[str]) -> tuple[tuple[int, tuple[int, ...]], ...]:
-    """What tubes have of numbers that are free: for each unknown its tube, from 0, and its columns in NUMBERS.
+    """Find the numbers of tubes that are unknowns of a program.
 
-    freed: of NUMBERS, or curvature: one number of an arc or a helix, the two of a part with a linear one.
+    Parameters
+    ----------
+    structure : Structure
+        Of d tubes.
+    freed : sequence of str
+        Names among `NUMBERS`, or ``"curvature"``: one number of an arc or a helix, two of a linear part, none of a
+        straight one.
+
+    Returns
+    -------
+    tuple of (int, tuple of int)
+        For each unknown its tube, from 0, and its columns in `NUMBERS`: two for a curvature that root and tip
+        share.
     """
     root, tip = NUMBERS.index("root_curvature"), NUMBERS.index("tip_curvature")
     curvatures = {"straight": (), "arc": ((root, tip),), "linear": ((root,), (tip,)), "helix": ((root, tip),)}
@@ -95,7 +159,7 @@ def freed_places(structure: Structure, freed: Sequence[str]) -> tuple[tuple[int,
 
 
 def numbers_of(tubes: Iterable[Tube]) -> list[list[float]]:
-    """Of every tube, in the order of NUMBERS."""
+    """Return the numbers of tubes as lists of eight floats, in the order of `NUMBERS`."""
     return [
         [
             tube.length,
@@ -112,7 +176,7 @@ def numbers_of(tubes: Iterable[Tube]) -> list[list[float]]:
 
 
 def kind_of(tube: Tube) -> Kind:
-    """That of a tube's curved part."""
+    """Return the kind of a tube's curved part."""
     if tube.largest_curvature == 0:
         return "straight"
     if tube.pre_torsion != 0:

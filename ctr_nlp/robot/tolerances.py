@@ -1,4 +1,8 @@
-"""How well a robot is known: by how much its tubes, and its motors' zeros, may differ from what is described."""
+"""Tolerances: by how much a built robot, and its motors' zeros, may differ from the description.
+
+Differences of d tubes are a vector of 5 d entries, tube by tube in the order of NAMES. A band of half width b
+stands for a uniform distribution on [-b, b], of variance b^2 / 3; the normal one has the same variance.
+"""
 
 from __future__ import annotations
 
@@ -17,39 +21,65 @@ from ctr_nlp.support.values import number, numbers, plain_floats, unchanging
 from ctr_nlp.typing import Array
 
 DISTRIBUTIONS = "uniform", "normal"
-"""Of what is not quite known, within its band or with the same variance as the uniform one."""
+"""Distributions of differences: uniform within the band, or normal with the variance of the uniform one."""
 LARGEST = {
     **dict.fromkeys(("curvature", "bending_stiffness", "torsional_ratio"), 0.5),
     "curved_length": 100.0,
     **dict.fromkeys(("motor_zero", "rotation_lag"), math.pi / 2),
     "diameter": 1.0,
 }
-"""Tolerances beyond which nothing is known of a robot: parts, mm and rad."""
+"""Largest tolerances that are accepted: parts, mm and rad. With more, nothing is known of a robot."""
 LARGEST_FORCE = 10.0
-"""N at the tip, beyond what any robot of this kind bears."""
+"""Largest force at the tip, N, beyond what any robot of this kind bears."""
 UNITS = {"curved_length": " mm", "motor_zero": " rad", "rotation_lag": " rad", "diameter": " mm"}
 NAMES = "curvature", "bending_stiffness", "torsional_ratio", "curved_length", "motor_zero"
-"""What differs from robot to robot, tube by tube: parts, mm and rad."""
+"""Numbers that differ from robot to robot, tube by tube: parts, mm and rad."""
 ROUNDING = 1e-9
-"""By which part a covariance may fail to be symmetric or positive semidefinite: rounding."""
+"""Relative error by which a covariance may fail to be symmetric or positive semidefinite."""
 
 
 @packable("tolerances")
 @dataclass(frozen=True)
 class Tolerances:
-    """By how much a robot may differ from its description; each a number, or one a tube, outermost first.
+    """Tolerances of a robot: by how much a built one may differ from its description.
 
-    curvature, bending_stiffness, torsional_ratio: as parts of themselves, half the width of the band, so that 0.02
-    stands for +-2 %. curved_length: mm. motor_zero: by what angle alpha is off where the motor reads 0, rad.
-    rotation_lag: by up to what angle a tube stays behind its motor when that turns, rad; a robot has a lag of its
-    own in [0, rotation_lag], uniform whatever the distribution. diameter: of the outer and of the inner diameter,
-    mm; they change the bending stiffness, which then differs by more than bending_stiffness says. tip_force: N, a
-    single number: a force of up to so much may act at the tip in any direction, and come and go.
+    Each is one number, or one a tube, outermost first, half the width of a band around the nominal value: 0.02 of
+    curvature is +-2 %. Lists and arrays are stored as tuples.
 
-    distribution: uniform in the band, or normal with the variance of that. covariance: of all tubes' differences
-    together, (5 d, 5 d), for the normal distribution; tube by tube, outermost first, each with its curvature,
-    bending_stiffness, torsional_ratio, curved_length and motor_zero, in the units above. It takes the place of
-    their bands, which are then left at their defaults. Lists and arrays are kept as tuples. Raises RobotError.
+    Attributes
+    ----------
+    curvature, bending_stiffness, torsional_ratio : float or sequence of float
+        Relative tolerances of the pre-curvature, of EI and of EI / GJ.
+    curved_length : float or sequence of float
+        Tolerance of the length of the curved part, mm.
+    motor_zero : float or sequence of float
+        Angle by which alpha may be off where the motor reads 0, rad.
+    rotation_lag : float or sequence of float
+        Largest backlash, rad: angle by which a tube may stay behind its motor when that turns. A robot's own is
+        uniform in [0, rotation_lag], whatever the distribution.
+    diameter : float or sequence of float
+        Tolerance of the outer and of the inner diameter, mm. Diameters change the bending stiffness, which then
+        varies by more than `bending_stiffness`.
+    tip_force : float
+        Largest force at the tip, N; it may act in any direction, and come and go.
+    distribution : str
+        ``"uniform"`` within the bands, or ``"normal"`` with the same variance.
+    covariance : array_like, optional
+        Covariance (5 d, 5 d) of all differences, for the normal distribution: tube by tube, outermost first, each
+        with its curvature, bending_stiffness, torsional_ratio, curved_length and motor_zero, in the units above.
+        It replaces their bands and that of the diameters, which must then be left at their defaults.
+
+    Raises
+    ------
+    RobotError
+        A tolerance is out of range, or the covariance is not symmetric and positive semidefinite.
+
+    Examples
+    --------
+    >>> import ctr_nlp as ctr
+    >>> tolerances = ctr.Tolerances(curvature=0.05, motor_zero=(0.01, 0.01, 0.03))
+    >>> tolerances.bands(ctr.table_i_robot().tubes).shape
+    (3, 5)
     """
 
     curvature: Any = 0.02
@@ -83,6 +113,9 @@ class Tolerances:
             self._check_covariance()
 
     def _check_covariance(self) -> None:
+        """Raise RobotError unless the covariance is symmetric, positive semidefinite and given in
+        place of bands.
+        """
         name, found = _of("covariance"), self._covariance()
         if self.distribution != "normal":
             raise RobotError(f'{name} needs distribution = "normal"; it is {self.distribution!r}')
@@ -94,12 +127,15 @@ class Tolerances:
         scale = max(float(abs(found).max(initial=0.0)), 1e-300)
         if found.diagonal().min() < 0 or abs(found - found.T).max() > ROUNDING * scale:
             raise RobotError(f"{name} is not symmetric with variances of at least 0; it must be")
+        # Scaled to entries of at most 1, so that variances in rad^2 and mm^2 share one threshold of rounding.
         least = float(np.linalg.eigvalsh(found / scale)[0])
         if least < -ROUNDING * len(found):
             raise RobotError(f"{name} has an eigenvalue {least * scale:.3g}; all must be at least 0")
 
     def _covariance(self) -> Array:
-        """(5 d, 5 d), as it was given."""
+        """Return the covariance (5 d, 5 d) as an array; raise RobotError where it is no square of five rows a
+        tube.
+        """
         try:
             found = plain_floats(self.covariance)
         except (TypeError, ValueError):
@@ -115,7 +151,19 @@ class Tolerances:
         return found
 
     def check(self, tubes: Sequence[Tube]) -> None:
-        """Raise RobotError unless these are tolerances that so many tubes, and these, may have."""
+        """Check that these tolerances fit the tubes of a robot.
+
+        Parameters
+        ----------
+        tubes : sequence of Tube
+            The d tubes, outermost first.
+
+        Raises
+        ------
+        RobotError
+            A tolerance has another number of entries than there are tubes, the covariance has another size, or the
+            tolerance of a diameter is as large as the wall of a tube.
+        """
         d = len(tubes)
         for name in LARGEST:
             value = getattr(self, name)
@@ -135,28 +183,63 @@ class Tolerances:
                 )
 
     def stated(self, d: int) -> Array:
-        """Half the widths (d, 5) of the bands of d tubes as they are given, in the order of NAMES."""
+        """Return the half widths of the bands as they were given, without the effect of diameters.
+
+        Parameters
+        ----------
+        d : int
+            Number of tubes.
+
+        Returns
+        -------
+        ndarray
+            Half widths (d, 5), in the order of `NAMES`; sqrt(3 variance) of each where a covariance is given.
+        """
         if self.covariance is not None:
             return np.sqrt(3 * np.maximum(self._covariance().diagonal(), 0.0)).reshape(d, len(NAMES))
         return np.stack([numbers(_of(name), getattr(self, name), d) for name in NAMES], axis=1)
 
     def bands(self, tubes: Sequence[Tube]) -> Array:
-        """Half the widths (d, 5) of tubes' bands, in the order of NAMES; of the same variance.
+        """Return the half widths of the bands of all numbers that differ, with the effect of diameters.
 
-        To the bending stiffness's is added, to first order, what diameters within their tolerances make of it.
+        Parameters
+        ----------
+        tubes : sequence of Tube
+            The d tubes, outermost first, whose sections say how diameters change the stiffness.
+
+        Returns
+        -------
+        ndarray
+            Half widths (d, 5), in the order of `NAMES`, of uniform bands with the same variances. The variance
+            that diameters give the bending stiffness is added to first order.
         """
         found = self.stated(len(tubes))
         slopes = np.array([tube.stiffness_slopes for tube in tubes])
         stiffness = NAMES.index("bending_stiffness")
+        # Variances of independent errors add up: those of the band, and of both diameters by d(EI)/EI = slope *
+        # d(diameter).
         found[:, stiffness] = np.hypot(found[:, stiffness], self.diameters(len(tubes)) * np.hypot(*slopes.T))
         return found
 
     def root(self, tubes: Sequence[Tube]) -> Array:
-        """A square root (5 d, 5 d) of the covariance of d tubes."""
+        """Return a square root of the covariance of all differences.
+
+        Parameters
+        ----------
+        tubes : sequence of Tube
+            The d tubes, outermost first.
+
+        Returns
+        -------
+        ndarray
+            R (5 d, 5 d) with R R^T the covariance; columns of zeros for directions in which nothing differs.
+        """
         bands = self.bands(tubes)
         if self.covariance is None:
             return np.diag(bands.ravel() / math.sqrt(3))
         found, root = self._covariance(), np.zeros((bands.size, bands.size))
+        # By rounding, an eigenvector of the whole matrix would let numbers differ that have no variance; rows
+        # without variance are left out.
         differs = np.flatnonzero(found.diagonal() > 0)  # by rounding, nothing else may differ either
         among = np.ix_(differs, differs)
         sizes, axes = np.linalg.eigh((found + found.T)[among] / 2)
@@ -164,13 +247,36 @@ class Tolerances:
         return root
 
     def lags(self, d: int) -> Array:
-        """The largest lags (d,) of d tubes, rad."""
+        """Return the largest backlash of each tube.
+
+        Parameters
+        ----------
+        d : int
+            Number of tubes.
+
+        Returns
+        -------
+        ndarray
+            (d,), rad.
+        """
         return numbers(_of("rotation_lag"), self.rotation_lag, d)
 
     def diameters(self, d: int) -> Array:
-        """By how much the outer and the inner diameters of d tubes may differ, (d,) mm."""
+        """Return the tolerance of the diameters of each tube.
+
+        Parameters
+        ----------
+        d : int
+            Number of tubes.
+
+        Returns
+        -------
+        ndarray
+            (d,), mm, for the outer and the inner diameter alike.
+        """
         return numbers(_of("diameter"), self.diameter, d)
 
 
 def _of(name: str) -> str:
+    """Return what messages call a tolerance."""
     return f"{name} of tolerances"

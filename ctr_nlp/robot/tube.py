@@ -1,4 +1,4 @@
-"""One tube: its numbers, and which of them no tube can have."""
+"""One tube: its numbers, checked against what nitinol bears and against mistakes of units."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ CURVATURE = 0.5
 LENGTHS = (1.0, 10_000.0)
 """Shortest and longest tube, mm. What is shorter was likely written in metres, what is longer in micrometres."""
 TURNED = 2.0
-"""rad that the direction of a helix's curvature may turn along its curved part: sections are integrated in a few
-steps.
+"""Largest angle by which the direction of a helix's curvature turns along its curved part, rad: sections are
+integrated in a few steps.
 """
 DIAMETERS = (0.1, 100.0)
 """Least and largest outer diameter, mm."""
@@ -29,19 +29,48 @@ DIAMETERS = (0.1, 100.0)
 class Tube:
     """One pre-curved tube: a straight transmission, then a curved part that ends at its tip.
 
-    length, curved_length: mm. curvature: 1/mm, constant, or (root, tip) of the curved part and linear in
-    the distance from the tip between them; not negative, but at the root of a tube that is shaped like an S, bent
-    there to the other side than at its tip. pre_torsion: rad/mm, by how much the direction in which the curved
-    part bends turns along it: one curvature and a torsion make a helix, right-handed where it is positive.
-    Diameters: mm. youngs_modulus: MPa; for a robot that bears no load any unit will do, since only ratios between
-    tubes matter then. Raises RobotError.
-
-    Bent into its pre-curvature, a straight tube is strained by curvature * outer_diameter / 2 at its outer fibre;
-    so it is again wherever the tubes around it or its own carriage hold it straight. More than 8 % is refused, the
+    Bent into its pre-curvature, a straight tube is strained by curvature * outer_diameter / 2 at its outer fibre,
+    and again wherever the tubes around it or its own carriage hold it straight. More than 8 % is refused, the
     strain up to which nitinol recovers (Duerig, Pelton, Stoeckel, An overview of nitinol medical applications,
     Materials Science and Engineering A 273-275, 1999). However thin the tube, its curvature is at most 0.5 per mm,
-    its outer diameter from 0.1 to 100 mm and its length from 1 to 10,000 mm: beyond these a number was written in
+    its outer diameter 0.1 to 100 mm and its length 1 to 10,000 mm: beyond these a number was likely written in
     another unit, which the message names.
+
+    Attributes
+    ----------
+    length : float
+        L, the whole tube from its carriage to its tip, mm.
+    curved_length : float
+        Length of the curved part behind the tip, mm; the rest is straight.
+    curvature : float or (float, float)
+        Pre-curvature k, 1/mm: constant, or at the root and at the tip of the curved part and linear in arc length
+        between them. It is not negative, but at the root of a tube shaped like an S, which is bent there to the
+        other side than at its tip.
+    outer_diameter, inner_diameter : float
+        Diameters, mm.
+    poisson_ratio : float
+        Poisson's ratio nu, in (-1, 0.5].
+    youngs_modulus : float
+        Young's modulus E, MPa. Without a load any unit will do, since only ratios between tubes matter then.
+    pre_torsion : float
+        Angle by which the direction in which the curved part bends turns along it, rad/mm. One curvature and a
+        torsion make a helix, right-handed where the torsion is positive.
+
+    Raises
+    ------
+    RobotError
+        No tube can have these numbers.
+
+    Examples
+    --------
+    >>> import ctr_nlp as ctr
+    >>> tube = ctr.Tube(202, 107, 1 / 60, outer_diameter=3.7, inner_diameter=2.9, youngs_modulus=60_000)
+    >>> round(tube.bending_stiffness)
+    343675
+    >>> ctr.Tube(0.2, 0.1, 1 / 60, outer_diameter=3.7, inner_diameter=2.9)  # doctest: +ELLIPSIS
+    Traceback (most recent call last):
+        ...
+    ctr_nlp.exceptions.RobotError: tube length is 0.2 mm; ... did you mean 200 mm (0.2 m)?
     """
 
     length: float
@@ -71,6 +100,7 @@ class Tube:
             raise RobotError(f"tube youngs_modulus is {self.youngs_modulus:g}; it must be positive")
 
     def _check_lengths(self) -> None:
+        """Raise RobotError unless the length is positive and likely in mm, and the curved part fits into it."""
         if self.length <= 0:
             raise RobotError(f"tube length is {self.length:g} mm; it must be positive")
         _check_unit("length", self.length, LENGTHS)
@@ -82,6 +112,7 @@ class Tube:
             _check_unit("curved_length", self.curved_length, LENGTHS)
 
     def _check_diameters(self) -> None:
+        """Raise RobotError unless the diameters leave a wall and are likely in mm."""
         if not 0 <= self.inner_diameter < self.outer_diameter:
             exchanged = 0 < self.outer_diameter < self.inner_diameter
             raise RobotError(
@@ -93,6 +124,7 @@ class Tube:
         _check_unit("outer_diameter", self.outer_diameter, DIAMETERS)
 
     def _check_curvature(self) -> None:
+        """Raise RobotError unless the curvature has a valid sign and strains the tube by at most 8 %."""
         if self.tip_curvature < 0 or self.root_curvature < 0 == self.tip_curvature:
             shaped = "; at the root alone it may be negative, of a tube that is bent the other way at its tip"
             what = f"it is unsigned (turn the tube instead){shaped if isinstance(self.curvature, tuple) else ''}"
@@ -113,6 +145,9 @@ class Tube:
             )
 
     def _check_torsion(self) -> None:
+        """Raise RobotError unless a torsion belongs to a curved part of one curvature and turns it by at most 2
+        rad.
+        """
         if self.pre_torsion == 0:
             return
         if isinstance(self.curvature, tuple) or self.curvature == 0 or self.curved_length == 0:
@@ -140,28 +175,31 @@ class Tube:
 
     @property
     def largest_curvature(self) -> float:
-        """The larger of the curvatures at root and tip, to whichever side, 1/mm."""
+        """Larger absolute curvature of root and tip, 1/mm."""
         return max(abs(self.root_curvature), self.tip_curvature)
 
     @property
     def area(self) -> float:
-        """Of the material in a cross-section, mm^2."""
+        """Area of the material in a cross-section, mm^2."""
         return math.pi / 4 * (self.outer_diameter**2 - self.inner_diameter**2)
 
     @property
     def bending_stiffness(self) -> float:
-        """EI, in units of youngs_modulus x mm^4: N mm^2 where that is in MPa."""
+        """Bending stiffness EI, in units of youngs_modulus x mm^4: N mm^2 where that is in MPa."""
         return self.youngs_modulus * math.pi / 64 * (self.outer_diameter**4 - self.inner_diameter**4)
 
     @property
     def stiffness_slopes(self) -> tuple[float, float]:
-        """By what part the bending stiffness grows with the outer and the inner diameter, 1/mm."""
+        """Relative growth of the bending stiffness with the outer and with the inner diameter, 1/mm."""
+        # d log(D^4 - d^4) / dD and / dd.
         outer, inner = self.outer_diameter, self.inner_diameter
         return 4 * outer**3 / (outer**4 - inner**4), -4 * inner**3 / (outer**4 - inner**4)
 
 
 def _check_unit(name: str, value: float, allowed: tuple[float, float]) -> None:
-    """Raise RobotError where a length in mm was likely written in another unit."""
+    """Raise RobotError where a length in mm lies outside `allowed`, with the unit that it was likely
+    written in.
+    """
     low, high = allowed
     if not low <= value <= high:
         meant = length_meant(value, between(low, high))

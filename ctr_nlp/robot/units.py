@@ -1,4 +1,4 @@
-"""What a number that cannot be was perhaps meant to be: the unit that it was likely written in."""
+"""Mistakes of units: what a number that is out of range was likely meant to be."""
 
 from __future__ import annotations
 
@@ -8,30 +8,34 @@ from collections.abc import Callable, Iterable
 Plausible = Callable[[float], bool]
 
 THOUSANDS = (1e3, 1e6, 1e9)
-"""By what numbers are off whose unit is another one of the metric system."""
+"""Factors by which a number in another metric unit is off."""
 NEAR = 5.0
-"""A ratio within this factor of a thousand, a million or a milliard is taken for a mistake of units."""
+"""Ratios within this factor of one of THOUSANDS are taken for a mistake of units."""
 
 
 def between(low: float, high: float) -> Plausible:
-    """Whether a number lies in [low, high]."""
+    """Return a function that tells whether a number lies in [low, high]."""
     return lambda value: low <= value <= high
 
 
 def did_you_mean(meant: Iterable[str]) -> str:
-    """The end of a message that offers what was perhaps meant; nothing where there is nothing to offer."""
+    """Return the end of a message that offers what was likely meant; an empty text where `meant` is empty."""
     offers = list(meant)
     return f"; did you mean {' or '.join(offers)}?" if offers else ""
 
 
 def length_meant(value: float, plausible: Plausible) -> list[str]:
-    """The lengths in mm that one in metres or in micrometres was meant to be, where they are plausible."""
+    """Return the plausible lengths in mm that `value`, in metres or micrometres, was likely meant to
+    be, as texts.
+    """
     offers = ((1e3 * value, f"{value:g} m"), (value / 1e3, f"{value:g} µm"))
     return [f"{mm:g} mm ({written})" for mm, written in offers if plausible(mm)]
 
 
 def curvature_meant(value: float, plausible: Plausible) -> list[str]:
-    """The curvatures in 1/mm that a radius in mm, or a curvature per metre, was meant to be."""
+    """Return the plausible curvatures in 1/mm that `value`, a radius in mm or a curvature per metre, was meant to
+    be.
+    """
     offers = (
         (1 / value, f"1/{value:g} (a radius of {value:g} mm)"),
         (value / 1e3, f"{value / 1e3:g} ({value:g} per metre)"),
@@ -40,12 +44,15 @@ def curvature_meant(value: float, plausible: Plausible) -> list[str]:
 
 
 def angle_meant(value: float, plausible: Plausible) -> list[str]:
-    """The angle in rad that one in degrees was meant to be; within two turns none is taken for degrees."""
+    """Return the plausible angle in rad that `value`, in degrees, was meant to be.
+
+    Up to two turns (4 pi) no number is taken for degrees: it may well be in rad.
+    """
     radians = math.radians(value)
     return [f"{radians:.4g} rad ({value:g} degrees)"] if abs(value) > 4 * math.pi and plausible(radians) else []
 
 
 def in_other_units(first: float, second: float) -> float | None:
-    """By how many thousands two positive numbers differ whose units are likely not the same, else None."""
+    """Return the factor of a thousand, a million or a milliard by which two positive numbers differ, or None."""
     ratio = max(first / second, second / first)
     return next((step for step in THOUSANDS if step / NEAR <= ratio <= step * NEAR), None)
