@@ -1,1 +1,1 @@
-"""What is followed: curves, lumens, targets and problems. Knows no model and no program."""
+"""What is followed: curves, lumens, targets and problems. Imports no model and no solver."""

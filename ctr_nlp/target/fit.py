@@ -1,4 +1,4 @@
-"""What is worth knowing of a robot in its lumen before anything is solved."""
+"""Does a robot fit into its lumen: what can be said of a problem before anything is solved."""
 
 from __future__ import annotations
 
@@ -17,18 +17,30 @@ from ctr_nlp.target.problem import Problem
 from ctr_nlp.typing import Array
 
 SPACING_MM = 0.1
-"""Between places along a path that are looked at."""
+"""Distance between places along a path that are looked at, mm."""
 JAGGED = 0.5
-"""A path of a larger curvature, in 1/mm, follows the noise of its points, as VMTK's lines do until smoothed."""
+"""Curvature, 1/mm, above which a path follows the noise of its points, as VMTK's lines do until they
+are smoothed.
+"""
 ASKEW_DEG = 1.0
-"""An angle between robot and path at the entry that is worth a word."""
+"""Angle between robot and path at the entry above which a note is given, degrees."""
 
 
 class Misfit(NamedTuple):
-    """A tube, from 1, that is wider than the lumen from start to stop, mm along the path from the entry.
+    """A part of the path in which a tube is wider than the lumen.
 
-    lack: by how much its radius exceeds the lumen's at most, mm, and at: where. forced: it must go there to follow
-    the target; otherwise it could only be slid there.
+    Attributes
+    ----------
+    tube : int
+        Its number, from 1.
+    start, stop : float
+        Ends of that part along the path from the entry, mm.
+    lack : float
+        By how much its radius exceeds the lumen's at most, mm.
+    at : float
+        Where that is, mm along the path.
+    forced : bool
+        Whether the tube must go there to follow the target; otherwise it could only be moved there.
     """
 
     tube: int
@@ -40,9 +52,19 @@ class Misfit(NamedTuple):
 
 
 def misfits(problem: Problem) -> list[Misfit]:
-    """Where a tube does not fit even in the middle of the lumen; none where no radius is known.
+    """Find where a tube does not fit even in the middle of the lumen.
 
     The innermost tube must go to the target's end, each other one as far as the lower limit of its beta.
+
+    Parameters
+    ----------
+    problem : Problem
+        Robot and target.
+
+    Returns
+    -------
+    list of Misfit
+        In the order of the tubes; empty where no radius is known.
     """
     if problem.sampled_lumen is None:
         return []
@@ -58,7 +80,18 @@ def misfits(problem: Problem) -> list[Misfit]:
 
 
 def notes(problem: Problem) -> list[str]:
-    """What to tell of a problem before it is solved, a sentence each."""
+    """Return what a user should know of a problem before it is solved, a sentence each.
+
+    Parameters
+    ----------
+    problem : Problem
+        Robot and target.
+
+    Returns
+    -------
+    list of str
+        On smoothing, jagged paths, the direction at the entry, and tubes that do not fit; empty where all is well.
+    """
     return [*_smoothed(problem), *_jagged(problem), *_askew(problem), *_narrow(problem)]
 
 
@@ -73,9 +106,23 @@ def check_radii(problem: Problem) -> None:
 
 
 def sharpest_bend(curve: Curve, length: float) -> tuple[float, float]:
-    """The largest curvature in 1/mm of a curve up to a length in mm, as its tangent turns, and where that is, mm.
+    """Find the sharpest bend of a curve by the turn of its tangent.
 
-    Curve.curvature looks through the noise of given points.
+    `Curve.curvature` of a curve through points is that of a smoothing spline, which hides the noise of the points.
+
+    Parameters
+    ----------
+    curve : Curve
+        The curve.
+    length : float
+        Up to which arc length, mm.
+
+    Returns
+    -------
+    curvature : float
+        The largest, 1/mm.
+    at : float
+        Arc length where it is, mm.
     """
     s = _places(length)
     turns = np.linalg.norm(np.diff(curve.tangent(s), axis=0), axis=1) / np.diff(s)
@@ -83,31 +130,35 @@ def sharpest_bend(curve: Curve, length: float) -> tuple[float, float]:
 
 
 def _longest(problem: Problem) -> tuple[Curve, Array]:
-    """The longest of the targets, and places (n,) along it, mm."""
+    """Return the curve of the longest frame of the target, and places (n,) along it, mm."""
     each = zip(problem.target.curves, problem.target.lengths, strict=True)
     curve, length = max(each, key=lambda pair: pair[1])
     return curve, _places(length)
 
 
 def _places(length: float) -> Array:
+    """Return places (n,) from 0 to a length in mm, at most SPACING_MM apart."""
     return np.linspace(0.0, length, max(2, int(np.ceil(length / SPACING_MM)) + 1))
 
 
 def _extensions(robot: Robot, length: float) -> list[tuple[float, float]]:
-    """How far each tube must and can extend, mm, while the innermost extends to length."""
+    """Return how far each tube must and can extend, mm, while the innermost one extends to `length`."""
     _, low, _ = robot.split(robot.lower)
     _, high, _ = robot.split(robot.upper)
+    # Order, eq. (2): a tube must go at least as far as those outside it, and can go no further than those within.
     low, high = np.maximum.accumulate(low), np.minimum.accumulate(high[::-1])[::-1]
     low[-1] = length
     if robot.carriage_gap is not None:
         for i in range(robot.d - 2, -1, -1):
             longer = robot.tubes[i + 1].length - robot.tubes[i].length
+            # The carriage gap, solved for the outer tube: an inner one that is far out drags it along.
             low[i] = max(low[i], low[i + 1] + robot.carriage_gap - longer)
     high = np.minimum(high, length)
     return [(float(least), float(most)) for least, most in zip(low, np.maximum(low, high), strict=True)]
 
 
 def _smoothed(problem: Problem) -> Iterator[str]:
+    """Yield a note where smoothing moved the path."""
     if problem.deviation:
         share = problem.deviation_share
         part = f" and {100 * share:.0f} % of the lumen's radius" if share else ""
@@ -115,6 +166,7 @@ def _smoothed(problem: Problem) -> Iterator[str]:
 
 
 def _jagged(problem: Problem) -> Iterator[str]:
+    """Yield a note where the path bends at a radius below 2 mm and was not smoothed."""
     curve, s = _longest(problem)
     bend, at = sharpest_bend(curve, s[-1])
     if bend > JAGGED and not problem.deviation:
@@ -125,7 +177,9 @@ def _jagged(problem: Problem) -> Iterator[str]:
 
 
 def _askew(problem: Problem) -> Iterator[str]:
-    """Where the base cannot tilt to where the path leads at once: R = Ry(theta_y) Rx(theta_x)."""
+    """Yield a note where the base cannot tilt into the direction in which the path sets out."""
+    # R = Ry(theta_y) Rx(theta_x), eq. (4), turns +z to (sin ty cos tx, -sin tx, cos ty cos tx), solved for the
+    # tilt.
     x, y, z = tangent = problem.target.curves[-1].tangent(np.zeros(1))[0]
     wanted = [-np.arcsin(np.clip(y, -1, 1)), np.arctan2(x, z)]
     theta_x, theta_y = np.clip(wanted, problem.robot.lower[-2:], problem.robot.upper[-2:])
@@ -139,7 +193,7 @@ def _askew(problem: Problem) -> Iterator[str]:
 
 
 def _narrow(problem: Problem) -> Iterator[str]:
-    """A sentence for each tube and whether it must go where it does not fit."""
+    """Yield a sentence for each tube that does not fit, by whether it must go there."""
     for (tube, forced), group in groupby(misfits(problem), key=lambda each: (each.tube, each.forced)):
         found = list(group)
         width = problem.robot.tubes[tube - 1].outer_diameter

@@ -1,4 +1,9 @@
-"""The lumen around a path: how much room a robot has in it, and what the wall is like near to it."""
+"""The lumen around a path: clearance between tubes and its wall, and the wall's geometry near a point.
+
+A path x(s) has a lumen of radius r(s). A point p of the robot has the room r(s) - |p - x(s)| to the wall, with s
+the arc length of the nearest point of the path; clearance is that room less the radius of the outermost tube
+there.
+"""
 
 from __future__ import annotations
 
@@ -18,17 +23,28 @@ from ctr_nlp.target.points import walked
 from ctr_nlp.typing import Array, Index
 
 SPACING = 0.5
-"""mm between the points of a lumen's table."""
+"""Distance between the points of a lumen's table, mm."""
 NEWTON = 4
-"""Steps from the nearest point of the table to the nearest point of the path."""
+"""Newton steps from the nearest point of the table to the nearest point of the path."""
 
 
 class Near(NamedTuple):
-    """Places (..,) of a path nearest to points: distance and lumen radius there, mm, and the path around them.
+    """The path and the wall near points (..,), to second order of the path and first order of the wall.
 
-    centre, tangent, bend (.., 3): the path's point, mm, its derivative by arc length and its second, 1/mm.
-    taper: by how much the radius grows a mm that a point moves along the tangent. behind, ahead: what there is of
-    the path before and after, mm.
+    Attributes
+    ----------
+    distance : ndarray
+        From the point to the nearest point of the path (..,), mm.
+    radius : ndarray
+        Radius of the lumen there (..,), mm.
+    centre : ndarray
+        The nearest point of the path (.., 3), mm.
+    tangent, bend : ndarray
+        First and second derivative of the path there by arc length (.., 3); the second in 1/mm.
+    taper : ndarray
+        Growth of the radius per mm that the point moves along the tangent (..,).
+    behind, ahead : ndarray
+        Length of the path before and after that place (..,), mm.
     """
 
     distance: Array
@@ -42,7 +58,18 @@ class Near(NamedTuple):
 
 
 class Lumen:
-    """A path and the radius of the lumen around it, from a table (N, 4): x, y, z and radius, mm."""
+    """A path and the radius of the lumen around it.
+
+    Parameters
+    ----------
+    table : ndarray
+        Points and radii (N, 4), N >= 2: x, y, z and radius, mm; close enough for the spline through them.
+
+    Raises
+    ------
+    CurveError
+        A radius is not positive, or a point is repeated.
+    """
 
     def __init__(self, table: Array) -> None:
         self._table = floats(CurveError, "table of a lumen", table, (None, 4))
@@ -55,26 +82,40 @@ class Lumen:
 
     @cached_property
     def _path(self) -> CubicSpline:
+        """C2 spline x(s) through the points, by the lengths of the lines between them."""
         return CubicSpline(self._along, self._table[:, :3])
 
     @cached_property
     def _radius(self) -> PchipInterpolator:
+        """Radius r(s), interpolated without overshoot."""
         return PchipInterpolator(self._along, self._table[:, 3])
 
     @cached_property
     def _tree(self) -> cKDTree:
+        """Search tree of the points, which finds the nearest of them."""
         return cKDTree(self._table[:, :3])
 
     @classmethod
     def around(cls, curve: Curve) -> Lumen:
-        """That of a whole curve with a radius."""
+        """Sample a whole curve that has a radius, every half mm.
+
+        Parameters
+        ----------
+        curve : Curve
+            A curve within a lumen.
+
+        Returns
+        -------
+        Lumen
+            The lumen around it.
+        """
         assert curve.radius is not None
         s = np.linspace(0.0, curve.length, int(np.ceil(curve.length / SPACING)) + 1)
         return cls(np.column_stack([curve.point(s), curve.radius(s)]))
 
     @property
     def table(self) -> Array:
-        """(N, 4), read-only: x, y, z and radius, mm."""
+        """Points and radii (N, 4), read-only: x, y, z and radius, mm."""
         return self._table
 
     @property
@@ -84,42 +125,87 @@ class Lumen:
 
     @property
     def pieces(self) -> tuple[Array, Array]:
-        """Cubic pieces of path (4, N - 1, 3) and radius (4, N - 1), mm: coefficients by falling powers."""
+        """Coefficients of the cubic pieces by falling powers: path (4, N - 1, 3) and radius (4, N - 1), mm."""
         return self._path.c, self._radius.c
 
     def near(self, points: Array) -> Near:
-        """The path and the wall near to points (.., 3) in mm; everything is NaN for points that are."""
+        """Find the path and the wall near points.
+
+        Parameters
+        ----------
+        points : ndarray
+            Points (.., 3), mm.
+
+        Returns
+        -------
+        Near
+            Their nearest places; NaN for points that are NaN.
+        """
         known = np.isfinite(points).all(axis=-1, keepdims=True)
         points = np.where(known, points, 0.0)
         s = self._along[self._tree.query(points)[1]]
         for _ in range(NEWTON):
+            # Newton on |p - x(s)|^2 / 2: its slope is -(p - x) x', its curvature |x'|^2 - (p - x) x''. That
+            # vanishes at the centre of curvature of the path, where the nearest point is not unique; it is kept
+            # above 0.1, and steps below the spacing of the table, so that the search stays at the branch of the
+            # path that the table found.
             away, tangent = points - self._path(s), self._path(s, 1)
             stretch = (tangent**2).sum(axis=-1) - (away * self._path(s, 2)).sum(axis=-1)
             step = (away * tangent).sum(axis=-1) / np.maximum(stretch, 0.1)
             s = np.clip(s + np.clip(step, -SPACING, SPACING), 0.0, self._along[-1])
         centre, tangent, bend = (np.where(known, self._path(s, order), np.nan) for order in range(3))
         away = points - centre
+        # A point that moves along the tangent by 1 mm moves the nearest place by 1 / (1 - (p - x) x'') mm.
         taper = self._radius(s, 1) / np.maximum(1.0 - (away * bend).sum(axis=-1), 0.1)
         distance = np.linalg.norm(away, axis=-1)
         return Near(distance, self._radius(s), centre, tangent, bend, taper, s, self._along[-1] - s)
 
     def clearance(self, robot: Robot, beta: Array, sigma: Array, shape: Array) -> Array:
-        """What is left between tubes and the wall, (T, n) mm, negative in contact.
+        """Return the clearance between tubes and the wall.
 
-        The lumen's radius at the place nearest to a sample, less the distance to it, less the radius of the
-        outermost tube there. beta (T, d); sigma (n,) or (T, n); shape (T, n, 3) mm.
+        Parameters
+        ----------
+        robot : Robot
+            Whose tubes' diameters count.
+        beta : ndarray
+            Extensions (T, d), mm.
+        sigma : ndarray
+            Normalised arc lengths (n,) or (T, n) of the samples.
+        shape : ndarray
+            Samples of the robot's centreline (T, n, 3), mm.
+
+        Returns
+        -------
+        ndarray
+            Clearance (T, n), mm, negative in contact: the lumen's radius at the nearest place, less the distance
+            to it, less the radius of the outermost tube there.
         """
         near = self.near(shape)
         return np.asarray(near.radius - near.distance - outer_radii(robot, beta, sigma))
 
 
 def rings(table: Array, angle: Array) -> Array:
-    """Points (N, n, 3) mm of the wall around a table (N, 4), at angles (n,) in rotation-minimising axes."""
+    """Return points of the wall, ring by ring.
+
+    Parameters
+    ----------
+    table : ndarray
+        Points and radii of the lumen (N, 4), mm.
+    angle : ndarray
+        Angles (n,) of the points of each ring, rad, in axes that do not turn about the path (rotation-minimising).
+
+    Returns
+    -------
+    ndarray
+        Points (N, n, 3), mm.
+    """
     centre, radius = table[:, :3], table[:, 3]
     tangents = np.gradient(centre, walked(centre), axis=0)
     tangents /= np.linalg.norm(tangents, axis=1, keepdims=True)
     side, sides = np.eye(3)[abs(tangents[0]).argmin()], np.empty_like(tangents)
     for j, tangent in enumerate(tangents):
+        # Projecting the previous axis into the plane across the path is, for close points, its parallel transport.
+        # Frenet axes would jump where the path is straight.
         side = side - (side @ tangent) * tangent
         side /= np.linalg.norm(side)
         sides[j] = side
@@ -128,9 +214,21 @@ def rings(table: Array, angle: Array) -> Array:
 
 
 def surface(table: Array, around: int) -> tuple[Array, npt.NDArray[np.uint32]]:
-    """Vertices (N around, 3) mm of the wall around a table (N, 4), and its triangles, (2 (N - 1) around, 3).
+    """Return the wall as a triangle mesh.
 
-    around: how many vertices each ring has. Triangles turn left seen from outside.
+    Parameters
+    ----------
+    table : ndarray
+        Points and radii of the lumen (N, 4), mm.
+    around : int
+        Vertices of each ring.
+
+    Returns
+    -------
+    vertices : ndarray
+        (N around, 3), mm.
+    triangles : ndarray
+        Indices of their corners (2 (N - 1) around, 3), which turn left seen from outside.
     """
     vertices = rings(table, np.linspace(0.0, 2 * np.pi, around, endpoint=False))
     here = np.arange(vertices[..., 0].size).reshape(-1, around)
@@ -141,16 +239,44 @@ def surface(table: Array, around: int) -> tuple[Array, npt.NDArray[np.uint32]]:
 
 
 def outer_radius(robot: Robot) -> Array:
-    """Of every tube, (d,) mm."""
+    """Return the outer radius of every tube, (d,), mm."""
     return np.array([tube.outer_diameter / 2 for tube in robot.tubes])
 
 
 def outer_radii(robot: Robot, beta: Array, sigma: Array) -> Array:
-    """Of the outermost tube at sigma (n,) or (T, n) of robots beta (T, d): (T, n) mm."""
+    """Return the radius of the outermost tube at samples along robots.
+
+    Parameters
+    ----------
+    robot : Robot
+        Of d tubes.
+    beta : ndarray
+        Extensions (T, d), mm.
+    sigma : ndarray
+        Normalised arc lengths (n,) or (T, n).
+
+    Returns
+    -------
+    ndarray
+        (T, n), mm.
+    """
     return np.asarray(outer_radius(robot)[outermost(beta, sigma)])
 
 
 def outermost(beta: Array, sigma: Array) -> Index:
-    """The outermost tube (T, n), from 0, at normalised arc lengths sigma (n,) or (T, n) of robots beta (T, d)."""
+    """Return which tube is the outermost one at samples along robots.
+
+    Parameters
+    ----------
+    beta : ndarray
+        Extensions (T, d), mm.
+    sigma : ndarray
+        Normalised arc lengths (n,) or (T, n).
+
+    Returns
+    -------
+    ndarray
+        Numbers (T, n) of tubes, from 0.
+    """
     s = sigma * beta[:, -1:]
     return np.asarray((s[..., None] > beta[:, None, :-1] + 1e-9).sum(axis=-1))

@@ -1,4 +1,4 @@
-"""Points that are to be a path: which of them no curve can lead through, and evening them out."""
+"""Points of a centreline: checks, and smoothing within a bound (Whittaker's graduation)."""
 
 from __future__ import annotations
 
@@ -15,20 +15,38 @@ from ctr_nlp.support.values import frozen
 from ctr_nlp.typing import Array
 
 LEAST_POINTS = 4
+"""Least number of points of a centreline: fewer do not determine a cubic."""
 SHORTEST_MM = 1.0
-"""A path shorter than this was almost surely written in metres."""
+"""Shortest path, mm: a shorter one was almost surely written in metres."""
 LONGEST_MM = 1e5
-"""Nor was a longer one written in millimetres."""
+"""Longest path, mm: a longer one was hardly written in millimetres."""
 FARTHEST_MM = 1e12
-"""Largest coordinate."""
+"""Largest coordinate, mm."""
 LONGEST_S = 1e6
-"""No motion takes longer."""
+"""Longest motion, s."""
 REPEATED_MM = 1e-6
-"""Neighbouring points closer than this are one point given twice."""
+"""Distance, mm, below which two neighbouring points are one point given twice."""
 
 
 def checked_points(points: npt.ArrayLike) -> Array:
-    """A read-only copy of points (n, 3) in mm that a curve can lead through; raises CurveError."""
+    """Check the points of a centreline.
+
+    Parameters
+    ----------
+    points : array_like
+        Points (n, 3), mm.
+
+    Returns
+    -------
+    ndarray
+        A read-only copy (n, 3).
+
+    Raises
+    ------
+    CurveError
+        They are no finite numbers of this shape, fewer than four, one is repeated, or the path is too short or too
+        long to be in mm.
+    """
     try:
         given = np.asarray(points)
     except ValueError as error:
@@ -58,7 +76,7 @@ def checked_points(points: npt.ArrayLike) -> Array:
 
 
 def check_coordinates(points: Array) -> None:
-    """Raise CurveError unless all coordinates of points (n, 3) in mm are finite, and such that can be squared."""
+    """Check that points (n, 3), mm, are finite and small enough to be squared; raise CurveError otherwise."""
     bad = np.flatnonzero(~np.isfinite(points).all(axis=1))
     if bad.size:
         raise CurveError(f"point {bad[0] + 1} is {points[bad[0]].tolist()}; coordinates must be finite")
@@ -70,12 +88,30 @@ def check_coordinates(points: Array) -> None:
 
 
 def walked(points: Array) -> Array:
-    """Lengths (n,) of the straight lines from point to point, from the first of points (n, 3) on, mm."""
+    """Return the length of the polyline up to each of points (n, 3), from the first on: (n,), mm."""
     return np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
 
 
 def checked_radii(radius: npt.ArrayLike, count: int) -> Array:
-    """A read-only copy of the lumen's radii (count,) in mm; raises CurveError."""
+    """Check the radii of a lumen.
+
+    Parameters
+    ----------
+    radius : array_like
+        Radii (count,), mm.
+    count : int
+        Number of points of the path.
+
+    Returns
+    -------
+    ndarray
+        A read-only copy (count,).
+
+    Raises
+    ------
+    CurveError
+        They are not as many positive finite numbers.
+    """
     try:
         radii = frozen(np.array(radius, dtype=float))
     except (TypeError, ValueError):
@@ -86,7 +122,26 @@ def checked_radii(radius: npt.ArrayLike, count: int) -> Array:
 
 
 def symbolic_point(formula: Callable[[Any], tuple[Any, Any, Any]], u: ca.SX) -> ca.SX:
-    """The point (3, 1) that a formula gives for a symbol; raises CurveError where it does not."""
+    """Evaluate a formula for a symbol.
+
+    Parameters
+    ----------
+    formula : callable
+        Maps u to (x, y, z) in mm.
+    u : casadi.SX
+        The symbol of its parameter.
+
+    Returns
+    -------
+    casadi.SX
+        The point (3, 1).
+
+    Raises
+    ------
+    CurveError
+        The formula cannot be evaluated for a symbol, or does not give three finite coordinates that depend on u
+        alone.
+    """
     try:
         x = ca.vertcat(*(ca.SX(c) for c in formula(u)))
     except (TypeError, ValueError, NotImplementedError, RuntimeError, AttributeError) as error:
@@ -104,20 +159,37 @@ def symbolic_point(formula: Callable[[Any], tuple[Any, Any, Any]], u: ca.SX) -> 
 
 
 WEAKEST, STRONGEST = -4.0, 13.0
-"""Powers of ten between which the penalty on bending is looked for; beyond, double precision ends."""
+"""Powers of ten between which the penalty on bending is searched; beyond, double precision ends."""
 HALVINGS = 24
+"""Bisections of that range."""
 
 
 def evened(points: Array, allowed: Array) -> Array:
-    """The least bent path that keeps within allowed (n,) mm of points (n, 3), each of its own, evenly spaced.
+    """Smooth a path as far as a bound on the displacement of each point allows.
 
-    It minimises sum |(x - points) / allowed|^2 + penalty sum |x_{k-1} - 2 x_k + x_{k+1}|^2 (Whittaker 1923; a
-    smoothing spline for close points) at the largest penalty that keeps the bound.
+    Minimises sum_k |(x_k - p_k) / a_k|^2 + penalty sum_k |x_{k-1} - 2 x_k + x_{k+1}|^2 (Whittaker, On a new method
+    of graduation, Proceedings of the Edinburgh Mathematical Society 41, 1923; for close points a smoothing spline)
+    at the largest penalty that satisfies |x_k - p_k| <= a_k, found by bisection.
+
+    Parameters
+    ----------
+    points : ndarray
+        Points p (n, 3), evenly spaced, mm.
+    allowed : ndarray
+        Bounds a (n,) on their displacements, mm.
+
+    Returns
+    -------
+    ndarray
+        Smoothed points x (n, 3), mm; the points themselves where no penalty keeps the bounds.
     """
+    # Scaled so that the largest weight is 1, and one range of penalties suits every bound.
     weight = (allowed.min() / allowed) ** 2
     best, weakest, strongest = points, WEAKEST, STRONGEST
     for _ in range(HALVINGS):
         power = (weakest + strongest) / 2
+        # On the whole, displacements grow with the penalty, from 0 towards those of a straight line, so that
+        # bisection finds the largest one.
         step = _step(points, weight, 10.0**power)
         if (np.linalg.norm(step, axis=1) <= allowed).all():
             best, weakest = points + step, power
@@ -127,9 +199,14 @@ def evened(points: Array, allowed: Array) -> Array:
 
 
 def _step(points: Array, weight: Array, penalty: float) -> Array:
-    """From points (n, 3) to the minimum at a penalty."""
+    """Return the displacements (n, 3) of points (n, 3) that minimise the penalised sum, with weights (n,).
+
+    With D the second differences they solve (W + penalty D^T D) step = -penalty D^T D points.
+    """
     count, bend = len(points), np.diff(points, 2, axis=0)
     slope = np.zeros_like(points)
+    # Upper bands of W + penalty D^T D, as solveh_banded stores them: row 2 the diagonal, rows 1 and 0 those above
+    # it. D has rows (1, -2, 1), so that neighbours meet in products of -2 twice, but for the ends.
     bands = np.zeros((3, count))
     for k, factor in enumerate((1.0, -2.0, 1.0)):
         bands[2, k : count - 2 + k] += factor**2

@@ -1,4 +1,4 @@
-"""A problem: a robot, what it is to follow, and how long that may take."""
+"""A problem: a robot, the target that it is to follow, and how long that may take."""
 
 from __future__ import annotations
 
@@ -27,9 +27,9 @@ from ctr_nlp.typing import Array
 OVERLONG = 1.005
 """A target up to this many times longer than the robot reaches is accepted; beta_d then stays at its bound."""
 FORMAT = 1
-"""Of problem files."""
+"""Version of the format of problem files."""
 OF_TARGET: Any = "of target"
-"""A lumen that is the target's own, where that has one."""
+"""Default of a problem's lumen: that of the target, where it has one."""
 SHOWN = 5
 """Frames in a notebook's picture."""
 
@@ -37,15 +37,45 @@ SHOWN = 5
 @packable("problem")
 @dataclass(frozen=True, eq=False, repr=False)
 class Problem(Value):
-    """A robot that is to follow a target of T frames within a duration in s.
+    """A robot that is to follow a target of T frames within a duration.
 
-    to_robot: transform (4, 4) from the target's file, in its own coordinates, to the robot's frame; None where the
-    target was given in the robot's frame. space: the patient coordinates of that file, LPS, RAS or LAS, or xyz
-    where it does not say; None where there is no file. truth: q (T, 2d + 2) where it is known. lumen: the path
-    with the lumen's radius along it, in the robot's frame, longer than the target where more of it is known, or
-    None: no wall is known. By default (OF_TARGET) the target where all frames share a curve with a radius, else
-    None.
-    problem[first:stop] are some of its frames, counted from 0, at the same pace. Raises ProblemError.
+    ``problem[first:stop]`` are some of its frames, counted from 0, at the same pace.
+
+    Attributes
+    ----------
+    name : str
+        Name, under which plans are reported and saved.
+    robot : Robot
+        The robot.
+    target : Target
+        The shapes to follow, T frames, in the robot's frame.
+    duration : float
+        Time of the motion, s.
+    to_robot : array_like, optional
+        Rigid transform (4, 4) from the axes of the target's file to the robot's frame; None where the target was
+        given in the robot's frame.
+    truth : array_like, optional
+        Configurations (T, 2d + 2) that the target was made with, rad and mm, where they are known.
+    lumen : Curve, optional
+        Path with the radius of the lumen, in the robot's frame; longer than the target where more of it is known.
+        None: no wall. By default the target's own curve, where all frames share one that has a radius.
+    space : str, optional
+        Patient coordinates of the target's file, LPS, RAS or LAS, or xyz where it does not say.
+
+    Raises
+    ------
+    ProblemError
+        A field is not what it must be, or the target is longer than the robot reaches.
+
+    Examples
+    --------
+    >>> import ctr_nlp as ctr
+    >>> path = ctr.curve_from_points([[0, 0, 0], [0, 2, 30], [0, 8, 60], [0, 18, 90]], radius=[4, 4, 4, 4])
+    >>> problem = ctr.Problem("bend", ctr.table_i_robot(), ctr.growing(path, frames=20))
+    >>> problem
+    Problem(bend: 20 frames in 10 s, up to 92.3 mm, 3 tubes, within a lumen)
+    >>> problem[:10].duration
+    5.0
     """
 
     name: str
@@ -82,7 +112,7 @@ class Problem(Value):
 
     @property
     def frames(self) -> int:
-        """T, the number of frames."""
+        """Number of frames T."""
         return len(self.target)
 
     @property
@@ -92,16 +122,16 @@ class Problem(Value):
 
     @property
     def deviation(self) -> float:
-        """How far smoothing, where asked for, moved the target at most, mm."""
+        """By how much smoothing moved the target at most, mm; 0 without smoothing."""
         return max(curve.deviation for curve in self.target.curves)
 
     @property
     def deviation_share(self) -> float:
-        """How much of the lumen's radius that is at most; 0 where no radius is known."""
+        """Largest part of the lumen's radius by which smoothing moved the target; 0 where no radius is known."""
         return max(curve.deviation_share for curve in self.target.curves)
 
     def retraction(self) -> Problem:
-        """The same frames in the opposite order, named so."""
+        """Return the problem with its frames in the opposite order, named ``NAME-retraction``."""
         target = Target(self.target.curves[::-1], self.target.lengths[::-1])
         truth = None if self.truth is None else self.truth[::-1]
         return replace(self, name=f"{self.name}-retraction", target=target, truth=truth)
@@ -113,10 +143,11 @@ class Problem(Value):
 
     @cached_property
     def sampled_lumen(self) -> Lumen | None:
-        """The path and the radius of the lumen as they are used, every half mm; None where none is known."""
+        """The lumen sampled every half mm, as clearances are computed with it; None where none is known."""
         return None if self.lumen is None else Lumen.around(self.lumen)
 
     def __getitem__(self, frames: slice) -> Problem:
+        """Return some of the frames, as ``problem[first:stop]``, at the same pace."""
         if not isinstance(frames, slice) or frames.step not in (None, 1) or not range(self.frames)[frames]:
             raise ProblemError(f"frames of a problem are {frames!r}; give [first:stop] within 0 and {self.frames}")
         target = self.target[frames]
@@ -145,10 +176,31 @@ class Problem(Value):
         return card(self.name, [Line(frame.points, "#0072b2") for frame in frames], rows)
 
     def save(self, path: str | Path) -> None:
-        """Write the problem to a file (.npz), whole or not at all, that is read without pickle.
+        """Write the problem to a file, whole or not at all.
 
-        Beside what load needs it holds target (T, 101, 3) mm at uniform sigma, for others. Raises OutputError,
-        also where a curve has functions of the user's own, which no file can hold.
+        Beside what :meth:`load` needs, the file holds ``target`` (T, 101, 3), mm, at uniform sigma, for other
+        programs.
+
+        Parameters
+        ----------
+        path : str or Path
+            The file (.npz); it is read without pickle.
+
+        Raises
+        ------
+        OutputError
+            The file cannot be written, or a curve has functions of the user's own, which no file can hold.
+
+        Examples
+        --------
+        >>> import tempfile
+        >>> from pathlib import Path
+        >>> from ctr_nlp.problems import named
+        >>> problem = named("arc", frames=3)
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     problem.save(Path(folder) / "arc.npz")
+        ...     Problem.load(Path(folder) / "arc.npz") == problem
+        True
         """
         path, packed = checked_path(OutputError, path), Packed()
         try:
@@ -162,7 +214,23 @@ class Problem(Value):
 
     @classmethod
     def load(cls, path: str | Path) -> Problem:
-        """Read what save wrote; raises OutputError where it cannot be read or is no problem."""
+        """Read a problem from a file without pickle.
+
+        Parameters
+        ----------
+        path : str or Path
+            A file that :meth:`save` has written.
+
+        Returns
+        -------
+        Problem
+            The problem that was saved.
+
+        Raises
+        ------
+        OutputError
+            The file cannot be read, is damaged or holds no problem.
+        """
         path = checked_path(OutputError, path)
         try:
             content = path.read_bytes()

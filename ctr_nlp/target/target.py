@@ -1,4 +1,4 @@
-"""What the robot is to follow: a curve and a length for every frame, sampled once for all users."""
+"""Targets: a curve and a length for every frame, eqs. (6) and (7), sampled once for all users."""
 
 from __future__ import annotations
 
@@ -20,18 +20,31 @@ from ctr_nlp.target.curve import Curve
 from ctr_nlp.typing import Array
 
 SIGMA = frozen(np.linspace(0.0, 1.0, 101))
-"""Normalised arc lengths at which targets and shapes are sampled and errors measured."""
+"""Normalised arc lengths sigma at which targets and shapes are sampled and errors measured."""
 QUADRATURE = frozen(np.r_[0.005, np.full(99, 0.01), 0.005])
-"""Trapezoidal weights on SIGMA; they sum to 1."""
+"""Trapezoidal weights on SIGMA for the integral of eq. (8); they sum to 1."""
 
 
 @dataclass(frozen=True, eq=False)
 class Frame(Kept):
-    """The target of one frame at SIGMA.
+    """The target of one frame at SIGMA; arrays are read-only.
 
-    points (101, 3) mm; tangents (101, 3); length mm; radius (101,) mm of the lumen, or None; curve: that of which
-    it is the first part of this length; number: from 0, in its target; part: of the motion that has passed there,
-    from 0 to 1. Arrays are read-only.
+    Attributes
+    ----------
+    points : ndarray
+        Points (101, 3), mm.
+    tangents : ndarray
+        Unit tangents (101, 3).
+    length : float
+        Length of the shape to follow, mm.
+    radius : ndarray or None
+        Radius of the lumen at the points (101,), mm.
+    curve : Curve
+        The curve of which the shape is the first part of this length.
+    number : int
+        Number of the frame in its target, from 0.
+    part : float
+        Part of the motion that has passed there, from 0 to 1.
     """
 
     points: Array
@@ -43,22 +56,28 @@ class Frame(Kept):
     part: float = 0.0
 
     def at(self, sigma: Array) -> Array:
-        """Points (n, 3) in mm at any sigma (n,), by the cubic through points and tangents."""
+        """Return points (n, 3), mm, at any sigma (n,), by the cubic Hermite interpolant of points and tangents."""
         return CubicHermiteSpline(SIGMA, self.points, self.tangents * self.length)(sigma)
 
     @cached_property
     def curvature(self) -> Array:
-        """(101,) 1/mm, read-only; raises ProblemError where it is not known all along."""
+        """Curvature (101,), 1/mm, read-only; raises ProblemError where it is not known all along."""
         return self._curvature(SIGMA * self.length)
 
     @cached_property
     def turning(self) -> Array:
-        """The integral of curvature over arc length from 0, (101,) rad, read-only; raises as curvature."""
+        """Integral of the curvature over arc length from 0 (101,), rad, read-only; raises ProblemError as
+        `curvature`.
+        """
+        # Midpoint rule on a grid finer than SIGMA: curvature may change much, or jump, between two samples.
         steps = np.linspace(0.0, self.length, FINER * (len(SIGMA) - 1) + 1)
         turned = np.cumsum(self._curvature((steps[1:] + steps[:-1]) / 2) * np.diff(steps))
         return frozen(np.append(0.0, turned)[::FINER])
 
     def _curvature(self, s: Array) -> Array:
+        """Return the curvature (n,), 1/mm, at arc lengths s (n,), mm; raise ProblemError where it is
+        not finite.
+        """
         name = f"curvature of frame {self.number + 1} of the target"
         return floats(ProblemError, name, self.curve.curvature(s), (len(s),))
 
@@ -66,7 +85,26 @@ class Frame(Kept):
 @packable("target")
 @dataclass(frozen=True, eq=False, repr=False)
 class Target(Value):
-    """For frame j = 1..T a curve and the arc length in mm to which it is to be followed."""
+    """The shapes that a robot is to follow: for each of T frames a curve, and the arc length up to which it
+    counts.
+
+    Attributes
+    ----------
+    curves : sequence of Curve
+        One a frame; stored as a tuple.
+    lengths : sequence of float
+        Lengths in (0, length of the curve], mm; stored as a tuple.
+
+    Raises
+    ------
+    ProblemError
+        There are no frames, not as many lengths as curves, or a length that its curve does not have.
+
+    See Also
+    --------
+    growing : A path that is followed as it grows.
+    sequence : Whole curves, one a frame.
+    """
 
     curves: tuple[Curve, ...]
     lengths: tuple[float, ...]
@@ -94,11 +132,24 @@ class Target(Value):
         return f"Target({len(self)} frames of {min(self.lengths):.2f} to {max(self.lengths):.2f} mm)"
 
     def __getitem__(self, frames: slice) -> Target:
-        """A stretch of frames, counted from 0; raises ProblemError where there is none."""
+        """Return some of the frames, as ``target[first:stop]``, counted from 0; raise ProblemError where there are
+        none.
+        """
         return Target(self.curves[frames], self.lengths[frames])
 
     def sample(self) -> tuple[Frame, ...]:
-        """The target at SIGMA, frame by frame; raises ProblemError where a curve is not known all along."""
+        """Sample all frames at SIGMA.
+
+        Returns
+        -------
+        tuple of Frame
+            One a frame; neighbouring frames on one curve are evaluated in one call.
+
+        Raises
+        ------
+        ProblemError
+            A curve has no finite point, tangent or radius somewhere, or turns back on itself.
+        """
         found, frames = list[Frame](), range(len(self))
         for _, run in itertools.groupby(frames, lambda frame: id(self.curves[frame])):
             found += _sampled(
@@ -108,7 +159,32 @@ class Target(Value):
 
 
 def growing(path: Curve, frames: int = 100) -> Target:
-    """A path followed as it grows, eq. (7): frame j has the part with parameter <= j / frames of its range."""
+    """Follow a path as it grows, eq. (7): in frame j the part whose parameter is at most j / frames of its range.
+
+    Parameters
+    ----------
+    path : Curve
+        The path, in the robot's frame.
+    frames : int
+        Number of frames T, at least 1.
+
+    Returns
+    -------
+    Target
+        T frames on the one curve; the last is the whole path.
+
+    Raises
+    ------
+    ProblemError
+        `path` is no curve, or `frames` no whole number of at least 1.
+
+    Examples
+    --------
+    >>> import ctr_nlp as ctr
+    >>> path = ctr.curve_from_formula(lambda u: (0, 0, u), 0, 80)
+    >>> [round(length, 6) for length in ctr.growing(path, frames=4).lengths]
+    [20.0, 40.0, 60.0, 80.0]
+    """
     instance(ProblemError, "path", path, Curve)
     check_frames(frames)
     lengths = tuple(path.length_at(j / frames) for j in range(1, frames + 1))
@@ -116,7 +192,30 @@ def growing(path: Curve, frames: int = 100) -> Target:
 
 
 def sequence(shapes: Sequence[Curve]) -> Target:
-    """A target whose frames are whole curves, one each."""
+    """Follow whole curves, one a frame: a target that changes in any way over time, eq. (6).
+
+    Parameters
+    ----------
+    shapes : sequence of Curve
+        One curve a frame, in the robot's frame.
+
+    Returns
+    -------
+    Target
+        As many frames as there are curves.
+
+    Raises
+    ------
+    ProblemError
+        `shapes` is no sequence of curves, or empty.
+
+    Examples
+    --------
+    >>> import ctr_nlp as ctr
+    >>> lines = [ctr.curve_from_formula(lambda u: (0, 0, u), 0, length) for length in (40, 50, 60)]
+    >>> ctr.sequence(lines)
+    Target(3 frames of 40.00 to 60.00 mm)
+    """
     shapes = _listed("shapes", shapes)
     for frame, shape in enumerate(shapes, start=1):
         instance(ProblemError, f"shape {frame}", shape, Curve)
@@ -129,6 +228,7 @@ def check_frames(frames: int) -> None:
 
 
 def _listed(name: str, given: Any) -> tuple[Any, ...]:
+    """Return a field of a target as a tuple; raise ProblemError where it is no sequence."""
     if not isinstance(given, Sequence) or isinstance(given, str):
         raise ProblemError(f"{name} of a target is {given!r:.80}; give a sequence with one entry for each frame")
     return tuple(given)
@@ -143,9 +243,9 @@ FINER = 8
 
 
 def _sampled(curve: Curve, lengths: Array, first: int, total: int) -> list[Frame]:
-    """Frames of these lengths (n,), mm, along one curve, which is evaluated for all of them at once.
+    """Return the frames of given lengths (n,), mm, along one curve, which is evaluated for all of them at once.
 
-    first: the number of the first one, from 0; total: how many frames the target has.
+    `first` is the number of the first of them, from 0, and `total` the number of frames of the target.
     """
     frames = range(first, first + len(lengths))
     s = SIGMA * lengths[:, None]
@@ -170,7 +270,10 @@ def _sampled(curve: Curve, lengths: Array, first: int, total: int) -> list[Frame
 
 
 def _check_direction(points: Array, lengths: Array, frames: range) -> None:
-    """Raise ProblemError where a curve through points (n, 101, 3), as long as lengths (n,), turns back."""
+    """Raise ProblemError where a curve through points (n, 101, 3), as long as lengths (n,), mm, turns back.
+
+    Where it does, its tangent has no direction and its samples are further apart than its arc length says.
+    """
     chords = np.linalg.norm(np.diff(points, axis=1), axis=2).sum(axis=1)
     for frame, chord, length in zip(frames, chords, lengths, strict=True):
         if chord > length * (1 + TURNED_BACK):
