@@ -1,4 +1,4 @@
-"""Tubes chosen together with the motions of several tasks; knows plans and searches, and neither pictures nor
+"""Co-design: tubes chosen together with the motions of several tasks. Imports plans and searches, no figures or
 devices.
 """
 

@@ -1,4 +1,6 @@
-"""Tubes chosen by the plans on them: for the robot as described, and for all robots within the tolerances."""
+"""Choice among designed tubes by the plans on them: for the nominal robot, and for all robots within the
+tolerances.
+"""
 
 from __future__ import annotations
 
@@ -17,23 +19,41 @@ from ctr_nlp.robot import Robot
 from ctr_nlp.steer.robust.tolerated import scenarios_of
 
 MOST_FRAMES = 1500
-"""Frames of all tasks for which tubes are found; of more, those of drafts say as much."""
+"""Frames of all tasks, together, for which tubes are solved; with more, the frames of drafts decide."""
 PROMISE = 0.9
-"""Further tubes are tried where their motions have less than this part of the error that the best plans have."""
+"""Further tubes are tried where the error of their motions is below this part of the error of the best plans."""
 FIRM = 0.3
-"""Least margin of all robots within the tolerances while tubes are designed for them, where it can be kept: it
-hardly costs any error, and plans, which need not have as much, have it in hand."""
+"""Stability margin of all robots within the tolerances while tubes are designed for them, where it can be
+satisfied. It hardly costs any error, and plans, which need less, have it in hand.
+"""
 ATTEMPTS = 4
-"""Tubes for tolerances that are tried, at most, until all plans on them are certified."""
+"""Most tubes for tolerances that are tried until all plans on them are certified."""
 
 
 def best_planned(
     found: Sequence[Candidate], search: DesignSearch, plan: Callable[[Candidate], list[Plan]]
 ) -> tuple[Candidate, list[Plan]]:
-    """Tubes and plans on them; of several those with the best plans.
+    """Choose the tubes with the best plans, for the nominal robot.
 
-    A plan holds its margin between frames, too, which may cost it much of what the motion has that tubes were
-    found with. Tubes are therefore tried in the order of these motions, until the next promise little more.
+    A plan satisfies its margin between frames, too, which may cost it much of the error that the motion found with
+    the tubes promised. Tubes are therefore tried in the order of these motions, until the next ones promise little
+    more.
+
+    Parameters
+    ----------
+    found : sequence of Candidate
+        Designed tubes, at least one.
+    search : DesignSearch
+        The search that found them.
+    plan : callable
+        Maps tubes to the plans of all tasks on them; fewer after Ctrl-C.
+
+    Returns
+    -------
+    best : Candidate
+        The chosen tubes.
+    plans : list of Plan
+        The plans on them.
     """
     ranked = sorted(found, key=error_of)
     tried = list[tuple[float, Candidate, list[Plan]]]()
@@ -49,7 +69,21 @@ def best_planned(
 
 
 def for_all_frames(best: Candidate, search: DesignSearch) -> Candidate:
-    """Tubes for all frames of the tasks, from motions planned on those of a draft, unless these are very many."""
+    """Solve tubes over all frames of the tasks, starting from tubes found on the frames of a draft.
+
+    Parameters
+    ----------
+    best : Candidate
+        Tubes of a draft.
+    search : DesignSearch
+        The search over all frames.
+
+    Returns
+    -------
+    Candidate
+        The tubes for all frames; those of the draft where there are more than MOST_FRAMES, no motions on them, or
+        Ctrl-C came.
+    """
     if sum(task.frames for task in search.tasks) > MOST_FRAMES:
         return best
     begun = search.start(best.start, best.p)
@@ -60,16 +94,26 @@ def for_all_frames(best: Candidate, search: DesignSearch) -> Candidate:
 
 
 def _error(plans: Sequence[Plan]) -> float:
-    """The root mean square of plans' e3, mm; infinite where one was not solved."""
+    """Return the root mean square of plans' e3, mm; infinite where a frame of one was not solved."""
     errors = [e3(plan) if plan.success.all() else None for plan in plans]
     return float(np.sqrt(np.mean([math.inf if error is None else error**2 for error in errors])))
 
 
 def tolerated(robot: Robot) -> Scenarios:
-    """Robots that stand for all within a robot's tolerances, with the forces that may act at its tip.
+    """Return robots that stand for all within a robot's tolerances, with the forces that may act at its tip.
 
     Tubes decide how far a force bends them, so that errors under forces count here; motions hardly do, and plans
     leave them out.
+
+    Parameters
+    ----------
+    robot : Robot
+        The nominal robot.
+
+    Returns
+    -------
+    Scenarios
+        The nominal robot first.
     """
     return scenarios_of(robot, pushed=True)
 
@@ -77,9 +121,26 @@ def tolerated(robot: Robot) -> Scenarios:
 def certified(
     found: Sequence[Candidate], search: DesignSearch, plan: Callable[[Candidate], list[Plan]]
 ) -> tuple[Candidate, list[Plan]]:
-    """Tubes for the robots within the tolerances, and plans on them; of several those on which most plans hold.
+    """Choose the tubes on which most plans are certified, for the robots within the tolerances.
 
-    Tubes are tried until all do: that motions exist on some frames says little of the ways between these.
+    Tubes are tried until all plans on them are: that motions exist at some frames says little of what happens
+    between these.
+
+    Parameters
+    ----------
+    found : sequence of Candidate
+        Designed tubes, at least one.
+    search : DesignSearch
+        The search that found them, on the frames of a draft.
+    plan : callable
+        Maps tubes to the plans of all tasks on them.
+
+    Returns
+    -------
+    best : Candidate
+        The chosen tubes; the best nominal ones where no motions were found that all robots share.
+    plans : list of Plan
+        The plans on them.
     """
     tried = list[tuple[Candidate, list[Plan], int]]()
     for best in itertools.islice(tolerant(found, search), ATTEMPTS):
@@ -95,7 +156,20 @@ def certified(
 
 
 def tolerant(found: Sequence[Candidate], search: DesignSearch) -> Iterator[Candidate]:
-    """Tubes for the robots within the tolerances, on which these share motions, the most promising first."""
+    """Yield tubes for the robots within the tolerances, on which these share motions, the most promising first.
+
+    Parameters
+    ----------
+    found : sequence of Candidate
+        Tubes designed for the nominal robot.
+    search : DesignSearch
+        The search that found them.
+
+    Yields
+    ------
+    Candidate
+        Solved tubes and motions, with the margin FIRM first, then with the search's own.
+    """
     for firm, one in _promising(found, search):
         if search.stop():
             return
@@ -108,7 +182,9 @@ def tolerant(found: Sequence[Candidate], search: DesignSearch) -> Iterator[Candi
 def _promising(
     found: Sequence[Candidate], search: DesignSearch
 ) -> Iterator[tuple[DesignSearch, Candidate | None]]:
-    """Tubes to begin with and margins to keep: each with its own motions, then with those planned anew on it."""
+    """Yield tubes to start from with searches that keep a margin: each with its own motions, then with re-planned
+    ones.
+    """
     for one in sorted(found, key=error_of):
         for margin in sorted({FIRM, search.margin}, reverse=True):
             firm = replace(search, margin=margin)

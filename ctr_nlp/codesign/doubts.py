@@ -1,4 +1,4 @@
-"""What a user would call degenerate about a designed robot: tubes that are not used, or that nobody sells."""
+"""Doubts about a designed robot: tubes that are not used, and tubes that are hardly sold."""
 
 from __future__ import annotations
 
@@ -12,18 +12,36 @@ from ctr_nlp.robot import Robot
 from ctr_nlp.typing import Array
 
 USED = 5.0
-"""mm that a tube is pushed out by, or matters over, in some frame if it is of use."""
+"""Extension, mm, or length over which a tube matters, mm, above which it is of use in some frame."""
 MATTERS = 0.02
-"""Least part of the bending stiffness of all tubes at a place with which a tube is felt there."""
+"""Least part of the bending stiffness of all tubes at a place with which a tube matters there."""
 
 
 def doubts(robot: Robot, plans: Sequence[Plan], sold: bool) -> tuple[str, ...]:
-    """Sentences on tubes that the plans on a robot do not need, and, unless all are sold, on unusual diameters."""
+    """Return sentences on tubes that plans do not need and on unusual diameters.
+
+    Parameters
+    ----------
+    robot : Robot
+        The designed robot.
+    plans : sequence of Plan
+        Plans on it.
+    sold : bool
+        Whether all tubes are of a stock, so that their diameters are not doubted.
+
+    Returns
+    -------
+    tuple of str
+        One sentence a doubt; empty where there is none.
+    """
     beta = np.concatenate([plan.beta for plan in plans])
     return (*_unused(robot, beta), *(() if sold else _unsold(robot)))
 
 
 def _unused(robot: Robot, beta: Array) -> Iterator[str]:
+    """Yield a sentence for each tube that is hardly pushed out, or that hardly bends the robot; beta
+    (T, d) in mm.
+    """
     out, felt = beta.max(axis=0), _felt(robot, beta).max(axis=0)
     for i in range(robot.d):
         if out[i] <= USED:
@@ -39,7 +57,9 @@ def _unused(robot: Robot, beta: Array) -> Iterator[str]:
 
 
 def _felt(robot: Robot, beta: Array) -> Array:
-    """Lengths (T, d) in mm over which each tube, pushed out to beta (T, d), has its part of the stiffness."""
+    """Return the lengths (T, d), mm, over which each tube has at least MATTERS of the stiffness, with beta (T, d)
+    mm.
+    """
     stiffness, found = np.array([tube.bending_stiffness for tube in robot.tubes]), np.zeros_like(beta)
     edges = np.sort(np.concatenate([np.zeros((len(beta), 1)), beta], axis=1), axis=1)
     for start, end in zip(edges.T[:-1], edges.T[1:], strict=True):
@@ -50,6 +70,7 @@ def _felt(robot: Robot, beta: Array) -> Array:
 
 
 def _unsold(robot: Robot) -> Iterator[str]:
+    """Yield a sentence for each tube whose ratio of diameters is rarely sold."""
     low, high = SOLD_RATIO
     for i, tube in enumerate(robot.tubes, 1):
         ratio = tube.outer_diameter / tube.inner_diameter

@@ -1,4 +1,8 @@
-"""Several robots for many tasks: which tasks share one, by Lloyd's algorithm on the tasks' errors."""
+"""Several robots for many tasks: which tasks share a robot, by Lloyd's algorithm on the tasks' errors.
+
+Lloyd's algorithm (Least squares quantization in PCM, IEEE Transactions on Information Theory 28(2), 1982)
+alternates between designing tubes for every group and assigning every task to the tubes that follow it best.
+"""
 
 from __future__ import annotations
 
@@ -27,12 +31,12 @@ from ctr_nlp.target.problem import Problem
 from ctr_nlp.typing import Array, Index
 
 ROUNDS, ENOUGH = 6, 5e-3
-"""Divisions that are tried, at most; no more where one lowers the error by less than this part of it."""
+"""Most divisions that are tried, and the relative improvement of the error below which no more are."""
 EVERY = 5
-"""Of the 101 points of a target's last frame, those by which paths are compared at first."""
+"""Step with which the 101 points of a target's last frame are taken, to compare paths at first."""
 
 Group = tuple[int, ...]
-"""Numbers of tasks that share a robot."""
+"""Numbers of the tasks that share a robot, from 0."""
 
 
 def divided(
@@ -47,12 +51,57 @@ def divided(
     settings: Settings = DEFAULTS,
     progress: Progress | None = None,
 ) -> list[list[Problem]]:
-    """Problems in so many groups, each to be given a robot of its own (design).
+    """Divide problems into groups, each to be given a robot of its own by :func:`design`.
 
-    Groups of alike paths come first (k-means); then tubes are designed for each group, on some frames and without
-    tolerances, every problem goes to the tubes that follow it best, and so on for as long as the root mean square
-    of the errors falls (Lloyd, Least squares quantization in PCM, IEEE Transactions on Information Theory 28(2),
-    1982). Options as of design. Raises OptionError, ProblemError; KeyboardInterrupt after Ctrl-C.
+    Groups of similar paths come first (k-means). Then tubes are designed for each group, on some frames and for
+    the nominal robot, every problem is assigned to the tubes that follow it best, and so on while the root mean
+    square of the errors falls.
+
+    Parameters
+    ----------
+    problems : sequence of Problem
+        Tasks, which share one robot.
+    robots : int
+        Number of groups, from 1 to the number of problems.
+    model : str or Model
+        ``"elastic"``, ``"dominant"`` or ``Loaded(load)``.
+    rules : Manufacture, optional
+        Rules of manufacture; the defaults of :class:`Manufacture` where None.
+    fixed : sequence of str
+        Names of numbers that stay as they are, such as ``"outer_diameter_1"``.
+    constant_curvature : bool
+        Whether curved parts are arcs; otherwise their curvature is linear in arc length.
+    jobs : int or distributed.Client
+        Number of processes, or the cluster, on which groups are worked on.
+    settings : Settings
+        `seed` of k-means, and `stability_margin`, the least of every robot.
+    progress : callable, optional
+        Called as ``progress(done, total, note)`` after each division.
+
+    Returns
+    -------
+    list of list of Problem
+        One list a robot; none is empty.
+
+    Raises
+    ------
+    LoadError, OptionError, ProblemError, RobotError
+        An option is out of range, or the problems do not suit a design.
+    KeyboardInterrupt
+        Ctrl-C was pressed.
+
+    Examples
+    --------
+    >>> import ctr_nlp as ctr
+    >>> from ctr_nlp.problems import named
+    >>> tasks = [named(name, frames=10) for name in ("line", "arc", "cos")]
+    >>> groups = ctr.divided(tasks, robots=2, model="dominant")  # doctest: +SKIP
+    >>> [len(group) for group in ctr.divided(tasks, robots=1)]
+    [3]
+
+    See Also
+    --------
+    suited : Assign further problems to robots that were designed.
     """
     tasks = list(problems)
     count = whole_number(OptionError, "robots", robots)
@@ -88,7 +137,40 @@ def suited(
     jobs: Jobs = 1,
     model: str | Model = "elastic",
 ) -> Index:
-    """Which of several robots, from 0, follows each problem best on some of its frames, without tolerances."""
+    """Assign each problem to the robot that follows it best, on some of its frames and without tolerances.
+
+    Parameters
+    ----------
+    problems : sequence of Problem
+        Tasks; their own robots do not count.
+    robots : sequence of Robot
+        Robots to choose from.
+    settings : Settings
+        Options of the plans; walls and the tip's arrival do not count.
+    jobs : int or distributed.Client
+        Number of processes, or the cluster, on which plans are made.
+    model : str or Model
+        ``"elastic"``, ``"dominant"`` or ``Loaded(load)``.
+
+    Returns
+    -------
+    ndarray of int
+        For each problem the number of its robot, from 0. A robot that no problem would take gets the one that is
+        followed worst among those whose robots keep another.
+
+    Raises
+    ------
+    KeyboardInterrupt
+        Ctrl-C was pressed.
+
+    Examples
+    --------
+    >>> import ctr_nlp as ctr
+    >>> from ctr_nlp.problems import named
+    >>> robots = [ctr.table_i_robot(), ctr.table_i_robot(literal=True)]
+    >>> ctr.suited([named("arc", frames=3), named("line", frames=3)], robots, model="dominant")
+    array([0, 1])
+    """
     pairs = [replace(draft(task), robot=robot) for robot in robots for task in problems]
     found = dict(side_by_side(partial(_error, settings, model), pairs, jobs))
     end_if_interrupted()
@@ -96,35 +178,51 @@ def suited(
 
 
 def taken(errors: Array) -> Index:
-    """Which robot each task takes, (n,) from 0, by their errors (k, n); NaN where a robot cannot follow it.
+    """Assign each task to a robot by their errors, so that every robot has at least one.
 
-    A robot that no task would take gets the one that is followed worst of those whose robots keep another.
+    Parameters
+    ----------
+    errors : ndarray
+        Errors (k, n) of n tasks on k robots, mm; NaN where a robot cannot follow a task.
+
+    Returns
+    -------
+    ndarray of int
+        Numbers (n,) of robots, from 0.
     """
     errors = np.nan_to_num(errors, nan=np.inf)
     choice = errors.argmin(axis=0)
     for robot in range(len(errors)):
         if not (choice == robot).any():
             shared = np.bincount(choice, minlength=len(errors))[choice] > 1
+            # Tasks that are alone on their robot (-1) must not leave it empty in turn.
             choice[np.where(shared, errors.min(axis=0), -1.0).argmax()] = robot
     return choice
 
 
 def _how_well(errors: Array) -> tuple[int, float]:
-    """How many tasks no robot follows, by their errors (k, n), and the RMS in mm of the others on their best."""
+    """Return how many tasks no robot follows, by errors (k, n), and the RMS in mm of the best errors of the
+    others.
+    """
     known = np.isfinite(errors).any(axis=0)
     best = np.nanmin(errors[:, known], axis=0) if known.any() else np.array([np.inf])
     return int((~known).sum()), float(np.sqrt(np.mean(best**2)))
 
 
 def _alike(tasks: Sequence[Problem], count: int, seed: int) -> Index:
-    """Groups (n,), from 0, of tasks with alike paths, whatever plane they begin to bend in and to which side."""
+    """Return groups (n,), from 0, of tasks with similar paths, whatever plane they bend in first and to which
+    side.
+    """
     features = np.array([_standing(task.samples[-1].points) for task in tasks]).reshape(len(tasks), -1)
+    # k-means may leave a group empty, which no robot can be designed for: `taken` then fills it.
     centres, labels = kmeans2(features, count, minit="++", rng=np.random.default_rng(seed))
     return taken(np.linalg.norm(features[None] - centres[:, None], axis=2)) if len(set(labels)) < count else labels
 
 
 def _standing(points: Array) -> Array:
-    """Some points of a path, turned about z to lead towards +x, and mirrored if it then ends towards -y."""
+    """Return some points of a path, turned about z to lead towards +x, and mirrored if it then ends towards -y."""
+    # Paths that differ by such a turn and mirror are the same task for a robot that can turn about z. x + iy makes
+    # the turn a product; weights that grow along the path let its end decide the side.
     aside = points[:, :2].mean(axis=0)
     turned = np.exp(-1j * np.angle(complex(*aside))) * (points[:, 0] + 1j * points[:, 1])
     side = 1.0 if (turned.imag * np.arange(len(turned))).sum() >= 0 else -1.0
@@ -132,11 +230,12 @@ def _standing(points: Array) -> Array:
 
 
 def _groups(choice: Index, count: int) -> tuple[Group, ...]:
+    """Return the tasks of each of `count` robots, by which robot each task takes (n,)."""
     return tuple(tuple(np.flatnonzero(choice == robot).tolist()) for robot in range(count))
 
 
 def _served(search: DesignSearch, group: tuple[Group, Array]) -> tuple[Array, Array]:
-    """Tubes p for the tasks of a group, from given ones, and e3 (n,) of all tasks on them, mm."""
+    """Return tubes p for the tasks of a group, from given ones, and e3 (n,), mm, of all tasks on them."""
     numbers, p = group
     with deferred_interrupt() as interrupted:
         own = replace(search, tasks=tuple(search.tasks[i] for i in numbers), stop=interrupted)
@@ -150,7 +249,7 @@ def _served(search: DesignSearch, group: tuple[Group, Array]) -> tuple[Array, Ar
 
 
 def _error(settings: Settings, model: str | Model, task: Problem) -> float:
-    """e3 of a problem's plan, mm; NaN where there is none."""
+    """Return e3 of a problem's plan, mm; NaN where there is none or a frame of it was not solved."""
     try:
         plain = replace(settings, contact_weight=0.0, arrival_weight=0.0)
         plan = solve_horizon(task, model=model, settings=plain)

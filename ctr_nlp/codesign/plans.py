@@ -1,4 +1,4 @@
-"""Plans on a designed robot, of tasks that it was designed for and of others."""
+"""Plans on a designed robot, for the tasks that it was designed for and for others."""
 
 from __future__ import annotations
 
@@ -31,12 +31,32 @@ def planned_on(
     jobs: Jobs = 1,
     progress: Progress | None = None,
 ) -> list[Plan]:
-    """Plans of tasks on their robot as a design makes them: for tolerances unless nominal.
+    """Plan tasks on their robot as a design does: for the tolerances, unless nominal.
 
-    walls: whether they are kept within the lumens; otherwise they are made as if there were no walls. initial: for
-    each task, if given, a motion (T, 2d + 2) to start from. Robust plans start from others only where that does
-    not do; nominal ones always, and the better of both is the plan. jobs: as of side_by_side. After Ctrl-C some
-    plans may be missing.
+    Parameters
+    ----------
+    tasks : sequence of Problem
+        Tasks, with the designed robot.
+    settings : Settings
+        Options of the plans.
+    nominal : bool
+        Whether plans are made for the nominal robot alone.
+    model : str or Model
+        ``"elastic"``, ``"dominant"`` or ``Loaded(load)``.
+    initial : sequence of ndarray
+        For each task, if given, a motion (T, 2d + 2) to start from. Robust plans start from others only where that
+        one fails; nominal ones always do, and the better of both is the plan.
+    walls : bool
+        Whether plans are kept within the lumens; otherwise they are made as if there were no walls.
+    jobs : int or distributed.Client
+        Number of processes, or the cluster, on which plans are made.
+    progress : callable, optional
+        Called as ``progress(done, total, note)`` after each plan.
+
+    Returns
+    -------
+    list of Plan
+        In the order of the tasks; after Ctrl-C some may be missing.
     """
     given = [[motion] for motion in initial] or [list[Array]()] * len(tasks)
     pairs = list(zip(tasks, given, strict=True))
@@ -50,6 +70,7 @@ def planned_on(
 
 
 def _planned(settings: Settings, nominal: bool, model: str | Model, pair: tuple[Problem, list[Array]]) -> Plan:
+    """Return the plan of one task, from motions to start from, if any."""
     task, initial = pair
     if nominal:
         starts = ([], initial) if initial else ([],)
@@ -59,9 +80,21 @@ def _planned(settings: Settings, nominal: bool, model: str | Model, pair: tuple[
 
 
 def on_tubing_as_sold(plan: Plan, draws: int, seed: int) -> Robustness | None:
-    """What becomes of a plan on draws whose diameters are off too, by as much as those of tubing that is sold.
+    """Try a plan on simulated robots whose diameters are off as well, by as much as tubing is sold with.
 
-    None where the tolerances of its robot say themselves by how much diameters are off.
+    Parameters
+    ----------
+    plan : Plan
+        The plan.
+    draws : int
+        Number of robots.
+    seed : int
+        Their seed.
+
+    Returns
+    -------
+    Robustness or None
+        What happens on them; None where the tolerances of the robot already name diameters or a covariance.
     """
     robot, own = plan.robot, plan.robot.tolerances
     if own.covariance is not None or own.diameters(robot.d).any():

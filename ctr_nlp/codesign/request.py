@@ -1,4 +1,4 @@
-"""What a design is asked for: problems, rules and settings, checked, as the search for tubes."""
+"""The request of a design, checked: problems, rules and settings, as a search for tubes."""
 
 from __future__ import annotations
 
@@ -26,11 +26,38 @@ def search_for(
     constant_curvature: bool = False,
     settings: Settings = DEFAULTS,
 ) -> DesignSearch:
-    """The search for tubes over all frames of problems; as design. Raises LoadError, too."""
+    """Build the search for tubes over all frames of problems.
+
+    Parameters
+    ----------
+    problems : sequence of Problem
+        Tasks, which share one robot and have different names.
+    model : str or Model
+        ``"elastic"``, ``"dominant"`` or ``Loaded(load)``.
+    rules : Manufacture, optional
+        Rules of manufacture; the defaults of :class:`Manufacture` where None.
+    fixed : sequence of str
+        Names of numbers that stay as they are.
+    constant_curvature : bool
+        Whether curved parts are arcs; otherwise their curvature is linear in arc length.
+    settings : Settings
+        `stability_margin` is the least of every robot.
+
+    Returns
+    -------
+    DesignSearch
+        The search, with tasks on the robot whose structure is designed.
+
+    Raises
+    ------
+    LoadError, OptionError, ProblemError, RobotError
+        Something is not what it must be.
+    """
     tasks = _checked(problems, settings)
     described = model_named(model, "model of a design")
     described.check(tasks[0].robot)
     weighs = described.bears is not None and described.bears.weighs
+    # Arcs become parts with a linear curvature that is all but constant: root and tip are then two unknowns.
     robot = tasks[0].robot if constant_curvature else varying(tasks[0].robot)
     tubes = DesignedTubes(robot, rules or Manufacture(), tuple(fixed), weighs)
     margin = 0.0 if settings.stability_margin is None else settings.stability_margin
@@ -38,7 +65,7 @@ def search_for(
 
 
 def _checked(problems: Sequence[Problem], settings: Settings) -> tuple[Problem, ...]:
-    """Problems whose robots are one."""
+    """Return the problems as a tuple; raise ProblemError unless their robots are equal and their names differ."""
     tasks = tuple(problems)
     if not tasks:
         raise ProblemError("problems of a design is empty; give at least one")
@@ -55,6 +82,6 @@ def _checked(problems: Sequence[Problem], settings: Settings) -> tuple[Problem, 
 
 
 def draft(task: Problem) -> Problem:
-    """A task on the frames of a draft."""
+    """Return a task on the frames of a draft: 25 to 49 of them, or all where there are fewer than 50."""
     picked = drafted(task.frames)
     return task if len(picked) == task.frames else at_frames(task, picked, int(picked[-1] - picked[-2]))

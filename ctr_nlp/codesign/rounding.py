@@ -1,6 +1,7 @@
-"""Designed tubes rounded to what can be bought and heat set: diameters, lengths, then curvatures tube by tube.
+"""Rounding of designed tubes to what can be bought and heat set: diameters, lengths, then curvatures tube by tube.
 
-After every rounding what is not yet rounded is designed again, together with the motions.
+After every rounding the numbers that are not yet rounded are designed again, together with the motions, so that
+they make up for what the rounding cost.
 """
 
 from __future__ import annotations
@@ -21,19 +22,20 @@ from ctr_nlp.solvers.motion.judged import WIDE
 from ctr_nlp.typing import Array
 
 TRIED, FINALISTS = 8, 2
-"""Combinations of tubes that are designed for on the frames of a draft, and of these those that are rounded to the
-end."""
+"""Combinations of tubes that are designed for on the frames of a draft, and how many of these are rounded to the
+end.
+"""
 WAYS = 2
-"""Ways to round that are tried at every step, the nearest."""
+"""Nearest ways to round that are tried at every step."""
 LENGTH_STEP = 0.5
-"""mm to which lengths of curved parts are rounded."""
+"""Step to which lengths of curved parts are rounded, mm."""
 RADII = ((200.0, 1.0), (2000.0, 10.0), (math.inf, 100.0))
 """Radii in mm up to which heat-setting forms are made in steps of so many mm. Forms can be cut to any radius; what
 a tube keeps of it differs by some percent from tube to tube, which Tolerances are for, and steps much smaller than
 that have no meaning. No published ladder of radii is known to us: this one is ours."""
 
 STRAIGHT = 0.1
-"""1/(100 mm): differences of smaller curvatures count as those of this one."""
+"""Curvature, 1/(100 mm), below which changes count relative to this one."""
 
 Finish = Callable[[Sequence[Candidate], DesignSearch], tuple[Candidate, DesignSearch, Robots]]
 """Takes the best tubes from the frames of a draft to what they are designed for: all frames, or tolerances."""
@@ -41,9 +43,16 @@ Finish = Callable[[Sequence[Candidate], DesignSearch], tuple[Candidate, DesignSe
 
 @dataclass(frozen=True)
 class Stocked:
-    """What became of designed tubes in stock. tubes: what to buy, outermost first; free, rounded (n,): e3 of the
-    tasks' motions with free tubes and with these, mm, both over the same frames and scenarios; tried: of how many
-    combinations they are the best.
+    """Result of rounding designed tubes to a stock.
+
+    Attributes
+    ----------
+    tubes : tuple of StockTube
+        What to buy, outermost first.
+    free, rounded : ndarray
+        e3 (n,) of the tasks' motions with free tubes and with these, mm, over the same frames and scenarios.
+    tried : int
+        Number of combinations of which they are the best.
     """
 
     tubes: tuple[StockTube, ...]
@@ -57,7 +66,7 @@ class Stocked:
         return float(np.sqrt(np.mean(self.rounded**2) / np.mean(self.free**2)) - 1)
 
     def __str__(self) -> str:
-        """In a sentence."""
+        """Return the result as a sentence."""
         parts = "; ".join(f"tube {i}: {one.part}" for i, one in enumerate(self.tubes, 1))
         change = f"raise e3 by {self.loss:.1%}" if self.loss >= 0 else f"lower e3 by {-self.loss:.1%}"
         return f"Tubes of stock ({parts}) {change}"
@@ -66,10 +75,34 @@ class Stocked:
 def in_stock(
     best: Candidate, search: DesignSearch, stock: Sequence[StockTube], finish: Finish, finalists: int = FINALISTS
 ) -> tuple[Candidate, Stocked] | None:
-    """The best tubes of stock that come from designed ones, and what they lose; None when the search is stopped.
+    """Find the best tubes of a stock, starting from designed ones.
 
-    Combinations are tried in the order in which they promise to lose least. Raises OptionError where no tubes of
-    the stock nest, ProblemError where none of those tried can follow the tasks.
+    Combinations are tried in the order of the loss that they promise.
+
+    Parameters
+    ----------
+    best : Candidate
+        Designed tubes with free diameters.
+    search : DesignSearch
+        The search that found them, on the frames of a draft.
+    stock : sequence of StockTube
+        Tubing that can be bought.
+    finish : callable
+        Takes tubes to all frames, or to the tolerances; see `Finish`.
+    finalists : int
+        How many combinations are rounded to the end.
+
+    Returns
+    -------
+    tuple of (Candidate, Stocked) or None
+        The rounded tubes and what they cost; None when the search was stopped.
+
+    Raises
+    ------
+    OptionError
+        No tubes of the stock nest.
+    ProblemError
+        None of those tried can follow the tasks.
     """
     drafts = list[tuple[Candidate, DesignSearch, tuple[StockTube, ...]]]()
     chosen = nearest(stock, search.tubes, best.p, search.pushed)[:TRIED]
@@ -99,9 +132,9 @@ def in_stock(
 
 
 def _eased(search: DesignSearch) -> DesignSearch:
-    """The search with less of the rules of diameters, which are judged when these are chosen.
+    """Return the search with half of the rules on diameters, which are checked when diameters are chosen.
 
-    A wall that just keeps its rule, and cannot change, would leave an interior point no room.
+    A fixed wall that just satisfies its rule would leave an interior-point method no interior.
     """
     rules = search.tubes.rules
     eased = {name: getattr(rules, name) / 2 for name in ("wall", "clearance", "channel")}
@@ -109,14 +142,14 @@ def _eased(search: DesignSearch) -> DesignSearch:
 
 
 def _held(search: DesignSearch, p: Array, kinds: Sequence[str]) -> DesignSearch:
-    """The search with entries of these kinds as they are in p (P,)."""
+    """Return the search with the entries of the given kinds fixed at their values in p (P,)."""
     tubes = search.tubes
     names = tuple(name for name in tubes.names if name.startswith(tuple(kinds)) or name in tubes.fixed)
     return replace(search, tubes=replace(tubes, robot=tubes.robot_of(p), fixed=names))
 
 
 def _rounded(known: Candidate, search: DesignSearch, robots: Robots) -> Candidate | None:
-    """With lengths and curvatures as they can be made; None where no motion goes with these."""
+    """Return tubes with lengths and curvatures that can be made; None where no motion exists on them."""
     d, solution = search.tubes.robot.d, known.solution
     steps = [tuple(f"curved_length_{i}" for i in range(1, d + 1))]
     steps += [
@@ -133,7 +166,7 @@ def _rounded(known: Candidate, search: DesignSearch, robots: Robots) -> Candidat
 def _designed_on(
     known: Candidate, search: DesignSearch, p: Array, names: Sequence[str], robots: Robots
 ) -> tuple[Candidate, DesignSearch]:
-    """What is not held designed again, with named entries held as they are in p (P,); e3 NaN where that fails."""
+    """Design what is not fixed again, with the entries `names` fixed at p (P,); e3 is NaN where that fails."""
     search = _held(search, p, names)
     unknown = replace(known.motions, e3=np.full_like(known.motions.e3, np.nan))
     start = replace(known, p=search.tubes.own, motions=unknown)
@@ -142,9 +175,21 @@ def _designed_on(
 
 
 def made(tubes: DesignedTubes, p: Array, names: Sequence[str]) -> list[Array]:
-    """Ways to round named entries of p (P,) up or down to what can be made, fixed ones excepted; nearest first.
+    """Return ways to round entries of p up or down to what can be made, nearest first.
 
-    Those that break a rule are left out, but for the nearest where all do.
+    Parameters
+    ----------
+    tubes : DesignedTubes
+        The tubes, with rules and fixed entries.
+    p : ndarray
+        Unknowns (P,) of the tubes.
+    names : sequence of str
+        Entries to round; fixed ones among them stay.
+
+    Returns
+    -------
+    list of ndarray
+        Rounded p (P,). Those that break a rule are left out, but the nearest is returned where all do.
     """
     lower, upper = tubes.box
     at = [k for k, name in enumerate(tubes.names) if name in names and lower[k] < upper[k]]
@@ -153,6 +198,8 @@ def made(tubes: DesignedTubes, p: Array, names: Sequence[str]) -> list[Array]:
     for way in itertools.product(*map(dict.fromkeys, ways)):
         other = p.copy()
         other[at] = way
+        # Relative changes, since a length and a curvature of one order matter alike; a curvature near 0 has no
+        # relative one.
         changes = (np.array(way) - p[at]) / np.maximum(abs(p[at]), STRAIGHT)
         found.append((not tubes.keeps(other), float(np.sum(changes**2)), other))
     found.sort(key=lambda each: each[:2])
@@ -160,7 +207,9 @@ def made(tubes: DesignedTubes, p: Array, names: Sequence[str]) -> list[Array]:
 
 
 def _around(name: str, value: float) -> tuple[float, ...]:
-    """What can be made below and above an entry of p."""
+    """Return the values that can be made below and above an entry of p; lengths in 100 mm, curvatures in 1/(100
+    mm).
+    """
     if name.startswith("curved_length"):
         step = LENGTH_STEP / HUNDRED_MM
         return math.floor(value / step) * step, math.ceil(value / step) * step

@@ -1,4 +1,10 @@
-"""Tubes and the motions of all tasks, solved for together, from one start after the other."""
+"""The search for tubes: tubes and the motions of all tasks, solved together from one start after another.
+
+Unknowns are p (P,) of the tubes (formulations/shared/design.py), shared by all tasks, and q of every frame. A
+round solves the joint program by an interior-point method; between rounds, motions are re-planned on the tubes
+found, since the joint program is local: it follows the branch of motions that it starts on. See docs/method.md,
+"Tubes designed with their motions".
+"""
 
 from __future__ import annotations
 
@@ -33,23 +39,33 @@ from ctr_nlp.target.problem import Problem
 from ctr_nlp.typing import Array
 
 MISSED = 1e-3
-"""What a point may miss, rad and mm, that is gone on from though it is no solution yet."""
+"""Largest violation, rad and mm, of a point from which the search continues though it is no solution yet."""
 PULL, LOOSER = 1e-3, 0.1
-"""What a step of p by one unit costs in the first round, mm^2 for every frame, and the factor from round to round:
-where tubes matter little, they stay."""
+"""Cost of a step of p by one unit in the first round, mm^2 a frame, and the factor from round to round: where
+tubes matter little, they stay.
+"""
 STEPS, STEPS_PER_TASK = 560, 10
-"""Of a round, at most: tubes that dozens of tasks share are found in more."""
+"""Most steps of a round, and how many more for every task: tubes that dozens of tasks share take more."""
 ROUNDS, ENOUGH = 5, 2e-3
-"""Rounds from a start, at most; they end when one makes less than this part of a difference."""
+"""Most rounds from a start, and the relative improvement below which they end."""
 AGAIN, NEAR = 0.1, 1e-3
-"""First barriers, mm^2, of rounds after the first: for motions that were planned anew since, and for those of the
-round before, from which a larger one leads away."""
+"""First barriers, mm^2, of rounds after the first: for motions that were re-planned since, and for those of the
+round before, from which a larger barrier leads away.
+"""
 
 
 @dataclass(frozen=True)
 class Motions:
-    """Of all tasks, one after the other: q (T, 2d + 2), tips phi (T, S, k), and e3 (n,) of each task over its
-    frames and scenarios, mm; NaN where its motion is no solution.
+    """Motions of all tasks, one after the other.
+
+    Attributes
+    ----------
+    q : ndarray
+        Configurations (T, 2d + 2) of all frames of all tasks, rad and mm.
+    phi : ndarray
+        Angles (T, S, k) of the tubes' tips in S scenarios, rad.
+    e3 : ndarray
+        Error (n,) of each task over its frames and scenarios, mm; NaN where its motion is no solution.
     """
 
     q: Array
@@ -65,7 +81,19 @@ class Motions:
 
 @dataclass(frozen=True)
 class Candidate:
-    """Tubes p, with motions on them; solution: of the last round, where they come from one."""
+    """Tubes with motions on them.
+
+    Attributes
+    ----------
+    start : str
+        Name of the tubes that the search started from.
+    p : ndarray
+        Unknowns (P,) of the tubes.
+    motions : Motions
+        Motions of all tasks.
+    solution : SharedSolution, optional
+        Solution of the last round, where they come from one.
+    """
 
     start: str
     p: Array
@@ -74,30 +102,44 @@ class Candidate:
 
     @property
     def solved(self) -> bool:
-        """Whether tubes and motions come from a round, and are a solution."""
+        """Whether tubes and motions come from a round and are a solution."""
         return self.solution is not None and self.solution.success
 
 
 Robots = Callable[[Robot], Scenarios]
-"""A robot -> those that share its motions, of which it is the first."""
+"""Maps a robot to the robots that share its motions, of which it is the first."""
 
 
 def alone(robot: Robot) -> Scenarios:
-    """A robot as described."""
+    """Return the nominal robot as the only scenario."""
     return Scenarios(robot.numbers[None], np.zeros((1, robot.d)), np.ones(1))
 
 
 def never() -> bool:
-    """Whether to stop, where nobody can ask for that."""
+    """Return False: what a search asks whether to stop, where nobody can ask for that."""
     return False
 
 
 @dataclass(frozen=True)
 class DesignSearch:
-    """Solves for tubes over tasks, whose problems differ in their targets alone.
+    """Search for tubes over tasks that differ in their targets alone.
 
-    margin: the least of every robot; seen: told of what comes of every round; jobs: where tasks are worked on that
-    do not depend on each other (side_by_side).
+    Attributes
+    ----------
+    tasks : tuple of Problem
+        Tasks with one robot.
+    tubes : DesignedTubes
+        The tubes as unknowns, with rules of manufacture.
+    model : Model
+        Kinematic model.
+    margin : float
+        Least stability margin of every robot.
+    stop : callable
+        Returns whether to stop; asked between steps.
+    seen : callable, optional
+        Called with the candidate of every round.
+    jobs : int or distributed.Client
+        Where independent tasks are worked on; see `side_by_side`.
     """
 
     tasks: tuple[Problem, ...]
@@ -110,27 +152,39 @@ class DesignSearch:
 
     @property
     def pushed(self) -> bool:
-        """Whether anything acts on the robots, or may, so that tubes' stiffnesses count beside their ratios."""
+        """Whether a load acts on the robots, or may, so that stiffnesses count and not only their ratios."""
         return self.model.bears is not None or self.tubes.robot.tolerances.tip_force > 0
 
     @cached_property
     def settings(self) -> Settings:
-        """Of motions, far from any wall."""
+        """Settings of the tasks' motions, without walls or arrival."""
         return Settings(stability_margin=self.margin, contact_weight=0.0, arrival_weight=0.0)
 
     def each(self, of_all: Array) -> list[Array]:
-        """Rows (T, ...) of all tasks' frames, task by task."""
+        """Split rows (T, ...) of all tasks' frames, task by task."""
         return np.split(of_all, np.cumsum([task.frames for task in self.tasks])[:-1])
 
     def on(self, robot: Robot) -> list[Problem]:
-        """The tasks with another robot."""
+        """Return the tasks with another robot."""
         return [replace(task, robot=robot) for task in self.tasks]
 
     def planned(self, p: Array) -> Motions:
-        """Motions of the tasks on tubes p as they are, each for itself.
+        """Plan the tasks on tubes p as they are, each by itself.
 
-        After Ctrl-C some are no solutions. Raises CtrError where p is no robot, and where Ctrl-C came before all
-        tasks were given to processes.
+        Parameters
+        ----------
+        p : ndarray
+            Unknowns (P,) of the tubes.
+
+        Returns
+        -------
+        Motions
+            Of the nominal robot (S = 1). After Ctrl-C some are no solutions.
+
+        Raises
+        ------
+        CtrError
+            p is no robot, or Ctrl-C came before all tasks were given to processes.
         """
         robot = self.tubes.robot_of(p)
         plan = partial(solve_horizon, model=self.model, settings=self.settings)
@@ -141,14 +195,27 @@ class DesignSearch:
         return Motions(q, np.concatenate(tips)[:, None], np.array(e3, dtype=float))
 
     def _elsewhere(self, plan: Callable[[Problem], Plan], robot: Robot) -> list[Plan]:
-        """The plans of the tasks on a robot, made side by side."""
+        """Return the plans of the tasks on a robot, made in processes or on a cluster."""
         made = dict(side_by_side(plan, self.on(robot), self.jobs))
         if len(made) < len(self.tasks):
             raise ProblemError("the work on some tasks of a design was interrupted")
         return [made[number] for number in range(len(self.tasks))]
 
     def start(self, name: str, p: Array) -> Candidate | None:
-        """What tubes p do as they are; None where no robot has them, or it cannot be moved as the tasks ask."""
+        """Plan the tasks on tubes to start from.
+
+        Parameters
+        ----------
+        name : str
+            What the start is called.
+        p : ndarray
+            Unknowns (P,) of the tubes.
+
+        Returns
+        -------
+        Candidate or None
+            None where no robot has these tubes, or it cannot be moved as the tasks ask.
+        """
         try:
             motions = self.planned(p)
         except CtrError:
@@ -156,7 +223,24 @@ class DesignSearch:
         return Candidate(name, p, motions) if np.isfinite(motions.phi).all() else None
 
     def motion(self, p: Array, motions: Motions, robots: Robots, pull: float) -> SharedMotion:
-        """The program for tubes near p and motions near these."""
+        """Build the joint program of tubes and motions.
+
+        Parameters
+        ----------
+        p : ndarray
+            Unknowns (P,) of the tubes near which it is used.
+        motions : Motions
+            Motions near which it is used.
+        robots : callable
+            Maps the robot to the scenarios that share its motions.
+        pull : float
+            Cost of a step of p by one unit, mm^2 a frame.
+
+        Returns
+        -------
+        SharedMotion
+            The program, with the tubes' numbers as unknowns that all frames share.
+        """
         robot, made = self.tubes.robot_of(p), list[SharedMotion]()
         scenarios = robots(robot)
         for task, q in zip(self.on(robot), self.each(motions.q), strict=True):
@@ -164,19 +248,34 @@ class DesignSearch:
             margins = np.full(task.frames, self.margin)
             at = robot, task.samples, task.dt, weight, Ends(), bearing(self.model, scenarios.pushed), scenarios
             one = shared_motion(*at, fastest, margins, (WithinCurved(),), freed=self.tubes.freed)
+            # Upper limits of beta are the curved lengths of the start; these are unknowns now, and WithinCurved
+            # bounds beta.
             upper = one.upper.copy()
             upper[:, robot.d : 2 * robot.d] = robot.reach
             made.append(replace(one, upper=upper))
         return shared_tubes(made, self.tubes.common(scenarios, p, pull * len(motions.q)))
 
     def _balanced(self, task: Problem, q: Array) -> float:
-        """The lambda of a plain horizon from a motion, of robots that bear nothing."""
+        """Return lambda in s^2, as a horizon without walls balances it, from a motion of robots without a load."""
         free = self.model if self.model.bears is None else MODELS[self.model.name]
         horizon = Horizon(task, free, settings=self.settings)
         return horizon.balanced_weight(np.nan_to_num(free.follow(task.robot, q).x))
 
     def shared(self, known: Candidate, robots: Robots) -> Candidate | None:
-        """The same tubes with motions that scenarios share, each task's for itself; None where one has none."""
+        """Find motions that scenarios share, on the same tubes.
+
+        Parameters
+        ----------
+        known : Candidate
+            Tubes, with motions of the nominal robot.
+        robots : callable
+            Maps the robot to the scenarios.
+
+        Returns
+        -------
+        Candidate or None
+            The same tubes with shared motions, each task's by itself; None where one has none or Ctrl-C came.
+        """
         robot = self.tubes.robot_of(known.p)
         tips = self.each(known.motions.phi[:, 0])
         tasks = list(zip(self.on(robot), self.each(known.motions.q), tips, strict=True))
@@ -188,12 +287,29 @@ class DesignSearch:
         if len(tried) < len(tasks):
             return None  # Ctrl-C came first
         found = [tried[number].solution for number in range(len(tasks))]
+        # The objective is the sum over frames of the weighted mean squared error; its motion term is small beside
+        # it.
         e3 = np.sqrt([one.objective / len(one.q) for one in found])
         q, phi = (np.concatenate([getattr(one, name) for one in found]) for name in ("q", "phi"))
         return replace(known, motions=Motions(q, phi, e3))
 
     def shared_of(self, start: str, scenarios: Scenarios, known: tuple[Problem, Array, Array]) -> Tried:
-        """What comes of one task's motion (T, 2d + 2), with tips (T, k), that scenarios are to share."""
+        """Solve for a motion of one task that scenarios share.
+
+        Parameters
+        ----------
+        start : str
+            Name of the start.
+        scenarios : Scenarios
+            The robots that share it.
+        known : tuple of (Problem, ndarray, ndarray)
+            The task, a motion (T, 2d + 2) to start from, and the nominal tips (T, k) there.
+
+        Returns
+        -------
+        Tried
+            The motion, solved or not.
+        """
         task, of_task, tips = known
         weight, margins = MOTION_PART * self._balanced(task, of_task), np.full(task.frames, self.margin)
         x = unknowns_of(self.model, task.robot, tips, of_task)
@@ -204,11 +320,28 @@ class DesignSearch:
 
     @property
     def portable(self) -> DesignSearch:
-        """The same without what no process can be handed."""
+        """The search without what cannot be pickled for another process."""
         return replace(self, tubes=replace(self.tubes), stop=never, seen=None, jobs=1)
 
     def refined(self, known: Candidate, robots: Robots, pull: float, barrier: float) -> Candidate | None:
-        """Tubes and motions after one round from known ones; None where it leads to no motions that go on."""
+        """Run one round: solve tubes and motions together, from known ones.
+
+        Parameters
+        ----------
+        known : Candidate
+            Tubes and motions to start from.
+        robots : callable
+            Maps the robot to the scenarios that share its motions.
+        pull : float
+            Cost of a step of p by one unit, mm^2 a frame.
+        barrier : float
+            First barrier, mm^2.
+
+        Returns
+        -------
+        Candidate or None
+            None where the result violates equations or constraints by more than MISSED.
+        """
         motion = self.motion(known.p, known.motions, robots, pull)
         steps = STEPS + STEPS_PER_TASK * len(self.tasks)
         found = SharedSolver(motion)(known.motions.q, known.motions.phi, barrier, self.stop, steps, known.p)
@@ -219,7 +352,7 @@ class DesignSearch:
         return Candidate(known.start, found.p, Motions(found.q, found.phi, e3), found)
 
     def best_of_both(self, known: Candidate) -> Candidate:
-        """The same tubes, every task with the better of its motions and that planned anew on them."""
+        """Re-plan every task on the same tubes and keep the better of its two motions."""
         again = self.start(known.start, known.p)
         if again is None:
             return known
@@ -231,10 +364,22 @@ class DesignSearch:
         return replace(known, motions=Motions(q, phi, e3))
 
     def settled(self, start: Candidate, robots: Robots = alone, first: float = WIDE) -> Candidate | None:
-        """The best of rounds from a start; None where none leads anywhere.
+        """Run rounds from a start and return the best result.
 
-        robots: that share the motions; where that is the described one alone, motions are planned anew between
-        rounds. first: barrier of the first round, mm^2.
+        Parameters
+        ----------
+        start : Candidate
+            Tubes and motions to start from.
+        robots : callable
+            Maps the robot to the scenarios that share its motions. Where that is `alone`, motions are re-planned
+            between rounds.
+        first : float
+            Barrier of the first round, mm^2.
+
+        Returns
+        -------
+        Candidate or None
+            The one with the least error; None where the first round already failed.
         """
         found, known, pull, barrier = list[Candidate](), start, PULL, first
         for _ in range(ROUNDS):
@@ -252,5 +397,5 @@ class DesignSearch:
 
 
 def error_of(candidate: Candidate) -> float:
-    """The root mean square of the tasks' e3, mm: the candidate of the least is the best."""
+    """Return the root mean square of the tasks' e3, mm, by which candidates are compared."""
     return candidate.motions.rms

@@ -11,14 +11,30 @@ from ctr_nlp.formulations.shared.design import HUNDRED_MM, DesignedTubes
 from ctr_nlp.typing import Array
 
 THICKER, WIDER = 1.5, 0.6
-"""By how much a random tube's wall may exceed the least, mm on both sides, and its inner diameter the part of
-itself."""
+"""By how much a random tube's wall may exceed the least, mm on both sides together, and its inner diameter, as a
+part.
+"""
 TRIES = 1000
-"""Random tubes that are drawn for one that can be made."""
+"""Random tubes that are tried for one set that can be made."""
 
 
 def starts(tubes: DesignedTubes, seed: int) -> Iterator[tuple[str, Array]]:
-    """Names and unknowns p (P,), without end: the robot's own tubes, then random ones."""
+    """Yield tubes to start from: the robot's own, then random ones that satisfy the rules.
+
+    Parameters
+    ----------
+    tubes : DesignedTubes
+        The tubes as unknowns, with rules.
+    seed : int
+        Seed of numpy's default generator.
+
+    Yields
+    ------
+    name : str
+        What the start is called.
+    p : ndarray
+        Unknowns (P,) of the tubes. Without end, unless TRIES random ones in a row break a rule.
+    """
     yield "the robot's own tubes", tubes.own
     random = np.random.default_rng(seed)
     for number in itertools.count(1):
@@ -30,7 +46,10 @@ def starts(tubes: DesignedTubes, seed: int) -> Iterator[tuple[str, Array]]:
 
 
 def _drawn(tubes: DesignedTubes, random: np.random.Generator) -> Array:
-    """Tubes from the innermost outwards, and curvatures up to what the strain when made allows."""
+    """Return random unknowns p (P,): tubes from the innermost outwards, and curvatures up to what the strain
+    allows.
+    """
+    # A part in a million more than a rule asks for, so that rounding does not break it.
     rules, d = tubes.rules, tubes.robot.d
     diameters, inner = np.zeros((d, 2)), rules.channel * (1 + 1e-6)
     for i in reversed(range(d)):
@@ -49,6 +68,8 @@ def _drawn(tubes: DesignedTubes, random: np.random.Generator) -> Array:
 
 
 def _lengths(tubes: DesignedTubes, random: np.random.Generator) -> Array:
-    """Of curved parts, longer for inner tubes; the innermost reaches as far as the robot's own."""
+    """Return lengths (d,) of curved parts, 100 mm, that grow inwards; the innermost reaches as far as the robot's
+    own.
+    """
     parts = np.append(np.sort(random.uniform(0.2, 0.9, tubes.robot.d - 1)), 1.0)
     return np.asarray(parts * tubes.robot.reach / HUNDRED_MM)

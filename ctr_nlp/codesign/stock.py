@@ -1,4 +1,4 @@
-"""Nitinol tubing that can be bought: tables of it, and which of it comes nearest to designed tubes."""
+"""Nitinol tubing that can be bought: tables of it, and the combinations that come nearest to designed tubes."""
 
 from __future__ import annotations
 
@@ -16,19 +16,31 @@ from ctr_nlp.robot.tube import DIAMETERS
 from ctr_nlp.typing import Array
 
 OWN = Path(__file__).with_name("stock.csv")
-"""The package's table."""
+"""The package's own table."""
 INCH = 25.4
+"""An inch in mm."""
 ENDS = "outer_diameter", "inner_diameter"
+"""The two diameters, as columns of a table and entries of p are called."""
 BEAM = 400
-"""Unfinished combinations that a search keeps, from tube to tube."""
+"""Width of the beam search: unfinished combinations that are kept from tube to tube."""
 STRAINED = 4.0
-"""How much more it weighs that a tube is too thick for its curvature than that it is too stiff or too soft."""
+"""Weight of a tube that is too thick for its curvature, against one whose stiffness is off by the same ratio."""
 ROUNDING = 1e-9
-"""mm by which sums of decimal numbers may miss a rule."""
+"""Error in mm by which sums of decimal numbers may miss a rule."""
 
 
 class StockTube(NamedTuple):
-    """Tubing as sold: what it is called, diameters in mm, and where these stand."""
+    """Tubing as it is sold.
+
+    Attributes
+    ----------
+    part : str
+        What it is called.
+    outer, inner : float
+        Diameters, mm.
+    source : str
+        Where these are stated.
+    """
 
     part: str
     outer: float
@@ -37,16 +49,39 @@ class StockTube(NamedTuple):
 
     @property
     def section(self) -> float:
-        """The second moment of area of its section, mm^4."""
+        """Second moment of area of the cross-section, mm^4."""
         return math.pi / 64 * (self.outer**4 - self.inner**4)
 
 
 def read_stock(path: str | Path | None = None) -> tuple[StockTube, ...]:
-    """The tubing of a CSV file; without one that of the package.
+    """Read tubing that can be bought from a CSV file.
 
-    Columns part, outer_diameter_mm and inner_diameter_mm, or the diameters in inches as outer_diameter_in and
-    inner_diameter_in; a column source is kept, all others are passed over, and so are lines that begin with #.
-    Raises OptionError, which names the line and the column.
+    The file has the columns ``part``, ``outer_diameter_mm`` and ``inner_diameter_mm``, or the diameters in inches
+    as ``outer_diameter_in`` and ``inner_diameter_in``. A column ``source`` is stored, all others are ignored, and
+    so are lines that begin with ``#``.
+
+    Parameters
+    ----------
+    path : str or Path, optional
+        The file; by default the table of this package, of tubes of published robots.
+
+    Returns
+    -------
+    tuple of StockTube
+        In the order of the file.
+
+    Raises
+    ------
+    OptionError
+        The file cannot be read, lacks a column, or has a diameter that no tube has; the message names the line and
+        the column.
+
+    Examples
+    --------
+    >>> import ctr_nlp as ctr
+    >>> stock = ctr.read_stock()
+    >>> stock[0].part, stock[0].outer, stock[0].inner
+    ('Table I tube 1', 5.7, 4.3)
     """
     place = OWN if path is None else Path(path)
     try:
@@ -66,6 +101,7 @@ def read_stock(path: str | Path | None = None) -> tuple[StockTube, ...]:
 
 
 def _tube(place: Path, line: int, row: dict[str, str | None], unit: str) -> StockTube:
+    """Return the tubing of one line of a stock file, whose diameters are in `unit`, ``"mm"`` or ``"in"``."""
     found = []
     for end in ENDS:
         name, text = f"{end}_{unit}", row[f"{end}_{unit}"]
@@ -91,17 +127,40 @@ def _tube(place: Path, line: int, row: dict[str, str | None], unit: str) -> Stoc
 def nearest(
     stock: Sequence[StockTube], tubes: DesignedTubes, p: Array, pushed: bool = False
 ) -> list[tuple[StockTube, ...]]:
-    """Tubes of stock that nest within the rules, those first that promise to lose least against tubes p (P,).
+    """Find the combinations of stock that nest and come nearest to designed tubes.
 
-    Shapes depend on the ratios of tubes' stiffnesses alone, unless robots are pushed, so what counts are the
-    logarithms of these between neighbours, with that of the innermost tube where they are, and whether a thicker
-    tube still bears its curvature. A tube with a diameter that is fixed stays as it is. A beam search from the
-    innermost tube outwards. Raises OptionError where none nest.
+    Without a load, shapes depend on the ratios of stiffnesses alone. The distance is therefore the sum over
+    neighbours of (change of log(EI_i / EI_{i+1}))^2; with a load, that of the innermost tube, (change of log
+    EI_d)^2, is added. A tube that is too thick for its curvature costs the square of the logarithm of its excess
+    strain, times STRAINED^2.
+
+    Parameters
+    ----------
+    stock : sequence of StockTube
+        Tubing that can be bought.
+    tubes : DesignedTubes
+        The tubes as unknowns, with rules. A tube with a fixed diameter stays as it is.
+    p : ndarray
+        Unknowns (P,) of the designed tubes.
+    pushed : bool
+        Whether a load acts on the robots, or may.
+
+    Returns
+    -------
+    list of tuple of StockTube
+        Combinations, outermost tube first, the nearest one first; found by a beam search.
+
+    Raises
+    ------
+    OptionError
+        No tubes of the stock nest within the rules.
     """
     robot, rules = tubes.robot_of(p), tubes.rules
     moduli = [tube.youngs_modulus for tube in robot.tubes]
     wanted = [math.log(tube.bending_stiffness) for tube in robot.tubes]
     found: list[tuple[float, tuple[StockTube, ...]]] = [(0.0, ())]
+    # From the innermost tube outwards: each must clear the one inside it, and ratios need the stiffness of that
+    # one.
     for i in reversed(range(robot.d)):
         tube, longer = robot.tubes[i], list[tuple[float, tuple[StockTube, ...]]]()
         for cost, inside in found:
@@ -129,7 +188,9 @@ def nearest(
 
 
 def _choices(stock: Sequence[StockTube], tubes: DesignedTubes, p: Array, i: int) -> Sequence[StockTube]:
-    """For the tube i, from 0."""
+    """Return the tubing to choose from for tube i, from 0: the stock, or the tube itself where a diameter is
+    fixed.
+    """
     names = [f"{end}_{i + 1}" for end in ENDS]
     if not any(name in tubes.fixed for name in names):
         return stock
@@ -138,7 +199,22 @@ def _choices(stock: Sequence[StockTube], tubes: DesignedTubes, p: Array, i: int)
 
 
 def with_diameters(tubes: DesignedTubes, p: Array, chosen: Sequence[StockTube]) -> Array:
-    """The unknowns (P,) with the diameters of these, and curvatures within what these bear."""
+    """Return the unknowns with the diameters of chosen tubes, and curvatures that these can be bent to.
+
+    Parameters
+    ----------
+    tubes : DesignedTubes
+        The tubes as unknowns.
+    p : ndarray
+        Unknowns (P,).
+    chosen : sequence of StockTube
+        Tubing for the d tubes, outermost first.
+
+    Returns
+    -------
+    ndarray
+        Changed unknowns (P,).
+    """
     found, names = np.array(p, dtype=float), tubes.names
     for k, name in enumerate(names):
         kind, _, number = name.rpartition("_")
@@ -146,5 +222,6 @@ def with_diameters(tubes: DesignedTubes, p: Array, chosen: Sequence[StockTube]) 
         if kind in ENDS:
             found[k] = one.outer if kind == "outer_diameter" else one.inner
         elif kind.endswith("curvature") and name not in tubes.fixed:
+            # The strain k D / 2 at the outer fibre, solved for k, in 1/(100 mm).
             found[k] = min(found[k], 100.0 * 2 * tubes.rules.strain_made / one.outer)
     return found

@@ -1,4 +1,9 @@
-"""Tubes designed together with the motions of several tasks: what is asked for, and what comes of it."""
+"""Co-design: tubes designed together with the motions of several tasks.
+
+Minimises the shape errors (8) of all frames of all tasks, with the motion terms of eq. (9), over the numbers of
+the tubes and the motions, subject to the rules of manufacture and the limits of the robot. See docs/method.md,
+"Tubes designed with their motions".
+"""
 
 from __future__ import annotations
 
@@ -39,22 +44,29 @@ from ctr_nlp.typing import Array
 STARTS = 4
 """Tubes that a design starts from."""
 BINDING = 1e-3
-"""A rule binds where it is kept by less than this part of its bound."""
+"""Part of its bound within which a rule counts as binding."""
 TOLD = 5e-4
-"""Least gain of a rule that is remarked."""
+"""Least gain with which a binding rule is remarked on."""
 
 
 @dataclass(frozen=True)
 class Remark:
-    """A rule that binds, and by what part the tasks' root mean square error would fall if it were eased by a
-    tenth.
+    """A rule of manufacture that binds, and what it costs.
+
+    Attributes
+    ----------
+    rule : Kept
+        The rule, with its value and bounds.
+    gain : float
+        Part by which the root mean square error of the tasks would fall, to first order, if the bound were eased
+        by a tenth.
     """
 
     rule: Kept
     gain: float
 
     def __str__(self) -> str:
-        """In a sentence."""
+        """Return the remark as a sentence."""
         rule = self.rule
         bound = min(rule.lower, rule.upper, key=lambda bound: abs(bound - rule.value))
         told = f"{rule.name} is at its bound, {abs(bound):.4g}"
@@ -63,13 +75,31 @@ class Remark:
 
 @dataclass(frozen=True)
 class Design:
-    """A designed robot.
+    """A designed robot, with the plans of its tasks.
 
-    names: of the tasks; plans: one for each, on the robot, unless Ctrl-C came first; before: e3 of each task's
-    motion on the robot that the design began with, mm, over the frames of a draft, None where it has none; rules:
-    what can be made, and how far it is used; remarks: the rules that bind; tried: what came of every start;
-    interrupted: whether Ctrl-C ended the work; stocked: what to buy and what it loses, where tubes were rounded to
-    a stock; doubts: sentences on tubes that are not used or not sold.
+    Attributes
+    ----------
+    robot : Robot
+        The robot with the designed tubes.
+    names : tuple of str
+        Names of the tasks.
+    plans : tuple of Plan
+        One a task, on the robot; some may be missing where Ctrl-C came first.
+    before : tuple of (float or None)
+        e3 of each task's motion on the robot that the design started from, mm, over the frames of a draft; None
+        where it has none.
+    rules : tuple of Kept
+        Rules of manufacture, with the values that the tubes have.
+    remarks : tuple of Remark
+        Rules that bind, the costliest first.
+    tried : tuple of dict
+        Results of the robot's own tubes and of every start, as numbers and strings.
+    interrupted : bool
+        Whether Ctrl-C ended the work.
+    stocked : Stocked, optional
+        What to buy and what it costs, where tubes were rounded to a stock.
+    doubts : tuple of str
+        Sentences on tubes that are not used or hardly sold.
     """
 
     robot: Robot
@@ -99,26 +129,74 @@ def design(
     settings: Settings = DEFAULTS,
     progress: Progress | None = None,
 ) -> Design:
-    """The tubes with which one robot follows all problems' targets best, and a plan for each problem on them.
+    """Design the tubes with which one robot follows the targets of all problems best, and plan each problem on
+    them.
 
-    The root mean square of the problems' e3 is made small over tubes and motions at once: pre-curvatures, lengths
-    of curved parts and diameters belong to all problems, q of every frame to its own
-    (formulations/shared/design.py). The problems' robots must be equal; theirs are the limits, the tolerances and
-    the first tubes.
-    nominal: whether the tolerances are left out; otherwise motions are shared by robots that stand for all within
-    them, and each plan is certified on draws (solve_robust). Under a load (model=Loaded(load)), tubes and motions
-    are those that follow the targets best while they bear it; a force that may act at the tip (tip_force of the
-    tolerances) counts by how far it bends the robot. rules: of manufacture. fixed: names of numbers that
-    stay as they are, such as outer_diameter_1. constant_curvature: whether curved parts are arcs; otherwise their
-    curvatures are linear in arc length. starts: tubes that are tried, the robot's own and random ones
-    (settings.seed). walls: whether the plans are kept within the lumens; tubes are solved for as if there were no
-    walls. jobs: in how many processes starts, tasks and plans are worked on, or a distributed.Client, on whose
-    cluster they are: of a cohort of dozens of problems only what all of them share is then solved for here.
-    stock: tubing (read_stock) to
-    which tubes are rounded, with lengths and curvatures that can be made; without it diameters are free.
-    settings.stability_margin: the least of every robot. On the dominant model stiffness does not count, and
-    diameters are found by the rules alone. Ctrl-C ends the work; the design is then the best so far,
-    marked as interrupted, and plans may be missing. Raises LoadError, OptionError, ProblemError, RobotError.
+    The root mean square of the problems' e3 is minimised over tubes and motions at once: pre-curvatures, lengths
+    of curved parts and diameters are shared by all problems, q of every frame belongs to its own
+    (formulations/shared/design.py). Walls do not count while tubes are solved for.
+
+    Without `nominal`, motions are shared by robots that stand for all within the tolerances, and each plan is
+    certified on simulated robots (:func:`solve_robust`). Under a load, tubes and motions are those that follow the
+    targets best while they bear it; a force that may act at the tip (`tip_force` of the tolerances) counts by how
+    far it bends the robot. On the dominant model stiffness does not count, and diameters follow from the rules
+    alone.
+
+    Parameters
+    ----------
+    problems : sequence of Problem
+        Tasks with different names and one robot, whose limits, tolerances and tubes are those to start from.
+    nominal : bool
+        Whether tubes are designed for the nominal robot, without tolerances.
+    model : str or Model
+        ``"elastic"``, ``"dominant"`` or ``Loaded(load)``.
+    rules : Manufacture, optional
+        Rules of manufacture; the defaults of :class:`Manufacture` where None.
+    fixed : sequence of str
+        Names of numbers that stay as they are, such as ``"outer_diameter_1"``.
+    constant_curvature : bool
+        Whether curved parts are arcs; otherwise their curvature is linear in arc length.
+    starts : int
+        Number of tubes to start from: the robot's own and random ones (`settings.seed`).
+    walls : bool
+        Whether the plans on the designed tubes are kept within the lumens.
+    jobs : int or distributed.Client
+        Number of processes, or the cluster, on which starts, tasks and plans are worked on. Of dozens of problems,
+        only what all of them share is then solved in this process.
+    stock : sequence of StockTube, optional
+        Tubing (:func:`read_stock`) to which tubes are rounded, with lengths and curvatures that can be made;
+        without it diameters are free.
+    settings : Settings
+        `stability_margin` is the least of every robot.
+    progress : callable, optional
+        Called as ``progress(done, total, note)``.
+
+    Returns
+    -------
+    Design
+        The robot, its plans and what was found on the way. Ctrl-C ends the work: the design is then the best so
+        far, marked as interrupted, and plans may be missing.
+
+    Raises
+    ------
+    LoadError, OptionError, ProblemError, RobotError
+        An option, a problem or its robot is not what it must be, or no tubes were found on which all problems can
+        be followed.
+
+    Examples
+    --------
+    Even a small design takes about a minute.
+
+    >>> import ctr_nlp as ctr
+    >>> from ctr_nlp.problems import named
+    >>> problem = named("arc", frames=4)
+    >>> found = ctr.design([problem], nominal=True, model="dominant", starts=1)  # doctest: +SKIP
+    >>> found.robot.d, found.interrupted  # doctest: +SKIP
+    (3, False)
+
+    See Also
+    --------
+    divided : Divide many problems among several robots.
     """
     count = whole_number(OptionError, "starts", starts)
     with deferred_interrupt() as interrupted:
@@ -165,9 +243,10 @@ def design(
 def _tried(
     search: DesignSearch, count: int, seed: int, jobs: Jobs, progress: Progress | None
 ) -> tuple[Candidate | None, list[Candidate]]:
-    """The robot's own tubes as they are, and what came of every start that led anywhere.
+    """Return the robot's own tubes with motions, and the candidates of all starts that led to motions.
 
-    Starts are worked on side by side where there are as many as processes; otherwise the tasks of each are.
+    Starts are distributed over processes where there are at least as many starts as processes; otherwise the tasks
+    of each start are.
     """
     begun, found = dict[int, Candidate | None](), dict[int, Candidate]()
     starts = list(itertools.islice(first_tubes(search.tubes, seed), count))
@@ -183,7 +262,9 @@ def _tried(
 
 
 def _settled(search: DesignSearch, start: tuple[str, Array]) -> tuple[Candidate | None, Candidate | None]:
-    """What tubes do as they are, and what comes of them."""
+    """Return the tubes of a start with motions, and the best candidate of the rounds from them; None for what has
+    none.
+    """
     with deferred_interrupt() as interrupted:
         search = replace(search, stop=interrupted)
         begun = search.start(*start)
@@ -193,7 +274,8 @@ def _settled(search: DesignSearch, start: tuple[str, Array]) -> tuple[Candidate 
 def _finished(
     tried: Sequence[Candidate], search: DesignSearch, tasks: tuple[Problem, ...] | None
 ) -> tuple[Candidate, DesignSearch, Robots]:
-    """Tubes for all frames of tasks, or without these for the tolerances; with what they were found by.
+    """Return tubes for all frames of `tasks`, or without these for the tolerances, with their search and its
+    scenarios.
 
     Raises ProblemError where no robots within the tolerances share motions on them.
     """
@@ -216,13 +298,15 @@ def _plans(
     progress: Progress | None,
     best: Candidate,
 ) -> list[Plan]:
-    """Those of all tasks on the tubes of a candidate."""
+    """Return the plans of all tasks on the tubes of a candidate, the last parameter."""
     tasks = whole.on(whole.tubes.robot_of(best.p))
     return planned_on(tasks, settings, nominal, model, _motions(best, whole), walls, jobs, progress)
 
 
 def _motions(best: Candidate, whole: DesignSearch) -> list[Array]:
-    """Those (T, 2d + 2) of a candidate on the robots of all frames or of a draft, task by task over all frames."""
+    """Return a candidate's motions (T, 2d + 2), task by task over all frames; those of a draft are filled in
+    between.
+    """
     picked = [drafted(task.frames) for task in whole.tasks]
     if len(best.motions.q) == sum(task.frames for task in whole.tasks):
         return whole.each(best.motions.q)
@@ -231,11 +315,12 @@ def _motions(best: Candidate, whole: DesignSearch) -> list[Array]:
 
 
 def _known(errors: Array) -> tuple[float | None, ...]:
-    """Numbers, and None for what is not known."""
+    """Return numbers as floats, None for those that are not finite."""
     return tuple(error if math.isfinite(error) else None for error in errors.tolist())
 
 
 def _told(one: Candidate) -> dict[str, Any]:
+    """Return a candidate as numbers and strings, as reports hold it."""
     return {
         "start": one.start,
         "e3": _known(one.motions.e3),
@@ -247,12 +332,15 @@ def _told(one: Candidate) -> dict[str, Any]:
 
 
 def _remarks(best: Candidate, kept: Sequence[Kept]) -> tuple[Remark, ...]:
-    """Of the rules that bind, those first that cost most."""
+    """Return the rules that bind, those first that cost most."""
     if best.solution is None:
         return ()
     found, whole = list[Remark](), best.solution.objective
     for rule, price in zip(kept, best.solution.prices.tolist(), strict=True):
         bound = rule.upper if price > 0 else rule.lower
         if np.isfinite(bound) and abs(rule.value - bound) <= BINDING * max(abs(bound), BINDING):
+            # The price is the derivative of the objective by the bound, so that a tenth of the bound changes the
+            # objective by price * bound / 10. e3 is its square root: its relative change is half that of the
+            # objective.
             found.append(Remark(rule, abs(price) * abs(bound) / 10 / whole / 2))
     return tuple(sorted((one for one in found if one.gain >= TOLD), key=lambda one: -one.gain))
