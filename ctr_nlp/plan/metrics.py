@@ -1,4 +1,8 @@
-"""What is known of a plan in numbers: by frame, and in summary."""
+"""Numbers of a plan: by frame (errors.csv), and in summary (summary.json).
+
+Errors are those of section IV of the paper: e1 between points at equal sigma, e2 its root mean square over a
+shape, eq. (8), e3 the root mean square and e4 the median of e2 over frames.
+"""
 
 from __future__ import annotations
 
@@ -27,15 +31,39 @@ from ctr_nlp.support.runs import runs
 from ctr_nlp.typing import Array
 
 DRAWN = "e2_draws_median", "e2_draws_95"
-"""Columns for plans that were tried on draws: what half of them, and 95 %, do not exceed."""
+"""Columns of plans with simulated robots: the median of their e2, and what 95 % of them do not exceed."""
 BINDS = 0.005
-"""A frame whose margin exceeds the one asked for by less is held back by it."""
+"""A frame whose margin exceeds the one asked for by less than this is held back by it."""
 
 
 def by_frame(plan: Record) -> dict[str, Array]:
-    """Columns (T,) of errors.csv: mm, s and rad. nearest is a root mean square over sigma, as e2.
+    """Return the errors of a plan by frame, the columns of errors.csv.
 
-    clearance is the least over sigma, negative in contact. Raises OptionError where plan is none.
+    Parameters
+    ----------
+    plan : Plan
+        The plan, T frames.
+
+    Returns
+    -------
+    dict of str to ndarray
+        Columns (T,): ``frame`` (from 1), ``time`` (s), ``e2``, ``max`` and ``tip`` (root mean square, maximum and
+        last of e1, mm), ``nearest`` and ``nearest_max`` (the same of the distance to the target's nearest point,
+        mm), ``tip_angle`` (rad), ``success``; where known ``stability``, ``stability_between``, ``clearance`` (the
+        least over sigma, mm, negative in contact), ``e2_draws_median`` and ``e2_draws_95`` (mm).
+
+    Raises
+    ------
+    OptionError
+        `plan` is no plan.
+
+    Examples
+    --------
+    >>> import ctr_nlp as ctr
+    >>> from ctr_nlp.problems import named
+    >>> plan = ctr.solve_per_frame(named("arc", frames=3), model="dominant")
+    >>> ctr.by_frame(plan)["frame"]
+    array([1, 2, 3])
     """
     if not isinstance(plan, Record):
         raise OptionError(f"plan is {plan!r:.80}; it must be a Plan")
@@ -59,6 +87,11 @@ def by_frame(plan: Record) -> dict[str, Array]:
 def bound_by_stability(plan: Record) -> list[tuple[int, int]]:
     """Find the parts of a motion that the stability margin asked for holds back.
 
+    Parameters
+    ----------
+    plan : Plan
+        The plan.
+
     Returns
     -------
     list of (int, int)
@@ -72,7 +105,18 @@ def bound_by_stability(plan: Record) -> list[tuple[int, int]]:
 
 
 def missed_margin(plan: Record) -> tuple[int, float] | None:
-    """On the way to which frame, from 1, the margin is missed by most, and the one found; None where held."""
+    """Find where a plan misses the stability margin asked for by most, on the way from frame to frame.
+
+    Parameters
+    ----------
+    plan : Plan
+        The plan.
+
+    Returns
+    -------
+    tuple of (int, float) or None
+        The frame to which the way leads, from 1, and the margin found; None where the margin is held.
+    """
     margin, found = plan.options.get("stability_margin"), plan.stability_between
     if margin is None or not plan.as_planned or not np.isfinite(found).any():
         return None
@@ -83,9 +127,28 @@ def missed_margin(plan: Record) -> tuple[int, float] | None:
 
 
 def summary(plan: Record) -> dict[str, Any]:
-    """What summary.json holds: errors in mm over frames whose shape is known, motion, times, failures.
+    """Return the numbers of a plan as summary.json holds them.
 
-    Numbers that do not exist (no frame solved, a single frame) are None.
+    Parameters
+    ----------
+    plan : Plan
+        The plan.
+
+    Returns
+    -------
+    dict
+        Errors in mm over frames whose shape is known (``e3``, ``e4``, ``e_max``, ``tip_last`` and others), the
+        motion (``roughness`` in mm^2/s, ``max_step``), margins, contacts, times, failures, ``verdicts``, and how
+        the plan was made. Numbers that do not exist, as where no frame was solved, are None.
+
+    Examples
+    --------
+    >>> import ctr_nlp as ctr
+    >>> from ctr_nlp.problems import named
+    >>> plan = ctr.solve_per_frame(named("arc", frames=3), model="dominant")
+    >>> numbers = ctr.summary(plan)
+    >>> numbers["frames"], numbers["failed"]
+    (3, 0)
     """
     columns = by_frame(plan)
     known = np.isfinite(columns["e2"])
@@ -109,6 +172,7 @@ def summary(plan: Record) -> dict[str, Any]:
         "e2_max_frame": None if worst is None else worst.frame,
         "tip_angle_max_deg": _number(np.degrees(columns["tip_angle"][known].max(initial=-np.inf))),
         "nearest_max": _number(columns["nearest_max"][known].max(initial=-np.inf)),
+        # The motion term of eq. (9) without lambda, as an integral over time: sum |W dq|^2 / dt.
         "roughness": _number(((steps * robot.mm_per_unit) ** 2).sum() / plan.dt),
         "max_step": {"alpha": float(alpha.max()), "beta": float(beta.max()), "theta": float(theta.max())},
         "acceleration_used": float(rate_parts(plan, 2).max(initial=0.0)),
@@ -153,14 +217,27 @@ def summary(plan: Record) -> dict[str, Any]:
 
 
 def verdict_columns(plan: Record) -> dict[str, str]:
-    """Words of a plan's verdicts as columns of a table's row: ``verdict_solved`` and so on."""
+    """Return the words of a plan's verdicts as columns of a table's row, ``verdict_solved`` and so on.
+
+    Parameters
+    ----------
+    plan : Plan
+        The plan.
+
+    Returns
+    -------
+    dict of str to str
+        ``"yes"``, ``"no"`` or ``"NOT CHECKED"`` by column.
+    """
     return {f"verdict_{name}": verdict.word for name, verdict in verdicts(plan)._asdict().items()}
 
 
 def _least(values: Array) -> float | None:
+    """Return the least finite value; None where there is none."""
     known = values[np.isfinite(values)]
     return float(known.min()) if known.size else None
 
 
 def _number(value: Any) -> float | None:
+    """Return a value as a float; None where it is not finite."""
     return float(value) if np.isfinite(value) else None

@@ -1,4 +1,4 @@
-"""A plan: configurations over time with the shapes and targets they belong to, and plan.npz."""
+"""A plan: configurations over time, with the shapes and targets that belong to them, and its file plan.npz."""
 
 from __future__ import annotations
 
@@ -44,17 +44,61 @@ from ctr_nlp.target.problem import Problem
 from ctr_nlp.typing import Array, Flags
 
 DESCRIBED = "name", "frames", "duration", "deviation", "deviation_share", "space"
-"""What meta tells of the problem."""
+"""Attributes of the problem that meta holds."""
 PHYSICAL_MODEL = "elastic"
-"""The model on which every plan is checked: it predicts what tubes that twist each other do."""
+"""The model on which every plan is checked: it predicts how tubes twist each other."""
 SHOWN = 5
 """Frames in a notebook's picture."""
 
 
 class Plan(Record):
-    """A motion and what is known of it; see Record for its arrays, which are those of plan.npz.
+    """A motion of T frames of a robot with d tubes, with its shapes, errors and margins.
 
-    plan[first:stop] are some of its frames, counted from 0; plan + other is one after the other.
+    ``plan[first:stop]`` are some of its frames, counted from 0; ``plan + other`` is one plan after the other.
+    Arrays are read-only; frames that were never reached hold NaN. They are saved under these names in plan.npz.
+
+    Attributes
+    ----------
+    time : ndarray
+        (T,), s.
+    alpha, beta, theta : ndarray
+        Rotations (T, d), rad, extensions (T, d), mm, and tilt of the base (T, 2), rad; together :attr:`q`.
+    target, shape : ndarray
+        Target and robot (T, 101, 3), mm, at uniform sigma.
+    target_direction, tip_direction : ndarray
+        Unit tangents (T, 3) at the ends of both.
+    solve_time : ndarray
+        Seconds (T,) that the frames took.
+    success : ndarray of bool
+        Frames (T,) that are solutions of their optimisation problem.
+    objective, kkt : ndarray
+        Objective (T,), mm^2, and KKT residual (T,).
+    stability, stability_between : ndarray
+        Stability margin (T,) at each frame, and the least one on the way to it; NaN where nothing can be unstable.
+    to_robot : ndarray
+        Rigid transform (4, 4) from the axes of the target's file to the robot's frame, mm.
+    meta : dict
+        How the plan was made: robot, problem, model, options, failures, snaps and versions.
+    lumen_radius : ndarray, optional
+        Radius of the lumen (T, 101), mm, at the target's points.
+    truth : ndarray, optional
+        Configurations (T, 2d + 2) that the target was made with.
+    lumen : ndarray, optional
+        Points and radii (N, 4) of the whole lumen, mm.
+    clearance, clearance_between : ndarray, optional
+        Clearance (T, 101), mm, negative in contact, in each frame, and the least one on the way to it and in it.
+    free : ndarray, optional
+        The motion (T, 2d + 2) that was found without the wall.
+    drawn : Robustness, optional
+        What happens on simulated robots within the tolerances.
+
+    Examples
+    --------
+    >>> import ctr_nlp as ctr
+    >>> from ctr_nlp.problems import named
+    >>> plan = ctr.solve_per_frame(named("arc", frames=3), model="dominant")
+    >>> plan.q.shape, plan[:2].shape.shape, len((plan + plan.reversed()).time)
+    ((3, 8), (2, 101, 3), 6)
     """
 
     @cached_property
@@ -128,50 +172,170 @@ class Plan(Record):
         return replace(self, meta=self.meta | {"options": self.options | thresholds})
 
     def on(self, model: str) -> Plan:
-        """The same motion on another model: shapes, tip directions and stability of the robot moved through it."""
+        """Evaluate the same motion on another model.
+
+        The robot is moved through the motion on that model, without a load; shapes, tip directions, margins and
+        clearances are replaced. Results on simulated robots are dropped.
+
+        Parameters
+        ----------
+        model : str
+            ``"elastic"`` or ``"dominant"``.
+
+        Returns
+        -------
+        Plan
+            The same configurations with the shapes of that model.
+
+        Raises
+        ------
+        OptionError
+            The model is unknown.
+
+        Examples
+        --------
+        >>> import ctr_nlp as ctr
+        >>> from ctr_nlp.problems import named
+        >>> plan = ctr.solve_per_frame(named("arc", frames=3), model="dominant")
+        >>> plan.on("elastic").evaluated
+        'elastic'
+        """
         return self._evaluated(model_named(model), {"evaluated": model, "load": None})
 
     def under(self, load: Load | LoadOverTime) -> Plan:
-        """The same motion of the robot that bears a load, on the elastic model (models/loaded).
+        """Evaluate the same motion on the elastic model while the robot bears a load.
 
-        The load comes while the robot stands in the first frame, and is taken away in the last one. Raises
-        LoadError where the load does not fit the robot, or this has no modulus in MPa (with_modulus).
+        The load comes while the robot stands in the first frame, and is taken away in the last one.
+
+        Parameters
+        ----------
+        load : Load or LoadOverTime
+            Forces, moments and weight; N, N mm, N/mm.
+
+        Returns
+        -------
+        Plan
+            The same configurations with the shapes of the loaded robot.
+
+        Raises
+        ------
+        LoadError
+            The load does not fit the robot, or the robot has no moduli in MPa; see :meth:`with_modulus`.
+
+        Examples
+        --------
+        >>> import ctr_nlp as ctr
+        >>> from ctr_nlp.problems import named
+        >>> plan = ctr.solve_per_frame(named("arc", frames=3), model="dominant").with_modulus(60_000)
+        >>> loaded = plan.under(ctr.Load(force=(0.05, 0, 0)))  # doctest: +SKIP
+        >>> loaded.evaluated  # doctest: +SKIP
+        'elastic'
         """
         instance(LoadError, "load", load, Load, LoadOverTime)
         model = Loaded(load)
         return self._evaluated(model, {"evaluated": model.name, "load": load.to_dict()})
 
     def with_modulus(self, modulus: float) -> Plan:
-        """The same plan of a robot whose tubes have Young's moduli in MPa, where they had only ratios.
+        """Give the tubes of the plan's robot Young's moduli in MPa, where they have only ratios.
 
-        modulus: in MPa, of a tube whose ratio is 1. Shapes and margins without a load stay the same. Raises
-        LoadError.
+        Parameters
+        ----------
+        modulus : float
+            Young's modulus of a tube whose ratio is 1, MPa; about 60,000 for nitinol. The others keep their ratio
+            to it.
+
+        Returns
+        -------
+        Plan
+            The same plan; shapes and margins without a load stay the same.
+
+        Raises
+        ------
+        LoadError
+            The modulus is out of range, the tubes have other moduli in MPa already, or the plan is evaluated under
+            a load.
+
+        Examples
+        --------
+        >>> import ctr_nlp as ctr
+        >>> from ctr_nlp.problems import named
+        >>> plan = ctr.solve_per_frame(named("arc", frames=2), model="dominant")
+        >>> plan.with_modulus(60_000).robot.tubes[0].youngs_modulus
+        60000.0
         """
         if self.bears is not None:
             raise LoadError(f"the plan is evaluated under {self.bears}; give its robot a modulus before the load")
         return replace(self, meta=self.meta | {"robot": with_modulus(self.robot, modulus).to_dict()})
 
     def _with_way_between(self) -> Plan:
-        """The same plan with its clearance between frames, which files of older versions do not hold."""
+        """Return the plan with its clearance between frames, which files of older versions do not hold."""
         lumen = lumen_of(self)
         if lumen is None or self.clearance is None or self.clearance_between is not None:
             return self
         return replace(self, clearance_between=clearance_between(self.robot, self.q, self.evaluated_on, lumen))
 
     def _evaluated(self, model: Model, told: dict[str, Any]) -> Plan:
+        """Return the plan with its robot moved through the motion on `model`, and with `told` in its meta."""
         simulator, lumen = Simulator(self.robot, model), lumen_of(self)
         found = moved(simulator, self.q, target=self.target, lumen=lumen, free=self.free)
         return replace(self, **found.arrays, meta=self.meta | found.told | told, drawn=None)
 
     def robustness(self, draws: int = DRAWS, seed: int = SEED) -> Robustness:
-        """What becomes of the plan on draws of its robot, within its tolerances, on the model it is evaluated on.
+        """Try the motion on simulated robots within the tolerances, on the model that the plan is evaluated on.
 
-        seed: of the draws. Raises RobotError, and OptionError where the model cannot follow such robots.
+        Parameters
+        ----------
+        draws : int
+            Number of robots, at least 1.
+        seed : int
+            Their seed; the same seed gives the same robots.
+
+        Returns
+        -------
+        Robustness
+            Which robots snap or leave the branch, their errors, margins and clearances, and what each tolerance
+            costs.
+
+        Raises
+        ------
+        RobotError
+            `draws` or `seed` is out of range.
+        OptionError
+            The model cannot follow robots that differ from the nominal one.
+
+        Examples
+        --------
+        >>> import ctr_nlp as ctr
+        >>> from ctr_nlp.problems import named
+        >>> plan = ctr.solve_per_frame(named("arc", frames=3), model="dominant").on("elastic")
+        >>> found = plan.robustness(draws=5)
+        >>> len(found), found.e2.shape
+        (5, (5, 3))
         """
         return robustness(self, draws, seed)
 
     def with_draws(self, draws: int = DRAWS, seed: int = SEED) -> Plan:
-        """The same plan, which holds its robustness; raises as `robustness`."""
+        """Return the plan with what happens on simulated robots; see :meth:`robustness`.
+
+        Parameters
+        ----------
+        draws : int
+            Number of robots, at least 1.
+        seed : int
+            Their seed; the same seed gives the same robots.
+
+        Returns
+        -------
+        Plan
+            The same plan, with the results in ``plan.drawn``, which verdicts and files then hold.
+
+        Raises
+        ------
+        RobotError
+            `draws` or `seed` is out of range.
+        OptionError
+            The model cannot follow robots that differ from the nominal one.
+        """
         return replace(self, drawn=self.robustness(draws, seed))
 
     __getitem__ = stretch
@@ -197,7 +361,30 @@ class Plan(Record):
         return card(repr(self), lines, told)
 
     def save(self, path: str | Path) -> None:
-        """Write plan.npz, whole or not at all; raises OutputError."""
+        """Write the plan to a file, whole or not at all.
+
+        Parameters
+        ----------
+        path : str or Path
+            The file (plan.npz); it is read without pickle.
+
+        Raises
+        ------
+        OutputError
+            The file cannot be written, or meta cannot be written as JSON.
+
+        Examples
+        --------
+        >>> import tempfile
+        >>> from pathlib import Path
+        >>> import ctr_nlp as ctr
+        >>> from ctr_nlp.problems import named
+        >>> plan = ctr.solve_per_frame(named("arc", frames=2), model="dominant")
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     plan.save(Path(folder) / "plan.npz")
+        ...     Plan.load(Path(folder) / "plan.npz") == plan
+        True
+        """
         present = rows(self) | {"to_robot": self.to_robot} | ({} if self.lumen is None else {"lumen": self.lumen})
         present |= {} if self.drawn is None else self.drawn.arrays()
         target, told = checked_path(OutputError, path), self._meta_as_json()
@@ -209,6 +396,9 @@ class Plan(Record):
             raise OutputError(f"plan cannot be written to {target}: {error}") from error
 
     def _meta_as_json(self) -> str:
+        """Return meta as strict JSON, with the seed of simulated robots; raise OutputError where that is
+        impossible.
+        """
         try:
             seed = {} if self.drawn is None else {"draws": {"seed": self.drawn.seed}}
             return json.dumps(self.meta | seed, allow_nan=False)
@@ -267,15 +457,42 @@ def plan_from_configurations(
     free: Array | None = None,
     simulator: Simulator | None = None,
 ) -> Plan:
-    """The plan that moves a problem's robot through q (T, 2d + 2); meta tells how q was found.
+    """Build a plan by moving a problem's robot through configurations.
 
-    planned: the unknowns (T, n) meant, where q does not determine them: frames in which the robot, moved through
-    q, is elsewhere are marked as not solved. free: the motion (T, 2d + 2) that was found without the wall.
-    simulator: one that may have moved the robot through q already.
+    Parameters
+    ----------
+    problem : Problem
+        Robot and target.
+    q : ndarray
+        Configurations (T, 2d + 2), rad and mm; NaN in frames that were not reached.
+    meta : dict
+        How q was found, with the model and ``failures``.
+    success : ndarray of bool
+        Frames (T,) that were solved.
+    solve_time : ndarray
+        Seconds (T,).
+    objective : ndarray
+        Objective (T,), mm^2.
+    kkt : ndarray
+        KKT residual (T,).
+    planned : ndarray, optional
+        Unknowns (T, n) that were planned, where q does not determine them. Frames in which the robot, moved
+        through q, comes to another equilibrium are marked as not solved.
+    free : ndarray, optional
+        The motion (T, 2d + 2) that was found without the wall.
+    simulator : Simulator, optional
+        One that may have moved the robot through q already.
+
+    Returns
+    -------
+    Plan
+        The plan, with the shapes of the simulated robot.
     """
     robot, frames = problem.robot, problem.samples
     target, radii = np.array([frame.points for frame in frames]), [frame.radius for frame in frames]
     simulator = simulator or Simulator(robot, planned_on(meta))
+    # Shapes are those of the robot moved through q, and not those that the solver planned: a stationary point can
+    # be an equilibrium that the motion does not lead to.
     found = moved(simulator, q, target=target, lumen=problem.sampled_lumen, free=free)
     if planned is not None:
         snaps = found.simulation.snaps
@@ -312,7 +529,7 @@ def plan_from_configurations(
 
 @cache
 def versions() -> dict[str, str]:
-    """Of what a plan is made with."""
+    """Return the versions of this package and of what it computes with."""
     return {
         "ctr_nlp": importlib.metadata.version("ctr_nlp"),
         "casadi": ca.CasadiMeta.version(),
