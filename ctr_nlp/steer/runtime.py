@@ -1,4 +1,8 @@
-"""Steering while the target moves: one configuration for one target, as they come."""
+"""Steering while the target moves: one configuration for one target after another, eq. (9) frame by frame.
+
+A step minimises the distance (8) from the robot to the target plus the motion term of eq. (9) from where the robot
+stands, subject to the limits (2), (3) and the speeds. Nothing is known of targets to come.
+"""
 
 from __future__ import annotations
 
@@ -31,20 +35,21 @@ from ctr_nlp.target.target import SIGMA, growing
 from ctr_nlp.typing import Array
 
 MOST_ITERATIONS = 60
-"""Of a step: a target that needs more is not waited for, since the next one comes soon."""
+"""Most SQP iterations of a step: a target that needs more is not waited for, since the next one comes soon."""
 
 
 class Steerer:
     """Solve the joint formulation again and again while the target moves.
 
     Everything is built once, and each step solves one frame: a few tens of microseconds of compiled code, and at
-    most `MOST_ITERATIONS` of some ten to forty microseconds each. A step keeps the limits of position and speed:
-    where no better configuration is found, the robot stays where it is. Give each thread a steerer of its own.
+    most `MOST_ITERATIONS` of some ten to forty microseconds each. A step satisfies the limits of position and
+    speed: where no better configuration is found, the robot stays where it is. Give each thread a steerer of its
+    own.
 
     Parameters
     ----------
     robot : Robot
-        What is steered.
+        The robot to steer.
     q : array_like
         Configuration (2d + 2,) in which the robot stands, in rad and mm. On the elastic model the robot is taken
         to have been turned to it from where all its tubes were aligned.
@@ -53,25 +58,29 @@ class Steerer:
     settings : Settings, optional
         Weights of motion, contact and arrival.
     model : str or Model, optional
-        What the robot's shape follows from.
+        Kinematic model: ``"elastic"``, ``"dominant"`` or ``Loaded(load)`` with a load that stays the same.
     lumen : Curve, optional
         Path with a radius, within whose wall the robot is kept; no wall by default.
     wait : bool
-        Wait until the program is compiled. Otherwise steps are interpreted, and take a millisecond or more, until
-        that was done in the background. What describes a wall is always waited for.
+        Whether to wait until the program is compiled. Otherwise steps are interpreted, and take a millisecond or
+        more, until it was compiled in the background. What describes a wall is always waited for.
 
     Raises
     ------
     OptionError, RobotError
         An argument is not what it must be, or nothing can be compiled.
+    LoadError
+        The load changes over time, or the robot cannot bear it.
 
     Examples
     --------
     >>> import ctr_nlp as ctr
-    >>> robot = ctr.table_i_robot()
-    >>> robot.d
-    3
-    >>> steerer = ctr.Steerer(robot, [0, 0, 0, 20, 40, 60, 0, 0], 0.1)  # doctest: +SKIP
+    >>> from ctr_nlp.problems import named
+    >>> problem = named("arc", frames=5)
+    >>> steerer = ctr.Steerer(problem.robot, [0, 0, 0, 20, 40, 60, 0, 0], dt=0.1, wait=False)
+    >>> q = steerer.step(problem.samples[2].points)
+    >>> q.shape, steerer.solved
+    ((8,), True)
     """
 
     def __init__(
@@ -96,7 +105,10 @@ class Steerer:
         self._wall = wall_of(robot, None if lumen is None else Lumen.around(lumen), described, settings)
         stage, arrival = _stage(robot, settings, described, self._wall)
         reach = reach_of(robot, dt, described.several_equilibria)
+        # Parameters that never change are filled once, with any target; the real one is written in place by every
+        # step.
         straight = growing(curve_from_formula(lambda u: (0.0, 0.0, u), 0.0, 1.0), 1).sample()[0]
+        # The program squares residuals: root^2 |W (q - q_before)|^2 = lambda |W (q - q_before)|^2 / dt^2, eq. (9).
         root = math.sqrt(settings.motion_weight) / dt
         self._run = run = Run(Program(stage.nlp, wait, MOST_ITERATIONS), 1, math.inf, goes_on=True)
         values = {**stage.fill(straight, q), "motion_root": root}
@@ -125,7 +137,35 @@ class Steerer:
         model: str | Model = DEFAULT_MODEL,
         lumen: Curve | None = None,
     ) -> Steerer | None:
-        """The same, or None while it is compiled in the background, which the first call begins."""
+        """Return a steerer once everything is compiled, and None before.
+
+        The first call starts to compile in the background; call it again until it returns a steerer.
+
+        Parameters
+        ----------
+        robot : Robot
+            The robot to steer.
+        q : array_like
+            Configuration (2d + 2,) in which the robot stands, rad and mm.
+        dt : float
+            Time from one step to the next, s.
+        settings : Settings, optional
+            Weights of motion, contact and arrival.
+        model : str or Model, optional
+            Kinematic model.
+        lumen : Curve, optional
+            Path with a radius, within whose wall the robot is kept.
+
+        Returns
+        -------
+        Steerer or None
+            None while programs are compiled.
+
+        Raises
+        ------
+        OptionError, RobotError, LoadError
+            As :class:`Steerer` itself.
+        """
         described = model_named(model)
         wall = wall_of(robot, None if lumen is None else Lumen.around(lumen), described, settings)
         stage, _ = _stage(robot, settings, described, wall)
@@ -135,39 +175,68 @@ class Steerer:
         return cls(robot, q, dt, settings, model, lumen) if all(begun) else None
 
     def stand(self, q: npt.ArrayLike, x: Array | None = None) -> None:
-        """From now on, the robot stands at q (2d + 2,), wherever it was before.
+        """Set the configuration in which the robot stands, wherever it was before.
 
-        x (n_x,): the unknowns of its equilibrium there; None for that to which it is turned from where all tubes
-        are aligned. Raises RobotError.
+        Parameters
+        ----------
+        q : array_like
+            Configuration (2d + 2,), rad and mm.
+        x : ndarray, optional
+            Unknowns (n_x,) of the model's equilibrium there. By default the equilibrium to which the robot is
+            turned from where all its tubes are aligned.
+
+        Raises
+        ------
+        RobotError
+            q violates the robot's limits.
         """
         q = self._robot.check(q)
         x = self._model.rest(self._robot, q) if x is None else x
         self._run.stand(np.append(q, x[: len(self._run.here) - len(q)]), x)
 
     def weigh(self, distance: ShapeDistance) -> None:
-        """From now on, distances along the robot count as this term says; raises OptionError for other strides."""
+        """Set how distances along the robot count from now on.
+
+        Parameters
+        ----------
+        distance : ShapeDistance
+            Term of the shape error, with weights along the robot and the default stride.
+
+        Raises
+        ------
+        OptionError
+            Its stride is another than the default, which the program was built for.
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> import ctr_nlp as ctr
+        >>> from ctr_nlp.formulations.terms import ShapeDistance
+        >>> steerer = ctr.Steerer(ctr.table_i_robot(), [0, 0, 0, 20, 40, 60, 0, 0], dt=0.1, wait=False)
+        >>> steerer.weigh(ShapeDistance(np.linspace(0, 2, 101)))
+        """
         if distance.stride != STRIDE:
             raise OptionError(f"stride of a Steerer's distance is {distance.stride}; it must be {STRIDE}")
         self._run.p[0, self._run.program.nlp.place("shape_roots")] = distance.roots
 
     @property
     def q(self) -> Array:
-        """Where the robot stands, (2d + 2,)."""
+        """Configuration (2d + 2,) in which the robot stands, rad and mm; a copy."""
         return self._run.here[: self._size].copy()
 
     @property
     def objective(self) -> float:
-        """Of the last step, mm^2; NaN before the first."""
+        """Objective of the last step, mm^2; NaN before the first."""
         return float(self._run.objective[0])
 
     @property
     def kkt(self) -> float:
-        """The KKT residual of the last step; NaN before the first."""
+        """KKT residual of the last step; NaN before the first."""
         return float(self._run.kkt[0])
 
     @property
     def iterations(self) -> int:
-        """Of the last step."""
+        """SQP iterations of the last step."""
         return int(self._run.iterations[0])
 
     @property
@@ -190,7 +259,7 @@ class Steerer:
         Returns
         -------
         ndarray
-            Configuration q (2d + 2,), rad and mm.
+            Configuration q (2d + 2,), rad and mm; where no better one was found, that in which the robot stands.
 
         Raises
         ------
@@ -222,7 +291,9 @@ def _stage(robot: Robot, settings: Settings, model: Model, wall: Wall | None) ->
 
 
 def _described(wall: Wall) -> Surroundings:
-    """What describes a wall in C, compiled now where it is not yet; raises OptionError."""
+    """Compile what describes a wall, where it is not compiled yet, and return it; raise OptionError where that
+    fails.
+    """
     around = wall.around
     if around is None:
         raise OptionError(f"a lumen is given, and nothing can be compiled: {cache.missing()}")

@@ -1,4 +1,8 @@
-"""A plan for robots whose tubes are not quite known, frame by frame."""
+"""Robust plans frame by frame: one motion that the nominal robot and perturbed robots (scenarios) all follow.
+
+Each frame's program has one q and the tips of every scenario as unknowns, and starts from the frame before it. The
+motion is then tried on simulated robots; those that snap or leave the branch join the scenarios.
+"""
 
 from __future__ import annotations
 
@@ -28,11 +32,13 @@ from ctr_nlp.support.values import whole_number
 from ctr_nlp.target.problem import Problem
 
 MARGINS = 0.1, 0.5
-"""Stability margins of the robot as described in the frames that runs begin at."""
+"""Stability margins of the nominal robot in the frames from which runs start."""
 ROUNDS = 3
-"""Times that a motion is planned again for robots that were lost."""
+"""Most times that a motion is re-planned for robots that were lost."""
 DEARER = 0.1
-"""By what part of itself the mean objective may grow before other runs are looked at, too."""
+"""Relative growth of the mean objective up to which the first re-planned run is taken, without trying further
+ones.
+"""
 
 
 def solve_robust_per_frame(
@@ -48,10 +54,56 @@ def solve_robust_per_frame(
     terms: Sequence[Term] = (),
     progress: Progress | None = None,
 ) -> Plan:
-    """The plan that robots of scenarios follow a problem's target with frame by frame, all making one motion.
+    """Plan one motion frame by frame that all robots within the tolerances follow.
 
-    scenarios, most_lost, rounds: as solve_robust. direction, start, settings, terms, progress: as solve_per_frame;
-    settings.stability_margin is the least of every scenario. Walls do not count. Raises OptionError, RobotError.
+    Robots that stand for the tolerances (scenarios) share the motors' angles and extensions of every frame. The
+    motion is tried on simulated robots; those that snap or leave the branch join the scenarios, and it is planned
+    again. Walls do not count. :func:`solve_robust` plans over all frames at once, with walls and arrival.
+
+    Parameters
+    ----------
+    problem : Problem
+        Robot and target; the robot's tolerances say how built robots differ from it.
+    scenarios : Scenarios, optional
+        The robots that are planned for, the first of which is the problem's own. By default a two-level design of
+        the tolerances (Plackett and Burman, The design of optimum multifactorial experiments, Biometrika 33,
+        1946), and the nominal robot under the forces that may act at its tip, whose errors do not count.
+    most_lost : float
+        Share of all robots within the tolerances that may snap or leave the branch, with 95 % confidence.
+    rounds : int
+        Most times that the motion is planned again for robots that were lost, at least 0.
+    model : str or Model
+        ``"elastic"``, ``"dominant"`` or ``Loaded(load)``.
+    direction : str
+        Order in which frames are solved: ``"forward"``, ``"backward"``, or ``"best"``, which tries both.
+    start : array_like, optional
+        Configuration q (2d + 2,) at time 0, from which the motion then leads forward.
+    settings : Settings
+        `stability_margin` is the least one of every scenario.
+    terms : sequence of Term
+        Further terms of the objective (formulations.terms).
+    progress : callable, optional
+        Called as ``progress(done, total, note)``.
+
+    Returns
+    -------
+    Plan
+        Also where frames failed. Its certificate is in ``meta["certificate"]``, unless no frame was reached or
+        Ctrl-C ended the work.
+
+    Raises
+    ------
+    LoadError, OptionError, ProblemError, RobotError
+        An option, the problem or the robot is not what it must be.
+
+    Examples
+    --------
+    >>> import ctr_nlp as ctr
+    >>> from ctr_nlp.problems import named
+    >>> problem = named("arc", frames=3)
+    >>> plan = ctr.solve_robust_per_frame(problem, rounds=0)  # doctest: +SKIP
+    >>> plan.meta["certificate"]["draws"]  # doctest: +SKIP
+    500
     """
     check_described(problem, settings)
     checked_ends(problem, direction, start)
@@ -71,6 +123,8 @@ def solve_robust_per_frame(
             trial = trials(best.motion(problem), len(made))
             made.append((solver, best, trial))
         stopped = interrupted()
+    # Fewest failed frames first, then the smallest share of lost robots. The objective does not decide: later
+    # rounds cost more because they keep robots that earlier ones lost.
     solver, best, trial = min(made, key=lambda one: (one[1].cost(problem)[0], one[2].share))
     options = {
         "direction": best.direction,
@@ -93,7 +147,7 @@ def solve_robust_per_frame(
 
 
 def _told(best: Pass, problem: Problem, model: Model) -> Pass:
-    """The same run with the unknowns that a plan tells of."""
+    """Return the run with the unknowns of the model that a plan is reported on."""
     q, robot = best.motion(problem), problem.robot
     found = {
         j: one if one.x is None else replace(one, x=told_unknowns(robot, model, q[j : j + 1], one.x[None])[0])
@@ -103,7 +157,12 @@ def _told(best: Pass, problem: Problem, model: Model) -> Pass:
 
 
 def _best_again(ranked: Sequence[Pass], solver: ScenarioFrames, stop: Callable[[], bool]) -> Pass:
-    """The first of ranked runs that, run again, is about as good as the best of them was; else the best then."""
+    """Re-run motions in the order of their cost, and return the first that costs about as much as the best one
+    did.
+
+    Where none does, the cheapest of the new ones is returned. `ranked` are the runs before, cheapest first, and
+    `stop` is asked between runs.
+    """
     problem, found = solver.problem, list[Pass]()
     failed, least = ranked[0].cost(problem)
     for one in ranked:
