@@ -42,13 +42,34 @@ COMPARED: tuple[dict[str, Any], ...] = (
     {"color": ORANGE, "lw": 1.6},
     {"color": BLACK, "lw": 0.9},
 )
-"""How plans are drawn in one panel."""
+"""How the first, second and third plan are drawn in one panel."""
 LINES: tuple[tuple[Any, str], ...] = (("-", "RMSE, e2"), ((0, (3, 1.5)), "maximum of e1"))
+"""Line styles of the two errors, with their names."""
 
 
 @matplotlib.rc_context(STYLE)
 def by_frame(plan: Plan) -> Figure:
-    """Maximum of e1, e2, tip distance and distance to the nearest target point by frame, in mm."""
+    """Draw maximum of e1, e2, tip error and distance to the nearest target point by frame, in mm.
+
+    Parameters
+    ----------
+    plan : Plan
+        The plan.
+
+    Returns
+    -------
+    Figure
+        One panel; failed frames are marked.
+
+    Examples
+    --------
+    >>> import ctr_nlp as ctr
+    >>> from ctr_nlp.figures import by_frame
+    >>> from ctr_nlp.problems import named
+    >>> figure = by_frame(ctr.solve_per_frame(named("arc", frames=3), model="dominant"))
+    >>> figure.axes[0].get_ylabel()
+    'distance (mm)'
+    """
     figure = Figure(figsize=(7.0, 3.6), layout="constrained")
     axes = figure.subplots()
     columns, frames = metrics.by_frame(plan), by_frames(axes, plan)
@@ -63,9 +84,18 @@ def by_frame(plan: Plan) -> Figure:
 
 @matplotlib.rc_context(STYLE)
 def by_frame_compared(plans: Mapping[str, Mapping[str, Plan]]) -> Figure:
-    """A panel for each problem with e2, solid, and the maximum of e1, dashed, of up to three plans, in mm.
+    """Draw e2 (solid) and the maximum of e1 (dashed) of up to three plans a problem, in mm, on a square-root
+    scale.
 
-    plans: by problem, then by what the plan is called. The scale is that of square roots.
+    Parameters
+    ----------
+    plans : mapping of str to mapping of str to Plan
+        Plans by the name of the problem, then by what the plan is called.
+
+    Returns
+    -------
+    Figure
+        One panel a problem.
     """
     figure, grid = panels(list(plans), 2, (3.6, 2.6))
     for axes, some in zip(grid, plans.values(), strict=True):
@@ -86,12 +116,23 @@ def by_frame_compared(plans: Mapping[str, Mapping[str, Plan]]) -> Figure:
 GROUPS = 10
 """Violins in the picture; fewer where there are fewer frames."""
 COLOURS = SKY, VERMILLION
-"""Of violins side by side."""
+"""Colours of two violins side by side."""
 
 
 @matplotlib.rc_context(STYLE)
 def errors(plan: Plan) -> Figure:
-    """Violins of e1 over the shape in mm, one for each tenth of the motion, with medians and middle halves."""
+    """Draw violins of e1 over the shape in mm, one for each tenth of the motion, with medians and middle halves.
+
+    Parameters
+    ----------
+    plan : Plan
+        The plan.
+
+    Returns
+    -------
+    Figure
+        One panel over time.
+    """
     figure = Figure(figsize=(7.0, 3.6), layout="constrained")
     axes = figure.subplots()
     groups = _groups(plan)
@@ -107,9 +148,17 @@ def errors(plan: Plan) -> Figure:
 
 @matplotlib.rc_context(STYLE)
 def errors_compared(plans: Mapping[str, Mapping[str, Plan]]) -> Figure:
-    """A panel for each problem with violins of e1 of two plans side by side, on a square-root scale.
+    """Draw violins of e1 of two plans a problem, side by side, on a square-root scale.
 
-    plans: by problem, then by what the plan is called.
+    Parameters
+    ----------
+    plans : mapping of str to mapping of str to Plan
+        Plans by the name of the problem, then by what the plan is called.
+
+    Returns
+    -------
+    Figure
+        One panel a problem.
     """
     figure, grid = panels(list(plans), 2, (3.6, 2.3))
     for axes, pair in zip(grid, plans.values(), strict=True):
@@ -126,9 +175,17 @@ def errors_compared(plans: Mapping[str, Mapping[str, Plan]]) -> Figure:
 
 
 def spread(plan: Plan) -> list[tuple[Array, float, float]]:
-    """For each tenth of a motion e1 in mm at all samples of its frames, and when it begins and ends, s.
+    """Return e1 at all samples, for each tenth of a motion.
 
-    Tenths without a known shape are left out.
+    Parameters
+    ----------
+    plan : Plan
+        The plan.
+
+    Returns
+    -------
+    list of (ndarray, float, float)
+        For each tenth e1 (n,), mm, and when it begins and ends, s. Tenths without a known shape are left out.
     """
     distance, found = metrics.e1(plan), []
     for group in _groups(plan):
@@ -139,11 +196,13 @@ def spread(plan: Plan) -> list[tuple[Array, float, float]]:
 
 
 def _groups(plan: Plan) -> list[npt.NDArray[np.int_]]:
+    """Return the numbers of the frames of each tenth, from 0."""
     return np.array_split(np.arange(len(plan.time)), min(GROUPS, len(plan.time)))
 
 
 def _violin(axes: Axes, values: Array, centre: float, width: float, colour: str) -> None:
     # A density needs a spread: once rounded, values that differ by noise alone are equal, and drawn flat.
+    """Draw a violin of `values`, mm, at time `centre`, s."""
     parts: Any = axes.violinplot([np.round(values, 9)], [centre], widths=width, showextrema=False, points=200)
     for body in parts["bodies"]:
         body.set(facecolor=colour, edgecolor=BLACK, linewidth=0.6, alpha=1.0)
@@ -153,6 +212,7 @@ def _violin(axes: Axes, values: Array, centre: float, width: float, colour: str)
 
 
 def _over_time(axes: Axes, plan: Plan, label: str) -> None:
+    """Label the axes of a panel over time."""
     axes.set_xlim(0.0, plan.time[-1])
     axes.grid(visible=False, axis="x")
     axes.set_xlabel(label)

@@ -1,4 +1,4 @@
-"""Shapes over their targets, as Fig. 4 of the paper."""
+"""Shapes over their targets, as in Fig. 4 of the paper."""
 
 from __future__ import annotations
 
@@ -35,11 +35,13 @@ SLIM = 0.15
 SPACE = (8.0, 5.2)
 """Width and height in inches that all panels together may take, unless they would be narrower than LEAST."""
 LEAST = 0.5
+"""Least width of a panel, inches."""
 LEFT, RIGHT, TOP, BOTTOM = 0.65, 0.15, 1.1, 0.9
 """Inches around the panels, for labels, title and key."""
 NARROWEST, ENTRY = 5.0, 0.95
-"""Least width of the picture in inches, which the title needs, and the width of an entry of the key."""
+"""Least width of the picture, inches, which the title needs, and the width of an entry of the legend."""
 TARGET: dict[str, Any] = {"color": BLACK, "lw": 0.8, "ls": (0, (4, 2))}
+"""How targets are drawn."""
 GAP, BELOW, BELOW_CAPTION = 0.2, 0.55, 1.05
 """Inches between columns, between the views of a frame, and between rows of frames."""
 AROUND = np.linspace(0.0, 2 * np.pi, 32)
@@ -48,12 +50,37 @@ AROUND = np.linspace(0.0, 2 * np.pi, 32)
 
 @matplotlib.rc_context(STYLE)
 def shapes(plan: Plan, frames: Sequence[int] | None = None) -> Figure:
-    """Shapes, tube by tube, over their targets, to scale, in mm, within the lumen where the plan has one.
+    """Draw shapes, tube by tube, over their targets, to scale, within the lumen where the plan has one.
 
-    frames: their numbers from 1, as in errors.csv; by default six, evenly spread, the last one included, and the
-    one with the largest error. The z-axis, along which the robot is inserted, points up. A motion near the zx- or
-    the yz-plane is seen from one side, any other from two. Raises OptionError for a frame that the plan does not
-    have.
+    The z-axis, along which the robot is inserted, points up. A motion near the zx- or the yz-plane is seen from
+    one side, any other from two.
+
+    Parameters
+    ----------
+    plan : Plan
+        The plan.
+    frames : sequence of int, optional
+        Numbers of frames, from 1, as in errors.csv. By default six, evenly spread, the last one included, and the
+        one with the largest e2.
+
+    Returns
+    -------
+    Figure
+        One panel a frame and view, in mm.
+
+    Raises
+    ------
+    OptionError
+        A frame is not one of the plan's, or `frames` is empty.
+
+    Examples
+    --------
+    >>> import ctr_nlp as ctr
+    >>> from ctr_nlp.figures.overlay import shapes
+    >>> from ctr_nlp.problems import named
+    >>> figure = shapes(ctr.solve_per_frame(named("arc", frames=3), model="dominant"), frames=[1, 3])
+    >>> len(figure.axes) >= 2
+    True
     """
     worst = _worst(plan)
     shown = sorted({*frames_shown(plan, frames), *(worst if frames is None else ())})
@@ -85,7 +112,27 @@ def shapes(plan: Plan, frames: Sequence[int] | None = None) -> Figure:
 
 
 def frames_shown(plan: Plan, frames: Sequence[int] | None, most: int = SHOWN) -> list[int]:
-    """The frames asked for, from 1; by default so many at most, evenly spread. Raises OptionError."""
+    """Return the frames to draw.
+
+    Parameters
+    ----------
+    plan : Plan
+        The plan.
+    frames : sequence of int or None
+        Numbers asked for, from 1.
+    most : int
+        How many are shown at most where none are asked for, evenly spread.
+
+    Returns
+    -------
+    list of int
+        Numbers, from 1.
+
+    Raises
+    ------
+    OptionError
+        A frame is not one of the plan's, or `frames` is empty.
+    """
     count = len(plan.time)
     if frames is None:
         return sorted({max(1, round(count * k / most)) for k in range(1, most + 1)})
@@ -98,7 +145,9 @@ def frames_shown(plan: Plan, frames: Sequence[int] | None, most: int = SHOWN) ->
 
 
 def _grid(count: int, views: int, panel: Array) -> tuple[Figure, npt.NDArray[np.object_]]:
-    """A figure with room for the frames in reading order, the views of each below one another."""
+    """Return a figure with a grid of axes for `count` frames in reading order, the views of each below one
+    another.
+    """
 
     def scale(columns: int) -> float:
         rows = math.ceil(count / columns) * views
@@ -126,9 +175,18 @@ def _grid(count: int, views: int, panel: Array) -> tuple[Figure, npt.NDArray[np.
 
 
 def draw(axes: Axes, plan: Plan, frame: int, sideways: int) -> None:
-    """Frame 0 .. T - 1: each tube where it is the outermost one, and the target as a thin dashed line upon it.
+    """Draw one frame: each tube where it is the outermost one, and the target as a thin dashed line upon it.
 
-    They lie upon the lumen where the plan has one. sideways: the horizontal axis, 0 for x and 1 for y; mm.
+    Parameters
+    ----------
+    axes : Axes
+        Where to draw, in mm.
+    plan : Plan
+        The plan; its lumen is drawn below, where it has one.
+    frame : int
+        Number of the frame, from 0.
+    sideways : int
+        Horizontal axis: 0 for x, 1 for y.
     """
     if plan.lumen is not None:
         _draw_lumen(axes, plan.lumen, sideways)
@@ -139,10 +197,10 @@ def draw(axes: Axes, plan: Plan, frame: int, sideways: int) -> None:
 
 
 def _draw_lumen(axes: Axes, lumen: Array, sideways: int) -> None:
-    """The lumen (N, 4), x, y, z and radius in mm, as a filled outline, seen as draw says.
+    """Draw the lumen (N, 4), x, y, z and radius in mm, as a filled outline; `sideways` is 0 for x and 1 for y.
 
-    Every stretch between two rings of the wall is seen as the convex hull of both. What is drawn second covers the
-    edges between hulls.
+    Each stretch between two rings of the wall is the convex hull of both. The second collection covers the edges
+    between hulls.
     """
     seen = rings(lumen, AROUND)[..., [sideways, 2]]
     stretches = np.concatenate([seen[:-1], seen[1:]], axis=1)
@@ -154,7 +212,20 @@ def _draw_lumen(axes: Axes, lumen: Array, sideways: int) -> None:
 
 
 def parts(shape: Array, beta: Array) -> list[Array]:
-    """Points (n, 3) mm of each tube, beta (d,) mm long, where it is the outermost one; none of unknown shapes."""
+    """Return the points of each tube where it is the outermost one.
+
+    Parameters
+    ----------
+    shape : ndarray
+        Robot (101, 3), mm, at uniform sigma.
+    beta : ndarray
+        Extensions (d,), mm.
+
+    Returns
+    -------
+    list of ndarray
+        Points (n, 3), mm, of each tube; none where the shape is not known or no part of the tube is outermost.
+    """
     ends, found = tube_ends(beta), []
     for start, end in zip([0.0, *ends], ends, strict=False):
         sigma = np.concatenate([[start], SIGMA[(start < SIGMA) & (end > SIGMA)], [end]])
@@ -164,14 +235,28 @@ def parts(shape: Array, beta: Array) -> list[Array]:
 
 
 def tube_ends(beta: Array) -> Array:
-    """Sigma (d,) at which each tube ends; the innermost one at 1."""
+    """Return the sigma (d,) at which each tube ends, from its extensions beta (d,), mm; the innermost one ends at
+    1.
+    """
     ends = np.clip(beta / max(beta[-1], 1e-9), 0.0, 1.0)
     ends[-1] = 1.0
     return np.maximum.accumulate(ends)
 
 
 def to_scale(axes: Axes, middle: Array, panel: Array, sideways: int) -> None:
-    """Limits around the middle (3,) of a panel that is so wide and high, to scale; sideways: as draw; mm."""
+    """Set the limits of a panel, to scale.
+
+    Parameters
+    ----------
+    axes : Axes
+        The panel.
+    middle : ndarray
+        Its middle (3,), mm.
+    panel : ndarray
+        Width and height (2,), mm.
+    sideways : int
+        Horizontal axis: 0 for x, 1 for y.
+    """
     axes.set_aspect("equal")
     axes.set_xlim(middle[sideways] - panel[0] / 2, middle[sideways] + panel[0] / 2)
     axes.set_ylim(middle[2] - panel[1] / 2, middle[2] + panel[1] / 2)
@@ -180,12 +265,13 @@ def to_scale(axes: Axes, middle: Array, panel: Array, sideways: int) -> None:
 
 
 def _worst(plan: Plan) -> set[int]:
-    """The number, from 1, of the frame with the largest root mean square distance; empty where none is known."""
+    """Return the number, from 1, of the frame with the largest e2, as a set; empty where none is known."""
     distances = rms_over_sigma(e1(plan))
     return {int(np.nanargmax(distances)) + 1} if np.isfinite(distances).any() else set()
 
 
 def _caption(plan: Plan, number: int, worst: bool) -> str:
+    """Return the title of a frame: its number from 1, its time, and whether it is the worst or failed."""
     state = "" if plan.success[number - 1] else "\nfailed"
     if np.isnan(plan.shape[number - 1]).any():
         state = "\nnot reached"
@@ -193,6 +279,6 @@ def _caption(plan: Plan, number: int, worst: bool) -> str:
 
 
 def key(d: int) -> list[Line2D]:
-    """Entries of a legend for d tubes and the target."""
+    """Return the entries of a legend for d tubes and the target."""
     tubes = [Line2D([], [], color=tube_colour(i), lw=tube_width(i, d), label=f"tube {i + 1}") for i in range(d)]
     return [*tubes, Line2D([], [], label="target", **TARGET)]

@@ -1,4 +1,4 @@
-"""What can be made of Nitinol tubing, and what a designed robot must hold."""
+"""Rules of manufacture: what can be made of nitinol tubing, which a designed robot must satisfy."""
 
 from __future__ import annotations
 
@@ -12,8 +12,9 @@ from ctr_nlp.robot.tube import DIAMETERS, STRAIN_MADE
 from ctr_nlp.support.values import instance, number
 
 SOLD_RATIO = 1.1, 1.8
-"""Between what outer diameters are as parts of inner ones where Nitinol tubing is sold (Johnson Matthey, Nitinol
-specification guidelines, matthey.com)."""
+"""Ratios of outer to inner diameter between which nitinol tubing is sold (Johnson Matthey, Nitinol specification
+guidelines, matthey.com).
+"""
 DIAMETERS_WITHIN = (
     (0.3, 0.005, 0.010),
     (0.5, 0.007, 0.015),
@@ -23,19 +24,46 @@ DIAMETERS_WITHIN = (
     (5.0, 0.030, 0.050),
     (math.inf, 0.050, 0.050),
 )
-"""Up to what outer diameter Nitinol tubing is sold with what tolerances of the outer and the inner one, +- mm
-(Lumenous, Nitinol tube, lumenous.com/nitinol-tube: the first of its two tables)."""
+"""Largest outer diameter, mm, and the tolerances +- mm of the outer and the inner one with which tubing up to it
+is sold (Lumenous, Nitinol tube, lumenous.com/nitinol-tube: the first of its two tables).
+"""
 
 
 @dataclass(frozen=True)
 class Manufacture:
-    """Rules that designed tubes keep; lengths in mm, strains as parts.
+    """Rules of manufacture that designed tubes satisfy.
 
-    strain_made: of a tube's outer fibre when it is bent into its pre-curvature; strain_deployed: of the aligned
-    robot's tubes, each against its own pre-curvature (robot/strain.py). clearance: by how much the inner diameter
-    of a tube exceeds the outer diameter of the next. wall: least thickness. channel: least inner diameter of the
-    innermost tube. outer: largest outer diameter. bend_radius: the least of any tube's pre-curvature. one_sided:
-    whether no tube is shaped like an S. Raises OptionError.
+    Attributes
+    ----------
+    strain_made : float
+        Largest strain of a tube's outer fibre when it is bent into its pre-curvature, curvature * outer_diameter /
+        2, as a part.
+    strain_deployed : float
+        Largest strain of the aligned robot's tubes, each against its own pre-curvature (robot/strain.py), as a
+        part.
+    clearance : float
+        Least difference between the inner diameter of a tube and the outer diameter of the next one, mm.
+    wall : float
+        Least wall thickness, mm.
+    channel : float
+        Least inner diameter of the innermost tube, mm.
+    outer : float
+        Largest outer diameter, mm.
+    bend_radius : float
+        Least radius of any tube's pre-curvature, mm.
+    one_sided : bool
+        Whether tubes shaped like an S are excluded.
+
+    Raises
+    ------
+    OptionError
+        A rule is not positive, or exceeds what any tube can have.
+
+    Examples
+    --------
+    >>> import ctr_nlp as ctr
+    >>> rules = ctr.Manufacture(channel=0.5, outer=2.5)
+    >>> rules.check_tubes(3)
     """
 
     strain_made: float = 0.04
@@ -62,7 +90,19 @@ class Manufacture:
         instance(OptionError, "one_sided of manufacture", self.one_sided, bool)
 
     def check_tubes(self, d: int) -> None:
-        """Raise OptionError where the thinnest d tubes that can be nested exceed the largest diameter."""
+        """Check that so many tubes can be nested within the rules.
+
+        Parameters
+        ----------
+        d : int
+            Number of tubes.
+
+        Raises
+        ------
+        OptionError
+            The thinnest d tubes that nest exceed the largest diameter.
+        """
+        # From the inside: the channel, two walls of each tube, and a clearance (of diameters) between neighbours.
         least = self.channel + 2 * d * self.wall + (d - 1) * self.clearance
         if least > self.outer:
             raise OptionError(
@@ -73,9 +113,21 @@ class Manufacture:
 
 
 def diameters_within(outer: float) -> tuple[float, float]:
-    """The tolerances, +- mm, of the outer and the inner diameter of tubing sold with this outer diameter, mm."""
+    """Return the tolerances with which tubing of an outer diameter is sold.
+
+    Parameters
+    ----------
+    outer : float
+        Outer diameter, mm.
+
+    Returns
+    -------
+    tuple of (float, float)
+        Tolerances of the outer and of the inner diameter, +- mm.
+    """
     return next((each, inner) for most, each, inner in DIAMETERS_WITHIN if outer <= most)
 
 
 def _within(high: float, value: float) -> bool:
+    """Return whether a value is positive and at most `high`."""
     return 0 < value <= high
