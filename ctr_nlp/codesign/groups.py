@@ -90,6 +90,10 @@ def divided(
     KeyboardInterrupt
         Ctrl-C was pressed.
 
+    See Also
+    --------
+    suited : Assign further problems to robots that were designed.
+
     Examples
     --------
     >>> import ctr_nlp as ctr
@@ -98,10 +102,6 @@ def divided(
     >>> groups = ctr.divided(tasks, robots=2, model="dominant")  # doctest: +SKIP
     >>> [len(group) for group in ctr.divided(tasks, robots=1)]
     [3]
-
-    See Also
-    --------
-    suited : Assign further problems to robots that were designed.
     """
     tasks = list(problems)
     count = whole_number(OptionError, "robots", robots)

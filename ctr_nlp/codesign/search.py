@@ -91,7 +91,7 @@ class Candidate:
         Unknowns (P,) of the tubes.
     motions : Motions
         Motions of all tasks.
-    solution : SharedSolution, optional
+    solution : SharedSolution or None
         Solution of the last round, where they come from one.
     """
 
@@ -136,7 +136,7 @@ class DesignSearch:
         Least stability margin of every robot.
     stop : callable
         Returns whether to stop; asked between steps.
-    seen : callable, optional
+    seen : callable or None
         Called with the candidate of every round.
     jobs : int or distributed.Client
         Where independent tasks are worked on; see `side_by_side`.
@@ -161,7 +161,7 @@ class DesignSearch:
         return Settings(stability_margin=self.margin, contact_weight=0.0, arrival_weight=0.0)
 
     def each(self, of_all: Array) -> list[Array]:
-        """Split rows (T, ...) of all tasks' frames, task by task."""
+        """Split rows `of_all` (T, ...) of all tasks' frames, task by task."""
         return np.split(of_all, np.cumsum([task.frames for task in self.tasks])[:-1])
 
     def on(self, robot: Robot) -> list[Problem]:
@@ -352,7 +352,7 @@ class DesignSearch:
         return Candidate(known.start, found.p, Motions(found.q, found.phi, e3), found)
 
     def best_of_both(self, known: Candidate) -> Candidate:
-        """Re-plan every task on the same tubes and keep the better of its two motions."""
+        """Re-plan every task on the tubes of a known candidate, and keep the better of its two motions."""
         again = self.start(known.start, known.p)
         if again is None:
             return known
@@ -397,5 +397,5 @@ class DesignSearch:
 
 
 def error_of(candidate: Candidate) -> float:
-    """Return the root mean square of the tasks' e3, mm, by which candidates are compared."""
+    """Return the root mean square of e3 over the tasks of a candidate, mm, by which candidates are compared."""
     return candidate.motions.rms

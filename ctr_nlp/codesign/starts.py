@@ -55,6 +55,7 @@ def _drawn(tubes: DesignedTubes, random: np.random.Generator) -> Array:
     for i in reversed(range(d)):
         if i < d - 1:
             inner *= 1 + WIDER * random.random()
+        # Squared: thin walls come up more often than thick ones.
         outer = inner + 2 * rules.wall * (1 + 1e-6) + THICKER * random.random() ** 2
         diameters[i] = outer, inner
         inner = outer + rules.clearance * (1 + 1e-6)

@@ -96,7 +96,7 @@ class Design:
         Results of the robot's own tubes and of every start, as numbers and strings.
     interrupted : bool
         Whether Ctrl-C ended the work.
-    stocked : Stocked, optional
+    stocked : Stocked or None
         What to buy and what it costs, where tubes were rounded to a stock.
     doubts : tuple of str
         Sentences on tubes that are not used or hardly sold.
@@ -183,6 +183,10 @@ def design(
         An option, a problem or its robot is not what it must be, or no tubes were found on which all problems can
         be followed.
 
+    See Also
+    --------
+    divided : Divide many problems among several robots.
+
     Examples
     --------
     Even a small design takes about a minute.
@@ -193,10 +197,6 @@ def design(
     >>> found = ctr.design([problem], nominal=True, model="dominant", starts=1)  # doctest: +SKIP
     >>> found.robot.d, found.interrupted  # doctest: +SKIP
     (3, False)
-
-    See Also
-    --------
-    divided : Divide many problems among several robots.
     """
     count = whole_number(OptionError, "starts", starts)
     with deferred_interrupt() as interrupted:

@@ -79,17 +79,17 @@ class Plan(Record):
         Rigid transform (4, 4) from the axes of the target's file to the robot's frame, mm.
     meta : dict
         How the plan was made: robot, problem, model, options, failures, snaps and versions.
-    lumen_radius : ndarray, optional
+    lumen_radius : ndarray or None
         Radius of the lumen (T, 101), mm, at the target's points.
-    truth : ndarray, optional
+    truth : ndarray or None
         Configurations (T, 2d + 2) that the target was made with.
-    lumen : ndarray, optional
+    lumen : ndarray or None
         Points and radii (N, 4) of the whole lumen, mm.
-    clearance, clearance_between : ndarray, optional
+    clearance, clearance_between : ndarray or None
         Clearance (T, 101), mm, negative in contact, in each frame, and the least one on the way to it and in it.
-    free : ndarray, optional
+    free : ndarray or None
         The motion (T, 2d + 2) that was found without the wall.
-    drawn : Robustness, optional
+    drawn : Robustness or None
         What happens on simulated robots within the tolerances.
 
     Examples
@@ -278,6 +278,7 @@ class Plan(Record):
         """Return the plan with its robot moved through the motion on `model`, and with `told` in its meta."""
         simulator, lumen = Simulator(self.robot, model), lumen_of(self)
         found = moved(simulator, self.q, target=self.target, lumen=lumen, free=self.free)
+        # Results on simulated robots are those of the model before, and are dropped.
         return replace(self, **found.arrays, meta=self.meta | found.told | told, drawn=None)
 
     def robustness(self, draws: int = DRAWS, seed: int = SEED) -> Robustness:
@@ -382,7 +383,7 @@ class Plan(Record):
         >>> plan = ctr.solve_per_frame(named("arc", frames=2), model="dominant")
         >>> with tempfile.TemporaryDirectory() as folder:
         ...     plan.save(Path(folder) / "plan.npz")
-        ...     Plan.load(Path(folder) / "plan.npz") == plan
+        ...     ctr.Plan.load(Path(folder) / "plan.npz") == plan
         True
         """
         present = rows(self) | {"to_robot": self.to_robot} | ({} if self.lumen is None else {"lumen": self.lumen})

@@ -148,6 +148,7 @@ def drawn(robot: Robot, count: int, seed: int) -> Draws:
     Examples
     --------
     >>> from ctr_nlp.robot import table_i_robot
+    >>> from ctr_nlp.robot.draws import drawn
     >>> samples = drawn(table_i_robot(), count=3, seed=0)
     >>> samples.numbers.shape, samples.offsets.shape
     ((3, 3, 8), (3, 3))

@@ -26,7 +26,7 @@ class Limits:
     ----------
     alpha : pair or sequence of pairs
         Rotation of the tubes, rad; no limit by default.
-    beta : pair or sequence of pairs, optional
+    beta : pair or sequence of pairs or None
         Extension of the tubes beyond the insertion point, mm, the gamma of eq. (3); by default [0, curved_length]
         of each tube.
     theta : pair or sequence of pairs
@@ -35,7 +35,7 @@ class Limits:
         Largest speeds, rad/s and mm/s. The defaults are 0.2 rad, 9 mm and 0.08 rad a frame for 100 frames in 10 s.
     alpha_acceleration, beta_acceleration, theta_acceleration : float or sequence of float
         Largest accelerations, rad/s^2 and mm/s^2; no limit by default.
-    carriage_gap : float, optional
+    carriage_gap : float or None
         Least distance (L_{i+1} - beta_{i+1}) - (L_i - beta_i) between neighbouring carriages, mm; no limit by
         default.
 

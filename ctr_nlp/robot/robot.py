@@ -68,9 +68,9 @@ class Robot:
     ----------
     tubes : sequence of Tube
         The d tubes, outermost first; stored as a tuple.
-    limits : Limits, optional
+    limits : Limits
         Limits of the motors.
-    tolerances : Tolerances, optional
+    tolerances : Tolerances
         By how much built robots differ from this description.
 
     Raises
@@ -408,9 +408,9 @@ class Robot:
 
         Examples
         --------
-        >>> from ctr_nlp.robot import table_i_robot
-        >>> robot = table_i_robot()
-        >>> Robot.from_dict(robot.to_dict()) == robot
+        >>> import ctr_nlp as ctr
+        >>> robot = ctr.table_i_robot()
+        >>> ctr.Robot.from_dict(robot.to_dict()) == robot
         True
         """
         if not isinstance(data, dict):

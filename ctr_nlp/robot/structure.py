@@ -20,7 +20,8 @@ length, or of one curvature whose direction turns.
 
 @dataclass(frozen=True)
 class Structure:
-    """What must be compiled for a robot; robots that differ in numbers alone have the same structure.
+    """The part of a robot that programs are compiled for; robots that differ in numbers alone have the same
+    structure.
 
     Attributes
     ----------

@@ -64,7 +64,7 @@ class Tolerances:
         Largest force at the tip, N; it may act in any direction, and come and go.
     distribution : str
         ``"uniform"`` within the bands, or ``"normal"`` with the same variance.
-    covariance : array_like, optional
+    covariance : array_like or None
         Covariance (5 d, 5 d) of all differences, for the normal distribution: tube by tube, outermost first, each
         with its curvature, bending_stiffness, torsional_ratio, curved_length and motor_zero, in the units above.
         It replaces their bands and that of the diameters, which must then be left at their defaults.

@@ -53,6 +53,6 @@ def angle_meant(value: float, plausible: Plausible) -> list[str]:
 
 
 def in_other_units(first: float, second: float) -> float | None:
-    """Return the factor of a thousand, a million or a milliard by which two positive numbers differ, or None."""
+    """Return the factor (1e3, 1e6 or 1e9) by which `first` and `second`, both positive, likely differ, or None."""
     ratio = max(first / second, second / first)
     return next((step for step in THOUSANDS if step / NEAR <= ratio <= step * NEAR), None)

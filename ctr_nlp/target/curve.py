@@ -50,9 +50,9 @@ class Curve(Value):
         Maps s (n,) to unit tangents (n, 3).
     curvature : callable
         Maps s (n,) to the unsigned curvature (n,), 1/mm.
-    radius : callable, optional
+    radius : callable or None
         Maps s (n,) to the radius of the lumen (n,), mm; None where no lumen is known.
-    by_parameter : callable, optional
+    by_parameter : callable or None
         Maps a fraction in [0, 1] of the range of the curve's own parameter to arc length in mm; None where the
         parameter is arc length.
     deviation : float

@@ -96,7 +96,7 @@ def notes(problem: Problem) -> list[str]:
 
 
 def check_radii(problem: Problem) -> None:
-    """Raise ProblemError where clearance cannot be had, no radius of the lumen being known."""
+    """Raise ProblemError where a problem has no lumen radii, without which there is no clearance."""
     if problem.lumen is None:
         raise ProblemError(
             f"clearance is asked for, and {problem.name} has no lumen radii; give them in mm as the column "

@@ -239,7 +239,7 @@ def surface(table: Array, around: int) -> tuple[Array, npt.NDArray[np.uint32]]:
 
 
 def outer_radius(robot: Robot) -> Array:
-    """Return the outer radius of every tube, (d,), mm."""
+    """Return the outer radius of every tube of a robot, (d,), mm."""
     return np.array([tube.outer_diameter / 2 for tube in robot.tubes])
 
 

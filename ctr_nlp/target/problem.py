@@ -51,15 +51,15 @@ class Problem(Value):
         The shapes to follow, T frames, in the robot's frame.
     duration : float
         Time of the motion, s.
-    to_robot : array_like, optional
+    to_robot : array_like or None
         Rigid transform (4, 4) from the axes of the target's file to the robot's frame; None where the target was
         given in the robot's frame.
-    truth : array_like, optional
+    truth : array_like or None
         Configurations (T, 2d + 2) that the target was made with, rad and mm, where they are known.
-    lumen : Curve, optional
+    lumen : Curve or None
         Path with the radius of the lumen, in the robot's frame; longer than the target where more of it is known.
         None: no wall. By default the target's own curve, where all frames share one that has a radius.
-    space : str, optional
+    space : str or None
         Patient coordinates of the target's file, LPS, RAS or LAS, or xyz where it does not say.
 
     Raises
@@ -195,11 +195,12 @@ class Problem(Value):
         --------
         >>> import tempfile
         >>> from pathlib import Path
+        >>> import ctr_nlp as ctr
         >>> from ctr_nlp.problems import named
         >>> problem = named("arc", frames=3)
         >>> with tempfile.TemporaryDirectory() as folder:
         ...     problem.save(Path(folder) / "arc.npz")
-        ...     Problem.load(Path(folder) / "arc.npz") == problem
+        ...     ctr.Problem.load(Path(folder) / "arc.npz") == problem
         True
         """
         path, packed = checked_path(OutputError, path), Packed()

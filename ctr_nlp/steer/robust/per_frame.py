@@ -109,6 +109,8 @@ def solve_robust_per_frame(
     checked_ends(problem, direction, start)
     whole_number(OptionError, "rounds", rounds, 0)
     model, scenarios = described(problem.robot, model, scenarios)
+    # The first motion is tried, too, hence one more than rounds: each trial takes its share of the 5 %
+    # (Bonferroni).
     trials = Trials(problem.robot, model, rounds + 1, most_lost)
     with deferred_interrupt() as interrupted:
         solver = ScenarioFrames.of(problem, scenarios, model, settings, terms, MARGINS)
