@@ -98,10 +98,12 @@ def divided(
     --------
     >>> import ctr_nlp as ctr
     >>> from ctr_nlp.problems import named
-    >>> tasks = [named(name, frames=10) for name in ("line", "arc", "cos")]
-    >>> groups = ctr.divided(tasks, robots=2, model="dominant")  # doctest: +SKIP
+    >>> tasks = [named("arc", frames=3), named("line", frames=3)]
     >>> [len(group) for group in ctr.divided(tasks, robots=1)]
-    [3]
+    [2]
+    >>> groups = ctr.divided(tasks, robots=2, model="dominant")  # doctest: +SKIP
+    >>> [len(group) for group in groups]  # doctest: +SKIP
+    [1, 1]
     """
     tasks = list(problems)
     count = whole_number(OptionError, "robots", robots)
