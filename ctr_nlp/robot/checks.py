@@ -56,6 +56,7 @@ def check_pair(i: int, outer: Tube, inner: Tube) -> None:
         differ by about a power of a thousand.
     """
     if outer.inner_diameter < inner.outer_diameter:
+        # Exchanged, the two would nest: they were given from the inside outwards.
         if inner.inner_diameter >= outer.outer_diameter:
             raise RobotError(f"tubes {i} and {i + 1} are in the wrong order: the outermost must come first")
         raise RobotError(
@@ -93,6 +94,7 @@ def check_angle(what: str, axis: str, value: float) -> None:
         The angle is larger than any drive's; the message offers the value in rad where it was likely in degrees.
     """
     most = TURN[axis.partition("_")[0]]
+    # The tolerance lets limits pass that were computed as multiples of pi.
     if abs(value) > most * (1 + 1e-9):
         meant = angle_meant(value, between(-most, most))
         raise RobotError(f"{what} must lie in [{-most:.4g}, {most:.4g}] rad{did_you_mean(meant)}")

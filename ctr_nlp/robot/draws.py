@@ -93,6 +93,7 @@ class Draws(Kept):
         found = np.repeat(q[None], len(self), axis=0)
         d = self.offsets.shape[1]
         if self.lags.any():
+            # The aligned pose has no backlash taken up: all tubes stand where the innermost motor is.
             alpha = found[:, 0, :d]
             for j, goal in enumerate(q[:, :d]):
                 alpha = dragged(np.full_like(alpha, goal[-1]) if fresh[j] else alpha, goal, self.lags)
@@ -244,6 +245,7 @@ def drawn_from(robot: Robot, parts: Array, lags: Array, forces: Array | None = N
     """
     forces = np.zeros((len(parts), 3)) if forces is None else forces
     numbers = np.repeat(robot.numbers[None], len(parts), axis=0)
+    # One factor for both ends of a linear curved part, whose shape is kept up to scale.
     factors = {
         "root_curvature": parts[..., 0],
         "tip_curvature": parts[..., 0],
@@ -320,5 +322,6 @@ def _limits(robot: Robot) -> Limits:
     """Return the robot's limits with explicit ones of beta: by default they would follow the curved
     lengths found.
     """
+    # Only the limits are pinned; lower and upper are those of the robot before.
     beta = zip(*(robot.split(ends)[1].tolist() for ends in (robot.lower, robot.upper)), strict=True)
     return replace(robot.limits, beta=tuple(beta))

@@ -87,6 +87,7 @@ def _check_ends(name: str, tube: Tube, least: float, most: float) -> None:
             f"limits of {name} are [{least:g}, {most:g}] mm; they must lie in [0, {tube.length:g}], "
             "the tube's length"
         )
+    # A limit of 0.05 is far more likely 50 mm in metres than a tube that moves by a twentieth of a mm.
     if 0 < most < LENGTHS[0]:
         meant = did_you_mean(length_meant(most, between(LENGTHS[0], tube.length)))
         raise RobotError(

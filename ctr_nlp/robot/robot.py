@@ -101,6 +101,7 @@ class Robot:
             raise RobotError(f"limits of a robot are {self.limits!r}; they must be Limits(...)")
         if not isinstance(self.tolerances, Tolerances):
             raise RobotError(f"tolerances of a robot are {self.tolerances!r:.60}; they must be Tolerances(...)")
+        # From the parts to the whole: later checks rely on what earlier ones found.
         self.tolerances.check(self.tubes)
         for i, (outer, inner) in enumerate(zip(self.tubes, self.tubes[1:], strict=False), start=1):
             check_pair(i, outer, inner)
@@ -110,6 +111,7 @@ class Robot:
         check_deployed(self.tubes, self.deployed.tolist())
 
     def __reduce__(self) -> Any:
+        # Made anew from its fields, so that cached arrays are not pickled and stay read-only.
         return Robot, (self.tubes, self.limits, self.tolerances)
 
     def _check_limits(self) -> None:
@@ -337,6 +339,7 @@ class Robot:
                 raise RobotError(
                     f"{axis} of {name} is {value:g}; it must lie in [{lo:g}, {hi:g}]{did_you_mean(meant)}"
                 )
+            # Limits of alpha may be infinite, but no drive turns on for ever.
             if axis.partition("_")[0] == "alpha":
                 check_angle(f"{axis} of {name} is {value:g} rad, and it", axis, value)
         beta = self.split(q)[1]

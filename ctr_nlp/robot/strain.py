@@ -98,6 +98,7 @@ def largest_strain(tubes: Sequence[Tube], beta: Sequence[float]) -> Strain | Non
     edges = sorted({0.0, *beta, *(start for start, b in zip(starts, beta, strict=True) if start < b)})
     pieces = [(a, b) for a, b in itertools.pairwise(edges) if b - a > SHORTEST]
     places = [place for a, b in pieces for place in (a + INSIDE, b - INSIDE)]
+    # Just inside of each piece, where it is clear which tubes are present.
     found = [strain for place in places for strain in _strains(tubes, beta, place)]
     return max(found, key=lambda one: one.strain, default=None)
 

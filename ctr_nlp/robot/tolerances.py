@@ -196,6 +196,8 @@ class Tolerances:
             Half widths (d, 5), in the order of `NAMES`; sqrt(3 variance) of each where a covariance is given.
         """
         if self.covariance is not None:
+            # The band of a uniform distribution with this variance, so that both kinds of tolerances can be
+            # treated alike.
             return np.sqrt(3 * np.maximum(self._covariance().diagonal(), 0.0)).reshape(d, len(NAMES))
         return np.stack([numbers(_of(name), getattr(self, name), d) for name in NAMES], axis=1)
 

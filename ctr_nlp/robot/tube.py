@@ -125,10 +125,13 @@ class Tube:
 
     def _check_curvature(self) -> None:
         """Raise RobotError unless the curvature has a valid sign and strains the tube by at most 8 %."""
+        # A sign would say the same as a turn by pi. Only an S has two sides, and it is described with the tip's
+        # side positive.
         if self.tip_curvature < 0 or self.root_curvature < 0 == self.tip_curvature:
             shaped = "; at the root alone it may be negative, of a tube that is bent the other way at its tip"
             what = f"it is unsigned (turn the tube instead){shaped if isinstance(self.curvature, tuple) else ''}"
             raise RobotError(f"tube curvature is {self.curvature}; {what}")
+        # The strain k D / 2, solved for k.
         largest, most = self.largest_curvature, min(CURVATURE, 2 * STRAIN_MADE / self.outer_diameter)
         if largest > CURVATURE:
             meant = curvature_meant(largest, between(0, most))

@@ -225,6 +225,7 @@ class ByArcLength(Kept):
 
     def _at(self, s: Array) -> Array:
         """Return the values of u at arc lengths s (n,), mm, clipped to the curve."""
+        # Clipped on both sides: rounding may carry either table beyond its end.
         to_parameter = self._table[0]
         return np.clip(to_parameter(np.clip(s, 0, to_parameter.x[-1])), self.breaks[0], self.breaks[-1])
 

@@ -225,6 +225,7 @@ class Curve(Value):
         between = np.linspace(0.0, self.length, FINER * (len(s) - 1) + 1)
         moved = np.linalg.norm(spline.derivative(between, 0) - self.point(between), axis=1)
         curve = _by_arc_length(spline, s)
+        # A smoothed path is followed by arc length: its own parameter is that of the samples.
         found = replace(curve, by_parameter=None, deviation=float(moved.max()))
         if radius is None:
             return found

@@ -141,6 +141,7 @@ class Lumen:
         Near
             Their nearest places; NaN for points that are NaN.
         """
+        # The search tree takes no NaN; frames that were not reached are put back as NaN below.
         known = np.isfinite(points).all(axis=-1, keepdims=True)
         points = np.where(known, points, 0.0)
         s = self._along[self._tree.query(points)[1]]
@@ -200,6 +201,7 @@ def rings(table: Array, angle: Array) -> Array:
         Points (N, n, 3), mm.
     """
     centre, radius = table[:, :3], table[:, 3]
+    # By the length of the polyline, so that unevenly spaced tables give the same directions.
     tangents = np.gradient(centre, walked(centre), axis=0)
     tangents /= np.linalg.norm(tangents, axis=1, keepdims=True)
     side, sides = np.eye(3)[abs(tangents[0]).argmin()], np.empty_like(tangents)

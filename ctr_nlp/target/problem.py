@@ -107,6 +107,7 @@ class Problem(Value):
         if self.lumen is OF_TARGET:
             alone = all(curve is first for curve in self.target.curves)
             object.__setattr__(self, "lumen", first if alone and first.radius is not None else None)
+        # None is a choice of its own, no wall, so that the default needs another mark (OF_TARGET).
         elif self.lumen is not None and (not isinstance(self.lumen, Curve) or self.lumen.radius is None):
             raise ProblemError("lumen is a curve without a radius; give one, or None where no wall is known")
 
@@ -118,6 +119,7 @@ class Problem(Value):
     @property
     def dt(self) -> float:
         """Time from frame to frame, s."""
+        # T steps: the motion starts at time 0, and frame 1 of T is at dt.
         return self.duration / self.frames
 
     @property

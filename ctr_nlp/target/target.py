@@ -255,6 +255,7 @@ def _sampled(curve: Curve, lengths: Array, first: int, total: int) -> list[Frame
         whole = np.asarray(function(s.ravel()))
         if whole.shape == (s.size, *shape) and whole.dtype == float and np.isfinite(whole).all():
             return list(frozen(whole).reshape(*s.shape, *shape))
+        # Something is wrong: frame by frame, so that the message can name the first frame where it is.
         parts = whole.reshape(*s.shape, *shape) if whole.shape == (s.size, *shape) else map(function, s)
         names = (f"{name} of frame {frame + 1} of the target" for frame in frames)
         return [floats(ProblemError, *each, (len(SIGMA), *shape)) for each in zip(names, parts, strict=True)]
