@@ -151,6 +151,7 @@ def certified(
     if not tried:
         best = min(found, key=error_of)
         return best, plan(best)
+    # Most certified plans first; the error decides among equals.
     best, plans, _ = min(tried, key=lambda one: (-one[2], error_of(one[0])))
     return best, plans
 
@@ -186,6 +187,7 @@ def _promising(
     ones.
     """
     for one in sorted(found, key=error_of):
+        # The larger margin first, which leaves plans more in hand.
         for margin in sorted({FIRM, search.margin}, reverse=True):
             firm = replace(search, margin=margin)
             yield firm, one

@@ -63,6 +63,7 @@ def _felt(robot: Robot, beta: Array) -> Array:
     stiffness, found = np.array([tube.bending_stiffness for tube in robot.tubes]), np.zeros_like(beta)
     edges = np.sort(np.concatenate([np.zeros((len(beta), 1)), beta], axis=1), axis=1)
     for start, end in zip(edges.T[:-1], edges.T[1:], strict=True):
+        # Tubes that reach beyond the start of a piece carry all of it, since pieces end where tubes do.
         there = (beta > start[:, None] + 1e-9) * stiffness
         part = there / np.maximum(there.sum(axis=1, keepdims=True), 1e-300)
         found += np.where(part >= MATTERS, (end - start)[:, None], 0.0)

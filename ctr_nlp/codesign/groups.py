@@ -124,9 +124,11 @@ def divided(
         unserved, rms = _how_well(errors)
         if progress is not None:
             progress(number + 1, ROUNDS, f"groups of problems, e3 {rms:.3f} mm")
+        # Fewest tasks that no robot follows first, then the error: an error over fewer tasks is no progress.
         if (unserved, rms) >= (least[0], (1 - ENOUGH) * least[1]):
             break
         least, before, groups = (unserved, rms), groups, _groups(taken(errors), count)
+        # Nothing moved: tubes would be designed for the same groups again.
         if groups == before:
             break
     return [[tasks[i] for i in group] for group in groups]

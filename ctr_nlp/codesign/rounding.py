@@ -109,6 +109,7 @@ def in_stock(
     for tubes in chosen:
         if search.stop():
             break
+        # Diameters are fixed from here on; lengths and curvatures are designed again for them.
         on = _held(_eased(search), with_diameters(search.tubes, best.p, tubes), ENDS)
         begun = on.start(best.start, on.tubes.own)
         if begun is not None:
@@ -158,6 +159,7 @@ def _rounded(known: Candidate, search: DesignSearch, robots: Robots) -> Candidat
     for names in steps:
         ways = [_designed_on(known, search, p, names, robots) for p in made(search.tubes, known.p, names)[:WAYS]]
         known, search = min(ways, key=lambda way: error_of(way[0]))
+    # On the nominal robot, re-planned motions may be better than those carried through all roundings.
     again = search.start(known.start, search.tubes.own) if robots is alone else None
     found = min((one for one in (known, again) if one is not None), key=error_of)
     return None if not np.isfinite(found.motions.rms) else replace(found, solution=solution)

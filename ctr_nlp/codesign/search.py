@@ -347,6 +347,7 @@ class DesignSearch:
         found = SharedSolver(motion)(known.motions.q, known.motions.phi, barrier, self.stop, steps, known.p)
         if max(found.violation, found.missing) > MISSED:
             return None
+        # The objective itself has the motion term and the pull on p, which are no errors.
         squares = Condensed(motion).by_robot(found.q, found.phi, found.p) @ motion.weights
         e3 = np.sqrt([part.mean() for part in self.each(squares)])
         return Candidate(known.start, found.p, Motions(found.q, found.phi, e3), found)
@@ -357,6 +358,7 @@ class DesignSearch:
         if again is None:
             return known
         better = again.motions.e3 < known.motions.e3
+        # One choice a task, repeated for each of its frames.
         rows = np.repeat(better, [task.frames for task in self.tasks])
         q = np.where(rows[:, None], again.motions.q, known.motions.q)
         phi = np.where(rows[:, None, None], again.motions.phi, known.motions.phi[:, :1])
@@ -391,6 +393,8 @@ class DesignSearch:
                 self.seen(again)
             if len(found) > 1 and found[-2].motions.rms - again.motions.rms < ENOUGH * again.motions.rms:
                 break
+            # Motions that were re-planned are further from a solution of the joint program than those of the round
+            # before, and need a larger barrier.
             known, barrier = (self.best_of_both(again), AGAIN) if robots is alone else (again, NEAR)
             pull *= LOOSER
         return min(found, key=error_of, default=None)

@@ -169,6 +169,8 @@ def nearest(
                 wall = (one.outer - one.inner) / 2
                 if min(one.inner - least, wall - rules.wall, rules.outer - one.outer) < -ROUNDING:
                     continue
+                # Part of the allowed strain that the tubing would have at the designed curvature; above 1 it must
+                # be made straighter.
                 bent = tube.largest_curvature * one.outer / 2 / rules.strain_made
                 more = (STRAINED * math.log(bent)) ** 2 if bent > 1 else 0.0
                 stiffer = math.log(moduli[i] * one.section) - wanted[i]

@@ -206,6 +206,8 @@ def design(
             bearing(whole.model, first.tolerances.tip_force > 0).check(first)
         if stock is not None:  # what cannot nest is refused before anything is solved
             nearest(stock, whole.tubes, whole.tubes.own, whole.pushed)
+        # Starts are compared on the frames of drafts, at a fraction of the cost; the best nominal tubes are then
+        # solved for all frames.
         search = replace(whole, tasks=tuple(draft(task) for task in whole.tasks))
         begun, found = _tried(search, count, settings.seed, jobs, progress)
         tried = [one for one in (begun, *found) if one is not None]

@@ -440,6 +440,7 @@ class Plan(Record):
             raise OutputError(f"plan {path} cannot be read: {error.strerror}") from error
         except CtrError as error:
             raise OutputError(f"{path} is not a plan: {error}") from error
+        # Last, since a damaged file is changed as well, and other errors say more.
         if changed:
             raise OutputError(f"plan {path} was changed after it was saved; plan anew, or change it in Python")
         return plan
@@ -497,6 +498,8 @@ def plan_from_configurations(
     found = moved(simulator, q, target=target, lumen=problem.sampled_lumen, free=free)
     if planned is not None:
         snaps = found.simulation.snaps
+        # On the elastic model q does not determine the equilibrium. Where the motion leads to another one than was
+        # planned, the frame is not a solution, however small its residual.
         away = success & elsewhere(found.simulation.x, planned, snaps, robot.d)
         success, meta = success & ~away, meta | {"failures": meta["failures"] | lost(away, snaps)}
     alpha, beta, theta = robot.split(q)

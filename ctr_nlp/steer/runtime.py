@@ -110,6 +110,8 @@ class Steerer:
         straight = growing(curve_from_formula(lambda u: (0.0, 0.0, u), 0.0, 1.0), 1).sample()[0]
         # The program squares residuals: root^2 |W (q - q_before)|^2 = lambda |W (q - q_before)|^2 / dt^2, eq. (9).
         root = math.sqrt(settings.motion_weight) / dt
+        # Every feasible step that is found is taken (a KKT residual of up to infinity): a late optimum is worth
+        # less than a timely step. `solved` says whether it was one.
         self._run = run = Run(Program(stage.nlp, wait, MOST_ITERATIONS), 1, math.inf, goes_on=True)
         values = {**stage.fill(straight, q), "motion_root": root}
         if self._wall is not None:
@@ -192,6 +194,8 @@ class Steerer:
         """
         q = self._robot.check(q)
         x = self._model.rest(self._robot, q) if x is None else x
+        # On the elastic model the tips' angles follow after q: they say in which of several equilibria the robot
+        # is.
         self._run.stand(np.append(q, x[: len(self._run.here) - len(q)]), x)
 
     def weigh(self, distance: ShapeDistance) -> None:

@@ -119,6 +119,9 @@ def solve_robust_per_frame(
         best = ranked[0]
         trial = trials(best.motion(problem), 0)
         made = [(solver, best, trial)]
+        # A cutting-set method (Mutapcic and Boyd, Cutting-set methods for robust convex optimization, Optimization
+        # Methods and Software 24(3), 2009): only robots that the last motion loses are added, so that programs
+        # stay small.
         while not trial.few and len(made) <= rounds and not interrupted():
             solver = solver.harder(trial)
             best = _best_again(ranked, solver, interrupted)
