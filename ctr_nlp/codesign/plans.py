@@ -77,7 +77,7 @@ def _planned(settings: Settings, nominal: bool, model: str | Model, pair: tuple[
         found = [solve_horizon(task, model=model, settings=settings, initial=start) for start in starts]
         # Plans with failed frames last, whatever their error; the error of a plan without any shape counts as
         # infinite.
-        return min(found, key=lambda plan: (not plan.success.all(), e3(plan) or math.inf))
+        return min(found, key=lambda plan: (not plan.success.all(), math.inf if e3(plan) is None else e3(plan)))
     return solve_robust(task, model=model, settings=settings, initial=initial)
 
 

@@ -181,6 +181,11 @@ class Curve(Value):
             raise CurveError(
                 f"transform of a curve is {rigid.tolist()}; it must be rigid: a turn and a shift in mm"
             )
+        if np.linalg.det(rotation) < 0:
+            raise CurveError(
+                f"transform of a curve is {rigid.tolist()}, which mirrors; it must be a turn and a shift in mm. "
+                "One of its axes points the other way"
+            )
         elsewhere = Moved(self, rigid)
         return replace(self, point=elsewhere.point, tangent=elsewhere.tangent)
 

@@ -79,6 +79,7 @@ CURVES = [
     (lambda: PATH.part("a", 5), CurveError, "start of a piece is 'a'"),
     (lambda: PATH.moved(np.eye(3)), CurveError, r"transform of a curve has shape \(3, 3\); it must be \(4, 4\)"),
     (lambda: PATH.moved(np.diag([2.0, 1, 1, 1])), CurveError, "transform of a curve is .*; it must be rigid"),
+    (lambda: PATH.moved(np.diag([1.0, -1, 1, 1])), CurveError, "transform of a curve is .*, which mirrors"),
     (lambda: PATH.moved("left"), CurveError, "transform of a curve is 'left'; it must be numbers"),
     (lambda: Lumen(np.zeros((5, 3))), CurveError, r"table of a lumen has shape \(5, 3\); it must be \(n, 4\)"),
     (lambda: Lumen(np.zeros((5, 4))), CurveError, "radius of a lumen is 0 mm; it must be positive"),
