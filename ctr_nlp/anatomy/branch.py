@@ -1,4 +1,4 @@
-"""What files of anatomy hold: paths from where a robot enters to the tips of a tree."""
+"""Branches that files of anatomy hold: paths from where a robot enters to the tips of a tree."""
 
 from __future__ import annotations
 
@@ -16,7 +16,8 @@ from ctr_nlp.typing import Array
 
 SPACES = {"LPS": np.eye(4), "RAS": np.diag([-1.0, -1.0, 1.0, 1.0])}
 """Patient coordinates by the directions in which x, y, z grow (left, posterior, superior or right, anterior,
-superior), and what takes them to LPS, the coordinates of DICOM."""
+superior), and the transform (4, 4) that takes each to LPS, the coordinates of DICOM.
+"""
 
 
 @dataclass(frozen=True)
@@ -29,11 +30,11 @@ class Branch:
 
     @property
     def length(self) -> float:
-        """Of the straight lines from point to point, in mm."""
+        """Length of the straight lines from point to point, mm."""
         return float(np.linalg.norm(np.diff(self.points, axis=0), axis=1).sum())
 
     def reversed(self) -> Branch:
-        """The same path from its last point to its first."""
+        """Return this path from its last point to its first."""
         return replace(self, points=self.points[::-1], radius=None if self.radius is None else self.radius[::-1])
 
 
@@ -47,22 +48,22 @@ class Branches:
 
     @property
     def from_lps(self) -> Array:
-        """From LPS to the coordinate system of the file, (4, 4)."""
+        """Transform (4, 4) from LPS to the coordinate system of the file."""
         return np.asarray(np.linalg.inv(self.to_lps), dtype=float)
 
     def reversed(self) -> Branches:
-        """The same branches, each from its last point to its first."""
+        """Return these branches, each from its last point to its first."""
         return replace(self, branches=tuple(branch.reversed() for branch in self.branches))
 
 
 def moved(points: npt.ArrayLike, transform: Array) -> Array:
-    """Points (n, 3) or one point (3,) under an affine transform (4, 4)."""
+    """Apply an affine transform (4, 4) to points (n, 3) or to one point (3,)."""
     return np.asarray(points, dtype=float) @ transform[:3, :3].T + transform[:3, 3]
 
 
 @contextmanager
 def blamed(where: str | Path) -> Iterator[None]:
-    """A CurveError within the block is raised with the name of its file before it."""
+    """Put `where`, the name of a file, before the message of any CurveError that the block raises."""
     try:
         yield
     except CurveError as error:
@@ -70,7 +71,7 @@ def blamed(where: str | Path) -> Iterator[None]:
 
 
 def checked_point(name: str, given: npt.ArrayLike) -> Array:
-    """A point (3,) in mm; raises CurveError where it is none."""
+    """Return `given` as a point (3,) in mm; raise CurveError, whose message calls it `name`, where it is none."""
     try:
         point = np.asarray(given, dtype=float)
     except (TypeError, ValueError) as error:
@@ -81,7 +82,7 @@ def checked_point(name: str, given: npt.ArrayLike) -> Array:
 
 
 def written(point: Iterable[float]) -> str:
-    """The coordinates of a point in brackets."""
+    """Write the coordinates of a point in brackets."""
     return f"({', '.join(f'{number:g}' for number in point)})"
 
 
@@ -98,7 +99,9 @@ def check_points(points: Array) -> None:
 
 
 def checked(path: str | Path, branches: Branches) -> Branches:
-    """The branches of a file, each fit to be a curve; raises CurveError, which names file and branch."""
+    """Return the branches of the file at `path` once each is fit to be a curve; raise CurveError, which names file
+    and branch, where one is not.
+    """
     for branch in branches.branches:
         where = f"{path}, {branch.name}" if len(branches.branches) > 1 else str(path)
         with blamed(where):

@@ -18,17 +18,17 @@ OWN, SUFFIXES = ".toml", (".json", ".mat")
 READ = "robot files of ctr_nlp (.toml), and tubes as MexLib or gym-ctr have them (.json, .mat)"
 """What can be read, as messages list it."""
 MM, PER_MM, MPA = 1e3, 1e-3, 1e-6
-"""What lengths in m, curvatures in 1/m and moduli in Pa are multiplied by."""
+"""Factors that turn lengths in m, curvatures in 1/m and moduli in Pa into mm, 1/mm and MPa."""
 DEEPEST = 20
-"""How many tables within tables are looked through."""
+"""Depth to which tables within tables are searched for tubes."""
 
 
 @dataclass(frozen=True)
 class Words:
-    """What a family of codes calls the numbers of a tube.
+    """Names that a family of codes gives to the numbers of a tube.
 
-    program: where it is used. curved, straight: the pre-curved length, or the straight one before it; one of the
-    two. curvatures: the pre-curvature about x, and about y where there is one.
+    program: where they are used. curved, straight: the pre-curved length, or the straight one before it; one of
+    the two. curvatures: the pre-curvature about x, and about y where there is one.
     """
 
     program: str
@@ -81,7 +81,9 @@ class Imported:
     own: bool = False
 
     def to_toml(self, source: str) -> str:
-        """The text of a robot file, with how configurations there become such here; source: where it is from."""
+        """Return the text of a robot file that also says how configurations there become such here; `source` names
+        where the robot is from.
+        """
         if self.own:
             return self.robot.to_toml(f"A robot from {source}.")
         rows = [
@@ -174,7 +176,9 @@ def _read(path: Path) -> Any:
 
 
 def _robots(data: Any, name: str, depth: int = 0) -> Iterator[tuple[str, dict[str, Mapping[str, Any]]]]:
-    """Each robot in what a file holds, as its name and its tubes by name."""
+    """Yield the name of each robot in the data of a file, and its tubes by name; tables within tables are
+    searched.
+    """
     if depth > DEEPEST:
         raise OptionError(f"it holds tables within tables, more than {DEEPEST} deep")
     if not isinstance(data, Mapping):
@@ -193,7 +197,7 @@ def _is_list(data: Any) -> bool:
 
 
 def _words(tube: Mapping[str, Any]) -> Words | None:
-    """The words that a table speaks in, if it is a tube: those that it has most of, and at least half."""
+    """Return the family whose words a table has most of, at least half; None where the table is no tube."""
     shares = [sum(word in tube for word in words.all) / len(words.all) for words in WORDS]
     return WORDS[shares.index(max(shares))] if max(shares) >= 0.5 else None
 
@@ -210,6 +214,9 @@ def _chosen(robots: dict[str, dict[str, Mapping[str, Any]]], name: str | None) -
 
 
 def _imported(tubes: dict[str, Mapping[str, Any]], poisson_ratio: float | None) -> Imported:
+    """Make the robot of tubes by name, sorted by outer diameter; `poisson_ratio`, where given, is that of every
+    tube.
+    """
     made = {name: _tube(name, tube, poisson_ratio) for name, tube in tubes.items()}
     names = sorted(made, key=lambda name: -made[name][0].outer_diameter)
     return Imported(
@@ -245,6 +252,7 @@ def _tube(name: str, given: Mapping[str, Any], poisson_ratio: float | None) -> t
         )
     except RobotError as error:
         raise RobotError(f"tube {name!r}, in {words.program}'s m, 1/m and Pa: {error}") from error
+    # Curvature about +y bends a tube towards +x, which is alpha = 0 here.
     turned = math.atan2(about_y, about_x) - math.pi / 2 if curvature else 0.0
     return tube, math.remainder(turned, 2 * math.pi)
 
@@ -261,5 +269,5 @@ def _poisson_ratio(name: str, modulus: float, shear: float) -> float:
 
 
 def _rounded(value: float) -> float:
-    """A number without what conversion of its unit has left behind its twelfth digit."""
+    """Round a number to twelve digits, since converting its unit leaves errors behind them."""
     return float(f"{value:.12g}")

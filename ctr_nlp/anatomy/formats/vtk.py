@@ -34,9 +34,9 @@ READERS = {
     ".vtp": ("vtkIOXML", "vtkXMLPolyDataReader"),
     ".vtu": ("vtkIOXML", "vtkXMLUnstructuredGridReader"),
 }
-"""Where VTK has its readers, by the end of a file's name."""
+"""Module and class of VTK's readers, by the end of a file's name."""
 LINE, POLYLINE = 3, 4
-"""VTK's types of cells that are read; others are not looked at."""
+"""VTK's cell types that are read; other cells are ignored."""
 
 
 def read_vtk(path: str | Path, entry: npt.ArrayLike | None = None) -> Branches:
@@ -74,6 +74,7 @@ def _read(path: str | Path) -> tuple[Any, str]:
     reader.SetFileName(str(path))
     legacy = kind == LEGACY
     if legacy:
+        # The legacy reader takes only the first array of each kind unless it is told otherwise.
         reader.ReadAllScalarsOn()
         reader.ReadAllFieldsOn()
     with pyvista.vtk_verbosity("off"), _overheard() as errors:
@@ -89,7 +90,9 @@ def _read(path: str | Path) -> tuple[Any, str]:
 
 @contextmanager
 def _overheard() -> Iterator[list[str]]:
-    """What VTK says of a bad file, in place of its own account on stderr: its first error."""
+    """Capture VTK's messages on a bad file, which would go to stderr; after the block, the list that is yielded
+    holds the first error.
+    """
     common = needed("vtkmodules.vtkCommonCore")
     usual, heard = common.vtkOutputWindow.GetInstance(), common.vtkStringOutputWindow()
     errors: list[str] = []
@@ -102,7 +105,7 @@ def _overheard() -> Iterator[list[str]]:
 
 
 def _text(said: str | bytes | None) -> str:
-    """What VTK says: bytes where it is no UTF-8."""
+    """Return text from VTK as a string: VTK gives bytes where it is not valid UTF-8, None where there is none."""
     return said.decode(errors="replace") if isinstance(said, bytes) else said or ""
 
 
@@ -117,6 +120,7 @@ def _numbers(values: Any) -> Array:
 
 
 def _radius(mesh: Any, count: int) -> Array | None:
+    """Return the lumen's radius (count,) mm at the points of a mesh; None where no array of `RADII` is there."""
     for name in RADII:
         if name in mesh.point_data:
             values = _numbers(mesh.point_data[name])
@@ -127,7 +131,9 @@ def _radius(mesh: Any, count: int) -> Array | None:
 
 
 def _lines(mesh: Any) -> list[Indices]:
-    """The points of each line."""
+    """Return the indices of the points of each line; raise CurveError where there is no line, or points are
+    missing.
+    """
     cells = np.flatnonzero(np.isin(mesh.celltypes, (LINE, POLYLINE)))
     if not cells.size:
         raise CurveError("it holds no lines; centrelines are saved as lines, not as a surface or as points")
