@@ -1,4 +1,4 @@
-"""What every program shares: how it is called, helps and ends."""
+"""Parts of every program: how it is called, prints its help and ends."""
 
 from __future__ import annotations
 
@@ -27,13 +27,13 @@ class Command(NamedTuple):
     """A subcommand that can be called with arguments, and returns its exit status."""
 
     name: str
-    """What usage calls it."""
+    """Name in usage messages."""
     options: Callable[[str], argparse.ArgumentParser]
-    """Its own options, for a parser of that name."""
+    """Makes the parser of the subcommand's own options, given the name of the program."""
     run: Callable[[argparse.Namespace], int]
 
     def parser(self, prog: str) -> argparse.ArgumentParser:
-        """Its own options and those of every program, with examples in the help."""
+        """Make the parser of the program's own options and those of every program, with examples in the help."""
         own, told = self.options(prog), [""]
         given = examples(self.name.rpartition(" ")[2])
         if given:
@@ -55,11 +55,15 @@ class Command(NamedTuple):
         return parser
 
     def __call__(self, argv: list[str] | None = None, prog: str | None = None) -> int:
-        """Run with argv, or with what the process was given; prog: another name for usage."""
+        """Run with `argv`, by default the arguments of the process, and return the exit status; `prog` is another
+        name for usage messages.
+        """
         return guarded(lambda: self._told(parsed(self.parser(prog or self.name), argv)))
 
     def _told(self, arguments: argparse.Namespace) -> int:
-        """Run; with --json, print what was told, and an error as a part of it."""
+        """Run the program; with --json, print its output as one JSON object, with the message of an error as a
+        part of it.
+        """
         with telling(getattr(arguments, "as_json", False), arguments.verbose) as told:
             if told is None:
                 return self.run(arguments)
@@ -74,14 +78,14 @@ class Command(NamedTuple):
 
 
 def examples(name: str) -> list[tuple[str, str]]:
-    """What a subcommand's examples do, and their arguments."""
+    """Return the examples of a subcommand: for each what it does, and its arguments."""
     blocks = dict(block.split("]\n", 1) for block in EXAMPLES.read_text(encoding="utf-8").split("[")[1:])
     lines = blocks.get(name, "").splitlines()
     return [(what, call.strip()) for what, call in zip(lines[::2], lines[1::2], strict=True)]
 
 
 class _Formatter(argparse.HelpFormatter):
-    """Fills paragraphs, and leaves those with indented lines as they are."""
+    """Wraps the paragraphs of a help text, and leaves those with indented lines as they are."""
 
     def _fill_text(self, text: str, width: int, indent: str) -> str:
         filled = []
@@ -92,7 +96,9 @@ class _Formatter(argparse.HelpFormatter):
 
 
 def parsed(parser: argparse.ArgumentParser, argv: Sequence[str] | None) -> argparse.Namespace:
-    """What a parser makes of argv; where an option is unknown, its error tells what was probably meant."""
+    """Parse `argv`, None for the arguments of the process; the error on an unknown option names the one that was
+    probably meant.
+    """
     found, unknown = parser.parse_known_args(argv)
     if unknown:
         options = [option for option in parser._option_string_actions if option.startswith("--")]

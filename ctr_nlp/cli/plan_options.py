@@ -21,41 +21,43 @@ from ctr_nlp.target.problem import Problem
 from ctr_nlp.target.target import SIGMA
 
 HORIZON = "horizon"
-"""The formulation that takes all frames at once."""
+"""The formulation that solves all frames in one program."""
 FRAMES_ALONE = ("direction", "jump_width")
-"""Options that no horizon has."""
+"""Options that only formulations frame by frame have."""
 HORIZON_ALONE = ("arrival_weight", "end", "initial", "starts", "exhaustive", "jobs", "sweep_motion_weight", "live")
-"""Options that a horizon alone has."""
+"""Options that only a horizon has."""
 WALL = ("clearance", "contact_weight")
-"""What add_wall_options adds, as Settings calls it."""
+"""Options that add_wall_options adds, by their names in Settings."""
 THRESHOLD_HELP = {
     "arrival_tolerance": ("MM", "distance from the target's end within which the tip arrives in the last frame"),
     "error_allowed": ("MM", "largest e2 of any frame with which the plan follows its target"),
     "contact_allowed": ("MM", "how far the robot may be beyond the wall anywhere, since tissue gives a little"),
     "share": ("PART", "share of the simulated robots that must keep their branch, arrive and keep off the wall"),
 }
-"""What the thresholds of verdicts mean."""
+"""Placeholder and help of the options for the thresholds of verdicts."""
 
 
 def add_model_options(parser: argparse.ArgumentParser) -> None:
-    """The model to plan on."""
+    """Add the option for the model to plan on."""
     parser.add_argument("--model", choices=MODELS, help="(default elastic; with two stages dominant)")
 
 
 def model_from(arguments: argparse.Namespace) -> str:
-    """The model to plan on: the one that was named, or the default of the formulation."""
+    """Return the name of the model to plan on: the one that was given, or the default of the formulation."""
     named: str | None = arguments.model
     return named or default_model(arguments.formulation)
 
 
 def add_evaluate_option(parser: argparse.ArgumentParser, default: str) -> None:
-    """The model that a plan's shapes are those of; default: in words."""
+    """Add the option for the model on which a plan's shapes are computed; `default` says in words which one is
+    usual.
+    """
     told = f"model on which the plan's shapes are found (default: {default})"
     parser.add_argument("--evaluate", choices=MODELS, help=told)
 
 
 def add_motion_options(parser: argparse.ArgumentParser) -> None:
-    """What is asked of any motion."""
+    """Add the options of every motion: where it starts, its direction, and limits of the motors."""
     group = parser.add_argument_group("the motion")
     group.add_argument("--start", metavar="Q.json", help="configuration at time 0, where the robot stands now")
     group.add_argument("--retract", action="store_true", help="plan the retraction: the frames in opposite order")
@@ -65,7 +67,7 @@ def add_motion_options(parser: argparse.ArgumentParser) -> None:
 
 
 def moved(problem: Problem, arguments: argparse.Namespace) -> Problem:
-    """The problem with the limits and in the direction that add_motion_options' arguments ask for."""
+    """Return the problem with the limits and in the direction that the options of add_motion_options ask for."""
     robot = problem.robot.with_locked_tilt() if arguments.lock_tilt else problem.robot
     for kind in ("speed", "acceleration"):
         if getattr(arguments, kind) is not None:
@@ -76,7 +78,7 @@ def moved(problem: Problem, arguments: argparse.Namespace) -> Problem:
 
 
 def add_horizon_options(parser: argparse.ArgumentParser) -> None:
-    """What is asked of a motion found at once."""
+    """Add the options of motions that are solved over all frames at once."""
     group = parser.add_argument_group("all frames at once")
     group.add_argument("--end", metavar="Q.json", help="configuration of the last frame")
     group.add_argument(
@@ -135,7 +137,7 @@ def add_robust_options(parser: argparse.ArgumentParser) -> None:
 
 
 def add_tip_force(group: argparse._ActionsContainer) -> None:
-    """The force that tolerances let act at the tip."""
+    """Add the option for the tip force that a robot's tolerances allow."""
     force = (
         "force that may act at the tip, in any direction, and come and go (default: the robot file's tip_force)"
     )
@@ -143,7 +145,9 @@ def add_tip_force(group: argparse._ActionsContainer) -> None:
 
 
 def tolerant(problem: Problem, arguments: argparse.Namespace) -> Problem:
-    """The problem with the force at the tip that add_tip_force's argument asks for; raises RobotError."""
+    """Return the problem, whose robot's tolerances have the tip force of add_tip_force's option; raises
+    RobotError.
+    """
     if arguments.tip_force is None:
         return problem
     tolerances = replace(problem.robot.tolerances, tip_force=arguments.tip_force)
@@ -151,7 +155,7 @@ def tolerant(problem: Problem, arguments: argparse.Namespace) -> Problem:
 
 
 def add_wall_options(parser: argparse.ArgumentParser) -> None:
-    """How the lumen's wall counts: WALL."""
+    """Add the options for how the lumen's wall counts, `WALL`."""
     group = parser.add_argument_group("the lumen's wall, where radii are known")
     for option, metavar, what in (
         ("clearance", "MM", "to keep between tubes and wall"),
@@ -206,7 +210,7 @@ def look_at_plan(plan: Plan, arguments: argparse.Namespace) -> Plan:
 
 
 def add_file_options(parser: argparse.ArgumentParser) -> None:
-    """What is done to a path from a file before it is followed: problems.FILE_OPTIONS."""
+    """Add the options for how a path from a file is prepared before it is followed, problems.FILE_OPTIONS."""
     kinds = f"a centreline ({', '.join(CENTRELINES)}) or a mask of the lumen ({', '.join(MASKS)})"
     group = parser.add_argument_group(
         f"where PROBLEM is {kinds}", "Points and directions are in the file's own coordinates, in mm."
@@ -232,7 +236,9 @@ def add_file_options(parser: argparse.ArgumentParser) -> None:
 
 
 def add_term_options(parser: argparse.ArgumentParser) -> None:
-    """What counts beside the mean distance of the whole shape; None where not given."""
+    """Add the options for terms of the objective beside the mean distance of the whole shape; None where not
+    given.
+    """
     group = parser.add_argument_group("what counts beside the mean distance of the shape, not with two stages")
     angle = "weight of the squared angle between the tip and the target's end, in mm^2/rad^2 (default 0)"
     distance = "weight of the squared distance between the tip and the target's end, without unit (default 0)"
@@ -245,7 +251,7 @@ def add_term_options(parser: argparse.ArgumentParser) -> None:
 
 
 def terms_from(arguments: argparse.Namespace) -> list[Term]:
-    """The terms that add_term_options' arguments ask for; raises OptionError."""
+    """Return the terms of the objective that the options of add_term_options ask for; raises OptionError."""
     terms = list[Term]()
     if arguments.depth_power is not None:
         if not 0 <= arguments.depth_power < math.inf:

@@ -32,16 +32,19 @@ KINDS = f"{', '.join(NAMES)}, a problem file (.py), a centreline file ({', '.joi
 
 
 def load(name: str, arguments: argparse.Namespace) -> Problem:
-    """The problem that a name or a file stands for; raises a CtrError.
-
-    Also where a model that is asked for does not describe its robot.
+    """Return the problem that a name or a file stands for; raises a CtrError, also where a model that is asked for
+    does not describe its robot.
     """
     (problem,) = load_all([name], arguments)
     return problem
 
 
 def load_all(names: Sequence[str], arguments: argparse.Namespace) -> list[Problem]:
-    """The problems of several names, as load. Options of files go with these alone; there must be one."""
+    """Return the problems that several names or files stand for; raises a CtrError as `load` does.
+
+    Options of `FILE_OPTIONS` are passed on to files of anatomy alone, of which there must be one where such an
+    option is given.
+    """
     options = {key: value for key in FILE_OPTIONS if (value := getattr(arguments, key, None)) is not None}
     if options and not any(_is_anatomy(name) for name in names):
         kind = "problem file" if names[0].endswith(".py") else "named problem"
@@ -70,6 +73,9 @@ def expanded(names: Sequence[str]) -> list[str]:
 
 
 def _problem(name: str, arguments: argparse.Namespace, options: Mapping[str, Any]) -> Problem:
+    """Return the problem of a name, a Python file or a file of anatomy; `options` are those of `FILE_OPTIONS` that
+    were given.
+    """
     robot = None if arguments.robot is None else Robot.from_toml(arguments.robot)
     if name in NAMES:
         return named(name, arguments.frames, arguments.duration, robot)
@@ -87,9 +93,10 @@ def _problem(name: str, arguments: argparse.Namespace, options: Mapping[str, Any
 
 
 def from_python(file: str, frames: int, duration: float, robot: Robot | None) -> Problem:
-    """What problem(frames, duration, robot) in a user's file of Python returns; raises ProblemError.
+    """Call problem(frames, duration, robot) in a user's Python file and return its problem; raises ProblemError.
 
-    The file may import others beside it. A CtrError that it raises passes, with the file's name before it.
+    The file may import others beside it. A CtrError that it raises becomes a ProblemError with the file's name and
+    line before its message.
     """
     folder = str(Path(file).resolve().parent)
     sys.path.insert(0, folder)
@@ -106,7 +113,7 @@ def from_python(file: str, frames: int, duration: float, robot: Robot | None) ->
 
 
 def _called(file: str, call: Callable[[], Any]) -> Any:
-    """What a call into a user's file returns; raises ProblemError with the line that failed."""
+    """Call into a user's file and return the result; raises ProblemError with the line of `file` that failed."""
     try:
         return call()
     except (Exception, SystemExit) as error:
@@ -127,6 +134,6 @@ def _moved(error: BaseException) -> str:
 
 
 def tell(problem: Problem) -> None:
-    """What is worth knowing of a problem before it is solved, on stderr."""
+    """Print on stderr notes on a problem that are worth knowing before it is solved."""
     for note in notes(problem):
         print_stderr(f"note: {note}")

@@ -1,4 +1,4 @@
-"""What programs tell: tables, lines and files on stdout, or with --json as one object; progress on stderr."""
+"""Output of programs: tables, lines and files on stdout, or with --json one object; progress on stderr."""
 
 from __future__ import annotations
 
@@ -36,14 +36,14 @@ class StdoutError(Exception):
 
 @dataclass(frozen=True)
 class Told:
-    """What a program has told that is called with --json."""
+    """Output of a program that is called with --json: tables, files that were written, and lines of text."""
 
     tables: list[dict[str, Any]] = field(default_factory=list)
     files: list[str] = field(default_factory=list)
     text: io.StringIO = field(default_factory=io.StringIO)
 
     def as_json(self, **more: Any) -> str:
-        """As one JSON object, after what else is known of the program; numbers that are not finite are null."""
+        """Return the output as one JSON object, after the entries `more`; numbers that are not finite are null."""
         lines = self.text.getvalue().splitlines()
         return json.dumps(_plain({**more, "tables": self.tables, "lines": lines, "files": self.files}), indent=2)
 
@@ -54,7 +54,9 @@ _verbose: ContextVar[bool] = ContextVar("verbose", default=False)
 
 @contextmanager
 def telling(as_json: bool, verbose: bool) -> Iterator[Told | None]:
-    """While a program runs, gather what it tells for JSON, which is yielded, or tell on stderr what it does."""
+    """Gather a program's output for JSON, and yield it; without --json yield None. `verbose`: report progress line
+    by line on stderr.
+    """
     told, before = Told() if as_json else None, (_told.get(), _verbose.get())
     _told.set(told)
     _verbose.set(verbose)
@@ -122,7 +124,7 @@ def announce(line: str) -> None:
 
 
 def wrote(place: str | Path, files: Sequence[str] = (), more: str = "") -> None:
-    """Tell that a file was written, or files of a folder; more: what else is to be said of it."""
+    """Report that the file `place` was written, or files in the folder `place`; `more` is added to the line."""
     told = _told.get()
     if told is not None:
         told.files.extend([str(Path(place) / name) for name in files] or [str(place)])

@@ -22,13 +22,17 @@ from ctr_nlp.codegen import cache
 from ctr_nlp.exceptions import CtrError
 
 NAME = "ctr_nlp"
-"""Of the distribution, whose requirements are looked at."""
+"""Name of the distribution whose requirements are checked."""
 VECTORS = ("avx512f", "avx2", "neon", "asimd")
 """Features of processors that compiled code gains from, the best first of each kind."""
 
 
 class Finding(NamedTuple):
-    """What was looked at, whether it works, what was seen, and what mends it; core: whether planning needs it."""
+    """Result of one check.
+
+    what: the thing that was checked. good: whether it works. seen: what was found. remedy: how to mend it. core:
+    whether planning needs it.
+    """
 
     what: str
     good: bool

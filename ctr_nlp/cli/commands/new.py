@@ -49,7 +49,9 @@ def template(name: str) -> str:
 
 
 def _text(arguments: argparse.Namespace, name: str) -> str:
-    """What is to be written: a template, or the robot of another program; raises a CtrError."""
+    """Return the text to write: the template called `name`, or the robot of another program's file; raises a
+    CtrError.
+    """
     given = {f"--{key.replace('_', '-')}": getattr(arguments, key) for key in ("name", "poisson_ratio")}
     if arguments.source is None:
         for option in (option for option, value in given.items() if value is not None):

@@ -176,7 +176,9 @@ def _run(arguments: argparse.Namespace) -> int:
 
 
 def _compromises(arguments: argparse.Namespace, problem: Problem, plan: Plan) -> list[Compromise]:
-    """Where a plan over all frames does not both arrive and keep off a wall that counts: what can be had."""
+    """Compute compromises between arriving and keeping off the wall, where a plan over all frames does not do
+    both; none otherwise.
+    """
     found = plan.verdicts
     failed = plan.clearance is not None and NO in (found.arrives.word, found.within_wall.word)
     looked = not (arguments.no_evaluate or plan.meta["interrupted"] or plan.bears is not None)
@@ -257,15 +259,18 @@ def _check_fit(arguments: argparse.Namespace) -> None:
 
 
 def _given(arguments: argparse.Namespace, names: Sequence[str]) -> list[str]:
-    """Those of options, by their names in arguments, that were given, as they are written."""
+    """Return the options that were given, as they are written on the command line; `names` are their attributes in
+    arguments.
+    """
+    # Compared by identity: 0 equals False, but is a value that was given.
     unset = None, False
     given = [name for name in names if not any(getattr(arguments, name, None) is each for each in unset)]
     return [f"--{name.replace('_', '-')}" for name in given]
 
 
 def _settings(arguments: argparse.Namespace, problem: Problem, *names: str) -> Settings:
-    """The Settings of the wall, the end, the thresholds and these names; raises OptionError, and ProblemError
-    where the wall is asked for and not known.
+    """Make the Settings from the options in `names` and those of the wall, arrival and thresholds; raises
+    OptionError, and ProblemError where the wall is asked for and the problem has no radii.
     """
     if any(getattr(arguments, name) for name in plan_options.WALL):
         check_radii(problem)
@@ -273,6 +278,7 @@ def _settings(arguments: argparse.Namespace, problem: Problem, *names: str) -> S
 
 
 def _by_frame(arguments: argparse.Namespace, problem: Problem) -> Plan:
+    """Plan frame by frame with the formulation that was chosen."""
     direction: Direction = arguments.direction or "best"
     asked: dict[str, Any] = {
         "settings": _settings(arguments, problem, *FRAME_SETTINGS),
@@ -292,7 +298,9 @@ def _by_frame(arguments: argparse.Namespace, problem: Problem) -> Plan:
 
 
 def _at_once(arguments: argparse.Namespace, problem: Problem) -> tuple[Plan, list[Point]]:
-    """The plan, and the points of a sweep where one is asked for."""
+    """Plan all frames at once; returns the plan, and the points of a sweep of motion weights where one is asked
+    for.
+    """
     settings, jobs = _settings(arguments, problem, "seed"), 1 if arguments.jobs is None else arguments.jobs
     start, end = (None if path is None else read_start(path) for path in (arguments.start, arguments.end))
     check_search(arguments.motion_weight, arguments.starts, jobs)

@@ -1,4 +1,4 @@
-"""Options of commands on robots that bear a load, and how their values are read."""
+"""Options of commands on loaded robots, and how their values are read."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from ctr_nlp.target.problem import Problem
 
 
 def add_modulus_option(parser: argparse.ArgumentParser) -> None:
-    """Young's modulus of a plan's robot."""
+    """Add the option for Young's modulus of a robot's tubes."""
     parser.add_argument(
         "--youngs-modulus",
         metavar="MPA",
@@ -24,7 +24,9 @@ def add_modulus_option(parser: argparse.ArgumentParser) -> None:
 
 
 def add_load_options(parser: argparse.ArgumentParser, required: bool = True) -> None:
-    """What the robot bears: a file, or a tip force alone."""
+    """Add the options for the load on the robot, a file or a tip force alone; `required`: whether one must be
+    given.
+    """
     group = parser.add_mutually_exclusive_group(required=required)
     told = "what the robot bears, all the time or changing (`ctr-nlp new load FILE.toml` writes one to start from)"
     group.add_argument("--load", metavar="FILE.toml", help=told)
@@ -32,18 +34,20 @@ def add_load_options(parser: argparse.ArgumentParser, required: bool = True) -> 
 
 
 def read_plan(arguments: argparse.Namespace) -> Plan:
-    """The plan of a command, with the modulus that was given; raises LoadError, OutputError."""
+    """Load the plan that a command was given, with Young's modulus where that was given; raises LoadError,
+    OutputError.
+    """
     plan = Plan.load(arguments.plan)
     return plan if arguments.youngs_modulus is None else plan.with_modulus(arguments.youngs_modulus)
 
 
 def asked_load(arguments: argparse.Namespace) -> Load | LoadOverTime:
-    """The load that add_load_options asks for; raises LoadError."""
+    """Return the load that the options of add_load_options ask for; raises LoadError."""
     return Load(force=arguments.force) if arguments.load is None else read_load(arguments.load)
 
 
 def with_asked_modulus(problem: Problem, arguments: argparse.Namespace) -> Problem:
-    """The problem with the modulus that was given; raises LoadError."""
+    """Return the problem, its robot with the Young's modulus of the options, if any; raises LoadError."""
     if arguments.youngs_modulus is None:
         return problem
     return replace(problem, robot=with_modulus(problem.robot, arguments.youngs_modulus))
@@ -55,7 +59,7 @@ def has_load(arguments: argparse.Namespace) -> bool:
 
 
 def asked_model(model: str, arguments: argparse.Namespace) -> Model:
-    """The model of a name, under the load where one was given; raises LoadError, OptionError."""
+    """Return the model called `model`, under the load where one was given; raises LoadError, OptionError."""
     if not has_load(arguments):
         return model_named(model)
     return under(model, asked_load(arguments))

@@ -106,7 +106,7 @@ def _write(found: Calibration, folder: Path, pictures: bool) -> None:
 
 
 def _print(found: Calibration) -> None:
-    """What a person wants to know."""
+    """Print the estimated parameters, errors before and after the fit, and remarks on the data."""
     rows = [row for row in table(found) if row["name"].rpartition("_")[0] not in BASE and row["name"] not in BASE]
     print_table("what was estimated", COLUMNS, [_row(row) for row in rows], ("unit", "the data"))
     told, noise = console(), found.fit.noise

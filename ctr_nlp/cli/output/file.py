@@ -31,7 +31,7 @@ def check_file(file: Path, opening: str, at: int = 0) -> None:
 
 
 def try_beside(path: Path) -> None:
-    """Make something where path is to be, and take it away; raises OSError.
+    """Make a folder beside where `path` is to be, and remove it, to see that this can be done; raises OSError.
 
     It has the name of a staging folder: a run that is killed meanwhile leaves what the next one tidies away, and
     another run that begins meanwhile may tidy it away, too.
@@ -44,7 +44,9 @@ def try_beside(path: Path) -> None:
 
 @contextmanager
 def output_file(file: Path) -> Iterator[Path]:
-    """What is written to the path that is yielded becomes the file, whole or not at all; raises OutputError."""
+    """Yield a path to write to; once the block ends, what was written there becomes the file, whole or not at all.
+    Raises OutputError.
+    """
     try:
         file.parent.mkdir(parents=True, exist_ok=True)
         with whole_file(file) as partial:
@@ -54,7 +56,9 @@ def output_file(file: Path) -> Iterator[Path]:
 
 
 def write_text(file: Path, text: str) -> None:
-    """Write a file in UTF-8, whole or not at all; raises OutputError. What is no character is escaped."""
+    """Write text to a file in UTF-8, whole or not at all; characters that UTF-8 cannot encode are escaped. Raises
+    OutputError.
+    """
     write_bytes(file, text.encode(errors="backslashreplace"))
 
 

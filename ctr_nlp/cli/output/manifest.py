@@ -73,21 +73,23 @@ class Written:
     sha256: str
 
     def is_at(self, place: Path) -> bool:
-        """Whether that file, unchanged, is what lies there."""
+        """Whether this file, unchanged, lies at `place`."""
         if place.is_symlink() or not place.is_file() or place.stat().st_size != self.size:
             return False
         return hashlib.sha256(place.read_bytes()).hexdigest() == self.sha256
 
 
 def written(kind: str, place: Path) -> Written:
-    """The file that lies there now, as one that a run of this kind has written."""
+    """Describe the file at `place` as one that a run of this kind has written."""
     content = place.read_bytes()
     return Written(kind, len(content), hashlib.sha256(content).hexdigest())
 
 
 @dataclass(frozen=True)
 class Publication:
-    """What a run is about to do: move files, out of a staging folder, and delete those that it supersedes."""
+    """A run's pending changes to a folder: files to move there from a staging folder, and superseded files to
+    delete.
+    """
 
     staging: str
     files: Mapping[str, Written]
@@ -102,12 +104,16 @@ class Manifest:
     pending: Publication | None = None
 
     def publishing(self, staging: str, kind: str, new: Mapping[str, Written]) -> Manifest:
-        """With new files pending, which supersede those of the same kind."""
+        """Return this manifest with new files of a run pending, which supersede those of the same kind; `staging`
+        names the folder that they are moved from.
+        """
         old = (name for name, one in self.files.items() if one.kind == kind and name not in new)
         return Manifest(self.files, Publication(staging, new, tuple(old)))
 
     def settled(self, folder: Path) -> Manifest:
-        """With nothing pending, and with what lies in folder now under each name that was new or superseded."""
+        """Return this manifest with nothing pending, and with what lies in `folder` now under each name that was
+        new or superseded.
+        """
         if self.pending is None:
             return self
         superseded = self.pending.superseded
@@ -116,15 +122,16 @@ class Manifest:
             if one.is_at(folder / name):
                 files[name] = one
             elif name in files and not files[name].is_at(folder / name):
+                # Neither the old file nor the new one: it is missing, or the user's.
                 del files[name]
         return Manifest(files)
 
     def owned(self, folder: Path, name: str) -> bool:
-        """Whether the file of that name is as a run has written it, in folders that are no links."""
+        """Whether the file called `name` is as a run has written it, in folders that are no links."""
         return name in self.files and _blocked(folder, name) is None and self.files[name].is_at(folder / name)
 
     def occupied(self, folder: Path, name: str) -> Path | None:
-        """What of the user's is in the way of a file of that name; None where there is nothing."""
+        """Return what of the user's is in the way of a file called `name`; None where nothing is."""
         place = folder / name
         if (blocked := _blocked(folder, name)) is not None:
             return blocked
@@ -142,13 +149,15 @@ class Manifest:
 
 
 def _blocked(folder: Path, name: str) -> Path | None:
-    """What stands where a folder between folder and the file of that name must be: a link or a file."""
+    """Return the link or file that stands in place of a folder between `folder` and the file called `name`; None
+    where nothing does.
+    """
     parents = [folder / parent for parent in Path(name).parents]
     return next((one for one in parents[:-1] if one.is_symlink() or (one.exists() and not one.is_dir())), None)
 
 
 def standard(kind: str, folder: Path) -> list[str]:
-    """The files that a run of this kind may write into folder, by name."""
+    """Return the names of the files that a run of this kind may write into `folder`."""
     return [name.replace("{folder}", folder.absolute().name) for name in STANDARD[kind]]
 
 
@@ -169,6 +178,9 @@ def read(folder: Path) -> Manifest | None:
 
 
 def _from_a_mark(folder: Path) -> Manifest:
+    """Return the manifest of a folder marked by an earlier version: each file with a standard name counts as a
+    run's.
+    """
     found: dict[str, Written] = {}
     for kind in STANDARD:
         for name in standard(kind, folder):

@@ -33,7 +33,7 @@ from ctr_nlp.support.own_requests import is_loopback
 from ctr_nlp.target.problem import Problem
 
 USUAL = "bronchus"
-"""The problem where none is named."""
+"""The problem that is steered where none is named."""
 
 
 def _parser(prog: str) -> argparse.ArgumentParser:
@@ -99,17 +99,17 @@ def _problem(arguments: argparse.Namespace) -> Problem:
 
 
 def _load(arguments: argparse.Namespace) -> Load | None:
-    """What the robot is to bear, all the time; raises LoadError."""
+    """Return the constant load on the robot, None where none was given; raises LoadError for one that changes."""
     return steady(asked_load(arguments), "live steering") if has_load(arguments) else None
 
 
 def _next(out: Path) -> Path:
-    """A new folder within out, numbered from 1: no recording takes the place of another."""
+    """Return a new folder within `out`, numbered from 1, so that no recording takes the place of another."""
     return next(folder for n in itertools.count(1) if not (folder := out / str(n)).exists())
 
 
 def _kept(plan: Plan, folder: Path) -> str:
-    """Write a plan into a folder; where it is, in a sentence without its stop."""
+    """Write a plan into a folder, and return a sentence, without its full stop, that says where it is."""
     with published(folder, "plan") as staging:
         write(plan, staging)
     return f"It is in {folder / 'plan.npz'}, for `ctr-nlp play` and `ctr-nlp robust`"

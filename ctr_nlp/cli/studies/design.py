@@ -46,7 +46,7 @@ from ctr_nlp.support.pool import Jobs, side_by_side
 from ctr_nlp.target.problem import Problem
 
 DRAWS, SEED = 500, 0
-"""Of the robot that every plan is tried on, which neither design nor planning sees."""
+"""Number and seed of the simulated robots that every plan is tried on; neither design nor planning sees them."""
 RULES = {
     "wall": "least thickness of a tube's wall, mm",
     "channel": "least inner diameter of the innermost tube, mm",
@@ -111,7 +111,7 @@ def _parser(prog: str) -> argparse.ArgumentParser:
 
 
 def add_rules(parser: argparse.ArgumentParser) -> None:
-    """Options that say what tubes can be made."""
+    """Add the options for the rules of manufacture, `RULES`."""
     defaults = Manufacture()
     group = parser.add_argument_group("what can be made")
     for name, what in RULES.items():
@@ -122,7 +122,7 @@ def add_rules(parser: argparse.ArgumentParser) -> None:
 
 
 def rules_from(arguments: argparse.Namespace) -> Manufacture:
-    """What those options say; raises OptionError."""
+    """Return the rules of manufacture that the options of add_rules ask for; raises OptionError."""
     given = {name: value for name in RULES if (value := getattr(arguments, name)) is not None}
     return Manufacture(**given, one_sided=arguments.one_sided)
 
@@ -178,7 +178,7 @@ def _run(arguments: argparse.Namespace) -> int:
 
 
 def _workers(arguments: argparse.Namespace) -> AbstractContextManager[Jobs]:
-    """In how many processes, or on which cluster, problems are worked on; raises ClusterError."""
+    """Return the number of processes, or a client of the cluster, that work on problems; raises ClusterError."""
     if arguments.address is None:
         return nullcontext(arguments.jobs)
     return cluster_client(arguments.address)
@@ -193,7 +193,11 @@ def _planned(
     jobs: Jobs,
     labelled: Callable[[str], Progress],
 ) -> list[Made]:
-    """Designs with plans of the problems held out, each on the robot that follows it best, all tried on draws."""
+    """Return designs with plans of the held-out problems, each on the robot that follows it best; all plans are
+    tried on simulated robots.
+
+    made: the designs. held: the held-out problems. labelled: turns a label into a progress callback.
+    """
     robots = [one.design.robot for one in made]
     choice = suited(held, robots, settings, jobs, model) if held and len(robots) > 1 else [0] * len(held)
     on = [replace(task, robot=robots[k]) for task, k in zip(held, choice, strict=True)]
@@ -209,14 +213,16 @@ def _planned(
 
 
 def _on_draws(plan: Plan) -> Tried:
-    """A plan tried on draws, where some of it was reached."""
+    """Try a plan on simulated robots, and on simulated ones of tubing as sold, where any of its frames was
+    reached.
+    """
     if not plan.reached.any():
         return Tried(plan)
     return Tried(plan.with_draws(DRAWS, SEED), on_tubing_as_sold(plan, DRAWS, SEED))
 
 
 def _named(name: str, problem: Problem) -> Problem:
-    """A problem under the name that its files get."""
+    """Return the problem under the name that its files get; `name` is that on the command line."""
     return replace(problem, name=path_component(problem.name or Path(name).stem))
 
 

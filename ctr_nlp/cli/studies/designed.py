@@ -1,4 +1,4 @@
-"""What `ctr-nlp design` writes and shows of designed robots."""
+"""Files and tables of `ctr-nlp design`."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ COLUMNS = (
 
 @dataclass(frozen=True)
 class Tried:
-    """A plan, and what becomes of it on tubing as sold; None where that is not known."""
+    """A plan, and its robustness on tubing as sold; None where that is not known."""
 
     plan: Plan
     sold: Robustness | None = None
@@ -43,7 +43,7 @@ class Made:
 
 
 def write(made: Sequence[Made], folder: Path, nominal: bool, figures: bool) -> None:
-    """robot.toml, the plans, design.json and the sheet; in a folder for each robot where there are several."""
+    """Write robot.toml, the plans, design.json and the sheet; for several robots, in a folder for each."""
     for number, one in enumerate(made, start=1):
         place = folder / f"robot_{number}" if len(made) > 1 else folder
         place.mkdir(exist_ok=True)
@@ -89,7 +89,7 @@ def _stocked(found: Stocked) -> dict[str, Any]:
 
 
 def _row(found: Design, tried: Tried) -> dict[str, Any]:
-    """What design.json says of a plan."""
+    """Return the entry of design.json on a plan of a design."""
     plan = tried.plan
     name = plan.meta["problem"]["name"]
     own = name in found.names
@@ -114,7 +114,7 @@ def _of_draws(drawn: Robustness | None) -> dict[str, Any]:
 
 
 def show(made: Sequence[Made]) -> None:
-    """Tables and remarks, robot by robot."""
+    """Print tables and remarks, robot by robot."""
     for number, one in enumerate(made, start=1):
         _show(one, f"robot {number}: " if len(made) > 1 else "")
 
@@ -150,5 +150,5 @@ def _show(made: Made, label: str) -> None:
 
 
 def _cells(of: dict[str, Any]) -> tuple[str, str]:
-    """A mean over draws, and how many are lost."""
+    """Return the mean error over simulated robots, and how many of them are lost, as text."""
     return shown(of["mean_over_draws"]), "" if of["draws"] is None else f"{of['lost']} of {of['draws']}"

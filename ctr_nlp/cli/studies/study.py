@@ -32,7 +32,8 @@ from ctr_nlp.support.interrupt import deferred_interrupt
 SHOWN = ERROR, "stability_min", "process_s"
 """Columns whose means are printed."""
 COPY, PICTURE, WORST = "study.toml", "by.png", "worst.html"
-"""Beside its rows: the study's own file, what is drawn of its plans by a column, and a page of the worst ones."""
+"""Files beside the rows: the study's own file, the picture of its plans by a column, and a page of the worst ones.
+"""
 WORDS = YES, NO, NOT_CHECKED
 """Words of verdicts, as columns."""
 SHORT = 10
@@ -118,7 +119,7 @@ def _run(arguments: argparse.Namespace) -> int:
 
 
 def _found(study: Study, out: Path, column: str, more: Sequence[str] = ()) -> Groups:
-    """The study's rows by a column."""
+    """Return the study's plans in groups by a column, with the values of `SHOWN` and of the columns `more`."""
     results = Results(out)
     known = results.columns
     shown = [name for name in SHOWN if name in known]
@@ -126,7 +127,7 @@ def _found(study: Study, out: Path, column: str, more: Sequence[str] = ()) -> Gr
 
 
 def _by(study: Study, out: Path, arguments: argparse.Namespace) -> int:
-    """What is known by a column, and its picture."""
+    """Print and draw the study's plans in groups by a column, and return the exit status."""
     against = arguments.against
     found = _found(study, out, arguments.by, [] if against is None else [against])
     check_folder(out, "by")
@@ -144,7 +145,7 @@ def _by(study: Study, out: Path, arguments: argparse.Namespace) -> int:
 
 
 def _page(study: Study, out: Path, found: Groups) -> str:
-    """The plans of the largest error as one page for a browser."""
+    """Return the plans of the largest error as one HTML page."""
     if not found.worst:
         raise OptionError("--page shows the plans of the largest e3, and no plan of the study is known")
     cases = {case.digest: case for case in study.cases}
@@ -158,7 +159,7 @@ def _kept_or_made(case: Case, folder: Path) -> Plan:
 
 
 def _report(study: Study, out: Path) -> None:
-    """The page that the study ends with, and what it says."""
+    """Write the report that the study ends with, and print its sentences."""
     assert study.report is not None
     place = {case.digest: number for number, case in enumerate(study.cases)}
     rows = [row for row in Results(out).frame().to_dict("records") if row["digest"] in place]
@@ -172,7 +173,9 @@ def _report(study: Study, out: Path) -> None:
 
 
 def _alone(study: Study, digest: str, keep: Path | None) -> int:
-    """The one plan whose row has a digest that begins so, made here, told, and written where it is to be kept."""
+    """Make the one plan whose digest begins with `digest`, print it, and write it into the folder `keep`, if any;
+    returns the exit status.
+    """
     cases = [case for case in study.cases if case.digest.startswith(digest)]
     if len(cases) != 1:
         raise OptionError(f"--only {digest} is the digest of {len(cases)} plans of the study; it must be of one")
@@ -187,7 +190,7 @@ def _alone(study: Study, digest: str, keep: Path | None) -> int:
 
 @contextmanager
 def _client(arguments: argparse.Namespace) -> Iterator[Any]:
-    """Of the cluster asked for, or of processes of this machine."""
+    """Yield a Dask client of the cluster that was asked for, or of processes on this machine."""
     if arguments.address is None:
         with local_client(arguments.workers or os.cpu_count() or 1) as client:
             yield client
@@ -197,7 +200,9 @@ def _client(arguments: argparse.Namespace) -> Iterator[Any]:
 
 
 def _print(found: Groups, study: str) -> None:
-    """Plans by a column, the worst ones, and why plans failed, with commands that make such a plan alone."""
+    """Print plans by a column, the worst ones, and why plans failed, with the commands that make such a plan
+    alone; `study` is the study's file.
+    """
     shown = dict.fromkeys(name for group in found.groups for name in group.values)
     rows = []
     for group in found.groups:
