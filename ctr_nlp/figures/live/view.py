@@ -1,4 +1,4 @@
-"""A window in a process of its own, told of states by a program that never waits for it."""
+"""A window in a process of its own, which shows states of a program that never waits for it."""
 
 from __future__ import annotations
 
@@ -28,17 +28,17 @@ PATIENCE = 2.0
 
 
 class Picture(Protocol):
-    """What a window shows. It is pickled before begin is called, and drawn in the window's process."""
+    """Content of a window. It is pickled before `begin` is called, and drawn in the window's process."""
 
     size: tuple[float, float]
     """Width and height of the window, inches."""
 
     def begin(self, figure: Figure) -> None:
-        """Draw what stays."""
+        """Draw everything that no state changes."""
         ...
 
     def show(self, state: Any) -> None:
-        """Change what is drawn to a state."""
+        """Change the picture to a state."""
         ...
 
 
@@ -95,6 +95,7 @@ class View:
             self._end()
 
     def _send(self) -> None:
+        """Send the newest state to the window, in a thread of its own, until the block of `with` ends."""
         with suppress(OSError):
             while not self._ending or self._states:
                 self._news.wait()
@@ -106,12 +107,13 @@ class View:
             self._pipe.close()
 
     def _tell(self, what: Any) -> None:
+        """Send an object to the window's process, pickled."""
         left = memoryview(pickle.dumps(what))
         while left:
             left = left[os.write(self._pipe.fileno(), left) :]
 
     def _end(self) -> None:
-        """Close the window."""
+        """Close the window at once, by ending its process."""
         self._process.kill()
         self._process.wait()
         with suppress(OSError):

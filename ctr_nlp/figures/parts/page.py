@@ -1,4 +1,4 @@
-"""What all pictures share: style, heading, marks behind frames, panels with letters, and a scale of roots."""
+"""Parts that all pictures share: style, heading, marks behind frames, panels with letters, a scale of roots."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def head(figure: Figure, plan: Plan, title: str) -> None:
 
 
 def outcome(numbers: Mapping[str, Any]) -> str:
-    """The error over all frames, how many failed, and verdicts that are no; from a plan's summary."""
+    """Say the error over all frames, how many failed, and which verdicts are no; `numbers` is a plan's summary."""
     e3 = "no frame reached" if numbers["e3"] is None else f"e3 = {numbers['e3']:.3g} mm"
     frames = f"{numbers['failed']} of {numbers['frames']} frames failed" if numbers["failed"] else ""
     return ", ".join(filter(None, (e3, frames, failed(numbers))))
@@ -76,7 +76,9 @@ def label_text(text: str) -> str:
 
 
 def shade(axes: Axes, centres: npt.NDArray[Any], width: float, mask: Flags, colour: str, label: str) -> None:
-    """Colour the background of the frames in mask; centres and width are on the horizontal axis."""
+    """Colour the background of the frames in `mask`; `centres` and `width` are on the horizontal axis, and `label`
+    is for the legend.
+    """
     for number, centre in enumerate(centres[mask]):
         name = "_" if number else label
         axes.axvspan(centre - width / 2, centre + width / 2, color=colour, lw=0, zorder=0, label=name)
@@ -102,7 +104,9 @@ def alone(y: npt.NDArray[np.float64]) -> npt.NDArray[np.int_]:
 
 
 def by_frames(axes: Axes, plan: Plan) -> npt.NDArray[np.int_]:
-    """A horizontal axis of a plan's frames, those that failed shaded behind it; their numbers (T,), from 1."""
+    """Make the horizontal axis one of a plan's frames, shade those that failed, and return their numbers (T,),
+    from 1.
+    """
     frames = np.arange(1, len(plan.time) + 1)
     shade_failures(axes, plan, frames, 1.0)
     frame_axis(axes, len(frames))
@@ -110,7 +114,7 @@ def by_frames(axes: Axes, plan: Plan) -> npt.NDArray[np.int_]:
 
 
 def legend_of(*panels: Axes) -> dict[str, Any]:
-    """What panels name: labels, each once, and handles for a legend."""
+    """Return the entries of one legend for several panels: handles by label, each label once."""
     named = [axes.get_legend_handles_labels() for axes in panels]
     return {label: handle for some, labels in named for handle, label in zip(some, labels, strict=True)}
 
@@ -136,7 +140,9 @@ APART = 0.13
 
 
 def panels(titles: Sequence[str], columns: int, size: tuple[float, float]) -> tuple[Figure, list[Axes]]:
-    """A figure with a panel for each title, (a), (b), ... in reading order; size: of a panel in inches."""
+    """Make a figure with a panel for each title, (a), (b), ... in reading order; `size` is that of a panel in
+    inches.
+    """
     rows = -(-len(titles) // columns)
     figure = Figure(figsize=(columns * size[0], rows * size[1]), layout="constrained")
     grid: npt.NDArray[Any] = figure.subplots(rows, columns, squeeze=False)

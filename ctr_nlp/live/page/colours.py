@@ -24,13 +24,13 @@ MIDDLES = (SIGMA[1:] + SIGMA[:-1]) / 2
 LARGE_ERROR, MUCH_ROOM = 5.0, 3.0
 """mm at the far ends of the scales of error and clearance."""
 BY_ERROR, BY_CLEARANCE, BY_TUBE = "error", "clearance", "tube"
-"""What the robot may be coloured by."""
+"""Quantities that the robot may be coloured by."""
 STEPS = 9
 """Colours that a legend is made of."""
 
 
 def pieces(robot: Robot, seen: Seen, by: str) -> Colours:
-    """A colour for each of the 100 pieces of the robot."""
+    """Return a colour for each of the 100 pieces of the robot, by error, clearance or tube."""
     if by == BY_ERROR:
         return _shades(_between(seen.error) / LARGE_ERROR)
     if by == BY_CLEARANCE and seen.clearance is not None:
@@ -41,7 +41,7 @@ def pieces(robot: Robot, seen: Seen, by: str) -> Colours:
 
 
 def legend(robot: Robot, by: str) -> str:
-    """What the colours mean, as a piece of HTML."""
+    """Return the legend of the colours as a piece of HTML; `by` is `BY_ERROR`, `BY_CLEARANCE` or `BY_TUBE`."""
     if by == BY_TUBE:
         return " ".join(_patch(tube_colour(i), f"tube {i + 1}") for i in range(robot.d))
     part = np.linspace(0.0, 1.0, STEPS)
@@ -70,7 +70,9 @@ TIGHT = 0.5
 
 
 def judged(seen: Seen, asked: float | None) -> list[Judged]:
-    """The numbers of a moment; asked: the least stability margin that steering keeps, None for any."""
+    """Return the numbers of a moment with words on them; `asked` is the least stability margin that steering
+    keeps, None for any.
+    """
     e2, tip = seen.e2, float(seen.error[-1])
     how = ("close", GOOD) if e2 <= CLOSE else ("near", NEAR) if e2 <= FAR else ("far", BAD)
     found = [Judged("shape error e2", f"{e2:.2f} mm", *how), Judged("tip error", f"{tip:.2f} mm", "", "")]
@@ -119,7 +121,7 @@ def _patch(colour: str, word: str) -> str:
 
 
 def _between(values: Array) -> Array:
-    """Of samples (101,), at the middles of pieces (100,)."""
+    """Interpolate values at the samples (101,) along the robot to the middles (100,) of its pieces."""
     return np.asarray((values[1:] + values[:-1]) / 2)
 
 
@@ -127,7 +129,7 @@ _TABLE = np.round(255 * colormaps[ERROR](np.linspace(0.0, 1.0, 256))[:, :3]).ast
 
 
 def _shades(part: Array) -> Colours:
-    """From good, 0, to bad, 1."""
+    """Return colours for numbers (n,) from 0, good, to 1, bad; NaN counts as bad."""
     return np.asarray(_TABLE[np.clip(255 * np.nan_to_num(part, nan=1.0), 0, 255).astype(int)])
 
 

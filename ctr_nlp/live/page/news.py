@@ -1,4 +1,4 @@
-"""What is told beside the numbers, in sentences."""
+"""Sentences that stand beside the numbers of the moment."""
 
 from __future__ import annotations
 
@@ -11,7 +11,9 @@ HINT = "Drag a ball to pull the target, or a slider to move a joint. The mouse t
 
 
 def told(session: Session, snapped: bool, news: str) -> str:
-    """What is being compiled, what the wall has to do with it, whether the robot snapped, and the latest news."""
+    """Say what is being compiled, how wall and load count, whether the robot snapped, and the latest `news`, if
+    any.
+    """
     found = [*_compiling(session)]
     if session.problem.lumen is not None and session.method == HAND:
         found.append("By hand, the robot goes where the sliders say, also into the wall.")
@@ -29,6 +31,7 @@ def verdict_list(plan: Plan) -> str:
 
 
 def _compiling(session: Session) -> list[str]:
+    """Say which programs are being compiled, are ready or cannot be made; nothing where none are awaited."""
     awaited = session.awaited
     if awaited is None:
         return []

@@ -17,14 +17,14 @@ from ctr_nlp.typing import Array
 OFTEN = 0.15
 """s between two changes of numbers and sliders: faster ones cannot be read."""
 FINE = 1e-3
-"""What sliders of joints are moved by, rad and mm."""
+"""Step of the sliders, rad and mm."""
 
 
 class Asked(Protocol):
-    """What the panel asks for. Each may be called in any thread, and returns at once."""
+    """Requests from the panel to the program that steers. Each may be made in any thread, and returns at once."""
 
     def ask(self, act: Callable[[Session], None]) -> None:
-        """Do something to the session between two steps."""
+        """Call `act` with the session between two steps."""
 
     def use_robot(self, name: str) -> None:
         """Go on with another robot."""
@@ -40,7 +40,9 @@ class Panel:
     """The controls of one session; removed when another one takes its place."""
 
     def __init__(self, gui: Any, session: Session, robots: Sequence[str], robot: str, asked: Asked) -> None:
-        """Build; robots: names to choose from, robot: the one that is chosen."""
+        """Build the controls; `robots` are the names to choose from, `robot` the one that is chosen, `asked` takes
+        the requests.
+        """
         self._session, self._asked, self._last = session, asked, 0.0
         self._numbers, self._news = gui.add_html(""), gui.add_markdown("")
         self._all = [self._numbers, self._news]
@@ -61,7 +63,7 @@ class Panel:
 
     @property
     def by(self) -> str:
-        """What the robot is to be coloured by."""
+        """Quantity by which the robot is to be coloured."""
         return str(self._by.value)
 
     def remove(self) -> None:
@@ -70,7 +72,9 @@ class Panel:
             each.remove()
 
     def show(self, seen: Seen, playing: bool, news: str, busy: float) -> None:
-        """Change to a moment, not too often; news: a sentence or more; busy: part of the time that steps take."""
+        """Show the numbers of a moment, not too often; `news`: a sentence or more; `busy`: part of the time that
+        steps take.
+        """
         if time.monotonic() - self._last < OFTEN:
             return
         self._last, session = time.monotonic(), self._session
@@ -96,7 +100,7 @@ class Panel:
     def _chosen(
         self, gui: Any, name: str, names: Sequence[str], now: str, do: Callable[[Session, str], None]
     ) -> Any:
-        """A choice that does something to the session."""
+        """Add a list of `names` to choose from, whose choice calls `do` with the session and the name."""
         found = gui.add_dropdown(name, tuple(names), initial_value=now)
 
         @found.on_update

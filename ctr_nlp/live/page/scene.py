@@ -22,7 +22,7 @@ from ctr_nlp.target.target import SIGMA
 from ctr_nlp.typing import Array
 
 Pulled = Callable[[int, Array], None]
-"""What is told of a handle, from 0, and where it is pulled to, (3,) mm."""
+"""Called with the number of a handle that is dragged, from 0, and the point (3,) mm to which it is pulled."""
 SIDES, AROUND, RING_MM = 12, 20, 3.0
 """Corners of a tube's cross-section, and of the lumen's; mm between two rings of the lumen."""
 OVERLAP = 1.08
@@ -33,20 +33,22 @@ TARGET_MM, GHOST_MM, HANDLE_MM, TIP_MM = 0.6, 0.35, 0.8, 1.6
 SEEN_THROUGH = 0.5
 """Opacity of the robot while drawn ones are seen, which often lie within its tubes."""
 AXES_MM = 12.0
-"""Of the base frame's axes."""
+"""Length of the base frame's axes."""
 FORCE_MM, ARROW_MM, HEAD_MM = 0.8, 18.0, 3.0
 """Width and length of the arrow of a force at the tip, and length and width of its head."""
 VIEW = (0.25, -1.0, 0.2)
-"""From where the scene is seen at first."""
+"""Direction from which the scene is seen at first."""
 FIELD = 35.0
-"""Of view, degrees."""
+"""Field of view, degrees."""
 
 
 class Scene:
-    """What is drawn of one problem on a server's scene."""
+    """Drawing of one problem in the browser: robot, simulated robots, target with handles, lumen and tip force."""
 
     def __init__(self, server: Any, problem: Problem, pulled: Pulled) -> None:
-        """Draw what stays; pulled: called in the server's own thread, and must return at once."""
+        """Draw everything that never changes; `pulled` is called in the server's own thread, and must return at
+        once.
+        """
         self._server, self._robot = server, problem.robot
         scene = server.scene
         scene.configure_environment_map(None)
@@ -89,7 +91,9 @@ class Scene:
         self._look(problem)
 
     def show(self, seen: Seen, handles: Array, by: str) -> None:
-        """Change to a moment; handles (HANDLES, 3) mm; by: what the robot is coloured by."""
+        """Show a moment; `handles` (HANDLES, 3) mm are the target's, and `by` is the quantity that the robot is
+        coloured by.
+        """
         self._show_robot(seen, by)
         self._target.points = _joined(seen.target)
         self._force.visible = bool(seen.force.any() and np.isfinite(seen.shape[-1]).all())
@@ -144,7 +148,7 @@ class Scene:
         return ball
 
     def _look(self, problem: Problem) -> None:
-        """Where the camera stands at first: from the side, so that all of path and lumen is seen."""
+        """Place the camera at first so that all of path and lumen is seen from the side."""
         points = np.concatenate([frame.points for frame in problem.samples[-1:]])
         if problem.sampled_lumen is not None:
             points = np.concatenate([points, problem.sampled_lumen.table[:, :3]])

@@ -46,7 +46,8 @@ def _in_order(robot: Robot, beta: Array, moved: int) -> None:
 
 
 def towards(robot: Robot, q: Array, goal: Array, dt: float) -> Array:
-    """Where motors at q (2d + 2,) come to in dt s that go to a goal (2d + 2,), all arriving at once.
+    """Return the configuration to which motors at q (2d + 2,) come in dt s on their way to a goal (2d + 2,), all
+    arriving at once.
 
     Order and carriage gap are kept on the way where both ends keep them, since these are linear.
     """
@@ -56,7 +57,9 @@ def towards(robot: Robot, q: Array, goal: Array, dt: float) -> Array:
 
 
 def spans(robot: Robot) -> Array:
-    """What a slider of each joint of q offers, (2d + 2, 2): its limits, or whole turns of unlimited angles."""
+    """Return the range of each joint's slider, (2d + 2, 2): the joint's limits, those of angles within `TURNS`
+    turns to either side.
+    """
     ends, angles = np.stack([robot.lower, robot.upper], axis=1), np.ones(2 * robot.d + 2, dtype=bool)
     angles[robot.d : 2 * robot.d] = False
     wide = TURNS * 2 * math.pi

@@ -1,4 +1,4 @@
-"""Live steering without a screen: what is asked of the robot, and after every step what there is to be seen."""
+"""Live steering without a screen: requests to the robot, and the state that is to be seen after every step."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from ctr_nlp.typing import Array, Flags
 RATE = 30.0
 """Steps a second."""
 MOST_DRAWS = 20
-"""Robots that are moved beside the one described, at most."""
+"""Most simulated robots that are moved beside the one described."""
 NOBODY = np.zeros((0, len(SIGMA[::STRIDE]), 3))
 EMPTY = "nothing has been recorded; begin to record, and steer"
 SHAPE, TIP, HAND = "whole shape", "tip alone", "by hand"
@@ -40,13 +40,14 @@ METHODS = (*DISTANCES, HAND)
 
 
 class Seen(NamedTuple):
-    """One moment.
+    """State of a session after one step.
 
     target, shape (101, 3) mm; shape is NaN where no equilibrium is found. q (2d + 2,). error (101,) mm: distance
-    at equal sigma; e2 mm: its root mean square over sigma; e3 mm: that of e2 over what has been recorded, NaN
-    where nothing has. margin: of stability, NaN where the model has none. clearance (101,) mm, None where no wall
-    is known. ghosts (n, 26, 3) mm, and lost (n,): drawn robots. snapped: whether the robot snapped in this step.
-    force (3,) N: that keeps its direction and acts at the tip. seconds: that the step took.
+    at equal sigma; e2 mm: its root mean square over sigma; e3 mm: root mean square of e2 over what has been
+    recorded, NaN where nothing has. margin: of stability, NaN where the model has none. clearance (101,) mm, None
+    where no wall is known. ghosts (n, 26, 3) mm: shapes of the simulated robots, and lost (n,): which of them are
+    lost. snapped: whether the robot snapped in this step. force (3,) N: that keeps its direction and acts at the
+    tip. seconds: that the step took.
     """
 
     target: Array
@@ -75,11 +76,12 @@ class Session:
         rate: float = RATE,
         load: Load | None = None,
     ) -> None:
-        """At the beginning of a problem's path, retracted. rate: steps a second. load: what the robot bears.
+        """Place the robot, retracted, at the beginning of a problem's path. rate: steps a second. load: the
+        constant load.
 
-        Until the programs under the load are compiled, the robot bears none. Raises OptionError where nothing can
+        Until the programs under the load are compiled, the robot is unloaded. Raises OptionError where nothing can
         be compiled, or the model does not describe the robot, or knows no load; LoadError where the robot cannot
-        be told to bear it.
+        be said to bear it.
         """
         number(OptionError, "rate", rate, lambda x: 0 < x < np.inf, "be a finite number > 0", " 1/s")
         self.problem, self.settings, self.dt, self.load = problem, settings, 1.0 / rate, load
@@ -98,7 +100,7 @@ class Session:
 
     @property
     def q(self) -> Array:
-        """Where the motors stand, (2d + 2,)."""
+        """Configuration (2d + 2,) in which the motors stand."""
         return self._robot.q
 
     @property
@@ -108,7 +110,7 @@ class Session:
 
     @property
     def borne(self) -> Load | None:
-        """What the robot bears now; None until the model that knows the load has been compiled."""
+        """Load on the robot now; None until the model that knows the load has been compiled."""
         return None if self._drive.model.bears is None else self.load
 
     @property
@@ -118,12 +120,12 @@ class Session:
 
     @property
     def draws(self) -> int:
-        """How many robots are moved beside the one described."""
+        """Number of simulated robots that are moved beside the one described."""
         return self._count
 
     @property
     def awaited(self) -> Awaited | None:
-        """The drive that is being compiled, or could not be; None where the one that is wanted is there."""
+        """Drive that is being compiled, or could not be; None where the one that was asked for is in use."""
         return self._awaited
 
     @property
@@ -164,7 +166,7 @@ class Session:
         self.hand = slid(self.problem.robot, self.hand, joint, value)
 
     def draw(self, count: int) -> None:
-        """Move so many draws of the robot beside it, from rest where it stands; raises OptionError."""
+        """Move `count` simulated robots beside the one described, from rest where it is; raises OptionError."""
         if whole_number(OptionError, "draws", count, 0) > MOST_DRAWS:
             raise OptionError(f"draws are {count}; there can be {MOST_DRAWS} at most")
         self._count = count
@@ -176,22 +178,22 @@ class Session:
 
     @property
     def recorded(self) -> int | None:
-        """How many moments have been recorded; None where nobody records."""
+        """Number of moments recorded so far; None while no recording is on."""
         return None if self._recording is None else len(self._recording.moments)
 
     def recording(self) -> Recording:
-        """What was recorded, which ends here; raises OptionError where nothing was."""
+        """End the recording and return it; raises OptionError where nothing was recorded."""
         found, self._recording = self._recording, None
         if found is None or not found.moments:
             raise OptionError(EMPTY)
         return found
 
     def plan(self) -> Plan:
-        """What was recorded as a plan; raises OptionError where nothing was."""
+        """End the recording and return it as a plan; raises OptionError where nothing was recorded."""
         return self.recording().plan()
 
     def step(self) -> Seen:
-        """Move the robot by dt s, and tell what is seen then."""
+        """Move the robot by dt s, and return the state after it."""
         begin = time.perf_counter()
         if self._awaited is not None and self._awaited.found is not None and self._recording is None:
             self._take(self._awaited.found)
@@ -231,12 +233,14 @@ class Session:
         self.draw(self._count)
 
     def _resting(self, q: Array) -> Walker:
-        """The robot at q (2d + 2,), without a history."""
+        """Return the robot at rest at q (2d + 2,), without a history."""
         robot = self.problem.robot
         return self._drive.model.walker(robot.structure, robot.numbers, q)
 
     def _moved(self, target: Array) -> Moment:
-        """The robot after one step; where it has no equilibrium, it comes to rest anew, and has snapped."""
+        """Move the robot by one step; where it loses its equilibrium, it comes to rest anew, which counts as a
+        snap.
+        """
         steerer, begin = self._drive.steerer, time.perf_counter()
         if self.method == HAND:
             q, solved = towards(self.problem.robot, self.q, self.hand, self.dt), (np.nan, np.nan, np.nan)
