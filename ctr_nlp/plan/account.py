@@ -1,6 +1,6 @@
-"""What a plan's numbers say, in words: its title, a table, and remarks on what is wrong with it.
+"""A plan's numbers in words: its title, tables, and remarks on what is wrong with it.
 
-found is the plan's summary, as in summary.json.
+`found` is everywhere the plan's summary, as in summary.json.
 """
 
 from __future__ import annotations
@@ -15,14 +15,14 @@ from ctr_nlp.robot.tolerances import NAMES, UNITS
 VERDICTS = ("", "verdict", "value", "why")
 """Columns of the table of verdicts."""
 NOT_FOR_PATIENTS = "Not validated for use on patients."
-"""Stands wherever a plan is shown or handed on."""
+"""Warning wherever a plan is shown or handed on."""
 Row = tuple[str, Any, str]
-"""Of a table: name, value and unit."""
+"""Row of a table: name, value and unit."""
 
 OPEN = NO, NOT_CHECKED
 """Words of verdicts that speak against a plan."""
 MOST_REASONS = 10
-"""Failures that are told one by one; the plan holds them all."""
+"""Most failures that are listed one by one; the plan holds them all."""
 
 
 def title(found: dict[str, Any]) -> str:
@@ -63,7 +63,7 @@ def lead(found: Mapping[str, Any]) -> str:
 
 
 def rows(found: dict[str, Any]) -> list[Row]:
-    """The numbers that tell how good a plan is; lengths in mm."""
+    """Return the rows of numbers that tell how good a plan is; lengths in mm."""
     failed, steps = found["failed"], " / ".join(map(shown, found["max_step"].values()))
     return [
         ("e3, RMS over frames of e2", found["e3"], "mm"),
@@ -84,7 +84,7 @@ def rows(found: dict[str, Any]) -> list[Row]:
 
 
 def remarks(plan: Plan, found: dict[str, Any]) -> list[str]:
-    """Sentences on limits that bind or are exceeded, snaps, contacts and failures; none where all is well."""
+    """Return sentences on limits that bind or are exceeded, snaps, contacts, failures; none where all is well."""
     snaps = [_snap(snap) for snap in found["snaps"]]
     told = [*_limits(plan, found), *snaps, *_contacts(plan, found), *_certificate(plan), *_failures(plan)]
     if "not_shared" in plan.meta:
@@ -128,7 +128,9 @@ def _contacts(plan: Plan, found: dict[str, Any]) -> list[str]:
 
 
 def _certificate(plan: Plan) -> list[str]:
-    """What the certificate of a robust plan says: how many robots hold, and where robots are lost."""
+    """Say how many robots hold by the certificate of a robust plan, and where robots are lost; nothing without
+    one.
+    """
     found = plan.meta.get("certificate")
     if found is None:
         return []
@@ -151,7 +153,7 @@ def _certificate(plan: Plan) -> list[str]:
 
 
 def _tolerances(plan: Plan, part: float) -> str:
-    """Part of the tolerances of a plan's robot, the largest of any tube, in words."""
+    """Write `part` times the tolerances of a plan's robot in words, each as its largest of any tube."""
     robot, told = plan.robot, list[str]()
     bands = part * robot.tolerances.bands(robot.tubes).max(axis=0)
     for name, band in zip(NAMES, bands.tolist(), strict=True):
@@ -172,7 +174,7 @@ def _failures(plan: Plan) -> list[str]:
 
 
 def _stability(found: dict[str, Any]) -> list[Row]:
-    """The least margins, where the model has any."""
+    """Return the row of the least stability margins; none where the model has no margins."""
     if found["stability_min"] is None:
         return []
     margins = f"{found['stability_min']:.3f} / {found['stability_between_min']:.3f}"
@@ -180,7 +182,7 @@ def _stability(found: dict[str, Any]) -> list[Row]:
 
 
 def _clearance(found: dict[str, Any]) -> list[Row]:
-    """What is left to the lumen's wall, where that is known."""
+    """Return the rows on clearance from the lumen's wall and contact; none where no wall is known."""
     if found["clearance_min"] is None:
         return []
     rows: list[Row] = [("least clearance from the lumen's wall", found["clearance_min"], "mm")]
@@ -193,7 +195,7 @@ def _clearance(found: dict[str, Any]) -> list[Row]:
 
 
 def _robustness(found: dict[str, Any]) -> list[Row]:
-    """Arrival, contact and error of the simulated robots, where there are any."""
+    """Return the rows on arrival, contact and error of the simulated robots; none where none were simulated."""
     drawn = found.get("robustness")
     if drawn is None:
         return []
@@ -210,7 +212,7 @@ def _robustness(found: dict[str, Any]) -> list[Row]:
 
 
 def _effort(found: dict[str, Any]) -> list[Row]:
-    """What the plan took: a time a frame, or the times of a start and a horizon, if anything was solved."""
+    """Return the rows on the time that solving took and, for a horizon, on the motion's roughness."""
     times = found["solve_ms"]
     if times["median"] is not None:
         return [("time a frame, median and 99 %", f"{shown(times['median'])} / {shown(times['p99'])}", "ms")]
@@ -226,7 +228,7 @@ def _effort(found: dict[str, Any]) -> list[Row]:
 
 
 def shown(cell: Any) -> str:
-    """A cell as text: three decimals, two above 1, one above 10; nothing for None."""
+    """Write a cell as text: numbers with three decimals, two above 1, one above 10; nothing for None."""
     if cell is None:
         return ""
     if isinstance(cell, float):

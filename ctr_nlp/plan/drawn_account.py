@@ -1,4 +1,4 @@
-"""What became of a plan on draws of its robot, in sentences and tables."""
+"""Sentences and tables on the robots within the tolerances that a plan was simulated on."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from ctr_nlp.plan.sample_outcomes import sample_outcomes
 from ctr_nlp.support.runs import runs
 
 BESIDE = 3
-"""Losses that are fewer frames apart are told together."""
+"""Losses fewer frames apart than this are reported together."""
 NAMED = 3
-"""Tolerances that are named in a sentence, at most; the table has them all."""
+"""Most tolerances that are named in a sentence; the table has them all."""
 
 
 class Table(NamedTuple):
@@ -27,7 +27,7 @@ class Table(NamedTuple):
 
 
 class Stretch(NamedTuple):
-    """Frames, as text and from 1, in which so many draws are lost first, and how far the robot is out there."""
+    """Frames, as text and from 1, in which `draws` robots are lost first, and how far the robot is out there."""
 
     frames: str
     draws: int
@@ -80,10 +80,11 @@ def tables(plan: Record) -> list[Table]:
 
 
 def stretches(found: Robustness) -> list[Stretch]:
-    """Where draws are lost first, losses that are near to one another together."""
+    """Find the stretches of frames in which simulated robots are lost first; near losses share one."""
     counts = np.zeros(found.e2.shape[1] + BESIDE, dtype=int)
     for loss in found.when:
         counts[loss.frame - 1] = loss.draws
+    # Every loss marks BESIDE frames from its own on, so that losses near to one another form one run.
     near = np.convolve(counts > 0, np.ones(BESIDE))[: len(counts)] > 0
     rows = []
     for first, stop in runs(near):
@@ -95,7 +96,9 @@ def stretches(found: Robustness) -> list[Stretch]:
 
 
 def _spreads(plan: Record, found: Robustness) -> list[tuple[Any, ...]]:
-    """Of the nominal robot, then mean, median, and what 95 % of samples do not exceed (clearance: fall below)."""
+    """Return the rows over samples: the nominal robot's value, then mean, median, and what 95 % of samples do not
+    exceed (clearance: fall below).
+    """
     outcomes, end, place = sample_outcomes(plan), arrival(plan), deepest_place(plan)
     errors, least = e1(plan), None if place is None else -place.depth
     known = np.isfinite(errors).any()
@@ -113,7 +116,7 @@ def _spreads(plan: Record, found: Robustness) -> list[tuple[Any, ...]]:
 
 
 def _costs(found: Robustness) -> list[tuple[Any, ...]]:
-    """Of every tolerance that is not 0, the most costly first."""
+    """Return a row for each tolerance that is not 0, the most costly first."""
     return [(_named(cost), cost.growth, f"{cost.share:.0%}", cost.lost) for cost in found.costs]
 
 

@@ -1,4 +1,4 @@
-"""A plan tried on draws of its robot, and on robots that differ by one tolerance alone."""
+"""A plan simulated on robots within the tolerances, and on robots that differ by one tolerance alone."""
 
 from __future__ import annotations
 
@@ -21,15 +21,18 @@ from ctr_nlp.target.target import SIGMA
 from ctr_nlp.typing import Array, Index
 
 DRAWS, SEED = 200, 0
-"""Of a plan that is tried, where nobody says."""
+"""Number and seed of the simulated robots where none are given."""
 GROUP = 50
-"""Draws whose whole shapes are in memory at once."""
+"""Simulated robots whose whole shapes are in memory at once."""
 CLOUD, STRIDE = 5, 4
-"""Frames in which shapes are kept, evenly to the last, and every which of their samples."""
+"""Number of frames whose shapes are kept, evenly spaced up to the last one, and the stride of the kept samples
+along the robot.
+"""
 
 
 def robustness(plan: Record, count: int = DRAWS, seed: int = SEED) -> Robustness:
-    """What becomes of a plan on so many draws of its robot, on the model that it is evaluated on.
+    """Move `count` robots, sampled within the tolerances with a seed, through a plan, on the model that it is
+    evaluated on.
 
     Raises RobotError, and OptionError where that model cannot follow such robots.
     """
@@ -44,7 +47,9 @@ def robustness(plan: Record, count: int = DRAWS, seed: int = SEED) -> Robustness
 
 
 def _measured(plan: Record, draws: Draws, frames: Index) -> tuple[Any, ...]:
-    """Of every draw what Robustness holds, from e2 to cloud, in its order."""
+    """Simulate a group of robots, and return the fields of Robustness from e2 to cloud, in its order; `frames`
+    (from 0) are those of the cloud.
+    """
     found = drawn_motion(plan.robot, draws, plan.q, plan.evaluated_on)
     distance = _distance(plan, found)
     margins = np.fmin(found.stability, found.stability_between)
@@ -65,13 +70,13 @@ def _measured(plan: Record, draws: Draws, frames: Index) -> tuple[Any, ...]:
 
 
 def _distance(plan: Record, found: DrawnMotion) -> Array:
-    """From targets at equal arc length, (n, T, 101) mm."""
+    """Distances (n, T, 101) mm of simulated shapes from the targets, at equal sigma."""
     away = found.shape - plan.target
     return np.asarray(np.sqrt(np.einsum("ntsk,ntsk->nts", away, away)))
 
 
 def _costs(plan: Record) -> tuple[Array, Index]:
-    """By how much each tolerance alone lets e3 grow, (d, 6) mm, and how many of two robots it loses.
+    """Return by how much each tolerance alone lets e3 grow, (d, 6) mm, and how many of two robots it loses.
 
     Each is off by its standard deviation to either side, where a mean over two is that over a band as far as
     errors are quadratic; a lag is as large as its root mean square. NaN where a tolerance is 0.
@@ -90,12 +95,15 @@ def _costs(plan: Record) -> tuple[Array, Index]:
 
 
 def _alone(plan: Record) -> Iterator[tuple[tuple[int, int] | None, Array, Array]]:
-    """The robot described, and then those that differ by one tolerance: which, parts (d, 5) and lags (d,)."""
+    """Yield the robot described, and then those that differ by one tolerance: its place (tube, tolerance), parts
+    (d, 5) and lags (d,).
+    """
     d, tolerances = plan.robot.d, plan.robot.tolerances
     bands, lags = tolerances.bands(plan.robot.tubes), tolerances.lags(d)
     yield None, np.zeros_like(bands), np.zeros(d)
     for (i, k), sign in itertools.product(np.ndindex(d, len(COSTLY)), (-1.0, 1.0)):
         parts, lag = np.zeros_like(bands), np.zeros(d)
+        # Over a band of half-width b, uniform values have the standard deviation b / sqrt(3).
         if k < len(NAMES):
             parts[i, k] = sign * bands[i, k] / math.sqrt(3)
         else:

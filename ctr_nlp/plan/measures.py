@@ -1,4 +1,4 @@
-"""What is measured of a motion: its errors, section IV of the paper, its contacts, and the limits that it uses."""
+"""Measures of a motion: its errors, section IV of the paper, its contacts, and the limits that it uses."""
 
 from __future__ import annotations
 
@@ -60,12 +60,12 @@ def off_own_path(plan: Record) -> Array:
 
 
 def e3(plan: Record) -> float | None:
-    """Root mean square over frames of e2, mm, of those whose shape is known; None without any."""
+    """Root mean square of e2 over the frames whose shape is known, mm; None without any."""
     return root_mean_square(rms_over_sigma(e1(plan)))
 
 
 def root_mean_square(values: Array) -> float | None:
-    """That of those among (T,) values that are known; None without any."""
+    """Root mean square of the values (T,) that are known, not NaN or infinite; None without any."""
     known = values[np.isfinite(values)]
     return float(np.sqrt(np.mean(known**2))) if known.size else None
 
@@ -89,7 +89,7 @@ class Arrival(NamedTuple):
 
 
 def arrival(plan: Record) -> Arrival | None:
-    """How a plan ends; None where the robot's shape in the last frame is not known."""
+    """Return how a plan ends; None where the robot's shape in the last frame is not known."""
     if not plan.reached[-1]:
         return None
     target = plan.target[-1]
@@ -107,7 +107,7 @@ class LargestError(NamedTuple):
 
 
 def largest_error(plan: Record) -> LargestError | None:
-    """The frame with the largest e2, of those whose shape is known; None without any."""
+    """Return the frame with the largest e2, of those whose shape is known; None without any."""
     e2 = rms_over_sigma(e1(plan))
     overall = root_mean_square(e2)
     if overall is None:
@@ -131,9 +131,10 @@ class Place(NamedTuple):
 
 
 def deepest_place(plan: Record) -> Place | None:
-    """Where a plan's robot is deepest in the wall, in its frames or between them; None where nothing is known.
+    """Return where a plan's robot is deepest in the wall, in its frames or between them; None where nothing is
+    known.
 
-    Between frames counts only where it is deeper there by more than rounding.
+    A place between frames counts only where it is deeper than those in frames by more than rounding.
     """
     if plan.clearance is None or not np.isfinite(plan.clearance).any():
         return None
@@ -171,7 +172,7 @@ def depth(plan: Record) -> Array:
 
 
 def contacts(plan: Record) -> list[Contact]:
-    """All of a plan's, in order of time; none where no wall is known."""
+    """Return all contacts of a plan with the wall, in order of time; none where no wall is known."""
     if plan.clearance is None or plan.lumen is None:
         return []
     deep, lumen, found = depth(plan), Lumen(plan.lumen), []
@@ -191,7 +192,9 @@ SLACK = 1e-5
 
 
 class Used(NamedTuple):
-    """part: of a limit, 1 for all of it. exceeded: by more than SLACK. what: which limit, and in which frame."""
+    """Use of a limit. part: of the limit, 1 for all of it. exceeded: by more than SLACK. what: which limit, and in
+    which frame.
+    """
 
     part: float
     exceeded: bool
@@ -199,7 +202,8 @@ class Used(NamedTuple):
 
 
 def most_used(plan: Record) -> Used | None:
-    """The limit that a motion exceeds by most, or else the speed or acceleration that uses most of its limit.
+    """Return the limit that a motion exceeds by most, or else the speed or acceleration that uses most of its
+    limit.
 
     Positions count only where they exceed limits, since tubes are meant to go all the way: as 1 and what is beyond
     as a part of the robot's reach, or of half a turn. None where the robot does not move.
@@ -209,12 +213,15 @@ def most_used(plan: Record) -> Used | None:
 
 
 def rate_parts(plan: Record, order: int) -> Array:
-    """What speeds (order 1) or accelerations (2) between frames use of their limits, (T - order, 2d + 2)."""
+    """Speeds (order 1) or accelerations (order 2) between frames as parts of their limits, (T - order, 2d + 2); 0
+    where not known.
+    """
     limit = (plan.robot.speed, plan.robot.acceleration)[order - 1]
     return np.nan_to_num(np.abs(np.diff(plan.q, n=order, axis=0)) / plan.dt**order / limit)
 
 
 def _rates(plan: Record) -> Iterator[Used]:
+    """Yield the speed and the acceleration that use most of their limits."""
     robot = plan.robot
     for order, name, limit in ((1, "speed", robot.speed), (2, "acceleration", robot.acceleration)):
         parts = rate_parts(plan, order)
@@ -226,6 +233,9 @@ def _rates(plan: Record) -> Iterator[Used]:
 
 
 def _positions(plan: Record) -> Iterator[Used]:
+    """Yield the worst place of each limit of positions, order and carriage gap that is exceeded by more than
+    SLACK.
+    """
     robot, d, reach = plan.robot, plan.robot.d, plan.robot.reach
     scale = np.where(np.char.startswith(robot.axes, "beta"), reach, math.pi)
     growth = np.diff(plan.beta, axis=1)

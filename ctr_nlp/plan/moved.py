@@ -1,4 +1,4 @@
-"""What is known of a motion once the robot was moved through it: shapes, margins, snaps, clearance."""
+"""Results of moving a robot through its motion: shapes, margins, snaps, clearance."""
 
 from __future__ import annotations
 
@@ -22,7 +22,9 @@ ELSEWHERE = 0.05
 
 
 class Moved(NamedTuple):
-    """arrays, told: fields of a plan and entries of its meta. simulation: the robot moved through its motion."""
+    """Results of a simulated motion. arrays, told: fields of a plan and entries of its meta. simulation: the robot
+    moved through its motion.
+    """
 
     arrays: dict[str, Any]
     told: dict[str, Any]
@@ -32,9 +34,9 @@ class Moved(NamedTuple):
 def moved(
     simulator: Simulator, q: Array, *, target: Array, lumen: Lumen | None = None, free: Array | None = None
 ) -> Moved:
-    """The robot moved through q (T, 2d + 2), towards target (T, 101, 3) mm.
+    """Move the robot through q (T, 2d + 2), towards target (T, 101, 3) mm.
 
-    lumen: where it is known; free: the motion (T, 2d + 2) that was found without the wall.
+    lumen: the wall, where it is known; free: the motion (T, 2d + 2) that was found without the wall.
     """
     robot, found, clearance, between = simulator.robot, simulator(q), None, None
     if lumen is not None:
@@ -57,7 +59,7 @@ def moved(
 
 
 def clearance_between(robot: Robot, q: Array, model: str | Model, lumen: Lumen) -> Array:
-    """What is left of a lumen at least on the way to each frame, and in it.
+    """Return the least clearance from a lumen's wall on the way to each frame, and in it.
 
     Parameters
     ----------
@@ -84,12 +86,12 @@ def clearance_between(robot: Robot, q: Array, model: str | Model, lumen: Lumen) 
 
 
 def lumen_of(plan: Record) -> Lumen | None:
-    """The lumen whose table (N, 4) a plan holds; None where none is known."""
+    """Return the lumen whose table (N, 4) a plan holds; None where none is known."""
     return None if plan.lumen is None else Lumen(plan.lumen)
 
 
 def free_errors(simulator: Simulator, free: Array | None, target: Array) -> Array | None:
-    """e2 (T,) in mm of a motion (T, 2d + 2) that was found without the wall; None without one."""
+    """Return e2 (T,) in mm of the motion `free` (T, 2d + 2) that was found without the wall; None without one."""
     if free is None:
         return None
     return rms_over_sigma(np.linalg.norm(simulator(free).shape - target, axis=-1))
@@ -103,11 +105,15 @@ def e3_of(e2: Array | None, reached: Flags) -> float | None:
 
 
 def elsewhere(x: Array, planned: Array, snaps: Sequence[Snap], d: int) -> Flags:
-    """In which frames (T,) a robot of d tubes with unknowns x (T, n) is not where it was planned to be, or just
-    snapped. Whole turns of the innermost tube with all others, which change nothing, do not count.
+    """Tell in which frames (T,) a robot of d tubes with unknowns x (T, n) is on another branch than planned, or
+    just snapped.
+
+    Whole turns of the innermost tube with all others, which change nothing, do not count. planned (T, n): unknowns
+    of the plan.
     """
     apart = x - planned
     apart[:, d - 1] -= 2 * np.pi * np.round(apart[:, d - 1] / (2 * np.pi))
+    # Negated so that NaN, where there is no equilibrium, counts as away.
     away = ~(np.abs(apart).max(axis=1) < ELSEWHERE)
     away[[snap.frame - 1 for snap in snaps]] = True
     return away

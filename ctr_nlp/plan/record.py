@@ -1,4 +1,4 @@
-"""What a plan holds, in memory and in its file: arrays over its frames, and meta, which tells how it was made."""
+"""Data of a plan, in memory and in its file: arrays over its frames, and meta, which tells how it was made."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from ctr_nlp.typing import Array, Flags
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Record(Value):
-    """What a plan holds: T frames of motion for a robot of d tubes; the arrays of plan.npz under their names.
+    """Data of a plan: T frames of motion for a robot of d tubes; the arrays of plan.npz under their names.
 
     time (T,) s; alpha (T, d) rad; beta (T, d) mm; theta (T, 2) rad; target, shape (T, 101, 3) mm at uniform
     sigma; target_direction, tip_direction (T, 3) unit tangents at the tip; solve_time (T,) s; success (T,);
@@ -36,8 +36,8 @@ class Record(Value):
     (4, 4), file to robot frame; where known, truth (T, 2d + 2), lumen_radius (T, 101) mm at the target's points,
     lumen (N, 4), the path and radius of the whole lumen, mm, clearance (T, 101) mm, what is left between tubes
     and its wall in each frame, clearance_between (T, 101) mm, the least of it on the way to each frame and in it,
-    free (T, 2d + 2), the motion that was found without the wall, and drawn, what became of it on
-    draws of its robot. Frames that were never reached hold NaN. Arrays and meta are read-only copies.
+    free (T, 2d + 2), the motion that was found without the wall, and drawn, the results of
+    robots within the tolerances. Frames that were never reached hold NaN. Arrays and meta are read-only copies.
     """
 
     time: Array
@@ -88,27 +88,27 @@ class Record(Value):
 
     @property
     def evaluated(self) -> str:
-        """The model that its shapes and margins are those of."""
+        """Name of the model on which shapes and margins were computed."""
         return str(self.meta.get("evaluated", self.meta["model"]))
 
     @cached_property
     def bears(self) -> Load | LoadOverTime | None:
-        """What the robot bears all the time there; None for nothing."""
+        """Load under which shapes and margins were computed; None without one."""
         return load_of(self.meta, "load" if "load" in self.meta else "planned_load")
 
     @cached_property
     def evaluated_on(self) -> Model:
-        """That model, under the load."""
+        """Model on which shapes and margins were computed, under the load."""
         return MODELS[self.evaluated] if self.bears is None else Loaded(self.bears)
 
     @property
     def as_planned(self) -> bool:
-        """Whether it is the model that the motion was planned on, and the load."""
+        """Whether shapes and margins are those of the model and the load that the motion was planned for."""
         return self.evaluated == self.meta["model"] and self.bears == load_of(self.meta, "planned_load")
 
     @property
     def can_snap(self) -> bool:
-        """Whether a robot can snap on that model."""
+        """Whether a robot can snap on the model on which shapes and margins were computed."""
         return self.evaluated_on.can_snap
 
     @cached_property
@@ -123,17 +123,17 @@ class Record(Value):
 
     @property
     def options(self) -> dict[str, Any]:
-        """What the plan was made with, by name; empty where whoever made it does not tell."""
+        """Options that the plan was made with, by name; empty where they are not known."""
         return dict(self.meta.get("options", {}))
 
 
 def load_of(meta: Mapping[str, Any], name: str) -> Load | LoadOverTime | None:
-    """The load that a plan's meta tells under a name; None for none."""
+    """Return the load that a plan's meta has under `name`; None without one."""
     return None if meta.get(name) is None else load_from_dict(meta[name])
 
 
 def planned_on(meta: Mapping[str, Any]) -> Model:
-    """The model that a plan was made on, under the load that it was made for."""
+    """Return the model that a plan was made on, under the load that it was made for."""
     load = load_of(meta, "planned_load")
     return MODELS[meta["model"]] if load is None else Loaded(load)
 
@@ -164,29 +164,29 @@ SHAPES: dict[str, tuple[int | str, ...]] = {
 OF_DRAWS = tuple(name for name in SHAPES if name.startswith(PREFIX))
 OPTIONAL = "lumen_radius", "clearance", "clearance_between", "truth", "free", "lumen", *OF_DRAWS
 COUNTED = {"D": "parts", "C": "cloud_frames"}
-"""Sizes that arrays of draws have, and the arrays that tell them."""
+"""Sizes that arrays of simulated robots have, and the arrays that tell them."""
 REQUIRED = tuple(name for name in SHAPES if name not in OPTIONAL)
 META: dict[str, type] = {"robot": dict, "problem": dict, "model": str}
-"""What meta must tell, and as what."""
+"""Entries that meta must have, and their types."""
 TOLD: dict[str, type] = {
     **dict.fromkeys(("options", "draws", "failures", "fallbacks", "certificate"), dict),
     **dict.fromkeys(("formulation", "solver", "not_shared"), str),
     **dict.fromkeys(("snaps", "interpolated"), list),
     **dict.fromkeys(("interrupted", "reversed"), bool),
 }
-"""What meta may tell, and as what."""
+"""Entries that meta may have, and their types."""
 KNOWN = "target", "target_direction", "to_robot", "lumen", "lumen_radius", "truth"
 """Arrays that are known in every frame."""
 MOVED = "alpha", "beta", "theta", "tip_direction"
 """Arrays that are known in every frame in which the robot has a shape."""
 NUMBERS = "build_s", "search_s", "solve_s", "contact_weight", "iterations"
-"""What meta may tell as a number, or as null."""
+"""Entries of meta that are a number or null."""
 DIGEST = "digest"
-"""Name of the entry of plan.npz that tells the digest of all others."""
+"""Name of the entry of plan.npz with the digest of all others."""
 
 
 class Stored(NamedTuple):
-    """What a plan.npz holds.
+    """Content of a plan.npz.
 
     Attributes
     ----------
@@ -228,8 +228,8 @@ def digest(arrays: Mapping[str, npt.NDArray[Any]], meta: str) -> str:
 
 
 def stored(path: Path) -> Stored:
-    """The arrays of a plan.npz that belong to a plan, and its meta; raises OSError where it cannot be opened, and
-    OutputError where it holds no plan.
+    """Read the arrays of a plan.npz that belong to a plan, and its meta; raises OSError where it cannot be opened,
+    and OutputError where it holds no plan.
     """
     with open(path, "rb") as file:
         if not zipfile.is_zipfile(file):  # numpy would offer to read it unsafely
@@ -295,7 +295,7 @@ def _check_told(meta: Mapping[str, Any]) -> None:
 
 
 def check_arrays(arrays: Mapping[str, npt.NDArray[Any]], tubes: int) -> None:
-    """Raise OutputError unless arrays are numbers of the sizes that a plan for so many tubes has."""
+    """Raise OutputError unless arrays are numbers of the sizes that a plan for a robot of `tubes` tubes has."""
     missing = [name for name in REQUIRED if name not in arrays]
     if missing:
         raise OutputError(f"it has no {missing[0]}")

@@ -1,4 +1,4 @@
-"""What becomes of a plan on robots that are not quite the one described: how many are lost, and their errors."""
+"""Results of a plan on robots that differ from the one described: how many are lost, and their errors."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from ctr_nlp.support.equal import Kept
 from ctr_nlp.typing import Array, Flags, Index
 
 PREFIX = "draws_"
-"""What its arrays' names begin with in plan.npz."""
+"""Prefix of the names of these arrays in plan.npz."""
 CONFIDENCE = 0.95
-"""With which the share of lost robots is bounded."""
+"""Confidence of the bound on the share of lost robots."""
 MOST_LOST = 0.01
 """The share of all robots within the tolerances that may be lost on a robust plan, unless another is asked for."""
 COSTLY = (*NAMES, "rotation_lag")
@@ -32,7 +32,8 @@ class Spread(NamedTuple):
 
 
 class Cost(NamedTuple):
-    """What a tolerance of a tube, from 1, costs by itself: e3 grows by growth, mm; share: of the growths of all.
+    """Cost of one tolerance of a tube, counted from 1: e3 grows by `growth` mm; share: of the growths of all
+    tolerances.
 
     lost: how many of two robots are lost that differ in it alone, by its standard deviation to either side.
     """
@@ -45,7 +46,7 @@ class Cost(NamedTuple):
 
 
 class Loss(NamedTuple):
-    """In which frame, from 1, how many draws are lost first, and how far the robot is out there, mm."""
+    """Frame, from 1, in which `draws` robots are lost first, and how far the robot is out there, mm."""
 
     frame: int
     draws: int
@@ -90,17 +91,17 @@ class Robustness(Kept):
 
     @property
     def losses(self) -> int:
-        """How many draws are lost."""
+        """Number of robots that are lost."""
         return int((self.lost > 0).sum())
 
     @property
     def share(self) -> float:
-        """Of the draws that are lost."""
+        """Share of the robots that are lost."""
         return self.losses / len(self)
 
     @property
     def at_most(self) -> float:
-        """The share of all such robots that are lost is, with 95 % confidence, at most this."""
+        """Upper bound of the share of all such robots that are lost, with 95 % confidence."""
         return upper_bound(self.losses, len(self))
 
     @property
@@ -112,27 +113,29 @@ class Robustness(Kept):
 
     @property
     def errors(self) -> Spread | None:
-        """Of e3 over draws."""
+        """Spread of e3 over robots; None where no robot has a shape."""
         return spread(self.e3)
 
     @property
     def largest_errors(self) -> Spread | None:
-        """Of the largest errors over draws."""
+        """Spread of the largest errors over robots; None where no robot has a shape."""
         return spread(self.largest)
 
     @property
     def clearances(self) -> Spread | None:
-        """Of the least clearances over draws; most: what 95 % of them exceed. None without a wall."""
+        """Spread of the least clearances over robots; `most` is what 95 % of them exceed. None without a wall."""
         found = spread(-self.clearance)
         return None if found is None else Spread(*(-value for value in found))
 
     @property
     def contacts(self) -> Spread | None:
-        """Of contact over draws; None without a wall."""
+        """Spread of `contact` over robots; None without a wall."""
         return spread(self.contact)
 
     def e2_quantiles(self, *shares: float) -> Array:
-        """Of e2 over draws in every frame, (shares, T) mm; NaN in frames without a shape."""
+        """Quantiles of e2 over robots in every frame, (shares, T) mm, at shares from 0 to 1; NaN in frames without
+        a shape.
+        """
         known = np.isfinite(self.e2).any(axis=0)
         found = np.full((len(shares), self.e2.shape[1]), np.nan)
         found[:, known] = np.nanquantile(self.e2[:, known], shares, axis=0)
@@ -140,14 +143,14 @@ class Robustness(Kept):
 
     @property
     def when(self) -> list[Loss]:
-        """The frames in which draws are lost first, in order."""
+        """Frames in which robots are lost first, in order."""
         frames, counts = np.unique(self.lost[self.lost > 0], return_counts=True)
         found = zip(frames.tolist(), counts.tolist(), strict=True)
         return [Loss(frame, count, float(self.length[frame - 1])) for frame, count in found]
 
     @property
     def costs(self) -> list[Cost]:
-        """What the tolerances cost that are not 0, the most costly first."""
+        """Costs of the tolerances that are not 0, the most costly first."""
         total = max(float(np.nansum(np.maximum(self.growth, 0.0))), 1e-12)
         found = [
             Cost(i + 1, COSTLY[k], float(self.growth[i, k]), max(float(self.growth[i, k]), 0.0) / total, int(lost))
@@ -165,7 +168,7 @@ class Robustness(Kept):
         return f"{lost} of {len(self)} samples snap or end on another branch ({bound}){mean}."
 
     def summary(self) -> dict[str, Any]:
-        """What summary.json holds of it."""
+        """Return the entries of summary.json on the simulated robots."""
         spreads = {
             "e3": self.errors,
             "e_max": self.largest_errors,
@@ -185,7 +188,7 @@ class Robustness(Kept):
         }
 
     def arrays(self) -> dict[str, Array]:
-        """Its arrays under their names in plan.npz."""
+        """Return the arrays under their names in plan.npz."""
         return dict(self._arrays())
 
     def _arrays(self) -> Iterator[tuple[str, Array]]:
@@ -195,12 +198,13 @@ class Robustness(Kept):
 
 
 def stored_robustness(arrays: Mapping[str, Any], seed: int) -> Robustness:
-    """That of the arrays of a plan.npz."""
+    """Make a Robustness of the arrays of a plan.npz and the seed of its robots."""
     return Robustness(seed, **{f.name: arrays[PREFIX + f.name] for f in fields(Robustness) if f.name != "seed"})
 
 
 def upper_bound(lost: int, count: int, confidence: float = CONFIDENCE) -> float:
-    """The largest share of lost robots at which so few of count draws would be with 1 - confidence.
+    """Return the largest share of lost robots at which so few as `lost` of `count` would be with probability 1 -
+    confidence.
 
     Clopper and Pearson, Biometrika 26, 1934: the quantile of a beta distribution, for one side.
     """
@@ -208,7 +212,7 @@ def upper_bound(lost: int, count: int, confidence: float = CONFIDENCE) -> float:
 
 
 def spread(values: Array) -> Spread | None:
-    """Of those among (n,) values that are known; None without any."""
+    """Return the spread of the values (n,) that are known, not NaN or infinite; None without any."""
     known: Flags = np.isfinite(values)
     if not known.any():
         return None

@@ -36,13 +36,14 @@ WHOLE_FRAME = 1e-9
 
 
 def rows(plan: Record) -> dict[str, Any]:
-    """The arrays of a plan that have a row a frame, by name."""
+    """Return the arrays of a plan that have one row for each frame, by name."""
     named = {f.name: getattr(plan, f.name) for f in fields(plan) if f.name not in WHOLE}
     return {name: array for name, array in named.items() if array is not None}
 
 
 def stretch(plan: AnyPlan, frames: slice) -> AnyPlan:
-    """Frames first to stop of a plan, counted from 0, at its pace; raises OptionError where there are none.
+    """Return the frames first:stop of a plan, counted from 0, as a plan of the same pace; raises OptionError where
+    there are none.
 
     The way to the first frame counts as before, with its margin and its snap.
     """
@@ -72,10 +73,10 @@ def stretch(plan: AnyPlan, frames: slice) -> AnyPlan:
 
 
 def turned(plan: AnyPlan) -> AnyPlan:
-    """The same motion played backwards, at the same pace; raises LoadError under a load over time."""
+    """Return a plan played backwards, at the same pace; raises LoadError under a load over time."""
     steady(plan.bears, "a plan that is played backwards")
     back = {name: array[::-1] for name, array in rows(plan).items() if name != "time"}
-    count = len(plan.time) + 1
+    count = len(plan.time) + 1  # frame j, from 1, becomes frame count - j
     meta: dict[str, Any] = {
         name: {key if key == "all" else str(count - int(key)): why for key, why in plan.meta[name].items()}
         for name in BY_FRAME
@@ -89,7 +90,7 @@ def turned(plan: AnyPlan) -> AnyPlan:
 
 
 def joined(plan: AnyPlan, other: Record) -> AnyPlan:
-    """One plan after another of the same robot, pace, model and lumen; raises OptionError where they differ.
+    """Join a plan and another one of the same robot, pace, model and lumen; raises OptionError where they differ.
 
     The robot is moved through the whole motion: where it would not get to what the other plan shows, frames are
     marked as not solved. The step from the last frame of one to the first of the other counts as any other; meta
@@ -131,7 +132,7 @@ def joined(plan: AnyPlan, other: Record) -> AnyPlan:
 
 
 def resampled(plan: AnyPlan, frames: int | None = None, dt: float | None = None) -> AnyPlan:
-    """The same motion at as many frames, or with dt s from frame to frame; its first and last frame stay.
+    """Interpolate a plan at `frames` frames, or with `dt` s from frame to frame; its first and last frame stay.
 
     Between frames configurations are linear, as everywhere; the robot is moved through the new motion, and targets
     are interpolated too. Nothing that was not solved is called solved: a frame keeps its success, objective, KKT
@@ -168,7 +169,9 @@ def resampled(plan: AnyPlan, frames: int | None = None, dt: float | None = None)
 
 
 def _solved_around(plan: Record, at: Array) -> Flags:
-    """Whether all frames were solved, or interpolated, that are beside places (n,) or left out before them."""
+    """Tell for each new place (n,) whether all frames beside it, or left out before it, were solved or
+    interpolated.
+    """
     fine = plan.success.copy()
     fine[[j - 1 for j in plan.meta.get("interpolated", [])]] = True
     low = np.floor(at).astype(int)
@@ -177,7 +180,7 @@ def _solved_around(plan: Record, at: Array) -> Flags:
 
 
 def _places(plan: Record, frames: int | None, dt: float | None) -> Array:
-    """Where new frames lie between those of a plan, counted from 0."""
+    """Return where new frames lie between those of a plan, from 0; either `frames` or `dt`, s, is given."""
     span = len(plan.time) - 1
     if (frames is None) == (dt is None):
         raise OptionError(f"frames is {frames!r} and dt {dt!r}; give one of them")
@@ -198,9 +201,12 @@ def _places(plan: Record, frames: int | None, dt: float | None) -> Array:
 
 
 def _between(array: Array, low: Any, part: Array) -> Array:
-    """Rows of (T, ...) at places low + part, exactly the given ones where part is 0 or 1."""
+    """Interpolate the rows of an array (T, ...) at places low + part; rows are exactly the given ones where part
+    is 0 or 1.
+    """
     part = part.reshape(-1, *[1] * (array.ndim - 1))
     here, there = array[low], array[low + 1]
+    # A row that is one of the given ones must not take NaN from the row beside it.
     return np.where(part == 0, here, np.where(part == 1, there, here + part * (there - here)))
 
 
@@ -221,7 +227,9 @@ def _check_alike(plan: Record, other: Record) -> None:
 
 
 def _renumbered(told: Mapping[str, Any], by: int, count: int) -> dict[str, Any]:
-    """What is told of frames under numbers that are larger by so much, of those within count, and of all."""
+    """Shift the frame numbers of entries of meta by `by`; keep those from 1 to `count`, and the entry of all
+    frames.
+    """
     moved_on = {key if key == "all" else str(int(key) + by): why for key, why in told.items()}
     return {key: why for key, why in moved_on.items() if key == "all" or 1 <= int(key) <= count}
 

@@ -150,7 +150,7 @@ def _solved(plan: Record) -> Judgement:
 
 
 def _cost_of_clearance(plan: Record) -> str:
-    """What keeping off the wall costs in e3, as a sentence; empty where that is not known."""
+    """Say in a sentence how much larger e3 is for keeping off the wall; empty where that is not known."""
     free, found = plan.meta.get("e3_free"), e3(plan)
     if plan.free is None or not free or found is None or not plan.as_planned:
         return ""
@@ -191,7 +191,7 @@ def _follows(plan: Record) -> Judgement:
 
 
 def _judged(plan: Record, good: bool, number: float, unit: str, why: str, value: str) -> Judgement:
-    """A verdict on shapes, which counts as *yes* only where the model can predict what real tubes do."""
+    """Judge by shapes, which counts as *yes* only where the model can predict what real tubes do."""
     if good and not plan.can_snap:
         why += f" The {plan.evaluated} model does not tell how real tubes twist; look on the elastic one."
         return NOT_CHECKED, number, unit, why, value
@@ -315,5 +315,5 @@ def outcome_sentence(found: SampleOutcomes) -> str:
 
 
 def option(plan: Record, name: str) -> Any:
-    """An option that a plan was made with, or its default, where the plan is older than the option."""
+    """Return the option `name` of a plan, or its default, where the plan is older than the option."""
     return plan.options.get(name, Settings().options()[name])
