@@ -62,7 +62,7 @@ class Deployment(NamedTuple):
 
 
 def follow_the_leader(problem: Problem, motion_weight: float) -> Method:
-    """The method for a problem; motion_weight has no part in it.
+    """Return the method for a problem; `motion_weight` is ignored.
 
     Raises OptionError, which names the condition that the problem's robot or path does not fulfil.
     """
@@ -80,7 +80,7 @@ def follow_the_leader(problem: Problem, motion_weight: float) -> Method:
 
 
 def deployment(problem: Problem) -> Deployment:
-    """The one that follows a problem's path; raises as follow_the_leader."""
+    """Find the deployment that follows a problem's path; raises OptionError as follow_the_leader does."""
     robot, name = problem.robot, problem.name or "the problem"
     torsion = _torsion(robot)
     path = growing_path(problem, "follow-the-leader")
@@ -110,7 +110,9 @@ def deployment(problem: Problem) -> Deployment:
 
 
 def growing_path(problem: Problem, method: str) -> Frame:
-    """The last frame's target, of which those of all frames are parts; raises OptionError where they are not."""
+    """Return the last frame's target, of which those of all frames are parts; raises OptionError where they are
+    not.
+    """
     curves, lengths = problem.target.curves, np.array(problem.target.lengths)
     if any(curve is not curves[0] for curve in curves) or (np.diff(lengths) < 0).any():
         raise OptionError(f"{method} follows one path that grows, and the target of {problem.name} is none")
@@ -118,7 +120,9 @@ def growing_path(problem: Problem, method: str) -> Frame:
 
 
 def _torsion(robot: Robot) -> float:
-    """That of all curved tubes, rad/mm; raises OptionError where there is none."""
+    """Return the torsion of all curved tubes, rad/mm; raises OptionError where they differ or a curvature is not
+    constant.
+    """
     kinds, spins = robot.structure.kinds, [tube.pre_torsion for tube in robot.tubes]
     curved = [i for i, kind in enumerate(kinds) if kind != "straight"]
     for i in curved:
@@ -133,7 +137,7 @@ def _torsion(robot: Robot) -> float:
 
 
 def _signs(robot: Robot) -> Iterator[Array]:
-    """Which tubes (d,) are turned by pi against the outermost curved one, in every way there is."""
+    """Yield every choice of the tubes (d,) that are turned by pi against the outermost curved one."""
     free = [i for i, kind in enumerate(robot.structure.kinds) if kind != "straight"][1:]
     for turned in itertools.product((False, True), repeat=len(free)):
         found = np.zeros(robot.d, dtype=bool)
@@ -142,7 +146,9 @@ def _signs(robot: Robot) -> Iterator[Array]:
 
 
 def _nearest(robot: Robot, torsion: float, opposed: Array, path: Frame) -> tuple[Deployment, float] | None:
-    """The deployment whose path is nearest, and how far that is away at most, mm; None of too short tubes."""
+    """Find the deployment whose path is nearest to `path`, and its largest distance, mm; None where tubes are too
+    short.
+    """
     beta = [(low, min(high, tube.curved_length)) for tube, low, high in _reach(robot)]
     low, high = beta[-1]
     if not low <= path.length <= high * (1 + SAME):
@@ -165,13 +171,13 @@ def _nearest(robot: Robot, torsion: float, opposed: Array, path: Frame) -> tuple
 
 
 def _reach(robot: Robot) -> Iterator[tuple[Tube, float, float]]:
-    """Every tube with its least and its largest beta, mm."""
+    """Yield every tube with its least and its largest beta, mm."""
     low, high = (robot.split(ends)[1].tolist() for ends in (robot.lower, robot.upper))
     return zip(robot.tubes, low, high, strict=True)
 
 
 def _together(robot: Robot, torsion: float, opposed: Array) -> Tubes:
-    """Tubes that alone have the curvature that each and those within it have together."""
+    """Return tubes each of which alone has the curvature that it and the tubes within it have together."""
     stiffness = np.array([tube.bending_stiffness for tube in robot.tubes])
     pull = stiffness * [tube.largest_curvature for tube in robot.tubes] * np.where(opposed, -1, 1)
     inwards = slice(None, None, -1)
@@ -184,7 +190,7 @@ def _together(robot: Robot, torsion: float, opposed: Array) -> Tubes:
 
 
 def _kind(curvature: float, torsion: float) -> Kind:
-    """Of a tube that alone has what several have together, which may be no curvature."""
+    """Return the kind of a single tube with the curvature, possibly 0, and torsion that several have together."""
     if torsion:
         return "helix"
     return "arc" if curvature else "straight"

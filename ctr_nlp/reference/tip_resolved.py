@@ -56,7 +56,7 @@ ROOM = 1e-3
 
 
 def tip_resolved(problem: Problem, motion_weight: float) -> Method:
-    """The method for a problem; motion_weight has no part in it."""
+    """Return the method for a problem; `motion_weight` is ignored."""
     del motion_weight
     robot = problem.robot
     steering = TipSteering(robot)
@@ -82,7 +82,7 @@ class TipSteering:
     """Steps of a robot's tip, each a call of one compiled function, of some microseconds; one object a thread."""
 
     def __init__(self, robot: Robot) -> None:
-        """Build."""
+        """Build the function of a step, which is interpreted until a compiled one is there."""
         self._robot = robot
         self._function, self._compiled = _fastest(robot.structure)
         self._mapped = self._filled()
@@ -140,7 +140,12 @@ def _weights(q: ca.SX, limits: ca.SX, scale: ca.DM) -> ca.SX:
 
 
 def _resolved(jacobian: ca.SX, uphill: ca.SX, weights: ca.SX, wanted: ca.SX) -> ca.SX:
-    """What motors move by, mm: for the tip by damped least squares, and uphill in the null space."""
+    """Return the motors' movements (2d + 2,), mm: for the tip by damped least squares, and uphill in the null
+    space.
+
+    jacobian (3, 2d + 2): of the tip; uphill (2d + 2,): gradient of the criterion; weights (2d + 2,): of motors,
+    the heavier the less they move; wanted (3,): movement of the tip.
+    """
     root = ca.sqrt(weights)
     light = jacobian @ ca.diag(1 / root)
     square = light @ light.T
@@ -153,7 +158,7 @@ def _resolved(jacobian: ca.SX, uphill: ca.SX, weights: ca.SX, wanted: ca.SX) -> 
 
 
 def _kept(q: ca.SX, limits: ca.SX, d: int) -> ca.SX:
-    """The nearest configuration entry by entry; an outer tube gives way to the inner one."""
+    """Clip a configuration to its limits entry by entry; an outer tube gives way to the inner one."""
     entries = ca.vertsplit(ca.fmin(ca.fmax(q, limits[:, 0]), limits[:, 1]))
     for i in reversed(range(d, 2 * d - 1)):
         entries[i] = ca.fmax(ca.fmin(entries[i], entries[i + 1]), limits[i, 0])
@@ -170,7 +175,7 @@ def _functions(structure: Structure) -> tuple[ca.Function]:
 
 
 def _fastest(structure: Structure) -> tuple[ca.Function, bool]:
-    """The function of robots of a structure, and whether it is compiled."""
+    """Return the function of robots of a structure, and whether it is compiled."""
     structure = replace(structure, gap=False)
     if not cache.missing() and (path := _library(structure).soon()) is not None:
         return ca.external("resolved", str(path)), True

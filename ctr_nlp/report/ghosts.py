@@ -14,20 +14,23 @@ from ctr_nlp.simulation.drawn import drawn_motion
 from ctr_nlp.typing import Array
 
 SHOWN, STRIDE = 20, 5
-"""The first so many draws, and every which of the 101 samples of their shapes: some 0.3 MB of a page."""
+"""Number of simulated robots that are shown, and the stride of the 101 samples of their shapes: some 0.3 MB of a
+page.
+"""
 KEPT, LOST = SKY, VERMILLION
-"""Colours of draws, and of draws from the frame on in which they are lost."""
+"""Colours of simulated robots, and of those that are lost from the frame on in which they are."""
 WIDTH = 0.35
-"""mm."""
+"""Width of their lines, mm."""
 DRAWS = "sampled robots"
-"""The part of a scene that they are."""
+"""Name of the part of a scene that they are."""
 
 
 def ghosts(k3d: Any, plan: Plan) -> list[Any]:
-    """One object of the first draws of a plan that was tried on some; its time is the index of the frame.
+    """Make one object of the first simulated robots of a plan, none where it has no such robots; its time is the
+    index of the frame.
 
-    They are moved again as they were when the plan was tried: the plan holds their numbers. In frames in which
-    a draw has no shape it is a point at the insertion point.
+    They are moved again as they were when the plan was tried: the plan holds their numbers. In frames in which a
+    robot has no shape it is a point at the insertion point.
     """
     if plan.drawn is None:
         return []
@@ -52,7 +55,7 @@ def ghosts(k3d: Any, plan: Plan) -> list[Any]:
 
 
 def _shapes(plan: Plan) -> Array:
-    """Of the first draws in every frame, (n, T, samples, 3) mm."""
+    """Return shapes of the first simulated robots in every frame, (n, T, samples, 3) mm; 0 where there is none."""
     assert plan.drawn is not None
     draws = drawn_from(plan.robot, plan.drawn.parts[:SHOWN], plan.drawn.lags[:SHOWN])
     found = drawn_motion(plan.robot, draws, plan.q, plan.evaluated_on)

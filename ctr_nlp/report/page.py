@@ -23,17 +23,17 @@ from ctr_nlp.support.extras import needed
 from ctr_nlp.typing import Array
 
 READOUT = {"e2": "mm", "max": "mm", "clearance": "mm", "stability": ""}
-"""Columns of errors.csv that are told of the frame that is shown, with their units."""
+"""Columns of errors.csv that are shown for the frame on display, with their units."""
 CODE = ("scenes.js", "camera.js", "player.js", "page.js")
 """The script of the page, in the order in which its parts need each other."""
 SIGNS = {YES: "\N{CHECK MARK}", NO: "\N{BALLOT X}", NOT_CHECKED: "?"}
-"""Beside the word of a verdict, as a colour does not tell it to everyone."""
+"""Signs beside the word of a verdict, as a colour does not tell it to everyone."""
 SPEEDS = ("0.25", "0.5", "1", "2", "4")
-"""Of playing, as multiples of the plan's own."""
+"""Speeds of playing, as multiples of the plan's own."""
 
 
 def page(plans: Sequence[Plan], names: Sequence[str] | None = None) -> str:
-    """A page for one plan, or for several side by side in step; it needs no other file and no network.
+    """Make a page for one plan, or for several side by side in step; it needs no other file and no network.
 
     names: what to call each plan besides its title, such as its file. Raises OptionError without plans, or where
     the extra `report` is not installed.
@@ -71,7 +71,7 @@ def page(plans: Sequence[Plan], names: Sequence[str] | None = None) -> str:
 
 
 def _rendered(**values: Any) -> str:
-    """The page's template with its values, style and script."""
+    """Fill the page's template with values, style and script."""
     jinja2 = needed("jinja2")
     environment = jinja2.Environment(
         autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, finalize=_as_text
@@ -91,12 +91,12 @@ def _rendered(**values: Any) -> str:
 
 
 def _as_text(value: Any) -> Any:
-    """What the template shows of a value: a string as text, and parts of the page as they are."""
+    """Prepare a value for the template: a string is escaped, and parts of the page stay as they are."""
     return escaped(value) if isinstance(value, str) and not hasattr(value, "__html__") else value
 
 
 def _told(plan: Plan, name: str) -> dict[str, Any]:
-    """What is written about a plan."""
+    """Return the texts of the page on a plan: title, verdicts, numbers, remarks, simulated robots and summary."""
     found = summary(plan)
     return {
         "title": account.title(found),
@@ -129,7 +129,7 @@ def _compared(told: Sequence[dict[str, Any]]) -> list[tuple[str, list[str], str]
 
 
 def _drawn(plan: Plan) -> dict[str, Any] | None:
-    """What is written of the robots that a plan was tried on; None where there are none."""
+    """Return the texts of the page on the simulated robots of a plan; None where there are none."""
     if plan.drawn is None:
         return None
     count = len(plan.drawn)
@@ -149,7 +149,7 @@ def _drawn(plan: Plan) -> dict[str, Any] | None:
 
 
 def _moving(plan: Plan, packed: str, shown: Sequence[Plot]) -> dict[str, Any]:
-    """What the script needs to show a plan's frames."""
+    """Return the data for the script to show a plan's frames; `packed` is its scene, `shown` are its plots."""
     columns = by_frame(plan)
     return {
         "scene": packed,
@@ -168,7 +168,7 @@ def _moving(plan: Plan, packed: str, shown: Sequence[Plot]) -> dict[str, Any]:
 
 
 def _rounded(values: Array) -> list[float | None]:
-    """Numbers with four digits that count; None where there is none."""
+    """Round numbers to four significant digits; None where there is none."""
     return [float(f"{value:.4g}") if np.isfinite(value) else None for value in values]
 
 

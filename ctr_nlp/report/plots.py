@@ -22,16 +22,16 @@ ORDER = (ERROR, DRAWS, CLEARANCE, STABILITY, *CONFIGURATION, *SPEEDS)
 """Names of panels from top to bottom."""
 
 EXTENT = 1000
-"""Of a plot's two axes, in units of its drawing; the page stretches it to the room that there is."""
+"""Length of a plot's two axes, in units of its drawing; the page stretches it to the room that there is."""
 DASHES = ("", "6 4", "8 3 2 3", "2 3")
 """Lengths in pixels that are drawn and left out in turn; "" is a solid line."""
 LIMIT = "#777777"
-"""The colour of limits."""
+"""Colour of limits."""
 MOST_TICKS = 5
 MARGIN = 0.06
-"""Above and below what is shown, as a part of it."""
+"""Room above and below what is shown, as a part of it."""
 LEAST_SPAN = 0.1
-"""Of an axis: less is rounding noise."""
+"""Least span of an axis: less is rounding noise."""
 
 
 @dataclass(frozen=True)
@@ -61,7 +61,7 @@ class Panel:
 
 
 def panels(plan: Plan) -> Iterator[Panel]:
-    """What there is to plot of a plan, from top to bottom."""
+    """Yield the panels of a plan's plots, from top to bottom."""
     columns = by_frame(plan)
     errors = Line("RMSE e2", columns["e2"], BLUE), Line("maximum of e1", columns["max"], VERMILLION, DASHES[1])
     yield Panel(ERROR, errors, (0.0,))
@@ -82,7 +82,7 @@ def panels(plan: Plan) -> Iterator[Panel]:
 
 
 def _draws(plan: Plan, found: Robustness, columns: Mapping[str, Array]) -> Panel:
-    """e2 over the draws of a plan beside its own, and where draws are lost."""
+    """Plot e2 over the simulated robots of a plan beside its own, and where robots are lost."""
     low, high = found.e2_quantiles(0.05, 0.95)
     lines = Line("median", columns[DRAWN[0]], BLUE), Line("the plan", columns["e2"], BLACK, DASHES[3])
     lost = np.array([loss.frame for loss in found.when], dtype=int)
@@ -91,7 +91,7 @@ def _draws(plan: Plan, found: Robustness, columns: Mapping[str, Array]) -> Panel
 
 
 def _motion(plan: Plan, values: Array, names: Sequence[str], limits: tuple[Array, Array]) -> Iterator[Panel]:
-    """Three panels of values (T, 2d + 2) in the order of q, with limits (2d + 2,)."""
+    """Yield three panels of values (T, 2d + 2) in the order of q, with limits (2d + 2,)."""
     split = plan.robot.split
     for name, part, *sides in zip(names, split(values), *map(split, limits), strict=True):
         columns = range(part.shape[1])
@@ -104,7 +104,7 @@ def _motion(plan: Plan, values: Array, names: Sequence[str], limits: tuple[Array
 
 @dataclass(frozen=True)
 class Mark:
-    """What is drawn under one name: a path in units of EXTENT, y downward, its colour, and how it is dashed.
+    """Named part of a drawing: a path in units of EXTENT, y downward, its colour, and how it is dashed.
 
     kind: "line", "limit", "band" or "dots", by which the page styles it.
     """
@@ -132,7 +132,8 @@ class Plot:
 
 
 def plots(plans: Sequence[Plan]) -> list[dict[str, Plot | None]]:
-    """The plots of each plan by their names, in one order for all plans; None where a plan has no such panel.
+    """Return the plots of each plan by their names, in one order for all plans; None where a plan has no such
+    panel.
 
     Panels of one name have one vertical range; each plan has its own time axis.
     """
@@ -187,7 +188,7 @@ def _plot(plan: Plan, panel: Panel, low: float, high: float) -> Plot:
 
 
 def _path(x: Array, y: Array) -> str:
-    """Lines through points (n,) in order, broken where y is not finite; a point by itself is a dot."""
+    """Write lines through points (n,) in order, broken where y is not finite; a point by itself is a dot."""
     told = []
     for first, stop in runs(np.isfinite(y)):
         points = [f"{a:.1f} {b:.1f}" for a, b in zip(x[first:stop], y[first:stop], strict=True)]
@@ -196,7 +197,7 @@ def _path(x: Array, y: Array) -> str:
 
 
 def _ticks(low: float, high: float) -> tuple[tuple[float, str], ...]:
-    """Round numbers between two, with how far along they are in percent."""
+    """Return round numbers from low to high, with how far along they are in percent."""
     values = np.array(MaxNLocator(MOST_TICKS, steps=[1, 2, 2.5, 5, 10]).tick_values(low, high))
     inside = values[(values >= low) & (values <= high)]
     told = [f"{value:.6g}".replace("-", "\N{MINUS SIGN}") for value in inside]

@@ -66,7 +66,7 @@ class Held(NamedTuple):
 
     @property
     def inherited(self) -> tuple[int, ...]:
-        """What a child process must be given (``pass_fds``) to hold the folder, too."""
+        """Descriptors that a child process must be given (``pass_fds``) to hold the folder, too."""
         return () if self.descriptor is None else (self.descriptor,)
 
     def release(self) -> None:
@@ -184,6 +184,9 @@ def remove_abandoned(place: Path, pattern: str, uncertain_s: float) -> None:
 
 
 def _taken(door: int, folder: Path, deadline: float) -> bool:
+    """Lock the open folder `door`; False where the file system knows no locks. Raises BlockingIOError after the
+    deadline.
+    """
     while True:
         try:
             fcntl.flock(door, fcntl.LOCK_EX | fcntl.LOCK_NB)

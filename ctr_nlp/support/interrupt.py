@@ -10,7 +10,7 @@ from typing import Any, Protocol
 
 
 class _Pressed(Protocol):
-    """What remembers a Ctrl-C: an event of this process, or one that several share."""
+    """A flag that remembers a Ctrl-C: an event of this process, or one that several share."""
 
     def is_set(self) -> bool: ...
 
@@ -30,7 +30,7 @@ class _Remember:
 
 
 class _Shared(_Remember):
-    """One in a process that works for another, which alone decides when to end at once."""
+    """A signal handler in a process that works for another, which alone decides when to end at once."""
 
     def __call__(self, number: int, frame: Any) -> None:
         self.pressed.set()
@@ -61,7 +61,7 @@ def deferred_interrupt() -> Iterator[Callable[[], bool]]:
 
 
 def share_interrupt(pressed: _Pressed) -> None:
-    """For a process that works for another: its Ctrl-C is that of the other, which sets this event."""
+    """Prepare a process that works for another one: a Ctrl-C sets `pressed`, the event that both share."""
     signal.signal(signal.SIGINT, _Shared(pressed))
 
 

@@ -1,4 +1,4 @@
-"""Values to arrays and JSON and back, for files that are read without pickle."""
+"""Conversion of values to arrays and JSON and back, for files that are read without pickle."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ import numpy.typing as npt
 Kind = TypeVar("Kind", bound=type)
 
 _kinds: dict[str, type] = {}
-"""What a file may hold, by names that stay when classes move."""
+"""Classes whose values a file may hold, by names that stay when classes move."""
 PLAIN = bool, int, float, str, type(None)
 
 
 def packable(name: str) -> Callable[[Kind], Kind]:
-    """A decorator that lets files hold values of a dataclass, by this name."""
+    """Return a decorator that lets files hold values of a dataclass, under this name."""
 
     def known(kind: Kind) -> Kind:
         _kinds[name] = kind
@@ -37,7 +37,7 @@ class Packed:
     _rows: dict[int, tuple[int, Any]] = field(default_factory=dict)
 
     def add(self, value: Any) -> Any:
-        """What stands for a value in JSON; raises TypeError for what no file can hold."""
+        """Add a value, and return what stands for it in JSON; raises TypeError for what no file can hold."""
         if isinstance(value, np.generic):
             value = value.item()
         if isinstance(value, float) and not math.isfinite(value):
@@ -55,6 +55,7 @@ class Packed:
         return {"row": self._rows[id(value)][0]}
 
     def _row(self, value: Any) -> dict[str, Any]:
+        """Return the row of the table for an array, which is stored, or for a packable dataclass."""
         if isinstance(value, np.ndarray):
             name = f"array_{len(self.arrays)}"
             self.arrays[name] = value
@@ -66,7 +67,7 @@ class Packed:
 
 
 def unpacked(told: Any, table: list[Any], arrays: Mapping[str, npt.NDArray[Any]]) -> Any:
-    """The value that stands for something in JSON; raises TypeError, LookupError, or what its class raises."""
+    """Return the value that `told` stands for in JSON; raises TypeError, LookupError, or what its class raises."""
     made: list[Any] = []
 
     def value(part: Any) -> Any:

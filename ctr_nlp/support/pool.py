@@ -17,23 +17,22 @@ from ctr_nlp.support.interrupt import deferred_interrupt, share_interrupt
 Thing = TypeVar("Thing")
 Found = TypeVar("Found")
 Jobs = int | Any
-"""In how many processes of this machine, or a distributed.Client of the cluster on which, something is done."""
+"""Number of processes of this machine, or a distributed.Client of the cluster, that do the work."""
 
 POLL = 0.2
 """Seconds between two looks at whether Ctrl-C was pressed."""
 THREADS = "OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"
-"""What says how many threads linear algebra may take."""
+"""Environment variables that limit the threads of linear algebra."""
 
 
 def side_by_side(
     work: Callable[[Thing], Found], things: Sequence[Thing], jobs: Jobs
 ) -> Iterator[tuple[int, Found]]:
-    """What work makes of things, each with its number in their order, as they are done.
+    """Yield the result of `work` for each of `things`, with its number in their order, as they are done.
 
     jobs: in how many processes, with 1 in this one; or a distributed.Client, on whose cluster it is done. work and
-    things must be fit for pickling where it is done elsewhere.
-    After Ctrl-C nothing new is begun, and what is at work is told (deferred_interrupt). Raises OptionError, and
-    what work raises.
+    things must be fit for pickling where it is done elsewhere. After Ctrl-C nothing new is begun, and what is at
+    work is told (deferred_interrupt). Raises OptionError, and what work raises.
     """
     with deferred_interrupt() as interrupted:
         if not isinstance(jobs, int):
@@ -53,6 +52,7 @@ def side_by_side(
 def _elsewhere(
     work: Callable[[Thing], Found], things: Sequence[Thing], jobs: int, interrupted: Callable[[], bool]
 ) -> Iterator[tuple[int, Found]]:
+    """Do the work in `jobs` processes of this machine; after Ctrl-C what is at work may end early."""
     context = get_context("spawn")
     pressed = context.Event()
     with _one_thread_each(), ProcessPoolExecutor(jobs, context, share_interrupt, (pressed,)) as pool:
@@ -73,6 +73,7 @@ def _elsewhere(
 def _on_cluster(
     work: Callable[[Thing], Found], things: Sequence[Thing], client: Any, interrupted: Callable[[], bool]
 ) -> Iterator[tuple[int, Found]]:
+    """Do the work on the cluster of a client; after Ctrl-C what is at work is cancelled."""
     distributed = needed("distributed")
     tasks = {client.submit(work, thing, pure=False): number for number, thing in enumerate(things)}
     waiting = set(tasks)

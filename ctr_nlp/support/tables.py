@@ -15,13 +15,13 @@ from ctr_nlp.exceptions import escaped
 
 
 def markdown(header: Sequence[str], body: Sequence[Sequence[str]]) -> str:
-    """A table whose first column is aligned to the left and all others to the right; cells as text."""
+    """Write a table whose first column is aligned to the left and all others to the right; cells as text."""
     lines = [header, ["---", *["---:"] * (len(header) - 1)], *body]
     return "".join(f"| {' | '.join(map(escaped, line))} |\n" for line in lines)
 
 
 def write_csv(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
-    """A file with a line for each of rows, at least one, and the keys of the first on top."""
+    """Write a file with a line for each of rows, at least one, and the keys of the first on top."""
     with open(path, "w", newline="", encoding="utf-8", errors="backslashreplace") as file:
         writer = csv.DictWriter(file, list(rows[0]))
         writer.writeheader()
@@ -29,13 +29,13 @@ def write_csv(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
 
 
 def by_line(columns: Mapping[str, npt.NDArray[Any]]) -> list[dict[str, Any]]:
-    """Named columns (n,) as the rows that write_csv takes."""
+    """Turn named columns (n,) into the rows that write_csv takes."""
     lines = zip(*(column.tolist() for column in columns.values()), strict=True)
     return [dict(zip(columns, line, strict=True)) for line in lines]
 
 
 def toml_text(head: str, tables: Sequence[tuple[str, Mapping[str, Any]]], comments: Mapping[str, str]) -> str:
-    """The text of a file of tables with their headings, such as [limits] or [[tubes]].
+    """Write a TOML file's text of tables with their headings, such as [limits] or [[tubes]].
 
     head: lines of comment that it begins with, without their marks. comments: what is said beside keys.
     """
@@ -46,13 +46,13 @@ def toml_text(head: str, tables: Sequence[tuple[str, Mapping[str, Any]]], commen
 
 
 def _lines(table: Mapping[str, Any], comments: Mapping[str, str]) -> list[str]:
-    """Of the keys that have a value: TOML has no word for none."""
+    """Write a line for each key that has a value, since TOML has no word for none."""
     found = [(name, _value(value)) for name, value in table.items() if value is not None]
     return [f"{name} = {text}{f'  # {comments[name]}' if name in comments else ''}" for name, text in found]
 
 
 def _value(value: Any) -> str:
-    """A number, a string or a list of these."""
+    """Write a number, a string or a list of these."""
     if isinstance(value, list | tuple):
         return f"[{', '.join(map(_value, value))}]"
     if value in ("inf", "-inf"):

@@ -1,4 +1,4 @@
-"""Values of described things, checked; complaints are RobotErrors that name field, value and what is allowed."""
+"""Checks of values in files and arguments; errors name field, value and what is allowed."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ else:
 Scalar = TypeVar("Scalar", bound=np.generic)
 
 INFINITE = ("inf", "-inf")
-"""How strict JSON writes numbers that it has no word for."""
+"""Texts for infinite numbers in strict JSON, which has no word for them."""
 
 
 def read_toml(path: str | Path) -> dict[str, Any]:
-    """What a TOML file holds.
+    """Read a TOML file whose lists are each of one kind.
 
     Parameters
     ----------
@@ -86,7 +86,7 @@ def _of_one_kind(items: list[Any]) -> bool:
 
 
 def described(cls: type, data: Any) -> Any:
-    """The dataclass that a table of a file describes."""
+    """Make the dataclass `cls` of a table of a file; raises RobotError where keys are unknown or missing."""
     allowed, of = [f.name for f in fields(cls)], cls.__name__.lower()
     check_keys(RobotError, of, data if isinstance(data, dict) else [data], allowed)
     try:
@@ -96,7 +96,7 @@ def described(cls: type, data: Any) -> Any:
 
 
 def check_keys(error: type[CtrError], of: str, given: Iterable[Any], allowed: Sequence[str]) -> None:
-    """Raise error where keys of a table are not allowed, with what was probably meant; of: the table's name."""
+    """Raise `error` where keys of a table are not allowed, with what was probably meant; `of` names the table."""
     unknown = sorted(set(map(str, given)) - set(allowed))
     if unknown:
         near = meant(unknown[0], allowed)
@@ -106,7 +106,11 @@ def check_keys(error: type[CtrError], of: str, given: Iterable[Any], allowed: Se
 def number(
     error: type[CtrError], name: str, value: Any, holds: Callable[[float], bool], allowed: str, unit: str = ""
 ) -> float:
-    """A number of which something holds; raises error, with what it must do in words."""
+    """Return a number for which `holds` is true; raise `error` otherwise.
+
+    name: what the message calls it. allowed: what it must do, such as "be a finite number". unit: of the number,
+    with a space before it.
+    """
     real = isinstance(value, int | float | np.number) and not isinstance(value, bool)
     if not real or not holds(float(value)):
         raise error(f"{name} is {value if real else repr(value)}{unit}; it must {allowed}")
@@ -114,21 +118,23 @@ def number(
 
 
 def whole_number(error: type[CtrError], name: str, value: Any, least: int = 1) -> int:
-    """A whole number, or error."""
+    """Return a whole number of at least `least`; raise `error`, whose message calls it `name`, otherwise."""
     if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < least:
         raise error(f"{name} is {value!r}; it must be a whole number of at least {least}")
     return int(value)
 
 
 def text(error: type[CtrError], name: str, value: Any) -> str:
-    """A text with something in it that may name a file, or error."""
+    """Return a text that is not empty and may name a file; raise `error`, whose message calls it `name`,
+    otherwise.
+    """
     if not isinstance(value, str) or not value or "\0" in value:
         raise error(f"{name} is {value!r:.80}; it must be a text that is not empty, without null characters")
     return value
 
 
 def texts(error: type[CtrError], name: str, value: Any) -> list[str]:
-    """A list of such texts, or error."""
+    """Return a list of texts that are not empty and may name files; raise `error` otherwise."""
     if not isinstance(value, list | tuple):
         near = f"; did you mean [{value!r:.60}]?" if isinstance(value, str) else ""
         raise error(f"{name} is {value!r:.80}; it must be a list of texts{near}")
@@ -136,20 +142,20 @@ def texts(error: type[CtrError], name: str, value: Any) -> list[str]:
 
 
 def instance(error: type[CtrError], name: str, value: Any, *kinds: type) -> None:
-    """Raise error unless a value is of one of some kinds."""
+    """Raise `error` unless a value is of one of `kinds`."""
     if not isinstance(value, kinds):
         raise error(f"{name} is {value!r:.80}; it must be a {' or a '.join(kind.__name__ for kind in kinds)}")
 
 
 def checked_path(error: type[CtrError], path: Any) -> Path:
-    """A path, or error where it is none."""
+    """Return a path; raise `error` where it is none."""
     if not isinstance(path, str | Path) or "\0" in str(path):
         raise error(f"path is {path!r:.80}; it must be the path of a file")
     return Path(path)
 
 
 def floats(error: type[CtrError], name: str, value: Any, shape: tuple[int | None, ...]) -> Array:
-    """A read-only copy of finite numbers of a shape (None for any length), or error."""
+    """Return a read-only copy of finite numbers of a shape (None for any length); raise `error` otherwise."""
     try:
         array = plain_floats(value)
     except (TypeError, ValueError, OverflowError):
@@ -164,7 +170,7 @@ def floats(error: type[CtrError], name: str, value: Any, shape: tuple[int | None
 
 
 def plain_floats(value: Any) -> Array:
-    """Numbers, or lists of them, as an array; raises TypeError or ValueError where some are none.
+    """Return numbers, or lists of them, as an array; raises TypeError or ValueError where some are none.
 
     Truth values are none, but text that reads as a number is: strict_json writes infinity as "inf".
     """
@@ -177,7 +183,9 @@ def plain_floats(value: Any) -> Array:
 
 
 def numbers(name: str, value: Any, size: int, infinite: bool = False) -> Array:
-    """A number, or size of them, as (size,)."""
+    """Return a number, or `size` of them, as (size,); raises RobotError, also for infinite ones unless `infinite`
+    is true.
+    """
     try:
         array = np.broadcast_to(plain_floats(value), (size,))
     except (TypeError, ValueError) as error:
@@ -190,7 +198,7 @@ def numbers(name: str, value: Any, size: int, infinite: bool = False) -> Array:
 
 
 def pairs(name: str, value: Any, size: int) -> Array:
-    """A (lower, upper), or size of them, as (size, 2)."""
+    """Return a (lower, upper), or `size` of them, as (size, 2); raises RobotError."""
     try:
         array = plain_floats(value)
         if array.shape in ((2,), (size, 2)):
@@ -201,7 +209,9 @@ def pairs(name: str, value: Any, size: int) -> Array:
 
 
 def strict_json(value: Any) -> Any:
-    """Lists, strings and numbers for strict JSON; infinity becomes "inf", which pairs and numbers can read."""
+    """Prepare lists, strings and numbers for strict JSON: infinity becomes "inf", which pairs and numbers can
+    read.
+    """
     if isinstance(value, dict):
         return {key: strict_json(item) for key, item in value.items()}
     if isinstance(value, np.ndarray | np.generic):
@@ -212,14 +222,14 @@ def strict_json(value: Any) -> Any:
 
 
 def frozen(array: npt.NDArray[Scalar]) -> npt.NDArray[Scalar]:
-    """A read-only copy of an array, which nobody else holds."""
+    """Return a read-only copy of an array, which nobody else holds."""
     copy = np.array(array)
     copy.flags.writeable = False
     return copy
 
 
 def unchanging(value: Any) -> Any:
-    """Lists and arrays as tuples, all the way down, and "inf" of strict JSON as the number; others as they are."""
+    """Turn lists and arrays into tuples, all the way down, and "inf" of strict JSON into the number."""
     if isinstance(value, np.ndarray | np.generic):
         return unchanging(value.tolist())
     if isinstance(value, str) and value in INFINITE:
@@ -228,6 +238,6 @@ def unchanging(value: Any) -> Any:
 
 
 def check_choice(name: str, value: str, allowed: Collection[str]) -> None:
-    """Raise OptionError, with the valid ones, unless a value is one of those allowed."""
+    """Raise OptionError, with the valid values, unless `value` is one of those allowed."""
     if not isinstance(value, str) or value not in allowed:
         raise OptionError(f"{name} is {value!r}; it must be one of {', '.join(allowed)}{meant(value, allowed)}")

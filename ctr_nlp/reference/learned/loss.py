@@ -25,13 +25,13 @@ class Loss:
     """The mean over shapes of the root mean square distance, mm, plus what leaving limits of extensions costs."""
 
     def __init__(self, torch: Any, robot: Robot, model: Model, count: int) -> None:
-        """For count shapes at once; torch: the module."""
+        """Prepare the loss of `count` shapes at a time; `torch` is the module."""
         self._torch, self._robot = torch, robot
         self._distances = _differentiable(torch, Mapped(distance(robot, model), count))
         self._unknowns = torch.tensor(model.guess(robot, np.eye(2 * robot.d + 2)))  # a guess is linear in q
 
     def __call__(self, output: Any, shapes: Shapes) -> Any:
-        """Of a network's output (count, 3d - 1) for as many shapes.
+        """Return the loss of a network's output (count, 3d - 1) for as many shapes.
 
         Extensions are brought within limits before the model sees them, and their gradient passes unchanged.
         """
@@ -48,7 +48,7 @@ class Loss:
 
 
 def distance(robot: Robot, model: Model) -> ca.Function:
-    """(x (2d + 2,), points (60,)) -> root mean square distance of the shape at x in mm, its gradient over x."""
+    """Build (x (2d + 2,), points (60,)) -> RMS distance of the shape at x in mm, and its gradient over x."""
     x, points = ca.SX.sym("x", 2 * robot.d + 2), ca.SX.sym("points", 3 * len(PLACES))
     found = samples(model, robot.structure, len(PLACES))(x, PLACES, robot.numbers, [])[0]
     squares = ca.sumsqr(ca.reshape(points, 3, len(PLACES)).T - found) / len(PLACES)
@@ -57,7 +57,7 @@ def distance(robot: Robot, model: Model) -> ca.Function:
 
 
 def _differentiable(torch: Any, distances: Mapped) -> Any:
-    """(x (count, 2d + 2), points (count, 20, 3)) -> distances (count,), which torch can differentiate by x."""
+    """Return (x (count, 2d + 2), points (count, 20, 3)) -> distances (count,) that torch differentiates by x."""
 
     class Distance(torch.autograd.Function):
         @staticmethod

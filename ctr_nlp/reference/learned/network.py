@@ -20,9 +20,9 @@ from ctr_nlp.support.whole_file import whole_file
 from ctr_nlp.typing import Array
 
 FORMAT = 1
-"""Of the file; others are refused."""
+"""Format of the file; others are refused."""
 FOLDER = "s2j"
-"""Of the cache folder, where networks are kept."""
+"""Folder of networks within the cache folder."""
 
 
 @dataclass(frozen=True)
@@ -69,7 +69,7 @@ class Network:
 
 
 def read_network(path: Path) -> Network:
-    """The network of a file; raises OptionError where it cannot be read or is of another format."""
+    """Read the network of a file; raises OptionError where it cannot be read or is of another format."""
     try:
         with open(path, "rb") as file, np.load(file, allow_pickle=False) as data:
             told = json.loads(str(data["told"]))
@@ -84,20 +84,22 @@ def read_network(path: Path) -> Network:
 
 
 def identity(robot: Robot) -> dict[str, Any]:
-    """What a network depends on of a robot: its tubes' numbers, where they may be, and the gap of carriages."""
+    """Return the properties of a robot that a network depends on: its tubes' numbers, limits of beta, and carriage
+    gap.
+    """
     d = robot.d
     beta = [robot.lower[d : 2 * d].tolist(), robot.upper[d : 2 * d].tolist()]
     return {"numbers": robot.numbers.tolist(), "beta": beta, "carriage_gap": robot.carriage_gap}
 
 
 def place(robot: Robot, model: str) -> Path:
-    """Where the network of a robot and a model is kept: in the folder of compiled code (CTR_NLP_CACHE)."""
+    """Return where the network of a robot and a model is kept: in the folder of compiled code (CTR_NLP_CACHE)."""
     digest = hashlib.sha256(json.dumps(identity(robot)).encode()).hexdigest()[:16]
     return cache.folder() / FOLDER / f"{model}-{digest}.npz"
 
 
 def trained(robot: Robot, model: str) -> Network:
-    """The network for a robot and a model; raises OptionError, which says how to train one, without it."""
+    """Return the network for a robot and a model; without one raises OptionError, which says how to train it."""
     path = place(robot, model)
     if not path.exists():
         others = _others(path, model)
@@ -112,7 +114,7 @@ def trained(robot: Robot, model: str) -> Network:
 
 
 def _others(path: Path, model: str) -> str:
-    """What networks there are instead, in words."""
+    """Say which networks are there in place of the one at `path`; empty where there are none."""
     known: Sequence[str] = sorted(other.stem.rpartition("-")[0] for other in path.parent.glob("*-*.npz"))
     same = known.count(model)
     if same:

@@ -28,17 +28,17 @@ from ctr_nlp.target.target import QUADRATURE, SIGMA, Frame
 from ctr_nlp.typing import Array
 
 PLACED = np.searchsorted(SIGMA, PLACES)
-"""Which of the points at SIGMA are those at PLACES."""
+"""Indices of the points at SIGMA that are those at PLACES."""
 WITHIN = 1e-6
 """rad or mm by which a configuration may leave limits and still count."""
 
 
 def s2j(problem: Problem, motion_weight: float, model: str = "dominant", projected: bool = False) -> Method:
-    """The method for a problem; motion_weight has no part in it.
+    """Return the method for a problem; `motion_weight` is ignored.
 
     projected: whether what leaves the limits is brought to the nearest that keeps them. It always is before the
-    robot moves; where this is not asked for, frames for which it makes a difference do not count as solved.
-    Raises OptionError, which says how to train a network, where none is known for the problem's robot.
+    robot moves; where this is not asked for, frames for which it makes a difference do not count as solved. Raises
+    OptionError, which says how to train a network, where none is known for the problem's robot.
     """
     del motion_weight
     robot, on = problem.robot, MODELS[model]
@@ -68,7 +68,8 @@ class Answer(NamedTuple):
 
 
 def answer(network: Network, robot: Robot, model: Model, points: Array, near: Array) -> Answer:
-    """What a network gives for a shape (101, 3) at SIGMA, mm.
+    """Return the configuration that a network gives for a shape, points (101, 3) at SIGMA in mm, brought within
+    limits.
 
     near: q (2d + 2,); of angles that are the same, those nearest to its are taken. On a model with several
     equilibria only a full turn of all tubes together leaves the robot as it is, on others one of each tube does.
@@ -91,7 +92,8 @@ def answer(network: Network, robot: Robot, model: Model, points: Array, near: Ar
 
 
 def tilt(points: Array) -> Array:
-    """The theta (2,) rad at which a robot leaves the insertion point in the direction of points (101, 3) at SIGMA.
+    """Return the theta (2,) rad at which a robot leaves the insertion point in the direction of points (101, 3) at
+    SIGMA.
 
     Ry(theta_y) Rx(theta_x) turns +z there, eq. (4). The direction is that of the parabola through the first three.
     """

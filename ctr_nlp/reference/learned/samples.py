@@ -30,7 +30,8 @@ class Shapes:
         return Shapes(self.points[rows], self.length[rows])
 
     def turned_back(self) -> tuple[Shapes, Array]:
-        """The same, turned about +z so that the means of their points lie towards +x; the angles before, rad.
+        """Turn each shape about +z so that the mean of its points lies towards +x; returns the angles before, rad,
+        too.
 
         A robot that turns all its tubes turns its shape: a network that sees shapes turned back need not learn it.
         """
@@ -40,13 +41,15 @@ class Shapes:
         return Shapes(np.stack([c * x + s * y, c * y - s * x, z], axis=-1), self.length), angle
 
     def inputs(self) -> Array:
-        """What a network is given of them, (n, 61): coordinates as parts of the length, and the length in mm."""
+        """Return a network's inputs for the shapes, (n, 61): coordinates as parts of the length, and the length in
+        mm.
+        """
         parts = self.points / self.length[:, None, None]
         return np.column_stack([parts.reshape(len(parts), -1), self.length])
 
 
 def drawn(robot: Robot, model: Model, count: int, seed: int) -> Array:
-    """Unknowns (count, 2d + 2) of robots without tilt, all of them stable.
+    """Sample unknowns (count, 2d + 2) of robots without tilt, all of them stable.
 
     Their angles at the tips and the fractions of their extensions are uniform.
     """
@@ -62,12 +65,14 @@ def drawn(robot: Robot, model: Model, count: int, seed: int) -> Array:
 
 
 def shapes_of(robot: Robot, model: Model, x: Array) -> Shapes:
-    """The shapes at unknowns x (n, 2d + 2)."""
+    """Return the shapes at unknowns x (n, 2d + 2)."""
     return Shapes(model.points(robot, x, PLACES), model.extensions(robot, x)[:, -1])
 
 
 def nearer(tips: Array, d: int) -> Array:
-    """Angles at the tips, in the first d columns, with none more than half a turn from the innermost tube's."""
+    """Shift angles at the tips, in the first d columns, by whole turns to within half a turn of the innermost
+    tube's.
+    """
     near = tips.copy()
     apart = tips[:, :d] - tips[:, d - 1 : d]
     near[:, :d] = tips[:, d - 1 : d] + apart - 2 * np.pi * np.round(apart / (2 * np.pi))
