@@ -75,14 +75,16 @@ RENAMED = {"seed-two-stage": "paper-two-stage"}
 
 
 def variants_here() -> list[str]:
-    """Those that work here: without a C compiler, IPOPT's and the reference methods; also on the elastic model."""
+    """Return the variants that work here: without a C compiler, IPOPT's and the reference methods; also on the
+    elastic model.
+    """
     compiled = {"banded", "sqp"} if cache.missing() else set()
     elastic = f"horizon:{default_chain_solver()}:elastic", f"joint:{default_solver()}:elastic"
     return [*elastic, *(name for name in VARIANTS if name.split(":")[-1] not in compiled)]
 
 
 def parse_variant(name: str) -> Variant:
-    """The variant of a name; raises OptionError with the valid ones.
+    """Return the variant of a name; raises OptionError with the valid ones.
 
     Reference methods go forward, as published; frame formulations in the better direction.
     """
@@ -140,7 +142,8 @@ class Refusal(NamedTuple):
 
 
 class Comparison(NamedTuple):
-    """rows: one a problem and variant that serves it. refusals: one a problem and variant that does not.
+    """Results of variants on problems. rows: one a problem and variant that serves it. refusals: one a problem and
+    variant that does not.
 
     agreements: one a problem on which several solvers solved the horizon.
     """
@@ -157,7 +160,7 @@ def compare(
     progress: Callable[[str, str], Progress] | None = None,
     measure: Callable[[str, str, Plan], dict[str, Any]] | None = None,
 ) -> Comparison:
-    """Every variant on every problem; one solve at a time. All horizons of a problem start from the same motions.
+    """Solve every problem by every variant, one at a time. All horizons of a problem start from the same motions.
 
     progress: (problem, variant) -> what is told how many frames are done. measure: (problem, variant, plan) -> a
     row, `row` by default. Ctrl-C leaves the rows that were begun. A variant that does not serve a problem is a
@@ -191,7 +194,7 @@ def compare(
 
 
 def agreement(problem: Problem, first: Plan, second: Plan) -> dict[str, Any]:
-    """Whether two horizons of a problem are one solution: objectives within SAME, the same active limits."""
+    """Tell whether two horizons of a problem are one solution: objectives within SAME, the same active limits."""
     robot = problem.robot
     weight = first.meta["options"]["motion_weight"]
     chain = horizon(robot, problem.samples, problem.dt, weight, Ends(), MODELS[PAPER_MODEL])
@@ -217,13 +220,14 @@ def agreement(problem: Problem, first: Plan, second: Plan) -> dict[str, Any]:
 
 
 def row(problem: str, variant: str, plan: Plan) -> dict[str, Any]:
-    """Errors in mm, steps in rad and mm, times in ms and s. seed_*: Table II's figures for the same method.
+    """Return the figures of a plan: errors in mm, steps in rad and mm, times in ms and s.
 
-    e3 and others are of the model planned on; dominant_*, elastic_* of the same motion on both, None where the
-    robot's tubes are balanced and the dominant model does not describe it; *_no the verdicts there that are no.
-    verdict_*: words of the verdicts on the elastic model and over samples of the robot's tolerances, whatever
-    model the plan was made on; no: those that are no; tip_last: mm by which the tip misses the target's end there.
-    draws_e3, draws_lost: mean of e3 over these samples, and the share of them that is lost.
+    seed_*: Table II's figures for the same method. e3 and others are of the model planned on; dominant_*,
+    elastic_* of the same motion on both, None where the robot's tubes are balanced and the dominant model does not
+    describe it; *_no the verdicts there that are no. verdict_*: words of the verdicts on the elastic model and
+    over samples of the robot's tolerances, whatever model the plan was made on; no: those that are no; tip_last:
+    mm by which the tip misses the target's end there. draws_e3, draws_lost: mean of e3 over these samples, and the
+    share of them that is lost.
     """
     checked = _tried(plan)
     end = arrival(checked)
@@ -264,5 +268,5 @@ def row(problem: str, variant: str, plan: Plan) -> dict[str, Any]:
 
 
 def _tried(plan: Plan) -> Plan:
-    """A plan as it is judged: on the elastic model, with samples."""
+    """Return a plan as it is judged: on the elastic model, with simulated robots."""
     return plan if plan.drawn is not None and plan.can_snap else plan.check()

@@ -1,4 +1,4 @@
-"""Robots that are measured in free space before a motion, by the sensors that lead it."""
+"""Robots that are measured in free space before a motion, by the sensors that correct it."""
 
 from __future__ import annotations
 
@@ -17,16 +17,17 @@ from ctr_nlp.robot.draws import Draws
 from ctr_nlp.typing import Array
 
 POSES = 20
-"""At which a robot is measured."""
+"""Number of poses in which a robot is measured."""
 
 
 def identified(
     robot: Robot, tolerances: Tolerances, draw: Draws, model: Model, sigma: Array, noise: float, seed: int
 ) -> tuple[Array, Array]:
-    """What is known of a draw of a robot, mean (k,) and covariance (k, k) of its differences, after POSES poses.
+    """Identify a simulated robot from POSES poses: mean (k,) and covariance (k, k) of its differences from the one
+    described.
 
-    sigma (n,): places of the shape that are measured, in the axes of the base, with noise, mm. Raises
-    MeasurementError, OptionError.
+    tolerances: what is known before. draw: the robot. sigma (n,): places of the shape that are measured, in the
+    axes of the base, with noise, mm. Raises MeasurementError, OptionError.
     """
     differences = Differences.of(robot, tolerances)
     measured = measured_apart(robot, draw, model, sigma, noise, seed)
@@ -37,7 +38,7 @@ def identified(
 def measured_apart(
     robot: Robot, draw: Draws, model: Model, sigma: Array, noise: float, seed: int, poses: int = POSES
 ) -> Measurements:
-    """Places of the shape of a draw of a robot at random poses, in each of which it comes to rest anew.
+    """Measure places of the shape of a simulated robot at random poses, in each of which it comes to rest anew.
 
     sigma (n,): of the places; noise: the standard deviation of every coordinate, mm; seed: of poses and noise.
     """
@@ -54,7 +55,7 @@ def measured_apart(
 
 
 def _of(differences: Differences, found: Calibration) -> tuple[Array, Array]:
-    """A calibration in the order of differences, of which it estimated all."""
+    """Return estimates and covariance of a calibration in the order of differences, of which it estimated all."""
     rows = {(one.number, one.kind): k for k, one in enumerate(found.parameters.each)}
     picked = [rows[tube + 1, name] for tube, name in differences.places]
     return found.fit.values[picked], found.fit.covariance[np.ix_(picked, picked)]

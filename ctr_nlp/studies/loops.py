@@ -1,4 +1,4 @@
-"""Plans on robots that differ from what they were made for, with feedback and without it beside."""
+"""Plans on robots that differ from what they were made for, with feedback and without."""
 
 from __future__ import annotations
 
@@ -23,20 +23,22 @@ from ctr_nlp.steer.robust.plan import solve_robust
 from ctr_nlp.studies.identified import identified
 
 DRAWS, SEED = 100, 20260101
-"""Robots that every plan is led on; nothing was tuned on these."""
+"""Number and seed of the robots that every plan is run on; nothing was tuned on these."""
 NOISE = 0.5
-"""mm of every coordinate that is measured."""
+"""Noise of every coordinate that is measured, mm."""
 PLACES = 1 / 6, 1 / 3, 1 / 2, 2 / 3, 5 / 6
-"""Of the shape, beside the tip."""
+"""Places of the shape that are measured beside the tip, sigma."""
 OFF = Tolerances(0.1, 0.1, motor_zero=0.05)
-"""By how much robots differ."""
+"""Tolerances that robots differ by."""
 PLAY, BENDING = 0.05, 2.0
 """rad by which every tube stays behind its motor, and mm by which the tip is bent, in the cases that have them."""
 
 
 @dataclass(frozen=True)
 class Case:
-    """What is measured, and what robots have that is beyond OFF: play, rad, and bending, mm."""
+    """A case of the study: the sensors, and what robots have beyond the differences OFF: play, rad, and bending,
+    mm.
+    """
 
     tip_alone: bool = False
     play: float = 0.0
@@ -44,7 +46,7 @@ class Case:
 
     @property
     def sensors(self) -> Sensors:
-        """The tip, and the shape's points unless it is alone."""
+        """Sensors of the tip and, unless it is alone, of points of the shape."""
         tip = TipPosition(NOISE)
         return Sensors(tip) if self.tip_alone else Sensors(tip, ShapePoints(PLACES, NOISE))
 
@@ -135,7 +137,9 @@ def looped(
 def _tracker(
     plan: Plan, at: Case, tolerances: Tolerances, draw: Draws, seed: int, replanner: Replanner | None
 ) -> Tracker:
-    """Of one robot along a plan; replanner: None, or who plans for it after it was measured in free space."""
+    """Make the tracker of one robot along a plan; with a replanner, the robot is measured in free space first and
+    planned for anew.
+    """
     if replanner is None:
         return Tracker(plan, at.sensors, tolerances)
     places = np.append([] if at.tip_alone else PLACES, 1.0)
@@ -149,12 +153,12 @@ def _tracker(
 
 
 def planned_for(plan: Plan, tolerances: Tolerances) -> Plan:
-    """A plan for all robots within other tolerances, from a plan for those of its own; raises as solve_robust."""
+    """Plan for all robots within other tolerances, from a plan for those of its own; raises as solve_robust."""
     problem = replace(problem_of(plan), robot=replace(plan.robot, tolerances=tolerances))
     return solve_robust(problem, initial=[plan.q], settings=settings_of(plan))
 
 
 def _bent(size: float, draws: int, seed: int) -> Iterator[tuple[float, float]]:
-    """A direction for every robot, (x, y) mm."""
+    """Yield for every robot by what it is bent, (x, y) mm: `size` in a random direction."""
     for turn in np.random.default_rng([seed, 7]).uniform(0.0, 2 * np.pi, draws).tolist():
         yield size * np.cos(turn), size * np.sin(turn)

@@ -44,10 +44,10 @@ ELASTIC = MODELS["elastic"]
 
 
 class Room:
-    """The space that the tree grows in: unknowns with fractions for extensions, in mm; what is valid there."""
+    """Space in which the tree grows, in mm: unknowns with fractions for extensions; and what is valid there."""
 
     def __init__(self, problem: Problem, settings: Settings) -> None:
-        """Raises OptionError of a problem without a wall."""
+        """Prepare the space of a problem; raises OptionError where the problem has no wall."""
         lumen = problem.lumen
         if lumen is None or lumen.radius is None:
             name = problem.name or "the problem"
@@ -60,19 +60,21 @@ class Room:
         self._scale = np.concatenate([np.full(d, turn), np.full(d - 1, room), [1.0], np.full(2, tilt)])
 
     def place(self, x: Array) -> Array:
-        """The point (2d + 2,) of unknowns x (2d + 2,)."""
+        """Return the point (2d + 2,) of unknowns x (2d + 2,)."""
         d = self.robot.d
         parts = fractions(self.robot, x[d : 2 * d])[:-1]
         return np.asarray(self._scale * np.concatenate([x[:d], parts, x[2 * d - 1 :]]))
 
     def unknowns(self, place: Array) -> Array:
-        """The x (2d + 2,) of a point."""
+        """Return the unknowns x (2d + 2,) of a point."""
         d, values = self.robot.d, place / self._scale
         beta = extensions(self.robot, values[d : 2 * d - 1], values[2 * d - 1])
         return np.concatenate([values[:d], beta, values[2 * d :]])
 
     def bounds(self, known: Array) -> tuple[Array, Array]:
-        """Of points, (2d + 2,) each, around those that are known (n, 2d + 2), the first of them the start."""
+        """Return lower and upper bounds (2d + 2,) of points, which include those `known` (n, 2d + 2), the first of
+        them the start.
+        """
         d, (low, high) = self.robot.d, (self.robot.lower, self.robot.upper)
         beta, theta = slice(d, 2 * d - 1), slice(2 * d, None)
         low, high = (np.where(np.isfinite(each), each, sign * np.pi) for each, sign in ((low, -1), (high, 1)))
@@ -88,7 +90,7 @@ class Room:
         return self.holds(self.unknowns(place))
 
     def holds(self, x: Array) -> bool:
-        """The same at unknowns x (2d + 2,)."""
+        """Whether the robot with unknowns x (2d + 2,) is within the lumen, stable and within its limits."""
         d, robot = self.robot.d, self.robot
         points = ELASTIC.points(robot, x[None], SAMPLES)[0]
         distance, nearest = self._tree.query(points)
@@ -117,12 +119,12 @@ def rrt_connect(
     seconds: float = SECONDS,
     seed: int = 1,
 ) -> Plan:
-    """A path through the lumen to the pose of the last frame, as a plan with frames evenly along it.
+    """Find a path through the lumen to the pose of the last frame, as a plan with frames evenly along it.
 
     start, end: configurations (2d + 2,) to lead from and to, at rest; those of frames planned alone by default.
     settings: stability_margin and contact_allowed say what is valid. seconds: of the search at most. Where nothing
-    is found no frame counts as solved, and the robot stands still.
-    Raises OptionError where the problem has no wall, an end is not valid, or OMPL is not installed.
+    is found no frame counts as solved, and the robot stands still. Raises OptionError where the problem has no
+    wall, an end is not valid, or OMPL is not installed.
     """
     number(OptionError, "seconds", seconds, lambda value: 0.1 <= value <= 1e5, "lie in [0.1, 1e5]", " s")
     ompl = needed("ompl")
@@ -157,7 +159,9 @@ def rrt_connect(
 
 
 def _end(problem: Problem, room: Room, settings: Settings, q: npt.ArrayLike | None, frame: int) -> Array:
-    """The unknowns (2d + 2,) of a robot at rest at q, or as it is planned for a frame alone, if that is valid."""
+    """Return unknowns (2d + 2,) of a robot at rest at q, or as planned for a frame alone; raises OptionError where
+    that is not valid.
+    """
     if q is None:
         q = solve_per_frame(problem[frame : frame + 1], model=ELASTIC, settings=settings).q[0]
     x = ELASTIC.rest(problem.robot, floats(OptionError, "start or end", q, (len(problem.robot.axes),)))
@@ -171,7 +175,7 @@ def _end(problem: Problem, room: Room, settings: Settings, q: npt.ArrayLike | No
 
 
 def _searched(ompl: Any, room: Room, ends: Array, seconds: float, seed: int) -> Array | None:
-    """Points (n, 2d + 2) of a path between two, made shorter; None where none is found in time."""
+    """Search a path between two points and shorten it, (n, 2d + 2); None where none is found in time."""
     base, geometric, util = ompl.base, ompl.geometric, ompl.util
     util.noOutputHandler()
     util.RNG.setSeed(seed)
@@ -202,7 +206,7 @@ def _searched(ompl: Any, room: Room, ends: Array, seconds: float, seed: int) -> 
 
 
 def _spread(room: Room, path: Array, frames: int) -> Array:
-    """The unknowns (frames, 2d + 2) at places evenly along a path of points (n, 2d + 2)."""
+    """Return unknowns (frames, 2d + 2) at places evenly along a path of points (n, 2d + 2)."""
     along = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1)))
     at = np.linspace(0.0, along[-1], frames)
     places = np.column_stack([np.interp(at, along, column) for column in path.T])

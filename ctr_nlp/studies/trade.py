@@ -1,4 +1,4 @@
-"""Errors as planned, over draws and lost draws, against how much robustness is asked for."""
+"""Errors as planned, errors on simulated robots and lost ones, against how much robustness is asked for."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ from ctr_nlp.support.interrupt import deferred_interrupt
 from ctr_nlp.target.problem import Problem
 
 AMOUNTS = 0.0, 0.25, 0.5, 0.75, 1.0, 1.25, 1.5
-"""By what the tolerances are scaled that are planned for; 0 is a plan for the robot described alone."""
+"""Factors by which the tolerances are scaled that are planned for; 0 is a plan for the robot described alone."""
 MARGINS = 0.1, 0.3, 0.5, 0.7
 """Stability margins of the plans for the robot described that stand beside."""
 DRAWS, SEED = 500, 20260101
-"""Of the robots on which all are judged; planning takes other seeds."""
+"""Number and seed of the robots on which all plans are judged; planning takes other seeds."""
 
 
 @dataclass(frozen=True)
@@ -48,7 +48,7 @@ class Traded:
 
     @property
     def share(self) -> float:
-        """Of the draws that are lost."""
+        """Share of the simulated robots that are lost."""
         return self.lost / self.draws
 
 
@@ -60,10 +60,10 @@ def traded(
     seed: int = SEED,
     progress: Progress | None = None,
 ) -> list[Traded]:
-    """Plans of a problem, far from any wall, one for each of those asked for, in their order.
+    """Plan a problem, without its wall, for each amount of tolerances and at each margin, in the order of `asked`.
 
-    All are judged on the same draws of the whole tolerances. progress: (number done, of how many, what is planned
-    next). Ctrl-C leaves what was found. Raises OptionError, RobotError.
+    All are judged on the same robots, sampled within the whole tolerances. progress: (number done, of how many,
+    what is planned next). Ctrl-C leaves what was found. Raises OptionError, RobotError.
     """
     free, found, wanted = replace(problem, lumen=None), list[Traded](), asked(amounts, margins)
     drawn(problem.robot, draws, seed)
@@ -83,7 +83,7 @@ def traded(
 
 
 def asked(amounts: Sequence[float], margins: Sequence[float]) -> list[tuple[float, float]]:
-    """Parts of the tolerances that are planned for, in order, each with a stability margin; none of them twice.
+    """Return the parts of the tolerances to plan for, in order, each with a stability margin; none of them twice.
 
     Plans for none of them come first, at all margins and, where 0 is among the amounts, at the usual one; others
     have the usual one. Raises OptionError for margins that there are not.
@@ -94,19 +94,21 @@ def asked(amounts: Sequence[float], margins: Sequence[float]) -> list[tuple[floa
 
 
 def planned_for(amount: float, margin: float) -> str:
-    """What a plan is for, in words."""
+    """Say for what part of the tolerances, or at what margin without any, a plan is made."""
     return f"{amount:g} × the tolerances" if amount else f"no tolerances, margin {margin:g}"
 
 
 def chosen(points: Sequence[Traded], most_lost: float = MOST_LOST) -> Traded | None:
-    """The least mean over draws of solved plans that lose no larger share; None where each loses more."""
+    """Return the solved plan with the least mean e3 that loses at most the share `most_lost`; None where each
+    loses more.
+    """
     able = [(point.mean, point) for point in points if point.solved and point.share <= most_lost]
     known = [(mean, point) for mean, point in able if mean is not None]
     return min(known, key=lambda each: each[0])[1] if known else None
 
 
 def sentence(points: Sequence[Traded], most_lost: float = MOST_LOST) -> str:
-    """Which plan is chosen, and why."""
+    """Say which plan is chosen, and why."""
     best = chosen(points, most_lost)
     if best is None:
         return f"None is chosen: each plan loses more than {most_lost:.3g} of its draws or is not solved."
@@ -117,7 +119,7 @@ def sentence(points: Sequence[Traded], most_lost: float = MOST_LOST) -> str:
 
 
 def scaled(robot: Robot, amount: float) -> Robot:
-    """A robot with so much of its tolerances; raises RobotError where they become larger than allowed."""
+    """Return a robot with its tolerances times `amount`; raises RobotError where they become too large."""
     own, square = robot.tolerances, robot.tolerances.covariance
     if square is not None:
         covariance = amount**2 * np.array(square)
@@ -135,7 +137,7 @@ def _planned(problem: Problem, amount: float, margin: float) -> Plan:
 
 
 def _judged(plan: Plan, robot: Robot, name: str, amount: float, draws: int, seed: int) -> Traded:
-    """A plan on draws of a robot that differs from its own in tolerances alone."""
+    """Judge a plan on simulated robots around `robot`, which differs from its own in tolerances alone."""
     tried = replace(plan, meta=plan.meta | {"robot": robot.to_dict()}).robustness(draws, seed)
     mean = None if tried.errors is None else tried.errors.mean
     margin = float(plan.options["stability_margin"])

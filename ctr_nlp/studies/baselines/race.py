@@ -24,7 +24,9 @@ from ctr_nlp.typing import Array
 SPREAD = 0.2
 """First standard deviation of CMA-ES, and first steps of Nelder-Mead, as parts of the ranges of tubes' numbers."""
 LOST = 100.0
-"""mm: what tubes count for on which some task has no motion, and to which what they break of rules is added."""
+"""Objective, mm, of tubes on which some task has no motion; for tubes that break rules, by how much they do is
+added to it.
+"""
 SETTLED = 1e-3
 """A simplex of this size, as a part of the ranges, ends Nelder-Mead, which then begins again elsewhere."""
 METHODS = "design", "CMA-ES", "Nelder-Mead"
@@ -32,8 +34,8 @@ METHODS = "design", "CMA-ES", "Nelder-Mead"
 
 @dataclass(frozen=True)
 class Run:
-    """What a method had found after so many seconds of process time, (n,): the least root mean square of the
-    tasks' e3 until then, mm. asked: tubes on which motions were planned.
+    """Course of a method: the least root mean square of the tasks' e3, mm, that it had found after so many seconds
+    of process time, (n,) each. asked: number of tubes on which motions were planned.
     """
 
     method: str
@@ -43,7 +45,7 @@ class Run:
 
     @property
     def best(self) -> float:
-        """mm; infinite where nothing was found."""
+        """Least root mean square of e3, mm; infinite where nothing was found."""
         return float(self.e3[-1]) if len(self.e3) else math.inf
 
 
@@ -53,7 +55,7 @@ class _Over(Exception):
 
 @dataclass
 class _Course:
-    """A run on its way, which ends after so many seconds of process time."""
+    """A run under way, which ends after `most` seconds of process time."""
 
     method: str
     most: float
@@ -64,7 +66,7 @@ class _Course:
     begin: float = field(default_factory=time.process_time)
 
     def note(self, rms: float) -> None:
-        """Remember a root mean square where it is the least yet; raises _Over."""
+        """Count tubes, and remember their root mean square of e3 where it is the least yet; raises _Over."""
         now = time.process_time() - self.begin
         self.asked += 1
         if now <= self.most and math.isfinite(rms) and (not self.e3 or rms < self.e3[-1]):
@@ -74,12 +76,12 @@ class _Course:
             raise _Over
 
     def made(self) -> Run:
-        """What came of it."""
+        """Return the run as it is at its end."""
         return Run(self.method, np.array(self.seconds), np.array(self.e3), self.asked)
 
 
 def race(search: DesignSearch, starts: int, seed: int, times: float = 1.0) -> list[Run]:
-    """The design from so many starts, then CMA-ES and Nelder-Mead for so many times its process time.
+    """Run the design from `starts` starts, then CMA-ES and Nelder-Mead, each for `times` times its process time.
 
     Nominal robots. Ctrl-C ends the run at work; those after it are missing. Raises OptionError where the package
     cma is not installed.
@@ -124,6 +126,7 @@ def _cma_es() -> Callable[[DesignSearch, int, _Course], None]:
     def run(search: DesignSearch, seed: int, course: _Course) -> None:
         objective, first = _objective(search, course), _parts(search, search.tubes.own)
         while True:
+            # The seed 0 stands for the time of day in cma.
             options = {"bounds": [0, 1], "seed": seed + 1, "verbose": -9}
             strategy = cma.CMAEvolutionStrategy(first, SPREAD, options)
             while not strategy.stop():
@@ -144,7 +147,7 @@ def _nelder_mead(search: DesignSearch, seed: int, course: _Course) -> None:
 
 
 def _objective(search: DesignSearch, course: _Course) -> Callable[[Array], float]:
-    """Parts (n,) of the ranges of the tubes' free numbers -> root mean square of e3, mm."""
+    """Return a function: parts (n,) of the ranges of the tubes' free numbers -> root mean square of e3, mm."""
     lower, upper = search.tubes.box
     free = lower < upper
 
@@ -166,19 +169,20 @@ def _objective(search: DesignSearch, course: _Course) -> Callable[[Array], float
 
 
 def _parts(search: DesignSearch, p: Array) -> Array:
+    """Return the free numbers of tubes p as parts, from 0 to 1, of their ranges."""
     lower, upper = search.tubes.box
     free = lower < upper
     return np.asarray(((p - lower)[free] / (upper - lower)[free]).clip(0, 1))
 
 
 def seconds_to(run: Run, e3: float) -> float:
-    """Process time, s, after which a run had an error of at most so many mm; infinite where it never had."""
+    """Return the process time, s, after which a run had an error of at most `e3` mm; infinite if never."""
     reached = run.seconds[run.e3 <= e3]
     return float(reached[0]) if len(reached) else math.inf
 
 
 def rows(runs: Sequence[Run]) -> list[dict[str, float | str]]:
-    """For a table: every improvement of every run."""
+    """Return rows for a table: every improvement of every run."""
     return [
         {"method": run.method, "process_s": seconds, "rms_e3_mm": e3}
         for run in runs

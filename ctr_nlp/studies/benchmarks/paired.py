@@ -35,7 +35,9 @@ class Worker:
     """A process that repeats one row of work.py for a tree; for a with block. Raises BenchmarkError."""
 
     def __init__(self, tree: Path, row: str, libraries: Path | None = None) -> None:
-        """tree: a checkout. libraries: where what it compiles is kept; the user's own cache where None."""
+        """Start the process. tree: a checkout. libraries: where what it compiles is kept; the user's own cache
+        where None.
+        """
         given = {"PYTHONPATH": str(tree), cache.SWITCH: "now", "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
         given |= {} if libraries is None else {cache.FOLDER: str(libraries)}
         self.tree, self.row = tree, row
@@ -65,7 +67,7 @@ class Worker:
         self._process.communicate()
 
     def turns(self, count: int, factor: float = 1.0) -> list[list[float]]:
-        """Seconds of each piece of the row's work, over so many turns; factor: see work.timer."""
+        """Return the seconds of each piece of the row's work, over `count` turns; factor: see work.timer."""
         assert self._process.stdin is not None
         self._process.stdin.write(json.dumps([count, factor]) + "\n")
         self._process.stdin.flush()
@@ -83,7 +85,9 @@ class Worker:
 
 @dataclass(frozen=True)
 class Compared:
-    """What was found of a row: medians before and after, s, and the ratio after / before with its interval."""
+    """Comparison of a row between two trees: medians before and after, s, and the ratio after / before with its
+    interval.
+    """
 
     row: str
     before: float
@@ -104,7 +108,9 @@ class Compared:
 def compared(
     row: str, before: Worker, after: Worker, blocks: int, tolerance: float = TOLERANCE, factor: float = 1.0
 ) -> Compared:
-    """Blocks of turns before, after, after, before; factor: by which the later ones are slowed down on purpose."""
+    """Compare a row in blocks of turns before, after, after, before, every second block in opposite order;
+    `factor` slows the later tree down on purpose.
+    """
     count = turns_of(before)
     times: dict[bool, list[float]] = {False: [], True: []}
     logs = []
@@ -122,19 +128,19 @@ def compared(
 
 
 def typical(turns: Sequence[Sequence[float]]) -> float:
-    """Of turns of the same work: the least time of each piece, and of these the mean."""
+    """Return the mean over pieces of work of the least time of each piece over turns, s."""
     return float(np.min(turns, axis=0).mean())
 
 
 def turns_of(worker: Worker) -> int:
-    """How many turns take about TURN seconds."""
+    """Return how many turns take about TURN seconds."""
     begin = time.perf_counter()
     worker.turns(1)
     return max(1, math.ceil(TURN / (time.perf_counter() - begin)))
 
 
 def interval(values: Sequence[float], level: float = LEVEL) -> tuple[float, float]:
-    """An interval for the median of what values (n,) were drawn from, by the sign test.
+    """Return an interval for the median of the distribution of values (n,), by the sign test.
 
     Nothing is assumed of how they are distributed. Raises BenchmarkError where there are too few of them.
     """
@@ -147,7 +153,7 @@ def interval(values: Sequence[float], level: float = LEVEL) -> tuple[float, floa
 
 
 def measured(worker: Worker, seconds: float, least: int = 5) -> Array:
-    """Times (n,) in s of a row's pieces, over at least so many turns and so long."""
+    """Return times (n,) in s of a row's pieces, over at least `least` turns and `seconds`."""
     found: list[float] = []
     begin, turns = time.perf_counter(), 0
     while turns < least or time.perf_counter() - begin < seconds:
@@ -164,7 +170,7 @@ def against(
     tolerance: float,
     told: Callable[[Compared], None] = lambda _: None,
 ) -> list[Compared]:
-    """Every row compared between two trees, before and after."""
+    """Compare every row between two trees, before and after; `told` is called with each result."""
     found = []
     for row in rows:
         with Worker(trees[0], row, libraries[0]) as before, Worker(trees[1], row, libraries[1]) as after:

@@ -26,16 +26,16 @@ from ctr_nlp.typing import Array
 Found = TypeVar("Found", Solution, FrameResult)
 
 EVERY = 5
-"""The methods that take much longer are asked for every EVERY-th frame only."""
+"""Stride of the frames that the methods which take much longer are given."""
 REFERENCES = ("paper-two-stage", "euclidean")
 ROUNDS = 3
 """Times that solvers have their turn on all frames."""
 EVALUATIONS = 2000
-"""Evaluations that the time of one is the mean of."""
+"""Evaluations over which the time of one is averaged."""
 
 
 class Times:
-    """Of one method: seconds of the thread that each frame took, and how many frames were not solved."""
+    """Times of one method: seconds of the thread that each frame took, and how many frames were not solved."""
 
     def __init__(self) -> None:
         self.seconds: list[float] = []
@@ -51,7 +51,7 @@ class Times:
 
 
 def race(problem: Problem) -> dict[str, Times]:
-    """Every method in turn on the same frames of a problem, each from where compiled SQP stood before it."""
+    """Solve the same frames of a problem by every method in turn, each from where compiled SQP stood before it."""
     settings = Settings()
     (stage,) = joint(problem.robot, settings, MODELS["dominant"])
     solvers: dict[str, NlpSolver] = {name: SOLVERS[name](stage.nlp) for name in ("sqp", "ipopt")}
@@ -85,7 +85,7 @@ def _path(problem: Problem, stage: Stage, solve: NlpSolver) -> list[tuple[Array,
 
 
 def evaluation(program: Program, function: str = "slopes") -> float:
-    """Seconds that one evaluation of objective and constraints takes: their values, or first derivatives too."""
+    """Return the seconds of one evaluation of objective and constraints: values, or first derivatives too."""
     run = ctypes.CFUNCTYPE(ctypes.c_int, *[ctypes.c_void_p] * 4, ctypes.c_int)(program.functions[function])
     n, m = len(program.x), len(program.lower) - len(program.x)
     results = [np.zeros(max(count, 1)) for count in ((1, m) if function == "value" else (1, n, m, m * n))]

@@ -1,4 +1,4 @@
-"""What part of the time is spent outside compiled code: in Python and numpy, around calls of C."""
+"""Shares of time that are spent outside compiled code: in Python and numpy, around calls of C."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from ctr_nlp.studies.benchmarks.growth import least
 CALLERS = (("codegen/mapped.py", "__call__"), ("frame/run.py", "__call__"), ("motion/loop.py", "iterate"))
 """Functions whose own time is that of the C or of the LAPACK that they call."""
 COMPILED = "casadi", "lapack", "scipy.linalg"
-"""In the names of what is no Python."""
+"""Words in the names of functions that are not Python."""
 
 
 def compiled(work: Callable[[], Any]) -> float:
-    """Seconds of the thread within compiled code while work is done: the own time of what calls it."""
+    """Return the seconds of the thread within compiled code while work is done: the own time of what calls it."""
     profile = cProfile.Profile(time.thread_time)
     profile.runcall(work)
     entries: dict[tuple[str, int, str], Any] = pstats.Stats(profile).stats  # type: ignore[attr-defined]
@@ -34,14 +34,14 @@ def _is_compiled(file: str, line: int, name: str) -> bool:
 
 
 def outside(work: Callable[[], Any], repeats: int = 5) -> float:
-    """The part of work's time that is spent outside compiled code, of the least times of each."""
+    """Return the part of work's time that is spent outside compiled code, from the least times over repeats."""
     whole = least(work, repeats)
     within = min(compiled(work) for _ in range(repeats))
     return max(0.0, 1 - within / whole)
 
 
 def shares() -> dict[str, float]:
-    """Of steps along cos on both models, and of its horizon."""
+    """Return the parts of time outside compiled code, of steps along cos on both models and of its horizon."""
     problem = named("cos")
     found = {}
     for model in ("dominant", "elastic"):

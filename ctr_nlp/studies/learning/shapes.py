@@ -1,4 +1,4 @@
-"""What a trained network is worth on shapes that it has not seen."""
+"""Errors of a trained network on shapes that it has not seen."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from ctr_nlp.typing import Array
 
 
 class Recovered(NamedTuple):
-    """Of n shapes that were asked for: root mean square and tip distances (n,) mm of the robot that stands at the
-    answers, the shapes' lengths (n,) mm, and which answers (n,) had kept the limits unprojected.
+    """Results on n shapes that were asked for: root mean square and tip distances (n,) mm of the robot that stands
+    at the answers, the shapes' lengths (n,) mm, and which answers (n,) had kept the limits unprojected.
     """
 
     rms: Array
@@ -26,7 +26,7 @@ class Recovered(NamedTuple):
 
 
 def recovered(network: Network, robot: Robot, model: Model, asked: Array) -> Recovered:
-    """How well a network gives back the shapes of unknowns asked (n, 2d + 2), which have no tilt.
+    """Measure how well a network gives back the shapes of unknowns `asked` (n, 2d + 2), which have no tilt.
 
     Robots come to rest at its answers without a history.
     """

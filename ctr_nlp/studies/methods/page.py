@@ -24,7 +24,7 @@ OURS: Mapping[str, Callable[..., Any]] = {
     **FORMULATIONS,
     **ROBUST,
 }
-"""Our own methods by what their names begin with."""
+"""Our own methods by the beginnings of their names."""
 
 
 class Column(NamedTuple):
@@ -89,7 +89,7 @@ machine to machine and with what else runs there.
 
 
 def page(found: Comparison, command: str) -> str:
-    """The text of the page, without methods that were interrupted; command: with which it is made."""
+    """Write the page, without methods that were interrupted; `command` is the one that makes it."""
     found = found._replace(rows=[row for row in found.rows if not row["interrupted"]])
     asked = [(row["problem"], row["variant"]) for row in found.rows]
     asked += [(refusal.problem, refusal.variant) for refusal in found.refusals]
@@ -106,7 +106,9 @@ def page(found: Comparison, command: str) -> str:
 
 
 def table(found: Comparison, problem: str) -> str:
-    """A row a method; then a line for each method that does not serve the problem, with the reason."""
+    """Write the table of a problem, a row a method, and a line for each method that does not serve it, with the
+    reason.
+    """
     rows = [row for row in found.rows if row["problem"] == problem]
     body = [
         [f"`{row['variant']}`", *(_cell(row, rows, column) for column in COLUMNS), _solved(row)] for row in rows
@@ -116,7 +118,7 @@ def table(found: Comparison, problem: str) -> str:
 
 
 def made_for(kind: str) -> str:
-    """What a method is, in the words that its file begins with; empty of one that is in no registry."""
+    """Return the first line of the file that implements a method; empty where the method is in no registry."""
     others = {**PATHS, **{name: reference.method for name, reference in METHODS.items()}}
     made = {**OURS, **others}.get(kind)
     if made is None:
@@ -126,7 +128,7 @@ def made_for(kind: str) -> str:
 
 
 def machine() -> str:
-    """The kind of the machine, as its processor calls itself, without its name."""
+    """Return the number of cores and the kind of the processor, without the machine's name."""
     try:
         lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
     except OSError:
@@ -140,7 +142,7 @@ def _titles() -> list[str]:
 
 
 def _overview(found: Comparison, problems: Sequence[str], column: Column) -> str:
-    """A row a method, a column a problem; empty where it was refused."""
+    """Write the table of a number, with a row a method and a column a problem; empty where it was refused."""
     known = {(row["variant"], row["problem"]): row for row in found.rows}
     columns = {problem: [row for row in found.rows if row["problem"] == problem] for problem in problems}
     alone = column._replace(planned=None)

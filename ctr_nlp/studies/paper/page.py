@@ -1,4 +1,4 @@
-"""All of it as a page of Markdown, pictures, and the numbers behind them."""
+"""The remade paper as a page of Markdown, pictures, and the numbers behind them."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ def write(found: Found, sections: Sequence[Section], folder: Path) -> Iterator[s
 
 
 def page(found: Found, sections: Sequence[Section]) -> str:
-    """All of it in Markdown."""
+    """Write the page in Markdown."""
     failures = found.failures()
     introduction = INTRODUCTION.format(
         methods="; ".join(f"`{key}`: {NAMES[key]}" for key in methods(found)),
@@ -86,13 +86,13 @@ def page(found: Found, sections: Sequence[Section]) -> str:
 
 
 def methods(found: Found) -> list[str]:
-    """Those that were run, in the order of NAMES."""
+    """Return the methods that were run, in the order of NAMES."""
     used = {task.method for task in found.task_seconds}
     return [name for name in NAMES if name in used]
 
 
 def verdicts(found: Found, sections: Sequence[Section]) -> str:
-    """A table of all statements."""
+    """Write the table of the paper's statements, with what this run says of each."""
     body = [
         [f"[{section.name}](#{_anchor(section.title)})", f"{check.whose}: {check.says}", check.verdict]
         for section in sections
@@ -118,7 +118,7 @@ def _section(found: Found, section: Section) -> str:
 
 
 def _anchor(title: str) -> str:
-    """What GitHub makes of a heading."""
+    """Return the anchor that GitHub gives to a heading."""
     kept = "".join(c for c in title.lower() if c.isalnum() or c in " -_")
     return kept.replace(" ", "-")
 
@@ -133,5 +133,5 @@ def machine() -> str:
 
 
 def part_seconds(found: Found, section: Section) -> float:
-    """What a section's tasks took in all, s; tasks that sections share count for each."""
+    """Return the time of all tasks of a section, s; tasks that sections share count for each."""
     return sum(found.task_seconds[task] for task in section.tasks)

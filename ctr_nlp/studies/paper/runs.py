@@ -1,4 +1,4 @@
-"""What is run: methods on the paper's problems, and fits with more and fewer points."""
+"""Runs of methods on the paper's problems, and fits with more and fewer points."""
 
 from __future__ import annotations
 
@@ -32,8 +32,9 @@ SEED, BASELINE, TIP = "paper-two-stage", "euclidean", "tip-jacobian"
 S2J = "s2j-projected"
 """The paper's [7], answers brought within limits; only where `ctr-nlp learn` has trained a network."""
 OURS = HORIZON, JOINT, ELASTIC
+"""Our own methods."""
 LONGEST = {ELASTIC: 0, HORIZON: 1}
-"""What has to be compiled comes first, that nothing long is begun last."""
+"""Methods that come first, since they have to be compiled: nothing long is begun last."""
 NAMES = {
     HORIZON: "ours (all frames at once)",
     JOINT: "ours (frame by frame)",
@@ -43,7 +44,7 @@ NAMES = {
     TIP: "tip only (re-implemented)",
     S2J: "S2J-IK (re-implemented)",
 }
-"""What methods are called in pictures and on the page."""
+"""Names of methods in pictures and on the page."""
 SETTINGS = Settings(contact_weight=0.0, arrival_weight=0.0)
 """Defaults, and no wall: the paper's methods know of none."""
 
@@ -71,7 +72,7 @@ Task = Motion | Fitting
 
 
 class Moved(NamedTuple):
-    """A plan and what study.row says of it: errors on both models, times, failures, snaps."""
+    """A plan and its row of comparison.row: errors on both models, times, failures, snaps."""
 
     plan: Plan
     row: dict[str, Any]
@@ -89,19 +90,19 @@ class Found:
     task_seconds: Mapping[Task, float]
 
     def plan(self, problem: str, method: str) -> Plan:
-        """The plan of a method for a problem."""
+        """Return the plan of a method for a problem."""
         return self.moved[Motion(problem, method)].plan
 
     def named(self, problem: str, methods: Sequence[str]) -> dict[str, Plan]:
-        """Plans of methods for a problem, by what the methods are called."""
+        """Return plans of methods for a problem, by what the methods are called."""
         return {NAMES[method]: self.plan(problem, method) for method in methods}
 
     def row(self, problem: str, method: str) -> dict[str, Any]:
-        """What study.row says of that plan."""
+        """Return the row of comparison.row on the plan of a method for a problem."""
         return self.moved[Motion(problem, method)].row
 
     def failures(self) -> list[str]:
-        """What of our own methods was not solved, in words."""
+        """Say in which motions and fits our own methods did not solve all frames."""
         frames = [
             f"{task.problem}, {NAMES[task.method]}: {each.row['failed']} of {self.frames} frames"
             for task, each in self.moved.items()
@@ -123,7 +124,7 @@ def study(
     jobs: int = 1,
     progress: Callable[[int, int, str], None] | None = None,
 ) -> Found:
-    """Results of all tasks, each once; progress: (tasks done, all, the last one's name).
+    """Do all tasks, each once, and return their results; progress: (tasks done, all, the last one's name).
 
     jobs: in how many processes. Raises OptionError, and after Ctrl-C KeyboardInterrupt: half of a figure is none.
     """
@@ -158,7 +159,7 @@ def _timed(load: Load, task: Task) -> tuple[Any, float]:
 
 
 def moved(problem: Problem, method: str) -> Moved:
-    """The plan of a method for a problem; raises OptionError."""
+    """Plan a problem by a method; raises OptionError."""
     solver = default_chain_solver()
     variants = {
         HORIZON: f"horizon:{solver}",
@@ -177,7 +178,7 @@ ALONG = (2, 4, 5, 10, 20, 50, 100)
 
 
 class Fit(NamedTuple):
-    """points: how many; e3: over all frames in mm, always at 101 samples; failed: frames not solved."""
+    """Fit with a number of points. e3: over all frames in mm, always at 101 samples; failed: frames not solved."""
 
     points: int
     e3: float
@@ -185,7 +186,7 @@ class Fit(NamedTuple):
 
 
 def fits(problem: Problem, plan: Plan, method: str) -> tuple[Fit, ...]:
-    """Fits of every frame by itself, from where a plan has it, with each number of points.
+    """Fit every frame by itself, from where a plan has it, with each number of points.
 
     method: "joint", or "paper-two-stage" for the paper's. Without a motion term and with the same starts
     throughout, only the number of points makes a difference.

@@ -1,4 +1,4 @@
-"""What every remade figure is made of."""
+"""Parts of every remade figure: its tasks, tables, checks and picture."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ PRIMITIVE = "cos", "arc", "line", "line_arc"
 ALL = *PRIMITIVE, "synthesis", "bronchus"
 """Problems of Table II."""
 COMPARABLE = ALL[:-1]
-"""Those whose targets are the paper's own: its bronchus is not public."""
+"""Problems whose targets are the paper's own: its bronchus is not public."""
 
 
 @dataclass(frozen=True)
@@ -53,14 +53,16 @@ class Section:
 
 
 def motions(problems: Sequence[str], methods: Sequence[str]) -> tuple[Task, ...]:
-    """All methods on all problems."""
+    """Return tasks for all methods on all problems."""
     return tuple(Motion(problem, method) for problem in problems for method in methods)
 
 
 def by_frames(
     problems: Sequence[str], methods: Sequence[str], keys: Sequence[str]
 ) -> Callable[[Found], list[dict[str, Any]]]:
-    """Of what was found a line for each problem, method and frame, with columns of errors.csv, in mm."""
+    """Return a function that makes a line for each problem, method and frame of results, with the columns `keys`
+    of errors.csv, in mm.
+    """
     return lambda found: [
         {"problem": problem, "method": method} | line
         for problem in problems
@@ -75,20 +77,20 @@ def _by_frame(plan: Plan, keys: Sequence[str]) -> list[dict[str, Any]]:
 
 
 def errors(found: Found, problem: str, method: str) -> str:
-    """e3 and e4 of a run on the stiffness-dominant model, as text; a star where frames failed."""
+    """Write e3 and e4 of a run on the stiffness-dominant model; a star where frames failed."""
     row = found.row(problem, method)
     numbers = " / ".join(mm(row[f"dominant_{key}"]) for key in ("e3", "e4"))
     return numbers + "*" * (row["failed"] > 0)
 
 
 def mm(value: float | None) -> str:
-    """A length as text; what three decimals would show as nothing is below the last of them."""
+    """Write a length in mm; one that three decimals would show as nothing is below the last of them."""
     text = shown(value)
     return "<0.001" if text == "0.000" and value else text
 
 
 def beside(found: Found, problems: Sequence[str], methods: Sequence[str] = (HORIZON, SEED, BASELINE)) -> Table:
-    """What the paper printed of problems, and what methods of this run have."""
+    """Make a table of what the paper printed for problems, and what methods of this run have."""
     published = "the paper (published)", "its baseline (published)"
     header = ["problem", *published, *(NAMES[method] for method in methods)]
     body = [
@@ -103,5 +105,5 @@ def beside(found: Found, problems: Sequence[str], methods: Sequence[str] = (HORI
 
 
 def printed(table: dict[str, Any], problem: str) -> str:
-    """e3 and e4 as the paper printed them; nothing where it did not."""
+    """Write e3 and e4 as the paper printed them; nothing where it did not."""
     return " / ".join(f"{value:.2f}" for value in table[problem][:2]) if problem in table else ""

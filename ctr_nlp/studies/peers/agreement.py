@@ -28,7 +28,8 @@ SHORTEST, APART = 0.1, 2.0
 
 @dataclass(frozen=True)
 class Agreement:
-    """Of so many configurations those that the peer and those that we did not solve, and what is left.
+    """Comparison of a peer's model with ours over random configurations: those that either did not solve, and
+    distances.
 
     elsewhere: solved by both, in different equilibria. tip_*, shape_*: distances in mm of the others, of tips and
     of the largest along the shape at equal arc length. unstable: of the same equilibria those that the peer calls
@@ -52,7 +53,7 @@ class Agreement:
 
 
 def configurations(robot: Robot, count: int, seed: int = 0) -> Array:
-    """Random q (count, 2d + 2) without a tilt: alpha uniform in (-pi, pi), beta in its room and in order.
+    """Sample q (count, 2d + 2) without a tilt: alpha uniform in (-pi, pi), beta in its room and in order.
 
     Raises OptionError where count is not a whole number of at least 1.
     """
@@ -75,10 +76,10 @@ def agreement(
     q: Array,
     force: Sequence[float] = (0.0, 0.0, 0.0),
 ) -> Agreement:
-    """What a peer's program says of configurations q (n, 2d + 2) beside the elastic model, under a force (3,), N.
+    """Compare a peer's program with the elastic model at configurations q (n, 2d + 2), under a tip force (3,), N.
 
-    Ours is the equilibrium that is reached by turning from where all tubes are aligned. Raises OptionError, and
-    LoadError of a robot without moduli where there is a force.
+    name: of the peer. Ours is the equilibrium that is reached by turning from where all tubes are aligned. Raises
+    OptionError, and LoadError of a robot without moduli where there is a force.
     """
     model = under(ELASTIC, Load(force=tuple(force))) if np.any(force) else ELASTIC
     said = answers(program, question(robot, q, force), len(q))
@@ -108,7 +109,9 @@ def agreement(
 
 
 def _solved(model: Model, robot: Robot, q: Array, arc_length: Array) -> tuple[Array, float]:
-    """Points (m, 3) of ours at arc lengths (m,), or of its tip, mm, and the seconds that shape and margin took."""
+    """Return points (m, 3) of ours at arc lengths (m,), or of its tip, mm, and the seconds that shape and margin
+    took.
+    """
     sigma = np.clip(arc_length / q[2 * robot.d - 1], 0.0, 1.0) if len(arc_length) else np.ones(1)
     begin = time.perf_counter()
     found = model.at_rest(robot, q[None], sigma)
@@ -116,6 +119,6 @@ def _solved(model: Model, robot: Robot, q: Array, arc_length: Array) -> tuple[Ar
 
 
 def _distances(peer: Array, ours: Array) -> Array:
-    """Between two shapes (m, 3), (m,) mm; none where either is not solved."""
+    """Return distances (m,) mm between two shapes (m, 3); none where either is not solved."""
     both = len(peer) > 0 and np.isfinite(ours).all()
     return np.linalg.norm(peer - ours, axis=1) if both else np.zeros(0)

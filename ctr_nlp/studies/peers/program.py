@@ -36,7 +36,7 @@ PATIENCE = 600.0
 
 
 class Answer(NamedTuple):
-    """What a model says of a configuration; arc_length (m,), points (m, 3) in mm, empty where it is not solved."""
+    """A model's answer for a configuration; arc_length (m,), points (m, 3) in mm, empty where it is not solved."""
 
     seconds: float
     stability: float
@@ -45,7 +45,7 @@ class Answer(NamedTuple):
 
 
 def question(robot: Robot, q: Array, force: Sequence[float] = (0.0, 0.0, 0.0)) -> str:
-    """What a program is given for configurations q (n, 2d + 2) without a tilt, under a force (3,) at the tip, N.
+    """Write a program's input for configurations q (n, 2d + 2) without a tilt, under a tip force (3,), N.
 
     Raises OptionError of tubes whose pre-curvature varies or turns, which other models do not know, and of a tilt.
     """
@@ -71,7 +71,7 @@ def question(robot: Robot, q: Array, force: Sequence[float] = (0.0, 0.0, 0.0)) -
 
 
 def answers(program: str | Path, text: str, count: int) -> list[Answer]:
-    """What a program says to a question of count configurations, in one thread; raises OptionError."""
+    """Run a program on its input `text` of `count` configurations, in one thread; raises OptionError."""
     environment = os.environ | {"OMP_NUM_THREADS": "1"}
     try:
         done = subprocess.run(
@@ -92,7 +92,9 @@ def answers(program: str | Path, text: str, count: int) -> list[Answer]:
 
 
 def _answer(line: str) -> Answer:
-    """Raises ValueError where a line is not of the form that the module's docstring tells."""
+    """Parse a line of a program's output; raises ValueError where it has another form than the module's docstring
+    says.
+    """
     seconds, stability, count, *numbers = (float(word) for word in line.split())
     rows = np.array(numbers).reshape(int(count), 4)
     return Answer(seconds, stability, rows[:, 0], rows[:, 1:])

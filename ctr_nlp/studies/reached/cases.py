@@ -17,7 +17,7 @@ REACHED = "reached"
 
 @dataclass(frozen=True)
 class Outcome:
-    """What came of one plan.
+    """Outcome of one plan.
 
     Attributes
     ----------
@@ -77,7 +77,7 @@ def from_rows(rows: Sequence[Mapping[str, Any]]) -> list[Way]:
 
 
 def _name(row: Mapping[str, Any], several: bool) -> str:
-    """What the plans of a way are called: the method, what was set, and the robot where there are several."""
+    """Name the way in which a row was planned: the method, what was set, and the robot where there are several."""
     told = [row["method"].replace("horizon", "over all frames").replace("robust-", "robust ")]
     settings = {key: row[key] for key in sorted(row) if key.startswith("set_") and _number(row[key]) is not None}
     told += [f"{key.removeprefix('set_')} {value:g}" for key, value in settings.items()]

@@ -15,7 +15,7 @@ from ctr_nlp.studies.trade import Traded
 from ctr_nlp.support.tables import write_csv
 
 ROBUST = "robust-horizon"
-"""The method of robust plans; those of others are for the robot as described."""
+"""Method of robust plans; other methods plan for the robot as described."""
 
 
 @dataclass(frozen=True)
@@ -32,27 +32,29 @@ class Airway:
 
     @property
     def plain(self) -> Traded:
-        """At the usual margin, which is the least."""
+        """Plan at the usual margin, which is the least."""
         return self.margins[0]
 
     @property
     def best(self) -> Traded:
-        """Of all margins: fewest draws are lost, and of these the least mean error."""
+        """Plan, of those at all margins, on which fewest draws are lost; of equals the one with the least mean
+        error.
+        """
         return min(self.margins, key=lambda plan: (plan.lost, mean_of(plan)))
 
     @property
     def plans(self) -> tuple[Traded, ...]:
-        """All of them, the robust one last."""
+        """All plans of the airway, the robust one last."""
         return *self.margins, self.robust
 
 
 def mean_of(plan: Traded) -> float:
-    """Mean e3 over draws, mm; infinite where no draw has a shape."""
+    """Return the mean e3 over simulated robots, mm; infinite where none has a shape."""
     return math.inf if plan.mean is None else plan.mean
 
 
 def from_rows(rows: Sequence[Mapping[str, Any]]) -> list[Airway]:
-    """The airways of a study's rows; those without a plan for the robot described, or a robust one, are not."""
+    """Make airways of a study's rows, without those that lack a plan for the robot described or a robust one."""
     found = dict[str, list[Mapping[str, Any]]]()
     for row in (row for row in rows if row["status"] == DONE):
         found.setdefault(row["problem"], []).append(row)
@@ -83,7 +85,7 @@ def _traded(row: Mapping[str, Any]) -> Traded:
 
 
 def write_rows(airways: Sequence[Airway], path: Path) -> None:
-    """A CSV file with a row for every plan."""
+    """Write a CSV file with a row for every plan."""
     rows = [
         {"airway": airway.name, "frames": airway.frames} | asdict(plan) | {"lost_share": plan.share}
         for airway in airways

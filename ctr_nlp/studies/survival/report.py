@@ -50,7 +50,7 @@ def write(airways: Sequence[Airway], folder: Path) -> None:
 
 
 def methods(airways: Sequence[Airway]) -> Mapping[str, list[Traded]]:
-    """Plans of all airways by what they are, in the order of tables."""
+    """Return the plans of all airways by kind of plan, in the order of tables."""
     margins = {
         f"margin {first.margin:g}": [airway.margins[k] for airway in airways]
         for k, first in enumerate(airways[0].margins)
@@ -60,7 +60,7 @@ def methods(airways: Sequence[Airway]) -> Mapping[str, list[Traded]]:
 
 
 def findings(airways: Sequence[Airway]) -> list[str]:
-    """What there is to the study, a sentence each."""
+    """Return the findings of the study, a sentence each."""
     count, told = len(airways), []
     named = {"plain": [a.plain for a in airways], "best margin": [a.best for a in airways]}
     for name, plans in (named | {"robust": [a.robust for a in airways]}).items():
@@ -90,7 +90,7 @@ def findings(airways: Sequence[Airway]) -> list[str]:
 
 
 def page(airways: Sequence[Airway]) -> str:
-    """All of it in Markdown."""
+    """Write the page in Markdown."""
     first, every = airways[0], methods(airways)
     sentences = [f"{k}. {told[0].upper()}{told[1:]}.\n" for k, told in enumerate(findings(airways), 1)]
     numbers = {
@@ -115,7 +115,7 @@ def _table(
     values: Callable[[Sequence[Traded]], Array],
     text: Callable[[float], str],
 ) -> str:
-    """Quantiles over airways, a row a method, the mean last."""
+    """Write a table of quantiles over airways, a row a method, the mean last."""
     rows = []
     for name, plans in every.items():
         found = values(plans)
@@ -125,5 +125,5 @@ def _table(
 
 
 def _means(plans: Sequence[Traded]) -> Array:
-    """Mean e3 over draws, mm; NaN where no draw has a shape."""
+    """Return mean e3 over simulated robots, mm; NaN where none has a shape."""
     return np.array([np.nan if plan.mean is None else plan.mean for plan in plans])

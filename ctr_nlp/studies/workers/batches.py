@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from ctr_nlp.studies.grid.case import Case
 
 SECONDS, FIRST, MOST = 2.0, 2, 200
-"""What a batch is to last at least; cases of the first one of a kind, and of any at most."""
+"""Least duration of a batch, s; cases of the first one of a kind, and most cases of any."""
 SPACING = 0.04
 """s between the ends of two batches, on average, so that client and scheduler keep up with many workers."""
 TRIES = 3
@@ -28,7 +28,7 @@ class Batches:
 
     @classmethod
     def of(cls, cases: Iterable[Case]) -> Batches:
-        """Of cases, none of which is known."""
+        """Make batches of cases, when nothing is known of how long they last."""
         found = cls()
         for case in cases:
             found.waiting[case.kind].append(case)
@@ -38,7 +38,7 @@ class Batches:
         return bool(self.alone) or any(self.waiting.values())
 
     def next(self, seconds: float = SECONDS) -> list[Case]:
-        """The next batch, which is to last so long."""
+        """Return the next batch, which is to last `seconds`."""
         if self.alone:
             return [self.alone.popleft()]
         kind, cases = max(self.waiting.items(), key=lambda one: len(one[1]))
@@ -53,12 +53,12 @@ class Batches:
         return FIRST if not count else min(MOST, max(1, round(seconds * count / max(lasted, 1e-3))))
 
     def took(self, cases: Sequence[Case], seconds: float) -> None:
-        """A batch has lasted so long."""
+        """Remember that a batch has lasted `seconds`."""
         before, count = self.lasted.get(cases[0].kind, (0.0, 0))
         self.lasted[cases[0].kind] = before + seconds, count + len(cases)
 
     def died(self, cases: Sequence[Case], late: Collection[str]) -> list[Case]:
-        """The worker of a batch has died; late: digests of cases that took longer than they may.
+        """Note that the worker of a batch has died; late: digests of cases that took longer than they may.
 
         Returns the cases that are given up: a late one, and one that has cost its last worker alone. All others
         will be given again, each alone.
@@ -71,5 +71,5 @@ class Batches:
 
 
 def worth(workers: int) -> float:
-    """What a batch is to last where so many workers end one each, s."""
+    """Return how long a batch is to last, s, so that client and scheduler keep up with so many workers."""
     return max(SECONDS, SPACING * workers)

@@ -43,7 +43,7 @@ SETTINGS = {
 
 @contextmanager
 def local_client(workers: int, memory: str = "auto", **more: Any) -> Iterator[Any]:
-    """A client of so many processes of this machine, which listen on loopback only, with one thread each.
+    """Yield a client of `workers` processes of this machine, which listen on loopback only, with one thread each.
 
     memory: that each may take before it is ended; more: options of distributed.LocalCluster.
     """
@@ -79,7 +79,7 @@ def _guard(application: Any) -> None:
 
 @contextmanager
 def cluster_client(address: str) -> Iterator[Any]:
-    """A client of the scheduler at a URL; TLS as Dask's own configuration says.
+    """Yield a client of the scheduler at a URL; TLS as Dask's own configuration says.
 
     What Dask logs meanwhile is silenced: errors tell it. Raises ClusterError where no scheduler answers so.
     """
@@ -96,21 +96,21 @@ def cluster_client(address: str) -> Iterator[Any]:
 
 
 async def _asked(address: str) -> None:
-    """Raises what Dask raises where nobody answers at a URL."""
+    """Connect to a scheduler and close again; raises what Dask raises where nobody answers at a URL."""
     secrets = needed("distributed").Security().get_connection_args("client")
     comm = await needed("distributed.comm").connect(address, timeout=CONNECT, **secrets)
     await comm.close()
 
 
 def losses() -> tuple[type[Exception], ...]:
-    """What Dask raises where its scheduler is there no more."""
+    """Return the exceptions that Dask raises where its scheduler is there no more."""
     distributed = needed("distributed")
     return OSError, distributed.TimeoutError, distributed.CancelledError
 
 
 @contextmanager
 def loss_told() -> Iterator[None]:
-    """Raises ClusterError where the scheduler is lost within the block."""
+    """Raise ClusterError where the scheduler is lost within the block."""
     try:
         yield
     except losses() as error:

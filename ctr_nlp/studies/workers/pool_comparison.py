@@ -30,7 +30,7 @@ SPAWN = get_context("spawn")
 
 @dataclass(frozen=True)
 class Turn:
-    """What one side of the comparison took.
+    """Processor time and memory that one side of the comparison took in one turn.
 
     Attributes
     ----------

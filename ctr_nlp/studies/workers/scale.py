@@ -44,11 +44,11 @@ class Sleeper(Case):
 
     @property
     def kind(self) -> tuple[str, ...]:
-        """Its group."""
+        """Group of the case, which decides with which others it is put into batches."""
         return (self.group,)
 
     def row(self, keep: Path | None = None) -> dict[str, Any]:
-        """As long as that of a plan."""
+        """Sleep, and return a row that is about as long as that of a plan."""
         time.sleep(self.sleep_s)
         numbers = {f"number_{k}": self.seed + 0.1 * k for k in range(NUMBERS)}
         words = {f"sentence_{k}": f"All 25 frames of {self.seed} are within {k} mm." for k in range(SENTENCES)}
@@ -56,7 +56,7 @@ class Sleeper(Case):
 
 
 def sleepers(seconds: Sequence[float], group: int = 0) -> Study:
-    """A study of cases that sleep so long; group: how many of them share a kind, 0 for all."""
+    """Make a study of cases that sleep for `seconds` each; group: how many of them share a kind, 0 for all."""
     own = ("arc", "", "its own", None, "dominant", "horizon", 25)
     cases = [
         Sleeper(*own, seed=k, sleep_s=each, group=str(k // group) if group else "")
@@ -67,7 +67,7 @@ def sleepers(seconds: Sequence[float], group: int = 0) -> Study:
 
 @dataclass(frozen=True)
 class Cost:
-    """What a study costs beside its plans.
+    """Cost of a study beside its plans.
 
     Process time of the client's thread and of the scheduler's, of a batch and of each of its rows; s a case before
     the first batch is given; bytes a case of messages both ways, of its row on disk, and of memory at the client.
@@ -99,7 +99,7 @@ class Scale:
 
 
 def projected(plans: int, workers: int, seconds: float, cost: Cost) -> Scale:
-    """A study of so many plans of so many seconds on average.
+    """Project a study of so many plans of so many seconds on average onto so many workers.
 
     Workers wait for the last batch, half of one on average; client and scheduler are taken to work in turns, as on
     one core, and whichever is slower, they or the workers, decides. What prepares the study comes before.
@@ -125,7 +125,9 @@ def projected(plans: int, workers: int, seconds: float, cost: Cost) -> Scale:
 
 
 def measured(batches: int = 200) -> Cost:
-    """The cost on this machine, of so many small batches and a fifth of that in large ones, which do nothing."""
+    """Measure the cost on this machine, of so many small batches and a fifth of that in large ones, which do
+    nothing.
+    """
     small = sleepers([0.0] * (FIRST * batches), group=FIRST)
     large = sleepers([0.0] * (MOST * batches // 5))
     with local_client(2) as client:
@@ -145,7 +147,7 @@ def measured(batches: int = 200) -> Cost:
 
 
 def _spent(study: Study, client: Any) -> tuple[float, float, int]:
-    """Process time of the client's thread and the scheduler's, s, and bytes of rows."""
+    """Run a study; return process times of the client's thread and of the scheduler's, s, and bytes of rows."""
     loop = client.cluster.loop
     with tempfile.TemporaryDirectory() as folder:
         before = time.thread_time(), _in(loop, time.thread_time)
@@ -155,7 +157,7 @@ def _spent(study: Study, client: Any) -> tuple[float, float, int]:
 
 
 def _in(loop: Any, call: Callable[[], float]) -> float:
-    """What a call returns in the thread of a loop."""
+    """Call a function in the thread of an event loop, and return its result."""
     answer = SimpleQueue[float]()
     loop.add_callback(lambda: answer.put(call()))
     return answer.get(timeout=60.0)
@@ -166,7 +168,7 @@ def _bytes(folder: Path) -> int:
 
 
 def _prepared() -> tuple[float, float]:
-    """Process time of making a case and its digest, s, and the bytes that it takes."""
+    """Return the process time of making a case and its digest, s, and the bytes that it takes."""
     begin = time.process_time()
     sleepers([0.0] * COUNTED)
     seconds = time.process_time() - begin
@@ -178,8 +180,9 @@ def _prepared() -> tuple[float, float]:
 
 
 def simulated(seconds: Sequence[float], workers: int) -> Scale:
-    """A study of cases that sleep so long, on a cluster of so many threads of this process, whose messages go over
-    loopback. What cannot be told from it is nan: client, scheduler and workers share one process.
+    """Run a study of cases that sleep for `seconds` each, on a cluster of `workers` threads of this process, whose
+    messages go over loopback. Figures that cannot be measured so are nan: client, scheduler and workers share one
+    process.
     """
     begin, tasks = time.monotonic(), [0]
     study = sleepers(seconds)
@@ -216,13 +219,13 @@ class _Counting:
         return getattr(self._client, name)
 
     def submit(self, *given: Any, **options: Any) -> Any:
-        """As the client does."""
+        """Submit work as the client does, and count it."""
         self.batches += 1
         return self._client.submit(*given, **options)
 
 
 def _threads(workers: int) -> AbstractContextManager[Any]:
-    """A client of so many threads of this process."""
+    """Return a client of `workers` threads of this process."""
     each = math.gcd(workers, THREADS)
     threads = {"threads_per_worker": each, "processes": False, "protocol": "tcp://", "dashboard_address": None}
     return local_client(workers // each, "0", **threads)

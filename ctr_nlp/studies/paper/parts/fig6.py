@@ -19,7 +19,7 @@ QUANTILES = {"quarter": 0.25, "median": 0.5, "three_quarters": 0.75, "most": 1.0
 
 
 def spread_tables(found: Found) -> list[Table]:
-    """Published e3 and e4, which are all that the paper prints of it, and medians of e1."""
+    """Tabulate published e3 and e4, which are all that the paper prints of it, and medians of e1."""
     header = ["problem", *(f"{NAMES[method]}: median, largest" for method in PAIR)]
     body = [
         [
@@ -32,7 +32,7 @@ def spread_tables(found: Found) -> list[Table]:
 
 
 def spread_checks(found: Found) -> list[Check]:
-    """That what the robot can form is fitted best."""
+    """Check that targets which the robot can form are followed with the smallest error."""
     least = {m: min(ALL, key=lambda p: number(found.row(p, m)["e3"])) for m in PAIR}
     return [
         Check(
@@ -45,7 +45,7 @@ def spread_checks(found: Found) -> list[Check]:
 
 
 def spread_rows(found: Found) -> list[dict[str, Any]]:
-    """A line for each violin."""
+    """Return a line for each violin."""
     return [
         {
             "problem": problem,
@@ -78,29 +78,29 @@ FIG5 = Section(
 PROBLEMS = "cos", "arc", "synthesis", "bronchus"
 METHODS = HORIZON, SEED, BASELINE
 ESCALATES = 1.5
-"""Times by which errors grow where they escalate."""
+"""Factor by which errors grow where they escalate."""
 COMPARABLE = 0.25
-"""Part of the smaller by which comparable errors differ at most."""
+"""Largest difference of comparable errors, as a part of the smaller one."""
 INFERIOR = 1.5
-"""Times by which an error is larger that is significantly so."""
+"""Factor by which an error is at least larger that is significantly so."""
 CONSISTENT = 0.9
-"""Part of the frames in which what is so consistently is so."""
+"""Least share of the frames in which something holds that holds consistently."""
 
 
 def checks(found: Found) -> list[Check]:
-    """What the paper says of each panel."""
+    """Check the paper's statement on each panel."""
     e2 = {p: {m: known(by_frame(found.plan(p, m))["e2"]) for m in METHODS} for p in PROBLEMS}
     verdicts = zip((escalating, comparable, inferior, in_the_middle), PROBLEMS, strict=True)
     return [verdict(e2[problem]) for verdict, problem in verdicts]
 
 
 def known(e2: Array) -> Array:
-    """Errors of frames that were reached."""
+    """Return the errors of frames that were reached."""
     return e2[np.isfinite(e2)]
 
 
 def escalating(e2: dict[str, Array]) -> Check:
-    """On cos, by the RMS of e2 over the last fifth of the frames against those before."""
+    """Check the statement on cos, by the RMS of e2 over the last fifth of the frames against those before."""
     growth = {m: part(e2[m], 0.8, 1.0) / part(e2[m], 0.0, 0.8) for m in METHODS}
     parts = " and ".join(f"{growth[m]:.2g} times for {NAMES[m]}" for m in (BASELINE, SEED, HORIZON))
     return Check(
@@ -113,7 +113,7 @@ def escalating(e2: dict[str, Array]) -> Check:
 
 
 def comparable(e2: dict[str, Array]) -> Check:
-    """On the arc, by e3."""
+    """Check the statement on the arc, by e3."""
     e3 = {m: part(e2[m], 0.0, 1.0) for m in METHODS}
     apart = _apart(e3[SEED], e3[BASELINE])
     return Check(
@@ -126,7 +126,7 @@ def comparable(e2: dict[str, Array]) -> Check:
 
 
 def inferior(e2: dict[str, Array]) -> Check:
-    """On synthesis, by e3 and frame by frame."""
+    """Check the statement on synthesis, by e3 and frame by frame."""
     e3 = {m: part(e2[m], 0.0, 1.0) for m in METHODS}
     count = min(len(e2[BASELINE]), len(e2[SEED]))
     share = float(np.mean(e2[BASELINE][:count] > e2[SEED][:count]))
@@ -141,7 +141,7 @@ def inferior(e2: dict[str, Array]) -> Check:
 
 
 def in_the_middle(e2: dict[str, Array]) -> Check:
-    """On the bronchus, by the first 20, the last 10 and the other frames of 100."""
+    """Check the statement on the bronchus, by the first 20, the last 10 and the other frames of 100."""
     ends = {"first 20": (0.0, 0.2), "middle 70": (0.2, 0.9), "last 10": (0.9, 1.0)}
     rms = {name: {m: part(e2[m], *span) for m in METHODS} for name, span in ends.items()}
     similar = [_apart(rms[name][SEED], rms[name][BASELINE]) <= COMPARABLE for name in ("first 20", "last 10")]

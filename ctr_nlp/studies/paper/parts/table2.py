@@ -15,7 +15,7 @@ from ctr_nlp.studies.paper.runs import BASELINE, ELASTIC, HORIZON, JOINT, NAMES,
 from ctr_nlp.studies.paper.section import ALL, COMPARABLE, Section, Table, mm, motions
 
 LEARNED = (S2J,) if place(table_i_robot(), "dominant").exists() else ()
-"""Whether there is a network for the paper's robot, when this is loaded."""
+"""S2J-IK where there is a network for the paper's robot when this is loaded; else empty."""
 METHODS = SEED, BASELINE, *LEARNED, JOINT, HORIZON, ELASTIC
 MODELS = {"dominant": "stiffness", "elastic": "compliant"}
 """What the paper calls the models, by what they are called here."""
@@ -30,7 +30,7 @@ PRINTED_NAMES = {SEED: "the paper (published)", BASELINE: "its baseline (publish
 
 
 def tables(found: Found) -> list[Table]:
-    """The table itself in three parts."""
+    """Return the table itself in three parts: errors on each model, and times."""
     header = ["method", *(f"`{problem}`" for problem in ALL)]
     parts = []
     for model, name in MODELS.items():
@@ -51,7 +51,7 @@ def tables(found: Found) -> list[Table]:
 
 
 def _cell(found: Found, problem: str, method: str, model: str) -> str:
-    """e3 / e4 of a run; those of ours in bold where they are lower than the paper's own, published."""
+    """Write e3 / e4 of a run; those of ours in bold where they are lower than the paper's own, published."""
     row = found.row(problem, method)
     texts = []
     for key, limit in zip(("e3", "e4"), PRINTED[model, SEED][problem], strict=False):
@@ -62,14 +62,16 @@ def _cell(found: Found, problem: str, method: str, model: str) -> str:
 
 
 def milliseconds(found: Found, problem: str, method: str) -> float:
-    """Mean time a frame in ms: in the solver; where all frames are solved at once, also for the start of that."""
+    """Return the mean time a frame in ms: in the solver; where all frames are solved at once, also for the start
+    of that.
+    """
     row = found.row(problem, method)
     start = number(row["search_s"]) if method in (HORIZON, ELASTIC) else 0.0
     return 1e3 * (row["total_s"] + start) / found.frames
 
 
 def checks(found: Found) -> list[Check]:
-    """What the paper concludes from its table, and what ours shows beside it."""
+    """Check the paper's conclusions from its table, and compare ours with the published figures."""
     return [
         *(_better(found, model) for model in MODELS),
         _faster(found),
@@ -80,7 +82,7 @@ def checks(found: Found) -> list[Check]:
 
 
 def _better(found: Found, model: str) -> Check:
-    """The paper's method against its baseline, both re-implemented."""
+    """Compare the paper's method with its baseline, both re-implemented."""
     lower = {p: _value(found, p, SEED, model, "e3") < _value(found, p, BASELINE, model, "e3") for p in ALL}
     printed = sum(PRINTED[model, SEED][p][0] < PRINTED[model, BASELINE][p][0] for p in ALL)
     return Check(
@@ -93,7 +95,7 @@ def _better(found: Found, model: str) -> Check:
 
 
 def _faster(found: Found) -> Check:
-    """Times as ratios, since machines differ."""
+    """Compare times of the paper's method and its baseline as ratios, since machines differ."""
     times = {m: {p: milliseconds(found, p, m) for p in ALL} for m in METHODS}
     ratios = sorted(times[BASELINE][p] / times[SEED][p] for p in ALL)
     printed = sorted(published.BASELINE[p][2] / published.SEED[p][2] for p in ALL)
@@ -114,7 +116,7 @@ def _faster(found: Found) -> Check:
 
 
 def _against(found: Found, model: str, method: str) -> Check:
-    """e3 and e4 of a method against what is published of the paper's own, or of the same method."""
+    """Compare e3 and e4 of a method with what is published of the paper's own, or of the same method."""
     same = method if method in PRINTED_NAMES else SEED
     pairs = {
         key: {p: (_value(found, p, method, model, key), PRINTED[model, same][p][k]) for p in COMPARABLE}
@@ -136,7 +138,7 @@ def _value(found: Found, problem: str, method: str, model: str, key: str) -> flo
 
 
 def rows(found: Found) -> list[dict[str, Any]]:
-    """A line for each method and problem, as printed and as found here; mm and ms."""
+    """Return a line for each method and problem, as printed and as found here; mm and ms."""
     result: list[dict[str, Any]] = []
     for method in METHODS:
         for problem in ALL:
