@@ -25,7 +25,7 @@ from ctr_nlp.typing import Array
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
-    """What belongs to closed loops."""
+    """Add the options of closed loops."""
     parser.add_argument(
         "--closed-loop",
         action="store_true",
@@ -47,7 +47,9 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 
 def with_sensor(hardware: Hardware, url: str | None) -> Hardware:
-    """The hardware with the sensor that options name; raises HardwareError, and OptionError where nothing does."""
+    """Return the hardware with the sensor at `url`, if given; raises HardwareError, and OptionError where there is
+    no sensor.
+    """
     if url is not None:
         return replace(hardware, sensing=replace(hardware.sensing or Sensing(), url=url))
     if hardware.sensing is None:
@@ -56,14 +58,16 @@ def with_sensor(hardware: Hardware, url: str | None) -> Hardware:
 
 
 def sensing_of(hardware: Hardware) -> Sensing:
-    """Of hardware in a closed loop."""
+    """Return the description of the sensor of hardware in a closed loop, which always has one."""
     assert hardware.sensing is not None
     return hardware.sensing
 
 
 @contextmanager
 def opened(plan: Plan, hardware: Hardware, records: list[dict[str, Any]] | None) -> Iterator[ClosedLoop]:
-    """A loop that goes on with what the records of a journal know, None for none; raises OptionError."""
+    """Yield a loop that continues with what the records of a journal know, None for no records; raises
+    OptionError.
+    """
     sensing = sensing_of(hardware)
     known = None if records is None else known_of(records)
     tracker, source = Tracker(plan, sensing.sensors, known=known), source_of(sensing, plan)
@@ -81,7 +85,7 @@ def _told(note: Note) -> None:
 
 
 def tell(loop: ClosedLoop) -> None:
-    """What was learnt of the robot, and how measurements fitted."""
+    """Print the estimates of the robot's parameters, how well measurements fitted, and the notes of the loop."""
     if not loop.estimates:
         return
     last, of = loop.estimates[-1], loop.tracker.observer.differences
@@ -104,7 +108,7 @@ def tell(loop: ClosedLoop) -> None:
 
 
 def columns(loop: ClosedLoop) -> dict[str, Array]:
-    """What was known in time, a row a look at the sensors."""
+    """Return the estimates over time as columns, with a row for each look at the sensors."""
     time, mean, deviation, size, accepted = (np.array(column) for column in zip(*loop.estimates, strict=True))
     found: dict[str, Any] = {"time_s": time - time[0], "innovation": size, "accepted": accepted}
     for k, name in enumerate(loop.tracker.observer.differences.told(mean[0].tolist())):

@@ -48,7 +48,7 @@ def claim(out: Path) -> None:
 
 
 def print_trajectory(title: str, trajectory: Trajectory, found: Checked) -> None:
-    """What a trajectory asks of its hardware."""
+    """Print how long a trajectory takes, and what part of the hardware's limits it uses; `found` is its check."""
     rows: list[tuple[str, Any, str]] = [
         ("frames", len(trajectory.frames), ""),
         ("duration", f"{trajectory.duration:.2f}", "s"),
