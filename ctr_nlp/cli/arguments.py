@@ -17,7 +17,7 @@ from ctr_nlp.typing import Array
 
 DEFAULTS = Settings()
 FRAME_SETTINGS = ("motion_weight", "jump_width", "seed")
-"""What settings_from takes of add_settings where frames are solved one by one."""
+"""Names of the options of add_settings that settings_from takes where frames are solved one by one."""
 
 
 def add_problem_options(parser: argparse.ArgumentParser) -> None:
@@ -55,7 +55,7 @@ def add_settings(
 
 
 def add_numbers(parser: argparse._ActionsContainer, *options: tuple[str, str, str]) -> None:
-    """Options that are numbers, None where not given: name, what stands for the number, and help."""
+    """Add options that are numbers, None where not given: name, what stands for the number, and help."""
     for name, metavar, what in options:
         parser.add_argument(f"--{name}", metavar=metavar, type=float, help=what)
 
@@ -63,7 +63,9 @@ def add_numbers(parser: argparse._ActionsContainer, *options: tuple[str, str, st
 def add_triple(
     parser: argparse._ActionsContainer, name: str, what: str, metavar: tuple[str, ...] = ("X", "Y", "Z")
 ) -> None:
-    """An option that is three numbers, None where not given."""
+    """Add an option `name` of three numbers, None where not given; `what` is its help, `metavar` names the
+    numbers.
+    """
     parser.add_argument(f"--{name}", metavar=metavar, nargs=3, type=float, help=what)
 
 

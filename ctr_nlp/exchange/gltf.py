@@ -75,13 +75,13 @@ class _Scene:
     held: bytearray = field(default_factory=bytearray)
 
     def add(self, kind: str, part: dict[str, Any]) -> int:
-        """The number of a part that is added."""
+        """Add a part to the list of its kind, and return its number there."""
         listed = self.parts.setdefault(kind, [])
         listed.append(part)
         return len(listed) - 1
 
     def material(self, name: str, colour: str, opacity: float = 1.0) -> int:
-        """A matt colour, such as #0072B2, which glTF wants in linear light."""
+        """Add a matt colour, such as #0072B2, which glTF wants in linear light, and return its number."""
         shade = np.array([int(colour[k : k + 2], 16) / 255 for k in (1, 3, 5)])
         linear = np.where(shade <= 0.04045, shade / 12.92, ((shade + 0.055) / 1.055) ** 2.4)
         surface = {"baseColorFactor": [*linear.tolist(), opacity], "metallicFactor": 0.0, "roughnessFactor": 0.6}
@@ -89,13 +89,15 @@ class _Scene:
         return self.add("materials", {"name": name, "pbrMetallicRoughness": surface} | glass)
 
     def node(self, name: str, primitives: list[dict[str, Any]]) -> int:
-        """A node with a mesh of its own, both of that name."""
+        """Add a node with a mesh of its own, both of that name, and return its number."""
         return self.add(
             "nodes", {"name": name, "mesh": self.add("meshes", {"name": name, "primitives": primitives})}
         )
 
     def solid(self, surfaces: dict[int, Surface]) -> list[dict[str, Any]]:
-        """Surfaces in the robot's base frame, mm, by the numbers of their materials."""
+        """Return the primitives of surfaces in the robot's base frame, mm, given by the numbers of their
+        materials.
+        """
         found = []
         for material, surface in surfaces.items():
             attributes = {
@@ -107,14 +109,20 @@ class _Scene:
         return found
 
     def line(self, points: Array, material: int) -> list[dict[str, Any]]:
-        """A line through points (n, 3) in the robot's base frame, mm."""
+        """Return the primitives of a line through points (n, 3) in the robot's base frame, mm."""
         places = {"POSITION": self.numbers(points @ AXES.T * MM, "VEC3", VERTICES, bounds=True)}
         ends = self.numbers(np.repeat(np.arange(len(points)), 2)[1:-1], "SCALAR", INDICES)
         return [{"attributes": places, "indices": ends, "material": material, "mode": LINES}]
 
     def numbers(self, values: Any, kind: str, target: int | None = None, bounds: bool = False) -> int:
-        """The number of an accessor to an array, kept as single floats, or where indices as whole numbers."""
+        """Store an array, and return the number of its accessor.
+
+        values: kept as single floats, or where they are indices as whole numbers. kind: glTF's name of an element,
+        such as "VEC3". target: VERTICES, INDICES or None. bounds: whether the accessor tells the least and largest
+        values.
+        """
         whole = target == INDICES
+        # glTF reserves the largest number of a type.
         short = whole and values.max() < 2**16 - 1
         array = values.astype("<u2" if short else "<u4" if whole else "<f4")
         view = {"buffer": 0, "byteOffset": len(self.held), "byteLength": array.nbytes}
@@ -131,9 +139,10 @@ class _Scene:
         )
 
     def animate(self, nodes: list[int], times: Array, last: float) -> None:
-        """Show one node after the other, each from its time in s on, and the last one for last s."""
+        """Show one of `nodes` after the other, each from its time in s on, and the last one for `last` s."""
         samplers, channels = list[dict[str, Any]](), []
         ends = np.append(times[1:], times[-1] + last)
+        # Core glTF has no switch for visibility: a hidden node has the scale 0.
         for k, node in enumerate(nodes):
             keys = [(0.0, k == 0), *([(times[k], True)] if k else []), (ends[k], k == len(nodes) - 1)]
             at = self.numbers(np.array([[time] for time, _ in keys]), "SCALAR", bounds=True)
@@ -143,7 +152,7 @@ class _Scene:
         self.add("animations", {"name": "motion", "samplers": samplers, "channels": channels})
 
     def file(self, name: str, roots: list[int]) -> bytes:
-        """The binary file of a scene with these nodes at its top."""
+        """Return the binary file of a scene called `name`, with the nodes `roots` at its top."""
         asset = {"version": "2.0", "generator": "ctr_nlp", "extras": TOLD}
         told = {"asset": asset, "scene": 0, "scenes": [{"name": name, "nodes": roots}]}
         told |= self.parts | {"buffers": [{"byteLength": len(self.held)}]}

@@ -37,9 +37,9 @@ SCRIPT, COLLECTION, WALL = "load_in_slicer.py", "tubes.pvd", "wall.vtp"
 """Names of files that are there once: the script for Slicer, what lists the tubes over time, the lumen's wall."""
 TEMPLATE = Path(__file__).parent / "templates" / SCRIPT
 DECIMALS = 6
-"""Of coordinates: a millionth of a millimetre."""
+"""Decimals of coordinates: a millionth of a millimetre."""
 LINE_MM = 0.6
-"""How thick Slicer draws a curve."""
+"""Thickness of curves in Slicer, mm."""
 
 
 def slicer_files(plan: Plan, space: str | None = None) -> dict[str, str]:

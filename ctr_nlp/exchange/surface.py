@@ -15,7 +15,7 @@ from ctr_nlp.target.target import SIGMA
 from ctr_nlp.typing import Array
 
 SIDES = 16
-"""Of a tube's cross-section."""
+"""Sides of the polygon that stands for a tube's cross-section."""
 WALL_SIDES = 24
 SHORTEST = 1e-3
 """mm: a tube of which less is seen is left out."""

@@ -14,7 +14,7 @@ from ctr_nlp.target.target import SIGMA
 COLUMNS = ("frame", "time_s", "sigma", "x_mm", "y_mm", "z_mm", "target_x_mm", "target_y_mm", "target_z_mm")
 OPENING = ",".join(COLUMNS[:6])
 DECIMALS = 6
-"""Of coordinates: a millionth of a millimetre."""
+"""Decimals of coordinates: a millionth of a millimetre."""
 
 
 def shapes_csv(plan: Plan) -> bytes:

@@ -23,7 +23,7 @@ from ctr_nlp.plan.plan import Plan
 __all__ = ["check_film", "film", "save", "save_all", "tracking"]
 
 PICTURES = {"shapes": shapes, "errors": errors, "by_frame": by_frame, "configuration": configuration}
-"""Of every plan, by the names of their files."""
+"""Pictures of every plan, by the names of their files."""
 DPI = 150
 
 

@@ -20,7 +20,7 @@ from ctr_nlp.plan.robustness import Robustness
 from ctr_nlp.typing import Array
 
 CLOUD: dict[str, Any] = {"lw": 0.5, "alpha": 0.5}
-"""How single draws are drawn."""
+"""Style of the lines of single simulated robots."""
 
 
 @matplotlib.rc_context(STYLE)

@@ -44,7 +44,7 @@ SPREAD = 0.5
 ENDS = ("-", (0, (6, 2)), (0, (2, 1.5)))
 """Lines at tubes' ends, which differ without their colours too; they repeat after three tubes."""
 LEAST_SPAN = 0.1
-"""Of clearances, and what is drawn beyond the wall at least, mm."""
+"""Least span of clearances, and least depth that is drawn beyond the wall, mm."""
 
 
 @matplotlib.rc_context(STYLE)

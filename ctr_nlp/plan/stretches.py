@@ -28,7 +28,7 @@ BY_FRAME = "failures", "fallbacks"
 WHOLE = "meta", "to_robot", "lumen", "drawn"
 """Fields that are not one row a frame."""
 STRICTEST = {"contact_allowed": min, "contact_weight": max}
-"""Of two values of an option that verdicts judge by, the one to judge a joined plan by."""
+"""Functions that choose, of two values of an option that verdicts judge by, the one for a joined plan."""
 SAME_PLACE = 0.01
 """mm by which a shape may differ from the one planned before the robot counts as elsewhere."""
 WHOLE_FRAME = 1e-9

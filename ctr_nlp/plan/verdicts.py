@@ -250,7 +250,7 @@ def _within_limits(plan: Record) -> Judgement:
 
 
 def _unknown(plan: Record) -> int:
-    """How many frames have no configuration."""
+    """Return the number of frames that have no configuration."""
     return int((~np.isfinite(plan.q).all(axis=1)).sum())
 
 

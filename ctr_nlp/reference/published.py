@@ -8,7 +8,9 @@ SEED = {
     "synthesis": (0.98, 0.46, 0.14),
     "bronchus": (2.02, 1.93, 0.26),
 }
-"""Of its own method. Its bronchus is a phantom's centreline that was not published; ours is another one."""
+"""Figures of the paper's own method. Its bronchus is a phantom's centreline that was not published; ours is
+another one.
+"""
 
 BASELINE = {
     "cos": (1.84, 1.58, 1.63),
@@ -18,7 +20,7 @@ BASELINE = {
     "synthesis": (3.28, 2.94, 1.43),
     "bronchus": (2.71, 2.53, 1.67),
 }
-"""Of its Euclidean baseline."""
+"""Figures of its Euclidean baseline."""
 
 SEED_ELASTIC = {
     "cos": (8.17, 6.43),
@@ -28,7 +30,7 @@ SEED_ELASTIC = {
     "synthesis": (4.96, 2.90),
     "bronchus": (8.75, 7.17),
 }
-"""Of the same motions on the torsionally compliant model, as (e3 in mm, e4 in mm)."""
+"""Figures of the motions of `SEED` on the torsionally compliant model, as (e3 in mm, e4 in mm)."""
 
 BASELINE_ELASTIC = {
     "cos": (9.92, 7.85),
@@ -38,4 +40,4 @@ BASELINE_ELASTIC = {
     "synthesis": (7.35, 4.46),
     "bronchus": (9.31, 6.79),
 }
-"""Of its Euclidean baseline's motions, likewise."""
+"""Figures of the motions of `BASELINE` on the torsionally compliant model, as (e3 in mm, e4 in mm)."""

@@ -9,9 +9,9 @@ from ctr_nlp.plan.plan import Plan
 from ctr_nlp.typing import Array
 
 FIELD, EYE_FIELD = 30.0, 80.0
-"""Of view in degrees, from top to bottom: from outside, and from the tip, as an endoscope's."""
+"""Fields of view in degrees, from top to bottom: from outside, and from the tip, as an endoscope's."""
 AHEAD = 1.0
-"""Of the tip in mm: where its eye is, so that it looks past the tip's own rim."""
+"""Distance of the eye ahead of the tip, mm, so that it looks past the tip's own rim."""
 STRAIGHT = 1e-9
 """A tip that looks back along -z by less than this is turned about x."""
 

@@ -29,9 +29,9 @@ from ctr_nlp.typing import Array
 
 SHADES = np.linspace(0.0, 1.0, 17)
 BELOW = 1 / 8
-"""What is shown of a scale below 0, as a part of what is above."""
+"""Part of a scale above 0 by which it also reaches below 0."""
 LEAST_SPAN = 0.1
-"""Of a scale: less is rounding noise."""
+"""Least span of a scale: less is rounding noise."""
 
 
 @dataclass(frozen=True)
@@ -94,7 +94,7 @@ AROUND, APART = 24, 10.0
 HOLDER = 12.0
 """Length in mm of what is drawn of the robot before the insertion point."""
 TARGET_RADIUS, AXIS_RADIUS, POINT_SIZE = 0.25, 0.12, 2.6
-"""Of the target's line and the insertion axis, mm; diameter of the insertion point in radii of tube 1."""
+"""Radii of the target's line and the insertion axis, mm; diameter of the insertion point in radii of tube 1."""
 SHADE, OPACITY = 0x8A8A8A, 0.2
 HELD, AXIS = 0x777777, 0x888888
 ROBOT, WALLS, TARGET = "robot", "wall", "target"

@@ -11,13 +11,13 @@ from ctr_nlp.target.problem import Problem
 from ctr_nlp.target.target import growing
 
 SYNTHETIC = "synthetic:"
-"""What the names of synthetic airways begin with in studies, before their seed."""
+"""Prefix, before the seed, of the names of synthetic airways in studies."""
 FOLLOWED_MM = 150.0
-"""mm of a synthetic airway that are followed, its last."""
+"""Length of the last part of a synthetic airway, mm, that is followed."""
 
 
 def synthetic_problem(seed: int, frames: int = 100) -> Problem:
-    """The paper's robot advancing into the last part of a synthetic airway, whose wall is that of the whole."""
+    """Let the paper's robot advance into the last part of a synthetic airway, whose wall is that of the whole."""
     airway = synthetic_airway(seed=seed)
     path, to_robot = placed(airway.part(airway.length - FOLLOWED_MM, airway.length))
     lumen = airway.moved(to_robot)
@@ -25,5 +25,5 @@ def synthetic_problem(seed: int, frames: int = 100) -> Problem:
 
 
 def shown_name(problem: str) -> str:
-    """A problem of a study as tables show it: a file without its folder and ending."""
+    """Return the name of a study's problem as tables show it: a file without its folder and ending."""
     return problem.replace(":", " ") if problem.startswith(SYNTHETIC) else Path(problem).stem

@@ -94,10 +94,10 @@ planned anew for what was known of a robot after it was measured in free space."
 def looped(
     name: str, plan: Plan, case: str, draws: int = DRAWS, seed: int = SEED, how: str = AS_PLANNED
 ) -> Looped:
-    """A plan on so many robots; raises as Tracker. Where a play is given, all tubes have it whole.
+    """Run a plan on `draws` robots, sampled with a seed, with feedback and without; raises as Tracker.
 
-    how: of HOWS; what open loops play, and errors are told as parts of, is the plan as it was given. Raises as
-    Replanner, too.
+    name: of the plan. case: of CASES; where it has a play, all tubes have it whole. how: of HOWS; what open loops
+    play, and errors are told as parts of, is the plan as it was given. Raises as Replanner, too.
     """
     at, led = CASES[case], planned_for(plan, OFF) if how == REPLANNED else plan
     replanner = None if how == AS_PLANNED else Replanner(plan)

@@ -66,7 +66,7 @@ def trade_off(
 def sweep(
     horizon: Horizon | LoadedHorizon, plan: Plan, weights: Sequence[float], labelled: Callable[[str], Progress]
 ) -> list[Plan]:
-    """A plan for every weight, in ascending order: the better of one started from below and one from above."""
+    """Plan for every weight, in ascending order: the better of one plan started from below and one from above."""
     ascending = sorted(set(weights))
     best: dict[float, Plan] = {}
     with deferred_interrupt() as interrupted:

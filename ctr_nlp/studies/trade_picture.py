@@ -17,7 +17,7 @@ from ctr_nlp.plan.robustness import MOST_LOST
 from ctr_nlp.studies.trade import Traded, chosen
 
 MARKERS = "x+sd^v"
-"""Of plans at other margins."""
+"""Markers of plans at other margins."""
 LABELLED = "1235"
 """Leading digits of ticks that carry a number."""
 

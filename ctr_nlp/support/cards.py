@@ -14,7 +14,7 @@ from ctr_nlp.typing import Array
 VIEWS = ((0, "x"), (1, "y"))
 """What goes across in each view; z goes up."""
 HEIGHT, MARGIN, LEAST = 240.0, 14.0, 60.0
-"""Of a view, around it, and its least width, pixels."""
+"""Height of a view, margin around it, and its least width, pixels."""
 
 
 class Line(NamedTuple):

@@ -30,7 +30,7 @@ SAME_MM = 1e-3
 HEADING_MM = 5.0
 """Lines that share an end are compared over this first length."""
 WIDER = 1.1
-"""How much wider a tree is at its root than at any other end, at least."""
+"""Factor by which a tree is at least wider at its root than at any other end."""
 
 
 @dataclass(frozen=True)

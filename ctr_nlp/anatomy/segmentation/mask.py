@@ -20,7 +20,7 @@ from ctr_nlp.exceptions import CurveError
 from ctr_nlp.typing import Array, Flags
 
 LEAST_VOXELS = 3.0
-"""Of a voxel's diagonal, at least, between entry and target."""
+"""Least distance between entry and target, in diagonals of a voxel."""
 LISTED = 10
 
 
@@ -128,7 +128,7 @@ Index = npt.NDArray[np.integer[Any]]
 POWER = 3.0
 """A millimetre at distance d from the wall costs d^-POWER: enough to keep to the middle in a bend."""
 STRIDE = 2
-"""Of the finest voxels, between neighbouring nodes where the lumen is wide."""
+"""Distance of neighbouring nodes where the lumen is wide, in finest voxels."""
 MARGIN = 4
 """Strides around start and stop where every voxel is a node."""
 STEPS = np.array([step for step in product((-1, 0, 1), repeat=3) if step > (0, 0, 0)])

@@ -23,7 +23,7 @@ PREAMBLE = {
     "bash": f"_ctr_nlp_problem() {{ compgen -W '{_NAMES}' -- $1; compgen -f -- $1; }}",
     "zsh": f"_ctr_nlp_problem() {{ _values problem {_NAMES}; _files }}",
 }
-"""What defines these."""
+"""Definitions, by shell, that the completion of a problem needs."""
 
 
 def _parser(prog: str) -> argparse.ArgumentParser:

@@ -19,7 +19,7 @@ from ctr_nlp.steer import solve_horizon, solve_per_frame
 from ctr_nlp.support.interrupt import deferred_interrupt
 
 FRAMES = 3
-"""Of each problem; what is compiled does not depend on their number."""
+"""Frames of each problem; what is compiled does not depend on their number."""
 BUILDS = {
     "frame by frame": lambda problem, model: solve_per_frame(problem, model=model),
     "horizon": lambda problem, model: solve_horizon(problem, model=model),

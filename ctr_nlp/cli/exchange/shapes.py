@@ -14,7 +14,9 @@ from ctr_nlp.plan.plan import Plan
 
 
 def write_shapes(source: Path, to: str, out: Path | None, space: str | None) -> None:
-    """Write the plan in a file for another program, by default beside it, and tell where; raises a CtrError."""
+    """Write the plan in `source` for another program, `to`, by default beside it, and tell where; raises a
+    CtrError.
+    """
     if to == SLICER:
         _write_folder(source, out or source.with_name(f"{source.stem}_slicer"), space)
         return

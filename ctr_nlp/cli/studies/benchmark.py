@@ -94,7 +94,9 @@ def _target(option: str, given: str | None) -> Path | None:
 
 
 def unexplained(rows: list[Compared], explained: list[str]) -> list[Compared]:
-    """Rows that are slower, or faster without a reason that the caller knows."""
+    """Return rows that are slower, or faster and not among `explained`, the rows with a reason known to the
+    caller.
+    """
     return [r for r in rows if r.verdict == "slower" or (r.verdict == "faster" and r.row not in explained)]
 
 

@@ -23,9 +23,11 @@ LUMEN, WALL = "#F3E4DC", "0.55"
 CONTACT = "#A33400"
 """A darker vermillion, which stands out from the blues in grey too."""
 ROOMY = ListedColormap(np.linspace((0.47, 0.71, 0.92), (0.97, 0.97, 0.97), 256)).with_extremes(under=CONTACT)
-"""From no room, blue, to the most there is."""
+"""Colours from no room, blue, to the most there is."""
 ERROR = "cividis"
-"""From no error, dark, to the largest, light: a map of matplotlib's that is the same for colour-blind eyes."""
+"""Colour map from no error, dark, to the largest, light: one of matplotlib's that is the same for colour-blind
+eyes.
+"""
 
 
 def tube_colour(i: int) -> str:

@@ -105,7 +105,9 @@ class Body:
 
 
 def key(d: int, walled: bool) -> list[Line2D]:
-    """Entries of a legend for what is drawn here."""
+    """Return entries of a legend for a robot of d tubes, the insertion point and, where `walled`, the lumen's
+    wall.
+    """
     known = [Line2D([], [], label="lumen's wall", color=GREY, lw=1.0)] if walled else []
     return [*overlay.key(d), *known, Line2D([], [], label="insertion point", **INSERTION)]
 

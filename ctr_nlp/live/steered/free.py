@@ -11,7 +11,8 @@ from ctr_nlp.target.target import growing
 
 
 def free_problem(name: str, robot: Robot, frames: int = 100) -> Problem:
-    """Along the shape that a robot has with all tubes deployed and turned alike, without a lumen.
+    """Return a problem that follows the robot's own shape with all tubes deployed and turned alike, without a
+    lumen.
 
     Raises OptionError where the dominant model does not describe the robot, and ProblemError.
     """

@@ -14,7 +14,7 @@ from ctr_nlp.typing import Array, Flags
 STRIDE = 4
 """Every which of the 101 samples of a shape is found."""
 SEED = 0
-"""Of the draws, as of `ctr-nlp robust`."""
+"""Seed of the simulated robots, as in `ctr-nlp robust`."""
 
 
 class Ghosts:

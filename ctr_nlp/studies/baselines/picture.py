@@ -16,7 +16,7 @@ COLOURS = dict(zip(METHODS, (VERMILLION, BLUE, BLACK), strict=True))
 
 @rc_context(STYLE)
 def picture(runs: Sequence[Run], names: Sequence[str]) -> Figure:
-    """The least error until then over process time, one line a method."""
+    """Draw the least error so far over process time, one line a run; `names` are those of the problems."""
     figure = Figure(figsize=(7.0, 4.2), layout="constrained")
     axes = figure.subplots()
     last = max((run.seconds[-1] for run in runs if len(run.seconds)), default=1.0)

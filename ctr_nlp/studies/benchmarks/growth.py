@@ -44,7 +44,7 @@ class Growth:
 
 
 def fitted(what: str, sizes: Sequence[float], seconds: Sequence[float]) -> Growth:
-    """The exponent by least squares of logarithms."""
+    """Fit the exponent of `what` to times `seconds` (n,) at `sizes` (n,), by least squares of logarithms."""
     x, y = np.log(sizes), np.log(seconds)
     basis = np.column_stack([np.ones(len(x)), x])
     (constant, exponent), *_ = np.linalg.lstsq(basis, y, rcond=None)
@@ -54,7 +54,7 @@ def fitted(what: str, sizes: Sequence[float], seconds: Sequence[float]) -> Growt
 
 
 def _frame(robot: Robot, stride: int) -> float:
-    """Seconds of a frame's first derivatives."""
+    """Return the seconds of a frame's first derivatives; `stride` is that of the samples along the robot."""
     terms = ShapeDistance(stride=stride), Order(robot.carriage_gap)
     nlp = program("frame", robot.structure, MODELS["dominant"], terms)
     frame = Program(nlp, wait=True)
@@ -64,7 +64,7 @@ def _frame(robot: Robot, stride: int) -> float:
 
 
 def nested(count: int) -> Robot:
-    """Tubes like the paper's, each inside the one before and longer."""
+    """Return a robot of `count` tubes like the paper's, each inside the one before and longer."""
     tubes = (
         Tube(90.0 + 60 * i, 50.0 + 20 * i, 0.006 + 0.001 * i, 6.0 - 0.9 * i, 5.3 - 0.9 * i) for i in range(count)
     )
@@ -72,7 +72,7 @@ def nested(count: int) -> Robot:
 
 
 def least(work: Callable[[], Any], repeats: int = REPEATS) -> float:
-    """The least seconds of this thread that work takes."""
+    """Return the least seconds of this thread that work takes."""
     times = []
     for _ in range(repeats):
         begin = time.thread_time()
@@ -96,17 +96,17 @@ KINDS: Mapping[str, tuple[Sequence[int], Callable[[int], float]]] = {
         lambda n: _frame(table_i_robot(), 100 // (n - 1)),
     ),
 }
-"""What grows with what: sizes, and the seconds at a size."""
+"""Kinds of growth: sizes, and the seconds at a size."""
 
 
 def growths(kinds: Mapping[str, tuple[Sequence[int], Callable[[int], float]]] = KINDS) -> Iterator[Growth]:
-    """The exponent of each kind of growth."""
+    """Yield the exponent of each kind of growth."""
     for what, (sizes, seconds) in kinds.items():
         yield fitted(what, sizes, [seconds(size) for size in sizes])
 
 
 def draw(found: Sequence[Growth], path: Path) -> Path:
-    """Times over sizes on logarithmic scales, with the powers that were fitted; raises OutputError."""
+    """Draw times over sizes on logarithmic scales, with the powers that were fitted; raises OutputError."""
     import matplotlib
     from matplotlib.ticker import EngFormatter, LogLocator, NullFormatter
 

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 TIMES = Callable[[Callable[[], Any]], float]
-"""What calls something and gives the seconds that it took."""
+"""A function that calls another one and returns the seconds that it took."""
 WORK = Callable[[TIMES], list[float]]
 """One turn of a row: seconds of each piece of its work."""
 BATCH = 1000

@@ -15,7 +15,7 @@ from ctr_nlp.typing import Array
 QUARTERS = (0.25, 0.5, 0.75, 1.0)
 """Parts of a motion at which it is shown."""
 WIDTH = 7.2
-"""Of a picture, inches."""
+"""Width of a picture, inches."""
 LEFT, RIGHT, BETWEEN, GAP = 0.55, 0.1, 0.5, 0.08
 """Inches beside everything, between groups, and between the clips of a group."""
 ABOVE, BELOW, FOOT = 0.5, 0.45, 0.4

@@ -15,9 +15,9 @@ from ctr_nlp.formulations.settings import Settings
 from ctr_nlp.studies.reached.cases import CHECKS, REACHED, Way
 
 COLOURS = dict(zip((REACHED, *CHECKS), (GREEN, BLACK, VERMILLION, PURPLE, ORANGE, SKY, "0.75"), strict=True))
-"""Of what becomes of a plan, by its first failed check."""
+"""Colours of reached ends, and of plans by their first failed check."""
 MARKS = "osD^v"
-"""Of ways in the right half; they repeat after five."""
+"""Markers of the ways in the right half; they repeat after five."""
 
 
 @matplotlib.rc_context(STYLE)

@@ -24,10 +24,10 @@ TELLING = 0.5
 LEAST_WAIT = 0.01
 """s between two looks at whether a case takes too long, at least."""
 EXIT = 70
-"""With which it ends itself."""
+"""Exit status with which a worker ends itself."""
 
 Worked = tuple[list[dict[str, Any]], float]
-"""What a batch returns: rows, and the seconds that they took."""
+"""Result of a batch: rows, and the seconds that they took."""
 
 
 def work(cases: list[Case], plans: Path | None, patience: float) -> Worked:
