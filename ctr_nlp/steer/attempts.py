@@ -1,4 +1,10 @@
-"""Solving one chain from a motion, and which of several attempts is the best."""
+"""Solving one chain (all frames as one NLP) from one motion, and choosing the best of several solved starts.
+
+The problem is not convex, so several motions are solved from (multi-start). Every solve promises to be no worse
+than its start: where the solver ends above it, the best feasible iterate that it passed is returned. Near a wall
+the chain is a linearisation, which is renewed around each solution until the slacks z (mm of contact beyond what
+is allowed) no longer change.
+"""
 
 from __future__ import annotations
 
@@ -19,9 +25,9 @@ from ctr_nlp.typing import Array
 Report = Callable[[Iterate], None]
 
 TIE = 1e-9
-"""Objectives that differ by this part are the same."""
+"""Relative difference of objectives up to which they count as equal: that of rounding."""
 SAME = 1e-6
-"""Attempts whose objectives differ by less than this part are one."""
+"""Relative difference of objectives up to which two starts are taken to have led to the same solution."""
 SLOW = 0.9
 """Where a chain holds near a motion only, slacks that two rounds bring no nearer than this to what is needed go to
 and fro between two places of the wall, and further rounds do not help."""
@@ -31,11 +37,13 @@ LENGTHS = "order", "carriage gap", "clearance"
 
 @dataclass(frozen=True)
 class Attempt:
-    """What came of one motion: a solution or, where success is False, the best feasible iterate, else the last.
+    """The result of solving from one motion: a solution or, where success is False, the best feasible iterate,
+    else the last one.
 
-    motion: of the robot's unknowns (T, n - slacks). parameters: of the chain that was solved. start_objective:
-    mm^2, of the motion brought within limits; inf where there is none. feasible: the point is. made: the robot
-    makes the motion, as far as has been looked at.
+    motion (T, n - slacks): the robot's unknowns. parameters: of the chain that was solved. start_objective:
+    objective of the start after it was brought within limits, mm^2; inf where that was not possible. feasible:
+    whether the point keeps all limits. made: whether the robot, simulated through the motion, is where it was
+    planned to be, as far as that was checked.
     """
 
     solution: Solution
@@ -47,13 +55,14 @@ class Attempt:
     made: bool = True
 
     def as_iterate(self) -> Iterate:
-        """The last of its iterations; its violation is 0 or not known."""
+        """Return the result as one iterate, for callbacks; its violation is 0 where it is feasible, else NaN."""
         found = self.solution
         violation = 0.0 if self.feasible else math.nan
         return Iterate(found.iterations, found.objective, violation, found.kkt, found.x)
 
     def described(self, frames: int) -> dict[str, Any]:
-        """For a plan's meta; objectives as means over frames, mm^2."""
+        """Return what a plan's meta reports of this start; objectives are means over frames, in mm^2."""
+        # JSON has no infinity: a start without an objective is null there.
         start = None if math.isinf(self.start_objective) else self.start_objective / frames
         return {
             "start_objective": start,
@@ -66,19 +75,28 @@ class Attempt:
 
 
 def best_of(attempts: Sequence[Attempt]) -> Attempt:
-    """The solution of least objective, unless some start was better: then the best feasible point; a made one."""
+    """Return the best of several solved starts.
+
+    That is the solution of least objective, unless some start had a lower one: then the best feasible point.
+    Motions that the simulated robot makes come before all others.
+    """
+    # A solution above some start's own objective does not count as solved: a plan must never be worse than the
+    # best motion that the search already had in hand.
     least = min(one.start_objective for one in attempts)
 
     def badness(one: Attempt) -> tuple[bool, bool, bool, float]:
         found = one.solution
         solved = found.success and no_worse(found.objective, least)
+        # False sorts before True: made, then solved, then feasible, and the objective decides among equals.
         return not one.made, not solved, not one.feasible, found.objective
 
     return min(attempts, key=badness)
 
 
 def distinct(attempts: Sequence[Attempt]) -> list[Attempt]:
-    """Attempts, best first, without those whose objective was met before."""
+    """Return the solved starts, best first, without those whose objective is that of one before (SAME)."""
+    # Objectives stand for solutions: two different local optima with equal objectives would be taken for one, and
+    # nothing is lost, since either serves.
     ranked = sorted(attempts, key=lambda one: (not one.solution.success, one.solution.objective))
     objectives = [one.solution.objective for one in ranked]
     return [
@@ -89,9 +107,13 @@ def distinct(attempts: Sequence[Attempt]) -> list[Attempt]:
 
 
 def failures(chain: Chain, one: Attempt) -> dict[str, str]:
-    """Why an attempt is no solution, by frame where limits are exceeded, else for all; empty where it is one."""
+    """Say why a result is no solution, by frame (from 1) where limits are exceeded, else under "all"; empty where
+    it is one.
+    """
     if one.solution.success:
         return {}
+    # Margins may have been raised, and the wall described anew, since the chain was built: limits are those of the
+    # chain that was solved.
     chain = replace(chain, parameters=one.parameters)
     found: dict[str, str] = {}
     for name, frame, amount in chain.excesses(chain.evaluate(one.solution.x)[1], FEASIBLE):
@@ -101,12 +123,12 @@ def failures(chain: Chain, one: Attempt) -> dict[str, str]:
 
 
 def no_worse(objective: float, than: float) -> bool:
-    """Whether an objective is at most another, rounding apart."""
+    """Return whether an objective is at most another one, up to rounding (TIE)."""
     return objective <= than + TIE * (1 + abs(objective))
 
 
 def together(*reports: Report | None) -> Report | None:
-    """One report that hands every iterate to all of these; None where nobody is to be told."""
+    """Return one callback that passes every iterate to all given ones; None where all of these are None."""
     known = [report for report in reports if report is not None]
 
     def report(iterate: Iterate) -> None:
@@ -117,7 +139,7 @@ def together(*reports: Report | None) -> Report | None:
 
 
 class Start(NamedTuple):
-    """A motion x (T n,), its objective in mm^2, and by how much it leaves limits at most."""
+    """A motion x (T n,), its objective in mm^2, and its largest violation of a limit."""
 
     x: Array
     objective: float
@@ -125,13 +147,15 @@ class Start(NamedTuple):
 
 
 def within_limits(chain: Chain, x: Array) -> Start:
-    """The motion x (T n,) itself, or the one nearest to it that keeps all limits, where there is one.
+    """Return the motion x (T n,) or, where it violates limits, the nearest one that keeps them.
 
-    Where limits are curved, the nearest motion is as hard to find as the best: it is left to the solver.
+    Where a frame has nonlinear constraints, the nearest feasible motion is as hard to find as the best one: x is
+    then only clipped to its bounds, and the rest is left to the solver.
     """
     start = _start(chain, np.clip(x, chain.lower.ravel(), chain.upper.ravel()))
     if chain.curved or start.violation <= FEASIBLE:
         return start
+    # With linear constraints the projection is a convex quadratic program, so that any solver finds it.
     return _start(chain, CHAIN_SOLVERS[default_chain_solver()](chain.nearest(start.x))(start.x, Watch()).x)
 
 
@@ -148,21 +172,26 @@ def attempt(
     stop: Callable[[], bool],
     barrier: float = WIDE,
 ) -> Attempt:
-    """Solve a chain from a motion, as Chain.around takes it, or from the feasible one nearest to it.
+    """Solve a chain from a motion (T, n - slacks), as :meth:`Chain.around` takes it.
 
-    barrier: the first, mm^2.
-    Where a chain holds near a motion only, it is solved again around its solution until that needs the same slack.
-    The result is never worse than the start.
+    report: called with every iterate. stop: asked whether to end. barrier: the first barrier parameter, mm^2. A
+    chain that is valid near a motion only, as at a wall, is solved again around its solution until the slacks are
+    those that it needs. The result is never worse than the start.
     """
     begin, tried, missing = time.perf_counter(), list[Attempt](), list[float]()
     near, x0 = chain.around(motion)
     while (
         len(tried) < ROUNDS and not settled(missing) and not (tried and (stop() or not tried[-1].solution.success))
     ):
+        # From the second round on the active limits are known: multipliers are passed on, and the barrier starts
+        # small, so that the solver stays near the solution that it has.
         known = np.concatenate([tried[-1].solution.lam_x, tried[-1].solution.lam_g]) if tried else None
         one = _solved(near, solver(near), x0, NEAR if tried else barrier, report, stop, known)
         near, x0 = chain.around(one.motion)
+        # `around` keeps the robot's unknowns and computes only the slacks anew: the difference to the solution's x
+        # is how far the linearised wall was off, mm.
         missing.append(float(abs(x0 - one.solution.x).max()))
+        # The solution is judged by the wall where it lies, not by the linearisation that it was found with.
         objective = near.evaluate(x0)[0] if missing[-1] > 0 else one.solution.objective
         tried.append(replace(one, solution=replace(one.solution, objective=objective)))
     best = best_of(tried)
@@ -176,7 +205,13 @@ def attempt(
 
 
 def settled(missing: Sequence[float]) -> bool:
-    """Whether slacks of the last round were what they had to be, mm, or two rounds have brought them no nearer."""
+    """Return whether rounds around a wall may end.
+
+    missing: by how much slacks were off in each round, mm. They may end where the last is within SETTLED, or where
+    two rounds have made it no smaller than SLOW times what it was: solutions then alternate between two places.
+    """
+    # The two inf in front stand for rounds before the first, so that three rounds are needed before slowness
+    # counts.
     return bool(missing) and (missing[-1] <= SETTLED or missing[-1] > SLOW * [math.inf, math.inf, *missing][-3])
 
 
@@ -189,14 +224,18 @@ def _solved(
     stop: Callable[[], bool],
     multipliers: Array | None,
 ) -> Attempt:
-    """Solve a chain from x0 (T n,) as it is; where the result would be worse, once more, from near it.
+    """Solve a chain from x0 (T n,) as it is and, where the result would be worse than x0, once more from the best
+    point passed.
 
-    multipliers: of all rows, where a neighbouring chain's are known.
+    multipliers: of all rows, where those of a neighbouring chain are known.
     """
     x0, objective, violation = within_limits(chain, x0)
+    # A start that violates limits is no promise: its objective may be lower than that of any feasible motion.
     start = objective if violation <= FEASIBLE else np.inf
     watch = Watch(report, stop, Iterate(0, objective, violation, np.inf, x0))
     solution = _kept(chain, solve(x0, watch, barrier, multipliers), watch, start)
+    # A solver that lost its way still passed feasible points. The second solve begins at the best of them with a
+    # small barrier, which keeps it in that basin.
     if not (solution.success or watch.best is None or stop()):
         again = _kept(chain, solve(watch.best.x, watch, NEAR), watch, start)
         solution = replace(again, iterations=solution.iterations + again.iterations)
@@ -205,12 +244,14 @@ def _solved(
 
 
 def _kept(chain: Chain, solution: Solution, watch: Watch, start: float) -> Solution:
-    """A solution that is no worse than its start; else the best point that was seen.
+    """Return a solution if it is no worse than its start, else the best point that the solver passed.
 
-    A start that was optimal already is met again only to the solver's tolerance: then it is a solution itself.
+    start: objective of the start, mm^2. A start that was optimal already is met again only to the solver's
+    tolerance; judged by its own KKT residual, it is then a solution itself.
     """
     if watch.best is None or (solution.success and no_worse(solution.objective, start)):
         return solution
+    # An interior-point iterate may lie outside its bounds by rounding; clipped, it keeps them exactly.
     x = np.clip(watch.best.x, chain.lower.ravel(), chain.upper.ravel())
     multipliers = np.concatenate([solution.lam_x, solution.lam_g])
     return judged(chain, x, multipliers, solution.status, solution.iterations)

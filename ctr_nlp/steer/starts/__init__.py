@@ -1,1 +1,1 @@
-"""Which motions a horizon is solved from, and what comes of them; knows no plan."""
+"""Multi-start of a horizon: which motions it is solved from, how far, and with what result; no plans here."""

@@ -1,4 +1,7 @@
-"""Attempts side by side in processes: what of a chain and its solver is handed to them."""
+"""Starts of a horizon solved side by side in processes.
+
+What is sent to a process is a description of the chain and its solver; each process builds programs of its own.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +25,10 @@ from ctr_nlp.typing import Array
 
 @dataclass(frozen=True)
 class Task:
-    """A chain and its solver, described so that another process can build them."""
+    """A chain and its solver, described so that another process can build them.
+
+    dt: time between frames, s. motion_weight: lambda in s^2. ends: given configurations, if any.
+    """
 
     robot: Robot
     frames: tuple[Frame, ...]
@@ -36,9 +42,10 @@ class Task:
     terms: tuple[Term, ...] = ()
 
     def solve(self, motion: Array) -> Attempt:
-        """Solve from a motion, until Ctrl-C."""
+        """Build the chain and solve it from a motion (T, n), until Ctrl-C."""
         at = self.robot, self.frames, self.dt, self.motion_weight, self.ends, self.model
         chain = horizon(*at, fastest, self.stability_margin, self.wall, self.terms)
+        # A process that Ctrl-C reaches ends its solve, and still returns what it has.
         with deferred_interrupt() as interrupted:
             return attempt(chain, CHAIN_SOLVERS[self.solver], motion, None, interrupted)
 
@@ -50,16 +57,18 @@ def attempt_in_processes(
     progress: Progress | None,
     seen: Report | None = None,
 ) -> list[Attempt]:
-    """Solve from every motion, in up to so many processes at once; seen is told of each that is the best yet.
+    """Solve from every motion in up to `jobs` processes at once; return results in the order of the motions.
 
-    After Ctrl-C some may be missing.
+    seen: called with the result of each start that is the best so far. After Ctrl-C some results may be missing.
     """
     found, best = dict[int, Attempt](), None
     for number, one in side_by_side(task.solve, motions, min(jobs, len(motions))):
         found[number] = one
         if progress is not None:
             progress(len(found), len(motions), f"starts, in {jobs} processes")
+        # Iterates of several processes would come mixed up: only whole results are passed on.
         if seen is not None and (best is None or best_of([best, one]) is one):
             best = one
             seen(one.as_iterate())
+    # Processes end in any order; sorted, the outcome does not depend on how fast they were.
     return [found[number] for number in sorted(found)]

@@ -1,4 +1,9 @@
-"""The search for the best motion over a horizon: which starts are solved, how far, and what comes of them."""
+"""The search for the best motion over a horizon: which starts are solved, how far, and what comes of them.
+
+Coarse to fine: the best starts are solved on a draft, some of the frames evenly apart, and only the best drafts on
+all frames, through grids that are refined step by step. On the elastic model a motion counts only where the
+simulated robot makes it. Objectives are in mm^2, lambda in s^2.
+"""
 
 from __future__ import annotations
 
@@ -34,29 +39,30 @@ from ctr_nlp.target.problem import Problem
 from ctr_nlp.typing import Array, Index
 
 MOTION_SHARE = 0.1
-"""What the motion of the start costs by default, as a part of its shape errors."""
+"""Share of the shape errors of the start that its motion costs, at the default lambda."""
 LEAST_MOTION_WEIGHT = 1e-9
-"""Least default of lambda, s^2: where the start follows its target exactly."""
+"""Least default of lambda, s^2: where the start follows its target exactly, the share would be 0."""
 DRAFTED = 25
-"""Least number of frames of a draft: of twice, three times as many, every second, third, ... one is taken."""
+"""Least number of frames of a draft: of twice, three times as many, every second, third, ... frame is taken."""
 FINER = 8
-"""How many times more frames than one solution of a draft has the next may have."""
+"""Largest factor between the numbers of frames of one solution of a draft and of the next."""
 LIKELY = 0.05
-"""A draft whose objective is above the best one's by no more than this part may still lead to a better motion."""
+"""Relative excess of a draft's objective over the best one's up to which it may still lead to a better motion."""
 MOST = 3
-"""Drafts that are solved for all frames."""
+"""Most drafts that are solved for all frames."""
 FEW, PROMISING = 3, 0.3
-"""Of so many motions, the best ones, a draft is made; of others where their objective is above the best one's by
-no more than this part."""
+"""Number of best motions of which a draft is always made; of others where their objective exceeds the best one's
+by at most this part.
+"""
 
 
 @dataclass(frozen=True)
 class Search:
-    """Attempts at the horizon of one problem, from one motion or many.
+    """The multi-start search for one problem's motion over all frames.
 
-    simulator: of the problem's robot on its model. free, inside: chains of all frames far from any wall and
-    within the lumen, with a motion weight of 1 s^2. weight: lambda in s^2. jobs: processes. Progress and seen are
-    told of what goes on, and stop() ends it.
+    simulator: of the problem's robot on its model. free, inside: chains of all frames far from any wall and within
+    the lumen, with a motion weight of 1 s^2. weight: lambda in s^2. jobs: processes. progress, seen: callbacks.
+    stop: asked whether to end.
     """
 
     problem: Problem
@@ -74,7 +80,9 @@ class Search:
     stop: Callable[[], bool] = lambda: False
 
     def near(self, wall: Wall | None) -> Chain:
-        """The chain near a wall, or far from any."""
+        """Return the chain of all frames within a wall, or far from any where it is None, with this search's
+        lambda.
+        """
         if wall is None:
             return self._far
         return replace(self.inside, surroundings=wall.during(self.problem.samples)).with_cost(self.weight)
@@ -84,22 +92,28 @@ class Search:
         return self.free.with_cost(self.weight)
 
     def balanced_weight(self, motion: Array) -> float:
-        """The lambda in s^2 at which a motion costs MOTION_SHARE of its shape errors."""
+        """Return the lambda in s^2 at which a motion (T, n) costs MOTION_SHARE of its shape errors."""
         free, x = self.free.around(motion)
+        # `free` has a motion weight of 1 s^2: what motion costs there is what lambda multiplies.
         shape, moved = (float(part.sum()) for part in free.by_frame(x))
         weight = MOTION_SHARE * shape / moved if moved > 0 else 0.0
         return weight if weight > LEAST_MOTION_WEIGHT else LEAST_MOTION_WEIGHT
 
     def ranked(self, motions: Sequence[Array], count: int) -> list[Array]:
-        """The best of motions in the horizon's own objective, then random changes of the very best."""
+        """Return `count` motions: the given ones, best first in the horizon's own objective, then random changes
+        of the best.
+        """
         free = self.near(None)
+        # Compared within limits: frame by frame motions may exceed accelerations, which only the horizon knows.
         kept = sorted((within_limits(*free.around(motion)) for motion in motions), key=lambda one: one.objective)
         ranked = [free.robot_of(one.x) for one in kept]
         changes = wandered(self.problem.robot, ranked[0], self.settings.seed)
         return list(itertools.islice(itertools.chain(ranked, changes), count))
 
     def attempts(self, motions: Sequence[Array], wall: Wall | None = None) -> list[Attempt]:
-        """What comes of motions near a wall, or far from any; on the elastic model, that the robot makes."""
+        """Solve from all motions near a wall, or far from any where it is None; on models with several equilibria,
+        keep the best result whose motion the simulated robot makes.
+        """
         chain, count = self.near(wall), len(motions)
         found = list[Attempt]()
         if self.jobs > 1 and count > 1:
@@ -113,11 +127,11 @@ class Search:
         return self._made(chain, found)
 
     def likely(self, motions: Sequence[Array]) -> list[Attempt]:
-        """What comes of those motions that promise most; motions are given best first.
+        """Solve from those motions that promise most; motions are given best first.
 
-        The best ones are solved for some of the frames, and the best of these drafts for all frames: at most MOST
-        distinct ones whose objective is within a part LIKELY of the best one's. Where none of them leads to a
-        solution that is made, and that is at least as good as the best motion was already, all motions are solved.
+        The best ones are solved on a draft, and the best of these drafts for all frames: at most MOST distinct
+        ones whose objective is within a part LIKELY of the best one's. Where none of them leads to a solution that
+        the robot makes, and that is at least as good as the best motion was already, all motions are solved.
         """
         picked = drafted(self.problem.frames)
         if len(picked) == self.problem.frames:
@@ -125,24 +139,35 @@ class Search:
         drafts, chain = self._drafts(motions, picked), self.near(None)
         found = list[Attempt]()
         for draft in drafts[:MOST]:
+            # The best draft is always refined; later ones only while they are near to it.
             far = draft.solution.objective > (1 + LIKELY) * drafts[0].solution.objective
             if self.stop() or (found and far):
                 break
             whole = self._refined(draft.motion, picked)
             found.append(self._attempt(chain, whole, len(found) + 1, len(drafts), CLOSE))
         made = self._made(chain, found) if found else []
+        # After Ctrl-C there is no time to solve all motions: what was found is returned, or the best start as it
+        # is.
         if self.stop() or (made and self._good(made, motions[0])):
             return made or self.attempts(motions[:1])
         return self.attempts(motions)
 
     def _good(self, attempts: Sequence[Attempt], motion: Array) -> bool:
-        """Whether a solution that is made is among them, and no worse than a motion."""
+        """Return whether the best result is a solution that the robot makes, and no worse than a motion (T, n)
+        was.
+        """
         best, (chain, x) = best_of(attempts), self.near(None).around(motion)
         return best.made and best.solution.success and no_worse(best.solution.objective, chain.evaluate(x)[0])
 
     def _refined(self, motion: Array, picked: Index) -> Array:
-        """All frames (T, n) of a draft, solved for more and more of them until few are left out."""
+        """Return all frames (T, n) of a draft's motion, solved on finer and finer grids until few frames are left
+        out.
+
+        picked: the draft's frames, from 0.
+        """
         frames = self.problem.frames
+        # Interpolated over many frames, a motion strays far from its constraints; each grid is at most FINER times
+        # finer than the one before.
         while (stride := int(picked[-1] - picked[-2])) > FINER and not self.stop():
             finer = thinned(frames, stride // FINER)
             one = self._attempt(self._thin(finer), filled(motion, picked, frames)[finer], 1, 1, CLOSE)
@@ -152,13 +177,15 @@ class Search:
         return filled(motion, picked, frames)
 
     def _thin(self, picked: Index) -> Chain:
-        """The chain of picked frames, evenly apart, far from any wall."""
+        """Build the chain of picked frames, evenly apart, far from any wall."""
+        # With the time between picked frames as dt, limits of speed mean what they do over all frames.
         frames, dt = [self.problem.samples[k] for k in picked], self.problem.dt * int(picked[-1] - picked[-2])
         at = self.problem.robot, frames, dt, self.weight, self.ends, self.simulator.model
         return horizon(*at, fastest, self.settings.stability_margin, extra=self.terms)
 
     def _drafts(self, motions: Sequence[Array], picked: Index) -> list[Attempt]:
-        """Distinct solutions for picked frames, from motions that promise one, best first."""
+        """Solve the motions that promise most on picked frames; return distinct solutions, best first."""
+        # Motions are compared on the draft's own frames, before any is solved.
         chain, found = self._thin(picked), list[Attempt]()
         thinner = [motion[picked] for motion in motions]
         objectives = [chain.evaluate(chain.around(motion)[1])[0] for motion in thinner]
@@ -177,7 +204,7 @@ class Search:
 
     @cached_property
     def _built(self) -> Callable[[Chain], ChainSolver]:
-        """Makes solvers, and keeps the last for further motions of the same chain."""
+        """Return a function that makes solvers, and reuses the last one for further motions of the same chain."""
         last = list[tuple[Chain, ChainSolver]]()
 
         def built(chain: Chain) -> ChainSolver:
@@ -188,7 +215,8 @@ class Search:
         return built
 
     def _made(self, chain: Chain, attempts: list[Attempt]) -> list[Attempt]:
-        """Attempts; where there are several equilibria, the best that the robot makes."""
+        """Return results; on models with several equilibria, only the best one whose motion the robot makes."""
+        # With one equilibrium for each q the robot makes every motion.
         if not self.simulator.model.several_equilibria or self.stop():
             return attempts
         margin, solver = self.settings.stability_margin, CHAIN_SOLVERS[self.solver]
