@@ -1,4 +1,8 @@
-"""Many frames in one call, where all of q is decided by one program."""
+"""Many frames in one call of compiled code: the joint formulation, eq. (9), frame after frame without Python.
+
+All of q = (alpha, beta, theta), rad and mm, is decided by one program, whose parameters p differ from frame to
+frame. A frame starts from the solution of the one before it and may move away from it by speed times dt.
+"""
 
 from __future__ import annotations
 
@@ -20,6 +24,8 @@ from ctr_nlp.typing import Array
 
 def reach_of(robot: Robot, dt: float, several_equilibria: bool) -> Reach:
     """Limits of q and, where q does not determine the unknowns, of the tips' angles, and how they may change."""
+    # The model's unknowns have no bounds of their own where they are not q. The tips' angles are still limited
+    # from frame to frame: a larger turn would be a jump to another branch of equilibria.
     free = np.full(robot.d * several_equilibria, np.inf)
     own, more = (robot.lower, robot.upper, robot.speed * dt), (-free, free, tip_steps(robot, dt)[: len(free)])
     return Reach(*(np.append(*pair) for pair in zip(own, more, strict=True)))
@@ -27,10 +33,12 @@ def reach_of(robot: Robot, dt: float, several_equilibria: bool) -> Reach:
 
 @dataclass(frozen=True)
 class AtOnce:
-    """One program for all frames: p (T, n_p) are its parameters, within a reach.
+    """One program for all frames of a problem.
 
-    tips: how many of the unknowns are tips' angles, which only so change from frame to frame; 0 where q is all.
-    near: what gives parameters that hold near a robot only, None where there are none.
+    p (T, n_p): its parameters in each frame. reach: bounds of q and of its change from frame to frame. tips:
+    number of unknowns that are tips' angles, which may also change only so much between frames; 0 where the
+    unknowns are q itself. near: gives parameters that are valid near one configuration only, such as those of a
+    wall; None where there are none.
     """
 
     stage: Stage
@@ -42,32 +50,46 @@ class AtOnce:
 
     @classmethod
     def of(cls, stage: Stage, solver: NlpSolver, values: Sequence[Mapping[str, Any]], reach: Reach) -> AtOnce:
-        """With values of all parameters, by name, for every frame; there may be others among them."""
+        """Pack the values of all parameters, by name, of every frame; names that the program does not have are
+        left out.
+        """
+        # A formulation fills parameters of all its stages; the program of one stage has some of them.
         own = [{name: each[name] for name in stage.nlp.parameters} for each in values]
         return cls(stage, solver, packed(stage.nlp, own), reach, len(reach.low) - len(stage.decides))
 
     def given(self, values: Mapping[str, Array | float], near: Surroundings | None = None) -> AtOnce:
-        """The same with other values of parameters that are numbers, of all frames or of each (T,).
+        """Return these frames with other values of some parameters, each a number for all frames or (T,) numbers.
 
-        Those that the program does not have are left out. near: as the attribute.
+        Names that the program does not have are left out. near: what gives parameters that are valid near one
+        configuration only, or None.
         """
         nlp, p = self.stage.nlp, self.p.copy()
         for name, value in values.items():
             if name in nlp.parameters:
+                # A number has one column; `start` picks it, and broadcasts over frames.
                 p[:, nlp.place(name).start] = value
         return replace(self, p=p, near=near)
 
     def search(self, frame: int, x0: Array) -> list[FrameResult]:
-        """Answers for a frame without a past from starts x0 (n, n_x), as many as are found."""
+        """Solve a frame that has no frame before it from starts x0 (n, n_x), and return all solutions that are
+        found.
+        """
         p = self.p[frame].copy()
+        # Without a frame before, there is no motion to pay for: the root of its weight is 0.
         p[self.stage.nlp.place("motion_root")] = 0.0
         return [self._result(solution) for solution in self.solver.each(x0, p, self.reach)]
 
     def follow(self, frames: Sequence[int], before: FrameResult) -> list[tuple[FrameResult, float]]:
-        """Answers for frames, each from the one before, up to the first that is not found; and their seconds."""
+        """Solve frames one after the other, each from the one before; return results and the seconds that each
+        took.
+
+        The list ends before the first frame that is not solved: the caller decides how to go on there.
+        """
         warm = before.warm[0] if before.warm else None
         known = before.q if before.x is None else before.x
+        # A slack is the depth by which contact exceeds its limit, mm; 0 is its value far from the wall.
         x0 = np.append(known, np.zeros(self.stage.nlp.slacks)) if warm is None else warm.x
+        # Limits of speed are told from `here`, which is q, and after it the tips where they are limited too.
         here = np.append(before.q, known[: self.tips])
         found = self.solver.follow(x0, self.p[list(frames)], self.reach, here, warm, self.near)
         return [(self._result(each.solution), each.seconds) for each in found]
@@ -81,5 +103,6 @@ class AtOnce:
             solution.iterations,
             solution.status,
             (solution,),
+            # Slacks come last among the unknowns, and are no part of the robot's state.
             solution.x[: len(solution.x) - self.stage.nlp.slacks] if self.tips else None,
         )

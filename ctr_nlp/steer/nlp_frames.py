@@ -1,4 +1,9 @@
-"""Frames of a problem solved as programs, stage after stage."""
+"""Frames of a problem solved as programs: the joint formulation, eq. (9), or two stages, eqs. (10) to (12).
+
+Unknowns of a stage are q = (alpha, beta, theta) in rad and mm, or a part of it; on the elastic model, whose
+equilibria q does not determine, also the angles of the tubes' tips (models/elastic/torsion.py). Near a wall a
+slack z, the mm by which contact exceeds what is allowed, comes last among them.
+"""
 
 from __future__ import annotations
 
@@ -29,13 +34,15 @@ from ctr_nlp.target.problem import Problem
 from ctr_nlp.typing import Array
 
 SEARCH_STARTS, FEW_TUBES = 32, 4
-"""Starts of a search without a past, of robots of so many tubes; four times as many for each one more."""
+"""Starts of a search without a frame before, for robots of up to so many tubes; four times as many for each tube
+more.
+"""
 RETRY_STARTS = 8
-"""Further starts for a frame on which the solver failed."""
+"""Further starts for a frame that the solver could not solve from the frame before."""
 TWIN_ROOM = 0.3
-"""Least distance in rad from the limits of tilt at which the other way to write a shape is tried too."""
+"""Least distance from the limits of tilt, rad, at which the other configuration of the same shape is tried too."""
 STRETCH = 50
-"""Frames that are solved in one call; between calls, progress is told and Ctrl-C is heeded."""
+"""Frames that are solved in one call; between calls, progress is reported and Ctrl-C takes effect."""
 DEFAULTS = Settings()
 
 Built = Sequence[tuple[Stage, NlpSolver]]
@@ -44,13 +51,14 @@ Built = Sequence[tuple[Stage, NlpSolver]]
 
 @dataclass(frozen=True)
 class NlpFrames:
-    """A FrameSolver: the stages of a formulation, built once and solved for any frame.
+    """Solver of single frames (a FrameSolver): the stages of a formulation, built once and solved for any frame.
 
-    free, inside: stages far from any wall, and within one, where it counts. runs: the same, for all frames in one
-    call, of formulations of one stage. margins (T,): least stability margins, NaN where none is asked for. near:
-    the wall that frames are kept within, None for none. Others with other margins or another wall are made by
-    dataclasses.replace, and share what has been built. wall: that of the lumen, None where none counts. arrival:
-    the term that leads the tip to the target's end, None where there is none.
+    free, inside: stages far from any wall, and within one that counts; inside is empty where none does. runs:
+    those of formulations of one stage, for many frames in one call. margins (T,): least stability margins, NaN
+    where none is asked for. near: the wall that frames are kept within, None for none. wall: that of the lumen,
+    None where it costs nothing. arrival: the term that leads the tip to the target's end, or None.
+
+    Solvers with other margins or another wall are made by dataclasses.replace and share everything that was built.
     """
 
     problem: Problem
@@ -76,12 +84,14 @@ class NlpFrames:
         settings: Settings = DEFAULTS,
         terms: Sequence[Term] = (),
     ) -> NlpFrames:
-        """Build the programs; raises OptionError, and ProblemError where the target is not known all along.
+        """Build the programs of a problem.
 
-        model: None for the default of the formulation (formulations.default_model). terms: further ones of the
-        objective, on formulations that take them.
+        formulation, solver: names, as in solve_per_frame; None for the default solver. model: None for the default
+        of the formulation (formulations.default_model). terms: further ones of the objective, on formulations that
+        take them. Raises OptionError, and ProblemError where the target is not known in every frame.
         """
         check_choice("formulation", formulation, FORMULATIONS)
+        # Two stages need a curvature that alpha does not change, which the dominant model has.
         described = model_named(default_model(formulation) if model is None else model)
         terms = checked_terms(terms)
         if formulation == "joint":  # the stages of others each have an objective of their own
@@ -90,6 +100,7 @@ class NlpFrames:
         solver = default_solver() if solver is None else solver
         check_choice("solver", solver, SOLVERS)
         samples, begin = problem.samples, time.perf_counter()
+        # Only the program over all of q can trade contact against shape; two stages have no wall.
         lumen = problem.sampled_lumen if formulation == "joint" else None
         wall = wall_of(problem.robot, lumen, described, settings)
         at = problem.robot, settings, described, terms
@@ -98,9 +109,12 @@ class NlpFrames:
             [(stage, SOLVERS[solver](stage.nlp)) for stage in stages]
             for stages in (FORMULATIONS[formulation](*at), walled)
         )
+        # Filled once, so that a target that is not known in some frame is found now and not after minutes.
         stage, zero = (inside or free)[0][0], np.zeros(len(problem.robot.axes))
         values = [stage.fill(sample, zero) for sample in samples]  # raises where the target is not known
         reach = reach_of(problem.robot, problem.dt, described.several_equilibria)
+        # The second of two stages needs the first one's solution, frame by frame: that is not one program to be
+        # run over many frames.
         runs = () if len(free) > 1 else tuple(AtOnce.of(*each, values, reach) for each in (*free, *inside))
         margin = math.nan if settings.stability_margin is None else settings.stability_margin
         description = {
@@ -116,23 +130,28 @@ class NlpFrames:
     def search(self, frame: int) -> list[FrameResult]:
         """Distinct answers for a frame without a past, best first; at least one."""
         robot, sample = self.problem.robot, self.problem.samples[frame]
+        # alpha has a dimension for each tube, and a search has to cover all of them: hence 4 to the power of tubes
+        # beyond the usual number.
         guesses = starts(robot, sample, SEARCH_STARTS * 4 ** max(0, robot.d - FEW_TUBES), self.settings.seed)
         found = distinct([self._unwound(result) for result in self._searched(frame, guesses)])
         if not found:
             return [FrameResult(guesses[0], success=False, status="no start was solved")]
         best, *others = found
+        # The twin follows the best at once: of a few candidates that are run through all frames, it should be one,
+        # as the other tilt may stay within limits for longer.
         return [best, *(replace(best, q=twin, warm=None) for twin in self._twin(best.q)), *others]
 
     def _searched(self, frame: int, guesses: Array) -> list[FrameResult]:
-        """What is found from guesses (n, 2d + 2)."""
+        """Return the solutions of a frame that has no frame before it, from guesses (n, 2d + 2)."""
         if self._at_once is not None:
             return self._at_once.search(frame, self.model.guess(self.problem.robot, guesses))
         return self._attempts(frame, [FrameResult(guess, x=self._unknowns(guess)) for guess in guesses], None)
 
     def run(self, frames: Sequence[int], before: FrameResult) -> Iterator[tuple[FrameResult, float]]:
-        """Answers for frames, each from the one before, and the seconds that they took.
+        """Yield results for frames, each from the one before, and the seconds that each took.
 
-        Many are solved at once where that is possible, and single ones where it fails.
+        Compiled code solves up to STRETCH frames in one call. The frame at which it fails is solved by `step`,
+        which tries further starts, and then the next call goes on from there.
         """
         left = list(frames)
         while left:
@@ -145,9 +164,13 @@ class NlpFrames:
 
     @cached_property
     def _at_once(self) -> AtOnce | None:
-        """What solves many frames in one call: for one program for all of q, and walls that C can describe."""
+        """Return the compiled solver of many frames, or None where there is none.
+
+        It needs a formulation of one program and, within a wall, a wall that was compiled.
+        """
         if not self.runs:
             return None
+        # Residuals are squared by the program: root^2 |W (q - q_before)|^2 is the motion term of eq. (9).
         root = math.sqrt(self.settings.motion_weight) / self.problem.dt
         values: dict[str, Array | float] = {"motion_root": root, "margin": self.margins}
         if self.near is None:
@@ -159,22 +182,29 @@ class NlpFrames:
         return self.runs[-1].given(values, around.surroundings(SETTLED, ROUNDS))
 
     def _placed(self, before: FrameResult) -> FrameResult:
-        """A result with the model's unknowns: those of a robot at rest where they are not known."""
+        """Return a result with the model's unknowns; where they are not known, those of the robot at rest at its
+        q.
+        """
         if before.x is not None or not self.model.several_equilibria:
             return before
         return replace(before, x=self.model.rest(self.problem.robot, before.q))
 
     def _unwound(self, result: FrameResult) -> FrameResult:
-        """An answer without whole turns that a search may have gone through.
+        """Return a solution without the whole turns of tubes that a search may have gone through.
 
-        Where q does not determine the unknowns, tubes are turned whole with their tips, until those are no more
-        than half a turn from the innermost: a robot comes there from where all its tubes are aligned.
+        Where q does not determine the unknowns, tubes are turned by whole turns together with their tips, until
+        each tip is at most half a turn from the innermost one: that equilibrium is reached from aligned tubes. The
+        result is left as it is where q would leave its limits.
         """
         d, q, x = self.problem.robot.d, result.q.copy(), result.x
         if x is None and abs(q[:d]).max() <= 2 * np.pi:
             return result
+        # Without tips the shape has period 2 pi in each alpha: turns may be taken off each motor.
         turns = np.round(q[:d] / (2 * np.pi))
         if x is not None:
+            # x holds tips relative to the innermost one, which itself is absolute: the turns of tube i are those
+            # of its relative tip plus those of the innermost. Motors are turned by as much as tips, so that the
+            # twist of every transmission stays what it is.
             own = np.append(np.round(x[: d - 1] / (2 * np.pi)), turns[-1])
             x, turns = x - 2 * np.pi * np.pad(own, (0, len(x) - d)), np.append(own[:-1] + own[-1], own[-1])
         if not turns.any():
@@ -188,14 +218,23 @@ class NlpFrames:
         return bool((np.minimum(q - robot.lower, robot.upper - q) > -1e-9).all())
 
     def _twin(self, q: Array) -> list[Array]:
-        """The other way to write the same shape, where the limits of tilt are not near: it may lead further."""
+        """Return the other configuration of the same shape where it is well within the limits of tilt, else
+        nothing.
+
+        theta_x and pi - theta_x give the same shape with all alpha turned by half a turn (other_way). From there a
+        motion may lead further before it comes to a limit.
+        """
         robot, twin = self.problem.robot, other_way(self.problem.robot, q)
+        # Whole turns of the tilt change nothing: it is written within half a turn of 0.
         twin[-2:] -= 2 * np.pi * np.round(twin[-2:] / (2 * np.pi))
         room = np.minimum(twin - robot.lower, robot.upper - twin)[-2:]
         return [twin] if (room > TWIN_ROOM).all() and self._allowed(twin) else []
 
     def step(self, frame: int, before: FrameResult) -> FrameResult:
-        """The answer for a frame within speed limits of the one before; other starts are tried on failure."""
+        """Solve a frame within speed limits of the one before; where that fails, from further starts.
+
+        Where all starts fail, the result has success False, and the q of the frame before.
+        """
         before = self._placed(before)
         result = self._solve(frame, before, before)
         if result.success:
@@ -203,12 +242,13 @@ class NlpFrames:
         low, high = reachable(self.problem.robot, before.q, self.problem.dt)
         guesses = starts(self.problem.robot, self.problem.samples[frame], RETRY_STARTS, self.settings.seed)
         tried = [FrameResult(q, x=self._unknowns(q)) for q in np.clip(guesses, low, high)]
+        # The frame before is tried once more without its multipliers: they may belong to other active limits.
         attempts = self._attempts(frame, [replace(before, warm=None), *tried], before)
         best = min(attempts, key=lambda r: r.objective, default=None)
         return best or replace(result, q=before.q)
 
     def _unknowns(self, q: Array) -> Array | None:
-        """Roughly those of a model whose q does not determine them."""
+        """Estimate the unknowns of a model whose q does not determine them; None on other models."""
         return self.model.guess(self.problem.robot, q) if self.model.several_equilibria else None
 
     def _attempts(
@@ -218,7 +258,10 @@ class NlpFrames:
         return [result for result in results if result.success]
 
     def _limits(self, before: FrameResult | None) -> tuple[Array, Array]:
-        """Of q, and where q does not determine the unknowns also of the tips' angles."""
+        """Return lower and upper bounds of q and, where q does not determine the unknowns, of the tips' angles.
+
+        before: the frame before, from which speeds limit both; None where there is none.
+        """
         robot, dt = self.problem.robot, self.problem.dt
         low, high = reachable(robot, None if before is None else before.q, dt)
         if not self.model.several_equilibria:
@@ -229,16 +272,24 @@ class NlpFrames:
         return np.append(low, tips - step), np.append(high, tips + step)
 
     def again(self, frame: int, known: FrameResult) -> FrameResult:
-        """The answer for a frame without a past, from a known one that may be free of the wall."""
+        """Solve a frame that has no frame before it, near a known solution, which may be one without the wall."""
+        # Multipliers of a program without the wall do not fit the one with it.
         return self._solve(frame, replace(known, warm=None), None)
 
     def _solve(self, index: int, guess: FrameResult, before: FrameResult | None) -> FrameResult:
-        """The answer from a guess; near a wall, solved again around itself until that needs the same slack."""
+        """Solve a frame from a guess; near a wall, again around each solution until the slack is the one needed
+        there.
+
+        before: the frame before, or None.
+        """
         result, tried = self._solved(index, guess, before), list[FrameResult]()
         while self.near is not None and result.success:
             slack = result.warm[0].x[-1]
             x = result.q if result.x is None else result.x
+            # The program knows the wall only to first and second order near its guess. At its solution the wall is
+            # described anew, and the slack that is really needed there is compared with the one found.
             needed = self.near.during([self.problem.samples[index]])(x[None])[1][0]
+            # Rounds are compared by the contact that they really have, not by what their programs took it for.
             more = float(self.near.cost(needed) - self.near.cost(slack))
             tried.append(replace(result, objective=result.objective + more))
             if abs(needed - slack) <= SETTLED or len(tried) == ROUNDS:
@@ -247,7 +298,9 @@ class NlpFrames:
         return min(tried, key=lambda one: one.objective, default=result)
 
     def _solved(self, index: int, guess: FrameResult, before: FrameResult | None) -> FrameResult:
-        """The answer from a guess, stage after stage."""
+        """Solve the stages of a frame one after the other from a guess, and return the last one's solution with
+        all of q.
+        """
         q, solutions, iterations = guess.q.copy(), list[Solution](), 0
         for k, (stage, solver) in enumerate(self.free if self.near is None else self.inside):
             warm: Solution | None = guess.warm[k] if guess.warm else None
@@ -256,6 +309,7 @@ class NlpFrames:
             if not solution.success:
                 failure = f"{stage.nlp.name}: {solution.status}, KKT residual {solution.kkt:.1e}"
                 return FrameResult(guess.q, False, iterations=iterations, status=failure)
+            # A stage decides a part of q, and takes the rest from the stages before it.
             q[stage.decides] = solution.q[: len(stage.decides)]
             solutions.append(solution)
         kkt = max(solution.kkt for solution in solutions)
@@ -273,8 +327,12 @@ class NlpFrames:
         before: FrameResult | None,
         warm: Solution | None,
     ) -> tuple[Solution, int]:
-        """The solution of one stage at q (2d + 2,), and its iterations."""
+        """Solve one stage with the rest of q (2d + 2,) as parameters; return its solution and the iterations.
+
+        warm: solution of a neighbouring program of the same stage, or None.
+        """
         low, high = self._limits(before)
+        # Tips, which follow q in the bounds, are unknowns of every stage on models that have them.
         limited = np.append(stage.decides, np.arange(len(q), len(low)))
         values = dict(stage.fill(self.problem.samples[index], q))
         if "margin" in values:
@@ -291,6 +349,8 @@ class NlpFrames:
             values |= {name: value[0] for name, value in parameters.items()}
             x = np.append(x, slack)
         iterations = 0
+        # Continuation: a stage with jumps, eq. (11), is smoothed over a width that shrinks from solve to solve,
+        # each of which starts from the one before. Other stages have a schedule of one entry.
         for further in stage.schedule:
             packed = stage.nlp.pack({**values, **further})
             warm = solver(x, packed, low[limited], high[limited], warm)

@@ -1,4 +1,9 @@
-"""Runs through all frames of a problem, each frame from the one before it; and how work that goes on is told."""
+"""Runs through all frames of a problem, each frame from the one before it, and the progress that is reported.
+
+Each target alone has several good configurations. Which of them leads furthest shows only along the motion, so
+that runs are made from several solutions of the first frame, forwards, and of the last frame, backwards: the best
+configuration of the last frame need not be one that is reached from the first.
+"""
 
 from __future__ import annotations
 
@@ -26,16 +31,20 @@ Progress = Callable[[int, int, str], None]
 """Called with (steps done, steps in all, what is being done)."""
 
 CANDIDATES = 4
-"""Distinct answers of the first frame from which a whole motion is tried, in each direction."""
+"""Most solutions of the first frame from which a whole motion is run, in each direction."""
 
 
 WINDOW = 12
-"""Iterations over which the fall of the KKT residual is looked at."""
+"""Iterations over which the fall of the KKT residual is averaged for a forecast."""
 
 
 @dataclass
 class Pass:
-    """One run through all frames; results and seconds by frame number."""
+    """One run through all frames.
+
+    direction: "forward" or "backward". order: frame numbers, from 0, as they are solved. before: the given start,
+    which is no frame. results, seconds: by frame number.
+    """
 
     direction: str
     order: Sequence[int]
@@ -45,6 +54,7 @@ class Pass:
 
     def run(self, solver: FrameSolver) -> Iterator[int]:
         """Solve the frames that have no result yet, in order, after those that have; yields how many have one."""
+        # A run that was interrupted, or begins with a given frame, goes on from the last result that it has.
         known = [frame for frame in self.order if frame in self.results]
         left = [frame for frame in self.order if frame not in self.results]
         before = self.results[known[-1]] if known else self.before
@@ -57,29 +67,38 @@ class Pass:
 
     def motion(self, problem: Problem) -> Array:
         """Configurations (T, 2d + 2); NaN where a frame was not reached."""
+        # NaN, so that a frame that was not reached shows as such in whatever is computed from it.
         missing = np.full(2 * problem.robot.d + 2, np.nan)
         return np.array([self.results[j].q if j in self.results else missing for j in range(problem.frames)])
 
     def unknowns(self, problem: Problem) -> Array:
-        """The model's unknowns (T, n), which are q itself unless results say otherwise; NaN as in motion."""
+        """Return the model's unknowns (T, n), which are q itself on some models; NaN in frames not reached."""
         found = self.motion(problem)
         for j, result in self.results.items():
             found[j] = found[j] if result.x is None else result.x
         return found
 
     def cost(self, problem: Problem) -> tuple[int, float]:
-        """Frames not solved, then the mean objective of the others in mm^2."""
+        """Return the number of frames not solved, and the mean objective of the others in mm^2; the less, the
+        better.
+        """
         solved = [result.objective for result in self.results.values() if result.success]
         return problem.frames - len(solved), float(np.mean(solved)) if solved else np.inf
 
     def planned(self, problem: Problem, model: Model) -> tuple[int, float]:
-        """Frames not solved, then the mean square error in mm^2 of the others where the robot is as planned."""
+        """Return the number of frames not solved, and the mean square error of the others, mm^2, as planned.
+
+        That is the error where the robot is in the equilibria that the run found.
+        """
         solved = self._solved()
         x = np.array([self.results[j].q if self.results[j].x is None else self.results[j].x for j in solved])
         return self._off(problem, solved, lambda: model.points(problem.robot, x, SIGMA))
 
     def badness(self, problem: Problem, simulator: Simulator) -> tuple[int, float]:
-        """The same where the robot is when it has been moved there."""
+        """Return the number of frames not solved, and the mean square error of the others, mm^2, as simulated.
+
+        The simulated robot is moved through the frames, and may come to other equilibria than those planned.
+        """
         solved = self._solved()
         q = np.array([self.results[j].q for j in solved])
         return self._off(problem, solved, lambda: simulator(q).shape)
@@ -104,6 +123,7 @@ class Pass:
         solved = self._solved()
         if not solved or solved[-1] != problem.frames - 1:
             return math.inf
+        # All solved frames are moved through: the last equilibrium depends on those before it.
         tip = simulator(np.array([self.results[j].q for j in solved])).shape[-1, -1]
         return max(0.0, float(np.linalg.norm(tip - problem.samples[-1].points[-1])) - tolerance)
 
@@ -114,6 +134,7 @@ class Pass:
         if not solved:
             return problem.frames, np.inf
         wanted = np.array([problem.samples[j].points for j in solved])
+        # 101 samples with trapezoidal weights, as in reported errors; programs have 21.
         squares = rms_over_sigma(np.linalg.norm(shape() - wanted, axis=-1)) ** 2
         return problem.frames - len(solved), float(squares.mean())
 
@@ -126,10 +147,11 @@ def run_passes(
     end: npt.ArrayLike | None = None,
     progress: Progress | None = None,
 ) -> tuple[list[Pass], float]:
-    """Runs through all frames from every promising first one, and the seconds that their search took.
+    """Run through all frames from every promising first one; return the runs, and the seconds that the search for
+    first frames took.
 
-    start: q at time 0; end: q of the last frame. A motion leads from the first forward, from the second
-    backward. Ctrl-C, held back by the caller, ends each run after its next frame.
+    start: q (2d + 2,) at time 0, from which a motion leads forward; end: q of the last frame, from which it leads
+    backward. Ctrl-C, deferred by the caller, ends each run after its next frame.
     """
     q0, q1 = checked_ends(problem, direction, start, end)
     begin = time.perf_counter()
@@ -147,8 +169,12 @@ def run_passes(
 
 
 def run_again(known: Pass, solver: Restartable, stop: Callable[[], bool]) -> Pass:
-    """A run of another solver through the same frames, from what it finds near to a known one's first answer."""
+    """Run another solver through the same frames as a known run, beginning near that run's first solution.
+
+    stop: asked after every frame whether to end.
+    """
     first, begin = known.order[0], time.perf_counter()
+    # A run from a given start has no first solution that could be solved anew: its start is no frame.
     results = {} if known.before else {first: solver.again(first, known.results[first])}
     seconds = dict.fromkeys(results, time.perf_counter() - begin)
     one = Pass(known.direction, known.order, known.before, results, seconds)
@@ -162,7 +188,9 @@ def _first_frames(
     problem: Problem, solver: FrameSolver, direction: Direction, q0: Array | None, q1: Array | None
 ) -> list[Pass]:
     forward = range(problem.frames)
+    # A given end is the last frame's result itself; a given start is the configuration before frame 0.
     given = []
+    # With both ends given, both runs are made: each knows only one of them.
     if q0 is not None:
         given.append(Pass("forward", forward, FrameResult(q0)))
     if q1 is not None:
@@ -175,6 +203,8 @@ def _first_frames(
     for name, order in wanted.items():
         for first in solver.search(order[0])[:CANDIDATES]:
             begin = time.perf_counter()
+            # Solved once more as if the robot stood there already: the warm start then belongs to the program with
+            # the motion term, and a twin, which was only written down, is solved at all.
             again = solver.step(order[0], first) if first.success else first
             seconds = time.perf_counter() - begin
             passes.append(
@@ -184,7 +214,10 @@ def _first_frames(
 
 
 class Forecast:
-    """Tells progress how far a solver is: iterations done, and how many its KKT residual's fall lets expect."""
+    """Callback that reports progress: iterations done, and an estimate of all, from the fall of the KKT residual.
+
+    frames: of the chain. number, count: which start this is, and of how many.
+    """
 
     def __init__(self, progress: Progress, frames: int, number: int, count: int) -> None:
         self._progress = progress
@@ -194,10 +227,13 @@ class Forecast:
 
     def __call__(self, iterate: Iterate) -> None:
         """Tell of one more iterate."""
+        # The residual falls about linearly in its logarithm; the best one so far is taken, since it does not fall
+        # monotonically.
         error = math.log(max(iterate.error, TOLERANCE))
         self._best.append(min([error, *self._best[-1:]]))
         recent = self._best[-WINDOW:]
         fall = (recent[0] - recent[-1]) / max(len(recent) - 1, 1)
+        # Iterations left at the recent rate; where there is no fall, as many as the window is long.
         left = (recent[-1] - math.log(TOLERANCE)) / fall if fall > 0 else WINDOW
         total = iterate.number + max(1, min(math.ceil(left), MOST_ITERATIONS - iterate.number))
         objective, violation = iterate.objective / self._frames, max(iterate.violation, 0.0)

@@ -1,4 +1,9 @@
-"""Steering frame by frame: a first frame found by search, then each from the one before it."""
+"""Steering frame by frame, eqs. (6) and (9): a first frame is found by search, then each from the one before it.
+
+On the elastic model a run is then simulated: where the stability margin is missed between frames, the frames
+beside it are given more and solved again (realised.py). Within a lumen, the run is solved again with its wall
+(within_wall.py).
+"""
 
 from __future__ import annotations
 
@@ -96,15 +101,21 @@ def march(
     start: npt.ArrayLike | None = None,
     progress: Progress | None = None,
 ) -> Plan:
-    """The plan that any FrameSolver makes; arguments as for solve_per_frame."""
+    """Run any FrameSolver through all frames of a problem and return the plan.
+
+    problem, direction, start and progress are those of :func:`solve_per_frame`.
+    """
     simulator = Simulator(problem.robot, planned_on(solver.description))
     with deferred_interrupt() as interrupted:
         passes, search_seconds = run_passes(problem, solver, direction, start, progress=progress)
+        # Runs are compared as simulated: a plan on another branch is worth nothing, however small its objective.
         best = _least_bad(passes, solver, problem, simulator)
         free: Array | None = None
         wall: Wall | None = None
+        # Margins and walls are those of programs; reference methods, which are FrameSolvers too, have neither.
         if isinstance(solver, NlpFrames) and not interrupted():
             best, solver = held(solver, best, simulator, interrupted)
+            # The plan keeps the motion without the wall, so that it can say what the wall costs.
             free = None if solver.wall is None else best.motion(problem)
             best, wall = run_within_wall(solver, best, simulator, interrupted)
         stopped = interrupted()
@@ -133,13 +144,16 @@ def _least_bad(passes: Sequence[Pass], solver: FrameSolver, problem: Problem, si
         if arrival is None:
             return failed, square
         missed = one.missed(problem, simulator, arrival.required)
+        # badness is a mean over all frames, of which only the last ones pay for arrival: hence the factor LAST.
         return failed, square + LAST * MISSED * arrival.weight * missed
 
     return min(passes, key=badness)
 
 
 def _unknowns(results: Sequence[FrameResult]) -> Array | None:
-    """The unknowns (T, n) of a model whose q does not determine them; NaN where a frame was not reached."""
+    """Return the unknowns (T, n) of frames on a model whose q does not determine them, NaN in frames not reached;
+    None on other models.
+    """
     known = [result.x for result in results if result.x is not None]
     if not known:
         return None
@@ -155,10 +169,12 @@ def plan_of(
     work: dict[str, Any],
     simulator: Simulator | None = None,
 ) -> Plan:
-    """The plan of a run through all frames; free: the motion without the wall; options, work: for its meta.
+    """Make a plan of a run through all frames.
 
-    simulator: one that may have moved the robot through the run already.
+    best: the run. free: its motion without the wall, (T, 2d + 2), or None. options, work: entries of the plan's
+    meta. simulator: one that may have simulated the run already, whose result is then used again.
     """
+    # Frames that Ctrl-C left out are failures with a reason of their own.
     missing = FrameResult(np.zeros(0), success=False, status="not reached")
     results = [best.results.get(j, missing) for j in range(problem.frames)]
     meta = {
@@ -167,6 +183,7 @@ def plan_of(
         "options": solver.description["options"] | options,
         "build_s": solver.build_seconds,
         "iterations": sum(result.iterations for result in results),
+        # Frames count from 0 in code, and from 1 wherever a person reads them.
         "failures": {str(j + 1): r.status for j, r in enumerate(results) if not r.success},
         "fallbacks": {str(j + 1): r.status for j, r in enumerate(results) if FALLBACK in r.status},
     }

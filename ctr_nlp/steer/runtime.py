@@ -122,7 +122,9 @@ class Steerer:
         self._size, self._robot, self._model = len(q), robot, described
         self.stand(q)
         self._target = run.p[0, stage.nlp.place("target")].reshape(3, -1)
+        # `_none` stays 0: its scalar product with a target is 0 unless that has a NaN or an infinity.
         self._whole, self._none = np.zeros((2, len(SIGMA), 3))
+        # A view: writing the whole target also writes the samples that the program takes.
         self._sampled = self._whole[::STRIDE].T
         self._arrival, self._part = arrival, 0.0
         if arrival is not None:
@@ -171,6 +173,8 @@ class Steerer:
         described = model_named(model)
         wall = wall_of(robot, None if lumen is None else Lumen.around(lumen), described, settings)
         stage, _ = _stage(robot, settings, described, wall)
+        # Each of these starts a compilation and says whether it is done: all are started, before any is waited
+        # for.
         begun = [described.fast(robot.structure), library(stage.nlp, 1).soon() is not None]
         if wall is not None and wall.around is not None:
             begun.append(wall.around.ready())

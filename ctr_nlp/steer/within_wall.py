@@ -1,4 +1,8 @@
-"""A motion frame by frame within the lumen's wall, started from the motion that is free of it."""
+"""A motion frame by frame within the lumen's wall, started from the first frame of the motion without the wall.
+
+Contact costs w a mm of slack, an exact penalty (docs/method.md, "The lumen's wall"). The motion without the wall
+stays the plan where fewer of its frames fail.
+"""
 
 from __future__ import annotations
 
@@ -36,6 +40,8 @@ def failed_frames(problem: Problem, moved: Simulation, x: Array, success: Flags)
     int
         Number of frames.
     """
+    # A frame on another branch counts like one that was not solved: the robot is not where it is meant to be in
+    # either.
     return int((~success | elsewhere(moved.x, x, moved.snaps, problem.robot.d)).sum())
 
 
@@ -68,8 +74,10 @@ def run_within_wall(
         success = np.array([j in one.results and one.results[j].success for j in range(problem.frames)])
         return failed_frames(problem, simulator(one.motion(problem)), one.unknowns(problem), success)
 
+    # Programs are shared; only the wall that counts in them differs.
     within = replace(frames, near=wall)
     found = run_again(free, within, stop)
     if not stop():
+        # Within the wall the motion is another one, whose margins between frames have to be looked at again.
         found = held(within, found, simulator, stop)[0]
     return (free, None) if failed(found) > failed(free) else (found, wall)
