@@ -1,4 +1,4 @@
-"""Problems to plans."""
+"""Planners: they take a problem (robot, target, lumen) and settings, and return a plan."""
 
 from ctr_nlp.steer.horizon import Horizon, horizon_planner, solve_horizon
 from ctr_nlp.steer.per_frame import march, solve_per_frame

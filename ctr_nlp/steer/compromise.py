@@ -1,4 +1,9 @@
-"""What a robot can have where it cannot both arrive and keep off the wall, and what stands in its way."""
+"""Motions between arriving and keeping off the wall, for robots that cannot do both, and what stands in their way.
+
+Costs are priorities (mm^2 for a mm), so that a few weights of arrival trace out the trade-off. The path's
+curvature is compared with the largest one that the tubes present at each place can have, sum_i EI_i k_i / sum_i
+EI_i (Dupont et al., Design and control of concentric-tube robots, IEEE Transactions on Robotics 26(2), 2010).
+"""
 
 from __future__ import annotations
 
@@ -28,9 +33,10 @@ from ctr_nlp.target.target import SIGMA
 from ctr_nlp.typing import Array
 
 WEIGHTS = 0.0, 5.0, 5000.0
-"""Weights of arrival, mm^2 a mm, of motions beside the plan's own: contact first, between, and arrival first."""
+"""Weights of arrival, mm^2 a mm, of motions beside the plan's own: contact first, between the two, arrival first.
+"""
 WINDOW = 5.0
-"""mm, to either side, over which a path's curvature is averaged: sharper bends are noise of its points."""
+"""Half width, mm, over which a path's curvature is averaged: sharper bends are noise of its points."""
 
 
 @dataclass(frozen=True)
@@ -72,12 +78,12 @@ class Compromise:
 
 
 class Needed(NamedTuple):
-    """What the end of a path asks of the tubes, where it asks for most.
+    """Where the end of a path demands most of the tubes, in curvature and in room.
 
-    bend: mm along the robot where the path's curvature exceeds what the tubes there can bend to by most, or comes
-    nearest to it; radius: of the path's bend there, mm; least: the smallest radius that those tubes bend to, mm.
-    narrow: mm along the robot where the lumen leaves least room; room: the lumen's radius there less the tube's,
-    mm; tube: its number, from 1.
+    bend: place along the robot, mm, where the path's curvature exceeds what the tubes there can bend to by most,
+    or comes nearest to it; radius: of the path's bend there, mm; least: smallest radius that those tubes bend to,
+    mm. narrow: place along the robot, mm, where the lumen leaves least room; room: the lumen's radius there less
+    the tube's, mm; tube: its number, from 1.
     """
 
     bend: float
@@ -140,6 +146,7 @@ def compromises(
         raise ProblemError("the lumen's radii are not known; there is no contact to weigh against arrival")
     found = [Compromise.of(plan)]
     start, end = (plan.options.get(name) for name in ("start", "end"))
+    # Every motion starts from the plan at the frames of the draft, so that differences come from the weight alone.
     coarse, picked = with_draft_frames(problem)
     with deferred_interrupt() as interrupted:
         for number, weight in enumerate(weights):
@@ -173,10 +180,13 @@ def needed(plan: Plan) -> Needed:
     assert plan.lumen is not None
     beta, lumen = plan.beta[-1], Lumen(plan.lumen)
     near = lumen.near(plan.target[-1])
+    # Robot and path are compared at equal sigma, as in eq. (8).
     s = SIGMA * beta[-1]
     asked = _averaged(np.linalg.norm(near.bend, axis=-1), s)
     possible = _largest_curvature(plan.robot.tubes, beta, s)
+    # The difference of curvatures, 1/mm, not the ratio: it is finite where tubes are straight.
     bend = int(np.argmax(asked - possible))
+    # The clearance that a robot would have which follows the path exactly.
     room = near.radius - outer_radii(plan.robot, beta[None], SIGMA)[0]
     narrow = int(np.argmin(room))
     tube = int(outermost(beta[None], SIGMA)[0, narrow]) + 1
@@ -216,6 +226,7 @@ def sentences(plan: Plan, found: Sequence[Compromise]) -> list[str]:
         )
     else:
         told.append(f"None of them keeps contact to {allowed:g} mm.")
+    # One motion does both: nothing stands in the way, and nothing more is said.
     if any(one.tip <= tolerance and one.contact <= allowed for one in found):
         return told
     deepest = min(arriving or found, key=lambda one: one.contact).where
@@ -259,6 +270,7 @@ def best_of_both(found: Sequence[Compromise]) -> list[Compromise]:
 
 def _averaged(values: Array, s: Array) -> Array:
     """Means of values (n,) at arc lengths s (n,), mm, over WINDOW to either side."""
+    # Means over all samples within the window; near the ends there are fewer of them, and no padding.
     near = abs(s[:, None] - s) <= WINDOW
     return np.asarray((near * values).sum(axis=1) / near.sum(axis=1))
 
@@ -269,8 +281,12 @@ def _largest_curvature(tubes: Sequence[Tube], beta: Array, s: Array) -> Array:
     for tube, end in zip(tubes, beta, strict=True):
         from_tip = end - s
         part = np.clip(from_tip / tube.curved_length, 0.0, 1.0)
+        # Pre-curvature is linear along the curved part, from its tip to its root; a straight transmission has
+        # none.
         curvature = abs(tube.tip_curvature + (tube.root_curvature - tube.tip_curvature) * part)
+        # A tube's own end counts as present, against rounding.
         present = from_tip >= -1e-9
         bent += present * (from_tip <= tube.curved_length) * tube.bending_stiffness * curvature
         stiff += present * tube.bending_stiffness
+    # Past all tubes both are 0, and so is the quotient.
     return bent / np.maximum(stiff, 1e-300)

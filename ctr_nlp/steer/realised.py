@@ -1,4 +1,10 @@
-"""Motions on the elastic model that a robot really makes: without snaps, and stable between frames too."""
+"""Motions on the elastic model that a robot really makes: without snaps, and stable between frames too.
+
+A program sees frames alone: each is an equilibrium, and its stability margin mu (1 where no tube acts on another,
+0 at the snap) is constrained. Whether a real robot comes there shows only when it is simulated from the first
+frame on, as its motors move. Where mu is missed between frames, the frames beside are given more margin, and the
+motion is solved again; the objective only grows with that.
+"""
 
 from __future__ import annotations
 
@@ -22,29 +28,31 @@ from ctr_nlp.steer.passes import Pass
 from ctr_nlp.typing import Array
 
 TRIED = 3
-"""Best attempts that are looked at; more where none of them is made."""
+"""Best solved starts that are simulated; more where the robot makes none of them."""
 ROUNDS = 6
-"""Times that margins of frames are raised for what is missing between them."""
+"""Most times that the margins of frames are raised for what is missing between them."""
 SHORT = 0.005
-"""By how much the margin may be missed between frames."""
+"""By how much the stability margin may be missed between frames."""
 GIVEN, MOST = 0.1, 0.9
-"""What is added to margins where the robot loses its way; frames are given no more than that."""
+"""Margin that is added where the robot left the planned branch, and the largest margin that frames are given."""
 TURNS = 2
-"""Whole turns of a tube that are tried to find the robot where its motion begins."""
+"""Whole turns of a tube, to either side, that are tried to find the robot where its motion begins."""
 
 
 T = TypeVar("T")
 
 
 class Missed(NamedTuple):
-    """What the margin is missed by on the way to every frame, by_frame (T,); lost: the robot is elsewhere."""
+    """By how much the stability margin is missed on the way to each frame, by_frame (T,); lost: the robot left the
+    branch.
+    """
 
     by_frame: Array
     lost: bool
 
 
 class Made(NamedTuple):
-    """An attempt whose motion the robot makes, and what the margin is missed by at most."""
+    """A solved start whose motion the robot makes, and by how much its margin is missed at most."""
 
     attempt: Attempt
     missing: float
@@ -58,16 +66,20 @@ def realised(
     margin: float | None,
     stop: Callable[[], bool],
 ) -> list[Attempt]:
-    """The attempt of least objective among the best whose motion the robot makes; else all, which it does not.
+    """Return the best of several solved starts whose motion the robot makes, alone in a list; else all, marked as
+    not made.
 
-    Where the margin is missed between frames, those beside must hold more: an attempt has its own parameters.
+    margin: the least stability margin, None for any. stop: asked whether to end. Where the margin is missed
+    between frames, those beside must hold more: the result then has parameters of its own.
     """
     made: list[Made] = []
     tried: list[float] = []
     for one in sorted(attempts, key=lambda one: one.solution.objective):
         objective = one.solution.objective
+        # Starts are sorted by objective, so that equal solutions are neighbours and only the first is simulated.
         if not one.solution.success or (tried and objective - tried[-1] <= SAME * (1 + abs(objective))):
             continue
+        # Objectives of motions whose margin holds between frames: no start with a larger one can be better.
         kept = [one.attempt.solution.objective for one in made if one.missing <= SHORT]
         if stop() or (made and len(tried) >= TRIED) or min(kept, default=np.inf) <= objective:
             break  # with higher margins its objective would only grow
@@ -76,6 +88,7 @@ def realised(
         made += [] if found is None else [found]
     if not made:
         return [replace(one, made=False) for one in attempts]
+    # Misses up to SHORT are as good as none; among these the objective decides.
     return [min(made, key=lambda one: (max(one.missing, SHORT), one.attempt.solution.objective)).attempt]
 
 
@@ -88,9 +101,10 @@ def _made(
     stop: Callable[[], bool],
     least: float,
 ) -> Made | None:
-    """An attempt changed until its motion is made and the margin held between frames, or as nearly as it goes.
+    """Raise margins of a solved start until the robot makes its motion and keeps the margin between frames.
 
-    least: an objective from which on a change is not worth following, as it only grows with margins.
+    Returns the best that was reached, None where the robot makes none. least: an objective from which on changes
+    are not pursued, as it only grows with margins.
     """
     robot = simulator.robot
 
@@ -100,6 +114,7 @@ def _made(
 
     def again(tried: Attempt, margins: Array) -> Attempt | None:
         firmer = chain.with_parameters({"margin": margins})
+        # The motion is near its old solution: most active limits are known, and the barrier begins small.
         found = attempt(firmer, solver, tried.motion, None, stop, CLOSE)
         return found if found.solution.success and found.solution.objective < least else None
 
@@ -115,16 +130,17 @@ def held_between(
     again: Callable[[T, Array], T | None],
     stop: Callable[[], bool],
 ) -> tuple[T, float] | None:
-    """A motion that the robot makes, and what its margin is missed by at most; None where none is found.
+    """Solve a motion again with raised margins until the robot makes it and keeps its margin between frames.
 
-    margins (T,): of the frames of the first motion, None where none are asked for; they are raised where more
-    is missed between frames than SHORT. missed: what a motion misses; again: a motion solved again with other
-    margins, None where that fails.
+    first: the motion as solved. margins (T,): of its frames; None where none are asked for. missed: returns what a
+    motion misses. again: solves a motion with other margins; None where that fails. stop: asked whether to end.
+    Returns the motion that misses least, and by how much; None where the robot makes none.
     """
     tried, best = first, None
     for _ in range(ROUNDS + 1):
         by_frame, lost = missed(tried)
         short = float(by_frame.max())
+        # The best so far is kept: a later round may fail, or lead to another branch.
         if not lost and (best is None or short < best[1]):
             best = tried, short
         if margins is None or stop() or not (lost or short > SHORT):
@@ -138,11 +154,17 @@ def held_between(
 
 
 def _found(robot: Robot, model: Model, chain: Chain, one: Attempt) -> Attempt:
-    """The same motion with tubes turned by whole turns, so that the robot is found where it begins."""
+    """Return the motion with tubes turned by whole turns, so that its first frame is where the robot settles.
+
+    robot, model: that are simulated. chain: of the solved start `one`. A tube turned by a whole turn together with
+    its motor leaves the shape as it is, but only one of these configurations is where a robot comes to that is
+    turned there from aligned tubes.
+    """
     chain = replace(chain, parameters=one.parameters)
     x = one.solution.x.reshape(chain.frames, -1).copy()
     q = one.solution.q.reshape(chain.frames, -1)[0, : len(robot.axes)]
     turns = _turns(robot, model, q, one.motion[0])
+    # All frames are turned alike: between frames nothing changes, neither speeds nor the motion term.
     x[:, : robot.d - 1] += turns
     value = chain.evaluate(x.ravel())[1]
     if not turns.any() or chain.violation(value) > FEASIBLE:
@@ -152,9 +174,11 @@ def _found(robot: Robot, model: Model, chain: Chain, one: Attempt) -> Attempt:
 
 
 def held(frames: NlpFrames, one: Pass, simulator: Simulator, stop: Callable[[], bool]) -> tuple[Pass, NlpFrames]:
-    """A run through all frames, repeated until the margin is held between frames too; frames with its margins.
+    """Repeat a run through all frames until its margin holds between frames too; return it with a solver of its
+    margins.
 
-    As it is on models of which nothing can be unstable, and where no run is found that the robot makes.
+    frames: solver of single frames. one: the run. simulator: of the problem's robot. The run is returned as it is
+    on models that cannot snap, and where no run is found that the robot makes.
     """
     if not frames.model.can_snap:
         return one, frames
@@ -165,6 +189,8 @@ def held(frames: NlpFrames, one: Pass, simulator: Simulator, stop: Callable[[], 
         return missing(simulator(made.motion(problem)), made.unknowns(problem), margin, problem.robot.d)
 
     def again(tried: _Run, margins: Array) -> _Run | None:
+        # Raised margins change the first solved frame, too: it is solved anew, near what it was, and the run
+        # follows from there. A given start is not a frame, and stays.
         made, first, within = tried.made, tried.made.order[0], replace(frames, margins=margins)
         known = {} if made.before else {first: made.results[first]}
         if known and margins[first] > tried.frames.margins[first]:
@@ -187,21 +213,24 @@ class _Run(NamedTuple):
 
     @classmethod
     def through(cls, frames: NlpFrames, one: Pass) -> _Run | None:
-        """A run that is gone through now."""
+        """Run through all frames now; None where one is not solved."""
         for _ in one.run(frames):
             pass
         return cls.found(frames, one)
 
     @classmethod
     def found(cls, frames: NlpFrames, one: Pass) -> _Run | None:
-        """None where a frame is not solved."""
+        """Return a run whose tubes are turned to where the robot settles; None where a frame is not solved."""
         if any(j not in one.results or not one.results[j].success for j in one.order):
             return None
         return cls(frames, _found_pass(frames, one))
 
 
 def _found_pass(frames: NlpFrames, one: Pass) -> Pass:
-    """As _found, for a run without a given start."""
+    """Return a run with tubes turned by whole turns, so that its first frame is where the robot settles.
+
+    A run from a given start is left as it is: the start says how tubes are turned.
+    """
     turns = _turns(frames.problem.robot, frames.model, one.results[0].q, one.unknowns(frames.problem)[0])
     if one.before is not None or not turns.any():
         return one
@@ -214,28 +243,41 @@ def _found_pass(frames: NlpFrames, one: Pass) -> Pass:
 
 
 def raised(margins: Array, missing: Array) -> Array:
-    """Margins of frames (T,), raised by what is missing on the way to them and from them."""
+    """Return margins of frames (T,), raised by what is missing on the way to each frame and on the way from it.
+
+    missing (T,): by how much the margin is missed on the way to each frame.
+    """
+    # The margin between two frames depends on both: both are raised.
     more = np.maximum(missing, np.append(missing[1:], 0.0))
     return np.where(more > SHORT, np.maximum(margins, np.minimum(margins + more, MOST)), margins)
 
 
 def missing(moved: Simulation, x: Array, margin: float | None, d: int) -> Missed:
-    """What a motion misses whose unknowns are meant to be x (T, n), as the robot is moved through it.
+    """Return what a motion misses as it is simulated.
 
-    After a snap that leads nobody knows where, nothing is missed: that the robot is elsewhere is what counts.
+    moved: the simulation. x (T, n): the unknowns that were planned. margin: the least, None for any. d: number of
+    tubes. After a snap to an unknown equilibrium the margin is NaN and counts as kept: that the robot left the
+    branch is what matters.
     """
     away = elsewhere(moved.x, x, moved.snaps, d)
     by_frame = np.maximum(np.nan_to_num((margin or 0.0) - moved.stability_between), 0.0)
+    # argmax is the first frame in which the robot is elsewhere: the branch was left on the way to it, and later
+    # frames follow from that. More margin there keeps away from where branches part.
     by_frame[away.argmax()] += GIVEN * away.any()
     return Missed(by_frame, bool(away.any()))
 
 
 def _turns(robot: Robot, model: Model, q: Array, x: Array) -> Array:
-    """Whole turns (d - 1,) of outer tubes, rad, with which the robot settled at q has the unknowns x; or none."""
+    """Return whole turns (d - 1,), rad, of the outer tubes with which the robot settled at q has the unknowns x.
+
+    Zeros where none of them fits. Fewest turns are tried first.
+    """
     d = robot.d
     outer = slice(d - 1)
     turns = np.array(list(itertools.product(range(-TURNS, TURNS + 1), repeat=d - 1)))
     for turn in 2 * np.pi * turns[np.argsort(np.abs(turns).sum(axis=1), kind="stable")]:
+        # Turning motor and tip together leaves the twist of the tube, and with it the equilibrium, as it is; what
+        # changes is the configuration from which a robot at rest would have come.
         there, to = q.copy(), x.copy()
         there[outer] += turn
         to[outer] += turn

@@ -1,4 +1,8 @@
-"""What is asked of a search, and what no motion can do: both are said before anything is solved."""
+"""Checks of what is asked of a planner, and of what no motion can do; both raise before anything is solved.
+
+Growth of the path and given ends are compared with the robot's speeds and accelerations: a solver would only
+report that it did not converge, and after minutes.
+"""
 
 from __future__ import annotations
 
@@ -23,9 +27,9 @@ Direction = Literal["forward", "backward", "best"]
 
 DIRECTIONS = ("forward", "backward", "best")
 NEAR_POLE = 0.1
-"""rad from the y axis within which the base of a loaded robot cannot be led to point."""
+"""Least angle between a loaded robot's base tangent and the y axis, rad: at 0 the tilt is singular."""
 SLACK = 1e-6
-"""Limits may be exceeded by this part before a motion counts as impossible."""
+"""Relative amount by which limits may be exceeded before a motion counts as impossible."""
 
 
 def check_described(problem: Any, settings: Any) -> None:
@@ -46,6 +50,8 @@ def check_model(problem: Problem, model: Model) -> None:
     if model.bears is None:
         return
     base = np.array([sample.tangents[0] for sample in problem.samples])
+    # The angle to the y axis, either direction of it: at 0, eq. (4) has theta_x = 90 deg. The target's first
+    # tangent stands for the robot's, which is not known yet.
     away = np.arctan2(np.hypot(base[:, 0], base[:, 2]), abs(base[:, 1]))
     frame = int(away.argmin())
     if away[frame] < NEAR_POLE:
@@ -60,7 +66,11 @@ def check_model(problem: Problem, model: Model) -> None:
 def checked_ends(
     problem: Problem, direction: Direction, start: npt.ArrayLike | None, end: npt.ArrayLike | None = None
 ) -> tuple[Array | None, Array | None]:
-    """Given ends of a motion, q (2d + 2,), as arrays; raises RobotError and, with direction, OptionError."""
+    """Return given ends of a motion, q (2d + 2,), as arrays, or None.
+
+    direction: order of frames, with which a start must agree. Raises RobotError where an end violates the robot's
+    limits, and OptionError.
+    """
     check_choice("direction", direction, DIRECTIONS)
     if start is not None and direction == "backward":
         raise OptionError("direction is 'backward' and a start is given; a motion from a start goes forward")
@@ -69,7 +79,7 @@ def checked_ends(
 
 
 def check_search(motion_weight: float | None, starts: int | None, jobs: int) -> None:
-    """Raise OptionError unless a horizon can be searched for so."""
+    """Raise OptionError unless motion_weight (s^2), starts and jobs are numbers that a search can have."""
     for name, count in (("starts", starts), ("jobs", jobs)):
         if count is not None:
             whole_number(OptionError, name, count)
@@ -78,7 +88,7 @@ def check_search(motion_weight: float | None, starts: int | None, jobs: int) -> 
 
 
 def checked_motions(problem: Problem, initial: Sequence[npt.ArrayLike]) -> list[Array]:
-    """Motions (T, 2d + 2) to start from, as arrays; raises OptionError."""
+    """Return given motions, each (T, 2d + 2), as arrays; raise OptionError where one has another shape."""
     if not isinstance(initial, Sequence | np.ndarray) or isinstance(initial, str):
         raise OptionError(f"initial is {initial!r:.80}; it must be a sequence of motions")
     expected = (problem.frames, len(problem.robot.axes))
@@ -86,7 +96,7 @@ def checked_motions(problem: Problem, initial: Sequence[npt.ArrayLike]) -> list[
 
 
 def checked_terms(terms: Sequence[Term]) -> tuple[Term, ...]:
-    """Further terms of the objective; raises OptionError unless they are terms."""
+    """Return further terms of the objective as a tuple; raise OptionError unless they are terms."""
     for term in terms if isinstance(terms, Sequence) else [terms]:
         instance(OptionError, "a term", term, Term)
     return tuple(terms)
@@ -103,7 +113,10 @@ def check_growth(problem: Problem) -> None:
         return
     lengths = np.asarray(problem.target.lengths)
     time = problem.dt * np.arange(1, problem.frames + 1)
+    # beta_d is the robot's length, so that its speed bounds that of the path. The lag is the largest length by
+    # which the path gets ahead of a tube at full speed between any two frames; negated, for a path that shrinks.
     late = np.array([_behind(lengths - speed * time), _behind(-lengths - speed * time)])
+    # Half: the tube may be ahead of the path at one end of the interval, and behind it at the other.
     worst, lag = int(late[:, 0].argmax()), float(late[:, 0].max()) / 2
     if lag > (OVERLONG - 1) * problem.robot.reach:
         _, first, last = late[worst]
@@ -117,7 +130,7 @@ def check_growth(problem: Problem) -> None:
 
 
 def _behind(ahead: Array) -> tuple[float, int, int]:
-    """The largest ahead[j] - ahead[i] over i < j, with i and j."""
+    """Return the largest rise ahead[j] - ahead[i] over i < j, with i and j, in one pass over running minima."""
     lowest = np.minimum.accumulate(ahead)
     j = int((ahead - lowest).argmax())
     i = int(ahead[: j + 1].argmin())
@@ -127,16 +140,25 @@ def _behind(ahead: Array) -> tuple[float, int, int]:
 def check_ends(problem: Problem, chain: Chain) -> None:
     """Raise ProblemError where no motion between two given ends keeps limits, order, speeds and accelerations.
 
-    All of these are linear, so that a linear program finds the least factor by which speeds and accelerations
-    would have to grow. Constraints of frames that are not linear are left out.
+    chain: of all frames. A linear program finds the least factor f by which all bounds on speeds v and
+    accelerations a would have to grow:
+
+        min f  over x and f  subject to  lower <= x <= upper,  the order of tubes,
+        |q_{j+1} - q_j| <= f v dt,  |q_{j+1} - 2 q_j + q_{j-1}| <= f a dt^2
+
+    All of these are linear in x. Constraints of frames that are not linear are left out: what is impossible
+    without them is so with them.
     """
+    # Any point will do to take derivatives at, as the rows are linear.
     x0 = np.clip(np.zeros(chain.lower.size), chain.lower.ravel(), chain.upper.ravel())
     at, size = chain.slopes(x0), x0.size
     rows = size + np.flatnonzero(np.tile(~chain.frame.g_nonlinear, chain.frames))
+    # Rows of a chain are x, then the frames' constraints, then links between frames: speeds and accelerations.
     links = np.arange(at.value.size - len(chain.offset), at.value.size)
     own = sp.block_diag(list(at.jacobian), format="csr")[rows - size]
     matrix = sp.csr_array(sp.vstack([own, chain.linking[:, :size]]))
     picked = np.concatenate([rows, links])
+    # The constant part of each row: value(x) = matrix x + shift.
     shift = at.value[picked] - matrix @ x0
     grows = np.isin(picked, links)
     sides = []
@@ -144,6 +166,7 @@ def check_ends(problem: Problem, chain: Chain) -> None:
         some = np.flatnonzero(np.isfinite(bound))
         factor = sp.csr_array(np.where(grows, bound, 0.0)[some, None])
         right = np.where(grows, 0.0, bound)[some] - sign * shift[some]
+        # One-sided rows: sign (matrix x + shift) <= bound, where the bound of a link is f times its own.
         sides.append((some, sp.hstack([sign * matrix[some], -factor]), right))
     index, matrices, rights = (list(part) for part in zip(*sides, strict=True))
     cost = np.append(np.zeros(size), 1.0)
@@ -152,6 +175,7 @@ def check_ends(problem: Problem, chain: Chain) -> None:
     if not found.success:
         raise ProblemError(f"no motion leads from start to end within limits and order: {found.message}")
     if found.x[-1] > 1 + SLACK:
+        # The row with the most negative multiplier is the limit that f depends on most: it is named to the user.
         name, frame = chain.place(int(picked[np.concatenate(index)[found.ineqlin.marginals.argmin()]]))
         raise ProblemError(
             f"no motion leads from start to end in {problem.duration:g} s: {name} would have to be "
