@@ -1,4 +1,4 @@
-"""Plans over all frames at once."""
+"""Plans over all frames at once: one nonlinear program for a whole motion."""
 
 from ctr_nlp.steer.horizon.asked import horizon_planner, solve_horizon
 from ctr_nlp.steer.horizon.chained import Horizon

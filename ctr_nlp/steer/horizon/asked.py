@@ -1,4 +1,9 @@
-"""Steering over a whole motion at once."""
+"""Entry points of plans over all frames at once: the objective of eq. (9) summed over a motion's frames.
+
+    sum_j d_j + lambda sum_j |W (q_{j+1} - q_j)|^2 / dt^2
+
+d_j, mm^2, is the distance (8) in frame j; lambda is in s^2, and W scales rad to mm (10 mm/rad for angles).
+"""
 
 from __future__ import annotations
 
@@ -88,6 +93,7 @@ def solve_horizon(
     """
     check_described(problem, settings)
     check_search(motion_weight, starts, jobs)
+    # Given motions are checked before programs are built, which takes seconds.
     motions = checked_motions(problem, initial)
     planner = horizon_planner(problem, model, solver, start, end, settings, terms)
     return planner.solve(motions, motion_weight, starts, jobs, progress, seen, exhaustive)
@@ -123,5 +129,6 @@ def horizon_planner(
         As :func:`solve_horizon`.
     """
     chosen = model_named(model, "model of a horizon")
+    # Both have the same method `solve`: callers need not know which of them they have.
     kind = Horizon if chosen.bears is None else LoadedHorizon
     return kind(problem, chosen, solver, start, end, settings, terms)

@@ -1,8 +1,10 @@
 """A motion under a known load: one of the robot without it, solved over all frames as the robot bears it.
 
-Where the base of a loaded robot points tells its theta, but for a pole at theta_x = 90 deg. So the robot is
-solved for as scenarios are, of which it is the only one (formulations/shared/scenarios.py): theta is an unknown
-beside the turn of the tip, two equations say that the base points there, and nothing has a pole.
+Unknowns of a loaded robot are its tips' angles phi, its extensions beta and the turn w of the tip's frame. Where
+its base points then tells the tilt theta, but for a pole at theta_x = 90 deg. So the robot is solved for as
+scenarios are, of which it is the only one (formulations/shared/scenarios.py): theta is an unknown beside w, two
+equations say that the base points where theta has it, and nothing has a pole. See "Tubes that bear a load" in
+docs/method.md.
 """
 
 from __future__ import annotations
@@ -45,14 +47,14 @@ from ctr_nlp.target.problem import Problem
 from ctr_nlp.typing import Array
 
 FIRMER = 0.2, 0.0, 0.1
-"""By how much more margin than asked motions frame by frame have that the search begins with, one after the other.
+"""Stability margin beyond the one asked for of the motions frame by frame that the search begins with, in turn.
 
 A motion that keeps just the margin that is asked may end beside the snap, and from there the search under the load
 comes to a branch of equilibria that the robot does not reach.
 """
 KEPT = 1.01
-"""A motion under the load is taken at once where holding its margin between frames has raised its objective to no
-more than so many times what it was: where that costs more, another start may avoid the branch beside it.
+"""Factor up to which the objective may grow where a motion's margin is held between frames, for the motion to be
+taken at once. Where that costs more, another start may avoid the branch beside it.
 """
 
 
@@ -69,7 +71,7 @@ class LoadedHorizon:
         settings: Settings = DEFAULTS,
         terms: Sequence[Term] = (),
     ) -> None:
-        """Build; raises as Horizon, and LoadError where the load does not fit the robot.
+        """Build; arguments and errors as in Horizon, and LoadError where the load does not fit the robot.
 
         Within a wall, the target must not lead the base to the pole of its tilt, or ProblemError is raised.
         """
@@ -80,9 +82,13 @@ class LoadedHorizon:
         self.problem, self._model, self._settings = problem, model, settings
         self._terms = with_arrival(checked_terms(terms), settings, model)
         wall = wall_of(problem.robot, problem.sampled_lumen, model, settings)
+        # The program of the one scenario is built without the wall. A motion that it finds is solved again within
+        # the wall by the usual chain, whose theta follows from x and has the pole.
         self._inside = None if wall is None else Horizon(problem, model, *asked, settings, terms)
         margin = settings.stability_margin
         self._margins = None if margin is None else np.full(problem.frames, margin)
+        # The robot without the load only provides starts: where it would touch the wall says little of where the
+        # loaded one does.
         free = replace(settings, contact_weight=0.0)
         self._without = Horizon(problem, MODELS[model.name], *asked, free, self._terms)
         self._simulator = Simulator(problem.robot, model)
@@ -98,15 +104,19 @@ class LoadedHorizon:
         seen: Report | None = None,
         exhaustive: bool = False,
     ) -> Plan:
-        """The plan; as solve_horizon."""
+        """Search for the best motion and return its plan; arguments as in :func:`solve_horizon`."""
         check_search(motion_weight, starts, jobs)
         without, given = self._without, checked_motions(self.problem, initial)
         with deferred_interrupt() as interrupted:
             begin = time.perf_counter()
             first = without.motions(given, progress)[0]
             weight = without.balanced_weight(first) if motion_weight is None else motion_weight
+            # A motion under the load that costs no more than the unloaded robot's best is good enough to end the
+            # search. A user who asks for more starts wants the whole search: no motion is below -inf.
             limit = -math.inf if starts or exhaustive else without.objective(first, weight)
             between = time.perf_counter()
+            # Lazily: the unloaded horizon takes longest, and is solved only where motions frame by frame led
+            # nowhere.
             search = functools.partial(without.solve, given, weight, starts, jobs, progress, seen, exhaustive)
             motions = itertools.chain(given, self._firmer(first, progress), self._plain(search))
             found = self._borne(motions, weight, limit, interrupted)
@@ -128,7 +138,10 @@ class LoadedHorizon:
         return self._plan(without.configurations(first), found, weight, meta)
 
     def _firmer(self, first: Array, progress: Progress | None) -> Iterator[Array]:
-        """Motions (T, 2d + 2) frame by frame without the load; first (T, n): that of no more margin."""
+        """Yield motions (T, 2d + 2), frame by frame without the load, with each margin of FIRMER in turn.
+
+        first (T, n): unknowns of the motion with no more margin than asked, which is known already.
+        """
         asked, without = self._settings.stability_margin, self._without
         for more in FIRMER:
             if more == 0.0:
@@ -139,22 +152,25 @@ class LoadedHorizon:
                 yield without.configurations(per_frame_motions(*at)[0])
 
     def _plain(self, search: Callable[[], Plan]) -> Iterator[Array]:
-        """The motion (T, 2d + 2) of the plan without the load, which is searched for now."""
+        """Yield the motion (T, 2d + 2) of the plan without the load, which is searched for only now."""
         yield search().q
 
     def _borne(
         self, motions: Iterator[Array], weight: float, limit: float, stop: Callable[[], bool]
     ) -> SharedSolution | None:
-        """The motion under the load, from motions (T, 2d + 2) without it, with margins held between frames too.
+        """Solve motions under the load, in turn, with their margins held between frames too; return the best.
 
-        The first is taken whose objective is at most limit, mm^2, also with its margin held (KEPT), else the best;
-        where the robot makes none, the first that was solved, else what came of the last; None if none was begun.
+        motions: (T, 2d + 2), without the load. weight: lambda in s^2. limit: objective, mm^2, at or below which a
+        motion is taken at once if holding its margin costs little (KEPT). Without such a motion the best one is
+        returned that the robot makes; else the first that was solved, else the last result; None where none was
+        begun.
         """
         motion = self._motion(weight, self._margins)
         found: SharedSolution | None = None
         solved: list[SharedSolution] = []
         while not stop() and (q := next(motions, None)) is not None:
             found = self._from(q, motion, stop)
+            # A start that leads to a solution which is known already has nothing to add.
             if stop() or not found.success or _known(found, solved):
                 continue
             solved.append(found)
@@ -162,6 +178,7 @@ class LoadedHorizon:
             held = self._held(found, weight, most, stop)
             if held is not None and held[1] <= SHORT and held[0].objective <= most:
                 return held[0]
+        # None was cheap enough: now all are held between frames whatever that costs, and compared.
         every = [self._held(one, weight, math.inf, stop) for one in solved]
         made = [held for held in every if held is not None]
         if made:
@@ -171,8 +188,11 @@ class LoadedHorizon:
     def _held(
         self, first: SharedSolution, weight: float, most: float, stop: Callable[[], bool]
     ) -> tuple[SharedSolution, float] | None:
-        """The same motion with its margin held between frames, and what the margin is missed by; None where the
-        robot does not make it. most: mm^2; motions of a larger objective are not gone on with.
+        """Raise margins of a motion until it keeps its margin between frames; return it, and by how much that is
+        missed.
+
+        first: the motion as solved. weight: lambda in s^2. most: objective, mm^2, above which it is given up. None
+        where the robot does not make the motion.
         """
         d, margin = self.problem.robot.d, self._settings.stability_margin
 
@@ -186,18 +206,25 @@ class LoadedHorizon:
         return held_between(first, self._margins, missed, again, stop)
 
     def _motion(self, weight: float, margins: Array | None) -> SharedMotion:
-        """The program of the robot alone; weight: lambda in s^2; margins (T,): of each frame."""
+        """Build the program of the one robot; weight: lambda in s^2; margins (T,): of each frame, or None."""
         problem, robot = self.problem, self.problem.robot
+        # One scenario: the robot itself, without differences of its motors' zeros, and with all the weight.
         alone = Scenarios(robot.numbers[None], np.zeros((1, robot.d)), np.ones(1))
         at = robot, problem.samples, problem.dt, weight, self._without.ends, self._model, alone
         return shared_motion(*at, fastest, margins, self._terms)
 
     def _from(self, q: Array, motion: SharedMotion, stop: Callable[[], bool]) -> SharedSolution:
-        """The first solution from q (T, 2d + 2), where the load has come in every frame by itself."""
+        """Solve under the load from a motion q (T, 2d + 2) without it; the load is raised in every frame by
+        itself.
+        """
         robot, model = self.problem.robot, self._model
         tips = tip_angles(MODELS[model.name].follow(robot, q).x, robot.d)
+        # Raised frame by frame, the load needs no history between frames. Where the unloaded robot has no known
+        # equilibrium, tips at their motors' angles are the guess.
         x = model.loaded(robot, q, np.where(np.isfinite(tips), tips, q[:, : robot.d]))
         solve = SharedSolver(motion)
+        # The wide barrier first lets the objective decide which limits become active; where that fails, one that
+        # stays nearer to the start.
         for barrier in (WIDE, CLOSE):
             found = solve(q, x[:, None, motion.own], barrier, stop)
             if found.success or stop():
@@ -205,7 +232,11 @@ class LoadedHorizon:
         return found
 
     def _plan(self, q: Array, found: SharedSolution | None, weight: float, meta: dict[str, Any]) -> Plan:
-        """The motion found as a plan; q (T, 2d + 2), not solved, where the search was interrupted before that."""
+        """Make a plan of the motion found; where the search was interrupted before that, of q (T, 2d + 2), not
+        solved.
+
+        weight: lambda in s^2. meta: of the plan.
+        """
         frames, unknown = self.problem.frames, np.full(self.problem.frames, np.nan)
         if found is None:
             why = {"all": "interrupted before the load was looked at"}
@@ -230,5 +261,5 @@ class LoadedHorizon:
 
 
 def _known(found: SharedSolution, solved: Sequence[SharedSolution]) -> bool:
-    """Whether another start came to the same solution."""
+    """Return whether another start came to the same solution: one whose objective is the same (SAME)."""
     return any(abs(found.objective - one.objective) <= SAME * (1 + abs(one.objective)) for one in solved)

@@ -1,4 +1,9 @@
-"""All frames of a problem as one chain, solved from motions frame by frame or given ones, and the plan of it."""
+"""All frames of a problem as one chain (nlp/chain.py), solved from several motions, and the plan that comes of it.
+
+The search is far from any wall first. Within a lumen the best motions are then solved again with the wall, at a
+tenth of its weight and then at all of it. lambda (s^2) weighs motion against shape; by default it is such that the
+motion of the start costs a tenth of its shape errors.
+"""
 
 from __future__ import annotations
 
@@ -45,8 +50,9 @@ from ctr_nlp.target.problem import Problem
 from ctr_nlp.typing import Array
 
 WALL_PARTS = 0.1, 1.0
-"""Parts of the weight of contact with which a motion is solved within the wall, one after the other. From a motion
-that is deep in the wall, the whole weight at once leads the solver astray."""
+"""Parts of the contact weight with which a motion is solved within the wall, one after the other. From a motion
+deep in the wall, the whole weight at once leads the solver astray.
+"""
 
 
 class Horizon:
@@ -62,13 +68,17 @@ class Horizon:
         settings: Settings = DEFAULTS,
         terms: Sequence[Term] = (),
     ) -> None:
-        """Build; raises OptionError, RobotError, and ProblemError where no motion can keep the limits."""
+        """Build all programs; arguments as in solve_horizon.
+
+        Raises OptionError, RobotError, and ProblemError where no motion can keep the limits.
+        """
         self._model = model_named(model, "model of a horizon")
         check_model(problem, self._model)
         solver = default_chain_solver() if solver is None else solver
         check_choice("solver of a horizon", solver, CHAIN_SOLVERS)
         if problem.frames < 2:
             raise OptionError("frames is 1; a motion over a horizon needs at least 2")
+        # Before anything is built: what is impossible shows at once.
         check_growth(problem)
         begin = time.perf_counter()
         self.problem = problem
@@ -78,6 +88,8 @@ class Horizon:
         self._names = {"formulation": "horizon", **self._model.told, "solver": solver}
         self._settings, self._terms = settings, with_arrival(checked_terms(terms), settings, self._model)
         self._wall = wall_of(problem.robot, problem.sampled_lumen, self._model, settings)
+        # Built with a weight of 1 s^2: a chain's motion term is scaled afterwards (with_cost), so that one chain
+        # serves all weights.
         self._free = self._built(None)
         inside = self._free if self._wall is None else self._built(self._wall)
         self._simulator = Simulator(problem.robot, self._model)
@@ -113,7 +125,7 @@ class Horizon:
         seen: Report | None = None,
         exhaustive: bool = False,
     ) -> Plan:
-        """The plan; as solve_horizon."""
+        """Search for the best motion and return its plan; arguments as in :func:`solve_horizon`."""
         check_search(motion_weight, starts, jobs)
         given = checked_motions(self.problem, initial)
         with deferred_interrupt() as interrupted:
@@ -126,12 +138,16 @@ class Horizon:
             )
             wall, free = None, None
             attempts: Sequence[Attempt] = []
+            # Motions that the user chose are all solved to the end; those of the search's own only as far as they
+            # promise something.
             every = bool(given or starts or exhaustive)
             if not interrupted():
                 ranked = search.ranked(found, starts or len(found))
                 attempts = search.attempts(ranked) if every else search.likely(ranked)
             if self._wall is not None and not interrupted():
                 free = self.configurations(best_of(attempts).motion)
+                # Which motion is best without the wall need not be best within it: given motions are all tried
+                # there, as they were given, too.
                 tried = [one.motion for one in distinct(attempts)] if every else [best_of(attempts).motion]
                 tried += found if given else []
                 wall, attempts = self._kept_inside(self._wall, search, attempts, tried)
@@ -143,20 +159,27 @@ class Horizon:
         return self._plan(search.near(wall), found[0], attempts, free, meta)
 
     def motions(self, given: Sequence[Array] = (), progress: Progress | None = None) -> list[Array]:
-        """Unknowns (T, n) to start from: of given motions (T, 2d + 2), else frame by frame, best first."""
+        """Return unknowns (T, n) to start from: of given motions (T, 2d + 2), or solved frame by frame, best
+        first.
+        """
         at = self.problem, self.ends, self._settings, progress, self._model, self._terms
         return [x for motion in given for x in self._unknowns(motion)] or per_frame_motions(*at)
 
     def options(self, weight: float, starts: int | None = None, exhaustive: bool = False) -> dict[str, Any]:
-        """What was asked for, as a plan's meta holds it; weight: lambda in s^2."""
+        """Return the options of a plan's meta.
+
+        weight: lambda in s^2. starts, exhaustive: as in solve_horizon.
+        """
         asked = {"motion_weight": weight, "starts": starts, "exhaustive": exhaustive}
         return {**self._settings.options(), **asked, "terms": listed(self._terms), **self.ends.options}
 
     def _kept_inside(
         self, wall: Wall, search: Search, free: Sequence[Attempt], motions: Sequence[Array]
     ) -> tuple[Wall | None, Sequence[Attempt]]:
-        """Attempts within a wall, from motions, and that wall; those free of it, and None, where more frames fail
-        within the wall.
+        """Solve motions within a wall; return that wall and the results.
+
+        free: results without the wall. motions: unknowns (T, n) to start from. Where more frames fail within the
+        wall than without it, None and `free` are returned.
         """
 
         def failed(one: Attempt) -> int:
@@ -167,6 +190,8 @@ class Horizon:
         within: Sequence[Attempt] = ()
         for part in WALL_PARTS:
             within = search.attempts(motions, replace(wall, weight=part * wall.weight))
+            # Each weight starts from the solutions of the one before; where there is none, from the same motions
+            # again.
             motions = [one.motion for one in within if one.solution.success] or motions
         if failed(best_of(within)) > failed(best_of(free)):
             return None, free
@@ -182,7 +207,10 @@ class Horizon:
         return self._search.balanced_weight(motion)
 
     def objective(self, motion: Array, weight: float) -> float:
-        """That of a motion's unknowns (T, n), far from any wall, mm^2; weight: lambda in s^2."""
+        """Return the objective of a motion's unknowns (T, n) far from any wall, mm^2, summed over frames.
+
+        weight: lambda in s^2.
+        """
         chain, x = self._free.with_cost(weight).around(motion)
         return chain.evaluate(x)[0]
 
@@ -198,9 +226,11 @@ class Horizon:
             best = best_of(attempts)
             found, solved, why = best.solution, best.solution.success, failures(chain, best)
             motion = best.motion
+            # Multipliers of a point that is no solution say nothing: its KKT residual is left unknown.
             if solved:
                 multipliers = np.concatenate([found.lam_x, found.lam_g])
                 kkt = replace(chain, parameters=best.parameters).kkt(found.x, multipliers)
+        # Objectives by frame belong to the wall as it is near the motion of the plan.
         chain, x = chain.around(motion)
         meta["starts"] = [one.described(frames) for one in attempts]
         meta["iterations"] = sum(one.solution.iterations for one in attempts)
@@ -218,8 +248,10 @@ class Horizon:
         )
 
     def _unknowns(self, motion: Array) -> list[Array]:
-        """What to start from where a motion (T, 2d + 2) is given."""
+        """Return unknowns (T, n) to start from for a given motion (T, 2d + 2), one or two of them."""
         if not self._model.several_equilibria:
             return [motion]
         robot = self.problem.robot
+        # Simulated, the motion has the equilibria that a robot is in, but NaN or jumps where it snaps; estimated
+        # from the motors' angles, it is smooth, but no equilibrium. Either may be the better start.
         return [self._model.follow(robot, motion).x, self._model.guess(robot, motion)]
