@@ -1,4 +1,4 @@
-"""Plans that survive tubes that are not quite known."""
+"""Robust plans: one motion that the nominal robot and perturbed robots within its tolerances all follow."""
 
 from ctr_nlp.steer.robust.per_frame import solve_robust_per_frame
 from ctr_nlp.steer.robust.plan import solve_robust

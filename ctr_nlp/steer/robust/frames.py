@@ -1,4 +1,9 @@
-"""Frames of a problem solved one by one, for scenarios whose tips are carried along from frame to frame."""
+"""Frames of a problem solved one by one for scenarios whose tips are carried along from frame to frame.
+
+Each frame is a program of one q = (alpha, beta, theta), rad and mm, shared by S scenarios, and of tips (S, k),
+rad, of all of them: k is d, or d + 2 under a load. Tips turn by at most tip_steps from frame to frame, so that no
+scenario changes its branch.
+"""
 
 from __future__ import annotations
 
@@ -30,18 +35,22 @@ from ctr_nlp.target.problem import Problem
 from ctr_nlp.typing import Array, Index
 
 FIRST, KEPT = 3, 3
-"""Answers for the robot as described that are tried where a frame has no past, and how many of these are kept."""
+"""Solutions of the nominal robot that are tried in a frame without one before it, and how many results are kept.
+"""
 HOLDS = 1.0, 1e2, 1e4
 """Factors of the motion's weight that are tried in turn where tips would otherwise turn too far in a frame."""
 
 
 @dataclass(frozen=True)
 class ScenarioFrames:
-    """A FrameSolver for scenarios that share q. nominal: what finds where frames without a past begin.
+    """Solver of single frames (a FrameSolver) for scenarios that share q.
 
-    margins (T,): the least of every scenario in each frame; None for any. What a result's warm holds are the tips
-    (S, k) of all scenarios; where these have been joined by others since, they have the described robot's. known:
-    all answers of a run, which are started from, too.
+    nominal: solvers of the nominal robot, which find where frames without one before them begin. margins (T,):
+    least stability margins of every scenario, or None. known: all results of another run, from which each frame is
+    started, too.
+
+    The `warm` of a result holds the tips (S, k) of all scenarios; scenarios that have joined since then begin with
+    the nominal robot's.
     """
 
     problem: Problem
@@ -65,12 +74,14 @@ class ScenarioFrames:
         terms: Sequence[Term],
         margins: Sequence[float],
     ) -> ScenarioFrames:
-        """Build; margins: of the robot as described where a frame without a past begins."""
+        """Build the solver; margins: stability margins of the nominal robot in frames without one before them."""
         begin = time.perf_counter()
         nominal = [
             NlpFrames.of(
                 problem,
                 model=told_on(model),
+                # Walls and arrival do not count frame by frame for several robots, so that they are left out here,
+                # too.
                 settings=replace(settings, stability_margin=margin, contact_weight=0.0, arrival_weight=0.0),
                 terms=terms,
             )
@@ -89,28 +100,29 @@ class ScenarioFrames:
 
     def search(self, frame: int) -> list[FrameResult]:
         """Distinct answers for a frame without a past, best first; at least one."""
+        # The nominal robot's solutions are quick to find; each is solved again with all scenarios.
         known = [self._bearing(one) for frames in self.nominal for one in frames.search(frame)[:FIRST]]
         found = [self.again(frame, one) for one in known if one.success]
         return distinct([one for one in found if one.success])[:KEPT] or found[:1] or known[:1]
 
     def _bearing(self, known: FrameResult) -> FrameResult:
-        """An answer for the robot as described as one of the model of scenarios."""
+        """Return a result of the nominal robot with unknowns of the scenarios' model, which may bear a load."""
         if known.x is None:
             return known
         return replace(known, x=bearing_unknowns(self.problem.robot, self.model, known.q[None], known.x[None])[0])
 
     def harder(self, lost: Lost) -> ScenarioFrames:
-        """The same with lost robots among the scenarios.
+        """Return a solver with lost robots among its scenarios, and the same margins.
 
-        A robust horizon asks for more margin where they were lost, too; that leads runs frame by frame to worse
+        A robust horizon asks for more margin where robots were lost, too; that leads runs frame by frame to worse
         branches.
         """
         return replace(self, scenarios=joined(self.scenarios, lost))
 
     def step(self, frame: int, before: FrameResult) -> FrameResult:
-        """The answer for a frame within speed limits of the one before, from there or from a known one.
+        """Solve a frame within speed limits of the one before, from there and from a known result.
 
-        A run that is tried beside others is not gone on with where a frame of it failed.
+        A run that is tried beside others is given up where one of its frames failed.
         """
         if self.known is not None and not before.success:
             return replace(before, iterations=0, status="a frame before it was not solved")
@@ -123,20 +135,28 @@ class ScenarioFrames:
         return one_by_one(self.step, frames, before)
 
     def again(self, frame: int, known: FrameResult) -> FrameResult:
-        """The answer for a frame without a past, near a known one."""
+        """Solve a frame that has no frame before it, near a known result."""
         return self._solved(frame, known, None)
 
     def _solved(self, frame: int, start: FrameResult, before: FrameResult | None) -> FrameResult:
-        """The answer from a start, whose tips are as near to those before as they are from frame to frame."""
+        """Solve a frame from a start; tips may turn from those of the frame before by tip_steps at most.
+
+        before: the frame before, None without one.
+        """
         robot, iterations, ends = self.problem.robot, 0, Ends(None if before is None else before.q)
         last, far = (start, np.inf) if before is None else (before, tip_steps(robot, self.problem.dt))
+        # A dearer step keeps motors near the frame before, and tips with them. Programs with dearer steps are
+        # built only where they are needed.
         motions = (self._motion(frame, ends, factor) for factor in HOLDS)
         first = next(motions)
         tips, guess = (self._tips(each, first.own) for each in (last, start))
         for solver in map(SharedSolver, itertools.chain([first], motions)):
+            # Near the frame before most active limits are known. Where that fails, the wide barrier lets the
+            # objective decide anew which limits become active.
             for barrier in (CLOSE, WIDE):
                 found = solver(start.q[None], guess[None], barrier)
                 iterations += found.iterations
+                # Under a load tips have two entries more, the turn of the tip's frame, which is not limited.
                 if found.success and (abs(found.phi[0] - tips)[:, : robot.d] <= far).all():
                     known = found.objective, found.kkt, iterations, found.status, found.phi[0], found.x[0]
                     return FrameResult(found.q[0], True, *known)
@@ -144,14 +164,16 @@ class ScenarioFrames:
         return FrameResult(last.q, False, iterations=iterations, status=status, warm=tips, x=last.x)
 
     def _motion(self, frame: int, ends: Ends, factor: float) -> SharedMotion:
-        """That of a single frame; factor: of the weight of its step from the frame before."""
+        """Build the program of one frame; factor: multiplies the weight of the step from the frame before."""
         problem, margins = self.problem, None if self.margins is None else self.margins[frame : frame + 1]
         at = problem.robot, [problem.samples[frame]], problem.dt, factor * self.settings.motion_weight, ends
         return shared_motion(*at, self.model, self.scenarios, fastest, margins, self.terms)
 
     def _tips(self, near: FrameResult, own: Index) -> Array:
-        """Of all scenarios, (S, k), which are these of a robot's unknowns."""
+        """Return tips (S, k) of all scenarios near a result; own: where tips stand among a robot's unknowns."""
         robot = self.problem.robot
         x = self.model.rest(robot, near.q) if near.x is None else near.x
+        # Results of the nominal solver have a Solution as `warm`, not tips: then all scenarios begin as the
+        # nominal robot.
         known = np.zeros((0, len(own))) if not isinstance(near.warm, np.ndarray) else near.warm
         return np.concatenate([known, np.repeat(x[None, own], len(self.scenarios) - len(known), axis=0)])

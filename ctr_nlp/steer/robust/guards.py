@@ -1,4 +1,9 @@
-"""The last rounds of a robust plan: corners of the tolerances as guards, in place of robots that joined before."""
+"""The last rounds of a robust plan: corners of the tolerances as guards, in place of robots that joined before.
+
+A guard only needs not to be lost: it has a small stability margin and tips near the nominal robot's branch, and
+its errors do not count. It costs something in few frames only, so that each frame has guards of its own: the
+program does not grow with the number of corners.
+"""
 
 from __future__ import annotations
 
@@ -16,69 +21,79 @@ from ctr_nlp.steer.robust.search import RobustSearch, Tried
 from ctr_nlp.typing import Array, Index
 
 GUARDINGS = 4
-"""Times that corners which are lost join, at most."""
+"""Most times that corners which are lost join the guards."""
 DEARER = 0.08
-"""By which part of itself the objective may grow for them."""
+"""Relative growth of the objective that guards may cost."""
 IDLE = 1e-4
-"""A guard is left out in frames where it costs less than this part of what the dearest costs."""
+"""A guard is left out in frames where it costs less than this part of what the dearest guard costs."""
 BEYOND, MORE = 1.0, 0.05
-"""How many times its difference a guard has at first; and by how much more where it is lost all the same, between
-frames that hold it."""
+"""Multiple of its difference that a guard has at first, and what is added where it is lost all the same, between
+frames in which it is constrained.
+"""
 
 
 class Placed(NamedTuple):
-    """Which corners guard each frame, (T, K), and their tips (T, K, k)."""
+    """Corners that guard each frame, (T, K), and their tips (T, K, k), rad."""
 
     corners: Index
     tips: Array
 
     @classmethod
     def none(cls, phi: Array) -> Placed:
-        """Of a motion with tips phi (T, S, k)."""
+        """Return no guards, for a motion with tips phi (T, S, k)."""
         return cls(np.zeros((len(phi), 0), dtype=int), phi[:, :0])
 
     def beside(self, new: Index, first: Array) -> Placed:
-        """These, and new corners in all frames, with tips as the first robot's, (T, 1, k)."""
+        """Add new corners in all frames, with the tips of the first robot, (T, 1, k)."""
         corners = np.concatenate([self.corners, np.tile(new, (len(first), 1))], axis=1)
         return Placed(corners, np.concatenate([self.tips, np.repeat(first, len(new), axis=1)], axis=1))
 
     def busy(self, found: SharedSolution) -> Placed:
-        """Those that cost something at a solution of which they are the last robots, and others to fill up frames.
+        """Keep the guards whose constraints are active at a solution; all frames keep equally many.
 
-        What it is that a corner costs differs from frame to frame, and few do so in any one.
+        found: a solution, whose last robots these guards are.
         """
         count = self.corners.shape[1]
         burdens, tips = found.burdens[:, -count:], found.phi[:, -count:]
+        # Arrays need as many guards in each frame: those of the frame with most active ones. Others are filled up
+        # with the next dearest.
         most = int((burdens > IDLE * burdens.max()).sum(axis=1).max())
         kept, frames = np.argsort(-burdens, axis=1, kind="stable")[:, :most], np.arange(len(tips))[:, None]
         return Placed(self.corners[frames, kept], tips[frames, kept])
 
 
 def guarded(held: Round, scenarios: Scenarios, corners: Corners, lost: Judge, number: int) -> list[Round]:
-    """The motion of a round, planned again so that fewer corners are lost; none where few are, or it cannot be.
+    """Plan a motion again so that fewer corners are lost; an empty list where few are, or where that fails.
 
-    held: a round over all frames on whose motion few robots are lost; the first of its scenarios are these, which
-    were planned for from the beginning. Those corners that bear least of their difference are given up, as many as
-    may be lost; others that are lost, or nearly, join as guards until no more are lost than may be. lost: is asked
-    of the motion that comes of it, the number-th.
+    held: a round over all frames on whose motion few robots are lost. scenarios: the first ones of that round,
+    which were planned for from the beginning. corners: of the tolerances. lost: judges the resulting motion, as
+    number `number`. Corners that bear least of their difference are given up, as many as may be lost; the others
+    that are lost, or nearly, become guards, until no more are lost than may be.
     """
     found, tried, best = held.tried.solution, held.tried, list[Round]()
     least, dearest = int(corners.lost(found.q).sum()), (1 + DEARER) * found.objective
     if not held.lost.few or least <= corners.allowed:
         return []
     borne, placed = corners.borne(found.q), Placed.none(found.phi)
+    # Those that are lost at the smallest part of their difference would cost most to keep.
     spared = np.argsort(borne, kind="stable")[: corners.allowed]
+    # Finite: lost within NEAR times their difference. Corners that are barely kept now would be lost on a slightly
+    # different motion.
     new, parts = np.setdiff1d(np.flatnonzero(np.isfinite(borne)), spared), np.full(len(borne), BEYOND)
     for _ in range(GUARDINGS):
         if least <= corners.allowed or not len(new) or held.search.stop():
             break
+        # The tips of a new guard start on the nominal robot's branch, where they are to stay.
         placed = placed.beside(new, tried.solution.phi[:, :1])
         search, tried = _solved(held.search, tried, scenarios, corners, placed, parts)
         if not tried.shared or tried.solution.objective > dearest:
             break
         placed, gone = placed.busy(tried.solution), np.flatnonzero(corners.lost(tried.solution.q))
         new = np.setdiff1d(gone, spared)
+        # Lost though it is a guard: frames are apart too far to see it. Planned for with a larger difference, it
+        # is kept between them.
         parts[np.intersect1d(new, placed.corners)] += MORE
+        # Only the best round counts, and a round counts only where it loses fewer corners than all before.
         if len(gone) < least:
             least = len(gone)
             best = [held._replace(search=search, tried=tried, scenarios=scenarios, corners=least)]
@@ -88,7 +103,10 @@ def guarded(held: Round, scenarios: Scenarios, corners: Corners, lost: Judge, nu
 def _solved(
     search: RobustSearch, before: Tried, scenarios: Scenarios, corners: Corners, placed: Placed, parts: Array
 ) -> tuple[RobustSearch, Tried]:
-    """A motion solved again with guards that have so many times (C,) their difference; the search that did so."""
+    """Solve a motion again with guards; return the search with these guards, and the result.
+
+    before: the result so far. parts (C,): multiple of its difference that each corner has as a guard.
+    """
     robots, found = corners.with_part(placed.corners, parts[placed.corners]), before.solution
     of_robots = robots.numbers, robots.offsets, robots.forces
     each = (values.reshape(*placed.corners.shape, *values.shape[1:]) for values in of_robots)

@@ -37,7 +37,7 @@ GROUP = 50
 
 @dataclass(frozen=True)
 class Purpose:
-    """What a motion is for: arriving, with a body that keeps off the wall.
+    """Judge of what a motion is for: arriving, with a body that keeps off the wall.
 
     Attributes
     ----------
@@ -69,6 +69,7 @@ class Purpose:
             Those that miss the target's end or press into the wall, by what they exceed the limit by.
         """
         robot = self.problem.robot
+        # Each motion is judged by robots of its own: planned for, the last ones would say too much good of it.
         draws = drawn(robot, SAMPLES, SEED + number)
         groups = [self._fate(q, draws[first : first + GROUP]) for first in range(0, SAMPLES, GROUP)]
         lost, tip_error, contact = (np.concatenate(each) for each in zip(*groups, strict=True))
@@ -80,25 +81,32 @@ class Purpose:
             max(SAMPLE_CONTACT_ALLOWED_MM, self.settings.contact_allowed),
             self._lumen is not None,
         )
+        # The larger of both, mm; fmax ignores the contact that is NaN without a wall.
         excess = np.fmax(tip_error - fate.arrival_tolerance, contact - fate.contact_allowed)
+        # Robots that are lost are the business of rounds.py; here those count that keep the branch and still fail.
         failing = np.flatnonzero(~fate.held & ~lost & np.isfinite(excess))
         chosen = draws[failing[np.argsort(-excess[failing])]]
         return Failing(chosen.numbers, chosen.offsets, chosen.forces, fate.share)
 
     @property
     def _lumen(self) -> Lumen | None:
-        """The lumen whose wall counts."""
+        """Lumen whose wall counts; None where there is none, or contact costs nothing."""
         return self.problem.sampled_lumen if self.settings.contact_weight else None
 
     def _fate(self, q: Array, draws: Draws) -> tuple[Flags, Array, Array]:
-        """Whether each of n robots is lost, its tip's last distance from the target's end, and its contact, mm."""
+        """Simulate n robots; return whether each is lost, the last distance of its tip from the target's end, and
+        its deepest contact, mm.
+        """
         problem, lumen = self.problem, self._lumen
         found = drawn_motion(problem.robot, draws, q, self.model)
+        # Only the last tip counts as arrival; its place is that of the shape's last sample.
         tip_error = np.linalg.norm(found.shape[:, -1, -1] - problem.samples[-1].points[-1], axis=-1)
         contact = np.full(len(draws), np.nan)
         if lumen is not None:
             beta = q[:, problem.robot.d : 2 * problem.robot.d]
             left = Beside(lumen).clearances(problem.robot, beta, found.shape, SIGMA)
+            # Least clearance over all frames and samples; fmin ignores samples that are NaN. Negative clearance is
+            # depth.
             contact = np.maximum(-np.fmin.reduce(left, axis=(1, 2)), 0.0)
         return found.lost > 0, tip_error, contact
 
@@ -123,16 +131,20 @@ def improved(best: Round, purpose: Purpose, lost: Judge, number: int) -> list[Ro
         What was tried, ROUNDS times at most.
     """
     search, last, rounds = best.search, best, list[Round]()
+    # A cutting-set method: the worst constraints that samples show are added, and the program is solved again. It
+    # ends where few fail, where so many do that no motion will help, or where robots are lost again.
     for _ in range(ROUNDS):
         found = last.failing
         assert found is not None
         if found.enough or found.held < HOPELESS or last.rank > best.rank or search.stop():
             break
         numbers, offsets, forces = (each[:JOINING] for each in (found.numbers, found.offsets, found.forces))
+        # With weight 1 they count as the scenarios of the design do: their shapes are to be near the target, too.
         scenarios = last.scenarios.joined(numbers, offsets, forces, weight=1.0)
         tried = solved_again(search, last.tried, scenarios)
         if not tried.shared:
             break
+        # Robots that were safe before may be lost on the new motion: one more round for these.
         more = planned_again(search, tried, scenarios, lost, 1, number + len(rounds))
         asked = number + len(rounds) + len(more)
         last = more[-1]._replace(failing=purpose(more[-1].tried.solution.q, asked))

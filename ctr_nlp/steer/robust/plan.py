@@ -1,4 +1,13 @@
-"""A plan for robots whose tubes are not quite known, over all frames at once."""
+"""Robust plans over all frames at once: one motion for all robots within the tolerances.
+
+    min  sum_j ( sum_s w_s E_j(phi_sj, q_j; tubes_s) + lambda |W (q_{j+1} - q_j)|^2 / dt^2 )
+    subject to  alpha(phi_sj, q_j; tubes_s) = alpha_j + delta_s
+
+over the shared q_j = (alpha, beta, theta), rad and mm, of every frame j and the tips phi_sj, rad, of every robot
+s, with limits and a least stability margin of each ("Plans for robots that are not quite known" in
+docs/method.md). The scenarios s are few; simulated robots tell whether others within the tolerances do as well,
+and those that do not join the scenarios.
+"""
 
 from __future__ import annotations
 
@@ -43,19 +52,20 @@ from ctr_nlp.target.problem import Problem
 from ctr_nlp.typing import Array
 
 MARGINS = (0.5,)
-"""Stability margins of the nominal robot in motions frame by frame that are started from beside its plan."""
+"""Stability margins of the nominal robot in motions frame by frame, the starts beside its plan."""
 SPARE = 0.1
-"""Margin beyond the one asked for with which scenarios are planned for: between frames, and on robots that are not
-among them, margins are less. Plans need fewer rounds so, and errors are larger by 1 % at most."""
+"""Margin beyond the one asked for with which scenarios are planned for: margins are less between frames, and on
+robots that are not among them. Plans need fewer rounds with it, and errors are larger by 1 % at most.
+"""
 START_FRAMES = 49
-"""Most frames of these motions that are solved: drafts, which begin from them, have 25 to 49."""
+"""Most frames of these motions that are solved: drafts, which begin from them, have 25 to 49 frames."""
 MOTION_PART = 0.1
-"""Part of the lambda of a plain horizon: robots differ more from the target than smoothness is worth there."""
+"""Share of the lambda of a nominal horizon: robots differ more from the target than smoothness is worth there."""
 NOT_SHARED = "no motion was found that all robots within the tolerances share"
 REFINED = 2
-"""Rounds over the frames of a draft, the last ones, of which all frames are tried until that leads to a motion."""
+"""Most rounds over the frames of a draft, from the last one back, of which all frames are tried."""
 ROUNDS = 4
-"""Times that a motion is planned again for robots that were lost."""
+"""Most times that a motion is planned again for robots that were lost."""
 
 
 def solve_robust(
@@ -142,10 +152,14 @@ def solve_robust(
         raise OptionError(
             "initial and margins are both empty: give motions to start from, or margins to find them"
         )
+    # Most motions that can be tried: each is judged with its part of the 5 % (Trials), which holds only if none
+    # comes unplanned. For two sets of starts: rounds on a draft and on all frames, relaxations, and improvements
+    # with a round each; and once with guards.
     motions = 2 * (2 * (rounds + 1) + RELAXATIONS + 2 * IMPROVEMENTS) + 1
     trials = Trials(problem.robot, model, motions, most_lost)
     terms = with_arrival(checked_terms(terms), settings, model)
     purpose = Purpose(problem, model, settings)
+    # `weight` stays None until a first start is known from which the default can be found.
     begin, searched, weight = time.perf_counter(), 0.0, motion_weight
     told = told_on(model)
     with deferred_interrupt() as interrupted:
@@ -156,6 +170,8 @@ def solve_robust(
         wall = wall_of(problem.robot, problem.sampled_lumen, model, settings, finer=1)
         starts = _Starts(planner, told, given, margins, terms, settings, progress, interrupted, nominal)
         tried, made, best, open_ = list[Tried](), list[Round](), None, list[Tried]()
+        # Ways to find starts, one after the other; a later one is used where the drafts of the earlier ones are
+        # not good, or their motions lose too many robots.
         for number, find in enumerate(starts.ways):
             begun = time.perf_counter()
             found = find()
@@ -163,18 +179,23 @@ def solve_robust(
             if not found:
                 continue
             if weight is None:
+                # One lambda for the whole search, from the first start: objectives of later starts can be compared
+                # with it.
                 weight = MOTION_PART * planner.balanced_weight(found[0].x)
             own = model, planner.ends, tuple(terms), weight, least
             search = RobustSearch(problem, *own, progress, interrupted, wall)
             drafts = search.drafts(found, scenarios)
             tried += drafts
+            # Drafts that no rounds were made from yet; good or not, they are compared with those of the next way.
             open_ = sorted(open_ + drafts, key=lambda one: one.promise)
             last = number + 1 == len(starts.ways)
+            # A draft that is poor, though solved, is put aside while there is another way to find starts.
             if not (last or given or interrupted()) and open_ and not _good(open_[0], settings):
                 continue
             made += _rounds(search, open_, scenarios, trials, rounds, len(made))
             best, open_ = best_of(made, problem.frames), []
             if best is not None and best.lost.few and not interrupted():
+                # Few robots are lost: only now is it worth asking how many also arrive and keep off the wall.
                 judged = best._replace(failing=purpose(best.tried.solution.q, len(made)))
                 made = [judged if one is best else one for one in made]
                 made += improved(judged, purpose, trials, len(made))
@@ -205,6 +226,7 @@ def solve_robust(
         "starts": [_described(one) for one in tried],
         "rounds": [one.described() for one in made],
     }
+    # No motion for all robots: the user gets the nominal plan, which says so.
     if best is None and starts.plan is not None and starts.plan.success.all():
         kept = {"interrupted": stopped, "starts": meta["starts"], "rounds": meta["rounds"]}
         kept |= {} if stopped else {"not_shared": NOT_SHARED}
@@ -217,9 +239,10 @@ def solve_robust(
 
 @dataclass
 class _Starts:
-    """Motions to start from: given ones, or the plan of the nominal robot; and others, frame by frame.
+    """Finds motions to start from: given ones, or the plan of the nominal robot; and others, frame by frame.
 
-    plan: of the nominal robot, once it is known.
+    planner: of the nominal robot's horizon. model: on which plans are reported. given: motions (T, 2d + 2).
+    margins: of motions frame by frame. told: called with the nominal plan. plan: that plan, once it is known.
     """
 
     planner: Horizon
@@ -242,6 +265,7 @@ class _Starts:
     def _given(self) -> list[Start]:
         robot = self.planner.problem.robot
         followed = [self.model.follow(robot, motion).x for motion in self.given]
+        # A motion on which the nominal robot snaps has NaN: scenarios cannot be started from there.
         found = [Start(f"motion {k}", x) for k, x in enumerate(followed, 1) if np.isfinite(x).all()]
         if not (found or self.margins):
             raise OptionError(
@@ -250,7 +274,7 @@ class _Starts:
         return found
 
     def _nominal(self) -> list[Start]:
-        """The plan of the nominal robot, where it is one: solved, and without a snap on its way."""
+        """Return the nominal robot's plan as a start; nothing where that robot snaps, or bears a known load."""
         if self.model.bears is not None:
             return []
         self.plan = self.planner.solve(progress=self.progress)
@@ -260,7 +284,7 @@ class _Starts:
         return [Start("the nominal plan", x)] if np.isfinite(x).all() else []
 
     def _frame_by_frame(self) -> list[Start]:
-        """Motions frame by frame, one for each of the margins."""
+        """Return motions frame by frame without a wall, one for each of the margins."""
         found = partial(
             per_frame_motions,
             *(self.planner.problem, self.planner.ends),
@@ -275,6 +299,7 @@ class _Starts:
 
 def _good(draft: Tried, settings: Settings) -> bool:
     """Whether a draft's mean error over robots, with all that its contact and misses cost, is what is allowed."""
+    # The objective is a sum over frames of mean squared errors, mm^2; error_allowed is in mm.
     return draft.shared and draft.solution.objective <= draft.frames * settings.error_allowed**2
 
 
@@ -286,9 +311,11 @@ def _rounds(
     most: int,
     first: int,
 ) -> list[Round]:
-    """Rounds over the frames of the best draft, then over all; of the next best where none leads to a motion.
+    """Make rounds over the frames of the best draft, then over all; from the next draft where none leads to a
+    motion.
 
-    They are numbered from `first` on.
+    drafts: the most promising first. scenarios: planned for from the beginning. lost: judges each round's motion;
+    rounds are numbered from `first` on. most: rounds on a draft, and on all frames.
     """
     for draft in drafts:
         if not draft.solved or search.stop():
@@ -296,6 +323,8 @@ def _rounds(
         coarse = list[Round]()
         if draft.made and search.picked is not None:
             coarse = planned_again(search, draft, scenarios, lost, most, first)
+        # The last round of the draft has met most of the lost robots already; an earlier one may be easier to
+        # refine.
         tried = [(one.tried, one.scenarios) for one in reversed(coarse)] or [(draft, scenarios)]
         for one, joined in tried[:REFINED]:
             whole = search.refined(one, joined)
@@ -320,9 +349,11 @@ def _described(one: Tried) -> dict[str, Any]:
 
 
 def _plan(problem: Problem, best: Round, meta: dict[str, Any]) -> Plan:
-    """Make a plan of a round."""
+    """Make a plan of the best round; meta: of the plan."""
     found = best.tried.solution
     condensed, model, robot = Condensed(best.search.motion(best.scenarios)), best.search.model, problem.robot
+    # What depends on where robots are, such as the wall near them, is described at the solution before objectives
+    # are evaluated there.
     condensed.look(found.q, found.phi)
     return plan_from_configurations(
         problem,
@@ -338,7 +369,7 @@ def _plan(problem: Problem, best: Round, meta: dict[str, Any]) -> Plan:
 
 
 def _unsolved(problem: Problem, start: Array, meta: dict[str, Any]) -> Plan:
-    """The motion (T, 2d + 2) of a start, not solved."""
+    """Make a plan of a start, configurations (T, 2d + 2), in which no frame counts as solved."""
     why = "interrupted" if meta["interrupted"] else NOT_SHARED
     unknown = np.full(problem.frames, np.nan)
     return plan_from_configurations(

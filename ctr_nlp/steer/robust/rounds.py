@@ -1,4 +1,9 @@
-"""Rounds: robots that were drawn and lost join the scenarios, and the motion is planned again."""
+"""Rounds of robust planning: robots that were drawn and lost join the scenarios, and the motion is planned again.
+
+Scenarios have the mean and covariance of the tolerances, but they are few. The robots that snap or leave the
+branch on a motion show where its stability is too thin; as scenarios whose errors do not count, they only have to
+stay stable.
+"""
 
 from __future__ import annotations
 
@@ -18,20 +23,23 @@ from ctr_nlp.steer.robust.trials import JOINING, Lost
 from ctr_nlp.typing import Array, Index
 
 PUSHES = 1.5, 1.2, 1.0
-"""How many times its difference from the described robot a lost one joins with, the first that leads to a motion.
-Beyond what is asked for, it stands for others like it; it need only be stable, and not near to the target."""
+"""Multiples of its difference from the nominal robot with which a lost one joins; the first that leads to a motion
+is taken. Beyond its own difference it stands for others like it.
+"""
 NEARER, GAIN, RELAXATIONS = 0.8, 0.03, 2
-"""By which factor these differences are made smaller once few robots are lost, where that lowers the objective by
-more than the second part of it; and how often."""
+"""Factor by which these differences are made smaller once few robots are lost, where that lowers the objective by
+more than the part GAIN; and how often.
+"""
 AFFECTED = 0.1
-"""About how far, rad and of the margin, robots that joined are moved away from their limits by that: times what
-these limits cost, it is what may be gained."""
+"""Estimate of how far, in rad and in margin, that moves joined robots away from their limits: times the price of
+these limits, it is what may be gained.
+"""
 
 
 SAMPLES = 200
-"""Robots that a motion is judged on."""
+"""Number of simulated robots that a motion is judged on."""
 FAILING_ALLOWED = 2
-"""Of these: with 4 of 200 fresh robots that fail, a plan is just certified."""
+"""Number of these that may fail: a plan with 4 of 200 fresh robots that fail is just certified."""
 
 Judge = Callable[[Array, int, bool], Lost]
 """(q (T, 2d + 2), number of a motion, whether it is a draft) -> the robots lost on it of those drawn for it."""
@@ -73,7 +81,7 @@ class Round(NamedTuple):
     """Robots that do not arrive or press into the wall; None where that was not looked at."""
 
     def described(self) -> dict[str, float | None]:
-        """For a plan's meta; the objective as mean over frames, mm^2."""
+        """Return what a plan's meta reports of the round; the objective is a mean over frames, mm^2."""
         found = self.tried.solution
         return {
             "scenarios": len(self.scenarios),
@@ -90,16 +98,17 @@ class Round(NamedTuple):
 
     @property
     def rank(self) -> tuple[bool, bool, float, float]:
-        """The least is the best: of those in which few robots were lost one with guards, then by what holds, or of
+        """Key whose least value is the best round: few lost robots, then guards, then the share that holds or the
         least objective.
         """
+        # Where too many are lost, the motion that loses fewest is the best compromise, whatever it costs.
         least = self.tried.solution.objective if self.lost.few else self.lost.share
         fails = 1.0 if self.failing is None else 1 - self.failing.held
         return not self.lost.few, self.corners is None, fails, least
 
 
 def best_of(rounds: Sequence[Round], frames: int) -> Round | None:
-    """The best of rounds over so many frames, the last of equals; None without any."""
+    """Return the best of the rounds over all `frames`, the last one of equals; None where there is none."""
     whole = [one for one in rounds if one.tried.frames == frames]
     return min(reversed(whole), key=lambda one: one.rank, default=None)
 
@@ -112,21 +121,26 @@ def planned_again(
     most: int,
     first: int = 0,
 ) -> list[Round]:
-    """A motion and what becomes of it over at most so many rounds, until few are lost.
+    """Plan a motion again for robots that are lost on it, in at most so many rounds; return all rounds.
 
-    lost: what is asked of every round, which are numbered from `first` on. Where robots are lost though some have
-    joined, frames are not near enough to each other there to tell of the way between them; more margin does.
+    search, tried, scenarios: of the motion so far. lost: judges each round's motion; rounds are numbered from
+    `first` on. most: rounds.
     """
     rounds, frames = list[Round](), search.problem.frames
     picked = search.picked if tried.frames < frames else None
     for number in range(most + 1):
+        # Robots are simulated on all frames; a draft's motion is interpolated.
         q = tried.solution.q if picked is None else filled(tried.solution.q, picked, frames)
         found = lost(q, first + number, picked is not None)
         rounds.append(Round(search, tried, scenarios, found))
         if found.few or number == most or search.stop():
             break
+        # Where robots are lost though others have joined, frames are too far apart to show how the way between
+        # them is: more margin in the frames beside it helps.
         if number:
             search = replace(search, margins=firmer(search.margins, found.frames, picked))
+        # A robot too different may have no stable motion in common with the others: then a smaller difference is
+        # tried.
         for push in PUSHES:
             more = joined(scenarios, found, push)
             again = _again(search, tried, more, picked)
@@ -139,12 +153,14 @@ def planned_again(
 
 
 def relaxed(held: Round, first: int, lost: Judge, number: int) -> list[Round]:
-    """Rounds in which robots that joined, scenarios from `first` on, differ less, while few robots are lost.
+    """Reduce the differences of robots that joined, scenarios from `first` on, as long as few robots are lost.
 
-    held: a round on whose motion few are. lost: asked of every round, which are numbered from `number` on.
+    held: a round on whose motion few are. lost: judges each round's motion; rounds are numbered from `number` on.
     """
     rounds, search = list[Round](), held.search
     while len(held.scenarios) > first and held.lost.few and len(rounds) < RELAXATIONS and not search.stop():
+        # burdens are multipliers: by how much the objective falls for a unit by which the limits of a robot are
+        # eased. Solving again takes long, so that the gain is estimated first.
         burden = held.tried.solution.burdens[:, first : len(held.scenarios)].sum()
         if AFFECTED * burden <= GAIN * held.tried.solution.objective:
             break
@@ -158,7 +174,10 @@ def relaxed(held: Round, first: int, lost: Judge, number: int) -> list[Round]:
 
 
 def _again(search: RobustSearch, before: Tried, scenarios: Scenarios, picked: Index | None) -> Tried:
-    """A motion solved again with scenarios that have joined; on a draft these grow where nothing comes of that."""
+    """Solve a motion again with scenarios that have joined; on a draft, where that fails, scenarios grow into it.
+
+    picked: the draft's frames, None for all frames.
+    """
     tried = solved_again(search, before, scenarios, picked)
     if tried.shared or picked is None or search.stop():
         return tried
@@ -173,8 +192,12 @@ def solved_again(
     picked: Index | None = None,
     barrier: float = BARRIER,
 ) -> Tried:
-    """A motion solved again with scenarios of which the last have joined, from tips as the first one's."""
+    """Solve a motion again with scenarios of which the last have joined, from the nominal robot's tips.
+
+    before: the result so far. picked: frames of a draft, None for all. barrier: the first one, mm^2.
+    """
     known, motion = before.solution, search.motion(scenarios, picked)
+    # Tips are in the order scenarios, then guards: sizes[1] counts both, so that new scenarios are put in between.
     old = known.phi.shape[1] - (motion.sizes[1] - len(scenarios))
     joining = np.repeat(known.phi[:, :1], len(scenarios) - old, axis=1)
     tips = np.concatenate([known.phi[:, :old], joining, known.phi[:, old:]], axis=1)
@@ -183,20 +206,23 @@ def solved_again(
 
 
 def joined(scenarios: Scenarios, lost: Lost, push: float = PUSHES[0]) -> Scenarios:
-    """Scenarios, and the first of lost robots with so many times their difference, which count nothing."""
+    """Return scenarios with the first JOINING lost robots added, each with `push` times its difference; errors of
+    these do not count.
+    """
     numbers, offsets, _, forces = (each[0] for each in scenarios.each)
     pairs = (numbers, lost.numbers), (offsets, lost.offsets), (forces, lost.forces)
     return scenarios.joined(*(first + push * (each[:JOINING] - first) for first, each in pairs))
 
 
 def firmer(margins: Array | None, frames: Index, picked: Index | None = None) -> Array | None:
-    """Margins (T,) that are larger in frames, from 1, where robots were lost on the way, and in those before.
+    """Return margins (T,) raised in frames on the way to which robots were lost, and in the frames before these.
 
-    picked: the frames that a draft has, of which the nearest on both sides count.
+    frames: numbers from 1. picked: frames of a draft, of which the nearest on both sides are raised; None for all.
     """
     if margins is None:
         return None
     found, known = margins.copy(), np.arange(len(margins)) if picked is None else picked
+    # Frame numbers count from 1; searchsorted finds the first known frame at or after the loss.
     after = np.searchsorted(known, np.unique(frames) - 1)
     beside = known[np.unique(np.concatenate([after, np.maximum(after - 1, 0)]))]
     found[beside] = np.maximum(found[beside], np.minimum(found[beside] + GIVEN, MOST))

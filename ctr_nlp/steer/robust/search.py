@@ -1,4 +1,9 @@
-"""The search for a motion that scenarios share: from several nominal motions, on some frames first."""
+"""The search for a motion that scenarios share: from several nominal motions, on some frames first (drafts).
+
+Near a fold of its equilibria a robot's tips turn far for little turns of its motors: scenarios may then have no
+equilibrium where the nominal robot's plan leads. Where a draft is not solved, they grow from the nominal robot to
+what they are, by bisection of the part by which they differ from it.
+"""
 
 from __future__ import annotations
 
@@ -27,19 +32,23 @@ from ctr_nlp.target.problem import Problem
 from ctr_nlp.typing import Array, Index
 
 BARRIER = 1e-3
-"""First barrier, mm^2, of a motion that is near to one that was solved for: all frames of a draft, or with robots
-that have joined."""
+"""First barrier, mm^2, of a motion near one that was solved for: of all frames of a draft, or with robots that
+have joined.
+"""
 UNMADE = 1.02
-"""How much better a draft must be that is not made on its few frames, since it is longer to go on with."""
+"""Factor by which the objective of a draft counts more if the robot does not make its motion on the draft's few
+frames: it may make it on all frames.
+"""
 GROWTHS, GROWING = 4, 100
-"""Times that scenarios are solved for while they grow from the nominal robot to what they are, on the frames of a
-draft; steps of each. Over all frames that would take minutes, and another draft leads further."""
+"""Most solves while scenarios grow from the nominal robot to what they are, on the frames of a draft, and most
+steps of each. Over all frames that would take minutes, and another draft leads further.
+"""
 
 
 @dataclass(frozen=True)
 class Start:
-    """A motion as unknowns x (T, 2d + 2) of the nominal robot on the model that plans tell of (tolerated.told_on);
-    name: where it comes from.
+    """A motion to start from: unknowns x (T, 2d + 2) of the nominal robot on the model that plans are reported on
+    (tolerated.told_on); name: where it comes from.
     """
 
     name: str
@@ -48,8 +57,10 @@ class Start:
 
 @dataclass(frozen=True)
 class Tried:
-    """What came of a start on so many frames; grown: the part of their deviations that scenarios were solved for;
-    made: the nominal robot makes the motion, as far as has been looked at.
+    """The result of a start on so many frames.
+
+    grown: part of their differences from the nominal robot with which scenarios were solved for. made: whether the
+    nominal robot makes the motion, as far as that was checked.
     """
 
     start: str
@@ -60,25 +71,29 @@ class Tried:
 
     @property
     def solved(self) -> bool:
-        """Whether all scenarios, as they are, are in equilibrium at every frame of this motion, and stable."""
+        """Whether all scenarios, with their whole differences, are in stable equilibria in every frame."""
         return self.solution.success and self.grown == 1.0
 
     @property
     def shared(self) -> bool:
-        """Whether this is a motion that they share: the robot is where it is planned to be."""
+        """Whether all scenarios share the motion and the simulated nominal robot is where it is planned to be."""
         return self.solved and self.made
 
     @property
     def promise(self) -> tuple[bool, float]:
-        """The least is the first to go on with. What is not made in a draft's long steps may be in short ones."""
+        """Key whose least value is the draft to go on with: solved ones first, then by objective."""
+        # What the robot does not make in a draft's long steps, it may make in short ones: that is a handicap, not
+        # a verdict.
         return not self.solved, self.solution.objective * (1.0 if self.made else UNMADE)
 
 
 @dataclass(frozen=True)
 class RobustSearch:
-    """Solves for scenarios of one problem. weight: lambda in s^2; margins (T,): the least of all scenarios in each
-    frame, None for any; wall: of the lumen that all are kept in, None where it does not count; guards: of all
-    frames, None where there are none.
+    """Solves for scenarios of one problem.
+
+    ends: given configurations. weight: lambda in s^2. margins (T,): least stability margins of all scenarios, or
+    None. progress, stop: callbacks. wall: of the lumen that all robots are kept in, None where it does not count.
+    guards: of all frames, or None.
     """
 
     problem: Problem
@@ -96,20 +111,22 @@ class RobustSearch:
         """The program over all frames, or over picked ones, evenly apart."""
         problem = self.problem
         frames = range(problem.frames) if picked is None else picked.tolist()
+        # With the time between picked frames as dt, limits of speed mean what they do over all frames.
         dt = problem.dt * (1 if picked is None or len(picked) < 2 else int(picked[-1] - picked[-2]))
         at = problem.robot, [problem.samples[k] for k in frames], dt, self.weight, self.ends, self.model
         margins = None if self.margins is None else self.margins[frames]
+        # Guards belong to frames of the whole motion: a draft takes those of its own.
         guards = None if self.guards is None else self.guards.at(list(frames))
         return shared_motion(*at, scenarios, fastest, margins, self.terms, wall=self.wall, guards=guards)
 
     @cached_property
     def picked(self) -> Index | None:
-        """The frames that drafts have; None for all."""
+        """Frames of drafts, from 0; None where a draft has all frames."""
         found = drafted(self.problem.frames)
         return None if len(found) == self.problem.frames else found
 
     def drafts(self, starts: Sequence[Start], scenarios: Scenarios) -> list[Tried]:
-        """What comes of starts on the frames of a draft, the most promising first."""
+        """Solve starts on the frames of a draft, and return the results, the most promising first."""
         tried = list[Tried]()
         for number, start in enumerate(starts):
             if self.progress is not None:
@@ -119,18 +136,20 @@ class RobustSearch:
         return sorted(tried, key=lambda one: one.promise)
 
     def refined(self, draft: Tried, scenarios: Scenarios) -> Tried:
-        """All frames of a draft."""
+        """Solve all frames from the result of a draft, whose motion and tips are interpolated."""
         frames, (_, *each) = self.problem.frames, draft.solution.phi.shape
         if self.picked is None:
             return draft
         q = filled(draft.solution.q, self.picked, frames)
         tips = filled(draft.solution.phi.reshape(len(self.picked), -1), self.picked, frames)
+        # Tips (T, S, k) were one row a frame while they were interpolated.
         return self._solved(draft.start, q, tips.reshape(frames, *each), scenarios, None, BARRIER)
 
     def solve(self, start: Start, scenarios: Scenarios, picked: Index | None = None) -> Tried:
-        """All frames, or picked ones, of a start."""
+        """Solve all frames, or picked ones, from a start."""
         robot, own = self.problem.robot, self.motion(scenarios, picked).own
         q = told_on(self.model).configuration(robot, start.x)
+        # All scenarios begin with the nominal robot's tips: their own equations need not hold at a start.
         tips = np.repeat(bearing_unknowns(robot, self.model, q, start.x)[:, None, own], len(scenarios), axis=1)
         of_frames = slice(None) if picked is None else picked
         return self._solved(start.name, q[of_frames], tips[of_frames], scenarios, picked, WIDE)
@@ -138,17 +157,23 @@ class RobustSearch:
     def _solved(
         self, name: str, q: Array, tips: Array, scenarios: Scenarios, picked: Index | None, barrier: float
     ) -> Tried:
-        """From tips (T, S, k); where that fails for a draft, as grown."""
+        """Solve from q (T, 2d + 2) and tips (T, S, k); for a draft, grow the scenarios where that fails.
+
+        name: of the start. barrier: the first one, mm^2.
+        """
         found = SharedSolver(self.motion(scenarios, picked), COARSE)(
             q, tips, barrier, self.stop, rough=picked is not None
         )
+        # Growing takes several solves: on a draft these are cheap.
         if found.success or picked is None or self.stop():
             return self.looked_at(Tried(name, len(q), found))
         return self.grown(name, q, tips[:, :1], scenarios, picked)
 
     def grown(self, name: str, q: Array, tips: Array, scenarios: Scenarios, picked: Index | None = None) -> Tried:
-        """With scenarios that grow from the nominal robot, of tips (T, 1, k), to what they are."""
+        """Solve for scenarios that grow from the nominal robot, with its tips (T, 1, k), to what they are."""
         tips = np.repeat(tips, self.motion(scenarios, picked).sizes[1], axis=1)
+        # Half of the differences first, then all of them; after a failure, half way between the last success and
+        # it. Each solve starts from the last success.
         done, part, best = 0.0, 0.5, None
         for _ in range(GROWTHS):
             solver = SharedSolver(self.motion(scenarios.shrunk(part), picked), COARSE)
@@ -162,11 +187,13 @@ class RobustSearch:
                 part = (done + part) / 2
             if self.stop():
                 break
+        # The best that was reached is kept, with the part that it stands for: it is not `solved`, and says in the
+        # plan's meta how far it came.
         tried = Tried(name, len(q), found if best is None else best, done if best is not None else part)
         return self.looked_at(tried)
 
     def looked_at(self, tried: Tried) -> Tried:
-        """The same, having moved the nominal robot through the motion."""
+        """Return a result with `made` set: whether the simulated nominal robot is where it is planned to be."""
         found, robot = tried.solution, self.problem.robot
         if not found.success:
             return tried

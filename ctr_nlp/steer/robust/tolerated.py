@@ -1,4 +1,10 @@
-"""Scenarios that stand for all the robots that tolerances allow."""
+"""Scenarios that stand for all the robots within the tolerances, and the models that they are planned on.
+
+The numbers that tolerances leave uncertain, z, have mean 0 and covariance R R^T. N robots z = R d with the rows d
+of a two-level orthogonal array have the same mean and covariance, so that the mean over them of errors that are
+quadratic in z is the mean over all robots (Plackett and Burman, The design of optimum multifactorial experiments,
+Biometrika 33, 1946).
+"""
 
 from __future__ import annotations
 
@@ -21,20 +27,22 @@ from ctr_nlp.typing import Array
 
 
 def scenarios_of(robot: Robot, pushed: bool = False) -> Scenarios:
-    """A robot, and robots that have the mean and the covariance of what it may be within its tolerances.
+    """Return the nominal robot, and robots with the mean and the covariance of what tolerances allow.
 
-    Lags are left out. So is a force at the tip, unless these robots are pushed: then each but the first bears one
-    as large as may be, and together these have the mean and the covariance of such forces from all sides. Raises
-    OptionError where nothing may differ, and where tubes' curved parts may come to end in their transmissions,
-    which is another structure.
+    robot: with its tolerances. pushed: whether each robot but the first bears the largest force that may act at
+    its tip, in directions whose mean is 0; otherwise forces are left out. Lags are left out. Raises OptionError
+    where nothing may differ, and where a tube's curved part may come to end within its range of extensions, which
+    is another structure of programs.
     """
     force = robot.tolerances.tip_force
     root = robot.tolerances.root(robot.tubes)
+    # Numbers that are not uncertain would only make the design larger.
     deviations = root[:, abs(root).max(axis=0) > 0]
     if not (deviations.size or force):
         raise OptionError("all tolerances of the robot are 0; give some, or plan without robustness")
     count, sides = deviations.shape[1], 3 * bool(pushed and force)
     signs = balanced(count + sides) if count + sides else np.zeros((0, 0))
+    # The first row is the nominal robot.
     parts = np.vstack([np.zeros(len(root)), signs[:, :count] @ deviations.T]).reshape(-1, robot.d, len(NAMES))
     made = drawn_from(robot, parts, np.zeros(parts.shape[:2]))
     if made.structure != robot.structure:
@@ -42,13 +50,16 @@ def scenarios_of(robot: Robot, pushed: bool = False) -> Scenarios:
             "curved_length of tolerances lets a curved part end before the tube's largest extension; "
             "a robust plan needs limits of beta below the curved lengths"
         )
+    # The nominal robot has no weight in the mean over robots, unless it is the only one.
     weights = np.append(float(not len(signs)), np.ones(len(signs)))
+    # Entries +-F / sqrt(3) have size F and covariance F^2 / 3 I, that of forces of size F from all sides.
     forces = np.vstack([np.zeros(3), force / math.sqrt(3) * signs[:, count:]]) if sides else np.zeros((0, 3))
     return Scenarios(made.numbers, made.offsets, weights, forces)
 
 
 def with_forces(scenarios: Scenarios, size: float) -> Scenarios:
-    """Scenarios, and the first of them with a force of a size, N, at its tip along each axis, either way.
+    """Return scenarios with six more: the first one with a force of `size`, N, at its tip along each axis, either
+    way.
 
     Their shape errors do not count. None are added where the size is 0.
     """
@@ -58,14 +69,16 @@ def with_forces(scenarios: Scenarios, size: float) -> Scenarios:
 
 
 def described(robot: Robot, model: str | Model, scenarios: Scenarios | None) -> tuple[Model, Scenarios]:
-    """The model and the scenarios asked for, which by default are those of tolerances; raises OptionError.
+    """Return the model and the scenarios that are planned for; by default those of the robot's tolerances.
 
-    Where forces may act, the model is one of loaded robots, which also raises LoadError where moduli are not told.
+    Where forces may act, the model is one of loaded robots. Raises OptionError, and LoadError where forces act on
+    a robot whose elastic moduli are not known.
     """
     model = model_named(model, "model of scenarios")
     if scenarios is None:
         scenarios = with_forces(scenarios_of(robot), robot.tolerances.tip_force)
     instance(OptionError, "scenarios", scenarios, Scenarios)
+    # Draws that bear forces join the scenarios in later rounds, even if none of the first bears any.
     model = bearing(model, scenarios.pushed or robot.tolerances.tip_force > 0)
     model.check(robot)
     check_shared(robot, model, scenarios)
@@ -73,27 +86,34 @@ def described(robot: Robot, model: str | Model, scenarios: Scenarios | None) -> 
 
 
 def told_on(model: Model) -> Model:
-    """The model that a plan made on one tells of: that without a load, where robots bear only what may come."""
+    """Return the model on which a plan is reported: that without a load, where the nominal robot bears none.
+
+    model: on which scenarios are planned.
+    """
     return MODELS[model.name] if model.bears == Load() else model
 
 
 def told_unknowns(robot: Robot, model: Model, q: Array, x: Array) -> Array:
-    """The unknowns (T, 2d + 2) of that model, of a robot at q (T, 2d + 2) with the unknowns x of the other one.
+    """Return the unknowns (T, 2d + 2) of the nominal robot on the model that plans are reported on.
 
-    Tips are turned alike against each other; by how much they are turned together is what alpha tells of them.
+    q (T, 2d + 2): its configurations. x: its unknowns on the scenarios' model.
     """
     told, last = told_on(model), robot.d - 1
     if told == model:
         return x
     found = q.copy()
+    # Tips relative to each other are the same on both models. The innermost tip's own angle adds to every alpha
+    # alike: with 0 for it, what alpha_d misses is that angle.
     found[:, :last], found[:, last] = x[:, :last], 0.0
     found[:, last] = q[:, last] - told.configuration(robot, found)[:, last]
     return found
 
 
 def bearing_unknowns(robot: Robot, model: Model, q: Array, x: Array) -> Array:
-    """The unknowns (T, 2d + 2) of a model, of a robot that moves through q (T, 2d + 2) with the unknowns x of
-    told_on(model). The turn of its tip is continuous over the frames, where alpha tells of it up to whole turns.
+    """Return the unknowns (T, 2d + 2) on the scenarios' model of a nominal robot without a load.
+
+    q (T, 2d + 2): its configurations. x: its unknowns on told_on(model). The innermost tip's angle, which alpha
+    determines up to whole turns, is continuous over the frames.
     """
     if told_on(model) == model:
         return x
@@ -104,13 +124,13 @@ def bearing_unknowns(robot: Robot, model: Model, q: Array, x: Array) -> Array:
 
 
 def tips_of(model: Model, robot: Robot, x: Array) -> Array:
-    """What of a robot's unknowns x (T, n_x) its q does not say: tips (T, d), under a load (T, d + 2)."""
+    """Return the part of unknowns x (T, n_x) that q does not determine: tips (T, d), under a load (T, d + 2)."""
     angles, turns = x[:, : robot.d], x[:, 2 * robot.d :]
     return angles if model.bears is None else np.hstack([angles, turns])
 
 
 def unknowns_of(model: Model, robot: Robot, tips: Array, q: Array) -> Array:
-    """The unknowns (T, n_x) of a robot at q (T, 2d + 2) with tips as of tips_of."""
+    """Return the unknowns (T, n_x) of a robot at q (T, 2d + 2) whose tips are those of tips_of."""
     d = robot.d
     if model.bears is None:
         return np.hstack([tips, q[:, d:]])
@@ -118,16 +138,19 @@ def unknowns_of(model: Model, robot: Robot, tips: Array, q: Array) -> Array:
 
 
 def balanced(count: int) -> Array:
-    """Deviations (N, count) of so many independent quantities, each of mean 0 and variance 1; N is the next
-    prime's successor.
+    """Return a two-level orthogonal array (N, count): rows are robots, columns independent numbers of mean 0 and
+    variance 1.
 
-    Over them, the mean of a function up to its second order is that over all values of the quantities: columns are
-    orthogonal (Plackett and Burman, The design of optimum multifactorial experiments, Biometrika 33, 1946).
+    N - 1 is the least prime p >= count with p = 3 (mod 4). Columns are orthogonal, so that a mean over the rows of
+    a function up to its second order is that over all values of the numbers (Plackett and Burman, 1946).
     """
     size = count
+    # Paley's construction: for such a prime the quadratic residues modulo p give a Hadamard matrix of order p + 1.
     while size % 4 != 3 or any(size % k == 0 for k in range(2, size)):
         size += 1
     squares = {k * k % size for k in range(1, size)}
+    # +1 at 0 and at quadratic residues, -1 elsewhere; shifted p times, and closed by a row of -1, columns sum to
+    # 0.
     row = np.array([1.0 if k in squares or k == 0 else -1.0 for k in range(size)])
     signs = np.vstack([*(np.roll(row, -k) for k in range(size)), -np.ones(size)])
     return signs[:, :count]

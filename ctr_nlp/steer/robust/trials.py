@@ -1,4 +1,8 @@
-"""Motions tried on robots drawn within tolerances: is it certain enough that hardly any such robot is lost?"""
+"""Motions tried on robots drawn within tolerances: is it certain enough that hardly any such robot is lost?
+
+Of n drawn robots k are lost; the share of all such robots that are lost is then with confidence c at most the
+quantile c of the beta distribution of k + 1 and n - k (Clopper and Pearson, Biometrika 26, 1934).
+"""
 
 from __future__ import annotations
 
@@ -22,22 +26,25 @@ from ctr_nlp.support.values import number
 from ctr_nlp.typing import Array, Index
 
 JOINING = 6
-"""Lost robots that join the scenarios in one round, at most."""
+"""Most lost robots that join the scenarios in one round."""
 LEAST_DRAWS, OF_DRAFTS, GROUP = 500, 200, 50
-"""Robots that are drawn at least where a whole motion is tried, and where a draft is; those moved at a time."""
+"""Least number of robots drawn for a whole motion, number for a draft, and how many are simulated at a time."""
 SEED = 2**40
-"""Of the first motion's draws, from which seeds count on: none that anybody tries plans with."""
+"""Seed of the first motion's robots, from which seeds count on: none that users try plans with."""
 CERTIFYING = 200
-"""Fresh robots on which the plan that was chosen is judged for arrival and contact: where at most 4 of them fail,
-at least 95 % of all such robots hold with 95 % confidence."""
+"""Fresh robots on which the chosen plan is judged for arrival and contact: where at most 4 of them fail, at least
+95 % of all such robots hold with 95 % confidence.
+"""
 HALVINGS = 6
-"""Of the range in which the part of the tolerances lies that a motion bears."""
+"""Bisection steps for the part of the tolerances that a motion bears."""
 
 
 class Lost(NamedTuple):
-    """Robots that were lost of those drawn: numbers (L, d, 8) of their tubes, offsets (L, d) of their motors, rad,
-    and forces (L, 3) at their tips, N; frames (L,): in which each was, from 1. few: whether so few that it is
-    certain enough that hardly any is.
+    """Robots that were lost of those drawn for a motion.
+
+    numbers (L, d, 8): of their tubes. offsets (L, d): of their motors' zeros, rad. forces (L, 3): at their tips,
+    N. frames (L,): in which each was lost, from 1. drawn: number of robots simulated. few: whether so few are lost
+    that hardly any robot within the tolerances is.
     """
 
     numbers: Array
@@ -49,17 +56,17 @@ class Lost(NamedTuple):
 
     @property
     def share(self) -> float:
-        """Of those drawn."""
+        """Share of the simulated robots that is lost."""
         return len(self.frames) / self.drawn
 
 
 @dataclass(frozen=True)
 class Trials:
-    """Robots drawn within a robot's tolerances, anew for every motion that is tried, at most so many of them.
+    """Judge of motions: robots drawn within a robot's tolerances, other ones for each motion.
 
-    most_lost: the share of all such robots that may be lost. So that what is said of the last motion holds with
-    95 % confidence, however many were tried before it, each has its part of the 5 % (Bonferroni). Raises
-    OptionError.
+    motions: most motions that are tried. most_lost: share of all such robots that may be lost. What is said of the
+    last motion holds with 95 % confidence however many were tried before it, since each has its part of the 5 %
+    (Bonferroni). Raises OptionError.
     """
 
     robot: Robot
@@ -72,27 +79,32 @@ class Trials:
 
     @property
     def confidence(self) -> float:
-        """With which a single motion is judged."""
+        """Confidence with which a single motion is judged."""
         return 1 - (1 - CONFIDENCE) / self.motions
 
     @property
     def draws(self) -> int:
-        """Robots drawn for a motion: enough that none of them being lost says what is asked for."""
+        """Number of robots drawn for a motion: enough that none of them being lost proves what is asked for."""
+        # None of n lost: (1 - p)^n <= 1 - c, with p the share that may be lost and c the confidence.
         return max(LEAST_DRAWS, math.ceil(math.log(1 - self.confidence) / math.log1p(-self.most_lost)))
 
     @property
     def allowed(self) -> int:
-        """How many of these may be lost."""
+        """Number of these that may be lost."""
+        # The bound grows with the number lost: the last number below it is wanted.
         bounds = (upper_bound(lost, self.draws, self.confidence) for lost in count())
         return next(lost for lost, bound in enumerate(bounds) if bound > self.most_lost) - 1
 
     def __call__(self, q: Array, number: int, draft: bool = False) -> Lost:
-        """What is lost on motion q (T, 2d + 2), the number-th that is tried, of the robots drawn for it.
+        """Simulate the robots drawn for motion q (T, 2d + 2), which is number `number`, and return those that are
+        lost.
 
-        No more are moved once enough are lost. draft: fewer are drawn, and few is said only where none is lost.
+        draft: whether it is a draft's motion, for which fewer robots are drawn, and few means none. Simulation
+        ends as soon as more are lost than may be.
         """
         draws = drawn(self.robot, OF_DRAFTS if draft else self.draws, SEED + number)
         allowed, frames = 0 if draft else self.allowed, np.zeros(0, dtype=int)
+        # The verdict is no once more than `allowed` are lost; but JOINING of them are wanted as scenarios.
         while len(frames) < len(draws) and (frames > 0).sum() < max(JOINING, allowed + 1):
             group = draws[len(frames) : len(frames) + GROUP]
             frames = np.append(frames, lost_draws(self.robot, group, q, self.model))
@@ -102,13 +114,18 @@ class Trials:
         return Lost(*own, frames[gone], len(frames), len(gone) <= allowed)
 
     def borne(self, q: Array, number: int) -> float:
-        """The part of the tolerances, below 1, at which few are lost on motion q; 0 where many are at any."""
+        """Return the part of the tolerances, below 1, at which few robots are lost on motion q; 0 where many are
+        at any.
+
+        number: of the motion, whose robots are drawn again and scaled.
+        """
         draws, (low, high) = drawn(self.robot, self.draws, SEED + number), (0.0, 1.0)
         for _ in range(HALVINGS):
             part = (low + high) / 2
             shrunk = drawn_from(self.robot, part * draws.parts, part * draws.lags, part * draws.forces)
             few = (lost_draws(self.robot, shrunk, q, self.model) > 0).sum() <= self.allowed
             low, high = (part, high) if few else (low, part)
+        # The lower end: few are known to be lost there.
         return low
 
     def certified(self, plan: Plan, lost: Lost, number: int) -> Plan:
@@ -143,6 +160,7 @@ class Trials:
             "draws": lost.drawn,
             "lost": len(lost.frames),
             "lost_in": dict(zip(map(str, frames.tolist()), counts.tolist(), strict=True)),
+            # Known without a search where few are lost at the whole tolerances.
             "borne": 1.0 if lost.few else self.borne(plan.q, number),
             "samples": CERTIFYING,
             "outcome": outcome_sentence(outcomes),
