@@ -1,1 +1,1 @@
-"""Loaded robots along motions: the places of a course, and the equilibria there."""
+"""Loaded robots followed along motions: the places of a motion, and the equilibria there."""

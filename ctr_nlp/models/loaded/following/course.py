@@ -1,4 +1,8 @@
-"""The course of a loaded robot: its way through frames, and before and after it the load that comes and goes."""
+"""The course of a loaded robot: its way through frames, and before and after it the load that comes and goes.
+
+A real motion begins and ends without the load. It grows from zero while the robot stands in its first frame and is
+taken away in the last one, so that the equilibria under the load are those that a robot comes to.
+"""
 
 from __future__ import annotations
 
@@ -10,14 +14,15 @@ from ctr_nlp.models.protocol import Passage
 from ctr_nlp.typing import Array, Flags, Index
 
 RISES = 10
-"""Steps in which the load comes, and in which it is taken away."""
+"""Number of steps in which the load comes, and in which it is taken away."""
 
 
 class Course(NamedTuple):
-    """Places of a robot: at (M,), which of its way's that is, from 0, and which part of the load acts, (M,).
+    """M places of a robot's course.
 
-    frames (M,): to which frame a place belongs, or on the way to which it is, from 0. own (M,): whether it is the
-    frame itself, under the whole load. fresh (M,): where a robot without a load and a history comes to rest.
+    at (M,): number of the way's place, from 0. part (M,): part of the load that acts. frames (M,): the frame, from
+    0, that a place belongs to or is on the way to. own (M,): whether it is the frame itself, under the whole load.
+    fresh (M,): where a robot without a load and a history comes to rest.
     """
 
     at: Index
@@ -28,13 +33,15 @@ class Course(NamedTuple):
 
 
 def course(way: Passage) -> Course:
-    """The course of a way: wherever a robot comes to rest the load comes, and where it ends the load goes."""
+    """Return the course of a way: the load comes wherever a robot comes to rest, and goes where a way ends."""
     rising = np.arange(RISES) / RISES
     found: list[tuple[int, float, bool, bool]] = []
+    # A way may have several beginnings, after frames that are not known: each stretch ends before the next.
     ends = np.append(np.flatnonzero(way.fresh)[1:] - 1, len(way.q) - 1)
     last_of = np.append(np.diff(way.frames) != 0, True) if len(way.q) else np.zeros(0, dtype=bool)
     for at in range(len(way.q)):
         if way.fresh[at]:
+            # Without a load (part 0) the robot comes to rest; the steps after it raise the load at the same place.
             found += [(at, float(part), False, k == 0) for k, part in enumerate(rising)]
         found.append((at, 1.0, bool(last_of[at]), False))
         if at in ends:

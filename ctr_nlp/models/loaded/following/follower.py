@@ -1,4 +1,9 @@
-"""The equilibria that loaded robots are really in, along motions."""
+"""The equilibria that loaded robots are really in, along motions.
+
+Under a load q has several equilibria, and the way to it decides which of them a robot is in. It is followed on its
+branch from station to station (track.py), from where it comes to rest without a load; a branch that ends is a
+snap, after which it is not known where the robot comes to rest.
+"""
 
 from __future__ import annotations
 
@@ -20,23 +25,27 @@ from ctr_nlp.robot.structure import Structure
 from ctr_nlp.typing import Array, Index
 
 FEW = 12
-"""Robots at most for which places are looked at side by side; more robots are so themselves."""
+"""Most robots of which places are guessed side by side (likely.py); more robots fill a batch by themselves."""
 TURNING = 0.3
-"""Part of the largest turn, of tips that leave a branch, from which on a tube is told to jump."""
+"""Share of the largest turn of a tip, where a branch ends, from which on a tube is reported to jump."""
 
 
 class Follower:
-    """Follows robots of numbers (N, d, 8), each under a load of its own, side by side; one object a thread."""
+    """Follows N robots of numbers (N, d, 8), each under a load of its own, in batches. Not for several threads at
+    once.
+    """
 
     def __init__(self, structure: Structure, numbers: Array, load: Load | LoadOverTime, acting: Array) -> None:
-        """load: of which kind they all are; acting: the numbers of each, (N, M, 17 + 3d), at M places of a way."""
+        """Build; load: of which kind all loads are; acting (N, M, 17 + 3d): numbers of each robot's load at M
+        places of a way.
+        """
         self._structure, self._numbers, self._acting = structure, numbers, acting
         self._conservative = load.conservative
         self._elastic = [Equilibria(structure, own) for own in numbers]
         self.loaded = LoadedEquilibria(structure, RodKind.of(load))
 
     def settled(self, q: Array) -> tuple[Index, States]:
-        """Which robots come to rest at q (N, 2d + 2) without a load and without a history; their states."""
+        """Return which robots come to rest at q (N, 2d + 2) without a load and a history, and their states."""
         states = [elastic.settled(place) for elastic, place in zip(self._elastic, q, strict=True)]
         which = np.array([k for k, state in enumerate(states) if state is not None], dtype=int)
         tips = np.array([state.tips for state in states if state is not None])
@@ -44,7 +53,7 @@ class Follower:
         return which, self.loaded.unloaded(*known)
 
     def rest(self, q: Array) -> Array:
-        """The unknowns (N, 2d + 2) there after the load has come; NaN of robots that snap on the way."""
+        """Return the unknowns (N, 2d + 2) at q after the load has come; NaN of robots that snap on the way."""
         which, states = self.settled(q)
         states, done = self.loaded.along(states, q[which], self._acting[which, 0])
         found = np.full(q.shape, np.nan)
@@ -52,16 +61,19 @@ class Follower:
         return found
 
     def followed(self, way: Passage, q: Array, with_margins: bool = True) -> list[Followed]:
-        """Along ways through q (N, M, 2d + 2), before which the load comes and after which it goes.
+        """Follow robots along ways through q (N, M, 2d + 2), before which the load comes and after which it goes.
 
-        NaN from a snap to a fresh place.
+        with_margins: whether stability margins are computed. Unknowns are NaN from a snap to the next fresh place.
         """
         places, count, total = course(way), len(q), way.total
         load = eased(self._acting[:, places.at], places.part)
         track = Track(places, self._numbers, q[:, places.at], load)
         robots = range(count)
+        # First from station to station alone, which is enough for unknowns; margins are wanted at all places.
         snaps = self._branches(places, track, robots)
         if with_margins:
+            # Long steps may have passed from one branch to another unseen: where places in between do not join up,
+            # the robot is followed again, place by place.
             torn = [k for k in robots if not track.fill(self.loaded, k)]
             for k in torn:
                 track.forget(k)
@@ -72,6 +84,7 @@ class Follower:
         here = np.flatnonzero(known & own)
         x, (at, between) = np.full((count * total, q.shape[2]), np.nan), np.full((2, count * total), np.nan)
         x[frames[here]] = track.states.rows(here).unknowns
+        # A load without an energy has no margin.
         if with_margins and self._conservative:
             at[frames[here]] = margins(self.loaded, track.states.rows(here))
             way_there = np.flatnonzero(known & ~own & np.isfinite(at[frames]))
@@ -80,9 +93,10 @@ class Follower:
         return [_followed(*one, snaps[k], self._numbers.shape[1]) for k, one in enumerate(each)]
 
     def _branches(self, places: Course, track: Track, robots: Sequence[int]) -> dict[int, list[Snap]]:
-        """Follow some robots from station to station; where the branches of each end."""
+        """Follow robots, by number, from station to station; return the snaps where branches of each end."""
         snaps = {k: list[Snap]() for k in robots}
         likely = Likely(self._structure, self.loaded, track.states) if len(robots) <= FEW else None
+        # Stretches between fresh places are followed one after the other; robots side by side.
         begins = [*np.flatnonzero(places.fresh).tolist(), len(places.at)]
         for begin, end in itertools.pairwise(begins):
             which, start = self.settled(track.q(begin))
@@ -99,14 +113,21 @@ class Follower:
 
 
 def _leaving(slopes: Array) -> tuple[int, ...]:
-    """The tubes, from 1, whose tips turn most where a branch ends, by the slopes (d + 2, d + 2) there."""
+    """Return the tubes, from 1, whose tips turn most where a branch ends, by the slopes (d + 2, d + 2) there."""
+    # At the end of a branch slopes are singular: the right singular vector of the least value is the change of the
+    # tip that no motor feels. Its first two entries are turns of the frame.
     turn = np.linalg.svd(slopes)[2][-1][2:]
+    # A turn of all tubes alike is none of any tube.
     apart = abs(turn - turn.mean())
     return tuple(int(i) + 1 for i in np.flatnonzero(apart >= TURNING * max(apart.max(), 1e-300)))
 
 
 def _followed(x: Array, at: Array, between: Array, snaps: list[Snap], d: int) -> Followed:
-    """A robot's unknowns x (T, 2d + 2) and margins (T,), with the angle of its innermost tube in one piece."""
+    """Make the record of one robot from its unknowns x (T, 2d + 2) and margins (T,).
+
+    The angle of its innermost tube is made continuous over frames. Where it snaps, the least margin between frames
+    is at most 0.
+    """
     reached = np.isfinite(x[:, d - 1])
     x[reached, d - 1] = np.unwrap(x[reached, d - 1])
     snapped = [snap.frame - 1 for snap in snaps]

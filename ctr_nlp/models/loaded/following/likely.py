@@ -1,7 +1,7 @@
-"""Equilibria at all stations of a robot's way, found side by side rather than one after the other.
+"""Equilibria at all stations of a robot's way, found in one batch instead of one after the other.
 
-They are what the robot probably takes: the load is raised on the unloaded equilibrium at every station. They count
-only where the branch of each leads to the next one.
+They are what the robot probably takes: at every station the load is raised on the equilibrium of the unloaded
+robot that is followed through the motion. They count only where the branch of each leads to the next one.
 """
 
 from __future__ import annotations
@@ -17,16 +17,18 @@ from ctr_nlp.typing import Array, Flags, Index
 
 
 class Likely:
-    """What robots probably take, of all rows of states that are to be found; one object a motion."""
+    """Equilibria that robots probably take, at the rows of states that are to be found. One object for each
+    motion.
+    """
 
     def __init__(self, structure: Structure, equilibria: LoadedEquilibria, states: States) -> None:
-        """Of states only numbers, q and load are looked at."""
+        """Prepare; of states only numbers, q and load are used."""
         self._structure, self._equilibria = structure, equilibria
         self._states = States.nowhere(states.numbers, states.q, states.load)
         self._until = np.arange(len(states.q))
 
     def look(self, rows: Index) -> None:
-        """Find what a robot takes in some rows, which are its stations in their order."""
+        """Find the equilibria at some rows, which are the stations of one robot in their order."""
         numbers, q, load, *_ = self._states.rows(rows)
         x = self._unloaded(numbers[0], q)
         stands = np.flatnonzero(np.isfinite(x).all(axis=1))
@@ -36,14 +38,18 @@ class Likely:
         self._states.write(rows[stands[done == 1]], found.rows(done == 1))
         states = self._states.rows(rows)
         leads = self._equilibria.linked(states.rows(slice(-1)), states.rows(slice(1, None)))
+        # From each station the last one that is reached by going from one to the next: so many can be skipped.
         self._until[rows] = rows[_last_of_runs(np.append(leads, False))]
 
     def _unloaded(self, numbers: Array, q: Array) -> Array:
-        """The unknowns (T, 2d + 2) at q (T, 2d + 2) of a robot that bears nothing; NaN where none are found."""
+        """Return the unknowns (T, 2d + 2) of the robot at q without a load; NaN where none are found."""
         return followed(self._structure, numbers, passage(q, 1), q, margins=False).x
 
     def skip(self, states: States, at: Index) -> Index:
-        """Write states from rows on as far as they are known; the last rows written, or those where none are."""
+        """Write states after the rows `at` as far as they are known; return the last rows written, or `at` where
+        none are.
+        """
+        # A robot that is on another branch than guessed is followed step by step.
         last = np.where(self._states.rows(at).alike(states.rows(at)), self._until[at], at)
         for begin, end in zip(at, last, strict=True):
             between = slice(begin + 1, end + 1)
@@ -52,6 +58,8 @@ class Likely:
 
 
 def _last_of_runs(leads: Flags) -> Index:
-    """For each of places (M,) the last that follows, where each that leads is followed by the next."""
+    """Return for each of M places the last one that is reached from it, where places that lead are followed by the
+    next.
+    """
     ends = np.where(leads, len(leads), np.arange(len(leads)))
     return np.minimum.accumulate(ends[::-1])[::-1]

@@ -1,4 +1,8 @@
-"""Loaded robots at the places of their courses: from station to station along lines, and between them."""
+"""Loaded robots at the places of their courses: followed from station to station, and filled in between.
+
+Between two stations configuration and load change linearly, so that one long step, halved where it fails, leads as
+far as many short ones.
+"""
 
 from __future__ import annotations
 
@@ -12,17 +16,17 @@ from ctr_nlp.models.loaded.following.likely import Likely
 from ctr_nlp.typing import Array, Flags, Index
 
 STRAIGHT = 1e-9
-"""rad, mm, N: what changes so evenly from place to place goes on in a line."""
+"""Largest second difference, rad, mm or N, of what counts as changing linearly from place to place."""
 
 
 class Track:
-    """States of N robots at M places each, one robot's after the other's; not numbers where none is known.
+    """States of N robots at M places each, one robot's after the other's; NaN where none is known.
 
-    Stations are frames, and where a line ends: between two of them configuration and load change evenly.
+    Stations are frames, and places where a line ends.
     """
 
     def __init__(self, places: Course, numbers: Array, q: Array, load: Array) -> None:
-        """Numbers (N, d, 8), q (N, M, 2d + 2), load (N, M, l)."""
+        """Prepare for numbers (N, d, 8), q (N, M, 2d + 2), load (N, M, l); places: of the course."""
         self._count, self._length, _ = q.shape
         flat = (array.reshape(self._count * self._length, -1) for array in (q, load))
         self.states = States.nowhere(np.repeat(numbers, self._length, axis=0), *flat)
@@ -30,34 +34,37 @@ class Track:
         self._stations = (places.own | places.fresh | _bent(np.concatenate([q, load], axis=2))).ravel()
 
     def rows(self, robots: Index, place: int) -> Index:
-        """The rows of robots at a place."""
+        """Return the rows of robots, by number, at a place."""
         return robots * self._length + place
 
     def robot(self, row: int) -> tuple[int, int]:
-        """Which robot a row belongs to, and which of its places."""
+        """Return the number of the robot that a row belongs to, and that of its place."""
         return divmod(row, self._length)
 
     def q(self, place: int) -> Array:
-        """The configurations (N, 2d + 2) of a place."""
+        """Return the configurations (N, 2d + 2) of all robots at a place."""
         return self.states.q[self.rows(np.arange(self._count), place)]
 
     @property
     def known(self) -> Flags:
-        """Which rows are."""
+        """Whether the state of each row is known, (N M,)."""
         return np.isfinite(self.states.determinant)
 
     def stations(self, begin: int, end: int) -> Index:
-        """The rows of stations from one to before another."""
+        """Return the rows of stations from row `begin` to before row `end`."""
         return begin + np.flatnonzero(self._stations[begin:end])
 
     def onwards(
         self, equilibria: LoadedEquilibria, at: Index, last: Index, likely: Likely | None
     ) -> Iterator[tuple[int, Array]]:
-        """Follow robots from rows to others, from station to station; stations that branches do not lead to, with
-        the slopes (d + 2, d + 2) where these end.
+        """Follow robots from rows `at` to rows `last`, from station to station.
+
+        Yields the stations that branches do not lead to, each with the slopes (d + 2, d + 2) where its branch
+        ends. likely: equilibria that may be skipped to, or None.
         """
         states, following = self.states, _next(self._stations)
         while True:
+            # Rows that were guessed, and confirmed, cost nothing; the others take a step each, all in one batch.
             at = at if likely is None else likely.skip(states, at)
             at, last = at[at < last], last[at < last]
             if not len(at):
@@ -70,20 +77,22 @@ class Track:
             states.write(at, reached.rows(there))
 
     def fill(self, equilibria: LoadedEquilibria, robot: int) -> bool:
-        """Find what is between stations that a robot reaches; whether each place leads to the next one there."""
+        """Find the states between stations of a robot; return whether each place leads to the next one."""
         here = slice(robot * self._length, (robot + 1) * self._length)
         states, stations, known = self.states.rows(here), self._stations[here], self.known[here]
+        # The last station at or before each place: from it the line leads through the place.
         before = np.maximum.accumulate(np.where(stations, np.arange(self._length), 0))
         wanted = np.flatnonzero(~stations & known[before] & known[_next(stations)])
         found, done = equilibria.along(states.rows(before[wanted]), states.q[wanted], states.load[wanted])
         states.write(wanted[done == 1], found.rows(done == 1))
         self.states.write(here, states)
         known[wanted] = done == 1
+        # A fresh place begins anew: nothing leads to it.
         joined = np.flatnonzero(known[1:] & ~self._fresh[here][1:])
         return bool(done.all() and equilibria.linked(states.rows(joined), states.rows(joined + 1)).all())
 
     def forget(self, robot: int) -> None:
-        """Take each place of a robot for a station, of which nothing is known."""
+        """Forget a robot's states, and make each of its places a station."""
         here = slice(robot * self._length, (robot + 1) * self._length)
         numbers, q, load, *_ = self.states.rows(here)
         self.states.write(here, States.nowhere(numbers, q, load))
@@ -91,14 +100,15 @@ class Track:
 
 
 def _bent(values: Array) -> Flags:
-    """At which places (N, M) of values (N, M, k) a line ends; first and last ones are such."""
+    """Return at which places (N, M) of values (N, M, k) a line ends; the first and last places count as such."""
     found = np.ones(values.shape[:2], dtype=bool)
+    # Places are evenly spaced in time: on a line second differences are 0.
     found[:, 1:-1] = abs(np.diff(values, 2, axis=1)).max(axis=2, initial=0.0) > STRAIGHT
     return found
 
 
 def _next(stations: Flags) -> Index:
-    """The next station after each row; the last row after the last one."""
+    """Return the next station after each row; the last row where there is none."""
     rows = np.arange(len(stations))
     ends = np.where(stations, rows, len(rows) - 1)
     return np.append(np.minimum.accumulate(ends[::-1])[::-1][1:], len(rows) - 1)

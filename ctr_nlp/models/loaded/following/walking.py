@@ -1,4 +1,4 @@
-"""One loaded robot that is moved step by step: Walker."""
+"""One loaded robot that is moved step by step, as by its motors, and stays on its branch of equilibria."""
 
 from __future__ import annotations
 
@@ -14,22 +14,23 @@ from ctr_nlp.typing import Array
 
 
 class LoadedWalker(Walker):
-    """Follows the branch of equilibria that it is on under a load that changes only when it is told.
+    """A robot on its branch of equilibria, under a load that changes only when it is told so (`bear`).
 
-    Where that ends, nobody knows where the robot comes to rest: x is NaN then.
+    Where the branch ends, it is not known where the robot comes to rest: x is NaN from then on.
     """
 
     def __init__(self, structure: Structure, numbers: Array, q: Array, load: Load) -> None:
-        """At rest at q (2d + 2,), to which all tubes were turned together from alpha_d, and then loaded."""
+        """Place the robot at q (2d + 2,), to which all tubes were turned together from alpha_d, and load it."""
         self.q, self._conservative = np.array(q, dtype=float), load.conservative
         self._acting = load.numbers(structure.d)[None]
         follower = Follower(structure, np.array(numbers, dtype=float)[None], load, self._acting[:, None])
         self._equilibria = follower.loaded
+        # Unloaded first: which equilibrium a robot is in under a load depends on how it came there.
         _, states = follower.settled(self.q[None])
         self._go_on(states if len(states.q) else None)
 
     def _go_on(self, states: States | None, numbers: Array | None = None) -> None:
-        """Go on to q under the load, from states of the robot there or elsewhere; None where it has none.
+        """Go on to q under the load from states of the robot; None where it has none.
 
         numbers (1, d, 8): of its tubes from then on, None for those that it has.
         """
@@ -40,24 +41,26 @@ class LoadedWalker(Walker):
         self.x = np.full(len(self.q), np.nan) if states is None else states.unknowns[0]
 
     def go(self, q: Array) -> list[Array]:
-        """As Walker; no jump is told, as it is not known where a robot comes to rest that snaps under a load."""
+        """Move to q (2d + 2,) on a line; no jump is reported, as it is not known where a loaded robot snaps to."""
         self.q = np.array(q, dtype=float)
         self._go_on(self._states)
         return []
 
     def become(self, numbers: Array, x: Array | None = None) -> list[Array]:
-        """As Walker; x is not looked at: the branch is followed while the numbers change."""
+        """Continue as a robot of other numbers (d, 8); x is ignored, as the branch is followed while the numbers
+        change.
+        """
         self._go_on(self._states, np.array(numbers, dtype=float)[None])
         return []
 
     def bear(self, load: Array) -> list[Array]:
-        """As Walker."""
+        """Continue under another load of the same kind, with numbers (17 + 3d,); no jump is reported."""
         self._acting = np.array(load, dtype=float)[None]
         self._go_on(self._states)
         return []
 
     def margin(self) -> float:
-        """As Walker; NaN, too, under a load that has no energy."""
+        """Return the stability margin; NaN where there is no equilibrium, or the load has no energy."""
         if self._states is None or not self._conservative:
             return float("nan")
         return float(margins(self._equilibria, self._states)[0])
