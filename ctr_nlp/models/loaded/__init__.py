@@ -1,1 +1,1 @@
-"""The elastic model of a robot that bears a load: its equilibria, its shape, and whether it is stable."""
+"""The elastic model of a robot under a load: its equilibria, its shape, and its stability."""

@@ -1,4 +1,9 @@
-"""What acts on rods, as models take it, and what kinds of rods it makes."""
+"""Loads as the rod's equations take them, and the kinds of rods that they make.
+
+A kind says which terms the equations contain; within it, all loads share one compiled program, whose parameters
+are the load's numbers (loads/load.py). A force along the body begins and ends within GENTLE of its places instead
+of at once, so that shapes stay smooth functions of the extensions.
+"""
 
 from __future__ import annotations
 
@@ -17,17 +22,17 @@ from ctr_nlp.robot.structure import Kind, Structure
 from ctr_nlp.typing import Array, Vector
 
 STEPS = 18
-"""Steps of integration a section where numbers are wanted; twice as many where a force may begin or end in one."""
+"""Steps of integration a section in evaluations; twice as many where a force may begin or end in one."""
 GENTLE = 0.25
-"""mm to both sides of a place where a force along the body begins or ends, within which it does so."""
+"""Distance, mm, to both sides of a place where a force along the body begins or ends, within which it does so."""
 
 
 class Loading(NamedTuple):
-    """A load's numbers (loads.Load.numbers) as models take them: numbers, columns (T, 1), or symbols.
+    """A load's numbers (loads.Load.numbers) as the equations take them: numbers, columns (T, 1), or symbols.
 
-    force: N, in the base's directions. tool_force: N, in those of the tip. moment, tool_moment: N mm, likewise.
-    distributed: N/mm, which acts between two places, mm from the opening. weights: of what every tube is made of,
-    N/mm^3.
+    force: at the tip, N, in the base's directions. tool_force: at the tip, N, in those of the tip. moment,
+    tool_moment: at the tip, N mm, likewise. distributed: N/mm, in the base's directions, which acts between two
+    places, mm from the opening. weights: of each tube's material, N/mm^3.
     """
 
     force: Vector
@@ -49,7 +54,7 @@ def check_kinds(kinds: Sequence[Kind]) -> None:
 
 
 def loading(values: Sequence[Any]) -> Loading:
-    """The numbers of a load as models take them."""
+    """Split a load's numbers, in the order of loads.Load.numbers, into the vectors of a Loading."""
     force, tool_force, moment, tool_moment, distributed = vectors(values[: BETWEEN.start])
     begin, end = values[BETWEEN]
     return Loading(
@@ -59,7 +64,10 @@ def loading(values: Sequence[Any]) -> Loading:
 
 @dataclass(frozen=True)
 class Along:
-    """A force per length, N/mm, which begins and ends gently at two places, mm, of a robot of some length."""
+    """A force per length, N/mm, that acts between two places, mm from the opening, of a robot of a length in mm.
+
+    xp: casadi or numpy, with which it is evaluated.
+    """
 
     force: Vector
     between: tuple[Any, Any]
@@ -67,23 +75,29 @@ class Along:
     xp: Any
 
     def beyond(self, s: Any) -> Any:
-        """The length from s to the tip along which it acts, mm."""
+        """Return the length from s to the tip along which the force acts, mm; times the force it is what acts
+        beyond s.
+        """
+        # Where the robot ends before the force does, what lies beyond its tip is taken off.
         return self._after(s) - self._after(self.length)
 
     def _after(self, s: Any) -> Any:
-        """The same for a robot without an end."""
+        """Return the length beyond s along which the force would act on a robot without an end, mm."""
         begin, end = self.between
         return self._rest(end - s) - self._rest(begin - s)
 
     def _rest(self, left: Any) -> Any:
-        """max(left, 0), rounded within GENTLE of 0."""
+        """Return max(left, 0), mm, with the corner at 0 rounded within GENTLE to either side."""
+        # The parabola (x + g)^2 / 4g meets 0 at -g and x at g with equal slopes: the force per length, which is
+        # the derivative, rises linearly over 2g.
         near = self.xp.fmin(self.xp.fmax(left, -GENTLE), GENTLE)
         return (near + GENTLE) ** 2 / (4 * GENTLE) + self.xp.fmax(left - GENTLE, 0.0)
 
 
 def eased(acting: Array, part: Array) -> Array:
-    """Numbers (.., l) of loads of which parts (..) have come, from 0 to 1: all but the places between which they
-    act.
+    """Return numbers (.., l) of loads of which only parts (..), from 0 to 1, act yet.
+
+    The places between which a force along the body acts are no forces, and are not scaled.
     """
     found = part[..., None] * acting
     found[..., BETWEEN] = acting[..., BETWEEN]
@@ -91,10 +105,12 @@ def eased(acting: Array, part: Array) -> Array:
 
 
 class RodKind(NamedTuple):
-    """What kind of rods: whether a force turns with the tip; whether a moment acts there that is not about its
-    direction; whether a force acts between two places along the body; whether tubes weigh something; into how many
-    pieces every section is divided, along each of which a force per length of its own acts, or 0 where none does.
-    What a kind leaves out is not looked at in the load's numbers.
+    """The terms that the equations of a rod contain.
+
+    follows: a force at the tip turns with the tool. bends: a moment acts at the tip that is not about its
+    direction. distributed: a force acts between two places along the body. weighs: tubes have a weight. pieces:
+    number of pieces into which every section is divided, along each of which a force per length of its own acts,
+    or 0 where none does. Numbers of a load whose term a kind does not contain are ignored.
     """
 
     follows: bool = False
@@ -105,7 +121,7 @@ class RodKind(NamedTuple):
 
     @classmethod
     def of(cls, load: Load | LoadOverTime) -> RodKind:
-        """That of robots which bear a load."""
+        """Return the kind of rods that a load makes."""
         return cls(load.follows, load.bends, load.distributed, load.weighs)
 
     def divided(self, parts: Sequence[Section]) -> list[Section]:
@@ -114,15 +130,19 @@ class RodKind(NamedTuple):
 
     @property
     def steps(self) -> int:
-        """Of integration, in each of these."""
+        """Steps of integration in each section, or in each piece where sections are divided."""
+        # The corner of a force along the body costs accuracy in the step that it falls into. Pieces share the
+        # steps of their section.
         return STEPS * (2 if self.distributed else 1) // max(self.pieces, 1)
 
     def numbers(self, structure: Structure) -> int:
         """How many numbers a load has: of loads.Load.numbers, and then three of every piece, N/mm, if any."""
         d, shown = structure.d, structure.shown
+        # Sections lie between neighbouring tips; each is divided once more for every tube present whose straight
+        # part may show (torsion.sections).
         parts = sum(1 + sum(shown[i:]) for i in range(d))
         return BEFORE_WEIGHTS + 3 * d + 3 * self.pieces * parts
 
 
 PLAIN = RodKind()
-"""Those of loads that act at the tip and keep their direction."""
+"""The kind of loads that act at the tip and keep their direction."""

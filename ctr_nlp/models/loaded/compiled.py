@@ -1,4 +1,8 @@
-"""Rods from tip to base as one function of symbols, for many rows at once: compiled where that can be."""
+"""Rods from tip to base as one function of symbols, for a batch of rows: compiled where that can be.
+
+The function is generated once for each structure and kind of rod. Until it is compiled, in the background, it is
+interpreted, so that nobody waits. Angles are in rad, lengths in mm, forces in N and moments in N mm.
+"""
 
 from __future__ import annotations
 
@@ -24,14 +28,15 @@ from ctr_nlp.robot.structure import NUMBERS, Structure
 from ctr_nlp.typing import Array
 
 BLOCK = 128
-"""Rows at once: the sizes that functions are mapped to are few, and little is worked out in vain."""
+"""Most rows in one call: functions are mapped to few sizes, and few rows are computed in vain."""
 
 
 class Ends(NamedTuple):
-    """T rods at the base. angles (T, d): of the tubes, less what their transmissions twist, relative to the frame.
+    """T rods at their bases, as integrated from their tips.
 
-    axes (T, 3, 3): that frame, row by row d_1, d_2 and t. responses (T, k, d + 2, d + 2): of rod.Rod.
-    tangents (T, k, n, 3): of k sections or their pieces, at n nodes from base to tip.
+    angles (T, d): of the tubes at their motors, relative to the frame at the base, rad. axes (T, 3, 3): that
+    frame, row by row d_1, d_2 and t. responses (T, k, d + 2, d + 2): of rod.Rod, from tip to base. tangents (T, k,
+    n, 3): of k sections or their pieces, at n nodes from base to tip.
     """
 
     angles: Array
@@ -41,13 +46,17 @@ class Ends(NamedTuple):
 
     @property
     def slopes(self) -> Array:
-        """How turns and angles at the base follow those at the tip, (T, d + 2, d + 2)."""
+        """Derivatives (T, d + 2, d + 2) of turns and angles at the base over those at the tip."""
+        # The chain rule from place to place: the response of the last place multiplies all before it.
         return functools.reduce(lambda found, response: response @ found, self.responses.swapaxes(0, 1))
 
 
 @functools.lru_cache(maxsize=64)
 def symbolic(structure: Structure, kind: RodKind) -> ca.Function:
-    """(row, numbers (8 d,)) -> what Ends holds; row: psi and axes of the tip, beta, the load, softnesses."""
+    """Return the function (row, numbers (8 d,)) -> what Ends holds, in symbols.
+
+    A row has the tubes' angles at the tip and its axes, the extensions, the load, and the two softnesses.
+    """
     d = structure.d
     numbers = ca.SX.sym("numbers", d, len(NUMBERS))
     tip, beta = ca.SX.sym("tip", d + 9), ca.SX.sym("beta", d)
@@ -67,11 +76,14 @@ def symbolic(structure: Structure, kind: RodKind) -> ca.Function:
         pressed=vectors(ca.vertsplit(load)[BEFORE_WEIGHTS + 3 * d :]),
     )
     reach = zip(rod.angles, rod.rates, tubes, extensions, strict=True)
+    # Behind the opening a transmission is straight and unloaded: its rate of twist is constant over the L_i -
+    # beta_i to the motor.
     angles = [angle - rate * (tube.length - out) for angle, rate, tube, out in reach]
     ends = ca.vertcat(*angles, *(entry for axis in rod.axes for entry in axis))
     responses = ca.horzcat(*(row for response in rod.responses for row in response)).T
     tangents = ca.vertcat(*(entry for nodes in rod.tangents for tangent in nodes for entry in tangent))
     given, found = [ca.vertcat(tip, beta, load, soft), numbers], [ends, responses, tangents]
+    # cse: common subexpressions are computed once. Densified, since the compiled code takes plain arrays.
     return ca.Function("rod", given, [ca.densify(each) for each in found], {"cse": True})
 
 
@@ -86,30 +98,34 @@ def _functions(structure: Structure, kind: RodKind) -> tuple[ca.Function]:
 
 
 def _fastest(structure: Structure, kind: RodKind) -> ca.Function:
-    """The function, compiled as soon as that has been done."""
+    """Return the compiled function, or the interpreted one while it is being compiled."""
     if not cache.missing() and (path := _library(structure, kind).soon()) is not None:
         return external("rod", str(path))
     return symbolic(structure, kind)
 
 
 class Rods:
-    """Robots' rods from tip to base; one object a thread."""
+    """Integrates rods of robots from tip to base, in batches. Not to be used from several threads at once."""
 
     def __init__(self, structure: Structure, kind: RodKind) -> None:
         """Build."""
         self.d, self.kind = structure.d, kind
+        # A gap between carriages is a limit of motors and does not change shapes: both structures share the code.
         self._which = replace(structure, gap=False), kind
         self.size = kind.numbers(structure)
         self._function = _fastest(*self._which)
         self._mapped: dict[int, Mapped] = {}
 
     def __call__(self, numbers: Array, angles: Array, axes: Array, beta: Array, load: Array, soft: Array) -> Ends:
-        """The Ends of T robots of numbers (T, d, 8), as of structure.NUMBERS.
+        """Integrate T rods.
 
-        Their tips have angles (T, d) and axes (T, 3, 3); beta (T, d) mm, loads (T, size), soft (T, 2).
+        numbers (T, d, 8): of the tubes, in the order of structure.NUMBERS. angles (T, d), axes (T, 3, 3): of the
+        tips. beta (T, d): extensions, mm. load (T, size): numbers of the loads. soft (T, 2): softnesses of torsion
+        and bending.
         """
         rows, d = len(angles), self.d
         given = np.hstack([angles, axes.reshape(rows, 9), beta, load, soft])
+        # Column by column, as casadi stores the matrix (d, 8).
         of_tubes = numbers.swapaxes(1, 2).reshape(rows, len(NUMBERS) * d)
         blocks = [slice(k, k + BLOCK) for k in range(0, max(rows, 1), BLOCK)]
         each = (self._block(given[block], of_tubes[block]) for block in blocks)
@@ -123,7 +139,7 @@ class Rods:
         )
 
     def _block(self, given: Array, of_tubes: Array) -> list[Array]:
-        """The function's results for at most BLOCK rows."""
+        """Evaluate the function for at most BLOCK rows."""
         rows, mapped = len(given), self._for(len(given))
         padded = np.zeros_like(mapped.inputs[0])
         padded[:rows], mapped.inputs[1][:rows] = given, of_tubes
@@ -132,9 +148,11 @@ class Rods:
         return [found[:rows].copy() for found in mapped(padded.ravel())]
 
     def _for(self, rows: int) -> Mapped:
-        """The function mapped over at least so many rows, in few sizes; compiled as soon as that has been done."""
+        """Return the function mapped over at least so many rows, in few sizes; compiled once that was done."""
+        # Still interpreted: it may have been compiled since the last call.
         if self._function.is_a("SXFunction"):
             self._function, self._mapped = _fastest(*self._which), {}
+        # Compiled code computes LANES rows side by side: multiples of these, and powers of 2 below.
         size = -(-rows // LANES) * LANES if rows > LANES else 1 << max(rows - 1, 0).bit_length()
         if size not in self._mapped:
             self._mapped[size] = Mapped(self._function, size)

@@ -1,14 +1,17 @@
 """The differential equations of a loaded rod (rod.py) along a section, as changes over a step towards the base.
 
-n is the internal force, m the moment, w a force per length that acts between two places:
+With the internal force n, N, and moment m, N mm, in the base's directions; a frame (d_1, d_2, t) that does not
+spin along the robot; the tubes' angles psi_i, rad, in it; a weight and a force w per length, N/mm:
 
     n' = -weight - w,   m' = -t x n,   d_1' = -u_1 t,   d_2' = -u_2 t,   t' = u_1 d_1 + u_2 d_2
     u_1 = (m . d_2 + sum EI_i k_i cos psi_i) / sum EI_i,   u_2 = (-m . d_1 + sum EI_i k_i sin psi_i) / sum EI_i
     GJ_i psi_i'' = EI_i k_i u x e(psi_i)
 
-A state is a list of angles psi, of their rates, and of the entries of d_1, d_2, t and m; a response is one of what
-follows of angles and rates, of turns of the frame about d_1, d_2 and t, of moment and force. Changes are slopes
-times a length, which is negative: curvatures, rates and forces are multiplied by it, and the rest follows.
+(Rucker, Jones, Webster, IEEE Transactions on Robotics 26(5), 2010.) A state is a list of angles psi, of their
+rates psi', and of the entries of d_1, d_2, t and m. A response is what follows to first order of a change at the
+tip: of angles and rates, turns (a, b, c) of the frame about d_1, d_2 and t, and changes of moment and force.
+Changes over a step are slopes times a length h, which is negative towards the base: curvatures, rates and forces
+are multiplied by h once, and the rest follows without further products.
 """
 
 from __future__ import annotations
@@ -27,7 +30,9 @@ Values = list[Any]
 
 
 class Softness(NamedTuple):
-    """By what factors torsion and bending give in to responses: 1 / (1 - margin), stability.py."""
+    """Factors by which torsion and bending are softer in responses than in the rod itself: 1 / (1 - margin), see
+    stability.py.
+    """
 
     torsion: Any = 1.0
     bending: Any = 1.0
@@ -36,9 +41,9 @@ class Softness(NamedTuple):
 class _Here(NamedTuple):
     """A place along a section.
 
-    Of every active tube: twist, its psi'' over the bending; sin and cos of psi. And, times the length h: pull, by
-    which it bends the robot; flexible, 1 / sum EI_i; about, the moment over sum EI_i in the axes; u, which is
-    u_1 and u_2; n.
+    By active tube: twist, its EI_i k_i / GJ_i, 1/mm; sin and cos of psi_i. Times the length h of the step: pull,
+    its EI_i k_i / sum EI_i, by which it bends the robot; flexible, 1 / sum EI_i; about, the moment over sum EI_i
+    in the axes d_1, d_2, t; u, which is (u_1, u_2); n, the internal force.
     """
 
     twist: dict[int, Any]
@@ -53,8 +58,11 @@ class _Here(NamedTuple):
 
 @dataclass(frozen=True)
 class Equations:
-    """What holds along a section: the numbers of its tubes, and the force at its end towards the tip, without what
-    acts along the body between two places. steps: in how many of them it is integrated.
+    """The equations along one section of a rod.
+
+    tubes: with their numbers. beta: extensions, mm. force: internal force at the section's end towards the tip, N,
+    without what acts between two places along the body. weight: per length, N/mm. along: that force between two
+    places, or None. soft: of the responses. xp: casadi or numpy. steps: number of steps of integration.
     """
 
     tubes: Tubes
@@ -68,13 +76,15 @@ class Equations:
     steps: int
 
     def changes(self, steps: float, share: float, y: Values, by: Values) -> tuple[Values, Values]:
-        """Of a state, and of its responses if there are any, over a share of a step towards the base.
+        """Return the changes of a state y, and of its responses `by` if there are any, over a share of a step
+        towards the base.
 
-        They are those at so many steps from the section's end towards the tip.
+        steps: how many steps the place is away from the section's end towards the tip.
         """
         d, h = len(self.tubes), -self.part.length * (share / self.steps)
         here = self._here(steps / self.steps, h, y)
         (u1, u2), (d1, d2, t, _) = here.u, vectors(y[2 * d :])
+        # psi_i'' = (EI_i k_i / GJ_i) (u x e(psi_i)), and u x e = u_1 sin psi - u_2 cos psi. h is in u already.
         turns = [
             here.twist[i] * (u1 * here.sin[i] - u2 * here.cos[i]) if i in here.twist else 0.0 for i in range(d)
         ]
@@ -85,14 +95,17 @@ class Equations:
     def _here(self, fraction: float, h: Any, y: Values) -> _Here:
         d, part, active, xp = len(self.tubes), self.part, self.part.active, self.xp
         s = part.start + part.length * (1 - fraction)
+        # Only the extensions count for curvatures: zeros stand in for the unknowns before them.
         k = curvatures_at(self.tubes, [0.0] * d + list(self.beta), part, s)
         sin, cos = {i: xp.sin(y[i]) for i in active}, {i: xp.cos(y[i]) for i in active}
         pull = {i: h * part.shares[i] * k[i] for i in active}
         twist = {i: self.tubes[i].torsional_ratio * k[i] for i in active}
+        # The innermost tube is present everywhere: its share EI_d / sum EI over EI_d is 1 / sum EI.
         flexible = h * (part.shares[-1] / self.tubes[-1].bending_stiffness)
         d1, d2, t, m = vectors(y[2 * d :])
         about = [flexible * dot(m, axis) for axis in (d1, d2, t)]
         u = about[1] + sum(pull[i] * cos[i] for i in active), sum(pull[i] * sin[i] for i in active) - about[0]
+        # n at a place is all that acts beyond it: at the end of the section, and the weight between.
         n = plus(scaled(h, self.force), fraction, scaled(h * part.length, self.weight))
         if self.along is not None:
             n = plus(n, h * self.along.beyond(s), self.along.force)
@@ -101,6 +114,7 @@ class Equations:
     def _changes_of_responses(self, here: _Here, h: Any, y: Values, by: Values) -> Values:
         d, (u1, u2), (d1, d2, t, _) = len(self.tubes), here.u, vectors(y[2 * len(self.tubes) :])
         dpsi, drates, ((a, b, c), dm, dn) = by[:d], by[d : 2 * d], vectors(by[2 * d :])
+        # A softer rod bends more for the same moments: all that bends is multiplied, and so is what twists below.
         soft, sin, cos = self.soft.bending, here.sin, here.cos
         soft1, soft2 = (scaled(soft * here.flexible, axis) for axis in (d1, d2))
         about1, about2, about3 = (soft * each for each in here.about)
@@ -108,12 +122,19 @@ class Equations:
             {i: soft * k for i, k in here.pull.items()},
             {i: self.soft.torsion * k for i, k in here.twist.items()},
         )
+        # Derivatives of u_1 and u_2 in the turned axes: by dm, by the turns (a, b, c) of the axes in which m is
+        # told, and by dpsi.
         du1 = dot(dm, soft2) - c * about1 + a * about3 - sum(pull[i] * sin[i] * dpsi[i] for i in pull)
         du2 = sum(pull[i] * cos[i] * dpsi[i] for i in pull) - dot(dm, soft1) - c * about2 + b * about3
+        # The linearised balance of torsion: psi_i'' changes with u and with the tube's own angle.
         sway = [0.0 * a] * d
+        # `k` has the softness of torsion; u itself, the state's, has not.
         for i, k in twist.items():
             sway[i] = k * sin[i] * du1 - k * cos[i] * du2 + k * (u1 * cos[i] + u2 * sin[i]) * dpsi[i]
+        # The frame turns at the rate omega = (-u_2, u_1, 0) along the rod, in its own axes. In these the turn (a,
+        # b, c) changes by d omega - omega x (a, b, c).
         turning = -du2 - u1 * c, du1 - u2 * c, u2 * b + u1 * a
+        # m' = n x t: turned by (a, b, c), t changes by b d_1 - a d_2, and n changes by dn.
         leaning = plus(scaled(b, cross(here.n, d1)), -1.0 * a, cross(here.n, d2))
         moments = plus(leaning, h, cross(dn, t))
         return [*(h * rate for rate in drates), *sway, *turning, *moments, *[0.0 * a] * 3]

@@ -1,10 +1,11 @@
-"""Equilibria of loaded robots, many rows side by side, each followed in a line of configurations and loads.
+"""Equilibria of loaded robots, a batch of rows, each followed along a line of configurations and loads.
 
-Robots of the rows may differ in the numbers of their tubes.
-
-The tip that a configuration has is found by Newton's method in d + 2 unknowns from a prediction along the tangent,
-as elastic/equilibria.py does without a load; a step that strays from its prediction, or passes a singular slope,
-is halved until it is clear that the branch ends there.
+Robots of the rows may differ in the numbers of their tubes. Every tip is an equilibrium of some configuration
+(rod.py); wanted is the tip whose base stands at a given q. That is a root of d + 2 equations: the base's tangent
+points where theta has it (2), and the motors are at alpha (d). It is found by Newton's method from a prediction
+along the tangent of the branch, as elastic/equilibria.py does without a load; a step that strays from its
+prediction, or passes a singular slope, is halved until it is clear that the branch ends there. Angles are in rad,
+lengths in mm, forces in N.
 """
 
 from __future__ import annotations
@@ -22,20 +23,24 @@ from ctr_nlp.robot.structure import Structure
 from ctr_nlp.typing import Array, Flags
 
 CONVERGED, ITERATIONS = 1e-7, 12
-"""rad of the last Newton step, whose error is about its square; steps at most."""
+"""Largest last Newton step, rad, whose error is about its square; and most steps."""
 ON = 1e-2
-"""rad: an equilibrium so near to its prediction is the one that Newton's method finds from there."""
+"""Distance, rad, from its prediction up to which an equilibrium is the one that Newton's method finds from there.
+"""
 ALIKE = 1e-6
-"""rad by which unknowns of the same equilibrium may differ."""
+"""Largest difference of the unknowns of two descriptions of the same equilibrium, rad."""
 WIDEST, SHRINKS = 1.0, 0.7
-"""rad that a Newton step may turn tips or tubes by, and the part of the step before it; else none is found."""
+"""Largest angle, rad, of a Newton step, and the part of the step before that it may have at most; else none is
+found.
+"""
 
 
 class States(NamedTuple):
-    """T equilibria of robots of numbers (T, d, 8): q (T, 2d + 2); load (T, 17 + 3d); the tip, angles (T, d)
-    relative to its axes (T, 3, 3).
+    """T equilibria.
 
-    slopes (T, d + 2, d + 2): how tilt and motors follow the tip (rod.Rod); determinant (T,): of these.
+    numbers (T, d, 8): of the robots' tubes. q (T, 2d + 2): configurations. load (T, 17 + 3d). angles (T, d), axes
+    (T, 3, 3): of the tips, the angles relative to the axes. slopes (T, d + 2, d + 2): derivatives of tilt and
+    motors over the tip (rod.Rod); determinant (T,): of these, 0 where the branch ends.
     """
 
     numbers: Array
@@ -47,61 +52,68 @@ class States(NamedTuple):
     determinant: Array
 
     def rows(self, which: Any) -> States:
-        """Some of them."""
+        """Return the states of some rows; `which` is any index."""
         return States(*(each[which] for each in self))
 
     def moved(self, step: Array) -> tuple[Array, Array]:
-        """Angles and axes after changes (T, d + 2) of the tips."""
+        """Return angles and axes of the tips after changes (T, d + 2) of them."""
         return turned(self.angles, self.axes, step)
 
     def alike(self, others: States) -> Flags:
-        """Whether they are the same equilibria as others, (T,); those that are not known are not."""
+        """Return whether these are the same equilibria as others, (T,); False where either is unknown (NaN)."""
         return np.asarray(abs(self.unknowns - others.unknowns).max(axis=1, initial=0.0) < ALIKE)
 
     @property
     def unknowns(self) -> Array:
-        """The x (T, 2d + 2) of tips.py."""
+        """Unknowns x (T, 2d + 2), explained in tips.py."""
         return unknowns(self.angles, self.axes, self.q)
 
     @classmethod
     def nowhere(cls, numbers: Array, q: Array, load: Array) -> States:
-        """Those of robots of which nothing else is known."""
+        """Return states of robots at q (T, 2d + 2) whose equilibria are not known: NaN."""
         rows, d, _ = numbers.shape
         shapes = (rows, d), (rows, 3, 3), (rows, d + 2, d + 2), (rows,)
         return cls(numbers, q, load, *(np.full(shape, np.nan) for shape in shapes))
 
     def write(self, which: Any, others: States) -> None:
-        """Put others in place of some."""
+        """Put other states in place of some rows."""
         for array, values in zip(self, others, strict=True):
             array[which] = values
 
     def replaced(self, which: Any, others: States) -> States:
-        """The same with others in place of some."""
+        """Return a copy of these states with others in place of some rows."""
         found = States(*(each.copy() for each in self))
         found.write(which, others)
         return found
 
 
 class LoadedEquilibria:
-    """Follows equilibria of loaded robots; one object a thread."""
+    """Solver of equilibria of loaded robots. Not to be used from several threads at once."""
 
     def __init__(self, structure: Structure, kind: RodKind = PLAIN) -> None:
         """Build."""
         self.d, self.rods = structure.d, Rods(structure, kind)
 
     def unloaded(self, numbers: Array, q: Array, tips: Array) -> States:
-        """The states of robots of numbers (T, d, 8) at q (T, 2d + 2) without a load.
+        """Return the equilibria without a load of robots of numbers (T, d, 8) at q (T, 2d + 2).
 
-        tips (T, d): what is known of their angles, against each other.
+        tips (T, d): approximate angles of the tubes at their tips, rad; only their differences count.
         """
         placed, every = self.placed(numbers, q, tips), np.ones(len(q), dtype=bool)
         return self._solved(numbers, q, self._no_load(len(q)), *placed, every)[0]
 
     def placed(self, numbers: Array, q: Array, tips: Array) -> tuple[Array, Array]:
-        """Angles and axes of unloaded tips with angles (T, d) against each other, whose base stands at q."""
+        """Return angles and axes of unloaded tips whose bases stand at q (T, 2d + 2) with the innermost motor at
+        alpha_d.
+
+        numbers (T, d, 8): of the tubes. tips (T, d): angles of the tubes at their tips, rad; only their
+        differences count. The other motors are where the tips have them, which need not be at q.
+        """
         rows, d = len(q), self.d
         axes, angles = np.tile(np.eye(3), (rows, 1, 1)), tips - tips[:, -1:]
         ends = self.ends(numbers, angles, axes, q, self._no_load(rows))
+        # Integrated from a tip that points along z: without a load the whole robot may then be turned, about its
+        # base's tangent until the innermost motor is at alpha_d, and with its base into the tilt.
         spin = q[:, d - 1] - ends.angles[:, -1]
         base = base_axes(q[:, 2 * d :])
         cos, sin = np.cos(spin)[:, None], np.sin(spin)[:, None]
@@ -120,15 +132,17 @@ class LoadedEquilibria:
         smallest: float = SMALLEST,
         numbers: Array | None = None,
     ) -> tuple[States, Array]:
-        """The equilibria as far towards q and load as their branches go, and which part of the way that is, (T,).
+        """Follow branches of equilibria from states towards q (T, 2d + 2) and loads, on a line in both.
 
-        most, smallest: parts of the way that are gone in a step. numbers (T, d, 8): of the tubes at its end, None
+        Returns the equilibria as far as branches go, and which part of the way that is, (T,). most, smallest:
+        largest and smallest part of the way in a step. numbers (T, d, 8): of the tubes at the end of the way; None
         for those of the states.
         """
         start, done = states, np.zeros(len(q))
         tubes = np.zeros(start.numbers.shape) if numbers is None else numbers - start.numbers
         part = np.full(len(q), min(1.0, most))
         while True:
+            # Rows have steps of their own: those that are done, or whose steps have become too small, drop out.
             active = np.flatnonzero((done < 1) & (part >= smallest))
             if not len(active):
                 return states, done
@@ -142,17 +156,21 @@ class LoadedEquilibria:
             gone, stopped = active[there], active[~there]
             states = states.replaced(gone, new.rows(there))
             done[gone] += part[gone]
+            # Parts are summed up: rounding must not leave a last step of 1e-16.
             done[gone[done[gone] > 1 - 1e-12]] = 1.0
+            # Double the step after a success, halve it after a failure.
             part[gone] = np.minimum(np.minimum(2 * part[gone], most), 1 - done[gone])
             part[stopped] /= 2
 
     def linked(self, states: States, goals: States) -> Flags:
-        """Whether the branches of states lead to goals in lines, (T,): as predicted but for ON, or on the way.
+        """Return whether the branches of states lead to goals on straight lines, (T,).
 
-        Those of which either is not known do not.
+        A goal within ON of the tangent's prediction counts as reached; for others the line is followed. False
+        where either is unknown.
         """
         found = np.isfinite(states.determinant) & np.isfinite(goals.determinant)
         known = np.flatnonzero(found)
+        # The prediction takes one integration of the rod, following takes several.
         found[known] = self._near(states.rows(known), goals.rows(known))
         left = known[~found[known]]
         reached, done = self.along(states.rows(left), goals.q[left], goals.load[left])
@@ -160,25 +178,34 @@ class LoadedEquilibria:
         return found
 
     def _near(self, states: States, goals: States) -> Flags:
-        """Whether goals (T,) are where the tangents of states' branches lead to, but for ON."""
+        """Return whether goals (T,) lie within ON of where the tangents of states' branches lead."""
         angles, axes, near = self._predicted(states, goals.q, goals.load)
         away = abs(unknowns(angles, axes, goals.q) - goals.unknowns).max(axis=1, initial=0.0)
         return np.asarray(near & (away < ON) & (goals.determinant * states.determinant > 0))
 
     def _step(self, states: States, q: Array, load: Array) -> tuple[States, Flags]:
-        """The equilibria at q and load on the branches of some nearby, and for which they were found."""
+        """Return the equilibria at q (T, 2d + 2) and loads on the branches of nearby states, and for which rows
+        they were found.
+        """
         angles, axes, near = self._predicted(states, q, load)
         new, found = self._solved(states.numbers, q, load, angles, axes, near)
         away = np.maximum(abs(new.angles - angles).max(axis=1), abs(new.axes - axes).max(axis=(1, 2)))
+        # A determinant of another sign lies on another branch, or past the end of this one: in between it was 0.
         return new, found & (away < STRAY) & (new.determinant * states.determinant > 0)
 
     def _predicted(self, states: States, q: Array, load: Array) -> tuple[Array, Array, Flags]:
-        """The tips at q and load along the tangents of states' branches; for which these turn little."""
+        """Return tips at q (T, 2d + 2) and loads along the tangents of states' branches, and for which rows they
+        turn little.
+        """
         d = self.d
+        # The old tip under the new load, at the new extensions: what its base misses of q, and one Newton step for
+        # that. This is the tangent's prediction without derivatives over load and extensions.
         here = self.ends(states.numbers, states.angles, states.axes, q, load)
         step = solved(states.slopes, self.misfit(q, here))
         motors = q[:, :d] - states.q[:, :d]
         apart = abs(motors[:, :-1] - motors[:, -1:]).max(axis=1, initial=0.0)
+        # Tubes may turn against each other as far as their motors do, and by LEAP more; near a fold tips turn far
+        # for little turns of motors.
         near = abs(step[:, 2:-1] - step[:, -1:]).max(axis=1, initial=0.0) < LEAP + apart
         near &= abs(step).max(axis=1) < WIDEST
         return *states.moved(step), near
@@ -186,7 +213,9 @@ class LoadedEquilibria:
     def _solved(
         self, numbers: Array, q: Array, load: Array, angles: Array, axes: Array, wanted: Flags
     ) -> tuple[States, Flags]:
-        """What Newton's method finds from tips, of the rows that are wanted; for which it ends."""
+        """Find equilibria from tips by Newton's method, in the rows that are wanted; return them, and for which
+        rows it converged.
+        """
         angles, axes, rows, side = angles.copy(), axes.copy(), len(q), self.d + 2
         slopes, found, going = np.tile(np.eye(side), (rows, 1, 1)), np.zeros(rows, dtype=bool), wanted.copy()
         most = np.full(rows, WIDEST)
@@ -198,7 +227,10 @@ class LoadedEquilibria:
             slopes[at] = ends.slopes
             step = solved(slopes[at], self.misfit(q[at], ends))
             size = abs(step).max(axis=1)
+            # Steps must shrink by SHRINKS each: a start from which they do not is in no basin of convergence, and
+            # no further step is wasted.
             moved = size < most[at]
+            # The last step is still taken: after it the error is about its square.
             found[at] |= size < CONVERGED
             going[at], most[at] = moved & (size >= CONVERGED), SHRINKS * size
             angles[at[moved]], axes[at[moved]] = turned(angles[at[moved]], axes[at[moved]], step[moved])
@@ -207,38 +239,51 @@ class LoadedEquilibria:
     def ends(
         self, numbers: Array, angles: Array, axes: Array, q: Array, load: Array, soft: Array | None = None
     ) -> Ends:
-        """The rods of tips, at the extensions of q (T, 2d + 2) and under loads (T, 17 + 3d)."""
+        """Integrate the rods of tips at the extensions of q (T, 2d + 2) under loads (T, 17 + 3d).
+
+        soft (T, 2): softnesses of torsion and bending in responses; None for 1.
+        """
         soft = np.ones((len(q), 2)) if soft is None else soft
         return self.rods(numbers, angles, axes, q[:, self.d : 2 * self.d], load, soft)
 
     def ends_of(self, states: States, soft: Array | None = None) -> Ends:
-        """The rods of states."""
+        """Integrate the rods of states; soft (T, 2): softnesses of responses, None for 1."""
         return self.ends(states.numbers, states.angles, states.axes, states.q, states.load, soft)
 
     def states(self, numbers: Array, angles: Array, axes: Array, beta: Array, load: Array) -> States:
-        """The states of tips, each an equilibrium of its own configuration."""
+        """Return the states of tips under loads, each at the configuration that it is an equilibrium of."""
         q = self.configurations(numbers, angles, axes, beta, load)
         slopes = self.ends(numbers, angles, axes, q, load).slopes
         return States(numbers, q, load, angles, axes, slopes, np.linalg.det(slopes))
 
     def misfit(self, q: Array, ends: Ends) -> Array:
-        """By what bases must turn, and motors be turned, to stand at q: (T, d + 2), in the order of responses."""
+        """Return what is missing at the bases for robots to stand at q (T, 2d + 2), rad: (T, d + 2), in the order
+        of responses.
+
+        The first two are turns of the base's tangent about d_1 and d_2, the others turns of the motors.
+        """
         between = _between(q, ends)
         x, y, z = (between[:, 2, k] for k in range(3))
         sine = np.hypot(x, y)
+        # The rotation vector that turns z into the tangent (x, y, z): angle over sine, times (-y, x, 0). At angle
+        # 0 the quotient is 1.
         factor = np.where(sine > 1e-12, np.arctan2(sine, z) / np.maximum(sine, 1e-300), 1.0)
         motors = q[:, : self.d] - _alpha(ends, between)
+        # Whole turns of all motors together change nothing. The innermost decides, so that the others keep their
+        # turns against it.
         motors -= 2 * np.pi * np.round(motors[:, -1:] / (2 * np.pi))
         return np.hstack([(-factor * y)[:, None], (factor * x)[:, None], motors])
 
     def configurations(self, numbers: Array, angles: Array, axes: Array, beta: Array, load: Array) -> Array:
-        """The q (T, 2d + 2) of tips; theta_x within a quarter turn, and alpha up to whole turns of all tubes.
+        """Return the configurations q (T, 2d + 2) of tips.
 
-        From row to row alpha makes no such turn where the tips' angles make none.
+        theta_x is within a quarter turn, and alpha is known up to whole turns of all tubes together. beta (T, d):
+        extensions, mm.
         """
         q = np.hstack([np.zeros(beta.shape), beta, np.zeros((len(beta), 2))])
         ends = self.ends(numbers, angles, axes, q, load)
         x, y, z = ends.axes[:, 2].T
+        # The third column of R of eq. (4) is (sin ty cos tx, -sin tx, cos ty cos tx).
         q[:, 2 * self.d :] = np.stack([-np.arcsin(np.clip(y, -1, 1)), np.arctan2(x, z)], axis=1)
         q[:, : self.d] = _alpha(ends, _between(q, ends))
         return q
@@ -248,24 +293,29 @@ class LoadedEquilibria:
 
 
 def base_axes(theta: Array) -> Array:
-    """The columns of R of eq. (4), (T, 3, 3), row by row d_1, d_2 and t."""
+    """Return the columns of R of eq. (4), (T, 3, 3), row by row d_1, d_2 and t, for theta (T, 2)."""
     return axes_of(base_frame(theta[:, 0], theta[:, 1], np))
 
 
 def _between(q: Array, ends: Ends) -> Array:
-    """The turns (T, 3, 3) from where rods' bases point to where those of q (T, 2d + 2) do."""
+    """Return the rotations (T, 3, 3) from where rods' bases point to where those of q (T, 2d + 2) do."""
     d = ends.angles.shape[1]
     return base_axes(q[:, 2 * d :]) @ np.swapaxes(ends.axes, 1, 2)
 
 
 def _alpha(ends: Ends, between: Array) -> Array:
-    """The motors' angles (T, d) of rods, as shape.py tells them in symbols, for what _between has found."""
+    """Return the motors' angles (T, d) of rods; between: the result of _between.
+
+    shape.py has the same in symbols.
+    """
+    # The turn of the rod's base frame about the tangent: the angle of the rotation's upper block, which is exact
+    # where both tangents agree.
     spin = np.arctan2(between[:, 1, 0] - between[:, 0, 1], between[:, 0, 0] + between[:, 1, 1])
     return ends.angles + spin[:, None]
 
 
 def solved(slopes: Array, misfit: Array) -> Array:
-    """The steps (T, n) that make up for misfits (T, n); NaN where there is none."""
+    """Return the steps (T, n) that make up for misfits (T, n), NaN where slopes are singular or unknown."""
     fine = np.asarray(np.isfinite(slopes).all(axis=(1, 2)) & (abs(np.linalg.det(slopes)) > 0))
     found = np.full(misfit.shape, np.nan)
     found[fine] = np.linalg.solve(slopes[fine], misfit[fine][..., None])[..., 0]

@@ -392,6 +392,7 @@ class Loaded(Model):
         (2d + 2,) array
             Unknowns x; NaN where the robot has no equilibrium there or snaps while the load grows.
         """
+        # A load over time has its first value here: a robot at rest is at the beginning of its motion.
         found: Array = self._follower(robot, self._over(robot.d, 1)).rest(np.asarray(q, dtype=float)[None])[0]
         return found
 
@@ -412,6 +413,8 @@ class Loaded(Model):
         (.., 2d + 2) array
             Approximate unknowns; no equilibria of q under the load.
         """
+        # Untwisted tubes have their tips at their motors' angles; placed at q, they also have its tilt and
+        # extensions.
         rows = np.reshape(q, (-1, np.shape(q)[-1]))
         return np.reshape(self.unloaded(robot, rows, rows[:, : robot.d]), np.shape(q))
 
@@ -457,6 +460,7 @@ class Loaded(Model):
             Unknowns under the load. Where the branch of equilibria ends before the load is complete, those of the
             last equilibrium that was found on it.
         """
+        # Row by row, not along the motion: every frame is loaded by itself, from its own unloaded equilibrium.
         equilibria, of_robot = self._equilibria(robot), np.repeat(robot.numbers[None], len(q), axis=0)
         free = equilibria.unloaded(of_robot, q, angles)
         return equilibria.along(free, q, self._over(robot.d, len(q)))[0].unknowns
@@ -580,6 +584,7 @@ class Loaded(Model):
             Unknowns and margins of every robot.
         """
         found = list[Followed]()
+        # In batches: each holds the states of all its robots at all places.
         for some in (slice(first, first + TOGETHER) for first in range(0, len(numbers), TOGETHER)):
             follower = Follower(structure, numbers[some], self.load, loads[some])
             found += follower.followed(way, q[some], margins)

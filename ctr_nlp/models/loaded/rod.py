@@ -29,25 +29,25 @@ from ctr_nlp.robot.structure import Tubes
 from ctr_nlp.typing import Vector
 
 ANEW = 3
-"""Steps after which responses begin anew. Over longer pieces what gives in much turns so far that pivots become
-negative where nothing has given way.
+"""Steps after which responses begin anew. Over longer pieces what is soft in torsion turns so far that pivots
+become negative where no direction has lost its stability.
 """
 
 
 class Tip(NamedTuple):
-    """The tubes' angles psi at their tips, rad, relative to a frame there, whose directions are axes."""
+    """The tubes' angles psi at their tips, rad, relative to a frame there with the given axes (d_1, d_2, t)."""
 
     angles: Sequence[Any]
     axes: tuple[Vector, Vector, Vector]
 
 
 class Rod(NamedTuple):
-    """states: at the nodes of every section from base to tip, evenly spaced: angles, rates, axes and moment, as
-    equations.py has them. angles, rates, axes: at the base.
+    """A rod, integrated from its tip.
 
-    responses: from tip to base the matrices, row by row a list, of the turns about d_1 and d_2 of the frame and
-    its spin with every tube's angle, over the same at the place before; the last d of one transmission after the
-    other.
+    states: at the nodes of every section from base to tip, evenly spaced: angles, rates, axes and moment, as
+    equations.py has them. angles, rates, axes: at the base, rad, rad/mm. responses: from tip to base the matrices,
+    row by row a list, of the turns about d_1 and d_2 of the frame and of its spin with every tube's angle, over
+    the same at the place before; the last d of one transmission after the other.
     """
 
     states: list[list[Values]]
@@ -58,11 +58,15 @@ class Rod(NamedTuple):
 
     @property
     def tangents(self) -> list[list[Vector]]:
-        """At the same nodes."""
+        """Unit tangents t at the nodes of every section, from base to tip."""
         return [[vectors(state[2 * len(self.angles) :])[2] for state in nodes] for nodes in self.states]
 
     def nodes(self, tubes: Tubes, beta: Sequence[Any], parts: Sequence[Section]) -> list[list[Node]]:
-        """What twists tubes at the same nodes, where the moment is one from outside (elastic/stability.py)."""
+        """Return what twists the tubes at the nodes, as elastic/stability.py takes it, with the moment along the
+        rod as one from outside.
+
+        tubes, beta, parts: those that the rod was integrated with.
+        """
         found, d = list[list[Node]](), len(tubes)
         for part, states in zip(parts, self.states, strict=True):
             flexible = part.shares[-1] / tubes[-1].bending_stiffness
@@ -71,6 +75,7 @@ class Rod(NamedTuple):
                 d1, d2, _, m = vectors(state[2 * d :])
                 s = part.start + part.length * (k / (len(states) - 1))
                 curvatures = curvatures_at(tubes, [0.0] * d + list(beta), part, s)
+                # u without the tubes' own bending is (m . d_2, -m . d_1) / sum EI.
                 found[-1].append(Node(state[:d], curvatures, (flexible * dot(m, d2), -flexible * dot(m, d1))))
         return found
 
@@ -88,10 +93,12 @@ def integrated(
     soft: Softness | None = None,
     pressed: Sequence[Vector] = (),
 ) -> Rod:
-    """The rod of a tip, in so many steps a section of Runge and Kutta's method of order 4.
+    """Integrate the rod of a tip to the base, with the classical method of Runge and Kutta of order 4.
 
-    kind: tells which of the load counts. soft: of the responses; None for none. pressed: forces per length, N/mm,
-    that act along each of the parts beside the tubes' weights; none by default. Raises LoadError of a helix.
+    tubes, beta, parts: of the robot, extensions in mm, sections from base to tip. kind: which of the load's terms
+    count. xp: casadi or numpy. steps: in each section. soft: softness of the responses; None for no responses.
+    pressed: forces per length, N/mm, that act along each of the parts beside the tubes' weights. Raises LoadError
+    of a helix.
     """
     check_kinds([tube.kind for tube in tubes])
     d, force, axial = len(tubes), load.force, load.tool_moment[2]
@@ -100,13 +107,17 @@ def integrated(
         force = plus(force, 1.0, _held(tip, load.tool_force, xp))
     if kind.bends:
         moment = plus(load.moment, 1.0, _held(tip, load.tool_moment, xp))
+        # What acts about the tip's tangent twists the innermost tube, which alone reaches the tip.
         axial = dot(moment, tip.axes[2])
+    # psi_i' = 0 at free ends; 0 times an angle has the shape of a column, or is a symbol.
     rates = [*[0.0 * tip.angles[0]] * (d - 1), axial * twistable]
     y: Values = [*tip.angles, *rates, *(entry for axis in tip.axes for entry in axis), *moment]
     by = [] if soft is None else _changes(tip, load, kind, twistable, xp)
     states, responses = [], list[list[Any]]()
     along = Along(load.distributed, load.between, beta[-1], xp) if kind.distributed else None
+    # From tip to base: force and moment are known at the tip.
     for k, part in reversed(list(enumerate(parts))):
+        # Weight per volume times cross-section, N/mm, of the tubes that are present in this section.
         weights = [scaled(tubes[i].area, load.weights[i]) for i in part.present] if kind.weighs else []
         weight = total([*weights, *pressed[k : k + 1]])
         section = Equations(tubes, beta, part, force, weight, along, soft or Softness(), xp, steps)
@@ -114,12 +125,15 @@ def integrated(
         for step in range(steps):
             y, by = _stepped(section, step, y, by)
             nodes.append(y)
+            # Also at each section's end, so that places of responses do not depend on ANEW dividing the steps.
             if by and (step + 1 == steps or (step + 1) % ANEW == 0):
                 by = _anew(by, responses, d, xp)
         states.append(nodes[::-1])
         force = plus(force, part.length, weight)
     if by:
         for i, tube in enumerate(tubes):
+            # From the opening to its motor each tube turns by its rate over L_i - beta_i. One transmission after
+            # the other, so that one direction at a time can lose its stability.
             by[i] = by[i] - by[d + i] * (tube.length - beta[i])
             by = _anew(by, responses, d, xp)
     d1, d2, t, _ = vectors(y[2 * d :])
@@ -127,15 +141,18 @@ def integrated(
 
 
 def _stepped(section: Equations, k: int, y: Values, by: Values) -> tuple[Values, Values]:
-    """The state, and its responses, after step k from the end of a section.
+    """Return the state and its responses after step k from the tip's end of a section.
 
-    The method's four changes are found as parts of those over a step, so that its sums have few terms.
+    The method's four slopes are found as changes over the parts of a step that they are used with, so that sums
+    have few terms.
     """
     first = _plus((y, by), section.changes(k, 1 / 2, y, by))
     second = _plus((y, by), section.changes(k + 0.5, 1 / 2, *first))
     third = section.changes(k + 0.5, 1.0, *second)
     fourth = section.changes(k + 1.0, 1 / 6, *_plus((y, by), third))
     y, by = (
+        # With a = y + h k_1 / 2, b = y + h k_2 / 2, c = h k_3 and d = h k_4 / 6 this is y + h (k_1 + 2 k_2 + 2 k_3
+        # + k_4) / 6.
         [(a + 2 * b + c) / 3 + d for a, b, c, d in zip(*stages, strict=True)]
         for stages in zip(first, second, third, fourth, strict=True)
     )
@@ -143,19 +160,22 @@ def _stepped(section: Equations, k: int, y: Values, by: Values) -> tuple[Values,
 
 
 def _plus(begin: tuple[Values, Values], changes: tuple[Values, Values]) -> tuple[Values, Values]:
-    """A state and its responses after these changes."""
+    """Add changes to a state and its responses."""
     y, by = ([a + b for a, b in zip(*both, strict=True)] for both in zip(begin, changes, strict=True))
     return y, by
 
 
 def _changes(tip: Tip, load: Loading, kind: RodKind, twistable: Any, xp: Any) -> Values:
-    """Those of the tip: what they make of angles, rates, turns of the frame, the moment and the force.
+    """Return the responses at the tip: what turns about d_1 and d_2 and changes of angles make of all that is
+    integrated.
 
-    twistable: 1 / GJ_d, of the innermost tube.
+    twistable: 1 / GJ_d, of the innermost tube. xp: casadi or numpy.
     """
     d, (d1, d2, t) = len(tip.angles), tip.axes
     a, b, *angles = _units(d + 2, xp)
     none = 0.0 * a
+    # A turn (a, b) changes t by b d_1 - a d_2. A tool that is turned by `about` takes its force and moment along;
+    # the axial moment is along t.
     turned = plus(scaled(b, d1), -1.0 * a, d2)
     about = plus(plus(scaled(a, d1), b, d2), angles[-1], t)
     moment, force, axial = scaled(load.tool_moment[2], turned), (none, none, none), none
@@ -167,26 +187,33 @@ def _changes(tip: Tip, load: Loading, kind: RodKind, twistable: Any, xp: Any) ->
 
 
 def _anew(by: Values, responses: list[list[Any]], d: int, xp: Any) -> Values:
-    """What changes of this place make of all that responds; the responses here to those of the place before.
+    """Begin responses anew at this place: return `by` as what changes of this place make of all that responds.
 
-    By elimination without a choice of pivots, which are positive where a robot is stable (stability.py).
+    The responses of this place over the place before are appended. They are inverted by elimination without a
+    choice of pivots, which are positive where a robot is stable (stability.py).
     """
     a, b, c = by[2 * d : 2 * d + 3]
+    # An angle in space is psi plus the spin c of the frame it is told in. Only such sums matter, so that d + 2
+    # numbers describe a place.
     rows = [a, b, *(c + psi for psi in by[:d])]
     responses.append(rows)
     for k, unit in enumerate(_units(d + 2, xp)):
+        # Gauss and Jordan's elimination on columns: column k becomes a unit vector, and all that responds is
+        # changed alike.
         change = (unit - rows[k]) / rows[k][:, k : k + 1]
         rows, by = ([row + row[:, k : k + 1] * change for row in some] for some in (rows, by))
     return by
 
 
 def _units(size: int, xp: Any) -> list[Any]:
-    """Rows of the identity."""
+    """Return the rows of the identity matrix as symbols, or as arrays (1, size)."""
     return [xp.SX(ca.DM(row).T) if xp is ca else row[None] for row in np.eye(size)]
 
 
 def _held(tip: Tip, vector: Vector, xp: Any) -> Vector:
-    """A force or a moment of the tool's directions in the base's."""
+    """Return a vector that is given in the tool's directions in those of the base; the tool's x bends with the
+    innermost tube.
+    """
     cos, sin, (d1, d2, t) = xp.cos(tip.angles[-1]), xp.sin(tip.angles[-1]), tip.axes
     x, y = cos * vector[0] - sin * vector[1], sin * vector[0] + cos * vector[1]
     return plus(plus(scaled(x, d1), y, d2), vector[2], t)

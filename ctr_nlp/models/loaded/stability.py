@@ -20,31 +20,39 @@ from ctr_nlp.models.loaded.equilibria import LoadedEquilibria, States
 from ctr_nlp.typing import Array, Flags, Index
 
 LEAST = -1023.0
-"""The margin of what buckles however stiff in torsion."""
+"""Margin that is reported where a robot buckles however stiff its tubes are in torsion."""
 MOST = 0.9992
-"""A margin of more counts as 1: steps of integration are too long for torsion that gives in so much."""
+"""Margin above which 1 is reported: steps of integration are too long for torsion that is so soft."""
 SETTLED = 1e-7
-"""By how much a margin may be off, of those that equilibria and steps of integration have."""
+"""Accuracy of a margin; equilibria and steps of integration have errors of the same size."""
 
 
 def margins(equilibria: LoadedEquilibria, states: States, bending: bool = False) -> Array:
-    """The stability margins (T,) of states; bending: those to buckling, where bending gives in as well."""
+    """Return the stability margins (T,) of states; with `bending`, their margins to buckling, where bending is
+    soft as well.
+    """
 
     def held(at: Array, rows: Index) -> Array:
         """Determinants at margins of rows, but with the sign of what holds: also where two directions give way."""
         found = _pivots_at(equilibria, states.rows(rows), at, bending)
         with np.errstate(over="ignore", invalid="ignore"):
+            # The determinant is the product of pivots: smooth in the margin, as root finding wants it, while the
+            # sign comes from the pivots.
             size = np.nan_to_num(abs(found.prod(axis=(1, 2))), nan=1.0)
         return np.where(_positive(found), size, -size)
 
     every = np.arange(len(states.q))
     stable = held(np.zeros(len(every)), every) > 0
+    # The sign at margin 0 tells on which side of it the root lies: in [0, MOST] of a stable robot, below 0
+    # otherwise.
     low, high = np.where(stable, 0.0, -1.0), np.where(stable, MOST, 0.0)
     falling, rising = every[~stable], every[stable]
+    # Brackets double away from 1: 1 - mu, by which torsion is stiffened, goes 2, 4, 8, ...
     while len(falling):
         falling = falling[(held(low[falling], falling) <= 0) & (low[falling] > LEAST)]
         high[falling], low[falling] = low[falling], 2 * low[falling] - 1
     found = np.where(low <= LEAST, LEAST, 1.0)
+    # Stable with the softest torsion that is computed: the margin counts as 1, and no root is looked for.
     known = rising[held(high[rising], rising) > 0]
     left = np.setdiff1d(every[low > LEAST], known)
     found[left] = find_root(held, (low[left], high[left]), args=(left,), tolerances={"xatol": SETTLED}).x
@@ -52,13 +60,17 @@ def margins(equilibria: LoadedEquilibria, states: States, bending: bool = False)
 
 
 def least_margins(equilibria: LoadedEquilibria, states: States, groups: Index, known: Array) -> Array:
-    """The least stability margin of states in each of n groups, or the one known of it, (n,), if that is less.
+    """Return the least stability margin of the states in each of n groups, or the one known of it, (n,), if that
+    is less.
 
-    groups (T,): of states, from 0. Which states have less than the least known is looked at for all at once; of a
-    group's the one whose last pivot is least there is likely to have the least.
+    groups (T,): number of each state's group, from 0. Only states that have less than the least known are looked
+    at: all are tested at that margin in one batch, and of each group the one whose last pivot is least, which is
+    likely to have the least margin, is solved for.
     """
     least, left = known.copy(), np.arange(len(groups))
     while True:
+        # One integration of the rod tells whether a state's margin is above a given one; finding the margin takes
+        # several.
         at = np.clip(least[groups[left]], LEAST, MOST)
         found = _pivots_at(equilibria, states.rows(left), at, False)
         lower = ~_positive(found)
@@ -66,25 +78,31 @@ def least_margins(equilibria: LoadedEquilibria, states: States, groups: Index, k
         if not len(left):
             return least
         ranked = left[np.lexsort((last, groups[left]))]
+        # lexsort orders by group, then by last pivot: the first of each group is its most promising.
         first = ranked[np.append(True, np.diff(groups[ranked]) != 0)]
         np.minimum.at(least, groups[first], margins(equilibria, states.rows(first)))
         left = np.setdiff1d(left, first)
 
 
 def _pivots_at(equilibria: LoadedEquilibria, states: States, margin: Array, bending: bool) -> Array:
-    """Those (T, k, d + 2) from place to place at margins (T,)."""
+    """Return the pivots (T, k, d + 2) of states at margins (T,); bending: whether bending is soft as well."""
+    # K + V - mu K has torsion stiffer by 1 - mu: it gives in 1 / (1 - mu) times as much.
     torsion = 1 / (1 - margin)
     soft = np.stack([torsion, torsion if bending else np.ones_like(torsion)], axis=1)
     return pivots(equilibria.ends_of(states, soft).responses)
 
 
 def _positive(found: Array) -> Flags:
-    """Whether no direction gives way, (T,), as all pivots (T, k, d + 2) tell; those that are no numbers do not."""
+    """Return whether no direction gives way, (T,): all pivots (T, k, d + 2) are positive numbers."""
     return np.asarray((found > 0).all(axis=(1, 2)))
 
 
 def pivots(responses: Array) -> Array:
-    """Those of responses (T, k, d + 2, d + 2), by elimination, (T, k, d + 2); NaN where they are not numbers."""
+    """Return the pivots (T, k, d + 2) of responses (T, k, d + 2, d + 2), by Gauss's elimination without exchanges
+    of rows.
+
+    NaN where responses are not finite. Exchanges would make signs of pivots meaningless.
+    """
     left, found = responses.copy(), np.empty(responses.shape[:3])
     with np.errstate(all="ignore"):
         for k in range(responses.shape[2]):
