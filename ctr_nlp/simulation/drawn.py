@@ -1,4 +1,9 @@
-"""Robots that are not quite the one described, moved open loop through a motion that was planned for that one."""
+"""Simulated robots that differ from the nominal one, moved open loop through a motion that was planned for that
+one.
+
+A robot is lost where it snaps, or where its tips are turned by more than APART against each other than the nominal
+robot's: it is then on another branch of equilibria.
+"""
 
 from __future__ import annotations
 
@@ -15,9 +20,9 @@ from ctr_nlp.target.target import SIGMA
 from ctr_nlp.typing import Array, Index
 
 SUBSTEPS = 4
-"""Steps from frame to frame in which draws are followed."""
+"""Sub-steps from frame to frame in which simulated robots are followed."""
 APART = 1.0
-"""rad: tubes that are turned by more against each other than the described robot's are on another branch."""
+"""Difference of relative tip angles from the nominal robot's, rad, beyond which a robot is on another branch."""
 
 
 class DrawnMotion(NamedTuple):
@@ -64,7 +69,7 @@ def lost_draws(robot: Robot, draws: Draws, q: Array, model: str | Model) -> Inde
 def _followed(
     robot: Robot, draws: Draws, q: Array, model: Model, margins: bool = True
 ) -> tuple[list[Followed], Index]:
-    """The draws along a motion, and in which frames they are lost."""
+    """Follow draws along a motion; return what was found of each, and the frames in which they are lost."""
     model.check(robot)
     apart = pushed(model, draws.forces)
     apart.check(robot)
@@ -78,12 +83,14 @@ def _snapped(found: Sequence[Followed]) -> Index:
 
 
 def _lost(model: Model, robot: Robot, way: Passage, x: Array, snapped: Index) -> Index:
-    """The first frames in which robots are not where the one described is."""
+    """Return the frames, from 1, in which robots are first lost, (n,); 0 where they are not."""
     away = np.zeros(x.shape[:2], dtype=bool)
     away[snapped > 0, snapped[snapped > 0] - 1] = True
     if model.several_equilibria:
         reached = np.unique(way.frames)
+        # The nominal robot through the same sub-steps, for comparison.
         (own,) = model.follow_apart(robot.structure, robot.numbers[None], way, way.q[None], False)
         apart = abs(x - own.x)[:, reached, : robot.d - 1].max(axis=2, initial=0.0)
+        # Negated, so that NaN, a robot without an equilibrium, counts as lost.
         away[:, reached] |= ~(apart <= APART)
     return np.where(away.any(axis=1), away.argmax(axis=1) + 1, 0)

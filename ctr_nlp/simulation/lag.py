@@ -1,8 +1,14 @@
-"""Rotation lag as a state of a motion: play that grows with the overlap of tubes, viscous drag; a sensor's delay.
+"""Rotation lag as a state of a motion: play that grows with the overlap of tubes, viscous drag, and a sensor's
+delay.
 
 Tubes rub against those around them: a tube is held back while its motor turns against that of the next one
-outwards, the outermost while it turns in its guide, and tubes that turn together do not lag. All three show the
-same while motors turn one way at one speed: a tube that is behind. Play does not depend on the speed, drag is
+outwards, the outermost while it turns in its guide, and tubes that turn together do not lag. With gamma_i, rad, by
+which motor i has turned against motor i - 1, the tube is at alpha_i = motor_i + c_i - gamma_i, where
+
+    tau_i c_i' = min(max(c_i, gamma_i - w_i), gamma_i + w_i) - c_i,   w_i = w0_i + w1_i overlap_i
+
+with the play w_i, rad, to either side and the time constant tau_i, s, of drag. While motors turn one way at one
+speed, play, drag and delay look the same: a tube that is behind. Play does not depend on the speed, drag is
 proportional to it, and a delay holds back insertions and tilt as well.
 """
 
@@ -21,11 +27,11 @@ from ctr_nlp.support.values import floats
 from ctr_nlp.typing import Array, Flags
 
 TINY = 1e-12
-"""What stands for 0 in a denominator."""
+"""Replaces 0 in denominators."""
 STILL = 1e-4
-"""rad from frame to frame: tubes that are to turn by less have not turned back."""
+"""Turn from frame to frame, rad, below which a tube counts as not having turned back."""
 NAMES = "play", "play_per_mm", "drag"
-"""What a lag consists of."""
+"""Parts of a lag."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,17 +67,19 @@ class Lag(Kept):
                 )
 
     def turned(self, robot: Robot, q: Array, time: Array, fresh: Flags | None = None) -> Array:
-        """The configurations (.., T, 2d + 2) of tubes whose motors move through q (T, 2d + 2) at time (T,) s.
+        """Return the configurations (.., T, 2d + 2) of tubes whose motors move through q (T, 2d + 2) at time (T,)
+        s.
 
-        (n, T, 2d + 2) where the lags are those of n robots. At those of q that are fresh (T,), by default at the
-        first alone, tubes stand where their motors do. From one to the next every motor turns at a steady speed,
-        and the play is that of the next: of such a motion what is found is the exact solution.
+        (n, T, 2d + 2) where the lags are those of n robots. fresh (T,): at which of q tubes stand where their
+        motors do; by default at the first alone. From one q to the next every motor turns at a steady speed, and
+        the play is that of the next: for such motors the result is the exact solution.
         """
         q, time = np.asarray(q, dtype=float), np.asarray(time, dtype=float)
         starts = np.arange(len(q)) == 0 if fresh is None else fresh
         shape = np.broadcast_shapes(self.play.shape, self.play_per_mm.shape, self.drag.shape, (robot.d,))
         found = np.broadcast_to(q, (*shape[:-1], *q.shape)).copy()
         play, passed = self.play_at(robot, q), np.diff(time, prepend=time[:1])
+        # Turns against the next tube outwards: tubes that are turned together do not rub.
         turn = np.diff(against_outer(robot, q), axis=0, prepend=0.0)
         ahead = np.zeros(shape)
         for j in range(len(q)):
@@ -85,20 +93,23 @@ class Lag(Kept):
         return np.asarray(play + slope * overlaps(robot, q))
 
     def after(self, ahead: Array, turn: Array, play: Array, time: float) -> Array:
-        """What tubes (.., d) are ahead of their motors by, rad, after these have turned by turn (d,) in time s.
+        """Return by how much tubes (.., d) are ahead of their motors, rad, after motors have turned.
 
-        ahead (.., d): before that. turn: against the motors of the tubes around them, evenly. play (.., d): to
-        either side, rad, at the end.
+        ahead (.., d): before that. turn (d,): of each motor against the next one outwards, rad, at a steady
+        speed. play (.., d): to either side, rad, at the end. time: that the turn takes, s. Behind is negative.
         """
+        # Without drag: first the play may have shrunk around a tube at rest, then the motor turns and takes it
+        # along at the end of the play.
         at_once = dragged(dragged(ahead, np.zeros_like(turn), play), turn, play) - turn
         return np.where(self.drag > 0, _behind(ahead, turn, play, self.drag, time), at_once)
 
     def led(self, robot: Robot, q: Array, time: Array) -> Array:
-        """Where motors must go (T, 2d + 2) so that tubes come through q (T, 2d + 2) at time (T,) s, with this lag.
+        """Return where motors must go (T, 2d + 2) so that tubes come through q (T, 2d + 2) at time (T,) s with
+        this lag.
 
-        Motors go past where the tubes are to be by the play, which is the inverse of turned, and by what drag
-        holds back at the speed at which tubes turn against each other. At the first of q tubes stand where motors
-        do. One that is to stay where it is against the motor around it is left as it is.
+        Motors go past where tubes are to be by the play, which is the inverse of `turned`, and by what drag holds
+        back at the speed at which tubes turn against each other. At the first of q tubes stand where motors do. A
+        tube that is to stay where it is against the motor around it is left as it is.
         """
         found, d = np.array(q, dtype=float), robot.d
         rate = np.diff(against_outer(robot, found), axis=0, prepend=0.0) / np.diff(time, prepend=-1.0)[:, None]
@@ -106,7 +117,10 @@ class Lag(Kept):
         for j in range(1, len(q)):
             carried = 0.0
             for i in range(d):
+                # From the outermost tube on: what counts is the turn against the motor around it, which has its
+                # own correction already.
                 turn = q[j, i] - q[j - 1, i] - carried
+                # A tube at rest stays at the end of the play that it came to.
                 side[i] = np.sign(turn) if abs(turn) > STILL else side[i]
                 found[j, i] += side[i] * play[j, i] + behind[j, i]
                 carried = found[j, i] - found[j - 1, i]
@@ -122,20 +136,26 @@ def against_outer(robot: Robot, q: Array) -> Array:
 
 
 def _behind(ahead: Array, turn: Array, play: Array, drag: Array, time: float) -> Array:
-    """What tubes are ahead of motors that turn steadily by turn, against others, in time s; before that, ahead.
+    """Return by how much tubes are ahead of their motors after these turned by `turn` in `time`, with drag.
 
-    One that is ahead by more than its play is left behind by drag until it is within it, stands still while the
-    motor takes up the play, and then follows with drag. All (.., d).
+    ahead (.., d): before that, rad. turn (d,): rad, against the next tube outwards, at a steady speed. play (..,
+    d): rad. drag: time constant, s. time: s. The motion has three phases: a tube that is ahead by more than its
+    play comes back by drag until it is within it; it stands still while the motor takes up the play; and then it
+    follows with drag.
     """
+    # Mirrored, so that every motor turns forwards.
     to = np.where(turn < 0, -1.0, 1.0)
     e, speed, left = to * ahead, abs(turn) / max(time, TINY), np.full(ahead.shape, time)
     steady = np.maximum(drag * speed, TINY)
     excess = np.maximum(e - play, 0.0)
+    # Phase 1: e' = -(e - play) / drag - speed, and the time until e = play.
     within = np.minimum(drag * np.log1p(excess / steady), left)
     e = np.minimum(e, play) + np.maximum((excess + steady) * _decay(within, drag) - steady, 0.0)
     left = left - within
+    # Phase 2: e falls with the motor from play to -play.
     still = np.minimum(np.maximum(e + play, 0.0) / np.maximum(speed, TINY), left)
     e, left = e - speed * still, left - still
+    # Phase 3: e + play decays towards -drag speed, the steady lag.
     short = np.minimum(e + play, 0.0)
     follows = (short + drag * speed) * _decay(left, drag) - drag * speed
     return np.asarray(to * np.where(left > 0, np.maximum(e, -play) + follows, e))
@@ -146,13 +166,15 @@ def _decay(time: Array, drag: Array) -> Array:
 
 
 def overlaps(robot: Robot, q: Array) -> Array:
-    """What of tubes' curved parts lies within the tubes around them, (.., d) mm, at q (.., 2d + 2).
+    """Return the lengths of tubes' curved parts that lie within the tubes around them, (.., d) mm, at q (.., 2d +
+    2).
 
-    Of the outermost tube, what lies behind the insertion point. There the part presses against what holds it.
+    For the outermost tube, the length behind the insertion point, where the part presses against what holds it.
     """
     beta = robot.split(np.asarray(q, dtype=float))[1]
     ends = np.concatenate([np.zeros_like(beta[..., :1]), beta[..., :-1]], axis=-1)
     curved = np.array([tube.curved_length for tube in robot.tubes])
+    # What is out beyond the next tube outwards, at most the curved part, does not overlap.
     return np.asarray(curved - np.clip(beta - ends, 0.0, curved))
 
 

@@ -1,4 +1,9 @@
-"""How shapes, motors' angles and stability margins change with the numbers of tubes, to first order."""
+"""How shapes, motors' angles and stability margins change with the numbers of tubes, to first order.
+
+With the configuration q held, the tips phi adapt: d phi / d p = -(d alpha / d phi)^-1 d alpha / d p
+(models/shown.py). With D the determinant that vanishes where its margin mu is the smallest eigenvalue, d mu / d p
+= -(dD / dp) / (dD / dmu). Units: mm, rad, and those of the numbers.
+"""
 
 from __future__ import annotations
 
@@ -33,9 +38,10 @@ class Sensitivities(NamedTuple):
 
 
 def sensitivities(robot: Robot, x: Array, model: str | Model, sigma: Array = SIGMA) -> Sensitivities:
-    """Those of a robot with unknowns x (T, n_x) of a model, at sigma (n,); raises OptionError.
+    """Return the derivatives of a robot's shape, motors' angles and margin over the numbers of its tubes.
 
-    Near a fold the shape at a held configuration changes without bound, and these are large.
+    x (T, n_x): unknowns of the model. sigma (n,): places of the shape. Near a fold the shape at a held
+    configuration changes without bound, and these are large. Raises OptionError.
     """
     described = model_named(model)
     described.check(robot)
@@ -75,9 +81,11 @@ def derivatives(model: Model, structure: Structure, count: int) -> ca.Function:
     points = ca.vertcat(*(ca.SX(axis) for axis in shape.placed(shape.points)))
     written = [points, ca.vertcat(*shape.rows.values()), shape.alpha, stable]
     symbols, values = shape.inner.columns
+    # Derivatives are taken over the tubes' numbers through everything: inner values are written out first.
     points, rows, alpha, determinant = ca.substitute(written, [symbols], [values])
     over = ca.vec(numbers)
     of_points, of_alpha, of_determinant = (ca.jacobian(each, over) for each in (points, alpha, determinant))
+    # The first 2d + 2 columns are derivatives over the configuration.
     moved = shown_slopes(shape, rows, over)(points)[:, 2 * d + 2 :]
     slope = ca.jacobian(determinant, margin)
     of_margin = -of_determinant / slope if shape.stability is not None else ca.SX.nan(1, over.numel())

@@ -88,12 +88,12 @@ class Foundation:
 
     @cached_property
     def kind(self) -> RodKind:
-        """Rods with forces along them."""
+        """Kind of rods: that of the load, with sections divided into pieces that bear forces of their own."""
         return RodKind.of(self.load)._replace(pieces=PIECES)
 
     @cached_property
     def equilibria(self) -> LoadedEquilibria:
-        """Of such rods."""
+        """Solver of equilibria of rods that bear a force per length of their own on every piece."""
         return LoadedEquilibria(self.robot.structure, self.kind)
 
     def places(self, beta: Array) -> tuple[Array, Array]:
@@ -114,9 +114,12 @@ class Foundation:
         points = shapes(self.robot, states, sigma, self.kind)
         near, over = self.lumen.near(points), outer_radii(self.robot, beta, sigma)
         over -= near.radius
+        # On the far side, where a lumen is narrower than the robot, the wall pushes back: behind is the depth
+        # there.
         depth, behind = (np.maximum(over + side * near.distance, 0.0) for side in (1.0, -1.0))
         away = np.maximum(near.distance, TINY)
         pushes = (self.stiffness * (depth - behind) / away)[..., None] * (near.centre - points)
+        # Mean over the places of a piece: one force per length for all of it.
         push = pushes.reshape(*places.shape, 3).mean(axis=2)
         size = np.linalg.norm(push, axis=-1)
         towards = np.where(size[..., None] > TINY, push / np.maximum(size, TINY)[..., None], 0.0)
@@ -132,6 +135,7 @@ class Foundation:
         found, way = self._unknown(q), passage(np.asarray(q, dtype=float), SUBSTEPS)
         states, pushes = self._standing(q[:1]), np.zeros((1, found["along"].shape[1], 3))
         loads, last_of = self.load.over(self.robot.d, way.parts), np.diff(way.frames, append=-1) != 0
+        # Pushes are dead loads while the robot moves on; then they are adjusted to the depths at the new place.
         for place, load, j, last in zip(way.q[:, None], loads, way.frames, last_of, strict=True):
             states, done = self.equilibria.along(states, place, self.under(load, pushes))
             length = self.places(self.robot.split(place)[1])[1][0]
@@ -176,6 +180,7 @@ class Foundation:
             if missed <= MISSED:
                 return states, pushes, missed
             step = self._newton(states, load, wall, pushes)
+            # Newton's step is halved until it lowers what forces and depths differ by.
             for part in 2.0 ** -np.arange(HALVINGS):
                 tried = pushes + part * step
                 there, done = self.equilibria.along(states, states.q, self.under(load, tried))
@@ -203,7 +208,10 @@ class Foundation:
         probes[np.arange(len(busy)), busy] += PROBE * towards[busy]
         many = states.rows(np.zeros(len(busy), dtype=int))
         there, _ = self.equilibria.along(many, many.q, self.under(load, probes))
+        # How pushes of the wall change with the force on each busy piece: forward differences, all in one batch.
         slopes = (self.pressed(there).push[:, busy] - sizes[busy]).T / PROBE
         changed = np.zeros_like(kept)
+        # Wanted are forces f = w(f), with the wall's pushes w: (I - dw/df) df = w - f. Only pieces that touch, or
+        # are still pushed, are unknowns (semismooth); a force below 0 is cut off, as a wall does not pull.
         changed[busy] = np.linalg.solve(np.eye(len(busy)) - slopes, (sizes - kept)[busy])
         return np.asarray((np.maximum(kept + changed, 0.0)[:, None] * towards)[None] - pushes)
