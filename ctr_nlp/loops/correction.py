@@ -64,9 +64,13 @@ class Correction:
         scale = math.sqrt(pull) * self._mm_per_unit
         slopes = at.over.reshape(size, -1).T * self._roots[:, None]
         away = (wanted - at.seen).ravel() * self._roots
+        # Shape and pull together, |J s - away|^2 + |scale (s + q - planned)|^2, are |R s - r|^2 but for a
+        # constant, with R'R = J'J + scale^2: a small triangular program in place of a row for each place. The pull
+        # makes it positive definite.
         root = np.linalg.cholesky(slopes.T @ slopes + np.diag(scale**2)).T
         towards = slopes.T @ away + scale**2 * (planned - q)
         self._root[:], self._wanted[:] = root.ravel("F"), lapack.dtrtrs(root, towards, trans=1)[0]
+        # 0 s - (-1) + short >= 0 holds always: the row stays, and constrains nothing.
         stable = math.isnan(at.margin)
         self._margin[:] = (
             np.append(np.zeros(size), -1.0) if stable else np.append(at.of_margin, margin - at.margin)

@@ -1,4 +1,9 @@
-"""By what a robot may differ from its description, as one vector, with what is known of it beforehand."""
+"""By what a robot may differ from its description, as one vector z (k,), with what is known of it beforehand.
+
+Entries are parts of curvatures and stiffnesses, lengths in mm, motors' zeros in rad, a force at the tip in N, and
+lags in rad. Beforehand z has the mean and the covariance of the robot's tolerances; measurements change both
+(observer.py).
+"""
 
 from __future__ import annotations
 
@@ -39,10 +44,10 @@ class Differences:
 
     @classmethod
     def of(cls, robot: Robot, tolerances: Tolerances | None = None) -> Differences:
-        """What tolerances allow, None for the robot's own; raises RobotError, and OptionError where they are all
-        0.
+        """Make the differences that tolerances allow; None for the robot's own tolerances.
 
         A lag is uniform between 0 and its tolerance; a force at the tip is as large as may be, from any side.
+        Raises RobotError, and OptionError where all tolerances are 0.
         """
         allowed, d = robot.tolerances if tolerances is None else tolerances, robot.d
         bands, lags, root = allowed.bands(robot.tubes), allowed.lags(d), allowed.root(robot.tubes)
@@ -55,6 +60,8 @@ class Differences:
             raise OptionError("tolerances of the robot are all 0: there is nothing that measurements could tell")
         covariance = np.zeros((len(places), len(places)))
         covariance[: len(rows), : len(rows)] = (root @ root.T)[np.ix_(rows, rows)]
+        # F^2 / 3 along each axis is the covariance of forces of size F from all sides; l^2 / 12 the variance of a
+        # uniform lag, l / 2 its mean.
         others = np.concatenate([np.full(len(force), allowed.tip_force**2 / 3), lags[late] ** 2 / 12])
         covariance[len(rows) :, len(rows) :] = np.diag(others)
         return cls(robot, places, np.concatenate([np.zeros(len(rows) + len(force)), lags[late] / 2]), covariance)
@@ -64,7 +71,7 @@ class Differences:
 
     @cached_property
     def freed(self) -> tuple[tuple[int, str], ...]:
-        """Those that change numbers of tubes; they come first."""
+        """Tube (from 0) and name of the differences that change numbers of tubes; first in the vector."""
         return tuple(place for place in self.places if place[1] in TUBE_PARTS)
 
     @cached_property
@@ -74,7 +81,7 @@ class Differences:
 
     @cached_property
     def late(self) -> tuple[Index, Index]:
-        """The same of lags."""
+        """Where lags stand in the vector, and of which tubes they are."""
         return self._of(LAG)
 
     @cached_property
@@ -98,27 +105,30 @@ class Differences:
         return found.reshape(len(self.freed), self.robot.numbers.size)
 
     def numbers(self, values: Array) -> Array:
-        """Of the tubes (d, 8) at a vector (k,): those of draws, without their bounds."""
+        """Return the numbers (d, 8) of the tubes at a vector (k,): linear in it, without the bounds of draws."""
         change = values[: len(self.freed)] @ self._effects
         return self.robot.numbers + change.reshape(self.robot.numbers.shape)
 
     def offsets(self, values: Array) -> Array:
-        """Of the motors' zeros (d,) rad."""
+        """Return the motors' zeros (d,) at a vector (k,), rad."""
         found, (rows, tubes) = np.zeros(self.robot.d), self.zeros
         found[tubes] = values[rows]
         return found
 
     def lags(self, values: Array) -> Array:
-        """Of the tubes (d,) rad, at least 0."""
+        """Return the tubes' lags (d,) at a vector (k,), rad, at least 0."""
         found, (rows, tubes) = np.zeros(self.robot.d), self.late
         found[tubes] = np.maximum(values[rows], 0.0)
         return found
 
     @cached_property
     def over(self) -> Index:
-        """Over which of alpha, beta, theta, the freed and the force each of them acts on shapes."""
+        """Where derivatives of shapes over each difference stand among those over alpha, beta, theta, the freed
+        parts and the force.
+        """
         after = 2 * self.robot.d + 2
         freed, force = after + np.arange(len(self.freed)), after + len(self.freed) + np.arange(len(self.forced))
+        # A zero or a lag turns its tube as alpha does.
         return np.concatenate([freed, self.zeros[1], force, self.late[1]])
 
     def draws(self, values: Array) -> Draws:

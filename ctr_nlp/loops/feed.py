@@ -1,4 +1,4 @@
-"""What sensors tell of a plant, with their noise and with what may be wrong with them."""
+"""Readings that sensors give of a plant, with noise, delays, and faults of the sensors."""
 
 from __future__ import annotations
 
@@ -16,30 +16,34 @@ Random = np.random.Generator
 
 @dataclass(frozen=True)
 class Fault:
-    """What is wrong with a sensor from a time on, s, until another; a fault that changes nothing by itself."""
+    """A fault of a sensor from one time until another, s. This base class changes nothing."""
 
     begin: float = 0.0
     end: float = np.inf
 
     def at(self, time: float) -> bool:
-        """Whether it is there."""
+        """Return whether the fault is there at a time, s."""
         return self.begin <= time < self.end
 
     def seen(self, seen: Seen) -> Seen:
-        """What the sensor looks at instead."""
+        """Return the shape that the faulty sensor looks at in place of the real one."""
         return seen
 
     def told(self, values: Array, before: Array | None, random: Random, groups: Sequence[Index]) -> Array:
-        """What it tells (m,) instead of values (m,); before: told last. groups: of Sensors.grouped."""
+        """Return what the faulty sensor reports, (m,), in place of its values (m,).
+
+        before: values that were reported last, or None. random: generator of random numbers. groups: rows of
+        values that belong together (Sensors.grouped).
+        """
         return values
 
 
 @dataclass(frozen=True)
 class Silence(Fault):
-    """Nothing is told."""
+    """All values are missing."""
 
     def told(self, values: Array, before: Array | None, random: Random, groups: Sequence[Index]) -> Array:
-        """As Fault."""
+        """Return NaN for all values (m,)."""
         return np.full_like(values, np.nan)
 
 
@@ -51,7 +55,7 @@ class Outliers(Fault):
     size: float = 20.0
 
     def told(self, values: Array, before: Array | None, random: Random, groups: Sequence[Index]) -> Array:
-        """As Fault."""
+        """Return values (m,) of which a share of the groups is off by size, in a random direction each."""
         found = values.copy()
         for rows in groups:
             off = random.standard_normal(rows.shape)
@@ -74,7 +78,7 @@ class Shifted(Fault):
     offset: tuple[float, float, float] = (2.0, 0.0, 0.0)
 
     def seen(self, seen: Seen) -> Seen:
-        """As Fault."""
+        """Return the shape with its points shifted by the offset, mm."""
         return seen._replace(points=seen.points + self.offset)
 
 
@@ -85,7 +89,7 @@ class Swapped(Fault):
     axes: tuple[int, int, int] = (1, 0, 2)
 
     def seen(self, seen: Seen) -> Seen:
-        """As Fault."""
+        """Return the shape with axes exchanged, of points and tangents."""
         order = list(self.axes)
         return seen._replace(points=seen.points[:, order], tangents=seen.tangents[:, order])
 
@@ -95,7 +99,7 @@ class Stuck(Fault):
     """The last values are told again and again."""
 
     def told(self, values: Array, before: Array | None, random: Random, groups: Sequence[Index]) -> Array:
-        """As Fault."""
+        """Return the values that were reported last, (m,); the true ones where there are none yet."""
         return values if before is None else before
 
 

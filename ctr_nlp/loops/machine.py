@@ -12,9 +12,11 @@ from ctr_nlp.codegen.vector import SAME
 
 
 def machine_code(function: ca.Function, lanes: int = 1) -> ca.Function:
-    """The same function of dense numbers, compiled once and kept.
+    """Return a function of dense numbers as compiled code, built once and cached; interpreted where nothing can be
+    compiled.
 
-    lanes: for so many columns at once, but for inputs whose names begin with SAME (vector.vector_code).
+    lanes: number of columns that are computed side by side, except of inputs whose names begin with SAME
+    (vector.vector_code).
     """
     if cache.missing():
         shared = [name for name in function.name_in() if name.startswith(SAME)]

@@ -1,4 +1,13 @@
-"""What measurements say of a robot's tubes, zeros, lags and tip force: an extended Kalman filter over these."""
+"""What measurements say of a robot's tubes, zeros, lags and tip force: an extended Kalman filter over these.
+
+A reading y = h(x, z) + noise of covariance R, with x the equilibrium that the robot is in, changes the estimate z
+(k,) and its covariance P by
+
+    S = H P H' + R,   K = P H' S^-1,   z <- z + K (y - h),   P <- (1 - K H) P
+
+with H = dh / dz at held motors. After the estimated robot has fallen from its branch of equilibria there are two
+hypotheses: that the robot has fallen, or that a likely one near to it has not ("Loops" in docs/method.md).
+"""
 
 from __future__ import annotations
 
@@ -32,12 +41,12 @@ TINY = 1e-300
 
 
 class Innovation(NamedTuple):
-    """A reading beside what was predicted for its time: what it exceeds that by (m,), and the deviation (m,)
-    expected.
+    """A reading compared with what was predicted for its time.
 
-    accepted (m,): which values were taken; missing ones were not. size: the mean square of accepted innovations in
-    expected deviations, about 1; NaN without any. groups: how many groups of values that are right or wrong
-    together were measured; rejected: how many of these were not taken.
+    excess (m,): measured less predicted. expected (m,): standard deviations of that. accepted (m,): which values
+    were used; missing ones were not. size: mean square of accepted innovations over their expected deviations,
+    about 1; NaN without any. groups: number of groups of values measured that are right or wrong together;
+    rejected: how many of these were not used.
     """
 
     time: float
@@ -100,17 +109,20 @@ class Observer:
         return found
 
     def at(self, walker: Walker) -> tuple[Predicted, float]:
-        """What is predicted of the estimated robot where a walker stands, and the margin there."""
+        """Return the prediction for the estimated robot where a walker stands, and the stability margin there."""
         margin = walker.margin()
         return self._predict(walker.x, self._numbers, self._described, margin, self._load), margin
 
     def deviation(self, of_margin: Array) -> float:
-        """That of the margin, by what is not known: of_margin as Predicted has it."""
+        """Return the standard deviation of the margin by what is unknown; of_margin: slopes as in Predicted."""
         slopes = self._signs_over * of_margin[self.differences.over]
         return math.sqrt(max(float(slopes @ self.covariance @ slopes), 0.0))
 
     def uncertainty(self, of_points: Array) -> float:
-        """That of the shape, mm, root mean square over n places, whose slopes are of_points (k, n, 3)."""
+        """Return the standard deviation of the shape, mm, as root mean square over n places.
+
+        of_points (k, n, 3): slopes of these places, as in Predicted.
+        """
         slopes = self._signs_over[:, None, None] * of_points[self.differences.over]
         over = slopes.reshape(len(slopes), -1)
         return math.sqrt(max(float(np.sum((self.covariance @ over) * over)) / of_points.shape[1], 0.0))
@@ -131,6 +143,7 @@ class Observer:
         """The motors have moved to q (2d + 2,); by what the tips of the estimated robot jumped."""
         d = self._d
         before = np.full(d, q[d - 1]) if self._walker is None else self.q[:d]
+        # A tube stays where it is until its motor has taken up the play; then it is dragged along (engaged).
         free = self._behind - (q[:d] - before)
         self._behind = np.clip(free, -self._lags, self._lags)
         self._engaged = np.where(self._behind != free, np.sign(self._behind), self._engaged)
@@ -159,7 +172,7 @@ class Observer:
             self._gone(q)
 
     def ahead(self, places: Array) -> Observer:
-        """The same estimate where its motors will have passed places (n, 2d + 2)."""
+        """Return a copy of the estimate after its motors have passed places (n, 2d + 2)."""
         found = copy.copy(self)
         found.led(places)
         return found
@@ -170,8 +183,10 @@ class Observer:
 
         The one that has is the rival; measurements tell them apart.
         """
+        # The rival is the robot that has fallen; this object goes on as one that has not.
         rival = copy.copy(self)
         slopes = self._signs_over * self.predicted.of_margin[self.differences.over]
+        # The most likely change of z by which the margin grows by one of its standard deviations.
         towards = self.covariance @ slopes / np.sqrt(max(float(slopes @ self.covariance @ slopes), TINY))
         for part in LIKELY:
             self._walker = stood.copy()
@@ -184,7 +199,7 @@ class Observer:
         self.jumps = self.jumps + fell
 
     def _fallen(self, fell: list[Array]) -> Observer:
-        """The same hypothesis, after a fall."""
+        """Return this hypothesis with the jumps of a fall added."""
         self.jumps = self.jumps + fell
         return self
 
@@ -209,16 +224,18 @@ class Observer:
 
     @property
     def _signs_over(self) -> Array:
-        """By how much of each difference it does."""
+        """Signs (k,) with which differences act on shapes: 1, and for lags the side of its play at which each tube
+        is.
+        """
         ones = np.ones(len(self.differences) - len(self.differences.late[1]))
         return np.concatenate([ones, self._engaged[self.differences.late[1]]])
 
     def expected(self, time: float) -> tuple[Array, Array]:
-        """What is predicted of a reading at a time, (m,), and its slopes (m, k), by what is known now."""
+        """Return what is predicted of a reading at a time, (m,), with slopes (m, k), by the estimate of now."""
         return self._recalled.expected(time, self.mean)
 
     def rates(self, time: float) -> Array:
-        """At which values (m,) change at a time, per s; 0 where that is not known."""
+        """Return the rates (m,) at which values change at a time, per s; 0 where these are unknown."""
         return self._recalled.rates(time)
 
     def judged(self, reading: Reading) -> Innovation:
@@ -226,7 +243,11 @@ class Observer:
         return self._compared(reading)[0]
 
     def _compared(self, reading: Reading) -> tuple[Innovation, Array, Array]:
-        """The same, the gain (m, k) on what is accepted, and the slopes (m, k); once for each reading."""
+        """Compare a reading with its prediction; return the innovation, the gain (m, k) of accepted values, and
+        slopes (m, k).
+
+        Computed once for each reading and estimate.
+        """
         known = reading, self.mean, self.covariance
         if self._judged is None or any(a is not b for a, b in zip(self._judged[0], known, strict=True)):
             self._judged = known, self._comparison(reading)
@@ -236,6 +257,8 @@ class Observer:
         values, slopes = self.expected(reading.time)
         excess, over = reading.values - values, slopes @ self.covariance
         spread = over @ slopes.T
+        # The model is not exact either: MODEL adds to the sensor's noise, so that the covariance does not shrink
+        # too far.
         spread[np.diag_indices_from(spread)] += self._sensors.noise**2 * (1 + MODEL)
         taken, expected = accepted(self._sensors, excess, spread), np.sqrt(spread.diagonal())
         gain, size = np.zeros_like(slopes), float("nan")
@@ -257,11 +280,13 @@ class Observer:
         if innovation.accepted.any():
             covariance = self.covariance @ (np.eye(len(self.mean)) - slopes.T @ gain)
             change = np.where(innovation.accepted, innovation.excess, 0.0) @ gain
+            # Symmetrised: rounding would let P drift from a covariance.
             self._changed(change, (covariance + covariance.T) / 2)
         return innovation
 
     def _decide(self, own: Innovation, other: Innovation) -> None:
         """Take the rival's place once measurements speak for it, or go on without it."""
+        # Log-likelihood ratio of both hypotheses; a single outlier counts at most FAR deviations.
         away = [np.minimum(abs(each.excess / each.expected), FAR) for each in (own, other)]
         self._odds += float(np.nansum(away[0] ** 2) - np.nansum(away[1] ** 2)) / 2
         if self._odds > CERTAIN and self.rival is not None:
@@ -270,7 +295,7 @@ class Observer:
             self.rival = None
 
     def restored(self, mean: Array, covariance: Array) -> None:
-        """Go back to what was known before."""
+        """Go back to an earlier mean (k,) and covariance (k, k)."""
         self._changed(mean - self.mean, covariance)
 
     def _changed(self, change: Array, covariance: Array) -> None:
@@ -279,6 +304,8 @@ class Observer:
         self._walker, self.covariance = self.walker.copy(), covariance
         self._shifted(change)
         x = self._walker.x.copy()
+        # To first order the tips follow the change of the tubes: a guess for the walker, which finds the
+        # equilibrium.
         x[:d] += change[:freed] @ self._of_phi[2 * d + 2 : 2 * d + 2 + freed]
         fell = self._become(x)
         if fell or not np.isfinite(self._walker.x).all():

@@ -114,7 +114,7 @@ class Plant:
         return found
 
     def _stepped(self, q: Array) -> Array:
-        """Where motors of so large steps stop."""
+        """Return where motors stop that move in steps: at multiples of their step."""
         size = np.where(self._steps > 0, self._steps, 1.0)
         return np.where(self._steps > 0, np.round(q / size) * size, q)
 
@@ -128,7 +128,7 @@ class Plant:
         return motors + self._lag.after(ahead, turn, self._lag.play_at(self._robot, q[None])[..., 0, :], time)
 
     def _turned(self, q: Array) -> Array:
-        """Of the tubes, where motors are at q."""
+        """Return the configuration (2d + 2,) of the tubes, with their lags and zeros, where motors are at q."""
         found = q.copy()
         found[: len(self._lags)] = self._alpha + self._offsets
         return found
@@ -141,11 +141,11 @@ class Plant:
 
     @property
     def _length(self) -> float:
-        """Of the robot, mm."""
+        """Length of the robot, mm."""
         return float(self.history[-1].q[2 * len(self._lags) - 1]) if self.history else 0.0
 
     def _at(self, sigma: Array) -> tuple[Array, Array]:
-        """Points and tangents (n, 3) at sigma (n,)."""
+        """Return points and tangents (n, 3) at sigma (n,), mm and unit vectors."""
         assert self._walker is not None
         x, d, count = self._walker.x, len(self._lags), len(sigma)
         self._view.inputs[1][0] = np.resize(sigma, LANES * EACH)
@@ -154,6 +154,7 @@ class Plant:
             for found in self._view(x, self._given)
         )
         if self._bent.any():
+            # A parabola from the base, whose slope is added to tangents: a bend that no tube's number explains.
             s, aside = sigma * x[2 * d - 1], np.append(self._bent, 0.0) / self._reach**2
             points += np.multiply.outer(s**2, aside)
             tangents += np.multiply.outer(2 * s, aside)

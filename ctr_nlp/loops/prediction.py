@@ -93,7 +93,7 @@ class Predictor:
         )
 
     def _slopes(self, by_lane: Array) -> Array:
-        """Those (k, n, 3) of all places."""
+        """Return the slopes (k, n, 3) at all places, from those that each lane computed."""
         found = by_lane.reshape(LANES, self._k, -1, 3).transpose(1, 0, 2, 3)
         return found.reshape(self._k, -1, 3)[:, : self._n]
 

@@ -13,7 +13,9 @@ KEPT = 1.0
 
 
 class Record(NamedTuple):
-    """What was predicted at a time: values (m,), their slopes (m, k) over differences, and the mean (k,) then."""
+    """A prediction at a time, s: values (m,), their slopes (m, k) over differences, and the mean (k,) they were
+    made with.
+    """
 
     time: float
     values: Array
@@ -37,12 +39,16 @@ class Recalled:
         return next(later, len(self._records) - 1)
 
     def expected(self, time: float, mean: Array) -> tuple[Array, Array]:
-        """What is predicted of a reading at a time, (m,), and its slopes (m, k), by a mean (k,) known now."""
+        """Return the values (m,) predicted for a time, s, and their slopes (m, k), by a mean (k,) known now.
+
+        Between two records values and slopes are interpolated.
+        """
         after = self._after(time)
         ends, part = [self._records[after]], 1.0
         if after and time < ends[0].time - 1e-9:
             ends.insert(0, self._records[after - 1])
             part = (time - ends[0].time) / (ends[1].time - ends[0].time)
+        # To first order in how the estimate has changed since: what was predicted then need not be computed again.
         values = [each.values + each.slopes @ (mean - each.mean) for each in ends]
         if len(ends) == 1:
             return values[0], ends[0].slopes

@@ -27,7 +27,10 @@ KEPT = "stability_margin", "clearance", "contact_weight", "arrival_weight", *THR
 
 
 def problem_of(plan: Plan, first: int = 0) -> Problem:
-    """What a plan answers, from a frame on, counted from 0, by what it holds of its target and of the lumen."""
+    """Return the problem that a plan solves, from frame `first` on, counted from 0.
+
+    Target and lumen are those that the plan holds.
+    """
     lumen = None if plan.lumen is None else curve_from_points(plan.lumen[:, :3], plan.lumen[:, 3])
     curves, lengths = zip(*map(_curve, plan.target[first:], plan.target_direction[first:]), strict=True)
     return Problem("rest", plan.robot, Target(curves, lengths), plan.dt * len(curves), lumen=lumen)
@@ -46,7 +49,7 @@ def _curve(points: Array, direction: Array) -> tuple[Curve, float]:
 
 
 def settings_of(plan: Plan) -> Settings:
-    """What a plan asks of margins and of the wall."""
+    """Return the settings of margins and of the wall that a plan was made with."""
     return replace(DEFAULTS, **{name: plan.options[name] for name in KEPT if name in plan.options})
 
 

@@ -20,8 +20,10 @@ take."""
 
 
 class Planned(NamedTuple):
-    """What came of one replanning: the frame, from 1, that it was to lead from; the seconds of the processor that
-    it took; whether it does lead from there, since it came to something better.
+    """The outcome of one replanning.
+
+    first: the frame, from 1, that it was to lead from. seconds: processor time that it took. leads: whether it
+    leads from there, since it came to something better.
     """
 
     first: int

@@ -43,9 +43,10 @@ class Way(NamedTuple):
         return found
 
     def then(self, first: int, start: Array, rest: Way) -> Way:
-        """The same up to a frame, counted from 0, from which on another way leads.
+        """Return this way up to frame `first`, counted from 0, followed by another way from there on.
 
-        start (2d + 2,): of the tubes, from where that does; up to there they are beside this way as far as it is.
+        start (2d + 2,): configuration of the tubes from which the other way leads. Up to there tubes are beside
+        this way by what start differs from it.
         """
         beside = self._replace(q=self.q + (start - self.q[first - 1]))
         return Way(*(np.concatenate([own[:first], other]) for own, other in zip(beside, rest, strict=True)))

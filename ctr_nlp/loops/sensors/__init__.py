@@ -50,11 +50,11 @@ class Sensor(ABC):
 
     @abstractmethod
     def values(self, seen: Seen) -> Array:
-        """What it measures, without noise, (m,)."""
+        """Return the values (m,) that the sensor would measure without noise."""
 
     @abstractmethod
     def slopes(self, seen: Seen) -> Array:
-        """How that changes with the variables, (m, k)."""
+        """Return the derivatives (m, k) of these values over the variables."""
 
 
 class Sensors:
@@ -91,16 +91,18 @@ class Sensors:
         ]
 
     def values(self, seen: Seen) -> Array:
-        """What they measure, without noise, (m,)."""
+        """Return the values (m,) that all sensors would measure without noise."""
         return np.concatenate([s.values(part) for s, part in zip(self._sensors, self._parts(seen), strict=True)])
 
     def slopes(self, seen: Seen) -> Array:
-        """How that changes, (m, k)."""
+        """Return the derivatives (m, k) of these values over the variables."""
         return np.concatenate([s.slopes(part) for s, part in zip(self._sensors, self._parts(seen), strict=True)])
 
 
 class Reading(NamedTuple):
-    """What sensors told: values (m,), NaN where one is missing, of the moment `time`, s, as they say."""
+    """A reading of all sensors: values (m,), NaN where one is missing, of the moment `time`, s, that the sensors
+    state.
+    """
 
     time: float
     values: Array

@@ -32,22 +32,23 @@ class Fibre(Sensor):
 
     @property
     def sigma(self) -> Array:
-        """As Sensor."""
+        """Places (n,) that the fibre connects, from 0 at the insertion point to 1 at the tip."""
         return places(self.places)
 
     @property
     def noise(self) -> Array:
-        """As Sensor."""
+        """Standard deviations (n - 1,) of the curvatures, 1/mm."""
         return np.full(len(self.places) - 1, self.deviation)
 
     def values(self, seen: Seen) -> Array:
-        """Between one place and the next."""
+        """Return the curvature between each place and the next, 1/mm."""
         turned = np.diff(seen.tangents, axis=0)
         return np.linalg.norm(turned, axis=1) / (np.diff(self.sigma) * seen.length)
 
     def slopes(self, seen: Seen) -> Array:
-        """As Sensor."""
+        """Return the derivatives (n - 1, k) of the curvatures."""
         turned, of_turned = np.diff(seen.tangents, axis=0), np.diff(seen.of_tangents, axis=1)
+        # d|v| = v . dv / |v|; a straight fibre has no direction in which it bends, and slopes of 0.
         size = np.maximum(np.linalg.norm(turned, axis=1), 1e-9)
         slopes = np.einsum("kni,ni->kn", of_turned, turned / size[:, None]) / (np.diff(self.sigma) * seen.length)
         return slopes.T

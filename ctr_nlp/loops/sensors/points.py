@@ -25,12 +25,12 @@ class ShapePoints(Sensor):
 
     @property
     def sigma(self) -> Array:
-        """As Sensor."""
+        """Places (n,) of the points, from 0 at the insertion point to 1 at the tip."""
         return places(self.places)
 
     @property
     def noise(self) -> Array:
-        """As Sensor."""
+        """Standard deviations (3n,) of the coordinates, mm."""
         return np.full(3 * len(self.places), self.deviation)
 
     def values(self, seen: Seen) -> Array:
@@ -38,7 +38,7 @@ class ShapePoints(Sensor):
         return seen.points.ravel()
 
     def slopes(self, seen: Seen) -> Array:
-        """As Sensor."""
+        """Return the derivatives (3n, k) of the coordinates."""
         return seen.of_points.reshape(len(seen.of_points), -1).T
 
 
@@ -62,12 +62,12 @@ class TipPose(Sensor):
 
     @property
     def sigma(self) -> Array:
-        """As Sensor."""
+        """The tip alone: 1."""
         return np.ones(1)
 
     @property
     def noise(self) -> Array:
-        """As Sensor."""
+        """Standard deviations (6,): of the position, mm, then of the direction, rad."""
         return np.repeat([self.deviation, self.turn], 3)
 
     def values(self, seen: Seen) -> Array:
@@ -75,5 +75,5 @@ class TipPose(Sensor):
         return np.concatenate([seen.points[0], seen.tangents[0]])
 
     def slopes(self, seen: Seen) -> Array:
-        """As Sensor."""
+        """Return the derivatives (6, k) of position and direction."""
         return np.concatenate([seen.of_points[:, 0], seen.of_tangents[:, 0]], axis=1).T

@@ -34,16 +34,18 @@ class Views(Sensor):
 
     @property
     def sigma(self) -> Array:
-        """As Sensor."""
+        """Places (n,) of the points, from 0 at the insertion point to 1 at the tip."""
         return places(self.places)
 
     @property
     def noise(self) -> Array:
-        """As Sensor."""
+        """Standard deviations (2 v n,) of the coordinates in v pictures, in units of these."""
         return np.full(2 * len(self.projections) * len(self.places), self.deviation)
 
     def _homogeneous(self, points: Array) -> Array:
-        """Of points (.., 3), (v, .., 3)."""
+        """Return the homogeneous places (v, .., 3) in each picture to which directions (.., 3) are mapped, without
+        the offset of projections.
+        """
         turned: Array = np.einsum("vij,...j->v...i", self.projections[:, :, :3], points)
         return turned
 
@@ -53,10 +55,11 @@ class Views(Sensor):
         return (found[..., :2] / found[..., 2:]).ravel()
 
     def slopes(self, seen: Seen) -> Array:
-        """As Sensor."""
+        """Return the derivatives (2 v n, k) of the coordinates in the pictures."""
         found = self._homogeneous(seen.points) + self.projections[:, None, :, 3]
         turned, depth = self._homogeneous(seen.of_points), found[:, None, :, 2:]
         places = (found[..., :2] / found[..., 2:])[:, None]
+        # Derivative of the quotient p = n / w by which points are projected: dp = (dn - p dw) / w.
         slopes = (turned[..., :2] - places * turned[..., 2:]) / depth
         return slopes.swapaxes(0, 1).reshape(len(seen.of_points), -1).T
 
