@@ -87,7 +87,7 @@ class AtOnce:
         """
         warm = before.warm[0] if before.warm else None
         known = before.q if before.x is None else before.x
-        # A slack is the depth by which contact exceeds its limit, mm; 0 is its value far from the wall.
+        # A slack is the depth by which the clearance is missed, mm; 0 is its value far from the wall.
         x0 = np.append(known, np.zeros(self.stage.nlp.slacks)) if warm is None else warm.x
         # Limits of speed are told from `here`, which is q, and after it the tips where they are limited too.
         here = np.append(before.q, known[: self.tips])

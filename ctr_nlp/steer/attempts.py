@@ -2,8 +2,8 @@
 
 The problem is not convex, so several motions are solved from (multi-start). Every solve promises to be no worse
 than its start: where the solver ends above it, the best feasible iterate that it passed is returned. Near a wall
-the chain is a linearisation, which is renewed around each solution until the slacks z (mm of contact beyond what
-is allowed) no longer change.
+the chain is a linearisation, which is renewed around each solution until the slacks z (mm by which the
+clearance is missed) no longer change.
 """
 
 from __future__ import annotations

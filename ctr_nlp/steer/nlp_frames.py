@@ -2,7 +2,7 @@
 
 Unknowns of a stage are q = (alpha, beta, theta) in rad and mm, or a part of it; on the elastic model, whose
 equilibria q does not determine, also the angles of the tubes' tips (models/elastic/torsion.py). Near a wall a
-slack z, the mm by which contact exceeds what is allowed, comes last among them.
+slack z, the mm by which the clearance is missed, comes last among them.
 """
 
 from __future__ import annotations
