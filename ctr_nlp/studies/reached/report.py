@@ -20,7 +20,7 @@ FAILS: Mapping[str, str] = {
     "within_limits": "exceeds limits",
     "arrives": "does not arrive",
     "within_wall": "touches the wall",
-    "holds": "lost when built",
+    "holds": "not held when built",
 }
 """What is said of plans whose first failed check is this one of CHECKS."""
 QUARTILES = {"least": 0.0, "quarter": 0.25, "median": 0.5, "three quarters": 0.75, "most": 1.0}
