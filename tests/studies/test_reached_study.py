@@ -20,7 +20,9 @@ def row(seed, method="horizon", words=(), **more):
         "method": method,
         "status": DONE,
         "tip_last": 0.4,
-        "contact_depth": 0.2,
+        "contact_depth": 0.9,  # summed over frames, which nothing is judged by
+        "clearance_min": -0.1,
+        "clearance_between_min": -0.2,
         "robustness_held_share": 0.97,
         "e3": 0.8,
         "verdict_follows": NO,  # an end is reached however well the way there is followed
@@ -31,7 +33,7 @@ def row(seed, method="horizon", words=(), **more):
 NOT_PLANNED = {"problem": "synthetic:3", "robot_name": "tubes", "method": "horizon", "status": FAILED}
 ROWS = [
     row(0),
-    row(1, words={"verdict_within_wall": NO, "verdict_arrives": NO}, tip_last=4.0, contact_depth=1.5),
+    row(1, words={"verdict_within_wall": NO, "verdict_arrives": NO}, tip_last=4.0, clearance_min=-1.5),
     row(2, words={"verdict_holds": NOT_CHECKED}, robustness_held_share=math.nan),
     NOT_PLANNED,
     row(0, "robust-horizon"),
@@ -44,6 +46,14 @@ def test_an_end_is_reached_where_every_check_but_following_reads_yes():
     assert [outcome.failed for outcome in plain.outcomes] == [REACHED, "arrives", "holds", "solved"]
     assert (plain.reached, robust.reached) == (1, 2)
     assert [outcome.problem for outcome in robust.outcomes] == ["synthetic 0", "synthetic 1"]
+
+
+def test_contact_is_the_deepest_at_and_between_frames():
+    plain, _ = from_rows(ROWS)
+    assert [outcome.contact for outcome in plain.outcomes[:3]] == [0.2, 1.5, 0.2]
+    assert math.isnan(plain.outcomes[3].contact)
+    (clear,) = from_rows([row(0, clearance_min=0.3, clearance_between_min=math.nan)])
+    assert clear.outcomes[0].contact == 0.0
 
 
 def test_what_was_set_and_several_robots_tell_ways_apart():

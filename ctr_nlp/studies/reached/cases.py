@@ -79,19 +79,22 @@ def from_rows(rows: Sequence[Mapping[str, Any]]) -> list[Way]:
 def _name(row: Mapping[str, Any], several: bool) -> str:
     """Name the way in which a row was planned: the method, what was set, and the robot where there are several."""
     told = [row["method"].replace("horizon", "over all frames").replace("robust-", "robust ")]
-    settings = {key: row[key] for key in sorted(row) if key.startswith("set_") and _number(row[key]) is not None}
+    settings = {
+        key: row[key] for key in sorted(row) if key.startswith("set_") and not math.isnan(_number(row[key]))
+    }
     told += [f"{key.removeprefix('set_')} {value:g}" for key, value in settings.items()]
     return ", ".join([*told, row["robot_name"]] if several else told)
 
 
 def _outcome(row: Mapping[str, Any]) -> Outcome:
     failed = next((check for check in CHECKS if row.get(f"verdict_{check}") != YES), REACHED)
-    numbers = (_number(row.get(key)) for key in ("tip_last", "contact_depth", "robustness_held_share", "e3"))
-    return Outcome(
-        shown_name(row["problem"]), failed, *(math.nan if value is None else value for value in numbers)
-    )
+    tip, held, e3 = (_number(row.get(key)) for key in ("tip_last", "robustness_held_share", "e3"))
+    # `contact_depth` of a row sums the depths of all frames; the verdict is on the deepest one.
+    clearances = (row.get(key) for key in ("clearance_min", "clearance_between_min"))
+    least = min((value for each in clearances if not math.isnan(value := _number(each))), default=math.nan)
+    return Outcome(shown_name(row["problem"]), failed, tip, max(-least, 0.0), held, e3)
 
 
-def _number(value: Any) -> float | None:
-    """A number that is known, else None: tables write NaN for what a row does not have."""
-    return float(value) if isinstance(value, int | float) and not math.isnan(value) else None
+def _number(value: Any) -> float:
+    """Return a number, or NaN where it is not known: tables write NaN for what a row does not have."""
+    return float(value) if isinstance(value, int | float) else math.nan
