@@ -62,5 +62,5 @@ def draw_outcomes(ways: Sequence[Way], fails: Mapping[str, str]) -> Figure:
     right.set_ylabel("tip to the target's end (mm)")
     right.set_xlim(left=-0.1)
     right.set_ylim(bottom=0.0)
-    right.legend(loc="upper left")
+    right.legend(loc="best")
     return figure
