@@ -21,7 +21,7 @@ import tempfile
 from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from typing import NamedTuple
@@ -349,6 +349,9 @@ LINK = "|".join(
 CHANGED = rf"{LINK}|the controller says 'error:\d+'|did not arrive"
 """Of lines that were changed: the controller may also refuse them."""
 
+JUMPS = "from their path|reported .* from the lines that were sent|ahead of their schedule|has moved by"
+"""Of positions that cannot be."""
+
 REALTIME = r"in state|the controller says|feed override|not asked for|not resume"
 """Of characters that act at once, which a flipped bit may make as well as another client."""
 
@@ -377,10 +380,8 @@ KINDS: dict[str, Kind] = {
     "report's digit changed": Kind(report_digit_changed, LINK),
     "replies late": Kind(replies_late, "came late|told no position"),
     "replies silent": Kind(replies_silent, "told no position"),
-    "reports jump": Kind(
-        reports_jump, "from their path|stands .* steps from|ahead of their schedule|has moved by"
-    ),
-    "one report jumps": Kind(report_jumps_once, "from their path|changed on the way|ahead of their schedule"),
+    "reports jump": Kind(reports_jump, JUMPS),
+    "one report jumps": Kind(report_jumps_once, JUMPS),
     "other console": Kind(
         other_console, "another client|somebody|the controller says|in state|acknowledges more lines"
     ),
@@ -415,10 +416,11 @@ class RecordingClock(VirtualClock):
 class Run(NamedTuple):
     """One fault and what followed from it.
 
-    travel: mm of the slide that went furthest after it; time: s until nothing moved any more. noticed: whether the
-    result is other than success. late: s by which the plan's motion took longer than planned. off: largest distance of an axis that is trusted from where it is, in tolerances; 0 where
-    nothing is trusted. astray: largest distance of an axis from its path, in tolerances, up to the end. wrong: what
-    the message says instead of the cause, "" where it names it.
+    travel: mm of the slide that went furthest after it; time: s until nothing moved any more. noticed: whether
+    the result is other than success. late: s by which the plan's motion took longer than planned. off: largest
+    distance of an axis that is trusted from where it is, in tolerances; 0 where nothing is trusted. astray: largest
+    distance of an axis from its path, in tolerances, up to the end. wrong: what the message says instead of the
+    cause, "" where it names it.
     """
 
     seed: int

@@ -25,12 +25,14 @@ class Signs(NamedTuple):
     said: a sentence on what it said or did that no device does that plays as it should, "" for nothing. override:
     what it scales all speeds by, in %, None where it does not tell. stalled: s in which it has done nothing
     although it was given something to do. cause: why that is so, as far as can be told, "" where nothing can.
+    astray: why its axes are further from the path than those of such a device can be, "" where they are not.
     """
 
     said: str = ""
     override: float | None = None
     stalled: float = 0.0
     cause: str = ""
+    astray: str = ""
 
 
 class Progress(NamedTuple):

@@ -24,6 +24,9 @@ DECIMALS = 4
 OPENING = "(ctr_nlp"
 """With which a file begins."""
 
+WAITS = "G4"
+"""What a line says that waits and moves nothing."""
+
 LEAST_FEED = 1.0 / 60.0
 """Units/s: Grbl goes no slower, and a line in which nothing moves takes no time there."""
 
@@ -52,9 +55,16 @@ class Lines:
         """The line that goes on to a position (m,) within so many s; last: nothing comes after it."""
         self._made += 1
         if not last and np.linalg.norm(position - self._there) < LEAST_FEED * seconds:
-            return f"N{self._made} G4 P{seconds:.{DECIMALS}f}"
+            return f"N{self._made} {WAITS} P{seconds:.{DECIMALS}f}"
         self._there = position
         return line(self._made, self._letters, position, seconds, self._meaning)
+
+    def copy(self, text: str) -> str:
+        """A shorter copy of a line that moves, which finds nothing to move where that line came as it was sent.
+
+        It leaves out what lasts from line to line, and blanks.
+        """
+        return text.replace(self._meaning, "").replace(" ", "")
 
 
 def lines(letters: Sequence[str], start: Array, positions: Array, time: Array, meaning: str = "") -> list[str]:

@@ -133,6 +133,10 @@ class FollowedPath:
         self.points = np.vstack([start, commands.positions])
         self._scale = 1.0 / tolerance
 
+    def at(self, time: float) -> Array:
+        """Position (m,) at a time, s."""
+        return np.array([np.interp(time, self.ends, column) for column in self.points.T])
+
     def nearest(self, position: Array, first: int, last: int) -> Place:
         """The place on pieces first to last - 1, from 0, nearest to a position (m,); the earliest of equals."""
         last = max(last, first + 1)

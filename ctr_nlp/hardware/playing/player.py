@@ -14,7 +14,6 @@ from ctr_nlp.hardware.journal import Journal
 from ctr_nlp.hardware.motion.trajectory import Trajectory
 from ctr_nlp.hardware.playing.playback import Corrects, Playback, Seen
 from ctr_nlp.hardware.playing.results import Ending, Outcome, Result, State, Wishes
-from ctr_nlp.hardware.playing.supervision import MISPLACED
 from ctr_nlp.hardware.playing.trust import Memory, Trust
 from ctr_nlp.typing import Array
 
@@ -182,8 +181,8 @@ class Player:
         away = "" if standing is None or playback is None else playback.misplaced(standing.position)
         if away:
             message += f"; {away}"
-        elif misplaced:
-            message += f"; beyond {MISPLACED:g} tolerances the position is not to be trusted"
+        elif misplaced and standing is not None:
+            message += "; a position that is reported so is not to be trusted"
         trusted = standing is not None and not (away or misplaced) and self._trust.holds(self.device, standing)
         position = None if standing is None else standing.position
         frame = 0 if playback is None else playback.frame

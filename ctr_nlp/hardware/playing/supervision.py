@@ -24,9 +24,10 @@ HOLDING = 2.0
 UNASKED = 10.0
 """s for which somebody else may hold the motion; then it is stopped, from where it can be resumed."""
 
-MISPLACED = 3.0
+MISPLACED = 1.0
 """Tolerances from where the axes should be beyond which a report is not to be trusted: steppers that follow their
-commands are never so far off, so the controller has lost count or somebody has moved an axis."""
+commands are never so far off, so the controller has lost count, was told something else or is not understood. All
+that is trusted must be true within one tolerance."""
 
 EARLY = 0.25
 """s by which the device may run ahead of its schedule: reports are late, never early."""
@@ -75,8 +76,8 @@ class Supervisor:
         return None if ending is None else ending._replace(misplaced=self._misplaced(progress, now))
 
     def _misplaced(self, progress: Progress, now: float) -> bool:
-        """Whether the axes are reported far from their path or from where they rested, or ahead of their time."""
-        if self._early(progress, now) > EARLY:
+        """Whether axes are reported far from their path or from where they rested, or ahead of time, or astray."""
+        if self._early(progress, now) > EARLY or progress.signs.astray:
             return True
         moved = 0.0 if self._rest is None else (abs(progress.position - self._rest) / self.tolerance).max()
         return max(progress.away, moved) > MISPLACED
@@ -94,9 +95,11 @@ class Supervisor:
         return ""
 
     def _path(self, progress: Progress) -> str:
-        """The axes are within their tolerances of the path."""
-        away = progress.away
-        return f"the axes are {away:.3g} tolerances from their path; 1 is allowed" if away > 1.0 else ""
+        """The axes are within their tolerances of the path, and as near to it as those of such a device."""
+        away, astray = progress.away, progress.signs.astray
+        if away <= 1.0:
+            return astray
+        return f"the axes are {away:.3g} tolerances from their path; 1 is allowed{': ' * bool(astray)}{astray}"
 
     def _held(self, progress: Progress, now: float) -> str:
         """A hold comes to rest in time, nothing moves in it, and nobody but the player ends it."""

@@ -95,7 +95,7 @@ class Grbl:
             self._talk.forgiven()
         if self._known is None:
             self._identify(stop)
-        self._homing = True
+        self._homing, self.stream = True, None
         self._talk.ask("$H", HOMING, stop)
         self._homing = False
         self._talk.quiet()
@@ -114,7 +114,11 @@ class Grbl:
         stopped(self._talk, self._clock, homing)
         if self._restarted:
             raise DeviceFault("the controller restarted when it was connected: its position is not to be trusted")
-        return self.standing()
+        standing = self.standing()
+        off = "" if self.stream is None else self.stream.off_lines(standing.position)
+        if off:
+            raise DeviceFault(f"{off}: its position is not to be trusted")
+        return standing
 
     def close(self) -> None:
         """Let go of the link; nothing is sent."""

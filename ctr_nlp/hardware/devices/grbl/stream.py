@@ -1,8 +1,9 @@
-"""One motion, streamed to a Grbl controller: lines a little ahead of it, counted, and watched."""
+"""One motion, streamed to a Grbl controller: lines a little ahead of it, counted, and watched.
+
+Every line is sent twice, so that ledger.py can tell by counting whether it came as it was sent.
+"""
 
 from __future__ import annotations
-
-from collections import deque
 
 import numpy as np
 
@@ -11,10 +12,11 @@ from ctr_nlp.hardware.clock import Clock
 from ctr_nlp.hardware.description import Hardware
 from ctr_nlp.hardware.devices import Progress, Signs
 from ctr_nlp.hardware.devices.grbl.identity import Identity
+from ctr_nlp.hardware.devices.grbl.ledger import Ledger
 from ctr_nlp.hardware.devices.grbl.stop import OVERHEARD
 from ctr_nlp.hardware.devices.grbl.talk import HOLD, RESUME, STATUS, Reply, Report, Talk, report_of
 from ctr_nlp.hardware.motion import lookahead
-from ctr_nlp.hardware.motion.gcode import MEANING, MODES, Lines, lines
+from ctr_nlp.hardware.motion.gcode import DECIMALS, MEANING, MODES, WAITS, Lines, lines
 from ctr_nlp.hardware.motion.lookahead import Commands, FollowedPath, Place
 from ctr_nlp.typing import Array
 
@@ -29,6 +31,19 @@ SETTLING = 1.0
 
 SPARE = 128
 """Bytes of the controller's buffer that are left free, lest a doubled ok makes it run over."""
+
+STOPPED = "[MSG:Stop]"
+"""What a controller says that a client has stopped (0x19), and that has forgotten what it was to play."""
+
+OFF_LINE = 4.0
+"""How far a controller may be reported from the lines that it was sent, in parts of what its axes can tell apart.
+
+It counts the steps that it makes, and makes them along these lines, so that one step and rounding is usual. What
+is further off was not sent so, or is not so, even where it is little beside the tolerances of the axes.
+"""
+
+SOFT_LIMIT = 2
+"""The alarm of a line that leads beyond the soft limits."""
 
 IN_FLIGHT = 320
 """Bytes that may be under way unacknowledged, once the controller has been given all that it may have at first:
@@ -46,22 +61,26 @@ class Stream:
         self, talk: Talk, identity: Identity, hardware: Hardware, clock: Clock, commands: Commands
     ) -> None:
         self._talk, self._identity, self._connection, self._clock = talk, identity, hardware.connection, clock
+        self._axes = hardware.axes
         self._columns, self._resolution = identity.columns(hardware), identity.resolution(hardware)
         self._slides, self._tolerance = np.array([axis.unit == "mm" for axis in hardware.axes]), hardware.tolerance
-        self._seen = Report("Idle", False, talk.report().position, 0, None, None, None)
+        now = talk.report()
+        self._seen = Report("Idle", False, now.position, 0, now.free, None, None)
         start = self._seen.position[self._columns]
         self._follow_path(start, commands)
         self._place, self._count = Place(0.0, 0.0, 0, 0.0), len(commands.time)
-        self._lines, self._next = Lines(hardware.letters, start, MEANING), b""
-        self._waiting: deque[int] = deque()
-        self._sent = self._planned = 0
+        self._lines, self._next = Lines(hardware.letters, start, MEANING), list[bytes]()
+        self._sent = 0
         self.underruns = 0
         """How often the planner was found empty in a motion that had begun, and had not ended."""
         self._resumed = self._filled = False
-        self._said = ""
+        self._said = self._astray = ""
         texts = lines(hardware.letters, start, commands.positions, commands.time, MEANING)
-        self._check_link(identity.acceleration(hardware), sum(len(text) + 1 for text in texts))
+        size = sum(len(text) + len(self._lines.copy(text)) + 2 for text in texts)
+        link = self._check_link(identity.acceleration(hardware), size)
         talk.ask(MODES)
+        blocks = identity.blocks if self._seen.free is None else self._seen.free
+        self._ledger = Ledger(np.round(start, DECIMALS), self._resolution, blocks, link)
         self._hold_sent, self._overrides = 0.0, 100.0
         self._go_on()
 
@@ -86,14 +105,20 @@ class Stream:
         self._stamp = self._asked = self._moved = self._fed = now
         self._schedule = now - self._place.time
         self._answered = True
+        self._ledger.resumed(now)
 
     @property
     def in_flight(self) -> int:
         """Bytes of lines that have not been acknowledged."""
-        return sum(self._waiting)
+        return self._ledger.in_flight
 
-    def _check_link(self, acceleration: Array, size: int) -> None:
-        """Raise TrajectoryError where the link, as measured, cannot keep so many bytes of motion supplied."""
+    @property
+    def _planned(self) -> int:
+        """Number of the last line that was acknowledged, all its copies."""
+        return self._ledger.planned
+
+    def _check_link(self, acceleration: Array, size: int) -> lookahead.LinkTiming:
+        """The link as measured; TrajectoryError where it cannot keep so many bytes of motion supplied."""
         seconds = np.diff(self._path.ends)
         link = lookahead.LinkTiming(self._talk.round_trip(), self._connection.baud / 10.0)
         speed = abs(np.diff(self._path.points, axis=0) / seconds[:, None]).max(axis=0)
@@ -105,6 +130,7 @@ class Stream:
                 f"the link answers after {1e3 * link.round_trip:.0f} ms and takes {link.rate:.0f} bytes/s: with "
                 f"{lookahead.AHEAD:g} s of motion in the controller's hands, it cannot keep this pace; {advice}"
             )
+        return link
 
     def update(self) -> Progress:
         """Take what has come and find out how far it is."""
@@ -120,18 +146,20 @@ class Stream:
         idle = self._seen.state == "Idle" and not self._holding and self._planned < self._count
         waiting = self._planned < self._sent or self._sent < self._count
         stalled = self._stamp - max(self._moved, self._fed) if idle and waiting else 0.0
-        return Signs(self._said, self._overrides, max(stalled, 0.0), self._cause() if stalled > 0.0 else "")
+        cause = self._cause() if stalled > 0.0 else ""
+        return Signs(self._said, self._overrides, max(stalled, 0.0), cause, self._astray)
 
     def _cause(self) -> str:
         """Why a controller that was sent lines rests: it has played them and an ok was lost, or it lacks some."""
-        missing = self._sent - self._planned
+        missing = self._ledger.missing
         if not missing:
             return ""
         there = abs(self._seen.position[self._columns] - self._path.points[self._sent]) <= self._resolution
         if there.all():
             lost = f"{missing} `ok` {'was' if missing == 1 else 'were'} lost on the way"
             return f"it has played all {self._sent} lines that it was sent, but {lost}"
-        return f"of the {self._sent} lines that it was sent, {missing} did not arrive, or were not obeyed"
+        lines = f"of the {self._sent} lines that it was sent, some did not arrive, or were not obeyed"
+        return f"{lines}: {missing} `ok` {'is' if missing == 1 else 'are'} missing"
 
     def _settled(self) -> bool:
         """Whether an idle controller has done all that was planned: it may not have begun with the last of it.
@@ -144,20 +172,30 @@ class Stream:
 
     def _take(self, reply: Reply) -> None:
         if reply.kind == "ok":
-            if not self._waiting:
-                self._said = self._said or "the controller acknowledges more lines than it was sent"
-                return
-            self._waiting.popleft()
-            self._planned, self._moved = self._planned + 1, self._clock.now()
+            self._moved = self._clock.now()
+            self._said = self._said or self._ledger.acknowledge(self._moved)
         elif reply.kind == "report":
             report = report_of(reply.text, self._talk.axes)
             if report is None:
                 self._said = self._said or f"the controller's report cannot be read: {reply.text!r}"
             else:
                 self._follow(report)
-        elif reply.kind != "message":
-            line = f" (line {self._planned + 1} of {self._count})" if reply.kind == "error" else ""
-            self._said = self._said or f"the controller says {reply.text!r}{line}"
+        elif reply.kind != "message" or reply.text == STOPPED:
+            self._said = self._said or self._unexpected(reply)
+
+    def _unexpected(self, reply: Reply) -> str:
+        """What a reply means that no controller gives to lines as they were sent."""
+        if reply.kind == "unreadable":
+            return f"a reply of the controller cannot be read, since it was changed on the way: {reply.text!r}"
+        says = f"the controller says {reply.text!r}"
+        if reply.kind == "error":
+            line = min(self._planned + 1, self._count)
+            return (
+                f"{says} (line {line} of {self._count}): a line was changed on the way, or another client sent it"
+            )
+        if reply.kind == "alarm" and reply.number == SOFT_LIMIT:
+            return f"{says}: a line that was changed on the way, or another client's, leads beyond the soft limits"
+        return f"{says}: another client stopped it" if reply.text == STOPPED else says
 
     def _follow(self, report: Report) -> None:
         """Find where on its path a report shows it."""
@@ -177,7 +215,10 @@ class Stream:
         self._seen, self._held = report, report.stopped and not self._resumed
         if report.state == "Hold" and not self._resumed:  # a person at the controller may have asked for it
             self._holding = True
+            self._ledger.held()
         if self._sent:
+            running = report.state == "Run"
+            self._said = self._said or self._ledger.contradiction(report.line, report.free, running, self._stamp)
             self._locate(report, position, self._stamp - before)
 
     def _locate(self, report: Report, position: Array, passed: float) -> None:
@@ -187,6 +228,23 @@ class Stream:
         while_resting = min(place.until, self._place.time + passed)
         time = max(self._place.time, place.time, while_resting)
         self._place = place._replace(time=time, line=max(place.line, self._place.line))
+        off = self._off_lines(abs(position - self._path.at(place.time)))
+        if off and not self._astray:
+            self._astray = f"{off}: a line or this report was changed on the way, or the controller has lost count"
+
+    def off_lines(self, position: Array) -> str:
+        """Which axis cannot have come to a position (m,) along what was sent, "" where all can."""
+        place = self._path.nearest(position, max(self._place.line - 1, 0), self._sent)
+        return self._off_lines(abs(position - self._path.at(place.time)))
+
+    def _off_lines(self, off: Array) -> str:
+        """Which axis is further off than it can be, of axes so far (m,) from the lines that were sent."""
+        worst = int((off / self._resolution).argmax())
+        if off[worst] <= OFF_LINE * self._resolution[worst]:
+            return ""
+        axis = self._axes[worst]
+        far = f"{off[worst]:.3g} {axis.unit} from the lines that were sent"
+        return f"axis {axis.letter} ({axis.joint}) is reported {far}"
 
     def feed(self) -> None:
         """Ask for the next report, and send the lines that the controller may have now."""
@@ -211,24 +269,36 @@ class Stream:
         while self._sent < open_to:
             if self._clock.now() - self._stamp > FRESH:
                 return
-            line = self._next = self._next or self._line()
-            if self._waiting and self.in_flight + len(line) > room:
+            copies = self._next = self._next or self._copies()
+            if self._ledger.missing and self.in_flight + sum(map(len, copies)) > room:
                 return
-            self._talk.link.write(line)
-            self._waiting.append(len(line))
-            self._sent, self._fed, self._next = self._sent + 1, now, b""
+            self._write(copies, now)
         self._filled = True
 
-    def _line(self) -> bytes:
-        """The line after those sent."""
+    def _write(self, copies: list[bytes], now: float) -> None:
+        """Send the copies of the next line, with a question between them: there a lost ok shows."""
+        first, *others = copies
+        ask = now - self._asked >= lookahead.POLL / 2 and self._answered
+        if ask:
+            self._asked, self._answered = now, False
+        self._talk.link.write(first + STATUS * ask + b"".join(others))
+        position = np.round(self._path.points[self._sent + 1], DECIMALS) if others else None
+        seconds = float(self._path.ends[self._sent + 1] - self._path.ends[self._sent])
+        self._ledger.write(copies, position, seconds, now)
+        self._sent, self._fed, self._next = self._sent + 1, now, []
+
+    def _copies(self) -> list[bytes]:
+        """The line after those sent, and its copy; alone where it waits, since it would wait twice."""
         n, ends = self._sent, self._path.ends
         text = self._lines.next(self._path.points[n + 1], float(ends[n + 1] - ends[n]), n + 1 == self._count)
-        return text.encode("ascii") + b"\n"
+        texts = [text] if WAITS in text else [text, self._lines.copy(text)]
+        return [each.encode("ascii") + b"\n" for each in texts]
 
     def hold(self) -> None:
         """Ask for a feed hold; no line is sent until it is resumed."""
         self._say_hold()
         self._holding, self._held = True, False
+        self._ledger.held()
 
     def _say_hold(self) -> None:
         self._talk.link.write(HOLD)

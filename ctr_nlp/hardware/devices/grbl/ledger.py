@@ -1,0 +1,184 @@
+"""What a Grbl controller was sent and has acknowledged, and whether what it reports can follow from that.
+
+Grbl's lines have no checksum. A digit that is lost on the way makes another position of a line, which is obeyed.
+So every line of a motion is sent twice. Where both copies arrive as they were sent, the second finds nothing to
+move and takes no block of the planner (grblHAL, planner.c: a block without steps is dropped); where one of them was
+changed, it takes one. An `ok` for every line, the number of the first block in the planner (Ln) and the number of
+blocks that are free (Bf) tell how many blocks there are, and how many there must be. Replies come in order, so that
+this is exact at every report: a line that was changed is noticed once it is planned, and not when it is played,
+some 0.25 s later.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from ctr_nlp.hardware.motion.lookahead import LinkTiming
+from ctr_nlp.typing import Array
+
+SURELY_STEPS = 1.5
+"""Steps of an axis from one line to the next with which a line surely takes a block, however it is rounded."""
+
+LATE_ANSWER_S = 0.2
+"""Time within which a line is acknowledged that the controller can plan at once, beside what its bytes take."""
+
+SLOW = 6.0
+"""Times its own duration for which a line may be in preparation; corners and starts from rest need up to 2."""
+
+LINGERING_S = 0.15
+"""The least time for which a line may be in preparation."""
+
+FOLLOWED_BY = 3
+"""Blocks that must be in the planner for that: before the last ones it brakes, and so goes slower than asked."""
+
+
+class Written(NamedTuple):
+    """A line that was sent.
+
+    number: N of it, from 1. size: bytes. seconds: duration of the motion. least, most: blocks of the planner that
+    it takes. last: whether no other copy of it follows. dwells: whether it waits, and is acknowledged after that.
+    """
+
+    number: int
+    size: int
+    seconds: float
+    least: int
+    most: int
+    last: bool
+    dwells: bool
+
+
+class Ledger:
+    """Lines in the order in which they were sent, and how many of them were acknowledged.
+
+    start (m,): where the motion starts; resolution (m,): what the axes can tell apart, both in their units.
+    blocks: of the planner when nothing moves. link: as measured.
+    """
+
+    def __init__(self, start: Array, resolution: Array, blocks: int, link: LinkTiming) -> None:
+        self._there, self._resolution, self._blocks, self._link = start, resolution, blocks, link
+        self._written: list[Written] = []
+        self._due: list[float] = []
+        self._first_of = [0, 0]
+        self._least, self._most = [0], [0]
+        self.acknowledged = 0
+        """Lines for which an ok has come."""
+        self.planned = 0
+        """Number of the last line of which all copies were acknowledged."""
+        self.in_flight = 0
+        """Bytes of lines that have not been acknowledged."""
+        self._lingers: tuple[int, float] | None = None
+
+    @property
+    def missing(self) -> int:
+        """Lines that were not acknowledged."""
+        return len(self._written) - self.acknowledged
+
+    def write(self, texts: list[bytes], position: Array | None, seconds: float, now: float) -> None:
+        """Note the copies of the next line, which leads to a position (m,), or waits where that is None."""
+        number = len(self._first_of) - 1
+        least = most = 0
+        if position is not None:
+            gone = abs(position - self._there)
+            most = int(gone.max() > 0.0)
+            least = int((gone / self._resolution).max() >= SURELY_STEPS)
+            self._there = position
+        for i, text in enumerate(texts):
+            first, last = i == 0, i == len(texts) - 1
+            line = Written(number, len(text), seconds, least * first, most * first, last, position is None)
+            self._written.append(line)
+            self.in_flight += line.size
+            self._due.append(self._time_due(now))
+            self._least.append(self._least[-1] + line.least)
+            self._most.append(self._most[-1] + line.most)
+        self._first_of.append(len(self._written))
+
+    def acknowledge(self, now: float) -> str:
+        """Note an ok; what is wrong with it, "" for nothing."""
+        if not self.missing:
+            return (
+                "the controller acknowledges more lines than it was sent: a line or its `ok` came twice, or "
+                "another client sent one"
+            )
+        line, due = self._written[self.acknowledged], self._due[self.acknowledged]
+        self.acknowledged += 1
+        self.in_flight -= line.size
+        if line.last:
+            self.planned = line.number
+        if line.dwells:  # what came behind it had to wait, too
+            self.resumed(now)
+            return ""
+        return self._overdue(line, due, now)
+
+    def _overdue(self, line: Written, due: float, now: float) -> str:
+        """Why a line that was to be answered at a time ought to have been, "" where it need not."""
+        if now - due <= LATE_ANSWER_S:
+            return ""
+        return (
+            f"line {line.number} was not answered in time, by {now - due:.2g} s; {LATE_ANSWER_S:g} s are allowed: "
+            "answers came late, lines or `ok` were lost on the way, or another client keeps the controller waiting"
+        )
+
+    def _time_due(self, now: float) -> float:
+        """When all that is under way is answered, if it is sent off now; s of the clock."""
+        return now + self.in_flight / self._link.rate + self._link.round_trip
+
+    def held(self) -> None:
+        """The controller is to hold: it reads no lines, and none lasts too long."""
+        self._due[self.acknowledged :] = [float("inf")] * self.missing
+        self._lingers = None
+
+    def resumed(self, now: float) -> None:
+        """The controller may go on, and read what is under way."""
+        self._due[self.acknowledged :] = [self._time_due(now)] * self.missing
+
+    def contradiction(self, line: int, free: int | None, running: bool, now: float) -> str:
+        """Why a report cannot follow from what it was sent, "" where it can.
+
+        line: number of the first block in its planner, 0 for none; free: blocks that it has room for. running:
+        whether it is in that state.
+        """
+        waiting = self._written[self.acknowledged :]
+        overdue = bool(waiting) and not any(each.dwells for each in waiting)
+        late = self._overdue(waiting[0], self._due[self.acknowledged], now) if overdue else ""
+        if late or free is None or not line:
+            return late
+        blocks = self._blocks - free
+        done, last = self.acknowledged, self._written[self.acknowledged - 1] if self.acknowledged else None
+        newest = 0 if last is None else last.number
+        has = f"the controller plays line {line} and has {blocks} in hand"
+        if line > newest:
+            return (
+                f"{has}, though it has acknowledged none beyond line {newest}: lines or their `ok` were lost on "
+                "the way, or a line or this report was changed on the way"
+            )
+        if not blocks:
+            return ""
+        before = self._first_of[line]
+        least, most = self._least[done] - self._least[before], self._most[done] - self._most[before]
+        if blocks > most:
+            has = f"{has}, and should have {most}"
+            changed = "a line or this report was changed on the way, or another client sent a line"
+            if blocks == most + 1 and last is not None and last.last:
+                return f"{has}: a line or its `ok` was lost on the way, {changed}"
+            return f"{has}: lines came in another order, {changed}"
+        if blocks < max(least, 1):
+            return (
+                f"{has}, and should have {least}: a line or its `ok` came twice, a line's number or this report "
+                "was changed on the way, or another client made it forget lines"
+            )
+        return self._lingering(line, blocks, now) if running else ""
+
+    def _lingering(self, line: int, blocks: int, now: float) -> str:
+        """Why a line has been in preparation for longer than it may, "" where it has not."""
+        if self._lingers is None or self._lingers[0] != line or blocks < FOLLOWED_BY:
+            self._lingers = line, now
+            return ""
+        seconds = self._written[self._first_of[line]].seconds
+        lasted = now - self._lingers[1]
+        if lasted <= max(LINGERING_S, SLOW * seconds):
+            return ""
+        return (
+            f"line {line} has lasted for {lasted:.2g} s, and should take {seconds:.2g} s: its feed was changed on "
+            "the way, or something slows the controller down"
+        )
