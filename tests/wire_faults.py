@@ -418,9 +418,9 @@ class Run(NamedTuple):
 
     travel: mm of the slide that went furthest after it; time: s until nothing moved any more. noticed: whether
     the result is other than success. late: s by which the plan's motion took longer than planned. off: largest
-    distance of an axis that is trusted from where it is, in tolerances; 0 where nothing is trusted. astray: largest
-    distance of an axis from its path, in tolerances, up to the end. wrong: what the message says instead of the
-    cause, "" where it names it.
+    distance of an axis that is trusted from where it is, in tolerances; 0 where nothing is trusted. astray:
+    largest distance of an axis from its path, in tolerances, up to the end. wrong: what the message says instead
+    of the cause, "" where it names it.
     """
 
     seed: int

@@ -105,14 +105,15 @@ def test_a_jump_before_the_motion_is_not_trusted(world: World) -> None:
     distrusted(world)
 
 
-def test_an_offset_of_a_few_tolerances_stops_and_is_trusted(world: World) -> None:
-    result = world.begin(seen=once(lambda _, progress: progress.time > 0.8, lambda: jump(world, 0.6)))
-    assert (result.outcome, result.trusted) == (Outcome.PATH_TOLERANCE_VIOLATED, True)
+@pytest.mark.parametrize("by", [0.3, 0.6, 1.4])
+def test_an_offset_of_a_few_tolerances_is_not_trusted(by: float, world: World) -> None:
+    result = world.begin(seen=once(lambda _, progress: progress.time > 0.8, lambda: jump(world, by)))
+    assert (result.outcome, result.trusted) == (Outcome.PATH_TOLERANCE_VIOLATED, False)
 
 
-@pytest.mark.parametrize(("by", "trusted"), [(0.3, True), (5.0, False)])
-def test_a_jump_at_the_last_frame_is_seen(by: float, trusted: bool, world: World) -> None:
+@pytest.mark.parametrize("by", [0.3, 5.0])
+def test_a_jump_at_the_last_frame_is_not_trusted(by: float, world: World) -> None:
     last = once(lambda trajectory, progress: progress.time > trajectory.duration - 1e-3, lambda: jump(world, by))
     result = world.begin(seen=last)
     assert result.outcome is not Outcome.SUCCESS
-    assert result.trusted is trusted, result.message
+    assert not result.trusted, result.message

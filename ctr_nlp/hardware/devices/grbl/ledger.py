@@ -2,11 +2,11 @@
 
 Grbl's lines have no checksum. A digit that is lost on the way makes another position of a line, which is obeyed.
 So every line of a motion is sent twice. Where both copies arrive as they were sent, the second finds nothing to
-move and takes no block of the planner (grblHAL, planner.c: a block without steps is dropped); where one of them was
-changed, it takes one. An `ok` for every line, the number of the first block in the planner (Ln) and the number of
-blocks that are free (Bf) tell how many blocks there are, and how many there must be. Replies come in order, so that
-this is exact at every report: a line that was changed is noticed once it is planned, and not when it is played,
-some 0.25 s later.
+move and takes no block of the planner (grblHAL, planner.c: a block without steps is dropped); where one of them
+was changed, it takes one. An `ok` for every line, the number of the first block in the planner (Ln) and the number
+of blocks that are free (Bf) tell how many blocks there are, and how many there must be. Replies come in order, so
+that this is exact at every report: a line that was changed is noticed once it is planned, and not when it is
+played, some 0.25 s later.
 """
 
 from __future__ import annotations

@@ -122,7 +122,7 @@ class Stream:
         seconds = np.diff(self._path.ends)
         link = lookahead.LinkTiming(self._talk.round_trip(), self._connection.baud / 10.0)
         speed = abs(np.diff(self._path.points, axis=0) / seconds[:, None]).max(axis=0)
-        rate = size / float(self._path.ends[-1])
+        rate = size / max(float(self._path.ends[-1]), lookahead.AHEAD)  # a shorter motion is given at once
         part = lookahead.sustainable(speed, acceleration, self._slides, link, rate)
         if part < 1.0:
             advice = f"play it at {int(100 * part) / 100:g} of this tempo" if part >= 0.01 else "use another link"
