@@ -61,8 +61,8 @@ Reply = list[tuple[float, bytes]]
 class Injector:
     """What strikes one connection once.
 
-    struck_at: s of the firmware's time, None before. note: what was done, for people. effects: what the kind does,
-    as functions that are called with the draw.
+    struck_at: s of the firmware's time, None before. note: what was done, for people. held: a line that is to come
+    after the next one. frozen: s for which the fault lets the controller do nothing, not even move.
     """
 
     line: Line
@@ -70,6 +70,7 @@ class Injector:
     struck_at: float | None = None
     note: str = ""
     held: bytes = b""
+    frozen: float = 0.0
 
     def strike(self, note: str) -> None:
         """Note that it has happened."""
@@ -323,6 +324,7 @@ def of_emulator(name: str, seconds: tuple[float, float] | None = None) -> Arm:
     def strike(inject: Injector, world: World) -> None:
         options = {} if seconds is None else {"seconds": inject.draw.uniform(*seconds)}
         inject.strike(f"{name} {options}")
+        inject.frozen = options.get("seconds", 0.0) if name == "busy" else 0.0
         FAULTS[name](**options).strike(inject.line)
 
     return strike
@@ -416,7 +418,8 @@ class RecordingClock(VirtualClock):
 class Run(NamedTuple):
     """One fault and what followed from it.
 
-    travel: mm of the slide that went furthest after it; time: s until nothing moved any more. noticed: whether
+    travel: mm of the slide that went furthest after it; time: s until nothing moved any more, without those
+    for which the controller itself did nothing. noticed: whether
     the result is other than success. late: s by which the plan's motion took longer than planned. off: largest
     distance of an axis that is trusted from where it is, in tolerances; 0 where nothing is trusted. astray:
     largest distance of an axis from its path, in tolerances, up to the end. wrong: what the message says instead
@@ -532,7 +535,7 @@ def judged(
     after = times >= struck - 1e-9
     steps = abs(np.diff(track[after], axis=0))
     moving = np.flatnonzero(steps.max(axis=1) > 1e-6) if len(steps) else np.array([], dtype=int)
-    time = float(times[after][moving[-1] + 1] - struck) if len(moving) else 0.0
+    time = max(0.0, float(times[after][moving[-1] + 1] - struck) - inject.frozen) if len(moving) else 0.0
     travel = float(steps[:, :3].sum(axis=0).max()) if len(steps) else 0.0
     tolerance = world.hardware.tolerance
     off = 0.0

@@ -118,7 +118,11 @@ class Supervisor:
         if (moved > self.at_rest).any():
             return f"an axis has moved by {moved.max():.3g} in a hold"
         asked = self._paused or lasted <= UNASKED
-        return "" if asked else f"somebody else has held the motion for {UNASKED:g} s"
+        return (
+            ""
+            if asked
+            else f"somebody else has held the motion for {UNASKED:g} s, or a byte was changed on the way"
+        )
 
     def _silent(self, progress: Progress, now: float) -> str:
         """Neither the device nor the player itself is away for long."""

@@ -22,6 +22,13 @@ SURELY_STEPS = 1.5
 LATE_ANSWER_S = 0.2
 """Time within which a line is acknowledged that the controller can plan at once, beside what its bytes take."""
 
+LASTING_S = 0.1
+"""Time for which answers may come later than the motion can bear, as after a short delay of the link."""
+
+STRANGE_S = 0.1
+"""Time for which line numbers may be reported that cannot be: where the number of one line, or of one report, was
+changed on the way, and all else agrees, the motion is as it should be."""
+
 SLOW = 6.0
 """Times its own duration for which a line may be in preparation; corners and starts from rest need up to 2."""
 
@@ -52,11 +59,15 @@ class Ledger:
     """Lines in the order in which they were sent, and how many of them were acknowledged.
 
     start (m,): where the motion starts; resolution (m,): what the axes can tell apart, both in their units.
-    blocks: of the planner when nothing moves. link: as measured.
+    blocks: of the planner when nothing moves. link: as measured. patience: s by which answers may come later than
+    measured, so that the motion can still be kept supplied.
     """
 
-    def __init__(self, start: Array, resolution: Array, blocks: int, link: LinkTiming) -> None:
+    def __init__(
+        self, start: Array, resolution: Array, blocks: int, link: LinkTiming, patience: float = LATE_ANSWER_S
+    ) -> None:
         self._there, self._resolution, self._blocks, self._link = start, resolution, blocks, link
+        self._patience = patience
         self._written: list[Written] = []
         self._due: list[float] = []
         self._first_of = [0, 0]
@@ -68,6 +79,10 @@ class Ledger:
         self.in_flight = 0
         """Bytes of lines that have not been acknowledged."""
         self._lingers: tuple[int, float] | None = None
+        self._late_since: float | None = None
+        self._strange_since: float | None = None
+        self._playing = 1
+        """Number of the first block in the planner, as last reported."""
 
     @property
     def missing(self) -> int:
@@ -108,7 +123,20 @@ class Ledger:
         if line.dwells:  # what came behind it had to wait, too
             self.resumed(now)
             return ""
-        return self._overdue(line, due, now)
+        return self._overdue(line, due, now) or self._lasting(line, now - due, now)
+
+    def _lasting(self, line: Written, late: float, now: float) -> str:
+        """Why answers that come so late must not go on to, "" where they may."""
+        if late <= self._patience:
+            self._late_since = None
+            return ""
+        self._late_since = now if self._late_since is None else self._late_since
+        if now - self._late_since <= LASTING_S:
+            return ""
+        return (
+            f"the answer to line {line.number} came late, by {late:.2g} s, and so did those before, for "
+            f"{LASTING_S:g} s; at this pace {self._patience:.2g} s are allowed"
+        )
 
     def _overdue(self, line: Written, due: float, now: float) -> str:
         """Why a line that was to be answered at a time ought to have been, "" where it need not."""
@@ -130,6 +158,7 @@ class Ledger:
 
     def resumed(self, now: float) -> None:
         """The controller may go on, and read what is under way."""
+        self._late_since = None
         self._due[self.acknowledged :] = [self._time_due(now)] * self.missing
 
     def contradiction(self, line: int, free: int | None, running: bool, now: float) -> str:
@@ -144,6 +173,9 @@ class Ledger:
         if late or free is None or not line:
             return late
         blocks = self._blocks - free
+        if not self._playing <= line < len(self._first_of) - 1:
+            return self._strange(line, now)
+        self._strange_since, self._playing = None, line
         done, last = self.acknowledged, self._written[self.acknowledged - 1] if self.acknowledged else None
         newest = 0 if last is None else last.number
         has = f"the controller plays line {line} and has {blocks} in hand"
@@ -168,6 +200,16 @@ class Ledger:
                 "was changed on the way, or another client made it forget lines"
             )
         return self._lingering(line, blocks, now) if running else ""
+
+    def _strange(self, line: int, now: float) -> str:
+        """Why a number that was never sent, or is behind the last one, cannot be reported for long."""
+        self._strange_since = now if self._strange_since is None else self._strange_since
+        if now - self._strange_since <= STRANGE_S:
+            return ""
+        return (
+            f"the controller plays line {line} after line {self._playing}, of {len(self._first_of) - 2} that it "
+            "was sent: line numbers or reports are changed on the way, or another client sends lines"
+        )
 
     def _lingering(self, line: int, blocks: int, now: float) -> str:
         """Why a line has been in preparation for longer than it may, "" where it has not."""

@@ -45,6 +45,10 @@ is further off was not sent so, or is not so, even where it is little beside the
 SOFT_LIMIT = 2
 """The alarm of a line that leads beyond the soft limits."""
 
+PATIENCE = (0.05, 0.06, 0.08, 0.1, 0.12, 0.15, 0.2)
+"""s by which answers may come later for good than before the motion: the most of these that its pace bears.
+The least is allowed in any case, since times of single answers vary."""
+
 IN_FLIGHT = 320
 """Bytes that may be under way unacknowledged, once the controller has been given all that it may have at first:
 a hold waits behind them, 28 ms at 115200 baud."""
@@ -77,10 +81,10 @@ class Stream:
         self._said = self._astray = ""
         texts = lines(hardware.letters, start, commands.positions, commands.time, MEANING)
         size = sum(len(text) + len(self._lines.copy(text)) + 2 for text in texts)
-        link = self._check_link(identity.acceleration(hardware), size)
+        link, patience = self._check_link(identity.acceleration(hardware), size)
         talk.ask(MODES)
         blocks = identity.blocks if self._seen.free is None else self._seen.free
-        self._ledger = Ledger(np.round(start, DECIMALS), self._resolution, blocks, link)
+        self._ledger = Ledger(np.round(start, DECIMALS), self._resolution, blocks, link, patience)
         self._hold_sent, self._overrides = 0.0, 100.0
         self._go_on()
 
@@ -117,8 +121,11 @@ class Stream:
         """Number of the last line that was acknowledged, all its copies."""
         return self._ledger.planned
 
-    def _check_link(self, acceleration: Array, size: int) -> lookahead.LinkTiming:
-        """The link as measured; TrajectoryError where it cannot keep so many bytes of motion supplied."""
+    def _check_link(self, acceleration: Array, size: int) -> tuple[lookahead.LinkTiming, float]:
+        """The link as measured, and by how much later (s) it may answer so that it can keep the motion supplied.
+
+        size: bytes of the motion. Raises TrajectoryError where it cannot.
+        """
         seconds = np.diff(self._path.ends)
         link = lookahead.LinkTiming(self._talk.round_trip(), self._connection.baud / 10.0)
         speed = abs(np.diff(self._path.points, axis=0) / seconds[:, None]).max(axis=0)
@@ -130,7 +137,11 @@ class Stream:
                 f"the link answers after {1e3 * link.round_trip:.0f} ms and takes {link.rate:.0f} bytes/s: with "
                 f"{lookahead.AHEAD:g} s of motion in the controller's hands, it cannot keep this pace; {advice}"
             )
-        return link
+        slower = [link._replace(round_trip=link.round_trip + later) for later in PATIENCE]
+        kept = [lookahead.sustainable(speed, acceleration, self._slides, each, rate) >= 1.0 for each in slower]
+        return link, max(
+            later for later, keeps in zip(PATIENCE, kept, strict=True) if keeps or later == PATIENCE[0]
+        )
 
     def update(self) -> Progress:
         """Take what has come and find out how far it is."""
