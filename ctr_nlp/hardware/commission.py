@@ -9,7 +9,7 @@ from ctr_nlp.exceptions import DeviceFault, HardwareError
 from ctr_nlp.hardware.clock import Clock
 from ctr_nlp.hardware.description import Hardware
 from ctr_nlp.hardware.devices import Asked
-from ctr_nlp.hardware.devices.grbl.identity import Finding, Identity, changes, findings
+from ctr_nlp.hardware.devices.grbl.identity import Finding, Identity, changes, findings, loose
 from ctr_nlp.hardware.devices.grbl.stop import stopped
 from ctr_nlp.hardware.devices.grbl.talk import Talk
 from ctr_nlp.hardware.link import Link
@@ -30,11 +30,15 @@ SIGNS = {"+": 1, "-": -1}
 
 
 class Controller(NamedTuple):
-    """What was read. wrong: settings that go against safe playing; changed: since the last commissioning."""
+    """What was read. wrong: settings that go against safe playing; changed: since the last commissioning.
+
+    loose: those that let a line that was changed on the way go faster or further than any plan.
+    """
 
     identity: Identity
     wrong: list[Finding]
     changed: list[Finding]
+    loose: list[Finding]
     position: Array
     round_trip: float
 
@@ -62,7 +66,17 @@ class Commissioning:
         self._acceleration = identity.acceleration(self._hardware)
         wrong, changed = findings(identity, self._hardware), changes(identity, self._hardware)
         position = self._talk.report().position[self._columns]
-        return Controller(identity, wrong, changed, position, self._talk.round_trip())
+        loosely = loose(identity.settings, self._columns, self._hardware)
+        self.controller = Controller(identity, wrong, changed, loosely, position, self._talk.round_trip())
+        return self.controller
+
+    def tighten(self) -> list[Finding]:
+        """Set what is loose to what plans may use, and read everything again; what was set. Raises DeviceFault."""
+        found = self.controller.loose
+        for one in found:
+            self._talk.ask(f"${one.name}={one.wanted}")
+        self.read()
+        return found
 
     def step(self, letter: str, direction: int, stop: Asked) -> tuple[float, float]:
         """Move one axis by a small step up (1) or down (-1); its positions before and after, in its unit.

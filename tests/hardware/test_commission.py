@@ -181,6 +181,27 @@ def test_settings_that_are_wrong_are_explained_and_nothing_is_moved_or_kept(
     assert not commissioned_file(rig.file).exists()
 
 
+def test_what_is_looser_than_plans_need_is_named_and_set(
+    rig: Rig, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A line that was changed on the way then goes no faster than a plan may."""
+    rig.firmware.settings[112] = 6000.0
+    assert rig.commission(NONE, monkeypatch) == 0
+    assert "$112=3000" in capsys.readouterr().out
+    assert rig.firmware.settings[112] == 6000.0
+    assert rig.play() == 0
+    said = capsys.readouterr().err
+    assert "note: the controller's $112 is 6000.000, and lets a line that was changed on the way move Z" in said
+    assert rig.commission("set\nset\n" + NONE, monkeypatch) == 0
+    out = capsys.readouterr().out
+    assert "set $112=3000" in out
+    assert "nothing is looser than it need be" in out
+    assert rig.firmware.settings[112] == 3000.0
+    assert json.loads(commissioned_file(rig.file).read_text())["settings"]["112"] == "3000.000"
+    assert rig.play() == 0
+    assert "$112" not in capsys.readouterr().err
+
+
 def test_a_controller_in_alarm_is_not_commissioned(
     rig: Rig, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

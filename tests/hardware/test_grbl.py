@@ -19,6 +19,7 @@ from ctr_nlp.exceptions import DeviceFault
 from ctr_nlp.hardware.description import Connection
 from ctr_nlp.hardware.devices import Progress
 from ctr_nlp.hardware.devices.grbl import stream
+from ctr_nlp.hardware.devices.grbl.identity import loose
 from ctr_nlp.hardware.devices.grbl.talk import reply_of, report_of
 from ctr_nlp.hardware.emulator.faults import FAULTS
 from ctr_nlp.hardware.emulator.firmware import Firmware
@@ -124,6 +125,15 @@ def test_a_controller_set_otherwise_is_refused(settings: dict[int, float], compl
     with pytest.raises(DeviceFault, match=complaint):
         rig.begin()
     assert rig.firmware.executed == []
+
+
+def test_what_bounds_a_changed_line_is_named() -> None:
+    """The largest rates, and soft limits where there are any."""
+    settings = {"110": "3000.000", "111": "3001.000", "130": "50.000", "132": "151.000", "133": "720.000"}
+    homing, manual = homing_hardware(), homing_hardware(connection=Connection("grbl", "wire:"))
+    told = [(one.name, one.wanted) for one in loose(settings, range(6), homing)]
+    assert told == [("111", "3000"), ("132", "150")]
+    assert [one.name for one in loose(settings, range(6), manual)] == ["111"]
 
 
 def test_axes_that_the_controller_lacks_are_refused(tmp_path: Path) -> None:

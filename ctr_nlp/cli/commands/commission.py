@@ -21,7 +21,7 @@ from ctr_nlp.hardware.journal import Journal
 from ctr_nlp.hardware.opening import memory_of, recorded_link
 from ctr_nlp.support.interrupt import deferred_interrupt
 
-SKIP = "SKIP"
+SKIP, TIGHTEN = "SKIP", "SET"
 OUT = "runs/commissioning"
 
 
@@ -47,6 +47,7 @@ def commission(hardware_file: Path, out: str | None) -> int:
                 console().print("Nothing was moved or kept. Set what is wrong, then commission again.")
                 return SOME_FAILED
             signalled = _steps(rig, hardware)
+            controller = rig.controller
         finally:
             rig.close()
     except DeviceFault as exception:
@@ -84,12 +85,15 @@ def _show(hardware: Hardware, controller: Controller) -> None:
     for title, settings in (
         ("settings that are wrong", controller.wrong),
         ("settings that have changed since the rig was commissioned", controller.changed),
+        ("settings that are looser than they need be", controller.loose),
     ):
         table = [(f"${one.name}", one.value, f"${one.name}={one.wanted}", one.why) for one in settings]
         if table:
             print_table(title, ("setting", "is", "set", "why"), table)
     if not controller.wrong:
         console().print("No setting goes against safe playing.")
+    if controller.loose:
+        console().print("Type set, and what is looser than it need be is set on the controller.")
 
 
 def _steps(rig: Commissioning, hardware: Hardware) -> int:
@@ -118,7 +122,11 @@ def _steps(rig: Commissioning, hardware: Hardware) -> int:
 def _obey(typed: str, rig: Commissioning, hardware: Hardware, interrupted: Asked) -> int:
     """Do what a typed line asks for, or say that it means nothing; the signal that came meanwhile, 0 for none."""
     letter, letters = typed.removeprefix(SKIP).strip(), " ".join(hardware.letters)
-    if typed.startswith(SKIP) and letter in hardware.letters:
+    if typed == TIGHTEN:
+        done = rig.tighten()
+        said = " ".join(f"${one.name}={one.wanted}" for one in done)
+        console().print(f"set {said}" if done else "nothing is looser than it need be")
+    elif typed.startswith(SKIP) and letter in hardware.letters:
         rig.skip(letter)
         console().print(f"{letter} is left untried")
     elif len(typed) != 2 or typed[0] not in hardware.letters or typed[1] not in SIGNS:
@@ -150,7 +158,8 @@ def _parser(prog: str) -> argparse.ArgumentParser:
         prog=prog,
         description="Read a Grbl controller, tell which settings are wrong and what to set, move single axes "
         "by a small step where asked to, and keep its settings beside the hardware file, to be compared at every "
-        "start, once every axis has moved both ways.",
+        "start, once every axis has moved both ways. Where largest rates or soft limits are looser than the "
+        "hardware file needs, typing set sets them.",
         epilog="Exit status: 0 where settings were kept, 1 where a setting is wrong, an axis was not tried or the "
         "controller fails, 2 where input is bad, 128 + N where signal N stopped a step: 130 after Ctrl-C, 131 "
         "after Ctrl-\\, 143 after SIGTERM.",

@@ -22,6 +22,7 @@ from ctr_nlp.exceptions import DeviceFault, OptionError
 from ctr_nlp.hardware.clock import RealClock
 from ctr_nlp.hardware.description import Hardware, bench
 from ctr_nlp.hardware.devices import Progress
+from ctr_nlp.hardware.devices.grbl.identity import loose
 from ctr_nlp.hardware.guiding.guide import SHARE
 from ctr_nlp.hardware.guiding.loop import ClosedLoop
 from ctr_nlp.hardware.journal import Journal, read_journal
@@ -102,6 +103,9 @@ def _parser(prog: str) -> argparse.ArgumentParser:
     return parser
 
 
+AXES = "XYZABCUVW"
+"""Letters in the order in which Grbl numbers the settings of its axes."""
+
 EXCLUDED = {
     "resume": ("home", "tempo", "dry_run"),
     "retract": ("home", "tempo", "dry_run", "resume", "live", "closed_loop", "replay"),
@@ -147,6 +151,7 @@ def _run(arguments: argparse.Namespace) -> int:
     if asked:
         _ask_permission(arguments, plan)
     _note_untried(hardware)
+    _note_loose(hardware)
     if arguments.dry_run:
         title = f"{plan.meta['problem']['name']}: checked; nothing was sent"
         share = SHARE if arguments.closed_loop else 1.0
@@ -184,6 +189,15 @@ def _note_untried(hardware: Hardware) -> None:
     else:
         told = f"when the rig was commissioned, axes were not tried: {', '.join(hardware.untried)}"
     print_stderr(f"note: {told}; `ctr-nlp commission` tries them")
+
+
+def _note_loose(hardware: Hardware) -> None:
+    """Name on stderr what bounds a changed line less than it could, as the controller was commissioned."""
+    if hardware.commissioned is None:
+        return
+    columns = [AXES.index(axis.letter) for axis in hardware.axes]
+    for one in loose(hardware.commissioned, columns, hardware):
+        print_stderr(f"note: {one}, or type set in `ctr-nlp commission`")
 
 
 def _tempo(arguments: argparse.Namespace) -> float:

@@ -5,7 +5,7 @@ Numbers and meanings of settings: grblHAL, settings.c. A finding tells the value
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -109,6 +109,36 @@ def findings(identity: Identity, hardware: Hardware) -> list[Finding]:
         *_limits(identity, hardware),
     )
     return [Finding(str(name), identity.settings[str(name)], wanted, why) for name, wanted, why in wrong]
+
+
+def loose(settings: Mapping[str, str], columns: Sequence[int], hardware: Hardware) -> list[Finding]:
+    """Settings that let a line that was changed on the way move an axis faster or further than any plan may.
+
+    Parameters
+    ----------
+    settings : mapping of str to str
+        The controller's settings by name.
+    columns : sequence of int
+        Which of the controller's axes the hardware's are.
+    hardware : Hardware
+        Its ``speed`` and, where it homes by a cycle, its ``range`` are what plans may use.
+
+    Returns
+    -------
+    list of Finding
+        With the values to set. Without homing Grbl has no soft limits, and only the largest rates count.
+    """
+    found = []
+    for axis, column in zip(hardware.axes, columns, strict=True):
+        bounds = [(110 + column, 60.0 * axis.speed, "faster than its speed")]
+        if hardware.connection.homing == "cycle" and axis.unit == "mm" and axis.range[0] < 0:
+            bounds.append((130 + column, -axis.range[0], "beyond its range"))
+        for number, most, what in bounds:
+            name = str(number)
+            if float(settings.get(name, "0")) > most * (1 + 1e-6):
+                why = f"lets a line that was changed on the way move {axis.letter} {what} in the hardware file"
+                found.append(Finding(name, settings[name], f"{most:g}", why))
+    return found
 
 
 def changes(identity: Identity, hardware: Hardware) -> list[Finding]:
