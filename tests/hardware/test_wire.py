@@ -188,9 +188,9 @@ def test_late_answers_are_noticed_also_where_none_comes(session: Session) -> Non
     """A line that waits, or a hold, is no reason."""
     assert session.acknowledge(1, 0.1) == ""
     assert "was not answered in time" in session.report(1, 1, 0.6 + LATE_ANSWER_S)
-    session.ledger.held()
+    session.ledger.note_hold()
     assert session.report(1, 1, 60.0) == session.acknowledge(1, 61.0) == ""
-    session.ledger.resumed(61.0)
+    session.ledger.note_resume(61.0)
     assert session.acknowledge(17, 61.1) == ""
     session.send(None)
     session.send()

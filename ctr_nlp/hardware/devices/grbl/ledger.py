@@ -90,7 +90,19 @@ class Ledger:
         return len(self._written) - self.acknowledged
 
     def write(self, texts: list[bytes], position: Array | None, seconds: float, now: float) -> None:
-        """Note the copies of the next line, which leads to a position (m,), or waits where that is None."""
+        """Note that the next line is sent.
+
+        Parameters
+        ----------
+        texts : list of bytes
+            Its copies.
+        position : (m,) array or None
+            Where it leads, in the axes' units; None where it waits.
+        seconds : float
+            How long that takes.
+        now : float
+            Time on the clock, s.
+        """
         number = len(self._first_of) - 1
         least = most = 0
         if position is not None:
@@ -109,7 +121,18 @@ class Ledger:
         self._first_of.append(len(self._written))
 
     def acknowledge(self, now: float) -> str:
-        """Note an ok; what is wrong with it, "" for nothing."""
+        """Note an ok.
+
+        Parameters
+        ----------
+        now : float
+            Time on the clock, s.
+
+        Returns
+        -------
+        str
+            A sentence on what is wrong with it, "" for nothing.
+        """
         if not self.missing:
             return (
                 "the controller acknowledges more lines than it was sent: a line or its `ok` came twice, or "
@@ -121,7 +144,7 @@ class Ledger:
         if line.last:
             self.planned = line.number
         if line.dwells:  # what came behind it had to wait, too
-            self.resumed(now)
+            self.note_resume(now)
             return ""
         return self._overdue(line, due, now) or self._lasting(line, now - due, now)
 
@@ -151,21 +174,34 @@ class Ledger:
         """When all that is under way is answered, if it is sent off now; s of the clock."""
         return now + self.in_flight / self._link.rate + self._link.round_trip
 
-    def held(self) -> None:
+    def note_hold(self) -> None:
         """The controller is to hold: it reads no lines, and none lasts too long."""
         self._due[self.acknowledged :] = [float("inf")] * self.missing
         self._lingers = None
 
-    def resumed(self, now: float) -> None:
+    def note_resume(self, now: float) -> None:
         """The controller may go on, and read what is under way."""
         self._late_since = None
         self._due[self.acknowledged :] = [self._time_due(now)] * self.missing
 
     def contradiction(self, line: int, free: int | None, running: bool, now: float) -> str:
-        """Why a report cannot follow from what it was sent, "" where it can.
+        """Find out whether a report can follow from what the controller was sent.
 
-        line: number of the first block in its planner, 0 for none; free: blocks that it has room for. running:
-        whether it is in that state.
+        Parameters
+        ----------
+        line : int
+            Number of the first block in its planner, 0 for none.
+        free : int or None
+            Blocks for which it has room; None where that is not told.
+        running : bool
+            Whether it is in that state.
+        now : float
+            Time on the clock, s.
+
+        Returns
+        -------
+        str
+            A sentence on why it cannot, and what may have happened; "" where it can.
         """
         waiting = self._written[self.acknowledged :]
         overdue = bool(waiting) and not any(each.dwells for each in waiting)

@@ -109,7 +109,7 @@ class Stream:
         self._stamp = self._asked = self._moved = self._fed = now
         self._schedule = now - self._place.time
         self._answered = True
-        self._ledger.resumed(now)
+        self._ledger.note_resume(now)
 
     @property
     def in_flight(self) -> int:
@@ -192,10 +192,10 @@ class Stream:
             else:
                 self._follow(report)
         elif reply.kind != "message" or reply.text == STOPPED:
-            self._said = self._said or self._unexpected(reply)
+            self._said = self._said or self._explain_reply(reply)
 
-    def _unexpected(self, reply: Reply) -> str:
-        """What a reply means that no controller gives to lines as they were sent."""
+    def _explain_reply(self, reply: Reply) -> str:
+        """Tell what a reply means that no controller gives to lines as they were sent."""
         if reply.kind == "unreadable":
             return f"a reply of the controller cannot be read, since it was changed on the way: {reply.text!r}"
         says = f"the controller says {reply.text!r}"
@@ -226,7 +226,7 @@ class Stream:
         self._seen, self._held = report, report.stopped and not self._resumed
         if report.state == "Hold" and not self._resumed:  # a person at the controller may have asked for it
             self._holding = True
-            self._ledger.held()
+            self._ledger.note_hold()
         if self._sent:
             running = report.state == "Run"
             self._said = self._said or self._ledger.contradiction(report.line, report.free, running, self._stamp)
@@ -309,7 +309,7 @@ class Stream:
         """Ask for a feed hold; no line is sent until it is resumed."""
         self._say_hold()
         self._holding, self._held = True, False
-        self._ledger.held()
+        self._ledger.note_hold()
 
     def _say_hold(self) -> None:
         self._talk.link.write(HOLD)
