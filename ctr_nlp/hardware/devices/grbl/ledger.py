@@ -22,6 +22,9 @@ SURELY_STEPS = 1.5
 LATE_ANSWER_S = 0.2
 """Time within which a line is acknowledged that the controller can plan at once, beside what its bytes take."""
 
+PASSED_S = 0.02
+"""Time after which a question cannot overtake a line that was sent before it."""
+
 LASTING_S = 0.1
 """Time for which answers may come later than the motion can bear, as after a short delay of the link."""
 
@@ -184,7 +187,7 @@ class Ledger:
         self._late_since = None
         self._due[self.acknowledged :] = [self._time_due(now)] * self.missing
 
-    def contradiction(self, line: int, free: int | None, running: bool, now: float) -> str:
+    def contradiction(self, line: int, free: int | None, running: bool, now: float, asked: float = 0.0) -> str:
         """Find out whether a report can follow from what the controller was sent.
 
         Parameters
@@ -197,6 +200,9 @@ class Ledger:
             Whether it is in that state.
         now : float
             Time on the clock, s.
+        asked : float
+            When it was asked for, or earlier, s. What was to be answered before that has been lost, since answers
+            come in order, however late they come.
 
         Returns
         -------
@@ -206,6 +212,8 @@ class Ledger:
         waiting = self._written[self.acknowledged :]
         overdue = bool(waiting) and not any(each.dwells for each in waiting)
         late = self._overdue(waiting[0], self._due[self.acknowledged], now) if overdue else ""
+        if overdue and not late and self._due[self.acknowledged] + PASSED_S < asked:
+            late = f"line {waiting[0].number} was not answered: a line or its `ok` was lost on the way"
         if late or free is None or not line:
             return late
         blocks = self._blocks - free

@@ -106,7 +106,7 @@ class Stream:
         """From now on the axes may move, and no faster than the clock."""
         self._holding = self._held = False
         now = self._clock.now()
-        self._stamp = self._asked = self._moved = self._fed = now
+        self._stamp = self._asked = self._asked_first = self._moved = self._fed = now
         self._schedule = now - self._place.time
         self._answered = True
         self._ledger.note_resume(now)
@@ -229,7 +229,9 @@ class Stream:
             self._ledger.note_hold()
         if self._sent:
             running = report.state == "Run"
-            self._said = self._said or self._ledger.contradiction(report.line, report.free, running, self._stamp)
+            self._said = self._said or self._ledger.contradiction(
+                report.line, report.free, running, self._stamp, self._asked_first
+            )
             self._locate(report, position, self._stamp - before)
 
     def _locate(self, report: Report, position: Array, passed: float) -> None:
@@ -262,11 +264,14 @@ class Stream:
         now = self._clock.now()
         if self._holding and self._seen.state == "Run" and now - self._hold_sent > OVERHEARD:
             self._say_hold()
-        if now - self._asked >= (lookahead.POLL if self._answered else AGAIN):
-            self._talk.link.write(STATUS)
-            self._asked, self._answered = now, False
         if not self._holding:
             self._send(now)
+        # While lines are sent, most questions go with them; once all are, none does.
+        poll = lookahead.POLL if self._sent < self._count else lookahead.POLL / 2
+        if now - self._asked >= (poll if self._answered else AGAIN):
+            self._talk.link.write(STATUS)
+            self._asked_first = now if self._answered else self._asked_first
+            self._asked, self._answered = now, False
 
     def _send(self, now: float) -> None:
         """Lines within the window; a player that was suspended between two of them looks before it sends more."""
@@ -289,9 +294,10 @@ class Stream:
     def _write(self, copies: list[bytes], now: float) -> None:
         """Send the copies of the next line, with a question between them: there a lost ok shows."""
         first, *others = copies
-        ask = now - self._asked >= lookahead.POLL / 2 and self._answered
+        ask = self._answered
         if ask:
-            self._asked, self._answered = now, False
+            self._asked = self._asked_first = now
+            self._answered = False
         self._talk.link.write(first + STATUS * ask + b"".join(others))
         position = np.round(self._path.points[self._sent + 1], DECIMALS) if others else None
         seconds = float(self._path.ends[self._sent + 1] - self._path.ends[self._sent])
