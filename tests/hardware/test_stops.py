@@ -193,7 +193,7 @@ def test_an_override_is_named_with_its_value_and_when(tmp_path: Path) -> None:
 
     def seen(trajectory: Trajectory, progress: Progress) -> None:
         if trajectory.frames[0] == 1 and progress.time > 2.0:
-            world.firmware.receive(b"\x91" * 3)
+            world.firmware.receive(b"\x91" * 10)
 
     result = world.begin(seen=seen)
     assert result.outcome is Outcome.DEVICE_FAULT
