@@ -25,7 +25,7 @@ LATE_ANSWER_S = 0.2
 PASSED_S = 0.02
 """Time after which a question cannot overtake a line that was sent before it."""
 
-LASTING_S = 0.1
+LASTING_S = 0.06
 """Time for which answers may come later than the motion can bear, as after a short delay of the link."""
 
 STRANGE_S = 0.1
@@ -213,7 +213,10 @@ class Ledger:
         overdue = bool(waiting) and not any(each.dwells for each in waiting)
         late = self._overdue(waiting[0], self._due[self.acknowledged], now) if overdue else ""
         if overdue and not late and self._due[self.acknowledged] + PASSED_S < asked:
-            late = f"line {waiting[0].number} was not answered: a line or its `ok` was lost on the way"
+            late = (
+                f"line {waiting[0].number} was not answered: a line or its `ok` was lost on the way, or another "
+                "client has stopped the controller or keeps it waiting"
+            )
         if late or free is None or not line:
             return late
         blocks = self._blocks - free
