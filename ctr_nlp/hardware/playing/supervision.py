@@ -88,7 +88,10 @@ class Supervisor:
         if signs.said:
             return signs.said
         if signs.override is not None and signs.override != 100:
-            return f"the feed override is {signs.override:g} %, and must be 100 %: somebody, or a byte that was changed on the way, changed it"
+            return (
+                f"the feed override is {signs.override:g} %, and must be 100 %: somebody changed it, or a byte "
+                "was changed on the way"
+            )
         if signs.stalled > STALLED:
             cause = signs.cause or "replies or lines were lost"
             return f"nothing has moved for {signs.stalled:.2g} s, though the device was given more to do: {cause}"

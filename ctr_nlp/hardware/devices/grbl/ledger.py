@@ -156,7 +156,7 @@ class Ledger:
         if late <= self._patience:
             self._late_since = None
             return ""
-        self._late_since = now if self._late_since is None else self._late_since
+        self._late_since = now - late + self._patience if self._late_since is None else self._late_since
         if now - self._late_since <= LASTING_S:
             return ""
         return (
