@@ -220,6 +220,8 @@ class Ledger:
         if late or free is None or not line:
             return late
         blocks = self._blocks - free
+        if not blocks:  # the number is then that of the line that is being read, before it is planned or answered
+            return ""
         if not self._playing <= line < len(self._first_of) - 1:
             return self._strange(line, now)
         self._strange_since, self._playing = None, line
@@ -231,8 +233,6 @@ class Ledger:
                 f"{has}, though it has acknowledged none beyond line {newest}: lines or their `ok` were lost on "
                 "the way, or a line or this report was changed on the way"
             )
-        if not blocks:
-            return ""
         before = self._first_of[line]
         least, most = self._least[done] - self._least[before], self._most[done] - self._most[before]
         if blocks > most:

@@ -292,14 +292,18 @@ class Stream:
         self._filled = True
 
     def _write(self, copies: list[bytes], now: float) -> None:
-        """Send the copies of the next line, with a question between them: there a lost ok shows."""
-        first, *others = copies
+        """Send the copies of the next line, with a question within the last one: between answers a lost ok shows.
+
+        A controller takes questions out of lines as they arrive, and by then it has done with the line before.
+        """
+        *firsts, last = copies
+        half = len(last) // 2
         ask = self._answered
         if ask:
             self._asked = self._asked_first = now
             self._answered = False
-        self._talk.link.write(first + STATUS * ask + b"".join(others))
-        position = np.round(self._path.points[self._sent + 1], DECIMALS) if others else None
+        self._talk.link.write(b"".join(firsts) + last[:half] + STATUS * ask + last[half:])
+        position = np.round(self._path.points[self._sent + 1], DECIMALS) if firsts else None
         seconds = float(self._path.ends[self._sent + 1] - self._path.ends[self._sent])
         self._ledger.write(copies, position, seconds, now)
         self._sent, self._fed, self._next = self._sent + 1, now, []
