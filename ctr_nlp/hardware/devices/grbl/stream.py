@@ -46,7 +46,7 @@ SOFT_LIMIT = 2
 """The alarm of a line that leads beyond the soft limits."""
 
 BEFORE_ASKING = 20
-"""Bytes of a copy that are sent before the question in it: 1.7 ms at 115200 baud, in which the line before is read."""
+"""Bytes of a copy sent before the question in it: 1.7 ms at 115200 baud, in which the line before is read."""
 
 PATIENCE = (0.05, 0.06, 0.08, 0.1, 0.12, 0.15, 0.2)
 """s by which answers may come later for good than before the motion: the most of these that its pace bears.
