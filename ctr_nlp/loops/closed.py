@@ -84,7 +84,7 @@ def _run(
     shape, x = (np.array([getattr(moved, name) for moved in plant.history]) for name in ("shape", "x"))
     snapped = next((k for k, moved in enumerate(plant.history, start=1) if moved.jumps), 0)
     away = shape - plan.target
-    meant = plan.evaluated_on.follow(plan.robot, plan.q).x if tracker is None else tracker.way.x
+    meant = plan.evaluated_on.follow(plan.robot, plan.q).x if tracker is None else _meant(tracker, plan)
     lost = next((k for k, far in enumerate(_elsewhere(plan, x, meant), start=1) if far), 0)
     lost = min(lost, snapped) if lost and snapped else lost or snapped
     e2 = rms_over_sigma(np.linalg.norm(away, axis=-1))
@@ -94,6 +94,19 @@ def _run(
         return found
     stopped = tracker.state is State.STOPPED
     return replace(found, innovations=tuple(tracker.innovations), notes=tuple(tracker.notes), stopped=stopped)
+
+
+def _meant(tracker: Tracker, plan: Plan) -> Array:
+    """The unknowns (T, n_x) of the equilibria that the robot is meant to be in, frame by frame.
+
+    A robot that was stopped is meant to stay where it stands, and is compared with that from then on: else every
+    robot that is stopped in good time would count as lost as soon as the plan has gone on without it.
+    """
+    x = tracker.way.x
+    if tracker.state is not State.STOPPED:
+        return x
+    stopped = int(np.searchsorted(plan.time, tracker.notes[-1].time - 1e-9))
+    return np.concatenate([x[: stopped + 1], np.repeat(x[stopped : stopped + 1], len(x) - stopped - 1, axis=0)])
 
 
 def _elsewhere(plan: Plan, x: Array, meant: Array) -> Flags:

@@ -12,6 +12,7 @@ hypotheses: that the robot has fallen, or that a likely one near to it has not (
 from __future__ import annotations
 
 import copy
+import itertools
 import math
 from typing import NamedTuple
 
@@ -36,6 +37,10 @@ LIKELY = 0.5, 1.0, 1.5, 2.0, 3.0
 """Standard deviations away among which a robot is looked for that has not fallen where the estimated one has."""
 CERTAIN, FAR = 10.0, 5.0
 """Logarithm of the odds at which one of two hypotheses is dropped; deviations more than which count no more."""
+FITS = 3.0
+"""How many times nearer a reading is to another equilibrium than to the expected one once the robot has snapped."""
+EXCLUDED = 6.0
+"""Standard deviations, root mean square over values, beyond which a reading is not far off by chance."""
 TINY = 1e-300
 """What stands for 0 in a denominator."""
 
@@ -171,10 +176,59 @@ class Observer:
         for q in places:
             self._gone(q)
 
-    def ahead(self, places: Array) -> Observer:
-        """Return a copy of the estimate after its motors have passed places (n, 2d + 2)."""
+    def passes(self, q: Array) -> bool:
+        """Move the motors to q (2d + 2,), of which nothing is predicted, and return whether the robot snaps."""
+        self._walker = self.walker.copy()
+        return bool(self._gone(q)) or not np.isfinite(self._walker.x).all()
+
+    def weaker(self, of_margin: Array, deviations: float) -> Observer | None:
+        """Return the robot whose margin is so many standard deviations less, at the same motors.
+
+        Of all robots at that distance it is the most likely one. of_margin: slopes of the margin, as Predicted has
+        them. None where that robot would have snapped already.
+        """
+        slopes = self._signs_over * of_margin[self.differences.over]
+        spread = math.sqrt(max(float(slopes @ self.covariance @ slopes), TINY))
         found = copy.copy(self)
-        found.led(places)
+        found._walker = self.walker.copy()
+        found._shifted(-deviations / spread * (self.covariance @ slopes))
+        fell = found._become()
+        return None if fell or not np.isfinite(found._walker.x).all() else found
+
+    def elsewhere(self, reading: Reading) -> Array | None:
+        """Return the shape (n, 3), mm, at the predictor's places, in the equilibrium that a reading shows instead.
+
+        None where the reading is not far from what is expected, beyond chance, or where no other equilibrium at the
+        same motors comes nearer to it by FITS. The others are found as a tube that has snapped gets there: turned
+        by a whole turn against the rest.
+        """
+        innovation, d = self.judged(reading), self._d
+        away = _misfit(innovation.excess, innovation.expected)
+        if not away > EXCLUDED:
+            return None
+        found: Array | None = None
+        least = away / FITS
+        for turns in itertools.product((-1.0, 0.0, 1.0), repeat=d - 1):
+            tubes = self.tubes
+            tubes[: d - 1] += 2 * np.pi * np.array(turns)
+            walker = self._model.walker(self._structure, self._numbers, tubes)
+            if len(self.differences.forced):
+                walker.bear(self._load)
+            if not np.isfinite(walker.x).all():
+                continue
+            predicted, _ = self.at(walker)
+            misfit = _misfit(reading.values - self._measured(predicted)[0], innovation.expected)
+            if misfit < least:
+                found, least = predicted.points.copy(), misfit
+        self.predicted, self.margin = self.at(self.walker)  # the predictor overwrites what it returned before
+        return found
+
+    def ahead(self, places: Array) -> Observer:
+        """Return a copy of the estimate after its motors have passed places (n, 2d + 2), with its jumps, mm."""
+        found = copy.copy(self)
+        found._walker = None if self._walker is None else self._walker.copy()
+        for q in places:
+            found.jumps = found.jumps + found._gone(q)
         return found
 
     def _forked(self, stood: Walker, fell: list[Array], time: float) -> None:
@@ -214,13 +268,17 @@ class Observer:
     def _look(self, time: float) -> None:
         """Predict what is measured now."""
         self.predicted, self.margin = self.at(self.walker)
+        self._of_phi = self.predicted.of_phi.copy()
+        values, over = self._measured(self.predicted)
+        self._recalled = self._recalled.and_then(Record(time, values, over, self.mean))
+
+    def _measured(self, predicted: Predicted) -> tuple[Array, Array]:
+        """What sensors would tell of a shape (m,), and its slopes (m, k) over differences."""
         rows, signs, n = self.differences.over, self._signs_over[:, None, None], len(self._sensors.sigma)
-        points, tangents, of_points, of_tangents, of_phi, _ = self.predicted
-        self._of_phi = of_phi.copy()
+        points, tangents, of_points, of_tangents, *_ = predicted
         of_seen, of_turned = (signs * of[rows, :n] for of in (of_points, of_tangents))
         seen = Seen(points[:n], tangents[:n], of_seen, of_turned, float(self.q[2 * self._d - 1]))
-        values, over = self._sensors.values(seen).copy(), self._sensors.slopes(seen)
-        self._recalled = self._recalled.and_then(Record(time, values, over, self.mean))
+        return self._sensors.values(seen).copy(), self._sensors.slopes(seen)
 
     @property
     def _signs_over(self) -> Array:
@@ -311,3 +369,9 @@ class Observer:
         if fell or not np.isfinite(self._walker.x).all():
             self.__dict__.update(before)
             self.refused += 1
+
+
+def _misfit(excess: Array, expected: Array) -> float:
+    """Root mean square of excess (m,), NaN where a value is missing, in expected deviations (m,); 0 of none."""
+    known = np.isfinite(excess)
+    return float(np.sqrt(np.mean((excess[known] / expected[known]) ** 2))) if known.any() else 0.0

@@ -15,6 +15,7 @@ from ctr_nlp.loops.anew.way import PLACES, Outset, Way
 from ctr_nlp.loops.correction import Correction, Place
 from ctr_nlp.loops.differences import Differences
 from ctr_nlp.loops.doubts import Doubts
+from ctr_nlp.loops.lookahead import DEVIATIONS, LEAST_MARGIN, objection
 from ctr_nlp.loops.observer import Innovation, Observer
 from ctr_nlp.loops.prediction import Predicted, Predictor
 from ctr_nlp.loops.sensors import Reading, Sensors
@@ -40,6 +41,8 @@ THIN = 1000.0
 uncertain: there the plan decides whether robots survive, which was made for all of them."""
 NEAR = 0.3, 3.0, 0.1
 """How far corrections lead from the planned configuration: alpha and theta in rad, beta in mm."""
+EASED = 0.0, 0.5, 0.75, 1.0
+"""Parts of a correction that are left out, one after the other, where the robot might snap with the whole of it."""
 STOPS = 2.0
 """Standard deviations of the margin that must be left where sensors cannot be believed, or the robot stops."""
 BACK = 6
@@ -70,6 +73,10 @@ class Tracker:
     back to the plan, which decides whether robots survive. It tracks again after silence alone: a registration
     that has jumped may seem right again where little can be told apart. It stops where its margin is not safe by
     then, and after a snap.
+
+    Before anything is commanded, the estimated robot and a less stable one that is likely are moved there; see
+    :func:`~ctr_nlp.loops.lookahead.objection`. Where one would snap, less of the correction is commanded, and where
+    all of it must be left out and that does not help, the robot stops where it is.
     """
 
     def __init__(
@@ -113,7 +120,7 @@ class Tracker:
         self._doubts, self.state, self.notes = Doubts(), State.TRACKING, list[Note]()
         self._known, self._warned = deque[tuple[Array, Array]](maxlen=BACK), ""
         self.innovations = list[Innovation]()
-        self._silent, self._time = False, 0.0
+        self._silent, self._time, self._frame = False, 0.0, 0
         self._begun: float | None = None
 
     @property
@@ -126,6 +133,7 @@ class Tracker:
 
         frame, from 0, was just reached, with the motors at q (2d + 2,) at a time, s; readings: what arrived since.
         """
+        self._frame = frame
         self.observe(q, time, readings)
         if frame + 1 >= len(self.way.q):
             return q
@@ -176,7 +184,7 @@ class Tracker:
         self._passed.append(q)
         self.observer.moved(q, time)
         if self.observer.jumps and self.state is not State.STOPPED:
-            self._tell(State.STOPPED, "the robot has snapped, by what is known of it")
+            self._tell(State.STOPPED, f"the robot has snapped, by what is known of it, {self._where}")
         for reading in readings:
             self._read(reading)
         silent = self._doubts.silent(time, self._begun)
@@ -191,6 +199,10 @@ class Tracker:
     def _read(self, reading: Reading) -> None:
         """Believe a reading, or tell why not."""
         time = self._time
+        if self.state is not State.STOPPED:
+            self._look_for_snap(reading)
+        if self.state is State.STOPPED:
+            return
         seen, rates = self.observer.judged(reading), self.observer.rates(reading.time)
         why, outliers = self._doubts.looked(time, reading, seen, rates)
         self.innovations.append(seen)
@@ -212,6 +224,24 @@ class Tracker:
             self._known.append((self.observer.mean, self.observer.covariance))
             self.observer.measured(reading)
 
+    def _look_for_snap(self, reading: Reading) -> None:
+        """Stop where a reading shows the robot in another equilibrium than the estimated one."""
+        shape = self.observer.elsewhere(reading)
+        if shape is None:
+            return
+        tip = self._at.stop - 1
+        jump = float(np.linalg.norm(shape[tip] - self.observer.predicted.points[tip]))
+        self._tell(
+            State.STOPPED,
+            f"the robot has snapped {self._where}: what is measured fits another equilibrium, whose tip is "
+            f"{jump:.0f} mm from where commands should have led it",
+        )
+
+    @property
+    def _where(self) -> str:
+        """Near which frame the robot is, in words."""
+        return f"about frame {self._frame + 1}"
+
     def wanted(self, frame: int, last: int, ahead: Array, least: Array, most: Array) -> Array:
         """Where motors are best (2d + 2,), between least and most, in a frame, from 0, that has not begun.
 
@@ -219,7 +249,11 @@ class Tracker:
         the last of these belongs to, or where they are. A robot that is stopped stays.
         """
         there = self.observer.ahead(ahead)
+        self._frame = last
         if self.state is State.STOPPED:
+            return there.q
+        if len(there.jumps) > len(self.observer.jumps):
+            self._tell(State.STOPPED, f"the robot as it is estimated would snap on the way ahead {self._where}")
             return there.q
         off = there.tubes - there.q
         held, planned = self.state is State.HELD, self.way.q[frame]
@@ -232,10 +266,10 @@ class Tracker:
         predicted, margin = there.at(walker)
         deviation = there.deviation(predicted.of_margin)
         if held and margin - STOPS * deviation < 0:
-            self._tell(State.STOPPED, "what is uncertain of the robot exceeds its stability margin")
+            self._tell(State.STOPPED, f"what is uncertain of the robot exceeds its stability margin {self._where}")
             return there.q
         if held:
-            return start - off
+            return self._safest(there, predicted, frame, [start - off])
         at, safe = self._place(start, predicted, margin), MARGIN + UNCERTAIN * deviation
         least_margin = float(np.nan_to_num(np.fmin(self.way.stability[frame], safe)))
         thin = 1 - margin / safe if margin < safe else 0.0
@@ -244,7 +278,24 @@ class Tracker:
         tubes = self._correction(at, self.way.shape[frame], planned, low, high, least_margin, pull)
         motors = np.clip(there.motors(start if tubes is None else tubes), least, most)
         motors[self._betas] = np.maximum.accumulate(motors[self._betas])
-        return motors
+        uncorrected = np.clip(start - off, least, most)
+        return self._safest(there, predicted, frame, [motors + part * (uncorrected - motors) for part in EASED])
+
+    def _safest(self, there: Observer, predicted: Predicted, frame: int, candidates: Sequence[Array]) -> Array:
+        """The first of candidates (2d + 2,) that the robot may be moved to; where it is if it has to stop.
+
+        there: the estimated robot before it is moved to a frame, from 0. predicted: there, for slopes of the margin.
+        """
+        if np.isnan(there.margin):  # on this model nothing can snap
+            return candidates[0]
+        least_margin = min(LEAST_MARGIN, float(self.way.stability[frame]) / 2)
+        weaker, why = there.weaker(predicted.of_margin, DEVIATIONS), ""
+        for motors in candidates:
+            why = objection(there, weaker, motors, least_margin)
+            if not why:
+                return motors
+        self._tell(State.STOPPED, f"frame {frame + 1} is not commanded, and the robot stays {self._where}: {why}")
+        return there.q
 
     def _place(self, q: Array, predicted: Predicted, margin: float) -> Place:
         """The estimated robot with its tubes at q (2d + 2,)."""
