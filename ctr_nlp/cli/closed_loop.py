@@ -21,6 +21,7 @@ from ctr_nlp.hardware.sensing.opening import source_of
 from ctr_nlp.hardware.sensing.simulated import SimulatedRobot
 from ctr_nlp.loops.tracker import Note, Tracker
 from ctr_nlp.plan.plan import Plan
+from ctr_nlp.plan.verdicts import YES
 from ctr_nlp.typing import Array
 
 
@@ -78,6 +79,22 @@ def opened(plan: Plan, hardware: Hardware, records: list[dict[str, Any]] | None)
         yield loop
     finally:
         loop.close()
+
+
+def warn(plan: Plan) -> None:
+    """Say on stderr, before anything moves, that a plan is not known to hold on robots as they are built.
+
+    A closed loop corrects where the robot is, not how much stability a plan leaves it: one that was not made for
+    the tolerances is stopped where the estimated robot comes too near to a snap, mostly long before its end.
+    """
+    doubtful = [each for each in (plan.verdicts.stable, plan.verdicts.holds) if each.word != YES]
+    if not doubtful:
+        return
+    told = "; ".join(f"{each.matter}: {each.word} ({each.why.rstrip('.')})" for each in doubtful)
+    print_stderr(
+        f"warning: this plan is not known to keep robots from snapping. {told}. A closed loop does not mend "
+        "that: it stops, with exit status 1, where the robot as it is estimated might snap"
+    )
 
 
 def _told(note: Note) -> None:

@@ -38,7 +38,7 @@ LIKELY = 0.5, 1.0, 1.5, 2.0, 3.0
 CERTAIN, FAR = 10.0, 5.0
 """Logarithm of the odds at which one of two hypotheses is dropped; deviations more than which count no more."""
 FITS = 3.0
-"""How many times nearer a reading is to another equilibrium than to the expected one once the robot has snapped."""
+"""How many times nearer a reading is to another equilibrium than to the expected one of a snap."""
 EXCLUDED = 6.0
 """Standard deviations, root mean square over values, beyond which a reading is not far off by chance."""
 TINY = 1e-300
@@ -198,9 +198,9 @@ class Observer:
     def elsewhere(self, reading: Reading) -> Array | None:
         """Return the shape (n, 3), mm, at the predictor's places, in the equilibrium that a reading shows instead.
 
-        None where the reading is not far from what is expected, beyond chance, or where no other equilibrium at the
-        same motors comes nearer to it by FITS. The others are found as a tube that has snapped gets there: turned
-        by a whole turn against the rest.
+        None where chance may explain how far the reading is from what is expected, or where no other equilibrium
+        at the same motors comes nearer to it by FITS. The others are found as a tube that has snapped gets there:
+        turned by a whole turn against the rest.
         """
         innovation, d = self.judged(reading), self._d
         away = _misfit(innovation.excess, innovation.expected)

@@ -42,7 +42,7 @@ uncertain: there the plan decides whether robots survive, which was made for all
 NEAR = 0.3, 3.0, 0.1
 """How far corrections lead from the planned configuration: alpha and theta in rad, beta in mm."""
 EASED = 0.0, 0.5, 0.75, 1.0
-"""Parts of a correction that are left out, one after the other, where the robot might snap with the whole of it."""
+"""Parts of a correction that are left out, one after the other, where the robot might snap with all of it."""
 STOPS = 2.0
 """Standard deviations of the margin that must be left where sensors cannot be believed, or the robot stops."""
 BACK = 6
@@ -74,9 +74,9 @@ class Tracker:
     that has jumped may seem right again where little can be told apart. It stops where its margin is not safe by
     then, and after a snap.
 
-    Before anything is commanded, the estimated robot and a less stable one that is likely are moved there; see
-    :func:`~ctr_nlp.loops.lookahead.objection`. Where one would snap, less of the correction is commanded, and where
-    all of it must be left out and that does not help, the robot stops where it is.
+    Before anything is commanded, the estimated robot and a less stable one that is likely are moved there, as in
+    :func:`~ctr_nlp.loops.lookahead.objection`. Where one would snap, less of the correction is commanded, down to
+    nothing of it. Where that does not help, the robot stops where it is.
     """
 
     def __init__(
@@ -284,7 +284,7 @@ class Tracker:
     def _safest(self, there: Observer, predicted: Predicted, frame: int, candidates: Sequence[Array]) -> Array:
         """The first of candidates (2d + 2,) that the robot may be moved to; where it is if it has to stop.
 
-        there: the estimated robot before it is moved to a frame, from 0. predicted: there, for slopes of the margin.
+        there: the estimated robot before it is moved to a frame, from 0. predicted: for slopes of its margin.
         """
         if np.isnan(there.margin):  # on this model nothing can snap
             return candidates[0]

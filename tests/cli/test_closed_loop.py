@@ -191,6 +191,18 @@ def test_a_dry_run_tells_what_room_for_corrections_costs(plan: Path, capsys: pyt
     assert "largest part of an acceleration limit  0.5" in " ".join(told.split()).replace(" limit ", " limit  ")
 
 
+def test_a_plan_that_is_not_known_to_hold_is_warned_of_before_it_starts(
+    plan: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main([str(plan), "--dry-run", "--closed-loop", "--sensor", "simulated"]) == 0
+    (told,) = [line for line in capsys.readouterr().err.splitlines() if line.startswith("warning: ")]
+    assert "not known to keep robots from snapping" in told
+    assert "holds on built robots: NOT CHECKED" in told
+    assert "exit status 1" in told
+    assert main([str(plan), "--dry-run"]) == 0
+    assert "warning: " not in capsys.readouterr().err
+
+
 @pytest.mark.parametrize("seed", [0, 7])
 def test_the_simulated_robot_is_elastic_and_said_which_it_is(
     seed: int, plan: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]

@@ -176,6 +176,8 @@ def _ask_permission(arguments: argparse.Namespace, plan: Plan) -> None:
     waived = check_permission(
         plan, free_space=arguments.free_space, uncertified=arguments.uncertified, name=arguments.plan
     )
+    if arguments.closed_loop:
+        closed_loop.warn(plan)
     for verdict in waived:
         print_stderr(f"note: {verdict.matter}: {verdict.word}. {verdict.why}")
 
