@@ -37,6 +37,8 @@ LIKELY = 0.5, 1.0, 1.5, 2.0, 3.0
 """Standard deviations away among which a robot is looked for that has not fallen where the estimated one has."""
 CERTAIN, FAR = 10.0, 5.0
 """Logarithm of the odds at which one of two hypotheses is dropped; deviations more than which count no more."""
+WEAKER_STEPS = 10
+"""Steps in which the numbers of a less stable robot are reached from the estimated ones."""
 FITS = 3.0
 """How many times nearer a reading is to another equilibrium than to the expected one of a snap."""
 EXCLUDED = 6.0
@@ -189,11 +191,15 @@ class Observer:
         """
         slopes = self._signs_over * of_margin[self.differences.over]
         spread = math.sqrt(max(float(slopes @ self.covariance @ slopes), TINY))
+        change = -deviations / spread * (self.covariance @ slopes)
         found = copy.copy(self)
         found._walker = self.walker.copy()
-        found._shifted(-deviations / spread * (self.covariance @ slopes))
-        fell = found._become()
-        return None if fell or not np.isfinite(found._walker.x).all() else found
+        # In one step the new equilibrium may be missed, which looks like a snap.
+        for _ in range(WEAKER_STEPS):
+            found._shifted(change / WEAKER_STEPS)
+            if found._become() or not np.isfinite(found._walker.x).all():
+                return None
+        return found
 
     def elsewhere(self, reading: Reading) -> Array | None:
         """Return the shape (n, 3), mm, at the predictor's places, in the equilibrium that a reading shows instead.
