@@ -19,7 +19,7 @@ from ctr_nlp.typing import Array
 LEAST_MARGIN = 0.05
 """Stability margin of the estimated robot below which it is not moved; half of the planned one where that is less.
 """
-DEVIATIONS = 2.0
+DEVIATIONS = 3.0
 """Standard deviations of the margin by which a robot may be less stable than the estimated one and must not snap.
 """
 SUBSTEPS = 4

@@ -211,7 +211,7 @@ def test_where_doubt_exceeds_the_margin_it_stops_and_can_be_trusted(tmp_path: Pa
     loops = Loops(tmp_path, plan_through(q, PLAN.robot), faults=[Silence()])
     result = loops.begin()
     assert result.outcome is Outcome.PATH_TOLERANCE_VIOLATED
-    assert "exceeds its stability margin" in result.message
+    assert "standard deviations less stable would snap" in result.message
     assert result.trusted
     assert [note.state for note in loops.notes] == [tracker.State.HELD, tracker.State.STOPPED]
     assert loops.world.latest.state is State.FAULT
