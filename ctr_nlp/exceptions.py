@@ -5,7 +5,7 @@ import warnings
 from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any
 
-LONGEST, LEFT_OUT = 900, " [...] "
+LONGEST, LEFT_OUT = 2500, " [...] "
 """Letters of a message, and what stands for those in the middle of a longer one, such as a key of thousands."""
 LIKELY, NEAR = 2, 0.7
 """Words that a message offers at most, and how alike they must be to what was given (difflib)."""
