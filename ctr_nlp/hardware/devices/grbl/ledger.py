@@ -22,8 +22,9 @@ SURELY_STEPS = 1.5
 LATE_ANSWER_S = 0.2
 """Time within which a line is acknowledged that the controller can plan at once, beside what its bytes take."""
 
-PASSED_S = 0.02
-"""Time after which a question cannot overtake a line that was sent before it."""
+PASSED_S = 0.08
+"""Time after which a question cannot overtake a line that was sent before it: a controller takes questions as they
+arrive, and lines when it comes to them: milliseconds later, or more where a simulator is short of time."""
 
 LASTING_S = 0.06
 """Time for which answers may come later than the motion can bear, as after a short delay of the link."""
