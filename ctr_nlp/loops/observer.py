@@ -174,9 +174,19 @@ class Observer:
 
     def led(self, places: Array) -> None:
         """The motors pass places (n, 2d + 2), of which nothing is predicted."""
-        self._walker = None if self._walker is None else self._walker.copy()
+        self._part()
         for q in places:
             self._gone(q)
+
+    def _apart(self) -> Observer:
+        """Return a copy whose robot moves without moving this one's."""
+        found = copy.copy(self)
+        found._part()
+        return found
+
+    def _part(self) -> None:
+        """Go on with a walker of its own: copies of an observer share theirs."""
+        self._walker = None if self._walker is None else self._walker.copy()
 
     def passes(self, q: Array) -> bool:
         """Move the motors to q (2d + 2,), of which nothing is predicted, and return whether the robot snaps."""
@@ -192,12 +202,11 @@ class Observer:
         slopes = self._signs_over * of_margin[self.differences.over]
         spread = math.sqrt(max(float(slopes @ self.covariance @ slopes), TINY))
         change = -deviations / spread * (self.covariance @ slopes)
-        found = copy.copy(self)
-        found._walker = self.walker.copy()
+        found = self._apart()
         # In one step the new equilibrium may be missed, which looks like a snap.
         for _ in range(WEAKER_STEPS):
             found._shifted(change / WEAKER_STEPS)
-            if found._become() or not np.isfinite(found._walker.x).all():
+            if found._become() or not np.isfinite(found.walker.x).all():
                 return None
         return found
 
@@ -231,10 +240,9 @@ class Observer:
 
     def ahead(self, places: Array) -> Observer:
         """Return a copy of the estimate after its motors have passed places (n, 2d + 2), with its jumps, mm."""
-        found = copy.copy(self)
-        found._walker = None if self._walker is None else self._walker.copy()
+        found = self._apart()
         for q in places:
-            found.jumps = found.jumps + found._gone(q)
+            found._fallen(found._gone(q))
         return found
 
     def _forked(self, stood: Walker, fell: list[Array], time: float) -> None:
