@@ -13,6 +13,7 @@ from ctr_nlp.formulations.around import Beside
 from ctr_nlp.plan.measures import rms_over_sigma
 from ctr_nlp.plan.record import Record
 from ctr_nlp.plan.robustness import COSTLY, Robustness
+from ctr_nlp.robot import Robot
 from ctr_nlp.robot.draws import Draws, drawn, drawn_from
 from ctr_nlp.robot.tolerances import NAMES
 from ctr_nlp.simulation.drawn import DrawnMotion, drawn_motion
@@ -55,7 +56,7 @@ def _measured(plan: Record, draws: Draws, frames: Index) -> tuple[Any, ...]:
     margins = np.fmin(found.stability, found.stability_between)
     clearance = contact = np.full(len(draws), np.nan)
     if plan.lumen is not None:
-        least = Beside(Lumen(plan.lumen)).clearances(plan.robot, plan.beta, found.shape, SIGMA).min(axis=2)
+        least = clearances(plan.robot, Lumen(plan.lumen), plan.beta, found.shape)
         clearance, contact = np.fmin.reduce(least, axis=1), np.nansum(np.maximum(-least, 0.0), axis=1)
     return (
         *(
@@ -67,6 +68,29 @@ def _measured(plan: Record, draws: Draws, frames: Index) -> tuple[Any, ...]:
         *(np.fmin.reduce(margins, axis=1), clearance, contact),
         found.shape[:, frames, ::STRIDE].swapaxes(0, 1).astype(np.float32),
     )
+
+
+def clearances(robot: Robot, lumen: Lumen, beta: Array, shape: Array) -> Array:
+    """Find what robots leave of a lumen in every frame.
+
+    Parameters
+    ----------
+    robot : Robot
+        The nominal robot, whose tubes are as wide as theirs.
+    lumen : Lumen
+        Around them.
+    beta : ndarray
+        Extensions (T, d), mm.
+    shape : ndarray
+        Their shapes (n, T, 101, 3) at uniform sigma, mm.
+
+    Returns
+    -------
+    ndarray
+        Least distance of each body from the wall in each frame (n, T), mm; negative beyond the wall, NaN where a
+        robot has no shape.
+    """
+    return np.asarray(Beside(lumen).clearances(robot, beta, shape, SIGMA).min(axis=2))
 
 
 def _distance(plan: Record, found: DrawnMotion) -> Array:

@@ -67,6 +67,11 @@ class SampleOutcomes:
         return float(self.held.mean())
 
 
+def sample_contact_allowed(contact_allowed: float) -> float:
+    """Return how far a simulated robot may press into the wall, where the nominal one may by so much; both mm."""
+    return max(SAMPLE_CONTACT_ALLOWED_MM, contact_allowed)
+
+
 def sample_outcomes(plan: Record) -> SampleOutcomes:
     """Judge the simulated robots that a plan holds, by the thresholds among its options.
 
@@ -98,7 +103,7 @@ def sample_outcomes(plan: Record) -> SampleOutcomes:
         tip_error=np.linalg.norm(tips - plan.target[-1, -1], axis=-1),
         contact=np.maximum(-drawn.clearance, 0.0),
         arrival_tolerance=float(asked["arrival_tolerance"]),
-        contact_allowed=max(SAMPLE_CONTACT_ALLOWED_MM, float(asked["contact_allowed"])),
+        contact_allowed=sample_contact_allowed(float(asked["contact_allowed"])),
         walled=plan.lumen is not None,
     )
 

@@ -16,7 +16,7 @@ from ctr_nlp.plan.sample_outcomes import sample_outcomes
 from ctr_nlp.robot import Tolerances
 from ctr_nlp.steer.robust import held, solve_robust
 from ctr_nlp.steer.robust.held import Purpose
-from ctr_nlp.steer.robust.rounds import SAMPLES
+from ctr_nlp.steer.robust.trials import CERTIFYING, JOINING
 from ctr_nlp.target.curve import curve_from_formula, curve_from_points
 
 FRAMES, SEED = 12, 77
@@ -56,9 +56,7 @@ def test_more_samples_hold_once_failing_ones_have_joined(plans):
 def test_rounds_tell_what_holds_and_the_best_is_kept(plans):
     told = [one for one in plans[1].meta["rounds"] if one["held"] is not None]
     assert len(told) > 1
-    assert all(
-        later["scenarios"] <= earlier["scenarios"] + held.JOINING for earlier, later in itertools.pairwise(told)
-    )
+    assert all(later["scenarios"] <= earlier["scenarios"] + JOINING for earlier, later in itertools.pairwise(told))
     best = max(told, key=lambda one: one["held"])
     assert plans[1].meta["iterations"] == best["iterations"]
 
@@ -66,11 +64,11 @@ def test_rounds_tell_what_holds_and_the_best_is_kept(plans):
 def test_a_motion_is_judged_as_the_plan_of_it_is(plans):
     plan = plans[1]
     failing = Purpose(_problem(), MODELS["elastic"], Settings())(plan.q, 5)
-    judged = sample_outcomes(plan.with_draws(SAMPLES, held.SEED + 5))
+    judged = sample_outcomes(plan.with_draws(CERTIFYING, held.SEED + 5))
     assert failing.held == judged.share
     assert len(failing.offsets) == (~judged.held & ~judged.lost).sum()
     worst = np.nanargmax(np.fmax(judged.tip_error - 2.0, judged.contact - 1.0))
-    drawn = plan.with_draws(SAMPLES, held.SEED + 5).drawn
+    drawn = plan.with_draws(CERTIFYING, held.SEED + 5).drawn
     expected = _problem().robot.numbers[:, 3] * (1 + drawn.parts[worst, :, 0])
     np.testing.assert_allclose(failing.numbers[0, :, 3], expected, rtol=1e-9)
 

@@ -11,28 +11,24 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ctr_nlp.formulations.around import Beside
 from ctr_nlp.formulations.settings import Settings
 from ctr_nlp.models import Model
-from ctr_nlp.plan.sample_outcomes import SAMPLE_CONTACT_ALLOWED_MM, SampleOutcomes
+from ctr_nlp.plan.draws import clearances
+from ctr_nlp.plan.sample_outcomes import SampleOutcomes, sample_contact_allowed
 from ctr_nlp.robot.draws import Draws, drawn
 from ctr_nlp.simulation.drawn import drawn_motion
-from ctr_nlp.steer.robust.rounds import SAMPLES, Failing, Judge, Round, planned_again, solved_again
+from ctr_nlp.steer.robust.rounds import Failing, Judge, Round, planned_again, solved_again
+from ctr_nlp.steer.robust.trials import CERTIFYING, GROUP, JOINING
 from ctr_nlp.target.lumen import Lumen
 from ctr_nlp.target.problem import Problem
-from ctr_nlp.target.target import SIGMA
 from ctr_nlp.typing import Array, Flags
 
-JOINING = 6
-"""Failing robots that join the scenarios in one round, at most, the worst first."""
 ROUNDS = 3
 """Times that a motion is planned again for robots that fail."""
 HOPELESS = 0.8
 """Share that has to hold at first. Below, the robot cannot have all that is asked: the trade-off is reported."""
 SEED = 2**41
 """From which seeds of the robots count on: others than those that motions are tried for losses with."""
-GROUP = 50
-"""Robots whose whole shapes are in memory at once."""
 
 
 @dataclass(frozen=True)
@@ -69,16 +65,16 @@ class Purpose:
             Those that miss the target's end or press into the wall, by what they exceed the limit by.
         """
         robot = self.problem.robot
-        # Each motion is judged by robots of its own: planned for, the last ones would say too much good of it.
-        draws = drawn(robot, SAMPLES, SEED + number)
-        groups = [self._fate(q, draws[first : first + GROUP]) for first in range(0, SAMPLES, GROUP)]
+        # Each motion is judged by robots of its own: the last ones have been planned for, and would flatter it.
+        draws = drawn(robot, CERTIFYING, SEED + number)
+        groups = [self._fate(q, draws[first : first + GROUP]) for first in range(0, CERTIFYING, GROUP)]
         lost, tip_error, contact = (np.concatenate(each) for each in zip(*groups, strict=True))
         fate = SampleOutcomes(
             lost,
             tip_error,
             contact,
             self.settings.arrival_tolerance,
-            max(SAMPLE_CONTACT_ALLOWED_MM, self.settings.contact_allowed),
+            sample_contact_allowed(self.settings.contact_allowed),
             self._lumen is not None,
         )
         # The larger of both, mm; fmax ignores the contact that is NaN without a wall.
@@ -104,10 +100,8 @@ class Purpose:
         contact = np.full(len(draws), np.nan)
         if lumen is not None:
             beta = q[:, problem.robot.d : 2 * problem.robot.d]
-            left = Beside(lumen).clearances(problem.robot, beta, found.shape, SIGMA)
-            # Least clearance over all frames and samples; fmin ignores samples that are NaN. Negative clearance is
-            # depth.
-            contact = np.maximum(-np.fmin.reduce(left, axis=(1, 2)), 0.0)
+            # Least clearance over all frames; fmin ignores frames that are NaN. Negative clearance is depth.
+            contact = np.maximum(-np.fmin.reduce(clearances(problem.robot, lumen, beta, found.shape), axis=1), 0.0)
         return found.lost > 0, tip_error, contact
 
 

@@ -19,7 +19,7 @@ from ctr_nlp.solvers.scenarios.interior import COARSE
 from ctr_nlp.steer.motions import filled
 from ctr_nlp.steer.realised import GIVEN, MOST
 from ctr_nlp.steer.robust.search import BARRIER, RobustSearch, Tried
-from ctr_nlp.steer.robust.trials import JOINING, Lost
+from ctr_nlp.steer.robust.trials import CERTIFYING, JOINING, Lost
 from ctr_nlp.typing import Array, Index
 
 PUSHES = 1.5, 1.2, 1.0
@@ -34,12 +34,8 @@ AFFECTED = 0.1
 """Estimate of how far, in rad and in margin, that moves joined robots away from their limits: times the price of
 these limits, it is what may be gained.
 """
-
-
-SAMPLES = 200
-"""Number of simulated robots that a motion is judged on."""
 FAILING_ALLOWED = 2
-"""Number of these that may fail: a plan with 4 of 200 fresh robots that fail is just certified."""
+"""Number of CERTIFYING robots that may fail on a motion: a plan with 4 of 200 fresh ones is just certified."""
 
 Judge = Callable[[Array, int, bool], Lost]
 """(q (T, 2d + 2), number of a motion, whether it is a draft) -> the robots lost on it of those drawn for it."""
@@ -65,7 +61,7 @@ class Failing(NamedTuple):
     @property
     def enough(self) -> bool:
         """Whether so many hold that the motion will most likely be certified."""
-        return self.held >= 1 - FAILING_ALLOWED / SAMPLES
+        return self.held >= 1 - FAILING_ALLOWED / CERTIFYING
 
 
 class Round(NamedTuple):
