@@ -90,7 +90,7 @@ def warn(plan: Plan) -> None:
     doubtful = [each for each in (plan.verdicts.stable, plan.verdicts.holds) if each.word != YES]
     if not doubtful:
         return
-    told = "; ".join(f"{each.matter}: {each.word} ({each.why.rstrip('.')})" for each in doubtful)
+    told = "; ".join(each.with_reason for each in doubtful)
     print_stderr(
         f"warning: this plan is not known to keep robots from snapping. {told}. A closed loop does not mend "
         "that: it stops, with exit status 1, where the robot as it is estimated might snap"

@@ -14,6 +14,9 @@ from ctr_nlp.hardware.motion.lookahead import steady_speed
 from ctr_nlp.robot import Robot
 from ctr_nlp.typing import Array
 
+LETTERS = "XYZABCUVW"
+"""Letters of axes, in the order in which Grbl numbers their settings."""
+
 UNITS = {"beta": {"mm": 1.0}, "alpha": {"deg": math.degrees(1.0), "rad": 1.0}}
 """What an axis may count in, by what it moves, and how much of that a mm or a rad is."""
 
@@ -44,7 +47,7 @@ class Axis:
             raise HardwareError(f"joint of an axis is {self.joint!r}; it must be alpha_i or beta_i, with i from 1")
         if self.unit not in UNITS[kind]:
             raise HardwareError(f"unit of {self.joint} is {self.unit!r}; it must be {' or '.join(UNITS[kind])}")
-        if not (isinstance(self.letter, str) and len(self.letter) == 1 and self.letter in "XYZABCUVW"):
+        if not (isinstance(self.letter, str) and len(self.letter) == 1 and self.letter in LETTERS):
             raise HardwareError(f"letter of {self.joint} is {self.letter!r}; it must be one of X Y Z A B C U V W")
         if isinstance(self.sign, bool) or self.sign not in (-1, 1):
             raise HardwareError(f"sign of {self.joint} is {self.sign!r}; it must be 1 or -1")

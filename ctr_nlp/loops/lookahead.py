@@ -61,7 +61,7 @@ def objection(observer: Observer, weaker: Observer | None, motors: Array, least_
 
 def _least_margin(observer: Observer, motors: Array) -> float:
     """The least stability margin on the way to motors (2d + 2,); -inf where the robot snaps."""
-    there, start, least = observer.ahead(motors[None][:0]), observer.q, math.inf
+    there, start, least = observer.apart(), observer.q, math.inf
     for part in np.arange(1, SUBSTEPS + 1) / SUBSTEPS:
         if there.passes(start + part * (motors - start)):
             return -math.inf

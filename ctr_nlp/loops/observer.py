@@ -178,7 +178,7 @@ class Observer:
         for q in places:
             self._gone(q)
 
-    def _apart(self) -> Observer:
+    def apart(self) -> Observer:
         """Return a copy whose robot moves without moving this one's."""
         found = copy.copy(self)
         found._part()
@@ -189,9 +189,11 @@ class Observer:
         self._walker = None if self._walker is None else self._walker.copy()
 
     def passes(self, q: Array) -> bool:
-        """Move the motors to q (2d + 2,), of which nothing is predicted, and return whether the robot snaps."""
-        self._walker = self.walker.copy()
-        return bool(self._gone(q)) or not np.isfinite(self._walker.x).all()
+        """Move the motors to q (2d + 2,), of which nothing is predicted, and return whether the robot snaps.
+
+        For an observer that is apart: copies that are not share a walker, which moves.
+        """
+        return bool(self._gone(q)) or not np.isfinite(self.walker.x).all()
 
     def weaker(self, of_margin: Array, deviations: float) -> Observer | None:
         """Return the robot whose margin is so many standard deviations less, at the same motors.
@@ -202,7 +204,7 @@ class Observer:
         slopes = self._signs_over * of_margin[self.differences.over]
         spread = math.sqrt(max(float(slopes @ self.covariance @ slopes), TINY))
         change = -deviations / spread * (self.covariance @ slopes)
-        found = self._apart()
+        found = self.apart()
         # In one step the new equilibrium may be missed, which looks like a snap.
         for _ in range(WEAKER_STEPS):
             found._shifted(change / WEAKER_STEPS)
@@ -240,7 +242,7 @@ class Observer:
 
     def ahead(self, places: Array) -> Observer:
         """Return a copy of the estimate after its motors have passed places (n, 2d + 2), with its jumps, mm."""
-        found = self._apart()
+        found = self.apart()
         for q in places:
             found._fallen(found._gone(q))
         return found

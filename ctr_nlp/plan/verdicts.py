@@ -57,6 +57,11 @@ class Verdict(NamedTuple):
     why: str
     value: str = ""
 
+    @property
+    def with_reason(self) -> str:
+        """The check, its word and the reason, as in "stable: no (The least margin is 0.02.)", without the stop."""
+        return f"{self.matter}: {self.word} ({self.why.rstrip('.')})"
+
 
 class Verdicts(NamedTuple):
     """All verdicts on one plan, see docs/concepts/verdicts.md.

@@ -19,6 +19,7 @@ from ctr_nlp.cli.output.file import path_component
 from ctr_nlp.cli.play_report import JOURNAL, claim, print_trajectory, report
 from ctr_nlp.cli.telling import print_stderr, progress_bar
 from ctr_nlp.exceptions import DeviceFault, OptionError
+from ctr_nlp.hardware.axis import LETTERS
 from ctr_nlp.hardware.clock import RealClock
 from ctr_nlp.hardware.description import Hardware, bench
 from ctr_nlp.hardware.devices import Progress
@@ -102,9 +103,6 @@ def _parser(prog: str) -> argparse.ArgumentParser:
     add_live_option(parser, "the robot where its axes are, over where they should be (the tilt as commanded),")
     return parser
 
-
-AXES = "XYZABCUVW"
-"""Letters in the order in which Grbl numbers the settings of its axes."""
 
 EXCLUDED = {
     "resume": ("home", "tempo", "dry_run"),
@@ -197,7 +195,7 @@ def _note_loose(hardware: Hardware) -> None:
     """Name on stderr what bounds a changed line less than it could, as the controller was commissioned."""
     if hardware.commissioned is None:
         return
-    columns = [AXES.index(axis.letter) for axis in hardware.axes]
+    columns = [LETTERS.index(axis.letter) for axis in hardware.axes]
     for one in loose(hardware.commissioned, columns, hardware):
         print_stderr(f"note: {one}, or type set in `ctr-nlp commission`")
 

@@ -46,15 +46,13 @@ FOLLOWED_BY = 3
 class Written(NamedTuple):
     """A line that was sent.
 
-    number: N of it, from 1. size: bytes. seconds: duration of the motion. least, most: blocks of the planner that
-    it takes. last: whether no other copy of it follows. dwells: whether it waits, and is acknowledged after that.
+    number: N of it, from 1. size: bytes. seconds: duration of the motion. last: whether no other copy of it
+    follows. dwells: whether it waits, and is acknowledged after that.
     """
 
     number: int
     size: int
     seconds: float
-    least: int
-    most: int
     last: bool
     dwells: bool
 
@@ -115,13 +113,13 @@ class Ledger:
             least = int((gone / self._resolution).max() >= SURELY_STEPS)
             self._there = position
         for i, text in enumerate(texts):
-            first, last = i == 0, i == len(texts) - 1
-            line = Written(number, len(text), seconds, least * first, most * first, last, position is None)
+            line = Written(number, len(text), seconds, i == len(texts) - 1, position is None)
             self._written.append(line)
             self.in_flight += line.size
             self._due.append(self._time_due(now))
-            self._least.append(self._least[-1] + line.least)
-            self._most.append(self._most[-1] + line.most)
+            # Only the first copy moves anything, and so takes a block of the planner.
+            self._least.append(self._least[-1] + least * (i == 0))
+            self._most.append(self._most[-1] + most * (i == 0))
         self._first_of.append(len(self._written))
 
     def acknowledge(self, now: float) -> str:
