@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from ctr_nlp.calibration.calibration import Calibration, calibrate
     from ctr_nlp.calibration.measurements import Measurements
     from ctr_nlp.calibration.reading import read_measurements
-    from ctr_nlp.codesign.groups import divided, suited
+    from ctr_nlp.codesign.groups import assign_to_robots, divide_problems
     from ctr_nlp.codesign.stock import StockTube, read_stock
     from ctr_nlp.codesign.together import Design, design
     from ctr_nlp.exceptions import CtrError
@@ -65,12 +65,13 @@ __all__ = [
     "Tube",
     "WallForces",
     "__version__",
+    "assign_to_robots",
     "by_frame",
     "calibrate",
     "curve_from_formula",
     "curve_from_points",
     "design",
-    "divided",
+    "divide_problems",
     "forces",
     "growing",
     "plan_through",
@@ -90,7 +91,6 @@ __all__ = [
     "solve_per_frame",
     "solve_robust",
     "solve_robust_per_frame",
-    "suited",
     "summary",
     "table_i_robot",
     "wall_forces",
@@ -98,7 +98,7 @@ __all__ = [
 
 _HOMES = {
     "anatomy.problem_files": ("problem_from_file", "read_csv"),
-    "codesign.groups": ("divided", "suited"),
+    "codesign.groups": ("divide_problems", "assign_to_robots"),
     "calibration.calibration": ("Calibration", "calibrate"),
     "calibration.measurements": ("Measurements",),
     "calibration.reading": ("read_measurements",),

@@ -5,13 +5,13 @@ import warnings
 from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any
 
-LONGEST, LEFT_OUT = 2500, " [...] "
+MAX_MESSAGE_LENGTH, LEFT_OUT = 2500, " [...] "
 """Letters of a message, and what stands for those in the middle of a longer one, such as a key of thousands."""
-LIKELY, NEAR = 2, 0.7
+MAX_SUGGESTIONS, MIN_SUGGESTION_SIMILARITY = 2, 0.7
 """Words that a message offers at most, and how alike they must be to what was given (difflib)."""
 
 
-def escaped(text: str) -> str:
+def escape_control_characters(text: str) -> str:
     r"""Escape what a terminal, a page or a reader would obey instead of showing it.
 
     Parameters
@@ -37,11 +37,11 @@ class CtrError(Exception):
     """Base of every error that ctr_nlp raises itself. Its message is one line, whatever it quotes from a file."""
 
     def __str__(self) -> str:
-        said = escaped(super().__str__())
-        if len(said) <= LONGEST:
+        said = escape_control_characters(super().__str__())
+        if len(said) <= MAX_MESSAGE_LENGTH:
             return said
         # what is wrong stands at the beginning, and what is allowed at the end; in between is what a file holds
-        half = (LONGEST - len(LEFT_OUT)) // 2
+        half = (MAX_MESSAGE_LENGTH - len(LEFT_OUT)) // 2
         return f"{said[:half]}{LEFT_OUT}{said[-half:]}"
 
 
@@ -105,10 +105,15 @@ class JournalError(CtrError):
     """A journal that cannot be written, or cannot be read back."""
 
 
-def meant(given: object, allowed: Iterable[str]) -> str:
+def suggest_names(given: object, allowed: Iterable[str]) -> str:
     """A sentence for the end of a message: what of that allowed is nearly what was given; "" where nothing is."""
     bare = {word.lstrip("-"): word for word in allowed}  # dashes would make all options alike
-    near = [bare[word] for word in difflib.get_close_matches(str(given).lstrip("-"), bare, LIKELY, NEAR)]
+    near = [
+        bare[word]
+        for word in difflib.get_close_matches(
+            str(given).lstrip("-"), bare, MAX_SUGGESTIONS, MIN_SUGGESTION_SIMILARITY
+        )
+    ]
     return f". Did you mean {' or '.join(map(repr, near))}?" if near else ""
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 
 import ctr_nlp as ctr
-from ctr_nlp.simulation.forward import simulated
+from ctr_nlp.simulation.forward import simulate_motion
 
 DT, SIGMA = 0.1, np.linspace(0, 1, 101)
 """Seconds from one target to the next, and places along a shape."""
@@ -25,6 +25,8 @@ for number in range(1, 31):
     points = path.point(SIGMA * path.length)  # (101, 3) in mm
     q = steerer.step(points)  # within the robot's limits of speed; some 0.1 ms where it is compiled
     if number % 5 == 0:
-        shape = simulated(robot, q[None], "elastic").shape[0]  # (101, 3) in mm, of tubes that twist each other
+        shape = simulate_motion(robot, q[None], "elastic").shape[
+            0
+        ]  # (101, 3) in mm, of tubes that twist each other
         error = np.sqrt(np.mean(np.sum((shape - points) ** 2, axis=1)))
         print(f"{number * DT:.1f} s: error {error:.2f} mm, tubes out by {q[3]:.0f}, {q[4]:.0f} and {q[5]:.0f} mm")

@@ -40,6 +40,9 @@ if __name__ == "__main__":
         jobs = int(sys.argv[3]) if len(sys.argv) > 3 else 8
         cluster.adapt(minimum_jobs=jobs, maximum_jobs=jobs)  # what ends is submitted again
         ctr.run_study(
-            study, folder, client, seen=lambda progress: print(f"{progress.done} of {progress.total}", flush=True)
+            study,
+            folder,
+            client,
+            callback=lambda progress: print(f"{progress.done} of {progress.total}", flush=True),
         )
     print(ctr.Results(folder).frame().groupby("problem")["e3"].describe())

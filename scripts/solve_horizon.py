@@ -2,7 +2,7 @@
 
 import sys
 
-from ctr_nlp.cli.main import HORIZON, script
+from ctr_nlp.cli.main import HORIZON_ENTRY, script
 
 if __name__ == "__main__":
-    sys.exit(script(HORIZON))
+    sys.exit(script(HORIZON_ENTRY))

@@ -14,7 +14,7 @@ from ctr_nlp.hardware.axis import Axis
 from ctr_nlp.hardware.description import Connection, Hardware
 from ctr_nlp.hardware.devices.grbl.device import Grbl
 from ctr_nlp.hardware.emulator.firmware import Firmware
-from ctr_nlp.hardware.emulator.wire import Fault, VirtualClock, Wire
+from ctr_nlp.hardware.emulator.wire import VirtualClock, Wire, WireFault
 from ctr_nlp.hardware.journal import Journal, read_journal
 from ctr_nlp.hardware.link import RecordedLink
 from ctr_nlp.hardware.motion.trajectory import Trajectory
@@ -22,7 +22,7 @@ from ctr_nlp.hardware.playing.playback import Seen
 from ctr_nlp.hardware.playing.player import Player
 from ctr_nlp.hardware.playing.results import Result
 from ctr_nlp.hardware.playing.retract import retract
-from ctr_nlp.hardware.playing.session import begin, prepared, resume
+from ctr_nlp.hardware.playing.session import play_plan, prepare_trajectory, resume
 from ctr_nlp.hardware.playing.trust import Memory, Remembered
 from ctr_nlp.plan.plan import Plan
 from ctr_nlp.simulation.forward import shapes, tangents
@@ -141,9 +141,9 @@ class World:
 
     def trajectory(self) -> Trajectory:
         """What is played."""
-        return prepared(self.plan, self.hardware)[0]
+        return prepare_trajectory(self.plan, self.hardware)[0]
 
-    def player(self, faults: tuple[Fault, ...] = ()) -> Player:
+    def player(self, faults: tuple[WireFault, ...] = ()) -> Player:
         """A new session's."""
         journal = Journal(self.path, self.clock)
 
@@ -166,10 +166,10 @@ class World:
         self.memory(self.state).write(player.device.identity, Remembered(True))
         player.close()
 
-    def begin(self, faults: tuple[Fault, ...] = (), **options: Any) -> Result:
+    def begin(self, faults: tuple[WireFault, ...] = (), **options: Any) -> Result:
         """Play from the first frame."""
         self.latest = self.player(faults)
-        return begin(self.latest, self.plan, self.hardware, **options)
+        return play_plan(self.latest, self.plan, self.hardware, **options)
 
     def retract(self, known: bool = True, **options: Any) -> Result:
         """Pull the tubes back, by the journal where that is known."""
@@ -177,16 +177,18 @@ class World:
         self.latest = self.player()
         return retract(self.latest, self.plan, self.hardware, records, **options)
 
-    def resume(self, faults: tuple[Fault, ...] = (), verified: bool = False, seen: Seen | None = None) -> Result:
+    def resume(
+        self, faults: tuple[WireFault, ...] = (), verified: bool = False, seen: Seen | None = None
+    ) -> Result:
         """Go on."""
         records = read_journal(self.path)
         self.latest = self.player(faults)
-        return resume(self.latest, self.plan, self.hardware, records, verified=verified, seen=seen)
+        return resume(self.latest, self.plan, self.hardware, records, verified=verified, callback=seen)
 
     def frames_played(self, within: float = 2e-4) -> list[int]:
         """Which frames' positions the controller finished lines at, to so many mm and deg, in order."""
         at_frames = np.round(self.trajectory().positions(self.trajectory().frame_time), 4)
-        ends = np.array([target for _, target in self.firmware.executed]).reshape(-1, 6)
+        ends = np.array([target for _, target in self.firmware.executed_blocks]).reshape(-1, 6)
         order = [self.hardware.letters.index(letter) for letter in "XYZABC"]
         away = abs(ends[:, None, :] - at_frames[None, :, order]).max(axis=2)
         return [int(j) + 1 for row in away for j in np.flatnonzero(row < within)]

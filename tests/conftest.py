@@ -13,8 +13,8 @@ import pytest
 from hypothesis import HealthCheck, settings
 
 from ctr_nlp import Problem, Robot, curve_from_formula, growing, table_i_robot
-from ctr_nlp.codegen.language import QUICK
-from ctr_nlp.support.pool import THREADS
+from ctr_nlp.codegen.language import QUICK_COMPILE_VARIABLE
+from ctr_nlp.support.pool import BLAS_THREAD_VARIABLES
 
 LONGEST = {"test_docs.py"}
 """Files that keep a process busy for as long as several others do."""
@@ -33,8 +33,8 @@ def pytest_configure(config: pytest.Config) -> None:
     os.environ["CTR_NLP_CACHE"] = str(Path(folder.name, "cache"))
     os.environ["CTR_NLP_STATE"] = str(Path(folder.name, "state"))
     os.environ.setdefault("CTR_NLP_COMPILE", "now")
-    os.environ.setdefault(QUICK, "1")
-    for name in THREADS:
+    os.environ.setdefault(QUICK_COMPILE_VARIABLE, "1")
+    for name in BLAS_THREAD_VARIABLES:
         os.environ.setdefault(name, "1")
 
 

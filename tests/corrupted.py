@@ -20,7 +20,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from malformed import EXAMPLES, RIG, ROBOT, legacy_vtk, markups, mask, plan, plan_entries, table
 
-from ctr_nlp.plan.record import DIGEST, SHAPES, digest
+from ctr_nlp.plan.record import DIGEST, PLAN_ARRAY_SHAPES, digest
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -97,7 +97,7 @@ def plan_bytes(entries: dict[str, Any], compressed: bool = True) -> bytes:
 def sealed(entries: dict[str, Any]) -> dict[str, Any]:
     """The entries with the digest that belongs to them."""
     meta = json.dumps(entries["meta"])
-    arrays = {name: np.asarray(value) for name, value in entries.items() if name in SHAPES}
+    arrays = {name: np.asarray(value) for name, value in entries.items() if name in PLAN_ARRAY_SHAPES}
     return {DIGEST: np.array(digest(arrays, meta)), **entries, "meta": meta}
 
 
@@ -112,7 +112,7 @@ def drawn_entries() -> dict[str, Any]:
 def _drawn() -> bytes:
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "plan.npz"
-        plan().with_draws(3, 1).save(path)
+        plan().with_samples(3, 1).save(path)
         return path.read_bytes()
 
 

@@ -14,14 +14,14 @@ from near_fold import plan_through
 from ctr_nlp.hardware.axis import Axis
 from ctr_nlp.hardware.description import Connection, Hardware
 from ctr_nlp.hardware.emulator.firmware import Firmware
-from ctr_nlp.hardware.emulator.wire import Fault as WireFault
-from ctr_nlp.hardware.guiding.loop import ClosedLoop, begun_with, known_of
-from ctr_nlp.hardware.guiding.replay import Replay, replayed
+from ctr_nlp.hardware.emulator.wire import WireFault as WireFault
+from ctr_nlp.hardware.guiding.loop import ClosedLoop, final_estimate, initial_estimate
+from ctr_nlp.hardware.guiding.replay import Replay, replay_session
 from ctr_nlp.hardware.journal import read_journal
 from ctr_nlp.hardware.playing.results import Result
-from ctr_nlp.hardware.playing.session import begin, resume
+from ctr_nlp.hardware.playing.session import play_plan, resume
 from ctr_nlp.hardware.sensing.simulated import SimulatedRobot
-from ctr_nlp.loops.feed import Fault
+from ctr_nlp.loops.feed import SensorFault
 from ctr_nlp.loops.tracker import Note, Tracker
 from ctr_nlp.plan.plan import Plan
 
@@ -48,34 +48,34 @@ def roomy() -> Firmware:
 class Loops:
     """A world whose plan is played in closed loops, one session after the other; notes: what was told."""
 
-    def __init__(self, folder: Path, plan: Plan, seed: int = 1, faults: Sequence[Fault] = ()) -> None:
+    def __init__(self, folder: Path, plan: Plan, seed: int = 1, faults: Sequence[SensorFault] = ()) -> None:
         self.world = World(folder, plan, two_tubes(), roomy())
         self.seed, self.faults, self.notes = seed, faults, list[Note]()
 
     def loop(self, known: Any = None) -> ClosedLoop:
         """Another one, of the same robot."""
         self.robot = SimulatedRobot(self.world.plan, SENSORS, self.seed, self.faults)
-        return ClosedLoop(Tracker(self.world.plan, SENSORS, known=known), self.robot, self.notes.append)
+        return ClosedLoop(Tracker(self.world.plan, SENSORS, prior=known), self.robot, self.notes.append)
 
     def begin(self, wire: tuple[WireFault, ...] = (), seen: Callable[..., None] | None = None) -> Result:
         """Play from the first frame."""
         self.world.latest = self.world.player(wire)
         self.latest = self.loop()
-        return begin(self.world.latest, self.world.plan, self.world.hardware, seen=seen, loop=self.latest)
+        return play_plan(self.world.latest, self.world.plan, self.world.hardware, callback=seen, loop=self.latest)
 
     def resume(self, seen: Callable[..., None] | None = None) -> Result:
         """Go on."""
         records = read_journal(self.world.path)
         self.world.latest = self.world.player()
-        self.latest = self.loop(known_of(records))
+        self.latest = self.loop(final_estimate(records))
         world = self.world
-        return resume(world.latest, world.plan, world.hardware, records, seen=seen, loop=self.latest)
+        return resume(world.latest, world.plan, world.hardware, records, callback=seen, loop=self.latest)
 
     def replayed(self) -> Replay:
         """The last session again, from its journal."""
         records = read_journal(self.world.path)
-        tracker = Tracker(self.world.plan, SENSORS, known=begun_with(records))
-        return replayed(self.world.plan, self.world.hardware, records, tracker)
+        tracker = Tracker(self.world.plan, SENSORS, prior=initial_estimate(records))
+        return replay_session(self.world.plan, self.world.hardware, records, tracker)
 
     def away(self) -> float:
         """Root mean square distance of the robot's shapes from the planned ones where it was as long, mm."""

@@ -7,13 +7,13 @@ from near_fold import LONG, plan_through
 
 from ctr_nlp import Limits, Tolerances
 from ctr_nlp.loops.sensors import Sensors
-from ctr_nlp.loops.sensors.points import ShapePoints, TipPosition
-from ctr_nlp.robot.draws import drawn
+from ctr_nlp.loops.sensors.points import ShapePointSensor, TipPositionSensor
+from ctr_nlp.robot.draws import sample_robots
 
 FRAMES = 40
 OFF = Tolerances(0.1, 0.1, motor_zero=0.05)
 ROBOT = replace(LONG, limits=Limits(alpha_speed=2.0, beta_speed=30.0, theta_speed=1.0), tolerances=OFF)
-SENSORS = Sensors(TipPosition(0.5), ShapePoints((1 / 3, 2 / 3), 0.5))
+SENSORS = Sensors(TipPositionSensor(0.5), ShapePointSensor((1 / 3, 2 / 3), 0.5))
 
 
 def made_plan():
@@ -24,4 +24,4 @@ def made_plan():
 
 
 def robots(count, seed=1, tolerances=OFF):
-    return drawn(replace(ROBOT, tolerances=tolerances), count, seed)
+    return sample_robots(replace(ROBOT, tolerances=tolerances), count, seed)

@@ -3,12 +3,12 @@
 from pathlib import Path
 
 from ctr_nlp import problems
-from ctr_nlp.problems import named
+from ctr_nlp.problems import named_problem
 
-NAMES = list(problems.NAMES)
+NAMES = list(problems.PROBLEM_NAMES)
 ROOT = Path(__file__).resolve().parents[1]
 
-__all__ = ["NAMES", "ROOT", "named"]
+__all__ = ["NAMES", "ROOT", "named_problem"]
 
 
 UNJUDGED = (

@@ -6,7 +6,7 @@ import casadi as ca
 import numpy as np
 
 from ctr_nlp.nlp.chain import Chain
-from ctr_nlp.nlp.links import Link, differences
+from ctr_nlp.nlp.links import FrameLink, differences
 from ctr_nlp.nlp.nlp import Constraint, Nlp, Residual
 from ctr_nlp.typing import Array
 
@@ -81,7 +81,7 @@ def bent(ends: bool = True, as_unknown: bool = False, frames: int = 6) -> Chain:
         known = before * order, after * (order - 1)
         matrix, offset, frame, axis = differences(frames, order, *known, 3)
         cost = COST / order**2
-        links.append(Link(f"order {order}", matrix, offset, -most[axis], most[axis], cost[axis], frame, axis))
+        links.append(FrameLink(f"order {order}", matrix, offset, -most[axis], most[axis], cost[axis], frame, axis))
     lower, upper = np.tile(nlp.lower, (frames, 1)), np.tile(nlp.upper, (frames, 1))
     if ends:
         lower[-1] = upper[-1] = np.append(END, configuration(END)[0]) if as_unknown else END

@@ -6,9 +6,9 @@ import numpy as np
 
 from ctr_nlp import Load, Measurements, Robot, Tolerances, Tube
 from ctr_nlp.calibration.next_poses import stable_poses
-from ctr_nlp.models import MODELS, under
-from ctr_nlp.models.protocol import Passage
-from ctr_nlp.robot.draws import drawn_from
+from ctr_nlp.models import KINEMATIC_MODELS, model_with_load
+from ctr_nlp.models.protocol import MotionSubsteps
+from ctr_nlp.robot.draws import perturb_robot
 
 TWO = Robot(
     (Tube(90, 60, 1 / 130, 3.0, 2.4), Tube(160, 110, 1 / 60, 2.0, 1.4)),
@@ -24,13 +24,13 @@ def wide(robot, tolerances=None):
 
 def shapes_of(robot, parts, q, sigma, model="elastic"):
     """Points (T, n, 3) of the robot whose parts are off by parts (d, 5), each pose by itself."""
-    model = MODELS[model]
-    draws = drawn_from(robot, np.asarray(parts)[None], np.zeros((1, robot.d)))
+    model = KINEMATIC_MODELS[model]
+    draws = perturb_robot(robot, np.asarray(parts)[None], np.zeros((1, robot.d)))
     turned = np.array(q)
     turned[:, : robot.d] += draws.offsets[0]
-    way = Passage(turned, np.arange(len(q)), np.ones(len(q), dtype=bool), len(q))
-    (found,) = model.follow_apart(draws.structure, draws.numbers, way, turned[None], False)
-    return model.points_apart(draws.structure, draws.numbers, found.x[None], sigma)[0]
+    way = MotionSubsteps(turned, np.arange(len(q)), np.ones(len(q), dtype=bool), len(q))
+    (found,) = model.follow_batch(draws.structure, draws.numbers, way, turned[None], False)
+    return model.points_batch(draws.structure, draws.numbers, found.x[None], sigma)[0]
 
 
 def observations(q, points=None, sigma=(), tip=None, direction=None, time=None, recording=None, force=None):
@@ -51,7 +51,7 @@ def observations(q, points=None, sigma=(), tip=None, direction=None, time=None, 
 
 def measured_shapes(robot, parts, seed, count=40, places=5, noise=0.5, model="elastic"):
     """Shapes at random stable poses, with noise in mm in every coordinate."""
-    q = stable_poses(robot, MODELS[model], count, seed)
+    q = stable_poses(robot, KINEMATIC_MODELS[model], count, seed)
     sigma = np.linspace(1 / places, 1, places)
     points = shapes_of(robot, parts, q, sigma, model)
     return observations(q, points + noise * np.random.default_rng(seed).standard_normal(points.shape), sigma)
@@ -65,7 +65,7 @@ def parts_within(robot, seed):
 
 def pushed_shapes(robot, q, force, sigma):
     """Points (T, n, 3) of the robot at poses q (T, 2d + 2), at each of which one of forces (T, 3) pulls."""
-    models = [under("elastic", Load(force=tuple(each))) for each in force]
+    models = [model_with_load("elastic", Load(force=tuple(each))) for each in force]
     return np.array(
         [m.points(robot, m.rest(robot, row)[None], sigma)[0] for m, row in zip(models, q, strict=True)]
     )
@@ -73,7 +73,7 @@ def pushed_shapes(robot, q, force, sigma):
 
 def weighed(actual, robot, count=30, newtons=1.0, noise=0.2):
     """Shapes of an actual robot where the described one is stable, with a weight in two of three poses."""
-    q, random = stable_poses(robot, MODELS["elastic"], count, 0), np.random.default_rng(0)
+    q, random = stable_poses(robot, KINEMATIC_MODELS["elastic"], count, 0), np.random.default_rng(0)
     force = np.outer(newtons * (np.arange(count) % 3 > 0), [0.0, 1.0, 0.0])
     force[2::3] = [0.0, 0.0, newtons]
     sigma = np.linspace(0.25, 1, 4)

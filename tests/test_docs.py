@@ -33,7 +33,7 @@ from ctr_nlp.cli.main import COMMANDS
 from ctr_nlp.hardware.arm.description import Arm
 from ctr_nlp.hardware.axis import Axis
 from ctr_nlp.hardware.description import Connection, Hardware
-from ctr_nlp.support.values import described, read_toml
+from ctr_nlp.support.values import build_from_table, read_toml
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
@@ -353,11 +353,11 @@ def test_a_part_of_a_hardware_file_fits_into_the_example(name, block, tmp_path, 
     assert set(given) <= {"connection", "axes", "arm"}
     axes = {axis["joint"]: axis for axis in [*whole["axes"], *given.get("axes", [])]}
     hardware = Hardware(
-        tuple(described(Axis, axis) for axis in axes.values()),
-        described(Arm, whole["arm"] | given.get("arm", {})),
-        described(Connection, given.get("connection", {})),
+        tuple(build_from_table(Axis, axis) for axis in axes.values()),
+        build_from_table(Arm, whole["arm"] | given.get("arm", {})),
+        build_from_table(Connection, given.get("connection", {})),
     )
-    hardware.tightened(robot)
+    hardware.apply_limits(robot)
     for axis in given.get("axes", []):
         i = robot.axes.index(axis["joint"])
         ends = np.zeros((2, len(robot.axes)))
@@ -379,7 +379,7 @@ def test_diagrams_are_of_a_kind_that_github_draws():
 
 def test_the_wiring_is_that_of_the_example_hardware():
     """Axis, joint, unit, range, speed and acceleration; the drives agree with the emulated machine's settings."""
-    from ctr_nlp.hardware.emulator.reports import DEFAULTS
+    from ctr_nlp.hardware.emulator.reports import DEFAULT_CONTROLLER_SETTINGS
 
     hardware = Hardware.from_toml(ROOT / "examples" / "hardware.toml")
     rows = [
@@ -400,8 +400,8 @@ def test_the_wiring_is_that_of_the_example_hardware():
         if "=" in row[6]:
             drive, steps = row[6].split(" = ")
             numbers = drive.replace("mm lead", "").replace("steps", "").replace(" : 1", "").replace("x", "*")
-            assert eval(numbers) == pytest.approx(DEFAULTS[100 + k])
-            assert steps == f"{DEFAULTS[100 + k]:g} steps/{axis.unit}"
+            assert eval(numbers) == pytest.approx(DEFAULT_CONTROLLER_SETTINGS[100 + k])
+            assert steps == f"{DEFAULT_CONTROLLER_SETTINGS[100 + k]:g} steps/{axis.unit}"
 
 
 def test_the_example_of_slicer_is_what_the_tutorial_makes(tmp_path, monkeypatch):

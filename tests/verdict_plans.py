@@ -22,7 +22,7 @@ from independent_judge import NO, NOT_CHECKED, YES, Judgement, judge
 
 import ctr_nlp
 from ctr_nlp.plan.sample_outcomes import sample_outcomes
-from ctr_nlp.problems import named
+from ctr_nlp.problems import named_problem
 
 NAMES = "cos", "arc", "line", "line_arc", "synthesis", "euler", "euler_mixed", "bronchus"
 AIRWAYS = "chaste_ts002_RLL", "chaste_ts002_LLL", "chaste_ts002_RML", "hra_vhm_left_main"
@@ -75,7 +75,7 @@ def planned(case: Case, data: Path, frames: int = 100) -> ctr_nlp.Plan:
         own = ctr_nlp.table_i_robot() if robot is None else robot
         problem = ctr_nlp.problem_from_file(path, robot=own, frames=frames, trim="start")
     else:
-        problem = named(case.problem, frames=frames, robot=robot)
+        problem = named_problem(case.problem, frames=frames, robot=robot)
     if case.planned == "robust":
         return ctr_nlp.solve_robust(problem)
     return ctr_nlp.solve_horizon(problem, model=case.planned)
@@ -119,8 +119,8 @@ def _samples(plan: ctr_nlp.Plan, found: Judgement) -> dict[str, float]:
     outcomes = sample_outcomes(plan)
     ours = {
         "lost": outcomes.lost,
-        "missed": outcomes.missed & ~outcomes.lost,
-        "pressed": outcomes.pressed & ~outcomes.lost,
+        "missed": outcomes.missed_target & ~outcomes.lost,
+        "pressed": outcomes.exceeded_contact_limit & ~outcomes.lost,
     }
     theirs = {"lost": found.lost, "missed": found.missed, "pressed": found.pressed}
     counts = {"count": len(found.lost)}
@@ -131,7 +131,7 @@ def _samples(plan: ctr_nlp.Plan, found: Judgement) -> dict[str, float]:
     kept = ~(outcomes.lost | found.lost)
     tips = abs(outcomes.tip_error - found.sample_tip)[kept]
     counts["tip_differ_mm"] = float(tips.max()) if kept.any() else 0.0
-    return counts | {"differ": int((outcomes.held != held).sum())}
+    return counts | {"differ": int((outcomes.passed_all_checks != held).sum())}
 
 
 def agreement(row: dict[str, Any], name: str) -> str:

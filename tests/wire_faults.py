@@ -33,11 +33,11 @@ from bench import Killed, World, plan_of
 from ctr_nlp.exceptions import DeviceFault
 from ctr_nlp.hardware.emulator.faults import FAULTS, THIRD_PARTIES
 from ctr_nlp.hardware.emulator.firmware import is_realtime
-from ctr_nlp.hardware.emulator.wire import Line, VirtualClock
+from ctr_nlp.hardware.emulator.wire import SerialLine, VirtualClock
 from ctr_nlp.hardware.motion.lookahead import FollowedPath
 from ctr_nlp.hardware.motion.trajectory import Trajectory
 from ctr_nlp.hardware.playing import session
-from ctr_nlp.hardware.playing.results import Outcome, Result
+from ctr_nlp.hardware.playing.results import PlaybackOutcome, Result
 from ctr_nlp.plan.plan import Plan
 from ctr_nlp.typing import Array
 
@@ -65,7 +65,7 @@ class Injector:
     after the next one. frozen: s for which the fault lets the controller do nothing, not even move.
     """
 
-    line: Line
+    line: SerialLine
     draw: random.Random
     struck_at: float | None = None
     note: str = ""
@@ -477,7 +477,7 @@ def prepared_once() -> Iterator[None]:
     """A trajectory is made and checked once for each plan and place to start from."""
     made: dict[object, Trajectory] = {}
     looked: dict[int, object] = {}
-    make, look = session.trajectory_of, session.checked
+    make, look = session.trajectory_of, session.check_trajectory
 
     def trajectory_of(
         plan: Plan, hardware: object, tempo: float = 1.0, standing: Array | None = None, share: float = 1.0
@@ -494,7 +494,7 @@ def prepared_once() -> Iterator[None]:
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(session, "trajectory_of", trajectory_of)
-        patch.setattr(session, "checked", checked)
+        patch.setattr(session, "check_trajectory", checked)
         yield
 
 
@@ -541,7 +541,7 @@ def judged(
     off = 0.0
     if result is not None and result.trusted and result.position is not None:
         off = float((abs(result.position - track[-1]) / tolerance).max())
-    success = result is not None and result.outcome is Outcome.SUCCESS
+    success = result is not None and result.outcome is PlaybackOutcome.SUCCESS
     if success:
         off = max(
             off,
@@ -555,7 +555,7 @@ def judged(
     message = "" if result is None else result.message
     if result is None:
         wrong = "" if not remembered_as_trusted(world) else "trusted after a kill"
-    elif result.outcome is Outcome.SUCCESS:
+    elif result.outcome is PlaybackOutcome.SUCCESS:
         wrong = ""
     else:
         wrong = "" if re.search(KINDS[kind].cause, message) else message

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from ctr_nlp.support.values import check_choice
 from ctr_nlp.target.curve import Curve, curve_from_points
-from ctr_nlp.target.points import walked
+from ctr_nlp.target.points import cumulative_arc_length
 from ctr_nlp.typing import Array
 
 
@@ -47,7 +47,7 @@ ROLL_DEG = (40.0, 90.0)
 """Between the bending planes of consecutive corners, to either side."""
 ROUNDING_MM = (12.0, 25.0)
 """Radius at which a corner is rounded, the smaller where two corners share a short bronchus."""
-SPACING_MM = 0.5
+AIRWAY_SPACING_MM = 0.5
 TINY_MM = 1e-6
 """Corners that use up all of a bronchus leave no more of it straight."""
 
@@ -71,13 +71,13 @@ def synthetic_airway(seed: int = 0, lobe: str = "right lower") -> Curve:
     widest = np.minimum(ROUNDING_MM[1], room / np.tan(angles / 2))
     rounding = random.uniform(np.minimum(ROUNDING_MM[0], widest), widest)
     points, corners = _path(lengths, angles, rolls, rounding)
-    along = walked(points)
+    along = cumulative_arc_length(points)
     middles = np.concatenate([[0.0], (corners[1:] + corners[:-1]) / 2, [along[-1]]])
     return curve_from_points(points, np.interp(along, middles, diameters / 2))
 
 
 def _path(lengths: Array, angles: Array, rolls: Array, rounding: Array) -> tuple[Array, Array]:
-    """Points every SPACING_MM along straight bronchi and rounded corners; arc length at corners' middles.
+    """Points every AIRWAY_SPACING_MM along straight bronchi and rounded corners; arc length at corners' middles.
 
     The third of the axes points along the path, its first towards the side of the next bend.
     """
@@ -101,5 +101,5 @@ def _path(lengths: Array, angles: Array, rolls: Array, rounding: Array) -> tuple
 
 def _steps(length: float) -> Array:
     """Evenly spaced arc lengths from 0 (excluded) to length, mm."""
-    count = max(1, round(length / SPACING_MM))
+    count = max(1, round(length / AIRWAY_SPACING_MM))
     return np.arange(1.0, count + 1) * (length / count)

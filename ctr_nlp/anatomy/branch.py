@@ -14,7 +14,7 @@ from ctr_nlp.exceptions import CurveError
 from ctr_nlp.target.points import LEAST_POINTS, LONGEST_MM, SHORTEST_MM, check_coordinates
 from ctr_nlp.typing import Array
 
-SPACES = {"LPS": np.eye(4), "RAS": np.diag([-1.0, -1.0, 1.0, 1.0])}
+CENTRELINE_SPACE_TO_LPS = {"LPS": np.eye(4), "RAS": np.diag([-1.0, -1.0, 1.0, 1.0])}
 """Patient coordinates by the directions in which x, y, z grow (left, posterior, superior or right, anterior,
 superior), and the transform (4, 4) that takes each to LPS, the coordinates of DICOM.
 """
@@ -33,7 +33,7 @@ class Branch:
         """Length of the straight lines from point to point, mm."""
         return float(np.linalg.norm(np.diff(self.points, axis=0), axis=1).sum())
 
-    def reversed(self) -> Branch:
+    def reverse_direction(self) -> Branch:
         """Return this path from its last point to its first."""
         return replace(self, points=self.points[::-1], radius=None if self.radius is None else self.radius[::-1])
 
@@ -51,18 +51,18 @@ class Branches:
         """Transform (4, 4) from LPS to the coordinate system of the file."""
         return np.asarray(np.linalg.inv(self.to_lps), dtype=float)
 
-    def reversed(self) -> Branches:
+    def reverse_direction(self) -> Branches:
         """Return these branches, each from its last point to its first."""
-        return replace(self, branches=tuple(branch.reversed() for branch in self.branches))
+        return replace(self, branches=tuple(branch.reverse_direction() for branch in self.branches))
 
 
-def moved(points: npt.ArrayLike, transform: Array) -> Array:
+def transform_points(points: npt.ArrayLike, transform: Array) -> Array:
     """Apply an affine transform (4, 4) to points (n, 3) or to one point (3,)."""
     return np.asarray(points, dtype=float) @ transform[:3, :3].T + transform[:3, 3]
 
 
 @contextmanager
-def blamed(where: str | Path) -> Iterator[None]:
+def name_source_in_errors(where: str | Path) -> Iterator[None]:
     """Put `where`, the name of a file, before the message of any CurveError that the block raises."""
     try:
         yield
@@ -77,11 +77,11 @@ def checked_point(name: str, given: npt.ArrayLike) -> Array:
     except (TypeError, ValueError) as error:
         raise CurveError(f"{name} is {given!r}; it must be three finite numbers in mm") from error
     if point.shape != (3,) or not np.isfinite(point).all():
-        raise CurveError(f"{name} is {written(point.ravel())}; it must be three finite numbers in mm")
+        raise CurveError(f"{name} is {format_point(point.ravel())}; it must be three finite numbers in mm")
     return point
 
 
-def written(point: Iterable[float]) -> str:
+def format_point(point: Iterable[float]) -> str:
     """Write the coordinates of a point in brackets."""
     return f"({', '.join(f'{number:g}' for number in point)})"
 
@@ -98,13 +98,13 @@ def check_points(points: Array) -> None:
         raise CurveError(f"its points span {extent:.3g} mm; at most {LONGEST_MM:g} mm are allowed")
 
 
-def checked(path: str | Path, branches: Branches) -> Branches:
+def check_branches(path: str | Path, branches: Branches) -> Branches:
     """Return the branches of the file at `path` once each is fit to be a curve; raise CurveError, which names file
     and branch, where one is not.
     """
     for branch in branches.branches:
         where = f"{path}, {branch.name}" if len(branches.branches) > 1 else str(path)
-        with blamed(where):
+        with name_source_in_errors(where):
             check_points(branch.points)
             if len(branch.points) < LEAST_POINTS:
                 raise CurveError(

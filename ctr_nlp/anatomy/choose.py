@@ -9,7 +9,14 @@ import numpy as np
 import numpy.typing as npt
 from scipy.optimize import minimize_scalar
 
-from ctr_nlp.anatomy.branch import Branch, Branches, blamed, checked_point, moved, written
+from ctr_nlp.anatomy.branch import (
+    Branch,
+    Branches,
+    checked_point,
+    format_point,
+    name_source_in_errors,
+    transform_points,
+)
 from ctr_nlp.anatomy.files import is_mask, read_branches
 from ctr_nlp.exceptions import CurveError, OptionError
 from ctr_nlp.target.curve import Curve, curve_from_points
@@ -18,13 +25,13 @@ from ctr_nlp.typing import Array
 
 UNKNOWN_LUMEN_MM = 5.0
 """How far from a branch without a radius a point may lie."""
-SPACING_MM = 0.25
+NEAREST_SEARCH_SPACING_MM = 0.25
 """Places along a curve among which the nearest one is looked for, before it is refined."""
-LISTED = 20
+MAX_LISTED_BRANCHES = 20
 
 
 @dataclass(frozen=True)
-class Passage:
+class BranchSegment:
     """A whole branch in LPS, from where to where along it, in mm, and to_lps (4, 4) from the file's own.
 
     space: the name of the file's own coordinates, as in Branches.
@@ -37,18 +44,18 @@ class Passage:
     space: str
 
     @property
-    def path(self) -> Curve:
+    def followed_path(self) -> Curve:
         """The part that is followed."""
         return self.branch.part(self.start, self.stop)
 
 
-def passage(
+def read_branch_segment(
     path: str | Path,
     branch: str | int | None = None,
     entry: npt.ArrayLike | None = None,
     target: npt.ArrayLike | None = None,
     reverse: bool = False,
-) -> Passage:
+) -> BranchSegment:
     """The passage along a branch of a file, by its name or its number from 1, from entry to target.
 
     entry, target: (3,) mm in the file's own coordinates, by default the ends of the branch. reverse: the file's
@@ -66,20 +73,20 @@ def passage(
     else:
         branches = read_branches(path, target if reverse else entry)
     if reverse:
-        branches = branches.reversed()
-    with blamed(path):
-        found = chosen(branches, None if branch is None else str(branch), entry, target)
+        branches = branches.reverse_direction()
+    with name_source_in_errors(path):
+        found = select_branch(branches, None if branch is None else str(branch), entry, target)
         curve = curve_from_points(found.points, found.radius)
-        start, stop = extent(curve, branches, entry, target)
+        start, stop = find_extent(curve, branches, entry, target)
         if stop - start < SHORTEST_MM:
             raise CurveError(
                 f"from entry to target the path is {stop - start:.3g} mm long; it must be at least "
                 f"{SHORTEST_MM:g} mm"
             )
-    return Passage(curve, start, stop, branches.to_lps, branches.space)
+    return BranchSegment(curve, start, stop, branches.to_lps, branches.space)
 
 
-def chosen(
+def select_branch(
     branches: Branches,
     branch: str | None = None,
     entry: npt.ArrayLike | None = None,
@@ -94,30 +101,32 @@ def chosen(
     points = {
         name: checked_point(name, at) for name, at in (("entry", entry), ("target", target)) if at is not None
     }
-    lps = {name: moved(at, branches.to_lps) for name, at in points.items()}
+    lps = {name: transform_points(at, branches.to_lps) for name, at in points.items()}
     if branch is not None:
-        found = _named(branches, branch)
+        found = _find_branch_named(branches, branch)
     elif len(branches.branches) == 1:
         found = branches.branches[0]
     elif target is not None:
         found = min(branches.branches, key=lambda each: _distance(each, lps["target"])[0])
     else:
         raise CurveError(
-            f"there are {len(branches.branches)} branches, {listed(branches)}; say which to follow, by its number "
+            f"there are {len(branches.branches)} branches, {describe_branches(branches)}; say which to follow, "
+            f"by its number "
             "or its name, or by a target point in the file's coordinates that it passes"
         )
     for name, at in lps.items():
         distance, lumen = _distance(found, at)
         if distance > lumen:
             raise CurveError(
-                f"{name} {written(points[name])} is {distance:.1f} mm away from branch {found.name!r}; it must "
+                f"{name} {format_point(points[name])} is {distance:.1f} mm away from branch {found.name!r}; it "
+                f"must "
                 f"lie in its lumen, within {lumen:.1f} mm, and be given in mm in the file's coordinates, "
                 f"{branches.space}"
             )
     return found
 
 
-def extent(
+def find_extent(
     curve: Curve, branches: Branches, entry: npt.ArrayLike | None = None, target: npt.ArrayLike | None = None
 ) -> tuple[float, float]:
     """Arc lengths in mm of a branch's curve, in LPS, nearest to entry and to target; its ends where not given.
@@ -125,7 +134,7 @@ def extent(
     entry, target: (3,) mm in the file's own coordinates. Raises CurveError where target does not come after entry.
     """
     start, stop = (
-        end if point is None else _nearest(curve, moved(checked_point(name, point), branches.to_lps))
+        end if point is None else _nearest(curve, transform_points(checked_point(name, point), branches.to_lps))
         for name, point, end in (("entry", entry, 0.0), ("target", target, curve.length))
     )
     if start >= stop:
@@ -136,14 +145,14 @@ def extent(
     return start, stop
 
 
-def listed(branches: Branches) -> str:
+def describe_branches(branches: Branches) -> str:
     """Numbers, names and lengths of the branches in words, the first twenty of them."""
     entries = [f"{k} {each.name!r} ({each.length:.1f} mm)" for k, each in enumerate(branches.branches, start=1)]
-    more = len(entries) - LISTED
-    return ", ".join(entries[:LISTED]) + (f" and {more} more" if more > 0 else "")
+    more = len(entries) - MAX_LISTED_BRANCHES
+    return ", ".join(entries[:MAX_LISTED_BRANCHES]) + (f" and {more} more" if more > 0 else "")
 
 
-def _named(branches: Branches, branch: str) -> Branch:
+def _find_branch_named(branches: Branches, branch: str) -> Branch:
     every = branches.branches
     if branch.strip().isdecimal() and 1 <= int(branch) <= len(every):
         return every[int(branch) - 1]
@@ -151,7 +160,7 @@ def _named(branches: Branches, branch: str) -> Branch:
     if len(same) == 1:
         return same[0]
     problem = f"{len(same)} branches have that name" if same else "there is none of that name or number"
-    raise CurveError(f"branch is {branch!r}; {problem}: {listed(branches)}")
+    raise CurveError(f"branch is {branch!r}; {problem}: {describe_branches(branches)}")
 
 
 def _distance(branch: Branch, point: Array) -> tuple[float, float]:
@@ -171,7 +180,7 @@ def _nearest(curve: Curve, point: Array) -> float:
     def distance(s: npt.ArrayLike) -> Array:
         return np.asarray(np.linalg.norm(curve.point(np.atleast_1d(s)) - point, axis=1))
 
-    places = np.linspace(0, curve.length, max(2, int(np.ceil(curve.length / SPACING_MM)) + 1))
+    places = np.linspace(0, curve.length, max(2, int(np.ceil(curve.length / NEAREST_SEARCH_SPACING_MM)) + 1))
     k = int(distance(places).argmin())
     bounds = places[max(k - 1, 0)], places[min(k + 1, len(places) - 1)]
     refined = minimize_scalar(lambda s: float(distance(s)[0]), bounds=bounds, method="bounded")

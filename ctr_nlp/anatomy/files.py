@@ -7,22 +7,25 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from ctr_nlp.anatomy.branch import Branch, Branches, checked, checked_point
-from ctr_nlp.anatomy.formats.images import NIFTI, NRRD
+from ctr_nlp.anatomy.branch import Branch, Branches, check_branches, checked_point
+from ctr_nlp.anatomy.formats.images import NIFTI_SUFFIXES, NRRD_SUFFIXES
 from ctr_nlp.anatomy.formats.slicer import read_slicer
 from ctr_nlp.anatomy.formats.vtk import read_vtk
 from ctr_nlp.exceptions import CurveError, OptionError
 
-TABLE, MARKUPS, LINES = (".csv",), (".mrk.json", ".json"), (".vtp", ".vtk", ".vtu")
-CENTRELINES, MASKS = (*TABLE, *MARKUPS, *LINES), (*NIFTI, *NRRD)
-SUFFIXES = (*CENTRELINES, *MASKS)
+CSV_SUFFIXES, MARKUPS_SUFFIXES, VTK_SUFFIXES = (".csv",), (".mrk.json", ".json"), (".vtp", ".vtk", ".vtu")
+CENTRELINE_SUFFIXES, MASK_SUFFIXES = (
+    (*CSV_SUFFIXES, *MARKUPS_SUFFIXES, *VTK_SUFFIXES),
+    (*NIFTI_SUFFIXES, *NRRD_SUFFIXES),
+)
+ANATOMY_SUFFIXES = (*CENTRELINE_SUFFIXES, *MASK_SUFFIXES)
 
 
 def centrelines_in(folder: str | Path) -> list[Path]:
     """The centreline files in a folder, in their order; raises OptionError where it has none."""
-    found = sorted(path for path in Path(folder).glob("*") if path.name.endswith(CENTRELINES))
+    found = sorted(path for path in Path(folder).glob("*") if path.name.endswith(CENTRELINE_SUFFIXES))
     if not found:
-        raise OptionError(f"folder {folder} has no centreline files ({', '.join(CENTRELINES)})")
+        raise OptionError(f"folder {folder} has no centreline files ({', '.join(CENTRELINE_SUFFIXES)})")
     return found
 
 
@@ -39,7 +42,7 @@ def read_branches(
         if point is not None:
             checked_point(what, point)
     name = Path(path).name.lower()
-    if name.endswith(MASKS):
+    if name.endswith(MASK_SUFFIXES):
         if entry is None or target is None:
             raise OptionError(
                 f"{path} is a mask, which has no branches: its path is found between two points in the lumen, to "
@@ -47,29 +50,29 @@ def read_branches(
             )
         from ctr_nlp.anatomy.segmentation.mask import read_mask  # and with it scipy.ndimage: only where it is used
 
-        return checked(path, read_mask(path, entry, target))
-    if name.endswith(LINES):
-        return checked(path, read_vtk(path, entry))
-    if name.endswith(MARKUPS):
-        return checked(path, read_slicer(path))
-    if name.endswith(TABLE):
-        return checked(path, read_table(path))
-    raise CurveError(f"{path} is not a known kind of file; its name must end in {', '.join(SUFFIXES)}")
+        return check_branches(path, read_mask(path, entry, target))
+    if name.endswith(VTK_SUFFIXES):
+        return check_branches(path, read_vtk(path, entry))
+    if name.endswith(MARKUPS_SUFFIXES):
+        return check_branches(path, read_slicer(path))
+    if name.endswith(CSV_SUFFIXES):
+        return check_branches(path, read_table(path))
+    raise CurveError(f"{path} is not a known kind of file; its name must end in {', '.join(ANATOMY_SUFFIXES)}")
 
 
 def is_mask(path: str | Path) -> bool:
     """Whether a file holds a mask rather than centrelines."""
-    return Path(path).name.lower().endswith(MASKS)
+    return Path(path).name.lower().endswith(MASK_SUFFIXES)
 
 
 def title(path: str | Path) -> str:
     """The name of a file without what tells its kind."""
     name = Path(path).name
-    known = [suffix for suffix in SUFFIXES if name.lower().endswith(suffix)]
+    known = [suffix for suffix in ANATOMY_SUFFIXES if name.lower().endswith(suffix)]
     return name[: -max(map(len, known))] if known else name
 
 
-COLUMNS = ("x_mm", "y_mm", "z_mm")
+CENTRELINE_CSV_COLUMNS = ("x_mm", "y_mm", "z_mm")
 EXPECTED = "expected a header x_mm,y_mm,z_mm and optionally radius_mm, then one point a line"
 
 
@@ -83,11 +86,11 @@ def read_table(path: str | Path) -> Branches:
     except (OSError, UnicodeDecodeError) as error:
         raise CurveError(f"centreline {path} cannot be read: {error}") from error
     names = [name.strip().lower() for name in lines[0].split(",")] if lines else []
-    if not set(COLUMNS) <= set(names) or len(set(names)) != len(names):
+    if not set(CENTRELINE_CSV_COLUMNS) <= set(names) or len(set(names)) != len(names):
         raise CurveError(f"{path} is not a centreline: its first line is {(lines or [''])[0][:60]!r}; {EXPECTED}")
     rows = [_row(path, number, line, len(names)) for number, line in enumerate(lines[1:], start=2)]
     table = np.array(rows).reshape(len(rows), len(names))
-    points = table[:, [names.index(name) for name in COLUMNS]]
+    points = table[:, [names.index(name) for name in CENTRELINE_CSV_COLUMNS]]
     radius = table[:, names.index("radius_mm")] if "radius_mm" in names else None
     return Branches((Branch(Path(path).stem, points, radius),), "xyz", np.eye(4))
 

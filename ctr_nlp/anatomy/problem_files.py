@@ -9,15 +9,15 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
-from ctr_nlp.anatomy.branch import blamed, checked
-from ctr_nlp.anatomy.choose import passage
+from ctr_nlp.anatomy.branch import check_branches, name_source_in_errors
+from ctr_nlp.anatomy.choose import read_branch_segment
 from ctr_nlp.anatomy.files import read_table, title
 from ctr_nlp.exceptions import CurveError, OptionError, RobotError
 from ctr_nlp.robot import Robot, table_i_robot
-from ctr_nlp.robot.units import angle_meant, between, did_you_mean
-from ctr_nlp.support.values import checked_path, instance, number
+from ctr_nlp.robot.units import between, did_you_mean, suggest_angle
+from ctr_nlp.support.values import check_instance, checked_path, number
 from ctr_nlp.target.curve import Curve, curve_from_points
-from ctr_nlp.target.placing import placed, trimmed, unit
+from ctr_nlp.target.placing import move_to_robot_frame, normalise_direction, trim_curve
 from ctr_nlp.target.problem import Problem
 from ctr_nlp.target.target import check_frames, growing
 
@@ -59,7 +59,7 @@ def problem_from_file(
     reverse : bool
         Whether the file's lines run from tip to root.
     smoothing : float
-        How far the followed curve may be from the path in the file, mm; see :meth:`Curve.smoothed`.
+        How far the followed curve may be from the path in the file, mm; see :meth:`Curve.smooth`.
     trim : {"start", "end"}, optional
         Which end to drop where the path is longer than the robot reaches.
     insertion : (3,) array_like, optional
@@ -104,18 +104,18 @@ def problem_from_file(
     if trim not in (None, "start", "end"):
         raise OptionError(f"trim is {trim!r}; it must be 'start' or 'end'")
     if robot is not None:
-        instance(RobotError, "robot", robot, Robot)
-    robot = _tilting(robot or table_i_robot(), tilt)
-    along = None if insertion is None else unit(insertion)
-    found = passage(path, branch, entry, target, reverse)
-    with blamed(path):
+        check_instance(RobotError, "robot", robot, Robot)
+    robot = _limit_tilt(robot or table_i_robot(), tilt)
+    along = None if insertion is None else normalise_direction(insertion)
+    found = read_branch_segment(path, branch, entry, target, reverse)
+    with name_source_in_errors(path):
         # Smoothed before it is trimmed: smoothing changes the length, and what is left must be within reach.
-        followed = found.path.smoothed(smoothing)
+        followed = found.followed_path.smooth(smoothing)
         if trim is not None:
-            followed = trimmed(followed, robot.reach, trim)
+            followed = trim_curve(followed, robot.reach, trim)
         # Paths are in LPS, the direction in the file's own axes.
-        followed, to_robot = placed(followed, None if along is None else found.to_lps[:3, :3] @ along)
-    lumen = None if found.branch.radius is None else found.branch.moved(to_robot)
+        followed, to_robot = move_to_robot_frame(followed, None if along is None else found.to_lps[:3, :3] @ along)
+    lumen = None if found.branch.radius is None else found.branch.apply_transform(to_robot)
     return Problem(
         title(path),
         robot,
@@ -136,7 +136,7 @@ def read_csv(path: str | Path, smoothing: float = 0.0) -> Curve:
         A file whose first line names the columns x_mm, y_mm and z_mm, and radius_mm where the lumen's radius is
         known; each further line is a point of the curve.
     smoothing : float
-        How far the curve may be from the spline through these points, mm; see :meth:`Curve.smoothed`.
+        How far the curve may be from the spline through these points, mm; see :meth:`Curve.smooth`.
 
     Returns
     -------
@@ -159,17 +159,17 @@ def read_csv(path: str | Path, smoothing: float = 0.0) -> Curve:
     Curve(100.00 mm)
     """
     path = checked_path(CurveError, path)
-    (branch,) = checked(path, read_table(path)).branches
-    with blamed(path):
+    (branch,) = check_branches(path, read_table(path)).branches
+    with name_source_in_errors(path):
         return curve_from_points(branch.points, branch.radius, smoothing)
 
 
-def _tilting(robot: Robot, tilt: float | None) -> Robot:
+def _limit_tilt(robot: Robot, tilt: float | None) -> Robot:
     """Return the robot with the limits of its tilt narrowed to +-tilt rad about each axis; unchanged for None."""
     if tilt is None:
         return robot
     if not 0 <= number(OptionError, "tilt", tilt, lambda _: True, "be a number", " rad") <= math.pi:
-        meant = did_you_mean(angle_meant(tilt, between(0, math.pi)))
+        meant = did_you_mean(suggest_angle(tilt, between(0, math.pi)))
         raise OptionError(
             f"tilt is {tilt:g} rad, {math.degrees(tilt):g} degrees; it must lie in [0, pi] rad{meant}"
         )

@@ -13,19 +13,19 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from ctr_nlp.calibration.determined import standing, untold
-from ctr_nlp.calibration.fit import Fit, at, fitted
-from ctr_nlp.calibration.folds import BLOCK, folds, retraced
+from ctr_nlp.calibration.determined import classify_parameters, describe_unidentified
+from ctr_nlp.calibration.fit import ParameterFit, fit_parameters, recompute_residuals
+from ctr_nlp.calibration.folds import FOLD_BLOCK_S, assign_folds, find_repeated_poses
 from ctr_nlp.calibration.measurements import Measurements
 from ctr_nlp.calibration.next_poses import next_poses
 from ctr_nlp.calibration.parameters import BASE, Parameters, parameters_of
-from ctr_nlp.calibration.prediction import Prediction, flat_measured, registered_to
+from ctr_nlp.calibration.prediction import Prediction, flat_measured, register_points
 from ctr_nlp.calibration.robots import calibrated_robot
 from ctr_nlp.exceptions import MeasurementError
-from ctr_nlp.models import Model, bearing, model_named
+from ctr_nlp.models import Model, model_for_tip_forces, model_named
 from ctr_nlp.robot import Robot
-from ctr_nlp.support.equal import Kept
-from ctr_nlp.support.values import instance
+from ctr_nlp.support.equal import ReadOnlyValue
+from ctr_nlp.support.values import check_instance
 from ctr_nlp.typing import Array, Index
 
 Progress = Callable[[int, int, str], None]
@@ -33,7 +33,7 @@ Progress = Callable[[int, int, str], None]
 
 
 @dataclass(frozen=True, eq=False)
-class Calibration(Kept):
+class Calibration(ReadOnlyValue):
     """Result of :func:`calibrate`: a robot, how well the data determine it, and how large its errors are.
 
     Residuals are (T, 6 + 3n) arrays of what was measured less what is predicted, NaN where nothing was measured.
@@ -75,16 +75,16 @@ class Calibration(Kept):
     """
 
     robot: Robot
-    described: Robot
+    nominal: Robot
     measured: Measurements
     model: str
-    fit: Fit
+    fit: ParameterFit
     standing: tuple[str, ...]
-    untold: tuple[str, ...]
-    before: Array
+    unidentified: tuple[str, ...]
+    nominal_residuals: Array
     held_out: Array
     fold: Index
-    retraced: Index
+    repeated_poses: Index
     floor: float | None
     bases: tuple[tuple[Array, Array], ...]
     next_q: Array = field(default_factory=lambda: np.zeros((0, 0)))
@@ -104,7 +104,7 @@ def calibrate(
     model: str | Model = "elastic",
     registered: bool = False,
     held_out: int = 5,
-    block: float = BLOCK,
+    block: float = FOLD_BLOCK_S,
     next_count: int = 0,
     seed: int = 0,
     progress: Progress | None = None,
@@ -183,36 +183,44 @@ def calibrate(
     >>> found.parameters.names, (found.fit.values.round(3) + 0.0).tolist()
     (['curvature_1', 'curvature_2'], [0.0, 0.05])
     """
-    instance(MeasurementError, "robot", robot, Robot)
-    instance(MeasurementError, "measurements", measured, Measurements)
+    check_instance(MeasurementError, "robot", robot, Robot)
+    check_instance(MeasurementError, "measurements", measured, Measurements)
     # A copy of an observation is no further evidence, and in another fold it would give the held-out one away.
     measured = measured.distinct()
-    described = bearing(model_named(model), measured.pushed)
+    described = model_for_tip_forces(model_named(model), measured.has_tip_force)
     described.check(robot)
     measured.check(robot)
-    parameters = parameters_of(robot, measured, estimate, registered, described.bears is not None)
-    fold = folds(robot, measured, held_out, block, seed=seed) if held_out else np.full(len(measured), -1)
-    prediction = placed(parameters, measured, described)
-    before = flat_measured(measured) - prediction.seen(parameters.mean).flat()
+    parameters = parameters_of(robot, measured, estimate, registered, described.applied_load is not None)
+    fold = assign_folds(robot, measured, held_out, block, seed=seed) if held_out else np.full(len(measured), -1)
+    prediction = build_registered_prediction(parameters, measured, described)
+    before = flat_measured(measured) - prediction.predict_values(parameters.mean).flat()
     told, total = progress or (lambda *_: None), 1 + held_out
     told(0, total, "all observations")
-    fit = fitted(prediction)
+    fit = fit_parameters(prediction)
     out = np.full(before.shape, np.nan)
     for k in range(held_out):
         told(1 + k, total, f"without fold {k + 1}")
         # The noise is estimated anew, too: nothing of a fit has seen what is held out.
-        found = at(fitted(prediction, fold != k), prediction)
+        found = recompute_residuals(fit_parameters(prediction, fold != k), prediction)
         out[fold == k] = found.residuals[fold == k]
     told(total, total, "done")
-    made, again = calibrated_robot(fit, measured), retraced(robot, measured, block)
+    made, again = calibrated_robot(fit, measured), find_repeated_poses(robot, measured, block)
     proposed = next_poses(fit, prediction, described, made, next_count, seed) if next_count else ()
     return Calibration(
-        *(made, robot, measured, described.name, fit, tuple(standing(fit)), tuple(untold(fit))),
+        *(
+            made,
+            robot,
+            measured,
+            described.name,
+            fit,
+            tuple(classify_parameters(fit)),
+            tuple(describe_unidentified(fit)),
+        ),
         *(before, out, fold, again, _floor(before, again), prediction.bases_at(fit.values), *proposed),
     )
 
 
-def placed(parameters: Parameters, measured: Measurements, model: Model) -> Prediction:
+def build_registered_prediction(parameters: Parameters, measured: Measurements, model: Model) -> Prediction:
     """Make predictions whose bases are registered to the measurements of each recording.
 
     The base's pose may be anything before measuring. Started from where the nominal robot fits best, a fit has
@@ -235,12 +243,12 @@ def placed(parameters: Parameters, measured: Measurements, model: Model) -> Pred
     prediction = Prediction(parameters, measured, model)
     if not parameters.columns(*BASE):
         return prediction
-    seen, bases = prediction.seen(parameters.mean), []
+    seen, bases = prediction.predict_values(parameters.mean), []
     for recording in range(measured.recordings):
         own = measured.recording == recording
         pairs = ((seen.tip, measured.tip), (seen.points, measured.points))
         predicted, there = (np.concatenate([pair[k][own].reshape(-1, 3) for pair in pairs]) for k in range(2))
-        bases.append(registered_to(predicted, there))
+        bases.append(register_points(predicted, there))
     return Prediction(parameters, measured, model, bases)
 
 

@@ -11,21 +11,21 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ctr_nlp.calibration.fit import Fit
-from ctr_nlp.calibration.parameters import DELAY, LAGS, MODULUS, Parameters
+from ctr_nlp.calibration.fit import ParameterFit
+from ctr_nlp.calibration.parameters import DELAY, LAGS, MODULUS_KIND, Parameters
 from ctr_nlp.typing import Array
 
 DETERMINED = 0.5
 """A parameter is determined where at most this part of its standard deviation before measuring is left."""
-TOLD = 1.0
+MIN_IDENTIFIED_INFORMATION = 1.0
 """Least information along a direction of scaled parameters that the data identify; the prior's is 1."""
-BEYOND = 1e9
+EXCLUDED_INFORMATION = 1e9
 """Information that is put on directions which are not to be looked at."""
-NAMED = 0.35
+MIN_NAMED_WEIGHT = 0.35
 """Parameters with at least this part of the largest entry of an unidentified direction are named."""
 
 
-def standing(fit: Fit) -> list[str]:
+def classify_parameters(fit: ParameterFit) -> list[str]:
     """Classify every parameter of a fit.
 
     Parameters
@@ -41,11 +41,12 @@ def standing(fit: Fit) -> list[str]:
     """
     names = {True: "determined", False: "partly"}
     return [
-        "held" if held else names[bool(left <= DETERMINED)] for held, left in zip(fit.held, fit.left, strict=True)
+        "held" if held else names[bool(left <= DETERMINED)]
+        for held, left in zip(fit.fixed, fit.sigma_ratio, strict=True)
     ]
 
 
-def untold(fit: Fit) -> list[str]:
+def describe_unidentified(fit: ParameterFit) -> list[str]:
     """Say which parameters and combinations of parameters the data cannot identify.
 
     Parameters
@@ -63,22 +64,26 @@ def untold(fit: Fit) -> list[str]:
     sentences, known = list[str](), list[Array]()
     for direction, sentence in _invariances(parameters):
         # Under an arm that tilts, or a load, such a direction may well show itself.
-        if direction @ scaled @ direction < TOLD:
+        if direction @ scaled @ direction < MIN_IDENTIFIED_INFORMATION:
             known.append(direction)
             sentences.append(sentence)
-    weak = np.flatnonzero(np.diag(scaled) < TOLD)
+    weak = np.flatnonzero(np.diag(scaled) < MIN_IDENTIFIED_INFORMATION)
     if len(weak):
-        sentences.append(f"the data hardly tell {listed([parameters.each[k].words for k in weak])}")
+        sentences.append(f"the data hardly tell {join_words([parameters.each[k].words for k in weak])}")
         known += list(np.eye(len(parameters))[weak])
     # Eigenvectors within what has been named already would only name it again, mixed: there the information is
     # raised beyond all others, so that weak eigenvectors lie in the rest.
     away = _orthogonal(known, len(parameters))
-    sizes, axes = np.linalg.eigh(away @ scaled @ away + BEYOND * (np.eye(len(parameters)) - away))
-    sentences += [_named(parameters, axes[:, k]) for k, size in enumerate(sizes) if size < TOLD]
+    sizes, axes = np.linalg.eigh(away @ scaled @ away + EXCLUDED_INFORMATION * (np.eye(len(parameters)) - away))
+    sentences += [
+        _describe_direction(parameters, axes[:, k])
+        for k, size in enumerate(sizes)
+        if size < MIN_IDENTIFIED_INFORMATION
+    ]
     return list(dict.fromkeys(sentences))
 
 
-def listed(words: Sequence[str]) -> str:
+def join_words(words: Sequence[str]) -> str:
     """Join words to a list in a sentence: a, b and c."""
     return " and ".join(filter(None, (", ".join(words[:-1]), words[-1])))
 
@@ -95,7 +100,7 @@ def _invariances(parameters: Parameters) -> list[tuple[Array, str]]:
         direction = np.zeros(len(parameters))
         direction[zeros], direction[rolls] = 1.0, -1.0
         found.append((direction, "the common zero of all tubes cannot be told from the base's roll"))
-    stiffness, modulus = parameters.columns("bending_stiffness"), parameters.columns(MODULUS)
+    stiffness, modulus = parameters.columns("bending_stiffness"), parameters.columns(MODULUS_KIND)
     if len(stiffness) == d:
         # Without a load, moments balance whatever unit stiffnesses are in; with one, the modulus is that unit.
         direction = np.zeros(len(parameters))
@@ -117,12 +122,12 @@ def _orthogonal(directions: Sequence[Array], size: int) -> Array:
     return np.asarray(np.eye(size) - basis @ basis.T)
 
 
-def _named(parameters: Parameters, direction: Array) -> str:
+def _describe_direction(parameters: Parameters, direction: Array) -> str:
     """Write the sentence for a direction (P,) of scaled parameters that the data do not determine."""
     weights = abs(direction) / abs(direction).max()
-    chosen = sorted(np.flatnonzero(weights >= NAMED), key=lambda k: -weights[k])
+    chosen = sorted(np.flatnonzero(weights >= MIN_NAMED_WEIGHT), key=lambda k: -weights[k])
     each = [parameters.each[k] for k in chosen]
-    names = listed([one.words for one in each])
+    names = join_words([one.words for one in each])
     if {one.kind for one in each} <= {*LAGS, DELAY} and len(each) > 1:
         return f"the data hardly tell {names} apart: at one speed these look alike"
     return f"the data hardly tell {names}{' apart' * (len(each) > 1)}"

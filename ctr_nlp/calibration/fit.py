@@ -4,10 +4,11 @@ In the symbols of docs/method.md, "Tubes from measurements": minimised is
 
     sum_k rho((y_k - h_k(p)) / s) + (p - p_0)^T C_0^-1 (p - p_0),    rho(r) = 2 c^2 (sqrt(1 + r^2 / c^2) - 1),
 
-with c = SOFT. The noise s is estimated from the residuals by Huber's proposal 2, the fit is made again with it,
-and so on until s stays. The covariance of p is that of an M-estimator with a normal prior: the inverse of C_0^-1 +
-e J^T J / s^2, where e is the efficiency of rho at these residuals, divided by how many observations stand for one
-where residuals are correlated in time (Huber and Ronchetti, Robust Statistics, 2nd ed., 2009).
+with c = SOFT_LOSS_DEVIATIONS. The noise s is estimated from the residuals by Huber's proposal 2, the fit is made
+again with it, and so on until s stays. The covariance of p is that of an M-estimator with a normal prior: the
+inverse of C_0^-1 + e J^T J / s^2, where e is the efficiency of rho at these residuals, divided by how many
+observations stand for one where residuals are correlated in time (Huber and Ronchetti, Robust Statistics, 2nd ed.,
+2009).
 """
 
 from __future__ import annotations
@@ -23,28 +24,28 @@ from ctr_nlp.calibration.parameters import Parameters
 from ctr_nlp.calibration.prediction import Prediction, flat_measured
 from ctr_nlp.typing import Array, Flags, Index
 
-SOFT = 2.0
+SOFT_LOSS_DEVIATIONS = 2.0
 """c of rho, in standard deviations of the noise: beyond it a residual counts linearly, and not as its square."""
-CLIPPED = 2.0
+NOISE_CLIP_DEVIATIONS = 2.0
 """Standard deviations at which residuals are clipped where the noise is estimated from them (Huber, proposal 2).
 """
-WITHIN = 0.9205369256363228
-"""The mean of min(|z|, CLIPPED)^2 over a standard normal z."""
-ROUNDS, STEPS = 12, 4
+CLIPPED_NORMAL_VARIANCE = 0.9205369256363228
+"""The mean of min(|z|, NOISE_CLIP_DEVIATIONS)^2 over a standard normal z."""
+MAX_NOISE_ROUNDS, FIT_STEPS_PER_ROUND = 12, 4
 """Largest number of estimates of the noise, and of steps of the fit between two of them."""
 MOST_ROWS = 400
 """Observations of a motion that a fit takes, evenly among more."""
 MOST_STEPS = 40
 """Largest number of steps of the last fit, whose noise has settled."""
-SETTLED = 0.02
+NOISE_TOLERANCE = 0.02
 """Relative change of the noise below which it has settled."""
-LOST = 30.0
+NO_EQUILIBRIUM_RESIDUAL = 30.0
 """Residual, in standard deviations, of what is measured where the predicted robot has no equilibrium."""
 LEAST_NOISE = 1e-4, 1e-6
 """Least noise of positions, mm, and of directions, rad: residuals of exact data are divided by it, too."""
-HELD = 0.95
+MAX_FREE_SIGMA_RATIO = 0.95
 """A parameter is fixed at its prior mean where more than this part of its standard deviation is left."""
-INSIDE = 1e-3
+MIN_BOUND_DISTANCE_SIGMAS = 1e-3
 """Least distance of an initial guess from bounds, in prior standard deviations."""
 
 
@@ -63,7 +64,7 @@ class Noise(NamedTuple):
 
     position: float
     direction: float
-    alike: float = 0.0
+    autocorrelation: float = 0.0
 
     @property
     def inflation(self) -> float:
@@ -71,11 +72,11 @@ class Noise(NamedTuple):
 
         That of a series whose residuals, n steps apart, have the correlation alike^n.
         """
-        return (1 + self.alike) / (1 - self.alike)
+        return (1 + self.autocorrelation) / (1 - self.autocorrelation)
 
 
 @dataclass(frozen=True, eq=False)
-class Fit:
+class ParameterFit:
     """Estimated parameters of a robot.
 
     Attributes
@@ -102,7 +103,7 @@ class Fit:
     information: Array
     residuals: Array
     noise: Noise
-    held: Flags
+    fixed: Flags
 
     @property
     def sigma(self) -> Array:
@@ -110,12 +111,12 @@ class Fit:
         return np.sqrt(np.diag(self.covariance))
 
     @property
-    def left(self) -> Array:
+    def sigma_ratio(self) -> Array:
         """Standard deviations (P,) after measuring as parts of those before."""
         return self.sigma / self.parameters.sigma
 
 
-def fitted(prediction: Prediction, rows: Flags | None = None, start: Array | None = None) -> Fit:
+def fit_parameters(prediction: Prediction, rows: Flags | None = None, start: Array | None = None) -> ParameterFit:
     """Estimate parameters from some of the observations.
 
     Minimises the objective at the top of this module. First all parameters are free, and the noise is estimated
@@ -137,25 +138,29 @@ def fitted(prediction: Prediction, rows: Flags | None = None, start: Array | Non
         The estimates; residuals are those of all observations.
     """
     measured, parameters = prediction.measured, prediction.parameters
-    used = thinned(measured.seen & (True if rows is None else rows)) if measured.timed else measured.seen
+    used = (
+        thin_rows(measured.observed_mask & (True if rows is None else rows))
+        if measured.has_times
+        else measured.observed_mask
+    )
     used = used if rows is None else used & rows
     problem = _Problem(prediction, used)
-    free, values = np.ones(len(parameters), dtype=bool), _inside(parameters, start)
+    free, values = np.ones(len(parameters), dtype=bool), _start_within_bounds(parameters, start)
     noise = problem.noise(values, np.zeros(0, dtype=int))
     # A few steps for each estimate of the noise: fitting to the end with a noise that is still wrong is in vain.
-    for _ in range(ROUNDS):
-        values = problem.solved(values, free, noise, STEPS)
+    for _ in range(MAX_NOISE_ROUNDS):
+        values = problem.solve_values(values, free, noise, FIT_STEPS_PER_ROUND)
         before, noise = noise, problem.noise(values, np.flatnonzero(free))
         if _same(before, noise):
             break
     # What the data say next to nothing of would only follow rounding and the errors of the model.
-    held = problem.fit(values, free, noise).left > HELD
+    held = problem.fit(values, free, noise).sigma_ratio > MAX_FREE_SIGMA_RATIO
     free, values = ~held, np.where(held, parameters.mean, values)
-    values = problem.solved(values, free, noise, MOST_STEPS)
+    values = problem.solve_values(values, free, noise, MOST_STEPS)
     return problem.fit(values, free, problem.noise(values, np.flatnonzero(free)))
 
 
-def thinned(rows: Flags) -> Flags:
+def thin_rows(rows: Flags) -> Flags:
     """Return at most MOST_ROWS of the rows (T,) that are true, evenly: neighbours of a motion hardly differ."""
     found, chosen = np.zeros(len(rows), dtype=bool), np.flatnonzero(rows)
     found[chosen[:: -(-len(chosen) // MOST_ROWS) or 1]] = True
@@ -179,7 +184,7 @@ def posterior(parameters: Parameters, information: Array) -> Array:
     """
     # With S S^T = C_0, (C_0^-1 + I)^-1 = S (1 + S^T I S)^-1 S^T, which needs no inverse of C_0 or I and stays
     # symmetric. Negative eigenvalues of S^T I S are rounding.
-    scaled = np.linalg.inv(parameters.whitened)
+    scaled = np.linalg.inv(parameters.whitening_matrix)
     core = scaled.T @ information @ scaled
     sizes, axes = np.linalg.eigh((core + core.T) / 2)
     root = scaled @ axes / np.sqrt(1 + np.maximum(sizes, 0.0))
@@ -216,13 +221,13 @@ class _Problem:
         self._measured = flat_measured(prediction.measured)
         self._known = np.isfinite(self._measured) & rows[:, None]
 
-    def solved(self, values: Array, free: Flags, noise: Noise, steps: int) -> Array:
+    def solve_values(self, values: Array, free: Flags, noise: Noise, steps: int) -> Array:
         """Improve those values (P,) that are free (P,), at a given noise, in at most so many steps."""
         chosen = np.flatnonzero(free)
         if not len(chosen):
             return values
         sigma, (low, high) = self._parameters.sigma, self._parameters.bounds
-        weights, whitened = 1 / _scales(noise, self._measured.shape[1]), self._parameters.whitened
+        weights, whitened = 1 / _scales(noise, self._measured.shape[1]), self._parameters.whitening_matrix
         count = int(self._known.sum())
 
         # The unknowns u are values over their standard deviations before measuring, so that steps in mm, rad and
@@ -235,11 +240,11 @@ class _Problem:
         def residuals(u: Array) -> Array:
             here = all_values(u)
             return np.concatenate(
-                [self._weighed(here, weights)[self._known], whitened @ (here - self._parameters.mean)]
+                [self._weighted_residuals(here, weights)[self._known], whitened @ (here - self._parameters.mean)]
             )
 
         def slopes(u: Array) -> Array:
-            _, changes = self._prediction.with_changes(all_values(u), self._rows)
+            _, changes = self._prediction.predict_with_derivatives(all_values(u), self._rows)
             rows = -(changes * weights[:, None])[self._known]  # residuals are measured less predicted
             return np.asarray(np.vstack([rows, whitened])[:, chosen] * sigma[chosen])
 
@@ -248,44 +253,50 @@ class _Problem:
 
         bounds = low[chosen] / sigma[chosen], high[chosen] / sigma[chosen]
         # The method wants a start strictly within bounds.
-        begin = np.clip(values[chosen] / sigma[chosen], bounds[0] + INSIDE, bounds[1] - INSIDE)
+        begin = np.clip(
+            values[chosen] / sigma[chosen],
+            bounds[0] + MIN_BOUND_DISTANCE_SIGMAS,
+            bounds[1] - MIN_BOUND_DISTANCE_SIGMAS,
+        )
         options: dict[str, Any] = {"xtol": 1e-5, "ftol": 1e-6, "gtol": 1e-8, "max_nfev": steps}
         done = least_squares(residuals, begin, slopes, bounds, loss=loss, **options)
         return all_values(done.x)
 
-    def _weighed(self, values: Array, weights: Array) -> Array:
-        """Residuals (T, 6 + 3n) at values (P,), times weights (6 + 3n,); LOST where there is no equilibrium."""
-        found = (self._measured - self._prediction.seen(values).flat()) * weights
+    def _weighted_residuals(self, values: Array, weights: Array) -> Array:
+        """Residuals (T, 6 + 3n) at values (P,), times weights (6 + 3n,); NO_EQUILIBRIUM_RESIDUAL where there is no
+        equilibrium.
+        """
+        found = (self._measured - self._prediction.predict_values(values).flat()) * weights
         # A robot without an equilibrium must cost something finite, and more than one that is merely off.
-        return np.where(np.isfinite(found) | ~self._known, found, LOST)
+        return np.where(np.isfinite(found) | ~self._known, found, NO_EQUILIBRIUM_RESIDUAL)
 
     def noise(self, values: Array, free: Index) -> Noise:
         """Estimate the noise from the residuals at values (P,), of which those at the indices free were fitted."""
-        residuals = self._measured - self._prediction.seen(values).flat()
+        residuals = self._measured - self._prediction.predict_values(values).flat()
         residuals[~self._known] = np.nan
         count = np.isfinite(residuals).sum()
         # Residuals of a fit are smaller than the noise, by the degrees of freedom that it has used up.
         spent = max(1 - len(free) / max(count, 1), 1 / max(count, 1))
         position = np.delete(residuals, slice(3, 6), axis=1)
         size = _spread(position, spent, LEAST_NOISE[0]), _spread(residuals[:, 3:6], spent, LEAST_NOISE[1])
-        return Noise(*size, self._alike(residuals / _scales(Noise(*size), residuals.shape[1])))
+        return Noise(*size, self._autocorrelation(residuals / _scales(Noise(*size), residuals.shape[1])))
 
-    def _alike(self, residuals: Array) -> float:
+    def _autocorrelation(self, residuals: Array) -> float:
         """Correlation of residuals (T, 6 + 3n), over their noise and clipped, that follow each other in time."""
         measured = self._prediction.measured
-        if not measured.timed:
+        if not measured.has_times:
             return 0.0
         used = np.flatnonzero(self._rows)
-        clipped = np.clip(residuals[used], -CLIPPED, CLIPPED)
+        clipped = np.clip(residuals[used], -NOISE_CLIP_DEVIATIONS, NOISE_CLIP_DEVIATIONS)
         pairs = clipped[:-1] * clipped[1:]
         pairs[np.diff(measured.recording[used]) != 0] = np.nan
         if not np.isfinite(pairs).any():
             return 0.0
         return float(np.clip(np.nanmean(pairs) / np.nanmean(clipped**2), 0.0, 0.99))
 
-    def fit(self, values: Array, free: Flags, noise: Noise) -> Fit:
+    def fit(self, values: Array, free: Flags, noise: Noise) -> ParameterFit:
         """Return the Fit of values (P,), those free (P,) fitted, with their covariance at this noise."""
-        seen, changes = self._prediction.with_changes(values, self._rows)
+        seen, changes = self._prediction.predict_with_derivatives(values, self._rows)
         residuals = self._measured - seen.flat()
         weighed = (residuals / _scales(noise, residuals.shape[1]))[self._known]
         # J^T J / s^2 is the information of independent normal residuals under least squares. The soft loss makes
@@ -293,10 +304,10 @@ class _Problem:
         factor = _efficiency(weighed[np.isfinite(weighed)]) / noise.inflation
         information = information_of(changes, self._known, noise).sum(axis=0) * factor
         covariance = posterior(self._parameters, information)
-        return Fit(self._parameters, values, covariance, information, residuals, noise, ~free)
+        return ParameterFit(self._parameters, values, covariance, information, residuals, noise, ~free)
 
 
-def _inside(parameters: Parameters, start: Array | None) -> Array:
+def _start_within_bounds(parameters: Parameters, start: Array | None) -> Array:
     """Return an initial guess (P,) well within the parameters' bounds, by default near their prior means."""
     low, high = parameters.bounds
     near = 0.1 * parameters.sigma
@@ -311,8 +322,12 @@ def _soft_l1(squares: Array, count: int) -> Array:
     """
     found = np.stack([squares, np.ones_like(squares), np.zeros_like(squares)])
     # scipy takes rho as a function of z = r^2: rho = 2 c^2 (sqrt(1 + z / c^2) - 1), rho' and rho''.
-    t = 1 + squares[:count] / SOFT**2
-    found[:, :count] = 2 * SOFT**2 * (np.sqrt(t) - 1), t**-0.5, -0.5 * t**-1.5 / SOFT**2
+    t = 1 + squares[:count] / SOFT_LOSS_DEVIATIONS**2
+    found[:, :count] = (
+        2 * SOFT_LOSS_DEVIATIONS**2 * (np.sqrt(t) - 1),
+        t**-0.5,
+        -0.5 * t**-1.5 / SOFT_LOSS_DEVIATIONS**2,
+    )
     return found
 
 
@@ -322,7 +337,7 @@ def _efficiency(residuals: Array) -> float:
         return 1.0
     # An M-estimator's asymptotic covariance is E[psi^2] / E[psi']^2 (J^T J)^-1, with psi = r / sqrt(1 + r^2 /
     # c^2), the slope of rho / 2: here psi^2 = r^2 / t and psi' = t^-1.5.
-    t = 1 + (residuals / SOFT) ** 2
+    t = 1 + (residuals / SOFT_LOSS_DEVIATIONS) ** 2
     return float(np.mean(t**-1.5) ** 2 / np.mean(residuals**2 / t))
 
 
@@ -335,11 +350,15 @@ def _spread(residuals: Array, spent: float, least: float) -> float:
     if not len(found):
         return math.nan
     # From the median's estimate on (1.4826 for normal residuals), the fixed point of s^2 = mean(min(|r|, c s)^2) /
-    # WITHIN: far residuals count as if they were c s.
+    # CLIPPED_NORMAL_VARIANCE: far residuals count as if they were c s.
     size = max(1.4826 * float(np.median(abs(found))), least)
     for _ in range(50):
         size = max(
-            math.sqrt(float(np.mean(np.minimum(abs(found), CLIPPED * size) ** 2)) / (WITHIN * spent)), least
+            math.sqrt(
+                float(np.mean(np.minimum(abs(found), NOISE_CLIP_DEVIATIONS * size) ** 2))
+                / (CLIPPED_NORMAL_VARIANCE * spent)
+            ),
+            least,
         )
     return size
 
@@ -352,12 +371,12 @@ def _scales(noise: Noise, width: int) -> Array:
 
 
 def _same(one: Noise, other: Noise) -> bool:
-    """Whether two estimates of the noise differ by at most SETTLED; one that is NaN stays so."""
+    """Whether two estimates of the noise differ by at most NOISE_TOLERANCE; one that is NaN stays so."""
     pairs = zip(one[:2], other[:2], strict=True)
-    return all(abs(a - b) <= SETTLED * b or math.isnan(a) for a, b in pairs)
+    return all(abs(a - b) <= NOISE_TOLERANCE * b or math.isnan(a) for a, b in pairs)
 
 
-def at(fit: Fit, prediction: Prediction) -> Fit:
+def recompute_residuals(fit: ParameterFit, prediction: Prediction) -> ParameterFit:
     """Return a fit with the residuals that it leaves in all observations of a prediction."""
-    residuals = flat_measured(prediction.measured) - prediction.seen(fit.values).flat()
+    residuals = flat_measured(prediction.measured) - prediction.predict_values(fit.values).flat()
     return replace(fit, residuals=residuals)

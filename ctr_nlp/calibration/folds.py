@@ -11,13 +11,13 @@ from ctr_nlp.robot import Robot
 from ctr_nlp.support.values import number, whole_number
 from ctr_nlp.typing import Index
 
-NEAR = 1.0
+SAME_POSE_DISTANCE_MM = 1.0
 """mm: poses whose q differ by less, with 10 mm to the rad, are the same."""
-BLOCK = 3.0
+FOLD_BLOCK_S = 3.0
 """Time of a motion that stays together in one fold, s."""
 
 
-def same_poses(robot: Robot, measured: Measurements, near: float = NEAR) -> Index:
+def same_poses(robot: Robot, measured: Measurements, near: float = SAME_POSE_DISTANCE_MM) -> Index:
     """Find for every observation the first one that has its pose.
 
     Poses are compared only with those that stand for others, not with neighbours of neighbours, so that a slow
@@ -48,8 +48,13 @@ def same_poses(robot: Robot, measured: Measurements, near: float = NEAR) -> Inde
     return found
 
 
-def folds(
-    robot: Robot, measured: Measurements, count: int = 5, block: float = BLOCK, near: float = NEAR, seed: int = 0
+def assign_folds(
+    robot: Robot,
+    measured: Measurements,
+    count: int = 5,
+    block: float = FOLD_BLOCK_S,
+    near: float = SAME_POSE_DISTANCE_MM,
+    seed: int = 0,
 ) -> Index:
     """Deal observations out to folds.
 
@@ -86,7 +91,7 @@ def folds(
     # Folds are dealt to the first observations of poses; all others of a pose go with theirs.
     first = same_poses(robot, measured, near)
     leaders = np.unique(first)
-    if measured.timed:
+    if measured.has_times:
         begins = np.array([measured.time[measured.recording == k].min() for k in range(measured.recordings)])
         blocks = np.floor((measured.time - begins[measured.recording]) / block).astype(int)
         _, together = np.unique(np.stack([measured.recording, blocks])[:, leaders], axis=1, return_inverse=True)
@@ -105,7 +110,9 @@ def folds(
     return by_leader[first]
 
 
-def retraced(robot: Robot, measured: Measurements, block: float = BLOCK, near: float = NEAR) -> Index:
+def find_repeated_poses(
+    robot: Robot, measured: Measurements, block: float = FOLD_BLOCK_S, near: float = SAME_POSE_DISTANCE_MM
+) -> Index:
     """Find observations whose pose had been measured before.
 
     Parameters
@@ -126,7 +133,7 @@ def retraced(robot: Robot, measured: Measurements, block: float = BLOCK, near: f
     """
     first = same_poses(robot, measured, near)
     again = first != np.arange(len(measured))
-    if measured.timed:
+    if measured.has_times:
         again &= (abs(measured.time - measured.time[first]) > block) | (
             measured.recording != measured.recording[first]
         )

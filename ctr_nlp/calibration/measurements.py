@@ -10,15 +10,15 @@ import numpy as np
 from ctr_nlp.exceptions import MeasurementError, RobotError
 from ctr_nlp.robot import Robot
 from ctr_nlp.robot.checks import check_angle
-from ctr_nlp.support.equal import Kept
+from ctr_nlp.support.equal import ReadOnlyValue
 from ctr_nlp.typing import Array, Flags, Index
 
-SLACK = 1e-3
+EXTENSION_TOLERANCE_MM = 1e-3
 """mm by which recorded extensions may miss their order and the tubes' lengths: rounding."""
 
 
 @dataclass(frozen=True, eq=False)
-class Measurements(Kept):
+class Measurements(ReadOnlyValue):
     """T observations of a robot: its configurations, and what a sensor measured of its shape at each.
 
     Whatever was not measured is NaN. Places and directions are in the sensor's axes, which are those of the
@@ -85,7 +85,7 @@ class Measurements(Kept):
             )
         if not count:
             raise MeasurementError("there are no measurements; at least one observation is needed")
-        if not self.seen.any():
+        if not self.observed_mask.any():
             raise MeasurementError("nothing was measured: no tip, no direction and no point has a value")
         super().__post_init__()
 
@@ -98,18 +98,18 @@ class Measurements(Kept):
         return replace(self, **arrays)
 
     @property
-    def seen(self) -> Flags:
+    def observed_mask(self) -> Flags:
         """Mask (T,) of the observations in which anything of the shape was measured."""
         flat = np.concatenate([self.tip, self.direction, self.points.reshape(len(self.q), -1)], axis=1)
         return np.asarray(np.isfinite(flat).any(axis=1))
 
     @property
-    def timed(self) -> bool:
+    def has_times(self) -> bool:
         """Whether these are motions, at known times, instead of poses measured one by one."""
         return bool(np.isfinite(self.time).all())
 
     @property
-    def pushed(self) -> bool:
+    def has_tip_force(self) -> bool:
         """Whether a force acts at the tip in any observation."""
         return bool(self.force.any())
 
@@ -119,7 +119,7 @@ class Measurements(Kept):
 
         These are the first of every recording, and all where no time is known.
         """
-        if not self.timed:
+        if not self.has_times:
             return np.ones(len(self), dtype=bool)
         return np.asarray(np.diff(self.recording, prepend=-1) != 0)
 
@@ -218,7 +218,7 @@ def _check_configuration(robot: Robot, row: int, q: Array, lengths: Array) -> No
                 raise MeasurementError(str(error)) from error
     beta, before = robot.split(q)[1], 0.0
     for i, (value, length) in enumerate(zip(beta, lengths, strict=True), start=1):
-        if not before - SLACK <= value <= length + SLACK:
+        if not before - EXTENSION_TOLERANCE_MM <= value <= length + EXTENSION_TOLERANCE_MM:
             least = f"beta_{i - 1}, {before:g}" if i > 1 else "0"
             raise MeasurementError(
                 f"beta_{i} {where} is {value:g} mm; it must lie between {least} mm and the tube's length, "

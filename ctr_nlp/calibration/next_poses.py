@@ -7,27 +7,27 @@ from dataclasses import replace
 
 import numpy as np
 
-from ctr_nlp.calibration.fit import Fit, Noise, information_of, posterior
+from ctr_nlp.calibration.fit import Noise, ParameterFit, information_of, posterior
 from ctr_nlp.calibration.measurements import Measurements
 from ctr_nlp.calibration.parameters import BASE, Parameters
 from ctr_nlp.calibration.prediction import Prediction, flat_measured
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.models import Model
-from ctr_nlp.models.protocol import Passage
+from ctr_nlp.models.protocol import MotionSubsteps
 from ctr_nlp.robot import Robot
 from ctr_nlp.support.values import whole_number
 from ctr_nlp.typing import Array
 
-CANDIDATES = 300
+CANDIDATE_POSE_COUNT = 300
 """Number of random poses to choose from."""
-MARGIN = 0.3
+MIN_POSE_STABILITY_MARGIN = 0.3
 """Least stability margin of a pose that is proposed, on the robot as calibrated."""
 MOST_TURN = math.pi
 """Largest angle of tubes to either side where their motors have no limits, rad."""
 
 
 def next_poses(
-    fit: Fit, prediction: Prediction, model: Model, robot: Robot, count: int, seed: int = 0
+    fit: ParameterFit, prediction: Prediction, model: Model, robot: Robot, count: int, seed: int = 0
 ) -> tuple[Array, Array]:
     """Choose poses whose measurement would lower the uncertainty most, one after the other.
 
@@ -66,20 +66,21 @@ def next_poses(
     """
     count = whole_number(OptionError, "number of next poses", count)
     parameters, measured = fit.parameters, prediction.measured
-    q = stable_poses(robot, model, max(CANDIDATES, 2 * count), seed)
-    seen = _as_seen(measured, q)
+    q = stable_poses(robot, model, max(CANDIDATE_POSE_COUNT, 2 * count), seed)
+    seen = _observations_at(measured, q)
     there = Prediction(parameters, seen, model, prediction.bases)
-    _, changes = there.with_changes(fit.values)
+    _, changes = there.predict_with_derivatives(fit.values)
     told = information_of(changes, np.isfinite(flat_measured(seen)), Noise(*fit.noise[:2]))
     # The base's pose is of this setup alone, and no number of the robot.
     taught = [k for k, one in enumerate(parameters.each) if one.kind not in BASE]
     information, chosen, left = fit.information, list[int](), list[float]()
-    begin = _doubt(parameters, information, taught)
+    begin = _log_mean_sigma(parameters, information, taught)
     # Information adds up over observations, so that each candidate is only linearised once. Greedy: the best one,
     # given those chosen, not the best set.
     for _ in range(min(count, len(q))):
         doubts = [
-            math.inf if k in chosen else _doubt(parameters, information + told[k], taught) for k in range(len(q))
+            math.inf if k in chosen else _log_mean_sigma(parameters, information + told[k], taught)
+            for k in range(len(q))
         ]
         best = int(np.argmin(doubts))
         chosen.append(best)
@@ -88,7 +89,9 @@ def next_poses(
     return q[chosen], np.array(left)
 
 
-def stable_poses(robot: Robot, model: Model, count: int, seed: int, margin: float = MARGIN) -> Array:
+def stable_poses(
+    robot: Robot, model: Model, count: int, seed: int, margin: float = MIN_POSE_STABILITY_MARGIN
+) -> Array:
     """Draw random poses in which a robot stands stably.
 
     Parameters
@@ -119,15 +122,15 @@ def stable_poses(robot: Robot, model: Model, count: int, seed: int, margin: floa
     beta = np.sort(q[:, d : 2 * d], axis=1)
     q[:, d : 2 * d] = np.clip(beta, low[d : 2 * d], high[d : 2 * d])
     growth = np.diff(q[:, d : 2 * d], axis=1)
-    kept = q[((growth >= 0) & (growth <= robot.most_growth)).all(axis=1) & (q[:, 2 * d - 1] > 0)]
+    kept = q[((growth >= 0) & (growth <= robot.max_extension_differences)).all(axis=1) & (q[:, 2 * d - 1] > 0)]
     # Every pose is fresh: reached by itself from aligned tubes, and not from the one before.
-    way = Passage(kept, np.arange(len(kept)), np.ones(len(kept), dtype=bool), len(kept))
-    (found,) = model.follow_apart(robot.structure, robot.numbers[None], way, kept[None])
+    way = MotionSubsteps(kept, np.arange(len(kept)), np.ones(len(kept), dtype=bool), len(kept))
+    (found,) = model.follow_batch(robot.structure, robot.numbers[None], way, kept[None])
     steady = np.isfinite(found.x).all(axis=1) & ~(found.stability < margin)
     return kept[steady][:count]
 
 
-def _as_seen(measured: Measurements, q: Array) -> Measurements:
+def _observations_at(measured: Measurements, q: Array) -> Measurements:
     """Make observations at q (n, 2d + 2) whose entries are measured as in the observation that has most of them.
 
     Only which entries are known counts; their values mean nothing.
@@ -137,7 +140,7 @@ def _as_seen(measured: Measurements, q: Array) -> Measurements:
     return replace(like, q=q, time=np.full(len(q), np.nan))
 
 
-def _doubt(parameters: Parameters, information: Array, columns: list[int]) -> float:
+def _log_mean_sigma(parameters: Parameters, information: Array, columns: list[int]) -> float:
     """The logarithm of the geometric mean of standard deviations along the axes of some parameters' covariance.
 
     information (P, P): what the data say; columns: indices of these parameters.

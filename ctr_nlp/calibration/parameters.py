@@ -2,7 +2,7 @@
 
 Parameters of tubes are differences from the nominal robot, as in robot/tolerances.py: parts of its own number for
 curvature, bending stiffness and torsional ratio, mm for the curved length, rad for the zero of a motor. Their
-prior p_0 is 0, and its covariance C_0 comes from the robot's tolerances, or from SIGMAS where it has none.
+prior p_0 is 0, and its covariance C_0 comes from the robot's tolerances, or from PRIOR_SIGMAS where it has none.
 """
 
 from __future__ import annotations
@@ -17,23 +17,23 @@ import numpy as np
 from ctr_nlp.calibration.measurements import Measurements
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.robot import Robot
-from ctr_nlp.robot.draws import LEAST
-from ctr_nlp.robot.structure import NUMBERS, Structure
-from ctr_nlp.robot.tolerances import NAMES
-from ctr_nlp.robot.tube import CURVATURE, STRAIN_MADE
-from ctr_nlp.simulation.lag import Lag
+from ctr_nlp.robot.draws import MIN_REMAINING_PART
+from ctr_nlp.robot.structure import TUBE_NUMBER_NAMES, Structure
+from ctr_nlp.robot.tolerances import DEVIATION_NAMES
+from ctr_nlp.robot.tube import MAX_PRE_CURVATURE_STRAIN, MAX_TUBE_CURVATURE_PER_MM
+from ctr_nlp.simulation.lag import BacklashAndDrag
 from ctr_nlp.typing import Array
 
 LAGS = "rotation_lag", "lag_per_overlap", "drag"
 """Lag of each tube: backlash to either side, its growth with the overlap, the time constant of viscous drag."""
-MODULUS = "youngs_modulus"
+MODULUS_KIND = "youngs_modulus"
 """Common factor of all tubes' stiffnesses, as a part of their own; only loads show it."""
 DELAY, OFFSET = "sensor_delay", "tip_offset"
 BASE = "base_x", "base_y", "base_z", "base_turn_x", "base_turn_y", "base_roll"
 """Pose of the robot's base for the sensor, one a recording: mm in the sensor's axes, rad about the base's."""
-KINDS = (*NAMES, MODULUS, *LAGS, DELAY, OFFSET)
+PARAMETER_KINDS = (*DEVIATION_NAMES, MODULUS_KIND, *LAGS, DELAY, OFFSET)
 """Kinds of parameters that may be named; the base's pose is estimated wherever it is unknown."""
-UNITS = {
+PARAMETER_UNITS = {
     "curvature": "part",
     "bending_stiffness": "part",
     "torsional_ratio": "part",
@@ -47,7 +47,7 @@ UNITS = {
     "tip_offset": "mm",
     **dict(zip(BASE, ("mm",) * 3 + ("rad",) * 3, strict=True)),
 }
-SIGMAS = {
+PRIOR_SIGMAS = {
     "curvature": 0.1,
     "bending_stiffness": 0.1,
     "torsional_ratio": 0.1,
@@ -62,11 +62,15 @@ SIGMAS = {
     **dict(zip(BASE, (1000.0,) * 3 + (1.0,) * 3, strict=True)),
 }
 """Prior standard deviations of kinds that are named and have no tolerance in the robot's file."""
-ROUNDING = 1e-9
+TIED_VARIANCE_INCREASE = 1e-9
 """Part by which variances are raised, so that the covariance of tied parameters is not singular."""
 MOST_RATIO = 1.5
 """The largest torsional ratio, that of a Poisson's ratio of 0.5."""
-WORDS = {"rotation_lag": "play", "lag_per_overlap": "play per mm of overlap", "base_roll": "roll of the base"}
+PARAMETER_PHRASES = {
+    "rotation_lag": "play",
+    "lag_per_overlap": "play per mm of overlap",
+    "base_roll": "roll of the base",
+}
 
 
 @dataclass(frozen=True)
@@ -76,7 +80,7 @@ class Parameter:
     Attributes
     ----------
     kind : str
-        Kind of parameter, of KINDS or BASE.
+        Kind of parameter, of PARAMETER_KINDS or BASE.
     number : int or None
         The tube or the recording that it belongs to, from 1; None where it belongs to the whole robot.
     sigma, mean, low, high : float
@@ -94,7 +98,7 @@ class Parameter:
     @property
     def unit(self) -> str:
         """Unit of the value: "part", "mm", "rad", "rad/mm" or "s"."""
-        return UNITS[self.kind]
+        return PARAMETER_UNITS[self.kind]
 
     @property
     def name(self) -> str:
@@ -104,7 +108,7 @@ class Parameter:
     @property
     def words(self) -> str:
         """Name in a sentence, such as "curvature of tube 2"."""
-        said = WORDS.get(self.kind, self.kind.replace("_", " "))
+        said = PARAMETER_PHRASES.get(self.kind, self.kind.replace("_", " "))
         whose = "recording" if self.kind in BASE else "tube"
         return said if self.number is None else f"{said} of {whose} {self.number}"
 
@@ -146,8 +150,8 @@ class Parameters:
     def covariance(self) -> Array:
         """Covariance C_0 (P, P) before measuring, with the correlations that the robot's tolerances may have."""
         found, all_parts = np.diag(self.sigma**2), _covariance(self.robot)
-        columns = self.columns(*NAMES)
-        places = [len(NAMES) * self.tube(k) + NAMES.index(self.each[k].kind) for k in columns]
+        columns = self.columns(*DEVIATION_NAMES)
+        places = [len(DEVIATION_NAMES) * self.tube(k) + DEVIATION_NAMES.index(self.each[k].kind) for k in columns]
         for k, row in zip(columns, places, strict=True):
             for j, column in zip(columns, places, strict=True):
                 if j != k:
@@ -155,12 +159,12 @@ class Parameters:
         return found
 
     @cached_property
-    def whitened(self) -> Array:
+    def whitening_matrix(self) -> Array:
         """Matrix W (P, P) with W^T W = C_0^-1: W (p - p_0) are independent numbers of variance 1."""
         # Scaled to correlations first: variances of mm^2 and rad^2 lie far apart. Tubes whose numbers are tied
         # have a singular matrix, which Cholesky's method takes only with some variance of their own.
         scaled = self.covariance / np.outer(self.sigma, self.sigma)
-        root = np.linalg.cholesky(scaled + ROUNDING * np.eye(len(self)))
+        root = np.linalg.cholesky(scaled + TIED_VARIANCE_INCREASE * np.eye(len(self)))
         return np.asarray(np.linalg.inv(root) / self.sigma)
 
     @cached_property
@@ -203,18 +207,18 @@ class Parameters:
         (.., d, 5) array
             Differences in the order of ``robot.tolerances.NAMES``: parts, mm and rad.
         """
-        found = np.stack([self.of_tubes(values, name) for name in NAMES], axis=-1)
-        for k in self.columns(MODULUS):
+        found = np.stack([self.of_tubes(values, name) for name in DEVIATION_NAMES], axis=-1)
+        for k in self.columns(MODULUS_KIND):
             # To first order: (1 + a)(1 + m) = 1 + a + m.
-            found[..., NAMES.index("bending_stiffness")] += values[..., k, None]
+            found[..., DEVIATION_NAMES.index("bending_stiffness")] += values[..., k, None]
         return found
 
     @property
-    def parts_over(self) -> Array:
+    def parts_jacobian(self) -> Array:
         """Derivatives (5d, P) of the differences of :meth:`parts`, tube by tube, over the parameters."""
         return np.stack([self.parts(unit).ravel() for unit in np.eye(len(self))], axis=1)
 
-    def numbers_over(self, column: int) -> Array:
+    def numbers_derivative(self, column: int) -> Array:
         """Compute the derivatives of the tubes' numbers over one parameter, which are constant.
 
         Parameters
@@ -227,21 +231,21 @@ class Parameters:
         (d, 8) array
             Derivatives in the order of ``robot.structure.NUMBERS``, each in its unit per unit of the parameter.
         """
-        one, found = self.each[column], np.zeros((self.robot.d, len(NUMBERS)))
-        if one.kind == MODULUS:
-            number = NUMBERS.index("bending_stiffness")
+        one, found = self.each[column], np.zeros((self.robot.d, len(TUBE_NUMBER_NAMES)))
+        if one.kind == MODULUS_KIND:
+            number = TUBE_NUMBER_NAMES.index("bending_stiffness")
             found[:, number] = self.robot.numbers[:, number]
         # Parts scale the nominal number, a length is added to it; a motor's zero is no number of a tube.
         scaled = {"curvature": ("root_curvature", "tip_curvature")}.get(one.kind, (one.kind,))
-        for name in scaled if one.kind in NAMES and one.kind != "motor_zero" else ():
-            number, i = NUMBERS.index(name), self.tube(column)
+        for name in scaled if one.kind in DEVIATION_NAMES and one.kind != "motor_zero" else ():
+            number, i = TUBE_NUMBER_NAMES.index(name), self.tube(column)
             found[i, number] = 1.0 if one.kind == "curved_length" else self.robot.numbers[i, number]
         return found
 
-    def lag(self, values: Array) -> Lag:
+    def lag(self, values: Array) -> BacklashAndDrag:
         """Return the backlash and drag of the tubes for values (.., P)."""
         # A fit keeps values above their bound 0, but for rounding.
-        return Lag(*(np.maximum(self.of_tubes(values, kind), 0.0) for kind in LAGS))
+        return BacklashAndDrag(*(np.maximum(self.of_tubes(values, kind), 0.0) for kind in LAGS))
 
     def delay(self, values: Array) -> float:
         """Return the delay of the sensor, s, for values (P,)."""
@@ -254,7 +258,7 @@ class Parameters:
         return number - 1
 
 
-def default_kinds(robot: Robot, measured: Measurements, bears: bool = False) -> tuple[str, ...]:
+def default_kinds(robot: Robot, measured: Measurements, loaded: bool = False) -> tuple[str, ...]:
     """Choose the kinds of parameters that are estimated where none are named.
 
     Parameters
@@ -263,7 +267,7 @@ def default_kinds(robot: Robot, measured: Measurements, bears: bool = False) -> 
         The nominal robot: whatever has a tolerance is estimated.
     measured : Measurements
         The observations: where their time is known, backlash, drag and the sensor's delay are estimated.
-    bears : bool
+    loaded : bool
         Whether the robot bears a load: then the Young's modulus is estimated.
 
     Returns
@@ -272,8 +276,8 @@ def default_kinds(robot: Robot, measured: Measurements, bears: bool = False) -> 
         Kinds of parameters.
     """
     bands = robot.tolerances.bands(robot.tubes)
-    known = [name for name, band in zip(NAMES, bands.T, strict=True) if band.any()]
-    return (*known, *([MODULUS] * bears), *((*LAGS, DELAY) if measured.timed else ()))
+    known = [name for name, band in zip(DEVIATION_NAMES, bands.T, strict=True) if band.any()]
+    return (*known, *([MODULUS_KIND] * loaded), *((*LAGS, DELAY) if measured.has_times else ()))
 
 
 def parameters_of(
@@ -281,7 +285,7 @@ def parameters_of(
     measured: Measurements,
     kinds: Sequence[str] | None = None,
     registered: bool = False,
-    bears: bool = False,
+    loaded: bool = False,
 ) -> Parameters:
     """Make the parameters of some kinds, with means and covariance from the robot's tolerances.
 
@@ -292,12 +296,12 @@ def parameters_of(
     measured : Measurements
         The observations.
     kinds : sequence of str, optional
-        Of KINDS; by default :func:`default_kinds`. One that is named and has no tolerance has the standard
-        deviation of SIGMAS.
+        Of PARAMETER_KINDS; by default :func:`default_kinds`. One that is named and has no tolerance has the
+        standard deviation of PRIOR_SIGMAS.
     registered : bool
         Whether the sensor's axes are those of the robot's base; otherwise the base's pose is estimated, too, in
         every recording.
-    bears : bool
+    loaded : bool
         Whether the robot bears a load.
 
     Returns
@@ -310,61 +314,63 @@ def parameters_of(
     OptionError
         A kind is unknown, cannot show in such measurements, or nothing is left to be estimated.
     """
-    asked = default_kinds(robot, measured, bears) if kinds is None else tuple(dict.fromkeys(kinds))
+    asked = default_kinds(robot, measured, loaded) if kinds is None else tuple(dict.fromkeys(kinds))
     for kind in asked:
-        if kind not in KINDS:
-            raise OptionError(f"{kind!r} cannot be estimated; choose from {', '.join(KINDS)}")
-        if kind in (*LAGS, DELAY) and not measured.timed:
+        if kind not in PARAMETER_KINDS:
+            raise OptionError(f"{kind!r} cannot be estimated; choose from {', '.join(PARAMETER_KINDS)}")
+        if kind in (*LAGS, DELAY) and not measured.has_times:
             raise OptionError(f"{kind} shows in motions alone; the measurements have no time_s")
-        if kind == MODULUS and not bears:
+        if kind == MODULUS_KIND and not loaded:
             raise OptionError(
                 f"{kind} shows under loads alone; give the force at the tip in every observation, in N, as "
                 "force_x, force_y and force_z, or a load that the robot bears in all"
             )
         if kind == OFFSET and not np.isfinite(measured.tip).any():
             raise OptionError(f"{OFFSET} needs measured tips; there are none")
-    found = [one for kind in KINDS if kind in asked for one in _of_kind(robot, kind, bears)]
+    found = [one for kind in PARAMETER_KINDS if kind in asked for one in _of_kind(robot, kind, loaded)]
     if not registered:
         numbers = [None] if measured.recordings == 1 else list(range(1, measured.recordings + 1))
-        found += [Parameter(kind, number, SIGMAS[kind]) for number in numbers for kind in BASE]
+        found += [Parameter(kind, number, PRIOR_SIGMAS[kind]) for number in numbers for kind in BASE]
     if not found:
         raise OptionError("nothing is to be estimated: the robot has no tolerances; name what is to be estimated")
     return Parameters(robot, tuple(found))
 
 
-def _of_kind(robot: Robot, kind: str, bears: bool) -> list[Parameter]:
-    """The parameters of one kind, one for each tube or one alone; bears: whether the robot bears a load."""
+def _of_kind(robot: Robot, kind: str, loaded: bool) -> list[Parameter]:
+    """The parameters of one kind, one for each tube or one alone; loaded: whether the robot bears a load."""
     if kind in (DELAY, OFFSET):
-        return [Parameter(kind, None, SIGMAS[kind])]
-    if kind == MODULUS:
-        return [Parameter(kind, None, SIGMAS[kind], low=LEAST - 1)]
+        return [Parameter(kind, None, PRIOR_SIGMAS[kind])]
+    if kind == MODULUS_KIND:
+        return [Parameter(kind, None, PRIOR_SIGMAS[kind], low=MIN_REMAINING_PART - 1)]
     tubes = range(robot.d)
     if kind in LAGS:
         # A lag that is uniform in [0, L] has the root mean square L / sqrt(3). The mean before measuring is 0:
         # what is estimated is drawn towards a robot that does not lag.
-        known = robot.tolerances.lags(robot.d) / math.sqrt(3) if kind == LAGS[0] else np.zeros(robot.d)
-        return [Parameter(kind, i + 1, float(known[i]) or SIGMAS[kind], low=0.0) for i in tubes]
-    sigmas = np.sqrt(np.diag(_covariance(robot)).reshape(robot.d, len(NAMES))[:, NAMES.index(kind)])
+        known = robot.tolerances.max_backlash(robot.d) / math.sqrt(3) if kind == LAGS[0] else np.zeros(robot.d)
+        return [Parameter(kind, i + 1, float(known[i]) or PRIOR_SIGMAS[kind], low=0.0) for i in tubes]
+    sigmas = np.sqrt(
+        np.diag(_covariance(robot)).reshape(robot.d, len(DEVIATION_NAMES))[:, DEVIATION_NAMES.index(kind)]
+    )
     if not sigmas.any():
-        sigmas = np.full(robot.d, SIGMAS[kind])
-    chosen = [i for i in tubes if sigmas[i] > 0 and _shows(robot, kind, i, bears)]
+        sigmas = np.full(robot.d, PRIOR_SIGMAS[kind])
+    chosen = [i for i in tubes if sigmas[i] > 0 and _shows(robot, kind, i, loaded)]
     return [Parameter(kind, i + 1, float(sigmas[i]), 0.0, *_range(robot, kind, i)) for i in chosen]
 
 
 def _covariance(robot: Robot) -> Array:
     """Covariance (5d, 5d) of the differences of tubes by the robot's tolerances."""
-    root = robot.tolerances.root(robot.tubes)
+    root = robot.tolerances.covariance_root(robot.tubes)
     return np.asarray(root @ root.T)
 
 
-def _shows(robot: Robot, kind: str, i: int, bears: bool) -> bool:
+def _shows(robot: Robot, kind: str, i: int, loaded: bool) -> bool:
     """Whether a number of tube i, from 0, can change any shape.
 
     A straight tube has no curvature, and of a single tube only a load shows the stiffness: there are no ratios.
     """
     if kind in ("curvature", "curved_length"):
         return robot.structure.kinds[i] != "straight"
-    return kind == "motor_zero" or robot.d > 1 or bears
+    return kind == "motor_zero" or robot.d > 1 or loaded
 
 
 def _range(robot: Robot, kind: str, i: int) -> tuple[float, float]:
@@ -373,10 +379,14 @@ def _range(robot: Robot, kind: str, i: int) -> tuple[float, float]:
     if kind == "motor_zero":
         return -math.pi, math.pi
     if kind == "curved_length":
-        return (LEAST - 1) * tube.curved_length, tube.length - tube.curved_length
+        return (MIN_REMAINING_PART - 1) * tube.curved_length, tube.length - tube.curved_length
     most = math.inf
     if kind == "curvature":
-        most = min(CURVATURE, 2 * STRAIN_MADE / tube.outer_diameter) / tube.largest_curvature - 1
+        most = (
+            min(MAX_TUBE_CURVATURE_PER_MM, 2 * MAX_PRE_CURVATURE_STRAIN / tube.outer_diameter)
+            / tube.largest_curvature
+            - 1
+        )
     if kind == "torsional_ratio":
         most = MOST_RATIO / (1 + tube.poisson_ratio) - 1
-    return LEAST - 1, most
+    return MIN_REMAINING_PART - 1, most

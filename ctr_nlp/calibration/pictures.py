@@ -53,17 +53,17 @@ def residuals(found: Calibration) -> Figure:
     """Draw errors of all observations found, mm, over each entry of q that was moved."""
     q = found.measured.q
     moved = [k for k in range(q.shape[1]) if np.ptp(q[:, k]) > 1e-9][:MOST_AXES] or [0]
-    figure, axes = panels([found.described.axes[k] for k in moved], min(3, len(moved)), (2.6, 2.2))
+    figure, axes = panels([found.nominal.axes[k] for k in moved], min(3, len(moved)), (2.6, 2.2))
     looks = (
-        (found.before, SKY, "as described"),
+        (found.nominal_residuals, SKY, "as described"),
         (found.fit.residuals, BLUE, "fitted"),
         (found.held_out, ORANGE, "held out"),
     )
     for panel, k in zip(axes, moved, strict=True):
         for values, colour, label in looks:
             panel.plot(q[:, k], errors(values), ".", ms=3, color=colour, label=label)
-        unit = "mm" if found.described.axes[k].startswith("beta") else "rad"
-        panel.set_xlabel(f"{found.described.axes[k]} ({unit})")
+        unit = "mm" if found.nominal.axes[k].startswith("beta") else "rad"
+        panel.set_xlabel(f"{found.nominal.axes[k]} ({unit})")
         root_scale(panel)
     axes[0].set_ylabel("error (mm)")
     handles, labels = axes[0].get_legend_handles_labels()
@@ -77,7 +77,10 @@ def against_fitted(found: Calibration) -> Figure:
     figure, axes = panels(["x", "y", "z"], 3, (2.6, 2.6))
     for axis, panel in enumerate(axes):
         measured = _coordinates(flat_measured(found.measured), axis)
-        for values, colour, label in ((found.before, SKY, "as described"), (found.fit.residuals, BLUE, "fitted")):
+        for values, colour, label in (
+            (found.nominal_residuals, SKY, "as described"),
+            (found.fit.residuals, BLUE, "fitted"),
+        ):
             panel.plot(measured - _coordinates(values, axis), measured, ".", ms=3, color=colour, label=label)
         known = measured[np.isfinite(measured)]
         if len(known):

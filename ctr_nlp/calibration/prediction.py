@@ -15,24 +15,24 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from ctr_nlp.calibration.measurements import Measurements
-from ctr_nlp.calibration.parameters import BASE, DELAY, LAGS, MODULUS, NAMES, OFFSET, Parameters
-from ctr_nlp.loads import Load, steady
+from ctr_nlp.calibration.parameters import BASE, DELAY, DEVIATION_NAMES, LAGS, MODULUS_KIND, OFFSET, Parameters
+from ctr_nlp.loads import Load, require_constant_load
 from ctr_nlp.models import Model
-from ctr_nlp.models.protocol import Passage
-from ctr_nlp.robot.draws import drawn_from
-from ctr_nlp.simulation.lag import delayed
-from ctr_nlp.simulation.sensitivities import shown_changes
+from ctr_nlp.models.protocol import MotionSubsteps
+from ctr_nlp.robot.draws import perturb_robot
+from ctr_nlp.simulation.lag import delay_configurations
+from ctr_nlp.simulation.sensitivities import shape_derivatives_at_q
 from ctr_nlp.typing import Array, Flags
 
-AHEAD = 2e-3
+TIP_DIFFERENCE_SPACING = 2e-3
 """Distance of the places at the tip whose differences give its direction, as a part of the robot's length."""
 STENCIL = np.array([3.0, -4.0, 1.0])
 """Weights of the tip and of the places one and two steps before it: a one-sided second-order difference."""
-STEP = 1e-6
+NUMERICAL_DERIVATIVE_STEP = 1e-6
 """Step of numerical derivatives over rotations of the base, rad, and over delays and lags."""
 
 
-class Seen(NamedTuple):
+class ObservableValues(NamedTuple):
     """Measurable values of T observations.
 
     As derivatives over P parameters each array has a further, last axis (P,).
@@ -91,14 +91,14 @@ class Prediction:
         self.parameters, self.measured, self._model = parameters, measured, model
         self.bases = bases or [(np.eye(3), np.zeros(3))] * measured.recordings
         count, d = len(measured), parameters.robot.d
-        load = Load() if model.bears is None else steady(model.bears, "a calibration")
+        load = Load() if model.applied_load is None else require_constant_load(model.applied_load, "a calibration")
         self._loads = np.tile(load.numbers(d), (count, 1))
         self._loads[:, :3] += measured.force
         # The tip, and two places just before it from which its direction is told, come before the measured points.
-        tip = np.broadcast_to([1.0, 1.0 - AHEAD, 1.0 - 2 * AHEAD], (count, 3))
+        tip = np.broadcast_to([1.0, 1.0 - TIP_DIFFERENCE_SPACING, 1.0 - 2 * TIP_DIFFERENCE_SPACING], (count, 3))
         self._sigma = np.hstack([tip, np.where(np.isfinite(measured.sigma), measured.sigma, 1.0)])
 
-    def seen(self, values: Array) -> Seen:
+    def predict_values(self, values: Array) -> ObservableValues:
         """Predict what the sensor measures.
 
         Parameters
@@ -113,7 +113,7 @@ class Prediction:
         """
         return self._for_sensor(values, self._in_base(values, *self._equilibria(values))[0])
 
-    def with_changes(self, values: Array, rows: Flags | None = None) -> tuple[Seen, Array]:
+    def predict_with_derivatives(self, values: Array, rows: Flags | None = None) -> tuple[ObservableValues, Array]:
         """Predict what the sensor measures, and the derivatives of that.
 
         Parameters
@@ -134,7 +134,7 @@ class Prediction:
         x, numbers = self._equilibria(values)
         inside, ahead = self._in_base(values, x, numbers)
         asked = np.asarray(np.isfinite(x).all(axis=1) & (True if rows is None else rows))
-        over = self._in_base_over(values, x, numbers, asked)
+        over = self._in_base_derivatives(values, x, numbers, asked)
         changes = np.where(asked[:, None, None], self._changes(values, inside, ahead, over), 0.0)
         return self._for_sensor(values, inside), changes
 
@@ -154,9 +154,9 @@ class Prediction:
         parameters, measured = self.parameters, self.measured
         q = measured.q
         if parameters.columns(*LAGS):
-            q = parameters.lag(values).turned(parameters.robot, q, measured.time, measured.fresh)
+            q = parameters.lag(values).apply_to_motion(parameters.robot, q, measured.time, measured.fresh)
         if parameters.columns(DELAY):
-            q = delayed(q, measured.time, parameters.delay(values), measured.fresh)
+            q = delay_configurations(q, measured.time, parameters.delay(values), measured.fresh)
         q = np.array(q)
         # Last: zeros turn tubes and not motors, so that they do not lag.
         q[:, : parameters.robot.d] += parameters.of_tubes(values, "motor_zero")
@@ -166,51 +166,51 @@ class Prediction:
         """Find the equilibria x (T, n_x) for values (P,), and the tubes' numbers (d, 8)."""
         parameters, measured = self.parameters, self.measured
         parts = parameters.parts(values)[None]
-        numbers = drawn_from(parameters.robot, parts, np.zeros(parts.shape[:2])).numbers
+        numbers = perturb_robot(parameters.robot, parts, np.zeros(parts.shape[:2])).numbers
         count, q = len(measured), self.configurations(values)
-        way, at = Passage(q, np.arange(count), measured.fresh, count), parameters.structure
-        if self._model.bears is None:
-            found = self._model.follow_apart(at, numbers, way, q[None], False)
-        elif measured.timed:
-            found = self._model.follow_under(self._loads[None], at, numbers, way, q[None], False)
+        way, at = MotionSubsteps(q, np.arange(count), measured.fresh, count), parameters.structure
+        if self._model.applied_load is None:
+            found = self._model.follow_batch(at, numbers, way, q[None], False)
+        elif measured.has_times:
+            found = self._model.follow_with_loads(self._loads[None], at, numbers, way, q[None], False)
         else:  # robots apart are looked at side by side, which is much faster
-            each, way = np.repeat(numbers, count, axis=0), Passage(q[:1], way.frames[:1], way.fresh[:1], 1)
-            found = self._model.follow_under(self._loads[:, None], at, each, way, q[:, None], False)
+            each, way = np.repeat(numbers, count, axis=0), MotionSubsteps(q[:1], way.frames[:1], way.fresh[:1], 1)
+            found = self._model.follow_with_loads(self._loads[:, None], at, each, way, q[:, None], False)
         return np.concatenate([one.x for one in found]), numbers[0]
 
-    def _in_base(self, values: Array, x: Array, numbers: Array) -> tuple[Seen, Array]:
+    def _in_base(self, values: Array, x: Array, numbers: Array) -> tuple[ObservableValues, Array]:
         """Compute what is measured in the axes of the base, at unknowns x (T, n_x) and the tubes' numbers (d, 8).
 
         Also returns the vectors (T, 3) along the tip whose directions are measured; their length has no meaning.
         """
         at = self.parameters.structure, numbers[None]
-        if self._model.bears is None:
-            (points,) = self._model.points_apart(*at, x[None], self._sigma)
+        if self._model.applied_load is None:
+            (points,) = self._model.points_batch(*at, x[None], self._sigma)
         else:
-            points = self._model.points_under(self._loads, *at, x, self._sigma)
+            points = self._model.points_with_loads(self._loads, *at, x, self._sigma)
         # A difference of points, and not the model's own tangent, so that derivatives of points are all that is
         # needed.
         ahead = np.einsum("k,tka->ta", STENCIL, points[:, :3])
         direction = ahead / np.linalg.norm(ahead, axis=1, keepdims=True)
         offset = sum(values[k] for k in self.parameters.columns(OFFSET))
-        return Seen(points[:, 0] + offset * direction, direction, points[:, 3:]), ahead
+        return ObservableValues(points[:, 0] + offset * direction, direction, points[:, 3:]), ahead
 
-    def _in_base_over(self, values: Array, x: Array, numbers: Array, rows: Flags) -> Array:
+    def _in_base_derivatives(self, values: Array, x: Array, numbers: Array, rows: Flags) -> Array:
         """Derivatives (T, places, 3, P) of all places in the base's axes over the parameters of tubes and motors.
 
         0 for the other parameters, and outside rows (T,).
         """
         parameters, (count, places) = self.parameters, self._sigma.shape
         found = np.zeros((count, places, 3, len(values)))
-        columns = parameters.columns(*NAMES, MODULUS, *LAGS, DELAY)
+        columns = parameters.columns(*DEVIATION_NAMES, MODULUS_KIND, *LAGS, DELAY)
         if not columns:
             return found
-        function = shown_changes(self._model, parameters.structure, places)
+        function = shape_derivatives_at_q(self._model, parameters.structure, places)
         # Numbers (d, 8) are columns of symbols, tube after tube within each number: Fortran's order.
-        over = np.stack([parameters.numbers_over(k).ravel(order="F") for k in columns], axis=1)
-        moved = self._configurations_over(values, columns)
+        over = np.stack([parameters.numbers_derivative(k).ravel(order="F") for k in columns], axis=1)
+        moved = self._configuration_derivatives(values, columns)
         for row in np.flatnonzero(rows):
-            given = x[row], self._sigma[row], numbers, [] if self._model.bears is None else self._loads[row]
+            given = x[row], self._sigma[row], numbers, [] if self._model.applied_load is None else self._loads[row]
             of_numbers, of_q = (each.full() for each in function(*given))
             # Chain rule over the tubes' numbers, and over what lags, delays and zeros make of the configuration.
             # Near a fold both may be infinite.
@@ -218,7 +218,7 @@ class Prediction:
             found[row][..., columns] = change.reshape(3, places, len(columns)).swapaxes(0, 1)
         return found
 
-    def _configurations_over(self, values: Array, columns: list[int]) -> Array:
+    def _configuration_derivatives(self, values: Array, columns: list[int]) -> Array:
         """Derivatives (T, 2d + 2, n) of configurations over the parameters at n columns."""
         parameters, here = self.parameters, self.configurations(values)
         found = np.zeros((*here.shape, len(columns)))
@@ -226,13 +226,13 @@ class Prediction:
             one = parameters.each[k]
             if one.kind in (*LAGS, DELAY):
                 changed = np.array(values)
-                changed[k] += STEP
-                found[..., place] = (self.configurations(changed) - here) / STEP
+                changed[k] += NUMERICAL_DERIVATIVE_STEP
+                found[..., place] = (self.configurations(changed) - here) / NUMERICAL_DERIVATIVE_STEP
             elif one.kind == "motor_zero":
                 found[:, parameters.tube(k), place] = 1.0
         return found
 
-    def _changes(self, values: Array, inside: Seen, ahead: Array, over: Array) -> Array:
+    def _changes(self, values: Array, inside: ObservableValues, ahead: Array, over: Array) -> Array:
         """Derivatives (T, 6 + 3n, P) of what the sensor measures, from those of places in the base's axes.
 
         inside: what is measured in the base's axes; ahead (T, 3): vectors along the tip; over (T, places, 3, P):
@@ -247,12 +247,12 @@ class Prediction:
         tip += sum(values[k] for k in offsets) * along
         for k in offsets:
             tip[..., k] += inside.direction
-        changes = Seen(tip, along, over[:, 3:])
-        found = Seen(*(np.einsum("tab,t...bp->t...ap", turns, part) for part in changes))
+        changes = ObservableValues(tip, along, over[:, 3:])
+        found = ObservableValues(*(np.einsum("tab,t...bp->t...ap", turns, part) for part in changes))
         self._add_bases(values, inside, found)
         return found.flat()
 
-    def _add_bases(self, values: Array, inside: Seen, found: Seen) -> None:
+    def _add_bases(self, values: Array, inside: ObservableValues, found: ObservableValues) -> None:
         """Add to derivatives found what the poses of bases change; inside: what is measured in the base's axes."""
         recording = self.measured.recording
         for axis, kind in enumerate(BASE):
@@ -264,18 +264,20 @@ class Prediction:
                     continue
                 # Rotation vectors do not add up; central differences of the rotation are exact to 1e-10.
                 ends = [np.array(values), np.array(values)]
-                ends[0][k] += STEP
-                ends[1][k] -= STEP
-                turn = (self._turns(ends[0]) - self._turns(ends[1]))[recording[own]] / (2 * STEP)
+                ends[0][k] += NUMERICAL_DERIVATIVE_STEP
+                ends[1][k] -= NUMERICAL_DERIVATIVE_STEP
+                turn = (self._turns(ends[0]) - self._turns(ends[1]))[recording[own]] / (
+                    2 * NUMERICAL_DERIVATIVE_STEP
+                )
                 for part, vectors in zip(found, inside, strict=True):
                     part[own, ..., k] += np.einsum("tab,t...b->t...a", turn, vectors[own])
 
-    def _for_sensor(self, values: Array, inside: Seen) -> Seen:
+    def _for_sensor(self, values: Array, inside: ObservableValues) -> ObservableValues:
         """Turn and move what is measured from the base's axes to the sensor's."""
         recording = self.measured.recording
         turns, places = self._turns(values)[recording], self._places(values)[recording]
         turned = [np.einsum("tab,t...b->t...a", turns, part) for part in inside]
-        return Seen(turned[0] + places, turned[1], turned[2] + places[:, None])
+        return ObservableValues(turned[0] + places, turned[1], turned[2] + places[:, None])
 
     def bases_at(self, values: Array) -> tuple[tuple[Array, Array], ...]:
         """Return rotation (3, 3) and place (3,), mm, of every recording's base for the sensor, for values (P,)."""
@@ -304,10 +306,10 @@ class Prediction:
 
 def flat_measured(measured: Measurements) -> Array:
     """Return measured values as rows (T, 6 + 3n), in the order of :meth:`Seen.flat`."""
-    return Seen(measured.tip, measured.direction, measured.points).flat()
+    return ObservableValues(measured.tip, measured.direction, measured.points).flat()
 
 
-def registered_to(points: Array, seen: Array) -> tuple[Array, Array]:
+def register_points(points: Array, measured: Array) -> tuple[Array, Array]:
     """Find the rigid motion that brings points closest to measured ones, in the least mean square.
 
     Kabsch, A solution for the best rotation to relate two sets of vectors, Acta Crystallographica A32, 1976.
@@ -316,7 +318,7 @@ def registered_to(points: Array, seen: Array) -> tuple[Array, Array]:
     ----------
     points : (K, 3) array
         Points, mm.
-    seen : (K, 3) array
+    measured : (K, 3) array
         Where these were measured, mm. Rows in which either is NaN do not count.
 
     Returns
@@ -326,8 +328,8 @@ def registered_to(points: Array, seen: Array) -> tuple[Array, Array]:
     place : (3,) array
         Translation after the rotation, mm.
     """
-    known = np.isfinite(points).all(axis=1) & np.isfinite(seen).all(axis=1)
-    own, there = points[known], seen[known]
+    known = np.isfinite(points).all(axis=1) & np.isfinite(measured).all(axis=1)
+    own, there = points[known], measured[known]
     if not len(own):
         return np.eye(3), np.zeros(3)
     centres = own.mean(axis=0), there.mean(axis=0)

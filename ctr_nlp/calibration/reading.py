@@ -24,18 +24,18 @@ import numpy as np
 
 from ctr_nlp.calibration.measurements import Measurements
 from ctr_nlp.exceptions import MeasurementError
-from ctr_nlp.loads.load import FORCE as MOST_FORCE
+from ctr_nlp.loads.load import MAX_LOAD_FORCE_N as MOST_FORCE
 from ctr_nlp.robot import Robot
 from ctr_nlp.support.values import checked_path
 from ctr_nlp.typing import Array
 
-TIP = "tip_x", "tip_y", "tip_z"
+TIP_COLUMNS = "tip_x", "tip_y", "tip_z"
 QUATERNION = "tip_qw", "tip_qx", "tip_qy", "tip_qz"
 THETA = "theta_x", "theta_y"
-FORCE = "force_x", "force_y", "force_z"
+FORCE_COLUMNS = "force_x", "force_y", "force_z"
 TIME = "time_s"
 POINT = re.compile(r"p([1-9]\d*)_(x|y|z|sigma|s)")
-UNIT = 0.05
+QUATERNION_LENGTH_TOLERANCE = 0.05
 """By how much the length of a quaternion may differ from 1: rounding, or a mean of several."""
 
 
@@ -99,8 +99,8 @@ def read_measurements(path: str | Path | Sequence[str | Path], robot: Robot) -> 
     names = ("q", "tip", "direction", "points", "sigma", "time", "recording", "force")
     arrays: dict[str, Any] = {name: np.concatenate([getattr(one, name) for one in found]) for name in names}
     together = Measurements(**arrays)
-    if np.isfinite(together.time).any() and not together.timed:
-        without = next(t.path for t, one in zip(tables, found, strict=True) if not one.timed)
+    if np.isfinite(together.time).any() and not together.has_times:
+        without = next(t.path for t, one in zip(tables, found, strict=True) if not one.has_times)
         raise MeasurementError(f"{without} has no {TIME} in some rows, and others have it; give it everywhere")
     together.check(robot)
     return together.distinct()
@@ -127,7 +127,7 @@ def _table(path: Path, robot: Robot) -> _Table:
 def _check_names(path: Path, names: tuple[str, ...], robot: Robot) -> None:
     """Raise MeasurementError for a column that is missing, unknown or there twice."""
     needed = robot.axes[: 2 * robot.d]
-    known = {*robot.axes, TIME, *FORCE, *TIP, *QUATERNION}
+    known = {*robot.axes, TIME, *FORCE_COLUMNS, *TIP_COLUMNS, *QUATERNION}
     for name in needed:
         if name not in names:
             raise MeasurementError(f"{path} has no column {name}; it must have {', '.join(needed)}")
@@ -137,7 +137,8 @@ def _check_names(path: Path, names: tuple[str, ...], robot: Robot) -> None:
         if name not in known and not POINT.fullmatch(name):
             raise MeasurementError(
                 f"{path} has a column {name!r}, which is unknown; known are {', '.join(robot.axes)}, {TIME}, "
-                f"{', '.join((*FORCE, *TIP, *QUATERNION))} and, for points of the shape, p1_x, p1_y, p1_z with "
+                f"{', '.join((*FORCE_COLUMNS, *TIP_COLUMNS, *QUATERNION))} and, for points of the shape, p1_x, "
+                f"p1_y, p1_z with "
                 "p1_sigma or p1_s, p2_x .."
             )
 
@@ -177,21 +178,23 @@ def _observations(table: _Table, robot: Robot, recording: int, most: int) -> Mea
     for number in _points(table):
         points[:, number - 1] = table.columns([f"p{number}_{axis}" for axis in "xyz"])
         sigma[:, number - 1] = _places(table, number, points[:, number - 1], robot.split(q)[1][:, -1])
-    time, seen = table.columns([TIME])[:, 0], (table.columns(TIP), _directions(table), points, sigma)
+    time, seen = table.columns([TIME])[:, 0], (table.columns(TIP_COLUMNS), _directions(table), points, sigma)
     return Measurements(q, *seen, time, np.full(len(q), recording), force=_forces(table))
 
 
 def _forces(table: _Table) -> Array:
     """Forces at the tip (T, 3), N; 0 along axes that have no column."""
-    found = table.columns(FORCE)
-    found[:, [name not in table.names for name in FORCE]] = 0.0
+    found = table.columns(FORCE_COLUMNS)
+    found[:, [name not in table.names for name in FORCE_COLUMNS]] = 0.0
     for row, axis in np.argwhere(~np.isfinite(found)):
         raise MeasurementError(
-            f"{FORCE[axis]} in line {table.lines[row]} of {table.path} is empty; write 0 where nothing pulls"
+            f"{FORCE_COLUMNS[axis]} in line {table.lines[row]} of {table.path} is empty; write 0 where nothing "
+            f"pulls"
         )
     for row in np.flatnonzero(np.linalg.norm(found, axis=1) > MOST_FORCE):
         raise MeasurementError(
-            f"{', '.join(FORCE)} in line {table.lines[row]} of {table.path} are {found[row].tolist()} N; they "
+            f"{', '.join(FORCE_COLUMNS)} in line {table.lines[row]} of {table.path} are {found[row].tolist()} "
+            f"N; they "
             f"must be at most {MOST_FORCE:g} N together. A weight of a gram pulls with 0.00981 N"
         )
     return found
@@ -222,7 +225,7 @@ def _directions(table: _Table) -> Array:
     """Unit tangents at the tip, (T, 3): the z axis turned by the measured quaternions."""
     quaternions = table.columns(QUATERNION)
     size = np.linalg.norm(quaternions, axis=1)
-    for row in np.flatnonzero(abs(size - 1) > UNIT):
+    for row in np.flatnonzero(abs(size - 1) > QUATERNION_LENGTH_TOLERANCE):
         raise MeasurementError(
             f"{', '.join(QUATERNION)} in line {table.lines[row]} of {table.path} are {quaternions[row].tolist()}, "
             f"of length {size[row]:.3g}; a quaternion of a rotation has length 1"

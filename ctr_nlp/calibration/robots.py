@@ -7,12 +7,12 @@ from typing import Any
 
 import numpy as np
 
-from ctr_nlp.calibration.fit import Fit
+from ctr_nlp.calibration.fit import ParameterFit
 from ctr_nlp.calibration.measurements import Measurements
 from ctr_nlp.calibration.parameters import LAGS
 from ctr_nlp.exceptions import MeasurementError, RobotError
 from ctr_nlp.robot import Robot
-from ctr_nlp.robot.draws import known_robot
+from ctr_nlp.robot.draws import build_calibrated_robot
 from ctr_nlp.simulation.lag import overlaps
 from ctr_nlp.typing import Array
 
@@ -20,7 +20,7 @@ LARGEST_LAG = math.pi / 2
 """Largest lag that tolerances may have, rad."""
 
 
-def calibrated_robot(fit: Fit, measured: Measurements) -> Robot:
+def calibrated_robot(fit: ParameterFit, measured: Measurements) -> Robot:
     """Make the robot with the tubes that fit best, and the covariance that is left as its tolerances.
 
     A motor's zero is no number of a tube: its value stays in the fit, and only its covariance is among the
@@ -46,7 +46,7 @@ def calibrated_robot(fit: Fit, measured: Measurements) -> Robot:
     parameters = fit.parameters
     robot, parts = parameters.robot, parameters.parts(fit.values)
     try:
-        return known_robot(robot, parts, _covariance(fit), _lag(fit, measured))
+        return build_calibrated_robot(robot, parts, _covariance(fit), _lag(fit, measured))
     except RobotError as error:
         raise MeasurementError(
             f"the tubes that fit the measurements best are none that can be made: {error}. Are columns, units and "
@@ -54,18 +54,18 @@ def calibrated_robot(fit: Fit, measured: Measurements) -> Robot:
         ) from error
 
 
-def _covariance(fit: Fit) -> Array:
+def _covariance(fit: ParameterFit) -> Array:
     """Covariance (5d, 5d) that is left of all tubes' differences; as before for those that were not estimated."""
     parameters = fit.parameters
-    root = parameters.robot.tolerances.root(parameters.robot.tubes)
-    over, covariance = parameters.parts_over, np.array(root @ root.T)
+    root = parameters.robot.tolerances.covariance_root(parameters.robot.tubes)
+    over, covariance = parameters.parts_jacobian, np.array(root @ root.T)
     # Parts that no parameter changes keep their covariance; their correlations with the others are dropped.
     estimated = over.any(axis=1)
     kept = np.outer(~estimated, ~estimated)
     return np.asarray(np.where(kept, covariance, over @ fit.covariance @ over.T))
 
 
-def _lag(fit: Fit, measured: Measurements) -> Any:
+def _lag(fit: ParameterFit, measured: Measurements) -> Any:
     """Largest backlash of every tube that was found, rad; as before where none was estimated."""
     parameters = fit.parameters
     if not parameters.columns(*LAGS):

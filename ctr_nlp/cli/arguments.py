@@ -9,13 +9,13 @@ from pathlib import Path
 from typing import Any
 
 from ctr_nlp.cli.output.file import check_file
-from ctr_nlp.codegen.cache import SWITCH
+from ctr_nlp.codegen.cache import COMPILE_VARIABLE
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.formulations.settings import Settings
 from ctr_nlp.support.values import floats
 from ctr_nlp.typing import Array
 
-DEFAULTS = Settings()
+DEFAULT_SETTINGS = Settings()
 FRAME_SETTINGS = ("motion_weight", "jump_width", "seed")
 """Names of the options of add_settings that settings_from takes where frames are solved one by one."""
 
@@ -35,21 +35,21 @@ def add_frames_option(parser: argparse.ArgumentParser) -> None:
 
 
 def add_settings(
-    parser: argparse.ArgumentParser, motion: str = f"{DEFAULTS.motion_weight:g}", jumps: bool = True
+    parser: argparse.ArgumentParser, motion: str = f"{DEFAULT_SETTINGS.motion_weight:g}", jumps: bool = True
 ) -> None:
     """The numbers of Settings, apart from the wall's; motion: what the help says of lambda's default."""
     parser.add_argument(
         "--stability-margin",
         metavar="MU",
         type=_margin,
-        default=DEFAULTS.stability_margin,
+        default=DEFAULT_SETTINGS.stability_margin,
         help="least margin of every configuration on the elastic model, from 0 (snap) to 1 (no tube acts on "
-        f"another); none: any (default {DEFAULTS.stability_margin:g})",
+        f"another); none: any (default {DEFAULT_SETTINGS.stability_margin:g})",
     )
     group = parser.add_argument_group("weights and starts")
     add_numbers(group, ("motion-weight", "S2", f"lambda of the motion term in s^2 (default: {motion})"))
     if jumps:
-        what = f"final width of two-stage's smoothed curvature jumps (default {DEFAULTS.jump_width:g})"
+        what = f"final width of two-stage's smoothed curvature jumps (default {DEFAULT_SETTINGS.jump_width:g})"
         add_numbers(group, ("jump-width", "MM", what))
     group.add_argument("--seed", metavar="N", type=whole, default=0, help="of the random starts (default 0)")
 
@@ -87,10 +87,13 @@ def add_compile_option(parser: argparse.ArgumentParser) -> None:
 
     class Switch(argparse.Action):
         def __call__(self, *_: Any) -> None:
-            os.environ[SWITCH] = "0"
+            os.environ[COMPILE_VARIABLE] = "0"
 
     parser.add_argument(
-        "--no-compile", action=Switch, nargs=0, help=f"solve without compiled code, as {SWITCH}=0 does everywhere"
+        "--no-compile",
+        action=Switch,
+        nargs=0,
+        help=f"solve without compiled code, as {COMPILE_VARIABLE}=0 does everywhere",
     )
 
 

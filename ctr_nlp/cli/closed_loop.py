@@ -10,12 +10,12 @@ from typing import Any
 
 import numpy as np
 
-from ctr_nlp.cli.console import SOLVED, SOME_FAILED
+from ctr_nlp.cli.console import EXIT_SOLVED, EXIT_SOME_FAILED
 from ctr_nlp.cli.telling import console, print_stderr, print_table
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.hardware.description import Hardware
-from ctr_nlp.hardware.guiding.loop import ClosedLoop, begun_with, known_of
-from ctr_nlp.hardware.guiding.replay import replayed
+from ctr_nlp.hardware.guiding.loop import ClosedLoop, final_estimate, initial_estimate
+from ctr_nlp.hardware.guiding.replay import replay_session
 from ctr_nlp.hardware.sensing.description import URLS, Sensing
 from ctr_nlp.hardware.sensing.opening import source_of
 from ctr_nlp.hardware.sensing.simulated import SimulatedRobot
@@ -65,16 +65,18 @@ def sensing_of(hardware: Hardware) -> Sensing:
 
 
 @contextmanager
-def opened(plan: Plan, hardware: Hardware, records: list[dict[str, Any]] | None) -> Iterator[ClosedLoop]:
+def start_closed_loop(
+    plan: Plan, hardware: Hardware, records: list[dict[str, Any]] | None
+) -> Iterator[ClosedLoop]:
     """Yield a loop that continues with what the records of a journal know, None for no records; raises
     OptionError.
     """
     sensing = sensing_of(hardware)
-    known = None if records is None else known_of(records)
-    tracker, source = Tracker(plan, sensing.sensors, known=known), source_of(sensing, plan)
+    known = None if records is None else final_estimate(records)
+    tracker, source = Tracker(plan, sensing.sensors, prior=known), source_of(sensing, plan)
     if isinstance(source, SimulatedRobot):
         print_stderr(f"sensor: {source}")
-    loop = ClosedLoop(tracker, source, _told)
+    loop = ClosedLoop(tracker, source, _print_note)
     try:
         yield loop
     finally:
@@ -97,17 +99,17 @@ def warn(plan: Plan) -> None:
     )
 
 
-def _told(note: Note) -> None:
+def _print_note(note: Note) -> None:
     print_stderr(f"note: {note.why}: the robot is {note.state.value}")
 
 
-def tell(loop: ClosedLoop) -> None:
+def print_estimates(loop: ClosedLoop) -> None:
     """Print the estimates of the robot's parameters, how well measurements fitted, and the notes of the loop."""
     if not loop.estimates:
         return
     last, of = loop.estimates[-1], loop.tracker.observer.differences
     columns = last.mean, last.deviation, np.sqrt(of.covariance.diagonal())
-    named = zip(of.told(last.mean.tolist()), *(column.tolist() for column in columns), strict=True)
+    named = zip(of.values_by_name(last.mean.tolist()), *(column.tolist() for column in columns), strict=True)
     print_table(
         "what measurements tell of the robot, in parts of what is described, mm, rad and N",
         ("", "estimate", "deviation", "before"),
@@ -128,18 +130,18 @@ def columns(loop: ClosedLoop) -> dict[str, Array]:
     """Return the estimates over time as columns, with a row for each look at the sensors."""
     time, mean, deviation, size, accepted = (np.array(column) for column in zip(*loop.estimates, strict=True))
     found: dict[str, Any] = {"time_s": time - time[0], "innovation": size, "accepted": accepted}
-    for k, name in enumerate(loop.tracker.observer.differences.told(mean[0].tolist())):
+    for k, name in enumerate(loop.tracker.observer.differences.values_by_name(mean[0].tolist())):
         found |= {name: mean[:, k], f"deviation of {name}": deviation[:, k]}
     return found
 
 
 def replay(plan: Plan, hardware: Hardware, records: list[dict[str, Any]]) -> int:
     """Tell whether the last session's commands follow from its measurements; exit status."""
-    tracker = Tracker(plan, sensing_of(hardware).sensors, known=begun_with(records))
-    corrections, commands, differs = replayed(plan, hardware, records, tracker)
+    tracker = Tracker(plan, sensing_of(hardware).sensors, prior=initial_estimate(records))
+    corrections, commands, differs = replay_session(plan, hardware, records, tracker)
     if differs:
         console().print(f"not the same as in the journal: {differs}")
-        return SOME_FAILED
+        return EXIT_SOME_FAILED
     lines = f" and {commands} lines of motion" if commands else ""
     console().print(f"{corrections} corrections{lines} worked out again: the same, bit for bit")
-    return SOLVED
+    return EXIT_SOLVED

@@ -10,11 +10,11 @@ from pathlib import Path
 from typing import NamedTuple
 
 import ctr_nlp
-from ctr_nlp.cli.telling import StdoutError, print_stderr, telling, write_stdout
-from ctr_nlp.exceptions import CtrError, escaped, meant
+from ctr_nlp.cli.telling import StdoutError, collect_output, print_stderr, write_stdout
+from ctr_nlp.exceptions import CtrError, escape_control_characters, suggest_names
 from ctr_nlp.support.interrupt import deferred_interrupt
 
-SOLVED, SOME_FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
+EXIT_SOLVED, EXIT_SOME_FAILED, EXIT_BAD_INPUT, EXIT_INTERRUPTED = 0, 1, 2, 130
 """Exit codes of every program."""
 EXAMPLES = Path(__file__).parent / "templates" / "examples.txt"
 """Calls of programs: after a line `[NAME]`, what each of its examples does, and in the next line its arguments."""
@@ -58,20 +58,22 @@ class Command(NamedTuple):
         """Run with `argv`, by default the arguments of the process, and return the exit status; `prog` is another
         name for usage messages.
         """
-        return guarded(lambda: self._told(parsed(self.parser(prog or self.name), argv)))
+        return run_with_exit_status(
+            lambda: self._run_and_report(parse_arguments(self.parser(prog or self.name), argv))
+        )
 
-    def _told(self, arguments: argparse.Namespace) -> int:
+    def _run_and_report(self, arguments: argparse.Namespace) -> int:
         """Run the program; with --json, print its output as one JSON object, with the message of an error as a
         part of it.
         """
-        with telling(getattr(arguments, "as_json", False), arguments.verbose) as told:
+        with collect_output(getattr(arguments, "as_json", False), arguments.verbose) as told:
             if told is None:
                 return self.run(arguments)
             known = {"command": self.name, "version": ctr_nlp.__version__}
             try:
                 status = self.run(arguments)
             except CtrError as error:
-                write_stdout(told.as_json(**known, exit_status=BAD_INPUT, error=str(error)) + "\n")
+                write_stdout(told.as_json(**known, exit_status=EXIT_BAD_INPUT, error=str(error)) + "\n")
                 raise
             write_stdout(told.as_json(**known, exit_status=status, error=None) + "\n")
             return status
@@ -95,19 +97,19 @@ class _Formatter(argparse.HelpFormatter):
         return "\n\n".join(filled)
 
 
-def parsed(parser: argparse.ArgumentParser, argv: Sequence[str] | None) -> argparse.Namespace:
+def parse_arguments(parser: argparse.ArgumentParser, argv: Sequence[str] | None) -> argparse.Namespace:
     """Parse `argv`, None for the arguments of the process; the error on an unknown option names the one that was
     probably meant.
     """
     found, unknown = parser.parse_known_args(argv)
     if unknown:
         options = [option for option in parser._option_string_actions if option.startswith("--")]
-        near = meant(unknown[0].partition("=")[0], options)
-        parser.error(f"unrecognized arguments: {escaped(' '.join(unknown))}{near}")
+        near = suggest_names(unknown[0].partition("=")[0], options)
+        parser.error(f"unrecognized arguments: {escape_control_characters(' '.join(unknown))}{near}")
     return found
 
 
-def guarded(program: Callable[[], int]) -> int:
+def run_with_exit_status(program: Callable[[], int]) -> int:
     """Run a program; bad input becomes one line and exit code 2, Ctrl-C exit code 130.
 
     The first Ctrl-C is left to the program, which ends early and writes what it has; a second ends it at once.
@@ -117,14 +119,14 @@ def guarded(program: Callable[[], int]) -> int:
             return program()
     except CtrError as error:
         print_stderr(f"error: {error}")
-        return BAD_INPUT
+        return EXIT_BAD_INPUT
     except StdoutError as error:
         print_stderr(f"error: standard output cannot be written: {error}")
         _forget_stdout()
-        return SOME_FAILED
+        return EXIT_SOME_FAILED
     except KeyboardInterrupt:
         print_stderr("interrupted; nothing was written")
-        return INTERRUPTED
+        return EXIT_INTERRUPTED
 
 
 def _forget_stdout() -> None:

@@ -8,7 +8,7 @@ import sys
 from typing import TYPE_CHECKING, NamedTuple
 
 import ctr_nlp
-from ctr_nlp.exceptions import meant
+from ctr_nlp.exceptions import suggest_names
 
 if TYPE_CHECKING:
     import argparse
@@ -54,7 +54,7 @@ COMMANDS = {
 }
 """Every subcommand by its name, in the order in which --help lists them."""
 
-HORIZON = Entry("commands.plan", "horizon", "plan a whole motion at once")
+HORIZON_ENTRY = Entry("commands.plan", "horizon", "plan a whole motion at once")
 """`ctr-nlp plan --formulation horizon` without the options of other formulations: scripts/solve_horizon.py."""
 
 
@@ -67,7 +67,10 @@ def main(argv: list[str] | None = None) -> int:
         return load(COMMANDS[given[0]])(given[1:])
     top = parser()
     if given and not given[0].startswith("-"):
-        top.error(f"no command is called {given[0]!r}; there are {', '.join(COMMANDS)}{meant(given[0], COMMANDS)}")
+        top.error(
+            f"no command is called {given[0]!r}; there are "
+            f"{', '.join(COMMANDS)}{suggest_names(given[0], COMMANDS)}"
+        )
     top.parse_args(given)
     return 0
 

@@ -12,17 +12,17 @@ from typing import Any
 
 from ctr_nlp.hardware.playing.player import Player
 
-WISHES = {"p": "pause", "r": "resume", "a": "abort"}
+OPERATOR_COMMANDS = {"p": "pause", "r": "resume", "a": "abort"}
 
-STOPPING = ("SIGTERM", "SIGHUP", "SIGQUIT")
+STOP_SIGNAL_NAMES = ("SIGTERM", "SIGHUP", "SIGQUIT")
 """Names of the signals that stop the motors, beside that of Ctrl-C; SIGQUIT is Ctrl-\\."""
 
-BY_SIGNAL = 128
+SIGNAL_EXIT_BASE = 128
 """Added to the number of the signal that stopped a program, it is the exit status, as shells have it."""
 
 
 @contextmanager
-def obeying(player: Player, interrupted: Callable[[], bool]) -> Iterator[Callable[[], int]]:
+def obey_operator(player: Player, interrupted: Callable[[], bool]) -> Iterator[Callable[[], int]]:
     """Within the block what is typed, and signals that end programs, are wishes of the player's.
 
     Parameters
@@ -41,7 +41,7 @@ def obeying(player: Player, interrupted: Callable[[], bool]) -> Iterator[Callabl
     if hasattr(signal, "SIGTTIN"):  # in the background, reading a terminal must fail and not stop the program
         before = signal.signal(signal.SIGTTIN, signal.SIG_IGN)
     try:
-        with stopped_by_signals(player.abort, interrupted) as signalled:
+        with stop_on_signals(player.abort, interrupted) as signalled:
             yield signalled
     finally:
         if hasattr(signal, "SIGTTIN"):
@@ -49,7 +49,7 @@ def obeying(player: Player, interrupted: Callable[[], bool]) -> Iterator[Callabl
 
 
 @contextmanager
-def stopped_by_signals(stop: Callable[[], None], interrupted: Callable[[], bool]) -> Iterator[Callable[[], int]]:
+def stop_on_signals(stop: Callable[[], None], interrupted: Callable[[], bool]) -> Iterator[Callable[[], int]]:
     """Within the block signals that end programs ask for a stop, as often as they come.
 
     A stop is never itself interrupted, and always ends.
@@ -75,7 +75,7 @@ def stopped_by_signals(stop: Callable[[], None], interrupted: Callable[[], bool]
         if number == signal.SIGINT and callable(remember) and not interrupted():
             remember(number, frame)
 
-    signals = [getattr(signal, name) for name in STOPPING if hasattr(signal, name)]
+    signals = [getattr(signal, name) for name in STOP_SIGNAL_NAMES if hasattr(signal, name)]
     before = {number: signal.signal(number, handler) for number in (*signals, signal.SIGINT)}
     try:
         yield lambda: next(iter(came), int(signal.SIGINT) if interrupted() else 0)
@@ -89,7 +89,7 @@ def _listen(player: Player) -> None:
     try:
         while typed := os.read(sys.stdin.fileno(), 1024).decode(errors="replace"):
             for line in typed.splitlines():
-                wish = WISHES.get(line.strip().lower()[:1])
+                wish = OPERATOR_COMMANDS.get(line.strip().lower()[:1])
                 if wish is not None:
                     getattr(player, wish)()
     except (OSError, ValueError, AttributeError):

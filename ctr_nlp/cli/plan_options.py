@@ -6,27 +6,43 @@ import argparse
 import math
 from dataclasses import replace
 
-from ctr_nlp.anatomy.files import CENTRELINES, MASKS
-from ctr_nlp.cli.arguments import DEFAULTS, add_entry_option, add_live_option, add_numbers, add_triple, whole
+from ctr_nlp.anatomy.files import CENTRELINE_SUFFIXES, MASK_SUFFIXES
+from ctr_nlp.cli.arguments import (
+    DEFAULT_SETTINGS,
+    add_entry_option,
+    add_live_option,
+    add_numbers,
+    add_triple,
+    whole,
+)
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.formulations import default_model
 from ctr_nlp.formulations.settings import ARRIVAL_WEIGHT, THRESHOLDS
 from ctr_nlp.formulations.terms import ShapeDistance, Term, TipDirection, TipPosition
-from ctr_nlp.models import MODELS
-from ctr_nlp.plan.draws import DRAWS
+from ctr_nlp.models import KINEMATIC_MODELS
+from ctr_nlp.plan.draws import DEFAULT_PLAN_SAMPLES
 from ctr_nlp.plan.plan import Plan
 from ctr_nlp.plan.robustness import MOST_LOST
-from ctr_nlp.studies.trade_off import WEIGHTS
+from ctr_nlp.studies.trade_off import DEFAULT_SWEEP_WEIGHTS_S2
 from ctr_nlp.target.problem import Problem
-from ctr_nlp.target.target import SIGMA
+from ctr_nlp.target.target import SIGMA_GRID
 
-HORIZON = "horizon"
+HORIZON_FORMULATION = "horizon"
 """The formulation that solves all frames in one program."""
-FRAMES_ALONE = ("direction", "jump_width")
+PER_FRAME_ONLY_OPTIONS = ("direction", "jump_width")
 """Options that only formulations frame by frame have."""
-HORIZON_ALONE = ("arrival_weight", "end", "initial", "starts", "exhaustive", "jobs", "sweep_motion_weight", "live")
+HORIZON_ONLY_OPTIONS = (
+    "arrival_weight",
+    "end",
+    "initial",
+    "starts",
+    "exhaustive",
+    "jobs",
+    "sweep_motion_weight",
+    "live",
+)
 """Options that only a horizon has."""
-WALL = ("clearance", "contact_weight")
+WALL_SETTING_NAMES = ("clearance", "contact_weight")
 """Options that add_wall_options adds, by their names in Settings."""
 THRESHOLD_HELP = {
     "arrival_tolerance": ("MM", "distance from the target's end within which the tip arrives in the last frame"),
@@ -39,7 +55,7 @@ THRESHOLD_HELP = {
 
 def add_model_options(parser: argparse.ArgumentParser) -> None:
     """Add the option for the model to plan on."""
-    parser.add_argument("--model", choices=MODELS, help="(default elastic; with two stages dominant)")
+    parser.add_argument("--model", choices=KINEMATIC_MODELS, help="(default elastic; with two stages dominant)")
 
 
 def model_from(arguments: argparse.Namespace) -> str:
@@ -53,7 +69,7 @@ def add_evaluate_option(parser: argparse.ArgumentParser, default: str) -> None:
     usual.
     """
     told = f"model on which the plan's shapes are found (default: {default})"
-    parser.add_argument("--evaluate", choices=MODELS, help=told)
+    parser.add_argument("--evaluate", choices=KINEMATIC_MODELS, help=told)
 
 
 def add_motion_options(parser: argparse.ArgumentParser) -> None:
@@ -66,7 +82,7 @@ def add_motion_options(parser: argparse.ArgumentParser) -> None:
         add_triple(group, kind, f"largest {kind}s in {units} (default: the robot's)", ("ALPHA", "BETA", "THETA"))
 
 
-def moved(problem: Problem, arguments: argparse.Namespace) -> Problem:
+def with_motion_options(problem: Problem, arguments: argparse.Namespace) -> Problem:
     """Return the problem with the limits and in the direction that the options of add_motion_options ask for."""
     robot = problem.robot.with_locked_tilt() if arguments.lock_tilt else problem.robot
     for kind in ("speed", "acceleration"):
@@ -87,7 +103,7 @@ def add_horizon_options(parser: argparse.ArgumentParser) -> None:
         nargs="*",
         type=float,
         help="also solve for these weights and draw error against roughness beside other methods "
-        f"(default {WEIGHTS[0]:g} to {WEIGHTS[-1]:g})",
+        f"(default {DEFAULT_SWEEP_WEIGHTS_S2[0]:g} to {DEFAULT_SWEEP_WEIGHTS_S2[-1]:g})",
     )
     group.add_argument(
         "--initial", metavar="PLAN.npz", nargs="+", help="plans to start from, instead of frame by frame"
@@ -144,7 +160,7 @@ def add_tip_force(group: argparse._ActionsContainer) -> None:
     add_numbers(group, ("tip-force", "N", force))
 
 
-def tolerant(problem: Problem, arguments: argparse.Namespace) -> Problem:
+def with_tip_force_option(problem: Problem, arguments: argparse.Namespace) -> Problem:
     """Return the problem, whose robot's tolerances have the tip force of add_tip_force's option; raises
     RobotError.
     """
@@ -155,7 +171,7 @@ def tolerant(problem: Problem, arguments: argparse.Namespace) -> Problem:
 
 
 def add_wall_options(parser: argparse.ArgumentParser) -> None:
-    """Add the options for how the lumen's wall counts, `WALL`."""
+    """Add the options for how the lumen's wall counts, `WALL_SETTING_NAMES`."""
     group = parser.add_argument_group("the lumen's wall, where radii are known")
     for option, metavar, what in (
         ("clearance", "MM", "to keep between tubes and wall"),
@@ -166,7 +182,9 @@ def add_wall_options(parser: argparse.ArgumentParser) -> None:
             "much beyond --contact-allowed; 0: the wall does not count",
         ),
     ):
-        add_numbers(group, (option, metavar, f"{what} (default {getattr(DEFAULTS, option.replace('-', '_')):g})"))
+        add_numbers(
+            group, (option, metavar, f"{what} (default {getattr(DEFAULT_SETTINGS, option.replace('-', '_')):g})")
+        )
 
 
 def add_threshold_options(parser: argparse.ArgumentParser) -> None:
@@ -174,7 +192,9 @@ def add_threshold_options(parser: argparse.ArgumentParser) -> None:
     group = parser.add_argument_group("what counts as good")
     for name in THRESHOLDS:
         metavar, what = THRESHOLD_HELP[name]
-        add_numbers(group, (name.replace("_", "-"), metavar, f"{what} (default {getattr(DEFAULTS, name):g})"))
+        add_numbers(
+            group, (name.replace("_", "-"), metavar, f"{what} (default {getattr(DEFAULT_SETTINGS, name):g})")
+        )
 
 
 def with_thresholds(plan: Plan, arguments: argparse.Namespace) -> Plan:
@@ -192,26 +212,26 @@ def add_check_options(parser: argparse.ArgumentParser) -> None:
         help="neither move the robot through the plan on the elastic model, where it was planned on another one, "
         "nor simulate robots within the tolerances; verdicts that need this then say NOT CHECKED",
     )
-    usual = f"{DRAWS}; under a load 0, since loaded ones take a minute for every 200"
+    usual = f"{DEFAULT_PLAN_SAMPLES}; under a load 0, since loaded ones take a minute for every 200"
     told = f"robots within the tolerances that are simulated (default {usual})"
     group.add_argument("--samples", metavar="N", type=whole, help=told)
 
 
-def look_at_plan(plan: Plan, arguments: argparse.Namespace) -> Plan:
+def evaluate_plan(plan: Plan, arguments: argparse.Namespace) -> Plan:
     """Look at a plan as add_check_options' arguments say; raises RobotError for a bad number of samples."""
     if arguments.no_evaluate:
         return plan
-    loaded = plan.bears is not None
+    loaded = plan.evaluated_load is not None
     if arguments.samples is None and plan.drawn is not None and plan.can_snap:
         return plan  # a robust plan holds the robots that it was certified on
-    usual = 0 if loaded else DRAWS
+    usual = 0 if loaded else DEFAULT_PLAN_SAMPLES
     count = usual if arguments.samples is None else arguments.samples
     return plan if loaded and not count else plan.check(count)
 
 
 def add_file_options(parser: argparse.ArgumentParser) -> None:
     """Add the options for how a path from a file is prepared before it is followed, problems.FILE_OPTIONS."""
-    kinds = f"a centreline ({', '.join(CENTRELINES)}) or a mask of the lumen ({', '.join(MASKS)})"
+    kinds = f"a centreline ({', '.join(CENTRELINE_SUFFIXES)}) or a mask of the lumen ({', '.join(MASK_SUFFIXES)})"
     group = parser.add_argument_group(
         f"where PROBLEM is {kinds}", "Points and directions are in the file's own coordinates, in mm."
     )
@@ -256,7 +276,7 @@ def terms_from(arguments: argparse.Namespace) -> list[Term]:
     if arguments.depth_power is not None:
         if not 0 <= arguments.depth_power < math.inf:
             raise OptionError(f"--depth-power is {arguments.depth_power:g}; it must be a finite number >= 0")
-        terms.append(ShapeDistance(depth_weights=SIGMA**arguments.depth_power))
+        terms.append(ShapeDistance(depth_weights=SIGMA_GRID**arguments.depth_power))
     if arguments.tip_direction_weight is not None:
         terms.append(TipDirection(arguments.tip_direction_weight))
     if arguments.tip_weight is not None:

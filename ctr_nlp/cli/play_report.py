@@ -9,18 +9,18 @@ import numpy as np
 
 from ctr_nlp.cli import closed_loop
 from ctr_nlp.cli.output.file import check_file
-from ctr_nlp.cli.output.folder import check_folder, published
-from ctr_nlp.cli.telling import console, print_stderr, print_table, wrote
+from ctr_nlp.cli.output.folder import check_folder, output_folder
+from ctr_nlp.cli.telling import console, print_stderr, print_table, report_written_files
 from ctr_nlp.exceptions import OptionError, OutputError
 from ctr_nlp.hardware.description import Hardware
 from ctr_nlp.hardware.guiding.loop import ClosedLoop
 from ctr_nlp.hardware.journal import Journal
 from ctr_nlp.hardware.motion.trajectory import Trajectory
-from ctr_nlp.hardware.playing.checks import Checked
+from ctr_nlp.hardware.playing.checks import TrajectoryCheck
 from ctr_nlp.hardware.playing.record import Tracking
 from ctr_nlp.hardware.playing.results import Result
 from ctr_nlp.plan.plan import Plan
-from ctr_nlp.support.tables import by_line, write_csv
+from ctr_nlp.support.tables import columns_to_rows, write_csv
 from ctr_nlp.typing import Array
 
 JOURNAL = "journal.jsonl"
@@ -43,11 +43,11 @@ def claim(out: Path) -> None:
         raise OptionError(f"--out is {out}, but {JOURNAL} and more go into a folder; name a folder")
     check_file(out / JOURNAL, '{"t": ')
     check_folder(out, "play")
-    with published(out, "play"):
+    with output_folder(out, "play"):
         pass
 
 
-def print_trajectory(title: str, trajectory: Trajectory, found: Checked) -> None:
+def print_trajectory(title: str, trajectory: Trajectory, found: TrajectoryCheck) -> None:
     """Print how long a trajectory takes, and what part of the hardware's limits it uses; `found` is its check."""
     rows: list[tuple[str, Any, str]] = [
         ("frames", len(trajectory.frames), ""),
@@ -94,7 +94,7 @@ def report(
     out = journal.path.parent
     name, device = plan.meta["problem"]["name"], hardware.connection.device
     where = "trusted" if result.trusted else "not to be trusted"
-    if result.unkept:
+    if result.memory_error:
         where += ", but not remembered"
     rows: list[tuple[str, Any, str]] = [
         ("result", result.outcome.value, ""),
@@ -102,7 +102,7 @@ def report(
         ("position of the axes", where, ""),
     ]
     files = [] if journal.unwritten else [JOURNAL]
-    missing = [why for why in (result.unkept, journal.unwritten) if why]
+    missing = [why for why in (result.memory_error, journal.unwritten) if why]
     if seen is not None and len(seen.frame):
         letters = [f"{axis.letter} ({axis.unit})" for axis in hardware.axes]
         try:
@@ -116,12 +116,12 @@ def report(
         rows.append(("and passed after, without pauses", f"{seen.time[-1] + seen.late[-1]:.2f}", "s"))
     print_table(f"{name} on the {device} device", ("", "value", "unit"), rows)
     if loop is not None:
-        closed_loop.tell(loop)
+        closed_loop.print_estimates(loop)
     console().print(result.message)
     if not result.trusted:
         console().print("Home the axes, or see that they are where the controller says, before they are used.")
     if files:
-        wrote(out, files)
+        report_written_files(out, files)
     for why in missing:
         print_stderr(f"error: {why}")
     return not missing
@@ -131,11 +131,11 @@ def _written(title: str, seen: Tracking, names: list[str], out: Path, loop: Clos
     """Write tracking.csv and .png, and estimate.csv; their names. Raises OutputError."""
     from ctr_nlp.figures import save, tracking  # matplotlib is not needed before anything has moved
 
-    with published(out, "play") as staging:
-        write_csv(staging / "tracking.csv", by_line(_columns(seen, names)))
+    with output_folder(out, "play") as staging:
+        write_csv(staging / "tracking.csv", columns_to_rows(_columns(seen, names)))
         save(tracking(title, seen.frame, seen.error, seen.late, names), staging / "tracking.png")
         if loop is not None and loop.estimates:
-            write_csv(staging / ESTIMATE, by_line(closed_loop.columns(loop)))
+            write_csv(staging / ESTIMATE, columns_to_rows(closed_loop.columns(loop)))
         return sorted(path.name for path in staging.iterdir() if path.suffix in (".csv", ".png"))
 
 

@@ -11,23 +11,26 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from ctr_nlp.anatomy.files import CENTRELINES, MASKS, centrelines_in
+from ctr_nlp.anatomy.files import CENTRELINE_SUFFIXES, MASK_SUFFIXES, centrelines_in
 from ctr_nlp.anatomy.problem_files import problem_from_file
 from ctr_nlp.cli.telling import print_stderr
-from ctr_nlp.exceptions import CtrError, OptionError, ProblemError, meant
+from ctr_nlp.exceptions import CtrError, OptionError, ProblemError, suggest_names
 from ctr_nlp.models import model_named
-from ctr_nlp.problems import NAMES, named
+from ctr_nlp.problems import PROBLEM_NAMES, named_problem
 from ctr_nlp.robot import Robot
-from ctr_nlp.target.fit import notes
+from ctr_nlp.target.fit import problem_notes
 from ctr_nlp.target.problem import Problem
 
-READ = (*CENTRELINES, *MASKS, ".py")
+PROBLEM_FILE_SUFFIXES = (*CENTRELINE_SUFFIXES, *MASK_SUFFIXES, ".py")
 """How names of files that problems are read from end."""
 
 PACKAGE = Path(__file__).parents[1]
 FILE_OPTIONS = ("branch", "entry", "target", "insertion", "tilt", "reverse", "smoothing", "trim")
 """Options that go with a centreline file or a mask alone."""
-KINDS = f"{', '.join(NAMES)}, a problem file (.py), a centreline file ({', '.join(CENTRELINES)}) or a mask"
+PROBLEM_ARGUMENT_HELP = (
+    f"{', '.join(PROBLEM_NAMES)}, a problem file (.py), a centreline file "
+    f"({', '.join(CENTRELINE_SUFFIXES)}) or a mask"
+)
 """What PROBLEM may be."""
 
 
@@ -58,10 +61,10 @@ def load_all(names: Sequence[str], arguments: argparse.Namespace) -> list[Proble
 
 
 def _is_anatomy(name: str) -> bool:
-    return name not in NAMES and not name.endswith(".py")
+    return name not in PROBLEM_NAMES and not name.endswith(".py")
 
 
-def expanded(names: Sequence[str]) -> list[str]:
+def expand_folders(names: Sequence[str]) -> list[str]:
     """Names of problems and files, with the centreline files in a folder, in their order, in place of its name.
 
     Raises OptionError where a folder has none.
@@ -77,14 +80,14 @@ def _problem(name: str, arguments: argparse.Namespace, options: Mapping[str, Any
     were given.
     """
     robot = None if arguments.robot is None else Robot.from_toml(arguments.robot)
-    if name in NAMES:
-        return named(name, arguments.frames, arguments.duration, robot)
+    if name in PROBLEM_NAMES:
+        return named_problem(name, arguments.frames, arguments.duration, robot)
     if not Path(name).is_file():
-        beside = [str(path) for path in Path(name).parent.glob("*") if path.name.endswith(READ)]
+        beside = [str(path) for path in Path(name).parent.glob("*") if path.name.endswith(PROBLEM_FILE_SUFFIXES)]
         raise OptionError(
-            f"problem is {name!r}; it must be one of {', '.join(NAMES)} or an existing centreline file "
-            f"({', '.join(CENTRELINES)}), mask ({', '.join(MASKS)}) or problem file (.py)"
-            f"{meant(name, [*NAMES, *beside])}"
+            f"problem is {name!r}; it must be one of {', '.join(PROBLEM_NAMES)} or an existing centreline file "
+            f"({', '.join(CENTRELINE_SUFFIXES)}), mask ({', '.join(MASK_SUFFIXES)}) or problem file (.py)"
+            f"{suggest_names(name, [*PROBLEM_NAMES, *beside])}"
         )
     if name.endswith(".py"):
         return from_python(name, arguments.frames, arguments.duration, robot)
@@ -101,10 +104,10 @@ def from_python(file: str, frames: int, duration: float, robot: Robot | None) ->
     folder = str(Path(file).resolve().parent)
     sys.path.insert(0, folder)
     try:
-        make = _called(file, lambda: runpy.run_path(file)).get("problem")
+        make = _call_user_code(file, lambda: runpy.run_path(file)).get("problem")
         if not callable(make):
             raise ProblemError(f"{file} defines no problem(frames, duration, robot); see `ctr-nlp new problem`")
-        made = _called(file, lambda: make(frames, duration, robot))
+        made = _call_user_code(file, lambda: make(frames, duration, robot))
     finally:
         sys.path.remove(folder)
     if not isinstance(made, Problem):
@@ -112,7 +115,7 @@ def from_python(file: str, frames: int, duration: float, robot: Robot | None) ->
     return made
 
 
-def _called(file: str, call: Callable[[], Any]) -> Any:
+def _call_user_code(file: str, call: Callable[[], Any]) -> Any:
     """Call into a user's file and return the result; raises ProblemError with the line of `file` that failed."""
     try:
         return call()
@@ -120,10 +123,10 @@ def _called(file: str, call: Callable[[], Any]) -> Any:
         lines = [at.lineno for at in traceback.extract_tb(error.__traceback__) if at.filename == file]
         place = f"{file}, line {lines[-1]}" if lines else file
         kind = "" if isinstance(error, CtrError) else f"{type(error).__name__}: "
-        raise ProblemError(f"{place}: {kind}{error}{_moved(error)}") from error
+        raise ProblemError(f"{place}: {kind}{error}{_suggest_new_module(error)}") from error
 
 
-def _moved(error: BaseException) -> str:
+def _suggest_new_module(error: BaseException) -> str:
     """Where a module of ours that is missing can be found now, for a file written for an older version."""
     package, _, module = str(getattr(error, "name", "")).rpartition(".")
     if not isinstance(error, ModuleNotFoundError) or package.partition(".")[0] != "ctr_nlp":
@@ -133,7 +136,7 @@ def _moved(error: BaseException) -> str:
     return f"; it is now {' or '.join(homes)}" if homes else ""
 
 
-def tell(problem: Problem) -> None:
+def print_problem_notes(problem: Problem) -> None:
     """Print on stderr notes on a problem that are worth knowing before it is solved."""
-    for note in notes(problem):
+    for note in problem_notes(problem):
         print_stderr(f"note: {note}")

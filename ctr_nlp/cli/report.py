@@ -11,16 +11,16 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from ctr_nlp.cli.console import INTERRUPTED, SOLVED, SOME_FAILED
+from ctr_nlp.cli.console import EXIT_INTERRUPTED, EXIT_SOLVED, EXIT_SOME_FAILED
 from ctr_nlp.cli.output.folder import name_within
 from ctr_nlp.cli.telling import console, print_table, progress_bar
 from ctr_nlp.plan import account, drawn_account
 from ctr_nlp.plan.metrics import by_frame, summary
 from ctr_nlp.plan.plan import Plan
 from ctr_nlp.plan.verdicts import NO, NOT_CHECKED, YES
-from ctr_nlp.steer.compromise import Compromise, sentences
-from ctr_nlp.studies.trade_off import Point
-from ctr_nlp.support.tables import by_line, write_csv
+from ctr_nlp.steer.compromise import Compromise, compromise_sentences
+from ctr_nlp.studies.trade_off import ParetoPoint
+from ctr_nlp.support.tables import columns_to_rows, write_csv
 
 STYLES = {YES: "green", NO: "bold red", NOT_CHECKED: "dark_orange"}
 """Colours of a verdict's word in a terminal; amber is not the colour of *yes*."""
@@ -29,12 +29,12 @@ STYLES = {YES: "green", NO: "bold red", NOT_CHECKED: "dark_orange"}
 def write(plan: Plan, folder: Path) -> None:
     """plan.npz, errors.csv and summary.json."""
     plan.save(folder / "plan.npz")
-    write_csv(folder / "errors.csv", by_line(by_frame(plan)))
+    write_csv(folder / "errors.csv", columns_to_rows(by_frame(plan)))
     text = json.dumps(summary(plan), indent=2, allow_nan=False)
     (folder / "summary.json").write_text(text + "\n", encoding="utf-8")
 
 
-def draw(plan: Plan, points: Sequence[Point], folder: Path, found: Sequence[Compromise] = ()) -> None:
+def draw(plan: Plan, points: Sequence[ParetoPoint], folder: Path, found: Sequence[Compromise] = ()) -> None:
     """Draw a plan, and where a sweep has found points, or what can be had was looked for, that too."""
     from ctr_nlp.figures import save, save_all
 
@@ -44,12 +44,12 @@ def draw(plan: Plan, points: Sequence[Point], folder: Path, found: Sequence[Comp
 
         save(compromise(plan, found), folder / "trade_off.png")
     if points:
-        from ctr_nlp.studies.front import save_front
+        from ctr_nlp.studies.front import save_pareto_front
 
-        save_front(points, plan.meta["problem"]["name"], folder)
+        save_pareto_front(points, plan.meta["problem"]["name"], folder)
 
 
-def draw_first(plan: Plan, folder: Path) -> None:
+def draw_shapes_only(plan: Plan, folder: Path) -> None:
     """Draw the shapes of a plan alone, which takes least time."""
     from ctr_nlp.figures import save
     from ctr_nlp.figures.overlay import shapes
@@ -61,7 +61,7 @@ def print_report(plan: Plan) -> None:
     """Print the verdicts on a plan, its numbers, and what is wrong with it."""
     found = summary(plan)
     print_verdicts(found)
-    print_table("numbers", ("", "value", "unit"), account.rows(found))
+    print_table("numbers", ("", "value", "unit"), account.measure_rows(found))
     for remark in account.remarks(plan, found):
         console().print(remark)
 
@@ -70,7 +70,7 @@ def print_verdicts(found: dict[str, Any]) -> None:
     """Print the table of verdicts of a plan's summary, its words in colour, and what they come to."""
     rows = account.verdict_rows(found)
     print_table(account.title(found), account.VERDICTS, rows, text=("value", "why"), styles=STYLES)
-    console().print(account.lead(found))
+    console().print(account.summarise_verdicts(found))
     console().print(account.NOT_FOR_PATIENTS)
 
 
@@ -80,23 +80,23 @@ def print_robustness(plan: Plan) -> None:
     print_verdicts(summary(plan))
     for table in drawn_account.tables(plan):
         print_table(table.title, table.columns, table.rows)
-    for sentence in (plan.drawn.told, *drawn_account.sentences(plan.drawn)):
+    for sentence in (plan.drawn.summary_sentence, *drawn_account.robustness_sentences(plan.drawn)):
         console().print(sentence)
 
 
 def exit_status(plan: Plan) -> int:
     """0 where no verdict is *no*, 1 where one is, 130 where the plan was interrupted."""
     if plan.meta.get("interrupted", False):
-        return INTERRUPTED
-    return SOME_FAILED if plan.verdicts.failed else SOLVED
+        return EXIT_INTERRUPTED
+    return EXIT_SOME_FAILED if plan.verdicts.failed_names else EXIT_SOLVED
 
 
-def write_front(points: Sequence[Point], folder: Path) -> None:
+def write_front(points: Sequence[ParetoPoint], folder: Path) -> None:
     """pareto.csv."""
     write_csv(folder / "pareto.csv", [asdict(point) for point in points])
 
 
-def print_front(points: Sequence[Point]) -> None:
+def print_front(points: Sequence[ParetoPoint]) -> None:
     """A line a weight, then a line a method."""
     rows = [
         (p.method + " *" * (not p.solved), f"{p.motion_weight:.2g}", p.e3, f"{p.roughness:.0f}") for p in points
@@ -135,7 +135,7 @@ def print_compromises(plan: Plan, found: Sequence[Compromise]) -> None:
         for one in found
     ]
     print_table("arrival against contact, for the robot as described", columns, rows)
-    for sentence in sentences(plan, found):
+    for sentence in compromise_sentences(plan, found):
         console().print(sentence)
 
 

@@ -20,11 +20,11 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table
 from rich.text import Text
 
-from ctr_nlp.exceptions import escaped
+from ctr_nlp.exceptions import escape_control_characters
 
 PIPED_WIDTH = 160
 """Columns assumed where output does not go to a terminal."""
-OFTEN = 1.0
+PROGRESS_LINE_INTERVAL_S = 1.0
 """Seconds between lines of progress with --verbose."""
 Labelled = Callable[[str], Callable[[int, int, str], None]]
 """Turns a label into a callback (done, total, note)."""
@@ -35,7 +35,7 @@ class StdoutError(Exception):
 
 
 @dataclass(frozen=True)
-class Told:
+class JsonOutput:
     """Output of a program that is called with --json: tables, files that were written, and lines of text."""
 
     tables: list[dict[str, Any]] = field(default_factory=list)
@@ -48,22 +48,22 @@ class Told:
         return json.dumps(_plain({**more, "tables": self.tables, "lines": lines, "files": self.files}), indent=2)
 
 
-_told: ContextVar[Told | None] = ContextVar("told", default=None)
+_json_output: ContextVar[JsonOutput | None] = ContextVar("told", default=None)
 _verbose: ContextVar[bool] = ContextVar("verbose", default=False)
 
 
 @contextmanager
-def telling(as_json: bool, verbose: bool) -> Iterator[Told | None]:
+def collect_output(as_json: bool, verbose: bool) -> Iterator[JsonOutput | None]:
     """Gather a program's output for JSON, and yield it; without --json yield None. `verbose`: report progress line
     by line on stderr.
     """
-    told, before = Told() if as_json else None, (_told.get(), _verbose.get())
-    _told.set(told)
+    told, before = JsonOutput() if as_json else None, (_json_output.get(), _verbose.get())
+    _json_output.set(told)
     _verbose.set(verbose)
     try:
         yield told
     finally:
-        _told.set(before[0])
+        _json_output.set(before[0])
         _verbose.set(before[1])
 
 
@@ -84,12 +84,12 @@ class _Console(Console):
 
     def render_str(self, text: str, **options: Any) -> Text:
         """Turn a string into text; rich calls this for every string that is printed, those of tables too."""
-        return super().render_str(escaped(text), **options)
+        return super().render_str(escape_control_characters(text), **options)
 
 
 def console(stderr: bool = False) -> Console:
     """A console on stdout or stderr, wide enough for tables where it is not a terminal; a string is a line."""
-    told = _told.get()
+    told = _json_output.get()
     if told is not None and not stderr:
         return _Console(file=told.text, width=1_000_000)
     found = _Console(stderr=stderr)
@@ -104,7 +104,7 @@ def print_stderr(line: str) -> None:
     line : str
         Without its line break.
     """
-    sys.stderr.write(f"{escaped(line)}\n")
+    sys.stderr.write(f"{escape_control_characters(line)}\n")
 
 
 def write_stdout(text: str) -> None:
@@ -119,13 +119,13 @@ def write_stdout(text: str) -> None:
 def announce(line: str) -> None:
     """Tell at once what somebody waits for: with --json, whose object comes at the end, on stderr as well."""
     console().print(line, soft_wrap=True)
-    if _told.get() is not None:
+    if _json_output.get() is not None:
         console(stderr=True).print(line, soft_wrap=True)
 
 
-def wrote(place: str | Path, files: Sequence[str] = (), more: str = "") -> None:
+def report_written_files(place: str | Path, files: Sequence[str] = (), more: str = "") -> None:
     """Report that the file `place` was written, or files in the folder `place`; `more` is added to the line."""
-    told = _told.get()
+    told = _json_output.get()
     if told is not None:
         told.files.extend([str(Path(place) / name) for name in files] or [str(place)])
     else:
@@ -155,18 +155,23 @@ def print_table(
     styles : mapping, optional
         Colours of cells that are just such a word.
     """
-    told = _told.get()
+    told = _json_output.get()
     if told is not None:
         told.tables.append({"title": title, "columns": list(columns), "rows": [list(row) for row in rows]})
         return
-    table = Table(title=Text(escaped(title)), title_justify="left", box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0))
+    table = Table(
+        title=Text(escape_control_characters(title)),
+        title_justify="left",
+        box=box.SIMPLE_HEAD,
+        padding=(0, 1, 0, 0),
+    )
     for i, column in enumerate(columns):
         table.add_column(
             column, justify="left" if i == 0 or column in text else "right", no_wrap=i == 0, overflow="fold"
         )
     for row in rows:
         cells = (cell if isinstance(cell, str) else _text(cell) for cell in row)
-        table.add_row(*(Text(escaped(cell), (styles or {}).get(cell, "")) for cell in cells))
+        table.add_row(*(Text(escape_control_characters(cell), (styles or {}).get(cell, "")) for cell in cells))
     console().print(table)
 
 
@@ -183,7 +188,7 @@ def progress_bar() -> Iterator[Labelled]:
         task, begin = bar.add_task("", total=None), time.monotonic()
 
         def labelled(label: str) -> Callable[[int, int, str], None]:
-            bar.reset(task, description=escaped(label), total=None)
+            bar.reset(task, description=escape_control_characters(label), total=None)
             last = -math.inf
             if _verbose.get():
                 bar.console.print(f"{time.monotonic() - begin:8.1f} s  {label}")
@@ -193,9 +198,9 @@ def progress_bar() -> Iterator[Labelled]:
                 if done < bar.tasks[0].completed:
                     bar.reset(task)
                 bar.tasks[0].total = total  # update(total=...) would forget how fast it went
-                bar.update(task, description=escaped(f"{label} ({note})"), completed=done)
+                bar.update(task, description=escape_control_characters(f"{label} ({note})"), completed=done)
                 now = time.monotonic() - begin
-                if _verbose.get() and (now - last >= OFTEN or done == total):
+                if _verbose.get() and (now - last >= PROGRESS_LINE_INTERVAL_S or done == total):
                     last, left = now, bar.tasks[0].time_remaining
                     until = "" if left is None or done == total else f", about {left:.0f} s left"
                     bar.console.print(f"{now:8.1f} s  {label}: {note}, {done} of {total}{until}")
@@ -214,9 +219,9 @@ def busy(label: str) -> Iterator[None]:
 
 
 def _text(cell: Any) -> str:
-    from ctr_nlp.plan.account import shown  # brings numerics, without which `doctor` must work
+    from ctr_nlp.plan.account import format_cell  # brings numerics, without which `doctor` must work
 
-    return shown(cell)
+    return format_cell(cell)
 
 
 def _plain(value: Any) -> Any:

@@ -26,35 +26,37 @@ import casadi as ca
 
 from ctr_nlp.codegen import cache, directions, language, places, tape, vector
 from ctr_nlp.exceptions import OptionError
-from ctr_nlp.support.folder_lock import Held, hold_named, remove_abandoned
-from ctr_nlp.support.pool import Lasting
+from ctr_nlp.support.folder_lock import FolderLock, lock_named_folder, remove_abandoned
+from ctr_nlp.support.pool import DetachedProcess
 
-NOTE = (
+BACKGROUND_BUILD_MESSAGE = (
     "the programs for this kind of robot are being compiled in the background, which happens once; until that is "
     "done, they run several times slower. `ctr-nlp warm` compiles them beforehand"
 )
-WAITING = "another process is compiling the programs for this kind of robot; this one waits until it has"
-FAILED = "failed-"
+WAITING_FOR_BUILD_MESSAGE = (
+    "another process is compiling the programs for this kind of robot; this one waits until it has"
+)
+FAILED_BUILD_PREFIX = "failed-"
 """How files in the cache begin that tell why a library could not be made."""
-_begun: list[Lasting] = []
+_begun: list[DetachedProcess] = []
 """Processes started by this one that have not been seen to end."""
 _tried: dict[str, float] = {}
 """When this process began builds, s, by the hash of their key."""
-NICE = 10
+COMPILER_NICENESS = 10
 """Increment of the compiling process's nice value, so that processes that somebody waits for come first."""
-TURN_S = 0.05
+LIBRARY_LOCK_RETRY_S = 0.05
 """s between two attempts to get hold of a library that another process makes."""
-POLL = 0.5
+LIBRARY_POLL_INTERVAL_S = 0.5
 """s between two looks at whether a library has been made meanwhile."""
-TEMPORARY = "TMPDIR", "TEMP", "TMP"
+TEMPORARY_FOLDER_VARIABLES = "TMPDIR", "TEMP", "TMP"
 """What tells a process, and the compiler that it calls, where temporary files go."""
-TASK = "task"
+BUILD_TASK_FILE = "task"
 """Name of the file that tells the other process what to compile."""
-LOCKED = 12
+LOCK_HASH_DIGITS = 12
 """Digits of a key's hash that tell its place among the locks of one file."""
-RETRY_S = 900.0
+FAILED_BUILD_RETRY_S = 900.0
 """s after which a build is begun again that the same process has begun before, or that a compiler has refused."""
-PATIENCE_S = 5.0
+SILENT_BUILD_WAIT_S = 5.0
 """s for which a process waits for another one's library without a word."""
 
 
@@ -62,7 +64,10 @@ class Library:
     """Functions as a shared library, built when somebody first asks for it."""
 
     def __init__(
-        self, described: str, functions: Callable[[], Sequence[ca.Function | places.Whole]], lanes: int | None
+        self,
+        described: str,
+        functions: Callable[[], Sequence[ca.Function | places.FunctionInParts]],
+        lanes: int | None,
     ) -> None:
         """Prepare; nothing is compiled yet.
 
@@ -71,57 +76,63 @@ class Library:
         attribute key is the library's key in the cache.
         """
         # Everything that the C code depends on: CasADi's version decides the order of instructions, and
-        # _writer is the source of the modules that write it.
+        # _generator_source is the source of the modules that write it.
         self.key = "\n".join(
-            [f"{lanes} lanes", language.effort(lanes), ca.CasadiMeta.version(), _writer(), described]
+            [
+                f"{lanes} lanes",
+                language.optimisation_pragmas(lanes),
+                ca.CasadiMeta.version(),
+                _generator_source(),
+                described,
+            ]
         )
         self._functions, self._lanes = functions, lanes
         self._missed = -math.inf
 
-    def now(self) -> Path:
+    def wait_for_path(self) -> Path:
         """The library, made at once where it is not there; raises OptionError where nothing can be compiled."""
-        if (found := cache.kept(self.key)) is not None:
+        if (found := cache.find_library(self.key)) is not None:
             return found
-        with cache.counted_wait(), _alone(self.key):
+        with cache.count_library_wait(), _exclusive_build(self.key):
             return cache.library(self.key, lambda: places.code(tuple(self._functions()), self._lanes))
 
-    def soon(self) -> Path | None:
+    def path_if_ready(self) -> Path | None:
         """The library, or None while it is built in the background, which the first call begins.
 
         Where the environment variable CTR_NLP_COMPILE is `now`, it is built at once.
         """
-        if os.environ.get(cache.SWITCH) == "now":
-            return self.now()
+        if os.environ.get(cache.COMPILE_VARIABLE) == "now":
+            return self.wait_for_path()
         # Callers ask in every iteration; a look at the file system each time would slow them down.
-        if time.monotonic() - self._missed < POLL:
+        if time.monotonic() - self._missed < LIBRARY_POLL_INTERVAL_S:
             return None
         _begun[:] = [process for process in _begun if process.poll() is None]
-        found = cache.kept(self.key)
+        found = cache.find_library(self.key)
         if found is None:
             self._missed = time.monotonic()
-            self._build_in_background()
+            self._start_background_build()
         return found
 
-    def _build_in_background(self) -> None:
+    def _start_background_build(self) -> None:
         """Begin to make the library unless another process is at it; either way, tell the user."""
-        failed = cache.folder() / f"{FAILED}{_hash(self.key)}"
+        failed = cache.folder() / f"{FAILED_BUILD_PREFIX}{_hash(self.key)}"
         with contextlib.suppress(OSError):
-            if time.time() - failed.stat().st_mtime < RETRY_S:
+            if time.time() - failed.stat().st_mtime < FAILED_BUILD_RETRY_S:
                 why = failed.read_text(encoding="utf-8", errors="replace")
-                cache.say(f"{why}; what needs it is solved without compiled code, several times slower")
+                cache.warn_once(f"{why}; what needs it is solved without compiled code, several times slower")
                 return
         try:
             work = _claim(self.key)
         except OSError as error:
-            cache.say_not_kept(error)
+            cache.warn_cache_unwritable(error)
             return
-        cache.say(NOTE)
+        cache.warn_once(BACKGROUND_BUILD_MESSAGE)
         if work is not None:
             _begin(work, self.key, self._functions, self._lanes)
 
 
 @contextlib.contextmanager
-def _alone(key: str) -> Iterator[None]:
+def _exclusive_build(key: str) -> Iterator[None]:
     """Context in which only one process of a user builds a library, if the system has locks; others wait."""
     with contextlib.ExitStack() as stack:
         # Without locks (as on Windows) processes may build the same library twice, which costs time only.
@@ -131,14 +142,14 @@ def _alone(key: str) -> Iterator[None]:
             # One file for all keys: a lock covers one byte of it, whose offset is taken from the key's
             # hash.
             lock = stack.enter_context(open(Path(tempfile.gettempdir(), f"ctr_nlp-{os.getuid()}.lock"), "a"))
-            begin, place = time.monotonic(), int(_hash(key)[:LOCKED], 16)
-            while time.monotonic() - begin < PATIENCE_S:
+            begin, place = time.monotonic(), int(_hash(key)[:LOCK_HASH_DIGITS], 16)
+            while time.monotonic() - begin < SILENT_BUILD_WAIT_S:
                 with contextlib.suppress(BlockingIOError, PermissionError):  # either, says POSIX
                     fcntl.lockf(lock, fcntl.LOCK_EX | fcntl.LOCK_NB, 1, place)
                     break
-                time.sleep(TURN_S)
+                time.sleep(LIBRARY_LOCK_RETRY_S)
             else:
-                cache.say(WAITING)
+                cache.warn_once(WAITING_FOR_BUILD_MESSAGE)
                 fcntl.lockf(lock, fcntl.LOCK_EX, 1, place)
         yield
 
@@ -149,31 +160,34 @@ def _hash(key: str) -> str:
 
 
 @functools.cache
-def _writer() -> str:
+def _generator_source() -> str:
     """Source of the modules that write C: a change to them changes what is compiled."""
     return "".join(map(inspect.getsource, (language, vector, tape, directions, places)))
 
 
-def _claim(key: str) -> Held | None:
+def _claim(key: str) -> FolderLock | None:
     """The folder in which this process is to begin a library; None where one is at work, or has begun it before.
 
     Raises OSError where nothing can be written into the cache.
     """
     name = _hash(key)
-    if time.monotonic() - _tried.get(name, -math.inf) < RETRY_S:
+    if time.monotonic() - _tried.get(name, -math.inf) < FAILED_BUILD_RETRY_S:
         return None  # whatever ended that build, as a lack of memory, would end this one, too
-    place, own = cache.folder().absolute(), f"{cache.BUILDING}{name}"
+    place, own = cache.folder().absolute(), f"{cache.BUILD_FOLDER_PREFIX}{name}"
     place.mkdir(mode=0o700, parents=True, exist_ok=True)
-    remove_abandoned(place, own, cache.ABANDONED)
-    work = hold_named(place / own)
+    remove_abandoned(place, own, cache.BUILD_FOLDER_ABANDONED_AFTER_S)
+    work = lock_named_folder(place / own)
     if work is not None:
         _tried[name] = time.monotonic()
-        cache.sweep()
+        cache.remove_abandoned_folders()
     return work
 
 
 def _begin(
-    work: Held, key: str, functions: Callable[[], Sequence[ca.Function | places.Whole]], lanes: int | None
+    work: FolderLock,
+    key: str,
+    functions: Callable[[], Sequence[ca.Function | places.FunctionInParts]],
+    lanes: int | None,
 ) -> None:
     """Begin to make a library: whoever waits for a solution need not even derive what is compiled.
 
@@ -181,10 +195,14 @@ def _begin(
     """
     # The other process must import this very package, also where it is not installed.
     path = os.pathsep.join([str(Path(__file__).parents[2]), *filter(None, [os.environ.get("PYTHONPATH")])])
-    own = {"PYTHONPATH": path, "PYTHONWARNINGS": "ignore", **dict.fromkeys(TEMPORARY, str(work.folder))}
+    own = {
+        "PYTHONPATH": path,
+        "PYTHONWARNINGS": "ignore",
+        **dict.fromkeys(TEMPORARY_FOLDER_VARIABLES, str(work.folder)),
+    }
     try:
-        (work.folder / TASK).write_bytes(pickle.dumps((key, functions, lanes)))
-        process = Lasting(
+        (work.folder / BUILD_TASK_FILE).write_bytes(pickle.dumps((key, functions, lanes)))
+        process = DetachedProcess(
             [sys.executable, "-m", "ctr_nlp.codegen.background", str(work.folder)],
             env=os.environ | own,
             stdin=subprocess.DEVNULL,
@@ -192,35 +210,35 @@ def _begin(
             stderr=subprocess.DEVNULL,
             # A session of its own: Ctrl-C and the end of the terminal do not reach the build.
             start_new_session=True,
-            pass_fds=work.inherited,
+            pass_fds=work.inheritable_descriptors,
         )
     except OSError as error:
         shutil.rmtree(work.folder, ignore_errors=True)
-        cache.say_not_kept(error)
+        cache.warn_cache_unwritable(error)
     else:
         _begun.append(process)
-        _step_back(process.pid)
+        _lower_priority(process.pid)
     finally:
         work.release()
 
 
-def _step_back(pid: int) -> None:
+def _lower_priority(pid: int) -> None:
     """Lower the priority of a process and all that it starts, on systems that allow it.
 
     Linux weighs the processes of one session against those of others; with its groups for sessions (sched(7)), the
     nice value of a process that leads its own session means nothing to others unless the group has it, too.
     """
     with contextlib.suppress(OSError, AttributeError):
-        os.setpriority(os.PRIO_PROCESS, pid, NICE)
+        os.setpriority(os.PRIO_PROCESS, pid, COMPILER_NICENESS)
     with contextlib.suppress(OSError):
-        Path(f"/proc/{pid}/autogroup").write_text(str(NICE), encoding="ascii")
+        Path(f"/proc/{pid}/autogroup").write_text(str(COMPILER_NICENESS), encoding="ascii")
 
 
 def main(work: Path) -> None:
     """Make the library that a folder describes, or note why that failed, and remove the folder."""
     try:
-        key, functions, lanes = pickle.loads((work / TASK).read_bytes())
-        failed = cache.folder() / f"{FAILED}{_hash(key)}"
+        key, functions, lanes = pickle.loads((work / BUILD_TASK_FILE).read_bytes())
+        failed = cache.folder() / f"{FAILED_BUILD_PREFIX}{_hash(key)}"
         try:
             cache.library(key, lambda: places.code(tuple(functions()), lanes))
             failed.unlink(missing_ok=True)

@@ -30,28 +30,28 @@ import platformdirs
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.support import folder_lock
 
-SWITCH, FOLDER = "CTR_NLP_COMPILE", "CTR_NLP_CACHE"
+COMPILE_VARIABLE, CACHE_FOLDER_VARIABLE = "CTR_NLP_COMPILE", "CTR_NLP_CACHE"
 """Environment variables. CTR_NLP_COMPILE: 0 switches compiling off, `now` makes programs wait for it.
 CTR_NLP_CACHE: a folder for libraries.
 """
-FLAGS = ("-O2", "-fPIC", "-shared", "-fno-math-errno", "-Wno-psabi")
+COMPILER_FLAGS = ("-O2", "-fPIC", "-shared", "-fno-math-errno", "-Wno-psabi")
 """Options for the compiler. Higher levels take longer to compile and gain a tenth at most. -fno-math-errno:
 without it, functions such as sqrt must set errno and cannot be vectorised.
 """
-BRIEF = ("--param=max-cselib-memory-locations=10", "--param=max-cse-insns=50")
+FAST_COMPILE_FLAGS = ("--param=max-cselib-memory-locations=10", "--param=max-cse-insns=50")
 """How far GCC looks back for values that are in registers already: its defaults of 500 and 1000 take half of the
 time that long straight code of vectors needs, and hardly change the result.
 """
-LIBRARIES = (
+LINK_LIBRARY_CHOICES = (
     ("-DLIBMVEC", "-mprefer-vector-width=512", "-fopenmp-simd", "-Wl,--no-undefined", "-lmvec", "-lm"),
     ("-lm",),
 )
 """What is linked, in order of preference: glibc has sines of whole vectors."""
-TRIAL = "#include <math.h>\ndouble trial(double x) { return sin(x); }\n"
+TRIAL_C_CODE = "#include <math.h>\ndouble trial(double x) { return sin(x); }\n"
 """Smallest program that shows whether compiling and linking work."""
-BUILDING, OWN = "building-", "ctr_nlp-libraries-"
+BUILD_FOLDER_PREFIX, PROCESS_FOLDER_PREFIX = "building-", "ctr_nlp-libraries-"
 """How folders begin that hold what a process is at work on: in the cache, and in the temporary folder."""
-ABANDONED = 900.0
+BUILD_FOLDER_ABANDONED_AFTER_S = 900.0
 """s after which such a folder is taken for one of a process that died, on file systems without locks."""
 
 
@@ -68,9 +68,9 @@ def compiler() -> Compiler | None:
     for name in filter(None, (os.environ.get("CC"), "cc", "gcc", "clang")):
         # Not every compiler has GCC's --param, and not every one knows the processor: try with less each
         # time.
-        for target in (["-march=native", *BRIEF], ["-march=native"], []):
+        for target in (["-march=native", *FAST_COMPILE_FLAGS], ["-march=native"], []):
             with contextlib.suppress(OSError, ValueError):
-                command = (*shlex.split(name), *target, *FLAGS)
+                command = (*shlex.split(name), *target, *COMPILER_FLAGS)
                 # With -v the compiler prints version and target, native options resolved, even for an empty
                 # file.
                 said = _run([*command, "-E", "-v", "-x", "c", os.devnull])
@@ -83,28 +83,28 @@ def _run(command: list[str], folder: Path | None = None) -> subprocess.Completed
     return subprocess.run(command, cwd=folder, capture_output=True, text=True, errors="replace", check=False)
 
 
-def missing() -> str | None:
+def unavailable_reason() -> str | None:
     """Reason why nothing can be compiled, or None where it can; logged once if a user might mend it."""
-    if os.environ.get(SWITCH) == "0":
-        return f"{SWITCH} is 0"
+    if os.environ.get(COMPILE_VARIABLE) == "0":
+        return f"{COMPILE_VARIABLE} is 0"
     try:
-        library(TRIAL, lambda: TRIAL)
+        library(TRIAL_C_CODE, lambda: TRIAL_C_CODE)
     # No compiler, or one that cannot link, is no error of the user's: CasADi's interpreter takes over.
     except OptionError as error:
-        say(f"{error}; everything is solved without compiled code, several times slower")
+        warn_once(f"{error}; everything is solved without compiled code, several times slower")
         return str(error)
     return None
 
 
 @functools.cache
-def say(text: str) -> None:
+def warn_once(text: str) -> None:
     """Log a warning, once a process for each text."""
     logging.getLogger("ctr_nlp").warning(text)
 
 
 def folder() -> Path:
     """Folder for libraries: CTR_NLP_CACHE, or ctr_nlp in the user's cache folder."""
-    return Path(os.environ.get(FOLDER) or platformdirs.user_cache_dir("ctr_nlp", appauthor=False))
+    return Path(os.environ.get(CACHE_FOLDER_VARIABLE) or platformdirs.user_cache_dir("ctr_nlp", appauthor=False))
 
 
 def library(key: str, code: Callable[[], str]) -> Path:
@@ -115,20 +115,20 @@ def library(key: str, code: Callable[[], str]) -> Path:
     or belongs to another user is built again. A library that this process built itself is loaded from a folder of
     its own.
     """
-    name, chosen = _named(key)
+    name, chosen = _identify_library(key)
     place = folder() / name
     if name not in _made:
-        if _whole(place):
+        if _is_complete(place):
             return place / "library.so"
-        with counted_wait():
+        with count_library_wait():
             _made[name] = _build(code(), chosen)
     # Another process may have stored the same library meanwhile; then it stays.
-    if not _whole(place):
+    if not _is_complete(place):
         _keep(_made[name], place)
     return _made[name]
 
 
-def waited_s() -> float:
+def library_wait_s() -> float:
     """Tell for how long this process has waited for libraries, a wait that goes on included.
 
     Returns
@@ -140,7 +140,7 @@ def waited_s() -> float:
 
 
 @contextlib.contextmanager
-def counted_wait() -> Iterator[None]:
+def count_library_wait() -> Iterator[None]:
     """Count the time of the block as one of waiting for a library; a block within another counts once."""
     _waits.append(time.monotonic())
     try:
@@ -151,32 +151,32 @@ def counted_wait() -> Iterator[None]:
         _waits.pop()
 
 
-def kept(key: str) -> Path | None:
+def find_library(key: str) -> Path | None:
     """The library of a key if it has been built before, else None; raises OptionError as library."""
-    name, _ = _named(key)
+    name, _ = _identify_library(key)
     place = folder() / name
-    return _made.get(name) or (place / "library.so" if _whole(place) else None)
+    return _made.get(name) or (place / "library.so" if _is_complete(place) else None)
 
 
-def _named(key: str) -> tuple[str, Compiler]:
+def _identify_library(key: str) -> tuple[str, Compiler]:
     """The name of a key's folder, and the compiler."""
-    if os.environ.get(SWITCH) == "0":
-        raise OptionError(f"nothing is compiled: {SWITCH} is 0")
+    if os.environ.get(COMPILE_VARIABLE) == "0":
+        raise OptionError(f"nothing is compiled: {COMPILE_VARIABLE} is 0")
     chosen = compiler()
     if chosen is None:
         raise OptionError("no C compiler was found; install gcc or clang")
-    return _hashed(key, chosen, LIBRARIES), chosen
+    return _hash_build_inputs(key, chosen, LINK_LIBRARY_CHOICES), chosen
 
 
 @functools.lru_cache(maxsize=64)
-def _hashed(key: str, chosen: Compiler, linked: tuple[tuple[str, ...], ...]) -> str:
+def _hash_build_inputs(key: str, chosen: Compiler, linked: tuple[tuple[str, ...], ...]) -> str:
     """Digest of everything that what is compiled depends on: key, command, libraries, compiler and target."""
     parts = [key, *chosen.command, *map(" ".join, linked), chosen.identity]
     return hashlib.sha256("\0".join(parts).encode()).hexdigest()[:32]
 
 
 @functools.cache
-def loaded(package: str, *names: str) -> ctypes.CDLL:
+def load_c_files(package: str, *names: str) -> ctypes.CDLL:
     """A package's files of C, compiled as one; raises OptionError where nothing can be compiled."""
     code = "".join(files(package).joinpath(name).read_text(encoding="utf-8") for name in names)
     return ctypes.CDLL(str(library(code, lambda: code)))
@@ -191,29 +191,29 @@ _made: dict[str, Path] = {}
 
 
 @functools.cache
-def _own() -> Path:
+def _process_folder() -> Path:
     """A folder that lives as long as this process; raises OSError."""
-    sweep()
-    own = folder_lock.hold_new(Path(tempfile.gettempdir()), OWN).folder
+    remove_abandoned_folders()
+    own = folder_lock.lock_new_folder(Path(tempfile.gettempdir()), PROCESS_FOLDER_PREFIX).folder
     atexit.register(shutil.rmtree, own, ignore_errors=True)
     return own
 
 
-def sweep() -> None:
+def remove_abandoned_folders() -> None:
     """Remove what processes left that were killed, in the cache and in the temporary folder."""
-    folder_lock.remove_abandoned(folder(), f"{BUILDING}*", ABANDONED)
+    folder_lock.remove_abandoned(folder(), f"{BUILD_FOLDER_PREFIX}*", BUILD_FOLDER_ABANDONED_AFTER_S)
     # without locks, age tells nothing of the libraries that a process has loaded: it may live for weeks
-    folder_lock.remove_abandoned(Path(tempfile.gettempdir()), f"{OWN}*", math.inf)
+    folder_lock.remove_abandoned(Path(tempfile.gettempdir()), f"{PROCESS_FOLDER_PREFIX}*", math.inf)
 
 
 def _build(code: str, chosen: Compiler) -> Path:
     """Compile code in a folder of this process, with the first set of libraries that can be linked."""
     try:
-        made = Path(tempfile.mkdtemp(dir=_own()))
+        made = Path(tempfile.mkdtemp(dir=_process_folder()))
         (made / "code.c").write_text(code, encoding="utf-8")
         # With glibc's vector sines if they can be linked, else without; --no-undefined makes the first try
         # fail in time.
-        for linked in LIBRARIES:
+        for linked in LINK_LIBRARY_CHOICES:
             run = _run([*chosen.command, "-o", "library.so", "code.c", *linked], made)
             if run.returncode == 0:
                 return made / "library.so"
@@ -227,9 +227,9 @@ def _keep(made: Path, kept: Path) -> None:
     place = kept.parent
     try:
         place.mkdir(mode=0o700, parents=True, exist_ok=True)
-        sweep()
+        remove_abandoned_folders()
         # Built beside its place, in the same file system, so that renaming it is one step for all processes.
-        new = folder_lock.hold_new(place, BUILDING)
+        new = folder_lock.lock_new_folder(place, BUILD_FOLDER_PREFIX)
         try:
             good = new.folder / "good"
             good.mkdir(mode=0o700)
@@ -247,28 +247,30 @@ def _keep(made: Path, kept: Path) -> None:
             shutil.rmtree(new.folder, ignore_errors=True)
             new.release()
     except OSError as error:
-        say_not_kept(error)
+        warn_cache_unwritable(error)
 
 
-def say_not_kept(error: OSError) -> None:
+def warn_cache_unwritable(error: OSError) -> None:
     """Tell a user, once a process, that nothing can be written into the cache."""
-    say(f"compiled code cannot be kept in {folder()}: {error.strerror}")
+    warn_once(f"compiled code cannot be kept in {folder()}: {error.strerror}")
 
 
-def _whole(kept: Path) -> bool:
+def _is_complete(kept: Path) -> bool:
     """Whether a library belongs to this user and is what was built under its name."""
     try:
         library, digest = ((kept / name).stat() for name in ("library.so", "sha256"))
         # A library that another user put into a shared folder would be run with this user's rights.
         ours = not hasattr(os, "getuid") or library.st_uid == os.getuid()
         # Digests are read again only if either file has changed: inode, size and time say so.
-        return ours and _matching(kept, *((of.st_ino, of.st_size, of.st_mtime_ns) for of in (library, digest)))
+        return ours and _matches_digest(
+            kept, *((of.st_ino, of.st_size, of.st_mtime_ns) for of in (library, digest))
+        )
     except (OSError, UnicodeDecodeError):
         return False
 
 
 @functools.lru_cache(maxsize=64)
-def _matching(kept: Path, *as_they_are: tuple[int, ...]) -> bool:
+def _matches_digest(kept: Path, *as_they_are: tuple[int, ...]) -> bool:
     """Whether a library matches its digest; as_they_are: inode, size and time of both files, for the cache of
     results.
     """

@@ -2,9 +2,9 @@
 
 As straight code of numbers, second derivatives have each operation once more for every unknown. That is longer
 than what a processor keeps in its instruction cache, so that it waits for code. Here a number is followed by one
-vector with its slopes over up to LANES unknowns: forward differentiation in as many directions together. For r =
-op(a, b), with slopes r', a', b' (rows over the unknowns), r' = op_a a' + op_b b'; SLOPES has op_a and op_b.
-Applied to a gradient, this gives the Hessian.
+vector with its slopes over up to VECTOR_LANES unknowns: forward differentiation in as many directions together.
+For r = op(a, b), with slopes r', a', b' (rows over the unknowns), r' = op_a a' + op_b b'; DERIVATIVE_FACTORS has
+op_a and op_b. Applied to a gradient, this gives the Hessian.
 """
 
 from __future__ import annotations
@@ -14,28 +14,28 @@ from typing import NamedTuple
 
 import casadi as ca
 
-from ctr_nlp.codegen.language import LANES, head
+from ctr_nlp.codegen.language import VECTOR_LANES, file_header
 from ctr_nlp.codegen.vector import (
+    eliminate_common_subexpressions,
     instruction_of,
     known_operations,
-    name_of,
+    name_in_c,
     needed_later,
+    part_starts,
     pause_after,
-    starts_of,
-    told_in,
-    value_of,
-    without_repetition,
+    result_in_c,
+    store_output,
 )
 
-PART = 100
+FORWARD_MODE_PART_INSTRUCTIONS = 100
 """Instructions in one part of the body; with their slopes these are as long as the parts in vector.py."""
-_NONE, _ONE, _SIGN = "", "1.0", "(one_where({0} > 0.0) - one_where({0} < 0.0))"
+_ZERO_FACTOR, _UNIT_FACTOR, _SIGN_FACTOR = "", "1.0", "(one_where({0} > 0.0) - one_where({0} < 0.0))"
 """Factors that many operations share: none (the slope is 0), one, and the sign of the argument."""
-_LESS = "(0.5 * (one_where({{{0}}} < {{{1}}}) + one_where({{{0}}} <= {{{1}}})))"
+_LESS_THAN_FACTOR = "(0.5 * (one_where({{{0}}} < {{{1}}}) + one_where({{{0}}} <= {{{1}}})))"
 """1 if one number is less than another, 0 if it is more, and half where they are equal, as in CasADi."""
-SLOPES = {
-    ca.OP_ADD: (_ONE, _ONE),
-    ca.OP_SUB: (_ONE, "-1.0"),
+DERIVATIVE_FACTORS = {
+    ca.OP_ADD: (_UNIT_FACTOR, _UNIT_FACTOR),
+    ca.OP_SUB: (_UNIT_FACTOR, "-1.0"),
     ca.OP_MUL: ("{1}", "{0}"),
     # Results {r} are reused where they save an operation: d(a / b)/db = -(a / b) / b.
     ca.OP_DIV: ("(1.0 / {1})", "(-{r} / {1})"),
@@ -44,19 +44,19 @@ SLOPES = {
     ca.OP_TWICE: ("2.0",),
     ca.OP_INV: ("(-{r} * {r})",),
     # Comparisons are piecewise constant: slope 0, as in CasADi, also where they jump.
-    ca.OP_LT: (_NONE, _NONE),
-    ca.OP_LE: (_NONE, _NONE),
-    ca.OP_EQ: (_NONE, _NONE),
-    ca.OP_NE: (_NONE, _NONE),
-    ca.OP_NOT: (_NONE,),
-    ca.OP_AND: (_NONE, _NONE),
-    ca.OP_OR: (_NONE, _NONE),
+    ca.OP_LT: (_ZERO_FACTOR, _ZERO_FACTOR),
+    ca.OP_LE: (_ZERO_FACTOR, _ZERO_FACTOR),
+    ca.OP_EQ: (_ZERO_FACTOR, _ZERO_FACTOR),
+    ca.OP_NE: (_ZERO_FACTOR, _ZERO_FACTOR),
+    ca.OP_NOT: (_ZERO_FACTOR,),
+    ca.OP_AND: (_ZERO_FACTOR, _ZERO_FACTOR),
+    ca.OP_OR: (_ZERO_FACTOR, _ZERO_FACTOR),
     # The value, not the condition, has a slope, and only where it is chosen.
-    ca.OP_IF_ELSE_ZERO: (_NONE, "one_where({0} != 0.0)"),
-    ca.OP_FMIN: (_LESS.format(0, 1), _LESS.format(1, 0)),
-    ca.OP_FMAX: (_LESS.format(1, 0), _LESS.format(0, 1)),
-    ca.OP_SIGN: (_NONE,),
-    ca.OP_FABS: (_SIGN,),
+    ca.OP_IF_ELSE_ZERO: (_ZERO_FACTOR, "one_where({0} != 0.0)"),
+    ca.OP_FMIN: (_LESS_THAN_FACTOR.format(0, 1), _LESS_THAN_FACTOR.format(1, 0)),
+    ca.OP_FMAX: (_LESS_THAN_FACTOR.format(1, 0), _LESS_THAN_FACTOR.format(0, 1)),
+    ca.OP_SIGN: (_ZERO_FACTOR,),
+    ca.OP_FABS: (_SIGN_FACTOR,),
     ca.OP_SQRT: ("(0.5 / {r})",),
     ca.OP_SIN: ("cos({0})",),
     ca.OP_COS: ("-sin({0})",),
@@ -69,13 +69,13 @@ SLOPES = {
     ca.OP_TANH: ("(1.0 - {r} * {r})",),
     ca.OP_EXP: ("{r}",),
     ca.OP_LOG: ("(1.0 / {0})",),
-    ca.OP_FLOOR: (_NONE,),
-    ca.OP_CEIL: (_NONE,),
+    ca.OP_FLOOR: (_ZERO_FACTOR,),
+    ca.OP_CEIL: (_ZERO_FACTOR,),
     ca.OP_ATAN2: ("({1} / ({0} * {0} + {1} * {1}))", "(-{0} / ({0} * {0} + {1} * {1}))"),
     ca.OP_POW: ("({1} * pow({0}, {1} - 1.0))", "(log({0}) * {r})"),
     # The exponent is a constant: no slope over it, and no logarithm of a base that may be negative.
-    ca.OP_CONSTPOW: ("({1} * pow({0}, {1} - 1.0))", _NONE),
-    ca.OP_COPYSIGN: (f"(copysign(1.0, {{1}}) * {_SIGN})", _NONE),
+    ca.OP_CONSTPOW: ("({1} * pow({0}, {1} - 1.0))", _ZERO_FACTOR),
+    ca.OP_COPYSIGN: (f"(copysign(1.0, {{1}}) * {_SIGN_FACTOR})", _ZERO_FACTOR),
 }
 """Factors op_a, op_b of each operation: by the result {r} and the arguments {0}, {1}; empty where the
 slope is 0.
@@ -91,12 +91,12 @@ class Chunk(NamedTuple):
     @classmethod
     def all_of(cls, unknowns: int) -> list[Chunk]:
         """The chunks for so many unknowns."""
-        return [cls(first, min(LANES, unknowns - first)) for first in range(0, unknowns, LANES)]
+        return [cls(first, min(VECTOR_LANES, unknowns - first)) for first in range(0, unknowns, VECTOR_LANES)]
 
     @property
     def lanes(self) -> int:
         """Lanes of the vector: the next power of two, since compilers have no other vectors."""
-        # The last chunk may have fewer unknowns than LANES: a smaller vector is enough for it.
+        # The last chunk may have fewer unknowns than VECTOR_LANES: a smaller vector is enough for it.
         return 1 << (self.unknowns - 1).bit_length()
 
     @property
@@ -106,11 +106,11 @@ class Chunk(NamedTuple):
 
     def unit(self, unknown: int) -> str:
         """C for the slopes of one of the unknowns over the chunk: 1 in its own lane."""
-        entries = ", ".join(_ONE if lane == unknown - self.first else "0.0" for lane in range(self.lanes))
+        entries = ", ".join(_UNIT_FACTOR if lane == unknown - self.first else "0.0" for lane in range(self.lanes))
         return f"({self.kind}){{{entries}}}"
 
 
-class Directed(NamedTuple):
+class FunctionWithJacobian(NamedTuple):
     """A function whose first input is the unknowns, and the outputs whose slopes over these are wanted.
 
     slopes: for the number of each such output, the entries of its Jacobian that are stored, column by column.
@@ -120,19 +120,19 @@ class Directed(NamedTuple):
     slopes: Mapping[int, ca.Sparsity]
 
 
-def directed_code(functions: Sequence[Directed]) -> str:
+def forward_mode_code(functions: Sequence[FunctionWithJacobian]) -> str:
     """A file of C for functions with dense inputs and outputs, all with the same number of unknowns.
 
     Each becomes `static void NAME(const double **arg, double **res)`. Results are the outputs, and then, in the
     order of their numbers, the slopes that are wanted. Names of outputs that begin with EARLY mean what they mean
     in vector.py. Raises NotImplementedError for operations without C.
     """
-    alone = [each._replace(function=without_repetition(each.function)) for each in functions]
+    alone = [each._replace(function=eliminate_common_subexpressions(each.function)) for each in functions]
     used = known_operations(tuple(each.function for each in alone))
     bodies = [_Body(each) for each in alone]
     kinds = {chunk.kind: chunk.lanes for body in bodies for chunk in body.chunks}
     types = "".join(f"typedef double {kind} __attribute__((vector_size({8 * n})));\n" for kind, n in kinds.items())
-    return "".join([head(used, 1), types, *(body.code() for body in bodies)])
+    return "".join([file_header(used, 1), types, *(body.code() for body in bodies)])
 
 
 class _Body:
@@ -142,16 +142,16 @@ class _Body:
     its slopes are found.
     """
 
-    def __init__(self, directed: Directed) -> None:
+    def __init__(self, directed: FunctionWithJacobian) -> None:
         self.function, self.wanted = directed
         self.chunks = Chunk.all_of(self.function.numel_in(0)) if self.wanted else []
         self.pause = pause_after(self.function)
-        self.starts = starts_of(self.function, self.pause, PART)
+        self.starts = part_starts(self.function, self.pause, FORWARD_MODE_PART_INSTRUCTIONS)
         self.instructions = [instruction_of(self.function, k) for k in range(self.function.n_instructions())]
-        self.taken = self._taken()
-        self.sloped = self._sloped()
+        self.taken = self._find_argument_instructions()
+        self.sloped = self._find_slope_chunks()
 
-    def _taken(self) -> list[list[int]]:
+    def _find_argument_instructions(self) -> list[list[int]]:
         """For each instruction, the instructions that made its arguments; slots of the work vector are reused."""
         made, taken = dict[int, int](), list[list[int]]()
         for k, (operation, to, of) in enumerate(self.instructions):
@@ -162,28 +162,28 @@ class _Body:
                 made[to[0]] = k
         return taken
 
-    def _follows(self, k: int) -> list[int]:
+    def _differentiable_arguments(self, k: int) -> list[int]:
         """Instructions whose results the result of k follows with slopes other than 0."""
         operation = self.instructions[k][0]
         if operation == ca.OP_OUTPUT:
             return self.taken[k]
-        return [j for j, slope in zip(self.taken[k], SLOPES.get(operation, ()), strict=False) if slope]
+        return [j for j, slope in zip(self.taken[k], DERIVATIVE_FACTORS.get(operation, ()), strict=False) if slope]
 
-    def _sloped(self) -> list[set[int]]:
+    def _find_slope_chunks(self) -> list[set[int]]:
         """For each instruction the chunks over which its slopes are not always 0 and are needed by outputs."""
         # Forward: chunks that a result depends on. Backward: chunks that some wanted output needs it for.
         # Only what is in both is computed.
         moved, needed = list[set[int]](), [set[int]() for _ in self.instructions]
         for k, (operation, _, of) in enumerate(self.instructions):
             # Entry j of input 0 is unknown j: it follows itself alone, in one chunk.
-            own = {of[1] // LANES} if self.chunks and operation == ca.OP_INPUT and of[0] == 0 else set()
-            moved.append(own.union(*(moved[j] for j in self._follows(k))))
+            own = {of[1] // VECTOR_LANES} if self.chunks and operation == ca.OP_INPUT and of[0] == 0 else set()
+            moved.append(own.union(*(moved[j] for j in self._differentiable_arguments(k))))
         for k in reversed(range(len(moved))):
             operation, to, _ = self.instructions[k]
             if operation == ca.OP_OUTPUT:
                 needed[k] = moved[k] if to[0] in self.wanted else set()
             needed[k] &= moved[k]
-            for j in self._follows(k):
+            for j in self._differentiable_arguments(k):
                 needed[j] |= needed[k]
         return needed
 
@@ -216,11 +216,11 @@ class _Body:
                 parts.append([])
                 here.clear()
             if operation == ca.OP_OUTPUT:
-                told = told_in(self.function, to, name_of(of[0], here))
-                parts[-1] += [told, *self._slopes_found(k, here)]
+                told = store_output(self.function, to, name_in_c(of[0], here))
+                parts[-1] += [told, *self._store_jacobian_row(k, here)]
                 continue
             sloped = sorted(self.sloped[k])
-            lines = [f"double t{k} = {value_of(self.function, k, here)};"]
+            lines = [f"double t{k} = {result_in_c(self.function, k, here)};"]
             # t7 is the result of instruction 7, t7_0 its slopes over chunk 0.
             lines += [f"{self.chunks[c].kind} t{k}_{c} = {self._slopes(k, c, here)};" for c in sloped]
             if k in later:
@@ -234,8 +234,8 @@ class _Body:
         operation, _, of = self.instructions[k]
         if operation == ca.OP_INPUT:
             return self.chunks[c].unit(of[1])
-        names = [name_of(slot, here) for slot in of]
-        slopes = zip(of, self.taken[k], SLOPES[operation], strict=False)
+        names = [name_in_c(slot, here) for slot in of]
+        slopes = zip(of, self.taken[k], DERIVATIVE_FACTORS[operation], strict=False)
         return " + ".join(
             f"{slope.format(*names, r=f't{k}')} * {_vector(slot, c, here)}"
             for slot, j, slope in slopes
@@ -244,7 +244,7 @@ class _Body:
             if slope and c in self.sloped[j]
         )
 
-    def _slopes_found(self, k: int, here: dict[int, str]) -> list[str]:
+    def _store_jacobian_row(self, k: int, here: dict[int, str]) -> list[str]:
         """C that stores the entries of a Jacobian's row when its output is found."""
         _, (number, row), of = self.instructions[k]
         if number not in self.wanted:
@@ -255,8 +255,8 @@ class _Body:
         # get_triplet lists entries column by column, the order in which they are stored.
         for entry, (at, column) in enumerate(zip(*pattern.get_triplet(), strict=True)):
             if at == row:
-                c = column // LANES
-                slope = f"({_vector(of[0], c, here)})[{column % LANES}]" if c in self.sloped[k] else "0.0"
+                c = column // VECTOR_LANES
+                slope = f"({_vector(of[0], c, here)})[{column % VECTOR_LANES}]" if c in self.sloped[k] else "0.0"
                 lines.append(f"res[{result}][{entry}] = {slope};\n")
         return [f"if (res[{result}]) {{\n{''.join(lines)}}}\n"] if lines else []
 

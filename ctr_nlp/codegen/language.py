@@ -1,7 +1,7 @@
 """The C that functions are written in: for single numbers, or for vectors with one frame in each lane.
 
 Both kinds define the same names (V, all, gathered, ...), so that the same generated text is code for one frame or
-for LANES frames. Vectors use GCC's vector extension, which clang knows, too.
+for VECTOR_LANES frames. Vectors use GCC's vector extension, which clang knows, too.
 """
 
 from __future__ import annotations
@@ -11,17 +11,19 @@ from collections.abc import Iterable
 
 import casadi as ca
 
-LANES = 8
+VECTOR_LANES = 8
 """Number of frames in a vector: what AVX-512 holds; compilers take two or four vectors where they are shorter."""
-QUICK = "CTR_NLP_QUICK"
+QUICK_COMPILE_VARIABLE = "CTR_NLP_QUICK"
 """Environment variable: 1 compiles long straight code of numbers as that of vectors, in half of the time."""
-_QUICK = '#pragma GCC optimize("Og")\n'
+_QUICK_PRAGMA = '#pragma GCC optimize("Og")\n'
 """Long straight code of vectors gains a tenth at most from more, that of numbers a fifth."""
-_FULL = '#pragma GCC optimize("O3")\n'
+_FULL_OPTIMISATION_PRAGMA = '#pragma GCC optimize("O3")\n'
 """Short loops over frames gain all that there is."""
-_LEAN = "".join(f'#pragma GCC optimize("no-tree-{name}")\n' for name in ("slp-vectorize", "slsr", "pre", "dse"))
+_LEAN_OPTIMISATION_PRAGMAS = "".join(
+    f'#pragma GCC optimize("no-tree-{name}")\n' for name in ("slp-vectorize", "slsr", "pre", "dse")
+)
 """Long straight code of numbers gains nothing from these, and compiles in 65 % of the time without them."""
-_OPTIMIZED = '#pragma GCC push_options\n#pragma GCC optimize("O2")\n{}#pragma GCC pop_options\n'
+_HELPER_OPTIMISATION_PRAGMAS = '#pragma GCC push_options\n#pragma GCC optimize("O2")\n{}#pragma GCC pop_options\n'
 """Loops over lanes do."""
 _SCALAR = """\
 #include <math.h>
@@ -90,7 +92,7 @@ OPERATIONS = {
     ca.OP_SIGN: "choose({0} != {0}, {0}, one_where({0} > 0.0) - one_where({0} < 0.0))",
 }
 """Operations that C has for vectors as for numbers, in terms of their arguments {0} and {1}."""
-BY_LANE = {
+C_LIBRARY_FUNCTIONS = {
     ca.OP_FABS: "fabs",
     ca.OP_SQRT: "sqrt",
     ca.OP_SIN: "sin",
@@ -112,32 +114,35 @@ BY_LANE = {
     ca.OP_COPYSIGN: "copysign",
 }
 """Operations that are functions of the C library, called lane by lane."""
-TWO = "atan2", "pow", "copysign"
-"""The functions of BY_LANE with two arguments."""
-DEFINED = (
+TWO_ARGUMENT_FUNCTIONS = "atan2", "pow", "copysign"
+"""The functions of C_LIBRARY_FUNCTIONS with two arguments."""
+SHARED_C_NAMES = (
     *("V", "M", "gathered", "scattered", "all", "masked", "choose", "one_where"),
-    *(f"by_lane_{called}" for called in sorted(set(BY_LANE.values()))),
+    *(f"by_lane_{called}" for called in sorted(set(C_LIBRARY_FUNCTIONS.values()))),
 )
 """Names that code for numbers and code for vectors both define; renamed where both are in one file."""
 
 
-def head(operations: Iterable[int], lanes: int | None) -> str:
+def file_header(operations: Iterable[int], lanes: int | None) -> str:
     """The beginning of a file with these operations.
 
     lanes: frames in a vector; 1 for numbers; None for loops over any number of frames, which take numbers.
     """
     width = lanes or 1
-    helpers = {_by_lane(BY_LANE[operation], width) for operation in set(operations) & BY_LANE.keys()}
+    helpers = {
+        _by_lane(C_LIBRARY_FUNCTIONS[operation], width)
+        for operation in set(operations) & C_LIBRARY_FUNCTIONS.keys()
+    }
     # Files of long vector code are compiled with little effort; the short loops over lanes gain from more.
     if width > 1:
-        helpers = {_OPTIMIZED.format(helper) for helper in helpers}
-    # Code for one frame calls the C library itself; loops over frames need LANES, too.
-    sines = "" if lanes == 1 else f"#define LANES {lanes or LANES}\n{_SINES}"
-    begin = _SCALAR if width == 1 else _VECTOR % _each(width)
-    return "".join([effort(lanes), sines, begin, *sorted(helpers)])
+        helpers = {_HELPER_OPTIMISATION_PRAGMAS.format(helper) for helper in helpers}
+    # Code for one frame calls the C library itself; loops over frames need VECTOR_LANES, too.
+    sines = "" if lanes == 1 else f"#define LANES {lanes or VECTOR_LANES}\n{_SINES}"
+    begin = _SCALAR if width == 1 else _VECTOR % _unroll_lanes(width)
+    return "".join([optimisation_pragmas(lanes), sines, begin, *sorted(helpers)])
 
 
-def _each(lanes: int) -> dict[str, str]:
+def _unroll_lanes(lanes: int) -> dict[str, str]:
     """Expressions written out lane by lane: at low effort, compilers leave short loops as they are."""
     return {
         "gathered": ", ".join(f"a[{lane} * step]" for lane in range(lanes)),
@@ -151,16 +156,20 @@ def number_in_c(number: float) -> str:
     return {"inf": "INFINITY", "-inf": "-INFINITY", "nan": "NAN"}.get(written, written)
 
 
-def effort(lanes: int | None) -> str:
+def optimisation_pragmas(lanes: int | None) -> str:
     """Pragmas for how hard the compiler tries; lanes: None for loops over any number of frames."""
     if lanes is None:
-        return _FULL
-    return _LEAN if lanes == 1 and os.environ.get(QUICK) != "1" else _QUICK
+        return _FULL_OPTIMISATION_PRAGMA
+    return (
+        _LEAN_OPTIMISATION_PRAGMAS
+        if lanes == 1 and os.environ.get(QUICK_COMPILE_VARIABLE) != "1"
+        else _QUICK_PRAGMA
+    )
 
 
 def _by_lane(called: str, lanes: int) -> str:
     """A C library function for vectors; with a vector library, one call computes all lanes."""
-    names = "ab" if called in TWO else "a"
+    names = "ab" if called in TWO_ARGUMENT_FUNCTIONS else "a"
     parameters = ", ".join(f"V {name}" for name in names)
     # A number needs no loop over lanes: the C library is called in place.
     if lanes == 1:

@@ -13,39 +13,39 @@ from collections.abc import Callable
 import casadi as ca
 import numpy as np
 
-from ctr_nlp.codegen.language import LANES
+from ctr_nlp.codegen.language import VECTOR_LANES
 from ctr_nlp.typing import Array
 
-_WHOLE = ctypes.CFUNCTYPE(None)
+_WHOLE_BATCH_CALLBACK = ctypes.CFUNCTYPE(None)
 _tapes: dict[ca.Function, ctypes._FuncPointer] = {}
 """Entry points for any number of rows, of functions that were loaded as tapes."""
 
 
-def external(name: str, path: str) -> ca.Function:
-    """A function from a library of tape.tape_code, for LANES frames side by side; Mapped finds its rows' entry
-    point.
+def load_tape_function(name: str, path: str) -> ca.Function:
+    """A function from a library of tape.tape_code, for VECTOR_LANES frames side by side; Mapped finds its rows'
+    entry point.
     """
     function = ca.external(name, path)
     _tapes[function] = ctypes.CDLL(path)[f"{name}_rows"]
     return function
 
 
-_FIELDS = ctypes.c_void_p * 4, ctypes.c_void_p * 5
+_ARRAY_POINTER_TYPES = ctypes.c_void_p * 4, ctypes.c_void_p * 5
 """Pointers to at most four inputs (x, p, lam_f, lam_g) and five outputs (nlp.written.FrameFunctions)."""
 
 
-class InC(ctypes.Structure):
+class BatchStruct(ctypes.Structure):
     """A mapped function as C calls it: the struct Mapped of solvers/motion/banded.c."""
 
     _fields_ = [
         ("of_rows", ctypes.c_void_p),
-        ("whole", _WHOLE),
+        ("whole", _WHOLE_BATCH_CALLBACK),
         ("rows", ctypes.c_long),
-        *zip(("in", "out"), _FIELDS, strict=True),
+        *zip(("in", "out"), _ARRAY_POINTER_TYPES, strict=True),
     ]
 
 
-class Mapped:
+class BatchEvaluator:
     """A function of one frame evaluated for all frames, without copies on the way; a row a frame.
 
     inputs, outputs: arrays (T, entries) that the function reads and writes. The arrays that a call returns are
@@ -55,19 +55,23 @@ class Mapped:
     def __init__(self, function: ca.Function, frames: int) -> None:
         """Allocate arrays for so many frames of a function, interpreted or loaded by `external`."""
         self._tape = _tapes.get(function)
-        # A function loaded from a tape has LANES frames' columns; each row needs the entries of one.
-        lanes = 1 if self._tape is None else LANES
+        # A function loaded from a tape has VECTOR_LANES frames' columns; each row needs the entries of one.
+        lanes = 1 if self._tape is None else VECTOR_LANES
         self.inputs = [np.zeros((frames, function.numel_in(i) // lanes)) for i in range(function.n_in())]
         self.outputs = [np.zeros((frames, function.numel_out(i) // lanes)) for i in range(function.n_out())]
         self._rows = ctypes.c_long(frames)
         # CasADi maps over columns; `map` evaluates them one after another within one call.
-        self._run = self._interpreted(function.map(frames)) if self._tape is None else self._played(self._tape)
+        self._run = (
+            self._make_interpreted_call(function.map(frames))
+            if self._tape is None
+            else self._make_tape_call(self._tape)
+        )
 
     @property
     def _arrays(self) -> tuple[list[Array], list[Array]]:
         return self.inputs, self.outputs
 
-    def _played(self, tape: Callable[..., int]) -> Callable[[], None]:
+    def _make_tape_call(self, tape: Callable[..., int]) -> Callable[[], None]:
         """A call that evaluates the function by its tape."""
         # Addresses are taken once: inputs and outputs must never be replaced by other arrays, only filled.
         places = [(ctypes.c_void_p * len(arrays))(*map(_address, arrays)) for arrays in self._arrays]
@@ -78,7 +82,7 @@ class Mapped:
 
         return run
 
-    def _interpreted(self, function: ca.Function) -> Callable[[], None]:
+    def _make_interpreted_call(self, function: ca.Function) -> Callable[[], None]:
         """A call that evaluates the function by CasADi; function: already mapped over all frames."""
         self._buffer, run = function.buffer()
         for put, arrays in zip((self._buffer.set_arg, self._buffer.set_res), self._arrays, strict=True):
@@ -100,12 +104,20 @@ class Mapped:
         self._run()
         return self.outputs
 
-    def in_c(self) -> InC:
+    def as_struct(self) -> BatchStruct:
         """The function for C, valid as long as this object lives."""
         of_rows = None if self._tape is None else ctypes.cast(self._tape, ctypes.c_void_p)
-        into, out = (kind(*map(_address, arrays)) for kind, arrays in zip(_FIELDS, self._arrays, strict=True))
+        into, out = (
+            kind(*map(_address, arrays)) for kind, arrays in zip(_ARRAY_POINTER_TYPES, self._arrays, strict=True)
+        )
         # C calls the tape directly, or a Python callback that evaluates the interpreted function whole.
-        return InC(of_rows, _WHOLE(self._run) if self._tape is None else _WHOLE(), self._rows, into, out)
+        return BatchStruct(
+            of_rows,
+            _WHOLE_BATCH_CALLBACK(self._run) if self._tape is None else _WHOLE_BATCH_CALLBACK(),
+            self._rows,
+            into,
+            out,
+        )
 
 
 def _address(array: Array) -> int:

@@ -1,7 +1,7 @@
-"""Functions with many alike places, as C: places are evaluated LANES together, and what they share once.
+"""Functions with many alike places, as C: places are evaluated VECTOR_LANES together, and what they share once.
 
 A whole function has three parts (nlp/parted.py): one that finds shared quantities and all else with slopes
-(`directed`), one for a place, called for LANES places at a time in between, and one that joins both.
+(`directed`), one for a place, called for VECTOR_LANES places at a time in between, and one that joins both.
 """
 
 from __future__ import annotations
@@ -11,10 +11,10 @@ from typing import NamedTuple
 
 import casadi as ca
 
-from ctr_nlp.codegen.directions import Directed, directed_code
-from ctr_nlp.codegen.language import DEFINED, LANES
+from ctr_nlp.codegen.directions import FunctionWithJacobian, forward_mode_code
+from ctr_nlp.codegen.language import SHARED_C_NAMES, VECTOR_LANES
 from ctr_nlp.codegen.tape import tape_code
-from ctr_nlp.codegen.vector import EARLY, for_casadi, vector_code
+from ctr_nlp.codegen.vector import EARLY_OUTPUT_PREFIX, casadi_entry_points, vector_code
 from ctr_nlp.typing import Array
 
 _AT_PLACES = """\
@@ -50,8 +50,8 @@ static void at_places(Place one, const double **arg, long inputs, const double *
 """The loop over places in C. The last vector may overlap the one before; its repeated places count 0 in sums."""
 
 
-class AtPlaces(NamedTuple):
-    """A function of one of many alike places, at least LANES of them.
+class SamplePointFunction(NamedTuple):
+    """A function of one of many alike places, at least VECTOR_LANES of them.
 
     Its inputs are, with names that begin with SAME and shared by all places, the whole function's but the last and
     its early outputs; then, with names that begin with BESIDE, those inputs again, constants (k, places), and
@@ -75,64 +75,66 @@ class AtPlaces(NamedTuple):
         return sums + found * places
 
 
-class Whole(NamedTuple):
+class FunctionInParts(NamedTuple):
     """A function called `name`, in parts: one of the unknowns and other inputs, and one of all that this finds.
 
     directed: its last input are the results at places, which are evaluated in its pause, from its other inputs and
-    early outputs with their slopes; outputs whose names begin with EARLY come first. joined: of the results at
-    places and then those of directed, in their order (directions.py).
+    early outputs with their slopes; outputs whose names begin with EARLY_OUTPUT_PREFIX come first. joined: of the
+    results at places and then those of directed, in their order (directions.py).
     """
 
     name: str
-    directed: Directed
-    at_places: tuple[AtPlaces, ...]
-    joined: ca.Function
+    main_part: FunctionWithJacobian
+    sample_point_parts: tuple[SamplePointFunction, ...]
+    join_part: ca.Function
 
     @property
     def early(self) -> list[int]:
         """Numbers of directed's results that places are given: early outputs, then their slopes."""
-        function, slopes = self.directed.function, sorted(self.directed.slopes)
+        function, slopes = self.main_part.function, sorted(self.main_part.slopes)
         # Early results with wanted slopes have these after all outputs, in the order of the outputs'
         # numbers.
-        early = [k for k in range(function.n_out()) if function.name_out(k).startswith(EARLY)]
+        early = [k for k in range(function.n_out()) if function.name_out(k).startswith(EARLY_OUTPUT_PREFIX)]
         return early + [function.n_out() + slopes.index(k) for k in early if k in slopes]
 
 
-def code(functions: Sequence[ca.Function | Whole], lanes: int | None) -> str:
+def code(functions: Sequence[ca.Function | FunctionInParts], lanes: int | None) -> str:
     """A file of C for functions of `lanes` frames together, None for any number; those with places are of one
     frame.
     """
-    wholes = [each for each in functions if isinstance(each, Whole)]
+    wholes = [each for each in functions if isinstance(each, FunctionInParts)]
     plain = tuple(each for each in functions if isinstance(each, ca.Function))
     # Places are a matter of code for one frame; for many frames tapes put frames in the lanes instead.
     if lanes is None:
         return tape_code(plain)
     if not wholes:
         return vector_code(plain, lanes)
-    each = tuple(at.function for whole in wholes for at in whole.at_places)
+    each = tuple(at.function for whole in wholes for at in whole.sample_point_parts)
     return "".join(
         [
             "#include <math.h>\n#include <string.h>\n#pragma GCC push_options\n",
             # Vector code for places and number code for the rest define the same names: the former's get
             # another ending, and its compiler options are undone afterwards.
-            *(f"#define {name} {name}_beside\n" for name in DEFINED),
-            vector_code(each, LANES),
-            *(f"#undef {name}\n" for name in DEFINED),
+            *(f"#define {name} {name}_beside\n" for name in SHARED_C_NAMES),
+            vector_code(each, VECTOR_LANES),
+            *(f"#undef {name}\n" for name in SHARED_C_NAMES),
             "#pragma GCC pop_options\n",
             _AT_PLACES,
-            *(_pause(whole) for whole in wholes if whole.at_places),
+            *(_sample_point_call(whole) for whole in wholes if whole.sample_point_parts),
             # The join needs no slopes: the same generator writes it, without any.
-            directed_code([part for whole in wholes for part in (whole.directed, Directed(whole.joined, {}))]),
-            *(_called(whole) for whole in wholes),
+            forward_mode_code(
+                [part for whole in wholes for part in (whole.main_part, FunctionWithJacobian(whole.join_part, {}))]
+            ),
+            *(_public_entry_point(whole) for whole in wholes),
         ]
     )
 
 
-def _pause(whole: Whole) -> str:
+def _sample_point_call(whole: FunctionInParts) -> str:
     """C of the function that evaluates the places when all early outputs are found."""
-    inputs, lines, to = whole.directed.function.n_in() - 1, list[str](), 0
+    inputs, lines, to = whole.main_part.function.n_in() - 1, list[str](), 0
     early = ", ".join(f"res[{k}]" for k in whole.early)
-    for at in whole.at_places:
+    for at in whole.sample_point_parts:
         sizes = ", ".join(map(str, at.sizes))
         # Constants of all places, constant after constant, so that neighbouring places are neighbours in
         # memory.
@@ -145,14 +147,14 @@ def _pause(whole: Whole) -> str:
         ]
         to += at.numbers
     return (
-        f"static void {whole.directed.function.name()}_pause(const double **arg, double **res) {{\n"
+        f"static void {whole.main_part.function.name()}_pause(const double **arg, double **res) {{\n"
         f"    const double *early[] = {{{early}}};\n{''.join(lines)}}}\n"
     )
 
 
-def _called(whole: Whole) -> str:
+def _public_entry_point(whole: FunctionInParts) -> str:
     """C of the function as it is called from outside, and by casadi.external."""
-    directed, joined = whole.directed.function, whole.joined
+    directed, joined = whole.main_part.function, whole.join_part
     inputs, results = directed.n_in() - 1, [f"found_{k}" for k in range(joined.n_in() - 1)]
     # C has no arrays of length 0.
     sizes = [max(joined.numel_in(k), 1) for k in range(joined.n_in())]
@@ -166,7 +168,7 @@ def _called(whole: Whole) -> str:
     {joined.name()}(all_found, res);
     return 0;
 """
-    return for_casadi(
+    return casadi_entry_points(
         whole.name,
         body,
         [(*directed.size_in(k), 1) for k in range(inputs)],

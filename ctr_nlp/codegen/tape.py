@@ -2,7 +2,7 @@
 
 Straight code for a large function is millions of bytes, which a processor fetches again for every few frames, and
 more slowly than it computes; and a compiler needs half a minute for it. A tape is data, an eighth as large, which
-is read once for up to BLOCK frames. It is made in the time that it takes to list the instructions.
+is read once for up to TAPE_BLOCK_FRAMES frames. It is made in the time that it takes to list the instructions.
 """
 
 from __future__ import annotations
@@ -11,16 +11,23 @@ from collections.abc import Iterable
 
 import casadi as ca
 
-from ctr_nlp.codegen.language import BY_LANE, LANES, OPERATIONS, TWO, head, number_in_c
-from ctr_nlp.codegen.vector import interface, known_operations, without_repetition
+from ctr_nlp.codegen.language import (
+    C_LIBRARY_FUNCTIONS,
+    OPERATIONS,
+    TWO_ARGUMENT_FUNCTIONS,
+    VECTOR_LANES,
+    file_header,
+    number_in_c,
+)
+from ctr_nlp.codegen.vector import eliminate_common_subexpressions, interface, known_operations
 
-BLOCK = 64
+TAPE_BLOCK_FRAMES = 64
 """Largest number of frames that a tape is read for together: with more, numbers do not stay in the processor's
 caches.
 """
-BITS = 19
+TAPE_OPERAND_BITS = 19
 """Bits of each of the three numbers in an instruction; the rest of 64 is the operation."""
-_PLAYER = """\
+_TAPE_INTERPRETER_C = """\
 #include <stdlib.h>
 #define EACH SIMD for (long l = 0; l < n; ++l)
 
@@ -79,18 +86,18 @@ def tape_code(functions: tuple[ca.Function, ...]) -> str:
     """A file of C for functions with dense inputs and outputs.
 
     Each has `int NAME_rows(const double **arg, double **res, long rows)`, whose inputs and outputs have a row for
-    each frame, and can be loaded by casadi.external as that of LANES frames, whose columns are side by side.
-    Raises NotImplementedError for operations without C, and for functions that are too large.
+    each frame, and can be loaded by casadi.external as that of VECTOR_LANES frames, whose columns are side by
+    side. Raises NotImplementedError for operations without C, and for functions that are too large.
     """
     # The interpreter loop does every instruction, so that repeated ones would cost as often.
-    functions = tuple(without_repetition(function) for function in functions)
+    functions = tuple(eliminate_common_subexpressions(function) for function in functions)
     used = known_operations(functions)
-    return head(used, None) + _player(used) + "".join(_tape(function) for function in functions)
+    return file_header(used, None) + _tape_interpreter(used) + "".join(_tape(function) for function in functions)
 
 
-def _player(used: set[int]) -> str:
+def _tape_interpreter(used: set[int]) -> str:
     """The loop in C, with cases for the operations that are used."""
-    numbers = {"bits": BITS, "mask": (1 << BITS) - 1, "block": BLOCK}
+    numbers = {"bits": TAPE_OPERAND_BITS, "mask": (1 << TAPE_OPERAND_BITS) - 1, "block": TAPE_BLOCK_FRAMES}
     # Instructions that move numbers have other operands than operations, and cases of their own in the
     # loop.
     moves = {"constant": ca.OP_CONST, "input": ca.OP_INPUT, "output": ca.OP_OUTPUT}
@@ -98,7 +105,7 @@ def _player(used: set[int]) -> str:
         f"        case {operation}:\n            EACH to[l] = {_value(operation)};\n            break;\n"
         for operation in sorted(used - set(moves.values()))
     )
-    return _PLAYER.format(cases=cases, **numbers, **moves)
+    return _TAPE_INTERPRETER_C.format(cases=cases, **numbers, **moves)
 
 
 def _value(operation: int) -> str:
@@ -106,8 +113,8 @@ def _value(operation: int) -> str:
     of = "a[l]", "b[l]"
     if operation in OPERATIONS:
         return OPERATIONS[operation].format(*of)
-    called = BY_LANE[operation]
-    return f"by_lane_{called}({', '.join(of[: 2 if called in TWO else 1])})"
+    called = C_LIBRARY_FUNCTIONS[operation]
+    return f"by_lane_{called}({', '.join(of[: 2 if called in TWO_ARGUMENT_FUNCTIONS else 1])})"
 
 
 def _tape(function: ca.Function) -> str:
@@ -116,9 +123,9 @@ def _tape(function: ca.Function) -> str:
     instructions = [_instruction(function, k, constants) for k in range(function.n_instructions())]
     sizes_in = [function.numel_in(i) for i in range(function.n_in())]
     sizes_out = [function.numel_out(i) for i in range(function.n_out())]
-    # casadi.external sees LANES frames as columns. Column after column of a dense matrix is the same memory
+    # casadi.external sees VECTOR_LANES frames as columns. Column after column of a dense matrix is the same memory
     # as row after row, so that the rows' entry point serves both.
-    for_casadi = interface(function, f"    return {name}_rows(arg, res, LANES);\n", LANES)
+    for_casadi = interface(function, f"    return {name}_rows(arg, res, LANES);\n", VECTOR_LANES)
     arrays = {
         "const Instruction": ("instructions", [f"{each}u" for each in instructions]),
         "const double": ("constants", [number_in_c(each) for each in constants]),
@@ -148,13 +155,15 @@ def _instruction(function: ca.Function, k: int, constants: list[float]) -> int:
         of, to = [of[0], to[1]], to[:1]
     # One-argument operations repeat it as the second, which their case does not read.
     numbers = of[0], of[-1], to[0]
-    if max(numbers) >> BITS:
-        raise NotImplementedError(f"{function.name()} has numbers beyond {1 << BITS}, which no instruction tells")
+    if max(numbers) >> TAPE_OPERAND_BITS:
+        raise NotImplementedError(
+            f"{function.name()} has numbers beyond {1 << TAPE_OPERAND_BITS}, which no instruction tells"
+        )
     found: int = operation
     # From the highest bits: operation, second argument, first argument, destination, as the loop reads
     # them.
     for number in numbers[1], numbers[0], numbers[2]:
-        found = found << BITS | number
+        found = found << TAPE_OPERAND_BITS | number
     return found
 
 

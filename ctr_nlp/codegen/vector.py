@@ -10,47 +10,47 @@ import bisect
 
 import casadi as ca
 
-from ctr_nlp.codegen.language import BY_LANE, LANES, OPERATIONS, head, number_in_c
+from ctr_nlp.codegen.language import C_LIBRARY_FUNCTIONS, OPERATIONS, VECTOR_LANES, file_header, number_in_c
 
-SAME = "same_"
+SHARED_INPUT_PREFIX = "same_"
 """Prefix of names of inputs that all frames share."""
-BESIDE = "beside_"
+ADJACENT_LANES_PREFIX = "beside_"
 """Prefix of names of inputs and outputs whose entries have their lanes next to each other in memory.
 
 An entry of an output is a vector. Those of an input overlap: the number after an entry is its next lane.
 """
-EARLY = "early_"
+EARLY_OUTPUT_PREFIX = "early_"
 """Prefix of names of outputs that are found first. After them `NAME_pause(arg, res)` is called, which must be in C
 before: it may read them and fill inputs that are read later.
 """
-PART = 300
+VECTOR_PART_INSTRUCTIONS = 300
 """Instructions in one part of the body."""
 Sizes = list[tuple[int, int, int]]
 """Rows and columns of inputs or outputs, and how often these columns come, once for each lane."""
 
 
-def vector_code(functions: tuple[ca.Function, ...], lanes: int = LANES) -> str:
+def vector_code(functions: tuple[ca.Function, ...], lanes: int = VECTOR_LANES) -> str:
     """A file of C for functions with dense inputs and outputs.
 
     Operations that are repeated are done once. casadi.external loads them under their names; inputs and outputs
-    have `lanes` times the columns, as those of `function.map(lanes)`, but for inputs whose names begin with SAME.
-    With one lane numbers are numbers. Raises NotImplementedError for operations without C.
+    have `lanes` times the columns, as those of `function.map(lanes)`, but for inputs whose names begin with
+    SHARED_INPUT_PREFIX. With one lane numbers are numbers. Raises NotImplementedError for operations without C.
     """
-    functions = tuple(without_repetition(function) for function in functions)
+    functions = tuple(eliminate_common_subexpressions(function) for function in functions)
     # Repetitions are removed first, so that operations are listed as they will be written.
-    return head(known_operations(functions), lanes) + "".join(_function(each, lanes) for each in functions)
+    return file_header(known_operations(functions), lanes) + "".join(_function(each, lanes) for each in functions)
 
 
 def known_operations(functions: tuple[ca.Function, ...]) -> set[int]:
     """The operations that functions use; raises NotImplementedError for those without C."""
     used = {function.instruction_id(k) for function in functions for k in range(function.n_instructions())}
-    if unknown := used - OPERATIONS.keys() - BY_LANE.keys() - {ca.OP_CONST, ca.OP_INPUT, ca.OP_OUTPUT}:
+    if unknown := used - OPERATIONS.keys() - C_LIBRARY_FUNCTIONS.keys() - {ca.OP_CONST, ca.OP_INPUT, ca.OP_OUTPUT}:
         names = ", ".join(function.name() for function in functions)
         raise NotImplementedError(f"{names} uses operations (numbers {sorted(unknown)}) that are not written in C")
     return used
 
 
-def without_repetition(function: ca.Function) -> ca.Function:
+def eliminate_common_subexpressions(function: ca.Function) -> ca.Function:
     """The function with common subexpressions eliminated."""
     inputs = [ca.SX.sym(function.name_in(i), *function.size_in(i)) for i in range(function.n_in())]
     # Names are kept, since their prefixes say how inputs and outputs are laid out.
@@ -70,28 +70,28 @@ def _function(function: ca.Function, lanes: int) -> str:
     )
     calls = [f"    {name}_{k}(arg, res, v);\n" for k in range(len(parts))]
     if pause:
-        # Parts before the pause are whole parts of PART instructions, the last one shorter: so many calls
-        # come first.
-        calls.insert(-(-pause // PART), f"    {name}_pause(arg, res);\n")
+        # Parts before the pause are whole parts of VECTOR_PART_INSTRUCTIONS instructions, the last one shorter: so
+        # many calls come first.
+        calls.insert(-(-pause // VECTOR_PART_INSTRUCTIONS), f"    {name}_pause(arg, res);\n")
     body = "".join([f"    V v[{function.sz_w()}];\n", *calls, "    return 0;\n"])
     return bodies + interface(function, body, lanes)
 
 
 def pause_after(function: ca.Function) -> int:
     """Number of instructions until all early outputs have been found; 0 where there are none."""
-    early = sum(function.name_out(i).startswith(EARLY) for i in range(function.n_out()))
+    early = sum(function.name_out(i).startswith(EARLY_OUTPUT_PREFIX) for i in range(function.n_out()))
     outputs = (k for k in range(function.n_instructions()) if function.instruction_id(k) == ca.OP_OUTPUT)
     return max((k + 1 for k in outputs if function.instruction_output(k)[0] < early), default=0)
 
 
-def starts_of(function: ca.Function, pause: int, part: int) -> list[int]:
+def part_starts(function: ca.Function, pause: int, part: int) -> list[int]:
     """Numbers of the instructions with which parts begin; one part begins right after a pause."""
     return [*range(0, pause, part), *range(pause, function.n_instructions(), part)]
 
 
 def _parts(function: ca.Function, pause: int) -> list[list[str]]:
     """The body, part by part: numbers have names of their own, and reach later parts in the work vector w."""
-    starts = starts_of(function, pause, PART)
+    starts = part_starts(function, pause, VECTOR_PART_INSTRUCTIONS)
     needed = needed_later(function, starts)
     # Named numbers let the compiler keep them in registers. Only those that a later part needs are stored
     # in w: each part is a C function, and sees nothing else of the others.
@@ -103,19 +103,19 @@ def _parts(function: ca.Function, pause: int) -> list[list[str]]:
             here.clear()
         operation, to, of = instruction_of(function, k)
         if operation == ca.OP_OUTPUT:
-            line = told_in(function, to, name_of(of[0], here))
+            line = store_output(function, to, name_in_c(of[0], here))
         else:
             kept = f" w[{to[0]}] = t{k};" if k in needed else ""
-            line = f"V t{k} = {value_of(function, k, here)};{kept}\n"
+            line = f"V t{k} = {result_in_c(function, k, here)};{kept}\n"
             here[to[0]] = f"t{k}"
         parts[-1].append(line)
     return parts
 
 
-def told_in(function: ca.Function, to: list[int], value: str) -> str:
+def store_output(function: ca.Function, to: list[int], value: str) -> str:
     """C that stores a value in an entry of an output."""
     number, entry = to
-    if function.name_out(number).startswith(BESIDE):
+    if function.name_out(number).startswith(ADJACENT_LANES_PREFIX):
         return f"put({value}, res[{number}] + {entry} * LANES);\n"
     return f"if (res[{number}]) scattered({value}, res[{number}] + {entry}, {function.numel_out(number)});\n"
 
@@ -144,43 +144,43 @@ def needed_later(function: ca.Function, starts: list[int]) -> set[int]:
     return needed
 
 
-def _shared(function: ca.Function, number: int) -> bool:
+def _is_shared_input(function: ca.Function, number: int) -> bool:
     """Whether all frames share input `number`."""
-    return bool(function.name_in(number).startswith(SAME))
+    return bool(function.name_in(number).startswith(SHARED_INPUT_PREFIX))
 
 
-def name_of(slot: int, here: dict[int, str]) -> str:
+def name_in_c(slot: int, here: dict[int, str]) -> str:
     """C for the number in a slot of the work vector. here: names of the numbers that this part has made."""
     return here.get(slot, f"w[{slot}]")
 
 
-def value_of(function: ca.Function, k: int, here: dict[int, str]) -> str:
+def result_in_c(function: ca.Function, k: int, here: dict[int, str]) -> str:
     """C for the result of instruction k."""
     operation, _, of = instruction_of(function, k)
     if operation == ca.OP_CONST:
         return f"all({number_in_c(function.instruction_constant(k))})"
-    if operation == ca.OP_INPUT and _shared(function, of[0]):
+    if operation == ca.OP_INPUT and _is_shared_input(function, of[0]):
         return f"all(arg[{of[0]}][{of[1]}])"
-    if operation == ca.OP_INPUT and function.name_in(of[0]).startswith(BESIDE):
+    if operation == ca.OP_INPUT and function.name_in(of[0]).startswith(ADJACENT_LANES_PREFIX):
         return f"taken(arg[{of[0]}] + {of[1]})"
     if operation == ca.OP_INPUT:
         # Frames are columns: entry e of lane l stands at e + l * (entries of one frame).
         return f"gathered(arg[{of[0]}] + {of[1]}, {function.numel_in(of[0])})"
-    names = [name_of(slot, here) for slot in of]
+    names = [name_in_c(slot, here) for slot in of]
     if operation in OPERATIONS:
         return OPERATIONS[operation].format(*names)
-    return f"by_lane_{BY_LANE[operation]}({', '.join(names)})"
+    return f"by_lane_{C_LIBRARY_FUNCTIONS[operation]}({', '.join(names)})"
 
 
 def interface(function: ca.Function, body: str, lanes: int) -> str:
     """The functions that casadi.external looks for, around the body of the one that evaluates."""
-    of_lanes = [1 if _shared(function, i) else lanes for i in range(function.n_in())]
+    of_lanes = [1 if _is_shared_input(function, i) else lanes for i in range(function.n_in())]
     sizes_in = [(*function.size_in(i), times) for i, times in enumerate(of_lanes)]
     sizes_out = [(*function.size_out(i), lanes) for i in range(function.n_out())]
-    return for_casadi(function.name(), body, sizes_in, sizes_out)
+    return casadi_entry_points(function.name(), body, sizes_in, sizes_out)
 
 
-def for_casadi(name: str, body: str, sizes_in: Sizes, sizes_out: Sizes) -> str:
+def casadi_entry_points(name: str, body: str, sizes_in: Sizes, sizes_out: Sizes) -> str:
     """The functions that casadi.external looks for, for a function of that name with such dense inputs and
     outputs.
     """

@@ -11,26 +11,26 @@ from dataclasses import replace
 
 import numpy as np
 
-from ctr_nlp.codesign.search import AGAIN, NEAR, Candidate, DesignSearch, error_of
+from ctr_nlp.codesign.search import CONTINUED_BARRIER_MM2, REPLANNED_BARRIER_MM2, Candidate, DesignSearch, error_of
 from ctr_nlp.nlp.scenarios import Scenarios
 from ctr_nlp.plan.measures import e3
 from ctr_nlp.plan.plan import Plan
 from ctr_nlp.robot import Robot
-from ctr_nlp.steer.robust.tolerated import scenarios_of
+from ctr_nlp.steer.robust.tolerated import scenarios_from_tolerances
 
-MOST_FRAMES = 1500
+MAX_DESIGNED_FRAMES = 1500
 """Frames of all tasks, together, for which tubes are solved; with more, the frames of drafts decide."""
-PROMISE = 0.9
+PROMISING_ERROR_RATIO = 0.9
 """Further tubes are tried where the error of their motions is below this part of the error of the best plans."""
-FIRM = 0.3
+TOLERANT_DESIGN_MARGIN = 0.3
 """Stability margin of all robots within the tolerances while tubes are designed for them, where it can be
 satisfied. It hardly costs any error, and plans, which need less, have it in hand.
 """
-ATTEMPTS = 4
+MAX_TOLERANT_CANDIDATES = 4
 """Most tubes for tolerances that are tried until all plans on them are certified."""
 
 
-def best_planned(
+def choose_best_planned(
     found: Sequence[Candidate], search: DesignSearch, plan: Callable[[Candidate], list[Plan]]
 ) -> tuple[Candidate, list[Plan]]:
     """Choose the tubes with the best plans, for the nominal robot.
@@ -58,17 +58,17 @@ def best_planned(
     ranked = sorted(found, key=error_of)
     tried = list[tuple[float, Candidate, list[Plan]]]()
     for number, one in enumerate(ranked, start=1):
-        best = for_all_frames(one, search)
+        best = solve_all_frames(one, search)
         plans = plan(best)
         error = _error(plans) if len(plans) == len(search.tasks) else math.inf  # not after Ctrl-C
         tried.append((error, best, plans))
         least = min(tried, key=lambda each: each[0])
-        if search.stop() or number == len(ranked) or error_of(ranked[number]) >= PROMISE * least[0]:
+        if search.stop() or number == len(ranked) or error_of(ranked[number]) >= PROMISING_ERROR_RATIO * least[0]:
             break
     return least[1:]
 
 
-def for_all_frames(best: Candidate, search: DesignSearch) -> Candidate:
+def solve_all_frames(best: Candidate, search: DesignSearch) -> Candidate:
     """Solve tubes over all frames of the tasks, starting from tubes found on the frames of a draft.
 
     Parameters
@@ -81,15 +81,15 @@ def for_all_frames(best: Candidate, search: DesignSearch) -> Candidate:
     Returns
     -------
     Candidate
-        The tubes for all frames; those of the draft where there are more than MOST_FRAMES, no motions on them, or
-        Ctrl-C came.
+        The tubes for all frames; those of the draft where there are more than MAX_DESIGNED_FRAMES, no motions on
+        them, or Ctrl-C came.
     """
-    if sum(task.frames for task in search.tasks) > MOST_FRAMES:
+    if sum(task.frames for task in search.tasks) > MAX_DESIGNED_FRAMES:
         return best
     begun = search.start(best.start, best.p)
     if begun is None or search.stop():
         return best
-    found = search.settled(begun, first=AGAIN)
+    found = search.run_rounds(begun, first=REPLANNED_BARRIER_MM2)
     return begun if found is None else found
 
 
@@ -99,7 +99,7 @@ def _error(plans: Sequence[Plan]) -> float:
     return float(np.sqrt(np.mean([math.inf if error is None else error**2 for error in errors])))
 
 
-def tolerated(robot: Robot) -> Scenarios:
+def tolerance_scenarios(robot: Robot) -> Scenarios:
     """Return robots that stand for all within a robot's tolerances, with the forces that may act at its tip.
 
     Tubes decide how far a force bends them, so that errors under forces count here; motions hardly do, and plans
@@ -115,10 +115,10 @@ def tolerated(robot: Robot) -> Scenarios:
     Scenarios
         The nominal robot first.
     """
-    return scenarios_of(robot, pushed=True)
+    return scenarios_from_tolerances(robot, with_tip_force=True)
 
 
-def certified(
+def choose_certified(
     found: Sequence[Candidate], search: DesignSearch, plan: Callable[[Candidate], list[Plan]]
 ) -> tuple[Candidate, list[Plan]]:
     """Choose the tubes on which most plans are certified, for the robots within the tolerances.
@@ -143,7 +143,7 @@ def certified(
         The plans on them.
     """
     tried = list[tuple[Candidate, list[Plan], int]]()
-    for best in itertools.islice(tolerant(found, search), ATTEMPTS):
+    for best in itertools.islice(tolerant_candidates(found, search), MAX_TOLERANT_CANDIDATES):
         plans = plan(best)
         tried.append((best, plans, sum(plan.meta.get("certificate", {}).get("held", False) for plan in plans)))
         if tried[-1][2] == len(search.tasks) or search.stop():
@@ -156,7 +156,7 @@ def certified(
     return best, plans
 
 
-def tolerant(found: Sequence[Candidate], search: DesignSearch) -> Iterator[Candidate]:
+def tolerant_candidates(found: Sequence[Candidate], search: DesignSearch) -> Iterator[Candidate]:
     """Yield tubes for the robots within the tolerances, on which these share motions, the most promising first.
 
     Parameters
@@ -169,14 +169,14 @@ def tolerant(found: Sequence[Candidate], search: DesignSearch) -> Iterator[Candi
     Yields
     ------
     Candidate
-        Solved tubes and motions, with the margin FIRM first, then with the search's own.
+        Solved tubes and motions, with the margin TOLERANT_DESIGN_MARGIN first, then with the search's own.
     """
     for firm, one in _promising(found, search):
         if search.stop():
             return
-        begun = None if one is None else firm.shared(one, tolerated)
-        settled = None if begun is None else firm.settled(begun, tolerated, NEAR)
-        if settled is not None and settled.solved:
+        begun = None if one is None else firm.share_motions(one, tolerance_scenarios)
+        settled = None if begun is None else firm.run_rounds(begun, tolerance_scenarios, CONTINUED_BARRIER_MM2)
+        if settled is not None and settled.is_solution:
             yield settled
 
 
@@ -188,7 +188,7 @@ def _promising(
     """
     for one in sorted(found, key=error_of):
         # The larger margin first, which leaves plans more in hand.
-        for margin in sorted({FIRM, search.margin}, reverse=True):
+        for margin in sorted({TOLERANT_DESIGN_MARGIN, search.margin}, reverse=True):
             firm = replace(search, margin=margin)
             yield firm, one
             yield firm, firm.start(one.start, one.p)

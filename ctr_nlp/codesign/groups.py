@@ -22,24 +22,24 @@ from ctr_nlp.models import Model
 from ctr_nlp.plan.measures import e3
 from ctr_nlp.robot import Robot
 from ctr_nlp.steer.horizon import solve_horizon
-from ctr_nlp.steer.nlp_frames import DEFAULTS
+from ctr_nlp.steer.nlp_frames import DEFAULT_PLANNER_SETTINGS
 from ctr_nlp.steer.passes import Progress
 from ctr_nlp.support.interrupt import deferred_interrupt, end_if_interrupted
-from ctr_nlp.support.pool import Jobs, side_by_side
+from ctr_nlp.support.pool import Jobs, run_in_parallel
 from ctr_nlp.support.values import whole_number
 from ctr_nlp.target.problem import Problem
 from ctr_nlp.typing import Array, Index
 
-ROUNDS, ENOUGH = 6, 5e-3
+MAX_GROUPING_ROUNDS, MIN_GROUPING_IMPROVEMENT = 6, 5e-3
 """Most divisions that are tried, and the relative improvement of the error below which no more are."""
-EVERY = 5
+PATH_FEATURE_STRIDE = 5
 """Step with which the 101 points of a target's last frame are taken, to compare paths at first."""
 
 Group = tuple[int, ...]
 """Numbers of the tasks that share a robot, from 0."""
 
 
-def divided(
+def divide_problems(
     problems: Sequence[Problem],
     robots: int,
     *,
@@ -48,7 +48,7 @@ def divided(
     fixed: Sequence[str] = (),
     constant_curvature: bool = False,
     jobs: Jobs = 1,
-    settings: Settings = DEFAULTS,
+    settings: Settings = DEFAULT_PLANNER_SETTINGS,
     progress: Progress | None = None,
 ) -> list[list[Problem]]:
     """Divide problems into groups, each to be given a robot of its own by :func:`design`.
@@ -115,29 +115,31 @@ def divided(
     if count == 1:
         return [tasks]
     search = replace(search, tasks=tuple(draft(task) for task in search.tasks))
-    groups = _groups(_alike(search.tasks, count, settings.seed), count)
-    begun, least = [search.tubes.own] * count, (len(tasks), np.inf)
-    for number in range(ROUNDS):
-        found = dict(side_by_side(partial(_served, search), list(zip(groups, begun, strict=True)), jobs))
+    groups = _groups(_cluster_paths(search.tasks, count, settings.seed), count)
+    begun, least = [search.tubes.nominal_unknowns] * count, (len(tasks), np.inf)
+    for number in range(MAX_GROUPING_ROUNDS):
+        found = dict(
+            run_in_parallel(partial(_design_for_group, search), list(zip(groups, begun, strict=True)), jobs)
+        )
         end_if_interrupted()
         begun, errors = [found[k][0] for k in range(count)], np.array([found[k][1] for k in range(count)])
-        unserved, rms = _how_well(errors)
+        unserved, rms = _summarise_errors(errors)
         if progress is not None:
-            progress(number + 1, ROUNDS, f"groups of problems, e3 {rms:.3f} mm")
+            progress(number + 1, MAX_GROUPING_ROUNDS, f"groups of problems, e3 {rms:.3f} mm")
         # Fewest tasks that no robot follows first, then the error: an error over fewer tasks is no progress.
-        if (unserved, rms) >= (least[0], (1 - ENOUGH) * least[1]):
+        if (unserved, rms) >= (least[0], (1 - MIN_GROUPING_IMPROVEMENT) * least[1]):
             break
-        least, before, groups = (unserved, rms), groups, _groups(taken(errors), count)
+        least, before, groups = (unserved, rms), groups, _groups(assign_by_errors(errors), count)
         # Nothing moved: tubes would be designed for the same groups again.
         if groups == before:
             break
     return [[tasks[i] for i in group] for group in groups]
 
 
-def suited(
+def assign_to_robots(
     problems: Sequence[Problem],
     robots: Sequence[Robot],
-    settings: Settings = DEFAULTS,
+    settings: Settings = DEFAULT_PLANNER_SETTINGS,
     jobs: Jobs = 1,
     model: str | Model = "elastic",
 ) -> Index:
@@ -176,12 +178,12 @@ def suited(
     array([0, 1])
     """
     pairs = [replace(draft(task), robot=robot) for robot in robots for task in problems]
-    found = dict(side_by_side(partial(_error, settings, model), pairs, jobs))
+    found = dict(run_in_parallel(partial(_plan_error, settings, model), pairs, jobs))
     end_if_interrupted()
-    return taken(np.array([found[k] for k in range(len(pairs))]).reshape(len(robots), len(problems)))
+    return assign_by_errors(np.array([found[k] for k in range(len(pairs))]).reshape(len(robots), len(problems)))
 
 
-def taken(errors: Array) -> Index:
+def assign_by_errors(errors: Array) -> Index:
     """Assign each task to a robot by their errors, so that every robot has at least one.
 
     Parameters
@@ -204,7 +206,7 @@ def taken(errors: Array) -> Index:
     return choice
 
 
-def _how_well(errors: Array) -> tuple[int, float]:
+def _summarise_errors(errors: Array) -> tuple[int, float]:
     """Return how many tasks no robot follows, by errors (k, n), and the RMS in mm of the best errors of the
     others.
     """
@@ -213,24 +215,28 @@ def _how_well(errors: Array) -> tuple[int, float]:
     return int((~known).sum()), float(np.sqrt(np.mean(best**2)))
 
 
-def _alike(tasks: Sequence[Problem], count: int, seed: int) -> Index:
+def _cluster_paths(tasks: Sequence[Problem], count: int, seed: int) -> Index:
     """Return groups (n,), from 0, of tasks with similar paths, whatever plane they bend in first and to which
     side.
     """
-    features = np.array([_standing(task.samples[-1].points) for task in tasks]).reshape(len(tasks), -1)
+    features = np.array([_normalise_path(task.target_frames[-1].points) for task in tasks]).reshape(len(tasks), -1)
     # k-means may leave a group empty, which no robot can be designed for: `taken` then fills it.
     centres, labels = kmeans2(features, count, minit="++", rng=np.random.default_rng(seed))
-    return taken(np.linalg.norm(features[None] - centres[:, None], axis=2)) if len(set(labels)) < count else labels
+    return (
+        assign_by_errors(np.linalg.norm(features[None] - centres[:, None], axis=2))
+        if len(set(labels)) < count
+        else labels
+    )
 
 
-def _standing(points: Array) -> Array:
+def _normalise_path(points: Array) -> Array:
     """Return some points of a path, turned about z to lead towards +x, and mirrored if it then ends towards -y."""
     # Paths that differ by such a turn and mirror are the same task for a robot that can turn about z. x + iy makes
     # the turn a product; weights that grow along the path let its end decide the side.
     aside = points[:, :2].mean(axis=0)
     turned = np.exp(-1j * np.angle(complex(*aside))) * (points[:, 0] + 1j * points[:, 1])
     side = 1.0 if (turned.imag * np.arange(len(turned))).sum() >= 0 else -1.0
-    return np.stack([turned.real, side * turned.imag, points[:, 2]], axis=1)[::EVERY]
+    return np.stack([turned.real, side * turned.imag, points[:, 2]], axis=1)[::PATH_FEATURE_STRIDE]
 
 
 def _groups(choice: Index, count: int) -> tuple[Group, ...]:
@@ -238,21 +244,21 @@ def _groups(choice: Index, count: int) -> tuple[Group, ...]:
     return tuple(tuple(np.flatnonzero(choice == robot).tolist()) for robot in range(count))
 
 
-def _served(search: DesignSearch, group: tuple[Group, Array]) -> tuple[Array, Array]:
+def _design_for_group(search: DesignSearch, group: tuple[Group, Array]) -> tuple[Array, Array]:
     """Return tubes p for the tasks of a group, from given ones, and e3 (n,), mm, of all tasks on them."""
     numbers, p = group
     with deferred_interrupt() as interrupted:
         own = replace(search, tasks=tuple(search.tasks[i] for i in numbers), stop=interrupted)
         begun = own.start("tubes of the group", p)
-        settled = None if begun is None or interrupted() else own.settled(begun)
+        settled = None if begun is None or interrupted() else own.run_rounds(begun)
         p = p if settled is None else settled.p
         try:
-            return p, search.planned(p).e3
+            return p, search.plan_on_tubes(p).e3
         except CtrError:
             return p, np.full(len(search.tasks), np.nan)
 
 
-def _error(settings: Settings, model: str | Model, task: Problem) -> float:
+def _plan_error(settings: Settings, model: str | Model, task: Problem) -> float:
     """Return e3 of a problem's plan, mm; NaN where there is none or a frame of it was not solved."""
     try:
         plain = replace(settings, contact_weight=0.0, arrival_weight=0.0)

@@ -8,7 +8,7 @@ from dataclasses import replace
 from functools import partial
 
 from ctr_nlp.formulations.settings import Settings
-from ctr_nlp.formulations.shared.manufacture import diameters_within
+from ctr_nlp.formulations.shared.manufacture import diameter_tolerances
 from ctr_nlp.models import Model
 from ctr_nlp.plan.measures import e3
 from ctr_nlp.plan.plan import Plan
@@ -16,12 +16,12 @@ from ctr_nlp.plan.robustness import Robustness
 from ctr_nlp.steer.horizon import solve_horizon
 from ctr_nlp.steer.passes import Progress
 from ctr_nlp.steer.robust import solve_robust
-from ctr_nlp.support.pool import Jobs, side_by_side
+from ctr_nlp.support.pool import Jobs, run_in_parallel
 from ctr_nlp.target.problem import Problem
 from ctr_nlp.typing import Array
 
 
-def planned_on(
+def plan_tasks(
     tasks: Sequence[Problem],
     settings: Settings,
     nominal: bool,
@@ -61,15 +61,15 @@ def planned_on(
     given = [[motion] for motion in initial] or [list[Array]()] * len(tasks)
     pairs = list(zip(tasks, given, strict=True))
     settings = settings if walls else replace(settings, contact_weight=0.0)
-    work, found = partial(_planned, settings, nominal, model), dict[int, Plan]()
-    for number, plan in side_by_side(work, pairs, jobs):
+    work, found = partial(_plan_task, settings, nominal, model), dict[int, Plan]()
+    for number, plan in run_in_parallel(work, pairs, jobs):
         found[number] = plan
         if progress is not None:
             progress(len(found), len(tasks), f"plan of {tasks[number].name}")
     return [found[number] for number in sorted(found)]
 
 
-def _planned(settings: Settings, nominal: bool, model: str | Model, pair: tuple[Problem, list[Array]]) -> Plan:
+def _plan_task(settings: Settings, nominal: bool, model: str | Model, pair: tuple[Problem, list[Array]]) -> Plan:
     """Return the plan of one task, from motions to start from, if any."""
     task, initial = pair
     if nominal:
@@ -101,6 +101,6 @@ def on_tubing_as_sold(plan: Plan, draws: int, seed: int) -> Robustness | None:
     robot, own = plan.robot, plan.robot.tolerances
     if own.covariance is not None or own.diameters(robot.d).any():
         return None
-    sold = replace(own, diameter=tuple(max(diameters_within(tube.outer_diameter)) for tube in robot.tubes))
+    sold = replace(own, diameter=tuple(max(diameter_tolerances(tube.outer_diameter)) for tube in robot.tubes))
     told = replace(robot, tolerances=sold).to_dict()
     return replace(plan, meta=plan.meta | {"robot": told}).robustness(draws, seed)

@@ -8,13 +8,13 @@ from dataclasses import replace
 from ctr_nlp.codesign.search import DesignSearch
 from ctr_nlp.exceptions import OptionError, ProblemError
 from ctr_nlp.formulations.settings import Settings
-from ctr_nlp.formulations.shared.design import DesignedTubes, varying
+from ctr_nlp.formulations.shared.design import DesignedTubes, with_linear_curvatures
 from ctr_nlp.formulations.shared.manufacture import Manufacture
 from ctr_nlp.models import Model, model_named
 from ctr_nlp.steer.motions import at_frames
-from ctr_nlp.steer.nlp_frames import DEFAULTS
-from ctr_nlp.steer.starts.search import drafted
-from ctr_nlp.support.values import instance
+from ctr_nlp.steer.nlp_frames import DEFAULT_PLANNER_SETTINGS
+from ctr_nlp.steer.starts.search import pick_draft_frames
+from ctr_nlp.support.values import check_instance
 from ctr_nlp.target.problem import Problem
 
 
@@ -24,7 +24,7 @@ def search_for(
     rules: Manufacture | None = None,
     fixed: Sequence[str] = (),
     constant_curvature: bool = False,
-    settings: Settings = DEFAULTS,
+    settings: Settings = DEFAULT_PLANNER_SETTINGS,
 ) -> DesignSearch:
     """Build the search for tubes over all frames of problems.
 
@@ -53,25 +53,25 @@ def search_for(
     LoadError, OptionError, ProblemError, RobotError
         Something is not what it must be.
     """
-    tasks = _checked(problems, settings)
+    tasks = _check_problems(problems, settings)
     described = model_named(model, "model of a design")
     described.check(tasks[0].robot)
-    weighs = described.bears is not None and described.bears.weighs
+    weighs = described.applied_load is not None and described.applied_load.has_weight
     # Arcs become parts with a linear curvature that is all but constant: root and tip are then two unknowns.
-    robot = tasks[0].robot if constant_curvature else varying(tasks[0].robot)
+    robot = tasks[0].robot if constant_curvature else with_linear_curvatures(tasks[0].robot)
     tubes = DesignedTubes(robot, rules or Manufacture(), tuple(fixed), weighs)
     margin = 0.0 if settings.stability_margin is None else settings.stability_margin
     return DesignSearch(tuple(replace(task, robot=robot) for task in tasks), tubes, described, margin)
 
 
-def _checked(problems: Sequence[Problem], settings: Settings) -> tuple[Problem, ...]:
+def _check_problems(problems: Sequence[Problem], settings: Settings) -> tuple[Problem, ...]:
     """Return the problems as a tuple; raise ProblemError unless their robots are equal and their names differ."""
     tasks = tuple(problems)
     if not tasks:
         raise ProblemError("problems of a design is empty; give at least one")
-    instance(OptionError, "settings", settings, Settings)
+    check_instance(OptionError, "settings", settings, Settings)
     for task in tasks:
-        instance(ProblemError, "problem", task, Problem)
+        check_instance(ProblemError, "problem", task, Problem)
         if task.robot != tasks[0].robot:
             raise ProblemError(
                 f"the robot of {task.name} is not that of {tasks[0].name}; a design begins with one robot for all"
@@ -83,5 +83,5 @@ def _checked(problems: Sequence[Problem], settings: Settings) -> tuple[Problem, 
 
 def draft(task: Problem) -> Problem:
     """Return a task on the frames of a draft: 25 to 49 of them, or all where there are fewer than 50."""
-    picked = drafted(task.frames)
+    picked = pick_draft_frames(task.frames)
     return task if len(picked) == task.frames else at_frames(task, picked, int(picked[-1] - picked[-2]))

@@ -14,27 +14,36 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ctr_nlp.codesign.search import AGAIN, NEAR, PULL, Candidate, DesignSearch, Robots, alone, error_of
-from ctr_nlp.codesign.stock import ENDS, StockTube, nearest, with_diameters
+from ctr_nlp.codesign.search import (
+    CONTINUED_BARRIER_MM2,
+    INITIAL_STEP_COST_MM2,
+    REPLANNED_BARRIER_MM2,
+    Candidate,
+    DesignSearch,
+    Robots,
+    error_of,
+    nominal_scenario,
+)
+from ctr_nlp.codesign.stock import DIAMETER_COLUMNS, StockTube, nearest_stock, with_diameters
 from ctr_nlp.exceptions import CtrError, ProblemError
-from ctr_nlp.formulations.shared.design import HUNDRED_MM, DesignedTubes
-from ctr_nlp.solvers.motion.judged import WIDE
+from ctr_nlp.formulations.shared.design import DESIGN_LENGTH_UNIT_MM, DesignedTubes
+from ctr_nlp.solvers.motion.judged import COLD_START_BARRIER_MM2
 from ctr_nlp.typing import Array
 
-TRIED, FINALISTS = 8, 2
+MAX_DRAFT_COMBINATIONS, FINALISTS = 8, 2
 """Combinations of tubes that are designed for on the frames of a draft, and how many of these are rounded to the
 end.
 """
-WAYS = 2
+ROUNDINGS_PER_STEP = 2
 """Nearest ways to round that are tried at every step."""
 LENGTH_STEP = 0.5
 """Step to which lengths of curved parts are rounded, mm."""
-RADII = ((200.0, 1.0), (2000.0, 10.0), (math.inf, 100.0))
+FORM_RADIUS_STEPS_MM = ((200.0, 1.0), (2000.0, 10.0), (math.inf, 100.0))
 """Radii in mm up to which heat-setting forms are made in steps of so many mm. Forms can be cut to any radius; what
 a tube keeps of it differs by some percent from tube to tube, which Tolerances are for, and steps much smaller than
 that have no meaning. No published ladder of radii is known to us: this one is ours."""
 
-STRAIGHT = 0.1
+MIN_COMPARED_CURVATURE = 0.1
 """Curvature, 1/(100 mm), below which changes count relative to this one."""
 
 Finish = Callable[[Sequence[Candidate], DesignSearch], tuple[Candidate, DesignSearch, Robots]]
@@ -42,7 +51,7 @@ Finish = Callable[[Sequence[Candidate], DesignSearch], tuple[Candidate, DesignSe
 
 
 @dataclass(frozen=True)
-class Stocked:
+class StockRounding:
     """Result of rounding designed tubes to a stock.
 
     Attributes
@@ -56,14 +65,14 @@ class Stocked:
     """
 
     tubes: tuple[StockTube, ...]
-    free: Array
-    rounded: Array
-    tried: int
+    free_errors: Array
+    rounded_errors: Array
+    combination_count: int
 
     @property
     def loss(self) -> float:
         """By what part the root mean square of e3 is above that of the free tubes."""
-        return float(np.sqrt(np.mean(self.rounded**2) / np.mean(self.free**2)) - 1)
+        return float(np.sqrt(np.mean(self.rounded_errors**2) / np.mean(self.free_errors**2)) - 1)
 
     def __str__(self) -> str:
         """Return the result as a sentence."""
@@ -72,9 +81,9 @@ class Stocked:
         return f"Tubes of stock ({parts}) {change}"
 
 
-def in_stock(
+def round_to_stock(
     best: Candidate, search: DesignSearch, stock: Sequence[StockTube], finish: Finish, finalists: int = FINALISTS
-) -> tuple[Candidate, Stocked] | None:
+) -> tuple[Candidate, StockRounding] | None:
     """Find the best tubes of a stock, starting from designed ones.
 
     Combinations are tried in the order of the loss that they promise.
@@ -105,15 +114,17 @@ def in_stock(
         None of those tried can follow the tasks.
     """
     drafts = list[tuple[Candidate, DesignSearch, tuple[StockTube, ...]]]()
-    chosen = nearest(stock, search.tubes, best.p, search.pushed)[:TRIED]
+    chosen = nearest_stock(stock, search.tubes, best.p, search.has_load)[:MAX_DRAFT_COMBINATIONS]
     for tubes in chosen:
         if search.stop():
             break
         # Diameters are fixed from here on; lengths and curvatures are designed again for them.
-        on = _held(_eased(search), with_diameters(search.tubes, best.p, tubes), ENDS)
-        begun = on.start(best.start, on.tubes.own)
+        on = _fix_entries(
+            _relax_diameter_rules(search), with_diameters(search.tubes, best.p, tubes), DIAMETER_COLUMNS
+        )
+        begun = on.start(best.start, on.tubes.nominal_unknowns)
         if begun is not None:
-            again = on.refined(begun, alone, PULL, WIDE)
+            again = on.run_round(begun, nominal_scenario, INITIAL_STEP_COST_MM2, COLD_START_BARRIER_MM2)
             drafts.append((begun if again is None else again, on, tubes))
     drafts.sort(key=lambda one: error_of(one[0]))
     ended = list[tuple[Candidate, tuple[StockTube, ...]]]()
@@ -121,18 +132,18 @@ def in_stock(
         if len(ended) == finalists:
             break
         with suppress(CtrError):  # where rounding leaves no robot that can be made
-            found = _rounded(*finish([draft], on))
-            if found is not None and all(r.lower <= r.value <= r.upper for r in search.tubes.kept(found.p)):
+            found = _round_tubes(*finish([draft], on))
+            if found is not None and all(r.lower <= r.value <= r.upper for r in search.tubes.rule_values(found.p)):
                 ended.append((found, tubes))
     if not ended:
         if search.stop():
             return None
         raise ProblemError("no tubes of the stock were found on which all problems can be followed")
     found, tubes = min(ended, key=lambda one: error_of(one[0]))
-    return found, Stocked(tubes, best.motions.e3, found.motions.e3, len(chosen))
+    return found, StockRounding(tubes, best.motions.e3, found.motions.e3, len(chosen))
 
 
-def _eased(search: DesignSearch) -> DesignSearch:
+def _relax_diameter_rules(search: DesignSearch) -> DesignSearch:
     """Return the search with half of the rules on diameters, which are checked when diameters are chosen.
 
     A fixed wall that just satisfies its rule would leave an interior-point method no interior.
@@ -142,41 +153,47 @@ def _eased(search: DesignSearch) -> DesignSearch:
     return replace(search, tubes=replace(search.tubes, rules=replace(rules, **eased)))
 
 
-def _held(search: DesignSearch, p: Array, kinds: Sequence[str]) -> DesignSearch:
+def _fix_entries(search: DesignSearch, p: Array, kinds: Sequence[str]) -> DesignSearch:
     """Return the search with the entries of the given kinds fixed at their values in p (P,)."""
     tubes = search.tubes
     names = tuple(name for name in tubes.names if name.startswith(tuple(kinds)) or name in tubes.fixed)
     return replace(search, tubes=replace(tubes, robot=tubes.robot_of(p), fixed=names))
 
 
-def _rounded(known: Candidate, search: DesignSearch, robots: Robots) -> Candidate | None:
+def _round_tubes(candidate: Candidate, search: DesignSearch, robots: Robots) -> Candidate | None:
     """Return tubes with lengths and curvatures that can be made; None where no motion exists on them."""
-    d, solution = search.tubes.robot.d, known.solution
+    d, solution = search.tubes.robot.d, candidate.solution
     steps = [tuple(f"curved_length_{i}" for i in range(1, d + 1))]
     steps += [
         tuple(f"{kind}_{i}" for kind in ("curvature", "root_curvature", "tip_curvature")) for i in range(1, d + 1)
     ]
     for names in steps:
-        ways = [_designed_on(known, search, p, names, robots) for p in made(search.tubes, known.p, names)[:WAYS]]
-        known, search = min(ways, key=lambda way: error_of(way[0]))
+        ways = [
+            _redesign_rest(candidate, search, p, names, robots)
+            for p in round_entries(search.tubes, candidate.p, names)[:ROUNDINGS_PER_STEP]
+        ]
+        candidate, search = min(ways, key=lambda way: error_of(way[0]))
     # On the nominal robot, re-planned motions may be better than those carried through all roundings.
-    again = search.start(known.start, search.tubes.own) if robots is alone else None
-    found = min((one for one in (known, again) if one is not None), key=error_of)
+    again = search.start(candidate.start, search.tubes.nominal_unknowns) if robots is nominal_scenario else None
+    found = min((one for one in (candidate, again) if one is not None), key=error_of)
     return None if not np.isfinite(found.motions.rms) else replace(found, solution=solution)
 
 
-def _designed_on(
-    known: Candidate, search: DesignSearch, p: Array, names: Sequence[str], robots: Robots
+def _redesign_rest(
+    candidate: Candidate, search: DesignSearch, p: Array, names: Sequence[str], robots: Robots
 ) -> tuple[Candidate, DesignSearch]:
     """Design what is not fixed again, with the entries `names` fixed at p (P,); e3 is NaN where that fails."""
-    search = _held(search, p, names)
-    unknown = replace(known.motions, e3=np.full_like(known.motions.e3, np.nan))
-    start = replace(known, p=search.tubes.own, motions=unknown)
-    found = (search.refined(start, robots, PULL, barrier) for barrier in (NEAR, AGAIN))
+    search = _fix_entries(search, p, names)
+    unknown = replace(candidate.motions, e3=np.full_like(candidate.motions.e3, np.nan))
+    start = replace(candidate, p=search.tubes.nominal_unknowns, motions=unknown)
+    found = (
+        search.run_round(start, robots, INITIAL_STEP_COST_MM2, barrier)
+        for barrier in (CONTINUED_BARRIER_MM2, REPLANNED_BARRIER_MM2)
+    )
     return next((one for one in found if one is not None), start), search
 
 
-def made(tubes: DesignedTubes, p: Array, names: Sequence[str]) -> list[Array]:
+def round_entries(tubes: DesignedTubes, p: Array, names: Sequence[str]) -> list[Array]:
     """Return ways to round entries of p up or down to what can be made, nearest first.
 
     Parameters
@@ -202,8 +219,8 @@ def made(tubes: DesignedTubes, p: Array, names: Sequence[str]) -> list[Array]:
         other[at] = way
         # Relative changes, since a length and a curvature of one order matter alike; a curvature near 0 has no
         # relative one.
-        changes = (np.array(way) - p[at]) / np.maximum(abs(p[at]), STRAIGHT)
-        found.append((not tubes.keeps(other), float(np.sum(changes**2)), other))
+        changes = (np.array(way) - p[at]) / np.maximum(abs(p[at]), MIN_COMPARED_CURVATURE)
+        found.append((not tubes.satisfies_rules(other), float(np.sum(changes**2)), other))
     found.sort(key=lambda each: each[:2])
     return [other for broken, _, other in found if not broken] or [found[0][2]]
 
@@ -213,10 +230,12 @@ def _around(name: str, value: float) -> tuple[float, ...]:
     mm).
     """
     if name.startswith("curved_length"):
-        step = LENGTH_STEP / HUNDRED_MM
+        step = LENGTH_STEP / DESIGN_LENGTH_UNIT_MM
         return math.floor(value / step) * step, math.ceil(value / step) * step
     if value == 0:
         return (value,)
-    radius = HUNDRED_MM / value
-    step = next(step for most, step in RADII if abs(radius) <= most)
-    return tuple(HUNDRED_MM / (whole * step) for whole in (math.floor(radius / step), math.ceil(radius / step)))
+    radius = DESIGN_LENGTH_UNIT_MM / value
+    step = next(step for most, step in FORM_RADIUS_STEPS_MM if abs(radius) <= most)
+    return tuple(
+        DESIGN_LENGTH_UNIT_MM / (whole * step) for whole in (math.floor(radius / step), math.ceil(radius / step))
+    )

@@ -15,40 +15,40 @@ from functools import cached_property, partial
 import numpy as np
 
 from ctr_nlp.exceptions import CtrError, ProblemError
-from ctr_nlp.formulations.horizon import Ends
+from ctr_nlp.formulations.horizon import EndConfigurations
 from ctr_nlp.formulations.settings import Settings
 from ctr_nlp.formulations.shared.design import DesignedTubes
 from ctr_nlp.formulations.shared.scenarios import shared_motion
-from ctr_nlp.formulations.shared.tasks import WithinCurved, shared_tubes
-from ctr_nlp.models import MODELS, Model, bearing
+from ctr_nlp.formulations.shared.tasks import CurvedPartLimit, join_task_motions
+from ctr_nlp.models import KINEMATIC_MODELS, Model, model_for_tip_forces
 from ctr_nlp.nlp.scenarios import Scenarios, SharedMotion
 from ctr_nlp.plan.metrics import summary
 from ctr_nlp.plan.plan import Plan
 from ctr_nlp.robot import Robot
-from ctr_nlp.solvers.compiled import fastest
-from ctr_nlp.solvers.motion.judged import WIDE
+from ctr_nlp.solvers.compiled import fastest_functions
+from ctr_nlp.solvers.motion.judged import COLD_START_BARRIER_MM2
 from ctr_nlp.solvers.scenarios import SharedSolution, SharedSolver
 from ctr_nlp.solvers.scenarios.condensed import Condensed
 from ctr_nlp.steer.horizon import Horizon, solve_horizon
 from ctr_nlp.steer.robust.plan import MOTION_PART
-from ctr_nlp.steer.robust.search import RobustSearch, Start, Tried
+from ctr_nlp.steer.robust.search import InitialMotion, RobustSearch, StartResult
 from ctr_nlp.steer.robust.tolerated import tips_of, unknowns_of
 from ctr_nlp.support.interrupt import deferred_interrupt
-from ctr_nlp.support.pool import Jobs, side_by_side
+from ctr_nlp.support.pool import Jobs, run_in_parallel
 from ctr_nlp.target.problem import Problem
 from ctr_nlp.typing import Array
 
-MISSED = 1e-3
+MAX_CANDIDATE_VIOLATION = 1e-3
 """Largest violation, rad and mm, of a point from which the search continues though it is no solution yet."""
-PULL, LOOSER = 1e-3, 0.1
+INITIAL_STEP_COST_MM2, STEP_COST_FACTOR = 1e-3, 0.1
 """Cost of a step of p by one unit in the first round, mm^2 a frame, and the factor from round to round: where
 tubes matter little, they stay.
 """
-STEPS, STEPS_PER_TASK = 560, 10
+MAX_DESIGN_STEPS, DESIGN_STEPS_PER_TASK = 560, 10
 """Most steps of a round, and how many more for every task: tubes that dozens of tasks share take more."""
-ROUNDS, ENOUGH = 5, 2e-3
+MAX_DESIGN_ROUNDS, MIN_DESIGN_IMPROVEMENT = 5, 2e-3
 """Most rounds from a start, and the relative improvement below which they end."""
-AGAIN, NEAR = 0.1, 1e-3
+REPLANNED_BARRIER_MM2, CONTINUED_BARRIER_MM2 = 0.1, 1e-3
 """First barriers, mm^2, of rounds after the first: for motions that were re-planned since, and for those of the
 round before, from which a larger barrier leads away.
 """
@@ -101,7 +101,7 @@ class Candidate:
     solution: SharedSolution | None = None
 
     @property
-    def solved(self) -> bool:
+    def is_solution(self) -> bool:
         """Whether tubes and motions come from a round and are a solution."""
         return self.solution is not None and self.solution.success
 
@@ -110,7 +110,7 @@ Robots = Callable[[Robot], Scenarios]
 """Maps a robot to the robots that share its motions, of which it is the first."""
 
 
-def alone(robot: Robot) -> Scenarios:
+def nominal_scenario(robot: Robot) -> Scenarios:
     """Return the nominal robot as the only scenario."""
     return Scenarios(robot.numbers[None], np.zeros((1, robot.d)), np.ones(1))
 
@@ -139,7 +139,7 @@ class DesignSearch:
     seen : callable or None
         Called with the candidate of every round.
     jobs : int or distributed.Client
-        Where independent tasks are worked on; see `side_by_side`.
+        Where independent tasks are worked on; see `run_in_parallel`.
     """
 
     tasks: tuple[Problem, ...]
@@ -147,28 +147,28 @@ class DesignSearch:
     model: Model
     margin: float
     stop: Callable[[], bool] = never
-    seen: Callable[[Candidate], None] | None = None
+    on_candidate: Callable[[Candidate], None] | None = None
     jobs: Jobs = 1
 
     @property
-    def pushed(self) -> bool:
+    def has_load(self) -> bool:
         """Whether a load acts on the robots, or may, so that stiffnesses count and not only their ratios."""
-        return self.model.bears is not None or self.tubes.robot.tolerances.tip_force > 0
+        return self.model.applied_load is not None or self.tubes.robot.tolerances.tip_force > 0
 
     @cached_property
     def settings(self) -> Settings:
         """Settings of the tasks' motions, without walls or arrival."""
         return Settings(stability_margin=self.margin, contact_weight=0.0, arrival_weight=0.0)
 
-    def each(self, of_all: Array) -> list[Array]:
+    def split_by_task(self, of_all: Array) -> list[Array]:
         """Split rows `of_all` (T, ...) of all tasks' frames, task by task."""
         return np.split(of_all, np.cumsum([task.frames for task in self.tasks])[:-1])
 
-    def on(self, robot: Robot) -> list[Problem]:
+    def tasks_on(self, robot: Robot) -> list[Problem]:
         """Return the tasks with another robot."""
         return [replace(task, robot=robot) for task in self.tasks]
 
-    def planned(self, p: Array) -> Motions:
+    def plan_on_tubes(self, p: Array) -> Motions:
         """Plan the tasks on tubes p as they are, each by itself.
 
         Parameters
@@ -188,15 +188,19 @@ class DesignSearch:
         """
         robot = self.tubes.robot_of(p)
         plan = partial(solve_horizon, model=self.model, settings=self.settings)
-        plans = [plan(task) for task in self.on(robot)] if self.jobs == 1 else self._elsewhere(plan, robot)
+        plans = (
+            [plan(task) for task in self.tasks_on(robot)]
+            if self.jobs == 1
+            else self._plan_in_processes(plan, robot)
+        )
         q = np.concatenate([plan.q for plan in plans])
         tips = [tips_of(self.model, robot, self.model.follow(robot, plan.q).x) for plan in plans]
         e3 = [summary(plan)["e3"] if plan.success.all() else np.nan for plan in plans]
         return Motions(q, np.concatenate(tips)[:, None], np.array(e3, dtype=float))
 
-    def _elsewhere(self, plan: Callable[[Problem], Plan], robot: Robot) -> list[Plan]:
+    def _plan_in_processes(self, plan: Callable[[Problem], Plan], robot: Robot) -> list[Plan]:
         """Return the plans of the tasks on a robot, made in processes or on a cluster."""
-        made = dict(side_by_side(plan, self.on(robot), self.jobs))
+        made = dict(run_in_parallel(plan, self.tasks_on(robot), self.jobs))
         if len(made) < len(self.tasks):
             raise ProblemError("the work on some tasks of a design was interrupted")
         return [made[number] for number in range(len(self.tasks))]
@@ -217,7 +221,7 @@ class DesignSearch:
             None where no robot has these tubes, or it cannot be moved as the tasks ask.
         """
         try:
-            motions = self.planned(p)
+            motions = self.plan_on_tubes(p)
         except CtrError:
             return None
         return Candidate(name, p, motions) if np.isfinite(motions.phi).all() else None
@@ -243,30 +247,40 @@ class DesignSearch:
         """
         robot, made = self.tubes.robot_of(p), list[SharedMotion]()
         scenarios = robots(robot)
-        for task, q in zip(self.on(robot), self.each(motions.q), strict=True):
-            weight = MOTION_PART * self._balanced(task, q)
+        for task, q in zip(self.tasks_on(robot), self.split_by_task(motions.q), strict=True):
+            weight = MOTION_PART * self._motion_weight(task, q)
             margins = np.full(task.frames, self.margin)
-            at = robot, task.samples, task.dt, weight, Ends(), bearing(self.model, scenarios.pushed), scenarios
-            one = shared_motion(*at, fastest, margins, (WithinCurved(),), freed=self.tubes.freed)
+            at = (
+                robot,
+                task.target_frames,
+                task.dt,
+                weight,
+                EndConfigurations(),
+                model_for_tip_forces(self.model, scenarios.has_tip_forces),
+                scenarios,
+            )
+            one = shared_motion(
+                *at, fastest_functions, margins, (CurvedPartLimit(),), free_numbers=self.tubes.free_number_names
+            )
             # Upper limits of beta are the curved lengths of the start; these are unknowns now, and WithinCurved
             # bounds beta.
             upper = one.upper.copy()
             upper[:, robot.d : 2 * robot.d] = robot.reach
             made.append(replace(one, upper=upper))
-        return shared_tubes(made, self.tubes.common(scenarios, p, pull * len(motions.q)))
+        return join_task_motions(made, self.tubes.common(scenarios, p, pull * len(motions.q)))
 
-    def _balanced(self, task: Problem, q: Array) -> float:
+    def _motion_weight(self, task: Problem, q: Array) -> float:
         """Return lambda in s^2, as a horizon without walls balances it, from a motion of robots without a load."""
-        free = self.model if self.model.bears is None else MODELS[self.model.name]
+        free = self.model if self.model.applied_load is None else KINEMATIC_MODELS[self.model.name]
         horizon = Horizon(task, free, settings=self.settings)
         return horizon.balanced_weight(np.nan_to_num(free.follow(task.robot, q).x))
 
-    def shared(self, known: Candidate, robots: Robots) -> Candidate | None:
+    def share_motions(self, candidate: Candidate, robots: Robots) -> Candidate | None:
         """Find motions that scenarios share, on the same tubes.
 
         Parameters
         ----------
-        known : Candidate
+        candidate : Candidate
             Tubes, with motions of the nominal robot.
         robots : callable
             Maps the robot to the scenarios.
@@ -276,12 +290,15 @@ class DesignSearch:
         Candidate or None
             The same tubes with shared motions, each task's by itself; None where one has none or Ctrl-C came.
         """
-        robot = self.tubes.robot_of(known.p)
-        tips = self.each(known.motions.phi[:, 0])
-        tasks = list(zip(self.on(robot), self.each(known.motions.q), tips, strict=True))
-        work, tried = partial(self.portable.shared_of, known.start, robots(robot)), dict[int, Tried]()
-        for number, one in side_by_side(work, tasks, self.jobs):
-            if not one.solved:
+        robot = self.tubes.robot_of(candidate.p)
+        tips = self.split_by_task(candidate.motions.phi[:, 0])
+        tasks = list(zip(self.tasks_on(robot), self.split_by_task(candidate.motions.q), tips, strict=True))
+        work, tried = (
+            partial(self.portable.share_task_motion, candidate.start, robots(robot)),
+            dict[int, StartResult](),
+        )
+        for number, one in run_in_parallel(work, tasks, self.jobs):
+            if not one.is_solved:
                 return None
             tried[number] = one
         if len(tried) < len(tasks):
@@ -291,9 +308,11 @@ class DesignSearch:
         # it.
         e3 = np.sqrt([one.objective / len(one.q) for one in found])
         q, phi = (np.concatenate([getattr(one, name) for one in found]) for name in ("q", "phi"))
-        return replace(known, motions=Motions(q, phi, e3))
+        return replace(candidate, motions=Motions(q, phi, e3))
 
-    def shared_of(self, start: str, scenarios: Scenarios, known: tuple[Problem, Array, Array]) -> Tried:
+    def share_task_motion(
+        self, start: str, scenarios: Scenarios, task_and_motion: tuple[Problem, Array, Array]
+    ) -> StartResult:
         """Solve for a motion of one task that scenarios share.
 
         Parameters
@@ -302,7 +321,7 @@ class DesignSearch:
             Name of the start.
         scenarios : Scenarios
             The robots that share it.
-        known : tuple of (Problem, ndarray, ndarray)
+        task_and_motion : tuple of (Problem, ndarray, ndarray)
             The task, a motion (T, 2d + 2) to start from, and the nominal tips (T, k) there.
 
         Returns
@@ -310,25 +329,31 @@ class DesignSearch:
         Tried
             The motion, solved or not.
         """
-        task, of_task, tips = known
-        weight, margins = MOTION_PART * self._balanced(task, of_task), np.full(task.frames, self.margin)
+        task, of_task, tips = task_and_motion
+        weight, margins = MOTION_PART * self._motion_weight(task, of_task), np.full(task.frames, self.margin)
         x = unknowns_of(self.model, task.robot, tips, of_task)
         with deferred_interrupt() as interrupted:
-            own = bearing(self.model, scenarios.pushed), Ends(), (), weight, margins
+            own = (
+                model_for_tip_forces(self.model, scenarios.has_tip_forces),
+                EndConfigurations(),
+                (),
+                weight,
+                margins,
+            )
             search = RobustSearch(task, *own, stop=interrupted)
-            return search.solve(Start(start, x), scenarios)
+            return search.solve(InitialMotion(start, x), scenarios)
 
     @property
     def portable(self) -> DesignSearch:
         """The search without what cannot be pickled for another process."""
-        return replace(self, tubes=replace(self.tubes), stop=never, seen=None, jobs=1)
+        return replace(self, tubes=replace(self.tubes), stop=never, on_candidate=None, jobs=1)
 
-    def refined(self, known: Candidate, robots: Robots, pull: float, barrier: float) -> Candidate | None:
+    def run_round(self, candidate: Candidate, robots: Robots, pull: float, barrier: float) -> Candidate | None:
         """Run one round: solve tubes and motions together, from known ones.
 
         Parameters
         ----------
-        known : Candidate
+        candidate : Candidate
             Tubes and motions to start from.
         robots : callable
             Maps the robot to the scenarios that share its motions.
@@ -340,32 +365,36 @@ class DesignSearch:
         Returns
         -------
         Candidate or None
-            None where the result violates equations or constraints by more than MISSED.
+            None where the result violates equations or constraints by more than MAX_CANDIDATE_VIOLATION.
         """
-        motion = self.motion(known.p, known.motions, robots, pull)
-        steps = STEPS + STEPS_PER_TASK * len(self.tasks)
-        found = SharedSolver(motion)(known.motions.q, known.motions.phi, barrier, self.stop, steps, known.p)
-        if max(found.violation, found.missing) > MISSED:
+        motion = self.motion(candidate.p, candidate.motions, robots, pull)
+        steps = MAX_DESIGN_STEPS + DESIGN_STEPS_PER_TASK * len(self.tasks)
+        found = SharedSolver(motion)(
+            candidate.motions.q, candidate.motions.phi, barrier, self.stop, steps, candidate.p
+        )
+        if max(found.violation, found.equation_violation) > MAX_CANDIDATE_VIOLATION:
             return None
         # The objective itself has the motion term and the pull on p, which are no errors.
         squares = Condensed(motion).by_robot(found.q, found.phi, found.p) @ motion.weights
-        e3 = np.sqrt([part.mean() for part in self.each(squares)])
-        return Candidate(known.start, found.p, Motions(found.q, found.phi, e3), found)
+        e3 = np.sqrt([part.mean() for part in self.split_by_task(squares)])
+        return Candidate(candidate.start, found.p, Motions(found.q, found.phi, e3), found)
 
-    def best_of_both(self, known: Candidate) -> Candidate:
+    def best_of_both(self, candidate: Candidate) -> Candidate:
         """Re-plan every task on the tubes of a known candidate, and keep the better of its two motions."""
-        again = self.start(known.start, known.p)
+        again = self.start(candidate.start, candidate.p)
         if again is None:
-            return known
-        better = again.motions.e3 < known.motions.e3
+            return candidate
+        better = again.motions.e3 < candidate.motions.e3
         # One choice a task, repeated for each of its frames.
         rows = np.repeat(better, [task.frames for task in self.tasks])
-        q = np.where(rows[:, None], again.motions.q, known.motions.q)
-        phi = np.where(rows[:, None, None], again.motions.phi, known.motions.phi[:, :1])
-        e3 = np.where(better, again.motions.e3, known.motions.e3)
-        return replace(known, motions=Motions(q, phi, e3))
+        q = np.where(rows[:, None], again.motions.q, candidate.motions.q)
+        phi = np.where(rows[:, None, None], again.motions.phi, candidate.motions.phi[:, :1])
+        e3 = np.where(better, again.motions.e3, candidate.motions.e3)
+        return replace(candidate, motions=Motions(q, phi, e3))
 
-    def settled(self, start: Candidate, robots: Robots = alone, first: float = WIDE) -> Candidate | None:
+    def run_rounds(
+        self, start: Candidate, robots: Robots = nominal_scenario, first: float = COLD_START_BARRIER_MM2
+    ) -> Candidate | None:
         """Run rounds from a start and return the best result.
 
         Parameters
@@ -383,20 +412,27 @@ class DesignSearch:
         Candidate or None
             The one with the least error; None where the first round already failed.
         """
-        found, known, pull, barrier = list[Candidate](), start, PULL, first
-        for _ in range(ROUNDS):
-            again = self.refined(known, robots, pull, barrier)
+        found, known, pull, barrier = list[Candidate](), start, INITIAL_STEP_COST_MM2, first
+        for _ in range(MAX_DESIGN_ROUNDS):
+            again = self.run_round(known, robots, pull, barrier)
             if again is None or self.stop():
                 break
             found.append(again)
-            if self.seen is not None:
-                self.seen(again)
-            if len(found) > 1 and found[-2].motions.rms - again.motions.rms < ENOUGH * again.motions.rms:
+            if self.on_candidate is not None:
+                self.on_candidate(again)
+            if (
+                len(found) > 1
+                and found[-2].motions.rms - again.motions.rms < MIN_DESIGN_IMPROVEMENT * again.motions.rms
+            ):
                 break
             # Motions that were re-planned are further from a solution of the joint program than those of the round
             # before, and need a larger barrier.
-            known, barrier = (self.best_of_both(again), AGAIN) if robots is alone else (again, NEAR)
-            pull *= LOOSER
+            known, barrier = (
+                (self.best_of_both(again), REPLANNED_BARRIER_MM2)
+                if robots is nominal_scenario
+                else (again, CONTINUED_BARRIER_MM2)
+            )
+            pull *= STEP_COST_FACTOR
         return min(found, key=error_of, default=None)
 
 

@@ -12,20 +12,20 @@ import numpy as np
 
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.formulations.shared.design import DesignedTubes
-from ctr_nlp.robot.tube import DIAMETERS
+from ctr_nlp.robot.tube import TUBE_DIAMETER_RANGE_MM
 from ctr_nlp.typing import Array
 
-OWN = Path(__file__).with_name("stock.csv")
+STOCK_TABLE_PATH = Path(__file__).with_name("stock.csv")
 """The package's own table."""
 INCH = 25.4
 """An inch in mm."""
-ENDS = "outer_diameter", "inner_diameter"
+DIAMETER_COLUMNS = "outer_diameter", "inner_diameter"
 """The two diameters, as columns of a table and entries of p are called."""
-BEAM = 400
+BEAM_WIDTH = 400
 """Width of the beam search: unfinished combinations that are kept from tube to tube."""
-STRAINED = 4.0
+EXCESS_STRAIN_WEIGHT = 4.0
 """Weight of a tube that is too thick for its curvature, against one whose stiffness is off by the same ratio."""
-ROUNDING = 1e-9
+NESTING_TOLERANCE_MM = 1e-9
 """Error in mm by which sums of decimal numbers may miss a rule."""
 
 
@@ -83,7 +83,7 @@ def read_stock(path: str | Path | None = None) -> tuple[StockTube, ...]:
     >>> stock[0].part, stock[0].outer, stock[0].inner
     ('Table I tube 1', 5.7, 4.3)
     """
-    place = OWN if path is None else Path(path)
+    place = STOCK_TABLE_PATH if path is None else Path(path)
     try:
         with open(place, newline="", encoding="utf-8-sig") as file:
             lines = [(number, line) for number, line in enumerate(file, 1) if line.strip() and line[0] != "#"]
@@ -91,7 +91,7 @@ def read_stock(path: str | Path | None = None) -> tuple[StockTube, ...]:
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise OptionError(f"the stock {place} cannot be read: {error}") from error
     names = set(rows[0]) if rows else set()
-    unit = next((unit for unit in ("mm", "in") if {f"{end}_{unit}" for end in ENDS} <= names), None)
+    unit = next((unit for unit in ("mm", "in") if {f"{end}_{unit}" for end in DIAMETER_COLUMNS} <= names), None)
     if unit is None or "part" not in names:
         raise OptionError(
             f"the stock {place} must have rows, and columns part, outer_diameter_mm and inner_diameter_mm (or _in "
@@ -103,16 +103,16 @@ def read_stock(path: str | Path | None = None) -> tuple[StockTube, ...]:
 def _tube(place: Path, line: int, row: dict[str, str | None], unit: str) -> StockTube:
     """Return the tubing of one line of a stock file, whose diameters are in `unit`, ``"mm"`` or ``"in"``."""
     found = []
-    for end in ENDS:
+    for end in DIAMETER_COLUMNS:
         name, text = f"{end}_{unit}", row[f"{end}_{unit}"]
         try:
             value = float(text or "") * (INCH if unit == "in" else 1.0)
         except ValueError:
             value = math.nan
-        if not DIAMETERS[0] <= value <= DIAMETERS[1]:
+        if not TUBE_DIAMETER_RANGE_MM[0] <= value <= TUBE_DIAMETER_RANGE_MM[1]:
             raise OptionError(
                 f"line {line} of the stock {place}: {name} is {text!r}; it must be a number between "
-                f"{DIAMETERS[0]:g} and {DIAMETERS[1]:g} mm"
+                f"{TUBE_DIAMETER_RANGE_MM[0]:g} and {TUBE_DIAMETER_RANGE_MM[1]:g} mm"
             )
         found.append(round(value, 6))
     outer, inner = found
@@ -124,15 +124,15 @@ def _tube(place: Path, line: int, row: dict[str, str | None], unit: str) -> Stoc
     return StockTube(row["part"] or f"line {line}", outer, inner, row.get("source") or str(place))
 
 
-def nearest(
-    stock: Sequence[StockTube], tubes: DesignedTubes, p: Array, pushed: bool = False
+def nearest_stock(
+    stock: Sequence[StockTube], tubes: DesignedTubes, p: Array, loaded: bool = False
 ) -> list[tuple[StockTube, ...]]:
     """Find the combinations of stock that nest and come nearest to designed tubes.
 
     Without a load, shapes depend on the ratios of stiffnesses alone. The distance is therefore the sum over
     neighbours of (change of log(EI_i / EI_{i+1}))^2; with a load, that of the innermost tube, (change of log
     EI_d)^2, is added. A tube that is too thick for its curvature costs the square of the logarithm of its excess
-    strain, times STRAINED^2.
+    strain, times EXCESS_STRAIN_WEIGHT^2.
 
     Parameters
     ----------
@@ -142,7 +142,7 @@ def nearest(
         The tubes as unknowns, with rules. A tube with a fixed diameter stays as it is.
     p : ndarray
         Unknowns (P,) of the designed tubes.
-    pushed : bool
+    loaded : bool
         Whether a load acts on the robots, or may.
 
     Returns
@@ -167,19 +167,19 @@ def nearest(
             least = inside[0].outer + rules.clearance if inside else rules.channel
             for one in _choices(stock, tubes, p, i):
                 wall = (one.outer - one.inner) / 2
-                if min(one.inner - least, wall - rules.wall, rules.outer - one.outer) < -ROUNDING:
+                if min(one.inner - least, wall - rules.wall, rules.outer - one.outer) < -NESTING_TOLERANCE_MM:
                     continue
                 # Part of the allowed strain that the tubing would have at the designed curvature; above 1 it must
                 # be made straighter.
                 bent = tube.largest_curvature * one.outer / 2 / rules.strain_made
-                more = (STRAINED * math.log(bent)) ** 2 if bent > 1 else 0.0
+                more = (EXCESS_STRAIN_WEIGHT * math.log(bent)) ** 2 if bent > 1 else 0.0
                 stiffer = math.log(moduli[i] * one.section) - wanted[i]
                 if inside:
                     more += (stiffer - math.log(moduli[i + 1] * inside[0].section) + wanted[i + 1]) ** 2
-                elif pushed:
+                elif loaded:
                     more += stiffer**2
                 longer.append((cost + more, (one, *inside)))
-        found = sorted(longer, key=lambda state: state[0])[:BEAM]
+        found = sorted(longer, key=lambda state: state[0])[:BEAM_WIDTH]
     if not found:
         raise OptionError(
             f"no {robot.d} tubes of the stock nest with walls of at least {rules.wall:g} mm, {rules.clearance:g} "
@@ -193,7 +193,7 @@ def _choices(stock: Sequence[StockTube], tubes: DesignedTubes, p: Array, i: int)
     """Return the tubing to choose from for tube i, from 0: the stock, or the tube itself where a diameter is
     fixed.
     """
-    names = [f"{end}_{i + 1}" for end in ENDS]
+    names = [f"{end}_{i + 1}" for end in DIAMETER_COLUMNS]
     if not any(name in tubes.fixed for name in names):
         return stock
     outer, inner = (float(p[tubes.names.index(name)]) for name in names)
@@ -221,7 +221,7 @@ def with_diameters(tubes: DesignedTubes, p: Array, chosen: Sequence[StockTube]) 
     for k, name in enumerate(names):
         kind, _, number = name.rpartition("_")
         one = chosen[int(number) - 1]
-        if kind in ENDS:
+        if kind in DIAMETER_COLUMNS:
             found[k] = one.outer if kind == "outer_diameter" else one.inner
         elif kind.endswith("curvature") and name not in tubes.fixed:
             # The strain k D / 2 at the outer fibre, solved for k, in 1/(100 mm).

@@ -16,27 +16,33 @@ from typing import Any
 
 import numpy as np
 
-from ctr_nlp.codesign.chosen import best_planned, certified, for_all_frames, tolerant, tolerated
-from ctr_nlp.codesign.doubts import doubts
-from ctr_nlp.codesign.plans import planned_on
+from ctr_nlp.codesign.chosen import (
+    choose_best_planned,
+    choose_certified,
+    solve_all_frames,
+    tolerance_scenarios,
+    tolerant_candidates,
+)
+from ctr_nlp.codesign.doubts import find_design_warnings
+from ctr_nlp.codesign.plans import plan_tasks
 from ctr_nlp.codesign.request import draft, search_for
-from ctr_nlp.codesign.rounding import FINALISTS, Stocked, in_stock
-from ctr_nlp.codesign.search import Candidate, DesignSearch, Robots, alone, error_of
-from ctr_nlp.codesign.starts import starts as first_tubes
-from ctr_nlp.codesign.stock import StockTube, nearest
+from ctr_nlp.codesign.rounding import FINALISTS, StockRounding, round_to_stock
+from ctr_nlp.codesign.search import Candidate, DesignSearch, Robots, error_of, nominal_scenario
+from ctr_nlp.codesign.starts import generate_start_tubes as first_tubes
+from ctr_nlp.codesign.stock import StockTube, nearest_stock
 from ctr_nlp.exceptions import OptionError, ProblemError
 from ctr_nlp.formulations.settings import Settings
-from ctr_nlp.formulations.shared.design import Kept
+from ctr_nlp.formulations.shared.design import RuleValue
 from ctr_nlp.formulations.shared.manufacture import Manufacture
-from ctr_nlp.models import Model, bearing
+from ctr_nlp.models import Model, model_for_tip_forces
 from ctr_nlp.plan.plan import Plan
 from ctr_nlp.robot import Robot
-from ctr_nlp.steer.motions import filled
-from ctr_nlp.steer.nlp_frames import DEFAULTS
+from ctr_nlp.steer.motions import interpolate_frames
+from ctr_nlp.steer.nlp_frames import DEFAULT_PLANNER_SETTINGS
 from ctr_nlp.steer.passes import Progress
-from ctr_nlp.steer.starts.search import drafted
+from ctr_nlp.steer.starts.search import pick_draft_frames
 from ctr_nlp.support.interrupt import deferred_interrupt
-from ctr_nlp.support.pool import Jobs, side_by_side
+from ctr_nlp.support.pool import Jobs, run_in_parallel
 from ctr_nlp.support.values import whole_number
 from ctr_nlp.target.problem import Problem
 from ctr_nlp.typing import Array
@@ -45,7 +51,7 @@ STARTS = 4
 """Tubes that a design starts from."""
 BINDING = 1e-3
 """Part of its bound within which a rule counts as binding."""
-TOLD = 5e-4
+MIN_REMARKED_GAIN = 5e-4
 """Least gain with which a binding rule is remarked on."""
 
 
@@ -62,7 +68,7 @@ class Remark:
         by a tenth.
     """
 
-    rule: Kept
+    rule: RuleValue
     gain: float
 
     def __str__(self) -> str:
@@ -106,12 +112,12 @@ class Design:
     names: tuple[str, ...]
     plans: tuple[Plan, ...]
     before: tuple[float | None, ...]
-    rules: tuple[Kept, ...]
+    rules: tuple[RuleValue, ...]
     remarks: tuple[Remark, ...]
-    tried: tuple[dict[str, Any], ...]
+    start_results: tuple[dict[str, Any], ...]
     interrupted: bool
-    stocked: Stocked | None = None
-    doubts: tuple[str, ...] = ()
+    stock_rounding: StockRounding | None = None
+    warnings: tuple[str, ...] = ()
 
 
 def design(
@@ -126,7 +132,7 @@ def design(
     walls: bool = False,
     jobs: Jobs = 1,
     stock: Sequence[StockTube] | None = None,
-    settings: Settings = DEFAULTS,
+    settings: Settings = DEFAULT_PLANNER_SETTINGS,
     progress: Progress | None = None,
 ) -> Design:
     """Design the tubes with which one robot follows the targets of all problems best, and plan each problem on
@@ -203,46 +209,46 @@ def design(
         whole = search_for(problems, model, rules, fixed, constant_curvature, settings)
         whole, first = replace(whole, stop=interrupted, jobs=jobs), whole.tasks[0].robot
         if not nominal:
-            bearing(whole.model, first.tolerances.tip_force > 0).check(first)
+            model_for_tip_forces(whole.model, first.tolerances.tip_force > 0).check(first)
         if stock is not None:  # what cannot nest is refused before anything is solved
-            nearest(stock, whole.tubes, whole.tubes.own, whole.pushed)
+            nearest_stock(stock, whole.tubes, whole.tubes.nominal_unknowns, whole.has_load)
         # Starts are compared on the frames of drafts, at a fraction of the cost; the best nominal tubes are then
         # solved for all frames.
         search = replace(whole, tasks=tuple(draft(task) for task in whole.tasks))
-        begun, found = _tried(search, count, settings.seed, jobs, progress)
+        begun, found = _solve_starts(search, count, settings.seed, jobs, progress)
         tried = [one for one in (begun, *found) if one is not None]
         if not tried:
             raise ProblemError("no tubes were found on which all problems can be followed; give more starts")
         plan = partial(_plans, whole, settings, nominal, model, walls, jobs, progress)
         if nominal:
-            best, planned = best_planned(tried, whole, plan)
+            best, planned = choose_best_planned(tried, whole, plan)
         else:
-            best, planned = certified(tried, search, plan)
+            best, planned = choose_certified(tried, search, plan)
         stocked = None
         if stock is not None and not interrupted():
-            finish = partial(_finished, tasks=whole.tasks if nominal else None)
-            rounded = in_stock(best, search, stock, finish, FINALISTS if nominal else 1)
+            finish = partial(_finish_tubes, tasks=whole.tasks if nominal else None)
+            rounded = round_to_stock(best, search, stock, finish, FINALISTS if nominal else 1)
             if rounded is not None:
                 (best, stocked), planned = rounded, []
         planned = planned or plan(best)
         robot = whole.tubes.robot_of(best.p)
         stopped = interrupted()
-    kept = tuple(search.tubes.kept(best.p))
+    kept = tuple(search.tubes.rule_values(best.p))
     return Design(
         robot=robot,
         names=tuple(task.name for task in whole.tasks),
         plans=tuple(planned),
-        before=(None,) * len(whole.tasks) if begun is None else _known(begun.motions.e3),
+        before=(None,) * len(whole.tasks) if begun is None else _finite_or_none(begun.motions.e3),
         rules=kept,
         remarks=_remarks(best, kept),
-        tried=tuple(_told(one) for one in tried),
+        start_results=tuple(_candidate_report(one) for one in tried),
         interrupted=stopped,
-        stocked=stocked,
-        doubts=doubts(robot, planned, stocked is not None),
+        stock_rounding=stocked,
+        warnings=find_design_warnings(robot, planned, stocked is not None),
     )
 
 
-def _tried(
+def _solve_starts(
     search: DesignSearch, count: int, seed: int, jobs: Jobs, progress: Progress | None
 ) -> tuple[Candidate | None, list[Candidate]]:
     """Return the robot's own tubes with motions, and the candidates of all starts that led to motions.
@@ -254,7 +260,7 @@ def _tried(
     starts = list(itertools.islice(first_tubes(search.tubes, seed), count))
     apart, within = (jobs, 1) if isinstance(jobs, int) and len(starts) >= jobs else (1, jobs)
     alike = replace(search.portable, jobs=within)
-    for number, (before, after) in side_by_side(partial(_settled, alike), starts, apart):
+    for number, (before, after) in run_in_parallel(partial(_solve_start, alike), starts, apart):
         begun[number] = before
         if after is not None:
             found[number] = after
@@ -263,17 +269,17 @@ def _tried(
     return begun.get(0), [found[number] for number in sorted(found)]
 
 
-def _settled(search: DesignSearch, start: tuple[str, Array]) -> tuple[Candidate | None, Candidate | None]:
+def _solve_start(search: DesignSearch, start: tuple[str, Array]) -> tuple[Candidate | None, Candidate | None]:
     """Return the tubes of a start with motions, and the best candidate of the rounds from them; None for what has
     none.
     """
     with deferred_interrupt() as interrupted:
         search = replace(search, stop=interrupted)
         begun = search.start(*start)
-        return begun, None if begun is None or interrupted() else search.settled(begun)
+        return begun, None if begun is None or interrupted() else search.run_rounds(begun)
 
 
-def _finished(
+def _finish_tubes(
     tried: Sequence[Candidate], search: DesignSearch, tasks: tuple[Problem, ...] | None
 ) -> tuple[Candidate, DesignSearch, Robots]:
     """Return tubes for all frames of `tasks`, or without these for the tolerances, with their search and its
@@ -282,12 +288,12 @@ def _finished(
     Raises ProblemError where no robots within the tolerances share motions on them.
     """
     if tasks is None:
-        found = next(tolerant(tried, search), None)
+        found = next(tolerant_candidates(tried, search), None)
         if found is None:
             raise ProblemError("no motions were found that all robots within the tolerances share")
-        return found, search, tolerated
+        return found, search, tolerance_scenarios
     search = replace(search, tasks=tasks)
-    return for_all_frames(min(tried, key=error_of), search), search, alone
+    return solve_all_frames(min(tried, key=error_of), search), search, nominal_scenario
 
 
 def _plans(
@@ -301,48 +307,48 @@ def _plans(
     best: Candidate,
 ) -> list[Plan]:
     """Return the plans of all tasks on the tubes of a candidate, the last parameter."""
-    tasks = whole.on(whole.tubes.robot_of(best.p))
-    return planned_on(tasks, settings, nominal, model, _motions(best, whole), walls, jobs, progress)
+    tasks = whole.tasks_on(whole.tubes.robot_of(best.p))
+    return plan_tasks(tasks, settings, nominal, model, _motions(best, whole), walls, jobs, progress)
 
 
 def _motions(best: Candidate, whole: DesignSearch) -> list[Array]:
     """Return a candidate's motions (T, 2d + 2), task by task over all frames; those of a draft are filled in
     between.
     """
-    picked = [drafted(task.frames) for task in whole.tasks]
+    picked = [pick_draft_frames(task.frames) for task in whole.tasks]
     if len(best.motions.q) == sum(task.frames for task in whole.tasks):
-        return whole.each(best.motions.q)
+        return whole.split_by_task(best.motions.q)
     parts = np.split(best.motions.q, np.cumsum([len(frames) for frames in picked])[:-1])
-    return [filled(q, at, task.frames) for q, at, task in zip(parts, picked, whole.tasks, strict=True)]
+    return [interpolate_frames(q, at, task.frames) for q, at, task in zip(parts, picked, whole.tasks, strict=True)]
 
 
-def _known(errors: Array) -> tuple[float | None, ...]:
+def _finite_or_none(errors: Array) -> tuple[float | None, ...]:
     """Return numbers as floats, None for those that are not finite."""
     return tuple(error if math.isfinite(error) else None for error in errors.tolist())
 
 
-def _told(one: Candidate) -> dict[str, Any]:
+def _candidate_report(one: Candidate) -> dict[str, Any]:
     """Return a candidate as numbers and strings, as reports hold it."""
     return {
         "start": one.start,
-        "e3": _known(one.motions.e3),
+        "e3": _finite_or_none(one.motions.e3),
         "rms": one.motions.rms,
         "p": one.p.tolist(),
         "iterations": 0 if one.solution is None else one.solution.iterations,
-        "solved": one.solved,
+        "solved": one.is_solution,
     }
 
 
-def _remarks(best: Candidate, kept: Sequence[Kept]) -> tuple[Remark, ...]:
+def _remarks(best: Candidate, kept: Sequence[RuleValue]) -> tuple[Remark, ...]:
     """Return the rules that bind, those first that cost most."""
     if best.solution is None:
         return ()
     found, whole = list[Remark](), best.solution.objective
-    for rule, price in zip(kept, best.solution.prices.tolist(), strict=True):
+    for rule, price in zip(kept, best.solution.common_multipliers.tolist(), strict=True):
         bound = rule.upper if price > 0 else rule.lower
         if np.isfinite(bound) and abs(rule.value - bound) <= BINDING * max(abs(bound), BINDING):
             # The price is the derivative of the objective by the bound, so that a tenth of the bound changes the
             # objective by price * bound / 10. e3 is its square root: its relative change is half that of the
             # objective.
             found.append(Remark(rule, abs(price) * abs(bound) / 10 / whole / 2))
-    return tuple(sorted((one for one in found if one.gain >= TOLD), key=lambda one: -one.gain))
+    return tuple(sorted((one for one in found if one.gain >= MIN_REMARKED_GAIN), key=lambda one: -one.gain))

@@ -12,22 +12,24 @@ from typing import Any
 import numpy as np
 
 from ctr_nlp.exceptions import OptionError
-from ctr_nlp.exchange.mat import variables
+from ctr_nlp.exchange.mat import read_mat_variables
 from ctr_nlp.models import DEFAULT_MODEL, Model, model_named
 from ctr_nlp.plan.plan import Plan, plan_from_configurations
 from ctr_nlp.robot import Robot
-from ctr_nlp.robot.units import angle_meant, between, did_you_mean, length_meant
+from ctr_nlp.robot.units import between, did_you_mean, suggest_angle, suggest_length
 from ctr_nlp.simulation.forward import Simulator
 from ctr_nlp.support.values import checked_path, plain_floats
 from ctr_nlp.target.problem import Problem
 from ctr_nlp.typing import Array
 
-SUFFIXES = (".mat", ".csv")
+CONFIGURATION_SUFFIXES = (".mat", ".csv")
 TIME = "time_s"
-EVEN = 1e-6
+MAX_RELATIVE_STEP_DEVIATION = 1e-6
 """Part of a step by which the times of frames may differ from even ones."""
-ROWS = "(T, 2d + 2), a row a frame: alpha_1..d in rad, beta_1..d in mm, theta_x and theta_y in rad"
-SLACK = 1e-6
+CONFIGURATION_ROWS_TEXT = (
+    "(T, 2d + 2), a row a frame: alpha_1..d in rad, beta_1..d in mm, theta_x and theta_y in rad"
+)
+CONFIGURATION_LENGTH_TOLERANCE_MM = 1e-6
 """mm by which lengths may break their order: rounding."""
 
 NO_SHAPE = "the model finds no shape for the configuration"
@@ -85,7 +87,7 @@ def read_configurations(path: str | Path) -> Configurations:
     """
     path = checked_path(OptionError, path)
     suffix = path.suffix.lower()
-    if suffix not in SUFFIXES:
+    if suffix not in CONFIGURATION_SUFFIXES:
         raise OptionError(f"configurations {path} are in no known kind of file; its name must end in .mat or .csv")
     try:
         q, time = _of_mat(path) if suffix == ".mat" else _of_csv(path)
@@ -164,12 +166,14 @@ def plan_through(problem: Problem, q: Array, model: str | Model = DEFAULT_MODEL,
 
 def _of_mat(path: Path) -> tuple[Array, Array | None]:
     """Read q (T, 2d + 2) and the times (T,), or None, of a MATLAB file; raise OptionError."""
-    held = variables(path, "q")
+    held = read_mat_variables(path, "q")
     if "q" not in held:
-        raise OptionError(f"it has no variable q, only {', '.join(held) or 'nothing'}; it must have q, {ROWS}")
+        raise OptionError(
+            f"it has no variable q, only {', '.join(held) or 'nothing'}; it must have q, {CONFIGURATION_ROWS_TEXT}"
+        )
     q = _numbers("q", held["q"])
     if q.ndim != 2 or not len(q) or q.shape[1] < 4 or q.shape[1] % 2:
-        raise OptionError(f"q has shape {q.shape}; it must be {ROWS}")
+        raise OptionError(f"q has shape {q.shape}; it must be {CONFIGURATION_ROWS_TEXT}")
     return q, _numbers("time", held["time"]).ravel() if "time" in held else None
 
 
@@ -252,14 +256,14 @@ def _check(q: Array, robot: Robot, frames: int) -> None:
         _check_angles(row, frame, robot)
         beta = robot.split(row)[1]
         for i, (value, most) in enumerate(zip(beta, lengths, strict=True), start=1):
-            if not -SLACK <= value <= most + SLACK:
+            if not -CONFIGURATION_LENGTH_TOLERANCE_MM <= value <= most + CONFIGURATION_LENGTH_TOLERANCE_MM:
                 based = -most <= value < 0
                 meant = "; is it the position of the tube's base, beta - length?" if based else ""
-                meant = meant or did_you_mean(length_meant(value, between(1e-9, most)))
+                meant = meant or did_you_mean(suggest_length(value, between(1e-9, most)))
                 raise OptionError(
                     f"beta_{i} in frame {frame} is {value:g} mm; it must lie in [0, {most:g}]{meant}"
                 )
-        for i in (np.flatnonzero(np.diff(beta) < -SLACK) + 1).tolist():
+        for i in (np.flatnonzero(np.diff(beta) < -CONFIGURATION_LENGTH_TOLERANCE_MM) + 1).tolist():
             raise OptionError(
                 f"beta_{i} in frame {frame} is {beta[i - 1]:g} mm and exceeds beta_{i + 1}, {beta[i]:g} mm; "
                 "tube 1 is the outermost, and no tube is further out than one within it"
@@ -277,7 +281,7 @@ def _check_angles(row: Array, frame: int, robot: Robot) -> None:
     most = 2 * math.pi
     for axis, value in zip(robot.axes[-2:], row[-2:], strict=True):
         if abs(value) > most:
-            meant = did_you_mean(angle_meant(value, between(-most, most)))
+            meant = did_you_mean(suggest_angle(value, between(-most, most)))
             raise OptionError(
                 f"{axis} in frame {frame} is {value:g} rad; it must lie in [-{most:.4g}, {most:.4g}] rad{meant}"
             )
@@ -289,7 +293,10 @@ def _duration(time: Array, frames: int) -> float:
         raise OptionError(f"time has shape {time.shape}; it must have one value for each of {frames} frames")
     # Frame j = 1..T is at j dt, as in a plan; the motion takes T dt.
     step = time[0]
-    if not (math.isfinite(step) and step > 0) or abs(time - step * np.arange(1, frames + 1)).max() > EVEN * step:
+    if (
+        not (math.isfinite(step) and step > 0)
+        or abs(time - step * np.arange(1, frames + 1)).max() > MAX_RELATIVE_STEP_DEVIATION * step
+    ):
         raise OptionError(
             f"time runs from {time[0]:g} to {time[-1]:g} s; frames must be even steps apart, the first of them "
             "one step after 0: leave time out and give the duration"

@@ -5,33 +5,33 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from ctr_nlp.exchange.gltf import OPENING as GLTF_OPENING
-from ctr_nlp.exchange.gltf import OPENING_AT, gltf
-from ctr_nlp.exchange.mat import OPENING as MAT_OPENING
-from ctr_nlp.exchange.mat import mat
-from ctr_nlp.exchange.table import OPENING as TABLE_OPENING
-from ctr_nlp.exchange.table import shapes_csv
+from ctr_nlp.exchange.gltf import GLTF_SIGNATURE as GLTF_OPENING
+from ctr_nlp.exchange.gltf import GLTF_SIGNATURE_OFFSET, encode_gltf
+from ctr_nlp.exchange.mat import MAT_SIGNATURE as MAT_OPENING
+from ctr_nlp.exchange.mat import encode_mat
+from ctr_nlp.exchange.table import SHAPES_CSV_SIGNATURE as TABLE_OPENING
+from ctr_nlp.exchange.table import encode_shapes_csv
 from ctr_nlp.plan.plan import Plan
 
 
 @dataclass(frozen=True)
-class File:
+class FileFormat:
     """A format of one file. of: the bytes of a plan's file; opening: what those have at byte `at`."""
 
-    of: Callable[[Plan], bytes]
+    encode: Callable[[Plan], bytes]
     suffix: str
-    opening: str
-    at: int = 0
+    signature: str
+    signature_offset: int = 0
 
 
-FILES = {
-    "gltf": File(gltf, ".glb", GLTF_OPENING, OPENING_AT),
-    "mat": File(mat, ".mat", MAT_OPENING),
-    "shapes-csv": File(shapes_csv, "_shapes.csv", TABLE_OPENING),
+FILE_FORMATS = {
+    "gltf": FileFormat(encode_gltf, ".glb", GLTF_OPENING, GLTF_SIGNATURE_OFFSET),
+    "mat": FileFormat(encode_mat, ".mat", MAT_OPENING),
+    "shapes-csv": FileFormat(encode_shapes_csv, "_shapes.csv", TABLE_OPENING),
 }
 """Formats of one file, by name."""
 
-SLICER = "slicer"
+SLICER_FORMAT = "slicer"
 """The format that is a folder; see slicer.py."""
 
-FORMATS = (SLICER, *FILES)
+EXCHANGE_FORMATS = (SLICER_FORMAT, *FILE_FORMATS)

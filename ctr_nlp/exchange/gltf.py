@@ -14,17 +14,17 @@ from typing import Any
 
 import numpy as np
 
-from ctr_nlp.exceptions import escaped
-from ctr_nlp.exchange.surface import Surface, shown_frames, tube_surfaces, wall_surface
+from ctr_nlp.exceptions import escape_control_characters
+from ctr_nlp.exchange.surface import Surface, frames_with_shape, tube_surfaces, wall_surface
 from ctr_nlp.figures.parts.palette import BLACK, tube_colour
 from ctr_nlp.plan.plan import Plan
 from ctr_nlp.typing import Array
 
-AXES = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
+BASE_TO_GLTF_AXES = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
 """From the robot's base frame to glTF's, in which +Y is up: the insertion direction, +z, leads upwards."""
-MM = 1e-3
+GLTF_M_PER_MM = 1e-3
 """m; glTF is in metres."""
-TOLD = {
+GLTF_METADATA = {
     "units": "metres",
     "axes": "+Y is up: the robot's insertion direction, +z of its base frame; +X is its x, +Z its -y; the origin "
     "is the insertion point",
@@ -32,21 +32,21 @@ TOLD = {
 }
 ASSET = '{"asset":{"version":"2.0","generator":"ctr_nlp"'
 """With which the text within the file begins, so that a file of ours can be told from others."""
-OPENING, OPENING_AT = ASSET, 20
+GLTF_SIGNATURE, GLTF_SIGNATURE_OFFSET = ASSET, 20
 """That text and the byte at which it begins: after the header of the file and that of its first chunk."""
-FLOAT, SHORT, INT = 5126, 5123, 5125
+GLTF_FLOAT, GLTF_UNSIGNED_SHORT, GLTF_UNSIGNED_INT = 5126, 5123, 5125
 """glTF's numbers for types of components, and below for what a buffer holds and how points are joined."""
 VERTICES, INDICES = 34962, 34963
-LINES, TRIANGLES = 1, 4
+GLTF_LINES, GLTF_TRIANGLES = 1, 4
 
 
-def gltf(plan: Plan) -> bytes:
+def encode_gltf(plan: Plan) -> bytes:
     """The scene: every frame that has a shape, with its tubes, centreline and target, and the lumen's wall.
 
     Animated at the pace of the motion, in metres, in the robot's base frame with its insertion direction upwards.
     Without the animation the last frame is shown. Raises OutputError where no frame has a shape.
     """
-    scene, frames = _Scene(), shown_frames(plan)
+    scene, frames = _Scene(), frames_with_shape(plan)
     tubes = [scene.material(f"tube {i + 1}", tube_colour(i)) for i in range(plan.robot.d)]
     centreline, target = scene.material("centreline", tube_colour(plan.robot.d)), scene.material("target", BLACK)
     roots = []
@@ -64,7 +64,7 @@ def gltf(plan: Plan) -> bytes:
         roots.append(scene.node("wall", scene.solid({glass: wall})))
     if len(frames) > 1:
         scene.animate(roots[: len(frames)], plan.time[frames] - plan.time[frames[0]], plan.dt)
-    return scene.file(escaped(plan.meta["problem"]["name"]), roots)
+    return scene.file(escape_control_characters(plan.meta["problem"]["name"]), roots)
 
 
 @dataclass
@@ -72,7 +72,7 @@ class _Scene:
     """The parts of a scene as they are added: lists of JSON objects by kind, and the bytes that they refer to."""
 
     parts: dict[str, list[dict[str, Any]]] = field(default_factory=dict)
-    held: bytearray = field(default_factory=bytearray)
+    binary: bytearray = field(default_factory=bytearray)
 
     def add(self, kind: str, part: dict[str, Any]) -> int:
         """Add a part to the list of its kind, and return its number there."""
@@ -101,18 +101,24 @@ class _Scene:
         found = []
         for material, surface in surfaces.items():
             attributes = {
-                "POSITION": self.numbers(surface.points @ AXES.T * MM, "VEC3", VERTICES, bounds=True),
-                "NORMAL": self.numbers(surface.normals @ AXES.T, "VEC3", VERTICES),
+                "POSITION": self.numbers(
+                    surface.points @ BASE_TO_GLTF_AXES.T * GLTF_M_PER_MM, "VEC3", VERTICES, bounds=True
+                ),
+                "NORMAL": self.numbers(surface.normals @ BASE_TO_GLTF_AXES.T, "VEC3", VERTICES),
             }
             corners = self.numbers(surface.triangles.reshape(-1), "SCALAR", INDICES)
-            found.append({"attributes": attributes, "indices": corners, "material": material, "mode": TRIANGLES})
+            found.append(
+                {"attributes": attributes, "indices": corners, "material": material, "mode": GLTF_TRIANGLES}
+            )
         return found
 
     def line(self, points: Array, material: int) -> list[dict[str, Any]]:
         """Return the primitives of a line through points (n, 3) in the robot's base frame, mm."""
-        places = {"POSITION": self.numbers(points @ AXES.T * MM, "VEC3", VERTICES, bounds=True)}
+        places = {
+            "POSITION": self.numbers(points @ BASE_TO_GLTF_AXES.T * GLTF_M_PER_MM, "VEC3", VERTICES, bounds=True)
+        }
         ends = self.numbers(np.repeat(np.arange(len(points)), 2)[1:-1], "SCALAR", INDICES)
-        return [{"attributes": places, "indices": ends, "material": material, "mode": LINES}]
+        return [{"attributes": places, "indices": ends, "material": material, "mode": GLTF_LINES}]
 
     def numbers(self, values: Any, kind: str, target: int | None = None, bounds: bool = False) -> int:
         """Store an array, and return the number of its accessor.
@@ -125,11 +131,11 @@ class _Scene:
         # glTF reserves the largest number of a type.
         short = whole and values.max() < 2**16 - 1
         array = values.astype("<u2" if short else "<u4" if whole else "<f4")
-        view = {"buffer": 0, "byteOffset": len(self.held), "byteLength": array.nbytes}
-        self.held += array.tobytes() + bytes(-array.nbytes % 4)
+        view = {"buffer": 0, "byteOffset": len(self.binary), "byteLength": array.nbytes}
+        self.binary += array.tobytes() + bytes(-array.nbytes % 4)
         accessor = {
             "bufferView": self.add("bufferViews", view | ({} if target is None else {"target": target})),
-            "componentType": SHORT if short else INT if whole else FLOAT,
+            "componentType": GLTF_UNSIGNED_SHORT if short else GLTF_UNSIGNED_INT if whole else GLTF_FLOAT,
             "count": len(array),
             "type": kind,
         }
@@ -153,12 +159,12 @@ class _Scene:
 
     def file(self, name: str, roots: list[int]) -> bytes:
         """Return the binary file of a scene called `name`, with the nodes `roots` at its top."""
-        asset = {"version": "2.0", "generator": "ctr_nlp", "extras": TOLD}
+        asset = {"version": "2.0", "generator": "ctr_nlp", "extras": GLTF_METADATA}
         told = {"asset": asset, "scene": 0, "scenes": [{"name": name, "nodes": roots}]}
-        told |= self.parts | {"buffers": [{"byteLength": len(self.held)}]}
+        told |= self.parts | {"buffers": [{"byteLength": len(self.binary)}]}
         text = json.dumps(told, allow_nan=False, separators=(",", ":")).encode()
         chunks = b""
-        for kind, content, filler in ((b"JSON", text, b" "), (b"BIN\0", bytes(self.held), b"\0")):
+        for kind, content, filler in ((b"JSON", text, b" "), (b"BIN\0", bytes(self.binary), b"\0")):
             padded = content + filler * (-len(content) % 4)
             chunks += struct.pack("<I4s", len(padded), kind) + padded
         return struct.pack("<4sII", b"glTF", 2, 12 + len(chunks)) + chunks

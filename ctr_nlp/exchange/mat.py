@@ -10,14 +10,14 @@ from typing import Any
 import numpy as np
 from scipy.io import loadmat, savemat
 
-from ctr_nlp.exceptions import OptionError, escaped
+from ctr_nlp.exceptions import OptionError, escape_control_characters
 from ctr_nlp.plan.measures import e3
 from ctr_nlp.plan.metrics import by_frame
 from ctr_nlp.plan.plan import Plan
 from ctr_nlp.simulation.forward import Simulator
-from ctr_nlp.target.target import SIGMA
+from ctr_nlp.target.target import SIGMA_GRID
 
-OPENING = "MATLAB 5.0 MAT-file, a plan of ctr_nlp"
+MAT_SIGNATURE = "MATLAB 5.0 MAT-file, a plan of ctr_nlp"
 HEADER = 116
 """Bytes of text that such a file begins with."""
 README = {
@@ -48,14 +48,14 @@ README = {
 """What the file holds, by name; it is in the file too."""
 
 
-def mat(plan: Plan) -> bytes:
+def encode_mat(plan: Plan) -> bytes:
     """The file: q, unknowns, shapes, targets, times, errors and the robot's numbers, explained in its README."""
     found = _contents(plan)
     told = "\n".join(f"{name}: {README[name]}" for name in found)
     buffer = io.BytesIO()
     text = f"A plan of ctr_nlp. T frames, d tubes; mm, rad and s.\n{told}\n"
     savemat(buffer, {"README": text} | found, do_compression=True, long_field_names=True, oned_as="column")
-    return OPENING.ljust(HEADER).encode() + buffer.getvalue()[HEADER:]
+    return MAT_SIGNATURE.ljust(HEADER).encode() + buffer.getvalue()[HEADER:]
 
 
 def _contents(plan: Plan) -> dict[str, Any]:
@@ -66,8 +66,8 @@ def _contents(plan: Plan) -> dict[str, Any]:
         "time": plan.time,
         "q": plan.q,
         "q_names": np.array(robot.axes, dtype=object),
-        "unknowns": Simulator(robot, plan.evaluated_on)(plan.q).x,
-        "sigma": SIGMA,
+        "unknowns": Simulator(robot, plan.evaluated_model)(plan.q).x,
+        "sigma": SIGMA_GRID,
         "shape": plan.shape,
         "target": plan.target,
         "success": plan.success.astype(float),
@@ -78,12 +78,12 @@ def _contents(plan: Plan) -> dict[str, Any]:
         "space": problem.get("space") or "",
         "robot": struct,
         "q_limits": np.stack([robot.lower, robot.upper]),
-        "problem": escaped(problem["name"]),
-        "model": plan.evaluated,
+        "problem": escape_control_characters(problem["name"]),
+        "model": plan.evaluated_model_name,
     }
 
 
-def variables(path: Path, wanted: str, structs: bool = False) -> dict[str, Any]:
+def read_mat_variables(path: Path, wanted: str, structs: bool = False) -> dict[str, Any]:
     """The variables of a .mat file; wanted: the one that is asked for.
 
     structs: whether structs become tables, and arrays lose axes of one entry.

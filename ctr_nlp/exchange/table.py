@@ -7,17 +7,27 @@ import io
 
 import numpy as np
 
-from ctr_nlp.exchange.surface import shown_frames
+from ctr_nlp.exchange.surface import frames_with_shape
 from ctr_nlp.plan.plan import Plan
-from ctr_nlp.target.target import SIGMA
+from ctr_nlp.target.target import SIGMA_GRID
 
-COLUMNS = ("frame", "time_s", "sigma", "x_mm", "y_mm", "z_mm", "target_x_mm", "target_y_mm", "target_z_mm")
-OPENING = ",".join(COLUMNS[:6])
-DECIMALS = 6
+SHAPES_CSV_COLUMNS = (
+    "frame",
+    "time_s",
+    "sigma",
+    "x_mm",
+    "y_mm",
+    "z_mm",
+    "target_x_mm",
+    "target_y_mm",
+    "target_z_mm",
+)
+SHAPES_CSV_SIGNATURE = ",".join(SHAPES_CSV_COLUMNS[:6])
+SHAPES_CSV_DECIMALS = 6
 """Decimals of coordinates: a millionth of a millimetre."""
 
 
-def shapes_csv(plan: Plan) -> bytes:
+def encode_shapes_csv(plan: Plan) -> bytes:
     """The table, comma-separated, in UTF-8: a row for each of 101 points in every frame that has a shape.
 
     frame: its number from 1; sigma: part of the robot's length up to the point; x, y, z: of the robot, and of its
@@ -25,9 +35,13 @@ def shapes_csv(plan: Plan) -> bytes:
     """
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(COLUMNS)
-    for j in shown_frames(plan):
-        points = np.round(np.hstack([plan.shape[j], plan.target[j]]), DECIMALS) + 0.0  # no minus before a zero
-        for sigma, row in zip(SIGMA, points.tolist(), strict=True):
-            writer.writerow([j + 1, f"{plan.time[j]:.9g}", f"{sigma:.2f}", *(f"{x:.{DECIMALS}f}" for x in row)])
+    writer.writerow(SHAPES_CSV_COLUMNS)
+    for j in frames_with_shape(plan):
+        points = (
+            np.round(np.hstack([plan.shape[j], plan.target[j]]), SHAPES_CSV_DECIMALS) + 0.0
+        )  # no minus before a zero
+        for sigma, row in zip(SIGMA_GRID, points.tolist(), strict=True):
+            writer.writerow(
+                [j + 1, f"{plan.time[j]:.9g}", f"{sigma:.2f}", *(f"{x:.{SHAPES_CSV_DECIMALS}f}" for x in row)]
+            )
     return text.getvalue().encode()

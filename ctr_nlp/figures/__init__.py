@@ -24,7 +24,7 @@ __all__ = ["check_film", "film", "save", "save_all", "tracking"]
 
 PICTURES = {"shapes": shapes, "errors": errors, "by_frame": by_frame, "configuration": configuration}
 """Pictures of every plan, by the names of their files."""
-DPI = 150
+FIGURE_DPI = 150
 
 
 def save_all(plan: Plan, folder: str | Path) -> list[Path]:
@@ -44,7 +44,7 @@ def save(figure: Figure, path: Path) -> Path:
     Raises OutputError where it cannot be written.
     """
     try:
-        figure.set_dpi(DPI)
+        figure.set_dpi(FIGURE_DPI)
         if path.suffix == ".pdf":
             FigureCanvasPdf(figure).print_pdf(path, metadata={"CreationDate": None})
         elif path.suffix == ".svg":

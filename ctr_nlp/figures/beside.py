@@ -16,7 +16,7 @@ from ctr_nlp.figures.parts.palette import VERMILLION
 from ctr_nlp.plan.measures import rms_over_sigma
 from ctr_nlp.plan.plan import Plan
 
-FRAMES = 4
+DEFAULT_COMPARED_FRAMES = 4
 """Columns where the caller names no frames."""
 ARROW = 0.12
 """Length of a force's arrow, as part of the height of a panel."""
@@ -25,7 +25,7 @@ SIZE = 1.9, 2.1
 
 
 @rc_context(STYLE)
-def beside(plans: Mapping[str, Plan], title: str, frames: Sequence[int] | None = None) -> Figure:
+def shapes_compared(plans: Mapping[str, Plan], title: str, frames: Sequence[int] | None = None) -> Figure:
     """Shapes of plans over their targets in the same frames, to scale, in mm, a row under each name.
 
     Seen from the side where targets are widest, with z upwards; a tip force is an arrow. frames: from 1, by
@@ -33,7 +33,7 @@ def beside(plans: Mapping[str, Plan], title: str, frames: Sequence[int] | None =
     have.
     """
     first = next(iter(plans.values()))
-    shown = frames_shown(first, frames, FRAMES)
+    shown = frames_shown(first, frames, DEFAULT_COMPARED_FRAMES)
     index = np.array(shown) - 1
     points = np.concatenate([np.concatenate([each.target[index], each.shape[index]]) for each in plans.values()])
     low, high = np.nanmin(points, axis=(0, 1)), np.nanmax(points, axis=(0, 1))
@@ -49,14 +49,14 @@ def beside(plans: Mapping[str, Plan], title: str, frames: Sequence[int] | None =
             _arrow(axes, plan, number - 1, sideways, ARROW * panel[1])
             to_scale(axes, (low + high) / 2, panel, sideways)
             axes.label_outer()
-            axes.set_title(_told(plan, number))
+            axes.set_title(_frame_title(plan, number))
         row[0].set_ylabel(f"{printable(name)}\nz (mm)", parse_math=False)
     figure.legend(handles=key(first.robot.d), loc="outside lower center", ncols=first.robot.d + 1)
     figure.suptitle(printable(title), fontsize=10, parse_math=False)
     return figure
 
 
-def _told(plan: Plan, number: int) -> str:
+def _frame_title(plan: Plan, number: int) -> str:
     """The frame, its error, and whether it failed or the robot has snapped by then."""
     away = plan.shape[number - 1] - plan.target[number - 1]
     error = float(rms_over_sigma(np.linalg.norm(away, axis=-1)))
@@ -68,9 +68,9 @@ def _told(plan: Plan, number: int) -> str:
 
 def _arrow(axes: Axes, plan: Plan, frame: int, sideways: int, length: float) -> None:
     """A tip force that keeps its direction, as far as it lies in the plane of the picture."""
-    if plan.bears is None or plan.bears.follows:
+    if plan.evaluated_load is None or plan.evaluated_load.has_follower_force:
         return
-    force = plan.bears.over(plan.robot.d, np.array([frame / max(len(plan.time) - 1, 1)]))[0, :3]
+    force = plan.evaluated_load.numbers_at(plan.robot.d, np.array([frame / max(len(plan.time) - 1, 1)]))[0, :3]
     if not force.any():
         return
     x, z = (force[[sideways, 2]] / np.linalg.norm(force) * length).tolist()

@@ -16,25 +16,31 @@ from ctr_nlp.figures.parts.page import STYLE, label_text, printable
 from ctr_nlp.figures.parts.palette import BLACK, tube_colour, tube_width
 from ctr_nlp.typing import Array
 
-SPACE = 6.5
+TREE_PANELS_SIZE_IN = 6.5
 """Inches that the larger of width and height of all panels may take."""
-SLIM = 0.2
+MIN_TREE_PANEL_FRACTION = 0.2
 """Least extent of a panel's side as part of the largest."""
-MARGIN = 1.22
+TREE_PANEL_MARGIN_FACTOR = 1.22
 """Extent of a panel by that of what it shows, with room for numbers at the tips."""
-GAP, LEFT, RIGHT, TOP, BOTTOM = 0.75, 0.75, 0.25, 0.8, 0.6
+TREE_PANEL_GAP_IN, TREE_LEFT_MARGIN_IN, TREE_RIGHT_MARGIN_IN, TREE_TOP_MARGIN_IN, TREE_BOTTOM_MARGIN_IN = (
+    0.75,
+    0.75,
+    0.25,
+    0.8,
+    0.6,
+)
 """Inches between and around panels."""
-AHEAD, POINTS_PER_INCH = (8.0, 13.0, 18.0, 23.0), 72.0
+TREE_LABEL_DISTANCES_PT, POINTS_PER_INCH = (8.0, 13.0, 18.0, 23.0), 72.0
 """How far from its tip a number may stand, in points, the first also being how far from other numbers."""
-KEY_WIDTH, ENTRY = 2.6, 0.17
+TREE_KEY_WIDTH_IN, TREE_KEY_LINE_HEIGHT_IN = 2.6, 0.17
 """Inches that the key and each line of it take."""
-SIDEWAYS, TURNED = "LR", "RAI"
+PATIENT_LEFT_RIGHT_LETTERS, REVERSED_AXIS_LETTERS = "LR", "RAI"
 """Directions of a patient's first axis, and those of any axis that are drawn the other way round."""
-TIP_MM = 8.0
+TREE_LABEL_TIP_LENGTH_MM = 8.0
 """The last stretch of a branch, whose direction says where its number goes."""
 
 
-class View(NamedTuple):
+class Projection(NamedTuple):
     """Which axes go across and up, and from where a patient is seen so."""
 
     across: int
@@ -42,7 +48,11 @@ class View(NamedTuple):
     title: str
 
 
-FRONT, SIDE, BELOW = View(0, 2, "from the front"), View(1, 2, "from the left"), View(0, 1, "from below")
+VIEW_FROM_FRONT, VIEW_FROM_LEFT, VIEW_FROM_BELOW = (
+    Projection(0, 2, "from the front"),
+    Projection(1, 2, "from the left"),
+    Projection(0, 1, "from below"),
+)
 
 
 @matplotlib.rc_context(STYLE)
@@ -54,9 +64,9 @@ def tree(paths: Sequence[Array], names: Sequence[str], title: str, directions: s
     """
     every = np.concatenate(paths)
     low, high = every.min(axis=0), every.max(axis=0)
-    side = np.maximum(high - low, SLIM * (high - low).max()) * MARGIN
+    side = np.maximum(high - low, MIN_TREE_PANEL_FRACTION * (high - low).max()) * TREE_PANEL_MARGIN_FACTOR
     figure, panels = _panels(side)
-    for view, axes in zip((FRONT, SIDE, BELOW), panels, strict=True):
+    for view, axes in zip((VIEW_FROM_FRONT, VIEW_FROM_LEFT, VIEW_FROM_BELOW), panels, strict=True):
         _frame(axes, view, (low + high) / 2, side, directions)
         _draw(axes, view, paths, figure.dpi)
     _key(figure, panels, paths, names)
@@ -66,32 +76,38 @@ def tree(paths: Sequence[Array], names: Sequence[str], title: str, directions: s
 
 def _panels(side: Array) -> tuple[Figure, list[Axes]]:
     """Three panels of one scale: front, to its right the side, beneath it the view from below."""
-    inches = SPACE / max(side[0] + side[1], side[2] + side[1])
+    inches = TREE_PANELS_SIZE_IN / max(side[0] + side[1], side[2] + side[1])
     across, deep, tall = side * inches
-    key = 0.0 if deep >= KEY_WIDTH else KEY_WIDTH - deep
-    size = LEFT + across + GAP + deep + RIGHT + key, BOTTOM + deep + GAP + tall + TOP
+    key = 0.0 if deep >= TREE_KEY_WIDTH_IN else TREE_KEY_WIDTH_IN - deep
+    size = (
+        TREE_LEFT_MARGIN_IN + across + TREE_PANEL_GAP_IN + deep + TREE_RIGHT_MARGIN_IN + key,
+        TREE_BOTTOM_MARGIN_IN + deep + TREE_PANEL_GAP_IN + tall + TREE_TOP_MARGIN_IN,
+    )
     figure = Figure(figsize=size)
 
     def panel(left: float, bottom: float, width: float, height: float) -> Axes:
         return figure.add_axes((left / size[0], bottom / size[1], width / size[0], height / size[1]))
 
-    upper, right = BOTTOM + deep + GAP, LEFT + across + GAP
+    upper, right = (
+        TREE_BOTTOM_MARGIN_IN + deep + TREE_PANEL_GAP_IN,
+        TREE_LEFT_MARGIN_IN + across + TREE_PANEL_GAP_IN,
+    )
     return figure, [
-        panel(LEFT, upper, across, tall),
+        panel(TREE_LEFT_MARGIN_IN, upper, across, tall),
         panel(right, upper, deep, tall),
-        panel(LEFT, BOTTOM, across, deep),
+        panel(TREE_LEFT_MARGIN_IN, TREE_BOTTOM_MARGIN_IN, across, deep),
     ]
 
 
-def _frame(axes: Axes, view: View, middle: Array, side: Array, directions: str) -> None:
+def _frame(axes: Axes, view: Projection, middle: Array, side: Array, directions: str) -> None:
     across, up = view.across, view.up
     low, high = middle - side / 2, middle + side / 2
     axes.set_xlim(low[across], high[across])
     axes.set_ylim(low[up], high[up])
-    if directions[across] in TURNED:
+    if directions[across] in REVERSED_AXIS_LETTERS:
         axes.invert_xaxis()
-    named = directions[0] in SIDEWAYS
-    if (directions[up] in TURNED) != (view is BELOW and named):
+    named = directions[0] in PATIENT_LEFT_RIGHT_LETTERS
+    if (directions[up] in REVERSED_AXIS_LETTERS) != (view is VIEW_FROM_BELOW and named):
         axes.invert_yaxis()
     axes.set_xlabel(f"{directions[across]} (mm)")
     axes.set_ylabel(f"{directions[up]} (mm)")
@@ -99,7 +115,7 @@ def _frame(axes: Axes, view: View, middle: Array, side: Array, directions: str) 
     axes.locator_params(nbins=5)
 
 
-def _draw(axes: Axes, view: View, paths: Sequence[Array], dpi: float) -> None:
+def _draw(axes: Axes, view: Projection, paths: Sequence[Array], dpi: float) -> None:
     """The branches, later ones thinner, so that all are seen where they share a trunk; then their numbers."""
     for k, path in enumerate(paths):
         across, up = path[:, [view.across, view.up]].T
@@ -119,24 +135,24 @@ def _draw(axes: Axes, view: View, paths: Sequence[Array], dpi: float) -> None:
         )
 
 
-def _places(axes: Axes, view: View, paths: Sequence[Array], dpi: float) -> list[Array]:
+def _places(axes: Axes, view: Projection, paths: Sequence[Array], dpi: float) -> list[Array]:
     """Where numbers go, in points on the page: ahead of the tips, and off one another while that is near."""
     places: list[Array] = []
     for path in paths:
-        before = np.flatnonzero(np.linalg.norm(path - path[-1], axis=1) > TIP_MM)
+        before = np.flatnonzero(np.linalg.norm(path - path[-1], axis=1) > TREE_LABEL_TIP_LENGTH_MM)
         ends = path[[before[-1] if before.size else 0, -1]][:, [view.across, view.up]]
         behind, tip = axes.transData.transform(ends) * POINTS_PER_INCH / dpi
         ahead = (tip - behind) / max(np.linalg.norm(tip - behind), 1e-9)
-        tried = [tip + distance * ahead for distance in AHEAD]
+        tried = [tip + distance * ahead for distance in TREE_LABEL_DISTANCES_PT]
         gaps = [min((float(np.linalg.norm(place - other)) for other in places), default=np.inf) for place in tried]
-        places.append(tried[int(np.argmax(np.minimum(gaps, AHEAD[0])))])
+        places.append(tried[int(np.argmax(np.minimum(gaps, TREE_LABEL_DISTANCES_PT[0])))])
     return places
 
 
 def _key(figure: Figure, panels: list[Axes], paths: Sequence[Array], names: Sequence[str]) -> None:
     """Names and lengths, in the free corner."""
     corner = panels[1].get_position().x0, panels[2].get_position().y1
-    room = int(corner[1] * figure.get_figheight() / ENTRY) - 2
+    room = int(corner[1] * figure.get_figheight() / TREE_KEY_LINE_HEIGHT_IN) - 2
     entries = []
     for k, (path, name) in enumerate(list(zip(paths, names, strict=True))[:room]):
         length = np.linalg.norm(np.diff(path, axis=0), axis=1).sum()

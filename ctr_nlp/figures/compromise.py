@@ -13,7 +13,7 @@ from ctr_nlp.figures.parts.page import STYLE, printable
 from ctr_nlp.figures.parts.palette import BLACK, BLUE, GREEN, VERMILLION
 from ctr_nlp.plan.plan import Plan
 from ctr_nlp.plan.verdicts import option
-from ctr_nlp.steer.compromise import Compromise, best_of_both
+from ctr_nlp.steer.compromise import Compromise, pareto_front
 
 
 @matplotlib.rc_context(STYLE)
@@ -39,7 +39,7 @@ def compromise(plan: Plan, found: Sequence[Compromise]) -> Figure:
     left = min(0.0, ordered[0].contact) - 0.5
     area = Rectangle((left, 0.0), allowed - left, tolerance, color=GREEN, alpha=0.2, lw=0, label="arrives, clear")
     axes.add_patch(area)
-    front = best_of_both(found)
+    front = pareto_front(found)
     axes.plot([one.contact for one in front], [one.tip for one in front], color=BLUE, lw=1.2)
     for one in ordered:
         own = one.arrival_weight is None

@@ -11,8 +11,8 @@ from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from ctr_nlp.figures.overlay import TARGET
-from ctr_nlp.figures.parts.page import STYLE, by_frames, curve, head, legend_of, root_scale
+from ctr_nlp.figures.overlay import TARGET_LINE_STYLE
+from ctr_nlp.figures.parts.page import STYLE, add_heading, by_frames, curve, legend_of, root_scale
 from ctr_nlp.figures.parts.palette import BLACK, BLUE, ORANGE, SKY, VERMILLION
 from ctr_nlp.plan.measures import e1, rms_over_sigma
 from ctr_nlp.plan.plan import Plan
@@ -40,9 +40,9 @@ def robustness(plan: Plan) -> Figure:
     _errors(axes["errors"], plan, plan.drawn)
     names = {"a draw": (BLUE, "-"), "a draw that is lost": (VERMILLION, "-"), "the plan": (BLACK, "-")}
     handles = {label: Line2D([], [], color=colour, ls=ls, lw=1.2) for label, (colour, ls) in names.items()}
-    handles |= {"target": Line2D([], [], **TARGET)} | legend_of(axes["errors"])
+    handles |= {"target": Line2D([], [], **TARGET_LINE_STYLE)} | legend_of(axes["errors"])
     figure.legend(handles.values(), handles.keys(), loc="outside lower center", ncols=4)
-    head(figure, plan, f"Robustness, {plan.drawn.losses} of {len(plan.drawn)} draws lost")
+    add_heading(figure, plan, f"Robustness, {plan.drawn.lost_count} of {len(plan.drawn)} draws lost")
     return figure
 
 
@@ -54,9 +54,9 @@ def _clouds(panels: list[Axes], plan: Plan, found: Robustness) -> None:
     for axes, frame, shapes in zip(panels, found.cloud_frames, found.cloud, strict=True):
         gone = (found.lost > 0) & (found.lost <= frame)
         for some, colour in ((shapes[~gone], BLUE), (shapes[gone], VERMILLION)):
-            axes.add_collection(LineCollection(list(_seen(some, sideways)), colors=colour, **CLOUD))
-        axes.plot(*_seen(plan.shape[frame - 1], sideways).T, color=BLACK, lw=1.2)
-        axes.plot(*_seen(plan.target[frame - 1], sideways).T, **TARGET)
+            axes.add_collection(LineCollection(list(_project_sideways(some, sideways)), colors=colour, **CLOUD))
+        axes.plot(*_project_sideways(plan.shape[frame - 1], sideways).T, color=BLACK, lw=1.2)
+        axes.plot(*_project_sideways(plan.target[frame - 1], sideways).T, **TARGET_LINE_STYLE)
         axes.set_xlim(low[sideways] - margin, high[sideways] + margin)
         axes.set_ylim(low[2] - margin, high[2] + margin)
         axes.set_aspect("equal")
@@ -66,7 +66,7 @@ def _clouds(panels: list[Axes], plan: Plan, found: Robustness) -> None:
     panels[0].set_ylabel("z (mm)")
 
 
-def _seen(points: Array, sideways: int) -> Array:
+def _project_sideways(points: Array, sideways: int) -> Array:
     """Points (.., 3) from one side, (.., 2)."""
     return points[..., [sideways, 2]]
 
@@ -79,8 +79,8 @@ def _errors(axes: Axes, plan: Plan, found: Robustness) -> None:
     curve(axes, frames, rms_over_sigma(e1(plan)), color=BLACK, lw=1.2)
     axes.set_ylabel("e2 (mm)")
     root_scale(axes)
-    if found.when:
-        at, counts = np.array([(loss.frame, loss.draws) for loss in found.when]).T
+    if found.losses_by_frame:
+        at, counts = np.array([(loss.frame, loss.draws) for loss in found.losses_by_frame]).T
         look: dict[str, Any] = {
             "color": ORANGE,
             "edgecolor": BLACK,

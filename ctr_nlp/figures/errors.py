@@ -16,10 +16,10 @@ from matplotlib.patches import Patch
 
 from ctr_nlp.figures.parts.page import (
     STYLE,
+    add_heading,
     by_frames,
     curve,
     frame_axis,
-    head,
     label_text,
     panels,
     root_scale,
@@ -78,7 +78,7 @@ def by_frame(plan: Plan) -> Figure:
     axes.set_ylim(bottom=0.0)
     axes.set_ylabel("distance (mm)")
     figure.legend(loc="outside lower center", ncols=4)
-    head(figure, plan, "Error by frame")
+    add_heading(figure, plan, "Error by frame")
     return figure
 
 
@@ -115,7 +115,7 @@ def by_frame_compared(plans: Mapping[str, Mapping[str, Plan]]) -> Figure:
 
 GROUPS = 10
 """Violins in the picture; fewer where there are fewer frames."""
-COLOURS = SKY, VERMILLION
+VIOLIN_COLOURS = SKY, VERMILLION
 """Colours of two violins side by side."""
 
 
@@ -142,7 +142,7 @@ def errors(plan: Plan) -> Figure:
     count = " or ".join(map(str, sizes)) + (" frame" if sizes == [1] else " frames")
     _over_time(axes, plan, f"time (s)\n{count} a violin; bar and dot: middle half and median")
     axes.set_ylim(bottom=0.0)
-    head(figure, plan, "Distance from robot to target")
+    add_heading(figure, plan, "Distance from robot to target")
     return figure
 
 
@@ -162,14 +162,16 @@ def errors_compared(plans: Mapping[str, Mapping[str, Plan]]) -> Figure:
     """
     figure, grid = panels(list(plans), 2, (3.6, 2.3))
     for axes, pair in zip(grid, plans.values(), strict=True):
-        for k, (plan, colour) in enumerate(zip(pair.values(), COLOURS, strict=True)):
+        for k, (plan, colour) in enumerate(zip(pair.values(), VIOLIN_COLOURS, strict=True)):
             for values, begin, end in spread(plan):
                 half = (end - begin) / 2
                 _violin(axes, values, begin + (k + 0.5) * half, 0.85 * half, colour)
         _over_time(axes, plan, "time (s)")
         root_scale(axes)
     look: dict[str, Any] = {"edgecolor": BLACK, "lw": 0.6}
-    handles = [Patch(facecolor=c, label=label_text(name), **look) for name, c in zip(pair, COLOURS, strict=True)]
+    handles = [
+        Patch(facecolor=c, label=label_text(name), **look) for name, c in zip(pair, VIOLIN_COLOURS, strict=True)
+    ]
     figure.legend(handles=handles, loc="outside lower center", ncols=2)
     return figure
 

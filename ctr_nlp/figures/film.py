@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 
 from ctr_nlp.exceptions import OptionError, OutputError
 from ctr_nlp.figures.errors import CURVES
-from ctr_nlp.figures.overlay import TARGET
+from ctr_nlp.figures.overlay import TARGET_LINE_STYLE
 from ctr_nlp.figures.parts.page import (
     STYLE,
     by_frames,
@@ -25,21 +25,21 @@ from ctr_nlp.figures.parts.page import (
     printable,
 )
 from ctr_nlp.figures.parts.palette import BLACK
-from ctr_nlp.figures.parts.space import Body, frame, key, points_of_all, span, stage
+from ctr_nlp.figures.parts.space import RobotLines, add_space_axes, fit_box, key, points_of_all, span
 from ctr_nlp.plan import account, metrics
 from ctr_nlp.plan.plan import Plan
-from ctr_nlp.support.whole_file import whole_file
+from ctr_nlp.support.whole_file import write_atomically
 from ctr_nlp.typing import Array
 
 WRITERS: dict[str, Any] = {".gif": PillowWriter, ".mp4": FFMpegWriter}
 """What writes a film, by the suffix of its file."""
-WIDTH, HEIGHT, DPI = 4.8, 7.2, 100
+FILM_COLUMN_WIDTH_IN, FILM_HEIGHT_IN, FILM_DPI = 4.8, 7.2, 100
 """Inches of a plan's column; whole and even numbers of pixels, as H.264 needs them."""
-LINE = 64
+FILM_TITLE_LINE_CHARACTERS = 64
 """Characters of a title's line, which fit into a column."""
-SHORTEST, LONGEST = 2.0, 60.0
+MIN_FILM_DURATION_S, MAX_FILM_DURATION_S = 2.0, 60.0
 """s that a film lasts, however short or long its plans are."""
-RATE, MOST = 25, 300
+MAX_FILM_PICTURES_PER_S, MAX_FILM_PICTURES = 25, 300
 """Most pictures a second, and in all."""
 
 
@@ -69,13 +69,13 @@ def film(
     if not plans:
         raise OptionError("plans is empty; a film needs at least one")
     target = Path(path)
-    seconds = float(np.clip(max(plan.time[-1] for plan in plans), SHORTEST, LONGEST))
-    count = min(max(len(plan.time) for plan in plans), round(seconds * RATE), MOST)
+    seconds = float(np.clip(max(plan.time[-1] for plan in plans), MIN_FILM_DURATION_S, MAX_FILM_DURATION_S))
+    count = min(max(len(plan.time) for plan in plans), round(seconds * MAX_FILM_PICTURES_PER_S), MAX_FILM_PICTURES)
     figure, columns = _stage(plans)
     writer = WRITERS[target.suffix.lower()](fps=count / seconds)
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
-        with whole_file(target) as partial, writer.saving(figure, str(partial), DPI):
+        with write_atomically(target) as partial, writer.saving(figure, str(partial), FILM_DPI):
             for k in range(1, count + 1):
                 for column in columns:
                     column.show(k / count)
@@ -88,7 +88,7 @@ def film(
 
 def _stage(plans: Sequence[Plan]) -> tuple[Figure, list[_Column]]:
     """The picture before anything moves; shapes of all plans at one scale, errors too."""
-    figure = Figure(figsize=(WIDTH * len(plans), HEIGHT), dpi=DPI)
+    figure = Figure(figsize=(FILM_COLUMN_WIDTH_IN * len(plans), FILM_HEIGHT_IN), dpi=FILM_DPI)
     shown = [points_of_all([plan.shape, plan.target], plan.lumen) for plan in plans]
     side = np.max([span(points) for points in shown], axis=0)
     columns = [
@@ -109,11 +109,13 @@ class _Column:
 
     def __init__(self, figure: Figure, left: float, width: float, plan: Plan, points: Array, side: Array) -> None:
         self._plan, numbers = plan, metrics.summary(plan)
-        space = stage(figure, (left, 0.31, width, 0.605), plan.lumen)
-        self._target = space.plot([], [], [], zorder=5, **TARGET)[0]
-        self._body = Body(space, plan.robot.d)
-        frame(space, points, side)
-        told = f"{textwrap.fill(printable(account.title(numbers)), LINE)}\n{outcome(numbers)}"
+        space = add_space_axes(figure, (left, 0.31, width, 0.605), plan.lumen)
+        self._target = space.plot([], [], [], zorder=5, **TARGET_LINE_STYLE)[0]
+        self._body = RobotLines(space, plan.robot.d)
+        fit_box(space, points, side)
+        told = (
+            f"{textwrap.fill(printable(account.title(numbers)), FILM_TITLE_LINE_CHARACTERS)}\n{outcome(numbers)}"
+        )
         figure.text(left + width / 2, 0.985, told, ha="center", va="top", parse_math=False)
         self._now = figure.text(left + width / 2, 0.91, "", ha="center", va="center")
         self.errors = figure.add_axes((left + 0.13 * width, 0.125, 0.82 * width, 0.125))
@@ -127,7 +129,7 @@ class _Column:
         """The frame at a part of the motion, in (0, 1]."""
         plan = self._plan
         j = int(np.ceil(part * len(plan.time) - 1e-9)) - 1
-        state = "" if plan.success[j] else ", failed" if plan.reached[j] else ", not reached"
+        state = "" if plan.success[j] else ", failed" if plan.reached_frames[j] else ", not reached"
         self._body.show(plan.shape[j], plan.beta[j])
         self._target.set_data_3d(*plan.target[j].T)
         self._now.set_text(f"frame {j + 1} of {len(plan.time)}, {plan.time[j]:.2f} s{state}")

@@ -9,11 +9,19 @@ from matplotlib.axes import Axes
 from matplotlib.colors import PowerNorm
 from matplotlib.figure import Figure
 
-from ctr_nlp.figures.parts.page import STYLE, by_frames, curve, head, legend_of, shade_failures
-from ctr_nlp.figures.parts.palette import BLUE, CONTACT, ORANGE, ROOMY, VERMILLION, tube_colour, tube_width
+from ctr_nlp.figures.parts.page import STYLE, add_heading, by_frames, curve, legend_of, shade_failures
+from ctr_nlp.figures.parts.palette import (
+    BLUE,
+    CLEARANCE_COLOUR_MAP,
+    CONTACT,
+    ORANGE,
+    VERMILLION,
+    tube_colour,
+    tube_width,
+)
 from ctr_nlp.plan.measures import contacts
 from ctr_nlp.plan.plan import Plan
-from ctr_nlp.target.target import SIGMA
+from ctr_nlp.target.target import SIGMA_GRID
 from ctr_nlp.typing import Array
 
 
@@ -35,15 +43,15 @@ def stability(plan: Plan) -> Figure:
     axes.set_ylim(min(1.15 * low, -0.02), 1.05)
     axes.set_ylabel("stability margin")
     figure.legend(loc="outside lower center", ncols=4)
-    head(figure, plan, "Stability")
+    add_heading(figure, plan, "Stability")
     return figure
 
 
-SPREAD = 0.5
+CLEARANCE_COLOUR_POWER = 0.5
 """Power of the scale of colours: the last millimetre has more shades than others."""
-ENDS = ("-", (0, (6, 2)), (0, (2, 1.5)))
+TUBE_END_LINE_STYLES = ("-", (0, (6, 2)), (0, (2, 1.5)))
 """Lines at tubes' ends, which differ without their colours too; they repeat after three tubes."""
-LEAST_SPAN = 0.1
+MIN_CLEARANCE_SPAN_MM = 0.1
 """Least span of clearances, and least depth that is drawn beyond the wall, mm."""
 
 
@@ -60,20 +68,22 @@ def clearance(plan: Plan) -> Figure:
     _least(lower, frames, plan.clearance.min(axis=1))
     handles = legend_of(lower, upper)
     figure.legend(handles.values(), handles.keys(), loc="outside lower center", ncols=4)
-    head(figure, plan, "Clearance from the lumen's wall")
+    add_heading(figure, plan, "Clearance from the lumen's wall")
     return figure
 
 
 def _map(figure: Figure, axes: Axes, plan: Plan, found: Array) -> None:
     """Colours over frames and arc length: a column a frame, as long as its robot."""
-    cells = np.concatenate([[0.0], (SIGMA[1:] + SIGMA[:-1]) / 2, [1.0]])
+    cells = np.concatenate([[0.0], (SIGMA_GRID[1:] + SIGMA_GRID[:-1]) / 2, [1.0]])
     length = np.nan_to_num(plan.beta[:, -1])
     sides = np.repeat(np.arange(len(length) + 1) + 0.5, 2)[1:-1]
-    columns = np.full((2 * len(length) - 1, len(SIGMA)), np.nan)
+    columns = np.full((2 * len(length) - 1, len(SIGMA_GRID)), np.nan)
     columns[::2] = found
     corners = np.broadcast_to(sides, (len(cells), len(sides))), np.outer(cells, np.repeat(length, 2))
-    norm = PowerNorm(SPREAD, 0.0, found.max(where=np.isfinite(found), initial=LEAST_SPAN))
-    drawn = axes.pcolormesh(*corners, np.ma.masked_invalid(columns.T), cmap=ROOMY, norm=norm)
+    norm = PowerNorm(
+        CLEARANCE_COLOUR_POWER, 0.0, found.max(where=np.isfinite(found), initial=MIN_CLEARANCE_SPAN_MM)
+    )
+    drawn = axes.pcolormesh(*corners, np.ma.masked_invalid(columns.T), cmap=CLEARANCE_COLOUR_MAP, norm=norm)
     figure.colorbar(drawn, ax=axes, label="clearance (mm), contact below 0", extend="min", pad=0.01)
     axes.set_ylim(0.0, 1.04 * length.max(initial=1.0))
     axes.grid(False)
@@ -84,7 +94,7 @@ def _ends(axes: Axes, plan: Plan) -> None:
     """Where tubes end, and where contacts are deepest."""
     sides = np.arange(len(plan.time) + 1) + 0.5
     for i, ends in enumerate(plan.beta.T):
-        width, line = 0.4 + 0.5 * tube_width(i, plan.robot.d), ENDS[i % len(ENDS)]
+        width, line = 0.4 + 0.5 * tube_width(i, plan.robot.d), TUBE_END_LINE_STYLES[i % len(TUBE_END_LINE_STYLES)]
         axes.stairs(
             ends, sides, baseline=None, color=tube_colour(i), lw=width, ls=line, label=f"end of tube {i + 1}"
         )
@@ -101,7 +111,7 @@ def _least(axes: Axes, frames: npt.NDArray[np.int_], least: Array) -> None:
         axes.plot(frames[touching], least[touching], color=CONTACT, ls="", marker="s", ms=3.5, label="contact")
     known = least[np.isfinite(least)]
     low, high = known.min(initial=0.0), known.max(initial=0.0)
-    margin = max(0.08 * (high - low), LEAST_SPAN)
+    margin = max(0.08 * (high - low), MIN_CLEARANCE_SPAN_MM)
     axes.set_ylim(low - margin, high + margin)
     axes.axhspan(low - 2 * margin, 0.0, color=VERMILLION, alpha=0.15, lw=0, zorder=0, label="beyond the wall")
     axes.axhline(0.0, color="0.2", lw=0.9)

@@ -13,24 +13,24 @@ from matplotlib.figure import Figure
 
 from ctr_nlp.figures.parts.page import (
     STYLE,
+    add_heading,
     at_least,
     curve,
     frame_axis,
-    head,
     legend_of,
     printable,
     shade,
     shade_failures,
 )
-from ctr_nlp.figures.parts.palette import AMBIGUOUS, TILT, tube_colour, tube_width
+from ctr_nlp.figures.parts.palette import AMBIGUOUS, TILT_COLOURS, tube_colour, tube_width
 from ctr_nlp.plan.plan import Plan
-from ctr_nlp.simulation.forward import other_way
+from ctr_nlp.simulation.forward import equivalent_configurations
 from ctr_nlp.typing import Array, Flags
 
-NAMES = ("α (rad)", "β (mm)", "θ (rad)")
-LEAST_SPAN = (0.1, 1.0, 0.1)
+CONFIGURATION_AXIS_LABELS = ("α (rad)", "β (mm)", "θ (rad)")
+MIN_CONFIGURATION_SPANS = (0.1, 1.0, 0.1)
 """Least vertical ranges of alpha, beta and theta, rad and mm."""
-LEAST_ERROR_SPAN = (1e-3, 1e-3, 1e-3)
+MIN_CONFIGURATION_ERROR_SPANS = (1e-3, 1e-3, 1e-3)
 
 
 @matplotlib.rc_context(STYLE)
@@ -40,12 +40,12 @@ def configuration(plan: Plan) -> Figure:
     figure = Figure(figsize=(2.2 + 4.2 * columns, 6.2), layout="constrained")
     grid = figure.subplots(3, columns, sharex=True, squeeze=False)
     _limits(grid[1, 0], plan)
-    _column(grid[:, 0], plan, plan.q, LEAST_SPAN)
+    _column(grid[:, 0], plan, plan.q, MIN_CONFIGURATION_SPANS)
     if plan.truth is not None:
         _errors(grid[:, 1], plan)
     for row in grid:
         _legend(row)
-    head(figure, plan, "Configuration")
+    add_heading(figure, plan, "Configuration")
     return figure
 
 
@@ -66,16 +66,18 @@ def _errors(column: npt.NDArray[np.object_], plan: Plan) -> None:
     """Three panels of the errors of alpha, beta and theta."""
     for axes in column:
         axes.axhline(0.0, color="0.6", lw=0.9)
-    _column(column, plan, error_from_truth(plan), LEAST_ERROR_SPAN)
-    for axes, name in zip(column, NAMES, strict=True):
+    _column(column, plan, error_from_truth(plan), MIN_CONFIGURATION_ERROR_SPANS)
+    for axes, name in zip(column, CONFIGURATION_AXIS_LABELS, strict=True):
         axes.set_ylabel(f"error of {name}")
     for axes in column[::2]:
-        shade(axes, plan.time, plan.dt, indistinct(plan), AMBIGUOUS, "α, θy are\none rotation")
+        shade(axes, plan.time, plan.dt, gimbal_lock_frames(plan), AMBIGUOUS, "α, θy are\none rotation")
 
 
 def _column(column: npt.NDArray[np.object_], plan: Plan, values: Array, least: tuple[float, ...]) -> None:
     """Three panels of values (T, 2d + 2) in the order of q."""
-    for axes, part, name, span in zip(column, plan.robot.split(values), NAMES, least, strict=True):
+    for axes, part, name, span in zip(
+        column, plan.robot.split(values), CONFIGURATION_AXIS_LABELS, least, strict=True
+    ):
         shade_failures(axes, plan, plan.time, plan.dt)
         for i in range(part.shape[1]):
             curve(axes, plan.time, part[:, i], **_look(name, i, plan.robot.d))
@@ -87,7 +89,7 @@ def _column(column: npt.NDArray[np.object_], plan: Plan, values: Array, least: t
 
 def _look(name: str, i: int, d: int) -> dict[str, Any]:
     if name.startswith("θ"):
-        return {"label": f"θ{'xy'[i]}", "color": TILT[i], "lw": (2.4, 1.2)[i]}
+        return {"label": f"θ{'xy'[i]}", "color": TILT_COLOURS[i], "lw": (2.4, 1.2)[i]}
     return {"label": f"{name[0]}{i + 1}", "color": tube_colour(i), "lw": tube_width(i, d)}
 
 
@@ -117,7 +119,7 @@ def error_from_truth(plan: Plan) -> Array:
     q, d = plan.q, plan.robot.d
     angles = np.r_[:d, 2 * d : 2 * d + 2]
     errors = []
-    for truth in (plan.truth, other_way(plan.robot, plan.truth)):
+    for truth in (plan.truth, equivalent_configurations(plan.robot, plan.truth)):
         error = q - truth
         error[:, angles] = without_whole_turns(error[:, angles])
         errors.append(error)
@@ -134,7 +136,7 @@ def without_whole_turns(angle: Array) -> Array:
     return result
 
 
-def indistinct(plan: Plan) -> Flags:
+def gimbal_lock_frames(plan: Plan) -> Flags:
     """Frames (T,) whose known theta_x is within 0.05 rad of +-pi/2, where alpha and theta_y are one rotation."""
     assert plan.truth is not None
     return np.abs(np.cos(plan.truth[:, -2])) < np.sin(0.05)

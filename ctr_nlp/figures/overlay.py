@@ -18,33 +18,35 @@ from matplotlib.patches import Patch
 from scipy.spatial import ConvexHull
 
 from ctr_nlp.exceptions import OptionError
-from ctr_nlp.figures.parts.page import STYLE, head
-from ctr_nlp.figures.parts.palette import BLACK, LUMEN, WALL, tube_colour, tube_width
+from ctr_nlp.figures.parts.page import STYLE, add_heading
+from ctr_nlp.figures.parts.palette import BLACK, LUMEN_COLOUR, WALL_COLOUR, tube_colour, tube_width
 from ctr_nlp.plan.measures import e1, rms_over_sigma
 from ctr_nlp.plan.plan import Plan
-from ctr_nlp.target.lumen import rings
-from ctr_nlp.target.target import SIGMA
+from ctr_nlp.target.lumen import wall_rings
+from ctr_nlp.target.target import SIGMA_GRID
 from ctr_nlp.typing import Array
 
-SHOWN = 6
+DEFAULT_SHAPE_FRAMES = 6
 """Frames in the picture where the caller names none."""
-FLAT = 0.05
+MIN_VIEW_EXTENT_FRACTION = 0.05
 """A view whose width is below this part of the whole extent is left out."""
-SLIM = 0.15
+MIN_SHAPE_PANEL_FRACTION = 0.15
 """Least width of a panel as part of the whole extent."""
-SPACE = (8.0, 5.2)
-"""Width and height in inches that all panels together may take, unless they would be narrower than LEAST."""
-LEAST = 0.5
+SHAPE_PANELS_SIZE_IN = (8.0, 5.2)
+"""Width and height in inches that all panels together may take, unless they would be narrower than
+MIN_SHAPE_PANEL_WIDTH_IN.
+"""
+MIN_SHAPE_PANEL_WIDTH_IN = 0.5
 """Least width of a panel, inches."""
-LEFT, RIGHT, TOP, BOTTOM = 0.65, 0.15, 1.1, 0.9
+SHAPES_LEFT_MARGIN_IN, SHAPES_RIGHT_MARGIN_IN, SHAPES_TOP_MARGIN_IN, SHAPES_BOTTOM_MARGIN_IN = 0.65, 0.15, 1.1, 0.9
 """Inches around the panels, for labels, title and key."""
-NARROWEST, ENTRY = 5.0, 0.95
+MIN_SHAPES_FIGURE_WIDTH_IN, SHAPES_LEGEND_ENTRY_WIDTH_IN = 5.0, 0.95
 """Least width of the picture, inches, which the title needs, and the width of an entry of the legend."""
-TARGET: dict[str, Any] = {"color": BLACK, "lw": 0.8, "ls": (0, (4, 2))}
+TARGET_LINE_STYLE: dict[str, Any] = {"color": BLACK, "lw": 0.8, "ls": (0, (4, 2))}
 """How targets are drawn."""
-GAP, BELOW, BELOW_CAPTION = 0.2, 0.55, 1.05
+SHAPES_COLUMN_GAP_IN, SHAPES_VIEW_GAP_IN, SHAPES_ROW_GAP_IN = 0.2, 0.55, 1.05
 """Inches between columns, between the views of a frame, and between rows of frames."""
-AROUND = np.linspace(0.0, 2 * np.pi, 32)
+LUMEN_RING_ANGLES_RAD = np.linspace(0.0, 2 * np.pi, 32)
 """Angles of the points of a ring of the lumen's wall."""
 
 
@@ -87,11 +89,13 @@ def shapes(plan: Plan, frames: Sequence[int] | None = None) -> Figure:
     index = np.array(shown) - 1
     points = np.concatenate([plan.target[index], plan.shape[index]]).reshape(-1, 3)
     if plan.lumen is not None:
-        points = np.concatenate([points, rings(plan.lumen, AROUND).reshape(-1, 3)])
+        points = np.concatenate([points, wall_rings(plan.lumen, LUMEN_RING_ANGLES_RAD).reshape(-1, 3)])
     low, high = np.nanmin(points, axis=0), np.nanmax(points, axis=0)
     extent, margin = high - low, 0.05 * (high - low).max()
-    views = [axis for axis in (0, 1) if extent[axis] > FLAT * extent.max()] or [int(extent[1] > extent[0])]
-    panel = np.array([max(extent[:2].max(), SLIM * extent.max()), extent[2]]) + 2 * margin
+    views = [axis for axis in (0, 1) if extent[axis] > MIN_VIEW_EXTENT_FRACTION * extent.max()] or [
+        int(extent[1] > extent[0])
+    ]
+    panel = np.array([max(extent[:2].max(), MIN_SHAPE_PANEL_FRACTION * extent.max()), extent[2]]) + 2 * margin
     figure, grid = _grid(len(shown), len(views), panel)
     columns = grid.shape[1]
     for k, number in enumerate(shown):
@@ -105,13 +109,15 @@ def shapes(plan: Plan, frames: Sequence[int] | None = None) -> Figure:
         axes.set_ylabel("z (mm)")
     entries: list[Artist] = [*key(plan.robot.d)]
     if plan.lumen is not None:
-        entries.append(Patch(facecolor=LUMEN, edgecolor=WALL, label="lumen"))
-    figure.legend(handles=entries, loc="lower center", ncols=int(figure.get_figwidth() / ENTRY))
-    head(figure, plan, "Shapes and targets")
+        entries.append(Patch(facecolor=LUMEN_COLOUR, edgecolor=WALL_COLOUR, label="lumen"))
+    figure.legend(
+        handles=entries, loc="lower center", ncols=int(figure.get_figwidth() / SHAPES_LEGEND_ENTRY_WIDTH_IN)
+    )
+    add_heading(figure, plan, "Shapes and targets")
     return figure
 
 
-def frames_shown(plan: Plan, frames: Sequence[int] | None, most: int = SHOWN) -> list[int]:
+def frames_shown(plan: Plan, frames: Sequence[int] | None, most: int = DEFAULT_SHAPE_FRAMES) -> list[int]:
     """Return the frames to draw.
 
     Parameters
@@ -151,22 +157,27 @@ def _grid(count: int, views: int, panel: Array) -> tuple[Figure, npt.NDArray[np.
 
     def scale(columns: int) -> float:
         rows = math.ceil(count / columns) * views
-        return float(min(SPACE[0] / (columns * panel[0]), SPACE[1] / (rows * panel[1])))
+        return float(
+            min(SHAPE_PANELS_SIZE_IN[0] / (columns * panel[0]), SHAPE_PANELS_SIZE_IN[1] / (rows * panel[1]))
+        )
 
     columns = count if views > 1 else max(range(1, count + 1), key=scale)
     rows = math.ceil(count / columns) * views
-    below = BELOW if views > 1 else BELOW_CAPTION
-    width, height = panel * max(scale(columns), LEAST / panel[0])
-    across, down = columns * (width + GAP) - GAP, rows * (height + below) - below
-    left, right = max(LEFT, (NARROWEST - across) / 2), max(RIGHT, (NARROWEST - across) / 2)
-    figure = Figure(figsize=(left + across + right, BOTTOM + down + TOP))
+    below = SHAPES_VIEW_GAP_IN if views > 1 else SHAPES_ROW_GAP_IN
+    width, height = panel * max(scale(columns), MIN_SHAPE_PANEL_WIDTH_IN / panel[0])
+    across, down = columns * (width + SHAPES_COLUMN_GAP_IN) - SHAPES_COLUMN_GAP_IN, rows * (height + below) - below
+    left, right = (
+        max(SHAPES_LEFT_MARGIN_IN, (MIN_SHAPES_FIGURE_WIDTH_IN - across) / 2),
+        max(SHAPES_RIGHT_MARGIN_IN, (MIN_SHAPES_FIGURE_WIDTH_IN - across) / 2),
+    )
+    figure = Figure(figsize=(left + across + right, SHAPES_BOTTOM_MARGIN_IN + down + SHAPES_TOP_MARGIN_IN))
     grid = figure.subplots(rows, columns, sharex="row", sharey=True, squeeze=False)
     figure.subplots_adjust(
         left=left / figure.get_figwidth(),
         right=1 - right / figure.get_figwidth(),
-        bottom=BOTTOM / figure.get_figheight(),
-        top=1 - TOP / figure.get_figheight(),
-        wspace=GAP / width,
+        bottom=SHAPES_BOTTOM_MARGIN_IN / figure.get_figheight(),
+        top=1 - SHAPES_TOP_MARGIN_IN / figure.get_figheight(),
+        wspace=SHAPES_COLUMN_GAP_IN / width,
         hspace=below / height,
     )
     for spare in grid.flat[count * views :]:
@@ -193,7 +204,7 @@ def draw(axes: Axes, plan: Plan, frame: int, sideways: int) -> None:
     for i, part in enumerate(parts(plan.shape[frame], plan.beta[frame])):
         width = tube_width(i, plan.robot.d)
         axes.plot(part[:, sideways], part[:, 2], color=tube_colour(i), lw=width, solid_capstyle="butt")
-    axes.plot(plan.target[frame, :, sideways], plan.target[frame, :, 2], **TARGET)
+    axes.plot(plan.target[frame, :, sideways], plan.target[frame, :, 2], **TARGET_LINE_STYLE)
 
 
 def _draw_lumen(axes: Axes, lumen: Array, sideways: int) -> None:
@@ -202,12 +213,12 @@ def _draw_lumen(axes: Axes, lumen: Array, sideways: int) -> None:
     Each stretch between two rings of the wall is the convex hull of both. The second collection covers the edges
     between hulls.
     """
-    seen = rings(lumen, AROUND)[..., [sideways, 2]]
+    seen = wall_rings(lumen, LUMEN_RING_ANGLES_RAD)[..., [sideways, 2]]
     stretches = np.concatenate([seen[:-1], seen[1:]], axis=1)
     hulls = [stretch[ConvexHull(stretch).vertices] for stretch in stretches]
-    axes.add_collection(PolyCollection(hulls, color=WALL, linewidth=2.0, zorder=0.6), autolim=False)
+    axes.add_collection(PolyCollection(hulls, color=WALL_COLOUR, linewidth=2.0, zorder=0.6), autolim=False)
     axes.add_collection(
-        PolyCollection(hulls, color=LUMEN, linewidth=0.3, antialiased=False, zorder=0.7), autolim=False
+        PolyCollection(hulls, color=LUMEN_COLOUR, linewidth=0.3, antialiased=False, zorder=0.7), autolim=False
     )
 
 
@@ -228,9 +239,9 @@ def parts(shape: Array, beta: Array) -> list[Array]:
     """
     ends, found = tube_ends(beta), []
     for start, end in zip([0.0, *ends], ends, strict=False):
-        sigma = np.concatenate([[start], SIGMA[(start < SIGMA) & (end > SIGMA)], [end]])
+        sigma = np.concatenate([[start], SIGMA_GRID[(start < SIGMA_GRID) & (end > SIGMA_GRID)], [end]])
         sigma = sigma if end > start and np.isfinite(shape).all() else sigma[:0]
-        found.append(np.stack([np.interp(sigma, SIGMA, coordinate) for coordinate in shape.T], axis=1))
+        found.append(np.stack([np.interp(sigma, SIGMA_GRID, coordinate) for coordinate in shape.T], axis=1))
     return found
 
 
@@ -281,4 +292,4 @@ def _caption(plan: Plan, number: int, worst: bool) -> str:
 def key(d: int) -> list[Line2D]:
     """Return the entries of a legend for d tubes and the target."""
     tubes = [Line2D([], [], color=tube_colour(i), lw=tube_width(i, d), label=f"tube {i + 1}") for i in range(d)]
-    return [*tubes, Line2D([], [], label="target", **TARGET)]
+    return [*tubes, Line2D([], [], label="target", **TARGET_LINE_STYLE)]

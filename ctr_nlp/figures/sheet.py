@@ -15,7 +15,7 @@ from matplotlib.patches import Circle
 from ctr_nlp.figures.overlay import draw, key
 from ctr_nlp.figures.parts.page import STYLE, printable
 from ctr_nlp.figures.parts.palette import BLACK, tube_colour
-from ctr_nlp.formulations.shared.manufacture import diameters_within
+from ctr_nlp.formulations.shared.manufacture import diameter_tolerances
 from ctr_nlp.plan.metrics import summary
 from ctr_nlp.plan.plan import Plan
 from ctr_nlp.robot import Robot, Tube
@@ -26,11 +26,11 @@ SHEET = 11.7, 8.3
 """Size in inches of a sheet without tasks: A4, landscape."""
 ROW, TASKS = 3.4, 4
 """Inches by which a row of tasks makes it taller, and the most tasks of a row."""
-SAMPLES = 200
+TUBE_DRAWING_POINTS = 200
 """Places along a tube's middle line."""
-SHOWN = 20.0
+SHOWN_TRANSMISSION_MM = 20.0
 """mm of the straight transmission that a side view shows; the rest is broken off."""
-COLUMNS = (
+TUBE_DIMENSION_COLUMNS = (
     "tube",
     "outer diameter",
     "inner diameter",
@@ -66,7 +66,7 @@ def sheet(robot: Robot, title: str, plans: Sequence[Plan] = ()) -> Figure:
     for i, (tube, view) in enumerate(zip(robot.tubes, views, strict=True)):
         _side(grid[0, i], i, tube, view, (low, high))
         _section(grid[1, i], [(i, tube)], robot.tubes[0].outer_diameter)
-    _nested(grid[0, robot.d], robot, views, (low, high))
+    _draw_nested_tubes(grid[0, robot.d], robot, views, (low, high))
     _section(grid[1, robot.d], list(enumerate(robot.tubes)), robot.tubes[0].outer_diameter)
     if rows:
         _tasks(parts[1], plans)
@@ -104,13 +104,13 @@ def _tasks(page: Any, plans: Sequence[Plan]) -> None:
 
 def middle_line(tube: Tube) -> Array:
     """A tube's middle line free of all others, (n, 2) mm: across and along; 0 where its curved part begins."""
-    s = np.linspace(0.0, tube.curved_length, SAMPLES)
+    s = np.linspace(0.0, tube.curved_length, TUBE_DRAWING_POINTS)
     bent = np.array([pre_curvature(tube, tube.curved_length - each) for each in s])
     angle = np.concatenate([[0.0], np.cumsum((bent[1:] + bent[:-1]) / 2 * np.diff(s))])
     middle = (angle[1:] + angle[:-1]) / 2
     steps = np.diff(s)[:, None] * np.column_stack([np.sin(middle), np.cos(middle)])
     curved = np.concatenate([np.zeros((1, 2)), np.cumsum(steps, axis=0)])
-    straight = min(SHOWN, tube.length - tube.curved_length)
+    straight = min(SHOWN_TRANSMISSION_MM, tube.length - tube.curved_length)
     return np.concatenate([[[0.0, -straight]], curved])
 
 
@@ -121,7 +121,7 @@ def _side(axes: Axes, i: int, tube: Tube, view: Array, ends: tuple[Array, Array]
     _frame(axes, ends)
 
 
-def _nested(axes: Axes, robot: Robot, views: list[Array], ends: tuple[Array, Array]) -> None:
+def _draw_nested_tubes(axes: Axes, robot: Robot, views: list[Array], ends: tuple[Array, Array]) -> None:
     for i, (tube, view) in enumerate(zip(robot.tubes, views, strict=True)):
         axes.plot(view[:, 0], view[:, 1], color=tube_colour(i), lw=1.0 + 0.4 * tube.outer_diameter)
     axes.set_title("all, each free of the others", loc="left")
@@ -154,7 +154,9 @@ def _table(axes: Axes, robot: Robot) -> None:
     axes.axis("off")
     bands = robot.tolerances.bands(robot.tubes)
     rows = [_row(i, tube, float(bands[i, 0])) for i, tube in enumerate(robot.tubes)]
-    table = axes.table([list(row) for row in rows], colLabels=list(COLUMNS), loc="center", cellLoc="center")
+    table = axes.table(
+        [list(row) for row in rows], colLabels=list(TUBE_DIMENSION_COLUMNS), loc="center", cellLoc="center"
+    )
     table.auto_set_font_size(False)
     table.set_fontsize(7)
     axes.set_title("diameters within: outer / inner, as Nitinol tubing is usually sold", loc="right", fontsize=7)
@@ -163,7 +165,7 @@ def _table(axes: Axes, robot: Robot) -> None:
 
 def _row(i: int, tube: Tube, band: float) -> tuple[str, ...]:
     """band: by what part its curvature may differ."""
-    outer, inner = diameters_within(tube.outer_diameter)
+    outer, inner = diameter_tolerances(tube.outer_diameter)
     return (
         f"{i + 1}",
         *(f"{value:.3f} mm" for value in (tube.outer_diameter, tube.inner_diameter)),

@@ -15,16 +15,16 @@ import casadi as ca
 import numpy as np
 
 from ctr_nlp.models.dominant import shape
-from ctr_nlp.nlp.nlp import Cost, Residual
+from ctr_nlp.nlp.nlp import CostTerm, Residual
 from ctr_nlp.robot.structure import Tubes
 
 
-def length(beta_d: ca.SX, target_length: ca.SX, weight: float) -> Residual:
+def length_residual(beta_d: ca.SX, target_length: ca.SX, weight: float) -> Residual:
     """Deployed length beta_d against the target's, mm, as a residual; weight has no unit."""
     return Residual("length", np.sqrt(weight) * (beta_d - target_length))
 
 
-def lever(reach: Any) -> Any:
+def curvature_to_shape_scale(reach: Any) -> Any:
     """The factor reach^2 / (2 sqrt 5), mm^2, from 1/mm to mm, which gives stage one the scale of shape errors.
 
     A curvature error kept along the whole reach moves the points by it times s^2 / 2; this is the root mean square
@@ -35,7 +35,7 @@ def lever(reach: Any) -> Any:
 
 def curvature(
     tubes: Tubes, beta: Sequence[ca.SX], reach: ca.SX, turning: ca.SX, target_length: ca.SX, width: ca.SX
-) -> Cost:
+) -> CostTerm:
     """Curvature of the robot against the target's, eq. (11), with jumps smoothed over a width in mm.
 
     tubes, beta: of the robot. reach: mm, see lever. turning: (n + 1,) integral of the target's curvature in rad at
@@ -49,7 +49,7 @@ def curvature(
     # Mean curvature of a cell: the angle turned in it over its length, target_length / cells.
     mean = (turning[1:] - turning[:-1]) * (cells / target_length)
     here = shape.curvature(tubes, beta, middle * beta[-1], lambda x: smooth_step(x / width), ca)
-    return Cost("curvature", lever(reach) ** 2 / cells * ca.sumsqr(here - mean))
+    return CostTerm("curvature", curvature_to_shape_scale(reach) ** 2 / cells * ca.sumsqr(here - mean))
 
 
 def smooth_step(x: Any) -> Any:
@@ -59,7 +59,7 @@ def smooth_step(x: Any) -> Any:
 
 def curvature_exact(
     tubes: Tubes, beta: Sequence[ca.SX], reach: ca.SX, kappa: ca.SX, turning: ca.SX, target_length: ca.SX
-) -> Cost:
+) -> CostTerm:
     """The integral in eq. (11) itself, as a mean over sigma and without any smoothing of jumps.
 
     For each tube, the mean of (k - kappa)^2 needs the target's curvature only through its cumulative integrals at
@@ -83,7 +83,7 @@ def curvature_exact(
         # A tube's straight part, before sigma_low, has k = 0 and adds nothing.
         total += own - 2 * mixed
         start = beta[i]
-    return Cost("curvature", lever(reach) ** 2 * total)
+    return CostTerm("curvature", curvature_to_shape_scale(reach) ** 2 * total)
 
 
 def _cumulative(kappa: ca.SX, turning: ca.SX, target_length: ca.SX) -> tuple[Any, Any]:

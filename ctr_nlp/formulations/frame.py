@@ -16,30 +16,34 @@ import casadi as ca
 import numpy as np
 
 from ctr_nlp.exceptions import OptionError
-from ctr_nlp.formulations.terms import Bears, Body, Margin, Parts, Term
-from ctr_nlp.models import Model, Shape
+from ctr_nlp.formulations.terms import Body, LoadTerm, Margin, Parts, Term
+from ctr_nlp.models import Model, SymbolicShape
 from ctr_nlp.models.protocol import symbolic_tubes
 from ctr_nlp.nlp.nlp import Constraint, Nlp
 from ctr_nlp.robot import Robot
-from ctr_nlp.robot.structure import NUMBERS, Structure, freed_places
+from ctr_nlp.robot.structure import TUBE_NUMBER_NAMES, Structure, locate_free_numbers
 from ctr_nlp.target.target import Frame
 from ctr_nlp.typing import Array
 
-KEPT = 64
+MAX_CACHED_FRAME_PROGRAMS = 64
 """Number of programs kept in a process."""
 
 
 def program(
-    name: str, structure: Structure, model: Model, terms: Sequence[Term], freed: tuple[str, ...] | None = None
+    name: str,
+    structure: Structure,
+    model: Model,
+    terms: Sequence[Term],
+    free_numbers: tuple[str, ...] | None = None,
 ) -> Nlp:
     """The program of one frame: the model's unknowns, the rest of q as rows, and what the terms add.
 
-    name: of the program, for messages. freed: for robots that share their motors, names of tubes' numbers that are
-    unknowns, too, after the model's (structure.freed_places), or empty; the motors' angles are then rows on any
-    model, and the tilt, which they share, is an unknown. None for a robot of its own. Raises OptionError where two
-    terms have parameters of one name.
+    name: of the program, for messages. free_numbers: for robots that share their motors, names of tubes' numbers
+    that are unknowns, too, after the model's (structure.freed_places), or empty; the motors' angles are then rows
+    on any model, and the tilt, which they share, is an unknown. None for a robot of its own. Raises OptionError
+    where two terms have parameters of one name.
     """
-    return _program(name, structure, model.form, _Keyed(terms), freed)
+    return _program(name, structure, model.program_model, _TermsByKey(terms), free_numbers)
 
 
 def robot_values(robot: Robot) -> dict[str, Any]:
@@ -47,12 +51,12 @@ def robot_values(robot: Robot) -> dict[str, Any]:
     return {"tubes": robot.numbers}
 
 
-def filled(robot: Robot, terms: Sequence[Term], frame: Frame) -> dict[str, Any]:
+def fill_parameters(robot: Robot, terms: Sequence[Term], frame: Frame) -> dict[str, Any]:
     """All parameters of a program, by name, for a target frame."""
     return robot_values(robot) | {key: value for term in terms for key, value in term.fill(frame).items()}
 
 
-def packed(nlp: Nlp, values: Sequence[Mapping[str, Any]]) -> Array:
+def pack_frames(nlp: Nlp, values: Sequence[Mapping[str, Any]]) -> Array:
     """Parameters of many frames, by name in values, as rows (frames, n_p), each as Nlp.pack would make it.
 
     Raises ValueError as Nlp.pack does, or where frames differ in their parameters.
@@ -67,7 +71,7 @@ def packed(nlp: Nlp, values: Sequence[Mapping[str, Any]]) -> Array:
     return np.concatenate(found, axis=1)
 
 
-class _Keyed(tuple[Term, ...]):
+class _TermsByKey(tuple[Term, ...]):
     """Terms that are equal where their keys are, so that lru_cache finds programs that differ in numbers alone."""
 
     @property
@@ -78,15 +82,17 @@ class _Keyed(tuple[Term, ...]):
         return hash(self.keys)
 
     def __eq__(self, other: object) -> bool:
-        return isinstance(other, _Keyed) and self.keys == other.keys
+        return isinstance(other, _TermsByKey) and self.keys == other.keys
 
 
-@functools.lru_cache(maxsize=KEPT)
-def _program(name: str, structure: Structure, model: Model, terms: _Keyed, freed: tuple[str, ...] | None) -> Nlp:
+@functools.lru_cache(maxsize=MAX_CACHED_FRAME_PROGRAMS)
+def _program(
+    name: str, structure: Structure, model: Model, terms: _TermsByKey, free_numbers: tuple[str, ...] | None
+) -> Nlp:
     """Build the program; arguments as in `program`."""
-    numbers = ca.SX.sym("tubes", structure.d, len(NUMBERS))
+    numbers = ca.SX.sym("tubes", structure.d, len(TUBE_NUMBER_NAMES))
     parameters = {"tubes": numbers} | _parameters(structure, terms)
-    places_freed = freed_places(structure, freed or ())
+    places_freed = locate_free_numbers(structure, free_numbers or ())
     unknown, known = ca.SX.sym("freed", len(places_freed)), ca.SX(numbers)
     for k, (i, columns) in enumerate(places_freed):
         for column in columns:
@@ -100,21 +106,21 @@ def _program(name: str, structure: Structure, model: Model, terms: _Keyed, freed
     # whose.
     def places(beta: Sequence[ca.SX]) -> ca.SX:
         """Arc lengths of the samples of all terms, mm, one term after another."""
-        found = [ca.SX(term.places(beta)) for term in terms]
+        found = [ca.SX(term.sample_arc_lengths(beta)) for term in terms]
         counts[:] = [each.numel() for each in found]
         return ca.vertcat(*found)
 
     margin = parameters["margin"] if any(isinstance(term, Margin) for term in terms) else None
     tangents = any(term.tangents for term in terms)
-    load = parameters[Bears.name] if any(isinstance(term, Bears) for term in terms) else None
-    shared = freed is not None
-    frame = model.frame if load is None else functools.partial(model.frame_under, load, tilted=shared)
+    load = parameters[LoadTerm.name] if any(isinstance(term, LoadTerm) for term in terms) else None
+    shared = free_numbers is not None
+    frame = model.frame if load is None else functools.partial(model.frame_with_load, load, tilted=shared)
     shape = frame(structure, tubes, places, margin, tangents)
     q = _configuration(shape, structure.d)
     stops = list(itertools.accumulate(counts))
     bodies = (Body(q, tubes, shape, slice(stop - count, stop)) for count, stop in zip(counts, stops, strict=True))
     parts = [term.build(body, parameters) for term, body in zip(terms, bodies, strict=True)]
-    return _joined(name, shape, parameters, parts, unknown, shared)
+    return _assemble_nlp(name, shape, parameters, parts, unknown, shared)
 
 
 def _parameters(structure: Structure, terms: Sequence[Term]) -> dict[str, ca.SX]:
@@ -128,16 +134,16 @@ def _parameters(structure: Structure, terms: Sequence[Term]) -> dict[str, ca.SX]
     return found
 
 
-def _configuration(shape: Shape, d: int) -> ca.SX:
+def _configuration(shape: SymbolicShape, d: int) -> ca.SX:
     """The configuration q (2d + 2, 1), from x and the rows."""
     if shape.picks is None:
         return shape.x
     return ca.vertcat(shape.x, *shape.rows.values())[list(shape.picks[: 2 * d + 2])]
 
 
-def _joined(
+def _assemble_nlp(
     name: str,
-    shape: Shape,
+    shape: SymbolicShape,
     parameters: Mapping[str, ca.SX],
     parts: Sequence[Parts],
     freed: ca.SX,

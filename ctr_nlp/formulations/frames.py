@@ -18,7 +18,7 @@ from ctr_nlp.support.sobol import sobol
 from ctr_nlp.target.target import Frame
 from ctr_nlp.typing import Array
 
-DISTINCT = 1e-3
+MIN_RELATIVE_OBJECTIVE_DIFFERENCE = 1e-3
 """Part by which the objectives of two answers must differ to count as distinct."""
 
 
@@ -66,21 +66,21 @@ class FrameSolver(Protocol):
 class Restartable(FrameSolver, Protocol):
     """A frame solver that can start a run again near another one's answer."""
 
-    def again(self, frame: int, known: FrameResult) -> FrameResult:
+    def search_near(self, frame: int, known: FrameResult) -> FrameResult:
         """The answer for a frame without a past, near a known one."""
 
 
-def distinct(results: Sequence[FrameResult]) -> list[FrameResult]:
-    """The results whose objectives differ by more than DISTINCT, best first."""
+def distinct_results(results: Sequence[FrameResult]) -> list[FrameResult]:
+    """The results whose objectives differ by more than MIN_RELATIVE_OBJECTIVE_DIFFERENCE, best first."""
     found = list[FrameResult]()
     for result in sorted(results, key=lambda one: one.objective):
         # 1e-9 mm^2: objectives that are 0 but for rounding are the same.
-        if not found or result.objective > found[-1].objective * (1 + DISTINCT) + 1e-9:
+        if not found or result.objective > found[-1].objective * (1 + MIN_RELATIVE_OBJECTIVE_DIFFERENCE) + 1e-9:
             found.append(result)
     return found
 
 
-def one_by_one(
+def step_through_frames(
     step: Callable[[int, FrameResult], FrameResult], frames: Sequence[int], before: FrameResult
 ) -> Iterator[tuple[FrameResult, float]]:
     """FrameSolver.run by a solver's `step`, one frame after another."""
@@ -90,7 +90,7 @@ def one_by_one(
         yield before, time.perf_counter() - begin
 
 
-def starts(robot: Robot, target: Frame, count: int, seed: int = 0) -> Array:
+def sobol_starts(robot: Robot, target: Frame, count: int, seed: int = 0) -> Array:
     """Start configurations (count, 2d + 2) for a target without a past: Sobol points within the robot's limits.
 
     Without limits, angles of tubes span a full turn; tilts stay within 0.5 rad of the target's own.
@@ -114,7 +114,7 @@ def starts(robot: Robot, target: Frame, count: int, seed: int = 0) -> Array:
     return q
 
 
-def reachable(robot: Robot, previous: Array | None, dt: float) -> tuple[Array, Array]:
+def reachable_bounds(robot: Robot, previous: Array | None, dt: float) -> tuple[Array, Array]:
     """Lower and upper bounds of q: the robot's limits and, from a previous q, what its speed allows in dt s."""
     if previous is None:
         return robot.lower, robot.upper

@@ -14,13 +14,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ctr_nlp.formulations.frame import filled, packed, program
-from ctr_nlp.formulations.joint import terms_of, tip_steps
+from ctr_nlp.formulations.frame import fill_parameters, pack_frames, program
+from ctr_nlp.formulations.joint import frame_terms, tip_step_limits
 from ctr_nlp.formulations.terms import Term
 from ctr_nlp.formulations.wall import Wall
 from ctr_nlp.models import Model
 from ctr_nlp.nlp.chain import Chain
-from ctr_nlp.nlp.links import Link, differences
+from ctr_nlp.nlp.links import FrameLink, differences
 from ctr_nlp.nlp.nlp import Nlp
 from ctr_nlp.nlp.written import FrameFunctions
 from ctr_nlp.robot import Robot
@@ -29,7 +29,7 @@ from ctr_nlp.typing import Array
 
 
 @dataclass(frozen=True)
-class Ends:
+class EndConfigurations:
     """Where the robot stands one frame before the first, and in the last frame; None where it is free.
 
     start, end: q (2d + 2,). Where accelerations are limited, the robot rests at given ends.
@@ -45,7 +45,7 @@ class Ends:
         return {name: None if q is None else q.tolist() for name, q in ends}
 
 
-def interpreted(nlp: Nlp) -> Callable[[], FrameFunctions]:
+def interpreted_functions(nlp: Nlp) -> Callable[[], FrameFunctions]:
     """A function that returns a frame's functions, evaluated by CasADi's interpreter."""
     return lambda: nlp.functions
 
@@ -55,9 +55,9 @@ def horizon(
     frames: Sequence[Frame],
     dt: float,
     motion_weight: float,
-    ends: Ends,
+    ends: EndConfigurations,
     model: Model,
-    functions: Callable[[Nlp], Callable[[], FrameFunctions]] = interpreted,
+    functions: Callable[[Nlp], Callable[[], FrameFunctions]] = interpreted_functions,
     margin: float | None = None,
     wall: Wall | None = None,
     extra: Sequence[Term] = (),
@@ -66,14 +66,14 @@ def horizon(
 
     motion_weight: lambda in s^2. ends: given configurations. functions: maps a program to a function that returns
     its functions, interpreted or compiled. margin: least stability margin on models that can snap; None for any.
-    wall: of the lumen that the robot is kept in; the chain is then linearised near a motion (Chain.around). extra:
-    further terms.
+    wall: of the lumen that the robot is kept in; the chain is then linearised near a motion (Chain.linearise_at).
+    extra: further terms.
     """
-    terms = terms_of(robot, model, margin, extra, walled=wall is not None)
+    terms = frame_terms(robot, model, margin, extra, walled=wall is not None)
     frame = program("frame", robot.structure, model, terms)
     # Where q does not determine the equilibrium, tips are picked along with q, so that links can limit
     # their steps, too: a plan must not jump to another branch between frames.
-    tips = tip_steps(robot, dt) if model.several_equilibria else np.zeros(0)
+    tips = tip_step_limits(robot, dt) if model.several_equilibria else np.zeros(0)
     free = np.full(len(tips), np.inf)
     # alpha may be a constraint and beta an unknown: limits of the configuration are split into both.
     rows = frame.row_bounds(np.append(robot.lower, -free), np.append(robot.upper, free))
@@ -97,12 +97,12 @@ def horizon(
         (*robot.axes, *(f"phi_{i + 1}" for i in range(len(tips)))),
         np.append(robot.mm_per_unit, robot.mm_per_unit[: len(tips)]),
         # A column a frame, contiguous: functions are evaluated for all frames from these arrays.
-        packed(frame, [filled(robot, terms, at) for at in frames]).T.copy(),
+        pack_frames(frame, [fill_parameters(robot, terms, at) for at in frames]).T.copy(),
         lower,
         upper,
         motion_links(robot, len(frames), dt, motion_weight, before, after, tips),
         functions(frame),
-        None if wall is None else wall.during(frames),
+        None if wall is None else wall.local_parameters_during(frames),
         (least, most),
     )
 
@@ -115,7 +115,7 @@ def motion_links(
     before: list[Array],
     after: list[Array],
     tips: Array,
-) -> tuple[Link, ...]:
+) -> tuple[FrameLink, ...]:
     """The links between frames: steps with their cost (9) and speed limits; second differences, where these are
     limited.
 
@@ -124,20 +124,25 @@ def motion_links(
     """
     # lambda W^2 / dt^2, for squared steps; tips cost nothing.
     cost = np.append(motion_weight * robot.mm_per_unit**2 / dt**2, 0 * tips)
-    links = [_link("speed", frames, 1, (before, []), np.append(robot.speed * dt, tips), cost)]
+    links = [_difference_link("speed", frames, 1, (before, []), np.append(robot.speed * dt, tips), cost)]
     if np.isfinite(robot.acceleration).any():
         most = np.append(robot.acceleration * dt**2, np.full(len(tips), np.inf))
         # A robot at rest at the start was there one frame earlier, too: twice the same known configuration.
-        links.append(_link("acceleration", frames, 2, (before * 2, after), most, 0 * cost))
+        links.append(_difference_link("acceleration", frames, 2, (before * 2, after), most, 0 * cost))
     return tuple(links)
 
 
-def _link(
-    name: str, frames: int, order: int, known: tuple[list[Array], list[Array]], most: Array, cost: Array
-) -> Link:
+def _difference_link(
+    name: str,
+    frames: int,
+    order: int,
+    outside_configurations: tuple[list[Array], list[Array]],
+    most: Array,
+    cost: Array,
+) -> FrameLink:
     """Differences of the configuration (k,) within +-most (k,), at a cost (k,) per squared unit.
 
-    order: of the difference; known: configurations before and after.
+    order: of the difference; outside_configurations: configurations before and after.
     """
-    matrix, offset, frame, axis = differences(frames, order, *known, len(most))
-    return Link(name, matrix, offset, -most[axis], most[axis], cost[axis], frame, axis)
+    matrix, offset, frame, axis = differences(frames, order, *outside_configurations, len(most))
+    return FrameLink(name, matrix, offset, -most[axis], most[axis], cost[axis], frame, axis)

@@ -10,21 +10,21 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ctr_nlp.formulations.frame import filled, program
+from ctr_nlp.formulations.frame import fill_parameters, program
 from ctr_nlp.formulations.settings import Settings
 from ctr_nlp.formulations.stage import Stage
-from ctr_nlp.formulations.terms import Bears, Lumen, Margin, Motion, Order, ShapeDistance, Term
+from ctr_nlp.formulations.terms import LoadTerm, LumenClearance, Margin, MotionCost, Order, ShapeDistance, Term
 from ctr_nlp.models import Model
 from ctr_nlp.robot import Robot
 from ctr_nlp.typing import Array
 
-TIP_STEP, TIP_SPEED = 0.5, 2.0
-"""Where there are several equilibria, tips may turn from frame to frame by TIP_STEP, rad, or by TIP_SPEED times
-what motors may, whichever is more.
+MIN_TIP_STEP_LIMIT_RAD, TIP_TO_MOTOR_SPEED_RATIO = 0.5, 2.0
+"""Where there are several equilibria, tips may turn from frame to frame by MIN_TIP_STEP_LIMIT_RAD, rad, or by
+TIP_TO_MOTOR_SPEED_RATIO times what motors may, whichever is more.
 """
 
 
-def terms_of(
+def frame_terms(
     robot: Robot, model: Model, margin: float | None, extra: Sequence[Term] = (), walled: bool = False
 ) -> tuple[Term, ...]:
     """The terms of a frame without neighbours, and those given; a ShapeDistance among these replaces the usual
@@ -38,16 +38,16 @@ def terms_of(
     own: list[Term] = [] if any(isinstance(term, ShapeDistance) for term in extra) else [ShapeDistance()]
     # A model whose equilibria are always stable has nothing to constrain.
     held: list[Term] = [Margin(margin)] if margin is not None and model.can_snap else []
-    wall: list[Term] = [Lumen(robot.d)] if walled else []
-    load: list[Term] = [] if model.bears is None else [Bears(model.bears, robot.d)]
+    wall: list[Term] = [LumenClearance(robot.d)] if walled else []
+    load: list[Term] = [] if model.applied_load is None else [LoadTerm(model.applied_load, robot.d)]
     return (*own, *extra, *load, *held, Order(robot.carriage_gap), *wall)
 
 
-def tip_steps(robot: Robot, dt: float) -> Array:
+def tip_step_limits(robot: Robot, dt: float) -> Array:
     """Angles (d,) in rad that tips may turn by in a frame of dt s: more than motors, and less than where a robot
     snaps.
     """
-    return np.maximum(TIP_STEP, TIP_SPEED * robot.speed[: robot.d] * dt)
+    return np.maximum(MIN_TIP_STEP_LIMIT_RAD, TIP_TO_MOTOR_SPEED_RATIO * robot.speed[: robot.d] * dt)
 
 
 def joint(
@@ -55,9 +55,9 @@ def joint(
 ) -> tuple[Stage, ...]:
     """One stage that decides all of q, so that bounds and step limits are bounds of the program.
 
-    extra, walled: as in terms_of.
+    extra, walled: as in frame_terms.
     """
-    terms = (*terms_of(robot, model, settings.stability_margin, extra, walled), Motion(robot.d))
+    terms = (*frame_terms(robot, model, settings.stability_margin, extra, walled), MotionCost(robot.d))
     # The program depends on the structure alone; the robot's numbers enter as parameters in `filled`.
     nlp = program("joint", robot.structure, model, terms)
-    return (Stage(nlp, np.arange(len(robot.axes)), lambda frame, q: filled(robot, terms, frame)),)
+    return (Stage(nlp, np.arange(len(robot.axes)), lambda frame, q: fill_parameters(robot, terms, frame)),)

@@ -18,26 +18,26 @@ import numpy as np
 
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.formulations import curvature
-from ctr_nlp.formulations.frame import KEPT, robot_values
+from ctr_nlp.formulations.frame import MAX_CACHED_FRAME_PROGRAMS, robot_values
 from ctr_nlp.formulations.settings import Settings
 from ctr_nlp.formulations.stage import Stage
 from ctr_nlp.formulations.terms import Term
 from ctr_nlp.formulations.terms.feasible import order
-from ctr_nlp.formulations.terms.motion import change
-from ctr_nlp.formulations.terms.shape import distance
-from ctr_nlp.models import MODELS, Model
+from ctr_nlp.formulations.terms.motion import motion_residual
+from ctr_nlp.formulations.terms.shape import shape_residual
+from ctr_nlp.models import KINEMATIC_MODELS, Model
 from ctr_nlp.models.dominant import shape
 from ctr_nlp.models.protocol import columns_of, symbolic_tubes
 from ctr_nlp.nlp.nlp import Nlp
 from ctr_nlp.robot import Robot
 from ctr_nlp.robot.robot import mm_per_unit
-from ctr_nlp.robot.structure import NUMBERS, Structure
-from ctr_nlp.target.target import SIGMA, Frame
+from ctr_nlp.robot.structure import TUBE_NUMBER_NAMES, Structure
+from ctr_nlp.target.target import SIGMA_GRID, Frame
 from ctr_nlp.typing import Array
 
-TIGHTENING = (6.0, 2.5, 1.0)
+JUMP_WIDTH_FACTORS = (6.0, 2.5, 1.0)
 """Widths of the smoothed jumps of curvature, in units of the last, solved for one after the other."""
-LENGTH_WEIGHT = 100.0
+DEPLOYED_LENGTH_WEIGHT = 100.0
 """Weight of (beta_d - length)^2 in stage one: eq. (11) does not depend on how far the robot is out."""
 
 
@@ -46,8 +46,10 @@ def two_stage(robot: Robot, settings: Settings, model: Model, extra: Sequence[Te
 
     model: one where alpha does not change curvatures. extra: must be empty. Raises OptionError.
     """
-    _check(model, extra)
-    return _extension(robot, tuple(factor * settings.jump_width for factor in TIGHTENING)), _rotation(robot)
+    _check_model_and_terms(model, extra)
+    return _extension(robot, tuple(factor * settings.jump_width for factor in JUMP_WIDTH_FACTORS)), _rotation(
+        robot
+    )
 
 
 def two_stage_exact(
@@ -57,14 +59,14 @@ def two_stage_exact(
 
     model, extra: as in two_stage. Raises OptionError.
     """
-    _check(model, extra)
+    _check_model_and_terms(model, extra)
     return _extension(robot, None), _rotation(robot)
 
 
-def _check(model: Model, extra: Sequence[Term]) -> None:
+def _check_model_and_terms(model: Model, extra: Sequence[Term]) -> None:
     """Raise OptionError for a model whose curvature depends on alpha, and for further terms."""
     if not model.bends_by_extension:
-        allowed = ", ".join(repr(name) for name, each in MODELS.items() if each.bends_by_extension)
+        allowed = ", ".join(repr(name) for name, each in KINEMATIC_MODELS.items() if each.bends_by_extension)
         raise OptionError(
             f"model is {model.name!r}; two-stage formulations need {allowed}, where alpha does not change "
             "curvatures"
@@ -94,15 +96,20 @@ def _extension(robot: Robot, widths: tuple[float, ...] | None) -> Stage:
     return Stage(nlp, np.arange(robot.d, 2 * robot.d), fill, schedule)
 
 
-@functools.lru_cache(maxsize=KEPT)
+@functools.lru_cache(maxsize=MAX_CACHED_FRAME_PROGRAMS)
 def _extension_program(structure: Structure, exact: bool) -> Nlp:
     """The program of stage one over beta (d,), smoothed or exact."""
     d = structure.d
-    sizes: dict[str, Any] = {"tubes": (d, len(NUMBERS)), "reach": 1, "turning": len(SIGMA), "length": 1}
+    sizes: dict[str, Any] = {
+        "tubes": (d, len(TUBE_NUMBER_NAMES)),
+        "reach": 1,
+        "turning": len(SIGMA_GRID),
+        "length": 1,
+    }
     # A robot without a least gap has a program without that constraint and its parameter.
     sizes |= {"gap": 1} if structure.gap else {}
     # The exact form takes the target's curvature itself, the smoothed one a width.
-    sizes |= {"previous": d, "motion_root": 1} | ({"kappa": len(SIGMA)} if exact else {"width": 1})
+    sizes |= {"previous": d, "motion_root": 1} | ({"kappa": len(SIGMA_GRID)} if exact else {"width": 1})
     p = {name: ca.SX.sym(name, *np.atleast_1d(size).tolist()) for name, size in sizes.items()}
     beta, tubes = ca.SX.sym("beta", d), symbolic_tubes(structure, p["tubes"])
     entries, target = ca.vertsplit(beta), (p["turning"], p["length"])
@@ -113,8 +120,8 @@ def _extension_program(structure: Structure, exact: bool) -> Nlp:
     # Length and motion are least squares; the curvature is a cost of its own (curvature.curvature says
     # why).
     residuals = (
-        curvature.length(entries[-1], p["length"], LENGTH_WEIGHT),
-        change(beta, p["previous"], mm_per_unit(d)[d : 2 * d], p["motion_root"]),
+        curvature.length_residual(entries[-1], p["length"], DEPLOYED_LENGTH_WEIGHT),
+        motion_residual(beta, p["previous"], mm_per_unit(d)[d : 2 * d], p["motion_root"]),
     )
     free = np.full(d, np.inf)
     return Nlp("extension", beta, -free, free, p, residuals, (cost,), order(tubes, entries, p.get("gap")))
@@ -130,24 +137,24 @@ def _rotation(robot: Robot) -> Stage:
         """Parameters for a target frame, with beta taken from q."""
         extensions = robot.split(q)[1]
         # The target's points are computed here, in numbers: they depend on beta, which is no unknown.
-        sigma, _ = _samples(extensions, np)
+        sigma, _ = _quadrature_samples(extensions, np)
         return robot_values(robot) | {"beta": extensions, "target": frame.at(np.array(sigma))}
 
     # alpha and theta: the entries of q before and after beta.
     return Stage(_rotation_program(robot.structure), np.r_[0:d, 2 * d : 2 * d + 2], fill)
 
 
-@functools.lru_cache(maxsize=KEPT)
+@functools.lru_cache(maxsize=MAX_CACHED_FRAME_PROGRAMS)
 def _rotation_program(structure: Structure) -> Nlp:
     """The program of stage two: Simpson's rule over the samples is the distance (8), each at the target's equal
     sigma.
     """
     d = structure.d
-    numbers, beta = ca.SX.sym("tubes", d, len(NUMBERS)), ca.SX.sym("beta", d)
+    numbers, beta = ca.SX.sym("tubes", d, len(TUBE_NUMBER_NAMES)), ca.SX.sym("beta", d)
     x, previous = ca.SX.sym("alpha_theta", d + 2), ca.SX.sym("previous", d + 2)
     root, target = ca.SX.sym("motion_root"), ca.SX.sym("target", 2 * d, 3)
     entries = ca.vertsplit(ca.vertcat(x[:d], beta, x[d:]))
-    sigma, quadrature = _samples(ca.vertsplit(beta), ca)
+    sigma, quadrature = _quadrature_samples(ca.vertsplit(beta), ca)
     points = shape.backbone(symbolic_tubes(structure, numbers), entries, ca.vertcat(*sigma), ca).points
     scale, free = mm_per_unit(d)[np.r_[0:d, 2 * d : 2 * d + 2]], np.full(d + 2, np.inf)
     return Nlp(
@@ -158,13 +165,13 @@ def _rotation_program(structure: Structure) -> Nlp:
         {"tubes": numbers, "beta": beta, "target": target, "previous": previous, "motion_root": root},
         residuals=(
             # Square roots of the weights: the residual is squared.
-            distance(points, columns_of(target), ca.sqrt(ca.vertcat(*quadrature))),
-            change(x, previous, scale, root),
+            shape_residual(points, columns_of(target), ca.sqrt(ca.vertcat(*quadrature))),
+            motion_residual(x, previous, scale, root),
         ),
     )
 
 
-def _samples(beta: Any, xp: Any) -> tuple[list[Any], list[Any]]:
+def _quadrature_samples(beta: Any, xp: Any) -> tuple[list[Any], list[Any]]:
     """Sigma at the middles, then the ends of all segments, and Simpson's weights there.
 
     The base point never moves and is left out. A solver's beta may break the order by its tolerance, and weights

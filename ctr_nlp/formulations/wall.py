@@ -19,40 +19,47 @@ import casadi as ca
 import numpy as np
 
 from ctr_nlp.codegen import cache
-from ctr_nlp.formulations.around import Around
+from ctr_nlp.formulations.around import CompiledWall
 from ctr_nlp.formulations.settings import Settings
-from ctr_nlp.formulations.terms.lumen import CENTRED, PLACES, arc_lengths, contact
+from ctr_nlp.formulations.terms.lumen import (
+    CENTRELINE_SMOOTHING_MM,
+    WALL_SAMPLES_PER_TUBE,
+    arc_lengths,
+    contact_penalty,
+)
 from ctr_nlp.models import Model
 from ctr_nlp.models.dominant.shape import columns_of
 from ctr_nlp.robot import Robot
-from ctr_nlp.target.lumen import Lumen, outer_radius
+from ctr_nlp.target.lumen import Lumen, tube_outer_radii
 from ctr_nlp.target.target import Frame
 from ctr_nlp.typing import Array
 
-FINER = 5
+WALL_SUBSAMPLES = 5
 """Number of samples for each place, from the place before up to this one."""
-ROUNDS = 12
+MAX_WALL_RELINEARISATIONS = 12
 """Most times that a program is solved around its own solution."""
-SETTLED = 0.01
+WALL_SLACK_TOLERANCE_MM = 0.01
 """Difference in mm up to which the slack of a solution counts as the one that it needs."""
-PLANNED_PART = 0.8
+PLANNED_CONTACT_FRACTION = 0.8
 """Part of the allowed contact beyond which it costs more in planning: penalties give a little, and programs look
 at the wall in fewer places than the verdict does.
 """
-TINY = 1e-9
+WALL_MIN_DENOMINATOR = 1e-9
 """Replaces 0 in denominators, mm and 1/mm."""
 
 
-def wall_of(
-    robot: Robot, lumen: Lumen | None, model: Model, settings: Settings, finer: int = FINER
+def make_wall(
+    robot: Robot, lumen: Lumen | None, model: Model, settings: Settings, subsamples: int = WALL_SUBSAMPLES
 ) -> Wall | None:
     """The wall of a lumen; None where there is no lumen or contact costs nothing.
 
-    settings: weight, clearance and allowed contact. finer: samples a place, see Wall.
+    settings: weight, clearance and allowed contact. subsamples: samples a place, see Wall.
     """
     if lumen is None or not settings.contact_weight:
         return None
-    return Wall(robot, lumen, model, settings.contact_weight, settings.clearance, settings.contact_allowed, finer)
+    return Wall(
+        robot, lumen, model, settings.contact_weight, settings.clearance, settings.contact_allowed, subsamples
+    )
 
 
 @dataclass(frozen=True)
@@ -69,88 +76,111 @@ class Wall:
     weight: float
     clearance: float
     contact_allowed: float = math.inf
-    finer: int = FINER
+    subsamples: int = WALL_SUBSAMPLES
 
     def cost(self, slack: Array) -> Array:
         """Cost of slacks, mm^2, each as in terms.lumen.contact."""
-        return np.asarray(ca.DM(contact(ca.DM(slack), self.weight, self.allowed)).full().reshape(np.shape(slack)))
+        return np.asarray(
+            ca.DM(contact_penalty(ca.DM(slack), self.weight, self.contact_threshold))
+            .full()
+            .reshape(np.shape(slack))
+        )
 
     @property
-    def allowed(self) -> float:
+    def contact_threshold(self) -> float:
         """Depth by which the clearance may be missed before contact costs more, mm."""
-        return self.clearance + PLANNED_PART * self.contact_allowed
+        return self.clearance + PLANNED_CONTACT_FRACTION * self.contact_allowed
 
     @cached_property
-    def around(self) -> Around | None:
+    def compiled_wall(self) -> CompiledWall | None:
         """The wall in C; None where nothing can be compiled."""
-        if cache.missing():
+        if cache.unavailable_reason():
             return None
-        return Around(self.robot, self.lumen, self.model, self.clearance, self.finer, TINY)
+        return CompiledWall(
+            self.robot, self.lumen, self.model, self.clearance, self.subsamples, WALL_MIN_DENOMINATOR
+        )
 
     def __getstate__(self) -> dict[str, Any]:
         # Cached objects of C cannot be pickled; another process finds its own.
         return {each.name: getattr(self, each.name) for each in fields(self)}
 
-    def during(self, frames: Sequence[Frame]) -> Callable[[Array], tuple[dict[str, Array], Array]]:
+    def local_parameters_during(
+        self, frames: Sequence[Frame]
+    ) -> Callable[[Array], tuple[dict[str, Array], Array]]:
         """A function of unknowns x (T, n) in these frames that returns their surroundings, under the load of their
         time.
         """
-        bears = self.model.bears
-        acting = None if bears is None else bears.over(self.robot.d, np.array([frame.part for frame in frames]))
-        return partial(self.surroundings, loads=acting)
+        bears = self.model.applied_load
+        acting = (
+            None
+            if bears is None
+            else bears.numbers_at(self.robot.d, np.array([frame.motion_fraction for frame in frames]))
+        )
+        return partial(self.local_parameters, loads=acting)
 
-    def surroundings(
+    def local_parameters(
         self, x: Array, numbers: Array | None = None, loads: Array | None = None
     ) -> tuple[dict[str, Array], Array]:
         """Parameters (T, ..) of frames near unknowns x (T, n) of the model, by name, and slacks (T,) needed, mm.
 
         numbers (d, 8): of the tubes, where they are not the robot's. loads (T, 17 + 3d): on models with loads.
         """
-        found = self.around
-        wall, slack = (self.described if found is None or not found.ready() else found)(x, numbers, loads)
+        found = self.compiled_wall
+        wall, slack = (self.compute_local_wall if found is None or not found.ready() else found)(x, numbers, loads)
         # A row a frame, as Chain.with_parameters and the scenarios take them.
-        weight, allowed = np.full(len(x), self.weight), np.full(len(x), self.allowed)
+        weight, allowed = np.full(len(x), self.weight), np.full(len(x), self.contact_threshold)
         return {"wall": wall, "contact_weight": weight, "contact_allowed": allowed}, slack
 
-    def of_scenarios(self, x: Array, numbers: Array, loads: Array | None = None) -> dict[str, Array]:
+    def scenario_local_parameters(self, x: Array, numbers: Array, loads: Array | None = None) -> dict[str, Array]:
         """Parameters (T, S, ..) near unknowns x (T, S, n) of robots whose tubes have numbers (S, d, 8), by name.
 
         loads (T, S, 17 + 3d): on models with loads.
         """
         found = [
-            self.surroundings(x[:, k], own, None if loads is None else loads[:, k])[0]
+            self.local_parameters(x[:, k], own, None if loads is None else loads[:, k])[0]
             for k, own in enumerate(numbers)
         ]
         return {name: np.stack([each[name] for each in found], axis=1) for name in found[0]}
 
-    def described(self, x: Array, numbers: Array | None = None, loads: Array | None = None) -> tuple[Array, Array]:
-        """Numbers that describe the wall (T, d PLACES, COLUMNS), and slacks (T,), without compiled code.
+    def compute_local_wall(
+        self, x: Array, numbers: Array | None = None, loads: Array | None = None
+    ) -> tuple[Array, Array]:
+        """Numbers that describe the wall (T, d WALL_SAMPLES_PER_TUBE, COLUMNS), and slacks (T,), without compiled
+        code.
 
         Arguments as in surroundings. Bends sharper than the lumen is wide are noise of the path's points.
         """
         beta = columns_of(self.model.extensions(self.robot, x))
         # Arc lengths over beta_d; a robot that is not out at all has samples at 0.
-        sigma = np.hstack(arc_lengths(beta, PLACES * self.finer)) / np.maximum(beta[-1], TINY)
-        near = self.lumen.near(self._points(x, sigma, numbers, loads))
-        room = near.radius - np.repeat(outer_radius(self.robot), PLACES * self.finer) - self.clearance
+        sigma = np.hstack(arc_lengths(beta, WALL_SAMPLES_PER_TUBE * self.subsamples)) / np.maximum(
+            beta[-1], WALL_MIN_DENOMINATOR
+        )
+        near = self.lumen.project(self._points(x, sigma, numbers, loads))
+        room = (
+            near.radius
+            - np.repeat(tube_outer_radii(self.robot), WALL_SAMPLES_PER_TUBE * self.subsamples)
+            - self.clearance
+        )
         # The same rounded distance as in the program (terms.lumen.left), so that both agree on the slack.
-        left = room - np.hypot(near.distance, CENTRED)
+        left = room - np.hypot(near.distance, CENTRELINE_SMOOTHING_MM)
         # The room at a place is reduced by what is less between the place before and it: the least of its
         # samples.
-        room -= left - np.repeat(left.reshape(len(x), -1, self.finer).min(axis=-1), self.finer, axis=-1)
-        numbers = np.stack([room, near.taper, near.behind, near.ahead], axis=-1)
+        room -= left - np.repeat(left.reshape(len(x), -1, self.subsamples).min(axis=-1), self.subsamples, axis=-1)
+        numbers = np.stack([room, near.taper, near.length_before, near.length_after], axis=-1)
         # Curvature of the path at most 1 / r.
-        sharpest = 1.0 / near.radius / np.maximum(np.linalg.norm(near.bend, axis=-1), TINY)
-        bend = near.bend * np.minimum(sharpest, 1.0)[..., None]
+        sharpest = (
+            1.0 / near.radius / np.maximum(np.linalg.norm(near.curvature_vector, axis=-1), WALL_MIN_DENOMINATOR)
+        )
+        bend = near.curvature_vector * np.minimum(sharpest, 1.0)[..., None]
         # In the order of terms.lumen.COLUMNS: three vectors, then four numbers.
         wall = np.concatenate([near.centre, near.tangent, bend, numbers], axis=-1)
         # The last sample of each place is the place itself.
-        return wall[:, self.finer - 1 :: self.finer], np.maximum(-left.min(axis=1), 0.0)
+        return wall[:, self.subsamples - 1 :: self.subsamples], np.maximum(-left.min(axis=1), 0.0)
 
     def _points(self, x: Array, sigma: Array, numbers: Array | None, loads: Array | None) -> Array:
         """Points (T, m, 3) in mm of the robot at x and sigma (T, m)."""
         tubes = (self.robot.numbers if numbers is None else numbers)[None]
         if loads is not None:
-            return self.model.points_under(loads, self.robot.structure, tubes, x, sigma)
-        found: Array = self.model.points_apart(self.robot.structure, tubes, x[None], sigma)[0]
+            return self.model.points_with_loads(loads, self.robot.structure, tubes, x, sigma)
+        found: Array = self.model.points_batch(self.robot.structure, tubes, x[None], sigma)[0]
         return found

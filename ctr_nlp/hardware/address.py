@@ -8,7 +8,7 @@ import socket
 from urllib.parse import urlsplit
 
 from ctr_nlp.hardware.description import Connection
-from ctr_nlp.hardware.devices.ros2.messages import address_of
+from ctr_nlp.hardware.devices.ros2.messages import parse_controller_url
 
 LOCAL = "localhost"
 """Stands for every address of this machine."""
@@ -37,7 +37,7 @@ def canonical_address(connection: Connection) -> str:
     """
     url = connection.url
     if connection.device == "ros2":
-        found = address_of(url)
+        found = parse_controller_url(url)
         return f"ros2 {found.controller}@{_canonical_host(found.host or LOCAL)} domain {found.domain}"
     if "://" in url:
         parts = urlsplit(url)
@@ -51,11 +51,11 @@ def _canonical_host(name: str) -> str:
         found = {str(entry[4][0]) for entry in socket.getaddrinfo(name, None)}
     except (OSError, UnicodeError):
         return name.lower()
-    addresses = sorted(map(_unmapped, found), key=lambda address: (address.version, int(address)))
+    addresses = sorted(map(_parse_ip_address, found), key=lambda address: (address.version, int(address)))
     return LOCAL if any(map(_is_local, addresses)) else str(addresses[0])
 
 
-def _unmapped(text: str) -> ipaddress.IPv4Address | ipaddress.IPv6Address:
+def _parse_ip_address(text: str) -> ipaddress.IPv4Address | ipaddress.IPv6Address:
     """An address; one of IPv4 that is written as one of IPv6 (::ffff:1.2.3.4) counts as the former."""
     address = ipaddress.ip_address(text)
     return getattr(address, "ipv4_mapped", None) or address

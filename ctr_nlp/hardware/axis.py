@@ -17,7 +17,7 @@ from ctr_nlp.typing import Array
 LETTERS = "XYZABCUVW"
 """Letters of axes, in the order in which Grbl numbers their settings."""
 
-UNITS = {"beta": {"mm": 1.0}, "alpha": {"deg": math.degrees(1.0), "rad": 1.0}}
+MOTOR_AXIS_UNITS = {"beta": {"mm": 1.0}, "alpha": {"deg": math.degrees(1.0), "rad": 1.0}}
 """What an axis may count in, by what it moves, and how much of that a mm or a rad is."""
 
 
@@ -43,10 +43,12 @@ class Axis:
 
     def __post_init__(self) -> None:
         kind, _, number = str(self.joint).partition("_")
-        if kind not in UNITS or not number.isdecimal() or int(number) < 1:
+        if kind not in MOTOR_AXIS_UNITS or not number.isdecimal() or int(number) < 1:
             raise HardwareError(f"joint of an axis is {self.joint!r}; it must be alpha_i or beta_i, with i from 1")
-        if self.unit not in UNITS[kind]:
-            raise HardwareError(f"unit of {self.joint} is {self.unit!r}; it must be {' or '.join(UNITS[kind])}")
+        if self.unit not in MOTOR_AXIS_UNITS[kind]:
+            raise HardwareError(
+                f"unit of {self.joint} is {self.unit!r}; it must be {' or '.join(MOTOR_AXIS_UNITS[kind])}"
+            )
         if not (isinstance(self.letter, str) and len(self.letter) == 1 and self.letter in LETTERS):
             raise HardwareError(f"letter of {self.joint} is {self.letter!r}; it must be one of X Y Z A B C U V W")
         if isinstance(self.sign, bool) or self.sign not in (-1, 1):
@@ -66,7 +68,7 @@ class Axis:
     @property
     def scale(self) -> float:
         """Position per mm or rad of the joint."""
-        return self.sign * UNITS[self.joint.partition("_")[0]][self.unit]
+        return self.sign * MOTOR_AXIS_UNITS[self.joint.partition("_")[0]][self.unit]
 
 
 def check_fit(robot: Robot, axes: tuple[Axis, ...], mounted: Robot | None) -> None:
@@ -88,7 +90,7 @@ def check_fit(robot: Robot, axes: tuple[Axis, ...], mounted: Robot | None) -> No
                 )
 
 
-def tightened(robot: Robot, axes: tuple[Axis, ...], arm: Arm | None, looks_ahead: bool) -> Robot:
+def apply_axis_limits(robot: Robot, axes: tuple[Axis, ...], arm: Arm | None, looks_ahead: bool) -> Robot:
     """The robot with limits that axes and an arm keep too; raises HardwareError.
 
     looks_ahead: whether the controller plans to stand still at the end of the little motion that it has in hand.

@@ -9,36 +9,42 @@ from ctr_nlp.exceptions import DeviceFault, HardwareError
 from ctr_nlp.hardware.clock import Clock
 from ctr_nlp.hardware.description import Hardware
 from ctr_nlp.hardware.devices import Asked
-from ctr_nlp.hardware.devices.grbl.identity import Finding, Identity, changes, findings, loose
-from ctr_nlp.hardware.devices.grbl.stop import stopped
+from ctr_nlp.hardware.devices.grbl.identity import (
+    Identity,
+    SettingFinding,
+    find_changed_settings,
+    find_loose_settings,
+    find_wrong_settings,
+)
+from ctr_nlp.hardware.devices.grbl.stop import stop_controller
 from ctr_nlp.hardware.devices.grbl.talk import Talk
-from ctr_nlp.hardware.link import Link
+from ctr_nlp.hardware.link import ByteLink
 from ctr_nlp.typing import Array
 
-STEP = 1.0
+TRIAL_STEP_LENGTH = 1.0
 """mm or degrees of a trial step."""
 
-PACE = 2.0
+TRIAL_STEP_SPEED = 2.0
 """mm/s or degrees/s of a trial step."""
 
-SHOWN = 0.1
+TRIAL_STEP_POLL_S = 0.1
 """s between two looks at a trial step; it may take three times as long as planned."""
 
 
-SIGNS = {"+": 1, "-": -1}
+STEP_DIRECTION_SIGNS = {"+": 1, "-": -1}
 """How the directions of a step are written."""
 
 
-class Controller(NamedTuple):
+class ControllerReadout(NamedTuple):
     """What was read. wrong: settings that go against safe playing; changed: since the last commissioning.
 
     loose: those that let a line that was changed on the way go faster or further than any plan.
     """
 
     identity: Identity
-    wrong: list[Finding]
-    changed: list[Finding]
-    loose: list[Finding]
+    wrong: list[SettingFinding]
+    changed: list[SettingFinding]
+    loose: list[SettingFinding]
     position: Array
     round_trip: float
 
@@ -46,17 +52,17 @@ class Controller(NamedTuple):
 class Commissioning:
     """A connected Grbl controller that plays nothing; every wait ends. Raises DeviceFault, HardwareError."""
 
-    def __init__(self, hardware: Hardware, opened: Callable[[], Link], clock: Clock) -> None:
+    def __init__(self, hardware: Hardware, open_link: Callable[[], ByteLink], clock: Clock) -> None:
         if hardware.connection.device != "grbl":
             raise HardwareError(
                 f"device of the connection is {hardware.connection.device!r}; only grbl can be commissioned"
             )
-        self._hardware, self._link, self._clock = hardware, opened(), clock
+        self._hardware, self._link, self._clock = hardware, open_link(), clock
         self._talk = Talk(self._link, clock)
         self._arrived = set[tuple[str, int]]()
         self._skipped = set[str]()
 
-    def read(self) -> Controller:
+    def read(self) -> ControllerReadout:
         """Everything that is told, with what is wrong in it."""
         report, _ = self._talk.greet()
         if report.state != "Idle":
@@ -64,13 +70,16 @@ class Commissioning:
         identity = self._talk.identify()
         self._columns = identity.columns(self._hardware)
         self._acceleration = identity.acceleration(self._hardware)
-        wrong, changed = findings(identity, self._hardware), changes(identity, self._hardware)
+        wrong, changed = (
+            find_wrong_settings(identity, self._hardware),
+            find_changed_settings(identity, self._hardware),
+        )
         position = self._talk.report().position[self._columns]
-        loosely = loose(identity.settings, self._columns, self._hardware)
-        self.controller = Controller(identity, wrong, changed, loosely, position, self._talk.round_trip())
+        loosely = find_loose_settings(identity.settings, self._columns, self._hardware)
+        self.controller = ControllerReadout(identity, wrong, changed, loosely, position, self._talk.round_trip())
         return self.controller
 
-    def tighten(self) -> list[Finding]:
+    def tighten(self) -> list[SettingFinding]:
         """Set what is loose to what plans may use, and read everything again; what was set. Raises DeviceFault."""
         found = self.controller.loose
         for one in found:
@@ -87,22 +96,28 @@ class Commissioning:
         index = self._hardware.letters.index(letter)
         axis = self._hardware.axes[index]
         before = float(self._talk.report().position[self._columns][index])
-        goal = before + direction * STEP
+        goal = before + direction * TRIAL_STEP_LENGTH
         if not axis.range[0] - 1e-3 <= goal <= axis.range[1] + 1e-3:
             raise HardwareError(
                 f"axis {letter} ({axis.joint}) stands at {before:.4g} {axis.unit} and would go to {goal:.4g}; it "
                 f"must stay in [{axis.range[0]:g}, {axis.range[1]:g}]"
             )
-        self._talk.ask(f"$J=G90 G21 {letter}{goal:.4f} F{60 * PACE:g}")
-        end = self._clock.now() + 3.0 * STEP / PACE + 2.0 * PACE / self._acceleration[index]
+        self._talk.ask(f"$J=G90 G21 {letter}{goal:.4f} F{60 * TRIAL_STEP_SPEED:g}")
+        end = (
+            self._clock.now()
+            + 3.0 * TRIAL_STEP_LENGTH / TRIAL_STEP_SPEED
+            + 2.0 * TRIAL_STEP_SPEED / self._acceleration[index]
+        )
         while self._clock.now() < end and not stop():
-            report = self._talk.asked_report(SHOWN)
+            report = self._talk.request_report(TRIAL_STEP_POLL_S)
             after = before if report is None else float(report.position[self._columns][index])
-            if report is not None and report.state == "Idle" and abs(after - goal) < 0.5 * STEP:
+            if report is not None and report.state == "Idle" and abs(after - goal) < 0.5 * TRIAL_STEP_LENGTH:
                 self._arrived.add((letter, direction))
                 return before, after
-        stopped(self._talk, self._clock)
-        raise DeviceFault(f"axis {letter} was stopped before it had made its step of {STEP:g} {axis.unit}")
+        stop_controller(self._talk, self._clock)
+        raise DeviceFault(
+            f"axis {letter} was stopped before it had made its step of {TRIAL_STEP_LENGTH:g} {axis.unit}"
+        )
 
     def skip(self, letter: str) -> None:
         """Leave an axis untried, because a person says so."""
@@ -114,17 +129,17 @@ class Commissioning:
         return tuple(
             f"{letter}{sign}"
             for letter in self._hardware.letters
-            for sign, direction in SIGNS.items()
+            for sign, direction in STEP_DIRECTION_SIGNS.items()
             if letter not in self._skipped and (letter, direction) not in self._arrived
         )
 
     @property
-    def untried(self) -> tuple[str, ...]:
+    def untested_axes(self) -> tuple[str, ...]:
         """Letters of the axes that have not arrived in both directions, skipped ones among them."""
         return tuple(
             letter
             for letter in self._hardware.letters
-            if any((letter, direction) not in self._arrived for direction in SIGNS.values())
+            if any((letter, direction) not in self._arrived for direction in STEP_DIRECTION_SIGNS.values())
         )
 
     def close(self) -> None:

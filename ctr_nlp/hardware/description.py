@@ -15,19 +15,19 @@ import numpy as np
 
 from ctr_nlp.exceptions import HardwareError, RobotError
 from ctr_nlp.hardware.arm.description import Arm
-from ctr_nlp.hardware.axis import Axis, check_fit, tightened
+from ctr_nlp.hardware.axis import Axis, apply_axis_limits, check_fit
 from ctr_nlp.hardware.sensing.description import Sensing
 from ctr_nlp.robot import Robot
-from ctr_nlp.simulation.lag import Lag
-from ctr_nlp.support.values import check_keys, described, number, read_toml
+from ctr_nlp.simulation.lag import BacklashAndDrag
+from ctr_nlp.support.values import build_from_table, check_keys, number, read_toml
 from ctr_nlp.typing import Array
 
-DEVICES = ("simulated", "grbl", "ros2")
-HOMING = ("manual", "cycle")
+MOTOR_DEVICES = ("simulated", "grbl", "ros2")
+HOMING_METHODS = ("manual", "cycle")
 FLOW = ("count", "wait")
 NETWORK_SCHEMES = ("socket", "rfc2217")
 
-KEYS = ("name", "robot", "axes", "arm", "connection", "sensing", "lag", "approach", "late")
+HARDWARE_FILE_KEYS = ("name", "robot", "axes", "arm", "connection", "sensing", "lag", "approach", "late")
 """Of a hardware file."""
 
 
@@ -49,7 +49,7 @@ class Connection:
     flow: str = "count"
 
     def __post_init__(self) -> None:
-        for name, allowed in (("device", DEVICES), ("homing", HOMING), ("flow", FLOW)):
+        for name, allowed in (("device", MOTOR_DEVICES), ("homing", HOMING_METHODS), ("flow", FLOW)):
             if getattr(self, name) not in allowed:
                 raise HardwareError(
                     f"{name} of the connection is {getattr(self, name)!r}; it must be {', '.join(allowed)}"
@@ -153,7 +153,7 @@ class Hardware:
     late: float = 1.0
     commissioned: dict[str, str] | None = None
     sensing: Sensing | None = field(default=None, repr=False)
-    lag: Lag | None = field(default=None, repr=False)
+    lag: BacklashAndDrag | None = field(default=None, repr=False)
     untried: tuple[str, ...] | None = field(default=(), repr=False)
 
     def __post_init__(self) -> None:
@@ -187,26 +187,26 @@ class Hardware:
         """Of the axes (m,), in their units."""
         return self.each("tolerance")
 
-    def tightened(self, robot: Robot) -> Robot:
+    def apply_limits(self, robot: Robot) -> Robot:
         """The robot with limits that these axes and the arm keep too; raises HardwareError."""
         check_fit(robot, self.axes, self.robot)
         if self.lag is not None:
             self.lag.check(robot)
-        return tightened(robot, self.axes, self.arm, self.connection.device == "grbl")
+        return apply_axis_limits(robot, self.axes, self.arm, self.connection.device == "grbl")
 
     def positions(self, robot: Robot, q: Array) -> Array:
         """Positions (.., m) of the axes, in their units, at q (.., 2d + 2)."""
         columns = [robot.axes.index(axis.joint) for axis in self.axes]
         return np.asarray(self.each("zero") + self.each("scale") * q[..., columns])
 
-    def ahead(self, robot: Robot, q: Array, time: Array) -> Array:
+    def lag_compensation(self, robot: Robot, q: Array, time: Array) -> Array:
         """What is added to the axes (T, m), in their units, so that tubes that lag come through q (T, 2d + 2).
 
         time (T,): when they do, s.
         """
         if self.lag is None:
             return np.zeros((len(q), len(self.axes)))
-        return self.positions(robot, self.lag.led(robot, q, time)) - self.positions(robot, q)
+        return self.positions(robot, self.lag.compensate_motion(robot, q, time)) - self.positions(robot, q)
 
     def joints(self, robot: Robot, positions: Array, theta: Array) -> Array:
         """The q (.., 2d + 2) at positions (.., m) of the axes and a tilt (.., 2)."""
@@ -233,32 +233,32 @@ class Hardware:
         """The hardware of a TOML file; raises HardwareError, also where it cannot move the robot that it names."""
         try:
             data = read_toml(path)
-            check_keys(HardwareError, "hardware", data, KEYS)
+            check_keys(HardwareError, "hardware", data, HARDWARE_FILE_KEYS)
             if not isinstance(data.get("axes"), list):
                 raise HardwareError("hardware needs a list of axes, [[axes]] in TOML")
             if not isinstance(data.get("robot", ""), str):
                 raise HardwareError(f"robot is {data['robot']!r}; it must be the name of a robot file")
             record = read_commissioned(path)
             hardware = cls(
-                tuple(described(Axis, axis) for axis in data["axes"]),
-                described(Arm, data["arm"]) if "arm" in data else None,
-                described(Connection, data.get("connection", {})),
+                tuple(build_from_table(Axis, axis) for axis in data["axes"]),
+                build_from_table(Arm, data["arm"]) if "arm" in data else None,
+                build_from_table(Connection, data.get("connection", {})),
                 data.get("approach", cls.approach),
                 Robot.from_toml(Path(path).parent / data["robot"]) if "robot" in data else None,
                 data.get("late", cls.late),
                 None if record is None else record.settings,
-                described(Sensing, data["sensing"]) if "sensing" in data else None,
-                described(Lag, data["lag"]) if "lag" in data else None,
+                build_from_table(Sensing, data["sensing"]) if "sensing" in data else None,
+                build_from_table(BacklashAndDrag, data["lag"]) if "lag" in data else None,
                 () if record is None else record.untried,
             )
             if hardware.robot is not None:
-                hardware.tightened(hardware.robot)
+                hardware.apply_limits(hardware.robot)
             return hardware
         except (RobotError, HardwareError) as exception:
             raise HardwareError(f"hardware file {path}: {exception}") from exception
 
 
-def bench(robot: Robot) -> Hardware:
+def simulated_hardware(robot: Robot) -> Hardware:
     """A simulated rig for a robot of up to three tubes: what is played on where no hardware file is given.
 
     50 mm/s and 200 mm/s^2, 600 deg/s and 2000 deg/s^2. Raises HardwareError.

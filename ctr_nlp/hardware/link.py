@@ -7,13 +7,13 @@ from typing import Any, Protocol
 
 from ctr_nlp.exceptions import DeviceFault
 from ctr_nlp.hardware.journal import Journal
-from ctr_nlp.support.extras import needed
+from ctr_nlp.support.extras import import_extra
 
 WRITE_TIMEOUT = 1.0
 """s: a controller that takes no bytes for so long is lost."""
 
 
-class Link(Protocol):
+class ByteLink(Protocol):
     """An open connection; a lost one raises DeviceFault."""
 
     def write(self, data: bytes) -> None:
@@ -30,7 +30,7 @@ class SerialLink:
     """A port that pyserial can open: "/dev/ttyUSB0", "COM3", "socket://127.0.0.1:23". Raises DeviceFault."""
 
     def __init__(self, url: str, baud: int) -> None:
-        self._url, serial = url, needed("serial")
+        self._url, serial = url, import_extra("serial")
         self._lost: tuple[type[Exception], ...] = _failures(serial)
         unopened: tuple[type[Exception], ...] = (*self._lost, ValueError)
         try:
@@ -74,7 +74,7 @@ def _failures(serial: Any) -> tuple[type[Exception], ...]:
 class RecordedLink:
     """A link of which every byte is in a journal: what is sent before it is sent, what comes when it has come."""
 
-    def __init__(self, link: Link, journal: Journal) -> None:
+    def __init__(self, link: ByteLink, journal: Journal) -> None:
         self._link, self._journal = link, journal
 
     def write(self, data: bytes) -> None:

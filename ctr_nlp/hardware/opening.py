@@ -16,7 +16,7 @@ from ctr_nlp.hardware.devices.ros2.device import Ros2
 from ctr_nlp.hardware.devices.simulated import Simulated
 from ctr_nlp.hardware.devices.ur import UrArm
 from ctr_nlp.hardware.journal import Journal
-from ctr_nlp.hardware.link import Link, RecordedLink, SerialLink
+from ctr_nlp.hardware.link import ByteLink, RecordedLink, SerialLink
 from ctr_nlp.hardware.playing.trust import Memory, state_folder
 from ctr_nlp.typing import Array
 
@@ -31,7 +31,7 @@ def device_of(hardware: Hardware, journal: Journal, clock: Clock, position: Arra
     return Simulated(position, clock)
 
 
-def recorded_link(connection: Connection, journal: Journal) -> Link:
+def recorded_link(connection: Connection, journal: Journal) -> ByteLink:
     """An open link to a Grbl controller, of which every byte is in a journal; raises DeviceFault."""
     return RecordedLink(SerialLink(connection.url, connection.baud), journal)
 

@@ -12,30 +12,30 @@ from typing import Any
 
 from ctr_nlp.exceptions import CtrError, OptionError
 from ctr_nlp.formulations.settings import Settings
-from ctr_nlp.live.page.news import told, verdict_list
-from ctr_nlp.live.page.panel import Panel
+from ctr_nlp.live.page.news import status_message, verdict_list
+from ctr_nlp.live.page.panel import ControlPanel
 from ctr_nlp.live.page.scene import Scene
-from ctr_nlp.live.page.server import HOST, PORT, served, stopped
-from ctr_nlp.live.steered.drive import fit
+from ctr_nlp.live.page.server import HOST, PORT, start_server, stop_server
+from ctr_nlp.live.steered.drive import suitable_models
 from ctr_nlp.live.steered.recording import Recording
-from ctr_nlp.live.steered.session import Seen, Session
+from ctr_nlp.live.steered.session import Session, SessionState
 from ctr_nlp.loads import Load
 from ctr_nlp.models import DEFAULT_MODEL
 from ctr_nlp.plan.plan import Plan
 from ctr_nlp.robot import Robot
-from ctr_nlp.steer.nlp_frames import DEFAULTS
-from ctr_nlp.support.values import check_choice, instance
+from ctr_nlp.steer.nlp_frames import DEFAULT_PLANNER_SETTINGS
+from ctr_nlp.support.values import check_choice, check_instance
 from ctr_nlp.target.problem import Problem
 
-OWN = "the problem's own"
+PROBLEM_ROBOT_LABEL = "the problem's own"
 """The name of the robot that the problem comes with."""
-HIGH = 640
+NOTEBOOK_FRAME_HEIGHT_PX = 640
 """Pixels of the frame in a notebook."""
-LOOK = 0.05
+WAIT_POLL_S = 0.05
 """s between two looks at whether waiting has ended."""
-RECENT = 60
+TIMED_STEP_COUNT = 60
 """Steps over which it is told what part of the time they take."""
-NOTICED = 4.0
+SNAP_NOTICE_S = 4.0
 """s for which it is told that the robot snapped."""
 
 
@@ -49,37 +49,37 @@ class Live:
         self,
         problem: Problem,
         model: str = DEFAULT_MODEL,
-        settings: Settings = DEFAULTS,
+        settings: Settings = DEFAULT_PLANNER_SETTINGS,
         robots: Mapping[str, Robot] | None = None,
         host: str = HOST,
         port: int = PORT,
-        keep: Callable[[Plan], str] | None = None,
+        save_plan: Callable[[Plan], str] | None = None,
         load: Load | None = None,
     ) -> None:
         """Serve; raises OptionError where a port is in use, nothing can be compiled, or viser is not installed.
 
-        robots: others to choose from, by name. host, port: where; port 0 takes any that is free. keep: what is
-        done with a recorded plan, in a thread of its own; what it returns tells where the plan went. load: what
+        robots: others to choose from, by name. host, port: where; port 0 takes any that is free. save_plan: what
+        is done with a recorded plan, in a thread of its own; what it returns tells where the plan went. load: what
         the robot bears, on the elastic model. Raises as Session, too.
         """
-        instance(OptionError, "problem", problem, Problem)
+        check_instance(OptionError, "problem", problem, Problem)
         self.plan: Plan | None = None
-        self._problem, self._settings, self._keep = problem, settings, keep
-        self._robots = {OWN: problem.robot, **(robots or {})}
+        self._problem, self._settings, self._keep = problem, settings, save_plan
+        self._robots = {PROBLEM_ROBOT_LABEL: problem.robot, **(robots or {})}
         self._inbox: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
-        self._spent: deque[float] = deque(maxlen=RECENT)
-        self._news, self._snapped = "", -NOTICED
+        self._spent: deque[float] = deque(maxlen=TIMED_STEP_COUNT)
+        self._news, self._snapped = "", -SNAP_NOTICE_S
         self._course = 0.0
         self._writing: threading.Thread | None = None
         self._ending, self._failures = threading.Event(), list[Exception]()
         self._session = Session(problem, model, settings, load=load)
-        self._server = served(host, port)
+        self._server = start_server(host, port)
         self.url = f"http://{host}:{self._server.get_port()}"
-        self._draw(OWN)
+        self._build_page(PROBLEM_ROBOT_LABEL)
         self._thread = threading.Thread(target=self._run, daemon=True)
         self._thread.start()
 
-    def show(self, height: int = HIGH) -> Any:
+    def show(self, height: int = NOTEBOOK_FRAME_HEIGHT_PX) -> Any:
         """The page within a notebook, as an IFrame so many pixels high; raises OptionError outside of IPython."""
         try:
             from IPython.display import IFrame
@@ -90,7 +90,7 @@ class Live:
     def wait(self, ended: Callable[[], bool]) -> None:
         """Serve until ended() is true, in the main thread; raises what has made steering fail."""
         while not ended() and self._thread.is_alive():
-            time.sleep(LOOK)
+            time.sleep(WAIT_POLL_S)
         self.stop()
 
     def stop(self) -> None:
@@ -99,7 +99,7 @@ class Live:
         self._thread.join()
         if self._writing is not None:
             self._writing.join()
-        stopped(self._server)
+        stop_server(self._server)
         if self._failures:
             raise self._failures[0]
 
@@ -145,7 +145,7 @@ class Live:
             except CtrError as error:
                 self._news = f"{error}."
 
-    def _step(self) -> Seen:
+    def _step(self) -> SessionState:
         session = self._session
         if self._course:
             progress = session.goal.progress + self._course * session.dt / session.problem.duration
@@ -156,20 +156,20 @@ class Live:
             self._snapped = time.monotonic()
         return seen
 
-    def _show(self, seen: Seen) -> None:
+    def _show(self, seen: SessionState) -> None:
         session, busy = self._session, sum(self._spent) / max(len(self._spent), 1) / self._session.dt
-        snapped = time.monotonic() - self._snapped < NOTICED
+        snapped = time.monotonic() - self._snapped < SNAP_NOTICE_S
         with self._server.atomic():
-            self._scene.show(seen, session.goal.handles, self._panel.by)
-            self._panel.show(seen, bool(self._course), told(session, snapped, self._news), busy)
+            self._scene.show(seen, session.goal.handles, self._panel.colour_quantity)
+            self._panel.show(seen, bool(self._course), status_message(session, snapped, self._news), busy)
         self._server.flush()
 
-    def _draw(self, robot: str) -> None:
+    def _build_page(self, robot: str) -> None:
         """Draw the session anew, which has this robot."""
-        self._scene = Scene(self._server, self._session.problem, self._pulled)
-        self._panel = Panel(self._server.gui, self._session, tuple(self._robots), robot, self)
+        self._scene = Scene(self._server, self._session.problem, self._pull_handle)
+        self._panel = ControlPanel(self._server.gui, self._session, tuple(self._robots), robot, self)
 
-    def _pulled(self, handle: int, point: Any) -> None:
+    def _pull_handle(self, handle: int, point: Any) -> None:
         self.ask(lambda session: session.pull(handle, point))
 
     def _set_off(self, on: bool) -> None:
@@ -179,27 +179,27 @@ class Live:
         check_choice("robot", name, self._robots)
         problem = replace(self._problem, robot=self._robots[name])
         load = self._session.load
-        models = fit(problem, load)
+        models = suitable_models(problem, load)
         if not models:
             borne = "" if load is None else ", which would have to bear a load"
             raise OptionError(f"no model describes the robot {name!r}{borne}")
         before, self._course = self._session, 0.0
-        model = before.wanted if before.wanted in models else models[0]
+        model = before.requested_model if before.requested_model in models else models[0]
         self._session = Session(problem, model, self._settings, load=load)
         self._panel.remove()
         self._server.scene.reset()
-        self._draw(name)
+        self._build_page(name)
 
     def _record(self) -> None:
-        if self._session.recorded is None:
+        if self._session.moment_count is None:
             self._session.record()
             self._news = "Everything that the robot does is recorded."
         else:
-            self._writing = threading.Thread(target=self._kept, args=(self._session.recording(),))
+            self._writing = threading.Thread(target=self._finish_recording, args=(self._session.end_recording(),))
             self._writing.start()
             self._news = "The plan is being made of what was recorded."
 
-    def _kept(self, recording: Recording) -> None:
+    def _finish_recording(self, recording: Recording) -> None:
         """Make a plan and keep it, beside the steps that go on."""
         try:
             plan = recording.plan().check()

@@ -2,6 +2,14 @@
 
 from ctr_nlp.loads.load import Load
 from ctr_nlp.loads.modulus import check_moduli, with_modulus
-from ctr_nlp.loads.over_time import LoadOverTime, load_from_dict, read_load, steady
+from ctr_nlp.loads.over_time import LoadOverTime, load_from_dict, read_load, require_constant_load
 
-__all__ = ["Load", "LoadOverTime", "check_moduli", "load_from_dict", "read_load", "steady", "with_modulus"]
+__all__ = [
+    "Load",
+    "LoadOverTime",
+    "check_moduli",
+    "load_from_dict",
+    "read_load",
+    "require_constant_load",
+    "with_modulus",
+]

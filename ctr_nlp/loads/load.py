@@ -21,22 +21,22 @@ from ctr_nlp.loads.modulus import check_moduli
 from ctr_nlp.robot import Robot
 from ctr_nlp.robot.units import between, did_you_mean
 from ctr_nlp.support.packing import packable
-from ctr_nlp.support.values import check_keys, floats, number, strict_json, unchanging
+from ctr_nlp.support.values import check_keys, floats, number, strict_json, to_nested_tuples
 from ctr_nlp.typing import Array
 
-AXES = "base", "tool"
+LOAD_AXES = "base", "tool"
 """Frames in which a force and a moment at the tip may be given: the robot's base, or its tip."""
-FORCE, MOMENT, PER_LENGTH = 100.0, 1000.0, 10.0
+MAX_LOAD_FORCE_N, MAX_LOAD_MOMENT_N_MM, MAX_LOAD_FORCE_N_PER_MM = 100.0, 1000.0, 10.0
 """Largest tip force, N, moment, N mm, and force per length, N/mm: some hundred times what robots bear."""
-DENSITIES = (0.5, 25.0)
+TUBE_DENSITY_RANGE_G_PER_CM3 = (0.5, 25.0)
 """Least and largest density of a tube, g/cm^3, from light polymers to beyond platinum."""
 GRAVITY = 9.80665
 """Standard acceleration of gravity, m/s^2."""
 PER_MM3 = 1e-6
 """One g/cm^3 in kg/mm^3."""
-BETWEEN = slice(15, 17)
+FORCE_RANGE_COLUMNS = slice(15, 17)
 """Where a load's numbers have the arc lengths, mm, between which a force acts along the body."""
-BEFORE_WEIGHTS = 17
+FIRST_WEIGHT_COLUMN = 17
 """How many numbers of a load come before the weights of the tubes' materials, which are three a tube."""
 
 
@@ -98,15 +98,15 @@ class Load:
 
     def __post_init__(self) -> None:
         for f in fields(self):
-            object.__setattr__(self, f.name, unchanging(getattr(self, f.name)))
-        if self.axes not in AXES:
-            raise LoadError(f"axes of a load are {self.axes!r}; they must be {' or '.join(AXES)}")
+            object.__setattr__(self, f.name, to_nested_tuples(getattr(self, f.name)))
+        if self.axes not in LOAD_AXES:
+            raise LoadError(f"axes of a load are {self.axes!r}; they must be {' or '.join(LOAD_AXES)}")
         vector = floats(LoadError, "force of a load", self.force, (3,))
-        _limited("force of a load", math.hypot(*vector), FORCE, ("N", "mN", "µN", "nN"))
+        _check_size("force of a load", math.hypot(*vector), MAX_LOAD_FORCE_N, ("N", "mN", "µN", "nN"))
         axial = number(LoadError, "axial_moment of a load", self.axial_moment, math.isfinite, "be finite", " N mm")
         moment = floats(LoadError, "moment of a load", self.moment, (3,))
         for name, size in ("axial_moment", axial), ("moment", math.hypot(*moment)):
-            _limited(f"{name} of a load", size, MOMENT, ("N mm", "mN mm", "µN mm", "nN mm"))
+            _check_size(f"{name} of a load", size, MAX_LOAD_MOMENT_N_MM, ("N mm", "mN mm", "µN mm", "nN mm"))
         object.__setattr__(self, "force", tuple(vector.tolist()))
         object.__setattr__(self, "moment", tuple(moment.tolist()))
         self._check_distributed()
@@ -121,7 +121,7 @@ class Load:
             return
         vector = floats(LoadError, "distributed_force of a load", self.distributed_force, (3,))
         size = math.hypot(*vector)
-        _limited("distributed_force of a load", size, PER_LENGTH, ("N/mm", "N/m"))
+        _check_size("distributed_force of a load", size, MAX_LOAD_FORCE_N_PER_MM, ("N/mm", "N/m"))
         begin, end = floats(LoadError, "between of a load", self.between, (2,)).tolist()
         if not 0 <= begin < end:
             raise LoadError(
@@ -141,34 +141,38 @@ class Load:
             raise LoadError(f"down of a load is {self.down}; it must be a direction, not zero")
         # How many densities there must be is known only where a robot is: numbers() looks.
         several = isinstance(self.densities, tuple)
-        low, high = DENSITIES
+        low, high = TUBE_DENSITY_RANGE_G_PER_CM3
         for each in self.densities if several else (self.densities,):
-            meant = [f"{each / 1e3:g} g/cm³ ({each:g} kg/m³)"] if _plausible(each, 1e-3, DENSITIES) else []
+            meant = (
+                [f"{each / 1e3:g} g/cm³ ({each:g} kg/m³)"]
+                if _plausible(each, 1e-3, TUBE_DENSITY_RANGE_G_PER_CM3)
+                else []
+            )
             allowed = f"lie in [{low:g}, {high:g}] g/cm³{did_you_mean(meant)}"
             number(LoadError, "densities of a load", each, between(low, high), allowed, " g/cm³")
 
     @property
     def conservative(self) -> bool:
         """Whether the load has an energy, and so the loaded robot a stability margin."""
-        return not (self.axial_moment or self.bends or self.follows)
+        return not (self.axial_moment or self.has_tip_moment or self.has_follower_force)
 
     @property
-    def follows(self) -> bool:
+    def has_follower_force(self) -> bool:
         """Whether a force acts at the tip that turns with the tool."""
         return self.axes == "tool" and any(self.force)
 
     @property
-    def bends(self) -> bool:
+    def has_tip_moment(self) -> bool:
         """Whether a moment acts at the tip that need not be about its direction."""
         return any(self.moment)
 
     @property
-    def distributed(self) -> bool:
+    def has_distributed_force(self) -> bool:
         """Whether a force acts along the body, apart from the tubes' weight."""
         return self.distributed_force is not None and any(self.distributed_force)
 
     @property
-    def weighs(self) -> bool:
+    def has_weight(self) -> bool:
         """Whether the tubes have a weight."""
         return self.densities is not None
 
@@ -219,21 +223,21 @@ class Load:
         """
         # Forces and moments, each in base and in tool directions: those that are not given are 0. A load over time
         # may change from one directions to the other, and then both count for a while.
-        at_tip = np.zeros((2, len(AXES), 3))
-        at_tip[:, AXES.index(self.axes)] = self.force, self.moment
+        at_tip = np.zeros((2, len(LOAD_AXES), 3))
+        at_tip[:, LOAD_AXES.index(self.axes)] = self.force, self.moment
         # The moment about the tip's direction is one about z of the tool, whatever `axes` says of the others.
-        at_tip[1, AXES.index("tool"), 2] += self.axial_moment
-        along = (*self.distributed_force, *self.between) if self.distributed else np.zeros(5)
+        at_tip[1, LOAD_AXES.index("tool"), 2] += self.axial_moment
+        along = (*self.distributed_force, *self.between) if self.has_distributed_force else np.zeros(5)
         return np.array([*at_tip.flat, *along, *self._weights(d).flat])
 
-    def over(self, d: int, part: Array) -> Array:
+    def numbers_at(self, d: int, motion_fractions: Array) -> Array:
         """Return the load's numbers at several times of a motion; they are the same at all.
 
         Parameters
         ----------
         d : int
             Number of the robot's tubes.
-        part : (n,) array
+        motion_fractions : (n,) array
             Times as parts of the motion, from 0, its first frame, to 1, its last one. Only their number counts
             here; a load over time differs from one to the next.
 
@@ -247,7 +251,7 @@ class Load:
         LoadError
             There are densities of another number of tubes.
         """
-        return np.repeat(self.numbers(d)[None], len(part), axis=0)
+        return np.repeat(self.numbers(d)[None], len(motion_fractions), axis=0)
 
     def _weights(self, d: int) -> Array:
         """Weights per volume of the materials of d tubes as vectors in the base frame, (d, 3) N/mm^3."""
@@ -307,10 +311,10 @@ class Load:
             told.append(f"a tip force of ({x:g}, {y:g}, {z:g}) N{tool}")
         if self.axial_moment:
             told.append(f"an axial moment of {self.axial_moment:g} N mm")
-        if self.bends:
+        if self.has_tip_moment:
             x, y, z = self.moment
             told.append(f"a tip moment of ({x:g}, {y:g}, {z:g}) N mm{tool}")
-        if self.distributed:
+        if self.has_distributed_force:
             (x, y, z), (begin, end) = self.distributed_force, self.between
             told.append(f"({x:g}, {y:g}, {z:g}) N/mm between {begin:g} and {end:g} mm from the opening")
         if self.densities is not None:
@@ -318,7 +322,7 @@ class Load:
         return " and ".join(told) or "no load"
 
 
-def _limited(name: str, value: float, most: float, units: tuple[str, ...]) -> None:
+def _check_size(name: str, value: float, most: float, units: tuple[str, ...]) -> None:
     """Raise LoadError where a value is larger than any robot of this kind bears.
 
     name: of the value in the message; most: the largest size allowed; units: that of the value first, then smaller

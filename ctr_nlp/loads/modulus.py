@@ -9,11 +9,11 @@ from ctr_nlp.robot import Robot
 from ctr_nlp.robot.units import between, did_you_mean
 from ctr_nlp.support.values import number
 
-MODULI = (100.0, 500_000.0)
+MODULUS_RANGE_MPA = (100.0, 500_000.0)
 """Least and largest modulus of a tube, MPa, from soft polymers to beyond steel."""
-RATIO = 10.0
+MAX_MODULUS_RATIO = 10.0
 """A modulus of less is a ratio to those of other tubes, or written in GPa."""
-REMEDY = (
+MODULUS_REMEDY = (
     "; this one looks like a ratio, which is enough without loads: write moduli into the robot file, or give one "
     "by with_modulus (--youngs-modulus)"
 )
@@ -24,11 +24,11 @@ PA, GPA = 1e-6, 1e3
 def check_moduli(robot: Robot) -> None:
     """Raise LoadError unless every tube has a Young's modulus in MPa, which a load needs."""
     for i, tube in enumerate(robot.tubes, start=1):
-        value, (low, high) = tube.youngs_modulus, MODULI
+        value, (low, high) = tube.youngs_modulus, MODULUS_RANGE_MPA
         if low <= value <= high:
             continue
-        found = did_you_mean(_meant(value))
-        left_out = REMEDY * (value <= RATIO)
+        found = did_you_mean(_suggest_moduli(value))
+        left_out = MODULUS_REMEDY * (value <= MAX_MODULUS_RATIO)
         raise LoadError(
             f"youngs_modulus of tube {i} is {value:g}; under a load it must be in MPa and lie in "
             f"[{low:g}, {high:g}], as about 60000 of nitinol{left_out}{found}"
@@ -41,16 +41,16 @@ def with_modulus(robot: Robot, modulus: float) -> Robot:
     modulus: in MPa, of a tube whose ratio is 1; the others keep their ratio to it. A robot whose tubes have moduli
     in MPa, of which this is one, stays as it is. Raises LoadError.
     """
-    low, high = MODULI
+    low, high = MODULUS_RANGE_MPA
     value = number(
         LoadError,
         "youngs_modulus of a robot",
         modulus,
         lambda given: low <= given <= high,
-        f"be in MPa and lie in [{low:g}, {high:g}]{did_you_mean(_meant(modulus))}",
+        f"be in MPa and lie in [{low:g}, {high:g}]{did_you_mean(_suggest_moduli(modulus))}",
     )
     own = [tube.youngs_modulus for tube in robot.tubes]
-    if max(own) > RATIO:
+    if max(own) > MAX_MODULUS_RATIO:
         check_moduli(robot)
         if value not in own:
             raise LoadError(
@@ -65,10 +65,10 @@ def with_modulus(robot: Robot, modulus: float) -> Robot:
     return found
 
 
-def _meant(value: object) -> list[str]:
+def _suggest_moduli(value: object) -> list[str]:
     """The moduli in MPa that one in GPa or Pa was perhaps meant to be."""
     if not isinstance(value, int | float):
         return []
-    plausible = between(*MODULI)
+    plausible = between(*MODULUS_RANGE_MPA)
     offers = ((value * GPA, f"{value:g} GPa"), (value * PA, f"{value:g} Pa"))
-    return [f"{mpa:g} MPa ({written})" for mpa, written in offers if plausible(mpa) and value > RATIO]
+    return [f"{mpa:g} MPa ({written})" for mpa, written in offers if plausible(mpa) and value > MAX_MODULUS_RATIO]

@@ -10,13 +10,13 @@ from typing import Any
 import numpy as np
 
 from ctr_nlp.exceptions import CtrError, LoadError
-from ctr_nlp.loads.load import BETWEEN, Load
+from ctr_nlp.loads.load import FORCE_RANGE_COLUMNS, Load
 from ctr_nlp.robot import Robot
 from ctr_nlp.support.packing import packable
-from ctr_nlp.support.values import floats, instance, read_toml
+from ctr_nlp.support.values import check_instance, floats, read_toml
 from ctr_nlp.typing import Array
 
-KEY, AT = "over_time", "at"
+LOADS_OVER_TIME_KEY, LOAD_TIME_KEY = "over_time", "at"
 """Keys of files and plans: the list of loads, and the time of each as a part of the motion."""
 
 
@@ -51,15 +51,16 @@ class LoadOverTime:
     def __post_init__(self) -> None:
         object.__setattr__(self, "loads", tuple(self.loads))
         for number, load in enumerate(self.loads, start=1):
-            instance(LoadError, f"load {number} of a load over time", load, Load)
-        times = floats(LoadError, f"{AT} of a load over time", self.at, (len(self.loads),))
-        object.__setattr__(self, AT, tuple(times.tolist()))
+            check_instance(LoadError, f"load {number} of a load over time", load, Load)
+        times = floats(LoadError, f"{LOAD_TIME_KEY} of a load over time", self.at, (len(self.loads),))
+        object.__setattr__(self, LOAD_TIME_KEY, tuple(times.tolist()))
         if len(times) < 2 or times[0] != 0 or times[-1] != 1 or not (np.diff(times) > 0).all():
             raise LoadError(
-                f"{AT} of a load over time is {list(self.at)}; it must be two or more parts of the motion that "
+                f"{LOAD_TIME_KEY} of a load over time is {list(self.at)}; it must be two or more parts of the "
+                f"motion that "
                 "rise from 0, its first frame, to 1, its last one"
             )
-        if len({load.between for load in self.loads if load.distributed}) > 1:
+        if len({load.between for load in self.loads if load.has_distributed_force}) > 1:
             raise LoadError("between of the loads of a load over time differs; it must be the same places for all")
 
     @property
@@ -68,24 +69,24 @@ class LoadOverTime:
         return all(load.conservative for load in self.loads)
 
     @property
-    def follows(self) -> bool:
+    def has_follower_force(self) -> bool:
         """Whether at some time a force acts at the tip that turns with the tool."""
-        return any(load.follows for load in self.loads)
+        return any(load.has_follower_force for load in self.loads)
 
     @property
-    def bends(self) -> bool:
+    def has_tip_moment(self) -> bool:
         """Whether at some time a moment acts at the tip that need not be about its direction."""
-        return any(load.bends for load in self.loads)
+        return any(load.has_tip_moment for load in self.loads)
 
     @property
-    def distributed(self) -> bool:
+    def has_distributed_force(self) -> bool:
         """Whether at some time a force acts along the body, apart from the tubes' weight."""
-        return any(load.distributed for load in self.loads)
+        return any(load.has_distributed_force for load in self.loads)
 
     @property
-    def weighs(self) -> bool:
+    def has_weight(self) -> bool:
         """Whether at some time the tubes have a weight."""
-        return any(load.weighs for load in self.loads)
+        return any(load.has_weight for load in self.loads)
 
     def check(self, robot: Robot) -> None:
         """Check that a robot can bear each of the loads.
@@ -103,14 +104,14 @@ class LoadOverTime:
         for load in self.loads:
             load.check(robot)
 
-    def over(self, d: int, part: Array) -> Array:
+    def numbers_at(self, d: int, motion_fractions: Array) -> Array:
         """Return the load's numbers at several times of a motion, linear between the times that are given.
 
         Parameters
         ----------
         d : int
             Number of the robot's tubes.
-        part : (n,) array
+        motion_fractions : (n,) array
             Times as parts of the motion, from 0, its first frame, to 1, its last one.
 
         Returns
@@ -127,13 +128,17 @@ class LoadOverTime:
         for load, row in zip(self.loads, known, strict=True):
             # A load without a force along the body has 0 for the places between which it acts. Interpolated, these
             # would wander along the body while the force grows: it has the places of the other loads.
-            if self.distributed and not load.distributed:
-                row[BETWEEN] = next(each.between for each in self.loads if each.distributed)
-        return np.stack([np.interp(part, self.at, column) for column in known.T], axis=1)
+            if self.has_distributed_force and not load.has_distributed_force:
+                row[FORCE_RANGE_COLUMNS] = next(each.between for each in self.loads if each.has_distributed_force)
+        return np.stack([np.interp(motion_fractions, self.at, column) for column in known.T], axis=1)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the load as a dict of numbers, strings and lists, fit for strict JSON."""
-        return {KEY: [{AT: at} | load.to_dict() for at, load in zip(self.at, self.loads, strict=True)]}
+        return {
+            LOADS_OVER_TIME_KEY: [
+                {LOAD_TIME_KEY: at} | load.to_dict() for at, load in zip(self.at, self.loads, strict=True)
+            ]
+        }
 
     def __str__(self) -> str:
         """Describe the load in words, as tables and verdicts print it."""
@@ -160,15 +165,25 @@ def load_from_dict(data: Any) -> Load | LoadOverTime:
     LoadError
         `data` describes no load.
     """
-    if not isinstance(data, Mapping) or KEY not in data:
+    if not isinstance(data, Mapping) or LOADS_OVER_TIME_KEY not in data:
         return Load.from_dict(data)
     if len(data) > 1:
-        raise LoadError(f"a load has {KEY} and other keys; write these into each table of {KEY}")
-    tables = data[KEY]
-    if not isinstance(tables, Sequence) or not all(isinstance(table, Mapping) and AT in table for table in tables):
-        raise LoadError(f"{KEY} of a load is {tables!r:.60}; it must be tables, each with {AT} and keys of a load")
-    loads = [Load.from_dict({key: value for key, value in table.items() if key != AT}) for table in tables]
-    return LoadOverTime(loads, [table[AT] for table in tables])
+        raise LoadError(
+            f"a load has {LOADS_OVER_TIME_KEY} and other keys; write these into each table of "
+            f"{LOADS_OVER_TIME_KEY}"
+        )
+    tables = data[LOADS_OVER_TIME_KEY]
+    if not isinstance(tables, Sequence) or not all(
+        isinstance(table, Mapping) and LOAD_TIME_KEY in table for table in tables
+    ):
+        raise LoadError(
+            f"{LOADS_OVER_TIME_KEY} of a load is {tables!r:.60}; it must be tables, each with {LOAD_TIME_KEY} "
+            f"and keys of a load"
+        )
+    loads = [
+        Load.from_dict({key: value for key, value in table.items() if key != LOAD_TIME_KEY}) for table in tables
+    ]
+    return LoadOverTime(loads, [table[LOAD_TIME_KEY] for table in tables])
 
 
 def read_load(path: str | Path) -> Load | LoadOverTime:
@@ -205,7 +220,7 @@ def read_load(path: str | Path) -> Load | LoadOverTime:
         raise LoadError(f"load file {path}: {error}") from error
 
 
-def steady(load: Load | LoadOverTime | None, what: str) -> Load:
+def require_constant_load(load: Load | LoadOverTime | None, what: str) -> Load:
     """Return a load that does not change over time.
 
     Parameters

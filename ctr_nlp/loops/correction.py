@@ -9,18 +9,18 @@ import casadi as ca
 import numpy as np
 from scipy.linalg import lapack
 
-from ctr_nlp.nlp.nlp import Constraint, Cost, Nlp, Residual
+from ctr_nlp.nlp.nlp import Constraint, CostTerm, Nlp, Residual
 from ctr_nlp.robot import Robot
 from ctr_nlp.solvers.frame.program import Program
 from ctr_nlp.typing import Array
 
-SHORT = 30.0
+MARGIN_SHORTFALL_COST_MM2 = 30.0
 """mm^2 that what must hold costs where it is missed by 1: it is held unless limits of speed do not allow it."""
-NEAR = 1e-3
+MAX_CORRECTION_VIOLATION = 1e-3
 """rad, mm and parts of a margin by which limits may be missed for want of digits, before they are held."""
 
 
-class Place(NamedTuple):
+class LinearisedRobot(NamedTuple):
     """The estimated robot where its tubes are at q (2d + 2,), and how it changes to first order with them.
 
     seen (n, 3): places of its shape, mm, with slopes over (2d + 2, n, 3); margin, NaN where nothing can be
@@ -28,8 +28,8 @@ class Place(NamedTuple):
     """
 
     q: Array
-    seen: Array
-    over: Array
+    points: Array
+    point_slopes: Array
     margin: float
     of_margin: Array
 
@@ -47,12 +47,19 @@ class Correction:
         self._program = Program(_nlp(robot), wait=True)
         nlp = self._program.nlp
         self._root, self._wanted, self._margin, self._growth = (
-            self._program.p[nlp.place(name)] for name in ("root", "wanted", "margin", "growth")
+            self._program.p[nlp.parameter_slice(name)] for name in ("root", "wanted", "margin", "growth")
         )
         self._betas = slice(robot.d, 2 * robot.d)
 
     def __call__(
-        self, at: Place, wanted: Array, planned: Array, low: Array, high: Array, margin: float, pull: float
+        self,
+        at: LinearisedRobot,
+        wanted: Array,
+        planned: Array,
+        low: Array,
+        high: Array,
+        margin: float,
+        pull: float,
     ) -> Array | None:
         """The configuration of the tubes (2d + 2,) within low and high; None where none is found.
 
@@ -62,8 +69,8 @@ class Correction:
         """
         q, size, program = at.q, self._size, self._program
         scale = math.sqrt(pull) * self._mm_per_unit
-        slopes = at.over.reshape(size, -1).T * self._roots[:, None]
-        away = (wanted - at.seen).ravel() * self._roots
+        slopes = at.point_slopes.reshape(size, -1).T * self._roots[:, None]
+        away = (wanted - at.points).ravel() * self._roots
         # Shape and pull together, |J s - away|^2 + |scale (s + q - planned)|^2, are |R s - r|^2 but for a
         # constant, with R'R = J'J + scale^2: a small triangular program in place of a row for each place. The pull
         # makes it positive definite.
@@ -80,7 +87,7 @@ class Correction:
         program.x[:] = np.append(np.clip(0.0, low - q, high - q), 0.0)
         program.multipliers[:] = 0.0
         found = program.run()
-        return None if found.violation > NEAR else np.clip(q + program.x[:size], low, high)
+        return None if found.violation > MAX_CORRECTION_VIOLATION else np.clip(q + program.x[:size], low, high)
 
 
 def _nlp(robot: Robot) -> Nlp:
@@ -98,9 +105,9 @@ def _nlp(robot: Robot) -> Nlp:
         free,
         {"root": root, "wanted": wanted, "margin": margin, "growth": growth},
         residuals=(Residual("shape", ca.triu(root) @ step - wanted),),
-        costs=(Cost("short", SHORT * short),),
+        costs=(CostTerm("short", MARGIN_SHORTFALL_COST_MM2 * short),),
         constraints=(
-            Constraint("order", order, np.zeros(d - 1), np.asarray(robot.most_growth)),
+            Constraint("order", order, np.zeros(d - 1), np.asarray(robot.max_extension_differences)),
             Constraint("margin", held, np.zeros(1), np.full(1, np.inf)),
         ),
         slacks=1,

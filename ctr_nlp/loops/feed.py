@@ -8,53 +8,59 @@ from dataclasses import dataclass
 import numpy as np
 
 from ctr_nlp.loops.plant import Plant
-from ctr_nlp.loops.sensors import Reading, Seen, Sensors
+from ctr_nlp.loops.sensors import Reading, SensedShape, Sensors
 from ctr_nlp.typing import Array, Index
 
 Random = np.random.Generator
 
 
 @dataclass(frozen=True)
-class Fault:
+class SensorFault:
     """A fault of a sensor from one time until another, s. This base class changes nothing."""
 
     begin: float = 0.0
     end: float = np.inf
 
-    def at(self, time: float) -> bool:
+    def is_active_at(self, time: float) -> bool:
         """Return whether the fault is there at a time, s."""
         return self.begin <= time < self.end
 
-    def seen(self, seen: Seen) -> Seen:
+    def distort_shape(self, shape: SensedShape) -> SensedShape:
         """Return the shape that the faulty sensor looks at in place of the real one."""
-        return seen
+        return shape
 
-    def told(self, values: Array, before: Array | None, random: Random, groups: Sequence[Index]) -> Array:
+    def distort_values(
+        self, values: Array, before: Array | None, random: Random, groups: Sequence[Index]
+    ) -> Array:
         """Return what the faulty sensor reports, (m,), in place of its values (m,).
 
         before: values that were reported last, or None. random: generator of random numbers. groups: rows of
-        values that belong together (Sensors.grouped).
+        values that belong together (Sensors.value_groups).
         """
         return values
 
 
 @dataclass(frozen=True)
-class Silence(Fault):
+class Silence(SensorFault):
     """All values are missing."""
 
-    def told(self, values: Array, before: Array | None, random: Random, groups: Sequence[Index]) -> Array:
+    def distort_values(
+        self, values: Array, before: Array | None, random: Random, groups: Sequence[Index]
+    ) -> Array:
         """Return NaN for all values (m,)."""
         return np.full_like(values, np.nan)
 
 
 @dataclass(frozen=True)
-class Outliers(Fault):
+class Outliers(SensorFault):
     """A share of the groups of values is off by size, in a direction of its own each time."""
 
     share: float = 0.3
     size: float = 20.0
 
-    def told(self, values: Array, before: Array | None, random: Random, groups: Sequence[Index]) -> Array:
+    def distort_values(
+        self, values: Array, before: Array | None, random: Random, groups: Sequence[Index]
+    ) -> Array:
         """Return values (m,) of which a share of the groups is off by size, in a random direction each."""
         found = values.copy()
         for rows in groups:
@@ -65,40 +71,42 @@ class Outliers(Fault):
 
 
 @dataclass(frozen=True)
-class Late(Fault):
+class LateReadings(SensorFault):
     """Values are those of some time before, s, and are told as if they were of now."""
 
     delay: float = 0.2
 
 
 @dataclass(frozen=True)
-class Shifted(Fault):
+class ShiftedPoints(SensorFault):
     """A registration that jumps: points are off by (x, y, z), mm."""
 
     offset: tuple[float, float, float] = (2.0, 0.0, 0.0)
 
-    def seen(self, seen: Seen) -> Seen:
+    def distort_shape(self, shape: SensedShape) -> SensedShape:
         """Return the shape with its points shifted by the offset, mm."""
-        return seen._replace(points=seen.points + self.offset)
+        return shape._replace(points=shape.points + self.offset)
 
 
 @dataclass(frozen=True)
-class Swapped(Fault):
+class SwappedAxes(SensorFault):
     """Axes are taken for each other."""
 
     axes: tuple[int, int, int] = (1, 0, 2)
 
-    def seen(self, seen: Seen) -> Seen:
+    def distort_shape(self, shape: SensedShape) -> SensedShape:
         """Return the shape with axes exchanged, of points and tangents."""
         order = list(self.axes)
-        return seen._replace(points=seen.points[:, order], tangents=seen.tangents[:, order])
+        return shape._replace(points=shape.points[:, order], tangents=shape.tangents[:, order])
 
 
 @dataclass(frozen=True)
-class Stuck(Fault):
+class StuckReadings(SensorFault):
     """The last values are told again and again."""
 
-    def told(self, values: Array, before: Array | None, random: Random, groups: Sequence[Index]) -> Array:
+    def distort_values(
+        self, values: Array, before: Array | None, random: Random, groups: Sequence[Index]
+    ) -> Array:
         """Return the values that were reported last, (m,); the true ones where there are none yet."""
         return values if before is None else before
 
@@ -117,7 +125,7 @@ class Feed:
         seed: int = 0,
         latency: float = 0.0,
         dropped: float = 0.0,
-        faults: Sequence[Fault] = (),
+        faults: Sequence[SensorFault] = (),
         noise: float = 1.0,
     ) -> None:
         self._plant, self._sensors, self._random = plant, sensors, np.random.default_rng([seed, 3])
@@ -125,19 +133,19 @@ class Feed:
         self._waiting, self._taken = list[Reading](), list[Reading]()
         self._told: Array | None = None
 
-    def arrived(self, time: float) -> list[Reading]:
+    def take_readings(self, time: float) -> list[Reading]:
         """Measure at a time, s, and tell what arrives by then."""
-        faults = [fault for fault in self._faults if fault.at(time)]
-        seen = self._plant.seen(self._sensors.sigma)
+        faults = [fault for fault in self._faults if fault.is_active_at(time)]
+        seen = self._plant.sample_shape(self._sensors.sigma)
         for fault in faults:
-            seen = fault.seen(seen)
+            seen = fault.distort_shape(seen)
         noise = self._random.standard_normal(len(self._sensors)) * self._sensors.noise
         values = self._sensors.values(seen) + self._noise * noise
         self._taken.append(Reading(time, values))
         for fault in faults:
-            if isinstance(fault, Late):
+            if isinstance(fault, LateReadings):
                 values = self._earlier(time - fault.delay)
-            values = fault.told(values, self._told, self._random, self._sensors.grouped)
+            values = fault.distort_values(values, self._told, self._random, self._sensors.value_groups)
         if np.isfinite(values).any():
             self._told = values
         if self._random.random() >= self._dropped:

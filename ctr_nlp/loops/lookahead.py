@@ -1,10 +1,10 @@
 """Whether an estimated robot may be moved on: its stability margin there and on the way, and that of a likely one.
 
-A snap cannot be taken back, so it must be foreseen. Two robots are moved in SUBSTEPS parts of the way that motors
-would go: the estimated one, whose margin must not fall below the least margin, and one that is DEVIATIONS standard
-deviations of the margin less stable, which must not snap. The second one is moved as a robot of its own instead of
-being extrapolated from slopes: towards a fold the margin falls as the square root of the way that is left, so that
-a straight line through margin and slope promises twice the way that there is.
+A snap cannot be taken back, so it must be foreseen. Two robots are moved in LOOKAHEAD_SUBSTEPS parts of the way
+that motors would go: the estimated one, whose margin must not fall below the least margin, and one that is
+SNAP_SAFETY_DEVIATIONS standard deviations of the margin less stable, which must not snap. The second one is moved
+as a robot of its own instead of being extrapolated from slopes: towards a fold the margin falls as the square root
+of the way that is left, so that a straight line through margin and slope promises twice the way that there is.
 """
 
 from __future__ import annotations
@@ -19,10 +19,10 @@ from ctr_nlp.typing import Array
 LEAST_MARGIN = 0.05
 """Stability margin of the estimated robot below which it is not moved; half of the planned one where that is less.
 """
-DEVIATIONS = 3.0
+SNAP_SAFETY_DEVIATIONS = 3.0
 """Standard deviations of the margin by which a robot may be less stable than the estimated one and must not snap.
 """
-SUBSTEPS = 4
+LOOKAHEAD_SUBSTEPS = 4
 """Parts of the way to a configuration at whose ends the margin is looked at."""
 
 
@@ -53,7 +53,8 @@ def objection(observer: Observer, weaker: Observer | None, motors: Array, least_
         return f"the stability margin of the estimated robot would fall to {margin:.3f}, below {least_margin:.3f}"
     if weaker is None or _least_margin(weaker, motors) == -math.inf:
         return (
-            f"the margin of the estimated robot is {margin:.3f}, and a robot {DEVIATIONS:g} standard deviations "
+            f"the margin of the estimated robot is {margin:.3f}, and a robot {SNAP_SAFETY_DEVIATIONS:g} "
+            f"standard deviations "
             "less stable would snap"
         )
     return ""
@@ -61,9 +62,9 @@ def objection(observer: Observer, weaker: Observer | None, motors: Array, least_
 
 def _least_margin(observer: Observer, motors: Array) -> float:
     """The least stability margin on the way to motors (2d + 2,); -inf where the robot snaps."""
-    there, start, least = observer.apart(), observer.q, math.inf
-    for part in np.arange(1, SUBSTEPS + 1) / SUBSTEPS:
-        if there.passes(start + part * (motors - start)):
+    there, start, least = observer.independent_copy(), observer.q, math.inf
+    for part in np.arange(1, LOOKAHEAD_SUBSTEPS + 1) / LOOKAHEAD_SUBSTEPS:
+        if there.move_and_check_snap(start + part * (motors - start)):
             return -math.inf
         least = min(least, there.walker.margin())
     return least

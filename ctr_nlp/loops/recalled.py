@@ -8,11 +8,11 @@ import numpy as np
 
 from ctr_nlp.typing import Array
 
-KEPT = 1.0
+PREDICTION_MEMORY_S = 1.0
 """s for which what was predicted is remembered, for readings that come late."""
 
 
-class Record(NamedTuple):
+class PastPrediction(NamedTuple):
     """A prediction at a time, s: values (m,), their slopes (m, k) over differences, and the mean (k,) they were
     made with.
     """
@@ -23,22 +23,24 @@ class Record(NamedTuple):
     mean: Array
 
 
-class Recalled:
-    """Records of the last KEPT s, as a value: adding one makes another."""
+class PredictionHistory:
+    """Records of the last PREDICTION_MEMORY_S s, as a value: adding one makes another."""
 
-    def __init__(self, records: tuple[Record, ...] = ()) -> None:
+    def __init__(self, records: tuple[PastPrediction, ...] = ()) -> None:
         self._records = records
 
-    def and_then(self, record: Record) -> Recalled:
+    def with_prediction(self, record: PastPrediction) -> PredictionHistory:
         """With a later record."""
-        return Recalled((*(old for old in self._records if old.time > record.time - KEPT), record))
+        return PredictionHistory(
+            (*(old for old in self._records if old.time > record.time - PREDICTION_MEMORY_S), record)
+        )
 
     def _after(self, time: float) -> int:
         """The first record that is not before a time, or the last."""
         later = (k for k, each in enumerate(self._records) if each.time >= time - 1e-9)
         return next(later, len(self._records) - 1)
 
-    def expected(self, time: float, mean: Array) -> tuple[Array, Array]:
+    def expected_reading(self, time: float, mean: Array) -> tuple[Array, Array]:
         """Return the values (m,) predicted for a time, s, and their slopes (m, k), by a mean (k,) known now.
 
         Between two records values and slopes are interpolated.

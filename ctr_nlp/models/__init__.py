@@ -4,20 +4,29 @@
 has tubes that twist each other; `loaded` adds forces. Models know symbols and numbers of tubes, and no program.
 """
 
-from ctr_nlp.models.protocol import Followed, Model, Shape, Snap
-from ctr_nlp.models.registry import DEFAULT_MODEL, MODELS, bearing, model_named, pushed, register, suits, under
+from ctr_nlp.models.protocol import EquilibriumPath, Model, Snap, SymbolicShape
+from ctr_nlp.models.registry import (
+    DEFAULT_MODEL,
+    KINEMATIC_MODELS,
+    model_for_tip_forces,
+    model_named,
+    model_with_load,
+    model_with_tip_forces,
+    register,
+    suits,
+)
 
 __all__ = [
     "DEFAULT_MODEL",
-    "MODELS",
-    "Followed",
+    "KINEMATIC_MODELS",
+    "EquilibriumPath",
     "Model",
-    "Shape",
     "Snap",
-    "bearing",
+    "SymbolicShape",
+    "model_for_tip_forces",
     "model_named",
-    "pushed",
+    "model_with_load",
+    "model_with_tip_forces",
     "register",
     "suits",
-    "under",
 ]

@@ -20,21 +20,21 @@ import numpy as np
 
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.loads import Load, LoadOverTime
-from ctr_nlp.loads.load import BEFORE_WEIGHTS
-from ctr_nlp.models.walker import Rigid, Walker
+from ctr_nlp.loads.load import FIRST_WEIGHT_COLUMN
+from ctr_nlp.models.walker import ConfigurationWalker, Walker
 from ctr_nlp.nlp.nlp import Inner
 from ctr_nlp.robot import Robot
-from ctr_nlp.robot.structure import NUMBERS, Structure, Tubes, tubes_of
+from ctr_nlp.robot.structure import TUBE_NUMBER_NAMES, Structure, Tubes, tubes_of
 from ctr_nlp.typing import Array, Flags, Index, Vector
 
-SUBSTEPS = 10
+STABILITY_SUBSTEPS_PER_FRAME = 10
 """Steps from frame to frame in which stability margins are evaluated."""
-Places = Callable[[Sequence[ca.SX]], ca.SX]
+SampleArcLengths = Callable[[Sequence[ca.SX]], ca.SX]
 """A function from beta to the arc lengths (n, 1) of samples, mm."""
 
 
 @dataclass(frozen=True)
-class Shape:
+class SymbolicShape:
     """A robot's shape at some samples, as symbols; everything but x is written in the symbols of inner.
 
     x (n, 1): the unknowns. alpha (d, 1): the motors' angles; beta: d extensions. points: x, y, z of the samples,
@@ -66,7 +66,7 @@ class Shape:
         found = {"alpha": self.alpha, "theta": self.theta, "aside": self.aside}
         return {name: value for name, value in found.items() if value is not None}
 
-    def seen(self, vectors: ca.SX) -> Vector:
+    def to_shape_axes(self, vectors: ca.SX) -> Vector:
         """Vectors (n, 3) of the base frame, in the axes of `points`."""
         if self.base is None:
             return columns_of(vectors)
@@ -75,7 +75,7 @@ class Shape:
         x, y, z = (sum(vectors[:, i] * axis[i] for i in range(3)) for axis in self.base)
         return x, y, z
 
-    def placed(self, vectors: Vector) -> Vector:
+    def to_base_frame(self, vectors: Vector) -> Vector:
         """Points or tangents in the base frame."""
         # None means that the model computes in the base frame: turning by the identity would cost
         # operations.
@@ -94,7 +94,7 @@ class Snap(NamedTuple):
     jump: float | None
 
 
-class Followed(NamedTuple):
+class EquilibriumPath(NamedTuple):
     """The unknowns x (T, n) of a robot along a motion; NaN where its configuration is, or where none are found.
 
     stability (T,): margins at frames; stability_between (T,): least margins on the way from the frame before, at
@@ -107,7 +107,7 @@ class Followed(NamedTuple):
     snaps: tuple[Snap, ...] = ()
 
 
-class Rest(NamedTuple):
+class RestStates(NamedTuple):
     """Robots at rest without a history, NaN where no equilibrium is found.
 
     x (T, n): unknowns. points (T, m, 3) mm; tips (T, 3): directions of tips; margins (T,): of stability, NaN where
@@ -120,7 +120,7 @@ class Rest(NamedTuple):
     margins: Array
 
 
-class Passage(NamedTuple):
+class MotionSubsteps(NamedTuple):
     """Sub-steps q (M, 2d + 2) of a motion through `total` frames; frames that are NaN have none.
 
     frames (M,): the frame that a sub-step is in or leads to, from 0; a frame's last sub-step is the frame itself.
@@ -133,7 +133,7 @@ class Passage(NamedTuple):
     total: int
 
     @property
-    def parts(self) -> Array:
+    def elapsed_fractions(self) -> Array:
         """The part of the whole motion that has passed at every sub-step, (M,), from 0 in the first frame to 1."""
         places = np.bincount(self.frames, minlength=self.total)[self.frames]
         # frames is sorted: searchsorted finds the first sub-step of each frame, so number counts within it
@@ -142,7 +142,7 @@ class Passage(NamedTuple):
         return np.asarray((self.frames - 1 + number / places) / max(self.total - 1, 1))
 
 
-def passage(q: Array, substeps: int) -> Passage:
+def subdivide_motion(q: Array, substeps: int) -> MotionSubsteps:
     """Sub-steps of a motion through frames q (T, 2d + 2), linear and `substeps` many between neighbours."""
     known = np.asarray(np.isfinite(q).all(axis=1))
     # A frame is led to in substeps only from a frame before that is known; else it is one sub-step, a fresh
@@ -154,7 +154,7 @@ def passage(q: Array, substeps: int) -> Passage:
     before, after = q[frames - joined[frames]], q[frames]
     # The last sub-step is the frame itself, without rounding: states are compared with goals for equality.
     places = np.where((part == 1)[:, None], after, before + part[:, None] * (after - before))
-    return Passage(places, frames, ~joined[frames], len(q))
+    return MotionSubsteps(places, frames, ~joined[frames], len(q))
 
 
 class Model(ABC):
@@ -186,10 +186,10 @@ class Model(ABC):
         self,
         structure: Structure,
         tubes: Tubes,
-        places: Places,
+        sample_lengths: SampleArcLengths,
         margin: ca.SX | None = None,
         tangents: bool = False,
-    ) -> Shape:
+    ) -> SymbolicShape:
         """The shape of one frame at places, as symbols; tubes: with symbols for numbers.
 
         structure: kinds of the tubes. margin: the least stability margin that Shape.stability is for, a symbol, or
@@ -197,35 +197,35 @@ class Model(ABC):
         """
 
     @property
-    def bears(self) -> Load | LoadOverTime | None:
+    def applied_load(self) -> Load | LoadOverTime | None:
         """The load on the robot, which comes and goes while it stands; None for none. With one, frame_under must
         be defined.
         """
         return None
 
     @property
-    def told(self) -> dict[str, Any]:
+    def metadata(self) -> dict[str, Any]:
         """Metadata of plans made on this model (Plan.meta): its name, and its load if it has one."""
         found: dict[str, Any] = {"model": self.name}
-        return found if self.bears is None else found | {"planned_load": self.bears.to_dict()}
+        return found if self.applied_load is None else found | {"planned_load": self.applied_load.to_dict()}
 
     @property
-    def form(self) -> Model:
+    def program_model(self) -> Model:
         """The model that programs are made of: one for all models that differ in numbers alone, so that they share
         programs.
         """
         return self
 
-    def frame_under(
+    def frame_with_load(
         self,
         load: ca.SX,
         structure: Structure,
         tubes: Tubes,
-        places: Places,
+        sample_lengths: SampleArcLengths,
         margin: ca.SX | None = None,
         tangents: bool = False,
         tilted: bool = False,
-    ) -> Shape:
+    ) -> SymbolicShape:
         """The shape of one frame under a load whose numbers (17 + 3d, 1) are symbols; other arguments as in
         `frame`.
 
@@ -236,34 +236,36 @@ class Model(ABC):
 
     def points(self, robot: Robot, x: Array, sigma: Array) -> Array:
         """Points (T, n, 3) in mm at unknowns x (T, n_x) and sigma (n,) or (T, n)."""
-        return self._sampled(robot, x, sigma)[0]
+        return self._sample_curve(robot, x, sigma)[0]
 
     def tangents(self, robot: Robot, x: Array, sigma: Array) -> Array:
         """Unit tangents (T, n, 3) at unknowns x (T, n_x) and sigma (n,) or (T, n)."""
-        return self._sampled(robot, x, sigma)[1]
+        return self._sample_curve(robot, x, sigma)[1]
 
-    def _sampled(self, robot: Robot, x: Array, sigma: Array) -> tuple[Array, Array]:
+    def _sample_curve(self, robot: Robot, x: Array, sigma: Array) -> tuple[Array, Array]:
         """Points and tangents (T, n, 3), frame by frame, by CasADi's interpreter."""
         sigma = np.broadcast_to(sigma, (len(x), np.shape(sigma)[-1]))
-        function = samples(self, robot.structure, sigma.shape[1])
+        function = build_sample_function(self, robot.structure, sigma.shape[1])
         numbers = robot.numbers
         # The empty argument is the load: models without one have no numbers there.
         found = [function(row, at, numbers, []) for row, at in zip(x, sigma, strict=True)]
         points, tangents = (np.array([each[k].full() for each in found]) for k in range(2))
         return points, tangents
 
-    def points_apart(self, structure: Structure, numbers: Array, x: Array, sigma: Array) -> Array:
+    def points_batch(self, structure: Structure, numbers: Array, x: Array, sigma: Array) -> Array:
         """Points (n, T, m, 3) in mm of robots that differ in numbers (n, d, 8), each at x (n, T, n_x).
 
         sigma (m,) or (T, m).
         """
-        tubes, each, at = of_rows(numbers, x, sigma)
+        tubes, each, at = flatten_batch(numbers, x, sigma)
         # One sigma for all rows, or one a row: both as (n T, m).
         rows = zip(each, np.broadcast_to(at, (len(each), np.shape(at)[-1])), tubes, strict=True)
-        function = samples(self, structure, np.shape(sigma)[-1])
+        function = build_sample_function(self, structure, np.shape(sigma)[-1])
         return np.reshape([function(*row, [])[0].full() for row in rows], (*x.shape[:2], -1, 3))
 
-    def points_under(self, loads: Array, structure: Structure, numbers: Array, x: Array, sigma: Array) -> Array:
+    def points_with_loads(
+        self, loads: Array, structure: Structure, numbers: Array, x: Array, sigma: Array
+    ) -> Array:
         """Points (T, m, 3) in mm of robots of numbers (T or 1, d, 8) at x (T, n_x) under loads (T, 17 + 3d).
 
         sigma (m,) or (T, m). Raises OptionError where no load acts.
@@ -280,12 +282,12 @@ class Model(ABC):
         """The unknowns (n_x,) of a robot that stands at q (2d + 2,) and has no history."""
         return np.copy(q)
 
-    def at_rest(self, robot: Robot, q: Array, sigma: Array) -> Rest:
+    def rest_states(self, robot: Robot, q: Array, sigma: Array) -> RestStates:
         """A robot that stands at each q (T, 2d + 2) without a history; points at sigma (m,)."""
         x = np.array([self.rest(robot, each) for each in q])
         # sigma = 1 is the tip.
         tips = self.tangents(robot, x, np.ones(1))[:, 0]
-        return Rest(x, self.points(robot, x, sigma), tips, self.margins(robot, x))
+        return RestStates(x, self.points(robot, x, sigma), tips, self.margins(robot, x))
 
     def guess(self, robot: Robot, q: Array) -> Array:
         """A fast estimate of the unknowns (.., n_x) at q (.., 2d + 2), to start a solver from."""
@@ -299,18 +301,26 @@ class Model(ABC):
         """The extensions beta (T, d) of unknowns x (T, n_x), mm."""
         return self.configuration(robot, x)[:, robot.d : 2 * robot.d]
 
-    def follow(self, robot: Robot, q: Array, x0: Array | None = None, substeps: int = SUBSTEPS) -> Followed:
+    def follow(
+        self, robot: Robot, q: Array, x0: Array | None = None, substeps: int = STABILITY_SUBSTEPS_PER_FRAME
+    ) -> EquilibriumPath:
         """The unknowns of a robot moved through frames q (T, 2d + 2), linearly and in substeps between them.
 
         x0 (n_x,): where it is in the first frame; None for one that comes to rest there. After frames that are NaN
         it comes to rest again without a history.
         """
         unknown = np.full(len(q), np.nan)
-        return Followed(np.array(q, dtype=float), unknown, unknown)
+        return EquilibriumPath(np.array(q, dtype=float), unknown, unknown)
 
-    def follow_under(
-        self, loads: Array, structure: Structure, numbers: Array, way: Passage, q: Array, margins: bool = True
-    ) -> list[Followed]:
+    def follow_with_loads(
+        self,
+        loads: Array,
+        structure: Structure,
+        numbers: Array,
+        motion: MotionSubsteps,
+        q: Array,
+        margins: bool = True,
+    ) -> list[EquilibriumPath]:
         """Follow robots with loads (n, M, 17 + 3d) at the sub-steps of a way; arguments and result as in
         follow_apart.
 
@@ -322,11 +332,11 @@ class Model(ABC):
         """A robot of numbers (d, 8) that stands at q (2d + 2,) without a history, to be moved step by step."""
         if self.several_equilibria:
             raise OptionError(f"model is {self.name!r}, and does not tell how robots move step by step")
-        return Rigid(q)
+        return ConfigurationWalker(q)
 
-    def follow_apart(
-        self, structure: Structure, numbers: Array, way: Passage, q: Array, margins: bool = True
-    ) -> list[Followed]:
+    def follow_batch(
+        self, structure: Structure, numbers: Array, motion: MotionSubsteps, q: Array, margins: bool = True
+    ) -> list[EquilibriumPath]:
         """The unknowns of robots that differ in numbers (n, d, 8), each at its own sub-steps q (n, M, 2d + 2) of a
         way.
 
@@ -339,13 +349,13 @@ class Model(ABC):
             )
         # The last sub-step of each frame is the frame itself; with one shape for each q, the others do not
         # matter.
-        ends, unknown = np.flatnonzero(np.diff(way.frames, append=-1)), np.full(way.total, np.nan)
-        x = np.full((len(q), way.total, q.shape[2]), np.nan)
-        x[:, way.frames[ends]] = q[:, ends]
-        return [Followed(each, unknown, unknown) for each in x]
+        ends, unknown = np.flatnonzero(np.diff(motion.frames, append=-1)), np.full(motion.total, np.nan)
+        x = np.full((len(q), motion.total, q.shape[2]), np.nan)
+        x[:, motion.frames[ends]] = q[:, ends]
+        return [EquilibriumPath(each, unknown, unknown) for each in x]
 
 
-def of_rows(numbers: Array, x: Array, sigma: Array) -> tuple[Array, Array, Array]:
+def flatten_batch(numbers: Array, x: Array, sigma: Array) -> tuple[Array, Array, Array]:
     """Flatten a batch of separate robots: numbers (n, d, 8), x (n, T, n_x) and sigma (T, m), as rows (n T, ..).
 
     A sigma (m,), which is the same for all of them, stays as it is.
@@ -357,46 +367,48 @@ def of_rows(numbers: Array, x: Array, sigma: Array) -> tuple[Array, Array, Array
 
 
 @functools.lru_cache(maxsize=64)
-def samples(model: Model, structure: Structure, count: int) -> ca.Function:
+def build_sample_function(model: Model, structure: Structure, count: int) -> ca.Function:
     """Compile-once function (x, sigma (count,), numbers (d, 8), load) -> points and tangents (count, 3) in the
     base frame.
 
     Points are in mm. load: its numbers; empty for a model without one.
     """
-    sigma, numbers = ca.SX.sym("sigma", count), ca.SX.sym("numbers", structure.d, len(NUMBERS))
+    sigma, numbers = ca.SX.sym("sigma", count), ca.SX.sym("numbers", structure.d, len(TUBE_NUMBER_NAMES))
     tubes = symbolic_tubes(structure, numbers)
     # sigma is relative to the robot's length beta_d: s = sigma beta_d.
-    shape, load = frame_bearing(model, structure, tubes, lambda beta: sigma * beta[-1], tangents=True)
+    shape, load = frame_and_load_symbol(model, structure, tubes, lambda beta: sigma * beta[-1], tangents=True)
     assert shape.tangents is not None
     # Points and tangents are written in inner symbols, which a plain function must not contain: substitute
     # their values.
-    written = [ca.SX(ca.horzcat(*shape.placed(vectors))) for vectors in (shape.points, shape.tangents)]
+    written = [ca.SX(ca.horzcat(*shape.to_base_frame(vectors))) for vectors in (shape.points, shape.tangents)]
     symbols, values = shape.inner.columns
     found = ca.substitute(written, [symbols], [values])
     return ca.Function("samples", [shape.x, sigma, numbers, load], found, {"cse": True})
 
 
-def frame_bearing(
+def frame_and_load_symbol(
     model: Model,
     structure: Structure,
     tubes: Tubes,
-    places: Places,
+    sample_lengths: SampleArcLengths,
     margin: ca.SX | None = None,
     tangents: bool = False,
-) -> tuple[Shape, ca.SX]:
+) -> tuple[SymbolicShape, ca.SX]:
     """A model's frame, and a symbol for the numbers of its load, which is empty for a model without one.
 
     margin, tangents: as in Model.frame.
     """
-    if model.bears is None:
-        return model.frame(structure, tubes, places, margin, tangents), ca.SX(0, 1)
-    load = ca.SX.sym("load", BEFORE_WEIGHTS + 3 * structure.d)
-    return model.frame_under(load, structure, tubes, places, margin, tangents), load
+    if model.applied_load is None:
+        return model.frame(structure, tubes, sample_lengths, margin, tangents), ca.SX(0, 1)
+    load = ca.SX.sym("load", FIRST_WEIGHT_COLUMN + 3 * structure.d)
+    return model.frame_with_load(load, structure, tubes, sample_lengths, margin, tangents), load
 
 
 def symbolic_tubes(structure: Structure, numbers: ca.SX) -> Tubes:
     """Tubes whose numbers are the entries of a symbol (d, 8)."""
-    return tubes_of(structure, [[numbers[i, k] for k in range(len(NUMBERS))] for i in range(structure.d)])
+    return tubes_of(
+        structure, [[numbers[i, k] for k in range(len(TUBE_NUMBER_NAMES))] for i in range(structure.d)]
+    )
 
 
 def combination(weights: Sequence[object], vectors: Sequence[Vector]) -> Vector:

@@ -9,13 +9,13 @@ from ctr_nlp.exceptions import OptionError
 from ctr_nlp.loads import Load, LoadOverTime
 from ctr_nlp.models.dominant import Dominant
 from ctr_nlp.models.elastic import Elastic
-from ctr_nlp.models.loaded.model import Loaded, Pushed
+from ctr_nlp.models.loaded.model import Loaded, TipForceModel
 from ctr_nlp.models.protocol import Model
 from ctr_nlp.robot import Robot
 from ctr_nlp.support.values import check_choice
 from ctr_nlp.typing import Array
 
-GROUP = "ctr_nlp.models"
+MODEL_ENTRY_POINT_GROUP = "ctr_nlp.models"
 """Entry-point group under which a package offers models: name = "module:object", a Model."""
 
 
@@ -43,7 +43,7 @@ class Registry(Mapping[str, Model]):
         # Set before loading: a package's module may itself look up a model while it is imported.
         if not self._searched:
             self._searched = True
-            for entry in importlib.metadata.entry_points(group=GROUP):
+            for entry in importlib.metadata.entry_points(group=MODEL_ENTRY_POINT_GROUP):
                 if entry.name not in self._known:
                     self.register(entry.load())
         return self._known
@@ -60,21 +60,21 @@ class Registry(Mapping[str, Model]):
 
 DEFAULT_MODEL = "elastic"
 """Name of the model that plans are made on unless another is asked for."""
-MODELS = Registry(Dominant(), Elastic())
+KINEMATIC_MODELS = Registry(Dominant(), Elastic())
 """Every model by the name that options use."""
 
-register = MODELS.register
+register = KINEMATIC_MODELS.register
 
 
 def model_named(model: str | Model, name: str = "model") -> Model:
     """The model of a name, or the one given; `name` is the option's, for messages. Raises OptionError."""
     if isinstance(model, Model):
         return model
-    check_choice(name, model, MODELS)
-    return MODELS[model]
+    check_choice(name, model, KINEMATIC_MODELS)
+    return KINEMATIC_MODELS[model]
 
 
-def under(model: str | Model, load: Load | LoadOverTime) -> Model:
+def model_with_load(model: str | Model, load: Load | LoadOverTime) -> Model:
     """A model of robots with a load; raises OptionError where `model` has no loaded counterpart."""
     described = model_named(model)
     # Loaded has the name of the elastic model, the only one with a loaded counterpart.
@@ -83,12 +83,12 @@ def under(model: str | Model, load: Load | LoadOverTime) -> Model:
     return Loaded(load)
 
 
-def bearing(model: Model, pushed: bool) -> Model:
+def model_for_tip_forces(model: Model, has_tip_forces: bool) -> Model:
     """A model, or if robots have tip forces (pushed), its model of loaded robots; raises OptionError."""
-    return under(model, Load()) if pushed and model.bears is None else model
+    return model_with_load(model, Load()) if has_tip_forces and model.applied_load is None else model
 
 
-def pushed(model: str | Model, forces: Array) -> Model:
+def model_with_tip_forces(model: str | Model, forces: Array) -> Model:
     """A model of robots with one of the tip forces (n, 3), N, each, in addition to the load of `model`.
 
     It is `model` itself if all forces are 0; raises OptionError where that cannot be loaded.
@@ -96,9 +96,9 @@ def pushed(model: str | Model, forces: Array) -> Model:
     described = model_named(model)
     if not forces.any():
         return described
-    load = described.bears or Load()
-    under(described, load)
-    return Pushed(load, forces)
+    load = described.applied_load or Load()
+    model_with_load(described, load)
+    return TipForceModel(load, forces)
 
 
 def suits(robot: Robot, model: str | Model) -> bool:

@@ -18,10 +18,10 @@ from collections.abc import Callable
 
 import casadi as ca
 
-from ctr_nlp.models.protocol import Shape
+from ctr_nlp.models.protocol import SymbolicShape
 
 
-def shown_slopes(shape: Shape, rows: ca.SX, others: ca.SX) -> Callable[[ca.SX], ca.SX]:
+def make_total_derivative(shape: SymbolicShape, rows: ca.SX, others: ca.SX) -> Callable[[ca.SX], ca.SX]:
     """Return a function that maps an expression in x and others to its total derivatives (.., 2d + 2 + k).
 
     They are over alpha, beta, theta, and over others (k, 1) with these fixed; unknowns that are no part of the

@@ -21,7 +21,7 @@ class Walker(ABC):
     x: Array
 
     @abstractmethod
-    def go(self, q: Array) -> list[Array]:
+    def move_to(self, q: Array) -> list[Array]:
         """Move linearly to q (2d + 2,).
 
         Returns, for each snap on the way, the angles (d,) in rad by which the tips jumped. If no equilibrium is
@@ -29,14 +29,14 @@ class Walker(ABC):
         """
 
     @abstractmethod
-    def become(self, numbers: Array, x: Array | None = None) -> list[Array]:
+    def change_tubes(self, numbers: Array, x: Array | None = None) -> list[Array]:
         """Continue as a robot of other numbers (d, 8) at the same q, as when an estimate of them changes.
 
         x (n_x,): roughly where it will be; None for where it is. Returns the tips' jumps (d,) rad, an entry for
         each snap.
         """
 
-    def bear(self, load: Array) -> list[Array]:
+    def change_load(self, load: Array) -> list[Array]:
         """Continue under another load of the same kind, with numbers (17 + 3d,).
 
         Returns the tips' jumps (d,) rad, an entry for each snap. Raises OptionError where the model has no loads.
@@ -52,18 +52,18 @@ class Walker(ABC):
         return copy.copy(self)
 
 
-class Rigid(Walker):
+class ConfigurationWalker(Walker):
     """A robot on a model whose unknowns are the configuration itself, with one shape for each."""
 
     def __init__(self, q: Array) -> None:
         self.q = self.x = np.array(q, dtype=float)
 
-    def go(self, q: Array) -> list[Array]:
+    def move_to(self, q: Array) -> list[Array]:
         """Move to q (2d + 2,), which needs no search for an equilibrium; never a snap."""
         self.q = self.x = np.array(q, dtype=float)
         return []
 
-    def become(self, numbers: Array, x: Array | None = None) -> list[Array]:
+    def change_tubes(self, numbers: Array, x: Array | None = None) -> list[Array]:
         """Do nothing: other numbers change the shape, but neither q nor x, which is q."""
         return []
 

@@ -1,9 +1,9 @@
 """Rows of sample points that are one expression in different numbers, found among the rows of a program.
 
 A program compares the robot with its target at many places along it (eq. (8) at equal sigma), and each place has
-the same rows: residuals in x, y and z, or a clearance. Code for one place, evaluated for LANES places in one
-vector, is shorter and faster than code for all. This module finds such groups in the finished expressions, so that
-no term needs to declare them.
+the same rows: residuals in x, y and z, or a clearance. Code for one place, evaluated for VECTOR_LANES places in
+one vector, is shorter and faster than code for all. This module finds such groups in the finished expressions, so
+that no term needs to declare them.
 
 A place's rows are those that depend on inner quantities of their own, such as the length travelled to a sample.
 Places are alike if their rows are made by the same operations on the same unknowns and shared quantities, and
@@ -19,13 +19,13 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
-from ctr_nlp.codegen.language import LANES
-from ctr_nlp.nlp.written import Written
+from ctr_nlp.codegen.language import VECTOR_LANES
+from ctr_nlp.nlp.written import ProgramExpressions
 from ctr_nlp.typing import Array, Flags, Index
 
 
-class Alike(NamedTuple):
-    """Places whose rows are one expression, at least LANES of them.
+class SampleGroup(NamedTuple):
+    """Places whose rows are one expression, at least VECTOR_LANES of them.
 
     rows (places, k): the numbers of each place's rows, among residuals and then constraints. value (k, 1): the
     rows' expression, in the symbols z of the place's inner quantities, x, shared symbols, parameters and the
@@ -41,7 +41,7 @@ class Alike(NamedTuple):
     constants: tuple[tuple[ca.SX, Array], ...]
 
 
-class _Place(NamedTuple):
+class _SampleRows(NamedTuple):
     """Rows of a place, the operations that make them, and the numbers that these take: constants, places in p."""
 
     rows: list[int]
@@ -49,14 +49,14 @@ class _Place(NamedTuple):
     numbers: list[float | int]
 
 
-def alike(written: Written) -> tuple[tuple[Alike, ...], Index]:
+def group_samples(written: ProgramExpressions) -> tuple[tuple[SampleGroup, ...], Index]:
     """Groups of places whose rows are one expression, and which symbols of the first layer they take as given."""
     symbols, values = written.first_layer
     later, rows = ca.vertcat(ca.SX(0, 1), *(layer[0] for layer in written.inner[1:])), written.rows
     uses = depends(written.without(written.inner[1:], [rows])[0], symbols)
-    # A quantity that fewer than LANES rows use belongs to a place; one that more use, to all of them. A
+    # A quantity that fewer than VECTOR_LANES rows use belongs to a place; one that more use, to all of them. A
     # place has a few rows only, of which each may use the same quantity.
-    own = uses.any(axis=0) & (uses.sum(axis=0) < LANES)
+    own = uses.any(axis=0) & (uses.sum(axis=0) < VECTOR_LANES)
     shared, mine = np.flatnonzero(~own), np.flatnonzero(own).tolist()
     own_layer = [(symbols[mine], values[mine])]
     # Quantities of later layers in x, p and shared symbols, without the place's own symbols: the place has
@@ -64,15 +64,19 @@ def alike(written: Written) -> tuple[tuple[Alike, ...], Index]:
     (quantities,) = written.without([*own_layer, *written.inner[1:]], [later])
     (rows,) = written.without(own_layer, [rows])
     given, direct = [written.x, written.p, symbols[shared.tolist()]], depends(rows, later)
-    groups: dict[Any, list[_Place]] = defaultdict(list)
-    for of_place in _places(uses & own, written.residual.numel()):
+    groups: dict[Any, list[_SampleRows]] = defaultdict(list)
+    for of_place in _rows_by_sample(uses & own, written.residual.numel()):
         used = np.flatnonzero(direct[of_place].any(axis=0)).tolist()
         made = ca.Function("place", [*given, later[used]], [rows[of_place], quantities[used]], {"cse": True})
-        place = _Place(of_place, *_operations(made))
+        place = _SampleRows(of_place, *_operations(made))
         # The key holds all that must agree: the operations, the number of inner quantities, and whether
         # rows are residuals, whose squares count, or constraints.
         groups[place.operations, len(used), of_place[0] < written.residual.numel()].append(place)
-    found = (_joined(given, count, places) for (_, count, _), places in groups.items() if len(places) >= LANES)
+    found = (
+        _merge_samples(given, count, places)
+        for (_, count, _), places in groups.items()
+        if len(places) >= VECTOR_LANES
+    )
     return tuple(each for each in found if each is not None), shared
 
 
@@ -83,7 +87,7 @@ def depends(expression: ca.SX, symbols: ca.SX) -> Flags:
     return np.asarray(ca.DM(ca.jacobian_sparsity(expression, symbols), 1).full() > 0)
 
 
-def _places(uses: Flags, residuals: int) -> list[list[int]]:
+def _rows_by_sample(uses: Flags, residuals: int) -> list[list[int]]:
     """The rows of each place: rows that use the same own quantities, residuals and constraints apart."""
     found: dict[Any, list[int]] = defaultdict(list)
     for row in np.flatnonzero(uses.any(axis=1)).tolist():
@@ -119,7 +123,7 @@ def _operations(function: ca.Function) -> tuple[tuple[Any, ...], list[float | in
     return tuple(operations), numbers
 
 
-def _joined(given: list[ca.SX], count: int, places: list[_Place]) -> Alike | None:
+def _merge_samples(given: list[ca.SX], count: int, places: list[_SampleRows]) -> SampleGroup | None:
     """Places with the same operations as one; None if their parameters or rows do not follow each other."""
     rows, follow = np.array([place.rows for place in places]), np.arange(len(places))
     # The generated code reads and writes neighbouring entries for neighbouring places, lane by lane.
@@ -144,15 +148,17 @@ def _joined(given: list[ca.SX], count: int, places: list[_Place]) -> Alike | Non
                 return None
         leaves.append(taken[key])
     z = ca.SX.sym("z", count)
-    value, z_value = _evaluated(places[0].operations, [*given, z], leaves)
+    value, z_value = _replay_operations(places[0].operations, [*given, z], leaves)
     # Derivatives are taken in two steps, over z and then over the rest (at_place.py). A place without inner
     # quantities has its rows as z, so that both cases are one.
     if not count:
         z, value, z_value = (own := ca.SX.sym("z", value.numel())), own, value
-    return Alike(rows, value, z, z_value, tuple(parameters), tuple(constants))
+    return SampleGroup(rows, value, z, z_value, tuple(parameters), tuple(constants))
 
 
-def _evaluated(operations: Sequence[Any], inputs: list[ca.SX], numbers: list[ca.SX]) -> tuple[ca.SX, ca.SX]:
+def _replay_operations(
+    operations: Sequence[Any], inputs: list[ca.SX], numbers: list[ca.SX]
+) -> tuple[ca.SX, ca.SX]:
     """The two results of a list of operations, with numbers (expressions) put into its gaps."""
     left, done, results = iter(numbers), list[ca.SX](), (list[ca.SX](), list[ca.SX]())
     for operation, *of in operations:

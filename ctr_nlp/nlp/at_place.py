@@ -21,15 +21,15 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
-from ctr_nlp.codegen.places import AtPlaces
-from ctr_nlp.codegen.vector import BESIDE, SAME
-from ctr_nlp.nlp.alike import Alike
+from ctr_nlp.codegen.places import SamplePointFunction
+from ctr_nlp.codegen.vector import ADJACENT_LANES_PREFIX, SHARED_INPUT_PREFIX
+from ctr_nlp.nlp.alike import SampleGroup
 
 SUMS = 1, 2, 5
 """Number of entries of Sums that are needed, by the order of derivatives: f; with its gradient; all five."""
 
 
-class Common(NamedTuple):
+class SampleInputs(NamedTuple):
     """The symbols that all places are given.
 
     x, p: unknowns and parameters. shared: quantities of the first layer that places share. slopes: entries of
@@ -64,7 +64,7 @@ class Common(NamedTuple):
         return ca.vertcat(ca.SX(self.pattern, self.slopes), ca.SX.eye(self.x.numel()))
 
 
-class Sums(NamedTuple):
+class SampleSums(NamedTuple):
     """Sums over places: f, of squares, and over x its gradient (n, 1) and half of the Hessian (n, n).
 
     That half is the upper triangle. pull: factors of the second derivatives of shared quantities. bend: second
@@ -78,14 +78,14 @@ class Sums(NamedTuple):
     bend: ca.SX
 
     @classmethod
-    def of(cls, common: Common, every: Sequence[Sums]) -> Sums:
+    def of(cls, common: SampleInputs, every: Sequence[SampleSums]) -> SampleSums:
         """Add up the Sums of several groups of places."""
         n, base = common.x.numel(), common.base.numel()
         none = cls(ca.SX(1, 1), ca.SX(n, 1), ca.SX(n, n), ca.SX(base - n, 1), ca.SX(base, base))
         return cls(*(sum(parts[1:], parts[0]) for parts in zip(none, *every, strict=True)))
 
 
-class Rows(NamedTuple):
+class SampleConstraintRows(NamedTuple):
     """Values of constraints, and their Jacobian over x."""
 
     value: ca.SX
@@ -93,14 +93,14 @@ class Rows(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class Place:
+class SampleTerms:
     """A place of a group of alike places, with its rows and derivatives as expressions.
 
     first: the constraints of the group's first place; None if rows are residuals.
     """
 
-    common: Common
-    group: Alike
+    common: SampleInputs
+    group: SampleGroup
     first: list[int] | None
 
     @cached_property
@@ -114,7 +114,7 @@ class Place:
         z_base = ca.jacobian(self.group.z_value, self.common.base)
         return ca.vertcat(z_base @ self.common.base_x, self.common.base_x)
 
-    def _sums(self, counts: ca.SX, lam_g: ca.SX) -> Sums:
+    def _sums(self, counts: ca.SX, lam_g: ca.SX) -> SampleSums:
         """The place's part of Sums.
 
         counts: 1, or 0 for a place that has been evaluated before, in the last vector. lam_g: multipliers of
@@ -140,7 +140,7 @@ class Place:
         half, bend = ca.substitute(
             [half, bend], [pushes, pulls], [ca.densify(push), ca.densify(force[: z.numel()])]
         )
-        return Sums(f, gradient, ca.triu(half), pull[: self.common.shared.numel()], bend)
+        return SampleSums(f, gradient, ca.triu(half), pull[: self.common.shared.numel()], bend)
 
     @cached_property
     def _patterns(self) -> tuple[ca.Sparsity, ...]:
@@ -149,7 +149,7 @@ class Place:
         bend = self._sums(ca.SX.sym("counts"), self.common.lam_g).bend.sparsity()
         return ca.Sparsity.dense(1), ca.Sparsity.dense(n), ca.Sparsity.upper(n), ca.Sparsity.dense(m), bend
 
-    def function(self, order: int, name: str) -> AtPlaces:
+    def function(self, order: int, name: str) -> SamplePointFunction:
         """The function of one place: its part of the sums, and its rows, with derivatives up to an order."""
         common, group, places = self.common, self.group, len(self.group.rows)
         shared = common.inputs(order) + common.early(order)
@@ -169,12 +169,16 @@ class Place:
         numbers += [(symbol, fixed[k * places]) for k, (symbol, _) in enumerate(group.constants)]
         symbols, values = (ca.vertcat(ca.SX(0, 1), *(pair[k] for pair in numbers)) for k in range(2))
         inputs = [*shared, *apart, fixed, counts]
-        names = [f"{SAME if k < len(shared) else BESIDE}{k}" for k in range(len(inputs))]
+        names = [
+            f"{SHARED_INPUT_PREFIX if k < len(shared) else ADJACENT_LANES_PREFIX}{k}" for k in range(len(inputs))
+        ]
         results = ca.substitute(results, [symbols], [values])
-        function = ca.Function(name, inputs, results, names, [f"{BESIDE}sums", f"{BESIDE}rows"])
-        return AtPlaces(function, constants)
+        function = ca.Function(
+            name, inputs, results, names, [f"{ADJACENT_LANES_PREFIX}sums", f"{ADJACENT_LANES_PREFIX}rows"]
+        )
+        return SamplePointFunction(function, constants)
 
-    def taken(self, order: int, numbers: ca.SX) -> tuple[Sums, Rows]:
+    def split_results(self, order: int, numbers: ca.SX) -> tuple[SampleSums, SampleConstraintRows]:
         """Split the numbers that the function found at all places: sums, and rows entry by entry and then place by
         place.
         """
@@ -188,4 +192,4 @@ class Place:
         # Entries come column by column of the Jacobian; within a column, row r of all places and then row r
         # + 1 of all places, which is the order of Alike.rows read by columns.
         jacobian = ca.reshape(found[constraints:], constraints if order else 0, n)
-        return Sums(*parts), Rows(ca.reshape(found[:constraints], constraints, 1), jacobian)
+        return SampleSums(*parts), SampleConstraintRows(ca.reshape(found[:constraints], constraints, 1), jacobian)

@@ -21,8 +21,8 @@ import casadi as ca
 import numpy as np
 import scipy.sparse as sp
 
-from ctr_nlp.codegen.mapped import Mapped
-from ctr_nlp.nlp.links import Link
+from ctr_nlp.codegen.mapped import BatchEvaluator
+from ctr_nlp.nlp.links import FrameLink
 from ctr_nlp.nlp.nlp import Nlp, Residual
 from ctr_nlp.nlp.written import FrameFunctions
 from ctr_nlp.typing import Array, Flags, Index
@@ -62,16 +62,16 @@ class _Evaluators:
     def __init__(self, functions: Callable[[], FrameFunctions], parameters: Array) -> None:
         self._functions, self._parameters = functions, parameters
         self._of: FrameFunctions | None = None
-        self._mapped = dict[int, Mapped]()
+        self._mapped = dict[int, BatchEvaluator]()
 
-    def __call__(self, which: int) -> Mapped:
+    def __call__(self, which: int) -> BatchEvaluator:
         """The evaluator number `which` of value, slopes and expansion, of the functions as they are now."""
         # Functions change when compiled ones, made in the background, take the place of interpreted ones.
         found = self._functions()
         if found is not self._of:
             self._of, self._mapped = found, {}
         if which not in self._mapped:
-            mapped = Mapped(found[:3][which], self._parameters.shape[1])
+            mapped = BatchEvaluator(found[:3][which], self._parameters.shape[1])
             mapped.inputs[1][:] = self._parameters.T
             self._mapped[which] = mapped
         return self._mapped[which]
@@ -107,10 +107,10 @@ class Chain:
     parameters: Array
     lower: Array
     upper: Array
-    links: tuple[Link, ...]
+    links: tuple[FrameLink, ...]
     functions: Callable[[], FrameFunctions]
-    surroundings: Callable[[Array], tuple[Mapping[str, Array], Array]] | None = None
-    held: tuple[Array, Array] | None = None
+    local_parameters: Callable[[Array], tuple[Mapping[str, Array], Array]] | None = None
+    constraint_bounds: tuple[Array, Array] | None = None
 
     @property
     def frames(self) -> int:
@@ -126,15 +126,15 @@ class Chain:
         """The robot's unknowns (T, n - slacks) of x (T n,)."""
         return x.reshape(self.frames, -1)[:, : self.unknowns - self.frame.slacks]
 
-    def around(self, motion: Array) -> tuple[Chain, Array]:
+    def linearise_at(self, motion: Array) -> tuple[Chain, Array]:
         """The chain linearised near a motion, and that motion as x (T n,).
 
         motion: (T, n - slacks), or its entries in one row. Slacks get the values that they need there.
         """
         unknowns = motion.reshape(self.frames, -1)
-        if self.surroundings is None:
+        if self.local_parameters is None:
             return self, np.pad(unknowns, ((0, 0), (0, self.frame.slacks))).ravel()
-        values, slack = self.surroundings(unknowns)
+        values, slack = self.local_parameters(unknowns)
         return self.with_parameters(values), np.column_stack([unknowns, slack]).ravel()
 
     def with_parameters(self, values: Mapping[str, Array]) -> Chain:
@@ -143,7 +143,7 @@ class Chain:
         for name, value in values.items():
             # A parameter is packed column by column (Nlp.pack), a column of `parameters` a frame.
             columns = [each.ravel(order="F") for each in np.asarray(value)]
-            parameters[self.frame.place(name)] = np.transpose(columns)
+            parameters[self.frame.parameter_slice(name)] = np.transpose(columns)
         return self._with(parameters=parameters)
 
     def with_cost(self, factor: float) -> Chain:
@@ -190,13 +190,13 @@ class Chain:
         over_q, rows = self.difference, self.frames * (self.unknowns + self.frame.g.numel())
         # Renaming columns moves the matrix from q to the rows from which q is picked. Two entries may meet
         # in one column; then they are summed.
-        entries = over_q.data, self._picked[over_q.indices], over_q.indptr
+        entries = over_q.data, self._configuration_rows[over_q.indices], over_q.indptr
         found = sp.csr_array(entries, shape=(len(self.offset), rows), copy=True)
         found.sum_duplicates()
         return found
 
     @cached_property
-    def _picked(self) -> Index:
+    def _configuration_rows(self) -> Index:
         """The rows that the entries of q are picked from, (T k,)."""
         picks, n, m = self.frame.configuration, self.unknowns, self.frame.g.numel()
         frame = np.arange(self.frames)[:, None]
@@ -205,20 +205,20 @@ class Chain:
         return np.where(picks < n, frame * n + picks, self.lower.size + frame * m + picks - n).ravel()
 
     @cached_property
-    def bent(self) -> bool:
+    def has_nonlinear_links(self) -> bool:
         """Whether links pass through constraints, and so need not be linear in x."""
         return bool(self.linking.indices.max(initial=0) >= self.lower.size)
 
     @cached_property
-    def curved(self) -> bool:
+    def has_nonlinear_constraints(self) -> bool:
         """Whether any constraint of a frame is nonlinear."""
         return bool(self.frame.g_nonlinear.any())
 
     @cached_property
-    def _transposed(self) -> sp.csr_array:
+    def _linking_transpose(self) -> sp.csr_array:
         return sp.csr_array(self.linking.T)
 
-    def _linked(self, pick: Callable[[Link], Array]) -> Array:
+    def _concatenate_links(self, pick: Callable[[FrameLink], Array]) -> Array:
         return np.concatenate([pick(link) for link in self.links])
 
     def _rows(self, x: Array, g: Array) -> tuple[Array, Array]:
@@ -230,30 +230,30 @@ class Chain:
     @cached_property
     def offset(self) -> Array:
         """Constants b of all links A q + b, (l,)."""
-        return self._linked(lambda link: link.offset)
+        return self._concatenate_links(lambda link: link.offset)
 
     @cached_property
     def weight(self) -> Array:
         """Weights of the links' squares in the objective, (l,), mm^2 per squared unit of a row."""
-        return self._linked(lambda link: link.weight)
+        return self._concatenate_links(lambda link: link.weight)
 
     @cached_property
     def bounds(self) -> tuple[Array, Array]:
         """Lower and upper bounds of all rows."""
-        low, high = self.held or (np.tile(bound, (self.frames, 1)) for bound in self.frame.g_bounds)
+        low, high = self.constraint_bounds or (np.tile(bound, (self.frames, 1)) for bound in self.frame.g_bounds)
         return (
-            np.concatenate([self.lower.ravel(), low.ravel(), self._linked(lambda link: link.lower)]),
-            np.concatenate([self.upper.ravel(), high.ravel(), self._linked(lambda link: link.upper)]),
+            np.concatenate([self.lower.ravel(), low.ravel(), self._concatenate_links(lambda link: link.lower)]),
+            np.concatenate([self.upper.ravel(), high.ravel(), self._concatenate_links(lambda link: link.upper)]),
         )
 
-    def as_given_now(self) -> Chain:
+    def with_fixed_functions(self) -> Chain:
         """A copy with the functions fixed to those available now, for callers that keep the arrays that these
         write.
         """
         now = self.functions()
         return self._with(functions=lambda: now)
 
-    def evaluators(self) -> list[Mapped]:
+    def evaluators(self) -> list[BatchEvaluator]:
         """The evaluators of values and of expansions of all frames, with the functions available now."""
         return [self._evaluators(0), self._evaluators(2)]
 
@@ -276,9 +276,11 @@ class Chain:
         of_frames = multipliers[x.size : end]
         # A link A q(g(x)) + b bends with g: its multiplier and its cost's slope 2 w (A q + b) act on the
         # curvature of g like multipliers of g, so they are added to these.
-        if self.bent:
+        if self.has_nonlinear_links:
             _, linked = self._rows(x, self.frame_values(x)[1])
-            of_frames = of_frames + (self._transposed @ (multipliers[end:] + 2 * self.weight * linked))[x.size :]
+            of_frames = (
+                of_frames + (self._linking_transpose @ (multipliers[end:] + 2 * self.weight * linked))[x.size :]
+            )
         return self._evaluators(2)(x, np.ones(self.frames), of_frames)
 
     def evaluate(self, x: Array) -> tuple[float, Array]:
@@ -289,7 +291,7 @@ class Chain:
 
     def configurations(self, value: Array) -> Array:
         """The configurations q of the frames, (T, k), from values of all rows."""
-        return value[self._picked].reshape(self.frames, -1)
+        return value[self._configuration_rows].reshape(self.frames, -1)
 
     def by_frame(self, x: Array) -> tuple[Array, Array]:
         """Contributions of each frame to the objective, (T,) mm^2: its own, and that of the links that end at
@@ -311,16 +313,16 @@ class Chain:
         # Gradient of the links' costs: the transposed Jacobian times 2 w (A q + b), which is no
         # constraint's multiplier but enters in the same place.
         pulls = np.concatenate([np.zeros(x.size + g.size), 2 * self.weight * linked])
-        gradient = gradient.ravel() + self.transposed(jacobian, pulls)
+        gradient = gradient.ravel() + self.multiply_transposed_jacobian(jacobian, pulls)
         return Slopes(float(f.sum() + self.weight @ linked**2), gradient, value, jacobian)
 
-    def transposed(self, jacobian: Array, rows: Array) -> Array:
+    def multiply_transposed_jacobian(self, jacobian: Array, rows: Array) -> Array:
         """The transposed Jacobian of all rows times a vector over the rows, (T n,)."""
         frames, m, n = jacobian.shape
         # Links reach x directly or through g: first A' to both, then g's part through the frames'
         # Jacobians.
         of_x, of_g, of_links = np.split(rows, [frames * n, frames * (n + m)])
-        through_x, through_g = np.split(self._transposed @ of_links, [frames * n])
+        through_x, through_g = np.split(self._linking_transpose @ of_links, [frames * n])
         product = ((of_g + through_g).reshape(frames, 1, m) @ jacobian).ravel()
         return of_x + product + through_x
 
@@ -335,9 +337,9 @@ class Chain:
         # NaN counts as infinite: a row that could not be evaluated is the worst of all.
         amount = np.nan_to_num(np.maximum(low - value, value - high), nan=np.inf)
         worst = [int(i) for i in np.argsort(-amount) if amount[i] > tolerance]
-        return [Excess(*self.place(row), float(amount[row])) for row in worst]
+        return [Excess(*self.describe_row(row), float(amount[row])) for row in worst]
 
-    def place(self, row: int) -> tuple[str, int]:
+    def describe_row(self, row: int) -> tuple[str, int]:
         """Name of the quantity that a row limits, and the frame it belongs to, from 1."""
         own = self._own_names
         for names in (own[: self.unknowns], own[self.unknowns :]):
@@ -367,7 +369,7 @@ class Chain:
         """
         at = self.slopes(x)
         # A fixed unknown may have any slope: its bounds, which meet, can take any multiplier.
-        slope = np.where(self.free, at.gradient + self.transposed(at.jacobian, multipliers), 0.0)
+        slope = np.where(self.free, at.gradient + self.multiply_transposed_jacobian(at.jacobian, multipliers), 0.0)
         low, high = self.bounds
         outside = np.maximum(np.maximum(low - at.value, at.value - high), 0.0)
         # As in nlp.kkt_residual: the multiplier's sign names the bound, and an infinite one must have none.
@@ -383,7 +385,7 @@ class Chain:
         return (self.lower < self.upper).ravel()
 
     @cached_property
-    def reached(self) -> Flags:
+    def changeable_rows(self) -> Flags:
         """Whether any free unknown changes a row; solvers leave the other rows alone."""
         # A product of booleans is an `or` of `and`s: a constraint is reached if any x that it depends on is
         # free. A row that only fixed unknowns enter is a constant: no solver can mend what it misses by

@@ -17,12 +17,12 @@ import scipy.sparse as sp
 
 from ctr_nlp.typing import Array, Index
 
-KEPT = 16
+LINK_MATRIX_CACHE_SIZE = 16
 """Matrices of links that a process remembers."""
 
 
 @dataclass(frozen=True)
-class Link:
+class FrameLink:
     """Rows over neighbouring frames: lower <= value <= upper, where value = matrix @ q + offset.
 
     The objective gains sum weight value^2. matrix (m, T k), over the k entries of q frame by frame; offset, lower,
@@ -52,7 +52,7 @@ def differences(
     return matrix, (outer @ np.array(known).reshape(len(known), n)).ravel(), frame, axis
 
 
-@functools.lru_cache(maxsize=KEPT)
+@functools.lru_cache(maxsize=LINK_MATRIX_CACHE_SIZE)
 def _stencil(frames: int, order: int, before: int, after: int, n: int) -> tuple[sp.csr_array, Any, Index, Index]:
     """The difference matrix over the unknown frames, that over the known ones, and frame and axis of every row."""
     # Order k is k times a first difference, of known and unknown frames alike.

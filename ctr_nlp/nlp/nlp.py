@@ -19,7 +19,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from ctr_nlp.nlp.written import FrameFunctions, Written
+from ctr_nlp.nlp.written import FrameFunctions, ProgramExpressions
 from ctr_nlp.typing import Array, Flags, Index
 
 
@@ -33,7 +33,7 @@ class Residual:
 
 
 @dataclass(frozen=True)
-class Cost:
+class CostTerm:
     """A term without residual form: the objective gains value, in mm^2."""
 
     name: str
@@ -92,7 +92,7 @@ class Nlp:
     upper: Array
     parameters: Mapping[str, ca.SX]
     residuals: tuple[Residual, ...] = ()
-    costs: tuple[Cost, ...] = ()
+    costs: tuple[CostTerm, ...] = ()
     constraints: tuple[Constraint, ...] = ()
     inner: tuple[Inner, ...] = ()
     picks: tuple[int, ...] | None = None
@@ -104,29 +104,29 @@ class Nlp:
         return ca.vertcat(*(ca.vec(symbol) for symbol in self.parameters.values()))
 
     @cached_property
-    def written(self) -> Written:
+    def expressions(self) -> ProgramExpressions:
         """The expressions of the program's terms, in the symbols of inner quantities."""
         residual, g = (
             ca.vertcat(ca.SX(0, 1), *(term.value for term in terms))
             for terms in (self.residuals, self.constraints)
         )
         cost = sum((term.value for term in self.costs), ca.SX(0))
-        return Written(self.x, self.p, residual, cost, g, tuple(inner.columns for inner in self.inner))
+        return ProgramExpressions(self.x, self.p, residual, cost, g, tuple(inner.columns for inner in self.inner))
 
     @property
     def residual(self) -> ca.SX:
         """All residuals in one column."""
-        return self.written.outright[0]
+        return self.expressions.terms_in_x[0]
 
     @cached_property
     def objective(self) -> ca.SX:
         """The objective, mm^2."""
-        return ca.sumsqr(self.residual) + self.written.outright[1]
+        return ca.sumsqr(self.residual) + self.expressions.terms_in_x[1]
 
     @property
     def g(self) -> ca.SX:
         """All constraint values in one column."""
-        return self.written.outright[2]
+        return self.expressions.terms_in_x[2]
 
     @cached_property
     def g_bounds(self) -> tuple[Array, Array]:
@@ -143,7 +143,7 @@ class Nlp:
     @property
     def q(self) -> ca.SX:
         """The configuration (k, 1), in the symbols of inner quantities."""
-        return ca.vertcat(self.x, self.written.g)[self.configuration.tolist()]
+        return ca.vertcat(self.x, self.expressions.g)[self.configuration.tolist()]
 
     def row_bounds(self, lower: Array | None = None, upper: Array | None = None) -> tuple[Array, Array]:
         """Lower and upper bounds of x and then g, (n + m,).
@@ -169,7 +169,7 @@ class Nlp:
         # Order 2 asks for nonlinear dependence; True asks for the entries of g, not those of x.
         return np.array(ca.which_depends(self.g, self.x, 2, True), dtype=bool)
 
-    def place(self, name: str) -> slice:
+    def parameter_slice(self, name: str) -> slice:
         """Positions of a parameter among the entries of p."""
         sizes = {key: symbol.numel() for key, symbol in self.parameters.items()}
         begin = sum(itertools.islice(sizes.values(), list(sizes).index(name)))
@@ -195,7 +195,7 @@ class Nlp:
     @property
     def functions(self) -> FrameFunctions:
         """Value, slopes and second-order expansion of the program, evaluated by CasADi's interpreter."""
-        return self.written.functions
+        return self.expressions.functions
 
     @cached_property
     def kkt_function(self) -> ca.Function:

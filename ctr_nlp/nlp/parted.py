@@ -14,52 +14,52 @@ from dataclasses import dataclass, replace
 import casadi as ca
 import numpy as np
 
-from ctr_nlp.codegen.directions import Directed
-from ctr_nlp.codegen.places import Whole
-from ctr_nlp.codegen.vector import EARLY
-from ctr_nlp.nlp.alike import alike, depends
-from ctr_nlp.nlp.at_place import Common, Place, Rows, Sums
-from ctr_nlp.nlp.written import FrameFunctions, Written
+from ctr_nlp.codegen.directions import FunctionWithJacobian
+from ctr_nlp.codegen.places import FunctionInParts
+from ctr_nlp.codegen.vector import EARLY_OUTPUT_PREFIX
+from ctr_nlp.nlp.alike import depends, group_samples
+from ctr_nlp.nlp.at_place import SampleConstraintRows, SampleInputs, SampleSums, SampleTerms
+from ctr_nlp.nlp.written import FrameFunctions, ProgramExpressions
 
-NAMES = FrameFunctions._fields[:3]
+FRAME_FUNCTION_NAMES = FrameFunctions._fields[:3]
 """Value, slopes and expansion: the number of a name is the order of the derivatives that are found."""
 
 
-def parted(written: Written) -> list[Whole]:
+def partition_program(written: ProgramExpressions) -> list[FunctionInParts]:
     """The three functions of a program for one frame, to be compiled."""
-    parts = _Parts.of(written)
-    return [parts.whole(order) for order in range(len(NAMES))]
+    parts = _Partition.of(written)
+    return [parts.whole(order) for order in range(len(FRAME_FUNCTION_NAMES))]
 
 
 @dataclass(frozen=True, eq=False)
-class _Parts:
+class _Partition:
     """The places of a program, and the rest: the program without their rows.
 
     values: of the quantities that places share, which come first in the rest's first layer. kept: numbers of the
     constraints that the rest has; order: position of each constraint among these and then those of places.
     """
 
-    places: tuple[Place, ...]
-    rest: Written
-    common: Common
+    places: tuple[SampleTerms, ...]
+    rest: ProgramExpressions
+    common: SampleInputs
     values: ca.SX
     order: list[int]
-    kept: list[int]
+    rest_constraints: list[int]
 
     @classmethod
-    def of(cls, written: Written) -> _Parts:
+    def of(cls, written: ProgramExpressions) -> _Partition:
         """Split a program into places and the rest."""
-        groups, indices = alike(written)
+        groups, indices = group_samples(written)
         # Without groups nothing is shared, and the whole program is the rest.
         shared, (symbols, values) = indices.tolist() if groups else [], written.first_layer
         residuals, pattern = written.residual.numel(), ca.jacobian_sparsity(values[shared], written.x)
         entries = ca.SX.sym("slopes", pattern.nnz())
         multipliers = ca.SX.sym("lam_f"), ca.SX.sym("lam_g", written.g.numel())
-        common = Common(written.x, written.p, symbols[shared], entries, pattern, *multipliers)
+        common = SampleInputs(written.x, written.p, symbols[shared], entries, pattern, *multipliers)
         # Residuals come before constraints among the rows: a negative number is a residual.
         firsts = [(group.rows[0] - residuals).tolist() for group in groups]
         places = (
-            Place(common, group, first if first[0] >= 0 else None)
+            SampleTerms(common, group, first if first[0] >= 0 else None)
             for group, first in zip(groups, firsts, strict=True)
         )
         taken = np.concatenate([np.zeros(0, int), *(group.rows.ravel(order="F") for group in groups)])
@@ -70,19 +70,21 @@ class _Parts:
         order = np.argsort([*kept, *(taken[taken >= residuals] - residuals)]).tolist()
         return cls(tuple(places), _without_unused(rest, shared), common, values[shared], order, kept)
 
-    def whole(self, order: int) -> Whole:
+    def whole(self, order: int) -> FunctionInParts:
         """The function with derivatives up to an order."""
-        functions = [place.function(order, f"{NAMES[order]}_{k}") for k, place in enumerate(self.places)]
+        functions = [
+            place.function(order, f"{FRAME_FUNCTION_NAMES[order]}_{k}") for k, place in enumerate(self.places)
+        ]
         ends = np.cumsum([0, *(each.numbers for each in functions)]).tolist()
         found = ca.SX.sym("found", ends[-1])
         slices = (found[begin:end] for begin, end in itertools.pairwise(ends))
-        taken = [place.taken(order, own) for place, own in zip(self.places, slices, strict=True)]
-        total = Sums.of(self.common, [sums for sums, _ in taken])
-        directed = self._directed(order, found, total.pull)
-        joined = self._joined(order, directed, found, total, [rows for _, rows in taken])
-        return Whole(NAMES[order], directed, tuple(functions), joined)
+        taken = [place.split_results(order, own) for place, own in zip(self.places, slices, strict=True)]
+        total = SampleSums.of(self.common, [sums for sums, _ in taken])
+        directed = self._differentiate_rest(order, found, total.pull)
+        joined = self._join_results(order, directed, found, total, [rows for _, rows in taken])
+        return FunctionInParts(FRAME_FUNCTION_NAMES[order], directed, tuple(functions), joined)
 
-    def _directed(self, order: int, found: ca.SX, pull: ca.SX) -> Directed:
+    def _differentiate_rest(self, order: int, found: ca.SX, pull: ca.SX) -> FunctionWithJacobian:
         """Shared quantities first, and then objective, constraints and, for order 2, the gradient of the rest.
 
         Slopes of that gradient over x are half of the Hessian of lam_f objective + lam_g g + pull . values, where
@@ -90,27 +92,32 @@ class _Parts:
         """
         n, inputs = self.common.x.numel(), self.common.inputs(order)
         # Substituted, not nested: forward differentiation needs no layers.
-        residual, cost, g = self.rest.outright
+        residual, cost, g = self.rest.terms_in_x
         f = ca.sumsqr(residual) + cost
         outputs = [self.values, f, g]
-        patterns = [self.common.pattern, ca.Sparsity.dense(1, n), ca.Sparsity.dense(len(self.kept), n)]
+        patterns = [self.common.pattern, ca.Sparsity.dense(1, n), ca.Sparsity.dense(len(self.rest_constraints), n)]
         if order == 2:
             # The places' `pull` multiplies second derivatives of shared quantities: adding pull . values to
             # the Lagrangian gives these in the same sweep.
-            lagrangian = self.common.lam_f * f + ca.dot(self.common.lam_g[self.kept], g)
+            lagrangian = self.common.lam_f * f + ca.dot(self.common.lam_g[self.rest_constraints], g)
             outputs.append(ca.gradient(lagrangian + ca.dot(pull, self.values), self.common.x))
             patterns.append(ca.Sparsity.upper(n))
         function = ca.Function(
-            f"{NAMES[order]}_directed",
+            f"{FRAME_FUNCTION_NAMES[order]}_directed",
             [*inputs, found],
             [ca.densify(output) for output in outputs],
             [*(f"given_{k}" for k in range(len(inputs))), "found"],
-            [f"{EARLY}values", *(f"output_{k}" for k in range(1, len(outputs)))],
+            [f"{EARLY_OUTPUT_PREFIX}values", *(f"output_{k}" for k in range(1, len(outputs)))],
         )
-        return Directed(function, dict(enumerate(patterns)) if order else {})
+        return FunctionWithJacobian(function, dict(enumerate(patterns)) if order else {})
 
-    def _joined(
-        self, order: int, directed: Directed, found: ca.SX, total: Sums, rows: Sequence[Rows]
+    def _join_results(
+        self,
+        order: int,
+        directed: FunctionWithJacobian,
+        found: ca.SX,
+        total: SampleSums,
+        rows: Sequence[SampleConstraintRows],
     ) -> ca.Function:
         """The whole program's results, from those found at places and those of the rest."""
         function, patterns = directed.function, list(directed.slopes.values())
@@ -127,10 +134,10 @@ class _Parts:
             bent = ca.triu(base_x.T @ ca.triu2symm(total.bend) @ base_x)
             outputs += [ca.triu2symm(each + total.half + bent) for each in half]
         inputs = [found, *results, *entries]
-        return ca.Function(f"{NAMES[order]}_joined", inputs, [ca.densify(each) for each in outputs])
+        return ca.Function(f"{FRAME_FUNCTION_NAMES[order]}_joined", inputs, [ca.densify(each) for each in outputs])
 
 
-def _without_unused(written: Written, first: list[int]) -> Written:
+def _without_unused(written: ProgramExpressions, first: list[int]) -> ProgramExpressions:
     """The program without inner quantities that nothing needs; those of the first layer in `first` come first."""
     needed, inner = ca.vertcat(written.rows, written.cost), list[tuple[ca.SX, ca.SX]]()
     for number, (symbols, values) in reversed(list(enumerate(written.inner))):

@@ -18,10 +18,10 @@ import numpy as np
 import scipy.sparse as sp
 
 from ctr_nlp.exceptions import OptionError
-from ctr_nlp.nlp.links import Link
+from ctr_nlp.nlp.links import FrameLink
 from ctr_nlp.nlp.nlp import Nlp
 from ctr_nlp.nlp.written import FrameFunctions
-from ctr_nlp.robot.structure import NUMBERS
+from ctr_nlp.robot.structure import TUBE_NUMBER_NAMES
 from ctr_nlp.support.values import frozen
 from ctr_nlp.typing import Array, Index
 
@@ -48,7 +48,7 @@ class Scenarios:
             object.__setattr__(self, name, frozen(np.array(getattr(self, name), dtype=float)))
         count, d = len(self.weights), self.offsets.shape[-1]
         shapes = {
-            "numbers": (count, d, len(NUMBERS)),
+            "numbers": (count, d, len(TUBE_NUMBER_NAMES)),
             "offsets": (count, d),
             "weights": (count,),
             "forces": (count, 3),
@@ -63,26 +63,26 @@ class Scenarios:
     def __len__(self) -> int:
         return len(self.weights)
 
-    def joined(self, numbers: Array, offsets: Array, forces: Array, weight: float = 0.0) -> Scenarios:
+    def append_robots(self, numbers: Array, offsets: Array, forces: Array, weight: float = 0.0) -> Scenarios:
         """These robots followed by others (k, ..), whose errors count with a weight.
 
         By default, 0, the others only have to stay stable and near the nominal robot's branch.
         """
         weights = np.full(len(offsets), weight)
-        pairs = zip(self.each, (numbers, offsets, weights, forces), strict=True)
+        pairs = zip(self.arrays, (numbers, offsets, weights, forces), strict=True)
         return Scenarios(*(np.concatenate(pair) for pair in pairs))
 
     @property
-    def pushed(self) -> bool:
+    def has_tip_forces(self) -> bool:
         """Whether a force acts at the tip of any robot."""
         return bool(self.forces.any())
 
     @property
-    def each(self) -> tuple[Array, Array, Array, Array]:
+    def arrays(self) -> tuple[Array, Array, Array, Array]:
         """The four arrays, in the order of the fields."""
         return self.numbers, self.offsets, self.weights, self.forces
 
-    def shrunk(self, part: float, since: int = 0) -> Scenarios:
+    def shrink_differences(self, part: float, since: int = 0) -> Scenarios:
         """Robots that differ from the first by only a `part` of what these do, from number `since` on."""
         parts = np.where(np.arange(len(self)) < since, 1.0, part)[:, None]
         numbers = self.numbers[0] + parts[..., None] * (self.numbers - self.numbers[0])
@@ -91,7 +91,7 @@ class Scenarios:
 
 
 @dataclass(frozen=True)
-class Guards:
+class ConstraintScenarios:
     """Robots that only have to stay stable: K of them in each of T frames, different ones in each frame.
 
     numbers (T, K, d, 8), offsets (T, K, d), forces (T, K, 3): units as in Scenarios.
@@ -101,13 +101,13 @@ class Guards:
     offsets: Array
     forces: Array
 
-    def at(self, picked: Index | list[int]) -> Guards:
+    def at(self, picked: Index | list[int]) -> ConstraintScenarios:
         """The guards of the frames `picked`."""
-        return Guards(self.numbers[picked], self.offsets[picked], self.forces[picked])
+        return ConstraintScenarios(self.numbers[picked], self.offsets[picked], self.forces[picked])
 
 
 @dataclass(frozen=True)
-class Common:
+class CommonUnknowns:
     """Unknowns p (P,) that all frames and scenarios have in common, such as the numbers of designed tubes.
 
     program: over p. Its first rows are k further unknowns of a frame, of the first scenario; those of other
@@ -123,7 +123,7 @@ class Common:
 
 
 @dataclass(frozen=True)
-class Lighter:
+class ReducedProgram:
     """A program of a frame with fewer terms than the whole one, over the same unknowns and with the same rows.
 
     Attributes
@@ -138,21 +138,21 @@ class Lighter:
     columns: Index
 
 
-def with_guards(of_scenarios: Array, of_guards: Array | None, frames: int) -> Array:
+def with_constraint_scenarios(of_scenarios: Array, of_guards: Array | None, frames: int) -> Array:
     """Values of scenarios (S, ..) in every frame, followed by those of its guards (T, K, ..): (T, S + K, ..)."""
     found = np.repeat(of_scenarios[None], frames, axis=0)
     return found if of_guards is None else np.concatenate([found, of_guards], axis=1)
 
 
-def robots_at(q: Array, phi: Array, held: Index) -> Array:
+def assemble_robot_unknowns(q: Array, phi: Array, shared_entries: Index) -> Array:
     """The unknowns (T, S, m) of robots with tips phi (T, S, k) at the shared q (T, n).
 
-    held (n - d,): which of a robot's m unknowns are beta and theta, the last n - d entries of q.
+    shared_entries (n - d,): which of a robot's m unknowns are beta and theta, the last n - d entries of q.
     """
     frames, count, k = phi.shape
-    found = np.empty((frames, count, k + len(held)))
-    found[..., np.setdiff1d(np.arange(k + len(held)), held)] = phi
-    found[..., held] = q[:, None, q.shape[1] - len(held) :]
+    found = np.empty((frames, count, k + len(shared_entries)))
+    found[..., np.setdiff1d(np.arange(k + len(shared_entries)), shared_entries)] = phi
+    found[..., shared_entries] = q[:, None, q.shape[1] - len(shared_entries) :]
     return found
 
 
@@ -177,44 +177,44 @@ class SharedMotion:
 
     frame: Nlp
     d: int
-    held: Index
+    shared_entries: Index
     scenarios: Scenarios
     parameters: Array
     lower: Array
     upper: Array
-    links: tuple[Link, ...]
-    apart: Array
+    links: tuple[FrameLink, ...]
+    max_tip_differences: Array
     twist_steps: Array
     functions: Callable[[], FrameFunctions]
-    surroundings: Callable[[Array], Mapping[str, Array]] | None = None
-    common: Common | None = None
-    guards: Guards | None = None
-    free: Lighter | None = None
-    bare: Lighter | None = None
+    local_parameters: Callable[[Array], Mapping[str, Array]] | None = None
+    common: CommonUnknowns | None = None
+    constraint_scenarios: ConstraintScenarios | None = None
+    without_wall: ReducedProgram | None = None
+    without_objective: ReducedProgram | None = None
 
     @property
     def sizes(self) -> tuple[int, int, int, int]:
         """Frames T, robots S of each, entries n of q, and d."""
-        return len(self.lower), len(self.apart), self.lower.shape[1], self.d
+        return len(self.lower), len(self.max_tip_differences), self.lower.shape[1], self.d
 
     @cached_property
     def own(self) -> Index:
         """The entries (k,) of x that each robot has of its own."""
         given = 0 if self.common is None else self.common.factors.shape[1]
-        return np.setdiff1d(np.arange(self.frame.x.numel() - given), self.held)
+        return np.setdiff1d(np.arange(self.frame.x.numel() - given), self.shared_entries)
 
     @cached_property
     def weights(self) -> Array:
         """The share (S,) of every robot in the mean."""
         shares = self.scenarios.weights / self.scenarios.weights.sum()
         # Guards come after the scenarios and have no part in the mean.
-        return np.append(shares, np.zeros(len(self.apart) - len(shares)))
+        return np.append(shares, np.zeros(len(self.max_tip_differences) - len(shares)))
 
     @cached_property
     def offsets(self) -> Array:
         """Offsets of the robots' motors, (T, S, d) rad."""
-        of_guards = None if self.guards is None else self.guards.offsets
-        return with_guards(self.scenarios.offsets, of_guards, len(self.lower))
+        of_guards = None if self.constraint_scenarios is None else self.constraint_scenarios.offsets
+        return with_constraint_scenarios(self.scenarios.offsets, of_guards, len(self.lower))
 
     @cached_property
     def own_rows(self) -> Index:
@@ -235,7 +235,9 @@ class SharedMotion:
         are from the first scenario's, d - 1 each; then the common rows.
         """
         bounds = list[Array]()
-        for bound, side in zip(self.frame.g_bounds, (-self.apart, self.apart), strict=True):
+        for bound, side in zip(
+            self.frame.g_bounds, (-self.max_tip_differences, self.max_tip_differences), strict=True
+        ):
             _, count, _, d = self.sizes
             tips = np.repeat(side[1:], d - 1)
             parts = [np.tile(bound[self.own_rows], count), tips, bound[self.common_rows]]
@@ -258,7 +260,7 @@ class SharedMotion:
         given (S, g): values that common unknowns give every scenario.
         """
         of_given = np.broadcast_to(given, (len(q), *given.shape))
-        return np.concatenate([robots_at(q, phi, self.held), of_given], axis=2)
+        return np.concatenate([assemble_robot_unknowns(q, phi, self.shared_entries), of_given], axis=2)
 
     @cached_property
     def linking(self) -> sp.csr_array:

@@ -30,7 +30,7 @@ class FrameFunctions(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class Written:
+class ProgramExpressions:
     """Residuals, costs and constraint values in x, parameters p and the symbols of inner quantities; all columns.
 
     inner: symbols and values of each layer, of which later ones may be written in the symbols of those before. It
@@ -45,16 +45,16 @@ class Written:
     inner: tuple[tuple[ca.SX, ca.SX], ...]
 
     @classmethod
-    def of(cls, function: ca.Function) -> Written:
+    def of(cls, function: ca.Function) -> ProgramExpressions:
         """Rebuild the expressions from the `function` of another Written, in new symbols."""
         symbols = [ca.SX.sym(function.name_in(i), *function.size_in(i)) for i in range(function.n_in())]
         residual, cost, g, *values = function.call(symbols)
         x, p, *inner = symbols
         return cls(x, p, residual, cost, g, tuple(zip(inner, values, strict=True)))
 
-    def __reduce__(self) -> tuple[Callable[[ca.Function], Written], tuple[ca.Function]]:
+    def __reduce__(self) -> tuple[Callable[[ca.Function], ProgramExpressions], tuple[ca.Function]]:
         # SX symbols cannot be pickled, a ca.Function can: background processes are given programs this way.
-        return Written.of, (self.function,)
+        return ProgramExpressions.of, (self.function,)
 
     @cached_property
     def function(self) -> ca.Function:
@@ -85,7 +85,7 @@ class Written:
         return self.without(self.inner, expressions)
 
     @cached_property
-    def outright(self) -> tuple[ca.SX, ca.SX, ca.SX]:
+    def terms_in_x(self) -> tuple[ca.SX, ca.SX, ca.SX]:
         """Residuals, cost and constraint values in x and p alone."""
         residual, cost, g = self.in_x([self.residual, self.cost, self.g])
         return residual, cost, g
@@ -96,7 +96,7 @@ class Written:
 
         Common subexpressions are not eliminated here, which takes seconds: the generator of machine code does it.
         """
-        residual, cost, g = self.outright
+        residual, cost, g = self.terms_in_x
         lam_f, lam_g = ca.SX.sym("lam_f"), ca.SX.sym("lam_g", g.numel())
         gradient, jacobian, hessian = (ca.densify(part) for part in self.derivatives(lam_f, lam_g))
         inputs, multipliers = [self.x, self.p], [lam_f, lam_g]
@@ -108,7 +108,7 @@ class Written:
             ca.Function("expansion", inputs + multipliers, [*slopes, hessian]),
         )
 
-    def derived(self) -> tuple[ca.Function, ...]:
+    def functions_to_compile(self) -> tuple[ca.Function, ...]:
         """Value, slopes and expansion as a tuple of functions, to be compiled."""
         return self.functions[:3]
 

@@ -10,7 +10,7 @@ from typing import Any
 
 from ctr_nlp.plan.plan import Plan
 from ctr_nlp.plan.verdicts import NO, NOT_CHECKED
-from ctr_nlp.robot.tolerances import NAMES, UNITS
+from ctr_nlp.robot.tolerances import DEVIATION_NAMES, TOLERANCE_UNITS
 
 VERDICTS = ("", "verdict", "value", "why")
 """Columns of the table of verdicts."""
@@ -19,9 +19,9 @@ NOT_FOR_PATIENTS = "Not validated for use on patients."
 Row = tuple[str, Any, str]
 """Row of a table: name, value and unit."""
 
-OPEN = NO, NOT_CHECKED
+UNMET_VERDICT_WORDS = NO, NOT_CHECKED
 """Words of verdicts that speak against a plan."""
-MOST_REASONS = 10
+MAX_LISTED_FAILURES = 10
 """Most failures that are listed one by one; the plan holds them all."""
 
 
@@ -39,19 +39,21 @@ def verdict_rows(found: dict[str, Any]) -> list[tuple[str, str, str, str]]:
     return [(each["matter"], each["word"], each["value"], each["why"]) for each in found["verdicts"].values()]
 
 
-def failed(found: Mapping[str, Any]) -> str:
+def describe_unmet_verdicts(found: Mapping[str, Any]) -> str:
     """Name the verdicts of a summary that are *no* or were not checked; empty where all are *yes*."""
-    return "; ".join(f"{word}: {', '.join(matters)}" for word in OPEN if (matters := _matters(found, word)))
+    return "; ".join(
+        f"{word}: {', '.join(matters)}" for word in UNMET_VERDICT_WORDS if (matters := _verdict_names(found, word))
+    )
 
 
-def _matters(found: Mapping[str, Any], word: str) -> list[str]:
+def _verdict_names(found: Mapping[str, Any], word: str) -> list[str]:
     """Names of the verdicts of a summary that have a word."""
     return [each["matter"] for each in found["verdicts"].values() if each["word"] == word]
 
 
-def lead(found: Mapping[str, Any]) -> str:
+def summarise_verdicts(found: Mapping[str, Any]) -> str:
     """Sum up all verdicts of a plan's summary in one sentence."""
-    count, no, unchecked = len(found["verdicts"]), _matters(found, NO), _matters(found, NOT_CHECKED)
+    count, no, unchecked = len(found["verdicts"]), _verdict_names(found, NO), _verdict_names(found, NOT_CHECKED)
     told = []
     if no:
         told.append(f"This plan fails {len(no)} of {count} checks: {', '.join(no)}.")
@@ -62,9 +64,9 @@ def lead(found: Mapping[str, Any]) -> str:
     return " ".join(told) or f"This plan passes all {count} checks."
 
 
-def rows(found: dict[str, Any]) -> list[Row]:
+def measure_rows(found: dict[str, Any]) -> list[Row]:
     """Return the rows of numbers that tell how good a plan is; lengths in mm."""
-    failed, steps = found["failed"], " / ".join(map(shown, found["max_step"].values()))
+    failed, steps = found["failed"], " / ".join(map(format_cell, found["max_step"].values()))
     return [
         ("e3, RMS over frames of e2", found["e3"], "mm"),
         ("e4, median over frames of e2", found["e4"], "mm"),
@@ -156,10 +158,10 @@ def _tolerances(plan: Plan, part: float) -> str:
     """Write `part` times the tolerances of a plan's robot in words, each as its largest of any tube."""
     robot, told = plan.robot, list[str]()
     bands = part * robot.tolerances.bands(robot.tubes).max(axis=0)
-    for name, band in zip(NAMES, bands.tolist(), strict=True):
-        value = f"{band:.2g}{UNITS[name]}" if name in UNITS else f"{band:.2%}"
+    for name, band in zip(DEVIATION_NAMES, bands.tolist(), strict=True):
+        value = f"{band:.2g}{TOLERANCE_UNITS[name]}" if name in TOLERANCE_UNITS else f"{band:.2%}"
         told += [f"{name.replace('_', ' ')} {value}"] if band else []
-    lag, force = part * robot.tolerances.lags(robot.d).max(), part * robot.tolerances.tip_force
+    lag, force = part * robot.tolerances.max_backlash(robot.d).max(), part * robot.tolerances.tip_force
     told += [f"rotation lag {lag:.2g} rad"] if lag else []
     return ", ".join([*told, *([f"tip force {force:.2g} N"] if force else [])])
 
@@ -167,7 +169,9 @@ def _tolerances(plan: Plan, part: float) -> str:
 def _failures(plan: Plan) -> list[str]:
     reasons = list(plan.meta.get("failures", {}).items())
     told = [f"{'' if frame == 'all' else 'frame '}{frame} not solved: {why}" for frame, why in reasons]
-    told[MOST_REASONS:] = [f"and {len(reasons) - MOST_REASONS} more"] * (len(reasons) > MOST_REASONS)
+    told[MAX_LISTED_FAILURES:] = [f"and {len(reasons) - MAX_LISTED_FAILURES} more"] * (
+        len(reasons) > MAX_LISTED_FAILURES
+    )
     if plan.meta.get("interrupted", False):
         told.append("interrupted: the plan holds what was solved until then")
     return told
@@ -189,7 +193,7 @@ def _clearance(found: dict[str, Any]) -> list[Row]:
     if found["contacts"]:
         frames = sum(contact["last"] - contact["first"] + 1 for contact in found["contacts"])
         rows.append(
-            ("frames in contact, and depths summed", f"{frames} / {shown(found['contact_depth'])}", "/ mm")
+            ("frames in contact, and depths summed", f"{frames} / {format_cell(found['contact_depth'])}", "/ mm")
         )
     return rows
 
@@ -205,7 +209,11 @@ def _robustness(found: dict[str, Any]) -> list[Row]:
         "e3": drawn["e3"],
     }
     return [
-        (f"{name} of {drawn['draws']} samples, mean / median / 95 %", " / ".join(map(shown, each.values())), "mm")
+        (
+            f"{name} of {drawn['draws']} samples, mean / median / 95 %",
+            " / ".join(map(format_cell, each.values())),
+            "mm",
+        )
         for name, each in told.items()
         if each is not None
     ]
@@ -215,19 +223,25 @@ def _effort(found: dict[str, Any]) -> list[Row]:
     """Return the rows on the time that solving took and, for a horizon, on the motion's roughness."""
     times = found["solve_ms"]
     if times["median"] is not None:
-        return [("time a frame, median and 99 %", f"{shown(times['median'])} / {shown(times['p99'])}", "ms")]
+        return [
+            (
+                "time a frame, median and 99 %",
+                f"{format_cell(times['median'])} / {format_cell(times['p99'])}",
+                "ms",
+            )
+        ]
     weight = found["weights"]["motion_s2"]
     if weight is None:
         return [("roughness", f"{found['roughness']:.0f}", "mm²/s")]
     rough = f"{found['roughness']:.0f} / {weight:.2g}"
-    seconds = f"{shown(found['search_s'])} / {shown(times['total'] / 1e3)}"
+    seconds = f"{format_cell(found['search_s'])} / {format_cell(times['total'] / 1e3)}"
     return [
         ("roughness, and its weight in the objective", rough, "mm²/s / s²"),
         ("time for the start, and for the horizon", seconds, "s"),
     ]
 
 
-def shown(cell: Any) -> str:
+def format_cell(cell: Any) -> str:
     """Write a cell as text: numbers with three decimals, two above 1, one above 10; nothing for None."""
     if cell is None:
         return ""

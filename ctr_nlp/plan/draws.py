@@ -9,49 +9,54 @@ from typing import Any
 
 import numpy as np
 
-from ctr_nlp.formulations.around import Beside
+from ctr_nlp.formulations.around import WallDistance
 from ctr_nlp.plan.measures import rms_over_sigma
-from ctr_nlp.plan.record import Record
+from ctr_nlp.plan.record import PlanData
 from ctr_nlp.plan.robustness import COSTLY, Robustness
 from ctr_nlp.robot import Robot
-from ctr_nlp.robot.draws import Draws, drawn, drawn_from
-from ctr_nlp.robot.tolerances import NAMES
-from ctr_nlp.simulation.drawn import DrawnMotion, drawn_motion
+from ctr_nlp.robot.draws import RobotSamples, perturb_robot, sample_robots
+from ctr_nlp.robot.tolerances import DEVIATION_NAMES
+from ctr_nlp.simulation.drawn import SampleMotions, simulate_samples
 from ctr_nlp.target.lumen import Lumen
-from ctr_nlp.target.target import SIGMA
+from ctr_nlp.target.target import SIGMA_GRID
 from ctr_nlp.typing import Array, Index
 
-DRAWS, SEED = 200, 0
+DEFAULT_PLAN_SAMPLES, DEFAULT_PLAN_SAMPLE_SEED = 200, 0
 """Number and seed of the simulated robots where none are given."""
-GROUP = 50
+PLAN_SAMPLES_PER_BATCH = 50
 """Simulated robots whose whole shapes are in memory at once."""
-CLOUD, STRIDE = 5, 4
+CLOUD_FRAME_COUNT, CLOUD_POINT_STRIDE = 5, 4
 """Number of frames whose shapes are kept, evenly spaced up to the last one, and the stride of the kept samples
 along the robot.
 """
 
 
-def robustness(plan: Record, count: int = DRAWS, seed: int = SEED) -> Robustness:
+def robustness(
+    plan: PlanData, count: int = DEFAULT_PLAN_SAMPLES, seed: int = DEFAULT_PLAN_SAMPLE_SEED
+) -> Robustness:
     """Move `count` robots, sampled within the tolerances with a seed, through a plan, on the model that it is
     evaluated on.
 
     Raises RobotError, and OptionError where that model cannot follow such robots.
     """
-    draws = drawn(plan.robot, count, seed)
-    frames = np.unique(np.linspace(-1, len(plan.time) - 1, CLOUD + 1)[1:].round().astype(int))
-    parts = [_measured(plan, draws[first : first + GROUP], frames) for first in range(0, count, GROUP)]
+    draws = sample_robots(plan.robot, count, seed)
+    frames = np.unique(np.linspace(-1, len(plan.time) - 1, CLOUD_FRAME_COUNT + 1)[1:].round().astype(int))
+    parts = [
+        _measure_samples(plan, draws[first : first + PLAN_SAMPLES_PER_BATCH], frames)
+        for first in range(0, count, PLAN_SAMPLES_PER_BATCH)
+    ]
     arrays: list[Any] = [np.concatenate(each) for each in zip(*(part[:-1] for part in parts), strict=True)]
     cloud = np.concatenate([part[-1] for part in parts], axis=1)
-    growth, lost_alone = _costs(plan)
+    growth, lost_alone = _measure_tolerance_costs(plan)
     ends: list[Any] = [cloud, frames + 1, growth, lost_alone, plan.beta[:, -1]]
-    return Robustness(*[seed, draws.parts, draws.lags, *arrays, *ends])
+    return Robustness(*[seed, draws.deviations, draws.backlash, *arrays, *ends])
 
 
-def _measured(plan: Record, draws: Draws, frames: Index) -> tuple[Any, ...]:
+def _measure_samples(plan: PlanData, draws: RobotSamples, frames: Index) -> tuple[Any, ...]:
     """Simulate a group of robots, and return the fields of Robustness from e2 to cloud, in its order; `frames`
     (from 0) are those of the cloud.
     """
-    found = drawn_motion(plan.robot, draws, plan.q, plan.evaluated_on)
+    found = simulate_samples(plan.robot, draws, plan.q, plan.evaluated_model)
     distance = _distance(plan, found)
     margins = np.fmin(found.stability, found.stability_between)
     clearance = contact = np.full(len(draws), np.nan)
@@ -66,7 +71,7 @@ def _measured(plan: Record, draws: Draws, frames: Index) -> tuple[Any, ...]:
             found.snapped,
         ),
         *(np.fmin.reduce(margins, axis=1), clearance, contact),
-        found.shape[:, frames, ::STRIDE].swapaxes(0, 1).astype(np.float32),
+        found.shape[:, frames, ::CLOUD_POINT_STRIDE].swapaxes(0, 1).astype(np.float32),
     )
 
 
@@ -90,24 +95,24 @@ def clearances(robot: Robot, lumen: Lumen, beta: Array, shape: Array) -> Array:
         Least distance of each body from the wall in each frame (n, T), mm; negative beyond the wall, NaN where a
         robot has no shape.
     """
-    return np.asarray(Beside(lumen).clearances(robot, beta, shape, SIGMA).min(axis=2))
+    return np.asarray(WallDistance(lumen).clearances(robot, beta, shape, SIGMA_GRID).min(axis=2))
 
 
-def _distance(plan: Record, found: DrawnMotion) -> Array:
+def _distance(plan: PlanData, found: SampleMotions) -> Array:
     """Distances (n, T, 101) mm of simulated shapes from the targets, at equal sigma."""
     away = found.shape - plan.target
     return np.asarray(np.sqrt(np.einsum("ntsk,ntsk->nts", away, away)))
 
 
-def _costs(plan: Record) -> tuple[Array, Index]:
+def _measure_tolerance_costs(plan: PlanData) -> tuple[Array, Index]:
     """Return by how much each tolerance alone lets e3 grow, (d, 6) mm, and how many of two robots it loses.
 
     Each is off by its standard deviation to either side, where a mean over two is that over a band as far as
     errors are quadratic; a lag is as large as its root mean square. NaN where a tolerance is 0.
     """
-    cases = list(_alone(plan))
+    cases = list(_single_tolerance_cases(plan))
     parts, lags = (np.array(arrays) for arrays in zip(*((part, lag) for _, part, lag in cases), strict=True))
-    found = drawn_motion(plan.robot, drawn_from(plan.robot, parts, lags), plan.q, plan.evaluated_on)
+    found = simulate_samples(plan.robot, perturb_robot(plan.robot, parts, lags), plan.q, plan.evaluated_model)
     squares = np.nanmean(rms_over_sigma(_distance(plan, found)) ** 2, axis=1)
     growth = np.full((plan.robot.d, len(COSTLY)), np.nan)
     lost = np.zeros(growth.shape, dtype=int)
@@ -118,17 +123,17 @@ def _costs(plan: Record) -> tuple[Array, Index]:
     return growth, lost
 
 
-def _alone(plan: Record) -> Iterator[tuple[tuple[int, int] | None, Array, Array]]:
+def _single_tolerance_cases(plan: PlanData) -> Iterator[tuple[tuple[int, int] | None, Array, Array]]:
     """Yield the robot described, and then those that differ by one tolerance: its place (tube, tolerance), parts
     (d, 5) and lags (d,).
     """
     d, tolerances = plan.robot.d, plan.robot.tolerances
-    bands, lags = tolerances.bands(plan.robot.tubes), tolerances.lags(d)
+    bands, lags = tolerances.bands(plan.robot.tubes), tolerances.max_backlash(d)
     yield None, np.zeros_like(bands), np.zeros(d)
     for (i, k), sign in itertools.product(np.ndindex(d, len(COSTLY)), (-1.0, 1.0)):
         parts, lag = np.zeros_like(bands), np.zeros(d)
         # Over a band of half-width b, uniform values have the standard deviation b / sqrt(3).
-        if k < len(NAMES):
+        if k < len(DEVIATION_NAMES):
             parts[i, k] = sign * bands[i, k] / math.sqrt(3)
         else:
             lag[i] = lags[i] / math.sqrt(3)

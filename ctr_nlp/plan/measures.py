@@ -8,10 +8,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ctr_nlp.plan.record import Record
-from ctr_nlp.support.runs import runs
-from ctr_nlp.target.lumen import Lumen, outermost
-from ctr_nlp.target.target import QUADRATURE, SIGMA
+from ctr_nlp.plan.record import PlanData
+from ctr_nlp.support.runs import find_flag_runs
+from ctr_nlp.target.lumen import Lumen, outermost_tube_index
+from ctr_nlp.target.target import QUADRATURE, SIGMA_GRID
 from ctr_nlp.typing import Array
 
 
@@ -20,17 +20,19 @@ def rms_over_sigma(distance: Array) -> Array:
     return np.sqrt(distance**2 @ QUADRATURE)
 
 
-def e1(plan: Record) -> Array:
+def e1(plan: PlanData) -> Array:
     """Distance (T, 101) in mm between shape and target at the same sigma."""
     return np.linalg.norm(plan.shape - plan.target, axis=-1)
 
 
-def nearest(plan: Record) -> Array:
+def nearest_target_distances(plan: PlanData) -> Array:
     """Distance (T, 101) in mm from each point of the shape to the nearest point of its frame's target."""
-    return np.array([_to_polyline(shape, target) for shape, target in zip(plan.shape, plan.target, strict=True)])
+    return np.array(
+        [_distances_to_polyline(shape, target) for shape, target in zip(plan.shape, plan.target, strict=True)]
+    )
 
 
-def _to_polyline(points: Array, line: Array) -> Array:
+def _distances_to_polyline(points: Array, line: Array) -> Array:
     """Distance (n,) from points (n, 3) to the polyline through line (m, 3).
 
     Which part of the line is nearest is found by products of matrices, whose rounding, some 1e-12 mm^2, may
@@ -46,20 +48,20 @@ def _to_polyline(points: Array, line: Array) -> Array:
     return np.linalg.norm(found, axis=-1)
 
 
-def off_own_path(plan: Record) -> Array:
+def follow_the_leader_deviation(plan: PlanData) -> Array:
     """Largest distance (T,) in mm from each frame's shape to the nearest point of the last shape that is known.
 
     It is 0 where the body goes where the tip has been: follow-the-leader motion, whatever the target. NaN where a
     shape is not known.
     """
-    known = np.flatnonzero(plan.reached)
+    known = np.flatnonzero(plan.reached_frames)
     if not known.size:
         return np.full(len(plan.time), np.nan)
     last = plan.shape[known[-1]]
-    return np.array([_to_polyline(shape, last).max() for shape in plan.shape])
+    return np.array([_distances_to_polyline(shape, last).max() for shape in plan.shape])
 
 
-def e3(plan: Record) -> float | None:
+def e3(plan: PlanData) -> float | None:
     """Root mean square of e2 over the frames whose shape is known, mm; None without any."""
     return root_mean_square(rms_over_sigma(e1(plan)))
 
@@ -70,13 +72,13 @@ def root_mean_square(values: Array) -> float | None:
     return float(np.sqrt(np.mean(known**2))) if known.size else None
 
 
-def tip_angle(plan: Record) -> Array:
+def tip_angle(plan: PlanData) -> Array:
     """Angle (T,) in rad between the tip's direction and the target's."""
     cross = np.linalg.norm(np.cross(plan.tip_direction, plan.target_direction), axis=-1)
     return np.arctan2(cross, (plan.tip_direction * plan.target_direction).sum(-1))
 
 
-class Arrival(NamedTuple):
+class TipArrival(NamedTuple):
     """How a motion ends: where its tip is in the last frame, seen from the target's end.
 
     distance: mm from the target's end. angle_deg: between the directions of tip and target, degrees. short: by how
@@ -88,14 +90,14 @@ class Arrival(NamedTuple):
     short: float
 
 
-def arrival(plan: Record) -> Arrival | None:
+def arrival(plan: PlanData) -> TipArrival | None:
     """Return how a plan ends; None where the robot's shape in the last frame is not known."""
-    if not plan.reached[-1]:
+    if not plan.reached_frames[-1]:
         return None
     target = plan.target[-1]
     length = float(np.linalg.norm(np.diff(target, axis=0), axis=-1).sum())
     distance = float(np.linalg.norm(plan.shape[-1, -1] - target[-1]))
-    return Arrival(distance, float(np.degrees(tip_angle(plan)[-1])), length - float(plan.beta[-1, -1]))
+    return TipArrival(distance, float(np.degrees(tip_angle(plan)[-1])), length - float(plan.beta[-1, -1]))
 
 
 class LargestError(NamedTuple):
@@ -106,7 +108,7 @@ class LargestError(NamedTuple):
     e3: float
 
 
-def largest_error(plan: Record) -> LargestError | None:
+def largest_error(plan: PlanData) -> LargestError | None:
     """Return the frame with the largest e2, of those whose shape is known; None without any."""
     e2 = rms_over_sigma(e1(plan))
     overall = root_mean_square(e2)
@@ -116,7 +118,7 @@ def largest_error(plan: Record) -> LargestError | None:
     return LargestError(float(e2[frame]), frame + 1, overall)
 
 
-class Place(NamedTuple):
+class DeepestPoint(NamedTuple):
     """Where a robot is nearest to the wall, or deepest in it, over a whole motion.
 
     depth: mm beyond the wall, negative for what is left to it. when: "in frame" or "on the way to frame"; frame:
@@ -130,7 +132,7 @@ class Place(NamedTuple):
     arc_length: float
 
 
-def deepest_place(plan: Record) -> Place | None:
+def find_deepest_point(plan: PlanData) -> DeepestPoint | None:
     """Return where a plan's robot is deepest in the wall, in its frames or between them; None where nothing is
     known.
 
@@ -143,9 +145,9 @@ def deepest_place(plan: Record) -> Place | None:
     if between is not None and np.nanmin(between) < np.nanmin(least) - 1e-6:
         least, when = between, "on the way to frame"
     frame, sample = np.unravel_index(np.nanargmin(least), least.shape)
-    tube = outermost(plan.beta[frame][None], SIGMA)[0, sample]
-    arc_length = float(SIGMA[sample] * plan.beta[frame, -1])
-    return Place(-float(least[frame, sample]), when, int(frame) + 1, int(tube) + 1, arc_length)
+    tube = outermost_tube_index(plan.beta[frame][None], SIGMA_GRID)[0, sample]
+    arc_length = float(SIGMA_GRID[sample] * plan.beta[frame, -1])
+    return DeepestPoint(-float(least[frame, sample]), when, int(frame) + 1, int(tube) + 1, arc_length)
 
 
 class Contact(NamedTuple):
@@ -164,36 +166,36 @@ class Contact(NamedTuple):
     path: float
 
 
-def depth(plan: Record) -> Array:
+def contact_depths(plan: PlanData) -> Array:
     """By how much the robot is beyond the wall at most, (T,) mm; 0 where nothing touches, NaN where unknown."""
     if plan.clearance is None:
         return np.full(len(plan.time), np.nan)
     return np.maximum(0.0, -plan.clearance.min(axis=1))
 
 
-def contacts(plan: Record) -> list[Contact]:
+def contacts(plan: PlanData) -> list[Contact]:
     """Return all contacts of a plan with the wall, in order of time; none where no wall is known."""
     if plan.clearance is None or plan.lumen is None:
         return []
-    deep, lumen, found = depth(plan), Lumen(plan.lumen), []
-    for first, stop in runs(deep > 0):
+    deep, lumen, found = contact_depths(plan), Lumen(plan.lumen), []
+    for first, stop in find_flag_runs(deep > 0):
         frame = first + int(deep[first:stop].argmax())
         sample = int(plan.clearance[frame].argmin())
-        tube = outermost(plan.beta[frame][None], SIGMA)[0, sample]
-        start, place = lumen.near(np.stack([np.zeros(3), plan.shape[frame, sample]])).behind
-        s = SIGMA[sample] * plan.beta[frame, -1]
+        tube = outermost_tube_index(plan.beta[frame][None], SIGMA_GRID)[0, sample]
+        start, place = lumen.project(np.stack([np.zeros(3), plan.shape[frame, sample]])).length_before
+        s = SIGMA_GRID[sample] * plan.beta[frame, -1]
         numbers = float(deep[frame]), frame + 1, int(tube) + 1, float(s), float(place - start)
         found.append(Contact(first + 1, stop, *numbers))
     return found
 
 
-SLACK = 1e-5
+PLAN_LIMIT_TOLERANCE_RAD_OR_MM = 1e-5
 """rad or mm by which positions, and steps from frame to frame, may exceed their limits: what solvers leave."""
 
 
-class Used(NamedTuple):
-    """Use of a limit. part: of the limit, 1 for all of it. exceeded: by more than SLACK. what: which limit, and in
-    which frame.
+class LimitUse(NamedTuple):
+    """Use of a limit. part: of the limit, 1 for all of it. exceeded: by more than PLAN_LIMIT_TOLERANCE_RAD_OR_MM.
+    what: which limit, and in which frame.
     """
 
     part: float
@@ -201,7 +203,7 @@ class Used(NamedTuple):
     what: str
 
 
-def most_used(plan: Record) -> Used | None:
+def find_most_used_limit(plan: PlanData) -> LimitUse | None:
     """Return the limit that a motion exceeds by most, or else the speed or acceleration that uses most of its
     limit.
 
@@ -212,7 +214,7 @@ def most_used(plan: Record) -> Used | None:
     return max(found, key=lambda used: (used.exceeded, used.part), default=None)
 
 
-def rate_parts(plan: Record, order: int) -> Array:
+def rate_parts(plan: PlanData, order: int) -> Array:
     """Speeds (order 1) or accelerations (order 2) between frames as parts of their limits, (T - order, 2d + 2); 0
     where not known.
     """
@@ -220,7 +222,7 @@ def rate_parts(plan: Record, order: int) -> Array:
     return np.nan_to_num(np.abs(np.diff(plan.q, n=order, axis=0)) / plan.dt**order / limit)
 
 
-def _rates(plan: Record) -> Iterator[Used]:
+def _rates(plan: PlanData) -> Iterator[LimitUse]:
     """Yield the speed and the acceleration that use most of their limits."""
     robot = plan.robot
     for order, name, limit in ((1, "speed", robot.speed), (2, "acceleration", robot.acceleration)):
@@ -228,13 +230,13 @@ def _rates(plan: Record) -> Iterator[Used]:
         if parts.size:
             j, i = np.unravel_index(parts.argmax(), parts.shape)
             part = float(parts[j, i])
-            exceeded = (part - 1) * float(limit[i]) * plan.dt**order > SLACK
-            yield Used(part, exceeded, f"{name} of {robot.axes[i]} on the way to frame {j + 1 + order}")
+            exceeded = (part - 1) * float(limit[i]) * plan.dt**order > PLAN_LIMIT_TOLERANCE_RAD_OR_MM
+            yield LimitUse(part, exceeded, f"{name} of {robot.axes[i]} on the way to frame {j + 1 + order}")
 
 
-def _positions(plan: Record) -> Iterator[Used]:
+def _positions(plan: PlanData) -> Iterator[LimitUse]:
     """Yield the worst place of each limit of positions, order and carriage gap that is exceeded by more than
-    SLACK.
+    PLAN_LIMIT_TOLERANCE_RAD_OR_MM.
     """
     robot, d, reach = plan.robot, plan.robot.d, plan.robot.reach
     scale = np.where(np.char.startswith(robot.axes, "beta"), reach, math.pi)
@@ -251,6 +253,6 @@ def _positions(plan: Record) -> Iterator[Used]:
         kinds.append((robot.carriage_gap - apart, np.full(d - 1, reach), gaps))
     for excess, scales, names in kinds:
         beyond = np.nan_to_num(excess)
-        if beyond.size and beyond.max() > SLACK:
+        if beyond.size and beyond.max() > PLAN_LIMIT_TOLERANCE_RAD_OR_MM:
             j, i = np.unravel_index(beyond.argmax(), beyond.shape)
-            yield Used(1 + float(beyond[j, i] / scales[i]), True, f"{names[i]} in frame {j + 1}")
+            yield LimitUse(1 + float(beyond[j, i] / scales[i]), True, f"{names[i]} in frame {j + 1}")

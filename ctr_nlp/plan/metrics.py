@@ -13,30 +13,30 @@ import numpy as np
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.plan.measures import (
     arrival,
+    contact_depths,
     contacts,
-    depth,
     e1,
     e3,
     largest_error,
-    nearest,
+    nearest_target_distances,
     rate_parts,
     rms_over_sigma,
     tip_angle,
 )
 from ctr_nlp.plan.measures import root_mean_square as root_mean_square
-from ctr_nlp.plan.record import Record
+from ctr_nlp.plan.record import PlanData
 from ctr_nlp.plan.sample_outcomes import sample_summary
 from ctr_nlp.plan.verdicts import verdicts
-from ctr_nlp.support.runs import runs
+from ctr_nlp.support.runs import find_flag_runs
 from ctr_nlp.typing import Array
 
-DRAWN = "e2_draws_median", "e2_draws_95"
+SAMPLE_E2_COLUMNS = "e2_draws_median", "e2_draws_95"
 """Columns of plans with simulated robots: the median of their e2, and what 95 % of them do not exceed."""
 BINDS = 0.005
 """A frame whose margin exceeds the one asked for by less than this is held back by it."""
 
 
-def by_frame(plan: Record) -> dict[str, Array]:
+def by_frame(plan: PlanData) -> dict[str, Array]:
     """Return the errors of a plan by frame, the columns of errors.csv.
 
     Parameters
@@ -65,9 +65,9 @@ def by_frame(plan: Record) -> dict[str, Array]:
     >>> ctr.by_frame(plan)["frame"]
     array([1, 2, 3])
     """
-    if not isinstance(plan, Record):
+    if not isinstance(plan, PlanData):
         raise OptionError(f"plan is {plan!r:.80}; it must be a Plan")
-    distance, near, has_margins = e1(plan), nearest(plan), np.isfinite(plan.stability).any()
+    distance, near, has_margins = e1(plan), nearest_target_distances(plan), np.isfinite(plan.stability).any()
     return {
         "frame": np.arange(1, len(plan.time) + 1),
         "time": plan.time,
@@ -79,12 +79,16 @@ def by_frame(plan: Record) -> dict[str, Array]:
         "tip_angle": tip_angle(plan),
         **({"stability": plan.stability, "stability_between": plan.stability_between} if has_margins else {}),
         **({} if plan.clearance is None else {"clearance": plan.clearance.min(axis=1)}),
-        **({} if plan.drawn is None else dict(zip(DRAWN, plan.drawn.e2_quantiles(0.5, 0.95), strict=True))),
+        **(
+            {}
+            if plan.drawn is None
+            else dict(zip(SAMPLE_E2_COLUMNS, plan.drawn.e2_quantiles(0.5, 0.95), strict=True))
+        ),
         "success": plan.success.astype(int),
     }
 
 
-def bound_by_stability(plan: Record) -> list[tuple[int, int]]:
+def bound_by_stability(plan: PlanData) -> list[tuple[int, int]]:
     """Find the parts of a motion that the stability margin asked for holds back.
 
     Parameters
@@ -101,10 +105,10 @@ def bound_by_stability(plan: Record) -> list[tuple[int, int]]:
     if margin is None or not plan.as_planned or not np.isfinite(plan.stability).any():
         return []
     bound = np.fmin(plan.stability, plan.stability_between) < margin + BINDS
-    return [(first + 1, stop) for first, stop in runs(bound)]
+    return [(first + 1, stop) for first, stop in find_flag_runs(bound)]
 
 
-def missed_margin(plan: Record) -> tuple[int, float] | None:
+def missed_margin(plan: PlanData) -> tuple[int, float] | None:
     """Find where a plan misses the stability margin asked for by most, on the way from frame to frame.
 
     Parameters
@@ -126,7 +130,7 @@ def missed_margin(plan: Record) -> tuple[int, float] | None:
     return frame + 1, float(found[frame])
 
 
-def summary(plan: Record) -> dict[str, Any]:
+def summary(plan: PlanData) -> dict[str, Any]:
     """Return the numbers of a plan as summary.json holds them.
 
     Parameters
@@ -183,7 +187,7 @@ def summary(plan: Record) -> dict[str, Any]:
         "snaps": plan.meta.get("snaps", []),
         "clearance_min": None if plan.clearance is None else _least(plan.clearance),
         "clearance_between_min": None if plan.clearance_between is None else _least(plan.clearance_between),
-        "contact_depth": None if plan.clearance is None else float(np.nansum(depth(plan))),
+        "contact_depth": None if plan.clearance is None else float(np.nansum(contact_depths(plan))),
         "contacts": [contact._asdict() for contact in contacts(plan)],
         "solve_ms": {
             "median": _number(1e3 * np.median(seconds) if seconds.size else np.nan),
@@ -207,8 +211,8 @@ def summary(plan: Record) -> dict[str, Any]:
         "problem": plan.meta["problem"]["name"],
         "formulation": plan.meta.get("formulation"),
         "model": plan.meta["model"],
-        "evaluated": plan.evaluated,
-        "load": None if plan.bears is None else str(plan.bears),
+        "evaluated": plan.evaluated_model_name,
+        "load": None if plan.evaluated_load is None else str(plan.evaluated_load),
         "solver": plan.meta.get("solver"),
         "direction": plan.options.get("direction"),
         "smoothing_deviation": plan.meta["problem"].get("deviation"),
@@ -216,7 +220,7 @@ def summary(plan: Record) -> dict[str, Any]:
     }
 
 
-def verdict_columns(plan: Record) -> dict[str, str]:
+def verdict_columns(plan: PlanData) -> dict[str, str]:
     """Return the words of a plan's verdicts as columns of a table's row, ``verdict_solved`` and so on.
 
     Parameters

@@ -7,40 +7,40 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ctr_nlp.formulations.around import Beside
+from ctr_nlp.formulations.around import WallDistance
 from ctr_nlp.models import Model, Snap
 from ctr_nlp.plan.measures import rms_over_sigma, root_mean_square
-from ctr_nlp.plan.record import Record
+from ctr_nlp.plan.record import PlanData
 from ctr_nlp.robot import Robot
 from ctr_nlp.simulation.forward import Simulation, Simulator, shapes_between
 from ctr_nlp.target.lumen import Lumen
-from ctr_nlp.target.target import SIGMA
+from ctr_nlp.target.target import SIGMA_GRID
 from ctr_nlp.typing import Array, Flags
 
-ELSEWHERE = 0.05
+PLANNED_BRANCH_TOLERANCE_RAD = 0.05
 """rad: a robot whose tubes are turned by more from what was planned is in another equilibrium."""
 
 
-class Moved(NamedTuple):
+class MotionEvaluation(NamedTuple):
     """Results of a simulated motion. arrays, told: fields of a plan and entries of its meta. simulation: the robot
     moved through its motion.
     """
 
     arrays: dict[str, Any]
-    told: dict[str, Any]
+    metadata: dict[str, Any]
     simulation: Simulation
 
 
-def moved(
+def evaluate_motion(
     simulator: Simulator, q: Array, *, target: Array, lumen: Lumen | None = None, free: Array | None = None
-) -> Moved:
+) -> MotionEvaluation:
     """Move the robot through q (T, 2d + 2), towards target (T, 101, 3) mm.
 
     lumen: the wall, where it is known; free: the motion (T, 2d + 2) that was found without the wall.
     """
     robot, found, clearance, between = simulator.robot, simulator(q), None, None
     if lumen is not None:
-        clearance = Beside(lumen).clearances(robot, robot.split(q)[1], found.shape, SIGMA)
+        clearance = WallDistance(lumen).clearances(robot, robot.split(q)[1], found.shape, SIGMA_GRID)
         between = clearance_between(robot, q, simulator.model, lumen)
     arrays = {
         "shape": found.shape,
@@ -55,7 +55,7 @@ def moved(
         "snaps": [snap._asdict() for snap in found.snaps],
         "e3_free": e3_of(free_errors(simulator, free, target), reached),
     }
-    return Moved(arrays, told, found)
+    return MotionEvaluation(arrays, told, found)
 
 
 def clearance_between(robot: Robot, q: Array, model: str | Model, lumen: Lumen) -> Array:
@@ -79,13 +79,13 @@ def clearance_between(robot: Robot, q: Array, model: str | Model, lumen: Lumen) 
         first frame has no way to it. NaN where the robot has no shape.
     """
     found = shapes_between(robot, q, model)
-    clearance = Beside(lumen).clearances(robot, found.beta, found.shape, SIGMA)
-    least = np.full((len(q), len(SIGMA)), np.nan)
+    clearance = WallDistance(lumen).clearances(robot, found.beta, found.shape, SIGMA_GRID)
+    least = np.full((len(q), len(SIGMA_GRID)), np.nan)
     np.fmin.at(least, found.frames, clearance)
     return least
 
 
-def lumen_of(plan: Record) -> Lumen | None:
+def lumen_of(plan: PlanData) -> Lumen | None:
     """Return the lumen whose table (N, 4) a plan holds; None where none is known."""
     return None if plan.lumen is None else Lumen(plan.lumen)
 
@@ -104,7 +104,7 @@ def e3_of(e2: Array | None, reached: Flags) -> float | None:
     return root_mean_square(e2[reached])
 
 
-def elsewhere(x: Array, planned: Array, snaps: Sequence[Snap], d: int) -> Flags:
+def find_off_branch_frames(x: Array, planned: Array, snaps: Sequence[Snap], d: int) -> Flags:
     """Tell in which frames (T,) a robot of d tubes with unknowns x (T, n) is on another branch than planned, or
     just snapped.
 
@@ -114,12 +114,12 @@ def elsewhere(x: Array, planned: Array, snaps: Sequence[Snap], d: int) -> Flags:
     apart = x - planned
     apart[:, d - 1] -= 2 * np.pi * np.round(apart[:, d - 1] / (2 * np.pi))
     # Negated so that NaN, where there is no equilibrium, counts as away.
-    away = ~(np.abs(apart).max(axis=1) < ELSEWHERE)
+    away = ~(np.abs(apart).max(axis=1) < PLANNED_BRANCH_TOLERANCE_RAD)
     away[[snap.frame - 1 for snap in snaps]] = True
     return away
 
 
-def lost(away: Flags, snaps: Sequence[Snap]) -> dict[str, str]:
+def describe_branch_failures(away: Flags, snaps: Sequence[Snap]) -> dict[str, str]:
     """Failures, by frame from 1, of frames (T,) in which a robot is away from where it was planned to be."""
     found = {}
     for frame in (np.flatnonzero(away) + 1).tolist():

@@ -18,40 +18,46 @@ from ctr_nlp.formulations.settings import THRESHOLDS, Settings
 from ctr_nlp.loads import Load, LoadOverTime, with_modulus
 from ctr_nlp.models import Model, model_named
 from ctr_nlp.models.loaded.model import Loaded
-from ctr_nlp.plan.draws import DRAWS, SEED, robustness
+from ctr_nlp.plan.draws import DEFAULT_PLAN_SAMPLE_SEED, DEFAULT_PLAN_SAMPLES, robustness
 from ctr_nlp.plan.measures import e3
-from ctr_nlp.plan.moved import clearance_between, elsewhere, lost, lumen_of, moved
+from ctr_nlp.plan.moved import (
+    clearance_between,
+    describe_branch_failures,
+    evaluate_motion,
+    find_off_branch_frames,
+    lumen_of,
+)
 from ctr_nlp.plan.record import (
     DIGEST,
     FORMAT,
-    OF_DRAWS,
-    Record,
+    SAMPLE_ARRAY_NAMES,
+    PlanData,
     check_arrays,
     check_meta,
     digest,
-    planned_on,
-    stored,
+    planned_model,
+    read_plan_file,
 )
-from ctr_nlp.plan.robustness import Robustness, stored_robustness
-from ctr_nlp.plan.stretches import joined, resampled, rows, stretch, turned
+from ctr_nlp.plan.robustness import Robustness, robustness_from_arrays
+from ctr_nlp.plan.stretches import join_plans, per_frame_arrays, resample_plan, reverse_plan, slice_plan
 from ctr_nlp.plan.verdicts import Verdicts, verdicts
 from ctr_nlp.robot import Robot
 from ctr_nlp.simulation.forward import Simulator
-from ctr_nlp.support.cards import Line, card
-from ctr_nlp.support.values import check_choice, checked_path, instance, whole_number
-from ctr_nlp.support.whole_file import whole_file
+from ctr_nlp.support.cards import CardLine, notebook_card_html
+from ctr_nlp.support.values import check_choice, check_instance, checked_path, whole_number
+from ctr_nlp.support.whole_file import write_atomically
 from ctr_nlp.target.problem import Problem
 from ctr_nlp.typing import Array, Flags
 
-DESCRIBED = "name", "frames", "duration", "deviation", "deviation_share", "space"
+META_PROBLEM_ATTRIBUTES = "name", "frames", "duration", "deviation", "deviation_share", "space"
 """Attributes of the problem that meta holds."""
 PHYSICAL_MODEL = "elastic"
 """The model on which every plan is checked: it predicts how tubes twist each other."""
-SHOWN = 5
+PLAN_PICTURE_FRAMES = 5
 """Frames in a notebook's picture."""
 
 
-class Plan(Record):
+class Plan(PlanData):
     """A motion of T frames of a robot with d tubes, with its shapes, errors and margins.
 
     ``plan[first:stop]`` are some of its frames, counted from 0; ``plan + other`` is one plan after the other.
@@ -109,7 +115,7 @@ class Plan(Record):
         """
         return verdicts(self)
 
-    def check(self, samples: int = DRAWS, seed: int = SEED) -> Plan:
+    def check(self, samples: int = DEFAULT_PLAN_SAMPLES, seed: int = DEFAULT_PLAN_SAMPLE_SEED) -> Plan:
         """Look at the plan on the elastic model and on simulated robots within the tolerances.
 
         Parameters
@@ -142,10 +148,10 @@ class Plan(Record):
         >>> plan.evaluated, plan.verdicts.unchecked
         ('elastic', ('within the wall',))
         """
-        looked = self if self.can_snap else self.on(PHYSICAL_MODEL)
-        if self.meta.get("interrupted", False) or not looked.reached.any():
+        looked = self if self.can_snap else self.evaluate_on(PHYSICAL_MODEL)
+        if self.meta.get("interrupted", False) or not looked.reached_frames.any():
             return looked
-        return looked.with_draws(samples, seed)
+        return looked.with_samples(samples, seed)
 
     def with_thresholds(self, **thresholds: float) -> Plan:
         """Judge the same plan by other thresholds.
@@ -171,7 +177,7 @@ class Plan(Record):
         Settings(**dict[str, Any](thresholds))
         return replace(self, meta=self.meta | {"options": self.options | thresholds})
 
-    def on(self, model: str) -> Plan:
+    def evaluate_on(self, model: str) -> Plan:
         """Evaluate the same motion on another model.
 
         The robot is moved through the motion on that model, without a load; shapes, tip directions, margins and
@@ -200,9 +206,9 @@ class Plan(Record):
         >>> plan.on("elastic").evaluated
         'elastic'
         """
-        return self._evaluated(model_named(model), {"evaluated": model, "load": None})
+        return self._evaluate_on_model(model_named(model), {"evaluated": model, "load": None})
 
-    def under(self, load: Load | LoadOverTime) -> Plan:
+    def with_load(self, load: Load | LoadOverTime) -> Plan:
         """Evaluate the same motion on the elastic model while the robot bears a load.
 
         The load comes while the robot stands in the first frame, and is taken away in the last one.
@@ -231,9 +237,9 @@ class Plan(Record):
         >>> loaded.evaluated  # doctest: +SKIP
         'elastic'
         """
-        instance(LoadError, "load", load, Load, LoadOverTime)
+        check_instance(LoadError, "load", load, Load, LoadOverTime)
         model = Loaded(load)
-        return self._evaluated(model, {"evaluated": model.name, "load": load.to_dict()})
+        return self._evaluate_on_model(model, {"evaluated": model.name, "load": load.to_dict()})
 
     def with_modulus(self, modulus: float) -> Plan:
         """Give the tubes of the plan's robot Young's moduli in MPa, where they have only ratios.
@@ -263,30 +269,32 @@ class Plan(Record):
         >>> plan.with_modulus(60_000).robot.tubes[0].youngs_modulus
         60000.0
         """
-        if self.bears is not None:
-            raise LoadError(f"the plan is evaluated under {self.bears}; give its robot a modulus before the load")
+        if self.evaluated_load is not None:
+            raise LoadError(
+                f"the plan is evaluated under {self.evaluated_load}; give its robot a modulus before the load"
+            )
         return replace(self, meta=self.meta | {"robot": with_modulus(self.robot, modulus).to_dict()})
 
-    def _with_way_between(self) -> Plan:
+    def _with_clearance_between(self) -> Plan:
         """Return the plan with its clearance between frames, which files of older versions do not hold."""
         lumen = lumen_of(self)
         if lumen is None or self.clearance is None or self.clearance_between is not None:
             return self
-        return replace(self, clearance_between=clearance_between(self.robot, self.q, self.evaluated_on, lumen))
+        return replace(self, clearance_between=clearance_between(self.robot, self.q, self.evaluated_model, lumen))
 
-    def _evaluated(self, model: Model, told: dict[str, Any]) -> Plan:
-        """Return the plan with its robot moved through the motion on `model`, and with `told` in its meta."""
+    def _evaluate_on_model(self, model: Model, metadata: dict[str, Any]) -> Plan:
+        """Return the plan with its robot moved through the motion on `model`, and with `metadata` in its meta."""
         simulator, lumen = Simulator(self.robot, model), lumen_of(self)
-        found = moved(simulator, self.q, target=self.target, lumen=lumen, free=self.free)
+        found = evaluate_motion(simulator, self.q, target=self.target, lumen=lumen, free=self.free)
         # Results on simulated robots are those of the model before, and are dropped.
-        return replace(self, **found.arrays, meta=self.meta | found.told | told, drawn=None)
+        return replace(self, **found.arrays, meta=self.meta | found.metadata | metadata, drawn=None)
 
-    def robustness(self, draws: int = DRAWS, seed: int = SEED) -> Robustness:
+    def robustness(self, samples: int = DEFAULT_PLAN_SAMPLES, seed: int = DEFAULT_PLAN_SAMPLE_SEED) -> Robustness:
         """Try the motion on simulated robots within the tolerances, on the model that the plan is evaluated on.
 
         Parameters
         ----------
-        draws : int
+        samples : int
             Number of robots, at least 1.
         seed : int
             Their seed; the same seed gives the same robots.
@@ -300,7 +308,7 @@ class Plan(Record):
         Raises
         ------
         RobotError
-            `draws` or `seed` is out of range.
+            `samples` or `seed` is out of range.
         OptionError
             The model cannot follow robots that differ from the nominal one.
 
@@ -313,14 +321,14 @@ class Plan(Record):
         >>> len(found), found.e2.shape
         (5, (5, 3))
         """
-        return robustness(self, draws, seed)
+        return robustness(self, samples, seed)
 
-    def with_draws(self, draws: int = DRAWS, seed: int = SEED) -> Plan:
+    def with_samples(self, samples: int = DEFAULT_PLAN_SAMPLES, seed: int = DEFAULT_PLAN_SAMPLE_SEED) -> Plan:
         """Return the plan with what happens on simulated robots; see :meth:`robustness`.
 
         Parameters
         ----------
-        draws : int
+        samples : int
             Number of robots, at least 1.
         seed : int
             Their seed; the same seed gives the same robots.
@@ -333,21 +341,21 @@ class Plan(Record):
         Raises
         ------
         RobotError
-            `draws` or `seed` is out of range.
+            `samples` or `seed` is out of range.
         OptionError
             The model cannot follow robots that differ from the nominal one.
         """
-        return replace(self, drawn=self.robustness(draws, seed))
+        return replace(self, drawn=self.robustness(samples, seed))
 
-    __getitem__ = stretch
-    reversed = turned
-    joined = __add__ = joined
-    resampled = resampled
+    __getitem__ = slice_plan
+    reversed = reverse_plan
+    joined = __add__ = join_plans
+    resampled = resample_plan
 
     def __repr__(self) -> str:
         failed, error = int((~self.success).sum()), e3(self)
-        on = "" if self.evaluated == self.meta["model"] else f" on the {self.evaluated} one"
-        on += "" if self.bears is None else f" under {self.bears}"
+        on = "" if self.evaluated_model_name == self.meta["model"] else f" on the {self.evaluated_model_name} one"
+        on += "" if self.evaluated_load is None else f" under {self.evaluated_load}"
         return (
             f"Plan({self.meta['problem']['name']}: {len(self.time)} frames in {self.time[-1]:g} s, "
             f"{'all' if not failed else len(self.time) - failed} solved, {self.robot.d} tubes, "
@@ -355,11 +363,11 @@ class Plan(Record):
         )
 
     def _repr_html_(self) -> str:
-        frames = np.unique(np.linspace(0, len(self.time) - 1, SHOWN).round().astype(int))
-        lines = [Line(self.target[j], "#999999", 4.0) for j in frames]
-        lines += [Line(self.shape[j], "#0072b2" if self.success[j] else "#d55e00") for j in frames]
+        frames = np.unique(np.linspace(0, len(self.time) - 1, PLAN_PICTURE_FRAMES).round().astype(int))
+        lines = [CardLine(self.target[j], "#999999", 4.0) for j in frames]
+        lines += [CardLine(self.shape[j], "#0072b2" if self.success[j] else "#d55e00") for j in frames]
         told = [(f"{each.matter}: {each.word}", each.value) for each in self.verdicts]
-        return card(repr(self), lines, told)
+        return notebook_card_html(repr(self), lines, told)
 
     def save(self, path: str | Path) -> None:
         """Write the plan to a file, whole or not at all.
@@ -386,12 +394,16 @@ class Plan(Record):
         ...     ctr.Plan.load(Path(folder) / "plan.npz") == plan
         True
         """
-        present = rows(self) | {"to_robot": self.to_robot} | ({} if self.lumen is None else {"lumen": self.lumen})
+        present = (
+            per_frame_arrays(self)
+            | {"to_robot": self.to_robot}
+            | ({} if self.lumen is None else {"lumen": self.lumen})
+        )
         present |= {} if self.drawn is None else self.drawn.arrays()
         target, told = checked_path(OutputError, path), self._meta_as_json()
         saved: dict[str, Any] = {DIGEST: np.array(digest(present, told)), "meta": np.array(told), **present}
         try:
-            with whole_file(target) as partial, open(partial, "wb") as file:
+            with write_atomically(target) as partial, open(partial, "wb") as file:
                 np.savez_compressed(file, **saved)
         except OSError as error:
             raise OutputError(f"plan cannot be written to {target}: {error}") from error
@@ -428,14 +440,14 @@ class Plan(Record):
         """
         path = checked_path(OutputError, path)
         try:
-            arrays, meta, changed = stored(path)
+            arrays, meta, changed = read_plan_file(path)
             check_meta(meta)
             check_arrays(arrays, Robot.from_dict(meta["robot"]).d)
             drawn = None
-            if set(OF_DRAWS) <= set(arrays):
+            if set(SAMPLE_ARRAY_NAMES) <= set(arrays):
                 seed = whole_number(OutputError, "seed of meta's draws", meta.pop("draws", {}).get("seed"), 0)
-                drawn = stored_robustness({name: arrays.pop(name) for name in OF_DRAWS}, seed)
-            plan = cls(meta=meta, drawn=drawn, **arrays)._with_way_between()
+                drawn = robustness_from_arrays({name: arrays.pop(name) for name in SAMPLE_ARRAY_NAMES}, seed)
+            plan = cls(meta=meta, drawn=drawn, **arrays)._with_clearance_between()
         except OSError as error:
             raise OutputError(f"plan {path} cannot be read: {error.strerror}") from error
         except CtrError as error:
@@ -490,18 +502,21 @@ def plan_from_configurations(
     Plan
         The plan, with the shapes of the simulated robot.
     """
-    robot, frames = problem.robot, problem.samples
+    robot, frames = problem.robot, problem.target_frames
     target, radii = np.array([frame.points for frame in frames]), [frame.radius for frame in frames]
-    simulator = simulator or Simulator(robot, planned_on(meta))
+    simulator = simulator or Simulator(robot, planned_model(meta))
     # Shapes are those of the robot moved through q, and not those that the solver planned: a stationary point can
     # be an equilibrium that the motion does not lead to.
-    found = moved(simulator, q, target=target, lumen=problem.sampled_lumen, free=free)
+    found = evaluate_motion(simulator, q, target=target, lumen=problem.sampled_lumen, free=free)
     if planned is not None:
         snaps = found.simulation.snaps
         # On the elastic model q does not determine the equilibrium. Where the motion leads to another one than was
         # planned, the frame is not a solution, however small its residual.
-        away = success & elsewhere(found.simulation.x, planned, snaps, robot.d)
-        success, meta = success & ~away, meta | {"failures": meta["failures"] | lost(away, snaps)}
+        away = success & find_off_branch_frames(found.simulation.x, planned, snaps, robot.d)
+        success, meta = (
+            success & ~away,
+            meta | {"failures": meta["failures"] | describe_branch_failures(away, snaps)},
+        )
     alpha, beta, theta = robot.split(q)
     return Plan(
         time=np.arange(1.0, problem.frames + 1) * problem.dt,
@@ -516,9 +531,9 @@ def plan_from_configurations(
         kkt=kkt,
         to_robot=np.eye(4) if problem.to_robot is None else problem.to_robot,
         meta=meta
-        | found.told
+        | found.metadata
         | {
-            "problem": {key: getattr(problem, key) for key in DESCRIBED},
+            "problem": {key: getattr(problem, key) for key in META_PROBLEM_ATTRIBUTES},
             "robot": robot.to_dict(),
             "versions": dict(versions()),
             "format": FORMAT,

@@ -16,9 +16,9 @@ import numpy.typing as npt
 
 from ctr_nlp.exceptions import OutputError
 from ctr_nlp.loads import Load, LoadOverTime, load_from_dict
-from ctr_nlp.models import MODELS, Model
+from ctr_nlp.models import KINEMATIC_MODELS, Model
 from ctr_nlp.models.loaded.model import Loaded
-from ctr_nlp.plan.robustness import PREFIX, Robustness
+from ctr_nlp.plan.robustness import SAMPLE_ARRAY_PREFIX, Robustness
 from ctr_nlp.robot import Robot
 from ctr_nlp.support.equal import Value, read_only
 from ctr_nlp.support.values import frozen
@@ -27,7 +27,7 @@ from ctr_nlp.typing import Array, Flags
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Record(Value):
+class PlanData(Value):
     """Data of a plan: T frames of motion for a robot of d tubes; the arrays of plan.npz under their names.
 
     time (T,) s; alpha (T, d) rad; beta (T, d) mm; theta (T, 2) rad; target, shape (T, 101, 3) mm at uniform
@@ -87,32 +87,38 @@ class Record(Value):
         return float(self.time[0])
 
     @property
-    def evaluated(self) -> str:
+    def evaluated_model_name(self) -> str:
         """Name of the model on which shapes and margins were computed."""
         return str(self.meta.get("evaluated", self.meta["model"]))
 
     @cached_property
-    def bears(self) -> Load | LoadOverTime | None:
+    def evaluated_load(self) -> Load | LoadOverTime | None:
         """Load under which shapes and margins were computed; None without one."""
         return load_of(self.meta, "load" if "load" in self.meta else "planned_load")
 
     @cached_property
-    def evaluated_on(self) -> Model:
+    def evaluated_model(self) -> Model:
         """Model on which shapes and margins were computed, under the load."""
-        return MODELS[self.evaluated] if self.bears is None else Loaded(self.bears)
+        return (
+            KINEMATIC_MODELS[self.evaluated_model_name]
+            if self.evaluated_load is None
+            else Loaded(self.evaluated_load)
+        )
 
     @property
     def as_planned(self) -> bool:
         """Whether shapes and margins are those of the model and the load that the motion was planned for."""
-        return self.evaluated == self.meta["model"] and self.bears == load_of(self.meta, "planned_load")
+        return self.evaluated_model_name == self.meta["model"] and self.evaluated_load == load_of(
+            self.meta, "planned_load"
+        )
 
     @property
     def can_snap(self) -> bool:
         """Whether a robot can snap on the model on which shapes and margins were computed."""
-        return self.evaluated_on.can_snap
+        return self.evaluated_model.can_snap
 
     @cached_property
-    def reached(self) -> Flags:
+    def reached_frames(self) -> Flags:
         """Frames (T,) that have a shape, solved or not."""
         return frozen(np.asarray(np.isfinite(self.shape).all(axis=(1, 2))))
 
@@ -132,14 +138,14 @@ def load_of(meta: Mapping[str, Any], name: str) -> Load | LoadOverTime | None:
     return None if meta.get(name) is None else load_from_dict(meta[name])
 
 
-def planned_on(meta: Mapping[str, Any]) -> Model:
+def planned_model(meta: Mapping[str, Any]) -> Model:
     """Return the model that a plan was made on, under the load that it was made for."""
     load = load_of(meta, "planned_load")
-    return MODELS[meta["model"]] if load is None else Loaded(load)
+    return KINEMATIC_MODELS[meta["model"]] if load is None else Loaded(load)
 
 
 FORMAT = 1
-SHAPES: dict[str, tuple[int | str, ...]] = {
+PLAN_ARRAY_SHAPES: dict[str, tuple[int | str, ...]] = {
     **dict.fromkeys(
         ("time", "solve_time", "success", "objective", "kkt", "stability", "stability_between"), ("T",)
     ),
@@ -154,38 +160,49 @@ SHAPES: dict[str, tuple[int | str, ...]] = {
     "draws_parts": ("D", "d", 5),
     "draws_lags": ("D", "d"),
     "draws_e2": ("D", "T"),
-    **{PREFIX + name: ("D",) for name in ("largest", "lost", "snapped", "margin", "clearance", "contact")},
+    **{
+        SAMPLE_ARRAY_PREFIX + name: ("D",)
+        for name in ("largest", "lost", "snapped", "margin", "clearance", "contact")
+    },
     "draws_cloud": ("C", "D", 26, 3),
     "draws_cloud_frames": ("C",),
-    **{PREFIX + name: ("d", 6) for name in ("growth", "lost_alone")},
+    **{SAMPLE_ARRAY_PREFIX + name: ("d", 6) for name in ("growth", "lost_alone")},
     "draws_length": ("T",),
 }
 """Sizes of the arrays: T frames, d tubes, q = 2d + 2 joints, N points of a lumen, D draws, C frames of a cloud."""
-OF_DRAWS = tuple(name for name in SHAPES if name.startswith(PREFIX))
-OPTIONAL = "lumen_radius", "clearance", "clearance_between", "truth", "free", "lumen", *OF_DRAWS
-COUNTED = {"D": "parts", "C": "cloud_frames"}
+SAMPLE_ARRAY_NAMES = tuple(name for name in PLAN_ARRAY_SHAPES if name.startswith(SAMPLE_ARRAY_PREFIX))
+OPTIONAL_PLAN_ARRAYS = (
+    "lumen_radius",
+    "clearance",
+    "clearance_between",
+    "truth",
+    "free",
+    "lumen",
+    *SAMPLE_ARRAY_NAMES,
+)
+SAMPLE_SIZE_ARRAYS = {"D": "parts", "C": "cloud_frames"}
 """Sizes that arrays of simulated robots have, and the arrays that tell them."""
-REQUIRED = tuple(name for name in SHAPES if name not in OPTIONAL)
-META: dict[str, type] = {"robot": dict, "problem": dict, "model": str}
+REQUIRED_PLAN_ARRAYS = tuple(name for name in PLAN_ARRAY_SHAPES if name not in OPTIONAL_PLAN_ARRAYS)
+REQUIRED_META_TYPES: dict[str, type] = {"robot": dict, "problem": dict, "model": str}
 """Entries that meta must have, and their types."""
-TOLD: dict[str, type] = {
+OPTIONAL_META_TYPES: dict[str, type] = {
     **dict.fromkeys(("options", "draws", "failures", "fallbacks", "certificate"), dict),
     **dict.fromkeys(("formulation", "solver", "not_shared"), str),
     **dict.fromkeys(("snaps", "interpolated"), list),
     **dict.fromkeys(("interrupted", "reversed"), bool),
 }
 """Entries that meta may have, and their types."""
-KNOWN = "target", "target_direction", "to_robot", "lumen", "lumen_radius", "truth"
+EVERY_FRAME_PLAN_ARRAYS = "target", "target_direction", "to_robot", "lumen", "lumen_radius", "truth"
 """Arrays that are known in every frame."""
-MOVED = "alpha", "beta", "theta", "tip_direction"
+REACHED_FRAME_PLAN_ARRAYS = "alpha", "beta", "theta", "tip_direction"
 """Arrays that are known in every frame in which the robot has a shape."""
-NUMBERS = "build_s", "search_s", "solve_s", "contact_weight", "iterations"
+NUMERIC_META_ENTRIES = "build_s", "search_s", "solve_s", "contact_weight", "iterations"
 """Entries of meta that are a number or null."""
 DIGEST = "digest"
 """Name of the entry of plan.npz with the digest of all others."""
 
 
-class Stored(NamedTuple):
+class PlanFileContent(NamedTuple):
     """Content of a plan.npz.
 
     Attributes
@@ -227,7 +244,7 @@ def digest(arrays: Mapping[str, npt.NDArray[Any]], meta: str) -> str:
     return found.hexdigest()
 
 
-def stored(path: Path) -> Stored:
+def read_plan_file(path: Path) -> PlanFileContent:
     """Read the arrays of a plan.npz that belong to a plan, and its meta; raises OSError where it cannot be opened,
     and OutputError where it holds no plan.
     """
@@ -239,16 +256,19 @@ def stored(path: Path) -> Stored:
             with np.load(file, allow_pickle=False) as data:
                 if "meta" not in data.files:
                     raise OutputError("it has no meta")
-                arrays, meta = {name: data[name] for name in data.files if name in SHAPES}, str(data["meta"])
+                arrays, meta = (
+                    {name: data[name] for name in data.files if name in PLAN_ARRAY_SHAPES},
+                    str(data["meta"]),
+                )
                 changed = DIGEST in data.files and str(data[DIGEST]) != digest(arrays, meta)
-                return Stored(arrays, json.loads(meta, parse_constant=_refused), changed)
+                return PlanFileContent(arrays, json.loads(meta, parse_constant=_reject_non_finite), changed)
         except OutputError:
             raise
         except Exception as error:  # whatever the readers of zip archives, arrays and JSON meet in a damaged file
             raise OutputError(f"it is damaged, or another file: {error}") from error
 
 
-def _refused(constant: str) -> Any:
+def _reject_non_finite(constant: str) -> Any:
     """Raise OutputError: JSON knows no NaN and no infinity, and what is saved holds none."""
     raise OutputError(f"meta holds {constant}; its numbers must be finite")
 
@@ -259,22 +279,26 @@ def check_meta(meta: Any) -> None:
         raise OutputError(f"meta is {meta!r:.60}; it must be a JSON object")
     if meta.get("format") != FORMAT:
         raise OutputError(f"it has format {meta.get('format')!r}; this version reads {FORMAT}")
-    for key, kind in (META | {key: kind for key, kind in TOLD.items() if key in meta}).items():
+    for key, kind in (
+        REQUIRED_META_TYPES | {key: kind for key, kind in OPTIONAL_META_TYPES.items() if key in meta}
+    ).items():
         if not isinstance(meta.get(key), kind):
             raise OutputError(f"{key} of meta is {meta.get(key)!r:.60}; it must be a {kind.__name__}")
     if not isinstance(meta["problem"].get("name"), str):
         raise OutputError(f"name of meta's problem is {meta['problem'].get('name')!r:.60}; it must be a str")
     for key in ("model", "evaluated"):
-        if str(meta.get(key, "dominant")) not in MODELS:
-            raise OutputError(f"{key} of meta is {meta[key]!r:.60}; it must be one of {', '.join(MODELS)}")
+        if str(meta.get(key, "dominant")) not in KINEMATIC_MODELS:
+            raise OutputError(
+                f"{key} of meta is {meta[key]!r:.60}; it must be one of {', '.join(KINEMATIC_MODELS)}"
+            )
     for key in ("load", "planned_load"):
         load_of(meta, key)
-    _check_told(meta)
+    _check_meta_entries(meta)
 
 
-def _check_told(meta: Mapping[str, Any]) -> None:
+def _check_meta_entries(meta: Mapping[str, Any]) -> None:
     """Raise OutputError where meta tells of frames and numbers in another way than plans do."""
-    for key in NUMBERS:
+    for key in NUMERIC_META_ENTRIES:
         if isinstance(meta.get(key), bool) or not isinstance(meta.get(key), int | float | None):
             raise OutputError(f"{key} of meta is {meta[key]!r:.60}; it must be a number or null")
     for key in ("failures", "fallbacks"):
@@ -296,17 +320,24 @@ def _check_told(meta: Mapping[str, Any]) -> None:
 
 def check_arrays(arrays: Mapping[str, npt.NDArray[Any]], tubes: int) -> None:
     """Raise OutputError unless arrays are numbers of the sizes that a plan for a robot of `tubes` tubes has."""
-    missing = [name for name in REQUIRED if name not in arrays]
+    missing = [name for name in REQUIRED_PLAN_ARRAYS if name not in arrays]
     if missing:
         raise OutputError(f"it has no {missing[0]}")
     frames, points = arrays["time"].size, len(np.atleast_1d(arrays.get("lumen", np.empty(0))))
     sizes = {"T": frames, "d": tubes, "q": 2 * tubes + 2, "N": points}
-    sizes |= {size: len(np.atleast_1d(arrays.get(PREFIX + name, ()))) for size, name in COUNTED.items()}
-    drawn = [name for name in OF_DRAWS if name in arrays]
-    if drawn and len(drawn) < len(OF_DRAWS):
-        raise OutputError(f"it has {drawn[0]} and no {next(name for name in OF_DRAWS if name not in drawn)}")
+    sizes |= {
+        size: len(np.atleast_1d(arrays.get(SAMPLE_ARRAY_PREFIX + name, ())))
+        for size, name in SAMPLE_SIZE_ARRAYS.items()
+    }
+    drawn = [name for name in SAMPLE_ARRAY_NAMES if name in arrays]
+    if drawn and len(drawn) < len(SAMPLE_ARRAY_NAMES):
+        raise OutputError(
+            f"it has {drawn[0]} and no {next(name for name in SAMPLE_ARRAY_NAMES if name not in drawn)}"
+        )
     for name, array in arrays.items():
-        wanted = tuple(sizes.get(size, size) if isinstance(size, str) else size for size in SHAPES[name])
+        wanted = tuple(
+            sizes.get(size, size) if isinstance(size, str) else size for size in PLAN_ARRAY_SHAPES[name]
+        )
         if array.shape != wanted:
             raise OutputError(f"{name} has shape {array.shape}, not {wanted}")
         if array.dtype.kind not in ("b" if name == "success" else "iuf"):
@@ -326,12 +357,12 @@ def check_arrays(arrays: Mapping[str, npt.NDArray[Any]], tubes: int) -> None:
 def _check_values(arrays: Mapping[str, npt.NDArray[Any]]) -> None:
     """Raise OutputError where a place, a direction or a joint is no number that a motion can have."""
     reached = np.isfinite(arrays["shape"]).all(axis=(1, 2))
-    for name in (*KNOWN, *MOVED, "shape"):
+    for name in (*EVERY_FRAME_PLAN_ARRAYS, *REACHED_FRAME_PLAN_ARRAYS, "shape"):
         array = arrays.get(name)
         if array is None:
             continue
         bad = ~(np.abs(array) <= FARTHEST_MM)  # NaN, too
-        if name in MOVED:
+        if name in REACHED_FRAME_PLAN_ARRAYS:
             bad = bad & reached.reshape(-1, *[1] * (array.ndim - 1))
         elif name == "shape":
             bad = bad & ~np.isnan(array)
@@ -339,5 +370,6 @@ def _check_values(arrays: Mapping[str, npt.NDArray[Any]]) -> None:
             at = np.argwhere(bad)[0]
             raise OutputError(
                 f"{name} is {array[tuple(at)]} at {[int(i) + 1 for i in at]}; it must be finite and at most "
-                f"{FARTHEST_MM:g} in size" + (", as the robot has a shape there" if name in MOVED else "")
+                f"{FARTHEST_MM:g} in size"
+                + (", as the robot has a shape there" if name in REACHED_FRAME_PLAN_ARRAYS else "")
             )

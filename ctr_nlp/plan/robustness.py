@@ -9,17 +9,17 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.special import betaincinv
 
-from ctr_nlp.robot.tolerances import NAMES
-from ctr_nlp.support.equal import Kept
+from ctr_nlp.robot.tolerances import DEVIATION_NAMES
+from ctr_nlp.support.equal import ReadOnlyValue
 from ctr_nlp.typing import Array, Flags, Index
 
-PREFIX = "draws_"
+SAMPLE_ARRAY_PREFIX = "draws_"
 """Prefix of the names of these arrays in plan.npz."""
 CONFIDENCE = 0.95
 """Confidence of the bound on the share of lost robots."""
 MOST_LOST = 0.01
 """The share of all robots within the tolerances that may be lost on a robust plan, unless another is asked for."""
-COSTLY = (*NAMES, "rotation_lag")
+COSTLY = (*DEVIATION_NAMES, "rotation_lag")
 """Tolerances whose costs are found, one by one."""
 
 
@@ -31,7 +31,7 @@ class Spread(NamedTuple):
     most: float
 
 
-class Cost(NamedTuple):
+class ToleranceCost(NamedTuple):
     """Cost of one tolerance of a tube, counted from 1: e3 grows by `growth` mm; share: of the growths of all
     tolerances.
 
@@ -45,7 +45,7 @@ class Cost(NamedTuple):
     lost: int
 
 
-class Loss(NamedTuple):
+class FrameLosses(NamedTuple):
     """Frame, from 1, in which `draws` robots are lost first, and how far the robot is out there, mm."""
 
     frame: int
@@ -54,7 +54,7 @@ class Loss(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Robustness(Kept):
+class Robustness(ReadOnlyValue):
     """A plan of T frames on n draws of its robot, moved open loop from where all tubes are aligned.
 
     seed: of the draws; parts (n, d, 5), lags (n, d): by how much they differ from the robot described, as in
@@ -87,22 +87,22 @@ class Robustness(Kept):
         return len(self.parts)
 
     def __repr__(self) -> str:
-        return f"Robustness({self.told.rstrip('.')})"
+        return f"Robustness({self.summary_sentence.rstrip('.')})"
 
     @property
-    def losses(self) -> int:
+    def lost_count(self) -> int:
         """Number of robots that are lost."""
         return int((self.lost > 0).sum())
 
     @property
-    def share(self) -> float:
+    def lost_share(self) -> float:
         """Share of the robots that are lost."""
-        return self.losses / len(self)
+        return self.lost_count / len(self)
 
     @property
-    def at_most(self) -> float:
+    def lost_share_bound(self) -> float:
         """Upper bound of the share of all such robots that are lost, with 95 % confidence."""
-        return upper_bound(self.losses, len(self))
+        return upper_bound(self.lost_count, len(self))
 
     @property
     def e3(self) -> Array:
@@ -142,29 +142,31 @@ class Robustness(Kept):
         return found
 
     @property
-    def when(self) -> list[Loss]:
+    def losses_by_frame(self) -> list[FrameLosses]:
         """Frames in which robots are lost first, in order."""
         frames, counts = np.unique(self.lost[self.lost > 0], return_counts=True)
         found = zip(frames.tolist(), counts.tolist(), strict=True)
-        return [Loss(frame, count, float(self.length[frame - 1])) for frame, count in found]
+        return [FrameLosses(frame, count, float(self.length[frame - 1])) for frame, count in found]
 
     @property
-    def costs(self) -> list[Cost]:
+    def costs(self) -> list[ToleranceCost]:
         """Costs of the tolerances that are not 0, the most costly first."""
         total = max(float(np.nansum(np.maximum(self.growth, 0.0))), 1e-12)
         found = [
-            Cost(i + 1, COSTLY[k], float(self.growth[i, k]), max(float(self.growth[i, k]), 0.0) / total, int(lost))
+            ToleranceCost(
+                i + 1, COSTLY[k], float(self.growth[i, k]), max(float(self.growth[i, k]), 0.0) / total, int(lost)
+            )
             for (i, k), lost in np.ndenumerate(self.lost_alone)
             if np.isfinite(self.growth[i, k])
         ]
         return sorted(found, key=lambda cost: -cost.growth)
 
     @property
-    def told(self) -> str:
+    def summary_sentence(self) -> str:
         """Say in a sentence how many samples are lost, the bound for all such robots, and their mean error."""
-        lost, errors = self.losses, self.errors
+        lost, errors = self.lost_count, self.errors
         mean = f"; e3 is {errors.mean:.3g} mm on average over the samples" if errors else ""
-        bound = f"95 % bound for all such robots: {100 * self.at_most:.1f} %"
+        bound = f"95 % bound for all such robots: {100 * self.lost_share_bound:.1f} %"
         return f"{lost} of {len(self)} samples snap or end on another branch ({bound}){mean}."
 
     def summary(self) -> dict[str, Any]:
@@ -178,11 +180,11 @@ class Robustness(Kept):
         return {
             "draws": len(self),
             "seed": self.seed,
-            "lost": self.losses,
+            "lost": self.lost_count,
             "snapped": int((self.snapped > 0).sum()),
-            "lost_share": self.share,
-            "lost_at_most": self.at_most,
-            "lost_when": [loss._asdict() for loss in self.when],
+            "lost_share": self.lost_share,
+            "lost_at_most": self.lost_share_bound,
+            "lost_when": [loss._asdict() for loss in self.losses_by_frame],
             **{name: None if found is None else found._asdict() for name, found in spreads.items()},
             "costs": [cost._asdict() for cost in self.costs],
         }
@@ -194,12 +196,14 @@ class Robustness(Kept):
     def _arrays(self) -> Iterator[tuple[str, Array]]:
         for f in fields(self):
             if f.name != "seed":
-                yield PREFIX + f.name, getattr(self, f.name)
+                yield SAMPLE_ARRAY_PREFIX + f.name, getattr(self, f.name)
 
 
-def stored_robustness(arrays: Mapping[str, Any], seed: int) -> Robustness:
+def robustness_from_arrays(arrays: Mapping[str, Any], seed: int) -> Robustness:
     """Make a Robustness of the arrays of a plan.npz and the seed of its robots."""
-    return Robustness(seed, **{f.name: arrays[PREFIX + f.name] for f in fields(Robustness) if f.name != "seed"})
+    return Robustness(
+        seed, **{f.name: arrays[SAMPLE_ARRAY_PREFIX + f.name] for f in fields(Robustness) if f.name != "seed"}
+    )
 
 
 def upper_bound(lost: int, count: int, confidence: float = CONFIDENCE) -> float:

@@ -9,7 +9,7 @@ import numpy as np
 
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.formulations.settings import Settings
-from ctr_nlp.plan.record import Record
+from ctr_nlp.plan.record import PlanData
 from ctr_nlp.plan.robustness import spread
 from ctr_nlp.typing import Array, Flags
 
@@ -41,30 +41,30 @@ class SampleOutcomes:
     contact: Array
     arrival_tolerance: float
     contact_allowed: float
-    walled: bool
+    wall_known: bool
 
     def __len__(self) -> int:
         return len(self.lost)
 
     @property
-    def missed(self) -> Flags:
+    def missed_target(self) -> Flags:
         """Robots (n,) whose tip ends too far from the target's end, or nowhere."""
         return np.asarray(~(self.tip_error <= self.arrival_tolerance))
 
     @property
-    def pressed(self) -> Flags:
+    def exceeded_contact_limit(self) -> Flags:
         """Robots (n,) that press too deep into the wall; where no wall is known, none."""
-        return np.asarray(~(self.contact <= self.contact_allowed) & self.walled)
+        return np.asarray(~(self.contact <= self.contact_allowed) & self.wall_known)
 
     @property
-    def held(self) -> Flags:
+    def passed_all_checks(self) -> Flags:
         """Robots (n,) that fail in nothing."""
-        return np.asarray(~(self.lost | self.missed | self.pressed))
+        return np.asarray(~(self.lost | self.missed_target | self.exceeded_contact_limit))
 
     @property
     def share(self) -> float:
         """Share of the robots that fail in nothing."""
-        return float(self.held.mean())
+        return float(self.passed_all_checks.mean())
 
 
 def sample_contact_allowed(contact_allowed: float) -> float:
@@ -72,7 +72,7 @@ def sample_contact_allowed(contact_allowed: float) -> float:
     return max(SAMPLE_CONTACT_ALLOWED_MM, contact_allowed)
 
 
-def sample_outcomes(plan: Record) -> SampleOutcomes:
+def sample_outcomes(plan: PlanData) -> SampleOutcomes:
     """Judge the simulated robots that a plan holds, by the thresholds among its options.
 
     The tip of every robot in the last frame is the last point of its last stored shape (``draws_cloud``), so that
@@ -81,7 +81,7 @@ def sample_outcomes(plan: Record) -> SampleOutcomes:
     Parameters
     ----------
     plan : Record
-        A plan with samples (:meth:`Plan.with_draws`).
+        A plan with samples (:meth:`Plan.with_samples`).
 
     Returns
     -------
@@ -104,11 +104,11 @@ def sample_outcomes(plan: Record) -> SampleOutcomes:
         contact=np.maximum(-drawn.clearance, 0.0),
         arrival_tolerance=float(asked["arrival_tolerance"]),
         contact_allowed=sample_contact_allowed(float(asked["contact_allowed"])),
-        walled=plan.lumen is not None,
+        wall_known=plan.lumen is not None,
     )
 
 
-def sample_summary(plan: Record) -> dict[str, Any]:
+def sample_summary(plan: PlanData) -> dict[str, Any]:
     """Count what becomes of a plan's simulated robots, for summary.json.
 
     Parameters
@@ -126,9 +126,9 @@ def sample_summary(plan: Record) -> dict[str, Any]:
     found = sample_outcomes(plan)
     spreads = {"tip_last": spread(found.tip_error), "contact_deepest": spread(found.contact)}
     return {
-        "held": int(found.held.sum()),
+        "held": int(found.passed_all_checks.sum()),
         "held_share": found.share,
-        "missed": int(found.missed.sum()),
-        "pressed": int(found.pressed.sum()),
+        "missed": int(found.missed_target.sum()),
+        "pressed": int(found.exceeded_contact_limit.sum()),
         **{name: None if each is None else each._asdict() for name, each in spreads.items()},
     }

@@ -15,8 +15,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ctr_nlp.formulations.settings import Settings
-from ctr_nlp.plan.measures import arrival, deepest_place, e3, largest_error, most_used
-from ctr_nlp.plan.record import Record, load_of
+from ctr_nlp.plan.measures import arrival, e3, find_deepest_point, find_most_used_limit, largest_error
+from ctr_nlp.plan.record import PlanData, load_of
 from ctr_nlp.plan.sample_outcomes import SampleOutcomes, sample_outcomes
 
 YES, NO, NOT_CHECKED = "yes", "no", "NOT CHECKED"
@@ -27,7 +27,7 @@ and chance decides on which branch the robot goes on."""
 MARGIN_SLACK = 0.005
 """By how much a margin may fall short of the one asked for. Planners raise the margins of frames until what is
 missed between them is less (steer/realised.py)."""
-HOLDS = "holds on built robots"
+ROBUSTNESS_VERDICT_NAME = "holds on built robots"
 """The verdict on simulated robots within the tolerances."""
 
 
@@ -94,12 +94,12 @@ class Verdicts(NamedTuple):
     holds: Verdict
 
     @property
-    def failed(self) -> tuple[str, ...]:
+    def failed_names(self) -> tuple[str, ...]:
         """Names of the verdicts that are *no*."""
         return tuple(verdict.matter for verdict in self if verdict.word == NO)
 
     @property
-    def unchecked(self) -> tuple[str, ...]:
+    def unchecked_names(self) -> tuple[str, ...]:
         """Names of the verdicts that are *NOT CHECKED*."""
         return tuple(verdict.matter for verdict in self if verdict.word == NOT_CHECKED)
 
@@ -108,7 +108,7 @@ SHORT_NAMES = {name: name.removeprefix("within_").replace("_", " ") for name in 
 """Names of the verdicts for the heads of narrow columns."""
 
 
-def verdicts(plan: Record) -> Verdicts:
+def verdicts(plan: PlanData) -> Verdicts:
     """Judge a plan by the shapes, margins and samples that it holds.
 
     Parameters
@@ -123,13 +123,13 @@ def verdicts(plan: Record) -> Verdicts:
         One verdict for each check.
     """
     return Verdicts(
-        Verdict("solved", *_solved(plan)),
-        Verdict("arrives", *_arrives(plan)),
-        Verdict("follows", *_follows(plan)),
-        Verdict("stable", *_stable(plan)),
-        Verdict("within limits", *_within_limits(plan)),
-        Verdict("within the wall", *_within_wall(plan)),
-        Verdict(HOLDS, *_holds(plan)),
+        Verdict("solved", *_judge_solved(plan)),
+        Verdict("arrives", *_judge_arrival(plan)),
+        Verdict("follows", *_judge_shape_error(plan)),
+        Verdict("stable", *_judge_stability(plan)),
+        Verdict("within limits", *_judge_limits(plan)),
+        Verdict("within the wall", *_judge_wall_contact(plan)),
+        Verdict(ROBUSTNESS_VERDICT_NAME, *_judge_robustness(plan)),
     )
 
 
@@ -137,7 +137,7 @@ Judgement = tuple[str, float | None, str, str, str]
 """Word, number, unit, sentences and value of a verdict."""
 
 
-def _solved(plan: Record) -> Judgement:
+def _judge_solved(plan: PlanData) -> Judgement:
     """Whether every frame was solved; frames that were only interpolated were not checked."""
     frames = len(plan.time)
     interpolated = len(plan.meta.get("interpolated", []))
@@ -154,7 +154,7 @@ def _solved(plan: Record) -> Judgement:
     return YES, solved, "frames", why, f"{frames} frames"
 
 
-def _cost_of_clearance(plan: Record) -> str:
+def _cost_of_clearance(plan: PlanData) -> str:
     """Say in a sentence how much larger e3 is for keeping off the wall; empty where that is not known."""
     free, found = plan.meta.get("e3_free"), e3(plan)
     if plan.free is None or not free or found is None or not plan.as_planned:
@@ -162,7 +162,7 @@ def _cost_of_clearance(plan: Record) -> str:
     return f" Keeping off the wall costs {100 * max(found / free - 1, 0.0):.1f} % of e3."
 
 
-def _arrives(plan: Record) -> Judgement:
+def _judge_arrival(plan: PlanData) -> Judgement:
     """Whether the tip ends at the target's end, in mm; degrees and mm short stand beside."""
     tolerance = float(option(plan, "arrival_tolerance"))
     end = arrival(plan)
@@ -174,10 +174,10 @@ def _arrives(plan: Record) -> Judgement:
         f"The tip ends {end.distance:.2f} mm and {end.angle_deg:.1f}° from the target's end{short}; "
         f"{tolerance:g} mm is allowed."
     )
-    return _judged(plan, end.distance <= tolerance, end.distance, "mm", why, value)
+    return _judge_by_shape(plan, end.distance <= tolerance, end.distance, "mm", why, value)
 
 
-def _follows(plan: Record) -> Judgement:
+def _judge_shape_error(plan: PlanData) -> Judgement:
     """Whether e2 stays within what is allowed in every frame; frames without a shape cannot be judged."""
     allowed = float(option(plan, "error_allowed"))
     worst = largest_error(plan)
@@ -188,22 +188,24 @@ def _follows(plan: Record) -> Judgement:
         f"e3, over all frames, is {worst.e3:.3g} mm."
     )
     value = f"{worst.e2:.2f} mm in frame {worst.frame}"
-    unknown = int((~plan.reached).sum())
+    unknown = int((~plan.reached_frames).sum())
     if unknown and worst.e2 <= allowed:
         why += f" The shape is not known in {unknown} of {len(plan.time)} frames."
         return NOT_CHECKED, worst.e2, "mm", why, value
-    return _judged(plan, worst.e2 <= allowed, worst.e2, "mm", why, value)
+    return _judge_by_shape(plan, worst.e2 <= allowed, worst.e2, "mm", why, value)
 
 
-def _judged(plan: Record, good: bool, number: float, unit: str, why: str, value: str) -> Judgement:
+def _judge_by_shape(plan: PlanData, good: bool, number: float, unit: str, why: str, value: str) -> Judgement:
     """Judge by shapes, which counts as *yes* only where the model can predict what real tubes do."""
     if good and not plan.can_snap:
-        why += f" The {plan.evaluated} model does not tell how real tubes twist; look on the elastic one."
+        why += (
+            f" The {plan.evaluated_model_name} model does not tell how real tubes twist; look on the elastic one."
+        )
         return NOT_CHECKED, number, unit, why, value
     return YES if good else NO, number, unit, why, value
 
 
-def _stable(plan: Record) -> Judgement:
+def _judge_stability(plan: PlanData) -> Judgement:
     """Whether the margin asked for holds at and between frames, without a snap; the least margin."""
     if not plan.can_snap:
         return NOT_CHECKED, None, "", "This model cannot predict snapping; use --model elastic.", ""
@@ -214,7 +216,7 @@ def _stable(plan: Record) -> Judgement:
     least = float(margins[known].min()) if known.any() else None
     frame = int(np.nanargmin(margins)) + 1 if known.any() else None
     value = "" if least is None else f"{least:.3f} at frame {frame}"
-    under = "" if plan.bears is None else f" under {plan.bears}"
+    under = "" if plan.evaluated_load is None else f" under {plan.evaluated_load}"
     if snaps:
         more = f", and {len(snaps) - 1} times more" if len(snaps) > 1 else ""
         return NO, least, "", f"The robot snaps{under} on the way to frame {snaps[0]['frame']}{more}.", value
@@ -226,7 +228,7 @@ def _stable(plan: Record) -> Judgement:
     if least is not None and asked is not None and least < float(asked) - MARGIN_SLACK:
         why = f"The stability margin falls to {least:.3f} around frame {frame}; {asked:g} was asked for."
         return NO, least, "", why, value
-    if plan.bears is not None and not plan.bears.conservative:
+    if plan.evaluated_load is not None and not plan.evaluated_load.conservative:
         why = "The robot does not snap, but a load with a moment, or one that turns with the tip, has no energy "
         return NOT_CHECKED, least, "", f"{why}and therefore no margin.", value
     if not known.all():
@@ -235,12 +237,12 @@ def _stable(plan: Record) -> Judgement:
     return YES, least, "", f"The least margin{under} is {least:.3f}, around frame {frame}{asked_for}.", value
 
 
-def _within_limits(plan: Record) -> Judgement:
+def _judge_limits(plan: PlanData) -> Judgement:
     """Whether positions, order, carriages, speeds and accelerations are allowed; percent of a limit used."""
     unit = "% of the limit"
     if not np.isfinite(plan.q).any():
         return NOT_CHECKED, None, unit, "No frame was reached.", ""
-    most = most_used(plan)
+    most = find_most_used_limit(plan)
     if most is None:
         return YES, 0.0, unit, "The robot does not move.", f"0 {unit}"
     percent = 100 * most.part
@@ -250,22 +252,22 @@ def _within_limits(plan: Record) -> Judgement:
         only = "; only a horizon keeps accelerations" * hint
         return NO, percent, unit, f"The {most.what} exceeds its limit{only}.", value
     if not np.isfinite(plan.q).all():
-        return NOT_CHECKED, percent, unit, f"{_unknown(plan)} frames have no configuration.", value
+        return NOT_CHECKED, percent, unit, f"{_count_unknown_frames(plan)} frames have no configuration.", value
     return YES, percent, unit, f"The {most.what} comes nearest to its limit.", value
 
 
-def _unknown(plan: Record) -> int:
+def _count_unknown_frames(plan: PlanData) -> int:
     """Return the number of frames that have no configuration."""
     return int((~np.isfinite(plan.q).all(axis=1)).sum())
 
 
-def _within_wall(plan: Record) -> Judgement:
+def _judge_wall_contact(plan: PlanData) -> Judgement:
     """Whether no place is further beyond the wall than allowed, in frames or between; deepest contact."""
     unit = "mm of contact"
     if plan.clearance is None:
         return NOT_CHECKED, None, unit, "No wall is known: the path has no radii.", ""
     allowed = float(option(plan, "contact_allowed"))
-    place = deepest_place(plan)
+    place = find_deepest_point(plan)
     if place is None:
         return NOT_CHECKED, None, unit, "No frame was reached.", ""
     where = f"{place.when} {place.frame}, at tube {place.tube}, {place.arc_length:.0f} mm along the robot"
@@ -277,22 +279,24 @@ def _within_wall(plan: Record) -> Judgement:
         why = f"The least clearance is {-place.depth:.2f} mm {where}."
     depth = max(place.depth, 0.0)
     if depth <= allowed:
-        unknown = int((~plan.reached).sum())
+        unknown = int((~plan.reached_frames).sum())
         if unknown:
             return NOT_CHECKED, depth, unit, f"{why} {unknown} frames have no shape.", value
         if plan.clearance_between is None:
             return NOT_CHECKED, depth, unit, f"{why} The way between frames was not looked at.", value
-    return _judged(plan, depth <= allowed, depth, unit, why, value)
+    return _judge_by_shape(plan, depth <= allowed, depth, unit, why, value)
 
 
-def _holds(plan: Record) -> Judgement:
+def _judge_robustness(plan: PlanData) -> Judgement:
     """Whether enough simulated robots within the tolerances keep their branch, arrive and keep off the wall."""
     unit = "of samples"
     if plan.drawn is None:
         why = "No robots within the tolerances were simulated; `ctr-nlp robust PLAN.npz` does that."
         return NOT_CHECKED, None, unit, why, ""
     if not plan.can_snap:
-        why = f"On the {plan.evaluated} model no robot can snap; use `ctr-nlp robust --evaluate elastic`."
+        why = (
+            f"On the {plan.evaluated_model_name} model no robot can snap; use `ctr-nlp robust --evaluate elastic`."
+        )
         return NOT_CHECKED, None, unit, why, ""
     found, wanted = sample_outcomes(plan), float(option(plan, "share"))
     word = YES if found.share >= wanted else NO
@@ -310,15 +314,18 @@ def outcome_sentence(found: SampleOutcomes) -> str:
     """
     reasons = [
         (found.lost, "snap or leave the branch"),
-        (found.missed & ~found.lost, f"do not arrive within {found.arrival_tolerance:g} mm"),
-        (found.pressed & ~found.lost & ~found.missed, f"touch the wall by more than {found.contact_allowed:g} mm"),
+        (found.missed_target & ~found.lost, f"do not arrive within {found.arrival_tolerance:g} mm"),
+        (
+            found.exceeded_contact_limit & ~found.lost & ~found.missed_target,
+            f"touch the wall by more than {found.contact_allowed:g} mm",
+        ),
     ]
     told = [f"{flags.sum()} {what}" for flags, what in reasons if flags.any()]
     failed = f"; {', '.join(told)}" if told else ""
-    wall = "" if found.walled else " No wall is known."
-    return f"{found.held.sum()} of {len(found)} simulated robots hold{failed}.{wall}"
+    wall = "" if found.wall_known else " No wall is known."
+    return f"{found.passed_all_checks.sum()} of {len(found)} simulated robots hold{failed}.{wall}"
 
 
-def option(plan: Record, name: str) -> Any:
+def option(plan: PlanData, name: str) -> Any:
     """Return the option `name` of a plan, or its default, where the plan is older than the option."""
     return plan.options.get(name, Settings().options()[name])

@@ -7,16 +7,18 @@ import numpy as np
 
 from ctr_nlp import Curve, Problem, Robot, curve_from_formula, growing, table_i_robot
 
-CURVATURES = ((1 / 200, 1 / 100), (1 / 90, 1 / 50), (1 / 120, 1 / 60))
+EULER_CURVATURES_PER_MM = ((1 / 200, 1 / 100), (1 / 90, 1 / 50), (1 / 120, 1 / 60))
 """Root and tip of the curved part of each tube, 1/mm."""
 
 
 def problem(frames: int = 100, duration: float = 10.0, robot: Robot | None = None) -> Problem:
     """Pre-curvature linear in the distance from the tip; target planar, 1/180 at the base to 1/60 at 150 mm."""
-    return Problem("euler", robot or bent(CURVATURES), growing(euler_curve(), frames), duration)
+    return Problem(
+        "euler", robot or robot_with_curvatures(EULER_CURVATURES_PER_MM), growing(euler_curve(), frames), duration
+    )
 
 
-def bent(curvatures: tuple[float | tuple[float, float], ...]) -> Robot:
+def robot_with_curvatures(curvatures: tuple[float | tuple[float, float], ...]) -> Robot:
     """The paper's robot with other pre-curvatures, 1/mm."""
     robot = table_i_robot()
     tubes = (replace(tube, curvature=k) for tube, k in zip(robot.tubes, curvatures, strict=True))

@@ -10,7 +10,7 @@ from functools import partial
 from typing import NamedTuple
 
 from ctr_nlp.formulations.settings import Settings
-from ctr_nlp.models import MODELS
+from ctr_nlp.models import KINEMATIC_MODELS
 from ctr_nlp.reference.approximate_leader import approximate_leader
 from ctr_nlp.reference.descent import Method, ReferenceFrames
 from ctr_nlp.reference.euclidean import euclidean
@@ -31,19 +31,19 @@ class Reference(NamedTuple):
 
     method: Callable[[Problem, float], Method]
     model: str = "dominant"
-    every: bool = True
+    serves_every_problem: bool = True
 
 
-METHODS: dict[str, Reference] = {
+REFERENCE_METHODS: dict[str, Reference] = {
     "paper-two-stage": Reference(paper_two_stage),
     "euclidean": Reference(euclidean),
     "tip-jacobian": Reference(tip_jacobian),
     "tip-resolved": Reference(tip_resolved, "elastic"),
-    "follow-the-leader": Reference(follow_the_leader, "elastic", every=False),
-    "follow-the-leader-approximate": Reference(approximate_leader, "elastic", every=False),
+    "follow-the-leader": Reference(follow_the_leader, "elastic", serves_every_problem=False),
+    "follow-the-leader-approximate": Reference(approximate_leader, "elastic", serves_every_problem=False),
 } | {
     f"s2j{'-projected' * projected}{suffix}": Reference(
-        partial(s2j, model=model, projected=projected), model, every=False
+        partial(s2j, model=model, projected=projected), model, serves_every_problem=False
     )
     for model, suffix in (("dominant", ""), ("elastic", "-elastic"))
     for projected in (False, True)
@@ -53,11 +53,11 @@ METHODS: dict[str, Reference] = {
 
 def reference_frames(problem: Problem, name: str, settings: Settings) -> ReferenceFrames:
     """A reference method as a FrameSolver; raises OptionError of an unknown name or a problem not served."""
-    check_choice("reference method", name, METHODS)
-    found = METHODS[name]
-    MODELS[found.model].check(problem.robot)
+    check_choice("reference method", name, REFERENCE_METHODS)
+    found = REFERENCE_METHODS[name]
+    KINEMATIC_MODELS[found.model].check(problem.robot)
     method = found.method(problem, settings.motion_weight / problem.dt**2)
     return ReferenceFrames(problem, name, found.model, method, settings.options())
 
 
-__all__ = ["METHODS", "reference_frames"]
+__all__ = ["REFERENCE_METHODS", "reference_frames"]

@@ -6,9 +6,9 @@ import numpy as np
 
 from ctr_nlp.formulations.frames import FrameResult
 from ctr_nlp.models.dominant import shape as dominant
-from ctr_nlp.reference.descent import Method, descend, extensions, fractions, motion, shape_error
+from ctr_nlp.reference.descent import Method, descend, extensions, fractions, motion_term, shape_error
 from ctr_nlp.target.problem import Problem
-from ctr_nlp.target.target import QUADRATURE, SIGMA, Frame
+from ctr_nlp.target.target import QUADRATURE, SIGMA_GRID, Frame
 from ctr_nlp.typing import Array
 
 
@@ -25,8 +25,8 @@ def euclidean(problem: Problem, motion_weight: float) -> Method:
     def solve(frame: Frame, guess: Array, before: FrameResult | None) -> FrameResult:
         def cost(x: Array) -> Array:
             q = configured(x)
-            points = dominant.backbone(robot.tube_numbers, list(q.T[..., None]), SIGMA, np).points
-            return shape_error(points, frame.points, QUADRATURE) + motion(robot, q, before, motion_weight)
+            points = dominant.backbone(robot.tube_numbers, list(q.T[..., None]), SIGMA_GRID, np).points
+            return shape_error(points, frame.points, QUADRATURE) + motion_term(robot, q, before, motion_weight)
 
         start = np.concatenate([guess[:d], fractions(robot, guess[d : 2 * d]), guess[2 * d :]])
         x, objective, ok, evaluations, status = descend(cost, start, bounds)

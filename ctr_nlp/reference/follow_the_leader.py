@@ -25,21 +25,21 @@ from scipy.spatial.transform import Rotation
 
 from ctr_nlp.exceptions import OptionError, RobotError
 from ctr_nlp.formulations.frames import FrameResult
-from ctr_nlp.models import MODELS
+from ctr_nlp.models import KINEMATIC_MODELS
 from ctr_nlp.models.dominant.shape import backbone
 from ctr_nlp.reference.descent import Method, extensions
 from ctr_nlp.robot import Robot, Tube
 from ctr_nlp.robot.structure import Kind, Tubes
 from ctr_nlp.target.problem import Problem
-from ctr_nlp.target.target import SIGMA, Frame
+from ctr_nlp.target.target import SIGMA_GRID, Frame
 from ctr_nlp.typing import Array
 
-ELASTIC = MODELS["elastic"]
-EXACT = 0.02
+ELASTIC_MODEL = KINEMATIC_MODELS["elastic"]
+MAX_PATH_DEVIATION_MM = 0.02
 """mm that a path may be away from the one that tubes follow."""
-GRID = 11
+GRID_POINTS_PER_DEPTH = 11
 """Parts of the room of a depth b_i that are tried, and as many of every other one."""
-SAME = 1e-9
+MAX_TORSION_DIFFERENCE_RAD_PER_MM = 1e-9
 """rad/mm by which torsions may differ."""
 
 
@@ -50,7 +50,7 @@ class Deployment(NamedTuple):
     opposed: Array
     turned: Rotation
 
-    def at(self, robot: Robot, depth: float) -> Array:
+    def configuration_at(self, robot: Robot, depth: float) -> Array:
         """The configuration (2d + 2,) in which the tip is at a depth, mm."""
         theta_y, theta_x, turn = self.turned.as_euler("YXZ")
         beta = np.minimum(self.depths, depth)
@@ -68,41 +68,45 @@ def follow_the_leader(problem: Problem, motion_weight: float) -> Method:
     """
     del motion_weight
     robot = problem.robot
-    found = deployment(problem)
+    found = find_deployment(problem)
 
     def solve(frame: Frame, guess: Array, before: FrameResult | None) -> FrameResult:
-        q = found.at(robot, frame.length)
-        x = ELASTIC.guess(robot, q)
-        away = np.linalg.norm(ELASTIC.points(robot, x[None], SIGMA)[0] - frame.points, axis=1)
+        q = found.configuration_at(robot, frame.length)
+        x = ELASTIC_MODEL.guess(robot, q)
+        away = np.linalg.norm(ELASTIC_MODEL.points(robot, x[None], SIGMA_GRID)[0] - frame.points, axis=1)
         return FrameResult(q, True, float((away**2).mean()), np.nan, 1, f"within {away.max():.2g} mm", x=x)
 
     return solve
 
 
-def deployment(problem: Problem) -> Deployment:
+def find_deployment(problem: Problem) -> Deployment:
     """Find the deployment that follows a problem's path; raises OptionError as follow_the_leader does."""
     robot, name = problem.robot, problem.name or "the problem"
     torsion = _torsion(robot)
     path = growing_path(problem, "follow-the-leader")
-    known = [best for signs in _signs(robot) if (best := _nearest(robot, torsion, signs, path)) is not None]
+    known = [
+        best
+        for signs in _opposed_choices(robot)
+        if (best := _fit_deployment(robot, torsion, signs, path)) is not None
+    ]
     if not known:
         raise OptionError(
             f"follow-the-leader keeps straight parts inside, and {name} is {path.length:.4g} mm long: the curved "
             f"part and the limits of beta of the innermost tube do not reach so far"
         )
     found, away = min(known, key=lambda each: each[1])
-    if away > EXACT:
+    if away > MAX_PATH_DEVIATION_MM:
         raise OptionError(
             f"follow-the-leader needs pieces of the curvatures that tubes together have, of torsion {torsion:g} "
             f"rad/mm, one after the other: {name} is up to {away:.3g} mm away from the nearest such path"
         )
-    for frame in problem.samples:
-        q = found.at(robot, frame.length)
+    for frame in problem.target_frames:
+        q = found.configuration_at(robot, frame.length)
         try:
             robot.check(q, f"follow-the-leader in frame {frame.number + 1}")
         except RobotError as error:
             raise OptionError(str(error)) from error
-        if ELASTIC.margins(robot, ELASTIC.guess(robot, q)[None])[0] <= 0:
+        if ELASTIC_MODEL.margins(robot, ELASTIC_MODEL.guess(robot, q)[None])[0] <= 0:
             raise OptionError(
                 f"follow-the-leader is not stable in frame {frame.number + 1} of {name}: tubes snap round"
             )
@@ -116,7 +120,7 @@ def growing_path(problem: Problem, method: str) -> Frame:
     curves, lengths = problem.target.curves, np.array(problem.target.lengths)
     if any(curve is not curves[0] for curve in curves) or (np.diff(lengths) < 0).any():
         raise OptionError(f"{method} follows one path that grows, and the target of {problem.name} is none")
-    return problem.samples[-1]
+    return problem.target_frames[-1]
 
 
 def _torsion(robot: Robot) -> float:
@@ -128,7 +132,7 @@ def _torsion(robot: Robot) -> float:
     for i in curved:
         if kinds[i] == "linear":
             raise OptionError(f"follow-the-leader needs constant curvatures, and that of tube {i + 1} changes")
-        if abs(spins[i] - spins[curved[0]]) > SAME:
+        if abs(spins[i] - spins[curved[0]]) > MAX_TORSION_DIFFERENCE_RAD_PER_MM:
             raise OptionError(
                 f"follow-the-leader needs one torsion, and those of tubes {curved[0] + 1} and {i + 1} are "
                 f"{spins[curved[0]]:g} and {spins[i]:g} rad/mm"
@@ -136,7 +140,7 @@ def _torsion(robot: Robot) -> float:
     return spins[curved[0]] if curved else 0.0
 
 
-def _signs(robot: Robot) -> Iterator[Array]:
+def _opposed_choices(robot: Robot) -> Iterator[Array]:
     """Yield every choice of the tubes (d,) that are turned by pi against the outermost curved one."""
     free = [i for i, kind in enumerate(robot.structure.kinds) if kind != "straight"][1:]
     for turned in itertools.product((False, True), repeat=len(free)):
@@ -145,23 +149,23 @@ def _signs(robot: Robot) -> Iterator[Array]:
         yield found
 
 
-def _nearest(robot: Robot, torsion: float, opposed: Array, path: Frame) -> tuple[Deployment, float] | None:
+def _fit_deployment(robot: Robot, torsion: float, opposed: Array, path: Frame) -> tuple[Deployment, float] | None:
     """Find the deployment whose path is nearest to `path`, and its largest distance, mm; None where tubes are too
     short.
     """
-    beta = [(low, min(high, tube.curved_length)) for tube, low, high in _reach(robot)]
+    beta = [(low, min(high, tube.curved_length)) for tube, low, high in _extension_limits(robot)]
     low, high = beta[-1]
-    if not low <= path.length <= high * (1 + SAME):
+    if not low <= path.length <= high * (1 + MAX_TORSION_DIFFERENCE_RAD_PER_MM):
         return None
     within, last = robot.with_limits(beta=beta), np.array(path.length)
-    tubes = _together(robot, torsion, opposed)
+    tubes = _combine_tubes(robot, torsion, opposed)
 
     def away(parts: Array) -> tuple[Rotation, Array]:
         shape = _shape(tubes, extensions(within, parts, last))
         turned, _ = Rotation.align_vectors(path.points, shape)
         return turned, path.points - turned.apply(shape)
 
-    tried = itertools.product(np.linspace(0.0, 1.0, GRID), repeat=robot.d - 1)
+    tried = itertools.product(np.linspace(0.0, 1.0, GRID_POINTS_PER_DEPTH), repeat=robot.d - 1)
     parts = min((np.array(each) for each in tried), key=lambda each: (away(each)[1] ** 2).sum())
     if robot.d > 1:
         parts = least_squares(lambda each: away(each)[1].ravel(), parts, bounds=(0.0, 1.0), xtol=1e-12).x
@@ -170,13 +174,13 @@ def _nearest(robot: Robot, torsion: float, opposed: Array, path: Frame) -> tuple
     return Deployment(extensions(within, parts, last), opposed, turned), largest
 
 
-def _reach(robot: Robot) -> Iterator[tuple[Tube, float, float]]:
+def _extension_limits(robot: Robot) -> Iterator[tuple[Tube, float, float]]:
     """Yield every tube with its least and its largest beta, mm."""
     low, high = (robot.split(ends)[1].tolist() for ends in (robot.lower, robot.upper))
     return zip(robot.tubes, low, high, strict=True)
 
 
-def _together(robot: Robot, torsion: float, opposed: Array) -> Tubes:
+def _combine_tubes(robot: Robot, torsion: float, opposed: Array) -> Tubes:
     """Return tubes each of which alone has the curvature that it and the tubes within it have together."""
     stiffness = np.array([tube.bending_stiffness for tube in robot.tubes])
     pull = stiffness * [tube.largest_curvature for tube in robot.tubes] * np.where(opposed, -1, 1)
@@ -199,4 +203,6 @@ def _kind(curvature: float, torsion: float) -> Kind:
 def _shape(tubes: Tubes, beta: Array) -> Array:
     """Points (101, 3) of tubes that stop at beta (d,) and bend towards x at the opening."""
     turns = [-tube.spin * (tube.curved_length - out) for tube, out in zip(tubes, beta, strict=True)]
-    return np.stack(np.broadcast_arrays(*backbone(tubes, [*turns, *beta, 0.0, 0.0], SIGMA, np).points), axis=-1)
+    return np.stack(
+        np.broadcast_arrays(*backbone(tubes, [*turns, *beta, 0.0, 0.0], SIGMA_GRID, np).points), axis=-1
+    )

@@ -4,22 +4,22 @@ from __future__ import annotations
 
 import numpy as np
 
-from ctr_nlp.formulations.curvature import lever
+from ctr_nlp.formulations.curvature import curvature_to_shape_scale
 from ctr_nlp.formulations.frames import FrameResult
 from ctr_nlp.models.dominant import shape as dominant
-from ctr_nlp.reference.descent import Method, descend, extensions, fractions, motion, shape_error
+from ctr_nlp.reference.descent import Method, descend, extensions, fractions, motion_term, shape_error
 from ctr_nlp.robot import Robot
 from ctr_nlp.target.problem import Problem
-from ctr_nlp.target.target import SIGMA, Frame
+from ctr_nlp.target.target import SIGMA_GRID, Frame
 from ctr_nlp.typing import Array
 
-SAMPLES = 20
+CURVATURE_MIDPOINTS_PER_SEGMENT = 20
 """Midpoints per segment of the integral (11); they move with the segment, so that the sum has a gradient."""
-POINTS = 2
+DEFAULT_POINTS_PER_SEGMENT = 2
 """On a segment in (12): its middle and its end, what the paper found sufficient."""
 
 
-def paper_two_stage(problem: Problem, motion_weight: float, points: int = POINTS) -> Method:
+def paper_two_stage(problem: Problem, motion_weight: float, points: int = DEFAULT_POINTS_PER_SEGMENT) -> Method:
     """The method for a problem; motion_weight: lambda / dt^2 of both stages.
 
     points: samples of the shape on a segment in stage two, the last at its end; Fig. 3 asks how many it takes.
@@ -40,7 +40,7 @@ def _extend(
     """Beta from curvature; the tip belongs to the target's end, so beta_d is the target's length."""
     d, low, high = robot.d, robot.lower[2 * robot.d - 1], robot.reach
     last = float(np.clip(frame.length, low, high))
-    middles = (np.arange(SAMPLES) + 0.5) / SAMPLES
+    middles = (np.arange(CURVATURE_MIDPOINTS_PER_SEGMENT) + 0.5) / CURVATURE_MIDPOINTS_PER_SEGMENT
 
     def cost(x: Array) -> Array:
         beta = extensions(robot, x, np.full(len(x), last))
@@ -50,10 +50,10 @@ def _extend(
         k = dominant.curvature(
             robot.tube_numbers, [b[:, None] for b in beta.T], s, lambda v: np.heaviside(v, 0.0), np
         )
-        kappa = np.interp(s / last, SIGMA, frame.curvature)
-        squares = ((k - kappa) ** 2).reshape(len(x), d, SAMPLES).mean(axis=2)
+        kappa = np.interp(s / last, SIGMA_GRID, frame.curvature)
+        squares = ((k - kappa) ** 2).reshape(len(x), d, CURVATURE_MIDPOINTS_PER_SEGMENT).mean(axis=2)
         change = 0.0 if before is None else weight * ((beta - robot.split(before.q)[1]) ** 2).sum(axis=1)
-        return lever(robot.reach) ** 2 * (squares * widths).sum(axis=1) / last + change
+        return curvature_to_shape_scale(robot.reach) ** 2 * (squares * widths).sum(axis=1) / last + change
 
     start = fractions(robot, np.append(robot.split(guess)[1][:-1], last))[: d - 1]
     if d == 1:
@@ -76,7 +76,7 @@ def _rotate(
     def cost(x: Array) -> Array:
         q = configured(x)
         shape = dominant.backbone(robot.tube_numbers, list(q.T[..., None]), sigma, np).points
-        return shape_error(shape, target, even) + motion(robot, q, before, weight)
+        return shape_error(shape, target, even) + motion_term(robot, q, before, weight)
 
     angles = np.r_[0:d, 2 * d : 2 * d + 2]
     bounds = np.column_stack([robot.lower, robot.upper])[angles]

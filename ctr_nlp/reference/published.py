@@ -1,6 +1,6 @@
 """What the paper printed: Table II, as (e3 in mm, e4 in mm, time a frame in s)."""
 
-SEED = {
+TABLE_II_PAPER_METHOD = {
     "cos": (1.81, 1.67, 0.25),
     "arc": (1.62, 1.36, 0.10),
     "line": (7.46, 4.84, 0.10),
@@ -12,7 +12,7 @@ SEED = {
 another one.
 """
 
-BASELINE = {
+TABLE_II_BASELINE = {
     "cos": (1.84, 1.58, 1.63),
     "arc": (1.81, 1.78, 1.34),
     "line": (7.58, 5.77, 1.31),
@@ -22,7 +22,7 @@ BASELINE = {
 }
 """Figures of its Euclidean baseline."""
 
-SEED_ELASTIC = {
+TABLE_II_PAPER_METHOD_ELASTIC = {
     "cos": (8.17, 6.43),
     "arc": (9.36, 7.51),
     "line": (9.91, 8.02),
@@ -30,9 +30,10 @@ SEED_ELASTIC = {
     "synthesis": (4.96, 2.90),
     "bronchus": (8.75, 7.17),
 }
-"""Figures of the motions of `SEED` on the torsionally compliant model, as (e3 in mm, e4 in mm)."""
+"""Figures of the motions of `TABLE_II_PAPER_METHOD` on the torsionally compliant model, as (e3 in mm, e4 in mm).
+"""
 
-BASELINE_ELASTIC = {
+TABLE_II_BASELINE_ELASTIC = {
     "cos": (9.92, 7.85),
     "arc": (10.46, 6.72),
     "line": (11.19, 8.89),
@@ -40,4 +41,4 @@ BASELINE_ELASTIC = {
     "synthesis": (7.35, 4.46),
     "bronchus": (9.31, 6.79),
 }
-"""Figures of the motions of `BASELINE` on the torsionally compliant model, as (e3 in mm, e4 in mm)."""
+"""Figures of the motions of `TABLE_II_BASELINE` on the torsionally compliant model, as (e3 in mm, e4 in mm)."""

@@ -9,19 +9,19 @@ from matplotlib.colors import to_rgb
 
 from ctr_nlp.figures.parts.palette import SKY, VERMILLION
 from ctr_nlp.plan.plan import Plan
-from ctr_nlp.robot.draws import drawn_from
-from ctr_nlp.simulation.drawn import drawn_motion
+from ctr_nlp.robot.draws import perturb_robot
+from ctr_nlp.simulation.drawn import simulate_samples
 from ctr_nlp.typing import Array
 
-SHOWN, STRIDE = 20, 5
+MAX_REPORT_GHOSTS, REPORT_GHOST_SAMPLE_STRIDE = 20, 5
 """Number of simulated robots that are shown, and the stride of the 101 samples of their shapes: some 0.3 MB of a
 page.
 """
-KEPT, LOST = SKY, VERMILLION
+REPORT_GHOST_COLOUR, REPORT_FAILED_GHOST_COLOUR = SKY, VERMILLION
 """Colours of simulated robots, and of those that are lost from the frame on in which they are."""
-WIDTH = 0.35
+REPORT_GHOST_LINE_WIDTH_MM = 0.35
 """Width of their lines, mm."""
-DRAWS = "sampled robots"
+SAMPLED_ROBOTS_PART = "sampled robots"
 """Name of the part of a scene that they are."""
 
 
@@ -44,12 +44,16 @@ def ghosts(k3d: Any, plan: Plan) -> list[Any]:
         np.stack([first, first + 1], axis=-1).reshape(-1, 2).astype(np.uint32),
         indices_type="segment",
         attribute={str(j): gone[:, j] for j in range(frames)},
-        color_map=[part for at, colour in ((0.0, KEPT), (1.0, LOST)) for part in (at, *to_rgb(colour))],
+        color_map=[
+            part
+            for at, colour in ((0.0, REPORT_GHOST_COLOUR), (1.0, REPORT_FAILED_GHOST_COLOUR))
+            for part in (at, *to_rgb(colour))
+        ],
         color_range=[0.0, 1.0],
-        width=WIDTH,
+        width=REPORT_GHOST_LINE_WIDTH_MM,
         shader="thick",
-        name=DRAWS,
-        custom_data={"part": DRAWS},
+        name=SAMPLED_ROBOTS_PART,
+        custom_data={"part": SAMPLED_ROBOTS_PART},
     )
     return [told]
 
@@ -57,6 +61,6 @@ def ghosts(k3d: Any, plan: Plan) -> list[Any]:
 def _shapes(plan: Plan) -> Array:
     """Return shapes of the first simulated robots in every frame, (n, T, samples, 3) mm; 0 where there is none."""
     assert plan.drawn is not None
-    draws = drawn_from(plan.robot, plan.drawn.parts[:SHOWN], plan.drawn.lags[:SHOWN])
-    found = drawn_motion(plan.robot, draws, plan.q, plan.evaluated_on)
-    return np.nan_to_num(found.shape[:, :, ::STRIDE]).astype(np.float32)
+    draws = perturb_robot(plan.robot, plan.drawn.parts[:MAX_REPORT_GHOSTS], plan.drawn.lags[:MAX_REPORT_GHOSTS])
+    found = simulate_samples(plan.robot, draws, plan.q, plan.evaluated_model)
+    return np.nan_to_num(found.shape[:, :, ::REPORT_GHOST_SAMPLE_STRIDE]).astype(np.float32)

@@ -9,26 +9,43 @@ from typing import Any
 
 import numpy as np
 
-from ctr_nlp.exceptions import OptionError, escaped
+from ctr_nlp.exceptions import OptionError, escape_control_characters
 from ctr_nlp.figures.parts.palette import tube_colour
 from ctr_nlp.plan import account, drawn_account
 from ctr_nlp.plan.metrics import by_frame, summary
 from ctr_nlp.plan.plan import Plan
 from ctr_nlp.plan.verdicts import NO, NOT_CHECKED, YES
-from ctr_nlp.report.camera import EYE_FIELD, FIELD, cameras, eyes
-from ctr_nlp.report.ghosts import DRAWS, KEPT, LOST, SHOWN
+from ctr_nlp.report.camera import EYE_FIELD_OF_VIEW_DEG, OUTSIDE_FIELD_OF_VIEW_DEG, cameras, eyes
+from ctr_nlp.report.ghosts import (
+    MAX_REPORT_GHOSTS,
+    REPORT_FAILED_GHOST_COLOUR,
+    REPORT_GHOST_COLOUR,
+    SAMPLED_ROBOTS_PART,
+)
 from ctr_nlp.report.plots import EXTENT, Plot, plots
-from ctr_nlp.report.scene import BY_TUBE, DATA, ROBOT, TARGET, WALLS, Scale, box, frame, quantities, scales, scene
-from ctr_nlp.support.extras import needed
+from ctr_nlp.report.scene import (
+    SCENE_DATA_PLACEHOLDER,
+    SCENE_ROBOT_PART,
+    SCENE_TARGET_PART,
+    SCENE_WALL_PART,
+    TUBE_COLOURING,
+    ColourScale,
+    box,
+    quantities,
+    scales,
+    scene,
+    scene_template,
+)
+from ctr_nlp.support.extras import import_extra
 from ctr_nlp.typing import Array
 
 READOUT = {"e2": "mm", "max": "mm", "clearance": "mm", "stability": ""}
 """Columns of errors.csv that are shown for the frame on display, with their units."""
-CODE = ("scenes.js", "camera.js", "player.js", "page.js")
+PAGE_SCRIPT_FILES = ("scenes.js", "camera.js", "player.js", "page.js")
 """The script of the page, in the order in which its parts need each other."""
-SIGNS = {YES: "\N{CHECK MARK}", NO: "\N{BALLOT X}", NOT_CHECKED: "?"}
+VERDICT_SIGNS = {YES: "\N{CHECK MARK}", NO: "\N{BALLOT X}", NOT_CHECKED: "?"}
 """Signs beside the word of a verdict, as a colour does not tell it to everyone."""
-SPEEDS = ("0.25", "0.5", "1", "2", "4")
+PAGE_PLAYBACK_SPEEDS = ("0.25", "0.5", "1", "2", "4")
 """Speeds of playing, as multiples of the plan's own."""
 
 
@@ -42,49 +59,55 @@ def page(plans: Sequence[Plan], names: Sequence[str] | None = None) -> str:
         raise OptionError("plans is empty; give at least one")
     coloured, (low, high), plotted = scales(plans), box(plans), plots(plans)
     told = [
-        _told(plan, name) | {"plots": some.items()}
+        _plan_texts(plan, name) | {"plots": some.items()}
         for plan, name, some in zip(plans, names or [""] * len(plans), plotted, strict=True)
     ]
     data = {
-        "template": frame(),
-        "placeholder": DATA,
+        "template": scene_template(),
+        "placeholder": SCENE_DATA_PLACEHOLDER,
         "cameras": cameras(low, high),
-        "fields": {"outside": FIELD, "eye": EYE_FIELD},
+        "fields": {"outside": OUTSIDE_FIELD_OF_VIEW_DEG, "eye": EYE_FIELD_OF_VIEW_DEG},
         "plans": [
-            _moving(plan, scene(plan, coloured, low, high), [plot for plot in some.values() if plot])
+            _animation_data(plan, scene(plan, coloured, low, high), [plot for plot in some.values() if plot])
             for plan, some in zip(plans, plotted, strict=True)
         ],
     }
-    parts = [ROBOT, *([WALLS] if any(plan.lumen is not None for plan in plans) else []), TARGET]
+    parts = [
+        SCENE_ROBOT_PART,
+        *([SCENE_WALL_PART] if any(plan.lumen is not None for plan in plans) else []),
+        SCENE_TARGET_PART,
+    ]
     drawn = any(plan.drawn for plan in plans)
-    return _rendered(
+    return _render_page(
         plans=told,
-        compared=_compared(told),
+        compared=_comparison_rows(told),
         data=data,
         frames=max(len(plan.time) for plan in plans),
         scales=[_legend(scale) for scale in coloured],
         tubes=[tube_colour(i) for i in range(max(plan.robot.d for plan in plans))],
-        parts=[*parts, DRAWS] if drawn else parts,
-        ghosts={"kept": KEPT, "lost": LOST, "part": DRAWS} if drawn else None,
-        by_tube=BY_TUBE,
+        parts=[*parts, SAMPLED_ROBOTS_PART] if drawn else parts,
+        ghosts={"kept": REPORT_GHOST_COLOUR, "lost": REPORT_FAILED_GHOST_COLOUR, "part": SAMPLED_ROBOTS_PART}
+        if drawn
+        else None,
+        by_tube=TUBE_COLOURING,
     )
 
 
-def _rendered(**values: Any) -> str:
+def _render_page(**values: Any) -> str:
     """Fill the page's template with values, style and script."""
-    jinja2 = needed("jinja2")
+    jinja2 = import_extra("jinja2")
     environment = jinja2.Environment(
         autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, finalize=_as_text
     )
     environment.policies["json.dumps_kwargs"] = {"allow_nan": False, "separators": (",", ":")}
-    code = "\n".join(_text(name) for name in CODE)
+    code = "\n".join(_text(name) for name in PAGE_SCRIPT_FILES)
     fixed = {
         "style": _text("page.css"),
         "code": code,
-        "signs": SIGNS,
+        "signs": VERDICT_SIGNS,
         "unchecked": NOT_CHECKED,
         "for_patients": account.NOT_FOR_PATIENTS,
-        "speeds": SPEEDS,
+        "speeds": PAGE_PLAYBACK_SPEEDS,
         "extent": EXTENT,
     }
     return str(environment.from_string(_text("page.html")).render(**fixed, **values))
@@ -92,25 +115,25 @@ def _rendered(**values: Any) -> str:
 
 def _as_text(value: Any) -> Any:
     """Prepare a value for the template: a string is escaped, and parts of the page stay as they are."""
-    return escaped(value) if isinstance(value, str) and not hasattr(value, "__html__") else value
+    return escape_control_characters(value) if isinstance(value, str) and not hasattr(value, "__html__") else value
 
 
-def _told(plan: Plan, name: str) -> dict[str, Any]:
+def _plan_texts(plan: Plan, name: str) -> dict[str, Any]:
     """Return the texts of the page on a plan: title, verdicts, numbers, remarks, simulated robots and summary."""
     found = summary(plan)
     return {
         "title": account.title(found),
         "name": name,
-        "lead": account.lead(found),
+        "lead": account.summarise_verdicts(found),
         "verdicts": account.verdict_rows(found),
-        "rows": [(row, account.shown(value), unit) for row, value, unit in account.rows(found)],
+        "rows": [(row, account.format_cell(value), unit) for row, value, unit in account.measure_rows(found)],
         "remarks": account.remarks(plan, found),
-        "drawn": _drawn(plan),
+        "drawn": _simulated_robot_texts(plan),
         "summary": json.dumps(found, indent=2, allow_nan=False, ensure_ascii=False).split("\n"),
     }
 
 
-def _compared(told: Sequence[dict[str, Any]]) -> list[tuple[str, list[str], str]]:
+def _comparison_rows(texts: Sequence[dict[str, Any]]) -> list[tuple[str, list[str], str]]:
     """Rows of the table that compares plans.
 
     Returns
@@ -119,60 +142,66 @@ def _compared(told: Sequence[dict[str, Any]]) -> list[tuple[str, list[str], str]
         A name, a cell for each plan, empty where a plan does not have the number, and a unit. Verdicts come first:
         their words with the figures that decide.
     """
-    tables = [{row: (value, unit) for row, value, unit in some["rows"]} for some in told]
+    tables = [{row: (value, unit) for row, value, unit in some["rows"]} for some in texts]
     named = {row: unit for table in tables for row, (_, unit) in table.items()}
-    words = [{matter: (word, value) for matter, word, value, _ in some["verdicts"]} for some in told]
+    words = [{matter: (word, value) for matter, word, value, _ in some["verdicts"]} for some in texts]
     return [
         *((matter, [", ".join(filter(None, some[matter])) for some in words], "") for matter in words[0]),
         *((row, [table.get(row, ("", ""))[0] for table in tables], unit) for row, unit in named.items()),
     ]
 
 
-def _drawn(plan: Plan) -> dict[str, Any] | None:
+def _simulated_robot_texts(plan: Plan) -> dict[str, Any] | None:
     """Return the texts of the page on the simulated robots of a plan; None where there are none."""
     if plan.drawn is None:
         return None
     count = len(plan.drawn)
-    shown = f"the first {SHOWN} of them" if count > SHOWN else "them"
+    shown = f"the first {MAX_REPORT_GHOSTS} of them" if count > MAX_REPORT_GHOSTS else "them"
     lead = (
         f"{count} robots within the tolerances were sampled at random (seed {plan.drawn.seed}) and moved open "
-        f"loop through this plan; “{DRAWS}” in the list of what is shown switches {shown} on and off."
+        f"loop through this plan; “{SAMPLED_ROBOTS_PART}” in the list of what is shown switches {shown} on and "
+        f"off."
     )
     return {
         "matter": plan.verdicts.holds.matter,
-        "sentences": [plan.verdicts.holds.why, plan.drawn.told, *drawn_account.sentences(plan.drawn), lead],
+        "sentences": [
+            plan.verdicts.holds.why,
+            plan.drawn.summary_sentence,
+            *drawn_account.robustness_sentences(plan.drawn),
+            lead,
+        ],
         "tables": [
-            table._replace(rows=[tuple(account.shown(cell) for cell in row) for row in table.rows])
+            table._replace(rows=[tuple(account.format_cell(cell) for cell in row) for row in table.rows])
             for table in drawn_account.tables(plan)
         ],
     }
 
 
-def _moving(plan: Plan, packed: str, shown: Sequence[Plot]) -> dict[str, Any]:
+def _animation_data(plan: Plan, packed: str, shown: Sequence[Plot]) -> dict[str, Any]:
     """Return the data for the script to show a plan's frames; `packed` is its scene, `shown` are its plots."""
     columns = by_frame(plan)
     return {
         "scene": packed,
         "time": plan.time.tolist(),
-        "reached": plan.reached.tolist(),
+        "reached": plan.reached_frames.tolist(),
         "solved": plan.success.tolist(),
         "eyes": eyes(plan),
-        "colourings": [BY_TUBE, *quantities(plan)],
-        "plots": [{"end": plot.end, "lines": [_rounded(values) for values in plot.values]} for plot in shown],
+        "colourings": [TUBE_COLOURING, *quantities(plan)],
+        "plots": [{"end": plot.end, "lines": [_round_values(values) for values in plot.values]} for plot in shown],
         "readout": {
-            name: {"unit": unit, "values": _rounded(columns[name])}
+            name: {"unit": unit, "values": _round_values(columns[name])}
             for name, unit in READOUT.items()
             if name in columns
         },
     }
 
 
-def _rounded(values: Array) -> list[float | None]:
+def _round_values(values: Array) -> list[float | None]:
     """Round numbers to four significant digits; None where there is none."""
     return [float(f"{value:.4g}") if np.isfinite(value) else None for value in values]
 
 
-def _legend(scale: Scale) -> dict[str, Any]:
+def _legend(scale: ColourScale) -> dict[str, Any]:
     gradient = ", ".join(f"{colour} {100 * at:.2f}%" for at, colour in scale.stops)
     zero = 100 * (0.0 - scale.low) / (scale.high - scale.low)
     told = {"key": scale.key, "name": scale.name, "zero": zero, "high": f"{scale.high:.3g}"}

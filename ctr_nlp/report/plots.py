@@ -8,17 +8,29 @@ from dataclasses import dataclass
 import numpy as np
 from matplotlib.ticker import MaxNLocator
 
-from ctr_nlp.figures.parts.palette import BLACK, BLUE, ORANGE, SKY, TILT, VERMILLION, tube_colour
-from ctr_nlp.plan.metrics import DRAWN, by_frame
+from ctr_nlp.figures.parts.palette import BLACK, BLUE, ORANGE, SKY, TILT_COLOURS, VERMILLION, tube_colour
+from ctr_nlp.plan.metrics import SAMPLE_E2_COLUMNS, by_frame
 from ctr_nlp.plan.plan import Plan
 from ctr_nlp.plan.robustness import Robustness
-from ctr_nlp.support.runs import runs
+from ctr_nlp.support.runs import find_flag_runs
 from ctr_nlp.typing import Array, Index
 
-ERROR, DRAWS, CLEARANCE, STABILITY = "error (mm)", "e2 of draws (mm)", "clearance (mm)", "stability margin"
-CONFIGURATION = ("α (rad)", "β (mm)", "θ (rad)")
-SPEEDS = ("dα/dt (rad/s)", "dβ/dt (mm/s)", "dθ/dt (rad/s)")
-ORDER = (ERROR, DRAWS, CLEARANCE, STABILITY, *CONFIGURATION, *SPEEDS)
+ERROR_PANEL_NAME, SAMPLE_ERROR_PANEL_NAME, CLEARANCE_PANEL_NAME, STABILITY_PANEL_NAME = (
+    "error (mm)",
+    "e2 of draws (mm)",
+    "clearance (mm)",
+    "stability margin",
+)
+CONFIGURATION_PANEL_NAMES = ("α (rad)", "β (mm)", "θ (rad)")
+SPEED_PANEL_NAMES = ("dα/dt (rad/s)", "dβ/dt (mm/s)", "dθ/dt (rad/s)")
+PANEL_NAME_ORDER = (
+    ERROR_PANEL_NAME,
+    SAMPLE_ERROR_PANEL_NAME,
+    CLEARANCE_PANEL_NAME,
+    STABILITY_PANEL_NAME,
+    *CONFIGURATION_PANEL_NAMES,
+    *SPEED_PANEL_NAMES,
+)
 """Names of panels from top to bottom."""
 
 EXTENT = 1000
@@ -28,14 +40,14 @@ DASHES = ("", "6 4", "8 3 2 3", "2 3")
 LIMIT = "#777777"
 """Colour of limits."""
 MOST_TICKS = 5
-MARGIN = 0.06
+PANEL_MARGIN_FRACTION = 0.06
 """Room above and below what is shown, as a part of it."""
-LEAST_SPAN = 0.1
+MIN_PANEL_SPAN = 0.1
 """Least span of an axis: less is rounding noise."""
 
 
 @dataclass(frozen=True)
-class Line:
+class PlotLine:
     """A named line of a plot over time: y (T,), colour, and how it is dashed (one of DASHES)."""
 
     name: str
@@ -45,7 +57,7 @@ class Line:
 
 
 @dataclass(frozen=True)
-class Panel:
+class PlotPanel:
     """Lines on one vertical axis, named with its unit; values that it always shows, and limits of the robot.
 
     band: its name, and lower and upper ends (T,) of what is filled behind the lines. marks: a name, and the frames
@@ -53,53 +65,63 @@ class Panel:
     """
 
     name: str
-    lines: tuple[Line, ...]
+    lines: tuple[PlotLine, ...]
     least: tuple[float, ...] = ()
     limits: tuple[float, ...] = ()
     band: tuple[str, Array, Array] | None = None
     marks: tuple[str, Index] | None = None
 
 
-def panels(plan: Plan) -> Iterator[Panel]:
+def panels(plan: Plan) -> Iterator[PlotPanel]:
     """Yield the panels of a plan's plots, from top to bottom."""
     columns = by_frame(plan)
-    errors = Line("RMSE e2", columns["e2"], BLUE), Line("maximum of e1", columns["max"], VERMILLION, DASHES[1])
-    yield Panel(ERROR, errors, (0.0,))
+    errors = (
+        PlotLine("RMSE e2", columns["e2"], BLUE),
+        PlotLine("maximum of e1", columns["max"], VERMILLION, DASHES[1]),
+    )
+    yield PlotPanel(ERROR_PANEL_NAME, errors, (0.0,))
     if plan.drawn is not None:
-        yield _draws(plan, plan.drawn, columns)
+        yield _sample_error_panel(plan, plan.drawn, columns)
     if "clearance" in columns:
-        yield Panel(CLEARANCE, (Line("least clearance", columns["clearance"], BLUE),), (0.0,))
+        yield PlotPanel(CLEARANCE_PANEL_NAME, (PlotLine("least clearance", columns["clearance"], BLUE),), (0.0,))
     if "stability" in columns:
         margins = (
-            Line("at the frame", columns["stability"], BLUE),
-            Line("on the way to it", columns["stability_between"], ORANGE, DASHES[1]),
+            PlotLine("at the frame", columns["stability"], BLUE),
+            PlotLine("on the way to it", columns["stability_between"], ORANGE, DASHES[1]),
         )
-        yield Panel(STABILITY, margins, (0.0, 1.0))
+        yield PlotPanel(STABILITY_PANEL_NAME, margins, (0.0, 1.0))
     robot = plan.robot
-    yield from _motion(plan, plan.q, CONFIGURATION, (robot.lower, robot.upper))
+    yield from _motion(plan, plan.q, CONFIGURATION_PANEL_NAMES, (robot.lower, robot.upper))
     speed = np.diff(plan.q, axis=0, prepend=np.nan) / plan.dt
-    yield from _motion(plan, speed, SPEEDS, (-robot.speed, robot.speed))
+    yield from _motion(plan, speed, SPEED_PANEL_NAMES, (-robot.speed, robot.speed))
 
 
-def _draws(plan: Plan, found: Robustness, columns: Mapping[str, Array]) -> Panel:
+def _sample_error_panel(plan: Plan, found: Robustness, columns: Mapping[str, Array]) -> PlotPanel:
     """Plot e2 over the simulated robots of a plan beside its own, and where robots are lost."""
     low, high = found.e2_quantiles(0.05, 0.95)
-    lines = Line("median", columns[DRAWN[0]], BLUE), Line("the plan", columns["e2"], BLACK, DASHES[3])
-    lost = np.array([loss.frame for loss in found.when], dtype=int)
+    lines = (
+        PlotLine("median", columns[SAMPLE_E2_COLUMNS[0]], BLUE),
+        PlotLine("the plan", columns["e2"], BLACK, DASHES[3]),
+    )
+    lost = np.array([loss.frame for loss in found.losses_by_frame], dtype=int)
     marks = ("lost here", lost) if len(lost) else None
-    return Panel(DRAWS, lines, (0.0,), band=("5 % to 95 %", low, high), marks=marks)
+    return PlotPanel(SAMPLE_ERROR_PANEL_NAME, lines, (0.0,), band=("5 % to 95 %", low, high), marks=marks)
 
 
-def _motion(plan: Plan, values: Array, names: Sequence[str], limits: tuple[Array, Array]) -> Iterator[Panel]:
+def _motion(plan: Plan, values: Array, names: Sequence[str], limits: tuple[Array, Array]) -> Iterator[PlotPanel]:
     """Yield three panels of values (T, 2d + 2) in the order of q, with limits (2d + 2,)."""
     split = plan.robot.split
     for name, part, *sides in zip(names, split(values), *map(split, limits), strict=True):
         columns = range(part.shape[1])
-        looks = [(f"θ{'xy'[i]}", TILT[i]) if "θ" in name else (f"tube {i + 1}", tube_colour(i)) for i in columns]
+        looks = [
+            (f"θ{'xy'[i]}", TILT_COLOURS[i]) if "θ" in name else (f"tube {i + 1}", tube_colour(i)) for i in columns
+        ]
         lines = tuple(
-            Line(label, part[:, i], colour, DASHES[i % len(DASHES)]) for i, (label, colour) in enumerate(looks)
+            PlotLine(label, part[:, i], colour, DASHES[i % len(DASHES)]) for i, (label, colour) in enumerate(looks)
         )
-        yield Panel(name, lines, limits=tuple(value for value in np.unique(sides).tolist() if np.isfinite(value)))
+        yield PlotPanel(
+            name, lines, limits=tuple(value for value in np.unique(sides).tolist() if np.isfinite(value))
+        )
 
 
 @dataclass(frozen=True)
@@ -138,7 +160,7 @@ def plots(plans: Sequence[Plan]) -> list[dict[str, Plot | None]]:
     Panels of one name have one vertical range; each plan has its own time axis.
     """
     shown = [{panel.name: panel for panel in panels(plan)} for plan in plans]
-    names = sorted({name for some in shown for name in some}, key=ORDER.index)
+    names = sorted({name for some in shown for name in some}, key=PANEL_NAME_ORDER.index)
     ranges = {name: _range([some[name] for some in shown if name in some]) for name in names}
     return [
         {name: _plot(plan, some[name], *ranges[name]) if name in some else None for name in names}
@@ -146,7 +168,7 @@ def plots(plans: Sequence[Plan]) -> list[dict[str, Plot | None]]:
     ]
 
 
-def _range(some: Sequence[Panel]) -> tuple[float, float]:
+def _range(some: Sequence[PlotPanel]) -> tuple[float, float]:
     values = np.concatenate(
         [
             part
@@ -158,11 +180,11 @@ def _range(some: Sequence[Panel]) -> tuple[float, float]:
     low, high = known.min(initial=np.inf), known.max(initial=-np.inf)
     if not known.size:
         return 0.0, 1.0
-    margin = max(MARGIN * (high - low), (LEAST_SPAN - (high - low)) / 2)
+    margin = max(PANEL_MARGIN_FRACTION * (high - low), (MIN_PANEL_SPAN - (high - low)) / 2)
     return float(low - margin), float(high + margin)
 
 
-def _plot(plan: Plan, panel: Panel, low: float, high: float) -> Plot:
+def _plot(plan: Plan, panel: PlotPanel, low: float, high: float) -> Plot:
     end = float(plan.time[-1] + plan.dt / 2)
 
     def path(x: Array, y: Array) -> str:
@@ -190,7 +212,7 @@ def _plot(plan: Plan, panel: Panel, low: float, high: float) -> Plot:
 def _path(x: Array, y: Array) -> str:
     """Write lines through points (n,) in order, broken where y is not finite; a point by itself is a dot."""
     told = []
-    for first, stop in runs(np.isfinite(y)):
+    for first, stop in find_flag_runs(np.isfinite(y)):
         points = [f"{a:.1f} {b:.1f}" for a, b in zip(x[first:stop], y[first:stop], strict=True)]
         told.append("M" + "L".join(points) + ("h0" if len(points) == 1 else ""))
     return "".join(told)

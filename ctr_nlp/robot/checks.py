@@ -7,9 +7,9 @@ from typing import Any
 
 from ctr_nlp.exceptions import RobotError
 from ctr_nlp.robot.tube import Tube
-from ctr_nlp.robot.units import angle_meant, between, did_you_mean, in_other_units
+from ctr_nlp.robot.units import between, did_you_mean, suggest_angle, unit_mismatch_factor
 
-TURN = {"alpha": 20 * math.pi, "theta": 4 * math.pi}
+MAX_MOTOR_ANGLES_RAD = {"alpha": 20 * math.pi, "theta": 4 * math.pi}
 """Largest angles, rad: ten turns of a tube, beyond what any motor's cables bear, and two of the base."""
 
 
@@ -68,7 +68,7 @@ def check_pair(i: int, outer: Tube, inner: Tube) -> None:
             f"length of tube {i} is {outer.length:g} mm and of tube {i + 1} {inner.length:g} mm: "
             "an inner tube must be at least as long as the one around it"
         )
-    off = in_other_units(outer.youngs_modulus, inner.youngs_modulus)
+    off = unit_mismatch_factor(outer.youngs_modulus, inner.youngs_modulus)
     if off is not None:
         raise RobotError(
             f"youngs_modulus of tubes {i} and {i + 1} are {outer.youngs_modulus:g} and {inner.youngs_modulus:g}, "
@@ -93,8 +93,8 @@ def check_angle(what: str, axis: str, value: float) -> None:
     RobotError
         The angle is larger than any drive's; the message offers the value in rad where it was likely in degrees.
     """
-    most = TURN[axis.partition("_")[0]]
+    most = MAX_MOTOR_ANGLES_RAD[axis.partition("_")[0]]
     # The tolerance lets limits pass that were computed as multiples of pi.
     if abs(value) > most * (1 + 1e-9):
-        meant = angle_meant(value, between(-most, most))
+        meant = suggest_angle(value, between(-most, most))
         raise RobotError(f"{what} must lie in [{-most:.4g}, {most:.4g}] rad{did_you_mean(meant)}")

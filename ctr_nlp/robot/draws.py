@@ -22,23 +22,23 @@ import numpy as np
 from ctr_nlp.exceptions import RobotError
 from ctr_nlp.robot.limits import Limits
 from ctr_nlp.robot.robot import Robot
-from ctr_nlp.robot.structure import NUMBERS, Structure
-from ctr_nlp.robot.tolerances import NAMES, Tolerances
+from ctr_nlp.robot.structure import TUBE_NUMBER_NAMES, Structure
+from ctr_nlp.robot.tolerances import DEVIATION_NAMES, Tolerances
 from ctr_nlp.robot.tube import Tube
-from ctr_nlp.support.equal import Kept
+from ctr_nlp.support.equal import ReadOnlyValue
 from ctr_nlp.support.values import whole_number
 from ctr_nlp.typing import Array, Flags
 
-MOST_CORNERS = 2**16
+MAX_BOX_VERTICES = 2**16
 """Most box vertices that are returned; moving each one through a plan takes some milliseconds."""
-LEAST = 0.05
+MIN_REMAINING_PART = 0.05
 """Least part of a curvature, stiffness or length that is left of it: normal samples have no bound, and a tube of
 negative stiffness would have no equilibrium.
 """
 
 
 @dataclass(frozen=True, eq=False)
-class Draws(Kept):
+class RobotSamples(ReadOnlyValue):
     """Perturbed robots (samples) that share one structure, as a batch of n robots with d tubes each.
 
     Attributes
@@ -60,19 +60,19 @@ class Draws(Kept):
     structure: Structure
     numbers: Array
     offsets: Array
-    lags: Array
+    backlash: Array
     forces: Array
-    parts: Array
+    deviations: Array
 
     def __len__(self) -> int:
         return len(self.numbers)
 
-    def __getitem__(self, chosen: Any) -> Draws:
+    def __getitem__(self, chosen: Any) -> RobotSamples:
         """Return the robots that `chosen` indexes (an integer array, a mask or a slice over n), as samples."""
-        rows = (each[chosen] for each in (self.numbers, self.offsets, self.lags, self.forces, self.parts))
-        return Draws(self.structure, *rows)
+        rows = (each[chosen] for each in (self.numbers, self.offsets, self.backlash, self.forces, self.deviations))
+        return RobotSamples(self.structure, *rows)
 
-    def turned(self, q: Array, fresh: Flags) -> Array:
+    def tube_configurations(self, q: Array, from_aligned: Flags) -> Array:
         """Return the angles that the tubes of the samples have where the motors move through a motion.
 
         Parameters
@@ -80,7 +80,7 @@ class Draws(Kept):
         q : ndarray
             Configurations (T, 2d + 2) of the motors, rad and mm. Every motor turns in one direction from row to
             row.
-        fresh : ndarray
+        from_aligned : ndarray
             Rows (T,) that the robot reaches from the aligned pose, all tubes at alpha_d. The first row is one of
             them.
 
@@ -92,24 +92,26 @@ class Draws(Kept):
         """
         found = np.repeat(q[None], len(self), axis=0)
         d = self.offsets.shape[1]
-        if self.lags.any():
+        if self.backlash.any():
             # The aligned pose has no backlash taken up: all tubes stand where the innermost motor is.
             alpha = found[:, 0, :d]
             for j, goal in enumerate(q[:, :d]):
-                alpha = dragged(np.full_like(alpha, goal[-1]) if fresh[j] else alpha, goal, self.lags)
+                alpha = apply_backlash(
+                    np.full_like(alpha, goal[-1]) if from_aligned[j] else alpha, goal, self.backlash
+                )
                 found[:, j, :d] = alpha
         found[..., :d] += self.offsets[:, None]
         return found
 
 
-def dragged(alpha: Array, goal: Array, play: Array) -> Array:
+def apply_backlash(alpha: Array, motor_angle: Array, play: Array) -> Array:
     """Return the angles of tubes after their motors have turned, with backlash (play operator).
 
     Parameters
     ----------
     alpha : ndarray
         Angles (.., d) of the tubes before, rad.
-    goal : ndarray
+    motor_angle : ndarray
         Angles (.., d) of their motors after the turn, rad.
     play : ndarray
         Backlash (.., d) to either side, rad.
@@ -117,13 +119,13 @@ def dragged(alpha: Array, goal: Array, play: Array) -> Array:
     Returns
     -------
     ndarray
-        Angles (.., d) of the tubes after it, rad: clipped to within `play` of `goal`.
+        Angles (.., d) of the tubes after it, rad: clipped to within `play` of `motor_angle`.
     """
-    found: Array = np.clip(alpha, goal - play, goal + play)
+    found: Array = np.clip(alpha, motor_angle - play, motor_angle + play)
     return found
 
 
-def drawn(robot: Robot, count: int, seed: int) -> Draws:
+def sample_robots(robot: Robot, count: int, seed: int) -> RobotSamples:
     """Sample robots at random from the tolerances of a robot.
 
     Parameters
@@ -160,29 +162,29 @@ def drawn(robot: Robot, count: int, seed: int) -> Draws:
     # another tolerance is added.
     random, shares, sections = (np.random.default_rng([seed, stream]) for stream in range(3))
     if tolerances.distribution == "uniform":
-        bands = tolerances.stated(d)
+        bands = tolerances.bands_without_diameters(d)
         parts = random.uniform(-1.0, 1.0, (count, *bands.shape)) * bands
         off = sections.uniform(-1.0, 1.0, (count, d, 2)) * tolerances.diameters(d)[:, None]
         # A view into parts: the factor of a section with both diameters off, (D^4 - d^4) / (D0^4 - d0^4),
         # multiplies the factor that the band of the bending stiffness gives, so that thin tubes are not
         # linearised.
-        stiffness = parts[..., NAMES.index("bending_stiffness")]
-        stiffness[:] = (1 + stiffness) * _stiffened(robot, off) - 1
+        stiffness = parts[..., DEVIATION_NAMES.index("bending_stiffness")]
+        stiffness[:] = (1 + stiffness) * _bending_stiffness_factors(robot, off) - 1
     else:
-        root = tolerances.root(robot.tubes)
-        parts = (random.standard_normal((count, len(root))) @ root.T).reshape(count, d, len(NAMES))
-    lags = shares.uniform(0.0, 1.0, (count, d)) * tolerances.lags(d)
-    return drawn_from(robot, parts, lags, _forces(robot, count, seed))
+        root = tolerances.covariance_root(robot.tubes)
+        parts = (random.standard_normal((count, len(root))) @ root.T).reshape(count, d, len(DEVIATION_NAMES))
+    lags = shares.uniform(0.0, 1.0, (count, d)) * tolerances.max_backlash(d)
+    return perturb_robot(robot, parts, lags, _forces(robot, count, seed))
 
 
-def corners(robot: Robot, most: int = MOST_CORNERS) -> Draws:
+def box_vertices_of(robot: Robot, max_vertices: int = MAX_BOX_VERTICES) -> RobotSamples:
     """Return the robots at the vertices of the box that the tolerances span.
 
     Parameters
     ----------
     robot : Robot
         The nominal robot, with its tolerances.
-    most : int
+    max_vertices : int
         Most vertices: with more than this, so many of them are chosen at random (seed 0).
 
     Returns
@@ -192,17 +194,19 @@ def corners(robot: Robot, most: int = MOST_CORNERS) -> Draws:
         backlash have all of it; where a force may act at the tip, all of it does, in a random direction of each
         robot's own.
     """
-    root = robot.tolerances.root(robot.tubes)
+    root = robot.tolerances.covariance_root(robot.tubes)
     deviations = root[:, abs(root).max(axis=0) > 0]
     count = deviations.shape[1]
-    if 2**count <= most:
+    if 2**count <= max_vertices:
         signs = np.array(list(itertools.product((-1.0, 1.0), repeat=count))).reshape(-1, count)
     else:
-        signs = np.random.default_rng(0).choice((-1.0, 1.0), (most, count))
+        signs = np.random.default_rng(0).choice((-1.0, 1.0), (max_vertices, count))
     # A uniform band of half width b has the standard deviation b / sqrt(3), which is the size of root's columns.
     parts = math.sqrt(3) * signs @ deviations.T
-    lags = np.tile(robot.tolerances.lags(robot.d), (len(signs), 1))
-    return drawn_from(robot, parts.reshape(-1, robot.d, len(NAMES)), lags, _forces(robot, len(signs), 0))
+    lags = np.tile(robot.tolerances.max_backlash(robot.d), (len(signs), 1))
+    return perturb_robot(
+        robot, parts.reshape(-1, robot.d, len(DEVIATION_NAMES)), lags, _forces(robot, len(signs), 0)
+    )
 
 
 def _forces(robot: Robot, count: int, seed: int) -> Array:
@@ -213,7 +217,7 @@ def _forces(robot: Robot, count: int, seed: int) -> Array:
     return robot.tolerances.tip_force * directions / np.linalg.norm(directions, axis=1, keepdims=True)
 
 
-def _stiffened(robot: Robot, off: Array) -> Array:
+def _bending_stiffness_factors(robot: Robot, off: Array) -> Array:
     """Return the factors (n, d) by which bending stiffnesses change where diameters are off by (n, d, 2) mm,
     outer, inner.
     """
@@ -223,16 +227,16 @@ def _stiffened(robot: Robot, off: Array) -> Array:
     return np.asarray((fourth[..., 0] - fourth[..., 1]) / (whole[:, 0] - whole[:, 1]))
 
 
-def drawn_from(robot: Robot, parts: Array, lags: Array, forces: Array | None = None) -> Draws:
+def perturb_robot(robot: Robot, deviations: Array, backlash: Array, forces: Array | None = None) -> RobotSamples:
     """Return the robots that differ from a nominal one by given amounts.
 
     Parameters
     ----------
     robot : Robot
         The nominal robot, of d tubes.
-    parts : ndarray
+    deviations : ndarray
         Differences (n, d, 5), in the order of `tolerances.NAMES`: relative for the first three, then mm and rad.
-    lags : ndarray
+    backlash : ndarray
         Backlash (n, d), rad.
     forces : ndarray, optional
         Forces (n, 3) at the tips, N; none by default.
@@ -243,36 +247,38 @@ def drawn_from(robot: Robot, parts: Array, lags: Array, forces: Array | None = N
         Curvatures, stiffnesses and lengths are kept above a twentieth of the nominal ones, and curved parts no
         longer than their tubes.
     """
-    forces = np.zeros((len(parts), 3)) if forces is None else forces
-    numbers = np.repeat(robot.numbers[None], len(parts), axis=0)
+    forces = np.zeros((len(deviations), 3)) if forces is None else forces
+    numbers = np.repeat(robot.numbers[None], len(deviations), axis=0)
     # One factor for both ends of a linear curved part, whose shape is kept up to scale.
     factors = {
-        "root_curvature": parts[..., 0],
-        "tip_curvature": parts[..., 0],
-        "bending_stiffness": parts[..., 1],
-        "torsional_ratio": parts[..., 2],
+        "root_curvature": deviations[..., 0],
+        "tip_curvature": deviations[..., 0],
+        "bending_stiffness": deviations[..., 1],
+        "torsional_ratio": deviations[..., 2],
     }
     for name, part in factors.items():
-        numbers[..., NUMBERS.index(name)] *= np.maximum(1 + part, LEAST)
-    length, curved = (NUMBERS.index(name) for name in ("length", "curved_length"))
+        numbers[..., TUBE_NUMBER_NAMES.index(name)] *= np.maximum(1 + part, MIN_REMAINING_PART)
+    length, curved = (TUBE_NUMBER_NAMES.index(name) for name in ("length", "curved_length"))
     described = robot.numbers[:, curved]
-    numbers[..., curved] = np.clip(described + parts[..., 3], LEAST * described, numbers[..., length])
+    numbers[..., curved] = np.clip(
+        described + deviations[..., 3], MIN_REMAINING_PART * described, numbers[..., length]
+    )
     # Where a perturbed curved part is shorter than the tube's largest extension, the straight transmission comes
     # out of the insertion point. That is another structure, which then holds for the whole batch.
     reach = robot.upper[robot.d : 2 * robot.d]
-    shown = tuple((numbers[..., curved] < reach).any(axis=0) | np.array(robot.structure.shown))
-    structure = replace(robot.structure, shown=tuple(map(bool, shown)))
-    return Draws(structure, numbers, parts[..., 4], lags, forces, parts)
+    shown = tuple((numbers[..., curved] < reach).any(axis=0) | np.array(robot.structure.transmission_emerges))
+    structure = replace(robot.structure, transmission_emerges=tuple(map(bool, shown)))
+    return RobotSamples(structure, numbers, deviations[..., 4], backlash, forces, deviations)
 
 
-def known_robot(robot: Robot, parts: Array, covariance: Array, rotation_lag: Any) -> Robot:
+def build_calibrated_robot(robot: Robot, deviations: Array, covariance: Array, rotation_lag: Any) -> Robot:
     """Return the robot that a calibration found, with its remaining uncertainty as tolerances.
 
     Parameters
     ----------
     robot : Robot
         The robot as described before.
-    parts : ndarray
+    deviations : ndarray
         Differences (d, 5) of its tubes from that description, in the order of `tolerances.NAMES`.
     covariance : ndarray
         Covariance (5 d, 5 d) that is left of these differences.
@@ -291,11 +297,11 @@ def known_robot(robot: Robot, parts: Array, covariance: Array, rotation_lag: Any
     RobotError
         No such tubes can be made.
     """
-    tubes = tuple(_tube(tube, own) for tube, own in zip(robot.tubes, parts, strict=True))
+    tubes = tuple(_tube(tube, own) for tube, own in zip(robot.tubes, deviations, strict=True))
     # Relative parts refer to the new tubes now: k0 (1 + p + e) = k (1 + e / (1 + p)) with k = k0 (1 + p). Lengths
     # and zeros are absolute and keep their scale.
-    scale = np.ones(parts.shape)
-    scale[:, :3] = 1 / (1 + parts[:, :3])
+    scale = np.ones(deviations.shape)
+    scale[:, :3] = 1 / (1 + deviations[:, :3])
     left = covariance * np.outer(scale.ravel(), scale.ravel())
     # Averaged with its transpose, since rounding of the product may leave a covariance that is not quite
     # symmetric.
@@ -303,11 +309,11 @@ def known_robot(robot: Robot, parts: Array, covariance: Array, rotation_lag: Any
     return replace(robot, tubes=tubes, limits=_limits(robot), tolerances=tolerances)
 
 
-def _tube(tube: Tube, parts: Array) -> Tube:
-    """Return a tube changed by `parts` (5,): curvature, stiffness and torsional ratio as parts, curved length in
-    mm.
+def _tube(tube: Tube, deviations: Array) -> Tube:
+    """Return a tube changed by `deviations` (5,): curvature, stiffness and torsional ratio as parts, curved length
+    in mm.
     """
-    curvature, stiffness, ratio, length, _ = parts.tolist()
+    curvature, stiffness, ratio, length, _ = deviations.tolist()
     return replace(
         tube,
         curvature=(tube.root_curvature * (1 + curvature), tube.tip_curvature * (1 + curvature)),

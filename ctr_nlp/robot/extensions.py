@@ -8,8 +8,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from ctr_nlp.exceptions import RobotError
-from ctr_nlp.robot.tube import LENGTHS, Tube
-from ctr_nlp.robot.units import between, did_you_mean, length_meant
+from ctr_nlp.robot.tube import TUBE_LENGTH_RANGE_MM, Tube
+from ctr_nlp.robot.units import between, did_you_mean, suggest_length
 from ctr_nlp.support.values import frozen
 from ctr_nlp.typing import Array
 
@@ -53,7 +53,7 @@ def check_extensions(
             )
 
 
-def furthest(tubes: Sequence[Tube], upper: Array, gap: float | None) -> Array:
+def compute_max_extensions(tubes: Sequence[Tube], upper: Array, gap: float | None) -> Array:
     """Return the largest extensions that limits, order and carriage gap allow.
 
     Parameters
@@ -88,8 +88,9 @@ def _check_ends(name: str, tube: Tube, least: float, most: float) -> None:
             "the tube's length"
         )
     # A limit of 0.05 is far more likely 50 mm in metres than a tube that moves by a twentieth of a mm.
-    if 0 < most < LENGTHS[0]:
-        meant = did_you_mean(length_meant(most, between(LENGTHS[0], tube.length)))
+    if 0 < most < TUBE_LENGTH_RANGE_MM[0]:
+        meant = did_you_mean(suggest_length(most, between(TUBE_LENGTH_RANGE_MM[0], tube.length)))
         raise RobotError(
-            f"the upper limit of {name} is {most:g} mm; it must be 0, or at least {LENGTHS[0]:g} mm{meant}"
+            f"the upper limit of {name} is {most:g} mm; it must be 0, or at least {TUBE_LENGTH_RANGE_MM[0]:g} "
+            f"mm{meant}"
         )

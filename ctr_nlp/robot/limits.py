@@ -7,7 +7,7 @@ from dataclasses import dataclass, fields
 from typing import Any
 
 from ctr_nlp.support.packing import packable
-from ctr_nlp.support.values import unchanging
+from ctr_nlp.support.values import to_nested_tuples
 
 
 @packable("limits")
@@ -60,4 +60,4 @@ class Limits:
 
     def __post_init__(self) -> None:
         for f in fields(self):
-            object.__setattr__(self, f.name, unchanging(getattr(self, f.name)))
+            object.__setattr__(self, f.name, to_nested_tuples(getattr(self, f.name)))

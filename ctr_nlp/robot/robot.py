@@ -17,19 +17,19 @@ import numpy as np
 import numpy.typing as npt
 
 from ctr_nlp.exceptions import RobotError
-from ctr_nlp.robot.checks import TURN, check_angle, check_pair, sequence_of_tubes
-from ctr_nlp.robot.extensions import check_extensions, furthest
+from ctr_nlp.robot.checks import MAX_MOTOR_ANGLES_RAD, check_angle, check_pair, sequence_of_tubes
+from ctr_nlp.robot.extensions import check_extensions, compute_max_extensions
 from ctr_nlp.robot.limits import Limits
 from ctr_nlp.robot.strain import check_deployed
 from ctr_nlp.robot.structure import Structure, TubeNumbers, kind_of, numbers_of, tubes_of
 from ctr_nlp.robot.tolerances import Tolerances
 from ctr_nlp.robot.tube import Tube
-from ctr_nlp.robot.units import angle_meant, between, did_you_mean
+from ctr_nlp.robot.units import between, did_you_mean, suggest_angle
 from ctr_nlp.support.packing import packable
 from ctr_nlp.support.tables import toml_text
 from ctr_nlp.support.values import (
+    build_from_table,
     check_keys,
-    described,
     frozen,
     numbers,
     pairs,
@@ -43,9 +43,9 @@ MM_PER_RAD = 10.0
 """What one radian counts as in the motion term of eq. (9) and in the roughness, mm: the weights W of
 docs/method.md.
 """
-KEYS = ("name", "tubes", "limits", "tolerances")
+ROBOT_FILE_KEYS = ("name", "tubes", "limits", "tolerances")
 """Keys of a robot file."""
-UNITS = {
+TUBE_UNIT_COMMENTS = {
     "length": "mm, the whole tube, from its carriage to its tip",
     "curved_length": "mm, the part behind the tip that is pre-curved; the rest is straight transmission",
     "curvature": "1/mm; [root, tip] of the curved part, linear between them",
@@ -108,7 +108,7 @@ class Robot:
         self._check_limits()
         low, high = (self.split(ends)[1].tolist() for ends in (self.lower, self.upper))
         check_extensions(self.tubes, low, high, self.carriage_gap)
-        check_deployed(self.tubes, self.deployed.tolist())
+        check_deployed(self.tubes, self.max_extensions.tolist())
 
     def __reduce__(self) -> Any:
         # Made anew from its fields, so that cached arrays are not pickled and stay read-only.
@@ -123,7 +123,7 @@ class Robot:
             if math.isnan(lo) or math.isnan(hi) or lo > hi:
                 raise RobotError(f"limits of {name} are [{lo:g}, {hi:g}]; the lower must not exceed the upper")
             for end in (lo, hi):
-                if name.partition("_")[0] in TURN and math.isfinite(end):
+                if name.partition("_")[0] in MAX_MOTOR_ANGLES_RAD and math.isfinite(end):
                     check_angle(f"limits of {name} are [{lo:g}, {hi:g}] rad, and {end:g}", name, end)
         for name in ("speed", "acceleration"):
             for axis, value in zip(self.axes, getattr(self, name), strict=True):
@@ -131,9 +131,9 @@ class Robot:
                     raise RobotError(f"{name} of {axis} is {value:g}; it must be positive")
 
     @cached_property
-    def deployed(self) -> Array:
+    def max_extensions(self) -> Array:
         """Largest beta (d,), mm, that limits, order and carriage gap allow together."""
-        return furthest(self.tubes, self.split(self.upper)[1], self.carriage_gap)
+        return compute_max_extensions(self.tubes, self.split(self.upper)[1], self.carriage_gap)
 
     @cached_property
     def carriage_gap(self) -> float | None:
@@ -164,7 +164,7 @@ class Robot:
         return tubes_of(self.structure, self.numbers.tolist())
 
     @cached_property
-    def most_growth(self) -> Array:
+    def max_extension_differences(self) -> Array:
         """Largest beta_{i+1} - beta_i (d - 1,), mm, that the carriage gap allows; inf without one."""
         if self.carriage_gap is None:
             return frozen(np.full(self.d - 1, np.inf))
@@ -334,8 +334,8 @@ class Robot:
             raise RobotError(f"{name} has shape {q.shape}; it must be ({2 * self.d + 2},): {', '.join(self.axes)}")
         for axis, value, lo, hi in zip(self.axes, q, self.lower, self.upper, strict=True):
             if not (math.isfinite(value) and lo - tolerance <= value <= hi + tolerance):
-                turned = math.isfinite(value) and axis.partition("_")[0] in TURN
-                meant = angle_meant(value, between(lo, hi)) if turned else []
+                turned = math.isfinite(value) and axis.partition("_")[0] in MAX_MOTOR_ANGLES_RAD
+                meant = suggest_angle(value, between(lo, hi)) if turned else []
                 raise RobotError(
                     f"{axis} of {name} is {value:g}; it must lie in [{lo:g}, {hi:g}]{did_you_mean(meant)}"
                 )
@@ -387,7 +387,7 @@ class Robot:
         ['# Table I', '', '[[tubes]]']
         """
         plain = self.to_dict()
-        tubes = toml_text(head, [("[[tubes]]", tube) for tube in plain["tubes"]], UNITS)
+        tubes = toml_text(head, [("[[tubes]]", tube) for tube in plain["tubes"]], TUBE_UNIT_COMMENTS)
         return tubes + toml_text("", [(f"[{name}]", plain[name]) for name in ("limits", "tolerances")], {})
 
     @classmethod
@@ -417,15 +417,15 @@ class Robot:
         True
         """
         if not isinstance(data, dict):
-            raise RobotError(f"a robot is {data!r}; it must be a table with the keys {', '.join(KEYS)}")
-        check_keys(RobotError, "a robot", data, KEYS)
+            raise RobotError(f"a robot is {data!r}; it must be a table with the keys {', '.join(ROBOT_FILE_KEYS)}")
+        check_keys(RobotError, "a robot", data, ROBOT_FILE_KEYS)
         tubes = data.get("tubes")
         if not isinstance(tubes, list | tuple) or not all(isinstance(t, dict) for t in tubes):
             raise RobotError("a robot needs a list of tubes, [[tubes]] in TOML")
         return cls(
-            tuple(_numbered(number, tube) for number, tube in enumerate(tubes, start=1)),
-            described(Limits, data.get("limits", {})),
-            described(Tolerances, data.get("tolerances", {})),
+            tuple(_tube_from_table(number, tube) for number, tube in enumerate(tubes, start=1)),
+            build_from_table(Limits, data.get("limits", {})),
+            build_from_table(Tolerances, data.get("tolerances", {})),
         )
 
     @classmethod
@@ -495,10 +495,10 @@ def configuration(name: str, q: Any) -> Array:
         raise RobotError(f"{name} is {q!r:.80}; it must be numbers, in rad and mm") from error
 
 
-def _numbered(number: int, data: dict[str, Any]) -> Tube:
+def _tube_from_table(number: int, data: dict[str, Any]) -> Tube:
     """Return the tube that a table of a file describes; messages call it by its number, from 1."""
     try:
-        tube: Tube = described(Tube, data)
+        tube: Tube = build_from_table(Tube, data)
     except RobotError as error:
         raise RobotError(f"tubes, number {number}: {error}") from error
     return tube

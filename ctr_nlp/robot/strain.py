@@ -19,9 +19,9 @@ from typing import NamedTuple
 from ctr_nlp.exceptions import RobotError
 from ctr_nlp.robot.tube import Tube
 
-STRAIN_DEPLOYED = 0.06
+MAX_DEPLOYED_STRAIN = 0.06
 """Largest strain of a tube's outer fibre, relative to its own pre-curved shape, by the other tubes."""
-INSIDE, SHORTEST = 1e-9, 1e-6
+STRAIN_EDGE_OFFSET_MM, MIN_STRAIN_PIECE_MM = 1e-9, 1e-6
 """Distance from the ends of a piece at which strains are evaluated, mm, and the shortest piece that counts, mm: a
 shorter one is what rounding leaves between tubes that end together.
 """
@@ -68,10 +68,10 @@ def check_deployed(tubes: Sequence[Tube], beta: Sequence[float]) -> None:
         A tube is strained by more.
     """
     worst = largest_strain(tubes, beta)
-    if worst is not None and worst.strain > STRAIN_DEPLOYED * (1 + 1e-9):
+    if worst is not None and worst.strain > MAX_DEPLOYED_STRAIN * (1 + 1e-9):
         raise RobotError(
             f"tube {worst.tube} is strained by {100 * worst.strain:.3g} % at {worst.place:.1f} mm of the aligned, "
-            f"deployed robot, and nitinol bears {100 * STRAIN_DEPLOYED:g} % there: its own curvature is "
+            f"deployed robot, and nitinol bears {100 * MAX_DEPLOYED_STRAIN:g} % there: its own curvature is "
             f"{worst.own:.4g} per mm, that of all tubes together {worst.common:.4g}, its outer_diameter "
             f"{tubes[worst.tube - 1].outer_diameter:g} mm. The curvatures must be closer to each other"
         )
@@ -96,8 +96,8 @@ def largest_strain(tubes: Sequence[Tube], beta: Sequence[float]) -> Strain | Non
     # then the absolute value of a linear function, which is largest at an end of the piece.
     starts = [max(b - tube.curved_length, 0.0) for tube, b in zip(tubes, beta, strict=True)]
     edges = sorted({0.0, *beta, *(start for start, b in zip(starts, beta, strict=True) if start < b)})
-    pieces = [(a, b) for a, b in itertools.pairwise(edges) if b - a > SHORTEST]
-    places = [place for a, b in pieces for place in (a + INSIDE, b - INSIDE)]
+    pieces = [(a, b) for a, b in itertools.pairwise(edges) if b - a > MIN_STRAIN_PIECE_MM]
+    places = [place for a, b in pieces for place in (a + STRAIN_EDGE_OFFSET_MM, b - STRAIN_EDGE_OFFSET_MM)]
     # Just inside of each piece, where it is clear which tubes are present.
     found = [strain for place in places for strain in _strains(tubes, beta, place)]
     return max(found, key=lambda one: one.strain, default=None)

@@ -34,7 +34,7 @@ class Structure:
     """
 
     kinds: tuple[Kind, ...]
-    shown: tuple[bool, ...]
+    transmission_emerges: tuple[bool, ...]
     gap: bool = False
 
     @property
@@ -67,7 +67,7 @@ class TubeNumbers(NamedTuple):
     """
 
     kind: Kind
-    shown: bool
+    transmission_emerges: bool
     length: Any
     curved_length: Any
     root_curvature: Any
@@ -91,7 +91,7 @@ class TubeNumbers(NamedTuple):
 Tubes = Sequence[TubeNumbers]
 """The tubes of a robot, outermost first."""
 
-NUMBERS = TubeNumbers._fields[2:]
+TUBE_NUMBER_NAMES = TubeNumbers._fields[2:]
 """Names of a tube's numbers, in the order in which programs take them as parameters."""
 
 
@@ -103,18 +103,18 @@ def tubes_of(structure: Structure, numbers: Sequence[Sequence[Any]]) -> tuple[Tu
     structure : Structure
         Of d tubes.
     numbers : sequence of sequences
-        For each tube its eight numbers, in the order of `NUMBERS`; floats, arrays or symbols.
+        For each tube its eight numbers, in the order of `TUBE_NUMBER_NAMES`; floats, arrays or symbols.
 
     Returns
     -------
     tuple of TubeNumbers
         Outermost first.
     """
-    rows = zip(structure.kinds, structure.shown, numbers, strict=True)
+    rows = zip(structure.kinds, structure.transmission_emerges, numbers, strict=True)
     return tuple(TubeNumbers(kind, shown, *row) for kind, shown, row in rows)
 
 
-def tubes_in_columns(structure: Structure, numbers: Any) -> tuple[TubeNumbers, ...]:
+def tubes_of_batch(structure: Structure, numbers: Any) -> tuple[TubeNumbers, ...]:
     """Return the tubes of a batch of robots of one structure.
 
     Parameters
@@ -132,35 +132,37 @@ def tubes_in_columns(structure: Structure, numbers: Any) -> tuple[TubeNumbers, .
     return tubes_of(structure, [list(tube) for tube in numbers.transpose(1, 2, 0)[..., None]])
 
 
-def freed_places(structure: Structure, freed: Sequence[str]) -> tuple[tuple[int, tuple[int, ...]], ...]:
+def locate_free_numbers(
+    structure: Structure, free_names: Sequence[str]
+) -> tuple[tuple[int, tuple[int, ...]], ...]:
     """Find the numbers of tubes that are unknowns of a program.
 
     Parameters
     ----------
     structure : Structure
         Of d tubes.
-    freed : sequence of str
-        Names among `NUMBERS`, or ``"curvature"``: one number of an arc or a helix, two of a linear part, none of a
-        straight one.
+    free_names : sequence of str
+        Names among `TUBE_NUMBER_NAMES`, or ``"curvature"``: one number of an arc or a helix, two of a linear part,
+        none of a straight one.
 
     Returns
     -------
     tuple of (int, tuple of int)
-        For each unknown its tube, from 0, and its columns in `NUMBERS`: two for a curvature that root and tip
-        share.
+        For each unknown its tube, from 0, and its columns in `TUBE_NUMBER_NAMES`: two for a curvature that root
+        and tip share.
     """
-    root, tip = NUMBERS.index("root_curvature"), NUMBERS.index("tip_curvature")
+    root, tip = TUBE_NUMBER_NAMES.index("root_curvature"), TUBE_NUMBER_NAMES.index("tip_curvature")
     curvatures = {"straight": (), "arc": ((root, tip),), "linear": ((root,), (tip,)), "helix": ((root, tip),)}
     found = list[tuple[int, tuple[int, ...]]]()
-    for name in freed:
+    for name in free_names:
         for i, kind in enumerate(structure.kinds):
-            columns = curvatures[kind] if name == "curvature" else ((NUMBERS.index(name),),)
+            columns = curvatures[kind] if name == "curvature" else ((TUBE_NUMBER_NAMES.index(name),),)
             found += [(i, each) for each in columns]
     return tuple(found)
 
 
 def numbers_of(tubes: Iterable[Tube]) -> list[list[float]]:
-    """Return the numbers of tubes as lists of eight floats, in the order of `NUMBERS`."""
+    """Return the numbers of tubes as lists of eight floats, in the order of `TUBE_NUMBER_NAMES`."""
     return [
         [
             tube.length,

@@ -1,7 +1,7 @@
 """Tolerances: by how much a built robot, and its motors' zeros, may differ from the description.
 
-Differences of d tubes are a vector of 5 d entries, tube by tube in the order of NAMES. A band of half width b
-stands for a uniform distribution on [-b, b], of variance b^2 / 3; the normal one has the same variance.
+Differences of d tubes are a vector of 5 d entries, tube by tube in the order of DEVIATION_NAMES. A band of half
+width b stands for a uniform distribution on [-b, b], of variance b^2 / 3; the normal one has the same variance.
 """
 
 from __future__ import annotations
@@ -17,24 +17,24 @@ from ctr_nlp.exceptions import RobotError
 from ctr_nlp.robot.tube import Tube
 from ctr_nlp.robot.units import between
 from ctr_nlp.support.packing import packable
-from ctr_nlp.support.values import number, numbers, plain_floats, unchanging
+from ctr_nlp.support.values import number, numbers, plain_floats, to_nested_tuples
 from ctr_nlp.typing import Array
 
 DISTRIBUTIONS = "uniform", "normal"
 """Distributions of differences: uniform within the band, or normal with the variance of the uniform one."""
-LARGEST = {
+MAX_TOLERANCES = {
     **dict.fromkeys(("curvature", "bending_stiffness", "torsional_ratio"), 0.5),
     "curved_length": 100.0,
     **dict.fromkeys(("motor_zero", "rotation_lag"), math.pi / 2),
     "diameter": 1.0,
 }
 """Largest tolerances that are accepted: parts, mm and rad. With more, nothing is known of a robot."""
-LARGEST_FORCE = 10.0
+MAX_TOLERANCE_FORCE_N = 10.0
 """Largest force at the tip, N, beyond what any robot of this kind bears."""
-UNITS = {"curved_length": " mm", "motor_zero": " rad", "rotation_lag": " rad", "diameter": " mm"}
-NAMES = "curvature", "bending_stiffness", "torsional_ratio", "curved_length", "motor_zero"
+TOLERANCE_UNITS = {"curved_length": " mm", "motor_zero": " rad", "rotation_lag": " rad", "diameter": " mm"}
+DEVIATION_NAMES = "curvature", "bending_stiffness", "torsional_ratio", "curved_length", "motor_zero"
 """Numbers that differ from robot to robot, tube by tube: parts, mm and rad."""
-ROUNDING = 1e-9
+COVARIANCE_ROUNDING = 1e-9
 """Relative error by which a covariance may fail to be symmetric or positive semidefinite."""
 
 
@@ -95,20 +95,20 @@ class Tolerances:
 
     def __post_init__(self) -> None:
         for f in fields(self):
-            object.__setattr__(self, f.name, unchanging(getattr(self, f.name)))
+            object.__setattr__(self, f.name, to_nested_tuples(getattr(self, f.name)))
         if not isinstance(self.distribution, str) or self.distribution not in DISTRIBUTIONS:
             allowed = " or ".join(DISTRIBUTIONS)
             raise RobotError(f"distribution of tolerances is {self.distribution!r}; it must be {allowed}")
-        for name in LARGEST:
+        for name in MAX_TOLERANCES:
             value = getattr(self, name)
             for each in numbers(_of(name), value, len(value) if isinstance(value, tuple) else 1):
-                if not 0 <= each <= LARGEST[name]:
-                    unit = UNITS.get(name, "")
+                if not 0 <= each <= MAX_TOLERANCES[name]:
+                    unit = TOLERANCE_UNITS.get(name, "")
                     raise RobotError(
-                        f"{_of(name)} is {each:g}{unit}; it must lie in [0, {LARGEST[name]:.4g}]{unit}"
+                        f"{_of(name)} is {each:g}{unit}; it must lie in [0, {MAX_TOLERANCES[name]:.4g}]{unit}"
                     )
-        most = f"lie in [0, {LARGEST_FORCE:g}] N"
-        number(RobotError, _of("tip_force"), self.tip_force, between(0.0, LARGEST_FORCE), most, " N")
+        most = f"lie in [0, {MAX_TOLERANCE_FORCE_N:g}] N"
+        number(RobotError, _of("tip_force"), self.tip_force, between(0.0, MAX_TOLERANCE_FORCE_N), most, " N")
         if self.covariance is not None:
             self._check_covariance()
 
@@ -120,16 +120,16 @@ class Tolerances:
         if self.distribution != "normal":
             raise RobotError(f'{name} needs distribution = "normal"; it is {self.distribution!r}')
         for f in fields(self):
-            if f.name in (*NAMES, "diameter") and getattr(self, f.name) != f.default:
+            if f.name in (*DEVIATION_NAMES, "diameter") and getattr(self, f.name) != f.default:
                 raise RobotError(
                     f"{_of(f.name)} is {getattr(self, f.name)}; leave it out where a covariance is given"
                 )
         scale = max(float(abs(found).max(initial=0.0)), 1e-300)
-        if found.diagonal().min() < 0 or abs(found - found.T).max() > ROUNDING * scale:
+        if found.diagonal().min() < 0 or abs(found - found.T).max() > COVARIANCE_ROUNDING * scale:
             raise RobotError(f"{name} is not symmetric with variances of at least 0; it must be")
         # Scaled to entries of at most 1, so that variances in rad^2 and mm^2 share one threshold of rounding.
         least = float(np.linalg.eigvalsh(found / scale)[0])
-        if least < -ROUNDING * len(found):
+        if least < -COVARIANCE_ROUNDING * len(found):
             raise RobotError(f"{name} has an eigenvalue {least * scale:.3g}; all must be at least 0")
 
     def _covariance(self) -> Array:
@@ -140,11 +140,16 @@ class Tolerances:
             found = plain_floats(self.covariance)
         except (TypeError, ValueError):
             found = np.empty(0)
-        if found.ndim != 2 or found.shape[0] != found.shape[1] or len(found) % len(NAMES) or not len(found):
+        if (
+            found.ndim != 2
+            or found.shape[0] != found.shape[1]
+            or len(found) % len(DEVIATION_NAMES)
+            or not len(found)
+        ):
             told = f"shape {found.shape}" if found.size else f"{self.covariance!r:.60}"
             raise RobotError(
-                f"{_of('covariance')} is of {told}; it must be a square of {len(NAMES)} rows a tube: "
-                f"{', '.join(NAMES)}"
+                f"{_of('covariance')} is of {told}; it must be a square of {len(DEVIATION_NAMES)} rows a tube: "
+                f"{', '.join(DEVIATION_NAMES)}"
             )
         if not np.isfinite(found).all():
             raise RobotError(f"{_of('covariance')} has entries that are not finite; all must be")
@@ -165,15 +170,17 @@ class Tolerances:
             tolerance of a diameter is as large as the wall of a tube.
         """
         d = len(tubes)
-        for name in LARGEST:
+        for name in MAX_TOLERANCES:
             value = getattr(self, name)
             if isinstance(value, tuple) and len(value) != d:
                 raise RobotError(
                     f"{_of(name)} has {len(value)} numbers; it must be one, or one for each of {d} tubes"
                 )
-        if self.covariance is not None and len(self.covariance) != len(NAMES) * d:
+        if self.covariance is not None and len(self.covariance) != len(DEVIATION_NAMES) * d:
             rows = len(self.covariance)
-            raise RobotError(f"{_of('covariance')} has {rows} rows; it must have {len(NAMES) * d}, for {d} tubes")
+            raise RobotError(
+                f"{_of('covariance')} has {rows} rows; it must have {len(DEVIATION_NAMES) * d}, for {d} tubes"
+            )
         for i, (tube, off) in enumerate(zip(tubes, self.diameters(d).tolist(), strict=True), start=1):
             wall = (tube.outer_diameter - tube.inner_diameter) / 2
             if off > 0 and off >= wall:
@@ -182,7 +189,7 @@ class Tolerances:
                     "within such tolerances it may be gone"
                 )
 
-    def stated(self, d: int) -> Array:
+    def bands_without_diameters(self, d: int) -> Array:
         """Return the half widths of the bands as they were given, without the effect of diameters.
 
         Parameters
@@ -193,13 +200,14 @@ class Tolerances:
         Returns
         -------
         ndarray
-            Half widths (d, 5), in the order of `NAMES`; sqrt(3 variance) of each where a covariance is given.
+            Half widths (d, 5), in the order of `DEVIATION_NAMES`; sqrt(3 variance) of each where a covariance is
+            given.
         """
         if self.covariance is not None:
             # The band of a uniform distribution with this variance, so that both kinds of tolerances can be
             # treated alike.
-            return np.sqrt(3 * np.maximum(self._covariance().diagonal(), 0.0)).reshape(d, len(NAMES))
-        return np.stack([numbers(_of(name), getattr(self, name), d) for name in NAMES], axis=1)
+            return np.sqrt(3 * np.maximum(self._covariance().diagonal(), 0.0)).reshape(d, len(DEVIATION_NAMES))
+        return np.stack([numbers(_of(name), getattr(self, name), d) for name in DEVIATION_NAMES], axis=1)
 
     def bands(self, tubes: Sequence[Tube]) -> Array:
         """Return the half widths of the bands of all numbers that differ, with the effect of diameters.
@@ -212,18 +220,18 @@ class Tolerances:
         Returns
         -------
         ndarray
-            Half widths (d, 5), in the order of `NAMES`, of uniform bands with the same variances. The variance
-            that diameters give the bending stiffness is added to first order.
+            Half widths (d, 5), in the order of `DEVIATION_NAMES`, of uniform bands with the same variances. The
+            variance that diameters give the bending stiffness is added to first order.
         """
-        found = self.stated(len(tubes))
+        found = self.bands_without_diameters(len(tubes))
         slopes = np.array([tube.stiffness_slopes for tube in tubes])
-        stiffness = NAMES.index("bending_stiffness")
+        stiffness = DEVIATION_NAMES.index("bending_stiffness")
         # Variances of independent errors add up: those of the band, and of both diameters by d(EI)/EI = slope *
         # d(diameter).
         found[:, stiffness] = np.hypot(found[:, stiffness], self.diameters(len(tubes)) * np.hypot(*slopes.T))
         return found
 
-    def root(self, tubes: Sequence[Tube]) -> Array:
+    def covariance_root(self, tubes: Sequence[Tube]) -> Array:
         """Return a square root of the covariance of all differences.
 
         Parameters
@@ -248,7 +256,7 @@ class Tolerances:
         root[among] = axes * np.sqrt(np.maximum(sizes, 0.0))
         return root
 
-    def lags(self, d: int) -> Array:
+    def max_backlash(self, d: int) -> Array:
         """Return the largest backlash of each tube.
 
         Parameters

@@ -6,21 +6,21 @@ import math
 from dataclasses import dataclass, fields
 
 from ctr_nlp.exceptions import RobotError
-from ctr_nlp.robot.units import between, curvature_meant, did_you_mean, length_meant
+from ctr_nlp.robot.units import between, did_you_mean, suggest_curvature, suggest_length
 from ctr_nlp.support.packing import packable
 from ctr_nlp.support.values import numbers
 
-STRAIN_MADE = 0.08
+MAX_PRE_CURVATURE_STRAIN = 0.08
 """Largest strain of a tube's outer fibre by its pre-curvature."""
-CURVATURE = 0.5
+MAX_TUBE_CURVATURE_PER_MM = 0.5
 """Largest curvature of any tube, 1/mm: a radius of 2 mm, which nitinol bears up to 0.32 mm thick."""
-LENGTHS = (1.0, 10_000.0)
+TUBE_LENGTH_RANGE_MM = (1.0, 10_000.0)
 """Shortest and longest tube, mm. What is shorter was likely written in metres, what is longer in micrometres."""
-TURNED = 2.0
+MAX_HELIX_TURN_RAD = 2.0
 """Largest angle by which the direction of a helix's curvature turns along its curved part, rad: sections are
 integrated in a few steps.
 """
-DIAMETERS = (0.1, 100.0)
+TUBE_DIAMETER_RANGE_MM = (0.1, 100.0)
 """Least and largest outer diameter, mm."""
 
 
@@ -103,13 +103,13 @@ class Tube:
         """Raise RobotError unless the length is positive and likely in mm, and the curved part fits into it."""
         if self.length <= 0:
             raise RobotError(f"tube length is {self.length:g} mm; it must be positive")
-        _check_unit("length", self.length, LENGTHS)
+        _check_unit("length", self.length, TUBE_LENGTH_RANGE_MM)
         if not 0 <= self.curved_length <= self.length:
             raise RobotError(
                 f"tube curved_length is {self.curved_length:g} mm; it must lie in [0, length = {self.length:g}]"
             )
         if self.curved_length:
-            _check_unit("curved_length", self.curved_length, LENGTHS)
+            _check_unit("curved_length", self.curved_length, TUBE_LENGTH_RANGE_MM)
 
     def _check_diameters(self) -> None:
         """Raise RobotError unless the diameters leave a wall and are likely in mm."""
@@ -121,7 +121,7 @@ class Tube:
                 + "; are the two diameters exchanged, or in different units?"
                 * exchanged
             )
-        _check_unit("outer_diameter", self.outer_diameter, DIAMETERS)
+        _check_unit("outer_diameter", self.outer_diameter, TUBE_DIAMETER_RANGE_MM)
 
     def _check_curvature(self) -> None:
         """Raise RobotError unless the curvature has a valid sign and strains the tube by at most 8 %."""
@@ -132,19 +132,22 @@ class Tube:
             what = f"it is unsigned (turn the tube instead){shaped if isinstance(self.curvature, tuple) else ''}"
             raise RobotError(f"tube curvature is {self.curvature}; {what}")
         # The strain k D / 2, solved for k.
-        largest, most = self.largest_curvature, min(CURVATURE, 2 * STRAIN_MADE / self.outer_diameter)
-        if largest > CURVATURE:
-            meant = curvature_meant(largest, between(0, most))
+        largest, most = (
+            self.largest_curvature,
+            min(MAX_TUBE_CURVATURE_PER_MM, 2 * MAX_PRE_CURVATURE_STRAIN / self.outer_diameter),
+        )
+        if largest > MAX_TUBE_CURVATURE_PER_MM:
+            meant = suggest_curvature(largest, between(0, most))
             raise RobotError(
                 f"tube curvature {largest:g} per mm is a radius of {1 / largest:.2g} mm; it must be at most "
                 f"{most:.3g} per mm{did_you_mean(meant)}"
             )
         strain = largest * self.outer_diameter / 2
-        if strain > STRAIN_MADE * (1 + 1e-9):
+        if strain > MAX_PRE_CURVATURE_STRAIN * (1 + 1e-9):
             raise RobotError(
                 f"tube curvature is {largest:g} per mm, a radius of {1 / largest:.3g} mm, and outer_diameter "
                 f"{self.outer_diameter:g} mm: made so, the tube is strained by {100 * strain:.3g} %, and nitinol "
-                f"bears {100 * STRAIN_MADE:g} %; the curvature must be at most {most:.3g} per mm"
+                f"bears {100 * MAX_PRE_CURVATURE_STRAIN:g} %; the curvature must be at most {most:.3g} per mm"
             )
 
     def _check_torsion(self) -> None:
@@ -158,12 +161,12 @@ class Tube:
                 f"tube pre_torsion is {self.pre_torsion:g} rad/mm, and curvature {self.curvature} along "
                 f"{self.curved_length:g} mm; a helix has one curvature, and neither is 0"
             )
-        most = TURNED / self.curved_length
+        most = MAX_HELIX_TURN_RAD / self.curved_length
         if not abs(self.pre_torsion) <= most:
             raise RobotError(
                 f"tube pre_torsion is {self.pre_torsion:g} rad/mm, and the curved part is "
                 f"{self.curved_length:g} mm long; it must lie in [{-most:.3g}, {most:.3g}] rad/mm, so that the "
-                f"curvature turns by {TURNED:g} rad along it at most"
+                f"curvature turns by {MAX_HELIX_TURN_RAD:g} rad along it at most"
             )
 
     @property
@@ -205,7 +208,7 @@ def _check_unit(name: str, value: float, allowed: tuple[float, float]) -> None:
     """
     low, high = allowed
     if not low <= value <= high:
-        meant = length_meant(value, between(low, high))
+        meant = suggest_length(value, between(low, high))
         raise RobotError(
             f"tube {name} is {value:g} mm; it must lie in [{low:g}, {high:g}] mm{did_you_mean(meant)}"
         )

@@ -9,7 +9,7 @@ Plausible = Callable[[float], bool]
 
 THOUSANDS = (1e3, 1e6, 1e9)
 """Factors by which a number in another metric unit is off."""
-NEAR = 5.0
+UNIT_MISTAKE_FACTOR = 5.0
 """Ratios within this factor of one of THOUSANDS are taken for a mistake of units."""
 
 
@@ -24,7 +24,7 @@ def did_you_mean(meant: Iterable[str]) -> str:
     return f"; did you mean {' or '.join(offers)}?" if offers else ""
 
 
-def length_meant(value: float, plausible: Plausible) -> list[str]:
+def suggest_length(value: float, plausible: Plausible) -> list[str]:
     """Return the plausible lengths in mm that `value`, in metres or micrometres, was likely meant to
     be, as texts.
     """
@@ -32,7 +32,7 @@ def length_meant(value: float, plausible: Plausible) -> list[str]:
     return [f"{mm:g} mm ({written})" for mm, written in offers if plausible(mm)]
 
 
-def curvature_meant(value: float, plausible: Plausible) -> list[str]:
+def suggest_curvature(value: float, plausible: Plausible) -> list[str]:
     """Return the plausible curvatures in 1/mm that `value`, a radius in mm or a curvature per metre, was meant to
     be.
     """
@@ -43,7 +43,7 @@ def curvature_meant(value: float, plausible: Plausible) -> list[str]:
     return [written for curvature, written in offers if plausible(curvature)]
 
 
-def angle_meant(value: float, plausible: Plausible) -> list[str]:
+def suggest_angle(value: float, plausible: Plausible) -> list[str]:
     """Return the plausible angle in rad that `value`, in degrees, was meant to be.
 
     Up to two turns (4 pi) no number is taken for degrees: it may well be in rad.
@@ -52,7 +52,9 @@ def angle_meant(value: float, plausible: Plausible) -> list[str]:
     return [f"{radians:.4g} rad ({value:g} degrees)"] if abs(value) > 4 * math.pi and plausible(radians) else []
 
 
-def in_other_units(first: float, second: float) -> float | None:
+def unit_mismatch_factor(first: float, second: float) -> float | None:
     """Return the factor (1e3, 1e6 or 1e9) by which `first` and `second`, both positive, likely differ, or None."""
     ratio = max(first / second, second / first)
-    return next((step for step in THOUSANDS if step / NEAR <= ratio <= step * NEAR), None)
+    return next(
+        (step for step in THOUSANDS if step / UNIT_MISTAKE_FACTOR <= ratio <= step * UNIT_MISTAKE_FACTOR), None
+    )

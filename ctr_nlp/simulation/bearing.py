@@ -19,21 +19,25 @@ from ctr_nlp.models.loaded.stability import pivots
 from ctr_nlp.robot import Robot
 from ctr_nlp.typing import Array, Flags
 
-LEVELS = 10
+TIP_FORCE_LEVELS = 10
 """Doublings of the force from the least level to the largest force."""
-PART = 2.0**-8
+MIN_FORCE_LEVEL_STEP = 2.0**-8
 """Least step as a part of a level: the end of a branch is found to this part of the force."""
 BISECTIONS = 7
 """How often the level is halved within which a condition becomes true."""
-SMALL = 1e-4
+COMPLIANCE_FORCE_N = 1e-4
 """Force at the tip whose displacements give the compliance, N."""
 
-Question = Callable[[States], Flags]
+StateCondition = Callable[[States], Flags]
 """A condition: takes T states, returns for which of them it is true, (T,)."""
 
 
-def borne(
-    equilibria: LoadedEquilibria, states: States, directions: Array, most: float, asked: Sequence[Question]
+def find_tip_force_limits(
+    equilibria: LoadedEquilibria,
+    states: States,
+    directions: Array,
+    max_force: float,
+    conditions: Sequence[StateCondition],
 ) -> tuple[Array, list[Array]]:
     """Find the tip forces at which the branches of equilibria end, and from which on conditions hold.
 
@@ -45,9 +49,9 @@ def borne(
         Equilibria of T configurations under their own loads.
     directions : (n, 3) array
         Unit vectors in the base frame along which forces are raised.
-    most : float
+    max_force : float
         Largest force that is looked at, N.
-    asked : sequence of callable
+    conditions : sequence of callable
         Conditions: each takes states of m rows and returns for which of them it is true, (m,). It must stay true
         once a force has made it true.
 
@@ -57,31 +61,31 @@ def borne(
         Forces beside the rows' loads at which their branches end, N, to about 0.4 %.
     found : list of (T, n) arrays
         For each condition the forces from which on it is true, N: 0 where it is true without a force. In both,
-        infinity stands for more than `most`, and in `found` for never before the branch ends.
+        infinity stands for more than `max_force`, and in `found` for never before the branch ends.
     """
     rows, count = len(states.q), len(directions)
     # A row for each pair of a configuration and a direction: row k n + j has configuration k and direction j.
     now, toward = states.rows(np.repeat(np.arange(rows), count)), np.tile(directions, (rows, 1))
     own, ends = now.load, np.full(rows * count, np.inf)
-    found = [np.where(true(now), 0.0, np.inf) for true in asked]
+    found = [np.where(true(now), 0.0, np.inf) for true in conditions]
     before, going = 0.0, np.arange(rows * count)
     # Forces within a level are steps from the one before, on the branch that has been followed so far. A row whose
     # branch has ended within a level is followed no further.
-    for level in most * 2.0 ** -np.arange(LEVELS - 1.0, -1.0, -1.0):
-        new, done = _raised(equilibria, now.rows(going), own[going], level * toward[going])
+    for level in max_force * 2.0 ** -np.arange(TIP_FORCE_LEVELS - 1.0, -1.0, -1.0):
+        new, done = _raise_tip_force(equilibria, now.rows(going), own[going], level * toward[going])
         force = before + done * (level - before)
         ends[going[done < 1]] = force[done < 1]
-        for true, since in zip(asked, found, strict=True):
+        for true, since in zip(conditions, found, strict=True):
             # Also on a branch that ended: what became true before its end counts.
             crossing = np.flatnonzero(np.isinf(since[going]) & true(new))
             which, high = going[crossing], force[crossing]
             since[which] = _crossing(equilibria, now.rows(which), own[which], toward[which], before, high, true)
-        now = now.replaced(going[done == 1], new.rows(done == 1))
+        now = now.replace_rows(going[done == 1], new.rows(done == 1))
         going, before = going[done == 1], level
     return ends.reshape(rows, count), [since.reshape(rows, count) for since in found]
 
 
-def unstable(equilibria: LoadedEquilibria) -> Question:
+def instability_condition(equilibria: LoadedEquilibria) -> StateCondition:
     """Return the condition that some direction has given way, for loads that have an energy.
 
     The branch of equilibria need not end there: at Euler's load two directions give way at once, and the straight
@@ -105,7 +109,9 @@ def unstable(equilibria: LoadedEquilibria) -> Question:
     return true
 
 
-def _raised(equilibria: LoadedEquilibria, states: States, own: Array, force: Array) -> tuple[States, Array]:
+def _raise_tip_force(
+    equilibria: LoadedEquilibria, states: States, own: Array, force: Array
+) -> tuple[States, Array]:
     """Follow the branches of states to tip forces (T, 3), N, beside their own loads (T, l).
 
     Returns the states as far as their branches go, and which part of the way that is, (T,), 1 for all of it.
@@ -113,7 +119,7 @@ def _raised(equilibria: LoadedEquilibria, states: States, own: Array, force: Arr
     # The first three numbers of a load are the tip force in base directions; see Load.numbers.
     load = own.copy()
     load[:, :3] += force
-    return equilibria.along(states, states.q, load, smallest=PART)
+    return equilibria.follow_branches(states, states.q, load, smallest=MIN_FORCE_LEVEL_STEP)
 
 
 def _crossing(
@@ -123,7 +129,7 @@ def _crossing(
     toward: Array,
     before: float,
     high: Array,
-    true: Question,
+    true: StateCondition,
 ) -> Array:
     """Bisect the forces (T,), N, at which a condition becomes true.
 
@@ -133,10 +139,10 @@ def _crossing(
     low = np.full(len(high), before)
     for _ in range(BISECTIONS if len(high) else 0):
         middle = (low + high) / 2
-        new, _ = _raised(equilibria, states, own, middle[:, None] * toward)
+        new, _ = _raise_tip_force(equilibria, states, own, middle[:, None] * toward)
         past = true(new)
         # Where the condition is still false the branch is followed on from there, which is less far each time.
-        states = states.replaced(~past, new.rows(~past))
+        states = states.replace_rows(~past, new.rows(~past))
         low, high = np.where(past, low, middle), np.where(past, middle, high)
     return (low + high) / 2
 
@@ -164,14 +170,16 @@ def compliance(robot: Robot, equilibria: LoadedEquilibria, states: States) -> Ar
     rows = len(states.q)
     pushed = states.rows(np.repeat(np.arange(rows), 6))
     # Six rows a state: +x, +y, +z, -x, -y, -z.
-    force = np.tile(SMALL * np.concatenate([np.eye(3), -np.eye(3)]), (rows, 1))
-    found, done = _raised(equilibria, pushed, pushed.load, force)
-    tips = np.where(done[:, None] == 1, shapes(robot, found, np.ones(1), equilibria.rods.kind)[:, 0], np.nan)
+    force = np.tile(COMPLIANCE_FORCE_N * np.concatenate([np.eye(3), -np.eye(3)]), (rows, 1))
+    found, done = _raise_tip_force(equilibria, pushed, pushed.load, force)
+    tips = np.where(
+        done[:, None] == 1, loaded_shapes(robot, found, np.ones(1), equilibria.rods.kind)[:, 0], np.nan
+    )
     ahead, behind = np.moveaxis(tips.reshape(rows, 2, 3, 3), 1, 0)
-    return np.swapaxes(ahead - behind, 1, 2) / (2 * SMALL)
+    return np.swapaxes(ahead - behind, 1, 2) / (2 * COMPLIANCE_FORCE_N)
 
 
-def shapes(robot: Robot, states: States, sigma: Array, kind: RodKind) -> Array:
+def loaded_shapes(robot: Robot, states: States, sigma: Array, kind: RodKind) -> Array:
     """Compute points of the backbone of equilibria under their loads.
 
     Parameters

@@ -11,22 +11,22 @@ import numpy as np
 from ctr_nlp.exceptions import RobotError
 from ctr_nlp.models import Model, Snap, model_named
 from ctr_nlp.models.dominant import Dominant, shape
-from ctr_nlp.models.protocol import SUBSTEPS
+from ctr_nlp.models.protocol import STABILITY_SUBSTEPS_PER_FRAME
 from ctr_nlp.robot import Robot
 from ctr_nlp.robot.robot import configuration
-from ctr_nlp.support.equal import Kept
+from ctr_nlp.support.equal import ReadOnlyValue
 from ctr_nlp.support.packing import packable
-from ctr_nlp.support.values import floats, instance
+from ctr_nlp.support.values import check_instance, floats
 from ctr_nlp.target.curve import Curve
-from ctr_nlp.target.target import SIGMA
+from ctr_nlp.target.target import SIGMA_GRID
 from ctr_nlp.typing import Array, Index
 
 DOMINANT = Dominant()
-REMEMBERED = 4
+MAX_REMEMBERED_SIMULATIONS = 4
 """Motions whose simulations a Simulator keeps."""
 
 
-def shapes(robot: Robot, q: Array, sigma: Array = SIGMA) -> Array:
+def shapes(robot: Robot, q: Array, sigma: Array = SIGMA_GRID) -> Array:
     """Compute shapes of a robot on the dominant stiffness model, eqs. (1) and (4).
 
     For other models, see :func:`simulated`: on these the shape depends on how the robot came there.
@@ -60,12 +60,12 @@ def shapes(robot: Robot, q: Array, sigma: Array = SIGMA) -> Array:
     >>> ctr.shapes(ctr.table_i_robot(), q)[0, -1].round(1).tolist()  # the tip
     [33.7, 68.1, 109.6]
     """
-    q = _checked(robot, q)
+    q = _check_configurations(robot, q)
     DOMINANT.check(robot)
     return DOMINANT.points(robot, q, sigma)
 
 
-def tangents(robot: Robot, q: Array, sigma: Array = SIGMA) -> Array:
+def tangents(robot: Robot, q: Array, sigma: Array = SIGMA_GRID) -> Array:
     """Compute unit tangents of a robot's shapes on the dominant stiffness model.
 
     Parameters
@@ -89,7 +89,7 @@ def tangents(robot: Robot, q: Array, sigma: Array = SIGMA) -> Array:
     OptionError
         The dominant model does not describe the robot.
     """
-    q = _checked(robot, q)
+    q = _check_configurations(robot, q)
     DOMINANT.check(robot)
     return DOMINANT.tangents(robot, q, sigma)
 
@@ -120,7 +120,7 @@ class Simulation(NamedTuple):
     snaps: tuple[Snap, ...]
 
 
-def simulated(robot: Robot, q: Array, model: str | Model) -> Simulation:
+def simulate_motion(robot: Robot, q: Array, model: str | Model) -> Simulation:
     """Move a robot through configurations, frame by frame, on a model.
 
     Where a configuration has several equilibria, the robot is in the one that it has been led to. A single
@@ -156,15 +156,15 @@ def simulated(robot: Robot, q: Array, model: str | Model) -> Simulation:
     >>> found.shape[0, -1].round(1).tolist(), found.snaps  # the tip
     ([75.2, 59.4, 82.0], ())
     """
-    described, q = model_named(model), _checked(robot, q)
+    described, q = model_named(model), _check_configurations(robot, q)
     described.check(robot)
     # One configuration has no way between frames, on which margins could be less than at rest.
-    if len(q) == 1 and described.bears is None:
-        rest = described.at_rest(robot, q, SIGMA)
+    if len(q) == 1 and described.applied_load is None:
+        rest = described.rest_states(robot, q, SIGMA_GRID)
         return Simulation(rest.points, rest.tips, rest.margins, rest.margins, rest.x, ())
     found = described.follow(robot, q)
     return Simulation(
-        described.points(robot, found.x, SIGMA),
+        described.points(robot, found.x, SIGMA_GRID),
         described.tangents(robot, found.x, np.ones(1))[:, 0],
         found.stability,
         found.stability_between,
@@ -173,7 +173,9 @@ def simulated(robot: Robot, q: Array, model: str | Model) -> Simulation:
     )
 
 
-def shapes_between(robot: Robot, q: Array, model: str | Model, substeps: int = SUBSTEPS) -> Between:
+def shapes_between(
+    robot: Robot, q: Array, model: str | Model, substeps: int = STABILITY_SUBSTEPS_PER_FRAME
+) -> IntermediateShapes:
     """Shapes of a robot on the way from frame to frame, and in the frames.
 
     Configurations are linear between frames. The robot is moved as :func:`simulated` moves it: one sub-step after
@@ -195,7 +197,7 @@ def shapes_between(robot: Robot, q: Array, model: str | Model, substeps: int = S
     Between
         One row for the first frame and `substeps` rows for each further one.
     """
-    described, q = model_named(model), _checked(robot, q)
+    described, q = model_named(model), _check_configurations(robot, q)
     part = np.arange(1, substeps + 1)[:, None] / substeps
     between = q[:-1, None] + part * (q[1:] - q[:-1])[:, None]
     # The last sub-step is the frame itself, also where rounding or a frame without a configuration says otherwise.
@@ -204,10 +206,10 @@ def shapes_between(robot: Robot, q: Array, model: str | Model, substeps: int = S
     frames = np.concatenate([[0], np.repeat(np.arange(1, len(q)), substeps)])
     found = described.follow(robot, every, substeps=1) if len(q) > 1 else None
     x = described.rest(robot, q[0])[None] if found is None else found.x
-    return Between(frames, robot.split(every)[1], described.points(robot, x, SIGMA))
+    return IntermediateShapes(frames, robot.split(every)[1], described.points(robot, x, SIGMA_GRID))
 
 
-class Between(NamedTuple):
+class IntermediateShapes(NamedTuple):
     """Shapes of a robot at M places of a motion, in frames and between them.
 
     Attributes
@@ -226,7 +228,8 @@ class Between(NamedTuple):
 
 
 class Simulator:
-    """A robot on a model whose motions are simulated once and remembered, the last :data:`REMEMBERED` of them.
+    """A robot on a model whose motions are simulated once and remembered, the last
+    :data:`MAX_REMEMBERED_SIMULATIONS` of them.
 
     Parameters
     ----------
@@ -238,27 +241,27 @@ class Simulator:
 
     def __init__(self, robot: Robot, model: str | Model) -> None:
         self.robot, self.model = robot, model_named(model)
-        self._through = functools.lru_cache(REMEMBERED)(self._moved)
+        self._through = functools.lru_cache(MAX_REMEMBERED_SIMULATIONS)(self._simulate_bytes)
 
     def __call__(self, q: Array) -> Simulation:
         """Return the Simulation of the robot moved through q (T, 2d + 2), whose arrays must not be changed."""
         return self._through(np.asarray(q, dtype=float).tobytes())
 
-    def _moved(self, q: bytes) -> Simulation:
+    def _simulate_bytes(self, q: bytes) -> Simulation:
         """Simulate a motion whose q (T, 2d + 2) is given as the bytes of a float array, which can be a key."""
-        return simulated(self.robot, np.frombuffer(q).reshape(-1, len(self.robot.axes)), self.model)
+        return simulate_motion(self.robot, np.frombuffer(q).reshape(-1, len(self.robot.axes)), self.model)
 
 
-def _checked(robot: Robot, q: Array) -> Array:
+def _check_configurations(robot: Robot, q: Array) -> Array:
     """Return q as an array (n, 2d + 2) of floats; raise RobotError where robot or q is something else."""
-    instance(RobotError, "robot", robot, Robot)
+    check_instance(RobotError, "robot", robot, Robot)
     q = configuration("q", q)
     if q.ndim != 2 or q.shape[1] != len(robot.axes):
         raise RobotError(f"q has shape {q.shape}; it must be (n, {len(robot.axes)}): {', '.join(robot.axes)}")
     return q
 
 
-def other_way(robot: Robot, q: Array) -> Array:
+def equivalent_configurations(robot: Robot, q: Array) -> Array:
     """Write configurations in the other way that has the same shapes, up to whole turns of any angle.
 
     R(theta_x, theta_y) Rz(alpha) = R(pi - theta_x, theta_y + pi) Rz(alpha + pi), with R of eq. (4).
@@ -311,15 +314,15 @@ def shape_curve(robot: Robot, q: Array) -> Curve:
     >>> ctr.shape_curve(ctr.table_i_robot(), np.array([0.0, 1.2, 2.4, 40.0, 90.0, 150.0, 0.0, 0.0]))
     Curve(150.00 mm)
     """
-    instance(RobotError, "robot", robot, Robot)
+    check_instance(RobotError, "robot", robot, Robot)
     DOMINANT.check(robot)
-    held = Shape(robot, floats(RobotError, "q", q, (len(robot.axes),)))
+    held = DominantShape(robot, floats(RobotError, "q", q, (len(robot.axes),)))
     return Curve(float(held.beta[-1]), held.point, held.tangent, held.curvature)
 
 
 @packable("shape of a robot")
 @dataclass(frozen=True, eq=False)
-class Shape(Kept):
+class DominantShape(ReadOnlyValue):
     """The shape of a robot at one q (2d + 2,) on the dominant model, as functions of arc length in mm."""
 
     robot: Robot

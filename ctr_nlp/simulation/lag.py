@@ -21,21 +21,21 @@ import numpy as np
 
 from ctr_nlp.exceptions import RobotError
 from ctr_nlp.robot import Robot
-from ctr_nlp.robot.draws import dragged
-from ctr_nlp.support.equal import Kept
+from ctr_nlp.robot.draws import apply_backlash
+from ctr_nlp.support.equal import ReadOnlyValue
 from ctr_nlp.support.values import floats
 from ctr_nlp.typing import Array, Flags
 
-TINY = 1e-12
+BACKLASH_DENOMINATOR_FLOOR = 1e-12
 """Replaces 0 in denominators."""
-STILL = 1e-4
+MIN_REVERSING_TURN_RAD = 1e-4
 """Turn from frame to frame, rad, below which a tube counts as not having turned back."""
-NAMES = "play", "play_per_mm", "drag"
+BACKLASH_PARAMETER_NAMES = "play", "play_per_mm", "drag"
 """Parts of a lag."""
 
 
 @dataclass(frozen=True, eq=False)
-class Lag(Kept):
+class BacklashAndDrag(ReadOnlyValue):
     """By how much tubes stay behind their motors: of each (d,), of n robots (n, d), or one number for all.
 
     play: rad to either side. play_per_mm: by how much that grows for each mm of overlap, rad/mm. drag: the time
@@ -48,7 +48,7 @@ class Lag(Kept):
     drag: Any = 0.0
 
     def __post_init__(self) -> None:
-        for name in NAMES:
+        for name in BACKLASH_PARAMETER_NAMES:
             given = np.ndim(getattr(self, name))
             value = floats(RobotError, f"{name} of a lag", getattr(self, name), (None,) * given)
             object.__setattr__(self, name, value)
@@ -58,7 +58,7 @@ class Lag(Kept):
 
     def check(self, robot: Robot) -> None:
         """Raise RobotError unless these are the lags of as many tubes as a robot has."""
-        for name in NAMES:
+        for name in BACKLASH_PARAMETER_NAMES:
             value = getattr(self, name)
             if value.ndim and value.shape[-1] != robot.d:
                 raise RobotError(
@@ -66,7 +66,7 @@ class Lag(Kept):
                     "or one number for all"
                 )
 
-    def turned(self, robot: Robot, q: Array, time: Array, fresh: Flags | None = None) -> Array:
+    def apply_to_motion(self, robot: Robot, q: Array, time: Array, fresh: Flags | None = None) -> Array:
         """Return the configurations (.., T, 2d + 2) of tubes whose motors move through q (T, 2d + 2) at time (T,)
         s.
 
@@ -83,7 +83,9 @@ class Lag(Kept):
         turn = np.diff(against_outer(robot, q), axis=0, prepend=0.0)
         ahead = np.zeros(shape)
         for j in range(len(q)):
-            ahead = np.zeros(shape) if starts[j] else self.after(ahead, turn[j], play[..., j, :], passed[j])
+            ahead = (
+                np.zeros(shape) if starts[j] else self.advance_offset(ahead, turn[j], play[..., j, :], passed[j])
+            )
             found[..., j, : robot.d] += ahead
         return found
 
@@ -92,7 +94,7 @@ class Lag(Kept):
         play, slope = (each[..., None, :] if each.ndim else each for each in (self.play, self.play_per_mm))
         return np.asarray(play + slope * overlaps(robot, q))
 
-    def after(self, ahead: Array, turn: Array, play: Array, time: float) -> Array:
+    def advance_offset(self, ahead: Array, turn: Array, play: Array, time: float) -> Array:
         """Return by how much tubes (.., d) are ahead of their motors, rad, after motors have turned.
 
         ahead (.., d): before that. turn (d,): of each motor against the next one outwards, rad, at a steady
@@ -100,10 +102,10 @@ class Lag(Kept):
         """
         # Without drag: first the play may have shrunk around a tube at rest, then the motor turns and takes it
         # along at the end of the play.
-        at_once = dragged(dragged(ahead, np.zeros_like(turn), play), turn, play) - turn
-        return np.where(self.drag > 0, _behind(ahead, turn, play, self.drag, time), at_once)
+        at_once = apply_backlash(apply_backlash(ahead, np.zeros_like(turn), play), turn, play) - turn
+        return np.where(self.drag > 0, _offset_with_drag(ahead, turn, play, self.drag, time), at_once)
 
-    def led(self, robot: Robot, q: Array, time: Array) -> Array:
+    def compensate_motion(self, robot: Robot, q: Array, time: Array) -> Array:
         """Return where motors must go (T, 2d + 2) so that tubes come through q (T, 2d + 2) at time (T,) s with
         this lag.
 
@@ -121,7 +123,7 @@ class Lag(Kept):
                 # own correction already.
                 turn = q[j, i] - q[j - 1, i] - carried
                 # A tube at rest stays at the end of the play that it came to.
-                side[i] = np.sign(turn) if abs(turn) > STILL else side[i]
+                side[i] = np.sign(turn) if abs(turn) > MIN_REVERSING_TURN_RAD else side[i]
                 found[j, i] += side[i] * play[j, i] + behind[j, i]
                 carried = found[j, i] - found[j - 1, i]
         return found
@@ -135,7 +137,7 @@ def against_outer(robot: Robot, q: Array) -> Array:
     return np.diff(np.asarray(q, dtype=float)[..., : robot.d], prepend=0.0, axis=-1)
 
 
-def _behind(ahead: Array, turn: Array, play: Array, drag: Array, time: float) -> Array:
+def _offset_with_drag(ahead: Array, turn: Array, play: Array, drag: Array, time: float) -> Array:
     """Return by how much tubes are ahead of their motors after these turned by `turn` in `time`, with drag.
 
     ahead (.., d): before that, rad. turn (d,): rad, against the next tube outwards, at a steady speed. play (..,
@@ -145,15 +147,15 @@ def _behind(ahead: Array, turn: Array, play: Array, drag: Array, time: float) ->
     """
     # Mirrored, so that every motor turns forwards.
     to = np.where(turn < 0, -1.0, 1.0)
-    e, speed, left = to * ahead, abs(turn) / max(time, TINY), np.full(ahead.shape, time)
-    steady = np.maximum(drag * speed, TINY)
+    e, speed, left = to * ahead, abs(turn) / max(time, BACKLASH_DENOMINATOR_FLOOR), np.full(ahead.shape, time)
+    steady = np.maximum(drag * speed, BACKLASH_DENOMINATOR_FLOOR)
     excess = np.maximum(e - play, 0.0)
     # Phase 1: e' = -(e - play) / drag - speed, and the time until e = play.
     within = np.minimum(drag * np.log1p(excess / steady), left)
     e = np.minimum(e, play) + np.maximum((excess + steady) * _decay(within, drag) - steady, 0.0)
     left = left - within
     # Phase 2: e falls with the motor from play to -play.
-    still = np.minimum(np.maximum(e + play, 0.0) / np.maximum(speed, TINY), left)
+    still = np.minimum(np.maximum(e + play, 0.0) / np.maximum(speed, BACKLASH_DENOMINATOR_FLOOR), left)
     e, left = e - speed * still, left - still
     # Phase 3: e + play decays towards -drag speed, the steady lag.
     short = np.minimum(e + play, 0.0)
@@ -162,7 +164,7 @@ def _behind(ahead: Array, turn: Array, play: Array, drag: Array, time: float) ->
 
 
 def _decay(time: Array, drag: Array) -> Array:
-    return np.asarray(np.exp(-time / np.maximum(drag, TINY)))
+    return np.asarray(np.exp(-time / np.maximum(drag, BACKLASH_DENOMINATOR_FLOOR)))
 
 
 def overlaps(robot: Robot, q: Array) -> Array:
@@ -178,7 +180,7 @@ def overlaps(robot: Robot, q: Array) -> Array:
     return np.asarray(curved - np.clip(beta - ends, 0.0, curved))
 
 
-def delayed(q: Array, time: Array, delay: float, fresh: Flags | None = None) -> Array:
+def delay_configurations(q: Array, time: Array, delay: float, fresh: Flags | None = None) -> Array:
     """Configurations (T, 2d + 2) as a sensor tells them that is late by delay s, at time (T,) s.
 
     Between those given they change linearly, and before a fresh one (T,) they stand still. A delay may be

@@ -14,11 +14,11 @@ import casadi as ca
 import numpy as np
 
 from ctr_nlp.models import Model, model_named
-from ctr_nlp.models.protocol import frame_bearing, symbolic_tubes
-from ctr_nlp.models.shown import shown_slopes
+from ctr_nlp.models.protocol import frame_and_load_symbol, symbolic_tubes
+from ctr_nlp.models.shown import make_total_derivative
 from ctr_nlp.robot import Robot
-from ctr_nlp.robot.structure import NUMBERS, Structure
-from ctr_nlp.target.target import SIGMA
+from ctr_nlp.robot.structure import TUBE_NUMBER_NAMES, Structure
+from ctr_nlp.target.target import SIGMA_GRID
 from ctr_nlp.typing import Array
 
 
@@ -33,11 +33,11 @@ class Sensitivities(NamedTuple):
 
     points: Array
     alpha: Array
-    moved: Array
+    points_at_fixed_q: Array
     margin: Array
 
 
-def sensitivities(robot: Robot, x: Array, model: str | Model, sigma: Array = SIGMA) -> Sensitivities:
+def sensitivities(robot: Robot, x: Array, model: str | Model, sigma: Array = SIGMA_GRID) -> Sensitivities:
     """Return the derivatives of a robot's shape, motors' angles and margin over the numbers of its tubes.
 
     x (T, n_x): unknowns of the model. sigma (n,): places of the shape. Near a fold the shape at a held
@@ -49,17 +49,17 @@ def sensitivities(robot: Robot, x: Array, model: str | Model, sigma: Array = SIG
     function = derivatives(described, robot.structure, len(sigma))
     margins = np.nan_to_num(described.margins(robot, x))
     found = [function(row, sigma, robot.numbers, margin) for row, margin in zip(x, margins, strict=True)]
-    size = robot.d, len(NUMBERS)
+    size = robot.d, len(TUBE_NUMBER_NAMES)
     points, alpha, moved, margin = (np.array([each[k].full() for each in found]) for k in range(4))
     return Sensitivities(
-        _shaped(points, (3, len(sigma)), size).swapaxes(1, 2),
-        _shaped(alpha, (robot.d,), size),
-        _shaped(moved, (3, len(sigma)), size).swapaxes(1, 2),
-        _shaped(margin, (), size),
+        _unflatten_derivatives(points, (3, len(sigma)), size).swapaxes(1, 2),
+        _unflatten_derivatives(alpha, (robot.d,), size),
+        _unflatten_derivatives(moved, (3, len(sigma)), size).swapaxes(1, 2),
+        _unflatten_derivatives(margin, (), size),
     )
 
 
-def _shaped(found: Array, rows: tuple[int, ...], size: tuple[int, int]) -> Array:
+def _unflatten_derivatives(found: Array, rows: tuple[int, ...], size: tuple[int, int]) -> Array:
     """Derivatives (T, rows, d 8), whose columns run over tubes first, as (T, *rows, d, 8)."""
     split: Array = found.reshape(len(found), *rows, *size[::-1])
     return split.swapaxes(-1, -2)
@@ -74,11 +74,11 @@ def derivatives(model: Model, structure: Structure, count: int) -> ca.Function:
     derivative is -D_numbers / D_margin.
     """
     d, sigma, margin = structure.d, ca.SX.sym("sigma", count), ca.SX.sym("margin")
-    numbers = ca.SX.sym("numbers", d, len(NUMBERS))
+    numbers = ca.SX.sym("numbers", d, len(TUBE_NUMBER_NAMES))
     tubes, asked = symbolic_tubes(structure, numbers), margin if model.can_snap else None
     shape = model.frame(structure, tubes, lambda beta: sigma * beta[-1], asked)
     stable = ca.SX(1, 1) if shape.stability is None else shape.stability[-1]
-    points = ca.vertcat(*(ca.SX(axis) for axis in shape.placed(shape.points)))
+    points = ca.vertcat(*(ca.SX(axis) for axis in shape.to_base_frame(shape.points)))
     written = [points, ca.vertcat(*shape.rows.values()), shape.alpha, stable]
     symbols, values = shape.inner.columns
     # Derivatives are taken over the tubes' numbers through everything: inner values are written out first.
@@ -86,7 +86,7 @@ def derivatives(model: Model, structure: Structure, count: int) -> ca.Function:
     over = ca.vec(numbers)
     of_points, of_alpha, of_determinant = (ca.jacobian(each, over) for each in (points, alpha, determinant))
     # The first 2d + 2 columns are derivatives over the configuration.
-    moved = shown_slopes(shape, rows, over)(points)[:, 2 * d + 2 :]
+    moved = make_total_derivative(shape, rows, over)(points)[:, 2 * d + 2 :]
     slope = ca.jacobian(determinant, margin)
     of_margin = -of_determinant / slope if shape.stability is not None else ca.SX.nan(1, over.numel())
     outputs = [ca.densify(each) for each in (of_points, of_alpha, moved, of_margin)]
@@ -94,22 +94,26 @@ def derivatives(model: Model, structure: Structure, count: int) -> ca.Function:
 
 
 @functools.lru_cache(maxsize=16)
-def shown_changes(model: Model, structure: Structure, count: int) -> ca.Function:
+def shape_derivatives_at_q(model: Model, structure: Structure, count: int) -> ca.Function:
     """(x, sigma (count,), numbers (d, 8), load) -> how the shape that a robot shows changes, as columns of a
     matrix each.
 
     Of points (3 count,), x of all before y and z: over numbers with the configuration held (3 count, 8 d), and
     over the configuration (3 count, 2d + 2). load: its numbers; of a model that bears none, nothing.
     """
-    d, sigma, numbers = structure.d, ca.SX.sym("sigma", count), ca.SX.sym("numbers", structure.d, len(NUMBERS))
+    d, sigma, numbers = (
+        structure.d,
+        ca.SX.sym("sigma", count),
+        ca.SX.sym("numbers", structure.d, len(TUBE_NUMBER_NAMES)),
+    )
     tubes = symbolic_tubes(structure, numbers)
-    shape, load = frame_bearing(model, structure, tubes, lambda beta: sigma * beta[-1])
+    shape, load = frame_and_load_symbol(model, structure, tubes, lambda beta: sigma * beta[-1])
     symbols, values = shape.inner.columns
     written = [
-        ca.vertcat(*(ca.SX(axis) for axis in shape.placed(shape.points))),
+        ca.vertcat(*(ca.SX(axis) for axis in shape.to_base_frame(shape.points))),
         ca.vertcat(*shape.rows.values()),
     ]
     points, rows = ca.substitute(written, [symbols], [values])
-    found = shown_slopes(shape, rows, ca.vec(numbers))(points)
+    found = make_total_derivative(shape, rows, ca.vec(numbers))(points)
     outputs = [ca.densify(each) for each in (found[:, 2 * d + 2 :], found[:, : 2 * d + 2])]
     return ca.Function("shown_changes", [shape.x, sigma, numbers, load], outputs, {"cse": True})

@@ -10,7 +10,7 @@ from collections.abc import Callable
 from ctr_nlp.codegen import cache
 from ctr_nlp.nlp.chain import Chain
 from ctr_nlp.nlp.nlp import Nlp
-from ctr_nlp.solvers.frame.adapter import FEASIBLE, Ipopt, NlpSolver, Solution
+from ctr_nlp.solvers.frame.adapter import FEASIBILITY_TOLERANCE, Ipopt, NlpSolver, Solution
 from ctr_nlp.solvers.frame.sqp import Sqp
 from ctr_nlp.solvers.motion.banded import BandedSolver
 from ctr_nlp.solvers.motion.ipopt import IpoptSolver
@@ -30,17 +30,17 @@ CHAIN_SOLVERS: dict[str, Callable[[Chain], ChainSolver]] = {
 
 def default_solver() -> str:
     """Name of the fastest frame solver that works here: sqp needs a C compiler."""
-    return "ipopt" if cache.missing() else "sqp"
+    return "ipopt" if cache.unavailable_reason() else "sqp"
 
 
 def default_chain_solver() -> str:
     """Name of the fastest chain solver that works here: banded needs a C compiler."""
-    return "ipopt" if cache.missing() else "banded"
+    return "ipopt" if cache.unavailable_reason() else "banded"
 
 
 __all__ = [
     "CHAIN_SOLVERS",
-    "FEASIBLE",
+    "FEASIBILITY_TOLERANCE",
     "SOLVERS",
     "ChainSolver",
     "Iterate",

@@ -13,26 +13,29 @@ from typing import Any
 import numpy as np
 
 from ctr_nlp.formulations import Stage
-from ctr_nlp.formulations.frame import packed
+from ctr_nlp.formulations.frame import pack_frames
 from ctr_nlp.formulations.frames import FrameResult
-from ctr_nlp.formulations.joint import tip_steps
+from ctr_nlp.formulations.joint import tip_step_limits
 from ctr_nlp.robot import Robot
 from ctr_nlp.solvers import NlpSolver, Solution
-from ctr_nlp.solvers.frame.adapter import Reach, Surroundings
+from ctr_nlp.solvers.frame.adapter import ConfigurationLimits, LocalParameterSource
 from ctr_nlp.typing import Array
 
 
-def reach_of(robot: Robot, dt: float, several_equilibria: bool) -> Reach:
+def reach_of(robot: Robot, dt: float, several_equilibria: bool) -> ConfigurationLimits:
     """Limits of q and, where q does not determine the unknowns, of the tips' angles, and how they may change."""
     # The model's unknowns have no bounds of their own where they are not q. The tips' angles are still limited
     # from frame to frame: a larger turn would be a jump to another branch of equilibria.
     free = np.full(robot.d * several_equilibria, np.inf)
-    own, more = (robot.lower, robot.upper, robot.speed * dt), (-free, free, tip_steps(robot, dt)[: len(free)])
-    return Reach(*(np.append(*pair) for pair in zip(own, more, strict=True)))
+    own, more = (
+        (robot.lower, robot.upper, robot.speed * dt),
+        (-free, free, tip_step_limits(robot, dt)[: len(free)]),
+    )
+    return ConfigurationLimits(*(np.append(*pair) for pair in zip(own, more, strict=True)))
 
 
 @dataclass(frozen=True)
-class AtOnce:
+class CompiledFrames:
     """One program for all frames of a problem.
 
     p (T, n_p): its parameters in each frame. reach: bounds of q and of its change from frame to frame. tips:
@@ -44,31 +47,35 @@ class AtOnce:
     stage: Stage
     solver: NlpSolver
     p: Array
-    reach: Reach
+    reach: ConfigurationLimits
     tips: int
-    near: Surroundings | None = None
+    local_parameters: LocalParameterSource | None = None
 
     @classmethod
-    def of(cls, stage: Stage, solver: NlpSolver, values: Sequence[Mapping[str, Any]], reach: Reach) -> AtOnce:
+    def of(
+        cls, stage: Stage, solver: NlpSolver, values: Sequence[Mapping[str, Any]], reach: ConfigurationLimits
+    ) -> CompiledFrames:
         """Pack the values of all parameters, by name, of every frame; names that the program does not have are
         left out.
         """
         # A formulation fills parameters of all its stages; the program of one stage has some of them.
         own = [{name: each[name] for name in stage.nlp.parameters} for each in values]
-        return cls(stage, solver, packed(stage.nlp, own), reach, len(reach.low) - len(stage.decides))
+        return cls(stage, solver, pack_frames(stage.nlp, own), reach, len(reach.low) - len(stage.decides))
 
-    def given(self, values: Mapping[str, Array | float], near: Surroundings | None = None) -> AtOnce:
+    def with_parameters(
+        self, values: Mapping[str, Array | float], local_parameters: LocalParameterSource | None = None
+    ) -> CompiledFrames:
         """Return these frames with other values of some parameters, each a number for all frames or (T,) numbers.
 
-        Names that the program does not have are left out. near: what gives parameters that are valid near one
-        configuration only, or None.
+        Names that the program does not have are left out. local_parameters: what gives parameters that are valid
+        near one configuration only, or None.
         """
         nlp, p = self.stage.nlp, self.p.copy()
         for name, value in values.items():
             if name in nlp.parameters:
                 # A number has one column; `start` picks it, and broadcasts over frames.
-                p[:, nlp.place(name).start] = value
-        return replace(self, p=p, near=near)
+                p[:, nlp.parameter_slice(name).start] = value
+        return replace(self, p=p, local_parameters=local_parameters)
 
     def search(self, frame: int, x0: Array) -> list[FrameResult]:
         """Solve a frame that has no frame before it from starts x0 (n, n_x), and return all solutions that are
@@ -76,8 +83,8 @@ class AtOnce:
         """
         p = self.p[frame].copy()
         # Without a frame before, there is no motion to pay for: the root of its weight is 0.
-        p[self.stage.nlp.place("motion_root")] = 0.0
-        return [self._result(solution) for solution in self.solver.each(x0, p, self.reach)]
+        p[self.stage.nlp.parameter_slice("motion_root")] = 0.0
+        return [self._result(solution) for solution in self.solver.solve_from_starts(x0, p, self.reach)]
 
     def follow(self, frames: Sequence[int], before: FrameResult) -> list[tuple[FrameResult, float]]:
         """Solve frames one after the other, each from the one before; return results and the seconds that each
@@ -91,7 +98,7 @@ class AtOnce:
         x0 = np.append(known, np.zeros(self.stage.nlp.slacks)) if warm is None else warm.x
         # Limits of speed are told from `here`, which is q, and after it the tips where they are limited too.
         here = np.append(before.q, known[: self.tips])
-        found = self.solver.follow(x0, self.p[list(frames)], self.reach, here, warm, self.near)
+        found = self.solver.solve_sequence(x0, self.p[list(frames)], self.reach, here, warm, self.local_parameters)
         return [(self._result(each.solution), each.seconds) for each in found]
 
     def _result(self, solution: Solution) -> FrameResult:

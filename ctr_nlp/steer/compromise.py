@@ -18,24 +18,24 @@ from ctr_nlp.exceptions import ProblemError
 from ctr_nlp.formulations.settings import Settings
 from ctr_nlp.formulations.terms import Term
 from ctr_nlp.models import DEFAULT_MODEL, Model
-from ctr_nlp.plan.measures import Contact, arrival, contacts, deepest_place, e3
+from ctr_nlp.plan.measures import Contact, arrival, contacts, e3, find_deepest_point
 from ctr_nlp.plan.plan import Plan
 from ctr_nlp.plan.verdicts import option
 from ctr_nlp.robot.tube import Tube
 from ctr_nlp.steer.horizon import horizon_planner
-from ctr_nlp.steer.nlp_frames import DEFAULTS
+from ctr_nlp.steer.nlp_frames import DEFAULT_PLANNER_SETTINGS
 from ctr_nlp.steer.passes import Progress
 from ctr_nlp.steer.starts.search import with_draft_frames
 from ctr_nlp.support.interrupt import deferred_interrupt
-from ctr_nlp.target.lumen import Lumen, outer_radii, outermost
+from ctr_nlp.target.lumen import Lumen, outermost_tube_index, outermost_tube_radii
 from ctr_nlp.target.problem import Problem
-from ctr_nlp.target.target import SIGMA
+from ctr_nlp.target.target import SIGMA_GRID
 from ctr_nlp.typing import Array
 
-WEIGHTS = 0.0, 5.0, 5000.0
+COMPROMISE_ARRIVAL_WEIGHTS = 0.0, 5.0, 5000.0
 """Weights of arrival, mm^2 a mm, of motions beside the plan's own: contact first, between the two, arrival first.
 """
-WINDOW = 5.0
+CURVATURE_WINDOW_HALF_WIDTH_MM = 5.0
 """Half width, mm, over which a path's curvature is averaged: sharper bends are noise of its points."""
 
 
@@ -69,7 +69,7 @@ class Compromise:
     @classmethod
     def of(cls, plan: Plan, arrival_weight: float | None = None) -> Compromise:
         """Take the figures of a plan within a lumen."""
-        ends, deepest, error = arrival(plan), deepest_place(plan), e3(plan)
+        ends, deepest, error = arrival(plan), find_deepest_point(plan), e3(plan)
         tip = math.nan if ends is None else ends.distance
         contact = math.nan if deepest is None else deepest.depth
         touched = max(contacts(plan), key=lambda one: one.depth, default=None)
@@ -77,7 +77,7 @@ class Compromise:
         return cls(arrival_weight, tip, contact, math.nan if error is None else error, solved, touched)
 
 
-class Needed(NamedTuple):
+class PathDemands(NamedTuple):
     """Where the end of a path demands most of the tubes, in curvature and in room.
 
     bend: place along the robot, mm, where the path's curvature exceeds what the tubes there can bend to by most,
@@ -99,9 +99,9 @@ def compromises(
     plan: Plan,
     *,
     model: str | Model = DEFAULT_MODEL,
-    settings: Settings = DEFAULTS,
+    settings: Settings = DEFAULT_PLANNER_SETTINGS,
     terms: Sequence[Term] = (),
-    weights: Sequence[float] = WEIGHTS,
+    weights: Sequence[float] = COMPROMISE_ARRIVAL_WEIGHTS,
     progress: Progress | None = None,
 ) -> list[Compromise]:
     """Find motions between arriving and keeping off the wall, for the robot as described.
@@ -162,7 +162,7 @@ def compromises(
     return sorted(found, key=lambda one: one.contact)
 
 
-def needed(plan: Plan) -> Needed:
+def find_path_demands(plan: Plan) -> PathDemands:
     """Tell what the path asks of the tubes in a plan's last frame.
 
     Parameters
@@ -179,23 +179,23 @@ def needed(plan: Plan) -> Needed:
     """
     assert plan.lumen is not None
     beta, lumen = plan.beta[-1], Lumen(plan.lumen)
-    near = lumen.near(plan.target[-1])
+    near = lumen.project(plan.target[-1])
     # Robot and path are compared at equal sigma, as in eq. (8).
-    s = SIGMA * beta[-1]
-    asked = _averaged(np.linalg.norm(near.bend, axis=-1), s)
+    s = SIGMA_GRID * beta[-1]
+    asked = _moving_average(np.linalg.norm(near.curvature_vector, axis=-1), s)
     possible = _largest_curvature(plan.robot.tubes, beta, s)
     # The difference of curvatures, 1/mm, not the ratio: it is finite where tubes are straight.
     bend = int(np.argmax(asked - possible))
     # The clearance that a robot would have which follows the path exactly.
-    room = near.radius - outer_radii(plan.robot, beta[None], SIGMA)[0]
+    room = near.radius - outermost_tube_radii(plan.robot, beta[None], SIGMA_GRID)[0]
     narrow = int(np.argmin(room))
-    tube = int(outermost(beta[None], SIGMA)[0, narrow]) + 1
+    tube = int(outermost_tube_index(beta[None], SIGMA_GRID)[0, narrow]) + 1
     with np.errstate(divide="ignore"):
         radius, least = 1 / asked[bend], 1 / possible[bend]
-    return Needed(float(s[bend]), float(radius), float(least), float(s[narrow]), float(room[narrow]), tube)
+    return PathDemands(float(s[bend]), float(radius), float(least), float(s[narrow]), float(room[narrow]), tube)
 
 
-def sentences(plan: Plan, found: Sequence[Compromise]) -> list[str]:
+def compromise_sentences(plan: Plan, found: Sequence[Compromise]) -> list[str]:
     """Say what can be had, and what stands in the way, in sentences.
 
     Parameters
@@ -235,7 +235,7 @@ def sentences(plan: Plan, found: Sequence[Compromise]) -> list[str]:
             f"The wall is in the way of tube {deepest.tube}, {deepest.arc_length:.0f} mm along the robot "
             f"({deepest.path:.0f} mm along the path)."
         )
-    at = needed(plan)
+    at = find_path_demands(plan)
     told.append(
         f"The path asks most of the tubes {at.bend:.0f} mm along the robot, where it bends with a radius of "
         f"{at.radius:.0f} mm and the tubes there to {at.least:.0f} mm at most; it is narrowest for them at "
@@ -244,7 +244,7 @@ def sentences(plan: Plan, found: Sequence[Compromise]) -> list[str]:
     return told
 
 
-def best_of_both(found: Sequence[Compromise]) -> list[Compromise]:
+def pareto_front(found: Sequence[Compromise]) -> list[Compromise]:
     """Leave out motions that another one beats in both the tip's distance and contact.
 
     Parameters
@@ -268,10 +268,10 @@ def best_of_both(found: Sequence[Compromise]) -> list[Compromise]:
     return sorted((one for one in found if not beaten(one)), key=lambda one: one.contact)
 
 
-def _averaged(values: Array, s: Array) -> Array:
-    """Means of values (n,) at arc lengths s (n,), mm, over WINDOW to either side."""
+def _moving_average(values: Array, s: Array) -> Array:
+    """Means of values (n,) at arc lengths s (n,), mm, over CURVATURE_WINDOW_HALF_WIDTH_MM to either side."""
     # Means over all samples within the window; near the ends there are fewer of them, and no padding.
-    near = abs(s[:, None] - s) <= WINDOW
+    near = abs(s[:, None] - s) <= CURVATURE_WINDOW_HALF_WIDTH_MM
     return np.asarray((near * values).sum(axis=1) / near.sum(axis=1))
 
 

@@ -17,33 +17,33 @@ from typing import Any
 import numpy as np
 
 from ctr_nlp.formulations import FORMULATIONS, Stage, default_model
-from ctr_nlp.formulations.frames import FrameResult, distinct, reachable, starts
-from ctr_nlp.formulations.joint import joint, tip_steps
+from ctr_nlp.formulations.frames import FrameResult, distinct_results, reachable_bounds, sobol_starts
+from ctr_nlp.formulations.joint import joint, tip_step_limits
 from ctr_nlp.formulations.settings import Settings
 from ctr_nlp.formulations.terms import Term
-from ctr_nlp.formulations.terms.arrival import Arrival, find_arrival, with_frame_arrival
-from ctr_nlp.formulations.terms.term import listed
-from ctr_nlp.formulations.wall import ROUNDS, SETTLED, Wall, wall_of
+from ctr_nlp.formulations.terms.arrival import ArrivalTerm, find_arrival, with_frame_arrival
+from ctr_nlp.formulations.terms.term import describe_terms
+from ctr_nlp.formulations.wall import MAX_WALL_RELINEARISATIONS, WALL_SLACK_TOLERANCE_MM, Wall, make_wall
 from ctr_nlp.models import Model, model_named
-from ctr_nlp.simulation.forward import other_way
+from ctr_nlp.simulation.forward import equivalent_configurations
 from ctr_nlp.solvers import SOLVERS, NlpSolver, Solution, default_solver
-from ctr_nlp.steer.at_once import AtOnce, reach_of
+from ctr_nlp.steer.at_once import CompiledFrames, reach_of
 from ctr_nlp.steer.requests import check_model, checked_terms
 from ctr_nlp.support.values import check_choice
 from ctr_nlp.target.problem import Problem
 from ctr_nlp.typing import Array
 
-SEARCH_STARTS, FEW_TUBES = 32, 4
+FRAME_SEARCH_STARTS, MAX_TUBES_FOR_SEARCH_STARTS = 32, 4
 """Starts of a search without a frame before, for robots of up to so many tubes; four times as many for each tube
 more.
 """
 RETRY_STARTS = 8
 """Further starts for a frame that the solver could not solve from the frame before."""
-TWIN_ROOM = 0.3
+MIN_EQUIVALENT_TILT_ROOM_RAD = 0.3
 """Least distance from the limits of tilt, rad, at which the other configuration of the same shape is tried too."""
-STRETCH = 50
+FRAMES_PER_COMPILED_CALL = 50
 """Frames that are solved in one call; between calls, progress is reported and Ctrl-C takes effect."""
-DEFAULTS = Settings()
+DEFAULT_PLANNER_SETTINGS = Settings()
 
 Built = Sequence[tuple[Stage, NlpSolver]]
 """Stages and their solvers."""
@@ -66,13 +66,13 @@ class NlpFrames:
     settings: Settings
     free: Built
     inside: Built
-    runs: tuple[AtOnce, ...]
+    runs: tuple[CompiledFrames, ...]
     margins: Array
     wall: Wall | None
-    near: Wall | None
+    active_wall: Wall | None
     build_seconds: float
     description: dict[str, Any]
-    arrival: Arrival | None = None
+    arrival: ArrivalTerm | None = None
 
     @classmethod
     def of(
@@ -81,7 +81,7 @@ class NlpFrames:
         formulation: str = "joint",
         solver: str | None = None,
         model: str | Model | None = None,
-        settings: Settings = DEFAULTS,
+        settings: Settings = DEFAULT_PLANNER_SETTINGS,
         terms: Sequence[Term] = (),
     ) -> NlpFrames:
         """Build the programs of a problem.
@@ -99,10 +99,10 @@ class NlpFrames:
         check_model(problem, described)
         solver = default_solver() if solver is None else solver
         check_choice("solver", solver, SOLVERS)
-        samples, begin = problem.samples, time.perf_counter()
+        samples, begin = problem.target_frames, time.perf_counter()
         # Only the program over all of q can trade contact against shape; two stages have no wall.
         lumen = problem.sampled_lumen if formulation == "joint" else None
-        wall = wall_of(problem.robot, lumen, described, settings)
+        wall = make_wall(problem.robot, lumen, described, settings)
         at = problem.robot, settings, described, terms
         walled = () if wall is None else joint(*at, walled=True)
         free, inside = (
@@ -115,13 +115,13 @@ class NlpFrames:
         reach = reach_of(problem.robot, problem.dt, described.several_equilibria)
         # The second of two stages needs the first one's solution, frame by frame: that is not one program to be
         # run over many frames.
-        runs = () if len(free) > 1 else tuple(AtOnce.of(*each, values, reach) for each in (*free, *inside))
+        runs = () if len(free) > 1 else tuple(CompiledFrames.of(*each, values, reach) for each in (*free, *inside))
         margin = math.nan if settings.stability_margin is None else settings.stability_margin
         description = {
             "formulation": formulation,
-            **described.told,
+            **described.metadata,
             "solver": solver,
-            "options": settings.options() | {"terms": listed(terms)},
+            "options": settings.options() | {"terms": describe_terms(terms)},
         }
         margins, seconds = np.full(problem.frames, margin), time.perf_counter() - begin
         rest = margins, wall, None, seconds, description, find_arrival(terms)
@@ -129,41 +129,54 @@ class NlpFrames:
 
     def search(self, frame: int) -> list[FrameResult]:
         """Distinct answers for a frame without a past, best first; at least one."""
-        robot, sample = self.problem.robot, self.problem.samples[frame]
+        robot, sample = self.problem.robot, self.problem.target_frames[frame]
         # alpha has a dimension for each tube, and a search has to cover all of them: hence 4 to the power of tubes
         # beyond the usual number.
-        guesses = starts(robot, sample, SEARCH_STARTS * 4 ** max(0, robot.d - FEW_TUBES), self.settings.seed)
-        found = distinct([self._unwound(result) for result in self._searched(frame, guesses)])
+        guesses = sobol_starts(
+            robot,
+            sample,
+            FRAME_SEARCH_STARTS * 4 ** max(0, robot.d - MAX_TUBES_FOR_SEARCH_STARTS),
+            self.settings.seed,
+        )
+        found = distinct_results(
+            [self._remove_whole_turns(result) for result in self._search_solutions(frame, guesses)]
+        )
         if not found:
             return [FrameResult(guesses[0], success=False, status="no start was solved")]
         best, *others = found
         # The twin follows the best at once: of a few candidates that are run through all frames, it should be one,
         # as the other tilt may stay within limits for longer.
-        return [best, *(replace(best, q=twin, warm=None) for twin in self._twin(best.q)), *others]
+        return [best, *(replace(best, q=twin, warm=None) for twin in self._equivalent_tilt(best.q)), *others]
 
-    def _searched(self, frame: int, guesses: Array) -> list[FrameResult]:
+    def _search_solutions(self, frame: int, guesses: Array) -> list[FrameResult]:
         """Return the solutions of a frame that has no frame before it, from guesses (n, 2d + 2)."""
-        if self._at_once is not None:
-            return self._at_once.search(frame, self.model.guess(self.problem.robot, guesses))
-        return self._attempts(frame, [FrameResult(guess, x=self._unknowns(guess)) for guess in guesses], None)
+        if self._compiled_frames is not None:
+            return self._compiled_frames.search(frame, self.model.guess(self.problem.robot, guesses))
+        return self._solve_from_guesses(
+            frame, [FrameResult(guess, x=self._unknowns(guess)) for guess in guesses], None
+        )
 
     def run(self, frames: Sequence[int], before: FrameResult) -> Iterator[tuple[FrameResult, float]]:
         """Yield results for frames, each from the one before, and the seconds that each took.
 
-        Compiled code solves up to STRETCH frames in one call. The frame at which it fails is solved by `step`,
-        which tries further starts, and then the next call goes on from there.
+        Compiled code solves up to FRAMES_PER_COMPILED_CALL frames in one call. The frame at which it fails is
+        solved by `step`, which tries further starts, and then the next call goes on from there.
         """
         left = list(frames)
         while left:
-            found = [] if self._at_once is None else self._at_once.follow(left[:STRETCH], self._placed(before))
-            if len(found) < min(len(left), STRETCH):
+            found = (
+                []
+                if self._compiled_frames is None
+                else self._compiled_frames.follow(left[:FRAMES_PER_COMPILED_CALL], self._with_unknowns(before))
+            )
+            if len(found) < min(len(left), FRAMES_PER_COMPILED_CALL):
                 begin, last = time.perf_counter(), found[-1][0] if found else before
                 found.append((self.step(left[len(found)], last), time.perf_counter() - begin))
             left, before = left[len(found) :], found[-1][0]
             yield from found
 
     @cached_property
-    def _at_once(self) -> AtOnce | None:
+    def _compiled_frames(self) -> CompiledFrames | None:
         """Return the compiled solver of many frames, or None where there is none.
 
         It needs a formulation of one program and, within a wall, a wall that was compiled.
@@ -173,15 +186,20 @@ class NlpFrames:
         # Residuals are squared by the program: root^2 |W (q - q_before)|^2 is the motion term of eq. (9).
         root = math.sqrt(self.settings.motion_weight) / self.problem.dt
         values: dict[str, Array | float] = {"motion_root": root, "margin": self.margins}
-        if self.near is None:
-            return self.runs[0].given(values)
-        around = self.near.around
+        if self.active_wall is None:
+            return self.runs[0].with_parameters(values)
+        around = self.active_wall.compiled_wall
         if around is None or not around.ready():
             return None
-        values |= {"contact_weight": self.near.weight, "contact_allowed": self.near.allowed}
-        return self.runs[-1].given(values, around.surroundings(SETTLED, ROUNDS))
+        values |= {
+            "contact_weight": self.active_wall.weight,
+            "contact_allowed": self.active_wall.contact_threshold,
+        }
+        return self.runs[-1].with_parameters(
+            values, around.local_parameter_source(WALL_SLACK_TOLERANCE_MM, MAX_WALL_RELINEARISATIONS)
+        )
 
-    def _placed(self, before: FrameResult) -> FrameResult:
+    def _with_unknowns(self, before: FrameResult) -> FrameResult:
         """Return a result with the model's unknowns; where they are not known, those of the robot at rest at its
         q.
         """
@@ -189,7 +207,7 @@ class NlpFrames:
             return before
         return replace(before, x=self.model.rest(self.problem.robot, before.q))
 
-    def _unwound(self, result: FrameResult) -> FrameResult:
+    def _remove_whole_turns(self, result: FrameResult) -> FrameResult:
         """Return a solution without the whole turns of tubes that a search may have gone through.
 
         Where q does not determine the unknowns, tubes are turned by whole turns together with their tips, until
@@ -210,40 +228,42 @@ class NlpFrames:
         if not turns.any():
             return result
         q[:d] -= 2 * np.pi * turns
-        return replace(result, q=q, x=x, warm=None) if self._allowed(q) else result
+        return replace(result, q=q, x=x, warm=None) if self._is_within_limits(q) else result
 
-    def _allowed(self, q: Array) -> bool:
+    def _is_within_limits(self, q: Array) -> bool:
         """Whether q is within the robot's limits."""
         robot = self.problem.robot
         return bool((np.minimum(q - robot.lower, robot.upper - q) > -1e-9).all())
 
-    def _twin(self, q: Array) -> list[Array]:
+    def _equivalent_tilt(self, q: Array) -> list[Array]:
         """Return the other configuration of the same shape where it is well within the limits of tilt, else
         nothing.
 
-        theta_x and pi - theta_x give the same shape with all alpha turned by half a turn (other_way). From there a
-        motion may lead further before it comes to a limit.
+        theta_x and pi - theta_x give the same shape with all alpha turned by half a turn
+        (equivalent_configurations). From there a motion may lead further before it comes to a limit.
         """
-        robot, twin = self.problem.robot, other_way(self.problem.robot, q)
+        robot, twin = self.problem.robot, equivalent_configurations(self.problem.robot, q)
         # Whole turns of the tilt change nothing: it is written within half a turn of 0.
         twin[-2:] -= 2 * np.pi * np.round(twin[-2:] / (2 * np.pi))
         room = np.minimum(twin - robot.lower, robot.upper - twin)[-2:]
-        return [twin] if (room > TWIN_ROOM).all() and self._allowed(twin) else []
+        return [twin] if (room > MIN_EQUIVALENT_TILT_ROOM_RAD).all() and self._is_within_limits(twin) else []
 
     def step(self, frame: int, before: FrameResult) -> FrameResult:
         """Solve a frame within speed limits of the one before; where that fails, from further starts.
 
         Where all starts fail, the result has success False, and the q of the frame before.
         """
-        before = self._placed(before)
+        before = self._with_unknowns(before)
         result = self._solve(frame, before, before)
         if result.success:
             return result
-        low, high = reachable(self.problem.robot, before.q, self.problem.dt)
-        guesses = starts(self.problem.robot, self.problem.samples[frame], RETRY_STARTS, self.settings.seed)
+        low, high = reachable_bounds(self.problem.robot, before.q, self.problem.dt)
+        guesses = sobol_starts(
+            self.problem.robot, self.problem.target_frames[frame], RETRY_STARTS, self.settings.seed
+        )
         tried = [FrameResult(q, x=self._unknowns(q)) for q in np.clip(guesses, low, high)]
         # The frame before is tried once more without its multipliers: they may belong to other active limits.
-        attempts = self._attempts(frame, [replace(before, warm=None), *tried], before)
+        attempts = self._solve_from_guesses(frame, [replace(before, warm=None), *tried], before)
         best = min(attempts, key=lambda r: r.objective, default=None)
         return best or replace(result, q=before.q)
 
@@ -251,7 +271,7 @@ class NlpFrames:
         """Estimate the unknowns of a model whose q does not determine them; None on other models."""
         return self.model.guess(self.problem.robot, q) if self.model.several_equilibria else None
 
-    def _attempts(
+    def _solve_from_guesses(
         self, frame: int, guesses: Iterable[FrameResult], before: FrameResult | None
     ) -> list[FrameResult]:
         results = (self._solve(frame, guess, before) for guess in guesses)
@@ -263,15 +283,15 @@ class NlpFrames:
         before: the frame before, from which speeds limit both; None where there is none.
         """
         robot, dt = self.problem.robot, self.problem.dt
-        low, high = reachable(robot, None if before is None else before.q, dt)
+        low, high = reachable_bounds(robot, None if before is None else before.q, dt)
         if not self.model.several_equilibria:
             return low, high
         tips, step = np.zeros(robot.d), np.full(robot.d, np.inf)
         if before is not None and before.x is not None:
-            tips, step = before.x[: robot.d], tip_steps(robot, dt)
+            tips, step = before.x[: robot.d], tip_step_limits(robot, dt)
         return np.append(low, tips - step), np.append(high, tips + step)
 
-    def again(self, frame: int, known: FrameResult) -> FrameResult:
+    def search_near(self, frame: int, known: FrameResult) -> FrameResult:
         """Solve a frame that has no frame before it, near a known solution, which may be one without the wall."""
         # Multipliers of a program without the wall do not fit the one with it.
         return self._solve(frame, replace(known, warm=None), None)
@@ -282,29 +302,29 @@ class NlpFrames:
 
         before: the frame before, or None.
         """
-        result, tried = self._solved(index, guess, before), list[FrameResult]()
-        while self.near is not None and result.success:
+        result, tried = self._solve_stages(index, guess, before), list[FrameResult]()
+        while self.active_wall is not None and result.success:
             slack = result.warm[0].x[-1]
             x = result.q if result.x is None else result.x
             # The program knows the wall only to first and second order near its guess. At its solution the wall is
             # described anew, and the slack that is really needed there is compared with the one found.
-            needed = self.near.during([self.problem.samples[index]])(x[None])[1][0]
+            needed = self.active_wall.local_parameters_during([self.problem.target_frames[index]])(x[None])[1][0]
             # Rounds are compared by the contact that they really have, not by what their programs took it for.
-            more = float(self.near.cost(needed) - self.near.cost(slack))
+            more = float(self.active_wall.cost(needed) - self.active_wall.cost(slack))
             tried.append(replace(result, objective=result.objective + more))
-            if abs(needed - slack) <= SETTLED or len(tried) == ROUNDS:
+            if abs(needed - slack) <= WALL_SLACK_TOLERANCE_MM or len(tried) == MAX_WALL_RELINEARISATIONS:
                 break
-            result = self._solved(index, result, before)
+            result = self._solve_stages(index, result, before)
         return min(tried, key=lambda one: one.objective, default=result)
 
-    def _solved(self, index: int, guess: FrameResult, before: FrameResult | None) -> FrameResult:
+    def _solve_stages(self, index: int, guess: FrameResult, before: FrameResult | None) -> FrameResult:
         """Solve the stages of a frame one after the other from a guess, and return the last one's solution with
         all of q.
         """
         q, solutions, iterations = guess.q.copy(), list[Solution](), 0
-        for k, (stage, solver) in enumerate(self.free if self.near is None else self.inside):
+        for k, (stage, solver) in enumerate(self.free if self.active_wall is None else self.inside):
             warm: Solution | None = guess.warm[k] if guess.warm else None
-            solution, more = self._staged(stage, solver, index, q, guess, before, warm)
+            solution, more = self._solve_stage(stage, solver, index, q, guess, before, warm)
             iterations += more
             if not solution.success:
                 failure = f"{stage.nlp.name}: {solution.status}, KKT residual {solution.kkt:.1e}"
@@ -317,7 +337,7 @@ class NlpFrames:
         x = solutions[-1].x[: stage.nlp.x.numel() - stage.nlp.slacks] if self.model.several_equilibria else None
         return FrameResult(q, True, solutions[-1].objective, kkt, iterations, status, tuple(solutions), x)
 
-    def _staged(
+    def _solve_stage(
         self,
         stage: Stage,
         solver: NlpSolver,
@@ -334,7 +354,7 @@ class NlpFrames:
         low, high = self._limits(before)
         # Tips, which follow q in the bounds, are unknowns of every stage on models that have them.
         limited = np.append(stage.decides, np.arange(len(q), len(low)))
-        values = dict(stage.fill(self.problem.samples[index], q))
+        values = dict(stage.fill(self.problem.target_frames[index], q))
         if "margin" in values:
             values["margin"] = self.margins[index]
         values["previous"] = (q if before is None else before.q)[stage.decides]
@@ -344,8 +364,10 @@ class NlpFrames:
             values["motion_root"] = 0.0
         x = q[stage.decides] if guess.x is None else guess.x
         x = x if warm is None else warm.x[: stage.nlp.x.numel() - stage.nlp.slacks]
-        if self.near is not None:
-            parameters, slack = self.near.during([self.problem.samples[index]])(x[None])
+        if self.active_wall is not None:
+            parameters, slack = self.active_wall.local_parameters_during([self.problem.target_frames[index]])(
+                x[None]
+            )
             values |= {name: value[0] for name, value in parameters.items()}
             x = np.append(x, slack)
         iterations = 0

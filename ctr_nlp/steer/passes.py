@@ -20,21 +20,21 @@ from ctr_nlp.models import Model
 from ctr_nlp.plan.metrics import rms_over_sigma
 from ctr_nlp.simulation.forward import Simulator
 from ctr_nlp.solvers import Iterate
-from ctr_nlp.solvers.motion.banded import MOST_ITERATIONS, TOLERANCE
+from ctr_nlp.solvers.motion.banded import BANDED_KKT_TOLERANCE, MAX_BANDED_ITERATIONS
 from ctr_nlp.steer.requests import Direction, checked_ends
 from ctr_nlp.support.interrupt import deferred_interrupt
 from ctr_nlp.target.problem import Problem
-from ctr_nlp.target.target import SIGMA
+from ctr_nlp.target.target import SIGMA_GRID
 from ctr_nlp.typing import Array
 
 Progress = Callable[[int, int, str], None]
 """Called with (steps done, steps in all, what is being done)."""
 
-CANDIDATES = 4
+MAX_FIRST_FRAME_CANDIDATES = 4
 """Most solutions of the first frame from which a whole motion is run, in each direction."""
 
 
-WINDOW = 12
+FORECAST_WINDOW_ITERATIONS = 12
 """Iterations over which the fall of the KKT residual is averaged for a forecast."""
 
 
@@ -85,25 +85,25 @@ class Pass:
         solved = [result.objective for result in self.results.values() if result.success]
         return problem.frames - len(solved), float(np.mean(solved)) if solved else np.inf
 
-    def planned(self, problem: Problem, model: Model) -> tuple[int, float]:
+    def planned_error(self, problem: Problem, model: Model) -> tuple[int, float]:
         """Return the number of frames not solved, and the mean square error of the others, mm^2, as planned.
 
         That is the error where the robot is in the equilibria that the run found.
         """
-        solved = self._solved()
+        solved = self._solved_frames()
         x = np.array([self.results[j].q if self.results[j].x is None else self.results[j].x for j in solved])
-        return self._off(problem, solved, lambda: model.points(problem.robot, x, SIGMA))
+        return self._mean_square_error(problem, solved, lambda: model.points(problem.robot, x, SIGMA_GRID))
 
-    def badness(self, problem: Problem, simulator: Simulator) -> tuple[int, float]:
+    def simulated_error(self, problem: Problem, simulator: Simulator) -> tuple[int, float]:
         """Return the number of frames not solved, and the mean square error of the others, mm^2, as simulated.
 
         The simulated robot is moved through the frames, and may come to other equilibria than those planned.
         """
-        solved = self._solved()
+        solved = self._solved_frames()
         q = np.array([self.results[j].q for j in solved])
-        return self._off(problem, solved, lambda: simulator(q).shape)
+        return self._mean_square_error(problem, solved, lambda: simulator(q).shape)
 
-    def missed(self, problem: Problem, simulator: Simulator, tolerance: float) -> float:
+    def tip_miss_distance(self, problem: Problem, simulator: Simulator, tolerance: float) -> float:
         """Return by how much the robot's tip misses the target's last end, beyond a tolerance.
 
         Parameters
@@ -120,20 +120,22 @@ class Pass:
         float
             mm; inf where the last frame was not solved.
         """
-        solved = self._solved()
+        solved = self._solved_frames()
         if not solved or solved[-1] != problem.frames - 1:
             return math.inf
         # All solved frames are moved through: the last equilibrium depends on those before it.
         tip = simulator(np.array([self.results[j].q for j in solved])).shape[-1, -1]
-        return max(0.0, float(np.linalg.norm(tip - problem.samples[-1].points[-1])) - tolerance)
+        return max(0.0, float(np.linalg.norm(tip - problem.target_frames[-1].points[-1])) - tolerance)
 
-    def _solved(self) -> list[int]:
+    def _solved_frames(self) -> list[int]:
         return sorted(j for j, result in self.results.items() if result.success)
 
-    def _off(self, problem: Problem, solved: Sequence[int], shape: Callable[[], Array]) -> tuple[int, float]:
+    def _mean_square_error(
+        self, problem: Problem, solved: Sequence[int], shape: Callable[[], Array]
+    ) -> tuple[int, float]:
         if not solved:
             return problem.frames, np.inf
-        wanted = np.array([problem.samples[j].points for j in solved])
+        wanted = np.array([problem.target_frames[j].points for j in solved])
         # 101 samples with trapezoidal weights, as in reported errors; programs have 21.
         squares = rms_over_sigma(np.linalg.norm(shape() - wanted, axis=-1)) ** 2
         return problem.frames - len(solved), float(squares.mean())
@@ -175,7 +177,7 @@ def run_again(known: Pass, solver: Restartable, stop: Callable[[], bool]) -> Pas
     """
     first, begin = known.order[0], time.perf_counter()
     # A run from a given start has no first solution that could be solved anew: its start is no frame.
-    results = {} if known.before else {first: solver.again(first, known.results[first])}
+    results = {} if known.before else {first: solver.search_near(first, known.results[first])}
     seconds = dict.fromkeys(results, time.perf_counter() - begin)
     one = Pass(known.direction, known.order, known.before, results, seconds)
     for _ in one.run(solver):
@@ -201,7 +203,7 @@ def _first_frames(
     wanted = orders if direction == "best" and problem.frames > 1 else {direction: orders.get(direction, forward)}
     passes = []
     for name, order in wanted.items():
-        for first in solver.search(order[0])[:CANDIDATES]:
+        for first in solver.search(order[0])[:MAX_FIRST_FRAME_CANDIDATES]:
             begin = time.perf_counter()
             # Solved once more as if the robot stood there already: the warm start then belongs to the program with
             # the motion term, and a twin, which was only written down, is solved at all.
@@ -229,13 +231,13 @@ class Forecast:
         """Tell of one more iterate."""
         # The residual falls about linearly in its logarithm; the best one so far is taken, since it does not fall
         # monotonically.
-        error = math.log(max(iterate.error, TOLERANCE))
+        error = math.log(max(iterate.error, BANDED_KKT_TOLERANCE))
         self._best.append(min([error, *self._best[-1:]]))
-        recent = self._best[-WINDOW:]
+        recent = self._best[-FORECAST_WINDOW_ITERATIONS:]
         fall = (recent[0] - recent[-1]) / max(len(recent) - 1, 1)
         # Iterations left at the recent rate; where there is no fall, as many as the window is long.
-        left = (recent[-1] - math.log(TOLERANCE)) / fall if fall > 0 else WINDOW
-        total = iterate.number + max(1, min(math.ceil(left), MOST_ITERATIONS - iterate.number))
+        left = (recent[-1] - math.log(BANDED_KKT_TOLERANCE)) / fall if fall > 0 else FORECAST_WINDOW_ITERATIONS
+        total = iterate.number + max(1, min(math.ceil(left), MAX_BANDED_ITERATIONS - iterate.number))
         objective, violation = iterate.objective / self._frames, max(iterate.violation, 0.0)
         note = f"{self._which}objective {objective:.4g} mm², violation {violation:.0e}"
         self._progress(iterate.number, total, note)

@@ -16,17 +16,17 @@ import numpy.typing as npt
 from ctr_nlp.formulations.frames import FrameResult, FrameSolver
 from ctr_nlp.formulations.settings import Settings
 from ctr_nlp.formulations.terms import Term
-from ctr_nlp.formulations.terms.arrival import LAST, MISSED
+from ctr_nlp.formulations.terms.arrival import ARRIVAL_MOTION_FRACTION, EXCESS_ARRIVAL_FACTOR
 from ctr_nlp.formulations.wall import Wall
 from ctr_nlp.models import Model
 from ctr_nlp.plan.plan import Plan, plan_from_configurations
-from ctr_nlp.plan.record import planned_on
+from ctr_nlp.plan.record import planned_model
 from ctr_nlp.simulation.forward import Simulator
-from ctr_nlp.solvers.frame.sqp import FALLBACK
-from ctr_nlp.steer.nlp_frames import DEFAULTS, NlpFrames
+from ctr_nlp.solvers.frame.sqp import IPOPT_FALLBACK_TEXT
+from ctr_nlp.steer.nlp_frames import DEFAULT_PLANNER_SETTINGS, NlpFrames
 from ctr_nlp.steer.passes import Pass, Progress, run_passes
-from ctr_nlp.steer.realised import held
-from ctr_nlp.steer.requests import Direction, check_described, checked_ends
+from ctr_nlp.steer.realised import refine_pass_margins
+from ctr_nlp.steer.requests import Direction, check_problem_and_settings, checked_ends
 from ctr_nlp.steer.within_wall import run_within_wall
 from ctr_nlp.support.interrupt import deferred_interrupt
 from ctr_nlp.target.problem import Problem
@@ -41,7 +41,7 @@ def solve_per_frame(
     solver: str | None = None,
     direction: Direction = "best",
     start: npt.ArrayLike | None = None,
-    settings: Settings = DEFAULTS,
+    settings: Settings = DEFAULT_PLANNER_SETTINGS,
     terms: Sequence[Term] = (),
     progress: Progress | None = None,
 ) -> Plan:
@@ -83,7 +83,7 @@ def solve_per_frame(
     OptionError, RobotError
         An option or the robot is not what it must be.
     """
-    check_described(problem, settings)
+    check_problem_and_settings(problem, settings)
     checked_ends(problem, direction, start)
     return march(
         problem,
@@ -105,16 +105,16 @@ def march(
 
     problem, direction, start and progress are those of :func:`solve_per_frame`.
     """
-    simulator = Simulator(problem.robot, planned_on(solver.description))
+    simulator = Simulator(problem.robot, planned_model(solver.description))
     with deferred_interrupt() as interrupted:
         passes, search_seconds = run_passes(problem, solver, direction, start, progress=progress)
         # Runs are compared as simulated: a plan on another branch is worth nothing, however small its objective.
-        best = _least_bad(passes, solver, problem, simulator)
+        best = _least_simulated_error(passes, solver, problem, simulator)
         free: Array | None = None
         wall: Wall | None = None
         # Margins and walls are those of programs; reference methods, which are FrameSolvers too, have neither.
         if isinstance(solver, NlpFrames) and not interrupted():
-            best, solver = held(solver, best, simulator, interrupted)
+            best, solver = refine_pass_margins(solver, best, simulator, interrupted)
             # The plan keeps the motion without the wall, so that it can say what the wall costs.
             free = None if solver.wall is None else best.motion(problem)
             best, wall = run_within_wall(solver, best, simulator, interrupted)
@@ -126,28 +126,32 @@ def march(
     }
     weight = None if wall is None else wall.weight
     work = {"search_s": search_seconds, "interrupted": stopped, "contact_weight": weight}
-    return plan_of(problem, solver, best, free, options, work, simulator)
+    return plan_from_pass(problem, solver, best, free, options, work, simulator)
 
 
-def _least_bad(passes: Sequence[Pass], solver: FrameSolver, problem: Problem, simulator: Simulator) -> Pass:
+def _least_simulated_error(
+    passes: Sequence[Pass], solver: FrameSolver, problem: Problem, simulator: Simulator
+) -> Pass:
     """Return the run on which the simulated robot is nearest to its target; a single one is not looked at.
 
     Where the solver leads the tip to the target's end, what a run misses there counts as it does in a plan: each
-    mm beyond the tolerance costs MISSED times the weight in the last tenth (LAST) of the frames.
+    mm beyond the tolerance costs EXCESS_ARRIVAL_FACTOR times the weight in the last tenth
+    (ARRIVAL_MOTION_FRACTION) of the frames.
     """
     if len(passes) == 1:
         return passes[0]
     arrival = solver.arrival if isinstance(solver, NlpFrames) else None
 
-    def badness(one: Pass) -> tuple[int, float]:
-        failed, square = one.badness(problem, simulator)
+    def simulated_cost(one: Pass) -> tuple[int, float]:
+        failed, square = one.simulated_error(problem, simulator)
         if arrival is None:
             return failed, square
-        missed = one.missed(problem, simulator, arrival.required)
-        # badness is a mean over all frames, of which only the last ones pay for arrival: hence the factor LAST.
-        return failed, square + LAST * MISSED * arrival.weight * missed
+        missed = one.tip_miss_distance(problem, simulator, arrival.required)
+        # badness is a mean over all frames, of which only the last ones pay for arrival: hence the factor
+        # ARRIVAL_MOTION_FRACTION.
+        return failed, square + ARRIVAL_MOTION_FRACTION * EXCESS_ARRIVAL_FACTOR * arrival.weight * missed
 
-    return min(passes, key=badness)
+    return min(passes, key=simulated_cost)
 
 
 def _unknowns(results: Sequence[FrameResult]) -> Array | None:
@@ -160,7 +164,7 @@ def _unknowns(results: Sequence[FrameResult]) -> Array | None:
     return np.array([np.full_like(known[0], np.nan) if result.x is None else result.x for result in results])
 
 
-def plan_of(
+def plan_from_pass(
     problem: Problem,
     solver: FrameSolver,
     best: Pass,
@@ -185,7 +189,7 @@ def plan_of(
         "iterations": sum(result.iterations for result in results),
         # Frames count from 0 in code, and from 1 wherever a person reads them.
         "failures": {str(j + 1): r.status for j, r in enumerate(results) if not r.success},
-        "fallbacks": {str(j + 1): r.status for j, r in enumerate(results) if FALLBACK in r.status},
+        "fallbacks": {str(j + 1): r.status for j, r in enumerate(results) if IPOPT_FALLBACK_TEXT in r.status},
     }
     return plan_from_configurations(
         problem,

@@ -19,23 +19,23 @@ from ctr_nlp.formulations.settings import Settings, check_motion_weight
 from ctr_nlp.formulations.terms import Term
 from ctr_nlp.models import Model
 from ctr_nlp.nlp.chain import Chain
-from ctr_nlp.support.values import check_choice, floats, instance, whole_number
-from ctr_nlp.target.problem import OVERLONG, Problem
+from ctr_nlp.support.values import check_choice, check_instance, floats, whole_number
+from ctr_nlp.target.problem import MAX_TARGET_LENGTH_RATIO, Problem
 from ctr_nlp.typing import Array
 
 Direction = Literal["forward", "backward", "best"]
 
 DIRECTIONS = ("forward", "backward", "best")
-NEAR_POLE = 0.1
+MIN_ANGLE_TO_POLE_RAD = 0.1
 """Least angle between a loaded robot's base tangent and the y axis, rad: at 0 the tilt is singular."""
-SLACK = 1e-6
+IMPOSSIBLE_MOTION_RELATIVE_SLACK = 1e-6
 """Relative amount by which limits may be exceeded before a motion counts as impossible."""
 
 
-def check_described(problem: Any, settings: Any) -> None:
+def check_problem_and_settings(problem: Any, settings: Any) -> None:
     """Raise ProblemError or OptionError unless these are a problem and settings."""
-    instance(ProblemError, "problem", problem, Problem)
-    instance(OptionError, "settings", settings, Settings)
+    check_instance(ProblemError, "problem", problem, Problem)
+    check_instance(OptionError, "settings", settings, Settings)
 
 
 def check_model(problem: Problem, model: Model) -> None:
@@ -47,17 +47,18 @@ def check_model(problem: Problem, model: Model) -> None:
     half a turn in one frame.
     """
     model.check(problem.robot)
-    if model.bears is None:
+    if model.applied_load is None:
         return
-    base = np.array([sample.tangents[0] for sample in problem.samples])
+    base = np.array([sample.tangents[0] for sample in problem.target_frames])
     # The angle to the y axis, either direction of it: at 0, eq. (4) has theta_x = 90 deg. The target's first
     # tangent stands for the robot's, which is not known yet.
     away = np.arctan2(np.hypot(base[:, 0], base[:, 2]), abs(base[:, 1]))
     frame = int(away.argmin())
-    if away[frame] < NEAR_POLE:
+    if away[frame] < MIN_ANGLE_TO_POLE_RAD:
         raise ProblemError(
             f"the target of {problem.name} begins {away[frame]:.2f} rad from the y axis of the base in frame "
-            f"{frame + 1}, where theta_x is 90 deg; under a load it must stay {NEAR_POLE:g} rad away where frames "
+            f"{frame + 1}, where theta_x is 90 deg; under a load it must stay {MIN_ANGLE_TO_POLE_RAD:g} rad "
+            f"away where frames "
             "are planned one by one, or within a wall. Plan over a horizon and free of the wall, or turn the "
             "problem about the z axis of the base"
         )
@@ -98,7 +99,7 @@ def checked_motions(problem: Problem, initial: Sequence[npt.ArrayLike]) -> list[
 def checked_terms(terms: Sequence[Term]) -> tuple[Term, ...]:
     """Return further terms of the objective as a tuple; raise OptionError unless they are terms."""
     for term in terms if isinstance(terms, Sequence) else [terms]:
-        instance(OptionError, "a term", term, Term)
+        check_instance(OptionError, "a term", term, Term)
     return tuple(terms)
 
 
@@ -115,10 +116,10 @@ def check_growth(problem: Problem) -> None:
     time = problem.dt * np.arange(1, problem.frames + 1)
     # beta_d is the robot's length, so that its speed bounds that of the path. The lag is the largest length by
     # which the path gets ahead of a tube at full speed between any two frames; negated, for a path that shrinks.
-    late = np.array([_behind(lengths - speed * time), _behind(-lengths - speed * time)])
+    late = np.array([_largest_rise(lengths - speed * time), _largest_rise(-lengths - speed * time)])
     # Half: the tube may be ahead of the path at one end of the interval, and behind it at the other.
     worst, lag = int(late[:, 0].argmax()), float(late[:, 0].max()) / 2
-    if lag > (OVERLONG - 1) * problem.robot.reach:
+    if lag > (MAX_TARGET_LENGTH_RATIO - 1) * problem.robot.reach:
         _, first, last = late[worst]
         i, j = int(first), int(last)
         needed = abs(lengths[j] - lengths[i]) / (time[j] - time[i])
@@ -129,7 +130,7 @@ def check_growth(problem: Problem) -> None:
         )
 
 
-def _behind(ahead: Array) -> tuple[float, int, int]:
+def _largest_rise(ahead: Array) -> tuple[float, int, int]:
     """Return the largest rise ahead[j] - ahead[i] over i < j, with i and j, in one pass over running minima."""
     lowest = np.minimum.accumulate(ahead)
     j = int((ahead - lowest).argmax())
@@ -174,9 +175,9 @@ def check_ends(problem: Problem, chain: Chain) -> None:
     found = linprog(cost, sp.vstack(matrices), np.concatenate(rights), bounds=bounds)
     if not found.success:
         raise ProblemError(f"no motion leads from start to end within limits and order: {found.message}")
-    if found.x[-1] > 1 + SLACK:
+    if found.x[-1] > 1 + IMPOSSIBLE_MOTION_RELATIVE_SLACK:
         # The row with the most negative multiplier is the limit that f depends on most: it is named to the user.
-        name, frame = chain.place(int(picked[np.concatenate(index)[found.ineqlin.marginals.argmin()]]))
+        name, frame = chain.describe_row(int(picked[np.concatenate(index)[found.ineqlin.marginals.argmin()]]))
         raise ProblemError(
             f"no motion leads from start to end in {problem.duration:g} s: {name} would have to be "
             f"{found.x[-1]:.2f} times what is allowed, at frame {frame} among others. Raise that limit, give a "

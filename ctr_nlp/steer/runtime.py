@@ -16,25 +16,25 @@ from ctr_nlp.exceptions import OptionError, RobotError
 from ctr_nlp.formulations.joint import joint
 from ctr_nlp.formulations.settings import Settings
 from ctr_nlp.formulations.stage import Stage
-from ctr_nlp.formulations.terms.arrival import Arrival, find_arrival, with_frame_arrival
-from ctr_nlp.formulations.terms.shape import STRIDE, ShapeDistance
-from ctr_nlp.formulations.wall import ROUNDS, SETTLED, Wall, wall_of
-from ctr_nlp.loads import steady
+from ctr_nlp.formulations.terms.arrival import ArrivalTerm, find_arrival, with_frame_arrival
+from ctr_nlp.formulations.terms.shape import TARGET_SAMPLE_STRIDE, ShapeDistance
+from ctr_nlp.formulations.wall import MAX_WALL_RELINEARISATIONS, WALL_SLACK_TOLERANCE_MM, Wall, make_wall
+from ctr_nlp.loads import require_constant_load
 from ctr_nlp.models import DEFAULT_MODEL, Model, model_named
 from ctr_nlp.robot import Robot
 from ctr_nlp.solvers.compiled import library
-from ctr_nlp.solvers.frame.adapter import OPTIMAL, Surroundings
+from ctr_nlp.solvers.frame.adapter import KKT_TOLERANCE, LocalParameterSource
 from ctr_nlp.solvers.frame.program import Program
-from ctr_nlp.solvers.frame.run import Run
+from ctr_nlp.solvers.frame.run import FrameSequence
 from ctr_nlp.steer.at_once import reach_of
-from ctr_nlp.steer.nlp_frames import DEFAULTS
-from ctr_nlp.support.values import instance, number
+from ctr_nlp.steer.nlp_frames import DEFAULT_PLANNER_SETTINGS
+from ctr_nlp.support.values import check_instance, number
 from ctr_nlp.target.curve import Curve, curve_from_formula
 from ctr_nlp.target.lumen import Lumen
-from ctr_nlp.target.target import SIGMA, growing
+from ctr_nlp.target.target import SIGMA_GRID, growing
 from ctr_nlp.typing import Array
 
-MOST_ITERATIONS = 60
+MAX_STEERING_ITERATIONS = 60
 """Most SQP iterations of a step: a target that needs more is not waited for, since the next one comes soon."""
 
 
@@ -42,9 +42,9 @@ class Steerer:
     """Solve the joint formulation again and again while the target moves.
 
     Everything is built once, and each step solves one frame: a few tens of microseconds of compiled code, and at
-    most `MOST_ITERATIONS` of some ten to forty microseconds each. A step satisfies the limits of position and
-    speed: where no better configuration is found, the robot stays where it is. Give each thread a steerer of its
-    own.
+    most `MAX_STEERING_ITERATIONS` of some ten to forty microseconds each. A step satisfies the limits of position
+    and speed: where no better configuration is found, the robot stays where it is. Give each thread a steerer of
+    its own.
 
     Parameters
     ----------
@@ -88,21 +88,21 @@ class Steerer:
         robot: Robot,
         q: npt.ArrayLike,
         dt: float,
-        settings: Settings = DEFAULTS,
+        settings: Settings = DEFAULT_PLANNER_SETTINGS,
         model: str | Model = DEFAULT_MODEL,
         lumen: Curve | None = None,
         wait: bool = True,
     ) -> None:
-        instance(RobotError, "robot", robot, Robot)
-        instance(OptionError, "settings", settings, Settings)
+        check_instance(RobotError, "robot", robot, Robot)
+        check_instance(OptionError, "settings", settings, Settings)
         number(OptionError, "dt", dt, lambda x: 0 < x < math.inf, "be a finite number > 0", " s")
         described = model_named(model)
         described.check(robot)
-        steady(described.bears, "a Steerer")
+        require_constant_load(described.applied_load, "a Steerer")
         q = robot.check(q)
         if lumen is not None and (not isinstance(lumen, Curve) or lumen.radius is None):
             raise OptionError(f"lumen is {lumen!r:.80}; it must be a curve with a radius, or None for no wall")
-        self._wall = wall_of(robot, None if lumen is None else Lumen.around(lumen), described, settings)
+        self._wall = make_wall(robot, None if lumen is None else Lumen.from_curve(lumen), described, settings)
         stage, arrival = _stage(robot, settings, described, self._wall)
         reach = reach_of(robot, dt, described.several_equilibria)
         # Parameters that never change are filled once, with any target; the real one is written in place by every
@@ -112,32 +112,36 @@ class Steerer:
         root = math.sqrt(settings.motion_weight) / dt
         # Every feasible step that is found is taken (a KKT residual of up to infinity): a late optimum is worth
         # less than a timely step. `solved` says whether it was one.
-        self._run = run = Run(Program(stage.nlp, wait, MOST_ITERATIONS), 1, math.inf, goes_on=True)
+        self._run = run = FrameSequence(
+            Program(stage.nlp, wait, MAX_STEERING_ITERATIONS), 1, math.inf, extrapolate=True
+        )
         values = {**stage.fill(straight, q), "motion_root": root}
         if self._wall is not None:
-            run.keep_near(_described(self._wall))
-            values |= {"contact_weight": self._wall.weight, "contact_allowed": self._wall.allowed}
+            run.set_local_parameters(_compile_wall_parameters(self._wall))
+            values |= {"contact_weight": self._wall.weight, "contact_allowed": self._wall.contact_threshold}
         run.p[0] = stage.nlp.pack(values)
         run.low[:], run.high[:], run.most[:] = reach
         self._size, self._robot, self._model = len(q), robot, described
-        self.stand(q)
-        self._target = run.p[0, stage.nlp.place("target")].reshape(3, -1)
+        self.set_configuration(q)
+        self._target = run.p[0, stage.nlp.parameter_slice("target")].reshape(3, -1)
         # `_none` stays 0: its scalar product with a target is 0 unless that has a NaN or an infinity.
-        self._whole, self._none = np.zeros((2, len(SIGMA), 3))
+        self._whole, self._none = np.zeros((2, len(SIGMA_GRID), 3))
         # A view: writing the whole target also writes the samples that the program takes.
-        self._sampled = self._whole[::STRIDE].T
+        self._sampled = self._whole[::TARGET_SAMPLE_STRIDE].T
         self._arrival, self._part = arrival, 0.0
         if arrival is not None:
-            self._arrives = {name: stage.nlp.place(name) for name in arrival.values(self._whole[-1:], 0.0)}
+            self._arrives = {
+                name: stage.nlp.parameter_slice(name) for name in arrival.values(self._whole[-1:], 0.0)
+            }
         self._done, run.objective[:], run.kkt[:] = False, math.nan, math.nan
 
     @classmethod
-    def soon(
+    def create_if_compiled(
         cls,
         robot: Robot,
         q: npt.ArrayLike,
         dt: float,
-        settings: Settings = DEFAULTS,
+        settings: Settings = DEFAULT_PLANNER_SETTINGS,
         model: str | Model = DEFAULT_MODEL,
         lumen: Curve | None = None,
     ) -> Steerer | None:
@@ -171,16 +175,16 @@ class Steerer:
             As :class:`Steerer` itself.
         """
         described = model_named(model)
-        wall = wall_of(robot, None if lumen is None else Lumen.around(lumen), described, settings)
+        wall = make_wall(robot, None if lumen is None else Lumen.from_curve(lumen), described, settings)
         stage, _ = _stage(robot, settings, described, wall)
         # Each of these starts a compilation and says whether it is done: all are started, before any is waited
         # for.
-        begun = [described.fast(robot.structure), library(stage.nlp, 1).soon() is not None]
-        if wall is not None and wall.around is not None:
-            begun.append(wall.around.ready())
+        begun = [described.fast(robot.structure), library(stage.nlp, 1).path_if_ready() is not None]
+        if wall is not None and wall.compiled_wall is not None:
+            begun.append(wall.compiled_wall.ready())
         return cls(robot, q, dt, settings, model, lumen) if all(begun) else None
 
-    def stand(self, q: npt.ArrayLike, x: Array | None = None) -> None:
+    def set_configuration(self, q: npt.ArrayLike, x: Array | None = None) -> None:
         """Set the configuration in which the robot stands, wherever it was before.
 
         Parameters
@@ -200,9 +204,9 @@ class Steerer:
         x = self._model.rest(self._robot, q) if x is None else x
         # On the elastic model the tips' angles follow after q: they say in which of several equilibria the robot
         # is.
-        self._run.stand(np.append(q, x[: len(self._run.here) - len(q)]), x)
+        self._run.set_start(np.append(q, x[: len(self._run.here) - len(q)]), x)
 
-    def weigh(self, distance: ShapeDistance) -> None:
+    def set_shape_weights(self, distance: ShapeDistance) -> None:
         """Set how distances along the robot count from now on.
 
         Parameters
@@ -223,9 +227,11 @@ class Steerer:
         >>> steerer = ctr.Steerer(ctr.table_i_robot(), [0, 0, 0, 20, 40, 60, 0, 0], dt=0.1, wait=False)
         >>> steerer.weigh(ShapeDistance(np.linspace(0, 2, 101)))
         """
-        if distance.stride != STRIDE:
-            raise OptionError(f"stride of a Steerer's distance is {distance.stride}; it must be {STRIDE}")
-        self._run.p[0, self._run.program.nlp.place("shape_roots")] = distance.roots
+        if distance.stride != TARGET_SAMPLE_STRIDE:
+            raise OptionError(
+                f"stride of a Steerer's distance is {distance.stride}; it must be {TARGET_SAMPLE_STRIDE}"
+            )
+        self._run.p[0, self._run.program.nlp.parameter_slice("shape_roots")] = distance.roots
 
     @property
     def q(self) -> Array:
@@ -248,9 +254,9 @@ class Steerer:
         return int(self._run.iterations[0])
 
     @property
-    def solved(self) -> bool:
+    def is_solved(self) -> bool:
         """Whether the last step ended at a KKT point."""
-        return self._done and self.kkt <= OPTIMAL
+        return self._done and self.kkt <= KKT_TOLERANCE
 
     def step(self, target: Array, part: float = 0.0) -> Array:
         """Find the configuration dt s later.
@@ -291,19 +297,19 @@ class Steerer:
         return self.q
 
 
-def _stage(robot: Robot, settings: Settings, model: Model, wall: Wall | None) -> tuple[Stage, Arrival | None]:
+def _stage(robot: Robot, settings: Settings, model: Model, wall: Wall | None) -> tuple[Stage, ArrivalTerm | None]:
     """Return the one stage of the joint formulation, and its term of arrival where there is one."""
     terms = with_frame_arrival((), settings, model)
     (stage,) = joint(robot, settings, model, terms, walled=wall is not None)
     return stage, find_arrival(terms)
 
 
-def _described(wall: Wall) -> Surroundings:
+def _compile_wall_parameters(wall: Wall) -> LocalParameterSource:
     """Compile what describes a wall, where it is not compiled yet, and return it; raise OptionError where that
     fails.
     """
-    around = wall.around
+    around = wall.compiled_wall
     if around is None:
-        raise OptionError(f"a lumen is given, and nothing can be compiled: {cache.missing()}")
+        raise OptionError(f"a lumen is given, and nothing can be compiled: {cache.unavailable_reason()}")
     around.ready(wait=True)
-    return around.surroundings(SETTLED, ROUNDS)
+    return around.local_parameter_source(WALL_SLACK_TOLERANCE_MM, MAX_WALL_RELINEARISATIONS)

@@ -12,23 +12,23 @@ from dataclasses import replace
 import numpy as np
 
 from ctr_nlp.formulations.wall import Wall
-from ctr_nlp.plan.plan import elsewhere
+from ctr_nlp.plan.plan import find_off_branch_frames
 from ctr_nlp.simulation.forward import Simulation, Simulator
 from ctr_nlp.steer.nlp_frames import NlpFrames
 from ctr_nlp.steer.passes import Pass, run_again
-from ctr_nlp.steer.realised import held
+from ctr_nlp.steer.realised import refine_pass_margins
 from ctr_nlp.target.problem import Problem
 from ctr_nlp.typing import Array, Flags
 
 
-def failed_frames(problem: Problem, moved: Simulation, x: Array, success: Flags) -> int:
+def failed_frames(problem: Problem, simulation: Simulation, x: Array, success: Flags) -> int:
     """Count the frames that were not solved, or in which the simulated robot is on another branch than planned.
 
     Parameters
     ----------
     problem : Problem
         Robot and target.
-    moved : Simulation
+    simulation : Simulation
         The robot, simulated through the motion.
     x : ndarray
         Unknowns (T, n) of the model that the motion was planned with.
@@ -42,7 +42,7 @@ def failed_frames(problem: Problem, moved: Simulation, x: Array, success: Flags)
     """
     # A frame on another branch counts like one that was not solved: the robot is not where it is meant to be in
     # either.
-    return int((~success | elsewhere(moved.x, x, moved.snaps, problem.robot.d)).sum())
+    return int((~success | find_off_branch_frames(simulation.x, x, simulation.snaps, problem.robot.d)).sum())
 
 
 def run_within_wall(
@@ -70,14 +70,14 @@ def run_within_wall(
     if wall is None or first not in free.results:
         return free, None
 
-    def failed(one: Pass) -> int:
+    def count_failed_frames(one: Pass) -> int:
         success = np.array([j in one.results and one.results[j].success for j in range(problem.frames)])
         return failed_frames(problem, simulator(one.motion(problem)), one.unknowns(problem), success)
 
     # Programs are shared; only the wall that counts in them differs.
-    within = replace(frames, near=wall)
+    within = replace(frames, active_wall=wall)
     found = run_again(free, within, stop)
     if not stop():
         # Within the wall the motion is another one, whose margins between frames have to be looked at again.
-        found = held(within, found, simulator, stop)[0]
-    return (free, None) if failed(found) > failed(free) else (found, wall)
+        found = refine_pass_margins(within, found, simulator, stop)[0]
+    return (free, None) if count_failed_frames(found) > count_failed_frames(free) else (found, wall)

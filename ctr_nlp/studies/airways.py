@@ -6,7 +6,7 @@ from pathlib import Path
 
 from ctr_nlp.anatomy import synthetic_airway
 from ctr_nlp.robot import table_i_robot
-from ctr_nlp.target.placing import placed
+from ctr_nlp.target.placing import move_to_robot_frame
 from ctr_nlp.target.problem import Problem
 from ctr_nlp.target.target import growing
 
@@ -19,8 +19,8 @@ FOLLOWED_MM = 150.0
 def synthetic_problem(seed: int, frames: int = 100) -> Problem:
     """Let the paper's robot advance into the last part of a synthetic airway, whose wall is that of the whole."""
     airway = synthetic_airway(seed=seed)
-    path, to_robot = placed(airway.part(airway.length - FOLLOWED_MM, airway.length))
-    lumen = airway.moved(to_robot)
+    path, to_robot = move_to_robot_frame(airway.part(airway.length - FOLLOWED_MM, airway.length))
+    lumen = airway.apply_transform(to_robot)
     return Problem(f"synthetic {seed}", table_i_robot(), growing(path, frames), to_robot=to_robot, lumen=lumen)
 
 

@@ -11,14 +11,14 @@ import numpy as np
 from ctr_nlp.codegen import cache
 from ctr_nlp.exceptions import CtrError, OptionError
 from ctr_nlp.formulations import FORMULATIONS
-from ctr_nlp.formulations.horizon import Ends, horizon
+from ctr_nlp.formulations.horizon import EndConfigurations, horizon
 from ctr_nlp.formulations.settings import Settings
-from ctr_nlp.models import MODELS, model_named, suits
+from ctr_nlp.models import KINEMATIC_MODELS, model_named, suits
 from ctr_nlp.plan.measures import arrival
 from ctr_nlp.plan.metrics import summary, verdict_columns
 from ctr_nlp.plan.plan import Plan
-from ctr_nlp.reference import METHODS, reference_frames
-from ctr_nlp.reference.published import BASELINE, SEED
+from ctr_nlp.reference import REFERENCE_METHODS, reference_frames
+from ctr_nlp.reference.published import TABLE_II_BASELINE, TABLE_II_PAPER_METHOD
 from ctr_nlp.solvers import CHAIN_SOLVERS, SOLVERS, default_chain_solver, default_solver
 from ctr_nlp.steer import march, solve_horizon, solve_per_frame
 from ctr_nlp.steer.motions import per_frame_motions
@@ -32,9 +32,9 @@ from ctr_nlp.typing import Array
 
 PAPER_MODEL = "dominant"
 """The model of variants that name none: the paper's own."""
-SAME = 1e-4, 1e-6
+OBJECTIVE_AGREEMENT_TOLERANCES = 1e-4, 1e-6
 """Two objectives are the same where they differ by this part, or by so many mm^2."""
-TOUCHED, MISSED = 1e-5, 1e-2
+ACTIVE_LIMIT_TOLERANCE, INACTIVE_LIMIT_DISTANCE = 1e-5, 1e-2
 """A limit is touched within the first and missed by more than the second, rad or mm."""
 
 
@@ -54,31 +54,39 @@ class Variant:
 VARIANTS = (
     *(f"horizon:{solver}" for solver in CHAIN_SOLVERS),
     *(f"{formulation}:{solver}" for formulation in FORMULATIONS for solver in SOLVERS),
-    *(name for name, method in METHODS.items() if method.every),
+    *(name for name, method in REFERENCE_METHODS.items() if method.serves_every_problem),
 )
 """Every variant on the dominant model, and the reference methods that serve every problem."""
-ROBUST: Mapping[str, Callable[..., Plan]] = {
+ROBUST_VARIANTS: Mapping[str, Callable[..., Plan]] = {
     "robust-horizon": solve_robust,
     "robust-joint": solve_robust_per_frame,
 }
 """Variants that plan for the robot's tolerances, on the elastic model; they take long: by name only."""
-PATHS: Mapping[str, Callable[..., Plan]] = {"rrt-connect": rrt_connect}
+LUMEN_PATH_VARIANTS: Mapping[str, Callable[..., Plan]] = {"rrt-connect": rrt_connect}
 """Methods that lead through a lumen to the last frame, whatever lies between; by name only."""
-WARM: Mapping[str, str] = {"s2j-horizon": "s2j-projected", "s2j-horizon-elastic": "s2j-projected-elastic"}
+WARM_STARTED_VARIANTS: Mapping[str, str] = {
+    "s2j-horizon": "s2j-projected",
+    "s2j-horizon-elastic": "s2j-projected-elastic",
+}
 """Our own horizons that start from nothing but the motion of a trained method; by name only, as these are."""
-BY_NAME = *ROBUST, *(name for name, method in METHODS.items() if not method.every), *PATHS, *WARM
+VARIANTS_BY_NAME_ONLY = (
+    *ROBUST_VARIANTS,
+    *(name for name, method in REFERENCE_METHODS.items() if not method.serves_every_problem),
+    *LUMEN_PATH_VARIANTS,
+    *WARM_STARTED_VARIANTS,
+)
 """Variants that are run by name only."""
 
 
-RENAMED = {"seed-two-stage": "paper-two-stage"}
+RENAMED_VARIANTS = {"seed-two-stage": "paper-two-stage"}
 """Names of variants that are understood for one more version, and what they are called now."""
 
 
-def variants_here() -> list[str]:
+def available_variants() -> list[str]:
     """Return the variants that work here: without a C compiler, IPOPT's and the reference methods; also on the
     elastic model.
     """
-    compiled = {"banded", "sqp"} if cache.missing() else set()
+    compiled = {"banded", "sqp"} if cache.unavailable_reason() else set()
     elastic = f"horizon:{default_chain_solver()}:elastic", f"joint:{default_solver()}:elastic"
     return [*elastic, *(name for name in VARIANTS if name.split(":")[-1] not in compiled)]
 
@@ -101,33 +109,38 @@ def parse_variant(name: str) -> Variant:
         return solve_per_frame(problem, formulation, **asked, progress=progress)
 
     def robust(problem: Problem, settings: Settings, _: Sequence[Array], progress: Progress | None) -> Plan:
-        return _tried(ROBUST[name](problem, settings=settings, progress=progress))
+        return _check_on_samples(ROBUST_VARIANTS[name](problem, settings=settings, progress=progress))
 
     def path(problem: Problem, settings: Settings, _: Sequence[Array], __: Progress | None) -> Plan:
-        return PATHS[name](problem, settings)
+        return LUMEN_PATH_VARIANTS[name](problem, settings)
 
     def warm(problem: Problem, settings: Settings, _: Sequence[Array], progress: Progress | None) -> Plan:
-        begun = march(problem, reference_frames(problem, WARM[name], settings), "forward")
-        asked: dict[str, Any] = {"model": METHODS[WARM[name]].model, "settings": settings}
+        begun = march(problem, reference_frames(problem, WARM_STARTED_VARIANTS[name], settings), "forward")
+        asked: dict[str, Any] = {
+            "model": REFERENCE_METHODS[WARM_STARTED_VARIANTS[name]].model,
+            "settings": settings,
+        }
         return solve_horizon(problem, **asked, initial=[begun.q], progress=progress)
 
-    name = RENAMED.get(name, name)
-    if name in METHODS:
-        return Variant(name, name, METHODS[name].model, reference)
-    if name in WARM:
-        return Variant(name, name, METHODS[WARM[name]].model, warm)
-    if name in ROBUST:
+    name = RENAMED_VARIANTS.get(name, name)
+    if name in REFERENCE_METHODS:
+        return Variant(name, name, REFERENCE_METHODS[name].model, reference)
+    if name in WARM_STARTED_VARIANTS:
+        return Variant(name, name, REFERENCE_METHODS[WARM_STARTED_VARIANTS[name]].model, warm)
+    if name in ROBUST_VARIANTS:
         return Variant(name, name, "elastic", robust)
-    if name in PATHS:
+    if name in LUMEN_PATH_VARIANTS:
         return Variant(name, name, "elastic", path)
     parts = name.split(":")
     if len(parts) not in (2, 3):
-        raise OptionError(f"variant is {name!r}; it must be one of {', '.join([*VARIANTS, *BY_NAME])}")
+        raise OptionError(
+            f"variant is {name!r}; it must be one of {', '.join([*VARIANTS, *VARIANTS_BY_NAME_ONLY])}"
+        )
     formulation, solver, model = (*parts, PAPER_MODEL)[:3]
     for kind, value, allowed in (
         ("formulation", formulation, ("horizon", *FORMULATIONS)),
         ("solver", solver, CHAIN_SOLVERS if formulation == "horizon" else SOLVERS),
-        ("model", model, MODELS),
+        ("model", model, KINEMATIC_MODELS),
     ):
         check_choice(f"{kind} of variant {name!r}", value, allowed)
     return Variant(name, formulation, model, whole if formulation == "horizon" else by_frame)
@@ -166,7 +179,7 @@ def compare(
     row, `row` by default. Ctrl-C leaves the rows that were begun. A variant that does not serve a problem is a
     refusal; the first one is raised where none serves any.
     """
-    chosen, measure = settings or Settings(contact_weight=0.0, arrival_weight=0.0), measure or row
+    chosen, measure = settings or Settings(contact_weight=0.0, arrival_weight=0.0), measure or comparison_row
     found = Comparison([], [], [])
     with deferred_interrupt() as interrupted:
         for problem in problems:
@@ -178,7 +191,9 @@ def compare(
                 try:
                     model_named(variant.model, f"model of variant {variant.name}").check(problem.robot)
                     if ours and not initial:
-                        initial = per_frame_motions(problem, Ends(), chosen, report, MODELS[PAPER_MODEL])
+                        initial = per_frame_motions(
+                            problem, EndConfigurations(), chosen, report, KINEMATIC_MODELS[PAPER_MODEL]
+                        )
                     plan = variant.plan(problem, chosen, initial, report)
                 except CtrError as error:
                     found.refusals.append(Refusal(problem.name, variant.name, str(error)))
@@ -194,17 +209,29 @@ def compare(
 
 
 def agreement(problem: Problem, first: Plan, second: Plan) -> dict[str, Any]:
-    """Tell whether two horizons of a problem are one solution: objectives within SAME, the same active limits."""
+    """Tell whether two horizons of a problem are one solution: objectives within OBJECTIVE_AGREEMENT_TOLERANCES,
+    the same active limits.
+    """
     robot = problem.robot
     weight = first.meta["options"]["motion_weight"]
-    chain = horizon(robot, problem.samples, problem.dt, weight, Ends(), MODELS[PAPER_MODEL])
+    chain = horizon(
+        robot, problem.target_frames, problem.dt, weight, EndConfigurations(), KINEMATIC_MODELS[PAPER_MODEL]
+    )
     objectives = [float(plan.objective.mean()) for plan in (first, second)]
     difference = abs(objectives[0] - objectives[1])
     values = [chain.evaluate(plan.q.ravel())[1] for plan in (first, second)]
     low, high = chain.bounds
     one, other = (np.minimum(value - low, high - value) for value in values)  # from the nearer bound, rad or mm
-    differing = int((((one < TOUCHED) & (other > MISSED)) | ((other < TOUCHED) & (one > MISSED))).sum())
-    same = difference <= max(SAME[0] * min(objectives), SAME[1]) and differing == 0
+    differing = int(
+        (
+            ((one < ACTIVE_LIMIT_TOLERANCE) & (other > INACTIVE_LIMIT_DISTANCE))
+            | ((other < ACTIVE_LIMIT_TOLERANCE) & (one > INACTIVE_LIMIT_DISTANCE))
+        ).sum()
+    )
+    same = (
+        difference <= max(OBJECTIVE_AGREEMENT_TOLERANCES[0] * min(objectives), OBJECTIVE_AGREEMENT_TOLERANCES[1])
+        and differing == 0
+    )
     return {
         "problem": problem.name,
         "first": first.meta["solver"],
@@ -219,7 +246,7 @@ def agreement(problem: Problem, first: Plan, second: Plan) -> dict[str, Any]:
     }
 
 
-def row(problem: str, variant: str, plan: Plan) -> dict[str, Any]:
+def comparison_row(problem: str, variant: str, plan: Plan) -> dict[str, Any]:
     """Return the figures of a plan: errors in mm, steps in rad and mm, times in ms and s.
 
     seed_*: Table II's figures for the same method. e3 and others are of the model planned on; dominant_*,
@@ -229,14 +256,16 @@ def row(problem: str, variant: str, plan: Plan) -> dict[str, Any]:
     mm by which the tip misses the target's end there. draws_e3, draws_lost: mean of e3 over these samples, and the
     share of them that is lost.
     """
-    checked = _tried(plan)
+    checked = _check_on_samples(plan)
     end = arrival(checked)
     found, drawn = summary(plan), checked.drawn
     errors = None if drawn is None else drawn.errors
-    models = [model for model in MODELS if suits(plan.robot, model)]
-    plans = {model: plan if model == plan.meta["model"] else plan.on(model) for model in models}
+    models = [model for model in KINEMATIC_MODELS if suits(plan.robot, model)]
+    plans = {model: plan if model == plan.meta["model"] else plan.evaluate_on(model) for model in models}
     on = {model: summary(each) for model, each in plans.items()}
-    e3, e4, t_c = (BASELINE if variant == "euclidean" else SEED).get(problem, (None, None, None))
+    e3, e4, t_c = (TABLE_II_BASELINE if variant == "euclidean" else TABLE_II_PAPER_METHOD).get(
+        problem, (None, None, None)
+    )
     return {
         "problem": problem,
         "variant": variant,
@@ -253,20 +282,27 @@ def row(problem: str, variant: str, plan: Plan) -> dict[str, Any]:
         "interrupted": found["interrupted"],
         "draws": None if drawn is None else len(drawn),
         "draws_e3": None if errors is None else errors.mean,
-        "draws_lost": None if drawn is None else drawn.share,
+        "draws_lost": None if drawn is None else drawn.lost_share,
         "seed_e3": e3,
         "seed_e4": e4,
         "seed_t_s": t_c,
-        **{f"{model}_{key}": on[model][key] if model in on else None for model in MODELS for key in ("e3", "e4")},
+        **{
+            f"{model}_{key}": on[model][key] if model in on else None
+            for model in KINEMATIC_MODELS
+            for key in ("e3", "e4")
+        },
         "stability_between": on["elastic"]["stability_between_min"],
         "snaps": len(on["elastic"]["snaps"]),
         "tip_last": None if end is None else end.distance,
-        "no": ", ".join(checked.verdicts.failed),
+        "no": ", ".join(checked.verdicts.failed_names),
         **verdict_columns(checked),
-        **{f"{model}_no": ", ".join(plans[model].verdicts.failed) if model in plans else None for model in MODELS},
+        **{
+            f"{model}_no": ", ".join(plans[model].verdicts.failed_names) if model in plans else None
+            for model in KINEMATIC_MODELS
+        },
     }
 
 
-def _tried(plan: Plan) -> Plan:
+def _check_on_samples(plan: Plan) -> Plan:
     """Return a plan as it is judged: on the elastic model, with simulated robots."""
     return plan if plan.drawn is not None and plan.can_snap else plan.check()

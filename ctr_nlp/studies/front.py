@@ -13,16 +13,16 @@ from matplotlib.figure import Figure
 from ctr_nlp.figures import save
 from ctr_nlp.figures.parts.page import STYLE, printable
 from ctr_nlp.figures.parts.palette import BLACK, BLUE, GREEN, ORANGE, PURPLE, SKY, VERMILLION
-from ctr_nlp.studies.trade_off import Point
+from ctr_nlp.studies.trade_off import ParetoPoint
 
-MARKERS = (("s", VERMILLION), ("D", ORANGE), ("^", GREEN), ("v", PURPLE), ("P", SKY), ("X", BLACK))
+PARETO_METHOD_MARKERS = (("s", VERMILLION), ("D", ORANGE), ("^", GREEN), ("v", PURPLE), ("P", SKY), ("X", BLACK))
 
-LABELLED = "235"
+PARETO_TICK_DIGITS = "235"
 """Leading digits of ticks between powers of ten that carry a number."""
 
 
 @matplotlib.rc_context(STYLE)
-def pareto(points: Sequence[Point], problem: str) -> Figure:
+def draw_pareto_front(points: Sequence[ParetoPoint], problem: str) -> Figure:
     """e3 in mm over roughness in mm^2/s, for a problem of that name; weights stand at the ends of the front."""
     figure = Figure(figsize=(7.0, 4.2), layout="constrained")
     axes = figure.subplots()
@@ -33,7 +33,7 @@ def pareto(points: Sequence[Point], problem: str) -> Figure:
         place: dict[str, Any] = {"xytext": offset, "textcoords": "offset points", "fontsize": 8}
         axes.annotate(f"λ = {point.motion_weight:.1g} s²", (point.roughness, point.e3), **place)
     others = [p for p in points if p.method != "horizon"]
-    for point, (marker, colour) in zip(others, MARKERS, strict=False):
+    for point, (marker, colour) in zip(others, PARETO_METHOD_MARKERS, strict=False):
         label = point.method + ("" if point.solved else ", not all solved")
         axes.plot(point.roughness, point.e3, marker=marker, color=colour, mec=BLACK, ms=8, ls="", label=label)
     _scales(axes)
@@ -43,9 +43,9 @@ def pareto(points: Sequence[Point], problem: str) -> Figure:
     return figure
 
 
-def save_front(points: Sequence[Point], problem: str, folder: str | Path) -> Path:
+def save_pareto_front(points: Sequence[ParetoPoint], problem: str, folder: str | Path) -> Path:
     """Write pareto.png into a folder that exists; raises OutputError where it cannot be written."""
-    return save(pareto(points, problem), Path(folder) / "pareto.png")
+    return save(draw_pareto_front(points, problem), Path(folder) / "pareto.png")
 
 
 def _scales(axes: Axes) -> None:
@@ -53,7 +53,7 @@ def _scales(axes: Axes) -> None:
     axes.set_yscale("log")
     for axis in (axes.xaxis, axes.yaxis):
         axis.set_major_formatter("{x:g}")
-        axis.set_minor_formatter(lambda x, _: f"{x:g}" if f"{x:.0e}"[0] in LABELLED else "")
+        axis.set_minor_formatter(lambda x, _: f"{x:g}" if f"{x:.0e}"[0] in PARETO_TICK_DIGITS else "")
     axes.grid(which="minor", lw=0.3)
     axes.set_xlabel("roughness (mm²/s)")
     axes.set_ylabel("e3 (mm)")

@@ -6,13 +6,13 @@ from typing import Any
 
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.plan.plan import Plan
-from ctr_nlp.plan.record import planned_on
+from ctr_nlp.plan.record import planned_model
 from ctr_nlp.steer import solve_per_frame
 from ctr_nlp.support.values import whole_number
 from ctr_nlp.target.problem import Problem
 
 
-def replanned(plan: Plan, problem: Problem, from_frame: int, **options: Any) -> Plan:
+def replan_from_frame(plan: Plan, problem: Problem, from_frame: int, **options: Any) -> Plan:
     """A plan whose frames from a number on, counted from 1, are planned anew from where the one before them is.
 
     problem: what is to be followed, frame by frame as the plan; its robot, pace and lumen must be the plan's, its
@@ -26,5 +26,5 @@ def replanned(plan: Plan, problem: Problem, from_frame: int, **options: Any) -> 
             f"in [2, {frames}], and both must have as many frames"
         )
     start = plan.q[number - 2]
-    model = {"model": planned_on(plan.meta)} | options
+    model = {"model": planned_model(plan.meta)} | options
     return plan[: number - 1] + solve_per_frame(problem[number - 1 :], start=start, direction="forward", **model)

@@ -19,31 +19,31 @@ from scipy.spatial import cKDTree
 
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.formulations.settings import Settings
-from ctr_nlp.models import MODELS
+from ctr_nlp.models import KINEMATIC_MODELS
 from ctr_nlp.plan.plan import Plan, plan_from_configurations
 from ctr_nlp.reference.descent import extensions, fractions
 from ctr_nlp.steer.per_frame import solve_per_frame
-from ctr_nlp.support.extras import needed
+from ctr_nlp.support.extras import import_extra
 from ctr_nlp.support.values import floats, number
-from ctr_nlp.target.lumen import outer_radii
+from ctr_nlp.target.lumen import outermost_tube_radii
 from ctr_nlp.target.problem import Problem
-from ctr_nlp.target.target import SIGMA
+from ctr_nlp.target.target import SIGMA_GRID
 from ctr_nlp.typing import Array
 
-SECONDS, SHORTENING = 60.0, 10.0
+RRT_SEARCH_S, RRT_SHORTENING_S = 60.0, 10.0
 """s for the search, and for making its path shorter."""
-RANGE, RESOLUTION = 20.0, 0.005
+RRT_RANGE_MM, RRT_RESOLUTION = 20.0, 0.005
 """mm of a branch of the tree at most, and the part of the space's extent between two looks along it."""
-SIDEWAYS = 0.5
+MAX_TILT_DEVIATION_RAD = 0.5
 """rad by which tilts may differ from the first frame's."""
-SAMPLES, FINE, APART = SIGMA[::2], 0.1, 0.01
+WALL_CHECK_SIGMA, LUMEN_SAMPLE_SPACING_MM, WALL_CHECK_MARGIN_MM = SIGMA_GRID[::2], 0.1, 0.01
 """Where of the robot the wall is looked for, at what mm of the lumen's path, and mm that stay free for that."""
-MM = 20.0, 40.0, 50.0
+RRT_STATE_SCALE_MM = 20.0, 40.0, 50.0
 """What a radian of a tube, the whole room of an outer tube and a radian of tilt count as, mm."""
-ELASTIC = MODELS["elastic"]
+ELASTIC_MODEL = KINEMATIC_MODELS["elastic"]
 
 
-class Room:
+class SearchSpace:
     """Space in which the tree grows, in mm: unknowns with fractions for extensions; and what is valid there."""
 
     def __init__(self, problem: Problem, settings: Settings) -> None:
@@ -52,14 +52,14 @@ class Room:
         if lumen is None or lumen.radius is None:
             name = problem.name or "the problem"
             raise OptionError(f"rrt-connect plans within a lumen, and {name} has none with a radius")
-        self.robot, self._settings, self.looked = problem.robot, settings, 0
-        places = np.arange(0.0, lumen.length, FINE)
+        self.robot, self._settings, self.checked_points = problem.robot, settings, 0
+        places = np.arange(0.0, lumen.length, LUMEN_SAMPLE_SPACING_MM)
         self._tree, self._radius = cKDTree(lumen.point(places)), lumen.radius(places)
         d = self.robot.d
-        turn, room, tilt = MM
+        turn, room, tilt = RRT_STATE_SCALE_MM
         self._scale = np.concatenate([np.full(d, turn), np.full(d - 1, room), [1.0], np.full(2, tilt)])
 
-    def place(self, x: Array) -> Array:
+    def to_point(self, x: Array) -> Array:
         """Return the point (2d + 2,) of unknowns x (2d + 2,)."""
         d = self.robot.d
         parts = fractions(self.robot, x[d : 2 * d])[:-1]
@@ -80,33 +80,35 @@ class Room:
         low, high = (np.where(np.isfinite(each), each, sign * np.pi) for each, sign in ((low, -1), (high, 1)))
         low[:d], high[:d], low[beta], high[beta] = -np.pi, np.pi, 0.0, 1.0
         middle = known[0, theta] / self._scale[theta]
-        low[theta] = np.maximum(low[theta], middle - SIDEWAYS)
-        high[theta] = np.minimum(high[theta], middle + SIDEWAYS)
+        low[theta] = np.maximum(low[theta], middle - MAX_TILT_DEVIATION_RAD)
+        high[theta] = np.minimum(high[theta], middle + MAX_TILT_DEVIATION_RAD)
         return np.minimum(low * self._scale, known.min(axis=0)), np.maximum(high * self._scale, known.max(axis=0))
 
-    def valid(self, place: Array) -> bool:
+    def is_valid_point(self, place: Array) -> bool:
         """Whether the robot is within the lumen, stable and within its limits at a point."""
-        self.looked += 1
-        return self.holds(self.unknowns(place))
+        self.checked_points += 1
+        return self.is_valid_robot(self.unknowns(place))
 
-    def holds(self, x: Array) -> bool:
+    def is_valid_robot(self, x: Array) -> bool:
         """Whether the robot with unknowns x (2d + 2,) is within the lumen, stable and within its limits."""
         d, robot = self.robot.d, self.robot
-        points = ELASTIC.points(robot, x[None], SAMPLES)[0]
+        points = ELASTIC_MODEL.points(robot, x[None], WALL_CHECK_SIGMA)[0]
         distance, nearest = self._tree.query(points)
-        over = distance + outer_radii(robot, x[None, d : 2 * d], SAMPLES)[0] - self._radius[nearest]
-        if over.max() > self._settings.contact_allowed - APART:
+        over = (
+            distance + outermost_tube_radii(robot, x[None, d : 2 * d], WALL_CHECK_SIGMA)[0] - self._radius[nearest]
+        )
+        if over.max() > self._settings.contact_allowed - WALL_CHECK_MARGIN_MM:
             return False
         margin = self._settings.stability_margin
-        stable = margin is None or ELASTIC.margins(robot, x[None])[0] > margin
-        return bool(stable and self._within(x))
+        stable = margin is None or ELASTIC_MODEL.margins(robot, x[None])[0] > margin
+        return bool(stable and self._within_angle_limits(x))
 
-    def _within(self, x: Array) -> bool:
+    def _within_angle_limits(self, x: Array) -> bool:
         """Whether motors are within limits that the space does not know: those of tubes' angles."""
         robot, d = self.robot, self.robot.d
         if not np.isfinite([robot.lower[:d], robot.upper[:d]]).any():
             return True
-        q = ELASTIC.configuration(robot, x[None])[0]
+        q = ELASTIC_MODEL.configuration(robot, x[None])[0]
         return bool((q >= robot.lower).all() and (q <= robot.upper).all())
 
 
@@ -116,7 +118,7 @@ def rrt_connect(
     *,
     start: npt.ArrayLike | None = None,
     end: npt.ArrayLike | None = None,
-    seconds: float = SECONDS,
+    seconds: float = RRT_SEARCH_S,
     seed: int = 1,
 ) -> Plan:
     """Find a path through the lumen to the pose of the last frame, as a plan with frames evenly along it.
@@ -127,45 +129,47 @@ def rrt_connect(
     wall, an end is not valid, or OMPL is not installed.
     """
     number(OptionError, "seconds", seconds, lambda value: 0.1 <= value <= 1e5, "lie in [0.1, 1e5]", " s")
-    ompl = needed("ompl")
+    ompl = import_extra("ompl")
     settings = settings or Settings()
-    room = Room(problem, settings)
+    room = SearchSpace(problem, settings)
     begin = time.perf_counter()
     given = zip((start, end), (0, problem.frames - 1), strict=True)
-    ends = [_end(problem, room, settings, q, frame) for q, frame in given]
+    ends = [_valid_end(problem, room, settings, q, frame) for q, frame in given]
     build = time.perf_counter() - begin
-    path = _searched(ompl, room, np.array([room.place(x) for x in ends]), seconds, seed)
+    path = _search_path(ompl, room, np.array([room.to_point(x) for x in ends]), seconds, seed)
     found = path is not None
-    x = np.repeat(ends[:1], problem.frames, axis=0) if path is None else _spread(room, path, problem.frames)
+    x = np.repeat(ends[:1], problem.frames, axis=0) if path is None else _resample_path(room, path, problem.frames)
     why = {} if found else {str(j + 1): f"no path was found within {seconds:g} s" for j in range(problem.frames)}
     unknown = np.full(problem.frames, np.nan)
     meta = {
         "formulation": "rrt-connect",
-        "model": ELASTIC.name,
+        "model": ELASTIC_MODEL.name,
         "solver": "ompl",
         "options": settings.options() | {"seconds": seconds, "seed": seed, "direction": "forward"},
         "build_s": build,
         "search_s": time.perf_counter() - begin - build,
         "interrupted": False,
         "contact_weight": None,
-        "iterations": room.looked,
+        "iterations": room.checked_points,
         "failures": why,
     }
-    q, solved = ELASTIC.configuration(problem.robot, x), np.full(problem.frames, found)
+    q, solved = ELASTIC_MODEL.configuration(problem.robot, x), np.full(problem.frames, found)
     q[:, : problem.robot.d] = np.unwrap(q[:, : problem.robot.d], axis=0)
     return plan_from_configurations(
         problem, q, meta, success=solved, solve_time=unknown, objective=unknown, kkt=unknown, planned=x
     )
 
 
-def _end(problem: Problem, room: Room, settings: Settings, q: npt.ArrayLike | None, frame: int) -> Array:
+def _valid_end(
+    problem: Problem, room: SearchSpace, settings: Settings, q: npt.ArrayLike | None, frame: int
+) -> Array:
     """Return unknowns (2d + 2,) of a robot at rest at q, or as planned for a frame alone; raises OptionError where
     that is not valid.
     """
     if q is None:
-        q = solve_per_frame(problem[frame : frame + 1], model=ELASTIC, settings=settings).q[0]
-    x = ELASTIC.rest(problem.robot, floats(OptionError, "start or end", q, (len(problem.robot.axes),)))
-    if np.isfinite(x).all() and room.holds(x):
+        q = solve_per_frame(problem[frame : frame + 1], model=ELASTIC_MODEL, settings=settings).q[0]
+    x = ELASTIC_MODEL.rest(problem.robot, floats(OptionError, "start or end", q, (len(problem.robot.axes),)))
+    if np.isfinite(x).all() and room.is_valid_robot(x):
         return x
     raise OptionError(
         f"rrt-connect finds no valid robot for frame {frame + 1} of {problem.name or 'the problem'}: in the "
@@ -174,7 +178,7 @@ def _end(problem: Problem, room: Room, settings: Settings, q: npt.ArrayLike | No
     )
 
 
-def _searched(ompl: Any, room: Room, ends: Array, seconds: float, seed: int) -> Array | None:
+def _search_path(ompl: Any, room: SearchSpace, ends: Array, seconds: float, seed: int) -> Array | None:
     """Search a path between two points and shorten it, (n, 2d + 2); None where none is found in time."""
     base, geometric, util = ompl.base, ompl.geometric, ompl.util
     util.noOutputHandler()
@@ -187,25 +191,25 @@ def _searched(ompl: Any, room: Room, ends: Array, seconds: float, seed: int) -> 
     space.setBounds(bounds)
     setup = geometric.SimpleSetup(space)
     information = setup.getSpaceInformation()
-    setup.setStateValidityChecker(lambda state: room.valid(np.array([state[i] for i in range(size)])))
-    information.setStateValidityCheckingResolution(RESOLUTION)
+    setup.setStateValidityChecker(lambda state: room.is_valid_point(np.array([state[i] for i in range(size)])))
+    information.setStateValidityCheckingResolution(RRT_RESOLUTION)
     states = [space.allocState() for _ in ends]
     for state, values in zip(states, ends, strict=True):
         for i, value in enumerate(values):
             state[i] = float(value)
     setup.setStartAndGoalStates(*states)
     planner = geometric.RRTConnect(information)
-    planner.setRange(RANGE)
+    planner.setRange(RRT_RANGE_MM)
     setup.setPlanner(planner)
     setup.solve(seconds)
     if not setup.haveExactSolutionPath():
         return None
-    setup.simplifySolution(SHORTENING)
+    setup.simplifySolution(RRT_SHORTENING_S)
     path = setup.getSolutionPath()
     return np.array([[path.getState(k)[i] for i in range(size)] for k in range(path.getStateCount())])
 
 
-def _spread(room: Room, path: Array, frames: int) -> Array:
+def _resample_path(room: SearchSpace, path: Array, frames: int) -> Array:
     """Return unknowns (frames, 2d + 2) at places evenly along a path of points (n, 2d + 2)."""
     along = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1)))
     at = np.linspace(0.0, along[-1], frames)

@@ -8,16 +8,16 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ctr_nlp.exceptions import escaped
+from ctr_nlp.exceptions import escape_control_characters
 from ctr_nlp.typing import Array
 
 VIEWS = ((0, "x"), (1, "y"))
 """What goes across in each view; z goes up."""
-HEIGHT, MARGIN, LEAST = 240.0, 14.0, 60.0
+CARD_VIEW_HEIGHT_PX, CARD_VIEW_MARGIN_PX, MIN_CARD_VIEW_WIDTH_PX = 240.0, 14.0, 60.0
 """Height of a view, margin around it, and its least width, pixels."""
 
 
-class Line(NamedTuple):
+class CardLine(NamedTuple):
     """A line through points (n, 3) in mm."""
 
     points: Array
@@ -26,35 +26,40 @@ class Line(NamedTuple):
     dash: str = ""
 
 
-def card(title: str, lines: Sequence[Line], rows: Sequence[tuple[str, Any]]) -> str:
+def notebook_card_html(title: str, lines: Sequence[CardLine], rows: Sequence[tuple[str, Any]]) -> str:
     """HTML of a title, the picture of lines, those that are not known left out, and rows of name and value."""
     cells = "".join(
-        f"<tr><td>{escape(escaped(name))}</td><td>{escape(escaped(str(value)))}</td></tr>" for name, value in rows
+        f"<tr><td>{escape(escape_control_characters(name))}</td><td>{escape(escape_control_characters(str(value)))}</td></tr>"
+        for name, value in rows
     )
     return (
-        f"<div><b>{escape(escaped(title))}</b><div style='display:flex;gap:1em'>{picture(lines)}"
+        f"<div><b>{escape(escape_control_characters(title))}</b><div "
+        f"style='display:flex;gap:1em'>{lines_svg(lines)}"
         f"<table>{cells}</table></div></div>"
     )
 
 
-def picture(lines: Sequence[Line]) -> str:
+def lines_svg(lines: Sequence[CardLine]) -> str:
     """An SVG of lines to scale, over x and over y, z upwards; empty where no line is known."""
     known = [line for line in lines if len(line.points) and np.isfinite(line.points).all()]
     if not known:
         return ""
     every = np.concatenate([line.points for line in known])
     low, high = every.min(axis=0), every.max(axis=0)
-    scale, left, drawn = HEIGHT / max(float((high - low).max()), 1e-9), MARGIN, []
+    scale, left, drawn = CARD_VIEW_HEIGHT_PX / max(float((high - low).max()), 1e-9), CARD_VIEW_MARGIN_PX, []
     for across, name in VIEWS:
-        width = max(scale * float(high[across] - low[across]), LEAST)
+        width = max(scale * float(high[across] - low[across]), MIN_CARD_VIEW_WIDTH_PX)
         middle, centre = (low[across] + high[across]) / 2, left + width / 2
         for line in known:
             x = centre + scale * (line.points[:, across] - middle)
-            y = MARGIN + scale * (high[2] - line.points[:, 2])
+            y = CARD_VIEW_MARGIN_PX + scale * (high[2] - line.points[:, 2])
             path = " ".join(f"{a:.1f},{b:.1f}" for a, b in zip(x, y, strict=True))
             look = f"fill='none' stroke='{line.colour}' stroke-width='{line.width}' stroke-dasharray='{line.dash}'"
             drawn.append(f"<polyline points='{path}' {look}/>")
-        drawn.append(f"<text x='{left:.0f}' y='{HEIGHT + 2 * MARGIN:.0f}' font-size='10'>z over {name}</text>")
-        left += width + MARGIN
-    size = f"width='{left:.0f}' height='{HEIGHT + 2.5 * MARGIN:.0f}'"
+        drawn.append(
+            f"<text x='{left:.0f}' y='{CARD_VIEW_HEIGHT_PX + 2 * CARD_VIEW_MARGIN_PX:.0f}' font-size='10'>z "
+            f"over {name}</text>"
+        )
+        left += width + CARD_VIEW_MARGIN_PX
+    size = f"width='{left:.0f}' height='{CARD_VIEW_HEIGHT_PX + 2.5 * CARD_VIEW_MARGIN_PX:.0f}'"
     return f"<svg xmlns='http://www.w3.org/2000/svg' {size}>{''.join(drawn)}</svg>"

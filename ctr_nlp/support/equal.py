@@ -28,7 +28,7 @@ class Value:
         return type(self), tuple(getattr(self, f.name) for f in fields(self))  # type: ignore[arg-type]
 
 
-class Kept(Value):
+class ReadOnlyValue(Value):
     """A value that keeps read-only copies of its arrays."""
 
     def __post_init__(self) -> None:
@@ -37,17 +37,17 @@ class Kept(Value):
                 object.__setattr__(self, f.name, frozen(given))
 
 
-def equal(one: Any, other: Any, known: set[tuple[int, int]] | None = None) -> bool:
+def equal(one: Any, other: Any, known_equal: set[tuple[int, int]] | None = None) -> bool:
     """Whether two things hold the same; NaN is equal to NaN.
 
-    known: pairs, by id, that were found equal before: frames of a target share their curve.
+    known_equal: pairs, by id, that were found equal before: frames of a target share their curve.
     """
-    known = set() if known is None else known
+    known_equal = set() if known_equal is None else known_equal
     pair = id(one), id(other)
-    if one is other or pair in known:
+    if one is other or pair in known_equal:
         return True
-    if _equal(one, other, known):
-        known.add(pair)
+    if _equal(one, other, known_equal):
+        known_equal.add(pair)
         return True
     return False
 

@@ -23,7 +23,7 @@ EXTRAS = {
 """The modules that each extra of this package brings."""
 
 
-def needed(module: str) -> Any:
+def import_extra(module: str) -> Any:
     """The module; raises OptionError, which names the command that installs it, where it is missing."""
     try:
         return importlib.import_module(module)

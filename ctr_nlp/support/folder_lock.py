@@ -16,21 +16,21 @@ try:
 except ImportError:  # on Windows
     fcntl = None  # type: ignore[assignment]
 
-POLL = 0.02
+FOLDER_LOCK_POLL_S = 0.02
 """Seconds between two attempts to get hold of a folder."""
-PATIENCE = 1.0
+NEW_FOLDER_LOCK_TIMEOUT_S = 1.0
 """Seconds for which a process waits for one that looks whether its new folder is abandoned."""
 
 
 @contextmanager
-def locked(folder: Path, patience: float = 0.0) -> Iterator[bool]:
+def lock_folder(folder: Path, timeout_s: float = 0.0) -> Iterator[bool]:
     """Hold a folder against other processes within the block. The lock of a process that dies is gone with it.
 
     Parameters
     ----------
     folder : Path
         An existing folder; nothing is written into it.
-    patience : float
+    timeout_s : float
         For how many s to wait for another process that holds it.
 
     Yields
@@ -45,14 +45,14 @@ def locked(folder: Path, patience: float = 0.0) -> Iterator[bool]:
     OSError
         There is no such folder, or it cannot be read.
     """
-    held = hold(folder, patience)
+    held = acquire_folder_lock(folder, timeout_s)
     try:
-        yield held.certain
+        yield held.is_exclusive
     finally:
         held.release()
 
 
-class Held(NamedTuple):
+class FolderLock(NamedTuple):
     """A folder that this process holds, and so does every process that inherits its descriptor."""
 
     folder: Path
@@ -60,12 +60,12 @@ class Held(NamedTuple):
     """None where the file system knows no such locks."""
 
     @property
-    def certain(self) -> bool:
+    def is_exclusive(self) -> bool:
         """Whether others are kept off the folder."""
         return self.descriptor is not None
 
     @property
-    def inherited(self) -> tuple[int, ...]:
+    def inheritable_descriptors(self) -> tuple[int, ...]:
         """Descriptors that a child process must be given (``pass_fds``) to hold the folder, too."""
         return () if self.descriptor is None else (self.descriptor,)
 
@@ -75,14 +75,14 @@ class Held(NamedTuple):
             os.close(self.descriptor)
 
 
-def hold(folder: Path, patience: float = 0.0) -> Held:
+def acquire_folder_lock(folder: Path, timeout_s: float = 0.0) -> FolderLock:
     """Hold a folder against other processes until it is released, or the last process that holds it has ended.
 
     Parameters
     ----------
     folder : Path
         An existing folder; nothing is written into it.
-    patience : float
+    timeout_s : float
         For how many s to wait for another process that holds it.
 
     Returns
@@ -98,27 +98,27 @@ def hold(folder: Path, patience: float = 0.0) -> Held:
         There is no such folder, or it cannot be read.
     """
     if fcntl is None:
-        return Held(folder, None)
+        return FolderLock(folder, None)
     door = os.open(folder, os.O_RDONLY)
     try:
-        certain = _taken(door, folder, time.monotonic() + patience)
+        certain = _acquire_flock(door, folder, time.monotonic() + timeout_s)
     except BaseException:
         os.close(door)
         raise
     if not certain:
         os.close(door)
-    return Held(folder, door if certain else None)
+    return FolderLock(folder, door if certain else None)
 
 
-def hold_new(place: Path, prefix: str) -> Held:
+def lock_new_folder(place: Path, prefix: str) -> FolderLock:
     """Make a folder of a new name in a place and hold it; raises OSError where none can be made."""
     while True:
-        held = _held_if_there(Path(tempfile.mkdtemp(prefix=prefix, dir=place)))
+        held = _lock_if_present(Path(tempfile.mkdtemp(prefix=prefix, dir=place)))
         if held is not None:
             return held
 
 
-def hold_named(folder: Path) -> Held | None:
+def lock_named_folder(folder: Path) -> FolderLock | None:
     """Make a folder of a given name and hold it.
 
     Parameters
@@ -140,13 +140,13 @@ def hold_named(folder: Path) -> Held | None:
         folder.mkdir(mode=0o700)
     except FileExistsError:
         return None
-    return _held_if_there(folder)
+    return _lock_if_present(folder)
 
 
-def _held_if_there(folder: Path) -> Held | None:
+def _lock_if_present(folder: Path) -> FolderLock | None:
     """Hold a folder that was made just now; None where another process took it for abandoned and removed it."""
     try:
-        held = hold(folder, PATIENCE)
+        held = acquire_folder_lock(folder, NEW_FOLDER_LOCK_TIMEOUT_S)
     except (BlockingIOError, FileNotFoundError):
         return None
     with suppress(OSError):
@@ -175,15 +175,15 @@ def remove_abandoned(place: Path, pattern: str, uncertain_s: float) -> None:
         with suppress(OSError):  # BlockingIOError: a living process holds it
             if folder.is_symlink() or not folder.is_dir():
                 continue
-            held = hold(folder)
+            held = acquire_folder_lock(folder)
             try:
-                if held.certain or time.time() - folder.stat().st_mtime > uncertain_s:
+                if held.is_exclusive or time.time() - folder.stat().st_mtime > uncertain_s:
                     shutil.rmtree(folder)
             finally:
                 held.release()
 
 
-def _taken(door: int, folder: Path, deadline: float) -> bool:
+def _acquire_flock(door: int, folder: Path, deadline: float) -> bool:
     """Lock the open folder `door`; False where the file system knows no locks. Raises BlockingIOError after the
     deadline.
     """
@@ -193,7 +193,7 @@ def _taken(door: int, folder: Path, deadline: float) -> bool:
         except BlockingIOError as error:
             if time.monotonic() > deadline:
                 raise BlockingIOError(f"another run is writing into {folder}") from error
-            time.sleep(POLL)
+            time.sleep(FOLDER_LOCK_POLL_S)
         except OSError:
             return False
         else:

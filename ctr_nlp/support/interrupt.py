@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from typing import Any, Protocol
 
 
-class _Pressed(Protocol):
+class _InterruptFlag(Protocol):
     """A flag that remembers a Ctrl-C: an event of this process, or one that several share."""
 
     def is_set(self) -> bool: ...
@@ -17,10 +17,10 @@ class _Pressed(Protocol):
     def set(self) -> None: ...
 
 
-class _Remember:
+class _InterruptHandler:
     """A signal handler that remembers the first Ctrl-C; a second one interrupts at once."""
 
-    def __init__(self, pressed: _Pressed) -> None:
+    def __init__(self, pressed: _InterruptFlag) -> None:
         self.pressed = pressed
 
     def __call__(self, number: int, frame: Any) -> None:
@@ -29,7 +29,7 @@ class _Remember:
         self.pressed.set()
 
 
-class _Shared(_Remember):
+class _WorkerInterruptHandler(_InterruptHandler):
     """A signal handler in a process that works for another, which alone decides when to end at once."""
 
     def __call__(self, number: int, frame: Any) -> None:
@@ -47,10 +47,10 @@ def deferred_interrupt() -> Iterator[Callable[[], bool]]:
         yield lambda: False
         return
     before = signal.getsignal(signal.SIGINT)
-    if isinstance(before, _Remember):
+    if isinstance(before, _InterruptHandler):
         yield before.pressed.is_set
         return
-    handler = _Remember(threading.Event())
+    handler = _InterruptHandler(threading.Event())
     signal.signal(signal.SIGINT, handler)
     if hasattr(signal, "pthread_sigmask"):
         signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
@@ -60,9 +60,9 @@ def deferred_interrupt() -> Iterator[Callable[[], bool]]:
         signal.signal(signal.SIGINT, before)
 
 
-def share_interrupt(pressed: _Pressed) -> None:
+def share_interrupt(pressed: _InterruptFlag) -> None:
     """Prepare a process that works for another one: a Ctrl-C sets `pressed`, the event that both share."""
-    signal.signal(signal.SIGINT, _Shared(pressed))
+    signal.signal(signal.SIGINT, _WorkerInterruptHandler(pressed))
 
 
 def end_if_interrupted() -> None:

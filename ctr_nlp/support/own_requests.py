@@ -18,7 +18,9 @@ HTTP_PORT = 80
 LOOPBACK_NAMES = "localhost", "127.0.0.1", "[::1]"
 
 
-def is_own_request(hosts: Sequence[str], origins: Sequence[str], listening: str, reached: tuple[str, int]) -> bool:
+def is_same_origin_request(
+    hosts: Sequence[str], origins: Sequence[str], listening: str, reached: tuple[str, int]
+) -> bool:
     """Whether a request was meant for this server, and does not come from the page of another one.
 
     Parameters

@@ -15,7 +15,7 @@ Kind = TypeVar("Kind", bound=type)
 
 _kinds: dict[str, type] = {}
 """Classes whose values a file may hold, by names that stay when classes move."""
-PLAIN = bool, int, float, str, type(None)
+JSON_SCALAR_TYPES = bool, int, float, str, type(None)
 
 
 def packable(name: str) -> Callable[[Kind], Kind]:
@@ -42,7 +42,7 @@ class Packed:
             value = value.item()
         if isinstance(value, float) and not math.isfinite(value):
             return {"number": str(value)}
-        if isinstance(value, PLAIN):
+        if isinstance(value, JSON_SCALAR_TYPES):
             return value
         if isinstance(value, list | tuple):
             return [self.add(item) for item in value]
@@ -66,12 +66,12 @@ class Packed:
         raise TypeError(f"{value!r:.80} is not made by this library: a file cannot hold it")
 
 
-def unpacked(told: Any, table: list[Any], arrays: Mapping[str, npt.NDArray[Any]]) -> Any:
-    """Return the value that `told` stands for in JSON; raises TypeError, LookupError, or what its class raises."""
+def unpack_value(packed: Any, table: list[Any], arrays: Mapping[str, npt.NDArray[Any]]) -> Any:
+    """Return the value that `packed` is in JSON; raises TypeError, LookupError, or what its class raises."""
     made: list[Any] = []
 
     def value(part: Any) -> Any:
-        if isinstance(part, PLAIN):
+        if isinstance(part, JSON_SCALAR_TYPES):
             return part
         if isinstance(part, list):
             return tuple(map(value, part))
@@ -91,4 +91,4 @@ def unpacked(told: Any, table: list[Any], arrays: Mapping[str, npt.NDArray[Any]]
             made.append(_kinds[row["kind"]](**{name: value(part) for name, part in row["fields"].items()}))
         else:
             raise LookupError(f"{row['kind']!r} is unknown; known are {', '.join(_kinds)}")
-    return value(told)
+    return value(packed)

@@ -8,7 +8,7 @@ import numpy as np
 
 from ctr_nlp.typing import Array
 
-BITS = 30
+SOBOL_BITS = 30
 """Binary digits of a coordinate."""
 JOE_KUO = (
     *((1, 1), (3, 1), (7, 1, 3), (11, 1, 3, 1), (13, 1, 1, 1), (19, 1, 1, 3, 3), (25, 1, 3, 5, 13)),
@@ -30,23 +30,23 @@ def sobol(count: int, dimensions: int, seed: int) -> Array:
     """The first count scrambled points (count, dimensions) in [0, 1); from the 27th on, coordinates are random."""
     rng, known = np.random.default_rng(seed), min(dimensions, len(JOE_KUO))
     levels = max(count - 1, 1).bit_length()
-    shift = rng.integers(2, size=(known, BITS), dtype=np.uint32)
-    mixing = np.tril(rng.integers(2, size=(known, BITS, BITS), dtype=np.uint32))
-    mixing[:, range(BITS), range(BITS)] = 1
+    shift = rng.integers(2, size=(known, SOBOL_BITS), dtype=np.uint32)
+    mixing = np.tril(rng.integers(2, size=(known, SOBOL_BITS, SOBOL_BITS), dtype=np.uint32))
+    mixing[:, range(SOBOL_BITS), range(SOBOL_BITS)] = 1
     directions = np.array([_directions(row, levels) for row in JOE_KUO[:known]])
-    digits = directions[:, :, None] >> np.arange(BITS - 1, -1, -1) & 1
-    weights = 1 << np.arange(BITS - 1, -1, -1)
+    digits = directions[:, :, None] >> np.arange(SOBOL_BITS - 1, -1, -1) & 1
+    weights = 1 << np.arange(SOBOL_BITS - 1, -1, -1)
     scrambled = np.einsum("dpk,djk->djp", mixing, digits) % 2 @ weights
     found = np.empty((count, known), dtype=np.int64)
     found[0] = shift @ weights[::-1]
     for number in range(1, count):
         found[number] = found[number - 1] ^ scrambled[:, (number & -number).bit_length() - 1]
-    return np.hstack([found / 2.0**BITS, rng.random((count, dimensions - known))])
+    return np.hstack([found / 2.0**SOBOL_BITS, rng.random((count, dimensions - known))])
 
 
 @lru_cache
 def _directions(row: tuple[int, ...], levels: int) -> tuple[int, ...]:
-    """The first direction numbers of a row of JOE_KUO, as binary fractions of BITS digits."""
+    """The first direction numbers of a row of JOE_KUO, as binary fractions of SOBOL_BITS digits."""
     polynomial, found = row[0], list(row[1:])
     degree = polynomial.bit_length() - 1
     if degree == 0:
@@ -56,4 +56,4 @@ def _directions(row: tuple[int, ...], levels: int) -> tuple[int, ...]:
         for back in range(1, degree + 1):
             following ^= (polynomial >> degree - back & 1) * found[-back] << back
         found.append(following)
-    return tuple(number << BITS - 1 - place for place, number in enumerate(found[:levels]))
+    return tuple(number << SOBOL_BITS - 1 - place for place, number in enumerate(found[:levels]))

@@ -11,13 +11,13 @@ from typing import Any
 
 import numpy.typing as npt
 
-from ctr_nlp.exceptions import escaped
+from ctr_nlp.exceptions import escape_control_characters
 
 
 def markdown(header: Sequence[str], body: Sequence[Sequence[str]]) -> str:
     """Write a table whose first column is aligned to the left and all others to the right; cells as text."""
     lines = [header, ["---", *["---:"] * (len(header) - 1)], *body]
-    return "".join(f"| {' | '.join(map(escaped, line))} |\n" for line in lines)
+    return "".join(f"| {' | '.join(map(escape_control_characters, line))} |\n" for line in lines)
 
 
 def write_csv(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
@@ -28,7 +28,7 @@ def write_csv(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
         writer.writerows(rows)
 
 
-def by_line(columns: Mapping[str, npt.NDArray[Any]]) -> list[dict[str, Any]]:
+def columns_to_rows(columns: Mapping[str, npt.NDArray[Any]]) -> list[dict[str, Any]]:
     """Turn named columns (n,) into the rows that write_csv takes."""
     lines = zip(*(column.tolist() for column in columns.values()), strict=True)
     return [dict(zip(columns, line, strict=True)) for line in lines]
@@ -39,7 +39,9 @@ def toml_text(head: str, tables: Sequence[tuple[str, Mapping[str, Any]]], commen
 
     head: lines of comment that it begins with, without their marks. comments: what is said beside keys.
     """
-    lines = [f"# {escaped(line)}" for line in head.splitlines()]  # TOML takes no control characters in comments
+    lines = [
+        f"# {escape_control_characters(line)}" for line in head.splitlines()
+    ]  # TOML takes no control characters in comments
     for heading, table in tables:
         lines += ["", heading, *_lines(table, comments)]
     return "\n".join(lines) + "\n"

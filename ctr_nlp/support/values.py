@@ -12,7 +12,7 @@ from typing import Any, TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from ctr_nlp.exceptions import CtrError, OptionError, RobotError, meant
+from ctr_nlp.exceptions import CtrError, OptionError, RobotError, suggest_names
 from ctr_nlp.typing import Array
 
 if sys.version_info >= (3, 11):
@@ -22,7 +22,7 @@ else:
 
 Scalar = TypeVar("Scalar", bound=np.generic)
 
-INFINITE = ("inf", "-inf")
+JSON_INFINITIES = ("inf", "-inf")
 """Texts for infinite numbers in strict JSON, which has no word for them."""
 
 
@@ -85,7 +85,7 @@ def _of_one_kind(items: list[Any]) -> bool:
     return True
 
 
-def described(cls: type, data: Any) -> Any:
+def build_from_table(cls: type, data: Any) -> Any:
     """Make the dataclass `cls` of a table of a file; raises RobotError where keys are unknown or missing."""
     allowed, of = [f.name for f in fields(cls)], cls.__name__.lower()
     check_keys(RobotError, of, data if isinstance(data, dict) else [data], allowed)
@@ -99,20 +99,20 @@ def check_keys(error: type[CtrError], of: str, given: Iterable[Any], allowed: Se
     """Raise `error` where keys of a table are not allowed, with what was probably meant; `of` names the table."""
     unknown = sorted(set(map(str, given)) - set(allowed))
     if unknown:
-        near = meant(unknown[0], allowed)
+        near = suggest_names(unknown[0], allowed)
         raise error(f"key {unknown[0]!r} is unknown in {of}; allowed are {', '.join(allowed)}{near}")
 
 
 def number(
-    error: type[CtrError], name: str, value: Any, holds: Callable[[float], bool], allowed: str, unit: str = ""
+    error: type[CtrError], name: str, value: Any, is_valid: Callable[[float], bool], allowed: str, unit: str = ""
 ) -> float:
-    """Return a number for which `holds` is true; raise `error` otherwise.
+    """Return a number for which `is_valid` is true; raise `error` otherwise.
 
     name: what the message calls it. allowed: what it must do, such as "be a finite number". unit: of the number,
     with a space before it.
     """
     real = isinstance(value, int | float | np.number) and not isinstance(value, bool)
-    if not real or not holds(float(value)):
+    if not real or not is_valid(float(value)):
         raise error(f"{name} is {value if real else repr(value)}{unit}; it must {allowed}")
     return float(value)
 
@@ -141,7 +141,7 @@ def texts(error: type[CtrError], name: str, value: Any) -> list[str]:
     return [text(error, f"number {number} of {name}", item) for number, item in enumerate(value, start=1)]
 
 
-def instance(error: type[CtrError], name: str, value: Any, *kinds: type) -> None:
+def check_instance(error: type[CtrError], name: str, value: Any, *kinds: type) -> None:
     """Raise `error` unless a value is of one of `kinds`."""
     if not isinstance(value, kinds):
         raise error(f"{name} is {value!r:.80}; it must be a {' or a '.join(kind.__name__ for kind in kinds)}")
@@ -228,16 +228,18 @@ def frozen(array: npt.NDArray[Scalar]) -> npt.NDArray[Scalar]:
     return copy
 
 
-def unchanging(value: Any) -> Any:
+def to_nested_tuples(value: Any) -> Any:
     """Turn lists and arrays into tuples, all the way down, and "inf" of strict JSON into the number."""
     if isinstance(value, np.ndarray | np.generic):
-        return unchanging(value.tolist())
-    if isinstance(value, str) and value in INFINITE:
+        return to_nested_tuples(value.tolist())
+    if isinstance(value, str) and value in JSON_INFINITIES:
         return float(value)
-    return tuple(unchanging(item) for item in value) if isinstance(value, list | tuple) else value
+    return tuple(to_nested_tuples(item) for item in value) if isinstance(value, list | tuple) else value
 
 
 def check_choice(name: str, value: str, allowed: Collection[str]) -> None:
     """Raise OptionError, with the valid values, unless `value` is one of those allowed."""
     if not isinstance(value, str) or value not in allowed:
-        raise OptionError(f"{name} is {value!r}; it must be one of {', '.join(allowed)}{meant(value, allowed)}")
+        raise OptionError(
+            f"{name} is {value!r}; it must be one of {', '.join(allowed)}{suggest_names(value, allowed)}"
+        )

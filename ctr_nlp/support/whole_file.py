@@ -10,7 +10,7 @@ from pathlib import Path
 
 
 @contextmanager
-def whole_file(path: Path) -> Iterator[Path]:
+def write_atomically(path: Path) -> Iterator[Path]:
     """A new empty file beside path, which takes path's place when the block ends well and vanishes otherwise.
 
     It has path's suffix and a name that nothing else has. Raises OSError where it cannot be made or moved.

@@ -18,14 +18,14 @@ import numpy as np
 from scipy.interpolate import BSpline, CubicHermiteSpline, CubicSpline, PchipInterpolator, make_smoothing_spline
 
 from ctr_nlp.exceptions import CurveError
-from ctr_nlp.support.equal import Kept, Value
+from ctr_nlp.support.equal import ReadOnlyValue, Value
 from ctr_nlp.support.packing import packable
 from ctr_nlp.target.points import symbolic_point
 from ctr_nlp.typing import Array
 
-NAMES = {getattr(ca, name): name[3:].lower() for name in dir(ca) if name.startswith("OP_")}
+CASADI_OPERATION_NAMES = {getattr(ca, name): name[3:].lower() for name in dir(ca) if name.startswith("OP_")}
 """Names of CasADi's operations by their codes."""
-CODES = {name: code for code, name in NAMES.items()}
+CASADI_OPERATION_CODES = {name: code for code, name in CASADI_OPERATION_NAMES.items()}
 """Codes of CasADi's operations by their names."""
 Step = tuple[str, float, tuple[int, ...], int]
 """One operation: name, constant, the places that it reads, and the place that it writes; for `output` a
@@ -92,7 +92,9 @@ class Formula(Value):
             elif name == "const":
                 places[writes] = ca.SX(constant)
             else:
-                places[writes] = (ca.SX.unary if len(read) == 1 else ca.SX.binary)(CODES[name], *read)
+                places[writes] = (ca.SX.unary if len(read) == 1 else ca.SX.binary)(
+                    CASADI_OPERATION_CODES[name], *read
+                )
         return ca.vertcat(*x)
 
     def derivative(self, u: Array, order: int) -> Array:
@@ -124,7 +126,7 @@ class Formula(Value):
 def _step(function: ca.Function, k: int) -> Step:
     """Return the k-th operation of a CasADi function; raise CurveError where it calls another function."""
     code, reads, writes = function.instruction_id(k), function.instruction_input(k), function.instruction_output(k)
-    name = NAMES.get(code, "")
+    name = CASADI_OPERATION_NAMES.get(code, "")
     if name == "call" or not writes:
         raise CurveError("formula calls a function that is kept apart from it (never_inline); write it out")
     if name == "output":
@@ -135,7 +137,7 @@ def _step(function: ca.Function, k: int) -> Step:
 
 @packable("spline")
 @dataclass(frozen=True, eq=False)
-class Spline(Kept):
+class Spline(ReadOnlyValue):
     """C2 cubic spline through points.
 
     Attributes
@@ -187,7 +189,7 @@ class Spline(Kept):
 
 @packable("by arc length")
 @dataclass(frozen=True, eq=False)
-class ByArcLength(Kept):
+class ByArcLength(ReadOnlyValue):
     """A curve x(u) by its arc length.
 
     Attributes
@@ -250,7 +252,7 @@ class ByArcLength(Kept):
 
 @packable("radii")
 @dataclass(frozen=True, eq=False)
-class Radii(Kept):
+class Radii(ReadOnlyValue):
     """Radii of the lumen along a curve, interpolated without overshoot (PCHIP).
 
     Attributes
@@ -265,7 +267,7 @@ class Radii(Kept):
     radii: Array
 
     @cached_property
-    def _between(self) -> PchipInterpolator:
+    def _interpolant(self) -> PchipInterpolator:
         """The interpolant; monotone between given radii, so that no radius becomes smaller than the
         two beside it.
         """
@@ -273,4 +275,4 @@ class Radii(Kept):
 
     def at(self, s: Array) -> Array:
         """Return the radii (n,) at arc lengths s (n,), both in mm; constant beyond the given range."""
-        return np.asarray(self._between(np.clip(s, self.lengths[0], self.lengths[-1])))
+        return np.asarray(self._interpolant(np.clip(s, self.lengths[0], self.lengths[-1])))

@@ -11,24 +11,24 @@ import numpy as np
 import numpy.typing as npt
 
 from ctr_nlp.exceptions import CurveError
-from ctr_nlp.support.equal import Kept, Value
+from ctr_nlp.support.equal import ReadOnlyValue, Value
 from ctr_nlp.support.packing import packable
 from ctr_nlp.support.values import floats, number
 from ctr_nlp.target.arc_length import ByArcLength, Formula, Radii, Spline
-from ctr_nlp.target.points import checked_points, checked_radii, evened, walked
+from ctr_nlp.target.points import checked_points, checked_radii, cumulative_arc_length, smooth_points
 from ctr_nlp.typing import Array, Field
 
-CELLS = 2000
+ARC_LENGTH_TABLE_CELLS = 2000
 """Cells of the table between a curve's parameter and its arc length."""
 SAMPLE_MM = 0.05
 """Largest distance, mm, between samples at which smoothing satisfies its bound."""
-MOST_SAMPLES = 50_000
+MAX_SMOOTHING_SAMPLES = 50_000
 """Most samples of a curve that is smoothed; on longer curves they are further apart than SAMPLE_MM."""
-RIGID = 1e-6
+RIGID_TRANSFORM_TOLERANCE = 1e-6
 """By how much the axes of a rigid transform may miss being orthonormal."""
-FINER = 8
+DEVIATION_CHECK_SUBDIVISIONS = 8
 """Places between two samples of a smoothed curve at which it is measured how far it was moved."""
-ROOM_SPENT = 0.5
+MAX_SMOOTHING_RADIUS_SHARE = 0.5
 """Largest part of the lumen's radius by which smoothing may move the curve."""
 
 
@@ -145,19 +145,19 @@ class Curve(Value):
                 f"start and stop of a piece of a curve are {start:g} and {stop:g} mm; "
                 f"they must grow and lie within [0, {self.length:g}]"
             )
-        return self._through(Piece(self, start, 1.0), stop - start)
+        return self._curve_from_piece(Piece(self, start, 1.0), stop - start)
 
-    def reversed(self) -> Curve:
+    def reverse_direction(self) -> Curve:
         """Return the curve that leads from the last point of this one to its first."""
-        return self._through(Piece(self, self.length, -1.0), self.length)
+        return self._curve_from_piece(Piece(self, self.length, -1.0), self.length)
 
-    def _through(self, piece: Piece, length: float) -> Curve:
+    def _curve_from_piece(self, piece: Piece, length: float) -> Curve:
         """Return a piece of a given length in mm as a curve, with the lumen and the deviation of this one."""
         radius = None if self.radius is None else piece.radius
         smoothed = self.deviation, self.deviation_share
         return Curve(length, piece.point, piece.tangent, piece.curvature, radius, None, *smoothed)
 
-    def moved(self, transform: Array) -> Curve:
+    def apply_transform(self, transform: Array) -> Curve:
         """Move the curve by a rigid transform.
 
         Parameters
@@ -177,7 +177,10 @@ class Curve(Value):
         """
         rigid = floats(CurveError, "transform of a curve", transform, (4, 4))
         rotation = rigid[:3, :3]
-        if abs(rotation @ rotation.T - np.eye(3)).max() > RIGID or (rigid[3] != [0, 0, 0, 1]).any():
+        if (
+            abs(rotation @ rotation.T - np.eye(3)).max() > RIGID_TRANSFORM_TOLERANCE
+            or (rigid[3] != [0, 0, 0, 1]).any()
+        ):
             raise CurveError(
                 f"transform of a curve is {rigid.tolist()}; it must be rigid: a turn and a shift in mm"
             )
@@ -186,10 +189,10 @@ class Curve(Value):
                 f"transform of a curve is {rigid.tolist()}, which mirrors; it must be a turn and a shift in mm. "
                 "One of its axes points the other way"
             )
-        elsewhere = Moved(self, rigid)
+        elsewhere = TransformedCurve(self, rigid)
         return replace(self, point=elsewhere.point, tangent=elsewhere.tangent)
 
-    def smoothed(self, allowed: float) -> Curve:
+    def smooth(self, allowed: float) -> Curve:
         """Return the least bent curve within a distance of this one.
 
         The bound holds everywhere, between given points too, and is at most half of the lumen's radius, so that
@@ -218,16 +221,20 @@ class Curve(Value):
         number(CurveError, "smoothing", allowed, lambda x: 0 <= x < math.inf, "be a finite number >= 0", " mm")
         if allowed == 0:
             return self
-        spacing = max(min(SAMPLE_MM, allowed / 8), self.length / MOST_SAMPLES)
+        spacing = max(min(SAMPLE_MM, allowed / 8), self.length / MAX_SMOOTHING_SAMPLES)
         s = np.linspace(0.0, self.length, max(16, int(np.ceil(self.length / spacing)) + 1))
         given, radius = self.point(s), None if self.radius is None else self.radius(s)
-        bound = np.full(len(s), allowed) if radius is None else np.minimum(allowed, ROOM_SPENT * radius)
+        bound = (
+            np.full(len(s), allowed)
+            if radius is None
+            else np.minimum(allowed, MAX_SMOOTHING_RADIUS_SHARE * radius)
+        )
         # The bound is enforced at the samples only. Half of their spacing, at most half of the bound, is kept in
         # hand for what the curves differ by between them.
-        points = evened(given, np.maximum(bound - s[1] / 2, bound / 2))
+        points = smooth_points(given, np.maximum(bound - s[1] / 2, bound / 2))
         away = np.linalg.norm(points - given, axis=1)
         spline = Spline(s, points)
-        between = np.linspace(0.0, self.length, FINER * (len(s) - 1) + 1)
+        between = np.linspace(0.0, self.length, DEVIATION_CHECK_SUBDIVISIONS * (len(s) - 1) + 1)
         moved = np.linalg.norm(spline.derivative(between, 0) - self.point(between), axis=1)
         curve = _by_arc_length(spline, s)
         # A smoothed path is followed by arc length: its own parameter is that of the samples.
@@ -283,7 +290,7 @@ class Piece(Value):
 
 @packable("moved")
 @dataclass(frozen=True, eq=False)
-class Moved(Kept):
+class TransformedCurve(ReadOnlyValue):
     """A curve moved by a rigid transform.
 
     Attributes
@@ -338,7 +345,7 @@ def curve_from_formula(formula: Callable[[Any], tuple[Any, Any, Any]], start: fl
         number(CurveError, f"{name} of the parameter range", end, math.isfinite, "be a finite number")
     if not start < stop:
         raise CurveError(f"parameter range is [{start}, {stop}]; it must be finite and grow")
-    return _by_arc_length(Formula.of(formula), np.linspace(start, stop, CELLS + 1))
+    return _by_arc_length(Formula.of(formula), np.linspace(start, stop, ARC_LENGTH_TABLE_CELLS + 1))
 
 
 def curve_from_points(points: npt.ArrayLike, radius: npt.ArrayLike | None = None, smoothing: float = 0.0) -> Curve:
@@ -351,7 +358,7 @@ def curve_from_points(points: npt.ArrayLike, radius: npt.ArrayLike | None = None
     radius : array_like, optional
         Radius of the lumen (n,) at the points, mm, where it is known.
     smoothing : float
-        How far the curve may be moved from the spline to be less bent, mm; see :meth:`Curve.smoothed`.
+        How far the curve may be moved from the spline to be less bent, mm; see :meth:`Curve.smooth`.
 
     Returns
     -------
@@ -374,15 +381,15 @@ def curve_from_points(points: npt.ArrayLike, radius: npt.ArrayLike | None = None
     given = checked_points(points)
     radii = None if radius is None else checked_radii(radius, len(given))
     # Chord length is close to arc length, so that the spline has no loops where points are unevenly spaced.
-    chord = walked(given)
-    per_span = max(1, CELLS // (len(chord) - 1))
+    chord = cumulative_arc_length(given)
+    per_span = max(1, ARC_LENGTH_TABLE_CELLS // (len(chord) - 1))
     breaks = np.interp(np.arange(per_span * (len(chord) - 1) + 1) / per_span, np.arange(len(chord)), chord)
     by_chord = _by_arc_length(Spline(chord, given, by_smoothing=True), breaks)
     curve = replace(by_chord, by_parameter=None)
     if radii is not None:
         lengths = np.array([by_chord.length_at(c / chord[-1]) for c in chord])
         curve = replace(curve, radius=Radii(lengths, radii).at)
-    return curve.smoothed(smoothing)
+    return curve.smooth(smoothing)
 
 
 def _by_arc_length(x: Formula | Spline, breaks: Array) -> Curve:

@@ -10,19 +10,19 @@ import numpy as np
 
 from ctr_nlp.exceptions import ProblemError
 from ctr_nlp.robot import Robot
-from ctr_nlp.support.runs import runs
+from ctr_nlp.support.runs import find_flag_runs
 from ctr_nlp.target.curve import Curve
-from ctr_nlp.target.lumen import outer_radius
+from ctr_nlp.target.lumen import tube_outer_radii
 from ctr_nlp.target.problem import Problem
 from ctr_nlp.typing import Array
 
-SPACING_MM = 0.1
+FIT_CHECK_SPACING_MM = 0.1
 """Distance between places along a path that are looked at, mm."""
-JAGGED = 0.5
+JAGGED_CURVATURE_PER_MM = 0.5
 """Curvature, 1/mm, above which a path follows the noise of its points, as VMTK's lines do until they
 are smoothed.
 """
-ASKEW_DEG = 1.0
+MAX_ENTRY_ANGLE_DEG = 1.0
 """Angle between robot and path at the entry above which a note is given, degrees."""
 
 
@@ -46,7 +46,7 @@ class Misfit(NamedTuple):
     tube: int
     start: float
     stop: float
-    lack: float
+    radius_excess: float
     at: float
     forced: bool
 
@@ -69,17 +69,17 @@ def misfits(problem: Problem) -> list[Misfit]:
     if problem.sampled_lumen is None:
         return []
     curve, s = _longest(problem)
-    radius, found = problem.sampled_lumen.near(curve.point(s)).radius, []
+    radius, found = problem.sampled_lumen.project(curve.point(s)).radius, []
     for i, (least, most) in enumerate(_extensions(problem.robot, s[-1])):
-        lack = outer_radius(problem.robot)[i] - radius
+        lack = tube_outer_radii(problem.robot)[i] - radius
         for forced, reached in ((True, (s <= least) & (least > 0)), (False, (s > least) & (s <= most))):
-            for first, stop in runs(reached & (lack > 0)):
+            for first, stop in find_flag_runs(reached & (lack > 0)):
                 worst = first + lack[first:stop].argmax()
                 found.append(Misfit(i + 1, s[first], s[stop - 1], lack[worst], s[worst], forced))
     return found
 
 
-def notes(problem: Problem) -> list[str]:
+def problem_notes(problem: Problem) -> list[str]:
     """Return what a user should know of a problem before it is solved, a sentence each.
 
     Parameters
@@ -92,7 +92,12 @@ def notes(problem: Problem) -> list[str]:
     list of str
         On smoothing, jagged paths, the direction at the entry, and tubes that do not fit; empty where all is well.
     """
-    return [*_smoothed(problem), *_jagged(problem), *_askew(problem), *_narrow(problem)]
+    return [
+        *_note_smoothing(problem),
+        *_note_jagged_path(problem),
+        *_note_entry_direction(problem),
+        *_note_misfits(problem),
+    ]
 
 
 def check_radii(problem: Problem) -> None:
@@ -137,8 +142,8 @@ def _longest(problem: Problem) -> tuple[Curve, Array]:
 
 
 def _places(length: float) -> Array:
-    """Return places (n,) from 0 to a length in mm, at most SPACING_MM apart."""
-    return np.linspace(0.0, length, max(2, int(np.ceil(length / SPACING_MM)) + 1))
+    """Return places (n,) from 0 to a length in mm, at most FIT_CHECK_SPACING_MM apart."""
+    return np.linspace(0.0, length, max(2, int(np.ceil(length / FIT_CHECK_SPACING_MM)) + 1))
 
 
 def _extensions(robot: Robot, length: float) -> list[tuple[float, float]]:
@@ -157,7 +162,7 @@ def _extensions(robot: Robot, length: float) -> list[tuple[float, float]]:
     return [(float(least), float(most)) for least, most in zip(low, np.maximum(low, high), strict=True)]
 
 
-def _smoothed(problem: Problem) -> Iterator[str]:
+def _note_smoothing(problem: Problem) -> Iterator[str]:
     """Yield a note where smoothing moved the path."""
     if problem.deviation:
         share = problem.deviation_share
@@ -165,18 +170,18 @@ def _smoothed(problem: Problem) -> Iterator[str]:
         yield f"smoothing moved the path by at most {problem.deviation:.2f} mm{part}"
 
 
-def _jagged(problem: Problem) -> Iterator[str]:
+def _note_jagged_path(problem: Problem) -> Iterator[str]:
     """Yield a note where the path bends at a radius below 2 mm and was not smoothed."""
     curve, s = _longest(problem)
     bend, at = sharpest_bend(curve, s[-1])
-    if bend > JAGGED and not problem.deviation:
+    if bend > JAGGED_CURVATURE_PER_MM and not problem.deviation:
         yield (
             f"the path is jagged: at {at:.1f} mm it bends at a radius of {1 / bend:.2g} mm; --smoothing MM "
             "evens it out"
         )
 
 
-def _askew(problem: Problem) -> Iterator[str]:
+def _note_entry_direction(problem: Problem) -> Iterator[str]:
     """Yield a note where the base cannot tilt into the direction in which the path sets out."""
     # R = Ry(theta_y) Rx(theta_x), eq. (4), turns +z to (sin ty cos tx, -sin tx, cos ty cos tx), solved for the
     # tilt.
@@ -185,27 +190,29 @@ def _askew(problem: Problem) -> Iterator[str]:
     theta_x, theta_y = np.clip(wanted, problem.robot.lower[-2:], problem.robot.upper[-2:])
     base = [np.sin(theta_y) * np.cos(theta_x), -np.sin(theta_x), np.cos(theta_y) * np.cos(theta_x)]
     away, left = np.degrees(np.arccos(np.clip([z, tangent @ base], -1, 1)))
-    if left > ASKEW_DEG:
+    if left > MAX_ENTRY_ANGLE_DEG:
         yield (
             f"the path sets out {away:.1f} degrees away from the insertion direction; with the tilt that it may "
             f"have, the base stays {left:.1f} degrees away"
         )
 
 
-def _narrow(problem: Problem) -> Iterator[str]:
+def _note_misfits(problem: Problem) -> Iterator[str]:
     """Yield a sentence for each tube that does not fit, by whether it must go there."""
     for (tube, forced), group in groupby(misfits(problem), key=lambda each: (each.tube, each.forced)):
         found = list(group)
         width = problem.robot.tubes[tube - 1].outer_diameter
-        worst, start, stop = max(found, key=lambda each: each.lack), found[0].start, found[-1].stop
+        worst, start, stop = max(found, key=lambda each: each.radius_excess), found[0].start, found[-1].stop
         if forced:
             places = f" in {len(found)} places" if len(found) > 1 else ""
             yield (
                 f"tube {tube} ({width:g} mm) does not fit even centred{places} from {start:.1f} to {stop:.1f} mm "
-                f"of the path, by up to {worst.lack:.2f} mm at {worst.at:.1f} mm: contact there cannot be avoided"
+                f"of the path, by up to {worst.radius_excess:.2f} mm at {worst.at:.1f} mm: contact there "
+                f"cannot be avoided"
             )
         else:
             yield (
                 f"tube {tube} ({width:g} mm) does not fit beyond {start:.1f} mm of the path, where the lumen "
-                f"narrows to {width - 2 * worst.lack:.2f} mm (at {worst.at:.1f} mm): it has to stay behind"
+                f"narrows to {width - 2 * worst.radius_excess:.2f} mm (at {worst.at:.1f} mm): it has to stay "
+                f"behind"
             )

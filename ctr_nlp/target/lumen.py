@@ -19,16 +19,16 @@ from ctr_nlp.exceptions import CurveError
 from ctr_nlp.robot import Robot
 from ctr_nlp.support.values import floats
 from ctr_nlp.target.curve import Curve
-from ctr_nlp.target.points import walked
+from ctr_nlp.target.points import cumulative_arc_length
 from ctr_nlp.typing import Array, Index
 
-SPACING = 0.5
+LUMEN_TABLE_SPACING_MM = 0.5
 """Distance between the points of a lumen's table, mm."""
-NEWTON = 4
+PROJECTION_NEWTON_STEPS = 4
 """Newton steps from the nearest point of the table to the nearest point of the path."""
 
 
-class Near(NamedTuple):
+class LumenProjection(NamedTuple):
     """The path and the wall near points (..,), to second order of the path and first order of the wall.
 
     Attributes
@@ -51,10 +51,10 @@ class Near(NamedTuple):
     radius: Array
     centre: Array
     tangent: Array
-    bend: Array
+    curvature_vector: Array
     taper: Array
-    behind: Array
-    ahead: Array
+    length_before: Array
+    length_after: Array
 
 
 class Lumen:
@@ -76,7 +76,7 @@ class Lumen:
         centre, radius = self._table[:, :3], self._table[:, 3]
         if (radius <= 0).any():
             raise CurveError(f"radius of a lumen is {radius.min():g} mm; it must be positive all along")
-        self._along = walked(centre)
+        self._along = cumulative_arc_length(centre)
         if len(centre) < 2 or (np.diff(self._along) <= 0).any():
             raise CurveError(f"table of a lumen has {len(centre)} points; it must have two, and none repeated")
 
@@ -96,7 +96,7 @@ class Lumen:
         return cKDTree(self._table[:, :3])
 
     @classmethod
-    def around(cls, curve: Curve) -> Lumen:
+    def from_curve(cls, curve: Curve) -> Lumen:
         """Sample a whole curve that has a radius, every half mm.
 
         Parameters
@@ -110,7 +110,7 @@ class Lumen:
             The lumen around it.
         """
         assert curve.radius is not None
-        s = np.linspace(0.0, curve.length, int(np.ceil(curve.length / SPACING)) + 1)
+        s = np.linspace(0.0, curve.length, int(np.ceil(curve.length / LUMEN_TABLE_SPACING_MM)) + 1)
         return cls(np.column_stack([curve.point(s), curve.radius(s)]))
 
     @property
@@ -119,16 +119,16 @@ class Lumen:
         return self._table
 
     @property
-    def along(self) -> Array:
+    def arc_lengths(self) -> Array:
         """Arc lengths (N,) of the table's points, mm."""
         return self._along
 
     @property
-    def pieces(self) -> tuple[Array, Array]:
+    def spline_coefficients(self) -> tuple[Array, Array]:
         """Coefficients of the cubic pieces by falling powers: path (4, N - 1, 3) and radius (4, N - 1), mm."""
         return self._path.c, self._radius.c
 
-    def near(self, points: Array) -> Near:
+    def project(self, points: Array) -> LumenProjection:
         """Find the path and the wall near points.
 
         Parameters
@@ -145,7 +145,7 @@ class Lumen:
         known = np.isfinite(points).all(axis=-1, keepdims=True)
         points = np.where(known, points, 0.0)
         s = self._along[self._tree.query(points)[1]]
-        for _ in range(NEWTON):
+        for _ in range(PROJECTION_NEWTON_STEPS):
             # Newton on |p - x(s)|^2 / 2: its slope is -(p - x) x', its curvature |x'|^2 - (p - x) x''. That
             # vanishes at the centre of curvature of the path, where the nearest point is not unique; it is kept
             # above 0.1, and steps below the spacing of the table, so that the search stays at the branch of the
@@ -153,13 +153,13 @@ class Lumen:
             away, tangent = points - self._path(s), self._path(s, 1)
             stretch = (tangent**2).sum(axis=-1) - (away * self._path(s, 2)).sum(axis=-1)
             step = (away * tangent).sum(axis=-1) / np.maximum(stretch, 0.1)
-            s = np.clip(s + np.clip(step, -SPACING, SPACING), 0.0, self._along[-1])
+            s = np.clip(s + np.clip(step, -LUMEN_TABLE_SPACING_MM, LUMEN_TABLE_SPACING_MM), 0.0, self._along[-1])
         centre, tangent, bend = (np.where(known, self._path(s, order), np.nan) for order in range(3))
         away = points - centre
         # A point that moves along the tangent by 1 mm moves the nearest place by 1 / (1 - (p - x) x'') mm.
         taper = self._radius(s, 1) / np.maximum(1.0 - (away * bend).sum(axis=-1), 0.1)
         distance = np.linalg.norm(away, axis=-1)
-        return Near(distance, self._radius(s), centre, tangent, bend, taper, s, self._along[-1] - s)
+        return LumenProjection(distance, self._radius(s), centre, tangent, bend, taper, s, self._along[-1] - s)
 
     def clearance(self, robot: Robot, beta: Array, sigma: Array, shape: Array) -> Array:
         """Return the clearance between tubes and the wall.
@@ -181,11 +181,11 @@ class Lumen:
             Clearance (T, n), mm, negative in contact: the lumen's radius at the nearest place, less the distance
             to it, less the radius of the outermost tube there.
         """
-        near = self.near(shape)
-        return np.asarray(near.radius - near.distance - outer_radii(robot, beta, sigma))
+        near = self.project(shape)
+        return np.asarray(near.radius - near.distance - outermost_tube_radii(robot, beta, sigma))
 
 
-def rings(table: Array, angle: Array) -> Array:
+def wall_rings(table: Array, angle: Array) -> Array:
     """Return points of the wall, ring by ring.
 
     Parameters
@@ -202,7 +202,7 @@ def rings(table: Array, angle: Array) -> Array:
     """
     centre, radius = table[:, :3], table[:, 3]
     # By the length of the polyline, so that unevenly spaced tables give the same directions.
-    tangents = np.gradient(centre, walked(centre), axis=0)
+    tangents = np.gradient(centre, cumulative_arc_length(centre), axis=0)
     tangents /= np.linalg.norm(tangents, axis=1, keepdims=True)
     side, sides = np.eye(3)[abs(tangents[0]).argmin()], np.empty_like(tangents)
     for j, tangent in enumerate(tangents):
@@ -215,14 +215,14 @@ def rings(table: Array, angle: Array) -> Array:
     return np.asarray(centre[:, None] + radius[:, None, None] * across)
 
 
-def surface(table: Array, around: int) -> tuple[Array, npt.NDArray[np.uint32]]:
+def wall_mesh(table: Array, vertices_per_ring: int) -> tuple[Array, npt.NDArray[np.uint32]]:
     """Return the wall as a triangle mesh.
 
     Parameters
     ----------
     table : ndarray
         Points and radii of the lumen (N, 4), mm.
-    around : int
+    vertices_per_ring : int
         Vertices of each ring.
 
     Returns
@@ -232,20 +232,20 @@ def surface(table: Array, around: int) -> tuple[Array, npt.NDArray[np.uint32]]:
     triangles : ndarray
         Indices of their corners (2 (N - 1) around, 3), which turn left seen from outside.
     """
-    vertices = rings(table, np.linspace(0.0, 2 * np.pi, around, endpoint=False))
-    here = np.arange(vertices[..., 0].size).reshape(-1, around)
+    vertices = wall_rings(table, np.linspace(0.0, 2 * np.pi, vertices_per_ring, endpoint=False))
+    here = np.arange(vertices[..., 0].size).reshape(-1, vertices_per_ring)
     beside, ahead = np.roll(here, -1, axis=1)[:-1], here[1:]
     across = np.roll(here, -1, axis=1)[1:]
     triangles = np.stack([here[:-1], beside, ahead, beside, across, ahead], axis=-1)
     return vertices.reshape(-1, 3), triangles.reshape(-1, 3).astype(np.uint32)
 
 
-def outer_radius(robot: Robot) -> Array:
+def tube_outer_radii(robot: Robot) -> Array:
     """Return the outer radius of every tube of a robot, (d,), mm."""
     return np.array([tube.outer_diameter / 2 for tube in robot.tubes])
 
 
-def outer_radii(robot: Robot, beta: Array, sigma: Array) -> Array:
+def outermost_tube_radii(robot: Robot, beta: Array, sigma: Array) -> Array:
     """Return the radius of the outermost tube at samples along robots.
 
     Parameters
@@ -262,10 +262,10 @@ def outer_radii(robot: Robot, beta: Array, sigma: Array) -> Array:
     ndarray
         (T, n), mm.
     """
-    return np.asarray(outer_radius(robot)[outermost(beta, sigma)])
+    return np.asarray(tube_outer_radii(robot)[outermost_tube_index(beta, sigma)])
 
 
-def outermost(beta: Array, sigma: Array) -> Index:
+def outermost_tube_index(beta: Array, sigma: Array) -> Index:
     """Return which tube is the outermost one at samples along robots.
 
     Parameters

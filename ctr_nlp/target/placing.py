@@ -12,11 +12,11 @@ from ctr_nlp.exceptions import CurveError, OptionError
 from ctr_nlp.target.curve import Curve
 from ctr_nlp.typing import Array
 
-HEADING_MM = 10.0
+INSERTION_HEADING_MM = 10.0
 """Length over which the mean direction of a path becomes the insertion direction, mm."""
 
 
-def placed(curve: Curve, direction: npt.ArrayLike | None = None) -> tuple[Curve, Array]:
+def move_to_robot_frame(curve: Curve, direction: npt.ArrayLike | None = None) -> tuple[Curve, Array]:
     """Move a curve before the robot.
 
     Its first point goes to the origin, and the insertion direction turns to +z by the smallest rotation.
@@ -45,16 +45,18 @@ def placed(curve: Curve, direction: npt.ArrayLike | None = None) -> tuple[Curve,
     """
     heading = _heading(curve)
     if direction is not None:
-        given = unit(direction)
+        given = normalise_direction(direction)
         if heading is not None and given @ heading <= 0:
             angle = np.degrees(np.arccos(np.clip(given @ heading, -1.0, 1.0)))
             raise CurveError(
                 f"the insertion direction is {angle:.0f} degrees away from where the path leads over its first "
-                f"{HEADING_MM:g} mm; it must be within 90"
+                f"{INSERTION_HEADING_MM:g} mm; it must be within 90"
             )
         heading = given
     if heading is None:
-        raise CurveError(f"the path returns to its start within {HEADING_MM:g} mm; no insertion direction")
+        raise CurveError(
+            f"the path returns to its start within {INSERTION_HEADING_MM:g} mm; no insertion direction"
+        )
     # The smallest rotation is about heading x z. Where the heading is -z, every horizontal axis will do: x is
     # taken.
     axis = np.cross(heading, [0.0, 0.0, 1.0])
@@ -63,10 +65,10 @@ def placed(curve: Curve, direction: npt.ArrayLike | None = None) -> tuple[Curve,
     rotation = Rotation.from_rotvec(np.arctan2(sine, cosine) * about).as_matrix()
     to_robot = np.eye(4)
     to_robot[:3, :3], to_robot[:3, 3] = rotation, -rotation @ curve.point(np.zeros(1))[0]
-    return curve.moved(to_robot), to_robot
+    return curve.apply_transform(to_robot), to_robot
 
 
-def unit(direction: npt.ArrayLike) -> Array:
+def normalise_direction(direction: npt.ArrayLike) -> Array:
     """Normalise an insertion direction.
 
     Parameters
@@ -97,7 +99,7 @@ def unit(direction: npt.ArrayLike) -> Array:
     return np.asarray(scaled / np.linalg.norm(scaled))
 
 
-def trimmed(curve: Curve, longest: float, drop: Literal["start", "end"]) -> Curve:
+def trim_curve(curve: Curve, longest: float, drop: Literal["start", "end"]) -> Curve:
     """Cut a curve to a length.
 
     Parameters
@@ -121,6 +123,6 @@ def trimmed(curve: Curve, longest: float, drop: Literal["start", "end"]) -> Curv
 
 def _heading(curve: Curve) -> Array | None:
     """Return the mean direction (3,) of a curve over its first 10 mm; None where it returns to its start."""
-    start, end = curve.point(np.array([0.0, min(HEADING_MM, curve.length)]))
+    start, end = curve.point(np.array([0.0, min(INSERTION_HEADING_MM, curve.length)]))
     length = float(np.linalg.norm(end - start))
     return None if length < 1e-9 else np.asarray((end - start) / length)

@@ -87,7 +87,7 @@ def check_coordinates(points: Array) -> None:
         )
 
 
-def walked(points: Array) -> Array:
+def cumulative_arc_length(points: Array) -> Array:
     """Return the length of the polyline up to each of points (n, 3), from the first on: (n,), mm."""
     return np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
 
@@ -158,13 +158,13 @@ def symbolic_point(formula: Callable[[Any], tuple[Any, Any, Any]], u: ca.SX) -> 
     return x
 
 
-WEAKEST, STRONGEST = -4.0, 13.0
+MIN_PENALTY_EXPONENT, MAX_PENALTY_EXPONENT = -4.0, 13.0
 """Powers of ten between which the penalty on bending is searched; beyond, double precision ends."""
-HALVINGS = 24
+PENALTY_BISECTIONS = 24
 """Bisections of that range."""
 
 
-def evened(points: Array, allowed: Array) -> Array:
+def smooth_points(points: Array, allowed: Array) -> Array:
     """Smooth a path as far as a bound on the displacement of each point allows.
 
     Minimises sum_k |(x_k - p_k) / a_k|^2 + penalty sum_k |x_{k-1} - 2 x_k + x_{k+1}|^2 (Whittaker, On a new method
@@ -185,8 +185,8 @@ def evened(points: Array, allowed: Array) -> Array:
     """
     # Scaled so that the largest weight is 1, and one range of penalties suits every bound.
     weight = (allowed.min() / allowed) ** 2
-    best, weakest, strongest = points, WEAKEST, STRONGEST
-    for _ in range(HALVINGS):
+    best, weakest, strongest = points, MIN_PENALTY_EXPONENT, MAX_PENALTY_EXPONENT
+    for _ in range(PENALTY_BISECTIONS):
         power = (weakest + strongest) / 2
         # On the whole, displacements grow with the penalty, from 0 towards those of a straight line, so that
         # bisection finds the largest one.

@@ -13,24 +13,24 @@ import numpy as np
 
 from ctr_nlp.exceptions import CtrError, OutputError, ProblemError
 from ctr_nlp.robot import Robot
-from ctr_nlp.support.cards import Line, card
+from ctr_nlp.support.cards import CardLine, notebook_card_html
 from ctr_nlp.support.equal import Value
-from ctr_nlp.support.packing import Packed, packable, unpacked
-from ctr_nlp.support.values import checked_path, floats, instance, number
-from ctr_nlp.support.whole_file import whole_file
+from ctr_nlp.support.packing import Packed, packable, unpack_value
+from ctr_nlp.support.values import check_instance, checked_path, floats, number
+from ctr_nlp.support.whole_file import write_atomically
 from ctr_nlp.target.curve import Curve
 from ctr_nlp.target.lumen import Lumen
 from ctr_nlp.target.points import LONGEST_S
 from ctr_nlp.target.target import Frame, Target
 from ctr_nlp.typing import Array
 
-OVERLONG = 1.005
+MAX_TARGET_LENGTH_RATIO = 1.005
 """A target up to this many times longer than the robot reaches is accepted; beta_d then stays at its bound."""
 FORMAT = 1
 """Version of the format of problem files."""
 OF_TARGET: Any = "of target"
 """Default of a problem's lumen: that of the target, where it has one."""
-SHOWN = 5
+NOTEBOOK_PICTURE_FRAMES = 5
 """Frames in a notebook's picture."""
 
 
@@ -89,16 +89,16 @@ class Problem(Value):
 
     def __post_init__(self) -> None:
         for name, kind in (("name", str), ("robot", Robot), ("target", Target)):
-            instance(ProblemError, f"{name} of a problem", getattr(self, name), kind)
+            check_instance(ProblemError, f"{name} of a problem", getattr(self, name), kind)
         if self.space is not None:
-            instance(ProblemError, "space of a problem", self.space, str)
+            check_instance(ProblemError, "space of a problem", self.space, str)
         allowed = f"be a finite number > 0, at most {LONGEST_S:g}"
         number(ProblemError, "duration", self.duration, lambda x: 0 < x <= LONGEST_S, allowed, " s")
         for name, shape in (("to_robot", (4, 4)), ("truth", (self.frames, 2 * self.robot.d + 2))):
             if getattr(self, name) is not None:  # a read-only copy is kept
                 object.__setattr__(self, name, floats(ProblemError, name, getattr(self, name), shape))
         longest, reach = max(self.target.lengths), self.robot.reach
-        if longest > reach * OVERLONG:
+        if longest > reach * MAX_TARGET_LENGTH_RATIO:
             raise ProblemError(
                 f"the target of {self.name} is {longest:.2f} mm long and the robot reaches {reach:.2f} mm "
                 f"(0.5 % more is accepted); say which end to drop, --trim start or --trim end"
@@ -139,14 +139,14 @@ class Problem(Value):
         return replace(self, name=f"{self.name}-retraction", target=target, truth=truth)
 
     @cached_property
-    def samples(self) -> tuple[Frame, ...]:
+    def target_frames(self) -> tuple[Frame, ...]:
         """The target at 101 uniform sigma, frame by frame."""
         return self.target.sample()
 
     @cached_property
     def sampled_lumen(self) -> Lumen | None:
         """The lumen sampled every half mm, as clearances are computed with it; None where none is known."""
-        return None if self.lumen is None else Lumen.around(self.lumen)
+        return None if self.lumen is None else Lumen.from_curve(self.lumen)
 
     def __getitem__(self, frames: slice) -> Problem:
         """Return some of the frames, as ``problem[first:stop]``, at the same pace."""
@@ -164,18 +164,21 @@ class Problem(Value):
         )
 
     def _repr_html_(self) -> str:
-        frames = [self.samples[j] for j in np.unique(np.linspace(0, self.frames - 1, SHOWN).round().astype(int))]
+        frames = [
+            self.target_frames[j]
+            for j in np.unique(np.linspace(0, self.frames - 1, NOTEBOOK_PICTURE_FRAMES).round().astype(int))
+        ]
         rows: list[tuple[str, object]] = [
             ("frames", self.frames),
             ("duration", f"{self.duration:g} s"),
             ("longest target", f"{max(self.target.lengths):.2f} mm"),
-            ("largest curvature", f"{max(frame.curvature.max() for frame in self.samples):.4f} per mm"),
+            ("largest curvature", f"{max(frame.curvature.max() for frame in self.target_frames):.4f} per mm"),
             ("tubes", self.robot.d),
             ("reach", f"{self.robot.reach:.2f} mm"),
         ]
-        radii = [frame.radius.min() for frame in self.samples if frame.radius is not None]
+        radii = [frame.radius.min() for frame in self.target_frames if frame.radius is not None]
         rows += [("least radius of the lumen", f"{min(radii):.2f} mm")] if radii else []
-        return card(self.name, [Line(frame.points, "#0072b2") for frame in frames], rows)
+        return notebook_card_html(self.name, [CardLine(frame.points, "#0072b2") for frame in frames], rows)
 
     def save(self, path: str | Path) -> None:
         """Write the problem to a file, whole or not at all.
@@ -209,8 +212,8 @@ class Problem(Value):
         try:
             told = {"problem": packed.add(self), "table": packed.table, "format": FORMAT}
             meta = np.array(json.dumps(told, allow_nan=False))
-            arrays = {"meta": meta, "target": np.array([frame.points for frame in self.samples])}
-            with whole_file(path) as partial, open(partial, "wb") as file:
+            arrays = {"meta": meta, "target": np.array([frame.points for frame in self.target_frames])}
+            with write_atomically(path) as partial, open(partial, "wb") as file:
                 np.savez_compressed(file, **packed.arrays, **arrays)  # type: ignore[arg-type]
         except (OSError, TypeError, ValueError) as error:
             raise OutputError(f"problem cannot be written to {path}: {error}") from error
@@ -244,7 +247,7 @@ class Problem(Value):
                 told = json.loads(str(data["meta"]))
                 if told["format"] != FORMAT:
                     raise OutputError(f"it has format {told['format']!r}; this version reads {FORMAT}")
-                found = unpacked(told["problem"], told["table"], data)
+                found = unpack_value(told["problem"], told["table"], data)
         except CtrError as error:
             raise OutputError(f"{path} is not a problem: {error}") from error
         except Exception as error:  # whatever the readers of zip archives, arrays and JSON meet in a damaged file

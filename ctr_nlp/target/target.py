@@ -13,21 +13,21 @@ import numpy as np
 from scipy.interpolate import CubicHermiteSpline
 
 from ctr_nlp.exceptions import ProblemError
-from ctr_nlp.support.equal import Kept, Value
+from ctr_nlp.support.equal import ReadOnlyValue, Value
 from ctr_nlp.support.packing import packable
-from ctr_nlp.support.values import floats, frozen, instance, number, whole_number
+from ctr_nlp.support.values import check_instance, floats, frozen, number, whole_number
 from ctr_nlp.target.curve import Curve
 from ctr_nlp.typing import Array
 
-SIGMA = frozen(np.linspace(0.0, 1.0, 101))
+SIGMA_GRID = frozen(np.linspace(0.0, 1.0, 101))
 """Normalised arc lengths sigma at which targets and shapes are sampled and errors measured."""
 QUADRATURE = frozen(np.r_[0.005, np.full(99, 0.01), 0.005])
-"""Trapezoidal weights on SIGMA for the integral of eq. (8); they sum to 1."""
+"""Trapezoidal weights on SIGMA_GRID for the integral of eq. (8); they sum to 1."""
 
 
 @dataclass(frozen=True, eq=False)
-class Frame(Kept):
-    """The target of one frame at SIGMA; arrays are read-only.
+class Frame(ReadOnlyValue):
+    """The target of one frame at SIGMA_GRID; arrays are read-only.
 
     Attributes
     ----------
@@ -53,26 +53,26 @@ class Frame(Kept):
     radius: Array | None
     curve: Curve
     number: int = 0
-    part: float = 0.0
+    motion_fraction: float = 0.0
 
     def at(self, sigma: Array) -> Array:
         """Return points (n, 3), mm, at any sigma (n,), by the cubic Hermite interpolant of points and tangents."""
-        return CubicHermiteSpline(SIGMA, self.points, self.tangents * self.length)(sigma)
+        return CubicHermiteSpline(SIGMA_GRID, self.points, self.tangents * self.length)(sigma)
 
     @cached_property
     def curvature(self) -> Array:
         """Curvature (101,), 1/mm, read-only; raises ProblemError where it is not known all along."""
-        return self._curvature(SIGMA * self.length)
+        return self._curvature(SIGMA_GRID * self.length)
 
     @cached_property
     def turning(self) -> Array:
         """Integral of the curvature over arc length from 0 (101,), rad, read-only; raises ProblemError as
         `curvature`.
         """
-        # Midpoint rule on a grid finer than SIGMA: curvature may change much, or jump, between two samples.
-        steps = np.linspace(0.0, self.length, FINER * (len(SIGMA) - 1) + 1)
+        # Midpoint rule on a grid finer than SIGMA_GRID: curvature may change much, or jump, between two samples.
+        steps = np.linspace(0.0, self.length, CURVATURE_QUADRATURE_STEPS * (len(SIGMA_GRID) - 1) + 1)
         turned = np.cumsum(self._curvature((steps[1:] + steps[:-1]) / 2) * np.diff(steps))
-        return frozen(np.append(0.0, turned)[::FINER])
+        return frozen(np.append(0.0, turned)[::CURVATURE_QUADRATURE_STEPS])
 
     def _curvature(self, s: Array) -> Array:
         """Return the curvature (n,), 1/mm, at arc lengths s (n,), mm; raise ProblemError where it is
@@ -111,7 +111,7 @@ class Target(Value):
 
     def __post_init__(self) -> None:
         for name in ("curves", "lengths"):
-            object.__setattr__(self, name, _listed(name, getattr(self, name)))
+            object.__setattr__(self, name, _as_tuple(name, getattr(self, name)))
         if not self.curves:
             raise ProblemError("a target has no frames; give at least one")
         if len(self.curves) != len(self.lengths):
@@ -120,9 +120,9 @@ class Target(Value):
                 f"{len(self.lengths)}; they must be equal"
             )
         for frame, (curve, length) in enumerate(zip(self.curves, self.lengths, strict=True), start=1):
-            instance(ProblemError, f"curve {frame} of a target", curve, Curve)
+            check_instance(ProblemError, f"curve {frame} of a target", curve, Curve)
             allowed = f"be a number of mm in (0, {curve.length:g}], the length of its curve"
-            within = functools.partial(_within, curve.length * (1 + ROUNDING))
+            within = functools.partial(_within, curve.length * (1 + TARGET_LENGTH_ROUNDING))
             number(ProblemError, f"length {frame} of a target", length, within, allowed)
 
     def __len__(self) -> int:
@@ -138,7 +138,7 @@ class Target(Value):
         return Target(self.curves[frames], self.lengths[frames])
 
     def sample(self) -> tuple[Frame, ...]:
-        """Sample all frames at SIGMA.
+        """Sample all frames at SIGMA_GRID.
 
         Returns
         -------
@@ -152,7 +152,7 @@ class Target(Value):
         """
         found, frames = list[Frame](), range(len(self))
         for _, run in itertools.groupby(frames, lambda frame: id(self.curves[frame])):
-            found += _sampled(
+            found += _sample_frames(
                 self.curves[len(found)], np.array([self.lengths[frame] for frame in run]), len(found), len(self)
             )
         return tuple(found)
@@ -185,7 +185,7 @@ def growing(path: Curve, frames: int = 100) -> Target:
     >>> [round(length, 6) for length in ctr.growing(path, frames=4).lengths]
     [20.0, 40.0, 60.0, 80.0]
     """
-    instance(ProblemError, "path", path, Curve)
+    check_instance(ProblemError, "path", path, Curve)
     check_frames(frames)
     lengths = tuple(path.length_at(j / frames) for j in range(1, frames + 1))
     return Target((path,) * frames, lengths)
@@ -216,9 +216,9 @@ def sequence(shapes: Sequence[Curve]) -> Target:
     >>> ctr.sequence(lines)
     Target(3 frames of 40.00 to 60.00 mm)
     """
-    shapes = _listed("shapes", shapes)
+    shapes = _as_tuple("shapes", shapes)
     for frame, shape in enumerate(shapes, start=1):
-        instance(ProblemError, f"shape {frame}", shape, Curve)
+        check_instance(ProblemError, f"shape {frame}", shape, Curve)
     return Target(shapes, tuple(shape.length for shape in shapes))
 
 
@@ -227,28 +227,28 @@ def check_frames(frames: int) -> None:
     whole_number(ProblemError, "frames", frames)
 
 
-def _listed(name: str, given: Any) -> tuple[Any, ...]:
+def _as_tuple(name: str, given: Any) -> tuple[Any, ...]:
     """Return a field of a target as a tuple; raise ProblemError where it is no sequence."""
     if not isinstance(given, Sequence) or isinstance(given, str):
         raise ProblemError(f"{name} of a target is {given!r:.80}; give a sequence with one entry for each frame")
     return tuple(given)
 
 
-ROUNDING = 1e-9
+TARGET_LENGTH_ROUNDING = 1e-9
 """Part of a curve by which a length may exceed it."""
-TURNED_BACK = 0.01
+MAX_RELATIVE_CHORD_EXCESS = 0.01
 """Part by which straight lines between samples may exceed the arc length; on a smooth curve they never do."""
-FINER = 8
-"""Steps of the curvature's quadrature between two neighbours of SIGMA."""
+CURVATURE_QUADRATURE_STEPS = 8
+"""Steps of the curvature's quadrature between two neighbours of SIGMA_GRID."""
 
 
-def _sampled(curve: Curve, lengths: Array, first: int, total: int) -> list[Frame]:
+def _sample_frames(curve: Curve, lengths: Array, first: int, total: int) -> list[Frame]:
     """Return the frames of given lengths (n,), mm, along one curve, which is evaluated for all of them at once.
 
     `first` is the number of the first of them, from 0, and `total` the number of frames of the target.
     """
     frames = range(first, first + len(lengths))
-    s = SIGMA * lengths[:, None]
+    s = SIGMA_GRID * lengths[:, None]
 
     def known(name: str, function: Callable[[Array], Any], *shape: int) -> list[Array]:
         """A function of arc length in every frame, finite and read-only; raises ProblemError."""
@@ -258,7 +258,7 @@ def _sampled(curve: Curve, lengths: Array, first: int, total: int) -> list[Frame
         # Something is wrong: frame by frame, so that the message can name the first frame where it is.
         parts = whole.reshape(*s.shape, *shape) if whole.shape == (s.size, *shape) else map(function, s)
         names = (f"{name} of frame {frame + 1} of the target" for frame in frames)
-        return [floats(ProblemError, *each, (len(SIGMA), *shape)) for each in zip(names, parts, strict=True)]
+        return [floats(ProblemError, *each, (len(SIGMA_GRID), *shape)) for each in zip(names, parts, strict=True)]
 
     points, tangents = known("point", curve.point, 3), known("tangent", curve.tangent, 3)
     _check_direction(np.array(points), lengths, frames)
@@ -277,7 +277,7 @@ def _check_direction(points: Array, lengths: Array, frames: range) -> None:
     """
     chords = np.linalg.norm(np.diff(points, axis=1), axis=2).sum(axis=1)
     for frame, chord, length in zip(frames, chords, lengths, strict=True):
-        if chord > length * (1 + TURNED_BACK):
+        if chord > length * (1 + MAX_RELATIVE_CHORD_EXCESS):
             raise ProblemError(
                 f"frame {frame + 1} of the target has {chord:.2f} mm between points that should be "
                 f"{length:.2f} mm apart along its curve: it turns back on itself and has no direction there"

@@ -17,10 +17,10 @@ from matplotlib.axes import Axes
 import ctr_nlp as ctr
 from ctr_nlp.figures.parts.palette import BLUE, GREEN, ORANGE, VERMILLION
 from ctr_nlp.models import model_named
-from ctr_nlp.models.protocol import passage
-from ctr_nlp.robot.draws import drawn
-from ctr_nlp.simulation.forward import simulated
-from ctr_nlp.target.target import SIGMA
+from ctr_nlp.models.protocol import subdivide_motion
+from ctr_nlp.robot.draws import sample_robots
+from ctr_nlp.simulation.forward import simulate_motion
+from ctr_nlp.target.target import SIGMA_GRID
 from ctr_nlp.typing import Array
 
 FOLDER = Path(__file__).parents[2] / "docs" / "concepts"
@@ -54,7 +54,7 @@ def tubes(axes: Axes) -> None:
     """A robot of three tubes and what is called alpha and beta."""
     robot = ctr.table_i_robot()
     points = ctr.shapes(robot, configuration((0.0, 0.0, np.pi), OUT))[0]
-    length = SIGMA * OUT[-1]
+    length = SIGMA_GRID * OUT[-1]
     for i, (start, end) in enumerate(zip((0.0, *OUT), OUT, strict=False)):
         part = (length >= start) & (length <= end)
         axes.plot(*points[part][:, [0, 2]].T, color=COLOURS[i], lw=8 - 2.5 * i, solid_capstyle="butt")
@@ -84,7 +84,7 @@ def models(axes: Axes) -> None:
     """The same configuration on both models."""
     robot, q = ctr.table_i_robot(), configuration((0.0, 1.2, 2.4), OUT)
     for name, style in (("dominant", "--"), ("elastic", "-")):
-        axes.plot(*simulated(robot, q, name).shape[0][:, [0, 2]].T, style, color=COLOURS[0], label=name)
+        axes.plot(*simulate_motion(robot, q, name).shape[0][:, [0, 2]].T, style, color=COLOURS[0], label=name)
     axes.legend(title="model")
     view(axes, "One configuration, two models")
 
@@ -114,15 +114,18 @@ def snap(axes: Axes) -> None:
 def draws(axes: Axes) -> None:
     """Where robots come to that are within the tolerances of one robot."""
     robot, q, model = ctr.table_i_robot(), configuration((0.0, 2.4, 4.2), OUT), model_named("elastic")
-    robots, way = drawn(robot, 40, seed=1), passage(q, 1)
-    moved = model.follow_apart(
-        robots.structure, robots.numbers, way, robots.turned(way.q, way.fresh), margins=False
+    robots, way = sample_robots(robot, 40, seed=1), subdivide_motion(q, 1)
+    moved = model.follow_batch(
+        robots.structure, robots.numbers, way, robots.tube_configurations(way.q, way.fresh), margins=False
     )
     x = np.array([each.x for each in moved])
-    for (points,) in model.points_apart(robots.structure, robots.numbers, x, SIGMA):
+    for (points,) in model.points_batch(robots.structure, robots.numbers, x, SIGMA_GRID):
         axes.plot(*points[:, [0, 2]].T, color=COLOURS[0], lw=1, alpha=0.4)
     axes.plot(
-        *simulated(robot, q, model).shape[0][:, [0, 2]].T, color=VERMILLION, lw=2, label="the robot described"
+        *simulate_motion(robot, q, model).shape[0][:, [0, 2]].T,
+        color=VERMILLION,
+        lw=2,
+        label="the robot described",
     )
     axes.margins(x=0.8)
     axes.legend()
@@ -134,7 +137,7 @@ def loads(axes: Axes) -> None:
     q = configuration((0.0, 0.4), (60.0, 100.0))
     for force, colour in ((0.0, GREY), (0.3, COLOURS[0]), (0.6, VERMILLION)):
         model = ctr.Loaded(ctr.Load(force=(0.0, 0.0, force)))
-        points = model.points(PAIR, model.rest(PAIR, q[0])[None], SIGMA)[0]
+        points = model.points(PAIR, model.rest(PAIR, q[0])[None], SIGMA_GRID)[0]
         axes.plot(*points[:, [0, 2]].T, color=colour, lw=2, label=f"{force:g} N")
     axes.legend(title="force along z")
     view(axes, "A force at the tip bends the whole robot")

@@ -62,7 +62,7 @@ def _motion(folder: Path, folds: int) -> None:
 def _print(name: str, found: Calibration) -> None:
     print(f"\n{name}: {len(found.measured)} observations, {found.measured.recordings} recordings")
     for what, residuals in (
-        ("as described, registered", found.before),
+        ("as described, registered", found.nominal_residuals),
         ("fitted", found.fit.residuals),
         ("held out", found.held_out),
     ):
@@ -75,7 +75,7 @@ def _print(name: str, found: Calibration) -> None:
     ):
         if not one.kind.startswith("base_"):
             print(f"  {one.name:20s} {value: .4f} +- {sigma:.4f} {one.unit:7s} {standing}")
-    for sentence in found.untold:
+    for sentence in found.unidentified:
         print(f"  - {sentence}")
 
 

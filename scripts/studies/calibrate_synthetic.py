@@ -21,9 +21,9 @@ from ctr_nlp.calibration.calibration import errors
 from ctr_nlp.calibration.parameters import BASE
 from ctr_nlp.calibration.prediction import Prediction, flat_measured
 from ctr_nlp.models import model_named
-from ctr_nlp.robot.draws import Draws, drawn
-from ctr_nlp.robot.tolerances import NAMES
-from ctr_nlp.studies.identified import measured_apart
+from ctr_nlp.robot.draws import RobotSamples, sample_robots
+from ctr_nlp.robot.tolerances import DEVIATION_NAMES
+from ctr_nlp.studies.identified import measure_random_poses
 from ctr_nlp.typing import Array
 
 POSES, PLACES, NOISE = 60, 10, 0.5
@@ -65,7 +65,7 @@ def main() -> int:
 
 def trial(robot: Robot, seed: int) -> dict[str, float]:
     """One robot measured and calibrated."""
-    own = drawn(robot, 1, seed)
+    own = sample_robots(robot, 1, seed)
     random = np.random.default_rng([seed, 7])
     turn, place = Rotation.random(random_state=random).as_matrix(), random.uniform(-200, 200, 3)
     seen, unseen = (_measured(robot, own, turn, place, 2 * seed + k, NOISE) for k in range(2))
@@ -87,20 +87,20 @@ def trial(robot: Robot, seed: int) -> dict[str, float]:
     }
 
 
-def _measured(robot: Robot, own: Draws, turn: Array, place: Array, seed: int, noise: float) -> Measurements:
+def _measured(robot: Robot, own: RobotSamples, turn: Array, place: Array, seed: int, noise: float) -> Measurements:
     """Shapes of a robot at random poses, in the axes of a sensor."""
-    seen = measured_apart(robot, own, ELASTIC, np.linspace(1 / PLACES, 1, PLACES), noise, seed, POSES)
+    seen = measure_random_poses(robot, own, ELASTIC, np.linspace(1 / PLACES, 1, PLACES), noise, seed, POSES)
     return replace(seen, points=seen.points @ turn.T + place)
 
 
-def _deviations(found: Calibration, own: Draws) -> Array:
+def _deviations(found: Calibration, own: RobotSamples) -> Array:
     """By how many of their standard deviations the tubes' determined parameters are off."""
     each = zip(found.parameters.each, found.fit.values, found.fit.sigma, found.standing, strict=True)
     return np.array(
         [
-            (value - own.parts[0, one.number - 1, NAMES.index(one.kind)]) / sigma
+            (value - own.deviations[0, one.number - 1, DEVIATION_NAMES.index(one.kind)]) / sigma
             for one, value, sigma, standing in each
-            if one.number is not None and one.kind in NAMES and standing == "determined"
+            if one.number is not None and one.kind in DEVIATION_NAMES and standing == "determined"
         ]
     )
 
@@ -114,7 +114,7 @@ def _errors(found: Calibration, measured: Measurements) -> Array:
     """That of every pose, (T,) mm."""
     values = np.array(found.fit.values)
     values[found.parameters.columns(*BASE)] = 0.0  # found.bases have them
-    predicted = Prediction(found.parameters, measured, ELASTIC, list(found.bases)).seen(values).flat()
+    predicted = Prediction(found.parameters, measured, ELASTIC, list(found.bases)).predict_values(values).flat()
     return errors(flat_measured(measured) - predicted)
 
 

@@ -10,7 +10,13 @@ from dataclasses import asdict
 from pathlib import Path
 
 from ctr_nlp import Plan
-from ctr_nlp.studies.loops import AS_PLANNED, CASES, DRAWS, HOWS, looped
+from ctr_nlp.studies.loops import (
+    AS_PLANNED,
+    CLOSED_LOOP_CASES,
+    CLOSED_LOOP_SAMPLES,
+    REPLANNING_MODES,
+    run_closed_loops,
+)
 from ctr_nlp.support.tables import markdown
 
 
@@ -18,11 +24,15 @@ def main() -> None:
     """Read options, and print a row for every plan and case."""
     parser = argparse.ArgumentParser(description="What feedback makes of plans, and what open loop does.")
     parser.add_argument("plans", metavar="PLAN.npz", nargs="+")
-    parser.add_argument("--draws", type=int, default=DRAWS, help=f"robots a plan (default {DRAWS})")
-    parser.add_argument("--case", nargs="+", choices=list(CASES), default=list(CASES), help="(default all)")
+    parser.add_argument(
+        "--draws", type=int, default=CLOSED_LOOP_SAMPLES, help=f"robots a plan (default {CLOSED_LOOP_SAMPLES})"
+    )
+    parser.add_argument(
+        "--case", nargs="+", choices=list(CLOSED_LOOP_CASES), default=list(CLOSED_LOOP_CASES), help="(default all)"
+    )
     parser.add_argument(
         "--how",
-        choices=HOWS,
+        choices=REPLANNING_MODES,
         default=AS_PLANNED,
         help="how a plan is led: as it is (the default); planned anew before it begins, for robots that are so "
         "far off, and while it goes on, for what is known by then; or planned anew for what was known of a robot "
@@ -30,7 +40,7 @@ def main() -> None:
     )
     asked = parser.parse_args()
     rows = [
-        asdict(looped(Path(name).stem, Plan.load(name), case, asked.draws, how=asked.how))
+        asdict(run_closed_loops(Path(name).stem, Plan.load(name), case, asked.draws, replanning_mode=asked.how))
         for case in asked.case
         for name in asked.plans
     ]

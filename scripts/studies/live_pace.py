@@ -18,10 +18,10 @@ from typing import Any
 import numpy as np
 from playwright.sync_api import Page, sync_playwright
 
-from ctr_nlp.codegen.cache import SWITCH
+from ctr_nlp.codegen.cache import COMPILE_VARIABLE
 from ctr_nlp.live import Live
-from ctr_nlp.models import MODELS
-from ctr_nlp.problems import named
+from ctr_nlp.models import KINEMATIC_MODELS
+from ctr_nlp.problems import named_problem
 from ctr_nlp.support.tables import markdown
 
 BROWSERS = "chromium", "chromium-browser", "google-chrome", "google-chrome-stable"
@@ -57,7 +57,7 @@ def main() -> None:
     """Measure each size of the window, and print a table."""
     parser = argparse.ArgumentParser(description="How fast live steering is in a real browser.")
     parser.add_argument("problem", metavar="PROBLEM", nargs="?", default="arc", help="a named one (default arc)")
-    parser.add_argument("--model", choices=sorted(MODELS), default="elastic", help="(default elastic)")
+    parser.add_argument("--model", choices=sorted(KINEMATIC_MODELS), default="elastic", help="(default elastic)")
     what = "of the window, pixels (default 900x640 and 600x450)"
     parser.add_argument(
         "--size", metavar="WxH", type=_size, nargs="+", default=[(900, 640), (600, 450)], help=what
@@ -70,8 +70,8 @@ def main() -> None:
     if browser is None:
         parser.error(f"there is no browser: none of {', '.join(BROWSERS)} is on the path")
     flags = [f"--{flag}" for flag in asked.flag]
-    os.environ[SWITCH] = "now"
-    live = Live(named(asked.problem, 100), port=0, model=asked.model)
+    os.environ[COMPILE_VARIABLE] = "now"
+    live = Live(named_problem(asked.problem, 100), port=0, model=asked.model)
     try:
         rows = [_measured(live, browser, size, asked.seconds, flags) for size in asked.size]
     finally:

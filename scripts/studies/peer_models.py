@@ -14,7 +14,7 @@ from dataclasses import asdict
 
 from ctr_nlp import Robot, table_i_robot
 from ctr_nlp.loads import with_modulus
-from ctr_nlp.studies.peers.agreement import agreement, configurations
+from ctr_nlp.studies.peers.agreement import compare_models, sample_configurations
 from ctr_nlp.support.tables import markdown
 
 
@@ -30,13 +30,13 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--forces", metavar="N", type=float, nargs="+", default=[0.0], help=what)
     asked = parser.parse_args(arguments)
     robot = with_modulus(Robot.from_toml(asked.robot) if asked.robot else table_i_robot(), asked.modulus)
-    q = configurations(robot, asked.configurations, asked.seed)
+    q = sample_configurations(robot, asked.configurations, asked.seed)
     rows = []
     for name, program in asked.peers:
         if shutil.which(program) is None:
             print(f"{name} is skipped: there is no program {program}")
             continue
-        rows += [asdict(agreement(name, program, robot, q, (force, 0.0, 0.0))) for force in asked.forces]
+        rows += [asdict(compare_models(name, program, robot, q, (force, 0.0, 0.0))) for force in asked.forces]
     if rows:
         told = [[f"{v:.3g}" if isinstance(v, float) else str(v) for v in row.values()] for row in rows]
         print(markdown(list(rows[0]), told))

@@ -16,7 +16,7 @@ import numpy as np
 from ctr_nlp.studies.grid.results import Results
 from ctr_nlp.studies.grid.study_file import Study
 from ctr_nlp.studies.workers.pool_comparison import compare_with_pool, rows_of
-from ctr_nlp.studies.workers.scale import measured, projected, simulated
+from ctr_nlp.studies.workers.scale import measure_study_cost, project_study, simulate_study
 from ctr_nlp.support.tables import markdown
 
 ROBUST_FRAMES = 4
@@ -67,12 +67,12 @@ def scale(asked: argparse.Namespace) -> None:
     if asked.rows is not None:
         lasted = Results(asked.rows).frame()["process_s"].dropna().to_numpy()
     drawn = np.random.default_rng(0).choice(lasted, asked.simulated).tolist()
-    cost = measured()
+    cost = measure_study_cost()
     print(markdown(("cost", "s or bytes"), [[name, f"{value:.3g}"] for name, value in asdict(cost).items()]))
     columns = {
-        f"{asked.plans} plans, projected": projected(asked.plans, asked.workers, float(lasted.mean()), cost),
-        f"{asked.simulated} plans, projected": projected(asked.simulated, asked.workers, np.mean(drawn), cost),
-        "simulated": simulated(drawn, asked.workers),
+        f"{asked.plans} plans, projected": project_study(asked.plans, asked.workers, float(lasted.mean()), cost),
+        f"{asked.simulated} plans, projected": project_study(asked.simulated, asked.workers, np.mean(drawn), cost),
+        "simulated": simulate_study(drawn, asked.workers),
     }
     each = [asdict(column) for column in columns.values()]
     rows = [[name, *(f"{column[name]:.4g}" for column in each)] for name in each[0]]

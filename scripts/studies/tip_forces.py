@@ -14,8 +14,8 @@ from typing import Any
 from ctr_nlp import CtrError, Problem, Robot, problem_from_file
 from ctr_nlp.loads import with_modulus
 from ctr_nlp.plan.robustness import MOST_LOST
-from ctr_nlp.problems import NAMES, named
-from ctr_nlp.studies.borne.draws import DRAWS, compensated, withstood
+from ctr_nlp.problems import PROBLEM_NAMES, named_problem
+from ctr_nlp.studies.borne.draws import FORCE_STUDY_SAMPLES, evaluate_under_forces, plan_with_known_force
 from ctr_nlp.support.tables import markdown
 
 
@@ -23,11 +23,16 @@ def main() -> None:
     """Read options, and print a row for every problem and force as it is known."""
     parser = argparse.ArgumentParser(description="What plans do under forces at the tip.")
     told = "names and centreline files (default: all names)"
-    parser.add_argument("problems", metavar="PROBLEM", nargs="*", default=list(NAMES), help=told)
+    parser.add_argument("problems", metavar="PROBLEM", nargs="*", default=list(PROBLEM_NAMES), help=told)
     parser.add_argument("--robot", metavar="FILE.toml", help="(default: that of Table I, 2 %% and 0.02 rad off)")
     parser.add_argument("--modulus", metavar="MPA", type=float, default=60_000.0, help="(default 60000)")
     parser.add_argument("--frames", type=int, default=100, help="(default 100)")
-    parser.add_argument("--draws", type=int, default=DRAWS, help=f"robots a plan is tried on (default {DRAWS})")
+    parser.add_argument(
+        "--draws",
+        type=int,
+        default=FORCE_STUDY_SAMPLES,
+        help=f"robots a plan is tried on (default {FORCE_STUDY_SAMPLES})",
+    )
     told = "N that robust plans are made for, and N that they are tried under (default 0.1 and 0.1)"
     parser.add_argument("--planned", type=float, default=0.1, help=told)
     parser.add_argument(
@@ -43,18 +48,18 @@ def main() -> None:
     for problem in problems:
         try:
             if asked.known:
-                _print([asdict(compensated(problem, asked.known))])
+                _print([asdict(plan_with_known_force(problem, asked.known))])
             if asked.forces:
                 given = asked.planned, asked.forces, asked.draws, asked.most_lost
-                _print([asdict(row) for row in withstood(problem, *given)])
+                _print([asdict(row) for row in evaluate_under_forces(problem, *given)])
         except CtrError as error:
             print(f"{problem.name}: {error}", flush=True)
 
 
 def _problem(name: str, frames: int, robot: Robot) -> Problem:
     """Without a wall, whose cost would stand beside that of the force."""
-    if name in NAMES:
-        problem = named(name, frames, robot=robot)
+    if name in PROBLEM_NAMES:
+        problem = named_problem(name, frames, robot=robot)
     else:
         problem = problem_from_file(name, frames=frames, robot=robot)
     return replace(problem, lumen=None)

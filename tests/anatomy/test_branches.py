@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 from matplotlib.image import imread
 
 from ctr_nlp import curve_from_points, read_csv
-from ctr_nlp.anatomy.branch import SPACES, Branch, Branches, moved
-from ctr_nlp.anatomy.choose import chosen, extent
+from ctr_nlp.anatomy.branch import CENTRELINE_SPACE_TO_LPS, Branch, Branches, transform_points
+from ctr_nlp.anatomy.choose import find_extent, select_branch
 from ctr_nlp.anatomy.files import read_branches
 from ctr_nlp.cli.commands.branches import main as list_branches
 from ctr_nlp.exceptions import CurveError
@@ -29,7 +29,7 @@ def branch(name, towards, radius=4.0):
 
 def airway(space="LPS", radius=4.0):
     to_left, to_right = branch("left", (0.8, 0, -0.6), radius), branch("right", (-0.8, 0, -0.6), radius)
-    return Branches((to_left, to_right), space, SPACES[space])
+    return Branches((to_left, to_right), space, CENTRELINE_SPACE_TO_LPS[space])
 
 
 def write_csv(path, points, radius=None):
@@ -42,49 +42,49 @@ def write_csv(path, points, radius=None):
 
 @pytest.mark.parametrize(("choice", "name"), [("1", "left"), ("2", "right"), ("left", "left"), ("right", "right")])
 def test_a_branch_is_chosen_by_number_or_name(choice, name):
-    assert chosen(airway(), choice).name == name
+    assert select_branch(airway(), choice).name == name
 
 
 def test_a_number_is_the_place_in_the_list_whatever_the_names():
     numbered = Branches((branch("2", (1, 0, 0)), branch("1", (-1, 0, 0))), "LPS", np.eye(4))
-    assert chosen(numbered, "1").name == "2"
+    assert select_branch(numbered, "1").name == "2"
 
 
 def test_the_only_branch_needs_no_choice():
     alone = Branches((branch("left", (1, 0, 0)),), "LPS", np.eye(4))
-    assert chosen(alone).name == "left"
+    assert select_branch(alone).name == "left"
 
 
 @pytest.mark.parametrize("choice", ["0", "3", "-1", "middle", ""])
 def test_a_choice_that_does_not_exist_lists_those_that_do(choice):
     with pytest.raises(CurveError, match=r"none of that name or number: 1 'left' \(90\.0 mm\), 2 'right'"):
-        chosen(airway(), choice)
+        select_branch(airway(), choice)
 
 
 def test_several_branches_without_a_choice_are_listed():
     with pytest.raises(
         CurveError, match=r"there are 2 branches, 1 'left' .*, 2 'right' .*number or its name, or by"
     ):
-        chosen(airway(), entry=(0, 0, 100))
+        select_branch(airway(), entry=(0, 0, 100))
 
 
 def test_a_long_list_is_cut():
     many = Branches(tuple(branch(f"b{k}", (1, 0, 0)) for k in range(50)), "LPS", np.eye(4))
     with pytest.raises(CurveError, match=r"20 'b19' \(90\.0 mm\) and 30 more;"):
-        chosen(many)
+        select_branch(many)
 
 
 def test_names_that_several_branches_have_do_not_choose():
     twins = Branches((branch("b", (1, 0, 0)), branch("b", (-1, 0, 0))), "LPS", np.eye(4))
     with pytest.raises(CurveError, match="branch is 'b'; 2 branches have that name"):
-        chosen(twins, "b")
+        select_branch(twins, "b")
 
 
 @pytest.mark.parametrize("space", ["LPS", "RAS"])
 def test_a_target_in_the_file_s_own_coordinates_chooses_what_it_lies_on(space):
     found = airway(space)
     for each in found.branches:
-        assert chosen(found, target=moved(each.points[-5], found.from_lps)) is each
+        assert select_branch(found, target=transform_points(each.points[-5], found.from_lps)) is each
 
 
 def test_branches_that_share_a_trunk_agree_on_it():
@@ -92,10 +92,10 @@ def test_branches_that_share_a_trunk_agree_on_it():
     ends = []
     for each in found.branches:
         curve = curve_from_points(each.points, each.radius)
-        start, stop = extent(curve, found, target=target)
+        start, stop = find_extent(curve, found, target=target)
         ends.append(curve.part(start, stop).point(np.array([0.0, 20.0, stop])))
     assert ends[0] == pytest.approx(ends[1], abs=1e-3)
-    assert chosen(found, target=target).name in ("left", "right")
+    assert select_branch(found, target=target).name in ("left", "right")
 
 
 @given(st.floats(0, 1), st.floats(0, 1))
@@ -106,7 +106,7 @@ def test_points_on_a_curve_cut_it_there(one, other):
     entry, target = curve.point(np.array([start, stop]))
     if stop - start < 0.01:
         return
-    assert extent(curve, airway(), entry, target) == pytest.approx((start, stop), abs=1e-3)
+    assert find_extent(curve, airway(), entry, target) == pytest.approx((start, stop), abs=1e-3)
 
 
 def test_the_nearest_place_is_found_beyond_the_samples():
@@ -114,18 +114,18 @@ def test_the_nearest_place_is_found_beyond_the_samples():
     angle = np.linspace(0, np.pi, 60)
     circle = curve_from_points(50 * np.column_stack([np.cos(angle), np.sin(angle), 0 * angle]))
     target = 53 * np.array([np.cos(1.2345), np.sin(1.2345), 0])
-    assert extent(circle, airway(), target=target)[1] == pytest.approx(50 * 1.2345, abs=1e-3)
+    assert find_extent(circle, airway(), target=target)[1] == pytest.approx(50 * 1.2345, abs=1e-3)
 
 
 def test_without_points_the_whole_curve_is_meant():
     curve = curve_from_points(airway().branches[0].points)
-    assert extent(curve, airway()) == (0.0, curve.length)
+    assert find_extent(curve, airway()) == (0.0, curve.length)
 
 
 def test_an_entry_after_the_target_is_refused():
     curve = curve_from_points(airway().branches[0].points)
     with pytest.raises(CurveError, match=r"target at 20\.0 mm and its entry at 50\.0 mm; it must enter first"):
-        extent(curve, airway(), entry=(0, 0, 50), target=(0, 0, 80))
+        find_extent(curve, airway(), entry=(0, 0, 50), target=(0, 0, 80))
 
 
 @pytest.mark.parametrize(
@@ -135,16 +135,16 @@ def test_an_entry_after_the_target_is_refused():
 def test_a_point_outside_of_the_lumen_is_refused(radius, away, allowed, role):
     points = {role: (0, away, 90)}
     if allowed:
-        assert chosen(airway(radius=radius), "left", **points).name == "left"
+        assert select_branch(airway(radius=radius), "left", **points).name == "left"
     else:
         with pytest.raises(CurveError, match=rf"{role} \(0, {away}, 90\) is {away} mm away from branch 'left'"):
-            chosen(airway(radius=radius), "left", **points)
+            select_branch(airway(radius=radius), "left", **points)
 
 
 @pytest.mark.parametrize("point", [(1, 2), (1, 2, np.nan), (1, 2, 3, 4)])
 def test_a_point_is_three_finite_numbers(point):
     with pytest.raises(CurveError, match=r"target is \(1, 2.*three finite numbers"):
-        chosen(airway(), target=point)
+        select_branch(airway(), target=point)
 
 
 def test_a_table_is_a_single_branch_in_its_own_coordinates(shared_data):
@@ -251,7 +251,7 @@ def test_bad_input_is_one_line_and_exit_code_2(tmp_path, capsys):
 
 def drawn(space, count=2):
     found = airway(space)
-    paths = [moved(each.points, found.from_lps) for each in found.branches]
+    paths = [transform_points(each.points, found.from_lps) for each in found.branches]
     return tree(paths[:count], ["left", "right"][:count], "airway", space)
 
 

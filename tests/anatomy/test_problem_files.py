@@ -7,15 +7,15 @@ import sys
 
 import numpy as np
 import pytest
-from problems import UNJUDGED, named
+from problems import UNJUDGED, named_problem
 
 from ctr_nlp import problem_from_file, table_i_robot
-from ctr_nlp.anatomy.branch import moved
+from ctr_nlp.anatomy.branch import transform_points
 from ctr_nlp.cli.commands.branches import main as list_branches
 from ctr_nlp.cli.commands.plan import horizon as solve_horizon
 from ctr_nlp.cli.commands.plan import steer as solve_per_frame
 from ctr_nlp.exceptions import CtrError, CurveError, OptionError
-from ctr_nlp.target.fit import notes
+from ctr_nlp.target.fit import problem_notes
 
 FLIP = np.array([-1.0, -1.0, 1.0])
 Z = np.linspace(0, 120, 121)
@@ -90,7 +90,7 @@ def followed(problem, count=50):
 
 def back(problem, points):
     """Points in the robot's frame in the file's own coordinates."""
-    return moved(points, np.linalg.inv(problem.to_robot))
+    return transform_points(points, np.linalg.inv(problem.to_robot))
 
 
 # What kinds of files say
@@ -112,10 +112,10 @@ def test_an_airway_is_the_same_problem_in_every_kind_of_file(shared_data, tmp_pa
     for path, flip in files.items():
         found = problem_from_file(path, frames=2, trim="start")
         assert followed(found) == pytest.approx(followed(expected), abs=0.01)
-        assert found.samples[-1].radius == pytest.approx(expected.samples[-1].radius, abs=0.01)
-        own = moved(points * flip, found.to_robot)
-        assert own == pytest.approx(moved(points, expected.to_robot), abs=0.01)
-        assert own[-1] == pytest.approx(found.samples[-1].points[-1], abs=0.01)
+        assert found.target_frames[-1].radius == pytest.approx(expected.target_frames[-1].radius, abs=0.01)
+        own = transform_points(points * flip, found.to_robot)
+        assert own == pytest.approx(transform_points(points, expected.to_robot), abs=0.01)
+        assert own[-1] == pytest.approx(found.target_frames[-1].points[-1], abs=0.01)
 
 
 @pytest.mark.parametrize("space", ["LPS", "RAS"])
@@ -124,7 +124,7 @@ def test_a_problem_of_a_slicer_file_starts_at_the_origin_and_maps_its_own_points
     path = write_slicer(tmp_path / "left.mrk.json", markup(points, coordinateSystem=space))
     found = problem_from_file(path, frames=2)
     assert found.name == "left"
-    assert moved(points, found.to_robot)[0] == pytest.approx(np.zeros(3), abs=1e-9)
+    assert transform_points(points, found.to_robot)[0] == pytest.approx(np.zeros(3), abs=1e-9)
     assert back(found, followed(found, len(Z))) == pytest.approx(points, abs=0.01)
 
 
@@ -159,7 +159,7 @@ def test_entry_and_target_cut_the_path_and_not_the_lumen(tmp_path):
     assert found.lumen.length == pytest.approx(120, abs=0.01)
     ends = found.lumen.point(np.array([0.0, found.lumen.length]))
     assert back(found, ends) == pytest.approx(GENTLE[[0, -1]], abs=0.01)
-    assert found.samples[-1].radius[0] == pytest.approx(RADIUS[20], abs=0.01)
+    assert found.target_frames[-1].radius[0] == pytest.approx(RADIUS[20], abs=0.01)
 
 
 def test_reversed_files_are_entered_at_their_other_end(tmp_path):
@@ -217,7 +217,7 @@ def test_smoothing_moves_the_target_and_not_the_lumen(tmp_path):
     assert (exact.deviation, exact.deviation_share) == (0, 0)
     assert 0.1 < smooth.deviation <= 0.6
     assert smooth.deviation_share == pytest.approx(smooth.deviation / 5, rel=0.3)
-    assert any("smoothing moved" in note for note in notes(smooth))
+    assert any("smoothing moved" in note for note in problem_notes(smooth))
     at = np.linspace(0, exact.lumen.length, 50)
     assert back(smooth, smooth.lumen.point(at)) == pytest.approx(back(exact, exact.lumen.point(at)), abs=1e-6)
 
@@ -390,12 +390,12 @@ def test_a_file_is_solved_with_all_its_options(tmp_path, capsys):
     assert "note: tube 3 (2.1 mm) does not fit even centred from 9" in seen.err
     with np.load(tmp_path / "out" / "plan.npz") as plan:
         assert np.abs(plan["theta"]).max() <= math.radians(20) + 1e-9
-        start = moved(plan["target"][0, 0], np.linalg.inv(plan["to_robot"]))
+        start = transform_points(plan["target"][0, 0], np.linalg.inv(plan["to_robot"]))
     assert start == pytest.approx(GENTLE[5] * FLIP, abs=0.1)
 
 
 def test_a_named_problem_can_know_its_whole_lumen():
-    found = named("bronchus", 3)
+    found = named_problem("bronchus", 3)
     assert found.lumen.length > found.target.lengths[-1]
     path = found.target.curves[-1]
     s = np.linspace(0, 150, 20)

@@ -9,7 +9,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from ctr_nlp import curve_from_points, read_csv
-from ctr_nlp.anatomy.choose import chosen
+from ctr_nlp.anatomy.choose import select_branch
 from ctr_nlp.anatomy.files import read_branches
 from ctr_nlp.exceptions import CurveError
 
@@ -84,7 +84,7 @@ def test_a_real_airway_comes_back(shared_data, written, space, name):
 def test_several_curves_are_branches_by_their_names(written):
     found = read_branches(written(curve(name="left"), curve(ARC + 5)))
     assert [branch.name for branch in found.branches] == ["left", "curve 2"]
-    assert chosen(found, "curve 2").points == pytest.approx(ARC + 5)
+    assert select_branch(found, "curve 2").points == pytest.approx(ARC + 5)
 
 
 def test_to_lps_takes_the_coordinates_of_the_file_along(written):

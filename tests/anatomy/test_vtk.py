@@ -15,7 +15,7 @@ from vtkmodules.util.numpy_support import numpy_to_vtk
 
 from ctr_nlp import curve_from_points, read_csv
 from ctr_nlp.anatomy.files import read_branches
-from ctr_nlp.anatomy.formats.network import Network
+from ctr_nlp.anatomy.formats.network import CentrelineNetwork
 from ctr_nlp.exceptions import CurveError, OptionError
 
 FLIP = np.array([-1.0, -1.0, 1.0])
@@ -224,7 +224,7 @@ def test_pieces_of_any_order_and_direction_make_the_tree(random, twigs, pairs):
         cells = [np.array(pair) for cell in cells for pair in pairwise(cell)]
     random.shuffle(cells)
     cells = [cell[:: random.choice([-1, 1])] for cell in cells]
-    paths = Network(points, width(points), tuple(cells)).paths()
+    paths = CentrelineNetwork(points, width(points), tuple(cells)).paths()
     assert sorted(tuple(points[path[-1]]) for path in paths) == sorted(tuple(line[-1]) for line in lines)
     for path in paths:
         line = next(line for line in lines if (line[-1] == points[path[-1]]).all())

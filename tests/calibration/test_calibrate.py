@@ -10,12 +10,12 @@ from sensed import TWO, measured_shapes, observations, parts_within, shapes_of, 
 from ctr_nlp import Load, LoadOverTime, Robot, Tolerances, Tube, calibrate, table_i_robot
 from ctr_nlp.calibration.calibration import errors, summary_of
 from ctr_nlp.calibration.parameters import parameters_of
-from ctr_nlp.cli.measured.files import head
+from ctr_nlp.cli.measured.files import robot_file_comment
 from ctr_nlp.exceptions import LoadError, MeasurementError, OptionError
 from ctr_nlp.loads import with_modulus
-from ctr_nlp.models import MODELS, under
-from ctr_nlp.robot.tolerances import NAMES
-from ctr_nlp.simulation.lag import Lag, delayed
+from ctr_nlp.models import KINEMATIC_MODELS, model_with_load
+from ctr_nlp.robot.tolerances import DEVIATION_NAMES
+from ctr_nlp.simulation.lag import BacklashAndDrag, delay_configurations
 from ctr_nlp.support.values import read_toml
 
 
@@ -23,9 +23,9 @@ def off(found, parts):
     """By how many standard deviations parameters of tubes are off, by name."""
     rows = zip(found.parameters.each, found.fit.values, found.fit.sigma, strict=True)
     return {
-        one.name: (value - parts[one.number - 1, NAMES.index(one.kind)]) / sigma
+        one.name: (value - parts[one.number - 1, DEVIATION_NAMES.index(one.kind)]) / sigma
         for one, value, sigma in rows
-        if one.kind in NAMES
+        if one.kind in DEVIATION_NAMES
     }
 
 
@@ -35,7 +35,7 @@ def test_tubes_and_zeros_are_found_within_three_standard_deviations(seed):
     found = calibrate(TWO, measured_shapes(TWO, parts, seed), registered=True, held_out=0)
     assert max(map(abs, off(found, parts).values())) < 3
     assert found.fit.noise.position == pytest.approx(0.5, rel=0.1)
-    assert (found.fit.left[found.parameters.columns("curvature", "motor_zero")] < 0.25).all()
+    assert (found.fit.sigma_ratio[found.parameters.columns("curvature", "motor_zero")] < 0.25).all()
 
 
 def test_a_slice_of_the_synthetic_trials():
@@ -54,12 +54,12 @@ def test_what_no_shape_shows_is_told_and_stays_as_it_was():
     """Without an arm the common zero is the base's roll; of stiffnesses only ratios show."""
     robot = wide(TWO)
     found = calibrate(robot, measured_shapes(robot, parts_within(robot, 1), 1), held_out=0)
-    assert "the common zero of all tubes cannot be told from the base's roll" in found.untold
-    assert "only ratios of the tubes' stiffnesses show, not how stiff all are together" in found.untold
+    assert "the common zero of all tubes cannot be told from the base's roll" in found.unidentified
+    assert "only ratios of the tubes' stiffnesses show, not how stiff all are together" in found.unidentified
     zeros = found.fit.covariance[np.ix_(*2 * [found.parameters.columns("motor_zero")])]
     assert zeros.sum() / 4 == pytest.approx(0.05**2 / 3 / 2, rel=0.02)
     known = calibrate(robot, measured_shapes(robot, parts_within(robot, 1), 1), held_out=0, registered=True)
-    assert found.untold[1:] == known.untold
+    assert found.unidentified[1:] == known.unidentified
 
 
 def test_known_weights_at_the_tip_determine_the_modulus():
@@ -77,19 +77,19 @@ def test_known_weights_at_the_tip_determine_the_modulus():
     assert standing["youngs_modulus"] == "determined"
     moduli = [tube.youngs_modulus for tube in found.robot.tubes]
     np.testing.assert_allclose(moduli, [74_000, 70_000], rtol=0.03)
-    root = found.robot.tolerances.root(found.robot.tubes)
-    sigma = np.sqrt(np.diag(root @ root.T)).reshape(2, -1)[:, NAMES.index("bending_stiffness")]
+    root = found.robot.tolerances.covariance_root(found.robot.tubes)
+    sigma = np.sqrt(np.diag(root @ root.T)).reshape(2, -1)[:, DEVIATION_NAMES.index("bending_stiffness")]
     assert (sigma < 0.03).all()
     np.testing.assert_array_less(abs(np.array(moduli) / [74_000, 70_000] - 1), 3 * sigma)
-    assert "what is common to the tubes' stiffnesses cannot be told from their modulus" in found.untold
-    assert not any("only ratios" in sentence for sentence in found.untold)
+    assert "what is common to the tubes' stiffnesses cannot be told from their modulus" in found.unidentified
+    assert not any("only ratios" in sentence for sentence in found.unidentified)
 
 
 def test_a_load_that_is_there_in_every_pose_tells_of_the_modulus_too():
     """A single straight tube that hangs by its weight."""
     rod = Robot((Tube(200, 150, 0.0, 1.5, 1.0),), tolerances=Tolerances(motor_zero=0.01))
     weight, q = Load(densities=21.0, down=(0, 1, 0)), np.array([[0.0, beta, 0.0, 0.0] for beta in (80, 110, 150)])
-    model, soft = under("elastic", weight), with_modulus(rod, 1_000)
+    model, soft = model_with_load("elastic", weight), with_modulus(rod, 1_000)
     points = model.points(soft, np.array([model.rest(soft, row) for row in q]), np.linspace(0.25, 1, 4))
     seen = observations(q, points, np.linspace(0.25, 1, 4))
     found = calibrate(with_modulus(rod, 1_300), seen, ["youngs_modulus"], model=model, registered=True, held_out=0)
@@ -105,7 +105,11 @@ def test_what_forces_need_is_asked_for():
     with pytest.raises(OptionError, match="dominant"):
         calibrate(with_modulus(TWO, 60_000), seen, model="dominant")
     with pytest.raises(LoadError, match="over time"):
-        calibrate(with_modulus(TWO, 60_000), seen, model=under("elastic", LoadOverTime([Load(), Load()], [0, 1])))
+        calibrate(
+            with_modulus(TWO, 60_000),
+            seen,
+            model=model_with_load("elastic", LoadOverTime([Load(), Load()], [0, 1])),
+        )
 
 
 def test_lengths_that_never_come_out_are_held_and_named():
@@ -113,7 +117,7 @@ def test_lengths_that_never_come_out_are_held_and_named():
     found = calibrate(robot, measured_shapes(robot, np.zeros((2, 5)), 2), held_out=0, registered=True)
     standing = dict(zip(found.parameters.names, found.standing, strict=True))
     assert standing == {"curvature_1": "determined", "curvature_2": "determined", "curved_length_2": "held"}
-    assert found.untold == ("the data hardly tell curved length of tube 2",)
+    assert found.unidentified == ("the data hardly tell curved length of tube 2",)
     assert found.robot.tubes[1].curved_length == 110
 
 
@@ -170,7 +174,7 @@ def test_what_was_held_out_was_not_fitted():
     both = type(seen)(*(np.concatenate([getattr(s, n) for s in (seen, copies)]) for n in FIELDS))
     found = calibrate(TWO, both, registered=True, held_out=4)
     np.testing.assert_array_equal(found.fold[:20], found.fold[20:])
-    assert len(found.retraced) == 20
+    assert len(found.repeated_poses) == 20
     assert found.floor == pytest.approx(0, abs=1e-6)
     inside, outside = (summary_of(errors(each))["mean"] for each in (found.fit.residuals, found.held_out))
     assert inside < outside < 1.3 * inside
@@ -186,7 +190,7 @@ def test_the_robot_found_has_the_tubes_and_what_is_left_to_doubt():
         own = found.parameters.parts(found.fit.values)[i]
         assert tube.tip_curvature == pytest.approx(TWO.tubes[i].tip_curvature * (1 + own[0]))
         assert tube.bending_stiffness == pytest.approx(TWO.tubes[i].bending_stiffness * (1 + own[1]))
-    root = found.robot.tolerances.root(found.robot.tubes)
+    root = found.robot.tolerances.covariance_root(found.robot.tubes)
     sigma = np.sqrt(np.diag(root @ root.T)).reshape(2, 5)
     own = found.fit.sigma[found.parameters.names.index("curvature_2")]
     assert sigma[1, 0] == pytest.approx(own / (1 + found.parameters.parts(found.fit.values)[1, 0]), rel=1e-6)
@@ -200,11 +204,11 @@ def test_priors_of_a_covariance_keep_their_correlations():
     first = calibrate(TWO, measured_shapes(TWO, parts, 11), registered=True, held_out=0)
     seen = measured_shapes(first.robot, np.zeros((2, 5)), 12, count=2, places=1)
     again = parameters_of(first.robot, seen, registered=True)
-    root = first.robot.tolerances.root(first.robot.tubes)
+    root = first.robot.tolerances.covariance_root(first.robot.tubes)
     assert len(again) == len(first.parameters)
-    kinds = [(one.number - 1) * 5 + NAMES.index(one.kind) for one in again.each]
+    kinds = [(one.number - 1) * 5 + DEVIATION_NAMES.index(one.kind) for one in again.each]
     np.testing.assert_allclose(again.covariance, (root @ root.T)[np.ix_(kinds, kinds)], rtol=1e-9)
-    white = again.whitened @ again.covariance @ again.whitened.T
+    white = again.whitening_matrix @ again.covariance @ again.whitening_matrix.T
     np.testing.assert_allclose(white, np.eye(len(again)), atol=1e-6)
 
 
@@ -214,8 +218,8 @@ def test_lag_and_delay_are_found_in_a_motion_of_changing_speed(tmp_path):
     q[:, 0] = 1.2 * np.sin(0.3 * time + 0.5 * np.sin(0.8 * time))
     q[:, 1] = 1.0 * np.sin(0.9 * time) * np.cos(0.17 * time)
     q[:, 2], q[:, 3] = 30 + 15 * np.sin(0.5 * time), 90 + 15 * np.sin(0.4 * time)
-    lag = Lag(np.array([0.0, 0.08]), np.zeros(2), np.zeros(2))
-    there = delayed(lag.turned(TWO, q, time), time, 0.15)
+    lag = BacklashAndDrag(np.array([0.0, 0.08]), np.zeros(2), np.zeros(2))
+    there = delay_configurations(lag.apply_to_motion(TWO, q, time), time, 0.15)
     tip = shapes_of(TWO, np.zeros((2, 5)), there, np.ones(1))[:, 0]
     seen = observations(q, tip=tip + 0.2 * random.standard_normal(tip.shape), time=time)
     found = calibrate(TWO, seen, ["rotation_lag", "sensor_delay"], registered=True, held_out=0)
@@ -224,9 +228,9 @@ def test_lag_and_delay_are_found_in_a_motion_of_changing_speed(tmp_path):
     assert values["sensor_delay"] == pytest.approx(0.15, abs=0.01)
     assert found.robot.tolerances.rotation_lag[1] == pytest.approx(values["rotation_lag_2"])
     assert found.fit.noise.position == pytest.approx(0.2, rel=0.15)
-    top, table = head(found).splitlines(), tmp_path / "lag.toml"
+    top, table = robot_file_comment(found).splitlines(), tmp_path / "lag.toml"
     table.write_text("\n".join(top[top.index("[lag]") :]))
-    assert Lag(**read_toml(table)["lag"]).play == pytest.approx(
+    assert BacklashAndDrag(**read_toml(table)["lag"]).play == pytest.approx(
         [values["rotation_lag_1"], values["rotation_lag_2"]], rel=1e-4
     )
 
@@ -239,7 +243,7 @@ def test_at_one_speed_lag_drag_and_delay_look_alike_and_that_is_said():
     tip += 0.2 * np.random.default_rng(4).standard_normal(tip.shape)
     seen = observations(q, tip=tip, time=time)
     found = calibrate(TWO, seen, ["rotation_lag", "drag", "sensor_delay"], registered=True, held_out=0)
-    assert any("at one speed these look alike" in sentence for sentence in found.untold)
+    assert any("at one speed these look alike" in sentence for sentence in found.unidentified)
 
 
 def test_the_next_poses_teach_more_than_those_at_random():
@@ -251,7 +255,7 @@ def test_the_next_poses_teach_more_than_those_at_random():
     assert found.next_left[0] < 1
     for q in found.next_q:
         found.robot.check(q)
-    model = MODELS["elastic"]
+    model = KINEMATIC_MODELS["elastic"]
     x = np.array([model.rest(found.robot, q) for q in found.next_q])
     assert (model.margins(found.robot, x) > 0.29).all()
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from sensed import TWO, observations
 
-from ctr_nlp.calibration.folds import folds, retraced, same_poses
+from ctr_nlp.calibration.folds import assign_folds, find_repeated_poses, same_poses
 from ctr_nlp.exceptions import OptionError
 
 
@@ -24,11 +24,11 @@ def test_repeated_poses_are_in_one_fold_however_they_are_shuffled():
     q, order = poses(40), np.random.default_rng(2).permutation(160)
     near = np.tile(q, (4, 1)) + np.random.default_rng(3).uniform(-0.02, 0.02, (160, 6))
     measured = seen(near[order])
-    found = folds(TWO, measured, 5)
+    found = assign_folds(TWO, measured, 5)
     for k in range(40):
         assert len(set(found[order % 40 == k])) == 1
     assert set(found) == set(range(5))
-    assert len(retraced(TWO, measured)) == 120
+    assert len(find_repeated_poses(TWO, measured)) == 120
 
 
 def test_a_motion_that_goes_back_is_in_the_fold_of_its_way_there():
@@ -37,12 +37,12 @@ def test_a_motion_that_goes_back_is_in_the_fold_of_its_way_there():
     q = np.zeros((len(time), 6))
     q[:, 0], q[:, 1], q[:, 2], q[:, 3] = there / 5, -there / 3, 20 + there, 50 + there
     measured = seen(q, time)
-    found = folds(TWO, measured, 5, block=3.0)
+    found = assign_folds(TWO, measured, 5, block=3.0)
     mirror = np.argmin(abs(there[:, None] - there[None, :300]), axis=1)
     assert (found == found[mirror]).mean() > 0.99
     assert (found[:30] == found[0]).all()
     assert set(found) == set(range(5))
-    again = retraced(TWO, measured, block=3.0)
+    again = find_repeated_poses(TWO, measured, block=3.0)
     assert len(again) > 250
     assert (abs(time[again[:, 0]] - time[again[:, 1]]) > 3.0).all()
 
@@ -55,13 +55,13 @@ def test_a_slow_motion_is_not_one_pose_from_end_to_end():
     first = same_poses(TWO, measured)
     assert (abs(q[first, 3] - q[:, 3]) <= 1.0).all()
     assert len(set(first)) > 10
-    assert len(retraced(TWO, measured)) == 0
+    assert len(find_repeated_poses(TWO, measured)) == 0
 
 
 def test_too_many_folds_are_refused():
     with pytest.raises(OptionError, match="3 different poses or blocks"):
-        folds(TWO, seen(poses(3)), 5)
+        assign_folds(TWO, seen(poses(3)), 5)
     with pytest.raises(OptionError, match="number of folds is 1"):
-        folds(TWO, seen(poses(9)), 1)
+        assign_folds(TWO, seen(poses(9)), 1)
     with pytest.raises(OptionError, match="block of a fold is 0 s; it must be positive"):
-        folds(TWO, seen(poses(9)), 3, block=0)
+        assign_folds(TWO, seen(poses(9)), 3, block=0)

@@ -30,7 +30,7 @@ def test_columns_are_read_in_any_order_and_empty_cells_were_not_measured(tmp_pat
     np.testing.assert_array_equal(found.points[0], [[np.nan, np.nan, 7], [3, 4, 5]])
     assert found.sigma[1, 1] == 0.25
     assert np.isnan(found.direction).all()
-    assert not found.timed
+    assert not found.has_times
     assert found.fresh.all()
 
 
@@ -38,8 +38,8 @@ def test_forces_at_the_tip_are_known_and_none_act_where_there_are_no_columns(tmp
     found = read(tmp_path, f"{AXES},tip_x,force_y,force_z", f"{ROW},1,0.5,-1", f"{ROW},1,0,0")
     np.testing.assert_array_equal(found.force, [[0, 0.5, -1], [0, 0, 0]])
     assert found.repeated == 0
-    assert found.pushed
-    assert not read(tmp_path, f"{AXES},tip_x", f"{ROW},1").pushed
+    assert found.has_tip_force
+    assert not read(tmp_path, f"{AXES},tip_x", f"{ROW},1").has_tip_force
 
 
 def test_a_quaternion_turns_the_z_axis_to_the_direction_of_the_tip(tmp_path):

@@ -259,7 +259,7 @@ def test_failed_frames_make_exit_status_1(tmp_path, monkeypatch, capsys):
         return type(result)(before.q, success=False, status="made to fail") if frame == 1 else result
 
     monkeypatch.setattr(NlpFrames, "step", step)
-    monkeypatch.setattr(NlpFrames, "_at_once", None)
+    monkeypatch.setattr(NlpFrames, "_compiled_frames", None)
     out = tmp_path / "out"
     assert solve("arc", "--frames", 3, "--direction", "forward", "--no-figures", "--out", out) == 1
     assert json.loads((out / "summary.json").read_text())["failed"] == 1
@@ -294,10 +294,10 @@ def test_a_dominant_plan_is_looked_at_on_the_elastic_model_by_itself(tmp_path, c
     given = ["bronchus", "--frames", "50", "--model", "dominant", "--no-figures", "--out", str(out)]
     assert solve_horizon([*given, "--samples", "20"]) == 1
     plan = Plan.load(out / "plan.npz")
-    assert (plan.meta["model"], plan.evaluated, len(plan.drawn)) == ("dominant", "elastic", 20)
+    assert (plan.meta["model"], plan.evaluated_model_name, len(plan.drawn)) == ("dominant", "elastic", 20)
     failed = {"arrives", "follows", "stable", "within the wall", "holds on built robots"}
-    assert failed <= set(plan.verdicts.failed)
-    assert plan.verdicts.unchecked == ()
+    assert failed <= set(plan.verdicts.failed_names)
+    assert plan.verdicts.unchecked_names == ()
     assert "judged on the elastic model" in capsys.readouterr().out
 
 

@@ -19,7 +19,7 @@ from ctr_nlp.cli.commands.plan import steer as solve_per_frame
 from ctr_nlp.cli.output.folder import MARK
 from ctr_nlp.cli.studies.compare import main as compare_solvers
 from ctr_nlp.solvers import CHAIN_SOLVERS
-from ctr_nlp.solvers.motion.judged import judged
+from ctr_nlp.solvers.motion.judged import evaluate_chain_solution
 from ctr_nlp.steer.nlp_frames import NlpFrames
 from ctr_nlp.studies import trade_off
 
@@ -148,7 +148,9 @@ def test_ends_too_far_apart_are_refused_with_what_to_relax(tmp_path, configurati
 
 def test_an_unsolved_horizon_is_exit_status_1_and_says_why(tmp_path, capsys, monkeypatch):
     def gives_up(chain):
-        return lambda x0, watch, *_: judged(chain, x0, np.zeros(chain.bounds[0].size), "Gave_Up", 0)
+        return lambda x0, watch, *_: evaluate_chain_solution(
+            chain, x0, np.zeros(chain.bounds[0].size), "Gave_Up", 0
+        )
 
     monkeypatch.setitem(CHAIN_SOLVERS, "banded", gives_up)
     given = ("cos", "--frames", 6, "--motion-weight", "1e-3", "--no-figures")
@@ -236,7 +238,7 @@ def pressing_ctrl_c_once(call):
 
 
 def test_ctrl_c_before_solving_begins_writes_nothing(tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr(problems, "tell", lambda _: signal.raise_signal(signal.SIGINT))
+    monkeypatch.setattr(problems, "print_problem_notes", lambda _: signal.raise_signal(signal.SIGINT))
     for program in (solve_horizon, solve_per_frame):
         assert program(["cos", "--frames", "4", "--model", "dominant", "--out", str(tmp_path / "out")]) == 130
         assert "interrupted; nothing was written" in capsys.readouterr().err
@@ -245,10 +247,10 @@ def test_ctrl_c_before_solving_begins_writes_nothing(tmp_path, capsys, monkeypat
 
 def test_an_interrupted_sweep_leaves_the_last_one(tmp_path, monkeypatch):
     arguments = ("arc", "--frames", 4, "--out", tmp_path / "out", "--sweep-motion-weight", 1e-3, 1e-5)
-    monkeypatch.setattr(trade_off, "BESIDE", ("joint:ipopt",))
+    monkeypatch.setattr(trade_off, "COMPARED_VARIANTS", ("joint:ipopt",))
     assert solve(*arguments) == 0
     before = contents(tmp_path)
-    monkeypatch.setattr(trade_off, "sweep", pressing_ctrl_c_once(trade_off.sweep))
+    monkeypatch.setattr(trade_off, "sweep_motion_weights", pressing_ctrl_c_once(trade_off.sweep_motion_weights))
     assert solve(*arguments) == 130
     after = contents(tmp_path)
     assert {name: after[name] for name in before} == before

@@ -19,12 +19,12 @@ from test_play import complaint_of, main, toml
 
 from ctr_nlp import Plan, Tolerances
 from ctr_nlp.cli.commands.play import JOURNAL
-from ctr_nlp.hardware.description import bench
+from ctr_nlp.hardware.description import simulated_hardware
 from ctr_nlp.hardware.emulator.firmware import Firmware
 from ctr_nlp.hardware.emulator.serve import serving
 from ctr_nlp.hardware.journal import read_journal
 from ctr_nlp.loops.plant import Plant
-from ctr_nlp.robot.draws import drawn
+from ctr_nlp.robot.draws import sample_robots
 
 pytestmark = pytest.mark.real_time
 
@@ -62,7 +62,7 @@ class Tracker(threading.Thread):
     def __init__(self, firmware: Firmware, port: int, until: int) -> None:
         super().__init__(daemon=True)
         self._firmware, self._port, self._until, self._ended = firmware, port, until, threading.Event()
-        self._plant = Plant(PLAN.robot, drawn(PLAN.robot, 1, 3), PLAN.evaluated)
+        self._plant = Plant(PLAN.robot, sample_robots(PLAN.robot, 1, 3), PLAN.evaluated_model_name)
 
     def run(self) -> None:
         with closing(socket.socket(socket.AF_INET, socket.SOCK_DGRAM)) as sender:
@@ -70,7 +70,7 @@ class Tracker(threading.Thread):
             for k in range(self._until):
                 columns = ["XYZABC".index(letter) for letter in HARDWARE.letters]
                 q = HARDWARE.joints(PLAN.robot, np.array(self._firmware.position)[columns], np.zeros(2))
-                tip = self._plant.moved(q, 0.05 * k).shape[-1] + 0.5 * random.standard_normal(3)
+                tip = self._plant.move_to(q, 0.05 * k).shape[-1] + 0.5 * random.standard_normal(3)
                 values = (tip + np.array([10.0, 0.0, 0.0])).tolist()
                 sender.sendto(json.dumps({"values": values}).encode(), ("127.0.0.1", self._port))
                 if self._ended.wait(0.05):
@@ -207,24 +207,24 @@ def test_a_plan_that_is_not_known_to_hold_is_warned_of_before_it_starts(
 def test_the_simulated_robot_is_elastic_and_said_which_it_is(
     seed: int, plan: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert PLAN.evaluated == "dominant"
-    rig = toml(replace(bench(PLAN.robot), arm=None), tmp_path / "rig.toml")
+    assert PLAN.evaluated_model_name == "dominant"
+    rig = toml(replace(simulated_hardware(PLAN.robot), arm=None), tmp_path / "rig.toml")
     noise = 0.01  # mm, less than what tells the models apart
     rig.write_text(rig.read_text() + f'[sensing]\nurl = "simulated:{seed}"\ndeviation = {noise}\n')
     arguments = ["--closed-loop", "--hardware", str(rig), "--out", str(tmp_path / "out")]
     assert main([str(plan), *arguments]) == 0
     (told,) = [line for line in capsys.readouterr().err.splitlines() if line.startswith("sensor: ")]
-    sample = drawn(PLAN.robot, 1, seed)
+    sample = sample_robots(PLAN.robot, 1, seed)
     zeros = ", ".join(f"{zero:+.3g}" for zero in sample.offsets[0])
     assert told.startswith(f"sensor: a simulated robot on the elastic model, seed {seed}: curvature ")
     assert told.endswith(f"motor zero {zeros} rad")
     records = read_journal(tmp_path / "out" / JOURNAL)
     looks = [record for record in records if record["kind"] == "sensed" and record["readings"]]
     elastic = Plant(PLAN.robot, sample, "elastic")
-    elastic.moved(PLAN.q[0], 0.0)
+    elastic.move_to(PLAN.q[0], 0.0)
     away = []
     for record in looks:
-        tip = elastic.moved(np.array(record["q"]), record["now"]).shape[-1]
+        tip = elastic.move_to(np.array(record["q"]), record["now"]).shape[-1]
         away += [np.linalg.norm(np.array(values) - tip) for _, values in record["readings"]]
     assert len(away) > 10
     assert np.sqrt(np.mean(np.square(away)) / 3) == pytest.approx(noise, rel=0.3)

@@ -13,13 +13,13 @@ from problems import NAMES, ROOT, UNJUDGED
 import ctr_nlp
 from ctr_nlp import Plan, Robot, read_load
 from ctr_nlp.cli.commands import doctor
-from ctr_nlp.cli.commands.new import KINDS, template
+from ctr_nlp.cli.commands.new import TEMPLATE_BY_KIND, template
 from ctr_nlp.cli.main import COMMANDS, load, main
 from ctr_nlp.cli.problems import from_python
 from ctr_nlp.codegen import cache
 from ctr_nlp.exceptions import ProblemError
 from ctr_nlp.hardware.description import Hardware
-from ctr_nlp.problems import named
+from ctr_nlp.problems import named_problem
 from ctr_nlp.studies.grid.study_file import Study
 
 HEAVY = {"casadi", "numpy", "scipy", "matplotlib", "rich", "argparse"}
@@ -194,7 +194,7 @@ def test_frame_by_frame_a_motion_is_retracted_and_limited_too(tmp_path):
 
 def test_a_named_problem_is_that_of_its_file():
     for name in NAMES:
-        assert named(name, 2).name == name
+        assert named_problem(name, 2).name == name
 
 
 def test_a_problem_file_is_planned_and_may_import_what_lies_beside_it(tmp_path, monkeypatch):
@@ -260,10 +260,10 @@ def test_calls_with_problem_files_are_refused_in_one_line(arguments, message, tm
 # Files to start from
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", TEMPLATE_BY_KIND)
 def test_a_new_file_is_written_once_and_is_good(kind, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    file = f"mine{Path(KINDS[kind]).suffix}"
+    file = f"mine{Path(TEMPLATE_BY_KIND[kind]).suffix}"
     assert run("new", kind, file) == 0
     assert f"wrote {file}; next: ctr-nlp " in capsys.readouterr().out
     if kind == "problem":

@@ -8,9 +8,9 @@ from ctr_nlp import Problem
 from ctr_nlp.cli.problems import from_python
 from ctr_nlp.cli.studies.compare import main as compare
 from ctr_nlp.formulations.settings import Settings
-from ctr_nlp.problems import named
+from ctr_nlp.problems import named_problem
 from ctr_nlp.steer import solve_horizon
-from ctr_nlp.studies.comparison import ROBUST, variants_here
+from ctr_nlp.studies.comparison import ROBUST_VARIANTS, available_variants
 
 BEND = '''"""A bend in space that two tubes cannot follow exactly; many draws snap on the best plan for it."""
 
@@ -28,7 +28,7 @@ def problem(frames=8, duration=4.0, robot=None):
 
 def check_comparison(folder, given: str, plain_problem: Problem, frames: int, solver: str) -> None:
     """Robust plans lose fewer of 200 draws than a plain elastic one, and pay for that on the robot described."""
-    variants = [f"horizon:{solver}:elastic", "joint:ipopt", *ROBUST]
+    variants = [f"horizon:{solver}:elastic", "joint:ipopt", *ROBUST_VARIANTS]
     out = folder / "out"
     assert compare([given, "--frames", str(frames), "--variants", *variants, "--out", str(out)]) == 1
     plain, dominant, *robust = json.loads((out / "comparison.json").read_text())
@@ -36,7 +36,7 @@ def check_comparison(folder, given: str, plain_problem: Problem, frames: int, so
     drawn = solve_horizon(plain_problem, solver=solver, model="elastic", settings=plainly).robustness()
     assert plain["draws"] == 200
     assert plain["draws_e3"] == pytest.approx(drawn.errors.mean, rel=1e-3)
-    assert plain["draws_lost"] == pytest.approx(drawn.share, abs=0.01)
+    assert plain["draws_lost"] == pytest.approx(drawn.lost_share, abs=0.01)
     assert dominant["draws"] == 200, "also looked at on the elastic model"
     for row in robust:
         assert row["draws_lost"] <= 0.01 < plain["draws_lost"]
@@ -57,8 +57,8 @@ def test_elastic_variants_are_tried_on_draws_and_robust_ones_lose_few(tmp_path, 
 
 @pytest.mark.slow
 def test_so_they_do_with_three_tubes_along_a_wave(tmp_path):
-    check_comparison(tmp_path, "cos", named("cos", 20), 20, "banded")
+    check_comparison(tmp_path, "cos", named_problem("cos", 20), 20, "banded")
 
 
 def test_robust_variants_are_asked_for_by_name():
-    assert not ROBUST.keys() & set(variants_here())
+    assert not ROBUST_VARIANTS.keys() & set(available_variants())

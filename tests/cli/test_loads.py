@@ -12,10 +12,10 @@ from loaded_plans import turned
 
 from ctr_nlp import Load, Plan, read_load, solve_horizon
 from ctr_nlp.cli.main import main
-from ctr_nlp.figures.beside import beside
+from ctr_nlp.figures.beside import shapes_compared
 from ctr_nlp.loads import with_modulus
-from ctr_nlp.models import under
-from ctr_nlp.problems import named
+from ctr_nlp.models import model_with_load
+from ctr_nlp.problems import named_problem
 from ctr_nlp.steer.horizon.bearing import LoadedHorizon
 
 NITINOL = "--youngs-modulus", "60000"
@@ -42,7 +42,7 @@ def test_a_plan_is_moved_under_a_load_of_a_file(saved, capsys):
     out = capsys.readouterr().out
     assert "under a tip force of (0, 0.05, 0) N" in out
     found = Plan.load("runs/turned-under/plan.npz")
-    assert found == turned().with_modulus(60_000).under(load)
+    assert found == turned().with_modulus(60_000).with_load(load)
     told = json.loads((saved / "runs/turned-under/summary.json").read_text())
     assert told["load"] == str(load)
     assert (saved / "runs/turned-under/stability.png").is_file()
@@ -51,12 +51,12 @@ def test_a_plan_is_moved_under_a_load_of_a_file(saved, capsys):
 
 def test_a_plan_that_knew_the_load_is_shown_beside(saved):
     own, load = turned().with_modulus(60_000), Load(force=(0.0, 0.05, 0.0))
-    under = own.under(load)
+    under = own.with_load(load)
     under.save("knew.npz")
     asked = "under", "plan.npz", "--force", "0", "0.05", "0", "--beside", "knew.npz", *NITINOL
     assert run(*asked) == 1
     assert (saved / "runs/turned-under/beside.png").is_file()
-    figure = beside({"without": own, "under it": under}, "both", [2, len(own.time)])
+    figure = shapes_compared({"without": own, "under it": under}, "both", [2, len(own.time)])
     rows = [axes.get_ylabel() for axes in figure.axes[::2]]
     assert rows == ["without\nz (mm)", "under it\nz (mm)"]
     drawn = figure.axes[-1]
@@ -68,7 +68,7 @@ def test_a_plan_that_knew_the_load_is_shown_beside(saved):
 
 def test_a_tip_force_needs_no_file(saved):
     assert run("under", "plan.npz", "--force", "0", "-0.05", "0", "--no-figures", "--out", "here", *NITINOL) == 1
-    assert Plan.load("here/plan.npz").bears == Load(force=(0, -0.05, 0))
+    assert Plan.load("here/plan.npz").evaluated_load == Load(force=(0, -0.05, 0))
     assert not (saved / "here/shapes.png").exists()
 
 
@@ -133,8 +133,8 @@ def test_a_loaded_plan_is_made_to_its_end(command, problem, tmp_path, monkeypatc
     status = run(command, *given, "--no-figures", "--out", "out")
     plan = Plan.load("out/plan.npz")
     assert plan.complete
-    assert status == bool(plan.verdicts.failed)
-    assert plan.bears == Load(force=(0.0, 0.05, 0.0))
+    assert status == bool(plan.verdicts.failed_names)
+    assert plan.evaluated_load == Load(force=(0.0, 0.05, 0.0))
     assert plan.verdicts.stable.word == "yes"
     assert plan.verdicts.holds.word == "NOT CHECKED", "loaded samples are simulated only where that is asked for"
 
@@ -146,8 +146,8 @@ def test_the_command_plans_a_load_as_python_does(tmp_path, monkeypatch):
     given = "synthesis", "--force", "0", "0.05", "0", *NITINOL, "--frames", "3", "--no-figures"
     with pytest.raises(pytest.fail.Exception):
         run("plan", *given)
-    problem = named("synthesis", 3)
+    problem = named_problem("synthesis", 3)
     loaded = replace(problem, robot=with_modulus(problem.robot, 60_000))
     with pytest.raises(pytest.fail.Exception):
-        solve_horizon(loaded, model=under("elastic", Load(force=(0.0, 0.05, 0.0))))
+        solve_horizon(loaded, model=model_with_load("elastic", Load(force=(0.0, 0.05, 0.0))))
     assert len(asked) == 2

@@ -152,8 +152,8 @@ SOLVERS = [
 ]  # fmt: skip
 
 PLANS = [
-    (lambda: plan().on("foo"), OptionError, "model is 'foo'; it must be one of dominant, elastic"),
-    (lambda: plan().on(None), OptionError, "model is None"),
+    (lambda: plan().evaluate_on("foo"), OptionError, "model is 'foo'; it must be one of dominant, elastic"),
+    (lambda: plan().evaluate_on(None), OptionError, "model is None"),
     (lambda: plan().save("/nowhere/at/all/plan.npz"), OutputError, "plan cannot be written to /nowhere"),
     (lambda: plan().save(None), OutputError, "path is None"),
     (lambda: replace(plan(), meta=plan().meta | {"x": math.nan}).save("x.npz"), OutputError,

@@ -26,7 +26,7 @@ from malformed import (
 from ctr_nlp import Plan, Robot
 from ctr_nlp.cli.arguments import read_start
 from ctr_nlp.cli.commands import robust
-from ctr_nlp.exceptions import LONGEST, HardwareError, LoadError, OptionError, OutputError, RobotError
+from ctr_nlp.exceptions import MAX_MESSAGE_LENGTH, HardwareError, LoadError, OptionError, OutputError, RobotError
 from ctr_nlp.hardware.description import Hardware
 from ctr_nlp.loads import Load
 
@@ -288,5 +288,5 @@ def test_an_error_that_quotes_thousands_of_letters_is_cut_in_the_middle(tmp_path
     path = written(tmp_path, "robot.toml", f"{'k' * 5000} = 1\n{ROBOT}")
     with pytest.raises(RobotError) as raised:
         Robot.from_toml(path)
-    assert len(str(raised.value)) <= LONGEST
+    assert len(str(raised.value)) <= MAX_MESSAGE_LENGTH
     assert "allowed are name, tubes" in str(raised.value)

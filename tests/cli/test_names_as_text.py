@@ -15,7 +15,7 @@ from ctr_nlp.cli.commands import plan as plan_command
 from ctr_nlp.cli.exchange import configurations
 from ctr_nlp.cli.loads import contact, under
 from ctr_nlp.cli.main import main
-from ctr_nlp.cli.telling import announce, console, print_table, progress_bar, wrote
+from ctr_nlp.cli.telling import announce, console, print_table, progress_bar, report_written_files
 from ctr_nlp.figures.branches import tree
 from ctr_nlp.figures.overlay import shapes
 from ctr_nlp.figures.parts.page import label_text
@@ -38,7 +38,7 @@ def test_a_terminal_shows_lines_tables_and_files_as_text(given, shown, capsys, m
     monkeypatch.setattr(telling, "PIPED_WIDTH", 1000)
     console().print(given)
     announce(given)
-    wrote(given, [given], more=given)
+    report_written_files(given, [given], more=given)
     print_table(given, ("", given), [(given, given)], text=(given,))
     telling.print_stderr(given)
     told = capsys.readouterr()
@@ -50,7 +50,7 @@ def test_a_terminal_shows_lines_tables_and_files_as_text(given, shown, capsys, m
 @pytest.mark.parametrize(("given", "shown"), [(MARKED, MARKED), (OBEYED, ESCAPED)])
 def test_progress_shows_names_as_text(given, shown, capsys, monkeypatch):
     monkeypatch.setattr(telling, "PIPED_WIDTH", 1000)
-    with telling.telling(as_json=False, verbose=True), progress_bar() as labelled:
+    with telling.collect_output(as_json=False, verbose=True), progress_bar() as labelled:
         labelled(given)(1, 2, given)
     told = capsys.readouterr().err
     assert told.count(shown) == 3

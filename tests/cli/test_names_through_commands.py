@@ -19,7 +19,7 @@ from ctr_nlp.cli.commands import plan as plan_command
 from ctr_nlp.cli.exchange import configurations
 from ctr_nlp.cli.loads import contact, force, under
 from ctr_nlp.cli.studies import baselines, compare, design, study, trade
-from ctr_nlp.exceptions import escaped
+from ctr_nlp.exceptions import escape_control_characters
 from ctr_nlp.studies.grid.study_file import Study
 
 NAMES = {
@@ -94,7 +94,7 @@ def shown(capsys):
 def test_exports_of_a_plan_of_any_name_are_whole(kind, plain, tmp_path, shown):
     name = NAMES[kind]
     made = exported(tmp_path, name)
-    assert escaped(name).strip()[:20] in shown()
+    assert escape_control_characters(name).strip()[:20] in shown()
     assert sorted(path.name for path in tmp_path.iterdir()) == sorted([*FORMATS.values(), "plan.npz"])
     for to in ("csv", "shapes-csv"):
         assert made[to].read_bytes() == plain[to].read_bytes()
@@ -111,8 +111,8 @@ def test_exports_of_a_plan_of_any_name_are_whole(kind, plain, tmp_path, shown):
     content = made["gltf"].read_bytes()
     assert len(content) == struct.unpack("<I", content[8:12])[0]
     told = json.loads(content[20 : 20 + struct.unpack("<I", content[12:16])[0]])
-    assert told["scenes"][0]["name"] == escaped(name)
-    assert "".join(loadmat(made["mat"])["problem"]).rstrip() == escaped(name).rstrip()
+    assert told["scenes"][0]["name"] == escape_control_characters(name)
+    assert "".join(loadmat(made["mat"])["problem"]).rstrip() == escape_control_characters(name).rstrip()
     assert (made["rosbag2"] / "metadata.yaml").is_file()
 
 
@@ -124,7 +124,7 @@ def test_the_page_of_plans_of_any_name_shows_it(kind, tmp_path, shown):
     shown()
     text = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
     title = re.search(r"<h1>(.*)</h1>", text)
-    assert html.unescape(title[1]).startswith(f"{escaped(NAMES[kind])}: ")
+    assert html.unescape(title[1]).startswith(f"{escape_control_characters(NAMES[kind])}: ")
     assert len(re.findall("<script", text)) == 2
     assert text.rstrip().endswith("</html>")
 
@@ -139,7 +139,7 @@ def test_a_problem_of_any_name_is_planned_into_its_own_folder(kind, tmp_path, mo
     asked = "mine.py", "--model", "dominant", "--formulation", "joint", "--frames", "3", *UNJUDGED
     drawn = () if kind in ("mathtext", "control") else ("--no-figures",)
     assert plan_command.plan([*asked, *drawn, "--verbose"]) in (0, 1)
-    assert escaped(NAMES[kind]).strip()[:20] in shown()
+    assert escape_control_characters(NAMES[kind]).strip()[:20] in shown()
     (folder,) = (tmp_path / "runs").iterdir()
     assert Plan.load(folder / "plan.npz").meta["problem"]["name"] == NAMES[kind]
     assert json.loads((folder / "summary.json").read_text())["problem"] == NAMES[kind]
@@ -172,7 +172,7 @@ def test_a_centreline_file_of_any_name_is_imported_for(name, tmp_path, monkeypat
     written(tmp_path, f"{name}.q.csv", rows + "\n")
     asked = f"{name}.q.csv", "--problem", f"{name}.csv", "--model", "dominant", "--no-figures", *UNJUDGED
     assert configurations.main(list(asked)) in (0, 1)
-    assert escaped(name) in shown()
+    assert escape_control_characters(name) in shown()
 
 
 NASTY = "airway [/left] [red]\x1b[2J\n../../x </script> $\\frac{$ 'a\"b (G28) \u202e\ud800"
@@ -272,7 +272,7 @@ def test_a_robot_file_of_any_name_is_made_and_read(name, tmp_path, monkeypatch, 
     tubes = {f"{name} inner": INNER, f"{name} outer": OUTER}
     written(tmp_path, f"{name}.json", json.dumps(tubes))
     assert new.main(["robot", f"{name}.toml", "--from", f"{name}.json"]) == 0
-    assert escaped(name) in shown()
+    assert escape_control_characters(name) in shown()
     assert Robot.from_toml(tmp_path / f"{name}.toml") == read_robot(f"{name}.json").robot
     written(tmp_path, f"{name}.toml", ROBOT)
     head = [f"{axis}_{'mm' if axis.startswith('beta') else 'rad'}" for axis in plan().robot.axes]

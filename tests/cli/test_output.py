@@ -22,12 +22,12 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule
 
 from ctr_nlp.cli.output import folder as output
-from ctr_nlp.cli.output.file import LONGEST, check_file, path_component, write_text
-from ctr_nlp.cli.output.folder import check_folder, place_of, published
+from ctr_nlp.cli.output.file import MAX_PATH_COMPONENT_BYTES, check_file, path_component, write_text
+from ctr_nlp.cli.output.folder import check_folder, output_folder, results_folder
 from ctr_nlp.cli.output.manifest import MARK, STANDARD
 from ctr_nlp.exceptions import OutputError
 from ctr_nlp.studies.paper import SECTIONS
-from ctr_nlp.support.folder_lock import locked
+from ctr_nlp.support.folder_lock import lock_folder
 
 unix = pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork and flock")
 PLAN = {"plan.npz": "first", "errors.csv": "first", "shapes.png": "first"}
@@ -36,14 +36,14 @@ PLAN = {"plan.npz": "first", "errors.csv": "first", "shapes.png": "first"}
 def run(folder: Path, files: dict[str, str], kind: str = "plan", interrupted: bool = False) -> None:
     """A run of a program that solves nothing."""
     check_folder(folder, kind, next((folder / name for name in files if name.endswith(".gif")), None))
-    publish(place_of(folder, interrupted), files, kind)
+    publish(results_folder(folder, interrupted), files, kind)
 
 
 def publish(
     folder: Path, files: dict[str, str], kind: str = "plan", meanwhile: Callable[[], object] = int
 ) -> None:
     """What a run does at its end, and meanwhile something else happens."""
-    with published(folder, kind) as staging:
+    with output_folder(folder, kind) as staging:
         for name, text in files.items():
             (staging / name).parent.mkdir(parents=True, exist_ok=True)
             (staging / name).write_text(text)
@@ -62,7 +62,7 @@ def contents(folder: Path) -> dict[str, str]:
 @given(st.text())
 def test_any_name_becomes_one_safe_component(name):
     found = path_component(name)
-    assert 0 < len(found.encode()) <= LONGEST
+    assert 0 < len(found.encode()) <= MAX_PATH_COMPONENT_BYTES
     assert (Path("runs") / found).parts == ("runs", found)
     assert found[0] not in ".-~ "
     assert found[-1] not in ". "
@@ -350,7 +350,7 @@ def test_staging_folders_of_the_dead_go_and_those_of_the_living_stay(tmp_path):
     for folder in (dead, living, other):
         folder.mkdir()
         (folder / "plan.npz").write_text("half")
-    with locked(living):
+    with lock_folder(living):
         check_folder(tmp_path, "plan")
         run(tmp_path, PLAN)
         assert not dead.exists()
@@ -362,14 +362,14 @@ def test_staging_folders_of_the_dead_go_and_those_of_the_living_stay(tmp_path):
 
 def test_what_a_killed_first_run_left_is_not_taken_for_the_user_s(tmp_path):
     (tmp_path / f"{MARK}-00000001").mkdir()
-    with locked(tmp_path / f"{MARK}-00000001"):
+    with lock_folder(tmp_path / f"{MARK}-00000001"):
         run(tmp_path, PLAN)
     assert contents(tmp_path) == PLAN
 
 
 def test_a_second_run_waits_for_the_first_to_publish(tmp_path, monkeypatch):
     run(tmp_path, PLAN)
-    with locked(tmp_path):
+    with lock_folder(tmp_path):
         second = threading.Thread(target=run, args=(tmp_path, {"plan.npz": "second"}))
         second.start()
         second.join(0.3)
@@ -381,10 +381,10 @@ def test_a_second_run_waits_for_the_first_to_publish(tmp_path, monkeypatch):
 
 def test_a_run_that_waits_in_vain_keeps_its_results(tmp_path, monkeypatch):
     out = tmp_path / "out"
-    monkeypatch.setattr(output, "PATIENCE", 0.05)
+    monkeypatch.setattr(output, "PUBLISH_LOCK_TIMEOUT_S", 0.05)
     kept = r"another run is writing.*results are in .*out-kept-1"
     with ExitStack() as held, pytest.raises(OutputError, match=kept):
-        publish(out, {"plan.npz": "solved"}, meanwhile=lambda: held.enter_context(locked(out)))
+        publish(out, {"plan.npz": "solved"}, meanwhile=lambda: held.enter_context(lock_folder(out)))
     assert contents(tmp_path) == {"out-kept-1/plan.npz": "solved"}
 
 

@@ -25,15 +25,15 @@ from ctr_nlp import Plan, table_i_robot
 from ctr_nlp.cli.commands import play as play_command
 from ctr_nlp.cli.commands.play import JOURNAL
 from ctr_nlp.cli.commands.play import main as play
-from ctr_nlp.cli.output.folder import check_folder, published
+from ctr_nlp.cli.output.folder import check_folder, output_folder
 from ctr_nlp.cli.output.manifest import MARK
 from ctr_nlp.hardware import journal as journal_module
-from ctr_nlp.hardware.description import Hardware, bench
+from ctr_nlp.hardware.description import Hardware, simulated_hardware
 from ctr_nlp.hardware.emulator.firmware import Firmware
 from ctr_nlp.hardware.emulator.serve import serving
 from ctr_nlp.hardware.journal import read_journal
 from ctr_nlp.hardware.playing import trust as trust_module
-from ctr_nlp.hardware.playing.session import prepared
+from ctr_nlp.hardware.playing.session import prepare_trajectory
 from ctr_nlp.plan.account import NOT_FOR_PATIENTS
 from ctr_nlp.plan.verdicts import NO, YES, Verdict
 
@@ -140,10 +140,10 @@ def moves(folder: Path) -> list[str]:
 
 
 def frames_played(firmware: Firmware) -> list[int]:
-    program = prepared(PLAN, homing_hardware())[0]
+    program = prepare_trajectory(PLAN, homing_hardware())[0]
     wanted = np.round(program.positions(program.frame_time), 4)
     order = [program.hardware.letters.index(letter) for letter in "XYZABC"]
-    ends = np.array([target for _, target in firmware.executed]).reshape(-1, 6)
+    ends = np.array([target for _, target in firmware.executed_blocks]).reshape(-1, 6)
     away = abs(ends[:, None] - wanted[None, :, order]).max(axis=2)
     return [int(j) + 1 for row in away for j in np.flatnonzero(row < 2e-4)]
 
@@ -166,7 +166,7 @@ def test_a_plan_on_the_simulated_device(
         assert words in told
     with (out / "tracking.csv").open() as file:
         rows = list(csv.DictReader(file))
-    program = prepared(PLAN, bench(PLAN.robot))[0]
+    program = prepare_trajectory(PLAN, simulated_hardware(PLAN.robot))[0]
     assert [int(row["frame"]) for row in rows] == list(range(1, 11))
     np.testing.assert_allclose([float(row["time_s"]) for row in rows], program.frame_time, atol=1e-6)
     wanted = program.positions(program.frame_time)
@@ -602,7 +602,7 @@ def test_files_of_the_user_s_in_its_folder_are_refused(plan: Path, tmp_path: Pat
 
 def test_beside_a_plan_the_plan_stays_and_the_journal_grows(plan: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
-    with published(out, "plan") as staging:
+    with output_folder(out, "plan") as staging:
         Plan.load(plan).save(staging / "plan.npz")
     before, sizes = (out / "plan.npz").read_bytes(), []
     for _ in range(2):
@@ -651,7 +651,7 @@ def test_a_session_whose_journal_cannot_be_ended_is_not_all_well(
 def test_a_position_that_cannot_be_remembered_is_not_all_well(
     plan: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    firmware, out, whole = Firmware({20: 1}, homed=True), tmp_path / "out", trust_module.whole_file
+    firmware, out, whole = Firmware({20: 1}, homed=True), tmp_path / "out", trust_module.write_atomically
 
     def full(path: Path) -> Any:
         if moves(out):
@@ -661,7 +661,7 @@ def test_a_position_that_cannot_be_remembered_is_not_all_well(
     with serving(firmware) as url:
         arguments = [str(plan), "--hardware", str(rig(tmp_path, url)), "--out", str(out)]
         with monkeypatch.context() as patch:
-            patch.setattr(trust_module, "whole_file", full)
+            patch.setattr(trust_module, "write_atomically", full)
             assert main([*arguments, LOOKED]) == 1
         told = capsys.readouterr()
         assert "trusted, but not remembered" in told.out

@@ -62,7 +62,7 @@ def test_samples_decide_the_verdict(saved, tmp_path, capsys, name, loses, word):
     assert ("where samples are lost first" in told) == loses
     assert "motor zero" in told
     numbers = json.loads((tmp_path / "out" / "summary.json").read_text())["robustness"]
-    assert numbers["lost"] == plan.drawn.losses
+    assert numbers["lost"] == plan.drawn.lost_count
     assert "e2_draws_95" in (tmp_path / "out" / "errors.csv").read_text().splitlines()[0]
     assert (tmp_path / "out" / "robustness.png").stat().st_size > 10_000
 
@@ -78,7 +78,7 @@ def test_without_pictures_there_is_none_and_bad_counts_are_refused(saved, tmp_pa
 
 
 def test_samples_on_a_model_without_snaps_are_not_checked(saved, tmp_path, capsys):
-    of_dominant = Plan.load(saved / "near.npz").on("dominant")
+    of_dominant = Plan.load(saved / "near.npz").evaluate_on("dominant")
     of_dominant.save(tmp_path / "plan.npz")
     given = [str(tmp_path / "plan.npz"), "--draws", "20", "--seed", "4", "--no-figures"]
     given += ["--out", str(tmp_path / "o")]
@@ -90,7 +90,7 @@ def test_samples_on_a_model_without_snaps_are_not_checked(saved, tmp_path, capsy
     for more in ([], ["--evaluate", "elastic"]):
         assert robust([*given, *more]) == 1, "the elastic model is the default here, too"
         found = Plan.load(tmp_path / "o" / "plan.npz")
-        assert found.evaluated == "elastic"
+        assert found.evaluated_model_name == "elastic"
         assert found.verdicts.holds.word == "no"
 
 
@@ -122,7 +122,7 @@ def test_a_robust_plan_is_tried_on_draws_and_holds_what_came_of_planning(small, 
     plan = Plan.load(tmp_path / "out" / "plan.npz")
     assert plan.meta["model"] == "elastic"
     assert len(plan.drawn) == plan.meta["certificate"]["samples"] == 200
-    assert plan.drawn.share <= 0.01
+    assert plan.drawn.lost_share <= 0.01
     assert "holds on built robots" in told
     certificate = plan.meta["certificate"]
     assert certificate["held"]
@@ -182,7 +182,7 @@ def test_a_robust_plan_on_the_dominant_model_is_judged_on_the_elastic_one(small,
     command(["plan", *small, *given])
     plan = Plan.load(tmp_path / "out" / "plan.npz")
     assert plan.meta["formulation"] == "robust-horizon"
-    assert (plan.evaluated, len(plan.drawn)) == ("elastic", 30)
+    assert (plan.evaluated_model_name, len(plan.drawn)) == ("elastic", 30)
     assert plan.verdicts.holds.word in ("yes", "no")
 
 
@@ -195,7 +195,7 @@ def test_robust_and_plain_plans_have_folders_of_their_own(small, tmp_path, monke
 
 
 def test_a_plan_that_loses_too_many_says_what_it_would_bear(saved):
-    plan = Plan.load(saved / "near.npz").with_draws(20, 4)
+    plan = Plan.load(saved / "near.npz").with_samples(20, 4)
     assert plan.verdicts.holds.why.endswith("`ctr-nlp plan --robust` plans for such robots.")
     certificate = {"held": False, "most_lost": 0.01, "draws": 50, "lost": 7, "lost_in": {"3": 6, "5": 1}}
     for borne, more in ((0.5, 1), (0.0, 0)):
@@ -217,7 +217,7 @@ def test_what_it_would_bear_includes_the_force_at_the_tip(saved):
 
 def test_an_elastic_plan_is_not_played_untried_nor_where_draws_fail(saved, tmp_path, capsys):
     plan = Plan.load(saved / "near.npz")
-    plan.with_draws(20, 4).save(tmp_path / "failing.npz")
+    plan.with_samples(20, 4).save(tmp_path / "failing.npz")
     for path in (saved / "near.npz", tmp_path / "failing.npz"):
         assert play([str(path), "--out", str(tmp_path / "play")]) == 2
         told = capsys.readouterr().err
@@ -248,7 +248,7 @@ def test_a_robust_plan_is_asked_for_clearance(tmp_path, monkeypatch):
 
 
 def test_the_page_shows_errors_of_draws(saved):
-    plan = Plan.load(saved / "far.npz").with_draws(5, 4)
+    plan = Plan.load(saved / "far.npz").with_samples(5, 4)
     text = page([plan])
     assert "e2 of draws (mm)" in text
     assert "holds on built robots" in text

@@ -14,7 +14,7 @@ from problems import UNJUDGED
 
 from ctr_nlp.cli.console import examples
 from ctr_nlp.cli.main import COMMANDS, load, main
-from ctr_nlp.cli.telling import console, print_table, telling, wrote
+from ctr_nlp.cli.telling import collect_output, console, print_table, report_written_files
 from ctr_nlp.plan.account import NOT_FOR_PATIENTS
 
 
@@ -101,11 +101,11 @@ def test_an_error_is_told_as_json_and_on_stderr(capsys):
 
 
 def test_numbers_stay_numbers_and_what_is_not_finite_is_null():
-    with telling(as_json=True, verbose=False) as told:
+    with collect_output(as_json=True, verbose=False) as told:
         print_table("numbers", ("", "value"), [("one", np.float64(1.25)), ("none", float("nan")), ("all", True)])
         console().print("a line that is " + "long " * 100)
-        wrote("folder", ["a.csv", "b.csv"])
-        wrote("c.csv", more="; open it")
+        report_written_files("folder", ["a.csv", "b.csv"])
+        report_written_files("c.csv", more="; open it")
     assert told is not None
     found = json.loads(told.as_json(command="x"))
     assert found["tables"][0]["rows"] == [["one", 1.25], ["none", None], ["all", True]]

@@ -20,7 +20,7 @@ from ctr_nlp.nlp.nlp import Nlp, Residual
 from ctr_nlp.solvers import compiled
 from ctr_nlp.solvers.frame.program import Program
 
-pytestmark = pytest.mark.skipif(bool(cache.missing()), reason="no C compiler")
+pytestmark = pytest.mark.skipif(bool(cache.unavailable_reason()), reason="no C compiler")
 TESTS = Path(__file__).parents[1]
 LONG = 120.0
 """s that a compiler may take on a busy machine."""
@@ -31,9 +31,9 @@ def cold(tmp_path, monkeypatch):
     """A cache in which nothing is, and compiling as users have it."""
     monkeypatch.setenv("CTR_NLP_CACHE", str(tmp_path / "cache"))
     monkeypatch.delenv("CTR_NLP_COMPILE", raising=False)
-    cache.say.cache_clear()
+    cache.warn_once.cache_clear()
     yield tmp_path / "cache"
-    cache.say.cache_clear()
+    cache.warn_once.cache_clear()
 
 
 def toy(factor):
@@ -44,7 +44,7 @@ def toy(factor):
 
 def ready(nlp, lanes=1):
     end = time.monotonic() + LONG
-    while compiled.library(nlp, lanes).soon() is None:
+    while compiled.library(nlp, lanes).path_if_ready() is None:
         assert time.monotonic() < end, "not compiled in time"
         time.sleep(0.1)
 
@@ -61,7 +61,7 @@ def test_a_program_is_interpreted_until_it_is_compiled_and_finds_the_same(cold):
     assert not program.compiled
     first = solution(program)
     ready(nlp)
-    time.sleep(background.POLL + 0.1)
+    time.sleep(background.LIBRARY_POLL_INTERVAL_S + 0.1)
     second = solution(program)
     assert program.compiled
     np.testing.assert_allclose(second[0], first[0], atol=1e-9)
@@ -89,11 +89,11 @@ def test_processes_that_wait_for_one_library_have_it_made_once(cold, tmp_path, m
 
 
 def test_what_is_compiled_steps_back_for_what_is_waited_for(cold):
-    compiled.library(toy(31.0), 1).soon()
+    compiled.library(toy(31.0), 1).path_if_ready()
     process = background._begun[-1]
     group = Path(f"/proc/{process.pid}/autogroup")
-    assert os.getpriority(os.PRIO_PROCESS, process.pid) == background.NICE
-    assert not group.exists() or group.read_text().split()[-1] == str(background.NICE)
+    assert os.getpriority(os.PRIO_PROCESS, process.pid) == background.COMPILER_NICENESS
+    assert not group.exists() or group.read_text().split()[-1] == str(background.COMPILER_NICENESS)
     assert process.wait(LONG) == 0
 
 
@@ -107,9 +107,9 @@ def test_what_a_process_begins_nobody_else_begins_and_it_is_said_once(cold, monk
     monkeypatch.setattr(background, "_begin", lambda work, key, functions, lanes: begun.append(key))
     with caplog.at_level(logging.WARNING, "ctr_nlp"):
         for factor in (2.0, 2.0, 2.25):
-            assert compiled.library(toy(factor), 1).soon() is None
+            assert compiled.library(toy(factor), 1).path_if_ready() is None
     assert len(begun) == 2
-    assert [record.getMessage() for record in caplog.records] == [background.NOTE]
+    assert [record.getMessage() for record in caplog.records] == [background.BACKGROUND_BUILD_MESSAGE]
 
 
 def test_a_process_begins_a_build_that_died_again_only_later(cold, monkeypatch):
@@ -118,13 +118,13 @@ def test_a_process_begins_a_build_that_died_again_only_later(cold, monkeypatch):
     monkeypatch.setattr(
         background, "_begin", lambda work, key, functions, lanes: (begun.append(key), work.release())
     )
-    monkeypatch.setattr(background, "POLL", 0.0)
+    monkeypatch.setattr(background, "LIBRARY_POLL_INTERVAL_S", 0.0)
     nlp = toy(2.5)
     for _ in range(3):
-        compiled.library(nlp, 1).soon()
+        compiled.library(nlp, 1).path_if_ready()
     assert len(begun) == 1
-    monkeypatch.setattr(background, "RETRY_S", -1.0)
-    compiled.library(nlp, 1).soon()
+    monkeypatch.setattr(background, "FAILED_BUILD_RETRY_S", -1.0)
+    compiled.library(nlp, 1).path_if_ready()
     assert len(begun) == 2
 
 
@@ -201,7 +201,7 @@ def test_whoever_finds_a_build_at_work_is_told_so(cold, slow):
     first = begin("3.75")
     assert first.communicate()[0] != "\n"
     out, said = begin("3.75").communicate()
-    assert (out, said) == ("\n", f"{background.NOTE}\n")
+    assert (out, said) == ("\n", f"{background.BACKGROUND_BUILD_MESSAGE}\n")
 
 
 def test_a_build_outlives_the_process_that_began_it(cold, slow):
@@ -237,7 +237,7 @@ def test_what_a_compiler_refuses_is_told_and_not_begun_by_others(cold, tmp_path,
 
 
 def test_whoever_waits_for_another_process_is_told_in_one_line(cold, monkeypatch, caplog):
-    monkeypatch.setattr(background, "PATIENCE_S", 0.2)
+    monkeypatch.setattr(background, "SILENT_BUILD_WAIT_S", 0.2)
     nlp = toy(6.5)
     hold = "import sys, time; from ctr_nlp.codegen import background\n"
     hold += "with background._alone(sys.stdin.read()): print(flush=True); time.sleep(1.5)"
@@ -248,10 +248,10 @@ def test_whoever_waits_for_another_process_is_told_in_one_line(cold, monkeypatch
     holder.stdin.close()
     holder.stdout.readline()
     with caplog.at_level(logging.WARNING, "ctr_nlp"):
-        assert compiled.library(nlp, 1).now().is_file()
+        assert compiled.library(nlp, 1).wait_for_path().is_file()
     holder.wait()
     holder.stdout.close()
-    assert [record.getMessage() for record in caplog.records] == [background.WAITING]
+    assert [record.getMessage() for record in caplog.records] == [background.WAITING_FOR_BUILD_MESSAGE]
 
 
 def test_a_cache_that_cannot_be_written_leaves_programs_interpreted(cold, caplog):

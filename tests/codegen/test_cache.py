@@ -21,9 +21,9 @@ from ctr_nlp import table_i_robot
 from ctr_nlp.codegen import cache
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.solvers import default_chain_solver
-from ctr_nlp.solvers.compiled import compiled, fastest
+from ctr_nlp.solvers.compiled import compile_functions, fastest_functions
 from ctr_nlp.support import folder_lock
-from ctr_nlp.support.folder_lock import locked
+from ctr_nlp.support.folder_lock import lock_folder
 
 OPTED_OUT = "CTR_NLP_COMPILE is 0"
 BUILD = """\
@@ -63,7 +63,7 @@ def tools(tmp_path, monkeypatch):
 
 def forget():
     cache.compiler.cache_clear()
-    cache.say.cache_clear()
+    cache.warn_once.cache_clear()
 
 
 def program(folder, text, name="cc"):
@@ -146,7 +146,7 @@ def assert_whole(path):
 def test_without_a_compiler_the_error_and_one_warning_name_what_to_install(place, tools, monkeypatch, caplog):
     only(tools, monkeypatch)
     for _ in range(3):
-        assert "install gcc or clang" in cache.missing()
+        assert "install gcc or clang" in cache.unavailable_reason()
     with pytest.raises(OptionError, match=r"no C compiler was found; install gcc or clang"):
         cache.library("one", never)
     ((level, message),) = said(caplog)
@@ -159,17 +159,17 @@ def test_without_a_compiler_problems_are_solved_interpreted(tools, monkeypatch):
     only(tools, monkeypatch)
     nlp = alone(table_i_robot())
     assert default_chain_solver() == "ipopt"
-    assert fastest(nlp)() is nlp.functions
+    assert fastest_functions(nlp)() is nlp.functions
     with pytest.raises(OptionError, match="install gcc or clang"):
-        compiled(nlp)
+        compile_functions(nlp)
 
 
 def test_compiling_that_is_switched_off_is_not_warned_of(place, monkeypatch, caplog):
     monkeypatch.setenv("CTR_NLP_COMPILE", "0")
     nlp = alone(table_i_robot())
-    assert cache.missing() == OPTED_OUT
+    assert cache.unavailable_reason() == OPTED_OUT
     assert default_chain_solver() == "ipopt"
-    assert fastest(nlp)() is nlp.functions
+    assert fastest_functions(nlp)() is nlp.functions
     with pytest.raises(OptionError, match=OPTED_OUT):
         cache.library("one", never)
     assert said(caplog) == []
@@ -179,12 +179,12 @@ def test_compiling_that_is_switched_off_is_not_warned_of(place, monkeypatch, cap
 @pytest.mark.parametrize("value", ["1", ""])
 def test_other_values_of_the_switch_compile(value, monkeypatch, tmp_path):
     monkeypatch.setenv("CTR_NLP_COMPILE", value)
-    assert cache.missing() is None
+    assert cache.unavailable_reason() is None
     assert answer(made("one", 1), tmp_path) == 1
 
 
 def test_where_a_compiler_works_nothing_is_said(caplog):
-    assert cache.missing() is None
+    assert cache.unavailable_reason() is None
     assert default_chain_solver() == "banded"
     assert said(caplog) == []
 
@@ -193,7 +193,7 @@ def test_a_compiler_that_always_fails_is_none(tools, monkeypatch, caplog):
     program(tools, "exit 1")
     only(tools, monkeypatch)
     assert cache.compiler() is None
-    assert "install gcc or clang" in cache.missing()
+    assert "install gcc or clang" in cache.unavailable_reason()
     assert len(said(caplog)) == 1
 
 
@@ -225,13 +225,13 @@ def test_arguments_of_cc_reach_the_compiler(tmp_path, monkeypatch):
 @pytest.mark.parametrize("value", [" ", "no-such-compiler -O1", "/"])
 def test_what_is_no_compiler_in_cc_is_passed_over(value, tmp_path, monkeypatch):
     monkeypatch.setenv("CC", value)
-    assert cache.missing() is None
+    assert cache.unavailable_reason() is None
     assert answer(made("one", 1), tmp_path) == 1
 
 
 def test_a_quotation_in_cc_without_an_end_is_passed_over(tmp_path, monkeypatch):
     monkeypatch.setenv("CC", 'cc "-O1')
-    assert cache.missing() is None
+    assert cache.unavailable_reason() is None
     assert answer(made("one", 1), tmp_path) == 1
 
 
@@ -239,7 +239,7 @@ def test_a_compiler_that_cannot_link_is_said_once_in_its_own_words(place, tools,
     program(tools, 'for a in "$@"; do [ "$a" = -E ] && exit 0; done; echo "ld: cannot find it" >&2; exit 1')
     only(tools, monkeypatch)
     for _ in range(3):
-        assert "ld: cannot find it" in cache.missing()
+        assert "ld: cannot find it" in cache.unavailable_reason()
     with pytest.raises(OptionError, match="ld: cannot find it"):
         made("one", 1)
     ((level, message),) = said(caplog)
@@ -249,12 +249,12 @@ def test_a_compiler_that_cannot_link_is_said_once_in_its_own_words(place, tools,
     assert default_chain_solver() == "ipopt"
 
 
-@pytest.mark.parametrize("refused", ["-march=native", "-lmvec", cache.BRIEF[0]])
+@pytest.mark.parametrize("refused", ["-march=native", "-lmvec", cache.FAST_COMPILE_FLAGS[0]])
 def test_what_a_compiler_does_not_know_is_left_out(refused, tools, tmp_path):
     program(tools, f'case " $* " in *" {refused} "*) exit 1;; esac\nexec {REAL} "$@"')
     assert shutil.which(cache.compiler().command[0]) == str(tools / "cc")
     assert ("-march=native" in cache.compiler().command) == (refused != "-march=native")
-    assert (cache.BRIEF[0] in cache.compiler().command) == (refused == "-lmvec")
+    assert (cache.FAST_COMPILE_FLAGS[0] in cache.compiler().command) == (refused == "-lmvec")
     assert answer(made("one", 1), tmp_path) == 1
 
 
@@ -262,13 +262,13 @@ def test_what_a_compiler_does_not_know_is_left_out(refused, tools, tmp_path):
 def test_a_compiler_that_cannot_be_started_is_none(start, tools, monkeypatch):
     program(tools, "").write_bytes(start)
     only(tools, monkeypatch)
-    assert "install gcc or clang" in cache.missing()
+    assert "install gcc or clang" in cache.unavailable_reason()
 
 
 def test_a_compiler_that_does_not_speak_utf_8_is_none(tools, monkeypatch):
     program(tools, r"printf '\377' >&2; exit 1")
     only(tools, monkeypatch)
-    assert "install gcc or clang" in cache.missing()
+    assert "install gcc or clang" in cache.unavailable_reason()
 
 
 def test_code_that_does_not_compile_raises_with_the_compilers_message_and_leaves_nothing(place):
@@ -293,12 +293,12 @@ def test_a_full_disk_is_an_error_of_its_own_kind(place, monkeypatch, caplog):
         with pytest.raises(OptionError, match="No space left on device"):
             made("one", 1)
         for _ in range(3):
-            assert "No space left on device" in cache.missing()
+            assert "No space left on device" in cache.unavailable_reason()
     ((level, message),) = said(caplog)
     assert level == "WARNING"
     assert "No space left on device" in message
     assert not place.exists()
-    assert cache.missing() is None
+    assert cache.unavailable_reason() is None
     assert_whole(kept("one", 1))
 
 
@@ -343,7 +343,7 @@ def test_libraries_are_kept_in_the_folder_which_others_cannot_enter(place):
 def test_where_no_folder_can_be_made_libraries_serve_this_process(below, tmp_path, monkeypatch, caplog):
     (tmp_path / "file").write_text("not a folder")
     monkeypatch.setenv("CTR_NLP_CACHE", str(tmp_path / "file" / below))
-    assert cache.missing() is None
+    assert cache.unavailable_reason() is None
     paths = [made(f"key {k}", k) for k in (1, 2)]
     assert [answer(path, tmp_path) for path in paths] == [1, 2]
     ((level, message),) = said(caplog)
@@ -448,7 +448,7 @@ def test_compilers_their_versions_and_flags_have_their_own_libraries(tools, tmp_
         forget()
         paths.append(kept("one", 1))
     with monkeypatch.context() as other:
-        other.setattr(cache, "FLAGS", (*cache.FLAGS, "-DANOTHER"))
+        other.setattr(cache, "COMPILER_FLAGS", (*cache.COMPILER_FLAGS, "-DANOTHER"))
         forget()
         paths.append(kept("one", 1))
     assert len(set(paths)) == 5
@@ -640,7 +640,7 @@ def test_what_was_half_kept_is_never_taken_and_removed(place, tmp_path):
     for folder in (left, held):
         folder.mkdir(parents=True)
         (folder / "library.so").write_bytes(b"half")
-    with locked(held):
+    with lock_folder(held):
         path = kept("one", 1)
     assert answer(path, tmp_path) == 1
     assert sorted(place.iterdir()) == sorted([path.parent, held])
@@ -652,7 +652,7 @@ def test_without_locks_what_was_half_kept_is_removed_when_old(place, monkeypatch
     left.mkdir(parents=True)
     path = kept("one", 1)
     assert sorted(place.iterdir()) == sorted([path.parent, left])
-    ago = time.time() - cache.ABANDONED - 60
+    ago = time.time() - cache.BUILD_FOLDER_ABANDONED_AFTER_S - 60
     os.utime(left, (ago, ago))
     os.utime(path.parent, (ago, ago))
     other = kept("two", 2)
@@ -714,7 +714,7 @@ def test_a_build_that_another_process_takes_for_the_bad_one_it_saw_still_loads(p
 
     def keep(made, folder, real=cache._keep):
         real(made, folder)
-        assert cache._whole(folder)
+        assert cache._is_complete(folder)
         moved.append(folder.rename(folder.with_name("building-bad-other")))
 
     monkeypatch.setattr(cache, "_keep", keep)

@@ -10,10 +10,10 @@ import pytest
 from every_operation import OPERATIONS, X, Y
 
 from ctr_nlp.codegen import cache, directions
-from ctr_nlp.codegen.directions import SLOPES, Directed, directed_code
-from ctr_nlp.codegen.vector import EARLY, LANES
+from ctr_nlp.codegen.directions import DERIVATIVE_FACTORS, FunctionWithJacobian, forward_mode_code
+from ctr_nlp.codegen.vector import EARLY_OUTPUT_PREFIX, VECTOR_LANES
 
-pytestmark = pytest.mark.skipif(cache.missing() is not None, reason="no C compiler")
+pytestmark = pytest.mark.skipif(cache.unavailable_reason() is not None, reason="no C compiler")
 NUMBERS = ctypes.POINTER(ctypes.c_double)
 CALL = """\
 int call_{name}(const double **arg, double **res) {{
@@ -26,7 +26,7 @@ int call_{name}(const double **arg, double **res) {{
 def compiled(*functions, before=""):
     """A library of functions, each called as call_NAME."""
     names = (each.function.name() for each in functions)
-    code = before + directed_code(functions) + "".join(CALL.format(name=name) for name in names)
+    code = before + forward_mode_code(functions) + "".join(CALL.format(name=name) for name in names)
     return ctypes.CDLL(str(cache.library(code, lambda: code)))
 
 
@@ -66,7 +66,7 @@ def assert_right(directed, *inputs, library=None):
 def dense(function, *numbers):
     """All slopes of some outputs."""
     n = function.numel_in(0)
-    return Directed(function, {k: ca.Sparsity.dense(function.numel_out(k), n) for k in numbers})
+    return FunctionWithJacobian(function, {k: ca.Sparsity.dense(function.numel_out(k), n) for k in numbers})
 
 
 @functools.cache
@@ -78,7 +78,7 @@ def operations():
 
 
 def test_every_operation_that_is_written_has_slopes():
-    assert SLOPES.keys() == {operation for operation, _ in OPERATIONS.values()}
+    assert DERIVATIVE_FACTORS.keys() == {operation for operation, _ in OPERATIONS.values()}
 
 
 @pytest.mark.parametrize("name", OPERATIONS)
@@ -105,7 +105,9 @@ def long_function(unknowns, instructions=700):
     return ca.Function("long_one", [x, p], [ca.vertcat(*known[-4:]), known[-5], ca.vertcat(*known[-9:-6]).T])
 
 
-@pytest.mark.parametrize("unknowns", [1, 2, 7, LANES, LANES + 1, LANES + 2, 2 * LANES + 5])
+@pytest.mark.parametrize(
+    "unknowns", [1, 2, 7, VECTOR_LANES, VECTOR_LANES + 1, VECTOR_LANES + 2, 2 * VECTOR_LANES + 5]
+)
 def test_any_number_of_unknowns(unknowns):
     function = long_function(unknowns)
     rng = np.random.default_rng(2)
@@ -114,7 +116,7 @@ def test_any_number_of_unknowns(unknowns):
 
 @pytest.mark.parametrize("part", [1, 2, 30, 10**6])
 def test_values_and_slopes_go_on_to_later_parts(part, monkeypatch):
-    monkeypatch.setattr(directions, "PART", part)
+    monkeypatch.setattr(directions, "FORWARD_MODE_PART_INSTRUCTIONS", part)
     rng = np.random.default_rng(3)
     assert_right(dense(long_function(9, 60), 0, 2), rng.normal(size=9), rng.normal(size=3))
 
@@ -123,7 +125,7 @@ def test_only_entries_of_the_pattern_are_told():
     x = ca.SX.sym("x", 3)
     function = ca.Function("few", [x], [ca.vertcat(x[0] * x[1], x[2] ** 2, 7.0)])
     pattern = ca.Sparsity.triplet(3, 3, [0, 1, 2, 0], [1, 2, 2, 2])
-    directed = Directed(function, {0: pattern})
+    directed = FunctionWithJacobian(function, {0: pattern})
     assert_right(directed, [2.0, 3.0, 5.0])
     _, slopes = found(compiled(directed), directed, [[2.0, 3.0, 5.0]])
     np.testing.assert_array_equal(sorted(slopes), [0.0, 0.0, 2.0, 10.0])
@@ -153,7 +155,7 @@ def test_results_that_nobody_asks_for_are_not_written():
 
 
 def test_without_slopes_it_is_the_function():
-    directed = Directed(long_function(4, 30), {})
+    directed = FunctionWithJacobian(long_function(4, 30), {})
     assert_right(directed, np.ones(4), np.ones(3))
 
 
@@ -161,7 +163,7 @@ def test_early_results_can_be_read_and_inputs_filled_before_the_rest():
     """Between, the last input is made from what was found early: here the square of its slope."""
     x, given = ca.SX.sym("x", 2), ca.SX.sym("given")
     function = ca.Function(
-        "waits", [x, given], [x[0] * x[1], given * x[0]], ["x", "given"], [f"{EARLY}first", "last"]
+        "waits", [x, given], [x[0] * x[1], given * x[0]], ["x", "given"], [f"{EARLY_OUTPUT_PREFIX}first", "last"]
     )
     pause = """\
 static void waits_pause(const double **arg, double **res) {
@@ -178,4 +180,4 @@ static void waits_pause(const double **arg, double **res) {
 def test_an_operation_without_c_is_named_with_its_function():
     x = ca.SX.sym("x")
     with pytest.raises(NotImplementedError, match="unwritten uses operations"):
-        directed_code((dense(ca.Function("unwritten", [x], [ca.erf(x)]), 0),))
+        forward_mode_code((dense(ca.Function("unwritten", [x], [ca.erf(x)]), 0),))

@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 
 from ctr_nlp.codegen import cache, mapped, tape
-from ctr_nlp.codegen.mapped import Mapped, external
-from ctr_nlp.codegen.tape import BLOCK, tape_code
-from ctr_nlp.codegen.vector import LANES
+from ctr_nlp.codegen.mapped import BatchEvaluator, load_tape_function
+from ctr_nlp.codegen.tape import TAPE_BLOCK_FRAMES, tape_code
+from ctr_nlp.codegen.vector import VECTOR_LANES
 
 X, A = ca.SX.sym("x", 3), ca.SX.sym("a", 2, 2)
 FUNCTION = ca.Function(
@@ -18,17 +18,30 @@ FUNCTION = ca.Function(
 def loaded(function):
     """A function as a tape."""
     code = tape_code((function,))
-    return external(function.name(), str(cache.library(code, lambda: code)))
+    return load_tape_function(function.name(), str(cache.library(code, lambda: code)))
 
 
 def evaluated(function, *inputs):
     """Results of rows of inputs, each (T, entries)."""
-    found = Mapped(function, len(inputs[0]))
+    found = BatchEvaluator(function, len(inputs[0]))
     found.inputs[1][:] = inputs[1]
     return [each.copy() for each in found(inputs[0].ravel())]
 
 
-@pytest.mark.parametrize("rows", [1, 2, LANES - 1, LANES, LANES + 1, BLOCK - 1, BLOCK, BLOCK + 1, 3 * BLOCK + 5])
+@pytest.mark.parametrize(
+    "rows",
+    [
+        1,
+        2,
+        VECTOR_LANES - 1,
+        VECTOR_LANES,
+        VECTOR_LANES + 1,
+        TAPE_BLOCK_FRAMES - 1,
+        TAPE_BLOCK_FRAMES,
+        TAPE_BLOCK_FRAMES + 1,
+        3 * TAPE_BLOCK_FRAMES + 5,
+    ],
+)
 def test_any_number_of_rows_is_what_casadi_finds_of_each(rows):
     rng = np.random.default_rng(rows)
     x, a = rng.normal(size=(rows, 3)), rng.normal(size=(rows, 4))
@@ -39,11 +52,11 @@ def test_any_number_of_rows_is_what_casadi_finds_of_each(rows):
 
 def test_what_is_not_a_number_stays_in_its_row():
     """In the last block rows that are missing are the last one, in other blocks none is."""
-    rows = BLOCK + 3
+    rows = TAPE_BLOCK_FRAMES + 3
     rng = np.random.default_rng(1)
     x, a = rng.normal(size=(rows, 3)), rng.normal(size=(rows, 4))
     before = evaluated(loaded(FUNCTION), x, a)[0]
-    for row in (0, BLOCK - 1, BLOCK, rows - 1):
+    for row in (0, TAPE_BLOCK_FRAMES - 1, TAPE_BLOCK_FRAMES, rows - 1):
         changed = x.copy()
         changed[row, 2] = np.nan
         after = evaluated(loaded(FUNCTION), changed, a)[0]
@@ -53,7 +66,7 @@ def test_what_is_not_a_number_stays_in_its_row():
 
 def test_a_function_that_is_too_large_is_named(monkeypatch):
     """Its instructions would tell other slots than they mean."""
-    monkeypatch.setattr(tape, "BITS", 2)
+    monkeypatch.setattr(tape, "TAPE_OPERAND_BITS", 2)
     with pytest.raises(NotImplementedError, match=r"pair has numbers beyond 4"):
         tape_code((FUNCTION,))
 

@@ -12,8 +12,8 @@ from frames import alone, horizon
 from ctr_nlp import Limits, Robot, curve_from_formula, growing, table_i_robot
 from ctr_nlp.codegen import background, cache, language, places, vector
 from ctr_nlp.codegen.tape import tape_code
-from ctr_nlp.codegen.vector import LANES, vector_code
-from ctr_nlp.formulations.horizon import Ends
+from ctr_nlp.codegen.vector import VECTOR_LANES, vector_code
+from ctr_nlp.formulations.horizon import EndConfigurations
 from ctr_nlp.nlp.nlp import Nlp, Residual
 from ctr_nlp.solvers import CHAIN_SOLVERS, Watch, compiled
 
@@ -21,7 +21,7 @@ INF, NAN = np.inf, np.nan
 SPECIAL = [-INF, -1e300, -2.5, -1.0, -0.5, 0.0, 1e-300, 0.5, 1.0, 2.0, 3.0, 1e300, INF]
 
 
-def loaded(*functions, lanes=LANES):
+def loaded(*functions, lanes=VECTOR_LANES):
     """Functions from a library made of all of them, by name; lanes: None for tapes, whose functions have LANES."""
     code = tape_code(functions) if lanes is None else vector_code(functions, lanes)
     path = str(cache.library(code, lambda: code))
@@ -33,10 +33,10 @@ def evaluated(function, *inputs):
     return [np.asarray(value.full()) for value in function.call([ca.DM(value) for value in inputs])]
 
 
-def random_inputs(function, rng, draw, lanes=LANES):
+def random_inputs(function, rng, draw, lanes=VECTOR_LANES):
     """Inputs of so many evaluations side by side."""
     shapes = [function.size_in(i) for i in range(function.n_in())]
-    return [draw(rng, (rows, (lanes or LANES) * columns)) for rows, columns in shapes]
+    return [draw(rng, (rows, (lanes or VECTOR_LANES) * columns)) for rows, columns in shapes]
 
 
 def whole_numbers(rng, shape):
@@ -56,7 +56,7 @@ def assert_the_same(function, library, inputs, ulps=0):
         assert (away <= ulps * np.spacing(np.abs(one[finite]))).all(), (away.max(), function.name())
 
 
-EVERY_WIDTH = pytest.mark.parametrize("lanes", [1, 4, LANES, None])
+EVERY_WIDTH = pytest.mark.parametrize("lanes", [1, 4, VECTOR_LANES, None])
 
 
 # Operations
@@ -71,14 +71,14 @@ def operations(lanes):
 
 
 def test_every_operation_that_is_written_is_tested():
-    written = language.OPERATIONS.keys() | language.BY_LANE.keys()
+    written = language.OPERATIONS.keys() | language.C_LIBRARY_FUNCTIONS.keys()
     assert {operation for operation, _ in OPERATIONS.values()} == written
 
 
 @pytest.mark.parametrize("name", OPERATIONS)
 def test_the_function_of_an_operation_has_it(name):
     """Else CasADi would have simplified it away, and nothing were tested."""
-    function, _ = operations(LANES)[name]
+    function, _ = operations(VECTOR_LANES)[name]
     ids = {function.instruction_id(k) for k in range(function.n_instructions())}
     assert OPERATIONS[name][0] in ids
 
@@ -104,7 +104,7 @@ def test_an_operation_is_that_of_casadi_at_random_numbers(name, lanes):
 @EVERY_WIDTH
 def test_an_operation_is_that_of_casadi_at_special_numbers(name, lanes):
     function, library = operations(lanes)[name]
-    pairs = np.resize([(x, y) for x in SPECIAL for y in SPECIAL], (22 * LANES, 2)).T
+    pairs = np.resize([(x, y) for x in SPECIAL for y in SPECIAL], (22 * VECTOR_LANES, 2)).T
     assert_the_same(function, library, pairs[:, None], 4 if name in ROUNDED else 0)
 
 
@@ -112,7 +112,7 @@ def test_an_operation_is_that_of_casadi_at_special_numbers(name, lanes):
 @EVERY_WIDTH
 def test_an_operation_is_that_of_casadi_where_something_is_not_a_number(name, lanes):
     function, library = operations(lanes)[name]
-    x, y = np.repeat([[NAN, NAN, 1.0, -2.0], [NAN, 1.0, NAN, NAN]], lanes or LANES, axis=1)
+    x, y = np.repeat([[NAN, NAN, 1.0, -2.0], [NAN, 1.0, NAN, NAN]], lanes or VECTOR_LANES, axis=1)
     assert_the_same(function, library, (x[None], y[None]), 4 if name in ROUNDED else 0)
 
 
@@ -129,17 +129,17 @@ def test_an_operation_is_that_of_casadi_where_something_is_not_a_number(name, la
 def test_signs_of_zeros_are_those_of_casadi(value):
     function = ca.Function("zeros", [X, Y], [value])
     library = loaded(function)["zeros"]
-    x, y = np.resize([0.0, -0.0], LANES), np.resize([0.0, 0.0, -0.0, -0.0], LANES)
+    x, y = np.resize([0.0, -0.0], VECTOR_LANES), np.resize([0.0, 0.0, -0.0, -0.0], VECTOR_LANES)
     assert_the_same(function, library, (x[None], y[None]), 4)
 
 
 def test_without_sines_of_whole_vectors_functions_are_the_same(tmp_path, monkeypatch):
     monkeypatch.setenv("CTR_NLP_CACHE", str(tmp_path))
-    monkeypatch.setattr(cache, "LIBRARIES", cache.LIBRARIES[1:])
+    monkeypatch.setattr(cache, "LINK_LIBRARY_CHOICES", cache.LINK_LIBRARY_CHOICES[1:])
     function = ca.Function("waves", [X, Y], [ca.sin(X) + ca.cos(Y), ca.atan2(X, Y)])
     library, rng = loaded(function)["waves"], np.random.default_rng(8)
     for _ in range(20):
-        assert_the_same(function, library, rng.normal(size=(2, 1, LANES)), 4)
+        assert_the_same(function, library, rng.normal(size=(2, 1, VECTOR_LANES)), 4)
 
 
 @pytest.mark.parametrize("code", [vector_code, tape_code])
@@ -151,7 +151,7 @@ def test_an_operation_without_c_is_named_with_its_function(code):
 
 def test_assignments_need_no_c_as_casadi_keeps_none():
     function = ca.Function("assigned", [X], [ca.SX.unary(ca.OP_ASSIGN, X)])
-    inputs = np.random.default_rng(4).normal(size=(1, LANES))
+    inputs = np.random.default_rng(4).normal(size=(1, VECTOR_LANES))
     assert_the_same(function, loaded(function)["assigned"], (inputs,))
 
 
@@ -201,16 +201,16 @@ def tangled(seed, count):
 @pytest.mark.parametrize(
     ("part", "count", "lanes"),
     [
-        (1, 40, LANES),
+        (1, 40, VECTOR_LANES),
         (2, 40, 1),
-        (7, 80, LANES),
+        (7, 80, VECTOR_LANES),
         (64, 120, 4),
-        (vector.PART, 420, LANES),
+        (vector.VECTOR_PART_INSTRUCTIONS, 420, VECTOR_LANES),
         (100, 200, 1),
     ],
 )
 def test_values_go_on_to_later_parts(part, count, lanes, monkeypatch):
-    monkeypatch.setattr(vector, "PART", part)
+    monkeypatch.setattr(vector, "VECTOR_PART_INSTRUCTIONS", part)
     made = [tangled(seed, count) for seed in range(2)]
     assert all(function.n_instructions() > 3 * part for function in made)
     rng, libraries = np.random.default_rng(9), loaded(*made, lanes=lanes)
@@ -227,27 +227,27 @@ def test_a_part_more_or_less_by_one_instruction_loses_nothing(monkeypatch):
     inputs = random_inputs(made, rng, whole_numbers)
     count = made.n_instructions()
     for part in (count - 1, count, count + 1):
-        monkeypatch.setattr(vector, "PART", part)
+        monkeypatch.setattr(vector, "VECTOR_PART_INSTRUCTIONS", part)
         assert_the_same(made, loaded(made)[made.name()], inputs)
 
 
 # Inputs and outputs
 
 
-@pytest.mark.parametrize("lanes", [LANES, None])
+@pytest.mark.parametrize("lanes", [VECTOR_LANES, None])
 def test_outputs_that_are_constants(lanes):
     """The values of one evaluation once a lane; whole numbers, extremes, and what is no number."""
     values = [1.5, 0.0, -7.0, 1e22, 1 / 3, 1.7976931348623157e308, 5e-324, INF, -INF, NAN]
     function = ca.Function("constants", [X], [ca.SX(ca.DM(values)), ca.SX(2)])
     library = loaded(function, lanes=lanes)["constants"]
-    first, second = evaluated(library, np.zeros((1, LANES)))
-    np.testing.assert_array_equal(first, np.tile(np.array(values)[:, None], LANES))
-    np.testing.assert_array_equal(second, np.full((1, LANES), 2.0))
+    first, second = evaluated(library, np.zeros((1, VECTOR_LANES)))
+    np.testing.assert_array_equal(first, np.tile(np.array(values)[:, None], VECTOR_LANES))
+    np.testing.assert_array_equal(second, np.full((1, VECTOR_LANES), 2.0))
 
 
 def test_inputs_that_are_passed_on_as_they_are_and_twice():
     function = ca.Function("passed", [X, Y], [Y, X, X])
-    x, y = np.random.default_rng(1).normal(size=(2, 1, LANES))
+    x, y = np.random.default_rng(1).normal(size=(2, 1, VECTOR_LANES))
     found = evaluated(loaded(function)["passed"], x, y)
     for one, other in zip(found, (y, x, x), strict=True):
         np.testing.assert_array_equal(one, other)
@@ -260,7 +260,7 @@ def test_matrices_lie_by_columns_as_those_of_mapped_functions(lanes):
     function = ca.Function("matrices", [a, unused, b], [a @ b, a.T, ca.vec(b) - 1, ca.SX(0, 1)])
     library, rng = loaded(function, lanes=lanes)["matrices"], np.random.default_rng(2)
     assert (library.n_in(), library.n_out()) == (3, 4)
-    lanes = lanes or LANES
+    lanes = lanes or VECTOR_LANES
     assert [library.size_in(i) for i in range(3)] == [(3, 2 * lanes), (2, 3 * lanes), (2, 4 * lanes)]
     inputs = random_inputs(function, rng, whole_numbers, lanes)
     assert_the_same(function, library, inputs)
@@ -274,14 +274,14 @@ def test_matrices_lie_by_columns_as_those_of_mapped_functions(lanes):
     assert nothing.size == 0
 
 
-@pytest.mark.parametrize("lanes", [LANES, None])
+@pytest.mark.parametrize("lanes", [VECTOR_LANES, None])
 def test_lanes_do_not_mix(lanes):
     """What is not a number in one frame stays there."""
     function = ca.Function("alone", [X, Y], [ca.sin(X) * Y + ca.if_else(X < Y, ca.sqrt(X), Y)])
     library, rng = loaded(function, lanes=lanes)["alone"], np.random.default_rng(3)
-    x, y = rng.uniform(1, 2, (2, 1, LANES))
+    x, y = rng.uniform(1, 2, (2, 1, VECTOR_LANES))
     (before,) = evaluated(library, x, y)
-    for lane in range(LANES):
+    for lane in range(VECTOR_LANES):
         changed = x.copy()
         changed[0, lane] = NAN
         (after,) = evaluated(library, changed, y)
@@ -308,7 +308,7 @@ def inside(seed):
 
 def at_once(nlp):
     """A program's functions, compiled before anything is solved."""
-    functions = compiled.compiled(nlp)
+    functions = compiled.compile_functions(nlp)
     return lambda: functions
 
 
@@ -316,7 +316,7 @@ def chains(frames):
     """A horizon along an arc, interpreted and compiled."""
     path = curve_from_formula(lambda u: (100 * ca.cos(u) - 100, 0, 100 * ca.sin(u)), 0.0, 0.95)
     samples = growing(path, 20).sample()[:frames]
-    ends = Ends(inside(901))
+    ends = EndConfigurations(inside(901))
     return [horizon(robot(), samples, 0.1, 3e-3, ends, *how) for how in ((), (at_once,))]
 
 
@@ -327,10 +327,10 @@ def assert_close(found, expected):
     np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-9 * np.abs(expected).max(initial=0.0))
 
 
-@pytest.mark.parametrize("frames", [1, LANES - 1, LANES, LANES + 1, 20])
+@pytest.mark.parametrize("frames", [1, VECTOR_LANES - 1, VECTOR_LANES, VECTOR_LANES + 1, 20])
 def test_a_compiled_chain_is_the_interpreted_one(frames):
     interpreted, made = chains(frames)
-    assert (interpreted.functions().lanes, made.functions().lanes) == (1, LANES)
+    assert (interpreted.functions().lanes, made.functions().lanes) == (1, VECTOR_LANES)
     for seed in range(6):
         x = np.concatenate([inside(100 * seed + k) for k in range(frames)])
         multipliers = np.random.default_rng(seed).normal(size=len(made.bounds[0]))
@@ -346,8 +346,8 @@ def test_a_compiled_chain_is_the_interpreted_one(frames):
 
 @pytest.mark.parametrize("solver", CHAIN_SOLVERS)
 def test_a_solver_finds_on_the_compiled_chain_what_it_finds_on_the_interpreted_one(solver):
-    start = np.tile([0.1, 0.2, 0.3, 20, 60, 90, 0, 0], LANES + 1)
-    interpreted, made = (CHAIN_SOLVERS[solver](chain)(start, Watch()) for chain in chains(LANES + 1))
+    start = np.tile([0.1, 0.2, 0.3, 20, 60, 90, 0, 0], VECTOR_LANES + 1)
+    interpreted, made = (CHAIN_SOLVERS[solver](chain)(start, Watch()) for chain in chains(VECTOR_LANES + 1))
     assert interpreted.success
     assert made.success
     assert made.objective == pytest.approx(interpreted.objective, rel=1e-7)
@@ -363,19 +363,19 @@ def toy(factor):
 
 
 def test_frames_of_equal_robots_share_a_library(monkeypatch):
-    first = compiled.library(alone(robot()), None).now()
+    first = compiled.library(alone(robot()), None).wait_for_path()
     monkeypatch.setattr(places, "code", lambda *arguments: pytest.fail("written again"))
-    assert compiled.library(alone(robot()), None).now().read_bytes() == first.read_bytes()
+    assert compiled.library(alone(robot()), None).wait_for_path().read_bytes() == first.read_bytes()
 
 
 def test_another_number_of_lanes_is_another_library():
     paths = []
-    for asked, lanes in ((1, 1), (None, LANES)):
-        functions = compiled.compiled(toy(2), asked)
+    for asked, lanes in ((1, 1), (None, VECTOR_LANES)):
+        functions = compiled.compile_functions(toy(2), asked)
         assert functions.lanes == lanes
         (found, _) = evaluated(functions.value, np.full((1, lanes), 5.0), np.full((1, lanes), 2.0))
         np.testing.assert_array_equal(found, np.ones((1, lanes)))
-        paths.append(compiled.library(toy(2), asked).now())
+        paths.append(compiled.library(toy(2), asked).wait_for_path())
     assert len(set(paths)) == 2
 
 

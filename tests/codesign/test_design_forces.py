@@ -25,7 +25,7 @@ from ctr_nlp.cli.main import main
 from ctr_nlp.exceptions import LoadError, OptionError
 from ctr_nlp.loads import with_modulus
 from ctr_nlp.plan.measures import e3
-from ctr_nlp.steer.robust.tolerated import scenarios_of
+from ctr_nlp.steer.robust.tolerated import scenarios_from_tolerances
 from ctr_nlp.target.curve import curve_from_formula
 
 FORCE = 0.5
@@ -55,7 +55,7 @@ def test_tubes_for_a_load_follow_under_it_better_than_tubes_for_none(load):
     found = design(tasks, nominal=True, model=model, rules=RULES, starts=2)
     for plan in found.plans:
         assert plan.complete
-        assert plan.bears == load
+        assert plan.evaluated_load == load
         assert plan.verdicts.stable.word == "yes"
     assert all(rule.lower <= rule.value <= rule.upper for rule in found.rules)
     knowing = [solve_horizon(replace(task, robot=free.robot), model=model) for task in tasks]
@@ -73,7 +73,7 @@ def test_tubes_are_designed_for_their_own_weight():
     tasks = [_task(with_modulus(Robot(TWO.tubes), 300), name) for name in BENDS]
     free = design(tasks, nominal=True, rules=RULES, starts=2)
     found = design(tasks, nominal=True, model=weight, rules=RULES, starts=2)
-    assert all(plan.complete and plan.bears == weight.load for plan in found.plans)
+    assert all(plan.complete and plan.evaluated_load == weight.load for plan in found.plans)
     knowing = [solve_horizon(replace(task, robot=free.robot), model=weight) for task in tasks]
     assert _rms(found.plans) < 0.9 * _rms(knowing)
 
@@ -81,7 +81,7 @@ def test_tubes_are_designed_for_their_own_weight():
 @LOADS
 def test_a_design_for_tolerances_may_bear_a_load_as_well(load):
     (plan,) = design([_task(NITINOL)], model=Loaded(load), rules=RULES, starts=1).plans
-    assert plan.bears == load
+    assert plan.evaluated_load == load
     assert plan.meta["certificate"]["held"]
 
 
@@ -94,17 +94,20 @@ def test_tubes_for_forces_from_any_side_are_bent_by_them_less():
         robot = replace(plan.robot, tolerances=Tolerances(tip_force=FORCE))
         told = replace(plan, meta=plan.meta | {"robot": robot.to_dict()}).robustness(60, 3)
         errors.append(told.errors.mean)
-    assert told.losses == 0, "the tubes that were designed for these forces"
+    assert told.lost_count == 0, "the tubes that were designed for these forces"
     assert errors[1] < 0.3 * errors[0]
 
 
 @pytest.mark.parametrize("others", [{}, {"curvature": 0.0, "bending_stiffness": 0.0, "motor_zero": 0.0}])
 def test_pushed_scenarios_have_the_mean_and_the_covariance_of_forces_from_all_sides(others):
     robot = _pushed(**others)
-    found, without = scenarios_of(robot, pushed=True), scenarios_of(_pushed(curvature=0.03))
+    found, without = (
+        scenarios_from_tolerances(robot, with_tip_force=True),
+        scenarios_from_tolerances(_pushed(curvature=0.03)),
+    )
     counted = found.weights > 0
     assert not found.forces[~counted].any()
-    assert not without.pushed
+    assert not without.has_tip_forces
     forces = found.forces[counted]
     np.testing.assert_allclose(np.linalg.norm(forces, axis=1), FORCE)
     np.testing.assert_allclose(forces.mean(axis=0), 0.0, atol=1e-12)

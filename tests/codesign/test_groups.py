@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from truth import TWO
 
-from ctr_nlp import Manufacture, Problem, Robot, Settings, divided, growing, suited
+from ctr_nlp import Manufacture, Problem, Robot, Settings, assign_to_robots, divide_problems, growing
 from ctr_nlp.cli.main import main
 from ctr_nlp.codesign import plans
-from ctr_nlp.codesign.groups import _alike, taken
-from ctr_nlp.codesign.plans import planned_on
+from ctr_nlp.codesign.groups import _cluster_paths, assign_by_errors
+from ctr_nlp.codesign.plans import plan_tasks
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.target.curve import curve_from_formula
 
@@ -38,46 +38,46 @@ def tasks():
 
 
 def test_alike_paths_are_grouped_whatever_their_plane(tasks):
-    choice = _alike(tasks, 2, 0)
+    choice = _cluster_paths(tasks, 2, 0)
     assert choice[0] == choice[2] != choice[1] == choice[3]
 
 
 def test_every_task_takes_its_best_robot_and_no_robot_is_left_over():
     errors = np.array([[0.1, 0.2, 0.9, np.nan], [0.3, 0.4, 1.0, 0.7], [1.0, 1.0, 1.0, 1.0]])
-    assert taken(errors).tolist() == [0, 0, 2, 1]
-    assert taken(errors[:2]).tolist() == [0, 0, 0, 1]
-    assert taken(errors[:1]).tolist() == [0, 0, 0, 0]
+    assert assign_by_errors(errors).tolist() == [0, 0, 2, 1]
+    assert assign_by_errors(errors[:2]).tolist() == [0, 0, 0, 1]
+    assert assign_by_errors(errors[:1]).tolist() == [0, 0, 0, 0]
 
 
 def test_tasks_are_divided_by_what_one_robot_follows(tasks):
-    groups = divided(tasks, 2, rules=RULES)
+    groups = divide_problems(tasks, 2, rules=RULES)
     assert sorted(sorted(task.name for task in group) for group in groups) == [
         ["gentle", "turned"],
         ["hook", "sharp"],
     ]
     assert all(task.robot == PAIR for group in groups for task in group)
-    assert divided(tasks, 1, rules=RULES) == [tasks]
+    assert divide_problems(tasks, 1, rules=RULES) == [tasks]
 
 
 def test_problems_take_the_robot_that_follows_them(tasks):
     outer, inner = PAIR.tubes
     straight = replace(PAIR, tubes=(replace(outer, curvature=1 / 400), replace(inner, curvature=1 / 400)))
     bent = replace(PAIR, tubes=(replace(outer, curvature=1 / 50), replace(inner, curvature=1 / 50)))
-    assert suited(tasks, [bent, straight], Settings()).tolist() == [1, 0, 1, 0]
+    assert assign_to_robots(tasks, [bent, straight], Settings()).tolist() == [1, 0, 1, 0]
 
 
 def test_more_robots_than_problems_are_refused(tasks):
     with pytest.raises(OptionError, match="robots is 5 and there are 4 problems"):
-        divided(tasks, 5, rules=RULES)
+        divide_problems(tasks, 5, rules=RULES)
     with pytest.raises(OptionError, match="robots is 0"):
-        divided(tasks, 0, rules=RULES)
+        divide_problems(tasks, 0, rules=RULES)
 
 
 def test_the_command_gives_each_group_a_robot_in_a_folder_of_its_own(tasks, tmp_path, capsys):
     paths = []
     for task in tasks[:3]:
         paths.append(tmp_path / f"{task.name}.csv")
-        points = task.samples[-1].points
+        points = task.target_frames[-1].points
         np.savetxt(paths[-1], points, delimiter=",", header="x_mm,y_mm,z_mm", comments="")
     (tmp_path / "two.toml").write_text(PAIR.to_toml(), encoding="utf-8")
     out = tmp_path / "out"
@@ -101,5 +101,5 @@ def test_plans_on_a_design_are_kept_within_walls_where_that_is_asked_for(tasks, 
     weights = []
     monkeypatch.setattr(plans, "solve_robust", lambda task, settings, **_: weights.append(settings.contact_weight))
     for walls in (False, True):
-        planned_on(tasks[:1], Settings(contact_weight=7.0), False, walls=walls)
+        plan_tasks(tasks[:1], Settings(contact_weight=7.0), False, walls=walls)
     assert weights == [0.0, 7.0]

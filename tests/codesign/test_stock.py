@@ -13,12 +13,12 @@ from truth import TWO
 
 from ctr_nlp import Manufacture, Problem, Robot, Tube, curve_from_formula, design, growing, summary, table_i_robot
 from ctr_nlp.cli.main import main
-from ctr_nlp.codesign.doubts import doubts
-from ctr_nlp.codesign.rounding import made
-from ctr_nlp.codesign.stock import StockTube, nearest, read_stock, with_diameters
+from ctr_nlp.codesign.doubts import find_design_warnings
+from ctr_nlp.codesign.rounding import round_entries
+from ctr_nlp.codesign.stock import StockTube, nearest_stock, read_stock, with_diameters
 from ctr_nlp.exceptions import OptionError
-from ctr_nlp.formulations.shared.design import DesignedTubes, varying
-from ctr_nlp.problems import named
+from ctr_nlp.formulations.shared.design import DesignedTubes, with_linear_curvatures
+from ctr_nlp.problems import named_problem
 
 PAIR = Robot(TWO.tubes)
 RULES = Manufacture(channel=0.3, wall=0.1, outer=4.0)
@@ -79,8 +79,8 @@ def test_a_list_that_is_not_there_is_said(tmp_path):
 
 def test_tubes_that_nest_are_found_best_ratios_first():
     """As all combinations of the list, looked at one by one."""
-    tubes, stock = DesignedTubes(varying(table_i_robot()), Manufacture()), read_stock()
-    found = nearest(stock, tubes, tubes.own)
+    tubes, stock = DesignedTubes(with_linear_curvatures(table_i_robot()), Manufacture()), read_stock()
+    found = nearest_stock(stock, tubes, tubes.nominal_unknowns)
     nesting = {
         three
         for three in itertools.product(stock, repeat=3)
@@ -99,7 +99,9 @@ def test_where_something_pushes_stiffness_itself_counts():
     thin = [StockTube("thin", 0.6 * outer, 0.6 * inner, "here") for outer, inner in own]
     like = [StockTube("alike", 1.01**k * outer, inner, "here") for k, (outer, inner) in enumerate(own)]
     for pushed, part in ((False, "thin"), (True, "alike")):
-        assert {one.part for one in nearest([*thin, *like], tubes, tubes.own, pushed)[0]} == {part}
+        assert {one.part for one in nearest_stock([*thin, *like], tubes, tubes.nominal_unknowns, pushed)[0]} == {
+            part
+        }
 
 
 def test_what_cannot_nest_is_refused_before_anything_is_solved():
@@ -109,20 +111,22 @@ def test_what_cannot_nest_is_refused_before_anything_is_solved():
 
 
 def test_a_fixed_diameter_stays_and_thick_tubes_are_bent_less():
-    tubes = DesignedTubes(varying(table_i_robot()), Manufacture(), ("outer_diameter_1",))
-    found = nearest(read_stock(), tubes, tubes.own)
+    tubes = DesignedTubes(with_linear_curvatures(table_i_robot()), Manufacture(), ("outer_diameter_1",))
+    found = nearest_stock(read_stock(), tubes, tubes.nominal_unknowns)
     assert {(one[0].outer, one[0].inner) for one in found} == {(5.7, 4.3)}
-    p = with_diameters(tubes, np.where(np.arange(len(tubes.own)) < 6, 50.0, tubes.own), found[0])
+    p = with_diameters(
+        tubes, np.where(np.arange(len(tubes.nominal_unknowns)) < 6, 50.0, tubes.nominal_unknowns), found[0]
+    )
     for k in range(6):
         assert p[k] / 100 * found[0][k // 2].outer / 2 <= 0.04 + 1e-12
 
 
 def test_lengths_and_curvatures_are_rounded_to_what_can_be_made():
-    tubes = DesignedTubes(varying(table_i_robot()), Manufacture())
-    p = tubes.own.copy()
+    tubes = DesignedTubes(with_linear_curvatures(table_i_robot()), Manufacture())
+    p = tubes.nominal_unknowns.copy()
     p[:6] = 100 / np.array([9876.5, 222.2, 5000.0, 61.7, 700.0, 80.2])
     p[6:8] = 0.4512, 1.0333
-    found = made(tubes, p, tubes.names[:9])[0]
+    found = round_entries(tubes, p, tubes.names[:9])[0]
     np.testing.assert_allclose(100 / found[:6], [9900, 220, 5000, 62, 700, 80], rtol=1e-12)
     np.testing.assert_allclose(100 * found[6:9], [45.0, 103.5, 150.0], rtol=1e-12)
     np.testing.assert_array_equal(found[9:], p[9:])
@@ -131,10 +135,10 @@ def test_lengths_and_curvatures_are_rounded_to_what_can_be_made():
 def test_rounding_keeps_the_rules():
     """The nearest radius would strain the tube by more than 4 %."""
     tubes = DesignedTubes(table_i_robot(), Manufacture())
-    p = tubes.own.copy()
+    p = tubes.nominal_unknowns.copy()
     p[1] = 100 / (3.7 / 2 / 0.04 + 0.1)
-    assert tubes.keeps(p)
-    assert 100 / made(tubes, p, tubes.names[:3])[0][1] == pytest.approx(47.0)
+    assert tubes.satisfies_rules(p)
+    assert 100 / round_entries(tubes, p, tubes.names[:3])[0][1] == pytest.approx(47.0)
 
 
 @pytest.fixture(scope="module")
@@ -150,8 +154,8 @@ def stocked():
 def test_a_design_in_stock_is_of_the_list_and_keeps_the_rules(stocked):
     stock, found = stocked
     own = [(tube.outer_diameter, tube.inner_diameter) for tube in found.robot.tubes]
-    assert own == [(one.outer, one.inner) for one in found.stocked.tubes]
-    assert set(found.stocked.tubes) <= set(stock)
+    assert own == [(one.outer, one.inner) for one in found.stock_rounding.tubes]
+    assert set(found.stock_rounding.tubes) <= set(stock)
     for rule in found.rules:
         assert rule.lower <= rule.value <= rule.upper, rule
     for tube in found.robot.tubes:
@@ -166,10 +170,12 @@ def test_a_design_in_stock_loses_little_and_tells_it(stocked):
     _, found = stocked
     assert all(plan.success.all() for plan in found.plans)
     rms = np.sqrt(np.mean([summary(plan)["e3"] ** 2 for plan in found.plans]))
-    free = np.sqrt(np.mean(found.stocked.free**2))
+    free = np.sqrt(np.mean(found.stock_rounding.free**2))
     assert rms < 1.1 * free
-    assert found.stocked.loss == pytest.approx(np.sqrt(np.mean(found.stocked.rounded**2)) / free - 1)
-    assert "e3 by" in str(found.stocked)
+    assert found.stock_rounding.loss == pytest.approx(
+        np.sqrt(np.mean(found.stock_rounding.excess_rounding_mm**2)) / free - 1
+    )
+    assert "e3 by" in str(found.stock_rounding)
 
 
 PROGRAM = """
@@ -222,17 +228,17 @@ class _Moved:
 
 def test_tubes_that_are_not_used_are_named():
     robot = table_i_robot()
-    (told,) = doubts(robot, [_Moved([[0, 20, 90], [1.5, 40, 150]]), _Moved([[0, 0, 30]])], sold=True)
+    (told,) = find_design_warnings(robot, [_Moved([[0, 20, 90], [1.5, 40, 150]]), _Moved([[0, 0, 30]])], sold=True)
     assert told.startswith("Tube 1 is never pushed out by more than 1.5 mm")
-    assert doubts(robot, [_Moved([[20, 60, 90]])], sold=True) == ()
+    assert find_design_warnings(robot, [_Moved([[20, 60, 90]])], sold=True) == ()
     soft = replace(robot, tubes=(*robot.tubes[:2], replace(robot.tubes[2], youngs_modulus=0.01)))
-    (told,) = doubts(soft, [_Moved([[20, 88, 90]])], sold=True)
+    (told,) = find_design_warnings(soft, [_Moved([[20, 88, 90]])], sold=True)
     assert told.startswith("Tube 3 is hardly felt: where it lies, other tubes have more than 98%")
 
 
 def test_diameters_that_are_not_sold_are_named():
     thick = Robot((Tube(90.0, 50.0, 0.01, 5.0, 2.0), Tube(190.0, 90.0, 0.01, 1.5, 1.2)))
-    (told,) = doubts(thick, [_Moved([[20, 60]])], sold=False)
+    (told,) = find_design_warnings(thick, [_Moved([[20, 60]])], sold=False)
     assert told.startswith("Tube 1 is 2.50 times as thick outside as inside")
 
 
@@ -245,5 +251,5 @@ def test_a_design_for_one_straight_line_is_no_needle():
 
 @pytest.mark.slow
 def test_a_design_for_one_straight_line_names_the_tube_that_it_does_not_need():
-    found = design([named("line", 20)], nominal=True, starts=2)
-    assert any("pushed out" in told or "hardly felt" in told for told in found.doubts), found.doubts
+    found = design([named_problem("line", 20)], nominal=True, starts=2)
+    assert any("pushed out" in told or "hardly felt" in told for told in found.warnings), found.warnings

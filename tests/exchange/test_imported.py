@@ -13,7 +13,7 @@ from ctr_nlp import Plan, Problem, curve_from_formula, growing, shapes, table_i_
 from ctr_nlp.cli.exchange.configurations import main
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.exchange.configurations import plan_through, read_configurations
-from ctr_nlp.exchange.mat import mat
+from ctr_nlp.exchange.mat import encode_mat
 
 FRAMES = 4
 HEADER = [
@@ -174,7 +174,7 @@ def test_an_exported_plan_comes_back(problem, q, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "robot.toml").write_text(table_i_robot().to_toml())
     first = plan_through(problem, q, model="dominant")
-    (tmp_path / "plan.mat").write_bytes(mat(first))
+    (tmp_path / "plan.mat").write_bytes(encode_mat(first))
     call = ["plan.mat", "--problem", "line", "--robot", "robot.toml", "--model", "dominant", "--no-figures"]
     call += ["--out", "again"]
     assert main(call) in (0, 1)

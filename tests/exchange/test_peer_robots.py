@@ -81,7 +81,7 @@ def test_a_lone_tube_turned_as_told_bends_as_it_does_there(written):
         for _ in range(8000):
             middle = rotation @ (np.eye(3) + step / 2 * turn)
             tip, rotation = tip + step * middle[:, 2], rotation + step * middle @ turn
-        q = np.array([[imported.turned[0] + angle, 80.0, 0.0, 0.0]])
+        q = np.array([[imported.alpha_offsets[0] + angle, 80.0, 0.0, 0.0]])
         assert ctr.shapes(imported.robot, q)[0, -1] == pytest.approx(tip, abs=1e-3)
 
 
@@ -148,7 +148,7 @@ def test_robot_files_of_this_library_are_read(tmp_path):
     (tmp_path / "robot.toml").write_text(robot.to_toml("A robot."))
     imported = ctr.read_robot(tmp_path / "robot.toml")
     assert imported.robot == robot
-    assert (imported.names, imported.turned) == (("tube 1", "tube 2", "tube 3"), (0.0, 0.0, 0.0))
+    assert (imported.names, imported.alpha_offsets) == (("tube 1", "tube 2", "tube 3"), (0.0, 0.0, 0.0))
     (tmp_path / "again.toml").write_text(imported.to_toml("robot.toml"))
     assert ctr.Robot.from_toml(tmp_path / "again.toml") == robot
     assert "there" not in (tmp_path / "again.toml").read_text().split("[[tubes]]")[0]

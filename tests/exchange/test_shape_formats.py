@@ -20,12 +20,12 @@ from ctr_nlp.anatomy.problem_files import problem_from_file
 from ctr_nlp.cli.commands.export import main
 from ctr_nlp.exceptions import OptionError, OutputError
 from ctr_nlp.exchange.configurations import plan_through
-from ctr_nlp.exchange.formats import FILES, FORMATS
-from ctr_nlp.exchange.gltf import gltf
-from ctr_nlp.exchange.mat import mat
+from ctr_nlp.exchange.formats import EXCHANGE_FORMATS, FILE_FORMATS
+from ctr_nlp.exchange.gltf import encode_gltf
+from ctr_nlp.exchange.mat import encode_mat
 from ctr_nlp.exchange.slicer import slicer_files
 from ctr_nlp.exchange.surface import tube_surfaces, wall_surface
-from ctr_nlp.exchange.table import shapes_csv
+from ctr_nlp.exchange.table import encode_shapes_csv
 from ctr_nlp.plan.account import NOT_FOR_PATIENTS
 from ctr_nlp.plan.metrics import by_frame, summary
 
@@ -266,9 +266,9 @@ def numbers(scene, k):
 
 def test_the_scene_has_the_points_of_every_frame_in_metres_with_the_insertion_upwards(plan):
     pygltflib, trimesh = pytest.importorskip("pygltflib"), pytest.importorskip("trimesh")
-    scene = pygltflib.GLTF2.load_from_bytes(gltf(plan))
+    scene = pygltflib.GLTF2.load_from_bytes(encode_gltf(plan))
     lines = {mesh.name: mesh.primitives[0].attributes.POSITION for mesh in scene.meshes}
-    drawn = trimesh.load(io.BytesIO(gltf(plan)), file_type="glb").geometry
+    drawn = trimesh.load(io.BytesIO(encode_gltf(plan)), file_type="glb").geometry
     for j in range(FRAMES):
         for name, points in ((f"centreline {j + 1}", plan.shape[j]), (f"target {j + 1}", plan.target[j])):
             for found in (numbers(scene, lines[name]), drawn[name].vertices):
@@ -277,7 +277,7 @@ def test_the_scene_has_the_points_of_every_frame_in_metres_with_the_insertion_up
 
 def test_the_tubes_of_the_scene_lie_around_the_robot(plan):
     trimesh = pytest.importorskip("trimesh")
-    scene = trimesh.load(io.BytesIO(gltf(plan)), file_type="glb").geometry
+    scene = trimesh.load(io.BytesIO(encode_gltf(plan)), file_type="glb").geometry
     for j in range(FRAMES):
         solids = [solid for name, solid in scene.items() if name.partition("_")[0] == f"tubes {j + 1}"]
         points = in_robot(np.vstack([solid.vertices for solid in solids]))
@@ -289,7 +289,7 @@ def test_the_tubes_of_the_scene_lie_around_the_robot(plan):
 
 def test_one_frame_is_shown_at_a_time_from_its_own_time_on(plan):
     pygltflib = pytest.importorskip("pygltflib")
-    scene = pygltflib.GLTF2.load_from_bytes(gltf(plan))
+    scene = pygltflib.GLTF2.load_from_bytes(encode_gltf(plan))
     (motion,) = scene.animations
 
     def shown(t):
@@ -310,7 +310,7 @@ def test_one_frame_is_shown_at_a_time_from_its_own_time_on(plan):
 
 def test_the_scene_keeps_to_the_rules_of_its_format(scanned):
     """What the specification asks of buffers, views and accessors, and bounds that are those of their numbers."""
-    told, held = parts(gltf(scanned[0]))
+    told, held = parts(encode_gltf(scanned[0]))
     assert "units" in told["asset"]["extras"]
     assert "+Y is up" in told["asset"]["extras"]["axes"]
     assert told["buffers"][0]["byteLength"] == len(held)
@@ -344,7 +344,7 @@ def test_the_scene_keeps_to_the_rules_of_its_format(scanned):
 
 def test_matlab_reads_what_the_plan_holds(scanned):
     plan, space = scanned
-    held = loadmat(io.BytesIO(mat(plan)))
+    held = loadmat(io.BytesIO(encode_mat(plan)))
     for name in ("q", "shape", "target", "to_robot"):
         assert np.array_equal(held[name], getattr(plan, name))
     assert np.array_equal(held["time"][:, 0], plan.time)
@@ -364,7 +364,7 @@ def test_matlab_reads_what_the_plan_holds(scanned):
 
 
 def test_the_table_has_every_point_of_every_frame(plan):
-    rows = list(csv.DictReader(io.StringIO(shapes_csv(plan).decode())))
+    rows = list(csv.DictReader(io.StringIO(encode_shapes_csv(plan).decode())))
     columns = {name: np.array([float(row[name]) for row in rows]) for name in rows[0]}
     assert len(rows) == 101 * FRAMES
     for prefix, points in (("", plan.shape), ("target_", plan.target)):
@@ -378,7 +378,7 @@ def test_the_table_has_every_point_of_every_frame(plan):
 # all of them
 
 
-@pytest.mark.parametrize("of", [gltf, shapes_csv, slicer_files])
+@pytest.mark.parametrize("of", [encode_gltf, encode_shapes_csv, slicer_files])
 def test_frames_without_a_shape_are_left_out(plan, of):
     unreached = np.arange(FRAMES) != 3
     shape = np.where(unreached[:, None, None], np.nan, plan.shape)
@@ -398,11 +398,11 @@ def test_surfaces_turn_left_seen_from_outside(scanned):
 # `ctr-nlp export`
 
 
-@pytest.mark.parametrize("to", FORMATS)
+@pytest.mark.parametrize("to", EXCHANGE_FORMATS)
 def test_files_are_written_beside_the_plan_and_replaced(to, file, capsys):
     if to == "slicer":
         pytest.importorskip("pyvista")
-    out = file.with_name("plan_slicer" if to == "slicer" else f"plan{FILES[to].suffix}")
+    out = file.with_name("plan_slicer" if to == "slicer" else f"plan{FILE_FORMATS[to].suffix}")
     for _ in range(2):
         assert export(file, "--to", to) == 0
         assert str(out) in capsys.readouterr().out.replace("\n", "")
@@ -410,9 +410,9 @@ def test_files_are_written_beside_the_plan_and_replaced(to, file, capsys):
     assert len(list(file.parent.iterdir())) == 2
 
 
-@pytest.mark.parametrize("to", sorted(FILES))
+@pytest.mark.parametrize("to", sorted(FILE_FORMATS))
 def test_a_file_of_the_user_is_not_replaced(to, file, capsys):
-    out = file.with_name(f"mine{FILES[to].suffix}")
+    out = file.with_name(f"mine{FILE_FORMATS[to].suffix}")
     out.write_bytes(b"glTF and MATLAB 5.0 MAT-file and frame")
     assert export(file, "--to", to, "--out", out) == 2
     assert "is not one of ours" in capsys.readouterr().err

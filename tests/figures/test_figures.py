@@ -15,9 +15,9 @@ from ctr_nlp import shapes as robot_shapes
 from ctr_nlp.exceptions import OptionError, OutputError
 from ctr_nlp.figures import by_frame, configuration, errors, save_all, shapes
 from ctr_nlp.figures.motion import error_from_truth, without_whole_turns
-from ctr_nlp.figures.parts.palette import TUBES
-from ctr_nlp.studies.front import pareto, save_front
-from ctr_nlp.studies.trade_off import Point
+from ctr_nlp.figures.parts.palette import TUBE_COLOURS
+from ctr_nlp.studies.front import draw_pareto_front, save_pareto_front
+from ctr_nlp.studies.trade_off import ParetoPoint
 
 FRAMES = 6
 
@@ -92,8 +92,10 @@ def legends(figure):
 
 def tube_lengths(axes):
     """Length on paper, in mm, of each tube's line in a panel of shapes."""
-    lines = {line.get_color(): line.get_xydata() for line in axes.lines if line.get_color() in TUBES}
-    return [np.linalg.norm(np.diff(lines[c], axis=0), axis=1).sum() if c in lines else 0.0 for c in TUBES[:3]]
+    lines = {line.get_color(): line.get_xydata() for line in axes.lines if line.get_color() in TUBE_COLOURS}
+    return [
+        np.linalg.norm(np.diff(lines[c], axis=0), axis=1).sum() if c in lines else 0.0 for c in TUBE_COLOURS[:3]
+    ]
 
 
 @pytest.mark.parametrize("tubes", [1, 2, 3, 4])
@@ -258,16 +260,16 @@ def test_a_plan_that_was_saved_is_drawn_alike(plan, tmp_path):
 
 
 FRONT = [
-    Point("horizon", 1e-8, 0.26, 9000.0, True),
-    Point("horizon", 1e-2, 0.53, 3500.0, True),
-    Point("horizon", 1e-5, 9.99, 6000.0, False),
-    Point("joint:ipopt", 1e-6, 0.29, 10800.0, True),
-    Point("paper-two-stage", 1e-6, 4.6, 24500.0, False),
+    ParetoPoint("horizon", 1e-8, 0.26, 9000.0, True),
+    ParetoPoint("horizon", 1e-2, 0.53, 3500.0, True),
+    ParetoPoint("horizon", 1e-5, 9.99, 6000.0, False),
+    ParetoPoint("joint:ipopt", 1e-6, 0.29, 10800.0, True),
+    ParetoPoint("paper-two-stage", 1e-6, 4.6, 24500.0, False),
 ]
 
 
 def test_the_front_is_drawn_through_its_solved_points_from_smooth_to_rough():
-    (axes,) = pareto(FRONT, "cos").axes
+    (axes,) = draw_pareto_front(FRONT, "cos").axes
     line = axes.get_lines()[0]
     np.testing.assert_allclose(line.get_xydata(), [[3500.0, 0.53], [9000.0, 0.26]])
     assert [text.get_text() for text in axes.texts] == ["λ = 0.01 s²", "λ = 1e-08 s²"]
@@ -276,7 +278,7 @@ def test_the_front_is_drawn_through_its_solved_points_from_smooth_to_rough():
 
 
 def test_other_methods_stand_beside_the_front_and_failures_are_named():
-    figure = pareto(FRONT, "a name with 漢字")
+    figure = draw_pareto_front(FRONT, "a name with 漢字")
     (axes,) = figure.axes
     labels = [text.get_text() for text in axes.get_legend().get_texts()]
     assert labels == ["horizon, by weight λ", "joint:ipopt", "paper-two-stage, not all solved"]
@@ -286,9 +288,9 @@ def test_other_methods_stand_beside_the_front_and_failures_are_named():
 
 def test_a_front_of_one_point_or_none_is_drawn(tmp_path):
     for points in (FRONT[:1], FRONT[3:]):
-        assert imread(save_front(points, "cos", tmp_path)).std() > 0
+        assert imread(save_pareto_front(points, "cos", tmp_path)).std() > 0
 
 
 def test_a_front_that_cannot_be_saved_says_so(tmp_path):
     with pytest.raises(OutputError, match="cannot be written"):
-        save_front(FRONT, "cos", tmp_path / "missing")
+        save_pareto_front(FRONT, "cos", tmp_path / "missing")

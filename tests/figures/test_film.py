@@ -18,7 +18,7 @@ from ctr_nlp.cli.commands import plan as plan_program
 from ctr_nlp.exceptions import OptionError, OutputError
 from ctr_nlp.figures import film
 from ctr_nlp.figures.film import WRITERS
-from ctr_nlp.figures.parts.palette import TUBES
+from ctr_nlp.figures.parts.palette import TUBE_COLOURS
 from ctr_nlp.target.lumen import Lumen
 
 FRAMES = 4
@@ -80,7 +80,7 @@ class Picture:
         self.words = [text.get_text() for text in figure.texts]
         self.cursors = [axes.lines[-1].get_xdata()[0] for axes in self.errors]
         self.tubes = [
-            points(axes, lambda line: line.get_color() in TUBES and line.get_lw() > 1) for axes in spaces
+            points(axes, lambda line: line.get_color() in TUBE_COLOURS and line.get_lw() > 1) for axes in spaces
         ]
         self.targets = [points(axes, lambda line: line.is_dashed()) for axes in spaces]
         self.walls = [points(axes, lambda line: line.get_color() == "0.72") for axes in spaces]
@@ -159,7 +159,7 @@ def test_frames_never_reached_and_failed_ones_are_shown_as_such(plan, pictures, 
 
 
 def test_the_wall_is_drawn_where_it_is(plan, pictures, tmp_path):
-    lumen = Lumen.around(straight(RADIUS)).table
+    lumen = Lumen.from_curve(straight(RADIUS)).table
     film([dataclasses.replace(plan, lumen=lumen)], tmp_path / "film.gif")
     wall = pictures[0].walls[0]
     wall = wall[np.isfinite(wall).all(axis=1)]

@@ -21,14 +21,14 @@ from window_backend import CLOSE, Written
 from ctr_nlp import solve_horizon, table_i_robot
 from ctr_nlp.cli.commands import plan as horizon_program
 from ctr_nlp.cli.commands import play
-from ctr_nlp.cli.live import Played, Solved
+from ctr_nlp.cli.live import PlaybackView, SolverView
 from ctr_nlp.exceptions import OptionError
-from ctr_nlp.figures.live import Now, Playing, Solving, Stage, View
-from ctr_nlp.figures.live.pictures import Shapes
-from ctr_nlp.figures.parts.palette import TUBES
-from ctr_nlp.hardware.description import bench
-from ctr_nlp.hardware.devices import Progress
-from ctr_nlp.hardware.playing.session import prepared
+from ctr_nlp.figures.live import LiveWindow, PlaybackPicture, PlaybackState, SolverPicture, SolverState
+from ctr_nlp.figures.live.pictures import ShapeContinuation
+from ctr_nlp.figures.parts.palette import TUBE_COLOURS
+from ctr_nlp.hardware.description import simulated_hardware
+from ctr_nlp.hardware.devices import MotionProgress
+from ctr_nlp.hardware.playing.session import prepare_trajectory
 from ctr_nlp.simulation.forward import shapes
 from ctr_nlp.target.lumen import Lumen
 
@@ -82,7 +82,7 @@ def until(happened):
 
 
 def test_the_newest_state_arrives_and_the_window_outlives_the_work(written):
-    with View(written) as view:
+    with LiveWindow(written) as view:
         for k in range(1000):
             view.show(lambda k=k: k)
     until(lambda: lines(written.path)[-1] == "999")
@@ -92,7 +92,7 @@ def test_the_newest_state_arrives_and_the_window_outlives_the_work(written):
 
 
 def test_states_arrive_while_the_work_goes_on(written):
-    with View(written) as view:
+    with LiveWindow(written) as view:
         for k in range(3):
             view.show(lambda k=k: k)
             until(lambda k=k: lines(written.path)[-1] == str(k))
@@ -100,7 +100,7 @@ def test_states_arrive_while_the_work_goes_on(written):
 
 def test_a_closed_window_does_not_disturb(written):
     called = []
-    with View(written) as view:
+    with LiveWindow(written) as view:
         view.show(lambda: CLOSE)
         until(lambda: not alive(process(written.path)))
         for k in range(100):
@@ -154,7 +154,7 @@ def test_a_window_that_hangs_holds_nothing_up(written, tmp_path):
 
 
 def test_a_failure_of_the_work_closes_the_window(written):
-    with pytest.raises(ZeroDivisionError), View(written):
+    with pytest.raises(ZeroDivisionError), LiveWindow(written):
         raise ZeroDivisionError
     assert not alive(process(written.path))
 
@@ -162,7 +162,7 @@ def test_a_failure_of_the_work_closes_the_window(written):
 def test_without_a_display_there_is_one_clear_error(monkeypatch):
     monkeypatch.setenv("MPLBACKEND", "agg")
     with pytest.raises(OptionError, match=r"no display.*backend is agg.*tkinter.*ssh -X.*MPLBACKEND=WebAgg"):
-        View(Playing(PLAN))
+        LiveWindow(PlaybackPicture(PLAN))
 
 
 def test_programs_refuse_before_anything_moves_or_is_solved(monkeypatch, tmp_path, capsys):
@@ -198,17 +198,17 @@ class FakeView:
 @pytest.mark.parametrize("time", [0.0, 0.37])
 def test_a_player_tells_where_the_robot_is_and_should_be(time):
     """Axes that are off by some of their units are joints that are off by as much; play in drives is no error."""
-    hardware = bench(PLAN.robot)
+    hardware = simulated_hardware(PLAN.robot)
     axes = tuple(dataclasses.replace(axis, backlash=0.3, zero=1.0) for axis in hardware.axes)
     hardware = dataclasses.replace(hardware, axes=axes)
-    program = prepared(PLAN, hardware)[0]
+    program = prepare_trajectory(PLAN, hardware)[0]
     off = np.array([0.2 if axis.joint == "beta_2" else 0.0 for axis in hardware.axes])
     positions = program.positions(np.array([time]))[0] + off
     view = FakeView()
-    played = Played(view)
-    played.ended("nothing was seen")
-    played(program, Progress("running", time, positions, 0.0, 0.0), "running")
-    played.ended("success")
+    played = PlaybackView(view)
+    played.show_outcome("nothing was seen")
+    played(program, MotionProgress("running", time, positions, 0.0, 0.0), "running")
+    played.show_outcome("success")
     first, last = view.states
     np.testing.assert_allclose(first.commanded, program.at(np.array([time]))[0][0])
     np.testing.assert_allclose(first.measured - first.commanded, [0, 0, 0, 0, 0.2, 0, 0, 0], atol=1e-9)
@@ -219,26 +219,26 @@ def test_a_player_tells_where_the_robot_is_and_should_be(time):
 
 def test_positions_become_joints_on_any_hardware():
     """Axes with signs, zeros and units of their own."""
-    program = prepared(PLAN, homing_hardware())[0]
+    program = prepare_trajectory(PLAN, homing_hardware())[0]
     time = program.frame_time
     np.testing.assert_allclose(program.joints(time, program.positions(time)), program.at(time)[0], atol=1e-9)
 
 
 def test_what_a_robot_passes_before_its_first_frame_is_no_frame():
-    assert prepared(PLAN, bench(PLAN.robot))[0].passed(-0.1) == 0
+    assert prepare_trajectory(PLAN, simulated_hardware(PLAN.robot))[0].last_frame_passed(-0.1) == 0
 
 
 def test_every_iterate_is_told_of_and_the_last_is_the_plan(arc_problem):
     told = []
-    plan = solve_horizon(arc_problem, model="dominant", starts=1, seen=told.append)
+    plan = solve_horizon(arc_problem, model="dominant", starts=1, callback=told.append)
     assert [iterate.number for iterate in told] == list(range(len(told)))
     assert told[-1].objective == pytest.approx(plan.objective.sum())
     view = FakeView()
-    solved = Solved(view, arc_problem)
+    solved = SolverView(view, arc_problem)
     for iterate in told[-2:]:
         solved(iterate)
     solved(told[0])
-    solved.ended(plan)
+    solved.show_plan(plan)
     np.testing.assert_allclose(view.states[1].motion, plan.q, atol=1e-6)
     np.testing.assert_allclose(view.states[1].objective, [each.objective / 4 for each in told[-2:]])
     np.testing.assert_allclose(view.states[2].error, [told[-2].error, told[-1].error, np.nan, told[0].error])
@@ -247,7 +247,7 @@ def test_every_iterate_is_told_of_and_the_last_is_the_plan(arc_problem):
 
 def test_of_several_processes_each_better_motion_is_told_of(arc_problem):
     told = []
-    plan = solve_horizon(arc_problem, model="dominant", starts=3, jobs=2, seen=told.append)
+    plan = solve_horizon(arc_problem, model="dominant", starts=3, jobs=2, callback=told.append)
     objectives = [iterate.objective for iterate in told]
     assert 1 <= len(told) <= 3
     assert objectives == sorted(objectives, reverse=True)
@@ -269,13 +269,13 @@ def words(figure):
 
 
 def test_a_robot_is_drawn_where_it_is_and_where_it_should_be():
-    robot, figure = PLAN.robot, Figure(figsize=Playing.size)
-    picture = Playing(dataclasses.replace(PLAN, lumen=Lumen.around(straight(8.0)).table))
+    robot, figure = PLAN.robot, Figure(figsize=PlaybackPicture.size)
+    picture = PlaybackPicture(dataclasses.replace(PLAN, lumen=Lumen.from_curve(straight(8.0)).table))
     picture.begin(figure)
     assert "waiting" in words(figure)
-    picture.show(Now("hold", 4, 0.4, PLAN.q[5], PLAN.q[3]))
+    picture.show(PlaybackState("hold", 4, 0.4, PLAN.q[5], PLAN.q[3]))
     figure.draw_without_rendering()
-    measured = lines_of(figure, lambda line: line.get_color() in TUBES and 1 < line.get_lw() < 5)
+    measured = lines_of(figure, lambda line: line.get_color() in TUBE_COLOURS and 1 < line.get_lw() < 5)
     commanded = lines_of(figure, lambda line: line.get_lw() > 5)
     np.testing.assert_allclose(measured[-1][-1], shapes(robot, PLAN.q[5:6])[0, -1])
     np.testing.assert_allclose(commanded[-1][-1], shapes(robot, PLAN.q[3:4])[0, -1])
@@ -291,7 +291,7 @@ def test_equilibria_are_followed_from_moment_to_moment():
     robot, turned = table_i_robot(), np.linspace(0.0, 4.0, 9)
     q = np.array([[angle, 0, -angle, 10, 60, 80, 0, 0] for angle in turned])
     followed = tracking.elastic_shapes(robot, tracking.follow(robot, q).x)
-    shape = Shapes(robot, "elastic")
+    shape = ShapeContinuation(robot, "elastic")
     np.testing.assert_allclose([shape(each) for each in q], followed, atol=1e-9)
     assert np.isnan(shape(np.full(8, np.nan))).all()
     assert np.isfinite(shape(q[0])).all()
@@ -299,13 +299,13 @@ def test_equilibria_are_followed_from_moment_to_moment():
 
 def test_a_motion_is_drawn_while_it_is_solved_for():
     plan = sweep(5)
-    figure = Figure(figsize=Solving.size)
-    picture = Solving("bench", plan.robot, "dominant", plan.target, None)
+    figure = Figure(figsize=SolverPicture.size)
+    picture = SolverPicture("bench", plan.robot, "dominant", plan.target, None)
     picture.begin(figure)
     objective, error = np.array([3.0, 2.0, np.nan, 1.0]), np.array([1.0, 0.1, np.nan, 0.0])
-    picture.show(Stage(objective, error, plan.q))
+    picture.show(SolverState(objective, error, plan.q))
     figure.draw_without_rendering()
-    tips = [line[-1] for line in lines_of(figure, lambda line: line.get_color() == TUBES[2])]
+    tips = [line[-1] for line in lines_of(figure, lambda line: line.get_color() == TUBE_COLOURS[2])]
     np.testing.assert_allclose(tips, plan.shape[:, -1])
     upper, lower = figure.axes[1:]
     assert (upper.get_yscale(), upper.get_ylabel()) == ("log", "objective (mm²)")
@@ -318,11 +318,11 @@ def test_a_motion_is_drawn_while_it_is_solved_for():
 
 def test_at_last_the_plan_is_drawn(arc_problem):
     plan = solve_horizon(arc_problem, model="dominant", starts=1)
-    figure = Figure(figsize=Solving.size)
-    picture = Solving("arc", plan.robot, "dominant", plan.target, None)
+    figure = Figure(figsize=SolverPicture.size)
+    picture = SolverPicture("arc", plan.robot, "dominant", plan.target, None)
     picture.begin(figure)
     picture.show(plan)
-    tips = [line[-1] for line in lines_of(figure, lambda line: line.get_color() == TUBES[2])]
+    tips = [line[-1] for line in lines_of(figure, lambda line: line.get_color() == TUBE_COLOURS[2])]
     np.testing.assert_allclose(tips, plan.shape[:, -1])
     assert "the plan: e3 = " in words(figure)
 
@@ -331,11 +331,11 @@ def test_a_motion_on_the_elastic_model_is_drawn_by_its_own_unknowns():
     robot = table_i_robot()
     q = np.array([[0.5, 0.0, -0.5, 10, 60, 80, 0, 0], [1.0, 0.0, -1.0, 12, 62, 82, 0, 0]])
     x = tracking.follow(robot, q).x
-    figure = Figure(figsize=Solving.size)
-    picture = Solving("pair", robot, "elastic", plan_of(q, 0.1).target, None)
+    figure = Figure(figsize=SolverPicture.size)
+    picture = SolverPicture("pair", robot, "elastic", plan_of(q, 0.1).target, None)
     picture.begin(figure)
-    picture.show(Stage(np.ones(1), np.ones(1), x))
-    tips = [line[-1] for line in lines_of(figure, lambda line: line.get_color() == TUBES[2])]
+    picture.show(SolverState(np.ones(1), np.ones(1), x))
+    tips = [line[-1] for line in lines_of(figure, lambda line: line.get_color() == TUBE_COLOURS[2])]
     np.testing.assert_allclose(tips, tracking.elastic_shapes(robot, x)[:, -1])
 
 
@@ -370,7 +370,7 @@ def drawn(screen, colour):
 
 def test_a_window_shows_a_plan_that_is_played(display, tmp_path, capsys):
     PLAN.save(tmp_path / "plan.npz")
-    before = drawn(display, TUBES[0])
+    before = drawn(display, TUBE_COLOURS[0])
     assert play.main([str(tmp_path / "plan.npz"), "--uncertified", "--live", "--out", str(tmp_path / "out")]) == 0
     assert "frame 10 reached" in capsys.readouterr().out
-    until(lambda: drawn(display, TUBES[0]) > before + 100)
+    until(lambda: drawn(display, TUBE_COLOURS[0]) > before + 100)

@@ -11,7 +11,7 @@ from matplotlib.path import Path
 
 from ctr_nlp import Problem, growing, solve_per_frame, table_i_robot
 from ctr_nlp.figures import shapes
-from ctr_nlp.figures.parts.palette import LUMEN
+from ctr_nlp.figures.parts.palette import LUMEN_COLOUR
 
 
 @pytest.fixture(scope="module")
@@ -29,7 +29,7 @@ def covered(axes, points):
 
 
 def drawn_as_inside(collection):
-    return same_color(collection.get_facecolor()[0], LUMEN)
+    return same_color(collection.get_facecolor()[0], LUMEN_COLOUR)
 
 
 @pytest.mark.parametrize("view", [0, 1])

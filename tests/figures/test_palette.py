@@ -8,7 +8,13 @@ from colorspacious import cspace_convert, deltaE
 from matplotlib import colormaps
 from matplotlib.colors import to_rgb
 
-from ctr_nlp.figures.parts.palette import CONTACT, ERROR, ROOMY, TILT, TUBES
+from ctr_nlp.figures.parts.palette import (
+    CLEARANCE_COLOUR_MAP,
+    CONTACT,
+    ERROR_COLOUR_MAP,
+    TILT_COLOURS,
+    TUBE_COLOURS,
+)
 
 EYES = (None, "deuteranomaly", "protanomaly", "tritanomaly")
 DISTINCT = 10.0
@@ -28,23 +34,23 @@ def lightness(colours):
 
 
 @pytest.mark.parametrize("eyes", EYES)
-@pytest.mark.parametrize("colours", [TUBES[:4], TILT], ids=["tubes", "tilt"])
+@pytest.mark.parametrize("colours", [TUBE_COLOURS[:4], TILT_COLOURS], ids=["tubes", "tilt"])
 def test_colours_of_one_picture_differ_for_all_eyes(colours, eyes):
     rgb = seen(colours, eyes)
     assert min(deltaE(a, b, input_space="sRGB1") for a, b in combinations(rgb, 2)) > DISTINCT
 
 
 def test_neighbouring_tubes_differ_in_a_greyscale_print():
-    assert min(abs(a - b) for a, b in pairwise(lightness(TUBES))) > DISTINCT
-    assert abs(np.subtract(*lightness(TILT))) > DISTINCT
+    assert min(abs(a - b) for a, b in pairwise(lightness(TUBE_COLOURS))) > DISTINCT
+    assert abs(np.subtract(*lightness(TILT_COLOURS))) > DISTINCT
 
 
 @pytest.mark.parametrize("eyes", EYES)
 def test_scales_grow_steadily_lighter_and_contact_stands_out(eyes):
-    for scale in (colormaps[ERROR], ROOMY):
+    for scale in (colormaps[ERROR_COLOUR_MAP], CLEARANCE_COLOUR_MAP):
         rgb = seen(scale(np.linspace(0, 1, 33)), eyes)
         grown = np.diff(cspace_convert(rgb, "sRGB1", "CIELab")[:, 0])
         assert (grown > 0).all()
-    contact, *free = seen([CONTACT, ROOMY(0.0), colormaps[ERROR](1.0)], eyes)
+    contact, *free = seen([CONTACT, CLEARANCE_COLOUR_MAP(0.0), colormaps[ERROR_COLOUR_MAP](1.0)], eyes)
     assert min(deltaE(contact, colour, input_space="sRGB1") for colour in free) > 2 * DISTINCT
-    assert abs(np.subtract(*lightness([CONTACT, ROOMY(0.0)]))) > 2 * DISTINCT
+    assert abs(np.subtract(*lightness([CONTACT, CLEARANCE_COLOUR_MAP(0.0)]))) > 2 * DISTINCT

@@ -9,7 +9,7 @@ from truth import FOUR
 from ctr_nlp import Tube, table_i_robot
 from ctr_nlp.exceptions import OutputError
 from ctr_nlp.figures import save
-from ctr_nlp.figures.sheet import COLUMNS, middle_line, sheet
+from ctr_nlp.figures.sheet import TUBE_DIMENSION_COLUMNS, middle_line, sheet
 
 
 def test_a_free_tube_is_the_arc_of_its_curvature():
@@ -25,7 +25,7 @@ def test_the_table_tells_dimensions_of_every_tube(robot):
     figure = sheet(robot, "a robot")
     (table,) = [each for axes in figure.findobj(match=lambda a: hasattr(a, "tables")) for each in axes.tables]
     cells = {place: cell.get_text().get_text() for place, cell in table.get_celld().items()}
-    assert [cells[0, k] for k in range(len(COLUMNS))] == list(COLUMNS)
+    assert [cells[0, k] for k in range(len(TUBE_DIMENSION_COLUMNS))] == list(TUBE_DIMENSION_COLUMNS)
     for i, tube in enumerate(robot.tubes, start=1):
         assert cells[i, 1] == f"{tube.outer_diameter:.3f} mm"
         assert cells[i, 3] == f"{(tube.outer_diameter - tube.inner_diameter) / 2:.3f} mm"

@@ -9,9 +9,15 @@ from truth import TWO
 
 from ctr_nlp import Problem, Settings, growing, solve_horizon
 from ctr_nlp.exceptions import OptionError
-from ctr_nlp.formulations.terms import Arrival, TipPosition
-from ctr_nlp.formulations.terms.arrival import FUNNEL, LAST, ROUNDED, smooth_excess, with_arrival
-from ctr_nlp.models import MODELS
+from ctr_nlp.formulations.terms import ArrivalTerm, TipPosition
+from ctr_nlp.formulations.terms.arrival import (
+    ARRIVAL_FUNNEL_MM,
+    ARRIVAL_MOTION_FRACTION,
+    PENALTY_ROUNDING_MM,
+    smooth_excess,
+    with_arrival,
+)
+from ctr_nlp.models import KINEMATIC_MODELS
 from ctr_nlp.plan.measures import arrival
 from ctr_nlp.plan.metrics import e3
 from ctr_nlp.target.curve import curve_from_formula
@@ -35,13 +41,15 @@ def test_nothing_is_paid_up_to_zero():
 
 def test_beyond_its_rounded_corner_a_millimetre_costs_one():
     assert float(ca.DM(smooth_excess(2.0) - smooth_excess(1.0))) == pytest.approx(1.0)
-    assert float(ca.DM(smooth_excess(1.0))) == pytest.approx(1.0 - ROUNDED / 2)
+    assert float(ca.DM(smooth_excess(1.0))) == pytest.approx(1.0 - PENALTY_ROUNDING_MM / 2)
 
 
 def test_its_slope_is_continuous():
     x = ca.SX.sym("x")
     slope = ca.Function("slope", [x], [ca.gradient(smooth_excess(x), x)])
-    values = [float(slope(value)) for value in (-1e-6, 1e-6, ROUNDED - 1e-6, ROUNDED + 1e-6)]
+    values = [
+        float(slope(value)) for value in (-1e-6, 1e-6, PENALTY_ROUNDING_MM - 1e-6, PENALTY_ROUNDING_MM + 1e-6)
+    ]
     np.testing.assert_allclose(values, [0, 0, 1, 1], atol=1e-4)
 
 
@@ -49,29 +57,29 @@ def test_its_slope_is_continuous():
 
 
 def test_it_counts_in_the_last_tenth_alone_and_tightens_towards_the_end(bend):
-    filled = [Arrival(weight=50.0, radius=0.3, required=1.7).fill(frame) for frame in bend.samples]
-    parts = np.array([frame.part for frame in bend.samples])
+    filled = [ArrivalTerm(weight=50.0, radius=0.3, required=1.7).fill(frame) for frame in bend.target_frames]
+    parts = np.array([frame.part for frame in bend.target_frames])
     weights = np.array([values["arrival_weight"] for values in filled])
-    np.testing.assert_array_equal(weights, np.where(parts > 1 - LAST, 50.0, 0.0))
+    np.testing.assert_array_equal(weights, np.where(parts > 1 - ARRIVAL_MOTION_FRACTION, 50.0, 0.0))
     radii = [values["arrival_radius"] for values in filled]
     assert radii[-1] == pytest.approx(0.3)
-    assert radii[0] == pytest.approx(0.3 + FUNNEL / LAST)
-    np.testing.assert_array_equal(filled[-1]["arrival_end"], bend.samples[-1].points[-1:])
+    assert radii[0] == pytest.approx(0.3 + ARRIVAL_FUNNEL_MM / ARRIVAL_MOTION_FRACTION)
+    np.testing.assert_array_equal(filled[-1]["arrival_end"], bend.target_frames[-1].points[-1:])
 
 
 def test_settings_ask_for_it_once():
     asked = TipPosition(1.0)
-    terms = with_arrival((asked,), Settings(arrival_tolerance=1.0), MODELS["elastic"])
-    assert [type(term) for term in terms] == [TipPosition, Arrival]
+    terms = with_arrival((asked,), Settings(arrival_tolerance=1.0), KINEMATIC_MODELS["elastic"])
+    assert [type(term) for term in terms] == [TipPosition, ArrivalTerm]
     assert terms[1].required < 1.0
-    assert with_arrival(terms, Settings(), MODELS["elastic"]) == terms
-    assert with_arrival((asked,), Settings(arrival_weight=0.0), MODELS["elastic"]) == (asked,)
+    assert with_arrival(terms, Settings(), KINEMATIC_MODELS["elastic"]) == terms
+    assert with_arrival((asked,), Settings(arrival_weight=0.0), KINEMATIC_MODELS["elastic"]) == (asked,)
 
 
 def test_on_a_model_that_cannot_snap_it_counts_where_it_is_asked_for():
     """The paper's experiments on the dominant model stay as they are."""
-    assert with_arrival((), Settings(), MODELS["dominant"]) == ()
-    assert len(with_arrival((), Settings(arrival_weight=5.0), MODELS["dominant"])) == 1
+    assert with_arrival((), Settings(), KINEMATIC_MODELS["dominant"]) == ()
+    assert len(with_arrival((), Settings(arrival_weight=5.0), KINEMATIC_MODELS["dominant"])) == 1
 
 
 @pytest.mark.parametrize("weight", [-1.0, float("nan"), float("inf")])

@@ -29,12 +29,18 @@ from ctr_nlp import (
 )
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.formulations.terms import ShapeDistance
-from ctr_nlp.formulations.terms.lumen import CENTRED, COLUMNS, FIRM, PLACES, far_away
-from ctr_nlp.formulations.wall import FINER, SETTLED, Wall
-from ctr_nlp.models import MODELS
+from ctr_nlp.formulations.terms.lumen import (
+    CENTRELINE_SMOOTHING_MM,
+    SLACK_SQUARE_COST,
+    WALL_COLUMN_COUNT,
+    WALL_SAMPLES_PER_TUBE,
+    no_wall_parameters,
+)
+from ctr_nlp.formulations.wall import WALL_SLACK_TOLERANCE_MM, WALL_SUBSAMPLES, Wall
+from ctr_nlp.models import KINEMATIC_MODELS
 from ctr_nlp.simulation import forward
 from ctr_nlp.target.lumen import Lumen
-from ctr_nlp.target.target import SIGMA
+from ctr_nlp.target.target import SIGMA_GRID
 
 ROBOT = table_i_robot()
 SHAPES = {"dominant": forward.shapes, "elastic": tracking.elastic_shapes}
@@ -66,7 +72,7 @@ def rooms(curve, model, x, count):
     points = SHAPES[model](ROBOT, x[None], places(x, count).ravel()[None] / x[5])[0]
     distance, along = brute(curve, points)
     radii = np.array([tube.outer_diameter / 2 for tube in ROBOT.tubes])[:, None]
-    left = curve.radius(along) - np.hypot(distance, CENTRED)
+    left = curve.radius(along) - np.hypot(distance, CENTRELINE_SMOOTHING_MM)
     return left.reshape(3, count) - radii
 
 
@@ -83,9 +89,9 @@ class Described:
     def __init__(self, model, seed, clearance=0.05, bend=1 / 60):
         self.x, self.model, self.curve = drawn(seed), model, wandering(seed, bend, length=40.0)
         self.nlp, self.value = framed(model)
-        wall = Wall(ROBOT, Lumen.around(self.curve), MODELS[model], 30.0, clearance)
-        values, slacks = wall.surroundings(self.x[None])
-        self.slack, self.away = slacks[0], far_away(ROBOT.d)
+        wall = Wall(ROBOT, Lumen.from_curve(self.curve), KINEMATIC_MODELS[model], 30.0, clearance)
+        values, slacks = wall.local_parameters(self.x[None])
+        self.slack, self.away = slacks[0], no_wall_parameters(ROBOT.d)
         self.values = {name: value[0] for name, value in values.items()}
         self.target = {
             "tubes": ROBOT.numbers,
@@ -94,9 +100,9 @@ class Described:
         }
 
     def rows(self, x, slack=0.0, values=None):
-        """Those of the clearance, (d PLACES,) mm."""
+        """Those of the clearance, (d WALL_SAMPLES_PER_TUBE,) mm."""
         p = self.nlp.pack(self.target | (values or self.values))
-        return self.value(np.append(x, slack), p)[1].full().ravel()[-3 * PLACES :]
+        return self.value(np.append(x, slack), p)[1].full().ravel()[-3 * WALL_SAMPLES_PER_TUBE :]
 
     def cost(self, slack):
         p = self.nlp.pack(self.target | self.values)
@@ -108,7 +114,11 @@ class Described:
 def test_rows_are_the_least_room_up_to_every_place(model, seed):
     """A lumen of 40 mm: some robots are longer, and their tips beyond its end."""
     frame = Described(model, seed)
-    least = rooms(frame.curve, model, frame.x, FINER * PLACES).reshape(3, PLACES, FINER).min(axis=-1)
+    least = (
+        rooms(frame.curve, model, frame.x, WALL_SUBSAMPLES * WALL_SAMPLES_PER_TUBE)
+        .reshape(3, WALL_SAMPLES_PER_TUBE, WALL_SUBSAMPLES)
+        .min(axis=-1)
+    )
     np.testing.assert_allclose(frame.rows(frame.x), least.ravel() - 0.05, atol=1e-3)
     np.testing.assert_allclose(frame.rows(frame.x, 0.7), least.ravel() - 0.05 + 0.7, atol=1e-3)
 
@@ -124,15 +134,17 @@ def test_rows_change_with_the_configuration_as_the_room_does(model, seed):
     """Finite differences of both, the wall being that around x; where no place is just at the lumen's end."""
     frame = Described(model, seed)
     found = central(frame.rows, frame.x, 1e-5)
-    lumen = Lumen.around(frame.curve)
+    lumen = Lumen.from_curve(frame.curve)
 
     def room(x):
-        near = lumen.near(SHAPES[model](ROBOT, x[None], places(x, PLACES).ravel()[None] / x[5])[0])
-        return near.radius - np.hypot(near.distance, CENTRED)
+        near = lumen.project(
+            SHAPES[model](ROBOT, x[None], places(x, WALL_SAMPLES_PER_TUBE).ravel()[None] / x[5])[0]
+        )
+        return near.radius - np.hypot(near.distance, CENTRELINE_SMOOTHING_MM)
 
     at = frame.values["wall"]
     smooth = ((at[:, -2:] == 0) | (at[:, -2:] > 0.01)).all(axis=1)
-    assert smooth.sum() > 3 * PLACES - 3
+    assert smooth.sum() > 3 * WALL_SAMPLES_PER_TUBE - 3
     np.testing.assert_allclose(found[smooth], central(room, frame.x, 1e-5)[smooth], atol=1e-3)
 
 
@@ -141,20 +153,20 @@ def test_rows_change_with_the_configuration_as_the_room_does(model, seed):
 @pytest.mark.parametrize("seed", range(4))
 def test_the_slack_needed_is_what_is_missing(model, clearance, seed):
     frame = Described(model, seed, clearance)
-    missing = clearance - rooms(frame.curve, model, frame.x, FINER * PLACES).min()
+    missing = clearance - rooms(frame.curve, model, frame.x, WALL_SUBSAMPLES * WALL_SAMPLES_PER_TUBE).min()
     assert frame.slack == pytest.approx(max(missing, 0.0), abs=1e-3)
     assert frame.rows(frame.x, frame.slack).min() >= -1e-7
 
 
 def test_contact_costs_its_weight_a_millimetre_and_a_little_more():
     frame = Described("dominant", 0)
-    assert frame.cost(0.5) - frame.cost(0.0) == pytest.approx(30 * 0.5 + FIRM * 0.25)
+    assert frame.cost(0.5) - frame.cost(0.0) == pytest.approx(30 * 0.5 + SLACK_SQUARE_COST * 0.25)
 
 
 @EVERY_MODEL
 def test_a_wall_that_is_away_holds_nothing_back(model):
     frame = Described(model, 0)
-    assert frame.away["wall"].shape == (3 * PLACES, COLUMNS)
+    assert frame.away["wall"].shape == (3 * WALL_SAMPLES_PER_TUBE, WALL_COLUMN_COUNT)
     assert frame.rows(100 + frame.x, values=frame.away).min() > 500
     p = frame.nlp.pack(frame.target | frame.away)
     bare, value = framed(model, walled=False)
@@ -210,7 +222,7 @@ def test_a_plan_that_knows_the_wall_keeps_clear_of_it(pair):
 def test_clearance_in_a_plan_is_lumen_radius_less_distance_less_tube(pair):
     """In a straight lumen along z: at no sample is another place of the path nearer."""
     for plan in pair:
-        s = SIGMA * plan.beta[:, -1:]
+        s = SIGMA_GRID * plan.beta[:, -1:]
         tube = np.where(s <= plan.beta[:, :1] + 1e-9, 2.85, np.where(s <= plan.beta[:, 1:2] + 1e-9, 1.85, 1.05))
         beyond = np.maximum(plan.shape[..., 2] - 120, 0) + np.minimum(plan.shape[..., 2], 0)
         distance = np.sqrt((plan.shape[..., :2] ** 2).sum(-1) + beyond**2)
@@ -221,7 +233,7 @@ def test_clearance_in_a_plan_is_lumen_radius_less_distance_less_tube(pair):
 def test_the_clearance_asked_for_is_kept(solve):
     plan = solve(along(straight(4.6), 8), model="dominant", settings=replace(WALLED, clearance=0.5))
     assert plan.complete
-    assert 0.5 - SETTLED < plan.clearance.min() < 0.55
+    assert 0.5 - WALL_SLACK_TOLERANCE_MM < plan.clearance.min() < 0.55
     assert plan.meta["options"]["clearance"] == 0.5
 
 
@@ -278,8 +290,8 @@ def test_the_objective_counts_contact_as_a_plan_has_it():
     weights = np.append(np.insert(np.full(19, 0.05), 0, 0.025), 0.025)
     shape = (((plan.shape - plan.target)[:, ::5] ** 2).sum(axis=-1) @ weights).mean()
     motion = plan.meta["options"]["motion_weight"] * (np.diff(plan.q, axis=0) * LONE.mm_per_unit) ** 2 / plan.dt**2
-    missing = touched(plan) + 0.05 + CENTRED
-    contact = (30 * missing + FIRM * missing**2).mean()
+    missing = touched(plan) + 0.05 + CENTRELINE_SMOOTHING_MM
+    contact = (30 * missing + SLACK_SQUARE_COST * missing**2).mean()
     assert plan.objective.mean() == pytest.approx(shape + motion.sum() / 3 + contact, rel=1e-3)
 
 
@@ -336,11 +348,11 @@ def test_a_motion_played_backwards_keeps_its_lumen(horizons):
 
 def test_on_another_model_the_clearance_is_that_of_its_shapes(horizons):
     plan = horizons[0]
-    other = plan.on("elastic")
-    expected = Lumen(plan.lumen).clearance(ROBOT, plan.beta, SIGMA, other.shape)
+    other = plan.evaluate_on("elastic")
+    expected = Lumen(plan.lumen).clearance(ROBOT, plan.beta, SIGMA_GRID, other.shape)
     np.testing.assert_allclose(other.clearance, expected)
     assert np.abs(other.clearance - plan.clearance).max() > 0.1
-    np.testing.assert_allclose(other.on("dominant").clearance, plan.clearance, atol=1e-9)
+    np.testing.assert_allclose(other.evaluate_on("dominant").clearance, plan.clearance, atol=1e-9)
 
 
 def test_lumen_and_clearance_survive_the_file(horizons, tmp_path):

@@ -14,8 +14,8 @@ from ctr_nlp import Limits, Robot, Settings, Tube, curve_from_formula, shapes, t
 from ctr_nlp.formulations import FORMULATIONS
 from ctr_nlp.formulations import curvature as terms
 from ctr_nlp.formulations.terms import feasible, motion
-from ctr_nlp.models import MODELS
-from ctr_nlp.target.target import SIGMA, Frame
+from ctr_nlp.models import KINEMATIC_MODELS
+from ctr_nlp.target.target import SIGMA_GRID, Frame
 
 TAPERED = Robot(
     (
@@ -44,7 +44,7 @@ STAGES = [
     pytest.param(stage, robot, id=f"{name}-{kind}-{stage.nlp.name}")
     for name, formulation in FORMULATIONS.items()
     for kind, robot in ROBOTS.items()
-    for stage in formulation(robot, Settings(), MODELS["dominant"])
+    for stage in formulation(robot, Settings(), KINEMATIC_MODELS["dominant"])
 ]
 
 
@@ -98,7 +98,7 @@ def test_derivatives_match_finite_differences(stage, robot):
     rng = np.random.default_rng(0)
     nlp, h = stage.nlp, 1e-5
     for term in (*nlp.residuals, *nlp.costs, *nlp.constraints):
-        (in_x,) = nlp.written.in_x([term.value])
+        (in_x,) = nlp.expressions.in_x([term.value])
         value = ca.Function("value", [nlp.x, nlp.p], [in_x])
         jacobian = ca.Function("jacobian", [nlp.x, nlp.p], [ca.jacobian(in_x, nlp.x)])
         for _ in range(3):
@@ -147,7 +147,7 @@ def exact_cost(robot, kappa, turning, length):
     cost = terms.curvature_exact(
         robot.tube_numbers, ca.vertsplit(beta), robot.reach, ca.SX(kappa), ca.SX(turning), ca.SX(length)
     )
-    return ca.Function("exact", [beta], [cost.value / terms.lever(robot.reach) ** 2])
+    return ca.Function("exact", [beta], [cost.value / terms.curvature_to_shape_scale(robot.reach) ** 2])
 
 
 def smooth_cost(robot, turning, length, width):
@@ -155,14 +155,14 @@ def smooth_cost(robot, turning, length, width):
     cost = terms.curvature(
         robot.tube_numbers, ca.vertsplit(beta), robot.reach, ca.SX(turning), ca.SX(length), ca.SX(width)
     )
-    return ca.Function("smooth", [beta], [cost.value / terms.lever(robot.reach) ** 2])
+    return ca.Function("smooth", [beta], [cost.value / terms.curvature_to_shape_scale(robot.reach) ** 2])
 
 
 @pytest.mark.parametrize("kind", ROBOTS)
 def test_exact_curvature_term_is_the_integral_by_brute_force(kind):
     """Differences between extensions, since the mean of kappa^2 is left out."""
     robot, length = ROBOTS[kind], 140.0
-    cost = exact_cost(robot, wavy(SIGMA), wavy_turning(SIGMA, length), length)
+    cost = exact_cost(robot, wavy(SIGMA_GRID), wavy_turning(SIGMA_GRID, length), length)
     found = [float(cost(beta)) for beta in BETAS[kind]]
     truth = [brute_force(robot, beta, wavy) for beta in BETAS[kind]]
     np.testing.assert_allclose(np.diff(found), np.diff(truth), atol=2e-9)
@@ -171,7 +171,7 @@ def test_exact_curvature_term_is_the_integral_by_brute_force(kind):
 @pytest.mark.parametrize("kind", ROBOTS)
 def test_exact_curvature_term_leaves_out_the_mean_of_the_targets_square(kind):
     robot, length = ROBOTS[kind], 140.0
-    cost = exact_cost(robot, wavy(SIGMA), wavy_turning(SIGMA, length), length)
+    cost = exact_cost(robot, wavy(SIGMA_GRID), wavy_turning(SIGMA_GRID, length), length)
     beta, sigma = BETAS[kind][0], (np.arange(100_000) + 0.5) / 100_000
     assert float(cost(beta)) + np.mean(wavy(sigma) ** 2) == pytest.approx(brute_force(robot, beta, wavy), abs=2e-9)
 
@@ -182,8 +182,8 @@ def test_smoothed_curvature_term_tends_to_the_exact_one(kind):
     robot, length = ROBOTS[kind], 100.0
     pairs = {"pushed out": [(60, 120, 200), (70, 140, 200)], "seed pushed out": [(60, 120, 200), (70, 140, 200)]}
     betas = pairs.get(kind, [(30, 60, 100), (40, 70, 100)])
-    turning = wavy_turning(SIGMA, length)
-    exact = np.ptp([float(exact_cost(robot, wavy(SIGMA), turning, length)(beta)) for beta in betas])
+    turning = wavy_turning(SIGMA_GRID, length)
+    exact = np.ptp([float(exact_cost(robot, wavy(SIGMA_GRID), turning, length)(beta)) for beta in betas])
     gaps = []
     for width in (10.0, 1.0, 0.05):
         cost = smooth_cost(robot, turning, length, width)
@@ -205,7 +205,9 @@ def test_lever_turns_a_kept_curvature_error_into_its_shape_error(robot):
     """A small curvature error kept along the reach, as a root mean square distance over sigma."""
     k, sigma = 1e-6, np.linspace(0, 1, 10_001)
     aside = k * (sigma * 150) ** 2 / 2
-    assert terms.lever(robot.reach) * k == pytest.approx(np.sqrt(np.trapezoid(aside**2, sigma)), rel=1e-6)
+    assert terms.curvature_to_shape_scale(robot.reach) * k == pytest.approx(
+        np.sqrt(np.trapezoid(aside**2, sigma)), rel=1e-6
+    )
 
 
 def test_smooth_step_is_odd_about_a_half_and_rises_within_its_width():
@@ -218,7 +220,7 @@ def test_smooth_step_is_odd_about_a_half_and_rises_within_its_width():
 
 def test_motion_is_lambda_times_the_squared_weighted_step_over_dt_squared(robot):
     x, weight, dt = ca.SX.sym("x", 8), 1e-5, 0.1
-    term = motion.change(x, ca.SX(8, 1), robot.mm_per_unit, ca.SX(math.sqrt(weight) / dt))
+    term = motion.motion_residual(x, ca.SX(8, 1), robot.mm_per_unit, ca.SX(math.sqrt(weight) / dt))
     q = np.array([0.1, 0, 0, 2, 0, 0, 0, 0.3])
     value = float(ca.Function("f", [x], [ca.sumsqr(term.value)])(q))
     assert value == pytest.approx(weight / dt**2 * (1 + 4 + 9))
@@ -226,13 +228,13 @@ def test_motion_is_lambda_times_the_squared_weighted_step_over_dt_squared(robot)
 
 def rotation_value(robot, q, target):
     """The rotation stage's shape term (without motion), mm^2, for a Frame."""
-    stage = FORMULATIONS["two-stage"](robot, Settings(), MODELS["dominant"])[1]
+    stage = FORMULATIONS["two-stage"](robot, Settings(), KINEMATIC_MODELS["dominant"])[1]
     p = stage.nlp.pack(dict(stage.fill(target, q)) | {"previous": q[stage.decides], "motion_root": 0.0})
     return float(ca.Function("f", [stage.nlp.x, stage.nlp.p], [stage.nlp.objective])(q[stage.decides], p))
 
 
 def joint_value(robot, q, target):
-    (stage,) = FORMULATIONS["joint"](robot, Settings(), MODELS["dominant"])
+    (stage,) = FORMULATIONS["joint"](robot, Settings(), KINEMATIC_MODELS["dominant"])
     p = stage.nlp.pack(dict(stage.fill(target, q)) | {"previous": q, "motion_root": 0.0})
     return float(ca.Function("f", [stage.nlp.x, stage.nlp.p], [stage.nlp.objective])(q, p))
 
@@ -250,7 +252,7 @@ def test_simpson_is_exact_where_the_distance_grows_linearly(beta):
     length = 140.0
     direction = np.array([0.6, 0, 0.8])
     curve = curve_from_formula(lambda u: (0.6 * u, 0, 0.8 * u), 0, length)
-    target = Frame(np.outer(SIGMA * length, direction), np.tile(direction, (101, 1)), length, None, curve)
+    target = Frame(np.outer(SIGMA_GRID * length, direction), np.tile(direction, (101, 1)), length, None, curve)
     q = np.array([0, 0, 0, *beta, 0, 0], dtype=float)
     tip = np.linalg.norm(beta[-1] * np.array([0, 0, 1]) - length * direction)
     assert rotation_value(straight, q, target) == pytest.approx(tip**2 / 3, rel=1e-10)
@@ -280,5 +282,5 @@ def test_order_bounds_growth_by_the_room_between_carriages():
 def test_a_carriage_gap_given_as_text_is_the_same_constraint():
     """Robot files may write any limit as text, as infinite ones are; tube 2 is 112 mm longer than tube 1."""
     robot = Robot(table_i_robot().tubes, Limits(carriage_gap="5"))
-    (stage,) = FORMULATIONS["joint"](robot, Settings(), MODELS["dominant"])
+    (stage,) = FORMULATIONS["joint"](robot, Settings(), KINEMATIC_MODELS["dominant"])
     assert stage.fill(frame(), np.zeros(8))["gap"] == 5

@@ -6,11 +6,11 @@ import pytest
 
 from ctr_nlp import Problem, Robot, curve_from_formula, growing, solve_horizon, solve_per_frame, table_i_robot
 from ctr_nlp.exceptions import OptionError
-from ctr_nlp.formulations.frame import filled, program
+from ctr_nlp.formulations.frame import fill_parameters, program
 from ctr_nlp.formulations.terms import Order, ShapeDistance, TipDirection, TipPosition
-from ctr_nlp.models import MODELS
+from ctr_nlp.models import KINEMATIC_MODELS
 from ctr_nlp.plan.metrics import by_frame, summary
-from ctr_nlp.target.target import SIGMA
+from ctr_nlp.target.target import SIGMA_GRID
 
 ROBOT = Robot(table_i_robot().tubes[1:])
 X = np.array([0.4, -0.9, 55.0, 120.0, 0.2, -0.3])
@@ -18,7 +18,7 @@ EVERY_MODEL = pytest.mark.parametrize("model", ["dominant", "elastic"])
 TERMS = {
     "direction": TipDirection(30.0, [0.1, 0.5, 1.0]),
     "position": TipPosition(0.5, [5.0, -20.0, 100.0]),
-    "depth": ShapeDistance(depth_weights=SIGMA**2),
+    "depth": ShapeDistance(depth_weights=SIGMA_GRID**2),
 }
 EVERY_TERM = pytest.mark.parametrize("term", TERMS.values(), ids=TERMS.keys())
 
@@ -31,12 +31,12 @@ def problem():
 
 def built(model, *terms):
     """Terms as a program, and its residual as a function of x and p."""
-    nlp = program("terms", ROBOT.structure, MODELS[model], (*terms, Order(None)))
+    nlp = program("terms", ROBOT.structure, KINEMATIC_MODELS[model], (*terms, Order(None)))
     return nlp, ca.Function("residual", [nlp.x, nlp.p], [nlp.residual, ca.jacobian(nlp.residual, nlp.x)])
 
 
 def parameters(nlp, problem, *terms):
-    return nlp.pack(filled(ROBOT, terms, problem.samples[-1]))
+    return nlp.pack(fill_parameters(ROBOT, terms, problem.target_frames[-1]))
 
 
 @EVERY_MODEL
@@ -53,7 +53,7 @@ def test_the_direction_costs_its_angle_squared(model, problem):
     nlp, value = built(model, TERMS["direction"])
     found = float(ca.sumsqr(value(X, parameters(nlp, problem, TERMS["direction"]))[0]))
     wanted = np.array([0.1, 0.5, 1.0]) / np.linalg.norm([0.1, 0.5, 1.0])
-    angle = np.arccos(MODELS[model].tangents(ROBOT, X[None], np.ones(1))[0, 0] @ wanted)
+    angle = np.arccos(KINEMATIC_MODELS[model].tangents(ROBOT, X[None], np.ones(1))[0, 0] @ wanted)
     assert found == pytest.approx(30 * angle**2, rel=1e-3)
 
 
@@ -61,7 +61,7 @@ def test_the_direction_costs_its_angle_squared(model, problem):
 def test_the_position_costs_its_distance_squared(model, problem):
     nlp, value = built(model, TERMS["position"])
     found = float(ca.sumsqr(value(X, parameters(nlp, problem, TERMS["position"]))[0]))
-    away = MODELS[model].points(ROBOT, X[None], np.ones(1))[0, 0] - [5, -20, 100]
+    away = KINEMATIC_MODELS[model].points(ROBOT, X[None], np.ones(1))[0, 0] - [5, -20, 100]
     assert found == pytest.approx(0.5 * away @ away, rel=1e-3)
 
 
@@ -69,13 +69,13 @@ def test_the_position_costs_its_distance_squared(model, problem):
 def test_depth_weights_are_those_of_a_weighted_mean(model, problem):
     nlp, value = built(model, TERMS["depth"])
     found = float(ca.sumsqr(value(X, parameters(nlp, problem, TERMS["depth"]))[0]))
-    sigma, weights = SIGMA[::5], np.r_[0.5, np.ones(19), 0.5] * SIGMA[::5] ** 2
-    away = MODELS[model].points(ROBOT, X[None], sigma)[0] - problem.samples[-1].points[::5]
+    sigma, weights = SIGMA_GRID[::5], np.r_[0.5, np.ones(19), 0.5] * SIGMA_GRID[::5] ** 2
+    away = KINEMATIC_MODELS[model].points(ROBOT, X[None], sigma)[0] - problem.target_frames[-1].points[::5]
     assert found == pytest.approx(weights @ (away**2).sum(axis=1) / weights.sum(), rel=2e-3)
 
 
 def test_a_direction_met_exactly_costs_nothing_and_has_a_slope(problem):
-    term = TipDirection(1.0, MODELS["dominant"].tangents(ROBOT, X[None], np.ones(1))[0, 0])
+    term = TipDirection(1.0, KINEMATIC_MODELS["dominant"].tangents(ROBOT, X[None], np.ones(1))[0, 0])
     nlp, value = built("dominant", term)
     residual, slope = value(X, parameters(nlp, problem, term))
     assert float(ca.norm_2(residual)) < 1e-6
@@ -88,7 +88,7 @@ def test_plans_point_come_nearer_and_fit_deeper_where_that_is_asked(problem, sol
     plain = solve(problem, model="dominant")
     pointed = solve(problem, model="dominant", terms=[TipDirection(300.0)])
     nearer = solve(problem, model="dominant", terms=[TipPosition(2.0)])
-    deeper = solve(problem, model="dominant", terms=[ShapeDistance(depth_weights=SIGMA**4)])
+    deeper = solve(problem, model="dominant", terms=[ShapeDistance(depth_weights=SIGMA_GRID**4)])
     assert all(plan.complete for plan in (plain, pointed, nearer, deeper))
     assert by_frame(pointed)["tip_angle"].mean() < 0.3 * by_frame(plain)["tip_angle"].mean()
     assert by_frame(nearer)["tip"].mean() < 0.3 * by_frame(plain)["tip"].mean()

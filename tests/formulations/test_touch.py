@@ -12,15 +12,15 @@ from lumens import wandering
 from truth import TWO
 
 from ctr_nlp import Problem, Settings, curve_from_points, growing
-from ctr_nlp.formulations.horizon import Ends
+from ctr_nlp.formulations.horizon import EndConfigurations
 from ctr_nlp.formulations.shared.scenarios import shared_motion
-from ctr_nlp.formulations.terms.lumen import PLACES, arc_lengths, contact
-from ctr_nlp.formulations.terms.touch import WIDTH
-from ctr_nlp.formulations.wall import PLANNED_PART, wall_of
-from ctr_nlp.models import MODELS
+from ctr_nlp.formulations.terms.lumen import WALL_SAMPLES_PER_TUBE, arc_lengths, contact_penalty
+from ctr_nlp.formulations.terms.touch import CONTACT_SMOOTHING_MM
+from ctr_nlp.formulations.wall import PLANNED_CONTACT_FRACTION, make_wall
+from ctr_nlp.models import KINEMATIC_MODELS
 from ctr_nlp.nlp.scenarios import Scenarios
 from ctr_nlp.solvers.scenarios.condensed import Condensed
-from ctr_nlp.target.lumen import Lumen, outer_radius
+from ctr_nlp.target.lumen import Lumen, tube_outer_radii
 
 FRAMES, CLEARANCE, WEIGHT = 3, 0.2, 7.0
 OFFSETS = np.array([[0.0, 0.0], [0.2, -0.1]])
@@ -43,9 +43,9 @@ def motions(lumen):
     """Free of the wall, and within it."""
     problem = Problem("wandering", TWO, growing(lumen.part(0, 70.0), FRAMES), lumen=lumen)
     settings = Settings(clearance=CLEARANCE, contact_weight=WEIGHT)
-    wall = wall_of(TWO, Lumen.around(lumen), MODELS["elastic"], settings, finer=1)
+    wall = make_wall(TWO, Lumen.from_curve(lumen), KINEMATIC_MODELS["elastic"], settings, subsamples=1)
     scenarios = Scenarios(np.array([robot.numbers for robot in _robots()]), OFFSETS, np.ones(2))
-    at = TWO, problem.samples, problem.dt, 1e-6, Ends(), MODELS["elastic"], scenarios
+    at = TWO, problem.target_frames, problem.dt, 1e-6, EndConfigurations(), KINEMATIC_MODELS["elastic"], scenarios
     return [shared_motion(*at, wall=each) for each in (None, wall)]
 
 
@@ -61,20 +61,20 @@ def point():
 def test_contact_costs_a_smooth_maximum_of_the_depths_at_all_places(motions, point, lumen):
     q, phi = point
     found = [Condensed(motion) for motion in motions]
-    assert found[1].look(q, phi)
+    assert found[1].update_local_parameters(q, phi)
     cost = found[1].by_robot(q, phi) - found[0].by_robot(q, phi)
-    around, depths = Lumen.around(lumen), np.empty((FRAMES, 2, 2 * PLACES))
+    around, depths = Lumen.from_curve(lumen), np.empty((FRAMES, 2, 2 * WALL_SAMPLES_PER_TUBE))
     for k, robot in enumerate(_robots()):
         x = np.concatenate([phi[:, k], q[:, 2:]], axis=1)
         sigma = np.hstack(arc_lengths([q[:, 2:3], q[:, 3:4]])) / q[:, 3:4]
-        near = around.near(elastic_shapes(robot, x, sigma))
-        room = near.radius - np.repeat(outer_radius(robot), PLACES) - CLEARANCE
+        near = around.project(elastic_shapes(robot, x, sigma))
+        room = near.radius - np.repeat(tube_outer_radii(robot), WALL_SAMPLES_PER_TUBE) - CLEARANCE
         depths[:, k] = near.distance - room
     assert depths.max() > 1.0  # something touches
     assert depths.max(axis=2).min() < 0.0  # something else does not
-    deepest = WIDTH * np.log1p(np.exp(depths / WIDTH).sum(axis=2))
-    allowed = CLEARANCE + PLANNED_PART * Settings().contact_allowed
-    wanted = np.array(ca.DM(contact(ca.DM(deepest), WEIGHT, allowed)))
+    deepest = CONTACT_SMOOTHING_MM * np.log1p(np.exp(depths / CONTACT_SMOOTHING_MM).sum(axis=2))
+    allowed = CLEARANCE + PLANNED_CONTACT_FRACTION * Settings().contact_allowed
+    wanted = np.array(ca.DM(contact_penalty(ca.DM(deepest), WEIGHT, allowed)))
     np.testing.assert_allclose(cost, wanted, rtol=0.02, atol=0.1)
     assert (cost >= WEIGHT * np.maximum(depths.max(axis=2), 0) - 0.1).all()
 
@@ -82,14 +82,14 @@ def test_contact_costs_a_smooth_maximum_of_the_depths_at_all_places(motions, poi
 def test_what_surrounds_robots_is_looked_at_once_where_it_stays(motions, point):
     free, within = (Condensed(motion) for motion in motions)
     q, phi = point
-    assert not free.look(q, phi)
-    assert within.look(q, phi)
+    assert not free.update_local_parameters(q, phi)
+    assert within.update_local_parameters(q, phi)
     before = within.by_robot(q, phi)
-    assert not within.look(q, phi)
+    assert not within.update_local_parameters(q, phi)
     np.testing.assert_array_equal(within.by_robot(q, phi), before)
     far = q + np.array([0, 0, 5.0, 9.0, 0.1, 0])
     kept = within.by_robot(far, phi)
-    assert not within.look(far, phi, settled=1e3)
+    assert not within.update_local_parameters(far, phi, relative_tolerance=1e3)
     np.testing.assert_array_equal(within.by_robot(far, phi), kept)
 
 
@@ -97,7 +97,7 @@ def test_derivatives_match_finite_differences(motions, point):
     """Of the whole frame's program near a wall, over all its unknowns."""
     condensed, motion = Condensed(motions[1]), motions[1]
     q, phi = point
-    condensed.look(q, phi)
+    condensed.update_local_parameters(q, phi)
     frames, count, _, d = motion.sizes
     none = np.zeros((frames, count, d)), np.zeros(motion.row_bounds[0].shape)
     about = condensed.expand(q, phi, *none)
@@ -120,19 +120,19 @@ def test_lighter_programs_find_the_same(lumen):
     """Robots that the wall is far from go without it, and those that do not count without any objective."""
     wide = curve_from_points(lumen.point(np.linspace(0, 90, 91)), np.full(91, 12.0))
     problem = Problem("wandering", TWO, growing(wide.part(0, 70.0), FRAMES), lumen=wide)
-    wall = wall_of(TWO, Lumen.around(wide), MODELS["elastic"], Settings(), finer=1)
+    wall = make_wall(TWO, Lumen.from_curve(wide), KINEMATIC_MODELS["elastic"], Settings(), subsamples=1)
     numbers = np.array([robot.numbers for robot in (*_robots(), TWO)])
     scenarios = Scenarios(numbers, np.zeros((3, 2)), np.array([1.0, 2.0, 0.0]))
-    at = TWO, problem.samples, problem.dt, 1e-6, Ends(), MODELS["elastic"], scenarios
+    at = TWO, problem.target_frames, problem.dt, 1e-6, EndConfigurations(), KINEMATIC_MODELS["elastic"], scenarios
     motion = shared_motion(*at, margins=np.full(FRAMES, 0.1), wall=wall)
-    assert motion.free is not None
-    assert motion.bare is not None
+    assert motion.without_wall is not None
+    assert motion.without_objective is not None
     beta = np.array([[6.0, 12.0], [30.0, 45.0], [40.0, 70.0]])
     q = np.column_stack([np.zeros((FRAMES, 2)), beta, np.tile([0.0, 0.2], (FRAMES, 1))])
     phi = np.random.default_rng(4).uniform(-0.5, 0.5, (FRAMES, 3, 2))
     lighter, whole = Condensed(motion), Condensed(replace(motion, free=None, bare=None))
     for each in (lighter, whole):
-        each.look(q, phi)
+        each.update_local_parameters(q, phi)
     rng = np.random.default_rng(5)
     pulls = rng.normal(size=(FRAMES, 3, 2)), rng.normal(size=motion.row_bounds[0].shape)
     found, wanted = (each.expand(q, phi, *pulls) for each in (lighter, whole))

@@ -9,7 +9,7 @@ import pytest
 from ctr_nlp.hardware.description import Hardware
 from ctr_nlp.hardware.motion.trajectory import Trajectory, digests, trajectory_of
 from ctr_nlp.hardware.playing import session
-from ctr_nlp.hardware.playing.checks import Checked, checked
+from ctr_nlp.hardware.playing.checks import TrajectoryCheck, check_trajectory
 from ctr_nlp.plan.plan import Plan
 from ctr_nlp.typing import Array
 
@@ -27,17 +27,17 @@ def prepared_once() -> Iterator[None]:
             known[key] = trajectory_of(plan, hardware, tempo, standing, share)
         return known[key]
 
-    looked_at: dict[tuple[int, str | None], Checked] = {}
+    looked_at: dict[tuple[int, str | None], TrajectoryCheck] = {}
 
-    def found(trajectory: Trajectory, model: str | None = None) -> Checked:
+    def found(trajectory: Trajectory, model: str | None = None) -> TrajectoryCheck:
         if not any(each is trajectory for each in known.values()):
-            return checked(trajectory, model)
+            return check_trajectory(trajectory, model)
         key = id(trajectory), model
         if key not in looked_at:
-            looked_at[key] = checked(trajectory, model)
+            looked_at[key] = check_trajectory(trajectory, model)
         return looked_at[key]
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(session, "trajectory_of", made)
-        patch.setattr(session, "checked", found)
+        patch.setattr(session, "check_trajectory", found)
         yield

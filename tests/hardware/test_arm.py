@@ -14,8 +14,16 @@ from scipy.spatial.transform import Rotation
 
 from ctr_nlp.exceptions import HardwareError, OptionError
 from ctr_nlp.hardware.arm import kinematics
-from ctr_nlp.hardware.arm.description import JOINT_LIMIT, MODELS, Arm, check_joints
-from ctr_nlp.hardware.arm.kinematics import LARGEST_GAIN, LENGTH, gains, insertion_error, joints, poses, tilt
+from ctr_nlp.hardware.arm.description import ARM_MODELS, JOINT_LIMIT, Arm, check_joints
+from ctr_nlp.hardware.arm.kinematics import (
+    LARGEST_GAIN,
+    LENGTH,
+    gains,
+    insertion_error,
+    inverse_kinematics,
+    poses,
+    tilt_of_joints,
+)
 
 library = pytest.importorskip("ur_analytic_ik")
 
@@ -56,14 +64,16 @@ ROUND = walk((0, 0), (25, 0), (0, 25), (-25, 0), (0, -25), (25, 25), (0, 0))
 
 
 def test_models_are_those_of_the_library():
-    assert set(MODELS) == {name for name in dir(library) if hasattr(getattr(library, name), "inverse_kinematics")}
+    assert set(ARM_MODELS) == {
+        name for name in dir(library) if hasattr(getattr(library, name), "inverse_kinematics")
+    }
 
 
 @pytest.mark.parametrize("model", PUBLISHED)
 def test_forward_kinematics_are_those_of_the_published_parameters(model):
     arm = Arm(model=model)
     random = np.random.default_rng(0).uniform(-JOINT_LIMIT, JOINT_LIMIT, (50, 6))
-    for q, error, theta in zip(random, insertion_error(arm, random), tilt(arm, random), strict=True):
+    for q, error, theta in zip(random, insertion_error(arm, random), tilt_of_joints(arm, random), strict=True):
         held = flange(model, q) @ arm.mount
         assert error == pytest.approx(np.linalg.norm(held[:3, 3] - arm.insertion_point), abs=1e-9)
         turned = Rotation.from_matrix(arm.base[:3, :3].T @ held[:3, :3]).as_matrix()
@@ -93,10 +103,10 @@ def test_the_default_inserts_downwards_and_away_from_itself():
 def test_our_own_forward_kinematics_find_every_tilt_again(model):
     large = {} if "3" in model else {"insertion_point": (550, -100, 350)}
     arm = Arm(model=model, **large)
-    q = joints(arm, ROUND)
+    q = inverse_kinematics(arm, ROUND)
     for at, pose in zip(q, poses(arm, ROUND), strict=True):
         assert flange(model, at) == pytest.approx(pose, abs=1e-7)
-    assert tilt(arm, q) == pytest.approx(ROUND, abs=1e-9)
+    assert tilt_of_joints(arm, q) == pytest.approx(ROUND, abs=1e-9)
     assert insertion_error(arm, q).max() < 1e-7
     assert np.abs(np.diff(q, axis=0)).max() < 0.2
 
@@ -104,7 +114,9 @@ def test_our_own_forward_kinematics_find_every_tilt_again(model):
 three = st.tuples(*[st.floats(-1, 1)] * 3)
 
 
-@given(st.sampled_from(MODELS), three, three, three, st.lists(st.tuples(*[st.floats(-30, 30)] * 2), min_size=2))
+@given(
+    st.sampled_from(ARM_MODELS), three, three, three, st.lists(st.tuples(*[st.floats(-30, 30)] * 2), min_size=2)
+)
 def test_any_arm_follows_exactly_or_says_where_it_cannot(model, place, turn, mount, corners):
     arm = Arm(
         model=model,
@@ -114,12 +126,12 @@ def test_any_arm_follows_exactly_or_says_where_it_cannot(model, place, turn, mou
     )
     theta = walk(*corners[:4], count=5)
     try:
-        q = joints(arm, theta)
+        q = inverse_kinematics(arm, theta)
     except HardwareError as error:
         if f"of {len(theta)}, theta" in str(error):
             return
         raise
-    assert np.abs(tilt(arm, q) - theta).max() < 1e-6
+    assert np.abs(tilt_of_joints(arm, q) - theta).max() < 1e-6
     assert insertion_error(arm, q).max() < 1e-6
     assert np.abs(q).max() <= JOINT_LIMIT + 1e-9
     assert gains(arm, q).max() <= LARGEST_GAIN
@@ -131,7 +143,9 @@ def test_frames_far_apart_stay_on_the_branch_that_close_ones_show():
     corners = [(60, 10), (-60, -40), (10, 60)]
     dense = walk(*corners, count=2000)
     sparse = dense[[0, 2000, -1]]
-    assert joints(Arm(), sparse) == pytest.approx(joints(Arm(), dense)[[0, 2000, -1]], abs=1e-7)
+    assert inverse_kinematics(Arm(), sparse) == pytest.approx(
+        inverse_kinematics(Arm(), dense)[[0, 2000, -1]], abs=1e-7
+    )
 
 
 def test_gain_is_the_jacobian_of_our_own_forward_kinematics():
@@ -163,22 +177,22 @@ def test_start_joints_choose_the_joint_solution_and_the_turn(number):
     wanted[5] -= 2 * np.pi * np.sign(wanted[5])
     arm = Arm(start_joints_deg=np.degrees(wanted + 0.05).clip(-360, 360).tolist())
     small = np.radians([[3.0, 4.0], [0.0, 0.0]])
-    assert joints(arm, small)[1] == pytest.approx(wanted, abs=1e-9)
+    assert inverse_kinematics(arm, small)[1] == pytest.approx(wanted, abs=1e-9)
 
 
 def test_where_the_arm_stands_chooses_the_branch_at_the_first_frame():
     for known in zero_tilt():
-        there = joints(Arm(), np.radians([[0.0, 0.0], [20.0, -10.0]]), known)[-1]
-        back = joints(Arm(), np.radians([[20.0, -10.0], [0.0, 0.0]]), there)
+        there = inverse_kinematics(Arm(), np.radians([[0.0, 0.0], [20.0, -10.0]]), known)[-1]
+        back = inverse_kinematics(Arm(), np.radians([[20.0, -10.0], [0.0, 0.0]]), there)
         assert back[0] == pytest.approx(there, abs=1e-9)
         assert back[1] == pytest.approx(known, abs=1e-9)
 
 
 def test_the_branch_is_the_one_furthest_from_singularities_and_limits():
-    chosen = gains(Arm(), joints(Arm(), ROUND)).max()
+    chosen = gains(Arm(), inverse_kinematics(Arm(), ROUND)).max()
     for known in zero_tilt():
         try:
-            other = joints(Arm(), ROUND, known)
+            other = inverse_kinematics(Arm(), ROUND, known)
         except HardwareError:
             continue
         assert chosen <= gains(Arm(), other).max() + 1e-9
@@ -188,35 +202,35 @@ def test_a_tilt_out_of_reach_is_named():
     with pytest.raises(
         HardwareError, match=r"frame 3 of 3, theta = \(0, 1\) rad: every joint solution ends: out of"
     ):
-        joints(Arm(insertion_point=(500, 0, 400)), np.array([[0.0, 0.0], [0.0, 0.1], [0.0, 1.0]]))
+        inverse_kinematics(Arm(insertion_point=(500, 0, 400)), np.array([[0.0, 0.0], [0.0, 0.1], [0.0, 1.0]]))
     with pytest.raises(HardwareError, match=r"frame 1 of 1.*out of the arm's reach"):
-        joints(Arm(insertion_point=(900, 0, 0)), np.zeros((1, 2)))
+        inverse_kinematics(Arm(insertion_point=(900, 0, 0)), np.zeros((1, 2)))
 
 
 def test_a_singularity_on_the_way_is_named():
     """The joint solution that suits small tilts best; another one goes on."""
-    nearest = np.degrees(joints(Arm(), np.zeros((1, 2)))[0])
+    nearest = np.degrees(inverse_kinematics(Arm(), np.zeros((1, 2)))[0])
     with pytest.raises(
         HardwareError, match=r"frame 2 of 3.*joint solution of the start ends: singular: joints would turn \d+"
     ):
-        joints(Arm(start_joints_deg=nearest.tolist()), np.array([[0.0, 0.0], [0.0, 1.8], [0.0, 0.0]]))
-    joints(Arm(), np.array([[0.0, 0.0], [0.0, 1.8], [0.0, 0.0]]))
+        inverse_kinematics(Arm(start_joints_deg=nearest.tolist()), np.array([[0.0, 0.0], [0.0, 1.8], [0.0, 0.0]]))
+    inverse_kinematics(Arm(), np.array([[0.0, 0.0], [0.0, 1.8], [0.0, 0.0]]))
 
 
 def test_a_joint_limit_is_named():
     start = zero_tilt()[0]
-    end = joints(Arm(), np.radians([[0.0, 0.0], [0.0, 30.0]]), start)[-1]
+    end = inverse_kinematics(Arm(), np.radians([[0.0, 0.0], [0.0, 30.0]]), start)[-1]
     joint = 5
     turned = start.copy()
     turned[joint] += 2 * np.pi * np.round((np.sign(end - start)[joint] * 2 * np.pi - start[joint]) / (2 * np.pi))
     theta = np.radians([[0.0, 0.0], [0.0, 1.0], [0.0, 30.0]])
-    followed = joints(Arm(), theta, start)[:, joint] + turned[joint] - start[joint]
+    followed = inverse_kinematics(Arm(), theta, start)[:, joint] + turned[joint] - start[joint]
     room = JOINT_LIMIT - np.abs(followed)
     if (room >= 0).all():
         pytest.fail(f"this motion keeps the limit: {followed}")
     frame = int(np.argmax(room < 0)) + 1
     with pytest.raises(HardwareError, match=rf"frame {frame} of 3.*joint 6 \(wrist 3\) would turn beyond 360 deg"):
-        joints(Arm(), theta, turned)
+        inverse_kinematics(Arm(), theta, turned)
 
 
 def test_a_jump_is_named(monkeypatch):
@@ -229,7 +243,7 @@ def test_a_jump_is_named(monkeypatch):
 
     monkeypatch.setattr(kinematics, "_solutions", losing)
     with pytest.raises(HardwareError, match=r"frame 4 of 9.*joint \d \(.*\) would jump by"):
-        joints(Arm(), np.linspace((0, 0), (0.05, 0), 9))
+        inverse_kinematics(Arm(), np.linspace((0, 0), (0.05, 0), 9))
 
 
 def insertion_error_between(arm, q, substeps=8):
@@ -241,8 +255,8 @@ def insertion_error_between(arm, q, substeps=8):
 
 def test_the_insertion_point_moves_little_between_samples():
     arm = Arm()
-    coarse = joints(arm, walk((-20, 10), (20, -10), count=11))
-    fine = joints(arm, walk((-20, 10), (20, -10), count=21))
+    coarse = inverse_kinematics(arm, walk((-20, 10), (20, -10), count=11))
+    fine = inverse_kinematics(arm, walk((-20, 10), (20, -10), count=21))
     found = insertion_error_between(arm, coarse)
     for a, b, worst in zip(coarse[:-1], coarse[1:], found, strict=True):
         middle = flange("ur3e", (a + b) / 2) @ arm.mount
@@ -250,7 +264,7 @@ def test_the_insertion_point_moves_little_between_samples():
     assert found.shape == (10,)
     assert insertion_error_between(arm, fine).max() == pytest.approx(found.max() / 4, rel=0.2)
     dense = walk((-20, 10), (20, -10), count=176)
-    assert insertion_error_between(arm, joints(arm, dense)).max() < 0.001
+    assert insertion_error_between(arm, inverse_kinematics(arm, dense)).max() < 0.001
 
 
 def resting(**changes: float) -> tuple[np.ndarray, np.ndarray]:
@@ -285,7 +299,7 @@ def test_times_and_joints_are_checked():
     with pytest.raises(HardwareError, match=r"finite \(T, 6\)"):
         check_joints(Arm(), time, q * np.nan)
     with pytest.raises(HardwareError, match=r"shape \(2,\); it must be finite \(T, 2\)"):
-        joints(Arm(), np.zeros(2))
+        inverse_kinematics(Arm(), np.zeros(2))
 
 
 @pytest.mark.parametrize(
@@ -314,4 +328,4 @@ def test_bad_fields_are_named(field, value, message):
 def test_a_missing_library_is_named_with_the_command_that_installs_it(monkeypatch):
     monkeypatch.setitem(sys.modules, "ur_analytic_ik", None)
     with pytest.raises(OptionError, match=r'ur_analytic_ik is not installed; pip install "ctr_nlp\[hardware\]"'):
-        joints(Arm(), np.zeros((1, 2)))
+        inverse_kinematics(Arm(), np.zeros((1, 2)))

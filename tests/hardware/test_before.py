@@ -12,7 +12,7 @@ import pytest
 from ctr_nlp import exceptions
 from ctr_nlp.hardware.description import Hardware
 from ctr_nlp.hardware.journal import read_journal
-from ctr_nlp.hardware.playing.session import announced, check_trusted, last_passed, session_of
+from ctr_nlp.hardware.playing.session import check_trusted, find_program_record, last_passed, session_of
 
 FILE = """
 name = "a rig of before"
@@ -90,8 +90,8 @@ def test_a_journal_of_before_tells_what_was_played(tmp_path: Path) -> None:
     path = tmp_path / "journal.jsonl"
     path.write_text("".join(json.dumps(record) + "\n" for record in JOURNAL), encoding="utf-8")
     records = read_journal(path)
-    assert announced(records)["standing"] == [0.0] * 6
-    assert announced(records)["tempo"] == 0.5
+    assert find_program_record(records)["standing"] == [0.0] * 6
+    assert find_program_record(records)["tempo"] == 0.5
     assert (last_passed(records), session_of(records)) == (1, "5e55")
     with pytest.raises(exceptions.TrajectoryError, match="not to be trusted"):
         check_trusted(records, verified=False)

@@ -12,10 +12,10 @@ from bench import homing_hardware, plan_of, sweep
 from ctr_nlp import Robot, Tube
 from ctr_nlp.exceptions import HardwareError, TrajectoryError
 from ctr_nlp.hardware.arm.description import Arm
-from ctr_nlp.hardware.description import bench
+from ctr_nlp.hardware.description import simulated_hardware
 from ctr_nlp.hardware.motion.trajectory import trajectory_of
-from ctr_nlp.hardware.playing.checks import SAMPLES, check_plan, checked
-from ctr_nlp.hardware.playing.session import prepared
+from ctr_nlp.hardware.playing.checks import TRAJECTORY_SAMPLES_PER_FRAME, check_plan, check_trajectory
+from ctr_nlp.hardware.playing.session import prepare_trajectory
 
 
 def changed(name, frame, value, column=None):
@@ -29,13 +29,13 @@ def changed(name, frame, value, column=None):
 def complaint(plan, message, rig=None):
     rig = homing_hardware() if rig is None else rig
     with pytest.raises(TrajectoryError, match=message):
-        check_plan(plan, rig.tightened(plan.robot))
+        check_plan(plan, rig.apply_limits(plan.robot))
 
 
 def test_a_good_plan_passes():
     plan, rig = sweep(), homing_hardware()
-    check_plan(plan, rig.tightened(plan.robot))
-    trajectory, found = prepared(plan, rig)
+    check_plan(plan, rig.apply_limits(plan.robot))
+    trajectory, found = prepare_trajectory(plan, rig)
     assert found.late == pytest.approx(trajectory.duration - 1.9)
     assert np.isnan(found.margin)
 
@@ -107,16 +107,16 @@ def test_a_carriage_gap_is_kept():
 
 
 def test_a_plan_for_another_number_of_tubes_is_refused_by_the_hardware():
-    rig = bench(sweep().robot)
+    rig = simulated_hardware(sweep().robot)
     with pytest.raises(HardwareError, match="no axis moves alpha_3"):
-        prepared(sweep(), replace(rig, axes=tuple(a for a in rig.axes if not a.joint.endswith("3"))))
+        prepare_trajectory(sweep(), replace(rig, axes=tuple(a for a in rig.axes if not a.joint.endswith("3"))))
 
 
 # On the path
 
 
 def test_what_is_reported_is_what_finite_differences_find():
-    trajectory, found = prepared(sweep(), homing_hardware())
+    trajectory, found = prepare_trajectory(sweep(), homing_hardware())
     time = np.linspace(0, trajectory.duration, 20001)
     rate = np.diff(trajectory.at(time)[0], axis=0) / time[1]
     change = np.diff(rate, axis=0) / time[1]
@@ -128,27 +128,27 @@ def test_what_is_reported_is_what_finite_differences_find():
 @pytest.mark.parametrize("name", ["speed", "acceleration"])
 def test_a_program_beyond_a_limit_is_refused(name):
     """The same motion under a robot that may do half as much."""
-    trajectory, found = prepared(sweep(), homing_hardware())
+    trajectory, found = prepare_trajectory(sweep(), homing_hardware())
     limit = getattr(trajectory.robot, name)
     parts = trajectory.robot.split(limit * getattr(found, name) / 2)
     slow = {f"{n}_{name}": part.tolist() for n, part in zip(("alpha", "beta", "theta"), parts, strict=True)}
     with pytest.raises(
         TrajectoryError, match=rf"frame \d+: {name} of (alpha|beta)_\d would be 2 times the largest"
     ):
-        checked(replace(trajectory, robot=trajectory.robot.with_limits(**slow)))
+        check_trajectory(replace(trajectory, robot=trajectory.robot.with_limits(**slow)))
 
 
 def test_play_beyond_the_range_names_axis_and_frame():
     """On the path down to 0 an axis with 0.4 mm of play has to go to -0.4."""
     out = np.linspace(2, 0, 12)[:, None]
     q = np.hstack([np.zeros((12, 3)), out, out + 5, out + 9, np.zeros((12, 2))])
-    plan, rig = plan_of(q, 0.1), bench(sweep().robot)
-    prepared(plan, rig)
+    plan, rig = plan_of(q, 0.1), simulated_hardware(sweep().robot)
+    prepare_trajectory(plan, rig)
     loose = replace(rig, axes=(replace(rig.axes[0], backlash=0.4), *rig.axes[1:]))
     with pytest.raises(
         TrajectoryError, match=r"frame \d+: axis X \(beta_1\) would go to -.* mm, backlash included; .*\[0, "
     ):
-        prepared(plan, loose)
+        prepare_trajectory(plan, loose)
 
 
 def tilting(angle=0.3):
@@ -160,11 +160,14 @@ def tilting(angle=0.3):
 
 def test_a_tilt_needs_an_arm_that_is_fast_enough():
     plan = tilting()
-    rig = bench(plan.robot)
-    prepared(plan, rig)
+    rig = simulated_hardware(plan.robot)
+    prepare_trajectory(plan, rig)
     complaint(plan, r"theta_x of frame 2 is .*; it must lie in \[0, 0\] on this hardware", replace(rig, arm=None))
-    with pytest.raises(TrajectoryError, match=rf"the tilt, at {SAMPLES} places a frame: speed of joint \d \(.*\)"):
-        prepared(plan, replace(rig, arm=Arm(joint_speed_deg=5.0)))
+    with pytest.raises(
+        TrajectoryError,
+        match=rf"the tilt, at {TRAJECTORY_SAMPLES_PER_FRAME} places a frame: speed of joint \d \(.*\)",
+    ):
+        prepare_trajectory(plan, replace(rig, arm=Arm(joint_speed_deg=5.0)))
 
 
 # On the elastic model
@@ -193,20 +196,20 @@ def elastic_plan(turn, frames=30):
 @pytest.mark.usefixtures("_interpreted")
 def test_an_elastic_plan_that_is_stable_passes_with_its_margin():
     plan, known = elastic_plan(4.2)
-    trajectory, found = prepared(plan, bench(LONG))
+    trajectory, found = prepare_trajectory(plan, simulated_hardware(LONG))
     assert 0 < found.margin < 0.9
     assert found.margin == pytest.approx(known.stability_between.min(), abs=0.05)
-    assert np.isnan(checked(trajectory).margin)
+    assert np.isnan(check_trajectory(trajectory).margin)
 
 
 @pytest.mark.usefixtures("_interpreted")
 def test_an_elastic_plan_whose_way_snaps_is_refused():
     """Also where only the timed trajectory is looked at."""
     plan, known = elastic_plan(2 * np.pi - 0.1)
-    rig = bench(LONG)
+    rig = simulated_hardware(LONG)
     (snap,) = known.snaps
     complaint(plan, rf"frame {snap.frame}: the robot would snap on the path, tubes \(1, 2\)", rig)
     with pytest.raises(
         TrajectoryError, match=rf"frame {snap.frame}: the robot would snap on the path, tubes \(1, 2\)"
     ):
-        checked(trajectory_of(plan, rig), model="elastic")
+        check_trajectory(trajectory_of(plan, rig), model="elastic")

@@ -177,7 +177,7 @@ def test_settings_that_are_wrong_are_explained_and_nothing_is_moved_or_kept(
     out = capsys.readouterr().out
     for text in ("$1=255", "go limp after 25 ms", "$13=0", "$122=200", "Nothing was moved or kept"):
         assert text in out
-    assert rig.firmware.executed == []
+    assert rig.firmware.executed_blocks == []
     assert not commissioned_file(rig.file).exists()
 
 

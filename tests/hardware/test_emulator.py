@@ -192,7 +192,7 @@ def test_bytes_beyond_the_receive_buffer_are_lost():
     assert firmware.bytes_lost > 0
     assert firmware.take().count(b"ok") == 1 + BLOCKS
     firmware.advance(300)
-    numbers = [number for number, _ in firmware.executed]
+    numbers = [number for number, _ in firmware.executed_blocks]
     assert len(numbers) < 200
 
 
@@ -206,7 +206,7 @@ def test_a_steady_program_takes_its_time(seconds):
     speed = 0.2 / seconds
     ramp = max(speed / 200, 2 / seconds / 2000)
     assert 40 * seconds - 0.1 <= host.clock.now() - start <= 40 * seconds + ramp + 0.15
-    assert [number for number, _ in host.firmware.executed] == list(range(1, 41))
+    assert [number for number, _ in host.firmware.executed_blocks] == list(range(1, 41))
 
 
 def test_a_lone_line_is_a_trapezoid():
@@ -249,7 +249,7 @@ def test_twenty_seconds_cost_little():
         firmware.receive(text.encode() + b"\n")
         firmware.advance(0.05)
     firmware.advance(5)
-    assert len(firmware.executed) == 400
+    assert len(firmware.executed_blocks) == 400
     assert time.process_time() - began < 1.0
 
 
@@ -268,7 +268,7 @@ def test_hold_stops_on_the_path_and_resume_finishes():
     assert (host.firmware.position == held).all()
     assert host.ask(b"~") == ["[MSG:]", "ok"]
     host.settle()
-    assert host.firmware.executed[0][1][:2] == (-30, -15)
+    assert host.firmware.executed_blocks[0][1][:2] == (-30, -15)
     assert host.firmware.position[0] == 0
 
 
@@ -373,7 +373,7 @@ def test_cut():
     with pytest.raises(ConnectionError):
         host.listen(1)
     host.clock.sleep(4)
-    assert len(host.firmware.executed) == 30
+    assert len(host.firmware.executed_blocks) == 30
 
 
 def test_half_open():
@@ -390,7 +390,7 @@ def test_silent():
     host.wire = Wire(host.firmware, host.clock)
     assert host.ask(b"?") == []
     host.listen(3)
-    assert len(host.firmware.executed) == 30
+    assert len(host.firmware.executed_blocks) == 30
 
 
 def test_busy():
@@ -401,7 +401,7 @@ def test_busy():
     assert (host.firmware.position == here).all()
     assert host.listen(1.0)[0].startswith("<Run")
     host.settle()
-    assert len(host.firmware.executed) == 30
+    assert len(host.firmware.executed_blocks) == 30
 
 
 @pytest.mark.parametrize(("name", "expected"), [("lost", 0), ("doubled", 40), ("late", 20)])
@@ -428,7 +428,7 @@ def test_last_ok():
     host.wire.write(("\n".join(program(12)) + "\n").encode())
     assert host.listen(1).count("ok") == 11
     host.settle()
-    assert len(host.firmware.executed) == 12
+    assert len(host.firmware.executed_blocks) == 12
 
 
 def test_bytes_lost():
@@ -446,7 +446,7 @@ def test_banner(loses):
     assert any(line.startswith("GrblHAL") for line in heard)
     assert host.firmware.state == "Idle"
     assert (host.firmware.position[0] == 0) == bool(loses)
-    assert len(host.firmware.executed) < 30
+    assert len(host.firmware.executed_blocks) < 30
     lost = host.firmware.slip[0]
     assert (lost < 0) == bool(loses)
 
@@ -470,9 +470,9 @@ def test_estop_with_a_full_planner():
         host.wire.write(text.encode() + b"\n")
     heard = host.listen(1.5)
     assert "ALARM:10" in heard
-    done = len(host.firmware.executed)
+    done = len(host.firmware.executed_blocks)
     host.listen(3)
-    assert len(host.firmware.executed) == done
+    assert len(host.firmware.executed_blocks) == done
 
 
 def test_error_latch():

@@ -20,14 +20,21 @@ from ctr_nlp.cli.commands import export as export_commands
 from ctr_nlp.cli.commands.export import main
 from ctr_nlp.cli.output.folder import MARK
 from ctr_nlp.exceptions import HardwareError, OptionError
-from ctr_nlp.hardware.arm.kinematics import tilt
-from ctr_nlp.hardware.description import Hardware, bench
-from ctr_nlp.hardware.exports import FORMATS, TEXTS, csv_text
-from ctr_nlp.hardware.exports.rosbag2 import STATES, STORAGES, TOLERANCE, TRAJECTORY, points, write_bag
+from ctr_nlp.hardware.arm.kinematics import tilt_of_joints
+from ctr_nlp.hardware.description import Hardware, simulated_hardware
+from ctr_nlp.hardware.exports import MACHINE_FORMATS, MACHINE_TEXT_FORMATS, csv_text
+from ctr_nlp.hardware.exports.rosbag2 import (
+    BAG_INTERPOLATION_TOLERANCE_MM,
+    JOINT_STATES_TOPIC,
+    JOINT_TRAJECTORY_TOPIC,
+    STORAGES,
+    points,
+    write_bag,
+)
 from ctr_nlp.hardware.motion.gcode import LEAST_FEED, MODES, gcode_text
 from ctr_nlp.hardware.motion.trajectory import trajectory_of
-from ctr_nlp.hardware.playing.checks import checked
-from ctr_nlp.hardware.playing.session import prepared
+from ctr_nlp.hardware.playing.checks import check_trajectory
+from ctr_nlp.hardware.playing.session import prepare_trajectory
 from ctr_nlp.plan.plan import plan_from_configurations
 
 pytest.importorskip("toppra")
@@ -75,7 +82,7 @@ def locked():
 @pytest.fixture(scope="module")
 def odd(plan):
     """Hardware with axes that count the other way, from elsewhere, in radians and with play."""
-    rig = bench(plan.robot)
+    rig = simulated_hardware(plan.robot)
     axes = list(rig.axes)
     axes[2] = replace(axes[2], sign=-1, zero=160.0, range=(0.0, 170.0))
     axes[3] = replace(axes[3], unit="rad", range=(-20.0, 20.0), speed=5.0, acceleration=20.0, backlash=0.02)
@@ -84,13 +91,13 @@ def odd(plan):
 
 @pytest.fixture(scope="module")
 def trajectory(plan):
-    return trajectory_of(plan, bench(plan.robot))
+    return trajectory_of(plan, simulated_hardware(plan.robot))
 
 
 @pytest.fixture(scope="module")
 def still(locked):
     """A trajectory without a tilt, for hardware without an arm."""
-    return trajectory_of(locked, replace(bench(locked.robot), arm=None))
+    return trajectory_of(locked, replace(simulated_hardware(locked.robot), arm=None))
 
 
 @pytest.fixture
@@ -163,7 +170,7 @@ def test_speeds_and_accelerations_of_the_table_are_within_limits_and_those_that_
         change = 2 * np.diff(rate) / (time[2:] - time[:-2])
         used.append((abs(rate).max() / speed, abs(change).max() / acceleration))
     assert np.max(used) <= 1 + 1e-5
-    found = checked(trajectory)
+    found = check_trajectory(trajectory)
     assert np.max(used, axis=0) == pytest.approx([found.speed, found.acceleration], rel=0.15)
     assert time[-1] > (FRAMES - 1) * 0.09
 
@@ -189,7 +196,7 @@ def moves(text, letters="XYZABC"):
 
 
 def test_pygcode_reads_the_positions_and_times_of_the_trajectory(plan, odd):
-    for rig in (bench(plan.robot), odd):
+    for rig in (simulated_hardware(plan.robot), odd):
         trajectory = trajectory_of(plan, rig)
         commands = trajectory.commands()
         number, position, seconds = moves(gcode_text(trajectory, "a"))
@@ -270,12 +277,12 @@ def test_a_title_cannot_command_a_controller(trajectory):
 
 
 def test_the_arm_program_tilts_as_the_plan_does(plan, trajectory):
-    text = TEXTS["urscript"].of(trajectory, "a b")
+    text = MACHINE_TEXT_FORMATS["urscript"].of(trajectory, "a b")
     assert text.startswith("def ctr_nlp_a_b():")
     body = text[: text.index("while")]
     joints = np.array([json.loads(found) for found in re.findall(r"servoj\((\[.*?\])", body)])
     assert len(joints) == int(np.ceil(trajectory.duration / 0.008)) + 1
-    theta = tilt(trajectory.hardware.arm, joints)
+    theta = tilt_of_joints(trajectory.hardware.arm, joints)
     time = 0.008 * np.arange(len(joints))
     for k in range(2):
         assert np.interp(trajectory.frame_time, time, theta[:, k]) == pytest.approx(plan.theta[:, k], abs=2e-4)
@@ -284,7 +291,7 @@ def test_the_arm_program_tilts_as_the_plan_does(plan, trajectory):
 
 def test_hardware_without_an_arm_has_no_arm_trajectory(still):
     with pytest.raises(HardwareError, match="no arm"):
-        TEXTS["urscript"].of(still, "a")
+        MACHINE_TEXT_FORMATS["urscript"].of(still, "a")
 
 
 # the bag
@@ -330,7 +337,7 @@ def test_a_bag_names_its_plan(trajectory, tmp_path):
 @pytest.mark.parametrize("storage", STORAGES)
 def test_a_bag_holds_the_trajectory_in_si_units(plan, trajectory, tmp_path, storage):
     read = in_rosbags(written(trajectory, tmp_path, storage))
-    ((stamp, message),) = read[TRAJECTORY]
+    ((stamp, message),) = read[JOINT_TRAJECTORY_TOPIC]
     assert stamp == 0
     assert message.joint_names == [f"{k}_{i}" for k in ("alpha", "beta") for i in (1, 2, 3)] + [
         "theta_x",
@@ -353,7 +360,7 @@ def test_a_bag_holds_the_trajectory_in_si_units(plan, trajectory, tmp_path, stor
 
 @pytest.mark.parametrize("storage", STORAGES)
 def test_a_bag_holds_the_states_of_every_command(trajectory, tmp_path, storage):
-    states = in_rosbags(written(trajectory, tmp_path, storage))[STATES]
+    states = in_rosbags(written(trajectory, tmp_path, storage))[JOINT_STATES_TOPIC]
     commands = trajectory.commands()
     stamps = np.array([stamp for stamp, _ in states])
     assert stamps[0] == 0
@@ -380,11 +387,11 @@ def test_the_mcap_file_explains_itself_to_another_reader(trajectory, tmp_path):
         "trajectory_msgs/msg/JointTrajectory",
         "sensor_msgs/msg/JointState",
     }
-    (found,) = (message for _, channel, _, message in messages if channel.topic == TRAJECTORY)
-    ((_, other),) = in_rosbags(folder)[TRAJECTORY]
+    (found,) = (message for _, channel, _, message in messages if channel.topic == JOINT_TRAJECTORY_TOPIC)
+    ((_, other),) = in_rosbags(folder)[JOINT_TRAJECTORY_TOPIC]
     for ours, theirs in zip(as_arrays(found), as_arrays(other), strict=True):
         assert np.array_equal(ours, theirs)
-    states = [message for _, channel, _, message in messages if channel.topic == STATES]
+    states = [message for _, channel, _, message in messages if channel.topic == JOINT_STATES_TOPIC]
     assert len(states) == len(trajectory.commands().time) + 1
     assert states[-1].position[5] == pytest.approx(trajectory.at(trajectory.duration)[0][5] / 1000)
 
@@ -397,8 +404,8 @@ def test_the_sqlite_file_has_the_tables_of_ros(trajectory, tmp_path):
         kinds = [kind for (kind,) in base.execute("SELECT topic_type FROM message_definitions ORDER BY id")]
     base.close()
     assert topics == [
-        (TRAJECTORY, "trajectory_msgs/msg/JointTrajectory", "cdr"),
-        (STATES, "sensor_msgs/msg/JointState", "cdr"),
+        (JOINT_TRAJECTORY_TOPIC, "trajectory_msgs/msg/JointTrajectory", "cdr"),
+        (JOINT_STATES_TOPIC, "sensor_msgs/msg/JointState", "cdr"),
     ]
     assert kinds == [kind for _, kind, _ in topics]
     assert count == len(trajectory.commands().time) + 2
@@ -415,17 +422,20 @@ def test_interpolating_between_points_follows_the_trajectory(trajectory):
         quintic = BPoly.from_derivatives(time, np.stack([q, velocity, acceleration], axis=1))(dense)
         return [(abs(curve - true) * mm).max() for curve in (cubic, quintic)]
 
-    assert max(away(time, q, velocity, acceleration)) <= 1.1 * TOLERANCE
+    assert max(away(time, q, velocity, acceleration)) <= 1.1 * BAG_INTERPOLATION_TOLERANCE_MM
     frames = np.isin(time, trajectory.frame_time)
     assert frames.sum() == FRAMES
-    assert min(away(time[frames], q[frames], velocity[frames], acceleration[frames])) > 2 * TOLERANCE
+    assert (
+        min(away(time[frames], q[frames], velocity[frames], acceleration[frames]))
+        > 2 * BAG_INTERPOLATION_TOLERANCE_MM
+    )
 
 
 def test_without_an_arm_a_bag_has_no_tilt(still, tmp_path):
     read = in_rosbags(written(still, tmp_path, "mcap"))
-    assert read[TRAJECTORY][0][1].joint_names[-1] == "beta_3"
-    assert {len(state.position) for _, state in read[STATES]} == {6}
-    assert {len(point.positions) for point in read[TRAJECTORY][0][1].points} == {6}
+    assert read[JOINT_TRAJECTORY_TOPIC][0][1].joint_names[-1] == "beta_3"
+    assert {len(state.position) for _, state in read[JOINT_STATES_TOPIC]} == {6}
+    assert {len(point.positions) for point in read[JOINT_TRAJECTORY_TOPIC][0][1].points} == {6}
 
 
 def test_bags_are_kept_in_what_ros_knows(trajectory, tmp_path):
@@ -437,15 +447,15 @@ def test_bags_are_kept_in_what_ros_knows(trajectory, tmp_path):
 # the trajectory
 
 
-@pytest.mark.parametrize("to", FORMATS)
+@pytest.mark.parametrize("to", MACHINE_FORMATS)
 def test_a_plan_becomes_a_file_beside_it(file, capsys, to):
     assert export(file, "--to", to) == 0
     out = capsys.readouterr().out
     if to == "rosbag2":
         names = {"plan_bag", "plan_bag/metadata.yaml", "plan_bag/plan_bag.mcap", f"plan_bag/{MARK}"}
-        assert set(in_rosbags(file.with_name("plan_bag"))) == {TRAJECTORY, STATES}
+        assert set(in_rosbags(file.with_name("plan_bag"))) == {JOINT_TRAJECTORY_TOPIC, JOINT_STATES_TOPIC}
     else:
-        names = {f"plan{TEXTS[to].suffix}"}
+        names = {f"plan{MACHINE_TEXT_FORMATS[to].suffix}"}
     assert everything(file.parent) == {"plan.npz"} | names
     assert f"wrote {file.with_name('plan')}" in out
     assert str(FRAMES) in out
@@ -459,8 +469,8 @@ def test_hardware_and_tempo_change_what_is_written(locked, tmp_path):
     file = tmp_path / "plan.npz"
     locked.save(file)
     rig = replace(
-        bench(locked.robot),
-        axes=[replace(axis, zero=0.5, range=(-1100.0, 1100.0)) for axis in bench(locked.robot).axes],
+        simulated_hardware(locked.robot),
+        axes=[replace(axis, zero=0.5, range=(-1100.0, 1100.0)) for axis in simulated_hardware(locked.robot).axes],
     )
     (tmp_path / "rig.toml").write_text(described(rig))
     assert (
@@ -521,16 +531,16 @@ def test_an_unknown_format_is_refused_with_those_there_are(file, capsys):
         export(file, "--to", "dxf")
     assert ended.value.code == 2
     said = capsys.readouterr().err
-    assert all(name in said for name in FORMATS)
+    assert all(name in said for name in MACHINE_FORMATS)
 
 
-@pytest.mark.parametrize("to", FORMATS)
+@pytest.mark.parametrize("to", MACHINE_FORMATS)
 def test_plans_that_must_not_be_played_are_not_written(plan, tmp_path, capsys, to):
     unsolved = plan.success.copy()
     unsolved[3] = False
     turned = plan.alpha.copy()
     turned[4:, 0] += 2.0
-    (tmp_path / "rig.toml").write_text(described(bench(plan.robot)))
+    (tmp_path / "rig.toml").write_text(described(simulated_hardware(plan.robot)))
     assert Hardware.from_toml(tmp_path / "rig.toml").arm is None
     for bad, options, message in (
         (replace(plan, success=unsolved), [], "frame 4: the plan has no solution there"),
@@ -569,9 +579,9 @@ def test_what_goes_wrong_while_writing_leaves_what_was_there(file, monkeypatch, 
 def test_an_interrupted_export_writes_nothing(file, monkeypatch, capsys):
     def interrupted(*arguments):
         signal.raise_signal(signal.SIGINT)
-        return prepared(*arguments)
+        return prepare_trajectory(*arguments)
 
-    monkeypatch.setattr(export_commands, "prepared", interrupted)
+    monkeypatch.setattr(export_commands, "prepare_trajectory", interrupted)
     assert export(file, "--to", "csv") == 130
     assert "nothing was written" in capsys.readouterr().err
     assert everything(file.parent) == {"plan.npz"}

@@ -15,7 +15,7 @@ from bench import Killed, World
 from ctr_nlp.exceptions import DeviceFault, TrajectoryError
 from ctr_nlp.hardware import journal as journal_module
 from ctr_nlp.hardware.emulator.faults import FAULTS
-from ctr_nlp.hardware.playing.results import Outcome, Result, State
+from ctr_nlp.hardware.playing.results import PlaybackOutcome, PlayerState, Result
 
 pytestmark = pytest.mark.usefixtures("prepared_once")
 
@@ -71,19 +71,19 @@ def check_stop(world: World, result: Result | None, kind: str) -> None:
     assert world.within_limits()
     if result is None:
         return
-    assert result.outcome in Outcome
+    assert result.outcome in PlaybackOutcome
     if kind != "full_disk":
         last = [record for record in journal if record["kind"] in ("result", "state")]
         assert last[-1]["state"] == world.latest.state.value
         assert last[-2]["outcome"] == result.outcome.name
         assert [record["kind"] for record in journal[-2:]] == ["result", "state"]
-    assert world.latest.state in (State.HOMED, State.FAULT)
+    assert world.latest.state in (PlayerState.HOMED, PlayerState.FAULT)
     if result.trusted:
         assert result.position is not None
         assert not world.firmware.moving
         np.testing.assert_allclose(result.position, world.firmware.position, atol=2e-3)
         np.testing.assert_allclose(world.firmware.slip, 0.0)
-    if result.outcome is Outcome.SUCCESS:
+    if result.outcome is PlaybackOutcome.SUCCESS:
         assert world.frames_played() == list(range(1, len(world.plan.time) + 1))
 
 
@@ -95,7 +95,7 @@ def check_resume(world: World, kind: str) -> str:
     except (TrajectoryError, DeviceFault) as error:
         assert world.frames_played() == before
         return f"refused: {error}"
-    assert result.outcome is Outcome.SUCCESS, result
+    assert result.outcome is PlaybackOutcome.SUCCESS, result
     after = world.frames_played()[len(before) :]
     assert after == frames[-len(after) :]
     if kind == "third_party" and after[:1] == before[-1:]:  # others had moved it away, and it was brought back
@@ -130,17 +130,19 @@ def run(seed: int, folder: Path, monkeypatch: pytest.MonkeyPatch, kind: str = ""
 
 def check_distrust(world: World) -> None:
     """A later session does not play: the controller is in no state for it, or remembered as not to be trusted."""
-    finished = len(world.firmware.executed)
+    finished = len(world.firmware.executed_blocks)
     with pytest.raises((DeviceFault, TrajectoryError)):
         world.begin()
     world.latest.close()
-    assert len(world.firmware.executed) == finished
+    assert len(world.firmware.executed_blocks) == finished
 
 
 def check_stop_before_motion(world: World) -> None:
     """A session that could not be begun has sent no motion."""
     world.clock.sleep(AFTERWARDS)
-    assert [number for number, _ in world.firmware.executed if number is not None] == []  # others may have jogged
+    assert [
+        number for number, _ in world.firmware.executed_blocks if number is not None
+    ] == []  # others may have jogged
     assert world.within_limits()
 
 

@@ -17,22 +17,22 @@ from hypothesis import strategies as st
 
 from ctr_nlp.exceptions import DeviceFault
 from ctr_nlp.hardware.description import Connection
-from ctr_nlp.hardware.devices import Progress
+from ctr_nlp.hardware.devices import MotionProgress
 from ctr_nlp.hardware.devices.grbl import stream
-from ctr_nlp.hardware.devices.grbl.identity import loose
+from ctr_nlp.hardware.devices.grbl.identity import find_loose_settings
 from ctr_nlp.hardware.devices.grbl.talk import reply_of, report_of
 from ctr_nlp.hardware.emulator.faults import FAULTS
 from ctr_nlp.hardware.emulator.firmware import Firmware
 from ctr_nlp.hardware.motion.trajectory import Trajectory
 from ctr_nlp.hardware.playing.record import Recorder
-from ctr_nlp.hardware.playing.results import Outcome, State
+from ctr_nlp.hardware.playing.results import PlaybackOutcome, PlayerState
 
 pytestmark = pytest.mark.usefixtures("prepared_once")
 
 STEP = np.array([1 / 400] * 3 + [1 / 100] * 3)
 """mm and deg of the emulated machine."""
 
-Seen = Callable[[Trajectory, Progress], None]
+Seen = Callable[[Trajectory, MotionProgress], None]
 
 
 @pytest.mark.parametrize(
@@ -124,16 +124,16 @@ def test_a_controller_set_otherwise_is_refused(settings: dict[int, float], compl
     rig.firmware.settings.update(settings)
     with pytest.raises(DeviceFault, match=complaint):
         rig.begin()
-    assert rig.firmware.executed == []
+    assert rig.firmware.executed_blocks == []
 
 
 def test_what_bounds_a_changed_line_is_named() -> None:
     """The largest rates, and soft limits where there are any."""
     settings = {"110": "3000.000", "111": "3001.000", "130": "50.000", "132": "151.000", "133": "720.000"}
     homing, manual = homing_hardware(), homing_hardware(connection=Connection("grbl", "wire:"))
-    told = [(one.name, one.wanted) for one in loose(settings, range(6), homing)]
+    told = [(one.name, one.wanted) for one in find_loose_settings(settings, range(6), homing)]
     assert told == [("111", "3000"), ("132", "150")]
-    assert [one.name for one in loose(settings, range(6), manual)] == ["111"]
+    assert [one.name for one in find_loose_settings(settings, range(6), manual)] == ["111"]
 
 
 def test_axes_that_the_controller_lacks_are_refused(tmp_path: Path) -> None:
@@ -147,7 +147,7 @@ def test_slides_that_are_not_homed_are_refused_until_they_home(tmp_path: Path) -
     rig = world(tmp_path, Firmware({20: 1, 22: 1} | {130 + i: 150.0 for i in range(3)}))
     with pytest.raises(DeviceFault, match="home"):
         rig.begin()
-    assert rig.firmware.executed == []
+    assert rig.firmware.executed_blocks == []
 
 
 def test_an_alarm_is_refused(tmp_path: Path) -> None:
@@ -167,12 +167,12 @@ def test_400_frames_stream_in_20_seconds(flow: str, tmp_path: Path) -> None:
     hardware = homing_hardware(connection=Connection("grbl", "wire:", homing="cycle", flow=flow))
     rig, recorder, most = world(tmp_path, plan=plan, hardware=hardware), Recorder(), [0]
 
-    def seen(trajectory: Trajectory, progress: Progress) -> None:
+    def seen(trajectory: Trajectory, progress: MotionProgress) -> None:
         recorder(trajectory, progress)
         most[0] = max(most[0], rig.latest.device.stream.in_flight)
 
     result = rig.begin(seen=seen)
-    assert result.outcome is Outcome.SUCCESS
+    assert result.outcome is PlaybackOutcome.SUCCESS
     tracking = recorder.tracking()
     assert tracking is not None
     took = tracking.time[-1] + tracking.late[-1]
@@ -183,7 +183,7 @@ def test_400_frames_stream_in_20_seconds(flow: str, tmp_path: Path) -> None:
     assert (abs(rig.firmware.position - goal) <= STEP).all()
     assert abs(tracking.error[:, :3]).max() < 0.5
     assert abs(tracking.error[:, 3:]).max() < 1.0
-    assert most[0] <= (1024 - stream.SPARE if flow == "count" else 2 * 100)  # a line and its copy
+    assert most[0] <= (1024 - stream.SPARE_BUFFER_BYTES if flow == "count" else 2 * 100)  # a line and its copy
     assert rig.firmware.bytes_lost == 0
 
 
@@ -191,11 +191,11 @@ def test_frames_in_which_nothing_moves_take_their_time(tmp_path: Path) -> None:
     q = sweep(12).q
     still = np.vstack([q[:6], np.repeat(q[5:6], 5, axis=0), q[6:]])
     rig, recorder = world(tmp_path, plan=plan_of(still, 0.1)), Recorder()
-    assert rig.begin(seen=recorder).outcome is Outcome.SUCCESS
+    assert rig.begin(seen=recorder).outcome is PlaybackOutcome.SUCCESS
     tracking = recorder.tracking()
     assert tracking is not None
     assert abs(tracking.late).max() < 0.2
-    assert (abs(np.array(rig.firmware.executed[-1][1]) - rig.firmware.position) <= STEP).all()
+    assert (abs(np.array(rig.firmware.executed_blocks[-1][1]) - rig.firmware.position) <= STEP).all()
 
 
 def moments(count: int) -> list[float]:
@@ -212,19 +212,19 @@ def test_holds_and_aborts_are_quick_and_keep_the_position(kind: str, tmp_path: P
         folder.mkdir()
         rig, called[0], rest[0] = world(folder), 0.0, 0.0
 
-        def seen(trajectory: Trajectory, progress: Progress, rig: World = rig, at: float = at) -> None:
+        def seen(trajectory: Trajectory, progress: MotionProgress, rig: World = rig, at: float = at) -> None:
             now = rig.clock.now()
             if len(trajectory.frames) > 2 and not called[0] and progress.time > at:
                 called[0] = now
                 getattr(rig.latest, kind)()
-            if rig.latest.state is State.HOLD and not rest[0]:
+            if rig.latest.state is PlayerState.HOLD and not rest[0]:
                 rest[0] = now
                 assert not rig.firmware.motion.running
                 rig.latest.abort()
 
         result = rig.begin(seen=seen)
         took.append((rest[0] or rig.clock.now()) - called[0])
-        assert result.outcome is Outcome.CANCELLED
+        assert result.outcome is PlaybackOutcome.CANCELLED
         assert result.trusted
         np.testing.assert_allclose(result.position, rig.firmware.position, atol=2e-3)
         np.testing.assert_allclose(rig.firmware.slip, 0.0)
@@ -243,16 +243,16 @@ def test_a_hold_that_was_not_heard_is_repeated(tmp_path: Path) -> None:
 
     asked: list[float] = []
 
-    def seen(trajectory: Trajectory, progress: Progress) -> None:
+    def seen(trajectory: Trajectory, progress: MotionProgress) -> None:
         if len(trajectory.frames) > 2 and progress.time > 0.4 and not asked:
             rig.links[-1].wire.line.outward.append(forget)
             asked.append(rig.clock.now())
             rig.latest.pause()
-        if rig.latest.state is State.HOLD:
+        if rig.latest.state is PlayerState.HOLD:
             asked.append(rig.clock.now())
             rig.latest.abort()
 
-    assert rig.begin(seen=seen).outcome is Outcome.CANCELLED
+    assert rig.begin(seen=seen).outcome is PlaybackOutcome.CANCELLED
     assert deaf[0] == 0
     assert asked[1] - asked[0] < 0.5
 
@@ -260,15 +260,20 @@ def test_a_hold_that_was_not_heard_is_repeated(tmp_path: Path) -> None:
 def test_a_held_controller_is_asked_for_its_status_and_nothing_else(tmp_path: Path) -> None:
     rig, sent = world(tmp_path), []
 
-    def seen(trajectory: Trajectory, progress: Progress) -> None:
-        if len(trajectory.frames) > 2 and progress.time > 0.4 and rig.latest.state is State.RUNNING and not sent:
+    def seen(trajectory: Trajectory, progress: MotionProgress) -> None:
+        if (
+            len(trajectory.frames) > 2
+            and progress.time > 0.4
+            and rig.latest.state is PlayerState.RUNNING
+            and not sent
+        ):
             rig.latest.pause()
-        if rig.latest.state is State.HOLD:
+        if rig.latest.state is PlayerState.HOLD:
             sent.append(len(sent_by_host(rig)))
             if len(sent) == 300:
                 rig.latest.resume()
 
-    assert rig.begin(seen=seen).outcome is Outcome.SUCCESS
+    assert rig.begin(seen=seen).outcome is PlaybackOutcome.SUCCESS
     while_held = sent_by_host(rig)[sent[0] : sent[299]]
     assert len(while_held) > 20
     assert set(while_held) == {ord("?")}
@@ -281,14 +286,14 @@ def test_a_reset_in_motion_is_never_trusted(how: str, tmp_path: Path) -> None:
     rig = world(tmp_path, plan=sweep(60))
     rig.firmware.on_reset = how
 
-    def seen(trajectory: Trajectory, progress: Progress) -> None:
+    def seen(trajectory: Trajectory, progress: MotionProgress) -> None:
         if len(trajectory.frames) > 2 and progress.time > 2.0:
             rig.links[-1].wire.line.outward.append(lambda data: data.replace(b"!", b""))
             rig.latest.abort()
 
     result = rig.begin(seen=seen)
     rig.clock.sleep(5.0)
-    assert result.outcome is Outcome.CANCELLED
+    assert result.outcome is PlaybackOutcome.CANCELLED
     assert not result.trusted
     assert rig.firmware.position[0] > rig.trajectory().positions(np.array([rig.trajectory().duration]))[0, 0] + 1.0
     assert b"$X" not in sent_by_host(rig)
@@ -304,7 +309,7 @@ def test_a_controller_that_restarts_when_its_port_is_opened_does_not_go_on(tmp_p
     """Some boards reset with the port's control lines: after a crash that loses the position."""
     rig = world(tmp_path)
 
-    def seen(trajectory: Trajectory, progress: Progress) -> None:
+    def seen(trajectory: Trajectory, progress: MotionProgress) -> None:
         if len(trajectory.frames) > 2 and progress.time > 0.8:
             rig.latest.abort()
 
@@ -316,8 +321,8 @@ def test_a_controller_that_restarts_when_its_port_is_opened_does_not_go_on(tmp_p
 def test_half_a_line_that_a_lost_link_left_is_not_completed_by_the_next_session(tmp_path: Path) -> None:
     rig = world(tmp_path)
     rig.firmware.receive(b"G21 G90 G93 G1 X-30 F2")
-    assert rig.begin().outcome is Outcome.SUCCESS
-    assert all(number is not None for number, _ in rig.firmware.executed)
+    assert rig.begin().outcome is PlaybackOutcome.SUCCESS
+    assert all(number is not None for number, _ in rig.firmware.executed_blocks)
 
 
 def test_a_controller_that_reports_work_positions_is_refused(tmp_path: Path) -> None:

@@ -14,37 +14,46 @@ from loops_of import SENSORS
 from near_fold import plan_through
 
 from ctr_nlp.exceptions import TrajectoryError
-from ctr_nlp.hardware.devices import Progress
+from ctr_nlp.hardware.devices import MotionProgress
 from ctr_nlp.hardware.journal import read_journal
 from ctr_nlp.hardware.motion.trajectory import Trajectory
-from ctr_nlp.hardware.playing.results import Outcome, State
+from ctr_nlp.hardware.playing.results import PlaybackOutcome, PlayerState
 from ctr_nlp.hardware.sensing.simulated import SimulatedRobot
 from ctr_nlp.loops import tracker
 from ctr_nlp.loops.closed import closed_loop
-from ctr_nlp.loops.feed import Fault, Feed, Late, Outliers, Shifted, Silence, Stuck, Swapped
+from ctr_nlp.loops.feed import (
+    Feed,
+    LateReadings,
+    Outliers,
+    SensorFault,
+    ShiftedPoints,
+    Silence,
+    StuckReadings,
+    SwappedAxes,
+)
 from ctr_nlp.loops.plant import Plant
 from ctr_nlp.loops.tracker import Tracker
-from ctr_nlp.robot.draws import drawn
+from ctr_nlp.robot.draws import sample_robots
 
 pytestmark = pytest.mark.usefixtures("prepared_once")
 
 PLAN = level_plan()
 BEGIN = 4.0
-FAULTS: dict[str, Fault] = {
+FAULTS: dict[str, SensorFault] = {
     "silence": Silence(BEGIN),
     "outliers": Outliers(BEGIN),
-    "late": Late(BEGIN, delay=0.6),
-    "registration": Shifted(BEGIN, offset=(2.0, 0.0, 0.0)),
-    "stuck": Stuck(BEGIN),
-    "axes": Swapped(BEGIN),
+    "late": LateReadings(BEGIN, delay=0.6),
+    "registration": ShiftedPoints(BEGIN, offset=(2.0, 0.0, 0.0)),
+    "stuck": StuckReadings(BEGIN),
+    "axes": SwappedAxes(BEGIN),
 }
 
 
-def at(time: float, action: Callable[[], None]) -> Callable[[Trajectory, Progress], None]:
+def at(time: float, action: Callable[[], None]) -> Callable[[Trajectory, MotionProgress], None]:
     """Do something once in the plan's motion."""
     done = []
 
-    def seen(trajectory: Trajectory, progress: Progress) -> None:
+    def seen(trajectory: Trajectory, progress: MotionProgress) -> None:
         if not done and len(trajectory.frames) > 2 and progress.time >= time:
             done.append(True)
             action()
@@ -55,13 +64,13 @@ def at(time: float, action: Callable[[], None]) -> Callable[[Trajectory, Progres
 def open_loop(seed: int) -> SimulatedRobot:
     """The robot of a seed, moved through the plan as it is."""
     robot = SimulatedRobot(PLAN, SENSORS, seed)
-    robot.led(PLAN.q)
+    robot.apply_past_motion(PLAN.q)
     return robot
 
 
 def ideal(seed: int) -> float:
     """How far a robot is from the planned shapes where nothing stands between it and its tracker, mm."""
-    plant = Plant(PLAN.robot, drawn(PLAN.robot, 1, seed))
+    plant = Plant(PLAN.robot, sample_robots(PLAN.robot, 1, seed))
     run = closed_loop(PLAN, plant, Feed(plant, SENSORS, seed), Tracker(PLAN, SENSORS))
     return float(np.sqrt(((run.shape - PLAN.shape) ** 2).sum(axis=-1).mean()))
 
@@ -71,7 +80,7 @@ def test_a_robot_is_led_as_well_as_if_nothing_stood_between_it_and_its_tracker(t
     """But for what a frame is: shapes are compared where the robot is about as long."""
     loops = Loops(tmp_path, PLAN, seed)
     result = loops.begin()
-    assert (result.outcome, result.frame, result.trusted) == (Outcome.SUCCESS, 40, True), result.message
+    assert (result.outcome, result.frame, result.trusted) == (PlaybackOutcome.SUCCESS, 40, True), result.message
     assert loops.notes == []
     assert loops.world.within_limits()
     assert loops.world.latest.device.stream.underruns == 0
@@ -121,19 +130,19 @@ def test_a_journal_in_which_something_was_changed_is_found_out(tmp_path: Path, w
 def test_it_stops_where_it_is_told_to_and_goes_on_with_what_was_known(tmp_path: Path) -> None:
     loops = Loops(tmp_path, PLAN)
     result = loops.begin(seen=at(3.0, lambda: loops.world.latest.abort()))
-    assert (result.outcome, result.trusted) == (Outcome.CANCELLED, True)
+    assert (result.outcome, result.trusted) == (PlaybackOutcome.CANCELLED, True)
     for time in (2.0, 1.5, np.inf):
         loops.world.latest.close()
         mean = next(r for r in read_journal(loops.world.path)[::-1] if r["kind"] == "corrected")["mean"]
         result = loops.resume(seen=at(time, lambda: loops.world.latest.abort()))
         assert loops.latest.tracker.observer.differences.mean.tolist() == mean
         assert loops.replayed().differs == ""
-    assert (result.outcome, result.frame) == (Outcome.SUCCESS, 40), result.message
+    assert (result.outcome, result.frame) == (PlaybackOutcome.SUCCESS, 40), result.message
     passed = [r["frame"] for r in read_journal(loops.world.path) if r["kind"] == "frame"]
     assert passed == sorted(set(passed))
     assert loops.world.within_limits()
     moved = loops.robot.plant.history
-    assert not loops.robot.plant.snapped
+    assert not loops.robot.plant.has_snapped
     assert np.abs(np.diff([each.q for each in moved], axis=0)).max() < 10.0
 
 
@@ -147,14 +156,14 @@ def test_it_goes_on_after_its_player_has_died(tmp_path: Path) -> None:
         loops.begin(seen=at(3.0, die))
     loops.world.clock.sleep(2.0)
     result = loops.resume()
-    assert (result.outcome, result.frame) == (Outcome.SUCCESS, 40), result.message
+    assert (result.outcome, result.frame) == (PlaybackOutcome.SUCCESS, 40), result.message
 
 
 def test_in_a_pause_it_stands_and_goes_on_looking(tmp_path: Path) -> None:
     loops = Loops(tmp_path, PLAN)
     held = []
 
-    def seen(trajectory: Trajectory, progress: Progress) -> None:
+    def seen(trajectory: Trajectory, progress: MotionProgress) -> None:
         pause(trajectory, progress)
         if progress.state == "held":
             held.append((progress.stamp, progress.position))
@@ -162,7 +171,7 @@ def test_in_a_pause_it_stands_and_goes_on_looking(tmp_path: Path) -> None:
                 loops.world.latest.resume()
 
     pause = at(3.0, lambda: loops.world.latest.pause())
-    assert loops.begin(seen=seen).outcome is Outcome.SUCCESS
+    assert loops.begin(seen=seen).outcome is PlaybackOutcome.SUCCESS
     assert (np.ptp([position for _, position in held], axis=0) == 0).all()
     looked = [r["now"] for r in read_journal(loops.world.path) if r["kind"] == "sensed"]
     assert sum(held[0][0] < now < held[-1][0] for now in looked) > 10
@@ -175,7 +184,7 @@ def test_tubes_are_pulled_back_along_the_corrected_path(tmp_path: Path) -> None:
     before = loops.world.firmware.position.copy()
     loops.begin(seen=at(6.0, lambda: loops.world.latest.abort()))
     loops.world.latest.close()
-    assert loops.world.retract().outcome is Outcome.SUCCESS
+    assert loops.world.retract().outcome is PlaybackOutcome.SUCCESS
     assert loops.world.firmware.position == pytest.approx(before, abs=0.01)
 
 
@@ -198,10 +207,10 @@ def test_faults_of_sensors_are_told_in_half_a_second_and_do_no_harm(tmp_path: Pa
         told = [record for record in read_journal(loops.world.path) if record["kind"] == "note"]
         assert told[0]["t"] <= BEGIN + 0.5
         assert loops.world.within_limits()
-        assert not loops.robot.plant.snapped
+        assert not loops.robot.plant.has_snapped
         assert result.trusted
         assert loops.replayed().differs == ""
-        assert result.outcome is Outcome.SUCCESS
+        assert result.outcome is PlaybackOutcome.SUCCESS
 
 
 def test_where_doubt_exceeds_the_margin_it_stops_and_can_be_trusted(tmp_path: Path) -> None:
@@ -210,11 +219,11 @@ def test_where_doubt_exceeds_the_margin_it_stops_and_can_be_trusted(tmp_path: Pa
     q[:, 0], q[:, 2:4] = np.linspace(0.0, 4.2, 40), (60.0, 80.0)
     loops = Loops(tmp_path, plan_through(q, PLAN.robot), faults=[Silence()])
     result = loops.begin()
-    assert result.outcome is Outcome.PATH_TOLERANCE_VIOLATED
+    assert result.outcome is PlaybackOutcome.PATH_TOLERANCE_VIOLATED
     assert "standard deviations less stable would snap" in result.message
     assert result.trusted
-    assert [note.state for note in loops.notes] == [tracker.State.HELD, tracker.State.STOPPED]
-    assert loops.world.latest.state is State.FAULT
+    assert [note.state for note in loops.notes] == [tracker.TrackerState.UNCORRECTED, tracker.TrackerState.STOPPED]
+    assert loops.world.latest.state is PlayerState.FAULT
     stood = loops.world.firmware.position.copy()
     assert abs(stood[3]) < np.degrees(4.0)
     loops.world.clock.sleep(1.0)

@@ -16,7 +16,7 @@ from strategies import numbers, robots, robots_with_q
 from ctr_nlp import Limits, Robot, table_i_robot
 from ctr_nlp.exceptions import HardwareError
 from ctr_nlp.hardware.axis import Axis
-from ctr_nlp.hardware.description import Connection, Hardware, bench
+from ctr_nlp.hardware.description import Connection, Hardware, simulated_hardware
 from ctr_nlp.hardware.sensing.description import Sensing
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "hardware.toml"
@@ -38,7 +38,7 @@ def rigs(draw, robot):
                     draw(st.sampled_from([-1, 1])), draw(numbers(-1e3, 1e3)))  # fmt: skip
         ends = (0.0, robot.reach + 1) if unit == "mm" else (-draw(numbers(0.1, 20)), draw(numbers(0.1, 20)))
         axes.append(replace(made, range=tuple(sorted(made.zero + made.scale * end for end in ends))))
-    return Hardware(tuple(axes), draw(st.sampled_from([None, bench(table_i_robot()).arm])))
+    return Hardware(tuple(axes), draw(st.sampled_from([None, simulated_hardware(table_i_robot()).arm])))
 
 
 # Axes and connections that cannot be
@@ -174,7 +174,7 @@ def test_limits_are_never_widened_and_are_kept_by_both(data):
     robot = data.draw(robots())
     robot = robot.with_limits(alpha_speed=data.draw(numbers(0.01, 10)), beta_acceleration=data.draw(numbers(1, 9)))
     rig = data.draw(rigs(robot))
-    tight = rig.tightened(robot)
+    tight = rig.apply_limits(robot)
     assert tight.tubes == robot.tubes
     assert tight.carriage_gap == robot.carriage_gap
     assert (tight.lower >= robot.lower).all()
@@ -192,7 +192,7 @@ def test_limits_are_never_widened_and_are_kept_by_both(data):
 
 def test_what_binds_by_hand(robot):
     """The first slide stops at 30 mm counted from the other end, the first turn at 90 deg and 90 deg/s."""
-    slide, *others = bench(robot).axes
+    slide, *others = simulated_hardware(robot).axes
     turn = next(axis for axis in others if axis.joint == "alpha_1")
     others = [axis for axis in others if axis is not turn]
     rig = Hardware((
@@ -200,7 +200,7 @@ def test_what_binds_by_hand(robot):
         replace(turn, range=(-90.0, 90.0), speed=90.0, acceleration=180.0),
         *others,
     ))  # fmt: skip
-    tight = rig.tightened(robot)
+    tight = rig.apply_limits(robot)
     assert tight.lower[3] == pytest.approx(2.0)
     assert tight.upper[3] == pytest.approx(30.0)
     assert tight.upper[0] == -tight.lower[0] == pytest.approx(math.pi / 2)
@@ -211,10 +211,12 @@ def test_what_binds_by_hand(robot):
 
 
 def test_without_an_arm_the_tilt_is_locked_and_with_one_it_is_as_fast_as_the_arm_says(robot):
-    rig = bench(robot)
-    locked = replace(rig, arm=None).tightened(robot)
+    rig = simulated_hardware(robot)
+    locked = replace(rig, arm=None).apply_limits(robot)
     np.testing.assert_array_equal(np.concatenate([locked.lower[-2:], locked.upper[-2:]]), 0)
-    slow = replace(rig, arm=replace(rig.arm, tilt_speed_deg=(10, 20), tilt_acceleration_deg=60)).tightened(robot)
+    slow = replace(rig, arm=replace(rig.arm, tilt_speed_deg=(10, 20), tilt_acceleration_deg=60)).apply_limits(
+        robot
+    )
     np.testing.assert_allclose(slow.speed[-2:], np.radians([10, 20]))
     np.testing.assert_allclose(slow.acceleration[-2:], math.pi / 3)
     np.testing.assert_array_equal(slow.upper[-2:], robot.upper[-2:])
@@ -223,16 +225,16 @@ def test_without_an_arm_the_tilt_is_locked_and_with_one_it_is_as_fast_as_the_arm
 def test_a_robot_that_must_be_tilted_needs_an_arm(robot):
     """Locking at 0 what must be between 0.1 and 0.2 rad would widen its limits."""
     with pytest.raises(HardwareError, match=r"cannot move the robot: limits of theta_x are \[0.1, 0\]"):
-        replace(bench(robot), arm=None).tightened(robot.with_limits(theta=(0.1, 0.2)))
+        replace(simulated_hardware(robot), arm=None).apply_limits(robot.with_limits(theta=(0.1, 0.2)))
 
 
 def test_a_range_that_the_robot_cannot_use_is_named(robot):
-    rig = bench(robot)
+    rig = simulated_hardware(robot)
     out = replace(rig, axes=(replace(rig.axes[0], range=(60.0, 80.0)), *rig.axes[1:]))
     with pytest.raises(
         HardwareError, match=r"this hardware cannot move the robot: limits of beta_1 are \[60, 50\]"
     ):
-        out.tightened(robot)
+        out.apply_limits(robot)
 
 
 @pytest.mark.parametrize(
@@ -244,9 +246,9 @@ def test_a_range_that_the_robot_cannot_use_is_named(robot):
     ],
 )
 def test_axes_must_move_every_joint_and_no_other(robot, change, message):
-    rig = bench(robot)
+    rig = simulated_hardware(robot)
     with pytest.raises(HardwareError, match=message):
-        replace(rig, axes=change(rig.axes)).tightened(robot)
+        replace(rig, axes=change(rig.axes)).apply_limits(robot)
 
 
 # Rigs that are there without a file
@@ -254,7 +256,7 @@ def test_axes_must_move_every_joint_and_no_other(robot, change, message):
 
 @given(robots(most=3))
 def test_the_bench_moves_every_robot_of_up_to_three_tubes_as_far_as_it_goes(robot):
-    tight = bench(robot).tightened(robot)
+    tight = simulated_hardware(robot).apply_limits(robot)
     np.testing.assert_array_equal(tight.lower[robot.d :], robot.lower[robot.d :])
     np.testing.assert_array_equal(tight.upper[robot.d :], robot.upper[robot.d :])
 
@@ -262,20 +264,20 @@ def test_the_bench_moves_every_robot_of_up_to_three_tubes_as_far_as_it_goes(robo
 def test_the_bench_is_for_up_to_three_tubes(robot):
     tube = replace(robot.tubes[-1], outer_diameter=0.9, inner_diameter=0.5)
     with pytest.raises(HardwareError, match="a robot of 4 tubes needs a hardware file"):
-        bench(Robot((*robot.tubes, tube), Limits()))
+        simulated_hardware(Robot((*robot.tubes, tube), Limits()))
 
 
 # The hardware file
 
 
 def test_the_example_is_the_bench_of_the_seed_within_its_limits(robot):
-    rig, default = Hardware.from_toml(EXAMPLE), bench(robot)
+    rig, default = Hardware.from_toml(EXAMPLE), simulated_hardware(robot)
     assert rig.connection == default.connection
     assert rig.approach == default.approach
     assert {axis.joint: (axis.letter, axis.unit, axis.speed, axis.acceleration) for axis in rig.axes} == {
         axis.joint: (axis.letter, axis.unit, axis.speed, axis.acceleration) for axis in default.axes
     }
-    one, other = rig.tightened(robot), replace(default, arm=rig.arm).tightened(robot)
+    one, other = rig.apply_limits(robot), replace(default, arm=rig.arm).apply_limits(robot)
     for name in ("lower", "upper", "speed", "acceleration"):
         np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
 
@@ -348,14 +350,14 @@ def test_a_missing_hardware_file_is_named(tmp_path):
 
 def test_a_plan_for_other_tubes_than_those_mounted_is_refused(tmp_path: Path) -> None:
     robot = table_i_robot()
-    mounted = replace(bench(robot), robot=robot)
-    assert mounted.tightened(robot).tubes == robot.tubes
+    mounted = replace(simulated_hardware(robot), robot=robot)
+    assert mounted.apply_limits(robot).tubes == robot.tubes
     tubes = (replace(robot.tubes[0], curvature=1 / 131), *robot.tubes[1:])
     with pytest.raises(HardwareError, match=r"tube 1 .* has curvature 0\.0076.*, the one that is mounted 0\.0076"):
-        mounted.tightened(replace(robot, tubes=tubes))
+        mounted.apply_limits(replace(robot, tubes=tubes))
     fewer = replace(robot, tubes=robot.tubes[1:])
     with pytest.raises(HardwareError, match="has 2 tubes, 3 are mounted"):
-        replace(bench(fewer), robot=robot).tightened(fewer)
+        replace(simulated_hardware(fewer), robot=robot).apply_limits(fewer)
 
 
 def test_the_robot_file_is_beside_the_hardware_file(tmp_path: Path) -> None:
@@ -365,4 +367,4 @@ def test_the_robot_file_is_beside_the_hardware_file(tmp_path: Path) -> None:
     with pytest.raises(HardwareError, match=r"robot file .*robot\.toml"):
         Hardware.from_toml(tmp_path / "rig.toml")
     (tmp_path / "robot.toml").write_text((examples / "robot.toml").read_text(encoding="utf-8"), encoding="utf-8")
-    assert Hardware.from_toml(tmp_path / "rig.toml").tightened(table_i_robot()).d == 3
+    assert Hardware.from_toml(tmp_path / "rig.toml").apply_limits(table_i_robot()).d == 3

@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 
 from ctr_nlp import table_i_robot
-from ctr_nlp.hardware.description import bench
+from ctr_nlp.hardware.description import simulated_hardware
 from ctr_nlp.hardware.devices.ros2.joints import AGREEING, Joints
 from ctr_nlp.hardware.devices.ros2.messages import JointStates
 
 
 def joints_after(times, last_axis):
     """Joints of a bench that has told states at times (s), its last axis (rad) at last_axis, all others at 0."""
-    hardware = bench(table_i_robot())
+    hardware = simulated_hardware(table_i_robot())
     joints = Joints(hardware, hardware.tolerance / 10)
     for time, turned in zip(times, last_axis, strict=True):
         position = [0.0] * (len(joints.names) - 1) + [turned]

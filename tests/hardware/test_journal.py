@@ -16,8 +16,8 @@ from ctr_nlp.hardware import journal as journal_module
 from ctr_nlp.hardware.emulator.wire import VirtualClock
 from ctr_nlp.hardware.journal import Journal, read_journal
 from ctr_nlp.hardware.link import RecordedLink
-from ctr_nlp.hardware.playing.results import Outcome, State
-from ctr_nlp.hardware.playing.session import begin
+from ctr_nlp.hardware.playing.results import PlaybackOutcome, PlayerState
+from ctr_nlp.hardware.playing.session import play_plan
 
 
 def test_every_byte_of_a_session_is_there_in_order(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -36,7 +36,7 @@ def test_every_byte_of_a_session_is_there_in_order(tmp_path: Path, monkeypatch: 
     monkeypatch.setattr(WireLink, "write", wrote)
     monkeypatch.setattr(WireLink, "read", heard)
     world = World(tmp_path, sweep(6, 0.2))
-    assert world.begin().outcome is Outcome.SUCCESS
+    assert world.begin().outcome is PlaybackOutcome.SUCCESS
     records = read_journal(world.path)
     for kind, data in (("sent", sent), ("received", received)):
         assert "".join(r["data"] for r in records if r["kind"] == kind).encode("latin-1") == bytes(data)
@@ -194,14 +194,14 @@ def test_a_disk_that_is_full_from_any_record_on_stops_the_robot(
             player.abort()
 
     try:
-        result = begin(player, world.plan, world.hardware, seen=seen)
+        result = play_plan(player, world.plan, world.hardware, callback=seen)
     except JournalError:
         world.clock.sleep(2.0)
-        assert world.firmware.executed == []
-        assert player.state is not State.RUNNING
+        assert world.firmware.executed_blocks == []
+        assert player.state is not PlayerState.RUNNING
         return
     if left[0] < 0:
-        assert result.outcome in (Outcome.DEVICE_FAULT, Outcome.CANCELLED)
+        assert result.outcome in (PlaybackOutcome.DEVICE_FAULT, PlaybackOutcome.CANCELLED)
     assert result.trusted
     stood = world.firmware.position
     world.clock.sleep(2.0)

@@ -11,8 +11,8 @@ import pytest
 from bench import World, sweep
 
 from ctr_nlp.exceptions import DeviceFault
-from ctr_nlp.hardware.devices import Progress
-from ctr_nlp.hardware.playing.results import Outcome
+from ctr_nlp.hardware.devices import MotionProgress
+from ctr_nlp.hardware.playing.results import PlaybackOutcome
 
 pytestmark = pytest.mark.usefixtures("prepared_once")
 
@@ -42,11 +42,11 @@ def jump(world: World, by: float) -> None:
     world.links[-1].wire.line.inward.append(shifted)
 
 
-def once(happens: Callable[[Any, Progress], bool], action: Callable[[], None]) -> Any:
+def once(happens: Callable[[Any, MotionProgress], bool], action: Callable[[], None]) -> Any:
     """A callback that acts at the first progress of the plan's motion for which something holds."""
     done: list[bool] = []
 
-    def seen(trajectory: Any, progress: Progress) -> None:
+    def seen(trajectory: Any, progress: MotionProgress) -> None:
         if trajectory.frames[0] == 1 and not done and happens(trajectory, progress):
             done.append(True)
             action()
@@ -63,7 +63,7 @@ def distrusted(world: World) -> None:
 
 def test_a_jump_on_the_way_is_not_trusted(world: World) -> None:
     result = world.begin(seen=once(lambda _, progress: progress.time > 0.8, lambda: jump(world, 5.0)))
-    assert (result.outcome, result.trusted) == (Outcome.PATH_TOLERANCE_VIOLATED, False)
+    assert (result.outcome, result.trusted) == (PlaybackOutcome.PATH_TOLERANCE_VIOLATED, False)
     assert "tolerances from their path; 1 is allowed" in result.message
     distrusted(world)
 
@@ -82,7 +82,7 @@ def test_a_jump_in_a_pause_is_not_trusted(world: World) -> None:
     pause = once(lambda _, progress: progress.time > 0.8, lambda: world.latest.pause())
     rest = once(lambda _, progress: progress.state == "held", lambda: jump(world, 5.0))
 
-    def seen(trajectory: Any, progress: Progress) -> None:
+    def seen(trajectory: Any, progress: MotionProgress) -> None:
         pause(trajectory, progress)
         rest(trajectory, progress)
 
@@ -95,25 +95,25 @@ def test_a_jump_before_the_motion_is_not_trusted(world: World) -> None:
     """Between the approach and the plan, while nothing moves."""
     arrived: list[bool] = []
 
-    def seen(trajectory: Any, progress: Progress) -> None:
+    def seen(trajectory: Any, progress: MotionProgress) -> None:
         if trajectory.frames[0] == 0 and progress.state == "done" and not arrived:
             arrived.append(True)
             jump(world, 5.0)
 
     result = world.begin(seen=seen)
-    assert (result.outcome, result.trusted) == (Outcome.INVALID_PLAN, False)
+    assert (result.outcome, result.trusted) == (PlaybackOutcome.INVALID_PLAN, False)
     distrusted(world)
 
 
 @pytest.mark.parametrize("by", [0.3, 0.6, 1.4])
 def test_an_offset_of_a_few_tolerances_is_not_trusted(by: float, world: World) -> None:
     result = world.begin(seen=once(lambda _, progress: progress.time > 0.8, lambda: jump(world, by)))
-    assert (result.outcome, result.trusted) == (Outcome.PATH_TOLERANCE_VIOLATED, False)
+    assert (result.outcome, result.trusted) == (PlaybackOutcome.PATH_TOLERANCE_VIOLATED, False)
 
 
 @pytest.mark.parametrize("by", [0.3, 5.0])
 def test_a_jump_at_the_last_frame_is_not_trusted(by: float, world: World) -> None:
     last = once(lambda trajectory, progress: progress.time > trajectory.duration - 1e-3, lambda: jump(world, by))
     result = world.begin(seen=last)
-    assert result.outcome is not Outcome.SUCCESS
+    assert result.outcome is not PlaybackOutcome.SUCCESS
     assert not result.trusted, result.message

@@ -9,9 +9,9 @@ import pytest
 from bench import homing_hardware, plan_of, sweep
 
 from ctr_nlp import table_i_robot
-from ctr_nlp.hardware.guiding.course import FIRST
+from ctr_nlp.hardware.guiding.course import FIRST_CORRECTED_KNOT
 from ctr_nlp.hardware.guiding.leeway import Leeway
-from ctr_nlp.hardware.motion.trajectory import Patch, Trajectory, rest_of, trajectory_of
+from ctr_nlp.hardware.motion.trajectory import Patch, Trajectory, remaining_trajectory, trajectory_of
 
 SHARE = 0.6
 SIZE = np.array([1.0, 1.0, 1.0, 6.0, 6.0, 6.0, 0.2, 0.2])
@@ -32,8 +32,10 @@ def wild(trajectory: Trajectory, seed: int, scale: float) -> tuple[Leeway, np.nd
     """Offsets at knots that try to go anywhere."""
     leeway, random = Leeway(trajectory), np.random.default_rng(seed)
     offsets = np.zeros((len(leeway.knots), 8))
-    for knot in range(FIRST, len(offsets)):
-        offsets[knot] = leeway.within(knot, offsets[knot - 1], scale * SIZE * random.standard_normal(8))
+    for knot in range(FIRST_CORRECTED_KNOT, len(offsets)):
+        offsets[knot] = leeway.nearest_allowed_offset(
+            knot, offsets[knot - 1], scale * SIZE * random.standard_normal(8)
+        )
     return leeway, offsets
 
 
@@ -45,7 +47,7 @@ def shifted(trajectory: Trajectory, leeway: Leeway, offsets: np.ndarray) -> Traj
     x = np.clip((path.x - leeway.knots[k])[:, None] / length, 0.0, 1.0)
     change = np.diff(offsets, axis=0)[k]
     q = path(path.x) + offsets[k] + change * (3 * x**2 - 2 * x**3)
-    return trajectory.patched(Patch(0, q, path(path.x, 1) + change * (6 * x * (1 - x)) / length))
+    return trajectory.apply_patch(Patch(0, q, path(path.x, 1) + change * (6 * x * (1 - x)) / length))
 
 
 def check(trajectory: Trajectory) -> None:
@@ -55,7 +57,7 @@ def check(trajectory: Trajectory) -> None:
     assert (q <= robot.upper + 1e-9).all()
     growth = np.diff(q[:, 3:6], axis=1)
     assert growth.min() >= -1e-9
-    assert (growth <= robot.most_growth + 1e-9).all()
+    assert (growth <= robot.max_extension_differences + 1e-9).all()
     assert (abs(speed) <= robot.speed * (1 + 1e-6)).all()
     assert (abs(acceleration) <= robot.acceleration * (1 + 1e-6)).all()
     positions = trajectory.commands().positions
@@ -84,7 +86,7 @@ def test_limits_are_kept_where_play_in_the_drives_is_made_up_for():
 def test_what_is_left_after_a_stop_keeps_them_too():
     whole = from_nothing()
     led = shifted(whole, *wild(whole, 3, 1.0))
-    rest = rest_of(led, 0.3 * float(whole.knots[-1]))
+    rest = remaining_trajectory(led, 0.3 * float(whole.knots[-1]))
     for seed in range(5):
         check(shifted(rest, *wild(rest, seed, 1.0)))
 
@@ -94,7 +96,7 @@ def test_from_anywhere_it_goes_back_to_the_plan_within_limits():
     leeway, offsets = wild(trajectory, 1, 10.0)
     middle = len(offsets) // 2
     assert offsets[middle].any()
-    offsets[middle:] = leeway.back(middle, offsets[middle])
+    offsets[middle:] = leeway.offsets_back_to_plan(middle, offsets[middle])
     check(shifted(trajectory, leeway, offsets))
     assert not offsets[-1].any()
 
@@ -104,10 +106,10 @@ def test_what_is_wanted_within_reach_is_done_and_beyond_it_comes_as_near_as_it_m
     leeway = Leeway(trajectory)
     middle, still = len(leeway.knots) // 2, np.zeros(8)
     low, high = leeway.box(middle, still)
-    assert leeway.within(middle, still, 0.5 * high)[:3] == pytest.approx(0.5 * high[:3])
-    assert leeway.within(middle, still, np.full(8, 100.0))[:3] == pytest.approx(high[:3])
-    assert leeway.within(middle, still, np.full(8, -100.0))[:3] == pytest.approx(low[:3])
-    assert not leeway.within(middle, still, np.full(8, 100.0))[-2:].any()
+    assert leeway.nearest_allowed_offset(middle, still, 0.5 * high)[:3] == pytest.approx(0.5 * high[:3])
+    assert leeway.nearest_allowed_offset(middle, still, np.full(8, 100.0))[:3] == pytest.approx(high[:3])
+    assert leeway.nearest_allowed_offset(middle, still, np.full(8, -100.0))[:3] == pytest.approx(low[:3])
+    assert not leeway.nearest_allowed_offset(middle, still, np.full(8, 100.0))[-2:].any()
 
 
 def test_a_knot_is_at_least_a_fifth_of_a_second_after_the_one_before():

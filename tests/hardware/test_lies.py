@@ -127,7 +127,7 @@ def test_power_that_fails_is_seen_or_not():
     for host in (seen, unseen):
         assert (host.firmware.position == 0).all()
         assert host.firmware.slip[0] < -0.5
-        assert len(host.firmware.executed) < 30
+        assert len(host.firmware.executed_blocks) < 30
 
 
 @pytest.mark.parametrize(

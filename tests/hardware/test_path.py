@@ -11,7 +11,7 @@ from scipy.optimize import minimize
 from strategies import seeds
 
 from ctr_nlp import Limits, Robot
-from ctr_nlp.hardware.motion.path import made_up, path_through
+from ctr_nlp.hardware.motion.path import backlash_compensation, path_through
 
 NEAR = 1e-9
 """What rounding and the solver may leave, as a part of the largest value."""
@@ -218,7 +218,7 @@ def test_play_does_not_show_at_frames(seed, frames, down):
     positions = rng.integers(-3, 4, (frames, 2)).astype(float)
     time = np.arange(frames) * 0.1
     before = -backlash * down
-    added = made_up(time, positions, backlash, before)
+    added = backlash_compensation(time, positions, backlash, before)
     fine = np.unique(np.concatenate([np.linspace(0, time[-1], 40 * frames), time]))
     plain = np.stack([np.interp(fine, time, column) for column in positions.T], axis=1)
     axis = plain + added(fine)
@@ -234,7 +234,7 @@ def test_the_joint_follows_all_along_but_where_play_is_taken_up(seed):
     rng = np.random.default_rng(seed)
     positions = rng.integers(-3, 4, (15, 1)).astype(float)
     time = np.arange(15.0)
-    added = made_up(time, positions, np.array([0.4]), np.zeros(1))
+    added = backlash_compensation(time, positions, np.array([0.4]), np.zeros(1))
     fine = np.linspace(0, 14, 14 * 50 + 1)
     plain = np.interp(fine, time, positions[:, 0])
     joint = joint_of(plain + added(fine)[:, 0], 0.4, positions[0, 0])
@@ -247,7 +247,7 @@ def test_the_joint_follows_all_along_but_where_play_is_taken_up(seed):
 @given(seed=seeds)
 def test_without_play_nothing_is_added(seed):
     positions = np.random.default_rng(seed).standard_normal((10, 3))
-    added = made_up(np.arange(10.0), positions, np.zeros(3), np.zeros(3))
+    added = backlash_compensation(np.arange(10.0), positions, np.zeros(3), np.zeros(3))
     np.testing.assert_array_equal(added(np.linspace(0, 9, 50)), 0)
 
 
@@ -256,21 +256,21 @@ def test_a_hundredth_of_the_play_is_no_reversal(part):
     """Up, then noise; only more than a hundredth of the play is followed down."""
     noise = part * 0.5 * np.array([0.0, -1, 0, -1, 0, -1])
     positions = np.append([0.0, 1, 2], 3 + noise)[:, None]
-    added = made_up(np.arange(9.0), positions, np.array([0.5]), np.zeros(1))
+    added = backlash_compensation(np.arange(9.0), positions, np.array([0.5]), np.zeros(1))
     assert bool(added(np.arange(9.0)).any()) == (part > 0.01)
 
 
 def test_noise_that_creeps_is_a_reversal_in_the_end():
     """Each step back is too small to count; together they are not."""
     positions = np.append([0.0, 1.0], 1.0 - 0.004 * np.arange(1, 8))[:, None]
-    added = made_up(np.arange(9.0), positions, np.array([1.0]), np.zeros(1))(np.arange(9.0))[:, 0]
+    added = backlash_compensation(np.arange(9.0), positions, np.array([1.0]), np.zeros(1))(np.arange(9.0))[:, 0]
     np.testing.assert_array_equal(added, [0, 0, 0, 0, -1, -1, -1, -1, -1])
 
 
 def test_what_is_added_comes_and_goes_at_rest():
     """No jump of speed at frames, and never beyond one and a half times the mean speed of the take-up."""
     positions = np.array([[0.0], [2], [1], [0], [3]])
-    added = made_up(np.arange(5.0), positions, np.array([0.8]), np.zeros(1))
+    added = backlash_compensation(np.arange(5.0), positions, np.array([0.8]), np.zeros(1))
     np.testing.assert_allclose(added(np.arange(5.0))[:, 0], [0, 0, -0.8, -0.8, 0], atol=1e-12)
     np.testing.assert_array_equal(added(np.arange(5.0), 1), 0)
     assert abs(added(np.linspace(0, 4, 401), 1)).max() == pytest.approx(1.2)

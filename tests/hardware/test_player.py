@@ -13,8 +13,8 @@ import pytest
 from bench import World, plan_of, sweep
 
 from ctr_nlp.exceptions import DeviceFault, Stopped, TrajectoryError
-from ctr_nlp.hardware.description import bench
-from ctr_nlp.hardware.devices import Progress, Standing
+from ctr_nlp.hardware.description import simulated_hardware
+from ctr_nlp.hardware.devices import MotionProgress, Standing
 from ctr_nlp.hardware.devices.arms import SimulatedArm
 from ctr_nlp.hardware.devices.simulated import Simulated
 from ctr_nlp.hardware.emulator.faults import FAULTS
@@ -23,8 +23,8 @@ from ctr_nlp.hardware.emulator.wire import VirtualClock
 from ctr_nlp.hardware.journal import Journal, read_journal
 from ctr_nlp.hardware.motion.trajectory import Trajectory
 from ctr_nlp.hardware.playing.player import Player
-from ctr_nlp.hardware.playing.results import Outcome, Result, State
-from ctr_nlp.hardware.playing.session import begin, prepared
+from ctr_nlp.hardware.playing.results import PlaybackOutcome, PlayerState, Result
+from ctr_nlp.hardware.playing.session import play_plan, prepare_trajectory
 from ctr_nlp.plan.plan import Plan
 
 pytestmark = pytest.mark.usefixtures("prepared_once")
@@ -42,8 +42,12 @@ class Rig:
         self, folder: Path, plan: Plan = SHORT, device: type[Simulated] = Simulated, lag: float | None = None
     ) -> None:
         self.clock, self.plan = VirtualClock(), plan
-        self.hardware = bench(plan.robot) if lag is not None else replace(bench(plan.robot), arm=None)
-        self.trajectory = prepared(plan, self.hardware)[0]
+        self.hardware = (
+            simulated_hardware(plan.robot)
+            if lag is not None
+            else replace(simulated_hardware(plan.robot), arm=None)
+        )
+        self.trajectory = prepare_trajectory(plan, self.hardware)[0]
         self.device = device(self.trajectory.positions(np.zeros(1))[0], self.clock)
         self.arm = None
         if self.hardware.arm is not None and lag is not None:
@@ -51,9 +55,9 @@ class Rig:
         self.path = folder / "journal.jsonl"
         self.player = Player(self.device, self.arm, Journal(self.path, self.clock), self.clock)
 
-    def play(self, seen: Callable[[Trajectory, Progress], None] | None = None) -> Result:
+    def play(self, seen: Callable[[Trajectory, MotionProgress], None] | None = None) -> Result:
         """Play the trajectory from its start, after connecting where that is still to be done."""
-        if self.player.state is State.DISCONNECTED:
+        if self.player.state is PlayerState.DISCONNECTED:
             self.player.connect()
         return self.player.play(self.trajectory, seen)
 
@@ -66,9 +70,9 @@ class At:
     """A callback that acts once the trajectory has come to a time, and notes all progress."""
 
     def __init__(self, *actions: tuple[float, Callable[[], Any]]) -> None:
-        self.actions, self.progress = list(actions), list[Progress]()
+        self.actions, self.progress = list(actions), list[MotionProgress]()
 
-    def __call__(self, trajectory: Trajectory, progress: Progress) -> None:
+    def __call__(self, trajectory: Trajectory, progress: MotionProgress) -> None:
         self.progress.append(progress)
         while self.actions and progress.time >= self.actions[0][0]:
             self.actions.pop(0)[1]()
@@ -76,11 +80,11 @@ class At:
 
 def test_states_from_connecting_to_closing(tmp_path: Path) -> None:
     rig = Rig(tmp_path)
-    assert rig.player.state is State.DISCONNECTED
+    assert rig.player.state is PlayerState.DISCONNECTED
     rig.player.connect()
-    assert rig.player.state is State.HOMED
+    assert rig.player.state is PlayerState.HOMED
     result = rig.play()
-    assert (result.outcome, result.frame, result.trusted) == (Outcome.SUCCESS, 10, True)
+    assert (result.outcome, result.frame, result.trusted) == (PlaybackOutcome.SUCCESS, 10, True)
     rig.player.close()
     assert rig.states() == ["homed", "running", "homed", "disconnected"]
 
@@ -88,15 +92,17 @@ def test_states_from_connecting_to_closing(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("state", "calls"),
     [
-        (State.DISCONNECTED, ("play", "trust")),
-        (State.IDLE, ("connect", "play")),
-        (State.HOMED, ("connect",)),
-        (State.RUNNING, ("connect", "play", "trust")),
-        (State.HOLD, ("connect", "play", "trust")),
-        (State.FAULT, ("connect", "play", "trust")),
+        (PlayerState.DISCONNECTED, ("play", "trust")),
+        (PlayerState.IDLE, ("connect", "play")),
+        (PlayerState.HOMED, ("connect",)),
+        (PlayerState.RUNNING, ("connect", "play", "trust")),
+        (PlayerState.HOLD, ("connect", "play", "trust")),
+        (PlayerState.FAULT, ("connect", "play", "trust")),
     ],
 )
-def test_calls_that_a_state_does_not_allow_say_so(state: State, calls: tuple[str, ...], tmp_path: Path) -> None:
+def test_calls_that_a_state_does_not_allow_say_so(
+    state: PlayerState, calls: tuple[str, ...], tmp_path: Path
+) -> None:
     rig = Rig(tmp_path)
     rig.player.state = state
     for call in calls:
@@ -109,12 +115,12 @@ def test_a_device_that_is_not_homed_is_idle_until_it_is(tmp_path: Path) -> None:
     world = World(tmp_path, SHORT, firmware=Firmware({20: 1, 22: 1}))
     player = world.player()
     assert not player.connect().homed
-    assert player.state is State.IDLE
+    assert player.state is PlayerState.IDLE
     with pytest.raises(DeviceFault, match="only one that is homed plays"):
         player.play(world.trajectory())
     player = world.player()
     assert player.connect(home=True).homed
-    assert player.state is State.HOMED
+    assert player.state is PlayerState.HOMED
 
 
 def test_homing_ends_an_alarm(tmp_path: Path) -> None:
@@ -122,7 +128,7 @@ def test_homing_ends_an_alarm(tmp_path: Path) -> None:
     world.firmware.hard_limit()
     player = world.player()
     assert player.connect(home=True).homed
-    assert player.state is State.HOMED
+    assert player.state is PlayerState.HOMED
 
 
 def test_homing_can_be_stopped(tmp_path: Path) -> None:
@@ -138,9 +144,9 @@ def test_homing_can_be_stopped(tmp_path: Path) -> None:
     world.clock.sleep = sleep  # type: ignore[method-assign]
     with pytest.raises(Stopped, match=r"stopped on request.* its position is not to be trusted") as stop:
         player.connect(home=True)
-    assert (stop.value.result.outcome, stop.value.result.trusted) == (Outcome.CANCELLED, False)
+    assert (stop.value.result.outcome, stop.value.result.trusted) == (PlaybackOutcome.CANCELLED, False)
     assert world.clock.now() < began + 2.0 + ABORTED
-    assert player.state is State.FAULT
+    assert player.state is PlayerState.FAULT
     wait(1.0)
     assert world.firmware.state == "Alarm"
     assert not world.firmware.moving
@@ -149,16 +155,16 @@ def test_homing_can_be_stopped(tmp_path: Path) -> None:
 def test_a_hold_asked_for_at_the_controller_is_a_pause(tmp_path: Path) -> None:
     world, held = World(tmp_path, SHORT), [0]
 
-    def seen(trajectory: Trajectory, progress: Progress) -> None:
+    def seen(trajectory: Trajectory, progress: MotionProgress) -> None:
         if len(trajectory.frames) > 2 and progress.time > 0.3 and not held[0]:
             held[0] = 1
             world.firmware.receive(b"!")
-        if world.latest.state is State.HOLD:
+        if world.latest.state is PlayerState.HOLD:
             held[0] += 1
             if held[0] == 100:
                 world.latest.resume()
 
-    assert world.begin(seen=seen).outcome is Outcome.SUCCESS
+    assert world.begin(seen=seen).outcome is PlaybackOutcome.SUCCESS
     assert held[0] >= 100
     assert world.frames_played() == list(range(1, 11))
 
@@ -193,13 +199,13 @@ def stops(world: World, pause_at: float, abort_at: float, idle: float = 0.3) -> 
     called: dict[str, float] = {}
     rested = sent = 0.0
 
-    def seen(trajectory: Trajectory, progress: Progress) -> None:
+    def seen(trajectory: Trajectory, progress: MotionProgress) -> None:
         nonlocal rested, sent
         now = clock.now()
         if "pause" not in called and progress.time >= pause_at:
             called["pause"] = now
             player.pause()
-        elif player.state is State.HOLD and "held" not in called:
+        elif player.state is PlayerState.HOLD and "held" not in called:
             called["held"], rested, sent = now, clock.moved, world.sent_bytes()
             stood = world.firmware.position
             clock.sleep(idle)
@@ -207,7 +213,7 @@ def stops(world: World, pause_at: float, abort_at: float, idle: float = 0.3) -> 
             assert (world.firmware.position == stood).all()
             assert world.sent_bytes() == sent
         elif "held" in called and "resume" not in called:
-            assert player.state is State.HOLD
+            assert player.state is PlayerState.HOLD
             assert world.sent_bytes() <= sent + 1  # it is asked for its status, as in motion
             called["resume"] = now
             player.resume()
@@ -215,10 +221,10 @@ def stops(world: World, pause_at: float, abort_at: float, idle: float = 0.3) -> 
             called["abort"] = now
             player.abort()
 
-    result = begin(player, world.plan, world.hardware, seen=seen)
+    result = play_plan(player, world.plan, world.hardware, callback=seen)
     returned = clock.now()
-    assert result.outcome is Outcome.CANCELLED
-    assert player.state is State.HOMED
+    assert result.outcome is PlaybackOutcome.CANCELLED
+    assert player.state is PlayerState.HOMED
     sent, stood = world.sent_bytes(), world.firmware.position
     clock.sleep(3.0)
     assert world.sent_bytes() == sent
@@ -252,18 +258,18 @@ def test_a_simulated_device_stops_at_any_moment_and_keeps_its_place(seed: int, t
     """Held, it stays; after going on it comes through the same places as one that was never held."""
     draw, rig = random.Random(seed), Rig(tmp_path)
     rig.player.connect()
-    held: list[Progress] = []
+    held: list[MotionProgress] = []
 
-    def seen(trajectory: Trajectory, progress: Progress) -> None:
+    def seen(trajectory: Trajectory, progress: MotionProgress) -> None:
         moments(trajectory, progress)
-        if rig.player.state is State.HOLD and not held:
+        if rig.player.state is PlayerState.HOLD and not held:
             held.append(progress)
             rig.clock.sleep(1.0)
             assert (rig.device.update().position == progress.position).all()
             rig.player.resume()
 
     moments = At((draw.uniform(0.0, 0.85 * rig.trajectory.duration), rig.player.pause))
-    assert rig.play(seen).outcome is Outcome.SUCCESS
+    assert rig.play(seen).outcome is PlaybackOutcome.SUCCESS
     assert rig.states() == ["homed", "running", "hold", "running", "homed"]
     commands = rig.trajectory.commands()
     for progress in moments.progress:
@@ -277,7 +283,7 @@ def test_a_simulated_device_stops_at_any_moment_and_keeps_its_place(seed: int, t
 
 def test_every_frame_is_recorded_however_seldom_the_player_gets_to_look(tmp_path: Path) -> None:
     rig = Rig(tmp_path)
-    assert rig.play(lambda *_: rig.clock.sleep(0.37)).outcome is Outcome.SUCCESS
+    assert rig.play(lambda *_: rig.clock.sleep(0.37)).outcome is PlaybackOutcome.SUCCESS
     frames = [record["frame"] for record in read_journal(rig.path) if record["kind"] == "frame"]
     assert frames == list(range(2, 11))
 
@@ -287,17 +293,17 @@ def test_nothing_goes_on_by_itself(tmp_path: Path) -> None:
     world = watched(tmp_path)
     player, since = world.player(), [0.0, 0.0]
 
-    def seen(trajectory: Trajectory, progress: Progress) -> None:
+    def seen(trajectory: Trajectory, progress: MotionProgress) -> None:
         moments(trajectory, progress)
-        if player.state is State.HOLD:
+        if player.state is PlayerState.HOLD:
             since[0] = since[0] or world.clock.now()
             if world.clock.now() - since[0] > 60.0 and not since[1]:
                 since[1] = world.clock.now()
                 player.resume()
 
     moments = At((0.3, player.pause), (0.3, player.pause), (0.32, player.pause))
-    result = begin(player, world.plan, world.hardware, seen=seen)
-    assert result.outcome is Outcome.SUCCESS
+    result = play_plan(player, world.plan, world.hardware, callback=seen)
+    assert result.outcome is PlaybackOutcome.SUCCESS
     assert since[1] - since[0] > 60.0
     assert world.frames_played() == list(range(1, 11))
 
@@ -314,33 +320,33 @@ def test_the_last_word_before_it_rests_counts(
     player, clock = (rig.player, rig.clock) if device == "simulated" else (world.player(), world.clock)
     left, since = list(words), 0.0
 
-    def seen(trajectory: Trajectory, progress: Progress) -> None:
+    def seen(trajectory: Trajectory, progress: MotionProgress) -> None:
         nonlocal since
         if progress.time > 0.3 and left:
             getattr(player, left.pop(0))()
             since = clock.now()
-        if player.state is State.HOLD and clock.now() > since + 1.0:
+        if player.state is PlayerState.HOLD and clock.now() > since + 1.0:
             player.abort()
 
-    result = begin(player, SHORT, rig.hardware if device == "simulated" else world.hardware, seen=seen)
-    assert result.outcome is (Outcome.CANCELLED if held else Outcome.SUCCESS)
+    result = play_plan(player, SHORT, rig.hardware if device == "simulated" else world.hardware, callback=seen)
+    assert result.outcome is (PlaybackOutcome.CANCELLED if held else PlaybackOutcome.SUCCESS)
 
 
 def test_an_abort_is_final_and_reaches_a_held_device(tmp_path: Path) -> None:
     world = watched(tmp_path)
     player = world.player()
 
-    def seen(trajectory: Trajectory, progress: Progress) -> None:
+    def seen(trajectory: Trajectory, progress: MotionProgress) -> None:
         moments(trajectory, progress)
-        if player.state is State.HOLD:
+        if player.state is PlayerState.HOLD:
             player.abort()
             player.resume()
             player.pause()
 
     moments = At((0.4, player.pause))
-    result = begin(player, world.plan, world.hardware, seen=seen)
-    assert (result.outcome, result.trusted) == (Outcome.CANCELLED, True)
-    assert player.state is State.HOMED
+    result = play_plan(player, world.plan, world.hardware, callback=seen)
+    assert (result.outcome, result.trusted) == (PlaybackOutcome.CANCELLED, True)
+    assert player.state is PlayerState.HOMED
     moved = world.clock.moved  # type: ignore[attr-defined]
     world.clock.sleep(2.0)
     assert world.clock.moved == moved  # type: ignore[attr-defined]
@@ -352,14 +358,14 @@ def test_a_pause_at_the_very_end_changes_nothing(before: float, tmp_path: Path) 
     world = World(tmp_path, SHORT)
     player = world.player()
 
-    def seen(trajectory: Trajectory, progress: Progress) -> None:
+    def seen(trajectory: Trajectory, progress: MotionProgress) -> None:
         moment(trajectory, progress)
-        if player.state is State.HOLD:
+        if player.state is PlayerState.HOLD:
             player.resume()
 
     moment = At((world.trajectory().duration - before, player.pause))
-    result = begin(player, world.plan, world.hardware, seen=seen)
-    assert result.outcome is Outcome.SUCCESS
+    result = play_plan(player, world.plan, world.hardware, callback=seen)
+    assert result.outcome is PlaybackOutcome.SUCCESS
     assert world.frames_played() == list(range(1, 11))
 
 
@@ -367,12 +373,12 @@ def test_an_abort_before_anything_plays_lets_nothing_begin(tmp_path: Path) -> No
     world = World(tmp_path, SHORT)
     player = world.player()
     player.abort()
-    result = begin(player, world.plan, world.hardware)
-    assert (result.outcome, result.trusted) == (Outcome.CANCELLED, True)
+    result = play_plan(player, world.plan, world.hardware)
+    assert (result.outcome, result.trusted) == (PlaybackOutcome.CANCELLED, True)
     world.clock.sleep(1.0)
-    assert world.firmware.executed == []
+    assert world.firmware.executed_blocks == []
     player.close()
-    assert world.begin().outcome is Outcome.SUCCESS
+    assert world.begin().outcome is PlaybackOutcome.SUCCESS
 
 
 @pytest.mark.parametrize("error", [KeyboardInterrupt, ZeroDivisionError, TrajectoryError("not ours")])
@@ -385,15 +391,15 @@ def test_whatever_the_callback_raises_stops_everything_first(error: Any, tmp_pat
 
     kind = error if isinstance(error, type) else type(error)
     with pytest.raises(kind):
-        begin(player, world.plan, world.hardware, seen=At((0.4, fail)))
-    assert player.state is State.HOMED
+        play_plan(player, world.plan, world.hardware, callback=At((0.4, fail)))
+    assert player.state is PlayerState.HOMED
     records = read_journal(world.path)
     assert [r["outcome"] for r in records if r["kind"] == "result"][-1] == "CANCELLED"
     moved = world.clock.moved  # type: ignore[attr-defined]
     world.clock.sleep(2.0)
     assert world.clock.moved == moved  # type: ignore[attr-defined]
     player.close()
-    assert world.resume().outcome is Outcome.SUCCESS
+    assert world.resume().outcome is PlaybackOutcome.SUCCESS
     assert world.frames_played() == list(range(1, 11))
 
 
@@ -406,7 +412,7 @@ class Elsewhere(Simulated):
     off = 0.0
     away = 0.0
 
-    def update(self) -> Progress:
+    def update(self) -> MotionProgress:
         progress = super().update()
         return progress._replace(position=progress.position + self.off, away=self.away)
 
@@ -418,7 +424,7 @@ def test_results_say_what_was_violated(tmp_path: Path) -> None:
     rig = Rig(tmp_path, device=Elsewhere)
     rig.device.off = 0.51  # type: ignore[attr-defined]
     result = rig.play()
-    assert result.outcome is Outcome.INVALID_PLAN
+    assert result.outcome is PlaybackOutcome.INVALID_PLAN
     assert "axis X (beta_1) stands at 2.51 mm, and frame 1 is at 2" in result.message
     assert rig.states() == ["homed", "fault"]  # nobody knows why they stand there
 
@@ -426,16 +432,16 @@ def test_results_say_what_was_violated(tmp_path: Path) -> None:
     rig = Rig(tmp_path / "off", device=Elsewhere)
     rig.device.off = 0.49  # type: ignore[attr-defined]
     result = rig.play()
-    assert (result.outcome, result.frame) == (Outcome.GOAL_TOLERANCE_VIOLATED, 10)
-    assert rig.player.state is State.FAULT
+    assert (result.outcome, result.frame) == (PlaybackOutcome.GOAL_TOLERANCE_VIOLATED, 10)
+    assert rig.player.state is PlayerState.FAULT
 
     (tmp_path / "away").mkdir()
     rig = Rig(tmp_path / "away", device=Elsewhere)
     rig.player.connect()
     result = rig.play(At((0.5, lambda: setattr(rig.device, "away", 1.5))))
-    assert (result.outcome, result.frame) == (Outcome.PATH_TOLERANCE_VIOLATED, 5)
+    assert (result.outcome, result.frame) == (PlaybackOutcome.PATH_TOLERANCE_VIOLATED, 5)
     assert "1.5 tolerances" in result.message
-    assert rig.player.state is State.FAULT
+    assert rig.player.state is PlayerState.FAULT
 
 
 def test_a_device_that_fails_before_it_starts_is_a_result_too(tmp_path: Path) -> None:
@@ -444,18 +450,18 @@ def test_a_device_that_fails_before_it_starts_is_a_result_too(tmp_path: Path) ->
             raise DeviceFault("no answer")
 
     rig = Rig(tmp_path, device=Mute)
-    rig.player.state = State.HOMED
+    rig.player.state = PlayerState.HOMED
     result = rig.play()
-    assert (result.outcome, result.position, result.trusted) == (Outcome.DEVICE_FAULT, None, False)
-    assert rig.player.state is State.FAULT
+    assert (result.outcome, result.position, result.trusted) == (PlaybackOutcome.DEVICE_FAULT, None, False)
+    assert rig.player.state is PlayerState.FAULT
 
 
 @pytest.mark.parametrize("name", ["hard_limit", "cut", "silent", "banner"])
 def test_a_controller_that_fails_is_a_device_fault(name: str, tmp_path: Path) -> None:
     world = World(tmp_path, SHORT)
     result = world.begin((FAULTS[name](at=world.firmware.time + 1.2),))
-    assert (result.outcome, result.trusted) == (Outcome.DEVICE_FAULT, False)
-    assert world.latest.state is State.FAULT
+    assert (result.outcome, result.trusted) == (PlaybackOutcome.DEVICE_FAULT, False)
+    assert world.latest.state is PlayerState.FAULT
 
 
 # the arm
@@ -476,11 +482,11 @@ def test_the_arm_keeps_in_step_with_the_steppers(lag: float, tmp_path: Path) -> 
     assert rig.arm is not None
     off = []
 
-    def seen(trajectory: Trajectory, progress: Progress) -> None:
+    def seen(trajectory: Trajectory, progress: MotionProgress) -> None:
         late = np.array([max(progress.time - lag, 0.0)])
         off.append(np.linalg.norm(rig.player.tilt() - trajectory.at(late)[0][0, -2:]))
 
-    assert rig.play(seen).outcome is Outcome.SUCCESS
+    assert rig.play(seen).outcome is PlaybackOutcome.SUCCESS
     assert max(off[:-1]) < 4e-3  # 0.3 rad/s for some 10 ms
     np.testing.assert_allclose(rig.arm.tilt(), rig.plan.theta[-1], atol=1e-3)
     stood = rig.arm.tilt()
@@ -499,20 +505,20 @@ def still_afterwards(rig: Rig) -> bool:
 def test_an_arm_that_falls_behind_stops_both(tmp_path: Path) -> None:
     rig = Rig(tmp_path, tilting(), lag=0.4)
     result = rig.play()
-    assert result.outcome is Outcome.DEVICE_FAULT
+    assert result.outcome is PlaybackOutcome.DEVICE_FAULT
     assert "the arm is not in step" in result.message
     assert 0 < result.frame < 10
     assert still_afterwards(rig)
-    assert rig.player.state is State.FAULT
+    assert rig.player.state is PlayerState.FAULT
 
 
 class Unheard(Simulated):
     """Axes of which nothing is heard for a while, as over a link that is late."""
 
     until = -1.0
-    told: Progress
+    told: MotionProgress
 
-    def update(self) -> Progress:
+    def update(self) -> MotionProgress:
         progress = super().update()
         if self._clock.now() >= self.until or progress.state == "holding":
             self.told = progress
@@ -522,8 +528,8 @@ class Unheard(Simulated):
 @pytest.mark.parametrize(("silence", "late"), [(0.45, True), (0.05, False)])
 def test_late_reports_are_not_called_a_fault_of_the_arm(silence: float, late: bool, tmp_path: Path) -> None:
     rig = Rig(tmp_path, tilting(), device=Unheard, lag=0.0)
-    result = rig.play(At((0.5, lambda: setattr(rig.device, "until", rig.clock.now() + silence))))
-    assert result.outcome is (Outcome.DEVICE_FAULT if late else Outcome.SUCCESS), result.message
+    result = rig.play(At((0.5, lambda: setattr(rig.device, "replies_until", rig.clock.now() + silence))))
+    assert result.outcome is (PlaybackOutcome.DEVICE_FAULT if late else PlaybackOutcome.SUCCESS), result.message
     assert result.message.startswith("the device told no position for 0.4") is late, result.message
     assert ("its reports are late, and the arm" in result.message) is late
 
@@ -533,9 +539,9 @@ def test_a_hold_holds_both_and_both_go_on(tmp_path: Path) -> None:
     rig.player.connect()
     held = []
 
-    def seen(trajectory: Trajectory, progress: Progress) -> None:
+    def seen(trajectory: Trajectory, progress: MotionProgress) -> None:
         moments(trajectory, progress)
-        if rig.player.state is State.HOLD and not held:
+        if rig.player.state is PlayerState.HOLD and not held:
             held.append(progress.time)
             assert still_afterwards(rig)
             wanted = trajectory.at(np.array([progress.time]))[0][0, -2:]
@@ -544,7 +550,7 @@ def test_a_hold_holds_both_and_both_go_on(tmp_path: Path) -> None:
 
     moments = At((0.8, rig.player.pause))
     result = rig.play(seen)
-    assert result.outcome is Outcome.SUCCESS, result.message
+    assert result.outcome is PlaybackOutcome.SUCCESS, result.message
     assert len(held) == 1
     np.testing.assert_allclose(rig.player.tilt(), rig.plan.theta[-1], atol=1e-3)
 
@@ -574,7 +580,7 @@ def test_an_arm_that_fails_stops_the_steppers(stuck: bool, tmp_path: Path) -> No
     rig.arm = rig.player._arm = arm
     rig.player.connect()
     result = rig.play(At((0.8, lambda: setattr(arm, "broken", True))))
-    assert (result.outcome, result.trusted) == (Outcome.DEVICE_FAULT, True)
+    assert (result.outcome, result.trusted) == (PlaybackOutcome.DEVICE_FAULT, True)
     assert "protective stop" in result.message
     assert ("could not be told" in result.message) == stuck
     assert still_afterwards(rig)
@@ -584,9 +590,9 @@ def test_an_aborted_program_with_an_arm_can_be_resumed_in_the_same_session(tmp_p
     rig = Rig(tmp_path, tilting(), lag=0.0)
     rig.player.connect()
     result = rig.play(At((0.8, rig.player.abort)))
-    assert result.outcome is Outcome.CANCELLED
+    assert result.outcome is PlaybackOutcome.CANCELLED
     assert still_afterwards(rig)
-    assert rig.player.state is State.HOMED
+    assert rig.player.state is PlayerState.HOMED
     rig.player.close()
-    again = begin(rig.player, rig.plan, rig.hardware)
-    assert again.outcome is Outcome.SUCCESS, again.message
+    again = play_plan(rig.player, rig.plan, rig.hardware)
+    assert again.outcome is PlaybackOutcome.SUCCESS, again.message

@@ -107,7 +107,7 @@ def test_a_hold_that_has_not_come_to_rest_is_not_resumed(resuming):
     host.ask("G1 X-60 F1500", seconds=0.5)
     host.ask(b"\x82", seconds=0.02)
     assert host.ask(resuming, seconds=0.5) == []
-    assert host.firmware.motion.halted
+    assert host.firmware.motion.is_halted
     assert host.ask(resuming) == ["[MSG:]"]
     assert host.firmware.state == "Run"
 

@@ -12,10 +12,10 @@ import pytest
 from bench import Killed, World, homing_hardware, plan_of, sweep
 
 from ctr_nlp.exceptions import DeviceFault, TrajectoryError
-from ctr_nlp.hardware.devices import Progress
+from ctr_nlp.hardware.devices import MotionProgress
 from ctr_nlp.hardware.motion.lookahead import FollowedPath
 from ctr_nlp.hardware.motion.trajectory import Trajectory
-from ctr_nlp.hardware.playing.results import Outcome
+from ctr_nlp.hardware.playing.results import PlaybackOutcome
 from ctr_nlp.hardware.playing.retract import innermost_first
 
 pytestmark = pytest.mark.usefixtures("prepared_once")
@@ -25,7 +25,7 @@ def stopped(folder: Path, at: float = 1.0, **hardware: Any) -> World:
     """A rig whose motion was aborted so many s after it began."""
     world = World(folder, sweep(20), homing_hardware(approach=0.5, **hardware))
 
-    def seen(trajectory: Trajectory, progress: Progress) -> None:
+    def seen(trajectory: Trajectory, progress: MotionProgress) -> None:
         if trajectory.frames[0] == 1 and progress.time > at:
             world.latest.abort()
 
@@ -43,13 +43,13 @@ def test_the_way_back_is_the_way_there(at: float, tmp_path: Path) -> None:
     )
     speeds = []
 
-    def seen(played: Trajectory, progress: Progress) -> None:
+    def seen(played: Trajectory, progress: MotionProgress) -> None:
         speeds.append(abs(played.at(np.linspace(0, played.duration, 50))[1]) / played.robot.speed)
         if len(played.frames) > 2:
             places.append(path.nearest(progress.position, 0, len(trajectory.commands().time)).away)
 
     result = world.retract(seen=seen)
-    assert result.outcome is Outcome.SUCCESS, result.message
+    assert result.outcome is PlaybackOutcome.SUCCESS, result.message
     np.testing.assert_allclose(world.firmware.position, start, atol=5e-3)
     assert max(places) < 0.1
     assert np.max(speeds) <= 1 + 1e-6
@@ -58,23 +58,23 @@ def test_the_way_back_is_the_way_there(at: float, tmp_path: Path) -> None:
 
 def test_what_was_retracted_is_not_resumed(tmp_path: Path) -> None:
     world = stopped(tmp_path)
-    assert world.retract().outcome is Outcome.SUCCESS
+    assert world.retract().outcome is PlaybackOutcome.SUCCESS
     with pytest.raises(TrajectoryError, match="have been retracted since that session: begin anew"):
         world.resume()
-    assert world.begin().outcome is Outcome.SUCCESS
+    assert world.begin().outcome is PlaybackOutcome.SUCCESS
 
 
 def test_a_retraction_that_was_stopped_is_gone_on_with(tmp_path: Path) -> None:
     world = stopped(tmp_path, 1.4)
     start = World(tmp_path).firmware.position
 
-    def seen(trajectory: Trajectory, progress: Progress) -> None:
+    def seen(trajectory: Trajectory, progress: MotionProgress) -> None:
         if progress.time > 0.5 * trajectory.duration:
             world.latest.abort()
 
     for _ in range(3):
-        assert world.retract(seen=seen).outcome is Outcome.CANCELLED
-    assert world.retract().outcome is Outcome.SUCCESS
+        assert world.retract(seen=seen).outcome is PlaybackOutcome.CANCELLED
+    assert world.retract().outcome is PlaybackOutcome.SUCCESS
     np.testing.assert_allclose(world.firmware.position, start, atol=5e-3)
 
 
@@ -91,7 +91,7 @@ def test_tubes_that_do_not_stand_on_their_way_are_not_pulled(tmp_path: Path) -> 
 def test_a_controller_that_a_dead_player_left_in_motion_is_stopped_first(tmp_path: Path) -> None:
     world = World(tmp_path, sweep(20), state=tmp_path / "state")
 
-    def die(trajectory: Trajectory, progress: Progress) -> None:
+    def die(trajectory: Trajectory, progress: MotionProgress) -> None:
         if trajectory.frames[0] == 1 and progress.time > 0.8:
             world.links[-1].dead = True
             raise Killed
@@ -99,14 +99,14 @@ def test_a_controller_that_a_dead_player_left_in_motion_is_stopped_first(tmp_pat
     with pytest.raises(Killed):
         world.begin(seen=die, verified=True)
     world.latest.close()
-    assert world.retract().outcome is Outcome.SUCCESS
+    assert world.retract().outcome is PlaybackOutcome.SUCCESS
     assert (world.firmware.position[:3] > -1.1).all()
 
 
 def test_a_position_that_is_not_to_be_trusted_needs_a_person(tmp_path: Path) -> None:
     world = World(tmp_path, sweep(20), state=tmp_path / "state")
 
-    def reset(trajectory: Trajectory, progress: Progress) -> None:
+    def reset(trajectory: Trajectory, progress: MotionProgress) -> None:
         if trajectory.frames[0] == 1 and progress.time > 0.8:
             world.firmware.receive(b"\x18")
 
@@ -118,19 +118,19 @@ def test_a_position_that_is_not_to_be_trusted_needs_a_person(tmp_path: Path) -> 
     with pytest.raises(DeviceFault, match="not to be trusted"):
         world.retract(known=False)
     world.latest.close()
-    assert world.retract(verified=True).outcome is Outcome.SUCCESS
+    assert world.retract(verified=True).outcome is PlaybackOutcome.SUCCESS
 
 
 def test_without_a_journal_the_innermost_tube_comes_first(tmp_path: Path) -> None:
     world = stopped(tmp_path)
     places = []
 
-    def seen(trajectory: Trajectory, progress: Progress) -> None:
+    def seen(trajectory: Trajectory, progress: MotionProgress) -> None:
         places.append(-progress.position[:3])
 
     before = world.firmware.position.copy()
     result = world.retract(known=False, seen=seen)
-    assert result.outcome is Outcome.SUCCESS
+    assert result.outcome is PlaybackOutcome.SUCCESS
     beta = np.array(places)
     assert (np.diff(beta, axis=0) < 2e-3).all()
     assert (np.diff(beta, axis=1) > -5e-3).all()

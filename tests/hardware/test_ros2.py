@@ -18,29 +18,29 @@ import pytest
 from ctr_nlp import Plan, Problem, Tolerances, curve_from_formula, growing, table_i_robot
 from ctr_nlp.exceptions import DeviceFault, HardwareError
 from ctr_nlp.hardware.clock import RealClock
-from ctr_nlp.hardware.description import Connection, bench
+from ctr_nlp.hardware.description import Connection, simulated_hardware
 from ctr_nlp.hardware.devices.ros2.device import Ros2
-from ctr_nlp.hardware.devices.ros2.joints import SILENCE
+from ctr_nlp.hardware.devices.ros2.joints import MAX_JOINT_STATE_SILENCE_S
 from ctr_nlp.hardware.devices.ros2.messages import (
     LOOPBACK,
     Points,
-    address_of,
     configuration,
+    parse_controller_url,
     participant,
     trajectory_message,
     types,
 )
-from ctr_nlp.hardware.devices.ros2.track import Track
+from ctr_nlp.hardware.devices.ros2.track import ControllerTrack
 from ctr_nlp.hardware.guiding.loop import ClosedLoop
-from ctr_nlp.hardware.guiding.replay import replayed
+from ctr_nlp.hardware.guiding.replay import replay_session
 from ctr_nlp.hardware.journal import Journal, read_journal
 from ctr_nlp.hardware.motion.trajectory import trajectory_of
 from ctr_nlp.hardware.playing.player import Player
-from ctr_nlp.hardware.playing.results import Outcome, State
-from ctr_nlp.hardware.playing.session import begin, resume
+from ctr_nlp.hardware.playing.results import PlaybackOutcome, PlayerState
+from ctr_nlp.hardware.playing.session import play_plan, resume
 from ctr_nlp.hardware.sensing.simulated import SimulatedRobot
 from ctr_nlp.loops.sensors import Sensors
-from ctr_nlp.loops.sensors.points import TipPosition
+from ctr_nlp.loops.sensors.points import TipPositionSensor
 from ctr_nlp.loops.tracker import Tracker
 from ctr_nlp.plan.plan import plan_from_configurations
 
@@ -71,7 +71,7 @@ def plan() -> Plan:
 
 def rig(plan, url):
     """A bench whose second slide counts the other way from elsewhere, and whose first turn counts in rad."""
-    made = bench(plan.robot)
+    made = simulated_hardware(plan.robot)
     axes = list(made.axes)
     axes[1] = replace(axes[1], sign=-1, zero=150.0, range=(0.0, 150.0))
     axes[3] = replace(axes[3], unit="rad", range=(-20.0, 20.0), speed=10.0, acceleration=35.0, tolerance=0.01)
@@ -104,7 +104,7 @@ class Controller(threading.Thread):
         self.track: list[tuple[float, np.ndarray]] = []
         self.arrivals: list[tuple[float, object]] = []
         self._plays, self._stop_wish = None, threading.Event()
-        address = address_of(url)
+        address = parse_controller_url(url)
         self._own, self._domain = participant(address)
         quality = Qos(
             Policy.Reliability.Reliable(10**8),
@@ -229,8 +229,8 @@ def once(condition, *wishes):
 
 def test_a_plan_is_played_to_its_last_frame(stage, plan):
     controller, player, hardware = stage
-    result = begin(player, plan, hardware)
-    assert result.outcome is Outcome.SUCCESS, result.message
+    result = play_plan(player, plan, hardware)
+    assert result.outcome is PlaybackOutcome.SUCCESS, result.message
     assert at_end(plan, hardware, controller) < 0.01
     assert not controller.refused
     assert len(controller.arrivals) == 1
@@ -248,7 +248,7 @@ def test_a_plan_is_played_to_its_last_frame(stage, plan):
 def test_a_plan_is_corrected_while_it_is_played(stage, plan):
     """Every correction replaces what the controller plays, from where it is then and without a jump."""
     controller, player, hardware = stage
-    sensors, moments, path = Sensors(TipPosition(0.5)), [], []
+    sensors, moments, path = Sensors(TipPositionSensor(0.5)), [], []
     off = replace(plan.robot, tolerances=Tolerances(0.1, 0.1, motor_zero=0.1))
     led = replace(plan, meta={**plan.meta, "robot": off.to_dict()})
     loop = ClosedLoop(Tracker(led, sensors), SimulatedRobot(led, sensors, 5), lambda note: None)
@@ -258,7 +258,7 @@ def test_a_plan_is_corrected_while_it_is_played(stage, plan):
 
     def due(progress, k):
         if k:
-            return player.state is State.HOLD and time.monotonic() > moments[0] + 0.6
+            return player.state is PlayerState.HOLD and time.monotonic() > moments[0] + 0.6
         return progress.time > 0.5
 
     def seen(trajectory, progress):
@@ -266,25 +266,25 @@ def test_a_plan_is_corrected_while_it_is_played(stage, plan):
         paused(trajectory, progress)
 
     paused = once(due, wish("pause"), wish("resume"))
-    result = begin(player, led, hardware, seen=seen, loop=loop)
-    assert result.outcome is Outcome.SUCCESS, result.message
+    result = play_plan(player, led, hardware, callback=seen, loop=loop)
+    assert result.outcome is PlaybackOutcome.SUCCESS, result.message
     assert not controller.refused
     assert len(controller.arrivals) > 4
     goal = path[-1].positions(path[-1].duration)
     assert (abs(result.position - goal) <= player.device.resolution).all()
     assert abs(goal - hardware.positions(plan.robot, plan.q[-1])).max() > 0.01
-    speed, limits = controller.steps[1], hardware.tightened(plan.robot).speed
+    speed, limits = controller.steps[1], hardware.apply_limits(plan.robot).speed
     columns = [plan.robot.axes.index(name) for name in controller.names]
     assert (abs(speed).max(axis=0) < 1.05 * limits[columns] * np.where(np.array(columns) < 3, 1.0, 1e-3)).all()
-    again = replayed(led, hardware, read_journal(player.journal.path), Tracker(led, sensors))
+    again = replay_session(led, hardware, read_journal(player.journal.path), Tracker(led, sensors))
     assert (again.differs, again.corrections > 3) == ("", True)
 
 
 def test_it_goes_to_the_first_frame_from_elsewhere(stage, plan):
     controller, player, hardware = stage
     controller.position[controller.names.index("beta_3")] += 0.002
-    result = begin(player, plan, hardware)
-    assert result.outcome is Outcome.SUCCESS, result.message
+    result = play_plan(player, plan, hardware)
+    assert result.outcome is PlaybackOutcome.SUCCESS, result.message
     assert len(controller.arrivals) == 2
     assert at_end(plan, hardware, controller) < 0.01
 
@@ -298,11 +298,11 @@ def test_a_pause_comes_to_rest_on_the_path_and_goes_on_gently(stage, plan):
 
     def due(progress, k):
         if k:
-            return player.state is State.HOLD and time.monotonic() > moments[0] + 0.6
+            return player.state is PlayerState.HOLD and time.monotonic() > moments[0] + 0.6
         return progress.time > 0.5
 
-    result = begin(player, plan, hardware, seen=once(due, wish("pause"), wish("resume")))
-    assert result.outcome is Outcome.SUCCESS, result.message
+    result = play_plan(player, plan, hardware, callback=once(due, wish("pause"), wish("resume")))
+    assert result.outcome is PlaybackOutcome.SUCCESS, result.message
     assert at_end(plan, hardware, controller) < 0.01
     assert not controller.refused
     assert 0.05 < controller.rest_after(moments[0]) < 0.35
@@ -325,8 +325,8 @@ def test_an_abort_stops_and_tells_where(stage, plan):
     controller, player, hardware = stage
     moments = []
     seen = once(lambda p, k: p.time > 0.5, lambda: (moments.append(time.monotonic()), player.abort()))
-    result = begin(player, plan, hardware, seen=seen)
-    assert result.outcome is Outcome.CANCELLED
+    result = play_plan(player, plan, hardware, callback=seen)
+    assert result.outcome is PlaybackOutcome.CANCELLED
     assert result.trusted
     assert controller.rest_after(moments[0]) < 0.35
     ended = controller.position.copy()
@@ -337,7 +337,7 @@ def test_an_abort_stops_and_tells_where(stage, plan):
     assert (controller.position == ended).all()
     player.close()
     again = resume(player, plan, hardware, read_journal(player.journal.path))
-    assert again.outcome is Outcome.SUCCESS, again.message
+    assert again.outcome is PlaybackOutcome.SUCCESS, again.message
     assert at_end(plan, hardware, controller) < 0.01
 
 
@@ -349,7 +349,7 @@ def spoil(name, value=True):
 @pytest.mark.parametrize(
     ("fault", "says"),
     [
-        (spoil("silent"), rf"no fresh joint states have come for {SILENCE}"),
+        (spoil("silent"), rf"no fresh joint states have come for {MAX_JOINT_STATE_SILENCE_S}"),
         (spoil("frozen"), r"no fresh joint states"),
         (spoil("nan", "beta_2"), r"beta_2 is not a number"),
         (spoil("short"), r"7 names, 6 positions"),
@@ -361,8 +361,8 @@ def spoil(name, value=True):
 )
 def test_what_goes_wrong_on_the_way_ends_in_a_fault(stage, plan, fault, says):
     controller, player, hardware = stage
-    result = begin(player, plan, hardware, seen=once(lambda p, k: p.time > 0.3, lambda: fault(controller)))
-    wanted = Outcome.PATH_TOLERANCE_VIOLATED if "tolerances" in says else Outcome.DEVICE_FAULT
+    result = play_plan(player, plan, hardware, callback=once(lambda p, k: p.time > 0.3, lambda: fault(controller)))
+    wanted = PlaybackOutcome.PATH_TOLERANCE_VIOLATED if "tolerances" in says else PlaybackOutcome.DEVICE_FAULT
     assert result.outcome is wanted, result.message
     assert re.search(says, result.message)
     assert result.frame < FRAMES
@@ -374,15 +374,17 @@ def test_what_goes_wrong_on_the_way_ends_in_a_fault(stage, plan, fault, says):
 def test_a_controller_that_does_not_follow_is_a_fault(stage, plan):
     controller, player, hardware = stage
     controller.deaf = True
-    result = begin(player, plan, hardware)
-    assert result.outcome is Outcome.DEVICE_FAULT
+    result = play_plan(player, plan, hardware)
+    assert result.outcome is PlaybackOutcome.DEVICE_FAULT
     assert re.search(r"does not follow: it is 0\.\d+ s behind", result.message)
 
 
 def test_a_controller_that_vanishes_is_a_fault(stage, plan):
     controller, player, hardware = stage
-    result = begin(player, plan, hardware, seen=once(lambda p, k: p.time > 0.3, lambda: spoil("gone")(controller)))
-    assert result.outcome is Outcome.DEVICE_FAULT
+    result = play_plan(
+        player, plan, hardware, callback=once(lambda p, k: p.time > 0.3, lambda: spoil("gone")(controller))
+    )
+    assert result.outcome is PlaybackOutcome.DEVICE_FAULT
     assert re.search("the controller is gone", result.message)
 
 
@@ -437,7 +439,7 @@ def test_a_controller_in_another_process_is_found_on_loopback_alone(plan, tmp_pa
         groups = Path("/proc/net/igmp")
         before = groups.read_text() if groups.exists() else ""
         try:
-            result = begin(player, plan, hardware)
+            result = play_plan(player, plan, hardware)
             if before:
                 assert groups.read_text().count("0100FFEF") == before.count("0100FFEF"), "239.255.0.1 was joined"
                 assert set(own_sockets()) == {LOOPBACK, "0.0.0.0"}
@@ -445,7 +447,7 @@ def test_a_controller_in_another_process_is_found_on_loopback_alone(plan, tmp_pa
             player.device.close()
             journal.close()
             process.communicate(timeout=10)
-    assert result.outcome is Outcome.SUCCESS, result.message
+    assert result.outcome is PlaybackOutcome.SUCCESS, result.message
 
 
 def serve(url, joints):
@@ -471,7 +473,7 @@ def test_types_and_topics_are_those_of_ros(plan, stage):
 
     _, player, hardware = stage
     player.connect()
-    own, _domain = participant(address_of(hardware.connection.url))
+    own, _domain = participant(parse_controller_url(hardware.connection.url))
     found = set()
     for kind in (BuiltinTopicDcpsPublication, BuiltinTopicDcpsSubscription):
         found |= {(e.topic_name, e.type_name) for e in BuiltinDataReader(own, kind).read(100)}
@@ -533,7 +535,7 @@ def trajectory(plan):
 
 @pytest.fixture
 def track(trajectory):
-    return Track(trajectory.positions(np.zeros(1))[0], trajectory.commands())
+    return ControllerTrack(trajectory.positions(np.zeros(1))[0], trajectory.commands())
 
 
 class TestTrack:
@@ -575,8 +577,8 @@ class TestTrack:
     ],
 )
 def test_addresses(url, means):
-    assert address_of(url) == means
-    assert address_of(url).states == ("robot_1/joint_states" if "robot_1" in url else "joint_states")
+    assert parse_controller_url(url) == means
+    assert parse_controller_url(url).states == ("robot_1/joint_states" if "robot_1" in url else "joint_states")
 
 
 @pytest.mark.parametrize("url", ["1ctr", "ctr@", "ctr?domain=233", "ctr host", "socket://x:1", "ctr?domain=-1"])

@@ -20,22 +20,22 @@ from ctr_nlp.exceptions import DeviceFault
 from ctr_nlp.hardware.axis import Axis
 from ctr_nlp.hardware.clock import RealClock
 from ctr_nlp.hardware.description import Connection, Hardware
-from ctr_nlp.hardware.devices import Progress
+from ctr_nlp.hardware.devices import MotionProgress
 from ctr_nlp.hardware.devices.grbl.device import Grbl
 from ctr_nlp.hardware.devices.grbl.talk import Talk
 from ctr_nlp.hardware.emulator import Firmware, serving
-from ctr_nlp.hardware.guiding.loop import ClosedLoop, begun_with, known_of
-from ctr_nlp.hardware.guiding.replay import replayed
+from ctr_nlp.hardware.guiding.loop import ClosedLoop, final_estimate, initial_estimate
+from ctr_nlp.hardware.guiding.replay import replay_session
 from ctr_nlp.hardware.journal import Journal, read_journal
 from ctr_nlp.hardware.link import RecordedLink, SerialLink
 from ctr_nlp.hardware.motion.trajectory import Trajectory
 from ctr_nlp.hardware.playing.player import Player
 from ctr_nlp.hardware.playing.record import Recorder
-from ctr_nlp.hardware.playing.results import Outcome, State
-from ctr_nlp.hardware.playing.session import begin, resume
+from ctr_nlp.hardware.playing.results import PlaybackOutcome, PlayerState
+from ctr_nlp.hardware.playing.session import play_plan, resume
 from ctr_nlp.hardware.sensing.simulated import SimulatedRobot
 from ctr_nlp.loops.sensors import Sensors
-from ctr_nlp.loops.sensors.points import TipPosition
+from ctr_nlp.loops.sensors.points import TipPositionSensor
 from ctr_nlp.loops.tracker import Note, Tracker
 from ctr_nlp.plan.plan import Plan
 from ctr_nlp.typing import Array
@@ -111,11 +111,11 @@ def plan() -> Plan:
     return sweep(15, 0.1)
 
 
-def at_frame(frame: int, action: Callable[[], None]) -> Callable[[Trajectory, Progress], None]:
+def at_frame(frame: int, action: Callable[[], None]) -> Callable[[Trajectory, MotionProgress], None]:
     """Do something once when a frame of the plan has been passed."""
     done = []
 
-    def seen(trajectory: Trajectory, progress: Progress) -> None:
+    def seen(trajectory: Trajectory, progress: MotionProgress) -> None:
         if not done and len(trajectory.frames) > 2 and progress.time >= trajectory.frame_time[frame - 1]:
             done.append(True)
             action()
@@ -125,9 +125,9 @@ def at_frame(frame: int, action: Callable[[], None]) -> Callable[[Trajectory, Pr
 
 def test_a_plan_is_played_to_its_last_step(rig: Rig, plan: Plan) -> None:
     player = rig.player()
-    result = begin(player, plan, rig.hardware)
+    result = play_plan(player, plan, rig.hardware)
     rig.let_go(player)
-    assert result.outcome is Outcome.SUCCESS
+    assert result.outcome is PlaybackOutcome.SUCCESS
     goal = rig.hardware.positions(plan.robot, plan.q[-1])
     assert (abs(result.position - goal) <= 1.0 / rig.steps + 1e-3).all()
     passed = [record["frame"] for record in read_journal(rig.path) if record["kind"] == "frame"]
@@ -138,9 +138,9 @@ def test_a_plan_is_played_to_its_last_step(rig: Rig, plan: Plan) -> None:
 def paced(rig: Rig, plan: Plan) -> tuple[float, int]:
     """Play a plan: the seconds that it took, and how often the controller ran out of lines."""
     player, recorder = rig.player(), Recorder()
-    result = begin(player, plan, rig.hardware, seen=recorder)
+    result = play_plan(player, plan, rig.hardware, callback=recorder)
     rig.let_go(player)
-    assert result.outcome is Outcome.SUCCESS, result.message
+    assert result.outcome is PlaybackOutcome.SUCCESS, result.message
     tracking = recorder.tracking()
     assert tracking is not None
     took, underruns = tracking.time[-1] + tracking.late[-1], player.device.stream.underruns
@@ -172,7 +172,7 @@ def test_a_hold_keeps_the_position_and_the_rest_is_played(rig: Rig, plan: Plan) 
     player = rig.player()
     held: list[np.ndarray] = []
 
-    def seen(trajectory: Trajectory, progress: Progress) -> None:
+    def seen(trajectory: Trajectory, progress: MotionProgress) -> None:
         pause(trajectory, progress)
         if progress.state == "held":
             held.append(progress.position)
@@ -180,25 +180,25 @@ def test_a_hold_keeps_the_position_and_the_rest_is_played(rig: Rig, plan: Plan) 
                 player.resume()
 
     pause = at_frame(5, player.pause)
-    result = begin(player, plan, rig.hardware, seen=seen)
+    result = play_plan(player, plan, rig.hardware, callback=seen)
     rig.let_go(player)
-    assert result.outcome is Outcome.SUCCESS
+    assert result.outcome is PlaybackOutcome.SUCCESS
     assert len(held) >= 40
     np.testing.assert_allclose(held[-1], held[0])
 
 
 def test_what_was_aborted_is_resumed_where_it_stood(rig: Rig, plan: Plan) -> None:
     player = rig.player()
-    result = begin(player, plan, rig.hardware, seen=at_frame(6, player.abort))
+    result = play_plan(player, plan, rig.hardware, callback=at_frame(6, player.abort))
     rig.let_go(player)
-    assert result.outcome is Outcome.CANCELLED
+    assert result.outcome is PlaybackOutcome.CANCELLED
     assert result.trusted
-    assert player.state is State.DISCONNECTED
+    assert player.state is PlayerState.DISCONNECTED
     records = read_journal(rig.path)
     player = rig.player()
     again = resume(player, plan, rig.hardware, records)
     rig.let_go(player)
-    assert again.outcome is Outcome.SUCCESS
+    assert again.outcome is PlaybackOutcome.SUCCESS
     first = next(r for r in read_journal(rig.path) if r["kind"] == "frame")["frame"]
     passed = rig.hardware.positions(plan.robot, plan.q)[:, 0] <= result.position[0] + 1.0 / rig.steps[0]
     assert first == 1 + passed.sum() > result.frame
@@ -213,30 +213,30 @@ def led() -> Plan:
 
 
 def test_a_closed_loop_is_stopped_and_gone_on_with_and_gives_the_same_commands_again(rig: Rig, led: Plan) -> None:
-    sensors, notes = Sensors(TipPosition(0.5)), list[Note]()
+    sensors, notes = Sensors(TipPositionSensor(0.5)), list[Note]()
 
     def loop(known: Known) -> ClosedLoop:
-        return ClosedLoop(Tracker(led, sensors, known=known), SimulatedRobot(led, sensors, 5), notes.append)
+        return ClosedLoop(Tracker(led, sensors, prior=known), SimulatedRobot(led, sensors, 5), notes.append)
 
     def check() -> None:
         records = read_journal(rig.path)
-        again = replayed(led, rig.hardware, records, Tracker(led, sensors, known=begun_with(records)))
+        again = replay_session(led, rig.hardware, records, Tracker(led, sensors, prior=initial_estimate(records)))
         assert again.differs == ""
         assert again.corrections > 1
         assert again.commands > 20
 
     first = loop(None)
     player = rig.player()
-    result = begin(player, led, rig.hardware, seen=at_frame(12, player.abort), loop=first)
+    result = play_plan(player, led, rig.hardware, callback=at_frame(12, player.abort), loop=first)
     rig.let_go(player)
-    assert (result.outcome, result.trusted) == (Outcome.CANCELLED, True), result.message
+    assert (result.outcome, result.trusted) == (PlaybackOutcome.CANCELLED, True), result.message
     check()
     records = read_journal(rig.path)
-    second = loop(known_of(records))
+    second = loop(final_estimate(records))
     player = rig.player()
     again = resume(player, led, rig.hardware, records, loop=second)
     rig.let_go(player)
-    assert (again.outcome, again.frame) == (Outcome.SUCCESS, 30), again.message
+    assert (again.outcome, again.frame) == (PlaybackOutcome.SUCCESS, 30), again.message
     check()
     assert notes == []
     assert abs(again.position - rig.hardware.positions(led.robot, led.q[-1])).max() > 0.05
@@ -254,7 +254,7 @@ def test_a_controller_that_moves_is_left_alone_but_stopped_to_resume(rig: Rig, p
     player = rig.player()
     player.device.abort = lambda: (_ for _ in ()).throw(DeviceFault("the process is gone"))  # type: ignore[method-assign]
     with pytest.raises(Gone):
-        begin(player, plan, rig.hardware, seen=at_frame(8, gone))
+        play_plan(player, plan, rig.hardware, callback=at_frame(8, gone))
     rig.let_go(player)
     records = [r for r in read_journal(rig.path) if r["kind"] != "result"]
     rig.clock.sleep(1.0)
@@ -270,7 +270,7 @@ def test_a_controller_that_moves_is_left_alone_but_stopped_to_resume(rig: Rig, p
     player = rig.player()
     result = resume(player, plan, rig.hardware, records)
     rig.let_go(player)
-    assert result.outcome is Outcome.SUCCESS, result.message
+    assert result.outcome is PlaybackOutcome.SUCCESS, result.message
 
 
 def test_an_error_latch_is_cleared_by_the_next_session(rig: Rig, plan: Plan) -> None:
@@ -281,5 +281,5 @@ def test_an_error_latch_is_cleared_by_the_next_session(rig: Rig, plan: Plan) -> 
         talk.ask("G999")
     link.close()
     player = rig.player()
-    assert begin(player, plan, rig.hardware).outcome is Outcome.SUCCESS
+    assert play_plan(player, plan, rig.hardware).outcome is PlaybackOutcome.SUCCESS
     rig.let_go(player)

@@ -19,9 +19,9 @@ from scipy.spatial.transform import Rotation
 
 from ctr_nlp.exceptions import DeviceFault, HardwareError
 from ctr_nlp.hardware.description import Hardware
-from ctr_nlp.hardware.sensing.description import Sensing, address_of
+from ctr_nlp.hardware.sensing.description import Sensing, parse_sensor_url
 from ctr_nlp.hardware.sensing.igtl import Igtl
-from ctr_nlp.hardware.sensing.lines import Lines, message_of
+from ctr_nlp.hardware.sensing.lines import JsonLineSource, message_of
 from ctr_nlp.hardware.sensing.source import OLDEST, Message, Remote
 from ctr_nlp.loops.sensors import Reading
 
@@ -42,7 +42,7 @@ class Sent(Remote):
     def close(self) -> None:
         """Nothing."""
 
-    def _come(self) -> list[Message]:
+    def _receive_messages(self) -> list[Message]:
         come, self.waiting = self.waiting, []
         return come
 
@@ -64,7 +64,7 @@ class Sent(Remote):
     ],
 )
 def test_urls(url: str, meant: tuple[Any, ...]) -> None:
-    assert tuple(address_of(url)) == meant
+    assert tuple(parse_sensor_url(url)) == meant
 
 
 @pytest.mark.parametrize(
@@ -124,9 +124,11 @@ def test_values_are_placed_in_the_robot_s_frame() -> None:
     turned, moved = Rotation.from_euler("xyz", [10, -20, 30], degrees=True), np.array([1.0, 2.0, 3.0])
     frame = {"translation": moved.tolist(), "rotation_deg": (10, -20, 30)}
     point, direction = np.array([4.0, -5.0, 60.0]), np.array([0.6, 0.0, 0.8])
-    pose = Sensing(measures="pose", **frame).placed(np.concatenate([point, direction]))
+    pose = Sensing(measures="pose", **frame).to_base_frame(np.concatenate([point, direction]))
     assert pose == pytest.approx(np.concatenate([turned.apply(point) + moved, turned.apply(direction)]))
-    both = Sensing(measures="points", places=(0.5, 1.0), **frame).placed(np.concatenate([point, [np.nan] * 3]))
+    both = Sensing(measures="points", places=(0.5, 1.0), **frame).to_base_frame(
+        np.concatenate([point, [np.nan] * 3])
+    )
     assert both[:3] == pytest.approx(turned.apply(point) + moved)
     assert np.isnan(both[3:]).all()
 
@@ -150,7 +152,7 @@ LINUX = pytest.mark.skipif(sys.platform != "linux", reason="only Linux tells whe
 def test_packets_without_a_time_are_of_when_they_came_and_not_of_when_they_are_looked_at() -> None:
     port, sent = free_port(socket.SOCK_DGRAM), list[float]()
     with (
-        listening(Lines(Sensing(f"udp://127.0.0.1:{port}"))) as source,
+        listening(JsonLineSource(Sensing(f"udp://127.0.0.1:{port}"))) as source,
         closing(socket.socket(socket.AF_INET, socket.SOCK_DGRAM)) as sender,
     ):
         for pause in (0.2, 0.1):
@@ -165,7 +167,7 @@ def test_packets_without_a_time_are_of_when_they_came_and_not_of_when_they_are_l
 def test_so_is_a_line_of_a_stream() -> None:
     with (
         closing(socket.create_server(("127.0.0.1", 0))) as server,
-        listening(Lines(Sensing(f"tcp://127.0.0.1:{server.getsockname()[1]}"))) as source,
+        listening(JsonLineSource(Sensing(f"tcp://127.0.0.1:{server.getsockname()[1]}"))) as source,
         closing(server.accept()[0]) as sender,
     ):
         sent = time.monotonic()
@@ -252,7 +254,7 @@ def listening(source: Remote) -> Iterator[Remote]:
 def test_packets_over_udp(end: bytes) -> None:
     port = free_port(socket.SOCK_DGRAM)
     with (
-        listening(Lines(Sensing(f"udp://127.0.0.1:{port}"))) as source,
+        listening(JsonLineSource(Sensing(f"udp://127.0.0.1:{port}"))) as source,
         closing(socket.socket(socket.AF_INET, socket.SOCK_DGRAM)) as sender,
     ):
         assert source.take(NOWHERE, 0.0) == []
@@ -266,7 +268,7 @@ def test_packets_over_udp(end: bytes) -> None:
 def test_lines_over_tcp_in_any_pieces_until_the_server_leaves() -> None:
     with closing(socket.create_server(("127.0.0.1", 0))) as server:
         port = server.getsockname()[1]
-        with listening(Lines(Sensing(f"tcp://127.0.0.1:{port}"))) as source:
+        with listening(JsonLineSource(Sensing(f"tcp://127.0.0.1:{port}"))) as source:
             sender, _ = server.accept()
             whole = line(1) + b"\n" + line(2) + b"\n"
             sender.sendall(whole[:20])
@@ -286,7 +288,7 @@ def test_where_nothing_can_be_listened_to_it_is_one_clear_error(kind: str) -> No
     port = free_port(socket.SOCK_STREAM)
     host = "127.0.0.1" if kind == "tcp" else "192.0.2.1"
     with pytest.raises(DeviceFault, match=rf"the sensor at {kind}://{host}:{port} cannot be listened to"):
-        Lines(Sensing(f"{kind}://{host}:{port}")).open()
+        JsonLineSource(Sensing(f"{kind}://{host}:{port}")).open()
 
 
 class Told:
@@ -352,7 +354,7 @@ def test_poses_of_a_ros_topic(measures: str) -> None:
     from cyclonedds.pub import DataWriter
     from cyclonedds.topic import Topic as DdsTopic
 
-    from ctr_nlp.hardware.devices.ros2.messages import address_of as ros_address
+    from ctr_nlp.hardware.devices.ros2.messages import parse_controller_url as ros_address
     from ctr_nlp.hardware.devices.ros2.messages import participant, quality, types
     from ctr_nlp.hardware.sensing.ros2 import Topic, geometry
 

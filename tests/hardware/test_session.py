@@ -14,12 +14,12 @@ import pytest
 from bench import Killed, World, homing_hardware, plan_of, sweep
 
 from ctr_nlp.exceptions import DeviceFault, TrajectoryError
-from ctr_nlp.hardware.devices import Progress
+from ctr_nlp.hardware.devices import MotionProgress
 from ctr_nlp.hardware.emulator.firmware import Firmware
 from ctr_nlp.hardware.journal import read_journal
 from ctr_nlp.hardware.motion.trajectory import Trajectory
-from ctr_nlp.hardware.playing.results import Outcome, Result, State
-from ctr_nlp.hardware.playing.session import begin, prepared, resume
+from ctr_nlp.hardware.playing.results import PlaybackOutcome, PlayerState, Result
+from ctr_nlp.hardware.playing.session import play_plan, prepare_trajectory, resume
 from ctr_nlp.plan.plan import Plan
 
 pytestmark = pytest.mark.usefixtures("prepared_once")
@@ -33,11 +33,11 @@ def rig(folder: Path, plan: Plan = SHORT, **hardware: Any) -> World:
     return World(folder, plan, homing_hardware(**hardware))
 
 
-def until(world: World, seconds: float, action: Callable[[], Any]) -> Callable[[Trajectory, Progress], None]:
+def until(world: World, seconds: float, action: Callable[[], Any]) -> Callable[[Trajectory, MotionProgress], None]:
     """A callback that acts once, so many s after now."""
     end, left = world.clock.now() + seconds, [action]
 
-    def seen(trajectory: Trajectory, progress: Progress) -> None:
+    def seen(trajectory: Trajectory, progress: MotionProgress) -> None:
         if left and world.clock.now() >= end:
             left.pop()()
 
@@ -62,11 +62,11 @@ def motion_start(world: World) -> float:
     trial.path.parent.mkdir()
     start = trial.clock.now()
 
-    def seen(trajectory: Trajectory, progress: Progress) -> None:
+    def seen(trajectory: Trajectory, progress: MotionProgress) -> None:
         if trajectory.frames[0] == 1 and not found:
             found.append(trial.clock.now() - start)
 
-    assert trial.begin(seen=seen).outcome is Outcome.SUCCESS
+    assert trial.begin(seen=seen).outcome is PlaybackOutcome.SUCCESS
     return found[0]
 
 
@@ -76,7 +76,7 @@ def finish(world: World) -> None:
         refused(world, "nothing is left")
         return
     result = world.resume()
-    assert result.outcome is Outcome.SUCCESS, result.message
+    assert result.outcome is PlaybackOutcome.SUCCESS, result.message
     assert world.frames_played() == ALL
     assert world.within_limits()
 
@@ -91,15 +91,15 @@ def test_the_first_frame_is_gone_to_slowly_and_straight(part: float, tmp_path: P
     start = world.firmware.position
     places = []
 
-    def seen(played: Trajectory, progress: Progress) -> None:
+    def seen(played: Trajectory, progress: MotionProgress) -> None:
         if played.frames[0] == 0:
             approach.append(played)
             places.append(progress.position)
 
-    assert world.begin(seen=seen).outcome is Outcome.SUCCESS
+    assert world.begin(seen=seen).outcome is PlaybackOutcome.SUCCESS
     motion = approach[0]
     fastest = abs(motion.at(np.linspace(0, motion.duration, 500))[1]).max(axis=0)
-    limits = world.hardware.tightened(world.plan.robot).speed * part
+    limits = world.hardware.apply_limits(world.plan.robot).speed * part
     assert (fastest <= limits * (1 + 1e-6)).all()
     assert (fastest / limits).max() > 0.5
     end = trajectory.positions(np.zeros(1))[0]
@@ -116,7 +116,10 @@ def test_nothing_is_gone_to_where_the_robot_is_there_already(tmp_path: Path) -> 
     world = rig(tmp_path, plan_of(q, 0.2), axes=tuple(axes))
     played = set()
     np.testing.assert_allclose(world.trajectory().positions(np.zeros(1))[0][:3], HOMED[:3], atol=1e-3)
-    assert world.begin(seen=lambda trajectory, _: played.add(int(trajectory.frames[0]))).outcome is Outcome.SUCCESS
+    assert (
+        world.begin(seen=lambda trajectory, _: played.add(int(trajectory.frames[0]))).outcome
+        is PlaybackOutcome.SUCCESS
+    )
     assert played == {1}
 
 
@@ -124,10 +127,10 @@ def test_a_device_that_does_not_know_where_it_stands_is_homed_or_refused(tmp_pat
     world = World(tmp_path, SHORT, firmware=Firmware({20: 1, 22: 1}))
     with pytest.raises(DeviceFault, match="let it home first"):
         world.begin()
-    assert world.firmware.executed == []
-    assert world.latest.state is State.IDLE
+    assert world.firmware.executed_blocks == []
+    assert world.latest.state is PlayerState.IDLE
     player = world.player()
-    assert begin(player, world.plan, world.hardware, home=True).outcome is Outcome.SUCCESS
+    assert play_plan(player, world.plan, world.hardware, home=True).outcome is PlaybackOutcome.SUCCESS
     assert world.frames_played() == ALL
 
 
@@ -138,7 +141,9 @@ def test_a_device_that_does_not_know_where_it_stands_is_homed_or_refused(tmp_pat
 def test_an_aborted_session_goes_on_where_it_stopped(seed: int, tmp_path: Path) -> None:
     world = rig(tmp_path)
     moment = motion_start(world) + random.Random(seed).uniform(0.1, 0.9)
-    assert world.begin(seen=until(world, moment, lambda: world.latest.abort())).outcome is Outcome.CANCELLED
+    assert (
+        world.begin(seen=until(world, moment, lambda: world.latest.abort())).outcome is PlaybackOutcome.CANCELLED
+    )
     finish(world)
 
 
@@ -157,7 +162,7 @@ def test_twice_in_a_row(seed: int, tmp_path: Path) -> None:
     draw, world = random.Random(seed), rig(tmp_path)
     killed(world, motion_start(world) + draw.uniform(0.1, 0.2))
     result = world.resume(seen=until(world, 1.0 + draw.uniform(0.0, 0.2), lambda: world.latest.abort()))
-    if result.outcome is Outcome.CANCELLED:
+    if result.outcome is PlaybackOutcome.CANCELLED:
         finish(world)
     assert world.frames_played() == ALL
 
@@ -168,9 +173,9 @@ def test_killed_while_it_is_held(tmp_path: Path) -> None:
     start = world.clock.now()
     paused = until(world, moment, lambda: world.latest.pause())
 
-    def seen(trajectory: Trajectory, progress: Progress) -> None:
+    def seen(trajectory: Trajectory, progress: MotionProgress) -> None:
         paused(trajectory, progress)
-        if world.latest.state is State.HOLD and world.clock.now() > start + moment + 1.0:
+        if world.latest.state is PlayerState.HOLD and world.clock.now() > start + moment + 1.0:
             world.links[-1].dead = True
             raise Killed
 
@@ -186,7 +191,7 @@ def test_killed_on_the_way_to_the_first_frame(tmp_path: Path) -> None:
     world.clock.sleep(5.0)
     with pytest.raises(TrajectoryError, match="did not reach its first frame: begin anew"):
         world.resume()
-    assert world.begin().outcome is Outcome.SUCCESS
+    assert world.begin().outcome is PlaybackOutcome.SUCCESS
     assert world.frames_played() == ALL
 
 
@@ -194,18 +199,20 @@ def stopped(folder: Path, **hardware: Any) -> World:
     """A session that was aborted in the middle."""
     world = rig(folder, **hardware)
     moment = motion_start(world) + 0.5
-    assert world.begin(seen=until(world, moment, lambda: world.latest.abort())).outcome is Outcome.CANCELLED
+    assert (
+        world.begin(seen=until(world, moment, lambda: world.latest.abort())).outcome is PlaybackOutcome.CANCELLED
+    )
     return world
 
 
 def refused(world: World, message: str, **options: Any) -> None:
     """Resuming is refused, moves nothing, and leaves the session as it was."""
-    before, stood = len(world.firmware.executed), world.firmware.position
+    before, stood = len(world.firmware.executed_blocks), world.firmware.position
     with pytest.raises(TrajectoryError, match=message):
         world.resume(**options)
     world.latest.close()
     world.clock.sleep(2.0)
-    assert len(world.firmware.executed) == before
+    assert len(world.firmware.executed_blocks) == before
     assert (world.firmware.position == stood).all()
 
 
@@ -251,7 +258,7 @@ def test_what_is_over_or_never_began_is_not_resumed(tmp_path: Path) -> None:
     world = rig(tmp_path)
     world.player().connect()
     refused(world, "played no trajectory")
-    assert world.begin().outcome is Outcome.SUCCESS
+    assert world.begin().outcome is PlaybackOutcome.SUCCESS
     refused(world, "reached frame 12, the last one: nothing is left")
 
 
@@ -261,7 +268,7 @@ def test_an_untrusted_position_is_refused_unless_somebody_looked(tmp_path: Path)
     with world.path.open("a") as file:
         file.write(json.dumps(record) + "\n")
     refused(world, "was not to be trusted")
-    assert world.resume(verified=True).outcome is Outcome.SUCCESS
+    assert world.resume(verified=True).outcome is PlaybackOutcome.SUCCESS
     assert world.frames_played() == ALL
 
 
@@ -274,7 +281,7 @@ def test_a_failed_attempt_to_resume_does_not_hide_the_session(tmp_path: Path) ->
         world.clock.sleep(1.0)
     records = read_journal(world.path)
     assert sum(record["kind"] == "session" for record in records) == 3
-    assert world.resume(verified=True).outcome is Outcome.SUCCESS
+    assert world.resume(verified=True).outcome is PlaybackOutcome.SUCCESS
     assert world.frames_played() == ALL
 
 
@@ -287,9 +294,9 @@ def unanswered() -> Any:
 def test_the_rest_is_played_at_the_tempo_of_the_beginning(tmp_path: Path) -> None:
     world = rig(tmp_path)
     player, slow = world.player(), 0.5
-    whole = prepared(world.plan, world.hardware, slow)[0]
+    whole = prepare_trajectory(world.plan, world.hardware, slow)[0]
     moment = motion_start(world) + 1.0
-    begin(player, world.plan, world.hardware, slow, seen=until(world, moment, player.abort))
+    play_plan(player, world.plan, world.hardware, slow, callback=until(world, moment, player.abort))
     player.close()
     rest: list[Trajectory] = []
     again = world.player()
@@ -298,9 +305,9 @@ def test_the_rest_is_played_at_the_tempo_of_the_beginning(tmp_path: Path) -> Non
         world.plan,
         world.hardware,
         read_journal(world.path),
-        seen=lambda trajectory, _: rest.append(trajectory),
+        callback=lambda trajectory, _: rest.append(trajectory),
     )
-    assert result.outcome is Outcome.SUCCESS
+    assert result.outcome is PlaybackOutcome.SUCCESS
     assert world.frames_played() == ALL
     last = np.diff(rest[-1].frame_time[-4:-1])
     np.testing.assert_allclose(last, np.diff(whole.frame_time[-4:-1]), rtol=0.1)
@@ -318,7 +325,7 @@ def test_a_plan_that_comes_by_the_same_places_again_goes_on_in_the_right_round(s
     killed(world, motion_start(world) + random.Random(seed).uniform(0.5, 14.0))
     world.clock.sleep(8.0)
     known = {r["frame"] for r in read_journal(world.path) if r["kind"] == "frame"}
-    assert world.resume().outcome is Outcome.SUCCESS
+    assert world.resume().outcome is PlaybackOutcome.SUCCESS
     again = [r["frame"] for r in read_journal(world.path) if r["kind"] == "frame"]
     assert max(known) < again[0] <= max(known) + 11  # 100 blocks and some lines of 0.05 s are buffered
     assert again[-1] == 37

@@ -3,8 +3,8 @@
 import pytest
 
 from ctr_nlp.exceptions import DeviceFault
-from ctr_nlp.hardware.devices.grbl.stop import stopped
-from ctr_nlp.hardware.devices.grbl.talk import HOLD, RESET, STATUS, Talk
+from ctr_nlp.hardware.devices.grbl.stop import stop_controller
+from ctr_nlp.hardware.devices.grbl.talk import GRBL_HOLD, GRBL_RESET, GRBL_STATUS_QUERY, Talk
 
 BANNER = b"GrblHAL 1.1f ['$' or '$HELP' for help]\r\n"
 AT = b"MPos:-1.000,0.000,0.000,0.000,0.000,0.000|Bf:100,1023|FS:0,0>\r\n"
@@ -28,14 +28,14 @@ class Controller:
 
     def __init__(self, in_hold=b"", in_reset=b""):
         self.said, self.state = b"", b"<Run|"
-        self.words = {HOLD: in_hold, RESET: in_reset}
+        self.words = {GRBL_HOLD: in_hold, GRBL_RESET: in_reset}
 
     def write(self, data):
-        if HOLD in data:
-            self.state, self.said = b"<Hold:0|", self.said + self.words.pop(HOLD, b"")
-        if RESET in data:
-            self.state, self.said = b"<Idle|", self.said + self.words.pop(RESET, b"") + BANNER
-        self.said += (self.state + AT) * data.count(STATUS)
+        if GRBL_HOLD in data:
+            self.state, self.said = b"<Hold:0|", self.said + self.words.pop(GRBL_HOLD, b"")
+        if GRBL_RESET in data:
+            self.state, self.said = b"<Idle|", self.said + self.words.pop(GRBL_RESET, b"") + BANNER
+        self.said += (self.state + AT) * data.count(GRBL_STATUS_QUERY)
 
     def read(self):
         said, self.said = self.said, b""
@@ -44,7 +44,7 @@ class Controller:
 
 def stop(controller):
     clock = Clock()
-    return stopped(Talk(controller, clock), clock)
+    return stop_controller(Talk(controller, clock), clock)
 
 
 def test_a_controller_that_says_nothing_else_is_trusted():
@@ -72,9 +72,9 @@ class Jogging(Controller):
 
     def write(self, data):
         self.clock.sleep(0.02)
-        if RESET in data or self.clock.now() >= self.rests:
+        if GRBL_RESET in data or self.clock.now() >= self.rests:
             super().write(data)
-        elif STATUS in data:
+        elif GRBL_STATUS_QUERY in data:
             place, feed = b"MPos:%.3f" % (-1.0 - self.rests + self.clock.now()), b"FS:" + self.feed
             self.said += self.state + AT.replace(b"MPos:-1.000", place).replace(b"FS:0", feed)
 
@@ -82,10 +82,10 @@ class Jogging(Controller):
 def test_a_slow_jog_whose_feed_is_0_is_left_its_last_steps():
     """grblHAL stays in state Jog with a feed of 0 for 0.5 s where it jogs at 3 mm/min."""
     clock = Clock()
-    assert stopped(Talk(Jogging(clock, 0.5, feed=b"0"), clock), clock).position[0] == -1
+    assert stop_controller(Talk(Jogging(clock, 0.5, feed=b"0"), clock), clock).position[0] == -1
 
 
 def test_a_jog_that_goes_on_is_reset_in_motion():
     clock = Clock()
     with pytest.raises(DeviceFault, match="reset in motion"):
-        stopped(Talk(Jogging(clock, 0.5, feed=b"3"), clock), clock)
+        stop_controller(Talk(Jogging(clock, 0.5, feed=b"3"), clock), clock)

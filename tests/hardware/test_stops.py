@@ -13,12 +13,19 @@ import pytest
 from bench import Killed, World, plan_of
 
 from ctr_nlp.exceptions import CtrError
-from ctr_nlp.hardware.devices import Progress
+from ctr_nlp.hardware.devices import MotionProgress
 from ctr_nlp.hardware.emulator.faults import FAULTS
 from ctr_nlp.hardware.emulator.wire import VirtualClock
-from ctr_nlp.hardware.motion.lookahead import AHEAD, TRAVEL, LinkTiming, Window, steady_speed, sustainable
+from ctr_nlp.hardware.motion.lookahead import (
+    MAX_MOTION_IN_HAND_S,
+    MAX_SLIDE_TRAVEL_IN_HAND_MM,
+    LinkTiming,
+    Window,
+    steady_speed,
+    sustainable,
+)
 from ctr_nlp.hardware.motion.trajectory import Trajectory
-from ctr_nlp.hardware.playing.results import Outcome
+from ctr_nlp.hardware.playing.results import PlaybackOutcome
 from ctr_nlp.plan.plan import Plan
 
 pytestmark = pytest.mark.usefixtures("prepared_once")
@@ -78,7 +85,7 @@ def tracked(folder: Path, plan: Plan) -> World:
     return world
 
 
-def ended(world: World, cause: str, at: float) -> tuple[float, float, Outcome | None]:
+def ended(world: World, cause: str, at: float) -> tuple[float, float, PlaybackOutcome | None]:
     """Strike so many s after the plan began: how long and how far motion went on, and the result, if any."""
     clock, after = world.clock, list[float]()
     assert isinstance(clock, Tracked)
@@ -97,7 +104,7 @@ def ended(world: World, cause: str, at: float) -> tuple[float, float, Outcome | 
             fault = FAULTS[cause](at=0.0)
             fault.strike(world.links[-1].wire.line)
 
-    def seen(trajectory: Trajectory, progress: Progress) -> None:
+    def seen(trajectory: Trajectory, progress: MotionProgress) -> None:
         if trajectory.frames[0] == 1 and progress.time >= at and clock.cause is None:
             strike()
 
@@ -130,7 +137,7 @@ def check_cause(cause: str, moments: int, folder: Path) -> None:
         (folder / str(number)).mkdir()
         world = tracked(folder / str(number), fast())
         seconds, travel, outcome = ended(world, cause, draw.uniform(0.1, 5.5))
-        assert outcome is not Outcome.SUCCESS
+        assert outcome is not PlaybackOutcome.SUCCESS
         assert outcome is not None or cause == "kill"
         found.append((seconds, travel))
     print(f"{cause}: s, mm (median) {np.median(found, axis=0)}, (worst) {np.max(found, axis=0)}")
@@ -167,7 +174,7 @@ def test_over_a_link_that_works_a_stop_is_sent_and_obeyed_at_once(
 
         def seen(
             trajectory: Trajectory,
-            progress: Progress,
+            progress: MotionProgress,
             world: World = world,
             at: float = at,
             noted: Callable[[bytes], bytes] = noted,
@@ -182,7 +189,7 @@ def test_over_a_link_that_works_a_stop_is_sent_and_obeyed_at_once(
 
         result = world.begin(seen=seen)
         clock.sleep(4.0)
-        assert result.outcome not in (Outcome.SUCCESS, Outcome.CANCELLED)
+        assert result.outcome not in (PlaybackOutcome.SUCCESS, PlaybackOutcome.CANCELLED)
         assert clock.cause is not None
         assert sent[0] - clock.cause < 0.1
         assert clock.motion()[0] + clock.cause - sent[0] < HEARD
@@ -191,12 +198,12 @@ def test_over_a_link_that_works_a_stop_is_sent_and_obeyed_at_once(
 def test_an_override_is_named_with_its_value_and_when(tmp_path: Path) -> None:
     world = World(tmp_path, fast())
 
-    def seen(trajectory: Trajectory, progress: Progress) -> None:
+    def seen(trajectory: Trajectory, progress: MotionProgress) -> None:
         if trajectory.frames[0] == 1 and progress.time > 2.0:
             world.firmware.receive(b"\x91" * 10)
 
     result = world.begin(seen=seen)
-    assert result.outcome is Outcome.DEVICE_FAULT
+    assert result.outcome is PlaybackOutcome.DEVICE_FAULT
     assert "the feed override is 200 %, and must be 100 %" in result.message
     assert "s after the start, frame 2" in result.message
     assert result.trusted
@@ -208,7 +215,7 @@ def test_an_override_from_before_stops_the_motion_too(tmp_path: Path) -> None:
     with pytest.raises(CtrError, match="feed override is 200 %"):
         world.begin()
     world.clock.sleep(3.0)
-    assert world.firmware.executed == []
+    assert world.firmware.executed_blocks == []
 
 
 # how much may be in the controller's hands
@@ -218,7 +225,7 @@ def test_never_more_than_allowed_is_in_the_controllers_hands(tmp_path: Path) -> 
     """By time and by the travel of every slide, from where the motors are; also where reports lie."""
     world, most = World(tmp_path, fast()), [0.0, 0.0]
 
-    def seen(trajectory: Trajectory, progress: Progress) -> None:
+    def seen(trajectory: Trajectory, progress: MotionProgress) -> None:
         if not world.firmware.motion.blocks:
             return
         last = world.firmware.motion.blocks[-1].target
@@ -228,9 +235,9 @@ def test_never_more_than_allowed_is_in_the_controllers_hands(tmp_path: Path) -> 
         ahead = commands.time[max(numbers) - 1] - progress.time
         most[:] = max(most[0], ahead), max(most[1], travel)
 
-    assert world.begin(seen=seen).outcome is Outcome.SUCCESS
-    assert 0.15 < most[0] <= AHEAD + 0.005
-    assert 6.0 < most[1] <= TRAVEL + 0.01
+    assert world.begin(seen=seen).outcome is PlaybackOutcome.SUCCESS
+    assert 0.15 < most[0] <= MAX_MOTION_IN_HAND_S + 0.005
+    assert 6.0 < most[1] <= MAX_SLIDE_TRAVEL_IN_HAND_MM + 0.01
 
 
 def test_a_window_counts_travel_there_and_back() -> None:
@@ -255,9 +262,9 @@ def test_a_long_piece_is_given_once_the_one_before_is_done() -> None:
 def test_an_axis_is_as_fast_as_it_can_brake_within_what_is_in_hand() -> None:
     link = LinkTiming(0.02)
     speed = steady_speed(200.0, True, link)
-    assert speed**2 / 400.0 + speed * link.delay == pytest.approx(TRAVEL)
+    assert speed**2 / 400.0 + speed * link.delay == pytest.approx(MAX_SLIDE_TRAVEL_IN_HAND_MM)
     turning = steady_speed(2000.0, False, link)
-    assert turning / 4000.0 + link.delay == pytest.approx(AHEAD)
+    assert turning / 4000.0 + link.delay == pytest.approx(MAX_MOTION_IN_HAND_S)
     assert steady_speed(2000.0, False, LinkTiming(0.2)) == 0.0
 
 
@@ -276,7 +283,7 @@ def test_a_link_that_is_too_slow_is_told_before_anything_moves(tmp_path: Path) -
     world = World(tmp_path, fast())
     world.hardware = replace(world.hardware, connection=replace(world.hardware.connection, baud=9600))
     result = world.begin()
-    assert result.outcome is Outcome.INVALID_PLAN
+    assert result.outcome is PlaybackOutcome.INVALID_PLAN
     assert "cannot keep this pace; play it at 0." in result.message
     world.clock.sleep(3.0)
-    assert world.firmware.executed == []
+    assert world.firmware.executed_blocks == []

@@ -9,15 +9,15 @@ import numpy as np
 import pytest
 from bench import World, sweep
 
-from ctr_nlp.hardware.devices import Progress, Signs
-from ctr_nlp.hardware.playing.results import Outcome, State
+from ctr_nlp.hardware.devices import MotionProgress, Signs
+from ctr_nlp.hardware.playing.results import PlaybackOutcome, PlayerState
 from ctr_nlp.hardware.playing.supervision import (
-    EARLY,
     HELD_UP,
     HOLDING,
+    MAX_AHEAD_OF_SCHEDULE_S,
+    MAX_DEVICE_SILENCE_S,
+    MAX_STALL_TIME_S,
     MISPLACED,
-    SILENCE,
-    STALLED,
     UNASKED,
     Supervisor,
 )
@@ -31,12 +31,12 @@ def supervisor() -> Supervisor:
     return Supervisor(LATE, np.array([0.01, 0.02]), np.array([0.5, 0.5]), lambda time: np.array([time, -time]))
 
 
-def progress(time: float, stamp: float, state: str = "running", **changes: Any) -> Progress:
+def progress(time: float, stamp: float, state: str = "running", **changes: Any) -> MotionProgress:
     """A device that plays as it should, but for changes."""
-    return Progress(state, time, np.array([time, -time]), stamp, 0.1)._replace(**changes)
+    return MotionProgress(state, time, np.array([time, -time]), stamp, 0.1)._replace(**changes)
 
 
-def watched(seen: list[tuple[float, Progress]], by: Supervisor | None = None) -> list[str]:
+def watched(seen: list[tuple[float, MotionProgress]], by: Supervisor | None = None) -> list[str]:
     """What a supervisor says at moments."""
     by = by or supervisor()
     found = [by.violation(one, now) for now, one in seen]
@@ -54,8 +54,8 @@ def test_a_motion_in_time_is_left_alone() -> None:
         ({"away": 1.01}, "PATH_TOLERANCE_VIOLATED: the axes are 1.01 tolerances from their path; 1 is allowed"),
         ({"signs": Signs("it said so")}, "DEVICE_FAULT: it said so"),
         ({"signs": Signs(override=110.0)}, "DEVICE_FAULT: the feed override is 110 %, and must be 100 %"),
-        ({"signs": Signs(stalled=STALLED + 0.1)}, "DEVICE_FAULT: nothing has moved for 1.1 s"),
-        ({"stamp": -SILENCE - 0.1}, "DEVICE_FAULT: the device has told no position for 0.6 s"),
+        ({"signs": Signs(stalled=MAX_STALL_TIME_S + 0.1)}, "DEVICE_FAULT: nothing has moved for 1.1 s"),
+        ({"stamp": -MAX_DEVICE_SILENCE_S - 0.1}, "DEVICE_FAULT: the device has told no position for 0.6 s"),
     ],
 )
 def test_what_is_seen_at_once(changes: dict[str, Any], message: str) -> None:
@@ -64,8 +64,8 @@ def test_what_is_seen_at_once(changes: dict[str, Any], message: str) -> None:
 
 
 def test_nothing_is_said_at_the_tolerances_themselves() -> None:
-    signs = Signs("", 100.0, STALLED)
-    assert not any(watched([(0.0, progress(0.0, -SILENCE, away=1.0, signs=signs))]))
+    signs = Signs("", 100.0, MAX_STALL_TIME_S)
+    assert not any(watched([(0.0, progress(0.0, -MAX_DEVICE_SILENCE_S, away=1.0, signs=signs))]))
 
 
 def test_a_schedule_is_kept_both_ways() -> None:
@@ -73,9 +73,9 @@ def test_a_schedule_is_kept_both_ways() -> None:
     assert late.index(next(filter(None, late))) == int(LATE / 0.01) + 1
     assert f"s behind their schedule; {LATE:g} s are allowed" in late[-1]
     early = watched([(0.02 * n, progress(0.04 * n, 0.02 * n)) for n in range(100)])
-    assert early.index(next(filter(None, early))) == int(EARLY / 0.02) + 1
+    assert early.index(next(filter(None, early))) == int(MAX_AHEAD_OF_SCHEDULE_S / 0.02) + 1
     assert early[-1].startswith("PATH_TOLERANCE_VIOLATED: the axes are ")
-    assert f"s ahead of their schedule; {EARLY:g} s are allowed" in early[-1]
+    assert f"s ahead of their schedule; {MAX_AHEAD_OF_SCHEDULE_S:g} s are allowed" in early[-1]
 
 
 def test_axes_cannot_be_ahead_of_their_commands() -> None:
@@ -109,16 +109,16 @@ def test_a_stalled_device_is_not_called_late() -> None:
     assert not [said for said in watched(stalled) if "schedule" in said]
 
 
-def held(at: float, since: float, until: float, **changes: Any) -> list[tuple[float, Progress]]:
+def held(at: float, since: float, until: float, **changes: Any) -> list[tuple[float, MotionProgress]]:
     """A device that rests at a time of its motion."""
     return [(now, progress(at, now, "held", **changes)) for now in np.arange(since, until, 0.1)]
 
 
 def test_a_pause_lasts_as_long_as_its_user_wants_and_its_schedule_begins_anew() -> None:
     by = supervisor()
-    by.paused()
+    by.note_pause()
     assert not any(watched([(0.0, progress(0.0, 0.0)), *held(0.5, 0.5, 300.0)], by))
-    by.resumed()
+    by.note_resume()
     assert not any(watched([(300.0 + 0.1 * n, progress(0.5 + 0.1 * n, 300.0 + 0.1 * n)) for n in range(20)], by))
 
 
@@ -131,7 +131,7 @@ def test_a_hold_by_somebody_else_ends() -> None:
 @pytest.mark.parametrize("state", ["running", "holding", "done"])
 def test_a_hold_that_somebody_else_ends_is_a_fault(state: str) -> None:
     by = supervisor()
-    by.paused()
+    by.note_pause()
     assert not any(watched(held(0.5, 0.0, 1.0), by))
     (said,) = watched([(1.0, progress(0.5, 1.0, state))], by)
     assert "though the player did not resume" in said
@@ -139,7 +139,7 @@ def test_a_hold_that_somebody_else_ends_is_a_fault(state: str) -> None:
 
 def test_what_moves_in_a_hold_is_a_fault() -> None:
     by = supervisor()
-    by.paused()
+    by.note_pause()
     assert not any(watched(held(0.5, 0.0, 1.0), by))
     (said,) = watched([(1.0, progress(0.5, 1.0, "held", position=np.array([0.5, -0.53])))], by)
     assert "an axis has moved by 0.03 in a hold" in said
@@ -166,7 +166,7 @@ def on_the_way(world: World, at: float, action: Any) -> Any:
     """A callback that acts once in the plan's motion."""
     done: list[bool] = []
 
-    def seen(trajectory: Any, progress: Progress) -> None:
+    def seen(trajectory: Any, progress: MotionProgress) -> None:
         if trajectory.frames[0] == 1 and progress.time > at and not done:
             done.append(True)
             action()
@@ -179,15 +179,15 @@ def test_somebody_elses_resume_in_a_hold_stops_the_motion(tmp_path: Path) -> Non
     world = World(tmp_path, sweep(40))
     resumed: list[float] = []
 
-    def seen(trajectory: Any, progress: Progress) -> None:
+    def seen(trajectory: Any, progress: MotionProgress) -> None:
         pause(trajectory, progress)
-        if world.latest.state is State.HOLD and not resumed:
+        if world.latest.state is PlayerState.HOLD and not resumed:
             resumed.append(world.clock.now())
             world.firmware.receive(b"~")
 
     pause = on_the_way(world, 0.5, lambda: world.latest.pause())
     result = world.begin(seen=seen)
-    assert result.outcome is Outcome.DEVICE_FAULT
+    assert result.outcome is PlaybackOutcome.DEVICE_FAULT
     assert "though the player did not resume" in result.message
     assert world.clock.now() - resumed[0] < 0.6
     assert not world.firmware.moving
@@ -199,7 +199,7 @@ def test_a_hold_by_a_pendant_that_nobody_ends_does_not_last_for_ever(tmp_path: P
     result = world.begin(seen=on_the_way(world, 0.5, lambda: world.firmware.receive(b"!")))
     assert "somebody else has held the motion for 10 s" in result.message
     assert result.trusted
-    assert world.resume().outcome is Outcome.SUCCESS
+    assert world.resume().outcome is PlaybackOutcome.SUCCESS
 
 
 def test_a_pace_that_no_override_explains_is_seen(tmp_path: Path) -> None:
@@ -215,5 +215,5 @@ def test_a_pace_that_no_override_explains_is_seen(tmp_path: Path) -> None:
         world.firmware.receive(b"\x92" * 5)
 
     result = world.begin(seen=on_the_way(world, 0.5, slow))
-    assert result.outcome is Outcome.PATH_TOLERANCE_VIOLATED
+    assert result.outcome is PlaybackOutcome.PATH_TOLERANCE_VIOLATED
     assert "s behind their schedule; 1 s are allowed (" in result.message

@@ -12,13 +12,13 @@ from hypothesis import strategies as st
 from strategies import numbers
 
 from ctr_nlp.exceptions import OptionError, TrajectoryError
-from ctr_nlp.hardware.description import bench
-from ctr_nlp.hardware.devices import Progress
+from ctr_nlp.hardware.description import simulated_hardware
+from ctr_nlp.hardware.devices import MotionProgress
 from ctr_nlp.hardware.motion import gcode
-from ctr_nlp.hardware.motion.lookahead import LONGEST, FollowedPath
-from ctr_nlp.hardware.motion.trajectory import approach_to, digests, rest_of, trajectory_of
+from ctr_nlp.hardware.motion.lookahead import MAX_PIECE_DURATION_S, FollowedPath
+from ctr_nlp.hardware.motion.trajectory import approach_to, digests, remaining_trajectory, trajectory_of
 from ctr_nlp.hardware.playing.record import Recorder
-from ctr_nlp.simulation.lag import Lag
+from ctr_nlp.simulation.lag import BacklashAndDrag
 
 OVER = 1e-3
 
@@ -71,7 +71,7 @@ def test_half_the_tempo_takes_twice_the_time():
     assert trajectory_of(plan, rig).duration < half.duration
 
 
-@given(longest=st.sampled_from([LONGEST, 0.02, 0.3, 10.0]))
+@given(longest=st.sampled_from([MAX_PIECE_DURATION_S, 0.02, 0.3, 10.0]))
 def test_pieces_are_short_end_at_frames_and_keep_all_limits(trajectory, longest):
     commands = trajectory.commands(longest)
     length = np.diff(commands.time, prepend=0.0)
@@ -91,7 +91,7 @@ def test_pieces_are_short_end_at_frames_and_keep_all_limits(trajectory, longest)
 def test_the_rest_goes_on_along_the_same_way(trajectory, part):
     """From anywhere on the path: the same path, the same frame numbers, none twice and none lost."""
     s = trajectory.knots[0] + part * (trajectory.knots[-1] - trajectory.knots[0])
-    rest = rest_of(trajectory, s)
+    rest = remaining_trajectory(trajectory, s)
     place = trajectory.motion.path(s)
     np.testing.assert_allclose(rest.at(np.zeros(1))[0][0], place, atol=1e-9)
     behind = int((trajectory.knots <= s + 1e-5).sum())
@@ -106,11 +106,14 @@ def test_the_rest_goes_on_along_the_same_way(trajectory, part):
 @pytest.mark.parametrize("before", [1e-6, 1e-9, 1e-12, 1e-15])
 def test_what_stands_a_hair_before_a_frame_stands_at_it(trajectory, before):
     """Resumed at a frame, rounding must not make a piece of no length of the path to it."""
-    at, near = rest_of(trajectory, trajectory.knots[7]), rest_of(trajectory, trajectory.knots[7] - before)
+    at, near = (
+        remaining_trajectory(trajectory, trajectory.knots[7]),
+        remaining_trajectory(trajectory, trajectory.knots[7] - before),
+    )
     np.testing.assert_array_equal(near.frames, at.frames)
     assert near.duration == pytest.approx(at.duration, rel=1e-4)
     with pytest.raises(TrajectoryError, match="nothing is left of this trajectory: it has reached its last frame"):
-        rest_of(trajectory, trajectory.knots[-1] - before)
+        remaining_trajectory(trajectory, trajectory.knots[-1] - before)
 
 
 @pytest.mark.parametrize("part", [1.0, 0.1])
@@ -133,7 +136,7 @@ def test_the_approach_to_the_start_is_straight_and_slow(part):
 
 
 def test_the_approach_to_where_a_rest_starts_belongs_to_the_frame_ahead(trajectory):
-    rest = rest_of(trajectory, float(trajectory.knots[4:6].mean()))
+    rest = remaining_trajectory(trajectory, float(trajectory.knots[4:6].mean()))
     approach = approach_to(rest, rest.positions(np.zeros(1))[0] + 0.1, np.zeros(2))
     np.testing.assert_array_equal(approach.frames, [5, 5])
     np.testing.assert_array_equal(np.unique(approach.commands().frame), [5])
@@ -181,11 +184,11 @@ def test_tubes_that_lag_are_at_their_frames():
     """Motors of tubes with play that grows with their overlap, within what the drives can do."""
     t = np.linspace(0, 2 * np.pi, 25)[:, None]
     q = np.hstack([np.sin(t), np.cos(2 * t), 0 * t, 20 + 4 * np.sin(t), 40 + 4 * np.cos(t), 60 + t, 0 * t, 0 * t])
-    rig = replace(homing_hardware(), lag=Lag([0.02, 0.05, 0.1], [0.0, 0.001, 0.0005]))
+    rig = replace(homing_hardware(), lag=BacklashAndDrag([0.02, 0.05, 0.1], [0.0, 0.001, 0.0005]))
     trajectory, free = (trajectory_of(plan_of(q, 0.1), each) for each in (rig, replace(rig, lag=None)))
     fine = np.unique(np.append(np.linspace(0, trajectory.duration, 4001), trajectory.frame_time))
     motors = trajectory.hardware.joints(trajectory.robot, trajectory.positions(fine), trajectory.tilt(fine))
-    tubes = rig.lag.turned(trajectory.robot, motors, fine)[np.searchsorted(fine, trajectory.frame_time)]
+    tubes = rig.lag.apply_to_motion(trajectory.robot, motors, fine)[np.searchsorted(fine, trajectory.frame_time)]
     assert abs(tubes - q).max() < 1e-3
     assert abs(motors[np.searchsorted(fine, trajectory.frame_time)] - q).max() > 0.1
     assert trajectory.joints(fine, trajectory.positions(fine)) == pytest.approx(trajectory.at(fine)[0])
@@ -198,7 +201,7 @@ def test_tubes_that_lag_are_at_their_frames():
 def test_the_first_frame_is_come_to_from_where_the_axes_stand():
     """From above the drive ends lower by its play, and on from there nothing is taken up twice."""
     plan, rig = sweep(), loose()
-    start = rig.positions(rig.tightened(plan.robot), plan.q)[0]
+    start = rig.positions(rig.apply_limits(plan.robot), plan.q)[0]
     trajectory = trajectory_of(plan, rig, standing=start + np.array([5.0, 5, 5, -5, -5, -5]))
     np.testing.assert_allclose(trajectory.positions(np.zeros(1))[0] - start, [-0.4] * 3 + [0] * 3, atol=1e-9)
     approach = approach_to(trajectory, start + 5.0, np.zeros(2))
@@ -237,7 +240,7 @@ def test_the_digest_of_plan_or_hardware_changes_with_everything_in_it():
         ),
         (replace(plan, shape=plan.shape + 1e-9), rig),
         (replace(plan, meta=plan.meta | {"solver": "another"}), rig),
-        (plan, replace(rig, arm=bench(plan.robot).arm)),
+        (plan, replace(rig, arm=simulated_hardware(plan.robot).arm)),
         (plan, replace(rig, connection=replace(rig.connection, baud=9600))),
         (plan, replace(rig, approach=0.5)),
     ]  # fmt: skip
@@ -296,10 +299,10 @@ def test_a_recorder_tells_what_was_late_but_not_what_was_paused(trajectory):
         if time > 0.5 and not paused:
             position = trajectory.positions(np.array([time]))[0]
             for stamp in (0.0, 1.5):
-                recorder(trajectory, Progress("held", time, position, 7 + time + stamp, 0.0))
+                recorder(trajectory, MotionProgress("held", time, position, 7 + time + stamp, 0.0))
             paused = 3.0
         position = trajectory.positions(np.array([time]))[0] + 0.1
-        recorder(trajectory, Progress("running", time, position, 7 + time + late + paused, 0.0))
+        recorder(trajectory, MotionProgress("running", time, position, 7 + time + late + paused, 0.0))
     found = recorder.tracking()
     np.testing.assert_array_equal(found.frame, trajectory.frames)
     np.testing.assert_array_equal(found.time, trajectory.frame_time)

@@ -13,7 +13,7 @@ import pytest
 from bench import Killed, World, sweep
 
 from ctr_nlp.exceptions import DeviceFault, HardwareError, Stopped
-from ctr_nlp.hardware.playing.results import Outcome, State
+from ctr_nlp.hardware.playing.results import PlaybackOutcome, PlayerState
 from ctr_nlp.hardware.playing.trust import Memory, Remembered, doubt, state_folder
 
 pytestmark = pytest.mark.usefixtures("prepared_once")
@@ -54,11 +54,11 @@ def test_distrust_lasts_until_a_person_has_looked(world: World) -> None:
     for _ in range(2):
         with pytest.raises(DeviceFault, match=r"not to be trusted, since .*position-verified"):
             world.begin()
-        assert world.latest.state is State.IDLE
+        assert world.latest.state is PlayerState.IDLE
         world.latest.close()
-    assert world.begin(verified=True).outcome is Outcome.SUCCESS
+    assert world.begin(verified=True).outcome is PlaybackOutcome.SUCCESS
     world.latest.close()
-    assert world.begin().outcome is Outcome.SUCCESS
+    assert world.begin().outcome is PlaybackOutcome.SUCCESS
 
 
 def test_a_stop_while_it_connects_changes_nothing_of_what_is_remembered(world: World) -> None:
@@ -67,12 +67,12 @@ def test_a_stop_while_it_connects_changes_nothing_of_what_is_remembered(world: W
     player.abort()
     with pytest.raises(Stopped) as stop:
         player.connect()
-    assert (stop.value.result.outcome, stop.value.result.trusted) == (Outcome.CANCELLED, False)
+    assert (stop.value.result.outcome, stop.value.result.trusted) == (PlaybackOutcome.CANCELLED, False)
     player.close()
     with pytest.raises(DeviceFault, match="a motion had begun, and its end was never told"):
         world.begin()
     world.latest.close()
-    assert world.begin(verified=True).outcome is Outcome.SUCCESS
+    assert world.begin(verified=True).outcome is PlaybackOutcome.SUCCESS
     world.latest.close()
     player = world.player()
     player.abort()
@@ -80,7 +80,7 @@ def test_a_stop_while_it_connects_changes_nothing_of_what_is_remembered(world: W
         player.connect()
     assert stop.value.result.trusted
     player.close()
-    assert world.begin().outcome is Outcome.SUCCESS
+    assert world.begin().outcome is PlaybackOutcome.SUCCESS
 
 
 def test_homing_by_hand_cannot_be_asked_of_a_controller(world: World) -> None:
@@ -95,7 +95,7 @@ def test_homing_ends_distrust(world: World) -> None:
     with pytest.raises(DeviceFault, match="a motion had begun, and its end was never told"):
         world.begin()
     world.latest.close()
-    assert world.begin(home=True).outcome is Outcome.SUCCESS
+    assert world.begin(home=True).outcome is PlaybackOutcome.SUCCESS
 
 
 def test_a_crash_is_gone_on_from_only_with_its_own_journal(world: World) -> None:
@@ -104,13 +104,13 @@ def test_a_crash_is_gone_on_from_only_with_its_own_journal(world: World) -> None
     with pytest.raises(DeviceFault, match="not to be trusted"):
         world.begin()
     world.latest.close()
-    assert world.resume().outcome is Outcome.SUCCESS
+    assert world.resume().outcome is PlaybackOutcome.SUCCESS
     world.latest.close()
-    assert world.begin().outcome is Outcome.SUCCESS
+    assert world.begin().outcome is PlaybackOutcome.SUCCESS
 
 
 def test_a_power_cycle_is_seen_by_the_controllers_own_count(world: World) -> None:
-    assert world.begin(verified=True).outcome is Outcome.SUCCESS
+    assert world.begin(verified=True).outcome is PlaybackOutcome.SUCCESS
     world.latest.close()
     before = world.firmware.position.copy()
     world.firmware.reboot(loses_position=True)
@@ -126,18 +126,18 @@ def test_nothing_is_played_where_nothing_can_be_remembered(tmp_path: Path) -> No
     world = World(tmp_path, sweep(12), state=tmp_path / "state")
     with pytest.raises(DeviceFault, match=r"cannot be remembered in .*CTR_NLP_STATE names another folder"):
         world.begin()
-    assert world.firmware.executed == []
+    assert world.firmware.executed_blocks == []
 
 
 @pytest.mark.parametrize("homes", [True, False])
 def test_a_device_never_met_is_asked_about_once(homes: bool, world: World) -> None:
     with pytest.raises(DeviceFault, match=r"nothing is remembered of this device.*--position-verified"):
         world.begin()
-    assert world.firmware.executed == []
+    assert world.firmware.executed_blocks == []
     world.latest.close()
-    assert world.begin(**({"home": True} if homes else {"verified": True})).outcome is Outcome.SUCCESS
+    assert world.begin(**({"home": True} if homes else {"verified": True})).outcome is PlaybackOutcome.SUCCESS
     world.latest.close()
-    assert world.begin().outcome is Outcome.SUCCESS
+    assert world.begin().outcome is PlaybackOutcome.SUCCESS
 
 
 def test_another_user_who_never_met_the_device_is_asked(world: World) -> None:
@@ -146,7 +146,7 @@ def test_another_user_who_never_met_the_device_is_asked(world: World) -> None:
     with pytest.raises(DeviceFault, match="nothing is remembered of this device"):
         world.begin()
     world.latest.close()
-    assert world.begin(verified=True).outcome is Outcome.SUCCESS
+    assert world.begin(verified=True).outcome is PlaybackOutcome.SUCCESS
 
 
 def test_players_of_all_users_share_one_lock(tmp_path: Path) -> None:
@@ -181,7 +181,7 @@ def test_a_device_has_one_player(world: World) -> None:
         second.connect()
     second.close()
     first.close()
-    assert world.begin(verified=True).outcome is Outcome.SUCCESS
+    assert world.begin(verified=True).outcome is PlaybackOutcome.SUCCESS
 
 
 def test_what_cannot_be_read_is_no_reason_for_trust(tmp_path: Path) -> None:

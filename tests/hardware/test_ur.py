@@ -11,10 +11,10 @@ import pytest
 
 from ctr_nlp.exceptions import DeviceFault, HardwareError, OptionError
 from ctr_nlp.hardware.arm.description import Arm
-from ctr_nlp.hardware.arm.kinematics import insertion_error, joints, tilt
+from ctr_nlp.hardware.arm.kinematics import insertion_error, inverse_kinematics, tilt_of_joints
 from ctr_nlp.hardware.devices.arms import LONGEST_STEP, SimulatedArm
 from ctr_nlp.hardware.devices.ur import STALE, UrArm
-from ctr_nlp.hardware.exports.urscript import SETTLE, write_urscript
+from ctr_nlp.hardware.exports.urscript import UR_LAST_SAMPLE_HOLD_S, write_urscript
 from ctr_nlp.hardware.opening import arm_follower
 
 pytest.importorskip("ur_analytic_ik")
@@ -95,7 +95,7 @@ class TestSimulated:
         for factor, fails in ((0.99, False), (1.01, True)):
             arm = SimulatedArm(Arm(joint_speed_deg=60), clock=clock)
             arm.connect()
-            rates = joints(Arm(), np.array([[0.0, 0.0], [0.0, 0.001]]), arm.joints())
+            rates = inverse_kinematics(Arm(), np.array([[0.0, 0.0], [0.0, 0.001]]), arm.joints())
             rate = np.abs(np.diff(rates, axis=0)).max() / 0.001
             clock.now += DT
             theta = np.array([0.0, factor * np.radians(60) * DT / rate])
@@ -151,7 +151,7 @@ class Robot:
 
     def __init__(self, clock, arm: Arm) -> None:
         self.clock = clock
-        self.q = joints(arm, np.zeros((1, 2)))[0]
+        self.q = inverse_kinematics(arm, np.zeros((1, 2)))[0]
         self.sent: list[tuple] = []
         self.connected = self.alive = self.accepts = True
         self.protective = self.emergency = False
@@ -235,17 +235,19 @@ class TestUr:
         follower.connect()
         commanded, measured = sweep(clock, follower, 10)
         assert robot.names == ["servoJ"] * 10
-        assert tilt(Arm(), np.array([what[1] for what in robot.sent])) == pytest.approx(commanded, abs=1e-9)
+        assert tilt_of_joints(Arm(), np.array([what[1] for what in robot.sent])) == pytest.approx(
+            commanded, abs=1e-9
+        )
         assert measured == pytest.approx(commanded, abs=1e-9)
         assert all(0.03 <= what[3] <= 0.2 and 100 <= what[4] <= 2000 for what in robot.sent)
 
     def test_the_branch_is_that_of_the_real_arm(self, robot, follower, clock):
         """Whatever joint solution planning would choose, the arm is not sent to another one."""
-        pose = np.array(joints(Arm(), np.zeros((1, 2)))[0])
+        pose = np.array(inverse_kinematics(Arm(), np.zeros((1, 2)))[0])
         other = next(
             q
             for turn in np.ndindex(2, 2, 2)
-            for q in [joints(Arm(), np.zeros((1, 2)), pose * np.where(np.repeat(turn, 2), -1, 1))[0]]
+            for q in [inverse_kinematics(Arm(), np.zeros((1, 2)), pose * np.where(np.repeat(turn, 2), -1, 1))[0]]
             if np.abs(q - pose).max() > 0.5
         )
         robot.q = other
@@ -349,15 +351,15 @@ class TestUr:
     def test_hold_goes_on_from_where_the_arm_is(self, robot, follower, clock):
         follower.connect()
         sweep(clock, follower, 5)
-        behind = joints(Arm(), np.array([[0.0, 0.0], [0.0, 3 * SPEED * DT]]), joints(Arm(), np.zeros((1, 2)))[0])[
-            1
-        ]
+        behind = inverse_kinematics(
+            Arm(), np.array([[0.0, 0.0], [0.0, 3 * SPEED * DT]]), inverse_kinematics(Arm(), np.zeros((1, 2)))[0]
+        )[1]
         robot.q = behind
         follower.hold()
         assert robot.names[-1] == "servoStop"
         clock.now += DT
         follower.follow(np.array([0.0, 4 * SPEED * DT]))
-        assert tilt(Arm(), robot.q[None])[0] == pytest.approx([0.0, 4 * SPEED * DT], abs=1e-9)
+        assert tilt_of_joints(Arm(), robot.q[None])[0] == pytest.approx([0.0, 4 * SPEED * DT], abs=1e-9)
 
     def test_after_stop_nothing_is_sent(self, robot, follower, clock):
         follower.connect()
@@ -412,7 +414,7 @@ def played(program: str) -> tuple[np.ndarray, np.ndarray, set[float]]:
 
 class TestUrScript:
     TIME = 0.008 * np.arange(40)
-    JOINTS = joints(Arm(), np.linspace((0, 0), (0.05, -0.1), 40))
+    JOINTS = inverse_kinematics(Arm(), np.linspace((0, 0), (0.05, -0.1), 40))
 
     def test_plays_the_samples_at_their_time(self):
         program = write_urscript(self.TIME + 3.0, self.JOINTS)
@@ -439,7 +441,7 @@ class TestUrScript:
         program = write_urscript(self.TIME, self.JOINTS)
         kept = re.search(r"while i < (\d+):\n    servoj\(" + NUMBERS, program)
         assert kept is not None
-        assert int(kept.group(1)) * 0.008 >= SETTLE
+        assert int(kept.group(1)) * 0.008 >= UR_LAST_SAMPLE_HOLD_S
         assert np.array(kept.group(2).split(","), dtype=float) == pytest.approx(self.JOINTS[-1], abs=1e-7)
 
     def test_other_periods(self):

@@ -20,7 +20,7 @@ from ctr_nlp.hardware.devices.grbl.ledger import (
     Ledger,
 )
 from ctr_nlp.hardware.motion.lookahead import LinkTiming
-from ctr_nlp.hardware.playing.results import Outcome, Result
+from ctr_nlp.hardware.playing.results import PlaybackOutcome, Result
 
 SECONDS = 0.025
 """Of a line."""
@@ -69,7 +69,7 @@ def test_a_changed_line_is_noticed_before_it_is_played(word: bytes, changed: byt
     world, result, injector = struck(
         tmp_path, lambda piece: piece.replace(word, changed, 1) if word in piece and b" " in piece else None
     )
-    assert (result.outcome, result.trusted) == (Outcome.DEVICE_FAULT, "soft limits" not in result.message)
+    assert (result.outcome, result.trusted) == (PlaybackOutcome.DEVICE_FAULT, "soft limits" not in result.message)
     assert "changed on the way" in result.message
     assert injector.struck_at is not None
     path = np.array([world.trajectory().positions(t) for t in np.linspace(0, world.trajectory().duration, 500)])
@@ -78,7 +78,7 @@ def test_a_changed_line_is_noticed_before_it_is_played(word: bytes, changed: byt
 
 def test_a_copy_takes_the_place_of_a_lost_line_and_the_loss_is_noticed(tmp_path: Path) -> None:
     _, result, _ = struck(tmp_path, lambda piece: b"" if b" " in piece else None)
-    assert (result.outcome, result.trusted) == (Outcome.DEVICE_FAULT, True)
+    assert (result.outcome, result.trusted) == (PlaybackOutcome.DEVICE_FAULT, True)
     assert "a line or its `ok` was lost on the way" in result.message
     assert result.frame <= 11  # at 1.1 s; before, it was noticed at the end
 
@@ -87,14 +87,14 @@ def test_a_feed_that_slows_a_line_down_is_noticed(tmp_path: Path) -> None:
     _, result, _ = struck(
         tmp_path, lambda piece: re.sub(rb" F(\d\d)\d\d", rb" F\1", piece) if b" F" in piece else None
     )
-    assert (result.outcome, result.trusted) == (Outcome.DEVICE_FAULT, True)
+    assert (result.outcome, result.trusted) == (PlaybackOutcome.DEVICE_FAULT, True)
     assert "its feed was changed on the way" in result.message
 
 
 def test_a_changed_number_of_one_line_does_no_harm(tmp_path: Path) -> None:
     _, result, injector = struck(tmp_path, lambda piece: piece.replace(b"N", b"N99", 1) if b" " in piece else None)
     assert "N99" in injector.note
-    assert result.outcome is Outcome.SUCCESS
+    assert result.outcome is PlaybackOutcome.SUCCESS
 
 
 # the ledger alone

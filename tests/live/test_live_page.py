@@ -12,7 +12,7 @@ import time
 import numpy as np
 import pytest
 from browser import SOFTWARE, launcher
-from problems import ROOT, named
+from problems import ROOT, named_problem
 
 from ctr_nlp import Plan, table_i_robot
 from ctr_nlp.cli.main import COMMANDS, load
@@ -53,7 +53,7 @@ def asked(live, question):
 
 @pytest.fixture
 def live():
-    served = Live(named("arc", 20), model="dominant", port=0, robots={"Table I": table_i_robot()})
+    served = Live(named_problem("arc", 20), model="dominant", port=0, robots={"Table I": table_i_robot()})
     yield served
     served.stop()
 
@@ -66,7 +66,7 @@ def test_a_tip_is_dragged_in_the_browser_and_the_motion_recorded(live):
         browser = launch(SOFTWARE)
         page, fetched = browser.new_page(viewport={"width": 900, "height": 640}), []
         page.set_default_timeout(1e3 * PATIENCE)
-        page.on("request", lambda request: fetched.append(request.url))
+        page.evaluate_on("request", lambda request: fetched.append(request.url))
         page.goto(live.url)
         page.get_by_text("shape error e2").wait_for()
         for close in page.locator(".mantine-Notification-closeButton").all():  # software rendering is told of
@@ -81,7 +81,7 @@ def test_a_tip_is_dragged_in_the_browser_and_the_motion_recorded(live):
             page.mouse.move(x + 40 * part, y - 20 * part)
             page.wait_for_timeout(100)
         page.mouse.up()
-        until(lambda: asked(live, lambda session: session.goal.pulled))
+        until(lambda: asked(live, lambda session: session.goal.is_displaced))
         until(lambda: np.hypot(*np.subtract(_shown(live, box), (x + 40, y - 20))) < 5.0)
         page.get_by_role("button", name=re.compile("Stop, and keep")).click()
         page.get_by_text(re.compile("The plan of .* frames was made")).wait_for()
@@ -115,7 +115,7 @@ def test_a_port_in_use_is_one_clear_line(capsys, tmp_path):
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]
         with pytest.raises(OptionError, match=rf"port {port} of 127.0.0.1 .* in use.*give another"):
-            Live(named("arc", 5), model="dominant", port=port)
+            Live(named_problem("arc", 5), model="dominant", port=port)
         assert load(COMMANDS["live"])(["arc", "--port", str(port), "--out", str(tmp_path / "out")]) == 2
     lines = capsys.readouterr().err.splitlines()
     assert [line.startswith(f"error: port {port} of 127.0.0.1") for line in lines] == [True]

@@ -5,7 +5,7 @@ import logging
 import socket
 
 import pytest
-from problems import named
+from problems import named_problem
 
 pytest.importorskip("viser", reason='needs viser: pip install "ctr_nlp[live]"')
 import msgspec
@@ -23,7 +23,7 @@ PROTOCOL = Subprotocol(f"viser-v{viser.__version__}")
 
 @pytest.fixture(scope="module")
 def live():
-    served = Live(named("arc", 20), model="dominant", port=0, robots={"Table I": table_i_robot()})
+    served = Live(named_problem("arc", 20), model="dominant", port=0, robots={"Table I": table_i_robot()})
     yield served
     served.stop()
 

@@ -25,13 +25,13 @@ def plan():
 
 
 def test_numbers_change_linearly_but_for_the_places_between_which_a_force_acts():
-    found = COMING.over(3, np.array([0.0, 0.25, 0.5, 0.75, 1.0]))
+    found = COMING.numbers_at(3, np.array([0.0, 0.25, 0.5, 0.75, 1.0]))
     np.testing.assert_allclose(found[:, 1], [0, 0.25, 0.5, 0.25, 0], atol=1e-15)
     np.testing.assert_allclose(found[:, 12], [0, 0, 0, 0.01, 0.02], atol=1e-15)
     np.testing.assert_array_equal(found[:, 15:17], np.tile([20.0, 60.0], (5, 1)))
     assert COMING.conservative
-    assert COMING.distributed
-    assert not COMING.follows
+    assert COMING.has_distributed_force
+    assert not COMING.has_follower_force
     assert not LoadOverTime([SIDE, Load(axial_moment=1.0)], [0, 1]).conservative
 
 
@@ -68,34 +68,34 @@ def test_loads_that_act_along_different_places_are_refused():
 
 
 def test_a_load_that_does_not_change_is_a_constant_one(plan):
-    changing, constant = plan.under(LoadOverTime([LEANING, LEANING], [0, 1])), plan.under(LEANING)
+    changing, constant = plan.with_load(LoadOverTime([LEANING, LEANING], [0, 1])), plan.with_load(LEANING)
     np.testing.assert_allclose(changing.shape, constant.shape, atol=1e-9)
     np.testing.assert_allclose(changing.stability, constant.stability, atol=1e-9)
 
 
 def test_every_frame_is_that_of_a_robot_under_the_load_of_its_time(plan):
-    found = plan.under(COMING)
+    found = plan.with_load(COMING)
     assert not found.meta["snaps"]
     parts = np.linspace(0, 1, len(plan.time))
-    for k, numbers in enumerate(COMING.over(plan.robot.d, parts)):
+    for k, numbers in enumerate(COMING.numbers_at(plan.robot.d, parts)):
         here = Load(numbers[:3], distributed_force=numbers[12:15], between=(20.0, 60.0))
-        alone = plan.under(here)
+        alone = plan.with_load(here)
         np.testing.assert_allclose(found.shape[k], alone.shape[k], atol=1e-6)
         assert found.stability[k] == pytest.approx(alone.stability[k], abs=1e-6)
     assert abs(found.shape - plan.shape)[1:].max(axis=(1, 2)).min() > 0.05
 
 
 def test_a_file_of_a_plan_keeps_its_load_over_time(plan, tmp_path):
-    found = plan.under(COMING)
+    found = plan.with_load(COMING)
     found.save(tmp_path / "plan.npz")
     again = Plan.load(tmp_path / "plan.npz")
     assert again == found
-    assert again.bears == COMING
+    assert again.evaluated_load == COMING
     assert "a load over time" in repr(again)
 
 
 def test_what_needs_a_constant_load_says_so(plan):
-    under, told = plan.under(COMING), "this one changes over time"
+    under, told = plan.with_load(COMING), "this one changes over time"
     for refused in (lambda: under[1:], under.reversed, lambda: under + under):
         with pytest.raises(LoadError, match=told):
             refused()
@@ -103,10 +103,10 @@ def test_what_needs_a_constant_load_says_so(plan):
 
 def test_forces_are_borne_beside_the_load_of_the_frame(plan):
     """As those of a plan under the load that every frame has at its time, all the time."""
-    found = forces(plan.under(COMING), directions=6)
+    found = forces(plan.with_load(COMING), directions=6)
     parts = np.linspace(0, 1, len(plan.time))
-    for k, numbers in enumerate(COMING.over(plan.robot.d, parts)):
+    for k, numbers in enumerate(COMING.numbers_at(plan.robot.d, parts)):
         here = Load(numbers[:3], distributed_force=numbers[12:15], between=(20.0, 60.0))
-        alone = forces(plan.under(here), directions=6)
-        np.testing.assert_allclose(found.snaps[k], alone.snaps[k], rtol=1e-3)
+        alone = forces(plan.with_load(here), directions=6)
+        np.testing.assert_allclose(found.snapping_forces[k], alone.snapping_forces[k], rtol=1e-3)
         np.testing.assert_allclose(found.compliance[k], alone.compliance[k], rtol=1e-3)

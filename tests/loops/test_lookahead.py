@@ -8,14 +8,14 @@ from near_fold import near_the_fold, plan_through
 from ctr_nlp import Tolerances
 from ctr_nlp.loops.closed import closed_loop, open_loop
 from ctr_nlp.loops.feed import Feed
-from ctr_nlp.loops.lookahead import DEVIATIONS, objection
+from ctr_nlp.loops.lookahead import SNAP_SAFETY_DEVIATIONS, objection
 from ctr_nlp.loops.plant import Plant
 from ctr_nlp.loops.sensors import Sensors
-from ctr_nlp.loops.sensors.points import TipPosition
-from ctr_nlp.loops.tracker import State, Tracker
-from ctr_nlp.robot.draws import drawn_from
+from ctr_nlp.loops.sensors.points import TipPositionSensor
+from ctr_nlp.loops.tracker import Tracker, TrackerState
+from ctr_nlp.robot.draws import perturb_robot
 
-TIP = Sensors(TipPosition(0.5))
+TIP = Sensors(TipPositionSensor(0.5))
 LAST = 4.24  # rad, shortly before the robot as described snaps, at 4.29
 
 
@@ -33,7 +33,7 @@ def played(plan, draw, seed=0, sensors=SENSORS, tolerances=OFF):
 def test_robots_stop_before_they_snap(sensors):
     plan, draws = towards_the_fold(), robots(10)
     opened = [open_loop(plan, Plant(ROBOT, draws[k : k + 1])) for k in range(10)]
-    assert sum(run.snapped > 0 for run in opened) > 2
+    assert sum(run.first_snap_frame > 0 for run in opened) > 2
     for k in range(10):
         run = played(plan, draws[k : k + 1], k, sensors)
         assert not run.snapped
@@ -68,19 +68,19 @@ def test_robots_with_margin_to_spare_are_not_stopped():
 def test_a_snap_that_could_not_be_foreseen_is_told_at_once(sensors, frame):
     """Something turns the outer tube past the fold and back, of which commands say nothing."""
     plan = towards_the_fold(3.6, 30)
-    plant = Plant(ROBOT, drawn_from(ROBOT, np.zeros((1, 2, 5)), np.zeros((1, 2))))
+    plant = Plant(ROBOT, perturb_robot(ROBOT, np.zeros((1, 2, 5)), np.zeros((1, 2))))
     tracker, feed = Tracker(plan, sensors, Tolerances(0.01, 0.01, motor_zero=0.01)), Feed(plant, sensors, 1)
     q = plan.q[0]
     for k, time in enumerate(plan.time[: frame + 1].tolist()):
-        plant.moved(q, time)
+        plant.move_to(q, time)
         if k == frame:
-            plant.moved(q + np.array([1.5, 0, 0, 0, 0, 0]), time)
-            plant.moved(q, time)
-            assert plant.snapped
+            plant.move_to(q + np.array([1.5, 0, 0, 0, 0, 0]), time)
+            plant.move_to(q, time)
+            assert plant.has_snapped
         assert tracker.notes == []
-        q = tracker.step(k, q, time, feed.arrived(time))
+        q = tracker.step(k, q, time, feed.take_readings(time))
     (note,) = tracker.notes
-    assert note.state is State.STOPPED
+    assert note.state is TrackerState.STOPPED
     assert note.why.startswith(f"the robot has snapped about frame {frame + 1}: what is measured fits another")
     assert (q == plant.history[-1].q).all()
 
@@ -91,7 +91,7 @@ def test_what_speaks_against_a_motion_is_told_in_words():
     for q, time in zip(plan.q[:36], plan.time[:36], strict=True):
         tracker.observe(q, time, [])
     there = tracker.observer
-    weaker = there.weaker(there.predicted.of_margin, DEVIATIONS)
+    weaker = there.weaker_robot(there.predicted.of_margin, SNAP_SAFETY_DEVIATIONS)
     assert objection(there, weaker, plan.q[36], 0.05) == ""
     assert "would snap" in objection(there, weaker, plan.q[36] + [1.0, 0, 0, 0, 0, 0], 0.05)
     assert "would fall to" in objection(there, weaker, plan.q[36], 1.0)
@@ -103,8 +103,8 @@ def test_where_it_is_estimated_is_what_matters_not_the_plan():
     plan = towards_the_fold(4.1)
     parts = np.zeros((1, 2, 5))
     parts[0, 0, -1] = 0.3
-    draw = drawn_from(ROBOT, parts, np.zeros((1, 2)))
-    assert open_loop(plan, Plant(ROBOT, draw)).snapped
+    draw = perturb_robot(ROBOT, parts, np.zeros((1, 2)))
+    assert open_loop(plan, Plant(ROBOT, draw)).first_snap_frame
     run = played(plan, draw, 0, SENSORS, Tolerances(0.02, 0.02, motor_zero=0.3))
     assert not run.snapped
 
@@ -116,7 +116,7 @@ def test_a_less_stable_robot_that_cannot_snap_is_not_taken_for_one_that_has():
     for q, time in zip(plan.q[:29], plan.time[:29], strict=True):
         tracker.observe(q, time, [])
     there = tracker.observer
-    weaker = there.weaker(there.predicted.of_margin, 2.0)
+    weaker = there.weaker_robot(there.predicted.of_margin, 2.0)
     assert weaker is not None
-    draw = there.differences.draws(weaker.mean[None])
-    assert not open_loop(plan, Plant(ROBOT, draw)).snapped
+    draw = there.differences.perturbed_robots(weaker.mean[None])
+    assert not open_loop(plan, Plant(ROBOT, draw)).first_snap_frame

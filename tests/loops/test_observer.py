@@ -6,15 +6,15 @@ from loops_of import OFF, ROBOT, SENSORS, made_plan, robots
 
 from ctr_nlp import Tolerances
 from ctr_nlp.exceptions import OptionError
-from ctr_nlp.loops.differences import Differences
+from ctr_nlp.loops.differences import ParameterDifferences
 from ctr_nlp.loops.feed import Feed
 from ctr_nlp.loops.observer import Observer
 from ctr_nlp.loops.plant import Plant
 from ctr_nlp.loops.prediction import Predictor
 from ctr_nlp.loops.sensors import Reading
-from ctr_nlp.models import MODELS
+from ctr_nlp.models import KINEMATIC_MODELS
 
-ELASTIC = MODELS["elastic"]
+ELASTIC = KINEMATIC_MODELS["elastic"]
 
 
 @pytest.fixture(scope="module")
@@ -23,8 +23,8 @@ def plan():
 
 
 def observer(tolerances=OFF):
-    of = Differences.of(ROBOT, tolerances)
-    return Observer(ELASTIC, of, SENSORS, Predictor(ELASTIC, ROBOT.structure, SENSORS.sigma, of.freed))
+    of = ParameterDifferences.of(ROBOT, tolerances)
+    return Observer(ELASTIC, of, SENSORS, Predictor(ELASTIC, ROBOT.structure, SENSORS.sigma, of.tube_parts))
 
 
 def true(draws, k):
@@ -37,9 +37,9 @@ def watched(plan, draws, k, tolerances=OFF, **feed):
     plant, found = Plant(ROBOT, draws[k : k + 1]), observer(tolerances)
     source = Feed(plant, SENSORS, k, **feed)
     for q, time in zip(plan.q, plan.time.tolist(), strict=True):
-        plant.moved(q, time)
+        plant.move_to(q, time)
         found.moved(q, time)
-        for reading in source.arrived(time):
+        for reading in source.take_readings(time):
             found.measured(reading)
     return found
 
@@ -48,35 +48,35 @@ def test_slopes_of_what_is_measured_match_finite_differences(plan):
     found, step = observer(), 1e-5
     found.moved(plan.q[0], 0.0)
     found.moved(plan.q[30], 1.0)
-    _, slopes = found.expected(1.0)
+    _, slopes = found.expected_reading(1.0)
     of = found.differences
     for k in range(len(of)):
         ends = []
         for side in (1, -1):
             draw = of.draws((side * step * np.eye(len(of))[k])[None])
             plant = Plant(ROBOT, draw)
-            plant.moved(plan.q[0], 0.0)
-            plant.moved(plan.q[30], 1.0)
-            ends.append(SENSORS.values(plant.seen(SENSORS.sigma)))
+            plant.move_to(plan.q[0], 0.0)
+            plant.move_to(plan.q[30], 1.0)
+            ends.append(SENSORS.values(plant.sample_shape(SENSORS.sigma)))
         assert slopes[:, k] == pytest.approx((ends[0] - ends[1]) / (2 * step), rel=0.01, abs=0.05)
 
 
 def test_what_is_known_beforehand_is_what_the_tolerances_say():
-    of = Differences.of(ROBOT, Tolerances(0.1, 0.0, motor_zero=(0.0, 0.03), rotation_lag=0.06))
+    of = ParameterDifferences.of(ROBOT, Tolerances(0.1, 0.0, motor_zero=(0.0, 0.03), rotation_lag=0.06))
     places = [(0, "curvature"), (1, "curvature"), (1, "motor_zero"), (0, "rotation_lag"), (1, "rotation_lag")]
-    assert list(of.places) == places
+    assert list(of.entries) == places
     assert np.sqrt(of.covariance.diagonal()) == pytest.approx(np.array([0.1, 0.1, 0.03, 0.03, 0.03]) / np.sqrt(3))
     assert of.mean == pytest.approx([0, 0, 0, 0.03, 0.03])
     values = np.array([0.05, -0.02, 0.01, 0.04, 0.02])
-    draw = of.draws(values[None])
+    draw = of.perturbed_robots(values[None])
     assert of.numbers(values) == pytest.approx(draw.numbers[0])
     assert of.offsets(values) == pytest.approx(draw.offsets[0])
-    assert of.lags(values) == pytest.approx(draw.lags[0])
+    assert of.lags(values) == pytest.approx(draw.backlash[0])
 
 
 def test_a_robot_without_tolerances_has_nothing_to_learn():
     with pytest.raises(OptionError, match="all 0"):
-        Differences.of(ROBOT, Tolerances(0.0, 0.0, motor_zero=0.0))
+        ParameterDifferences.of(ROBOT, Tolerances(0.0, 0.0, motor_zero=0.0))
 
 
 @pytest.mark.parametrize("feed", [{}, {"latency": 0.6}, {"dropped": 0.3}], ids=["prompt", "late", "dropped"])
@@ -106,7 +106,7 @@ def test_values_that_cannot_be_are_not_taken(plan):
     found = observer()
     for k, time in ((0, 0.0), (10, 1.0)):
         found.moved(plan.q[k], time)
-    values, _ = found.expected(1.0)
+    values, _ = found.expected_reading(1.0)
     values = values.copy()
     values[3:6] += 30.0
     values[6] = np.nan
@@ -120,7 +120,7 @@ def test_judging_a_reading_takes_nothing_of_it(plan):
     for k, time in ((0, 0.0), (10, 1.0)):
         found.moved(plan.q[k], time)
     mean, covariance = found.mean, found.covariance
-    seen = found.judged(Reading(1.0, found.expected(1.0)[0] + 0.3))
+    seen = found.compute_innovation(Reading(1.0, found.expected_reading(1.0)[0] + 0.3))
     assert seen.accepted.all()
     assert found.mean is mean
     assert found.covariance is covariance

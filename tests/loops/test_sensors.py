@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from ctr_nlp.exceptions import OptionError
-from ctr_nlp.loops.sensors import Seen, Sensors
-from ctr_nlp.loops.sensors.fibre import Fibre
-from ctr_nlp.loops.sensors.points import ShapePoints, TipPose, TipPosition
-from ctr_nlp.loops.sensors.views import Views, view
+from ctr_nlp.loops.sensors import SensedShape, Sensors
+from ctr_nlp.loops.sensors.fibre import FibreSensor
+from ctr_nlp.loops.sensors.points import ShapePointSensor, TipPoseSensor, TipPositionSensor
+from ctr_nlp.loops.sensors.views import ViewSensor, view
 
 PAIR = np.array(
     [
@@ -17,11 +17,11 @@ PAIR = np.array(
 )
 PLACES = 0.2, 0.5, 0.9
 EVERY = {
-    "tip": TipPosition(0.5),
-    "pose": TipPose(0.5, 0.02),
-    "points": ShapePoints(PLACES),
-    "views": Views(PLACES, PAIR),
-    "fibre": Fibre(PLACES),
+    "tip": TipPositionSensor(0.5),
+    "pose": TipPoseSensor(0.5, 0.02),
+    "points": ShapePointSensor(PLACES),
+    "views": ViewSensor(PLACES, PAIR),
+    "fibre": FibreSensor(PLACES),
 }
 
 
@@ -44,7 +44,7 @@ def seen(sigma, bend=(0.012, 0.4), step=1e-6):
             moved[k] += side * step
             ends.append(shape(moved, sigma))
         slopes.append([(a - b) / (2 * step) for a, b in zip(*ends, strict=True)])
-    return Seen(*shape(bend, sigma), *(np.array([each[i] for each in slopes]) for i in range(2)), 80.0)
+    return SensedShape(*shape(bend, sigma), *(np.array([each[i] for each in slopes]) for i in range(2)), 80.0)
 
 
 @pytest.mark.parametrize("name", EVERY)
@@ -69,14 +69,16 @@ def test_a_view_shows_its_centre_in_the_middle_and_true_sizes_there():
 
 def test_two_views_tell_where_a_point_is():
     point = np.array([[7.0, -4.0, 66.0]])
-    places = Views((0.5,), PAIR).values(Seen(point, point, point[None], point[None], 80.0)).reshape(2, 2)
+    places = (
+        ViewSensor((0.5,), PAIR).values(SensedShape(point, point, point[None], point[None], 80.0)).reshape(2, 2)
+    )
     rows = np.vstack([p[:2] - np.outer(place, p[2]) for p, place in zip(PAIR, places, strict=True)])
     found, *_ = np.linalg.lstsq(rows[:, :3], -rows[:, 3], rcond=None)
     assert found == pytest.approx(point[0])
 
 
 def test_a_fibre_measures_the_curvature_of_an_arc():
-    fibre = Fibre(tuple(np.linspace(0, 1, 41)))
+    fibre = FibreSensor(tuple(np.linspace(0, 1, 41)))
     assert fibre.values(seen(fibre.sigma)) == pytest.approx(0.012, rel=1e-3)
 
 
@@ -85,17 +87,17 @@ def test_several_sensors_are_one_whose_groups_belong_together():
     at = seen(both.sigma)
     parts = [EVERY[name].values(seen(EVERY[name].sigma)) for name in ("fibre", "points", "views")]
     assert both.values(at) == pytest.approx(np.concatenate(parts))
-    rows = np.concatenate([rows.ravel() for rows in both.grouped])
+    rows = np.concatenate([rows.ravel() for rows in both.value_groups])
     assert sorted(rows) == list(range(len(both)))
-    assert {rows.shape[1] for rows in both.grouped} == {1, 2, 3}
+    assert {rows.shape[1] for rows in both.value_groups} == {1, 2, 3}
 
 
 @pytest.mark.parametrize(
     ("make", "what"),
     [
-        (lambda: TipPosition(0.0), "deviation"),
-        (lambda: ShapePoints((0.5, 1.2)), r"sigma.*\[0, 1\]"),
-        (lambda: Fibre((0.5,)), "two places"),
+        (lambda: TipPositionSensor(0.0), "deviation"),
+        (lambda: ShapePointSensor((0.5, 1.2)), r"sigma.*\[0, 1\]"),
+        (lambda: FibreSensor((0.5,)), "two places"),
         (lambda: Sensors(), "Sensor"),
         (lambda: view(np.zeros(3), np.zeros(3), np.array([0, 0, 1.0])), "source"),
     ],

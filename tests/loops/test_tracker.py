@@ -6,22 +6,28 @@ from loops_of import OFF, ROBOT, SENSORS, made_plan, robots
 from near_fold import near_the_fold, plan_through
 
 from ctr_nlp.loops.closed import closed_loop, open_loop
-from ctr_nlp.loops.doubts import Doubts
-from ctr_nlp.loops.feed import Feed, Late, Outliers, Shifted, Silence, Stuck, Swapped
+from ctr_nlp.loops.doubts import SensorMonitor
+from ctr_nlp.loops.feed import Feed, LateReadings, Outliers, ShiftedPoints, Silence, StuckReadings, SwappedAxes
 from ctr_nlp.loops.observer import Innovation
 from ctr_nlp.loops.plant import Plant
 from ctr_nlp.loops.sensors import Reading, Sensors
-from ctr_nlp.loops.sensors.points import TipPosition
-from ctr_nlp.loops.tracker import MARGIN, NEAR, PULL, State, Tracker
+from ctr_nlp.loops.sensors.points import TipPositionSensor
+from ctr_nlp.loops.tracker import (
+    MAX_CORRECTION_RAD_MM_RAD,
+    PLAN_PULL_COST_MM2,
+    TRACKER_STABILITY_MARGIN,
+    Tracker,
+    TrackerState,
+)
 
 BEGIN = 2.0
 FAULTS = {
     "silence": Silence(BEGIN),
     "outliers": Outliers(BEGIN),
-    "late": Late(BEGIN, delay=0.6),
-    "registration": Shifted(BEGIN, offset=(2.0, 0.0, 0.0)),
-    "stuck": Stuck(BEGIN),
-    "axes": Swapped(BEGIN),
+    "late": LateReadings(BEGIN, delay=0.6),
+    "registration": ShiftedPoints(BEGIN, offset=(2.0, 0.0, 0.0)),
+    "stuck": StuckReadings(BEGIN),
+    "axes": SwappedAxes(BEGIN),
 }
 
 
@@ -73,10 +79,10 @@ def test_faults_of_sensors_are_told_in_half_a_second_and_do_no_harm(plan, name):
         run = led(plan, draws[k : k + 1], k, (FAULTS[name],))
         opened = open_loop(plan, Plant(ROBOT, draws[k : k + 1]))
         check_limits(run, plan)
-        assert opened.lost or not run.lost
+        assert opened.first_failed_frame or not run.lost
         first = next(note for note in run.notes if note.time >= BEGIN)
         assert first.time <= BEGIN + 0.5 + 1e-9
-        assert opened.snapped or not run.snapped
+        assert opened.first_snap_frame or not run.snapped
 
 
 @pytest.mark.parametrize("name", ["silence", "registration", "axes"])
@@ -97,7 +103,7 @@ def test_robots_are_corrected_where_tubes_do_not_act_on_each_other_yet(plan):
 
 def test_tracking_goes_on_once_sensors_can_be_believed_again(plan):
     run = led(plan, robots(1), faults=(Silence(1.0, 2.5),))
-    assert [note.state for note in run.notes] == [State.HELD, State.TRACKING]
+    assert [note.state for note in run.notes] == [TrackerState.UNCORRECTED, TrackerState.TRACKING]
     assert run.notes[-1].time == pytest.approx(2.5, abs=0.51)
 
 
@@ -106,9 +112,9 @@ def test_a_robot_whose_margin_is_not_safe_stops_where_nothing_is_measured(plan):
     plant, tracker = Plant(ROBOT, draw), Tracker(plan, SENSORS, OFF)
     q = plan.q[0]
     for frame, time in enumerate(plan.time[:5].tolist()):
-        plant.moved(q, time)
+        plant.move_to(q, time)
         q = tracker.step(frame, q, time, [])
-    assert tracker.notes[0].state is State.HELD
+    assert tracker.notes[0].state is TrackerState.UNCORRECTED
     assert "no measurement" in tracker.notes[0].why
     assert tracker.observer.mean == pytest.approx(tracker.observer.differences.mean)
 
@@ -116,7 +122,7 @@ def test_a_robot_whose_margin_is_not_safe_stops_where_nothing_is_measured(plan):
 @pytest.mark.parametrize("name", ["registration", "axes"])
 def test_sensors_that_have_contradicted_are_not_believed_again(plan, name):
     run = led(plan, robots(3)[2:], 2, (FAULTS[name],))
-    held = next(note.time for note in run.notes if note.state is State.HELD)
+    held = next(note.time for note in run.notes if note.state is TrackerState.UNCORRECTED)
     after = run.means[plan.time >= held]
     assert (after == after[0]).all()
 
@@ -130,25 +136,25 @@ def tip(rejected, time, excess=4.0):
 
 def test_one_tip_that_is_far_off_is_chance_and_two_of_nine_are_told():
     """At 20 readings a second nine are in the window: of a thousand right ones, one is rejected."""
-    doubts = Doubts()
-    told = [doubts.looked(*tip(k == 4, 0.05 * k))[1] for k in range(40)]
+    doubts = SensorMonitor()
+    told = [doubts.check_reading(*tip(k == 4, 0.05 * k))[1] for k in range(40)]
     assert told == [""] * 40
-    doubts = Doubts()
-    told = [doubts.looked(*tip(k in (4, 7), 0.05 * k))[1] for k in range(8)]
+    doubts = SensorMonitor()
+    told = [doubts.check_reading(*tip(k in (4, 7), 0.05 * k))[1] for k in range(8)]
     assert told[:7] == [""] * 7
     assert told[7] == "25% of what is measured is far from what is expected, and is not used"
 
 
 def test_one_tip_that_no_chance_explains_is_told_at_once():
-    doubts = Doubts()
-    told = [doubts.looked(*tip(k == 4, 0.05 * k, excess=7.0))[1] for k in range(5)]
+    doubts = SensorMonitor()
+    told = [doubts.check_reading(*tip(k == 4, 0.05 * k, excess=7.0))[1] for k in range(5)]
     assert told == ["", "", "", "", "20% of what is measured is far from what is expected, and is not used"]
 
 
 def test_a_tip_of_which_a_value_is_missing_is_not_far_off():
-    tracker = Tracker(made_plan(), Sensors(TipPosition()), OFF)
+    tracker = Tracker(made_plan(), Sensors(TipPositionSensor()), OFF)
     tracker.observe(tracker.plan.q[0], 0.0, [])
-    seen = tracker.observer.judged(Reading(0.0, np.array([0.0, np.nan, 60.0])))
+    seen = tracker.observer.compute_innovation(Reading(0.0, np.array([0.0, np.nan, 60.0])))
     assert (seen.groups, seen.rejected) == (0, 0)
     assert not seen.accepted.any()
 
@@ -159,7 +165,7 @@ def thin():
     q = near_the_fold(4.24, 40)
     q[:, 2:4] = np.linspace((20.0, 30.0), (62.0, 85.0), 40)
     plan = plan_through(q, ROBOT)
-    assert 0 < plan.stability[-1] < 0.5 * MARGIN
+    assert 0 < plan.stability[-1] < 0.5 * TRACKER_STABILITY_MARGIN
     return plan
 
 
@@ -179,15 +185,17 @@ def test_no_more_margin_is_asked_for_than_was_planned_and_the_pull_grows_where_i
         assert len(own) > 30  # a robot that has to stop is not asked further
         assert (own <= thin.stability[1 : len(own) + 1] + 1e-12).all()
     margins, _, pulls = np.array(asked).T
-    thin_ones = margins < MARGIN
+    thin_ones = margins < TRACKER_STABILITY_MARGIN
     assert thin_ones.any()
-    assert pulls[thin_ones].min() > 10 * PULL
-    assert pulls[margins > 0.9].max() < 10 * PULL
+    assert pulls[thin_ones].min() > 10 * PLAN_PULL_COST_MM2
+    assert pulls[margins > 0.9].max() < 10 * PLAN_PULL_COST_MM2
 
 
 def test_corrections_stay_near_the_plan(thin):
     draws = robots(3)
     for k in range(3):
         run = led(thin, draws[k : k + 1], k)
-        near = np.repeat(NEAR, 2) + np.append(np.full(2, 0.06), np.zeros(4))  # motors' zeros are off by 0.05 rad
+        near = np.repeat(MAX_CORRECTION_RAD_MM_RAD, 2) + np.append(
+            np.full(2, 0.06), np.zeros(4)
+        )  # motors' zeros are off by 0.05 rad
         assert (abs(run.q - thin.q) <= near + 1e-9).all()

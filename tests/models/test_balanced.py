@@ -23,7 +23,7 @@ from ctr_nlp import (
 )
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.models import suits
-from ctr_nlp.reference import METHODS, reference_frames
+from ctr_nlp.reference import REFERENCE_METHODS, reference_frames
 from ctr_nlp.studies.comparison import compare, parse_variant
 
 OUTER = Tube(90, 60, 0.008, outer_diameter=2.4, inner_diameter=2.2)
@@ -43,12 +43,12 @@ def test_a_balanced_pair_is_planned_on_the_elastic_model_from_end_to_end(robot, 
     assert plan.complete
     assert summary(plan)["e3"] < 0.5
     assert plan.stability_between.min() >= Settings().stability_margin - 0.01
-    np.testing.assert_allclose(follow(robot, plan.q).x, follow(robot, plan.on("elastic").q).x)
+    np.testing.assert_allclose(follow(robot, plan.q).x, follow(robot, plan.evaluate_on("elastic").q).x)
     plan.save(tmp_path / "plan.npz")
     again = Plan.load(tmp_path / "plan.npz")
     assert again.robot == robot
     with pytest.raises(OptionError, match=r"tube 1 is not stiffer than tube 2 .*--model elastic"):
-        again.on("dominant")
+        again.evaluate_on("dominant")
 
 
 def test_a_balanced_pair_is_planned_over_a_horizon():
@@ -68,7 +68,7 @@ def test_a_balanced_pair_is_planned_over_a_horizon():
         lambda robot: solve_horizon(problem(robot), model="dominant"),
         *(
             lambda robot, name=name: reference_frames(problem(robot), name, Settings())
-            for name, reference in METHODS.items()
+            for name, reference in REFERENCE_METHODS.items()
             if reference.model == "dominant"
         ),
         lambda robot: compare([problem(robot)], [parse_variant("joint:ipopt")]),

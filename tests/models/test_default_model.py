@@ -32,7 +32,7 @@ from ctr_nlp.formulations import FORMULATIONS, default_model
 from ctr_nlp.live import Live
 from ctr_nlp.live.steered.session import Session
 from ctr_nlp.models import DEFAULT_MODEL
-from ctr_nlp.reference import METHODS
+from ctr_nlp.reference import REFERENCE_METHODS
 from ctr_nlp.steer import Horizon
 from ctr_nlp.steer.nlp_frames import NlpFrames
 from ctr_nlp.studies import trade_off
@@ -44,7 +44,7 @@ ENTRIES = [
     solve_horizon,
     Horizon,
     Steerer,
-    Steerer.soon,
+    Steerer.create_if_compiled,
     plan_through,
     Live,
     Session,
@@ -115,7 +115,7 @@ def test_commands_that_move_robots_are_elastic_and_learning_is_not():
 
 
 def test_variants_without_a_model_stay_dominant():
-    ours = [name for name in VARIANTS if name not in METHODS]
+    ours = [name for name in VARIANTS if name not in REFERENCE_METHODS]
     assert len(ours) > 4
     assert {parse_variant(name).model for name in ours} == {"dominant"}
     assert parse_variant("horizon:ipopt:elastic").model == "elastic"
@@ -142,11 +142,11 @@ def test_methods_beside_a_front_are_judged_on_its_model(problem, monkeypatch):
     ours, other = (plan_through(problem, q, model) for model in ("elastic", "dominant"))
     horizon = types.SimpleNamespace(problem=problem, solve=lambda *_, **__: ours)
     variant = types.SimpleNamespace(model="dominant", plan=lambda *_: other)
-    monkeypatch.setattr(trade_off, "BESIDE", ("other",))
+    monkeypatch.setattr(trade_off, "COMPARED_VARIANTS", ("other",))
     monkeypatch.setattr(trade_off, "parse_variant", lambda _: variant)
     monkeypatch.setattr(
         trade_off, "_point", lambda method, plan: types.SimpleNamespace(method=method, shape=plan.shape)
     )
-    front, beside = trade_off.trade_off(horizon, ours, (1e-5,), None, lambda label: None)
+    front, beside = trade_off.compute_pareto_front(horizon, ours, (1e-5,), None, lambda label: None)
     np.testing.assert_allclose(beside.shape, front.shape, atol=1e-9)
     assert np.abs(other.shape - ours.shape).max() > 0.1

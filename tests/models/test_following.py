@@ -13,9 +13,9 @@ from strategies import numbers, robots_with_q
 
 from ctr_nlp import Robot, Tube, table_i_robot
 from ctr_nlp.models.elastic import Elastic, stability
-from ctr_nlp.models.elastic.following import followed, followed_apart
-from ctr_nlp.models.protocol import passage
-from ctr_nlp.robot.draws import drawn, drawn_from
+from ctr_nlp.models.elastic.following import follow_robot_batch, follow_substeps
+from ctr_nlp.models.protocol import subdivide_motion
+from ctr_nlp.robot.draws import perturb_robot, sample_robots
 
 LONG = Robot((Tube(90, 70, 0.02, 4.0, 3.2), Tube(150, 90, 0.02, 2.6, 1.6)))
 BETA = 60.0, 80.0
@@ -179,10 +179,10 @@ def test_robots_abreast_go_where_each_goes_alone(compiled):
     q[60:63] = np.nan
     parts = np.zeros((11, 2, 5))
     parts[:, :, 0] = np.linspace(-0.5, 0.3, 11)[:, None]
-    draws, way = drawn_from(LONG, parts, np.zeros((11, 2))), passage(q, 4)
-    places = draws.turned(way.q, way.fresh)
-    abreast = followed_apart(LONG.structure, draws.numbers, way, places)
-    alone = [followed(LONG.structure, own, way, at) for own, at in zip(draws.numbers, places, strict=True)]
+    draws, way = perturb_robot(LONG, parts, np.zeros((11, 2))), subdivide_motion(q, 4)
+    places = draws.tube_configurations(way.q, way.fresh)
+    abreast = follow_robot_batch(LONG.structure, draws.numbers, way, places)
+    alone = [follow_substeps(LONG.structure, own, way, at) for own, at in zip(draws.numbers, places, strict=True)]
     assert 0 < sum(bool(each.snaps) for each in alone) < 11
     for one, other in zip(abreast, alone, strict=True):
         np.testing.assert_allclose(one.x, other.x, atol=1e-9)
@@ -214,9 +214,11 @@ NEAR_FOLDS = np.array(
 @pytest.mark.parametrize("substeps", [4, 8, 16, 32])
 def test_small_snaps_are_seen_whatever_the_steps(substeps, compiled):
     """A step over a fold may end near its prediction by chance: where that is far away, it is taken in parts."""
-    draws = drawn(table_i_robot(), 200, seed=3)[[10, 51, 88, 148, 166]]
-    way = passage(NEAR_FOLDS, substeps)
-    for found in Elastic().follow_apart(draws.structure, draws.numbers, way, draws.turned(way.q, way.fresh)):
+    draws = sample_robots(table_i_robot(), 200, seed=3)[[10, 51, 88, 148, 166]]
+    way = subdivide_motion(NEAR_FOLDS, substeps)
+    for found in Elastic().follow_batch(
+        draws.structure, draws.numbers, way, draws.tube_configurations(way.q, way.fresh)
+    ):
         (snap,) = found.snaps
         assert snap.frame == 8
         assert 0.55 < snap.jump < 0.75

@@ -9,7 +9,7 @@ from truth import Shot
 
 from ctr_nlp import Limits, Load, Loaded, Robot, Tube
 from ctr_nlp.exceptions import CtrError, RobotError
-from ctr_nlp.models import MODELS
+from ctr_nlp.models import KINEMATIC_MODELS
 from ctr_nlp.models.elastic.equilibria import Equilibria
 
 pytestmark = pytest.mark.interpreted
@@ -37,7 +37,7 @@ def wound(k, torsion, s):
 @pytest.mark.parametrize("name", ["dominant", "elastic"])
 @pytest.mark.parametrize("torsion", [TORSION, -TORSION])
 def test_a_lone_helix_is_one_through_the_opening(name, torsion):
-    robot, model = Robot((dataclasses.replace(INNER, pre_torsion=torsion),)), MODELS[name]
+    robot, model = Robot((dataclasses.replace(INNER, pre_torsion=torsion),)), KINEMATIC_MODELS[name]
     q = np.array([0.4, 80.0, 0.3, -0.2])
     turned = Rotation.from_euler("y", q[3]) * Rotation.from_euler("x", q[2])
     turned *= Rotation.from_euler("z", q[0] + torsion * (110 - 80))
@@ -48,7 +48,7 @@ def test_a_lone_helix_is_one_through_the_opening(name, torsion):
 @pytest.mark.parametrize("name", ["two helices", pytest.param("an arc between them", marks=pytest.mark.slow)])
 def test_shapes_and_angles_are_those_of_the_equations_shot_from_the_base(name):
     robot, q = POSES[name]
-    q, elastic = np.array(q), MODELS["elastic"]
+    q, elastic = np.array(q), KINEMATIC_MODELS["elastic"]
     shot, x = Shot(robot, q), elastic.rest(robot, q)
     np.testing.assert_allclose(x, shot.x, atol=1e-3)
     np.testing.assert_allclose(elastic.points(robot, x[None], SIGMA)[0], shot.points(SIGMA), atol=0.01)
@@ -57,7 +57,7 @@ def test_shapes_and_angles_are_those_of_the_equations_shot_from_the_base(name):
 def test_the_margin_is_that_of_finite_elements():
     robot, q = POSES["two helices"]
     q = np.array(q)
-    margin = MODELS["elastic"].margins(robot, MODELS["elastic"].rest(robot, q)[None])[0]
+    margin = KINEMATIC_MODELS["elastic"].margins(robot, KINEMATIC_MODELS["elastic"].rest(robot, q)[None])[0]
     assert margin == pytest.approx(Shot(robot, q).margin(12), abs=3e-3)
 
 
@@ -70,15 +70,15 @@ def test_tubes_that_cannot_twist_and_outweigh_each_other_are_those_of_the_domina
         SHOWN.limits,
     )
     q = np.array([0.8, -0.6, 0.2, 75, 90, 140, 0.0, 0.2])
-    x = MODELS["elastic"].rest(stiff, q)[None]
-    expected = MODELS["dominant"].points(stiff, q[None], SIGMA)
-    np.testing.assert_allclose(MODELS["elastic"].points(stiff, x, SIGMA), expected, atol=0.01)
+    x = KINEMATIC_MODELS["elastic"].rest(stiff, q)[None]
+    expected = KINEMATIC_MODELS["dominant"].points(stiff, q[None], SIGMA)
+    np.testing.assert_allclose(KINEMATIC_MODELS["elastic"].points(stiff, x, SIGMA), expected, atol=0.01)
 
 
 def test_a_left_and_a_right_helix_are_mirrored():
     robot, q = POSES["two helices"]
     mirrored = Robot(tuple(dataclasses.replace(t, pre_torsion=-t.pre_torsion) for t in robot.tubes))
-    elastic, other = MODELS["elastic"], q * np.array([-1, -1, 1, 1, 0, 0])
+    elastic, other = KINEMATIC_MODELS["elastic"], q * np.array([-1, -1, 1, 1, 0, 0])
     q = q * np.array([1, 1, 1, 1, 0, 0])
     points = elastic.points(robot, elastic.rest(robot, q)[None], SIGMA)[0]
     image = elastic.points(mirrored, elastic.rest(mirrored, other)[None], SIGMA)[0]
@@ -91,13 +91,13 @@ def test_a_helix_that_snaps_falls_to_where_it_would_be_settled_from_the_other_si
     robot, turned = Robot(tubes), np.array([0.2, 0, 0, 0, 0, 0])
     goal = np.array([0.0, 0.0, 110.0, 120.0, 0.0, 0.0])
     equilibria, jumps = Equilibria(robot.structure, robot.numbers), []
-    state = equilibria.nearest(goal, MODELS["elastic"].rest(robot, goal))
+    state = equilibria.nearest(goal, KINEMATIC_MODELS["elastic"].rest(robot, goal))
     while not jumps and goal[0] < 12:
         goal = goal + turned
-        state, jumps = equilibria.followed(state, goal)
+        state, jumps = equilibria.follow_to_goal(state, goal)
     assert len(jumps) == 1
     back = goal - np.array([2 * np.pi, 0, 0, 0, 0, 0])
-    settled = MODELS["elastic"].rest(robot, back)
+    settled = KINEMATIC_MODELS["elastic"].rest(robot, back)
     np.testing.assert_allclose((state.x - settled)[:2], [2 * np.pi, 0], atol=1e-6)
 
 

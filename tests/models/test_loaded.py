@@ -16,18 +16,18 @@ from strategies import drawn
 from ctr_nlp import Limits, Load, LoadOverTime, Robot, Tube, table_i_robot
 from ctr_nlp.exceptions import LoadError, OptionError
 from ctr_nlp.loads import with_modulus
-from ctr_nlp.models import MODELS, under
+from ctr_nlp.models import KINEMATIC_MODELS, model_with_load
 from ctr_nlp.models.loaded import acting, compiled
 from ctr_nlp.models.loaded.acting import RodKind
 from ctr_nlp.models.loaded.equilibria import LoadedEquilibria, States
-from ctr_nlp.models.loaded.following.track import Track
+from ctr_nlp.models.loaded.following.track import StateTrack
 from ctr_nlp.models.loaded.model import Loaded
 from ctr_nlp.models.loaded.stability import margins
 from ctr_nlp.models.loaded.tips import tips, unknowns
-from ctr_nlp.models.protocol import passage
+from ctr_nlp.models.protocol import subdivide_motion
 
 pytestmark = pytest.mark.interpreted
-ELASTIC, SIGMA = MODELS["elastic"], np.linspace(0, 1, 31)
+ELASTIC, SIGMA = KINEMATIC_MODELS["elastic"], np.linspace(0, 1, 31)
 FREE = Loaded(Load())
 NITINOL = with_modulus(table_i_robot(), 60_000)
 ROD = Robot((Tube(200, 150, 0.0, 1.5, 1.0, youngs_modulus=60_000),))
@@ -157,7 +157,7 @@ def test_without_load_it_is_the_elastic_model(shared_data, number):
     robot, d = with_modulus(case.robot, 60_000), case.robot.d
     equilibria, angles = LoadedEquilibria(robot.structure), case.x[None, :d].copy()
     angles[:, : d - 1] += angles[:, d - 1 :]
-    states = equilibria.unloaded(robot.numbers[None], case.q[None], angles)
+    states = equilibria.solve_unloaded(robot.numbers[None], case.q[None], angles)
     x = states.unknowns
     points = FREE.points(robot, x, SIGMA)
     np.testing.assert_allclose(points, ELASTIC.points(case.robot, case.x[None], SIGMA), atol=1e-3)
@@ -309,7 +309,7 @@ def test_slopes_are_the_derivatives_of_the_base_over_the_tip(load, kind):
     for k in range(5):
         step = np.zeros((1, 5))
         step[0, k] = h
-        both = [state.moved(sign * step) for sign in (1, -1)]
+        both = [state.move_tips(sign * step) for sign in (1, -1)]
         misfits = [equilibria.misfit(q, equilibria.ends(state.numbers, *tip, q, load)) for tip in both]
         np.testing.assert_allclose((misfits[1] - misfits[0])[0] / (2 * h), ends.slopes[0, :, k], atol=1e-6)
 
@@ -368,11 +368,15 @@ def test_robots_apart_bear_what_each_would_bear_alone():
     thick, thin = soft.tubes[2], replace(soft.tubes[2], inner_diameter=1.9)
     robots = [replace(soft, tubes=(*soft.tubes[:2], tube)) for tube in (thick, thin)]
     heavy = Load(force=(0, 0.002, 0), densities=21, down=(1, 0, 0))
-    numbers, way, structure = np.array([robot.numbers for robot in robots]), passage(q, 4), NITINOL.structure
+    numbers, way, structure = (
+        np.array([robot.numbers for robot in robots]),
+        subdivide_motion(q, 4),
+        NITINOL.structure,
+    )
     for load in (heavy, LoadOverTime([Load(), heavy], [0.0, 1.0])):
         model, ways = Loaded(load), np.repeat(way.q[None], 2, axis=0)
-        found = model.follow_apart(structure, numbers, way, ways)
-        points = model.points_apart(structure, numbers, np.array([each.x for each in found]), SIGMA)
+        found = model.follow_batch(structure, numbers, way, ways)
+        points = model.points_batch(structure, numbers, np.array([each.x for each in found]), SIGMA)
         for robot, each, shape in zip(robots, found, points, strict=True):
             alone = model.follow(robot, q, substeps=4)
             np.testing.assert_allclose(each.x, alone.x, atol=1e-7)
@@ -388,20 +392,20 @@ def test_robots_side_by_side_go_where_each_goes_alone(monkeypatch):
     turned = np.linspace(0.0, 3.4, 12)
     q = np.column_stack([turned, 0 * turned, 0 * turned, *np.tile([[20], [40], [75]], 12), 0 * turned, 0 * turned])
     numbers = NITINOL.numbers[None] * np.linspace(1.0, 2.6, 5)[:, None, None] ** np.array([0, 0, 1, 1, 0, 0, 0, 0])
-    model, way = Loaded(Load(force=(0, 0.1, 0))), passage(q, 4)
+    model, way = Loaded(Load(force=(0, 0.1, 0))), subdivide_motion(q, 4)
     ways = np.repeat(way.q[None], 5, axis=0) + 0.05 * np.arange(5)[:, None, None] * (np.arange(8) == 1)
-    monkeypatch.setattr("ctr_nlp.models.loaded.model.TOGETHER", 3)
+    monkeypatch.setattr("ctr_nlp.models.loaded.model.MAX_FOLLOWED_ROBOTS_PER_BATCH", 3)
     with monkeypatch.context() as patched:
-        patched.setattr("ctr_nlp.models.loaded.following.follower.FEW", 0)
-        together = model.follow_apart(NITINOL.structure, numbers, way, ways)
-        patched.setattr(Track, "fill", lambda *_: False)
-        step_by_step = model.follow_apart(NITINOL.structure, numbers, way, ways)
+        patched.setattr("ctr_nlp.models.loaded.following.follower.MAX_GUESSED_ROBOTS", 0)
+        together = model.follow_batch(NITINOL.structure, numbers, way, ways)
+        patched.setattr(StateTrack, "fill", lambda *_: False)
+        step_by_step = model.follow_batch(NITINOL.structure, numbers, way, ways)
     snapped = [bool(found.snaps) for found in together]
     assert any(snapped)
     assert not all(snapped)
     for own, motion, found, slow in zip(numbers, ways, together, step_by_step, strict=True):
-        (alone,) = model.follow_apart(NITINOL.structure, own[None], way, motion[None])
-        (frames,) = model.follow_apart(NITINOL.structure, own[None], way, motion[None], margins=False)
+        (alone,) = model.follow_batch(NITINOL.structure, own[None], way, motion[None])
+        (frames,) = model.follow_batch(NITINOL.structure, own[None], way, motion[None], margins=False)
         for other in (alone, slow):
             np.testing.assert_allclose(found.x, other.x, atol=1e-8)
             np.testing.assert_allclose(found.stability_between, other.stability_between, atol=1e-6)
@@ -417,7 +421,7 @@ def test_the_least_margin_on_the_way_is_that_of_all_places_there(shared_data):
     model, substeps = Loaded(Load(force=(0.1, 0, 0))), 5
     found = model.follow(robot, q, substeps=substeps)
     assert not found.snaps
-    places = passage(q, substeps)
+    places = subdivide_motion(q, substeps)
     every = model.margins(robot, model.follow(robot, places.q, substeps=1).x)
     least = [every[places.frames == frame].min() for frame in range(len(q))]
     inner = slice(1, -1)  # in the first and the last frame the load comes and goes
@@ -430,9 +434,9 @@ def test_what_cannot_be_loaded_is_refused():
     with pytest.raises(LoadError, match="looks like a ratio"):
         FREE.check(table_i_robot())
     with pytest.raises(OptionError, match="does not go with the dominant model; it goes with elastic"):
-        under("dominant", Load())
+        model_with_load("dominant", Load())
     with pytest.raises(OptionError, match="'dominant', which bears no load"):
-        MODELS["dominant"].frame_under(
+        KINEMATIC_MODELS["dominant"].frame_with_load(
             ca.SX(16, 1), NITINOL.structure, NITINOL.tube_numbers, lambda beta: beta[-1]
         )
 
@@ -451,7 +455,7 @@ def test_a_tube_pushed_out_beyond_its_curved_part_may_be_the_last_one():
 
 def test_rods_go_over_to_compiled_code_once_it_is_there(monkeypatch):
     """Until then they are interpreted, in the same object."""
-    offers = [compiled.symbolic(ROD.structure, acting.PLAIN)] * 3
+    offers = [compiled.symbolic(ROD.structure, acting.TIP_FORCE_ROD_KIND)] * 3
     fastest = compiled._fastest
     monkeypatch.setattr(compiled, "_fastest", lambda *which: offers.pop() if offers else fastest(*which))
     equilibria, state = rod_state(0.1)

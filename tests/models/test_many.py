@@ -8,11 +8,11 @@ import truth
 from frames import configuration
 
 from ctr_nlp import Limits, Robot, Tube, table_i_robot
-from ctr_nlp.models import MODELS
+from ctr_nlp.models import KINEMATIC_MODELS
 from ctr_nlp.models.elastic import stability
-from ctr_nlp.models.elastic.equilibria import Equilibria, State
-from ctr_nlp.models.elastic.following import settled, settled_apart
-from ctr_nlp.target.target import SIGMA
+from ctr_nlp.models.elastic.equilibria import Equilibria, EquilibriumState
+from ctr_nlp.models.elastic.following import solve_rest_batch, solve_rest_unknowns
+from ctr_nlp.target.target import SIGMA_GRID
 
 COMPARED = 8
 
@@ -34,14 +34,14 @@ def draws(d, count):
 
 def _holds(d, count, monkeypatch):
     robots, q = draws(d, count)
-    x, margins = settled_apart(robots[0].structure, np.array([robot.numbers for robot in robots]), q)
+    x, margins = solve_rest_batch(robots[0].structure, np.array([robot.numbers for robot in robots]), q)
     found = np.vstack([configuration(robot, row[None]) for robot, row in zip(robots, x, strict=True)])
     np.testing.assert_allclose(found, q, atol=1e-9)
     assert margins.min() > 0
     near = [*np.argsort(margins)[: COMPARED // 2], *range(COMPARED // 2)]
     monkeypatch.setenv("CTR_NLP_COMPILE", "0")
     for row in near:
-        np.testing.assert_allclose(settled(robots[row], q[row]), x[row], atol=1e-9)
+        np.testing.assert_allclose(solve_rest_unknowns(robots[row], q[row]), x[row], atol=1e-9)
         (margin,) = stability.margins(robots[row].tube_numbers, x[row][None])
         assert margins[row] == pytest.approx(margin, abs=1e-8)
 
@@ -61,9 +61,9 @@ def test_without_a_compiler_the_same_are_found(monkeypatch):
     robots, q = draws(2, 5)
     numbers = np.array([robot.numbers for robot in robots])
     q[3] = np.nan
-    fast = settled_apart(robots[0].structure, numbers, q)
+    fast = solve_rest_batch(robots[0].structure, numbers, q)
     monkeypatch.setenv("CTR_NLP_COMPILE", "0")
-    slow = settled_apart(robots[0].structure, numbers, q)
+    slow = solve_rest_batch(robots[0].structure, numbers, q)
     for one, other in zip(fast, slow, strict=True):
         np.testing.assert_allclose(one, other, atol=1e-8)
         assert np.isnan(one[3]).all()
@@ -75,13 +75,13 @@ def test_falls_without_a_compiler_end_where_those_in_c_do(monkeypatch):
     q = np.zeros((40, 8))
     q[:, :3] = rng.uniform(-np.pi, np.pi, (40, 3))
     q[:, 3:6] = np.sort(rng.random((40, 3)), axis=1) * robot.upper[3:6]
-    falls = list[State]()
-    fallen = Equilibria._fallen
+    falls = list[EquilibriumState]()
+    fallen = Equilibria._fall_off_branch
     numbers = np.repeat(robot.numbers[None], 40, axis=0)
-    fast, margins = settled_apart(robot.structure, numbers, q)
+    fast, margins = solve_rest_batch(robot.structure, numbers, q)
     monkeypatch.setenv("CTR_NLP_COMPILE", "0")
-    monkeypatch.setattr(Equilibria, "_fallen", lambda *given: falls.append(given[1]) or fallen(*given))
-    slow, others = settled_apart(robot.structure, numbers, q)
+    monkeypatch.setattr(Equilibria, "_fall_off_branch", lambda *given: falls.append(given[1]) or fallen(*given))
+    slow, others = solve_rest_batch(robot.structure, numbers, q)
     assert len(falls) > 2
     np.testing.assert_allclose(fast, slow, atol=1e-8)
     np.testing.assert_allclose(margins, others, atol=1e-8)
@@ -89,7 +89,7 @@ def test_falls_without_a_compiler_end_where_those_in_c_do(monkeypatch):
 
 def test_the_base_to_tip_shooting_of_the_tests_finds_the_same():
     shot = truth.shot("two tubes, both within their curved parts")
-    x, margins = settled_apart(shot.robot.structure, shot.robot.numbers[None], shot.q[None])
+    x, margins = solve_rest_batch(shot.robot.structure, shot.robot.numbers[None], shot.q[None])
     assert margins[0] == pytest.approx(shot.margin(), abs=0.001)
     np.testing.assert_allclose(configuration(shot.robot, x)[0], shot.q, atol=1e-9)
 
@@ -99,9 +99,9 @@ def test_a_robot_at_rest_in_many_poses_is_the_same_without_a_compiler(monkeypatc
     q[:, 3:6] *= np.minimum(1, robot.upper[3:6] / q[:, 3:6])
     q[:, -2:] = np.linspace(-0.4, 0.4, 24).reshape(12, 2)
     q[-1] = np.nan
-    fast = MODELS["elastic"].at_rest(robot, q, SIGMA)
+    fast = KINEMATIC_MODELS["elastic"].rest_states(robot, q, SIGMA_GRID)
     monkeypatch.setenv("CTR_NLP_COMPILE", "0")
-    slow = MODELS["elastic"].at_rest(robot, q[:-1], SIGMA)
+    slow = KINEMATIC_MODELS["elastic"].rest_states(robot, q[:-1], SIGMA_GRID)
     for one, other in zip(fast, slow, strict=True):
         np.testing.assert_allclose(one[:-1], other, atol=1e-8)
         assert np.isnan(one[-1]).all()
@@ -114,8 +114,8 @@ def test_poses_in_one_call_are_found_as_alone():
     q[:, :3] = rng.uniform(-2 * np.pi, 2 * np.pi, (600, 3))
     q[:, 3:6] = np.sort(rng.random((600, 3)), axis=1) * robot.upper[3:6]
     q[::50, 0] = np.nan
-    together = MODELS["elastic"].at_rest(robot, q, SIGMA)
-    alone = [MODELS["elastic"].at_rest(robot, row[None], SIGMA) for row in q]
+    together = KINEMATIC_MODELS["elastic"].rest_states(robot, q, SIGMA_GRID)
+    alone = [KINEMATIC_MODELS["elastic"].rest_states(robot, row[None], SIGMA_GRID) for row in q]
     for one, others in zip(together, zip(*alone, strict=True), strict=True):
         np.testing.assert_allclose(one, np.concatenate(others), atol=1e-9)
         assert (np.isnan(one).reshape(600, -1).all(axis=1) == np.isnan(q[:, 0])).all()

@@ -5,9 +5,9 @@ import pytest
 from near_fold import LONG
 
 from ctr_nlp.models.elastic import Elastic
-from ctr_nlp.models.elastic.onward import Onward
-from ctr_nlp.models.protocol import passage
-from ctr_nlp.robot.draws import drawn
+from ctr_nlp.models.elastic.onward import ElasticWithHistory
+from ctr_nlp.models.protocol import subdivide_motion
+from ctr_nlp.robot.draws import sample_robots
 
 FIRST, SUBSTEPS = 20, 4
 
@@ -25,7 +25,7 @@ def q():
 
 def test_the_rest_is_followed_as_in_the_whole_motion(q):
     whole = Elastic().follow(LONG, q)
-    rest = Onward(q[:FIRST]).follow(LONG, q[FIRST:])
+    rest = ElasticWithHistory(q[:FIRST]).follow(LONG, q[FIRST:])
     for name in ("x", "stability", "stability_between"):
         np.testing.assert_allclose(getattr(rest, name), getattr(whole, name)[FIRST:], atol=1e-9)
     alone = Elastic().follow(LONG, q[FIRST:])
@@ -33,22 +33,22 @@ def test_the_rest_is_followed_as_in_the_whole_motion(q):
 
 
 def test_it_rests_where_its_way_has_led_it(q):
-    model = Onward(q[:FIRST])
+    model = ElasticWithHistory(q[:FIRST])
     np.testing.assert_allclose(model.rest(LONG, q[FIRST]), model.follow(LONG, q[FIRST:]).x[0], atol=1e-9)
 
 
 def test_an_equilibrium_that_is_given_counts_more_than_the_way(q):
     alone = Elastic().follow(LONG, q[FIRST:])
-    given = Onward(q[:FIRST]).follow(LONG, q[FIRST:], alone.x[0])
+    given = ElasticWithHistory(q[:FIRST]).follow(LONG, q[FIRST:], alone.x[0])
     np.testing.assert_allclose(given.x, alone.x, atol=1e-6)
 
 
 def test_draws_are_followed_as_in_the_whole_motion(q):
-    draws = drawn(LONG, 5, 1)
-    whole, rest = passage(q, SUBSTEPS), passage(q[FIRST:], SUBSTEPS)
+    draws = sample_robots(LONG, 5, 1)
+    whole, rest = subdivide_motion(q, SUBSTEPS), subdivide_motion(q[FIRST:], SUBSTEPS)
     at = draws.structure, draws.numbers
-    expected = Elastic().follow_apart(*at, whole, draws.turned(whole.q, whole.fresh))
-    found = Onward(q[:FIRST]).follow_apart(*at, rest, draws.turned(rest.q, rest.fresh))
+    expected = Elastic().follow_batch(*at, whole, draws.tube_configurations(whole.q, whole.fresh))
+    found = ElasticWithHistory(q[:FIRST]).follow_batch(*at, rest, draws.tube_configurations(rest.q, rest.fresh))
     for own, other in zip(found, expected, strict=True):
         np.testing.assert_allclose(own.x, other.x[FIRST:], atol=1e-6)
         np.testing.assert_allclose(own.stability, other.stability[FIRST:], atol=1e-6)

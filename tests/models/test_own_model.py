@@ -27,8 +27,8 @@ from ctr_nlp.cli.commands.export import main
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.figures import save_all
 from ctr_nlp.formulations.terms import Parts, Term
-from ctr_nlp.hardware.description import bench
-from ctr_nlp.models import MODELS, Model, Shape, register
+from ctr_nlp.hardware.description import simulated_hardware
+from ctr_nlp.models import KINEMATIC_MODELS, Model, SymbolicShape, register
 from ctr_nlp.nlp.nlp import Inner, Residual
 from ctr_nlp.plan.metrics import by_frame, summary
 
@@ -45,14 +45,14 @@ class Bending(Model):
         if robot.d != 1:
             raise OptionError(f"model is 'bending', and the robot has {robot.d} tubes; it describes one")
 
-    def frame(self, structure, tubes, places, margin=None, tangents=False):
+    def frame(self, structure, tubes, sample_lengths, margin=None, tangents=False):
         x = ca.SX.sym("q", 4)
         alpha, beta, theta_x, theta_y = ca.vertsplit(x)
-        s, k = places([beta]), tubes[0].tip_curvature * (1 + 0.9 * ca.sin(alpha))
+        s, k = sample_lengths([beta]), tubes[0].tip_curvature * (1 + 0.9 * ca.sin(alpha))
         local = (1 - ca.cos(k * s)) / k, 0 * s, ca.sin(k * s) / k
         along = ca.sin(k * s), 0 * s, ca.cos(k * s)
         points, directions = (turned(vectors, theta_x, theta_y) for vectors in (local, along))
-        return Shape(x, alpha, (beta,), points, Inner(), directions if tangents else None)
+        return SymbolicShape(x, alpha, (beta,), points, Inner(), directions if tangents else None)
 
 
 @dataclass(frozen=True)
@@ -62,7 +62,7 @@ class OnTheLeft(Term):
     weight: float
     name = "left"
 
-    def places(self, beta):
+    def sample_arc_lengths(self, beta):
         return beta[-1]
 
     def build(self, body, parameters):
@@ -105,11 +105,11 @@ def test_its_plans_have_errors_figures_verdicts_and_a_file(problem, tmp_path):
     plan = solve_per_frame(problem, model="bending")
     plan.save(tmp_path / "plan.npz")
     again = Plan.load(tmp_path / "plan.npz")
-    assert (again.evaluated, summary(again)["model"]) == ("bending", "bending")
+    assert (again.evaluated_model_name, summary(again)["model"]) == ("bending", "bending")
     np.testing.assert_allclose(
         by_frame(again)["max"], np.linalg.norm(plan.shape - plan.target, axis=-1).max(axis=1)
     )
-    assert not again.verdicts.failed
+    assert not again.verdicts.failed_names
     assert again.verdicts.stable.word == "NOT CHECKED"
     pictures = save_all(again, tmp_path)
     assert pictures
@@ -125,7 +125,7 @@ def test_its_plans_are_exported(problem, tmp_path):
     with (tmp_path / "plan.csv").open(newline="") as file:
         last = {name.rpartition("_")[0]: float(value) for name, value in list(csv.DictReader(file))[-1].items()}
     joints = dict(zip(plan.robot.axes, plan.q[-1], strict=True))
-    for axis in bench(ROBOT).axes:
+    for axis in simulated_hardware(ROBOT).axes:
         assert last[axis.joint] == pytest.approx(joints[axis.joint], abs=1e-6)
         assert last[axis.letter] == pytest.approx(axis.zero + axis.scale * joints[axis.joint], abs=1e-3)
     assert main([str(tmp_path / "plan.npz"), "--to", "gcode"]) == 0
@@ -162,4 +162,4 @@ def test_a_name_belongs_to_one_model():
         register(Other())
     with pytest.raises(OptionError, match="must be a Model"):
         register("bending")
-    assert list(MODELS)[:2] == ["dominant", "elastic"]
+    assert list(KINEMATIC_MODELS)[:2] == ["dominant", "elastic"]

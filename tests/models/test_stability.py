@@ -131,7 +131,7 @@ def test_the_last_determinant_changes_its_sign_at_the_margin(case):
 def test_the_response_without_margin_is_the_derivative_of_the_motors_angles(case):
     """To the accuracy of both, which are integrated side by side, in twice as many steps as otherwise."""
     robot, x = case
-    d, h, fine = robot.d, 1e-5, 2 * torsion.STEPS
+    d, h, fine = robot.d, 1e-5, 2 * torsion.ELASTIC_STEPS_PER_SECTION
 
     def twisted(at):
         entries = list(map(float, at))

@@ -7,9 +7,9 @@ from near_fold import LONG, near_the_fold
 from ctr_nlp import Load, Loaded, LoadOverTime, table_i_robot
 from ctr_nlp.exceptions import LoadError
 from ctr_nlp.loads import with_modulus
-from ctr_nlp.models import MODELS
+from ctr_nlp.models import KINEMATIC_MODELS
 from ctr_nlp.models.elastic import stability
-from ctr_nlp.robot.draws import drawn_from
+from ctr_nlp.robot.draws import perturb_robot
 
 
 def stepped(model, robot, q):
@@ -23,7 +23,11 @@ def stepped(model, robot, q):
     return np.array(x), np.array(margins), jumps
 
 
-MODELLED = {"elastic": MODELS["elastic"], "dominant": MODELS["dominant"], "loaded": Loaded(Load((0.0, 0.1, 0.05)))}
+MODELLED = {
+    "elastic": KINEMATIC_MODELS["elastic"],
+    "dominant": KINEMATIC_MODELS["dominant"],
+    "loaded": Loaded(Load((0.0, 0.1, 0.05))),
+}
 
 
 @pytest.mark.parametrize("name", MODELLED)
@@ -41,7 +45,7 @@ def test_step_by_step_a_robot_comes_to_where_the_whole_motion_leads(name):
 def test_a_snap_is_told_as_a_jump_of_the_tips():
     q = np.vstack([near_the_fold(), near_the_fold()[-1:]])
     q[-1, 0] += 0.4
-    _, _, (*before, jumps) = stepped(MODELS["elastic"], LONG, q)
+    _, _, (*before, jumps) = stepped(KINEMATIC_MODELS["elastic"], LONG, q)
     assert not any(before)
     assert [abs(jump).max() > 1 for jump in jumps] == [True]
 
@@ -71,31 +75,31 @@ def test_a_loaded_robot_becomes_another_and_bears_another_load_where_it_stands()
     robot, q = with_modulus(table_i_robot(), 60_000), np.array([0.4, -0.3, 0.2, 30.0, 70.0, 100.0, 0.1, 0.0])
     parts = np.zeros((1, 3, 5))
     parts[0, :, :2] = [[0.1, -0.2], [-0.08, 0.1], [0.05, 0.15]]
-    (other,) = drawn_from(robot, parts, np.zeros((1, 3))).numbers
+    (other,) = perturb_robot(robot, parts, np.zeros((1, 3))).numbers
     before, after = Load((0.0, 0.1, 0.0)), Load((0.1, -0.1, 0.2))
     walker = Loaded(before).walker(robot.structure, robot.numbers, q)
     twin = walker.copy()
-    assert walker.become(other) == []
+    assert walker.change_tubes(other) == []
     np.testing.assert_allclose(walker.x, Loaded(before).walker(robot.structure, other, q).x, atol=1e-6)
-    assert walker.bear(after.numbers(3)) == []
+    assert walker.change_load(after.numbers(3)) == []
     own = Loaded(after).walker(robot.structure, other, q)
     np.testing.assert_allclose(walker.x, own.x, atol=1e-6)
     assert walker.margin() == pytest.approx(own.margin(), abs=1e-6)
     np.testing.assert_allclose(twin.x, Loaded(before).walker(robot.structure, robot.numbers, q).x, atol=1e-9)
     assert abs(walker.x - twin.x).max() > 1e-3
-    walker.go(q + 0.1)
+    walker.move_to(q + 0.1)
     np.testing.assert_allclose(walker.x, Loaded(after).walker(robot.structure, other, q + 0.1).x, atol=1e-6)
 
 
 def test_a_robot_becomes_another_where_it_stands():
-    robot, model = table_i_robot(), MODELS["elastic"]
+    robot, model = table_i_robot(), KINEMATIC_MODELS["elastic"]
     q = np.array([0.4, -0.3, 0.2, 30.0, 70.0, 100.0, 0.1, 0.0])
     parts = np.zeros((1, 3, 5))
     parts[..., 0] = 0.1, -0.08, 0.05
-    (other,) = drawn_from(robot, parts, np.zeros((1, 3))).numbers
+    (other,) = perturb_robot(robot, parts, np.zeros((1, 3))).numbers
     walker = model.walker(robot.structure, robot.numbers, q)
     twin = walker.copy()
-    assert walker.become(other) == []
+    assert walker.change_tubes(other) == []
     assert walker.x == pytest.approx(model.walker(robot.structure, other, q).x, abs=1e-6)
     assert twin.x == pytest.approx(model.rest(robot, q), abs=1e-6)
     assert twin.margin() == pytest.approx(float(stability.margins(robot.tube_numbers, twin.x[None])[0]))

@@ -13,11 +13,11 @@ from rows import END, START, alpha, bent, central, configuration, links_hessian,
 from strategies import seeds
 
 from ctr_nlp import Limits, Problem, Robot, Tube, curve_from_formula, growing, shapes, table_i_robot
-from ctr_nlp.formulations.horizon import Ends
+from ctr_nlp.formulations.horizon import EndConfigurations
 from ctr_nlp.nlp.chain import Chain, Excess, Slopes
-from ctr_nlp.nlp.links import Link, differences
-from ctr_nlp.nlp.nlp import Constraint, Cost, Inner, Nlp, Residual
-from ctr_nlp.target.target import SIGMA
+from ctr_nlp.nlp.links import FrameLink, differences
+from ctr_nlp.nlp.nlp import Constraint, CostTerm, Inner, Nlp, Residual
+from ctr_nlp.target.target import SIGMA_GRID
 
 FRAMES, WEIGHT, DURATION = 4, 3e-3, 5.0
 SLOW = {"alpha_acceleration": 1.5, "beta_acceleration": [40.0, 50.0, 60.0], "theta_acceleration": 0.7}
@@ -32,7 +32,7 @@ ROBOTS = {
 
 class Case(NamedTuple):
     problem: Problem
-    ends: Ends
+    ends: EndConfigurations
     chain: Chain
 
     def padded(self, q, order):
@@ -64,8 +64,8 @@ def case_of(kind, given_ends):
     robot = ROBOTS[kind]
     path = curve_from_formula(lambda u: (100 * ca.cos(u) - 100, 0, 100 * ca.sin(u)), 0.0, 0.95)
     problem = Problem(kind, robot, growing(path, FRAMES), DURATION)
-    ends = Ends(inside(robot, 901), inside(robot, 902)) if given_ends else Ends()
-    return Case(problem, ends, horizon(robot, problem.samples, problem.dt, WEIGHT, ends))
+    ends = EndConfigurations(inside(robot, 901), inside(robot, 902)) if given_ends else EndConfigurations()
+    return Case(problem, ends, horizon(robot, problem.target_frames, problem.dt, WEIGHT, ends))
 
 
 @pytest.fixture(
@@ -108,7 +108,7 @@ def linked(nlp, parameters, most, weight, start=None, end=None):
     frames, n = parameters.shape[1], len(nlp.lower)
     matrix, offset, frame, axis = differences(frames, 1, [] if start is None else [start], [], n)
     size = np.ones(len(offset))
-    link = Link("step", matrix, offset, -most * size, most * size, weight * size, frame, axis)
+    link = FrameLink("step", matrix, offset, -most * size, most * size, weight * size, frame, axis)
     lower, upper = np.tile(nlp.lower, (frames, 1)), np.tile(nlp.upper, (frames, 1))
     if end is not None:
         lower[-1] = upper[-1] = end
@@ -121,8 +121,8 @@ def linked(nlp, parameters, most, weight, start=None, end=None):
 
 def shape_costs(case, q):
     """The distance (8) of every frame at the 21 samples, mm^2, by numpy alone."""
-    sigma = SIGMA[::5]
-    targets = np.stack([frame.points[::5] for frame in case.problem.samples])
+    sigma = SIGMA_GRID[::5]
+    targets = np.stack([frame.points[::5] for frame in case.problem.target_frames])
     square = ((shapes(case.problem.robot, q, sigma) - targets) ** 2).sum(axis=-1)
     return np.trapezoid(square, sigma, axis=1)
 
@@ -154,7 +154,7 @@ def test_rows_are_unknowns_order_and_differences(case):
     x, robot = case.motion(3), case.problem.robot
     q = x.reshape(FRAMES, -1)
     growth = np.diff(robot.split(q)[1], axis=1)
-    rooms = [growth] if robot.carriage_gap is None else [growth, robot.most_growth - growth]
+    rooms = [growth] if robot.carriage_gap is None else [growth, robot.max_extension_differences - growth]
     expected = [x, np.hstack(rooms).ravel(), np.diff(case.padded(q, 1), axis=0).ravel()]
     if np.isfinite(robot.acceleration).any():
         expected.append(np.diff(case.padded(q, 2), 2, axis=0).ravel())
@@ -249,7 +249,7 @@ def test_the_jacobian_of_all_rows_matches_finite_differences(case, multiplied):
 def lagrangian_gradient(chain, multipliers):
     def gradient(x):
         at = chain.slopes(x)
-        return at.gradient + chain.transposed(at.jacobian, multipliers)
+        return at.gradient + chain.multiply_transposed_jacobian(at.jacobian, multipliers)
 
     return gradient
 
@@ -301,7 +301,7 @@ def test_times_and_transposed_are_adjoint(slow, seed):
     x, rows = rng.normal(size=chain.lower.size), rng.normal(size=len(chain.bounds[0]))
     jacobian = rng.normal(size=(FRAMES, chain.frame.g.numel(), chain.unknowns))
     product = times(chain, jacobian, x) @ rows
-    assert product == pytest.approx(x @ chain.transposed(jacobian, rows), rel=1e-9, abs=1e-9)
+    assert product == pytest.approx(x @ chain.multiply_transposed_jacobian(jacobian, rows), rel=1e-9, abs=1e-9)
 
 
 # Inner quantities
@@ -333,7 +333,7 @@ def through_inner():
                 np.full(3, 2.0),
                 {"to": to},
                 (Residual("near", near), Residual("curved", curved)),
-                (Cost("bowl", to[0] * x[0] * x[1] ** 2 + x[2] ** 4), Cost("wave", ca.cos(x[0] * x[2]))),
+                (CostTerm("bowl", to[0] * x[0] * x[1] ** 2 + x[2] ** 4), CostTerm("wave", ca.cos(x[0] * x[2]))),
                 (
                     Constraint("ball", ca.vertcat(ca.sumsqr(x), x[0] * x[1] * x[2]), np.zeros(2), np.ones(2)),
                     Constraint("deep", deep, np.zeros(1), np.ones(1)),
@@ -424,7 +424,9 @@ def test_first_derivatives_through_constraints_match_finite_differences(twisted,
     assert_matches_differences(slopes.gradient, central(lambda at: chain.evaluate(at)[0], x))
     exact = whole_jacobian(chain, slopes.jacobian)
     assert_matches_differences(exact, central(lambda at: chain.evaluate(at)[1], x))
-    np.testing.assert_allclose(exact.T @ multipliers, chain.transposed(slopes.jacobian, multipliers), atol=1e-9)
+    np.testing.assert_allclose(
+        exact.T @ multipliers, chain.multiply_transposed_jacobian(slopes.jacobian, multipliers), atol=1e-9
+    )
 
 
 @given(seeds)
@@ -440,14 +442,14 @@ def test_a_row_is_reached_through_constraints():
     chain, still = bent(frames=4), np.zeros(4, bool)
     still[-1] = True
     own = np.concatenate([np.repeat(~still, 3), np.repeat(~still, 2)])
-    np.testing.assert_array_equal(chain.reached[: own.size], own)
+    np.testing.assert_array_equal(chain.changeable_rows[: own.size], own)
     jacobian = whole_jacobian(chain, chain.slopes(wound(chain, 2)[0]).jacobian)
-    np.testing.assert_array_equal(chain.reached, (jacobian[:, chain.free] != 0).any(axis=1))
+    np.testing.assert_array_equal(chain.changeable_rows, (jacobian[:, chain.free] != 0).any(axis=1))
 
 
 def test_rows_are_named_after_axes_where_the_configuration_is_and_after_symbols_elsewhere():
     chain = bent(frames=2, ends=False)
-    places = [chain.place(row) for row in range(len(chain.bounds[0]))]
+    places = [chain.describe_row(row) for row in range(len(chain.bounds[0]))]
     limits = ["limits of x_0", "limits of beta", "limits of theta"] * 2 + ["limits of alpha", "bowl"] * 2
     assert [name for name, _ in places[:10]] == limits
     assert [frame for _, frame in places[:10]] == [1, 1, 1, 2, 2, 2, 1, 1, 2, 2]
@@ -469,13 +471,13 @@ def test_the_configuration_as_unknowns_has_the_same_rows_of_links():
     x, _ = wound(chain, 5)
     frames = x.reshape(-1, 3)
     y = np.column_stack([frames, alpha(frames[:, 0], frames[:, 1])]).ravel()
-    assert (chain.bent, other.bent) == (True, False)
+    assert (chain.has_nonlinear_links, other.has_nonlinear_links) == (True, False)
     (objective, value), (same, rows) = chain.evaluate(x), other.evaluate(y)
     assert objective == pytest.approx(same, rel=1e-12)
     links = len(chain.offset)
     np.testing.assert_allclose(value[-links:], rows[-links:], rtol=0, atol=1e-12)
     np.testing.assert_allclose(rows[y.size : -links : 2], 0, atol=1e-12)
-    assert {other.place(row)[0] for row in range(4)} == {
+    assert {other.describe_row(row)[0] for row in range(4)} == {
         f"limits of {a}" for a in ("alpha", "beta", "theta", "x_0")
     }
 

@@ -7,13 +7,13 @@ import pytest
 
 from ctr_nlp import Limits, Robot, Tube, table_i_robot
 from ctr_nlp.codegen import cache
-from ctr_nlp.codegen.vector import LANES
+from ctr_nlp.codegen.vector import VECTOR_LANES
 from ctr_nlp.formulations.joint import joint
 from ctr_nlp.formulations.settings import Settings
 from ctr_nlp.formulations.terms import ShapeDistance, TipPosition
 from ctr_nlp.models import model_named
-from ctr_nlp.nlp.alike import alike
-from ctr_nlp.nlp.parted import NAMES, parted
+from ctr_nlp.nlp.alike import group_samples
+from ctr_nlp.nlp.parted import FRAME_FUNCTION_NAMES, partition_program
 from ctr_nlp.solvers.frame.program import Program
 
 TABLE_I = table_i_robot()
@@ -64,7 +64,7 @@ def called(address, inputs, sizes):
     return outputs
 
 
-@pytest.mark.skipif(cache.missing() is not None, reason="no C compiler")
+@pytest.mark.skipif(cache.unavailable_reason() is not None, reason="no C compiler")
 @pytest.mark.parametrize("case", CASES)
 def test_a_program_in_parts_is_the_program_in_one_piece(case):
     """Values, slopes and second derivatives, to what rounding changes where sums are taken in another order."""
@@ -74,7 +74,7 @@ def test_a_program_in_parts_is_the_program_in_one_piece(case):
     for _ in range(5):
         x, p = numbers_of(nlp, robot, rng)
         multipliers = [rng.normal(size=1), rng.normal(size=nlp.g.numel())]
-        for order, (name, function) in enumerate(zip(NAMES, nlp.functions[:3], strict=True)):
+        for order, (name, function) in enumerate(zip(FRAME_FUNCTION_NAMES, nlp.functions[:3], strict=True)):
             inputs = [x, p, *multipliers[: 2 * (order == 2)]]
             wanted = [np.asarray(value.full()).ravel(order="F") for value in function.call(inputs)]
             found = called(compiled.functions[name], inputs, [len(each) for each in wanted])
@@ -84,7 +84,7 @@ def test_a_program_in_parts_is_the_program_in_one_piece(case):
 
 def test_samples_and_places_of_the_wall_are_found():
     """All but samples at the insertion point and the tip, and every tube's own tip: other expressions."""
-    groups, shared = alike(program(TABLE_I, "dominant", True, ()).written)
+    groups, shared = group_samples(program(TABLE_I, "dominant", True, ()).expressions)
     assert [group.rows.shape for group in groups] == [(19, 3), (11, 1), (11, 1), (11, 1)]
     assert len(shared) == 18
     rows = np.concatenate([group.rows.ravel() for group in groups])
@@ -92,8 +92,8 @@ def test_samples_and_places_of_the_wall_are_found():
 
 
 def test_a_group_has_at_least_as_many_places_as_there_are_lanes():
-    written = program(*CASES["too few places"]).written
-    assert alike(written)[0] == ()
-    assert not any(each.at_places for each in parted(written))
-    (group,), _ = alike(program(*CASES["as few places as there are lanes"]).written)
-    assert len(group.rows) == LANES + 1
+    written = program(*CASES["too few places"]).expressions
+    assert group_samples(written)[0] == ()
+    assert not any(each.sample_point_parts for each in partition_program(written))
+    (group,), _ = group_samples(program(*CASES["as few places as there are lanes"]).expressions)
+    assert len(group.rows) == VECTOR_LANES + 1

@@ -12,9 +12,9 @@ from test_metrics_plan import made
 from ctr_nlp.cli import report
 from ctr_nlp.figures import clearance as picture
 from ctr_nlp.figures import save, save_all
-from ctr_nlp.plan.measures import Contact, contacts, depth
+from ctr_nlp.plan.measures import Contact, contact_depths, contacts
 from ctr_nlp.plan.metrics import by_frame, summary
-from ctr_nlp.target.target import SIGMA
+from ctr_nlp.target.target import SIGMA_GRID
 
 LENGTH, BEFORE = 100.0, 30.0
 TABLE = np.column_stack([np.zeros((361, 2)), np.linspace(-BEFORE, 150, 361), np.full(361, 5.0)])
@@ -27,7 +27,7 @@ def touching(*least, at=60, **changes):
     clearance = np.full((count, 101), 3.0)
     clearance[:, at] = least
     clearance[np.isnan(least)] = np.nan
-    target = np.tile(np.outer(LENGTH * SIGMA, [0, 0, 1.0]), (count, 1, 1))
+    target = np.tile(np.outer(LENGTH * SIGMA_GRID, [0, 0, 1.0]), (count, 1, 1))
     shape = np.where(np.isnan(np.array(least))[:, None, None], np.nan, target)
     q = np.tile([0.0, 0, 0, 20, 50, LENGTH, 0, 0], (count, 1))
     q[np.isnan(least)] = np.nan
@@ -59,7 +59,7 @@ def test_contacts_are_runs_of_frames_each_with_its_worst(least, expected):
 
 
 def test_depth_is_what_is_beyond_the_wall():
-    np.testing.assert_allclose(depth(touching(1.5, -0.3, 0.0, np.nan)), [0, 0.3, 0, np.nan])
+    np.testing.assert_allclose(contact_depths(touching(1.5, -0.3, 0.0, np.nan)), [0, 0.3, 0, np.nan])
 
 
 @pytest.mark.parametrize(("sample", "tube"), [(0, 1), (20, 1), (21, 2), (50, 2), (51, 3), (100, 3)])
@@ -82,7 +82,7 @@ def test_where_no_wall_is_known_there_is_no_contact():
     plan = touching(-1.0)
     for unknown in (replace(plan, clearance=None, lumen=None), replace(plan, clearance=None)):
         assert contacts(unknown) == []
-        assert np.isnan(depth(unknown)).all()
+        assert np.isnan(contact_depths(unknown)).all()
         assert summary(unknown)["clearance_min"] is None
         assert summary(unknown)["contact_depth"] is None
         assert "clearance" not in by_frame(unknown)

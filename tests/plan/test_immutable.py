@@ -121,14 +121,14 @@ def test_what_a_robot_was_described_with_is_not_the_robots():
     assert robot.upper[3:6].tolist() == [50, 107, 150]
     assert robot.to_dict()["limits"]["beta"] == [[0, 50], [0, 107], [0, 150]]
     assert robot.speed[0] == 1
-    for array in (robot.lower, robot.upper, robot.speed, robot.deployed, *robot.split(robot.upper)):
+    for array in (robot.lower, robot.upper, robot.speed, robot.max_extensions, *robot.split(robot.upper)):
         with pytest.raises(ValueError, match="read-only"):
             array[0] = 0
 
 
 def test_points_that_a_curve_was_made_of_are_not_the_curves():
     points, radius, transform = helix(), np.full(61, 6.0), np.eye(4)
-    curve = curve_from_points(points, radius).moved(transform)
+    curve = curve_from_points(points, radius).apply_transform(transform)
     s = np.linspace(0, curve.length, 50)
     before = curve_from_points(helix(), np.full(61, 6.0))
     points *= 2
@@ -158,7 +158,7 @@ def test_arrays_of_a_problem_and_its_samples_are_read_only_copies():
     to_robot[:], truth[:] = 7, 7
     assert problem.to_robot.tolist() == np.eye(4).tolist()
     assert not problem.truth.any()
-    sample = problem.samples[0]
+    sample = problem.target_frames[0]
     for array in (
         problem.to_robot,
         problem.truth,

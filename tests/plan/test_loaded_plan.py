@@ -12,7 +12,7 @@ from loaded_plans import FRAMES, made, turned
 
 from ctr_nlp import Load, Plan, summary
 from ctr_nlp.exceptions import LoadError, OptionError, OutputError
-from ctr_nlp.models import MODELS
+from ctr_nlp.models import KINEMATIC_MODELS
 from ctr_nlp.models.loaded.model import Loaded
 from ctr_nlp.plan import account
 from ctr_nlp.plan.verdicts import NO, NOT_CHECKED, YES
@@ -33,13 +33,13 @@ def nitinol(plain: Plan) -> Plan:
 
 def test_a_plan_bears_a_load(nitinol):
     """Shapes and margins are those of the loaded model, and everything told of the plan says so."""
-    found = nitinol.under(WEAK)
+    found = nitinol.with_load(WEAK)
     model = Loaded(WEAK)
     x = np.array([model.rest(nitinol.robot, q) for q in nitinol.q])
     np.testing.assert_allclose(found.shape, model.points(nitinol.robot, x, np.linspace(0, 1, 101)), atol=1e-6)
     np.testing.assert_allclose(found.stability, model.margins(nitinol.robot, x), atol=1e-6)
-    assert found.bears == WEAK
-    assert found.evaluated_on == model
+    assert found.evaluated_load == WEAK
+    assert found.evaluated_model == model
     assert found.verdicts.stable.word == YES
     told = "under a tip force of (0, 0.05, 0) N"
     assert told in repr(found)
@@ -51,35 +51,39 @@ def test_a_plan_bears_a_load(nitinol):
 def test_a_load_that_is_planned_for_is_named_once_beside_what_the_wall_costs(nitinol):
     meta = nitinol.meta | {"e3_free": 1.0}
     free = replace(nitinol, free=nitinol.q, meta=meta)
-    planned = replace(free.under(WEAK), meta=free.under(WEAK).meta | {"planned_load": WEAK.to_dict()})
-    for plan, times in ((planned, 1), (planned.under(Load(force=(0.0, 0.1, 0.0))), 1), (free.under(WEAK), 0)):
+    planned = replace(free.with_load(WEAK), meta=free.with_load(WEAK).meta | {"planned_load": WEAK.to_dict()})
+    for plan, times in (
+        (planned, 1),
+        (planned.with_load(Load(force=(0.0, 0.1, 0.0))), 1),
+        (free.with_load(WEAK), 0),
+    ):
         assert plan.verdicts.solved.why.count("under a tip force") == times
         assert ("Keeping off the wall costs" in plan.verdicts.solved.why) == plan.as_planned
 
 
 def test_without_its_load_it_is_the_plan_of_before(nitinol):
-    again = nitinol.under(WEAK).on("elastic")
-    assert again.bears is None
-    assert again.evaluated_on is MODELS["elastic"]
+    again = nitinol.with_load(WEAK).evaluate_on("elastic")
+    assert again.evaluated_load is None
+    assert again.evaluated_model is KINEMATIC_MODELS["elastic"]
     np.testing.assert_allclose(again.shape, nitinol.shape)
-    none = nitinol.under(Load())
+    none = nitinol.with_load(Load())
     np.testing.assert_allclose(none.shape, nitinol.shape, atol=1e-3)
     np.testing.assert_allclose(none.stability, nitinol.stability, atol=1e-4)
 
 
 def test_a_modulus_changes_no_shape_without_a_load(plain, nitinol):
-    again = nitinol.on("elastic")
+    again = nitinol.evaluate_on("elastic")
     np.testing.assert_allclose(again.shape, plain.shape, atol=1e-9)
     np.testing.assert_allclose(again.stability, plain.stability, atol=1e-9)
     assert [tube.youngs_modulus for tube in nitinol.robot.tubes] == [60_000, 60_000]
 
 
 def test_a_file_keeps_the_load(nitinol, tmp_path):
-    found = nitinol.under(replace(WEAK, densities=6.45, down=(0, 0, 1)))
+    found = nitinol.with_load(replace(WEAK, densities=6.45, down=(0, 0, 1)))
     found.save(tmp_path / "plan.npz")
     again = Plan.load(tmp_path / "plan.npz")
     assert again == found
-    assert again.bears == found.bears
+    assert again.evaluated_load == found.evaluated_load
 
 
 def test_a_file_with_a_wrong_load_is_no_plan(nitinol, tmp_path):
@@ -93,7 +97,7 @@ def test_a_file_with_a_wrong_load_is_no_plan(nitinol, tmp_path):
 def test_a_snap_under_a_load_is_told(shared_data, frames):
     """The margin is 0.2 without it. Where the robot comes to rest is not known, and no number stands for it."""
     case = truth.case(shared_data, 21)
-    found = made(case.robot, np.stack([case.q] * frames)).with_modulus(60_000).under(Load(force=(-0.5, 0, 0)))
+    found = made(case.robot, np.stack([case.q] * frames)).with_modulus(60_000).with_load(Load(force=(-0.5, 0, 0)))
     numbers = summary(found)
     assert [snap["jump"] for snap in numbers["snaps"]] == [None]
     (remark,) = [each for each in account.remarks(found, numbers) if each.startswith("snap")]
@@ -101,39 +105,39 @@ def test_a_snap_under_a_load_is_told(shared_data, frames):
     assert remark.endswith("where the robot comes to rest under the load is not known")
     assert found.verdicts.stable.word == NO
     assert found.verdicts.arrives.word == NOT_CHECKED
-    assert not found.reached.any()
+    assert not found.reached_frames.any()
     json.dumps(numbers, allow_nan=False)
 
 
 def test_a_load_without_an_energy_has_no_margin(nitinol):
-    found = nitinol.under(Load(force=(0.05, 0, 0), axes="tool"))
-    assert found.reached.all()
+    found = nitinol.with_load(Load(force=(0.05, 0, 0), axes="tool"))
+    assert found.reached_frames.all()
     assert found.verdicts.stable.word == NOT_CHECKED
     assert found.verdicts.stable.why.endswith("has no energy and therefore no margin.")
 
 
 def test_what_is_made_of_a_plan_bears_its_load(nitinol):
-    found = nitinol.under(WEAK)
-    assert found[1:3].bears == found.resampled(7).bears == WEAK
+    found = nitinol.with_load(WEAK)
+    assert found[1:3].evaluated_load == found.resampled(7).evaluated_load == WEAK
     (middle,) = found.resampled(2 * FRAMES - 1).shape[2:3]
     np.testing.assert_allclose(middle, found.shape[1], atol=1e-6)
-    assert (found + found).bears == WEAK
+    assert (found + found).evaluated_load == WEAK
     with pytest.raises(OptionError, match="the load of two plans to be joined differs"):
         _ = found + nitinol
 
 
 def test_draws_of_a_plan_bear_its_load(nitinol):
-    loaded, free = (each.robustness(2).e2 for each in (nitinol.under(Load(force=(0, 3, 0))), nitinol))
+    loaded, free = (each.robustness(2).e2 for each in (nitinol.with_load(Load(force=(0, 3, 0))), nitinol))
     assert loaded.shape == free.shape
     assert abs(loaded - free).max() > 0.1
 
 
 def test_what_cannot_be_loaded_is_refused(plain, nitinol):
     with pytest.raises(LoadError, match=r"youngs_modulus of tube 1 is 1; .*, or give one by with_modulus"):
-        plain.under(WEAK)
+        plain.with_load(WEAK)
     with pytest.raises(LoadError, match="load is None; it must be a Load"):
-        plain.under(None)
+        plain.with_load(None)
     with pytest.raises(LoadError, match=r"densities of a load has 3 numbers"):
-        nitinol.under(Load(densities=(6, 6, 6), down=(0, 0, 1)))
+        nitinol.with_load(Load(densities=(6, 6, 6), down=(0, 0, 1)))
     with pytest.raises(LoadError, match="a modulus before the load"):
-        nitinol.under(WEAK).with_modulus(2.0)
+        nitinol.with_load(WEAK).with_modulus(2.0)

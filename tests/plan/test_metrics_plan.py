@@ -16,9 +16,9 @@ from ctr_nlp.exceptions import OutputError
 from ctr_nlp.plan.metrics import by_frame, summary, tip_angle
 from ctr_nlp.plan.plan import plan_from_configurations
 from ctr_nlp.simulation.forward import shapes, tangents
-from ctr_nlp.target.target import SIGMA
+from ctr_nlp.target.target import SIGMA_GRID
 
-LINE = np.outer(100 * SIGMA, [0, 0, 1.0])
+LINE = np.outer(100 * SIGMA_GRID, [0, 0, 1.0])
 ERRORS = ("e3", "e4", "e_max", "tip_max", "tip_angle_max_deg", "nearest_max")
 
 
@@ -79,7 +79,7 @@ def test_a_constant_offset_is_every_error_of_its_frame():
 
 def test_e2_of_an_error_growing_from_base_to_tip_is_its_trapezoidal_mean():
     """The mean of sigma^2 by the trapezoidal rule on 100 cells is 1/3 + 1/60000."""
-    plan = made([LINE + np.outer(SIGMA, [6, 0, 0])], [LINE])
+    plan = made([LINE + np.outer(SIGMA_GRID, [6, 0, 0])], [LINE])
     assert by_frame(plan)["e2"][0] == pytest.approx(6 * math.sqrt(1 / 3 + 1 / 60_000), rel=1e-12)
 
 
@@ -222,7 +222,7 @@ def test_a_plan_holds_the_shapes_and_targets_of_its_configurations(plan, arc_pro
     robot = arc_problem.robot
     np.testing.assert_array_equal(plan.shape, shapes(robot, plan.q))
     np.testing.assert_array_equal(plan.tip_direction, tangents(robot, plan.q, np.ones(1))[:, 0])
-    np.testing.assert_array_equal(plan.target[2], arc_problem.samples[2].points)
+    np.testing.assert_array_equal(plan.target[2], arc_problem.target_frames[2].points)
     np.testing.assert_allclose(plan.time, [2.5, 5, 7.5, 10])
     assert plan.dt == arc_problem.dt
     assert not plan.complete

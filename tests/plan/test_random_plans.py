@@ -66,9 +66,9 @@ def deepest(table, robot, beta, shapes):
     The path is sampled so finely that its nearest sample stands for its nearest point.
     """
     lumen = Lumen(table)
-    s = np.linspace(0, lumen.along[-1], 20_001)
-    centre = np.column_stack([np.interp(s, lumen.along, column) for column in table[:, :3].T])
-    radius = np.interp(s, lumen.along, table[:, 3])
+    s = np.linspace(0, lumen.arc_lengths[-1], 20_001)
+    centre = np.column_stack([np.interp(s, lumen.arc_lengths, column) for column in table[:, :3].T])
+    radius = np.interp(s, lumen.arc_lengths, table[:, 3])
     distance, at = cKDTree(centre).query(shapes)
     within = np.linspace(0, 1, 101) * beta[:, 1:] <= beta[:, :1]  # still inside the outer tube
     outside = np.where(within, *(tube.outer_diameter / 2 for tube in robot.tubes))

@@ -12,27 +12,27 @@ from ctr_nlp import Plan, by_frame, summary
 from ctr_nlp.exceptions import OutputError
 from ctr_nlp.plan.measures import e3
 from ctr_nlp.plan.robustness import Robustness, upper_bound
-from ctr_nlp.problems import named
-from ctr_nlp.robot.draws import drawn, drawn_from
-from ctr_nlp.simulation.drawn import drawn_motion
+from ctr_nlp.problems import named_problem
+from ctr_nlp.robot.draws import perturb_robot, sample_robots
+from ctr_nlp.simulation.drawn import simulate_samples
 from ctr_nlp.target.lumen import Lumen
-from ctr_nlp.target.target import SIGMA
+from ctr_nlp.target.target import SIGMA_GRID
 
 
 @pytest.fixture(scope="module")
 def plan():
-    return plan_through(near_the_fold()).with_draws(30, 4)
+    return plan_through(near_the_fold()).with_samples(30, 4)
 
 
 def test_what_is_lost_is_counted_and_bounded(plan):
     found = plan.drawn
-    draws = drawn(LONG, 30, 4)
-    moved = drawn_motion(LONG, draws, plan.q, "elastic")
-    assert found.losses == (moved.lost > 0).sum()
-    assert 0 < found.losses < 30
+    draws = sample_robots(LONG, 30, 4)
+    moved = simulate_samples(LONG, draws, plan.q, "elastic")
+    assert found.lost_count == (moved.lost > 0).sum()
+    assert 0 < found.lost_count < 30
     off = draws.offsets[:, 0]
     assert off[found.lost > 0].mean() > off[found.lost == 0].mean()
-    assert sum(loss.draws for loss in found.when) == found.losses
+    assert sum(loss.draws for loss in found.when) == found.lost_count
     assert all(loss.length == pytest.approx(80) for loss in found.when)
     away = np.linalg.norm(moved.shape - plan.target, axis=-1)
     np.testing.assert_allclose(found.largest, away.max(axis=(1, 2)))
@@ -47,7 +47,7 @@ def test_costs_are_those_of_one_tolerance_alone(plan):
     assert sum(cost.share for cost in costs.values()) == pytest.approx(1)
     parts = np.zeros((2, 2, 5))
     parts[:, 0, 0] = 0.02 / np.sqrt(3), -0.02 / np.sqrt(3)
-    shape = drawn_motion(LONG, drawn_from(LONG, parts, np.zeros((2, 2))), plan.q, "elastic").shape
+    shape = simulate_samples(LONG, perturb_robot(LONG, parts, np.zeros((2, 2))), plan.q, "elastic").shape
     squares = [e3(replace(plan, shape=each)) ** 2 for each in shape]
     assert costs[1, "curvature"].growth == pytest.approx(np.sqrt(np.mean(squares)) - e3(plan), rel=1e-6)
 
@@ -55,7 +55,7 @@ def test_costs_are_those_of_one_tolerance_alone(plan):
 def test_it_is_shown_in_a_line(plan):
     found = plan.robustness(20)
     assert repr(found) == f"Robustness({found.told[:-1]})"
-    assert f"{found.losses} of 20 samples" in repr(found)
+    assert f"{found.lost_count} of 20 samples" in repr(found)
 
 
 def test_the_same_seed_gives_the_same(plan):
@@ -64,7 +64,7 @@ def test_the_same_seed_gives_the_same(plan):
 
 
 def test_groups_of_draws_are_put_together(monkeypatch, plan):
-    monkeypatch.setattr("ctr_nlp.plan.draws.GROUP", 7)
+    monkeypatch.setattr("ctr_nlp.plan.draws.PLAN_SAMPLES_PER_BATCH", 7)
     assert plan.robustness(30, 4) == plan.drawn
 
 
@@ -123,15 +123,15 @@ def test_a_file_whose_seed_is_none_is_refused(plan, tmp_path):
 def test_the_verdict_and_the_summary_say_so(plan):
     assert plan.verdicts.holds.word == "no"
     assert plan.verdicts.holds.number <= 1 - plan.drawn.share
-    assert f"{plan.drawn.losses} snap or leave the branch" in plan.verdicts.holds.why
+    assert f"{plan.drawn.lost_count} snap or leave the branch" in plan.verdicts.holds.why
     found = json.loads(json.dumps(summary(plan), allow_nan=False))["robustness"]
-    assert found["lost"] == plan.drawn.losses
+    assert found["lost"] == plan.drawn.lost_count
     assert found["e3"]["mean"] == pytest.approx(plan.drawn.e3.mean())
     assert found["clearance"] is None
     assert summary(replace(plan, drawn=None))["robustness"] is None
     columns = by_frame(plan)
     assert (columns["e2_draws_median"] <= columns["e2_draws_95"]).all()
-    calm = plan_through(near_the_fold(1.0)).with_draws(10, 4)
+    calm = plan_through(near_the_fold(1.0)).with_samples(10, 4)
     ends = {"arrival_tolerance": 500.0, "contact_allowed": 500.0}
     assert calm.with_thresholds(**ends).verdicts.holds.word == "yes"
     assert calm.with_thresholds(**ends).verdicts.holds.number == 1
@@ -139,14 +139,14 @@ def test_the_verdict_and_the_summary_say_so(plan):
 
 
 def test_what_is_made_of_a_plan_is_not_tried(plan):
-    for other in (plan[2:5], plan.reversed(), plan + plan, plan.resampled(5), plan.on("dominant")):
+    for other in (plan[2:5], plan.reversed(), plan + plan, plan.resampled(5), plan.evaluate_on("dominant")):
         assert other.drawn is None
     assert plan.drawn is not None
 
 
 def test_clearance_is_that_of_the_draws():
-    plan = plan_through(near_the_fold(0.5, 4), radius=30.0).with_draws(5, 1)
-    shape = drawn_motion(LONG, drawn(LONG, 5, 1), plan.q, "elastic").shape
+    plan = plan_through(near_the_fold(0.5, 4), radius=30.0).with_samples(5, 1)
+    shape = simulate_samples(LONG, sample_robots(LONG, 5, 1), plan.q, "elastic").shape
     for k in range(5):
         radii = np.where(np.linspace(0, 80, 101) > 60 + 1e-9, 1.3, 2.0)
         clear = 30 - np.linalg.norm(shape[k, ..., :2], axis=-1) - radii
@@ -156,21 +156,21 @@ def test_clearance_is_that_of_the_draws():
 
 
 def test_clearance_of_draws_is_found_as_that_of_a_plan():
-    plan = plan_through(near_the_fold(), radius=4.0).with_draws(8, 1)
-    moved = drawn_motion(LONG, drawn(LONG, 8, 1), plan.q, "elastic")
+    plan = plan_through(near_the_fold(), radius=4.0).with_samples(8, 1)
+    moved = simulate_samples(LONG, sample_robots(LONG, 8, 1), plan.q, "elastic")
     for k, shape in enumerate(moved.shape):
-        least = Lumen(plan.lumen).clearance(LONG, plan.beta, SIGMA, shape).min(axis=1)
+        least = Lumen(plan.lumen).clearance(LONG, plan.beta, SIGMA_GRID, shape).min(axis=1)
         np.testing.assert_allclose(plan.drawn.clearance[k], least.min(), atol=1e-6)
         np.testing.assert_allclose(plan.drawn.contact[k], np.maximum(-least, 0).sum(), atol=1e-5)
     assert plan.drawn.contact.max() > 1.0
 
 
 def test_a_plan_on_the_dominant_model_has_errors_and_loses_nothing():
-    problem = named("arc", frames=3)
+    problem = named_problem("arc", frames=3)
     q = np.zeros((3, 8))
     q[:, 3:6] = np.linspace((10, 20, 50), (40, 80, 149), 3)
-    plan = replace(plan_through(q, problem.robot, "dominant")).with_draws(20, 0)
-    assert plan.drawn.losses == 0
+    plan = replace(plan_through(q, problem.robot, "dominant")).with_samples(20, 0)
+    assert plan.drawn.lost_count == 0
     assert np.isnan(plan.drawn.margin).all()
     assert plan.drawn.e3.std() > 0
     assert plan.drawn.costs[0].growth > 0

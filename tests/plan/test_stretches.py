@@ -139,7 +139,7 @@ def test_joined_plans_are_judged_by_the_stricter_options():
         (lambda p: replace(p, time=2 * p.time), "dt of two plans"),
         (lambda p: replace(p, lumen=None, clearance=None), "lumen of two plans"),
         (lambda p: replace(p, meta=p.meta | {"model": "elastic", "evaluated": "dominant"}), "model of two plans"),
-        (lambda p: p.on("elastic"), "evaluated on"),
+        (lambda p: p.evaluate_on("elastic"), "evaluated on"),
         (lambda p: replace(p, meta=p.meta | {"robot": p.robot.with_locked_tilt().to_dict()}), "robot of two"),
     ],
 )

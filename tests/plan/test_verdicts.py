@@ -20,7 +20,7 @@ from ctr_nlp.formulations.settings import THRESHOLDS
 from ctr_nlp.plan.account import NOT_FOR_PATIENTS
 from ctr_nlp.plan.sample_outcomes import sample_outcomes
 from ctr_nlp.plan.verdicts import NO, NOT_CHECKED, YES, Verdicts
-from ctr_nlp.problems import named
+from ctr_nlp.problems import named_problem
 
 WORDS = {YES, NO, NOT_CHECKED}
 OUT = np.array([0.0, 0, 0, 20, 50, 100, 0, 0])
@@ -282,7 +282,7 @@ def test_a_robot_that_swings_through_the_wall_between_two_frames_is_found():
     """A lone tube that turns by half a turn from one frame to the next bends to the side between them: its two
     frames keep off the wall of a lumen that bends as they do, and the way between them does not.
     """
-    plan = solve_per_frame(named("bronchus", frames=6), model="dominant").on("elastic")
+    plan = solve_per_frame(named_problem("bronchus", frames=6), model="dominant").evaluate_on("elastic")
     between, frames = plan.clearance_between.min(axis=1), plan.clearance.min(axis=1)
     assert (between <= frames + 1e-9).all()
     assert (between[1:] < frames[1:] - 0.1).any()
@@ -307,7 +307,7 @@ def test_the_share_is_a_part_of_all_samples(value):
 @pytest.fixture(scope="module")
 def sampled():
     """A plan on the elastic model, with 20 samples."""
-    return solve_per_frame(named("bronchus", frames=8), model="elastic").with_draws(20, 3)
+    return solve_per_frame(named_problem("bronchus", frames=8), model="elastic").with_samples(20, 3)
 
 
 def judged_by_hand(plan, arrival=2.0, contact=1.0):
@@ -341,7 +341,7 @@ def test_a_sample_may_touch_by_a_millimetre_or_as_much_as_the_plan(sampled):
 
 def test_plans_without_samples_or_on_a_model_without_snaps_are_not_checked(sampled):
     assert shifted(1).verdicts.holds.word == NOT_CHECKED
-    rigid = sampled.on("dominant").with_draws(3)
+    rigid = sampled.evaluate_on("dominant").with_samples(3)
     assert rigid.verdicts.holds.word == NOT_CHECKED
 
 
@@ -444,7 +444,7 @@ def test_a_file_from_before_there_were_verdicts_is_judged_by_the_defaults(tmp_pa
     old.save(tmp_path / "plan.npz")
     plan = Plan.load(tmp_path / "plan.npz")
     assert "e3_free" not in plan.meta
-    assert plan.verdicts.failed == ("within the wall",)
+    assert plan.verdicts.failed_names == ("within the wall",)
     assert plan.clearance_between is not None
 
 
@@ -460,7 +460,7 @@ def test_thresholds_stay_with_the_plan(tmp_path):
         plan = solve_per_frame(problem, model="dominant", settings=Settings(**chosen))
         plan.save(tmp_path / "plan.npz")
         loaded = Plan.load(tmp_path / "plan.npz")
-        assert ("within the wall" in loaded.verdicts.failed) == failed
+        assert ("within the wall" in loaded.verdicts.failed_names) == failed
         assert {name: loaded.options[name] for name in THRESHOLDS} == chosen
         assert loaded.verdicts == plan.verdicts
 

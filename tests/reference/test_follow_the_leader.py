@@ -7,13 +7,13 @@ import leaders
 import numpy as np
 import pytest
 import shooting
-from problems import named
+from problems import named_problem
 from scipy.spatial import cKDTree
 
 from ctr_nlp import Limits, Problem, Robot, Settings, Tube, curve_from_points, growing, solve_per_frame, summary
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.reference import reference_frames
-from ctr_nlp.reference.follow_the_leader import deployment
+from ctr_nlp.reference.follow_the_leader import find_deployment
 from ctr_nlp.steer import march
 from ctr_nlp.studies.comparison import VARIANTS, parse_variant
 
@@ -80,7 +80,7 @@ def _sphere(points):
 
 def test_tubes_stop_where_the_path_changes():
     np.testing.assert_allclose(
-        deployment(leaders.problem("three tubes", 2)).depths, leaders.ENDS["three tubes"], atol=1e-3
+        find_deployment(leaders.problem("three tubes", 2)).depths, leaders.ENDS["three tubes"], atol=1e-3
     )
 
 
@@ -92,7 +92,7 @@ def test_tubes_turned_by_pi_straighten_each_other():
     inner = dataclasses.replace(inner, youngs_modulus=ratio)
     robot = Robot((outer, inner))
     path = leaders.frenet([(20.0, 0.0), (50.0, 0.01)], 0.0)
-    found = deployment(Problem("straight first", robot, growing(curve_from_points(path), 2)))
+    found = find_deployment(Problem("straight first", robot, growing(curve_from_points(path), 2)))
     assert found.opposed.tolist() == [False, True]
     np.testing.assert_allclose(found.depths, [20, 70], atol=1e-3)
 
@@ -120,7 +120,7 @@ def test_what_does_not_fulfil_a_condition_is_refused_by_its_name(robot, message)
 @pytest.mark.parametrize("method", ["follow-the-leader", "follow-the-leader-approximate"])
 def test_a_target_that_is_no_growing_path_is_refused(method):
     with pytest.raises(OptionError, match="one path that grows"):
-        planned(named("synthesis", 3), method)
+        planned(named_problem("synthesis", 3), method)
     assert method not in VARIANTS
     assert parse_variant(method).model == "elastic"
 
@@ -135,7 +135,7 @@ def test_the_approximate_method_keeps_to_an_exact_path():
 @pytest.mark.slow
 def test_the_approximate_method_keeps_nearer_to_the_path_of_its_tip_than_a_plan_of_tips_alone():
     """Measured at every depth as the distance of the body from the polyline through all tips so far."""
-    problem = named("arc", 20)
+    problem = named_problem("arc", 20)
     away = {}
     for method in ("follow-the-leader-approximate", "tip-resolved"):
         plan = planned(problem, method)

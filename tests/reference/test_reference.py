@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from problems import named
+from problems import named_problem
 from strategies import configurations, robots
 
 from ctr_nlp import Settings, summary
@@ -16,7 +16,7 @@ from ctr_nlp.studies.comparison import VARIANTS, compare, parse_variant
 
 
 def run(name, method):
-    problem = named(name, 20)
+    problem = named_problem(name, 20)
     return march(problem, reference_frames(problem, method, Settings()), "forward")
 
 
@@ -59,7 +59,7 @@ def test_tip_control_moves_the_tip_and_not_the_shape():
 
 
 def test_every_variant_keeps_position_limits():
-    problem = named("arc", 4)
+    problem = named_problem("arc", 4)
     for row_variant in VARIANTS:
         plan = parse_variant(row_variant).plan(problem, Settings(), (), None)
         robot = plan.robot
@@ -69,7 +69,7 @@ def test_every_variant_keeps_position_limits():
 
 
 def test_comparison_puts_published_figures_beside():
-    rows = compare([named("arc", 3)], [parse_variant("joint:ipopt"), parse_variant("euclidean")]).rows
+    rows = compare([named_problem("arc", 3)], [parse_variant("joint:ipopt"), parse_variant("euclidean")]).rows
     assert [row["seed_e3"] for row in rows] == [1.62, 1.81]
     assert all(row["failed"] == 0 and row["e3"] < 3 for row in rows)
 

@@ -2,16 +2,16 @@
 
 import numpy as np
 import pytest
-from problems import named
+from problems import named_problem
 
 from ctr_nlp import Robot, Settings, Tube, table_i_robot
-from ctr_nlp.models import MODELS
+from ctr_nlp.models import KINEMATIC_MODELS
 from ctr_nlp.reference import reference_frames
 from ctr_nlp.reference.tip_resolved import TipSteering
 from ctr_nlp.steer import march
 
 pytestmark = pytest.mark.interpreted
-ROBOT, ELASTIC = table_i_robot(), MODELS["elastic"]
+ROBOT, ELASTIC = table_i_robot(), KINEMATIC_MODELS["elastic"]
 
 
 def tip(x):
@@ -70,10 +70,10 @@ def test_a_lone_tube_cannot_snap_and_its_tip_is_steered_too():
 
 
 def test_a_plan_tells_the_model_that_it_was_made_on():
-    problem = named("arc", 6)
+    problem = named_problem("arc", 6)
     plan = march(problem, reference_frames(problem, "tip-resolved", Settings()), "forward")
     assert plan.meta["model"] == "elastic"
     reached = plan.success
     assert reached[:4].all()
-    ends = np.array([sample.points[-1] for sample in problem.samples])
+    ends = np.array([sample.points[-1] for sample in problem.target_frames])
     assert np.linalg.norm(plan.shape[reached, -1] - ends[reached], axis=1).max() < 0.05

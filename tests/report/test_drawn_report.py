@@ -11,14 +11,20 @@ from near_fold import near_the_fold, plan_through
 
 from ctr_nlp.plan import account, drawn_account
 from ctr_nlp.report import page
-from ctr_nlp.report.ghosts import DRAWS, LOST, SHOWN, STRIDE, ghosts
-from ctr_nlp.report.plots import DRAWS as PANEL
+from ctr_nlp.report.ghosts import (
+    MAX_REPORT_GHOSTS,
+    REPORT_FAILED_GHOST_COLOUR,
+    REPORT_GHOST_SAMPLE_STRIDE,
+    SAMPLED_ROBOTS_PART,
+    ghosts,
+)
+from ctr_nlp.report.plots import SAMPLE_ERROR_PANEL_NAME as PANEL
 from ctr_nlp.report.plots import panels
 
 
 @pytest.fixture(scope="module")
 def plan():
-    return plan_through(near_the_fold()).with_draws(30, 4)
+    return plan_through(near_the_fold()).with_samples(30, 4)
 
 
 class Kept:
@@ -31,14 +37,17 @@ class Kept:
 
 def test_the_scene_holds_the_first_draws_as_they_were_tried(plan):
     (told,) = ghosts(Kept, plan)
-    assert told["custom_data"] == {"part": DRAWS}
+    assert told["custom_data"] == {"part": SAMPLED_ROBOTS_PART}
     frame = plan.drawn.cloud_frames[-1]
-    shapes = told["vertices"][str(frame - 1)].reshape(SHOWN, -1, 3)
-    both = np.arange(0, 101, STRIDE * 4) // STRIDE, np.arange(0, 101, STRIDE * 4) // 4
-    np.testing.assert_allclose(shapes[:, both[0]], plan.drawn.cloud[-1][:SHOWN, both[1]], atol=1e-4)
-    lost = told["attribute"][str(frame - 1)].reshape(SHOWN, -1)
+    shapes = told["vertices"][str(frame - 1)].reshape(MAX_REPORT_GHOSTS, -1, 3)
+    both = (
+        np.arange(0, 101, REPORT_GHOST_SAMPLE_STRIDE * 4) // REPORT_GHOST_SAMPLE_STRIDE,
+        np.arange(0, 101, REPORT_GHOST_SAMPLE_STRIDE * 4) // 4,
+    )
+    np.testing.assert_allclose(shapes[:, both[0]], plan.drawn.cloud[-1][:MAX_REPORT_GHOSTS, both[1]], atol=1e-4)
+    lost = told["attribute"][str(frame - 1)].reshape(MAX_REPORT_GHOSTS, -1)
     np.testing.assert_array_equal(
-        lost[:, 0] == 1, (plan.drawn.lost > 0)[:SHOWN] & (plan.drawn.lost <= frame)[:SHOWN]
+        lost[:, 0] == 1, (plan.drawn.lost > 0)[:MAX_REPORT_GHOSTS] & (plan.drawn.lost <= frame)[:MAX_REPORT_GHOSTS]
     )
     first, second = told["indices"].T
     assert (first // shapes.shape[1] == second // shapes.shape[1]).all()
@@ -47,24 +56,24 @@ def test_the_scene_holds_the_first_draws_as_they_were_tried(plan):
 
 def test_the_page_tells_what_became_of_the_draws(plan):
     found, text = plan.drawn, html.unescape(page([plan]))
-    for sentence in [plan.verdicts.holds.why, *drawn_account.sentences(found)]:
+    for sentence in [plan.verdicts.holds.why, *drawn_account.robustness_sentences(found)]:
         assert f"<p>{sentence}</p>" in text
     assert f"{len(found)} robots within the tolerances were sampled at random (seed {found.seed})" in text
     captions = [table.title for table in drawn_account.tables(plan)]
     assert re.findall(r"<caption>(.*?)</caption>", text) == captions
     assert len(captions) == 3
     row = [f'<th scope="row">{found.costs[0].tolerance.replace("_", " ")} of tube {found.costs[0].tube}</th>']
-    row.append(f"<td>{account.shown(found.costs[0].growth)}</td>")
+    row.append(f"<td>{account.format_cell(found.costs[0].growth)}</td>")
     assert "".join(row) in text
-    means = [account.shown(value) for value in found.errors]
+    means = [account.format_cell(value) for value in found.errors]
     assert "".join(f"<td>{value}</td>" for value in means) in text
 
 
 def test_sentences_name_the_worst_tolerance_and_where_draws_are_lost(plan):
-    told = " ".join(drawn_account.sentences(plan.drawn))
+    told = " ".join(drawn_account.robustness_sentences(plan.drawn))
     most = plan.drawn.costs[0]
     assert f"The {most.tolerance.replace('_', ' ')} of tube {most.tube} costs most" in told
-    for stretch in drawn_account.stretches(plan.drawn):
+    for stretch in drawn_account.find_loss_intervals(plan.drawn):
         assert f"{stretch.frames} ({stretch.draws}; {stretch.out} mm out)" in told
 
 
@@ -87,7 +96,9 @@ def test_drawn_robots_are_shown_until_they_are_switched_off(plan, tmp_path, widt
         shares = []
         for _ in range(2):
             view.wait_for_timeout(600)
-            shares.append(share_of_hue(pixels(view.locator(".scene").screenshot()), to_rgb(LOST), 0.01))
+            shares.append(
+                share_of_hue(pixels(view.locator(".scene").screenshot()), to_rgb(REPORT_FAILED_GHOST_COLOUR), 0.01)
+            )
             assert view.locator(".legend[data-of]").is_visible() == (len(shares) == 1)
             box = view.get_by_label("sampled robots")
             box.focus()

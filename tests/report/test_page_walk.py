@@ -6,7 +6,7 @@ from browser import SOFTWARE, changed, launcher, opened, pixels, share_of_hue
 from matplotlib.colors import to_rgb
 from near_fold import near_the_fold, plan_through
 
-from ctr_nlp.figures.parts.palette import TUBES
+from ctr_nlp.figures.parts.palette import TUBE_COLOURS
 from ctr_nlp.plan.metrics import by_frame
 from ctr_nlp.report import page
 
@@ -53,7 +53,7 @@ NAMES = """() => {
 
 def tried_plan():
     """A plan on the dominant model with a wall that is touched and with draws, so that every control is there."""
-    return plan_through(near_the_fold(frames=FRAMES), model="dominant", radius=6.0).with_draws(8, 4)
+    return plan_through(near_the_fold(frames=FRAMES), model="dominant", radius=6.0).with_samples(8, 4)
 
 
 @pytest.fixture(scope="module")
@@ -330,7 +330,9 @@ def test_parts_are_switched_on_and_off(wide):
         without = scene_of(wide)
         assert changed(without, before) > 1e-4, part
         if part == "robot":
-            assert share_of_hue(without, to_rgb(TUBES[0])) < 0.2 * share_of_hue(before, to_rgb(TUBES[0]))
+            assert share_of_hue(without, to_rgb(TUBE_COLOURS[0])) < 0.2 * share_of_hue(
+                before, to_rgb(TUBE_COLOURS[0])
+            )
         wide.get_by_label(part, exact=True).check()
         settle(wide)
         assert changed(scene_of(wide), before) < 1e-3, part
@@ -423,7 +425,7 @@ def test_the_print_shows_the_robot_without_controls(wide):
     for control in ("#play", "#frame", "[data-camera=side]", "iframe"):
         assert wide.locator(control).first.is_hidden()
     printed = pixels(wide.locator(".printed").screenshot())
-    assert share_of_hue(printed, to_rgb(TUBES[0])) > 3e-4
+    assert share_of_hue(printed, to_rgb(TUBE_COLOURS[0])) > 3e-4
     assert wide.locator("#moment").inner_text() == f"frame {FRAMES} of {FRAMES}"
     wide.emulate_media(media="screen")
 

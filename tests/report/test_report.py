@@ -14,12 +14,12 @@ from matplotlib.colors import to_rgb
 
 from ctr_nlp import Plan, Problem, curve_from_formula, growing, solve_per_frame, table_i_robot
 from ctr_nlp.cli.commands import report as make_report
-from ctr_nlp.figures.parts.palette import CONTACT, TUBES
+from ctr_nlp.figures.parts.palette import CONTACT, TUBE_COLOURS
 from ctr_nlp.plan.metrics import by_frame, e1, summary
 from ctr_nlp.report import page
 from ctr_nlp.report.scene import quantities, scales
 from ctr_nlp.target.lumen import Lumen
-from ctr_nlp.target.target import SIGMA
+from ctr_nlp.target.target import SIGMA_GRID
 
 FRAMES = 8
 WIDTHS = (1280, 390)
@@ -42,9 +42,9 @@ def walled():
     plan = solve_per_frame(
         Problem("walled </script> & <b>", table_i_robot(), target), model="dominant", direction="forward"
     )
-    radius = np.linspace(9.0, 1.0, len(SIGMA))
+    radius = np.linspace(9.0, 1.0, len(SIGMA_GRID))
     lumen = np.column_stack([plan.target[-1], radius])
-    clearance = Lumen(lumen).clearance(plan.robot, plan.beta, SIGMA, plan.shape)
+    clearance = Lumen(lumen).clearance(plan.robot, plan.beta, SIGMA_GRID, plan.shape)
     margin = np.linspace(0.9, 0.1, FRAMES)
     return dataclasses.replace(plan, lumen=lumen, clearance=clearance, stability=margin, stability_between=margin)
 
@@ -188,7 +188,7 @@ def test_the_scene_shows_the_tubes_and_moves_with_the_slider(browser, file, wall
         assert cursors(view) == [at(walled.time[-1], 9)]
         assert changed(after, before) > 0.005
         assert view.locator(".plots").screenshot() != plots
-        for colour in TUBES[:3]:
+        for colour in TUBE_COLOURS[:3]:
             assert share_of_hue(after, to_rgb(colour)) > 3e-4
         told = view.locator(".readout").inner_text()
         assert told != readout
@@ -205,7 +205,7 @@ def test_colours_show_where_the_wall_is_touched(wide):
     view.select_option("#colouring", "clearance")
     settle(view)
     assert share_of_hue(scene_of(view), contact, 0.02) > 2e-4
-    assert share_of_hue(scene_of(view), to_rgb(TUBES[2])) < 1e-4
+    assert share_of_hue(scene_of(view), to_rgb(TUBE_COLOURS[2])) < 1e-4
     assert "contact below 0" in view.locator(".legends").inner_text()
     go_to(view, 2)
     assert share_of_hue(scene_of(view), contact, 0.02) < 1e-4
@@ -258,7 +258,7 @@ def test_several_plans_move_in_step_whatever_their_frames(browser, both, walled,
         assert view.locator(".absent").count() == 2
         go_to(view, FRAMES)
         for k in (0, 1):
-            assert share_of_hue(scene_of(view, k), to_rgb(TUBES[0])) > 3e-4
+            assert share_of_hue(scene_of(view, k), to_rgb(TUBE_COLOURS[0])) > 3e-4
         other = scene_of(view, 1)
         view.locator(".scene").first.scroll_into_view_if_needed()  # a mouse moves over what is on the screen
         box = view.locator(".scene").first.bounding_box()
@@ -286,9 +286,9 @@ def test_frames_that_were_not_reached_are_said_and_drawn_empty(browser, walled, 
         wait_for_scenes(view)
         go_to(view, FRAMES)
         assert view.locator(".readout").inner_text().endswith("not reached")
-        assert share_of_hue(scene_of(view), to_rgb(TUBES[0])) < 1e-4
+        assert share_of_hue(scene_of(view), to_rgb(TUBE_COLOURS[0])) < 1e-4
         go_to(view, FRAMES - 2)
-        assert share_of_hue(scene_of(view), to_rgb(TUBES[0])) > 3e-4
+        assert share_of_hue(scene_of(view), to_rgb(TUBE_COLOURS[0])) > 3e-4
 
 
 def test_without_webgl_the_page_says_so_and_plots_work(launch, file, walled):

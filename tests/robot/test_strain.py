@@ -14,8 +14,8 @@ from strategies import numbers, robots
 
 from ctr_nlp import Limits, Robot, Tube, table_i_robot
 from ctr_nlp.exceptions import RobotError
-from ctr_nlp.robot.strain import STRAIN_DEPLOYED, largest_strain
-from ctr_nlp.robot.units import angle_meant, curvature_meant, in_other_units, length_meant
+from ctr_nlp.robot.strain import MAX_DEPLOYED_STRAIN, largest_strain
+from ctr_nlp.robot.units import suggest_angle, suggest_curvature, suggest_length, unit_mismatch_factor
 
 
 @given(numbers(0.3, 6), numbers(0, 0.16))
@@ -69,9 +69,9 @@ def test_a_pair_that_bends_its_inner_tube_straight_by_more_than_6_percent_is_ref
 
 def test_a_lone_tube_and_tubes_of_one_curvature_are_not_strained():
     lone = Robot((Tube(200, 100, 0.07, 2.0, 1.0),))
-    assert largest_strain(lone.tubes, lone.deployed).strain == 0
+    assert largest_strain(lone.tubes, lone.max_extensions).strain == 0
     alike = pair(0.03, 0.03)
-    assert largest_strain(alike.tubes, alike.deployed).strain == pytest.approx(0, abs=1e-12)
+    assert largest_strain(alike.tubes, alike.max_extensions).strain == pytest.approx(0, abs=1e-12)
     assert largest_strain(lone.tubes, [0.0]) is None
 
 
@@ -79,7 +79,7 @@ def test_tubes_that_are_not_over_each_other_do_not_strain_each_other():
     """With transmissions deployed, the inner one's curved part lies beyond the outer one's tip."""
     tubes = pair(0.05).tubes
     apart = Robot(tubes, Limits(beta=[(0, 50), (0, 200)]))
-    assert largest_strain(apart.tubes, apart.deployed).strain == pytest.approx(0, abs=1e-12)
+    assert largest_strain(apart.tubes, apart.max_extensions).strain == pytest.approx(0, abs=1e-12)
 
 
 @pytest.mark.parametrize("apart", [0.0, 1.5e-14, 1e-9, 9e-7, 1.1e-6, 1e-3])
@@ -87,7 +87,7 @@ def test_tubes_that_end_together_but_for_rounding_are_a_robot(apart):
     """Limits that are worked out from the travels of motors differ by what rounding leaves."""
     seed = table_i_robot()
     limits = Limits(beta=((0, 50), (0, 60 - apart), (0, 60)))
-    assert replace(seed, limits=limits).deployed.tolist() == [50, 60 - apart, 60]
+    assert replace(seed, limits=limits).max_extensions.tolist() == [50, 60 - apart, 60]
     assert largest_strain(seed.tubes, [50, 60 - apart, 60]).strain == pytest.approx(
         largest_strain(seed.tubes, [50, 60, 60]).strain, abs=1e-6
     )
@@ -96,7 +96,7 @@ def test_tubes_that_end_together_but_for_rounding_are_a_robot(apart):
 @given(robots())
 def test_no_section_is_strained_more_than_the_largest(robot):
     """Every section's both ends, curvatures and means worked out anew."""
-    beta = robot.deployed
+    beta = robot.max_extensions
     worst = largest_strain(robot.tubes, beta)
     found = [0.0]
     for s in np.linspace(0, beta[-1], 301)[:-1] + 1e-7:
@@ -109,12 +109,12 @@ def test_no_section_is_strained_more_than_the_largest(robot):
         weights = np.array([robot.tubes[i].bending_stiffness for i in there])
         common = weights @ np.array(list(own.values())) / weights.sum()
         found += [robot.tubes[i].outer_diameter / 2 * abs(own[i] - common) for i in there]
-    assert max(found) <= worst.strain + 1e-9 <= STRAIN_DEPLOYED + 1e-8
+    assert max(found) <= worst.strain + 1e-9 <= MAX_DEPLOYED_STRAIN + 1e-8
 
 
 @given(robots())
 def test_fully_deployed_is_the_largest_configuration_that_a_robot_allows(robot):
-    q = np.concatenate([np.zeros(robot.d), robot.deployed, np.zeros(2)])
+    q = np.concatenate([np.zeros(robot.d), robot.max_extensions, np.zeros(2)])
     robot.check(q)
     for i in range(robot.d):
         further = q.copy()
@@ -125,7 +125,7 @@ def test_fully_deployed_is_the_largest_configuration_that_a_robot_allows(robot):
 
 def test_fully_deployed_keeps_the_carriage_gap():
     robot = table_i_robot().with_limits(beta=[(0, 5), (0, 107), (0, 150)], carriage_gap=20)
-    assert robot.deployed.tolist() == [5, 5 + 202 - 90 - 20, 150]
+    assert robot.max_extensions.tolist() == [5, 5 + 202 - 90 - 20, 150]
 
 
 # Units
@@ -134,9 +134,9 @@ def test_fully_deployed_keeps_the_carriage_gap():
 def test_thousands_and_no_other_ratios_are_taken_for_units():
     """GPa and MPa, GPa and kPa; not steel beside polymers, nor what a test of limits takes for rigid."""
     for one, other in ((60, 60e3), (193, 75e3), (40, 200e3), (1, 1e6), (1e9, 1)):
-        assert in_other_units(one, other) == in_other_units(other, one) is not None
+        assert unit_mismatch_factor(one, other) == unit_mismatch_factor(other, one) is not None
     for one, other in ((200, 4), (60, 60), (75, 40), (1e4, 1), (1e7, 1)):
-        assert in_other_units(one, other) is None
+        assert unit_mismatch_factor(one, other) is None
 
 
 def test_moduli_of_one_unit_are_accepted_and_of_two_refused():
@@ -162,12 +162,12 @@ def test_the_seed_in_another_unit_is_refused_with_what_was_meant(i, unit):
 
 
 def test_what_was_meant_is_offered_only_where_it_can_be():
-    assert length_meant(0.39, lambda mm: mm > 1) == ["390 mm (0.39 m)"]
-    assert length_meant(0.0, lambda mm: mm > 1) == []
-    assert curvature_meant(66.7, lambda k: k < 0.05) == ["1/66.7 (a radius of 66.7 mm)"]
-    assert curvature_meant(66.7, lambda k: k < 0.01) == []
-    assert angle_meant(90, lambda rad: rad < 2) == ["1.571 rad (90 degrees)"]
-    assert angle_meant(2 * math.pi, lambda rad: True) == []
+    assert suggest_length(0.39, lambda mm: mm > 1) == ["390 mm (0.39 m)"]
+    assert suggest_length(0.0, lambda mm: mm > 1) == []
+    assert suggest_curvature(66.7, lambda k: k < 0.05) == ["1/66.7 (a radius of 66.7 mm)"]
+    assert suggest_curvature(66.7, lambda k: k < 0.01) == []
+    assert suggest_angle(90, lambda rad: rad < 2) == ["1.571 rad (90 degrees)"]
+    assert suggest_angle(2 * math.pi, lambda rad: True) == []
 
 
 def test_a_robot_in_degrees_is_refused():

@@ -10,10 +10,10 @@ from strategies import drawn
 
 from ctr_nlp import Limits, Problem, Robot, Tube, curve_from_formula, growing, table_i_robot
 from ctr_nlp.codegen import cache, places
-from ctr_nlp.formulations.frames import FrameResult, starts
-from ctr_nlp.models import MODELS
-from ctr_nlp.models.protocol import samples
-from ctr_nlp.robot.structure import NUMBERS, Structure
+from ctr_nlp.formulations.frames import FrameResult, sobol_starts
+from ctr_nlp.models import KINEMATIC_MODELS
+from ctr_nlp.models.protocol import build_sample_function
+from ctr_nlp.robot.structure import TUBE_NUMBER_NAMES, Structure
 from ctr_nlp.steer.nlp_frames import NlpFrames
 
 COUNTS = pytest.mark.parametrize("count", [25, pytest.param(1000, marks=pytest.mark.slow)])
@@ -39,7 +39,7 @@ KINDS = [
 @pytest.mark.parametrize(("d", "model"), KINDS)
 def test_random_robots_of_one_structure_are_compiled_once(d, model, count, monkeypatch, capsys):
     """The first robot compiles; the others are planned with what it left. Times are told, and not judged."""
-    if cache.missing():
+    if cache.unavailable_reason():
         pytest.skip("no C compiler")
     written = list[str]()
     monkeypatch.setattr(places, "code", told(written, places.code))
@@ -48,9 +48,9 @@ def test_random_robots_of_one_structure_are_compiled_once(d, model, count, monke
         problem = one_frame(drawn(rng, d))
         if number == 1:
             written.clear()
-        assert problem.samples
+        assert problem.target_frames
         begin = time.process_time()
-        solved = first_solution(problem, MODELS[model])
+        solved = first_solution(problem, KINEMATIC_MODELS[model])
         seconds.append(time.process_time() - begin)
         failed += not solved
     assert written == []
@@ -65,9 +65,9 @@ def test_random_robots_of_one_structure_are_compiled_once(d, model, count, monke
 def first_solution(problem, model):
     """Whether one of eight starts leads to a solution; the first that does ends the search."""
     frames = NlpFrames.of(problem, model=model)
-    guesses = starts(problem.robot, problem.samples[0], 8)
+    guesses = sobol_starts(problem.robot, problem.target_frames[0], 8)
     return any(
-        frames.again(
+        frames.search_near(
             0, FrameResult(q, x=model.guess(problem.robot, q) if model.several_equilibria else None)
         ).success
         for q in guesses
@@ -93,7 +93,7 @@ def test_a_structure_says_what_must_be_compiled():
 
 def test_numbers_are_those_of_the_tubes():
     robot = table_i_robot()
-    assert robot.numbers.shape == (3, len(NUMBERS))
+    assert robot.numbers.shape == (3, len(TUBE_NUMBER_NAMES))
     for row, tube, numbers in zip(robot.numbers, robot.tubes, robot.tube_numbers, strict=True):
         expected = tube.length, tube.curved_length, tube.tip_curvature, tube.tip_curvature, tube.bending_stiffness
         np.testing.assert_array_equal(row, [*expected, 1.3, 0.0, tube.area])
@@ -111,9 +111,9 @@ def test_symbols_with_a_robots_numbers_are_its_shape(name):
         Tube(390, 150, 1 / 80, 2.1, 1.0),
     )
     robot = Robot(tubes, Limits(beta=[(0, 80), (0, 150), (0, 300)]))
-    model, q = MODELS[name], np.array([0.4, -0.7, 1.2, 60.0, 120.0, 260.0, 0.2, -0.1])
+    model, q = KINEMATIC_MODELS[name], np.array([0.4, -0.7, 1.2, 60.0, 120.0, 260.0, 0.2, -0.1])
     x, sigma = model.rest(robot, q), np.linspace(0, 1, 11)
-    points, tangents = samples(model, robot.structure, len(sigma))(x, sigma, robot.numbers, [])
+    points, tangents = build_sample_function(model, robot.structure, len(sigma))(x, sigma, robot.numbers, [])
     atol = 1e-9 if name == "dominant" else 0.03
     np.testing.assert_allclose(points.full(), model.points(robot, x[None], sigma)[0], atol=atol)
     np.testing.assert_allclose(tangents.full(), model.tangents(robot, x[None], sigma)[0], atol=1e-3)

@@ -9,8 +9,8 @@ import pytest
 
 from ctr_nlp import Robot, Tolerances, table_i_robot
 from ctr_nlp.exceptions import RobotError
-from ctr_nlp.robot.draws import Draws, corners, drawn
-from ctr_nlp.robot.structure import NUMBERS
+from ctr_nlp.robot.draws import RobotSamples, box_vertices_of, sample_robots
+from ctr_nlp.robot.structure import TUBE_NUMBER_NAMES
 
 WIDE = Tolerances(
     curvature=(0.01, 0.02, 0.03),
@@ -36,37 +36,39 @@ def correlated():
 
 
 def test_uniform_draws_fill_their_bands_and_no_more():
-    draws = drawn(known_so(WIDE), 2000, 5)
+    draws = sample_robots(known_so(WIDE), 2000, 5)
     described = known_so(WIDE).numbers
     part = draws.numbers / np.where(described == 0, 1.0, described) - 1
-    root, tip = (NUMBERS.index(name) for name in ("root_curvature", "tip_curvature"))
+    root, tip = (TUBE_NUMBER_NAMES.index(name) for name in ("root_curvature", "tip_curvature"))
     np.testing.assert_array_equal(part[..., root], part[..., tip])
     for name, bands in (
         ("tip_curvature", (0.01, 0.02, 0.03)),
         ("bending_stiffness", 0.02),
         ("torsional_ratio", 0.05),
     ):
-        found = part[..., NUMBERS.index(name)] / bands
+        found = part[..., TUBE_NUMBER_NAMES.index(name)] / bands
         assert (abs(found) <= 1 + 1e-9).all()
         np.testing.assert_allclose(abs(found).max(axis=0), 1, atol=0.02)
         np.testing.assert_allclose(found.std(axis=0), 1 / np.sqrt(3), rtol=0.05)
-    grown = (draws.numbers - described)[..., NUMBERS.index("curved_length")]
+    grown = (draws.numbers - described)[..., TUBE_NUMBER_NAMES.index("curved_length")]
     assert abs(grown).max() <= 1.5 + 1e-9
-    assert (draws.numbers[..., NUMBERS.index("length")] == described[:, NUMBERS.index("length")]).all()
+    assert (
+        draws.numbers[..., TUBE_NUMBER_NAMES.index("length")] == described[:, TUBE_NUMBER_NAMES.index("length")]
+    ).all()
     assert abs(draws.offsets).max() <= 0.03
-    assert (draws.lags[:, 0] == 0).all()
-    np.testing.assert_allclose(draws.lags.max(axis=0), (0, 0.1, 0.2), rtol=0.01)
+    assert (draws.backlash[:, 0] == 0).all()
+    np.testing.assert_allclose(draws.backlash.max(axis=0), (0, 0.1, 0.2), rtol=0.01)
 
 
 def test_normal_draws_have_the_variance_of_uniform_ones():
-    parts = drawn(known_so(replace(WIDE, distribution="normal")), 4000, 5).parts
+    parts = sample_robots(known_so(replace(WIDE, distribution="normal")), 4000, 5).deviations
     np.testing.assert_allclose(parts.std(axis=0), WIDE.bands(table_i_robot().tubes) / np.sqrt(3), rtol=0.05)
     assert (abs(parts) > 1.5 * WIDE.bands(table_i_robot().tubes)).any()
 
 
 def test_draws_have_the_covariance_that_is_given():
     robot = known_so(correlated())
-    found = np.cov(drawn(robot, 20_000, 1).parts.reshape(20_000, 15).T)
+    found = np.cov(sample_robots(robot, 20_000, 1).deviations.reshape(20_000, 15).T)
     np.testing.assert_allclose(found, robot.tolerances.covariance, atol=1.5e-5)
     np.testing.assert_allclose(robot.tolerances.bands(robot.tubes)[:, 0], 0.01 * np.sqrt(3))
 
@@ -77,19 +79,19 @@ def test_what_a_covariance_leaves_no_doubt_of_does_not_differ_by_rounding():
     spread = np.random.default_rng(0).standard_normal((4, 4))
     covariance[np.ix_(among, among)] = 1e-4 * spread @ spread.T
     robot = replace(table_i_robot(), tolerances=Tolerances(distribution="normal", covariance=covariance))
-    root = robot.tolerances.root(robot.tubes)
+    root = robot.tolerances.covariance_root(robot.tubes)
     np.testing.assert_allclose(root @ root.T, covariance, atol=1e-12)
     others = np.setdiff1d(np.arange(15), among)
     assert (root[others] == 0).all()
-    assert (drawn(robot, 10, 1).parts.reshape(10, 15)[:, others] == 0).all()
+    assert (sample_robots(robot, 10, 1).deviations.reshape(10, 15)[:, others] == 0).all()
 
 
 def test_draws_are_those_of_their_seed_and_fewer_are_the_first_of_more():
     for tolerances in (WIDE, replace(WIDE, distribution="normal"), correlated()):
         robot = known_so(tolerances)
-        assert drawn(robot, 40, 3) == drawn(robot, 40, 3)
-        assert drawn(robot, 40, 3)[:10] == drawn(robot, 10, 3)
-        assert drawn(robot, 10, 4) != drawn(robot, 10, 3)
+        assert sample_robots(robot, 40, 3) == sample_robots(robot, 40, 3)
+        assert sample_robots(robot, 40, 3)[:10] == sample_robots(robot, 10, 3)
+        assert sample_robots(robot, 10, 4) != sample_robots(robot, 10, 3)
 
 
 def test_diameters_that_are_off_widen_the_bending_stiffness():
@@ -97,7 +99,7 @@ def test_diameters_that_are_off_widen_the_bending_stiffness():
     thin = replace(table_i_robot().tubes[2], outer_diameter=1.3, inner_diameter=1.0)
     robot = replace(table_i_robot(), tubes=(*table_i_robot().tubes[:2], thin))
     robot = replace(robot, tolerances=Tolerances(bending_stiffness=0.0, diameter=(0, 0, 0.02)))
-    part = drawn(robot, 4000, 5).parts[..., 1]
+    part = sample_robots(robot, 4000, 5).deviations[..., 1]
     assert (part[:, :2] == 0).all()
     most = (1.32**4 - 0.98**4) / (1.3**4 - 1) - 1
     least = (1.28**4 - 1.02**4) / (1.3**4 - 1) - 1
@@ -107,7 +109,9 @@ def test_diameters_that_are_off_widen_the_bending_stiffness():
     np.testing.assert_allclose(part[:, 2].std(), band / np.sqrt(3), rtol=0.03)
     np.testing.assert_allclose(band, 0.02 * 4 * np.hypot(1.3**3, 1) / (1.3**4 - 1), rtol=1e-12)
     normal = replace(robot, tolerances=replace(robot.tolerances, distribution="normal"))
-    np.testing.assert_allclose(drawn(normal, 4000, 5).parts[:, 2, 1].std(), band / np.sqrt(3), rtol=0.03)
+    np.testing.assert_allclose(
+        sample_robots(normal, 4000, 5).deviations[:, 2, 1].std(), band / np.sqrt(3), rtol=0.03
+    )
     with pytest.raises(RobotError, match=r"diameter of tolerances is 0\.16 mm and the wall of tube 3 0\.15 mm"):
         replace(robot, tolerances=Tolerances(diameter=(0, 0, 0.16)))
     with pytest.raises(RobotError, match=r"diameter of tolerances is 0\.02; leave it out where a covariance"):
@@ -116,20 +120,20 @@ def test_diameters_that_are_off_widen_the_bending_stiffness():
 
 def test_corners_are_all_ends_of_all_bands():
     robot = known_so(Tolerances(bending_stiffness=(0.02, 0, 0), motor_zero=(0, 0.02, 0), rotation_lag=0.1))
-    found = corners(robot)
+    found = box_vertices_of(robot)
     assert len(found) == 2**5
-    assert len(np.unique(found.parts.reshape(32, 15), axis=0)) == 32
+    assert len(np.unique(found.deviations.reshape(32, 15), axis=0)) == 32
     bands = robot.tolerances.bands(robot.tubes)
-    np.testing.assert_allclose(abs(found.parts), np.tile(bands, (32, 1, 1)), rtol=1e-12)
-    assert (found.lags == 0.1).all()
-    some = corners(robot, 20)
+    np.testing.assert_allclose(abs(found.deviations), np.tile(bands, (32, 1, 1)), rtol=1e-12)
+    assert (found.backlash == 0.1).all()
+    some = box_vertices_of(robot, 20)
     assert len(some) == 20
-    np.testing.assert_allclose(abs(some.parts), np.tile(bands, (20, 1, 1)), rtol=1e-12)
+    np.testing.assert_allclose(abs(some.deviations), np.tile(bands, (20, 1, 1)), rtol=1e-12)
 
 
 def test_corners_of_a_covariance_are_as_far_off_along_its_axes():
     robot = known_so(correlated())
-    parts = corners(robot).parts.reshape(-1, 15)
+    parts = box_vertices_of(robot).deviations.reshape(-1, 15)
     np.testing.assert_allclose(parts.T @ parts / len(parts), 3 * np.array(correlated().covariance), atol=1e-12)
 
 
@@ -137,8 +141,8 @@ def test_tolerances_change_nothing_that_is_compiled_or_planned_with():
     robot = known_so(WIDE)
     assert robot.structure == table_i_robot().structure
     np.testing.assert_array_equal(robot.numbers, table_i_robot().numbers)
-    assert drawn(robot, 5, 0).structure.shown == (True, True, True)
-    assert drawn(table_i_robot(), 5, 0).structure == robot.structure
+    assert sample_robots(robot, 5, 0).structure.transmission_emerges == (True, True, True)
+    assert sample_robots(table_i_robot(), 5, 0).structure == robot.structure
 
 
 def test_a_tube_follows_its_motor_with_play():
@@ -148,22 +152,24 @@ def test_a_tube_follows_its_motor_with_play():
     q[:, 0] = motor
     still, offsets = np.zeros((1, 1)), np.full((1, 1), 0.05)
     none = np.zeros((1, 3)), np.zeros((1, 1, 5))
-    draws = Draws(table_i_robot().structure, np.zeros((1, 1, 6)), offsets, still + 0.3, *none)
+    draws = RobotSamples(table_i_robot().structure, np.zeros((1, 1, 6)), offsets, still + 0.3, *none)
     fresh = np.zeros(7, dtype=bool)
     fresh[0] = True
-    found = draws.turned(q, fresh)
+    found = draws.tube_configurations(q, fresh)
     np.testing.assert_allclose(found[0, :, 0] - 0.05, [0.2, 0.2, 0.7, 0.7, 0.7, 0.6, 0.7])
     np.testing.assert_array_equal(found[..., 1:], q[None, :, 1:])
     fresh[4] = True
-    np.testing.assert_allclose(draws.turned(q, fresh)[0, :, 0] - 0.05, [0.2, 0.2, 0.7, 0.7, 0.5, 0.5, 0.7])
+    np.testing.assert_allclose(
+        draws.tube_configurations(q, fresh)[0, :, 0] - 0.05, [0.2, 0.2, 0.7, 0.7, 0.5, 0.5, 0.7]
+    )
 
 
 def test_tubes_come_from_where_they_are_aligned_with_the_innermost():
     q = np.zeros((2, 6))
     q[:, :2] = (1.0, 0.4), (1.5, 0.4)
     of_tubes = np.zeros((1, 2, 6)), np.zeros((1, 2)), np.full((1, 2), 0.2)
-    draws = Draws(table_i_robot().structure, *of_tubes, np.zeros((1, 3)), np.zeros((1, 2, 5)))
-    np.testing.assert_allclose(draws.turned(q, np.array([True, False]))[0, :, 0], [0.8, 1.3])
+    draws = RobotSamples(table_i_robot().structure, *of_tubes, np.zeros((1, 3)), np.zeros((1, 2, 5)))
+    np.testing.assert_allclose(draws.tube_configurations(q, np.array([True, False]))[0, :, 0], [0.8, 1.3])
 
 
 @pytest.mark.parametrize("tolerances", [Tolerances(), WIDE, correlated()], ids=["default", "wide", "correlated"])

@@ -9,12 +9,12 @@ from frames import configuration, elastic_shapes, follow
 
 from ctr_nlp import Robot, Tolerances, Tube, shapes, table_i_robot
 from ctr_nlp.exceptions import OptionError
-from ctr_nlp.models import MODELS, Model
+from ctr_nlp.models import KINEMATIC_MODELS, Model
 from ctr_nlp.models.elastic import stability
-from ctr_nlp.models.protocol import passage
-from ctr_nlp.robot.draws import drawn, drawn_from
-from ctr_nlp.robot.structure import NUMBERS
-from ctr_nlp.simulation.drawn import drawn_motion
+from ctr_nlp.models.protocol import subdivide_motion
+from ctr_nlp.robot.draws import perturb_robot, sample_robots
+from ctr_nlp.robot.structure import TUBE_NUMBER_NAMES
+from ctr_nlp.simulation.drawn import simulate_samples
 
 pytestmark = pytest.mark.interpreted
 LONG = Robot((Tube(90, 70, 0.02, 4.0, 3.2), Tube(150, 90, 0.02, 2.6, 1.6)))
@@ -33,7 +33,7 @@ def itself(robot, draws, k):
     """The robot that draw k is, as anybody would describe it."""
     tubes = []
     for tube, numbers in zip(robot.tubes, draws.numbers[k], strict=True):
-        of = dict(zip(NUMBERS, numbers.tolist(), strict=True))
+        of = dict(zip(TUBE_NUMBER_NAMES, numbers.tolist(), strict=True))
         tubes.append(
             replace(
                 tube,
@@ -50,11 +50,11 @@ def itself(robot, draws, k):
 @pytest.mark.parametrize("robot", [table_i_robot(), truth.TWO], ids=["three arcs", "curvature varies"])
 def test_draws_are_the_robots_that_their_numbers_describe(robot):
     robot = replace(robot, tolerances=SOME)
-    draws, q = drawn(robot, 3, 7), motion(robot)
-    found = drawn_motion(robot, draws, q, "elastic")
-    way = passage(q, 4)
+    draws, q = sample_robots(robot, 3, 7), motion(robot)
+    found = simulate_samples(robot, draws, q, "elastic")
+    way = subdivide_motion(q, 4)
     for k in range(3):
-        own, turned = itself(robot, draws, k), draws.turned(way.q, way.fresh)[k]
+        own, turned = itself(robot, draws, k), draws.tube_configurations(way.q, way.fresh)[k]
         ends = turned[np.searchsorted(way.frames, range(len(q)), side="right") - 1]
         np.testing.assert_allclose(configuration(own, found.x[k]), ends, atol=1e-7)
         assert (abs(ends - q - np.pad(draws.offsets[k], (0, robot.d + 2))) <= 0.1 + 1e-12).all()
@@ -67,8 +67,8 @@ def test_draws_are_the_robots_that_their_numbers_describe(robot):
 def test_the_robot_described_is_a_draw_without_differences():
     robot = table_i_robot()
     q = motion(robot)
-    none = drawn_from(robot, np.zeros((2, 3, 5)), np.zeros((2, 3)))
-    found, there = drawn_motion(robot, none, q, "elastic"), follow(robot, q, substeps=4)
+    none = perturb_robot(robot, np.zeros((2, 3, 5)), np.zeros((2, 3)))
+    found, there = simulate_samples(robot, none, q, "elastic"), follow(robot, q, substeps=4)
     for k in range(2):
         np.testing.assert_allclose(found.x[k], there.x, atol=1e-9)
         np.testing.assert_allclose(found.stability_between[k], there.stability_between, atol=1e-8)
@@ -77,8 +77,8 @@ def test_the_robot_described_is_a_draw_without_differences():
 
 def test_shapes_differ_on_the_dominant_model_too():
     robot = replace(table_i_robot(), tolerances=Tolerances())
-    draws, q = drawn(robot, 3, 7), motion(robot)
-    found = drawn_motion(robot, draws, q, "dominant")
+    draws, q = sample_robots(robot, 3, 7), motion(robot)
+    found = simulate_samples(robot, draws, q, "dominant")
     for k in range(3):
         own = q.copy()
         own[:, :3] += draws.offsets[k]
@@ -88,20 +88,20 @@ def test_shapes_differ_on_the_dominant_model_too():
 
 
 def test_a_model_that_only_defines_its_frame_shows_draws():
-    class Plain(type(MODELS["dominant"])):
+    class Plain(type(KINEMATIC_MODELS["dominant"])):
         name = "plain"
-        points_apart = Model.points_apart
+        points_apart = Model.points_batch
 
     robot = table_i_robot()
-    draws, q = drawn(robot, 2, 7), motion(robot, 2)
-    there = drawn_motion(robot, draws, q, "dominant").shape
-    np.testing.assert_allclose(drawn_motion(robot, draws, q, Plain()).shape, there, atol=1e-9)
+    draws, q = sample_robots(robot, 2, 7), motion(robot, 2)
+    there = simulate_samples(robot, draws, q, "dominant").shape
+    np.testing.assert_allclose(simulate_samples(robot, draws, q, Plain()).shape, there, atol=1e-9)
 
     class Hidden(Plain):
         name, several_equilibria = "hidden", True
 
     with pytest.raises(OptionError, match="does not follow robots that differ"):
-        drawn_motion(robot, draws, q, Hidden())
+        simulate_samples(robot, draws, q, Hidden())
 
 
 def turned_apart(last, frames=30):
@@ -117,7 +117,7 @@ def test_what_snaps_is_lost_and_when():
     last = 5.0 * (snap.frame - 2) / 299 - 0.02
     parts = np.zeros((2, 2, 5))
     parts[:, 0, 4] = 0.05, -0.05
-    found = drawn_motion(LONG, drawn_from(LONG, parts, np.zeros((2, 2))), turned_apart(last), "elastic")
+    found = simulate_samples(LONG, perturb_robot(LONG, parts, np.zeros((2, 2))), turned_apart(last), "elastic")
     np.testing.assert_array_equal(found.snapped, [30, 0])
     np.testing.assert_array_equal(found.lost, [30, 0])
     assert found.stability_between[0, -1] <= 0 < found.stability_between[1].min()
@@ -130,17 +130,17 @@ def test_what_rests_on_another_branch_is_lost_without_a_snap():
     robot = Robot((Tube(90, 70, 0.02, 4.0, 3.2), Tube(150, 90, 0.02, 2.6, 1.6)))
     snap = follow(LONG, turned_apart(5.0, 300)).snaps[0]
     q = turned_apart(5.0 * (snap.frame - 2) / 299 - 0.02)[-1:]
-    found = drawn_motion(robot, drawn_from(robot, parts, np.zeros((2, 2))), q, "elastic")
+    found = simulate_samples(robot, perturb_robot(robot, parts, np.zeros((2, 2))), q, "elastic")
     np.testing.assert_array_equal(found.lost, [1, 0])
 
 
 def test_frames_that_were_not_reached_are_passed_over():
     robot, q = table_i_robot(), motion(table_i_robot(), 6)
     q[[0, 3]] = np.nan
-    way = passage(q, 4)
+    way = subdivide_motion(q, 4)
     assert way.frames.tolist() == [1, 2, 2, 2, 2, 4, 5, 5, 5, 5]
     np.testing.assert_array_equal(np.flatnonzero(way.fresh), [0, 5])
-    found = drawn_motion(robot, drawn(robot, 2, 0), q, "elastic")
+    found = simulate_samples(robot, sample_robots(robot, 2, 0), q, "elastic")
     assert np.isnan(found.shape[:, [0, 3]]).all()
     assert np.isfinite(found.shape[:, [1, 2, 4, 5]]).all()
     assert not found.lost.any()
@@ -148,7 +148,7 @@ def test_frames_that_were_not_reached_are_passed_over():
 
 def test_margins_do_not_depend_on_the_rows_before():
     robot = table_i_robot()
-    x = MODELS["elastic"].guess(robot, motion(robot, 60, 3.0))
+    x = KINEMATIC_MODELS["elastic"].guess(robot, motion(robot, 60, 3.0))
     together = stability.margins(robot.tube_numbers, x)
     alone = [float(stability.margins(robot.tube_numbers, row[None])[0]) for row in x]
     np.testing.assert_allclose(together, alone, atol=3e-8)

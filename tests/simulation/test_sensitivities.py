@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from ctr_nlp import Limits, Robot, Tube, table_i_robot
-from ctr_nlp.models import MODELS
-from ctr_nlp.robot.structure import NUMBERS
+from ctr_nlp.models import KINEMATIC_MODELS
+from ctr_nlp.robot.structure import TUBE_NUMBER_NAMES
 from ctr_nlp.simulation.sensitivities import sensitivities
 
 pytestmark = pytest.mark.interpreted
@@ -44,7 +44,7 @@ def differences(robot, of, arcs):
     found = []
     for tube in range(robot.d):
         row = []
-        for number, name in enumerate(NUMBERS):
+        for number, name in enumerate(TUBE_NUMBER_NAMES):
             value = robot.numbers[tube, number]
             step = 1e-5 * max(abs(value), 1e-3)
             ahead, behind = (of(Changed(robot, tube, number, value + sign * step)) for sign in (1, -1))
@@ -57,7 +57,7 @@ def differences(robot, of, arcs):
 @pytest.mark.parametrize("robot", ROBOTS.values(), ids=ROBOTS.keys())
 @pytest.mark.parametrize("name", ["dominant", "elastic"])
 def test_shapes_and_angles_change_as_they_do_for_a_robot_with_other_numbers(robot, name):
-    model = MODELS[name]
+    model = KINEMATIC_MODELS[name]
     x = model.rest(robot, Q)[None]
     found = sensitivities(robot, x, name, SIGMA)
     arcs = [kind == "arc" for kind in robot.structure.kinds]
@@ -70,7 +70,7 @@ def test_shapes_and_angles_change_as_they_do_for_a_robot_with_other_numbers(robo
 
 @pytest.mark.parametrize("robot", ROBOTS.values(), ids=ROBOTS.keys())
 def test_with_motors_held_the_elastic_robot_comes_to_rest_where_the_derivative_says(robot):
-    model, number = MODELS["elastic"], NUMBERS.index("tip_curvature")
+    model, number = KINEMATIC_MODELS["elastic"], TUBE_NUMBER_NAMES.index("tip_curvature")
     x = model.rest(robot, Q)[None]
     found = sensitivities(robot, x, "elastic", SIGMA)
     for tube in range(robot.d):
@@ -81,12 +81,14 @@ def test_with_motors_held_the_elastic_robot_comes_to_rest_where_the_derivative_s
             other = Changed(robot, tube, number, robot.numbers[tube, number] * (1 + sign * 1e-4))
             ends.append(model.points(other, model.rest(other, Q)[None], SIGMA)[0])
         moved = (ends[0] - ends[1]) / (2e-4 * robot.numbers[tube, number])
-        np.testing.assert_allclose(found.moved[0, :, :, tube, number], moved, atol=0.02 * abs(moved).max())
+        np.testing.assert_allclose(
+            found.points_at_fixed_q[0, :, :, tube, number], moved, atol=0.02 * abs(moved).max()
+        )
 
 
 @pytest.mark.parametrize("robot", ROBOTS.values(), ids=ROBOTS.keys())
 def test_the_margin_changes_as_the_eigenvalue_does(robot):
-    model = MODELS["elastic"]
+    model = KINEMATIC_MODELS["elastic"]
     x = model.rest(robot, OPPOSED)[None]
     assert 0 < model.margins(robot, x)[0] < 0.95
     found = sensitivities(robot, x, "elastic", SIGMA)

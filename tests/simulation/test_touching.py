@@ -9,10 +9,10 @@ from scipy.integrate import solve_bvp
 
 from ctr_nlp import Load, Robot, Tube
 from ctr_nlp.loads import with_modulus
-from ctr_nlp.models import MODELS
-from ctr_nlp.simulation.touching import MISSED, Foundation
+from ctr_nlp.models import KINEMATIC_MODELS
+from ctr_nlp.simulation.touching import CONTACT_FORCE_TOLERANCE_N, Foundation
 from ctr_nlp.target.lumen import Lumen
-from ctr_nlp.target.target import SIGMA
+from ctr_nlp.target.target import SIGMA_GRID
 
 NITINOL, RADIUS = with_modulus(TWO, 60_000), 4.0
 FRAMES = 5
@@ -33,7 +33,7 @@ def aligned(count=FRAMES):
 
 def touched(stiffness, lumen=None, load=None, q=None):
     foundation = Foundation(NITINOL, lumen or straight(), stiffness, load or Load())
-    return foundation.along(aligned() if q is None else q)
+    return foundation.follow_motion(aligned() if q is None else q)
 
 
 def rod(robot, beta, lumen_radius, stiffness):
@@ -82,7 +82,7 @@ def rod(robot, beta, lumen_radius, stiffness):
     force = sum(lengths[k] * np.trapezoid(abs(push(y[6 * k], parts[k][2])), t) for k in range(2))
     s = np.concatenate([t * beta[0], beta[0] + t[1:] * lengths[1]])
     both = np.concatenate([y[:2], y[6:8, 1:]], axis=1)
-    return np.array([np.interp(SIGMA * beta[1], s, row) for row in both]), float(force)
+    return np.array([np.interp(SIGMA_GRID * beta[1], s, row) for row in both]), float(force)
 
 
 @pytest.mark.parametrize("stiffness", [0.01, 0.1])
@@ -98,14 +98,14 @@ def test_it_is_the_rod_on_a_foundation(stiffness):
 
 def test_forces_are_what_depths_say_and_press_towards_the_path():
     found = touched(0.05)
-    assert found.missed.max() <= MISSED
+    assert found.missed.max() <= CONTACT_FORCE_TOLERANCE_N
     busy = found.force > 1e-3
     assert busy.any()
     assert (found.depth[busy] > 0).all()
     assert not found.force[found.depth == 0].any()
     middles = np.stack(
         [
-            np.interp(row / beta, SIGMA, shape[:, 0])
+            np.interp(row / beta, SIGMA_GRID, shape[:, 0])
             for row, beta, shape in zip(found.along, aligned()[:, 3], found.shape, strict=True)
         ]
     )
@@ -124,8 +124,8 @@ def test_in_a_wide_lumen_nothing_touches():
     q[:, 0] = 0.5
     found = touched(0.05, straight(60.0), q=q)
     assert not found.force.any()
-    x = MODELS["elastic"].follow(NITINOL, q).x
-    np.testing.assert_allclose(found.shape, MODELS["elastic"].points(NITINOL, x, SIGMA), atol=2e-3)
+    x = KINEMATIC_MODELS["elastic"].follow(NITINOL, q).x
+    np.testing.assert_allclose(found.shape, KINEMATIC_MODELS["elastic"].points(NITINOL, x, SIGMA_GRID), atol=2e-3)
 
 
 def test_a_lumen_that_is_too_narrow_presses_a_centred_robot_nowhere():
@@ -134,7 +134,7 @@ def test_a_lumen_that_is_too_narrow_presses_a_centred_robot_nowhere():
         Robot(tuple(Tube(t.length, t.curved_length, 1e-7, t.outer_diameter, t.inner_diameter) for t in TWO.tubes)),
         60_000,
     )
-    found = Foundation(robot, straight(1.0), 0.05, Load()).along(aligned())
+    found = Foundation(robot, straight(1.0), 0.05, Load()).follow_motion(aligned())
     assert found.force.sum(axis=1).max() < 1e-3
     assert found.narrow.all()
     np.testing.assert_allclose(found.depth.max(axis=1), [1.0] * FRAMES, atol=0.02)
@@ -151,7 +151,7 @@ def test_a_robot_that_snaps_under_the_wall_is_not_known_from_there_on():
     q[:6, 2], q[:6, 3], q[6:, 2], q[6:, 3] = np.linspace(5, 60, 6), np.linspace(10, 80, 6), 60.0, 80.0
     q[6:, 0] = np.linspace(0, 6.0, 6)
     long = with_modulus(Robot((Tube(390, 70, 0.01, 4.0, 3.2), Tube(550, 90, 0.01, 2.6, 1.6))), 60_000)
-    found = Foundation(long, straight(), 0.05, Load()).along(q)
+    found = Foundation(long, straight(), 0.05, Load()).follow_motion(q)
     unknown = np.isnan(found.missed)
     assert not unknown[:6].any()
     assert unknown[-1]
@@ -164,6 +164,6 @@ def test_a_robot_that_leaves_the_wall_is_pushed_no_longer():
     q = aligned()[[-1, 0]]
     q[1, 2:4] = 4.0, 10.0
     found = touched(0.1, q=q)
-    assert found.force[0].sum() > MISSED
+    assert found.force[0].sum() > CONTACT_FORCE_TOLERANCE_N
     np.testing.assert_array_equal(found.force[1], 0.0)
     np.testing.assert_allclose(found.shape[1], touched(0.1, q=q[1:]).shape[0], atol=1e-6)

@@ -16,17 +16,17 @@ from strategies import seeds
 
 from ctr_nlp import Limits, Problem, Robot, Tube, curve_from_formula, growing, table_i_robot
 from ctr_nlp.exceptions import OptionError
-from ctr_nlp.formulations.horizon import Ends
+from ctr_nlp.formulations.horizon import EndConfigurations
 from ctr_nlp.nlp.chain import Chain
-from ctr_nlp.nlp.links import Link, differences
+from ctr_nlp.nlp.links import FrameLink, differences
 from ctr_nlp.nlp.nlp import Constraint, Nlp, Residual
 from ctr_nlp.nlp.written import FrameFunctions
-from ctr_nlp.solvers import CHAIN_SOLVERS, FEASIBLE, Iterate, Solution, Watch
-from ctr_nlp.solvers.frame.adapter import OPTIMAL
+from ctr_nlp.solvers import CHAIN_SOLVERS, FEASIBILITY_TOLERANCE, Iterate, Solution, Watch
+from ctr_nlp.solvers.frame.adapter import KKT_TOLERANCE
 from ctr_nlp.solvers.motion import banded
 from ctr_nlp.solvers.motion import ipopt as chain_ipopt
-from ctr_nlp.solvers.motion.banded import TOLERANCE, BandedSolver
-from ctr_nlp.solvers.motion.judged import NEAR
+from ctr_nlp.solvers.motion.banded import BANDED_KKT_TOLERANCE, BandedSolver
+from ctr_nlp.solvers.motion.judged import LOCAL_START_BARRIER_MM2
 
 INF = np.inf
 EVERY_SOLVER = pytest.mark.parametrize("solver", CHAIN_SOLVERS)
@@ -54,7 +54,7 @@ def link(frames, n, order=1, low=-INF, high=INF, weight=0.0, before=(), after=()
     """Differences of an order within bounds, at a weight times their square."""
     matrix, offset, frame, axis = differences(frames, order, before, after, n)
     one = np.ones(len(offset))
-    return Link(f"order {order}", matrix, offset, low * one, high * one, weight * one, frame, axis)
+    return FrameLink(f"order {order}", matrix, offset, low * one, high * one, weight * one, frame, axis)
 
 
 def solved(chain, solver="banded", x0=None):
@@ -66,7 +66,7 @@ def assert_solved(chain, solution, start=None, kkt=1e-4):
     """Feasible and a KKT point by the chain's own word, and what the solution says of itself is true."""
     objective, value = chain.evaluate(solution.x)
     assert solution.success, solution
-    assert chain.violation(value) <= FEASIBLE
+    assert chain.violation(value) <= FEASIBILITY_TOLERANCE
     assert solution.objective == objective
     assert solution.kkt == chain.kkt(solution.x, np.concatenate([solution.lam_x, solution.lam_g])).max()
     assert solution.kkt <= kkt
@@ -81,7 +81,9 @@ def test_from_the_multipliers_of_a_neighbouring_chain_few_iterations_are_left():
     known = solved(linked(drawn(), to, links))
     chain = linked(drawn(), to + 1e-3, links)
     multipliers = np.concatenate([known.lam_x, known.lam_g])
-    alone, helped = (BandedSolver(chain)(known.x, Watch(), NEAR, each) for each in (None, multipliers))
+    alone, helped = (
+        BandedSolver(chain)(known.x, Watch(), LOCAL_START_BARRIER_MM2, each) for each in (None, multipliers)
+    )
     for found in (alone, helped):
         assert_solved(chain, found)
     np.testing.assert_allclose(helped.x, alone.x, atol=1e-4)
@@ -108,11 +110,13 @@ def test_springs_come_to_rest_where_their_normal_equations_say(solver):
 
 @given(seeds)
 def test_frames_that_may_only_grow_are_the_isotonic_regression_of_their_targets(seed):
-    """Strong convexity: a gap of at most TOLERANCE a row leaves x within its root of the solution."""
+    """Strong convexity: a gap of at most BANDED_KKT_TOLERANCE a row leaves x within its root of the solution."""
     to = np.random.default_rng(seed).uniform(-2, 2, (8, 1))
     solution = solved(linked(drawn(1), to, [link(8, 1, low=0.0)]))
     assert solution.success
-    np.testing.assert_allclose(solution.x, isotonic_regression(to.ravel()).x, atol=np.sqrt(15 * TOLERANCE))
+    np.testing.assert_allclose(
+        solution.x, isotonic_regression(to.ravel()).x, atol=np.sqrt(15 * BANDED_KKT_TOLERANCE)
+    )
 
 
 def test_frames_that_may_hardly_differ_meet_at_the_mean_of_their_targets():
@@ -142,8 +146,8 @@ def test_a_convex_chain_is_solved_as_by_least_distance(seed, given_start, given_
     solution = solved(chain, x0=rng.uniform(-1, 1, chain.lower.size))
     assert_solved(chain, solution)
     best = by_least_distance(to, before, after)
-    gap = TOLERANCE * len(chain.bounds[0])
-    assert chain.violation(chain.evaluate(best)[1]) <= FEASIBLE
+    gap = BANDED_KKT_TOLERANCE * len(chain.bounds[0])
+    assert chain.violation(chain.evaluate(best)[1]) <= FEASIBILITY_TOLERANCE
     assert abs(solution.objective - chain.evaluate(best)[0]) <= gap
     np.testing.assert_allclose(solution.x, best, atol=2 * np.sqrt(gap))
 
@@ -211,7 +215,7 @@ def test_a_way_around_an_obstacle_is_the_one_ipopt_finds(weight):
     above = (to + np.array([0, 1.5])).ravel()
     solution, other = (solved(chain, solver, above) for solver in ("banded", "ipopt"))
     assert_solved(chain, solution, above)
-    assert np.linalg.norm(solution.x.reshape(9, 2), axis=1).min() >= 1 - FEASIBLE
+    assert np.linalg.norm(solution.x.reshape(9, 2), axis=1).min() >= 1 - FEASIBILITY_TOLERANCE
     assert solution.objective == pytest.approx(other.objective, rel=1e-4)
     assert abs(chain.evaluate(solution.x)[1]).min() < 1 + 1e-4, "the obstacle is not in the way"
 
@@ -279,9 +283,9 @@ def ipopt_functions(ends):
 @pytest.fixture
 def to_the_last_digit(monkeypatch):
     """Solvers that go on as far as they can."""
-    monkeypatch.setattr(banded, "TOLERANCE", 1e-9)
-    monkeypatch.setattr(banded, "LAST_BARRIER", 1e-11)
-    monkeypatch.setitem(chain_ipopt.OPTIONS, "tol", 1e-10)
+    monkeypatch.setattr(banded, "BANDED_KKT_TOLERANCE", 1e-9)
+    monkeypatch.setattr(banded, "BANDED_LAST_BARRIER_MM2", 1e-11)
+    monkeypatch.setitem(chain_ipopt.CHAIN_IPOPT_OPTIONS, "tol", 1e-10)
 
 
 @pytest.mark.parametrize("ends", [True, False])
@@ -307,7 +311,9 @@ def test_through_constraints_every_solver_finds_what_it_finds_with_the_configura
 def felt(chain, solution):
     """Names of rows that hold against the objective, where something can move."""
     multipliers = np.concatenate([solution.lam_x, solution.lam_g])
-    return {chain.place(int(row))[0] for row in np.flatnonzero(chain.reached & (np.abs(multipliers) > 1e-3))}
+    return {
+        chain.place(int(row))[0] for row in np.flatnonzero(chain.changeable_rows & (np.abs(multipliers) > 1e-3))
+    }
 
 
 # Horizons
@@ -318,25 +324,28 @@ PUSHED_OUT = Robot(table_i_robot().tubes, Limits(beta=[(0, 80), (0, 150), (0, 30
 REST = np.array([3, 3, 3, 10, 20, 30, 0, 0.0])
 OUT = np.array([3.3, 2.9, 3.1, 40, 85, 130, 0.1, -0.1])
 CASES = {
-    "seed": (table_i_robot(), Ends()),
-    "one tube": (Robot((Tube(160, 150, 0.01, 2, 1),)), Ends()),
-    "two tubes": (Robot(table_i_robot().tubes[1:]), Ends()),
-    "four tubes": (Robot((Tube(70, 40, 1 / 150, 7.7, 6.3), *table_i_robot().tubes)), Ends()),
-    "locked tilt": (table_i_robot().with_locked_tilt(), Ends()),
-    "carriage gap": (PUSHED_OUT, Ends()),
-    "any speed": (table_i_robot().with_limits(alpha_speed=INF, beta_speed=INF, theta_speed=INF), Ends()),
-    "start": (table_i_robot(), Ends(start=REST)),
-    "end": (table_i_robot(), Ends(end=OUT)),
-    "both ends": (table_i_robot(), Ends(REST, OUT)),
-    "slow": (table_i_robot().with_limits(**SLOW), Ends()),
-    "slow between ends": (table_i_robot().with_limits(**SLOW), Ends(REST, OUT)),
+    "seed": (table_i_robot(), EndConfigurations()),
+    "one tube": (Robot((Tube(160, 150, 0.01, 2, 1),)), EndConfigurations()),
+    "two tubes": (Robot(table_i_robot().tubes[1:]), EndConfigurations()),
+    "four tubes": (Robot((Tube(70, 40, 1 / 150, 7.7, 6.3), *table_i_robot().tubes)), EndConfigurations()),
+    "locked tilt": (table_i_robot().with_locked_tilt(), EndConfigurations()),
+    "carriage gap": (PUSHED_OUT, EndConfigurations()),
+    "any speed": (
+        table_i_robot().with_limits(alpha_speed=INF, beta_speed=INF, theta_speed=INF),
+        EndConfigurations(),
+    ),
+    "start": (table_i_robot(), EndConfigurations(start=REST)),
+    "end": (table_i_robot(), EndConfigurations(end=OUT)),
+    "both ends": (table_i_robot(), EndConfigurations(REST, OUT)),
+    "slow": (table_i_robot().with_limits(**SLOW), EndConfigurations()),
+    "slow between ends": (table_i_robot().with_limits(**SLOW), EndConfigurations(REST, OUT)),
 }
 EVERY_CASE = pytest.mark.parametrize("case", CASES)
 
 
 class Solved(NamedTuple):
     problem: Problem
-    ends: Ends
+    ends: EndConfigurations
     chain: Chain
     start: np.ndarray
     solution: Solution
@@ -352,7 +361,7 @@ def along_an_arc(case, solver="banded"):
     robot, ends = CASES[case]
     path = curve_from_formula(lambda u: (100 * ca.cos(u) - 100, 0, 100 * ca.sin(u)), 0.0, 1.4)
     problem = Problem(case, robot, growing(path, 6), 9.0)
-    chain = horizon(robot, problem.samples, problem.dt, 1e-3, ends)
+    chain = horizon(robot, problem.target_frames, problem.dt, 1e-3, ends)
     beta = np.minimum(np.array(problem.target.lengths)[:, None], robot.upper[robot.d : 2 * robot.d] * 0.9)
     start = np.hstack([np.full_like(beta, 3.0), beta, np.zeros((6, 2))]).ravel()
     return Solved(problem, ends, chain, start, CHAIN_SOLVERS[solver](chain)(start, Watch()))
@@ -386,8 +395,8 @@ def test_a_motion_keeps_what_the_robot_allows(case, solver):
     before, after = ([] if end is None else [end] for end in (found.ends.start, found.ends.end))
     steps = np.diff(np.vstack([*before, found.q]), axis=0)
     turns = np.diff(np.vstack([*before * 2, found.q, *after]), 2, axis=0)
-    assert (np.abs(steps) <= robot.speed * dt + FEASIBLE).all()
-    assert (np.abs(turns) <= robot.acceleration * dt**2 + FEASIBLE).all()
+    assert (np.abs(steps) <= robot.speed * dt + FEASIBILITY_TOLERANCE).all()
+    assert (np.abs(turns) <= robot.acceleration * dt**2 + FEASIBILITY_TOLERANCE).all()
 
 
 @EVERY_CASE
@@ -422,7 +431,7 @@ def test_rows_that_nothing_can_change_do_not_hinder(solver):
     problem, _, _, start, _ = along_an_arc("seed")
     end = np.array([3, 3, 3, 40 + 5e-7, 40, 130, 0, 0])
     problem.robot.check(end)
-    chain = horizon(problem.robot, problem.samples, problem.dt, 1e-3, Ends(end=end))
+    chain = horizon(problem.robot, problem.target_frames, problem.dt, 1e-3, EndConfigurations(end=end))
     solution = solved(chain, solver, start)
     assert_solved(chain, solution)
     np.testing.assert_array_equal(solution.x[-8:], end)
@@ -443,7 +452,7 @@ def test_a_start_that_exceeds_limits_becomes_a_solution(case, solver):
     clipped = np.clip(start, chain.lower.ravel(), chain.upper.ravel())
     assert chain.violation(chain.evaluate(clipped)[1]) > 1
     promised = case == "slow between ends" and solver == "banded"
-    assert_solved(chain, solved(chain, solver, start), kkt=OPTIMAL if promised else 1e-4)
+    assert_solved(chain, solved(chain, solver, start), kkt=KKT_TOLERANCE if promised else 1e-4)
 
 
 OFF_TO_THE_SIDE = np.array([0, -1.5, 1, 40, 80, 140, -0.4, 0.2])
@@ -460,7 +469,9 @@ def slow_from(name):
     path = curve_from_formula(lambda u: (100 * ca.cos(u) - 100, 0, 100 * ca.sin(u)), 0.0, 1.4)
     problem = Problem(name, robot, growing(path, 10), 2.0)
     start = {"half out": HALF_OUT, "side": OFF_TO_THE_SIDE, "home": np.zeros(8)}[name]
-    return horizon(robot, problem.samples, problem.dt, 1e-4, Ends(start=start)), np.tile(start, 10)
+    return horizon(robot, problem.target_frames, problem.dt, 1e-4, EndConfigurations(start=start)), np.tile(
+        start, 10
+    )
 
 
 @pytest.mark.parametrize("first", [FAR, CLOSE], ids=["far", "close"])
@@ -470,7 +481,7 @@ def test_a_start_far_from_what_slow_carriages_can_reach_becomes_feasible(name, f
     chain, still = slow_from(name)
     assert chain.violation(chain.evaluate(still)[1]) <= 0
     solution = solved(chain, x0=np.tile(first, 10))
-    assert chain.violation(chain.evaluate(solution.x)[1]) <= FEASIBLE, solution.status
+    assert chain.violation(chain.evaluate(solution.x)[1]) <= FEASIBILITY_TOLERANCE, solution.status
 
 
 @EVERY_SOLVER
@@ -547,7 +558,14 @@ def test_functions_may_be_compiled_while_a_chain_is_solved():
 def test_a_watch_keeps_the_first_best_feasible_iterate():
     watch = Watch()
     assert watch.best is None
-    given_ = [(5.0, 1e-3), (4.0, 0.0), (1.0, 2 * FEASIBLE), (3.0, FEASIBLE), (3.0, 0.0), (3.5, -1.0)]
+    given_ = [
+        (5.0, 1e-3),
+        (4.0, 0.0),
+        (1.0, 2 * FEASIBILITY_TOLERANCE),
+        (3.0, FEASIBILITY_TOLERANCE),
+        (3.0, 0.0),
+        (3.5, -1.0),
+    ]
     for number, (objective, violation) in enumerate(given_):
         assert watch(iterate(number, objective, violation)) is False
     assert watch.best.number == 3

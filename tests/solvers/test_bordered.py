@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ctr_nlp.solvers.scenarios.bordered import solved
+from ctr_nlp.solvers.scenarios.bordered import solve_bordered_system
 
 FRAMES, N, P = 4, 3, 2
 
@@ -31,7 +31,7 @@ def system():
 
 def test_the_solution_is_that_of_the_whole_system(system):
     *parts, right, whole = system
-    found = solved(*parts, right, np.ones(len(right), dtype=bool))
+    found = solve_bordered_system(*parts, right, np.ones(len(right), dtype=bool))
     np.testing.assert_allclose(found, np.linalg.solve(whole, right), rtol=1e-9)
 
 
@@ -39,7 +39,7 @@ def test_fixed_unknowns_stay_and_the_others_are_solved_for(system):
     *parts, right, whole = system
     free = np.ones(len(right), dtype=bool)
     free[[1, -1]] = False
-    found = solved(*parts, right, free)
+    found = solve_bordered_system(*parts, right, free)
     assert not found[~free].any()
     expected = np.linalg.solve(whole[np.ix_(free, free)], right[free])
     np.testing.assert_allclose(found[free], expected, rtol=1e-6)  # held by a large number, not taken out
@@ -48,7 +48,7 @@ def test_fixed_unknowns_stay_and_the_others_are_solved_for(system):
 def test_without_common_unknowns_there_is_the_band_alone(system):
     links, blocks, _, diagonal, right, whole = system
     size = FRAMES * N
-    found = solved(
+    found = solve_bordered_system(
         links, blocks[:, :N, :N], np.zeros((0, 0)), diagonal[:size], right[:size], np.ones(size, dtype=bool)
     )
     np.testing.assert_allclose(found, np.linalg.solve(whole[:size, :size], right[:size]), rtol=1e-9)
@@ -61,4 +61,4 @@ def test_a_system_that_is_not_positive_definite_has_none(system, where):
         links[0] -= 1e3
     else:
         corner = corner - 1e3 * np.eye(P)
-    assert solved(links, blocks, corner, diagonal, right, np.ones(len(right), dtype=bool)) is None
+    assert solve_bordered_system(links, blocks, corner, diagonal, right, np.ones(len(right), dtype=bool)) is None

@@ -12,13 +12,13 @@ from test_shared_motions import check_derivatives, repaired
 
 from ctr_nlp import Load, Loaded, Problem, curve_from_formula, growing
 from ctr_nlp.exceptions import OptionError
-from ctr_nlp.formulations.horizon import Ends
+from ctr_nlp.formulations.horizon import EndConfigurations
 from ctr_nlp.formulations.shared.scenarios import shared_motion
 from ctr_nlp.loads import with_modulus
-from ctr_nlp.models import MODELS, pushed
-from ctr_nlp.models.protocol import passage
+from ctr_nlp.models import KINEMATIC_MODELS, model_with_tip_forces
+from ctr_nlp.models.protocol import subdivide_motion
 from ctr_nlp.nlp.scenarios import Scenarios
-from ctr_nlp.solvers.compiled import fastest
+from ctr_nlp.solvers.compiled import fastest_functions
 from ctr_nlp.solvers.scenarios import SharedSolver
 from ctr_nlp.solvers.scenarios.condensed import Condensed
 
@@ -43,8 +43,8 @@ def _scenarios(forces=FORCES):
 
 
 def _motion(problem, scenarios, load):
-    at = problem.samples, problem.dt, 1e-4, Ends(), Loaded(load), scenarios
-    return shared_motion(NITINOL, *at, fastest, np.full(FRAMES, MARGIN))
+    at = problem.target_frames, problem.dt, 1e-4, EndConfigurations(), Loaded(load), scenarios
+    return shared_motion(NITINOL, *at, fastest_functions, np.full(FRAMES, MARGIN))
 
 
 @pytest.fixture(scope="module", params=[Load(), Load(force=(0.0, 0.1, -0.2))], ids=["no load", "a load"])
@@ -67,11 +67,11 @@ def q(problem):
 
 def _standing(scenarios, load, q):
     """The unknowns (S, T, 6) of robots that are followed one by one, and their margins (S, T)."""
-    way = passage(q, STEPS)
+    way = subdivide_motion(q, STEPS)
     places = np.repeat(way.q[None], len(scenarios), axis=0)
     places[..., :2] += scenarios.offsets[:, None]
-    model = pushed(Loaded(load), scenarios.forces)
-    found = model.follow_apart(NITINOL.structure, scenarios.numbers, way, places)
+    model = model_with_tip_forces(Loaded(load), scenarios.forces)
+    found = model.follow_batch(NITINOL.structure, scenarios.numbers, way, places)
     return np.array([each.x for each in found]), np.array([each.stability for each in found])
 
 
@@ -83,7 +83,7 @@ def test_a_tip_under_a_load_has_its_axes_as_unknowns_beside_the_tilt(motion):
 def test_robots_in_equilibrium_miss_nothing(motion, q, load):
     x, _ = _standing(_scenarios(), load, q)
     values = Condensed(motion).value(q, x.swapaxes(0, 1)[..., motion.own])
-    np.testing.assert_allclose(values.missing, 0, atol=1e-3)  # programs integrate in fewer steps
+    np.testing.assert_allclose(values.equation_residuals, 0, atol=1e-3)  # programs integrate in fewer steps
 
 
 def test_whole_turns_of_all_tubes_are_not_missed(motion, q, load):
@@ -92,8 +92,8 @@ def test_whole_turns_of_all_tubes_are_not_missed(motion, q, load):
     tips = x.swapaxes(0, 1)[..., motion.own]
     condensed, turned = Condensed(motion), tips.copy()
     turned[:, 1, 1] += 2 * np.pi
-    expected = condensed.value(q, tips).missing
-    np.testing.assert_allclose(condensed.value(q, turned).missing, expected, atol=1e-9)
+    expected = condensed.value(q, tips).equation_residuals
+    np.testing.assert_allclose(condensed.value(q, turned).equation_residuals, expected, atol=1e-9)
 
 
 def test_derivatives_with_tips_eliminated_are_those_of_robots_in_equilibrium(motion, q, load):
@@ -119,9 +119,11 @@ def test_without_forces_it_is_what_is_found_without_loads(problem, q):
     """Two sets of unknowns for the same motion."""
     scenarios = _scenarios(np.zeros((3, 3)))
     loaded = _motion(problem, scenarios, Load())
-    at = problem.samples, problem.dt, 1e-4, Ends(), MODELS["elastic"], scenarios
-    plain = shared_motion(NITINOL, *at, fastest, np.full(FRAMES, MARGIN))
-    expected = SharedSolver(plain)(q, MODELS["elastic"].follow(NITINOL, q).x[:, None, :2].repeat(3, axis=1))
+    at = problem.target_frames, problem.dt, 1e-4, EndConfigurations(), KINEMATIC_MODELS["elastic"], scenarios
+    plain = shared_motion(NITINOL, *at, fastest_functions, np.full(FRAMES, MARGIN))
+    expected = SharedSolver(plain)(
+        q, KINEMATIC_MODELS["elastic"].follow(NITINOL, q).x[:, None, :2].repeat(3, axis=1)
+    )
     assert expected.success
     x, _ = _standing(scenarios, Load(), expected.q)
     found = SharedSolver(loaded)(expected.q, x.swapaxes(0, 1)[..., loaded.own], 1e-3)
@@ -131,15 +133,15 @@ def test_without_forces_it_is_what_is_found_without_loads(problem, q):
 
 
 def test_forces_need_a_model_that_knows_them(problem):
-    at = problem.samples, problem.dt, 1e-4, Ends(), MODELS["elastic"]
+    at = problem.target_frames, problem.dt, 1e-4, EndConfigurations(), KINEMATIC_MODELS["elastic"]
     with pytest.raises(OptionError, match="scenarios bear forces, which the elastic model without a load"):
         shared_motion(NITINOL, *at, _scenarios())
 
 
 def test_forces_shrink_with_what_robots_differ_by_and_join_with_others():
     scenarios = _scenarios()
-    np.testing.assert_allclose(scenarios.shrunk(0.5).forces, FORCES / 2)
-    np.testing.assert_allclose(scenarios.shrunk(0.5, 2).forces, [*FORCES[:2], *FORCES[2:] / 2])
+    np.testing.assert_allclose(scenarios.shrink_differences(0.5).forces, FORCES / 2)
+    np.testing.assert_allclose(scenarios.shrink_differences(0.5, 2).forces, [*FORCES[:2], *FORCES[2:] / 2])
     joined = scenarios.joined(scenarios.numbers[1:2], scenarios.offsets[1:2], FORCES[2:3])
     np.testing.assert_allclose(joined.forces, [*FORCES, FORCES[2]])
     assert joined.weights[-1] == 0

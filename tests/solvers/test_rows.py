@@ -17,9 +17,9 @@ from strategies import seeds
 
 from ctr_nlp.codegen import cache
 from ctr_nlp.nlp.chain import Chain
-from ctr_nlp.nlp.links import Link, differences
+from ctr_nlp.nlp.links import FrameLink, differences
 from ctr_nlp.nlp.nlp import Constraint, Nlp, Residual
-from ctr_nlp.solvers.motion.rows import INFINITE, RELAX, Rows
+from ctr_nlp.solvers.motion.rows import CHAIN_BOUND_RELAXATION, CHAIN_INFINITE_BOUND, ChainRows
 
 INF = np.inf
 ORDERS = st.sampled_from([(1,), (2,), (1, 2)])
@@ -52,7 +52,7 @@ def link(rng, frames, n, order, before, mixed):
         matrix = sp.csr_array(matrix @ sp.kron(sp.identity(frames), np.eye(n) + np.eye(n, k=1)))
     low, high = -rng.uniform(0.5, 3, len(offset)), rng.uniform(0.5, 3, len(offset))
     low[rng.random(len(low)) < 0.3], high[rng.random(len(high)) < 0.3] = -INF, INF
-    return Link(f"order {order}", matrix, offset, low, high, rng.uniform(0, 2, len(offset)), last, axis)
+    return FrameLink(f"order {order}", matrix, offset, low, high, rng.uniform(0, 2, len(offset)), last, axis)
 
 
 def chain_of(
@@ -93,7 +93,7 @@ class Point(NamedTuple):
 
 def finite(rows):
     """Which rows have a lower, and which an upper bound."""
-    return rows.low > -INFINITE, rows.high < INFINITE
+    return rows.low > -CHAIN_INFINITE_BOUND, rows.high < CHAIN_INFINITE_BOUND
 
 
 def put(rows, chain, rng, barrier):
@@ -116,7 +116,7 @@ def put(rows, chain, rng, barrier):
 
 def placed(chain, rng, barrier=0.3):
     """Rows at some point within all bounds, and a copy of it."""
-    rows = Rows(chain)
+    rows = ChainRows(chain)
     return rows, put(rows, chain, rng, barrier)
 
 
@@ -252,7 +252,7 @@ def test_the_band_has_all_of_the_lagrangian_s_second_derivatives(picks, mixed, s
 
     def gradient(x):
         at = chain.slopes(x)
-        return at.gradient + chain.transposed(at.jacobian, point.at_upper - point.at_lower)
+        return at.gradient + chain.multiply_transposed_jacobian(at.jacobian, point.at_upper - point.at_lower)
 
     jacobian = central(lambda x: chain.evaluate(x)[1], point.x)
     sigma = point.at_lower / (point.slack - rows.low) + point.at_upper / (rows.high - point.slack)
@@ -263,19 +263,19 @@ def test_the_band_has_all_of_the_lagrangian_s_second_derivatives(picks, mixed, s
 def test_the_band_is_as_wide_as_the_links_reach():
     for orders, width in (((1,), 3), ((2,), 6), ((1, 2), 6)):
         chain = chain_of(np.random.default_rng(0), orders, frames=6, n=3)
-        assert Rows(chain)._band.shape == (18, width + 1)
+        assert ChainRows(chain)._band.shape == (18, width + 1)
 
 
 @pytest.mark.parametrize("picks", [(3, 0), (2, 5, 4)])
 def test_the_band_is_as_wide_as_whole_frames_that_links_reach_through_constraints(picks):
     for orders, width in (((1,), 5), ((2,), 8), ((1, 2), 8)):
         chain = chain_of(np.random.default_rng(0), orders, frames=6, n=3, picks=picks)
-        assert Rows(chain)._band.shape == (18, width + 1)
+        assert ChainRows(chain)._band.shape == (18, width + 1)
 
 
 def test_the_band_has_room_for_a_frame_that_is_linked_to_known_ones_only():
     chain = chain_of(np.random.default_rng(0), (1,), frames=1, n=3)
-    assert Rows(chain)._band.shape == (3, 3)
+    assert ChainRows(chain)._band.shape == (3, 3)
 
 
 @pytest.mark.parametrize("orders", [(1,), (2,), (1, 2)])
@@ -445,7 +445,7 @@ def test_an_unknown_that_is_not_a_number_is_seen_in_every_measure_of_x(k):
 
 @given(chains(), seeds)
 def test_a_start_is_within_bounds_and_its_products_are_the_barrier(chain, seed):
-    rng, rows, push, barrier = np.random.default_rng(seed), Rows(chain), 1e-3, 0.2
+    rng, rows, push, barrier = np.random.default_rng(seed), ChainRows(chain), 1e-3, 0.2
     x = np.clip(3 * rng.normal(size=chain.lower.size), chain.lower.ravel(), chain.upper.ravel())
     rows.start(x, barrier, push)
     found, _ = rows.expand()
@@ -464,13 +464,13 @@ def test_bounds_are_relaxed_and_absent_where_nothing_can_move():
     """Of three frames the second is fixed, and with it all its rows but the links to its neighbours."""
     chain = chain_of(np.random.default_rng(6), (1,), frames=3, started=False, fixed=0.0)
     chain.lower[1] = chain.upper[1] = 0.5
-    rows, (low, high) = Rows(chain), chain.bounds
+    rows, (low, high) = ChainRows(chain), chain.bounds
     of_second = np.zeros(len(low), bool)
     of_second[[2, 3, 9, 10, 11]] = True
     for found, given_, outwards in ((rows.low, low, -1), (rows.high, high, 1)):
         absent = of_second | np.isinf(given_)
-        assert (found[absent] == outwards * INFINITE).all()
-        np.testing.assert_allclose(found[~absent] - given_[~absent], outwards * RELAX, rtol=1e-5)
+        assert (found[absent] == outwards * CHAIN_INFINITE_BOUND).all()
+        np.testing.assert_allclose(found[~absent] - given_[~absent], outwards * CHAIN_BOUND_RELAXATION, rtol=1e-5)
 
 
 # Trials
@@ -527,7 +527,7 @@ def test_slacks_stay_strictly_within_bounds_of_any_size(bound):
     chain = chain_of(rng, (1,), frames=4, n=1, started=False, fixed=0.0)
     chain.lower[:], chain.upper[:] = bound, bound + 1.0
     chain.links[0].lower[:] = chain.links[0].upper[:] = bound
-    rows = Rows(chain)
+    rows = ChainRows(chain)
     rows.start(np.full(4, bound + 0.5), 0.1, 1e-3)
     rows.expand()
     for direction in (-1, 1):
@@ -591,7 +591,7 @@ def symmetric(kind, rng, frames, n):
 
 @pytest.fixture(scope="module")
 def any_rows():
-    return Rows(chain_of(np.random.default_rng(9)))
+    return ChainRows(chain_of(np.random.default_rng(9)))
 
 
 @given(st.lists(st.sampled_from(KINDS), min_size=1, max_size=20), st.integers(1, 10), seeds)
@@ -637,7 +637,7 @@ def test_the_loops_compile_without_a_warning(tmp_path):
         pytest.skip("no C compiler")
     strict = [*chosen.command, "-Wall", "-Wextra", "-Werror", "-std=gnu11", "-o", str(tmp_path / "library.so")]
     code = {
-        "trial.c": cache.TRIAL,
+        "trial.c": cache.TRIAL_C_CODE,
         "rows.c": files("ctr_nlp.solvers.motion").joinpath("rows.c").read_text("utf-8"),
     }
     for name, text in code.items():

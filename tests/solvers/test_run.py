@@ -8,10 +8,10 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from ctr_nlp.nlp.nlp import Constraint, Cost, Nlp
-from ctr_nlp.solvers.frame.adapter import OPTIMAL
+from ctr_nlp.nlp.nlp import Constraint, CostTerm, Nlp
+from ctr_nlp.solvers.frame.adapter import KKT_TOLERANCE
 from ctr_nlp.solvers.frame.program import Program
-from ctr_nlp.solvers.frame.run import Run
+from ctr_nlp.solvers.frame.run import FrameSequence
 
 FRAMES = 12
 
@@ -19,7 +19,7 @@ FRAMES = 12
 def problem(*constraints):
     """Two unknowns that are best where the parameter `to` (2, 1) is, in valleys that no quadratic has."""
     x, to = ca.SX.sym("x", 2), ca.SX.sym("to", 2)
-    valley = Cost("valley", ca.sum1((x - to) ** 2 + (x - to) ** 4))
+    valley = CostTerm("valley", ca.sum1((x - to) ** 2 + (x - to) ** 4))
     made = tuple(constraint(x) for constraint in constraints)
     return Nlp("valley", x, np.full(2, -99.0), np.full(2, 99.0), {"to": to}, (), (valley,), made)
 
@@ -31,10 +31,10 @@ def beside_one(x):
 
 def followed(nlp, targets, start, goes_on=True, most=60):
     """The run after it solved the targets (T, 2) in turn, from a start (2,) at rest."""
-    run = Run(Program(nlp, True, most), len(targets), OPTIMAL, goes_on)
+    run = FrameSequence(Program(nlp, True, most), len(targets), KKT_TOLERANCE, goes_on)
     run.p[:] = [nlp.pack({"to": target}) for target in targets]
     run.low[:], run.high[:], run.most[:] = -99.0, 99.0, math.inf
-    run.stand(np.array(start, float), np.array(start, float))
+    run.set_start(np.array(start, float), np.array(start, float))
     run(len(targets))
     return run
 
@@ -94,7 +94,7 @@ def kinked():
     """One unknown that is drawn to `to[0]`, or, where to[1] is 1, to a kink at 1 or to a smooth valley at -1."""
     x, to = ca.SX.sym("x"), ca.SX.sym("to", 2)
     kink = ca.if_else(x > 0, 10 * ca.fabs(x - 1), 2 + (x + 1) ** 2 + (x + 1) ** 4)
-    cost = Cost("kinked", (1 - to[1]) * (x - to[0]) ** 2 + to[1] * kink)
+    cost = CostTerm("kinked", (1 - to[1]) * (x - to[0]) ** 2 + to[1] * kink)
     return Nlp("kinked", x, np.array([-99.0]), np.array([99.0]), {"to": to}, (), (cost,), ())
 
 

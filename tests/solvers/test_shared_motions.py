@@ -12,17 +12,17 @@ from truth import TWO, Shot
 
 from ctr_nlp import Problem, growing
 from ctr_nlp.exceptions import OptionError
-from ctr_nlp.formulations.horizon import Ends
+from ctr_nlp.formulations.horizon import EndConfigurations
 from ctr_nlp.formulations.shared.scenarios import shared_motion
-from ctr_nlp.models import MODELS
+from ctr_nlp.models import KINEMATIC_MODELS
 from ctr_nlp.nlp.scenarios import Scenarios
-from ctr_nlp.solvers.compiled import fastest
+from ctr_nlp.solvers.compiled import fastest_functions
 from ctr_nlp.solvers.scenarios import SharedSolver
-from ctr_nlp.solvers.scenarios.bordered import solved as solved_by
+from ctr_nlp.solvers.scenarios.bordered import solve_bordered_system as solved_by
 from ctr_nlp.solvers.scenarios.condensed import Condensed
 from ctr_nlp.solvers.scenarios.twists import TwistSteps
 from ctr_nlp.target.curve import curve_from_formula
-from ctr_nlp.target.target import SIGMA
+from ctr_nlp.target.target import SIGMA_GRID
 
 pytestmark = pytest.mark.interpreted
 
@@ -52,8 +52,8 @@ def problem():
 
 @pytest.fixture(scope="module")
 def motion(problem):
-    at = problem.samples, problem.dt, WEIGHT, Ends(), MODELS["elastic"], _scenarios()
-    return shared_motion(TWO, *at, fastest, np.full(FRAMES, MARGIN))
+    at = problem.target_frames, problem.dt, WEIGHT, EndConfigurations(), KINEMATIC_MODELS["elastic"], _scenarios()
+    return shared_motion(TWO, *at, fastest_functions, np.full(FRAMES, MARGIN))
 
 
 @pytest.fixture(scope="module")
@@ -79,7 +79,7 @@ def solved(motion, q):
 
 def test_values_are_those_of_robots_followed_one_by_one(problem, motion, q):
     values = Condensed(motion).value(q, _settled(q))
-    np.testing.assert_allclose(values.missing, 0, atol=5e-4)  # programs integrate in half as many steps
+    np.testing.assert_allclose(values.equation_residuals, 0, atol=5e-4)  # programs integrate in half as many steps
     errors = [_squares(problem, robot, q, offset) for robot, offset in zip(_robots(), OFFSETS, strict=True)]
     moved = WEIGHT * ((np.diff(q, axis=0) * TWO.mm_per_unit) ** 2).sum() / problem.dt**2
     expected = SHARES @ np.sum(errors, axis=1) / SHARES.sum() + moved
@@ -89,8 +89,8 @@ def test_values_are_those_of_robots_followed_one_by_one(problem, motion, q):
 def _squares(problem, robot, q, offset):
     """Mean square errors (T,) over every fifth sample of a robot that is moved with its motors' offsets."""
     x = follow(robot, q + np.pad(offset, (0, 4))).x
-    target = np.array([frame.points for frame in problem.samples])
-    squares = ((elastic_shapes(robot, x, SIGMA) - target) ** 2).sum(axis=-1)[:, ::5]
+    target = np.array([frame.points for frame in problem.target_frames])
+    squares = ((elastic_shapes(robot, x, SIGMA_GRID) - target) ** 2).sum(axis=-1)[:, ::5]
     return np.trapezoid(squares, dx=0.05, axis=1)
 
 
@@ -145,7 +145,7 @@ def test_all_robots_of_a_solution_are_in_equilibrium_and_keep_their_margins(solv
         x = np.concatenate([solved.phi[:, k], solved.q[:, 2:]], axis=1)
         alpha = configuration(robot, x)[:, :2]
         np.testing.assert_allclose(alpha, solved.q[:, :2] + offset, atol=5e-4)
-        assert MODELS["elastic"].margins(robot, x).min() > MARGIN - 0.002
+        assert KINEMATIC_MODELS["elastic"].margins(robot, x).min() > MARGIN - 0.002
     tips = solved.phi[:, 1:, 0] - solved.phi[:, :1, 0]
     assert abs(tips).max() <= 0.7
 
@@ -156,7 +156,9 @@ def test_robots_that_are_shot_at_the_solution_have_its_tips_and_shapes(solved):
         x = np.concatenate([solved.phi[-1, k], solved.q[-1, 2:]])
         np.testing.assert_allclose(shot.x, x, atol=2e-3)
         assert shot.margin() > MARGIN - 0.005
-        np.testing.assert_allclose(elastic_shapes(robot, x[None], SIGMA)[0], shot.points(SIGMA), atol=0.05)
+        np.testing.assert_allclose(
+            elastic_shapes(robot, x[None], SIGMA_GRID)[0], shot.points(SIGMA_GRID), atol=0.05
+        )
 
 
 def test_a_solution_keeps_limits_and_cannot_be_bettered_nearby(problem, motion, q, solved):
@@ -171,9 +173,9 @@ def test_a_solution_keeps_limits_and_cannot_be_bettered_nearby(problem, motion, 
 
 
 def test_given_ends_are_kept(problem, q):
-    ends = Ends(start=q[0], end=q[-1])
-    at = problem.samples, problem.dt, WEIGHT, ends, MODELS["elastic"], _scenarios()
-    motion = shared_motion(TWO, *at, fastest, np.full(FRAMES, MARGIN))
+    ends = EndConfigurations(start=q[0], end=q[-1])
+    at = problem.target_frames, problem.dt, WEIGHT, ends, KINEMATIC_MODELS["elastic"], _scenarios()
+    motion = shared_motion(TWO, *at, fastest_functions, np.full(FRAMES, MARGIN))
     found = SharedSolver(motion)(q, _settled(q))
     assert found.success
     np.testing.assert_array_equal(found.q[-1], q[-1])
@@ -181,15 +183,15 @@ def test_given_ends_are_kept(problem, q):
 
 
 def test_a_point_that_is_no_solution_is_not_called_one(motion, q):
-    found = SharedSolver(motion)(q, np.repeat(_settled(q)[:, :1], 3, axis=1), most=2)
+    found = SharedSolver(motion)(q, np.repeat(_settled(q)[:, :1], 3, axis=1), max_iterations=2)
     assert not found.success
     assert found.status == "Maximum_Iterations_Exceeded"
 
 
 def test_tips_of_scenarios_on_a_model_without_twist_turn_with_their_motors(problem, q):
     scenarios = _scenarios()
-    at = problem.samples, problem.dt, WEIGHT, Ends(), MODELS["dominant"], scenarios
-    motion = shared_motion(TWO, *at, fastest, np.full(FRAMES, MARGIN))
+    at = problem.target_frames, problem.dt, WEIGHT, EndConfigurations(), KINEMATIC_MODELS["dominant"], scenarios
+    motion = shared_motion(TWO, *at, fastest_functions, np.full(FRAMES, MARGIN))
     found = SharedSolver(motion)(q, np.repeat(q[:, None, :2], 3, axis=1))
     assert found.success
     np.testing.assert_allclose(found.phi, found.q[:, None, :2] + scenarios.offsets, atol=1e-9)
@@ -238,7 +240,7 @@ def test_derivatives_of_twists_are_those_of_robots_in_equilibrium(limited, q):
     phi, none = repaired(condensed, limited, q, _settled(q)), np.zeros(limited.row_bounds[0].shape)
     twists, about = condensed.twists, condensed.expand(q, phi, np.zeros(phi.shape), none)
     after, before = (twists.values(at, repaired(condensed, limited, at, phi)) for at in (q + way, q - way))
-    np.testing.assert_allclose((after - before) / 2, twists.moved(about.twists, way), atol=1e-7)
+    np.testing.assert_allclose((after - before) / 2, twists.multiply_jacobian(about.twists, way), atol=1e-7)
 
 
 def test_squares_of_twists_are_those_of_the_whole_jacobian(limited):
@@ -246,13 +248,13 @@ def test_squares_of_twists_are_those_of_the_whole_jacobian(limited):
     rng, (frames, _, n, d) = np.random.default_rng(3), limited.sizes
     twists, slopes = TwistSteps(limited), rng.normal(size=(frames, d - 1, n + 2))
     rows, sigma = rng.normal(size=2), rng.uniform(1.0, 2.0, 2)
-    jacobian = np.array([_gathered(twists.pulled(slopes, row), n) for row in np.eye(2)])
+    jacobian = np.array([_gathered(twists.multiply_transposed_jacobian(slopes, row), n) for row in np.eye(2)])
     step = rng.normal(size=frames * n + 2)
     seen = np.concatenate(
         [step[: frames * n].reshape(frames, n), np.tile(step[frames * n :], (frames, 1))], axis=1
     )
-    np.testing.assert_allclose(twists.moved(slopes, seen), jacobian @ step)
-    np.testing.assert_allclose(_gathered(twists.pulled(slopes, rows), n), rows @ jacobian)
+    np.testing.assert_allclose(twists.multiply_jacobian(slopes, seen), jacobian @ step)
+    np.testing.assert_allclose(_gathered(twists.multiply_transposed_jacobian(slopes, rows), n), rows @ jacobian)
     blocks, band = np.zeros((frames, n + 2, n + 2)), np.zeros((2 * n, frames * n))
     twists.square(slopes, sigma, blocks, band)
     found = solved_by(band, blocks, np.eye(2), np.ones(step.size), step, np.ones(step.size, dtype=bool))

@@ -21,13 +21,13 @@ from strategies import seeds
 
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.formulations import FORMULATIONS, Settings
-from ctr_nlp.models import MODELS
-from ctr_nlp.nlp.nlp import Constraint, Cost, Nlp, Residual, kkt_residual
-from ctr_nlp.solvers import FEASIBLE, SOLVERS, Solution
+from ctr_nlp.models import KINEMATIC_MODELS
+from ctr_nlp.nlp.nlp import Constraint, CostTerm, Nlp, Residual, kkt_residual
+from ctr_nlp.solvers import FEASIBILITY_TOLERANCE, SOLVERS, Solution
 from ctr_nlp.solvers.frame import sqp
-from ctr_nlp.solvers.frame.adapter import OPTIMAL
-from ctr_nlp.solvers.frame.program import MOST_ITERATIONS, TOLERANCE, Program
-from ctr_nlp.solvers.frame.sqp import STATUS, Sqp
+from ctr_nlp.solvers.frame.adapter import KKT_TOLERANCE
+from ctr_nlp.solvers.frame.program import MAX_SQP_ITERATIONS, SQP_KKT_TOLERANCE, Program
+from ctr_nlp.solvers.frame.sqp import SQP_STATUS_TEXTS, Sqp
 from ctr_nlp.steer.nlp_frames import NlpFrames
 
 INF = np.inf
@@ -39,7 +39,7 @@ def nearest_point(form="residual", constraints=(), bound=10.0):
     """The point x (2,) nearest to the parameter `to` (2, 1) within +-bound."""
     x, to = ca.SX.sym("x", 2), ca.SX.sym("to", 2)
     residuals = (Residual("distance", x - to),) if form == "residual" else ()
-    costs = () if residuals else (Cost("distance", ca.sumsqr(x - to)),)
+    costs = () if residuals else (CostTerm("distance", ca.sumsqr(x - to)),)
     made = tuple(constraint(x) for constraint in constraints)
     return Nlp("nearest", x, np.full(2, -bound), np.full(2, bound), {"to": to}, residuals, costs, made)
 
@@ -166,15 +166,15 @@ def test_a_parameter_that_is_not_a_number_is_no_success(solver, form):
 @EVERY_SOLVER
 def test_an_unbounded_problem_is_no_success(solver):
     x, none = ca.SX.sym("x"), ca.SX.sym("none")
-    nlp = Nlp("down", x, np.array([-INF]), np.array([INF]), {"none": none}, costs=(Cost("down", x**3),))
+    nlp = Nlp("down", x, np.array([-INF]), np.array([INF]), {"none": none}, costs=(CostTerm("down", x**3),))
     assert not SOLVERS[solver](nlp)(np.array([-1.0]), np.zeros(1)).success
 
 
 def test_both_solvers_agree_on_a_frame(arc_problem):
     """Not only on toys: the joint frame from one start, objectives within a thousandth of a square mm."""
-    (stage,) = FORMULATIONS["joint"](arc_problem.robot, Settings(), MODELS["dominant"])
+    (stage,) = FORMULATIONS["joint"](arc_problem.robot, Settings(), KINEMATIC_MODELS["dominant"])
     q0 = np.array([3.0, 3, 3, 30, 70, 105, 0, 0])
-    frame = arc_problem.samples[2]
+    frame = arc_problem.target_frames[2]
     p = stage.nlp.pack(dict(stage.fill(frame, q0)) | {"previous": q0, "motion_root": 0.01})
     found = [SOLVERS[solver](stage.nlp)(q0, p) for solver in SOLVERS]
     assert all(solution.success for solution in found)
@@ -221,9 +221,9 @@ def test_sqp_solves_quadratic_problems_in_one_step(seed):
 
 
 def test_sqp_says_of_itself_what_the_residual_says(arc_problem):
-    (stage,) = FORMULATIONS["joint"](arc_problem.robot, Settings(), MODELS["dominant"])
+    (stage,) = FORMULATIONS["joint"](arc_problem.robot, Settings(), KINEMATIC_MODELS["dominant"])
     solve, q = Sqp(stage.nlp), np.array([3.0, 3, 3, 30, 70, 105, 0, 0])
-    for frame in arc_problem.samples:
+    for frame in arc_problem.target_frames:
         p = stage.nlp.pack(dict(stage.fill(frame, q)) | {"previous": q, "motion_root": 0.01})
         at = solve(q, p)
         own = kkt_residual(stage.nlp, at.x, p, stage.nlp.lower, stage.nlp.upper, at.lam_x, at.lam_g)
@@ -333,8 +333,8 @@ def test_sqp_finds_the_least_distance_within_random_rows_whatever_multipliers_it
     found, program = run_quadratic(n, m, root, to, rows, lower, upper, start, multipliers)
     x, values, lam = program.x, rows @ program.x, program.multipliers
     best = by_least_distance(root, to, rows, lower, upper)
-    assert STATUS[found.status] == "Solve_Succeeded"
-    assert found.kkt <= TOLERANCE
+    assert SQP_STATUS_TEXTS[found.status] == "Solve_Succeeded"
+    assert found.kkt <= SQP_KKT_TOLERANCE
     assert found.iterations <= 3, "one step, and another where multipliers were wrong by far"
     np.testing.assert_allclose(x, best, atol=1e-5)
     assert found.objective == pytest.approx(np.sum((root @ (best - to)) ** 2), abs=1e-5)
@@ -356,7 +356,7 @@ def test_rows_that_exclude_each_other_are_no_success_and_no_step(n, m, seed):
     lower, upper = np.full(n + m, -INF), np.full(n + m, INF)
     upper[0], lower[-1] = 1.0, 2.0
     found, _ = run_quadratic(n, m, root, to, rows, lower, upper, rng.normal(size=n))
-    assert STATUS[found.status] == "Infeasible_Step"
+    assert SQP_STATUS_TEXTS[found.status] == "Infeasible_Step"
     assert found.violation > 0.4
     assert found.kkt > 0.4
 
@@ -368,7 +368,7 @@ def test_unknowns_that_are_all_fixed_stay_and_take_the_whole_slope(n, m):
     fixed = rng.normal(size=n)
     lower, upper = np.append(fixed, np.full(m, -INF)), np.append(fixed, np.full(m, INF))
     found, program = run_quadratic(n, m, root, to, rows, lower, upper, np.zeros(n))
-    assert STATUS[found.status] == "Solve_Succeeded"
+    assert SQP_STATUS_TEXTS[found.status] == "Solve_Succeeded"
     np.testing.assert_allclose(program.x, fixed, atol=1e-8)
     np.testing.assert_allclose(program.multipliers[:n], -2 * root.T @ root @ (fixed - to), atol=1e-5)
     np.testing.assert_array_equal(program.multipliers[n:], 0)
@@ -382,8 +382,8 @@ def test_what_is_not_a_number_ends_without_success(n, m, bad):
     program.x[:] = 30.0
     getattr(program, bad)[0 if bad != "p" else n * n] = np.nan
     found = program.run()
-    assert not found.kkt <= OPTIMAL
-    assert 0 <= found.iterations <= MOST_ITERATIONS
+    assert not found.kkt <= KKT_TOLERANCE
+    assert 0 <= found.iterations <= MAX_SQP_ITERATIONS
 
 
 CURVED = pytest.mark.parametrize("curved", [False, True], ids=["linear", "curved"])
@@ -397,7 +397,7 @@ def hills(curved):
     if curved:
         value = ca.vertcat(ca.sumsqr(x), x[0] * x[3])
         rows.append(Constraint("curved", value, np.array([0.25, -0.5]), np.array([4, 0.5])))
-    waves, saddle = Residual("waves", 2 * ca.sin(bend @ x) - to), Cost("saddle", x[0] * x[1] - x[2] ** 2)
+    waves, saddle = Residual("waves", 2 * ca.sin(bend @ x) - to), CostTerm("saddle", x[0] * x[1] - x[2] ** 2)
     parameters = {"bend": bend, "to": to}
     nlp = Nlp("hills", x, np.full(4, -2.0), np.full(4, 2.0), parameters, (waves,), (saddle,), tuple(rows))
     return nlp, Sqp(nlp), ca.Function("at", [nlp.x, nlp.p], [nlp.objective, nlp.g])
@@ -411,7 +411,7 @@ def random_hills(rng, curved):
 def assert_kkt_point(nlp, solution, p):
     own = kkt_residual(nlp, solution.x, p, nlp.lower, nlp.upper, solution.lam_x, solution.lam_g)
     assert solution.success, solution
-    assert own <= OPTIMAL
+    assert own <= KKT_TOLERANCE
     assert own == pytest.approx(solution.kkt, abs=1e-7)
 
 
@@ -428,7 +428,9 @@ def test_problems_that_are_not_convex_end_at_kkt_points_from_anywhere(curved, se
     objective, g = at(solution.x, p)
     assert solution.objective == pytest.approx(float(objective), abs=1e-6)
     low, high = nlp.g_bounds
-    assert ((g.full().ravel() >= low - FEASIBLE) & (g.full().ravel() <= high + FEASIBLE)).all()
+    assert (
+        (g.full().ravel() >= low - FEASIBILITY_TOLERANCE) & (g.full().ravel() <= high + FEASIBILITY_TOLERANCE)
+    ).all()
 
 
 @drawn(seed=seeds, wrong=st.sampled_from([0.0, 1.0, 100.0]))
@@ -489,7 +491,7 @@ def test_bounds_that_a_call_tightened_are_forgotten_by_the_next():
 def test_one_unknown_between_two_maxima_goes_down_from_where_it_is():
     """Cos x has its minima at odd multiples of pi; at x = 0.1 its second derivative is negative."""
     x, none = ca.SX.sym("x"), ca.SX.sym("none")
-    nlp = Nlp("waves", x, np.array([-INF]), np.array([INF]), {"none": none}, costs=(Cost("wave", ca.cos(x)),))
+    nlp = Nlp("waves", x, np.array([-INF]), np.array([INF]), {"none": none}, costs=(CostTerm("wave", ca.cos(x)),))
     solution = Sqp(nlp)(np.array([0.1]), np.zeros(1))
     assert solution.success
     assert solution.objective == pytest.approx(-1)

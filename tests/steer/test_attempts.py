@@ -14,22 +14,22 @@ from strategies import configurations, robots, seeds
 
 from ctr_nlp import Limits, Problem, Robot, Tube, curve_from_formula, growing, table_i_robot
 from ctr_nlp.exceptions import RobotError
-from ctr_nlp.formulations.horizon import Ends
-from ctr_nlp.models import MODELS
-from ctr_nlp.solvers import CHAIN_SOLVERS, FEASIBLE, Iterate, Solution
-from ctr_nlp.solvers.compiled import fastest
-from ctr_nlp.solvers.motion.judged import judged
+from ctr_nlp.formulations.horizon import EndConfigurations
+from ctr_nlp.models import KINEMATIC_MODELS
+from ctr_nlp.solvers import CHAIN_SOLVERS, FEASIBILITY_TOLERANCE, Iterate, Solution
+from ctr_nlp.solvers.compiled import fastest_functions
+from ctr_nlp.solvers.motion.judged import evaluate_chain_solution
 from ctr_nlp.steer.attempts import (
-    Attempt,
-    attempt,
-    best_of,
+    SolvedStart,
+    best_solved_start,
+    describe_failures,
     distinct,
-    failures,
     no_worse,
-    settled,
+    solve_from_motion,
+    wall_rounds_done,
 )
-from ctr_nlp.steer.motions import wandered
-from ctr_nlp.steer.starts.processes import Task, attempt_in_processes
+from ctr_nlp.steer.motions import perturb_motion
+from ctr_nlp.steer.starts.processes import Task, solve_starts_in_processes
 from ctr_nlp.support.interrupt import deferred_interrupt
 
 START = np.array([3, 3, 3, 20, 20, 30, 0, 0.0])
@@ -40,18 +40,18 @@ EVERY_SOLVER = pytest.mark.parametrize("solver", CHAIN_SOLVERS)
 def task(arc_problem):
     return Task(
         arc_problem.robot,
-        arc_problem.samples,
+        arc_problem.target_frames,
         arc_problem.dt,
         1e-3,
-        Ends(start=START),
+        EndConfigurations(start=START),
         "banded",
-        MODELS["dominant"],
+        KINEMATIC_MODELS["dominant"],
     )
 
 
 @pytest.fixture(scope="module")
 def chain(task):
-    return horizon(task.robot, task.frames, task.dt, task.motion_weight, task.ends, fastest)
+    return horizon(task.robot, task.frames, task.dt, task.motion_weight, task.ends, fastest_functions)
 
 
 @pytest.fixture(scope="module")
@@ -65,11 +65,11 @@ def standing():
 
 
 def feasible(chain, x):
-    return chain.violation(chain.evaluate(x)[1]) <= FEASIBLE
+    return chain.violation(chain.evaluate(x)[1]) <= FEASIBILITY_TOLERANCE
 
 
 def tried(chain, solve, x0, stop=lambda: False):
-    return attempt(chain, lambda _: solve, x0, None, stop)
+    return solve_from_motion(chain, lambda _: solve, x0, None, stop)
 
 
 class Fake:
@@ -85,7 +85,7 @@ class Fake:
             objective, value = self.chain.evaluate(x)
             self.answers.append(watch(Iterate(number, objective, self.chain.violation(value), 1.0, x)))
         nothing = np.zeros(len(self.chain.bounds[0]))
-        found = judged(self.chain, self.returned, nothing, "Fake", 1)
+        found = evaluate_chain_solution(self.chain, self.returned, nothing, "Fake", 1)
         return replace(found, success=self.success and feasible(self.chain, self.returned))
 
 
@@ -156,11 +156,11 @@ def test_an_interrupted_solve_leaves_the_best_feasible_point(chain, solver):
     def report(iterate):
         seen.append(iterate)
 
-    found = attempt(chain, CHAIN_SOLVERS[solver], standing(), report, lambda: len(seen) == 12)
+    found = solve_from_motion(chain, CHAIN_SOLVERS[solver], standing(), report, lambda: len(seen) == 12)
     assert len(seen) == 12
     assert not found.solution.success
     assert found.feasible
-    allowed = [one.objective for one in seen if one.violation <= FEASIBLE]
+    allowed = [one.objective for one in seen if one.violation <= FEASIBILITY_TOLERANCE]
     assert found.solution.objective <= min([*allowed, found.start_objective]) + 1e-9
 
 
@@ -260,11 +260,16 @@ def random_task(seed):
         lambda u: (radius * ca.cos(u) - radius, 0, radius * ca.sin(u)), 0, min(length / radius, 6)
     )
     problem = Problem("random", robot, growing(arc, frames), float(rng.uniform(2, 10)))
-    ends = (Ends(), Ends(start=q()), Ends(end=q()), Ends(start=np.zeros(2 * d + 2)))[rng.integers(4)]
+    ends = (
+        EndConfigurations(),
+        EndConfigurations(start=q()),
+        EndConfigurations(end=q()),
+        EndConfigurations(start=np.zeros(2 * d + 2)),
+    )[rng.integers(4)]
     weight = float(rng.choice([0.0, 1e-9, 1e-4, 1e-1]))
-    return Task(robot, problem.samples, problem.dt, weight, ends, "banded", MODELS["dominant"]), np.concatenate(
-        [q() for _ in range(frames)]
-    )
+    return Task(
+        robot, problem.target_frames, problem.dt, weight, ends, "banded", KINEMATIC_MODELS["dominant"]
+    ), np.concatenate([q() for _ in range(frames)])
 
 
 def solved_parts(numbers):
@@ -302,7 +307,7 @@ def made(objective, success, start, allowed=True):
     found = Solution(
         np.zeros(1), objective, 0.0 if success else 1.0, success, "Fake", 1, np.zeros(1), np.zeros(0), np.zeros(1)
     )
-    return Attempt(found, np.zeros((4, 8)), np.zeros(0), allowed, start, 0.0)
+    return SolvedStart(found, np.zeros((4, 8)), np.zeros(0), allowed, start, 0.0)
 
 
 @pytest.mark.parametrize(
@@ -319,7 +324,7 @@ def made(objective, success, start, allowed=True):
 )
 def test_the_best_of_several_attempts(attempts, best):
     several = [made(*one) for one in attempts]
-    assert best_of(several) is several[best]
+    assert best_solved_start(several) is several[best]
 
 
 def test_attempts_are_distinct_by_their_objectives_and_come_best_first():
@@ -328,15 +333,15 @@ def test_attempts_are_distinct_by_their_objectives_and_come_best_first():
 
 
 def test_rounds_end_once_slacks_are_what_they_have_to_be_or_go_to_and_fro():
-    assert not settled([])
-    assert not settled([0.3, 0.4])
-    assert settled([0.3, 0.009])
-    assert not settled([0.3, 0.4, 0.2])
-    assert settled([0.3, 0.4, 0.28])
+    assert not wall_rounds_done([])
+    assert not wall_rounds_done([0.3, 0.4])
+    assert wall_rounds_done([0.3, 0.009])
+    assert not wall_rounds_done([0.3, 0.4, 0.2])
+    assert wall_rounds_done([0.3, 0.4, 0.28])
 
 
 def test_a_solution_has_no_failures(chain, solution):
-    assert failures(chain, Attempt(solution, solution.x, chain.parameters, True, 1.0, 0.0)) == {}
+    assert describe_failures(chain, SolvedStart(solution, solution.x, chain.parameters, True, 1.0, 0.0)) == {}
 
 
 def test_failures_name_the_worst_limit_of_each_frame(chain):
@@ -344,19 +349,19 @@ def test_failures_name_the_worst_limit_of_each_frame(chain):
     x[1, 0] += 2.0 * 2.5 + 0.25
     x[1:, 6] += 0.8 * 2.5 + 0.125
     x[2:, 0] = x[1, 0]
-    found = judged(chain, x.ravel(), np.zeros(len(chain.bounds[0])), "Fake", 1)
-    said = failures(chain, Attempt(found, found.x, chain.parameters, False, np.inf, 0.0))
+    found = evaluate_chain_solution(chain, x.ravel(), np.zeros(len(chain.bounds[0])), "Fake", 1)
+    said = describe_failures(chain, SolvedStart(found, found.x, chain.parameters, False, np.inf, 0.0))
     assert said == {"2": "speed of alpha_1 exceeded by 0.25 rad; relax it, or give more time"}
 
 
 def test_a_failure_within_limits_says_how_far_it_is_from_a_solution(chain):
-    found = judged(chain, standing(), np.zeros(len(chain.bounds[0])), "Fake", 1)
-    said = failures(chain, Attempt(found, found.x, chain.parameters, True, 1.0, 0.0))
+    found = evaluate_chain_solution(chain, standing(), np.zeros(len(chain.bounds[0])), "Fake", 1)
+    said = describe_failures(chain, SolvedStart(found, found.x, chain.parameters, True, 1.0, 0.0))
     assert said == {"all": f"Fake, KKT residual {found.kkt:.1e}"}
 
 
 def test_a_description_is_per_frame_and_fit_for_a_file():
-    one = replace(made(8.0, True, 12.0), seconds=0.5).described(4)
+    one = replace(made(8.0, True, 12.0), seconds=0.5).to_meta(4)
     assert one == {
         "start_objective": 3.0,
         "objective": 2.0,
@@ -365,7 +370,7 @@ def test_a_description_is_per_frame_and_fit_for_a_file():
         "iterations": 1,
         "seconds": 0.5,
     }
-    assert made(8.0, True, np.inf).described(4)["start_objective"] is None
+    assert made(8.0, True, np.inf).to_meta(4)["start_objective"] is None
 
 
 # Side by side
@@ -375,7 +380,7 @@ def test_processes_find_what_one_alone_finds(task, chain):
     """The same code from the same starts: to the last bit."""
     motions = [standing(), standing() + 0.3]
     told = []
-    several = attempt_in_processes(task, motions, 2, lambda done, total, note: told.append((done, total)))
+    several = solve_starts_in_processes(task, motions, 2, lambda done, total, note: told.append((done, total)))
     for motion, found in zip(motions, several, strict=True):
         alone = tried(chain, CHAIN_SOLVERS["banded"](chain), motion)
         np.testing.assert_array_equal(found.solution.x, alone.solution.x)
@@ -389,7 +394,7 @@ def test_processes_end_early_when_told_to(task, chain):
     """Those at work in other processes are cut short, and answer with a feasible point."""
     with deferred_interrupt():
         signal.raise_signal(signal.SIGINT)
-        several = attempt_in_processes(task, [standing()] * 3, 2, None)
+        several = solve_starts_in_processes(task, [standing()] * 3, 2, None)
     assert several
     assert all(found.solution.status == "Interrupted" for found in several)
     assert all(found.feasible for found in several)
@@ -408,7 +413,7 @@ def motions(draw):
 @given(motions(), seeds)
 def test_random_changes_keep_limits_and_order(drawn, seed):
     robot, motion = drawn
-    for changed in itertools.islice(wandered(robot, motion, seed), 3):
+    for changed in itertools.islice(perturb_motion(robot, motion, seed), 3):
         assert changed.shape == motion.shape
         for q in changed:
             robot.check(q)
@@ -427,7 +432,7 @@ def test_random_changes_keep_every_robots_limits(limits):
     motion = np.tile([0, 0, 0, 30, 45, 70, 0, 0.0], (6, 1))
     robot.check(motion[0])
     broken = set()
-    for changed in itertools.islice(wandered(robot, motion, 1), 40):
+    for changed in itertools.islice(perturb_motion(robot, motion, 1), 40):
         for q in changed:
             try:
                 robot.check(q)
@@ -440,7 +445,7 @@ def test_random_changes_are_the_same_for_the_same_seed():
     robot, motion = table_i_robot(), np.tile(START, (6, 1))
 
     def three(seed):
-        return np.array(list(itertools.islice(wandered(robot, motion, seed), 3)))
+        return np.array(list(itertools.islice(perturb_motion(robot, motion, seed), 3)))
 
     np.testing.assert_array_equal(three(4), three(4))
     assert np.abs(three(4) - three(5)).max() > 0.1
@@ -451,7 +456,7 @@ def test_random_changes_are_the_same_for_the_same_seed():
 def test_random_changes_are_smooth():
     """Five half waves over 400 frames of a motion far from all limits: each step is a small part of the whole."""
     robot, motion = table_i_robot().with_limits(theta=(-9, 9)), np.tile([0, 0, 0, 1, 2, 140, 0, 0.0], (400, 1))
-    for changed in itertools.islice(wandered(robot, motion, 2), 5):
+    for changed in itertools.islice(perturb_motion(robot, motion, 2), 5):
         moved = (changed - motion)[:, [0, 1, 2, 6, 7]]
         assert (np.abs(np.diff(moved, axis=0)).max(axis=0) < 0.05 * np.ptp(moved, axis=0)).all()
         assert (np.ptp(moved, axis=0) > 0.01).all()
@@ -460,5 +465,5 @@ def test_random_changes_are_smooth():
 def test_the_motion_itself_is_left_alone():
     motion = np.tile(START, (6, 1))
     before = motion.copy()
-    next(wandered(table_i_robot(), motion, 3))
+    next(perturb_motion(table_i_robot(), motion, 3))
     np.testing.assert_array_equal(motion, before)

@@ -9,16 +9,16 @@ from ctr_nlp import Settings, solve_horizon, table_i_robot
 from ctr_nlp.exceptions import ProblemError
 from ctr_nlp.figures.compromise import compromise
 from ctr_nlp.plan.measures import Contact
-from ctr_nlp.problems import named
+from ctr_nlp.problems import named_problem
 from ctr_nlp.steer import compromise as module
 from ctr_nlp.steer import horizon_planner
-from ctr_nlp.steer.compromise import Compromise, best_of_both, compromises, needed, sentences
+from ctr_nlp.steer.compromise import Compromise, compromise_sentences, compromises, find_path_demands, pareto_front
 
 
 @pytest.fixture(scope="module")
 def problem():
     """An airway whose bends the paper's tubes cannot take."""
-    return named("bronchus", frames=12)
+    return named_problem("bronchus", frames=12)
 
 
 @pytest.fixture(scope="module")
@@ -65,7 +65,7 @@ def test_a_plan_without_a_wall_has_nothing_to_weigh(problem):
 
 
 def test_what_a_path_asks_for_is_told_where_it_bends_most(plan):
-    at, tubes = needed(plan), table_i_robot().tubes
+    at, tubes = find_path_demands(plan), table_i_robot().tubes
     present = [tube for tube, end in zip(tubes, plan.beta[-1], strict=True) if end >= at.bend]
     stiff = [tube.bending_stiffness for tube in present]
     most = sum(e * tube.largest_curvature for e, tube in zip(stiff, present, strict=True)) / sum(stiff)
@@ -82,8 +82,8 @@ def test_what_a_path_asks_for_is_told_where_it_bends_most(plan):
 
 def test_what_another_motion_beats_in_both_is_left_out():
     near, clear, worse = (Compromise(k, tip, contact, 1.0, True, None) for k, tip, contact in POINTS)
-    assert best_of_both([near, worse, clear]) == [clear, near]
-    assert best_of_both([near, near]) == [near, near]
+    assert pareto_front([near, worse, clear]) == [clear, near]
+    assert pareto_front([near, near]) == [near, near]
 
 
 POINTS = (5000.0, 0.3, 6.0), (5.0, 7.0, 2.5), (0.0, 12.0, 10.0)
@@ -93,13 +93,13 @@ TOUCHED = Contact(10, 12, 1.5, 12, 2, 61.0, 62.0)
 def test_sentences_tell_what_excludes_what(plan):
     clear = Compromise(0.0, 4.0, -0.2, 1.0, True, None)
     pressed = Compromise(5000.0, 0.5, 1.5, 1.2, True, TOUCHED)
-    told = " ".join(sentences(plan, [clear, pressed]))
+    told = " ".join(compromise_sentences(plan, [clear, pressed]))
     assert "the best that arrives presses 1.50 mm into the wall; its tip ends 0.50 mm off." in told
     assert "with at most 0.5 mm of contact, the best ends 4.00 mm off the target." in told
     assert "The wall is in the way of tube 2, 61 mm along the robot (62 mm along the path)." in told
     assert "The path asks most of the tubes" in told
-    both = " ".join(sentences(plan, [clear, replace(pressed, contact=0.1)]))
+    both = " ".join(compromise_sentences(plan, [clear, replace(pressed, contact=0.1)]))
     assert "The path asks" not in both, "nothing stands in the way"
-    none = " ".join(sentences(plan, [replace(pressed, tip=3.0)]))
+    none = " ".join(compromise_sentences(plan, [replace(pressed, tip=3.0)]))
     assert "None of the motions tried arrives within 2 mm." in none
     assert "None of them keeps contact to 0.5 mm." in none

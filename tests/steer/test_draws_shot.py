@@ -8,12 +8,12 @@ import casadi as ca
 import numpy as np
 import pytest
 import shooting
-from problems import named
+from problems import named_problem
 from truth import TWO
 
 from ctr_nlp import Problem, growing, problem_from_file, solve_horizon
-from ctr_nlp.robot.draws import drawn
-from ctr_nlp.simulation.drawn import drawn_motion
+from ctr_nlp.robot.draws import sample_robots
+from ctr_nlp.simulation.drawn import simulate_samples
 from ctr_nlp.steer.robust import solve_robust
 from ctr_nlp.target.curve import curve_from_formula
 
@@ -28,9 +28,9 @@ AGREE = 0.05
 
 def beside(plan, count):
     """The frames in which draws are lost, by the library and shot, and how far shapes are apart (n, T), mm."""
-    draws = drawn(plan.robot, count, SEED)
-    found = drawn_motion(plan.robot, draws, plan.q, "elastic")
-    parts = np.concatenate([draws.parts, np.zeros_like(draws.parts[:1])])
+    draws = sample_robots(plan.robot, count, SEED)
+    found = simulate_samples(plan.robot, draws, plan.q, "elastic")
+    parts = np.concatenate([draws.deviations, np.zeros_like(draws.deviations[:1])])
     shot = shooting.followed(shooting.tubes(plan.robot, parts), plan.q, np.linspace(0, 1, 100 // EVERY + 1))
     assert shot.snapped[-1] == 0
     away = np.linalg.norm(shot.shapes[:-1] - found.shape[:, :, ::EVERY], axis=-1)
@@ -56,7 +56,7 @@ def test_draws_of_a_robust_plan_of_two_tubes_are_where_equations_say():
 
 def test_draws_of_a_plain_plan_snap_where_equations_say():
     """Also that a snap is seen at all: of these some snap and some do not."""
-    lost, shot = agreed(solve_horizon(named("cos"), model="elastic"), 4)
+    lost, shot = agreed(solve_horizon(named_problem("cos"), model="elastic"), 4)
     assert 0 < (shot > 0).sum() < len(shot)
     assert abs(lost - shot).max() <= 1
 
@@ -69,7 +69,7 @@ def test_ten_draws_of_robust_plans_are_where_equations_say(name, request):
         file = folder / "airways" / f"{name}.csv"
         problem = replace(problem_from_file(file, frames=100, trim="end"), lumen=None)
     else:
-        problem = replace(named(name), lumen=None)
+        problem = replace(named_problem(name), lumen=None)
     plan = solve_robust(problem)
     assert plan.success.all()
     agreed(plan, DRAWS)

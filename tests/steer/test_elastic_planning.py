@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 import truth
 from frames import alone
-from problems import UNJUDGED, named
+from problems import UNJUDGED, named_problem
 from rows import central
 
 from ctr_nlp import (
@@ -33,19 +33,19 @@ from ctr_nlp.cli.commands.plan import horizon as solve_horizon_program
 from ctr_nlp.cli.commands.plan import steer as solve_per_frame_program
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.formulations import FORMULATIONS
-from ctr_nlp.formulations.frames import FrameResult, starts
+from ctr_nlp.formulations.frames import FrameResult, sobol_starts
 from ctr_nlp.formulations.terms import ShapeDistance
-from ctr_nlp.formulations.terms.feasible import CLEAR
-from ctr_nlp.models import MODELS
+from ctr_nlp.formulations.terms.feasible import MIN_INNER_DETERMINANT
+from ctr_nlp.models import KINEMATIC_MODELS
 from ctr_nlp.models.elastic import stability, torsion
-from ctr_nlp.models.elastic.model import STEPS
+from ctr_nlp.models.elastic.model import ELASTIC_NLP_STEPS_PER_SECTION
 from ctr_nlp.plan.plan import Plan
-from ctr_nlp.reference import METHODS
-from ctr_nlp.reference.published import SEED_ELASTIC
+from ctr_nlp.reference import REFERENCE_METHODS
+from ctr_nlp.reference.published import TABLE_II_PAPER_METHOD_ELASTIC
 from ctr_nlp.solvers import compiled
-from ctr_nlp.solvers.frame.sqp import FALLBACK
+from ctr_nlp.solvers.frame.sqp import IPOPT_FALLBACK_TEXT
 from ctr_nlp.steer.nlp_frames import NlpFrames
-from ctr_nlp.studies.comparison import parse_variant, variants_here
+from ctr_nlp.studies.comparison import available_variants, parse_variant
 
 MARGIN = 0.1
 ROBOTS = {
@@ -160,7 +160,7 @@ def test_hessians_match_finite_differences_of_slopes(kind, seed):
 def test_compiled_code_is_what_is_interpreted(lanes):
     """Of the libraries that solvers of frames and of horizons use."""
     robot = ROBOTS["seed"]
-    joint = FORMULATIONS["joint"](robot, Settings(), MODELS["elastic"])[0].nlp
+    joint = FORMULATIONS["joint"](robot, Settings(), KINEMATIC_MODELS["elastic"])[0].nlp
     nlp = joint if lanes == 1 else frame("seed")[0]
     x, rng = drawn(robot, 1, lanes), np.random.default_rng(1)
     known = {
@@ -173,7 +173,7 @@ def test_compiled_code_is_what_is_interpreted(lanes):
     }
     p = nlp.pack({name: known[name] for name in nlp.parameters})
     inputs = [x.T, np.tile(p, (lanes, 1)).T, np.ones((1, lanes)), rng.normal(size=(nlp.g.numel(), lanes))]
-    functions, fast = nlp.functions, compiled.compiled(nlp, 1 if lanes == 1 else None)
+    functions, fast = nlp.functions, compiled.compile_functions(nlp, 1 if lanes == 1 else None)
     for name in ("value", "slopes", "expansion"):
         function = getattr(functions, name)
         given = inputs[: function.n_in()]
@@ -215,7 +215,11 @@ def test_alpha_is_that_of_the_configuration(kind):
     alpha, d = constraints(kind, x)["alpha"], robot.d
     columns = [column[:, None] for column in x.T]
     twisted = torsion.twist(
-        robot.tube_numbers, columns, torsion.sections(robot.tube_numbers, columns[d : 2 * d], np), np, STEPS
+        robot.tube_numbers,
+        columns,
+        torsion.sections(robot.tube_numbers, columns[d : 2 * d], np),
+        np,
+        ELASTIC_NLP_STEPS_PER_SECTION,
     )
     np.testing.assert_allclose(
         alpha, np.hstack(torsion.motors(robot.tube_numbers, columns, twisted)), rtol=1e-12, atol=1e-12
@@ -228,7 +232,7 @@ def test_alpha_is_that_of_the_configuration(kind):
 @pytest.mark.parametrize("kind", COUPLED)
 def test_determinants_are_allowed_where_the_margin_is_held(kind, margin):
     """But for 0.03 about the margin, where integration and Galerkin's method differ. A determinant before the last
-    keeps CLEAR from 0, and so may forbid a little more than the margin does.
+    keeps MIN_INNER_DETERMINANT from 0, and so may forbid a little more than the margin does.
     """
     robot = COUPLED[kind]
     x = drawn(robot, 3, 250)
@@ -236,7 +240,7 @@ def test_determinants_are_allowed_where_the_margin_is_held(kind, margin):
     held, missed = margins > margin + 0.03, margins < margin - 0.03
     assert min(held.sum(), missed.sum()) > 10
     assert (determinants[held] > 0).all()
-    allowed = (determinants >= np.append(np.full(determinants.shape[1] - 1, CLEAR), 0)).all(axis=1)
+    allowed = (determinants >= np.append(np.full(determinants.shape[1] - 1, MIN_INNER_DETERMINANT), 0)).all(axis=1)
     assert not (allowed & missed).any()
 
 
@@ -251,7 +255,7 @@ def excess(plan, order=1, before=()):
 
 @functools.cache
 def by_frame(name):
-    return solve_per_frame(named(name, 14), model="elastic")
+    return solve_per_frame(named_problem(name, 14), model="elastic")
 
 
 @pytest.mark.parametrize("name", ["arc", "line"])
@@ -263,7 +267,7 @@ def test_a_motion_is_solved_within_limits_and_stable_at_every_frame(name):
     assert excess(plan) <= 1e-6
     assert plan.stability.min() >= MARGIN - 1e-3
     assert plan.meta["snaps"] == []
-    assert summary(plan)["e3"] < SEED_ELASTIC[name][0]
+    assert summary(plan)["e3"] < TABLE_II_PAPER_METHOD_ELASTIC[name][0]
 
 
 @pytest.mark.parametrize("name", ["arc", "line"])
@@ -287,7 +291,7 @@ def test_a_line_is_followed_up_to_the_margin_and_the_plan_says_where():
 
 def test_both_solvers_agree_from_the_same_frame_before():
     """IPOPT keeps mu_min from limits, 1e-9 mm^2 each, which is more than a part in a million of these errors."""
-    problem = named("arc", 14)
+    problem = named_problem("arc", 14)
     sqp, ipopt = (NlpFrames.of(problem, "joint", solver, "elastic") for solver in ("sqp", "ipopt"))
     before = sqp.search(0)[0]
     for j in range(1, 4):
@@ -300,7 +304,7 @@ def test_both_solvers_agree_from_the_same_frame_before():
 
 
 def test_a_robot_that_stands_somewhere_starts_from_there():
-    problem = named("arc", 14)
+    problem = named_problem("arc", 14)
     start = np.array([1.5, 2.0, 3.0, 2, 5, 9, 0.1, -0.1])
     plan = solve_per_frame(problem, model="elastic", start=start)
     assert plan.complete
@@ -315,9 +319,9 @@ def test_a_robot_that_stands_somewhere_starts_from_there():
 @functools.cache
 def over_horizon(name, solver):
     """Of a smooth objective: where the penalty on arrival has its corner, solvers agree to 1e-4 alone."""
-    start, settings = solve_per_frame(named(name, 16), model="elastic"), Settings(arrival_weight=0.0)
+    start, settings = solve_per_frame(named_problem(name, 16), model="elastic"), Settings(arrival_weight=0.0)
     asked = {"solver": solver, "initial": [start.q], "motion_weight": 1e-5, "settings": settings}
-    return solve_horizon(named(name, 16), model="elastic", **asked)
+    return solve_horizon(named_problem(name, 16), model="elastic", **asked)
 
 
 @pytest.mark.parametrize("name", ["arc", "line_arc"])
@@ -336,13 +340,13 @@ def test_a_horizon_is_solved_within_limits_and_stable(name, solver):
     assert excess(plan) <= 1e-6
     assert plan.stability.min() >= MARGIN - 1e-3
     assert plan.stability_between.min() >= MARGIN - 0.01
-    assert summary(plan)["e3"] < SEED_ELASTIC[name][0]
+    assert summary(plan)["e3"] < TABLE_II_PAPER_METHOD_ELASTIC[name][0]
 
 
 def test_given_ends_are_kept_at_rest_and_accelerations_are_limited():
     """The angle of a motor at the end is the one that a nonlinear program's few steps of integration find."""
     limits = {"alpha_acceleration": 3.0, "beta_acceleration": 20.0, "theta_acceleration": 0.5}
-    problem = named("arc", 16)
+    problem = named_problem("arc", 16)
     problem = replace(problem, robot=problem.robot.with_limits(**limits))
     start, end = np.array([3, 3, 3, 0, 2, 6, 0, 0.0]), over_horizon("arc", "banded").q[-1] + 0.01
     end[3:6] -= 1
@@ -421,11 +425,11 @@ def test_stiff_tubes_are_planned_as_on_the_dominant_model(interpreted):
 @pytest.mark.parametrize("name", ["two-stage", "two-stage-exact"])
 def test_formulations_that_need_curvatures_without_alpha_refuse_the_model(name):
     with pytest.raises(OptionError, match="model is 'elastic'; two-stage formulations need 'dominant'"):
-        NlpFrames.of(named("arc", 2), name, model="elastic")
+        NlpFrames.of(named_problem("arc", 2), name, model="elastic")
 
 
 def test_reference_methods_plan_on_the_dominant_model_but_those_of_twisted_tubes():
-    models = {name: parse_variant(name).model for name in METHODS}
+    models = {name: parse_variant(name).model for name in REFERENCE_METHODS}
     twisted = ("tip-resolved", "follow-the-leader", "follow-the-leader-approximate")
     for name in (*twisted, "s2j-elastic", "s2j-projected-elastic"):
         assert models.pop(name) == "elastic"
@@ -433,8 +437,8 @@ def test_reference_methods_plan_on_the_dominant_model_but_those_of_twisted_tubes
 
 
 def test_variants_here_begin_with_those_on_the_elastic_model():
-    assert variants_here()[:2] == ["horizon:banded:elastic", "joint:sqp:elastic"]
-    assert all(parse_variant(name).name == name for name in variants_here())
+    assert available_variants()[:2] == ["horizon:banded:elastic", "joint:sqp:elastic"]
+    assert all(parse_variant(name).name == name for name in available_variants())
 
 
 @pytest.mark.parametrize("margin", [1.0, -0.1, np.nan])
@@ -506,26 +510,26 @@ def test_searches_from_far_away_end_without_another_solver():
     Far from the target's end, the penalty on the tip has a corner at which steps are short: there a search may end
     with another solver, but it ends.
     """
-    problem = named("cos")
+    problem = named_problem("cos")
     smooth = NlpFrames.of(problem, model="elastic", settings=Settings(arrival_weight=0.0))
     frames = NlpFrames.of(problem, model="elastic")
     for frame in (24, 49, 74, 99):
-        for guess in starts(problem.robot, problem.samples[frame], 16):
+        for guess in sobol_starts(problem.robot, problem.target_frames[frame], 16):
             given = FrameResult(guess, x=frames._unknowns(guess))
-            found = smooth.again(frame, given)
+            found = smooth.search_near(frame, given)
             assert found.success
-            assert FALLBACK not in found.status, (frame, guess, found.status)
-            assert frames.again(frame, given).success
+            assert IPOPT_FALLBACK_TEXT not in found.status, (frame, guess, found.status)
+            assert frames.search_near(frame, given).success
 
 
 @pytest.mark.parametrize("turned", [0, 1])
 def test_a_tube_that_a_search_turned_once_with_its_tip_is_turned_back(turned):
     """Rounding must not decide it: a whole turn is as far as the limits of what searches leave alone."""
-    problem = named("synthesis")
+    problem = named_problem("synthesis")
     frames = NlpFrames.of(problem, model="elastic")
     found = frames.search(problem.frames - 1)[0]
     whole = 2 * np.pi * (1 - 1e-12) * np.eye(8)[turned]
-    back = frames._unwound(replace(found, q=found.q + whole, x=found.x + whole, warm=None))
+    back = frames._remove_whole_turns(replace(found, q=found.q + whole, x=found.x + whole, warm=None))
     assert abs(back.x[:2]).max() < np.pi
     np.testing.assert_allclose(back.q, found.q, atol=1e-9)
 
@@ -542,10 +546,10 @@ def test_a_search_that_wound_up_tubes_ends_where_a_robot_comes_from_aligned_tube
         x=found.x + 2 * np.pi * np.pad(tips, (0, 5)),
         warm=None,
     )
-    back = frames._unwound(wound)
+    back = frames._remove_whole_turns(wound)
     assert abs(back.x[:2]).max() <= np.pi + 1e-9
     assert abs(back.q[2]) <= np.pi + 1e-9
     np.testing.assert_allclose(np.cos(back.q[:3]), np.cos(found.q[:3]), atol=1e-9)
-    again = frames.again(0, back)
+    again = frames.search_near(0, back)
     assert again.objective == pytest.approx(found.objective, rel=1e-6, abs=1e-9)
     np.testing.assert_allclose(again.q, back.q, atol=1e-5)

@@ -10,16 +10,16 @@ import pytest
 from frames import horizon
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from problems import NAMES, named
+from problems import NAMES, named_problem
 
 from ctr_nlp import problem_from_file, solve_horizon, solve_per_frame, summary
 from ctr_nlp.exceptions import OptionError, ProblemError, RobotError
-from ctr_nlp.formulations.horizon import Ends
+from ctr_nlp.formulations.horizon import EndConfigurations
 from ctr_nlp.formulations.settings import Settings
 from ctr_nlp.solvers import CHAIN_SOLVERS
-from ctr_nlp.solvers.motion.judged import judged
+from ctr_nlp.solvers.motion.judged import evaluate_chain_solution
 from ctr_nlp.steer import Horizon
-from ctr_nlp.steer.attempts import Attempt, failures
+from ctr_nlp.steer.attempts import SolvedStart, describe_failures
 from ctr_nlp.support.interrupt import deferred_interrupt
 
 AIRWAYS = ("chaste_ts002_RLL", "chaste_ts002_LLL", "chaste_ts002_RML", "hra_vhm_left_main")
@@ -27,7 +27,7 @@ AIRWAYS = ("chaste_ts002_RLL", "chaste_ts002_LLL", "chaste_ts002_RML", "hra_vhm_
 
 @pytest.fixture(scope="module")
 def problem():
-    return named("cos", 12)
+    return named_problem("cos", 12)
 
 
 @pytest.fixture(scope="module")
@@ -193,7 +193,7 @@ def test_starts_in_processes_give_what_they_give_in_one(problem):
 
 
 def test_many_frames_start_from_some_of_them():
-    found = solve_horizon(named("arc", 430), model="dominant")
+    found = solve_horizon(named_problem("arc", 430), model="dominant")
     assert found.complete
     assert excess(found) <= 1e-6
     assert summary(found)["e3"] <= 0.319
@@ -253,7 +253,7 @@ def test_ctrl_c_stops_ipopt_too(problem):
 
 
 def test_ctrl_c_stops_other_processes(problem):
-    hard = named("bronchus", 300)
+    hard = named_problem("bronchus", 300)
     alarm = threading.Timer(6.0, signal.raise_signal, [signal.SIGINT])
     motions = [np.tile(np.full(8, 0.1), (300, 1))]
     with deferred_interrupt() as interrupted:
@@ -270,7 +270,9 @@ def test_ctrl_c_stops_other_processes(problem):
 
 def test_a_failed_solve_leaves_its_feasible_start_and_is_no_solution(problem, plan, monkeypatch):
     def gives_up(chain):
-        return lambda x0, watch, *_: judged(chain, x0 + 1, np.zeros(chain.bounds[0].size), "Gave_Up", 0)
+        return lambda x0, watch, *_: evaluate_chain_solution(
+            chain, x0 + 1, np.zeros(chain.bounds[0].size), "Gave_Up", 0
+        )
 
     monkeypatch.setitem(CHAIN_SOLVERS, "banded", gives_up)
     found = solve_horizon(problem, model="dominant", initial=[plan.q])
@@ -282,11 +284,11 @@ def test_a_failed_solve_leaves_its_feasible_start_and_is_no_solution(problem, pl
 
 def test_what_a_point_exceeds_is_said_by_limit_frame_and_amount(problem):
     start = np.concatenate([np.full(3, 3.0), [1.0, 5.0, 12.0], np.zeros(2)])
-    chain = horizon(problem.robot, problem.samples, problem.dt, 1e-6, Ends(start))
+    chain = horizon(problem.robot, problem.target_frames, problem.dt, 1e-6, EndConfigurations(start))
     x = np.tile(start - np.repeat([2.0, 0.0], [1, 7]), 12)
     x[5 * 8 + 3] = -0.25
-    solution = judged(chain, x, np.zeros(chain.bounds[0].size), "Gave_Up", 0)
-    found = failures(chain, Attempt(solution, x, chain.parameters, False, np.inf, 0.0))
+    solution = evaluate_chain_solution(chain, x, np.zeros(chain.bounds[0].size), "Gave_Up", 0)
+    found = describe_failures(chain, SolvedStart(solution, x, chain.parameters, False, np.inf, 0.0))
     assert not solution.success
     assert found["1"].startswith("speed of alpha_1 exceeded by 0.333 rad; relax it")
     assert found["6"].startswith("limits of beta_1 exceeded by 0.25 mm")
@@ -320,7 +322,7 @@ def test_bad_input_is_refused_before_solving(problem, options, error, words, mon
 
 def test_one_frame_is_no_motion():
     with pytest.raises(OptionError, match="frames is 1"):
-        solve_horizon(named("arc", 1), model="dominant")
+        solve_horizon(named_problem("arc", 1), model="dominant")
 
 
 def test_a_path_faster_than_the_tube_is_refused_with_numbers(problem):
@@ -332,7 +334,7 @@ def test_a_path_faster_than_the_tube_is_refused_with_numbers(problem):
 @settings(max_examples=5)
 @given(seed=st.integers(0, 1000), weight=st.sampled_from([1e-7, 1e-5, 1e-3]))
 def test_from_any_motion_the_result_is_feasible_and_solved(seed, weight):
-    problem = named("line_arc", 6)
+    problem = named_problem("line_arc", 6)
     rng = np.random.default_rng(seed)
     q = rng.uniform([-3] * 3 + [0] * 3 + [-0.3] * 2, [3] * 3 + [50, 107, 150] + [0.3] * 2, (6, 8))
     found = solve_horizon(problem, model="dominant", initial=[q], motion_weight=weight)
@@ -348,7 +350,7 @@ E3 = {"cos": 0.27, "arc": 0.33, "line": 1.08, "line_arc": 0.64, "synthesis": 0.0
 @pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES)
 def test_100_frames_reach_the_kinematic_limit(name):
-    found = solve_horizon(named(name), model="dominant")
+    found = solve_horizon(named_problem(name), model="dominant")
     assert found.complete
     numbers = summary(found)
     assert numbers["e3"] <= E3.get(name, 1.0)

@@ -13,8 +13,8 @@ from scipy.optimize import linprog
 
 from ctr_nlp import Limits, Problem, Robot, Target, Tube, curve_from_formula, growing, table_i_robot
 from ctr_nlp.exceptions import ProblemError
-from ctr_nlp.formulations.horizon import Ends
-from ctr_nlp.solvers import CHAIN_SOLVERS, FEASIBLE, Watch
+from ctr_nlp.formulations.horizon import EndConfigurations
+from ctr_nlp.solvers import CHAIN_SOLVERS, FEASIBILITY_TOLERANCE, Watch
 from ctr_nlp.steer.requests import check_ends, check_growth
 
 INF = np.inf
@@ -124,8 +124,10 @@ def moved(robot, start, end, frames, duration, **limits):
     arc = curve_from_formula(lambda u: (100 * ca.cos(u) - 100, 0, 100 * ca.sin(u)), 0.0, 1.0)
     problem = Problem("between", made, growing(arc, frames), duration)
     known = [np.array(q, dtype=float) for q in (start, end)]
-    ends = Ends(*(np.concatenate([np.zeros(made.d), q, [0, 0]]) if len(q) == made.d else q for q in known))
-    return problem, horizon(made, problem.samples, problem.dt, 1e-4, ends)
+    ends = EndConfigurations(
+        *(np.concatenate([np.zeros(made.d), q, [0, 0]]) if len(q) == made.d else q for q in known)
+    )
+    return problem, horizon(made, problem.target_frames, problem.dt, 1e-4, ends)
 
 
 def needed(problem, chain):
@@ -267,4 +269,4 @@ def test_where_the_check_passes_a_solver_finds_a_feasible_motion(solver, spare):
     problem, chain = moved(TWO, [0, 0], [100, 100], 5, 5.0, **grown)
     check_ends(problem, chain)
     solution = CHAIN_SOLVERS[solver](chain)(np.zeros(chain.lower.size) + 0.5, Watch())
-    assert chain.violation(chain.evaluate(solution.x)[1]) <= FEASIBLE
+    assert chain.violation(chain.evaluate(solution.x)[1]) <= FEASIBILITY_TOLERANCE

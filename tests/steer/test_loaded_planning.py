@@ -9,7 +9,7 @@ import casadi as ca
 import numpy as np
 import pytest
 from loaded_plans import TWO, made, through_the_pole
-from problems import named
+from problems import named_problem
 from rows import central
 from test_elastic_planning import TIES
 
@@ -27,10 +27,10 @@ from ctr_nlp import (
 )
 from ctr_nlp.cli.main import main
 from ctr_nlp.exceptions import LoadError, ProblemError
-from ctr_nlp.formulations.frame import filled, program
-from ctr_nlp.formulations.joint import terms_of
+from ctr_nlp.formulations.frame import fill_parameters, program
+from ctr_nlp.formulations.joint import frame_terms
 from ctr_nlp.loads import with_modulus
-from ctr_nlp.models.protocol import samples
+from ctr_nlp.models.protocol import build_sample_function
 from ctr_nlp.solvers.scenarios import interior
 from ctr_nlp.steer.horizon import bearing
 from ctr_nlp.target.curve import curve_from_points
@@ -56,10 +56,10 @@ def drawn_q(rng):
 
 def frame_of(load, margin=0.1):
     """The program of a frame, and its parameters."""
-    model, sample = Loaded(load), named("line", 3).samples[2]
-    terms = terms_of(NITINOL, model, margin)
+    model, sample = Loaded(load), named_problem("line", 3).target_frames[2]
+    terms = frame_terms(NITINOL, model, margin)
     nlp = program("frame", NITINOL.structure, model, terms)
-    return nlp, nlp.pack(filled(NITINOL, terms, sample))
+    return nlp, nlp.pack(fill_parameters(NITINOL, terms, sample))
 
 
 @EVERY_LOAD
@@ -80,7 +80,7 @@ def test_points_of_programs_are_those_of_motions(kind):
     """At 0.3 N to 0.02 mm."""
     model, rng = Loaded(LOADS[kind]), np.random.default_rng(2)
     if model.load.densities is None:
-        shape = samples(model, NITINOL.structure, len(SIGMA))
+        shape = build_sample_function(model, NITINOL.structure, len(SIGMA))
         for _ in range(8):
             x = model.guess(NITINOL, drawn_q(rng))
             points, tangents = shape(x, SIGMA, NITINOL.numbers, model.load.numbers(3))
@@ -163,16 +163,16 @@ def test_a_plan_that_knows_the_load_makes_up_for_it(reachable, solve, load):
     """At most a tenth of the error that is left without; and its file tells the load."""
     problem, free = reachable
     found = solve(problem, model=Loaded(load))
-    blind = np.sqrt((np.linalg.norm(free.under(load).shape - found.target, axis=-1) ** 2).mean())
+    blind = np.sqrt((np.linalg.norm(free.with_load(load).shape - found.target, axis=-1) ** 2).mean())
     left = np.sqrt((np.linalg.norm(found.shape - found.target, axis=-1) ** 2).mean())
     assert found.success.all()
     assert not found.meta["snaps"]
     assert left < 0.1 * blind
-    assert found.bears == load
+    assert found.evaluated_load == load
     assert found.as_planned
-    assert not found.on("elastic").as_planned
-    assert found.on("elastic").bears is None
-    assert found.under(Load()).bears == Load()
+    assert not found.evaluate_on("elastic").as_planned
+    assert found.evaluate_on("elastic").evaluated_load is None
+    assert found.with_load(Load()).evaluated_load == Load()
 
 
 @pytest.mark.slow
@@ -180,7 +180,7 @@ def test_a_plan_that_knows_the_load_makes_up_for_it(reachable, solve, load):
 @pytest.mark.parametrize("name", ["cos", "line_arc"])
 def test_a_load_costs_about_nothing_where_the_robot_can_bear_it(name, force):
     """From the motion without it alone, no plan, or one of a quarter more, was found in three of these cases."""
-    problem = named(name)
+    problem = named_problem(name)
     problem = replace(problem, robot=with_modulus(problem.robot, 60_000))
     free = solve_horizon(problem, model="elastic")
     found = solve_horizon(problem, model=Loaded(Load(force)), motion_weight=free.options["motion_weight"])
@@ -210,7 +210,7 @@ def test_the_command_plans_under_a_load(tmp_path, monkeypatch, capsys):
     assert "looks like a ratio" in capsys.readouterr().err
     assert main([*argv, "--youngs-modulus", "60000"]) in (0, 1)
     assert "under a tip force of (0, 0.02, 0) N" in capsys.readouterr().out
-    assert Plan.load("here/plan.npz").bears == Load(force=(0.0, 0.02, 0.0))
+    assert Plan.load("here/plan.npz").evaluated_load == Load(force=(0.0, 0.02, 0.0))
 
 
 def test_what_cannot_be_planned_under_a_load_is_refused(tmp_path, monkeypatch, capsys):
@@ -235,7 +235,7 @@ def test_what_cannot_be_planned_under_a_load_is_refused(tmp_path, monkeypatch, c
 
 def test_a_base_that_is_led_through_the_pole_of_its_tilt_is_refused_under_a_load_frame_by_frame_at_once():
     """In the middle of synthesis the base points along -y."""
-    problem = named("synthesis", 100, robot=NITINOL)
+    problem = named_problem("synthesis", 100, robot=NITINOL)
     with pytest.raises(ProblemError, match=r"begins 0\.\d+ rad from the y axis of the base in frame (49|5\d)"):
         solve_per_frame(problem, model=Loaded(PULL))
     wall = curve_from_points([(0.0, 0.0, 50.0 * k) for k in range(4)], radius=4 * [10.0])
@@ -251,7 +251,7 @@ def test_a_motion_under_a_load_may_lead_the_base_through_the_pole_of_its_tilt():
     problem = Problem("pole", robot, sequence([curve_from_points(shape) for shape in free.shape]))
     load = Load(force=(0.0, 0.0, -0.1))
     found = solve_horizon(problem, model=Loaded(load), initial=[free.q])
-    blind = np.sqrt((np.linalg.norm(free.under(load).shape - found.target, axis=-1) ** 2).mean())
+    blind = np.sqrt((np.linalg.norm(free.with_load(load).shape - found.target, axis=-1) ** 2).mean())
     left = np.sqrt((np.linalg.norm(found.shape - found.target, axis=-1) ** 2).mean())
     assert found.complete
     assert found.as_planned
@@ -279,17 +279,17 @@ def test_a_motion_that_is_interrupted_before_the_load_is_looked_at_is_no_solutio
 
 def test_a_motion_that_is_interrupted_under_the_load_is_no_solution(reachable, monkeypatch):
     problem, _ = reachable
-    advance = interior._Run.advance
+    advance = interior._InteriorPointSolve.advance
 
     def interrupted(run):
         signal.raise_signal(signal.SIGINT)
         return advance(run)
 
-    monkeypatch.setattr(interior._Run, "advance", interrupted)
+    monkeypatch.setattr(interior._InteriorPointSolve, "advance", interrupted)
     found = solve_horizon(problem, model=Loaded(CONSTANT))
     assert found.meta["interrupted"]
     assert not found.success.any()
-    assert found.bears == CONSTANT
+    assert found.evaluated_load == CONSTANT
 
 
 def test_a_motion_that_is_given_is_where_the_search_under_a_load_begins(reachable, monkeypatch):

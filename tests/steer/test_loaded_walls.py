@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from lumens import bent
-from problems import named
+from problems import named_problem
 
 from ctr_nlp import Load, Loaded, Problem, Settings, Steerer, growing, solve_per_frame, table_i_robot
 from ctr_nlp.loads import with_modulus
@@ -20,7 +20,7 @@ PULL = Load(force=(0.1, -0.2, 0.15))
 @pytest.mark.parametrize("force", [(0.0, 0.1, 0.0), (-0.1, 0.0, 0.0)])
 def test_a_robot_is_kept_within_its_lumen_frame_by_frame_though_the_load_is_taken_away_at_the_end(force):
     """This load makes the last frame more stable than it is without. The run begins there, and goes backwards."""
-    problem = named("bronchus", 20)
+    problem = named_problem("bronchus", 20)
     problem = replace(problem, robot=NITINOL)
     plan = solve_per_frame(problem, model=Loaded(Load(force=force)))
     assert plan.options["direction"] == "backward"
@@ -40,7 +40,7 @@ def test_steps_under_a_load_within_a_lumen_give_the_frames_of_a_plan():
     plan = solve_per_frame(problem, solver="sqp", direction="forward", start=first, **told)
     steerer = Steerer(NITINOL, first, problem.dt, lumen=lumen, **told)
     free = Steerer(NITINOL, first, problem.dt, **told)
-    motion, alone = (np.array([each.step(f.points) for f in problem.samples]) for each in (steerer, free))
+    motion, alone = (np.array([each.step(f.points) for f in problem.target_frames]) for each in (steerer, free))
     np.testing.assert_allclose(motion, plan.q, atol=1e-3)
-    assert steerer.solved
+    assert steerer.is_solved
     assert abs(alone - motion).max() > 0.1

@@ -15,7 +15,7 @@ from strategies import numbers
 from ctr_nlp import Problem, Target, curve_from_points, growing, sequence, summary, table_i_robot
 from ctr_nlp.exceptions import CtrError
 from ctr_nlp.steer.nlp_frames import NlpFrames
-from ctr_nlp.target.placing import placed
+from ctr_nlp.target.placing import move_to_robot_frame
 
 PATH = curve_from_points(helix(), np.full(61, 6.0))
 ODDITIES = {
@@ -64,7 +64,7 @@ def test_points_at_random_are_a_target_or_refused(points, smoothing, with_radius
     def make():
         curve = curve_from_points(points, radius, smoothing)
         shorter = curve.part(0.0, min(curve.length, 149.0))
-        return Problem("odd", table_i_robot(), growing(placed(shorter)[0], frames)).samples
+        return Problem("odd", table_i_robot(), growing(move_to_robot_frame(shorter)[0], frames)).target_frames
 
     samples = refused_or(make)
     for sample in samples or ():

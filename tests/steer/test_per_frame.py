@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from problems import named
+from problems import named_problem
 
 from ctr_nlp import (
     Limits,
@@ -50,7 +50,7 @@ def assert_within_limits(plan):
 
 @pytest.mark.parametrize("name", JOINT_E3)
 def test_joint_follows_the_seeds_targets(name):
-    plan = solve_per_frame(named(name), "joint", model="dominant")
+    plan = solve_per_frame(named_problem(name), "joint", model="dominant")
     found = summary(plan)
     assert found["e3"] <= JOINT_E3[name]
     assert_within_limits(plan)
@@ -63,7 +63,7 @@ def test_joint_follows_the_seeds_targets(name):
 @pytest.mark.parametrize("name", TWO_STAGE_E3)
 @pytest.mark.parametrize("formulation", ["two-stage", "two-stage-exact"])
 def test_two_stage_is_no_worse_than_the_seed(name, formulation):
-    plan = solve_per_frame(named(name), formulation, direction="backward")
+    plan = solve_per_frame(named_problem(name), formulation, direction="backward")
     assert summary(plan)["e3"] <= TWO_STAGE_E3[name]
     assert_within_limits(plan)
 
@@ -79,7 +79,7 @@ def test_joint_follows_real_airways(name, shared_data):
 
 def test_sqp_agrees_with_ipopt():
     plans = [
-        solve_per_frame(named("arc", 20), model="dominant", solver=solver, direction="backward")
+        solve_per_frame(named_problem("arc", 20), model="dominant", solver=solver, direction="backward")
         for solver in ("ipopt", "sqp")
     ]
     assert plans[0].shape == pytest.approx(plans[1].shape, abs=1e-2)
@@ -93,7 +93,7 @@ def test_synthesis_recovers_its_extensions_and_the_rotations_it_can_know(formula
 
     The motion hardly counts; without it, where alpha and the tilt turn alike, rounding would decide the way.
     """
-    problem = named("synthesis", 50)
+    problem = named_problem("synthesis", 50)
     plan = solve_per_frame(problem, formulation, model="dominant", settings=Settings(motion_weight=1e-9))
     assert np.abs(plan.beta - problem.truth[:, 3:6]).max() < tolerance
     between = (np.diff(plan.alpha, axis=1) - np.diff(problem.truth[:, :3], axis=1))[10:]
@@ -110,11 +110,11 @@ def test_a_known_configuration_is_found_by_search(robot):
 
 @pytest.mark.parametrize("angle", [0.7, 2.9])
 def test_turning_the_target_about_the_base_axis_leaves_the_error_unchanged(angle):
-    problem = named("cos", 1)
+    problem = named_problem("cos", 1)
     turn = np.eye(4)
     turn[:2, :2] = [[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]
     target = problem.target
-    turned = replace(problem, target=replace(target, curves=tuple(c.moved(turn) for c in target.curves)))
+    turned = replace(problem, target=replace(target, curves=tuple(c.apply_transform(turn) for c in target.curves)))
     errors = [summary(solve_per_frame(p, model="dominant"))["e3"] for p in (problem, turned)]
     assert errors[0] == pytest.approx(errors[1], rel=1e-4)
 
@@ -239,8 +239,8 @@ def test_an_interrupted_plan_keeps_what_was_solved(cos_problem):
 class Short(Sqp):
     """Solves no more than two frames in one go."""
 
-    def follow(self, x0, p, reach, here, warm, near=None):
-        return super().follow(x0, p[:2], reach, here, warm, near)
+    def solve_sequence(self, x0, p, reach, here, warm, local_parameters=None):
+        return super().follow(x0, p[:2], reach, here, warm, local_parameters)
 
 
 @pytest.mark.parametrize("model", ["dominant", "elastic"])
@@ -248,7 +248,7 @@ def test_what_is_not_solved_in_one_go_is_solved_by_steps(cos_problem, model):
     """Of the shape alone: where the tip is led to the end, six frames on the elastic model are not all held."""
     told = {"model": model, "settings": Settings(arrival_weight=0.0)}
     whole, short = (NlpFrames.of(cos_problem, **told) for _ in range(2))
-    one = short._at_once
+    one = short._compiled_frames
     short.__dict__["_at_once"] = replace(one, solver=Short(one.stage.nlp))
     plans = [march(cos_problem, frames, "forward") for frames in (whole, short)]
     assert all(plan.complete for plan in plans)
@@ -304,7 +304,7 @@ def test_a_single_frame_and_other_numbers_of_tubes(robot):
 def test_frames_that_were_left_to_ipopt_are_in_the_plan(arc_problem, monkeypatch):
     """Compiled programs that end at once have solved nothing, unless they began at a solution."""
     plain = solve_per_frame(arc_problem, model="dominant", solver="sqp", direction="forward")
-    monkeypatch.setattr(program, "TOLERANCE", np.inf)
+    monkeypatch.setattr(program, "SQP_KKT_TOLERANCE", np.inf)
     left = solve_per_frame(arc_problem, model="dominant", solver="sqp", direction="forward")
     assert plain.meta["fallbacks"] == {}
     assert left.complete

@@ -8,8 +8,8 @@ import pytest
 
 from ctr_nlp import Robot, Settings, Steerer, solve_per_frame
 from ctr_nlp.exceptions import OptionError
-from ctr_nlp.problems import named
-from ctr_nlp.simulation.forward import simulated
+from ctr_nlp.problems import named_problem
+from ctr_nlp.simulation.forward import simulate_motion
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 FRAMES = 40
@@ -18,7 +18,7 @@ FOLLOWING_ALONE = Settings(arrival_weight=0.0)
 
 @pytest.fixture(scope="module")
 def problem():
-    return named("bronchus", FRAMES, robot=Robot.from_toml(EXAMPLES / "bronchus_tubes.toml"))
+    return named_problem("bronchus", FRAMES, robot=Robot.from_toml(EXAMPLES / "bronchus_tubes.toml"))
 
 
 @pytest.fixture(scope="module")
@@ -37,8 +37,8 @@ def test_plans_frame_by_frame_arrive_within_the_wall(problem, plan):
 
 def last_tip(problem, q):
     """The robot moved through q (T, 2d + 2): distance in mm of its last tip from the target's end."""
-    shape = simulated(problem.robot, q, "elastic").shape
-    return float(np.linalg.norm(shape[-1, -1] - problem.samples[-1].points[-1]))
+    shape = simulate_motion(problem.robot, q, "elastic").shape
+    return float(np.linalg.norm(shape[-1, -1] - problem.target_frames[-1].points[-1]))
 
 
 @pytest.mark.parametrize("walled", [True, False])
@@ -49,7 +49,7 @@ def test_steps_that_know_how_much_has_passed_lead_the_tip_to_the_end(problem, pl
         steerer = Steerer(problem.robot, plan.q[0], problem.dt, lumen=lumen)
         motion = [
             steerer.step(frame.points, frame.part if known else 0.0)
-            for frame in problem.samples
+            for frame in problem.target_frames
         ]  # fmt: skip
         missed.append(last_tip(problem, np.array(motion)))
     arrived, followed = missed
@@ -62,5 +62,5 @@ def test_a_part_that_is_none_is_refused_and_changes_nothing(problem, plan, part)
     steerer = Steerer(problem.robot, plan.q[0], problem.dt)
     before = steerer.q
     with pytest.raises(OptionError, match=r"part of a motion is .*; it must be a number from 0 to 1"):
-        steerer.step(problem.samples[0].points, part)
+        steerer.step(problem.target_frames[0].points, part)
     np.testing.assert_array_equal(steerer.q, before)

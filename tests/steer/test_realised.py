@@ -11,13 +11,18 @@ import pytest
 from frames import horizon
 
 from ctr_nlp import Problem, Robot, Settings, Tube, curve_from_formula, growing, shapes, solve_horizon
-from ctr_nlp.formulations.horizon import Ends
+from ctr_nlp.formulations.horizon import EndConfigurations
 from ctr_nlp.models import Snap
 from ctr_nlp.plan.plan import plan_from_configurations
 from ctr_nlp.simulation.forward import Simulator
 from ctr_nlp.solvers import CHAIN_SOLVERS
-from ctr_nlp.steer.attempts import attempt
-from ctr_nlp.steer.realised import GIVEN, SHORT, missing, realised
+from ctr_nlp.steer.attempts import solve_from_motion
+from ctr_nlp.steer.realised import (
+    BRANCH_LOSS_MARGIN_INCREASE,
+    MAX_MARGIN_SHORTFALL,
+    find_margin_shortfall,
+    select_realisable_starts,
+)
 
 ROBOT = Robot((Tube(90, 70, 0.02, 4.0, 3.2), Tube(150, 90, 0.02, 2.6, 1.6)))
 SIMULATOR = Simulator(ROBOT, "elastic")
@@ -52,13 +57,15 @@ def planned(margin):
 def found(margin=0.1):
     """The chain with its margin held at frames and what was found from it; then what realised makes of these."""
     problem = straight()
-    chain = horizon(ROBOT, problem.samples, problem.dt, WEIGHT, Ends(), model="elastic", margin=margin)
+    chain = horizon(
+        ROBOT, problem.target_frames, problem.dt, WEIGHT, EndConfigurations(), model="elastic", margin=margin
+    )
     start = tracking.follow(ROBOT, opposed()).x
-    one = attempt(chain, CHAIN_SOLVERS["ipopt"], start.ravel(), None, lambda: False)
+    one = solve_from_motion(chain, CHAIN_SOLVERS["ipopt"], start.ravel(), None, lambda: False)
     return (
         chain,
         one,
-        *realised(SIMULATOR, chain, CHAIN_SOLVERS["ipopt"], [one], margin, lambda: False),
+        *select_realisable_starts(SIMULATOR, chain, CHAIN_SOLVERS["ipopt"], [one], margin, lambda: False),
     )
 
 
@@ -88,7 +95,7 @@ def test_a_plan_holds_its_margin_at_frames_and_between(margin):
     assert plan.complete
     assert plan.meta["snaps"] == []
     assert plan.stability.min() >= margin - AT
-    assert plan.stability_between.min() >= margin - SHORT - AT
+    assert plan.stability_between.min() >= margin - MAX_MARGIN_SHORTFALL - AT
 
 
 def test_a_larger_margin_costs_accuracy():
@@ -97,14 +104,14 @@ def test_a_larger_margin_costs_accuracy():
 
 def test_what_is_missing_between_frames_is_asked_of_those_beside():
     chain, one, best = found()
-    missing = moved(one).stability_between < 0.1 - SHORT
+    missing = moved(one).stability_between < 0.1 - MAX_MARGIN_SHORTFALL
     assert missing.any()
     assert (asked(chain, one) == 0.1).all()
     raised = asked(chain, best) > 0.1
     assert raised[missing].all()
     assert (asked(chain, best) >= 0.1).all()
     assert not raised.all()
-    assert moved(best).stability_between.min() >= 0.1 - SHORT
+    assert moved(best).stability_between.min() >= 0.1 - MAX_MARGIN_SHORTFALL
 
 
 def test_moved_through_q_alone_the_robot_is_where_it_was_meant_to_be():
@@ -116,7 +123,7 @@ def test_moved_through_q_alone_the_robot_is_where_it_was_meant_to_be():
 
 def test_a_motion_that_needs_nothing_is_left_as_it_is():
     chain, _, best = found()
-    (same,) = realised(SIMULATOR, chain, CHAIN_SOLVERS["ipopt"], [best], 0.1, lambda: False)
+    (same,) = select_realisable_starts(SIMULATOR, chain, CHAIN_SOLVERS["ipopt"], [best], 0.1, lambda: False)
     assert same is best
 
 
@@ -126,9 +133,9 @@ def test_what_cannot_become_better_than_a_motion_that_is_made_is_not_followed_ag
     worse = replace(one, solution=replace(one.solution, objective=one.solution.objective + 1e-3))
     assert one.solution.objective + 1e-3 < best.solution.objective
     simulator = Counted(ROBOT, "elastic")
-    alone = realised(simulator, chain, CHAIN_SOLVERS["ipopt"], [one], 0.1, lambda: False)
+    alone = select_realisable_starts(simulator, chain, CHAIN_SOLVERS["ipopt"], [one], 0.1, lambda: False)
     followed = simulator.calls
-    both = realised(simulator, chain, CHAIN_SOLVERS["ipopt"], [one, worse], 0.1, lambda: False)
+    both = select_realisable_starts(simulator, chain, CHAIN_SOLVERS["ipopt"], [one, worse], 0.1, lambda: False)
     assert simulator.calls == 3 * followed - 1  # the last change of the second attempt is as bad as the best
     assert both[0].solution.objective == alone[0].solution.objective
 
@@ -138,9 +145,9 @@ def test_a_robot_that_snaps_nobody_knows_where_is_given_more_of_a_margin_there()
     x, between, snap = moved.x.copy(), np.full(FRAMES, 0.2), Snap(6, (1,), None)
     x[5:], between[5:] = np.nan, [0.0, np.nan, np.nan]
     lost = moved._replace(x=x, stability_between=between, snaps=(snap,))
-    by_frame, elsewhere = missing(lost, moved.x, 0.1, ROBOT.d)
+    by_frame, elsewhere = find_margin_shortfall(lost, moved.x, 0.1, ROBOT.d)
     assert elsewhere
-    np.testing.assert_allclose(by_frame, [0, 0, 0, 0, 0, 0.1 + GIVEN, 0, 0])
+    np.testing.assert_allclose(by_frame, [0, 0, 0, 0, 0, 0.1 + BRANCH_LOSS_MARGIN_INCREASE, 0, 0])
 
 
 def test_without_a_margin_frames_that_the_robot_does_not_reach_are_named():
@@ -172,17 +179,17 @@ def test_frames_after_a_snap_name_it():
 
 def test_a_plan_of_the_elastic_model_on_the_dominant_one():
     plan = planned(0.1)
-    other = plan.on("dominant")
+    other = plan.evaluate_on("dominant")
     np.testing.assert_array_equal(other.q, plan.q)
     np.testing.assert_allclose(other.shape, shapes(ROBOT, plan.q), atol=1e-9)
     assert np.isnan([other.stability, other.stability_between]).all()
     assert (other.meta["model"], other.meta["evaluated"]) == ("elastic", "dominant")
-    np.testing.assert_allclose(other.on("elastic").shape, plan.shape, atol=1e-9)
+    np.testing.assert_allclose(other.evaluate_on("elastic").shape, plan.shape, atol=1e-9)
 
 
 def test_a_plan_of_the_dominant_model_on_the_elastic_one():
     plan = solve_horizon(straight(), model="dominant", initial=[opposed()], motion_weight=WEIGHT)
-    other, there = plan.on("elastic"), tracking.follow(ROBOT, plan.q)
+    other, there = plan.evaluate_on("elastic"), tracking.follow(ROBOT, plan.q)
     np.testing.assert_array_equal(other.q, plan.q)
     np.testing.assert_allclose(other.shape, tracking.elastic_shapes(ROBOT, there.x), atol=1e-9)
     np.testing.assert_array_equal(other.stability_between, there.stability_between)

@@ -13,14 +13,14 @@ from truth import TWO
 
 from ctr_nlp import Problem, Settings, growing
 from ctr_nlp.exceptions import OptionError, RobotError
-from ctr_nlp.formulations.joint import tip_steps
-from ctr_nlp.models import MODELS
+from ctr_nlp.formulations.joint import tip_step_limits
+from ctr_nlp.models import KINEMATIC_MODELS
 from ctr_nlp.nlp.scenarios import Scenarios
 from ctr_nlp.steer.robust import per_frame, solve_robust_per_frame
 from ctr_nlp.steer.robust.frames import ScenarioFrames
-from ctr_nlp.steer.robust.trials import Lost
+from ctr_nlp.steer.robust.trials import FailedSamples
 from ctr_nlp.target.curve import curve_from_formula
-from ctr_nlp.target.target import SIGMA
+from ctr_nlp.target.target import SIGMA_GRID
 
 FRAMES = 8
 OFFSETS = np.array([[0.1, -0.1], [-0.1, 0.1]])
@@ -49,7 +49,7 @@ class _Losing:
         self.asked += 1
         count = int(self.asked <= self.rounds)
         numbers, offsets = np.repeat(TWO.numbers[None], count, 0), np.full((count, 2), 0.15)
-        return Lost(numbers, offsets, np.zeros((count, 3)), np.full(count, 3), 50, not count)
+        return FailedSamples(numbers, offsets, np.zeros((count, 3)), np.full(count, 3), 50, not count)
 
     def certified(self, plan, lost, number):
         return replace(plan, meta=plan.meta | {"certificate": {"held": lost.few}})
@@ -72,14 +72,14 @@ def test_all_frames_keep_their_limits_and_are_where_they_are_planned_to_be(probl
     assert plan.verdicts.within_limits.word == plan.verdicts.stable.word == "yes"
     assert (abs(np.diff(plan.q, axis=0)) <= TWO.speed * problem.dt + 1e-6).all()
     tips = [follow(TWO, plan.q + np.pad(offset, (0, 4))).x[:, :2] for offset in OFFSETS]
-    assert (abs(np.diff(tips, axis=1)) <= tip_steps(TWO, problem.dt)).all()
+    assert (abs(np.diff(tips, axis=1)) <= tip_step_limits(TWO, problem.dt)).all()
 
 
 def test_the_objective_is_the_mean_over_the_robots_and_the_step(problem, plan):
     """In the order in which frames were solved; the robot described does not count here."""
     squares = np.zeros(FRAMES)
     for offset in OFFSETS:
-        shape = elastic_shapes(TWO, follow(TWO, plan.q + np.pad(offset, (0, 4))).x, SIGMA)
+        shape = elastic_shapes(TWO, follow(TWO, plan.q + np.pad(offset, (0, 4))).x, SIGMA_GRID)
         squares += np.trapezoid(((shape - plan.target) ** 2).sum(-1)[:, ::5], dx=0.05, axis=1) / 2
     order = slice(None) if plan.options["direction"] == "forward" else slice(None, None, -1)
     moved = ((np.diff(plan.q[order], axis=0) * TWO.mm_per_unit) ** 2).sum(axis=1) / problem.dt**2
@@ -92,7 +92,7 @@ def test_robots_that_are_lost_join_and_the_run_is_repeated(problem, scenarios, p
     assert again.success.all()
     assert [(one["scenarios"], one["lost"]) for one in again.meta["rounds"]] == [(3, 1), (4, 0)]
     assert again.meta["certificate"] == {"held": True}
-    margins = MODELS["elastic"].follow(TWO, again.q + np.pad(np.full(2, 0.225), (0, 4))).stability
+    margins = KINEMATIC_MODELS["elastic"].follow(TWO, again.q + np.pad(np.full(2, 0.225), (0, 4))).stability
     assert margins.min() > 0.1 - 2e-3
     assert np.mean(again.objective) >= np.mean(plan.objective) * (1 - 0.05)
 
@@ -107,7 +107,7 @@ def test_a_motion_begins_where_the_robot_stands(problem, scenarios, plan):
 
 def test_a_repeated_run_ends_where_a_frame_fails(problem, scenarios):
     settings = Settings()
-    frames = ScenarioFrames.of(problem, scenarios, MODELS["elastic"], settings, (), (0.3,))
+    frames = ScenarioFrames.of(problem, scenarios, KINEMATIC_MODELS["elastic"], settings, (), (0.3,))
     (first, *_) = frames.search(FRAMES - 1)
     failed = replace(first, success=False)
     answer = replace(frames, known=dict.fromkeys(range(FRAMES), first)).step(FRAMES - 2, failed)

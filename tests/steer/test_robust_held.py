@@ -11,12 +11,12 @@ import pytest
 from truth import TWO
 
 from ctr_nlp import Problem, Settings, growing
-from ctr_nlp.models import MODELS
+from ctr_nlp.models import KINEMATIC_MODELS
 from ctr_nlp.plan.sample_outcomes import sample_outcomes
 from ctr_nlp.robot import Tolerances
 from ctr_nlp.steer.robust import held, solve_robust
-from ctr_nlp.steer.robust.held import Purpose
-from ctr_nlp.steer.robust.trials import CERTIFYING, JOINING
+from ctr_nlp.steer.robust.held import ArrivalJudge
+from ctr_nlp.steer.robust.trials import CERTIFICATION_SAMPLES, MAX_JOINING_SAMPLES
 from ctr_nlp.target.curve import curve_from_formula, curve_from_points
 
 FRAMES, SEED = 12, 77
@@ -41,13 +41,13 @@ def _planned(problem):
 def plans():
     """Without robots that join, and with them."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(held, "ROUNDS", 0)
+        patch.setattr(held, "MAX_ARRIVAL_ROUNDS", 0)
         before = _planned(_problem())
     return before, _planned(_problem())
 
 
 def test_more_samples_hold_once_failing_ones_have_joined(plans):
-    before, after = (sample_outcomes(plan.with_draws(300, SEED)).share for plan in plans)
+    before, after = (sample_outcomes(plan.with_samples(300, SEED)).share for plan in plans)
     assert before < 0.9
     assert after > before + 0.04
     assert all(plan.meta["certificate"]["held"] for plan in plans)
@@ -56,23 +56,26 @@ def test_more_samples_hold_once_failing_ones_have_joined(plans):
 def test_rounds_tell_what_holds_and_the_best_is_kept(plans):
     told = [one for one in plans[1].meta["rounds"] if one["held"] is not None]
     assert len(told) > 1
-    assert all(later["scenarios"] <= earlier["scenarios"] + JOINING for earlier, later in itertools.pairwise(told))
+    assert all(
+        later["scenarios"] <= earlier["scenarios"] + MAX_JOINING_SAMPLES
+        for earlier, later in itertools.pairwise(told)
+    )
     best = max(told, key=lambda one: one["held"])
     assert plans[1].meta["iterations"] == best["iterations"]
 
 
 def test_a_motion_is_judged_as_the_plan_of_it_is(plans):
     plan = plans[1]
-    failing = Purpose(_problem(), MODELS["elastic"], Settings())(plan.q, 5)
-    judged = sample_outcomes(plan.with_draws(CERTIFYING, held.SEED + 5))
-    assert failing.held == judged.share
-    assert len(failing.offsets) == (~judged.held & ~judged.lost).sum()
+    failing = ArrivalJudge(_problem(), KINEMATIC_MODELS["elastic"], Settings())(plan.q, 5)
+    judged = sample_outcomes(plan.with_samples(CERTIFICATION_SAMPLES, held.ARRIVAL_FIRST_SAMPLE_SEED + 5))
+    assert failing.holding_share == judged.share
+    assert len(failing.offsets) == (~judged.passed_all_checks & ~judged.lost).sum()
     worst = np.nanargmax(np.fmax(judged.tip_error - 2.0, judged.contact - 1.0))
-    drawn = plan.with_draws(CERTIFYING, held.SEED + 5).drawn
+    drawn = plan.with_samples(CERTIFICATION_SAMPLES, held.ARRIVAL_FIRST_SAMPLE_SEED + 5).drawn
     expected = _problem().robot.numbers[:, 3] * (1 + drawn.parts[worst, :, 0])
     np.testing.assert_allclose(failing.numbers[0, :, 3], expected, rtol=1e-9)
 
 
 def test_no_robot_joins_where_most_fail(monkeypatch):
-    monkeypatch.setattr(held, "HOPELESS", 0.99)
+    monkeypatch.setattr(held, "MIN_HOLDING_SHARE", 0.99)
     assert len([one for one in _planned(_problem()).meta["rounds"] if one["held"] is not None]) == 1

@@ -13,17 +13,17 @@ from truth import TWO
 
 from ctr_nlp import Problem, Settings, growing, solve_horizon, summary
 from ctr_nlp.exceptions import OptionError
-from ctr_nlp.formulations.horizon import Ends
-from ctr_nlp.models import MODELS
+from ctr_nlp.formulations.horizon import EndConfigurations
+from ctr_nlp.models import KINEMATIC_MODELS
 from ctr_nlp.nlp.scenarios import Scenarios
 from ctr_nlp.plan.account import remarks
 from ctr_nlp.solvers.scenarios import SharedSolver
 from ctr_nlp.steer.robust import plan, rounds, solve_robust
-from ctr_nlp.steer.robust.rounds import Round, firmer, relaxed
-from ctr_nlp.steer.robust.search import RobustSearch, Start
-from ctr_nlp.steer.robust.trials import Lost
+from ctr_nlp.steer.robust.rounds import Round, raise_margins_near_failures, relax_scenarios
+from ctr_nlp.steer.robust.search import InitialMotion, RobustSearch
+from ctr_nlp.steer.robust.trials import FailedSamples
 from ctr_nlp.target.curve import curve_from_formula
-from ctr_nlp.target.target import SIGMA
+from ctr_nlp.target.target import SIGMA_GRID
 
 FRAMES = 50
 OFFSETS = np.array([[0.1, -0.1], [-0.1, 0.1]])
@@ -51,7 +51,7 @@ class _Losing:
         self.asked.append((q.shape, number, draft))
         count = 1 if len(self.asked) <= self.rounds else 0
         numbers, offsets = np.repeat(TWO.numbers[None], count, 0), np.full((count, 2), 0.15)
-        return Lost(numbers, offsets, np.zeros((count, 3)), np.full(count, 3), 500, not count)
+        return FailedSamples(numbers, offsets, np.zeros((count, 3)), np.full(count, 3), 500, not count)
 
     def certified(self, plan, lost, number):
         return replace(plan, meta=plan.meta | {"certificate": {"held": lost.few, "number": number}})
@@ -66,7 +66,9 @@ def _planned(problem, scenarios, losing=0, **options):
 
 
 def _search(problem, weight=1e-6):
-    return RobustSearch(problem, MODELS["elastic"], Ends(), (), weight, np.full(FRAMES, 0.1))
+    return RobustSearch(
+        problem, KINEMATIC_MODELS["elastic"], EndConfigurations(), (), weight, np.full(FRAMES, 0.1)
+    )
 
 
 @pytest.fixture(scope="module")
@@ -94,7 +96,7 @@ def test_the_objective_is_the_mean_over_the_robots_and_the_motion(found):
     robust, _ = found
     squares = np.zeros(FRAMES)
     for offset in np.vstack([np.zeros(2), OFFSETS]):
-        shape = elastic_shapes(TWO, follow(TWO, robust.q + np.pad(offset, (0, 4))).x, SIGMA)
+        shape = elastic_shapes(TWO, follow(TWO, robust.q + np.pad(offset, (0, 4))).x, SIGMA_GRID)
         squares += np.trapezoid(((shape - robust.target) ** 2).sum(-1)[:, ::5], dx=0.05, axis=1) / 3
     moved = ((np.diff(robust.q, axis=0) * TWO.mm_per_unit) ** 2).sum(axis=1) / robust.dt**2
     squares[1:] += robust.options["motion_weight"] * moved
@@ -102,28 +104,35 @@ def test_the_objective_is_the_mean_over_the_robots_and_the_motion(found):
 
 
 def test_robots_that_joined_differ_less_while_that_helps_and_few_are_lost(problem, found, monkeypatch):
-    monkeypatch.setattr(rounds, "GAIN", -1.0)
+    monkeypatch.setattr(rounds, "MIN_RELAXATION_GAIN", -1.0)
     robust, _ = found
     search = RobustSearch(
-        problem, MODELS["elastic"], Ends(), (), robust.options["motion_weight"], np.full(FRAMES, 0.1)
+        problem,
+        KINEMATIC_MODELS["elastic"],
+        EndConfigurations(),
+        (),
+        robust.options["motion_weight"],
+        np.full(FRAMES, 0.1),
     )
     joined = _scenarios().joined(TWO.numbers[None], np.array([[0.3, -0.3]]), np.zeros((1, 3)))
-    tried = search.solve(Start("a plan", follow(TWO, robust.q).x), joined)
+    tried = search.solve(InitialMotion("a plan", follow(TWO, robust.q).x), joined)
     held = Round(search, tried, joined, _Losing(0)(robust.q, 0, False))
-    nearer = relaxed(held, 3, _Losing(0), 1)
+    nearer = relax_scenarios(held, 3, _Losing(0), 1)
     np.testing.assert_allclose([one.scenarios.offsets[3, 0] for one in nearer], [0.24, 0.192])
     for one in nearer:
         np.testing.assert_array_equal(one.scenarios.offsets[:3], joined.offsets[:3])
     assert nearer[1].tried.solution.objective <= tried.solution.objective * (1 + 1e-6)
-    assert len(relaxed(held, 3, _Losing(1), 1)) == 1
-    assert relaxed(held._replace(scenarios=_scenarios()), 3, _Losing(0), 1) == []
+    assert len(relax_scenarios(held, 3, _Losing(1), 1)) == 1
+    assert relax_scenarios(held._replace(scenarios=_scenarios()), 3, _Losing(0), 1) == []
 
 
 @pytest.mark.parametrize(
     ("picked", "frames", "raised"), [(None, [4, 9], [3, 4, 8, 9]), (None, [1], [1]), ([1, 4, 7], [4, 5], [2, 5])]
 )
 def test_frames_beside_those_where_robots_are_lost_get_more_margin(picked, frames, raised):
-    found = firmer(np.full(FRAMES, 0.1), np.array(frames), None if picked is None else np.array(picked))
+    found = raise_margins_near_failures(
+        np.full(FRAMES, 0.1), np.array(frames), None if picked is None else np.array(picked)
+    )
     expected = np.full(FRAMES, 0.1)
     expected[np.array(raised) - 1] = 0.2
     np.testing.assert_allclose(found, expected)
@@ -136,7 +145,7 @@ def test_a_robust_plan_is_better_on_its_robots_than_a_nominal_one(problem, found
 
     def mean(q):
         errors = [
-            ((elastic_shapes(TWO, follow(TWO, q + np.pad(o, (0, 4))).x, SIGMA) - robust.target) ** 2)
+            ((elastic_shapes(TWO, follow(TWO, q + np.pad(o, (0, 4))).x, SIGMA_GRID) - robust.target) ** 2)
             .sum(-1)
             .mean()
             for o in OFFSETS
@@ -176,7 +185,12 @@ def test_the_nominal_plan_is_told_before_the_others_are_planned_for(problem):
 def test_scenarios_grow_from_the_nominal_robot_where_a_start_fails(problem, found, monkeypatch):
     robust, _ = found
     search = RobustSearch(
-        problem, MODELS["elastic"], Ends(), (), robust.options["motion_weight"], np.full(FRAMES, 0.1)
+        problem,
+        KINEMATIC_MODELS["elastic"],
+        EndConfigurations(),
+        (),
+        robust.options["motion_weight"],
+        np.full(FRAMES, 0.1),
     )
     solve, solved = SharedSolver.__call__, []
 
@@ -185,9 +199,9 @@ def test_scenarios_grow_from_the_nominal_robot_where_a_start_fails(problem, foun
         return replace(solved[-1], status="failed") if len(solved) in (1, 3) else solved[-1]
 
     monkeypatch.setattr(SharedSolver, "__call__", failing)
-    start = Start("a plan", follow(TWO, robust.q).x)
-    tried = search.solve(start, _scenarios(), search.picked)
-    assert tried.shared
+    start = InitialMotion("a plan", follow(TWO, robust.q).x)
+    tried = search.solve(start, _scenarios(), search.draft_frames)
+    assert tried.is_shared
     assert tried.grown == 1.0
     assert len(solved) == 5  # whole, half, whole, three quarters, and whole again
 
@@ -202,7 +216,7 @@ def test_over_all_frames_scenarios_do_not_grow(problem, found, monkeypatch):
 
     monkeypatch.setattr(SharedSolver, "__call__", failing)
     search = _search(problem, robust.options["motion_weight"])
-    tried = search.solve(Start("a plan", follow(TWO, robust.q).x), _scenarios())
+    tried = search.solve(InitialMotion("a plan", follow(TWO, robust.q).x), _scenarios())
     assert not tried.shared
     assert len(solved) == 1
 
@@ -266,6 +280,6 @@ def test_a_robust_plan_on_the_dominant_model_is_better_for_its_scenarios_than_th
     assert found.success.all()
     assert found.meta["certificate"]["held"]
     plain = solve_horizon(problem, model="dominant", settings=Settings(contact_weight=0.0))
-    shapes = [MODELS["dominant"].points(more_curved, plan.q, SIGMA) for plan in (plain, found)]
+    shapes = [KINEMATIC_MODELS["dominant"].points(more_curved, plan.q, SIGMA_GRID) for plan in (plain, found)]
     errors = [np.linalg.norm(shape - plain.target, axis=-1).mean() for shape in shapes]
     assert errors[1] < 0.8 * errors[0]

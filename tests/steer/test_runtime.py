@@ -10,7 +10,7 @@ from frames import joint
 from hypothesis import example, given
 from hypothesis import strategies as st
 from lumens import bent
-from problems import named
+from problems import named_problem
 from strategies import numbers, seeds
 
 from ctr_nlp import (
@@ -25,14 +25,14 @@ from ctr_nlp import (
 )
 from ctr_nlp.exceptions import OptionError, RobotError
 from ctr_nlp.formulations.terms import ShapeDistance
-from ctr_nlp.formulations.terms.shape import STRIDE
+from ctr_nlp.formulations.terms.shape import TARGET_SAMPLE_STRIDE
 from ctr_nlp.nlp.nlp import kkt_residual
 from ctr_nlp.robot import MM_PER_RAD
-from ctr_nlp.solvers import FEASIBLE
-from ctr_nlp.solvers.frame.adapter import OPTIMAL
-from ctr_nlp.solvers.frame.run import Run
+from ctr_nlp.solvers import FEASIBILITY_TOLERANCE
+from ctr_nlp.solvers.frame.adapter import KKT_TOLERANCE
+from ctr_nlp.solvers.frame.run import FrameSequence
 from ctr_nlp.target.lumen import Lumen
-from ctr_nlp.target.target import SIGMA
+from ctr_nlp.target.target import SIGMA_GRID
 
 Q0 = np.array([3.0, 3, 3, 30, 70, 105, 0, 0])
 DT, WEIGHT = 0.1, Settings().motion_weight
@@ -58,17 +58,23 @@ def shape(robot, q):
 
 def objective(robot, q, before, target, dt, weight=WEIGHT):
     """Mean square distance at equal sigma by the trapezoidal rule, and the motion's cost, in mm^2."""
-    points, wanted = shape(robot, q)[::STRIDE], target[::STRIDE]
+    points, wanted = shape(robot, q)[::TARGET_SAMPLE_STRIDE], target[::TARGET_SAMPLE_STRIDE]
     squares = np.sum((points - wanted) ** 2, axis=-1)
     mm = np.array([MM_PER_RAD] * robot.d + [1.0] * robot.d + [MM_PER_RAD] * 2)
-    return np.trapezoid(squares, SIGMA[::STRIDE]) + weight / dt**2 * np.sum((mm * (q - before)) ** 2)
+    return np.trapezoid(squares, SIGMA_GRID[::TARGET_SAMPLE_STRIDE]) + weight / dt**2 * np.sum(
+        (mm * (q - before)) ** 2
+    )
 
 
 def residual(name, steerer, q, before, target, dt):
     """KKT residual of a step by the NLP's own functions and the multipliers of the solver."""
     nlp, robot = problem_of(name), ROBOTS[name]
     root = math.sqrt(WEIGHT) / dt
-    values = {"tubes": robot.numbers, "shape_roots": ShapeDistance().roots, "target": target[::STRIDE]}
+    values = {
+        "tubes": robot.numbers,
+        "shape_roots": ShapeDistance().roots,
+        "target": target[::TARGET_SAMPLE_STRIDE],
+    }
     values |= {} if robot.carriage_gap is None else {"gap": robot.carriage_gap}
     p = nlp.pack(values | {"previous": before, "motion_root": root})
     lower = np.maximum(robot.lower, before - robot.speed * dt)
@@ -98,7 +104,7 @@ def stepped(name, targets, q=Q0, dt=DT):
         if after[2 * robot.d - 1] > RETRACTED:
             at = residual(name, steerer, after, before, target, dt)
             assert steerer.kkt == pytest.approx(at, rel=1e-6, abs=1e-6 * (1 + np.sqrt(stay)))
-        assert steerer.solved == (steerer.kkt <= OPTIMAL)
+        assert steerer.is_solved == (steerer.kkt <= KKT_TOLERANCE)
         motion.append(after)
         before = after
     return np.array(motion), steerer
@@ -109,13 +115,13 @@ def stepped(name, targets, q=Q0, dt=DT):
 
 @pytest.mark.parametrize(("name", "frames"), [("arc", 30), ("cos", 30), ("line_arc", 100)])
 def test_steps_give_the_frames_of_a_plan(name, frames):
-    problem = named(name, frames)
+    problem = named_problem(name, frames)
     first = solve_per_frame(problem, "joint", model="dominant", solver="sqp", direction="forward").q[0]
     plan = solve_per_frame(problem, "joint", model="dominant", solver="sqp", direction="forward", start=first)
     steerer = Steerer(problem.robot, first, problem.dt, model="dominant")
     iterations = 0
     assert plan.success.all()
-    for number, frame in enumerate(problem.samples):
+    for number, frame in enumerate(problem.target_frames):
         q = steerer.step(frame.points)
         iterations += steerer.iterations
         shape, others = shapes(problem.robot, q[None])[0], [0, 1, 2, 5, 6, 7]
@@ -123,23 +129,23 @@ def test_steps_give_the_frames_of_a_plan(name, frames):
         np.testing.assert_allclose(
             shape, plan.shape[number], atol=1e-4, err_msg="where outer tubes end is known to a residual only"
         )
-        assert steerer.solved
+        assert steerer.is_solved
         assert steerer.objective == pytest.approx(plan.objective[number], abs=1e-6)
         assert steerer.kkt == pytest.approx(plan.kkt[number], abs=1e-6)
     assert iterations <= plan.meta["iterations"], "a step begins where the motion would go on"
 
 
 def test_steps_from_a_configuration_far_from_the_target_give_the_frames_of_a_plan():
-    problem = named("arc", 40)
+    problem = named_problem("arc", 40)
     plan = solve_per_frame(problem, "joint", model="dominant", solver="sqp", direction="forward", start=Q0)
     steerer = Steerer(problem.robot, Q0, problem.dt, model="dominant")
-    for number, frame in enumerate(problem.samples):
+    for number, frame in enumerate(problem.target_frames):
         steerer.step(frame.points)
         assert steerer.objective == pytest.approx(plan.objective[number], abs=1e-6)
 
 
 def test_the_motion_weight_of_the_settings_is_used(arc_problem):
-    target, dt = arc_problem.samples[2].points, 0.1
+    target, dt = arc_problem.target_frames[2].points, 0.1
     slow = Steerer(arc_problem.robot, Q0, dt, Settings(motion_weight=1.0), model="dominant")
     free = Steerer(arc_problem.robot, Q0, dt, Settings(motion_weight=0.0), model="dominant")
     assert np.abs(slow.step(target) - Q0).max() < 0.5 * np.abs(free.step(target) - Q0).max()
@@ -170,12 +176,14 @@ def test_steps_within_a_lumen_give_the_frames_of_a_plan_that_keeps_clear_of_its_
     )
     steerer = Steerer(problem.robot, first, problem.dt, settings, model="dominant", lumen=problem.lumen)
     free = Steerer(problem.robot, first, problem.dt, settings, model="dominant")
-    motion, alone = (np.array([each.step(f.points) for f in problem.samples]) for each in (steerer, free))
+    motion, alone = (np.array([each.step(f.points) for f in problem.target_frames]) for each in (steerer, free))
     np.testing.assert_allclose(motion, plan.q, atol=1e-3, err_msg="both are solved up to a residual only")
-    assert steerer.solved
+    assert steerer.is_solved
     assert plan.clearance.min() > 0
     assert steerer.objective == pytest.approx(plan.objective[-1], rel=1e-6)
-    left = Lumen.around(problem.lumen).clearance(problem.robot, alone[:, 3:6], SIGMA, shapes(problem.robot, alone))
+    left = Lumen.from_curve(problem.lumen).clearance(
+        problem.robot, alone[:, 3:6], SIGMA_GRID, shapes(problem.robot, alone)
+    )
     assert left.min() < -0.1
 
 
@@ -186,7 +194,7 @@ def test_a_wall_without_weight_is_none():
         Steerer(problem.robot, first, 0.1, settings, model="dominant", lumen=each)
         for each in (problem.lumen, None)
     )
-    for frame in problem.samples[:4]:
+    for frame in problem.target_frames[:4]:
         np.testing.assert_array_equal(walled.step(frame.points), free.step(frame.points))
 
 
@@ -203,7 +211,7 @@ def test_a_lumen_without_radius_is_refused(lumen):
 @given(seed=seeds, scale=st.sampled_from([1.0, 30.0, 200.0, 1e4]), dt=st.sampled_from([1e-3, 0.1, 2.0]))
 def test_targets_of_random_points_never_lead_out_of_the_limits(name, seed, scale, dt):
     rng = np.random.default_rng(seed)
-    stepped(name, rng.normal(scale=scale, size=(4, len(SIGMA), 3)), dt=dt)
+    stepped(name, rng.normal(scale=scale, size=(4, len(SIGMA_GRID), 3)), dt=dt)
 
 
 @EVERY_ROBOT
@@ -222,12 +230,12 @@ def test_targets_that_jump_from_shape_to_shape_never_lead_out_of_the_limits(name
 
 @given(to=st.tuples(*[numbers(-1e3, 1e3)] * 3))
 def test_a_target_in_a_single_point_never_leads_out_of_the_limits(to):
-    stepped("seed", [np.tile(to, (len(SIGMA), 1))] * 3)
+    stepped("seed", [np.tile(to, (len(SIGMA_GRID), 1))] * 3)
 
 
 def test_a_target_out_of_reach_is_approached_until_the_limits_hold():
     """A straight line of 300 mm along z: everything is driven out at the speed limit, then stays."""
-    robot, target = ROBOTS["seed"], np.outer(SIGMA, [0.0, 0, 300])
+    robot, target = ROBOTS["seed"], np.outer(SIGMA_GRID, [0.0, 0, 300])
     motion, steerer = stepped("seed", [target] * 60)
     assert motion[0, 5] == pytest.approx(Q0[5] + robot.speed[5] * DT)
     assert motion[-1, 5] == pytest.approx(robot.reach)
@@ -242,38 +250,38 @@ def test_a_robot_at_its_limits_stays_within_them():
         np.concatenate([np.ones(3), robot.upper[3:6], robot.upper[6:]]),
         np.array([1.0, 2, 3, 50, 50, 50, *robot.lower[6:]]),
     ):
-        stepped("seed", [np.outer(SIGMA, [40.0, 20, 90])] * 3 + [np.zeros((len(SIGMA), 3))] * 3, q)
+        stepped("seed", [np.outer(SIGMA_GRID, [40.0, 20, 90])] * 3 + [np.zeros((len(SIGMA_GRID), 3))] * 3, q)
 
 
 def test_bounds_that_meet_are_kept_exactly():
     q = np.concatenate([Q0[:6], [0, 0]])
-    motion, _ = stepped("tilt locked", np.random.default_rng(0).normal(scale=50, size=(5, len(SIGMA), 3)), q)
+    motion, _ = stepped("tilt locked", np.random.default_rng(0).normal(scale=50, size=(5, len(SIGMA_GRID), 3)), q)
     assert (motion[:, 6:] == 0).all()
 
 
 @pytest.mark.parametrize("far", [1e20, 1e160, 1e300, 1.7e308])
 def test_after_a_target_beyond_all_arithmetic_the_robot_stands_and_the_next_step_is_as_ever(arc_problem, far):
-    robot, target = arc_problem.robot, arc_problem.samples[2].points
+    robot, target = arc_problem.robot, arc_problem.target_frames[2].points
     steerer = Steerer(robot, Q0, DT, model="dominant")
-    after = steerer.step(np.full((len(SIGMA), 3), far))
+    after = steerer.step(np.full((len(SIGMA_GRID), 3), far))
     assert_limits(robot, Q0, after)
-    assert not steerer.solved
+    assert not steerer.is_solved
     fresh = Steerer(robot, after, DT, model="dominant")
     np.testing.assert_allclose(steerer.step(target), fresh.step(target), atol=1e-6)
-    assert steerer.solved
+    assert steerer.is_solved
 
 
 def test_where_nothing_better_is_found_the_robot_stays_and_the_next_step_is_as_ever(arc_problem, monkeypatch):
     """No result counts as one within the limits of a step, wherever the solver ends."""
-    steerer, target = Steerer(arc_problem.robot, Q0, DT, model="dominant"), arc_problem.samples[2].points
+    steerer, target = Steerer(arc_problem.robot, Q0, DT, model="dominant"), arc_problem.target_frames[2].points
     with monkeypatch.context() as patched:
         patched.setattr(steerer._run._given, "feasible", -1.0)
         np.testing.assert_array_equal(steerer.step(target), Q0)
-    assert not steerer.solved
+    assert not steerer.is_solved
     np.testing.assert_array_equal(
         steerer.step(target), Steerer(arc_problem.robot, Q0, DT, model="dominant").step(target)
     )
-    assert steerer.solved
+    assert steerer.is_solved
 
 
 # What it says and keeps
@@ -282,7 +290,7 @@ def test_where_nothing_better_is_found_the_robot_stays_and_the_next_step_is_as_e
 def test_before_the_first_step_nothing_is_solved():
     steerer = Steerer(ROBOTS["seed"], Q0.tolist(), DT, model="dominant")
     np.testing.assert_array_equal(steerer.q, Q0)
-    assert not steerer.solved
+    assert not steerer.is_solved
     assert math.isnan(steerer.objective)
     assert math.isnan(steerer.kkt)
     assert steerer.iterations == 0
@@ -294,25 +302,25 @@ def test_a_robot_that_has_the_targets_shape_stays_without_an_iteration():
     np.testing.assert_allclose(q, Q0, atol=1e-9)
     assert steerer.iterations == 0
     assert steerer.objective == pytest.approx(0, abs=1e-12)
-    assert steerer.solved
+    assert steerer.is_solved
 
 
 def test_a_step_that_ends_far_from_a_kkt_point_is_not_called_solved(arc_problem, monkeypatch):
     steerer = Steerer(arc_problem.robot, Q0, DT, model="dominant")
-    call = Run.__call__
+    call = FrameSequence.__call__
 
     def unsure(run, frames):
         solved = call(run, frames)
-        run.kkt[:] = 2 * OPTIMAL
+        run.kkt[:] = 2 * KKT_TOLERANCE
         return solved
 
-    monkeypatch.setattr(Run, "__call__", unsure)
-    assert_limits(arc_problem.robot, Q0, steerer.step(arc_problem.samples[2].points))
-    assert not steerer.solved
+    monkeypatch.setattr(FrameSequence, "__call__", unsure)
+    assert_limits(arc_problem.robot, Q0, steerer.step(arc_problem.target_frames[2].points))
+    assert not steerer.is_solved
 
 
 def test_arrays_given_and_returned_are_copies(arc_problem):
-    frames = [frame.points.copy() for frame in arc_problem.samples]
+    frames = [frame.points.copy() for frame in arc_problem.target_frames]
     clean = Steerer(arc_problem.robot, Q0, DT, model="dominant")
     expected = [clean.step(frame) for frame in frames]
     q0 = Q0.copy()
@@ -329,7 +337,7 @@ def test_arrays_given_and_returned_are_copies(arc_problem):
 
 def motions(arc_problem, cos_problem):
     """Two series of targets that differ, and the motions of a steerer alone for each."""
-    series = [[frame.points for frame in problem.samples] * 20 for problem in (arc_problem, cos_problem)]
+    series = [[frame.points for frame in problem.target_frames] * 20 for problem in (arc_problem, cos_problem)]
     steerers = [Steerer(arc_problem.robot, Q0, DT, model="dominant") for _ in series]
     alone = [
         [steerer.step(target) for target in targets] for steerer, targets in zip(steerers, series, strict=True)
@@ -381,7 +389,7 @@ def test_a_target_of_another_shape_is_refused_and_changes_nothing(shape):
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
 @pytest.mark.parametrize("place", [(0, 0), (1, 1), (100, 2)], ids=["first", "a sample that is not used", "last"])
 def test_a_target_that_is_not_finite_is_refused_and_changes_nothing(arc_problem, value, place):
-    steerer, good = Steerer(arc_problem.robot, Q0, DT, model="dominant"), arc_problem.samples[2].points
+    steerer, good = Steerer(arc_problem.robot, Q0, DT, model="dominant"), arc_problem.target_frames[2].points
     bad = good.copy()
     bad[place] = value
     with pytest.raises(OptionError, match=r"target .*finite"):
@@ -433,5 +441,5 @@ def test_without_compiled_code_there_is_no_steerer_and_the_error_says_why(monkey
 
 def test_the_order_of_tubes_is_kept_to_the_tolerance_of_solutions():
     """Points of which the far ones come first: every tube wants to be shorter than the one around it."""
-    motion, _ = stepped("seed", [np.outer(SIGMA[::-1], [0.0, 30, 100])] * 20)
-    assert np.diff(motion[:, 3:6], axis=1).min() >= -FEASIBLE
+    motion, _ = stepped("seed", [np.outer(SIGMA_GRID[::-1], [0.0, 30, 100])] * 20)
+    assert np.diff(motion[:, 3:6], axis=1).min() >= -FEASIBILITY_TOLERANCE

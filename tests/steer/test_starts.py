@@ -4,16 +4,16 @@ import math
 
 import numpy as np
 import pytest
-from problems import NAMES, named
+from problems import NAMES, named_problem
 
 from ctr_nlp import Limits, Problem, Robot, Tube, curve_from_points, growing, solve_horizon, summary
-from ctr_nlp.formulations.horizon import Ends
+from ctr_nlp.formulations.horizon import EndConfigurations
 from ctr_nlp.formulations.settings import Settings
-from ctr_nlp.models import MODELS
+from ctr_nlp.models import KINEMATIC_MODELS
 from ctr_nlp.steer import Horizon
 from ctr_nlp.steer.motions import per_frame_motions
 from ctr_nlp.steer.passes import Pass
-from ctr_nlp.steer.starts.search import DRAFTED, drafted
+from ctr_nlp.steer.starts.search import MIN_DRAFT_FRAMES, pick_draft_frames
 
 FREE = Settings(contact_weight=0.0)
 FOUND = 1e-4
@@ -78,7 +78,7 @@ def test_the_best_motion_is_found_on_many_random_problems():
 @pytest.mark.parametrize("model", ["dominant", "elastic"])
 @pytest.mark.parametrize("name", NAMES)
 def test_no_named_problem_is_followed_worse_than_by_the_exhaustive_search(name, model):
-    problem = named(name)
+    problem = named_problem(name)
     _, more = above(problem, model=model)
     assert more <= WORSE * summary(solve_horizon(problem, settings=FREE, exhaustive=True, model=model))["e3"]
 
@@ -86,12 +86,12 @@ def test_no_named_problem_is_followed_worse_than_by_the_exhaustive_search(name, 
 @pytest.mark.parametrize("name", ["cos", "line_arc"])
 def test_some_named_problems_are_followed_as_well(name):
     """On the cosine, runs of every fourth frame alone end in a motion whose objective is 15 % above the best."""
-    objective, _ = above(named(name))
+    objective, _ = above(named_problem(name))
     assert objective <= FOUND
 
 
 def test_fewer_starts_are_solved_to_the_end():
-    problem = named("cos", 60)
+    problem = named_problem("cos", 60)
     found, every = (
         solve_horizon(problem, model="dominant", settings=FREE, exhaustive=each) for each in (False, True)
     )
@@ -102,18 +102,18 @@ def test_fewer_starts_are_solved_to_the_end():
 
 @pytest.mark.parametrize("frames", [2, 3, 24, 49, 50, 51, 100, 430, 5000])
 def test_a_draft_ends_with_the_last_frame_and_has_frames_evenly_apart(frames):
-    picked = drafted(frames)
+    picked = pick_draft_frames(frames)
     assert picked[-1] == frames - 1
     assert len(set(np.diff(picked))) == 1
-    assert min(frames, DRAFTED) <= len(picked) < 2 * DRAFTED
+    assert min(frames, MIN_DRAFT_FRAMES) <= len(picked) < 2 * MIN_DRAFT_FRAMES
     assert picked[0] < picked[1] - picked[0]
 
 
 def test_where_drafts_lead_to_no_solution_every_start_is_solved(monkeypatch):
-    problem = named("arc", 50)
+    problem = named_problem("arc", 50)
     horizon = Horizon(problem, model="dominant", settings=FREE)
     monkeypatch.setattr("ctr_nlp.steer.starts.search.Search._drafts", lambda *_: [])
-    motions = per_frame_motions(problem, Ends(), FREE, None, MODELS["dominant"])
+    motions = per_frame_motions(problem, EndConfigurations(), FREE, None, KINEMATIC_MODELS["dominant"])
     found = horizon.solve()
     assert found.complete
     assert len(found.meta["starts"]) == len(motions)
@@ -122,20 +122,20 @@ def test_where_drafts_lead_to_no_solution_every_start_is_solved(monkeypatch):
 @pytest.mark.parametrize("model", ["dominant", "elastic"])
 def test_the_first_motion_is_the_least_bad_of_all(model, monkeypatch):
     """Though the robot is moved through some alone."""
-    problem, moved, plain = named("line_arc", 20), list[Pass](), Pass.badness
+    problem, moved, plain = named_problem("line_arc", 20), list[Pass](), Pass.simulated_error
 
     def badness(one, *arguments):
         moved.append(one)
         return plain(one, *arguments)
 
-    monkeypatch.setattr(Pass, "badness", badness)
-    motions = per_frame_motions(problem, Ends(), FREE, None, MODELS[model])
+    monkeypatch.setattr(Pass, "simulated_error", badness)
+    motions = per_frame_motions(problem, EndConfigurations(), FREE, None, KINEMATIC_MODELS[model])
     assert len(moved) < len(motions)
     errors = []
     for motion in motions:
-        q = motion if model == "dominant" else MODELS[model].configuration(problem.robot, motion)
-        shapes = MODELS[model].points(problem.robot, motion, np.linspace(0, 1, 101))
-        away = ((shapes - [frame.points for frame in problem.samples]) ** 2).sum(axis=-1)
+        q = motion if model == "dominant" else KINEMATIC_MODELS[model].configuration(problem.robot, motion)
+        shapes = KINEMATIC_MODELS[model].points(problem.robot, motion, np.linspace(0, 1, 101))
+        away = ((shapes - [frame.points for frame in problem.target_frames]) ** 2).sum(axis=-1)
         errors.append(math.sqrt(away.mean()))
         assert len(q) == problem.frames
     assert errors[0] <= min(errors) * 1.02

@@ -42,8 +42,8 @@ def test_a_plan_holds_the_motion_that_there_is_without_the_wall(solve, problem, 
 
 @BOTH
 def test_on_another_model_e3_is_compared_with_the_free_motion_on_that_model(solve, problem, free):
-    plan = solve(problem, model="dominant").on("elastic")
-    assert plan.meta["e3_free"] == pytest.approx(summary(free[solve].on("elastic"))["e3"])
+    plan = solve(problem, model="dominant").evaluate_on("elastic")
+    assert plan.meta["e3_free"] == pytest.approx(summary(free[solve].evaluate_on("elastic"))["e3"])
 
 
 def test_frames_that_are_lost_within_the_wall_lose_the_wall(problem, free, monkeypatch):
@@ -51,7 +51,7 @@ def test_frames_that_are_lost_within_the_wall_lose_the_wall(problem, free, monke
 
     def run(self, frames, before):
         for frame, (result, seconds) in zip(frames, solved(self, frames, before), strict=True):
-            lost = self.near is not None and frame == 3
+            lost = self.chain_for_wall is not None and frame == 3
             yield replace(result, success=result.success and not lost), seconds
 
     monkeypatch.setattr(NlpFrames, "run", run)
@@ -63,14 +63,14 @@ def test_frames_that_are_lost_within_the_wall_lose_the_wall(problem, free, monke
 
 
 def test_a_horizon_that_is_not_solved_within_the_wall_loses_the_wall(problem, free, monkeypatch):
-    tried = search.attempt
+    tried = search.solve_from_motion
 
     def attempt(chain, *others):
         one = tried(chain, *others)
         failed = replace(one.solution, success=False)
-        return one if chain.surroundings is None else replace(one, solution=failed)
+        return one if chain.local_parameters is None else replace(one, solution=failed)
 
-    monkeypatch.setattr(search, "attempt", attempt)
+    monkeypatch.setattr(search, "solve_from_motion", attempt)
     plan = solve_horizon(problem, model="dominant")
     assert plan.complete
     assert plan.meta["contact_weight"] is None

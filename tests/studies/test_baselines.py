@@ -12,7 +12,7 @@ from truth import TWO
 from ctr_nlp import Manufacture, Problem, Robot, growing
 from ctr_nlp.cli.main import main
 from ctr_nlp.codesign.request import draft, search_for
-from ctr_nlp.studies.baselines.race import METHODS, Run, race, seconds_to
+from ctr_nlp.studies.baselines.race import DESIGN_OPTIMISERS, OptimiserRun, race_optimisers, seconds_to
 from ctr_nlp.support.interrupt import deferred_interrupt
 from ctr_nlp.target.curve import curve_from_formula
 
@@ -47,11 +47,11 @@ def _task(name, bend, turns, side, turns_aside):
 @pytest.fixture(scope="module")
 def runs(search):
     pytest.importorskip("cma", reason='needs cma: pip install "ctr_nlp[studies]"')
-    return race(search, 1, 0)
+    return race_optimisers(search, 1, 0)
 
 
 def test_every_method_finds_tubes_and_is_never_worse_than_before(runs):
-    assert tuple(run.method for run in runs) == METHODS
+    assert tuple(run.method for run in runs) == DESIGN_OPTIMISERS
     for run in runs:
         assert run.asked >= len(run.e3) > 0
         assert (np.diff(run.e3) < 0).all()
@@ -68,11 +68,11 @@ def test_after_ctrl_c_the_runs_that_were_not_begun_are_missing(search):
     pytest.importorskip("cma", reason='needs cma: pip install "ctr_nlp[studies]"')
     with deferred_interrupt():
         signal.raise_signal(signal.SIGINT)
-        assert [run.method for run in race(search, 1, 0)] == ["design"]
+        assert [run.method for run in race_optimisers(search, 1, 0)] == ["design"]
 
 
 def test_the_time_to_an_error():
-    run = Run("design", np.array([1.0, 2.5]), np.array([0.8, 0.3]), 7)
+    run = OptimiserRun("design", np.array([1.0, 2.5]), np.array([0.8, 0.3]), 7)
     assert (seconds_to(run, 0.8), seconds_to(run, 0.5)) == (1.0, 2.5)
     assert seconds_to(run, 0.2) == np.inf
 

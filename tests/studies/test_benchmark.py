@@ -9,15 +9,23 @@ from contextlib import contextmanager
 
 import numpy as np
 import pytest
-from problems import ROOT, named
+from problems import ROOT, named_problem
 
 from ctr_nlp.cli.studies import benchmark
-from ctr_nlp.cli.studies.benchmark import main, unexplained
+from ctr_nlp.cli.studies.benchmark import main, unexplained_rows
 from ctr_nlp.exceptions import BenchmarkError
 from ctr_nlp.studies.benchmarks import paired, shares, work
-from ctr_nlp.studies.benchmarks.growth import draw, fitted
-from ctr_nlp.studies.benchmarks.paired import LEAST_BLOCKS, Compared, Worker, compared, interval, measured, typical
-from ctr_nlp.studies.benchmarks.peers import EVERY, REFERENCES, ROUNDS, race
+from ctr_nlp.studies.benchmarks.growth import draw_growths, fit_growth
+from ctr_nlp.studies.benchmarks.paired import (
+    LEAST_BLOCKS,
+    RowComparison,
+    Worker,
+    compare_row,
+    mean_of_least_times,
+    measure_row,
+    median_confidence_interval,
+)
+from ctr_nlp.studies.benchmarks.peers import PEER_RACE_ROUNDS, REFERENCE_FRAME_STRIDE, REFERENCES, race_solvers
 from ctr_nlp.studies.benchmarks.trees import tree_of
 
 BUSY = "while True: sum(range(10000))"
@@ -41,7 +49,7 @@ def load():
 def trial(factor):
     """The verdict on this tree's steps beside its own, the later ones so many times as slow, under load."""
     with load(), Worker(ROOT, "step") as before, Worker(ROOT, "step") as after:
-        return compared("step", before, after, MANY, factor=factor)
+        return compare_row("step", before, after, MANY, factor=factor)
 
 
 @pytest.mark.parametrize(("factor", "verdict"), [(1.5, "slower"), (1.0, "same")])
@@ -76,47 +84,47 @@ class Scripted:
     ("ratio", "verdict"), [(1.0, "same"), (1.1, "same"), (1.3, "slower"), (0.9, "same"), (0.7, "faster")]
 )
 def test_losses_and_gains_beyond_the_tolerance_are_told_apart_from_what_is_within(ratio, verdict, monkeypatch):
-    monkeypatch.setattr(paired, "turns_of", lambda worker: 5)
+    monkeypatch.setattr(paired, "turns_for_min_duration", lambda worker: 5)
     for seed in range(20):
-        found = compared("row", Scripted(1e-3, seed), Scripted(ratio * 1e-3, seed + 100), BLOCKS)
+        found = compare_row("row", Scripted(1e-3, seed), Scripted(ratio * 1e-3, seed + 100), BLOCKS)
         assert found.verdict == verdict
         assert found.ratio == pytest.approx(ratio, rel=0.05)
 
 
 def test_a_drift_of_the_machine_is_no_change(monkeypatch):
     """Everything takes longer and longer, both trees alike: turns in the order A B B A cancel it."""
-    monkeypatch.setattr(paired, "turns_of", lambda worker: 1)
+    monkeypatch.setattr(paired, "turns_for_min_duration", lambda worker: 1)
     clock = iter(range(10**6))
 
     class Drifting(Scripted):
         def turns(self, count, factor=1.0):
             return [[self.seconds * (1 + 0.5 * next(clock))]]
 
-    assert compared("row", Drifting(1e-3), Drifting(1e-3), BLOCKS).ratio == pytest.approx(1.0, rel=0.02)
+    assert compare_row("row", Drifting(1e-3), Drifting(1e-3), BLOCKS).ratio == pytest.approx(1.0, rel=0.02)
 
 
 def test_the_interval_covers_the_median_as_often_as_it_says():
     rng = np.random.default_rng(0)
     for count in (LEAST_BLOCKS, BLOCKS, 30):
-        drawn = [interval(rng.standard_cauchy(count)) for _ in range(2000)]
+        drawn = [median_confidence_interval(rng.standard_cauchy(count)) for _ in range(2000)]
         assert np.mean([low <= 0 <= high for low, high in drawn]) >= 0.975
     with pytest.raises(BenchmarkError, match="6 blocks are too few; 7 are needed"):
-        interval([1.0] * (LEAST_BLOCKS - 1))
+        median_confidence_interval([1.0] * (LEAST_BLOCKS - 1))
 
 
 def test_of_turns_the_least_time_of_each_piece_counts():
-    assert typical([[1.0, 9.0], [5.0, 3.0]]) == 2.0
+    assert mean_of_least_times([[1.0, 9.0], [5.0, 3.0]]) == 2.0
 
 
 def row(name, low, high):
-    return Compared(name, 1.0, 1.0, math.sqrt(low * high), low, high)
+    return RowComparison(name, 1.0, 1.0, math.sqrt(low * high), low, high)
 
 
 def test_a_gain_needs_a_reason_and_a_loss_has_none():
     slower, faster, same = row("a", 1.3, 1.6), row("b", 0.5, 0.6), row("c", 0.8, 1.4)
     assert [one.verdict for one in (slower, faster, same)] == ["slower", "faster", "same"]
-    assert unexplained([slower, faster, same], []) == [slower, faster]
-    assert unexplained([slower, faster, same], ["a", "b"]) == [slower]
+    assert unexplained_rows([slower, faster, same], []) == [slower, faster]
+    assert unexplained_rows([slower, faster, same], ["a", "b"]) == [slower]
 
 
 # Rows and trees
@@ -124,9 +132,11 @@ def test_a_gain_needs_a_reason_and_a_loss_has_none():
 
 def test_a_row_is_repeated_and_a_slowdown_multiplies_its_time():
     with Worker(ROOT, "frame") as worker:
-        ratios = [typical(worker.turns(5, 2.0)) / typical(worker.turns(5)) for _ in range(5)]
+        ratios = [
+            mean_of_least_times(worker.turns(5, 2.0)) / mean_of_least_times(worker.turns(5)) for _ in range(5)
+        ]
         assert statistics.median(ratios) == pytest.approx(2.0, rel=0.4)
-        seconds = measured(worker, 0.1)
+        seconds = measure_row(worker, 0.1)
     assert len(seconds) >= 5
     assert (seconds > 0).all()
 
@@ -167,25 +177,25 @@ def test_a_commit_is_checked_out_while_it_is_needed_and_another_is_refused(tmp_p
 
 def test_an_exponent_is_found_and_drawn(tmp_path):
     sizes = np.array([10.0, 100.0, 1000.0])
-    found = fitted("cubes", sizes, 3e-6 * sizes**3)
+    found = fit_growth("cubes", sizes, 3e-6 * sizes**3)
     assert (found.exponent, found.error) == (pytest.approx(3.0), pytest.approx(0.0, abs=1e-9))
-    assert fitted("noisy", sizes, 3e-6 * sizes * [1.0, 2.0, 1.0]).error > 0.1
-    assert draw([found], tmp_path / "growth.png").stat().st_size > 1000
+    assert fit_growth("noisy", sizes, 3e-6 * sizes * [1.0, 2.0, 1.0]).error > 0.1
+    assert draw_growths([found], tmp_path / "growth.png").stat().st_size > 1000
 
 
 def test_every_method_has_its_frames_and_sqp_solves_them_all():
-    """The first frame is where all begin; the slow methods are asked once, for every EVERY-th."""
-    problem = named("arc", 2 * EVERY + 2)
-    times = race(problem)
+    """The first frame is where all begin; the slow methods are asked once, for every REFERENCE_FRAME_STRIDE-th."""
+    problem = named_problem("arc", 2 * REFERENCE_FRAME_STRIDE + 2)
+    times = race_solvers(problem)
     assert set(times) == {"sqp", "ipopt", *REFERENCES}
     for name, taken in times.items():
-        assert len(taken.seconds) == (2 if name in REFERENCES else ROUNDS * (problem.frames - 1))
+        assert len(taken.seconds) == (2 if name in REFERENCES else PEER_RACE_ROUNDS * (problem.frames - 1))
         assert 0 <= taken.failed <= len(taken.seconds)
     assert times["sqp"].failed == 0
 
 
 def test_compiled_code_is_what_is_called_and_python_is_outside():
-    assert shares.outside(lambda: sum(k * k for k in range(100_000)), 2) == 1.0
+    assert shares.uncompiled_share(lambda: sum(k * k for k in range(100_000)), 2) == 1.0
     for end, function in shares.CALLERS:
         (file,) = (ROOT / "ctr_nlp").glob(f"**/{end}")
         assert f"def {function}(" in file.read_text()
@@ -196,7 +206,7 @@ def test_compiled_code_is_what_is_called_and_python_is_outside():
 
 @pytest.fixture
 def thin(monkeypatch):
-    monkeypatch.setattr(benchmark, "SECONDS", 0.1)
+    monkeypatch.setattr(benchmark, "BENCHMARK_ROW_DURATION_S", 0.1)
 
 
 def test_a_row_is_told_and_written(thin, tmp_path, capsys):
@@ -215,7 +225,7 @@ def test_an_unexplained_gain_ends_in_1(explained, status, monkeypatch, capsys):
         yield ROOT
 
     monkeypatch.setattr(benchmark, "tree_of", nowhere)
-    monkeypatch.setattr(benchmark, "against", lambda *_: [row("step", 0.5, 0.6)])
+    monkeypatch.setattr(benchmark, "compare_trees", lambda *_: [row("step", 0.5, 0.6)])
     assert main(["--against", "HEAD", *explained]) == status
     assert "faster" in capsys.readouterr().out
 
@@ -248,4 +258,4 @@ def test_without_a_compiler_nothing_is_measured(monkeypatch, capsys):
 
 
 def test_every_row_of_work_can_be_asked_for():
-    assert {"step", "step-elastic", "horizon-5000", "program", "program-figures"} <= set(work.ROWS)
+    assert {"step", "step-elastic", "horizon-5000", "program", "program-figures"} <= set(work.BENCHMARK_ROWS)

@@ -21,7 +21,7 @@ from ctr_nlp.studies.grid.study_file import Study
 from ctr_nlp.studies.workers import clients
 from ctr_nlp.studies.workers.clients import cluster_client, local_client
 from ctr_nlp.studies.workers.running import run_study
-from ctr_nlp.studies.workers.task import work
+from ctr_nlp.studies.workers.task import run_batch
 
 pytest.importorskip("distributed", reason="the extra `study` is not installed")
 psutil = pytest.importorskip("psutil", reason="the extra `study` is not installed")
@@ -77,7 +77,7 @@ def test_a_cluster_with_tls_does_a_study_and_answers_nobody_without(path, tmp_pa
             assert status == 2, said
             assert said.startswith(f"error: no cluster can be reached at {url}: ")
             assert said.count("\n") == 1
-    assert len(Results(tmp_path / "out").known()) == 3
+    assert len(Results(tmp_path / "out").read_digests()) == 3
     assert not (tmp_path / "no").exists()
 
 
@@ -86,7 +86,7 @@ def test_a_cluster_with_tls_does_a_study_and_answers_nobody_without(path, tmp_pa
     [f"tcp://{LOOPBACK}:1", f"tls://{LOOPBACK}:1", "here", "", f"carrier://{LOOPBACK}:1", f"tcp://{LOOPBACK}"],
 )
 def test_an_address_where_no_cluster_is_is_refused(address, path, tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(clients, "CONNECT", 1.0)
+    monkeypatch.setattr(clients, "SCHEDULER_CONNECT_TIMEOUT_S", 1.0)
     assert main(["study", str(path), "--address", address, "--out", str(tmp_path / "no")]) == 2
     said = capsys.readouterr().err
     begin = f"error: no cluster can be reached at {address}: "
@@ -105,14 +105,14 @@ def test_workers_without_this_package_are_told(tmp_path):
         pytest.raises(ClusterError, match="scheduler and workers need ctr_nlp"),
     ):
         run_study(Study.from_dict(SMALL, Path()), tmp_path / "out", client)
-    assert Results(tmp_path / "out").known() == set()
+    assert Results(tmp_path / "out").read_digests() == set()
 
 
 def test_a_worker_of_another_version_makes_no_rows():
     case, *_ = Study.from_dict(SMALL, Path()).cases
     vars(case)["digest"] = "of a client with another version"
     with pytest.raises(ClusterError, match=r"other versions.*it has ctr_nlp .*, casadi"):
-        work([case], None, 60.0)
+        run_batch([case], None, 60.0)
 
 
 def page_faults():

@@ -18,10 +18,10 @@ import pytest
 from clusters import cluster, environment, until
 
 from ctr_nlp.exceptions import OutputError
-from ctr_nlp.studies.grid.case import DONE, FAILED, LATE, LOST, row_without_plan
+from ctr_nlp.studies.grid.case import CASE_DONE, CASE_FAILED, CASE_LATE, CASE_LOST, row_without_plan
 from ctr_nlp.studies.grid.results import Results
 from ctr_nlp.studies.grid.study_file import Study
-from ctr_nlp.studies.workers.batches import TRIES, Batches
+from ctr_nlp.studies.workers.batches import MAX_WORKER_DEATHS, Batches
 from ctr_nlp.studies.workers.clients import local_client
 from ctr_nlp.studies.workers.running import run_study
 
@@ -105,23 +105,23 @@ def full_once(monkeypatch):
 def test_a_case_is_given_up_when_it_has_cost_its_last_worker_alone(tmp_path):
     first, second, *_ = Study.from_toml(written(tmp_path / "s.toml", 4)).cases
     batches = Batches.of([])
-    assert batches.died([first, second], ()) == []
-    for _ in range(TRIES - 1):
+    assert batches.record_death([first, second], ()) == []
+    for _ in range(MAX_WORKER_DEATHS - 1):
         assert batches.next() == [first]
-        assert batches.suspects([[first]])
-        assert batches.died([first], ()) == []
+        assert batches.has_suspects([[first]])
+        assert batches.record_death([first], ()) == []
         assert batches.next() == [second]
-        batches.alone.append(second)
-    assert batches.died(batches.next(), ()) == [first]
+        batches.isolated_cases.append(second)
+    assert batches.record_death(batches.next(), ()) == [first]
     assert batches.next() == [second]
     assert not batches
-    assert not batches.suspects([[first, second]])
+    assert not batches.has_suspects([[first, second]])
 
 
 def test_a_case_that_is_late_is_given_up_at_once(tmp_path):
     first, second, third, _ = Study.from_toml(written(tmp_path / "s.toml", 4)).cases
     batches = Batches.of([])
-    assert batches.died([first, second, third], {second.digest}) == [second]
+    assert batches.record_death([first, second, third], {second.digest}) == [second]
     assert [batches.next(), batches.next()] == [[first], [third]]
     assert not batches
 
@@ -129,14 +129,19 @@ def test_a_case_that_is_late_is_given_up_at_once(tmp_path):
 def test_cases_of_lost_workers_and_of_less_patience_are_tried_again(tmp_path):
     first, second, third, fourth = Study.from_toml(written(tmp_path / "s.toml", 4)).cases
     results = Results(tmp_path)
-    late = row_without_plan(second, LATE, "it took longer than 5 s", math.nan) | {"patience_s": 5.0}
-    results.add_lost([row_without_plan(first, LOST, "its worker died", math.nan), late])
-    results.add([row_without_plan(third, FAILED, "why", 0.5), fourth.columns | {"status": DONE, "process_s": 1.0}])
-    assert len(results.known()) == 4
-    results.forget_lost(5.0)
-    assert results.known() == {second.digest, third.digest, fourth.digest}
-    results.forget_lost(6.0)
-    assert results.known() == {third.digest, fourth.digest}
+    late = row_without_plan(second, CASE_LATE, "it took longer than 5 s", math.nan) | {"patience_s": 5.0}
+    results.add_retryable_rows([row_without_plan(first, CASE_LOST, "its worker died", math.nan), late])
+    results.add(
+        [
+            row_without_plan(third, CASE_FAILED, "why", 0.5),
+            fourth.columns | {"status": CASE_DONE, "process_s": 1.0},
+        ]
+    )
+    assert len(results.read_digests()) == 4
+    results.delete_retryable_rows(5.0)
+    assert results.read_digests() == {second.digest, third.digest, fourth.digest}
+    results.delete_retryable_rows(6.0)
+    assert results.read_digests() == {third.digest, fourth.digest}
 
 
 @pytest.mark.parametrize(("plans", "kills"), [(60, 3), pytest.param(1500, 20, marks=pytest.mark.slow)])
@@ -146,22 +151,22 @@ def test_whatever_dies_no_plan_is_lost_or_made_twice(tmp_path, monkeypatch, plan
     results, told = Results(out), []
 
     with begun(path, out, "--workers", "2") as command:
-        until(lambda: len(results.known()) >= plans / 20)
+        until(lambda: len(results.read_digests()) >= plans / 20)
         os.kill(command.pid, signal.SIGKILL)
-    told.append(len(results.known()))
+    told.append(len(results.read_digests()))
 
     with (
         cluster(tmp_path / "cluster", 2) as (address, scheduler),
         begun(path, out, "--address", address) as command,
     ):
-        until(lambda: len(results.known()) > told[0] + plans / 20)
+        until(lambda: len(results.read_digests()) > told[0] + plans / 20)
         scheduler.send_signal(signal.SIGKILL)
         assert command.wait(60) == 2
         said = command.stderr.read()
     last = said.strip().splitlines()[-1]
     assert last.startswith("error: the cluster's scheduler was lost; rows that were made are kept"), said
     assert "Traceback" not in said
-    told.append(len(results.known()))
+    told.append(len(results.read_digests()))
 
     with local_client(2) as client:
         full = full_once(monkeypatch)
@@ -170,7 +175,7 @@ def test_whatever_dies_no_plan_is_lost_or_made_twice(tmp_path, monkeypatch, plan
         assert len(full) == 1
         assert not Path(full[0]).exists()
         killer = Killer(client, kills, (plans - told[-1]) // 2, seed=plans)
-        progress = run_study(study, out, client, seen=killer)
+        progress = run_study(study, out, client, callback=killer)
         for timer in killer.timers:
             timer.join()
         assert killer.killed == kills
@@ -180,5 +185,5 @@ def test_whatever_dies_no_plan_is_lost_or_made_twice(tmp_path, monkeypatch, plan
 
     frame = results.frame()
     assert frame["digest"].tolist() == sorted(case.digest for case in study.cases)
-    assert (frame["status"] == DONE).all()
+    assert (frame["status"] == CASE_DONE).all()
     assert digest(out) == digest(calm)

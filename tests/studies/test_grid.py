@@ -20,10 +20,10 @@ from ctr_nlp.cli.commands.new import template
 from ctr_nlp.cli.main import main
 from ctr_nlp.exceptions import LoadError, OptionError, OutputError
 from ctr_nlp.solvers.frame.program import Program
-from ctr_nlp.studies.grid.case import DONE, FAILED, LATE, LOST, Case, row_without_plan
+from ctr_nlp.studies.grid.case import CASE_DONE, CASE_FAILED, CASE_LATE, CASE_LOST, Case, row_without_plan
 from ctr_nlp.studies.grid.results import Results
 from ctr_nlp.studies.grid.study_file import Study
-from ctr_nlp.studies.workers.batches import FIRST, SECONDS, TRIES, Batches
+from ctr_nlp.studies.workers.batches import FIRST_BATCH_CASES, MAX_WORKER_DEATHS, MIN_BATCH_S, Batches
 from ctr_nlp.studies.workers.clients import local_client
 from ctr_nlp.studies.workers.running import run_study
 
@@ -63,7 +63,7 @@ class Sleepy(Case):
 
     def row(self, keep=None):
         time.sleep(0.4)
-        return self.columns | {"status": DONE, "process_s": 0.4}
+        return self.columns | {"status": CASE_DONE, "process_s": 0.4}
 
 
 def made(kind, case):
@@ -75,7 +75,7 @@ class Compiling(Case):
 
     def row(self, keep=None):
         return self.columns | {
-            "status": DONE,
+            "status": CASE_DONE,
             "process_s": 0.0,
             "compiled": Program(toy(1.0 + self.frames)).compiled,
         }
@@ -182,9 +182,9 @@ def test_robots_bear_loads_of_files(tmp_path):
     assert free.digest != pushed.digest
     plan = pushed.planned(pushed.loaded())
     assert plan.complete
-    assert plan.bears == Load(force=(0.0, 0.05, 0.0))
-    assert free.planned(free.loaded()).bears is None
-    assert pushed.row()["status"] == DONE
+    assert plan.evaluated_load == Load(force=(0.0, 0.05, 0.0))
+    assert free.planned(free.loaded()).evaluated_load is None
+    assert pushed.row()["status"] == CASE_DONE
 
 
 @pytest.mark.parametrize(
@@ -233,16 +233,18 @@ def test_loads_that_no_robot_can_bear_are_refused(told, message, tmp_path):
 
 def test_rows_are_read_back_whatever_columns_they_have(tmp_path):
     results = Results(tmp_path)
-    assert results.known() == set()
+    assert results.read_digests() == set()
     with pytest.raises(OptionError, match="holds no rows"):
         results.frame()
-    results.add([{"digest": "b", "e3": 1, "status": DONE}])
-    results.add([{"digest": "a", "e3": 0.5, "status": DONE, "more": "x"}, {"digest": "c", "status": FAILED}])
+    results.add([{"digest": "b", "e3": 1, "status": CASE_DONE}])
+    results.add(
+        [{"digest": "a", "e3": 0.5, "status": CASE_DONE, "more": "x"}, {"digest": "c", "status": CASE_FAILED}]
+    )
     frame = results.frame()
     assert frame["digest"].tolist() == ["a", "b", "c"]
     assert frame["e3"].tolist()[:2] == [0.5, 1.0]
     assert frame["e3"].isna().tolist() == [False, False, True]
-    assert results.known() == {"a", "b", "c"}
+    assert results.read_digests() == {"a", "b", "c"}
 
 
 def test_a_file_that_was_not_written_whole_is_no_row(tmp_path):
@@ -250,7 +252,7 @@ def test_a_file_that_was_not_written_whole_is_no_row(tmp_path):
     results.add([{"digest": "a"}])
     (tmp_path / "rows" / "x.partial").write_bytes(b"half")
     (tmp_path / "rows" / ".x-00.parquet").write_bytes(b"half")
-    assert results.known() == {"a"}
+    assert results.read_digests() == {"a"}
 
 
 def test_rows_that_cannot_be_written_are_one_clear_error(tmp_path):
@@ -263,12 +265,12 @@ def test_batches_grow_to_what_is_worth_a_task():
     cases = study(SMALL | {"settings": {"seed": list(range(100))}}).cases
     batches = Batches.of(cases)
     first = batches.next()
-    assert len(first) == FIRST
-    batches.took(first, FIRST * SECONDS / 20)
+    assert len(first) == FIRST_BATCH_CASES
+    batches.record_duration(first, FIRST_BATCH_CASES * MIN_BATCH_S / 20)
     assert len(batches.next()) == 20
-    batches.alone.append(cases[0])
+    batches.isolated_cases.append(cases[0])
     assert batches.next() == [cases[0]]
-    left = 100 - FIRST - 20
+    left = 100 - FIRST_BATCH_CASES - 20
     while batches:
         left -= len(batches.next())
     assert left == 0
@@ -278,8 +280,8 @@ def test_a_study_is_done_once_and_goes_on_where_it_was(client, tmp_path):
     few, told = study(SMALL | {"settings": {"seed": [0, 1]}}), []
     assert run_study(few, tmp_path, client).done == 2
     before = Results(tmp_path).frame()
-    progress = run_study(study(), tmp_path, client, seen=lambda one: told.append(one.done), keep_plans=True)
-    assert (progress.known, progress.done, progress.failed, progress.workers) == (2, 4, 0, 2)
+    progress = run_study(study(), tmp_path, client, callback=lambda one: told.append(one.done), keep_plans=True)
+    assert (progress.done_before, progress.done, progress.failed, progress.workers) == (2, 4, 0, 2)
     assert told[0] == 2
     assert told[-1] == 4
     frame = Results(tmp_path).frame()
@@ -299,10 +301,10 @@ def test_a_second_study_in_the_folder_is_refused_while_the_first_is_at_work(clie
             run_study(study(), tmp_path, client)
         told.append(str(refused.value))
 
-    assert run_study(study(), tmp_path, client, seen=second).done == 4
+    assert run_study(study(), tmp_path, client, callback=second).done == 4
     assert told
     assert len(Results(tmp_path).frame()) == 4
-    assert run_study(study(), tmp_path, client).known == 4
+    assert run_study(study(), tmp_path, client).done_before == 4
 
 
 def test_the_command_waits_for_no_dead_study_and_refuses_beside_one_at_work(tmp_path, monkeypatch, capsys):
@@ -332,7 +334,7 @@ def test_a_failure_is_a_row_with_its_reason(client, tmp_path):
     progress = run_study(study(told), tmp_path, client)
     frame = Results(tmp_path).frame()
     assert progress.failed == 4
-    failed = frame[frame["status"] == FAILED]
+    failed = frame[frame["status"] == CASE_FAILED]
     assert set(failed["model"]) == {"elastic"}
     assert failed["reason"].str.len().min() > 10
 
@@ -346,14 +348,16 @@ def test_what_kills_its_worker_or_never_ends_is_a_row_and_the_rest_is_done(clien
     assert (progress.done, progress.failed) == (4, 2)
     client.wait_for_workers(2, timeout=60)  # the last one that died may still be beginning anew
     assert sum(client.nthreads().values()) == 2
-    assert frame.loc[deadly.digest, "status"] == LOST
-    assert frame.loc[deadly.digest, "reason"].startswith(f"{TRIES} workers died of it, one after the other: ")
-    assert frame.loc[endless.digest, "status"] == LATE
+    assert frame.loc[deadly.digest, "status"] == CASE_LOST
+    assert frame.loc[deadly.digest, "reason"].startswith(
+        f"{MAX_WORKER_DEATHS} workers died of it, one after the other: "
+    )
+    assert frame.loc[endless.digest, "status"] == CASE_LATE
     assert frame.loc[endless.digest, "reason"] == "it took longer than 3 s"
-    assert (frame.loc[[case.digest for case in cases[2:]], "status"] == DONE).all()
+    assert (frame.loc[[case.digest for case in cases[2:]], "status"] == CASE_DONE).all()
     again = replace(study(), cases=(*cases[:1], endless, *cases[2:]))
     progress = run_study(again, tmp_path, client, patience=3.0)
-    assert (progress.known, progress.done, progress.failed) == (3, 4, 0)
+    assert (progress.done_before, progress.done, progress.failed) == (3, 4, 0)
 
 
 def test_a_case_that_takes_too_long_is_tried_once(client, tmp_path):
@@ -368,13 +372,13 @@ def test_a_plan_that_cannot_be_written_ends_the_study_and_is_made_again(client, 
     (tmp_path / "plans").write_text("in the way of the folder")
     with pytest.raises(OutputError, match="folder of plans cannot be made"):
         run_study(study(), tmp_path, client, keep_plans=True)
-    assert Results(tmp_path).known() == set()
+    assert Results(tmp_path).read_digests() == set()
     (tmp_path / "plans").unlink()
     blocked = tmp_path / "plans" / f"{study().cases[0].digest}.npz"
     blocked.mkdir(parents=True)
     with pytest.raises(OutputError, match="plan cannot be written"):
         run_study(study(), tmp_path, client, keep_plans=True)
-    assert study().cases[0].digest not in Results(tmp_path).known()
+    assert study().cases[0].digest not in Results(tmp_path).read_digests()
     blocked.rmdir()
     assert run_study(study(), tmp_path, client, keep_plans=True).done == 4
     assert len(Results(tmp_path).frame()) == len(list((tmp_path / "plans").glob("*.npz"))) == 4
@@ -428,13 +432,13 @@ def test_a_stop_keeps_what_is_done(client, tmp_path):
     progress = run_study(study(SMALL | {"settings": {"seed": list(range(60))}}), tmp_path, client, stop=stop)
     assert asked == [1]
     assert progress.done < 60
-    assert len(Results(tmp_path).known()) == progress.done
+    assert len(Results(tmp_path).read_digests()) == progress.done
 
 
 def test_a_lost_row_has_the_columns_of_its_case():
     case = study().cases[0]
-    assert row_without_plan(case, LATE, "why", 3.0) == case.columns | {
-        "status": LATE,
+    assert row_without_plan(case, CASE_LATE, "why", 3.0) == case.columns | {
+        "status": CASE_LATE,
         "reason": "why",
         "process_s": 3.0,
     }

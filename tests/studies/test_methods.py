@@ -11,16 +11,25 @@ import pytest
 from ctr_nlp import Problem, Robot, Settings, curve_from_points, growing, table_i_robot
 from ctr_nlp.cli.studies.compare import main
 from ctr_nlp.exceptions import OptionError
-from ctr_nlp.plan.measures import off_own_path
-from ctr_nlp.problems import named
-from ctr_nlp.reference import METHODS
+from ctr_nlp.plan.measures import follow_the_leader_deviation
+from ctr_nlp.problems import named_problem
+from ctr_nlp.reference import REFERENCE_METHODS
 from ctr_nlp.steer import solve_per_frame
-from ctr_nlp.studies.comparison import PATHS, ROBUST, Comparison, Refusal, compare, parse_variant
-from ctr_nlp.studies.methods.measured import every_method, measured
-from ctr_nlp.studies.methods.page import COLUMNS, made_for, page, table
+from ctr_nlp.studies.comparison import (
+    LUMEN_PATH_VARIANTS,
+    ROBUST_VARIANTS,
+    Comparison,
+    Refusal,
+    compare,
+    parse_variant,
+)
+from ctr_nlp.studies.methods.measured import every_method, measure_plan
+from ctr_nlp.studies.methods.page import METHOD_PAGE_COLUMNS, method_description, page, table
 
 ROBOT = table_i_robot()
-ALIKE = {column.key: 1.0 for column in COLUMNS} | {column.planned: 1.0 for column in COLUMNS if column.planned}
+ALIKE = {column.key: 1.0 for column in METHOD_PAGE_COLUMNS} | {
+    column.planned: 1.0 for column in METHOD_PAGE_COLUMNS if column.planned
+}
 
 
 def row(variant, **numbers):
@@ -36,18 +45,18 @@ def cells(text, variant):
 def test_every_method_of_every_registry_is_there_once():
     names = every_method()
     assert len(names) == len(set(names))
-    assert {*METHODS, *ROBUST, *PATHS} <= {*names}
+    assert {*REFERENCE_METHODS, *ROBUST_VARIANTS, *LUMEN_PATH_VARIANTS} <= {*names}
     assert all(parse_variant(name).name == name for name in names)
 
 
 def test_a_method_that_does_not_serve_a_problem_is_a_refusal_and_the_others_go_on():
     variants = [parse_variant(name) for name in ("rrt-connect", "two-stage:ipopt:elastic", "tip-jacobian")]
-    found = compare([named("arc", 3)], variants)
+    found = compare([named_problem("arc", 3)], variants)
     assert [row["variant"] for row in found.rows] == ["tip-jacobian"]
     assert [refusal.variant for refusal in found.refusals] == ["rrt-connect", "two-stage:ipopt:elastic"]
     assert all("\n" not in refusal.why for refusal in found.refusals)
     with pytest.raises(OptionError, match="within a lumen, and arc has none"):
-        compare([named("arc", 3)], variants[:2])
+        compare([named_problem("arc", 3)], variants[:2])
 
 
 def lone(frames):
@@ -58,26 +67,26 @@ def lone(frames):
 
 def test_plans_on_either_model_are_judged_on_the_elastic_one():
     """A lone tube twists nothing: on both models it is the same, and no draw of it is ever lost."""
-    found = measured("lone", "joint", solve_per_frame(lone(3), model="dominant"), 5)
+    found = measure_plan("lone", "joint", solve_per_frame(lone(3), model="dominant"), 5)
     assert found["e3"] == pytest.approx(found["planned_e3"], abs=1e-6)
     assert found["lost"] == 0.0
     assert found["draws"] == 5
     assert found["depth"] is None
     assert found["solved"] == found["frames"] == 3
-    three = measured("arc", "joint", solve_per_frame(named("arc", 10), model="dominant"), 5)
+    three = measure_plan("arc", "joint", solve_per_frame(named_problem("arc", 10), model="dominant"), 5)
     assert three["e3"] > 2 * three["planned_e3"]
 
 
 def test_a_robot_that_follows_its_leader_is_not_off_its_own_path():
     """A tube that comes out unturned stays on its own arc; half a turn away it is two sagittas off."""
     plan = solve_per_frame(lone(4), model="dominant")
-    leader = replace(plan, alpha=0 * plan.alpha, theta=0 * plan.theta).on("dominant")
-    assert off_own_path(leader).max() < 1e-2
-    turned = replace(leader, alpha=np.linspace(math.pi, 0, 4)[:, None]).on("dominant")
+    leader = replace(plan, alpha=0 * plan.alpha, theta=0 * plan.theta).evaluate_on("dominant")
+    assert follow_the_leader_deviation(leader).max() < 1e-2
+    turned = replace(leader, alpha=np.linspace(math.pi, 0, 4)[:, None]).evaluate_on("dominant")
     curvature, length = 1 / 130, float(turned.beta[0, 0])
     sagitta = (1 - math.cos(length * curvature)) / curvature
-    assert off_own_path(turned)[0] == pytest.approx(2 * sagitta, rel=0.05)
-    assert off_own_path(turned)[-1] == pytest.approx(0.0, abs=1e-9)
+    assert follow_the_leader_deviation(turned)[0] == pytest.approx(2 * sagitta, rel=0.05)
+    assert follow_the_leader_deviation(turned)[-1] == pytest.approx(0.0, abs=1e-9)
 
 
 def test_what_is_least_is_bold_and_so_is_all_of_others_that_beats_ours():
@@ -99,11 +108,11 @@ def test_what_is_least_is_bold_and_so_is_all_of_others_that_beats_ours():
 
 
 def test_every_method_is_told_of_in_the_words_of_its_file():
-    told = {name: made_for(name.partition(":")[0]) for name in every_method()}
+    told = {name: method_description(name.partition(":")[0]) for name in every_method()}
     assert all(told.values())
     assert "tip" in told["tip-jacobian"].lower()
     assert told["rrt-connect"] != told["robust-joint"] != told["robust-horizon"]
-    assert made_for("nobody's") == ""
+    assert method_description("nobody's") == ""
 
 
 def test_the_page_tells_how_it_is_made_and_nothing_of_where(tmp_path):
@@ -129,6 +138,10 @@ def test_the_wall_counts_for_methods_that_know_it_and_all_goes_into_one_page(tmp
     text = (out / "comparison.md").read_text()
     assert "ctr-nlp compare bronchus --all --variants joint:sqp tip-jacobian" in text
     free = compare(
-        [named("bronchus", 5)], [parse_variant("joint:sqp")], Settings(contact_weight=0.0), None, measured
+        [named_problem("bronchus", 5)],
+        [parse_variant("joint:sqp")],
+        Settings(contact_weight=0.0),
+        None,
+        measure_plan,
     )
     assert ours["planned_depth"] <= free.rows[0]["planned_depth"]

@@ -10,8 +10,8 @@ import pytest
 from ctr_nlp import Robot, table_i_robot
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.loads import with_modulus
-from ctr_nlp.studies.peers.agreement import agreement, configurations
-from ctr_nlp.studies.peers.program import answers, question
+from ctr_nlp.studies.peers.agreement import compare_models, sample_configurations
+from ctr_nlp.studies.peers.program import format_input, run_peer_program
 
 THREE = with_modulus(table_i_robot(), 60_000.0)
 LONE = Robot(THREE.tubes[:1])
@@ -50,7 +50,7 @@ def stand_in(tmp_path):
 
 
 def test_an_arc_agrees_with_a_lone_tube_and_what_is_not_solved_is_counted(stand_in):
-    found = agreement("arc", stand_in(unsolved=3, stability="1"), LONE, configurations(LONE, 8))
+    found = compare_models("arc", stand_in(unsolved=3, stability="1"), LONE, sample_configurations(LONE, 8))
     assert (found.configurations, found.unsolved, found.unsolved_here, found.elsewhere) == (8, 1, 0, 0)
     assert found.shape_largest < 1e-6
     assert found.unstable == 0
@@ -58,9 +58,9 @@ def test_an_arc_agrees_with_a_lone_tube_and_what_is_not_solved_is_counted(stand_
 
 
 def test_a_convention_that_is_a_quarter_turn_off_is_seen(stand_in):
-    found = agreement("arc", stand_in(off=np.pi / 2, stability="-1"), LONE, configurations(LONE, 8))
+    found = compare_models("arc", stand_in(off=np.pi / 2, stability="-1"), LONE, sample_configurations(LONE, 8))
     assert found.elsewhere > 0 or found.tip_largest > 1.0
-    turned = agreement("arc", stand_in(off=0.01), LONE, configurations(LONE, 8))
+    turned = compare_models("arc", stand_in(off=0.01), LONE, sample_configurations(LONE, 8))
     assert 0.001 < turned.tip_median < 0.2
     assert turned.unstable is None
 
@@ -69,18 +69,18 @@ def test_a_force_at_the_tip_bends_our_tube_and_not_the_stand_in(stand_in):
     """As Euler and Bernoulli's cantilever of what is out, to first order."""
     q = np.array([[0.0, 50.0, 0.0, 0.0]])
     force, tube = 0.05, LONE.tubes[0]
-    found = agreement("arc", stand_in(), LONE, q, (force, 0.0, 0.0))
+    found = compare_models("arc", stand_in(), LONE, q, (force, 0.0, 0.0))
     assert found.tip_largest == pytest.approx(force * 50.0**3 / (3 * tube.bending_stiffness), rel=0.15)
 
 
 def test_configurations_are_within_limits_in_order_and_on_the_grid():
-    q = configurations(THREE, 50, seed=3)
+    q = sample_configurations(THREE, 50, seed=3)
     beta = q[:, 3:6]
     assert (q >= THREE.lower - 1e-9).all()
     assert (q <= THREE.upper + 1e-9).all()
     assert (np.diff(beta, axis=1) >= 2.0 - 1e-9).all()
     assert np.abs(beta * 100 - np.round(beta * 100)).max() < 1e-9
-    assert len(question(THREE, q).splitlines()) == 1 + 3 + 50
+    assert len(format_input(THREE, q).splitlines()) == 1 + 3 + 50
 
 
 @pytest.mark.parametrize(
@@ -89,17 +89,17 @@ def test_configurations_are_within_limits_in_order_and_on_the_grid():
 )
 def test_programs_that_do_not_answer_are_refused(stand_in, text, says):
     with pytest.raises(OptionError, match=says):
-        answers(stand_in(text=text), "", 1)
+        run_peer_program(stand_in(text=text), "", 1)
 
 
 def test_what_other_models_do_not_know_is_refused(stand_in):
     with pytest.raises(OptionError, match="answers 0 of 2"):
-        answers(stand_in(text="#!/bin/sh\n"), "", 2)
-    tilted = configurations(LONE, 1) + np.array([0.0, 0.0, 0.1, 0.0])
+        run_peer_program(stand_in(text="#!/bin/sh\n"), "", 2)
+    tilted = sample_configurations(LONE, 1) + np.array([0.0, 0.0, 0.1, 0.0])
     with pytest.raises(OptionError, match="theta is not 0"):
-        question(LONE, tilted)
+        format_input(LONE, tilted)
     with pytest.raises(OptionError, match="configurations is 0"):
-        configurations(LONE, 0)
+        sample_configurations(LONE, 0)
 
 
 def test_the_script_skips_what_is_not_there_and_prints_a_row_for_what_is(stand_in, tmp_path, capsys, monkeypatch):

@@ -6,8 +6,8 @@ import math
 import pytest
 
 from ctr_nlp.plan.verdicts import NO, NOT_CHECKED, YES
-from ctr_nlp.studies.grid.case import DONE, FAILED
-from ctr_nlp.studies.grid.reports import reported
+from ctr_nlp.studies.grid.case import CASE_DONE, CASE_FAILED
+from ctr_nlp.studies.grid.reports import write_report
 from ctr_nlp.studies.reached.cases import CHECKS, REACHED, from_rows
 from ctr_nlp.studies.reached.report import FAILS, findings, page
 
@@ -18,7 +18,7 @@ def row(seed, method="horizon", words=(), **more):
         "problem": f"synthetic:{seed}",
         "robot_name": "tubes",
         "method": method,
-        "status": DONE,
+        "status": CASE_DONE,
         "tip_last": 0.4,
         "contact_depth": 0.9,  # summed over frames, which nothing is judged by
         "clearance_min": -0.1,
@@ -30,7 +30,7 @@ def row(seed, method="horizon", words=(), **more):
     return found | {f"verdict_{check}": YES for check in CHECKS} | dict(words) | more
 
 
-NOT_PLANNED = {"problem": "synthetic:3", "robot_name": "tubes", "method": "horizon", "status": FAILED}
+NOT_PLANNED = {"problem": "synthetic:3", "robot_name": "tubes", "method": "horizon", "status": CASE_FAILED}
 ROWS = [
     row(0),
     row(1, words={"verdict_within_wall": NO, "verdict_arrives": NO}, tip_last=4.0, clearance_min=-1.5),
@@ -44,7 +44,7 @@ ROWS = [
 def test_an_end_is_reached_where_every_check_but_following_reads_yes():
     plain, robust = from_rows(ROWS)
     assert [outcome.failed for outcome in plain.outcomes] == [REACHED, "arrives", "holds", "solved"]
-    assert (plain.reached, robust.reached) == (1, 2)
+    assert (plain.reached_count, robust.reached_count) == (1, 2)
     assert [outcome.problem for outcome in robust.outcomes] == ["synthetic 0", "synthetic 1"]
 
 
@@ -81,7 +81,7 @@ def test_findings_and_tables_tell_why_ends_are_not_reached():
 
 
 def test_all_files_are_written(tmp_path):
-    assert reported("reached", ROWS, tmp_path) == findings(from_rows(ROWS))
+    assert write_report("reached", ROWS, tmp_path) == findings(from_rows(ROWS))
     names = sorted(path.name for path in tmp_path.iterdir())
     assert names == ["reached.csv", "reached.md", "reached.pdf", "reached.png"]
     with (tmp_path / "reached.csv").open() as file:

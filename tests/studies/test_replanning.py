@@ -10,7 +10,7 @@ import pytest
 
 from ctr_nlp import Curve, Problem, Target, curve_from_formula, growing, solve_per_frame, table_i_robot
 from ctr_nlp.exceptions import OptionError
-from ctr_nlp.studies.replanning import replanned
+from ctr_nlp.studies.replanning import replan_from_frame
 
 
 def arc(radius: float) -> Curve:
@@ -37,9 +37,9 @@ def test_the_rest_is_planned_anew_from_where_the_robot_is(plan, problem):
     changed = replace(
         problem, target=Target((FIRST,) * 3 + (OTHER,) * 3, problem.target.lengths[:3] + other.lengths[3:])
     )
-    found = replanned(plan, changed, 4)
+    found = replan_from_frame(plan, changed, 4)
     np.testing.assert_array_equal(found.q[:3], plan.q[:3])
-    np.testing.assert_array_equal(found.target, [frame.points for frame in changed.samples])
+    np.testing.assert_array_equal(found.target, [frame.points for frame in changed.target_frames])
     assert found.complete
     assert np.linalg.norm(found.shape[3:] - found.target[3:], axis=-1).max() < 5
     steps = np.abs(np.diff(found.q, axis=0))
@@ -50,6 +50,6 @@ def test_the_rest_is_planned_anew_from_where_the_robot_is(plan, problem):
 @pytest.mark.parametrize("frame", [1, 7, 2.5, "last"])
 def test_frames_that_are_none_are_refused(plan, problem, frame):
     with pytest.raises(OptionError, match="from_frame is"):
-        replanned(plan, problem, frame)
+        replan_from_frame(plan, problem, frame)
     with pytest.raises(OptionError, match="as many frames"):
-        replanned(plan, problem[:3], 3)
+        replan_from_frame(plan, problem[:3], 3)

@@ -11,7 +11,7 @@ import sys
 import pytest
 from clusters import LOOPBACK, ROOT, environment, until
 
-from ctr_nlp.studies.grid.case import DONE
+from ctr_nlp.studies.grid.case import CASE_DONE
 from ctr_nlp.studies.grid.results import Results
 
 pytest.importorskip("dask_jobqueue", reason="dask-jobqueue is not installed")
@@ -76,7 +76,7 @@ def test_a_job_that_dies_is_submitted_again_and_the_study_ends(tmp_path):
     command = [sys.executable, str(EXAMPLE), str(study), str(out), "1"]
     with subprocess.Popen(command, env=environment(own), stdout=subprocess.PIPE, text=True) as process:
         try:
-            until(Results(out).known)
+            until(Results(out).read_digests)
             os.killpg(int(ids.read_text()), signal.SIGKILL)
             said, _ = process.communicate(timeout=90)
         finally:
@@ -85,7 +85,7 @@ def test_a_job_that_dies_is_submitted_again_and_the_study_ends(tmp_path):
     assert "60 of 60" in said
     frame = Results(out).frame()
     assert len(frame) == len(frame["digest"].unique()) == 60
-    assert (frame["status"] == DONE).all()
+    assert (frame["status"] == CASE_DONE).all()
     jobs = [int(job) for job in ids.read_text().split()]
     assert len(jobs) == 2
     until(lambda: not any(psutil.pid_exists(job) for job in jobs))

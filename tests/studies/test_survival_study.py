@@ -11,7 +11,7 @@ from ctr_nlp.studies.airways import synthetic_problem
 from ctr_nlp.studies.survival.cases import Airway, from_rows
 from ctr_nlp.studies.survival.distributions import distributions
 from ctr_nlp.studies.survival.report import findings, page, write
-from ctr_nlp.studies.trade import MARGINS, Traded, traded
+from ctr_nlp.studies.trade import COMPARED_STABILITY_MARGINS, RobustnessPoint, plan_for_tolerances
 
 pytest.importorskip("distributed", reason="the extra `study` is not installed")
 
@@ -20,9 +20,12 @@ FILES = ["survival.csv", "survival.md", "survival.pdf", "survival.png"]
 
 def airway(seed, means, losses, robust=(1.2, 0), solved=True):
     """Of made-up plans with these mean errors, mm, and draws lost of 100."""
-    each = zip(MARGINS, means, losses, strict=True)
-    plans = [Traded(f"synthetic {seed}", 0.0, margin, 1.0, mean, lost, 100, True) for margin, mean, lost in each]
-    best = Traded(f"synthetic {seed}", 1.0, 0.1, 1.1, *robust, 100, solved)
+    each = zip(COMPARED_STABILITY_MARGINS, means, losses, strict=True)
+    plans = [
+        RobustnessPoint(f"synthetic {seed}", 0.0, margin, 1.0, mean, lost, 100, True)
+        for margin, mean, lost in each
+    ]
+    best = RobustnessPoint(f"synthetic {seed}", 1.0, 0.1, 1.1, *robust, 100, solved)
     return Airway(f"synthetic {seed}", 100, tuple(plans), best)
 
 
@@ -86,7 +89,7 @@ def test_plans_of_an_airway_are_those_of_the_trade(tmp_path, capsys):
     assert "survival.csv, survival.md, survival.pdf, survival.png" in told
     with (tmp_path / "out" / "survival.csv").open() as file:
         found = list(csv.DictReader(file))
-    assert [float(plan["margin"]) for plan in found[:-1]] == list(MARGINS)
-    (known,) = traded(synthetic_problem(0, 6), (), (0.5,), 10, 20270000)
+    assert [float(plan["margin"]) for plan in found[:-1]] == list(COMPARED_STABILITY_MARGINS)
+    (known,) = plan_for_tolerances(synthetic_problem(0, 6), (), (0.5,), 10, 20270000)
     np.testing.assert_allclose(float(found[2]["mean"]), known.mean, rtol=1e-9)
     assert (float(found[-1]["amount"]), int(found[-1]["lost"])) == (1, 0)

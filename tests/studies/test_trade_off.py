@@ -2,12 +2,17 @@
 
 import numpy as np
 import pytest
-from problems import NAMES, named
+from problems import NAMES, named_problem
 
 from ctr_nlp import problem_from_file
 from ctr_nlp.formulations.settings import Settings
 from ctr_nlp.steer import Horizon
-from ctr_nlp.studies.trade_off import BESIDE, WEIGHTS, sweep, trade_off
+from ctr_nlp.studies.trade_off import (
+    COMPARED_VARIANTS,
+    DEFAULT_SWEEP_WEIGHTS_S2,
+    compute_pareto_front,
+    sweep_motion_weights,
+)
 
 
 def quiet(label):
@@ -22,8 +27,8 @@ def on_the_front(points, roughness):
 
 
 def test_heavier_weights_give_smoother_motions_of_no_less_objective():
-    horizon = Horizon(named("cos", 8), model="dominant")
-    plans = sweep(horizon, horizon.solve(), (1e-3, 1e-5, 1e-4), quiet)
+    horizon = Horizon(named_problem("cos", 8), model="dominant")
+    plans = sweep_motion_weights(horizon, horizon.solve(), (1e-3, 1e-5, 1e-4), quiet)
     weights = [plan.meta["options"]["motion_weight"] for plan in plans]
     assert weights == [1e-5, 1e-4, 1e-3]
     assert all(plan.complete for plan in plans)
@@ -34,10 +39,10 @@ def test_heavier_weights_give_smoother_motions_of_no_less_objective():
 
 
 def test_the_methods_beside_the_front_lie_above_it():
-    horizon = Horizon(named("cos", 10), model="dominant")
-    points = trade_off(horizon, horizon.solve(), WEIGHTS[::3], Settings(), quiet)
-    assert [p.method for p in points[-len(BESIDE) :]] == list(BESIDE)
-    for point in points[-len(BESIDE) :]:
+    horizon = Horizon(named_problem("cos", 10), model="dominant")
+    points = compute_pareto_front(horizon, horizon.solve(), DEFAULT_SWEEP_WEIGHTS_S2[::3], Settings(), quiet)
+    assert [p.method for p in points[-len(COMPARED_VARIANTS) :]] == list(COMPARED_VARIANTS)
+    for point in points[-len(COMPARED_VARIANTS) :]:
         assert on_the_front(points, point.roughness) <= point.e3 + 1e-3
 
 
@@ -46,9 +51,9 @@ def test_the_methods_beside_the_front_lie_above_it():
     "name", [*NAMES, "chaste_ts002_RLL", "chaste_ts002_LLL", "chaste_ts002_RML", "hra_vhm_left_main"]
 )
 def test_neither_per_frame_methods_nor_the_seeds_lie_below_the_front(shared_data, name):
-    problem = named(name) if name in NAMES else problem_from_file(shared_data / "airways" / f"{name}.csv")
+    problem = named_problem(name) if name in NAMES else problem_from_file(shared_data / "airways" / f"{name}.csv")
     horizon = Horizon(problem, model="dominant")
-    points = trade_off(horizon, horizon.solve(), WEIGHTS, Settings(), quiet)
-    for point in points[-len(BESIDE) :]:
+    points = compute_pareto_front(horizon, horizon.solve(), DEFAULT_SWEEP_WEIGHTS_S2, Settings(), quiet)
+    for point in points[-len(COMPARED_VARIANTS) :]:
         if point.method != "euclidean":  # which knows no limits of speed, and may gain by that
             assert on_the_front(points, point.roughness) <= point.e3 + 1e-6, point

@@ -14,8 +14,8 @@ from lumens import straight
 from ctr_nlp import Load, Plan, wall_forces
 from ctr_nlp.cli.main import main
 from ctr_nlp.exceptions import LoadError, OptionError
-from ctr_nlp.studies.borne.wall import STIFFNESS
-from ctr_nlp.studies.borne.wall_picture import picture
+from ctr_nlp.studies.borne.wall import AIRWAY_WALL_STIFFNESS_N_PER_MM2
+from ctr_nlp.studies.borne.wall_picture import draw_wall_forces
 
 pytestmark = pytest.mark.interpreted
 FRAMES = 5
@@ -54,13 +54,13 @@ def test_a_wall_that_is_wider_than_the_robot_could_be_avoided(found, plan):
 
 
 def test_the_wall_acts_beside_the_load_that_a_plan_bears(found, plan):
-    pulled = wall_forces(plan.under(Load(force=(0.3, 0.0, 0.0))))
+    pulled = wall_forces(plan.with_load(Load(force=(0.3, 0.0, 0.0))))
     assert pulled.total[-1] > found.total[-1] + 0.01
 
 
 def test_a_summary_is_strict_json_and_rows_are_frames(found):
     told = json.loads(json.dumps(found.summary(), allow_nan=False))
-    assert told["stiffness_N_per_mm2"] == STIFFNESS
+    assert told["stiffness_N_per_mm2"] == AIRWAY_WALL_STIFFNESS_N_PER_MM2
     assert told["largest_total_N"] == pytest.approx(found.total.max())
     assert told["snaps_in_frame"] is None
     assert [row["frame"] for row in found.rows()] == list(range(1, FRAMES + 1))
@@ -74,7 +74,7 @@ def test_frames_after_a_snap_are_not_told(found):
     assert lost.worst == 3
     assert lost.rows()[4]["total_N"] == ""
     json.dumps(lost.summary(), allow_nan=False)
-    assert picture(lost, "lost").axes
+    assert draw_wall_forces(lost, "lost").axes
 
 
 def test_nothing_touched_is_told_as_such(plan, tmp_path, monkeypatch, capsys):

@@ -17,7 +17,7 @@ from strategies import numbers, rigid_transforms, seeds
 
 from ctr_nlp import curve_from_formula, curve_from_points, read_csv
 from ctr_nlp.exceptions import CurveError
-from ctr_nlp.target.placing import placed, trimmed
+from ctr_nlp.target.placing import move_to_robot_frame, trim_curve
 
 A, B = 20.0, 15.0
 W = math.hypot(A, B)
@@ -214,7 +214,7 @@ def test_reversed_runs_from_last_to_first():
 
 def test_reversed_turns_the_radius_too():
     radii = np.linspace(9, 3, len(ARC_LENGTHS))
-    curve = curve_from_points(helix_points(ARC_LENGTHS), radii).reversed()
+    curve = curve_from_points(helix_points(ARC_LENGTHS), radii).reverse_direction()
     np.testing.assert_allclose(curve.radius(np.array([0.0, 75, 150])), [3, 6, 9], atol=1e-3)
 
 
@@ -233,14 +233,14 @@ def test_a_piece_outside_the_curve_is_refused(ends):
 
 @pytest.mark.parametrize(("drop", "kept"), [("start", [50, 150]), ("end", [0, 100])])
 def test_trimming_drops_the_end_that_was_asked_for(drop, kept):
-    curve = trimmed(curve_from_points(helix_points(ARC_LENGTHS)), 100, drop)
+    curve = trim_curve(curve_from_points(helix_points(ARC_LENGTHS)), 100, drop)
     assert curve.length == pytest.approx(100)
     np.testing.assert_allclose(curve.point(np.array([0, curve.length])), helix_points(np.array(kept)), atol=1e-3)
 
 
 def test_trimming_leaves_a_short_curve_alone():
     curve = helix()
-    assert trimmed(curve, 200, "start") is curve
+    assert trim_curve(curve, 200, "start") is curve
 
 
 # Placed before the robot
@@ -248,7 +248,7 @@ def test_trimming_leaves_a_short_curve_alone():
 
 @given(rigid_transforms())
 def test_placed_curve_starts_at_the_origin_with_its_first_10_mm_along_z(transform):
-    curve, _ = placed(helix().moved(transform))
+    curve, _ = move_to_robot_frame(helix().moved(transform))
     start, ten = curve.point(np.array([0.0, 10.0]))
     np.testing.assert_allclose(start, 0, atol=1e-9)
     np.testing.assert_allclose(ten / np.linalg.norm(ten), [0, 0, 1], atol=1e-9)
@@ -257,7 +257,7 @@ def test_placed_curve_starts_at_the_origin_with_its_first_10_mm_along_z(transfor
 @given(rigid_transforms())
 def test_placing_is_the_rigid_transform_that_it_reports(transform):
     curve = helix().moved(transform)
-    moved, to_robot = placed(curve)
+    moved, to_robot = move_to_robot_frame(curve)
     rotation = to_robot[:3, :3]
     np.testing.assert_allclose(rotation @ rotation.T, np.eye(3), atol=1e-12)
     assert np.linalg.det(rotation) == pytest.approx(1)
@@ -271,13 +271,13 @@ def test_placing_turns_by_the_smallest_rotation(transform):
     """No rotation takes the heading to z by less than the angle between them."""
     curve = helix().moved(transform)
     heading = np.diff(curve.point(np.array([0.0, 10.0])), axis=0)[0]
-    angle = Rotation.from_matrix(placed(curve)[1][:3, :3]).magnitude()
+    angle = Rotation.from_matrix(move_to_robot_frame(curve)[1][:3, :3]).magnitude()
     assert angle == pytest.approx(math.acos(np.clip(heading[2] / np.linalg.norm(heading), -1, 1)), abs=1e-7)
 
 
 @pytest.mark.parametrize("direction", [(0, 0, -1), (1e-14, 0, -1), (1e-9, 0, -1), (0, 0, 1)])
 def test_a_path_along_the_z_axis_is_placed_without_a_reflection(direction):
-    curve, to_robot = placed(curve_from_points(np.outer(np.arange(0, 60, 2.0), direction) + 7.0))
+    curve, to_robot = move_to_robot_frame(curve_from_points(np.outer(np.arange(0, 60, 2.0), direction) + 7.0))
     assert np.linalg.det(to_robot[:3, :3]) == pytest.approx(1)
     np.testing.assert_allclose(curve.point(np.array([58.0]))[0], [0, 0, 58], atol=1e-6)
 
@@ -286,7 +286,7 @@ def test_a_path_that_returns_at_once_has_no_direction():
     r = 10 / (2 * ca.pi)
     curve = curve_from_formula(lambda u: (r * ca.cos(u), r * ca.sin(u), 0), 0.0, 2 * ca.pi)
     with pytest.raises(CurveError, match="insertion direction"):
-        placed(curve)
+        move_to_robot_frame(curve)
 
 
 # Bad input

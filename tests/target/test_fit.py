@@ -7,7 +7,7 @@ import pytest
 
 from ctr_nlp import Problem, Robot, curve_from_points, growing, sequence, table_i_robot
 from ctr_nlp.exceptions import ProblemError
-from ctr_nlp.target.fit import Misfit, check_radii, misfits, notes
+from ctr_nlp.target.fit import Misfit, check_radii, misfits, problem_notes
 
 Z = np.linspace(0, 140, 281)
 
@@ -32,21 +32,21 @@ def narrow(*places, wide=9.0):
 
 def test_a_wide_lumen_needs_no_words():
     assert misfits(problem(3.0)) == []
-    assert notes(problem(3.0)) == []
+    assert problem_notes(problem(3.0)) == []
 
 
 def test_nothing_is_said_of_a_lumen_that_is_not_known():
     assert misfits(problem()) == []
-    assert notes(problem()) == []
+    assert problem_notes(problem()) == []
 
 
 def test_the_innermost_tube_must_go_everywhere():
     (found,) = misfits(problem(narrow((120, 125, 0.9))))
     assert (found.tube, found.forced) == (3, True)
     assert (found.start, found.stop) == pytest.approx((120, 125), abs=0.6)
-    assert found.lack == pytest.approx(2.1 / 2 - 0.9, abs=1e-6)
+    assert found.radius_excess == pytest.approx(2.1 / 2 - 0.9, abs=1e-6)
     assert 120 <= found.at <= 125
-    (note,) = notes(problem(narrow((120, 125, 0.9))))
+    (note,) = problem_notes(problem(narrow((120, 125, 0.9))))
     assert note.startswith("tube 3 (2.1 mm) does not fit even centred from 1")
     assert "by up to 0.15 mm at 12" in note
     assert note.endswith("contact there cannot be avoided")
@@ -56,9 +56,9 @@ def test_outer_tubes_may_stay_behind():
     """A place at 30 mm that is 3 mm wide: tubes 1 and 2 could be slid there and need not."""
     found = misfits(problem(narrow((30, 32, 1.5))))
     assert [(each.tube, each.forced) for each in found] == [(1, False), (2, False)]
-    assert found[0].lack == pytest.approx(5.7 / 2 - 1.5, abs=1e-6)
+    assert found[0].radius_excess == pytest.approx(5.7 / 2 - 1.5, abs=1e-6)
     assert found[0].start == pytest.approx(29.8, abs=0.4)
-    first, second = notes(problem(narrow((30, 32, 1.5))))
+    first, second = problem_notes(problem(narrow((30, 32, 1.5))))
     assert first.startswith("tube 1 (5.7 mm) does not fit beyond 29.")
     assert "narrows to 3.00 mm (at 3" in second
     assert second.endswith("it has to stay behind")
@@ -95,7 +95,7 @@ def test_a_place_may_be_partly_forced():
 def test_several_narrow_places_are_one_sentence():
     made = problem(narrow((20, 22, 0.9), (60, 61, 0.8), (100, 101, 0.9)))
     assert len([each for each in misfits(made) if each.tube == 3]) == 3
-    (note,) = [each for each in notes(made) if each.startswith("tube 3")]
+    (note,) = [each for each in problem_notes(made) if each.startswith("tube 3")]
     assert "in 3 places from " in note
     assert "by up to 0.25 mm at 6" in note
 
@@ -117,11 +117,11 @@ def test_one_tube_robots_are_told_too():
 def test_a_jagged_path_asks_for_smoothing():
     random = np.random.default_rng(0)
     points = np.column_stack([0 * Z, 0 * Z, Z]) + random.normal(0, 0.2, (len(Z), 3))
-    (note,) = notes(Problem("made", table_i_robot(), growing(curve_from_points(points).part(0, 140), 3)))
+    (note,) = problem_notes(Problem("made", table_i_robot(), growing(curve_from_points(points).part(0, 140), 3)))
     assert note.startswith("the path is jagged: at ")
     assert note.endswith("--smoothing MM evens it out")
     smooth = curve_from_points(points, np.full(len(Z), 6.0), smoothing=0.8)
-    (note,) = notes(Problem("made", table_i_robot(), growing(smooth, 3)))
+    (note,) = problem_notes(Problem("made", table_i_robot(), growing(smooth, 3)))
     share = 100 * smooth.deviation_share
     expected = f"at most {smooth.deviation:.2f} mm and {share:.0f} % of the lumen's radius"
     assert note == f"smoothing moved the path by {expected}"
@@ -131,10 +131,10 @@ def test_a_base_that_cannot_turn_to_the_path_is_told():
     leaning = np.eye(4)
     leaning[:3, :3] = [[np.cos(0.2), 0, np.sin(0.2)], [0, 1, 0], [-np.sin(0.2), 0, np.cos(0.2)]]
     made = Problem("made", table_i_robot(), growing(straight().moved(leaning), 3))
-    assert notes(made) == []
-    assert notes(replace(made, robot=made.robot.with_limits(theta=(-0.21, 0.21)))) == []
-    assert notes(replace(made, robot=made.robot.with_limits(theta=((0, 0), (0, 0.2))))) == []
-    (note,) = notes(replace(made, robot=made.robot.with_limits(theta=(-0.1, 0.1))))
+    assert problem_notes(made) == []
+    assert problem_notes(replace(made, robot=made.robot.with_limits(theta=(-0.21, 0.21)))) == []
+    assert problem_notes(replace(made, robot=made.robot.with_limits(theta=((0, 0), (0, 0.2))))) == []
+    (note,) = problem_notes(replace(made, robot=made.robot.with_limits(theta=(-0.1, 0.1))))
     assert note == (
         "the path sets out 11.5 degrees away from the insertion direction; with the tilt that it may have, the "
         "base stays 5.7 degrees away"

@@ -9,7 +9,7 @@ from strategies import numbers, rigid_transforms
 
 from ctr_nlp import curve_from_points
 from ctr_nlp.exceptions import CurveError, OptionError
-from ctr_nlp.target.placing import placed
+from ctr_nlp.target.placing import move_to_robot_frame
 
 ANGLE = np.linspace(0, 1.2, 100)
 ARC = curve_from_points(70 * np.column_stack([1 - np.cos(ANGLE), 0 * ANGLE, np.sin(ANGLE)]))
@@ -21,28 +21,28 @@ def test_the_given_direction_becomes_z_and_the_first_point_the_origin(transform,
     direction = np.array(direction)
     assume(np.linalg.norm(direction) > 0.1 and direction @ HEADING > 0.01)
     there = transform[:3, :3] @ direction
-    curve, to_robot = placed(ARC.moved(transform), scale * there)
+    curve, to_robot = move_to_robot_frame(ARC.apply_transform(transform), scale * there)
     assert to_robot[:3, :3] @ there / np.linalg.norm(there) == pytest.approx([0, 0, 1], abs=1e-9)
     assert curve.point(np.zeros(1))[0] == pytest.approx(np.zeros(3), abs=1e-9)
     assert np.linalg.det(to_robot[:3, :3]) == pytest.approx(1)
     s = np.linspace(0, ARC.length, 10)
     assert curve.point(s) == pytest.approx(
-        ARC.moved(transform).point(s) @ to_robot[:3, :3].T + to_robot[:3, 3], abs=1e-9
+        ARC.apply_transform(transform).point(s) @ to_robot[:3, :3].T + to_robot[:3, 3], abs=1e-9
     )
 
 
 def test_the_default_is_the_mean_direction_over_the_first_10_mm():
-    assert placed(ARC)[1] == pytest.approx(placed(ARC, HEADING)[1], abs=1e-12)
+    assert move_to_robot_frame(ARC)[1] == pytest.approx(move_to_robot_frame(ARC, HEADING)[1], abs=1e-12)
 
 
 @pytest.mark.parametrize(("degrees", "allowed"), [(0, True), (89, True), (91, False), (180, False)])
 def test_a_direction_away_from_the_path_is_refused(degrees, allowed):
     direction = Rotation.from_euler("y", degrees, degrees=True).apply(HEADING)
     if allowed:
-        placed(ARC, direction)
+        move_to_robot_frame(ARC, direction)
         return
     with pytest.raises(CurveError, match=f"insertion direction is {degrees} degrees away .* must be within 90"):
-        placed(ARC, direction)
+        move_to_robot_frame(ARC, direction)
 
 
 @pytest.mark.parametrize(
@@ -50,12 +50,12 @@ def test_a_direction_away_from_the_path_is_refused(degrees, allowed):
 )
 def test_no_direction_is_refused(direction):
     with pytest.raises(OptionError, match=r"insertion direction is .*three finite numbers, not all of them 0"):
-        placed(ARC, direction)
+        move_to_robot_frame(ARC, direction)
 
 
 def test_a_path_that_returns_at_once_can_be_told_its_direction():
     angle = np.linspace(0, 2 * np.pi, 200)
     ring = 10 / (2 * np.pi) * np.column_stack([1 - np.cos(angle), 0 * angle, np.sin(angle)])
     curve = curve_from_points(ring)
-    curve, _ = placed(curve.part(0.0, min(10.0, curve.length)), (0, 0, 1))
+    curve, _ = move_to_robot_frame(curve.part(0.0, min(10.0, curve.length)), (0, 0, 1))
     assert curve.tangent(np.zeros(1))[0] == pytest.approx([0, 0, 1], abs=1e-3)

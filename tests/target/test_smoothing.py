@@ -7,7 +7,7 @@ from scipy.spatial import cKDTree
 from strategies import numbers, seeds
 
 from ctr_nlp import curve_from_points, read_csv
-from ctr_nlp.target.points import evened
+from ctr_nlp.target.points import smooth_points
 
 S = np.linspace(0, 1, 300)
 ARC = 80 * np.column_stack([1 - np.cos(1.5 * S), 0 * S, np.sin(1.5 * S)])
@@ -30,7 +30,7 @@ def jagged(seed, width=4.0, count=300, spread=0.4):
 def test_the_smoothed_path_and_the_room_around_it_stay_in_the_lumen(allowed, seed):
     """Each sphere around a place of the smoothed path lies within one of the lumen's own."""
     exact = curve_from_points(*jagged(seed))
-    smooth = exact.smoothed(allowed)
+    smooth = exact.smooth(allowed)
     dense = np.linspace(0, exact.length, 20_000)
     centres, radii = exact.point(dense), exact.radius(dense)
     s = np.linspace(0, smooth.length, 500)
@@ -44,14 +44,14 @@ def test_the_smoothed_path_and_the_room_around_it_stay_in_the_lumen(allowed, see
 @given(numbers(0.01, 3.0), seeds)
 def test_the_bound_holds_between_points_too(allowed, seed):
     exact = curve_from_points(jagged(seed)[0])
-    smooth = exact.smoothed(allowed)
+    smooth = exact.smooth(allowed)
     dense = cKDTree(smooth.point(np.linspace(0, smooth.length, 50_000)))
     assert dense.query(exact.point(np.linspace(0, exact.length, 7_777)))[0].max() <= allowed + 1e-3
 
 
 def test_a_jagged_line_of_many_points_becomes_what_it_was_taken_from():
     exact = curve_from_points(*jagged(0, count=2000))
-    smooth = exact.smoothed(0.5)
+    smooth = exact.smooth(0.5)
     s = np.linspace(0, smooth.length, 1000)
     assert exact.length > 130
     assert smooth.length == pytest.approx(120, abs=1)
@@ -63,21 +63,21 @@ def test_more_smoothing_bends_less():
     exact = curve_from_points(jagged(1)[0])
     bends = []
     for allowed in (0.0, 0.1, 0.3, 1.0):
-        curve = exact.smoothed(allowed)
+        curve = exact.smooth(allowed)
         bends.append(curve.curvature(np.linspace(0, curve.length, 2000)).max())
     assert (np.diff(bends) < 0).all()
 
 
 def test_no_smoothing_is_the_curve_itself():
     exact = curve_from_points(ARC)
-    assert exact.smoothed(0.0) is exact
+    assert exact.smooth(0.0) is exact
 
 
 def test_a_narrow_place_is_kept_to_while_others_are_evened():
     points, _ = jagged(2)
     radius = np.where(np.linspace(0, 1, len(points)) < 0.5, 0.1, 10.0)
     exact = curve_from_points(points, radius)
-    smooth = exact.smoothed(0.4)
+    smooth = exact.smooth(0.4)
     moved = cKDTree(smooth.point(np.linspace(0, smooth.length, 20_000))).query(points)[0]
     assert moved[:140].max() <= 0.05
     assert moved[160:].max() > 0.1
@@ -85,7 +85,7 @@ def test_a_narrow_place_is_kept_to_while_others_are_evened():
 
 def test_either_direction_is_smoothed_alike():
     exact = curve_from_points(*jagged(3))
-    one, other = exact.smoothed(0.3).reversed(), exact.reversed().smoothed(0.3)
+    one, other = exact.smooth(0.3).reverse_direction(), exact.reverse_direction().smooth(0.3)
     s = np.linspace(0, one.length, 100)
     assert other.length == pytest.approx(one.length, abs=1e-6)
     assert other.point(s) == pytest.approx(one.point(s), abs=1e-4)
@@ -93,19 +93,19 @@ def test_either_direction_is_smoothed_alike():
 
 def test_a_straight_line_stays_where_it_is():
     points = np.outer(np.linspace(0, 100, 200), [0.0, 0.6, 0.8])
-    assert evened(points, np.full(200, 1.0)) == pytest.approx(points, abs=1e-6)
+    assert smooth_points(points, np.full(200, 1.0)) == pytest.approx(points, abs=1e-6)
 
 
 def test_points_on_two_sides_of_a_line_meet_on_it():
     """A zigzag of 1 mm and a bound that just allows to straighten it."""
     zigzag = np.column_stack([np.arange(100.0), np.where(np.arange(100) % 2, 0.5, -0.5), np.zeros(100)])
-    assert np.abs(evened(zigzag, np.full(100, 0.75))[:, 1]).max() < 0.3
+    assert np.abs(smooth_points(zigzag, np.full(100, 0.75))[:, 1]).max() < 0.3
 
 
 @pytest.mark.parametrize("name", ["chaste_ts002_LLL", "chaste_ts002_RLL", "chaste_ts002_RML", "hra_vhm_left_main"])
 def test_real_airways_lose_bends_and_little_room(shared_data, name):
     exact = read_csv(shared_data / "airways" / f"{name}.csv")
-    smooth = exact.smoothed(0.3)
+    smooth = exact.smooth(0.3)
     sharpest = [curve.curvature(np.linspace(0, curve.length, 2000)).max() for curve in (exact, smooth)]
     assert sharpest[1] < sharpest[0]
     assert 0 < smooth.deviation <= 0.3

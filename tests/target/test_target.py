@@ -13,7 +13,7 @@ from strategies import robots_with_q
 
 from ctr_nlp import Problem, curve_from_formula, growing, problem_from_file, sequence, shape_curve, table_i_robot
 from ctr_nlp.exceptions import OptionError, ProblemError
-from ctr_nlp.target.target import QUADRATURE, SIGMA, Target
+from ctr_nlp.target.target import QUADRATURE, SIGMA_GRID, Target
 
 OFF_GRID = np.linspace(0, 1, 733)
 
@@ -79,7 +79,7 @@ def test_turning_is_the_integral_of_curvature(part):
 
 def test_turning_of_an_arc_grows_evenly():
     arc = curve_from_formula(lambda u: (80 * ca.cos(u), 80 * ca.sin(u), 0), 0.0, 1.5)
-    np.testing.assert_allclose(growing(arc, 1).sample()[0].turning, 1.5 * SIGMA, atol=1e-9)
+    np.testing.assert_allclose(growing(arc, 1).sample()[0].turning, 1.5 * SIGMA_GRID, atol=1e-9)
 
 
 @pytest.mark.parametrize("path", [cosine_path(), line(120)], ids=["cosine", "line"])
@@ -100,7 +100,7 @@ def test_a_frame_interpolates_shapes_whose_curvature_jumps(case):
 
 def test_quadrature_is_the_trapezoidal_rule_on_sigma():
     values = np.random.default_rng(0).normal(size=101)
-    assert values @ QUADRATURE == pytest.approx(np.trapezoid(values, SIGMA))
+    assert values @ QUADRATURE == pytest.approx(np.trapezoid(values, SIGMA_GRID))
 
 
 def test_a_sequence_follows_whole_shapes(robot):
@@ -145,7 +145,7 @@ def test_dt_is_the_duration_over_the_frames(robot):
 def test_a_file_becomes_a_target_along_z_from_the_origin(tmp_path):
     problem = problem_from_file(write_line(tmp_path / "path.csv", 100), frames=2)
     assert problem.name == "path"
-    np.testing.assert_allclose(problem.samples[-1].points[[0, -1]], [[0, 0, 0], [0, 0, 100]], atol=1e-6)
+    np.testing.assert_allclose(problem.target_frames[-1].points[[0, -1]], [[0, 0, 0], [0, 0, 100]], atol=1e-6)
     np.testing.assert_allclose(problem.to_robot @ [0, 60, 80, 1], [0, 0, 100, 1], atol=1e-9)
 
 
@@ -172,7 +172,7 @@ def test_an_unknown_end_to_trim_is_refused(tmp_path):
 def test_a_real_airway_becomes_a_problem_with_its_lumen(shared_data, name):
     path = shared_data / "airways" / f"{name}.csv"
     problem = problem_from_file(path, table_i_robot(), frames=3, trim="start")
-    frame = problem.samples[-1]
+    frame = problem.target_frames[-1]
     assert frame.length <= 150 * 1.005
     assert (frame.radius > 0).all()
     there = np.loadtxt(path, delimiter=",", skiprows=1)[-1, :3]

@@ -43,8 +43,10 @@ def points(radius: float | None = 6.0) -> Curve:
 PROBLEMS = {
     "formula": lambda: Problem("formula", ROBOT, growing(formula(), 3), truth=np.full((3, 8), 0.5)),
     "points": lambda: Problem("points", ROBOT, growing(points(), 3), to_robot=np.eye(4)),
-    "smoothed": lambda: Problem("smoothed", ROBOT, growing(points().smoothed(0.5), 3)),
-    "pieces": lambda: Problem("pieces", ROBOT, growing(points().reversed().part(2, 40).moved(np.eye(4)), 3)),
+    "smoothed": lambda: Problem("smoothed", ROBOT, growing(points().smooth(0.5), 3)),
+    "pieces": lambda: Problem(
+        "pieces", ROBOT, growing(points().reverse_direction().part(2, 40).apply_transform(np.eye(4)), 3)
+    ),
     "shapes": lambda: Problem("shapes", ROBOT, sequence([shape_curve(ROBOT, Q), shape_curve(ROBOT, Q * 1.01)])),
 }
 
@@ -55,7 +57,7 @@ def problem(request):
 
 
 def same_samples(one: Problem, other: Problem) -> bool:
-    pairs = zip(one.samples, other.samples, strict=True)
+    pairs = zip(one.target_frames, other.target_frames, strict=True)
     return all(a == b and a.points.tobytes() == b.points.tobytes() for a, b in pairs)
 
 
@@ -104,7 +106,7 @@ def test_curves_tell_their_makers_apart():
     assert formula() != formula(0.045)
     assert points() == points()
     assert points() != points(5.0)
-    assert points() != points().reversed()
+    assert points() != points().reverse_direction()
     assert points().part(1, 9) == points().part(1, 9) != points().part(2, 10)
     assert shape_curve(ROBOT, Q) != shape_curve(ROBOT, -Q[::1] * [-1, 1, 1, -1, -1, -1, 1, 1])
     assert hash(ROBOT) == hash(table_i_robot())

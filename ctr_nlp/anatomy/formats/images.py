@@ -17,14 +17,14 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from ctr_nlp.anatomy.branch import SPACES, blamed
+from ctr_nlp.anatomy.branch import CENTRELINE_SPACE_TO_LPS, name_source_in_errors
 from ctr_nlp.exceptions import CtrError, CurveError
-from ctr_nlp.support.extras import needed
+from ctr_nlp.support.extras import import_extra
 from ctr_nlp.typing import Array
 
-TO_LPS = SPACES | {"LAS": np.diag([1.0, -1.0, 1.0, 1.0])}
+IMAGE_SPACE_TO_LPS = CENTRELINE_SPACE_TO_LPS | {"LAS": np.diag([1.0, -1.0, 1.0, 1.0])}
 """Coordinate systems that an image may be written in, and what takes each to LPS."""
-NIFTI, NRRD = (".nii", ".nii.gz"), (".nrrd", ".nhdr")
+NIFTI_SUFFIXES, NRRD_SUFFIXES = (".nii", ".nii.gz"), (".nrrd", ".nhdr")
 FINEST_MM, COARSEST_MM = 0.005, 20.0
 """Spacings outside of these were almost surely written in another unit."""
 LONGEST_VOXEL = 4.0
@@ -33,7 +33,7 @@ SKEW = 1e-3
 """Largest cosine of the angle between two axes of an image."""
 HEADER_BYTES = 348
 """Of NIfTI-1."""
-UNITS = {1: "metres", 3: "micrometres"}
+REFUSED_NIFTI_UNITS = {1: "metres", 3: "micrometres"}
 
 
 @dataclass(frozen=True)
@@ -53,16 +53,16 @@ class Image:
 def read_image(path: str | Path) -> Image:
     """The image of a NIfTI-1 or NRRD file with three axes; raises CurveError, and OptionError without a reader."""
     name = Path(path).name.lower()
-    if not name.endswith((*NIFTI, *NRRD)):
-        allowed = ", ".join((*NIFTI, *NRRD))
+    if not name.endswith((*NIFTI_SUFFIXES, *NRRD_SUFFIXES)):
+        allowed = ", ".join((*NIFTI_SUFFIXES, *NRRD_SUFFIXES))
         raise CurveError(f"{path} is not a known kind of image; its name must end in {allowed}")
     try:
-        with blamed(path):
-            voxels, affine, space = _nifti(Path(path)) if name.endswith(NIFTI) else _nrrd(Path(path))
+        with name_source_in_errors(path):
+            voxels, affine, space = _nifti(Path(path)) if name.endswith(NIFTI_SUFFIXES) else _nrrd(Path(path))
     except CtrError:
         raise
     except Exception as error:  # whatever the readers of both formats meet in a damaged file
-        raise CurveError(f"image {path} cannot be read: {_told(error)}") from error
+        raise CurveError(f"image {path} cannot be read: {_one_line_message(error)}") from error
     if voxels.ndim != 3 or voxels.dtype.kind not in "iuf":
         raise CurveError(
             f"{path}: its voxels are {voxels.shape} of {voxels.dtype}; they must be numbers along 3 axes"
@@ -71,7 +71,7 @@ def read_image(path: str | Path) -> Image:
 
 
 def _nifti(path: Path) -> tuple[npt.NDArray[Any], Array, str]:
-    nifti1, arrayproxy = needed("nibabel.nifti1"), needed("nibabel.arrayproxy")
+    nifti1, arrayproxy = import_extra("nibabel.nifti1"), import_extra("nibabel.arrayproxy")
     with gzip.open(path) if path.name.lower().endswith(".gz") else path.open("rb") as file:
         raw = file.read(HEADER_BYTES)
         bytes_held = file.seek(0, 2)
@@ -86,8 +86,10 @@ def _nifti(path: Path) -> tuple[npt.NDArray[Any], Array, str]:
     bytes_meant = float(header["vox_offset"]) + math.prod(shape[:3]) * int(header["bitpix"]) / 8
     if not bytes_held >= bytes_meant:
         raise CurveError(f"it was cut short: it holds {bytes_held} bytes of {bytes_meant:.0f}")
-    if int(header["xyzt_units"]) & 7 in UNITS:
-        raise CurveError(f"its header says {UNITS[int(header['xyzt_units']) & 7]}; it must be in millimetres")
+    if int(header["xyzt_units"]) & 7 in REFUSED_NIFTI_UNITS:
+        raise CurveError(
+            f"its header says {REFUSED_NIFTI_UNITS[int(header['xyzt_units']) & 7]}; it must be in millimetres"
+        )
     sides = header["pixdim"][1:4].astype(float)
     if not (np.isfinite(sides) & (sides > 0)).all():
         raise CurveError(f"its spacing (pixdim) is {sides.tolist()} mm; it must be positive")
@@ -120,7 +122,7 @@ def _nifti_affine(header: Any, shape: list[int], sides: Array) -> Array:
 
 
 def _nrrd(path: Path) -> tuple[npt.NDArray[Any], Array, str]:
-    nrrd = needed("nrrd")
+    nrrd = import_extra("nrrd")
     with path.open("rb") as file:
         if not file.read(7) == b"NRRD000":
             raise CurveError("it does not begin with an NRRD header")
@@ -129,7 +131,7 @@ def _nrrd(path: Path) -> tuple[npt.NDArray[Any], Array, str]:
         raise CurveError(f"its dimension is {fields.get('dimension')}; it must be 3")
     words = re.split(r"[- ]", fields.get("space", ""))
     space = words[0] if len(words) == 1 else "".join(word[:1] for word in words)
-    if space.upper() not in TO_LPS:
+    if space.upper() not in IMAGE_SPACE_TO_LPS:
         raise CurveError(
             f"its space is {fields.get('space')!r}; it must be left-posterior-superior, right-anterior-superior "
             "or left-anterior-superior, or there is no coordinate system"
@@ -149,7 +151,7 @@ def _nrrd(path: Path) -> tuple[npt.NDArray[Any], Array, str]:
     try:
         return nrrd.read(str(path))[0], affine, space.upper()
     except Exception as error:  # whatever its decompressors meet
-        raise CurveError(f"its voxels cannot be read: {_told(error)}") from error
+        raise CurveError(f"its voxels cannot be read: {_one_line_message(error)}") from error
 
 
 def _nrrd_fields(nrrd: Any, path: Path) -> dict[str, Any]:
@@ -164,11 +166,11 @@ def _nrrd_fields(nrrd: Any, path: Path) -> dict[str, Any]:
                 nrrd.read_header([header[0], line])
             except Exception as wrong:
                 field, _, value = line.strip().partition(":")
-                raise CurveError(f"its {field} is {value.strip()}: {_told(wrong)}") from error
+                raise CurveError(f"its {field} is {value.strip()}: {_one_line_message(wrong)}") from error
         raise
 
 
-def _told(error: Exception) -> str:
+def _one_line_message(error: Exception) -> str:
     return " ".join(str(error).split()) or type(error).__name__
 
 

@@ -20,21 +20,21 @@ import numpy.typing as npt
 from scipy.spatial import cKDTree
 
 from ctr_nlp.exceptions import CurveError
-from ctr_nlp.support.extras import needed
+from ctr_nlp.support.extras import import_extra
 from ctr_nlp.typing import Array
 
 Indices = npt.NDArray[np.intp]
 
 SAME_MM = 1e-3
 """Points closer than this are one: files repeat a point where lines meet, rounded to single precision."""
-HEADING_MM = 5.0
+LINE_HEADING_MM = 5.0
 """Lines that share an end are compared over this first length."""
-WIDER = 1.1
+MIN_ROOT_WIDTH_RATIO = 1.1
 """Factor by which a tree is at least wider at its root than at any other end."""
 
 
 @dataclass(frozen=True)
-class Network:
+class CentrelineNetwork:
     """Points (n, 3) in mm, the lumen's radius (n,) in mm or None, and the lines over them, lists of indices."""
 
     points: Array
@@ -43,27 +43,27 @@ class Network:
 
     def paths(self, entry: Array | None = None) -> list[Indices]:
         """The paths from each root to its tips, by the rules above; entry: (3,) mm. Raises CurveError."""
-        joined = self._joined()
+        joined = self._merge_repeated_points()
         if not joined.lines:
             raise CurveError("it holds no line of two or more points")
-        if whole := joined._whole():
+        if whole := joined._complete_paths():
             return whole
         edges: Indices = np.concatenate([np.column_stack([line[:-1], line[1:]]) for line in joined.lines])
-        parts = needed("networkx").connected_components(_graph(edges))
+        parts = import_extra("networkx").connected_components(_graph(edges))
         trees = [Tree(joined, edges[np.isin(edges[:, 0], list(part))]) for part in parts]
         return [path for tree in trees for path in tree.to_tips(entry)]
 
-    def _joined(self) -> Network:
+    def _merge_repeated_points(self) -> CentrelineNetwork:
         """With one index for points in the same place, and no line that stands still."""
         pairs = cKDTree(self.points).query_pairs(SAME_MM, output_type="ndarray")
         first = np.arange(len(self.points))
-        for places in map(list, needed("networkx").connected_components(_graph(pairs))):
+        for places in map(list, import_extra("networkx").connected_components(_graph(pairs))):
             first[places] = min(places)
         lines = [first[line] for line in self.lines]
         lines = [line[np.append(True, line[1:] != line[:-1])] for line in lines]
-        return Network(self.points, self.radius, tuple(line for line in lines if len(line) > 1))
+        return CentrelineNetwork(self.points, self.radius, tuple(line for line in lines if len(line) > 1))
 
-    def _whole(self) -> list[Indices]:
+    def _complete_paths(self) -> list[Indices]:
         """The lines, turned to leave their common end; none where they are pieces."""
         if any(line[0] == line[-1] for line in self.lines):
             return []
@@ -80,7 +80,7 @@ class Network:
     def _heading(self, line: Indices) -> Array:
         """Unit vector (3,) of a line over its first millimetres."""
         offsets = self.points[line] - self.points[line[0]]
-        far = np.flatnonzero(np.linalg.norm(offsets, axis=1) >= HEADING_MM)
+        far = np.flatnonzero(np.linalg.norm(offsets, axis=1) >= LINE_HEADING_MM)
         offset = offsets[far[0] if far.size else -1]
         return np.asarray(offset / max(np.linalg.norm(offset), SAME_MM))
 
@@ -88,9 +88,9 @@ class Network:
 class Tree:
     """Pieces that hang together: a network and those of its edges (m, 2), pointing as their lines do."""
 
-    def __init__(self, network: Network, edges: Indices) -> None:
+    def __init__(self, network: CentrelineNetwork, edges: Indices) -> None:
         self._network, self._edges, self._graph = network, edges, _graph(edges)
-        if not needed("networkx").is_tree(self._graph):
+        if not import_extra("networkx").is_tree(self._graph):
             raise CurveError("its lines form a loop; they must form trees, with one path from a root to each tip")
         self._ends = np.array(sorted(node for node, degree in self._graph.degree if degree == 1))
 
@@ -119,14 +119,16 @@ class Tree:
             return None
         widths = np.array([radius[self._stretch(int(end))].mean() for end in self._ends])
         order = widths.argsort()
-        return int(self._ends[order[-1]]) if widths[order[-1]] >= WIDER * widths[order[-2]] else None
+        return (
+            int(self._ends[order[-1]]) if widths[order[-1]] >= MIN_ROOT_WIDTH_RATIO * widths[order[-2]] else None
+        )
 
     def _source(self) -> int | None:
         """The end from which all lines lead away, or to which all of them lead."""
         for edges in (self._edges, self._edges[:, ::-1]):
             starts = self._ends[np.isin(self._ends, edges[:, 0])]
             if len(starts) == 1:
-                walked = needed("networkx").bfs_edges(self._graph, int(starts[0]))
+                walked = import_extra("networkx").bfs_edges(self._graph, int(starts[0]))
                 before = {there: here for here, there in walked}
                 if all(before.get(there) == here for here, there in edges.tolist()):
                     return int(starts[0])
@@ -134,7 +136,7 @@ class Tree:
 
     def _between(self, root: int, tip: int) -> Indices:
         """The points from one end to another."""
-        return np.array(needed("networkx").shortest_path(self._graph, root, tip))
+        return np.array(import_extra("networkx").shortest_path(self._graph, root, tip))
 
     def _stretch(self, end: int) -> Indices:
         """The points from an end to where branches part, or to the middle."""
@@ -145,6 +147,6 @@ class Tree:
 
 def _graph(edges: Indices) -> Any:
     """The graph of pairs of points (m, 2)."""
-    graph = needed("networkx").Graph()
+    graph = import_extra("networkx").Graph()
     graph.add_edges_from(edges.tolist())
     return graph

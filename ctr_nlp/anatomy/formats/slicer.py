@@ -11,7 +11,13 @@ from typing import Any
 
 import numpy as np
 
-from ctr_nlp.anatomy.branch import SPACES, Branch, Branches, blamed, moved
+from ctr_nlp.anatomy.branch import (
+    CENTRELINE_SPACE_TO_LPS,
+    Branch,
+    Branches,
+    name_source_in_errors,
+    transform_points,
+)
 from ctr_nlp.exceptions import CurveError
 from ctr_nlp.typing import Array
 
@@ -45,12 +51,12 @@ def read_slicer(path: str | Path) -> Branches:
         str(markup.get("name") or (stem if len(markups) == 1 else f"curve {k}"))
         for k, markup in enumerate(markups, start=1)
     ]
-    with blamed(path):
+    with name_source_in_errors(path):
         spaces = [_space(name, markup) for name, markup in zip(names, markups, strict=True)]
         if len(set(spaces)) > 1:
             raise CurveError("its curves are in different coordinate systems, LPS and RAS; save them in one")
         branches = [_branch(name, markup) for name, markup in zip(names, markups, strict=True)]
-    return Branches(tuple(branches), spaces[0], SPACES[spaces[0]])
+    return Branches(tuple(branches), spaces[0], CENTRELINE_SPACE_TO_LPS[spaces[0]])
 
 
 def _space(name: str, markup: dict[str, Any]) -> str:
@@ -58,9 +64,11 @@ def _space(name: str, markup: dict[str, Any]) -> str:
     kind, space = markup.get("type"), markup.get("coordinateSystem")
     if kind != "Curve":
         raise CurveError(f"markup {name!r} is of type {kind!r}; it must be an open curve, type 'Curve'")
-    if space not in tuple(SPACES):
+    if space not in tuple(CENTRELINE_SPACE_TO_LPS):
         stated = "missing" if space is None else repr(space)
-        raise CurveError(f"coordinateSystem of {name!r} is {stated}; it must be one of {', '.join(SPACES)}")
+        raise CurveError(
+            f"coordinateSystem of {name!r} is {stated}; it must be one of {', '.join(CENTRELINE_SPACE_TO_LPS)}"
+        )
     _check_unit(f"coordinateUnits of {name!r}", markup.get("coordinateUnits", "mm"))
     return str(space)
 
@@ -82,7 +90,7 @@ def _branch(name: str, markup: dict[str, Any]) -> Branch:
     placed = np.array([status not in UNPLACED for status in statuses], bool)
     points = [_position(name, k, control) for k, control in enumerate(controls, start=1) if placed[k - 1]]
     radius = _radius(name, markup, len(controls))
-    lps = moved(np.array(points).reshape(-1, 3), SPACES[markup["coordinateSystem"]])
+    lps = transform_points(np.array(points).reshape(-1, 3), CENTRELINE_SPACE_TO_LPS[markup["coordinateSystem"]])
     return Branch(name, lps, None if radius is None else radius[placed])
 
 

@@ -16,15 +16,22 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from ctr_nlp.anatomy.branch import SPACES, Branch, Branches, blamed, check_points, moved
-from ctr_nlp.anatomy.formats.network import SAME_MM, Network
+from ctr_nlp.anatomy.branch import (
+    CENTRELINE_SPACE_TO_LPS,
+    Branch,
+    Branches,
+    check_points,
+    name_source_in_errors,
+    transform_points,
+)
+from ctr_nlp.anatomy.formats.network import SAME_MM, CentrelineNetwork
 from ctr_nlp.exceptions import CurveError
-from ctr_nlp.support.extras import needed
+from ctr_nlp.support.extras import import_extra
 from ctr_nlp.typing import Array
 
 Indices = npt.NDArray[np.intp]
 
-RADII = ("MaximumInscribedSphereRadius", "Radius", "radius")
+VTK_RADIUS_ARRAYS = ("MaximumInscribedSphereRadius", "Radius", "radius")
 """Point arrays with the lumen's radius in mm: of VMTK, of SlicerVMTK, of others."""
 TRACTS = ("CenterlineIds", "TractIds")
 """Cell arrays of VMTK's branch extractor: of which centreline a line is a piece, and its place along it."""
@@ -35,7 +42,7 @@ READERS = {
     ".vtu": ("vtkIOXML", "vtkXMLUnstructuredGridReader"),
 }
 """Module and class of VTK's readers, by the end of a file's name."""
-LINE, POLYLINE = 3, 4
+VTK_LINE, VTK_POLY_LINE = 3, 4
 """VTK's cell types that are read; other cells are ignored."""
 
 
@@ -49,35 +56,39 @@ def read_vtk(path: str | Path, entry: npt.ArrayLike | None = None) -> Branches:
     mesh, stated = _read(path)
     space = stated or "LPS"
     points = _numbers(mesh.points)
-    with blamed(path):
-        if space not in SPACES:
-            raise CurveError(f"SPACE is {space!r}; it must be one of {', '.join(SPACES)}")
+    with name_source_in_errors(path):
+        if space not in CENTRELINE_SPACE_TO_LPS:
+            raise CurveError(f"SPACE is {space!r}; it must be one of {', '.join(CENTRELINE_SPACE_TO_LPS)}")
         lines = _lines(mesh)  # first of all: a file cut short has none, and its points may be anything
         check_points(points)
         radius = _radius(mesh, len(points))
-        network = Network(points, radius, tuple(_untracted(mesh, lines, points)))
+        network = CentrelineNetwork(points, radius, tuple(_join_tracts(mesh, lines, points)))
         paths = network.paths(None if entry is None else np.asarray(entry, dtype=float))
     branches = [
-        Branch(f"branch {k}", moved(points[line], SPACES[space]), None if radius is None else radius[line])
+        Branch(
+            f"branch {k}",
+            transform_points(points[line], CENTRELINE_SPACE_TO_LPS[space]),
+            None if radius is None else radius[line],
+        )
         for k, line in enumerate(paths, start=1)
     ]
-    return Branches(tuple(branches), space, SPACES[space])
+    return Branches(tuple(branches), space, CENTRELINE_SPACE_TO_LPS[space])
 
 
 def _read(path: str | Path) -> tuple[Any, str]:
     """The unstructured grid that a file holds, and the coordinate system that it states, or nothing."""
     if not Path(path).is_file():
         raise CurveError(f"centreline {path} cannot be read: there is no such file")
-    pyvista = needed("pyvista")
+    pyvista = import_extra("pyvista")
     room, kind = READERS[Path(path).suffix.lower()]
-    reader = getattr(needed(f"vtkmodules.{room}"), kind)()
+    reader = getattr(import_extra(f"vtkmodules.{room}"), kind)()
     reader.SetFileName(str(path))
     legacy = kind == LEGACY
     if legacy:
         # The legacy reader takes only the first array of each kind unless it is told otherwise.
         reader.ReadAllScalarsOn()
         reader.ReadAllFieldsOn()
-    with pyvista.vtk_verbosity("off"), _overheard() as errors:
+    with pyvista.vtk_verbosity("off"), _capture_vtk_errors() as errors:
         reader.Update()
     if errors or not reader.GetOutput().IsA("vtkPointSet"):
         reason = f" ({errors[0]})" if errors else ""
@@ -89,11 +100,11 @@ def _read(path: str | Path) -> tuple[Any, str]:
 
 
 @contextmanager
-def _overheard() -> Iterator[list[str]]:
+def _capture_vtk_errors() -> Iterator[list[str]]:
     """Capture VTK's messages on a bad file, which would go to stderr; after the block, the list that is yielded
     holds the first error.
     """
-    common = needed("vtkmodules.vtkCommonCore")
+    common = import_extra("vtkmodules.vtkCommonCore")
     usual, heard = common.vtkOutputWindow.GetInstance(), common.vtkStringOutputWindow()
     errors: list[str] = []
     common.vtkOutputWindow.SetInstance(heard)
@@ -120,8 +131,10 @@ def _numbers(values: Any) -> Array:
 
 
 def _radius(mesh: Any, count: int) -> Array | None:
-    """Return the lumen's radius (count,) mm at the points of a mesh; None where no array of `RADII` is there."""
-    for name in RADII:
+    """Return the lumen's radius (count,) mm at the points of a mesh; None where no array of `VTK_RADIUS_ARRAYS` is
+    there.
+    """
+    for name in VTK_RADIUS_ARRAYS:
         if name in mesh.point_data:
             values = _numbers(mesh.point_data[name])
             if values.size != count:
@@ -134,10 +147,10 @@ def _lines(mesh: Any) -> list[Indices]:
     """Return the indices of the points of each line; raise CurveError where there is no line, or points are
     missing.
     """
-    cells = np.flatnonzero(np.isin(mesh.celltypes, (LINE, POLYLINE)))
+    cells = np.flatnonzero(np.isin(mesh.celltypes, (VTK_LINE, VTK_POLY_LINE)))
     if not cells.size:
         raise CurveError("it holds no lines; centrelines are saved as lines, not as a surface or as points")
-    ends = needed("pyvista").convert_array(mesh.GetCells().GetOffsetsArray())[1:-1]
+    ends = import_extra("pyvista").convert_array(mesh.GetCells().GetOffsetsArray())[1:-1]
     every = np.split(mesh.cell_connectivity, ends)
     lines = [every[i] for i in cells]
     last = max(line.max(initial=0) for line in lines) + 1
@@ -146,14 +159,14 @@ def _lines(mesh: Any) -> list[Indices]:
     return lines
 
 
-def _untracted(mesh: Any, lines: list[Indices], points: Array) -> list[Indices]:
+def _join_tracts(mesh: Any, lines: list[Indices], points: Array) -> list[Indices]:
     """The centrelines whose consecutive tracts the lines are, as VMTK's branch extractor leaves them.
 
     The lines themselves where they are no tracts, or tracts that do not meet.
     """
     if not set(TRACTS) <= set(mesh.cell_data):
         return lines
-    cells = np.isin(mesh.celltypes, (LINE, POLYLINE))
+    cells = np.isin(mesh.celltypes, (VTK_LINE, VTK_POLY_LINE))
     centreline, tract = (np.array(mesh.cell_data[name])[cells] for name in TRACTS)
     whole = []
     for number in np.unique(centreline):

@@ -13,15 +13,15 @@ from scipy.ndimage import binary_erosion, distance_transform_edt, find_objects
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import dijkstra
 
-from ctr_nlp.anatomy.branch import Branch, Branches, blamed, checked_point, moved
-from ctr_nlp.anatomy.formats.images import TO_LPS, Image, read_image
-from ctr_nlp.anatomy.segmentation.middle import centred, holds
+from ctr_nlp.anatomy.branch import Branch, Branches, checked_point, name_source_in_errors, transform_points
+from ctr_nlp.anatomy.formats.images import IMAGE_SPACE_TO_LPS, Image, read_image
+from ctr_nlp.anatomy.segmentation.middle import centre_route, lie_in_lumen
 from ctr_nlp.exceptions import CurveError
 from ctr_nlp.typing import Array, Flags
 
 LEAST_VOXELS = 3.0
 """Least distance between entry and target, in diagonals of a voxel."""
-LISTED = 10
+MAX_LISTED_LABELS = 10
 
 
 def read_mask(path: str | Path, entry: npt.ArrayLike, target: npt.ArrayLike) -> Branches:
@@ -37,12 +37,12 @@ def read_mask(path: str | Path, entry: npt.ArrayLike, target: npt.ArrayLike) -> 
     IEEE TMI 23(6), 2004), then centred in its cross-sections and smoothed.
     """
     image = read_image(path)
-    to_lps = TO_LPS[image.space]
-    with blamed(path):
-        lumen = _cropped(image)
+    to_lps = IMAGE_SPACE_TO_LPS[image.space]
+    with name_source_in_errors(path):
+        lumen = _crop_to_lumen(image)
         ends = np.array([_end(lumen, "entry", entry), _end(lumen, "target", target)])
         tube = _tube(lumen.voxels, image.spacing, ends)
-    points = moved(moved(tube[:, :3] / image.spacing, lumen.affine), to_lps)
+    points = transform_points(transform_points(tube[:, :3] / image.spacing, lumen.affine), to_lps)
     return Branches((Branch(Path(path).name.partition(".")[0], points, tube[:, 3]),), image.space, to_lps)
 
 
@@ -54,20 +54,20 @@ def _lumen(voxels: npt.NDArray[Any]) -> Flags:
     inside = voxels[lumen]
     if (inside != inside[0]).any():
         labels = np.unique(inside)
-        more = f" and {len(labels) - LISTED} more" if len(labels) > LISTED else ""
-        listed = ", ".join(f"{label:g}" for label in labels[:LISTED])
+        more = f" and {len(labels) - MAX_LISTED_LABELS} more" if len(labels) > MAX_LISTED_LABELS else ""
+        listed = ", ".join(f"{label:g}" for label in labels[:MAX_LISTED_LABELS])
         raise CurveError(f"it has the labels {listed}{more}; a mask has one besides 0, that of the lumen")
     if lumen.all():
         raise CurveError(f"its voxels are all {inside[0]:g}; those outside the lumen must be 0")
     return lumen
 
 
-def _cropped(image: Image) -> Image:
+def _crop_to_lumen(image: Image) -> Image:
     """The part of a mask that holds the lumen, with a voxel of wall around it where the image has one."""
     lumen, affine = _lumen(image.voxels), image.affine.copy()
     (tight,) = find_objects(lumen.view(np.uint8))
     box = tuple(slice(max(0, part.start - 1), part.stop + 1) for part in tight)
-    affine[:3, 3] = moved([part.start for part in box], image.affine)
+    affine[:3, 3] = transform_points([part.start for part in box], image.affine)
     return replace(image, voxels=np.ascontiguousarray(lumen[box]), affine=affine)
 
 
@@ -75,8 +75,8 @@ def _end(mask: Image, name: str, given: npt.ArrayLike) -> Array:
     """The index (3,), not whole, of the lumen's point nearest to a given one; raises CurveError if that is far."""
     point = checked_point(name, given)
     to_index, one = np.asarray(np.linalg.inv(mask.affine), dtype=float), np.ones(3)
-    index = moved(point, to_index)
-    if holds(mask.voxels, one, index[None])[0]:
+    index = transform_points(point, to_index)
+    if lie_in_lumen(mask.voxels, one, index[None])[0]:
         return index
     voxels = np.argwhere(mask.voxels)
     there = np.clip(index, voxels - 0.49, voxels + 0.49)
@@ -85,8 +85,8 @@ def _end(mask: Image, name: str, given: npt.ArrayLike) -> Array:
     allowed = float(np.linalg.norm(mask.spacing))
     if away <= allowed:
         return nearest
-    turned = moved(point * [-1, -1, 1], to_index)
-    mixed = holds(mask.voxels, one, turned[None])[0]
+    turned = transform_points(point * [-1, -1, 1], to_index)
+    mixed = lie_in_lumen(mask.voxels, one, turned[None])[0]
     hint = "; with x and y negated it does: is it in LPS instead of RAS, or the other way round?" if mixed else ""
     raise CurveError(
         f"{name} {point.tolist()} is {away:.3g} mm outside the mask; it must lie in it or within {allowed:.2g} mm "
@@ -112,8 +112,8 @@ def _tube(lumen: Flags, spacing: Array, ends: Array) -> Array:
             f"the path from entry to target is {length:.3g} mm long; it must be longer than the lumen is wide, "
             f"about {width:.3g} mm"
         )
-    tube = centred(lumen, spacing, route, room, ends * spacing)
-    outside = ~holds(lumen, spacing, tube[:, :3])
+    tube = centre_route(lumen, spacing, route, room, ends * spacing)
+    outside = ~lie_in_lumen(lumen, spacing, tube[:, :3])
     astray = np.flatnonzero(outside[1:] & outside[:-1])
     if astray.size:
         raise CurveError(
@@ -125,13 +125,13 @@ def _tube(lumen: Flags, spacing: Array, ends: Array) -> Array:
 
 Index = npt.NDArray[np.integer[Any]]
 
-POWER = 3.0
-"""A millimetre at distance d from the wall costs d^-POWER: enough to keep to the middle in a bend."""
-STRIDE = 2
+WALL_COST_POWER = 3.0
+"""A millimetre at distance d from the wall costs d^-WALL_COST_POWER: enough to keep to the middle in a bend."""
+COARSE_NODE_STRIDE_VOXELS = 2
 """Distance of neighbouring nodes where the lumen is wide, in finest voxels."""
-MARGIN = 4
+FINE_REGION_STRIDES = 4
 """Strides around start and stop where every voxel is a node."""
-STEPS = np.array([step for step in product((-1, 0, 1), repeat=3) if step > (0, 0, 0)])
+VOXEL_NEIGHBOUR_STEPS = np.array([step for step in product((-1, 0, 1), repeat=3) if step > (0, 0, 0)])
 """To half of a voxel's 26 neighbours: each pair of neighbours once."""
 
 
@@ -152,14 +152,17 @@ def cheapest_route(depth: npt.NDArray[np.float32], spacing: Array, ends: Index) 
     23(6), 2004, a function of the distance to the wall. Its nodes are coarse where balls of that distance cover
     the edges between them; narrow places, where every voxel is a node, are added if they are needed.
     """
-    strides = np.maximum(1, np.round(STRIDE * spacing.min() / spacing)).astype(int)
+    strides = np.maximum(1, np.round(COARSE_NODE_STRIDE_VOXELS * spacing.min() / spacing)).astype(int)
     diagonal = float(np.linalg.norm(strides * spacing))
     room = np.pad(depth, [(s, s) for s in strides])
     every = tuple(slice(s, -s, s) for s in strides)
     coarse, fine = np.zeros(room.shape, bool), np.zeros(room.shape, bool)
     coarse[every] = room[every] > diagonal / 2 + spacing.min()
     for end in ends + strides:
-        near = tuple(slice(max(0, i - MARGIN * s), i + MARGIN * s + 1) for i, s in zip(end, strides, strict=True))
+        near = tuple(
+            slice(max(0, i - FINE_REGION_STRIDES * s), i + FINE_REGION_STRIDES * s + 1)
+            for i, s in zip(end, strides, strict=True)
+        )
         fine[near] = room[near] > 0
     route = _dijkstra(room, spacing, ((coarse, strides), (fine, np.ones(3, int))), ends + strides)
     if route is None:
@@ -175,12 +178,12 @@ def _dijkstra(
     member = np.flatnonzero(np.any([nodes for nodes, _ in levels], axis=0))
     number = np.full(depth.size, -1, np.int32)
     number[member] = np.arange(len(member), dtype=np.int32)
-    cost = depth.ravel()[member].astype(float) ** -POWER
+    cost = depth.ravel()[member].astype(float) ** -WALL_COST_POWER
     pitch = np.array(depth.strides) // depth.itemsize
     links = [
         _links(nodes, number, cost, step @ pitch, float(np.linalg.norm(step * spacing)))
         for nodes, stride in levels
-        for step in STEPS * stride
+        for step in VOXEL_NEIGHBOUR_STEPS * stride
     ]
     tails, heads, costs = (np.concatenate(parts) for parts in zip(*links, strict=True))
     graph = coo_array((costs, (tails, heads)), shape=(len(member), len(member))).tocsr()

@@ -8,23 +8,33 @@ from typing import Any
 
 import numpy as np
 
-from ctr_nlp.anatomy.branch import Branch, Branches, blamed, moved
-from ctr_nlp.anatomy.files import CENTRELINES, read_branches
+from ctr_nlp.anatomy.branch import Branch, Branches, name_source_in_errors, transform_points
+from ctr_nlp.anatomy.files import CENTRELINE_SUFFIXES, read_branches
 from ctr_nlp.cli.arguments import add_entry_option
-from ctr_nlp.cli.console import SOLVED, Command
+from ctr_nlp.cli.console import EXIT_SOLVED, Command
 from ctr_nlp.cli.output.file import check_file, output_file
-from ctr_nlp.cli.telling import print_table, progress_bar, wrote
-from ctr_nlp.exceptions import OptionError, OutputError, escaped
+from ctr_nlp.cli.telling import print_table, progress_bar, report_written_files
+from ctr_nlp.exceptions import OptionError, OutputError, escape_control_characters
 from ctr_nlp.figures import save
 from ctr_nlp.figures.branches import tree
 from ctr_nlp.target.curve import curve_from_points
-from ctr_nlp.target.fit import JAGGED, sharpest_bend
+from ctr_nlp.target.fit import JAGGED_CURVATURE_PER_MM, sharpest_bend
 
 PNG = b"\x89PNG"
-COLUMNS = ("branch", "name", "length", "tightest bend", "radius at start", "least", "at end", "tip", "remark")
-SPACING_MM = 0.1
+BRANCH_TABLE_COLUMNS = (
+    "branch",
+    "name",
+    "length",
+    "tightest bend",
+    "radius at start",
+    "least",
+    "at end",
+    "tip",
+    "remark",
+)
+BRANCH_CHECK_SPACING_MM = 0.1
 """Places along a branch at which its bends and its lumen are looked at."""
-STRAIGHT = 1e-4
+MIN_BEND_CURVATURE_PER_MM = 1e-4
 """A branch of a smaller curvature, in 1/mm, has no bend to speak of."""
 END_PART = 0.1
 """The first and the last part of a branch whose mean radii are compared."""
@@ -39,7 +49,7 @@ def _parser(prog: str) -> argparse.ArgumentParser:
         "its name or a point that it passes; and draw them.",
         epilog="Exit status: 0 where branches were listed, 2 where input is bad and nothing is written.",
     )
-    parser.add_argument("file", metavar="FILE", help=f"centreline file ({', '.join(CENTRELINES)})")
+    parser.add_argument("file", metavar="FILE", help=f"centreline file ({', '.join(CENTRELINE_SUFFIXES)})")
     parser.add_argument("--reverse", action="store_true", help="take each branch from its last point to its first")
     add_entry_option(parser, "as the file tells it")
     parser.add_argument("--out", metavar="FILE.png", help="draw the branches; a picture of that name is replaced")
@@ -51,7 +61,7 @@ def _run(arguments: argparse.Namespace) -> int:
         _check_out(Path(arguments.out))
     branches = read_branches(arguments.file, arguments.entry)
     if arguments.reverse:
-        branches = branches.reversed()
+        branches = branches.reverse_direction()
     rows, count = [], len(branches.branches)
     with progress_bar() as bar:
         report = bar("branches")
@@ -60,10 +70,10 @@ def _run(arguments: argparse.Namespace) -> int:
             report(number, count, branches.branches[number - 1].name)
     if arguments.out:
         _draw(branches, Path(arguments.file).name, Path(arguments.out))
-    print_table(f"{arguments.file}, in mm; coordinates {branches.space}", COLUMNS, rows)
+    print_table(f"{arguments.file}, in mm; coordinates {branches.space}", BRANCH_TABLE_COLUMNS, rows)
     if arguments.out:
-        wrote(arguments.out)
-    return SOLVED
+        report_written_files(arguments.out)
+    return EXIT_SOLVED
 
 
 def _check_out(out: Path) -> None:
@@ -76,21 +86,21 @@ def _check_out(out: Path) -> None:
 
 def _row(file: str, number: int, branches: Branches) -> list[Any]:
     branch = branches.branches[number - 1]
-    with blamed(f"{file}, {branch.name}"):
+    with name_source_in_errors(f"{file}, {branch.name}"):
         curve = curve_from_points(branch.points, branch.radius)
-    s = np.linspace(0, curve.length, max(2, round(curve.length / SPACING_MM)))
+    s = np.linspace(0, curve.length, max(2, round(curve.length / BRANCH_CHECK_SPACING_MM)))
     sharpest = float(curve.curvature(s).max())
-    bend = 1 / sharpest if sharpest > STRAIGHT else None
+    bend = 1 / sharpest if sharpest > MIN_BEND_CURVATURE_PER_MM else None
     radius = None if curve.radius is None else curve.radius(s)
     radii = [None] * 3 if radius is None else [float(radius[0]), float(radius.min()), float(radius[-1])]
-    tip = moved(branch.points[-1], branches.from_lps)
+    tip = transform_points(branch.points[-1], branches.from_lps)
     at = " ".join(f"{coordinate:.1f}" for coordinate in tip)
     remark = _remark(branch, sharpest_bend(curve, curve.length)[0])
     return [number, branch.name, float(curve.length), bend, *radii, at, remark]
 
 
 def _remark(branch: Branch, sharpest: float) -> str:
-    remarks = ["jagged: --smoothing helps"] if sharpest > JAGGED else []
+    remarks = ["jagged: --smoothing helps"] if sharpest > JAGGED_CURVATURE_PER_MM else []
     if branch.radius is None:
         return ", ".join([*remarks, "radius unknown"])
     count = max(1, round(END_PART * len(branch.radius)))
@@ -103,9 +113,10 @@ def _draw(branches: Branches, name: str, out: Path) -> None:
     """Write the picture, whole or not at all."""
     every = branches.branches
     title = (
-        f"{escaped(name)}\n{len(every)} {'branches' if len(every) > 1 else 'branch'}, in the file's coordinates"
+        f"{escape_control_characters(name)}\n{len(every)} {'branches' if len(every) > 1 else 'branch'}, in "
+        f"the file's coordinates"
     )
-    paths = [moved(branch.points, branches.from_lps) for branch in every]
+    paths = [transform_points(branch.points, branches.from_lps) for branch in every]
     with output_file(out) as partial:
         save(tree(paths, [branch.name for branch in every], title, branches.space), partial)
 

@@ -7,14 +7,14 @@ import signal
 import sys
 from pathlib import Path
 
-from ctr_nlp.cli.console import SOLVED, SOME_FAILED, Command
-from ctr_nlp.cli.obeying import BY_SIGNAL, stopped_by_signals
+from ctr_nlp.cli.console import EXIT_SOLVED, EXIT_SOME_FAILED, Command
+from ctr_nlp.cli.obeying import SIGNAL_EXIT_BASE, stop_on_signals
 from ctr_nlp.cli.output.file import write_text
 from ctr_nlp.cli.play_report import JOURNAL, claim
-from ctr_nlp.cli.telling import console, print_stderr, print_table, wrote
+from ctr_nlp.cli.telling import console, print_stderr, print_table, report_written_files
 from ctr_nlp.exceptions import DeviceFault, HardwareError
 from ctr_nlp.hardware.clock import RealClock
-from ctr_nlp.hardware.commission import SIGNS, STEP, Commissioning, Controller
+from ctr_nlp.hardware.commission import STEP_DIRECTION_SIGNS, TRIAL_STEP_LENGTH, Commissioning, ControllerReadout
 from ctr_nlp.hardware.description import Hardware, commissioned_file, commissioned_text
 from ctr_nlp.hardware.devices import Asked
 from ctr_nlp.hardware.journal import Journal
@@ -45,7 +45,7 @@ def commission(hardware_file: Path, out: str | None) -> int:
             _show(hardware, controller)
             if controller.wrong:
                 console().print("Nothing was moved or kept. Set what is wrong, then commission again.")
-                return SOME_FAILED
+                return EXIT_SOME_FAILED
             signalled = _steps(rig, hardware)
             controller = rig.controller
         finally:
@@ -53,29 +53,33 @@ def commission(hardware_file: Path, out: str | None) -> int:
     except DeviceFault as exception:
         print_stderr(f"error: {exception}")
         print_stderr(f"what was said is in {journal_file}")
-        return SOME_FAILED
+        return EXIT_SOME_FAILED
     finally:
         if memory is not None:
             memory.release()
         journal.close()
     if signalled:
         console().print("Nothing was kept.")
-        return BY_SIGNAL + signalled
+        return SIGNAL_EXIT_BASE + signalled
     if rig.remaining:
         console().print(
             f"Nothing was kept, since these steps have not been made: {' '.join(rig.remaining)}. Commission "
             f"again, and make them or type skip and the axis, such as skip {rig.remaining[0][0]}.",
         )
-        return SOME_FAILED
+        return EXIT_SOME_FAILED
     kept = commissioned_file(hardware_file)
-    write_text(kept, commissioned_text(controller.identity.settings, controller.identity.told, rig.untried))
-    if rig.untried:
-        console().print(f"Kept without a trial of axes {', '.join(rig.untried)}; `ctr-nlp play` will say so.")
-    wrote(kept, more=": `ctr-nlp play` compares the controller with it at every start")
-    return SOLVED
+    write_text(
+        kept, commissioned_text(controller.identity.settings, controller.identity.description, rig.untested_axes)
+    )
+    if rig.untested_axes:
+        console().print(
+            f"Kept without a trial of axes {', '.join(rig.untested_axes)}; `ctr-nlp play` will say so."
+        )
+    report_written_files(kept, more=": `ctr-nlp play` compares the controller with it at every start")
+    return EXIT_SOLVED
 
 
-def _show(hardware: Hardware, controller: Controller) -> None:
+def _show(hardware: Hardware, controller: ControllerReadout) -> None:
     """Who it is, where its axes stand, and every setting that is wrong or has changed."""
     stands = zip(hardware.axes, controller.position, strict=True)
     rows = [(f"axis {axis.letter} ({axis.joint})", f"{there:.3f}", axis.unit) for axis, there in stands]
@@ -100,7 +104,8 @@ def _steps(rig: Commissioning, hardware: Hardware) -> int:
     """Move single axes as typed, until an empty line or the end of input; the signal that ended it, 0 for none."""
     letters = " ".join(hardware.letters)
     for sentence in (
-        f"With the tubes taken out, type an axis ({letters}) and + or - to move it by {STEP:g} mm or degree, "
+        f"With the tubes taken out, type an axis ({letters}) and + or - to move it by {TRIAL_STEP_LENGTH:g} mm "
+        f"or degree, "
         "such as X+; an empty line ends.",
         "Each must move as far as a ruler shows, and + must go outwards, or anticlockwise seen from the tip, "
         "where sign is 1.",
@@ -129,17 +134,17 @@ def _obey(typed: str, rig: Commissioning, hardware: Hardware, interrupted: Asked
     elif typed.startswith(SKIP) and letter in hardware.letters:
         rig.skip(letter)
         console().print(f"{letter} is left untried")
-    elif len(typed) != 2 or typed[0] not in hardware.letters or typed[1] not in SIGNS:
+    elif len(typed) != 2 or typed[0] not in hardware.letters or typed[1] not in STEP_DIRECTION_SIGNS:
         message = f"{typed!r} is no axis and direction; type one of {letters} and + or -, or skip and one of them"
         console().print(message)
     else:
-        return _moved(typed[0], SIGNS[typed[1]], rig, interrupted)
+        return _step_axis(typed[0], STEP_DIRECTION_SIGNS[typed[1]], rig, interrupted)
     return 0
 
 
-def _moved(letter: str, direction: int, rig: Commissioning, interrupted: Asked) -> int:
+def _step_axis(letter: str, direction: int, rig: Commissioning, interrupted: Asked) -> int:
     """Move an axis by a step, which signals stop; the first that came, 0 for none."""
-    with stopped_by_signals(lambda: None, interrupted) as signalled:
+    with stop_on_signals(lambda: None, interrupted) as signalled:
         try:
             before, after = rig.step(letter, direction, lambda: signalled() != 0)
         except HardwareError as exception:

@@ -5,23 +5,23 @@ from __future__ import annotations
 import argparse
 from typing import Any
 
-from ctr_nlp.cli.console import SOLVED, Command
+from ctr_nlp.cli.console import EXIT_SOLVED, Command
 from ctr_nlp.cli.main import parser as whole_parser
 from ctr_nlp.cli.telling import write_stdout
-from ctr_nlp.problems import NAMES
-from ctr_nlp.support.extras import needed
+from ctr_nlp.problems import PROBLEM_NAMES
+from ctr_nlp.support.extras import import_extra
 
 SHELLS = ("bash", "zsh", "fish")
-_NAMES = " ".join(NAMES)
+_PROBLEM_NAMES_TEXT = " ".join(PROBLEM_NAMES)
 PROBLEM = {
     "bash": "_ctr_nlp_problem",
     "zsh": "_ctr_nlp_problem",
-    "fish": f"(string split ' ' '{_NAMES}'; __fish_complete_path (commandline -ct))",
+    "fish": f"(string split ' ' '{_PROBLEM_NAMES_TEXT}'; __fish_complete_path (commandline -ct))",
 }
 """What completes a problem in each shell: names, and files."""
 PREAMBLE = {
-    "bash": f"_ctr_nlp_problem() {{ compgen -W '{_NAMES}' -- $1; compgen -f -- $1; }}",
-    "zsh": f"_ctr_nlp_problem() {{ _values problem {_NAMES}; _files }}",
+    "bash": f"_ctr_nlp_problem() {{ compgen -W '{_PROBLEM_NAMES_TEXT}' -- $1; compgen -f -- $1; }}",
+    "zsh": f"_ctr_nlp_problem() {{ _values problem {_PROBLEM_NAMES_TEXT}; _files }}",
 }
 """Definitions, by shell, that the completion of a problem needs."""
 
@@ -39,14 +39,14 @@ def _parser(prog: str) -> argparse.ArgumentParser:
 
 
 def _run(arguments: argparse.Namespace) -> int:
-    shtab = needed("shtab")
+    shtab = import_extra("shtab")
     parser = whole_parser(every_option=True)
     (subparsers,) = (action for action in parser._actions if isinstance(action, argparse._SubParsersAction))
     for command in subparsers.choices.values():
         for action in command._actions:
             _complete(action, shtab)
     write_stdout(shtab.complete(parser, shell=arguments.shell, preamble=PREAMBLE))
-    return SOLVED
+    return EXIT_SOLVED
 
 
 def _complete(action: argparse.Action, shtab: Any) -> None:

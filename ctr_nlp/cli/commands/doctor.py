@@ -16,18 +16,18 @@ from pathlib import Path
 from typing import NamedTuple
 
 import ctr_nlp
-from ctr_nlp.cli.console import SOLVED, SOME_FAILED, Command
+from ctr_nlp.cli.console import EXIT_SOLVED, EXIT_SOME_FAILED, Command
 from ctr_nlp.cli.telling import console, print_table
 from ctr_nlp.codegen import cache
 from ctr_nlp.exceptions import CtrError
 
-NAME = "ctr_nlp"
+DISTRIBUTION_NAME = "ctr_nlp"
 """Name of the distribution whose requirements are checked."""
 VECTORS = ("avx512f", "avx2", "neon", "asimd")
 """Features of processors that compiled code gains from, the best first of each kind."""
 
 
-class Finding(NamedTuple):
+class CheckResult(NamedTuple):
     """Result of one check.
 
     what: the thing that was checked. good: whether it works. seen: what was found. remedy: how to mend it. core:
@@ -36,7 +36,7 @@ class Finding(NamedTuple):
 
     what: str
     good: bool
-    seen: str
+    detail: str
     remedy: str = ""
     core: bool = False
 
@@ -50,9 +50,9 @@ def _parser(prog: str) -> argparse.ArgumentParser:
 
 
 def _run(_: argparse.Namespace) -> int:
-    checks: tuple[Callable[[], Iterator[Finding]], ...] = (_packages, _compiler, _cache, _devices, _plan)
+    checks: tuple[Callable[[], Iterator[CheckResult]], ...] = (_packages, _compiler, _cache, _devices, _plan)
     found = [finding for check in checks for finding in check()]
-    rows = [(one.what, "yes" if one.good else "no", one.seen) for one in found]
+    rows = [(one.what, "yes" if one.good else "no", one.detail) for one in found]
     print_table(f"ctr-nlp {ctr_nlp.__version__}", ("", "works", "found"), rows, text=("works", "found"))
     for one in found:
         if not one.good and one.remedy:
@@ -60,16 +60,16 @@ def _run(_: argparse.Namespace) -> int:
     broken = [one.what for one in found if one.core and not one.good]
     told = f"planning does not work: {', '.join(broken)}" if broken else "planning works"
     console().print(told)
-    return SOME_FAILED if broken else SOLVED
+    return EXIT_SOME_FAILED if broken else EXIT_SOLVED
 
 
-def _packages() -> Iterator[Finding]:
+def _packages() -> Iterator[CheckResult]:
     """A line for what the core needs, and one for each extra; `dev` is for those who change this library."""
-    yield Finding("Python", True, f"{platform.python_version()} at {sys.executable}")
+    yield CheckResult("Python", True, f"{platform.python_version()} at {sys.executable}")
     try:
-        required = metadata.requires(NAME) or []
+        required = metadata.requires(DISTRIBUTION_NAME) or []
     except metadata.PackageNotFoundError:
-        yield Finding("core", True, "unknown: this copy runs without having been installed")
+        yield CheckResult("core", True, "unknown: this copy runs without having been installed")
         return
     needs: dict[str, list[str]] = {"core": []}
     for line in required:
@@ -78,11 +78,13 @@ def _packages() -> Iterator[Finding]:
         if found or not marker or sys.version_info < (3, 11):  # the only other marker is of Python below 3.11
             needs.setdefault(f"extra {found[1]}" if found else "core", []).append(spec)
     for part, specs in needs.items():
-        versions = {spec: _version(spec) for spec in specs if _name(spec).replace("-", "_") != NAME}
+        versions = {spec: _version(spec) for spec in specs if _name(spec).replace("-", "_") != DISTRIBUTION_NAME}
         seen = ", ".join(f"{_name(spec)} {version or 'missing'}" for spec, version in versions.items())
         missing = " ".join(f'"{spec}"' for spec, version in versions.items() if version is None)
         if part != "extra dev":
-            yield Finding(part, not missing, seen, f"{sys.executable} -m pip install {missing}", part == "core")
+            yield CheckResult(
+                part, not missing, seen, f"{sys.executable} -m pip install {missing}", part == "core"
+            )
 
 
 def _name(spec: str) -> str:
@@ -96,18 +98,18 @@ def _version(spec: str) -> str | None:
         return None
 
 
-def _compiler() -> Iterator[Finding]:
+def _compiler() -> Iterator[CheckResult]:
     """The compiler, and those of VECTORS that Linux, where it does, tells of the processor."""
-    why, chosen, told = cache.missing(), cache.compiler(), set[str]()
+    why, chosen, told = cache.unavailable_reason(), cache.compiler(), set[str]()
     with suppress(OSError):
         told = set(Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace").split())
     vectors = ", ".join(name for name in VECTORS if name in told)
     found = "" if chosen is None else " ".join(chosen.command[:2]) + (f"; vectors: {vectors}" if vectors else "")
     remedy = "install gcc or clang; without, planning is thirty times slower"
-    yield Finding("C compiler", why is None, why or found, remedy)
+    yield CheckResult("C compiler", why is None, why or found, remedy)
 
 
-def _cache() -> Iterator[Finding]:
+def _cache() -> Iterator[CheckResult]:
     folder = cache.folder()
     sizes = [path.stat().st_size for path in folder.rglob("*.so")] if folder.is_dir() else []
     try:
@@ -116,32 +118,34 @@ def _cache() -> Iterator[Finding]:
     except OSError:
         writable = False
     seen = f"{folder}: {len(sizes)} libraries, {sum(sizes) / 1e6:.0f} MB" + ", cannot be written" * (not writable)
-    yield Finding("cache", writable, seen, f"let {cache.FOLDER} name another folder")
+    yield CheckResult("cache", writable, seen, f"let {cache.CACHE_FOLDER_VARIABLE} name another folder")
 
 
-def _devices() -> Iterator[Finding]:
+def _devices() -> Iterator[CheckResult]:
     ffmpeg = shutil.which("ffmpeg")
-    yield Finding("ffmpeg", ffmpeg is not None, ffmpeg or "missing", "install it; --film FILE.mp4 needs it")
+    yield CheckResult("ffmpeg", ffmpeg is not None, ffmpeg or "missing", "install it; --film FILE.mp4 needs it")
     ports = [*Path("/dev").glob("ttyUSB*"), *Path("/dev").glob("ttyACM*")]
     usable = all(os.access(port, os.R_OK | os.W_OK) for port in ports)
     if ports:
         remedy = "join the group that owns them, often dialout"
-        yield Finding("serial ports", usable, " ".join(map(str, ports)), remedy)
+        yield CheckResult("serial ports", usable, " ".join(map(str, ports)), remedy)
 
 
-def _plan() -> Iterator[Finding]:
+def _plan() -> Iterator[CheckResult]:
     """Two frames of the simplest problem, without compiled code: whether planning works at all.
 
     On the dominant model, since elastic frames take long where nothing is compiled.
     """
     try:
-        from ctr_nlp.problems import named
+        from ctr_nlp.problems import named_problem
 
-        plan = ctr_nlp.solve_per_frame(named("arc", 2), model="dominant", solver="ipopt", direction="forward")
+        plan = ctr_nlp.solve_per_frame(
+            named_problem("arc", 2), model="dominant", solver="ipopt", direction="forward"
+        )
         good, seen = plan.complete, f"two frames solved, e3 {ctr_nlp.summary(plan)['e3']:.2f} mm"
     except (CtrError, ImportError, RuntimeError, OSError) as error:
         good, seen = False, f"{type(error).__name__}: {error}"
-    yield Finding("a plan", good, seen if good else f"not solved: {seen}", core=True)
+    yield CheckResult("a plan", good, seen if good else f"not solved: {seen}", core=True)
 
 
 main = Command("ctr-nlp doctor", _parser, _run)

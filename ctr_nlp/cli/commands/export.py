@@ -5,27 +5,27 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from ctr_nlp.cli.console import SOLVED, Command
+from ctr_nlp.cli.console import EXIT_SOLVED, Command
 from ctr_nlp.cli.exchange.shapes import write_shapes
 from ctr_nlp.cli.output.file import check_file, write_text
-from ctr_nlp.cli.output.folder import check_folder, published
+from ctr_nlp.cli.output.folder import check_folder, output_folder
 from ctr_nlp.cli.play_report import print_trajectory
-from ctr_nlp.cli.telling import wrote
-from ctr_nlp.exceptions import OptionError, escaped
+from ctr_nlp.cli.telling import report_written_files
+from ctr_nlp.exceptions import OptionError, escape_control_characters
 from ctr_nlp.exchange import formats
-from ctr_nlp.exchange.formats import SLICER
-from ctr_nlp.exchange.slicer import SPACES
-from ctr_nlp.hardware.description import Hardware, bench
-from ctr_nlp.hardware.exports import BAG, FORMATS, TEXTS
+from ctr_nlp.exchange.formats import SLICER_FORMAT
+from ctr_nlp.exchange.slicer import SLICER_SPACES
+from ctr_nlp.hardware.description import Hardware, simulated_hardware
+from ctr_nlp.hardware.exports import BAG, MACHINE_FORMATS, MACHINE_TEXT_FORMATS
 from ctr_nlp.hardware.exports.rosbag2 import STORAGES, write_bag
 from ctr_nlp.hardware.motion.trajectory import Trajectory
-from ctr_nlp.hardware.playing.session import prepared
+from ctr_nlp.hardware.playing.session import prepare_trajectory
 from ctr_nlp.plan.plan import Plan
 from ctr_nlp.support.interrupt import deferred_interrupt
 
 
 def _parser(prog: str) -> argparse.ArgumentParser:
-    every = (*FORMATS, *formats.FORMATS)
+    every = (*MACHINE_FORMATS, *formats.EXCHANGE_FORMATS)
     parser = argparse.ArgumentParser(
         prog=prog,
         description="Check a plan for some hardware, time it, and write it as commands that other machines play: "
@@ -48,8 +48,8 @@ def _parser(prog: str) -> argparse.ArgumentParser:
     )
     parser.add_argument(
         "--space",
-        choices=SPACES,
-        help=f"with --to {SLICER}, for a plan whose path comes from a file that does not tell its "
+        choices=SLICER_SPACES,
+        help=f"with --to {SLICER_FORMAT}, for a plan whose path comes from a file that does not tell its "
         "patient coordinates: those of that file",
     )
     parser.add_argument(
@@ -62,46 +62,51 @@ def _parser(prog: str) -> argparse.ArgumentParser:
 
 def _run(arguments: argparse.Namespace) -> int:
     to, source = arguments.to, Path(arguments.plan)
-    _check_fit(arguments)
-    if to in formats.FORMATS:
+    _check_format_options(arguments)
+    if to in formats.EXCHANGE_FORMATS:
         write_shapes(source, to, None if arguments.out is None else Path(arguments.out), arguments.space)
-        return SOLVED
-    beside = source.with_name(f"{source.stem}_bag") if to == BAG else source.with_suffix(TEXTS[to].suffix)
+        return EXIT_SOLVED
+    beside = (
+        source.with_name(f"{source.stem}_bag")
+        if to == BAG
+        else source.with_suffix(MACHINE_TEXT_FORMATS[to].suffix)
+    )
     out = Path(arguments.out or beside)
     _check_out(out, to)
     plan = Plan.load(source)
-    title = escaped(plan.meta["problem"]["name"])
-    hardware = Hardware.from_toml(arguments.hardware) if arguments.hardware else bench(plan.robot)
+    title = escape_control_characters(plan.meta["problem"]["name"])
+    hardware = Hardware.from_toml(arguments.hardware) if arguments.hardware else simulated_hardware(plan.robot)
     with deferred_interrupt() as interrupted:
-        trajectory, found = prepared(plan, hardware, 1.0 if arguments.tempo is None else arguments.tempo)
+        trajectory, found = prepare_trajectory(plan, hardware, 1.0 if arguments.tempo is None else arguments.tempo)
         if interrupted():
             raise KeyboardInterrupt
     if to == BAG:
         _write_bag(trajectory, title, out, arguments.storage or STORAGES[0])
     else:
-        write_text(out, TEXTS[to].of(trajectory, title))
+        write_text(out, MACHINE_TEXT_FORMATS[to].of(trajectory, title))
     print_trajectory(f"{title} for {len(trajectory.hardware.axes)} axes", trajectory, found)
-    wrote(out)
-    return SOLVED
+    report_written_files(out)
+    return EXIT_SOLVED
 
 
-def _check_fit(arguments: argparse.Namespace) -> None:
+def _check_format_options(arguments: argparse.Namespace) -> None:
     """Raise OptionError for an option that does not go with the format."""
     to = arguments.to
     if arguments.storage and to != BAG:
         raise OptionError(f"--storage goes with --to {BAG}; a {to} file has none")
-    if arguments.space and to != SLICER:
-        raise OptionError(f"--space goes with --to {SLICER}; a {to} file is in the robot's base frame")
+    if arguments.space and to != SLICER_FORMAT:
+        raise OptionError(f"--space goes with --to {SLICER_FORMAT}; a {to} file is in the robot's base frame")
     for option in ("hardware", "tempo"):
-        if to in formats.FORMATS and getattr(arguments, option) is not None:
+        if to in formats.EXCHANGE_FORMATS and getattr(arguments, option) is not None:
             raise OptionError(
-                f"--{option} goes with commands of machines ({', '.join(FORMATS)}); --to {to} writes shapes"
+                f"--{option} goes with commands of machines ({', '.join(MACHINE_FORMATS)}); --to {to} writes "
+                f"shapes"
             )
 
 
 def _check_out(out: Path, to: str) -> None:
     if to != BAG:
-        check_file(out, TEXTS[to].opening)
+        check_file(out, MACHINE_TEXT_FORMATS[to].opening)
     elif out.suffix in (".mcap", ".db3"):
         raise OptionError(f"--out is {out}, but a bag is a folder: {out.with_suffix('')} will hold such a file")
     else:
@@ -109,7 +114,7 @@ def _check_out(out: Path, to: str) -> None:
 
 
 def _write_bag(trajectory: Trajectory, title: str, out: Path, storage: str) -> None:
-    with published(out, "bag") as staging:
+    with output_folder(out, "bag") as staging:
         made = staging / out.absolute().name  # the bag's file takes its name from the folder that it is made in
         write_bag(trajectory, title, made, storage)
         for file in made.iterdir():

@@ -6,12 +6,12 @@ import argparse
 from importlib.resources import files
 from pathlib import Path
 
-from ctr_nlp.cli.console import SOLVED, Command
+from ctr_nlp.cli.console import EXIT_SOLVED, Command
 from ctr_nlp.cli.output.file import check_file, write_text
-from ctr_nlp.cli.telling import wrote
+from ctr_nlp.cli.telling import report_written_files
 from ctr_nlp.exceptions import OptionError, OutputError
 
-NEXT = {
+NEXT_COMMAND_BY_TEMPLATE = {
     "problem.py": "ctr-nlp plan {file}",
     "robot.toml": "ctr-nlp plan bronchus --robot {file}",
     "hardware.toml": "ctr-nlp play PLAN.npz --hardware {file} --dry-run",
@@ -20,7 +20,7 @@ NEXT = {
     "survival.toml": "ctr-nlp study {file}",
 }
 """Template -> what can be done with a copy of it."""
-KINDS = {Path(name).stem: name for name in NEXT}
+TEMPLATE_BY_KIND = {Path(name).stem: name for name in NEXT_COMMAND_BY_TEMPLATE}
 
 
 def _parser(prog: str) -> argparse.ArgumentParser:
@@ -32,7 +32,7 @@ def _parser(prog: str) -> argparse.ArgumentParser:
         epilog="Exit status: 0 where the file was written, 2 where input is bad and nothing is written. A file "
         "that is there is never replaced.",
     )
-    parser.add_argument("kind", choices=KINDS)
+    parser.add_argument("kind", choices=TEMPLATE_BY_KIND)
     parser.add_argument("file", metavar="FILE", help="to write; its name ends in .py or .toml")
     peers = parser.add_argument_group("a robot of another program")
     what = "tubes in SI units, as MexLib (OD, ID, k, L, Lt, E, G) or gym-ctr (length, length_curved, ..) have them"
@@ -44,7 +44,7 @@ def _parser(prog: str) -> argparse.ArgumentParser:
 
 
 def template(name: str) -> str:
-    """The text of a template, a key of NEXT."""
+    """The text of a template, a key of NEXT_COMMAND_BY_TEMPLATE."""
     return files("ctr_nlp.cli").joinpath("templates", name).read_text(encoding="utf-8")
 
 
@@ -66,15 +66,15 @@ def _text(arguments: argparse.Namespace, name: str) -> str:
 
 
 def _run(arguments: argparse.Namespace) -> int:
-    name, file = KINDS[arguments.kind], Path(arguments.file)
+    name, file = TEMPLATE_BY_KIND[arguments.kind], Path(arguments.file)
     if file.suffix != Path(name).suffix:
         raise OptionError(f"file is {file}; the name of a {arguments.kind} file ends in {Path(name).suffix}")
     if file.exists() or file.is_symlink():
         raise OutputError(f"{file} exists and is left as it is; name another file")
     check_file(file, "")
     write_text(file, _text(arguments, name))
-    wrote(file, more=f"; next: {NEXT[name].format(file=file)}")
-    return SOLVED
+    report_written_files(file, more=f"; next: {NEXT_COMMAND_BY_TEMPLATE[name].format(file=file)}")
+    return EXIT_SOLVED
 
 
 main = Command("ctr-nlp new", _parser, _run)

@@ -15,21 +15,21 @@ from typing import TYPE_CHECKING, Any
 
 from ctr_nlp.cli import arguments as options
 from ctr_nlp.cli import plan_options, problems
-from ctr_nlp.cli.arguments import DEFAULTS, FRAME_SETTINGS, film_file, read_start, settings_from
-from ctr_nlp.cli.console import INTERRUPTED, Command
+from ctr_nlp.cli.arguments import DEFAULT_SETTINGS, FRAME_SETTINGS, film_file, read_start, settings_from
+from ctr_nlp.cli.console import EXIT_INTERRUPTED, Command
 from ctr_nlp.cli.loads.options import (
     add_load_options,
     add_modulus_option,
-    asked_model,
     has_load,
-    with_asked_modulus,
+    model_from_options,
+    problem_with_modulus,
 )
 from ctr_nlp.cli.output.file import path_component
-from ctr_nlp.cli.output.folder import NOMINAL, check_folder, place_of, published
-from ctr_nlp.cli.plan_options import HORIZON
+from ctr_nlp.cli.output.folder import NOMINAL_FOLDER_NAME, check_folder, output_folder, results_folder
+from ctr_nlp.cli.plan_options import HORIZON_FORMULATION
 from ctr_nlp.cli.report import (
     draw,
-    draw_first,
+    draw_shapes_only,
     exit_status,
     print_compromises,
     print_front,
@@ -39,11 +39,11 @@ from ctr_nlp.cli.report import (
     write_film,
     write_front,
 )
-from ctr_nlp.cli.telling import announce, progress_bar, wrote
+from ctr_nlp.cli.telling import announce, progress_bar, report_written_files
 from ctr_nlp.exceptions import CtrError, OptionError
 from ctr_nlp.formulations import FORMULATIONS
 from ctr_nlp.formulations.settings import THRESHOLDS, Settings, check_motion_weight
-from ctr_nlp.models import MODELS
+from ctr_nlp.models import KINEMATIC_MODELS
 from ctr_nlp.plan import account
 from ctr_nlp.plan.account import NOT_FOR_PATIENTS
 from ctr_nlp.plan.metrics import summary
@@ -54,20 +54,20 @@ from ctr_nlp.steer import DIRECTIONS, horizon_planner, solve_per_frame
 from ctr_nlp.steer.compromise import Compromise, compromises
 from ctr_nlp.steer.requests import Direction, check_search, checked_motions
 from ctr_nlp.steer.robust import solve_robust, solve_robust_per_frame
-from ctr_nlp.steer.robust.tolerated import described
-from ctr_nlp.studies.trade_off import WEIGHTS, Point, trade_off
+from ctr_nlp.steer.robust.tolerated import resolve_scenarios
+from ctr_nlp.studies.trade_off import DEFAULT_SWEEP_WEIGHTS_S2, ParetoPoint, compute_pareto_front
 from ctr_nlp.support.interrupt import deferred_interrupt, end_if_interrupted
 from ctr_nlp.support.values import check_choice
 from ctr_nlp.target.fit import check_radii
 from ctr_nlp.target.problem import Problem
 
 if TYPE_CHECKING:
-    from ctr_nlp.cli.live import Solved
+    from ctr_nlp.cli.live import SolverView
 
 
-UNFIT = "initial", "starts", "exhaustive", "jobs", "sweep_motion_weight", "live", "solver"
+OPTIONS_EXCLUDED_BY_ROBUST = "initial", "starts", "exhaustive", "jobs", "sweep_motion_weight", "live", "solver"
 """Options that do not go with --robust."""
-ALONE_ROBUST = {
+ROBUST_ONLY_OPTIONS = {
     "most_lost": "how many robots a robust plan may lose",
     "guards": "that robots at the corners of the tolerances are kept, too",
     "tip_force": "which force robots may bear that a robust plan is for",
@@ -77,7 +77,7 @@ ALONE_ROBUST = {
 
 def _parser(formulations: tuple[str, ...], prog: str) -> argparse.ArgumentParser:
     """The options of some formulations, the first of which is the default."""
-    frames, horizon = set(formulations) != {HORIZON}, HORIZON in formulations
+    frames, horizon = set(formulations) != {HORIZON_FORMULATION}, HORIZON_FORMULATION in formulations
     how = " or ".join(["all frames in one program"] * horizon + ["frame by frame"] * frames)
     parser = argparse.ArgumentParser(
         prog=prog,
@@ -88,7 +88,7 @@ def _parser(formulations: tuple[str, ...], prog: str) -> argparse.ArgumentParser
         "1 where one is, 2 where input is bad, 130 after an interruption (the best motion so far goes into "
         f"DIR/interrupted, and DIR's own files stay). {NOT_FOR_PATIENTS}",
     )
-    parser.add_argument("problem", metavar="PROBLEM", help=problems.KINDS)
+    parser.add_argument("problem", metavar="PROBLEM", help=problems.PROBLEM_ARGUMENT_HELP)
     options.add_problem_options(parser)
     parser.set_defaults(formulation=formulations[0])
     if len(formulations) > 1:
@@ -117,7 +117,7 @@ def _parser(formulations: tuple[str, ...], prog: str) -> argparse.ArgumentParser
     if horizon:
         plan_options.add_horizon_options(parser)
     weights = ["motion costs a tenth of the start's shape errors"] * horizon
-    weights += [f"{DEFAULTS.motion_weight:g}{' frame by frame' * horizon}"] * frames
+    weights += [f"{DEFAULT_SETTINGS.motion_weight:g}{' frame by frame' * horizon}"] * frames
     options.add_settings(parser, "; ".join(weights), jumps=frames)
     plan_options.add_file_options(parser)
     plan_options.add_term_options(parser)
@@ -130,30 +130,30 @@ def _parser(formulations: tuple[str, ...], prog: str) -> argparse.ArgumentParser
 
 
 def _run(arguments: argparse.Namespace) -> int:
-    whole, swept = arguments.formulation == HORIZON, getattr(arguments, "sweep_motion_weight", None)
-    _check_fit(arguments)
+    whole, swept = arguments.formulation == HORIZON_FORMULATION, getattr(arguments, "sweep_motion_weight", None)
+    _check_formulation_options(arguments)
     for weight in swept or ():
         check_motion_weight(weight)
-    problem = plan_options.moved(problems.load(arguments.problem, arguments), arguments)
-    problem = plan_options.tolerant(with_asked_modulus(problem, arguments), arguments)
+    problem = plan_options.with_motion_options(problems.load(arguments.problem, arguments), arguments)
+    problem = plan_options.with_tip_force_option(problem_with_modulus(problem, arguments), arguments)
     model = plan_options.model_from(arguments)
-    asked_model(model, arguments).check(problem.robot)
-    robust, alone = _planned_for(arguments, problem)
+    model_from_options(model, arguments).check(problem.robot)
+    robust, alone = _decide_robust(arguments, problem)
     out, film = Path(arguments.out or f"runs/{_folder(problem, model, arguments, robust)}"), film_file(arguments)
     check_folder(out, "plan", film)
     if alone:
         announce(f"planned for the robot as described alone: {alone}")
     if robust:
-        plan, points = _robust(arguments, problem, out), list[Point]()
+        plan, points = _plan_robust(arguments, problem, out), list[ParetoPoint]()
     else:
-        plan, points = _at_once(arguments, problem) if whole else (_by_frame(arguments, problem), [])
+        plan, points = _plan_horizon(arguments, problem) if whole else (_plan_per_frame(arguments, problem), [])
     with deferred_interrupt() as pressed:
         # Ctrl-C waits while the plan is looked at, which takes seconds: what was solved is not to be lost by it.
-        plan = plan_options.look_at_plan(plan_options.with_thresholds(plan, arguments), arguments)
+        plan = plan_options.evaluate_plan(plan_options.with_thresholds(plan, arguments), arguments)
         found = _compromises(arguments, problem, plan)
         interrupted = plan.meta["interrupted"] or pressed()
-    place = place_of(out, interrupted)
-    with published(place, "plan") as staging:
+    place = results_folder(out, interrupted)
+    with output_folder(place, "plan") as staging:
         write(plan, staging)
         if found:
             write_compromises(found, staging)
@@ -169,10 +169,10 @@ def _run(arguments: argparse.Namespace) -> int:
         print_compromises(plan, found)
     if points:
         print_front(points)
-    wrote(place, files)
+    report_written_files(place, files)
     if film is not None:
-        wrote(film)
-    return INTERRUPTED if interrupted else exit_status(plan)
+        report_written_files(film)
+    return EXIT_INTERRUPTED if interrupted else exit_status(plan)
 
 
 def _compromises(arguments: argparse.Namespace, problem: Problem, plan: Plan) -> list[Compromise]:
@@ -181,8 +181,10 @@ def _compromises(arguments: argparse.Namespace, problem: Problem, plan: Plan) ->
     """
     found = plan.verdicts
     failed = plan.clearance is not None and NO in (found.arrives.word, found.within_wall.word)
-    looked = not (arguments.no_evaluate or plan.meta["interrupted"] or plan.bears is not None)
-    if not (failed and looked and arguments.formulation == HORIZON and plan.meta["model"] == PHYSICAL_MODEL):
+    looked = not (arguments.no_evaluate or plan.meta["interrupted"] or plan.evaluated_load is not None)
+    if not (
+        failed and looked and arguments.formulation == HORIZON_FORMULATION and plan.meta["model"] == PHYSICAL_MODEL
+    ):
         return []
     if arguments.contact_weight == 0.0:
         return []
@@ -193,29 +195,29 @@ def _compromises(arguments: argparse.Namespace, problem: Problem, plan: Plan) ->
         return compromises(problem, plan, settings=settings, terms=terms, progress=shown)
 
 
-def _asked_robust(arguments: argparse.Namespace) -> bool:
+def _wants_robust(arguments: argparse.Namespace) -> bool:
     """Whether all robots within the tolerances are to be planned for, by --robust or by what only that has."""
-    told = any(getattr(arguments, option) is not None for option in ALONE_ROBUST)
-    return arguments.robust or (told and arguments.formulation == HORIZON and not arguments.nominal)
+    told = any(getattr(arguments, option) is not None for option in ROBUST_ONLY_OPTIONS)
+    return arguments.robust or (told and arguments.formulation == HORIZON_FORMULATION and not arguments.nominal)
 
 
-def _planned_for(arguments: argparse.Namespace, problem: Problem) -> tuple[bool, str]:
+def _decide_robust(arguments: argparse.Namespace, problem: Problem) -> tuple[bool, str]:
     """Whether all robots within the tolerances are planned for; where nobody said so, why they are not.
 
     Over all frames they are, where the model can tell which of them snap and nothing was asked for that only the
     plan of the described robot has.
     """
-    robust = _asked_robust(arguments)
-    if robust or arguments.nominal or arguments.formulation != HORIZON:
+    robust = _wants_robust(arguments)
+    if robust or arguments.nominal or arguments.formulation != HORIZON_FORMULATION:
         return robust, ""
     if has_load(arguments):
         return False, "under a load the others take a minute and more; --robust plans for them"
-    if not MODELS[plan_options.model_from(arguments)].can_snap:
+    if not KINEMATIC_MODELS[plan_options.model_from(arguments)].can_snap:
         return False, ""
-    if given := _given(arguments, UNFIT):
+    if given := _given_options(arguments, OPTIONS_EXCLUDED_BY_ROBUST):
         return False, f"{given[0]} was given"
     try:
-        described(problem.robot, plan_options.model_from(arguments), None)
+        resolve_scenarios(problem.robot, plan_options.model_from(arguments), None)
     except CtrError as error:
         return False, str(error)
     return True, ""
@@ -223,9 +225,9 @@ def _planned_for(arguments: argparse.Namespace, problem: Problem) -> tuple[bool,
 
 def _folder(problem: Problem, model: str, arguments: argparse.Namespace, robust: bool) -> str:
     """Name the output folder by what was asked for: plans of other requests do not replace each other."""
-    whole, loaded = arguments.formulation == HORIZON, has_load(arguments)
+    whole, loaded = arguments.formulation == HORIZON_FORMULATION, has_load(arguments)
     asked = {
-        "nominal": whole and not (robust or loaded) and MODELS[model].can_snap,
+        "nominal": whole and not (robust or loaded) and KINEMATIC_MODELS[model].can_snap,
         "robust": robust and not whole,
         "loaded": loaded,
         "locked-tilt": arguments.lock_tilt,
@@ -235,30 +237,37 @@ def _folder(problem: Problem, model: str, arguments: argparse.Namespace, robust:
     return "-".join([*parts, *(name for name, given in asked.items() if given)])
 
 
-def _check_fit(arguments: argparse.Namespace) -> None:
+def _check_formulation_options(arguments: argparse.Namespace) -> None:
     """Raise OptionError for an option that the chosen formulation does not have."""
-    whole = arguments.formulation == HORIZON
+    whole = arguments.formulation == HORIZON_FORMULATION
     if arguments.solver is not None and not whole:
         check_choice("solver", arguments.solver, SOLVERS)
-    for option in _given(arguments, plan_options.FRAMES_ALONE if whole else plan_options.HORIZON_ALONE):
-        fitting = f"one of {', '.join(FORMULATIONS)}" if whole else HORIZON
+    for option in _given_options(
+        arguments, plan_options.PER_FRAME_ONLY_OPTIONS if whole else plan_options.HORIZON_ONLY_OPTIONS
+    ):
+        fitting = f"one of {', '.join(FORMULATIONS)}" if whole else HORIZON_FORMULATION
         raise OptionError(
             f"{option} does not go with --formulation {arguments.formulation}; it goes with {fitting}"
         )
-    robust = _asked_robust(arguments)
-    for option, what in ALONE_ROBUST.items():
+    robust = _wants_robust(arguments)
+    for option, what in ROBUST_ONLY_OPTIONS.items():
         if getattr(arguments, option) is not None and not robust:
             raise OptionError(f"--{option.replace('_', '-')} is given without --robust; it says {what}")
     if robust:
-        if arguments.formulation not in (HORIZON, "joint"):
+        if arguments.formulation not in (HORIZON_FORMULATION, "joint"):
             raise OptionError(
                 f"--robust does not go with --formulation {arguments.formulation}; it goes with horizon and joint"
             )
-        for option in _given(arguments, UNFIT if whole else (*UNFIT, *plan_options.WALL)):
+        for option in _given_options(
+            arguments,
+            OPTIONS_EXCLUDED_BY_ROBUST
+            if whole
+            else (*OPTIONS_EXCLUDED_BY_ROBUST, *plan_options.WALL_SETTING_NAMES),
+        ):
             raise OptionError(f"{option} does not go with --robust; leave one of them out")
 
 
-def _given(arguments: argparse.Namespace, names: Sequence[str]) -> list[str]:
+def _given_options(arguments: argparse.Namespace, names: Sequence[str]) -> list[str]:
     """Return the options that were given, as they are written on the command line; `names` are their attributes in
     arguments.
     """
@@ -272,32 +281,32 @@ def _settings(arguments: argparse.Namespace, problem: Problem, *names: str) -> S
     """Make the Settings from the options in `names` and those of the wall, arrival and thresholds; raises
     OptionError, and ProblemError where the wall is asked for and the problem has no radii.
     """
-    if any(getattr(arguments, name) for name in plan_options.WALL):
+    if any(getattr(arguments, name) for name in plan_options.WALL_SETTING_NAMES):
         check_radii(problem)
-    return settings_from(arguments, *names, *plan_options.WALL, "arrival_weight", *THRESHOLDS)
+    return settings_from(arguments, *names, *plan_options.WALL_SETTING_NAMES, "arrival_weight", *THRESHOLDS)
 
 
-def _by_frame(arguments: argparse.Namespace, problem: Problem) -> Plan:
+def _plan_per_frame(arguments: argparse.Namespace, problem: Problem) -> Plan:
     """Plan frame by frame with the formulation that was chosen."""
     direction: Direction = arguments.direction or "best"
     asked: dict[str, Any] = {
         "settings": _settings(arguments, problem, *FRAME_SETTINGS),
         "start": None if arguments.start is None else read_start(arguments.start),
-        "model": asked_model(plan_options.model_from(arguments), arguments),
+        "model": model_from_options(plan_options.model_from(arguments), arguments),
         "solver": arguments.solver,
         "terms": plan_options.terms_from(arguments),
     }
-    problems.tell(problem)
+    problems.print_problem_notes(problem)
     end_if_interrupted()
     with progress_bar() as labelled:
         show = labelled(problem.name)
         plan = solve_per_frame(problem, arguments.formulation, direction=direction, progress=show, **asked)
-    if not plan.reached.any():
+    if not plan.reached_frames.any():
         end_if_interrupted()
     return plan
 
 
-def _at_once(arguments: argparse.Namespace, problem: Problem) -> tuple[Plan, list[Point]]:
+def _plan_horizon(arguments: argparse.Namespace, problem: Problem) -> tuple[Plan, list[ParetoPoint]]:
     """Plan all frames at once; returns the plan, and the points of a sweep of motion weights where one is asked
     for.
     """
@@ -305,34 +314,34 @@ def _at_once(arguments: argparse.Namespace, problem: Problem) -> tuple[Plan, lis
     start, end = (None if path is None else read_start(path) for path in (arguments.start, arguments.end))
     check_search(arguments.motion_weight, arguments.starts, jobs)
     initial = checked_motions(problem, [Plan.load(path).q for path in arguments.initial or ()])
-    points: list[Point] = []
-    with _shown(problem, arguments) as seen:
+    points: list[ParetoPoint] = []
+    with _open_live_view(problem, arguments) as seen:
         terms = plan_options.terms_from(arguments)
-        model = asked_model(plan_options.model_from(arguments), arguments)
+        model = model_from_options(plan_options.model_from(arguments), arguments)
         horizon = horizon_planner(problem, model, arguments.solver, start, end, settings, terms)
-        problems.tell(problem)
+        problems.print_problem_notes(problem)
         end_if_interrupted()
         with progress_bar() as labelled:
             show = labelled(problem.name)
             asked = arguments.motion_weight, arguments.starts, jobs
             plan = horizon.solve(initial, *asked, show, seen, arguments.exhaustive)
             if seen is not None:
-                seen.ended(plan)
+                seen.show_plan(plan)
             if arguments.sweep_motion_weight is not None:
-                weights = arguments.sweep_motion_weight or WEIGHTS
-                points = trade_off(horizon, plan, weights, settings, labelled)
+                weights = arguments.sweep_motion_weight or DEFAULT_SWEEP_WEIGHTS_S2
+                points = compute_pareto_front(horizon, plan, weights, settings, labelled)
     return plan, points
 
 
-def _robust(arguments: argparse.Namespace, problem: Problem, out: Path) -> Plan:
+def _plan_robust(arguments: argparse.Namespace, problem: Problem, out: Path) -> Plan:
     """The plan for all robots that the tolerances allow, over all frames at once or frame by frame.
 
     out: the output folder, within which a folder takes the plan of the robot as described while others are planned
     for.
     """
-    whole = arguments.formulation == HORIZON
+    whole = arguments.formulation == HORIZON_FORMULATION
     asked: dict[str, Any] = {
-        "model": asked_model(plan_options.model_from(arguments), arguments),
+        "model": model_from_options(plan_options.model_from(arguments), arguments),
         "terms": plan_options.terms_from(arguments),
     }
     for name in ("start", "end"):
@@ -343,43 +352,44 @@ def _robust(arguments: argparse.Namespace, problem: Problem, out: Path) -> Plan:
     if whole:
         asked |= {"settings": _settings(arguments, problem, "seed"), "motion_weight": arguments.motion_weight}
         asked["guards"] = bool(arguments.guards)
-        asked["nominal"] = partial(_first, out=out, figures=not arguments.no_figures)
+        asked["nominal"] = partial(_write_nominal_plan, out=out, figures=not arguments.no_figures)
     else:
         asked |= {"settings": _settings(arguments, problem, *FRAME_SETTINGS)}
         asked |= {"direction": arguments.direction or "best"}
-    problems.tell(problem)
+    problems.print_problem_notes(problem)
     end_if_interrupted()
     with progress_bar() as labelled:
         solve = solve_robust if whole else solve_robust_per_frame
         return solve(problem, progress=labelled(problem.name), **asked)
 
 
-def _first(plan: Plan, out: Path, figures: bool) -> None:
+def _write_nominal_plan(plan: Plan, out: Path, figures: bool) -> None:
     """Write the plan of the robot as described, which the one for all robots within the tolerances comes after."""
     if plan.meta["interrupted"]:
         return
-    place = out / NOMINAL
-    with published(place, "plan") as staging:
+    place = out / NOMINAL_FOLDER_NAME
+    with output_folder(place, "plan") as staging:
         write(plan, staging)
         if figures:
-            draw_first(plan, staging)
+            draw_shapes_only(plan, staging)
     found = summary(plan)
     tip = found["tip_last"]
     announce(
-        f"plan for the robot as described: {account.lead(found)} The tip ends {tip:.2f} mm off the target. "
+        f"plan for the robot as described: {account.summarise_verdicts(found)} The tip ends {tip:.2f} mm off "
+        f"the target. "
         f"Wrote {place}; now planning for all robots within the tolerances"
     )
 
 
-def _shown(problem: Problem, arguments: argparse.Namespace) -> AbstractContextManager[Solved | None]:
+def _open_live_view(problem: Problem, arguments: argparse.Namespace) -> AbstractContextManager[SolverView | None]:
     """A window on the search where one is asked for; only then is what shows it loaded."""
     if not arguments.live:
         return nullcontext()
     from ctr_nlp.cli import live
 
-    return live.solving(problem, plan_options.model_from(arguments))
+    return live.open_solver_view(problem, plan_options.model_from(arguments))
 
 
-plan = Command("ctr-nlp plan", partial(_parser, (HORIZON, *FORMULATIONS)), _run)
+plan = Command("ctr-nlp plan", partial(_parser, (HORIZON_FORMULATION, *FORMULATIONS)), _run)
 steer = Command("ctr-nlp steer", partial(_parser, tuple(FORMULATIONS)), _run)
-horizon = Command("solve_horizon.py", partial(_parser, (HORIZON,)), _run)
+horizon = Command("solve_horizon.py", partial(_parser, (HORIZON_FORMULATION,)), _run)

@@ -13,17 +13,17 @@ import numpy as np
 from ctr_nlp.cli import closed_loop, live
 from ctr_nlp.cli.arguments import add_live_option
 from ctr_nlp.cli.commands.commission import commission
-from ctr_nlp.cli.console import BAD_INPUT, SOLVED, SOME_FAILED, Command
-from ctr_nlp.cli.obeying import BY_SIGNAL, obeying
+from ctr_nlp.cli.console import EXIT_BAD_INPUT, EXIT_SOLVED, EXIT_SOME_FAILED, Command
+from ctr_nlp.cli.obeying import SIGNAL_EXIT_BASE, obey_operator
 from ctr_nlp.cli.output.file import path_component
 from ctr_nlp.cli.play_report import JOURNAL, claim, print_trajectory, report
 from ctr_nlp.cli.telling import print_stderr, progress_bar
 from ctr_nlp.exceptions import DeviceFault, OptionError
 from ctr_nlp.hardware.axis import LETTERS
 from ctr_nlp.hardware.clock import RealClock
-from ctr_nlp.hardware.description import Hardware, bench
-from ctr_nlp.hardware.devices import Progress
-from ctr_nlp.hardware.devices.grbl.identity import loose
+from ctr_nlp.hardware.description import Hardware, simulated_hardware
+from ctr_nlp.hardware.devices import MotionProgress
+from ctr_nlp.hardware.devices.grbl.identity import find_loose_settings
 from ctr_nlp.hardware.guiding.guide import SHARE
 from ctr_nlp.hardware.guiding.loop import ClosedLoop
 from ctr_nlp.hardware.journal import Journal, read_journal
@@ -34,9 +34,9 @@ from ctr_nlp.hardware.playing.permission import check_permission
 from ctr_nlp.hardware.playing.playback import Seen
 from ctr_nlp.hardware.playing.player import Player
 from ctr_nlp.hardware.playing.record import Recorder
-from ctr_nlp.hardware.playing.results import Outcome
+from ctr_nlp.hardware.playing.results import PlaybackOutcome
 from ctr_nlp.hardware.playing.retract import retract
-from ctr_nlp.hardware.playing.session import begin, prepared, resume
+from ctr_nlp.hardware.playing.session import play_plan, prepare_trajectory, resume
 from ctr_nlp.plan.account import NOT_FOR_PATIENTS
 from ctr_nlp.plan.plan import Plan
 from ctr_nlp.support.interrupt import deferred_interrupt
@@ -104,7 +104,7 @@ def _parser(prog: str) -> argparse.ArgumentParser:
     return parser
 
 
-EXCLUDED = {
+PLAY_EXCLUSIVE_OPTIONS = {
     "resume": ("home", "tempo", "dry_run"),
     "retract": ("home", "tempo", "dry_run", "resume", "live", "closed_loop", "replay"),
     "commission": (
@@ -117,9 +117,9 @@ EXCLUDED = {
 """Option -> what does not go with it."""
 
 
-def _check_together(arguments: argparse.Namespace) -> None:
+def _check_exclusive_options(arguments: argparse.Namespace) -> None:
     """Raise OptionError for options that do not go together, and for a plan or a hardware file that is missing."""
-    for option, others in EXCLUDED.items():
+    for option, others in PLAY_EXCLUSIVE_OPTIONS.items():
         for other in others:
             if getattr(arguments, option) and getattr(arguments, other) not in (None, False):
                 name = "PLAN.npz" if other == "plan" else f"--{other.replace('_', '-')}"
@@ -135,16 +135,18 @@ def _check_together(arguments: argparse.Namespace) -> None:
 
 
 def _run(arguments: argparse.Namespace) -> int:
-    _check_together(arguments)
+    _check_exclusive_options(arguments)
     if arguments.commission:
         return commission(Path(arguments.hardware), arguments.out)
     plan = Plan.load(arguments.plan)
-    hardware = bench(plan.robot) if arguments.hardware is None else Hardware.from_toml(arguments.hardware)
+    hardware = (
+        simulated_hardware(plan.robot) if arguments.hardware is None else Hardware.from_toml(arguments.hardware)
+    )
     if arguments.closed_loop or arguments.replay:
         hardware = closed_loop.with_sensor(hardware, arguments.sensor)
     asked = not (arguments.retract or arguments.resume or arguments.replay)
     if asked:  # what check_plan refuses, no option waives: it comes first
-        check_plan(plan, hardware.tightened(plan.robot))
+        check_plan(plan, hardware.apply_limits(plan.robot))
     print_stderr(NOT_FOR_PATIENTS)
     if asked:
         _ask_permission(arguments, plan)
@@ -153,16 +155,16 @@ def _run(arguments: argparse.Namespace) -> int:
     if arguments.dry_run:
         title = f"{plan.meta['problem']['name']}: checked; nothing was sent"
         share = SHARE if arguments.closed_loop else 1.0
-        print_trajectory(title, *prepared(plan, hardware, _tempo(arguments), share=share))
-        return SOLVED
+        print_trajectory(title, *prepare_trajectory(plan, hardware, _tempo(arguments), share=share))
+        return EXIT_SOLVED
     out = Path(arguments.out or f"runs/{path_component(str(plan.meta['problem']['name']))}-play")
     if arguments.replay:
         return closed_loop.replay(plan, hardware, read_journal(out / JOURNAL))
     known = arguments.resume or (arguments.retract and (out / JOURNAL).exists())
     records = read_journal(out / JOURNAL) if known else None
-    looped = closed_loop.opened(plan, hardware, records) if arguments.closed_loop else nullcontext()
-    with looped as loop, live.playing(plan) if arguments.live else nullcontext() as told:
-        return _played(arguments, plan, hardware, out, records, told, loop)
+    looped = closed_loop.start_closed_loop(plan, hardware, records) if arguments.closed_loop else nullcontext()
+    with looped as loop, live.open_playback_view(plan) if arguments.live else nullcontext() as told:
+        return _play_plan(arguments, plan, hardware, out, records, told, loop)
 
 
 def _ask_permission(arguments: argparse.Namespace, plan: Plan) -> None:
@@ -196,7 +198,7 @@ def _note_loose(hardware: Hardware) -> None:
     if hardware.commissioned is None:
         return
     columns = [LETTERS.index(axis.letter) for axis in hardware.axes]
-    for one in loose(hardware.commissioned, columns, hardware):
+    for one in find_loose_settings(hardware.commissioned, columns, hardware):
         print_stderr(f"note: {one}, or type set in `ctr-nlp commission`")
 
 
@@ -204,13 +206,13 @@ def _tempo(arguments: argparse.Namespace) -> float:
     return 1.0 if arguments.tempo is None else float(arguments.tempo)
 
 
-def _played(
+def _play_plan(
     arguments: argparse.Namespace,
     plan: Plan,
     hardware: Hardware,
     out: Path,
     records: list[dict[str, Any]] | None,
-    told: live.Played | None,
+    live_view: live.PlaybackView | None,
     loop: ClosedLoop | None,
 ) -> int:
     """Play, from the beginning or where records end, or retract; told, unless None, of all that is seen.
@@ -220,17 +222,17 @@ def _played(
     claim(out)
     clock = RealClock()
     journal = Journal(out / JOURNAL, clock)
-    arm = None if hardware.arm is None else arm_follower(hardware.arm, _tilt(plan, records), clock.now)
-    device = device_of(hardware, journal, clock, _stood(hardware, records))
+    arm = None if hardware.arm is None else arm_follower(hardware.arm, _last_tilt(plan, records), clock.now)
+    device = device_of(hardware, journal, clock, _last_axis_positions(hardware, records))
     player, recorder = Player(device, arm, journal, clock, memory_of(hardware.connection)), Recorder()
     with (
         deferred_interrupt() as interrupted,
         progress_bar() as labelled,
-        obeying(player, interrupted) as signalled,
+        obey_operator(player, interrupted) as signalled,
     ):
         if interrupted():
             player.abort()
-        seen = _seen(player, recorder, labelled(plan.meta["problem"]["name"]), told)
+        seen = _make_progress_callback(player, recorder, labelled(plan.meta["problem"]["name"]), live_view)
         how: dict[str, Any] = {"verified": arguments.position_verified, "seen": seen}
         try:
             if arguments.retract:
@@ -239,47 +241,47 @@ def _played(
                 result = resume(player, plan, hardware, records, loop=loop, **how)
             else:
                 tempo = _tempo(arguments)
-                result = begin(player, plan, hardware, tempo, home=arguments.home, loop=loop, **how)
+                result = play_plan(player, plan, hardware, tempo, home=arguments.home, loop=loop, **how)
         except DeviceFault as exception:
             print_stderr(f"error: {exception}")
             print_stderr(f"nothing was played; what was said is in {out / JOURNAL}")
-            return SOME_FAILED
+            return EXIT_SOME_FAILED
         finally:
             player.close()
             journal.close()
-    if told is not None:
-        told.ended(result.outcome.value)
+    if live_view is not None:
+        live_view.show_outcome(result.outcome.value)
     whole = report(plan, hardware, result, recorder.tracking(), journal, loop)
-    if result.outcome is Outcome.SUCCESS:
-        return SOLVED if whole else SOME_FAILED
-    if result.outcome is Outcome.INVALID_PLAN:
-        return BAD_INPUT
-    by_signal = result.outcome is Outcome.CANCELLED and signalled()
-    return BY_SIGNAL + signalled() if by_signal else SOME_FAILED
+    if result.outcome is PlaybackOutcome.SUCCESS:
+        return EXIT_SOLVED if whole else EXIT_SOME_FAILED
+    if result.outcome is PlaybackOutcome.INVALID_PLAN:
+        return EXIT_BAD_INPUT
+    by_signal = result.outcome is PlaybackOutcome.CANCELLED and signalled()
+    return SIGNAL_EXIT_BASE + signalled() if by_signal else EXIT_SOME_FAILED
 
 
-def _stood(hardware: Hardware, records: list[dict[str, Any]] | None) -> Any:
+def _last_axis_positions(hardware: Hardware, records: list[dict[str, Any]] | None) -> Any:
     """Where the axes of a simulated device stand: at their zeros, or where the journal saw them last."""
     seen = [record["position"] for record in records or () if record.get("position") is not None]
     return seen[-1] if seen else [axis.zero for axis in hardware.axes]
 
 
-def _tilt(plan: Plan, records: list[dict[str, Any]] | None) -> Any:
+def _last_tilt(plan: Plan, records: list[dict[str, Any]] | None) -> Any:
     """Where a simulated arm stands: upright, or at the last frame that the journal tells of."""
     frames = [record["frame"] for record in records or () if record["kind"] == "frame"]
     return plan.theta[frames[-1] - 1] if frames else np.zeros(2)
 
 
-def _seen(
-    player: Player, recorder: Recorder, show: Callable[[int, int, str], None], told: live.Played | None
+def _make_progress_callback(
+    player: Player, recorder: Recorder, show: Callable[[int, int, str], None], live_view: live.PlaybackView | None
 ) -> Seen:
     """Record, and show progress."""
 
-    def seen(trajectory: Trajectory, progress: Progress) -> None:
+    def seen(trajectory: Trajectory, progress: MotionProgress) -> None:
         recorder(trajectory, progress)
-        show(trajectory.passed(progress.time), int(trajectory.frames[-1]), player.state.value)
-        if told is not None:
-            told(trajectory, progress, player.state.value)
+        show(trajectory.last_frame_passed(progress.time), int(trajectory.frames[-1]), player.state.value)
+        if live_view is not None:
+            live_view(trajectory, progress, player.state.value)
 
     return seen
 

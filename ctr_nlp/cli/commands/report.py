@@ -6,11 +6,11 @@ import argparse
 from pathlib import Path
 
 from ctr_nlp.cli.arguments import add_film_option, add_out_option, film_file
-from ctr_nlp.cli.console import SOLVED, Command
+from ctr_nlp.cli.console import EXIT_SOLVED, Command
 from ctr_nlp.cli.output.file import write_text
-from ctr_nlp.cli.output.folder import check_folder, published
+from ctr_nlp.cli.output.folder import check_folder, output_folder
 from ctr_nlp.cli.report import write_film
-from ctr_nlp.cli.telling import wrote
+from ctr_nlp.cli.telling import report_written_files
 from ctr_nlp.plan.plan import Plan
 from ctr_nlp.report import page
 
@@ -36,14 +36,14 @@ def _run(arguments: argparse.Namespace) -> int:
     check_folder(out, "report", film)
     plans = [Plan.load(path) for path in arguments.plans]
     text = page(plans, arguments.plans)
-    with published(out, "report") as staging:
+    with output_folder(out, "report") as staging:
         write_text(staging / PAGE, text)
         if film is not None:
             write_film(plans, film, out, out, staging)
-    wrote(out / PAGE, more=f" ({len(text) / 1e6:.1f} MB); open it in a browser")
+    report_written_files(out / PAGE, more=f" ({len(text) / 1e6:.1f} MB); open it in a browser")
     if film is not None:
-        wrote(film)
-    return SOLVED
+        report_written_files(film)
+    return EXIT_SOLVED
 
 
 main = Command("ctr-nlp report", _parser, _run)

@@ -8,12 +8,12 @@ from pathlib import Path
 from ctr_nlp.cli.arguments import add_figures_option, add_out_option, whole
 from ctr_nlp.cli.console import Command
 from ctr_nlp.cli.output.file import path_component
-from ctr_nlp.cli.output.folder import check_folder, published
+from ctr_nlp.cli.output.folder import check_folder, output_folder
 from ctr_nlp.cli.plan_options import add_evaluate_option, add_threshold_options, with_thresholds
 from ctr_nlp.cli.report import exit_status, print_robustness, write
-from ctr_nlp.cli.telling import busy, wrote
+from ctr_nlp.cli.telling import busy, report_written_files
 from ctr_nlp.exceptions import OptionError
-from ctr_nlp.plan.draws import DRAWS, SEED
+from ctr_nlp.plan.draws import DEFAULT_PLAN_SAMPLE_SEED, DEFAULT_PLAN_SAMPLES
 from ctr_nlp.plan.plan import Plan
 
 
@@ -28,9 +28,15 @@ def _parser(prog: str) -> argparse.ArgumentParser:
         "arrive, and press into the wall by no more than 1 mm.",
     )
     parser.add_argument("plan", metavar="PLAN.npz")
-    what = f"robots drawn within the tolerances of the robot file (default {DRAWS})"
-    parser.add_argument("--draws", metavar="N", type=whole, default=DRAWS, help=what)
-    parser.add_argument("--seed", metavar="N", type=whole, default=SEED, help=f"of the draws (default {SEED})")
+    what = f"robots drawn within the tolerances of the robot file (default {DEFAULT_PLAN_SAMPLES})"
+    parser.add_argument("--draws", metavar="N", type=whole, default=DEFAULT_PLAN_SAMPLES, help=what)
+    parser.add_argument(
+        "--seed",
+        metavar="N",
+        type=whole,
+        default=DEFAULT_PLAN_SAMPLE_SEED,
+        help=f"of the draws (default {DEFAULT_PLAN_SAMPLE_SEED})",
+    )
     add_evaluate_option(parser, "the elastic one")
     add_threshold_options(parser)
     add_out_option(parser, "runs/PROBLEM-robust")
@@ -42,14 +48,14 @@ def _run(arguments: argparse.Namespace) -> int:
     plan = Plan.load(arguments.plan)
     out = Path(arguments.out or f"runs/{path_component(str(plan.meta['problem']['name']))}-robust")
     check_folder(out, "robust")
-    plan = with_thresholds(plan if arguments.evaluate is None else plan.on(arguments.evaluate), arguments)
+    plan = with_thresholds(plan if arguments.evaluate is None else plan.evaluate_on(arguments.evaluate), arguments)
     with busy(f"{plan.meta['problem']['name']}: {arguments.draws} robots are moved"):
-        look = plan.check if arguments.evaluate is None else plan.with_draws
+        look = plan.check if arguments.evaluate is None else plan.with_samples
         plan = look(arguments.draws, arguments.seed)
     if plan.drawn is None:
         why = "was interrupted" if plan.meta.get("interrupted", False) else "has no frame that was reached"
         raise OptionError(f"plan {arguments.plan} {why}, so that there is nothing to simulate; plan anew")
-    with published(out, "robust") as staging:
+    with output_folder(out, "robust") as staging:
         write(plan, staging)
         if not arguments.no_figures:
             from ctr_nlp.figures import save  # brings matplotlib, which takes long to load
@@ -58,7 +64,7 @@ def _run(arguments: argparse.Namespace) -> int:
             save(robustness(plan), staging / "robustness.png")
         files = sorted(path.name for path in staging.iterdir())
     print_robustness(plan)
-    wrote(out, files)
+    report_written_files(out, files)
     return exit_status(plan)
 
 

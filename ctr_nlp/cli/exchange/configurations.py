@@ -9,18 +9,18 @@ from ctr_nlp.cli import problems
 from ctr_nlp.cli.arguments import add_figures_option, add_out_option
 from ctr_nlp.cli.console import Command
 from ctr_nlp.cli.output.file import path_component
-from ctr_nlp.cli.output.folder import check_folder, published
+from ctr_nlp.cli.output.folder import check_folder, output_folder
 from ctr_nlp.cli.plan_options import (
     add_check_options,
     add_file_options,
     add_threshold_options,
-    look_at_plan,
+    evaluate_plan,
     with_thresholds,
 )
 from ctr_nlp.cli.report import draw, exit_status, print_report, write
-from ctr_nlp.cli.telling import wrote
+from ctr_nlp.cli.telling import report_written_files
 from ctr_nlp.exchange.configurations import plan_through, read_configurations
-from ctr_nlp.models import DEFAULT_MODEL, MODELS
+from ctr_nlp.models import DEFAULT_MODEL, KINEMATIC_MODELS
 from ctr_nlp.target.problem import Problem
 from ctr_nlp.typing import Array
 
@@ -40,11 +40,13 @@ def _parser(prog: str) -> argparse.ArgumentParser:
         "verdict is `no`, 1 where one is, 2 where input is bad and nothing is written.",
     )
     parser.add_argument("configurations", metavar="Q.mat|Q.csv")
-    what = f"what they are to follow, in as many frames as there are configurations: {problems.KINDS}"
+    what = (
+        f"what they are to follow, in as many frames as there are configurations: {problems.PROBLEM_ARGUMENT_HELP}"
+    )
     parser.add_argument("--problem", metavar="PROBLEM", required=True, help=what)
     parser.add_argument("--robot", metavar="FILE.toml", help="robot file (default: the problem's own robot)")
     what = f"model on which shapes and margins are found (default: {DEFAULT_MODEL})"
-    parser.add_argument("--model", choices=sorted(MODELS), default=DEFAULT_MODEL, help=what)
+    parser.add_argument("--model", choices=sorted(KINEMATIC_MODELS), default=DEFAULT_MODEL, help=what)
     what = f"of the motion, in seconds (default: as the file's times tell, else {DURATION:g})"
     parser.add_argument("--duration", metavar="S", type=float, help=what)
     add_out_option(parser, "runs/PROBLEM-import")
@@ -60,14 +62,14 @@ def _run(arguments: argparse.Namespace) -> int:
     out = Path(arguments.out or f"runs/{path_component(problem.name)}-import")
     check_folder(out, "import")
     plan = plan_through(problem, q, arguments.model, Path(arguments.configurations).name)
-    plan = look_at_plan(with_thresholds(plan, arguments), arguments)
-    with published(out, "import") as staging:
+    plan = evaluate_plan(with_thresholds(plan, arguments), arguments)
+    with output_folder(out, "import") as staging:
         write(plan, staging)
         if not arguments.no_figures:
             draw(plan, (), staging)
         files = sorted(path.name for path in staging.iterdir())
     print_report(plan)
-    wrote(out, files)
+    report_written_files(out, files)
     return exit_status(plan)
 
 

@@ -8,18 +8,18 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ctr_nlp.cli.arguments import add_figures_option, add_out_option
-from ctr_nlp.cli.console import SOLVED, Command
+from ctr_nlp.cli.console import EXIT_SOLVED, Command
 from ctr_nlp.cli.loads.options import add_modulus_option, read_plan
-from ctr_nlp.cli.loads.written import write_found
+from ctr_nlp.cli.loads.written import write_forces
 from ctr_nlp.cli.output.file import path_component
 from ctr_nlp.cli.output.folder import check_folder
-from ctr_nlp.cli.telling import busy, console, print_table, wrote
-from ctr_nlp.studies.borne.wall import STIFFNESS, WallForces, wall_forces
+from ctr_nlp.cli.telling import busy, console, print_table, report_written_files
+from ctr_nlp.studies.borne.wall import AIRWAY_WALL_STIFFNESS_N_PER_MM2, WallForces, wall_forces
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-SHOWN = 5
+MAX_CONTACT_TABLE_FRAMES = 5
 """Frames that the table shows."""
 
 
@@ -35,8 +35,12 @@ def _parser(prog: str) -> argparse.ArgumentParser:
         "acts beside the load that the plan is evaluated under (`ctr-nlp under`).",
     )
     parser.add_argument("plan", metavar="PLAN.npz")
-    told = f"of the wall, in N/mm for every mm of length (default {STIFFNESS:g}, of an airway)"
-    parser.add_argument("--wall-stiffness", metavar="N/MM2", type=float, default=STIFFNESS, help=told)
+    told = (
+        f"of the wall, in N/mm for every mm of length (default {AIRWAY_WALL_STIFFNESS_N_PER_MM2:g}, of an airway)"
+    )
+    parser.add_argument(
+        "--wall-stiffness", metavar="N/MM2", type=float, default=AIRWAY_WALL_STIFFNESS_N_PER_MM2, help=told
+    )
     add_modulus_option(parser)
     add_out_option(parser, "runs/PROBLEM-contact")
     add_figures_option(parser)
@@ -51,16 +55,16 @@ def _run(arguments: argparse.Namespace) -> int:
     with busy(f"{name}: forces of the wall"):
         found = wall_forces(plan, arguments.wall_stiffness)
     draws = None if arguments.no_figures else partial(_picture, found, name)
-    files = write_found(found, out, "contact", "contact", draws)
+    files = write_forces(found, out, "contact", "contact", draws)
     _print(found, name)
-    wrote(out, files)
-    return SOLVED
+    report_written_files(out, files)
+    return EXIT_SOLVED
 
 
 def _picture(found: WallForces, name: str) -> Figure:
-    from ctr_nlp.studies.borne.wall_picture import picture  # brings matplotlib, which takes long to load
+    from ctr_nlp.studies.borne.wall_picture import draw_wall_forces  # brings matplotlib, which takes long to load
 
-    return picture(found, name)
+    return draw_wall_forces(found, name)
 
 
 def _print(found: WallForces, name: str) -> None:
@@ -70,7 +74,7 @@ def _print(found: WallForces, name: str) -> None:
     rows.sort(key=lambda row: -float(row["total_N"]))
     if rows:
         columns = "frame", "force N", "avoidable N", "on a piece N", "depth mm", "unpushed mm", "tip moved mm"
-        cells = [[str(row["frame"]), *list(row.values())[1:]] for row in rows[:SHOWN]]
+        cells = [[str(row["frame"]), *list(row.values())[1:]] for row in rows[:MAX_CONTACT_TABLE_FRAMES]]
         title = f"{name}, forces of the wall, the largest of {len(rows)} frames in contact"
         print_table(title, columns, cells)
         most, avoidable = (f"{told[key]:.3g} N" for key in ("largest_total_N", "of_it_avoidable_N"))

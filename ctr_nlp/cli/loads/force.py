@@ -9,19 +9,19 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ctr_nlp.cli.arguments import add_figures_option, add_out_option, whole
-from ctr_nlp.cli.console import SOLVED, Command
+from ctr_nlp.cli.console import EXIT_SOLVED, Command
 from ctr_nlp.cli.loads.options import add_modulus_option, read_plan
-from ctr_nlp.cli.loads.written import write_found
+from ctr_nlp.cli.loads.written import write_forces
 from ctr_nlp.cli.output.file import path_component
 from ctr_nlp.cli.output.folder import check_folder
-from ctr_nlp.cli.telling import busy, console, print_table, wrote
+from ctr_nlp.cli.telling import busy, console, print_table, report_written_files
 from ctr_nlp.plan.plan import Plan
-from ctr_nlp.studies.borne.tip import COUNTS, MOST, Forces, Worst, forces
+from ctr_nlp.studies.borne.tip import DEFAULT_MAX_TIP_FORCE_N, FORCE_DIRECTION_COUNTS, Forces, WorstForce, forces
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-WEAKEST = 5
+MAX_FORCE_TABLE_FRAMES = 5
 """Frames that the table shows."""
 
 
@@ -38,9 +38,9 @@ def _parser(prog: str) -> argparse.ArgumentParser:
     parser.add_argument("plan", metavar="PLAN.npz")
     parser.add_argument("--every", metavar="N", type=whole, default=1, help="look at every Nth frame (default 1)")
     told = "6: along the axes; 14: also to the corners of a cube; 26: also to its edges (default 26)"
-    parser.add_argument("--directions", type=int, choices=COUNTS, default=26, help=told)
-    told = f"force up to which is looked, N (default {MOST:g})"
-    parser.add_argument("--most", metavar="N", type=float, default=MOST, help=told)
+    parser.add_argument("--directions", type=int, choices=FORCE_DIRECTION_COUNTS, default=26, help=told)
+    told = f"force up to which is looked, N (default {DEFAULT_MAX_TIP_FORCE_N:g})"
+    parser.add_argument("--most", metavar="N", type=float, default=DEFAULT_MAX_TIP_FORCE_N, help=told)
     told = "also find the force that presses the robot by more than so many mm beyond its lumen's wall"
     parser.add_argument("--off", metavar="MM", type=float, help=told)
     add_modulus_option(parser)
@@ -58,40 +58,52 @@ def _run(arguments: argparse.Namespace) -> int:
     with busy(f"{name}: tip forces that each frame bears"):
         found = forces(plan, **asked)
     draws = None if arguments.no_figures else partial(_picture, found, name)
-    files = write_found(found, out, "force", "forces", draws)
+    files = write_forces(found, out, "force", "forces", draws)
     _print(found, plan)
-    wrote(out, files)
-    return SOLVED
+    report_written_files(out, files)
+    return EXIT_SOLVED
 
 
 def _picture(found: Forces, name: str) -> Figure:
-    from ctr_nlp.studies.borne.tip_picture import picture  # brings matplotlib, which takes long to load
+    from ctr_nlp.studies.borne.tip_picture import draw_tip_forces  # brings matplotlib, which takes long to load
 
-    return picture(found, name)
+    return draw_tip_forces(found, name)
 
 
 def _print(found: Forces, plan: Plan) -> None:
     """The weakest frames, and what the worst of all is."""
-    order = found.bears.min(axis=1).argsort(kind="stable")[:WEAKEST]
+    order = found.critical_forces.min(axis=1).argsort(kind="stable")[:MAX_FORCE_TABLE_FRAMES]
     every = found.rows()
-    columns = ("frame", "snaps N", *(["leaves N"] if found.off is not None else []), "towards", "gives in mm/N")
+    columns = (
+        "frame",
+        "snaps N",
+        *(["leaves N"] if found.allowed_depth is not None else []),
+        "towards",
+        "gives in mm/N",
+    )
     rows = []
     for row in (every[k] for k in order):
-        leaves = [row["leaves_N"]] if found.off is not None else []
+        leaves = [row["leaves_N"]] if found.allowed_depth is not None else []
         towards = " ".join(f"{row[axis]:.2f}" for axis in "xyz")
         rows.append([str(row["frame"]), row["snaps_N"], *leaves, towards, row["softest_mm_per_N"]])
-    beside = "" if plan.bears is None else f", beside {plan.bears}"
+    beside = "" if plan.evaluated_load is None else f", beside {plan.evaluated_load}"
     title = f"{plan.meta['problem']['name']}, tip forces borne, the weakest of {len(every)} frames{beside}"
     print_table(title, columns, rows)
-    console().print(_told(found.snap, "snaps the robot", found))
-    if found.leave is not None:
-        console().print(_told(found.leave, f"presses it more than {found.off:g} mm beyond the wall", found))
-    console().print(f"The tip gives in to a small force by up to {found.softest.max():.3g} mm per N.")
+    console().print(_describe_worst_force(found.least_snapping_force, "snaps the robot", found))
+    if found.least_lumen_exit_force is not None:
+        console().print(
+            _describe_worst_force(
+                found.least_lumen_exit_force,
+                f"presses it more than {found.allowed_depth:g} mm beyond the wall",
+                found,
+            )
+        )
+    console().print(f"The tip gives in to a small force by up to {found.largest_compliance.max():.3g} mm per N.")
 
 
-def _told(worst: Worst, does: str, found: Forces) -> str:
+def _describe_worst_force(worst: WorstForce, does: str, found: Forces) -> str:
     if math.isinf(worst.force):
-        return f"No tip force of up to {found.most:g} N, in {len(found.directions)} directions, {does}."
+        return f"No tip force of up to {found.max_force:g} N, in {len(found.directions)} directions, {does}."
     towards = ", ".join(f"{part:.2f}" for part in worst.direction)
     looked = f"none of the {len(found.directions)} directions and {len(found.frames)} frames"
     told = f"A tip force of {worst.force:.3g} N towards ({towards}) {does} in frame {worst.frame}"

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 from ctr_nlp.cli.arguments import add_triple
 from ctr_nlp.loads import Load, LoadOverTime, read_load, with_modulus
-from ctr_nlp.models import Model, model_named, under
+from ctr_nlp.models import Model, model_named, model_with_load
 from ctr_nlp.plan.plan import Plan
 from ctr_nlp.target.problem import Problem
 
@@ -41,12 +41,12 @@ def read_plan(arguments: argparse.Namespace) -> Plan:
     return plan if arguments.youngs_modulus is None else plan.with_modulus(arguments.youngs_modulus)
 
 
-def asked_load(arguments: argparse.Namespace) -> Load | LoadOverTime:
+def load_from(arguments: argparse.Namespace) -> Load | LoadOverTime:
     """Return the load that the options of add_load_options ask for; raises LoadError."""
     return Load(force=arguments.force) if arguments.load is None else read_load(arguments.load)
 
 
-def with_asked_modulus(problem: Problem, arguments: argparse.Namespace) -> Problem:
+def problem_with_modulus(problem: Problem, arguments: argparse.Namespace) -> Problem:
     """Return the problem, its robot with the Young's modulus of the options, if any; raises LoadError."""
     if arguments.youngs_modulus is None:
         return problem
@@ -58,8 +58,8 @@ def has_load(arguments: argparse.Namespace) -> bool:
     return arguments.load is not None or arguments.force is not None
 
 
-def asked_model(model: str, arguments: argparse.Namespace) -> Model:
+def model_from_options(model: str, arguments: argparse.Namespace) -> Model:
     """Return the model called `model`, under the load where one was given; raises LoadError, OptionError."""
     if not has_load(arguments):
         return model_named(model)
-    return under(model, asked_load(arguments))
+    return model_with_load(model, load_from(arguments))

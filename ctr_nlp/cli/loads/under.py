@@ -7,16 +7,16 @@ from pathlib import Path
 
 from ctr_nlp.cli.arguments import add_figures_option, add_out_option
 from ctr_nlp.cli.console import Command
-from ctr_nlp.cli.loads.options import add_load_options, add_modulus_option, asked_load, read_plan
+from ctr_nlp.cli.loads.options import add_load_options, add_modulus_option, load_from, read_plan
 from ctr_nlp.cli.output.file import path_component
-from ctr_nlp.cli.output.folder import check_folder, published
-from ctr_nlp.cli.plan_options import add_check_options, add_threshold_options, look_at_plan, with_thresholds
+from ctr_nlp.cli.output.folder import check_folder, output_folder
+from ctr_nlp.cli.plan_options import add_check_options, add_threshold_options, evaluate_plan, with_thresholds
 from ctr_nlp.cli.report import draw, exit_status, print_report, write
-from ctr_nlp.cli.telling import busy, wrote
+from ctr_nlp.cli.telling import busy, report_written_files
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.plan.plan import Plan
 
-SAME = 1e-3
+SAME_TARGET_TOLERANCE_MM = 1e-3
 """mm by which targets may differ that are the same."""
 
 
@@ -47,37 +47,42 @@ def _parser(prog: str) -> argparse.ArgumentParser:
 
 
 def _run(arguments: argparse.Namespace) -> int:
-    plan, load = read_plan(arguments), asked_load(arguments)
+    plan, load = read_plan(arguments), load_from(arguments)
     out = Path(arguments.out or f"runs/{path_component(str(plan.meta['problem']['name']))}-under")
-    planned = _planned(plan, arguments.beside)
+    planned = _load_comparison_plan(plan, arguments.beside)
     check_folder(out, "under")
     with busy(f"{plan.meta['problem']['name']}: the robot is moved under the load"):
-        found = look_at_plan(with_thresholds(plan, arguments).under(load), arguments)
-    with published(out, "under") as staging:
+        found = evaluate_plan(with_thresholds(plan, arguments).with_load(load), arguments)
+    with output_folder(out, "under") as staging:
         write(found, staging)
         if not arguments.no_figures:
             draw(found, (), staging)
-            _draw_beside({"without the load": plan.on("elastic"), "under the load": found} | planned, staging)
+            _draw_beside(
+                {"without the load": plan.evaluate_on("elastic"), "under the load": found} | planned, staging
+            )
         files = sorted(path.name for path in staging.iterdir())
     print_report(found)
-    wrote(out, files)
+    report_written_files(out, files)
     return exit_status(found)
 
 
 def _draw_beside(plans: dict[str, Plan], folder: Path) -> None:
     from ctr_nlp.figures import save
-    from ctr_nlp.figures.beside import beside
+    from ctr_nlp.figures.beside import shapes_compared
 
     found = plans["under the load"]
-    save(beside(plans, f"{found.meta['problem']['name']}: {found.bears}"), folder / "beside.png")
+    save(shapes_compared(plans, f"{found.meta['problem']['name']}: {found.evaluated_load}"), folder / "beside.png")
 
 
-def _planned(plan: Plan, name: str | None) -> dict[str, Plan]:
+def _load_comparison_plan(plan: Plan, name: str | None) -> dict[str, Plan]:
     """The plan to be shown beside; raises OptionError where it is of another target."""
     if name is None:
         return {}
     planned = Plan.load(name)
-    if planned.target.shape != plan.target.shape or abs(planned.target - plan.target).max() > SAME:
+    if (
+        planned.target.shape != plan.target.shape
+        or abs(planned.target - plan.target).max() > SAME_TARGET_TOLERANCE_MM
+    ):
         raise OptionError(f"--beside {name} follows another target than the plan; give one of the same problem")
     return {"planned for the load": planned}
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ctr_nlp.cli.output.file import write_text
-from ctr_nlp.cli.output.folder import published
+from ctr_nlp.cli.output.folder import output_folder
 from ctr_nlp.studies.borne.tip import Forces
 from ctr_nlp.studies.borne.wall import WallForces
 from ctr_nlp.support.tables import write_csv
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-def write_found(
+def write_forces(
     found: Forces | WallForces, out: Path, kind: str, stem: str, picture: Callable[[], Figure] | None
 ) -> list[str]:
     """Write STEM.json, STEM.csv and STEM.png into out, as files of a kind.
@@ -45,7 +45,7 @@ def write_found(
     OutputError
         The files cannot be written.
     """
-    with published(out, kind) as staging:
+    with output_folder(out, kind) as staging:
         write_text(staging / f"{stem}.json", json.dumps(found.summary(), indent=2, allow_nan=False) + "\n")
         write_csv(staging / f"{stem}.csv", found.rows())
         if picture is not None:

@@ -8,23 +8,34 @@ from pathlib import Path
 from typing import Any
 
 from ctr_nlp.calibration.calibration import Calibration, calibrate
-from ctr_nlp.calibration.folds import BLOCK
-from ctr_nlp.calibration.parameters import BASE, KINDS
+from ctr_nlp.calibration.folds import FOLD_BLOCK_S
+from ctr_nlp.calibration.parameters import BASE, PARAMETER_KINDS
 from ctr_nlp.calibration.reading import read_measurements
 from ctr_nlp.cli.arguments import add_figures_option, add_out_option, whole
-from ctr_nlp.cli.console import SOLVED, Command
-from ctr_nlp.cli.loads.options import add_load_options, add_modulus_option, asked_model
-from ctr_nlp.cli.measured.files import account, as_json, head, table, write_next, write_residuals
-from ctr_nlp.cli.output.folder import check_folder, published
-from ctr_nlp.cli.telling import console, print_table, progress_bar, wrote
+from ctr_nlp.cli.console import EXIT_SOLVED, Command
+from ctr_nlp.cli.loads.options import add_load_options, add_modulus_option, model_from_options
+from ctr_nlp.cli.measured.files import (
+    as_json,
+    error_summaries,
+    parameter_rows,
+    robot_file_comment,
+    write_next,
+    write_residuals,
+)
+from ctr_nlp.cli.output.folder import check_folder, output_folder
+from ctr_nlp.cli.telling import console, print_table, progress_bar, report_written_files
 from ctr_nlp.loads import with_modulus
-from ctr_nlp.models import MODELS
+from ctr_nlp.models import KINEMATIC_MODELS
 from ctr_nlp.robot import Robot
 
 FOLDS = 5
-COLUMNS = "parameter", "unit", "before", "+-", "after", "+-", "the data"
-SAYS = {"determined": "determine it", "partly": "tell a part", "held": "hardly tell it: kept as before"}
-WORDS = {"described": "as described", "fitted": "fitted", "held_out": "held out"}
+CALIBRATION_TABLE_COLUMNS = "parameter", "unit", "before", "+-", "after", "+-", "the data"
+STANDING_PHRASES = {
+    "determined": "determine it",
+    "partly": "tell a part",
+    "held": "hardly tell it: kept as before",
+}
+CALIBRATION_ERROR_LABELS = {"described": "as described", "fitted": "fitted", "held_out": "held out"}
 
 
 def _parser(prog: str) -> argparse.ArgumentParser:
@@ -46,19 +57,20 @@ def _parser(prog: str) -> argparse.ArgumentParser:
     what = "the robot as described; its tolerances say how well that is known"
     parser.add_argument("--robot", metavar="ROBOT.toml", required=True, help=what)
     what = (
-        f"what to estimate, of {', '.join(KINDS)} (default: what has a tolerance, under a load the modulus, and "
+        f"what to estimate, of {', '.join(PARAMETER_KINDS)} (default: what has a tolerance, under a load the "
+        f"modulus, and "
         "of a motion lag and delay)"
     )
     parser.add_argument("--estimate", metavar="NAME", nargs="+", help=what)
     what = "measurements are in the axes of the robot's base; else its pose is estimated, in every recording"
     parser.add_argument("--registered", action="store_true", help=what)
-    parser.add_argument("--model", choices=sorted(MODELS), default="elastic", help="default: elastic")
+    parser.add_argument("--model", choices=sorted(KINEMATIC_MODELS), default="elastic", help="default: elastic")
     add_load_options(parser, required=False)
     add_modulus_option(parser)
     what = f"folds for errors on what the fit did not see, 0 for none (default {FOLDS})"
     parser.add_argument("--folds", metavar="N", type=whole, default=FOLDS, help=what)
-    what = f"seconds of a motion that stay together in a fold (default {BLOCK:g})"
-    parser.add_argument("--block", metavar="S", type=float, default=BLOCK, help=what)
+    what = f"seconds of a motion that stay together in a fold (default {FOLD_BLOCK_S:g})"
+    parser.add_argument("--block", metavar="S", type=float, default=FOLD_BLOCK_S, help=what)
     parser.add_argument("--next", metavar="N", type=whole, default=0, help="propose N poses that would teach most")
     parser.add_argument("--seed", metavar="N", type=whole, default=0, help="of folds and proposals (default 0)")
     add_out_option(parser, "runs/calibration")
@@ -77,7 +89,7 @@ def _run(arguments: argparse.Namespace) -> int:
             robot,
             measured,
             arguments.estimate,
-            model=asked_model(arguments.model, arguments),
+            model=model_from_options(arguments.model, arguments),
             registered=arguments.registered,
             held_out=arguments.folds,
             block=arguments.block,
@@ -85,16 +97,16 @@ def _run(arguments: argparse.Namespace) -> int:
             seed=arguments.seed,
             progress=labelled("fits"),
         )
-    with published(out, "calibration") as staging:
+    with output_folder(out, "calibration") as staging:
         _write(found, staging, not arguments.no_figures)
         files = sorted(path.name for path in staging.iterdir())
     _print(found)
-    wrote(out, files)
-    return SOLVED
+    report_written_files(out, files)
+    return EXIT_SOLVED
 
 
 def _write(found: Calibration, folder: Path, pictures: bool) -> None:
-    (folder / "robot.toml").write_text(found.robot.to_toml(head(found)), encoding="utf-8")
+    (folder / "robot.toml").write_text(found.robot.to_toml(robot_file_comment(found)), encoding="utf-8")
     (folder / "calibration.json").write_text(json.dumps(as_json(found), indent=1) + "\n", encoding="utf-8")
     write_residuals(found, folder / "residuals.csv")
     if len(found.next_q):
@@ -107,10 +119,18 @@ def _write(found: Calibration, folder: Path, pictures: bool) -> None:
 
 def _print(found: Calibration) -> None:
     """Print the estimated parameters, errors before and after the fit, and remarks on the data."""
-    rows = [row for row in table(found) if row["name"].rpartition("_")[0] not in BASE and row["name"] not in BASE]
-    print_table("what was estimated", COLUMNS, [_row(row) for row in rows], ("unit", "the data"))
+    rows = [
+        row
+        for row in parameter_rows(found)
+        if row["name"].rpartition("_")[0] not in BASE and row["name"] not in BASE
+    ]
+    print_table("what was estimated", CALIBRATION_TABLE_COLUMNS, [_row(row) for row in rows], ("unit", "the data"))
     told, noise = console(), found.fit.noise
-    lines = [[WORDS[name], *of.values()] for name, of in account(found).items() if of is not None]
+    lines = [
+        [CALIBRATION_ERROR_LABELS[name], *of.values()]
+        for name, of in error_summaries(found).items()
+        if of is not None
+    ]
     count = len(found.measured)
     print_table(f"errors of {count} observations, mm", ("robot", "mean", "95 %", "largest"), lines)
     if noise.position == noise.position:
@@ -119,14 +139,14 @@ def _print(found: Calibration) -> None:
         count = found.measured.repeated
         were = "is a copy of another, and was" if count == 1 else "are copies of others, and were"
         told.print(f"- of the observations {count} {were} left out")
-    if len(found.retraced):
-        told.print(f"- {len(found.retraced)} observations have the pose of another; they share its fold")
+    if len(found.repeated_poses):
+        told.print(f"- {len(found.repeated_poses)} observations have the pose of another; they share its fold")
     if found.floor is not None:
         told.print(
             f"- at the same pose, measurements differ by {2 * found.floor:.2g} mm on average: without a memory of "
             f"the motion, no model comes below {found.floor:.2g} mm"
         )
-    for sentence in found.untold:
+    for sentence in found.unidentified:
         told.print(f"- {sentence}")
     if len(found.next_q):
         told.print(
@@ -136,7 +156,7 @@ def _print(found: Calibration) -> None:
 
 def _row(row: dict[str, Any]) -> list[Any]:
     sizes = [f"{row[name]:.4g}" for name in ("before", "before_sigma", "value", "sigma")]
-    return [row["name"], row["unit"], *sizes, SAYS[row["standing"]]]
+    return [row["name"], row["unit"], *sizes, STANDING_PHRASES[row["standing"]]]
 
 
 main = Command("ctr-nlp calibrate", _parser, _run)

@@ -11,13 +11,13 @@ import numpy.typing as npt
 from ctr_nlp.calibration.calibration import Calibration, errors, summary_of
 from ctr_nlp.calibration.parameters import LAGS
 from ctr_nlp.calibration.prediction import flat_measured
-from ctr_nlp.calibration.reading import FORCE
-from ctr_nlp.simulation.lag import NAMES as LAG_PARTS
-from ctr_nlp.support.tables import by_line, write_csv
+from ctr_nlp.calibration.reading import FORCE_COLUMNS
+from ctr_nlp.simulation.lag import BACKLASH_PARAMETER_NAMES as LAG_PARTS
+from ctr_nlp.support.tables import columns_to_rows, write_csv
 from ctr_nlp.support.values import strict_json
 
 
-def table(found: Calibration) -> list[dict[str, Any]]:
+def parameter_rows(found: Calibration) -> list[dict[str, Any]]:
     """A row a parameter: name, unit, before and its sigma, after and its sigma, how well it is known."""
     columns = {
         "name": found.parameters.names,
@@ -39,18 +39,18 @@ def as_json(found: Calibration) -> dict[str, Any]:
         "model": found.model,
         "observations": len(measured),
         "repeated": measured.repeated,
-        "retraced": len(found.retraced),
+        "retraced": len(found.repeated_poses),
         "recordings": measured.recordings,
-        "parameters": table(found),
+        "parameters": parameter_rows(found),
         "covariance": found.fit.covariance,
-        "untold": list(found.untold),
+        "untold": list(found.unidentified),
         "bases": bases,
         "noise": {
-            "position_mm": _known(noise.position),
-            "direction_rad": _known(noise.direction),
-            "alike": noise.alike,
+            "position_mm": _finite_or_none(noise.position),
+            "direction_rad": _finite_or_none(noise.direction),
+            "alike": noise.autocorrelation,
         },
-        "errors_mm": account(found),
+        "errors_mm": error_summaries(found),
         "floor_mm": found.floor,
         "next": [{"q": q, "left": left} for q, left in zip(found.next_q, found.next_left, strict=True)],
     }
@@ -58,39 +58,39 @@ def as_json(found: Calibration) -> dict[str, Any]:
     return plain
 
 
-def account(found: Calibration) -> dict[str, Any]:
+def error_summaries(found: Calibration) -> dict[str, Any]:
     """Mean, 95 % quantile and largest error, mm: of the robot as described, as fitted, and held out."""
-    kinds = {"described": found.before, "fitted": found.fit.residuals, "held_out": found.held_out}
+    kinds = {"described": found.nominal_residuals, "fitted": found.fit.residuals, "held_out": found.held_out}
     return {name: summary_of(errors(residuals)) for name, residuals in kinds.items()}
 
 
 def write_residuals(found: Calibration, path: Path) -> None:
     """A line an observation: its pose, what was measured less what is predicted, and errors in mm."""
-    measured, axes = found.measured, found.described.axes
+    measured, axes = found.measured, found.nominal.axes
     columns: dict[str, npt.NDArray[Any]] = {"recording": measured.recording + 1, "fold": found.fold + 1}
-    columns |= {"time_s": measured.time} if measured.timed else {}
+    columns |= {"time_s": measured.time} if measured.has_times else {}
     columns |= {axis: measured.q[:, k] for k, axis in enumerate(axes)}
-    columns |= dict(zip(FORCE, measured.force.T, strict=True)) if measured.pushed else {}
+    columns |= dict(zip(FORCE_COLUMNS, measured.force.T, strict=True)) if measured.has_tip_force else {}
     points = [f"p{k + 1}" for k in range(measured.sigma.shape[1])]
     names = [f"residual_{place}_{axis}" for place in ("tip", "tip_direction", *points) for axis in "xyz"]
     seen = np.flatnonzero(np.isfinite(flat_measured(measured)).any(axis=0))
     columns |= {names[k]: found.fit.residuals[:, k] for k in seen}
     columns |= {"error_mm": errors(found.fit.residuals), "error_held_out_mm": errors(found.held_out)}
-    columns |= {"error_described_mm": errors(found.before)}
-    write_csv(path, by_line(columns))
+    columns |= {"error_described_mm": errors(found.nominal_residuals)}
+    write_csv(path, columns_to_rows(columns))
 
 
 def write_next(found: Calibration, path: Path) -> None:
     """A line a pose, in the columns that measurements are read from, and what part of the doubt is left then."""
-    columns: dict[str, npt.NDArray[Any]] = dict(zip(found.described.axes, found.next_q.T, strict=True))
-    write_csv(path, by_line(columns | {"left": found.next_left}))
+    columns: dict[str, npt.NDArray[Any]] = dict(zip(found.nominal.axes, found.next_q.T, strict=True))
+    write_csv(path, columns_to_rows(columns | {"left": found.next_left}))
 
 
-def head(found: Calibration) -> str:
+def robot_file_comment(found: Calibration) -> str:
     """The comment on top of a robot file: where it is from, and by what angles motors are off."""
     lines = [
         f"From {len(found.measured)} measured poses. The tolerances are what is left to doubt.",
-        *(f"Not known from them: {sentence}." for sentence in found.untold),
+        *(f"Not known from them: {sentence}." for sentence in found.unidentified),
     ]
     parameters = found.parameters
     for k in parameters.columns("motor_zero"):
@@ -113,5 +113,5 @@ def _lag_table(found: Calibration) -> list[str]:
     ]
 
 
-def _known(value: float) -> float | None:
+def _finite_or_none(value: float) -> float | None:
     return value if np.isfinite(value) else None

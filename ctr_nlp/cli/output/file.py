@@ -12,7 +12,7 @@ from pathlib import Path
 
 from ctr_nlp.cli.output.manifest import MARK
 from ctr_nlp.exceptions import OutputError
-from ctr_nlp.support.whole_file import whole_file
+from ctr_nlp.support.whole_file import write_atomically
 
 
 def check_file(file: Path, opening: str, at: int = 0) -> None:
@@ -25,12 +25,12 @@ def check_file(file: Path, opening: str, at: int = 0) -> None:
                 held = known.read(at + len(opening))
                 if held and (len(held) <= at or not opening.encode().startswith(held[at:])):
                     raise OutputError(f"output file {file} exists and is not one of ours; name another with --out")
-        try_beside(file)
+        check_writable(file)
     except OSError as error:
         raise OutputError(f"output file {file} cannot be written: {error}") from error
 
 
-def try_beside(path: Path) -> None:
+def check_writable(path: Path) -> None:
     """Make a folder beside where `path` is to be, and remove it, to see that this can be done; raises OSError.
 
     It has the name of a staging folder: a run that is killed meanwhile leaves what the next one tidies away, and
@@ -49,7 +49,7 @@ def output_file(file: Path) -> Iterator[Path]:
     """
     try:
         file.parent.mkdir(parents=True, exist_ok=True)
-        with whole_file(file) as partial:
+        with write_atomically(file) as partial:
             yield partial
     except OSError as error:
         raise OutputError(f"output file {file} cannot be written: {error}") from error
@@ -68,7 +68,7 @@ def write_bytes(file: Path, content: bytes) -> None:
         partial.write_bytes(content)
 
 
-LONGEST = 80
+MAX_PATH_COMPONENT_BYTES = 80
 """Bytes of UTF-8 that a name may take in a path, well below the 255 that file systems allow."""
 RESERVED = re.compile(r"(con|prn|aux|nul|(com|lpt)\w)(\..*)?", re.IGNORECASE)
 """Names that Windows keeps for devices, whatever their suffix."""
@@ -78,15 +78,15 @@ def path_component(name: str) -> str:
     """A name as one component of a path: a name that is safe as it stands, anything else changed and marked.
 
     Safe are letters, digits and the characters - _ . and space, with a letter, a digit or _ at the beginning and
-    no dot or space at the end, up to LONGEST bytes. In other names everything else becomes _, and ~ with eight
-    digits of the whole name's SHA-256 follows, so that names that differ stay different.
+    no dot or space at the end, up to MAX_PATH_COMPONENT_BYTES bytes. In other names everything else becomes _, and
+    ~ with eight digits of the whole name's SHA-256 follows, so that names that differ stay different.
     """
     if _safe(name):
         return name
     digest = hashlib.sha256(name.encode("utf-8", "surrogatepass")).hexdigest()[:8]
     kept = re.sub(r"[^\w .-]", "_", unicodedata.normalize("NFC", name)).lstrip("-. ")
     prefix = "_" if RESERVED.fullmatch(kept) or not kept else ""
-    short = f"{prefix}{kept}".encode()[: LONGEST - 9].decode(errors="ignore")
+    short = f"{prefix}{kept}".encode()[: MAX_PATH_COMPONENT_BYTES - 9].decode(errors="ignore")
     return f"{short.rstrip('. ')}~{digest}"
 
 
@@ -94,6 +94,6 @@ def _safe(name: str) -> bool:
     return (
         re.fullmatch(r"\w[\w .-]*(?<![. ])", name) is not None
         and unicodedata.is_normalized("NFC", name)
-        and len(name.encode()) <= LONGEST
+        and len(name.encode()) <= MAX_PATH_COMPONENT_BYTES
         and RESERVED.fullmatch(name) is None
     )

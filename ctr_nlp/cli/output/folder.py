@@ -10,24 +10,32 @@ from contextlib import ExitStack, contextmanager, suppress
 from itertools import count
 from pathlib import Path
 
-from ctr_nlp.cli.output.file import try_beside
-from ctr_nlp.cli.output.manifest import MARK, STAGING, Manifest, Written, read, standard, written
+from ctr_nlp.cli.output.file import check_writable
+from ctr_nlp.cli.output.manifest import (
+    MARK,
+    STAGING,
+    Manifest,
+    WrittenFile,
+    describe_file,
+    read_manifest,
+    standard_file_names,
+)
 from ctr_nlp.exceptions import OutputError
-from ctr_nlp.support.folder_lock import locked
+from ctr_nlp.support.folder_lock import lock_folder
 from ctr_nlp.support.interrupt import ignored_interrupt
 
-INTERRUPTED = "interrupted"
+INTERRUPTED_FOLDER_NAME = "interrupted"
 """The folder within an output folder that takes what interrupted runs have found until then."""
-NOMINAL = "nominal"
+NOMINAL_FOLDER_NAME = "nominal"
 """The folder within an output folder that takes the plan of the robot as described, while others are planned
 for."""
-PATIENCE = 10.0
+PUBLISH_LOCK_TIMEOUT_S = 10.0
 """Seconds for which a run waits for another one that publishes into the same folder, which takes milliseconds."""
 
 
-def place_of(out: Path, interrupted: bool) -> Path:
+def results_folder(out: Path, interrupted: bool) -> Path:
     """The folder for a run's files: out, or where the run was interrupted a folder of their own within it."""
-    return out / INTERRUPTED if interrupted else out
+    return out / INTERRUPTED_FOLDER_NAME if interrupted else out
 
 
 def name_within(folder: Path, file: Path) -> str | None:
@@ -44,19 +52,19 @@ def check_folder(folder: Path, kind: str, other: Path | None = None) -> None:
     """
     target = folder.absolute()
     inner = None if other is None else name_within(folder, other)
-    names = [*standard(kind, target), *([] if inner is None else [inner])]
+    names = [*standard_file_names(kind, target), *([] if inner is None else [inner])]
     try:
         if target.is_dir() and not target.is_symlink():
-            with locked(target, PATIENCE):
+            with lock_folder(target, PUBLISH_LOCK_TIMEOUT_S):
                 _tidy(target)
         _check(target, names)
-        try_beside(target / MARK)
+        check_writable(target / MARK)
     except OSError as error:
         raise OutputError(f"output folder {folder} cannot be written: {error}") from error
 
 
 @contextmanager
-def published(folder: Path, kind: str) -> Iterator[Path]:
+def output_folder(folder: Path, kind: str) -> Iterator[Path]:
     """A hidden folder: what the block writes into it moves to folder when the block ends well, else it vanishes.
 
     Of what earlier runs wrote, files of the same kind that were not written anew are deleted; all others stay.
@@ -82,10 +90,10 @@ def _check(folder: Path, names: Sequence[str]) -> None:
     """Raise OutputError unless folder is new, empty or ours and nothing of the user's is where names are to be."""
     if folder.is_symlink() or (folder.exists() and not folder.is_dir()):
         raise OutputError(f"output folder {folder} is a file or a link; it must be new, empty or one of ours")
-    manifest = read(folder)
+    manifest = read_manifest(folder)
     if manifest is None and folder.exists() and any(map(_foreign, folder.iterdir())):
         raise OutputError(f"output folder {folder} is not empty and not one of ours; name another with --out")
-    occupied = ((manifest or Manifest({})).occupied(folder, name) for name in names)
+    occupied = ((manifest or Manifest({})).find_conflict(folder, name) for name in names)
     if (users := next(filter(None, occupied), None)) is not None:
         raise OutputError(
             f"{users} is in the way: it is not as a run of this program has written it; move it, or name another "
@@ -95,24 +103,24 @@ def _check(folder: Path, names: Sequence[str]) -> None:
 
 def _foreign(entry: Path) -> bool:
     """Whether something in a folder without a manifest is not what an interrupted or a killed run has left."""
-    ours = entry.name in (INTERRUPTED, NOMINAL) and (entry / MARK).is_file()
+    ours = entry.name in (INTERRUPTED_FOLDER_NAME, NOMINAL_FOLDER_NAME) and (entry / MARK).is_file()
     return not ours and STAGING.fullmatch(entry.name) is None
 
 
-def _staging(target: Path, held: ExitStack) -> Path:
+def _staging(target: Path, locks: ExitStack) -> Path:
     """A new folder within target, or where that fails beside it; locked, so that others see that it is in use."""
     name = f"{MARK}-{secrets.token_hex(4)}"
     try:
-        return _made(target / name, held)
+        return _make_locked_folder(target / name, locks)
     except OSError:
-        return _made(target.parent / name, held)
+        return _make_locked_folder(target.parent / name, locks)
 
 
-def _made(staging: Path, held: ExitStack) -> Path:
+def _make_locked_folder(staging: Path, locks: ExitStack) -> Path:
     staging.parent.mkdir(parents=True, exist_ok=True)
-    with locked(staging.parent, PATIENCE):
+    with lock_folder(staging.parent, PUBLISH_LOCK_TIMEOUT_S):
         staging.mkdir()
-        held.enter_context(locked(staging))
+        locks.enter_context(lock_folder(staging))
     return staging
 
 
@@ -122,21 +130,21 @@ def _publish(staging: Path, target: Path, kind: str) -> None:
     The manifest says beforehand what will be done, so that the next run completes it should this one be killed.
     """
     paths = [path for path in staging.rglob("*") if path.is_file()]
-    new = {path.relative_to(staging).as_posix(): written(kind, path) for path in sorted(paths)}
+    new = {path.relative_to(staging).as_posix(): describe_file(kind, path) for path in sorted(paths)}
     try:
         for path in paths:
             with open(path, "rb+") as file:
                 os.fsync(file.fileno())
-        with locked(target, PATIENCE):
+        with lock_folder(target, PUBLISH_LOCK_TIMEOUT_S):
             _tidy(target)
             _check(target, list(new))
             if staging.parent != target:
                 raise OutputError(f"output folder {target} could not be written")
-            _write((read(target) or Manifest({})).publishing(staging.name, kind, new), staging, target)
+            _write((read_manifest(target) or Manifest({})).with_pending(staging.name, kind, new), staging, target)
             if left := _finish(target):
                 raise OutputError(f"{target / left[0]} was changed at the last moment")
     except (OSError, OutputError) as error:
-        kept = _kept(staging, target, new)
+        kept = _move_results_aside(staging, target, new)
         raise OutputError(f"{error}" if kept is None else f"{error}. The results are in {kept}") from error
 
 
@@ -151,37 +159,37 @@ def _tidy(folder: Path) -> None:
 
     Raises OutputError where files have come in the way since, with the folder where the rest of its results is.
     """
-    manifest = read(folder)
+    manifest = read_manifest(folder)
     if manifest is not None and manifest.pending is not None:
         new, staging = manifest.pending.files, folder / manifest.pending.staging
         if left := _finish(folder):
             raise OutputError(
                 f"{folder / left[0]} was changed after a run was killed that had begun to replace it. "
-                f"The rest of that run's results is in {_kept(staging, folder, new)}"
+                f"The rest of that run's results is in {_move_results_aside(staging, folder, new)}"
             )
     for entry in folder.iterdir():
         if STAGING.fullmatch(entry.name) is not None and entry.is_dir() and not entry.is_symlink():
-            with suppress(OSError), locked(entry) as certain:
+            with suppress(OSError), lock_folder(entry) as certain:
                 if certain:
                     shutil.rmtree(entry)
 
 
 def _finish(folder: Path) -> list[str]:
     """Do what the manifest says is pending, and is not done yet; the names of files that could not be moved."""
-    manifest = read(folder)
+    manifest = read_manifest(folder)
     if manifest is None or manifest.pending is None:
         return []
     staging, names = folder / manifest.pending.staging, manifest.pending.files
     for name in names:
-        if (staging / name).is_file() and manifest.occupied(folder, name) is None:
+        if (staging / name).is_file() and manifest.find_conflict(folder, name) is None:
             (folder / name).parent.mkdir(parents=True, exist_ok=True)
             os.replace(staging / name, folder / name)
     if all(one.is_at(folder / name) for name, one in names.items()):
         for name in manifest.pending.superseded:
-            if manifest.owned(folder, name):
+            if manifest.owns_file(folder, name):
                 _delete(folder, name)
     staging.mkdir(exist_ok=True)
-    _write(manifest.settled(folder), staging, folder)
+    _write(manifest.without_pending(folder), staging, folder)
     left = [name for name in names if (staging / name).is_file()]
     if not left:
         shutil.rmtree(staging)
@@ -196,7 +204,7 @@ def _delete(folder: Path, name: str) -> None:
             (folder / parent).rmdir()
 
 
-def _kept(staging: Path, target: Path, new: Mapping[str, Written]) -> Path | None:
+def _move_results_aside(staging: Path, target: Path, new: Mapping[str, WrittenFile]) -> Path | None:
     """Make staging an output folder of its own, beside target or within it; None where that cannot be."""
     for stem in (f"{target}-kept", f"{target / 'kept'}"):
         place = next(place for n in count(1) if not os.path.lexists(place := Path(f"{stem}-{n}")))
@@ -210,7 +218,7 @@ def _kept(staging: Path, target: Path, new: Mapping[str, Written]) -> Path | Non
 def _discard(staging: Path, target: Path, fresh: bool) -> None:
     """Remove staging, unless the next run is to publish the rest of it, and target where it is fresh and empty."""
     with suppress(OSError, OutputError):
-        manifest = read(target)
+        manifest = read_manifest(target)
         if manifest is not None and manifest.pending is not None and manifest.pending.staging == staging.name:
             return
     shutil.rmtree(staging, ignore_errors=True)

@@ -65,7 +65,7 @@ STANDARD: Mapping[str, tuple[str, ...]] = {
 
 
 @dataclass(frozen=True)
-class Written:
+class WrittenFile:
     """A file as a run of some kind, a key of STANDARD, has written it."""
 
     kind: str
@@ -79,10 +79,10 @@ class Written:
         return hashlib.sha256(place.read_bytes()).hexdigest() == self.sha256
 
 
-def written(kind: str, place: Path) -> Written:
+def describe_file(kind: str, place: Path) -> WrittenFile:
     """Describe the file at `place` as one that a run of this kind has written."""
     content = place.read_bytes()
-    return Written(kind, len(content), hashlib.sha256(content).hexdigest())
+    return WrittenFile(kind, len(content), hashlib.sha256(content).hexdigest())
 
 
 @dataclass(frozen=True)
@@ -92,7 +92,7 @@ class Publication:
     """
 
     staging: str
-    files: Mapping[str, Written]
+    files: Mapping[str, WrittenFile]
     superseded: tuple[str, ...]
 
 
@@ -100,17 +100,17 @@ class Publication:
 class Manifest:
     """Files that runs have written, by names relative to the folder, and a publication that is not finished."""
 
-    files: Mapping[str, Written]
+    files: Mapping[str, WrittenFile]
     pending: Publication | None = None
 
-    def publishing(self, staging: str, kind: str, new: Mapping[str, Written]) -> Manifest:
+    def with_pending(self, staging: str, kind: str, new: Mapping[str, WrittenFile]) -> Manifest:
         """Return this manifest with new files of a run pending, which supersede those of the same kind; `staging`
         names the folder that they are moved from.
         """
         old = (name for name, one in self.files.items() if one.kind == kind and name not in new)
         return Manifest(self.files, Publication(staging, new, tuple(old)))
 
-    def settled(self, folder: Path) -> Manifest:
+    def without_pending(self, folder: Path) -> Manifest:
         """Return this manifest with nothing pending, and with what lies in `folder` now under each name that was
         new or superseded.
         """
@@ -126,16 +126,20 @@ class Manifest:
                 del files[name]
         return Manifest(files)
 
-    def owned(self, folder: Path, name: str) -> bool:
+    def owns_file(self, folder: Path, name: str) -> bool:
         """Whether the file called `name` is as a run has written it, in folders that are no links."""
-        return name in self.files and _blocked(folder, name) is None and self.files[name].is_at(folder / name)
+        return (
+            name in self.files
+            and _find_blocking_parent(folder, name) is None
+            and self.files[name].is_at(folder / name)
+        )
 
-    def occupied(self, folder: Path, name: str) -> Path | None:
+    def find_conflict(self, folder: Path, name: str) -> Path | None:
         """Return what of the user's is in the way of a file called `name`; None where nothing is."""
         place = folder / name
-        if (blocked := _blocked(folder, name)) is not None:
+        if (blocked := _find_blocking_parent(folder, name)) is not None:
             return blocked
-        return place if os.path.lexists(place) and not self.owned(folder, name) else None
+        return place if os.path.lexists(place) and not self.owns_file(folder, name) else None
 
     def write(self, place: Path) -> None:
         """Write the manifest to a file; it is on the disk afterwards."""
@@ -148,7 +152,7 @@ class Manifest:
             os.fsync(file.fileno())
 
 
-def _blocked(folder: Path, name: str) -> Path | None:
+def _find_blocking_parent(folder: Path, name: str) -> Path | None:
     """Return the link or file that stands in place of a folder between `folder` and the file called `name`; None
     where nothing does.
     """
@@ -156,19 +160,19 @@ def _blocked(folder: Path, name: str) -> Path | None:
     return next((one for one in parents[:-1] if one.is_symlink() or (one.exists() and not one.is_dir())), None)
 
 
-def standard(kind: str, folder: Path) -> list[str]:
+def standard_file_names(kind: str, folder: Path) -> list[str]:
     """Return the names of the files that a run of this kind may write into `folder`."""
     return [name.replace("{folder}", folder.absolute().name) for name in STANDARD[kind]]
 
 
-def read(folder: Path) -> Manifest | None:
+def read_manifest(folder: Path) -> Manifest | None:
     """The manifest of a folder, None where it has none; raises OutputError for one that cannot be understood.
 
     Earlier versions marked a folder with a line of text instead: all files with standard names count as theirs.
     """
     try:
         text = (folder / MARK).read_text(encoding="utf-8")
-        return _parsed(json.loads(text)) if text.startswith("{") else _from_a_mark(folder)
+        return _parse_manifest(json.loads(text)) if text.startswith("{") else _manifest_from_mark(folder)
     except (FileNotFoundError, NotADirectoryError):
         return None
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
@@ -177,19 +181,19 @@ def read(folder: Path) -> Manifest | None:
         ) from error
 
 
-def _from_a_mark(folder: Path) -> Manifest:
+def _manifest_from_mark(folder: Path) -> Manifest:
     """Return the manifest of a folder marked by an earlier version: each file with a standard name counts as a
     run's.
     """
-    found: dict[str, Written] = {}
+    found: dict[str, WrittenFile] = {}
     for kind in STANDARD:
-        for name in standard(kind, folder):
+        for name in standard_file_names(kind, folder):
             if name not in found and (folder / name).is_file():
-                found[name] = written(kind, folder / name)
+                found[name] = describe_file(kind, folder / name)
     return Manifest(found)
 
 
-def _parsed(data: Any) -> Manifest:
+def _parse_manifest(data: Any) -> Manifest:
     if data["format"] != FORMAT:
         raise ValueError(f"its format is {data['format']!r}, and this version reads {FORMAT}")
     files, pending = _files(data["files"]), data.get("pending")
@@ -201,8 +205,8 @@ def _parsed(data: Any) -> Manifest:
     return Manifest(files, Publication(pending["staging"], _files(pending["files"]), superseded))
 
 
-def _files(data: Mapping[str, Any]) -> dict[str, Written]:
-    return {_inner(name): Written(**entry) for name, entry in data.items()}
+def _files(data: Mapping[str, Any]) -> dict[str, WrittenFile]:
+    return {_inner(name): WrittenFile(**entry) for name, entry in data.items()}
 
 
 def _inner(name: str) -> str:

@@ -8,24 +8,24 @@ from pathlib import Path
 
 from ctr_nlp.cli import problems
 from ctr_nlp.cli.arguments import add_compile_option, add_out_option, add_problem_options, whole
-from ctr_nlp.cli.console import INTERRUPTED, SOLVED, Command
+from ctr_nlp.cli.console import EXIT_INTERRUPTED, EXIT_SOLVED, Command
 from ctr_nlp.cli.loads.options import (
     add_load_options,
     add_modulus_option,
-    asked_load,
     has_load,
-    with_asked_modulus,
+    load_from,
+    problem_with_modulus,
 )
 from ctr_nlp.cli.output.file import path_component
-from ctr_nlp.cli.output.folder import check_folder, published
+from ctr_nlp.cli.output.folder import check_folder, output_folder
 from ctr_nlp.cli.plan_options import add_file_options
 from ctr_nlp.cli.report import write
 from ctr_nlp.cli.telling import announce, print_stderr
 from ctr_nlp.live import Live
 from ctr_nlp.live.page.server import HOST, PORT
 from ctr_nlp.live.steered.free import free_problem
-from ctr_nlp.loads import Load, steady, with_modulus
-from ctr_nlp.models import DEFAULT_MODEL, MODELS
+from ctr_nlp.loads import Load, require_constant_load, with_modulus
+from ctr_nlp.models import DEFAULT_MODEL, KINEMATIC_MODELS
 from ctr_nlp.plan.plan import Plan
 from ctr_nlp.robot import Robot, table_i_robot
 from ctr_nlp.support.interrupt import deferred_interrupt
@@ -46,9 +46,14 @@ def _parser(prog: str) -> argparse.ArgumentParser:
         f"no C compiler. Examples: `{prog} arc`; `{prog} airway.csv --branch 3`; "
         f"`{prog} robot.toml --port 0`; `{prog} arc --youngs-modulus 60000 --force 0 0.1 0`.",
     )
-    kinds = f"{problems.KINDS}, or a robot file (.toml), whose robot then follows a path of its own shape"
+    kinds = (
+        f"{problems.PROBLEM_ARGUMENT_HELP}, or a robot file (.toml), whose robot then follows a path of "
+        f"its own shape"
+    )
     parser.add_argument("problem", metavar="PROBLEM", nargs="?", default=USUAL, help=f"{kinds} (default {USUAL})")
-    parser.add_argument("--model", choices=MODELS, default=DEFAULT_MODEL, help=f"(default {DEFAULT_MODEL})")
+    parser.add_argument(
+        "--model", choices=KINEMATIC_MODELS, default=DEFAULT_MODEL, help=f"(default {DEFAULT_MODEL})"
+    )
     add_problem_options(parser)
     parser.add_argument(
         "--more-robots", metavar="FILE.toml", nargs="+", default=[], help="robots that can be chosen on the page"
@@ -67,13 +72,13 @@ def _parser(prog: str) -> argparse.ArgumentParser:
 
 
 def _run(arguments: argparse.Namespace) -> int:
-    problem, load = with_asked_modulus(_problem(arguments), arguments), _load(arguments)
+    problem, load = problem_with_modulus(_problem(arguments), arguments), _load(arguments)
     out = Path(arguments.out or f"runs/{path_component(problem.name)}-live")
     check_folder(_next(out), "plan")
     table_i, modulus = table_i_robot(), arguments.youngs_modulus
     robots = {"Table I": table_i if modulus is None else with_modulus(table_i, modulus)}
     robots |= {Path(file).stem: Robot.from_toml(file) for file in arguments.more_robots}
-    problems.tell(problem)
+    problems.print_problem_notes(problem)
     with deferred_interrupt() as interrupted:
         live = Live(
             problem,
@@ -81,14 +86,14 @@ def _run(arguments: argparse.Namespace) -> int:
             robots=robots,
             host=arguments.host,
             port=arguments.port,
-            keep=lambda plan: _kept(plan, _next(out)),
+            save_plan=lambda plan: _save_recording(plan, _next(out)),
             load=load,
         )
         if not is_loopback(arguments.host):
             print_stderr(f"note: whoever reaches {live.url} can steer; nothing is encrypted, nobody is asked")
         announce(f"steer {problem.name} at {live.url}; Ctrl-C ends it")
         live.wait(interrupted)
-        return INTERRUPTED if interrupted() else SOLVED
+        return EXIT_INTERRUPTED if interrupted() else EXIT_SOLVED
 
 
 def _problem(arguments: argparse.Namespace) -> Problem:
@@ -100,7 +105,7 @@ def _problem(arguments: argparse.Namespace) -> Problem:
 
 def _load(arguments: argparse.Namespace) -> Load | None:
     """Return the constant load on the robot, None where none was given; raises LoadError for one that changes."""
-    return steady(asked_load(arguments), "live steering") if has_load(arguments) else None
+    return require_constant_load(load_from(arguments), "live steering") if has_load(arguments) else None
 
 
 def _next(out: Path) -> Path:
@@ -108,9 +113,9 @@ def _next(out: Path) -> Path:
     return next(folder for n in itertools.count(1) if not (folder := out / str(n)).exists())
 
 
-def _kept(plan: Plan, folder: Path) -> str:
+def _save_recording(plan: Plan, folder: Path) -> str:
     """Write a plan into a folder, and return a sentence, without its full stop, that says where it is."""
-    with published(folder, "plan") as staging:
+    with output_folder(folder, "plan") as staging:
         write(plan, staging)
     return f"It is in {folder / 'plan.npz'}, for `ctr-nlp play` and `ctr-nlp robust`"
 

@@ -16,18 +16,24 @@ from ctr_nlp.cli.arguments import (
     settings_from,
     whole,
 )
-from ctr_nlp.cli.console import INTERRUPTED, SOLVED, Command
+from ctr_nlp.cli.console import EXIT_INTERRUPTED, EXIT_SOLVED, Command
 from ctr_nlp.cli.output.file import write_text
-from ctr_nlp.cli.output.folder import check_folder, place_of, published
+from ctr_nlp.cli.output.folder import check_folder, output_folder, results_folder
 from ctr_nlp.cli.studies.design import add_rules, rules_from
-from ctr_nlp.cli.telling import busy, print_table, wrote
+from ctr_nlp.cli.telling import busy, print_table, report_written_files
 from ctr_nlp.codesign.request import draft, search_for
 from ctr_nlp.codesign.together import STARTS
-from ctr_nlp.studies.baselines.race import METHODS, Run, race, rows, seconds_to
+from ctr_nlp.studies.baselines.race import (
+    DESIGN_OPTIMISERS,
+    OptimiserRun,
+    improvement_rows,
+    race_optimisers,
+    seconds_to,
+)
 from ctr_nlp.support.interrupt import end_if_interrupted
 from ctr_nlp.support.tables import markdown, write_csv
 
-COLUMNS = "method", "best e3 mm", "process s", "design as good after s", "tubes tried"
+BASELINE_TABLE_COLUMNS = "method", "best e3 mm", "process s", "design as good after s", "tubes tried"
 
 
 def _parser(prog: str) -> argparse.ArgumentParser:
@@ -39,7 +45,7 @@ def _parser(prog: str) -> argparse.ArgumentParser:
         ".pdf. CMA-ES needs the package cma (pip install ctr_nlp[studies]).",
         epilog="Exit status: 0 where all is done, 2 where input is bad, 130 after an interruption.",
     )
-    parser.add_argument("problems", metavar="PROBLEM", nargs="+", help=problems.KINDS)
+    parser.add_argument("problems", metavar="PROBLEM", nargs="+", help=problems.PROBLEM_ARGUMENT_HELP)
     what = f"tubes that the design is started from (default {STARTS})"
     parser.add_argument("--starts", metavar="N", type=whole, default=STARTS, help=what)
     what = "how many times the design's process time the others may take (default 1)"
@@ -61,18 +67,18 @@ def _run(arguments: argparse.Namespace) -> int:
     check_folder(out, "baselines")
     end_if_interrupted()
     with busy("tubes are designed by each method in turn"):
-        runs = race(search, arguments.starts, settings.seed, arguments.times)
+        runs = race_optimisers(search, arguments.starts, settings.seed, arguments.times)
     names = [task.name for task in tasks]
-    interrupted = len(runs) < len(METHODS)
-    place = place_of(out, interrupted)
-    with published(place, "baselines") as staging:
+    interrupted = len(runs) < len(DESIGN_OPTIMISERS)
+    place = results_folder(out, interrupted)
+    with output_folder(place, "baselines") as staging:
         _write(runs, names, staging)
-    print_table(f"one robot for {', '.join(names)}", list(COLUMNS), _rows(runs))
-    wrote(place)
-    return INTERRUPTED if interrupted else SOLVED
+    print_table(f"one robot for {', '.join(names)}", list(BASELINE_TABLE_COLUMNS), _rows(runs))
+    report_written_files(place)
+    return EXIT_INTERRUPTED if interrupted else EXIT_SOLVED
 
 
-def _rows(runs: list[Run]) -> list[list[str]]:
+def _rows(runs: list[OptimiserRun]) -> list[list[str]]:
     design = runs[0]
     return [
         [
@@ -80,20 +86,23 @@ def _rows(runs: list[Run]) -> list[list[str]]:
             f"{run.best:.3f}" if math.isfinite(run.best) else "",
             f"{run.seconds[-1]:.0f}" if len(run.seconds) else "",
             f"{seconds_to(design, run.best):.0f}" if math.isfinite(seconds_to(design, run.best)) else "never",
-            f"{run.asked}",
+            f"{run.evaluations}",
         ]
         for run in runs
     ]
 
 
-def _write(runs: list[Run], names: list[str], folder: Path) -> None:
+def _write(runs: list[OptimiserRun], names: list[str], folder: Path) -> None:
     from ctr_nlp.figures import save  # brings matplotlib, which takes long to load
-    from ctr_nlp.studies.baselines.picture import picture
+    from ctr_nlp.studies.baselines.picture import draw_optimiser_race
 
-    write_csv(folder / "baselines.csv", rows(runs))
-    write_text(folder / "baselines.md", f"One robot for {', '.join(names)}\n\n{markdown(COLUMNS, _rows(runs))}\n")
+    write_csv(folder / "baselines.csv", improvement_rows(runs))
+    write_text(
+        folder / "baselines.md",
+        f"One robot for {', '.join(names)}\n\n{markdown(BASELINE_TABLE_COLUMNS, _rows(runs))}\n",
+    )
     for ending in ("png", "pdf"):
-        save(picture(runs, names), folder / f"baselines.{ending}")
+        save(draw_optimiser_race(runs, names), folder / f"baselines.{ending}")
 
 
 main = Command("ctr-nlp baselines", _parser, _run)

@@ -12,21 +12,28 @@ from typing import Any
 import numpy as np
 
 from ctr_nlp.cli.arguments import whole
-from ctr_nlp.cli.console import SOLVED, SOME_FAILED, Command
+from ctr_nlp.cli.console import EXIT_SOLVED, EXIT_SOME_FAILED, Command
 from ctr_nlp.cli.output.file import write_text
-from ctr_nlp.cli.telling import console, print_table, wrote
+from ctr_nlp.cli.telling import console, print_table, report_written_files
 from ctr_nlp.codegen import cache
 from ctr_nlp.exceptions import OptionError
-from ctr_nlp.problems import named
-from ctr_nlp.studies.benchmarks.growth import draw, growths
-from ctr_nlp.studies.benchmarks.paired import LEAST_BLOCKS, TOLERANCE, Compared, Worker, against, measured
-from ctr_nlp.studies.benchmarks.peers import race
-from ctr_nlp.studies.benchmarks.shares import shares
+from ctr_nlp.problems import named_problem
+from ctr_nlp.studies.benchmarks.growth import draw_growths, measure_growths
+from ctr_nlp.studies.benchmarks.paired import (
+    LEAST_BLOCKS,
+    MAX_RELATIVE_TIME_CHANGE,
+    RowComparison,
+    Worker,
+    compare_trees,
+    measure_row,
+)
+from ctr_nlp.studies.benchmarks.peers import race_solvers
+from ctr_nlp.studies.benchmarks.shares import measure_uncompiled_shares
 from ctr_nlp.studies.benchmarks.trees import ROOT, tree_of
-from ctr_nlp.studies.benchmarks.work import ROWS
+from ctr_nlp.studies.benchmarks.work import BENCHMARK_ROWS
 
 Entries = list[dict[str, Any]]
-SECONDS = 5.0
+BENCHMARK_ROW_DURATION_S = 5.0
 """For which a row is repeated."""
 
 
@@ -41,12 +48,19 @@ def _parser(prog: str) -> argparse.ArgumentParser:
         "2 where input is bad.",
     )
     parser.add_argument("--parts", nargs="+", choices=PARTS, default=list(PARTS), help="(default all)")
-    parser.add_argument("--rows", nargs="+", metavar="ROW", choices=ROWS, default=list(ROWS), help=", ".join(ROWS))
+    parser.add_argument(
+        "--rows",
+        nargs="+",
+        metavar="ROW",
+        choices=BENCHMARK_ROWS,
+        default=list(BENCHMARK_ROWS),
+        help=", ".join(BENCHMARK_ROWS),
+    )
     parser.add_argument(
         "--against", metavar="COMMIT", help="compare the rows, and nothing else, with this commit's"
     )
     parser.add_argument(
-        "--explained", nargs="+", metavar="ROW", choices=ROWS, default=[], help="rows that may be faster"
+        "--explained", nargs="+", metavar="ROW", choices=BENCHMARK_ROWS, default=[], help="rows that may be faster"
     )
     parser.add_argument(
         "--blocks", metavar="N", type=whole, default=12, help="of four turns, to compare (default 12)"
@@ -55,8 +69,8 @@ def _parser(prog: str) -> argparse.ArgumentParser:
         "--tolerance",
         metavar="PART",
         type=float,
-        default=TOLERANCE,
-        help=f"part by which a row may differ either way (default {TOLERANCE:g})",
+        default=MAX_RELATIVE_TIME_CHANGE,
+        help=f"part by which a row may differ either way (default {MAX_RELATIVE_TIME_CHANGE:g})",
     )
     parser.add_argument("--json", metavar="FILE", help="also write what was measured to a file")
     parser.add_argument("--picture", metavar="FILE.png", help="also draw growth")
@@ -64,7 +78,7 @@ def _parser(prog: str) -> argparse.ArgumentParser:
 
 
 def _run(arguments: argparse.Namespace) -> int:
-    if why := cache.missing():
+    if why := cache.unavailable_reason():
         raise OptionError(f"there is nothing to compare: {why}")
     targets = {option: _target(option, getattr(arguments, option)) for option in ("json", "picture")}
     if arguments.blocks < LEAST_BLOCKS:
@@ -72,17 +86,17 @@ def _run(arguments: argparse.Namespace) -> int:
     if not 0 < arguments.tolerance < np.inf:
         raise OptionError(f"--tolerance is {arguments.tolerance:g}; it must be above 0")
     found: dict[str, Entries] = {}
-    status = SOLVED
+    status = EXIT_SOLVED
     if arguments.against is None:
         for part in arguments.parts:
             found[part] = PARTS[part](arguments, targets["picture"])
     else:
-        rows = _against(arguments)
+        rows = _compare_with_commit(arguments)
         found["against"] = [{**vars(row), "verdict": row.verdict} for row in rows]
-        status = SOME_FAILED if unexplained(rows, arguments.explained) else SOLVED
+        status = EXIT_SOME_FAILED if unexplained_rows(rows, arguments.explained) else EXIT_SOLVED
     if targets["json"] is not None:
         write_text(targets["json"], json.dumps(found, indent=1) + "\n")
-        wrote(targets["json"])
+        report_written_files(targets["json"])
     return status
 
 
@@ -93,32 +107,35 @@ def _target(option: str, given: str | None) -> Path | None:
     return target
 
 
-def unexplained(rows: list[Compared], explained: list[str]) -> list[Compared]:
+def unexplained_rows(rows: list[RowComparison], explained: list[str]) -> list[RowComparison]:
     """Return rows that are slower, or faster and not among `explained`, the rows with a reason known to the
     caller.
     """
     return [r for r in rows if r.verdict == "slower" or (r.verdict == "faster" and r.row not in explained)]
 
 
-def _against(arguments: argparse.Namespace) -> list[Compared]:
-    def told(row: Compared) -> None:
+def _compare_with_commit(arguments: argparse.Namespace) -> list[RowComparison]:
+    def told(row: RowComparison) -> None:
         console(stderr=True).print(f"{row.row}: {row.ratio:.3f}, {row.verdict}", style="dim")
 
     with tempfile.TemporaryDirectory(prefix="ctr_nlp-") as folder, tree_of(arguments.against) as before:
         libraries = Path(folder) / "before", Path(folder) / "after"
         blocks, tolerance = arguments.blocks, arguments.tolerance
-        rows = against(arguments.rows, (before, ROOT), libraries, blocks, tolerance, told)
-    lines = [(r.row, _scaled(r.before), _scaled(r.after), f"{r.ratio:.3f}", _between(r), r.verdict) for r in rows]
+        rows = compare_trees(arguments.rows, (before, ROOT), libraries, blocks, tolerance, told)
+    lines = [
+        (r.row, _format_seconds(r.before), _format_seconds(r.after), f"{r.ratio:.3f}", _between(r), r.verdict)
+        for r in rows
+    ]
     columns = ("", arguments.against, "this tree", "ratio", "98 % interval", "verdict")
     print_table(f"against {arguments.against}, in turns", columns, lines)
     return rows
 
 
-def _between(row: Compared) -> str:
+def _between(row: RowComparison) -> str:
     return f"{row.low:.3f} to {row.high:.3f}"
 
 
-def _scaled(seconds: float) -> str:
+def _format_seconds(seconds: float) -> str:
     for factor, unit in ((1.0, "s"), (1e3, "ms")):
         if seconds * factor >= 1:
             return f"{seconds * factor:.3g} {unit}"
@@ -135,7 +152,7 @@ def _spread(seconds: Any) -> dict[str, float]:
 
 def _table(title: str, entries: Entries) -> Entries:
     keys = ("least", "median", "p99")
-    rows = [(e["row"], *(_scaled(e[key]) for key in keys), str(e["times"])) for e in entries]
+    rows = [(e["row"], *(_format_seconds(e[key]) for key in keys), str(e["times"])) for e in entries]
     print_table(title, ("", *keys, "times"), rows)
     return entries
 
@@ -144,37 +161,37 @@ def _rows(arguments: argparse.Namespace, picture: Path | None) -> Entries:
     entries: Entries = []
     for row in arguments.rows:
         with Worker(ROOT, row) as worker:
-            seconds = measured(worker, SECONDS)
+            seconds = measure_row(worker, BENCHMARK_ROW_DURATION_S)
         entries.append({"row": row, "times": len(seconds), **_spread(seconds)})
-        console(stderr=True).print(f"{row}: {_scaled(entries[-1]['median'])}", style="dim")
+        console(stderr=True).print(f"{row}: {_format_seconds(entries[-1]['median'])}", style="dim")
     return _table("rows, in time of the thread", entries)
 
 
 def _peers(arguments: argparse.Namespace, picture: Path | None) -> Entries:
-    times = race(named("cos"))
+    times = race_solvers(named_problem("cos"))
     entries: Entries = [{"row": k, "times": len(v.seconds), **_spread(v.seconds)} for k, v in times.items()]
     return _table("a frame of cos, by several methods", entries)
 
 
 def _growth(arguments: argparse.Namespace, picture: Path | None) -> Entries:
-    found = list(growths())
+    found = list(measure_growths())
     rows = [
         (g.what, f"{g.exponent:.2f} ± {g.error:.2f}", _pairs(zip(g.sizes, g.seconds, strict=True))) for g in found
     ]
     print_table("growth", ("", "exponent", "times"), rows, text=("times",))
     if picture is not None:
-        wrote(draw(found, picture))
+        report_written_files(draw_growths(found, picture))
     return [
         {"row": g.what, "exponent": g.exponent, "error": g.error, "seconds": g.seconds.tolist()} for g in found
     ]
 
 
 def _pairs(pairs: Iterator[tuple[float, float]]) -> str:
-    return ", ".join(f"{size:g}: {_scaled(seconds)}" for size, seconds in pairs)
+    return ", ".join(f"{size:g}: {_format_seconds(seconds)}" for size, seconds in pairs)
 
 
 def _shares(arguments: argparse.Namespace, picture: Path | None) -> Entries:
-    found = shares()
+    found = measure_uncompiled_shares()
     print_table("spent outside compiled code", ("", "part"), [(k, f"{v:.0%}") for k, v in found.items()])
     return [{"row": name, "part": part} for name, part in found.items()]
 

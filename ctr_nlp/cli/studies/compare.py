@@ -10,28 +10,33 @@ from typing import Any
 
 from ctr_nlp.cli import arguments as options
 from ctr_nlp.cli import problems
-from ctr_nlp.cli.console import INTERRUPTED, SOLVED, SOME_FAILED, Command
-from ctr_nlp.cli.output.folder import check_folder, place_of, published
+from ctr_nlp.cli.console import EXIT_INTERRUPTED, EXIT_SOLVED, EXIT_SOME_FAILED, Command
+from ctr_nlp.cli.output.folder import check_folder, output_folder, results_folder
 from ctr_nlp.cli.plan_options import add_file_options
 from ctr_nlp.cli.report import STYLES
-from ctr_nlp.cli.telling import console, print_stderr, print_table, progress_bar, wrote
-from ctr_nlp.models import MODELS, model_named
-from ctr_nlp.plan.account import shown
-from ctr_nlp.plan.draws import DRAWS
+from ctr_nlp.cli.telling import console, print_stderr, print_table, progress_bar, report_written_files
+from ctr_nlp.models import KINEMATIC_MODELS, model_named
+from ctr_nlp.plan.account import format_cell
+from ctr_nlp.plan.draws import DEFAULT_PLAN_SAMPLES
 from ctr_nlp.plan.verdicts import NOT_CHECKED, SHORT_NAMES, Verdicts
-from ctr_nlp.problems import NAMES
-from ctr_nlp.reference import METHODS
-from ctr_nlp.reference.published import BASELINE, BASELINE_ELASTIC, SEED, SEED_ELASTIC
+from ctr_nlp.problems import PROBLEM_NAMES
+from ctr_nlp.reference import REFERENCE_METHODS
+from ctr_nlp.reference.published import (
+    TABLE_II_BASELINE,
+    TABLE_II_BASELINE_ELASTIC,
+    TABLE_II_PAPER_METHOD,
+    TABLE_II_PAPER_METHOD_ELASTIC,
+)
 from ctr_nlp.studies.comparison import (
-    BY_NAME,
-    RENAMED,
+    RENAMED_VARIANTS,
     VARIANTS,
+    VARIANTS_BY_NAME_ONLY,
     Comparison,
+    available_variants,
     compare,
     parse_variant,
-    variants_here,
 )
-from ctr_nlp.studies.methods.measured import every_method, measured
+from ctr_nlp.studies.methods.measured import every_method, measure_plan
 from ctr_nlp.studies.methods.page import page
 from ctr_nlp.support.interrupt import end_if_interrupted
 from ctr_nlp.support.tables import markdown, write_csv
@@ -69,7 +74,7 @@ TABLES: dict[str, Columns] = {
 }
 """The printed tables; each fits into 100 columns. errors: e3 and e4 of the paper and on each model; motion: the
 largest steps of alpha (rad), beta (mm) and theta (tilt, rad) from frame to frame, roughness (mm²/s), and times."""
-COLUMNS: Columns = {
+COMPARISON_PAGE_COLUMNS: Columns = {
     "variant": ("variant",),
     "e3 mm": ("e3",),
     "e4 mm": ("e4",),
@@ -100,29 +105,35 @@ AGREEMENT = ("problem", "objective mm²", "difference mm²", "limits that differ
 """Columns of the table of agreements."""
 
 
-def _cells(row: dict[str, Any], columns: Columns = COLUMNS) -> list[str]:
+def _cells(row: dict[str, Any], columns: Columns = COMPARISON_PAGE_COLUMNS) -> list[str]:
     """A row's cells; shares in percent, several numbers of a column divided by a stroke."""
     told = row | {"draws_lost": None if row["draws_lost"] is None else f"{100 * row['draws_lost']:.3g}%"}
-    return [" / ".join(shown(told[key]) for key in keys if told[key] is not None) for keys in columns.values()]
+    return [
+        " / ".join(format_cell(told[key]) for key in keys if told[key] is not None) for keys in columns.values()
+    ]
 
 
 def _parser(prog: str) -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog=prog,
         description="Solve problems with every variant, one after the other, and print errors, steps and times "
-        f"beside the paper's Table II; judge each plan on the elastic model and on {DRAWS} samples of "
+        f"beside the paper's Table II; judge each plan on the elastic model and on {DEFAULT_PLAN_SAMPLES} "
+        f"samples of "
         "the robot's tolerances. Write comparison.md, .csv and "
         ".json. Where a variant does not serve a problem, its row says why.",
         epilog="Exit status: 0 where no verdict on a plan of ours is `no`, 1 where one is, 2 where input is bad "
         "or no variant serves any problem, 130 after an interruption (what was done goes into "
         "DIR/interrupted, and DIR's own files stay).",
     )
-    parser.add_argument("problems", metavar="PROBLEM", nargs="*", help=f"{problems.KINDS} (default all names)")
+    parser.add_argument(
+        "problems", metavar="PROBLEM", nargs="*", help=f"{problems.PROBLEM_ARGUMENT_HELP} (default all names)"
+    )
     parser.add_argument(
         "--variants",
         metavar="NAME",
         nargs="+",
-        help=f"(default all that work here, of {', '.join(VARIANTS)}; by name only {', '.join(BY_NAME)}: robust "
+        help=f"(default all that work here, of {', '.join(VARIANTS)}; by name only "
+        f"{', '.join(VARIANTS_BY_NAME_ONLY)}: robust "
         "ones plan for the robot's tolerances and take seconds to a minute a problem, follow-the-leader needs a "
         "path that grows, and the exact one tubes that can follow it; rrt-connect leads through a lumen to the "
         "last frame, whatever lies between, and needs the extra `sampling`; s2j ones need networks that "
@@ -145,16 +156,16 @@ def _parser(prog: str) -> argparse.ArgumentParser:
 
 def _run(arguments: argparse.Namespace) -> int:
     settings, out = options.settings_from(arguments, *options.FRAME_SETTINGS), Path(arguments.out)
-    names = arguments.variants or (every_method() if arguments.all else variants_here())
-    for name in RENAMED.keys() & set(names):
-        print_stderr(f"note: the variant {name} is called {RENAMED[name]} now")
+    names = arguments.variants or (every_method() if arguments.all else available_variants())
+    for name in RENAMED_VARIANTS.keys() & set(names):
+        print_stderr(f"note: the variant {name} is called {RENAMED_VARIANTS[name]} now")
     variants = [parse_variant(name) for name in names]
-    chosen = problems.load_all(arguments.problems or NAMES, arguments)
+    chosen = problems.load_all(arguments.problems or PROBLEM_NAMES, arguments)
     check_folder(out, "comparison")
     end_if_interrupted()
     # The paper's methods know neither walls nor an end that counts more than other frames.
     plain = replace(settings, contact_weight=0.0, arrival_weight=0.0)
-    settings, measure = (settings, measured) if arguments.all else (plain, None)
+    settings, measure = (settings, measure_plan) if arguments.all else (plain, None)
     with progress_bar() as labelled:
         found = compare(
             chosen, variants, settings, lambda problem, variant: labelled(f"{problem}, {variant}"), measure
@@ -162,17 +173,21 @@ def _run(arguments: argparse.Namespace) -> int:
     rows = found.rows
     done = len(rows) + len(found.refusals)
     interrupted = done < len(chosen) * len(variants) or any(row["interrupted"] for row in rows)
-    place = place_of(out, interrupted)
-    with published(place, "comparison") as staging:
+    place = results_folder(out, interrupted)
+    with output_folder(place, "comparison") as staging:
         _write(found, page(found, _command(arguments)) if arguments.all else _page(found), staging)
     if not arguments.all:
         _print(found)
     for refusal in found.refusals:
         console().print(f"{refusal.problem}, {refusal.variant}: {refusal.why}")
-    wrote(place, ("comparison.md", "comparison.csv", "comparison.json"))
+    report_written_files(place, ("comparison.md", "comparison.csv", "comparison.json"))
     if interrupted:
-        return INTERRUPTED
-    return SOME_FAILED if any(row["no"] for row in rows if row["variant"] not in METHODS) else SOLVED
+        return EXIT_INTERRUPTED
+    return (
+        EXIT_SOME_FAILED
+        if any(row["no"] for row in rows if row["variant"] not in REFERENCE_METHODS)
+        else EXIT_SOLVED
+    )
 
 
 def _command(arguments: argparse.Namespace) -> str:
@@ -222,16 +237,16 @@ def _write(found: Comparison, text: str, folder: Path) -> None:
 
 def _page(found: Comparison) -> str:
     rows = found.rows
-    details = markdown(["problem", *COLUMNS], [[row["problem"], *_cells(row)] for row in rows])
-    known = [model for model in MODELS if any(row.get(f"{model}_no") is not None for row in rows)]
+    details = markdown(["problem", *COMPARISON_PAGE_COLUMNS], [[row["problem"], *_cells(row)] for row in rows])
+    known = [model for model in KINEMATIC_MODELS if any(row.get(f"{model}_no") is not None for row in rows)]
     halves = [f"e3 in mm on the {model} model:\n\n{_overview(rows, model)}\n" for model in known]
-    text = f"{''.join(halves)}{_over_draws(rows)}Everything:\n\n{details}"
+    text = f"{''.join(halves)}{_samples_section(rows)}Everything:\n\n{details}"
     if found.agreements:
         text += f"\nWhether solvers of the horizon agree:\n\n{markdown(list(AGREEMENT), _agreements(found))}"
     return text
 
 
-def _over_draws(rows: list[dict[str, Any]]) -> str:
+def _samples_section(rows: list[dict[str, Any]]) -> str:
     """A row a problem, a column an elastic variant: what becomes of it on draws; empty where none was tried."""
     tried = [row for row in rows if row["draws"]]
     if not tried:
@@ -241,7 +256,8 @@ def _over_draws(rows: list[dict[str, Any]]) -> str:
     for problem in dict.fromkeys(row["problem"] for row in tried):
         found = {row["variant"]: row for row in tried if row["problem"] == problem}
         cells = [
-            f"{shown(found[v]['draws_e3'])}, {found[v]['draws_lost']:.1%}" if v in found else "" for v in variants
+            f"{format_cell(found[v]['draws_e3'])}, {found[v]['draws_lost']:.1%}" if v in found else ""
+            for v in variants
         ]
         body.append([problem, *cells])
     table = markdown(["problem", *(f"`{variant}`" for variant in variants)], body)
@@ -253,7 +269,11 @@ def _overview(rows: list[dict[str, Any]], model: str) -> str:
 
     An exclamation mark: the verdict on stability is no; a star: another one is.
     """
-    figures = (SEED_ELASTIC, BASELINE_ELASTIC) if model_named(model).can_snap else (SEED, BASELINE)
+    figures = (
+        (TABLE_II_PAPER_METHOD_ELASTIC, TABLE_II_BASELINE_ELASTIC)
+        if model_named(model).can_snap
+        else (TABLE_II_PAPER_METHOD, TABLE_II_BASELINE)
+    )
     variants = list(dict.fromkeys(row["variant"] for row in rows))
     header = [
         "problem",
@@ -265,14 +285,14 @@ def _overview(rows: list[dict[str, Any]], model: str) -> str:
     for problem in dict.fromkeys(row["problem"] for row in rows):
         found = {row["variant"]: row for row in rows if row["problem"] == problem}
         cells = [_cell(found[v], model) if v in found else "" for v in variants]
-        published = (shown(each[problem][0]) if problem in each else "" for each in figures)
+        published = (format_cell(each[problem][0]) if problem in each else "" for each in figures)
         body.append([problem, *cells, *published])
     return markdown(header, body)
 
 
 def _cell(row: dict[str, Any], model: str) -> str:
     no = set(filter(None, row[f"{model}_no"].split(", ")))
-    return shown(row[f"{model}_e3"]) + "*" * bool(no - {"stable"}) + "!" * ("stable" in no)
+    return format_cell(row[f"{model}_e3"]) + "*" * bool(no - {"stable"}) + "!" * ("stable" in no)
 
 
 main = Command("ctr-nlp compare", _parser, _run)

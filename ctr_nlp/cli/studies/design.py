@@ -22,30 +22,35 @@ from ctr_nlp.cli.arguments import (
     settings_from,
     whole,
 )
-from ctr_nlp.cli.console import INTERRUPTED, SOLVED, Command
-from ctr_nlp.cli.loads.options import add_load_options, add_modulus_option, asked_model, with_asked_modulus
+from ctr_nlp.cli.console import EXIT_INTERRUPTED, EXIT_SOLVED, Command
+from ctr_nlp.cli.loads.options import (
+    add_load_options,
+    add_modulus_option,
+    model_from_options,
+    problem_with_modulus,
+)
 from ctr_nlp.cli.output.file import path_component
-from ctr_nlp.cli.output.folder import check_folder, place_of, published
-from ctr_nlp.cli.plan_options import tolerant
+from ctr_nlp.cli.output.folder import check_folder, output_folder, results_folder
+from ctr_nlp.cli.plan_options import with_tip_force_option
 from ctr_nlp.cli.report import exit_status
-from ctr_nlp.cli.studies.designed import Made, Tried, show, write
-from ctr_nlp.cli.telling import progress_bar, wrote
-from ctr_nlp.codesign.groups import divided, suited
-from ctr_nlp.codesign.plans import on_tubing_as_sold, planned_on
+from ctr_nlp.cli.studies.designed import DesignWithPlans, EvaluatedPlan, print_designs, write_designs
+from ctr_nlp.cli.telling import progress_bar, report_written_files
+from ctr_nlp.codesign.groups import assign_to_robots, divide_problems
+from ctr_nlp.codesign.plans import on_tubing_as_sold, plan_tasks
 from ctr_nlp.codesign.stock import read_stock
 from ctr_nlp.codesign.together import STARTS, design
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.formulations.settings import Settings
 from ctr_nlp.formulations.shared.manufacture import Manufacture
-from ctr_nlp.models import MODELS, Model
+from ctr_nlp.models import KINEMATIC_MODELS, Model
 from ctr_nlp.plan.plan import Plan
 from ctr_nlp.steer.passes import Progress
 from ctr_nlp.studies.workers.clients import cluster_client
 from ctr_nlp.support.interrupt import end_if_interrupted
-from ctr_nlp.support.pool import Jobs, side_by_side
+from ctr_nlp.support.pool import Jobs, run_in_parallel
 from ctr_nlp.target.problem import Problem
 
-DRAWS, SEED = 500, 0
+DESIGN_CHECK_SAMPLES, DESIGN_CHECK_SEED = 500, 0
 """Number and seed of the simulated robots that every plan is tried on; neither design nor planning sees them."""
 RULES = {
     "wall": "least thickness of a tube's wall, mm",
@@ -71,7 +76,7 @@ def _parser(prog: str) -> argparse.ArgumentParser:
         "after an interruption. `ctr-nlp plan PROBLEM --robot DIR/robot.toml` plans "
         "further problems on the robot.",
     )
-    kinds = f"{problems.KINDS}, or a folder of centreline files"
+    kinds = f"{problems.PROBLEM_ARGUMENT_HELP}, or a folder of centreline files"
     parser.add_argument("problems", metavar="PROBLEM", nargs="+", help=kinds)
     what = "problems that are planned on the designed robot, which is not designed for them, or a folder of them"
     parser.add_argument("--hold-out", metavar="PROBLEM", nargs="+", default=[], help=what)
@@ -92,7 +97,7 @@ def _parser(prog: str) -> argparse.ArgumentParser:
     parser.add_argument("--starts", metavar="N", type=whole, default=STARTS, help=what)
     what = "model that is designed on; on the dominant one stiffness does not count, and no tube can snap "
     what += "(default elastic)"
-    parser.add_argument("--model", choices=MODELS, default="elastic", help=what)
+    parser.add_argument("--model", choices=KINEMATIC_MODELS, default="elastic", help=what)
     add_rules(parser)
     add_load_options(parser, required=False)
     plan_options.add_tip_force(parser)
@@ -129,12 +134,18 @@ def rules_from(arguments: argparse.Namespace) -> Manufacture:
 
 def _run(arguments: argparse.Namespace) -> int:
     out = Path(arguments.out)
-    designed_for, held_out = problems.expanded(arguments.problems), problems.expanded(arguments.hold_out)
+    designed_for, held_out = (
+        problems.expand_folders(arguments.problems),
+        problems.expand_folders(arguments.hold_out),
+    )
     names = designed_for + held_out
     read = zip(names, problems.load_all(names, arguments), strict=True)
-    asked = [_named(name, tolerant(with_asked_modulus(problem, arguments), arguments)) for name, problem in read]
+    asked = [
+        _with_file_name(name, with_tip_force_option(problem_with_modulus(problem, arguments), arguments))
+        for name, problem in read
+    ]
     tasks, held = asked[: len(designed_for)], asked[len(designed_for) :]
-    model = asked_model(arguments.model, arguments)
+    model = model_from_options(arguments.model, arguments)
     if twice := [name for name, count in Counter(task.name for task in (*tasks, *held)).items() if count > 1]:
         raise OptionError(
             f"two problems are called {twice[0]}; plans are written under these names, rename a file"
@@ -154,27 +165,27 @@ def _run(arguments: argparse.Namespace) -> int:
     }
     with _workers(arguments) as jobs, progress_bar() as labelled:
         alike["jobs"] = jobs
-        groups = divided(tasks, arguments.robots, progress=labelled("groups"), **alike)
+        groups = divide_problems(tasks, arguments.robots, progress=labelled("groups"), **alike)
         only: dict[str, Any] = {name: getattr(arguments, name) for name in ("nominal", "starts", "walls")}
-        made = list[Made]()
+        made = list[DesignWithPlans]()
         for number, group in enumerate(groups, start=1):
             label = f"design {number} of {len(groups)}" if len(groups) > 1 else "design"
             found = design(group, stock=stock, progress=labelled(label), **only, **alike)
-            made.append(Made(found, tuple(Tried(plan) for plan in found.plans)))
+            made.append(DesignWithPlans(found, tuple(EvaluatedPlan(plan) for plan in found.plans)))
             if found.interrupted:
                 break
         interrupted = made[-1].design.interrupted
         if not interrupted:
-            made = _planned(made, held, settings, model, arguments, jobs, labelled)
-    place = place_of(out, interrupted)
-    with published(place, "design") as staging:
-        write(made, staging, nominal=arguments.nominal, figures=not arguments.no_figures)
-    show(made)
-    wrote(place)
+            made = _plan_held_out(made, held, settings, model, arguments, jobs, labelled)
+    place = results_folder(out, interrupted)
+    with output_folder(place, "design") as staging:
+        write_designs(made, staging, nominal=arguments.nominal, figures=not arguments.no_figures)
+    print_designs(made)
+    report_written_files(place)
     if interrupted:
-        return INTERRUPTED
-    plans = [tried.plan for one in made for tried in one.tried]
-    return max((exit_status(plan) for plan in plans), default=SOLVED)
+        return EXIT_INTERRUPTED
+    plans = [tried.plan for one in made for tried in one.evaluated_plans]
+    return max((exit_status(plan) for plan in plans), default=EXIT_SOLVED)
 
 
 def _workers(arguments: argparse.Namespace) -> AbstractContextManager[Jobs]:
@@ -184,44 +195,51 @@ def _workers(arguments: argparse.Namespace) -> AbstractContextManager[Jobs]:
     return cluster_client(arguments.address)
 
 
-def _planned(
-    made: Sequence[Made],
-    held: Sequence[Problem],
+def _plan_held_out(
+    designs: Sequence[DesignWithPlans],
+    held_out: Sequence[Problem],
     settings: Settings,
     model: Model,
     arguments: argparse.Namespace,
     jobs: Jobs,
     labelled: Callable[[str], Progress],
-) -> list[Made]:
+) -> list[DesignWithPlans]:
     """Return designs with plans of the held-out problems, each on the robot that follows it best; all plans are
     tried on simulated robots.
 
-    made: the designs. held: the held-out problems. labelled: turns a label into a progress callback.
+    designs: the designs. held_out: the held-out problems. labelled: turns a label into a progress callback.
     """
-    robots = [one.design.robot for one in made]
-    choice = suited(held, robots, settings, jobs, model) if held and len(robots) > 1 else [0] * len(held)
-    on = [replace(task, robot=robots[k]) for task, k in zip(held, choice, strict=True)]
+    robots = [one.design.robot for one in designs]
+    choice = (
+        assign_to_robots(held_out, robots, settings, jobs, model)
+        if held_out and len(robots) > 1
+        else [0] * len(held_out)
+    )
+    on = [replace(task, robot=robots[k]) for task, k in zip(held_out, choice, strict=True)]
     asked: dict[str, Any] = {"model": model, "walls": arguments.walls, "jobs": jobs}
-    plans = planned_on(on, settings, arguments.nominal, **asked, progress=labelled("held out"))
-    whole = [[*one.design.plans, *(plan for plan in plans if plan.robot == one.design.robot)] for one in made]
-    tried = dict(side_by_side(_on_draws, [plan for each in whole for plan in each], jobs))
+    plans = plan_tasks(on, settings, arguments.nominal, **asked, progress=labelled("held out"))
+    whole = [[*one.design.plans, *(plan for plan in plans if plan.robot == one.design.robot)] for one in designs]
+    tried = dict(run_in_parallel(_evaluate_on_samples, [plan for each in whole for plan in each], jobs))
     numbers = itertools.count()
     return [
-        Made(one.design, tuple(tried.get(next(numbers), Tried(plan)) for plan in each))
-        for one, each in zip(made, whole, strict=True)
+        DesignWithPlans(one.design, tuple(tried.get(next(numbers), EvaluatedPlan(plan)) for plan in each))
+        for one, each in zip(designs, whole, strict=True)
     ]
 
 
-def _on_draws(plan: Plan) -> Tried:
+def _evaluate_on_samples(plan: Plan) -> EvaluatedPlan:
     """Try a plan on simulated robots, and on simulated ones of tubing as sold, where any of its frames was
     reached.
     """
-    if not plan.reached.any():
-        return Tried(plan)
-    return Tried(plan.with_draws(DRAWS, SEED), on_tubing_as_sold(plan, DRAWS, SEED))
+    if not plan.reached_frames.any():
+        return EvaluatedPlan(plan)
+    return EvaluatedPlan(
+        plan.with_samples(DESIGN_CHECK_SAMPLES, DESIGN_CHECK_SEED),
+        on_tubing_as_sold(plan, DESIGN_CHECK_SAMPLES, DESIGN_CHECK_SEED),
+    )
 
 
-def _named(name: str, problem: Problem) -> Problem:
+def _with_file_name(name: str, problem: Problem) -> Problem:
     """Return the problem under the name that its files get; `name` is that on the command line."""
     return replace(problem, name=path_component(problem.name or Path(name).stem))
 

@@ -11,59 +11,59 @@ from typing import Any
 from ctr_nlp.cli.output.file import write_text
 from ctr_nlp.cli.report import STYLES
 from ctr_nlp.cli.telling import console, print_table
-from ctr_nlp.codesign.rounding import Stocked
+from ctr_nlp.codesign.rounding import StockRounding
 from ctr_nlp.codesign.together import Design
-from ctr_nlp.plan.account import shown
+from ctr_nlp.plan.account import format_cell
 from ctr_nlp.plan.metrics import summary
 from ctr_nlp.plan.plan import Plan
 from ctr_nlp.plan.robustness import Robustness
 from ctr_nlp.plan.verdicts import SHORT_NAMES
 from ctr_nlp.support.values import strict_json
 
-COLUMNS = (
+DESIGN_TABLE_COLUMNS = (
     *("problem", "with the first tubes", "planned", "mean over draws", "lost", "mean with diameters as sold"),
     *("lost", "designed for"),
 )
 
 
 @dataclass(frozen=True)
-class Tried:
+class EvaluatedPlan:
     """A plan, and its robustness on tubing as sold; None where that is not known."""
 
     plan: Plan
-    sold: Robustness | None = None
+    robustness_as_sold: Robustness | None = None
 
 
 @dataclass(frozen=True)
-class Made:
+class DesignWithPlans:
     """A design, and all plans on its robot: of the problems that it was designed for, then of others."""
 
     design: Design
-    tried: tuple[Tried, ...]
+    evaluated_plans: tuple[EvaluatedPlan, ...]
 
 
-def write(made: Sequence[Made], folder: Path, nominal: bool, figures: bool) -> None:
+def write_designs(designs: Sequence[DesignWithPlans], folder: Path, nominal: bool, figures: bool) -> None:
     """Write robot.toml, the plans, design.json and the sheet; for several robots, in a folder for each."""
-    for number, one in enumerate(made, start=1):
-        place = folder / f"robot_{number}" if len(made) > 1 else folder
+    for number, one in enumerate(designs, start=1):
+        place = folder / f"robot_{number}" if len(designs) > 1 else folder
         place.mkdir(exist_ok=True)
-        _write(one, place, nominal, figures)
+        _write_design(one, place, nominal, figures)
 
 
-def _write(made: Made, folder: Path, nominal: bool, figures: bool) -> None:
-    found, title = made.design, f"designed for {', '.join(made.design.names)}"
+def _write_design(design: DesignWithPlans, folder: Path, nominal: bool, figures: bool) -> None:
+    found, title = design.design, f"designed for {', '.join(design.design.names)}"
     write_text(folder / "robot.toml", found.robot.to_toml(f"A robot {title}."))
-    rows = [_row(found, one) for one in made.tried]
-    for row, one in zip(rows, made.tried, strict=True):
+    rows = [_row(found, one) for one in design.evaluated_plans]
+    for row, one in zip(rows, design.evaluated_plans, strict=True):
         one.plan.save(folder / f"{row['problem']}.npz")
     told: dict[str, Any] = {
         "problems": rows,
         "robot": found.robot.to_dict(),
         "rules": [{f: getattr(rule, f) for f in rule._fields} for rule in found.rules],
         "remarks": [str(remark) for remark in found.remarks],
-        "doubts": list(found.doubts),
-        "stock": None if found.stocked is None else _stocked(found.stocked),
-        "starts": list(found.tried),
+        "doubts": list(found.warnings),
+        "stock": None if found.stock_rounding is None else _stock_entry(found.stock_rounding),
+        "starts": list(found.start_results),
         "nominal": nominal,
         "interrupted": found.interrupted,
     }
@@ -78,19 +78,19 @@ def _write(made: Made, folder: Path, nominal: bool, figures: bool) -> None:
             save(figure, folder / f"sheet.{ending}")
 
 
-def _stocked(found: Stocked) -> dict[str, Any]:
+def _stock_entry(found: StockRounding) -> dict[str, Any]:
     return {
         "tubes": [tube._asdict() for tube in found.tubes],
-        "e3_free": found.free.tolist(),
-        "e3": found.rounded.tolist(),
+        "e3_free": found.free_errors.tolist(),
+        "e3": found.rounded_errors.tolist(),
         "loss": found.loss,
-        "tried": found.tried,
+        "tried": found.combination_count,
     }
 
 
-def _row(found: Design, tried: Tried) -> dict[str, Any]:
+def _row(found: Design, evaluated: EvaluatedPlan) -> dict[str, Any]:
     """Return the entry of design.json on a plan of a design."""
-    plan = tried.plan
+    plan = evaluated.plan
     name = plan.meta["problem"]["name"]
     own = name in found.names
     return {
@@ -98,41 +98,42 @@ def _row(found: Design, tried: Tried) -> dict[str, Any]:
         "designed_for": own,
         "e3_before": found.before[found.names.index(name)] if own else None,
         "e3": summary(plan)["e3"],
-        **_of_draws(plan.drawn),
-        "diameters_as_sold": _of_draws(tried.sold),
-        "verdicts_no": list(plan.verdicts.failed),
-        "verdicts_not_checked": list(plan.verdicts.unchecked),
+        **_sample_statistics(plan.drawn),
+        "diameters_as_sold": _sample_statistics(evaluated.robustness_as_sold),
+        "verdicts_no": list(plan.verdicts.failed_names),
+        "verdicts_not_checked": list(plan.verdicts.unchecked_names),
     }
 
 
-def _of_draws(drawn: Robustness | None) -> dict[str, Any]:
+def _sample_statistics(drawn: Robustness | None) -> dict[str, Any]:
     return {
         "mean_over_draws": None if drawn is None or drawn.errors is None else drawn.errors.mean,
         "draws": None if drawn is None else len(drawn),
-        "lost": None if drawn is None else drawn.losses,
+        "lost": None if drawn is None else drawn.lost_count,
     }
 
 
-def show(made: Sequence[Made]) -> None:
+def print_designs(designs: Sequence[DesignWithPlans]) -> None:
     """Print tables and remarks, robot by robot."""
-    for number, one in enumerate(made, start=1):
-        _show(one, f"robot {number}: " if len(made) > 1 else "")
+    for number, one in enumerate(designs, start=1):
+        _print_design(one, f"robot {number}: " if len(designs) > 1 else "")
 
 
-def _show(made: Made, label: str) -> None:
-    found = made.design
+def _print_design(design: DesignWithPlans, label: str) -> None:
+    found = design.design
     cells = [
         [
             row["problem"],
-            *(shown(row[key]) for key in ("e3_before", "e3")),
+            *(format_cell(row[key]) for key in ("e3_before", "e3")),
             *(cell for of in (row, row["diameters_as_sold"]) for cell in _cells(of)),
             "yes" if row["designed_for"] else "held out",
         ]
-        for row in (_row(found, one) for one in made.tried)
+        for row in (_row(found, one) for one in design.evaluated_plans)
     ]
-    print_table(f"{label}e3 in mm", list(COLUMNS), cells)
+    print_table(f"{label}e3 in mm", list(DESIGN_TABLE_COLUMNS), cells)
     words = [
-        [str(one.plan.meta["problem"]["name"]), *(each.word for each in one.plan.verdicts)] for one in made.tried
+        [str(one.plan.meta["problem"]["name"]), *(each.word for each in one.plan.verdicts)]
+        for one in design.evaluated_plans
     ]
     print_table(f"{label}verdicts", ["problem", *SHORT_NAMES.values()], words, styles=STYLES)
     tubes = [
@@ -144,11 +145,11 @@ def _show(made: Made, label: str) -> None:
     ]
     columns = ["tube", "outer mm", "inner mm", "curved part mm", "curvature at root 1/mm", "at tip 1/mm"]
     print_table(f"{label}tubes", columns, tubes)
-    told = () if found.stocked is None else (found.stocked,)
-    for remark in (*told, *found.doubts, *found.remarks):
+    told = () if found.stock_rounding is None else (found.stock_rounding,)
+    for remark in (*told, *found.warnings, *found.remarks):
         console().print(f"{remark}.")
 
 
 def _cells(of: dict[str, Any]) -> tuple[str, str]:
     """Return the mean error over simulated robots, and how many of them are lost, as text."""
-    return shown(of["mean_over_draws"]), "" if of["draws"] is None else f"{of['lost']} of {of['draws']}"
+    return format_cell(of["mean_over_draws"]), "" if of["draws"] is None else f"{of['lost']} of {of['draws']}"

@@ -8,13 +8,13 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from ctr_nlp.cli.arguments import add_frames_option, add_out_option, whole
-from ctr_nlp.cli.console import SOLVED, SOME_FAILED, Command
-from ctr_nlp.cli.output.folder import check_folder, published
-from ctr_nlp.cli.telling import console, print_table, progress_bar, wrote
-from ctr_nlp.problems import named
-from ctr_nlp.studies.paper import SECTIONS, Found, study
-from ctr_nlp.studies.paper.page import part_seconds, write
-from ctr_nlp.studies.paper.section import Section
+from ctr_nlp.cli.console import EXIT_SOLVED, EXIT_SOME_FAILED, Command
+from ctr_nlp.cli.output.folder import check_folder, output_folder
+from ctr_nlp.cli.telling import console, print_table, progress_bar, report_written_files
+from ctr_nlp.problems import named_problem
+from ctr_nlp.studies.paper import SECTIONS, PaperResults, run_tasks
+from ctr_nlp.studies.paper.page import section_seconds, write
+from ctr_nlp.studies.paper.section import PaperSection
 from ctr_nlp.support.interrupt import deferred_interrupt
 from ctr_nlp.target.target import check_frames
 
@@ -41,12 +41,12 @@ def _run(arguments: argparse.Namespace) -> int:
     sections = [section for name, section in SECTIONS.items() if name in wanted]
     check_frames(arguments.frames)
     check_folder(out, "seed")
-    load = functools.partial(named, frames=arguments.frames)
+    load = functools.partial(named_problem, frames=arguments.frames)
     tasks = [task for section in sections for task in section.tasks]
     with deferred_interrupt() as interrupted, progress_bar() as labelled:
-        found = study(load, tasks, arguments.frames, arguments.jobs, labelled("runs"))
+        found = run_tasks(load, tasks, arguments.frames, arguments.jobs, labelled("runs"))
         report = labelled("pictures and tables")
-        with published(out, "seed") as staging:
+        with output_folder(out, "seed") as staging:
             for number, name in enumerate(write(found, sections, staging), 1):
                 report(number, len(sections), name)
                 if interrupted():
@@ -55,20 +55,20 @@ def _run(arguments: argparse.Namespace) -> int:
     _print(found, sections)
     for failure in found.failures():
         console().print(f"not solved: {failure}")
-    times = ", ".join(f"{section.name} {part_seconds(found, section):.0f}" for section in sections)
+    times = ", ".join(f"{section.name} {section_seconds(found, section):.0f}" for section in sections)
     console().print(f"runs took {found.seconds:.0f} s; by part, in s of one process: {times}")
-    wrote(out, files)
-    return SOME_FAILED if found.failures() else SOLVED
+    report_written_files(out, files)
+    return EXIT_SOME_FAILED if found.failures() else EXIT_SOLVED
 
 
-def _print(found: Found, sections: Sequence[Section]) -> None:
+def _print(found: PaperResults, sections: Sequence[PaperSection]) -> None:
     """Table II, where it is among the sections, and what became of all statements; without marks of Markdown."""
     for table in SECTIONS["table2"].tables(found) if SECTIONS["table2"] in sections else ():
         lines = ([_plain(cell) for cell in line] for line in (table.header, *table.body))
         print_table(f"Table II, {table.caption}", next(lines), list(lines))
     for section in sections:
         for check in section.checks(found):
-            console().print(_plain(f"{section.name}: {check.verdict}. {check.whose}: {check.says}"))
+            console().print(_plain(f"{section.name}: {check.verdict}. {check.source}: {check.statement}"))
 
 
 def _plain(text: str) -> str:

@@ -1,6 +1,6 @@
 """Pictures of work that goes on, in windows with processes of their own."""
 
-from ctr_nlp.figures.live.pictures import Now, Playing, Solving, Stage
-from ctr_nlp.figures.live.view import Picture, View
+from ctr_nlp.figures.live.pictures import PlaybackPicture, PlaybackState, SolverPicture, SolverState
+from ctr_nlp.figures.live.view import LiveWindow, Picture
 
-__all__ = ["Now", "Picture", "Playing", "Solving", "Stage", "View"]
+__all__ = ["LiveWindow", "Picture", "PlaybackPicture", "PlaybackState", "SolverPicture", "SolverState"]

@@ -11,22 +11,22 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 
-from ctr_nlp.figures.overlay import TARGET
+from ctr_nlp.figures.overlay import TARGET_LINE_STYLE
 from ctr_nlp.figures.parts.page import outcome, printable
-from ctr_nlp.figures.parts.palette import BLACK, BLUE, FAILED
-from ctr_nlp.figures.parts.space import Body, frame, key, points_of_all, stage
-from ctr_nlp.models import MODELS
+from ctr_nlp.figures.parts.palette import BLACK, BLUE, FAILED_FRAME_COLOUR
+from ctr_nlp.figures.parts.space import RobotLines, add_space_axes, fit_box, key, points_of_all
+from ctr_nlp.models import KINEMATIC_MODELS
 from ctr_nlp.plan.metrics import summary
 from ctr_nlp.plan.plan import Plan
 from ctr_nlp.robot import Robot
-from ctr_nlp.target.target import SIGMA
+from ctr_nlp.target.target import SIGMA_GRID
 from ctr_nlp.typing import Array
 
-SHOWN = 5
+LIVE_SHAPE_FRAMES = 5
 """Frames whose shapes are drawn."""
 
 
-class Stage(NamedTuple):
+class SolverState(NamedTuple):
     """Where a solver is. objective (n,), mean over frames, mm^2, and error (n,), KKT residual: of all iterates.
 
     motion (T, 2d + 2): the newest one's unknowns.
@@ -38,7 +38,7 @@ class Stage(NamedTuple):
 
 
 @dataclass
-class Solving:
+class SolverPicture:
     """The picture of a motion in the making; states are Stage, and at last a Plan.
 
     target (T, 101, 3) mm; lumen (N, 4) mm, where known.
@@ -53,13 +53,15 @@ class Solving:
 
     def begin(self, figure: Figure) -> None:
         """Draw what stays: box, wall, insertion point and targets."""
-        axes = stage(figure, (0.0, 0.08, 0.5, 0.84), self.lumen)
+        axes = add_space_axes(figure, (0.0, 0.08, 0.5, 0.84), self.lumen)
         count = len(self.target)
-        self._frames = np.unique(np.ceil(np.arange(1, SHOWN + 1) * count / SHOWN).astype(int) - 1)
-        self._bodies = [Body(axes, self.robot.d) for _ in self._frames]
+        self._frames = np.unique(
+            np.ceil(np.arange(1, LIVE_SHAPE_FRAMES + 1) * count / LIVE_SHAPE_FRAMES).astype(int) - 1
+        )
+        self._bodies = [RobotLines(axes, self.robot.d) for _ in self._frames]
         for j in self._frames:
-            axes.plot(*self.target[j].T, zorder=5, **TARGET)
-        frame(axes, points_of_all([self.target], self.lumen))
+            axes.plot(*self.target[j].T, zorder=5, **TARGET_LINE_STYLE)
+        fit_box(axes, points_of_all([self.target], self.lumen))
         self._curves = list[tuple[Axes, Line2D]]()
         for row, (label, colour) in enumerate((("objective (mm²)", BLUE), ("KKT residual", BLACK))):
             panel = figure.add_axes((0.6, 0.57 - 0.4 * row, 0.36, 0.33))
@@ -73,14 +75,17 @@ class Solving:
         self._now = figure.text(0.25, 0.925, "looking for motions to start from", ha="center", va="center")
         figure.legend(handles=key(self.robot.d, self.lumen is not None), loc="lower center", ncols=6)
 
-    def show(self, state: Stage | Plan) -> None:
+    def show(self, state: SolverState | Plan) -> None:
         """The newest motion and all iterates; or a plan, in their place."""
         if isinstance(state, Plan):
             shapes, beta = state.shape[self._frames], state.beta[self._frames]
             self._show(shapes, beta, f"the plan: {outcome(summary(state))}")
             return
         motion = state.motion[self._frames]
-        shapes, beta = MODELS[self.model].points(self.robot, motion, SIGMA), self.robot.split(motion)[1]
+        shapes, beta = (
+            KINEMATIC_MODELS[self.model].points(self.robot, motion, SIGMA_GRID),
+            self.robot.split(motion)[1],
+        )
         for (panel, line), values in zip(self._curves, (state.objective, state.error), strict=True):
             line.set_data(np.arange(len(values)), np.where(values > 0, values, np.nan))
             panel.relim()
@@ -94,11 +99,11 @@ class Solving:
         self._now.set_text(f"frames {', '.join(str(j + 1) for j in self._frames)}; {words}")
 
 
-COMMANDED: dict[str, Any] = {"color": FAILED, "lw": 8.0, "zorder": 3}
+COMMANDED: dict[str, Any] = {"color": FAILED_FRAME_COLOUR, "lw": 8.0, "zorder": 3}
 """A broad light band, which the robot is to lie in."""
 
 
-class Now(NamedTuple):
+class PlaybackState(NamedTuple):
     """A moment. state: in words; frame: the last that was passed, 0 for none; time: s of the program.
 
     measured, commanded: q (2d + 2,).
@@ -112,7 +117,7 @@ class Now(NamedTuple):
 
 
 @dataclass
-class Playing:
+class PlaybackPicture:
     """The picture of a plan that is played; states are Now."""
 
     plan: Plan
@@ -121,17 +126,20 @@ class Playing:
     def begin(self, figure: Figure) -> None:
         """Draw what stays: box, wall, insertion point."""
         plan = self.plan
-        axes = stage(figure, (0.0, 0.08, 1.0, 0.84), plan.lumen)
-        self._commanded = Body(axes, plan.robot.d, **COMMANDED), Shapes(plan.robot, plan.evaluated)
-        self._measured = Body(axes, plan.robot.d), Shapes(plan.robot, plan.evaluated)
-        self._target = axes.plot([], [], [], zorder=5, **TARGET)[0]
-        frame(axes, points_of_all([plan.shape, plan.target], plan.lumen))
+        axes = add_space_axes(figure, (0.0, 0.08, 1.0, 0.84), plan.lumen)
+        self._commanded = (
+            RobotLines(axes, plan.robot.d, **COMMANDED),
+            ShapeContinuation(plan.robot, plan.evaluated_model_name),
+        )
+        self._measured = RobotLines(axes, plan.robot.d), ShapeContinuation(plan.robot, plan.evaluated_model_name)
+        self._target = axes.plot([], [], [], zorder=5, **TARGET_LINE_STYLE)[0]
+        fit_box(axes, points_of_all([plan.shape, plan.target], plan.lumen))
         figure.suptitle(printable(f"{plan.meta['problem']['name']}, played"), fontsize=10, parse_math=False)
         self._now = figure.text(0.5, 0.925, "waiting", ha="center", va="center")
         commanded = Line2D([], [], label="commanded", **{name: COMMANDED[name] for name in ("color", "lw")})
         figure.legend(handles=[*key(plan.robot.d, plan.lumen is not None), commanded], loc="lower center", ncols=4)
 
-    def show(self, state: Now) -> None:
+    def show(self, state: PlaybackState) -> None:
         """A moment; nothing is drawn of a robot whose equilibrium is lost."""
         d, plan = self.plan.robot.d, self.plan
         for (body, shape), q in ((self._commanded, state.commanded), (self._measured, state.measured)):
@@ -141,11 +149,11 @@ class Playing:
         self._now.set_text(f"{state.state}, {where}, {state.time:.1f} s")
 
 
-class Shapes:
+class ShapeContinuation:
     """Shapes of one robot at one configuration after the other, each equilibrium from the one before."""
 
     def __init__(self, robot: Robot, model: str) -> None:
-        self._robot, self._model = robot, MODELS[model]
+        self._robot, self._model = robot, KINEMATIC_MODELS[model]
         self._before: tuple[Array, Array] | None = None
 
     def __call__(self, q: Array) -> Array:
@@ -155,4 +163,4 @@ class Shapes:
         )
         x = self._model.follow(self._robot, passage, x0).x[-1]
         self._before = (q, x) if np.isfinite(x).all() else None
-        return self._model.points(self._robot, x[None], SIGMA)[0]
+        return self._model.points(self._robot, x[None], SIGMA_GRID)[0]

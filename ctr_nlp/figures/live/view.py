@@ -17,13 +17,13 @@ from typing import Any, Protocol
 from matplotlib.figure import Figure
 
 from ctr_nlp.exceptions import OptionError
-from ctr_nlp.support.pool import Lasting
+from ctr_nlp.support.pool import DetachedProcess
 
-WINDOW = "ctr_nlp.figures.live.window"
+WINDOW_MODULE = "ctr_nlp.figures.live.window"
 """The module that runs in the window's process."""
 PAUSE = 0.04
 """s between two states that are sent."""
-PATIENCE = 2.0
+LAST_STATE_TIMEOUT_S = 2.0
 """s in which the last state must have been sent."""
 
 
@@ -42,7 +42,7 @@ class Picture(Protocol):
         ...
 
 
-class View:
+class LiveWindow:
     """A window with a picture. Only the newest state counts: those that it has no time for are dropped.
 
     Whatever becomes of the window, the program goes on. Where the block of `with` ends well the window stays until
@@ -51,8 +51,8 @@ class View:
 
     def __init__(self, picture: Picture) -> None:
         """Open the window; raises OptionError where that cannot be done."""
-        self._process = Lasting(
-            [sys.executable, "-m", WINDOW],
+        self._process = DetachedProcess(
+            [sys.executable, "-m", WINDOW_MODULE],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             bufsize=0,  # nothing is left to be flushed into a window that hangs
@@ -66,7 +66,7 @@ class View:
         self._sender = threading.Thread(target=self._send, daemon=True)
         with self._process.stdout as words:
             with suppress(OSError):
-                self._tell(picture)
+                self._send_object(picture)
             opened, _, why = words.read().decode(errors="replace").partition(":")
         if opened != "open":
             self._end()
@@ -81,7 +81,7 @@ class View:
         self._states.append(state)
         self._news.set()
 
-    def __enter__(self) -> View:
+    def __enter__(self) -> LiveWindow:
         return self
 
     def __exit__(
@@ -90,7 +90,7 @@ class View:
         self._ending = True
         self._news.set()
         if kind is None:
-            self._sender.join(PATIENCE)
+            self._sender.join(LAST_STATE_TIMEOUT_S)
         else:
             self._end()
 
@@ -101,12 +101,12 @@ class View:
                 self._news.wait()
                 self._news.clear()
                 if self._states:
-                    self._tell(self._states.pop()())
+                    self._send_object(self._states.pop()())
                     time.sleep(PAUSE)
         with suppress(OSError):
             self._pipe.close()
 
-    def _tell(self, what: Any) -> None:
+    def _send_object(self, what: Any) -> None:
         """Send an object to the window's process, pickled."""
         left = memoryview(pickle.dumps(what))
         while left:

@@ -22,7 +22,7 @@ PACE_MS = 100
 """Between two looks at what there is to show."""
 NICE = 10
 """By how much this process stands back behind others."""
-DESERTED = 60.0
+UNWATCHED_PAGE_TIMEOUT_S = 60.0
 """s after the end of the work for which a page without readers is served."""
 
 
@@ -39,7 +39,7 @@ class Inbox:
             while True:
                 self._states.append(pickle.load(self._source))
         except (EOFError, OSError, pickle.UnpicklingError):
-            _let_go()
+            _detach_standard_streams()
             self.ended = time.monotonic()
 
     def newest(self) -> list[Any]:
@@ -47,7 +47,7 @@ class Inbox:
         return [self._states.pop()] if self._states else []
 
 
-def opened(picture: Picture) -> tuple[Figure, TimerBase]:
+def open_window(picture: Picture) -> tuple[Figure, TimerBase]:
     """A window with a picture, and a timer; raises whatever the toolkit does where there can be none."""
     from matplotlib import pyplot
 
@@ -71,7 +71,7 @@ def run(source: BinaryIO, picture: Picture, figure: Figure, timer: TimerBase) ->
             picture.show(state)
             figure.canvas.draw_idle()
         readers = getattr(figure.canvas.manager, "web_sockets", True)
-        if inbox.ended is not None and not readers and time.monotonic() > inbox.ended + DESERTED:
+        if inbox.ended is not None and not readers and time.monotonic() > inbox.ended + UNWATCHED_PAGE_TIMEOUT_S:
             os._exit(0)
 
     timer.add_callback(look)
@@ -79,7 +79,7 @@ def run(source: BinaryIO, picture: Picture, figure: Figure, timer: TimerBase) ->
     pyplot.show(block=True)
 
 
-def _let_go() -> None:
+def _detach_standard_streams() -> None:
     """Whoever waits for the program's output need not wait for the window."""
     nothing = os.open(os.devnull, os.O_WRONLY)
     for stream in (1, 2):
@@ -96,7 +96,7 @@ def main() -> None:
     with matplotlib.rc_context(STYLE):
         try:
             picture: Picture = pickle.load(source)
-            figure, timer = opened(picture)
+            figure, timer = open_window(picture)
         except Exception as error:
             sys.stdout.write(f"not:{error}")
             return

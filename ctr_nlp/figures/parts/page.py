@@ -14,9 +14,9 @@ from matplotlib.figure import Figure
 from matplotlib.font_manager import FontProperties, findfont, get_font
 from matplotlib.ticker import LogLocator, MaxNLocator, NullLocator
 
-from ctr_nlp.exceptions import escaped
-from ctr_nlp.figures.parts.palette import FAILED, UNREACHED
-from ctr_nlp.plan.account import failed
+from ctr_nlp.exceptions import escape_control_characters
+from ctr_nlp.figures.parts.palette import FAILED_FRAME_COLOUR, UNREACHED_FRAME_COLOUR
+from ctr_nlp.plan.account import describe_unmet_verdicts
 from ctr_nlp.plan.metrics import summary
 from ctr_nlp.plan.plan import Plan
 from ctr_nlp.typing import Flags
@@ -40,7 +40,7 @@ STYLE: Any = {
 """Settings under which each picture is drawn, whatever the caller's own are."""
 
 
-def head(figure: Figure, plan: Plan, title: str) -> None:
+def add_heading(figure: Figure, plan: Plan, title: str) -> None:
     """Title a picture with what it shows, the problem, how it was solved, and the error over all frames."""
     numbers = summary(plan)
     on = (
@@ -58,7 +58,7 @@ def outcome(numbers: Mapping[str, Any]) -> str:
     """Say the error over all frames, how many failed, and which verdicts are no; `numbers` is a plan's summary."""
     e3 = "no frame reached" if numbers["e3"] is None else f"e3 = {numbers['e3']:.3g} mm"
     frames = f"{numbers['failed']} of {numbers['frames']} frames failed" if numbers["failed"] else ""
-    return ", ".join(filter(None, (e3, frames, failed(numbers))))
+    return ", ".join(filter(None, (e3, frames, describe_unmet_verdicts(numbers))))
 
 
 def printable(text: str) -> str:
@@ -67,7 +67,7 @@ def printable(text: str) -> str:
     Draw it with parse_math=False; where matplotlib offers none, as in legends, draw :func:`label_text`.
     """
     font = get_font(findfont(FontProperties()))
-    return "".join(c if font.get_char_index(ord(c)) else "?" for c in escaped(text))
+    return "".join(c if font.get_char_index(ord(c)) else "?" for c in escape_control_characters(text))
 
 
 def label_text(text: str) -> str:
@@ -86,18 +86,18 @@ def shade(axes: Axes, centres: npt.NDArray[Any], width: float, mask: Flags, colo
 
 def shade_failures(axes: Axes, plan: Plan, centres: npt.NDArray[Any], width: float) -> None:
     """Shade the frames that were not solved, lighter where there is no shape at all."""
-    shade(axes, centres, width, ~plan.success & plan.reached, FAILED, "failed frame")
-    shade(axes, centres, width, ~plan.reached, UNREACHED, "not reached")
+    shade(axes, centres, width, ~plan.success & plan.reached_frames, FAILED_FRAME_COLOUR, "failed frame")
+    shade(axes, centres, width, ~plan.reached_frames, UNREACHED_FRAME_COLOUR, "not reached")
 
 
 def curve(axes: Axes, x: npt.NDArray[Any], y: npt.NDArray[np.float64], **look: Any) -> None:
     """Plot y over x, with a dot for each value that no line would show."""
     axes.plot(x, y, **look)
-    single = alone(y)
+    single = isolated_indices(y)
     axes.plot(x[single], y[single], color=look["color"], ls="", marker="o", ms=3)
 
 
-def alone(y: npt.NDArray[np.float64]) -> npt.NDArray[np.int_]:
+def isolated_indices(y: npt.NDArray[np.float64]) -> npt.NDArray[np.int_]:
     """Indices of known values of y (n,) between two unknown ones."""
     known = np.isfinite(np.concatenate([[np.nan], y, [np.nan]]))
     return np.flatnonzero(known[1:-1] & ~known[:-2] & ~known[2:])
@@ -134,8 +134,8 @@ def at_least(axes: Axes, span: float) -> None:
         axes.set_ylim(middle - span / 2, middle + span / 2)
 
 
-TICKS = tuple(digit * 10.0**power for power in range(-6, 4) for digit in (1, 2, 5))
-APART = 0.13
+ROOT_SCALE_TICKS = tuple(digit * 10.0**power for power in range(-6, 4) for digit in (1, 2, 5))
+MIN_ROOT_TICK_DISTANCE = 0.13
 """Least distance of two ticks, as a part of the axis."""
 
 
@@ -155,13 +155,15 @@ def panels(titles: Sequence[str], columns: int, size: tuple[float, float]) -> tu
 
 def root_scale(axes: Axes) -> None:
     """A square-root scale from 0 upwards: small errors are seen beside large ones, and 0 has its place."""
-    top = max(axes.get_ylim()[1], 2 * TICKS[0])
+    top = max(axes.get_ylim()[1], 2 * ROOT_SCALE_TICKS[0])
     axes.set_yscale("function", functions=(lambda y: np.sqrt(np.maximum(y, 0.0)), np.square))
     axes.set_ylim(0.0, top)
     chosen: list[float] = []
-    for tick in sorted((tick for tick in TICKS if tick <= top), reverse=True):
+    for tick in sorted((tick for tick in ROOT_SCALE_TICKS if tick <= top), reverse=True):
         height = np.sqrt(tick / top)
-        if height >= APART and (not chosen or np.sqrt(chosen[-1] / top) - height >= APART):
+        if height >= MIN_ROOT_TICK_DISTANCE and (
+            not chosen or np.sqrt(chosen[-1] / top) - height >= MIN_ROOT_TICK_DISTANCE
+        ):
             chosen.append(tick)
     axes.set_yticks([0.0, *chosen])
     axes.yaxis.set_major_formatter("{x:g}")

@@ -13,18 +13,20 @@ from matplotlib.colors import ListedColormap
 BLUE, ORANGE, GREEN, PURPLE = "#0072B2", "#E69F00", "#009E73", "#CC79A7"
 BLACK, SKY, VERMILLION = "#000000", "#56B4E9", "#D55E00"
 
-TUBES = (BLUE, ORANGE, GREEN, SKY, VERMILLION, BLACK, PURPLE)
-TILT = (BLACK, VERMILLION)
-FAILED, UNREACHED = "0.80", "0.93"
+TUBE_COLOURS = (BLUE, ORANGE, GREEN, SKY, VERMILLION, BLACK, PURPLE)
+TILT_COLOURS = (BLACK, VERMILLION)
+FAILED_FRAME_COLOUR, UNREACHED_FRAME_COLOUR = "0.80", "0.93"
 AMBIGUOUS = "#CBE6F6"
-LUMEN, WALL = "#F3E4DC", "0.55"
+LUMEN_COLOUR, WALL_COLOUR = "#F3E4DC", "0.55"
 """The inside of a lumen, light enough for all tubes to stand out from it, and its wall."""
 
 CONTACT = "#A33400"
 """A darker vermillion, which stands out from the blues in grey too."""
-ROOMY = ListedColormap(np.linspace((0.47, 0.71, 0.92), (0.97, 0.97, 0.97), 256)).with_extremes(under=CONTACT)
+CLEARANCE_COLOUR_MAP = ListedColormap(np.linspace((0.47, 0.71, 0.92), (0.97, 0.97, 0.97), 256)).with_extremes(
+    under=CONTACT
+)
 """Colours from no room, blue, to the most there is."""
-ERROR = "cividis"
+ERROR_COLOUR_MAP = "cividis"
 """Colour map from no error, dark, to the largest, light: one of matplotlib's that is the same for colour-blind
 eyes.
 """
@@ -32,7 +34,7 @@ eyes.
 
 def tube_colour(i: int) -> str:
     """Colour of tube i = 0 .. d - 1, outermost first; they repeat after seven."""
-    return TUBES[i % len(TUBES)]
+    return TUBE_COLOURS[i % len(TUBE_COLOURS)]
 
 
 def tube_width(i: int, d: int) -> float:

@@ -12,28 +12,28 @@ from matplotlib.lines import Line2D
 from ctr_nlp.figures import overlay
 from ctr_nlp.figures.overlay import parts
 from ctr_nlp.figures.parts.palette import BLACK, tube_colour, tube_width
-from ctr_nlp.target.lumen import rings
-from ctr_nlp.target.points import walked
+from ctr_nlp.target.lumen import wall_rings
+from ctr_nlp.target.points import cumulative_arc_length
 from ctr_nlp.typing import Array
 
-SLIM = 0.3
+MIN_BOX_SIDE_FRACTION = 0.3
 """Least side of the box as part of its longest."""
-MARGIN = 1.06
+BOX_MARGIN_FACTOR = 1.06
 """The box by what it shows."""
-TICKS = 6
+MAX_BOX_AXIS_INTERVALS = 6
 """Most intervals along the longest side; shorter ones have fewer."""
-ELEVATION, ASIDE = 14.0, 25.0
+BOX_VIEW_ELEVATION_DEG, BOX_VIEW_AZIMUTH_OFFSET_DEG = 14.0, 25.0
 """Degrees by which a motion is seen from above, and by which it is turned from facing the reader."""
 ZOOM = 0.92
 """With room for numbers along the axes."""
-RINGS, AROUND, MESHES = 4.0, 25, 8
+FIGURE_WALL_RING_SPACING_MM, FIGURE_WALL_RING_POINTS, FIGURE_WALL_LINE_COUNT = 4.0, 25, 8
 """mm between rings of the wall, points of each, and lines along it."""
 GREY = "0.72"
-WALL: dict[str, Any] = {"color": GREY, "lw": 0.5}
+FIGURE_WALL_STYLE: dict[str, Any] = {"color": GREY, "lw": 0.5}
 INSERTION: dict[str, Any] = {"marker": "o", "ls": "", "ms": 5, "mfc": "white", "mec": BLACK}
 
 
-def stage(figure: Figure, place: tuple[float, float, float, float], lumen: Array | None) -> Any:
+def add_space_axes(figure: Figure, place: tuple[float, float, float, float], lumen: Array | None) -> Any:
     """Axes in space at a place of a figure, with the insertion point and, where known, the wall of a lumen."""
     axes: Any = figure.add_axes(place, projection="3d")
     if lumen is not None:
@@ -45,8 +45,8 @@ def stage(figure: Figure, place: tuple[float, float, float, float], lumen: Array
 def span(points: Array) -> Array:
     """The sides (3,) in mm of a box that holds points (.., 3) and the insertion point; NaN is left out."""
     low, high = _corners(points)
-    side = MARGIN * (high - low)
-    return np.asarray(np.maximum(side, SLIM * max(side.max(), 1.0)))
+    side = BOX_MARGIN_FACTOR * (high - low)
+    return np.asarray(np.maximum(side, MIN_BOX_SIDE_FRACTION * max(side.max(), 1.0)))
 
 
 def _corners(points: Array) -> tuple[Array, Array]:
@@ -55,7 +55,7 @@ def _corners(points: Array) -> tuple[Array, Array]:
     return known.min(axis=0), known.max(axis=0)
 
 
-def frame(axes: Any, points: Array, side: Array | None = None) -> None:
+def fit_box(axes: Any, points: Array, side: Array | None = None) -> None:
     """A box around points (.., 3) mm, to scale, seen so that a planar motion is seen as such.
 
     side: (3,) mm, by default what holds the points. Call it when everything that changes limits has been drawn.
@@ -64,12 +64,12 @@ def frame(axes: Any, points: Array, side: Array | None = None) -> None:
     for name, middle, extent in zip("xyz", (low + high) / 2, side, strict=True):
         getattr(axes, f"set_{name}lim")(middle - extent / 2, middle + extent / 2)
         getattr(axes, f"set_{name}label")(f"{name} (mm)")
-        axes.locator_params(axis=name, nbins=max(2, round(TICKS * extent / side.max())))
+        axes.locator_params(axis=name, nbins=max(2, round(MAX_BOX_AXIS_INTERVALS * extent / side.max())))
     axes.zaxis.labelpad = 9
     axes.set_box_aspect(tuple(side), zoom=ZOOM)
     axes.set_proj_type("ortho")
     axes.computed_zorder = False
-    axes.view_init(ELEVATION, _facing(points) + ASIDE)
+    axes.view_init(BOX_VIEW_ELEVATION_DEG, _facing(points) + BOX_VIEW_AZIMUTH_OFFSET_DEG)
 
 
 def _facing(points: Array) -> float:
@@ -82,15 +82,18 @@ def _facing(points: Array) -> float:
 
 def wall(axes: Any, lumen: Array) -> None:
     """The wall of a lumen (N, 4): x, y, z and radius in mm, as rings and lines along it."""
-    surface = rings(lumen, np.linspace(0.0, 2 * np.pi, AROUND))
-    along = walked(lumen[:, :3])
-    chosen = np.searchsorted(along, np.append(np.arange(0.0, along[-1], RINGS), along[-1]))
-    lines = [*surface[chosen], *surface.swapaxes(0, 1)[:: (AROUND - 1) // MESHES][:-1]]
+    surface = wall_rings(lumen, np.linspace(0.0, 2 * np.pi, FIGURE_WALL_RING_POINTS))
+    along = cumulative_arc_length(lumen[:, :3])
+    chosen = np.searchsorted(along, np.append(np.arange(0.0, along[-1], FIGURE_WALL_RING_SPACING_MM), along[-1]))
+    lines = [
+        *surface[chosen],
+        *surface.swapaxes(0, 1)[:: (FIGURE_WALL_RING_POINTS - 1) // FIGURE_WALL_LINE_COUNT][:-1],
+    ]
     apart = np.full((1, 3), np.nan)
-    axes.plot(*np.concatenate([part for line in lines for part in (line, apart)]).T, zorder=1, **WALL)
+    axes.plot(*np.concatenate([part for line in lines for part in (line, apart)]).T, zorder=1, **FIGURE_WALL_STYLE)
 
 
-class Body:
+class RobotLines:
     """A robot's tubes as lines in space, each where it is the outermost one; look: changes how they are drawn."""
 
     def __init__(self, axes: Any, d: int, **look: Any) -> None:

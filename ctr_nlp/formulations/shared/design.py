@@ -22,33 +22,33 @@ import numpy as np
 
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.formulations.shared.manufacture import Manufacture
-from ctr_nlp.nlp.nlp import Constraint, Cost, Nlp
-from ctr_nlp.nlp.scenarios import Common, Scenarios
+from ctr_nlp.nlp.nlp import Constraint, CostTerm, Nlp
+from ctr_nlp.nlp.scenarios import CommonUnknowns, Scenarios
 from ctr_nlp.robot import Robot
-from ctr_nlp.robot.structure import NUMBERS, freed_places
+from ctr_nlp.robot.structure import TUBE_NUMBER_NAMES, locate_free_numbers
 from ctr_nlp.robot.tube import Tube
 from ctr_nlp.typing import Array, Index
 
-FREED = "curvature", "bending_stiffness", "curved_length", "length"
+DESIGN_NUMBER_NAMES = "curvature", "bending_stiffness", "curved_length", "length"
 """Numbers of tubes that a design decides, in the order in which frames take them; area too, where tubes weigh."""
-HUNDRED_MM = 100.0
+DESIGN_LENGTH_UNIT_MM = 100.0
 """Unit of lengths of curved parts among p, mm, and of radii."""
-SHORTEST = 10.0
+MIN_CURVED_LENGTH_MM = 10.0
 """Least length of a curved part, mm."""
-STRAIGHTEST = 1e-4
+MIN_TIP_CURVATURE_PER_MM = 1e-4
 """Least curvature at the tip of a curved tube, 1/mm: a straight one is another structure."""
-ALIKE = 1e-9
+MIN_RELATIVE_CURVATURE_CHANGE = 1e-9
 """Least relative difference of root and tip curvature where the curvature is linear: equal ones are another
 structure.
 """
-INSIDE = 1e-7
+RULE_BOUND_MARGIN = 1e-7
 """Distance within its bounds by which a rule is kept, so that rounding does not break it."""
 
-DIGITS = 12
+RULE_VALUE_DECIMALS = 12
 """Digits after the point of rules' values, and of lengths in mm: sums of decimal numbers are off by less."""
 
 
-class Kept(NamedTuple):
+class RuleValue(NamedTuple):
     """A rule of manufacture on some tubes: its value, and the bounds between which that must lie."""
 
     name: str
@@ -74,7 +74,7 @@ class DesignedTubes:
     def __post_init__(self) -> None:
         self.rules.check_tubes(self.robot.d)
         # A tube whose straight part shows has more sections; p may change the structure only in numbers.
-        if any(self.robot.structure.shown):
+        if any(self.robot.structure.transmission_emerges):
             raise OptionError(
                 "limits of beta let straight transmissions come out; a design needs limits of beta that are at "
                 "most the curved lengths"
@@ -84,19 +84,21 @@ class DesignedTubes:
                 raise OptionError(f"{name!r} cannot be fixed; what can be is {', '.join(self.names)}")
 
     @property
-    def freed(self) -> tuple[str, ...]:
+    def free_number_names(self) -> tuple[str, ...]:
         """Names of the tubes' numbers that are unknowns of a frame."""
-        return FREED + ("area",) * self.weighs
+        return DESIGN_NUMBER_NAMES + ("area",) * self.weighs
 
     @cached_property
     def _curvatures(self) -> tuple[tuple[int, tuple[int, ...]], ...]:
         """For each pre-curvature among p, its tube, from 0, and its columns among that tube's numbers."""
-        return freed_places(self.robot.structure, ("curvature",))
+        return locate_free_numbers(self.robot.structure, ("curvature",))
 
     @cached_property
     def names(self) -> tuple[str, ...]:
         """Names of p's entries, with the number of the tube, from 1."""
-        kinds = ("curvature" if len(columns) > 1 else NUMBERS[columns[0]] for _, columns in self._curvatures)
+        kinds = (
+            "curvature" if len(columns) > 1 else TUBE_NUMBER_NAMES[columns[0]] for _, columns in self._curvatures
+        )
         curvatures = [f"{kind}_{i + 1}" for kind, (i, _) in zip(kinds, self._curvatures, strict=True)]
         tubes, ends = range(1, self.robot.d + 1), ("outer_diameter", "inner_diameter")
         return (
@@ -108,7 +110,7 @@ class DesignedTubes:
     @cached_property
     def _at_roots(self) -> Index:
         """Positions in p of curvatures at roots, which may be negative: only the tip's has to be positive."""
-        root = (NUMBERS.index("root_curvature"),)
+        root = (TUBE_NUMBER_NAMES.index("root_curvature"),)
         return np.array([k for k, (_, columns) in enumerate(self._curvatures) if columns == root], dtype=int)
 
     @cached_property
@@ -117,11 +119,11 @@ class DesignedTubes:
         return np.array([tube.length - tube.curved_length for tube in self.robot.tubes])
 
     @cached_property
-    def own(self) -> Array:
+    def nominal_unknowns(self) -> Array:
         """The p of the robot's own tubes."""
         tubes = self.robot.tubes
-        curvatures = [HUNDRED_MM * self.robot.numbers[i, columns[0]] for i, columns in self._curvatures]
-        lengths = [tube.curved_length / HUNDRED_MM for tube in tubes]
+        curvatures = [DESIGN_LENGTH_UNIT_MM * self.robot.numbers[i, columns[0]] for i, columns in self._curvatures]
+        lengths = [tube.curved_length / DESIGN_LENGTH_UNIT_MM for tube in tubes]
         diameters = [end for tube in tubes for end in (tube.outer_diameter, tube.inner_diameter)]
         return np.array([*curvatures, *lengths, *diameters])
 
@@ -130,11 +132,18 @@ class DesignedTubes:
         curvatures, lengths, diameters = self._split(p)
         tubes = list[Tube]()
         for i, (tube, (outer, inner)) in enumerate(zip(self.robot.tubes, diameters.tolist(), strict=True)):
-            own = [float(curvatures[k]) / HUNDRED_MM for k, (at, _) in enumerate(self._curvatures) if at == i]
+            own = [
+                float(curvatures[k]) / DESIGN_LENGTH_UNIT_MM
+                for k, (at, _) in enumerate(self._curvatures)
+                if at == i
+            ]
             bent = (own[0], own[-1]) if own else 0.0
             if len(own) == 2 and own[0] == own[1]:  # the same kind of part, though it happens to be an arc
-                bent = (own[0], own[1] * (1 + ALIKE))
-            curved, straight = round(HUNDRED_MM * float(lengths[i]), DIGITS), float(self._transmissions[i])
+                bent = (own[0], own[1] * (1 + MIN_RELATIVE_CURVATURE_CHANGE))
+            curved, straight = (
+                round(DESIGN_LENGTH_UNIT_MM * float(lengths[i]), RULE_VALUE_DECIMALS),
+                float(self._transmissions[i]),
+            )
             whole = straight + curved
             tubes.append(Tube(whole, curved, bent, outer, inner, tube.poisson_ratio, tube.youngs_modulus))
         # Limits of beta follow from the new lengths.
@@ -158,14 +167,19 @@ class DesignedTubes:
         upper = np.full(len(self.names), self.rules.outer)
         # Curvatures are positive, since a negative one is the same tube turned by pi; a root's may have the
         # other sign.
-        lower[:count], upper[:count] = HUNDRED_MM * STRAIGHTEST, HUNDRED_MM / self.rules.bend_radius
+        lower[:count], upper[:count] = (
+            DESIGN_LENGTH_UNIT_MM * MIN_TIP_CURVATURE_PER_MM,
+            DESIGN_LENGTH_UNIT_MM / self.rules.bend_radius,
+        )
         if not self.rules.one_sided:
-            lower[self._at_roots] = -HUNDRED_MM / self.rules.bend_radius
-        lower[count : count + d], upper[count : count + d] = np.array([SHORTEST, self.robot.reach]) / HUNDRED_MM
+            lower[self._at_roots] = -DESIGN_LENGTH_UNIT_MM / self.rules.bend_radius
+        lower[count : count + d], upper[count : count + d] = (
+            np.array([MIN_CURVED_LENGTH_MM, self.robot.reach]) / DESIGN_LENGTH_UNIT_MM
+        )
         # The innermost tube's curved part stays as long as the robot's reach.
         lower[count + d - 1] = upper[count + d - 1]
         held = np.array([name in self.fixed for name in self.names])
-        return np.where(held, self.own, lower), np.where(held, self.own, upper)
+        return np.where(held, self.nominal_unknowns, lower), np.where(held, self.nominal_unknowns, upper)
 
     @cached_property
     def program(self) -> Nlp:
@@ -175,7 +189,7 @@ class DesignedTubes:
         """
         p = ca.SX.sym("p", len(self.names))
         curvatures, lengths, diameters = self._split(p)
-        curvatures, lengths = curvatures / HUNDRED_MM, lengths * HUNDRED_MM
+        curvatures, lengths = curvatures / DESIGN_LENGTH_UNIT_MM, lengths * DESIGN_LENGTH_UNIT_MM
         outer, inner = ca.horzsplit(diameters)
         whole = lengths + ca.DM(self._transmissions)
         moduli = ca.DM([tube.youngs_modulus for tube in self.robot.tubes])
@@ -183,7 +197,7 @@ class DesignedTubes:
         stiffness = moduli * (math.pi / 64) * (outer**4 - inner**4)
         near, pull = ca.SX.sym("near", p.numel()), ca.SX.sym("pull")
         areas = (math.pi / 4) * (outer**2 - inner**2)
-        # In the order of FREED, which frames take them in.
+        # In the order of DESIGN_NUMBER_NAMES, which frames take them in.
         given = ca.vertcat(curvatures, stiffness, lengths, whole, *[areas] * self.weighs)
         free = np.full(given.numel(), np.inf)
         return Nlp(
@@ -192,10 +206,10 @@ class DesignedTubes:
             np.full(p.numel(), -np.inf),
             np.full(p.numel(), np.inf),
             {"near": near, "pull": pull},
-            costs=(Cost("pull", pull * ca.sumsqr(p - near)),),
+            costs=(CostTerm("pull", pull * ca.sumsqr(p - near)),),
             constraints=(
                 Constraint("freed", given, -free, free),
-                *(_within(*rule) for rule in self._rules(curvatures, stiffness, whole, outer, inner)),
+                *(_rule_constraint(*rule) for rule in self._rules(curvatures, stiffness, whole, outer, inner)),
             ),
         )
 
@@ -206,7 +220,7 @@ class DesignedTubes:
         rules, d, gap = self.rules, self.robot.d, self.robot.carriage_gap or 0.0
         found = [
             (
-                f"strain of tube {i + 1} when made{_where(columns)}",
+                f"strain of tube {i + 1} when made{_end_text(columns)}",
                 curvatures[k] * outer[i] / 2,
                 -rules.strain_made,
                 rules.strain_made,
@@ -244,54 +258,56 @@ class DesignedTubes:
                     found.append((name, strain, -rules.strain_deployed, rules.strain_deployed))
         return found
 
-    def common(self, scenarios: Scenarios, near: Array, pull: float) -> Common:
+    def common(self, scenarios: Scenarios, near: Array, pull: float) -> CommonUnknowns:
         """Common unknowns of a shared motion: this program, pulled towards near (P,) by so many mm^2 a squared
         unit.
         """
-        places = freed_places(self.robot.structure, self.freed)
+        places = locate_free_numbers(self.robot.structure, self.free_number_names)
         numbers = scenarios.numbers[:, [i for i, _ in places], [columns[0] for _, columns in places]]
         parameters = self.program.pack({"near": near, "pull": pull})
         # Scenario s has the nominal number times a factor: relative tolerances stay what they are while
         # tubes change.
-        return Common(self.program, numbers / numbers[0], parameters, *self.box)
+        return CommonUnknowns(self.program, numbers / numbers[0], parameters, *self.box)
 
-    def kept(self, p: Array) -> list[Kept]:
+    def rule_values(self, p: Array) -> list[RuleValue]:
         """The rules' values and bounds at p."""
         parameters = self.program.pack({"near": p, "pull": 0.0})
         g = self.program.functions.value(p, parameters)[1].full().ravel()
-        found, at = list[Kept](), 0
+        found, at = list[RuleValue](), 0
         for constraint in self.program.constraints:
             size = constraint.value.numel()
             if constraint.name != "freed":
-                bounds = constraint.lower[0] - INSIDE, constraint.upper[0] + INSIDE
-                told = (round(float(each), DIGITS) for each in (g[at], *bounds))
-                found.append(Kept(constraint.name, *told))
+                bounds = constraint.lower[0] - RULE_BOUND_MARGIN, constraint.upper[0] + RULE_BOUND_MARGIN
+                told = (round(float(each), RULE_VALUE_DECIMALS) for each in (g[at], *bounds))
+                found.append(RuleValue(constraint.name, *told))
             at += size
         return found
 
-    def keeps(self, p: Array) -> bool:
+    def satisfies_rules(self, p: Array) -> bool:
         """Whether the tubes of p can be made."""
         lower, upper = self.box
-        good = all(rule.lower <= rule.value <= rule.upper for rule in self.kept(p))
+        good = all(rule.lower <= rule.value <= rule.upper for rule in self.rule_values(p))
         return good and bool(((lower <= p) & (p <= upper)).all())
 
 
-def _where(columns: Sequence[int]) -> str:
-    """Text for the end of a curved part at which a pre-curvature is, by its columns in NUMBERS; empty for an
-    arc.
+def _end_text(columns: Sequence[int]) -> str:
+    """Text for the end of a curved part at which a pre-curvature is, by its columns in TUBE_NUMBER_NAMES; empty
+    for an arc.
     """
-    return "" if len(columns) > 1 else f" at its {NUMBERS[columns[0]].partition('_')[0]}"
+    return "" if len(columns) > 1 else f" at its {TUBE_NUMBER_NAMES[columns[0]].partition('_')[0]}"
 
 
-def varying(robot: Robot) -> Robot:
+def with_linear_curvatures(robot: Robot) -> Robot:
     """The robot with arcs as curved parts of linear curvature, all but constant."""
     tubes = (
-        replace(tube, curvature=(tube.root_curvature, tube.tip_curvature * (1 + ALIKE))) if kind == "arc" else tube
+        replace(tube, curvature=(tube.root_curvature, tube.tip_curvature * (1 + MIN_RELATIVE_CURVATURE_CHANGE)))
+        if kind == "arc"
+        else tube
         for tube, kind in zip(robot.tubes, robot.structure.kinds, strict=True)
     )
     return replace(robot, tubes=tuple(tubes))
 
 
-def _within(name: str, value: ca.SX, lower: float, upper: float) -> Constraint:
-    """A constraint that keeps a rule INSIDE its bounds."""
-    return Constraint(name, value, np.array([lower + INSIDE]), np.array([upper - INSIDE]))
+def _rule_constraint(name: str, value: ca.SX, lower: float, upper: float) -> Constraint:
+    """A constraint that keeps a rule RULE_BOUND_MARGIN its bounds."""
+    return Constraint(name, value, np.array([lower + RULE_BOUND_MARGIN]), np.array([upper - RULE_BOUND_MARGIN]))

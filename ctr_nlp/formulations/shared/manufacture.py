@@ -7,15 +7,15 @@ from dataclasses import dataclass
 from functools import partial
 
 from ctr_nlp.exceptions import OptionError
-from ctr_nlp.robot.strain import STRAIN_DEPLOYED
-from ctr_nlp.robot.tube import DIAMETERS, STRAIN_MADE
-from ctr_nlp.support.values import instance, number
+from ctr_nlp.robot.strain import MAX_DEPLOYED_STRAIN
+from ctr_nlp.robot.tube import MAX_PRE_CURVATURE_STRAIN, TUBE_DIAMETER_RANGE_MM
+from ctr_nlp.support.values import check_instance, number
 
-SOLD_RATIO = 1.1, 1.8
+TUBING_DIAMETER_RATIOS = 1.1, 1.8
 """Ratios of outer to inner diameter between which nitinol tubing is sold (Johnson Matthey, Nitinol specification
 guidelines, matthey.com).
 """
-DIAMETERS_WITHIN = (
+TUBING_DIAMETER_TOLERANCES_MM = (
     (0.3, 0.005, 0.010),
     (0.5, 0.007, 0.015),
     (1.5, 0.015, 0.020),
@@ -67,7 +67,7 @@ class Manufacture:
     """
 
     strain_made: float = 0.04
-    strain_deployed: float = STRAIN_DEPLOYED
+    strain_deployed: float = MAX_DEPLOYED_STRAIN
     clearance: float = 0.1
     wall: float = 0.15
     channel: float = 1.0
@@ -77,17 +77,19 @@ class Manufacture:
 
     def __post_init__(self) -> None:
         most = {
-            "strain_made": STRAIN_MADE,
-            "strain_deployed": STRAIN_DEPLOYED,
-            **dict.fromkeys(("clearance", "wall", "channel", "outer"), DIAMETERS[1]),
+            "strain_made": MAX_PRE_CURVATURE_STRAIN,
+            "strain_deployed": MAX_DEPLOYED_STRAIN,
+            **dict.fromkeys(("clearance", "wall", "channel", "outer"), TUBE_DIAMETER_RANGE_MM[1]),
             "bend_radius": 10_000.0,
         }
         for name, high in most.items():
             allowed = f"be more than 0 and at most {high:g}"
             given = getattr(self, name)
-            value = number(OptionError, f"{name} of manufacture", given, partial(_within, high), allowed)
+            value = number(
+                OptionError, f"{name} of manufacture", given, partial(_is_positive_up_to, high), allowed
+            )
             object.__setattr__(self, name, value)
-        instance(OptionError, "one_sided of manufacture", self.one_sided, bool)
+        check_instance(OptionError, "one_sided of manufacture", self.one_sided, bool)
 
     def check_tubes(self, d: int) -> None:
         """Check that so many tubes can be nested within the rules.
@@ -112,7 +114,7 @@ class Manufacture:
             )
 
 
-def diameters_within(outer: float) -> tuple[float, float]:
+def diameter_tolerances(outer: float) -> tuple[float, float]:
     """Return the tolerances with which tubing of an outer diameter is sold.
 
     Parameters
@@ -125,9 +127,9 @@ def diameters_within(outer: float) -> tuple[float, float]:
     tuple of (float, float)
         Tolerances of the outer and of the inner diameter, +- mm.
     """
-    return next((each, inner) for most, each, inner in DIAMETERS_WITHIN if outer <= most)
+    return next((each, inner) for most, each, inner in TUBING_DIAMETER_TOLERANCES_MM if outer <= most)
 
 
-def _within(high: float, value: float) -> bool:
+def _is_positive_up_to(high: float, value: float) -> bool:
     """Return whether a value is positive and at most `high`."""
     return 0 < value <= high

@@ -15,18 +15,18 @@ import numpy as np
 import scipy.sparse as sp
 
 from ctr_nlp.formulations.terms.term import Body, Parts, Symbols, Term
-from ctr_nlp.nlp.links import Link
+from ctr_nlp.nlp.links import FrameLink
 from ctr_nlp.nlp.nlp import Constraint
-from ctr_nlp.nlp.scenarios import Common, SharedMotion
+from ctr_nlp.nlp.scenarios import CommonUnknowns, SharedMotion
 
 
-def shared_tubes(motions: Sequence[SharedMotion], common: Common) -> SharedMotion:
+def join_task_motions(motions: Sequence[SharedMotion], common: CommonUnknowns) -> SharedMotion:
     """Join motions of the same scenarios, each of a task of its own, as one with common unknowns."""
     sizes = [motion.lower.size for motion in motions]
     begins, frames = np.cumsum([0, *sizes]), np.cumsum([0, *(len(motion.lower) for motion in motions)])
     # Each task's links move behind the unknowns and frames of the tasks before it.
     links = [
-        _moved(link, int(begin), sum(sizes), int(frame))
+        _shift_link(link, int(begin), sum(sizes), int(frame))
         for motion, begin, frame in zip(motions, begins, frames, strict=False)
         for link in motion.links
     ]
@@ -40,7 +40,7 @@ def shared_tubes(motions: Sequence[SharedMotion], common: Common) -> SharedMotio
 
 
 @dataclass(frozen=True)
-class WithinCurved(Term):
+class CurvedPartLimit(Term):
     """Tubes are pushed out by no more than their curved parts, whatever the length of these."""
 
     name = "curved part"
@@ -52,7 +52,7 @@ class WithinCurved(Term):
         return Parts(constraints=(Constraint(self.name, room, least, most),))
 
 
-def _moved(link: Link, begin: int, size: int, frame: int) -> Link:
+def _shift_link(link: FrameLink, begin: int, size: int, frame: int) -> FrameLink:
     """A link over `size` unknowns, its own beginning at entry `begin`, and its frames at `frame`."""
     found = link.matrix.tocoo()
     # The same entries, with columns shifted to the task's own unknowns.

@@ -4,12 +4,14 @@ A horizon minimises a mean over frames, eq. (9). Most frames lie in the easy par
 last frames away: it ends 2 to 13 mm off where 0.2 mm costs next to no error elsewhere. This term asks for the end.
 In frame j the distance from the tip p to the target's end costs
 
-    w h(|p - p_j| - r - f_j) + (MISSED - 1) w h(|p - p_j| - R - f_j),    f_j = FUNNEL (1 - part_j) / LAST
+    w h(|p - p_j| - r - f_j) + (EXCESS_ARRIVAL_FACTOR - 1) w h(|p - p_j| - R - f_j),    f_j = ARRIVAL_FUNNEL_MM (1
+    - part_j) / ARRIVAL_MOTION_FRACTION
 
-in the last LAST of the motion, and nothing before. The tip should be within r and has to be within R, which is
-just less than the tolerance that the plan is judged by: beyond R a mm costs MISSED times as much. The balls shrink
-towards the end, so that the tip is led into them instead of jumping there in the last frame. h(x) is 0 for x <= 0:
-a plan that arrives pays nothing. Beyond, h is x - ROUNDED / 2, an exact penalty with a rounded corner.
+in the last ARRIVAL_MOTION_FRACTION of the motion, and nothing before. The tip should be within r and has to be
+within R, which is just less than the tolerance that the plan is judged by: beyond R a mm costs
+EXCESS_ARRIVAL_FACTOR times as much. The balls shrink towards the end, so that the tip is led into them instead of
+jumping there in the last frame. h(x) is 0 for x <= 0: a plan that arrives pays nothing. Beyond, h is x -
+PENALTY_ROUNDING_MM / 2, an exact penalty with a rounded corner.
 """
 
 from __future__ import annotations
@@ -22,29 +24,29 @@ import casadi as ca
 
 from ctr_nlp.formulations.settings import ARRIVAL_WEIGHT, Settings
 from ctr_nlp.formulations.terms.term import Body, Parts, Symbols, Term
-from ctr_nlp.formulations.terms.tip import AtTip
+from ctr_nlp.formulations.terms.tip import TipOnlyTerm
 from ctr_nlp.models import Model
-from ctr_nlp.nlp.nlp import Cost, Inner
+from ctr_nlp.nlp.nlp import CostTerm, Inner
 from ctr_nlp.robot.structure import Structure
 from ctr_nlp.target.target import Frame
 from ctr_nlp.typing import Array
 
-LAST = 0.1
+ARRIVAL_MOTION_FRACTION = 0.1
 """Part of the motion, at its end, in which the term counts."""
-FUNNEL = 2.0
+ARRIVAL_FUNNEL_MM = 2.0
 """mm by which the ball is larger where the term sets in than in the last frame."""
-AIMED, AIMED_PERTURBED, REQUIRED = 0.15, 0.5, 0.85
+AIMED_TOLERANCE_FRACTION, AIMED_TOLERANCE_FRACTION_PERTURBED, REQUIRED_TOLERANCE_FRACTION = 0.15, 0.5, 0.85
 """Parts of the tolerance: within which the tip should be in the last frame, of the nominal robot and of robots
 that differ from it, and within which it has to be. The rest is left for what is not modelled."""
-MISSED = 3.0
+EXCESS_ARRIVAL_FACTOR = 3.0
 """How many times more a mm costs beyond what is required."""
-ROUNDED = 0.3
+PENALTY_ROUNDING_MM = 0.3
 """mm over which the penalty sets in."""
-NEAREST = 0.01
+TIP_DISTANCE_SMOOTHING_MM = 0.01
 """mm: added to the distance as a square, so that it has a slope where it is 0."""
 
 
-def smooth_excess(value: Any, width: float = ROUNDED) -> Any:
+def smooth_excess(value: Any, width: float = PENALTY_ROUNDING_MM) -> Any:
     """Return a smooth max(value, 0) that is exactly 0 where value <= 0.
 
     Parameters
@@ -67,7 +69,7 @@ def smooth_excess(value: Any, width: float = ROUNDED) -> Any:
 
 
 @dataclass(frozen=True, eq=False)
-class Arrival(AtTip):
+class ArrivalTerm(TipOnlyTerm):
     """Penalise the distance by which the tip misses the target's end, in the last frames of a motion.
 
     Parameters
@@ -77,7 +79,7 @@ class Arrival(AtTip):
     radius : float
         Distance from the target's end within which the tip may be in the last frame at no cost, mm.
     required : float
-        Distance beyond which each mm costs MISSED times as much, mm.
+        Distance beyond which each mm costs EXCESS_ARRIVAL_FACTOR times as much, mm.
     wider : float
         How much larger the radius is for robots that differ from the nominal one, mm.
     """
@@ -85,7 +87,7 @@ class Arrival(AtTip):
     weight: float
     radius: float
     required: float
-    wider: float = 0.0
+    perturbed_extra_radius: float = 0.0
     name = "arrival"
     of_settings = True
 
@@ -96,7 +98,7 @@ class Arrival(AtTip):
 
     def fill(self, frame: Frame) -> Mapping[str, Any]:
         """Values for a frame; the weight is 0 before the last part of the motion."""
-        return self.values(frame.points[-1:], frame.part)
+        return self.values(frame.points[-1:], frame.motion_fraction)
 
     def values(self, end: Array, part: float) -> dict[str, Any]:
         """Return the parameters of the term at one moment of a motion.
@@ -113,11 +115,11 @@ class Arrival(AtTip):
         dict
             Values by the names of `parameters`.
         """
-        funnel = FUNNEL * (1 - part) / LAST
+        funnel = ARRIVAL_FUNNEL_MM * (1 - part) / ARRIVAL_MOTION_FRACTION
         return {
             "arrival_end": end,
             # A parameter, so that frames before the last part have the same program.
-            "arrival_weight": self.weight if part > 1 - LAST else 0.0,
+            "arrival_weight": self.weight if part > 1 - ARRIVAL_MOTION_FRACTION else 0.0,
             "arrival_radius": self.radius + funnel,
             "arrival_required": self.required + funnel,
         }
@@ -127,10 +129,10 @@ class Arrival(AtTip):
         # As a layer of its own: second derivatives are taken over three coordinates instead of over x.
         tip = Inner.of([ca.SX(ca.horzcat(*body.points))])
         away = tip.symbols[0] - parameters["arrival_end"]
-        distance = ca.sqrt(ca.sumsqr(away) + NEAREST**2)
+        distance = ca.sqrt(ca.sumsqr(away) + TIP_DISTANCE_SMOOTHING_MM**2)
         missed = smooth_excess(distance - parameters["arrival_radius"])
-        missed += (MISSED - 1) * smooth_excess(distance - parameters["arrival_required"])
-        return Parts(costs=(Cost(self.name, parameters["arrival_weight"] * missed),), inner=(tip,))
+        missed += (EXCESS_ARRIVAL_FACTOR - 1) * smooth_excess(distance - parameters["arrival_required"])
+        return Parts(costs=(CostTerm(self.name, parameters["arrival_weight"] * missed),), inner=(tip,))
 
 
 def with_arrival(terms: Sequence[Term], settings: Settings, model: Model) -> tuple[Term, ...]:
@@ -154,11 +156,14 @@ def with_arrival(terms: Sequence[Term], settings: Settings, model: Model) -> tup
     # were.
     usual = ARRIVAL_WEIGHT if model.can_snap else 0.0
     weight = usual if settings.arrival_weight is None else settings.arrival_weight
-    if not weight or any(isinstance(term, Arrival) for term in terms):
+    if not weight or any(isinstance(term, ArrivalTerm) for term in terms):
         return tuple(terms)
     tolerance = settings.arrival_tolerance
-    wider = (AIMED_PERTURBED - AIMED) * tolerance
-    return (*terms, Arrival(weight, AIMED * tolerance, REQUIRED * tolerance, wider))
+    wider = (AIMED_TOLERANCE_FRACTION_PERTURBED - AIMED_TOLERANCE_FRACTION) * tolerance
+    return (
+        *terms,
+        ArrivalTerm(weight, AIMED_TOLERANCE_FRACTION * tolerance, REQUIRED_TOLERANCE_FRACTION * tolerance, wider),
+    )
 
 
 def with_frame_arrival(terms: Sequence[Term], settings: Settings, model: Model) -> tuple[Term, ...]:
@@ -177,9 +182,9 @@ def with_frame_arrival(terms: Sequence[Term], settings: Settings, model: Model) 
     tuple of Term
         The terms, and then at most one Arrival.
     """
-    return with_arrival(terms, settings, model) if model.bears is None else tuple(terms)
+    return with_arrival(terms, settings, model) if model.applied_load is None else tuple(terms)
 
 
-def find_arrival(terms: Sequence[Term]) -> Arrival | None:
+def find_arrival(terms: Sequence[Term]) -> ArrivalTerm | None:
     """Return the term that leads the tip to the target's end; None where there is none."""
-    return next((term for term in terms if isinstance(term, Arrival)), None)
+    return next((term for term in terms if isinstance(term, ArrivalTerm)), None)

@@ -10,13 +10,13 @@ import numpy as np
 
 from ctr_nlp.formulations.terms.term import Body, Parts, Symbols, Term
 from ctr_nlp.loads import Load, LoadOverTime
-from ctr_nlp.loads.load import BEFORE_WEIGHTS
+from ctr_nlp.loads.load import FIRST_WEIGHT_COLUMN
 from ctr_nlp.robot.structure import Structure
 from ctr_nlp.target.target import Frame
 
 
 @dataclass(frozen=True, eq=False)
-class Bears(Term):
+class LoadTerm(Term):
     """The numbers (17 + 3d,) of a load in every frame, for so many tubes (loads.Load.over)."""
 
     load: Load | LoadOverTime
@@ -30,7 +30,7 @@ class Bears(Term):
 
     def parameters(self, structure: Structure) -> Mapping[str, tuple[int, int]]:
         """Shape of the load's numbers: N, N mm, N/mm and mm."""
-        return {self.name: (BEFORE_WEIGHTS + 3 * structure.d, 1)}
+        return {self.name: (FIRST_WEIGHT_COLUMN + 3 * structure.d, 1)}
 
     def build(self, body: Body, parameters: Symbols) -> Parts:
         """No contribution: the shape has been computed with the load."""
@@ -39,4 +39,4 @@ class Bears(Term):
     def fill(self, frame: Frame) -> Mapping[str, Any]:
         """The load's numbers in that part of the motion."""
         # Loads that change over time are evaluated at the frame's part of the motion.
-        return {self.name: self.load.over(self.tubes, np.array([frame.part]))[0]}
+        return {self.name: self.load.numbers_at(self.tubes, np.array([frame.motion_fraction]))[0]}

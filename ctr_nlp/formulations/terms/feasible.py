@@ -19,7 +19,7 @@ from ctr_nlp.nlp.nlp import Constraint
 from ctr_nlp.robot.structure import Structure, Tubes
 from ctr_nlp.target.target import Frame
 
-CLEAR = 0.05
+MIN_INNER_DETERMINANT = 0.05
 """Least value of determinants before the last: where two vanish together, an unstable shape looks stable."""
 
 
@@ -92,7 +92,7 @@ class Margin(Term):
         count = value.numel()
         # Jacobi's condition wants all of them positive on the way. The last one is 0 where the margin is
         # exactly the least one, and may come to that.
-        lower = np.append(np.full(count - 1, CLEAR), 0.0)
+        lower = np.append(np.full(count - 1, MIN_INNER_DETERMINANT), 0.0)
         return Parts(constraints=(Constraint("stability", value, lower, np.full(count, np.inf)),))
 
     def fill(self, frame: Frame) -> Mapping[str, Any]:

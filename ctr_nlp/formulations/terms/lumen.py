@@ -18,33 +18,33 @@ import numpy as np
 from ctr_nlp.formulations.terms.arrival import smooth_excess
 from ctr_nlp.formulations.terms.term import Body, Parts, Symbols, Term
 from ctr_nlp.models.protocol import columns_of
-from ctr_nlp.nlp.nlp import Constraint, Cost, Inner
+from ctr_nlp.nlp.nlp import Constraint, CostTerm, Inner
 from ctr_nlp.robot.structure import Structure
 from ctr_nlp.target.target import Frame
 from ctr_nlp.typing import Array, Vector
 
-PLACES = 12
+WALL_SAMPLES_PER_TUBE = 12
 """Places on every tube's visible part; the last is its tip."""
-COLUMNS = 13
+WALL_COLUMN_COUNT = 13
 """Numbers that describe the wall at a place: centre (3), tangent (3), bend (3), room, taper, behind and ahead."""
-ROOM = 9
+WALL_ROOM_COLUMN = 9
 """Column of the room; the ones before it are vectors."""
-FAR = 1e3
+NO_WALL_ROOM_MM = 1e3
 """Room in mm that no robot fills: it stands for no wall."""
-FIRM = 1e-3
+SLACK_SQUARE_COST = 1e-3
 """Coefficient of the slack's square in its cost, mm^2 a mm^2: it keeps Hessians definite where contact costs
 nothing, too.
 """
-HARD = 20.0
+EXCESS_CONTACT_FACTOR = 20.0
 """How many times more contact costs beyond what is allowed. By default a mm costs, in mm^2 and in one frame, 30 of
 contact that is allowed, 150 of the tip's distance beyond its tolerance (terms/arrival.py), and 600 of contact
 beyond what is allowed: that is the order of priorities, before the shape's error.
 """
-CENTRED = 0.01
+CENTRELINE_SMOOTHING_MM = 0.01
 """Distance in mm that rounds off the distance to the path where that is 0, and its slope undefined."""
 
 
-def left(points: Vector, path: Sequence[Vector], wall: Sequence[ca.SX]) -> ca.SX:
+def room_beside_path(points: Vector, path: Sequence[Vector], wall: Sequence[ca.SX]) -> ca.SX:
     """Room (n, 1) that the lumen leaves a robot beside a path, mm; negative in contact.
 
     points: x, y, z, each (n, 1) mm. path: its point near each, its tangent and its bend, 1/mm, in the same axes.
@@ -57,22 +57,22 @@ def left(points: Vector, path: Sequence[Vector], wall: Sequence[ca.SX]) -> ca.SX
     further = ca.fmax(ca.fmin(sum(away[i] * tangent[i] for i in range(3)), ahead), -behind)
     # The path to second order: centre + f tangent + f^2 / 2 bend.
     across = [away[i] - further * tangent[i] - further**2 / 2 * bend[i] for i in range(3)]
-    # CENTRED keeps the root's slope finite on the path itself, where the direction to the wall is
+    # CENTRELINE_SMOOTHING_MM keeps the root's slope finite on the path itself, where the direction to the wall is
     # undefined.
-    distance = ca.sqrt(sum(part**2 for part in across) + CENTRED**2)
+    distance = ca.sqrt(sum(part**2 for part in across) + CENTRELINE_SMOOTHING_MM**2)
     return room + taper * further - distance
 
 
-def seen(body: Body, wall: ca.SX) -> tuple[Inner, ca.SX]:
+def room_at_samples(body: Body, wall: ca.SX) -> tuple[Inner, ca.SX]:
     """The robot's points as inner symbols, and the room there, written in these; wall: a row a place."""
     # As a layer of their own: the wall's second derivatives are taken over three coordinates a place, not
     # over x.
     points = Inner.of([ca.SX(ca.horzcat(*body.points))])
     at, *path = (columns_of(each) for each in (points.symbols[0], wall[:, :3], wall[:, 3:6], wall[:, 6:9]))
-    return points, left(at, path, ca.horzsplit(wall[:, ROOM:]))
+    return points, room_beside_path(at, path, ca.horzsplit(wall[:, WALL_ROOM_COLUMN:]))
 
 
-def contact(slack: Any, weight: Any, allowed: Any) -> Any:
+def contact_penalty(slack: Any, weight: Any, allowed: Any) -> Any:
     """The exact penalty on the depth of contact, mm^2.
 
     Parameters
@@ -82,17 +82,22 @@ def contact(slack: Any, weight: Any, allowed: Any) -> Any:
     weight : float or casadi expression
         Cost of a mm of it, mm^2.
     allowed : float or casadi expression
-        Depth from which a mm costs HARD times as much, mm.
+        Depth from which a mm costs EXCESS_CONTACT_FACTOR times as much, mm.
 
     Returns
     -------
     float, array or casadi expression
-        weight slack + (HARD - 1) weight max(slack - allowed, 0), the second corner rounded, + FIRM slack^2.
+        weight slack + (EXCESS_CONTACT_FACTOR - 1) weight max(slack - allowed, 0), the second corner rounded, +
+        SLACK_SQUARE_COST slack^2.
     """
-    return weight * slack + (HARD - 1) * weight * smooth_excess(slack - allowed) + FIRM * slack**2
+    return (
+        weight * slack
+        + (EXCESS_CONTACT_FACTOR - 1) * weight * smooth_excess(slack - allowed)
+        + SLACK_SQUARE_COST * slack**2
+    )
 
 
-def arc_lengths(beta: Sequence[Any], count: int = PLACES) -> list[Any]:
+def arc_lengths(beta: Sequence[Any], count: int = WALL_SAMPLES_PER_TUBE) -> list[Any]:
     """Arc lengths, mm, of `count` places on every tube's visible part, the last of which is its tip."""
     starts = [0 * beta[0], *(beta[i] for i in range(len(beta) - 1))]
     fractions = np.arange(1.0, count + 1) / count
@@ -101,20 +106,25 @@ def arc_lengths(beta: Sequence[Any], count: int = PLACES) -> list[Any]:
 
 def wall_parameters(d: int) -> dict[str, tuple[int, int]]:
     """Return the shapes of the parameters that describe the wall near a robot of d tubes, by name."""
-    return {"wall": (d * PLACES, COLUMNS), "contact_weight": (1, 1), "contact_allowed": (1, 1)}
+    return {
+        "wall": (d * WALL_SAMPLES_PER_TUBE, WALL_COLUMN_COUNT),
+        "contact_weight": (1, 1),
+        "contact_allowed": (1, 1),
+    }
 
 
-def far_away(d: int) -> dict[str, Any]:
+def no_wall_parameters(d: int) -> dict[str, Any]:
     """Parameters of a frame of d tubes with no wall nearby."""
-    wall = np.zeros((d * PLACES, COLUMNS))
+    wall = np.zeros((d * WALL_SAMPLES_PER_TUBE, WALL_COLUMN_COUNT))
     # Zero vectors and much room: rows that are always satisfied, and a weight of 0.
-    wall[:, ROOM] = FAR
+    wall[:, WALL_ROOM_COLUMN] = NO_WALL_ROOM_MM
     return {"wall": wall, "contact_weight": 0.0, "contact_allowed": 0.0}
 
 
 @dataclass(frozen=True)
-class Lumen(Term):
-    """Clearance at PLACES places of every tube's visible part, and the cost of contact; d: number of tubes.
+class LumenClearance(Term):
+    """Clearance at WALL_SAMPLES_PER_TUBE places of every tube's visible part, and the cost of contact; d: number
+    of tubes.
 
     A step gives the parameters that describe the wall near the robot (wall.py); without them, none is near.
     """
@@ -122,25 +132,29 @@ class Lumen(Term):
     d: int
     name = "lumen"
 
-    def places(self, beta: Sequence[ca.SX]) -> ca.SX:
+    def sample_arc_lengths(self, beta: Sequence[ca.SX]) -> ca.SX:
         """Arc lengths of the places on every tube, mm."""
         return ca.vertcat(*arc_lengths(beta))
 
     def parameters(self, structure: Structure) -> Mapping[str, tuple[int, int]]:
-        """Shapes of the parameters: wall, a row of COLUMNS a place; contact_weight, mm^2 a mm; contact_allowed,
-        mm.
+        """Shapes of the parameters: wall, a row of WALL_COLUMN_COUNT a place; contact_weight, mm^2 a mm;
+        contact_allowed, mm.
         """
         return wall_parameters(self.d)
 
     def build(self, body: Body, parameters: Symbols) -> Parts:
         """One smooth constraint a place, and one slack for all."""
         slack = ca.SX.sym("slack")
-        points, room = seen(body, parameters["wall"])
+        points, room = room_at_samples(body, parameters["wall"])
         # room + slack >= 0 at every place: the slack is the deepest contact, and its cost counts once a
         # frame.
         bounds = np.zeros(room.numel()), np.full(room.numel(), np.inf)
         return Parts(
-            costs=(Cost("contact", contact(slack, parameters["contact_weight"], parameters["contact_allowed"])),),
+            costs=(
+                CostTerm(
+                    "contact", contact_penalty(slack, parameters["contact_weight"], parameters["contact_allowed"])
+                ),
+            ),
             constraints=(Constraint("clearance", room + slack, *bounds),),
             inner=(points,),
             slack=slack,
@@ -148,4 +162,4 @@ class Lumen(Term):
 
     def fill(self, frame: Frame) -> Mapping[str, Array]:
         """Parameters for no wall nearby."""
-        return far_away(self.d)
+        return no_wall_parameters(self.d)

@@ -21,7 +21,7 @@ from ctr_nlp.target.target import Frame
 from ctr_nlp.typing import Array
 
 
-def change(q: ca.SX, previous: ca.SX, mm_per_unit: Array, root: ca.SX) -> Residual:
+def motion_residual(q: ca.SX, previous: ca.SX, mm_per_unit: Array, root: ca.SX) -> Residual:
     """Change of configuration over one frame, eq. (9), as a residual in mm.
 
     mm_per_unit: the diagonal of W. root: sqrt(lambda) / dt; 0 where there is no frame before.
@@ -30,7 +30,7 @@ def change(q: ca.SX, previous: ca.SX, mm_per_unit: Array, root: ca.SX) -> Residu
 
 
 @dataclass(frozen=True)
-class Motion(Term):
+class MotionCost(Term):
     """The term lambda |W (q - previous)|^2 / dt^2; a step overrides what fill gives, which is for a first
     frame.
     """
@@ -46,7 +46,9 @@ class Motion(Term):
         """The residual of eq. (9)."""
         # W of eq. (9): 10 mm/rad for angles and 1 for extensions.
         scale = mm_per_unit(self.d)
-        return Parts(residuals=(change(body.q, parameters["previous"], scale, parameters["motion_root"]),))
+        return Parts(
+            residuals=(motion_residual(body.q, parameters["previous"], scale, parameters["motion_root"]),)
+        )
 
     def fill(self, frame: Frame) -> Mapping[str, Any]:
         """Values for a frame with none before it, which costs nothing."""

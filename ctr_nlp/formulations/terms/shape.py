@@ -19,14 +19,14 @@ from ctr_nlp.formulations.terms.term import Body, Parts, Symbols, Term
 from ctr_nlp.nlp.nlp import Residual
 from ctr_nlp.robot.structure import Structure
 from ctr_nlp.support.values import floats
-from ctr_nlp.target.target import SIGMA, Frame
+from ctr_nlp.target.target import SIGMA_GRID, Frame
 from ctr_nlp.typing import Array, Vector
 
-STRIDE = 5
+TARGET_SAMPLE_STRIDE = 5
 """By default every so many-th of the target's 101 samples enters a program, 21 in all."""
 
 
-def distance(points: Vector, target: Vector, root: Any) -> Residual:
+def shape_residual(points: Vector, target: Vector, root: Any) -> Residual:
     """Distance from the robot to its target at equal sigma, eq. (8), as residuals.
 
     points, target: x, y, z, each (n, 1) mm. root: square roots (n, 1) of quadrature weights.
@@ -43,13 +43,13 @@ class ShapeDistance(Term):
     """
 
     depth_weights: Array | None = None
-    stride: int = STRIDE
+    stride: int = TARGET_SAMPLE_STRIDE
     name = "shape"
     objective_only = True
 
     def __post_init__(self) -> None:
         if self.depth_weights is not None:
-            weights = floats(OptionError, "depth_weights", self.depth_weights, (len(SIGMA),))
+            weights = floats(OptionError, "depth_weights", self.depth_weights, (len(SIGMA_GRID),))
             if weights.min() < 0 or weights.max() <= 0:
                 raise OptionError("depth_weights has numbers below 0, or none above; give weights >= 0")
             # The dataclass is frozen; the checked array replaces what was given.
@@ -60,23 +60,23 @@ class ShapeDistance(Term):
         """The type and the stride; weights are parameters."""
         return type(self), self.stride
 
-    def places(self, beta: Sequence[ca.SX]) -> ca.SX:
+    def sample_arc_lengths(self, beta: Sequence[ca.SX]) -> ca.SX:
         """Every stride-th of the uniform sigma."""
-        return ca.DM(SIGMA[:: self.stride]) * beta[-1]
+        return ca.DM(SIGMA_GRID[:: self.stride]) * beta[-1]
 
     def parameters(self, structure: Structure) -> Mapping[str, tuple[int, int]]:
         """Shapes of the parameters: target points in mm in the base frame, and square roots of the quadrature's
         weights.
         """
-        count = len(SIGMA[:: self.stride])
+        count = len(SIGMA_GRID[:: self.stride])
         return {"target": (count, 3), "shape_roots": (count, 1)}
 
     def build(self, body: Body, parameters: Symbols) -> Parts:
         """Eq. (8), in the model's own axes."""
         # Distances do not depend on axes: turning the target's points into the model's costs fewer
         # operations.
-        seen = body.shape.seen(parameters["target"])
-        return Parts(residuals=(distance(body.own_points, seen, parameters["shape_roots"]),))
+        seen = body.shape.to_shape_axes(parameters["target"])
+        return Parts(residuals=(shape_residual(body.own_points, seen, parameters["shape_roots"]),))
 
     def fill(self, frame: Frame) -> Mapping[str, Any]:
         """The frame's points."""
@@ -85,7 +85,7 @@ class ShapeDistance(Term):
     @cached_property
     def roots(self) -> Array:
         """Square roots (n,) of trapezoidal weights times depth weights; the squares sum to 1."""
-        weights = np.full(len(SIGMA[:: self.stride]), self.stride / (len(SIGMA) - 1))
+        weights = np.full(len(SIGMA_GRID[:: self.stride]), self.stride / (len(SIGMA_GRID) - 1))
         # Trapezoidal rule: half a cell at both ends.
         weights[[0, -1]] /= 2
         if self.depth_weights is not None:

@@ -14,8 +14,8 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from ctr_nlp.models import Shape
-from ctr_nlp.nlp.nlp import Constraint, Cost, Inner, Residual
+from ctr_nlp.models import SymbolicShape
+from ctr_nlp.nlp.nlp import Constraint, CostTerm, Inner, Residual
 from ctr_nlp.robot.structure import Structure, Tubes
 from ctr_nlp.target.target import Frame
 from ctr_nlp.typing import Vector
@@ -34,7 +34,7 @@ class Body:
 
     q: ca.SX
     tubes: Tubes
-    shape: Shape
+    shape: SymbolicShape
     span: slice
 
     @property
@@ -45,25 +45,27 @@ class Body:
     @property
     def points(self) -> Vector:
         """x, y, z of the places, each (n, 1) mm, in the base frame."""
-        return self.shape.placed(self.own_points)
+        return self.shape.to_base_frame(self.own_points)
 
     @property
     def tangents(self) -> Vector:
         """x, y, z of the unit tangents at the places, each (n, 1), in the base frame."""
-        return self.shape.placed(self.own_tangents)
+        return self.shape.to_base_frame(self.own_tangents)
 
     @property
     def own_points(self) -> Vector:
-        """Points of the places in the model's own axes, in which it needs fewer operations; see Shape.seen."""
-        return self._spanned(self.shape.points)
+        """Points of the places in the model's own axes, in which it needs fewer operations; see
+        SymbolicShape.to_shape_axes.
+        """
+        return self._own_samples(self.shape.points)
 
     @property
     def own_tangents(self) -> Vector:
         """Unit tangents at the places in the model's own axes."""
         assert self.shape.tangents is not None
-        return self._spanned(self.shape.tangents)
+        return self._own_samples(self.shape.tangents)
 
-    def _spanned(self, vectors: Vector) -> Vector:
+    def _own_samples(self, vectors: Vector) -> Vector:
         # The model computes the samples of all terms in one column; span picks this term's.
         x, y, z = (axis[self.span] for axis in vectors)
         return x, y, z
@@ -77,7 +79,7 @@ class Parts:
     """
 
     residuals: tuple[Residual, ...] = ()
-    costs: tuple[Cost, ...] = ()
+    costs: tuple[CostTerm, ...] = ()
     constraints: tuple[Constraint, ...] = ()
     inner: tuple[Inner, ...] = ()
     slack: ca.SX | None = None
@@ -113,7 +115,7 @@ class Term(ABC):
         """Everything that `build` depends on: terms of equal keys share a compiled program."""
         return self
 
-    def places(self, beta: Sequence[ca.SX]) -> ca.SX:
+    def sample_arc_lengths(self, beta: Sequence[ca.SX]) -> ca.SX:
         """Arc lengths (n, 1), mm, at which the term looks at the robot; none by default."""
         return ca.SX(0, 1)
 
@@ -133,6 +135,6 @@ class Term(ABC):
         return {}
 
 
-def listed(terms: Sequence[Term]) -> list[str]:
+def describe_terms(terms: Sequence[Term]) -> list[str]:
     """Return the terms that were asked for beside the settings, each in a line, as a plan's options hold them."""
     return [str(term) for term in terms if not term.of_settings]

@@ -22,13 +22,13 @@ from ctr_nlp.support.values import floats
 from ctr_nlp.target.target import Frame
 from ctr_nlp.typing import Array
 
-ROUNDED = 1e-12
+TIP_ANGLE_SMOOTHING = 1e-12
 """Added to the squared distance of two unit vectors, so that their angle has a slope where it is 0."""
-OPPOSITE = 0.999
+MAX_HALF_ANGLE_SINE = 0.999
 """Largest sin(angle / 2) that is used: at opposite directions the slope of the angle is infinite."""
 
 
-class AtTip(Term):
+class TipOnlyTerm(Term):
     """A term of the objective that looks at the robot's tip alone, and all of whose numbers are parameters."""
 
     objective_only = True
@@ -38,13 +38,13 @@ class AtTip(Term):
         """All numbers are parameters."""
         return type(self)
 
-    def places(self, beta: Sequence[ca.SX]) -> ca.SX:
+    def sample_arc_lengths(self, beta: Sequence[ca.SX]) -> ca.SX:
         """Arc length of the tip, mm."""
         return beta[-1]
 
 
 @dataclass(frozen=True, eq=False)
-class _Tip(AtTip):
+class _WeightedTipTerm(TipOnlyTerm):
     """A tip term. weight: a number >= 0, or one a frame (T,). wanted: (3,), or (T, 3), or None for the target's
     own.
     """
@@ -58,9 +58,9 @@ class _Tip(AtTip):
             raise OptionError(f"weight of {self.name} is {weight.min():g}; it must be at least 0")
         object.__setattr__(self, "weight", weight)
         if self.wanted is not None:
-            object.__setattr__(self, "wanted", self._checked(np.atleast_2d(self.wanted)))
+            object.__setattr__(self, "wanted", self._check_wanted(np.atleast_2d(self.wanted)))
 
-    def _checked(self, wanted: npt.ArrayLike) -> Array:
+    def _check_wanted(self, wanted: npt.ArrayLike) -> Array:
         """The wanted vectors as an array (1 or T, 3); raises OptionError."""
         return floats(OptionError, f"wanted {self.name}", wanted, (None, 3))
 
@@ -70,12 +70,12 @@ class _Tip(AtTip):
 
     def fill(self, frame: Frame) -> Mapping[str, Any]:
         """The wanted vector and the root of the weight in this frame."""
-        wanted = self._of(frame) if self.wanted is None else self._at(self.wanted, frame)
+        wanted = self._target_value(frame) if self.wanted is None else self._row_for_frame(self.wanted, frame)
         # Residuals are squared: the weight enters as its square root.
-        root = float(np.sqrt(self._at(np.asarray(self.weight), frame)))
+        root = float(np.sqrt(self._row_for_frame(np.asarray(self.weight), frame)))
         return {f"{self.name}_wanted": wanted[None], f"{self.name}_root": root}
 
-    def _at(self, values: Array, frame: Frame) -> Any:
+    def _row_for_frame(self, values: Array, frame: Frame) -> Any:
         """The row of values for a frame; a single row is for all. Raises OptionError where there is none."""
         if len(values) == 1:
             return values[0]
@@ -83,7 +83,7 @@ class _Tip(AtTip):
             raise OptionError(f"{self.name} has {len(values)} rows and frame {frame.number + 1} is asked for")
         return values[frame.number]
 
-    def _of(self, frame: Frame) -> Array:
+    def _target_value(self, frame: Frame) -> Array:
         """The target's own vector in a frame."""
         raise NotImplementedError
 
@@ -94,7 +94,7 @@ class _Tip(AtTip):
 
 
 @dataclass(frozen=True, eq=False)
-class TipPosition(_Tip):
+class TipPosition(_WeightedTipTerm):
     """The term weight |p - wanted|^2, mm^2, where p is the tip and wanted (mm) by default the target's end."""
 
     name = "tip_position"
@@ -104,12 +104,12 @@ class TipPosition(_Tip):
         value = parameters[f"{self.name}_root"] * self._difference(body.points, parameters)
         return Parts(residuals=(Residual(self.name, value),))
 
-    def _of(self, frame: Frame) -> Array:
+    def _target_value(self, frame: Frame) -> Array:
         return frame.points[-1]
 
 
 @dataclass(frozen=True, eq=False)
-class TipDirection(_Tip):
+class TipDirection(_WeightedTipTerm):
     """The term weight angle^2, mm^2, with the angle (rad) from the tip's tangent to a wanted direction.
 
     The weight is in mm^2/rad^2; the direction is by default that of the target's end.
@@ -118,8 +118,8 @@ class TipDirection(_Tip):
     name = "tip_direction"
     tangents = True
 
-    def _checked(self, wanted: npt.ArrayLike) -> Array:
-        wanted = super()._checked(wanted)
+    def _check_wanted(self, wanted: npt.ArrayLike) -> Array:
+        wanted = super()._check_wanted(wanted)
         lengths = np.linalg.norm(wanted, axis=1)
         if lengths.min() == 0:
             raise OptionError(f"wanted {self.name} has the row (0, 0, 0), which has no direction")
@@ -131,9 +131,9 @@ class TipDirection(_Tip):
         difference = self._difference(body.tangents, parameters)
         # |t - w| = 2 sin(angle / 2) for unit vectors, which is accurate at small angles, where acos(t . w)
         # is not. With half = sin(angle / 2), the residual's length is 2 half asin(half) / half = angle.
-        half = ca.fmin(ca.sqrt(ca.sumsqr(difference) + ROUNDED) / 2, OPPOSITE)
+        half = ca.fmin(ca.sqrt(ca.sumsqr(difference) + TIP_ANGLE_SMOOTHING) / 2, MAX_HALF_ANGLE_SINE)
         value = parameters[f"{self.name}_root"] * (ca.asin(half) / half) * difference
         return Parts(residuals=(Residual(self.name, value),))
 
-    def _of(self, frame: Frame) -> Array:
+    def _target_value(self, frame: Frame) -> Array:
         return frame.tangents[-1]

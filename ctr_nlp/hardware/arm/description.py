@@ -14,12 +14,12 @@ from ctr_nlp.exceptions import HardwareError, RobotError
 from ctr_nlp.support.values import frozen, numbers, plain_floats
 from ctr_nlp.typing import Array
 
-MODELS = (
+ARM_MODELS = (
     *("ur3", "ur3e", "ur5", "ur5e", "ur7e", "ur8long", "ur10", "ur10e"),
     *("ur12e", "ur15", "ur16e", "ur18", "ur20", "ur30"),
 )
 """The arms that ur-analytic-ik knows."""
-DEVICES = ("simulated", "ur")
+ARM_DEVICES = ("simulated", "ur")
 JOINTS = ("base", "shoulder", "elbow", "wrist 1", "wrist 2", "wrist 3")
 JOINT_LIMIT = 2 * math.pi
 """rad: how far each joint of a UR turns in either direction."""
@@ -29,15 +29,15 @@ JOINT_LIMIT = 2 * math.pi
 class Arm:
     """A Universal Robots arm that holds the robot and tilts it: the [arm] of a hardware file.
 
-    model: one of MODELS. insertion_point: mm, in the arm's base frame. insertion_rotation_deg: the robot's base
-    frame at zero tilt, in the arm's base frame. mount_translation (mm), mount_rotation_deg: the robot's base
-    frame, which lies at the insertion point, in the arm's flange frame. A rotation is (roll, pitch, yaw) with
-    R = Rz(yaw) Ry(pitch) Rx(roll): about the fixed axes, x first. start_joints_deg: base to wrist 3, roughly
-    where the arm stands at zero tilt, which says what joint solution to take; None for the best of each motion.
+    model: one of ARM_MODELS. insertion_point: mm, in the arm's base frame. insertion_rotation_deg: the robot's
+    base frame at zero tilt, in the arm's base frame. mount_translation (mm), mount_rotation_deg: the robot's base
+    frame, which lies at the insertion point, in the arm's flange frame. A rotation is (roll, pitch, yaw) with R =
+    Rz(yaw) Ry(pitch) Rx(roll): about the fixed axes, x first. start_joints_deg: base to wrist 3, roughly where the
+    arm stands at zero tilt, which says what joint solution to take; None for the best of each motion.
     joint_speed_deg, joint_acceleration_deg: limits in deg/s and deg/s^2, a number or one a joint; tilt_speed_deg,
-    tilt_acceleration_deg: those of the tilt, a number or one for x and one for y.
-    skew_tolerance: s that the arm may be behind the tubes or ahead of them. host: address of the controller,
-    None for this machine (a simulator). device: "simulated" or "ur".
+    tilt_acceleration_deg: those of the tilt, a number or one for x and one for y. skew_tolerance: s that the arm
+    may be behind the tubes or ahead of them. host: address of the controller, None for this machine (a simulator).
+    device: "simulated" or "ur".
 
     The default is a UR3e on a table that inserts at 45 degrees, downwards and away from itself, 400 mm in front of
     its base; its flange holds a carriage unit of 250 mm by the middle, 60 mm off its axis. Raises HardwareError.
@@ -58,7 +58,7 @@ class Arm:
     device: str = "simulated"
 
     def __post_init__(self) -> None:
-        for name, value, allowed in (("model", self.model, MODELS), ("device", self.device, DEVICES)):
+        for name, value, allowed in (("model", self.model, ARM_MODELS), ("device", self.device, ARM_DEVICES)):
             if value not in allowed:
                 raise HardwareError(f"{name} of the arm is {value!r}; it must be one of {', '.join(allowed)}")
         if not (self.host is None or (isinstance(self.host, str) and self.host)):

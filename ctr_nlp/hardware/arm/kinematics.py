@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from ctr_nlp.exceptions import HardwareError
 from ctr_nlp.hardware.arm.description import JOINT_LIMIT, JOINTS, Arm
-from ctr_nlp.support.extras import needed
+from ctr_nlp.support.extras import import_extra
 from ctr_nlp.typing import Array
 
 LENGTH = 100.0
@@ -20,23 +20,23 @@ LENGTH = 100.0
 
 LARGEST_GAIN = 30.0
 """Nearer to a singularity, joints would turn more than this many times as fast as the robot they hold."""
-SINGULAR = "singular: joints would turn {gain:.3g} times as fast as the robot"
+ARM_SINGULARITY_MESSAGE = "singular: joints would turn {gain:.3g} times as fast as the robot"
 SUBSTEP = 0.01
 """rad of tilt from one inverse kinematics to the next, so that joint solutions cannot be mixed up."""
-JUMP = 0.5
+MAX_SUBSTEP_JOINT_TURN_RAD = 0.5
 """rad that a joint may turn over a substep: more than LARGEST_GAIN asks for, less than lies between solutions."""
 
 
-def tilt(arm: Arm, joints: Array) -> Array:
+def tilt_of_joints(arm: Arm, joints: Array) -> Array:
     """Tilt (T, 2) rad, within +-pi, of joints (T, 6) rad, by forward kinematics."""
-    turned = arm.base[:3, :3].T @ _held(arm, joints)[:, :3, :3]
+    turned = arm.base[:3, :3].T @ _robot_base_frames(arm, joints)[:, :3, :3]
     theta_x = np.arctan2(-turned[:, 1, 2], turned[:, 1, 1])
     return np.stack([theta_x, np.arctan2(-turned[:, 2, 0], turned[:, 0, 0])], axis=1)
 
 
 def insertion_error(arm: Arm, joints: Array) -> Array:
     """Distance (T,) in mm of what joints (T, 6) rad hold at the insertion point from there."""
-    return np.asarray(np.linalg.norm(_held(arm, joints)[:, :3, 3] - arm.base[:3, 3], axis=1))
+    return np.asarray(np.linalg.norm(_robot_base_frames(arm, joints)[:, :3, 3] - arm.base[:3, 3], axis=1))
 
 
 def gains(arm: Arm, joints: Array) -> Array:
@@ -62,7 +62,7 @@ def _turns(model: str) -> tuple[Array, Array, Array]:
     """
 
     def pose(*joints: float) -> Array:
-        found = np.array(getattr(needed("ur_analytic_ik"), model).forward_kinematics(*joints))
+        found = np.array(getattr(import_extra("ur_analytic_ik"), model).forward_kinematics(*joints))
         found[:3, 3] *= 1000
         return found
 
@@ -82,7 +82,7 @@ def _placements(arm: Arm, joints: Array) -> list[Array]:
     return moved
 
 
-def _held(arm: Arm, joints: Array) -> Array:
+def _robot_base_frames(arm: Arm, joints: Array) -> Array:
     """The robot's base frame in the arm's, (T, 4, 4) mm."""
     return np.asarray(_placements(arm, np.asarray(joints))[-1] @ _turns(arm.model)[0] @ arm.mount)
 
@@ -97,7 +97,7 @@ def _screws(arm: Arm, joints: Array) -> Array:
     return np.stack(columns, axis=2)
 
 
-class _Followed(NamedTuple):
+class _JointPath(NamedTuple):
     """A joint solution, as far as it can be followed; margin: to singularities and joint limits, 0 at them."""
 
     joints: Array
@@ -106,7 +106,7 @@ class _Followed(NamedTuple):
     complaint: str
 
 
-def joints(arm: Arm, theta: Array, start: Array | None = None) -> Array:
+def inverse_kinematics(arm: Arm, theta: Array, start: Array | None = None) -> Array:
     """Joint angles (T, 6) rad that tilt the robot by theta (T, 2) rad, linear in theta between frames.
 
     All frames follow one joint solution continuously, within JOINT_LIMIT. start: (6,) rad,
@@ -121,15 +121,15 @@ def joints(arm: Arm, theta: Array, start: Array | None = None) -> Array:
     if start is None and arm.start_joints_deg is not None:
         near, lead = np.radians(arm.start_joints_deg), 1
         theta = np.concatenate([np.zeros((1, 2)), theta])
-    path, frames = _subdivided(theta)
+    path, frames = _subdivide_tilts(theta)
     solutions = [_solutions(arm.model, pose) for pose in poses(arm, path)]
     first = solutions[0]
     if near is not None and len(first):
-        first = first[[np.abs(_wrapped(first - near)).sum(axis=1).argmin()]]
-        first = near + _wrapped(first - near)
+        first = first[[np.abs(_wrap_angles(first - near)).sum(axis=1).argmin()]]
+        first = near + _wrap_angles(first - near)
     followed = [_follow(arm, q, solutions, frames, wound=near is not None) for q in first]
     if not followed:
-        followed = [_Followed(first, 0.0, 0, "out of the arm's reach")]
+        followed = [_JointPath(first, 0.0, 0, "out of the arm's reach")]
     best = max(followed, key=lambda found: (found.frame, found.margin))
     if best.complaint:
         frame = max(best.frame - lead, 0)
@@ -147,19 +147,19 @@ def poses(arm: Arm, theta: Array) -> Array:
     return np.asarray(arm.base @ tilted @ np.linalg.inv(arm.mount))
 
 
-def _follow(arm: Arm, q: Array, solutions: list[Array], frames: list[int], wound: bool) -> _Followed:
+def _follow(arm: Arm, q: Array, solutions: list[Array], frames: list[int], wound: bool) -> _JointPath:
     """The joint solution from q (6,) on, over solutions [(n, 6)]; wound: q's whole turns are those of the arm."""
     turned, complaint = [q], ""
     for found in solutions[1:]:
         if not len(found):
             complaint = "out of the arm's reach"
             break
-        steps = _wrapped(found - turned[-1])
+        steps = _wrap_angles(found - turned[-1])
         step = steps[np.abs(steps).max(axis=1).argmin()]
-        if np.abs(step).max() > JUMP:
+        if np.abs(step).max() > MAX_SUBSTEP_JOINT_TURN_RAD:
             joint, gain = int(np.abs(step).argmax()), gains(arm, (turned[-1] + step)[None])[0]
             complaint = f"joint {joint + 1} ({JOINTS[joint]}) would jump by {abs(step[joint]):.3g} rad"
-            complaint = SINGULAR.format(gain=gain) if gain > LARGEST_GAIN else complaint
+            complaint = ARM_SINGULARITY_MESSAGE.format(gain=gain) if gain > LARGEST_GAIN else complaint
             break
         turned.append(turned[-1] + step)
     path = np.array(turned)
@@ -169,7 +169,7 @@ def _follow(arm: Arm, q: Array, solutions: list[Array], frames: list[int], wound
     gain = gains(arm, path)
     reached = len(path)
     for bad, said in (
-        (gain > LARGEST_GAIN, SINGULAR),
+        (gain > LARGEST_GAIN, ARM_SINGULARITY_MESSAGE),
         (np.abs(path).max(axis=1) > JOINT_LIMIT + 1e-9, "joint {joint} would turn beyond 360 deg"),
     ):
         if bad[:reached].any():
@@ -178,10 +178,10 @@ def _follow(arm: Arm, q: Array, solutions: list[Array], frames: list[int], wound
             complaint = said.format(gain=gain[reached], joint=f"{joint + 1} ({JOINTS[joint]})")
     frame = len(frames) if not complaint else int(np.searchsorted(frames, reached))
     margin = min(1 / gain.max(), 1 - np.abs(path).max() / JOINT_LIMIT)
-    return _Followed(path, float(margin), frame, complaint)
+    return _JointPath(path, float(margin), frame, complaint)
 
 
-def _subdivided(theta: Array) -> tuple[Array, list[int]]:
+def _subdivide_tilts(theta: Array) -> tuple[Array, list[int]]:
     """Tilts (n, 2) at most SUBSTEP apart on the path through theta (T, 2), and where in them the frames are."""
     path, frames = [theta[:1]], [0]
     for a, b in pairwise(theta):
@@ -195,9 +195,9 @@ def _solutions(model: str, pose: Array) -> Array:
     """All joint angles (n, 6) rad within +-pi that hold the flange at a pose (4, 4) in mm."""
     metres = pose.copy()
     metres[:3, 3] /= 1000
-    return np.array(getattr(needed("ur_analytic_ik"), model).inverse_kinematics(metres)).reshape(-1, 6)
+    return np.array(getattr(import_extra("ur_analytic_ik"), model).inverse_kinematics(metres)).reshape(-1, 6)
 
 
-def _wrapped(angles: Array) -> Array:
+def _wrap_angles(angles: Array) -> Array:
     """The same angles within +-pi."""
     return (angles + np.pi) % (2 * np.pi) - np.pi

@@ -28,14 +28,14 @@ class Signs(NamedTuple):
     astray: why its axes are further from the path than those of such a device can be, "" where they are not.
     """
 
-    said: str = ""
+    anomaly: str = ""
     override: float | None = None
     stalled: float = 0.0
     cause: str = ""
-    astray: str = ""
+    off_path_cause: str = ""
 
 
-class Progress(NamedTuple):
+class MotionProgress(NamedTuple):
     """How far a device has come.
 
     state: "running", "holding" (slowing down), "held" or "done". time: s of the trajectory that have been played.
@@ -55,17 +55,17 @@ Asked = Callable[[], bool]
 """Whether a stop has been asked for."""
 
 
-class Played(Protocol):
+class RunningMotion(Protocol):
     """Commands that a device has begun to play; all raise DeviceFault."""
 
-    def update(self) -> Progress:
+    def update(self) -> MotionProgress:
         """Take the news and tell how far it is; gives the device nothing to do. Call it every few ms."""
 
     def feed(self) -> None:
         """Give the device what it may have now: called after every update in which nothing was wrong."""
 
     @property
-    def given(self) -> float:
+    def committed_time(self) -> float:
         """How far it has been given its commands for good, s of the motion."""
 
     def amend(self, commands: Commands) -> None:
@@ -98,7 +98,7 @@ class Device(Protocol):
     def home(self, stop: Asked) -> None:
         """Find its position by itself, and wait for that; where stop says so, stop at once, which is a fault."""
 
-    def start(self, commands: Commands) -> Played:
+    def start(self, commands: Commands) -> RunningMotion:
         """Get ready to play commands from where it stands; feeding begins with it.
 
         Raises TrajectoryError where the link is too slow for them.

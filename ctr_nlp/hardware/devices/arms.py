@@ -12,7 +12,7 @@ import numpy as np
 
 from ctr_nlp.exceptions import DeviceFault, HardwareError
 from ctr_nlp.hardware.arm.description import JOINTS, Arm
-from ctr_nlp.hardware.arm.kinematics import joints, tilt
+from ctr_nlp.hardware.arm.kinematics import inverse_kinematics, tilt_of_joints
 from ctr_nlp.typing import Array
 
 Now = Callable[[], float]
@@ -46,7 +46,7 @@ class ArmFollower(ABC):
         """Find out how the arm is now."""
 
     @abstractmethod
-    def _measured(self) -> Array:
+    def _read_joints(self) -> Array:
         """Joint angles (6,) rad, as last looked at."""
 
     @abstractmethod
@@ -60,11 +60,11 @@ class ArmFollower(ABC):
     def joints(self) -> Array:
         """Measured joint angles now, (6,) rad."""
         self._look()
-        return self._measured()
+        return self._read_joints()
 
     def tilt(self) -> Array:
         """Measured tilt now, (2,) rad."""
-        return tilt(self._arm, self.joints()[None])[0]
+        return tilt_of_joints(self._arm, self.joints()[None])[0]
 
     def follow(self, theta: Array) -> None:
         """Go to a tilt (2,) rad, now; called at a regular rate.
@@ -82,9 +82,9 @@ class ArmFollower(ABC):
 
     def _step(self, last: Array, since: float, theta: Array, now: float) -> Array:
         """The joints (6,) of a tilt (2,) rad, once they are allowed after the last ones, since when; s."""
-        path = np.array([tilt(self._arm, last[None])[0], theta])
+        path = np.array([tilt_of_joints(self._arm, last[None])[0], theta])
         try:
-            wanted = joints(self._arm, path, last)[-1]
+            wanted = inverse_kinematics(self._arm, path, last)[-1]
         except HardwareError as exception:
             raise DeviceFault(f"the arm cannot follow: {exception}") from exception
         elapsed = min(now - since, LONGEST_STEP)
@@ -132,7 +132,7 @@ class SimulatedArm(ArmFollower):
     ) -> None:
         super().__init__(arm, clock)
         self._lag, self._speed = lag, speed
-        self._at = self._target = joints(arm, np.array([theta], dtype=float))[0]
+        self._at = self._target = inverse_kinematics(arm, np.array([theta], dtype=float))[0]
         self._time = clock()
         self._coming: deque[tuple[float, Array]] = deque()
 
@@ -156,7 +156,7 @@ class SimulatedArm(ArmFollower):
             self._at = self._at + np.clip(self._target - self._at, -reach, reach)
         self._time = now
 
-    def _measured(self) -> Array:
+    def _read_joints(self) -> Array:
         return self._at.copy()
 
     def _send(self, wanted: Array) -> None:

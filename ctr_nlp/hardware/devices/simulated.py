@@ -6,11 +6,11 @@ import numpy as np
 
 from ctr_nlp.exceptions import DeviceFault
 from ctr_nlp.hardware.clock import Clock
-from ctr_nlp.hardware.devices import Asked, Progress, Standing
-from ctr_nlp.hardware.motion.lookahead import AHEAD, Commands
+from ctr_nlp.hardware.devices import Asked, MotionProgress, Standing
+from ctr_nlp.hardware.motion.lookahead import MAX_MOTION_IN_HAND_S, Commands
 from ctr_nlp.typing import Array
 
-STOPPING = 0.1
+SIMULATED_HOLD_TIME_S = 0.1
 """s in which a hold takes its pace to nothing, and resuming back."""
 
 
@@ -52,18 +52,20 @@ class Simulated:
         self._time, self._pace, self._goal, self._seen = 0.0, 1.0, 1.0, self._clock.now()
         return self
 
-    def update(self) -> Progress:
+    def update(self) -> MotionProgress:
         """Move on by the time that has passed."""
         self._check_open()
         now = self._clock.now()
         passed, self._seen = now - self._seen, now
-        change = float(np.clip(self._goal - self._pace, -passed / STOPPING, passed / STOPPING))
-        turning = abs(change) * STOPPING
+        change = float(
+            np.clip(self._goal - self._pace, -passed / SIMULATED_HOLD_TIME_S, passed / SIMULATED_HOLD_TIME_S)
+        )
+        turning = abs(change) * SIMULATED_HOLD_TIME_S
         self._time += turning * (self._pace + 0.5 * change) + (passed - turning) * (self._pace + change)
         self._pace += change
         self._time = min(self._time, float(self._ends[-1]))
         self._position = np.array([np.interp(self._time, self._ends, axis) for axis in self._path.T])
-        return Progress(self._state(), self._time, self._position, now, 0.0)
+        return MotionProgress(self._state(), self._time, self._position, now, 0.0)
 
     def _state(self) -> str:
         if self._time >= self._ends[-1]:
@@ -76,9 +78,9 @@ class Simulated:
         """It has been given everything."""
 
     @property
-    def given(self) -> float:
+    def committed_time(self) -> float:
         """As far ahead as a controller has motion in hand."""
-        return self._time + AHEAD
+        return self._time + MAX_MOTION_IN_HAND_S
 
     def amend(self, commands: Commands) -> None:
         """Follow other commands from there."""

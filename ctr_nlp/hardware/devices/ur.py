@@ -12,9 +12,9 @@ import numpy as np
 
 from ctr_nlp.exceptions import DeviceFault, HardwareError
 from ctr_nlp.hardware.arm.description import Arm
-from ctr_nlp.hardware.arm.kinematics import insertion_error, joints, tilt
+from ctr_nlp.hardware.arm.kinematics import insertion_error, inverse_kinematics, tilt_of_joints
 from ctr_nlp.hardware.devices.arms import ArmFollower, Now
-from ctr_nlp.support.extras import needed
+from ctr_nlp.support.extras import import_extra
 from ctr_nlp.typing import Array
 
 STALE = 0.2
@@ -43,7 +43,7 @@ class UrArm(ArmFollower):
 
     def connect(self) -> None:
         """Check that the arm is fit and holds the insertion point, then start the control program on it."""
-        receiving, controlling = needed("rtde_receive"), needed("rtde_control")
+        receiving, controlling = import_extra("rtde_receive"), import_extra("rtde_control")
         try:
             with self._faults("cannot be reached"):
                 self._receive = receiving.RTDEReceiveInterface(self._arm.address)
@@ -57,7 +57,7 @@ class UrArm(ArmFollower):
             raise
         self._last = start, self._clock()
 
-    def _measured(self) -> Array:
+    def _read_joints(self) -> Array:
         with self._faults("does not answer"):
             return np.array(self._receive.getActualQ(), dtype=float)
 
@@ -123,7 +123,7 @@ class UrArm(ArmFollower):
 
     def _check_start(self, start: Array) -> None:
         try:
-            held = joints(self._arm, tilt(self._arm, start[None]), start)[0]
+            held = inverse_kinematics(self._arm, tilt_of_joints(self._arm, start[None]), start)[0]
         except HardwareError as exception:
             raise DeviceFault(f"the arm stands where it cannot begin: {exception}") from exception
         off, away = np.abs(held - start).max(), insertion_error(self._arm, start[None])[0]

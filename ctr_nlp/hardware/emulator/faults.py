@@ -8,21 +8,21 @@ from functools import partial
 from typing import Any
 
 from ctr_nlp.exceptions import OptionError
-from ctr_nlp.hardware.emulator.controller.stops import ESTOP
+from ctr_nlp.hardware.emulator.controller.stops import ALARM_ESTOP
 from ctr_nlp.hardware.emulator.firmware import Firmware
 from ctr_nlp.hardware.emulator.planner import Vector
 from ctr_nlp.hardware.emulator.reports import BANNER, Status
-from ctr_nlp.hardware.emulator.wire import Fault, Line
+from ctr_nlp.hardware.emulator.wire import SerialLine, WireFault
 
 Lie = Callable[[Firmware, random.Random], str]
 
 ALARMS = (1, 2, 3, 10)
 ERRORS = (1, 9, 20, 79)
-STATES = ("Idle", "Run", "Hold:0", "Hold:1", "Jog", "Alarm", "Home", "Check")
+CONTROLLER_STATES = ("Idle", "Run", "Hold:0", "Hold:1", "Jog", "Alarm", "Home", "Check")
 PRINTABLE = "".join(chr(code) for code in range(32, 127))
 
-Strike = Callable[[Line, Fault], None]
-Change = Callable[[bytes, random.Random, Fault], list[tuple[float, bytes]]]
+Strike = Callable[[SerialLine, WireFault], None]
+Change = Callable[[bytes, random.Random, WireFault], list[tuple[float, bytes]]]
 
 THIRD_PARTIES = (
     *(b"~", b"!", b"\x18", b"\x19", b"\x85", 5 * b"\x91", 5 * b"\x92", b"\x97"),
@@ -40,7 +40,7 @@ def _report(firmware: Firmware, state: str, position: Vector, line: int | None) 
 
 def _past(firmware: Firmware, draw: random.Random) -> str:
     """Idle where a line that is done with ended, or at zero."""
-    line, position = draw.choice(firmware.executed or [(None, (0.0,) * 6)])
+    line, position = draw.choice(firmware.executed_blocks or [(None, (0.0,) * 6)])
     return _report(firmware, "Idle", position, line)
 
 
@@ -51,7 +51,7 @@ def _future(firmware: Firmware, draw: random.Random) -> str:
 
 def _wrong_state(firmware: Firmware, draw: random.Random) -> str:
     """Where it is, in a state in which it is not."""
-    states = [state for state in STATES if not state.startswith(firmware.state)]
+    states = [state for state in CONTROLLER_STATES if not state.startswith(firmware.state)]
     return _report(firmware, draw.choice(states), firmware.motion.position, firmware.motion.line)
 
 
@@ -73,18 +73,20 @@ LIES: dict[str, Lie] = {
 """Name of a fault -> the line that is inserted."""
 
 
-def _lasting(line: Line, fault: Fault) -> Callable[[], bool]:
+def _lasting(line: SerialLine, fault: WireFault) -> Callable[[], bool]:
     until = line.firmware.time + fault.seconds
     return lambda: line.firmware.time < until
 
 
-def _outward(alter: Callable[[bytes, random.Random, Fault], bytes], line: Line, fault: Fault) -> None:
+def _outward(
+    alter: Callable[[bytes, random.Random, WireFault], bytes], line: SerialLine, fault: WireFault
+) -> None:
     """Alter what the host sends."""
     lasting, draw = _lasting(line, fault), random.Random(fault.seed)
     line.outward.append(lambda data: alter(data, draw, fault) if lasting() else data)
 
 
-def _inward(alter: Change, line: Line, fault: Fault) -> None:
+def _inward(alter: Change, line: SerialLine, fault: WireFault) -> None:
     """Alter every reply line."""
     lasting, draw = _lasting(line, fault), random.Random(fault.seed)
     line.inward.append(lambda reply: alter(reply, draw, fault) if lasting() else [(0.0, reply)])
@@ -97,14 +99,14 @@ def _some(alter: Change) -> Change:
     )
 
 
-def _garbled(reply: bytes, draw: random.Random, fault: Fault) -> list[tuple[float, bytes]]:
+def _garble_reply(reply: bytes, draw: random.Random, fault: WireFault) -> list[tuple[float, bytes]]:
     broken = bytearray(reply)
     for _ in range(draw.randint(1, 3)):
         broken[draw.randrange(len(broken))] = draw.randrange(256)
     return [(0.0, bytes(broken))]
 
 
-def _last_ok(line: Line, fault: Fault) -> None:
+def _last_ok(line: SerialLine, fault: WireFault) -> None:
     """An ok is dropped where the firmware has nothing left to answer."""
 
     def alter(reply: bytes) -> list[tuple[float, bytes]]:
@@ -114,33 +116,33 @@ def _last_ok(line: Line, fault: Fault) -> None:
     line.inward.append(alter)
 
 
-def _lie(line: Line, fault: Fault) -> None:
+def _lie(line: SerialLine, fault: WireFault) -> None:
     said = fault.data or LIES[fault.name](line.firmware, random.Random(fault.seed)).encode()
     line.insert(said + b"\r\n")
 
 
-def _flipped(data: bytes, draw: random.Random, fault: Fault) -> bytes:
+def _flip_bits(data: bytes, draw: random.Random, fault: WireFault) -> bytes:
     """Bytes of which a share has one bit inverted."""
     return bytes(byte ^ (1 << draw.randrange(8)) if draw.random() < fault.choice else byte for byte in data)
 
 
-def _estop(line: Line, fault: Fault) -> None:
+def _estop(line: SerialLine, fault: WireFault) -> None:
     """The button with the alarm that it raises on a board; the recorded controller only shows its pin."""
     line.firmware.press("estop")
-    line.firmware.alarm(ESTOP)
+    line.firmware.alarm(ALARM_ESTOP)
 
 
-def _power_cycle_unseen(line: Line, fault: Fault) -> None:
+def _power_cycle_unseen(line: SerialLine, fault: WireFault) -> None:
     line.drop()
     line.firmware.reboot(loses_position=True)
 
 
-_KINDS: dict[str, tuple[Strike, dict[str, Any]]] = {
+_FAULT_KINDS: dict[str, tuple[Strike, dict[str, Any]]] = {
     "cut": (lambda line, fault: line.drop(), {}),
     "half_open": (partial(_outward, lambda data, draw, fault: bytes(b for b in data if b == ord("?"))), {}),
     "silent": (lambda line, fault: line.firmware.silence(fault.seconds), {}),
     "busy": (lambda line, fault: line.firmware.stall(fault.seconds), {"seconds": 3.0}),
-    "garbled": (partial(_inward, _some(_garbled)), {}),
+    "garbled": (partial(_inward, _some(_garble_reply)), {}),
     "lost": (partial(_inward, _some(lambda reply, draw, fault: [])), {}),
     "doubled": (partial(_inward, _some(lambda reply, draw, fault: 2 * [(0.0, reply)])), {}),
     "late": (lambda line, fault: line.inward.append(lambda reply: [(fault.seconds, reply)]), {"seconds": 0.5}),
@@ -162,15 +164,15 @@ _KINDS: dict[str, tuple[Strike, dict[str, Any]]] = {
     ),
     **dict.fromkeys(LIES, (_lie, {})),
     "flips_to_host": (
-        partial(_inward, lambda reply, draw, fault: [(0.0, _flipped(reply, draw, fault))]),
+        partial(_inward, lambda reply, draw, fault: [(0.0, _flip_bits(reply, draw, fault))]),
         {"choice": 0.01},
     ),
-    "flips_to_device": (partial(_outward, _flipped), {"choice": 0.01}),
+    "flips_to_device": (partial(_outward, _flip_bits), {"choice": 0.01}),
 }
 """Name -> how it strikes, and the fields that are not as in Fault."""
 
-FAULTS: dict[str, Callable[..., Fault]] = {
-    name: partial(Fault, name, strike, **fields) for name, (strike, fields) in _KINDS.items()
+FAULTS: dict[str, Callable[..., WireFault]] = {
+    name: partial(WireFault, name, strike, **fields) for name, (strike, fields) in _FAULT_KINDS.items()
 }
 """Name -> constructor, whose keywords are the fields of Fault.
 
@@ -196,7 +198,7 @@ state. noise: printable characters without sense.
 """
 
 
-def fault(name: str, **options: Any) -> Fault:
+def fault(name: str, **options: Any) -> WireFault:
     """The fault of that name; raises OptionError for a name that there is not."""
     if name not in FAULTS:
         raise OptionError(f"no fault is called {name!r}; there are {', '.join(FAULTS)}")

@@ -10,17 +10,17 @@ from collections import deque
 from collections.abc import Mapping
 
 from ctr_nlp.exceptions import OptionError
-from ctr_nlp.hardware.emulator.controller.commands import Commands
+from ctr_nlp.hardware.emulator.controller.commands import CommandInterpreter
 from ctr_nlp.hardware.emulator.gcode import Refused
 from ctr_nlp.hardware.emulator.reports import BUTTONS
 
 SLICE_S = 0.01
 """How often lines that wait for room are tried again; the planner makes room a block at a time."""
 
-QUERIES = (ord("?"), 0x05, 0x80, 0x87)
-RESUME = (ord("~"), 0x81)
-HOLD = (ord("!"), 0x82)
-RESET, STOP, JOG_CANCEL = 0x18, 0x19, 0x85
+STATUS_QUERY_BYTES = (ord("?"), 0x05, 0x80, 0x87)
+RESUME_BYTES = (ord("~"), 0x81)
+HOLD_BYTES = (ord("!"), 0x82)
+RESET_BYTE, STOP_BYTE, JOG_CANCEL_BYTE = 0x18, 0x19, 0x85
 IN_LINES = b"\b\n\r"
 """Control characters that belong to lines."""
 
@@ -30,7 +30,7 @@ RELAXATION = 0.5
 """How far the load then pushes a motor, in mm or deg; the firmware does not see it."""
 
 LONGEST_LINE = 256
-TOO_LONG = 14
+ERROR_LINE_TOO_LONG = 14
 
 
 def is_realtime(byte: int) -> bool:
@@ -38,7 +38,7 @@ def is_realtime(byte: int) -> bool:
     return byte in b"?!~" or byte >= 0x7F or (byte < 0x20 and byte not in IN_LINES)
 
 
-class Firmware(Commands):
+class Firmware(CommandInterpreter):
     """A controller that has just been switched on.
 
     settings: changes to those of a configured machine, by number. homed: start homed, at the pull-off.
@@ -73,21 +73,21 @@ class Firmware(Commands):
 
     def _act(self, byte: int) -> None:
         """Do what a realtime character asks for, where the state allows it."""
-        if byte in QUERIES:
+        if byte in STATUS_QUERY_BYTES:
             if self.state == "Home":
                 self.report_due = True
             else:
                 self.report()
-        elif byte == RESET:
+        elif byte == RESET_BYTE:
             self.reset()
-        elif byte in HOLD:
+        elif byte in HOLD_BYTES:
             self.hold()
-        elif byte in RESUME:
+        elif byte in RESUME_BYTES:
             self.resume()
             self._work()
-        elif byte == STOP:
+        elif byte == STOP_BYTE:
             self.stop()
-        elif byte == JOG_CANCEL:
+        elif byte == JOG_CANCEL_BYTE:
             self.cancel_jog()
         else:
             self.override(self.motion.overrides.after(byte))
@@ -154,7 +154,7 @@ class Firmware(Commands):
 
     def _work(self) -> None:
         """Obey lines of the receive buffer as long as nothing stops it."""
-        while not self._blocked():
+        while not self._is_blocked():
             if self.pending:
                 attempt = self.pending
                 if not attempt():
@@ -170,7 +170,7 @@ class Firmware(Commands):
                 self.state = "Jog" if self.motion.blocks[0].jog else "Run"
             self.motion.start()
 
-    def _blocked(self) -> bool:
+    def _is_blocked(self) -> bool:
         return self.state in ("Hold", "Home") or self.time < self._stalled_until or self.when_stopped is not None
 
     def _answer(self, text: str) -> None:
@@ -185,7 +185,7 @@ class Firmware(Commands):
             if not text:
                 self.ok()
             elif len(text) > LONGEST_LINE:
-                raise Refused(TOO_LONG)
+                raise Refused(ERROR_LINE_TOO_LONG)
             elif text.startswith("$"):
                 self.command(text[1:].strip())
             else:

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 RX_BYTES = 1023
 RETURN, NEWLINE = 0x0D, 0x0A
 
-AXES = "XYZABC"
+EMULATED_AXIS_LETTERS = "XYZABC"
 LINEAR = 3
 """The first axes are in mm (or inches); the others are in degrees, whatever the units."""
 
@@ -18,7 +18,7 @@ UNSUPPORTED, SAME_GROUP, NO_FEED, AXIS_CONFLICT, REPEATED, LINE_NUMBER = 20, 21,
 NO_MOTION_MODE, NO_PLANE_WORDS, UNUSED = 31, 35, 36
 HIGHEST_LINE = 9_999_999
 
-GROUPS: dict[float, str] = {
+GCODE_MODAL_GROUPS: dict[float, str] = {
     code: group
     for group, codes in {
         "motion": (0, 1, 80),
@@ -41,7 +41,7 @@ WORD = re.compile(r"([A-Z])([^A-Z]*)")
 NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)$")
 
 
-class Lines:
+class ReceiveBuffer:
     """Bytes that have come, and the line that is being read. CR, LF or both end a line."""
 
     def __init__(self) -> None:
@@ -55,7 +55,7 @@ class Lines:
         return len(self._buffer)
 
     @property
-    def begun(self) -> int:
+    def unfinished_bytes(self) -> int:
         """Bytes read of a line whose end has not come."""
         return len(self._line)
 
@@ -112,7 +112,7 @@ class Modal:
 
 
 @dataclass(frozen=True)
-class Line:
+class GcodeLine:
     """A line read: its modal state after it, and what it asks for once.
 
     axes: value by axis index, mm or deg. dwell: s. ends: whether it is the program's end.
@@ -143,7 +143,7 @@ def words(text: str) -> list[tuple[str, float]]:
     return found
 
 
-def read(text: str, modal: Modal, jog: bool = False) -> Line:
+def read(text: str, modal: Modal, jog: bool = False) -> GcodeLine:
     """A line in the light of what came before. Raises Refused with the firmware's error number."""
     values: dict[str, float] = {}
     groups: set[str] = set()
@@ -151,7 +151,7 @@ def read(text: str, modal: Modal, jog: bool = False) -> Line:
     ends = False
     for letter, value in words(text):
         if letter == "G":
-            group = GROUPS.get(value)
+            group = GCODE_MODAL_GROUPS.get(value)
             if value in (2, 3):
                 raise Refused(NO_PLANE_WORDS)
             if group is None:
@@ -174,11 +174,13 @@ def read(text: str, modal: Modal, jog: bool = False) -> Line:
         raise Refused(LINE_NUMBER)
     if jog:
         modal = replace(modal, motion=1, inverse_time=False, feed=0.0)
-    return _applied(modal, codes, values, ends, jog)
+    return _build_line(modal, codes, values, ends, jog)
 
 
-def _applied(modal: Modal, codes: dict[str, float], values: dict[str, float], ends: bool, jog: bool) -> Line:
-    axes = {i: values.pop(letter) for i, letter in enumerate(AXES) if letter in values}
+def _build_line(
+    modal: Modal, codes: dict[str, float], values: dict[str, float], ends: bool, jog: bool
+) -> GcodeLine:
+    axes = {i: values.pop(letter) for i, letter in enumerate(EMULATED_AXIS_LETTERS) if letter in values}
     number = values.pop("N", None)
     feed = values.pop("F", None)
     dwell = values.pop("P", 0.0) if codes.get("once") == 4 else 0.0
@@ -199,4 +201,4 @@ def _applied(modal: Modal, codes: dict[str, float], values: dict[str, float], en
         raise Refused(NO_FEED)
     axes = {i: value * (scale if i < LINEAR else 1.0) for i, value in axes.items()}
     after = Modal(motion, inverse_time, absolute, inches, kept)
-    return Line(after, axes, None if number is None else int(number), dwell, ends)
+    return GcodeLine(after, axes, None if number is None else int(number), dwell, ends)

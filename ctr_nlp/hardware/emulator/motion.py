@@ -1,7 +1,7 @@
 """Motors that execute what is planned, segment by segment.
 
-PREPARED segments are worked out ahead of what the motors execute, which is why a feed hold takes effect some
-0.09 s late and reported speed runs ahead of reported position. Lengths in mm or deg, times in s.
+PREPARED_SEGMENTS segments are worked out ahead of what the motors execute, which is why a feed hold takes effect
+some 0.09 s late and reported speed runs ahead of reported position. Lengths in mm or deg, times in s.
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ from ctr_nlp.hardware.emulator.planner import (
     ramp,
 )
 
-PREPARED = 9
+PREPARED_SEGMENTS = 9
 """Segments prepared, the one being executed among them."""
 
 
-class Motion:
+class EmulatedMotors:
     """Plans blocks, prepares segments and executes them. position: (6,), where the motors are.
 
     limits: those that hold now; what is planned keeps its own.
@@ -67,7 +67,7 @@ class Motion:
         return BLOCKS - len(self.blocks)
 
     @property
-    def halted(self) -> bool:
+    def is_halted(self) -> bool:
         """Whether a hold has come to a standstill."""
         return self.holding and not self.running
 
@@ -96,12 +96,12 @@ class Motion:
         for block in self.blocks:
             block.override(overrides, before)
             before = block.speed
-        self._look_ahead(anew=True)
+        self._look_ahead(recompute_all=True)
 
-    def _look_ahead(self, anew: bool = False) -> None:
+    def _look_ahead(self, recompute_all: bool = False) -> None:
         """Set the highest entry speeds from which every later block, and the end, can still be reached.
 
-        anew: all of them, not only those that the last block changes.
+        recompute_all: all of them, not only those that the last block changes.
         """
         if not self.blocks:
             return
@@ -109,7 +109,7 @@ class Motion:
         leaving = 0.0
         for later in reversed(later_blocks):
             entry = min(later.highest_entry, leaving + 2 * later.acceleration * later.remaining)
-            if entry == later.entry and later is not self.blocks[-1] and not anew:
+            if entry == later.entry and later is not self.blocks[-1] and not recompute_all:
                 break
             later.enter(entry)
             leaving = entry
@@ -120,7 +120,7 @@ class Motion:
 
     def _prepare(self) -> None:
         """Fill the segment buffer from the blocks."""
-        while self.blocks and len(self.segments) < PREPARED and not self._stopped:
+        while self.blocks and len(self.segments) < PREPARED_SEGMENTS and not self._stopped:
             block = self.blocks[0]
             covered = block.length - block.remaining
             if self.holding and self.running:

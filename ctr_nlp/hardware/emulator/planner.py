@@ -149,7 +149,7 @@ def ramp(speed: float, rest: float, block: Block, leaving: float) -> tuple[float
         braking = (speed * speed - leaving * leaving) / (2 * acceleration)
         if braking >= ahead - LEAST_STEP_MM:
             end = math.sqrt(max(speed * speed - 2 * acceleration * ahead, leaving * leaving))
-            length, speed, time = _braked(speed, end, ahead, acceleration, left)
+            length, speed, time = _brake_to_speed(speed, end, ahead, acceleration, left)
             return covered + length, speed, SEGMENT_S - left + time
         if speed > nominal:
             time = min((speed - nominal) / acceleration, left)
@@ -167,7 +167,7 @@ def ramp(speed: float, rest: float, block: Block, leaving: float) -> tuple[float
                 left -= time
                 if peak < nominal and left > 0:
                     # At the top of a triangle only rounding is between rising and falling.
-                    length, speed, time = _braked(speed, leaving, rest - covered, acceleration, left)
+                    length, speed, time = _brake_to_speed(speed, leaving, rest - covered, acceleration, left)
                     return covered + length, speed, SEGMENT_S - left + time
                 continue
         time = min((ahead - max(braking, 0.0)) / speed, left)
@@ -178,7 +178,7 @@ def ramp(speed: float, rest: float, block: Block, leaving: float) -> tuple[float
     return covered, speed, SEGMENT_S - left
 
 
-def _braked(
+def _brake_to_speed(
     speed: float, end: float, ahead: float, acceleration: float, left: float
 ) -> tuple[float, float, float]:
     """(length, speed, time taken) of slowing down to a speed over a length ahead, for the time left at most."""

@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
 
-from ctr_nlp.hardware.emulator.gcode import AXES, BAD_NUMBER, NEGATIVE, Modal, Refused
+from ctr_nlp.hardware.emulator.gcode import BAD_NUMBER, EMULATED_AXIS_LETTERS, NEGATIVE, Modal, Refused
 from ctr_nlp.hardware.emulator.planner import AxisLimits, Overrides
 
 NO_SUCH_SETTING, NEEDS_HOMING = 53, 10
 
-SHOWN = (
+CONFIGURED_MACHINE_SETTINGS = (
     "0=5.0 1=255 2=0 3=0 4=63 5=0 6=0 9=1 10=511 11=0.100 12=0.002 13=0 14=0 15=0 17=0 18=0 19=0 20=0 21=0 22=0 "
     "23=0 24=25.0 25=500.0 26=250 27=1.000 28=0.100 29=0.0 30=1000.000 31=0.000 32=0 33=5000.0 34=0.0 35=0.0 "
     "36=100.0 37=0 39=1 40=0 41=0 42=2 43=1 44=4 45=3 46=0 47=0 48=0 49=0 56=5.0 57=100.0 58=-5.0 59=500.0 60=0 "
@@ -26,13 +26,15 @@ SHOWN = (
 
 The junction deviation $11 is ten times that of a controller as it is delivered, as playing needs it.
 """
-_TEXTS = {int(key): value for key, _, value in (pair.partition("=") for pair in SHOWN.split())}
-DEFAULTS = {number: float(text) for number, text in _TEXTS.items()}
-DECIMALS = {number: len(text.partition(".")[2]) for number, text in _TEXTS.items()}
+_SETTING_TEXTS = {
+    int(key): value for key, _, value in (pair.partition("=") for pair in CONFIGURED_MACHINE_SETTINGS.split())
+}
+DEFAULT_CONTROLLER_SETTINGS = {number: float(text) for number, text in _SETTING_TEXTS.items()}
+SETTING_DECIMALS = {number: len(text.partition(".")[2]) for number, text in _SETTING_TEXTS.items()}
 
 BANNER = "\r\nGrblHAL 1.1f ['$' or '$HELP' for help]"
 UNLOCK = "[MSG:'$H'|'$X' to unlock]"
-VERSION = (
+FIRMWARE_IDENTITY_LINES = (
     "[VER:1.1f.20260709:]",
     "[OPT:VNML+,100,1024,6,0]",
     "[AXS:6:XYZABC]",
@@ -44,10 +46,10 @@ VERSION = (
     "[DRIVER VERSION:260324]",
 )
 HELP = "[HLP:$$ $# $G $I $N $x=val $Nx=line $J=line $SLP $C $X $H $B ~ ! ? ctrl-x]"
-BUTTONS = {**{f"limit_{letter.lower()}": letter for letter in AXES}, "estop": "L", "reset": "R"}
+BUTTONS = {**{f"limit_{letter.lower()}": letter for letter in EMULATED_AXIS_LETTERS}, "estop": "L", "reset": "R"}
 """Button -> its letter in status reports, in the order of the letters there."""
 OFFSETS = ("G54", "G55", "G56", "G57", "G58", "G59", "G59.1", "G59.2", "G59.3", "G28", "G30", "G92")
-ZERO = "0.000,0.000,0.000,0.000,0.000,0.000"
+ZERO_OFFSETS_TEXT = "0.000,0.000,0.000,0.000,0.000,0.000"
 
 IDLE_REPORTS = 10
 BUSY_OFFSET_REPORTS, BUSY_OVERRIDE_REPORTS = 30, 20
@@ -58,11 +60,11 @@ class ControllerSettings(dict[int, float]):
     """Setting number -> value, in the firmware's units (mm/min, mm/s^2, steps/mm)."""
 
     def __init__(self, changed: Mapping[int, float] | None = None) -> None:
-        super().__init__({**DEFAULTS, **(changed or {})})
+        super().__init__({**DEFAULT_CONTROLLER_SETTINGS, **(changed or {})})
 
-    def shown(self, number: int) -> str:
+    def format_setting(self, number: int) -> str:
         """The line that the firmware prints for a setting."""
-        return f"${number}={self[number]:.{DECIMALS.get(number, 3)}f}"
+        return f"${number}={self[number]:.{SETTING_DECIMALS.get(number, 3)}f}"
 
     def change(self, text: str) -> int:
         """Apply `n=value`; returns n. Soft limits need homing. Raises Refused with the error number."""
@@ -106,9 +108,14 @@ def modes(modal: Modal) -> list[str]:
 
 def offsets(settings: ControllerSettings, homed: Collection[int]) -> list[str]:
     """The answer to $#; homed: axes by index."""
-    home = ",".join(f"{-settings[27] if i in homed else 0.0:.3f}" for i in range(len(AXES)))
+    home = ",".join(f"{-settings[27] if i in homed else 0.0:.3f}" for i in range(len(EMULATED_AXIS_LETTERS)))
     homes = [f"[HOME:{home}:{sum(1 << i for i in homed)}]"] if homed else []
-    return [*(f"[{name}:{ZERO}]" for name in OFFSETS), *homes, f"[TLO:{ZERO}]", f"[PRB:{ZERO}:0]"]
+    return [
+        *(f"[{name}:{ZERO_OFFSETS_TEXT}]" for name in OFFSETS),
+        *homes,
+        f"[TLO:{ZERO_OFFSETS_TEXT}]",
+        f"[PRB:{ZERO_OFFSETS_TEXT}:0]",
+    ]
 
 
 @dataclass
@@ -163,7 +170,7 @@ class Status:
         else:
             self.until_offset = (BUSY_OFFSET_REPORTS if busy else IDLE_REPORTS) - 1
             self.until_overrides = max(self.until_overrides, 1)
-            parts.append(f"WCO:{ZERO}")
+            parts.append(f"WCO:{ZERO_OFFSETS_TEXT}")
         if self.until_overrides > 0:
             self.until_overrides -= 1
         else:

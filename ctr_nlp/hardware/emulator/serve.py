@@ -12,9 +12,9 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 
 from ctr_nlp.exceptions import OptionError
-from ctr_nlp.hardware.emulator.faults import Fault
+from ctr_nlp.hardware.emulator.faults import WireFault
 from ctr_nlp.hardware.emulator.firmware import Firmware
-from ctr_nlp.hardware.emulator.wire import Line
+from ctr_nlp.hardware.emulator.wire import SerialLine
 
 LOOPBACK = "127.0.0.1"
 TICK_S = 0.002
@@ -31,7 +31,7 @@ class TcpPort:
         self._host: socket.socket | None = None
         self.url = f"socket://{LOOPBACK}:{self._server.getsockname()[1]}"
 
-    def exchange(self, line: Line | None) -> bool:
+    def exchange(self, line: SerialLine | None) -> bool:
         """Move bytes between host and line, within TICK_S; whether a host is connected, the newest."""
         watched = [self._server, *([self._host] if self._host else [])]
         ready, _, _ = select.select(watched, [], [], TICK_S)
@@ -77,7 +77,7 @@ class PtyPort:
         os.set_blocking(self._device, False)
         self.url = os.ttyname(self._kept_open)
 
-    def exchange(self, line: Line | None) -> bool:
+    def exchange(self, line: SerialLine | None) -> bool:
         """Always connected: a pseudo-terminal does not tell who listens."""
         if line is None:
             return True
@@ -110,16 +110,16 @@ def open_port(kind: str, number: int = 0) -> Port:
     return PtyPort() if kind == "pty" else TcpPort(number)
 
 
-def run(firmware: Firmware, port: Port, stop: threading.Event, faults: tuple[Fault, ...] = ()) -> None:
+def run(firmware: Firmware, port: Port, stop: threading.Event, faults: tuple[WireFault, ...] = ()) -> None:
     """Serve in real time until told to stop. Faults strike the first connection; the next lines are clean."""
-    line: Line | None = None
-    idle = Line(firmware)
+    line: SerialLine | None = None
+    idle = SerialLine(firmware)
     last = time.monotonic()
     opened = False
     while not stop.is_set():
         connected = port.exchange(line)
         if connected and line is None:
-            line = Line(firmware, () if opened else faults)
+            line = SerialLine(firmware, () if opened else faults)
             opened = True
             firmware.take()
         elif not connected:
@@ -135,7 +135,7 @@ def run(firmware: Firmware, port: Port, stop: threading.Event, faults: tuple[Fau
 
 
 @contextmanager
-def serving(firmware: Firmware, kind: str = "tcp", faults: tuple[Fault, ...] = ()) -> Iterator[str]:
+def serving(firmware: Firmware, kind: str = "tcp", faults: tuple[WireFault, ...] = ()) -> Iterator[str]:
     """Serve in a thread; gives the URL to connect to. kind: "tcp" or "pty"."""
     port = open_port(kind)
     stop = threading.Event()

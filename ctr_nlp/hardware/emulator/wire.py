@@ -16,7 +16,7 @@ STEP_S = 0.001
 
 
 @dataclass(frozen=True)
-class Fault:
+class WireFault:
     """A fault that strikes once either moment has come.
 
     name: its entry in FAULTS (faults.py). at: s since the firmware was switched on. after_bytes: sent by the host
@@ -25,7 +25,7 @@ class Fault:
     """
 
     name: str
-    strike_line: Callable[[Line, Fault], None]
+    strike_line: Callable[[SerialLine, WireFault], None]
     at: float = math.inf
     after_bytes: float = math.inf
     seconds: float = math.inf
@@ -33,7 +33,7 @@ class Fault:
     choice: float = 0.3
     data: bytes = b""
 
-    def strike(self, line: Line) -> None:
+    def strike(self, line: SerialLine) -> None:
         """Do what it does to a line or the firmware at its end."""
         self.strike_line(line, self)
 
@@ -43,7 +43,7 @@ class VirtualClock:
 
     def __init__(self) -> None:
         self._now = 0.0
-        self.lines: dict[Firmware, Line] = {}
+        self.lines: dict[Firmware, SerialLine] = {}
         """The latest line to each firmware."""
 
     def now(self) -> float:
@@ -60,13 +60,13 @@ class VirtualClock:
                 line.advance(step)
 
 
-class Line:
+class SerialLine:
     """The two directions of a serial line between a host and the firmware, with the faults on it.
 
     Bytes take their time. Whoever owns it calls advance() and moves bytes in and out.
     """
 
-    def __init__(self, firmware: Firmware, faults: tuple[Fault, ...] = ()) -> None:
+    def __init__(self, firmware: Firmware, faults: tuple[WireFault, ...] = ()) -> None:
         self.firmware = firmware
         self.time = 0.0
         self.sent_bytes = 0
@@ -167,12 +167,12 @@ class Wire:
     faults: struck on this connection at their moments.
     """
 
-    def __init__(self, firmware: Firmware, clock: VirtualClock, faults: tuple[Fault, ...] = ()) -> None:
+    def __init__(self, firmware: Firmware, clock: VirtualClock, faults: tuple[WireFault, ...] = ()) -> None:
         before = clock.lines.get(firmware)
         if before is not None:
             before.drop()
             firmware.take()
-        self.line = clock.lines[firmware] = Line(firmware, faults)
+        self.line = clock.lines[firmware] = SerialLine(firmware, faults)
         self.clock = clock
 
     def write(self, data: bytes) -> None:

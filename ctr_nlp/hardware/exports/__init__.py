@@ -11,12 +11,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from ctr_nlp.exceptions import HardwareError
-from ctr_nlp.hardware.arm.kinematics import joints
+from ctr_nlp.hardware.arm.kinematics import inverse_kinematics
 from ctr_nlp.hardware.exports.urscript import write_urscript
-from ctr_nlp.hardware.motion.gcode import OPENING, gcode_text
+from ctr_nlp.hardware.motion.gcode import GCODE_FILE_OPENING, gcode_text
 from ctr_nlp.hardware.motion.trajectory import Trajectory
 
-DECIMALS = 9
+CSV_EXPORT_DECIMALS = 9
 """Of numbers in the table."""
 
 PERIOD = 0.008
@@ -40,8 +40,10 @@ def csv_text(trajectory: Trajectory) -> str:
     writer.writerow(["time_s", "frame", "at_frame", *names, *axes])
     reached = [True, *(np.diff(frame) > 0)[1:], True]
     for t, number, there, row in zip(time, frame, reached, values, strict=True):
-        numbers = [f"{value:.{DECIMALS}f}" for value in np.round(row, DECIMALS) + 0.0]  # no minus before a zero
-        writer.writerow([f"{t:.{DECIMALS}f}", number, int(there), *numbers])
+        numbers = [
+            f"{value:.{CSV_EXPORT_DECIMALS}f}" for value in np.round(row, CSV_EXPORT_DECIMALS) + 0.0
+        ]  # no minus before a zero
+        writer.writerow([f"{t:.{CSV_EXPORT_DECIMALS}f}", number, int(there), *numbers])
     return file.getvalue()
 
 
@@ -50,13 +52,13 @@ def _urscript(trajectory: Trajectory, title: str) -> str:
     if holder is None:
         raise HardwareError("this hardware has no arm, so that there is nothing to write for one")
     time = PERIOD * np.arange(np.ceil(trajectory.duration / PERIOD - 1e-6) + 1)
-    sampled = joints(holder, trajectory.tilt(time))
+    sampled = inverse_kinematics(holder, trajectory.tilt(time))
     name = re.sub(r"\W", "_", f"ctr_nlp_{title}", flags=re.ASCII)
     return write_urscript(time, sampled, period=PERIOD, name=name)
 
 
 @dataclass(frozen=True)
-class Text:
+class TextFormat:
     """A format of one file. of: (trajectory, title) to what is in it; opening: with which that begins."""
 
     of: Callable[[Trajectory, str], str]
@@ -64,14 +66,14 @@ class Text:
     opening: str
 
 
-TEXTS = {
-    "csv": Text(lambda trajectory, title: csv_text(trajectory), ".csv", "time_s,frame,at_frame,"),
-    "gcode": Text(gcode_text, ".gcode", OPENING),
-    "urscript": Text(_urscript, ".script", "def ctr_nlp_"),
+MACHINE_TEXT_FORMATS = {
+    "csv": TextFormat(lambda trajectory, title: csv_text(trajectory), ".csv", "time_s,frame,at_frame,"),
+    "gcode": TextFormat(gcode_text, ".gcode", GCODE_FILE_OPENING),
+    "urscript": TextFormat(_urscript, ".script", "def ctr_nlp_"),
 }
 """Formats of one file, by name."""
 
 BAG = "rosbag2"
 """The format that is a folder; see rosbag2.py."""
 
-FORMATS = (*TEXTS, BAG)
+MACHINE_FORMATS = (*MACHINE_TEXT_FORMATS, BAG)

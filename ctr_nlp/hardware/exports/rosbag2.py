@@ -9,23 +9,23 @@ import numpy as np
 from scipy.interpolate import BPoly, CubicHermiteSpline
 
 from ctr_nlp.exceptions import OptionError
-from ctr_nlp.hardware.motion.lookahead import LONGEST
+from ctr_nlp.hardware.motion.lookahead import MAX_PIECE_DURATION_S
 from ctr_nlp.hardware.motion.trajectory import Trajectory
-from ctr_nlp.support.extras import needed
+from ctr_nlp.support.extras import import_extra
 from ctr_nlp.typing import Array
 
 STORAGES = ("mcap", "sqlite3")
 """What bags may be kept in: mcap is what ROS records since Iron, sqlite3 what Humble reads without a plugin."""
 
-TRAJECTORY, STATES = "/ctr/joint_trajectory", "/ctr/joint_states"
+JOINT_TRAJECTORY_TOPIC, JOINT_STATES_TOPIC = "/ctr/joint_trajectory", "/ctr/joint_states"
 
-VERSION = 8
+BAG_FORMAT_VERSION = 8
 """Of the bag's format: the last whose metadata Humble can read too."""
 
-TOLERANCE = 0.005
+BAG_INTERPOLATION_TOLERANCE_MM = 0.005
 """mm, with angles counted as in the motion term: what interpolation between points may be off the trajectory."""
 
-BETWEEN = np.linspace(0.0, 1.0, 9)[1:-1]
+INTERPOLATION_CHECK_FRACTIONS = np.linspace(0.0, 1.0, 9)[1:-1]
 
 
 def write_bag(trajectory: Trajectory, title: str, folder: Path, storage: str = "mcap") -> None:
@@ -37,14 +37,16 @@ def write_bag(trajectory: Trajectory, title: str, folder: Path, storage: str = "
     """
     if storage not in STORAGES:
         raise OptionError(f"storage is {storage!r}; it must be {' or '.join(STORAGES)}")
-    bags, typesys = needed("rosbags.rosbag2"), needed("rosbags.typesys")
+    bags, typesys = import_extra("rosbags.rosbag2"), import_extra("rosbags.typesys")
     store = typesys.get_typestore(typesys.Stores.LATEST)
-    with bags.Writer(folder, version=VERSION, storage_plugin=bags.StoragePlugin[storage.upper()]) as bag:
+    with bags.Writer(
+        folder, version=BAG_FORMAT_VERSION, storage_plugin=bags.StoragePlugin[storage.upper()]
+    ) as bag:
         bag.set_custom_data("ctr_nlp.plan", title)
         bag.set_custom_data("ctr_nlp.digest", trajectory.digests.plan)
         for topic, messages in (
-            (TRAJECTORY, [(0.0, _trajectory_message(store.types, trajectory))]),
-            (STATES, _states(store.types, trajectory)),
+            (JOINT_TRAJECTORY_TOPIC, [(0.0, _trajectory_message(store.types, trajectory))]),
+            (JOINT_STATES_TOPIC, _states(store.types, trajectory)),
         ):
             kind = messages[0][1].__msgtype__
             connection = bag.add_connection(topic, kind, typestore=store)
@@ -85,7 +87,7 @@ def points(trajectory: Trajectory) -> tuple[Array, Array, Array, Array]:
     """Times (N,), q, velocities and accelerations (N, 2d + 2), in s, rad, mm, with frames among them.
 
     So dense that both cubic and quintic interpolation, what a controller does with velocities, and with
-    accelerations as well, stay within TOLERANCE of the trajectory.
+    accelerations as well, stay within BAG_INTERPOLATION_TOLERANCE_MM of the trajectory.
     """
     longest = float("inf")
     while True:
@@ -95,11 +97,14 @@ def points(trajectory: Trajectory) -> tuple[Array, Array, Array, Array]:
             CubicHermiteSpline(time, q, velocity),
             BPoly.from_derivatives(time, np.stack([q, velocity, acceleration], axis=1)),
         )
-        places = (time[:-1, None] + np.diff(time)[:, None] * BETWEEN).ravel()
+        places = (time[:-1, None] + np.diff(time)[:, None] * INTERPOLATION_CHECK_FRACTIONS).ravel()
         true = trajectory.at(places)[0]
-        if max(abs((curve(places) - true) * trajectory.robot.mm_per_unit).max() for curve in curves) <= TOLERANCE:
+        if (
+            max(abs((curve(places) - true) * trajectory.robot.mm_per_unit).max() for curve in curves)
+            <= BAG_INTERPOLATION_TOLERANCE_MM
+        ):
             return time, q, velocity, acceleration
-        longest = min(LONGEST, longest / 2)
+        longest = min(MAX_PIECE_DURATION_S, longest / 2)
 
 
 def _joints(trajectory: Trajectory) -> tuple[list[str], Array]:

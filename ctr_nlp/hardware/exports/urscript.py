@@ -10,11 +10,11 @@ import numpy as np
 from ctr_nlp.exceptions import HardwareError, OptionError
 from ctr_nlp.hardware.arm.description import JOINT_LIMIT
 
-CYCLE = 0.002
+UR_CONTROLLER_CYCLE_S = 0.002
 """s: the controller's own cycle; 0.008 before the e-series."""
-SETTLE = 0.5
+UR_LAST_SAMPLE_HOLD_S = 0.5
 """s for which the last sample is kept, so that the arm, which is behind by the lookahead time, arrives."""
-DECIMALS = 7
+URSCRIPT_ANGLE_DECIMALS = 7
 """Of angles in rad: 0.1 micrometre at a metre."""
 
 
@@ -44,16 +44,16 @@ def write_urscript(
     """
     _check_options(period, lookahead_time, gain, approach_speed, name)
     samples = _samples(time, joints, period)
-    first, last = _listed(samples[0]), _listed(samples[-1])
+    first, last = _format_joints(samples[0]), _format_joints(samples[-1])
     how = f"t={period:g}, lookahead_time={lookahead_time:g}, gain={gain:g}"
     lines = [
         f"def {name}():",
         f"  # {len(samples)} samples, {(len(samples) - 1) * period:.3f} s; speed slider at 100 %",
         f"  movej({first}, a=0.5, v={approach_speed:g})",
         '  popup("At the start. Continue to play, speed slider at 100 %.", title="ctr_nlp", blocking=True)',
-        *(f"  servoj({_listed(sample)}, {how})" for sample in samples),
+        *(f"  servoj({_format_joints(sample)}, {how})" for sample in samples),
         "  i = 0",
-        f"  while i < {math.ceil(SETTLE / period)}:",
+        f"  while i < {math.ceil(UR_LAST_SAMPLE_HOLD_S / period)}:",
         f"    servoj({last}, {how})",
         "    i = i + 1",
         "  end",
@@ -65,15 +65,17 @@ def write_urscript(
 
 def _check_options(period: float, lookahead_time: float, gain: float, approach_speed: float, name: str) -> None:
     for option, value, low, high in (
-        ("period", period, CYCLE, 0.1),
+        ("period", period, UR_CONTROLLER_CYCLE_S, 0.1),
         ("lookahead_time", lookahead_time, 0.03, 0.2),
         ("gain", gain, 100.0, 2000.0),
         ("approach_speed", approach_speed, 0.01, 1.0),
     ):
         if not low <= value <= high:
             raise OptionError(f"{option} is {value!r}; it must lie in [{low:g}, {high:g}]")
-    if abs(period / CYCLE - round(period / CYCLE)) > 1e-9:
-        raise OptionError(f"period is {period:g} s; it must be a multiple of {CYCLE:g} s, the controller's cycle")
+    if abs(period / UR_CONTROLLER_CYCLE_S - round(period / UR_CONTROLLER_CYCLE_S)) > 1e-9:
+        raise OptionError(
+            f"period is {period:g} s; it must be a multiple of {UR_CONTROLLER_CYCLE_S:g} s, the controller's cycle"
+        )
     if not (name.isascii() and name.isidentifier()):
         raise OptionError(f"name is {name!r}; it must be letters, digits and underscores")
 
@@ -99,5 +101,5 @@ def _samples(time: Any, joints: Any, period: float) -> Any:
     return joints
 
 
-def _listed(joints: Any) -> str:
-    return "[" + ", ".join(f"{value:.{DECIMALS}f}" for value in joints) + "]"
+def _format_joints(joints: Any) -> str:
+    return "[" + ", ".join(f"{value:.{URSCRIPT_ANGLE_DECIMALS}f}" for value in joints) + "]"

@@ -9,16 +9,16 @@ from scipy.interpolate import CubicHermiteSpline
 
 from ctr_nlp.hardware.guiding.leeway import Leeway
 from ctr_nlp.hardware.motion.trajectory import Patch, Trajectory
-from ctr_nlp.hardware.playing.checks import checked
+from ctr_nlp.hardware.playing.checks import check_trajectory
 from ctr_nlp.loops.sensors import Reading
 from ctr_nlp.loops.tracker import Tracker
 from ctr_nlp.typing import Array
 
-FIRST = 2
+FIRST_CORRECTED_KNOT = 2
 """The first knot that may be corrected: what comes before is given when the motion begins."""
 
 
-class Course:
+class CorrectedTrajectory:
     """From a trajectory with a share below 1, led by a tracker.
 
     trajectory: as corrected. Beyond the last knot that was corrected it goes back to what it was at first, so that
@@ -34,7 +34,7 @@ class Course:
         self._planned = path(self.leeway.knots)
         self._offsets = np.zeros_like(self._planned)
         self._time = 0.0
-        tracker.led(before)
+        tracker.apply_past_motion(before)
 
     def joints(self, time: float, position: Array) -> Array:
         """The q (2d + 2,) of axes that are found at a position (m,) at a time of the trajectory, s."""
@@ -59,13 +59,13 @@ class Course:
         low, high = self.leeway.box(knot, before)
         planned = self._planned[knot]
         frame, last = (int(self.leeway.frames[k]) - 1 for k in (knot, knot - 1))
-        wanted = self.tracker.wanted(frame, last, ahead, planned + low, planned + high)
-        offset = self.leeway.within(knot, before, wanted - planned)
-        self._offsets[knot:] = self.leeway.back(knot, offset)
+        wanted = self.tracker.compute_command(frame, last, ahead, planned + low, planned + high)
+        offset = self.leeway.nearest_allowed_offset(knot, before, wanted - planned)
+        self._offsets[knot:] = self.leeway.offsets_back_to_plan(knot, offset)
         patch = self._patch()
-        self.trajectory = self.trajectory.patched(patch)
+        self.trajectory = self.trajectory.apply_patch(patch)
         first, last = np.searchsorted(s, knots[knot - 1 : knot + 1])
-        checked(self.trajectory, stretch=slice(int(first), int(last) + 1))
+        check_trajectory(self.trajectory, stretch=slice(int(first), int(last) + 1))
         return patch
 
     def _patch(self) -> Patch:

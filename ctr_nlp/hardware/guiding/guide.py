@@ -8,26 +8,26 @@ from typing import NamedTuple
 import numpy as np
 
 from ctr_nlp.exceptions import TrajectoryError
-from ctr_nlp.hardware.devices import Progress
-from ctr_nlp.hardware.guiding.course import FIRST, Course
+from ctr_nlp.hardware.devices import MotionProgress
+from ctr_nlp.hardware.guiding.course import FIRST_CORRECTED_KNOT, CorrectedTrajectory
 from ctr_nlp.hardware.journal import Journal
 from ctr_nlp.hardware.motion.trajectory import Trajectory
 from ctr_nlp.hardware.sensing.source import Source
 from ctr_nlp.loops.sensors import Reading
-from ctr_nlp.loops.tracker import Note, State
+from ctr_nlp.loops.tracker import Note, TrackerState
 from ctr_nlp.typing import Array
 
 SHARE = 0.5
 """Of the largest speeds and accelerations that a plan has in a closed loop; the rest is for corrections."""
 
-CYCLE = 0.1
+SENSING_PERIOD_S = 0.1
 """s between two looks at sensors."""
 
 SOON = 0.1
 """s before the device is given what leads to a knot at which that is corrected."""
 
 
-class Estimated(NamedTuple):
+class RobotEstimate(NamedTuple):
     """What was known at a time, s of the clock: mean (k,) and deviations (k,) of the robot's differences.
 
     size: the mean square of the innovations of the last reading, in expected deviations, NaN where there was none.
@@ -42,48 +42,50 @@ class Estimated(NamedTuple):
 
 
 class Guide:
-    """Leads one trajectory; told: called with what the operator must know, at once.
+    """Leads one trajectory; notify: called with what the operator must know, at once.
 
     wrong: why the motion must stop, "" where nothing speaks against it. estimates: what was known, in order.
     """
 
-    def __init__(self, course: Course, source: Source, journal: Journal, told: Callable[[Note], None]) -> None:
-        self._course, self._source, self._journal, self._told = course, source, journal, told
-        self._looked, self._knot, self._notes = -np.inf, FIRST, len(course.tracker.notes)
-        self.wrong, self.estimates = "", list[Estimated]()
+    def __init__(
+        self, course: CorrectedTrajectory, source: Source, journal: Journal, notify: Callable[[Note], None]
+    ) -> None:
+        self._course, self._source, self._journal, self._told = course, source, journal, notify
+        self._looked, self._knot, self._notes = -np.inf, FIRST_CORRECTED_KNOT, len(course.tracker.notes)
+        self.wrong, self.estimates = "", list[RobotEstimate]()
 
-    def look(self, progress: Progress, given: float) -> Trajectory:
-        """The trajectory as corrected by now; given: how far the device has been given it, s."""
-        if progress.stamp >= self._looked + CYCLE:
+    def look(self, progress: MotionProgress, committed_time: float) -> Trajectory:
+        """The trajectory as corrected by now; committed_time: how far the device has been given it, s."""
+        if progress.stamp >= self._looked + SENSING_PERIOD_S:
             self._observe(progress)
         leeway = self._course.leeway
         while not self.wrong and self._knot < len(leeway.knots):
             begin = leeway.time[self._knot - 1]
-            if begin > given + SOON:
+            if begin > committed_time + SOON:
                 break
-            if begin >= given:
+            if begin >= committed_time:
                 self._correct(self._knot)
             self._knot += 1
         return self._course.trajectory
 
-    def _observe(self, progress: Progress) -> None:
+    def _observe(self, progress: MotionProgress) -> None:
         """Take what sensors have told; everything is in the journal before it counts."""
         now, self._looked = progress.stamp, progress.stamp
         q = self._course.joints(progress.time, progress.position)
         readings = self._source.take(q, now)
-        told = [[reading.time, _listed(reading.values)] for reading in readings]
+        told = [[reading.time, _to_json_values(reading.values)] for reading in readings]
         self._journal.record("sensed", time=progress.time, q=q.tolist(), now=now, readings=told)
         self._course.observe(progress.time, q, now, readings)
         self._note()
-        self.estimates.append(self._estimated(now, len(readings)))
+        self.estimates.append(self._current_estimate(now, len(readings)))
 
-    def _estimated(self, now: float, count: int) -> Estimated:
+    def _current_estimate(self, now: float, count: int) -> RobotEstimate:
         tracker = self._course.tracker
         mean, deviation = tracker.observer.mean, np.sqrt(tracker.observer.covariance.diagonal())
         if not count or not tracker.innovations:
-            return Estimated(now, mean, deviation, float("nan"), 0.0)
+            return RobotEstimate(now, mean, deviation, float("nan"), 0.0)
         last = tracker.innovations[-1]
-        return Estimated(now, mean, deviation, last.size, float(last.accepted.mean()))
+        return RobotEstimate(now, mean, deviation, last.size, float(last.accepted.mean()))
 
     def _correct(self, knot: int) -> None:
         """Correct one knot, and record what is needed to go on after a crash."""
@@ -96,7 +98,7 @@ class Guide:
         self._journal.record(
             "corrected",
             knot=knot,
-            patch=patch.told(),
+            patch=patch.to_record(),
             mean=observer.mean.tolist(),
             covariance=observer.covariance.tolist(),
         )
@@ -106,20 +108,20 @@ class Guide:
         """Tell what is new, and stop where the tracker does."""
         notes = self._course.tracker.notes
         for note in notes[self._notes :]:
-            if note.state is State.HELD and self._source.strange:
+            if note.state is TrackerState.UNCORRECTED and self._source.strange:
                 note = note._replace(why=f"{note.why}; what came last is {self._source.strange}")
             self._journal.record("note", state=note.state.value, why=note.why)
             self._told(note)
-            if note.state is State.STOPPED:
+            if note.state is TrackerState.STOPPED:
                 self.wrong = note.why
         self._notes = len(notes)
 
 
-def _listed(values: Array) -> list[float | None]:
+def _to_json_values(values: Array) -> list[float | None]:
     """As JSON has them, None for what is missing."""
     return [value if np.isfinite(value) else None for value in values.tolist()]
 
 
-def readings_of(told: list[list[object]]) -> list[Reading]:
+def readings_of(entries: list[list[object]]) -> list[Reading]:
     """The readings of a journal's record."""
-    return [Reading(float(time), np.array(values, dtype=float)) for time, values in told]  # type: ignore[arg-type]
+    return [Reading(float(time), np.array(values, dtype=float)) for time, values in entries]  # type: ignore[arg-type]

@@ -15,14 +15,14 @@ import numpy.typing as npt
 from ctr_nlp.hardware.motion.trajectory import Trajectory
 from ctr_nlp.typing import Array, Index
 
-STRETCH = 0.2
+MIN_KNOT_SPACING_S = 0.2
 """s between two knots at least: shorter ones would spend the accelerations that are left on stopping between them.
 """
 
-PLACES = 8
+LEEWAY_SAMPLES_PER_FRAME = 8
 """From frame to frame at which the trajectory is looked at."""
 
-ROOM = 1.01
+CORRECTION_SAFETY_FACTOR = 1.01
 """By which a correction is slower than it may be, for what is between places."""
 
 
@@ -33,35 +33,35 @@ class Leeway:
     """
 
     def __init__(self, trajectory: Trajectory) -> None:
-        chosen = _chosen(trajectory.frame_time)
+        chosen = _choose_knots(trajectory.frame_time)
         self.knots, self.frames = trajectory.knots[chosen], trajectory.frames[chosen]
         self.time: Array = trajectory.frame_time[chosen]
-        self._change = _changes(trajectory, self.knots)
-        self._allowed = self._backwards(_rooms(trajectory, self.knots))
+        self._change = _largest_offset_changes(trajectory, self.knots)
+        self._allowed = self._backwards(_bound_offsets(trajectory, self.knots))
 
     def _backwards(self, rooms: Array) -> Array:
         """The offsets (K, n + 1, n + 1) from which allowed ones can be reached at the knot after."""
-        found = [_closed(rooms[-1])]
+        found = [_tighten_bounds(rooms[-1])]
         for room, change in zip(rooms[-2::-1], self._change[:0:-1], strict=True):
             reach = np.append(0.0, change)
-            found.append(_closed(np.minimum(room, found[-1] + reach[:, None] + reach)))
+            found.append(_tighten_bounds(np.minimum(room, found[-1] + reach[:, None] + reach)))
         return np.array(found[::-1])
 
-    def _reached(self, knot: int, before: Array) -> Array:
+    def _reachable_bounds(self, knot: int, before: Array) -> Array:
         """The bounds (n + 1, n + 1) of offsets at a knot, from 1, after that of the knot before."""
         change, bounds = self._change[knot], self._allowed[knot].copy()
         bounds[0, 1:] = np.minimum(bounds[0, 1:], before + change)
         bounds[1:, 0] = np.minimum(bounds[1:, 0], change - before)
-        return _closed(bounds)
+        return _tighten_bounds(bounds)
 
     def box(self, knot: int, before: Array) -> tuple[Array, Array]:
         """The least and the largest offsets (n,) at a knot, from 1, after that of the knot before."""
-        bounds = self._reached(knot, before)
+        bounds = self._reachable_bounds(knot, before)
         return -bounds[1:, 0], bounds[0, 1:]
 
-    def within(self, knot: int, before: Array, wanted: Array) -> Array:
+    def nearest_allowed_offset(self, knot: int, before: Array, wanted: Array) -> Array:
         """An offset (n,) near a wanted one at a knot, from 1, after that of the knot before."""
-        bounds, found = self._reached(knot, before), np.empty_like(wanted)
+        bounds, found = self._reachable_bounds(knot, before), np.empty_like(wanted)
         for j, value in enumerate(wanted, start=1):
             value = min(max(value, -bounds[j, 0]), bounds[0, j])
             bounds[0], bounds[:, 0] = (
@@ -71,27 +71,29 @@ class Leeway:
             found[j - 1] = value
         return found
 
-    def back(self, knot: int, offset: Array) -> Array:
+    def offsets_back_to_plan(self, knot: int, offset: Array) -> Array:
         """The offsets (K - knot, n) from a knot on, of a robot that goes back from one there to the trajectory."""
         found = np.zeros((len(self.knots) - knot, len(offset)))
         found[0] = offset
         for later in range(1, len(found)):
             if not found[later - 1].any():
                 break
-            found[later] = self.within(knot + later, found[later - 1], np.zeros_like(offset))
+            found[later] = self.nearest_allowed_offset(knot + later, found[later - 1], np.zeros_like(offset))
         return found
 
 
-def _chosen(time: Array) -> Index:
-    """Of frames passed at times (T,), those that are STRETCH apart at least, the first and last among them."""
+def _choose_knots(time: Array) -> Index:
+    """Of frames passed at times (T,), those that are MIN_KNOT_SPACING_S apart at least, the first and last among
+    them.
+    """
     found = [0]
     for k, each in enumerate(time):
-        if each >= time[found[-1]] + STRETCH and time[-1] - each >= STRETCH:
+        if each >= time[found[-1]] + MIN_KNOT_SPACING_S and time[-1] - each >= MIN_KNOT_SPACING_S:
             found.append(k)
     return np.array([*found, len(time) - 1])
 
 
-def _changes(trajectory: Trajectory, knots: Array) -> Array:
+def _largest_offset_changes(trajectory: Trajectory, knots: Array) -> Array:
     """The largest changes (K, n) of offsets from each knot to the next, at the latter, that speed and acceleration
     allow; 0 at the first.
     """
@@ -106,24 +108,30 @@ def _changes(trajectory: Trajectory, knots: Array) -> Array:
     speed = (slope * np.sqrt(squared)).max(axis=1)
     acceleration = abs(bend * squared + slope * motion.change[:, None]).max(axis=1)
     begin = np.searchsorted(cell, np.arange(len(knots) - 1))
-    most = [np.maximum.reduceat(rate, begin)[:, None] * ROOM for rate in (speed, acceleration)]
+    most = [np.maximum.reduceat(rate, begin)[:, None] * CORRECTION_SAFETY_FACTOR for rate in (speed, acceleration)]
     found = np.minimum(left * robot.speed / most[0], left * robot.acceleration / most[1])
     return np.vstack([np.zeros(found.shape[1]), found])
 
 
-def _rooms(trajectory: Trajectory, knots: Array) -> Array:
+def _bound_offsets(trajectory: Trajectory, knots: Array) -> Array:
     """Bounds (K, n + 1, n + 1) of offsets that keep positions, order and carriages from the knot before to the
     next.
     """
     robot, d = trajectory.robot, trajectory.robot.d
     ends = trajectory.knots
-    s = np.append((ends[:-1, None] + np.diff(ends)[:, None] * np.arange(PLACES) / PLACES).ravel(), ends[-1])
+    s = np.append(
+        (
+            ends[:-1, None]
+            + np.diff(ends)[:, None] * np.arange(LEEWAY_SAMPLES_PER_FRAME) / LEEWAY_SAMPLES_PER_FRAME
+        ).ravel(),
+        ends[-1],
+    )
     q = trajectory.motion.path(s)
     driven = q + trajectory.hardware.in_joints(robot, trajectory.lash(s))
     least, most = trajectory.hardware.reach(robot)
     growth = np.diff(q[:, d : 2 * d], axis=1)
     above, below = np.minimum(robot.upper - q, most - driven), np.minimum(q - robot.lower, driven - least)
-    near, apart = growth, robot.most_growth - growth
+    near, apart = growth, robot.max_extension_differences - growth
     found = np.full((len(knots), q.shape[1] + 1, q.shape[1] + 1), np.inf)
     betas = d + 1 + np.arange(d - 1)
     for k, (first, last) in enumerate(_around(s, knots)):
@@ -140,7 +148,7 @@ def _around(s: Array, knots: Array) -> list[tuple[int, int]]:
     return list(zip(first.tolist(), last.tolist(), strict=True))
 
 
-def _closed(bounds: npt.NDArray[np.float64]) -> Array:
+def _tighten_bounds(bounds: npt.NDArray[np.float64]) -> Array:
     """The tightest bounds (m, m) of the same set: Floyd and Warshall."""
     found = bounds.copy()
     np.fill_diagonal(found, 0.0)

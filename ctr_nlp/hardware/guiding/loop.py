@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from ctr_nlp.hardware.guiding.course import Course
-from ctr_nlp.hardware.guiding.guide import Estimated, Guide
+from ctr_nlp.hardware.guiding.course import CorrectedTrajectory
+from ctr_nlp.hardware.guiding.guide import Guide, RobotEstimate
 from ctr_nlp.hardware.journal import Journal
 from ctr_nlp.hardware.motion.trajectory import Trajectory
 from ctr_nlp.hardware.sensing.source import Source
@@ -17,11 +17,11 @@ from ctr_nlp.typing import Array
 
 
 class ClosedLoop:
-    """For one motion. tracker: of its plan; told: called with what the operator must know, at once."""
+    """For one motion. tracker: of its plan; notify: called with what the operator must know, at once."""
 
-    def __init__(self, tracker: Tracker, source: Source, told: Callable[[Note], None]) -> None:
-        self.tracker, self._source, self._told = tracker, source, told
-        self.estimates: list[Estimated] = []
+    def __init__(self, tracker: Tracker, source: Source, notify: Callable[[Note], None]) -> None:
+        self.tracker, self._source, self._told = tracker, source, notify
+        self.estimates: list[RobotEstimate] = []
         """What was known in the motion, in order."""
 
     def open(self) -> None:
@@ -32,8 +32,8 @@ class ClosedLoop:
         """Who corrects a trajectory; before (n, 2d + 2): where the robot has come through."""
         observer = self.tracker.observer
         journal.record("estimate", mean=observer.mean.tolist(), covariance=observer.covariance.tolist())
-        self._source.led(before)
-        guide = Guide(Course(trajectory, self.tracker, before), self._source, journal, self._told)
+        self._source.apply_past_motion(before)
+        guide = Guide(CorrectedTrajectory(trajectory, self.tracker, before), self._source, journal, self._told)
         self.estimates = guide.estimates
         return guide
 
@@ -42,15 +42,15 @@ class ClosedLoop:
         self._source.close()
 
 
-def known_of(records: list[dict[str, Any]]) -> tuple[Array, Array] | None:
+def final_estimate(records: list[dict[str, Any]]) -> tuple[Array, Array] | None:
     """Mean (k,) and covariance (k, k) of the robot's differences at a session's end; None where nobody knew."""
-    return next((_known(record) for record in records[::-1] if "covariance" in record), None)
+    return next((_read_estimate(record) for record in records[::-1] if "covariance" in record), None)
 
 
-def begun_with(records: list[dict[str, Any]]) -> tuple[Array, Array] | None:
+def initial_estimate(records: list[dict[str, Any]]) -> tuple[Array, Array] | None:
     """The same when a session began."""
-    return next((_known(record) for record in records if "covariance" in record), None)
+    return next((_read_estimate(record) for record in records if "covariance" in record), None)
 
 
-def _known(record: dict[str, Any]) -> tuple[Array, Array]:
+def _read_estimate(record: dict[str, Any]) -> tuple[Array, Array]:
     return np.array(record["mean"]), np.array(record["covariance"])

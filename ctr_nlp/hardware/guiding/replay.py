@@ -9,11 +9,16 @@ import numpy as np
 
 from ctr_nlp.exceptions import TrajectoryError
 from ctr_nlp.hardware.description import Hardware
-from ctr_nlp.hardware.guiding.course import Course
+from ctr_nlp.hardware.guiding.course import CorrectedTrajectory
 from ctr_nlp.hardware.guiding.guide import readings_of
 from ctr_nlp.hardware.motion.gcode import MEANING, lines
 from ctr_nlp.hardware.motion.trajectory import Patch, Trajectory
-from ctr_nlp.hardware.playing.session import announced, as_planned, closed, from_there
+from ctr_nlp.hardware.playing.session import (
+    find_program_record,
+    is_closed_loop,
+    rebuild_planned_trajectory,
+    split_at_parameter,
+)
 from ctr_nlp.loops.tracker import Tracker
 from ctr_nlp.plan.plan import Plan
 
@@ -29,33 +34,35 @@ class Replay(NamedTuple):
     differs: str
 
 
-def replayed(plan: Plan, hardware: Hardware, records: list[dict[str, Any]], tracker: Tracker) -> Replay:
+def replay_session(plan: Plan, hardware: Hardware, records: list[dict[str, Any]], tracker: Tracker) -> Replay:
     """The closed loop of a session (the records of its journal) again; tracker: as it was when that began.
 
     Raises TrajectoryError where plan or hardware is another, or where it was none of a closed loop.
     """
-    told = announced(records)
-    if not closed(told):
+    told = find_program_record(records)
+    if not is_closed_loop(told):
         raise TrajectoryError("the journal's session was not of a closed loop: nothing was measured")
-    trajectory = as_planned(plan, hardware, told)
+    trajectory = rebuild_planned_trajectory(plan, hardware, told)
     for patch in told["patches"]:
-        trajectory = trajectory.patched(Patch.of(patch))
+        trajectory = trajectory.apply_patch(Patch.from_record(patch))
     before = plan.q[:0]
     if told["parameter"] is not None:
-        trajectory, before = from_there(trajectory, told["parameter"], told["tempo"])
-    course, count = Course(trajectory, tracker, before), 0
+        trajectory, before = split_at_parameter(trajectory, told["parameter"], told["tempo"])
+    course, count = CorrectedTrajectory(trajectory, tracker, before), 0
     for record in records:
         if record["kind"] == "sensed":
             q, readings = np.array(record["q"]), readings_of(record["readings"])
             course.observe(record["time"], q, record["now"], readings)
         elif record["kind"] == "corrected":
             count += 1
-            if course.correct(record["knot"]).told() != record["patch"]:
+            if course.correct(record["knot"]).to_record() != record["patch"]:
                 return Replay(count, 0, f"correction {count}, at {record['t']:g} s")
-    return _compared(count, course.trajectory, hardware, records)
+    return _compare_commands(count, course.trajectory, hardware, records)
 
 
-def _compared(count: int, trajectory: Trajectory, hardware: Hardware, records: list[dict[str, Any]]) -> Replay:
+def _compare_commands(
+    count: int, trajectory: Trajectory, hardware: Hardware, records: list[dict[str, Any]]
+) -> Replay:
     """The lines of a corrected trajectory beside those that a Grbl controller was sent last."""
     begun = max((k for k, record in enumerate(records) if record["kind"] == "start"), default=len(records))
     sent = "".join(record.get("data", "") for record in records[begun:] if record["kind"] == "sent")

@@ -19,9 +19,9 @@ MEANING = "G21 G90 G93"
 MODES = f"{MEANING} G54"
 """What a program begins with: also the first work offset, which is 0."""
 
-DECIMALS = 4
+GCODE_DECIMALS = 4
 
-OPENING = "(ctr_nlp"
+GCODE_FILE_OPENING = "(ctr_nlp"
 """With which a file begins."""
 
 WAITS = "G4"
@@ -36,12 +36,12 @@ def line(number: int, letters: Sequence[str], position: Array, seconds: float, m
 
     meaning: words that it says besides, lest it means something else after another client's word.
     """
-    rounded = np.round(position, DECIMALS) + 0.0
-    words = " ".join(f"{letter}{value:.{DECIMALS}f}" for letter, value in zip(letters, rounded, strict=True))
-    return f"N{number} {meaning}{' ' * bool(meaning)}G1 {words} F{60.0 / seconds:.{DECIMALS}f}"
+    rounded = np.round(position, GCODE_DECIMALS) + 0.0
+    words = " ".join(f"{letter}{value:.{GCODE_DECIMALS}f}" for letter, value in zip(letters, rounded, strict=True))
+    return f"N{number} {meaning}{' ' * bool(meaning)}G1 {words} F{60.0 / seconds:.{GCODE_DECIMALS}f}"
 
 
-class Lines:
+class GcodeWriter:
     """Numbered lines, from 1, from start (m,) along straight pieces; each is made in turn, and once.
 
     Where less would move than Grbl's least feed a line waits (G4), and the next line makes up for it. meaning: as
@@ -55,7 +55,7 @@ class Lines:
         """The line that goes on to a position (m,) within so many s; last: nothing comes after it."""
         self._made += 1
         if not last and np.linalg.norm(position - self._there) < LEAST_FEED * seconds:
-            return f"N{self._made} {WAITS} P{seconds:.{DECIMALS}f}"
+            return f"N{self._made} {WAITS} P{seconds:.{GCODE_DECIMALS}f}"
         self._there = position
         return line(self._made, self._letters, position, seconds, self._meaning)
 
@@ -69,7 +69,7 @@ class Lines:
 
 def lines(letters: Sequence[str], start: Array, positions: Array, time: Array, meaning: str = "") -> list[str]:
     """The lines from start (m,) to positions (N, m) that are reached at time (N,) s; meaning: as of line."""
-    made, count = Lines(letters, start, meaning), len(positions)
+    made, count = GcodeWriter(letters, start, meaning), len(positions)
     return [
         made.next(position, float(seconds), n == count)
         for n, (position, seconds) in enumerate(zip(positions, np.diff(time, prepend=0.0), strict=True), start=1)

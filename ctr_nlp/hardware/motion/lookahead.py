@@ -17,25 +17,25 @@ import numpy.typing as npt
 
 from ctr_nlp.typing import Array, Flags
 
-AHEAD = 0.3
+MAX_MOTION_IN_HAND_S = 0.3
 """s of motion that a controller may have in hand; coming to rest within it takes up to a half longer."""
 
-TRAVEL = 11.5
+MAX_SLIDE_TRAVEL_IN_HAND_MM = 11.5
 """mm that a slide may travel in that time."""
 
-LONGEST = 0.025
+MAX_PIECE_DURATION_S = 0.025
 """s: the longest straight piece of a motion; a piece is given whole or not at all."""
 
-PREPARED = 0.09
+MAX_PREPARED_PULSES_S = 0.09
 """s of step pulses that grblHAL works out beyond the position that it reports, at most (ten segments of 10 ms)."""
 
-POLL = 0.02
+POSITION_POLL_PERIOD_S = 0.02
 """s between two questions for the position while axes move."""
 
 ROUND_TRIP = 0.025
 """s from such a question to its answer on an ordinary link: 9 ms are a report of 100 bytes at 115200 baud."""
 
-AT = 0.02
+SAME_PLACE_TOLERANCE_RATIO = 0.02
 """Parts of tolerances within which a device is at a place."""
 
 
@@ -61,19 +61,19 @@ class LinkTiming(NamedTuple):
     @property
     def delay(self) -> float:
         """Seconds of motion in hand that are of no use for braking: done but not told, or still under way."""
-        return PREPARED + LONGEST + POLL + 1.5 * self.round_trip
+        return MAX_PREPARED_PULSES_S + MAX_PIECE_DURATION_S + POSITION_POLL_PERIOD_S + 1.5 * self.round_trip
 
 
 def steady_speed(acceleration: float, slides: bool, link: LinkTiming | None = None) -> float:
     """The largest speed that an axis keeps up with so little motion in hand; 0 where the link is too slow.
 
     acceleration: of the axis, in unit/s^2. slides: whether its travel (mm) is bounded too. The room that is left
-    when everything late is taken off must do for braking: v / (2 a) + delay = AHEAD, v^2 / (2 a) + v delay =
-    TRAVEL.
+    when everything late is taken off must do for braking: v / (2 a) + delay = MAX_MOTION_IN_HAND_S, v^2 / (2 a) +
+    v delay = MAX_SLIDE_TRAVEL_IN_HAND_MM.
     """
     delay = (link or LinkTiming()).delay
-    by_time = max(0.0, 2.0 * acceleration * (AHEAD - delay))
-    by_travel = acceleration * (math.sqrt(delay**2 + 2.0 * TRAVEL / acceleration) - delay)
+    by_time = max(0.0, 2.0 * acceleration * (MAX_MOTION_IN_HAND_S - delay))
+    by_travel = acceleration * (math.sqrt(delay**2 + 2.0 * MAX_SLIDE_TRAVEL_IN_HAND_MM / acceleration) - delay)
     return min(by_time, by_travel) if slides else by_time
 
 
@@ -91,9 +91,12 @@ class Window:
 
     def open_to(self, done: float) -> int:
         """How many pieces may have been given when a controller is known to have done so many s of the motion."""
-        in_time = int(np.searchsorted(self._ends, done + AHEAD + 1e-9, "right")) - 1
+        in_time = int(np.searchsorted(self._ends, done + MAX_MOTION_IN_HAND_S + 1e-9, "right")) - 1
         allowed = [
-            int(np.searchsorted(travel, np.interp(done, self._ends, travel) + TRAVEL, "right")) - 1
+            int(
+                np.searchsorted(travel, np.interp(done, self._ends, travel) + MAX_SLIDE_TRAVEL_IN_HAND_MM, "right")
+            )
+            - 1
             for travel in self._travel.T
         ]
         begun = int(np.searchsorted(self._ends, done + 1e-9, "right"))  # at rest, the next piece is always given
@@ -113,7 +116,7 @@ def sustainable(speed: Array, acceleration: Array, slides: Flags, link: LinkTimi
     return float(min(parts))
 
 
-class Place(NamedTuple):
+class PathPlace(NamedTuple):
     """A place on a path: the time (s) at which it is passed, how many pieces lie behind, and the distance to it.
 
     until: when it is left, where it is rested at. away: of the axis furthest off, in parts of its tolerance.
@@ -137,7 +140,7 @@ class FollowedPath:
         """Position (m,) at a time, s."""
         return np.array([np.interp(time, self.ends, column) for column in self.points.T])
 
-    def nearest(self, position: Array, first: int, last: int) -> Place:
+    def nearest(self, position: Array, first: int, last: int) -> PathPlace:
         """The place on pieces first to last - 1, from 0, nearest to a position (m,); the earliest of equals."""
         last = max(last, first + 1)
         start, piece = self.points[first:last], np.diff(self.points[first : last + 1], axis=0) * self._scale
@@ -148,7 +151,7 @@ class FollowedPath:
         best = int((away > away.min() + 1e-9).argmin())
         k = first + best
         time = float(self.ends[k] + part[best] * (self.ends[k + 1] - self.ends[k]))
-        apart = abs((self.points[k + 1 :] - position) * self._scale).max(axis=1) > AT
+        apart = abs((self.points[k + 1 :] - position) * self._scale).max(axis=1) > SAME_PLACE_TOLERANCE_RATIO
         resting = int(apart.argmax()) if apart.any() else len(apart)
         until = max(time, float(self.ends[k + resting]))
-        return Place(time, until, k + bool(part[best] >= 1.0 - 1e-9), float(away[best]))
+        return PathPlace(time, until, k + bool(part[best] >= 1.0 - 1e-9), float(away[best]))

@@ -12,12 +12,12 @@ from ctr_nlp.exceptions import TrajectoryError
 from ctr_nlp.robot import Robot
 from ctr_nlp.typing import Array
 
-OPTIONS: dict[str, Any] = {
+PATH_IPOPT_OPTIONS: dict[str, Any] = {
     "print_time": False,
     "ipopt": {"print_level": 0, "sb": "yes", "bound_relax_factor": 0.0, "tol": 1e-9},
 }
 
-STILL = 1e-6
+STANDSTILL_SPEED_FRACTION = 1e-6
 """Part of the largest speed: what goes slower from one frame to the next stands still at both."""
 
 
@@ -40,7 +40,7 @@ def path_through(robot: Robot, time: Array, q: Array) -> CubicHermiteSpline:
     before, after, mean = slope[:, :-1], slope[:, 1:], ca.DM(chord.T)
     bending = (before**2 + before * after + after**2 - 3 * mean * (before + after)) @ ca.DM(step.mean() / step)
     program = {"x": ca.vec(slope), "f": ca.sum1(bending), "g": ca.vec(ca.DM(between) @ slope)}
-    solve = ca.nlpsol("path", "ipopt", program, OPTIONS)
+    solve = ca.nlpsol("path", "ipopt", program, PATH_IPOPT_OPTIONS)
     found = solve(
         x0=0,
         lbx=lower[:, :n].ravel(),
@@ -64,13 +64,13 @@ def _neighbours(robot: Robot) -> Array:
 
 def _steady(chord: Array) -> tuple[Array, Array]:
     """Bounds (T, k) of slopes at frames; a cubic with these chords (T - 1, k) is then monotone between them."""
-    chord = np.where(abs(chord) < STILL, 0.0, chord)
+    chord = np.where(abs(chord) < STANDSTILL_SPEED_FRACTION, 0.0, chord)
     least = 3.0 * np.minimum(abs(chord[1:]), abs(chord[:-1])) * (chord[1:] * chord[:-1] > 0)
     slopes = np.concatenate([3.0 * chord[:1], least * np.sign(chord[1:]), 3.0 * chord[-1:]])
     return np.minimum(slopes, 0.0), np.maximum(slopes, 0.0)
 
 
-def made_up(time: Array, positions: Array, backlash: Array, before: Array) -> CubicHermiteSpline:
+def backlash_compensation(time: Array, positions: Array, backlash: Array, before: Array) -> CubicHermiteSpline:
     """What is added to positions (T, m) at times (T,) so that play in the drives does not show; the same unit.
 
     An axis that goes down is put lower by its backlash (m,); on reversal that comes and goes smoothly until the

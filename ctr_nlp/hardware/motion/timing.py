@@ -11,16 +11,16 @@ from typing import Any
 import numpy as np
 
 from ctr_nlp.exceptions import TrajectoryError
-from ctr_nlp.support.extras import needed
+from ctr_nlp.support.extras import import_extra
 from ctr_nlp.typing import Array
 
 Path = Any
 """(s, order) -> (.., n): a path's points, or derivatives of that order, at parameters s (..,)."""
 
-CELLS = 6
+TOPPRA_CELLS_PER_SEGMENT = 6
 """Into how many cells toppra's grid divides the path between frames."""
 
-SIDES = 1e-3, 1e-2, 0.1
+TOPPRA_SIDE_CELL_FRACTIONS = 1e-3, 1e-2, 0.1
 """Parts of a cell: limits hold on both sides of a frame, where accelerations may jump."""
 
 COARSER = 2.0, 16.0, 128.0
@@ -32,12 +32,12 @@ CLOCK = 100.0
 CHECKED = np.append(np.arange(40) / 40, 1.0 - 1e-6)
 """At which parts of every cell limits are checked."""
 
-ROOM = 1.001
+TIMING_SAFETY_FACTOR = 1.001
 """What is left for places between them."""
 
 
 @dataclass(frozen=True)
-class Motion:
+class TimedPath:
     """A path and its pace: the square of ds/dt is linear in s between grid points.
 
     s, pace: (K,) the plan's time, and how fast it passes. Time starts at 0.
@@ -92,7 +92,9 @@ class Motion:
         )
 
 
-def timed(path: Path, driven: Path, knots: Array, speed: Array, acceleration: Array, tempo: float) -> Motion:
+def compute_time_scaling(
+    path: Path, driven: Path, knots: Array, speed: Array, acceleration: Array, tempo: float
+) -> TimedPath:
     """The motion from rest to rest that passes a path at its own pace times tempo, slower only where it must.
 
     driven: the path that drives take, whose speed and acceleration (n,) are limited. knots: (T,) ascending
@@ -100,12 +102,12 @@ def timed(path: Path, driven: Path, knots: Array, speed: Array, acceleration: Ar
     tempo. Raises TrajectoryError.
     """
     unit = _unit(abs(driven(knots, 1)).max(axis=0), speed, acceleration * (knots[-1] - knots[0]))
-    for side, coarser in itertools.product(SIDES, COARSER):
+    for side, coarser in itertools.product(TOPPRA_SIDE_CELL_FRACTIONS, COARSER):
         grid = _grid(knots, side)
         pace = _fastest(driven, grid, speed, acceleration, tempo, max(unit / coarser, 1.0))
         if pace is not None:
-            excess = _excess(Motion(driven, grid, pace), speed, acceleration)
-            return Motion(path, grid, pace / max(1.0, excess))
+            excess = _excess(TimedPath(driven, grid, pace), speed, acceleration)
+            return TimedPath(path, grid, pace / max(1.0, excess))
     raise TrajectoryError("no timing of this motion keeps the hardware's speeds and accelerations")
 
 
@@ -113,7 +115,7 @@ def _fastest(
     driven: Path, grid: Array, speed: Array, acceleration: Array, tempo: float, unit: float
 ) -> Array | None:
     """The pace (K,) of the fastest motion, None where toppra, which counts in 1 / unit s, finds none."""
-    toppra = needed("toppra")
+    toppra = import_extra("toppra")
     logging.getLogger("toppra").setLevel(logging.ERROR)
     constraint, kind = toppra.constraint, toppra.constraint.DiscretizationType.Interpolation
     fastest, hardest = np.append(speed, tempo * unit), np.append(np.minimum(acceleration, 1e9), CLOCK)
@@ -122,7 +124,7 @@ def _fastest(
             constraint.JointVelocityConstraint(np.stack([-fastest, fastest], axis=1)),
             constraint.JointAccelerationConstraint(np.stack([-hardest, hardest], axis=1), kind),
         ],
-        _clocked(driven, grid, len(fastest), unit),
+        _append_clock_joint(driven, grid, len(fastest), unit),
         gridpoints=grid * unit,
     )
     _, pace, _ = solver.compute_parameterization(0, 0)
@@ -141,15 +143,15 @@ def _unit(tangent: Array, speed: Array, acceleration: Array) -> float:
 
 def _grid(knots: Array, side: float) -> Array:
     """Every cell of toppra's, with a narrow one before every knot within."""
-    cell = np.diff(knots)[:, None] / CELLS
-    inner = knots[:-1, None] + cell * np.arange(CELLS)
+    cell = np.diff(knots)[:, None] / TOPPRA_CELLS_PER_SEGMENT
+    inner = knots[:-1, None] + cell * np.arange(TOPPRA_CELLS_PER_SEGMENT)
     return np.unique(np.concatenate([inner.ravel(), knots[-1:], knots[1:-1] - side * cell[:-1, 0]]))
 
 
-def _clocked(path: Path, grid: Array, joints: int, unit: float) -> Any:
+def _append_clock_joint(path: Path, grid: Array, joints: int, unit: float) -> Any:
     """The path with its own parameter, in 1 / unit, as one more joint, as toppra wants it."""
 
-    class Clocked(needed("toppra").interpolator.AbstractGeometricPath):  # type: ignore[misc]
+    class Clocked(import_extra("toppra").interpolator.AbstractGeometricPath):  # type: ignore[misc]
         dof = joints
         path_interval = grid[[0, -1]] * unit
 
@@ -161,8 +163,10 @@ def _clocked(path: Path, grid: Array, joints: int, unit: float) -> Any:
     return Clocked()
 
 
-def _excess(motion: Motion, speed: Array, acceleration: Array) -> float:
+def _excess(motion: TimedPath, speed: Array, acceleration: Array) -> float:
     """By which factor all must be slower: toppra keeps limits at grid points only."""
     times = (motion.time[:-1, None] + np.diff(motion.time)[:, None] * CHECKED).ravel()
     _, velocity, change = motion.at(times)
-    return ROOM * float(max((abs(velocity) / speed).max(), np.sqrt((abs(change) / acceleration).max())))
+    return TIMING_SAFETY_FACTOR * float(
+        max((abs(velocity) / speed).max(), np.sqrt((abs(change) / acceleration).max()))
+    )

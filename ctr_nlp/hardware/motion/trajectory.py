@@ -14,15 +14,15 @@ from scipy.interpolate import CubicHermiteSpline
 
 from ctr_nlp.exceptions import OptionError, TrajectoryError
 from ctr_nlp.hardware.description import Hardware
-from ctr_nlp.hardware.motion.lookahead import LONGEST, Commands
-from ctr_nlp.hardware.motion.path import made_up, path_through
-from ctr_nlp.hardware.motion.timing import Motion, timed
+from ctr_nlp.hardware.motion.lookahead import MAX_PIECE_DURATION_S, Commands
+from ctr_nlp.hardware.motion.path import backlash_compensation, path_through
+from ctr_nlp.hardware.motion.timing import TimedPath, compute_time_scaling
 from ctr_nlp.plan.plan import Plan
 from ctr_nlp.robot import Robot
-from ctr_nlp.simulation.lag import NAMES as LAG_PARTS
+from ctr_nlp.simulation.lag import BACKLASH_PARAMETER_NAMES as LAG_PARTS
 from ctr_nlp.typing import Array
 
-AT = 1e-4
+AT_FRAME_STEP_FRACTION = 1e-4
 """Part of the path from frame to frame: what stands so little before a frame stands at it."""
 
 
@@ -40,14 +40,14 @@ class Patch(NamedTuple):
     q: Array
     slopes: Array
 
-    def told(self) -> dict[str, Any]:
+    def to_record(self) -> dict[str, Any]:
         """For a journal."""
         return {"first": self.first, "q": self.q.tolist(), "slopes": self.slopes.tolist()}
 
     @classmethod
-    def of(cls, told: dict[str, Any]) -> Patch:
+    def from_record(cls, record: dict[str, Any]) -> Patch:
         """The patch that told tells."""
-        return cls(int(told["first"]), np.array(told["q"]), np.array(told["slopes"]))
+        return cls(int(record["first"]), np.array(record["q"]), np.array(record["slopes"]))
 
 
 @dataclass(frozen=True)
@@ -63,7 +63,7 @@ class Trajectory:
 
     robot: Robot
     hardware: Hardware
-    motion: Motion
+    motion: TimedPath
     lash: CubicHermiteSpline
     knots: Array
     frames: npt.NDArray[np.int64]
@@ -101,11 +101,11 @@ class Trajectory:
         """Tilts (.., 2) rad at a time (..,) s."""
         return self.at(time)[0][..., -2:]
 
-    def passed(self, time: float) -> int:
+    def last_frame_passed(self, time: float) -> int:
         """The last frame that is passed by a time in s, 0 before the first."""
         return int(self.frames[self.frame_time <= time].max(initial=0))
 
-    def patched(self, patch: Patch) -> Trajectory:
+    def apply_patch(self, patch: Patch) -> Trajectory:
         """The same motion at the same pace, with other places from some of its path's breakpoints on."""
         if not len(patch.q):
             return self
@@ -118,7 +118,7 @@ class Trajectory:
         """Whether it is the same motion as another, but for patches."""
         return other is not None and self.knots is other.knots
 
-    def commands(self, longest: float = LONGEST) -> Commands:
+    def commands(self, longest: float = MAX_PIECE_DURATION_S) -> Commands:
         """The motion in straight pieces of at most so many s, with frames among their ends."""
         counts = np.maximum(1, np.ceil(np.diff(self.frame_time) / longest - 1e-6)).astype(int)
         pieces = [
@@ -140,22 +140,22 @@ def trajectory_of(
     """
     if isinstance(tempo, bool) or not 0 < tempo <= 1:
         raise OptionError(f"tempo is {tempo!r}; it must lie in (0, 1]")
-    robot = hardware.tightened(plan.robot)
-    ahead = hardware.ahead(robot, plan.q, plan.time / tempo)
+    robot = hardware.apply_limits(plan.robot)
+    ahead = hardware.lag_compensation(robot, plan.q, plan.time / tempo)
     positions = hardware.positions(robot, plan.q) + ahead
     before = np.zeros(len(hardware.axes))
     if standing is not None:
         before = np.where(standing > positions[0] + 0.01 * hardware.backlash, -hardware.backlash, 0.0)
-    added = ahead + made_up(plan.time, positions, hardware.backlash, before)(plan.time)
+    added = ahead + backlash_compensation(plan.time, positions, hardware.backlash, before)(plan.time)
     lash = CubicHermiteSpline(plan.time, added, np.zeros_like(added))
     path = path_through(robot, plan.time, plan.q)
     frames = np.arange(1, len(plan.time) + 1)
-    return along(robot, hardware, path, lash, plan.time, frames, digests(plan, hardware), tempo, share)
+    return trajectory_along(robot, hardware, path, lash, plan.time, frames, digests(plan, hardware), tempo, share)
 
 
-def rest_of(trajectory: Trajectory, s: float, tempo: float = 1.0) -> Trajectory:
+def remaining_trajectory(trajectory: Trajectory, s: float, tempo: float = 1.0) -> Trajectory:
     """What is left of a trajectory when the robot stands on its path at the parameter s (the plan's time)."""
-    ahead = trajectory.knots > s + AT * np.diff(trajectory.knots, prepend=s)
+    ahead = trajectory.knots > s + AT_FRAME_STEP_FRACTION * np.diff(trajectory.knots, prepend=s)
     if not ahead.any():
         raise TrajectoryError("nothing is left of this trajectory: it has reached its last frame")
     knots = np.append(s, trajectory.knots[ahead])
@@ -166,7 +166,9 @@ def rest_of(trajectory: Trajectory, s: float, tempo: float = 1.0) -> Trajectory:
         trajectory.motion.path,
         trajectory.lash,
     )
-    return along(robot, hardware, path, lash, knots, frames, trajectory.digests, tempo, trajectory.share)
+    return trajectory_along(
+        robot, hardware, path, lash, knots, frames, trajectory.digests, tempo, trajectory.share
+    )
 
 
 def approach_to(trajectory: Trajectory, standing: Array, theta: Array) -> Trajectory:
@@ -176,10 +178,10 @@ def approach_to(trajectory: Trajectory, standing: Array, theta: Array) -> Trajec
     added = np.vstack([np.zeros(len(hardware.axes)), trajectory.lash(start)])
     first = trajectory.frames[0]
     frames = np.array([first - (trajectory.knots[0] == trajectory.motion.path.x[0]), first])
-    return through(robot, hardware, q, trajectory.digests, added, frames)
+    return trajectory_through(robot, hardware, q, trajectory.digests, added, frames)
 
 
-def through(
+def trajectory_through(
     robot: Robot,
     hardware: Hardware,
     q: Array,
@@ -192,21 +194,23 @@ def through(
     added (K, m): to the axes' positions there, for play in the drives, None for nothing. frames (K,): the numbers
     of these places, None to count from 0.
     """
-    robot = slowed(robot, hardware.approach)
+    robot = scale_robot_speeds(robot, hardware.approach)
     added = np.zeros((len(q), len(hardware.axes))) if added is None else added
     seconds = np.maximum(1e-3, (abs(np.diff(q, axis=0)) / robot.speed).max(axis=1))
     knots = np.append(0.0, np.cumsum(seconds))
     lash, path = CubicHermiteSpline(knots, added, np.zeros_like(added)), path_through(robot, knots, q)
-    return along(robot, hardware, path, lash, knots, np.arange(len(q)) if frames is None else frames, names, 1.0)
+    return trajectory_along(
+        robot, hardware, path, lash, knots, np.arange(len(q)) if frames is None else frames, names, 1.0
+    )
 
 
-def slowed(robot: Robot, part: float) -> Robot:
+def scale_robot_speeds(robot: Robot, part: float) -> Robot:
     """A robot that moves at a part of its largest speeds."""
     parts = zip(("alpha", "beta", "theta"), robot.split(part * robot.speed), strict=True)
     return robot.with_limits(**{f"{name}_speed": speed.tolist() for name, speed in parts})
 
 
-def along(
+def trajectory_along(
     robot: Robot,
     hardware: Hardware,
     path: CubicHermiteSpline,
@@ -222,7 +226,7 @@ def along(
     def driven(s: Array, order: int = 0) -> Array:
         return np.asarray(path(s, order) + hardware.in_joints(robot, lash(s, order)))
 
-    motion = timed(path, driven, knots, share * robot.speed, share * robot.acceleration, tempo)
+    motion = compute_time_scaling(path, driven, knots, share * robot.speed, share * robot.acceleration, tempo)
     return Trajectory(robot, hardware, motion, lash, knots, frames, names, share)
 
 

@@ -11,29 +11,29 @@ import numpy.typing as npt
 
 from ctr_nlp.exceptions import HardwareError, RobotError, TrajectoryError
 from ctr_nlp.hardware.arm.description import check_joints
-from ctr_nlp.hardware.arm.kinematics import joints
+from ctr_nlp.hardware.arm.kinematics import inverse_kinematics
 from ctr_nlp.hardware.motion.trajectory import Trajectory
 from ctr_nlp.models import Model, Snap, model_named
 from ctr_nlp.plan.plan import Plan
 from ctr_nlp.robot import Robot
-from ctr_nlp.simulation.forward import simulated
-from ctr_nlp.target.target import SIGMA
+from ctr_nlp.simulation.forward import simulate_motion
+from ctr_nlp.target.target import SIGMA_GRID
 from ctr_nlp.typing import Array
 
-SAMPLES = 10
+TRAJECTORY_SAMPLES_PER_FRAME = 10
 """Places at which a trajectory is checked from frame to frame."""
 
-WHOLE = slice(None)
+WHOLE_TRAJECTORY = slice(None)
 """All of a trajectory."""
 
-SLACK = 1e-6
+TRAJECTORY_LIMIT_SLACK = 1e-6
 """By how much limits may be exceeded, in rad, mm and parts of a speed."""
 
 SAME_SHAPE = 0.05
 """mm: a plan whose shapes are further from those of its configurations was changed after it was made."""
 
 
-class Checked(NamedTuple):
+class TrajectoryCheck(NamedTuple):
     """What was found: largest parts of speeds and accelerations that are used, and least stability margin.
 
     late: s by which the last frame comes after the plan's time. margin: NaN where nothing can be unstable.
@@ -75,7 +75,7 @@ def _check_arrays(plan: Plan) -> None:
     frames, d = plan.time.size, plan.robot.d
     if frames < 2:
         raise TrajectoryError(f"a plan of {frames} frames is no motion; give at least two")
-    sizes = {"time": (), "success": (), "alpha": (d,), "beta": (d,), "theta": (2,), "shape": (len(SIGMA), 3)}
+    sizes = {"time": (), "success": (), "alpha": (d,), "beta": (d,), "theta": (2,), "shape": (len(SIGMA_GRID), 3)}
     for name, size in sizes.items():
         found, wanted = getattr(plan, name).shape, (frames, *size)
         if found != wanted:
@@ -113,7 +113,7 @@ def _check_steps(plan: Plan) -> None:
 
 def _check_shapes(plan: Plan) -> None:
     """Shapes are those that the motion leads to on the model that the plan is evaluated on."""
-    moved = simulated(plan.robot, plan.q, plan.evaluated_on)
+    moved = simulate_motion(plan.robot, plan.q, plan.evaluated_model)
     _check_snaps(moved.snaps, np.arange(1, len(plan.time) + 1))
     away = np.nan_to_num(np.linalg.norm(moved.shape - plan.shape, axis=-1).max(axis=1), nan=np.inf)
     if away.max() > SAME_SHAPE:
@@ -124,15 +124,19 @@ def _check_shapes(plan: Plan) -> None:
         )
 
 
-def checked(trajectory: Trajectory, model: str | Model | None = None, stretch: slice = WHOLE) -> Checked:
+def check_trajectory(
+    trajectory: Trajectory, model: str | Model | None = None, stretch: slice = WHOLE_TRAJECTORY
+) -> TrajectoryCheck:
     """What a trajectory uses of its hardware; raises TrajectoryError where that is more than all of it.
 
     model: on which it must be stable all along its path, where a robot can snap on it; None for no model.
     stretch: the frames, counted from 0, between which it is looked at.
     """
     ends, frames = trajectory.frame_time[stretch], trajectory.frames[stretch]
-    time = np.append(np.linspace(ends[:-1], ends[1:], SAMPLES, endpoint=False).T.ravel(), ends[-1])
-    frame = np.append(np.repeat(frames[1:], SAMPLES), frames[-1])
+    time = np.append(
+        np.linspace(ends[:-1], ends[1:], TRAJECTORY_SAMPLES_PER_FRAME, endpoint=False).T.ravel(), ends[-1]
+    )
+    frame = np.append(np.repeat(frames[1:], TRAJECTORY_SAMPLES_PER_FRAME), frames[-1])
     q, velocity, acceleration = trajectory.at(time)
     for j, place in zip(frame, q, strict=True):
         _check_limits(trajectory.robot, place, f"the path to frame {j}")
@@ -146,21 +150,25 @@ def checked(trajectory: Trajectory, model: str | Model | None = None, stretch: s
     ]
     if trajectory.hardware.arm is not None:
         try:
-            check_joints(trajectory.hardware.arm, time, joints(trajectory.hardware.arm, q[:, -2:]))
+            check_joints(trajectory.hardware.arm, time, inverse_kinematics(trajectory.hardware.arm, q[:, -2:]))
         except HardwareError as exception:
-            raise TrajectoryError(f"the tilt, at {SAMPLES} places a frame: {exception}") from exception
+            raise TrajectoryError(
+                f"the tilt, at {TRAJECTORY_SAMPLES_PER_FRAME} places a frame: {exception}"
+            ) from exception
     late = trajectory.duration - float(trajectory.knots[-1] - trajectory.knots[0])
     margin = math.nan
     if model is not None and (moving := model_named(model)).can_snap:
         margin = _least_margin(trajectory, moving, frame, q)
-    return Checked(used[0], used[1], late, margin)
+    return TrajectoryCheck(used[0], used[1], late, margin)
 
 
 def _check_ranges(trajectory: Trajectory, time: Array, frame: Array) -> None:
     positions = trajectory.positions(time)
     for k, axis in enumerate(trajectory.hardware.axes):
         lower, upper = axis.range
-        out = np.flatnonzero((positions[:, k] < lower - SLACK) | (positions[:, k] > upper + SLACK))
+        out = np.flatnonzero(
+            (positions[:, k] < lower - TRAJECTORY_LIMIT_SLACK) | (positions[:, k] > upper + TRAJECTORY_LIMIT_SLACK)
+        )
         if out.size:
             raise TrajectoryError(
                 f"frame {frame[out[0]]}: axis {axis.letter} ({axis.joint}) would go to {positions[out[0], k]:.4g} "
@@ -170,7 +178,7 @@ def _check_ranges(trajectory: Trajectory, time: Array, frame: Array) -> None:
 
 def _most(name: str, used: Array, trajectory: Trajectory, frame: Array) -> float:
     j, i = np.unravel_index(used.argmax(), used.shape)
-    if not used[j, i] <= 1 + SLACK:
+    if not used[j, i] <= 1 + TRAJECTORY_LIMIT_SLACK:
         raise TrajectoryError(
             f"frame {frame[j]}: {name} of {trajectory.robot.axes[i]} would be {used[j, i]:.3g} times the largest"
         )

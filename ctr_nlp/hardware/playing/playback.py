@@ -9,16 +9,16 @@ import numpy as np
 
 from ctr_nlp.exceptions import DeviceFault, TrajectoryError
 from ctr_nlp.hardware.clock import Clock
-from ctr_nlp.hardware.devices import Played, Progress, Standing
+from ctr_nlp.hardware.devices import MotionProgress, RunningMotion, Standing
 from ctr_nlp.hardware.devices.arms import ArmFollower, OutOfStep
 from ctr_nlp.hardware.journal import Journal
 from ctr_nlp.hardware.motion.lookahead import FollowedPath
 from ctr_nlp.hardware.motion.trajectory import Trajectory
-from ctr_nlp.hardware.playing.results import Ending, Outcome, State, Wishes
+from ctr_nlp.hardware.playing.results import Ending, PlaybackOutcome, PlayerState, Wishes
 from ctr_nlp.hardware.playing.supervision import MISPLACED, Supervisor
 from ctr_nlp.typing import Array
 
-AHEAD = 0.1
+MAX_ARM_EXTRAPOLATION_S = 0.1
 """s for which the arm goes on without news from the device."""
 
 CATCHING_UP = 0.5
@@ -27,38 +27,39 @@ CATCHING_UP = 0.5
 IN_STEP = 0.005
 """rad by which the arm may be off where the device's progress, within the skew tolerance, puts it."""
 
-LEVEL = 1e-3
-"""rad by which the arm may be off the last frame, SETTLING s after the axes are there."""
+ARM_GOAL_TOLERANCE_RAD = 1e-3
+"""rad by which the arm may be off the last frame, ARM_SETTLING_TIME_S s after the axes are there."""
 
-SETTLING = 0.5
+ARM_SETTLING_TIME_S = 0.5
 
 SEEN_LATE = 0.1
 """s of motion by which the progress that is seen may be ahead of where the axes are, as reports are rounded."""
 
-STOPPING = 0.5
+STOP_OVERRUN_S = 0.5
 """s of motion beyond what was given in which a stop comes to rest on the path."""
 
-TICK = 0.005
+PLAYBACK_PERIOD_S = 0.005
 """s between two looks at the device, or at the arm while it settles."""
 
-Seen = Callable[[Trajectory, Progress], None]
+Seen = Callable[[Trajectory, MotionProgress], None]
 
 
-class Corrects(Protocol):
+class TrajectoryCorrector(Protocol):
     """Who changes a motion while it is played. wrong: why it must stop instead, "" where nothing is wrong."""
 
     @property
     def wrong(self) -> str:
         """As of the last look."""
 
-    def look(self, progress: Progress, given: float) -> Trajectory:
+    def look(self, progress: MotionProgress, committed_time: float) -> Trajectory:
         """The motion as it is from now on; the same as before as far as the device was given it, s."""
 
 
 class Playback:
     """A trajectory in progress, and an arm or None that is led by the device's progress and must keep in step.
 
-    to: told of the states running and hold; frame: the last that was passed. corrects: None where nobody does.
+    report_state: told of the states running and hold; frame: the last that was passed. corrector: None where
+    nobody does.
     """
 
     def __init__(
@@ -68,11 +69,11 @@ class Playback:
         journal: Journal,
         clock: Clock,
         wishes: Wishes,
-        to: Callable[[State], None],
-        corrects: Corrects | None = None,
+        report_state: Callable[[PlayerState], None],
+        corrector: TrajectoryCorrector | None = None,
     ) -> None:
-        self._trajectory, self._arm, self._corrects = trajectory, arm, corrects
-        self._journal, self._clock, self._wishes, self._to = journal, clock, wishes, to
+        self._trajectory, self._arm, self._corrects = trajectory, arm, corrector
+        self._journal, self._clock, self._wishes, self._to = journal, clock, wishes, report_state
         self._held = False
         self._between = (0.0, 0.0)
         """s of the motion between which the axes are: what was played, as last seen, and what was given."""
@@ -91,7 +92,7 @@ class Playback:
                     f"{self.frame} is at {wanted:.4g}: nothing jumps by more than {axis.tolerance:g}"
                 )
 
-    def misplaced(self, position: Array) -> str:
+    def explain_misplacement(self, position: Array) -> str:
         """Why axes that rest at a position (m,) are not to be trusted, "" where nothing speaks against it."""
         tolerance = self._trajectory.hardware.tolerance
         path = FollowedPath(self._trajectory.positions(0.0), self._trajectory.commands(), tolerance)
@@ -102,7 +103,7 @@ class Playback:
             return ""
         return f"the axes rest {away:.3g} tolerances from where they should: their position is not to be trusted"
 
-    def run(self, played: Played, resolution: Array, seen: Seen | None) -> Ending:
+    def run(self, played: RunningMotion, resolution: Array, callback: Seen | None) -> Ending:
         """Play until it ends, or until something is wrong; raises DeviceFault, JournalError.
 
         resolution (m,): what the device can tell apart.
@@ -111,32 +112,32 @@ class Playback:
         supervisor = Supervisor(hardware.late, resolution, hardware.tolerance, self._due)
         while True:
             progress = played.update()
-            self._between = progress.time - SEEN_LATE, played.given + STOPPING
+            self._between = progress.time - SEEN_LATE, played.committed_time + STOP_OVERRUN_S
             self._note_gap(progress.stamp)
             self._tell(progress)
             wrong = supervisor.violation(progress, self._clock.now())
             if wrong is None and self._corrects is not None:
-                wrong = self._corrected(self._corrects, played, progress)
+                wrong = self._apply_correction(self._corrects, played, progress)
             if wrong is not None:
                 where = f"{progress.time:.2f} s after the start, frame {self.frame} being the last passed"
                 return wrong._replace(message=f"{wrong.message} ({where})")
-            if seen is not None:
-                seen(self._trajectory, progress)
+            if callback is not None:
+                callback(self._trajectory, progress)
             if progress.state == "done":
-                return self._arrived(progress, resolution)
-            if self._wishes.aborted():
-                return Ending(Outcome.CANCELLED, f"stopped on request, after frame {self.frame}")
+                return self._check_goal(progress, resolution)
+            if self._wishes.is_abort_requested():
+                return Ending(PlaybackOutcome.CANCELLED, f"stopped on request, after frame {self.frame}")
             self._obey(played, progress, supervisor)
             if self._arm is not None and not self._held:
                 self._lead(self._arm, progress)
             played.feed()
-            self._clock.sleep(TICK)
+            self._clock.sleep(PLAYBACK_PERIOD_S)
 
     def _due(self, time: float) -> Array:
         """Where the axes (m,) should be at a time of the motion, s; after its end they rest."""
         return self._trajectory.positions(min(time, self._trajectory.duration))
 
-    def _tell(self, progress: Progress) -> None:
+    def _tell(self, progress: MotionProgress) -> None:
         """Record every frame that has been passed, with the position when that was seen."""
         passed = self._trajectory.frames[self._trajectory.frame_time <= progress.time + 1e-9]
         if progress.state == "done":
@@ -145,15 +146,17 @@ class Playback:
             self.frame = frame
             self._journal.record("frame", frame=frame, position=progress.position.tolist())
 
-    def _corrected(self, corrects: Corrects, played: Played, progress: Progress) -> Ending | None:
+    def _apply_correction(
+        self, corrector: TrajectoryCorrector, played: RunningMotion, progress: MotionProgress
+    ) -> Ending | None:
         """Let what is still ahead be changed; how it ends where that cannot be gone on with."""
-        trajectory = corrects.look(progress, played.given)
+        trajectory = corrector.look(progress, played.committed_time)
         if trajectory is not self._trajectory:
             self._trajectory = trajectory
             played.amend(trajectory.commands())
-        return Ending(Outcome.PATH_TOLERANCE_VIOLATED, corrects.wrong) if corrects.wrong else None
+        return Ending(PlaybackOutcome.PATH_TOLERANCE_VIOLATED, corrector.wrong) if corrector.wrong else None
 
-    def _obey(self, played: Played, progress: Progress, supervisor: Supervisor) -> None:
+    def _obey(self, played: RunningMotion, progress: MotionProgress, supervisor: Supervisor) -> None:
         """Pause or go on as wished, once the device can."""
         wish = self._wishes.latest
         if progress.state == "held" and not self._held:
@@ -164,16 +167,16 @@ class Playback:
             return
         if progress.state == "running" and wish == "pause":
             played.hold()
-            supervisor.paused()
+            supervisor.note_pause()
         if progress.state == "held" and wish == "resume":
             played.resume()
-            supervisor.resumed()
+            supervisor.note_resume()
             self._rest(False)
-        self._wishes.granted()
+        self._wishes.clear_wish()
 
     def _rest(self, held: bool) -> None:
         self._held = held
-        self._to(State.HOLD if held else State.RUNNING)
+        self._to(PlayerState.HOLD if held else PlayerState.RUNNING)
 
     def _note_gap(self, stamp: float) -> None:
         """Remember for how long there was no news from the device, as long as the arm may suffer from it."""
@@ -182,25 +185,25 @@ class Playback:
             self._gap, self._gap_end = gap, stamp
         self._stamp = stamp
 
-    def _lead(self, arm: ArmFollower, progress: Progress) -> None:
+    def _lead(self, arm: ArmFollower, progress: MotionProgress) -> None:
         """Let the arm follow the device's progress; raises DeviceFault where it does not, or cannot."""
         try:
             self._follow(arm, progress)
         except OutOfStep as exception:
             gap = max(self._gap, self._clock.now() - progress.stamp)
-            if gap <= AHEAD:
+            if gap <= MAX_ARM_EXTRAPOLATION_S:
                 raise
             raise DeviceFault(
                 f"the device told no position for {gap:.2g} s: its reports are late, and the arm, which goes on "
-                f"for {AHEAD:g} s without them, cannot make up for that ({exception})"
+                f"for {MAX_ARM_EXTRAPOLATION_S:g} s without them, cannot make up for that ({exception})"
             ) from exception
 
-    def _follow(self, arm: ArmFollower, progress: Progress) -> None:
+    def _follow(self, arm: ArmFollower, progress: MotionProgress) -> None:
         """Send the arm where it should be now, and see that it is there; raises DeviceFault."""
         described = self._trajectory.hardware.arm
         tolerance = 0.0 if described is None else described.skew_tolerance
         late = self._clock.now() - progress.stamp
-        now = progress.time + (min(late, AHEAD) if progress.state == "running" else 0.0)
+        now = progress.time + (min(late, MAX_ARM_EXTRAPOLATION_S) if progress.state == "running" else 0.0)
         arm.follow(self._trajectory.tilt(now))
         around = self._trajectory.tilt(now + np.linspace(-1.0, 1.0, 21) * tolerance)
         away = np.linalg.norm(around - arm.tilt(), axis=1).min()
@@ -209,27 +212,29 @@ class Playback:
                 f"the arm is not in step: {np.degrees(away):.2g} deg from every tilt within {tolerance:g} s"
             )
 
-    def _settled(self, arm: ArmFollower) -> float:
+    def _settle_arm(self, arm: ArmFollower) -> float:
         """Let the arm come to the last tilt and rest; by how much it stays off, rad."""
-        end, theta = self._clock.now() + SETTLING, self._trajectory.tilt(self._trajectory.duration)
+        end, theta = self._clock.now() + ARM_SETTLING_TIME_S, self._trajectory.tilt(self._trajectory.duration)
         arm.follow(theta)
-        while (off := float(np.linalg.norm(arm.tilt() - theta))) > 0.1 * LEVEL and self._clock.now() < end:
-            self._clock.sleep(TICK)
+        while (
+            off := float(np.linalg.norm(arm.tilt() - theta))
+        ) > 0.1 * ARM_GOAL_TOLERANCE_RAD and self._clock.now() < end:
+            self._clock.sleep(PLAYBACK_PERIOD_S)
             arm.follow(theta)
         arm.hold()
         return off
 
-    def _arrived(self, progress: Progress, resolution: Array) -> Ending:
+    def _check_goal(self, progress: MotionProgress, resolution: Array) -> Ending:
         goal = self._trajectory.positions(self._trajectory.duration)
-        tilted = 0.0 if self._arm is None else self._settled(self._arm)
+        tilted = 0.0 if self._arm is None else self._settle_arm(self._arm)
         standing = Standing(progress.position, True)
         self._between = self._trajectory.duration, self._trajectory.duration
         off = abs(progress.position - goal) / resolution
         if off.max() > 1.0:
             axis = self._trajectory.hardware.axes[int(off.argmax())]
             message = f"axis {axis.letter} ({axis.joint}) stands {off.max():.3g} steps from the last frame"
-            return Ending(Outcome.GOAL_TOLERANCE_VIOLATED, message, standing)
-        if tilted > LEVEL:
+            return Ending(PlaybackOutcome.GOAL_TOLERANCE_VIOLATED, message, standing)
+        if tilted > ARM_GOAL_TOLERANCE_RAD:
             message = f"the arm stands {np.degrees(tilted):.2g} deg from the last frame"
-            return Ending(Outcome.GOAL_TOLERANCE_VIOLATED, message, standing)
-        return Ending(Outcome.SUCCESS, f"frame {self.frame} reached", standing)
+            return Ending(PlaybackOutcome.GOAL_TOLERANCE_VIOLATED, message, standing)
+        return Ending(PlaybackOutcome.SUCCESS, f"frame {self.frame} reached", standing)

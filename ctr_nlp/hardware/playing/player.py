@@ -8,12 +8,12 @@ import numpy as np
 
 from ctr_nlp.exceptions import DeviceFault, HardwareError, JournalError, Stopped, TrajectoryError
 from ctr_nlp.hardware.clock import Clock, RealClock
-from ctr_nlp.hardware.devices import Device, Played, Standing
+from ctr_nlp.hardware.devices import Device, RunningMotion, Standing
 from ctr_nlp.hardware.devices.arms import ArmFollower
 from ctr_nlp.hardware.journal import Journal
 from ctr_nlp.hardware.motion.trajectory import Trajectory
-from ctr_nlp.hardware.playing.playback import Corrects, Playback, Seen
-from ctr_nlp.hardware.playing.results import Ending, Outcome, Result, State, Wishes
+from ctr_nlp.hardware.playing.playback import Playback, Seen, TrajectoryCorrector
+from ctr_nlp.hardware.playing.results import Ending, PlaybackOutcome, PlayerState, Result, Wishes
 from ctr_nlp.hardware.playing.trust import Memory, Trust
 from ctr_nlp.typing import Array
 
@@ -39,7 +39,7 @@ class Player:
         self.device, self._arm, self.journal = device, arm, journal
         self._clock = RealClock() if clock is None else clock
         self._wishes, self._trust = Wishes(journal), Trust(memory)
-        self.state = State.DISCONNECTED
+        self.state = PlayerState.DISCONNECTED
 
     @property
     def doubt(self) -> str:
@@ -53,50 +53,52 @@ class Player:
         device find its position, which also ends its alarm. session: the journal's, of one that is to be gone on
         with. Where an abort is asked for meanwhile, the device is stopped, and Stopped is raised.
         """
-        self._expect("connects", State.DISCONNECTED)
+        self._expect("connects", PlayerState.DISCONNECTED)
         try:
             self._trust.claim()
-            standing = self._opened(stop_first, home)
+            standing = self._open_device(stop_first, home)
             if self._arm is not None:
                 self._arm.connect()
             self._trust.look_back(self.device, standing, home, session)
-            self._to(State.HOMED if standing.homed and not self.doubt else State.IDLE)
+            self._set_state(PlayerState.HOMED if standing.homed and not self.doubt else PlayerState.IDLE)
         except BaseException:
             with self.journal.forgiving():
-                self._to(State.FAULT)
+                self._set_state(PlayerState.FAULT)
             raise
         return standing
 
-    def _opened(self, stop_first: bool, home: bool) -> Standing:
+    def _open_device(self, stop_first: bool, home: bool) -> Standing:
         """Connect the device, home or stop it as wanted, and tell where it stands; an abort ends that."""
         homing = False
         try:
-            self.device.connect(self._wishes.aborted)
+            self.device.connect(self._wishes.is_abort_requested)
             homing = home
             if home:
-                self.device.home(self._wishes.aborted)
-            return self._cleared() if stop_first else self.device.standing()
+                self.device.home(self._wishes.is_abort_requested)
+            return self._clear_leftover_motion() if stop_first else self.device.standing()
         except BaseException as exception:
-            if self._wishes.aborted() and isinstance(exception, DeviceFault):
-                result = self._stopped(Ending(Outcome.CANCELLED, "stopped on request, before anything was played"))
+            if self._wishes.is_abort_requested() and isinstance(exception, DeviceFault):
+                result = self._stop_all(
+                    Ending(PlaybackOutcome.CANCELLED, "stopped on request, before anything was played")
+                )
                 raise Stopped(result) from exception
             if homing and not isinstance(exception, HardwareError):
-                self._stopped(Ending(Outcome.DEVICE_FAULT, f"homing failed: {exception!r}"))
+                self._stop_all(Ending(PlaybackOutcome.DEVICE_FAULT, f"homing failed: {exception!r}"))
             raise
 
-    def _cleared(self) -> Standing:
+    def _clear_leftover_motion(self) -> Standing:
         """Stop what a dead player left behind; where that fails the position is lost, which is recorded."""
         try:
             return self.device.abort()
         except DeviceFault as exception:
-            self._ended(Ending(Outcome.DEVICE_FAULT, str(exception)))
+            self._finish_motion(Ending(PlaybackOutcome.DEVICE_FAULT, str(exception)))
             raise
 
     def trust(self) -> None:
         """Take the position that the device tells for true, since a person has made sure of it."""
-        self._expect("can be told to trust a position", State.IDLE, State.HOMED)
+        self._expect("can be told to trust a position", PlayerState.IDLE, PlayerState.HOMED)
         self._trust.vouch()
-        self._to(State.HOMED)
+        self._set_state(PlayerState.HOMED)
 
     def tilt(self) -> Array:
         """Measured tilt (2,) rad; 0 without an arm."""
@@ -121,42 +123,54 @@ class Player:
                 part.close()
         self._trust.release()
         with self.journal.forgiving():
-            self._to(State.DISCONNECTED)
+            self._set_state(PlayerState.DISCONNECTED)
 
-    def play(self, trajectory: Trajectory, seen: Seen | None = None, corrects: Corrects | None = None) -> Result:
+    def play(
+        self, trajectory: Trajectory, callback: Seen | None = None, corrector: TrajectoryCorrector | None = None
+    ) -> Result:
         """Play a trajectory that was checked, from where it starts; returns when everything stands still.
 
-        seen is told of it and of the progress every few ms; corrects: who changes what is still ahead, if anybody.
-        Nothing is sent where axes are not at the start.
+        seen is told of it and of the progress every few ms; corrector: who changes what is still ahead, if
+        anybody. Nothing is sent where axes are not at the start.
         """
-        self._expect("plays", State.HOMED)
-        playback = Playback(trajectory, self._arm, self.journal, self._clock, self._wishes, self._to, corrects)
+        self._expect("plays", PlayerState.HOMED)
+        playback = Playback(
+            trajectory, self._arm, self.journal, self._clock, self._wishes, self._set_state, corrector
+        )
         try:
-            played = self._begun(playback, trajectory)
-            ending = played if isinstance(played, Ending) else playback.run(played, self.device.resolution, seen)
-            return self._stopped(ending, playback) if ending.standing is None else self._ended(ending, playback)
+            played = self._start_device(playback, trajectory)
+            ending = (
+                played if isinstance(played, Ending) else playback.run(played, self.device.resolution, callback)
+            )
+            return (
+                self._stop_all(ending, playback)
+                if ending.standing is None
+                else self._finish_motion(ending, playback)
+            )
         except (DeviceFault, JournalError) as exception:
-            return self._stopped(Ending(Outcome.DEVICE_FAULT, str(exception)), playback)
+            return self._stop_all(Ending(PlaybackOutcome.DEVICE_FAULT, str(exception)), playback)
         except BaseException as exception:
-            self._stopped(Ending(Outcome.CANCELLED, f"playing was interrupted by {exception!r}"), playback)
+            self._stop_all(
+                Ending(PlaybackOutcome.CANCELLED, f"playing was interrupted by {exception!r}"), playback
+            )
             raise
 
-    def _begun(self, playback: Playback, trajectory: Trajectory) -> Played | Ending:
+    def _start_device(self, playback: Playback, trajectory: Trajectory) -> RunningMotion | Ending:
         """Start the device, or tell how that ended where nothing moves."""
         standing = self.device.standing()
         try:
             playback.check_start(standing)
             played = self.device.start(trajectory.commands())
         except TrajectoryError as exception:
-            return Ending(Outcome.INVALID_PLAN, str(exception), standing)
-        if self._wishes.aborted():
-            return Ending(Outcome.CANCELLED, "stopped on request, before anything moved", standing)
-        self._trust.begun(self.device, self.journal.session)
+            return Ending(PlaybackOutcome.INVALID_PLAN, str(exception), standing)
+        if self._wishes.is_abort_requested():
+            return Ending(PlaybackOutcome.CANCELLED, "stopped on request, before anything moved", standing)
+        self._trust.note_motion_start(self.device, self.journal.session)
         self.journal.record("start", frame=playback.frame, position=standing.position.tolist())
-        self._to(State.RUNNING)
+        self._set_state(PlayerState.RUNNING)
         return played
 
-    def _stopped(self, ending: Ending, playback: Playback | None = None) -> Result:
+    def _stop_all(self, ending: Ending, playback: Playback | None = None) -> Result:
         """Stop everything that can be stopped; the axes first, since an arm that is not led stands still."""
         outcome, message, standing, misplaced = ending
         with self.journal.forgiving():
@@ -167,18 +181,18 @@ class Player:
             finally:
                 try:
                     if self._arm is not None:
-                        self._arm.hold() if outcome is Outcome.CANCELLED else self._arm.stop()
+                        self._arm.hold() if outcome is PlaybackOutcome.CANCELLED else self._arm.stop()
                 except DeviceFault as exception:
-                    outcome, message = Outcome.DEVICE_FAULT, f"{message}; {exception}"
-        return self._ended(Ending(outcome, message, standing, misplaced), playback)
+                    outcome, message = PlaybackOutcome.DEVICE_FAULT, f"{message}; {exception}"
+        return self._finish_motion(Ending(outcome, message, standing, misplaced), playback)
 
-    def _ended(self, ending: Ending, playback: Playback | None = None) -> Result:
+    def _finish_motion(self, ending: Ending, playback: Playback | None = None) -> Result:
         """The result, recorded if that is possible; what was asked for is done with.
 
         playback: of the motion that ended, None where none had been prepared.
         """
         outcome, message, standing, misplaced = ending
-        away = "" if standing is None or playback is None else playback.misplaced(standing.position)
+        away = "" if standing is None or playback is None else playback.explain_misplacement(standing.position)
         if away:
             message += f"; {away}"
         elif misplaced and standing is not None:
@@ -187,7 +201,11 @@ class Player:
         position = None if standing is None else standing.position
         frame = 0 if playback is None else playback.frame
         result = Result(outcome, message, frame, position, trusted)
-        fine = result.trusted and outcome in (Outcome.SUCCESS, Outcome.INVALID_PLAN, Outcome.CANCELLED)
+        fine = result.trusted and outcome in (
+            PlaybackOutcome.SUCCESS,
+            PlaybackOutcome.INVALID_PLAN,
+            PlaybackOutcome.CANCELLED,
+        )
         with self.journal.forgiving():
             self.journal.record(
                 "result",
@@ -197,19 +215,19 @@ class Player:
                 position=None if position is None else position.tolist(),
                 trusted=result.trusted,
             )
-            self._to(State.HOMED if fine else State.FAULT)
+            self._set_state(PlayerState.HOMED if fine else PlayerState.FAULT)
         try:
-            self._trust.ended(self.device, result)
+            self._trust.note_motion_end(self.device, result)
         except DeviceFault as exception:
-            result = replace(result, unkept=str(exception))
-        self._wishes.stopped()
+            result = replace(result, memory_error=str(exception))
+        self._wishes.clear_abort()
         return result
 
-    def _expect(self, what: str, *states: State) -> None:
+    def _expect(self, what: str, *states: PlayerState) -> None:
         if self.state not in states:
             wanted = " or ".join(state.value for state in states)
             raise DeviceFault(f"the player is {self.state.value}; only one that is {wanted} {what}")
 
-    def _to(self, state: State) -> None:
+    def _set_state(self, state: PlayerState) -> None:
         self.state = state
         self.journal.record("state", state=state.value)

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from ctr_nlp.hardware.devices import Progress
+from ctr_nlp.hardware.devices import MotionProgress
 from ctr_nlp.hardware.motion.trajectory import Trajectory
 from ctr_nlp.typing import Array
 
@@ -36,13 +36,13 @@ class Recorder:
     def __init__(self) -> None:
         self._trajectory: Trajectory | None = None
 
-    def __call__(self, trajectory: Trajectory, progress: Progress) -> None:
+    def __call__(self, trajectory: Trajectory, progress: MotionProgress) -> None:
         """Add what is new, but for pauses."""
         before, self._trajectory = self._trajectory, trajectory
         if not trajectory.continues(before):
             self._paused = 0.0
             self._rows: list[tuple[float, float, Array]] = []
-            self._held: Progress | None = None
+            self._held: MotionProgress | None = None
         if progress.state in ("holding", "held"):
             self._held = self._held or progress
             return

@@ -29,7 +29,7 @@ class Wishes:
         """Ask for something."""
         self._queue.put(wish)
 
-    def aborted(self) -> bool:
+    def is_abort_requested(self) -> bool:
         """Look at what has been asked for; whether an abort has."""
         while True:
             try:
@@ -40,17 +40,17 @@ class Wishes:
             if self.latest != "abort":
                 self.latest = wish
 
-    def granted(self) -> None:
+    def clear_wish(self) -> None:
         """What was wished for has been done."""
         self.latest = ""
 
-    def stopped(self) -> None:
+    def clear_abort(self) -> None:
         """An abort has been carried out; other wishes hold for what is played next."""
         if self.latest == "abort":
-            self.granted()
+            self.clear_wish()
 
 
-class State(Enum):
+class PlayerState(Enum):
     """Of the player; the value is what a person reads."""
 
     DISCONNECTED = "disconnected"
@@ -61,7 +61,7 @@ class State(Enum):
     FAULT = "fault"
 
 
-class Outcome(Enum):
+class PlaybackOutcome(Enum):
     """As error codes of control_msgs/action/FollowJointTrajectory, where it has one; the value is for people."""
 
     SUCCESS = "success"
@@ -78,7 +78,7 @@ class Ending(NamedTuple):
     misplaced: whether the axes were reported so far from where they should be that they are not to be trusted.
     """
 
-    outcome: Outcome
+    outcome: PlaybackOutcome
     message: str
     standing: Standing | None = None
     misplaced: bool = False
@@ -93,9 +93,9 @@ class Result:
     remembered, so that the next session asks for it again; "" where it was.
     """
 
-    outcome: Outcome
+    outcome: PlaybackOutcome
     message: str
     frame: int
     position: Array | None
     trusted: bool
-    unkept: str = ""
+    memory_error: str = ""

@@ -10,26 +10,32 @@ from scipy.interpolate import CubicHermiteSpline
 from ctr_nlp.exceptions import TrajectoryError
 from ctr_nlp.hardware.description import Hardware
 from ctr_nlp.hardware.devices import Standing
-from ctr_nlp.hardware.motion.trajectory import Trajectory, along, digests, slowed, through
-from ctr_nlp.hardware.playing.checks import checked
+from ctr_nlp.hardware.motion.trajectory import (
+    Trajectory,
+    digests,
+    scale_robot_speeds,
+    trajectory_along,
+    trajectory_through,
+)
+from ctr_nlp.hardware.playing.checks import check_trajectory
 from ctr_nlp.hardware.playing.playback import Seen
 from ctr_nlp.hardware.playing.player import Player
-from ctr_nlp.hardware.playing.results import Outcome, Result
+from ctr_nlp.hardware.playing.results import PlaybackOutcome, Result
 from ctr_nlp.hardware.playing.session import (
     RETRACTED,
-    announced,
-    as_told,
+    catch_stop,
     check_trusted,
-    or_stopped,
-    place,
-    ready,
+    connect_player,
+    find_program_record,
+    locate_on_path,
+    rebuild_corrected_trajectory,
     session_of,
 )
 from ctr_nlp.plan.plan import Plan
 from ctr_nlp.typing import Array
 
 
-@or_stopped
+@catch_stop
 def retract(
     player: Player,
     plan: Plan,
@@ -37,7 +43,7 @@ def retract(
     records: list[dict[str, Any]] | None,
     *,
     verified: bool = False,
-    seen: Seen | None = None,
+    callback: Seen | None = None,
 ) -> Result:
     """Pull the tubes of a plan's robot back, as slowly as a first frame is gone to.
 
@@ -48,17 +54,17 @@ def retract(
     if records is not None:
         check_trusted(records, verified)
     session = "" if records is None else session_of(records)
-    standing = ready(player, verified=verified, stop_first=True, session=session)
+    standing = connect_player(player, verified=verified, stop_first=True, session=session)
     if records is None:
         returns = [innermost_first(plan, hardware, standing.position, player.tilt())]
     else:
         returns = return_path(plan, hardware, records, standing, player.device.resolution)
     for part in returns:
-        checked(part, plan.evaluated_on)
+        check_trajectory(part, plan.evaluated_model)
     player.journal.record(RETRACTED, ways=len(returns))
     for part in returns:
-        result = player.play(part, seen)
-        if result.outcome is not Outcome.SUCCESS:
+        result = player.play(part, callback)
+        if result.outcome is not PlaybackOutcome.SUCCESS:
             break
     return result
 
@@ -67,13 +73,13 @@ def return_path(
     plan: Plan, hardware: Hardware, records: list[dict[str, Any]], standing: Standing, resolution: Array
 ) -> list[Trajectory]:
     """The path of a session, backwards: to its first frame, then to where the axes stood before it."""
-    told = announced(records)
-    trajectory = as_told(plan, hardware, records)
+    told = find_program_record(records)
+    trajectory = rebuild_corrected_trajectory(plan, hardware, records)
     home, first = np.array(told["standing"]), trajectory.positions(0.0)
     theta = trajectory.motion.path(trajectory.knots[0])[-2:]
     if _between(home, first, standing.position, hardware.tolerance):
         return [_straight(trajectory, standing.position, home, theta)]
-    s = place(trajectory, standing, resolution, int(trajectory.frames[0]))
+    s = locate_on_path(trajectory, standing, resolution, int(trajectory.frames[0]))
     return [_backwards(trajectory, s), _straight(trajectory, first, home, theta)]
 
 
@@ -92,8 +98,8 @@ def _backwards(trajectory: Trajectory, s: float) -> Trajectory:
         return CubicHermiteSpline(s - knots[::-1], curve(knots)[::-1], -curve(knots, 1)[::-1])
 
     path, lash = reversed_in_time(trajectory.motion.path), reversed_in_time(trajectory.lash)
-    robot = slowed(trajectory.robot, trajectory.hardware.approach)
-    return along(
+    robot = scale_robot_speeds(trajectory.robot, trajectory.hardware.approach)
+    return trajectory_along(
         robot, trajectory.hardware, path, lash, s - knots[::-1], np.arange(len(knots)), trajectory.digests, 1.0
     )
 
@@ -101,7 +107,7 @@ def _backwards(trajectory: Trajectory, s: float) -> Trajectory:
 def _straight(trajectory: Trajectory, start: Array, end: Array, theta: Array) -> Trajectory:
     """The straight line from positions (m,) of the axes to others, at a tilt (2,)."""
     q = trajectory.hardware.joints(trajectory.robot, np.stack([start, end]), theta)
-    return through(trajectory.robot, trajectory.hardware, q, trajectory.digests)
+    return trajectory_through(trajectory.robot, trajectory.hardware, q, trajectory.digests)
 
 
 def innermost_first(plan: Plan, hardware: Hardware, position: Array, theta: Array) -> Trajectory:
@@ -109,7 +115,7 @@ def innermost_first(plan: Plan, hardware: Hardware, position: Array, theta: Arra
 
     Nothing is turned. Raises TrajectoryError where the tubes are in already.
     """
-    robot = hardware.tightened(plan.robot)
+    robot = hardware.apply_limits(plan.robot)
     steps = [hardware.joints(robot, position, theta)]
     least = robot.split(robot.lower)[1]
     for length in [*robot.split(steps[0])[1][-2::-1], 0.0]:
@@ -120,4 +126,4 @@ def innermost_first(plan: Plan, hardware: Hardware, position: Array, theta: Arra
             steps.append(pulled)
     if len(steps) == 1:
         raise TrajectoryError("all tubes are retracted already")
-    return through(robot, hardware, np.stack(steps), digests(plan, hardware))
+    return trajectory_through(robot, hardware, np.stack(steps), digests(plan, hardware))

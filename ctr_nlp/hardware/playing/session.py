@@ -14,12 +14,12 @@ from ctr_nlp.hardware.devices import Standing
 from ctr_nlp.hardware.guiding.guide import SHARE
 from ctr_nlp.hardware.guiding.loop import ClosedLoop
 from ctr_nlp.hardware.motion.lookahead import FollowedPath
-from ctr_nlp.hardware.motion.trajectory import Patch, Trajectory, approach_to, rest_of, trajectory_of
-from ctr_nlp.hardware.playing.checks import Checked, check_plan, checked
+from ctr_nlp.hardware.motion.trajectory import Patch, Trajectory, approach_to, remaining_trajectory, trajectory_of
+from ctr_nlp.hardware.playing.checks import TrajectoryCheck, check_plan, check_trajectory
 from ctr_nlp.hardware.playing.playback import Seen
 from ctr_nlp.hardware.playing.player import Player
-from ctr_nlp.hardware.playing.results import Outcome, Result, State
-from ctr_nlp.hardware.playing.trust import REMEDY
+from ctr_nlp.hardware.playing.results import PlaybackOutcome, PlayerState, Result
+from ctr_nlp.hardware.playing.trust import DISTRUST_REMEDY
 from ctr_nlp.models import Model
 from ctr_nlp.plan.plan import Plan
 from ctr_nlp.typing import Array
@@ -29,24 +29,24 @@ Playing = ParamSpec("Playing")
 RETRACTED = "retraction"
 """Kind of the journal's record of a retraction, after which no session before it can be resumed."""
 
-LEVEL = 1e-4
+ARM_START_TOLERANCE_RAD = 1e-4
 """rad by which the arm may be off where a trajectory starts."""
 
 
-def prepared(
+def prepare_trajectory(
     plan: Plan, hardware: Hardware, tempo: float = 1.0, standing: Array | None = None, share: float = 1.0
-) -> tuple[Trajectory, Checked]:
+) -> tuple[Trajectory, TrajectoryCheck]:
     """The trajectory of a plan, and what was found when all of it was checked.
 
     standing (m,): positions from which the axes come to the first frame. share: of the largest speeds and
     accelerations; the rest is left for corrections. Raises HardwareError, OptionError, TrajectoryError.
     """
-    check_plan(plan, hardware.tightened(plan.robot))
+    check_plan(plan, hardware.apply_limits(plan.robot))
     trajectory = trajectory_of(plan, hardware, tempo, standing, share)
-    return trajectory, checked(trajectory, plan.evaluated_on)
+    return trajectory, check_trajectory(trajectory, plan.evaluated_model)
 
 
-def or_stopped(play: Callable[Playing, Result]) -> Callable[Playing, Result]:
+def catch_stop(play: Callable[Playing, Result]) -> Callable[Playing, Result]:
     """The same, but that an abort while the device is being connected is a result too."""
 
     @wraps(play)
@@ -59,8 +59,8 @@ def or_stopped(play: Callable[Playing, Result]) -> Callable[Playing, Result]:
     return played
 
 
-@or_stopped
-def begin(
+@catch_stop
+def play_plan(
     player: Player,
     plan: Plan,
     hardware: Hardware,
@@ -68,7 +68,7 @@ def begin(
     *,
     home: bool = False,
     verified: bool = False,
-    seen: Seen | None = None,
+    callback: Seen | None = None,
     loop: ClosedLoop | None = None,
 ) -> Result:
     """Play a plan from its first frame, to which the robot goes slowly and straight from where it stands.
@@ -78,31 +78,31 @@ def begin(
     sent, and DeviceFault where nothing could be begun.
     """
     share = 1.0 if loop is None else SHARE
-    trajectory, _ = prepared(plan, hardware, tempo, share=share)
+    trajectory, _ = prepare_trajectory(plan, hardware, tempo, share=share)
     if loop is not None:
         loop.open()
-    standing = ready(player, home=home, verified=verified)
+    standing = connect_player(player, home=home, verified=verified)
     if hardware.backlash.any():
         trajectory = trajectory_of(plan, hardware, tempo, standing.position, share)
-        checked(trajectory, plan.evaluated_on)
+        check_trajectory(trajectory, plan.evaluated_model)
     _announce(player, trajectory, tempo, standing.position, None, [])
-    return _go(player, trajectory, standing, plan.evaluated_on, seen, loop, plan.q[:0])
+    return _approach_and_play(player, trajectory, standing, plan.evaluated_model, callback, loop, plan.q[:0])
 
 
-def ready(
+def connect_player(
     player: Player, *, home: bool = False, verified: bool = False, stop_first: bool = False, session: str = ""
 ) -> Standing:
     """Connect a player whose device must know where it stands, or a person for it; raises DeviceFault, Stopped."""
     standing = player.connect(stop_first, home, session)
     if verified:
         player.trust()
-    if player.state is not State.HOMED:
+    if player.state is not PlayerState.HOMED:
         unhomed = "" if standing.homed else "the device does not know where it stands: let it home first"
         raise DeviceFault("; ".join(filter(None, (unhomed, player.doubt))))
     return standing
 
 
-@or_stopped
+@catch_stop
 def resume(
     player: Player,
     plan: Plan,
@@ -110,7 +110,7 @@ def resume(
     records: list[dict[str, Any]],
     *,
     verified: bool = False,
-    seen: Seen | None = None,
+    callback: Seen | None = None,
     loop: ClosedLoop | None = None,
 ) -> Result:
     """Go on where a session (the records of its journal) ended, if the robot still stands on its path.
@@ -121,12 +121,13 @@ def resume(
     """
     if any(record["kind"] == RETRACTED for record in records):
         raise TrajectoryError("the tubes have been retracted since that session: begin anew")
-    told = announced(records)
-    if (loop is not None) != closed(told):
+    told = find_program_record(records)
+    if (loop is not None) != is_closed_loop(told):
         raise TrajectoryError(
-            f"the journal's session was {'of' if closed(told) else 'not of'} a closed loop: go on as it was begun"
+            f"the journal's session was {'of' if is_closed_loop(told) else 'not of'} a closed loop: go on as "
+            f"it was begun"
         )
-    trajectory = as_told(plan, hardware, records)
+    trajectory = rebuild_corrected_trajectory(plan, hardware, records)
     frame = last_passed(records)
     if frame < 1:
         raise TrajectoryError("the journal's session did not reach its first frame: begin anew")
@@ -135,30 +136,33 @@ def resume(
     check_trusted(records, verified)
     if loop is not None:
         loop.open()
-    standing = ready(player, verified=verified, stop_first=True, session=session_of(records))
-    s = place(trajectory, standing, player.device.resolution, frame)
+    standing = connect_player(player, verified=verified, stop_first=True, session=session_of(records))
+    s = locate_on_path(trajectory, standing, player.device.resolution, frame)
     _announce(player, trajectory, told["tempo"], told["standing"], s, patches_of(records))
-    rest, before = from_there(trajectory, s, told["tempo"])
-    return _go(player, rest, standing, plan.evaluated_on, seen, loop, before)
+    rest, before = split_at_parameter(trajectory, s, told["tempo"])
+    return _approach_and_play(player, rest, standing, plan.evaluated_model, callback, loop, before)
 
 
-def from_there(trajectory: Trajectory, s: float, tempo: float) -> tuple[Trajectory, Array]:
+def split_at_parameter(trajectory: Trajectory, s: float, tempo: float) -> tuple[Trajectory, Array]:
     """The rest of a trajectory for a robot that stands at its parameter s; q (n, 2d + 2) from its start to s."""
     path, passed = trajectory.motion.path, trajectory.knots < s
-    return rest_of(trajectory, s, tempo), path(np.append(trajectory.knots[passed], s))
+    return remaining_trajectory(trajectory, s, tempo), path(np.append(trajectory.knots[passed], s))
 
 
-def closed(told: dict[str, Any]) -> bool:
+def is_closed_loop(program: dict[str, Any]) -> bool:
     """Whether what a journal announced was corrected while it was played."""
-    return float(told.get("share", 1.0)) < 1.0
+    return float(program.get("share", 1.0)) < 1.0
 
 
 def patches_of(records: list[dict[str, Any]]) -> list[dict[str, Any]]:
     """By how much trajectories were corrected in a session and in those that it went on with, in order."""
-    return [*announced(records).get("patches", []), *(r["patch"] for r in records if r["kind"] == "corrected")]
+    return [
+        *find_program_record(records).get("patches", []),
+        *(r["patch"] for r in records if r["kind"] == "corrected"),
+    ]
 
 
-def announced(records: list[dict[str, Any]]) -> dict[str, Any]:
+def find_program_record(records: list[dict[str, Any]]) -> dict[str, Any]:
     """What a journal tells of the trajectory that its session played; raises TrajectoryError."""
     told = next((record for record in records if record["kind"] == "program"), None)
     if told is None:
@@ -168,7 +172,9 @@ def announced(records: list[dict[str, Any]]) -> dict[str, Any]:
 
 def last_passed(records: list[dict[str, Any]]) -> int:
     """The last frame that a session passed for certain, 0 for none."""
-    return max([int(announced(records)["first"]), *(int(r["frame"]) for r in records if r["kind"] == "frame")])
+    return max(
+        [int(find_program_record(records)["first"]), *(int(r["frame"]) for r in records if r["kind"] == "frame")]
+    )
 
 
 def session_of(records: list[dict[str, Any]]) -> str:
@@ -180,15 +186,15 @@ def check_trusted(records: list[dict[str, Any]], verified: bool) -> None:
     """Raise TrajectoryError where a session left a position that is not to be trusted, and nobody verified it."""
     results = [record for record in records if record["kind"] == "result"]
     if not verified and results and not results[-1]["trusted"]:
-        raise TrajectoryError(f"the position was not to be trusted when the session ended: {REMEDY}")
+        raise TrajectoryError(f"the position was not to be trusted when the session ended: {DISTRUST_REMEDY}")
 
 
-def _go(
+def _approach_and_play(
     player: Player,
     trajectory: Trajectory,
     standing: Standing,
     model: Model,
-    seen: Seen | None,
+    callback: Seen | None,
     loop: ClosedLoop | None,
     before: Array,
 ) -> Result:
@@ -197,15 +203,15 @@ def _go(
     before (n, 2d + 2): where the robot has come through, as far as that matters.
     """
     start = trajectory.positions(0.0)
-    tilted = abs(player.tilt() - trajectory.tilt(0.0)).max() > LEVEL
+    tilted = abs(player.tilt() - trajectory.tilt(0.0)).max() > ARM_START_TOLERANCE_RAD
     if tilted or (abs(start - standing.position) > player.device.resolution).any():
         approach = approach_to(trajectory, standing.position, player.tilt())
-        checked(approach, model)
-        result = player.play(approach, seen)
-        if result.outcome is not Outcome.SUCCESS:
+        check_trajectory(approach, model)
+        result = player.play(approach, callback)
+        if result.outcome is not PlaybackOutcome.SUCCESS:
             return result
     guide = None if loop is None else loop.guide(trajectory, before, player.journal)
-    return player.play(trajectory, seen, guide)
+    return player.play(trajectory, callback, guide)
 
 
 def _announce(
@@ -232,32 +238,34 @@ def _announce(
     )
 
 
-def as_told(plan: Plan, hardware: Hardware, records: list[dict[str, Any]]) -> Trajectory:
+def rebuild_corrected_trajectory(plan: Plan, hardware: Hardware, records: list[dict[str, Any]]) -> Trajectory:
     """The trajectory of a session, made again as it was corrected at last.
 
     Raises TrajectoryError where plan or hardware is another.
     """
-    trajectory = as_planned(plan, hardware, announced(records))
+    trajectory = rebuild_planned_trajectory(plan, hardware, find_program_record(records))
     for patch in patches_of(records):
-        trajectory = trajectory.patched(Patch.of(patch))
+        trajectory = trajectory.apply_patch(Patch.from_record(patch))
     return trajectory
 
 
-def as_planned(plan: Plan, hardware: Hardware, told: dict[str, Any]) -> Trajectory:
-    """The trajectory that was announced, before it was corrected; raises TrajectoryError as as_told."""
-    share = float(told.get("share", 1.0))
-    trajectory, _ = prepared(plan, hardware, told["tempo"], np.array(told["standing"]), share)
+def rebuild_planned_trajectory(plan: Plan, hardware: Hardware, program: dict[str, Any]) -> Trajectory:
+    """The trajectory that was announced, before it was corrected; raises TrajectoryError as
+    rebuild_corrected_trajectory.
+    """
+    share = float(program.get("share", 1.0))
+    trajectory, _ = prepare_trajectory(plan, hardware, program["tempo"], np.array(program["standing"]), share)
     for what, digest in zip(("plan", "hardware"), trajectory.digests, strict=True):
-        if told.get(what) != digest:
+        if program.get(what) != digest:
             name = f"this {what} ({plan.meta['problem']['name']})" if what == "plan" else "this hardware file"
             raise TrajectoryError(
-                f"the journal is of another {what}: its digest is {str(told.get(what))[:12]}, that of {name} "
+                f"the journal is of another {what}: its digest is {str(program.get(what))[:12]}, that of {name} "
                 f"{digest[:12]}; the robot cannot go on with what was changed since"
             )
     return trajectory
 
 
-def place(trajectory: Trajectory, standing: Standing, resolution: Array, frame: int) -> float:
+def locate_on_path(trajectory: Trajectory, standing: Standing, resolution: Array, frame: int) -> float:
     """Where on the path after a frame the axes stand, as its parameter; raises TrajectoryError.
 
     Where the path comes by the same place again, what the axes can tell apart (resolution, (m,)) decides for the

@@ -20,23 +20,23 @@ import numpy as np
 from ctr_nlp.exceptions import DeviceFault
 from ctr_nlp.hardware.devices import Device, Standing
 from ctr_nlp.hardware.playing.results import Result
-from ctr_nlp.support.extras import needed
-from ctr_nlp.support.whole_file import whole_file
+from ctr_nlp.support.extras import import_extra
+from ctr_nlp.support.whole_file import write_atomically
 from ctr_nlp.typing import Array
 
-FOLDER = "CTR_NLP_STATE"
+STATE_FOLDER_VARIABLE = "CTR_NLP_STATE"
 """Environment variable: a folder for what is remembered, instead of the user's own."""
 
 SHARED_FOLDER = Path("/tmp") if os.name == "posix" else Path(tempfile.gettempdir())
 """Where all users of this machine lock devices; TMPDIR, which each may set, does not move it."""
 
-REMEDY = "home, or make sure that the axes stand where the device says, and say so (--position-verified)"
+DISTRUST_REMEDY = "home, or make sure that the axes stand where the device says, and say so (--position-verified)"
 
 
 def state_folder() -> Path:
     """Where devices are remembered: CTR_NLP_STATE, or ctr_nlp in the user's state folder."""
-    named = os.environ.get(FOLDER)
-    return Path(named) if named else Path(needed("platformdirs").user_state_path("ctr_nlp", appauthor=False))
+    named = os.environ.get(STATE_FOLDER_VARIABLE)
+    return Path(named) if named else Path(import_extra("platformdirs").user_state_path("ctr_nlp", appauthor=False))
 
 
 @dataclass(frozen=True)
@@ -74,7 +74,7 @@ class Memory:
 
     def claim(self) -> None:
         """Keep players of all users of this machine off this device until it is released or this process ends."""
-        filelock = needed("filelock")
+        filelock = import_extra("filelock")
         own = filelock.FileLock(self._path("lock", ""))
         with ExitStack() as taken:
             try:
@@ -113,7 +113,7 @@ class Memory:
         path = self._path("json", identity)
         try:
             self._folder.mkdir(parents=True, exist_ok=True)
-            with whole_file(path) as partial, open(partial, "w", encoding="utf-8") as file:
+            with write_atomically(path) as partial, open(partial, "w", encoding="utf-8") as file:
                 json.dump(asdict(left), file)
                 file.flush()
                 os.fsync(file.fileno())
@@ -126,7 +126,7 @@ class Memory:
     def _unwritten(self, exception: OSError) -> DeviceFault:
         return DeviceFault(
             f"whether {self._url} can be trusted cannot be remembered in {self._folder} ({exception}); "
-            f"{FOLDER} names another folder"
+            f"{STATE_FOLDER_VARIABLE} names another folder"
         )
 
 
@@ -204,11 +204,11 @@ class Trust:
             self.look_back(device, standing)
         return standing.homed and not self.doubt
 
-    def begun(self, device: Device, session: str) -> None:
+    def note_motion_start(self, device: Device, session: str) -> None:
         """Distrust the device from now on, lest nobody tells how the motion ends; raises DeviceFault."""
         self._write(device, Remembered(False, "a motion had begun, and its end was never told", session=session))
 
-    def ended(self, device: Device, result: Result) -> None:
+    def note_motion_end(self, device: Device, result: Result) -> None:
         """Remember how a session left the device, unless nobody vouched for what it tells; raises DeviceFault."""
         if self._vouched or result.position is None:
             position = None if result.position is None else tuple(result.position.tolist())
@@ -228,18 +228,18 @@ def doubt(left: Remembered | None, position: Array, resolution: Array, session: 
     if left is None:
         return (
             "nothing is remembered of this device, so that nobody knows whether its axes stand where it says: "
-            f"{REMEDY}"
+            f"{DISTRUST_REMEDY}"
         )
     if session and left.session == session:
         return ""
     if not left.trusted:
-        return f"the position of the axes is not to be trusted, since {left.why}: {REMEDY}"
+        return f"the position of the axes is not to be trusted, since {left.why}: {DISTRUST_REMEDY}"
     known = np.array(position if left.position is None else left.position)
     if known.shape != position.shape or (abs(position - known) > resolution).any():
         there = ", ".join(f"{value:.4g}" for value in position)
         was = ", ".join(f"{value:.4g}" for value in known)
         return (
             f"the device counts {there}, and was left at {was}: it was switched off or moved by somebody else, "
-            f"and its position is not to be trusted: {REMEDY}"
+            f"and its position is not to be trusted: {DISTRUST_REMEDY}"
         )
     return ""

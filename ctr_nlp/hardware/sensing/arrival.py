@@ -10,10 +10,10 @@ import time
 STAMPED = 35 if sys.platform == "linux" else None
 """The option, and the kind of message, by which Linux tells of arrivals; other systems tell nothing."""
 
-SECONDS = struct.Struct("@qq")
+ARRIVAL_TIMESTAMP_STRUCT = struct.Struct("@qq")
 """Seconds and nanoseconds of the machine's clock."""
 
-LONGEST = 1.0
+MAX_QUEUE_TIME_S = 1.0
 """s: a longer time in the queue says that the machine's clock was set meanwhile, and nothing of the arrival."""
 
 
@@ -23,14 +23,18 @@ def stamp_arrivals(link: socket.socket) -> None:
         link.setsockopt(socket.SOL_SOCKET, STAMPED, 1)
 
 
-def received(link: socket.socket, most: int) -> tuple[bytes, float]:
+def receive_bytes(link: socket.socket, most: int) -> tuple[bytes, float]:
     """At most so many bytes, and for how many s the last of them have waited; 0 where the system does not tell.
 
     Raises OSError, as socket.recv does.
     """
     if STAMPED is None:
         return link.recv(most), 0.0
-    data, told, *_ = link.recvmsg(most, socket.CMSG_SPACE(SECONDS.size))
-    stamps = [SECONDS.unpack(value) for _, kind, value in told if kind == STAMPED and len(value) == SECONDS.size]
+    data, told, *_ = link.recvmsg(most, socket.CMSG_SPACE(ARRIVAL_TIMESTAMP_STRUCT.size))
+    stamps = [
+        ARRIVAL_TIMESTAMP_STRUCT.unpack(value)
+        for _, kind, value in told
+        if kind == STAMPED and len(value) == ARRIVAL_TIMESTAMP_STRUCT.size
+    ]
     waited = max((time.time() - seconds - 1e-9 * rest for seconds, rest in stamps), default=0.0)
-    return data, waited if 0.0 <= waited < LONGEST else 0.0
+    return data, waited if 0.0 <= waited < MAX_QUEUE_TIME_S else 0.0

@@ -12,17 +12,19 @@ import numpy as np
 from ctr_nlp.exceptions import HardwareError, OptionError
 from ctr_nlp.hardware.arm.description import all_numbers, frame_of, some_numbers
 from ctr_nlp.loops.sensors import Sensors
-from ctr_nlp.loops.sensors.points import ShapePoints, TipPose, TipPosition
+from ctr_nlp.loops.sensors.points import ShapePointSensor, TipPoseSensor, TipPositionSensor
 from ctr_nlp.typing import Array
 
-KINDS = ("simulated", "udp", "tcp", "igtl", "ros2")
-MEASURES = ("tip", "pose", "points")
+SENSOR_KINDS = ("simulated", "udp", "tcp", "igtl", "ros2")
+SENSOR_MEASURES = ("tip", "pose", "points")
 
 URLS = "simulated, simulated:SEED, udp://HOST:PORT, tcp://HOST:PORT, igtl://HOST:PORT/DEVICE or ros2://TOPIC"
 
 
-class Address(NamedTuple):
-    """Where measurements are told. kind: of KINDS; rest: TOPIC and more for ros2, DEVICE for igtl, SEED; or ""."""
+class SensorAddress(NamedTuple):
+    """Where measurements are told. kind: of SENSOR_KINDS; rest: TOPIC and more for ros2, DEVICE for igtl, SEED; or
+    "".
+    """
 
     kind: str
     host: str = ""
@@ -30,18 +32,18 @@ class Address(NamedTuple):
     rest: str = ""
 
 
-def address_of(url: str) -> Address:
+def parse_sensor_url(url: str) -> SensorAddress:
     """What a url of a sensor means; raises HardwareError."""
     told = str(url)
     plain = re.fullmatch(r"simulated(?::(\d{1,18}))?", told)
     if plain:
-        return Address("simulated", rest=plain[1] or "0")
+        return SensorAddress("simulated", rest=plain[1] or "0")
     topic = re.fullmatch(r"ros2://([A-Za-z_/][\w/]*(?:@[A-Za-z0-9.-]+)?(?:\?domain=\d+)?)", told)
     if topic:
-        return Address("ros2", rest=topic[1])
+        return SensorAddress("ros2", rest=topic[1])
     network = re.fullmatch(r"(udp|tcp|igtl)://([A-Za-z0-9.-]+):(\d{1,5})(?:/([\w .-]+))?", told)
     if network and 0 < int(network[3]) < 65536 and (network[1] == "igtl") == bool(network[4]):
-        return Address(network[1], network[2], int(network[3]), network[4] or "")
+        return SensorAddress(network[1], network[2], int(network[3]), network[4] or "")
     raise HardwareError(f"url of the sensor is {url!r}; it must be {URLS}")
 
 
@@ -66,9 +68,11 @@ class Sensing:
     rotation_deg: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
     def __post_init__(self) -> None:
-        address_of(self.url)
-        if self.measures not in MEASURES:
-            raise HardwareError(f"measures of the sensor is {self.measures!r}; it must be {', '.join(MEASURES)}")
+        parse_sensor_url(self.url)
+        if self.measures not in SENSOR_MEASURES:
+            raise HardwareError(
+                f"measures of the sensor is {self.measures!r}; it must be {', '.join(SENSOR_MEASURES)}"
+            )
         if (self.measures == "points") != bool(len(self.places)):
             raise HardwareError(
                 f'places of the sensor are {list(self.places)}; they go with measures = "points", and only with it'
@@ -84,20 +88,20 @@ class Sensing:
             raise HardwareError(str(exception)) from exception
 
     @cached_property
-    def address(self) -> Address:
+    def address(self) -> SensorAddress:
         """Where measurements are told."""
-        return address_of(self.url)
+        return parse_sensor_url(self.url)
 
     @cached_property
     def sensors(self) -> Sensors:
         """What observers need to know of them."""
         if self.measures == "points":
-            return Sensors(ShapePoints(self.places, self.deviation))
+            return Sensors(ShapePointSensor(self.places, self.deviation))
         if self.measures == "pose":
-            return Sensors(TipPose(self.deviation, self.turn))
-        return Sensors(TipPosition(self.deviation))
+            return Sensors(TipPoseSensor(self.deviation, self.turn))
+        return Sensors(TipPositionSensor(self.deviation))
 
-    def placed(self, values: Array) -> Array:
+    def to_base_frame(self, values: Array) -> Array:
         """Values (m,) in the sensor's frame, points and of a pose a direction, in the robot's base frame."""
         frame, triads = frame_of(self.translation, self.rotation_deg), values.reshape(-1, 3)
         turned = triads @ frame[:3, :3].T

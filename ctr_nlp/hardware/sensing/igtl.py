@@ -10,9 +10,9 @@ from ctr_nlp.exceptions import DeviceFault
 from ctr_nlp.hardware.clock import RealClock
 from ctr_nlp.hardware.sensing.description import Sensing
 from ctr_nlp.hardware.sensing.source import Message, Remote
-from ctr_nlp.support.extras import needed
+from ctr_nlp.support.extras import import_extra
 
-PATIENCE = 3.0
+IGTL_CONNECT_TIMEOUT_S = 3.0
 """s for a server to answer."""
 
 
@@ -25,16 +25,18 @@ class Igtl(Remote):
 
     def open(self) -> None:
         """As Source; raises OptionError too, where pyigtl is missing."""
-        client, clock = needed("pyigtl").OpenIGTLinkClient, RealClock()
+        client, clock = import_extra("pyigtl").OpenIGTLinkClient, RealClock()
         self._client = client(self._sensing.address.host, self._sensing.address.port)
-        end = clock.now() + PATIENCE
+        end = clock.now() + IGTL_CONNECT_TIMEOUT_S
         while not self._client.is_connected():
             if clock.now() > end:
                 self.close()
-                raise DeviceFault(f"no OpenIGTLink server answers at {self._sensing.url} within {PATIENCE:g} s")
+                raise DeviceFault(
+                    f"no OpenIGTLink server answers at {self._sensing.url} within {IGTL_CONNECT_TIMEOUT_S:g} s"
+                )
             clock.sleep(0.01)
 
-    def _come(self) -> list[Message]:
+    def _receive_messages(self) -> list[Message]:
         found = []
         for message in self._client.get_latest_messages():
             if message.device_name == self._sensing.address.rest:

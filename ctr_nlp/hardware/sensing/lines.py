@@ -11,14 +11,14 @@ from contextlib import suppress
 import numpy as np
 
 from ctr_nlp.exceptions import DeviceFault
-from ctr_nlp.hardware.sensing.arrival import received, stamp_arrivals
+from ctr_nlp.hardware.sensing.arrival import receive_bytes, stamp_arrivals
 from ctr_nlp.hardware.sensing.description import Sensing
 from ctr_nlp.hardware.sensing.source import Message, Remote
 
-PATIENCE = 3.0
+TCP_SENSOR_TIMEOUT_S = 3.0
 """s for a server to answer."""
 
-LONGEST = 65536
+MAX_JSON_LINE_BYTES = 65536
 """Bytes of a line: more of them without an end are dropped."""
 
 AT_ONCE = 64
@@ -39,7 +39,7 @@ def message_of(line: bytes) -> Message | str:
     return Message(values, known)
 
 
-class Lines(Remote):
+class JsonLineSource(Remote):
     """Lines from a socket: of any sender's packets to a UDP address, or of the server at a TCP address."""
 
     def __init__(self, sensing: Sensing) -> None:
@@ -55,7 +55,7 @@ class Lines(Remote):
                 self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
                 self._socket.bind((host, port))
             else:
-                self._socket = socket.create_connection((host, port), PATIENCE)
+                self._socket = socket.create_connection((host, port), TCP_SENSOR_TIMEOUT_S)
             self._socket.setblocking(False)
             stamp_arrivals(self._socket)
         except OSError as exception:
@@ -64,7 +64,7 @@ class Lines(Remote):
                 f"the sensor at {self._sensing.url} cannot be listened to: {exception}"
             ) from exception
 
-    def _come(self) -> list[Message]:
+    def _receive_messages(self) -> list[Message]:
         found = []
         for line, waited in self._lines():
             message = message_of(line)
@@ -82,7 +82,7 @@ class Lines(Remote):
                 break
             whole = self._sensing.address.kind == "udp" and not data.endswith(b"\n")
             *lines, rest = (self._rest + data + b"\n" * whole).split(b"\n")
-            self._rest = rest if len(rest) <= LONGEST else b""
+            self._rest = rest if len(rest) <= MAX_JSON_LINE_BYTES else b""
             yield from ((line, waited) for line in lines if line.strip())
 
     def _packet(self) -> tuple[bytes, float]:
@@ -90,7 +90,7 @@ class Lines(Remote):
         if self._socket is None:
             return b"", 0.0
         try:
-            data, waited = received(self._socket, LONGEST)
+            data, waited = receive_bytes(self._socket, MAX_JSON_LINE_BYTES)
         except (BlockingIOError, InterruptedError):
             return b"", 0.0
         except OSError as exception:

@@ -13,10 +13,10 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from ctr_nlp.exceptions import DeviceFault
-from ctr_nlp.hardware.devices.ros2.messages import LATEST, address_of, participant, quality, types
+from ctr_nlp.hardware.devices.ros2.messages import LATEST, parse_controller_url, participant, quality, types
 from ctr_nlp.hardware.sensing.description import Sensing
 from ctr_nlp.hardware.sensing.source import Message, Remote
-from ctr_nlp.support.extras import needed
+from ctr_nlp.support.extras import import_extra
 
 MM_PER_M = 1e3
 
@@ -24,7 +24,7 @@ MM_PER_M = 1e3
 @cache
 def geometry() -> SimpleNamespace:
     """Types of geometry_msgs, by name; raises OptionError where cyclonedds is missing."""
-    idl, kinds = needed("cyclonedds.idl"), needed("cyclonedds.idl.types")
+    idl, kinds = import_extra("cyclonedds.idl"), import_extra("cyclonedds.idl.types")
     known: dict[str, Any] = {}
 
     def struct(kind: str, /, **fields: Any) -> Any:
@@ -48,12 +48,12 @@ class Topic(Remote):
 
     def open(self) -> None:
         """As Source; raises OptionError and HardwareError too."""
-        address, kind = address_of(self._sensing.address.rest), self._kind
-        failure = needed("cyclonedds.core").DDSException
+        address, kind = parse_controller_url(self._sensing.address.rest), self._kind
+        failure = import_extra("cyclonedds.core").DDSException
         own, domain = participant(address)
         try:
-            topic = needed("cyclonedds.topic").Topic(own, f"rt/{address.controller}", kind)
-            reader = needed("cyclonedds.sub").DataReader(own, topic, quality(False, LATEST))
+            topic = import_extra("cyclonedds.topic").Topic(own, f"rt/{address.controller}", kind)
+            reader = import_extra("cyclonedds.sub").DataReader(own, topic, quality(False, LATEST))
         except failure as exception:
             raise DeviceFault(f"topic {address.controller} cannot be opened: {exception}") from exception
         self._held = [domain, own, topic, reader]
@@ -62,7 +62,7 @@ class Topic(Remote):
     def _kind(self) -> Any:
         return geometry().PoseArray if self._sensing.measures == "points" else geometry().PoseStamped
 
-    def _come(self) -> list[Message]:
+    def _receive_messages(self) -> list[Message]:
         try:
             samples = self._held[-1].take(LATEST) if self._held else []
         except Exception as exception:

@@ -7,16 +7,16 @@ from collections.abc import Sequence
 import numpy as np
 
 from ctr_nlp.hardware.sensing.source import Source
-from ctr_nlp.loops.feed import Fault, Feed
+from ctr_nlp.loops.feed import Feed, SensorFault
 from ctr_nlp.loops.plant import Plant
 from ctr_nlp.loops.sensors import Reading, Sensors
 from ctr_nlp.models import Model, model_named
 from ctr_nlp.plan.plan import Plan
-from ctr_nlp.robot.draws import Draws, drawn
-from ctr_nlp.robot.tolerances import NAMES
+from ctr_nlp.robot.draws import RobotSamples, sample_robots
+from ctr_nlp.robot.tolerances import DEVIATION_NAMES
 from ctr_nlp.typing import Array
 
-SHOWN = {
+ROBOT_DIFFERENCE_LABELS = {
     "curvature": ("curvature", 100.0, " %"),
     "bending_stiffness": ("bending stiffness", 100.0, " %"),
     "torsional_ratio": ("torsional ratio", 100.0, " %"),
@@ -49,12 +49,12 @@ class SimulatedRobot(Source):
         plan: Plan,
         sensors: Sensors,
         seed: int,
-        faults: Sequence[Fault] = (),
+        faults: Sequence[SensorFault] = (),
         model: str | Model | None = None,
     ) -> None:
         if model is None:
-            model = "elastic" if plan.bears is None else plan.evaluated_on
-        self._model, self._sample, self._seed = model_named(model), drawn(plan.robot, 1, seed), seed
+            model = "elastic" if plan.evaluated_load is None else plan.evaluated_model
+        self._model, self._sample, self._seed = model_named(model), sample_robots(plan.robot, 1, seed), seed
         self._plan = plan
         self.plant = Plant(plan.robot, self._sample, self._model)
         self._feed = Feed(self.plant, sensors, seed, faults=faults)
@@ -67,34 +67,34 @@ class SimulatedRobot(Source):
     def open(self) -> None:
         """Nothing is opened."""
 
-    def led(self, places: Array) -> None:
+    def apply_past_motion(self, configurations: Array) -> None:
         """As Source. A robot that has come through nothing comes to rest in the plan's first frame.
 
         Its first equilibrium takes up to a second where programs are not compiled yet. It is found here, before
         anything moves: within the motion, the player would stop because it was held up.
         """
-        for q in places if len(places) else self._plan.q[:1]:
-            self.plant.moved(q, 0.0)
+        for q in configurations if len(configurations) else self._plan.q[:1]:
+            self.plant.move_to(q, 0.0)
 
     def take(self, q: Array, now: float) -> list[Reading]:
         """As Source."""
-        self.plant.moved(q, now)
-        return self._feed.arrived(now)
+        self.plant.move_to(q, now)
+        return self._feed.take_readings(now)
 
     def close(self) -> None:
         """Nothing was opened."""
 
 
-def _differences(sample: Draws) -> list[str]:
+def _differences(sample: RobotSamples) -> list[str]:
     """By how much one sample differs from the robot described, a phrase for each quantity that does."""
-    columns = {name: sample.parts[0, :, k] for k, name in enumerate(NAMES)}
+    columns = {name: sample.deviations[0, :, k] for k, name in enumerate(DEVIATION_NAMES)}
     told = [
         f"{name} {', '.join(f'{factor * value:+.3g}' for value in columns[key])}{unit}"
-        for key, (name, factor, unit) in SHOWN.items()
+        for key, (name, factor, unit) in ROBOT_DIFFERENCE_LABELS.items()
         if np.any(columns[key])
     ]
-    if sample.lags.any():
-        told.append(f"rotation lag {', '.join(f'{lag:.3g}' for lag in sample.lags[0])} rad")
+    if sample.backlash.any():
+        told.append(f"rotation lag {', '.join(f'{lag:.3g}' for lag in sample.backlash[0])} rad")
     if sample.forces.any():
         told.append(f"tip force {', '.join(f'{force:+.3g}' for force in sample.forces[0])} N along x, y, z")
     return told

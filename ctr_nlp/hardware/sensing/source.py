@@ -18,7 +18,7 @@ DRIFT = 1e-3
 OLDEST = 0.9
 """s: what was measured earlier is left out, as if it had never come."""
 
-MOST = 4
+MAX_READINGS_PER_LOOK = 4
 """Readings that are taken between two looks: the newest."""
 
 
@@ -43,7 +43,7 @@ class Source(ABC):
         """Begin to listen; raises DeviceFault."""
 
     @abstractmethod
-    def led(self, places: Array) -> None:
+    def apply_past_motion(self, configurations: Array) -> None:
         """The robot has come through q (n, 2d + 2), where nothing was measured."""
 
     @abstractmethod
@@ -62,23 +62,23 @@ class Remote(Source):
         self._sensing, self._lag, self._last = sensing, math.inf, -math.inf
 
     @abstractmethod
-    def _come(self) -> list[Message]:
+    def _receive_messages(self) -> list[Message]:
         """The messages that have come, oldest first."""
 
-    def led(self, places: Array) -> None:
+    def apply_past_motion(self, configurations: Array) -> None:
         """A robot that is there knows."""
 
     def take(self, q: Array, now: float) -> list[Reading]:
         """As Source; of these the newest."""
         size, found = len(self._sensing.sensors), list[Reading]()
-        for message in self._come():
+        for message in self._receive_messages():
             if message.values.shape != (size,):
                 self.strange = f"{message.values.size} numbers, where {size} are measured"
                 continue
             time = self._time(message.stamp, now - message.waited)
             if np.isfinite(message.values).any() and time >= now - OLDEST:
-                found.append(Reading(time, self._sensing.placed(message.values)))
-        return found[-MOST:]
+                found.append(Reading(time, self._sensing.to_base_frame(message.values)))
+        return found[-MAX_READINGS_PER_LOOK:]
 
     def _time(self, stamp: float | None, came: float) -> float:
         """When a message that came at a time was measured, s of our clock; the quickest one took no time."""

@@ -9,51 +9,55 @@ import numpy.typing as npt
 from matplotlib import colormaps
 from matplotlib.colors import to_hex, to_rgb
 
-from ctr_nlp.figures.parts.palette import CONTACT, ERROR, ORANGE, SKY, VERMILLION, tube_colour
-from ctr_nlp.live.steered.session import Seen
+from ctr_nlp.figures.parts.palette import CONTACT, ERROR_COLOUR_MAP, ORANGE, SKY, VERMILLION, tube_colour
+from ctr_nlp.live.steered.session import SessionState
 from ctr_nlp.plan.verdicts import NOT_CHECKED
 from ctr_nlp.robot import Robot
-from ctr_nlp.target.lumen import outermost
-from ctr_nlp.target.target import SIGMA
+from ctr_nlp.target.lumen import outermost_tube_index
+from ctr_nlp.target.target import SIGMA_GRID
 from ctr_nlp.typing import Array
 
 Colours = npt.NDArray[np.uint8]
 """(n, 3), red, green and blue."""
-MIDDLES = (SIGMA[1:] + SIGMA[:-1]) / 2
+MIDDLES = (SIGMA_GRID[1:] + SIGMA_GRID[:-1]) / 2
 """Normalised arc lengths (100,) of the pieces that a robot is drawn of."""
-LARGE_ERROR, MUCH_ROOM = 5.0, 3.0
+LARGE_ERROR_MM, LARGE_CLEARANCE_MM = 5.0, 3.0
 """mm at the far ends of the scales of error and clearance."""
-BY_ERROR, BY_CLEARANCE, BY_TUBE = "error", "clearance", "tube"
+COLOUR_BY_ERROR, COLOUR_BY_CLEARANCE, COLOUR_BY_TUBE = "error", "clearance", "tube"
 """Quantities that the robot may be coloured by."""
-STEPS = 9
+LEGEND_COLOUR_COUNT = 9
 """Colours that a legend is made of."""
 
 
-def pieces(robot: Robot, seen: Seen, by: str) -> Colours:
+def piece_colours(robot: Robot, seen: SessionState, by: str) -> Colours:
     """Return a colour for each of the 100 pieces of the robot, by error, clearance or tube."""
-    if by == BY_ERROR:
-        return _shades(_between(seen.error) / LARGE_ERROR)
-    if by == BY_CLEARANCE and seen.clearance is not None:
+    if by == COLOUR_BY_ERROR:
+        return _shades(_between(seen.error) / LARGE_ERROR_MM)
+    if by == COLOUR_BY_CLEARANCE and seen.clearance is not None:
         room = _between(seen.clearance)
-        return np.where(room[:, None] < 0, _bytes(CONTACT), _shades(1 - room / MUCH_ROOM))
+        return np.where(room[:, None] < 0, _bytes(CONTACT), _shades(1 - room / LARGE_CLEARANCE_MM))
     beta = robot.split(seen.q)[1]
-    return np.array([_bytes(tube_colour(i)) for i in range(robot.d)])[outermost(beta[None], MIDDLES)[0]]
+    return np.array([_bytes(tube_colour(i)) for i in range(robot.d)])[outermost_tube_index(beta[None], MIDDLES)[0]]
 
 
 def legend(robot: Robot, by: str) -> str:
-    """Return the legend of the colours as a piece of HTML; `by` is `BY_ERROR`, `BY_CLEARANCE` or `BY_TUBE`."""
-    if by == BY_TUBE:
+    """Return the legend of the colours as a piece of HTML; `by` is `COLOUR_BY_ERROR`, `COLOUR_BY_CLEARANCE` or
+    `COLOUR_BY_TUBE`.
+    """
+    if by == COLOUR_BY_TUBE:
         return " ".join(_patch(tube_colour(i), f"tube {i + 1}") for i in range(robot.d))
-    part = np.linspace(0.0, 1.0, STEPS)
-    colours = ", ".join(to_hex(colour / 255) for colour in _shades(part if by == BY_ERROR else 1 - part))
+    part = np.linspace(0.0, 1.0, LEGEND_COLOUR_COUNT)
+    colours = ", ".join(to_hex(colour / 255) for colour in _shades(part if by == COLOUR_BY_ERROR else 1 - part))
     bar = f'<div style="height:10px;background:linear-gradient(to right, {colours})"></div>'
-    most = LARGE_ERROR if by == BY_ERROR else MUCH_ROOM
-    told = "distance from the target at equal arc length" if by == BY_ERROR else "room between tubes and wall"
-    contact = f" {_patch(CONTACT, 'contact')}" if by == BY_CLEARANCE else ""
+    most = LARGE_ERROR_MM if by == COLOUR_BY_ERROR else LARGE_CLEARANCE_MM
+    told = (
+        "distance from the target at equal arc length" if by == COLOUR_BY_ERROR else "room between tubes and wall"
+    )
+    contact = f" {_patch(CONTACT, 'contact')}" if by == COLOUR_BY_CLEARANCE else ""
     return f"{bar}<small>0 to {most:g} mm: {told}{contact}</small>"
 
 
-class Judged(NamedTuple):
+class RatedNumber(NamedTuple):
     """A number as it is shown: its name, the number with its unit, a word on it, and a colour behind the word."""
 
     name: str
@@ -62,48 +66,69 @@ class Judged(NamedTuple):
     colour: str
 
 
-GOOD, NEAR, BAD = SKY, ORANGE, VERMILLION
-CLOSE, FAR = 1.0, 3.0
+GOOD_COLOUR, CAUTION_COLOUR, BAD_COLOUR = SKY, ORANGE, VERMILLION
+CLOSE_ERROR_MM, FAR_ERROR_MM = 1.0, 3.0
 """mm of error e2 up to which the robot is called close to its target, and above which far from it."""
-TIGHT = 0.5
+TIGHT_CLEARANCE_MM = 0.5
 """mm of clearance below which it is called tight."""
 
 
-def judged(seen: Seen, asked: float | None) -> list[Judged]:
-    """Return the numbers of a moment with words on them; `asked` is the least stability margin that steering
-    keeps, None for any.
+def rate_numbers(seen: SessionState, required_margin: float | None) -> list[RatedNumber]:
+    """Return the numbers of a moment with words on them; `required_margin` is the least stability margin that
+    steering keeps, None for any.
     """
     e2, tip = seen.e2, float(seen.error[-1])
-    how = ("close", GOOD) if e2 <= CLOSE else ("near", NEAR) if e2 <= FAR else ("far", BAD)
-    found = [Judged("shape error e2", f"{e2:.2f} mm", *how), Judged("tip error", f"{tip:.2f} mm", "", "")]
+    how = (
+        ("close", GOOD_COLOUR)
+        if e2 <= CLOSE_ERROR_MM
+        else ("near", CAUTION_COLOUR)
+        if e2 <= FAR_ERROR_MM
+        else ("far", BAD_COLOUR)
+    )
+    found = [
+        RatedNumber("shape error e2", f"{e2:.2f} mm", *how),
+        RatedNumber("tip error", f"{tip:.2f} mm", "", ""),
+    ]
     if np.isfinite(seen.e3):
-        found.append(Judged("recorded, e3", f"{seen.e3:.2f} mm", "", ""))
-    found.append(_margin(seen, asked or 0.0))
+        found.append(RatedNumber("recorded, e3", f"{seen.e3:.2f} mm", "", ""))
+    found.append(_margin(seen, required_margin or 0.0))
     if seen.clearance is not None:
         least = float(seen.clearance.min())
-        room = ("free", GOOD) if least > TIGHT else ("tight", NEAR) if least >= 0 else ("contact", BAD)
-        found.append(Judged("least clearance", f"{least:.2f} mm", *room))
+        room = (
+            ("free", GOOD_COLOUR)
+            if least > TIGHT_CLEARANCE_MM
+            else ("tight", CAUTION_COLOUR)
+            if least >= 0
+            else ("contact", BAD_COLOUR)
+        )
+        found.append(RatedNumber("least clearance", f"{least:.2f} mm", *room))
     if len(seen.lost):
         lost = int(seen.lost.sum())
-        all_kept = ("none lost", GOOD) if not lost else ("some lost", BAD)
-        found.append(Judged("sampled robots lost", f"{lost} of {len(seen.lost)}", *all_kept))
+        all_kept = ("none lost", GOOD_COLOUR) if not lost else ("some lost", BAD_COLOUR)
+        found.append(RatedNumber("sampled robots lost", f"{lost} of {len(seen.lost)}", *all_kept))
     return found
 
 
-def _margin(seen: Seen, asked: float) -> Judged:
+def _margin(seen: SessionState, required_margin: float) -> RatedNumber:
     if not np.isfinite(seen.margin):
-        return Judged("stability margin", "", f"{NOT_CHECKED}: this model cannot predict snapping", NEAR)
+        return RatedNumber(
+            "stability margin", "", f"{NOT_CHECKED}: this model cannot predict snapping", CAUTION_COLOUR
+        )
     how = (
-        ("stable", GOOD) if seen.margin > 2 * asked else ("little", NEAR) if seen.margin > 0 else ("unstable", BAD)
+        ("stable", GOOD_COLOUR)
+        if seen.margin > 2 * required_margin
+        else ("little", CAUTION_COLOUR)
+        if seen.margin > 0
+        else ("unstable", BAD_COLOUR)
     )
-    return Judged("stability margin", f"{seen.margin:.3f}", *how)
+    return RatedNumber("stability margin", f"{seen.margin:.3f}", *how)
 
 
 FIGURES = "text-align:right;font-variant-numeric:tabular-nums"
 """How numbers stand below each other."""
 
 
-def table(rows: list[Judged]) -> str:
+def table(rows: list[RatedNumber]) -> str:
     """Judged numbers as a piece of HTML."""
     lines = [
         f'<tr><td>{row.name}</td><td style="{FIGURES}"><b>{row.number}</b></td>'
@@ -125,12 +150,14 @@ def _between(values: Array) -> Array:
     return np.asarray((values[1:] + values[:-1]) / 2)
 
 
-_TABLE = np.round(255 * colormaps[ERROR](np.linspace(0.0, 1.0, 256))[:, :3]).astype(np.uint8)
+_ERROR_COLOUR_TABLE = np.round(255 * colormaps[ERROR_COLOUR_MAP](np.linspace(0.0, 1.0, 256))[:, :3]).astype(
+    np.uint8
+)
 
 
 def _shades(part: Array) -> Colours:
     """Return colours for numbers (n,) from 0, good, to 1, bad; NaN counts as bad."""
-    return np.asarray(_TABLE[np.clip(255 * np.nan_to_num(part, nan=1.0), 0, 255).astype(int)])
+    return np.asarray(_ERROR_COLOUR_TABLE[np.clip(255 * np.nan_to_num(part, nan=1.0), 0, 255).astype(int)])
 
 
 def _bytes(colour: str) -> Colours:

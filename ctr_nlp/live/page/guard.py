@@ -10,15 +10,15 @@ from functools import cache
 from http import HTTPStatus
 from typing import Any
 
-from ctr_nlp.support.extras import needed
-from ctr_nlp.support.own_requests import is_own_request
+from ctr_nlp.support.extras import import_extra
+from ctr_nlp.support.own_requests import is_same_origin_request
 
 REFUSED = "This server answers only its own page.\n"
 UNREADABLE = "a message to the live page could not be read: %s"
 
 
 @contextmanager
-def guarded(host: str) -> Iterator[Callable[[], bool]]:
+def guard_websocket_server(host: str) -> Iterator[Callable[[], bool]]:
     """Guard the WebSocket server that viser starts within the block.
 
     Viser has no option for this. Its server is therefore made with a check before viser's own: requests of other
@@ -34,13 +34,13 @@ def guarded(host: str) -> Iterator[Callable[[], bool]]:
     callable
         Says whether a server was started and is guarded.
     """
-    module, started = needed("websockets.asyncio.server"), list[str]()
+    module, started = import_extra("websockets.asyncio.server"), list[str]()
     serve = module.serve
 
     def serve_own(handler: Any, *where: Any, process_request: Any = None, **options: Any) -> Any:
         def check(connection: Any, request: Any) -> Any:
             hosts, origins = (request.headers.get_all(name) for name in ("Host", "Origin"))
-            if not is_own_request(hosts, origins, host, connection.local_address[:2]):
+            if not is_same_origin_request(hosts, origins, host, connection.local_address[:2]):
                 return connection.respond(HTTPStatus.FORBIDDEN, REFUSED)
             return None if process_request is None else process_request(connection, request)
 
@@ -68,10 +68,10 @@ def log_unreadable(error: object) -> None:
 
 def _log_failure(loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
     """Log what a message has made fail, without the traceback that asyncio would print."""
-    log_unreadable(_described(context.get("exception")) or context["message"])
+    log_unreadable(_describe_error(context.get("exception")) or context["message"])
 
 
-def _described(error: BaseException | None) -> str:
+def _describe_error(error: BaseException | None) -> str:
     return "" if error is None else f"{type(error).__name__}: {error}".replace("\n", " ")
 
 
@@ -87,5 +87,5 @@ def _keep_without_error(record: logging.LogRecord) -> bool:
     """Whether a record has no error; one with an error is logged anew in one line, unless a link just closed."""
     error = record.exc_info[1] if record.exc_info else None
     if error is not None and not isinstance(error.__cause__, EOFError | ConnectionError):
-        log_unreadable(_described(error))
+        log_unreadable(_describe_error(error))
     return error is None

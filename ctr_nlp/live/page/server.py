@@ -8,8 +8,8 @@ import socket
 from typing import Any
 
 from ctr_nlp.exceptions import OptionError
-from ctr_nlp.live.page.guard import guarded
-from ctr_nlp.support.extras import needed
+from ctr_nlp.live.page.guard import guard_websocket_server
+from ctr_nlp.support.extras import import_extra
 from ctr_nlp.support.values import whole_number
 
 HOST, PORT = "127.0.0.1", 8080
@@ -17,7 +17,7 @@ HOST, PORT = "127.0.0.1", 8080
 LABEL = "ctr-nlp live"
 
 
-def served(host: str, port: int) -> Any:
+def start_server(host: str, port: int) -> Any:
     """Start a viser server that answers only its own page.
 
     Viser would take the next port that is free, tell on standard output what it does, answer whatever page is open
@@ -39,7 +39,7 @@ def served(host: str, port: int) -> Any:
     OptionError
         The port cannot be served, or viser is not installed or cannot be guarded.
     """
-    viser = needed("viser")
+    viser = import_extra("viser")
     if whole_number(OptionError, "port", port, 0) > 65535:
         raise OptionError(f"port is {port}; it must be a whole number from 0 to 65535")
     try:
@@ -54,17 +54,17 @@ def served(host: str, port: int) -> Any:
         def request_share_url(self, verbose: bool = True) -> None:
             """Nobody is let in from outside."""
 
-    with contextlib.redirect_stdout(io.StringIO()), guarded(host) as is_guarded:
+    with contextlib.redirect_stdout(io.StringIO()), guard_websocket_server(host) as is_guarded:
         server = Unshared(host, port, LABEL, verbose=False)
     if not is_guarded():
-        stopped(server)
+        stop_server(server)
         raise OptionError("this version of viser cannot be kept from answering other pages; install viser 1.1")
     server.gui.configure_theme(show_logo=False, show_share_button=False)
     server.gui.main_panel.dock_right()
     return server
 
 
-def stopped(server: Any) -> None:
+def stop_server(server: Any) -> None:
     """End a server, without its words on that."""
     with contextlib.redirect_stdout(io.StringIO()):
         server.stop()

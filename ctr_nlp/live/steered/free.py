@@ -17,5 +17,5 @@ def free_problem(name: str, robot: Robot, frames: int = 100) -> Problem:
     Raises OptionError where the dominant model does not describe the robot, and ProblemError.
     """
     turned, tilted = np.zeros(robot.d), np.zeros(2)
-    q = np.clip(np.concatenate([turned, robot.deployed, tilted]), robot.lower, robot.upper)
+    q = np.clip(np.concatenate([turned, robot.max_extensions, tilted]), robot.lower, robot.upper)
     return Problem(name, robot, growing(shape_curve(robot, q), frames))

@@ -6,14 +6,14 @@ import numpy as np
 
 from ctr_nlp.models import Model
 from ctr_nlp.robot import Robot
-from ctr_nlp.robot.draws import dragged, drawn
-from ctr_nlp.simulation.drawn import APART
-from ctr_nlp.target.target import SIGMA
+from ctr_nlp.robot.draws import apply_backlash, sample_robots
+from ctr_nlp.simulation.drawn import MAX_TIP_DIFFERENCE_FROM_NOMINAL_RAD
+from ctr_nlp.target.target import SIGMA_GRID
 from ctr_nlp.typing import Array, Flags
 
-STRIDE = 4
+GHOST_SHAPE_STRIDE = 4
 """Every which of the 101 samples of a shape is found."""
-SEED = 0
+GHOST_SEED = 0
 """Seed of the simulated robots, as in `ctr-nlp robust`."""
 
 
@@ -26,18 +26,18 @@ class Ghosts:
 
     def __init__(self, robot: Robot, model: Model, q: Array, count: int) -> None:
         """So many draws at rest at q (2d + 2,); raises RobotError."""
-        self._draws, self._model, self._d = drawn(robot, count, SEED), model, robot.d
+        self._draws, self._model, self._d = sample_robots(robot, count, GHOST_SEED), model, robot.d
         self._alpha = np.repeat(q[None, : robot.d], count, axis=0)
         self._robots = [
             model.walker(self._draws.structure, numbers, own)
             for numbers, own in zip(self._draws.numbers, self._own(q), strict=True)
         ]
         self.lost: Flags = np.zeros(count, dtype=bool)
-        self.shapes = self._seen()
+        self.shapes = self._sample_shapes()
 
     def _own(self, q: Array) -> Array:
         """Where the motors of every draw take its tubes, (n, 2d + 2)."""
-        self._alpha = dragged(self._alpha, q[: self._d], self._draws.lags)
+        self._alpha = apply_backlash(self._alpha, q[: self._d], self._draws.backlash)
         return np.hstack(
             [self._alpha + self._draws.offsets, np.repeat(q[None, self._d :], len(self._alpha), axis=0)]
         )
@@ -45,12 +45,12 @@ class Ghosts:
     def go(self, q: Array, x: Array) -> None:
         """Move all motors to q (2d + 2,), where the robot described has unknowns x (n_x,)."""
         for i, (robot, own) in enumerate(zip(self._robots, self._own(q), strict=True)):
-            self.lost[i] |= bool(robot.go(own))
+            self.lost[i] |= bool(robot.move_to(own))
         if self._model.several_equilibria:
             apart = np.abs([robot.x - x for robot in self._robots])[:, : self._d - 1]
-            self.lost |= ~(apart.max(axis=1, initial=0.0) <= APART)
-        self.shapes = self._seen()
+            self.lost |= ~(apart.max(axis=1, initial=0.0) <= MAX_TIP_DIFFERENCE_FROM_NOMINAL_RAD)
+        self.shapes = self._sample_shapes()
 
-    def _seen(self) -> Array:
+    def _sample_shapes(self) -> Array:
         x, draws = np.array([[robot.x] for robot in self._robots]), self._draws
-        return self._model.points_apart(draws.structure, draws.numbers, x, SIGMA[::STRIDE])[:, 0]
+        return self._model.points_batch(draws.structure, draws.numbers, x, SIGMA_GRID[::GHOST_SHAPE_STRIDE])[:, 0]

@@ -10,13 +10,13 @@ from scipy.interpolate import CubicSpline
 
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.support.values import floats, number, whole_number
-from ctr_nlp.target.points import walked
-from ctr_nlp.target.target import SIGMA, Frame
+from ctr_nlp.target.points import cumulative_arc_length
+from ctr_nlp.target.target import SIGMA_GRID, Frame
 from ctr_nlp.typing import Array
 
 HANDLES = 4
 """Places at which the target can be pulled; the last one is its tip."""
-AT = (np.arange(HANDLES) + 1.0) / HANDLES
+HANDLE_SIGMA = (np.arange(HANDLES) + 1.0) / HANDLES
 """Their normalised arc lengths (HANDLES,) on the path."""
 
 
@@ -55,27 +55,29 @@ class Goal:
         self._forget()
 
     @property
-    def pulled(self) -> bool:
+    def is_displaced(self) -> bool:
         """Whether the target is not the path itself."""
         return bool(self._pulled.any())
 
     @cached_property
     def handles(self) -> Array:
         """Where the handles are, (HANDLES, 3) mm."""
-        return np.array([np.interp(AT, SIGMA, axis) for axis in self._path.T]).T + self._pulled
+        return np.array([np.interp(HANDLE_SIGMA, SIGMA_GRID, axis) for axis in self._path.T]).T + self._pulled
 
     @cached_property
     def points(self) -> Array:
         """The target (101, 3) mm at uniform sigma of its own length."""
         path = self._path
-        if not self.pulled:
+        if not self.is_displaced:
             return path
-        aside = CubicSpline(np.append(0.0, AT), np.vstack([np.zeros(3), self._pulled]), bc_type="natural")
-        points = path + aside(SIGMA)
-        along = walked(points)
+        aside = CubicSpline(
+            np.append(0.0, HANDLE_SIGMA), np.vstack([np.zeros(3), self._pulled]), bc_type="natural"
+        )
+        points = path + aside(SIGMA_GRID)
+        along = cumulative_arc_length(points)
         if not (np.diff(along) > 0).all():  # two points in one place: nothing can be sampled anew
             return path
-        return np.asarray(CubicSpline(along, points)(SIGMA * min(along[-1], self._reach)))
+        return np.asarray(CubicSpline(along, points)(SIGMA_GRID * min(along[-1], self._reach)))
 
     @cached_property
     def _path(self) -> Array:

@@ -9,11 +9,11 @@ import numpy as np
 from ctr_nlp.robot import Robot
 from ctr_nlp.typing import Array
 
-TURNS = 1.0
+SLIDER_TURNS = 1.0
 """Whole turns to either side that a slider offers of an angle that has no limits."""
 
 
-def slid(robot: Robot, q: Array, joint: int, value: float) -> Array:
+def slide_joint(robot: Robot, q: Array, joint: int, value: float) -> Array:
     """The configuration (2d + 2,) where one joint of q, from 0, is taken to a value, rad or mm, within its limits.
 
     A tube takes its neighbours along where order or the gap between carriages would not be kept: outer ones do
@@ -23,13 +23,13 @@ def slid(robot: Robot, q: Array, joint: int, value: float) -> Array:
     found[joint] = value
     found = np.clip(found, robot.lower, robot.upper)
     if d <= joint < 2 * d:
-        _in_order(robot, found[d : 2 * d], joint - d)
+        _enforce_order(robot, found[d : 2 * d], joint - d)
     return found
 
 
-def _in_order(robot: Robot, beta: Array, moved: int) -> None:
+def _enforce_order(robot: Robot, beta: Array, moved: int) -> None:
     """Let all tubes follow the one that was moved, from 0, and that one follow those that are at their limits."""
-    d, growth = robot.d, robot.most_growth
+    d, growth = robot.d, robot.max_extension_differences
     low, high = robot.lower[d : 2 * d], robot.upper[d : 2 * d]
     least, most = low.copy(), high.copy()
     for i in range(1, d):
@@ -45,7 +45,7 @@ def _in_order(robot: Robot, beta: Array, moved: int) -> None:
         beta[i] = max(min(beta[i], beta[i + 1], most[i]), beta[i + 1] - growth[i], least[i])
 
 
-def towards(robot: Robot, q: Array, goal: Array, dt: float) -> Array:
+def step_towards(robot: Robot, q: Array, goal: Array, dt: float) -> Array:
     """Return the configuration to which motors at q (2d + 2,) come in dt s on their way to a goal (2d + 2,), all
     arriving at once.
 
@@ -56,18 +56,18 @@ def towards(robot: Robot, q: Array, goal: Array, dt: float) -> Array:
     return np.asarray(q + min(1.0, float(parts.min())) * away)
 
 
-def spans(robot: Robot) -> Array:
-    """Return the range of each joint's slider, (2d + 2, 2): the joint's limits, those of angles within `TURNS`
-    turns to either side.
+def slider_ranges(robot: Robot) -> Array:
+    """Return the range of each joint's slider, (2d + 2, 2): the joint's limits, those of angles within
+    `SLIDER_TURNS` turns to either side.
     """
     ends, angles = np.stack([robot.lower, robot.upper], axis=1), np.ones(2 * robot.d + 2, dtype=bool)
     angles[robot.d : 2 * robot.d] = False
-    wide = TURNS * 2 * math.pi
+    wide = SLIDER_TURNS * 2 * math.pi
     ends[angles] = np.clip(ends[angles], -wide, wide)
     return ends
 
 
-def retracted(robot: Robot, path: Array) -> Array:
+def retracted_configuration(robot: Robot, path: Array) -> Array:
     """The configuration (2d + 2,) with all tubes as far in as limits allow, turned to where a path bends.
 
     path (n, 3) mm: from the insertion point. The tubes' curves lie then towards the side on which most of it is.
@@ -76,4 +76,4 @@ def retracted(robot: Robot, path: Array) -> Array:
     q = np.zeros(2 * robot.d + 2)
     q[: robot.d] = math.atan2(aside[1], aside[0])
     q = np.clip(q, robot.lower, robot.upper)
-    return slid(robot, q, robot.d, q[robot.d])
+    return slide_joint(robot, q, robot.d, q[robot.d])

@@ -13,7 +13,7 @@ from ctr_nlp.formulations.settings import Settings
 from ctr_nlp.models import Model
 from ctr_nlp.plan.plan import Plan, plan_from_configurations
 from ctr_nlp.target.curve import Curve
-from ctr_nlp.target.points import walked
+from ctr_nlp.target.points import cumulative_arc_length
 from ctr_nlp.target.problem import Problem
 from ctr_nlp.target.target import sequence
 from ctr_nlp.typing import Array, Index
@@ -66,7 +66,7 @@ class Recording:
         columns = [np.array(column) for column in zip(*self.moments, strict=True)]
         q, _, snapped, objective, kkt, seconds = columns
         return plan_from_configurations(
-            self._followed(),
+            self._recorded_problem(),
             q,
             self._meta(np.flatnonzero(snapped) + 1),
             success=~snapped,
@@ -75,13 +75,13 @@ class Recording:
             kkt=kkt,
         )
 
-    def _followed(self) -> Problem:
+    def _recorded_problem(self) -> Problem:
         """The problem with the targets that were steered after."""
         problem = self.problem
         return Problem(
             f"{problem.name}-live",
             problem.robot,
-            sequence([through(moment.target) for moment in self.moments]),
+            sequence([curve_through(moment.target) for moment in self.moments]),
             self.dt * len(self.moments),
             to_robot=problem.to_robot,
             lumen=problem.lumen,
@@ -90,7 +90,7 @@ class Recording:
     def _meta(self, snapped: Index) -> dict[str, Any]:
         return {
             "formulation": FORMULATION,
-            **self.model.told,
+            **self.model.metadata,
             "solver": "sqp",
             "options": self.settings.options() | {"direction": None},
             "failures": {str(frame): "the robot snapped on the way" for frame in snapped.tolist()},
@@ -99,9 +99,9 @@ class Recording:
         }
 
 
-def through(points: Array) -> Curve:
+def curve_through(points: Array) -> Curve:
     """The curve through a target (n, 3) mm; it has no lumen of its own. Raises CurveError."""
-    along = walked(points)
+    along = cumulative_arc_length(points)
     path = CubicSpline(along, points)
 
     def tangent(s: Array) -> Array:

@@ -9,20 +9,20 @@ import numpy as np
 
 from ctr_nlp.exceptions import CtrError, OptionError
 from ctr_nlp.formulations.settings import THRESHOLDS, Settings
-from ctr_nlp.loops.anew.way import STRIDE, Outset, Way
-from ctr_nlp.loops.tracker import MARGIN
+from ctr_nlp.loops.anew.way import TRACKED_SHAPE_STRIDE, ReferenceTrajectory, ReplanningStart
+from ctr_nlp.loops.tracker import TRACKER_STABILITY_MARGIN
 from ctr_nlp.models.elastic import Elastic
-from ctr_nlp.models.elastic.onward import Onward
+from ctr_nlp.models.elastic.onward import ElasticWithHistory
 from ctr_nlp.plan.plan import Plan
-from ctr_nlp.steer.nlp_frames import DEFAULTS
+from ctr_nlp.steer.nlp_frames import DEFAULT_PLANNER_SETTINGS
 from ctr_nlp.steer.robust.plan import solve_robust
 from ctr_nlp.target.curve import Curve, curve_from_points
-from ctr_nlp.target.points import SHORTEST_MM, walked
+from ctr_nlp.target.points import SHORTEST_MM, cumulative_arc_length
 from ctr_nlp.target.problem import Problem
 from ctr_nlp.target.target import Target
 from ctr_nlp.typing import Array
 
-KEPT = "stability_margin", "clearance", "contact_weight", "arrival_weight", *THRESHOLDS
+CARRIED_OVER_SETTINGS = "stability_margin", "clearance", "contact_weight", "arrival_weight", *THRESHOLDS
 """Settings of a plan that the rest is planned with, too."""
 
 
@@ -41,7 +41,7 @@ def _curve(points: Array, direction: Array) -> tuple[Curve, float]:
 
     What is too short for a path of its own goes straight on.
     """
-    length = float(walked(points)[-1])
+    length = float(cumulative_arc_length(points)[-1])
     if length > 2 * SHORTEST_MM:
         curve = curve_from_points(points)
         return curve, curve.length
@@ -50,7 +50,10 @@ def _curve(points: Array, direction: Array) -> tuple[Curve, float]:
 
 def settings_of(plan: Plan) -> Settings:
     """Return the settings of margins and of the wall that a plan was made with."""
-    return replace(DEFAULTS, **{name: plan.options[name] for name in KEPT if name in plan.options})
+    return replace(
+        DEFAULT_PLANNER_SETTINGS,
+        **{name: plan.options[name] for name in CARRIED_OVER_SETTINGS if name in plan.options},
+    )
 
 
 class Replanner:
@@ -58,36 +61,40 @@ class Replanner:
 
     def __init__(self, plan: Plan) -> None:
         """Raises OptionError where the plan's model does not let motions be planned anew on their way."""
-        if type(plan.evaluated_on) is not Elastic:
-            load = "" if plan.bears is None else " under a load"
+        if type(plan.evaluated_model) is not Elastic:
+            load = "" if plan.evaluated_load is None else " under a load"
             raise OptionError(
-                f"the plan is evaluated on the model {plan.evaluated}{load}; the rest of a motion can be planned "
+                f"the plan is evaluated on the model {plan.evaluated_model_name}{load}; the rest of a motion "
+                f"can be planned "
                 "anew on the elastic model without a load"
             )
         self._plan = plan
 
-    def __call__(self, outset: Outset) -> Way | None:
+    def __call__(self, start: ReplanningStart) -> ReferenceTrajectory | None:
         """The way from outset.first on; None where none is found that is safe for all these robots.
 
         None, too, where a motion that has begun comes no nearer to the target so. Before it has begun, the search
         takes as long as for any plan.
         """
-        begun = outset.first > 0
-        problem = replace(problem_of(self._plan, outset.first), robot=outset.robot)
-        initial = np.clip(outset.way.q, outset.robot.lower, outset.robot.upper)
-        model = Onward(outset.before) if begun else self._plan.evaluated_on
+        begun = start.first > 0
+        problem = replace(problem_of(self._plan, start.first), robot=start.robot)
+        initial = np.clip(start.reference.q, start.robot.lower, start.robot.upper)
+        model = ElasticWithHistory(start.passed_configurations) if begun else self._plan.evaluated_model
         settings = settings_of(self._plan)
         asked: dict[str, Any] = {"settings": settings, "model": model, "initial": [initial]}
         if begun:  # with the margin that a tracker keeps
-            least = max(settings.stability_margin or 0.0, MARGIN)
+            least = max(settings.stability_margin or 0.0, TRACKER_STABILITY_MARGIN)
             asked["settings"] = replace(settings, stability_margin=least)
-            asked |= {"start": outset.before[-1], "rounds": 1, "guards": False, "margins": ()}
+            asked |= {"start": start.passed_configurations[-1], "rounds": 1, "guards": False, "margins": ()}
         try:
             plan = solve_robust(problem, **asked)
         except CtrError:  # no motion keeps all limits from there on
             return None
         if not plan.complete or not plan.meta["certificate"]["held"]:
             return None
-        rest, target = Way.of(plan, model, outset.zeros), self._plan.target[outset.first :, ::STRIDE]
-        own, other = (float(((way.shape - target) ** 2).sum()) for way in (rest, outset.way))
+        rest, target = (
+            ReferenceTrajectory.from_plan(plan, model, start.zeros),
+            self._plan.target[start.first :, ::TRACKED_SHAPE_STRIDE],
+        )
+        own, other = (float(((way.shape - target) ** 2).sum()) for way in (rest, start.reference))
         return None if begun and own >= other else rest

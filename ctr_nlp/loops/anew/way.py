@@ -9,18 +9,18 @@ import numpy as np
 from ctr_nlp.models import Model
 from ctr_nlp.plan.plan import Plan
 from ctr_nlp.robot import Robot
-from ctr_nlp.target.target import SIGMA
+from ctr_nlp.target.target import SIGMA_GRID
 from ctr_nlp.typing import Array
 
-PLACES = 11
+TRACKED_SHAPE_POINTS = 11
 """Of the shape, evenly spaced, that are brought to where they were planned to be."""
-STRIDE = (len(SIGMA) - 1) // (PLACES - 1)
+TRACKED_SHAPE_STRIDE = (len(SIGMA_GRID) - 1) // (TRACKED_SHAPE_POINTS - 1)
 
 
-class Way(NamedTuple):
-    """T frames. q (T, 2d + 2): of the tubes; shape (T, PLACES, 3): where they are then, mm; stability (T,): their
-    margins; x (T, n_x): the unknowns of the equilibria meant. zeros (T, d): what motors' zeros were taken to be
-    off by, rad: the motors are planned to be where the tubes are, less these.
+class ReferenceTrajectory(NamedTuple):
+    """T frames. q (T, 2d + 2): of the tubes; shape (T, TRACKED_SHAPE_POINTS, 3): where they are then, mm;
+    stability (T,): their margins; x (T, n_x): the unknowns of the equilibria meant. zeros (T, d): what motors'
+    zeros were taken to be off by, rad: the motors are planned to be where the tubes are, less these.
     """
 
     q: Array
@@ -30,10 +30,12 @@ class Way(NamedTuple):
     zeros: Array
 
     @classmethod
-    def of(cls, plan: Plan, model: Model, zeros: Array) -> Way:
+    def from_plan(cls, plan: Plan, model: Model, zeros: Array) -> ReferenceTrajectory:
         """A plan's, made for motors whose zeros are off by (d,) rad; model: on which its robot moves."""
         x = model.follow(plan.robot, plan.q).x
-        return cls(plan.q, plan.shape[:, ::STRIDE], plan.stability, x, np.tile(zeros, (len(plan.q), 1)))
+        return cls(
+            plan.q, plan.shape[:, ::TRACKED_SHAPE_STRIDE], plan.stability, x, np.tile(zeros, (len(plan.q), 1))
+        )
 
     @property
     def motors(self) -> Array:
@@ -42,17 +44,19 @@ class Way(NamedTuple):
         found[:, :d] -= self.zeros
         return found
 
-    def then(self, first: int, start: Array, rest: Way) -> Way:
+    def splice_at(self, first: int, start: Array, rest: ReferenceTrajectory) -> ReferenceTrajectory:
         """Return this way up to frame `first`, counted from 0, followed by another way from there on.
 
         start (2d + 2,): configuration of the tubes from which the other way leads. Up to there tubes are beside
         this way by what start differs from it.
         """
         beside = self._replace(q=self.q + (start - self.q[first - 1]))
-        return Way(*(np.concatenate([own[:first], other]) for own, other in zip(beside, rest, strict=True)))
+        return ReferenceTrajectory(
+            *(np.concatenate([own[:first], other]) for own, other in zip(beside, rest, strict=True))
+        )
 
 
-class Outset(NamedTuple):
+class ReplanningStart(NamedTuple):
     """Where the rest of a motion begins. first: its first frame, from 0. robot: as it is known, with what is left
     to doubt as its tolerances; zeros (d,): what its motors' are off by, rad. before (n, 2d + 2): where its tubes
     will have come through by then, the last of it where they begin; before the motion has begun n is 0, and it may
@@ -62,5 +66,5 @@ class Outset(NamedTuple):
     first: int
     robot: Robot
     zeros: Array
-    before: Array
-    way: Way
+    passed_configurations: Array
+    reference: ReferenceTrajectory

@@ -15,7 +15,7 @@ from ctr_nlp.exceptions import OptionError
 from ctr_nlp.typing import Array, Index
 
 
-class Seen(NamedTuple):
+class SensedShape(NamedTuple):
     """A robot's shape at n places, and its slopes over k variables.
 
     points (n, 3) mm, tangents (n, 3); of_points, of_tangents (k, n, 3). length: of the robot, mm, which the
@@ -49,11 +49,11 @@ class Sensor(ABC):
         """Standard deviations (m,)."""
 
     @abstractmethod
-    def values(self, seen: Seen) -> Array:
+    def values(self, shape: SensedShape) -> Array:
         """Return the values (m,) that the sensor would measure without noise."""
 
     @abstractmethod
-    def slopes(self, seen: Seen) -> Array:
+    def slopes(self, shape: SensedShape) -> Array:
         """Return the derivatives (m, k) of these values over the variables."""
 
 
@@ -78,25 +78,26 @@ class Sensors:
         for each, begin in zip(sensors, begins, strict=False):
             own = begin + np.arange(len(each.noise)).reshape(-1, each.group)
             rows.setdefault(each.group, []).append(own)
-        self.grouped = [np.concatenate(some) for some in rows.values()]
+        self.value_groups = [np.concatenate(some) for some in rows.values()]
 
     def __len__(self) -> int:
         """How many values there are in a reading."""
         return len(self.noise)
 
-    def _parts(self, seen: Seen) -> list[Seen]:
-        points, tangents, of_points, of_tangents, length = seen
+    def _parts(self, shape: SensedShape) -> list[SensedShape]:
+        points, tangents, of_points, of_tangents, length = shape
         return [
-            Seen(points[at], tangents[at], of_points[:, at], of_tangents[:, at], length) for at in self._places
+            SensedShape(points[at], tangents[at], of_points[:, at], of_tangents[:, at], length)
+            for at in self._places
         ]
 
-    def values(self, seen: Seen) -> Array:
+    def values(self, shape: SensedShape) -> Array:
         """Return the values (m,) that all sensors would measure without noise."""
-        return np.concatenate([s.values(part) for s, part in zip(self._sensors, self._parts(seen), strict=True)])
+        return np.concatenate([s.values(part) for s, part in zip(self._sensors, self._parts(shape), strict=True)])
 
-    def slopes(self, seen: Seen) -> Array:
+    def slopes(self, shape: SensedShape) -> Array:
         """Return the derivatives (m, k) of these values over the variables."""
-        return np.concatenate([s.slopes(part) for s, part in zip(self._sensors, self._parts(seen), strict=True)])
+        return np.concatenate([s.slopes(part) for s, part in zip(self._sensors, self._parts(shape), strict=True)])
 
 
 class Reading(NamedTuple):

@@ -11,12 +11,12 @@ from ctr_nlp.support.values import floats, number
 from ctr_nlp.typing import Array
 
 
-def positive(name: str, value: float, unit: str) -> None:
+def check_positive(name: str, value: float, unit: str) -> None:
     """Raise OptionError unless a number with a unit is finite and above 0."""
     number(OptionError, name, value, lambda x: 0 < x < np.inf, "be a finite number > 0", unit)
 
 
-def places(sigma: Sequence[float]) -> Array:
+def checked_places(sigma: Sequence[float]) -> Array:
     """Places on a robot as an array; raises OptionError unless there are some, all in [0, 1]."""
     found = floats(OptionError, "sigma of a sensor", sigma, (None,))
     if not len(found) or found.min() < 0 or found.max() > 1:

@@ -12,13 +12,13 @@ GATE = {1: 10.83, 2: 13.82, 3: 16.27}
 chi-square."""
 
 
-def accepted(sensors: Sensors, excess: Array, spread: Array) -> Flags:
+def gate_values(sensors: Sensors, excess: Array, spread: Array) -> Flags:
     """Which values (m,) are taken: groups no further from what is expected than once in a thousand readings.
 
     excess (m,): by how much, NaN where one is missing; spread (m, m): the covariance expected of that.
     """
     found = np.zeros(len(excess), dtype=bool)
-    for rows in sensors.grouped:
+    for rows in sensors.value_groups:
         away = excess[rows]
         known: Flags = np.asarray(np.isfinite(away).all(axis=1))
         there = np.where(known[:, None], away, 0.0)
@@ -28,8 +28,8 @@ def accepted(sensors: Sensors, excess: Array, spread: Array) -> Flags:
     return found
 
 
-def counted(sensors: Sensors, excess: Array, taken: Flags) -> tuple[int, int]:
+def count_groups(sensors: Sensors, excess: Array, taken: Flags) -> tuple[int, int]:
     """How many groups were measured whole, and how many of these were not taken; excess (m,), taken (m,)."""
-    whole = [np.isfinite(excess[rows]).all(axis=1) for rows in sensors.grouped]
-    left = [each & ~taken[rows[:, 0]] for each, rows in zip(whole, sensors.grouped, strict=True)]
+    whole = [np.isfinite(excess[rows]).all(axis=1) for rows in sensors.value_groups]
+    left = [each & ~taken[rows[:, 0]] for each, rows in zip(whole, sensors.value_groups, strict=True)]
     return sum(int(each.sum()) for each in whole), sum(int(each.sum()) for each in left)

@@ -7,42 +7,42 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ctr_nlp.loops.sensors import Seen, Sensor
-from ctr_nlp.loops.sensors.checks import places, positive
+from ctr_nlp.loops.sensors import SensedShape, Sensor
+from ctr_nlp.loops.sensors.checks import check_positive, checked_places
 from ctr_nlp.typing import Array
 
 
 @dataclass(frozen=True, eq=False)
-class ShapePoints(Sensor):
+class ShapePointSensor(Sensor):
     """Points of the robot at known sigma, mm; deviation: of each coordinate, mm. Raises OptionError."""
 
     places: Sequence[float]
     deviation: float = 0.5
 
     def __post_init__(self) -> None:
-        positive("deviation of shape points", self.deviation, " mm")
-        places(self.places)
+        check_positive("deviation of shape points", self.deviation, " mm")
+        checked_places(self.places)
 
     @property
     def sigma(self) -> Array:
         """Places (n,) of the points, from 0 at the insertion point to 1 at the tip."""
-        return places(self.places)
+        return checked_places(self.places)
 
     @property
     def noise(self) -> Array:
         """Standard deviations (3n,) of the coordinates, mm."""
         return np.full(3 * len(self.places), self.deviation)
 
-    def values(self, seen: Seen) -> Array:
+    def values(self, shape: SensedShape) -> Array:
         """x, y and z of one point after the other."""
-        return seen.points.ravel()
+        return shape.points.ravel()
 
-    def slopes(self, seen: Seen) -> Array:
+    def slopes(self, shape: SensedShape) -> Array:
         """Return the derivatives (3n, k) of the coordinates."""
-        return seen.of_points.reshape(len(seen.of_points), -1).T
+        return shape.of_points.reshape(len(shape.of_points), -1).T
 
 
-class TipPosition(ShapePoints):
+class TipPositionSensor(ShapePointSensor):
     """The tip's position, as an electromagnetic tracker tells it; deviation: of each coordinate, mm."""
 
     def __init__(self, deviation: float = 0.5) -> None:
@@ -50,15 +50,15 @@ class TipPosition(ShapePoints):
 
 
 @dataclass(frozen=True, eq=False)
-class TipPose(Sensor):
+class TipPoseSensor(Sensor):
     """The tip's position, mm, and its direction as a unit vector; turn: deviation of the direction, rad."""
 
     deviation: float = 0.5
     turn: float = 0.02
 
     def __post_init__(self) -> None:
-        positive("deviation of the tip's position", self.deviation, " mm")
-        positive("deviation of the tip's direction", self.turn, " rad")
+        check_positive("deviation of the tip's position", self.deviation, " mm")
+        check_positive("deviation of the tip's direction", self.turn, " rad")
 
     @property
     def sigma(self) -> Array:
@@ -70,10 +70,10 @@ class TipPose(Sensor):
         """Standard deviations (6,): of the position, mm, then of the direction, rad."""
         return np.repeat([self.deviation, self.turn], 3)
 
-    def values(self, seen: Seen) -> Array:
+    def values(self, shape: SensedShape) -> Array:
         """Position, then direction."""
-        return np.concatenate([seen.points[0], seen.tangents[0]])
+        return np.concatenate([shape.points[0], shape.tangents[0]])
 
-    def slopes(self, seen: Seen) -> Array:
+    def slopes(self, shape: SensedShape) -> Array:
         """Return the derivatives (6, k) of position and direction."""
-        return np.concatenate([seen.of_points[:, 0], seen.of_tangents[:, 0]], axis=1).T
+        return np.concatenate([shape.of_points[:, 0], shape.of_tangents[:, 0]], axis=1).T

@@ -8,14 +8,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from ctr_nlp.exceptions import OptionError
-from ctr_nlp.loops.sensors import Seen, Sensor
-from ctr_nlp.loops.sensors.checks import places, positive
+from ctr_nlp.loops.sensors import SensedShape, Sensor
+from ctr_nlp.loops.sensors.checks import check_positive, checked_places
 from ctr_nlp.support.values import floats
 from ctr_nlp.typing import Array
 
 
 @dataclass(frozen=True, eq=False)
-class Views(Sensor):
+class ViewSensor(Sensor):
     """Points of the robot at known sigma in pictures of known geometry, as of two fluoroscopes.
 
     projections (v, 3, 4): of homogeneous points, mm, to homogeneous places in each picture, in its units.
@@ -28,14 +28,14 @@ class Views(Sensor):
     group = 2
 
     def __post_init__(self) -> None:
-        positive("deviation of views", self.deviation, "")
-        places(self.places)
+        check_positive("deviation of views", self.deviation, "")
+        checked_places(self.places)
         floats(OptionError, "projections of views", np.asarray(self.projections), (None, 3, 4))
 
     @property
     def sigma(self) -> Array:
         """Places (n,) of the points, from 0 at the insertion point to 1 at the tip."""
-        return places(self.places)
+        return checked_places(self.places)
 
     @property
     def noise(self) -> Array:
@@ -49,19 +49,19 @@ class Views(Sensor):
         turned: Array = np.einsum("vij,...j->v...i", self.projections[:, :, :3], points)
         return turned
 
-    def values(self, seen: Seen) -> Array:
+    def values(self, shape: SensedShape) -> Array:
         """Picture by picture, point by point."""
-        found = self._homogeneous(seen.points) + self.projections[:, None, :, 3]
+        found = self._homogeneous(shape.points) + self.projections[:, None, :, 3]
         return (found[..., :2] / found[..., 2:]).ravel()
 
-    def slopes(self, seen: Seen) -> Array:
+    def slopes(self, shape: SensedShape) -> Array:
         """Return the derivatives (2 v n, k) of the coordinates in the pictures."""
-        found = self._homogeneous(seen.points) + self.projections[:, None, :, 3]
-        turned, depth = self._homogeneous(seen.of_points), found[:, None, :, 2:]
+        found = self._homogeneous(shape.points) + self.projections[:, None, :, 3]
+        turned, depth = self._homogeneous(shape.of_points), found[:, None, :, 2:]
         places = (found[..., :2] / found[..., 2:])[:, None]
         # Derivative of the quotient p = n / w by which points are projected: dp = (dn - p dw) / w.
         slopes = (turned[..., :2] - places * turned[..., 2:]) / depth
-        return slopes.swapaxes(0, 1).reshape(len(seen.of_points), -1).T
+        return slopes.swapaxes(0, 1).reshape(len(shape.of_points), -1).T
 
 
 def view(source: Array, centre: Array, up: Array, magnification: float = 1.0) -> Array:

@@ -13,19 +13,27 @@ import numpy as np
 
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.models.dominant import shape
-from ctr_nlp.models.protocol import Model, Places, Shape, combination, matrix_of, of_rows, vectors_of
+from ctr_nlp.models.protocol import (
+    Model,
+    SampleArcLengths,
+    SymbolicShape,
+    combination,
+    flatten_batch,
+    matrix_of,
+    vectors_of,
+)
 from ctr_nlp.nlp.nlp import Inner
 from ctr_nlp.robot import Robot
-from ctr_nlp.robot.structure import Structure, Tubes, tubes_in_columns
+from ctr_nlp.robot.structure import Structure, Tubes, tubes_of_batch
 from ctr_nlp.typing import Array, Vector
 
-DOMINATES = 1 + 1e-9
+MIN_STIFFNESS_RATIO = 1 + 1e-9
 """Least ratio of the bending stiffnesses of a tube and of the next one within it: equal but for rounding is not
 stiffer.
 """
 
 
-CHUNK = 128
+DOMINANT_SHAPES_PER_CHUNK = 128
 """Number of shapes whose samples are computed together: what fits into a processor's nearest cache."""
 
 
@@ -40,7 +48,7 @@ class Dominant(Model):
     def check(self, robot: Robot) -> None:
         """Raise OptionError unless every tube is stiffer than the one within it: alone it sets the curvature."""
         for i, (outer, inner) in enumerate(itertools.pairwise(robot.tubes), start=1):
-            if outer.bending_stiffness <= inner.bending_stiffness * DOMINATES:
+            if outer.bending_stiffness <= inner.bending_stiffness * MIN_STIFFNESS_RATIO:
                 raise OptionError(
                     f"model is 'dominant', and tube {i} is not stiffer than tube {i + 1} within it: their EI are "
                     f"{outer.bending_stiffness:.4g} and {inner.bending_stiffness:.4g}. Balanced tubes bend each "
@@ -51,10 +59,10 @@ class Dominant(Model):
         self,
         structure: Structure,
         tubes: Tubes,
-        places: Places,
+        sample_lengths: SampleArcLengths,
         margin: ca.SX | None = None,
         tangents: bool = False,
-    ) -> Shape:
+    ) -> SymbolicShape:
         """The shape of one frame as symbols; arguments as in Model.frame. margin is ignored: nothing can be
         unstable.
         """
@@ -64,7 +72,7 @@ class Dominant(Model):
         # Three layers of inner quantities: lengths travelled on each tube (a row a sample), directions of
         # each tube's plane, and what the tangent gains on each tube.
         lengths, turns = list[ca.SX](), list[ca.SX]()
-        for travel in shape.travels(tubes, beta, places(beta), ca):
+        for travel in shape.travels(tubes, beta, sample_lengths(beta), ca):
             lengths.append(ca.horzcat(*travel.lengths))
             turns += [ca.horzcat(*travel.gains(ca))] if tangents else []
         # One matrix (3, 2) or, of a helix, (3, 3) for each tube.
@@ -79,24 +87,27 @@ class Dominant(Model):
             # The tangent at the base, which is the second direction of the first tube, plus the gains on
             # all tubes.
             found = combination([1.0, *(c for each in turned for c in ca.horzsplit(each))], [bends[1], *bends])
-        return Shape(x, x[:d], tuple(beta), points, inner, found)
+        return SymbolicShape(x, x[:d], tuple(beta), points, inner, found)
 
     def points(self, robot: Robot, x: Array, sigma: Array) -> Array:
         """Points (T, n, 3) in mm at q (T, 2d + 2) and sigma (n,) or (T, n), of one robot."""
         return _points(robot.tube_numbers, x, sigma)
 
-    def points_apart(self, structure: Structure, numbers: Array, x: Array, sigma: Array) -> Array:
-        """Points (n, T, m, 3) in mm of robots that differ in numbers; arguments as in Model.points_apart."""
-        tubes, each, sigma = of_rows(numbers, x, sigma)
+    def points_batch(self, structure: Structure, numbers: Array, x: Array, sigma: Array) -> Array:
+        """Points (n, T, m, 3) in mm of robots that differ in numbers; arguments as in Model.points_batch."""
+        tubes, each, sigma = flatten_batch(numbers, x, sigma)
         points = np.empty((len(each), np.shape(sigma)[-1], 3))
-        for at in (slice(first, first + CHUNK) for first in range(0, len(each), CHUNK)):
+        for at in (
+            slice(first, first + DOMINANT_SHAPES_PER_CHUNK)
+            for first in range(0, len(each), DOMINANT_SHAPES_PER_CHUNK)
+        ):
             own = sigma[at] if np.ndim(sigma) > 1 else sigma
-            points[at] = _points(tubes_in_columns(structure, tubes[at]), each[at], own)
+            points[at] = _points(tubes_of_batch(structure, tubes[at]), each[at], own)
         return points.reshape(*x.shape[:2], *points.shape[1:])
 
     def tangents(self, robot: Robot, x: Array, sigma: Array) -> Array:
         """Unit tangents (T, n, 3) at q (T, 2d + 2) and sigma (n,) or (T, n)."""
-        return _stacked(shape.backbone(robot.tube_numbers, shape.columns_of(x), sigma, np).tangents)
+        return _stack_components(shape.backbone(robot.tube_numbers, shape.columns_of(x), sigma, np).tangents)
 
 
 def _points(tubes: Tubes, q: Array, sigma: Array) -> Array:
@@ -108,11 +119,11 @@ def _points(tubes: Tubes, q: Array, sigma: Array) -> Array:
     travelled = shape.travels(tubes, columns[d : 2 * d], sigma * columns[2 * d - 1], np)
     planes = shape.directions(tubes, columns, np)
     lengths = np.stack([part for travel in travelled for part in travel.lengths], axis=1)
-    vectors = np.stack([_stacked(vector)[:, 0] for plane in planes for vector in plane], axis=1)
+    vectors = np.stack([_stack_components(vector)[:, 0] for plane in planes for vector in plane], axis=1)
     # (T, n, k) times (T, k, 3): one batched product for all samples of all shapes.
     return np.asarray(lengths.swapaxes(1, 2) @ vectors)
 
 
-def _stacked(vector: Vector) -> Array:
+def _stack_components(vector: Vector) -> Array:
     """x, y and z as the last axis of one array."""
     return np.stack(np.broadcast_arrays(*vector), axis=-1)

@@ -23,7 +23,7 @@ from ctr_nlp.typing import Vector
 
 # Gauss-Legendre nodes and weights on [-1, 1], for curvatures that are linear in arc length: their integrals
 # of sines are Fresnel's, which casadi has not.
-_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(8)
+_GAUSS_LEGENDRE_NODES, _GAUSS_LEGENDRE_WEIGHTS = np.polynomial.legendre.leggauss(8)
 """Within 1e-5 mm for curvatures up to 0.04 /mm that change their side along 180 mm, 1e-9 mm along 60 mm."""
 
 
@@ -51,7 +51,7 @@ class Travel(NamedTuple):
         return xp.sin(self.angle), xp.cos(self.angle) - 1
 
 
-class Winding(NamedTuple):
+class HelixTravel(NamedTuple):
     """Travel on a helix of curvature k and torsion, 1/mm: `straight` mm, then `length` mm of its curved part.
 
     Its Frenet frame turns about a fixed axis, the Darboux vector k B + torsion T, by w = sqrt(k^2 + torsion^2) a
@@ -65,7 +65,7 @@ class Winding(NamedTuple):
     xp: Any
 
     @property
-    def _turned(self) -> tuple[Any, Any, Any]:
+    def _rotation_terms(self) -> tuple[Any, Any, Any]:
         """w, sin(w length) and 1 - cos(w length)."""
         w = self.xp.sqrt(self.k**2 + self.torsion**2)
         # 1 - cos(a) = 2 sin(a / 2)^2, without the cancellation at small angles.
@@ -75,7 +75,7 @@ class Winding(NamedTuple):
     @property
     def lengths(self) -> tuple[Any, ...]:
         """Lengths along N, T and B at the beginning of its curved part, mm."""
-        (w, sin, rest), k, torsion = self._turned, self.k, self.torsion
+        (w, sin, rest), k, torsion = self._rotation_terms, self.k, self.torsion
         # The tangent at length s is T + k sin(ws)/w N - k^2 (1 - cos(ws))/w^2 T + k torsion (1 -
         # cos(ws))/w^2 B; these are its integrals.
         late = (self.length - sin / w) / w**2
@@ -83,18 +83,25 @@ class Winding(NamedTuple):
 
     def gains(self, xp: Any) -> tuple[Any, ...]:
         """Gain of the tangent along N, T and B."""
-        (w, sin, rest), k = self._turned, self.k
+        (w, sin, rest), k = self._rotation_terms, self.k
         return k * sin / w, -(k**2) * rest / w**2, k * self.torsion * rest / w**2
 
     def after(self, bend: Vector, across: Vector, t: Vector) -> tuple[Vector, Vector, Vector]:
         """The Frenet frame (N, B, T) at the end, from that at the beginning: bend N, across B and tangent t."""
-        (w, sin, rest), k, torsion = self._turned, self.k, self.torsion
+        (w, sin, rest), k, torsion = self._rotation_terms, self.k, self.torsion
         # about: unit axis of the turn. outwards: perpendicular to it and to N, the direction in which N
         # turns.
-        about = combined(k / w, across, torsion / w, t)
-        outwards = combined(torsion / w, across, -k / w, t)
-        side, turned = combined(1 - rest, bend, sin, outwards), combined(1 - rest, outwards, -sin, bend)
-        return side, combined(k / w, about, torsion / w, turned), combined(torsion / w, about, -k / w, turned)
+        about = combine_vectors(k / w, across, torsion / w, t)
+        outwards = combine_vectors(torsion / w, across, -k / w, t)
+        side, turned = (
+            combine_vectors(1 - rest, bend, sin, outwards),
+            combine_vectors(1 - rest, outwards, -sin, bend),
+        )
+        return (
+            side,
+            combine_vectors(k / w, about, torsion / w, turned),
+            combine_vectors(torsion / w, about, -k / w, turned),
+        )
 
 
 def columns_of(q: Any) -> list[Any]:
@@ -109,17 +116,20 @@ def backbone(tubes: Tubes, q: Sequence[Any], sigma: Any, xp: Any) -> Backbone:
     point, tangent = (0.0, 0.0, 0.0), planes[0][1]
     for travel, plane in zip(travelled, planes, strict=True):
         for length, gain, vector in zip(travel.lengths, travel.gains(xp), plane, strict=True):
-            point, tangent = combined(1.0, point, length, vector), combined(1.0, tangent, gain, vector)
+            point, tangent = (
+                combine_vectors(1.0, point, length, vector),
+                combine_vectors(1.0, tangent, gain, vector),
+            )
     return Backbone(point, tangent)
 
 
-def travels(tubes: Tubes, beta: Sequence[Any], s: Any, xp: Any) -> list[Travel | Winding]:
+def travels(tubes: Tubes, beta: Sequence[Any], s: Any, xp: Any) -> list[Travel | HelixTravel]:
     """Lengths travelled on each tube to arc lengths s, mm.
 
     The expression has the same structure whichever tube a sample lies on; positions are C1 in beta, also where
     rounding has put a tube's end before that of the tube around it.
     """
-    start, before, travelled = 0 * beta[0], 0 * beta[0], list[Travel | Winding]()
+    start, before, travelled = 0 * beta[0], 0 * beta[0], list[Travel | HelixTravel]()
     for i in range(len(tubes)):
         # A sample beyond tube i's tip travels all of its segment, one before it nothing beyond s: clamping
         # replaces the cases of eq. (1).
@@ -140,13 +150,13 @@ def directions(tubes: Tubes, q: Sequence[Any], xp: Any) -> list[tuple[Vector, ..
     start, planes = 0 * beta[0], list[tuple[Vector, ...]]()
     for i in range(len(tubes)):
         travel, turn = _on_tube(tubes, i, beta[i] - start, 0 * start, xp), alpha[i]
-        if isinstance(travel, Winding):
+        if isinstance(travel, HelixTravel):
             # alpha is the direction where the curved part begins, in the robot's hidden part; from there to
             # the segment's beginning the helix has turned by its own torsion.
             turn = turn + tubes[i].spin * (tubes[i].curved_length - travel.length)
         cos, sin = xp.cos(turn), xp.sin(turn)
-        bend, normal = combined(cos, d1, sin, d2), combined(-sin, d1, cos, d2)
-        if isinstance(travel, Winding):
+        bend, normal = combine_vectors(cos, d1, sin, d2), combine_vectors(-sin, d1, cos, d2)
+        if isinstance(travel, HelixTravel):
             planes.append((bend, t, normal))
             bend, normal, t = travel.after(bend, normal, t)
             # Direction at the helix's tip: turning back by it leaves axes that have not spun, from which
@@ -157,23 +167,23 @@ def directions(tubes: Tubes, q: Sequence[Any], xp: Any) -> list[tuple[Vector, ..
             planes.append((bend, t))
             c, z = xp.cos(travel.angle), xp.sin(travel.angle)
             # Rotation by the angle turned, in the plane of N and T.
-            bend, t = combined(c, bend, -z, t), combined(z, bend, c, t)
+            bend, t = combine_vectors(c, bend, -z, t), combine_vectors(z, bend, c, t)
         # Undo the turn by alpha_i: alpha is absolute, eq. (5), so the next tube's is measured from the same
         # axes.
-        d1, d2 = combined(cos, bend, -sin, normal), combined(sin, bend, cos, normal)
+        d1, d2 = combine_vectors(cos, bend, -sin, normal), combine_vectors(sin, bend, cos, normal)
         start = beta[i]
     return planes
 
 
-def _on_tube(tubes: Tubes, i: int, x_from: Any, x_to: Any, xp: Any) -> Travel | Winding:
+def _on_tube(tubes: Tubes, i: int, x_from: Any, x_to: Any, xp: Any) -> Travel | HelixTravel:
     """Travel on tube i between distances x_from and x_to from its tip, x_from >= x_to, mm."""
     tube = tubes[i]
     if tube.kind == "helix":
         # Distances beyond the curved part lie on its straight part: clamping splits the travel.
         curved_from, curved_to = (xp.fmin(x, tube.curved_length) for x in (x_from, x_to))
         length = curved_from - curved_to
-        return Winding(tube.tip_curvature, tube.spin, length, x_from - x_to - length, xp)
-    if not tubes[i].shown:
+        return HelixTravel(tube.tip_curvature, tube.spin, length, x_from - x_to - length, xp)
+    if not tubes[i].transmission_emerges:
         return planar(tube, x_from, x_to, xp)
     end = tube.curved_length
     # The straight transmission comes first, as it is further from the tip.
@@ -196,7 +206,7 @@ def planar(tube: TubeNumbers, x_from: Any, x_to: Any, xp: Any) -> Travel:
     # Linear curvature: sides and lengths are integrals of the sine and cosine of the angle turned so far.
     angle_from = _turning(tube, x_from)
     side = along = 0.0
-    for node, weight in zip((_NODES + 1) / 2, _WEIGHTS / 2, strict=True):
+    for node, weight in zip((_GAUSS_LEGENDRE_NODES + 1) / 2, _GAUSS_LEGENDRE_WEIGHTS / 2, strict=True):
         # Angle turned from the beginning of the travel to the node.
         angle = angle_from - _turning(tube, x_from - node * length)
         side, along = side + weight * xp.sin(angle), along + weight * xp.cos(angle)
@@ -216,7 +226,7 @@ def base_frame(theta_x: Any, theta_y: Any, xp: Any) -> tuple[Vector, Vector, Vec
     return (cy, 0.0, -sy), (sy * sx, cx, cy * sx), (sy * cx, -sx, cy * cx)
 
 
-def combined(a: Any, u: Vector, b: Any, v: Vector) -> Vector:
+def combine_vectors(a: Any, u: Vector, b: Any, v: Vector) -> Vector:
     """The vector a u + b v."""
     return a * u[0] + b * v[0], a * u[1] + b * v[1], a * u[2] + b * v[2]
 
@@ -241,12 +251,12 @@ def _profile(tubes: Tubes, i: int, x: Any, step: Any, xp: Any) -> Any:
     # Clamped, so that a smoothed step does not extrapolate the linear curvature beyond the tube's curved
     # part.
     value = tube.tip_curvature + tube.slope * xp.fmin(xp.fmax(x, 0.0), tube.curved_length)
-    return value * step(tube.curved_length - x) if tubes[i].shown else value
+    return value * step(tube.curved_length - x) if tubes[i].transmission_emerges else value
 
 
 def curved_part(tubes: Tubes, i: int, start: Any, end: Any, xp: Any) -> tuple[Any, Any, Any]:
     """Where between start and end (mm) tube i begins to curve, k there (1/mm) and dk/ds (1/mm^2)."""
     tube = tubes[i]
-    low = xp.fmax(start, end - tube.curved_length) if tubes[i].shown else start
+    low = xp.fmax(start, end - tube.curved_length) if tubes[i].transmission_emerges else start
     # slope is per mm from the tip towards the root, that is against s: hence the sign of dk/ds.
     return low, tube.tip_curvature + tube.slope * (end - low), -tube.slope

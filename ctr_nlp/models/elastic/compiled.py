@@ -19,46 +19,48 @@ import numpy as np
 
 from ctr_nlp.codegen import cache
 from ctr_nlp.codegen.background import Library
-from ctr_nlp.codegen.vector import LANES, SAME
+from ctr_nlp.codegen.vector import SHARED_INPUT_PREFIX, VECTOR_LANES
 from ctr_nlp.models.elastic import energy, shape, torsion
-from ctr_nlp.models.protocol import Rest, combination, matrix_of, symbolic_tubes
-from ctr_nlp.robot.structure import NUMBERS, Structure, Tubes
+from ctr_nlp.models.protocol import RestStates, combination, matrix_of, symbolic_tubes
+from ctr_nlp.robot.structure import TUBE_NUMBER_NAMES, Structure, Tubes
 from ctr_nlp.typing import Array, Flags, Index
 
 MOST_TUBES = 8
 """Largest number of tubes that branch.c has room for."""
-CODE = tuple(f"c/{name}.c" for name in ("branch", "margin", "energy", "fall", "rest", "abreast", "shape"))
+ELASTIC_C_FILES = tuple(
+    f"c/{name}.c" for name in ("branch", "margin", "energy", "fall", "rest", "abreast", "shape")
+)
 """The files of C, in the order in which they are compiled as one."""
 FUNCTIONS = "motors", "energy", "second", "shape", "points", "motors_beside"
 """Functions that the struct Elastic of branch.c points to; the last two for LANES arc lengths or robots
 together.
 """
 
-STRIDE = 1.0
+MAX_ALIGNED_TURN_STEP_RAD = 1.0
 """Angle in rad that tubes are turned by in one step from the aligned robot."""
-CONVERGED, NEAR, ITERATIONS = 1e-7, 1e-2, 8
+ELASTIC_NEWTON_TOLERANCE_RAD, INTERMEDIATE_NEWTON_TOLERANCE_RAD, MAX_ELASTIC_NEWTON_STEPS = 1e-7, 1e-2, 8
 """Newton's method: the last step in rad, whose error is about its square, that at intermediate points, and most
 steps.
 """
-STRAY = 0.1
+MAX_PREDICTION_ERROR_RAD = 0.1
 """Distance in rad beyond which an equilibrium may belong to another branch than the one that predicted it."""
-LEAP = 0.2
+MAX_PREDICTED_TURN_RAD = 0.2
 """Angle in rad that tips may be predicted to turn against each other in one step, beyond their motors: further
 away, and as near to the prediction by chance, there is another branch.
 """
-SMALLEST = 2.0**-20
+MIN_PATH_STEP_FRACTION = 2.0**-20
 """Part of a step at which a branch that cannot be followed counts as ended."""
-PUSH = 0.1
+FOLD_PERTURBATION_RAD = 0.1
 """Angle in rad that tubes are turned by against each other where a branch ends, to leave the old equilibrium: more
 than the difference between the two discretisations (Galerkin's and Nystroem's).
 """
-FALL, FALLS = 0.2, 20
+MAX_FALL_STEP_RAD, MAX_FALLS_PER_STEP = 0.2, 20
 """Largest angle in rad by which tubes turn against each other in one step of a fall; and most falls in one step of
-a motion (FALLS).
+a motion (MAX_FALLS_PER_STEP).
 """
 
 
-class State(ctypes.Structure):
+class StateStruct(ctypes.Structure):
     """An equilibrium: the struct State of branch.c."""
 
     q: ctypes.Array[ctypes.c_double]
@@ -89,7 +91,7 @@ class _Elastic(ctypes.Structure):
     ]
 
 
-class Compiled:
+class CompiledElastic:
     """Equilibria of a structure in C; any thread may call. numbers (T or 1, 8d): of the tubes, a row a robot."""
 
     def __init__(self, structure: Structure, alone: Path, beside: Path) -> None:
@@ -100,10 +102,10 @@ class Compiled:
         """
         made = symbolic(structure)
         libraries = [
-            *([ctypes.CDLL(str(alone))] * len(made.alone)),
-            *([ctypes.CDLL(str(beside))] * len(made.beside)),
+            *([ctypes.CDLL(str(alone))] * len(made.scalar_functions)),
+            *([ctypes.CDLL(str(beside))] * len(made.vector_functions)),
         ]
-        self._run = cache.loaded(__package__, *CODE)
+        self._run = cache.load_c_files(__package__, *ELASTIC_C_FILES)
         couples = np.ascontiguousarray(made.of.couples, dtype=np.int64)
         addresses = (
             ctypes.cast(library[name], ctypes.c_void_p).value
@@ -112,51 +114,73 @@ class Compiled:
         # C has addresses only: without this reference Python would free what they point to.
         self._keep = libraries, couples
         places = *(each.ctypes.data for each in couples), *addresses
-        steps = CONVERGED, NEAR, STRAY, LEAP, SMALLEST, STRIDE, PUSH, FALL, ITERATIONS
+        steps = (
+            ELASTIC_NEWTON_TOLERANCE_RAD,
+            INTERMEDIATE_NEWTON_TOLERANCE_RAD,
+            MAX_PREDICTION_ERROR_RAD,
+            MAX_PREDICTED_TURN_RAD,
+            MIN_PATH_STEP_FRACTION,
+            MAX_ALIGNED_TURN_STEP_RAD,
+            FOLD_PERTURBATION_RAD,
+            MAX_FALL_STEP_RAD,
+            MAX_ELASTIC_NEWTON_STEPS,
+        )
         sizes = couples.shape[1], made.of.second.shape[0], made.vectors
         self._elastic = _Elastic(structure.d, *sizes, *places, *steps)
         self._reference = ctypes.byref(self._elastic)
         self.motors = ca.external("motors", str(alone))
 
-    def walk(self, numbers: Array, state: State, goals: Array) -> Array:
+    def walk(self, numbers: Array, state: StateStruct, goals: Array) -> Array:
         """Equilibria (count, 2d + 2) at as many goals (T, 2d + 2) as the branch reaches; the state moves on."""
         goals, x = np.ascontiguousarray(goals, dtype=float), np.empty(goals.shape)
         given = _address(numbers), ctypes.byref(state), _address(goals)
         return x[: self._run.walk(self._reference, *given, ctypes.c_long(len(goals)), _address(x))]
 
-    def walk_abreast(self, numbers: Array, states: ctypes.Array[State], goals: Array) -> tuple[Array, Index]:
+    def walk_batch(self, numbers: Array, states: ctypes.Array[StateStruct], goals: Array) -> tuple[Array, Index]:
         """Equilibria (n, T, 2d + 2) of up to LANES robots at goals (n, T, 2d + 2), a robot in each lane.
 
         The second result (n,) is how many goals each reached in whole steps; the states (n,) move on so far.
         """
         count, places, size = goals.shape
         # Lanes without a robot of their own repeat the first ones; their results are dropped.
-        every = np.ascontiguousarray(numbers[np.arange(LANES) % count])
-        goals, x, reached = np.ascontiguousarray(goals), np.empty(goals.shape), np.zeros(LANES, dtype=np.int64)
+        every = np.ascontiguousarray(numbers[np.arange(VECTOR_LANES) % count])
+        goals, x, reached = (
+            np.ascontiguousarray(goals),
+            np.empty(goals.shape),
+            np.zeros(VECTOR_LANES, dtype=np.int64),
+        )
         sizes = (ctypes.c_long(each) for each in (places * size, places))
         given = _address(every), states, ctypes.c_long(count), _address(goals), *sizes
         self._run.walk_abreast(self._reference, *given, _address(x), _address(reached))
         return x, reached[:count]
 
-    def follow(self, numbers: Array, state: State, goal: Array) -> tuple[bool, Array]:
+    def follow(self, numbers: Array, state: StateStruct, goal: Array) -> tuple[bool, Array]:
         """Move a state to goal (2d + 2,): whether it gets there, and its tips' jumps on the way (falls, d),
         rad.
         """
-        goal, jumps, falls = np.ascontiguousarray(goal), np.zeros((FALLS, self._elastic.d)), ctypes.c_long(0)
+        goal, jumps, falls = (
+            np.ascontiguousarray(goal),
+            np.zeros((MAX_FALLS_PER_STEP, self._elastic.d)),
+            ctypes.c_long(0),
+        )
         given = _address(numbers), ctypes.byref(state), _address(goal), _address(jumps), ctypes.byref(falls)
         return bool(self._run.follow(self._reference, *given)), jumps[: falls.value]
 
-    def settle(self, numbers: Array, q: Array) -> tuple[ctypes.Array[State], Flags]:
+    def settle(self, numbers: Array, q: Array) -> tuple[ctypes.Array[StateStruct], Flags]:
         """States (T,) to which all tubes are turned from alpha_d at q (T, 2d + 2), and whether each was found."""
         q, rows = np.ascontiguousarray(q, dtype=float), ctypes.c_long(len(q))
-        states, found = (State * len(q))(), np.zeros(len(q), dtype=np.int64)
-        self._run.settle(self._reference, *_stepped(numbers), _address(q), rows, states, _address(found))
+        states, found = (StateStruct * len(q))(), np.zeros(len(q), dtype=np.int64)
+        self._run.settle(
+            self._reference, *_address_and_stride(numbers), _address(q), rows, states, _address(found)
+        )
         return states, found.astype(bool)
 
     def margins(self, numbers: Array, x: Array) -> Array:
         """Stability margins (T,) of x (T, 2d + 2); NaN where x is."""
         x, found = np.ascontiguousarray(x, dtype=float), np.empty(len(x))
-        self._run.margins(self._reference, *_stepped(numbers), _address(x), ctypes.c_long(len(x)), _address(found))
+        self._run.margins(
+            self._reference, *_address_and_stride(numbers), _address(x), ctypes.c_long(len(x)), _address(found)
+        )
         return found
 
     def shapes(self, numbers: Array, x: Array, sigma: Array) -> tuple[Array, Array]:
@@ -166,10 +190,12 @@ class Compiled:
         points, tips = np.empty((rows, samples, 3)), np.empty((rows, 3))
         at = _address(x), ctypes.c_long(rows), _address(sigma), ctypes.c_long(samples)
         step = ctypes.c_long(samples if sigma.ndim > 1 else 0)
-        self._run.shapes(self._reference, *_stepped(numbers), *at, step, _address(points), _address(tips))
+        self._run.shapes(
+            self._reference, *_address_and_stride(numbers), *at, step, _address(points), _address(tips)
+        )
         return points, tips
 
-    def rests(self, numbers: Array, q: Array, sigma: Array) -> Rest:
+    def rest_states(self, numbers: Array, q: Array, sigma: Array) -> RestStates:
         """One robot, of numbers (1, 8d), at rest at each q (T, 2d + 2) without a history; points at sigma (m,)."""
         q, sigma = np.ascontiguousarray(q, dtype=float), np.ascontiguousarray(sigma, dtype=float)
         rows, n, m = *q.shape, len(sigma)
@@ -178,7 +204,7 @@ class Compiled:
         self._run.rests(self._reference, *at, _address(found))
         # C writes for each row: the unknowns, the tip's direction (3), the margin, and the points.
         points = found[:, n + 4 :].reshape(rows, m, 3)
-        return Rest(found[:, :n], points, found[:, n : n + 3], found[:, n + 3])
+        return RestStates(found[:, :n], points, found[:, n : n + 3], found[:, n + 3])
 
 
 def _address(array: np.ndarray[Any, Any]) -> ctypes.c_void_p:
@@ -186,7 +212,7 @@ def _address(array: np.ndarray[Any, Any]) -> ctypes.c_void_p:
     return ctypes.c_void_p(array.ctypes.data)
 
 
-def _stepped(numbers: Array) -> tuple[ctypes.c_void_p, ctypes.c_long]:
+def _address_and_stride(numbers: Array) -> tuple[ctypes.c_void_p, ctypes.c_long]:
     """Address of the tubes' numbers, and the distance between two rows of them: 0 where one robot has all rows."""
     return _address(numbers), ctypes.c_long(numbers.shape[1] if len(numbers) > 1 else 0)
 
@@ -199,21 +225,21 @@ class Symbolic(NamedTuple):
     direction of the tip. points: (arc length, vectors, extensions (d,), numbers) -> the point there (3,), mm.
     """
 
-    alone: tuple[ca.Function, ...]
-    beside: tuple[ca.Function, ...]
+    scalar_functions: tuple[ca.Function, ...]
+    vector_functions: tuple[ca.Function, ...]
     of: energy.Symbols
 
     @property
     def vectors(self) -> int:
         """Number of vectors that a shape is the sum of."""
-        return int(self.beside[0].size_in(1)[1])
+        return int(self.vector_functions[0].size_in(1)[1])
 
 
 @functools.lru_cache(maxsize=64)
 def symbolic(structure: Structure) -> Symbolic:
     """The functions to be compiled for a structure, as symbols."""
     d = structure.d
-    x, numbers, s = ca.SX.sym("x", 2 * d + 2), ca.SX.sym("numbers", d, len(NUMBERS)), ca.SX.sym("s")
+    x, numbers, s = ca.SX.sym("x", 2 * d + 2), ca.SX.sym("numbers", d, len(TUBE_NUMBER_NAMES)), ca.SX.sym("s")
     tubes, entries = symbolic_tubes(structure, numbers), ca.vertsplit(x)
     beta = entries[d : 2 * d]
     parts = torsion.sections(tubes, beta, ca)
@@ -229,7 +255,7 @@ def symbolic(structure: Structure) -> Symbolic:
     motors = [alpha, ca.densify(ca.jacobian(alpha, x[: d - 1]))]
     placing = [matrix_of(placed), ca.vertcat(*tip)]
     # Transposed, as CasADi writes by columns and C reads turns and ends row by row.
-    energies = [of.strength, of.angles, of.turns.T, of.ends.T, of.made]
+    energies = [of.strength, of.angles, of.turns.T, of.ends.T, of.helix_angles]
     made: list[list[Any]] = [motors, energies, [of.second], placing]
     alone = [
         ca.Function(name, [x, numbers], [ca.densify(value) for value in values])
@@ -238,19 +264,19 @@ def symbolic(structure: Structure) -> Symbolic:
     given = s, ca.SX.sym("vectors", 3, len(placed)), ca.SX.sym("beta", d), numbers
     # As a function of given vectors: they are computed once a shape, points once a sample.
     (point,) = ca.substitute([given[1] @ ca.vertcat(*travels)], [ca.vertcat(*beta)], [given[2]])
-    names = "s", f"{SAME}vectors", f"{SAME}beta", f"{SAME}numbers"
+    names = "s", f"{SHARED_INPUT_PREFIX}vectors", f"{SHARED_INPUT_PREFIX}beta", f"{SHARED_INPUT_PREFIX}numbers"
     points = ca.Function("points", given, [ca.densify(point)], names, ["point"])
     return Symbolic(tuple(alone), (points, ca.Function(FUNCTIONS[-1], [x, numbers], motors)), of)
 
 
-def compiled(structure: Structure) -> Compiled | None:
+def get_compiled_elastic(structure: Structure) -> CompiledElastic | None:
     """The compiled code of a structure; None until it has been compiled, and where nothing can be."""
-    if os.environ.get(cache.SWITCH) == "0" or structure.d > MOST_TUBES:
+    if os.environ.get(cache.COMPILE_VARIABLE) == "0" or structure.d > MOST_TUBES:
         return None
     return _soon(structure)()
 
 
-class _Soon:
+class _PendingCode:
     """Compiled code of a structure as soon as the background process is done."""
 
     def __init__(self, structure: Structure) -> None:
@@ -260,22 +286,22 @@ class _Soon:
         made = symbolic(self._structure)
         self._alone, self._beside = (
             Library("\n".join(each.serialize() for each in those), functools.partial(tuple, those), lanes)
-            for those, lanes in ((made.alone, 1), (made.beside, LANES))
+            for those, lanes in ((made.scalar_functions, 1), (made.vector_functions, VECTOR_LANES))
         )
-        self._found: Compiled | None = None
+        self._found: CompiledElastic | None = None
 
-    def __call__(self) -> Compiled | None:
-        if self._found is None and not cache.missing():
-            alone, beside = self._alone.soon(), self._beside.soon()
+    def __call__(self) -> CompiledElastic | None:
+        if self._found is None and not cache.unavailable_reason():
+            alone, beside = self._alone.path_if_ready(), self._beside.path_if_ready()
             if alone is not None and beside is not None:
-                self._found = Compiled(self._structure, alone, beside)
+                self._found = CompiledElastic(self._structure, alone, beside)
         return self._found
 
 
-_soon = functools.lru_cache(maxsize=64)(_Soon)
+_soon = functools.lru_cache(maxsize=64)(_PendingCode)
 
 
 def numbers_of(tubes: Tubes) -> Array:
-    """Numbers of tubes in the layout of `Compiled`: (T or 1, 8d), number by number and then tube by tube."""
-    numbers = [tube[2 + k] for k in range(len(NUMBERS)) for tube in tubes]
+    """Numbers of tubes as `CompiledElastic` lays them out: (T or 1, 8d), number by number, then tube by tube."""
+    numbers = [tube[2 + k] for k in range(len(TUBE_NUMBER_NAMES)) for tube in tubes]
     return np.stack(np.broadcast_arrays(*map(np.ravel, numbers)), axis=1)

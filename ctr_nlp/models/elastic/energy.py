@@ -21,17 +21,27 @@ import numpy as np
 from numpy.polynomial import Legendre
 
 from ctr_nlp.models.dominant.shape import columns_of
-from ctr_nlp.models.elastic.torsion import STEPS, Section, curvatures_at, sections, turned_untwisted, twist
+from ctr_nlp.models.elastic.torsion import (
+    ELASTIC_STEPS_PER_SECTION,
+    RobotSection,
+    curvatures_at,
+    sections,
+    turned_untwisted,
+    twist,
+)
 from ctr_nlp.robot.structure import Tubes
 from ctr_nlp.typing import Array, Index
 
 DEGREE = 3
 """Number of polynomials, of degrees 0 to DEGREE - 1, that a tube's twist is a sum of in every section."""
-NODES = np.linspace(0.0, 1.0, 2 * STEPS + 1)
+SECTION_NODE_FRACTIONS = np.linspace(0.0, 1.0, 2 * ELASTIC_STEPS_PER_SECTION + 1)
 """Fractions of a section's length at which angles are compared: the nodes of torsion.twist."""
-ANGLES = [np.sqrt(2 * n + 1) * Legendre.basis(n, domain=(0, 1)).integ(lbnd=0)(NODES) for n in range(DEGREE)]
-"""Angles at NODES by which twists by orthonormal polynomials turn a tube: their integrals from the section's
-base.
+ANGLES = [
+    np.sqrt(2 * n + 1) * Legendre.basis(n, domain=(0, 1)).integ(lbnd=0)(SECTION_NODE_FRACTIONS)
+    for n in range(DEGREE)
+]
+"""Angles at SECTION_NODE_FRACTIONS by which twists by orthonormal polynomials turn a tube: their integrals from
+the section's base.
 """
 
 
@@ -48,7 +58,7 @@ class Energy(NamedTuple):
     couples: Array
     turns: Array
     ends: Array
-    made: Array
+    helix_angles: Array
 
     def height(self, a: Array, angles: Array) -> float:
         """The energy E(a), with angles (rows,) those that a gives."""
@@ -81,14 +91,17 @@ def energies(tubes: Tubes, x: Array) -> Iterator[Energy]:
     twists = _twists(tubes, columns, parts, np)
     couples, turns = _couples(parts), _pattern(parts, twists)
     # couples: each row is alpha_i - alpha_j.
-    signs = np.array([np.eye(len(tubes))[i] - np.eye(len(tubes))[j] for _, i, j in couples for _ in NODES])
+    signs = np.array(
+        [np.eye(len(tubes))[i] - np.eye(len(tubes))[j] for _, i, j in couples for _ in SECTION_NODE_FRACTIONS]
+    )
     ends = _ends(tubes, twists)
     none = np.zeros((len(x), 0))
     scale = np.hstack(np.broadcast_arrays(*(one.scale for one in twists), columns[0])[:-1] or [none])
     strength = [
-        np.broadcast_to(_strength(tubes, columns, parts[k], i, j, np), (len(x), len(NODES))) for k, i, j in couples
+        np.broadcast_to(_strength(tubes, columns, parts[k], i, j, np), (len(x), len(SECTION_NODE_FRACTIONS)))
+        for k, i, j in couples
     ]
-    made = np.hstack(_made(tubes, columns, parts, np))
+    made = np.hstack(_helix_angles(tubes, columns, parts, np))
     for of_rows, of_twists, of_tubes in zip(np.hstack(strength or [none]), scale, made, strict=True):
         # Twists of empty sections have scale 0: they would be eigenvectors with eigenvalue 1 and are left
         # out.
@@ -108,7 +121,7 @@ class Symbols(NamedTuple):
     angles: ca.SX
     turns: ca.SX
     ends: ca.SX
-    made: ca.SX
+    helix_angles: ca.SX
     couples: Index
     second: ca.SX
 
@@ -121,18 +134,22 @@ def in_symbols(tubes: Tubes, x: Sequence[Any]) -> Symbols:
         angles.append(ca.horzcat(*(node.angles[i] - node.angles[j] for node in nodes[k])))
         strength.append(_strength(tubes, x, parts[k], i, j, ca))
     twists = _twists(tubes, x, parts, ca)
-    against = _against(tubes, parts, twists)
+    against = _relative_twist_basis(tubes, parts, twists)
     scaled = ca.diag(ca.vertcat(ca.SX(0, 1), *(one.scale for one in twists))) @ against
-    couples = np.array([(i, j) for _, i, j in _couples(parts) for _ in NODES], dtype=int).reshape(-1, 2).T
+    couples = (
+        np.array([(i, j) for _, i, j in _couples(parts) for _ in SECTION_NODE_FRACTIONS], dtype=int)
+        .reshape(-1, 2)
+        .T
+    )
     weights = [pulls * ca.cos(turned) for pulls, turned in zip(strength[1:], angles[1:], strict=True)]
     second = _second(tubes, parts, twists, against, weights)
     turns, ends = (ca.sparsify(ca.DM(each)) @ scaled for each in (_pattern(parts, twists), _ends(tubes, twists)))
-    made = ca.vertcat(*(ca.vec(ca.SX(each)) for each in _made(tubes, x, parts, ca)))
+    made = ca.vertcat(*(ca.vec(ca.SX(each)) for each in _helix_angles(tubes, x, parts, ca)))
     return Symbols(ca.horzcat(*strength).T, ca.horzcat(*angles).T, turns, ends, made, couples, second)
 
 
 def _second(
-    tubes: Tubes, parts: Sequence[Section], twists: Sequence[_Twist], against: ca.SX, weights: Sequence[ca.SX]
+    tubes: Tubes, parts: Sequence[RobotSection], twists: Sequence[_Twist], against: ca.SX, weights: Sequence[ca.SX]
 ) -> ca.SX:
     """The matrix K + V (m, m) of the twists against each other; weights (1, nodes) of every couple's angles.
 
@@ -141,7 +158,7 @@ def _second(
     """
     # Within section k, a twist of k itself turns by ANGLES[degree], one of a section nearer to the base by
     # a constant, its angle at that section's end.
-    basis = np.array([np.ones(len(NODES)), *ANGLES])
+    basis = np.array([np.ones(len(SECTION_NODE_FRACTIONS)), *ANGLES])
     found = ca.SX.eye(against.shape[1])
     for (k, i, j), weight in zip(_couples(parts), weights, strict=True):
         turns = ca.SX(len(basis), len(twists))
@@ -155,7 +172,7 @@ def _second(
     return found
 
 
-def _against(tubes: Tubes, parts: Sequence[Section], twists: Sequence[_Twist]) -> ca.SX:
+def _relative_twist_basis(tubes: Tubes, parts: Sequence[RobotSection], twists: Sequence[_Twist]) -> ca.SX:
     """An orthonormal basis (n, m) of twists, without the one in each section and degree by which all tubes turn
     alike.
     """
@@ -197,13 +214,13 @@ class _Twist(NamedTuple):
     def angles(self, section: int, tube: int) -> Array:
         """Angles by which it turns a tube at a section's nodes, without the scale."""
         if tube != self.tube or section < self.section:
-            return np.zeros(len(NODES))
+            return np.zeros(len(SECTION_NODE_FRACTIONS))
         # The motor is held: nothing turns between it and the twist's section, and everything beyond turns
         # by its end.
-        return ANGLES[self.degree] if section == self.section else np.full(len(NODES), self.end)
+        return ANGLES[self.degree] if section == self.section else np.full(len(SECTION_NODE_FRACTIONS), self.end)
 
 
-def _twists(tubes: Tubes, columns: Sequence[Any], parts: Sequence[Section], xp: Any) -> list[_Twist]:
+def _twists(tubes: Tubes, columns: Sequence[Any], parts: Sequence[RobotSection], xp: Any) -> list[_Twist]:
     """Unit twists: of the transmissions, and below DEGREE of every tube where others act on it."""
     acting = {k: part.active for k, part in enumerate(parts) if len(part.active) > 1}
     found = []
@@ -221,18 +238,18 @@ def _twists(tubes: Tubes, columns: Sequence[Any], parts: Sequence[Section], xp: 
     return found
 
 
-def _couples(parts: Sequence[Section]) -> list[tuple[int, int, int]]:
+def _couples(parts: Sequence[RobotSection]) -> list[tuple[int, int, int]]:
     """Each section and pair of tubes in it that act on each other there."""
     return [(k, i, j) for k, part in enumerate(parts) for i, j in itertools.combinations(part.active, 2)]
 
 
-def _pattern(parts: Sequence[Section], twists: Sequence[_Twist]) -> Array:
+def _pattern(parts: Sequence[RobotSection], twists: Sequence[_Twist]) -> Array:
     """Angles by which twists (columns) turn two tubes against each other at the nodes (rows), without the
     scales.
     """
     couples = _couples(parts)
     found = [one.angles(k, i) - one.angles(k, j) for one in twists for k, i, j in couples]
-    return np.reshape(found, (len(twists), len(couples) * len(NODES))).T
+    return np.reshape(found, (len(twists), len(couples) * len(SECTION_NODE_FRACTIONS))).T
 
 
 def _ends(tubes: Tubes, twists: Sequence[_Twist]) -> Array:
@@ -240,9 +257,9 @@ def _ends(tubes: Tubes, twists: Sequence[_Twist]) -> Array:
     return np.reshape([[one.end * (one.tube == i) for one in twists] for i in range(len(tubes))], (len(tubes), -1))
 
 
-def _made(tubes: Tubes, columns: Sequence[Any], parts: Sequence[Section], xp: Any) -> list[Any]:
+def _helix_angles(tubes: Tubes, columns: Sequence[Any], parts: Sequence[RobotSection], xp: Any) -> list[Any]:
     """Angles by which helices turn by themselves: couples at nodes, (T, nodes) each, then tips, (T, 1) each."""
-    nodes = ca.DM(NODES).T if xp is ca else NODES
+    nodes = ca.DM(SECTION_NODE_FRACTIONS).T if xp is ca else SECTION_NODE_FRACTIONS
     none = 0 * columns[0]
     found = []
     for k, i, j in _couples(parts):
@@ -251,10 +268,12 @@ def _made(tubes: Tubes, columns: Sequence[Any], parts: Sequence[Section], xp: An
     return [*found, *(none + tube.spin * tube.curved_length for tube in tubes)]
 
 
-def _strength(tubes: Tubes, columns: Sequence[Any], part: Section, i: int, j: int, xp: Any) -> Any:
+def _strength(tubes: Tubes, columns: Sequence[Any], part: RobotSection, i: int, j: int, xp: Any) -> Any:
     """Strength with which two tubes act on each other at a section's nodes, (T, nodes), by Simpson's rule."""
-    # Weights 1 4 2 4 ... 1 of 2 STEPS intervals, as parts of the section's length.
-    simpson = np.array([1.0, *[4.0, 2.0] * (STEPS - 1), 4.0, 1.0]) / (6 * STEPS)
-    nodes, weights = (ca.DM(row).T if xp is ca else row for row in (NODES, simpson))
+    # Weights 1 4 2 4 ... 1 of 2 ELASTIC_STEPS_PER_SECTION intervals, as parts of the section's length.
+    simpson = np.array([1.0, *[4.0, 2.0] * (ELASTIC_STEPS_PER_SECTION - 1), 4.0, 1.0]) / (
+        6 * ELASTIC_STEPS_PER_SECTION
+    )
+    nodes, weights = (ca.DM(row).T if xp is ca else row for row in (SECTION_NODE_FRACTIONS, simpson))
     k = curvatures_at(tubes, columns, part, part.start + part.length * nodes)
     return part.shares[i] * tubes[j].bending_stiffness * k[i] * k[j] * part.length * weights

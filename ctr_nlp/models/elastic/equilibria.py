@@ -15,34 +15,34 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg import lapack
 
-from ctr_nlp.codegen.mapped import Mapped
-from ctr_nlp.codegen.vector import LANES
+from ctr_nlp.codegen.mapped import BatchEvaluator
+from ctr_nlp.codegen.vector import VECTOR_LANES
 from ctr_nlp.models.elastic import compiled as compiled_code
 from ctr_nlp.models.elastic import energy, stability
 from ctr_nlp.models.elastic.compiled import (
-    CONVERGED,
-    FALL,
-    FALLS,
-    ITERATIONS,
-    LEAP,
-    PUSH,
-    SMALLEST,
-    STRAY,
-    STRIDE,
-    compiled,
+    ELASTIC_NEWTON_TOLERANCE_RAD,
+    FOLD_PERTURBATION_RAD,
+    MAX_ALIGNED_TURN_STEP_RAD,
+    MAX_ELASTIC_NEWTON_STEPS,
+    MAX_FALL_STEP_RAD,
+    MAX_FALLS_PER_STEP,
+    MAX_PREDICTED_TURN_RAD,
+    MAX_PREDICTION_ERROR_RAD,
+    MIN_PATH_STEP_FRACTION,
+    get_compiled_elastic,
     symbolic,
 )
 from ctr_nlp.models.elastic.energy import Energy
 from ctr_nlp.robot.structure import Structure, tubes_of
 from ctr_nlp.typing import Array
 
-TINY = 1e-300
+MIN_TURN_DENOMINATOR = 1e-300
 """Replaces 0 in a denominator; where tubes slide without turning, angles do not change."""
-STEPS = 2000
+MAX_FALL_STEPS = 2000
 """Largest number of steps of a fall."""
 
 
-class State(NamedTuple):
+class EquilibriumState(NamedTuple):
     """An equilibrium x at q, (2d + 2,) both; stable: whether it is stable.
 
     slopes (d, d): of alpha over phi; determinant: of these.
@@ -67,70 +67,74 @@ class Equilibria:
     def __init__(self, structure: Structure, numbers: Array) -> None:
         """Prepare for tubes of numbers (d, 8), in the order of structure.NUMBERS."""
         self._d, self._tubes = structure.d, tubes_of(structure, numbers.tolist())
-        self._numbers, self._compiled = numbers.ravel(order="F")[None], compiled(structure)
+        self._numbers, self._compiled = numbers.ravel(order="F")[None], get_compiled_elastic(structure)
         self._structure = structure
 
     @cached_property
-    def _motors(self) -> Mapped:
+    def _motors(self) -> BatchEvaluator:
         """Function (x, numbers) -> alpha and its slopes, compiled or interpreted, with this robot's numbers filled
         in.
         """
         code = self._compiled
-        found = Mapped(code.motors if code else symbolic(replace(self._structure, gap=False)).alone[0], 1)
+        found = BatchEvaluator(
+            code.motors if code else symbolic(replace(self._structure, gap=False)).scalar_functions[0], 1
+        )
         found.inputs[1][0] = self._numbers
         return found
 
-    def settled(self, q: Array) -> State | None:
+    def find_rest_state(self, q: Array) -> EquilibriumState | None:
         """The equilibrium at q to which all tubes are turned from where their tips bend alike, towards alpha_d; or
         None.
         """
         if self._compiled is not None:
             states, found = self._compiled.settle(self._numbers, q[None])
-            return _read(states[0], self._d, q) if found[0] else None
+            return _from_struct(states[0], self._d, q) if found[0] else None
         d, x = self._d, np.array(q, dtype=float)
         x[: d - 1] = 0.0
         # With tips alike (phi_i = 0) the robot is on the stable branch; the motors' angles there are where
         # the way begins.
-        aligned = np.concatenate([self._turned(x)[0], q[d:]])
-        state = self._solved(aligned, x, True)
-        most = STRIDE / max(abs(q - aligned).max(), TINY)
-        return state and self._onwards(self._along(state, q, most), q)[0]
+        aligned = np.concatenate([self._evaluate_motors(x)[0], q[d:]])
+        state = self._solve_equilibrium(aligned, x, True)
+        most = MAX_ALIGNED_TURN_STEP_RAD / max(abs(q - aligned).max(), MIN_TURN_DENOMINATOR)
+        return state and self._continue_to_goal(self._follow_branch(state, q, most), q)[0]
 
-    def nearest(self, q: Array, x: Array) -> State | None:
+    def nearest(self, q: Array, x: Array) -> EquilibriumState | None:
         """The equilibrium at q near x (2d + 2,), stable or not; the settled one if there is none."""
-        state = self._solved(q, x, False)
-        return self.settled(q) if state is None else state._replace(stable=self._holds(state))
+        state = self._solve_equilibrium(q, x, False)
+        return self.find_rest_state(q) if state is None else state._replace(stable=self._is_stable(state))
 
-    def followed(self, state: State, goal: Array) -> tuple[State | None, list[Array]]:
+    def follow_to_goal(self, state: EquilibriumState, goal: Array) -> tuple[EquilibriumState | None, list[Array]]:
         """The equilibrium at goal (2d + 2,) of a robot moved there in a line, and what its tips jumped by (d,)
         rad, each.
 
         The equilibrium is None where none is found.
         """
         if self._compiled is None:
-            return self._onwards(self._along(state, goal), goal)
-        code = _written(state)
+            return self._continue_to_goal(self._follow_branch(state, goal), goal)
+        code = _to_struct(state)
         there, jumps = self._compiled.follow(self._numbers, code, goal)
-        return _read(code, self._d, goal) if there else None, list(jumps)
+        return _from_struct(code, self._d, goal) if there else None, list(jumps)
 
-    def walked(self, state: State, goals: Array) -> tuple[Array, State]:
+    def walk_through_goals(self, state: EquilibriumState, goals: Array) -> tuple[Array, EquilibriumState]:
         """Equilibria (n, 2d + 2) at as many of goals (T, 2d + 2) as are reached without a fall, and the last
         state.
         """
         if self._compiled is None:
             found = [state.x[:0]]
             for goal in goals:
-                ahead = self._along(state, goal)
+                ahead = self._follow_branch(state, goal)
                 if ahead.q is not goal:
                     break
                 state = ahead
                 found.append(state.x)
             return np.array(found[1:]).reshape(-1, goals.shape[1]), state
-        code = _written(state)
+        code = _to_struct(state)
         x = self._compiled.walk(self._numbers, code, goals)
-        return x, _read(code, self._d, goals[min(len(x), len(goals) - 1)])
+        return x, _from_struct(code, self._d, goals[min(len(x), len(goals) - 1)])
 
-    def _onwards(self, state: State, goal: Array) -> tuple[State | None, list[Array]]:
+    def _continue_to_goal(
+        self, state: EquilibriumState, goal: Array
+    ) -> tuple[EquilibriumState | None, list[Array]]:
         """The equilibrium at goal and the jumps, from a state to which a branch was followed on the way there.
 
         Falls and branches alternate until goal is reached. None where no equilibrium is found.
@@ -138,17 +142,17 @@ class Equilibria:
         jumps = list[Array]()
         # Identity, not equality: a state's q is the goal's own array exactly if the goal was reached.
         while state.q is not goal:
-            fallen = self._fallen(state, goal) if len(jumps) < FALLS else None
+            fallen = self._fall_off_branch(state, goal) if len(jumps) < MAX_FALLS_PER_STEP else None
             if fallen is None:
                 return None, jumps
             jumps.append(fallen.tips - state.tips)
-            state = self._along(fallen, goal)
+            state = self._follow_branch(fallen, goal)
         return state, jumps
 
-    def _along(self, state: State, goal: Array, most: float = 1.0) -> State:
+    def _follow_branch(self, state: EquilibriumState, goal: Array, most: float = 1.0) -> EquilibriumState:
         """The equilibrium as far towards goal as its branch goes, in steps of at most `most` of the way."""
         start, done, part = state.q, 0.0, min(1.0, most)
-        while part >= SMALLEST:
+        while part >= MIN_PATH_STEP_FRACTION:
             new = self._step(state, _between(start, goal, done + part))
             if new is None:
                 part /= 2
@@ -158,35 +162,37 @@ class Equilibria:
                 part = min(2 * part, most, 1 - done)
         return state
 
-    def _step(self, state: State, goal: Array) -> State | None:
+    def _step(self, state: EquilibriumState, goal: Array) -> EquilibriumState | None:
         """The equilibrium at goal on the branch of a nearby state; None where it is not clear that it is on that
         branch.
         """
-        predicted, d = self._predicted(state, goal), self._d
+        predicted, d = self._predict_unknowns(state, goal), self._d
         turns, motors = (predicted - state.x)[: d - 1], (goal - state.q)[:d]
         # `not <` is true for NaN as well.
-        if not abs(turns).max(initial=0.0) < LEAP + abs(motors[:-1] - motors[-1]).max(initial=0.0):
+        if not abs(turns).max(initial=0.0) < MAX_PREDICTED_TURN_RAD + abs(motors[:-1] - motors[-1]).max(
+            initial=0.0
+        ):
             return None
-        new = self._solved(goal, predicted, state.stable)
-        if new is None or not abs(new.x - predicted).max() < STRAY:
+        new = self._solve_equilibrium(goal, predicted, state.stable)
+        if new is None or not abs(new.x - predicted).max() < MAX_PREDICTION_ERROR_RAD:
             return None
         # det d alpha / d phi is positive on the stable branch from aligned tubes, and its first zero is the
         # snap: a change of sign means that a fold was passed. Only an unstable branch may be followed
         # through one, and whether it is stable then has to be looked at.
         if new.determinant * state.determinant > 0:
             return new
-        return None if state.stable else new._replace(stable=self._holds(new))
+        return None if state.stable else new._replace(stable=self._is_stable(new))
 
-    def _predicted(self, state: State, goal: Array) -> Array:
+    def _predict_unknowns(self, state: EquilibriumState, goal: Array) -> Array:
         """The x at goal to which the branch's tangent leads."""
         # At the goal's beta and the old tips, alpha is off by goal - alpha(here); one linear step turns
         # tips by that.
         d, here = self._d, np.concatenate([state.x[: self._d], goal[self._d :]])
-        *_, turn, singular = lapack.dgesv(state.slopes, goal[:d] - self._turned(here)[0])
+        *_, turn, singular = lapack.dgesv(state.slopes, goal[:d] - self._evaluate_motors(here)[0])
         here[:d] += 0.0 if singular else turn
         return here
 
-    def _turned(self, x: Array) -> tuple[Array, Array]:
+    def _evaluate_motors(self, x: Array) -> tuple[Array, Array]:
         """The motors' angles (d,) at x and their slopes over phi (d, d).
 
         The last column is ones, since turning all tubes turns the robot.
@@ -194,7 +200,7 @@ class Equilibria:
         alpha, columns = self._motors(x)
         return alpha[0], np.column_stack([columns.reshape(-1, self._d).T, np.ones(self._d)])
 
-    def _solved(self, q: Array, x: Array, stable: bool) -> State | None:
+    def _solve_equilibrium(self, q: Array, x: Array, stable: bool) -> EquilibriumState | None:
         """The equilibrium at q (2d + 2,) that Newton's method finds from x (2d + 2,); None where it does not
         converge.
 
@@ -202,52 +208,59 @@ class Equilibria:
         """
         d = self._d
         x = np.concatenate([x[:d], q[d:]])
-        for _ in range(ITERATIONS):
-            alpha, slopes = self._turned(x)
+        for _ in range(MAX_ELASTIC_NEWTON_STEPS):
+            alpha, slopes = self._evaluate_motors(x)
             factors, pivots, turn, singular = lapack.dgesv(slopes, q[:d] - alpha)
             size = abs(turn).max()
             # A step of 1 rad is no correction of a prediction: Newton's method is leaving.
             if singular or not size < 1:
                 return None
             x[:d] += turn
-            if size < CONVERGED:
+            if size < ELASTIC_NEWTON_TOLERANCE_RAD:
                 # The determinant from the LU factors: the product of the diagonal, negative for an odd
                 # number of row swaps.
                 swaps = np.count_nonzero(pivots != np.arange(d))
-                return State(q, x, slopes, (-1) ** swaps * factors.diagonal().prod(), stable)
+                return EquilibriumState(q, x, slopes, (-1) ** swaps * factors.diagonal().prod(), stable)
         return None
 
-    def _holds(self, state: State) -> bool:
+    def _is_stable(self, state: EquilibriumState) -> bool:
         """Whether a state is stable, by its margin."""
         return bool(stability.margins(self._tubes, state.x[None])[0] > 0)
 
-    def _fallen(self, state: State, goal: Array) -> State | None:
+    def _fall_off_branch(self, state: EquilibriumState, goal: Array) -> EquilibriumState | None:
         """A stable equilibrium into which a robot falls where its branch ends on the way to goal; just past the
         end.
         """
         # Just past the end of the branch first, then further and further, up to goal itself.
-        for part in SMALLEST ** np.linspace(1, 0, 11):
+        for part in MIN_PATH_STEP_FRACTION ** np.linspace(1, 0, 11):
             past = _between(state.q, goal, part)
-            x = self._settling(state, past)
-            new = None if x is None else self._solved(past, x, True)
-            if x is not None and new is not None and abs(new.x - x).max() < STRAY and self._holds(new):
+            x = self._estimate_fallen_unknowns(state, past)
+            new = None if x is None else self._solve_equilibrium(past, x, True)
+            if (
+                x is not None
+                and new is not None
+                and abs(new.x - x).max() < MAX_PREDICTION_ERROR_RAD
+                and self._is_stable(new)
+            ):
                 return new
         return None
 
-    def _settling(self, state: State, past: Array) -> Array | None:
+    def _estimate_fallen_unknowns(self, state: EquilibriumState, past: Array) -> Array | None:
         """Roughly the equilibrium at `past` into which a robot falls from a state nearby, if any."""
-        d, on = self._d, self._predicted(state, past) - state.x
+        d, on = self._d, self._predict_unknowns(state, past) - state.x
         (of,) = energy.energies(self._tubes, past[None])
         # A small step along the predicted direction, as a finite difference of angles: only its direction
         # is used.
-        step = on * min(1e-4 / max(abs(on[:d]).max(), TINY), 1e-2 / max(abs(on).max(), TINY))
+        step = on * min(
+            1e-4 / max(abs(on[:d]).max(), MIN_TURN_DENOMINATOR), 1e-2 / max(abs(on).max(), MIN_TURN_DENOMINATOR)
+        )
         here, ahead = energy.differences(self._tubes, np.stack([state.x, state.x + step]))
         rows = len(of.strength)
-        a = _fall(of, of.couples @ past[:d] + of.made[:rows], here, ahead - here)
+        a = _fall(of, of.couples @ past[:d] + of.helix_angles[:rows], here, ahead - here)
         if a is None:
             return None
         # The fall's coefficients a as tip angles; then relative to the innermost tube's, as x has them.
-        tips = past[:d] + of.made[rows:] + of.ends @ a
+        tips = past[:d] + of.helix_angles[rows:] + of.ends @ a
         return np.concatenate([tips[:-1] - tips[-1], tips[-1:], past[d:]])
 
 
@@ -268,22 +281,22 @@ def _fall(energy: Energy, motors: Array, angles: Array, towards: Array) -> Array
     # At a fold the softest mode's eigenvalue vanishes: that is the direction in which the robot leaves, on
     # the side to which it was moving.
     push, time = energy.turns @ modes[:, 0], 8.0
-    a = a + modes[:, 0] * np.copysign(PUSH / abs(push).max(), push @ towards)
-    for _ in range(STEPS):
+    a = a + modes[:, 0] * np.copysign(FOLD_PERTURBATION_RAD / abs(push).max(), push @ towards)
+    for _ in range(MAX_FALL_STEPS):
         change, time = _step_down(energy, motors, a, time)
         a, size = a + change, abs(energy.turns @ change).max()
         # A small step says little if its time was short: at a minimum, long ones are small as well.
-        if size < CONVERGED and time > 40:
+        if size < ELASTIC_NEWTON_TOLERANCE_RAD and time > 40:
             return a
-        # The next step is to turn by about 0.8 FALL; where this one turned by less than FALL / 10, it is 8
-        # times as long.
-        time *= 0.8 * FALL / size if size > FALL / 10 else 8
+        # The next step is to turn by about 0.8 MAX_FALL_STEP_RAD; where this one turned by less than
+        # MAX_FALL_STEP_RAD / 10, it is 8 times as long.
+        time *= 0.8 * MAX_FALL_STEP_RAD / size if size > MAX_FALL_STEP_RAD / 10 else 8
     return None
 
 
 def _step_down(energy: Energy, motors: Array, a: Array, time: float) -> tuple[Array, float]:
-    """A step (n,) down the gradient for about the given time, at most FALL rad and never uphill; and the time it
-    took.
+    """A step (n,) down the gradient for about the given time, at most MAX_FALL_STEP_RAD rad and never uphill; and
+    the time it took.
 
     By Rosenbrock's method of second order that is L-stable: ROS2 of Verwer, Spee, Blom and Hundsdorfer, SIAM J.
     Sci. Comput. 20, 1999.
@@ -304,45 +317,47 @@ def _step_down(energy: Energy, motors: Array, a: Array, time: float) -> tuple[Ar
             change: Array = time * (1.5 * first + 0.5 * second)
             turn = energy.turns @ change
             size = abs(turn).max()
-            if size < 1e-6 or (size <= FALL and energy.height(a + change, angles + turn) < height):
+            if size < 1e-6 or (size <= MAX_FALL_STEP_RAD and energy.height(a + change, angles + turn) < height):
                 return change, time
         # Shorter in proportion where the step was too far; half where it went uphill or nothing could be
         # solved.
-        time *= max(0.1, 0.8 * FALL / size) if size > FALL else 0.5
+        time *= max(0.1, 0.8 * MAX_FALL_STEP_RAD / size) if size > MAX_FALL_STEP_RAD else 0.5
 
 
-def walked_abreast(structure: Structure, numbers: Array, goals: Array) -> list[tuple[Array, State] | None]:
+def walk_robot_batch(
+    structure: Structure, numbers: Array, goals: Array
+) -> list[tuple[Array, EquilibriumState] | None]:
     """Equilibria of up to LANES robots of numbers (n, d, 8) along goals (n, T, 2d + 2), a robot in each lane.
 
     Each robot settles at its first goal and follows its branch in whole steps. Returns for each the equilibria (k,
     2d + 2) at the goals that it reached, and the last state; None for one that does not settle, and for all
     without compiled code. What is found of a robot does not depend on those beside it.
     """
-    code, count = compiled(structure), len(numbers)
+    code, count = get_compiled_elastic(structure), len(numbers)
     if code is None:
         return [None] * count
-    every = np.arange(LANES) % count
+    every = np.arange(VECTOR_LANES) % count
     flat = np.ascontiguousarray(numbers.swapaxes(1, 2)).reshape(count, -1)[every]
     states, settled = code.settle(flat, goals[every, 0])
     # A copy: walking changes the states in place.
     begin = np.ctypeslib.as_array(states)["x"][:, : goals.shape[2]].copy()
-    x, reached = code.walk_abreast(flat, states, goals[:, 1:])
+    x, reached = code.walk_batch(flat, states, goals[:, 1:])
     known = [np.concatenate([begin[k : k + 1], x[k, :far]]) for k, far in enumerate(reached.tolist())]
-    ends = [_read(states[k], structure.d, goals[k, reached[k]]) for k in range(count)]
+    ends = [_from_struct(states[k], structure.d, goals[k, reached[k]]) for k in range(count)]
     return [each if settled[k] else None for k, each in enumerate(zip(known, ends, strict=True))]
 
 
-def _written(state: State) -> compiled_code.State:
+def _to_struct(state: EquilibriumState) -> compiled_code.StateStruct:
     """A state as the struct of C."""
-    found = compiled_code.State(determinant=state.determinant, stable=state.stable)
+    found = compiled_code.StateStruct(determinant=state.determinant, stable=state.stable)
     for array, values in ((found.q, state.q), (found.x, state.x), (found.slopes, state.slopes.ravel(order="F"))):
         np.ctypeslib.as_array(array)[: len(values)] = values
     return found
 
 
-def _read(code: compiled_code.State, d: int, goal: Array) -> State:
+def _from_struct(code: compiled_code.StateStruct, d: int, goal: Array) -> EquilibriumState:
     """A state from the struct of C; its q is goal itself where that is reached."""
     q, x = np.array(code.q[: 2 * d + 2]), np.array(code.x[: 2 * d + 2])
     # C has matrices by columns.
     slopes = np.array(code.slopes[: d * d]).reshape(d, d).T
-    return State(goal if (q == goal).all() else q, x, slopes, code.determinant, bool(code.stable))
+    return EquilibriumState(goal if (q == goal).all() else q, x, slopes, code.determinant, bool(code.stable))

@@ -8,61 +8,71 @@ from __future__ import annotations
 
 import numpy as np
 
-from ctr_nlp.codegen.vector import LANES
+from ctr_nlp.codegen.vector import VECTOR_LANES
 from ctr_nlp.models.elastic import stability
-from ctr_nlp.models.elastic.compiled import compiled
-from ctr_nlp.models.elastic.equilibria import Equilibria, State, walked_abreast
-from ctr_nlp.models.protocol import SUBSTEPS, Followed, Passage, Snap, passage
+from ctr_nlp.models.elastic.compiled import get_compiled_elastic
+from ctr_nlp.models.elastic.equilibria import Equilibria, EquilibriumState, walk_robot_batch
+from ctr_nlp.models.protocol import (
+    STABILITY_SUBSTEPS_PER_FRAME,
+    EquilibriumPath,
+    MotionSubsteps,
+    Snap,
+    subdivide_motion,
+)
 from ctr_nlp.robot import Robot
-from ctr_nlp.robot.structure import NUMBERS, Structure, tubes_in_columns, tubes_of
+from ctr_nlp.robot.structure import TUBE_NUMBER_NAMES, Structure, tubes_of, tubes_of_batch
 from ctr_nlp.typing import Array
 
-JUMP = 0.1
+MIN_ELASTIC_SNAP_JUMP_RAD = 0.1
 """Angle in rad: a tip that turns by less while the robot leaves a branch has not snapped."""
 
 
-def settled(robot: Robot, q: Array) -> Array:
+def solve_rest_unknowns(robot: Robot, q: Array) -> Array:
     """The equilibrium x (2d + 2,) at q (2d + 2,) without a history: all tubes turned together from alpha_d.
 
     NaN where none is found.
     """
-    state = Equilibria(robot.structure, robot.numbers).settled(q)
+    state = Equilibria(robot.structure, robot.numbers).find_rest_state(q)
     return np.full(len(q), np.nan) if state is None else state.x
 
 
-def settled_apart(structure: Structure, numbers: Array, q: Array) -> tuple[Array, Array]:
+def solve_rest_batch(structure: Structure, numbers: Array, q: Array) -> tuple[Array, Array]:
     """Equilibria x (T, 2d + 2) without a history of robots that differ in numbers (T, d, 8), and margins (T,).
 
     q (T, 2d + 2): a configuration for each. numbers: in the order of structure.NUMBERS. NaN where none is found.
     """
-    x, code = np.full(q.shape, np.nan), compiled(structure)
+    x, code = np.full(q.shape, np.nan), get_compiled_elastic(structure)
     known = np.flatnonzero(np.isfinite(q).all(axis=1))
     if code is None:
         for row in known:
-            state = Equilibria(structure, numbers[row]).settled(q[row])
+            state = Equilibria(structure, numbers[row]).find_rest_state(q[row])
             x[row] = np.nan if state is None else state.x
     else:
         # C takes numbers as CasADi does, by columns of (d, 8): number by number.
-        flat = np.ascontiguousarray(numbers.swapaxes(1, 2)[known]).reshape(len(known), structure.d * len(NUMBERS))
+        flat = np.ascontiguousarray(numbers.swapaxes(1, 2)[known]).reshape(
+            len(known), structure.d * len(TUBE_NUMBER_NAMES)
+        )
         states, found = code.settle(flat, q[known])
         x[known[found]] = np.ctypeslib.as_array(states)["x"][found, : q.shape[1]]
-    return x, stability.margins(tubes_in_columns(structure, numbers), x)
+    return x, stability.margins(tubes_of_batch(structure, numbers), x)
 
 
-def follow(robot: Robot, q: Array, x0: Array | None = None, substeps: int = SUBSTEPS) -> Followed:
+def follow(
+    robot: Robot, q: Array, x0: Array | None = None, substeps: int = STABILITY_SUBSTEPS_PER_FRAME
+) -> EquilibriumPath:
     """The equilibria of a robot moved through frames q (T, 2d + 2), linearly and in substeps between them.
 
     x0: the equilibrium of the first frame, which may be unstable; else the robot settles there. After frames that
     are NaN it settles anew. An unstable branch that the motion starts on is followed as long as it exists.
     """
     q = np.asarray(q, dtype=float)
-    way = passage(q, substeps)
-    return followed(robot.structure, robot.numbers, way, way.q, x0)
+    way = subdivide_motion(q, substeps)
+    return follow_substeps(robot.structure, robot.numbers, way, way.q, x0)
 
 
-def followed_apart(
-    structure: Structure, numbers: Array, way: Passage, places: Array, margins: bool = True
-) -> list[Followed]:
+def follow_robot_batch(
+    structure: Structure, numbers: Array, motion: MotionSubsteps, places: Array, margins: bool = True
+) -> list[EquilibriumPath]:
     """The equilibria of robots of numbers (n, d, 8), each at its own places (n, M, 2d + 2), the sub-steps of a
     way.
 
@@ -70,40 +80,45 @@ def followed_apart(
     whether stability is computed.
     """
     # Abreast only up to the first fresh start, since robots settle one by one.
-    found, (stop, *_) = list[Followed](), [*np.flatnonzero(way.fresh[1:]) + 1, len(way.fresh)]
-    for first in range(0, len(numbers), LANES):
-        group = slice(first, first + LANES)
-        begun = walked_abreast(structure, numbers[group], places[group, :stop])
+    found, (stop, *_) = list[EquilibriumPath](), [*np.flatnonzero(motion.fresh[1:]) + 1, len(motion.fresh)]
+    for first in range(0, len(numbers), VECTOR_LANES):
+        group = slice(first, first + VECTOR_LANES)
+        begun = walk_robot_batch(structure, numbers[group], places[group, :stop])
         each = zip(numbers[group], places[group], begun, strict=True)
-        found += [followed(structure, own, way, at, None, margins, known) for own, at, known in each]
+        found += [follow_substeps(structure, own, motion, at, None, margins, known) for own, at, known in each]
     return found
 
 
-def followed(
+def follow_substeps(
     structure: Structure,
     numbers: Array,
-    way: Passage,
+    motion: MotionSubsteps,
     places: Array,
     x0: Array | None = None,
     margins: bool = True,
-    begun: tuple[Array, State] | None = None,
-) -> Followed:
+    solved_start: tuple[Array, EquilibriumState] | None = None,
+) -> EquilibriumPath:
     """The equilibria of a robot of numbers (d, 8) at its own places (M, 2d + 2), the sub-steps of a way.
 
-    x0: its equilibrium in the first frame, None to let it settle. margins: whether stability is computed. begun:
-    equilibria (k, 2d + 2) at the first places, k > 0, and the last state; None where none is known.
+    x0: its equilibrium in the first frame, None to let it settle. margins: whether stability is computed.
+    solved_start: equilibria (k, 2d + 2) at the first places, k > 0, and the last state; None where none is known.
     """
-    equilibria, last = Equilibria(structure, numbers), np.searchsorted(way.frames, way.frames, side="right") - 1
+    equilibria, last = (
+        Equilibria(structure, numbers),
+        np.searchsorted(motion.frames, motion.frames, side="right") - 1,
+    )
     x, snaps, at, state = np.full(places.shape, np.nan), list[Snap](), 0, None
-    if begun is not None:
-        known, state = begun
+    if solved_start is not None:
+        known, state = solved_start
         x[: len(known)], at = known, len(known) - 1
     while at < len(places):
         if state is None:
-            first = x0 if way.frames[at] == 0 else None
-            state = equilibria.settled(places[at]) if first is None else equilibria.nearest(places[at], first)
+            first = x0 if motion.frames[at] == 0 else None
+            state = (
+                equilibria.find_rest_state(places[at]) if first is None else equilibria.nearest(places[at], first)
+            )
         if state is not None:
-            at, state = _branches(equilibria, way, places, at, state, x, snaps)
+            at, state = _branches(equilibria, motion, places, at, state, x, snaps)
         if state is None:  # it settles anew in the next frame
             after = last[min(at, len(last) - 1)] + 1
             at = len(last) if after == len(last) else last[after]
@@ -111,12 +126,18 @@ def followed(
     stable = np.full(len(x), np.nan)
     if margins:
         stable = stability.margins(tubes_of(structure, numbers.tolist()), x)
-    return _at_frames(way, x, stable, tuple(snaps))
+    return _at_frames(motion, x, stable, tuple(snaps))
 
 
 def _branches(
-    equilibria: Equilibria, way: Passage, places: Array, at: int, state: State | None, x: Array, snaps: list[Snap]
-) -> tuple[int, State | None]:
+    equilibria: Equilibria,
+    way: MotionSubsteps,
+    places: Array,
+    at: int,
+    state: EquilibriumState | None,
+    x: Array,
+    snaps: list[Snap],
+) -> tuple[int, EquilibriumState | None]:
     """Follow one branch after the other from place `at` up to the next fresh start, and record equilibria and
     snaps.
 
@@ -127,12 +148,16 @@ def _branches(
     stop = at + 1 + fresh[0] if len(fresh) else len(places)
     x[at], at = state.x, at + 1
     while at < stop:
-        found, state = equilibria.walked(state, places[at:stop])
+        found, state = equilibria.walk_through_goals(state, places[at:stop])
         x[at : at + len(found)] = found
         at += len(found)
         if at < stop:
-            state, jumps = equilibria.followed(state, places[at])
-            snaps += [_snap(int(way.frames[at]) + 1, jump) for jump in jumps if abs(jump).max() > JUMP]
+            state, jumps = equilibria.follow_to_goal(state, places[at])
+            snaps += [
+                _snap(int(way.frames[at]) + 1, jump)
+                for jump in jumps
+                if abs(jump).max() > MIN_ELASTIC_SNAP_JUMP_RAD
+            ]
             if state is None:
                 return at, None
             x[at], at = state.x, at + 1
@@ -141,10 +166,14 @@ def _branches(
 
 def _snap(frame: int, jump: Array) -> Snap:
     """A snap on the way to a frame, from the angles (d,) by which the tips jumped."""
-    return Snap(frame, tuple(int(i) + 1 for i in np.flatnonzero(abs(jump) > JUMP)), float(abs(jump).max()))
+    return Snap(
+        frame,
+        tuple(int(i) + 1 for i in np.flatnonzero(abs(jump) > MIN_ELASTIC_SNAP_JUMP_RAD)),
+        float(abs(jump).max()),
+    )
 
 
-def _at_frames(way: Passage, x: Array, margins: Array, snaps: tuple[Snap, ...]) -> Followed:
+def _at_frames(way: MotionSubsteps, x: Array, margins: Array, snaps: tuple[Snap, ...]) -> EquilibriumPath:
     """Equilibria and margins at frames, from x (M, 2d + 2) and margins (M,) at all sub-steps."""
     ends = np.flatnonzero(np.diff(way.frames, append=-1))
     at, between = np.full((2, way.total), np.nan)
@@ -155,4 +184,4 @@ def _at_frames(way: Passage, x: Array, margins: Array, snaps: tuple[Snap, ...]) 
     np.fmin.at(between, way.frames, margins)
     # A snap lies between two sub-steps, where no margin was looked at: there it was 0.
     np.minimum.at(between, [snap.frame - 1 for snap in snaps], 0.0)
-    return Followed(here, at, np.where(np.isfinite(at), between, np.nan), snaps)
+    return EquilibriumPath(here, at, np.where(np.isfinite(at), between, np.nan), snaps)

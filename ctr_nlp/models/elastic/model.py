@@ -11,33 +11,33 @@ import numpy as np
 
 from ctr_nlp.models.dominant.shape import columns_of
 from ctr_nlp.models.elastic import shape, stability, torsion
-from ctr_nlp.models.elastic.compiled import compiled
-from ctr_nlp.models.elastic.following import follow, followed_apart, settled
+from ctr_nlp.models.elastic.compiled import get_compiled_elastic
+from ctr_nlp.models.elastic.following import follow, follow_robot_batch, solve_rest_unknowns
 from ctr_nlp.models.elastic.walking import ElasticWalker
 from ctr_nlp.models.protocol import (
-    SUBSTEPS,
-    Followed,
+    STABILITY_SUBSTEPS_PER_FRAME,
+    EquilibriumPath,
     Model,
-    Passage,
-    Places,
-    Rest,
-    Shape,
+    MotionSubsteps,
+    RestStates,
+    SampleArcLengths,
+    SymbolicShape,
     combination,
+    flatten_batch,
     matrix_of,
-    of_rows,
     vectors_of,
 )
 from ctr_nlp.models.walker import Walker
 from ctr_nlp.nlp.nlp import Inner
 from ctr_nlp.robot import Robot
-from ctr_nlp.robot.structure import Structure, Tubes, tubes_in_columns
+from ctr_nlp.robot.structure import Structure, Tubes, tubes_of_batch
 from ctr_nlp.typing import Array, Vector
 
-STEPS = 2
+ELASTIC_NLP_STEPS_PER_SECTION = 2
 """Steps of integration a section in a nonlinear program: 0.02 mm, where a forward solution has 0.002."""
 
 
-CHUNK = 64
+ELASTIC_SHAPES_PER_CHUNK = 64
 """Number of shapes whose samples are computed together: what fits into a processor's nearest cache."""
 
 
@@ -52,23 +52,23 @@ class Elastic(Model):
         """Whether compiled code for this structure is ready; the first call begins to compile it in the
         background.
         """
-        return compiled(structure) is not None
+        return get_compiled_elastic(structure) is not None
 
     def frame(
         self,
         structure: Structure,
         tubes: Tubes,
-        places: Places,
+        sample_lengths: SampleArcLengths,
         margin: ca.SX | None = None,
         tangents: bool = False,
-    ) -> Shape:
+    ) -> SymbolicShape:
         """The shape of one frame as symbols; arguments as in Model.frame."""
         d, x = structure.d, ca.SX.sym("x", 2 * structure.d + 2)
         entries = ca.vertsplit(x)
         beta = entries[d : 2 * d]
         parts = torsion.sections(tubes, beta, ca)
-        twisted = torsion.twist(tubes, entries, parts, ca, STEPS)
-        lengths, turns = shape.travels(tubes, beta, parts, places(beta), ca, STEPS)
+        twisted = torsion.twist(tubes, entries, parts, ca, ELASTIC_NLP_STEPS_PER_SECTION)
+        lengths, turns = shape.travels(tubes, beta, parts, sample_lengths(beta), ca, ELASTIC_NLP_STEPS_PER_SECTION)
         # Layer by layer: lengths, a row a sample; vectors as columns; the axes; alpha; then margins and
         # turns if asked for.
         values = [
@@ -97,28 +97,28 @@ class Elastic(Model):
         # tell in which of several equilibria the robot is.
         picks = (*range(2 * d + 2, 3 * d + 2), *range(d, 2 * d + 2), *range(d))
         margins = others[0] if stable else None
-        return Shape(x, alpha, tuple(beta), points, inner, found, (first, second, third), margins, picks)
+        return SymbolicShape(x, alpha, tuple(beta), points, inner, found, (first, second, third), margins, picks)
 
     def points(self, robot: Robot, x: Array, sigma: Array) -> Array:
         """Points (T, n, 3) in mm at x (T, 2d + 2) and sigma (n,) or (T, n), of one robot."""
         return _points(robot.structure, robot.numbers[None], x, sigma)
 
-    def points_apart(self, structure: Structure, numbers: Array, x: Array, sigma: Array) -> Array:
-        """Points (n, T, m, 3) in mm of robots that differ in numbers; arguments as in Model.points_apart."""
-        found = _points(structure, *of_rows(numbers, x, sigma))
+    def points_batch(self, structure: Structure, numbers: Array, x: Array, sigma: Array) -> Array:
+        """Points (n, T, m, 3) in mm of robots that differ in numbers; arguments as in Model.points_batch."""
+        found = _points(structure, *flatten_batch(numbers, x, sigma))
         return found.reshape(*x.shape[:2], *found.shape[1:])
 
-    def at_rest(self, robot: Robot, q: Array, sigma: Array) -> Rest:
+    def rest_states(self, robot: Robot, q: Array, sigma: Array) -> RestStates:
         """A robot that stands at each q (T, 2d + 2) without a history; points at sigma (m,)."""
-        code = compiled(robot.structure)
+        code = get_compiled_elastic(robot.structure)
         if code is None:
-            return super().at_rest(robot, q, sigma)
-        return code.rests(robot.numbers.ravel(order="F")[None], q, sigma)
+            return super().rest_states(robot, q, sigma)
+        return code.rest_states(robot.numbers.ravel(order="F")[None], q, sigma)
 
     def tangents(self, robot: Robot, x: Array, sigma: Array) -> Array:
         """Unit tangents (T, n, 3) at x (T, 2d + 2) and sigma (n,) or (T, n)."""
         found = shape.backbone(robot.tube_numbers, columns_of(x), sigma, np).tangents
-        return _stacked(found, len(x), np.shape(sigma)[-1])
+        return _stack_components(found, len(x), np.shape(sigma)[-1])
 
     def margins(self, robot: Robot, x: Array) -> Array:
         """Stability margins (T,) at x (T, 2d + 2), by Galerkin's method (stability.py)."""
@@ -128,7 +128,7 @@ class Elastic(Model):
         """The equilibrium at q (2d + 2,) to which all tubes are turned together from alpha_d; NaN where none is
         found.
         """
-        return settled(robot, q)
+        return solve_rest_unknowns(robot, q)
 
     def guess(self, robot: Robot, q: Array) -> Array:
         """Unknowns (.., 2d + 2) at q (.., 2d + 2) of tubes that are not twisted."""
@@ -148,7 +148,9 @@ class Elastic(Model):
         """The extensions beta (T, d) in mm, which x holds where q does."""
         return x[:, robot.d : 2 * robot.d]
 
-    def follow(self, robot: Robot, q: Array, x0: Array | None = None, substeps: int = SUBSTEPS) -> Followed:
+    def follow(
+        self, robot: Robot, q: Array, x0: Array | None = None, substeps: int = STABILITY_SUBSTEPS_PER_FRAME
+    ) -> EquilibriumPath:
         """The equilibria along a motion through frames q (T, 2d + 2); see following.follow."""
         return follow(robot, q, x0, substeps)
 
@@ -156,30 +158,32 @@ class Elastic(Model):
         """A robot to be moved step by step; see walking.ElasticWalker."""
         return ElasticWalker(structure, numbers, q)
 
-    def follow_apart(
-        self, structure: Structure, numbers: Array, way: Passage, q: Array, margins: bool = True
-    ) -> list[Followed]:
+    def follow_batch(
+        self, structure: Structure, numbers: Array, motion: MotionSubsteps, q: Array, margins: bool = True
+    ) -> list[EquilibriumPath]:
         """The equilibria of robots that differ in numbers along a way; see following.followed_apart."""
-        return followed_apart(structure, numbers, way, q, margins)
+        return follow_robot_batch(structure, numbers, motion, q, margins)
 
 
 def _points(structure: Structure, numbers: Array, x: Array, sigma: Array) -> Array:
     """Points (T, n, 3) in mm of robots of numbers (T or 1, d, 8) at x (T, 2d + 2) and sigma (n,) or (T, n)."""
-    if (code := compiled(structure)) is not None:
+    if (code := get_compiled_elastic(structure)) is not None:
         return code.shapes(numbers.swapaxes(1, 2).reshape(len(numbers), -1), x, sigma)[0]
-    tubes, columns, d = tubes_in_columns(structure, numbers), columns_of(x), structure.d
+    tubes, columns, d = tubes_of_batch(structure, numbers), columns_of(x), structure.d
     parts = torsion.sections(tubes, columns[d : 2 * d], np)
     vectors = shape.curves(tubes, columns, parts, torsion.twist(tubes, columns, parts, np), np)
     directions, base = (
-        np.concatenate([_stacked(vector, len(x), 1) for vector in some], axis=1)
+        np.concatenate([_stack_components(vector, len(x), 1) for vector in some], axis=1)
         for some in (vectors, shape.turned_base(tubes, columns, np))
     )
     # Vectors (T, k, 3) in the robot's axes times these axes: one small product a shape, before samples
     # enter.
     placed, points = directions @ base, np.empty((len(x), np.shape(sigma)[-1], 3))
-    for at in (slice(first, first + CHUNK) for first in range(0, len(x), CHUNK)):
+    for at in (
+        slice(first, first + ELASTIC_SHAPES_PER_CHUNK) for first in range(0, len(x), ELASTIC_SHAPES_PER_CHUNK)
+    ):
         own, beta = numbers[at] if len(numbers) > 1 else numbers, columns_of(x[at, d : 2 * d])
-        tubes, s = tubes_in_columns(structure, own), (sigma[at] if np.ndim(sigma) > 1 else sigma) * beta[-1]
+        tubes, s = tubes_of_batch(structure, own), (sigma[at] if np.ndim(sigma) > 1 else sigma) * beta[-1]
         lengths, _ = shape.travels(tubes, beta, torsion.sections(tubes, beta, np), s, np)
         travelled = np.empty((len(s), len(lengths), s.shape[1]))
         for k, length in enumerate(lengths):
@@ -188,6 +192,6 @@ def _points(structure: Structure, numbers: Array, x: Array, sigma: Array) -> Arr
     return points
 
 
-def _stacked(vector: Vector, *shape: int) -> Array:
+def _stack_components(vector: Vector, *shape: int) -> Array:
     """x, y and z, broadcast to a shape, as the last axis of one array."""
     return np.stack([np.broadcast_to(part, shape) for part in vector], axis=-1)

@@ -17,8 +17,16 @@ from typing import Any
 
 import numpy as np
 
-from ctr_nlp.models.dominant.shape import Backbone, Travel, base_frame, combined, planar
-from ctr_nlp.models.elastic.torsion import STEPS, Node, Section, Twist, bending, sections, twist
+from ctr_nlp.models.dominant.shape import Backbone, Travel, base_frame, combine_vectors, planar
+from ctr_nlp.models.elastic.torsion import (
+    ELASTIC_STEPS_PER_SECTION,
+    Node,
+    RobotSection,
+    Twist,
+    bending,
+    sections,
+    twist,
+)
 from ctr_nlp.models.protocol import combination
 from ctr_nlp.robot.structure import Tubes
 from ctr_nlp.typing import Vector
@@ -26,13 +34,15 @@ from ctr_nlp.typing import Vector
 Axes = tuple[Vector, Vector, Vector]
 """Three unit vectors."""
 
-TINY = 1e-4
+MIN_ELASTIC_SECTION_LENGTH_MM = 1e-4
 """Length in mm below which sections count as empty."""
 SERIES = 7
 """Terms of the series of sin(a)/a and (1 - cos(a))/a^2, where a is the angle turned from node to node."""
 
 
-def backbone(tubes: Tubes, x: Sequence[Any], sigma: Any, xp: Any, steps: int = STEPS) -> Backbone:
+def backbone(
+    tubes: Tubes, x: Sequence[Any], sigma: Any, xp: Any, steps: int = ELASTIC_STEPS_PER_SECTION
+) -> Backbone:
     """The shape at s = sigma beta_d; x: the 2d + 2 unknowns of torsion.py, sigma in [0, 1]."""
     beta = x[len(tubes) : 2 * len(tubes)]
     parts = sections(tubes, beta, xp)
@@ -43,7 +53,7 @@ def backbone(tubes: Tubes, x: Sequence[Any], sigma: Any, xp: Any, steps: int = S
     return Backbone(combination(combination(lengths, vectors), base), combination(tangent, base))
 
 
-def curves(tubes: Tubes, x: Sequence[Any], parts: Sequence[Section], twisted: Twist, xp: Any) -> list[Vector]:
+def curves(tubes: Tubes, x: Sequence[Any], parts: Sequence[RobotSection], twisted: Twist, xp: Any) -> list[Vector]:
     """The vectors of which a shape is the sum, section by section.
 
     Of a plane section: where it bends to, and its tangent at the beginning. Of another: the coefficients of powers
@@ -56,11 +66,11 @@ def curves(tubes: Tubes, x: Sequence[Any], parts: Sequence[Section], twisted: Tw
             # At most one active tube: the sum is its angle, or 0.
             psi = sum(nodes[0].angles[i] for i in part.active)
             cos, sin = xp.cos(psi), xp.sin(psi)
-            found += [combined(cos, axes[0], sin, axes[1]), axes[2]]
+            found += [combine_vectors(cos, axes[0], sin, axes[1]), axes[2]]
             angle = _arc(tubes, beta, part, part.length, xp).angle
             # The whole section is one turn, about the axis perpendicular to the direction in which it
             # bends.
-            axes = turned(axes, (-angle * sin, angle * cos, 0.0))
+            axes = rotate_axes(axes, (-angle * sin, angle * cos, 0.0))
         else:
             triads = _triads(axes, part, nodes, xp)
             found += powers([tangent for _, _, tangent in triads])
@@ -76,7 +86,12 @@ def powers(tangents: Sequence[Vector]) -> list[Vector]:
 
 
 def travels(
-    tubes: Tubes, beta: Sequence[Any], parts: Sequence[Section], s: Any, xp: Any, steps: int = STEPS
+    tubes: Tubes,
+    beta: Sequence[Any],
+    parts: Sequence[RobotSection],
+    s: Any,
+    xp: Any,
+    steps: int = ELASTIC_STEPS_PER_SECTION,
 ) -> tuple[list[Any], list[Any]]:
     """Lengths along each vector of `curves` to arc lengths s, mm, and how much of each the tangent gains."""
     lengths, turns, before = list[Any](), list[Any](), 0 * s
@@ -89,7 +104,7 @@ def travels(
         else:
             # (here - before) / length, which is 0 instead of NaN, with finite derivatives, where a section
             # is empty.
-            fraction = (here - before) * (part.length / (part.length**2 + TINY**2))
+            fraction = (here - before) * (part.length / (part.length**2 + MIN_ELASTIC_SECTION_LENGTH_MM**2))
             powers = list(itertools.accumulate([fraction] * (2 * steps), lambda a, b: a * b, initial=1.0))
             # The integral of f^(n-1) over the arc length travelled so far is (here - before) f^(n-1) / n.
             lengths += [(here - before) / n * power for n, power in enumerate(powers, start=1)]
@@ -105,10 +120,10 @@ def turned_base(tubes: Tubes, x: Sequence[Any], xp: Any) -> Axes:
     theta_x, theta_y = x[2 * len(tubes) :]
     d1, d2, t = base_frame(theta_x, theta_y, xp)
     cos, sin = xp.cos(x[len(tubes) - 1]), xp.sin(x[len(tubes) - 1])
-    return combined(cos, d1, sin, d2), combined(-sin, d1, cos, d2), t
+    return combine_vectors(cos, d1, sin, d2), combine_vectors(-sin, d1, cos, d2), t
 
 
-def _arc(tubes: Tubes, beta: Sequence[Any], part: Section, length: Any, xp: Any) -> Travel:
+def _arc(tubes: Tubes, beta: Sequence[Any], part: RobotSection, length: Any, xp: Any) -> Travel:
     """Travel over a length (mm) from the beginning of a plane section, with at most one curved tube."""
     if not part.active:
         return Travel(0 * length, length, 0 * length)
@@ -118,7 +133,7 @@ def _arc(tubes: Tubes, beta: Sequence[Any], part: Section, length: Any, xp: Any)
     bent = tube._replace(root_curvature=share * tube.root_curvature, tip_curvature=share * tube.tip_curvature)
     x_from, straight = beta[i] - part.start, 0.0
     x_to = x_from - length
-    if tubes[i].shown:
+    if tubes[i].transmission_emerges:
         x_from, x_to = xp.fmin(x_from, tube.curved_length), xp.fmin(x_to, tube.curved_length)
         # Beyond the curved part, towards the root, the tube is straight; that part comes first.
         straight = length - (x_from - x_to)
@@ -126,14 +141,14 @@ def _arc(tubes: Tubes, beta: Sequence[Any], part: Section, length: Any, xp: Any)
     return Travel(side, straight + along, angle)
 
 
-def _triads(axes: Axes, part: Section, nodes: Sequence[Node], xp: Any) -> list[Axes]:
+def _triads(axes: Axes, part: RobotSection, nodes: Sequence[Node], xp: Any) -> list[Axes]:
     """Bishop frames at a section's nodes, from those at its beginning, by Magnus' series to order 4."""
     u, h, found = [bending(part, node, xp) for node in nodes], part.length / (len(nodes) - 1), [axes]
     # Three nodes at a time: both halves use the quadratic through the bending vectors at all three.
     for k in range(0, len(nodes) - 1, 2):
         a, b, c = u[k : k + 3]
-        found.append(turned(found[-1], _turn(h, a, b, c, a, b)))
-        found.append(turned(found[-1], _turn(h, c, b, a, b, c)))
+        found.append(rotate_axes(found[-1], _turn(h, a, b, c, a, b)))
+        found.append(rotate_axes(found[-1], _turn(h, c, b, a, b, c)))
     return found
 
 
@@ -150,7 +165,7 @@ def _turn(h: Any, near: Any, middle: Any, far: Any, first: Any, last: Any) -> Ve
     return -y, x, h**2 / 12 * (first[0] * last[1] - first[1] * last[0])
 
 
-def turned(axes: Axes, turn: Vector) -> Axes:
+def rotate_axes(axes: Axes, turn: Vector) -> Axes:
     """Axes after a turn about a vector in these axes, rad, by Rodrigues' formula."""
     x, y, z = turn
     # s = sin(a)/a and c = 2 (1 - cos(a))/a^2 by Horner's scheme in a^2: smooth at a = 0, where quotients

@@ -17,9 +17,9 @@ from typing import Any
 
 import numpy as np
 
-from ctr_nlp.models.elastic.compiled import compiled, numbers_of
+from ctr_nlp.models.elastic.compiled import get_compiled_elastic, numbers_of
 from ctr_nlp.models.elastic.energy import differences, energies
-from ctr_nlp.models.elastic.torsion import Node, Section, moved
+from ctr_nlp.models.elastic.torsion import Node, RobotSection, add_scaled_changes
 from ctr_nlp.robot.structure import Structure, Tubes
 from ctr_nlp.typing import Array
 
@@ -27,11 +27,11 @@ from ctr_nlp.typing import Array
 def responses(
     tubes: Tubes,
     beta: Sequence[Any],
-    parts: Sequence[Section],
+    parts: Sequence[RobotSection],
     places: Sequence[Sequence[Node]],
     margin: Any,
     xp: Any,
-    held: bool = False,
+    include_common_turn: bool = False,
 ) -> list[list[list[Any]]]:
     """Derivatives of the tubes' angles over those at the tips, on tubes of (1 - margin) GJ.
 
@@ -43,7 +43,7 @@ def responses(
     all are turned together (held): then d.
     """
     d = len(tubes)
-    free = d if held else d - 1
+    free = d if include_common_turn else d - 1
     # At the tips the response is the identity, with rate 0: psi'(beta_i) = 0 for every tip angle.
     columns = [[1.0 if i == j else 0.0 for i in range(d)] for j in range(free)]
     rates: list[list[Any]] = [[0.0] * d for _ in columns]
@@ -51,7 +51,7 @@ def responses(
     for part, nodes in zip(reversed(parts), reversed(places), strict=True):
         # A plane section: tubes do not act on each other, and responses go on linearly.
         if len(nodes) == 1:
-            columns = [moved(y, (-part.length, rate)) for y, rate in zip(columns, rates, strict=True)]
+            columns = [add_scaled_changes(y, (-part.length, rate)) for y, rate in zip(columns, rates, strict=True)]
             continue
         # A step spans three nodes: its ends and its middle, where the angles are known from torsion.py.
         h = -2 * part.length / (len(nodes) - 1)
@@ -59,20 +59,20 @@ def responses(
         for k in range(len(nodes) - 1, 0, -2):
             for j, (y, rate) in enumerate(zip(columns, rates, strict=True)):
                 a = _times(stiff[k], y)
-                b = _times(stiff[k - 1], moved(y, (h / 2, rate), (h**2 / 8, a)))
-                c = _times(stiff[k - 2], moved(y, (h, rate), (h**2 / 2, b)))
-                columns[j], rates[j] = _stepped(y, rate, h, a, b, c)
-        found.append(_seen(columns, held))
+                b = _times(stiff[k - 1], add_scaled_changes(y, (h / 2, rate), (h**2 / 8, a)))
+                c = _times(stiff[k - 2], add_scaled_changes(y, (h, rate), (h**2 / 2, b)))
+                columns[j], rates[j] = _nystroem_step(y, rate, h, a, b, c)
+        found.append(_reduce_responses(columns, include_common_turn))
     for i, tube in enumerate(tubes):
         for y, rate in zip(columns, rates, strict=True):
             # The transmission of tube i, as in torsion.motors; one after the other, so that eigenvalues
             # pass one by one.
             y[i] = y[i] - rate[i] * (tube.length - beta[i])
-        found.append(_seen(columns, held))
+        found.append(_reduce_responses(columns, include_common_turn))
     return found
 
 
-def _stepped(
+def _nystroem_step(
     values: Sequence[Any], rates: Sequence[Any], h: Any, *ks: Sequence[Any]
 ) -> tuple[list[Any], list[Any]]:
     """Values and rates after a step h of Nystroem's method of order 4, from its three second derivatives.
@@ -81,12 +81,12 @@ def _stepped(
     """
     a, b, c = ks
     return (
-        moved(values, (h, rates), (h**2 / 6, a), (h**2 / 3, b)),
-        moved(rates, (h / 6, a), (h * 2 / 3, b), (h / 6, c)),
+        add_scaled_changes(values, (h, rates), (h**2 / 6, a), (h**2 / 3, b)),
+        add_scaled_changes(rates, (h / 6, a), (h * 2 / 3, b), (h / 6, c)),
     )
 
 
-def _stiffness(tubes: Tubes, part: Section, node: Node, factor: float, xp: Any) -> list[list[Any]]:
+def _stiffness(tubes: Tubes, part: RobotSection, node: Node, factor: float, xp: Any) -> list[list[Any]]:
     """The derivatives [tube][tube] of factor psi'' over the angles, 1/mm^2.
 
     factor is 1 / (1 - margin): softer tubes twist more.
@@ -114,9 +114,9 @@ def _times(matrix: Sequence[Sequence[Any]], y: Sequence[Any]) -> list[Any]:
     return [sum(a * b for a, b in zip(row, y, strict=True)) for row in matrix]
 
 
-def _seen(columns: Sequence[Sequence[Any]], held: bool) -> list[list[Any]]:
+def _reduce_responses(columns: Sequence[Sequence[Any]], include_common_turn: bool) -> list[list[Any]]:
     """Responses as [tube][tip], less the innermost tube's row unless turns of all tubes are held."""
-    if held:
+    if include_common_turn:
         return [list(row) for row in zip(*columns, strict=True)]
     # Turning all tubes together is no deformation without a moment from outside.
     return [[column[i] - column[-1] for column in columns] for i in range(len(columns))]
@@ -135,7 +135,9 @@ def determinant(matrix: Sequence[Sequence[Any]]) -> Any:
 
 def margins(tubes: Tubes, x: Array) -> Array:
     """The stability margin (T,) of every x (T, 2d + 2), by Galerkin's method; NaN where x is."""
-    code = compiled(Structure(tuple(tube.kind for tube in tubes), tuple(tube.shown for tube in tubes)))
+    code = get_compiled_elastic(
+        Structure(tuple(tube.kind for tube in tubes), tuple(tube.transmission_emerges for tube in tubes))
+    )
     if code is not None:
         return code.margins(numbers_of(tubes), x)
     found, known = np.full(len(x), np.nan), np.asarray(np.isfinite(x).all(axis=1))

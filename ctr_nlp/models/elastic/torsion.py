@@ -25,7 +25,7 @@ from typing import Any, NamedTuple
 
 from ctr_nlp.robot.structure import Tubes
 
-STEPS = 4
+ELASTIC_STEPS_PER_SECTION = 4
 """Steps of integration a section: angles of motors are good to 3e-5 rad near a fold, shapes to 0.001 mm."""
 STAGES = (1 / 5, (1 / 50,)), (2 / 3, (-1 / 27, 7 / 27)), (1.0, (3 / 10, -2 / 35, 9 / 35))
 """Stages of Nystroem's method after the first: the part of the step, and weights of the second derivatives before
@@ -37,7 +37,7 @@ OF_RATES = 14 / 336, 125 / 336, 162 / 336, 35 / 336
 """Weights of the second derivatives at its four stages in what a step adds to angles and to rates."""
 
 
-class Section(NamedTuple):
+class RobotSection(NamedTuple):
     """Part of the robot along which the same tubes are present and curved; start and length in mm.
 
     shares: each tube's part of the bending stiffness of those present. curved: 0 or 1 for every tube. present: the
@@ -53,7 +53,7 @@ class Section(NamedTuple):
     active: tuple[int, ...]
     plane: bool
 
-    def divided(self, count: int) -> list[Section]:
+    def split_evenly(self, count: int) -> list[RobotSection]:
         """The section as so many pieces of the same length, from base to tip."""
         length = self.length / count
         return [self._replace(start=self.start + k * length, length=length) for k in range(count)]
@@ -82,18 +82,19 @@ class Twist(NamedTuple):
     rates: list[Any]
 
 
-def sections(tubes: Tubes, beta: Sequence[Any], xp: Any, planes: bool = True) -> list[Section]:
+def sections(tubes: Tubes, beta: Sequence[Any], xp: Any, planes: bool = True) -> list[RobotSection]:
     """Sections between neighbouring tube tips, divided where a straight part that can be pushed out begins.
 
     planes: whether tubes that are alone bend in a plane, as without a load; then the last one, its straight part
     included, needs no division, unless it is a helix.
     """
-    d, found = len(tubes), list[Section]()
+    d, found = len(tubes), list[RobotSection]()
     divided = d - 1 if planes and tubes[-1].kind != "helix" else d
     # Where the curved part of each tube begins, mm from the base, if its straight part can show: 0 while
     # that is hidden.
     starts = [
-        xp.fmax(beta[i] - tube.curved_length, 0.0) if tubes[i].shown else None for i, tube in enumerate(tubes)
+        xp.fmax(beta[i] - tube.curved_length, 0.0) if tubes[i].transmission_emerges else None
+        for i, tube in enumerate(tubes)
     ]
     for i, (low, high) in enumerate(itertools.pairwise([0 * beta[0], *beta])):
         present, edges = (0.0,) * i + (1.0,) * (d - i), [low, high]
@@ -114,7 +115,7 @@ def sections(tubes: Tubes, beta: Sequence[Any], xp: Any, planes: bool = True) ->
     return found
 
 
-def _section(tubes: Tubes, a: Any, b: Any, present: Sequence[float], curved: Sequence[Any]) -> Section:
+def _section(tubes: Tubes, a: Any, b: Any, present: Sequence[float], curved: Sequence[Any]) -> RobotSection:
     """The section from a to b (mm) with the tubes present and curved, each 0 or 1 for every tube."""
     stiffness = [here * tube.bending_stiffness for here, tube in zip(present, tubes, strict=True)]
     shares = tuple(EI / sum(stiffness) for EI in stiffness)
@@ -122,10 +123,12 @@ def _section(tubes: Tubes, a: Any, b: Any, present: Sequence[float], curved: Seq
     active = tuple(i for i in there if tubes[i].kind != "straight")
     # A tube alone has no other to twist it: its psi'' is 0. A helix's direction turns nevertheless.
     plane = len(active) <= 1 and all(tubes[i].kind != "helix" for i in active)
-    return Section(a, b - a, shares, tuple(curved), there, active, plane)
+    return RobotSection(a, b - a, shares, tuple(curved), there, active, plane)
 
 
-def twist(tubes: Tubes, x: Sequence[Any], parts: Sequence[Section], xp: Any, steps: int = STEPS) -> Twist:
+def twist(
+    tubes: Tubes, x: Sequence[Any], parts: Sequence[RobotSection], xp: Any, steps: int = ELASTIC_STEPS_PER_SECTION
+) -> Twist:
     """The tubes' angles at x, integrated from their tips to the base by Nystroem's method of order 5.
 
     parts: the sections; steps: of integration in each. (Hairer, Norsett, Wanner, Solving Ordinary Differential
@@ -141,7 +144,7 @@ def twist(tubes: Tubes, x: Sequence[Any], parts: Sequence[Section], xp: Any, ste
     for part in reversed(parts):
         if part.plane:
             # psi'' = 0 in a plane section: angles are linear in s.
-            angles = moved(angles, (-part.length, rates))
+            angles = add_scaled_changes(angles, (-part.length, rates))
             nodes.append([Node(angles, curvatures_at(tubes, x, part, part.start))])
             continue
         # Backwards, from the tip to the base.
@@ -155,10 +158,16 @@ def twist(tubes: Tubes, x: Sequence[Any], parts: Sequence[Section], xp: Any, ste
                 there = curvatures_at(tubes, x, part, part.start + part.length * ((k - place) / steps))
                 # Nystroem's stage: y(c h) = y + c h y' + h^2 sum a_j k_j, for y'' = f(s, y) without y'.
                 changes = ((h**2 * weight, of) for weight, of in zip(row, ks, strict=True) if weight)
-                ks.append(_moments(tubes, part, Node(moved(angles, (h * place, rates), *changes), there), xp))
-            angles = moved(angles, (h, rates), *((h**2 * w, of) for w, of in zip(OF_ANGLES, ks, strict=True) if w))
+                ks.append(
+                    _moments(
+                        tubes, part, Node(add_scaled_changes(angles, (h * place, rates), *changes), there), xp
+                    )
+                )
+            angles = add_scaled_changes(
+                angles, (h, rates), *((h**2 * w, of) for w, of in zip(OF_ANGLES, ks, strict=True) if w)
+            )
             # After the angles, which need the rates at the step's beginning.
-            rates = moved(rates, *((h * w, of) for w, of in zip(OF_RATES, ks, strict=True)))
+            rates = add_scaled_changes(rates, *((h * w, of) for w, of in zip(OF_RATES, ks, strict=True)))
             # Shapes and stability need angles in the middle of steps, too: from an interpolant, not from
             # more stages.
             middle = _between(begin, (angles, rates), (ks[0], ks[-1]), h)
@@ -187,13 +196,13 @@ def turned_untwisted(tubes: Tubes, x: Sequence[Any], i: int, s: Any) -> Any:
     return tubes[i].spin * (tubes[i].curved_length - x[len(tubes) + i] + s)
 
 
-def bending(part: Section, node: Node, xp: Any) -> tuple[Any, Any]:
+def bending(part: RobotSection, node: Node, xp: Any) -> tuple[Any, Any]:
     """The bending vector u = sum of shares times k e(psi) over the active tubes, 1/mm, as x and y."""
     here = [(part.shares[i] * node.curvatures[i], node.angles[i]) for i in part.active]
     return sum(k * xp.cos(psi) for k, psi in here), sum(k * xp.sin(psi) for k, psi in here)
 
 
-def curvatures_at(tubes: Tubes, x: Sequence[Any], part: Section, s: Any) -> list[Any]:
+def curvatures_at(tubes: Tubes, x: Sequence[Any], part: RobotSection, s: Any) -> list[Any]:
     """Pre-curvature of every tube at s of a section, 1/mm; 0.0 where it is not active."""
     found: list[Any] = [0.0] * len(tubes)
     for i in part.active:
@@ -202,7 +211,7 @@ def curvatures_at(tubes: Tubes, x: Sequence[Any], part: Section, s: Any) -> list
     return found
 
 
-def _moments(tubes: Tubes, part: Section, node: Node, xp: Any) -> list[Any]:
+def _moments(tubes: Tubes, part: RobotSection, node: Node, xp: Any) -> list[Any]:
     """Second derivatives psi'' of every tube, rad/mm^2, from the balance of moments."""
     (x, y), found = bending(part, node, xp), [0.0] * len(tubes)
     for i in part.active:
@@ -222,9 +231,9 @@ def _between(begin: Any, end: Any, seconds: Any, h: Any) -> list[Any]:
     # Quintic Hermite at 1/2: (y0 + y1) / 2 + 5 h (y0' - y1') / 32 + h^2 (y0'' + y1'') / 64.
     middle = [(one + other) / 2 for one, other in zip(first, last, strict=True)]
     slopes = (h * 5 / 32, first_rates), (-h * 5 / 32, last_rates)
-    return moved(middle, *slopes, (h**2 / 64, a), (h**2 / 64, b))
+    return add_scaled_changes(middle, *slopes, (h**2 / 64, a), (h**2 / 64, b))
 
 
-def moved(values: Sequence[Any], *changes: tuple[Any, Sequence[Any]]) -> list[Any]:
+def add_scaled_changes(values: Sequence[Any], *changes: tuple[Any, Sequence[Any]]) -> list[Any]:
     """Values plus the sum of factors times changes, entry by entry."""
     return [value + sum(factor * change[i] for factor, change in changes) for i, value in enumerate(values)]

@@ -1,8 +1,8 @@
 """Loads as the rod's equations take them, and the kinds of rods that they make.
 
 A kind says which terms the equations contain; within it, all loads share one compiled program, whose parameters
-are the load's numbers (loads/load.py). A force along the body begins and ends within GENTLE of its places instead
-of at once, so that shapes stay smooth functions of the extensions.
+are the load's numbers (loads/load.py). A force along the body begins and ends within FORCE_EDGE_HALF_WIDTH_MM of
+its places instead of at once, so that shapes stay smooth functions of the extensions.
 """
 
 from __future__ import annotations
@@ -15,15 +15,15 @@ import numpy as np
 
 from ctr_nlp.exceptions import LoadError
 from ctr_nlp.loads import Load, LoadOverTime
-from ctr_nlp.loads.load import BEFORE_WEIGHTS, BETWEEN
-from ctr_nlp.models.elastic.torsion import Section
+from ctr_nlp.loads.load import FIRST_WEIGHT_COLUMN, FORCE_RANGE_COLUMNS
+from ctr_nlp.models.elastic.torsion import RobotSection
 from ctr_nlp.models.loaded.vectors import vectors
 from ctr_nlp.robot.structure import Kind, Structure
 from ctr_nlp.typing import Array, Vector
 
-STEPS = 18
+LOADED_STEPS_PER_SECTION = 18
 """Steps of integration a section in evaluations; twice as many where a force may begin or end in one."""
-GENTLE = 0.25
+FORCE_EDGE_HALF_WIDTH_MM = 0.25
 """Distance, mm, to both sides of a place where a force along the body begins or ends, within which it does so."""
 
 
@@ -55,15 +55,15 @@ def check_kinds(kinds: Sequence[Kind]) -> None:
 
 def loading(values: Sequence[Any]) -> Loading:
     """Split a load's numbers, in the order of loads.Load.numbers, into the vectors of a Loading."""
-    force, tool_force, moment, tool_moment, distributed = vectors(values[: BETWEEN.start])
-    begin, end = values[BETWEEN]
+    force, tool_force, moment, tool_moment, distributed = vectors(values[: FORCE_RANGE_COLUMNS.start])
+    begin, end = values[FORCE_RANGE_COLUMNS]
     return Loading(
-        force, tool_force, moment, tool_moment, distributed, (begin, end), vectors(values[BEFORE_WEIGHTS:])
+        force, tool_force, moment, tool_moment, distributed, (begin, end), vectors(values[FIRST_WEIGHT_COLUMN:])
     )
 
 
 @dataclass(frozen=True)
-class Along:
+class DistributedForce:
     """A force per length, N/mm, that acts between two places, mm from the opening, of a robot of a length in mm.
 
     xp: casadi or numpy, with which it is evaluated.
@@ -87,20 +87,22 @@ class Along:
         return self._rest(end - s) - self._rest(begin - s)
 
     def _rest(self, left: Any) -> Any:
-        """Return max(left, 0), mm, with the corner at 0 rounded within GENTLE to either side."""
+        """Return max(left, 0), mm, with the corner at 0 rounded within FORCE_EDGE_HALF_WIDTH_MM to either side."""
         # The parabola (x + g)^2 / 4g meets 0 at -g and x at g with equal slopes: the force per length, which is
         # the derivative, rises linearly over 2g.
-        near = self.xp.fmin(self.xp.fmax(left, -GENTLE), GENTLE)
-        return (near + GENTLE) ** 2 / (4 * GENTLE) + self.xp.fmax(left - GENTLE, 0.0)
+        near = self.xp.fmin(self.xp.fmax(left, -FORCE_EDGE_HALF_WIDTH_MM), FORCE_EDGE_HALF_WIDTH_MM)
+        return (near + FORCE_EDGE_HALF_WIDTH_MM) ** 2 / (4 * FORCE_EDGE_HALF_WIDTH_MM) + self.xp.fmax(
+            left - FORCE_EDGE_HALF_WIDTH_MM, 0.0
+        )
 
 
-def eased(acting: Array, part: Array) -> Array:
+def scale_loads(acting: Array, part: Array) -> Array:
     """Return numbers (.., l) of loads of which only parts (..), from 0 to 1, act yet.
 
     The places between which a force along the body acts are no forces, and are not scaled.
     """
     found = part[..., None] * acting
-    found[..., BETWEEN] = acting[..., BETWEEN]
+    found[..., FORCE_RANGE_COLUMNS] = acting[..., FORCE_RANGE_COLUMNS]
     return np.asarray(found)
 
 
@@ -122,27 +124,29 @@ class RodKind(NamedTuple):
     @classmethod
     def of(cls, load: Load | LoadOverTime) -> RodKind:
         """Return the kind of rods that a load makes."""
-        return cls(load.follows, load.bends, load.distributed, load.weighs)
+        return cls(load.has_follower_force, load.has_tip_moment, load.has_distributed_force, load.has_weight)
 
-    def divided(self, parts: Sequence[Section]) -> list[Section]:
+    def split_sections(self, parts: Sequence[RobotSection]) -> list[RobotSection]:
         """The sections, or their pieces, from base to tip."""
-        return [piece for part in parts for piece in part.divided(self.pieces)] if self.pieces else list(parts)
+        return (
+            [piece for part in parts for piece in part.split_evenly(self.pieces)] if self.pieces else list(parts)
+        )
 
     @property
     def steps(self) -> int:
         """Steps of integration in each section, or in each piece where sections are divided."""
         # The corner of a force along the body costs accuracy in the step that it falls into. Pieces share the
         # steps of their section.
-        return STEPS * (2 if self.distributed else 1) // max(self.pieces, 1)
+        return LOADED_STEPS_PER_SECTION * (2 if self.distributed else 1) // max(self.pieces, 1)
 
     def numbers(self, structure: Structure) -> int:
         """How many numbers a load has: of loads.Load.numbers, and then three of every piece, N/mm, if any."""
-        d, shown = structure.d, structure.shown
+        d, shown = structure.d, structure.transmission_emerges
         # Sections lie between neighbouring tips; each is divided once more for every tube present whose straight
         # part may show (torsion.sections).
         parts = sum(1 + sum(shown[i:]) for i in range(d))
-        return BEFORE_WEIGHTS + 3 * d + 3 * self.pieces * parts
+        return FIRST_WEIGHT_COLUMN + 3 * d + 3 * self.pieces * parts
 
 
-PLAIN = RodKind()
+TIP_FORCE_ROD_KIND = RodKind()
 """The kind of loads that act at the tip and keep their direction."""

@@ -15,23 +15,23 @@ import numpy as np
 
 from ctr_nlp.codegen import cache
 from ctr_nlp.codegen.background import Library
-from ctr_nlp.codegen.language import LANES
-from ctr_nlp.codegen.mapped import Mapped, external
-from ctr_nlp.loads.load import BEFORE_WEIGHTS
+from ctr_nlp.codegen.language import VECTOR_LANES
+from ctr_nlp.codegen.mapped import BatchEvaluator, load_tape_function
+from ctr_nlp.loads.load import FIRST_WEIGHT_COLUMN
 from ctr_nlp.models.elastic.torsion import sections
 from ctr_nlp.models.loaded.acting import RodKind, loading
 from ctr_nlp.models.loaded.equations import Softness
-from ctr_nlp.models.loaded.rod import Tip, integrated
+from ctr_nlp.models.loaded.rod import Tip, integrate_rod
 from ctr_nlp.models.loaded.vectors import vectors
 from ctr_nlp.models.protocol import symbolic_tubes
-from ctr_nlp.robot.structure import NUMBERS, Structure
+from ctr_nlp.robot.structure import TUBE_NUMBER_NAMES, Structure
 from ctr_nlp.typing import Array
 
-BLOCK = 128
+ROD_ROWS_PER_CALL = 128
 """Most rows in one call: functions are mapped to few sizes, and few rows are computed in vain."""
 
 
-class Ends(NamedTuple):
+class RodBases(NamedTuple):
     """T rods at their bases, as integrated from their tips.
 
     angles (T, d): of the tubes at their motors, relative to the frame at the base, rad. axes (T, 3, 3): that
@@ -58,22 +58,22 @@ def symbolic(structure: Structure, kind: RodKind) -> ca.Function:
     A row has the tubes' angles at the tip and its axes, the extensions, the load, and the two softnesses.
     """
     d = structure.d
-    numbers = ca.SX.sym("numbers", d, len(NUMBERS))
+    numbers = ca.SX.sym("numbers", d, len(TUBE_NUMBER_NAMES))
     tip, beta = ca.SX.sym("tip", d + 9), ca.SX.sym("beta", d)
     load, soft = ca.SX.sym("load", kind.numbers(structure)), ca.SX.sym("soft", 2)
     tubes, entries, extensions = symbolic_tubes(structure, numbers), ca.vertsplit(tip), ca.vertsplit(beta)
     d1, d2, t = vectors(entries[d:])
-    rod = integrated(
+    rod = integrate_rod(
         tubes,
         Tip(entries[:d], (d1, d2, t)),
         extensions,
-        kind.divided(sections(tubes, extensions, ca, planes=False)),
+        kind.split_sections(sections(tubes, extensions, ca, planes=False)),
         loading(ca.vertsplit(load)),
         kind,
         ca,
         kind.steps,
         soft=Softness(*ca.vertsplit(soft)),
-        pressed=vectors(ca.vertsplit(load)[BEFORE_WEIGHTS + 3 * d :]),
+        section_forces=vectors(ca.vertsplit(load)[FIRST_WEIGHT_COLUMN + 3 * d :]),
     )
     reach = zip(rod.angles, rod.rates, tubes, extensions, strict=True)
     # Behind the opening a transmission is straight and unloaded: its rate of twist is constant over the L_i -
@@ -99,8 +99,8 @@ def _functions(structure: Structure, kind: RodKind) -> tuple[ca.Function]:
 
 def _fastest(structure: Structure, kind: RodKind) -> ca.Function:
     """Return the compiled function, or the interpreted one while it is being compiled."""
-    if not cache.missing() and (path := _library(structure, kind).soon()) is not None:
-        return external("rod", str(path))
+    if not cache.unavailable_reason() and (path := _library(structure, kind).path_if_ready()) is not None:
+        return load_tape_function("rod", str(path))
     return symbolic(structure, kind)
 
 
@@ -114,9 +114,11 @@ class Rods:
         self._which = replace(structure, gap=False), kind
         self.size = kind.numbers(structure)
         self._function = _fastest(*self._which)
-        self._mapped: dict[int, Mapped] = {}
+        self._mapped: dict[int, BatchEvaluator] = {}
 
-    def __call__(self, numbers: Array, angles: Array, axes: Array, beta: Array, load: Array, soft: Array) -> Ends:
+    def __call__(
+        self, numbers: Array, angles: Array, axes: Array, beta: Array, load: Array, soft: Array
+    ) -> RodBases:
         """Integrate T rods.
 
         numbers (T, d, 8): of the tubes, in the order of structure.NUMBERS. angles (T, d), axes (T, 3, 3): of the
@@ -126,12 +128,12 @@ class Rods:
         rows, d = len(angles), self.d
         given = np.hstack([angles, axes.reshape(rows, 9), beta, load, soft])
         # Column by column, as casadi stores the matrix (d, 8).
-        of_tubes = numbers.swapaxes(1, 2).reshape(rows, len(NUMBERS) * d)
-        blocks = [slice(k, k + BLOCK) for k in range(0, max(rows, 1), BLOCK)]
+        of_tubes = numbers.swapaxes(1, 2).reshape(rows, len(TUBE_NUMBER_NAMES) * d)
+        blocks = [slice(k, k + ROD_ROWS_PER_CALL) for k in range(0, max(rows, 1), ROD_ROWS_PER_CALL)]
         each = (self._block(given[block], of_tubes[block]) for block in blocks)
         ends, responses, tangents = map(np.concatenate, zip(*each, strict=True))
         pieces = tangents.shape[1] // (3 * (self.kind.steps + 1))
-        return Ends(
+        return RodBases(
             ends[:, :d],
             ends[:, d:].reshape(rows, 3, 3),
             responses.reshape(rows, responses.shape[1] // (d + 2) ** 2, d + 2, d + 2),
@@ -139,7 +141,7 @@ class Rods:
         )
 
     def _block(self, given: Array, of_tubes: Array) -> list[Array]:
-        """Evaluate the function for at most BLOCK rows."""
+        """Evaluate the function for at most ROD_ROWS_PER_CALL rows."""
         rows, mapped = len(given), self._for(len(given))
         padded = np.zeros_like(mapped.inputs[0])
         padded[:rows], mapped.inputs[1][:rows] = given, of_tubes
@@ -147,13 +149,15 @@ class Rods:
             padded[rows:], mapped.inputs[1][rows:] = given[-1], of_tubes[-1]
         return [found[:rows].copy() for found in mapped(padded.ravel())]
 
-    def _for(self, rows: int) -> Mapped:
+    def _for(self, rows: int) -> BatchEvaluator:
         """Return the function mapped over at least so many rows, in few sizes; compiled once that was done."""
         # Still interpreted: it may have been compiled since the last call.
         if self._function.is_a("SXFunction"):
             self._function, self._mapped = _fastest(*self._which), {}
-        # Compiled code computes LANES rows side by side: multiples of these, and powers of 2 below.
-        size = -(-rows // LANES) * LANES if rows > LANES else 1 << max(rows - 1, 0).bit_length()
+        # Compiled code computes VECTOR_LANES rows side by side: multiples of these, and powers of 2 below.
+        size = (
+            -(-rows // VECTOR_LANES) * VECTOR_LANES if rows > VECTOR_LANES else 1 << max(rows - 1, 0).bit_length()
+        )
         if size not in self._mapped:
-            self._mapped[size] = Mapped(self._function, size)
+            self._mapped[size] = BatchEvaluator(self._function, size)
         return self._mapped[size]

@@ -20,9 +20,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
-from ctr_nlp.models.elastic.torsion import Section, curvatures_at
-from ctr_nlp.models.loaded.acting import Along
-from ctr_nlp.models.loaded.vectors import cross, dot, plus, scaled, vectors
+from ctr_nlp.models.elastic.torsion import RobotSection, curvatures_at
+from ctr_nlp.models.loaded.acting import DistributedForce
+from ctr_nlp.models.loaded.vectors import cross, dot, plus, scale_vector, vectors
 from ctr_nlp.robot.structure import Tubes
 from ctr_nlp.typing import Vector
 
@@ -67,10 +67,10 @@ class Equations:
 
     tubes: Tubes
     beta: Sequence[Any]
-    part: Section
+    part: RobotSection
     force: Vector
     weight: Vector
-    along: Along | None
+    along: DistributedForce | None
     soft: Softness
     xp: Any
     steps: int
@@ -88,8 +88,8 @@ class Equations:
         turns = [
             here.twist[i] * (u1 * here.sin[i] - u2 * here.cos[i]) if i in here.twist else 0.0 for i in range(d)
         ]
-        rates, bends = [h * rate for rate in y[d : 2 * d]], plus(scaled(u1, d1), u2, d2)
-        found = [*rates, *turns, *scaled(-u1, t), *scaled(-u2, t), *bends, *cross(here.n, t)]
+        rates, bends = [h * rate for rate in y[d : 2 * d]], plus(scale_vector(u1, d1), u2, d2)
+        found = [*rates, *turns, *scale_vector(-u1, t), *scale_vector(-u2, t), *bends, *cross(here.n, t)]
         return found, self._changes_of_responses(here, h, y, by) if by else []
 
     def _here(self, fraction: float, h: Any, y: Values) -> _Here:
@@ -106,7 +106,7 @@ class Equations:
         about = [flexible * dot(m, axis) for axis in (d1, d2, t)]
         u = about[1] + sum(pull[i] * cos[i] for i in active), sum(pull[i] * sin[i] for i in active) - about[0]
         # n at a place is all that acts beyond it: at the end of the section, and the weight between.
-        n = plus(scaled(h, self.force), fraction, scaled(h * part.length, self.weight))
+        n = plus(scale_vector(h, self.force), fraction, scale_vector(h * part.length, self.weight))
         if self.along is not None:
             n = plus(n, h * self.along.beyond(s), self.along.force)
         return _Here(twist, sin, cos, pull, flexible, about, u, n)
@@ -116,7 +116,7 @@ class Equations:
         dpsi, drates, ((a, b, c), dm, dn) = by[:d], by[d : 2 * d], vectors(by[2 * d :])
         # A softer rod bends more for the same moments: all that bends is multiplied, and so is what twists below.
         soft, sin, cos = self.soft.bending, here.sin, here.cos
-        soft1, soft2 = (scaled(soft * here.flexible, axis) for axis in (d1, d2))
+        soft1, soft2 = (scale_vector(soft * here.flexible, axis) for axis in (d1, d2))
         about1, about2, about3 = (soft * each for each in here.about)
         pull, twist = (
             {i: soft * k for i, k in here.pull.items()},
@@ -135,6 +135,6 @@ class Equations:
         # b, c) changes by d omega - omega x (a, b, c).
         turning = -du2 - u1 * c, du1 - u2 * c, u2 * b + u1 * a
         # m' = n x t: turned by (a, b, c), t changes by b d_1 - a d_2, and n changes by dn.
-        leaning = plus(scaled(b, cross(here.n, d1)), -1.0 * a, cross(here.n, d2))
+        leaning = plus(scale_vector(b, cross(here.n, d1)), -1.0 * a, cross(here.n, d2))
         moments = plus(leaning, h, cross(dn, t))
         return [*(h * rate for rate in drates), *sway, *turning, *moments, *[0.0 * a] * 3]

@@ -15,21 +15,25 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ctr_nlp.models.dominant.shape import base_frame
-from ctr_nlp.models.elastic.compiled import LEAP, SMALLEST, STRAY
-from ctr_nlp.models.loaded.acting import PLAIN, RodKind
-from ctr_nlp.models.loaded.compiled import Ends, Rods
-from ctr_nlp.models.loaded.tips import axes_of, turned, unknowns
+from ctr_nlp.models.elastic.compiled import (
+    MAX_PREDICTED_TURN_RAD,
+    MAX_PREDICTION_ERROR_RAD,
+    MIN_PATH_STEP_FRACTION,
+)
+from ctr_nlp.models.loaded.acting import TIP_FORCE_ROD_KIND, RodKind
+from ctr_nlp.models.loaded.compiled import RodBases, Rods
+from ctr_nlp.models.loaded.tips import axes_of, turn_tips, unknowns
 from ctr_nlp.robot.structure import Structure
 from ctr_nlp.typing import Array, Flags
 
-CONVERGED, ITERATIONS = 1e-7, 12
+LOADED_NEWTON_TOLERANCE_RAD, MAX_LOADED_NEWTON_STEPS = 1e-7, 12
 """Largest last Newton step, rad, whose error is about its square; and most steps."""
-ON = 1e-2
+NEWTON_BASIN_RADIUS_RAD = 1e-2
 """Distance, rad, from its prediction up to which an equilibrium is the one that Newton's method finds from there.
 """
-ALIKE = 1e-6
+SAME_EQUILIBRIUM_TOLERANCE_RAD = 1e-6
 """Largest difference of the unknowns of two descriptions of the same equilibrium, rad."""
-WIDEST, SHRINKS = 1.0, 0.7
+MAX_LOADED_NEWTON_TURN_RAD, MAX_LOADED_NEWTON_STEP_RATIO = 1.0, 0.7
 """Largest angle, rad, of a Newton step, and the part of the step before that it may have at most; else none is
 found.
 """
@@ -55,13 +59,15 @@ class States(NamedTuple):
         """Return the states of some rows; `which` is any index."""
         return States(*(each[which] for each in self))
 
-    def moved(self, step: Array) -> tuple[Array, Array]:
+    def move_tips(self, step: Array) -> tuple[Array, Array]:
         """Return angles and axes of the tips after changes (T, d + 2) of them."""
-        return turned(self.angles, self.axes, step)
+        return turn_tips(self.angles, self.axes, step)
 
-    def alike(self, others: States) -> Flags:
+    def same_equilibria(self, others: States) -> Flags:
         """Return whether these are the same equilibria as others, (T,); False where either is unknown (NaN)."""
-        return np.asarray(abs(self.unknowns - others.unknowns).max(axis=1, initial=0.0) < ALIKE)
+        return np.asarray(
+            abs(self.unknowns - others.unknowns).max(axis=1, initial=0.0) < SAME_EQUILIBRIUM_TOLERANCE_RAD
+        )
 
     @property
     def unknowns(self) -> Array:
@@ -69,7 +75,7 @@ class States(NamedTuple):
         return unknowns(self.angles, self.axes, self.q)
 
     @classmethod
-    def nowhere(cls, numbers: Array, q: Array, load: Array) -> States:
+    def unknown_states(cls, numbers: Array, q: Array, load: Array) -> States:
         """Return states of robots at q (T, 2d + 2) whose equilibria are not known: NaN."""
         rows, d, _ = numbers.shape
         shapes = (rows, d), (rows, 3, 3), (rows, d + 2, d + 2), (rows,)
@@ -80,7 +86,7 @@ class States(NamedTuple):
         for array, values in zip(self, others, strict=True):
             array[which] = values
 
-    def replaced(self, which: Any, others: States) -> States:
+    def replace_rows(self, which: Any, others: States) -> States:
         """Return a copy of these states with others in place of some rows."""
         found = States(*(each.copy() for each in self))
         found.write(which, others)
@@ -90,19 +96,19 @@ class States(NamedTuple):
 class LoadedEquilibria:
     """Solver of equilibria of loaded robots. Not to be used from several threads at once."""
 
-    def __init__(self, structure: Structure, kind: RodKind = PLAIN) -> None:
+    def __init__(self, structure: Structure, kind: RodKind = TIP_FORCE_ROD_KIND) -> None:
         """Build."""
         self.d, self.rods = structure.d, Rods(structure, kind)
 
-    def unloaded(self, numbers: Array, q: Array, tips: Array) -> States:
+    def solve_unloaded(self, numbers: Array, q: Array, tips: Array) -> States:
         """Return the equilibria without a load of robots of numbers (T, d, 8) at q (T, 2d + 2).
 
         tips (T, d): approximate angles of the tubes at their tips, rad; only their differences count.
         """
-        placed, every = self.placed(numbers, q, tips), np.ones(len(q), dtype=bool)
-        return self._solved(numbers, q, self._no_load(len(q)), *placed, every)[0]
+        placed, every = self.place_unloaded_tips(numbers, q, tips), np.ones(len(q), dtype=bool)
+        return self._solve_newton(numbers, q, self._no_load(len(q)), *placed, every)[0]
 
-    def placed(self, numbers: Array, q: Array, tips: Array) -> tuple[Array, Array]:
+    def place_unloaded_tips(self, numbers: Array, q: Array, tips: Array) -> tuple[Array, Array]:
         """Return angles and axes of unloaded tips whose bases stand at q (T, 2d + 2) with the innermost motor at
         alpha_d.
 
@@ -123,13 +129,13 @@ class LoadedEquilibria:
         # R_tip = R_base A^T, where A is the base of a tip that stands still
         return angles, np.swapaxes(ends.axes, 1, 2) @ spun
 
-    def along(
+    def follow_branches(
         self,
         states: States,
         q: Array,
         load: Array,
         most: float = 1.0,
-        smallest: float = SMALLEST,
+        smallest: float = MIN_PATH_STEP_FRACTION,
         numbers: Array | None = None,
     ) -> tuple[States, Array]:
         """Follow branches of equilibria from states towards q (T, 2d + 2) and loads, on a line in both.
@@ -154,7 +160,7 @@ class LoadedEquilibria:
             )
             new, there = self._step(here, goal, pull)
             gone, stopped = active[there], active[~there]
-            states = states.replaced(gone, new.rows(there))
+            states = states.replace_rows(gone, new.rows(there))
             done[gone] += part[gone]
             # Parts are summed up: rounding must not leave a last step of 1e-16.
             done[gone[done[gone] > 1 - 1e-12]] = 1.0
@@ -162,7 +168,7 @@ class LoadedEquilibria:
             part[gone] = np.minimum(np.minimum(2 * part[gone], most), 1 - done[gone])
             part[stopped] /= 2
 
-    def linked(self, states: States, goals: States) -> Flags:
+    def branches_lead_to(self, states: States, goals: States) -> Flags:
         """Return whether the branches of states lead to goals on straight lines, (T,).
 
         A goal within ON of the tangent's prediction counts as reached; for others the line is followed. False
@@ -171,29 +177,29 @@ class LoadedEquilibria:
         found = np.isfinite(states.determinant) & np.isfinite(goals.determinant)
         known = np.flatnonzero(found)
         # The prediction takes one integration of the rod, following takes several.
-        found[known] = self._near(states.rows(known), goals.rows(known))
+        found[known] = self._within_prediction(states.rows(known), goals.rows(known))
         left = known[~found[known]]
-        reached, done = self.along(states.rows(left), goals.q[left], goals.load[left])
-        found[left] = (done == 1) & reached.alike(goals.rows(left))
+        reached, done = self.follow_branches(states.rows(left), goals.q[left], goals.load[left])
+        found[left] = (done == 1) & reached.same_equilibria(goals.rows(left))
         return found
 
-    def _near(self, states: States, goals: States) -> Flags:
+    def _within_prediction(self, states: States, goals: States) -> Flags:
         """Return whether goals (T,) lie within ON of where the tangents of states' branches lead."""
-        angles, axes, near = self._predicted(states, goals.q, goals.load)
+        angles, axes, near = self._predict_tips(states, goals.q, goals.load)
         away = abs(unknowns(angles, axes, goals.q) - goals.unknowns).max(axis=1, initial=0.0)
-        return np.asarray(near & (away < ON) & (goals.determinant * states.determinant > 0))
+        return np.asarray(near & (away < NEWTON_BASIN_RADIUS_RAD) & (goals.determinant * states.determinant > 0))
 
     def _step(self, states: States, q: Array, load: Array) -> tuple[States, Flags]:
         """Return the equilibria at q (T, 2d + 2) and loads on the branches of nearby states, and for which rows
         they were found.
         """
-        angles, axes, near = self._predicted(states, q, load)
-        new, found = self._solved(states.numbers, q, load, angles, axes, near)
+        angles, axes, near = self._predict_tips(states, q, load)
+        new, found = self._solve_newton(states.numbers, q, load, angles, axes, near)
         away = np.maximum(abs(new.angles - angles).max(axis=1), abs(new.axes - axes).max(axis=(1, 2)))
         # A determinant of another sign lies on another branch, or past the end of this one: in between it was 0.
-        return new, found & (away < STRAY) & (new.determinant * states.determinant > 0)
+        return new, found & (away < MAX_PREDICTION_ERROR_RAD) & (new.determinant * states.determinant > 0)
 
-    def _predicted(self, states: States, q: Array, load: Array) -> tuple[Array, Array, Flags]:
+    def _predict_tips(self, states: States, q: Array, load: Array) -> tuple[Array, Array, Flags]:
         """Return tips at q (T, 2d + 2) and loads along the tangents of states' branches, and for which rows they
         turn little.
         """
@@ -201,16 +207,16 @@ class LoadedEquilibria:
         # The old tip under the new load, at the new extensions: what its base misses of q, and one Newton step for
         # that. This is the tangent's prediction without derivatives over load and extensions.
         here = self.ends(states.numbers, states.angles, states.axes, q, load)
-        step = solved(states.slopes, self.misfit(q, here))
+        step = compute_newton_steps(states.slopes, self.misfit(q, here))
         motors = q[:, :d] - states.q[:, :d]
         apart = abs(motors[:, :-1] - motors[:, -1:]).max(axis=1, initial=0.0)
-        # Tubes may turn against each other as far as their motors do, and by LEAP more; near a fold tips turn far
-        # for little turns of motors.
-        near = abs(step[:, 2:-1] - step[:, -1:]).max(axis=1, initial=0.0) < LEAP + apart
-        near &= abs(step).max(axis=1) < WIDEST
-        return *states.moved(step), near
+        # Tubes may turn against each other as far as their motors do, and by MAX_PREDICTED_TURN_RAD more; near a
+        # fold tips turn far for little turns of motors.
+        near = abs(step[:, 2:-1] - step[:, -1:]).max(axis=1, initial=0.0) < MAX_PREDICTED_TURN_RAD + apart
+        near &= abs(step).max(axis=1) < MAX_LOADED_NEWTON_TURN_RAD
+        return *states.move_tips(step), near
 
-    def _solved(
+    def _solve_newton(
         self, numbers: Array, q: Array, load: Array, angles: Array, axes: Array, wanted: Flags
     ) -> tuple[States, Flags]:
         """Find equilibria from tips by Newton's method, in the rows that are wanted; return them, and for which
@@ -218,27 +224,30 @@ class LoadedEquilibria:
         """
         angles, axes, rows, side = angles.copy(), axes.copy(), len(q), self.d + 2
         slopes, found, going = np.tile(np.eye(side), (rows, 1, 1)), np.zeros(rows, dtype=bool), wanted.copy()
-        most = np.full(rows, WIDEST)
-        for _ in range(ITERATIONS):
+        most = np.full(rows, MAX_LOADED_NEWTON_TURN_RAD)
+        for _ in range(MAX_LOADED_NEWTON_STEPS):
             at = np.flatnonzero(going)
             if not len(at):
                 break
             ends = self.ends(numbers[at], angles[at], axes[at], q[at], load[at])
             slopes[at] = ends.slopes
-            step = solved(slopes[at], self.misfit(q[at], ends))
+            step = compute_newton_steps(slopes[at], self.misfit(q[at], ends))
             size = abs(step).max(axis=1)
-            # Steps must shrink by SHRINKS each: a start from which they do not is in no basin of convergence, and
-            # no further step is wasted.
+            # Steps must shrink by MAX_LOADED_NEWTON_STEP_RATIO each: a start from which they do not is in no basin
+            # of convergence, and no further step is wasted.
             moved = size < most[at]
             # The last step is still taken: after it the error is about its square.
-            found[at] |= size < CONVERGED
-            going[at], most[at] = moved & (size >= CONVERGED), SHRINKS * size
-            angles[at[moved]], axes[at[moved]] = turned(angles[at[moved]], axes[at[moved]], step[moved])
+            found[at] |= size < LOADED_NEWTON_TOLERANCE_RAD
+            going[at], most[at] = (
+                moved & (size >= LOADED_NEWTON_TOLERANCE_RAD),
+                MAX_LOADED_NEWTON_STEP_RATIO * size,
+            )
+            angles[at[moved]], axes[at[moved]] = turn_tips(angles[at[moved]], axes[at[moved]], step[moved])
         return States(numbers, q, load, angles, axes, slopes, np.linalg.det(slopes)), found
 
     def ends(
         self, numbers: Array, angles: Array, axes: Array, q: Array, load: Array, soft: Array | None = None
-    ) -> Ends:
+    ) -> RodBases:
         """Integrate the rods of tips at the extensions of q (T, 2d + 2) under loads (T, 17 + 3d).
 
         soft (T, 2): softnesses of torsion and bending in responses; None for 1.
@@ -246,7 +255,7 @@ class LoadedEquilibria:
         soft = np.ones((len(q), 2)) if soft is None else soft
         return self.rods(numbers, angles, axes, q[:, self.d : 2 * self.d], load, soft)
 
-    def ends_of(self, states: States, soft: Array | None = None) -> Ends:
+    def ends_of(self, states: States, soft: Array | None = None) -> RodBases:
         """Integrate the rods of states; soft (T, 2): softnesses of responses, None for 1."""
         return self.ends(states.numbers, states.angles, states.axes, states.q, states.load, soft)
 
@@ -256,7 +265,7 @@ class LoadedEquilibria:
         slopes = self.ends(numbers, angles, axes, q, load).slopes
         return States(numbers, q, load, angles, axes, slopes, np.linalg.det(slopes))
 
-    def misfit(self, q: Array, ends: Ends) -> Array:
+    def misfit(self, q: Array, ends: RodBases) -> Array:
         """Return what is missing at the bases for robots to stand at q (T, 2d + 2), rad: (T, d + 2), in the order
         of responses.
 
@@ -297,13 +306,13 @@ def base_axes(theta: Array) -> Array:
     return axes_of(base_frame(theta[:, 0], theta[:, 1], np))
 
 
-def _between(q: Array, ends: Ends) -> Array:
+def _between(q: Array, ends: RodBases) -> Array:
     """Return the rotations (T, 3, 3) from where rods' bases point to where those of q (T, 2d + 2) do."""
     d = ends.angles.shape[1]
     return base_axes(q[:, 2 * d :]) @ np.swapaxes(ends.axes, 1, 2)
 
 
-def _alpha(ends: Ends, between: Array) -> Array:
+def _alpha(ends: RodBases, between: Array) -> Array:
     """Return the motors' angles (T, d) of rods; between: the result of _between.
 
     shape.py has the same in symbols.
@@ -314,7 +323,7 @@ def _alpha(ends: Ends, between: Array) -> Array:
     return ends.angles + spin[:, None]
 
 
-def solved(slopes: Array, misfit: Array) -> Array:
+def compute_newton_steps(slopes: Array, misfit: Array) -> Array:
     """Return the steps (T, n) that make up for misfits (T, n), NaN where slopes are singular or unknown."""
     fine = np.asarray(np.isfinite(slopes).all(axis=(1, 2)) & (abs(np.linalg.det(slopes)) > 0))
     found = np.full(misfit.shape, np.nan)

@@ -22,7 +22,7 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
-from ctr_nlp.loads import Load, LoadOverTime, steady
+from ctr_nlp.loads import Load, LoadOverTime, require_constant_load
 from ctr_nlp.models.dominant.shape import columns_of
 from ctr_nlp.models.elastic import shape
 from ctr_nlp.models.elastic.torsion import sections
@@ -31,29 +31,29 @@ from ctr_nlp.models.loaded.compiled import Rods
 from ctr_nlp.models.loaded.equilibria import LoadedEquilibria, States
 from ctr_nlp.models.loaded.following.follower import Follower
 from ctr_nlp.models.loaded.following.walking import LoadedWalker
-from ctr_nlp.models.loaded.shape import shape_under
+from ctr_nlp.models.loaded.shape import build_loaded_shape
 from ctr_nlp.models.loaded.stability import margins
 from ctr_nlp.models.loaded.tips import tips, unknowns
 from ctr_nlp.models.protocol import (
-    SUBSTEPS,
-    Followed,
+    STABILITY_SUBSTEPS_PER_FRAME,
+    EquilibriumPath,
     Model,
-    Passage,
-    Places,
-    Shape,
+    MotionSubsteps,
+    SampleArcLengths,
+    SymbolicShape,
     combination,
-    of_rows,
-    passage,
+    flatten_batch,
+    subdivide_motion,
 )
 from ctr_nlp.models.walker import Walker
 from ctr_nlp.robot import Robot
-from ctr_nlp.robot.structure import Structure, Tubes, tubes_in_columns
+from ctr_nlp.robot.structure import Structure, Tubes, tubes_of_batch
 from ctr_nlp.typing import Array, Vector
 
 PIECE = 6
 """Steps of integration whose tangents one polynomial goes through; with more, evenly spaced, it oscillates between
 them."""
-TOGETHER = 128
+MAX_FOLLOWED_ROBOTS_PER_BATCH = 128
 """Robots in one batch that is followed; with more, the states at all places would need too much memory."""
 
 
@@ -90,14 +90,14 @@ class Loaded(Model):
     can_snap = True
 
     @property
-    def bears(self) -> Load | LoadOverTime:
+    def applied_load(self) -> Load | LoadOverTime:
         """The load that acts on the robot."""
         return self.load
 
     @property
-    def form(self) -> Loaded:
+    def program_model(self) -> Loaded:
         """The model from which programs are built, one for each kind of rod: the load's numbers are parameters."""
-        return FORMS[self.kind]
+        return LOADED_PROGRAM_MODELS[self.kind]
 
     @property
     def kind(self) -> RodKind:
@@ -125,10 +125,10 @@ class Loaded(Model):
         self,
         structure: Structure,
         tubes: Tubes,
-        places: Places,
+        sample_lengths: SampleArcLengths,
         margin: ca.SX | None = None,
         tangents: bool = False,
-    ) -> Shape:
+    ) -> SymbolicShape:
         """Build the shape of one frame in symbols, with the load's numbers written in as constants.
 
         Parameters
@@ -138,8 +138,9 @@ class Loaded(Model):
         tubes : Tubes
             The tubes, outermost first, with numbers or symbols for lengths (mm), curvatures (1/mm) and
             stiffnesses.
-        places : callable
-            ``places(beta)`` returns the arc lengths (n, 1) of the samples in mm for the extensions beta in mm.
+        sample_lengths : callable
+            ``sample_lengths(beta)`` returns the arc lengths (n, 1) of the samples in mm for the extensions beta in
+            mm.
         margin : SX, optional
             Least stability margin; with it the shape has determinants that are positive where it is kept.
         tangents : bool
@@ -155,19 +156,19 @@ class Loaded(Model):
         LoadError
             The load changes over time, or the robot has a helix.
         """
-        acting = steady(self.load, "a shape without a time").numbers(structure.d)
-        return self.frame_under(ca.SX(ca.DM(acting)), structure, tubes, places, margin, tangents)
+        acting = require_constant_load(self.load, "a shape without a time").numbers(structure.d)
+        return self.frame_with_load(ca.SX(ca.DM(acting)), structure, tubes, sample_lengths, margin, tangents)
 
-    def frame_under(
+    def frame_with_load(
         self,
         load: ca.SX,
         structure: Structure,
         tubes: Tubes,
-        places: Places,
+        sample_lengths: SampleArcLengths,
         margin: ca.SX | None = None,
         tangents: bool = False,
         tilted: bool = False,
-    ) -> Shape:
+    ) -> SymbolicShape:
         """Build the shape of one frame in symbols, under a load whose numbers are symbols, too.
 
         Parameters
@@ -180,8 +181,9 @@ class Loaded(Model):
         tubes : Tubes
             The tubes, outermost first, with numbers or symbols for lengths (mm), curvatures (1/mm) and
             stiffnesses.
-        places : callable
-            ``places(beta)`` returns the arc lengths (n, 1) of the samples in mm for the extensions beta in mm.
+        sample_lengths : callable
+            ``sample_lengths(beta)`` returns the arc lengths (n, 1) of the samples in mm for the extensions beta in
+            mm.
         margin : SX, optional
             Least stability margin; with it the shape has determinants that are positive where it is kept.
         tangents : bool
@@ -202,7 +204,7 @@ class Loaded(Model):
             The robot has a helix.
         """
         acting = loading(ca.vertsplit(load))
-        return shape_under(acting, self.kind, structure, tubes, places, margin, tangents, tilted)
+        return build_loaded_shape(acting, self.kind, structure, tubes, sample_lengths, margin, tangents, tilted)
 
     def points(self, robot: Robot, x: Array, sigma: Array) -> Array:
         """Compute points of the backbone at given unknowns.
@@ -242,19 +244,19 @@ class Loaded(Model):
         """
         return self._curves(robot, x, sigma)[1]
 
-    def _over(self, d: int, rows: int) -> Array:
+    def _loads_over_frames(self, d: int, rows: int) -> Array:
         """Return the numbers (rows, 17 + 3d) of the load in every frame of a motion of so many frames.
 
         d: number of tubes. Frames are evenly spaced in time, from 0, the beginning of the load, to 1, its end.
         """
-        return self.load.over(d, np.linspace(0.0, 1.0, rows))
+        return self.load.numbers_at(d, np.linspace(0.0, 1.0, rows))
 
     def _curves(self, robot: Robot, x: Array, sigma: Array) -> tuple[Array, Array]:
         """Points and tangents (T, n, 3) of one robot at unknowns x (T, 2d + 2) and sigma (n,) or (T, n)."""
-        acting = self._over(robot.d, len(x))
+        acting = self._loads_over_frames(robot.d, len(x))
         return curves(robot.structure, robot.numbers[None], acting, x, sigma, self.kind)
 
-    def points_apart(self, structure: Structure, numbers: Array, x: Array, sigma: Array) -> Array:
+    def points_batch(self, structure: Structure, numbers: Array, x: Array, sigma: Array) -> Array:
         """Compute points of several robots that differ in their tubes' numbers, in one batch.
 
         Parameters
@@ -273,13 +275,15 @@ class Loaded(Model):
         (n, T, m, 3) array
             Points in the robots' base frames, mm.
         """
-        acting = self.acting_apart(len(x), self._over(structure.d, x.shape[1]))
+        acting = self.loads_of_batch(len(x), self._loads_over_frames(structure.d, x.shape[1]))
         # Robots and frames are one axis from here on: every row has its tubes and its load.
-        rows = of_rows(numbers, x, sigma)
-        found = self.points_under(acting.reshape(len(rows[1]), -1), structure, *rows)
+        rows = flatten_batch(numbers, x, sigma)
+        found = self.points_with_loads(acting.reshape(len(rows[1]), -1), structure, *rows)
         return found.reshape(*x.shape[:2], *found.shape[1:])
 
-    def points_under(self, loads: Array, structure: Structure, numbers: Array, x: Array, sigma: Array) -> Array:
+    def points_with_loads(
+        self, loads: Array, structure: Structure, numbers: Array, x: Array, sigma: Array
+    ) -> Array:
         """Compute points of robots each of which bears a load of its own.
 
         Parameters
@@ -303,7 +307,7 @@ class Loaded(Model):
         """
         return curves(structure, numbers, loads, x, sigma, self.kind)[0]
 
-    def acting_apart(self, count: int, acting: Array) -> Array:
+    def loads_of_batch(self, count: int, acting: Array) -> Array:
         """Give each of several robots the load's numbers; a subclass may give every robot its own.
 
         Parameters
@@ -344,7 +348,7 @@ class Loaded(Model):
         # so no second variation from which a margin could be told.
         if self.load.conservative and known.any():
             equilibria = self._equilibria(robot)
-            acting = self._over(robot.d, len(x))
+            acting = self._loads_over_frames(robot.d, len(x))
             found[known] = margins(equilibria, self._states(equilibria, robot, x[known], acting[known]))
         return found
 
@@ -363,7 +367,7 @@ class Loaded(Model):
         States
             T equilibria with their configurations, tips, and derivatives of the motors' angles and the tilt.
         """
-        return self._states(self._equilibria(robot), robot, x, self._over(robot.d, len(x)))
+        return self._states(self._equilibria(robot), robot, x, self._loads_over_frames(robot.d, len(x)))
 
     def _states(self, equilibria: LoadedEquilibria, robot: Robot, x: Array, acting: Array) -> States:
         """States of unknowns x (T, 2d + 2) of one robot, under loads acting (T, 17 + 3d)."""
@@ -393,7 +397,9 @@ class Loaded(Model):
             Unknowns x; NaN where the robot has no equilibrium there or snaps while the load grows.
         """
         # A load over time has its first value here: a robot at rest is at the beginning of its motion.
-        found: Array = self._follower(robot, self._over(robot.d, 1)).rest(np.asarray(q, dtype=float)[None])[0]
+        found: Array = self._follower(robot, self._loads_over_frames(robot.d, 1)).rest(
+            np.asarray(q, dtype=float)[None]
+        )[0]
         return found
 
     def guess(self, robot: Robot, q: Array) -> Array:
@@ -416,9 +422,9 @@ class Loaded(Model):
         # Untwisted tubes have their tips at their motors' angles; placed at q, they also have its tilt and
         # extensions.
         rows = np.reshape(q, (-1, np.shape(q)[-1]))
-        return np.reshape(self.unloaded(robot, rows, rows[:, : robot.d]), np.shape(q))
+        return np.reshape(self.unloaded_unknowns(robot, rows, rows[:, : robot.d]), np.shape(q))
 
-    def unloaded(self, robot: Robot, q: Array, angles: Array) -> Array:
+    def unloaded_unknowns(self, robot: Robot, q: Array, angles: Array) -> Array:
         """Compute unknowns of a robot without a load whose tubes have given angles at their tips.
 
         Such a tip is an equilibrium, with the extensions, the tilt and the alpha_d of q. The other motors' angles
@@ -439,9 +445,9 @@ class Loaded(Model):
             Unknowns.
         """
         of_robot = np.repeat(robot.numbers[None], len(q), axis=0)
-        return unknowns(*self._equilibria(robot).placed(of_robot, q, angles), q)
+        return unknowns(*self._equilibria(robot).place_unloaded_tips(of_robot, q, angles), q)
 
-    def loaded(self, robot: Robot, q: Array, angles: Array) -> Array:
+    def grow_load(self, robot: Robot, q: Array, angles: Array) -> Array:
         """Follow the equilibria of unloaded robots while the load grows from zero to its full size.
 
         Parameters
@@ -462,8 +468,8 @@ class Loaded(Model):
         """
         # Row by row, not along the motion: every frame is loaded by itself, from its own unloaded equilibrium.
         equilibria, of_robot = self._equilibria(robot), np.repeat(robot.numbers[None], len(q), axis=0)
-        free = equilibria.unloaded(of_robot, q, angles)
-        return equilibria.along(free, q, self._over(robot.d, len(q)))[0].unknowns
+        free = equilibria.solve_unloaded(of_robot, q, angles)
+        return equilibria.follow_branches(free, q, self._loads_over_frames(robot.d, len(q)))[0].unknowns
 
     def configuration(self, robot: Robot, x: Array) -> Array:
         """Compute the configurations of unknowns.
@@ -501,7 +507,9 @@ class Loaded(Model):
         """
         return x[:, robot.d : 2 * robot.d]
 
-    def follow(self, robot: Robot, q: Array, x0: Array | None = None, substeps: int = SUBSTEPS) -> Followed:
+    def follow(
+        self, robot: Robot, q: Array, x0: Array | None = None, substeps: int = STABILITY_SUBSTEPS_PER_FRAME
+    ) -> EquilibriumPath:
         """Follow the equilibria of the robot through a motion.
 
         The load grows from zero while the robot stands in the first frame, and is taken away in the last one: a
@@ -526,12 +534,14 @@ class Loaded(Model):
             to rest.
         """
         # The load is told as parts of the whole motion; a place between frames has that of its own time.
-        way = passage(np.asarray(q, dtype=float), substeps)
-        return self._follower(robot, self.load.over(robot.d, way.parts)).followed(way, way.q[None])[0]
+        way = subdivide_motion(np.asarray(q, dtype=float), substeps)
+        return self._follower(robot, self.load.numbers_at(robot.d, way.elapsed_fractions)).follow_motion(
+            way, way.q[None]
+        )[0]
 
-    def follow_apart(
-        self, structure: Structure, numbers: Array, way: Passage, q: Array, margins: bool = True
-    ) -> list[Followed]:
+    def follow_batch(
+        self, structure: Structure, numbers: Array, motion: MotionSubsteps, q: Array, margins: bool = True
+    ) -> list[EquilibriumPath]:
         """Follow the equilibria of several robots that differ in their tubes' numbers, in one batch.
 
         Parameters
@@ -540,7 +550,7 @@ class Loaded(Model):
             The structure that all robots share.
         numbers : (n, d, 8) array
             The tubes' numbers of every robot, in the order of ``robot.structure.NUMBERS``.
-        way : Passage
+        motion : Passage
             The sub-steps of the motion: which frames its M places belong to, and where robots begin without a
             history.
         q : (n, M, 2d + 2) array
@@ -553,12 +563,18 @@ class Loaded(Model):
         list of Followed
             Unknowns and margins of every robot.
         """
-        acting = self.acting_apart(len(numbers), self.load.over(structure.d, way.parts))
-        return self.follow_under(acting, structure, numbers, way, q, margins)
+        acting = self.loads_of_batch(len(numbers), self.load.numbers_at(structure.d, motion.elapsed_fractions))
+        return self.follow_with_loads(acting, structure, numbers, motion, q, margins)
 
-    def follow_under(
-        self, loads: Array, structure: Structure, numbers: Array, way: Passage, q: Array, margins: bool = True
-    ) -> list[Followed]:
+    def follow_with_loads(
+        self,
+        loads: Array,
+        structure: Structure,
+        numbers: Array,
+        motion: MotionSubsteps,
+        q: Array,
+        margins: bool = True,
+    ) -> list[EquilibriumPath]:
         """Follow the equilibria of several robots each of which bears a load of its own.
 
         Parameters
@@ -570,7 +586,7 @@ class Loaded(Model):
             The structure that all robots share.
         numbers : (n, d, 8) array
             The tubes' numbers of every robot, in the order of ``robot.structure.NUMBERS``.
-        way : Passage
+        motion : Passage
             The sub-steps of the motion: which frames its M places belong to, and where robots begin without a
             history.
         q : (n, M, 2d + 2) array
@@ -583,11 +599,14 @@ class Loaded(Model):
         list of Followed
             Unknowns and margins of every robot.
         """
-        found = list[Followed]()
+        found = list[EquilibriumPath]()
         # In batches: each holds the states of all its robots at all places.
-        for some in (slice(first, first + TOGETHER) for first in range(0, len(numbers), TOGETHER)):
+        for some in (
+            slice(first, first + MAX_FOLLOWED_ROBOTS_PER_BATCH)
+            for first in range(0, len(numbers), MAX_FOLLOWED_ROBOTS_PER_BATCH)
+        ):
             follower = Follower(structure, numbers[some], self.load, loads[some])
-            found += follower.followed(way, q[some], margins)
+            found += follower.follow_motion(motion, q[some], margins)
         return found
 
     def walker(self, structure: Structure, numbers: Array, q: Array) -> Walker:
@@ -612,7 +631,9 @@ class Loaded(Model):
         LoadError
             The load changes over time: a robot moved by hand has no end of the motion to relate it to.
         """
-        return LoadedWalker(structure, numbers, q, steady(self.load, "a robot that moves step by step"))
+        return LoadedWalker(
+            structure, numbers, q, require_constant_load(self.load, "a robot that moves step by step")
+        )
 
     def _follower(self, robot: Robot, acting: Array) -> Follower:
         """The follower of one robot; acting (M, 17 + 3d): the numbers of the load at every place of a motion."""
@@ -620,7 +641,7 @@ class Loaded(Model):
 
 
 @dataclass(frozen=True, eq=False)
-class Pushed(Loaded):
+class TipForceModel(Loaded):
     """A loaded model of n robots each of which has a tip force of its own beside the common load.
 
     Only the methods for several robots apply the forces: :meth:`follow_apart` and :meth:`points_apart`.
@@ -635,33 +656,35 @@ class Pushed(Loaded):
 
     forces: Array
 
-    def acting_apart(self, count: int, acting: Array) -> Array:
+    def loads_of_batch(self, count: int, acting: Array) -> Array:
         """Add every robot's own tip force to the load's numbers acting (M, 17 + 3d).
 
         Returns (count, M, 17 + 3d); count must be the number n of forces.
         """
-        found = np.array(super().acting_apart(count, acting))
+        found = np.array(super().loads_of_batch(count, acting))
         found[..., :3] += self.forces[:, None]  # the first three numbers are the tip force in base directions
         return found
 
 
 # One load for each of the 16 kinds that a user's load can make. Which numbers it has is of no importance: programs
 # take them as parameters, and only which of them are not zero decides which terms are compiled.
-UNIT = (0.0, 0.0, 1.0)
-_KINDS = itertools.product(("base", "tool"), ((0.0, 0.0, 0.0), UNIT), (None, UNIT), (None, 1.0))
+UNIT_LOAD_VECTOR = (0.0, 0.0, 1.0)
+_LOAD_KIND_COMBINATIONS = itertools.product(
+    ("base", "tool"), ((0.0, 0.0, 0.0), UNIT_LOAD_VECTOR), (None, UNIT_LOAD_VECTOR), (None, 1.0)
+)
 _LOADS = [
     Load(
-        UNIT,
+        UNIT_LOAD_VECTOR,
         axes,
         moment=moment,
         distributed_force=along,
         between=None if along is None else (0.0, 1.0),
         densities=density,
-        down=None if density is None else UNIT,
+        down=None if density is None else UNIT_LOAD_VECTOR,
     )
-    for axes, moment, along, density in _KINDS
+    for axes, moment, along, density in _LOAD_KIND_COMBINATIONS
 ]
-FORMS = {RodKind.of(load): Loaded(load) for load in _LOADS}
+LOADED_PROGRAM_MODELS = {RodKind.of(load): Loaded(load) for load in _LOADS}
 """The loaded model from which programs are built, by the kind of rod."""
 
 
@@ -699,21 +722,21 @@ def curves(
     ends = Rods(structure, kind)(of_robots, *tips(x, d), beta, load, np.ones((rows, 2)))
     # Powers of one polynomial through all of a section's nodes, which are evenly spaced, would swing between them
     # (Runge's phenomenon); of PIECE steps they do not.
-    tubes, out, steps = tubes_in_columns(structure, numbers), columns_of(beta), min(kind.steps, PIECE)
+    tubes, out, steps = tubes_of_batch(structure, numbers), columns_of(beta), min(kind.steps, PIECE)
     curved = [
         vector
         for nodes in np.moveaxis(ends.tangents, 0, 2)
         for first in range(0, kind.steps, steps)
         for vector in shape.powers([_vector(tangent) for tangent in nodes[first : first + steps + 1]])
     ]
-    parts = kind.divided(sections(tubes, out, np, planes=False))
-    pieces = [piece for part in parts for piece in part.divided(kind.steps // steps)]
+    parts = kind.split_sections(sections(tubes, out, np, planes=False))
+    pieces = [piece for part in parts for piece in part.split_evenly(kind.steps // steps)]
     # travels counts steps of two intervals: a piece of `steps` intervals has steps + 1 nodes and powers.
     lengths, turns = shape.travels(tubes, out, pieces, sigma * out[-1], np, steps // 2)
     like = np.zeros((rows, np.shape(sigma)[-1]))
     base = _vector(ends.axes[:, 2])  # the tangent at the opening, from which all further ones are told
     points, tangents = combination(lengths, curved), combination([1.0, *turns], [base, *curved])
-    return _stacked(points, like), _stacked(tangents, like)
+    return _stack_components(points, like), _stack_components(tangents, like)
 
 
 def _vector(rows: Array) -> Vector:
@@ -722,6 +745,6 @@ def _vector(rows: Array) -> Vector:
     return x, y, z
 
 
-def _stacked(vector: Vector, like: Array) -> Array:
+def _stack_components(vector: Vector, like: Array) -> Array:
     """Join x, y and z as the last axis, broadcast to the shape (T, n) of an array of zeros."""
     return np.stack([part + like for part in vector], axis=-1)

@@ -21,14 +21,14 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
-from ctr_nlp.models.elastic.torsion import Node, Section, curvatures_at
-from ctr_nlp.models.loaded.acting import Along, Loading, RodKind, check_kinds
+from ctr_nlp.models.elastic.torsion import Node, RobotSection, curvatures_at
+from ctr_nlp.models.loaded.acting import DistributedForce, Loading, RodKind, check_kinds
 from ctr_nlp.models.loaded.equations import Equations, Softness, Values
-from ctr_nlp.models.loaded.vectors import cross, dot, plus, scaled, total, vectors
+from ctr_nlp.models.loaded.vectors import cross, dot, plus, scale_vector, total, vectors
 from ctr_nlp.robot.structure import Tubes
 from ctr_nlp.typing import Vector
 
-ANEW = 3
+RESPONSE_RESTART_STEPS = 3
 """Steps after which responses begin anew. Over longer pieces what is soft in torsion turns so far that pivots
 become negative where no direction has lost its stability.
 """
@@ -61,7 +61,7 @@ class Rod(NamedTuple):
         """Unit tangents t at the nodes of every section, from base to tip."""
         return [[vectors(state[2 * len(self.angles) :])[2] for state in nodes] for nodes in self.states]
 
-    def nodes(self, tubes: Tubes, beta: Sequence[Any], parts: Sequence[Section]) -> list[list[Node]]:
+    def nodes(self, tubes: Tubes, beta: Sequence[Any], parts: Sequence[RobotSection]) -> list[list[Node]]:
         """Return what twists the tubes at the nodes, as elastic/stability.py takes it, with the moment along the
         rod as one from outside.
 
@@ -80,33 +80,33 @@ class Rod(NamedTuple):
         return found
 
 
-def integrated(
+def integrate_rod(
     tubes: Tubes,
     tip: Tip,
     beta: Sequence[Any],
-    parts: Sequence[Section],
+    parts: Sequence[RobotSection],
     load: Loading,
     kind: RodKind,
     xp: Any,
     steps: int,
     *,
     soft: Softness | None = None,
-    pressed: Sequence[Vector] = (),
+    section_forces: Sequence[Vector] = (),
 ) -> Rod:
     """Integrate the rod of a tip to the base, with the classical method of Runge and Kutta of order 4.
 
     tubes, beta, parts: of the robot, extensions in mm, sections from base to tip. kind: which of the load's terms
     count. xp: casadi or numpy. steps: in each section. soft: softness of the responses; None for no responses.
-    pressed: forces per length, N/mm, that act along each of the parts beside the tubes' weights. Raises LoadError
-    of a helix.
+    section_forces: forces per length, N/mm, that act along each of the parts beside the tubes' weights. Raises
+    LoadError of a helix.
     """
     check_kinds([tube.kind for tube in tubes])
     d, force, axial = len(tubes), load.force, load.tool_moment[2]
-    moment, twistable = scaled(axial, tip.axes[2]), tubes[-1].torsional_ratio / tubes[-1].bending_stiffness
+    moment, twistable = scale_vector(axial, tip.axes[2]), tubes[-1].torsional_ratio / tubes[-1].bending_stiffness
     if kind.follows:
-        force = plus(force, 1.0, _held(tip, load.tool_force, xp))
+        force = plus(force, 1.0, _tool_to_base(tip, load.tool_force, xp))
     if kind.bends:
-        moment = plus(load.moment, 1.0, _held(tip, load.tool_moment, xp))
+        moment = plus(load.moment, 1.0, _tool_to_base(tip, load.tool_moment, xp))
         # What acts about the tip's tangent twists the innermost tube, which alone reaches the tip.
         axial = dot(moment, tip.axes[2])
     # psi_i' = 0 at free ends; 0 times an angle has the shape of a column, or is a symbol.
@@ -114,20 +114,21 @@ def integrated(
     y: Values = [*tip.angles, *rates, *(entry for axis in tip.axes for entry in axis), *moment]
     by = [] if soft is None else _changes(tip, load, kind, twistable, xp)
     states, responses = [], list[list[Any]]()
-    along = Along(load.distributed, load.between, beta[-1], xp) if kind.distributed else None
+    along = DistributedForce(load.distributed, load.between, beta[-1], xp) if kind.distributed else None
     # From tip to base: force and moment are known at the tip.
     for k, part in reversed(list(enumerate(parts))):
         # Weight per volume times cross-section, N/mm, of the tubes that are present in this section.
-        weights = [scaled(tubes[i].area, load.weights[i]) for i in part.present] if kind.weighs else []
-        weight = total([*weights, *pressed[k : k + 1]])
+        weights = [scale_vector(tubes[i].area, load.weights[i]) for i in part.present] if kind.weighs else []
+        weight = total([*weights, *section_forces[k : k + 1]])
         section = Equations(tubes, beta, part, force, weight, along, soft or Softness(), xp, steps)
         nodes = [y]
         for step in range(steps):
-            y, by = _stepped(section, step, y, by)
+            y, by = _runge_kutta_step(section, step, y, by)
             nodes.append(y)
-            # Also at each section's end, so that places of responses do not depend on ANEW dividing the steps.
-            if by and (step + 1 == steps or (step + 1) % ANEW == 0):
-                by = _anew(by, responses, d, xp)
+            # Also at each section's end, so that places of responses do not depend on RESPONSE_RESTART_STEPS
+            # dividing the steps.
+            if by and (step + 1 == steps or (step + 1) % RESPONSE_RESTART_STEPS == 0):
+                by = _restart_responses(by, responses, d, xp)
         states.append(nodes[::-1])
         force = plus(force, part.length, weight)
     if by:
@@ -135,12 +136,12 @@ def integrated(
             # From the opening to its motor each tube turns by its rate over L_i - beta_i. One transmission after
             # the other, so that one direction at a time can lose its stability.
             by[i] = by[i] - by[d + i] * (tube.length - beta[i])
-            by = _anew(by, responses, d, xp)
+            by = _restart_responses(by, responses, d, xp)
     d1, d2, t, _ = vectors(y[2 * d :])
     return Rod(states[::-1], y[:d], y[d : 2 * d], (d1, d2, t), responses)
 
 
-def _stepped(section: Equations, k: int, y: Values, by: Values) -> tuple[Values, Values]:
+def _runge_kutta_step(section: Equations, k: int, y: Values, by: Values) -> tuple[Values, Values]:
     """Return the state and its responses after step k from the tip's end of a section.
 
     The method's four slopes are found as changes over the parts of a step that they are used with, so that sums
@@ -176,17 +177,17 @@ def _changes(tip: Tip, load: Loading, kind: RodKind, twistable: Any, xp: Any) ->
     none = 0.0 * a
     # A turn (a, b) changes t by b d_1 - a d_2. A tool that is turned by `about` takes its force and moment along;
     # the axial moment is along t.
-    turned = plus(scaled(b, d1), -1.0 * a, d2)
-    about = plus(plus(scaled(a, d1), b, d2), angles[-1], t)
-    moment, force, axial = scaled(load.tool_moment[2], turned), (none, none, none), none
+    turned = plus(scale_vector(b, d1), -1.0 * a, d2)
+    about = plus(plus(scale_vector(a, d1), b, d2), angles[-1], t)
+    moment, force, axial = scale_vector(load.tool_moment[2], turned), (none, none, none), none
     if kind.bends:
-        moment, axial = cross(about, _held(tip, load.tool_moment, xp)), dot(load.moment, turned)
+        moment, axial = cross(about, _tool_to_base(tip, load.tool_moment, xp)), dot(load.moment, turned)
     if kind.follows:
-        force = cross(about, _held(tip, load.tool_force, xp))
+        force = cross(about, _tool_to_base(tip, load.tool_force, xp))
     return [*angles, *[none] * (d - 1), axial * twistable, a, b, none, *moment, *force]
 
 
-def _anew(by: Values, responses: list[list[Any]], d: int, xp: Any) -> Values:
+def _restart_responses(by: Values, responses: list[list[Any]], d: int, xp: Any) -> Values:
     """Begin responses anew at this place: return `by` as what changes of this place make of all that responds.
 
     The responses of this place over the place before are appended. They are inverted by elimination without a
@@ -210,10 +211,10 @@ def _units(size: int, xp: Any) -> list[Any]:
     return [xp.SX(ca.DM(row).T) if xp is ca else row[None] for row in np.eye(size)]
 
 
-def _held(tip: Tip, vector: Vector, xp: Any) -> Vector:
+def _tool_to_base(tip: Tip, vector: Vector, xp: Any) -> Vector:
     """Return a vector that is given in the tool's directions in those of the base; the tool's x bends with the
     innermost tube.
     """
     cos, sin, (d1, d2, t) = xp.cos(tip.angles[-1]), xp.sin(tip.angles[-1]), tip.axes
     x, y = cos * vector[0] - sin * vector[1], sin * vector[0] + cos * vector[1]
-    return plus(plus(scaled(x, d1), y, d2), vector[2], t)
+    return plus(plus(scale_vector(x, d1), y, d2), vector[2], t)

@@ -12,36 +12,36 @@ from typing import Any
 import casadi as ca
 
 from ctr_nlp.models.dominant.shape import base_frame
-from ctr_nlp.models.elastic.shape import powers, travels, turned
+from ctr_nlp.models.elastic.shape import powers, rotate_axes, travels
 from ctr_nlp.models.elastic.stability import determinant, responses
 from ctr_nlp.models.elastic.torsion import sections
 from ctr_nlp.models.loaded.acting import RodKind
-from ctr_nlp.models.loaded.rod import Loading, Rod, Tip, integrated
+from ctr_nlp.models.loaded.rod import Loading, Rod, Tip, integrate_rod
 from ctr_nlp.models.loaded.vectors import dot
-from ctr_nlp.models.protocol import Places, Shape, combination, matrix_of, vectors_of
+from ctr_nlp.models.protocol import SampleArcLengths, SymbolicShape, combination, matrix_of, vectors_of
 from ctr_nlp.nlp.nlp import Inner
 from ctr_nlp.robot.structure import Structure, Tubes
 from ctr_nlp.typing import Vector
 
-STEPS = 4
+LOADED_NLP_STEPS_PER_SECTION = 4
 """Steps of integration a section in a nonlinear program: 0.02 mm at 0.3 N, where a forward solution has 0.001."""
 
 
-def shape_under(
+def build_loaded_shape(
     load: Loading,
     kind: RodKind,
     structure: Structure,
     tubes: Tubes,
-    places: Places,
+    sample_lengths: SampleArcLengths,
     margin: ca.SX | None,
     tangents: bool,
     tilted: bool,
-) -> Shape:
+) -> SymbolicShape:
     """Build the shape of one frame in symbols.
 
-    load: its numbers, as symbols. kind: of the rod. structure, tubes: of the robot. places: returns arc lengths of
-    samples, mm, for extensions. margin: least stability margin, None for none. tangents: whether these are wanted
-    at samples. tilted: whether theta is an unknown beside x.
+    load: its numbers, as symbols. kind: of the rod. structure, tubes: of the robot. sample_lengths: returns arc
+    lengths of samples, mm, for extensions. margin: least stability margin, None for none. tangents: whether these
+    are wanted at samples. tilted: whether theta is an unknown beside x.
     """
     d, x = structure.d, ca.SX.sym("x", 2 * structure.d + 2)
     entries = ca.vertsplit(x)
@@ -50,12 +50,12 @@ def shape_under(
     # tangent.
     tip = Tip(
         [*(phi + entries[d - 1] for phi in entries[: d - 1]), entries[d - 1]],
-        turned(((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)), (w[0], w[1], 0.0)),
+        rotate_axes(((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)), (w[0], w[1], 0.0)),
     )
     parts = sections(tubes, beta, ca, planes=False)
-    rod = integrated(tubes, tip, beta, parts, load, kind, ca, STEPS)
+    rod = integrate_rod(tubes, tip, beta, parts, load, kind, ca, LOADED_NLP_STEPS_PER_SECTION)
     # One polynomial for the tangent of each section: its coefficients are vectors, and samples are linear in them.
-    lengths, turns = travels(tubes, beta, parts, places(beta), ca, STEPS // 2)
+    lengths, turns = travels(tubes, beta, parts, sample_lengths(beta), ca, LOADED_NLP_STEPS_PER_SECTION // 2)
     curves = [vector for at in rod.tangents for vector in powers(at)]
     held = ca.SX.sym("theta", 2 * tilted)
     theta = (held[0], held[1]) if tilted else tilt(rod.axes[2])
@@ -65,13 +65,15 @@ def shape_under(
     # The motor of tube i lies L_i - beta_i behind the opening, and up to there the tube's rate of twist is
     # constant.
     alpha = [angle + spin - rate * (tube.length - out) for angle, rate, tube, out in reach]
-    of_base = _aside(rod, base) if tilted else theta
+    of_base = _base_misalignment(rod, base) if tilted else theta
     values = [ca.horzcat(*lengths), matrix_of(curves), ca.vertcat(*alpha), ca.vertcat(*of_base)]
     if margin is not None:
         # The moment along the rod is held as it is while tubes turn, which takes a fifteenth of the operations of
         # the exact responses, and is off by up to 0.03 at 0.3 N. Plans are followed with exact margins afterwards
         # (steer/realised.py, held_between).
-        found_at = responses(tubes, beta, parts, rod.nodes(tubes, beta, parts), margin, ca, held=True)
+        found_at = responses(
+            tubes, beta, parts, rod.nodes(tubes, beta, parts), margin, ca, include_common_turn=True
+        )
         values.append(ca.vertcat(*(determinant(response) for response in found_at)))
     if tangents:
         # 0 * lengths gives numbers the shape of columns.
@@ -89,7 +91,7 @@ def shape_under(
     picks = (*range(rows, rows + d), *range(d, 2 * d), at, at + 1, *range(d))
     stable = None if margin is None else others[0]
     told = {"aside" if tilted else "theta": second}
-    return Shape(x, motors, tuple(beta), points, inner, found, None, stable, picks, **told)
+    return SymbolicShape(x, motors, tuple(beta), points, inner, found, None, stable, picks, **told)
 
 
 def tilt(t: Vector) -> tuple[Any, Any]:
@@ -97,7 +99,7 @@ def tilt(t: Vector) -> tuple[Any, Any]:
     return -ca.asin(t[1]), ca.atan2(t[0], t[2])
 
 
-def _aside(rod: Rod, base: tuple[Vector, Vector, Vector]) -> tuple[Any, Any]:
+def _base_misalignment(rod: Rod, base: tuple[Vector, Vector, Vector]) -> tuple[Any, Any]:
     """Return by how much the rod's base points aside of the third column of R of eq. (4): sines, about rad where
     small.
     """

@@ -19,11 +19,11 @@ from scipy.optimize.elementwise import find_root
 from ctr_nlp.models.loaded.equilibria import LoadedEquilibria, States
 from ctr_nlp.typing import Array, Flags, Index
 
-LEAST = -1023.0
+MIN_REPORTED_MARGIN = -1023.0
 """Margin that is reported where a robot buckles however stiff its tubes are in torsion."""
-MOST = 0.9992
+MAX_COMPUTED_MARGIN = 0.9992
 """Margin above which 1 is reported: steps of integration are too long for torsion that is so soft."""
-SETTLED = 1e-7
+LOADED_MARGIN_TOLERANCE = 1e-7
 """Accuracy of a margin; equilibria and steps of integration have errors of the same size."""
 
 
@@ -43,19 +43,21 @@ def margins(equilibria: LoadedEquilibria, states: States, bending: bool = False)
 
     every = np.arange(len(states.q))
     stable = held(np.zeros(len(every)), every) > 0
-    # The sign at margin 0 tells on which side of it the root lies: in [0, MOST] of a stable robot, below 0
-    # otherwise.
-    low, high = np.where(stable, 0.0, -1.0), np.where(stable, MOST, 0.0)
+    # The sign at margin 0 tells on which side of it the root lies: in [0, MAX_COMPUTED_MARGIN] of a stable robot,
+    # below 0 otherwise.
+    low, high = np.where(stable, 0.0, -1.0), np.where(stable, MAX_COMPUTED_MARGIN, 0.0)
     falling, rising = every[~stable], every[stable]
     # Brackets double away from 1: 1 - mu, by which torsion is stiffened, goes 2, 4, 8, ...
     while len(falling):
-        falling = falling[(held(low[falling], falling) <= 0) & (low[falling] > LEAST)]
+        falling = falling[(held(low[falling], falling) <= 0) & (low[falling] > MIN_REPORTED_MARGIN)]
         high[falling], low[falling] = low[falling], 2 * low[falling] - 1
-    found = np.where(low <= LEAST, LEAST, 1.0)
+    found = np.where(low <= MIN_REPORTED_MARGIN, MIN_REPORTED_MARGIN, 1.0)
     # Stable with the softest torsion that is computed: the margin counts as 1, and no root is looked for.
     known = rising[held(high[rising], rising) > 0]
-    left = np.setdiff1d(every[low > LEAST], known)
-    found[left] = find_root(held, (low[left], high[left]), args=(left,), tolerances={"xatol": SETTLED}).x
+    left = np.setdiff1d(every[low > MIN_REPORTED_MARGIN], known)
+    found[left] = find_root(
+        held, (low[left], high[left]), args=(left,), tolerances={"xatol": LOADED_MARGIN_TOLERANCE}
+    ).x
     return found
 
 
@@ -71,7 +73,7 @@ def least_margins(equilibria: LoadedEquilibria, states: States, groups: Index, k
     while True:
         # One integration of the rod tells whether a state's margin is above a given one; finding the margin takes
         # several.
-        at = np.clip(least[groups[left]], LEAST, MOST)
+        at = np.clip(least[groups[left]], MIN_REPORTED_MARGIN, MAX_COMPUTED_MARGIN)
         found = _pivots_at(equilibria, states.rows(left), at, False)
         lower = ~_positive(found)
         left, last = left[lower], found[lower, -1].min(axis=1)

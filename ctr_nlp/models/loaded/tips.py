@@ -20,7 +20,7 @@ def axes_of(vectors: tuple[Vector, Vector, Vector]) -> Array:
     )
 
 
-def turned(angles: Array, axes: Array, step: Array) -> tuple[Array, Array]:
+def turn_tips(angles: Array, axes: Array, step: Array) -> tuple[Array, Array]:
     """Return tips (T, d), (T, 3, 3) after changes (T, d + 2): turns about their own d_1 and d_2, and of the
     angles.
     """

@@ -23,7 +23,7 @@ def cross(a: Vector, b: Vector) -> Vector:
     return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
 
-def scaled(factor: Any, a: Vector) -> Vector:
+def scale_vector(factor: Any, a: Vector) -> Vector:
     """Return factor times a."""
     return factor * a[0], factor * a[1], factor * a[2]
 

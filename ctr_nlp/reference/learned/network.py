@@ -14,19 +14,19 @@ import numpy as np
 
 from ctr_nlp.codegen import cache
 from ctr_nlp.exceptions import OptionError
-from ctr_nlp.reference.learned.samples import Shapes
+from ctr_nlp.reference.learned.samples import ShapeBatch
 from ctr_nlp.robot import Robot
-from ctr_nlp.support.whole_file import whole_file
+from ctr_nlp.support.whole_file import write_atomically
 from ctr_nlp.typing import Array
 
 FORMAT = 1
 """Format of the file; others are refused."""
-FOLDER = "s2j"
+NETWORK_CACHE_FOLDER = "s2j"
 """Folder of networks within the cache folder."""
 
 
 @dataclass(frozen=True)
-class Network:
+class InverseKinematicsNetwork:
     """A multilayer perceptron: tanh between its layers, none after the last.
 
     layers: weights (n_out, n_in) and biases (n_out,). mean (61,), whitening (61, 61): what is subtracted from an
@@ -38,15 +38,15 @@ class Network:
     mean: Array
     whitening: Array
     curve: Array
-    told: dict[str, Any]
+    metadata: dict[str, Any]
 
-    def tips(self, shapes: Shapes) -> Array:
+    def tips(self, shapes: ShapeBatch) -> Array:
         """Angles of tubes at their tips and extensions, (n, 2d), rad and mm, of n shapes.
 
         The last extension is the shape's length. Nothing keeps extensions within limits.
         """
-        turned, angle = shapes.turned_back()
-        value = (turned.inputs() - self.mean) @ self.whitening
+        turned, angle = shapes.align_with_x()
+        value = (turned.network_inputs() - self.mean) @ self.whitening
         for number, (weights, biases) in enumerate(self.layers, start=1):
             value = value @ weights.T + biases
             value = np.tanh(value) if number < len(self.layers) else value
@@ -62,20 +62,20 @@ class Network:
             arrays |= {f"{kind}_{number}": array for kind, array in zip("wb", layer, strict=True)}
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
-            with whole_file(path) as partial:
-                np.savez(partial, told=np.array(json.dumps(self.told)), **arrays)
+            with write_atomically(path) as partial:
+                np.savez(partial, told=np.array(json.dumps(self.metadata)), **arrays)
         except OSError as error:
             raise OptionError(f"network {path} cannot be written: {error.strerror}") from error
 
 
-def read_network(path: Path) -> Network:
+def read_network(path: Path) -> InverseKinematicsNetwork:
     """Read the network of a file; raises OptionError where it cannot be read or is of another format."""
     try:
         with open(path, "rb") as file, np.load(file, allow_pickle=False) as data:
             told = json.loads(str(data["told"]))
             count = sum(name.startswith("w_") for name in data.files)
             layers = tuple((data[f"w_{k}"], data[f"b_{k}"]) for k in range(count))
-            network = Network(layers, data["mean"], data["whitening"], data["curve"], told)
+            network = InverseKinematicsNetwork(layers, data["mean"], data["whitening"], data["curve"], told)
     except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
         raise OptionError(f"network {path} cannot be read: {error}; train it anew") from error
     if told.get("format") != FORMAT:
@@ -83,7 +83,7 @@ def read_network(path: Path) -> Network:
     return network
 
 
-def identity(robot: Robot) -> dict[str, Any]:
+def robot_identity(robot: Robot) -> dict[str, Any]:
     """Return the properties of a robot that a network depends on: its tubes' numbers, limits of beta, and carriage
     gap.
     """
@@ -92,28 +92,31 @@ def identity(robot: Robot) -> dict[str, Any]:
     return {"numbers": robot.numbers.tolist(), "beta": beta, "carriage_gap": robot.carriage_gap}
 
 
-def place(robot: Robot, model: str) -> Path:
+def network_path(robot: Robot, model: str) -> Path:
     """Return where the network of a robot and a model is kept: in the folder of compiled code (CTR_NLP_CACHE)."""
-    digest = hashlib.sha256(json.dumps(identity(robot)).encode()).hexdigest()[:16]
-    return cache.folder() / FOLDER / f"{model}-{digest}.npz"
+    digest = hashlib.sha256(json.dumps(robot_identity(robot)).encode()).hexdigest()[:16]
+    return cache.folder() / NETWORK_CACHE_FOLDER / f"{model}-{digest}.npz"
 
 
-def trained(robot: Robot, model: str) -> Network:
+def load_trained_network(robot: Robot, model: str) -> InverseKinematicsNetwork:
     """Return the network for a robot and a model; without one raises OptionError, which says how to train it."""
-    path = place(robot, model)
+    path = network_path(robot, model)
     if not path.exists():
-        others = _others(path, model)
+        others = _describe_other_networks(path, model)
         raise OptionError(
             f"no network has been trained for these {robot.d} tubes on the {model} model{others}; "
             f"`ctr-nlp learn --model {model}`, with --robot for other tubes than the default ones, trains it"
         )
     network = read_network(path)
-    if network.told["robot"] != json.loads(json.dumps(identity(robot))) or network.told["model"] != model:
+    if (
+        network.metadata["robot"] != json.loads(json.dumps(robot_identity(robot)))
+        or network.metadata["model"] != model
+    ):
         raise OptionError(f"network {path} is one of another robot or model; train it anew")
     return network
 
 
-def _others(path: Path, model: str) -> str:
+def _describe_other_networks(path: Path, model: str) -> str:
     """Say which networks are there in place of the one at `path`; empty where there are none."""
     known: Sequence[str] = sorted(other.stem.rpartition("-")[0] for other in path.parent.glob("*-*.npz"))
     same = known.count(model)

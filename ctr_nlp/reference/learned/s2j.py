@@ -17,19 +17,19 @@ from typing import NamedTuple
 import numpy as np
 
 from ctr_nlp.formulations.frames import FrameResult
-from ctr_nlp.models import MODELS, Model
+from ctr_nlp.models import KINEMATIC_MODELS, Model
 from ctr_nlp.models.dominant.shape import base_frame
-from ctr_nlp.reference.descent import Method, ordered, within_limits
-from ctr_nlp.reference.learned.network import Network, trained
-from ctr_nlp.reference.learned.samples import PLACES, Shapes, nearer
+from ctr_nlp.reference.descent import Method, clip_configuration, clip_extensions
+from ctr_nlp.reference.learned.network import InverseKinematicsNetwork, load_trained_network
+from ctr_nlp.reference.learned.samples import NETWORK_INPUT_SIGMA, ShapeBatch, unwrap_tip_angles
 from ctr_nlp.robot import Robot
 from ctr_nlp.target.problem import Problem
-from ctr_nlp.target.target import QUADRATURE, SIGMA, Frame
+from ctr_nlp.target.target import QUADRATURE, SIGMA_GRID, Frame
 from ctr_nlp.typing import Array
 
-PLACED = np.searchsorted(SIGMA, PLACES)
-"""Indices of the points at SIGMA that are those at PLACES."""
-WITHIN = 1e-6
+NETWORK_INPUT_INDICES = np.searchsorted(SIGMA_GRID, NETWORK_INPUT_SIGMA)
+"""Indices of the points at SIGMA_GRID that are those at NETWORK_INPUT_SIGMA."""
+NETWORK_LIMIT_TOLERANCE = 1e-6
 """rad or mm by which a configuration may leave limits and still count."""
 
 
@@ -41,22 +41,22 @@ def s2j(problem: Problem, motion_weight: float, model: str = "dominant", project
     OptionError, which says how to train a network, where none is known for the problem's robot.
     """
     del motion_weight
-    robot, on = problem.robot, MODELS[model]
-    network = trained(robot, model)
+    robot, on = problem.robot, KINEMATIC_MODELS[model]
+    network = load_trained_network(robot, model)
 
     def solve(frame: Frame, guess: Array, before: FrameResult | None) -> FrameResult:
         near = guess if before is None else before.q
-        x, q, beyond = answer(network, robot, on, frame.points, near)
-        shape = on.points(robot, x[None], SIGMA)[0]
+        x, q, beyond = predict_configuration(network, robot, on, frame.points, near)
+        shape = on.points(robot, x[None], SIGMA_GRID)[0]
         objective = float(((shape - frame.points) ** 2).sum(axis=1) @ QUADRATURE)
-        success = projected or beyond <= WITHIN
+        success = projected or beyond <= NETWORK_LIMIT_TOLERANCE
         told = f"limits left by {beyond:.3g} rad or mm"
         return FrameResult(q, success, objective, np.nan, 1, told, x=x if on.several_equilibria else None)
 
     return solve
 
 
-class Answer(NamedTuple):
+class PredictedConfiguration(NamedTuple):
     """Unknowns x and configuration q, (2d + 2,) each, that keep all limits of position.
 
     beyond: by how much what the network gave would have left them, rad or mm.
@@ -64,36 +64,40 @@ class Answer(NamedTuple):
 
     x: Array
     q: Array
-    beyond: float
+    limit_violation: float
 
 
-def answer(network: Network, robot: Robot, model: Model, points: Array, near: Array) -> Answer:
-    """Return the configuration that a network gives for a shape, points (101, 3) at SIGMA in mm, brought within
-    limits.
+def predict_configuration(
+    network: InverseKinematicsNetwork, robot: Robot, model: Model, points: Array, reference_q: Array
+) -> PredictedConfiguration:
+    """Return the configuration that a network gives for a shape, points (101, 3) at SIGMA_GRID in mm, brought
+    within limits.
 
-    near: q (2d + 2,); of angles that are the same, those nearest to its are taken. On a model with several
+    reference_q: q (2d + 2,); of angles that are the same, those nearest to its are taken. On a model with several
     equilibria only a full turn of all tubes together leaves the robot as it is, on others one of each tube does.
     """
     d = robot.d
-    theta = np.clip(tilt(points), *(robot.split(limit)[2] for limit in (robot.lower, robot.upper)))
-    upright = points[PLACED] @ np.array(base_frame(theta[0], theta[1], np)).T
+    theta = np.clip(target_tilt(points), *(robot.split(limit)[2] for limit in (robot.lower, robot.upper)))
+    upright = points[NETWORK_INPUT_INDICES] @ np.array(base_frame(theta[0], theta[1], np)).T
     length = np.linalg.norm(np.diff(points, axis=0), axis=1).sum()
-    found = network.tips(Shapes(upright[None], np.array([length])))[0]
-    beta = ordered(robot, found[d:])
-    tips = nearer(np.concatenate([found[:d], beta, theta])[None], d)[0]
-    turns = np.round((near - model.configuration(robot, model.guess(robot, tips)[None])[0])[:d] / (2 * np.pi))
+    found = network.tips(ShapeBatch(upright[None], np.array([length])))[0]
+    beta = clip_extensions(robot, found[d:])
+    tips = unwrap_tip_angles(np.concatenate([found[:d], beta, theta])[None], d)[0]
+    turns = np.round(
+        (reference_q - model.configuration(robot, model.guess(robot, tips)[None])[0])[:d] / (2 * np.pi)
+    )
     tips[:d] += 2 * np.pi * (turns[d - 1] if model.several_equilibria else turns)
     x = model.guess(robot, tips)
     q = model.configuration(robot, x[None])[0]
-    kept = within_limits(robot, q)
+    kept = clip_configuration(robot, q)
     if (kept != q).any():
         x = model.rest(robot, kept)
-    return Answer(x, kept, float(max(np.abs(found[d:] - beta).max(), np.abs(q - kept).max())))
+    return PredictedConfiguration(x, kept, float(max(np.abs(found[d:] - beta).max(), np.abs(q - kept).max())))
 
 
-def tilt(points: Array) -> Array:
+def target_tilt(points: Array) -> Array:
     """Return the theta (2,) rad at which a robot leaves the insertion point in the direction of points (101, 3) at
-    SIGMA.
+    SIGMA_GRID.
 
     Ry(theta_y) Rx(theta_x) turns +z there, eq. (4). The direction is that of the parabola through the first three.
     """

@@ -8,28 +8,28 @@ from typing import Any
 import numpy as np
 
 from ctr_nlp.models import Model
-from ctr_nlp.reference.descent import extensions, ordered
+from ctr_nlp.reference.descent import clip_extensions, extensions
 from ctr_nlp.robot import Robot
-from ctr_nlp.target.target import SIGMA
+from ctr_nlp.target.target import SIGMA_GRID
 from ctr_nlp.typing import Array
 
-PLACES = SIGMA[5::5]
+NETWORK_INPUT_SIGMA = SIGMA_GRID[5::5]
 """Normalised arc lengths of the points that a network is given, 20 of them."""
-MARGIN = 0.1
+MIN_TRAINING_STABILITY_MARGIN = 0.1
 """Least stability margin of the robots whose shapes are drawn."""
 
 
 @dataclass(frozen=True)
-class Shapes:
-    """Shapes without tilt: points (n, 20, 3) at PLACES and lengths (n,), mm."""
+class ShapeBatch:
+    """Shapes without tilt: points (n, 20, 3) at NETWORK_INPUT_SIGMA and lengths (n,), mm."""
 
     points: Array
     length: Array
 
-    def __getitem__(self, rows: Any) -> Shapes:
-        return Shapes(self.points[rows], self.length[rows])
+    def __getitem__(self, rows: Any) -> ShapeBatch:
+        return ShapeBatch(self.points[rows], self.length[rows])
 
-    def turned_back(self) -> tuple[Shapes, Array]:
+    def align_with_x(self) -> tuple[ShapeBatch, Array]:
         """Turn each shape about +z so that the mean of its points lies towards +x; returns the angles before, rad,
         too.
 
@@ -38,9 +38,9 @@ class Shapes:
         x, y, z = np.moveaxis(self.points, -1, 0)
         angle = np.arctan2(y.mean(axis=1), x.mean(axis=1))
         c, s = np.cos(angle)[:, None], np.sin(angle)[:, None]
-        return Shapes(np.stack([c * x + s * y, c * y - s * x, z], axis=-1), self.length), angle
+        return ShapeBatch(np.stack([c * x + s * y, c * y - s * x, z], axis=-1), self.length), angle
 
-    def inputs(self) -> Array:
+    def network_inputs(self) -> Array:
         """Return a network's inputs for the shapes, (n, 61): coordinates as parts of the length, and the length in
         mm.
         """
@@ -48,7 +48,7 @@ class Shapes:
         return np.column_stack([parts.reshape(len(parts), -1), self.length])
 
 
-def drawn(robot: Robot, model: Model, count: int, seed: int) -> Array:
+def sample_stable_unknowns(robot: Robot, model: Model, count: int, seed: int) -> Array:
     """Sample unknowns (count, 2d + 2) of robots without tilt, all of them stable.
 
     Their angles at the tips and the fractions of their extensions are uniform.
@@ -58,18 +58,18 @@ def drawn(robot: Robot, model: Model, count: int, seed: int) -> Array:
     while len(found) < count:
         tips = np.zeros((count, 2 * d + 2))
         tips[:, :d] = rng.uniform(-np.pi, np.pi, (count, d))
-        tips[:, d : 2 * d] = ordered(robot, extensions(robot, rng.random((count, d))))
-        x = model.guess(robot, nearer(tips, d))
-        found = np.vstack([found, x[~(model.margins(robot, x) < MARGIN)]])
+        tips[:, d : 2 * d] = clip_extensions(robot, extensions(robot, rng.random((count, d))))
+        x = model.guess(robot, unwrap_tip_angles(tips, d))
+        found = np.vstack([found, x[~(model.margins(robot, x) < MIN_TRAINING_STABILITY_MARGIN)]])
     return found[:count]
 
 
-def shapes_of(robot: Robot, model: Model, x: Array) -> Shapes:
+def shapes_of(robot: Robot, model: Model, x: Array) -> ShapeBatch:
     """Return the shapes at unknowns x (n, 2d + 2)."""
-    return Shapes(model.points(robot, x, PLACES), model.extensions(robot, x)[:, -1])
+    return ShapeBatch(model.points(robot, x, NETWORK_INPUT_SIGMA), model.extensions(robot, x)[:, -1])
 
 
-def nearer(tips: Array, d: int) -> Array:
+def unwrap_tip_angles(tips: Array, d: int) -> Array:
     """Shift angles at the tips, in the first d columns, by whole turns to within half a turn of the innermost
     tube's.
     """

@@ -11,22 +11,22 @@ import numpy as np
 
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.models.protocol import Model
-from ctr_nlp.reference.learned.loss import Loss
-from ctr_nlp.reference.learned.network import FORMAT, Network, identity
-from ctr_nlp.reference.learned.samples import PLACES, Shapes, drawn, shapes_of
+from ctr_nlp.reference.learned.loss import ShapeLoss
+from ctr_nlp.reference.learned.network import FORMAT, InverseKinematicsNetwork, robot_identity
+from ctr_nlp.reference.learned.samples import NETWORK_INPUT_SIGMA, ShapeBatch, sample_stable_unknowns, shapes_of
 from ctr_nlp.robot import Robot
-from ctr_nlp.support.extras import needed
+from ctr_nlp.support.extras import import_extra
 from ctr_nlp.support.values import whole_number
 from ctr_nlp.typing import Array
 
-HELD_OUT = 1000
+VALIDATION_SHAPE_COUNT = 1000
 """Shapes that are not trained on; they are drawn with the seed after the training's."""
-LOOKS = 50
+LEARNING_CURVE_POINTS = 50
 """How often the error on held-out shapes is looked at, for the learning curve."""
-FLOOR, TINY = 1e-2, 1e-9
+MIN_RELATIVE_INPUT_DEVIATION, INPUT_SCALE_OFFSET = 1e-2, 1e-9
 """Of the largest standard deviation of the inputs' principal components, below which others are not made larger;
 what is added to that of an input, which may be 0."""
-RATE = 2e-3
+INITIAL_LEARNING_RATE = 2e-3
 """Adam's first learning rate, which falls to 0 along half a cosine."""
 
 
@@ -50,54 +50,58 @@ class Training:
             whole_number(OptionError, "a width of training", width)
 
 
-Progress = Callable[[int, int, str], None]
+TrainingProgress = Callable[[int, int, str], None]
 """Told how many steps are done, of how many, and the error on held-out shapes in words."""
 
 
-def train(
+def train_network(
     robot: Robot,
     model: Model,
     training: Training,
-    progress: Progress | None = None,
+    progress: TrainingProgress | None = None,
     stop: Callable[[], bool] = lambda: False,
-) -> Network:
+) -> InverseKinematicsNetwork:
     """The network of a robot and a model; equal seeds give equal networks on the same machine.
 
     Raises OptionError where the model does not describe the robot or PyTorch is missing, and KeyboardInterrupt
     when stop() says so: half a training is none.
     """
-    torch = needed("torch")
+    torch = import_extra("torch")
     model.check(robot)
     given, held = (
-        shapes_of(robot, model, drawn(robot, model, count, training.seed + k)).turned_back()[0]
-        for k, count in enumerate((training.shapes, HELD_OUT))
+        shapes_of(robot, model, sample_stable_unknowns(robot, model, count, training.seed + k)).align_with_x()[0]
+        for k, count in enumerate((training.shapes, VALIDATION_SHAPE_COUNT))
     )
-    mean, whitening = _normalisation(given.inputs())
-    with _alone(torch, training.seed):
+    mean, whitening = _normalisation(given.network_inputs())
+    with _seeded_single_thread(torch, training.seed):
         net = _perceptron(torch, training.widths, robot.d)
-        inputs = [torch.tensor((each.inputs() - mean) @ whitening, dtype=torch.float32) for each in (given, held)]
-        loss, check = (Loss(torch, robot, model, count) for count in (training.batch, HELD_OUT))
+        inputs = [
+            torch.tensor((each.network_inputs() - mean) @ whitening, dtype=torch.float32) for each in (given, held)
+        ]
+        loss, check = (ShapeLoss(torch, robot, model, count) for count in (training.batch, VALIDATION_SHAPE_COUNT))
         curve = []
-        for step, value in _steps(torch, net, loss, inputs[0], given, training):
+        for step, value in _train_steps(torch, net, loss, inputs[0], given, training):
             if stop():
                 raise KeyboardInterrupt
-            if step % max(1, training.steps // LOOKS) == 0 or step == training.steps:
+            if step % max(1, training.steps // LEARNING_CURVE_POINTS) == 0 or step == training.steps:
                 with torch.no_grad():
                     curve.append((step, value, check(net(inputs[1]), held).item()))
             if progress is not None:
                 known = f"{curve[-1][2]:.3g} mm off held-out shapes" if curve else "training"
                 progress(step, training.steps, known)
         arrays = [parameter.detach().numpy().astype(float) for parameter in net.parameters()]
-    told = {"format": FORMAT, "model": model.name, "robot": identity(robot), **asdict(training)}
-    return Network(tuple(zip(arrays[::2], arrays[1::2], strict=True)), mean, whitening, np.array(curve), told)
+    told = {"format": FORMAT, "model": model.name, "robot": robot_identity(robot), **asdict(training)}
+    return InverseKinematicsNetwork(
+        tuple(zip(arrays[::2], arrays[1::2], strict=True)), mean, whitening, np.array(curve), told
+    )
 
 
-def _steps(
-    torch: Any, net: Any, loss: Loss, inputs: Any, shapes: Shapes, training: Training
+def _train_steps(
+    torch: Any, net: Any, loss: ShapeLoss, inputs: Any, shapes: ShapeBatch, training: Training
 ) -> Iterator[tuple[int, float]]:
     """Train step by step; yields the number of each, from 1, and the loss before it."""
     rng = np.random.default_rng(training.seed)
-    optimiser = torch.optim.Adam(net.parameters(), lr=RATE)
+    optimiser = torch.optim.Adam(net.parameters(), lr=INITIAL_LEARNING_RATE)
     schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, training.steps)
     for step in range(1, training.steps + 1):
         some = rng.integers(len(inputs), size=training.batch)
@@ -113,16 +117,16 @@ def _normalisation(inputs: Array) -> tuple[Array, Array]:
     """The mean (61,) of inputs (n, 61), and the matrix (61, 61) that makes deviations from it uncorrelated and 1.
 
     Where the tubes end shows in small differences of points, which would hardly count beside the large ones.
-    Those below FLOOR are left smaller.
+    Those below MIN_RELATIVE_INPUT_DEVIATION are left smaller.
     """
-    mean, scale = inputs.mean(axis=0), inputs.std(axis=0) + TINY
+    mean, scale = inputs.mean(axis=0), inputs.std(axis=0) + INPUT_SCALE_OFFSET
     variances, axes = np.linalg.eigh(np.cov((inputs - mean) / scale, rowvar=False))
-    deviations = np.sqrt(np.maximum(variances, variances[-1] * FLOOR**2))
+    deviations = np.sqrt(np.maximum(variances, variances[-1] * MIN_RELATIVE_INPUT_DEVIATION**2))
     return mean, axes / scale[:, None] / deviations
 
 
 @contextmanager
-def _alone(torch: Any, seed: int) -> Iterator[None]:
+def _seeded_single_thread(torch: Any, seed: int) -> Iterator[None]:
     """Torch with a seed and a single thread: sums of several threads differ in their last digits."""
     threads = torch.get_num_threads()
     torch.set_num_threads(1)
@@ -137,7 +141,7 @@ def _alone(torch: Any, seed: int) -> Iterator[None]:
 def _perceptron(torch: Any, widths: tuple[int, ...], d: int) -> Any:
     """Layers as Network has them, as torch initialises them."""
     layers: list[Any] = []
-    before = 3 * len(PLACES) + 1
+    before = 3 * len(NETWORK_INPUT_SIGMA) + 1
     for width in widths:
         layers += [torch.nn.Linear(before, width), torch.nn.Tanh()]
         before = width

@@ -18,12 +18,12 @@ import numpy as np
 from ctr_nlp.nlp.nlp import Nlp, kkt_residual
 from ctr_nlp.typing import Array
 
-FEASIBLE = 1e-6
+FEASIBILITY_TOLERANCE = 1e-6
 """Largest violation of bounds and constraints at a solution, rad or mm, whatever a solver reports."""
-OPTIMAL = 1e-2
+KKT_TOLERANCE = 1e-2
 """Largest KKT residual at a solution, mm^2 per rad or mm; most solves reach 1e-6."""
 
-KEPT = 16
+MAX_CACHED_IPOPT_INSTANCES = 16
 """Number of programs for which a process keeps an IPOPT instance."""
 
 
@@ -47,7 +47,7 @@ class Solution:
     q: Array
 
 
-class Reach(NamedTuple):
+class ConfigurationLimits(NamedTuple):
     """Limits low, high (k,) of a configuration, and the largest change `most` of its entries from frame to
     frame.
     """
@@ -57,7 +57,7 @@ class Reach(NamedTuple):
     most: Array
 
 
-class Surroundings(NamedTuple):
+class LocalParameterSource(NamedTuple):
     """Where run.c finds the parameters of a program that hold near a robot only, with a slack as last unknown.
 
     call, of: addresses of a function of C and of its first argument; it then takes x, the parameter named load if
@@ -68,19 +68,19 @@ class Surroundings(NamedTuple):
     """
 
     call: int
-    of: int
-    load: str
-    described: str
-    weight: str
-    allowed: str
-    firm: float
-    hard: float
-    rounded: float
-    settled: float
-    rounds: int
+    context: int
+    load_parameter: str
+    wall_parameter: str
+    weight_parameter: str
+    allowed_parameter: str
+    slack_square_cost: float
+    excess_factor: float
+    excess_rounding_mm: float
+    slack_tolerance_mm: float
+    max_rounds: int
 
 
-class Timed(NamedTuple):
+class TimedSolution(NamedTuple):
     """A solution, and the seconds that it took."""
 
     solution: Solution
@@ -109,26 +109,26 @@ class NlpSolver(ABC):
         a neighbouring problem, whose multipliers to start from.
         """
 
-    def follow(
+    def solve_sequence(
         self,
         x0: Array,
         p: Array,
-        reach: Reach,
+        reach: ConfigurationLimits,
         here: Array,
         warm: Solution | None,
-        near: Surroundings | None = None,
-    ) -> list[Timed]:
+        local_parameters: LocalParameterSource | None = None,
+    ) -> list[TimedSolution]:
         """Solve for parameters p (frames, n_p), each frame from the one before, up to the first that is not
         solved.
 
         x0 (n,): start of the first frame. reach: limits, and steps from frame to frame. here (k,): the
         configuration before the first frame; the parameter named previous is set to it, and then to that of the
-        last solved frame. warm: a solution to take multipliers from. near: source of parameters that hold near a
-        robot only. A solver that takes one program at a time returns an empty list.
+        last solved frame. warm: a solution to take multipliers from. local_parameters: source of parameters that
+        hold near a robot only. A solver that takes one program at a time returns an empty list.
         """
         return []
 
-    def each(self, x0: Array, p: Array, reach: Reach) -> list[Solution]:
+    def solve_from_starts(self, x0: Array, p: Array, reach: ConfigurationLimits) -> list[Solution]:
         """Solve for parameters p (n_p,) within reach from every start x0 (starts, n); only the solutions found."""
         found = (self(x, p, reach.low, reach.high) for x in x0)
         return [solution for solution in found if solution.success]
@@ -168,9 +168,9 @@ class Ipopt(NlpSolver):
             # Without these, CasADi starts from multipliers 0; warm_start_init_point makes IPOPT use what it
             # is given.
             arguments |= {"lam_x0": warm.lam_x, "lam_g0": warm.lam_g}
-        # The nearest point within the bounds, where OPTIONS let IPOPT leave it.
+        # The nearest point within the bounds, where FRAME_IPOPT_OPTIONS let IPOPT leave it.
         result = self._solve(x0=np.clip(x0, low[:n], high[:n]), **arguments)
-        status, iterations = outcome(self._solve)
+        status, iterations = status_and_iterations(self._solve)
         x, lam_x, lam_g = (result[key].full().ravel() for key in ("x", "lam_x", "lam_g"))
         g = result["g"].full().ravel()
         rows = np.concatenate([x, g])
@@ -180,26 +180,26 @@ class Ipopt(NlpSolver):
         x = np.clip(x, low[:n], high[:n])
         # From the problem alone: IPOPT's own tolerances refer to a scaled problem.
         kkt = kkt_residual(self.nlp, x, p, lower, upper, lam_x, lam_g)
-        success = bool(violation <= FEASIBLE) and kkt <= OPTIMAL
+        success = bool(violation <= FEASIBILITY_TOLERANCE) and kkt <= KKT_TOLERANCE
         # On models whose unknowns are not q, some of q's entries are values of constraints.
         q = np.concatenate([x, g])[self.nlp.configuration]
         return Solution(x, float(result["f"]), kkt, success, status, iterations, lam_x, lam_g, q)
 
 
-@functools.lru_cache(maxsize=KEPT)
+@functools.lru_cache(maxsize=MAX_CACHED_IPOPT_INSTANCES)
 def _ipopt(nlp: Nlp, thread: int) -> ca.Function:
     """The IPOPT instance of a program and a thread; two threads must not share one."""
     problem = {"x": nlp.x, "p": nlp.p, "f": nlp.objective, "g": nlp.g}
-    return ca.nlpsol("ipopt", "ipopt", problem, COMMON | {"ipopt": OPTIONS})
+    return ca.nlpsol("ipopt", "ipopt", problem, CASADI_SOLVER_OPTIONS | {"ipopt": FRAME_IPOPT_OPTIONS})
 
 
-def outcome(solve: ca.Function) -> tuple[str, int]:
+def status_and_iterations(solve: ca.Function) -> tuple[str, int]:
     """Status and number of iterations of the last call of `solve`."""
     stats = solve.stats()
     return str(stats["return_status"]), int(stats["iter_count"])
 
 
-COMMON: dict[str, Any] = {
+CASADI_SOLVER_OPTIONS: dict[str, Any] = {
     "print_time": False,
     "calc_lam_p": False,
     "show_eval_warnings": False,
@@ -208,11 +208,11 @@ COMMON: dict[str, Any] = {
 """Options of CasADi's interface, for frames and for chains."""
 
 
-OPTIONS: dict[str, Any] = {
+FRAME_IPOPT_OPTIONS: dict[str, Any] = {
     "sb": "yes",
     "print_level": 0,
     "max_iter": 300,
-    # Tighter than OPTIMAL: what IPOPT accepts is judged again in units of the problem.
+    # Tighter than KKT_TOLERANCE: what IPOPT accepts is judged again in units of the problem.
     "tol": 1e-8,
     "bound_relax_factor": 1e-10,
     "warm_start_init_point": "yes",

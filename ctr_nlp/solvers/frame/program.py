@@ -18,13 +18,13 @@ from ctr_nlp.nlp.written import FrameFunctions
 from ctr_nlp.solvers.compiled import library
 from ctr_nlp.typing import Array
 
-TOLERANCE = 1e-6
+SQP_KKT_TOLERANCE = 1e-6
 """Largest KKT residual at a solution, mm^2 per unit of x."""
-MOST_ITERATIONS = 200
+MAX_SQP_ITERATIONS = 200
 """Iterations after which a program ends without a solution; IPOPT solving it instead takes as long as a
 thousand.
 """
-NAMES = FrameFunctions._fields[:3]
+SQP_FUNCTION_NAMES = FrameFunctions._fields[:3]
 """Names of the functions, and of the struct's fields that point to them."""
 
 _Numbers = ctypes.POINTER(ctypes.c_double)
@@ -39,7 +39,7 @@ _Called = ctypes.CFUNCTYPE(
 """Signature of CasADi's functions in C: (arguments, results, integer work, real work, memory) -> 0 for success."""
 
 
-class Outcome(ctypes.Structure):
+class SqpProgramStruct(ctypes.Structure):
     """The struct Program of sqp.c: what a run is given, and what it finds."""
 
     objective: float
@@ -51,7 +51,7 @@ class Outcome(ctypes.Structure):
     status: int
     _fields_ = [
         *((name, ctypes.c_long) for name in ("n", "m")),
-        *((name, ctypes.c_void_p) for name in (*NAMES, "p", "lower", "upper")),
+        *((name, ctypes.c_void_p) for name in (*SQP_FUNCTION_NAMES, "p", "lower", "upper")),
         ("tolerance", ctypes.c_double),
         ("most", ctypes.c_long),
         *((name, ctypes.c_void_p) for name in ("x", "multipliers", "rows")),
@@ -68,11 +68,11 @@ class Program:
     solution. functions: their addresses, by name.
     """
 
-    def __init__(self, nlp: Nlp, wait: bool = False, most: int = MOST_ITERATIONS) -> None:
+    def __init__(self, nlp: Nlp, wait: bool = False, max_iterations: int = MAX_SQP_ITERATIONS) -> None:
         """Build a program in C for an Nlp.
 
-        wait: until the functions are compiled, instead of interpreting them at first. most: largest number of
-        iterations of a run. Raises OptionError where nothing can be compiled.
+        wait: until the functions are compiled, instead of interpreting them at first. max_iterations: largest
+        number of iterations of a run. Raises OptionError where nothing can be compiled.
         """
         n, m = nlp.x.numel(), nlp.g.numel()
         low, high = nlp.g_bounds
@@ -84,12 +84,12 @@ class Program:
         given = (array.ctypes.data for array in (self.p, self.lower, self.upper))
         found = (array.ctypes.data for array in (self.x, self.multipliers, self.rows))
         # Kept, as the struct is made again when compiled functions are loaded.
-        self._sizes, self._places = (n, m), (*given, TOLERANCE, most, *found)
-        self._run, self._keep = cache.loaded(__package__, "sqp.c", "run.c").sqp, list[Any]()
+        self._sizes, self._places = (n, m), (*given, SQP_KKT_TOLERANCE, max_iterations, *found)
+        self._run, self._keep = cache.load_c_files(__package__, "sqp.c", "run.c").sqp, list[Any]()
         self._point({})
         self._library = library(nlp, 1)
         # Without `wait`, the first solves are interpreted while another process compiles.
-        self.compiled = self._load(self._library.now() if wait else self._library.soon())
+        self.compiled = self._load(self._library.wait_for_path() if wait else self._library.path_if_ready())
         if not self.compiled:
             self._interpret()
 
@@ -100,19 +100,21 @@ class Program:
         loaded = ctypes.CDLL(str(path))
         # Addresses do not keep a library or a callback alive; this reference does.
         self._keep = [loaded]
-        self._point({name: ctypes.cast(loaded[name], ctypes.c_void_p).value or 0 for name in NAMES})
+        self._point({name: ctypes.cast(loaded[name], ctypes.c_void_p).value or 0 for name in SQP_FUNCTION_NAMES})
         return True
 
     def _interpret(self) -> None:
         """Let C call CasADi's interpreter until the compiled functions can be loaded."""
         self._keep = [_callback(function) for function in self.nlp.functions[:3]]
         addresses = (ctypes.cast(call, ctypes.c_void_p).value or 0 for call, _ in self._keep)
-        self._point(dict(zip(NAMES, addresses, strict=True)))
+        self._point(dict(zip(SQP_FUNCTION_NAMES, addresses, strict=True)))
 
     def _point(self, addresses: dict[str, int]) -> None:
         """Point the struct to functions by their addresses; a new struct, so that nothing of the old one stays."""
         self.functions = addresses
-        self._program = Outcome(*self._sizes, *(addresses.get(name) for name in NAMES), *self._places)
+        self._program = SqpProgramStruct(
+            *self._sizes, *(addresses.get(name) for name in SQP_FUNCTION_NAMES), *self._places
+        )
         self._reference = ctypes.byref(self._program)
 
     @property
@@ -123,9 +125,9 @@ class Program:
     def refresh(self) -> None:
         """Load compiled functions, if they have been made meanwhile."""
         if not self.compiled:
-            self.compiled = self._load(self._library.soon())
+            self.compiled = self._load(self._library.path_if_ready())
 
-    def run(self) -> Outcome:
+    def run(self) -> SqpProgramStruct:
         """Solve; the results beside x, multipliers and rows are overwritten by the next run."""
         self.refresh()
         self._run(self._reference)
@@ -148,18 +150,18 @@ def _callback(function: ca.Function) -> tuple[Any, Any]:
 
     def called(given: Any, wanted: Any, *_: Any) -> int:
         for i, array in enumerate(inputs):
-            _copied(array, given[i], array.ctypes.data, given[i])
+            _copy_unless_null(array, given[i], array.ctypes.data, given[i])
         evaluate()
         # By CasADi's convention, a null pointer is a result that is not wanted (or an argument of zeros, of
         # which sqp.c has none).
         for i, array in enumerate(outputs):
-            _copied(array, wanted[i], wanted[i], array.ctypes.data)
+            _copy_unless_null(array, wanted[i], wanted[i], array.ctypes.data)
         return 0
 
     return _Called(called), (buffer, inputs, outputs)
 
 
-def _copied(array: Array, pointer: Any, to: Any, source: Any) -> None:
+def _copy_unless_null(array: Array, pointer: Any, to: Any, source: Any) -> None:
     """Copy array.nbytes bytes from source to `to`, unless C's `pointer` is null."""
     if pointer:
         ctypes.memmove(to, source, array.nbytes)

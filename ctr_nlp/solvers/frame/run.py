@@ -11,12 +11,12 @@ import ctypes
 import numpy as np
 
 from ctr_nlp.codegen import cache
-from ctr_nlp.solvers.frame.adapter import FEASIBLE, Surroundings
+from ctr_nlp.solvers.frame.adapter import FEASIBILITY_TOLERANCE, LocalParameterSource
 from ctr_nlp.solvers.frame.program import Program
 from ctr_nlp.typing import Array
 
 
-class _Given(ctypes.Structure):
+class _RunStruct(ctypes.Structure):
     """The struct Run of run.c, field by field."""
 
     _fields_ = [
@@ -35,13 +35,13 @@ class _Given(ctypes.Structure):
     ]
 
 
-_RUN = ctypes.CFUNCTYPE(ctypes.c_long, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_long, ctypes.c_void_p)
+_RUN_SIGNATURE = ctypes.CFUNCTYPE(ctypes.c_long, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_long, ctypes.c_void_p)
 """Signature of the function run of run.c: (struct Run, struct Program, frames, starts or null) -> frames
 solved.
 """
 
 
-class Run:
+class FrameSequence:
     """Arrays for the frames of a program, filled before a call and read after it; not from two threads at once.
 
     p (frames, n_p): packed parameters, but for those named previous, which are the configuration of the frame
@@ -51,10 +51,10 @@ class Run:
     seconds, and whether the frame was solved.
     """
 
-    def __init__(self, program: Program, frames: int, optimal: float, goes_on: bool = False) -> None:
+    def __init__(self, program: Program, frames: int, optimal: float, extrapolate: bool = False) -> None:
         """Allocate for so many frames of a program.
 
-        optimal: the KKT residual up to which a frame counts as solved; all of them must be feasible. goes_on:
+        optimal: the KKT residual up to which a frame counts as solved; all of them must be feasible. extrapolate:
         whether a frame is started from an extrapolation of x in the frames before, if its merit is better there.
         """
         nlp, (n, rows) = program.nlp, (len(program.x), len(program.rows))
@@ -68,7 +68,7 @@ class Run:
         self.starts, self._course = np.zeros((frames, n)), np.zeros((3, n))
         self.iterations, self.status, self.solved = np.zeros((3, frames), dtype=np.int64)
         # Only programs with a motion term have the configuration of the frame before as a parameter.
-        previous = nlp.place("previous") if "previous" in nlp.parameters else slice(0, 0)
+        previous = nlp.parameter_slice("previous") if "previous" in nlp.parameters else slice(0, 0)
         limits = self._picks, self.p, self.low, self.high, self.most
         found = self.x, self.rows, self.multipliers, self.objective, self.kkt, self.seconds
         self._fixed = (
@@ -77,36 +77,52 @@ class Run:
             previous.stop - previous.start,
             previous.start,
             *(array.ctypes.data for array in limits),
-            FEASIBLE,
+            FEASIBILITY_TOLERANCE,
             optimal,
             self.here.ctypes.data,
-            self._course.ctypes.data if goes_on else None,
+            self._course.ctypes.data if extrapolate else None,
             *(array.ctypes.data for array in (*found, self.iterations, self.status, self.solved)),
         )
-        self.keep_near(None)
-        self._run = _RUN(("run", cache.loaded(__package__, "sqp.c", "run.c")))
+        self.set_local_parameters(None)
+        self._run = _RUN_SIGNATURE(("run", cache.load_c_files(__package__, "sqp.c", "run.c")))
 
-    def keep_near(self, near: Surroundings | None) -> None:
+    def set_local_parameters(self, local_parameters: LocalParameterSource | None) -> None:
         """Choose how frames are solved from now on: again around their solutions with parameters from near, or
         once (None).
         """
         nlp = self.program.nlp
         # Null pointers and zeros: run.c then solves every frame once, as it is.
         of_near: tuple[float | None, ...] = (None, None, *[0] * 6, *[0.0] * 4, None)
-        if near is not None:
-            place, weight, allowed = (nlp.place(name) for name in (near.described, near.weight, near.allowed))
+        if local_parameters is not None:
+            place, weight, allowed = (
+                nlp.parameter_slice(name)
+                for name in (
+                    local_parameters.wall_parameter,
+                    local_parameters.weight_parameter,
+                    local_parameters.allowed_parameter,
+                )
+            )
             size = place.stop - place.start
             # The described parameter, and after it the slack needed.
             self._found = np.zeros(size + 1)
             # A program without a load has no such parameter; the position is then not read.
-            load = nlp.place(near.load).start if near.load in nlp.parameters else 0
-            sizes = load, place.start, size, weight.start, allowed.start, near.rounds
-            costs = near.firm, near.hard, near.rounded, near.settled
-            of_near = near.call, near.of, *sizes, *costs, self._found.ctypes.data
-        self._given = _Given(*of_near, *self._fixed)
+            load = (
+                nlp.parameter_slice(local_parameters.load_parameter).start
+                if local_parameters.load_parameter in nlp.parameters
+                else 0
+            )
+            sizes = load, place.start, size, weight.start, allowed.start, local_parameters.max_rounds
+            costs = (
+                local_parameters.slack_square_cost,
+                local_parameters.excess_factor,
+                local_parameters.excess_rounding_mm,
+                local_parameters.slack_tolerance_mm,
+            )
+            of_near = local_parameters.call, local_parameters.context, *sizes, *costs, self._found.ctypes.data
+        self._given = _RunStruct(*of_near, *self._fixed)
         self._reference = ctypes.byref(self._given)
 
-    def stand(self, here: Array, x: Array) -> None:
+    def set_start(self, here: Array, x: Array) -> None:
         """Start the next call at configuration here (k,) and unknowns x, with slacks of 0 after them, and at
         rest.
         """

@@ -15,14 +15,28 @@ from dataclasses import replace
 import numpy as np
 
 from ctr_nlp.nlp.nlp import Nlp
-from ctr_nlp.solvers.frame.adapter import FEASIBLE, OPTIMAL, Ipopt, NlpSolver, Reach, Solution, Surroundings, Timed
+from ctr_nlp.solvers.frame.adapter import (
+    FEASIBILITY_TOLERANCE,
+    KKT_TOLERANCE,
+    ConfigurationLimits,
+    Ipopt,
+    LocalParameterSource,
+    NlpSolver,
+    Solution,
+    TimedSolution,
+)
 from ctr_nlp.solvers.frame.program import Program
-from ctr_nlp.solvers.frame.run import Run
+from ctr_nlp.solvers.frame.run import FrameSequence
 from ctr_nlp.typing import Array
 
-FALLBACK = "by IPOPT after"
+IPOPT_FALLBACK_TEXT = "by IPOPT after"
 """Part of the status of a program that was left to IPOPT."""
-STATUS = "Solve_Succeeded", "Maximum_Iterations_Exceeded", "Search_Direction_Becomes_Too_Small", "Infeasible_Step"
+SQP_STATUS_TEXTS = (
+    "Solve_Succeeded",
+    "Maximum_Iterations_Exceeded",
+    "Search_Direction_Becomes_Too_Small",
+    "Infeasible_Step",
+)
 """Status texts, in the order of the enum in sqp.c."""
 
 
@@ -34,7 +48,7 @@ class Sqp(NlpSolver):
         super().__init__(nlp)
         self.program, self._picks, self._own = Program(nlp), nlp.configuration, nlp.row_bounds()
         self._ipopt: Ipopt | None = None
-        self._room = Run(self.program, 1, OPTIMAL)
+        self._room = FrameSequence(self.program, 1, KKT_TOLERANCE)
 
     def __call__(
         self,
@@ -58,9 +72,9 @@ class Sqp(NlpSolver):
         # Iterates keep linear bounds to rounding; a plan must not exceed a motor's limit by that.
         x = np.clip(at.x, at.lower[:n], at.upper[:n])
         # By the problem's own residuals, not by the reason for which the iteration ended.
-        success = found.violation <= FEASIBLE and found.kkt <= OPTIMAL
+        success = found.violation <= FEASIBILITY_TOLERANCE and found.kkt <= KKT_TOLERANCE
         lam_x, lam_g = np.split(at.multipliers.copy(), [n])
-        status, iterations = STATUS[found.status], found.iterations
+        status, iterations = SQP_STATUS_TEXTS[found.status], found.iterations
         q = np.concatenate([x, at.rows[n:]])[self._picks]
         if success:
             return Solution(x, found.objective, found.kkt, True, status, iterations, lam_x, lam_g, q)
@@ -68,56 +82,71 @@ class Sqp(NlpSolver):
         self._ipopt = self._ipopt or Ipopt(self.nlp)
         other = self._ipopt(x0, p, lower, upper, warm)
         return replace(
-            other, status=f"{other.status} {FALLBACK} {status}", iterations=other.iterations + iterations
+            other,
+            status=f"{other.status} {IPOPT_FALLBACK_TEXT} {status}",
+            iterations=other.iterations + iterations,
         )
 
-    def follow(
+    def solve_sequence(
         self,
         x0: Array,
         p: Array,
-        reach: Reach,
+        reach: ConfigurationLimits,
         here: Array,
         warm: Solution | None,
-        near: Surroundings | None = None,
-    ) -> list[Timed]:
-        """Solve frames one after another in one call of C; arguments as in NlpSolver.follow."""
-        run = self._filled(p, reach)
-        run.keep_near(near)
+        local_parameters: LocalParameterSource | None = None,
+    ) -> list[TimedSolution]:
+        """Solve frames one after another in one call of C; arguments as in NlpSolver.solve_sequence."""
+        run = self._fill_sequence(p, reach)
+        run.set_local_parameters(local_parameters)
         run.here[:], run.program.x[:] = here, x0
         run.program.multipliers[:] = 0.0 if warm is None else np.concatenate([warm.lam_x, warm.lam_g])
         count = run(len(p))
-        return [Timed(*each) for each in zip(self._found(count), run.seconds[:count].tolist(), strict=True)]
+        return [
+            TimedSolution(*each)
+            for each in zip(self._collect_solutions(count), run.seconds[:count].tolist(), strict=True)
+        ]
 
-    def each(self, x0: Array, p: Array, reach: Reach) -> list[Solution]:
+    def solve_from_starts(self, x0: Array, p: Array, reach: ConfigurationLimits) -> list[Solution]:
         """Solve from every start in one call of C; IPOPT is tried only if no start leads to a solution."""
         # Starts are no frames of a motion: no step is limited.
         far = reach._replace(most=np.full(len(reach.low), np.inf))
-        run = self._filled(np.broadcast_to(p, (len(x0), len(p))), far)
-        run.keep_near(None)
+        run = self._fill_sequence(np.broadcast_to(p, (len(x0), len(p))), far)
+        run.set_local_parameters(None)
         run.starts[: len(x0)] = x0
         run(len(x0), from_starts=True)
-        found = [each for each, solved in zip(self._found(len(x0)), run.solved, strict=False) if solved]
-        return found or super().each(x0, p, reach)
+        found = [
+            each for each, solved in zip(self._collect_solutions(len(x0)), run.solved, strict=False) if solved
+        ]
+        return found or super().solve_from_starts(x0, p, reach)
 
-    def _filled(self, p: Array, reach: Reach) -> Run:
+    def _fill_sequence(self, p: Array, reach: ConfigurationLimits) -> FrameSequence:
         """The arrays of a run, filled with parameters p (frames, n_p) and limits; they grow with the number of
         frames.
         """
         # Room is kept from call to call and only ever grows.
         if len(p) > len(self._room.p):
-            self._room = Run(self.program, len(p), OPTIMAL)
+            self._room = FrameSequence(self.program, len(p), KKT_TOLERANCE)
         run = self._room
         run.p[: len(p)], run.low[:], run.high[:], run.most[:] = p, *reach
         return run
 
-    def _found(self, count: int) -> list[Solution]:
+    def _collect_solutions(self, count: int) -> list[Solution]:
         """Solutions of the first `count` frames of the last run."""
         run, n = self._room, self._room.x.shape[1]
         x, multipliers, q = run.x[:count].copy(), run.multipliers[:count].copy(), run.rows[:count, self._picks]
         numbers = (each[:count].tolist() for each in (run.objective, run.kkt, run.status, run.iterations))
         return [
             Solution(
-                own, objective, kkt, True, STATUS[status], iterations, factors[:n], factors[n:], configuration
+                own,
+                objective,
+                kkt,
+                True,
+                SQP_STATUS_TEXTS[status],
+                iterations,
+                factors[:n],
+                factors[n:],
+                configuration,
             )
             for own, factors, configuration, objective, kkt, status, iterations in zip(
                 x, multipliers, q, *numbers, strict=True

@@ -4,9 +4,10 @@ Every row r(x) of a chain gets a slack s = r(x), and a logarithmic barrier mu ke
 
     minimise  f(x) - mu sum log(s - l) - mu sum log(u - s)     subject to  r(x) = s
 
-for mu falling to LAST_BARRIER (mm^2). Slacks and multipliers are eliminated from a Newton step, which leaves H +
-A' diag(sigma) A over x alone, with A the rows' Jacobian and sigma = z_l / (s - l) + z_u / (u - s). Frames meet
-only in links between neighbours, so that the matrix is a band: time and memory are linear in the number of frames.
+for mu falling to BANDED_LAST_BARRIER_MM2 (mm^2). Slacks and multipliers are eliminated from a Newton step, which
+leaves H + A' diag(sigma) A over x alone, with A the rows' Jacobian and sigma = z_l / (s - l) + z_u / (u - s).
+Frames meet only in links between neighbours, so that the matrix is a band: time and memory are linear in the
+number of frames.
 
 Hessians are exact; where the whole is not positive definite, the eigenvalues of each frame's own lose their signs
 (Dauphin et al., Identifying and attacking the saddle point problem, 2014). After Nocedal and Wright, Numerical
@@ -20,39 +21,39 @@ import numpy as np
 
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.nlp.chain import Chain
-from ctr_nlp.solvers.frame.adapter import FEASIBLE, Solution
-from ctr_nlp.solvers.motion.judged import WIDE, judged
+from ctr_nlp.solvers.frame.adapter import FEASIBILITY_TOLERANCE, Solution
+from ctr_nlp.solvers.motion.judged import COLD_START_BARRIER_MM2, evaluate_chain_solution
 from ctr_nlp.solvers.motion.loop import Loop
 from ctr_nlp.solvers.motion.watch import Watch
 from ctr_nlp.typing import Array
 
-TOLERANCE = 1e-6
+BANDED_KKT_TOLERANCE = 1e-6
 """Largest stationarity (mm^2 per unit of x) and complementarity (mm^2) at a solution."""
-LAST_BARRIER = 1e-7
+BANDED_LAST_BARRIER_MM2 = 1e-7
 """Barrier at which the method ends, mm^2."""
-CLOSE, SHRINK = 20.0, 0.05
-"""A barrier problem is solved until its residual is CLOSE times its barrier; the next barrier is SHRINK times this
-one.
+BANDED_BARRIER_RESIDUAL_FACTOR, BANDED_BARRIER_SHRINK_FACTOR = 20.0, 0.05
+"""A barrier problem is solved until its residual is BANDED_BARRIER_RESIDUAL_FACTOR times its barrier; the next
+barrier is BANDED_BARRIER_SHRINK_FACTOR times this one.
 """
-MOST_ITERATIONS = 500
+MAX_BANDED_ITERATIONS = 500
 """Iterations after which a solve ends without a solution."""
-PUSH = 1e-3
+BANDED_SLACK_PUSH = 1e-3
 """How far slacks start within their bounds, rad or mm."""
-DAMPING = 1e-6
+BANDED_FIRST_DAMPING = 1e-6
 """Added to the diagonal of the Newton matrix, mm^2 per squared unit of x; more where rounding calls for it."""
-MOST_DAMPING = 1e6
+MAX_BANDED_DAMPING = 1e6
 """Largest damping that is tried, mm^2 per squared unit of x."""
-MOST_HALVINGS = 25
+MAX_BANDED_HALVINGS = 25
 """Halvings of a step after which it counts as too small."""
-LOOSE = 2.0
+LOOSE_PENALTY_FACTOR = 2.0
 """A penalty this many times larger than the multipliers need is lowered: beside curved constraints it shortens
 steps.
 """
-DIVERGED = 1e12
+DIVERGED_MULTIPLIER_SIZE = 1e12
 """Multipliers grow beyond this (mm^2 per unit of a row) where no point is feasible."""
-TOGETHER = 16
+BANDED_ITERATIONS_PER_CALL = 16
 """Iterations in one call of C; between calls Ctrl-C is handled, and progress reported."""
-STATUS = (
+BANDED_STATUS_TEXTS = (
     "",
     "Solve_Succeeded",
     "Solved_To_Acceptable_Level",
@@ -61,7 +62,7 @@ STATUS = (
     "Maximum_Iterations_Exceeded",
 )
 """Status texts, in the order in which banded.c numbers them; the first means that work goes on."""
-STALL, STALLED = 6, 1e-8
+BANDED_STALL_ITERATIONS, BANDED_STALL_DECREASE = 6, 1e-8
 """Where samples cross from tube to tube second derivatives jump, and near such a point Newton steps go to and fro:
 a barrier problem is left when so many iterations lower the merit by less than this part."""
 
@@ -79,42 +80,51 @@ class BandedSolver:
                 f"solver is 'banded' and {chain.frame.name} has equations; it takes inequalities only"
             )
         self.chain = chain
-        self._loop = Loop(chain, _numbers(), _counts())
+        self._loop = Loop(chain, _real_settings(), _integer_settings())
 
     def __call__(
-        self, x0: Array, watch: Watch, barrier: float = WIDE, multipliers: Array | None = None
+        self, x0: Array, watch: Watch, barrier: float = COLD_START_BARRIER_MM2, multipliers: Array | None = None
     ) -> Solution:
         """Solve from x0 (T n,), and from multipliers of all rows where a neighbouring chain's are known."""
         loop, low, high = self._loop, self.chain.lower.ravel(), self.chain.upper.ravel()
         # Fixed unknowns take their values here, as they never move.
-        loop.start(np.clip(x0, low, high), barrier, PUSH, multipliers)
+        loop.start(np.clip(x0, low, high), barrier, BANDED_SLACK_PUSH, multipliers)
         # Only a caller that wants every iterate needs C to come back after each.
-        status, points = "", TOGETHER if isinstance(watch, Watch) and not watch.each else 1
+        status, points = (
+            "",
+            BANDED_ITERATIONS_PER_CALL if isinstance(watch, Watch) and not watch.reports_every_iterate else 1,
+        )
         while not status:
-            status = STATUS[loop.iterate(points)]
-            told = loop.told
+            status = BANDED_STATUS_TEXTS[loop.iterate(points)]
+            told = loop.reported_iterate
             if told is not None and watch(told):
                 status = status or "Interrupted"
         # Slacks are inside relaxed bounds; clipping takes rounding off bounds of x.
-        return judged(self.chain, np.clip(loop.rows.x, low, high), loop.rows.multipliers, status, loop.number)
+        return evaluate_chain_solution(
+            self.chain, np.clip(loop.rows.x, low, high), loop.rows.multipliers, status, loop.number
+        )
 
 
-def _numbers() -> dict[str, float]:
+def _real_settings() -> dict[str, float]:
     """Real-valued settings by the names of loop.NUMBERS."""
     return {
-        "tolerance": TOLERANCE,
-        "feasible": FEASIBLE,
-        "last_barrier": LAST_BARRIER,
-        "close": CLOSE,
-        "shrink": SHRINK,
-        "damping": DAMPING,
-        "most_damping": MOST_DAMPING,
-        "diverged": DIVERGED,
-        "loose": LOOSE,
-        "stalled": STALLED,
+        "tolerance": BANDED_KKT_TOLERANCE,
+        "feasible": FEASIBILITY_TOLERANCE,
+        "last_barrier": BANDED_LAST_BARRIER_MM2,
+        "close": BANDED_BARRIER_RESIDUAL_FACTOR,
+        "shrink": BANDED_BARRIER_SHRINK_FACTOR,
+        "damping": BANDED_FIRST_DAMPING,
+        "most_damping": MAX_BANDED_DAMPING,
+        "diverged": DIVERGED_MULTIPLIER_SIZE,
+        "loose": LOOSE_PENALTY_FACTOR,
+        "stalled": BANDED_STALL_DECREASE,
     }
 
 
-def _counts() -> dict[str, int]:
+def _integer_settings() -> dict[str, int]:
     """Integer settings by the names of loop.COUNTS."""
-    return {"most_iterations": MOST_ITERATIONS, "most_halvings": MOST_HALVINGS, "stall": STALL}
+    return {
+        "most_iterations": MAX_BANDED_ITERATIONS,
+        "most_halvings": MAX_BANDED_HALVINGS,
+        "stall": BANDED_STALL_ITERATIONS,
+    }

@@ -15,12 +15,12 @@ import numpy as np
 import scipy.sparse as sp
 
 from ctr_nlp.nlp.chain import Chain
-from ctr_nlp.solvers.frame.adapter import COMMON, Solution, outcome
-from ctr_nlp.solvers.motion.judged import WIDE, judged
+from ctr_nlp.solvers.frame.adapter import CASADI_SOLVER_OPTIONS, Solution, status_and_iterations
+from ctr_nlp.solvers.motion.judged import COLD_START_BARRIER_MM2, evaluate_chain_solution
 from ctr_nlp.solvers.motion.watch import Iterate, Watch
 from ctr_nlp.typing import Array
 
-OPTIONS: dict[str, Any] = {
+CHAIN_IPOPT_OPTIONS: dict[str, Any] = {
     "sb": "yes",
     "print_level": 0,
     "max_iter": 500,
@@ -33,27 +33,27 @@ OPTIONS: dict[str, Any] = {
 class IpoptSolver:
     """Solver of any chain, from any start, feasible or not."""
 
-    def __init__(self, chain: Chain, follow: bool = True) -> None:
+    def __init__(self, chain: Chain, report_iterates: bool = True) -> None:
         """Build for a chain; follow=False saves the time of reporting every iterate, and the Watch is not
         called.
         """
         self.chain = chain
         self._callback = _Callback(chain)
         # no_nlp_grad: the gradient of the whole Lagrangian is a function that nothing here calls.
-        self._options = COMMON | _derivatives(chain) | {"no_nlp_grad": True}
-        if follow:
+        self._options = CASADI_SOLVER_OPTIONS | _derivatives(chain) | {"no_nlp_grad": True}
+        if report_iterates:
             self._options["iteration_callback"] = self._callback
         self._built: dict[float, ca.Function] = {}
 
     def _solver(self, barrier: float) -> ca.Function:
         """The IPOPT instance that starts with a barrier, mm^2; built once for each."""
         if barrier not in self._built:
-            options = self._options | {"ipopt": OPTIONS | {"mu_init": barrier}}
+            options = self._options | {"ipopt": CHAIN_IPOPT_OPTIONS | {"mu_init": barrier}}
             self._built[barrier] = ca.nlpsol("ipopt", "ipopt", _problem(self.chain), options)
         return self._built[barrier]
 
     def __call__(
-        self, x0: Array, watch: Watch, barrier: float = WIDE, multipliers: Array | None = None
+        self, x0: Array, watch: Watch, barrier: float = COLD_START_BARRIER_MM2, multipliers: Array | None = None
     ) -> Solution:
         """Solve from x0 (T n,); IPOPT starts with multipliers of its own, and `multipliers` is ignored.
 
@@ -61,17 +61,20 @@ class IpoptSolver:
         """
         chain, size = self.chain, x0.size
         low, high = chain.bounds
-        self._callback.follow(watch)
+        self._callback.set_watch(watch)
         # A start within its bounds; fixed unknowns take their values.
         x0 = np.clip(x0, low[:size], high[:size])
         solve = self._solver(barrier)
         # Rows that only fixed unknowns enter are constants: rounding may put them outside their bounds.
-        lbg, ubg = np.where(chain.reached, low, -np.inf)[size:], np.where(chain.reached, high, np.inf)[size:]
+        lbg, ubg = (
+            np.where(chain.changeable_rows, low, -np.inf)[size:],
+            np.where(chain.changeable_rows, high, np.inf)[size:],
+        )
         result = solve(x0=x0, lbx=low[:size], ubx=high[:size], lbg=lbg, ubg=ubg)
         x, lam_x, lam_g = (result[key].full().ravel() for key in ("x", "lam_x", "lam_g"))
         # Off the relaxed bounds, before the point is judged.
         x = np.clip(x, low[:size], high[:size])
-        return judged(chain, x, np.concatenate([lam_x, lam_g]), *outcome(solve))
+        return evaluate_chain_solution(chain, x, np.concatenate([lam_x, lam_g]), *status_and_iterations(solve))
 
 
 class _Callback(ca.Callback):
@@ -84,7 +87,7 @@ class _Callback(ca.Callback):
         self.number = 0
         self.construct("iteration", {})
 
-    def follow(self, watch: Watch) -> None:
+    def set_watch(self, watch: Watch) -> None:
         """Hand iterates to another Watch, counted from 0."""
         self.watch, self.number = watch, 0
 
@@ -120,7 +123,7 @@ def _problem(chain: Chain) -> dict[str, ca.MX]:
     return {"x": x, "f": f, "g": g}
 
 
-def _mapped(chain: Chain, function: ca.Function, *columns: ca.MX) -> list[ca.MX]:
+def _map_frames(chain: Chain, function: ca.Function, *columns: ca.MX) -> list[ca.MX]:
     """A function of a frame evaluated for all frames; arguments have one column a frame."""
     lanes = chain.functions().lanes
     # Compiled functions take `lanes` frames a call. The last call is filled up with copies of the last
@@ -139,9 +142,9 @@ def _columns(chain: Chain, x: ca.MX) -> ca.MX:
 
 def _values(chain: Chain, x: ca.MX) -> tuple[ca.MX, ca.MX]:
     """Objective and rows after x of the whole chain: the frames' constraints, then the links."""
-    f, g = _mapped(chain, chain.functions().value, _columns(chain, x), ca.MX(chain.parameters))
+    f, g = _map_frames(chain, chain.functions().value, _columns(chain, x), ca.MX(chain.parameters))
     own = ca.vertcat(x, ca.vec(g))
-    linked = _dm(chain.linking) @ own + ca.DM(chain.offset)
+    linked = _to_casadi_matrix(chain.linking) @ own + ca.DM(chain.offset)
     return ca.sum2(f) + ca.dot(ca.DM(chain.weight), linked**2), ca.vertcat(ca.vec(g), linked)
 
 
@@ -154,20 +157,20 @@ def _derivatives(chain: Chain) -> dict[str, ca.Function]:
     weight, end = 2 * ca.DM(chain.weight), frames * m
     f, g = _values(chain, x)
     at = _columns(chain, x), ca.MX(chain.parameters)
-    _, gradient, _, jacobian = _mapped(chain, chain.functions().slopes, *at)
-    jacobian = _diagonal(jacobian, m, n, frames)
+    _, gradient, _, jacobian = _map_frames(chain, chain.functions().slopes, *at)
+    jacobian = _block_diagonal(jacobian, m, n, frames)
     # The links' matrix acts on x directly and on the frames' constraints g; through these it depends on x
     # by their Jacobian.
-    on_x, on_g = ca.horzsplit(_dm(chain.linking), [0, chain.lower.size, chain.linking.shape[1]])
-    links = on_x + on_g @ jacobian if chain.bent else on_x
+    on_x, on_g = ca.horzsplit(_to_casadi_matrix(chain.linking), [0, chain.lower.size, chain.linking.shape[1]])
+    links = on_x + on_g @ jacobian if chain.has_nonlinear_links else on_x
     gradient = ca.vec(gradient) + links.T @ (weight * g[end:])
     # Multipliers of g: its own, and what links pull with, their multipliers and their costs' slopes. With
     # these, the frames' Hessians include the curvature of links that pass through constraints.
     pulled = lam_g[:end] + on_g.T @ (lam_g[end:] + lam_f * weight * g[end:])
     lam = ca.repmat(lam_f, 1, frames), ca.reshape(pulled, m, frames)
-    *_, hessian = _mapped(chain, chain.functions().expansion, *at, *lam)
+    *_, hessian = _map_frames(chain, chain.functions().expansion, *at, *lam)
     # The links' costs add 2 w B'B, with B their Jacobian; IPOPT reads the upper triangle only.
-    hessian = ca.triu(_diagonal(hessian, n, n, frames) + lam_f * (links.T @ ca.diag(weight) @ links))
+    hessian = ca.triu(_block_diagonal(hessian, n, n, frames) + lam_f * (links.T @ ca.diag(weight) @ links))
     jacobian = ca.vertcat(jacobian, links)
     return {
         "grad_f": ca.Function("nlp_grad_f", [x, p], [f, gradient], ["x", "p"], ["f", "grad_f_x"]),
@@ -182,14 +185,14 @@ def _derivatives(chain: Chain) -> dict[str, ca.Function]:
     }
 
 
-def _dm(matrix: Any) -> ca.DM:
+def _to_casadi_matrix(matrix: Any) -> ca.DM:
     """A scipy matrix as a sparse CasADi matrix, which is stored by columns with sorted rows."""
     columns = sp.csc_matrix(matrix)
     columns.sort_indices()
     return ca.DM(columns)
 
 
-def _diagonal(blocks: ca.MX, rows: int, columns: int, frames: int) -> ca.MX:
+def _block_diagonal(blocks: ca.MX, rows: int, columns: int, frames: int) -> ca.MX:
     """Dense blocks side by side (rows, columns * frames), as the blocks of a block-diagonal matrix."""
     pattern = ca.diagcat(*[ca.Sparsity.dense(rows, columns)] * frames)
     # Both store entries column by column, so the nonzeros are the same numbers in the same order.

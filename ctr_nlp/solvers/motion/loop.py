@@ -11,18 +11,18 @@ import ctypes
 import numpy as np
 
 from ctr_nlp.codegen import cache
-from ctr_nlp.codegen.mapped import InC
+from ctr_nlp.codegen.mapped import BatchStruct
 from ctr_nlp.nlp.chain import Chain
-from ctr_nlp.solvers.motion.rows import Rows
+from ctr_nlp.solvers.motion.rows import ChainRows
 from ctr_nlp.solvers.motion.watch import Iterate
 from ctr_nlp.typing import Array
 
-NUMBERS = (
+LOOP_REAL_SETTINGS = (
     *("tolerance", "feasible", "last_barrier", "close", "shrink", "damping", "most_damping", "diverged"),
     *("loose", "stalled"),
 )
 """Names of the real-valued settings, in the order of the struct's fields."""
-COUNTS = "most_iterations", "most_halvings", "stall"
+LOOP_INTEGER_SETTINGS = "most_iterations", "most_halvings", "stall"
 """Names of the integer settings, in the order of the struct's fields."""
 
 
@@ -41,11 +41,11 @@ class _Loop(ctypes.Structure):
     told_error: float
     _fields_ = [
         ("chain", ctypes.c_void_p),
-        *((name, ctypes.POINTER(InC)) for name in ("values", "expansion")),
+        *((name, ctypes.POINTER(BatchStruct)) for name in ("values", "expansion")),
         *((name, ctypes.c_void_p) for name in ("x_of_values", "x_of_expansion", "multipliers")),
         *((name, ctypes.c_void_p) for name in ("hessian", "convexified", "merit", "told_x")),
-        *((name, ctypes.c_double) for name in NUMBERS),
-        *((name, ctypes.c_long) for name in COUNTS),
+        *((name, ctypes.c_double) for name in LOOP_REAL_SETTINGS),
+        *((name, ctypes.c_long) for name in LOOP_INTEGER_SETTINGS),
         *((name, ctypes.c_double) for name in ("barrier", "penalty")),
         *((name, ctypes.c_long) for name in ("number", "expanded", "merits")),
         ("measures", ctypes.c_double * 6),
@@ -62,15 +62,15 @@ class Loop:
     """A barrier method on a chain, a number of iterations at a time; not from two threads at once."""
 
     def __init__(self, chain: Chain, numbers: dict[str, float], counts: dict[str, int]) -> None:
-        """Prepare for a chain; numbers and counts by the names in NUMBERS and COUNTS. Raises OptionError as Rows
-        does.
+        """Prepare for a chain; numbers and counts by the names in LOOP_REAL_SETTINGS and LOOP_INTEGER_SETTINGS.
+        Raises OptionError as Rows does.
 
         Functions of the chain that are compiled later are left to the next loop: C keeps addresses of arrays.
         """
-        self._chain = chain = chain.as_given_now()
-        self.rows, self._told = Rows(chain), np.zeros(chain.lower.size)
+        self._chain = chain = chain.with_fixed_functions()
+        self.rows, self._told = ChainRows(chain), np.zeros(chain.lower.size)
         values, expansion = chain.evaluators()
-        self._mapped = [each.in_c() for each in (values, expansion)]
+        self._mapped = [each.as_struct() for each in (values, expansion)]
         # x of the values, x and the constraints' multipliers of the expansion: C writes these before it
         # evaluates.
         inputs = values.inputs[0], expansion.inputs[0], expansion.inputs[3]
@@ -83,10 +83,10 @@ class Loop:
             self.rows.address,
             *map(ctypes.pointer, self._mapped),
             *(array.ctypes.data for array in (*inputs, hessian, *self._room, self._told)),
-            *(numbers[name] for name in NUMBERS),
-            *(counts[name] for name in COUNTS),
+            *(numbers[name] for name in LOOP_REAL_SETTINGS),
+            *(counts[name] for name in LOOP_INTEGER_SETTINGS),
         )
-        self._iterate = cache.loaded(__package__, "rows.c", "banded.c").iterate
+        self._iterate = cache.load_c_files(__package__, "rows.c", "banded.c").iterate
         self._reference = ctypes.byref(self._loop)
 
     def start(self, x: Array, barrier: float, push: float, multipliers: Array | None = None) -> None:
@@ -100,7 +100,7 @@ class Loop:
         """
         status = int(self._iterate(self._reference, ctypes.c_long(points)))
         # C swaps the point with the trial by exchanging pointers; Python's views follow.
-        self.rows.follow()
+        self.rows.sync_swapped_points()
         return status
 
     @property
@@ -109,7 +109,7 @@ class Loop:
         return self._loop.number
 
     @property
-    def told(self) -> Iterate | None:
+    def reported_iterate(self) -> Iterate | None:
         """The best feasible point of the last call, else its last point; None if there was none."""
         loop = self._loop
         numbers = loop.told_number, loop.told_objective, loop.told_violation, loop.told_error

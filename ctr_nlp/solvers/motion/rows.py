@@ -21,11 +21,11 @@ from ctr_nlp.codegen import cache
 from ctr_nlp.nlp.chain import Chain
 from ctr_nlp.typing import Array
 
-RELAX = 1e-9
+CHAIN_BOUND_RELAXATION = 1e-9
 """How far bounds are moved outwards, so that bounds that meet still have an interior, rad or mm."""
-TINY = 1e-30
+CHAIN_MIN_DENOMINATOR = 1e-30
 """Replaces 0 in a denominator."""
-INFINITE = 1e20
+CHAIN_INFINITE_BOUND = 1e20
 """Stands for an infinite bound: its distance enters denominators as a number, so that no case is needed."""
 
 
@@ -91,22 +91,22 @@ class Step(NamedTuple):
     gap: float
 
 
-class Rows:
+class ChainRows:
     """A point of a chain's barrier problem, a step from it, and a trial point along that step."""
 
     def __init__(self, chain: Chain) -> None:
         """Prepare; raises OptionError where nothing can be compiled."""
         self._chain = chain
-        self._loops = cache.loaded(__package__, "rows.c", "banded.c")
+        self._loops = cache.load_c_files(__package__, "rows.c", "banded.c")
         self._loops.merit.restype = ctypes.c_double
         size, rows = chain.lower.size, chain.bounds[0].size
         lower, upper = chain.bounds
         # Rows that no free unknown changes are constants. They may break their bounds by rounding, and then
         # no interior point exists; without bounds they do no harm.
-        still = ~chain.reached
-        # Relaxed by RELAX, so that bounds that meet have an interior, too.
-        self.low = np.where(still | np.isinf(lower), -INFINITE, lower - RELAX)
-        self.high = np.where(still | np.isinf(upper), INFINITE, upper + RELAX)
+        still = ~chain.changeable_rows
+        # Relaxed by CHAIN_BOUND_RELAXATION, so that bounds that meet have an interior, too.
+        self.low = np.where(still | np.isinf(lower), -CHAIN_INFINITE_BOUND, lower - CHAIN_BOUND_RELAXATION)
+        self.high = np.where(still | np.isinf(upper), CHAIN_INFINITE_BOUND, upper + CHAIN_BOUND_RELAXATION)
         # The lower half of a symmetric band: width + 1 numbers for each of the T n unknowns.
         links, width = chain.linking, _width(chain)
         # Arrays with T (n + m) entries: links pull at constraints first, whose pulls then go on to x.
@@ -121,7 +121,15 @@ class Rows:
             *(gradient, jacobian, np.zeros(own), self._value, self._band, np.zeros(own), *np.zeros((3, rows))),
         ]
         m = chain.frame.g.numel()
-        sizes = chain.frames, chain.unknowns, m, len(chain.offset), width, chain.bent, chain.curved
+        sizes = (
+            chain.frames,
+            chain.unknowns,
+            m,
+            len(chain.offset),
+            width,
+            chain.has_nonlinear_links,
+            chain.has_nonlinear_constraints,
+        )
         points = (_Point(*map(_address, point)) for point in (self._at, self._step, self._trial))
         self._struct = _Chain(*sizes, *map(_address, self._arrays), *points)
         self._chain_in_c = ctypes.byref(self._struct)
@@ -133,7 +141,7 @@ class Rows:
         """Address of the struct Chain in C."""
         return ctypes.addressof(self._struct)
 
-    def follow(self) -> None:
+    def sync_swapped_points(self) -> None:
         """Exchange point and trial if C has done so: C accepts a trial by swapping pointers."""
         if self._struct.at.x != _address(self._at[0]):
             self._at, self._trial = self._trial, self._at
@@ -163,7 +171,7 @@ class Rows:
         if multipliers is not None:
             # z (distance) = mu on the central path. Where this distance is less than the push, the row was
             # active: the push would throw its multiplier away.
-            away = barrier / np.maximum(np.abs(multipliers), TINY)
+            away = barrier / np.maximum(np.abs(multipliers), CHAIN_MIN_DENOMINATOR)
             at_bound = np.where(multipliers < 0, self.low + away, self.high - away)
             slack = np.where(away < within, at_bound, slack)
         for array, values in zip(

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ctr_nlp.solvers.frame.adapter import FEASIBLE
+from ctr_nlp.solvers.frame.adapter import FEASIBILITY_TOLERANCE
 from ctr_nlp.typing import Array
 
 
@@ -28,7 +28,7 @@ class Watch:
     """Callback for every iterate; its answer says whether to stop.
 
     best: the feasible iterate of least objective, the first among equals, or None. Bounds may be exceeded by up to
-    FEASIBLE, which covers rounding.
+    FEASIBILITY_TOLERANCE, which covers rounding.
     """
 
     def __init__(
@@ -44,7 +44,7 @@ class Watch:
             self._keep(first)
 
     @property
-    def each(self) -> bool:
+    def reports_every_iterate(self) -> bool:
         """Whether every iterate is reported, and not only the best of several."""
         return self._report is not None
 
@@ -52,7 +52,7 @@ class Watch:
         """Remember the iterate if it is feasible and better than the best."""
         least = np.inf if self.best is None else self.best.objective
         # NaN compares false: an iterate that could not be evaluated is never the best.
-        if iterate.violation <= FEASIBLE and iterate.objective < least:
+        if iterate.violation <= FEASIBILITY_TOLERANCE and iterate.objective < least:
             self.best = iterate
 
     def __call__(self, iterate: Iterate) -> bool:

@@ -17,11 +17,13 @@ from scipy.linalg import LinAlgError, cho_factor, cho_solve, cho_solve_banded, c
 
 from ctr_nlp.typing import Array, Flags
 
-HELD = 1e10
+FIXED_UNKNOWN_DIAGONAL = 1e10
 """Number on the diagonal of a fixed unknown, with a right-hand side of 0: its step is then 0."""
 
 
-def solved(links: Array, blocks: Array, corner: Array, diagonal: Array, right: Array, free: Flags) -> Array | None:
+def solve_bordered_system(
+    links: Array, blocks: Array, corner: Array, diagonal: Array, right: Array, free: Flags
+) -> Array | None:
     """The solution (T n + P,) of the bordered symmetric system; None where it is not positive definite.
 
     links: a band over q, in scipy's lower form (width + 1, T n). blocks (T, n + P, n + P): each frame's part over
@@ -36,10 +38,10 @@ def solved(links: Array, blocks: Array, corner: Array, diagonal: Array, right: A
     for below in range(n):
         along = np.arange(n - below)
         band[below].reshape(frames, n)[:, along] += blocks[:, along + below, along]
-    held = np.where(free, diagonal, HELD)
+    held = np.where(free, diagonal, FIXED_UNKNOWN_DIAGONAL)
     band[0] += held[: frames * n]
-    # Rows and columns of fixed unknowns are emptied, so that nothing but HELD is left of them in the
-    # border. In the band their entries stay: HELD is larger by orders of magnitude.
+    # Rows and columns of fixed unknowns are emptied, so that nothing but FIXED_UNKNOWN_DIAGONAL is left of them in
+    # the border. In the band their entries stay: FIXED_UNKNOWN_DIAGONAL is larger by orders of magnitude.
     right, border = right * free, border * free[: frames * n, None] * free[frames * n :]
     try:
         # Raises LinAlgError where the matrix is not positive definite, and so tells that it needs damping.

@@ -12,14 +12,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ctr_nlp.nlp.scenarios import Common, SharedMotion
+from ctr_nlp.nlp.scenarios import CommonUnknowns, SharedMotion
 from ctr_nlp.typing import Array
 
-NONE = np.zeros(0)
+NO_COMMON_UNKNOWNS = np.zeros(0)
 """The common unknowns p of a motion that has none."""
 
 
-class Given(NamedTuple):
+class CommonQuantities(NamedTuple):
     """Values at p (P,): the further unknowns (S, k) of scenarios; the cost, mm^2; the rows (c,) that concern p
     alone.
     """
@@ -29,7 +29,7 @@ class Given(NamedTuple):
     rows: Array
 
 
-class GivenSlopes(NamedTuple):
+class CommonDerivatives(NamedTuple):
     """Derivatives over p: of the further unknowns (S, k, P), the cost (P,) and the rows (c, P).
 
     hessian (P, P): second derivatives of the cost, and of the Lagrangian as far as it depends on p through these.
@@ -48,34 +48,38 @@ class CommonValues:
         """Prepare."""
         (_, count, *_), common = motion.sizes, motion.common
         self.factors = np.zeros((count, 0)) if common is None else common.factors
-        self.lower, self.upper = (NONE, NONE) if common is None else (common.lower, common.upper)
+        self.lower, self.upper = (
+            (NO_COMMON_UNKNOWNS, NO_COMMON_UNKNOWNS) if common is None else (common.lower, common.upper)
+        )
         k = self.factors.shape[1]
         # Row bounds of p's own rows alone; the first k rows are values for frames and have none.
-        bounds = (NONE, NONE) if common is None else common.program.g_bounds
+        bounds = (NO_COMMON_UNKNOWNS, NO_COMMON_UNKNOWNS) if common is None else common.program.g_bounds
         self.row_lower, self.row_upper = (bound[k:] for bound in bounds)
-        self._common: Common | None = common
+        self._common: CommonUnknowns | None = common
 
-    def __call__(self, p: Array) -> Given:
+    def __call__(self, p: Array) -> CommonQuantities:
         """Further unknowns, cost and rows at p (P,)."""
         # Arrays without entries let all formulas be the same with and without common unknowns.
         if self._common is None:
-            return Given(self.factors, 0.0, NONE)
+            return CommonQuantities(self.factors, 0.0, NO_COMMON_UNKNOWNS)
         cost, g = (out.full().ravel() for out in self._common.program.functions.value(p, self._common.parameters))
         k = self.factors.shape[1]
-        return Given(self.factors * g[:k], float(cost[0]), g[k:])
+        return CommonQuantities(self.factors * g[:k], float(cost[0]), g[k:])
 
-    def slopes(self, p: Array, pulls: Array, rows: Array) -> GivenSlopes:
+    def slopes(self, p: Array, pulls: Array, rows: Array) -> CommonDerivatives:
         """Derivatives at p (P,).
 
         pulls (S, k): the Lagrangian's slopes over the further unknowns, summed over frames; rows (c,): multipliers
         of p's own rows.
         """
         if self._common is None:
-            return GivenSlopes(np.zeros((*self.factors.shape, 0)), NONE, np.zeros((0, 0)), np.zeros((0, 0)))
+            return CommonDerivatives(
+                np.zeros((*self.factors.shape, 0)), NO_COMMON_UNKNOWNS, np.zeros((0, 0)), np.zeros((0, 0))
+            )
         # Chain rule: y_s = factors_s g(p), so the curvature of g counts with sum_s factors_s dL/dy_s.
         # Passed as the multipliers of g's first rows, these factors make one expansion give it all.
         k, multipliers = self.factors.shape[1], np.append((self.factors * pulls).sum(axis=0), rows)
         expansion = self._common.program.functions.expansion
         found = expansion(p, self._common.parameters, 1.0, multipliers)
         gradient, jacobian, hessian = (found[i].full() for i in (1, 3, 4))
-        return GivenSlopes(self.factors[:, :, None] * jacobian[:k], gradient.ravel(), jacobian[k:], hessian)
+        return CommonDerivatives(self.factors[:, :, None] * jacobian[:k], gradient.ravel(), jacobian[k:], hessian)

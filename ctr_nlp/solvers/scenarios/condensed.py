@@ -19,8 +19,8 @@ from typing import NamedTuple
 import numpy as np
 
 from ctr_nlp.nlp.scenarios import SharedMotion
-from ctr_nlp.solvers.scenarios.common import NONE, CommonValues, Given, GivenSlopes
-from ctr_nlp.solvers.scenarios.grouped import FAR_COST, Grouped
+from ctr_nlp.solvers.scenarios.common import NO_COMMON_UNKNOWNS, CommonDerivatives, CommonQuantities, CommonValues
+from ctr_nlp.solvers.scenarios.grouped import FAR_WALL_COST_MM2, GroupedEvaluator
 from ctr_nlp.solvers.scenarios.twists import TwistSteps
 from ctr_nlp.typing import Array, Index
 
@@ -34,7 +34,7 @@ class Values(NamedTuple):
 
     objective: float
     rows: Array
-    missing: Array
+    equation_residuals: Array
 
 
 @dataclass(frozen=True)
@@ -55,25 +55,25 @@ class Expansion:
     hessian: Array
     own: Array
     inverse: Array
-    turns: Array
+    unknowns_jacobian: Array
     repair: Array
     jacobian: Array
-    ahead: Array
+    row_repair: Array
     twists: Array
-    given: GivenSlopes
+    common_derivatives: CommonDerivatives
 
     def over_q(self, of_x: Array) -> Array:
         """A gradient (T, S, m) over the scenarios' unknowns as one over q and p, (T, n + P), summed over
         scenarios.
         """
-        return np.asarray((self.turns.swapaxes(-1, -2) @ of_x[..., None])[..., 0].sum(axis=1))
+        return np.asarray((self.unknowns_jacobian.swapaxes(-1, -2) @ of_x[..., None])[..., 0].sum(axis=1))
 
     def quadratic(self, damping: float) -> tuple[Array, Array]:
         """The Hessian over q and p, (T, n + P, n + P), and what the repair adds to the gradient, (T, n + P).
 
         damping: added to every second derivative over q and over tips. What p adds by itself (given) is not in it.
         """
-        tips, turns = self.tips, self.turns
+        tips, turns = self.tips, self.unknowns_jacobian
         # With dx = Z du + c, the quadratic model dx' H dx / 2 has the Hessian Z' H Z and the extra slope Z'
         # H c.
         curved = self.hessian @ turns
@@ -82,7 +82,7 @@ class Expansion:
             curved[..., tips, :] += damping * turns[..., tips, :]
             bent[..., tips] += damping * self.repair[..., tips]
         found = (turns.swapaxes(-1, -2) @ curved).sum(axis=1)
-        n = found.shape[-1] - self.given.hessian.shape[-1]
+        n = found.shape[-1] - self.common_derivatives.hessian.shape[-1]
         # On q itself as well as on tips: near a fold tips turn far for little turns of motors, and damping
         # of the tips is what keeps such steps short.
         found[:, range(n), range(n)] += damping
@@ -90,7 +90,7 @@ class Expansion:
 
     def step(self, dq: Array) -> Array:
         """The step (T, S, m) of the scenarios' unknowns that goes with a step of q and p, (T, n + P)."""
-        return np.asarray((self.turns @ dq[:, None, :, None])[..., 0] + self.repair)
+        return np.asarray((self.unknowns_jacobian @ dq[:, None, :, None])[..., 0] + self.repair)
 
     def multipliers(self, rows: Array, turned: Array, step: Array | None = None, damping: float = 0.0) -> Array:
         """Multipliers of the equations, (T, S, k), at which the Lagrangian is stationary over the tips.
@@ -121,7 +121,7 @@ class Condensed:
     def __init__(self, motion: SharedMotion) -> None:
         """Prepare."""
         self.motion, self.linking = motion, motion.linking
-        self._evaluated = Grouped(motion)
+        self._evaluated = GroupedEvaluator(motion)
         self._offsets, self._shares = motion.offsets, np.tile(motion.weights, len(motion.lower))
         self.common, self.twists = CommonValues(motion), TwistSteps(motion)
         self.link_weight, self._link_offset = motion.of_links("weight"), motion.of_links("offset")
@@ -137,39 +137,41 @@ class Condensed:
             for of_q, rows, twists, name in bounds
         )
 
-    def value(self, q: Array, phi: Array, p: Array = NONE) -> Values:
+    def value(self, q: Array, phi: Array, p: Array = NO_COMMON_UNKNOWNS) -> Values:
         """Values at q (T, n), phi (T, S, k) and p (P,)."""
         given = self.common(p)
         f, g = self._evaluated(0, self.motion.unknowns(q, phi, given.values))
         return self._values(q, phi, p, given, f, g)
 
-    def look(self, q: Array, phi: Array, p: Array = NONE, settled: float = 0.0) -> bool:
+    def update_local_parameters(
+        self, q: Array, phi: Array, p: Array = NO_COMMON_UNKNOWNS, relative_tolerance: float = 0.0
+    ) -> bool:
         """Linearise what surrounds the robots near a point; True if that changes the objective there.
 
         The objective's change is taken robot by robot and compared with settled times the objective. Where it is
         smaller, the parameters that were there before stay, and the result is False.
         """
         motion, evaluated = self.motion, self._evaluated
-        if motion.surroundings is None:
+        if motion.local_parameters is None:
             return False
         x, parameters = motion.unknowns(q, phi, self.common(p).values), evaluated.parameters
         known, far = parameters.copy(), evaluated.far
         before = evaluated(0, x)[0].ravel().copy()
-        for name, value in motion.surroundings(x).items():
+        for name, value in motion.local_parameters(x).items():
             # Parameters are packed column by column: a matrix (rows, columns) a robot becomes (columns,
             # rows) and then a row.
             columns = value.reshape(len(known), *value.shape[2:], *(1,) * (4 - value.ndim))
-            parameters[:, motion.frame.place(name)] = columns.transpose(0, 2, 1).reshape(len(known), -1)
-        evaluated.regroup(far if motion.free is None else evaluated.contact_costs(x) <= FAR_COST)
+            parameters[:, motion.frame.parameter_slice(name)] = columns.transpose(0, 2, 1).reshape(len(known), -1)
+        evaluated.regroup(far if motion.without_wall is None else evaluated.contact_costs(x) <= FAR_WALL_COST_MM2)
         after = evaluated(0, x)[0].ravel()
         # Sizes, not the sum: changes of opposite sign on two robots would cancel.
-        changed = self._shares @ abs(after - before) > settled * (1 + self._shares @ abs(before))
+        changed = self._shares @ abs(after - before) > relative_tolerance * (1 + self._shares @ abs(before))
         if not changed:
             parameters[:] = known
             evaluated.regroup(far)
         return bool(changed)
 
-    def by_robot(self, q: Array, phi: Array, p: Array = NONE) -> Array:
+    def by_robot(self, q: Array, phi: Array, p: Array = NO_COMMON_UNKNOWNS) -> Array:
         """Objective of every robot in every frame, without links, (T, S) mm^2."""
         f, _ = self._evaluated(0, self.motion.unknowns(q, phi, self.common(p).values))
         return np.array(f.reshape(len(q), -1))
@@ -182,7 +184,13 @@ class Condensed:
         return np.asarray(found)
 
     def expand(
-        self, q: Array, phi: Array, equations: Array, rows: Array, p: Array = NONE, of_p: Array = NONE
+        self,
+        q: Array,
+        phi: Array,
+        equations: Array,
+        rows: Array,
+        p: Array = NO_COMMON_UNKNOWNS,
+        of_p: Array = NO_COMMON_UNKNOWNS,
     ) -> Expansion:
         """Derivatives about q (T, n), phi (T, S, k) and p (P,).
 
@@ -192,7 +200,7 @@ class Condensed:
         motion, given = self.motion, self.common(p)
         frames, count, n, d = motion.sizes
         tips, own, common = motion.own, motion.own_rows, motion.common_rows
-        k, robot = len(tips), len(tips) + len(motion.held)
+        k, robot = len(tips), len(tips) + len(motion.shared_entries)
         m = robot + given.values.shape[1]
         # Multipliers of each robot's g, in the order of the frame's program: equations, own rows, and
         # common rows, which are counted with the first robot alone.
@@ -214,7 +222,7 @@ class Condensed:
         # dx over (q, p): beta and theta are q's own entries from d on, further unknowns follow p, tips
         # follow both.
         turns = np.zeros((frames, count, m, n + len(p)))
-        turns[..., motion.held, range(d, n)] = 1.0
+        turns[..., motion.shared_entries, range(d, n)] = 1.0
         turns[..., robot:, n:] = of_given.values
         # dphi over (beta, theta, p) = -A dc/d(beta, theta, p). alpha enters c as -alpha, so dphi/dalpha =
         # A's first d columns.
@@ -222,7 +230,7 @@ class Condensed:
         turned[..., :d] = inverse[..., :d]
         turns[..., tips, :] = turned
         repair = np.zeros((frames, count, m))
-        repair[..., tips] = -(inverse @ at.missing[..., None])[..., 0]
+        repair[..., tips] = -(inverse @ at.equation_residuals[..., None])[..., 0]
         of_own = slopes[..., own, :]
         # The first d - 1 tips are relative to the innermost tube's; the innermost one's turn moves the
         # robot as a whole and need not agree between scenarios.
@@ -245,7 +253,7 @@ class Condensed:
             of_given,
         )
 
-    def _values(self, q: Array, phi: Array, p: Array, given: Given, f: Array, g: Array) -> Values:
+    def _values(self, q: Array, phi: Array, p: Array, given: CommonQuantities, f: Array, g: Array) -> Values:
         """Values from the results f, g of all robots' programs."""
         frames, count, _, d = self.motion.sizes
         each = g.reshape(frames, count, -1)

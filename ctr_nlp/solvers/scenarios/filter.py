@@ -10,22 +10,22 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-LITTLE = 1e-5
+FILTER_IMPROVEMENT_FRACTION = 1e-5
 """gamma_theta, gamma_phi: part of theta by which theta, or phi in mm^2, must improve."""
-ARMIJO = 1e-8
+FILTER_ARMIJO_FRACTION = 1e-8
 """eta_phi: part of the predicted decrease of the objective that a step must reach."""
-STEEP, SLANTED = 2.3, 1.1
+FILTER_SLOPE_EXPONENT, FILTER_INFEASIBILITY_EXPONENT = 2.3, 1.1
 """Exponents s_phi and s_theta in the switching condition, which tells whether the objective is what counts."""
-FURTHEST, NEAREST = 1e4, 1e-4
+FILTER_MAX_INFEASIBILITY_RATIO, FILTER_SWITCHING_INFEASIBILITY_RATIO = 1e4, 1e-4
 """theta_max and theta_min as parts of the first theta: never exceeded, and below which the objective may count."""
-ROUNDING = 1e-11
+FILTER_OBJECTIVE_ROUNDING = 1e-11
 """Part of the objective that is rounding: near a solution it may rise by as much."""
 
 
 class Merit(NamedTuple):
     """Merit of a point. missing: the sum of what equations and rows miss; objective: with the barrier, mm^2."""
 
-    missing: float
+    infeasibility: float
     objective: float
 
 
@@ -40,31 +40,43 @@ class Filter:
         """Forget all points, as their objectives are those of another barrier."""
         self._kept.clear()
 
-    def keep(self, here: Merit) -> None:
+    def add_point(self, here: Merit) -> None:
         """Add a point, with a margin, which trials must beat from now on."""
-        self._kept.append(Merit((1 - LITTLE) * here.missing, here.objective - LITTLE * here.missing))
+        self._kept.append(
+            Merit(
+                (1 - FILTER_IMPROVEMENT_FRACTION) * here.infeasibility,
+                here.objective - FILTER_IMPROVEMENT_FRACTION * here.infeasibility,
+            )
+        )
 
-    def counts(self, here: Merit, slope: float, part: float) -> bool:
+    def requires_decrease(self, here: Merit, slope: float, part: float) -> bool:
         """Whether a part of a step, along which the objective changes at the rate slope, must lower the
         objective.
         """
         # Switching condition: the predicted decrease outweighs the infeasibility, and this is small
         # already.
-        steep = slope < 0 and part * (-slope) ** STEEP > here.missing**SLANTED
-        return steep and here.missing <= NEAREST * self._unit
+        steep = (
+            slope < 0
+            and part * (-slope) ** FILTER_SLOPE_EXPONENT > here.infeasibility**FILTER_INFEASIBILITY_EXPONENT
+        )
+        return steep and here.infeasibility <= FILTER_SWITCHING_INFEASIBILITY_RATIO * self._unit
 
-    def takes(self, here: Merit, trial: Merit, slope: float, part: float) -> bool:
+    def accepts(self, here: Merit, trial: Merit, slope: float, part: float) -> bool:
         """Whether a trial is accepted: a part of a step from here, along which the objective changes at the rate
         slope.
         """
-        if not all(map(math.isfinite, trial)) or trial.missing > FURTHEST * self._unit:
+        if not all(map(math.isfinite, trial)) or trial.infeasibility > FILTER_MAX_INFEASIBILITY_RATIO * self._unit:
             return False
-        if any(trial.missing >= kept.missing and trial.objective >= kept.objective for kept in self._kept):
+        if any(
+            trial.infeasibility >= kept.infeasibility and trial.objective >= kept.objective for kept in self._kept
+        ):
             return False
         # Where the objective counts it must decrease enough (Armijo); elsewhere one of the two measures
         # must improve.
-        room = ROUNDING * (1 + abs(here.objective))
-        if self.counts(here, slope, part):
-            return trial.objective <= here.objective + ARMIJO * part * slope + room
-        nearer = trial.missing <= (1 - LITTLE) * here.missing
-        return nearer or trial.objective <= here.objective - LITTLE * here.missing + room
+        room = FILTER_OBJECTIVE_ROUNDING * (1 + abs(here.objective))
+        if self.requires_decrease(here, slope, part):
+            return trial.objective <= here.objective + FILTER_ARMIJO_FRACTION * part * slope + room
+        nearer = trial.infeasibility <= (1 - FILTER_IMPROVEMENT_FRACTION) * here.infeasibility
+        return (
+            nearer or trial.objective <= here.objective - FILTER_IMPROVEMENT_FRACTION * here.infeasibility + room
+        )

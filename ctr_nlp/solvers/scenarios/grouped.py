@@ -12,11 +12,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ctr_nlp.codegen.mapped import Mapped
+from ctr_nlp.codegen.mapped import BatchEvaluator
 from ctr_nlp.nlp.scenarios import SharedMotion
 from ctr_nlp.typing import Array, Flags, Index
 
-FAR_COST = 1e-3
+FAR_WALL_COST_MM2 = 1e-3
 """mm^2: the wall is far from a robot where contact costs no more than this, which is at about 3 mm."""
 
 
@@ -24,10 +24,10 @@ class _Group(NamedTuple):
     """Rows (r,) of robots in frames that share a program, and its functions for these rows."""
 
     rows: Index
-    maps: list[Mapped]
+    maps: list[BatchEvaluator]
 
 
-class Grouped:
+class GroupedEvaluator:
     """The three functions of a frame's program (nlp.written.FrameFunctions), for all rows of a motion.
 
     Attributes
@@ -60,17 +60,25 @@ class Grouped:
         self._far = far
         # Three disjoint kinds of rows: no objective at all, no wall, everything. Rows whose errors do not
         # count need no look at the wall.
-        bare = np.zeros(len(far), dtype=bool) if motion.bare is None else ~self._counted
-        free = np.zeros(len(far), dtype=bool) if motion.free is None else far & ~bare
+        bare = np.zeros(len(far), dtype=bool) if motion.without_objective is None else ~self._counted
+        free = np.zeros(len(far), dtype=bool) if motion.without_wall is None else far & ~bare
         kinds = [(motion.functions, every, ~(bare | free))]
-        kinds += [(motion.free.functions, motion.free.columns, free)] if motion.free is not None else []
-        kinds += [(motion.bare.functions, motion.bare.columns, bare)] if motion.bare is not None else []
+        kinds += (
+            [(motion.without_wall.functions, motion.without_wall.columns, free)]
+            if motion.without_wall is not None
+            else []
+        )
+        kinds += (
+            [(motion.without_objective.functions, motion.without_objective.columns, bare)]
+            if motion.without_objective is not None
+            else []
+        )
         self._groups = list[_Group]()
         for functions, columns, chosen in kinds:
             rows = np.flatnonzero(chosen)
             if not len(rows):
                 continue
-            maps = [Mapped(each, len(rows)) for each in functions()[:3]]
+            maps = [BatchEvaluator(each, len(rows)) for each in functions()[:3]]
             for each in maps:
                 each.inputs[1][:] = self.parameters[np.ix_(rows, columns)]
             self._groups.append(_Group(rows, maps))
@@ -121,11 +129,11 @@ class Grouped:
         ndarray
             (T S,), mm^2.
         """
-        free, flat = self._motion.free, x.reshape(len(self.parameters), -1)
+        free, flat = self._motion.without_wall, x.reshape(len(self.parameters), -1)
         assert free is not None
         found = list[Array]()
         for functions, columns in ((self._motion.functions, slice(None)), (free.functions, free.columns)):
-            value = Mapped(functions()[0], len(flat))
+            value = BatchEvaluator(functions()[0], len(flat))
             value.inputs[1][:] = self.parameters[:, columns]
             found.append(value(flat.ravel())[0].ravel().copy())
         # The wall is the only term that the free program lacks.

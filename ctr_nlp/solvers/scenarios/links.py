@@ -39,17 +39,17 @@ class LinkBand:
         self._place = below * entries.shape[1] + columns[second]
         self._product = data[first] * data[second]
 
-    def pulled(self, rows: Array) -> Array:
+    def multiply_transposed_jacobian(self, rows: Array) -> Array:
         """The transposed matrix times a vector (l,) over the links, as (T, n)."""
         return np.asarray(self._matrix.T @ rows).reshape(self._shape)
 
-    def moved(self, dq: Array) -> Array:
+    def multiply_jacobian(self, dq: Array) -> Array:
         """The matrix times a step dq (T n,), (l,)."""
         return np.asarray(self._matrix @ dq)
 
     def slope(self, rows: Array) -> Array:
         """Gradient (T, n) of the links' costs, with rows (l,) the links' values."""
-        return self.pulled(2 * self.weight * rows)
+        return self.multiply_transposed_jacobian(2 * self.weight * rows)
 
     def band(self, sigma: Array) -> Array:
         """Second derivatives of the links' costs plus sigma (l,) times the squares of their Jacobian, as

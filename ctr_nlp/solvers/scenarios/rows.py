@@ -11,15 +11,20 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ctr_nlp.nlp.scenarios import SharedMotion, robots_at
-from ctr_nlp.solvers.frame.adapter import FEASIBLE, OPTIMAL
-from ctr_nlp.solvers.scenarios.common import NONE
+from ctr_nlp.nlp.scenarios import SharedMotion, assemble_robot_unknowns
+from ctr_nlp.solvers.frame.adapter import FEASIBILITY_TOLERANCE, KKT_TOLERANCE
+from ctr_nlp.solvers.scenarios.common import NO_COMMON_UNKNOWNS
 from ctr_nlp.solvers.scenarios.condensed import Condensed, Expansion, Values
 from ctr_nlp.solvers.scenarios.filter import Merit
 from ctr_nlp.solvers.scenarios.links import LinkBand
 from ctr_nlp.typing import Array, Flags, Index
 
-PUSH, RELAX, INFINITE, LEFT = 1e-2, 1e-9, 1e20, 0.005
+SHARED_SLACK_PUSH, SHARED_BOUND_RELAXATION, SHARED_INFINITE_BOUND, MIN_BOUND_DISTANCE_FRACTION = (
+    1e-2,
+    1e-9,
+    1e20,
+    0.005,
+)
 """Four numbers: how far slacks start within bounds and how far bounds are moved outwards (rad or mm), what stands
 for an infinite bound, and the part of its distance from a bound that a step leaves.
 """
@@ -40,20 +45,20 @@ class SharedSolution:
     phi: Array
     objective: float
     violation: float
-    missing: float
+    equation_violation: float
     kkt: float
     status: str
     iterations: int
-    held: Index
-    p: Array = field(default_factory=lambda: NONE)
-    prices: Array = field(default_factory=lambda: NONE)
-    burdens: Array = field(default_factory=lambda: NONE)
+    shared_entries: Index
+    p: Array = field(default_factory=lambda: NO_COMMON_UNKNOWNS)
+    common_multipliers: Array = field(default_factory=lambda: NO_COMMON_UNKNOWNS)
+    constraint_multipliers: Array = field(default_factory=lambda: NO_COMMON_UNKNOWNS)
     rough: bool = False
 
     @property
     def x(self) -> Array:
         """The model's unknowns (T, n) of the first robot, without a tilt that is stored beside them."""
-        return robots_at(self.q, self.phi[:, :1], self.held)[:, 0, : self.q.shape[1]]
+        return assemble_robot_unknowns(self.q, self.phi[:, :1], self.shared_entries)[:, 0, : self.q.shape[1]]
 
     @property
     def success(self) -> bool:
@@ -63,11 +68,11 @@ class SharedSolution:
         """
         if self.rough:
             return self.status.startswith("Solve")
-        return max(self.violation, self.missing) <= FEASIBLE and self.kkt <= OPTIMAL
+        return max(self.violation, self.equation_violation) <= FEASIBILITY_TOLERANCE and self.kkt <= KKT_TOLERANCE
 
 
 @dataclass(frozen=True)
-class Point:
+class SharedPoint:
     """Unknowns, slacks of all rows, and multipliers of their bounds and of the equations."""
 
     q: Array
@@ -84,7 +89,7 @@ class Point:
         return self.at_upper - self.at_lower
 
 
-class Errors(NamedTuple):
+class BarrierErrors(NamedTuple):
     """Residuals of the barrier problem's conditions at a point.
 
     stationarity: of the Lagrangian, mm^2 per unit of q; missed: by rows and equations, rad and mm; least, most:
@@ -92,16 +97,16 @@ class Errors(NamedTuple):
     """
 
     stationarity: float
-    missed: float
+    infeasibility: float
     least: float
     most: float
 
-    def against(self, barrier: float) -> float:
+    def residual(self, barrier: float) -> float:
         """The residual of a barrier problem with this barrier, mm^2; with barrier 0, of the problem itself."""
-        return max(self.stationarity, self.missed, abs(self.least - barrier), abs(self.most - barrier))
+        return max(self.stationarity, self.infeasibility, abs(self.least - barrier), abs(self.most - barrier))
 
 
-class Parts(NamedTuple):
+class RowsByKind(NamedTuple):
     """Numbers of all rows by kind: of q (T, n), frames (T, m), links (l,), steps of twists (k,), p (P,) and p's
     own (c,).
     """
@@ -114,7 +119,7 @@ class Parts(NamedTuple):
     own: Array
 
     @property
-    def joined(self) -> Array:
+    def as_vector(self) -> Array:
         """All kinds in one vector, in this order."""
         return np.concatenate([part.ravel() for part in self])
 
@@ -137,18 +142,18 @@ class SharedRows:
         self.twists = self.condensed.twists
         sizes = of_q.size, motion.row_bounds[0].size, len(self.links.weight), self.twists.bounds[0].size, of_p.size
         self._ends = np.cumsum(sizes)
-        still = self._still(motion, of_q, of_p)
-        # As in motion/rows.py: constant rows get no bounds, the others are relaxed by RELAX.
-        self.low = np.where(still | np.isinf(lower), -INFINITE, lower - RELAX)
-        self.high = np.where(still | np.isinf(upper), INFINITE, upper + RELAX)
+        still = self._constant_rows(motion, of_q, of_p)
+        # As in motion/rows.py: constant rows get no bounds, the others are relaxed by SHARED_BOUND_RELAXATION.
+        self.low = np.where(still | np.isinf(lower), -SHARED_INFINITE_BOUND, lower - SHARED_BOUND_RELAXATION)
+        self.high = np.where(still | np.isinf(upper), SHARED_INFINITE_BOUND, upper + SHARED_BOUND_RELAXATION)
         self._bounds = np.where(still, -np.inf, lower), np.where(still, np.inf, upper)
         self._box, self._common_box = (motion.lower, motion.upper), (common.lower, common.upper)
 
-    def _still(self, motion: SharedMotion, of_q: Flags, of_p: Flags) -> Flags:
+    def _constant_rows(self, motion: SharedMotion, of_q: Flags, of_p: Flags) -> Flags:
         """Whether no free unknown changes a row: such rows get no bounds, which rounding could break."""
         rows = np.ones(motion.row_bounds[0].shape, dtype=bool)
         if len(motion.common_rows):
-            depends = motion.frame.g_depends[np.ix_(motion.common_rows, motion.held)]
+            depends = motion.frame.g_depends[np.ix_(motion.common_rows, motion.shared_entries)]
             # Rows that depend on tips always change with these; common rows depend on beta and theta alone.
             rows[:, -len(motion.common_rows) :] = of_q[:, motion.d :] @ depends.T
         links = abs(motion.linking) @ of_q.ravel() > 0
@@ -156,31 +161,31 @@ class SharedRows:
         parts = of_q, rows, links, self.condensed.twists.free(of_q), of_p, own
         return ~np.concatenate([part.ravel() for part in parts])
 
-    def start(self, q: Array, phi: Array, p: Array, barrier: float) -> Point:
+    def start(self, q: Array, phi: Array, p: Array, barrier: float) -> SharedPoint:
         """A point at q (T, n), phi (T, S, k) and p (P,), with slacks within their bounds and multipliers for this
         barrier, mm^2.
         """
         q, p = np.clip(q, *self._box), np.clip(p, *self._common_box)
         rows = self.condensed.value(q, phi, p).rows
         # As in motion/rows.py: at most a tenth of the room between two bounds.
-        within = np.minimum(PUSH, 0.1 * (self.high - self.low))
+        within = np.minimum(SHARED_SLACK_PUSH, 0.1 * (self.high - self.low))
         slack = np.clip(rows, self.low + within, self.high - within)
         # On the central path: z (s - l) = mu.
         pulls = barrier / (slack - self.low), barrier / (self.high - slack)
-        return Point(q, np.array(phi), p, slack, *pulls, np.zeros(phi.shape))
+        return SharedPoint(q, np.array(phi), p, slack, *pulls, np.zeros(phi.shape))
 
-    def expand(self, point: Point) -> Expansion:
+    def expand(self, point: SharedPoint) -> Expansion:
         """Derivatives about a point."""
-        return self._expanded(point, point.q, point.p)
+        return self._expand_at(point, point.q, point.p)
 
-    def _expanded(self, point: Point, q: Array, p: Array) -> Expansion:
+    def _expand_at(self, point: SharedPoint, q: Array, p: Array) -> Expansion:
         rows = self.split(point.multipliers)
         return self.condensed.expand(q, point.phi, point.equations, rows.frames, p, rows.own)
 
-    def split(self, rows: Array) -> Parts:
+    def split(self, rows: Array) -> RowsByKind:
         """A vector over all rows, as Parts."""
         of_q, of_frames, *others = np.split(rows, self._ends)
-        return Parts(of_q.reshape(self._shape), of_frames.reshape(self._shape[0], -1), *others)
+        return RowsByKind(of_q.reshape(self._shape), of_frames.reshape(self._shape[0], -1), *others)
 
     def equations(self, about: Expansion, rows: Array, step: Array | None = None, damping: float = 0.0) -> Array:
         """Multipliers (T, S, k) of the equations that go with those of all rows, rows (Expansion.multipliers).
@@ -196,57 +201,68 @@ class SharedRows:
         frames = self._shape[0]
         return np.concatenate([of_q.reshape(self._shape), np.broadcast_to(of_p, (frames, of_p.size))], axis=1)
 
-    def gathered(self, of_frames: Array) -> Array:
+    def sum_over_frames(self, of_frames: Array) -> Array:
         """Slopes (T, n + P) that frames contribute to a sum, as one vector (T n + P,): p's parts are added up."""
         n = self._shape[1]
         return np.append(of_frames[:, :n].ravel(), of_frames[:, n:].sum(axis=0))
 
-    def pulled(self, about: Expansion, rows: Array) -> Array:
+    def multiply_transposed_jacobian(self, about: Expansion, rows: Array) -> Array:
         """The transposed Jacobian of all rows over (q, p), times a vector over the rows: (T n + P,)."""
         parts = self.split(rows)
         # Frames' rows reach q and p through tips, too: about.jacobian has these eliminated.
         through = (about.jacobian.swapaxes(1, 2) @ parts.frames[..., None])[..., 0]
-        through += self.twists.pulled(about.twists, parts.twists)
+        through += self.twists.multiply_transposed_jacobian(about.twists, parts.twists)
         # Rows q and p have unit Jacobians; links and p's own rows depend on q and p without tips.
-        direct = parts.q + self.links.pulled(parts.links), parts.p + about.given.rows.T @ parts.own
-        return self.gathered(through) + np.append(*direct)
+        direct = (
+            parts.q + self.links.multiply_transposed_jacobian(parts.links),
+            parts.p + about.common_derivatives.rows.T @ parts.own,
+        )
+        return self.sum_over_frames(through) + np.append(*direct)
 
-    def moved(self, about: Expansion, step: Array) -> Array:
+    def linearised_change(self, about: Expansion, step: Array) -> Array:
         """Change of all rows by a step (T n + P,) of q and p, including that by the equations' repair."""
         of_frames = self.by_frame(step)
         through = (about.jacobian @ of_frames[..., None])[..., 0]
         dq, dp = np.split(step, [step.size - self._size])
-        twists = self.twists.moved(about.twists, of_frames)
-        direct = Parts(dq, through, self.links.moved(dq), twists, dp, about.given.rows @ dp)
-        return direct.joined + self.repaired(about)
+        twists = self.twists.multiply_jacobian(about.twists, of_frames)
+        direct = RowsByKind(
+            dq, through, self.links.multiply_jacobian(dq), twists, dp, about.common_derivatives.rows @ dp
+        )
+        return direct.as_vector + self.change_by_repair(about)
 
-    def repaired(self, about: Expansion) -> Array:
+    def change_by_repair(self, about: Expansion) -> Array:
         """Change of all rows by the equations' repair alone, at fixed q and p."""
-        none, twists = self.split(np.zeros(len(self.low))), self.twists.repaired(about.repair[:, 0])
-        return none._replace(frames=about.ahead, twists=twists).joined
+        none, twists = self.split(np.zeros(len(self.low))), self.twists.change_by_repair(about.repair[:, 0])
+        return none._replace(frames=about.row_repair, twists=twists).as_vector
 
     def own_slope(self, about: Expansion) -> Array:
         """Gradient (T n + P,) of the links' costs and of p's own cost."""
-        return np.append(self.links.slope(self.split(about.at.rows).links), about.given.cost)
+        return np.append(self.links.slope(self.split(about.at.rows).links), about.common_derivatives.cost)
 
     def slope(self, about: Expansion) -> Array:
         """Gradient of the objective (T n + P,), with tips following q and p as their equations say."""
-        return self.gathered(about.over_q(about.gradient)) + self.own_slope(about)
+        return self.sum_over_frames(about.over_q(about.gradient)) + self.own_slope(about)
 
-    def errors(self, point: Point, about: Expansion) -> Errors:
+    def errors(self, point: SharedPoint, about: Expansion) -> BarrierErrors:
         """Residuals of the conditions at a point, from its expansion."""
         lower = point.at_lower * (point.slack - self.low)
         upper = point.at_upper * (self.high - point.slack)
         # Rows against their slacks, and the tips' equations.
-        missed = abs(about.at.rows - point.slack).max(), abs(about.at.missing).max()
+        missed = abs(about.at.rows - point.slack).max(), abs(about.at.equation_residuals).max()
         spread = min(lower.min(), upper.min()), max(lower.max(), upper.max())
-        return Errors(self._stationarity(point, about), float(max(missed)), float(spread[0]), float(spread[1]))
+        return BarrierErrors(
+            self._stationarity(point, about), float(max(missed)), float(spread[0]), float(spread[1])
+        )
 
-    def _stationarity(self, point: Point, about: Expansion) -> float:
+    def _stationarity(self, point: SharedPoint, about: Expansion) -> float:
         """Largest slope of the Lagrangian over free unknowns; tips are stationary by their equations'
         multipliers.
         """
-        return float(abs((self.slope(about) + self.pulled(about, point.multipliers)) * self.free).max())
+        return float(
+            abs(
+                (self.slope(about) + self.multiply_transposed_jacobian(about, point.multipliers)) * self.free
+            ).max()
+        )
 
     def merit(self, values: Values, slack: Array, barrier: float) -> Merit:
         """Merit of a point: the sum of what rows and equations miss, and the objective with the barrier."""
@@ -254,37 +270,43 @@ class SharedRows:
         # point.
         with np.errstate(invalid="ignore", divide="ignore"):
             logs = np.log(slack - self.low).sum() + np.log(self.high - slack).sum()
-        missing = abs(values.rows - slack).sum() + abs(values.missing).sum()
+        missing = abs(values.rows - slack).sum() + abs(values.equation_residuals).sum()
         return Merit(float(missing), float(values.objective - barrier * logs))
 
     def trial_slack(self, rows: Array, slack: Array, before: Array) -> Array:
         """Slacks of a trial point with these row values; slack is where the step leads, before where it began.
 
-        A slack becomes the row's own value where that keeps the part LEFT of its former distance from both bounds.
-        The trial then misses nothing in that row, however curved it is.
+        A slack becomes the row's own value where that keeps the part MIN_BOUND_DISTANCE_FRACTION of its former
+        distance from both bounds. The trial then misses nothing in that row, however curved it is.
         """
         # Rounding must not put a slack on its bound.
         edge = 1e-14 * (1 + np.minimum(abs(self.low), abs(self.high)))
         # The rule that a step must leave a part of the distance to bounds, asked of the rows' true values.
-        good = (rows - self.low >= LEFT * (before - self.low)) & (self.high - rows >= LEFT * (self.high - before))
+        good = (rows - self.low >= MIN_BOUND_DISTANCE_FRACTION * (before - self.low)) & (
+            self.high - rows >= MIN_BOUND_DISTANCE_FRACTION * (self.high - before)
+        )
         return np.where(good, rows, np.clip(slack, self.low + edge, self.high - edge))
 
-    def judged(self, point: Point, status: str, iterations: int, rough: bool = False) -> SharedSolution:
+    def evaluate_solution(
+        self, point: SharedPoint, status: str, iterations: int, rough: bool = False
+    ) -> SharedSolution:
         """The point as a solution, judged by the program itself and within bounds as they were given.
 
         status, iterations: of the solver; rough: whether it was to end near a solution only.
         """
         q, p, (lower, upper) = np.clip(point.q, *self._box), np.clip(point.p, *self._common_box), self._bounds
         # Of the point after clipping, which is the one that is returned; multipliers stay.
-        about = self._expanded(point, q, p)
+        about = self._expand_at(point, q, p)
         violation = float(np.maximum(lower - about.at.rows, about.at.rows - upper).max(initial=0.0))
         # Complementarity at the bounds as given, not at the relaxed ones that the method works with.
         to_bound = abs(np.where(point.multipliers > 0, upper, lower) - about.at.rows)
         products = abs(point.multipliers) * np.where(np.isfinite(to_bound), to_bound, 1.0)
-        missing = float(abs(about.at.missing).max())
+        missing = float(abs(about.at.equation_residuals).max())
         kkt = max(self._stationarity(point, about), float(products.max()), violation, missing)
         found = float(about.at.objective), violation, missing, float(kkt)
         split = self.split(point.multipliers)
         motion = self.condensed.motion
         burdens = motion.by_robot(abs(split.frames))
-        return SharedSolution(q, point.phi, *found, status, iterations, motion.held, p, split.own, burdens, rough)
+        return SharedSolution(
+            q, point.phi, *found, status, iterations, motion.shared_entries, p, split.own, burdens, rough
+        )

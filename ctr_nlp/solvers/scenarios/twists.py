@@ -42,7 +42,7 @@ class TwistSteps:
     def values(self, q: Array, phi: Array) -> Array:
         """Values of the rows at q (T, n) and tips phi (T, S, k), rad."""
         d = self._d
-        return self._changed(phi[:, 0, : d - 1] - q[:, : d - 1]).ravel()
+        return self._differences_between_frames(phi[:, 0, : d - 1] - q[:, : d - 1]).ravel()
 
     def slopes(self, turns: Array) -> Array:
         """Slopes of the twists over q and p, from the derivatives turns (T, m, n + P) of the first robot's
@@ -54,23 +54,23 @@ class TwistSteps:
         found[:, range(d - 1), range(d - 1)] -= 1.0
         return found
 
-    def repaired(self, repair: Array) -> Array:
+    def change_by_repair(self, repair: Array) -> Array:
         """Change of the rows by a change repair (T, m) of the first robot's unknowns at fixed q."""
-        return self._changed(repair[:, : self._d - 1]).ravel()
+        return self._differences_between_frames(repair[:, : self._d - 1]).ravel()
 
-    def moved(self, slopes: Array, step: Array) -> Array:
+    def multiply_jacobian(self, slopes: Array, step: Array) -> Array:
         """Change of the rows by a step of q and p, as every frame sees it, (T, n + P)."""
-        return self._changed((slopes @ step[..., None])[..., 0]).ravel()
+        return self._differences_between_frames((slopes @ step[..., None])[..., 0]).ravel()
 
-    def pulled(self, slopes: Array, rows: Array) -> Array:
+    def multiply_transposed_jacobian(self, slopes: Array, rows: Array) -> Array:
         """The transposed Jacobian times a vector over the rows, frame by frame (T, n + P)."""
-        return np.asarray((slopes.swapaxes(1, 2) @ self._spread(rows)[..., None])[..., 0])
+        return np.asarray((slopes.swapaxes(1, 2) @ self._transposed_differences(rows)[..., None])[..., 0])
 
     def of_tips(self, rows: Array) -> Array:
         """The transposed Jacobian over the first robot's first d - 1 tips alone, times a vector over the rows: (T,
         d - 1).
         """
-        return self._spread(rows)
+        return self._transposed_differences(rows)
 
     def square(self, slopes: Array, sigma: Array, blocks: Array, band: Array) -> None:
         """Add J' diag(sigma) J of the rows to a system's blocks and band (bordered.py).
@@ -93,11 +93,11 @@ class TwistSteps:
         # scipy's lower form: entry (i, j) of the matrix stands in row i - j, column j of the band.
         band[n + rows - columns, (after[:, None, None] - 1) * n + columns] += coupled
 
-    def _changed(self, twists: Array) -> Array:
+    def _differences_between_frames(self, twists: Array) -> Array:
         """Twists (T, ..) as their changes on the way to each frame that has one before it."""
         return np.asarray(twists[self._after] - twists[self._after - 1])
 
-    def _spread(self, rows: Array) -> Array:
+    def _transposed_differences(self, rows: Array) -> Array:
         """A vector over the rows as its pull on every frame's twists, (T, d - 1): plus in the frame, minus in the
         one before.
         """

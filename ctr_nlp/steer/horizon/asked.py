@@ -15,12 +15,12 @@ from ctr_nlp.formulations.settings import Settings
 from ctr_nlp.formulations.terms import Term
 from ctr_nlp.models import DEFAULT_MODEL, Model, model_named
 from ctr_nlp.plan.plan import Plan
-from ctr_nlp.steer.attempts import Report
+from ctr_nlp.steer.attempts import IterateCallback
 from ctr_nlp.steer.horizon.bearing import LoadedHorizon
 from ctr_nlp.steer.horizon.chained import Horizon
-from ctr_nlp.steer.nlp_frames import DEFAULTS
+from ctr_nlp.steer.nlp_frames import DEFAULT_PLANNER_SETTINGS
 from ctr_nlp.steer.passes import Progress
-from ctr_nlp.steer.requests import check_described, check_search, checked_motions
+from ctr_nlp.steer.requests import check_problem_and_settings, check_search, checked_motions
 from ctr_nlp.target.problem import Problem
 
 
@@ -35,10 +35,10 @@ def solve_horizon(
     initial: Sequence[npt.ArrayLike] = (),
     starts: int | None = None,
     jobs: int = 1,
-    settings: Settings = DEFAULTS,
+    settings: Settings = DEFAULT_PLANNER_SETTINGS,
     terms: Sequence[Term] = (),
     progress: Progress | None = None,
-    seen: Report | None = None,
+    callback: IterateCallback | None = None,
     exhaustive: bool = False,
 ) -> Plan:
     """Plan all frames of a motion in one nonlinear program, eq. (9) over a horizon.
@@ -75,7 +75,7 @@ def solve_horizon(
         Further terms of the objective (formulations.terms).
     progress : callable, optional
         Called as ``progress(done, total, note)``.
-    seen : callable, optional
+    callback : callable, optional
         Called with every iterate of all frames, or, with several processes, with every motion that is the best
         so far.
     exhaustive : bool
@@ -91,12 +91,12 @@ def solve_horizon(
     OptionError, ProblemError, RobotError
         An option, the problem or the robot is not what it must be.
     """
-    check_described(problem, settings)
+    check_problem_and_settings(problem, settings)
     check_search(motion_weight, starts, jobs)
     # Given motions are checked before programs are built, which takes seconds.
     motions = checked_motions(problem, initial)
     planner = horizon_planner(problem, model, solver, start, end, settings, terms)
-    return planner.solve(motions, motion_weight, starts, jobs, progress, seen, exhaustive)
+    return planner.solve(motions, motion_weight, starts, jobs, progress, callback, exhaustive)
 
 
 def horizon_planner(
@@ -105,7 +105,7 @@ def horizon_planner(
     solver: str | None = None,
     start: npt.ArrayLike | None = None,
     end: npt.ArrayLike | None = None,
-    settings: Settings = DEFAULTS,
+    settings: Settings = DEFAULT_PLANNER_SETTINGS,
     terms: Sequence[Term] = (),
 ) -> Horizon | LoadedHorizon:
     """Build the planner of all frames at once, to be solved for one or several motion weights.
@@ -130,5 +130,5 @@ def horizon_planner(
     """
     chosen = model_named(model, "model of a horizon")
     # Both have the same method `solve`: callers need not know which of them they have.
-    kind = Horizon if chosen.bears is None else LoadedHorizon
+    kind = Horizon if chosen.applied_load is None else LoadedHorizon
     return kind(problem, chosen, solver, start, end, settings, terms)

@@ -24,35 +24,35 @@ from ctr_nlp.formulations.settings import Settings
 from ctr_nlp.formulations.shared.scenarios import shared_motion
 from ctr_nlp.formulations.terms import Term
 from ctr_nlp.formulations.terms.arrival import with_arrival
-from ctr_nlp.formulations.wall import wall_of
-from ctr_nlp.models import MODELS, Model
+from ctr_nlp.formulations.wall import make_wall
+from ctr_nlp.models import KINEMATIC_MODELS, Model
 from ctr_nlp.models.loaded.model import Loaded
 from ctr_nlp.models.loaded.tips import tip_angles
 from ctr_nlp.nlp.scenarios import Scenarios, SharedMotion
 from ctr_nlp.plan.plan import Plan, plan_from_configurations
 from ctr_nlp.simulation.forward import Simulator
-from ctr_nlp.solvers.compiled import fastest
-from ctr_nlp.solvers.motion.judged import CLOSE, WIDE
+from ctr_nlp.solvers.compiled import fastest_functions
+from ctr_nlp.solvers.motion.judged import COLD_START_BARRIER_MM2, WARM_START_BARRIER_MM2
 from ctr_nlp.solvers.scenarios import SharedSolution, SharedSolver
 from ctr_nlp.solvers.scenarios.condensed import Condensed
-from ctr_nlp.steer.attempts import SAME, Report
+from ctr_nlp.steer.attempts import SAME_SOLUTION_RELATIVE_TOLERANCE, IterateCallback
 from ctr_nlp.steer.horizon.chained import Horizon
 from ctr_nlp.steer.motions import per_frame_motions
-from ctr_nlp.steer.nlp_frames import DEFAULTS
+from ctr_nlp.steer.nlp_frames import DEFAULT_PLANNER_SETTINGS
 from ctr_nlp.steer.passes import Progress
-from ctr_nlp.steer.realised import SHORT, Missed, held_between, missing
+from ctr_nlp.steer.realised import MAX_MARGIN_SHORTFALL, MarginShortfall, find_margin_shortfall, refine_margins
 from ctr_nlp.steer.requests import check_search, checked_motions, checked_terms
 from ctr_nlp.support.interrupt import deferred_interrupt
 from ctr_nlp.target.problem import Problem
 from ctr_nlp.typing import Array
 
-FIRMER = 0.2, 0.0, 0.1
+EXTRA_START_MARGINS = 0.2, 0.0, 0.1
 """Stability margin beyond the one asked for of the motions frame by frame that the search begins with, in turn.
 
 A motion that keeps just the margin that is asked may end beside the snap, and from there the search under the load
 comes to a branch of equilibria that the robot does not reach.
 """
-KEPT = 1.01
+MAX_MARGIN_OBJECTIVE_FACTOR = 1.01
 """Factor up to which the objective may grow where a motion's margin is held between frames, for the motion to be
 taken at once. Where that costs more, another start may avoid the branch beside it.
 """
@@ -68,7 +68,7 @@ class LoadedHorizon:
         solver: str | None = None,
         start: npt.ArrayLike | None = None,
         end: npt.ArrayLike | None = None,
-        settings: Settings = DEFAULTS,
+        settings: Settings = DEFAULT_PLANNER_SETTINGS,
         terms: Sequence[Term] = (),
     ) -> None:
         """Build; arguments and errors as in Horizon, and LoadError where the load does not fit the robot.
@@ -81,7 +81,7 @@ class LoadedHorizon:
         asked = solver, start, end
         self.problem, self._model, self._settings = problem, model, settings
         self._terms = with_arrival(checked_terms(terms), settings, model)
-        wall = wall_of(problem.robot, problem.sampled_lumen, model, settings)
+        wall = make_wall(problem.robot, problem.sampled_lumen, model, settings)
         # The program of the one scenario is built without the wall. A motion that it finds is solved again within
         # the wall by the usual chain, whose theta follows from x and has the pole.
         self._inside = None if wall is None else Horizon(problem, model, *asked, settings, terms)
@@ -90,7 +90,7 @@ class LoadedHorizon:
         # The robot without the load only provides starts: where it would touch the wall says little of where the
         # loaded one does.
         free = replace(settings, contact_weight=0.0)
-        self._without = Horizon(problem, MODELS[model.name], *asked, free, self._terms)
+        self._without = Horizon(problem, KINEMATIC_MODELS[model.name], *asked, free, self._terms)
         self._simulator = Simulator(problem.robot, model)
         self.build_seconds = time.perf_counter() - begin
 
@@ -101,7 +101,7 @@ class LoadedHorizon:
         starts: int | None = None,
         jobs: int = 1,
         progress: Progress | None = None,
-        seen: Report | None = None,
+        callback: IterateCallback | None = None,
         exhaustive: bool = False,
     ) -> Plan:
         """Search for the best motion and return its plan; arguments as in :func:`solve_horizon`."""
@@ -117,15 +117,17 @@ class LoadedHorizon:
             between = time.perf_counter()
             # Lazily: the unloaded horizon takes longest, and is solved only where motions frame by frame led
             # nowhere.
-            search = functools.partial(without.solve, given, weight, starts, jobs, progress, seen, exhaustive)
-            motions = itertools.chain(given, self._firmer(first, progress), self._plain(search))
-            found = self._borne(motions, weight, limit, interrupted)
+            search = functools.partial(without.solve, given, weight, starts, jobs, progress, callback, exhaustive)
+            motions = itertools.chain(
+                given, self._larger_margin_motions(first, progress), self._unloaded_motion(search)
+            )
+            found = self._solve_with_load(motions, weight, limit, interrupted)
             if found is not None and found.success and self._inside is not None and not interrupted():
                 return self._inside.solve([found.q], weight, progress=progress)
             stopped = interrupted()
         meta = {
             "formulation": "horizon",
-            **self._model.told,
+            **self._model.metadata,
             "solver": "interior-point",
             "options": without.options(weight, starts, exhaustive) | self._settings.options(),
             "build_s": self.build_seconds,
@@ -137,55 +139,63 @@ class LoadedHorizon:
         }
         return self._plan(without.configurations(first), found, weight, meta)
 
-    def _firmer(self, first: Array, progress: Progress | None) -> Iterator[Array]:
-        """Yield motions (T, 2d + 2), frame by frame without the load, with each margin of FIRMER in turn.
+    def _larger_margin_motions(self, first: Array, progress: Progress | None) -> Iterator[Array]:
+        """Yield motions (T, 2d + 2), frame by frame without the load, with each margin of EXTRA_START_MARGINS in
+        turn.
 
         first (T, n): unknowns of the motion with no more margin than asked, which is known already.
         """
         asked, without = self._settings.stability_margin, self._without
-        for more in FIRMER:
+        for more in EXTRA_START_MARGINS:
             if more == 0.0:
                 yield without.configurations(first)
             elif asked is not None and asked + more < 1:
                 settings = replace(self._settings, stability_margin=asked + more)
-                at = self.problem, without.ends, settings, progress, MODELS[self._model.name], self._terms
+                at = (
+                    self.problem,
+                    without.ends,
+                    settings,
+                    progress,
+                    KINEMATIC_MODELS[self._model.name],
+                    self._terms,
+                )
                 yield without.configurations(per_frame_motions(*at)[0])
 
-    def _plain(self, search: Callable[[], Plan]) -> Iterator[Array]:
+    def _unloaded_motion(self, search: Callable[[], Plan]) -> Iterator[Array]:
         """Yield the motion (T, 2d + 2) of the plan without the load, which is searched for only now."""
         yield search().q
 
-    def _borne(
+    def _solve_with_load(
         self, motions: Iterator[Array], weight: float, limit: float, stop: Callable[[], bool]
     ) -> SharedSolution | None:
         """Solve motions under the load, in turn, with their margins held between frames too; return the best.
 
         motions: (T, 2d + 2), without the load. weight: lambda in s^2. limit: objective, mm^2, at or below which a
-        motion is taken at once if holding its margin costs little (KEPT). Without such a motion the best one is
-        returned that the robot makes; else the first that was solved, else the last result; None where none was
-        begun.
+        motion is taken at once if holding its margin costs little (MAX_MARGIN_OBJECTIVE_FACTOR). Without such a
+        motion the best one is returned that the robot makes; else the first that was solved, else the last result;
+        None where none was begun.
         """
         motion = self._motion(weight, self._margins)
         found: SharedSolution | None = None
         solved: list[SharedSolution] = []
         while not stop() and (q := next(motions, None)) is not None:
-            found = self._from(q, motion, stop)
+            found = self._solve_from(q, motion, stop)
             # A start that leads to a solution which is known already has nothing to add.
-            if stop() or not found.success or _known(found, solved):
+            if stop() or not found.success or _is_known_solution(found, solved):
                 continue
             solved.append(found)
-            most = min(limit, KEPT * found.objective)
-            held = self._held(found, weight, most, stop)
-            if held is not None and held[1] <= SHORT and held[0].objective <= most:
+            most = min(limit, MAX_MARGIN_OBJECTIVE_FACTOR * found.objective)
+            held = self._refine_loaded_margins(found, weight, most, stop)
+            if held is not None and held[1] <= MAX_MARGIN_SHORTFALL and held[0].objective <= most:
                 return held[0]
         # None was cheap enough: now all are held between frames whatever that costs, and compared.
-        every = [self._held(one, weight, math.inf, stop) for one in solved]
+        every = [self._refine_loaded_margins(one, weight, math.inf, stop) for one in solved]
         made = [held for held in every if held is not None]
         if made:
-            return min(made, key=lambda one: (max(one[1], SHORT), one[0].objective))[0]
+            return min(made, key=lambda one: (max(one[1], MAX_MARGIN_SHORTFALL), one[0].objective))[0]
         return solved[0] if solved else found
 
-    def _held(
+    def _refine_loaded_margins(
         self, first: SharedSolution, weight: float, most: float, stop: Callable[[], bool]
     ) -> tuple[SharedSolution, float] | None:
         """Raise margins of a motion until it keeps its margin between frames; return it, and by how much that is
@@ -196,36 +206,36 @@ class LoadedHorizon:
         """
         d, margin = self.problem.robot.d, self._settings.stability_margin
 
-        def missed(found: SharedSolution) -> Missed:
-            return missing(self._simulator(found.q), found.x, margin, d)
+        def find_shortfall(found: SharedSolution) -> MarginShortfall:
+            return find_margin_shortfall(self._simulator(found.q), found.x, margin, d)
 
-        def again(found: SharedSolution, raised: Array) -> SharedSolution | None:
-            solved = SharedSolver(self._motion(weight, raised))(found.q, found.phi, CLOSE, stop)
+        def solve_with_margins(found: SharedSolution, raised: Array) -> SharedSolution | None:
+            solved = SharedSolver(self._motion(weight, raised))(found.q, found.phi, WARM_START_BARRIER_MM2, stop)
             return solved if solved.success and solved.objective <= most else None
 
-        return held_between(first, self._margins, missed, again, stop)
+        return refine_margins(first, self._margins, find_shortfall, solve_with_margins, stop)
 
     def _motion(self, weight: float, margins: Array | None) -> SharedMotion:
         """Build the program of the one robot; weight: lambda in s^2; margins (T,): of each frame, or None."""
         problem, robot = self.problem, self.problem.robot
         # One scenario: the robot itself, without differences of its motors' zeros, and with all the weight.
         alone = Scenarios(robot.numbers[None], np.zeros((1, robot.d)), np.ones(1))
-        at = robot, problem.samples, problem.dt, weight, self._without.ends, self._model, alone
-        return shared_motion(*at, fastest, margins, self._terms)
+        at = robot, problem.target_frames, problem.dt, weight, self._without.ends, self._model, alone
+        return shared_motion(*at, fastest_functions, margins, self._terms)
 
-    def _from(self, q: Array, motion: SharedMotion, stop: Callable[[], bool]) -> SharedSolution:
+    def _solve_from(self, q: Array, motion: SharedMotion, stop: Callable[[], bool]) -> SharedSolution:
         """Solve under the load from a motion q (T, 2d + 2) without it; the load is raised in every frame by
         itself.
         """
         robot, model = self.problem.robot, self._model
-        tips = tip_angles(MODELS[model.name].follow(robot, q).x, robot.d)
+        tips = tip_angles(KINEMATIC_MODELS[model.name].follow(robot, q).x, robot.d)
         # Raised frame by frame, the load needs no history between frames. Where the unloaded robot has no known
         # equilibrium, tips at their motors' angles are the guess.
-        x = model.loaded(robot, q, np.where(np.isfinite(tips), tips, q[:, : robot.d]))
+        x = model.grow_load(robot, q, np.where(np.isfinite(tips), tips, q[:, : robot.d]))
         solve = SharedSolver(motion)
         # The wide barrier first lets the objective decide which limits become active; where that fails, one that
         # stays nearer to the start.
-        for barrier in (WIDE, CLOSE):
+        for barrier in (COLD_START_BARRIER_MM2, WARM_START_BARRIER_MM2):
             found = solve(q, x[:, None, motion.own], barrier, stop)
             if found.success or stop():
                 break
@@ -244,7 +254,7 @@ class LoadedHorizon:
             solved, planned = False, None
         else:
             condensed = Condensed(self._motion(weight, self._margins))
-            condensed.look(found.q, found.phi)
+            condensed.update_local_parameters(found.q, found.phi)
             known = {"objective": condensed.by_frame(found.q, found.phi), "kkt": np.full(frames, found.kkt)}
             why = {} if found.success else {"all": f"{found.status}, KKT residual {found.kkt:.1e}"}
             q, solved, planned = found.q, found.success, found.x
@@ -260,6 +270,11 @@ class LoadedHorizon:
         )
 
 
-def _known(found: SharedSolution, solved: Sequence[SharedSolution]) -> bool:
-    """Return whether another start came to the same solution: one whose objective is the same (SAME)."""
-    return any(abs(found.objective - one.objective) <= SAME * (1 + abs(one.objective)) for one in solved)
+def _is_known_solution(found: SharedSolution, solved: Sequence[SharedSolution]) -> bool:
+    """Return whether another start came to the same solution: one whose objective is the same
+    (SAME_SOLUTION_RELATIVE_TOLERANCE).
+    """
+    return any(
+        abs(found.objective - one.objective) <= SAME_SOLUTION_RELATIVE_TOLERANCE * (1 + abs(one.objective))
+        for one in solved
+    )

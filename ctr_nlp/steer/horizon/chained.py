@@ -16,22 +16,22 @@ import numpy as np
 import numpy.typing as npt
 
 from ctr_nlp.exceptions import OptionError
-from ctr_nlp.formulations.horizon import Ends, horizon
+from ctr_nlp.formulations.horizon import EndConfigurations, horizon
 from ctr_nlp.formulations.settings import Settings
 from ctr_nlp.formulations.terms import Term
 from ctr_nlp.formulations.terms.arrival import with_arrival
-from ctr_nlp.formulations.terms.term import listed
-from ctr_nlp.formulations.wall import Wall, wall_of
-from ctr_nlp.loads import steady
-from ctr_nlp.models import DEFAULT_MODEL, MODELS, Model, model_named
+from ctr_nlp.formulations.terms.term import describe_terms
+from ctr_nlp.formulations.wall import Wall, make_wall
+from ctr_nlp.loads import require_constant_load
+from ctr_nlp.models import DEFAULT_MODEL, KINEMATIC_MODELS, Model, model_named
 from ctr_nlp.nlp.chain import Chain
 from ctr_nlp.plan.plan import Plan, plan_from_configurations
 from ctr_nlp.simulation.forward import Simulator
 from ctr_nlp.solvers import CHAIN_SOLVERS, default_chain_solver
-from ctr_nlp.solvers.compiled import fastest
-from ctr_nlp.steer.attempts import Attempt, Report, best_of, distinct, failures
+from ctr_nlp.solvers.compiled import fastest_functions
+from ctr_nlp.steer.attempts import IterateCallback, SolvedStart, best_solved_start, describe_failures, distinct
 from ctr_nlp.steer.motions import per_frame_motions
-from ctr_nlp.steer.nlp_frames import DEFAULTS
+from ctr_nlp.steer.nlp_frames import DEFAULT_PLANNER_SETTINGS
 from ctr_nlp.steer.passes import Progress
 from ctr_nlp.steer.requests import (
     check_ends,
@@ -65,7 +65,7 @@ class Horizon:
         solver: str | None = None,
         start: npt.ArrayLike | None = None,
         end: npt.ArrayLike | None = None,
-        settings: Settings = DEFAULTS,
+        settings: Settings = DEFAULT_PLANNER_SETTINGS,
         terms: Sequence[Term] = (),
     ) -> None:
         """Build all programs; arguments as in solve_horizon.
@@ -82,38 +82,38 @@ class Horizon:
         check_growth(problem)
         begin = time.perf_counter()
         self.problem = problem
-        self.ends = Ends(*checked_ends(problem, "best", start, end))
+        self.ends = EndConfigurations(*checked_ends(problem, "best", start, end))
         if self.ends.end is not None:
-            steady(self._model.bears, "a motion to an end that is given")
-        self._names = {"formulation": "horizon", **self._model.told, "solver": solver}
+            require_constant_load(self._model.applied_load, "a motion to an end that is given")
+        self._names = {"formulation": "horizon", **self._model.metadata, "solver": solver}
         self._settings, self._terms = settings, with_arrival(checked_terms(terms), settings, self._model)
-        self._wall = wall_of(problem.robot, problem.sampled_lumen, self._model, settings)
+        self._wall = make_wall(problem.robot, problem.sampled_lumen, self._model, settings)
         # Built with a weight of 1 s^2: a chain's motion term is scaled afterwards (with_cost), so that one chain
         # serves all weights.
-        self._free = self._built(None)
-        inside = self._free if self._wall is None else self._built(self._wall)
+        self._free = self._build_chain(None)
+        inside = self._free if self._wall is None else self._build_chain(self._wall)
         self._simulator = Simulator(problem.robot, self._model)
         own = self._simulator, solver, self.ends, settings, self._terms
         self._search = Search(problem, *own, self._free, inside)
         if self.ends.start is not None and self.ends.end is not None:
-            check_ends(problem, self._linear())
+            check_ends(problem, self._linear_chain())
         self.build_seconds = time.perf_counter() - begin
 
-    def _built(self, wall: Wall | None) -> Chain:
+    def _build_chain(self, wall: Wall | None) -> Chain:
         """The chain of all frames, within a wall or free of any, with a motion weight of 1 s^2."""
-        at = self.problem.robot, self.problem.samples, self.problem.dt, 1.0, self.ends, self._model
-        return horizon(*at, fastest, self._settings.stability_margin, wall, self._terms)
+        at = self.problem.robot, self.problem.target_frames, self.problem.dt, 1.0, self.ends, self._model
+        return horizon(*at, fastest_functions, self._settings.stability_margin, wall, self._terms)
 
-    def _linear(self) -> Chain:
+    def _linear_chain(self) -> Chain:
         """A chain of all frames whose links between frames are linear in its unknowns.
 
         Limits of position, order, speed and acceleration are those of q, whatever the model. Where the unknowns of
         the model are not q, as on the elastic one, these limits are taken from the chain of the dominant model.
         """
-        if not self._free.bent:
+        if not self._free.has_nonlinear_links:
             return self._free
-        at = self.problem.robot, self.problem.samples, self.problem.dt, 1.0, self.ends
-        return horizon(*at, MODELS["dominant"])
+        at = self.problem.robot, self.problem.target_frames, self.problem.dt, 1.0, self.ends
+        return horizon(*at, KINEMATIC_MODELS["dominant"])
 
     def solve(
         self,
@@ -122,7 +122,7 @@ class Horizon:
         starts: int | None = None,
         jobs: int = 1,
         progress: Progress | None = None,
-        seen: Report | None = None,
+        callback: IterateCallback | None = None,
         exhaustive: bool = False,
     ) -> Plan:
         """Search for the best motion and return its plan; arguments as in :func:`solve_horizon`."""
@@ -134,29 +134,31 @@ class Horizon:
             between = time.perf_counter()
             weight = self.balanced_weight(found[0]) if motion_weight is None else motion_weight
             search = replace(
-                self._search, weight=weight, jobs=jobs, progress=progress, seen=seen, stop=interrupted
+                self._search, weight=weight, jobs=jobs, progress=progress, seen=callback, stop=interrupted
             )
             wall, free = None, None
-            attempts: Sequence[Attempt] = []
+            attempts: Sequence[SolvedStart] = []
             # Motions that the user chose are all solved to the end; those of the search's own only as far as they
             # promise something.
             every = bool(given or starts or exhaustive)
             if not interrupted():
-                ranked = search.ranked(found, starts or len(found))
-                attempts = search.attempts(ranked) if every else search.likely(ranked)
+                ranked = search.rank_motions(found, starts or len(found))
+                attempts = search.solve_from_motions(ranked) if every else search.solve_most_promising(ranked)
             if self._wall is not None and not interrupted():
-                free = self.configurations(best_of(attempts).motion)
+                free = self.configurations(best_solved_start(attempts).motion)
                 # Which motion is best without the wall need not be best within it: given motions are all tried
                 # there, as they were given, too.
-                tried = [one.motion for one in distinct(attempts)] if every else [best_of(attempts).motion]
+                tried = (
+                    [one.motion for one in distinct(attempts)] if every else [best_solved_start(attempts).motion]
+                )
                 tried += found if given else []
-                wall, attempts = self._kept_inside(self._wall, search, attempts, tried)
+                wall, attempts = self._solve_within_wall(self._wall, search, attempts, tried)
             work = {"search_s": between - begin, "solve_s": time.perf_counter() - between}
             stopped = interrupted()
         options = self.options(weight, starts, exhaustive)
         meta = {**self._names, **work, "options": options, "build_s": self.build_seconds, "interrupted": stopped}
         meta["contact_weight"] = None if wall is None else wall.weight
-        return self._plan(search.near(wall), found[0], attempts, free, meta)
+        return self._plan(search.chain_for_wall(wall), found[0], attempts, free, meta)
 
     def motions(self, given: Sequence[Array] = (), progress: Progress | None = None) -> list[Array]:
         """Return unknowns (T, n) to start from: of given motions (T, 2d + 2), or solved frame by frame, best
@@ -171,29 +173,29 @@ class Horizon:
         weight: lambda in s^2. starts, exhaustive: as in solve_horizon.
         """
         asked = {"motion_weight": weight, "starts": starts, "exhaustive": exhaustive}
-        return {**self._settings.options(), **asked, "terms": listed(self._terms), **self.ends.options}
+        return {**self._settings.options(), **asked, "terms": describe_terms(self._terms), **self.ends.options}
 
-    def _kept_inside(
-        self, wall: Wall, search: Search, free: Sequence[Attempt], motions: Sequence[Array]
-    ) -> tuple[Wall | None, Sequence[Attempt]]:
+    def _solve_within_wall(
+        self, wall: Wall, search: Search, free: Sequence[SolvedStart], motions: Sequence[Array]
+    ) -> tuple[Wall | None, Sequence[SolvedStart]]:
         """Solve motions within a wall; return that wall and the results.
 
         free: results without the wall. motions: unknowns (T, n) to start from. Where more frames fail within the
         wall than without it, None and `free` are returned.
         """
 
-        def failed(one: Attempt) -> int:
+        def count_failed_frames(one: SolvedStart) -> int:
             success = np.full(self.problem.frames, one.solution.success)
             moved = self._simulator(self.configurations(one.motion))
             return failed_frames(self.problem, moved, one.motion, success)
 
-        within: Sequence[Attempt] = ()
+        within: Sequence[SolvedStart] = ()
         for part in WALL_PARTS:
-            within = search.attempts(motions, replace(wall, weight=part * wall.weight))
+            within = search.solve_from_motions(motions, replace(wall, weight=part * wall.weight))
             # Each weight starts from the solutions of the one before; where there is none, from the same motions
             # again.
             motions = [one.motion for one in within if one.solution.success] or motions
-        if failed(best_of(within)) > failed(best_of(free)):
+        if count_failed_frames(best_solved_start(within)) > count_failed_frames(best_solved_start(free)):
             return None, free
         return wall, within
 
@@ -211,11 +213,16 @@ class Horizon:
 
         weight: lambda in s^2.
         """
-        chain, x = self._free.with_cost(weight).around(motion)
+        chain, x = self._free.with_cost(weight).linearise_at(motion)
         return chain.evaluate(x)[0]
 
     def _plan(
-        self, chain: Chain, motion: Array, attempts: Sequence[Attempt], free: Array | None, meta: dict[str, Any]
+        self,
+        chain: Chain,
+        motion: Array,
+        attempts: Sequence[SolvedStart],
+        free: Array | None,
+        meta: dict[str, Any],
     ) -> Plan:
         """The best attempt as a plan; without any, the motion (T, n) to start from, not solved."""
         frames = self.problem.frames
@@ -223,16 +230,16 @@ class Horizon:
         solved, kkt = False, unknown
         why = {"all": "interrupted before the horizon was begun"}
         if attempts:
-            best = best_of(attempts)
-            found, solved, why = best.solution, best.solution.success, failures(chain, best)
+            best = best_solved_start(attempts)
+            found, solved, why = best.solution, best.solution.success, describe_failures(chain, best)
             motion = best.motion
             # Multipliers of a point that is no solution say nothing: its KKT residual is left unknown.
             if solved:
                 multipliers = np.concatenate([found.lam_x, found.lam_g])
                 kkt = replace(chain, parameters=best.parameters).kkt(found.x, multipliers)
         # Objectives by frame belong to the wall as it is near the motion of the plan.
-        chain, x = chain.around(motion)
-        meta["starts"] = [one.described(frames) for one in attempts]
+        chain, x = chain.linearise_at(motion)
+        meta["starts"] = [one.to_meta(frames) for one in attempts]
         meta["iterations"] = sum(one.solution.iterations for one in attempts)
         return plan_from_configurations(
             self.problem,

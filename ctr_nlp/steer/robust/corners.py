@@ -13,68 +13,68 @@ import numpy as np
 
 from ctr_nlp.models import Model
 from ctr_nlp.robot import Robot
-from ctr_nlp.robot.draws import Draws, corners, drawn_from
-from ctr_nlp.simulation.drawn import lost_draws
+from ctr_nlp.robot.draws import RobotSamples, box_vertices_of, perturb_robot
+from ctr_nlp.simulation.drawn import find_failure_frames
 from ctr_nlp.typing import Array, Flags, Index
 
-MOST, SPARED = 512, 0.02
+MAX_TOLERANCE_VERTICES, ALLOWED_VERTEX_FAILURE_SHARE = 512, 0.02
 """Most corners that are looked at, and the share of them that may be lost."""
-NEAR, HALVINGS = 1.05, 5
+MAX_VERTEX_SCALE, VERTEX_SCALE_BISECTIONS = 1.05, 5
 """Largest multiple of a corner's difference that is looked at, since robots near to one that is lost are lost,
 too; and bisection steps for the multiple at which a corner is lost.
 """
 
 
 @dataclass(frozen=True)
-class Corners:
+class ToleranceVertices:
     """Robots at the corners of a robot's tolerances, to be moved through motions q (T, 2d + 2), rad and mm."""
 
     robot: Robot
     model: Model
-    robots: Draws
+    robots: RobotSamples
 
     @classmethod
-    def of(cls, robot: Robot, model: Model) -> Corners:
-        """Take the corners of a robot's tolerances; all of them, or MOST at random."""
-        return cls(robot, model, corners(robot, MOST))
+    def of(cls, robot: Robot, model: Model) -> ToleranceVertices:
+        """Take the corners of a robot's tolerances; all of them, or MAX_TOLERANCE_VERTICES at random."""
+        return cls(robot, model, box_vertices_of(robot, MAX_TOLERANCE_VERTICES))
 
     @property
-    def allowed(self) -> int:
+    def allowed_failures(self) -> int:
         """Number of corners that may be lost."""
-        return int(SPARED * len(self.robots))
+        return int(ALLOWED_VERTEX_FAILURE_SHARE * len(self.robots))
 
-    def lost(self, q: Array) -> Flags:
+    def find_failing_vertices(self, q: Array) -> Flags:
         """Return which corners, (C,), are lost on motion q (T, 2d + 2)."""
-        return self._lost(np.arange(len(self.robots)), q, 1.0) > 0
+        return self._first_failure_frames(np.arange(len(self.robots)), q, 1.0) > 0
 
-    def borne(self, q: Array) -> Array:
+    def find_failure_scales(self, q: Array) -> Array:
         """Return at which multiple of its difference each corner is lost on motion q, (C,); inf where at none up
-        to NEAR.
+        to MAX_VERTEX_SCALE.
 
-        Found by bisection, to NEAR / 2^HALVINGS, which is 0.03.
+        Found by bisection, to MAX_VERTEX_SCALE / 2^VERTEX_SCALE_BISECTIONS, which is 0.03.
         """
         found = np.full(len(self.robots), np.inf)
-        gone = np.flatnonzero(self._lost(np.arange(len(self.robots)), q, NEAR))
+        gone = np.flatnonzero(self._first_failure_frames(np.arange(len(self.robots)), q, MAX_VERTEX_SCALE))
         # Bisection takes being lost as monotonic in the difference: nearer robots are lost less. All corners are
         # halved in one batch.
-        low, high = np.zeros(len(gone)), np.full(len(gone), NEAR)
-        for _ in range(HALVINGS if len(gone) else 0):
+        low, high = np.zeros(len(gone)), np.full(len(gone), MAX_VERTEX_SCALE)
+        for _ in range(VERTEX_SCALE_BISECTIONS if len(gone) else 0):
             middle = (low + high) / 2
-            lost = self._lost(gone, q, middle) > 0
+            lost = self._first_failure_frames(gone, q, middle) > 0
             low, high = np.where(lost, low, middle), np.where(lost, middle, high)
         found[gone] = high
         return found
 
-    def _lost(self, chosen: Index, q: Array, part: Array | float) -> Index:
+    def _first_failure_frames(self, chosen: Index, q: Array, part: Array | float) -> Index:
         """Return in which frame, from 1, each chosen corner is lost on motion q with a part of its difference; 0
         for none.
         """
-        return lost_draws(self.robot, self.with_part(chosen, part), q, self.model)
+        return find_failure_frames(self.robot, self.with_part(chosen, part), q, self.model)
 
-    def with_part(self, chosen: Index, part: Array | float) -> Draws:
+    def with_part(self, chosen: Index, part: Array | float) -> RobotSamples:
         """Return chosen corners (..) with a part of their difference from the robot, (..) or one for all."""
         robots = self.robots[chosen.ravel()]
         parts = np.broadcast_to(part, chosen.shape).reshape(-1, 1, 1)
         # Lags are left as they are: rotation lag is simulated, but not planned for.
         forces = parts[..., 0] * robots.forces
-        return drawn_from(self.robot, parts * robots.parts, robots.lags, forces)
+        return perturb_robot(self.robot, parts * robots.deviations, robots.backlash, forces)

@@ -1,8 +1,8 @@
 """Frames of a problem solved one by one for scenarios whose tips are carried along from frame to frame.
 
 Each frame is a program of one q = (alpha, beta, theta), rad and mm, shared by S scenarios, and of tips (S, k),
-rad, of all of them: k is d, or d + 2 under a load. Tips turn by at most tip_steps from frame to frame, so that no
-scenario changes its branch.
+rad, of all of them: k is d, or d + 2 under a load. Tips turn by at most tip_step_limits from frame to frame, so
+that no scenario changes its branch.
 """
 
 from __future__ import annotations
@@ -15,29 +15,29 @@ from typing import Any
 
 import numpy as np
 
-from ctr_nlp.formulations.frames import FrameResult, distinct, one_by_one
-from ctr_nlp.formulations.horizon import Ends
-from ctr_nlp.formulations.joint import tip_steps
+from ctr_nlp.formulations.frames import FrameResult, distinct_results, step_through_frames
+from ctr_nlp.formulations.horizon import EndConfigurations
+from ctr_nlp.formulations.joint import tip_step_limits
 from ctr_nlp.formulations.settings import Settings
 from ctr_nlp.formulations.shared.scenarios import shared_motion
 from ctr_nlp.formulations.terms import Term
-from ctr_nlp.formulations.terms.term import listed
+from ctr_nlp.formulations.terms.term import describe_terms
 from ctr_nlp.models import Model
 from ctr_nlp.nlp.scenarios import Scenarios, SharedMotion
-from ctr_nlp.solvers.compiled import fastest
-from ctr_nlp.solvers.motion.judged import CLOSE, WIDE
+from ctr_nlp.solvers.compiled import fastest_functions
+from ctr_nlp.solvers.motion.judged import COLD_START_BARRIER_MM2, WARM_START_BARRIER_MM2
 from ctr_nlp.solvers.scenarios import SharedSolver
 from ctr_nlp.steer.nlp_frames import NlpFrames
-from ctr_nlp.steer.robust.rounds import joined
-from ctr_nlp.steer.robust.tolerated import bearing_unknowns, told_on
-from ctr_nlp.steer.robust.trials import Lost
+from ctr_nlp.steer.robust.rounds import add_failed_samples
+from ctr_nlp.steer.robust.tolerated import loaded_unknowns, reported_model
+from ctr_nlp.steer.robust.trials import FailedSamples
 from ctr_nlp.target.problem import Problem
 from ctr_nlp.typing import Array, Index
 
-FIRST, KEPT = 3, 3
+NOMINAL_FIRST_FRAME_SOLUTIONS, MAX_FIRST_FRAME_RESULTS = 3, 3
 """Solutions of the nominal robot that are tried in a frame without one before it, and how many results are kept.
 """
-HOLDS = 1.0, 1e2, 1e4
+MOTION_WEIGHT_FACTORS = 1.0, 1e2, 1e4
 """Factors of the motion's weight that are tried in turn where tips would otherwise turn too far in a frame."""
 
 
@@ -79,7 +79,7 @@ class ScenarioFrames:
         nominal = [
             NlpFrames.of(
                 problem,
-                model=told_on(model),
+                model=reported_model(model),
                 # Walls and arrival do not count frame by frame for several robots, so that they are left out here,
                 # too.
                 settings=replace(settings, stability_margin=margin, contact_weight=0.0, arrival_weight=0.0),
@@ -89,9 +89,9 @@ class ScenarioFrames:
         ]
         description = {
             "formulation": "robust-joint",
-            **told_on(model).told,
+            **reported_model(model).metadata,
             "solver": "interior-point",
-            "options": settings.options() | {"terms": listed(terms)},
+            "options": settings.options() | {"terms": describe_terms(terms)},
         }
         margin = settings.stability_margin
         least = None if margin is None else np.full(problem.frames, margin)
@@ -101,23 +101,31 @@ class ScenarioFrames:
     def search(self, frame: int) -> list[FrameResult]:
         """Distinct answers for a frame without a past, best first; at least one."""
         # The nominal robot's solutions are quick to find; each is solved again with all scenarios.
-        known = [self._bearing(one) for frames in self.nominal for one in frames.search(frame)[:FIRST]]
-        found = [self.again(frame, one) for one in known if one.success]
-        return distinct([one for one in found if one.success])[:KEPT] or found[:1] or known[:1]
+        known = [
+            self._with_loaded_unknowns(one)
+            for frames in self.nominal
+            for one in frames.search(frame)[:NOMINAL_FIRST_FRAME_SOLUTIONS]
+        ]
+        found = [self.search_near(frame, one) for one in known if one.success]
+        return (
+            distinct_results([one for one in found if one.success])[:MAX_FIRST_FRAME_RESULTS]
+            or found[:1]
+            or known[:1]
+        )
 
-    def _bearing(self, known: FrameResult) -> FrameResult:
+    def _with_loaded_unknowns(self, known: FrameResult) -> FrameResult:
         """Return a result of the nominal robot with unknowns of the scenarios' model, which may bear a load."""
         if known.x is None:
             return known
-        return replace(known, x=bearing_unknowns(self.problem.robot, self.model, known.q[None], known.x[None])[0])
+        return replace(known, x=loaded_unknowns(self.problem.robot, self.model, known.q[None], known.x[None])[0])
 
-    def harder(self, lost: Lost) -> ScenarioFrames:
+    def with_failed_samples(self, lost: FailedSamples) -> ScenarioFrames:
         """Return a solver with lost robots among its scenarios, and the same margins.
 
         A robust horizon asks for more margin where robots were lost, too; that leads runs frame by frame to worse
         branches.
         """
-        return replace(self, scenarios=joined(self.scenarios, lost))
+        return replace(self, scenarios=add_failed_samples(self.scenarios, lost))
 
     def step(self, frame: int, before: FrameResult) -> FrameResult:
         """Solve a frame within speed limits of the one before, from there and from a known result.
@@ -127,33 +135,33 @@ class ScenarioFrames:
         if self.known is not None and not before.success:
             return replace(before, iterations=0, status="a frame before it was not solved")
         starts = [before] if self.known is None else [before, self.known[frame]]
-        found = [self._solved(frame, start, before) for start in starts]
+        found = [self._solve_frame(frame, start, before) for start in starts]
         return min(found, key=lambda one: (not one.success, one.objective))
 
     def run(self, frames: Sequence[int], before: FrameResult) -> Iterator[tuple[FrameResult, float]]:
         """Answers for frames, each from the one before, and the seconds that each took."""
-        return one_by_one(self.step, frames, before)
+        return step_through_frames(self.step, frames, before)
 
-    def again(self, frame: int, known: FrameResult) -> FrameResult:
+    def search_near(self, frame: int, known: FrameResult) -> FrameResult:
         """Solve a frame that has no frame before it, near a known result."""
-        return self._solved(frame, known, None)
+        return self._solve_frame(frame, known, None)
 
-    def _solved(self, frame: int, start: FrameResult, before: FrameResult | None) -> FrameResult:
-        """Solve a frame from a start; tips may turn from those of the frame before by tip_steps at most.
+    def _solve_frame(self, frame: int, start: FrameResult, before: FrameResult | None) -> FrameResult:
+        """Solve a frame from a start; tips may turn from those of the frame before by tip_step_limits at most.
 
         before: the frame before, None without one.
         """
-        robot, iterations, ends = self.problem.robot, 0, Ends(None if before is None else before.q)
-        last, far = (start, np.inf) if before is None else (before, tip_steps(robot, self.problem.dt))
+        robot, iterations, ends = self.problem.robot, 0, EndConfigurations(None if before is None else before.q)
+        last, far = (start, np.inf) if before is None else (before, tip_step_limits(robot, self.problem.dt))
         # A dearer step keeps motors near the frame before, and tips with them. Programs with dearer steps are
         # built only where they are needed.
-        motions = (self._motion(frame, ends, factor) for factor in HOLDS)
+        motions = (self._motion(frame, ends, factor) for factor in MOTION_WEIGHT_FACTORS)
         first = next(motions)
         tips, guess = (self._tips(each, first.own) for each in (last, start))
         for solver in map(SharedSolver, itertools.chain([first], motions)):
             # Near the frame before most active limits are known. Where that fails, the wide barrier lets the
             # objective decide anew which limits become active.
-            for barrier in (CLOSE, WIDE):
+            for barrier in (WARM_START_BARRIER_MM2, COLD_START_BARRIER_MM2):
                 found = solver(start.q[None], guess[None], barrier)
                 iterations += found.iterations
                 # Under a load tips have two entries more, the turn of the tip's frame, which is not limited.
@@ -163,11 +171,11 @@ class ScenarioFrames:
         status = f"scenarios: {found.status}, KKT residual {found.kkt:.1e}"
         return FrameResult(last.q, False, iterations=iterations, status=status, warm=tips, x=last.x)
 
-    def _motion(self, frame: int, ends: Ends, factor: float) -> SharedMotion:
+    def _motion(self, frame: int, ends: EndConfigurations, factor: float) -> SharedMotion:
         """Build the program of one frame; factor: multiplies the weight of the step from the frame before."""
         problem, margins = self.problem, None if self.margins is None else self.margins[frame : frame + 1]
-        at = problem.robot, [problem.samples[frame]], problem.dt, factor * self.settings.motion_weight, ends
-        return shared_motion(*at, self.model, self.scenarios, fastest, margins, self.terms)
+        at = problem.robot, [problem.target_frames[frame]], problem.dt, factor * self.settings.motion_weight, ends
+        return shared_motion(*at, self.model, self.scenarios, fastest_functions, margins, self.terms)
 
     def _tips(self, near: FrameResult, own: Index) -> Array:
         """Return tips (S, k) of all scenarios near a result; own: where tips stand among a robot's unknowns."""

@@ -15,24 +15,30 @@ from ctr_nlp.formulations.settings import Settings
 from ctr_nlp.models import Model
 from ctr_nlp.plan.draws import clearances
 from ctr_nlp.plan.sample_outcomes import SampleOutcomes, sample_contact_allowed
-from ctr_nlp.robot.draws import Draws, drawn
-from ctr_nlp.simulation.drawn import drawn_motion
-from ctr_nlp.steer.robust.rounds import Failing, Judge, Round, planned_again, solved_again
-from ctr_nlp.steer.robust.trials import CERTIFYING, GROUP, JOINING
+from ctr_nlp.robot.draws import RobotSamples, sample_robots
+from ctr_nlp.simulation.drawn import simulate_samples
+from ctr_nlp.steer.robust.rounds import (
+    FailingSamples,
+    FailureJudge,
+    Round,
+    replan_for_failures,
+    solve_with_scenarios,
+)
+from ctr_nlp.steer.robust.trials import CERTIFICATION_SAMPLES, MAX_JOINING_SAMPLES, TRIAL_SAMPLES_PER_BATCH
 from ctr_nlp.target.lumen import Lumen
 from ctr_nlp.target.problem import Problem
 from ctr_nlp.typing import Array, Flags
 
-ROUNDS = 3
+MAX_ARRIVAL_ROUNDS = 3
 """Times that a motion is planned again for robots that fail."""
-HOPELESS = 0.8
+MIN_HOLDING_SHARE = 0.8
 """Share that has to hold at first. Below, the robot cannot have all that is asked: the trade-off is reported."""
-SEED = 2**41
+ARRIVAL_FIRST_SAMPLE_SEED = 2**41
 """From which seeds of the robots count on: others than those that motions are tried for losses with."""
 
 
 @dataclass(frozen=True)
-class Purpose:
+class ArrivalJudge:
     """Judge of what a motion is for: arriving, with a body that keeps off the wall.
 
     Attributes
@@ -49,7 +55,7 @@ class Purpose:
     model: Model
     settings: Settings
 
-    def __call__(self, q: Array, number: int) -> Failing:
+    def __call__(self, q: Array, number: int) -> FailingSamples:
         """Simulate robots drawn for a motion.
 
         Parameters
@@ -66,8 +72,11 @@ class Purpose:
         """
         robot = self.problem.robot
         # Each motion is judged by robots of its own: the last ones have been planned for, and would flatter it.
-        draws = drawn(robot, CERTIFYING, SEED + number)
-        groups = [self._fate(q, draws[first : first + GROUP]) for first in range(0, CERTIFYING, GROUP)]
+        draws = sample_robots(robot, CERTIFICATION_SAMPLES, ARRIVAL_FIRST_SAMPLE_SEED + number)
+        groups = [
+            self._simulate_outcomes(q, draws[first : first + TRIAL_SAMPLES_PER_BATCH])
+            for first in range(0, CERTIFICATION_SAMPLES, TRIAL_SAMPLES_PER_BATCH)
+        ]
         lost, tip_error, contact = (np.concatenate(each) for each in zip(*groups, strict=True))
         fate = SampleOutcomes(
             lost,
@@ -80,23 +89,23 @@ class Purpose:
         # The larger of both, mm; fmax ignores the contact that is NaN without a wall.
         excess = np.fmax(tip_error - fate.arrival_tolerance, contact - fate.contact_allowed)
         # Robots that are lost are the business of rounds.py; here those count that keep the branch and still fail.
-        failing = np.flatnonzero(~fate.held & ~lost & np.isfinite(excess))
+        failing = np.flatnonzero(~fate.passed_all_checks & ~lost & np.isfinite(excess))
         chosen = draws[failing[np.argsort(-excess[failing])]]
-        return Failing(chosen.numbers, chosen.offsets, chosen.forces, fate.share)
+        return FailingSamples(chosen.numbers, chosen.offsets, chosen.forces, fate.share)
 
     @property
     def _lumen(self) -> Lumen | None:
         """Lumen whose wall counts; None where there is none, or contact costs nothing."""
         return self.problem.sampled_lumen if self.settings.contact_weight else None
 
-    def _fate(self, q: Array, draws: Draws) -> tuple[Flags, Array, Array]:
+    def _simulate_outcomes(self, q: Array, draws: RobotSamples) -> tuple[Flags, Array, Array]:
         """Simulate n robots; return whether each is lost, the last distance of its tip from the target's end, and
         its deepest contact, mm.
         """
         problem, lumen = self.problem, self._lumen
-        found = drawn_motion(problem.robot, draws, q, self.model)
+        found = simulate_samples(problem.robot, draws, q, self.model)
         # Only the last tip counts as arrival; its place is that of the shape's last sample.
-        tip_error = np.linalg.norm(found.shape[:, -1, -1] - problem.samples[-1].points[-1], axis=-1)
+        tip_error = np.linalg.norm(found.shape[:, -1, -1] - problem.target_frames[-1].points[-1], axis=-1)
         contact = np.full(len(draws), np.nan)
         if lumen is not None:
             beta = q[:, problem.robot.d : 2 * problem.robot.d]
@@ -105,7 +114,7 @@ class Purpose:
         return found.lost > 0, tip_error, contact
 
 
-def improved(best: Round, purpose: Purpose, lost: Judge, number: int) -> list[Round]:
+def improve_arrival(best: Round, purpose: ArrivalJudge, lost: FailureJudge, number: int) -> list[Round]:
     """Plan again for robots that fail, until few of them do.
 
     Parameters
@@ -122,24 +131,26 @@ def improved(best: Round, purpose: Purpose, lost: Judge, number: int) -> list[Ro
     Returns
     -------
     list of Round
-        What was tried, ROUNDS times at most.
+        What was tried, MAX_ARRIVAL_ROUNDS times at most.
     """
     search, last, rounds = best.search, best, list[Round]()
     # A cutting-set method: the worst constraints that samples show are added, and the program is solved again. It
     # ends where few fail, where so many do that no motion will help, or where robots are lost again.
-    for _ in range(ROUNDS):
+    for _ in range(MAX_ARRIVAL_ROUNDS):
         found = last.failing
         assert found is not None
-        if found.enough or found.held < HOPELESS or last.rank > best.rank or search.stop():
+        if found.enough or found.holding_share < MIN_HOLDING_SHARE or last.rank > best.rank or search.stop():
             break
-        numbers, offsets, forces = (each[:JOINING] for each in (found.numbers, found.offsets, found.forces))
+        numbers, offsets, forces = (
+            each[:MAX_JOINING_SAMPLES] for each in (found.numbers, found.offsets, found.forces)
+        )
         # With weight 1 they count as the scenarios of the design do: their shapes are to be near the target, too.
-        scenarios = last.scenarios.joined(numbers, offsets, forces, weight=1.0)
-        tried = solved_again(search, last.tried, scenarios)
-        if not tried.shared:
+        scenarios = last.scenarios.append_robots(numbers, offsets, forces, weight=1.0)
+        tried = solve_with_scenarios(search, last.tried, scenarios)
+        if not tried.is_shared:
             break
         # Robots that were safe before may be lost on the new motion: one more round for these.
-        more = planned_again(search, tried, scenarios, lost, 1, number + len(rounds))
+        more = replan_for_failures(search, tried, scenarios, lost, 1, number + len(rounds))
         asked = number + len(rounds) + len(more)
         last = more[-1]._replace(failing=purpose(more[-1].tried.solution.q, asked))
         rounds += [*more[:-1], last]

@@ -20,22 +20,22 @@ from ctr_nlp.models import Model
 from ctr_nlp.nlp.scenarios import Scenarios
 from ctr_nlp.plan.plan import Plan
 from ctr_nlp.plan.robustness import MOST_LOST
-from ctr_nlp.steer.nlp_frames import DEFAULTS
+from ctr_nlp.steer.nlp_frames import DEFAULT_PLANNER_SETTINGS
 from ctr_nlp.steer.passes import Pass, Progress, run_again, run_passes
-from ctr_nlp.steer.per_frame import plan_of
-from ctr_nlp.steer.requests import Direction, check_described, checked_ends
+from ctr_nlp.steer.per_frame import plan_from_pass
+from ctr_nlp.steer.requests import Direction, check_problem_and_settings, checked_ends
 from ctr_nlp.steer.robust.frames import ScenarioFrames
-from ctr_nlp.steer.robust.tolerated import described, told_unknowns
+from ctr_nlp.steer.robust.tolerated import reported_unknowns, resolve_scenarios
 from ctr_nlp.steer.robust.trials import Trials
 from ctr_nlp.support.interrupt import deferred_interrupt
 from ctr_nlp.support.values import whole_number
 from ctr_nlp.target.problem import Problem
 
-MARGINS = 0.1, 0.5
+PER_FRAME_START_MARGINS = 0.1, 0.5
 """Stability margins of the nominal robot in the frames from which runs start."""
-ROUNDS = 3
+MAX_PER_FRAME_REPLANNING_ROUNDS = 3
 """Most times that a motion is re-planned for robots that were lost."""
-DEARER = 0.1
+MAX_REPLANNED_COST_GROWTH = 0.1
 """Relative growth of the mean objective up to which the first re-planned run is taken, without trying further
 ones.
 """
@@ -46,11 +46,11 @@ def solve_robust_per_frame(
     scenarios: Scenarios | None = None,
     *,
     most_lost: float = MOST_LOST,
-    rounds: int = ROUNDS,
+    rounds: int = MAX_PER_FRAME_REPLANNING_ROUNDS,
     model: str | Model = "elastic",
     direction: Direction = "best",
     start: npt.ArrayLike | None = None,
-    settings: Settings = DEFAULTS,
+    settings: Settings = DEFAULT_PLANNER_SETTINGS,
     terms: Sequence[Term] = (),
     progress: Progress | None = None,
 ) -> Plan:
@@ -105,15 +105,15 @@ def solve_robust_per_frame(
     >>> plan.meta["certificate"]["draws"]  # doctest: +SKIP
     500
     """
-    check_described(problem, settings)
+    check_problem_and_settings(problem, settings)
     checked_ends(problem, direction, start)
     whole_number(OptionError, "rounds", rounds, 0)
-    model, scenarios = described(problem.robot, model, scenarios)
+    model, scenarios = resolve_scenarios(problem.robot, model, scenarios)
     # The first motion is tried, too, hence one more than rounds: each trial takes its share of the 5 %
     # (Bonferroni).
     trials = Trials(problem.robot, model, rounds + 1, most_lost)
     with deferred_interrupt() as interrupted:
-        solver = ScenarioFrames.of(problem, scenarios, model, settings, terms, MARGINS)
+        solver = ScenarioFrames.of(problem, scenarios, model, settings, terms, PER_FRAME_START_MARGINS)
         passes, seconds = run_passes(problem, solver, direction, start, progress=progress)
         ranked = sorted(passes, key=lambda one: one.cost(problem))
         best = ranked[0]
@@ -123,8 +123,8 @@ def solve_robust_per_frame(
         # Methods and Software 24(3), 2009): only robots that the last motion loses are added, so that programs
         # stay small.
         while not trial.few and len(made) <= rounds and not interrupted():
-            solver = solver.harder(trial)
-            best = _best_again(ranked, solver, interrupted)
+            solver = solver.with_failed_samples(trial)
+            best = _rerun_best(ranked, solver, interrupted)
             trial = trials(best.motion(problem), len(made))
             made.append((solver, best, trial))
         stopped = interrupted()
@@ -143,25 +143,25 @@ def solve_robust_per_frame(
         "interrupted": stopped,
         "contact_weight": None,
         "rounds": [
-            {"scenarios": len(frames.scenarios), "lost": len(lost.frames), "drawn": lost.drawn}
+            {"scenarios": len(frames.scenarios), "lost": len(lost.frames), "drawn": lost.sample_count}
             for frames, _, lost in made
         ],
     }
-    plan = plan_of(problem, solver, _told(best, problem, model), None, options, work)
-    return plan if stopped or not plan.reached.any() else trials.certified(plan, trial, len(made))
+    plan = plan_from_pass(problem, solver, _with_reported_unknowns(best, problem, model), None, options, work)
+    return plan if stopped or not plan.reached_frames.any() else trials.certify_plan(plan, trial, len(made))
 
 
-def _told(best: Pass, problem: Problem, model: Model) -> Pass:
+def _with_reported_unknowns(best: Pass, problem: Problem, model: Model) -> Pass:
     """Return the run with the unknowns of the model that a plan is reported on."""
     q, robot = best.motion(problem), problem.robot
     found = {
-        j: one if one.x is None else replace(one, x=told_unknowns(robot, model, q[j : j + 1], one.x[None])[0])
+        j: one if one.x is None else replace(one, x=reported_unknowns(robot, model, q[j : j + 1], one.x[None])[0])
         for j, one in best.results.items()
     }
     return replace(best, results=found)
 
 
-def _best_again(ranked: Sequence[Pass], solver: ScenarioFrames, stop: Callable[[], bool]) -> Pass:
+def _rerun_best(ranked: Sequence[Pass], solver: ScenarioFrames, stop: Callable[[], bool]) -> Pass:
     """Re-run motions in the order of their cost, and return the first that costs about as much as the best one
     did.
 
@@ -172,6 +172,6 @@ def _best_again(ranked: Sequence[Pass], solver: ScenarioFrames, stop: Callable[[
     failed, least = ranked[0].cost(problem)
     for one in ranked:
         found.append(run_again(one, replace(solver, known=one.results), stop))
-        if stop() or found[-1].cost(problem) <= (failed, (1 + DEARER) * least):
+        if stop() or found[-1].cost(problem) <= (failed, (1 + MAX_REPLANNED_COST_GROWTH) * least):
             break
     return min(found, key=lambda one: one.cost(problem))

@@ -24,8 +24,8 @@ from ctr_nlp.exceptions import OptionError
 from ctr_nlp.formulations.settings import Settings
 from ctr_nlp.formulations.terms import Term
 from ctr_nlp.formulations.terms.arrival import with_arrival
-from ctr_nlp.formulations.terms.term import listed
-from ctr_nlp.formulations.wall import wall_of
+from ctr_nlp.formulations.terms.term import describe_terms
+from ctr_nlp.formulations.wall import make_wall
 from ctr_nlp.models import Model
 from ctr_nlp.nlp.scenarios import Scenarios
 from ctr_nlp.plan.plan import Plan, plan_from_configurations
@@ -34,26 +34,33 @@ from ctr_nlp.simulation.forward import Simulator
 from ctr_nlp.solvers.scenarios.condensed import Condensed
 from ctr_nlp.steer.horizon import Horizon
 from ctr_nlp.steer.motions import per_frame_motions
-from ctr_nlp.steer.nlp_frames import DEFAULTS
+from ctr_nlp.steer.nlp_frames import DEFAULT_PLANNER_SETTINGS
 from ctr_nlp.steer.passes import Progress
-from ctr_nlp.steer.realised import MOST
-from ctr_nlp.steer.requests import check_described, check_search, checked_motions, checked_terms
-from ctr_nlp.steer.robust.corners import Corners
-from ctr_nlp.steer.robust.guards import guarded
-from ctr_nlp.steer.robust.held import ROUNDS as IMPROVEMENTS
-from ctr_nlp.steer.robust.held import Purpose, improved
-from ctr_nlp.steer.robust.rounds import RELAXATIONS, Judge, Round, best_of, planned_again, relaxed
-from ctr_nlp.steer.robust.search import RobustSearch, Start, Tried
-from ctr_nlp.steer.robust.tolerated import described, told_on, told_unknowns
+from ctr_nlp.steer.realised import MAX_FRAME_MARGIN
+from ctr_nlp.steer.requests import check_problem_and_settings, check_search, checked_motions, checked_terms
+from ctr_nlp.steer.robust.corners import ToleranceVertices
+from ctr_nlp.steer.robust.guards import plan_with_constraint_scenarios
+from ctr_nlp.steer.robust.held import MAX_ARRIVAL_ROUNDS as IMPROVEMENTS
+from ctr_nlp.steer.robust.held import ArrivalJudge, improve_arrival
+from ctr_nlp.steer.robust.rounds import (
+    MAX_RELAXATIONS,
+    FailureJudge,
+    Round,
+    best_round,
+    relax_scenarios,
+    replan_for_failures,
+)
+from ctr_nlp.steer.robust.search import InitialMotion, RobustSearch, StartResult
+from ctr_nlp.steer.robust.tolerated import reported_model, reported_unknowns, resolve_scenarios
 from ctr_nlp.steer.robust.trials import Trials
 from ctr_nlp.support.interrupt import deferred_interrupt
 from ctr_nlp.support.values import whole_number
 from ctr_nlp.target.problem import Problem
 from ctr_nlp.typing import Array
 
-MARGINS = (0.5,)
+ROBUST_START_MARGINS = (0.5,)
 """Stability margins of the nominal robot in motions frame by frame, the starts beside its plan."""
-SPARE = 0.1
+EXTRA_SCENARIO_MARGIN = 0.1
 """Margin beyond the one asked for with which scenarios are planned for: margins are less between frames, and on
 robots that are not among them. Plans need fewer rounds with it, and errors are larger by 1 % at most.
 """
@@ -62,9 +69,9 @@ START_FRAMES = 49
 MOTION_PART = 0.1
 """Share of the lambda of a nominal horizon: robots differ more from the target than smoothness is worth there."""
 NOT_SHARED = "no motion was found that all robots within the tolerances share"
-REFINED = 2
+MAX_REFINED_ROUNDS = 2
 """Most rounds over the frames of a draft, from the last one back, of which all frames are tried."""
-ROUNDS = 4
+MAX_ROBUST_REPLANNING_ROUNDS = 4
 """Most times that a motion is planned again for robots that were lost."""
 
 
@@ -73,15 +80,15 @@ def solve_robust(
     scenarios: Scenarios | None = None,
     *,
     most_lost: float = MOST_LOST,
-    rounds: int = ROUNDS,
+    rounds: int = MAX_ROBUST_REPLANNING_ROUNDS,
     guards: bool = False,
     model: str | Model = "elastic",
     start: npt.ArrayLike | None = None,
     end: npt.ArrayLike | None = None,
     motion_weight: float | None = None,
     initial: Sequence[npt.ArrayLike] = (),
-    margins: Sequence[float] = MARGINS,
-    settings: Settings = DEFAULTS,
+    margins: Sequence[float] = ROBUST_START_MARGINS,
+    settings: Settings = DEFAULT_PLANNER_SETTINGS,
     terms: Sequence[Term] = (),
     progress: Progress | None = None,
     nominal: Callable[[Plan], None] | None = None,
@@ -120,8 +127,8 @@ def solve_robust(
         Stability margins of the nominal robot in motions frame by frame, which are started from where too many
         robots are lost on what comes of the others.
     settings : Settings
-        `stability_margin` is the least one of every scenario, which are planned for with SPARE more; weights of
-        contact and arrival count for each.
+        `stability_margin` is the least one of every scenario, which are planned for with EXTRA_SCENARIO_MARGIN
+        more; weights of contact and arrival count for each.
     terms : sequence of Term
         Further terms of the objective.
     progress : callable, optional
@@ -133,7 +140,7 @@ def solve_robust(
     Returns
     -------
     Plan
-        With its certificate in ``meta["certificate"]`` (:meth:`Trials.certified`) and the robots that it was
+        With its certificate in ``meta["certificate"]`` (:meth:`Trials.certify_plan`) and the robots that it was
         certified on. Where no motion is found that all scenarios share, the plan of the nominal robot, and
         ``meta["not_shared"]`` says so; without one, the first motion started from, no frame of which counts as
         solved.
@@ -143,36 +150,38 @@ def solve_robust(
     OptionError, ProblemError, RobotError
         An option, the problem or the robot is not what it must be.
     """
-    check_described(problem, settings)
+    check_problem_and_settings(problem, settings)
     check_search(motion_weight, None, 1)
     whole_number(OptionError, "rounds", rounds, 0)
-    model, scenarios = described(problem.robot, model, scenarios)
+    model, scenarios = resolve_scenarios(problem.robot, model, scenarios)
     given = checked_motions(problem, initial)
-    if not (given or margins) and told_on(model).bears is not None:
+    if not (given or margins) and reported_model(model).applied_load is not None:
         raise OptionError(
             "initial and margins are both empty: give motions to start from, or margins to find them"
         )
     # Most motions that can be tried: each is judged with its part of the 5 % (Trials), which holds only if none
     # comes unplanned. For two sets of starts: rounds on a draft and on all frames, relaxations, and improvements
     # with a round each; and once with guards.
-    motions = 2 * (2 * (rounds + 1) + RELAXATIONS + 2 * IMPROVEMENTS) + 1
+    motions = 2 * (2 * (rounds + 1) + MAX_RELAXATIONS + 2 * IMPROVEMENTS) + 1
     trials = Trials(problem.robot, model, motions, most_lost)
     terms = with_arrival(checked_terms(terms), settings, model)
-    purpose = Purpose(problem, model, settings)
+    purpose = ArrivalJudge(problem, model, settings)
     # `weight` stays None until a first start is known from which the default can be found.
     begin, searched, weight = time.perf_counter(), 0.0, motion_weight
-    told = told_on(model)
+    told = reported_model(model)
     with deferred_interrupt() as interrupted:
         planner = Horizon(problem, told, None, start, end, settings, terms)
         least = None
         if settings.stability_margin is not None:
-            least = np.full(problem.frames, min(settings.stability_margin + SPARE, MOST))
-        wall = wall_of(problem.robot, problem.sampled_lumen, model, settings, finer=1)
+            least = np.full(
+                problem.frames, min(settings.stability_margin + EXTRA_SCENARIO_MARGIN, MAX_FRAME_MARGIN)
+            )
+        wall = make_wall(problem.robot, problem.sampled_lumen, model, settings, subsamples=1)
         starts = _Starts(planner, told, given, margins, terms, settings, progress, interrupted, nominal)
-        tried, made, best, open_ = list[Tried](), list[Round](), None, list[Tried]()
+        tried, made, best, open_ = list[StartResult](), list[Round](), None, list[StartResult]()
         # Ways to find starts, one after the other; a later one is used where the drafts of the earlier ones are
         # not good, or their motions lose too many robots.
-        for number, find in enumerate(starts.ways):
+        for number, find in enumerate(starts.start_finders):
             begun = time.perf_counter()
             found = find()
             searched += time.perf_counter() - begun
@@ -188,23 +197,25 @@ def solve_robust(
             tried += drafts
             # Drafts that no rounds were made from yet; good or not, they are compared with those of the next way.
             open_ = sorted(open_ + drafts, key=lambda one: one.promise)
-            last = number + 1 == len(starts.ways)
+            last = number + 1 == len(starts.start_finders)
             # A draft that is poor, though solved, is put aside while there is another way to find starts.
             if not (last or given or interrupted()) and open_ and not _good(open_[0], settings):
                 continue
             made += _rounds(search, open_, scenarios, trials, rounds, len(made))
-            best, open_ = best_of(made, problem.frames), []
+            best, open_ = best_round(made, problem.frames), []
             if best is not None and best.lost.few and not interrupted():
                 # Few robots are lost: only now is it worth asking how many also arrive and keep off the wall.
                 judged = best._replace(failing=purpose(best.tried.solution.q, len(made)))
                 made = [judged if one is best else one for one in made]
-                made += improved(judged, purpose, trials, len(made))
-                best = best_of(made, problem.frames)
+                made += improve_arrival(judged, purpose, trials, len(made))
+                best = best_round(made, problem.frames)
             if interrupted() or (best is not None and best.lost.few):
                 break
         if guards and best is not None and not interrupted():
-            made += guarded(best, scenarios, Corners.of(problem.robot, model), trials, len(made))
-            best = best_of(made, problem.frames)
+            made += plan_with_constraint_scenarios(
+                best, scenarios, ToleranceVertices.of(problem.robot, model), trials, len(made)
+            )
+            best = best_round(made, problem.frames)
         stopped = interrupted()
     asked: dict[str, Any] = {
         "motion_weight": weight,
@@ -212,10 +223,10 @@ def solve_robust(
         "margins": list(margins),
         "rounds": rounds,
     }
-    asked |= {"terms": listed(terms)}
+    asked |= {"terms": describe_terms(terms)}
     meta = {
         "formulation": "robust-horizon",
-        **told.told,
+        **told.metadata,
         "solver": "interior-point",
         "options": settings.options() | asked | planner.ends.options,
         "build_s": planner.build_seconds,
@@ -223,8 +234,8 @@ def solve_robust(
         "solve_s": time.perf_counter() - begin - searched,
         "interrupted": stopped,
         "contact_weight": None if wall is None else wall.weight,
-        "starts": [_described(one) for one in tried],
-        "rounds": [one.described() for one in made],
+        "starts": [_start_to_meta(one) for one in tried],
+        "rounds": [one.to_meta() for one in made],
     }
     # No motion for all robots: the user gets the nominal plan, which says so.
     if best is None and starts.plan is not None and starts.plan.success.all():
@@ -232,9 +243,9 @@ def solve_robust(
         kept |= {} if stopped else {"not_shared": NOT_SHARED}
         return replace(starts.plan, meta=starts.plan.meta | kept)
     if best is None:
-        return _unsolved(problem, told.configuration(problem.robot, found[0].x), meta)
+        return _plan_without_solution(problem, told.configuration(problem.robot, found[0].x), meta)
     plan = _plan(problem, best, meta)
-    return plan if stopped else trials.certified(plan, best.lost, len(made))
+    return plan if stopped else trials.certify_plan(plan, best.lost, len(made))
 
 
 @dataclass
@@ -253,37 +264,37 @@ class _Starts:
     settings: Settings
     progress: Progress | None
     stop: Callable[[], bool]
-    told: Callable[[Plan], None] | None
+    on_nominal_plan: Callable[[Plan], None] | None
     plan: Plan | None = None
 
     @property
-    def ways(self) -> list[Callable[[], list[Start]]]:
+    def start_finders(self) -> list[Callable[[], list[InitialMotion]]]:
         """Ways to find starts; where the first finds a good one, the others are not needed."""
-        first = self._given if self.given else self._nominal
+        first = self._follow_given_motions if self.given else self._nominal
         return [first, *([self._frame_by_frame] if self.model.can_snap and self.margins else [])]
 
-    def _given(self) -> list[Start]:
+    def _follow_given_motions(self) -> list[InitialMotion]:
         robot = self.planner.problem.robot
         followed = [self.model.follow(robot, motion).x for motion in self.given]
         # A motion on which the nominal robot snaps has NaN: scenarios cannot be started from there.
-        found = [Start(f"motion {k}", x) for k, x in enumerate(followed, 1) if np.isfinite(x).all()]
+        found = [InitialMotion(f"motion {k}", x) for k, x in enumerate(followed, 1) if np.isfinite(x).all()]
         if not (found or self.margins):
             raise OptionError(
                 "no motion of initial leads the robot from equilibrium to equilibrium; give margins too"
             )
         return found
 
-    def _nominal(self) -> list[Start]:
+    def _nominal(self) -> list[InitialMotion]:
         """Return the nominal robot's plan as a start; nothing where that robot snaps, or bears a known load."""
-        if self.model.bears is not None:
+        if self.model.applied_load is not None:
             return []
         self.plan = self.planner.solve(progress=self.progress)
-        if self.told is not None:
-            self.told(self.plan)
+        if self.on_nominal_plan is not None:
+            self.on_nominal_plan(self.plan)
         x = self.model.follow(self.planner.problem.robot, self.plan.q).x if self.model.can_snap else self.plan.q
-        return [Start("the nominal plan", x)] if np.isfinite(x).all() else []
+        return [InitialMotion("the nominal plan", x)] if np.isfinite(x).all() else []
 
-    def _frame_by_frame(self) -> list[Start]:
+    def _frame_by_frame(self) -> list[InitialMotion]:
         """Return motions frame by frame without a wall, one for each of the margins."""
         found = partial(
             per_frame_motions,
@@ -294,20 +305,20 @@ class _Starts:
             most=START_FRAMES,
         )
         asked = (replace(self.settings, stability_margin=each) for each in self.margins)
-        return [Start(f"margin {each.stability_margin:g}", found(settings=each)[0]) for each in asked]
+        return [InitialMotion(f"margin {each.stability_margin:g}", found(settings=each)[0]) for each in asked]
 
 
-def _good(draft: Tried, settings: Settings) -> bool:
+def _good(draft: StartResult, settings: Settings) -> bool:
     """Whether a draft's mean error over robots, with all that its contact and misses cost, is what is allowed."""
     # The objective is a sum over frames of mean squared errors, mm^2; error_allowed is in mm.
-    return draft.shared and draft.solution.objective <= draft.frames * settings.error_allowed**2
+    return draft.is_shared and draft.solution.objective <= draft.frames * settings.error_allowed**2
 
 
 def _rounds(
     search: RobustSearch,
-    drafts: Sequence[Tried],
+    drafts: Sequence[StartResult],
     scenarios: Scenarios,
-    lost: Judge,
+    lost: FailureJudge,
     most: int,
     first: int,
 ) -> list[Round]:
@@ -318,30 +329,30 @@ def _rounds(
     rounds are numbered from `first` on. most: rounds on a draft, and on all frames.
     """
     for draft in drafts:
-        if not draft.solved or search.stop():
+        if not draft.is_solved or search.stop():
             break
         coarse = list[Round]()
-        if draft.made and search.picked is not None:
-            coarse = planned_again(search, draft, scenarios, lost, most, first)
+        if draft.on_planned_branch and search.draft_frames is not None:
+            coarse = replan_for_failures(search, draft, scenarios, lost, most, first)
         # The last round of the draft has met most of the lost robots already; an earlier one may be easier to
         # refine.
         tried = [(one.tried, one.scenarios) for one in reversed(coarse)] or [(draft, scenarios)]
-        for one, joined in tried[:REFINED]:
-            whole = search.refined(one, joined)
-            if whole.shared:
-                made = coarse + planned_again(search, whole, joined, lost, most, first + len(coarse))
-                return made + relaxed(made[-1], len(scenarios), lost, first + len(made))
+        for one, joined in tried[:MAX_REFINED_ROUNDS]:
+            whole = search.refine_draft(one, joined)
+            if whole.is_shared:
+                made = coarse + replan_for_failures(search, whole, joined, lost, most, first + len(coarse))
+                return made + relax_scenarios(made[-1], len(scenarios), lost, first + len(made))
     return []
 
 
-def _described(one: Tried) -> dict[str, Any]:
+def _start_to_meta(one: StartResult) -> dict[str, Any]:
     found = one.solution
     return {
         "start": one.start,
         "frames": one.frames,
         "objective": found.objective / one.frames,
-        "solved": one.solved,
-        "made": one.made,
+        "solved": one.is_solved,
+        "made": one.on_planned_branch,
         "grown": one.grown,
         "status": found.status,
         "iterations": found.iterations,
@@ -354,7 +365,7 @@ def _plan(problem: Problem, best: Round, meta: dict[str, Any]) -> Plan:
     condensed, model, robot = Condensed(best.search.motion(best.scenarios)), best.search.model, problem.robot
     # What depends on where robots are, such as the wall near them, is described at the solution before objectives
     # are evaluated there.
-    condensed.look(found.q, found.phi)
+    condensed.update_local_parameters(found.q, found.phi)
     return plan_from_configurations(
         problem,
         found.q,
@@ -363,12 +374,12 @@ def _plan(problem: Problem, best: Round, meta: dict[str, Any]) -> Plan:
         solve_time=np.full(problem.frames, np.nan),
         objective=condensed.by_frame(found.q, found.phi),
         kkt=np.full(problem.frames, found.kkt),
-        planned=told_unknowns(robot, model, found.q, found.x),
-        simulator=Simulator(robot, told_on(model)),
+        planned=reported_unknowns(robot, model, found.q, found.x),
+        simulator=Simulator(robot, reported_model(model)),
     )
 
 
-def _unsolved(problem: Problem, start: Array, meta: dict[str, Any]) -> Plan:
+def _plan_without_solution(problem: Problem, start: Array, meta: dict[str, Any]) -> Plan:
     """Make a plan of a start, configurations (T, 2d + 2), in which no frame counts as solved."""
     why = "interrupted" if meta["interrupted"] else NOT_SHARED
     unknown = np.full(problem.frames, np.nan)

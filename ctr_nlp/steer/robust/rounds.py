@@ -15,33 +15,35 @@ import numpy as np
 
 from ctr_nlp.nlp.scenarios import Scenarios
 from ctr_nlp.solvers.scenarios import SharedSolver
-from ctr_nlp.solvers.scenarios.interior import COARSE
-from ctr_nlp.steer.motions import filled
-from ctr_nlp.steer.realised import GIVEN, MOST
-from ctr_nlp.steer.robust.search import BARRIER, RobustSearch, Tried
-from ctr_nlp.steer.robust.trials import CERTIFYING, JOINING, Lost
+from ctr_nlp.solvers.scenarios.interior import COARSE_LAST_BARRIER_MM2
+from ctr_nlp.steer.motions import interpolate_frames
+from ctr_nlp.steer.realised import BRANCH_LOSS_MARGIN_INCREASE, MAX_FRAME_MARGIN
+from ctr_nlp.steer.robust.search import BARRIER, RobustSearch, StartResult
+from ctr_nlp.steer.robust.trials import CERTIFICATION_SAMPLES, MAX_JOINING_SAMPLES, FailedSamples
 from ctr_nlp.typing import Array, Index
 
-PUSHES = 1.5, 1.2, 1.0
+JOINING_SCALES = 1.5, 1.2, 1.0
 """Multiples of its difference from the nominal robot with which a lost one joins; the first that leads to a motion
 is taken. Beyond its own difference it stands for others like it.
 """
-NEARER, GAIN, RELAXATIONS = 0.8, 0.03, 2
+RELAXATION_FACTOR, MIN_RELAXATION_GAIN, MAX_RELAXATIONS = 0.8, 0.03, 2
 """Factor by which these differences are made smaller once few robots are lost, where that lowers the objective by
-more than the part GAIN; and how often.
+more than the part MIN_RELAXATION_GAIN; and how often.
 """
 AFFECTED = 0.1
 """Estimate of how far, in rad and in margin, that moves joined robots away from their limits: times the price of
 these limits, it is what may be gained.
 """
 FAILING_ALLOWED = 2
-"""Number of CERTIFYING robots that may fail on a motion: a plan with 4 of 200 fresh ones is just certified."""
+"""Number of CERTIFICATION_SAMPLES robots that may fail on a motion: a plan with 4 of 200 fresh ones is just
+certified.
+"""
 
-Judge = Callable[[Array, int, bool], Lost]
+FailureJudge = Callable[[Array, int, bool], FailedSamples]
 """(q (T, 2d + 2), number of a motion, whether it is a draft) -> the robots lost on it of those drawn for it."""
 
 
-class Failing(NamedTuple):
+class FailingSamples(NamedTuple):
     """Robots that fail on a motion, the worst first, and how many hold.
 
     Attributes
@@ -56,27 +58,27 @@ class Failing(NamedTuple):
     numbers: Array
     offsets: Array
     forces: Array
-    held: float
+    holding_share: float
 
     @property
     def enough(self) -> bool:
         """Whether so many hold that the motion will most likely be certified."""
-        return self.held >= 1 - FAILING_ALLOWED / CERTIFYING
+        return self.holding_share >= 1 - FAILING_ALLOWED / CERTIFICATION_SAMPLES
 
 
 class Round(NamedTuple):
     """A motion, the search and the scenarios that it comes from, and what became of the robots drawn then."""
 
     search: RobustSearch
-    tried: Tried
+    tried: StartResult
     scenarios: Scenarios
-    lost: Lost
+    lost: FailedSamples
     corners: int | None = None
     """How many corners of the tolerances are lost; None where that was not looked at."""
-    failing: Failing | None = None
+    failing: FailingSamples | None = None
     """Robots that do not arrive or press into the wall; None where that was not looked at."""
 
-    def described(self) -> dict[str, float | None]:
+    def to_meta(self) -> dict[str, float | None]:
         """Return what a plan's meta reports of the round; the objective is a mean over frames, mm^2."""
         found = self.tried.solution
         return {
@@ -86,9 +88,9 @@ class Round(NamedTuple):
             "objective": found.objective / self.tried.frames,
             "iterations": found.iterations,
             "lost": len(self.lost.frames),
-            "drawn": self.lost.drawn,
+            "drawn": self.lost.sample_count,
             "corners_lost": self.corners,
-            "held": None if self.failing is None else self.failing.held,
+            "held": None if self.failing is None else self.failing.holding_share,
             "contact_weight": 0.0 if self.search.wall is None else self.search.wall.weight,
         }
 
@@ -99,21 +101,21 @@ class Round(NamedTuple):
         """
         # Where too many are lost, the motion that loses fewest is the best compromise, whatever it costs.
         least = self.tried.solution.objective if self.lost.few else self.lost.share
-        fails = 1.0 if self.failing is None else 1 - self.failing.held
+        fails = 1.0 if self.failing is None else 1 - self.failing.holding_share
         return not self.lost.few, self.corners is None, fails, least
 
 
-def best_of(rounds: Sequence[Round], frames: int) -> Round | None:
+def best_round(rounds: Sequence[Round], frames: int) -> Round | None:
     """Return the best of the rounds over all `frames`, the last one of equals; None where there is none."""
     whole = [one for one in rounds if one.tried.frames == frames]
     return min(reversed(whole), key=lambda one: one.rank, default=None)
 
 
-def planned_again(
+def replan_for_failures(
     search: RobustSearch,
-    tried: Tried,
+    tried: StartResult,
     scenarios: Scenarios,
-    lost: Judge,
+    lost: FailureJudge,
     most: int,
     first: int = 0,
 ) -> list[Round]:
@@ -123,10 +125,10 @@ def planned_again(
     `first` on. most: rounds.
     """
     rounds, frames = list[Round](), search.problem.frames
-    picked = search.picked if tried.frames < frames else None
+    picked = search.draft_frames if tried.frames < frames else None
     for number in range(most + 1):
         # Robots are simulated on all frames; a draft's motion is interpolated.
-        q = tried.solution.q if picked is None else filled(tried.solution.q, picked, frames)
+        q = tried.solution.q if picked is None else interpolate_frames(tried.solution.q, picked, frames)
         found = lost(q, first + number, picked is not None)
         rounds.append(Round(search, tried, scenarios, found))
         if found.few or number == most or search.stop():
@@ -134,60 +136,65 @@ def planned_again(
         # Where robots are lost though others have joined, frames are too far apart to show how the way between
         # them is: more margin in the frames beside it helps.
         if number:
-            search = replace(search, margins=firmer(search.margins, found.frames, picked))
+            search = replace(search, margins=raise_margins_near_failures(search.margins, found.frames, picked))
         # A robot too different may have no stable motion in common with the others: then a smaller difference is
         # tried.
-        for push in PUSHES:
-            more = joined(scenarios, found, push)
-            again = _again(search, tried, more, picked)
-            if again.shared or search.stop():
+        for push in JOINING_SCALES:
+            more = add_failed_samples(scenarios, found, push)
+            again = _replan_once(search, tried, more, picked)
+            if again.is_shared or search.stop():
                 break
-        if not again.shared:
+        if not again.is_shared:
             break
         tried, scenarios = again, more
     return rounds
 
 
-def relaxed(held: Round, first: int, lost: Judge, number: int) -> list[Round]:
+def relax_scenarios(held: Round, first: int, lost: FailureJudge, number: int) -> list[Round]:
     """Reduce the differences of robots that joined, scenarios from `first` on, as long as few robots are lost.
 
     held: a round on whose motion few are. lost: judges each round's motion; rounds are numbered from `number` on.
     """
     rounds, search = list[Round](), held.search
-    while len(held.scenarios) > first and held.lost.few and len(rounds) < RELAXATIONS and not search.stop():
+    while len(held.scenarios) > first and held.lost.few and len(rounds) < MAX_RELAXATIONS and not search.stop():
         # burdens are multipliers: by how much the objective falls for a unit by which the limits of a robot are
         # eased. Solving again takes long, so that the gain is estimated first.
-        burden = held.tried.solution.burdens[:, first : len(held.scenarios)].sum()
-        if AFFECTED * burden <= GAIN * held.tried.solution.objective:
+        burden = held.tried.solution.constraint_multipliers[:, first : len(held.scenarios)].sum()
+        if AFFECTED * burden <= MIN_RELAXATION_GAIN * held.tried.solution.objective:
             break
-        scenarios = held.scenarios.shrunk(NEARER, first)
-        tried = _again(search, held.tried, scenarios, None)
-        if not tried.shared or tried.solution.objective > (1 - GAIN) * held.tried.solution.objective:
+        scenarios = held.scenarios.shrink_differences(RELAXATION_FACTOR, first)
+        tried = _replan_once(search, held.tried, scenarios, None)
+        if (
+            not tried.is_shared
+            or tried.solution.objective > (1 - MIN_RELAXATION_GAIN) * held.tried.solution.objective
+        ):
             break
         held = Round(search, tried, scenarios, lost(tried.solution.q, number + len(rounds), False))
         rounds.append(held)
     return rounds
 
 
-def _again(search: RobustSearch, before: Tried, scenarios: Scenarios, picked: Index | None) -> Tried:
+def _replan_once(
+    search: RobustSearch, before: StartResult, scenarios: Scenarios, picked: Index | None
+) -> StartResult:
     """Solve a motion again with scenarios that have joined; on a draft, where that fails, scenarios grow into it.
 
     picked: the draft's frames, None for all frames.
     """
-    tried = solved_again(search, before, scenarios, picked)
-    if tried.shared or picked is None or search.stop():
+    tried = solve_with_scenarios(search, before, scenarios, picked)
+    if tried.is_shared or picked is None or search.stop():
         return tried
     known = before.solution
-    return search.grown(before.start, known.q, known.phi[:, :1], scenarios, picked)
+    return search.grow_scenarios(before.start, known.q, known.phi[:, :1], scenarios, picked)
 
 
-def solved_again(
+def solve_with_scenarios(
     search: RobustSearch,
-    before: Tried,
+    before: StartResult,
     scenarios: Scenarios,
     picked: Index | None = None,
     barrier: float = BARRIER,
-) -> Tried:
+) -> StartResult:
     """Solve a motion again with scenarios of which the last have joined, from the nominal robot's tips.
 
     before: the result so far. picked: frames of a draft, None for all. barrier: the first one, mm^2.
@@ -197,20 +204,22 @@ def solved_again(
     old = known.phi.shape[1] - (motion.sizes[1] - len(scenarios))
     joining = np.repeat(known.phi[:, :1], len(scenarios) - old, axis=1)
     tips = np.concatenate([known.phi[:, :old], joining, known.phi[:, old:]], axis=1)
-    found = SharedSolver(motion, COARSE)(known.q, tips, barrier, search.stop, rough=picked is not None)
-    return search.looked_at(Tried(before.start, before.frames, found))
+    found = SharedSolver(motion, COARSE_LAST_BARRIER_MM2)(
+        known.q, tips, barrier, search.stop, rough=picked is not None
+    )
+    return search.with_branch_check(StartResult(before.start, before.frames, found))
 
 
-def joined(scenarios: Scenarios, lost: Lost, push: float = PUSHES[0]) -> Scenarios:
-    """Return scenarios with the first JOINING lost robots added, each with `push` times its difference; errors of
-    these do not count.
+def add_failed_samples(scenarios: Scenarios, lost: FailedSamples, push: float = JOINING_SCALES[0]) -> Scenarios:
+    """Return scenarios with the first MAX_JOINING_SAMPLES lost robots added, each with `push` times its
+    difference; errors of these do not count.
     """
-    numbers, offsets, _, forces = (each[0] for each in scenarios.each)
+    numbers, offsets, _, forces = (each[0] for each in scenarios.arrays)
     pairs = (numbers, lost.numbers), (offsets, lost.offsets), (forces, lost.forces)
-    return scenarios.joined(*(first + push * (each[:JOINING] - first) for first, each in pairs))
+    return scenarios.append_robots(*(first + push * (each[:MAX_JOINING_SAMPLES] - first) for first, each in pairs))
 
 
-def firmer(margins: Array | None, frames: Index, picked: Index | None = None) -> Array | None:
+def raise_margins_near_failures(margins: Array | None, frames: Index, picked: Index | None = None) -> Array | None:
     """Return margins (T,) raised in frames on the way to which robots were lost, and in the frames before these.
 
     frames: numbers from 1. picked: frames of a draft, of which the nearest on both sides are raised; None for all.
@@ -221,5 +230,7 @@ def firmer(margins: Array | None, frames: Index, picked: Index | None = None) ->
     # Frame numbers count from 1; searchsorted finds the first known frame at or after the loss.
     after = np.searchsorted(known, np.unique(frames) - 1)
     beside = known[np.unique(np.concatenate([after, np.maximum(after - 1, 0)]))]
-    found[beside] = np.maximum(found[beside], np.minimum(found[beside] + GIVEN, MOST))
+    found[beside] = np.maximum(
+        found[beside], np.minimum(found[beside] + BRANCH_LOSS_MARGIN_INCREASE, MAX_FRAME_MARGIN)
+    )
     return found

@@ -13,38 +13,40 @@ import math
 import numpy as np
 
 from ctr_nlp.exceptions import OptionError
-from ctr_nlp.formulations.shared.scenarios import check_shared
+from ctr_nlp.formulations.shared.scenarios import check_scenarios
 from ctr_nlp.loads import Load
-from ctr_nlp.models import MODELS, Model, bearing, model_named
+from ctr_nlp.models import KINEMATIC_MODELS, Model, model_for_tip_forces, model_named
 from ctr_nlp.models.loaded.model import Loaded
 from ctr_nlp.models.loaded.tips import tip_angles
 from ctr_nlp.nlp.scenarios import Scenarios
 from ctr_nlp.robot import Robot
-from ctr_nlp.robot.draws import drawn_from
-from ctr_nlp.robot.tolerances import NAMES
-from ctr_nlp.support.values import instance
+from ctr_nlp.robot.draws import perturb_robot
+from ctr_nlp.robot.tolerances import DEVIATION_NAMES
+from ctr_nlp.support.values import check_instance
 from ctr_nlp.typing import Array
 
 
-def scenarios_of(robot: Robot, pushed: bool = False) -> Scenarios:
+def scenarios_from_tolerances(robot: Robot, with_tip_force: bool = False) -> Scenarios:
     """Return the nominal robot, and robots with the mean and the covariance of what tolerances allow.
 
-    robot: with its tolerances. pushed: whether each robot but the first bears the largest force that may act at
-    its tip, in directions whose mean is 0; otherwise forces are left out. Lags are left out. Raises OptionError
-    where nothing may differ, and where a tube's curved part may come to end within its range of extensions, which
-    is another structure of programs.
+    robot: with its tolerances. with_tip_force: whether each robot but the first bears the largest force that may
+    act at its tip, in directions whose mean is 0; otherwise forces are left out. Lags are left out. Raises
+    OptionError where nothing may differ, and where a tube's curved part may come to end within its range of
+    extensions, which is another structure of programs.
     """
     force = robot.tolerances.tip_force
-    root = robot.tolerances.root(robot.tubes)
+    root = robot.tolerances.covariance_root(robot.tubes)
     # Numbers that are not uncertain would only make the design larger.
     deviations = root[:, abs(root).max(axis=0) > 0]
     if not (deviations.size or force):
         raise OptionError("all tolerances of the robot are 0; give some, or plan without robustness")
-    count, sides = deviations.shape[1], 3 * bool(pushed and force)
-    signs = balanced(count + sides) if count + sides else np.zeros((0, 0))
+    count, sides = deviations.shape[1], 3 * bool(with_tip_force and force)
+    signs = two_level_orthogonal_array(count + sides) if count + sides else np.zeros((0, 0))
     # The first row is the nominal robot.
-    parts = np.vstack([np.zeros(len(root)), signs[:, :count] @ deviations.T]).reshape(-1, robot.d, len(NAMES))
-    made = drawn_from(robot, parts, np.zeros(parts.shape[:2]))
+    parts = np.vstack([np.zeros(len(root)), signs[:, :count] @ deviations.T]).reshape(
+        -1, robot.d, len(DEVIATION_NAMES)
+    )
+    made = perturb_robot(robot, parts, np.zeros(parts.shape[:2]))
     if made.structure != robot.structure:
         raise OptionError(
             "curved_length of tolerances lets a curved part end before the tube's largest extension; "
@@ -65,10 +67,10 @@ def with_forces(scenarios: Scenarios, size: float) -> Scenarios:
     """
     forces = size * np.vstack([np.eye(3), -np.eye(3)])[: 6 * (size > 0)]
     numbers, offsets = (np.repeat(of[:1], len(forces), axis=0) for of in (scenarios.numbers, scenarios.offsets))
-    return scenarios.joined(numbers, offsets, forces)
+    return scenarios.append_robots(numbers, offsets, forces)
 
 
-def described(robot: Robot, model: str | Model, scenarios: Scenarios | None) -> tuple[Model, Scenarios]:
+def resolve_scenarios(robot: Robot, model: str | Model, scenarios: Scenarios | None) -> tuple[Model, Scenarios]:
     """Return the model and the scenarios that are planned for; by default those of the robot's tolerances.
 
     Where forces may act, the model is one of loaded robots. Raises OptionError, and LoadError where forces act on
@@ -76,29 +78,29 @@ def described(robot: Robot, model: str | Model, scenarios: Scenarios | None) -> 
     """
     model = model_named(model, "model of scenarios")
     if scenarios is None:
-        scenarios = with_forces(scenarios_of(robot), robot.tolerances.tip_force)
-    instance(OptionError, "scenarios", scenarios, Scenarios)
+        scenarios = with_forces(scenarios_from_tolerances(robot), robot.tolerances.tip_force)
+    check_instance(OptionError, "scenarios", scenarios, Scenarios)
     # Draws that bear forces join the scenarios in later rounds, even if none of the first bears any.
-    model = bearing(model, scenarios.pushed or robot.tolerances.tip_force > 0)
+    model = model_for_tip_forces(model, scenarios.has_tip_forces or robot.tolerances.tip_force > 0)
     model.check(robot)
-    check_shared(robot, model, scenarios)
+    check_scenarios(robot, model, scenarios)
     return model, scenarios
 
 
-def told_on(model: Model) -> Model:
+def reported_model(model: Model) -> Model:
     """Return the model on which a plan is reported: that without a load, where the nominal robot bears none.
 
     model: on which scenarios are planned.
     """
-    return MODELS[model.name] if model.bears == Load() else model
+    return KINEMATIC_MODELS[model.name] if model.applied_load == Load() else model
 
 
-def told_unknowns(robot: Robot, model: Model, q: Array, x: Array) -> Array:
+def reported_unknowns(robot: Robot, model: Model, q: Array, x: Array) -> Array:
     """Return the unknowns (T, 2d + 2) of the nominal robot on the model that plans are reported on.
 
     q (T, 2d + 2): its configurations. x: its unknowns on the scenarios' model.
     """
-    told, last = told_on(model), robot.d - 1
+    told, last = reported_model(model), robot.d - 1
     if told == model:
         return x
     found = q.copy()
@@ -109,16 +111,16 @@ def told_unknowns(robot: Robot, model: Model, q: Array, x: Array) -> Array:
     return found
 
 
-def bearing_unknowns(robot: Robot, model: Model, q: Array, x: Array) -> Array:
+def loaded_unknowns(robot: Robot, model: Model, q: Array, x: Array) -> Array:
     """Return the unknowns (T, 2d + 2) on the scenarios' model of a nominal robot without a load.
 
-    q (T, 2d + 2): its configurations. x: its unknowns on told_on(model). The innermost tip's angle, which alpha
-    determines up to whole turns, is continuous over the frames.
+    q (T, 2d + 2): its configurations. x: its unknowns on reported_model(model). The innermost tip's angle, which
+    alpha determines up to whole turns, is continuous over the frames.
     """
-    if told_on(model) == model:
+    if reported_model(model) == model:
         return x
     assert isinstance(model, Loaded)
-    found, last = model.unloaded(robot, q, tip_angles(x, robot.d)), robot.d - 1
+    found, last = model.unloaded_unknowns(robot, q, tip_angles(x, robot.d)), robot.d - 1
     found[:, last] = np.unwrap(found[:, last])
     return found
 
@@ -126,18 +128,18 @@ def bearing_unknowns(robot: Robot, model: Model, q: Array, x: Array) -> Array:
 def tips_of(model: Model, robot: Robot, x: Array) -> Array:
     """Return the part of unknowns x (T, n_x) that q does not determine: tips (T, d), under a load (T, d + 2)."""
     angles, turns = x[:, : robot.d], x[:, 2 * robot.d :]
-    return angles if model.bears is None else np.hstack([angles, turns])
+    return angles if model.applied_load is None else np.hstack([angles, turns])
 
 
 def unknowns_of(model: Model, robot: Robot, tips: Array, q: Array) -> Array:
     """Return the unknowns (T, n_x) of a robot at q (T, 2d + 2) whose tips are those of tips_of."""
     d = robot.d
-    if model.bears is None:
+    if model.applied_load is None:
         return np.hstack([tips, q[:, d:]])
     return np.hstack([tips[:, :d], q[:, d : 2 * d], tips[:, d:]])
 
 
-def balanced(count: int) -> Array:
+def two_level_orthogonal_array(count: int) -> Array:
     """Return a two-level orthogonal array (N, count): rows are robots, columns independent numbers of mean 0 and
     variance 1.
 

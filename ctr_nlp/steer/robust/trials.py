@@ -20,26 +20,26 @@ from ctr_nlp.plan.robustness import CONFIDENCE, MOST_LOST, upper_bound
 from ctr_nlp.plan.sample_outcomes import sample_outcomes
 from ctr_nlp.plan.verdicts import option, outcome_sentence
 from ctr_nlp.robot import Robot
-from ctr_nlp.robot.draws import drawn, drawn_from
-from ctr_nlp.simulation.drawn import lost_draws
+from ctr_nlp.robot.draws import perturb_robot, sample_robots
+from ctr_nlp.simulation.drawn import find_failure_frames
 from ctr_nlp.support.values import number
 from ctr_nlp.typing import Array, Index
 
-JOINING = 6
+MAX_JOINING_SAMPLES = 6
 """Most lost robots that join the scenarios in one round."""
-LEAST_DRAWS, OF_DRAFTS, GROUP = 500, 200, 50
+MIN_TRIAL_SAMPLES, DRAFT_TRIAL_SAMPLES, TRIAL_SAMPLES_PER_BATCH = 500, 200, 50
 """Least number of robots drawn for a whole motion, number for a draft, and how many are simulated at a time."""
-SEED = 2**40
+TRIAL_FIRST_SAMPLE_SEED = 2**40
 """Seed of the first motion's robots, from which seeds count on: none that users try plans with."""
-CERTIFYING = 200
+CERTIFICATION_SAMPLES = 200
 """Fresh robots on which the chosen plan is judged for arrival and contact: where at most 4 of them fail, at least
 95 % of all such robots hold with 95 % confidence.
 """
-HALVINGS = 6
+TOLERANCE_PART_BISECTIONS = 6
 """Bisection steps for the part of the tolerances that a motion bears."""
 
 
-class Lost(NamedTuple):
+class FailedSamples(NamedTuple):
     """Robots that were lost of those drawn for a motion.
 
     numbers (L, d, 8): of their tubes. offsets (L, d): of their motors' zeros, rad. forces (L, 3): at their tips,
@@ -51,13 +51,13 @@ class Lost(NamedTuple):
     offsets: Array
     forces: Array
     frames: Index
-    drawn: int
+    sample_count: int
     few: bool
 
     @property
     def share(self) -> float:
         """Share of the simulated robots that is lost."""
-        return len(self.frames) / self.drawn
+        return len(self.frames) / self.sample_count
 
 
 @dataclass(frozen=True)
@@ -83,52 +83,58 @@ class Trials:
         return 1 - (1 - CONFIDENCE) / self.motions
 
     @property
-    def draws(self) -> int:
+    def samples_per_motion(self) -> int:
         """Number of robots drawn for a motion: enough that none of them being lost proves what is asked for."""
         # None of n lost: (1 - p)^n <= 1 - c, with p the share that may be lost and c the confidence.
-        return max(LEAST_DRAWS, math.ceil(math.log(1 - self.confidence) / math.log1p(-self.most_lost)))
+        return max(MIN_TRIAL_SAMPLES, math.ceil(math.log(1 - self.confidence) / math.log1p(-self.most_lost)))
 
     @property
-    def allowed(self) -> int:
+    def allowed_failures(self) -> int:
         """Number of these that may be lost."""
         # The bound grows with the number lost: the last number below it is wanted.
-        bounds = (upper_bound(lost, self.draws, self.confidence) for lost in count())
+        bounds = (upper_bound(lost, self.samples_per_motion, self.confidence) for lost in count())
         return next(lost for lost, bound in enumerate(bounds) if bound > self.most_lost) - 1
 
-    def __call__(self, q: Array, number: int, draft: bool = False) -> Lost:
+    def __call__(self, q: Array, number: int, draft: bool = False) -> FailedSamples:
         """Simulate the robots drawn for motion q (T, 2d + 2), which is number `number`, and return those that are
         lost.
 
         draft: whether it is a draft's motion, for which fewer robots are drawn, and few means none. Simulation
         ends as soon as more are lost than may be.
         """
-        draws = drawn(self.robot, OF_DRAFTS if draft else self.draws, SEED + number)
-        allowed, frames = 0 if draft else self.allowed, np.zeros(0, dtype=int)
-        # The verdict is no once more than `allowed` are lost; but JOINING of them are wanted as scenarios.
-        while len(frames) < len(draws) and (frames > 0).sum() < max(JOINING, allowed + 1):
-            group = draws[len(frames) : len(frames) + GROUP]
-            frames = np.append(frames, lost_draws(self.robot, group, q, self.model))
+        draws = sample_robots(
+            self.robot, DRAFT_TRIAL_SAMPLES if draft else self.samples_per_motion, TRIAL_FIRST_SAMPLE_SEED + number
+        )
+        allowed, frames = 0 if draft else self.allowed_failures, np.zeros(0, dtype=int)
+        # The verdict is no once more than `allowed` are lost; but MAX_JOINING_SAMPLES of them are wanted as
+        # scenarios.
+        while len(frames) < len(draws) and (frames > 0).sum() < max(MAX_JOINING_SAMPLES, allowed + 1):
+            group = draws[len(frames) : len(frames) + TRIAL_SAMPLES_PER_BATCH]
+            frames = np.append(frames, find_failure_frames(self.robot, group, q, self.model))
         gone = np.flatnonzero(frames)
         found = draws[gone]
         own = found.numbers, found.offsets, found.forces
-        return Lost(*own, frames[gone], len(frames), len(gone) <= allowed)
+        return FailedSamples(*own, frames[gone], len(frames), len(gone) <= allowed)
 
-    def borne(self, q: Array, number: int) -> float:
+    def tolerated_part(self, q: Array, number: int) -> float:
         """Return the part of the tolerances, below 1, at which few robots are lost on motion q; 0 where many are
         at any.
 
         number: of the motion, whose robots are drawn again and scaled.
         """
-        draws, (low, high) = drawn(self.robot, self.draws, SEED + number), (0.0, 1.0)
-        for _ in range(HALVINGS):
+        draws, (low, high) = (
+            sample_robots(self.robot, self.samples_per_motion, TRIAL_FIRST_SAMPLE_SEED + number),
+            (0.0, 1.0),
+        )
+        for _ in range(TOLERANCE_PART_BISECTIONS):
             part = (low + high) / 2
-            shrunk = drawn_from(self.robot, part * draws.parts, part * draws.lags, part * draws.forces)
-            few = (lost_draws(self.robot, shrunk, q, self.model) > 0).sum() <= self.allowed
+            shrunk = perturb_robot(self.robot, part * draws.deviations, part * draws.backlash, part * draws.forces)
+            few = (find_failure_frames(self.robot, shrunk, q, self.model) > 0).sum() <= self.allowed_failures
             low, high = (part, high) if few else (low, part)
         # The lower end: few are known to be lost there.
         return low
 
-    def certified(self, plan: Plan, lost: Lost, number: int) -> Plan:
+    def certify_plan(self, plan: Plan, lost: FailedSamples, number: int) -> Plan:
         """Certify a plan by robots that neither planning nor the choice among motions has seen.
 
         Parameters
@@ -150,19 +156,19 @@ class Trials:
             Pearson); ``certified``: whether few are lost and that share is as large as asked for.
         """
         frames, counts = np.unique(lost.frames, return_counts=True)
-        plan = plan.with_draws(CERTIFYING, SEED + number)
+        plan = plan.with_samples(CERTIFICATION_SAMPLES, TRIAL_FIRST_SAMPLE_SEED + number)
         outcomes = sample_outcomes(plan)
-        holds = int(outcomes.held.sum())
-        at_least = 1 - upper_bound(CERTIFYING - holds, CERTIFYING)
+        holds = int(outcomes.passed_all_checks.sum())
+        at_least = 1 - upper_bound(CERTIFICATION_SAMPLES - holds, CERTIFICATION_SAMPLES)
         found = {
             "held": lost.few,
             "most_lost": self.most_lost,
-            "draws": lost.drawn,
+            "draws": lost.sample_count,
             "lost": len(lost.frames),
             "lost_in": dict(zip(map(str, frames.tolist()), counts.tolist(), strict=True)),
             # Known without a search where few are lost at the whole tolerances.
-            "borne": 1.0 if lost.few else self.borne(plan.q, number),
-            "samples": CERTIFYING,
+            "borne": 1.0 if lost.few else self.tolerated_part(plan.q, number),
+            "samples": CERTIFICATION_SAMPLES,
             "outcome": outcome_sentence(outcomes),
             "holds": holds,
             "holds_at_least": at_least,

@@ -9,13 +9,13 @@ from matplotlib.figure import Figure
 
 from ctr_nlp.figures.parts.page import STYLE, plain_ticks, printable
 from ctr_nlp.figures.parts.palette import BLACK, BLUE, VERMILLION
-from ctr_nlp.studies.baselines.race import METHODS, Run
+from ctr_nlp.studies.baselines.race import DESIGN_OPTIMISERS, OptimiserRun
 
-COLOURS = dict(zip(METHODS, (VERMILLION, BLUE, BLACK), strict=True))
+OPTIMISER_COLOURS = dict(zip(DESIGN_OPTIMISERS, (VERMILLION, BLUE, BLACK), strict=True))
 
 
 @rc_context(STYLE)
-def picture(runs: Sequence[Run], names: Sequence[str]) -> Figure:
+def draw_optimiser_race(runs: Sequence[OptimiserRun], names: Sequence[str]) -> Figure:
     """Draw the least error so far over process time, one line a run; `names` are those of the problems."""
     figure = Figure(figsize=(7.0, 4.2), layout="constrained")
     axes = figure.subplots()
@@ -23,9 +23,9 @@ def picture(runs: Sequence[Run], names: Sequence[str]) -> Figure:
     for run in runs:
         if len(run.seconds):
             seconds, e3 = [*run.seconds, last], [*run.e3, run.best]
-            label = f"{run.method}, {run.asked} tubes tried"
-            axes.plot(seconds, e3, drawstyle="steps-post", color=COLOURS[run.method], label=label)
-            axes.plot(run.seconds, run.e3, "o", ms=3, color=COLOURS[run.method])
+            label = f"{run.method}, {run.evaluations} tubes tried"
+            axes.plot(seconds, e3, drawstyle="steps-post", color=OPTIMISER_COLOURS[run.method], label=label)
+            axes.plot(run.seconds, run.e3, "o", ms=3, color=OPTIMISER_COLOURS[run.method])
     axes.set_yscale("log")
     plain_ticks(axes.yaxis)
     axes.set_xlabel("process time (s)")

@@ -12,19 +12,19 @@ import numpy as np
 
 from ctr_nlp.formulations.frame import program
 from ctr_nlp.formulations.terms import Order, ShapeDistance
-from ctr_nlp.models import MODELS
-from ctr_nlp.problems import named
+from ctr_nlp.models import KINEMATIC_MODELS
+from ctr_nlp.problems import named_problem
 from ctr_nlp.robot import Robot, Tube, table_i_robot
 from ctr_nlp.solvers.frame.program import Program
 from ctr_nlp.steer import solve_horizon, solve_per_frame
-from ctr_nlp.studies.benchmarks.peers import evaluation
+from ctr_nlp.studies.benchmarks.peers import evaluation_seconds
 from ctr_nlp.typing import Array
 
-FRAMES = (100, 300, 1000, 2000, 5000)
-LUMEN = (50, 100, 200, 400)
+GROWTH_FRAME_COUNTS = (100, 300, 1000, 2000, 5000)
+GROWTH_LUMEN_FRAME_COUNTS = (50, 100, 200, 400)
 """Frames of a motion within a lumen."""
-TUBES = (2, 3, 4, 5)
-STRIDES = (20, 10, 5, 2, 1)
+GROWTH_TUBE_COUNTS = (2, 3, 4, 5)
+GROWTH_SAMPLE_STRIDES = (20, 10, 5, 2, 1)
 """Between the samples of a shape at which a frame looks."""
 REPEATS = 3
 
@@ -43,7 +43,7 @@ class Growth:
     error: float
 
 
-def fitted(what: str, sizes: Sequence[float], seconds: Sequence[float]) -> Growth:
+def fit_growth(what: str, sizes: Sequence[float], seconds: Sequence[float]) -> Growth:
     """Fit the exponent of `what` to times `seconds` (n,) at `sizes` (n,), by least squares of logarithms."""
     x, y = np.log(sizes), np.log(seconds)
     basis = np.column_stack([np.ones(len(x)), x])
@@ -53,17 +53,17 @@ def fitted(what: str, sizes: Sequence[float], seconds: Sequence[float]) -> Growt
     return Growth(what, np.array(sizes, float), np.array(seconds, float), float(exponent), spread)
 
 
-def _frame(robot: Robot, stride: int) -> float:
+def _frame_seconds(robot: Robot, stride: int) -> float:
     """Return the seconds of a frame's first derivatives; `stride` is that of the samples along the robot."""
     terms = ShapeDistance(stride=stride), Order(robot.carriage_gap)
-    nlp = program("frame", robot.structure, MODELS["dominant"], terms)
+    nlp = program("frame", robot.structure, KINEMATIC_MODELS["dominant"], terms)
     frame = Program(nlp, wait=True)
     frame.x[:] = np.clip(np.linspace(0.1, 100, len(frame.x)), robot.lower, robot.upper)
-    frame.p[nlp.place("tubes")] = robot.numbers.ravel(order="F")
-    return min(evaluation(frame) for _ in range(REPEATS))
+    frame.p[nlp.parameter_slice("tubes")] = robot.numbers.ravel(order="F")
+    return min(evaluation_seconds(frame) for _ in range(REPEATS))
 
 
-def nested(count: int) -> Robot:
+def nested_robot(count: int) -> Robot:
     """Return a robot of `count` tubes like the paper's, each inside the one before and longer."""
     tubes = (
         Tube(90.0 + 60 * i, 50.0 + 20 * i, 0.006 + 0.001 * i, 6.0 - 0.9 * i, 5.3 - 0.9 * i) for i in range(count)
@@ -71,7 +71,7 @@ def nested(count: int) -> Robot:
     return Robot(tuple(tubes))
 
 
-def least(work: Callable[[], Any], repeats: int = REPEATS) -> float:
+def min_thread_seconds(work: Callable[[], Any], repeats: int = REPEATS) -> float:
     """Return the least seconds of this thread that work takes."""
     times = []
     for _ in range(repeats):
@@ -81,31 +81,37 @@ def least(work: Callable[[], Any], repeats: int = REPEATS) -> float:
     return min(times)
 
 
-KINDS: Mapping[str, tuple[Sequence[int], Callable[[int], float]]] = {
+GROWTH_KINDS: Mapping[str, tuple[Sequence[int], Callable[[int], float]]] = {
     "horizon, by frames": (
-        FRAMES,
-        lambda n: least(lambda: solve_horizon(named("cos", n), model="dominant"), 2 if n < 2000 else 1),
+        GROWTH_FRAME_COUNTS,
+        lambda n: min_thread_seconds(
+            lambda: solve_horizon(named_problem("cos", n), model="dominant"), 2 if n < 2000 else 1
+        ),
     ),
     "frames within a lumen, by frames": (
-        LUMEN,
-        lambda n: least(lambda: solve_per_frame(named("bronchus", n), model="dominant", direction="forward")),
+        GROWTH_LUMEN_FRAME_COUNTS,
+        lambda n: min_thread_seconds(
+            lambda: solve_per_frame(named_problem("bronchus", n), model="dominant", direction="forward")
+        ),
     ),
-    "first derivatives of a frame, by tubes": (TUBES, lambda n: _frame(nested(n), 5)),
+    "first derivatives of a frame, by tubes": (GROWTH_TUBE_COUNTS, lambda n: _frame_seconds(nested_robot(n), 5)),
     "first derivatives of a frame, by samples": (
-        sorted(100 // stride + 1 for stride in STRIDES),
-        lambda n: _frame(table_i_robot(), 100 // (n - 1)),
+        sorted(100 // stride + 1 for stride in GROWTH_SAMPLE_STRIDES),
+        lambda n: _frame_seconds(table_i_robot(), 100 // (n - 1)),
     ),
 }
 """Kinds of growth: sizes, and the seconds at a size."""
 
 
-def growths(kinds: Mapping[str, tuple[Sequence[int], Callable[[int], float]]] = KINDS) -> Iterator[Growth]:
+def measure_growths(
+    kinds: Mapping[str, tuple[Sequence[int], Callable[[int], float]]] = GROWTH_KINDS,
+) -> Iterator[Growth]:
     """Yield the exponent of each kind of growth."""
     for what, (sizes, seconds) in kinds.items():
-        yield fitted(what, sizes, [seconds(size) for size in sizes])
+        yield fit_growth(what, sizes, [seconds(size) for size in sizes])
 
 
-def draw(found: Sequence[Growth], path: Path) -> Path:
+def draw_growths(found: Sequence[Growth], path: Path) -> Path:
     """Draw times over sizes on logarithmic scales, with the powers that were fitted; raises OutputError."""
     import matplotlib
     from matplotlib.ticker import EngFormatter, LogLocator, NullFormatter

@@ -20,15 +20,15 @@ from ctr_nlp.codegen import cache
 from ctr_nlp.exceptions import BenchmarkError
 from ctr_nlp.typing import Array
 
-WORK = Path(__file__).with_name("work.py")
-LEVEL = 0.02
+BENCHMARK_SCRIPT = Path(__file__).with_name("work.py")
+ROW_SIGNIFICANCE_LEVEL = 0.02
 """Part of unchanged rows whose interval may lie beside the true ratio."""
-TOLERANCE = 0.15
+MAX_RELATIVE_TIME_CHANGE = 0.15
 """Part by which a row may differ before anything is said."""
-TURN = 0.05
+MIN_BENCHMARK_TURN_S = 0.05
 """Least seconds of a turn: rows of small pieces are repeated for so long."""
 LEAST_BLOCKS = 7
-"""Fewer blocks cannot tell a change at LEVEL."""
+"""Fewer blocks cannot tell a change at ROW_SIGNIFICANCE_LEVEL."""
 
 
 class Worker:
@@ -38,11 +38,16 @@ class Worker:
         """Start the process. tree: a checkout. libraries: where what it compiles is kept; the user's own cache
         where None.
         """
-        given = {"PYTHONPATH": str(tree), cache.SWITCH: "now", "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
-        given |= {} if libraries is None else {cache.FOLDER: str(libraries)}
+        given = {
+            "PYTHONPATH": str(tree),
+            cache.COMPILE_VARIABLE: "now",
+            "OMP_NUM_THREADS": "1",
+            "OPENBLAS_NUM_THREADS": "1",
+        }
+        given |= {} if libraries is None else {cache.CACHE_FOLDER_VARIABLE: str(libraries)}
         self.tree, self.row = tree, row
         self._process = subprocess.Popen(
-            [sys.executable, str(WORK), row],
+            [sys.executable, str(BENCHMARK_SCRIPT), row],
             env=os.environ | given,
             cwd=tree,
             stdin=subprocess.PIPE,
@@ -84,7 +89,7 @@ class Worker:
 
 
 @dataclass(frozen=True)
-class Compared:
+class RowComparison:
     """Comparison of a row between two trees: medians before and after, s, and the ratio after / before with its
     interval.
     """
@@ -95,7 +100,7 @@ class Compared:
     ratio: float
     low: float
     high: float
-    tolerance: float = TOLERANCE
+    tolerance: float = MAX_RELATIVE_TIME_CHANGE
 
     @property
     def verdict(self) -> str:
@@ -105,41 +110,48 @@ class Compared:
         return "faster" if self.high < 1 / (1 + self.tolerance) else "same"
 
 
-def compared(
-    row: str, before: Worker, after: Worker, blocks: int, tolerance: float = TOLERANCE, factor: float = 1.0
-) -> Compared:
+def compare_row(
+    row: str,
+    before: Worker,
+    after: Worker,
+    blocks: int,
+    tolerance: float = MAX_RELATIVE_TIME_CHANGE,
+    factor: float = 1.0,
+) -> RowComparison:
     """Compare a row in blocks of turns before, after, after, before, every second block in opposite order;
     `factor` slows the later tree down on purpose.
     """
-    count = turns_of(before)
+    count = turns_for_min_duration(before)
     times: dict[bool, list[float]] = {False: [], True: []}
     logs = []
     for number in range(blocks):
         block: dict[bool, list[float]] = {False: [], True: []}
         for later in (False, True, True, False) if number % 2 == 0 else (True, False, False, True):
             found = after.turns(count, factor) if later else before.turns(count)
-            block[later].append(typical(found))
+            block[later].append(mean_of_least_times(found))
         logs.append(float(np.mean(np.log(block[True])) - np.mean(np.log(block[False]))))
         for later, values in block.items():
             times[later] += values
-    ratio, low, high = np.exp([np.median(logs), *interval(logs)])
+    ratio, low, high = np.exp([np.median(logs), *median_confidence_interval(logs)])
     medians = [float(np.median(times[later])) for later in (False, True)]
-    return Compared(row, medians[0], medians[1], float(ratio), float(low), float(high), tolerance)
+    return RowComparison(row, medians[0], medians[1], float(ratio), float(low), float(high), tolerance)
 
 
-def typical(turns: Sequence[Sequence[float]]) -> float:
+def mean_of_least_times(turns: Sequence[Sequence[float]]) -> float:
     """Return the mean over pieces of work of the least time of each piece over turns, s."""
     return float(np.min(turns, axis=0).mean())
 
 
-def turns_of(worker: Worker) -> int:
-    """Return how many turns take about TURN seconds."""
+def turns_for_min_duration(worker: Worker) -> int:
+    """Return how many turns take about MIN_BENCHMARK_TURN_S seconds."""
     begin = time.perf_counter()
     worker.turns(1)
-    return max(1, math.ceil(TURN / (time.perf_counter() - begin)))
+    return max(1, math.ceil(MIN_BENCHMARK_TURN_S / (time.perf_counter() - begin)))
 
 
-def interval(values: Sequence[float], level: float = LEVEL) -> tuple[float, float]:
+def median_confidence_interval(
+    values: Sequence[float], level: float = ROW_SIGNIFICANCE_LEVEL
+) -> tuple[float, float]:
     """Return an interval for the median of the distribution of values (n,), by the sign test.
 
     Nothing is assumed of how they are distributed. Raises BenchmarkError where there are too few of them.
@@ -152,7 +164,7 @@ def interval(values: Sequence[float], level: float = LEVEL) -> tuple[float, floa
     return ordered[rank - 1], ordered[n - rank]
 
 
-def measured(worker: Worker, seconds: float, least: int = 5) -> Array:
+def measure_row(worker: Worker, seconds: float, least: int = 5) -> Array:
     """Return times (n,) in s of a row's pieces, over at least `least` turns and `seconds`."""
     found: list[float] = []
     begin, turns = time.perf_counter(), 0
@@ -162,18 +174,18 @@ def measured(worker: Worker, seconds: float, least: int = 5) -> Array:
     return np.array(found)
 
 
-def against(
+def compare_trees(
     rows: Sequence[str],
     trees: tuple[Path, Path],
     libraries: tuple[Path | None, Path | None],
     blocks: int,
     tolerance: float,
-    told: Callable[[Compared], None] = lambda _: None,
-) -> list[Compared]:
-    """Compare every row between two trees, before and after; `told` is called with each result."""
+    report: Callable[[RowComparison], None] = lambda _: None,
+) -> list[RowComparison]:
+    """Compare every row between two trees, before and after; `report` is called with each result."""
     found = []
     for row in rows:
         with Worker(trees[0], row, libraries[0]) as before, Worker(trees[1], row, libraries[1]) as after:
-            found.append(compared(row, before, after, blocks, tolerance))
-            told(found[-1])
+            found.append(compare_row(row, before, after, blocks, tolerance))
+            report(found[-1])
     return found

@@ -11,11 +11,11 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from ctr_nlp.formulations.frames import FrameResult, reachable
+from ctr_nlp.formulations.frames import FrameResult, reachable_bounds
 from ctr_nlp.formulations.joint import joint
 from ctr_nlp.formulations.settings import Settings
 from ctr_nlp.formulations.stage import Stage
-from ctr_nlp.models import MODELS
+from ctr_nlp.models import KINEMATIC_MODELS
 from ctr_nlp.reference import reference_frames
 from ctr_nlp.solvers import SOLVERS, NlpSolver, Solution
 from ctr_nlp.solvers.frame.program import Program
@@ -25,10 +25,10 @@ from ctr_nlp.typing import Array
 
 Found = TypeVar("Found", Solution, FrameResult)
 
-EVERY = 5
+REFERENCE_FRAME_STRIDE = 5
 """Stride of the frames that the methods which take much longer are given."""
 REFERENCES = ("paper-two-stage", "euclidean")
-ROUNDS = 3
+PEER_RACE_ROUNDS = 3
 """Times that solvers have their turn on all frames."""
 EVALUATIONS = 2000
 """Evaluations over which the time of one is averaged."""
@@ -41,7 +41,7 @@ class Times:
         self.seconds: list[float] = []
         self.failed = 0
 
-    def take(self, work: Callable[..., Found], *arguments: Any) -> Found:
+    def time_call(self, work: Callable[..., Found], *arguments: Any) -> Found:
         """Do the work of one frame and note what it took."""
         begin = time.thread_time()
         found = work(*arguments)
@@ -50,22 +50,22 @@ class Times:
         return found
 
 
-def race(problem: Problem) -> dict[str, Times]:
+def race_solvers(problem: Problem) -> dict[str, Times]:
     """Solve the same frames of a problem by every method in turn, each from where compiled SQP stood before it."""
     settings = Settings()
-    (stage,) = joint(problem.robot, settings, MODELS["dominant"])
+    (stage,) = joint(problem.robot, settings, KINEMATIC_MODELS["dominant"])
     solvers: dict[str, NlpSolver] = {name: SOLVERS[name](stage.nlp) for name in ("sqp", "ipopt")}
     path = _path(problem, stage, solvers["sqp"])
     times = {name: Times() for name in (*solvers, *REFERENCES)}
-    for _ in range(ROUNDS):
+    for _ in range(PEER_RACE_ROUNDS):
         for name, solve in solvers.items():
             warm: Solution | None = None
             for given in path:
-                warm = times[name].take(solve, *given, warm)
+                warm = times[name].time_call(solve, *given, warm)
     for name in REFERENCES:
         method = reference_frames(problem, name, settings)
-        for number in range(EVERY, problem.frames, EVERY):
-            times[name].take(method.step, number, FrameResult(path[number - 1][0]))
+        for number in range(REFERENCE_FRAME_STRIDE, problem.frames, REFERENCE_FRAME_STRIDE):
+            times[name].time_call(method.step, number, FrameResult(path[number - 1][0]))
     return times
 
 
@@ -74,17 +74,17 @@ def _path(problem: Problem, stage: Stage, solve: NlpSolver) -> list[tuple[Array,
     settings, warm = Settings(), None
     path: list[tuple[Array, Array, Array, Array]] = []
     q = NlpFrames.of(problem, model="dominant", settings=settings).search(0)[0].q
-    for frame in problem.samples[1:]:
+    for frame in problem.target_frames[1:]:
         given = {"previous": q, "motion_root": math.sqrt(settings.motion_weight) / problem.dt}
         path.append(
-            (q, stage.nlp.pack({**stage.fill(frame, q), **given}), *reachable(problem.robot, q, problem.dt))
+            (q, stage.nlp.pack({**stage.fill(frame, q), **given}), *reachable_bounds(problem.robot, q, problem.dt))
         )
         warm = solve(*path[-1], warm)
         q = warm.x
     return path
 
 
-def evaluation(program: Program, function: str = "slopes") -> float:
+def evaluation_seconds(program: Program, function: str = "slopes") -> float:
     """Return the seconds of one evaluation of objective and constraints: values, or first derivatives too."""
     run = ctypes.CFUNCTYPE(ctypes.c_int, *[ctypes.c_void_p] * 4, ctypes.c_int)(program.functions[function])
     n, m = len(program.x), len(program.lower) - len(program.x)

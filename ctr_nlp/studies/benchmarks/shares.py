@@ -8,9 +8,10 @@ import time
 from collections.abc import Callable
 from typing import Any
 
-from ctr_nlp.problems import named
+from ctr_nlp.problems import named_problem
 from ctr_nlp.steer import Steerer, solve_horizon, solve_per_frame
-from ctr_nlp.studies.benchmarks.growth import least
+from ctr_nlp.studies.benchmarks.growth import min_thread_seconds
+from ctr_nlp.typing import Array
 
 CALLERS = (("codegen/mapped.py", "__call__"), ("frame/run.py", "__call__"), ("motion/loop.py", "iterate"))
 """Functions whose own time is that of the C or of the LAPACK that they call."""
@@ -18,7 +19,7 @@ COMPILED = "casadi", "lapack", "scipy.linalg"
 """Words in the names of functions that are not Python."""
 
 
-def compiled(work: Callable[[], Any]) -> float:
+def compiled_seconds(work: Callable[[], Any]) -> float:
     """Return the seconds of the thread within compiled code while work is done: the own time of what calls it."""
     profile = cProfile.Profile(time.thread_time)
     profile.runcall(work)
@@ -33,25 +34,30 @@ def _is_compiled(file: str, line: int, name: str) -> bool:
     return any(path.endswith(end) and name == function for end, function in CALLERS)
 
 
-def outside(work: Callable[[], Any], repeats: int = 5) -> float:
+def uncompiled_share(work: Callable[[], Any], repeats: int = 5) -> float:
     """Return the part of work's time that is spent outside compiled code, from the least times over repeats."""
-    whole = least(work, repeats)
-    within = min(compiled(work) for _ in range(repeats))
+    whole = min_thread_seconds(work, repeats)
+    within = min(compiled_seconds(work) for _ in range(repeats))
     return max(0.0, 1 - within / whole)
 
 
-def shares() -> dict[str, float]:
+def measure_uncompiled_shares() -> dict[str, float]:
     """Return the parts of time outside compiled code, of steps along cos on both models and of its horizon."""
-    problem = named("cos")
+    problem = named_problem("cos")
     found = {}
     for model in ("dominant", "elastic"):
         steerer = Steerer(problem.robot, _start(model), problem.dt, model=model)
-        targets = [frame.points for frame in problem.samples]
+        targets = [frame.points for frame in problem.target_frames]
         there_and_back = targets + targets[::-1]
-        found[f"Steerer.step, {model}"] = outside(lambda s=steerer, all=there_and_back: [s.step(t) for t in all])  # type: ignore[misc]
-    found["solve_horizon"] = outside(lambda: solve_horizon(problem, model="dominant"), 3)
+
+        def step_all(steerer: Steerer = steerer, targets: list[Array] = there_and_back) -> None:
+            for each in targets:
+                steerer.step(each)
+
+        found[f"Steerer.step, {model}"] = uncompiled_share(step_all)
+    found["solve_horizon"] = uncompiled_share(lambda: solve_horizon(problem, model="dominant"), 3)
     return found
 
 
 def _start(model: str) -> Any:
-    return solve_per_frame(named("cos"), model=model, direction="forward").q[0]
+    return solve_per_frame(named_problem("cos"), model=model, direction="forward").q[0]

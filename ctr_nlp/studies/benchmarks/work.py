@@ -18,44 +18,44 @@ from typing import Any
 
 import numpy as np
 
-TIMES = Callable[[Callable[[], Any]], float]
+WorkTimer = Callable[[Callable[[], Any]], float]
 """A function that calls another one and returns the seconds that it took."""
-WORK = Callable[[TIMES], list[float]]
+TurnFunction = Callable[[WorkTimer], list[float]]
 """One turn of a row: seconds of each piece of its work."""
-BATCH = 1000
+BENCHMARK_BATCH_SIZE = 1000
 """Configurations whose elastic shapes are found in one call."""
-FORCE, MODULUS = 0.1, 60_000.0
+BENCHMARK_FORCE_N, BENCHMARK_MODULUS_MPA = 0.1, 60_000.0
 """N across the robot, and MPa, where it bears a load."""
 
 
 def _problem(name: str, frames: int = 100) -> Any:
-    from ctr_nlp.problems import named
+    from ctr_nlp.problems import named_problem
 
-    return named(name, frames)
+    return named_problem(name, frames)
 
 
-def _borne(problem: Any) -> tuple[Any, Any]:
+def _loaded_problem(problem: Any) -> tuple[Any, Any]:
     """A problem whose robot has a modulus, and the model on which it bears a force."""
     from ctr_nlp.loads import Load, with_modulus
     from ctr_nlp.models.loaded.model import Loaded
 
-    robot = with_modulus(problem.robot, MODULUS)
-    return replace(problem, robot=robot), Loaded(Load((0.0, FORCE, 0.0)))
+    robot = with_modulus(problem.robot, BENCHMARK_MODULUS_MPA)
+    return replace(problem, robot=robot), Loaded(Load((0.0, BENCHMARK_FORCE_N, 0.0)))
 
 
-def step(model: str, loaded: bool = False) -> WORK:
+def step(model: str, loaded: bool = False) -> TurnFunction:
     """Steerer.step for each frame's target of cos, there and back."""
     from ctr_nlp.steer import Steerer, solve_per_frame
 
-    problem, model = _borne(_problem("cos")) if loaded else (_problem("cos"), model)
+    problem, model = _loaded_problem(_problem("cos")) if loaded else (_problem("cos"), model)
     plan = solve_per_frame(problem, model=model, direction="forward")
     steerer = Steerer(problem.robot, plan.q[0], problem.dt, model=model)
-    targets = [frame.points for frame in problem.samples]
+    targets = [frame.points for frame in problem.target_frames]
     targets += targets[::-1]
     return lambda timed: [timed(lambda target=target: steerer.step(target)) for target in targets]  # type: ignore[misc]
 
 
-def march(name: str, model: str = "dominant") -> WORK:
+def march(name: str, model: str = "dominant") -> TurnFunction:
     """A frame of solve_per_frame: all frames of a problem from a known start, over their number."""
     from ctr_nlp.steer import solve_per_frame
 
@@ -67,51 +67,53 @@ def march(name: str, model: str = "dominant") -> WORK:
 
 
 def _poses(robot: Any) -> Any:
-    """Random configurations (BATCH, 2d + 2) of a robot that is not tilted."""
-    d, unit = robot.d, np.random.default_rng(0).random((BATCH, len(robot.lower)))
+    """Random configurations (BENCHMARK_BATCH_SIZE, 2d + 2) of a robot that is not tilted."""
+    d, unit = robot.d, np.random.default_rng(0).random((BENCHMARK_BATCH_SIZE, len(robot.lower)))
     beta = np.sort(unit[:, d : 2 * d], axis=1) * robot.upper[d : 2 * d]
     return np.hstack([unit[:, :d] * 2 * np.pi, beta, 0 * unit[:, 2 * d :]])
 
 
-def shape(count: int) -> WORK:
+def shape(count: int) -> TurnFunction:
     """Elastic shapes with margins on the way through random configurations, count in a call; the time of one."""
     from ctr_nlp.robot import table_i_robot
-    from ctr_nlp.simulation.forward import simulated
+    from ctr_nlp.simulation.forward import simulate_motion
 
     robot = table_i_robot()
     q = _poses(robot)
-    given = [q] if count == BATCH else [q[k : k + count] for k in range(0, 10 * count, count)]
-    return lambda timed: [timed(lambda one=one: simulated(robot, one, "elastic")) / count for one in given]  # type: ignore[misc]
+    given = [q] if count == BENCHMARK_BATCH_SIZE else [q[k : k + count] for k in range(0, 10 * count, count)]
+    return lambda timed: [timed(lambda one=one: simulate_motion(robot, one, "elastic")) / count for one in given]  # type: ignore[misc]
 
 
-def rest() -> WORK:
-    """Elastic shapes with margins at rest at random configurations, BATCH in a call; the time of one."""
+def rest() -> TurnFunction:
+    """Elastic shapes with margins at rest at random configurations, BENCHMARK_BATCH_SIZE in a call; the time of
+    one.
+    """
     from ctr_nlp.models import model_named
     from ctr_nlp.robot import table_i_robot
-    from ctr_nlp.target.target import SIGMA
+    from ctr_nlp.target.target import SIGMA_GRID
 
     robot, elastic = table_i_robot(), model_named("elastic")
     q = _poses(robot)
-    return lambda timed: [timed(lambda: elastic.at_rest(robot, q, SIGMA)) / BATCH]
+    return lambda timed: [timed(lambda: elastic.rest_states(robot, q, SIGMA_GRID)) / BENCHMARK_BATCH_SIZE]
 
 
-def horizon(*names: str, model: str = "dominant", frames: int = 100, loaded: bool = False) -> WORK:
+def horizon(*names: str, model: str = "dominant", frames: int = 100, loaded: bool = False) -> TurnFunction:
     """solve_horizon with all that belongs to it."""
     from ctr_nlp.steer import solve_horizon
 
     problems = [_problem(name, frames) for name in names]
-    asked = [_borne(problem) if loaded else (problem, model) for problem in problems]
+    asked = [_loaded_problem(problem) if loaded else (problem, model) for problem in problems]
     return lambda timed: [timed(lambda one=one, on=on: solve_horizon(one, model=on)) for one, on in asked]  # type: ignore[misc]
 
 
-def program(*options: str) -> WORK:
+def program(*options: str) -> TurnFunction:
     """`ctr-nlp plan arc` as a process, with what it starts; options that a tree does not have are left out."""
     folder = tempfile.TemporaryDirectory()
     plan = [sys.executable, "-m", "ctr_nlp", "plan"]
     told = subprocess.run([*plan, "--help"], capture_output=True, text=True, check=True).stdout
     command = [*plan, "arc", "--out", f"{folder.name}/out", *(option for option in options if option in told)]
 
-    def run(timed: TIMES) -> list[float]:
+    def run(timed: WorkTimer) -> list[float]:
         before = os.times()
         done = subprocess.run(
             command, cwd=folder.name, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True
@@ -125,14 +127,14 @@ def program(*options: str) -> WORK:
     return run
 
 
-ROWS: dict[str, Callable[[], WORK]] = {
+BENCHMARK_ROWS: dict[str, Callable[[], TurnFunction]] = {
     "step": lambda: step("dominant"),
     "step-elastic": lambda: step("elastic"),
     "step-loaded": lambda: step("elastic", loaded=True),
     "frame": lambda: march("cos"),
     "frame-lumen": lambda: march("bronchus"),
     "shape": lambda: shape(1),
-    "shapes": lambda: shape(BATCH),
+    "shapes": lambda: shape(BENCHMARK_BATCH_SIZE),
     "shapes-rest": rest,
     "horizon": lambda: horizon("cos"),
     "plans": lambda: horizon("cos", "arc", "line", "line_arc", "synthesis"),
@@ -146,7 +148,7 @@ ROWS: dict[str, Callable[[], WORK]] = {
 """What is timed: by the name of its row, what makes it."""
 
 
-def timer(factor: float) -> TIMES:
+def timer(factor: float) -> WorkTimer:
     """Seconds of the thread; a factor above 1 makes all work take so many times as long, to try the benchmark."""
 
     def timed(work: Callable[[], Any]) -> float:
@@ -161,9 +163,9 @@ def timer(factor: float) -> TIMES:
     return timed
 
 
-def served(row: str, lines: Iterator[str]) -> Iterator[str]:
+def serve_row(row: str, lines: Iterator[str]) -> Iterator[str]:
     """Answers to lines, after a first one that says that the row is ready; each a line of JSON."""
-    work = ROWS[row]()
+    work = BENCHMARK_ROWS[row]()
     work(timer(1.0))
     yield json.dumps("ready")
     for line in lines:
@@ -174,5 +176,5 @@ def served(row: str, lines: Iterator[str]) -> Iterator[str]:
 if __name__ == "__main__":
     answers = os.fdopen(os.dup(1), "w")
     os.dup2(2, 1)  # what the library prints is no answer
-    for answer in served(sys.argv[1], iter(sys.stdin.readline, "")):
+    for answer in serve_row(sys.argv[1], iter(sys.stdin.readline, "")):
         print(answer, file=answers, flush=True)

@@ -15,24 +15,24 @@ from ctr_nlp.models.loaded.model import Loaded
 from ctr_nlp.plan.metrics import summary
 from ctr_nlp.plan.plan import Plan
 from ctr_nlp.plan.robustness import MOST_LOST
-from ctr_nlp.robot.draws import drawn
-from ctr_nlp.simulation.drawn import lost_draws
+from ctr_nlp.robot.draws import sample_robots
+from ctr_nlp.simulation.drawn import find_failure_frames
 from ctr_nlp.steer import solve_horizon
 from ctr_nlp.steer.robust import solve_robust
-from ctr_nlp.studies.borne.tip import directions_of
+from ctr_nlp.studies.borne.tip import cube_directions
 from ctr_nlp.target.problem import Problem
 from ctr_nlp.typing import Flags
 
-DRAWS, SEED, SIDES = 200, 1, 26
+FORCE_STUDY_SAMPLES, FORCE_STUDY_SEED, FORCE_STUDY_DIRECTIONS = 200, 1, 26
 """Monte Carlo samples that a plan is tried on, their seed, which is not that of planning, and sides of a force."""
-ACROSS = (0.0, 1.0, 0.0)
+KNOWN_FORCE_DIRECTION = (0.0, 1.0, 0.0)
 """Direction of a force that is known when planning."""
-MARGIN = Settings(stability_margin=0.3)
+KNOWN_FORCE_SETTINGS = Settings(stability_margin=0.3)
 """Settings of plans for a known force and of those beside them: about the margin that robust plans have."""
 
 
 @dataclass(frozen=True)
-class Withstood:
+class ForceTrial:
     """Result of a robust plan, made for one tip force, under another one.
 
     Attributes
@@ -68,7 +68,9 @@ class Withstood:
     seconds: float
 
 
-def lost_from_any_side(plan: Plan, force: float, draws: int = DRAWS, sides: int = SIDES) -> Flags:
+def failed_from_any_side(
+    plan: Plan, force: float, samples: int = FORCE_STUDY_SAMPLES, direction_count: int = FORCE_STUDY_DIRECTIONS
+) -> Flags:
     """Find the simulated robots that fail while a force comes in the first frame and goes in the last one.
 
     Parameters
@@ -77,9 +79,9 @@ def lost_from_any_side(plan: Plan, force: float, draws: int = DRAWS, sides: int 
         The plan, whose robot's tolerances are sampled, but for its tip force.
     force : float
         Force at the tip, N; 0 for none.
-    draws : int
+    samples : int
         Number n of Monte Carlo samples.
-    sides : int
+    direction_count : int
         Number of directions that the force comes from: 6, 14 or 26.
 
     Returns
@@ -89,20 +91,20 @@ def lost_from_any_side(plan: Plan, force: float, draws: int = DRAWS, sides: int 
     """
     # The force is put on by hand, the same for all samples: theirs would each come from a direction of its own.
     robot = replace(plan.robot, tolerances=replace(plan.robot.tolerances, tip_force=0.0))
-    known, lost = drawn(robot, draws, SEED), np.zeros(draws, dtype=bool)
-    for direction in directions_of(sides) if force else np.zeros((1, 3)):
-        pushed = replace(known, forces=np.tile(force * direction, (draws, 1)))
-        lost |= lost_draws(robot, pushed, plan.q, "elastic") > 0
+    known, lost = sample_robots(robot, samples, FORCE_STUDY_SEED), np.zeros(samples, dtype=bool)
+    for direction in cube_directions(direction_count) if force else np.zeros((1, 3)):
+        pushed = replace(known, forces=np.tile(force * direction, (samples, 1)))
+        lost |= find_failure_frames(robot, pushed, plan.q, "elastic") > 0
     return lost
 
 
-def withstood(
+def evaluate_under_forces(
     problem: Problem,
     planned_for: float,
     forces: Sequence[float],
-    draws: int = DRAWS,
+    samples: int = FORCE_STUDY_SAMPLES,
     most_lost: float = MOST_LOST,
-) -> list[Withstood]:
+) -> list[ForceTrial]:
     """Plan a problem robustly for a tip force, and try the plan under several.
 
     Parameters
@@ -113,7 +115,7 @@ def withstood(
         Tip force that the plan is made for, N.
     forces : sequence of float
         Tip forces that it is tried under, N.
-    draws : int
+    samples : int
         Number of Monte Carlo samples.
     most_lost : float
         Share of robots that may fail; see :func:`solve_robust`.
@@ -128,18 +130,18 @@ def withstood(
     tolerant = replace(problem, robot=replace(problem.robot, tolerances=tolerances))
     plan = solve_robust(tolerant, most_lost=most_lost)
     seconds = time.process_time() - begin
-    without = int(lost_from_any_side(plan, 0.0, draws).sum())
+    without = int(failed_from_any_side(plan, 0.0, samples).sum())
     return [
-        Withstood(
+        ForceTrial(
             problem.name or "",
             planned_for,
             force,
             plan.complete,
             bool(plan.meta.get("certificate", {}).get("held", False)),
             summary(plan)["e3"],
-            _drawn_e3(plan, force, draws),
-            draws,
-            int(lost_from_any_side(plan, force, draws).sum()),
+            _sampled_e3(plan, force, samples),
+            samples,
+            int(failed_from_any_side(plan, force, samples).sum()),
             without,
             seconds,
         )
@@ -147,17 +149,17 @@ def withstood(
     ]
 
 
-def _drawn_e3(plan: Plan, force: float, draws: int) -> float:
+def _sampled_e3(plan: Plan, force: float, samples: int) -> float:
     """Mean e3, mm, of samples that each bear the force, N, from a side of their own; NaN where it is unknown."""
     tolerances = replace(plan.robot.tolerances, tip_force=force)
     # A plan samples the robot in its meta: with this tip force among the tolerances every sample bears one.
     told = replace(plan, meta=plan.meta | {"robot": replace(plan.robot, tolerances=tolerances).to_dict()})
-    errors = told.robustness(draws, SEED).errors
+    errors = told.robustness(samples, FORCE_STUDY_SEED).errors
     return math.nan if errors is None else errors.mean
 
 
 @dataclass(frozen=True)
-class Compensated:
+class ForceCompensation:
     """Result of planning with and without knowledge of a constant tip force.
 
     Attributes
@@ -183,7 +185,7 @@ class Compensated:
     snaps: bool
 
 
-def compensated(problem: Problem, force: float) -> Compensated:
+def plan_with_known_force(problem: Problem, force: float) -> ForceCompensation:
     """Plan a problem with and without knowledge of a force across the robot.
 
     Parameters
@@ -198,8 +200,10 @@ def compensated(problem: Problem, force: float) -> Compensated:
     Compensated
         Errors of both plans.
     """
-    load = Load(tuple(force * part for part in ACROSS))
-    free = solve_horizon(problem, model="elastic", settings=MARGIN)
-    plan = solve_horizon(problem, model=Loaded(load), settings=MARGIN)
-    without, unaware, aware = (summary(each)["e3"] for each in (free, free.under(load), plan))
-    return Compensated(problem.name or "", force, without, unaware, aware, plan.complete, bool(plan.meta["snaps"]))
+    load = Load(tuple(force * part for part in KNOWN_FORCE_DIRECTION))
+    free = solve_horizon(problem, model="elastic", settings=KNOWN_FORCE_SETTINGS)
+    plan = solve_horizon(problem, model=Loaded(load), settings=KNOWN_FORCE_SETTINGS)
+    without, unaware, aware = (summary(each)["e3"] for each in (free, free.with_load(load), plan))
+    return ForceCompensation(
+        problem.name or "", force, without, unaware, aware, plan.complete, bool(plan.meta["snaps"])
+    )

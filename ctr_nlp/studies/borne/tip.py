@@ -11,30 +11,36 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ctr_nlp.exceptions import LoadError, OptionError
-from ctr_nlp.formulations.around import Beside
+from ctr_nlp.formulations.around import WallDistance
 from ctr_nlp.loads import Load, LoadOverTime
-from ctr_nlp.loads.load import FORCE
-from ctr_nlp.models import MODELS
+from ctr_nlp.loads.load import MAX_LOAD_FORCE_N
+from ctr_nlp.models import KINEMATIC_MODELS
 from ctr_nlp.models.loaded.acting import RodKind
 from ctr_nlp.models.loaded.equilibria import LoadedEquilibria, States
 from ctr_nlp.models.loaded.model import Loaded
 from ctr_nlp.models.loaded.tips import tip_angles
 from ctr_nlp.plan.plan import Plan
-from ctr_nlp.simulation.bearing import Question, borne, compliance, shapes, unstable
-from ctr_nlp.support.equal import Kept
-from ctr_nlp.support.values import instance, number, whole_number
+from ctr_nlp.simulation.bearing import (
+    StateCondition,
+    compliance,
+    find_tip_force_limits,
+    instability_condition,
+    loaded_shapes,
+)
+from ctr_nlp.support.equal import ReadOnlyValue
+from ctr_nlp.support.values import check_instance, number, whole_number
 from ctr_nlp.target.lumen import Lumen
 from ctr_nlp.typing import Array, Flags, Index
 
-COUNTS = 6, 14, 26
+FORCE_DIRECTION_COUNTS = 6, 14, 26
 """Numbers of directions: along the axes; also towards corners of a cube; also towards the middles of its edges."""
-MOST = 5.0
+DEFAULT_MAX_TIP_FORCE_N = 5.0
 """Force up to which is looked, N."""
-SIGMA = np.linspace(0.0, 1.0, 34)
+TIP_FORCE_CLEARANCE_SIGMA = np.linspace(0.0, 1.0, 34)
 """Places along the robot, as parts of its length, whose clearance from the wall is computed."""
 
 
-class Worst(NamedTuple):
+class WorstForce(NamedTuple):
     """The least of several forces.
 
     Attributes
@@ -53,7 +59,7 @@ class Worst(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class Forces(Kept):
+class Forces(ReadOnlyValue):
     """Tip forces that F frames of a plan bear, beside the load that the plan is evaluated under.
 
     Attributes
@@ -77,34 +83,34 @@ class Forces(Kept):
 
     frames: Index
     directions: Array
-    snaps: Array
-    leaves: Array
+    snapping_forces: Array
+    lumen_exit_forces: Array
     compliance: Array
-    most: float
-    off: float | None
+    max_force: float
+    allowed_depth: float | None
 
     @property
-    def bears(self) -> Array:
+    def critical_forces(self) -> Array:
         """Forces that frames bear in every direction, (F, n) N, before the robot snaps or leaves its lumen."""
-        return np.minimum(self.snaps, self.leaves)
+        return np.minimum(self.snapping_forces, self.lumen_exit_forces)
 
     @cached_property
-    def snap(self) -> Worst:
+    def least_snapping_force(self) -> WorstForce:
         """The least force that snaps the robot."""
-        return self._least(self.snaps)
+        return self._least(self.snapping_forces)
 
     @cached_property
-    def leave(self) -> Worst | None:
+    def least_lumen_exit_force(self) -> WorstForce | None:
         """The least force under which the robot leaves its lumen; None where no wall counts."""
-        return None if self.off is None else self._least(self.leaves)
+        return None if self.allowed_depth is None else self._least(self.lumen_exit_forces)
 
-    def _least(self, forces: Array) -> Worst:
+    def _least(self, forces: Array) -> WorstForce:
         """The least of forces (F, n), N, with its frame and direction."""
         frame, direction = np.unravel_index(forces.argmin(), forces.shape)
-        return Worst(float(forces[frame, direction]), int(self.frames[frame]), self.directions[direction])
+        return WorstForce(float(forces[frame, direction]), int(self.frames[frame]), self.directions[direction])
 
     @property
-    def softest(self) -> Array:
+    def largest_compliance(self) -> Array:
         """Displacement of the tip per small force in the direction in which it gives in most, (F,) mm/N."""
         # The spectral norm: the largest displacement of any force of 1 N.
         return np.asarray(np.linalg.norm(self.compliance, 2, axis=(1, 2)))
@@ -117,7 +123,9 @@ class Forces(Kept):
         dict
             Fit for strict JSON; None stands for forces of more than ``most_N``.
         """
-        told = {"snap": self.snap} | ({} if self.leave is None else {"leave": self.leave})
+        told = {"snap": self.least_snapping_force} | (
+            {} if self.least_lumen_exit_force is None else {"leave": self.least_lumen_exit_force}
+        )
         worst = {
             f"least_to_{name}": {
                 "force_N": _finite(each.force),
@@ -127,12 +135,12 @@ class Forces(Kept):
             for name, each in told.items()
         }
         return worst | {
-            "most_N": self.most,
-            "off_mm": self.off,
+            "most_N": self.max_force,
+            "off_mm": self.allowed_depth,
             "frames": self.frames.tolist(),
             "directions": self.directions.tolist(),
-            "snaps_N": [[_finite(force) for force in row] for row in self.snaps.tolist()],
-            "leaves_N": [[_finite(force) for force in row] for row in self.leaves.tolist()],
+            "snaps_N": [[_finite(force) for force in row] for row in self.snapping_forces.tolist()],
+            "leaves_N": [[_finite(force) for force in row] for row in self.lumen_exit_forces.tolist()],
             "compliance_mm_per_N": self.compliance.tolist(),
         }
 
@@ -147,16 +155,21 @@ class Forces(Kept):
         """
         found = []
         for k, frame in enumerate(self.frames.tolist()):
-            x, y, z = self.directions[self.bears[k].argmin()].round(4).tolist()
-            least = {"snaps_N": self.snaps[k].min(), "leaves_N": self.leaves[k].min()}
+            x, y, z = self.directions[self.critical_forces[k].argmin()].round(4).tolist()
+            least = {"snaps_N": self.snapping_forces[k].min(), "leaves_N": self.lumen_exit_forces[k].min()}
             told = {name: "" if math.isinf(force) else round(float(force), 5) for name, force in least.items()}
-            soft = {"softest_mm_per_N": round(float(self.softest[k]), 4)}
+            soft = {"softest_mm_per_N": round(float(self.largest_compliance[k]), 4)}
             found.append({"frame": frame, **told, "x": x, "y": y, "z": z, **soft})
         return found
 
 
 def forces(
-    plan: Plan, *, every: int = 1, directions: int = 26, most: float = MOST, off: float | None = None
+    plan: Plan,
+    *,
+    every: int = 1,
+    directions: int = 26,
+    most: float = DEFAULT_MAX_TIP_FORCE_N,
+    off: float | None = None,
 ) -> Forces:
     """Find the tip forces that a plan bears, on the elastic model.
 
@@ -203,20 +216,26 @@ def forces(
     >>> round(found.snap.force, 1), found.snap.frame, found.snap.direction.tolist()
     (3.0, 2, [0.0, 0.0, -1.0])
     """
-    instance(OptionError, "plan", plan, Plan)
-    if directions not in COUNTS:
-        raise OptionError(f"directions is {directions!r}; it must be one of {', '.join(map(str, COUNTS))}")
-    number(OptionError, "most", most, lambda x: 0 < x <= FORCE, f"lie in (0, {FORCE:g}]", " N")
+    check_instance(OptionError, "plan", plan, Plan)
+    if directions not in FORCE_DIRECTION_COUNTS:
+        raise OptionError(
+            f"directions is {directions!r}; it must be one of {', '.join(map(str, FORCE_DIRECTION_COUNTS))}"
+        )
+    number(
+        OptionError, "most", most, lambda x: 0 < x <= MAX_LOAD_FORCE_N, f"lie in (0, {MAX_LOAD_FORCE_N:g}]", " N"
+    )
     if off is not None:
         number(OptionError, "off", off, lambda x: 0 <= x < math.inf, "be a finite number >= 0", " mm")
-    load, way = plan.bears or Load(), directions_of(directions)
+    load, way = plan.evaluated_load or Load(), cube_directions(directions)
     load.check(plan.robot)
     equilibria = LoadedEquilibria(plan.robot.structure, RodKind.of(load))
-    which, states = _standing(plan, load, equilibria, whole_number(OptionError, "every", every))
+    which, states = _loaded_states(plan, load, equilibria, whole_number(OptionError, "every", every))
     if not len(which):
         raise LoadError("the plan has no frame in which its robot stands under its load; no more can be borne")
-    asked = [] if off is None else [_left(plan, off, equilibria.rods.kind)]
-    snaps, found = borne(equilibria, states, way, most, asked + [unstable(equilibria)] * load.conservative)
+    asked = [] if off is None else [_left_lumen_criterion(plan, off, equilibria.rods.kind)]
+    snaps, found = find_tip_force_limits(
+        equilibria, states, way, most, asked + [instability_condition(equilibria)] * load.conservative
+    )
     # A branch that goes on after two directions have given way at once is followed, but no robot stays on it.
     # Without an energy there is no such criterion, and only the ends of branches count.
     if load.conservative:
@@ -226,7 +245,7 @@ def forces(
     return Forces(which + 1, way, snaps, leaves, soft, float(most), off)
 
 
-def directions_of(count: int) -> Array:
+def cube_directions(count: int) -> Array:
     """Return evenly spread directions: from a cube's middle to its faces, then its corners, then its edges.
 
     Parameters
@@ -247,7 +266,7 @@ def directions_of(count: int) -> Array:
     return np.asarray(found / np.linalg.norm(found, axis=1, keepdims=True))
 
 
-def _standing(
+def _loaded_states(
     plan: Plan, load: Load | LoadOverTime, equilibria: LoadedEquilibria, every: int
 ) -> tuple[Index, States]:
     """Find the frames, from 0, in which the robot of a plan bears its load, and its states there.
@@ -255,26 +274,28 @@ def _standing(
     every: only every so many frames are looked at.
     """
     # The branch is that of the motion without a load; in each frame the load of its time then grows from zero.
-    x, d = MODELS[Loaded.name].follow(plan.robot, plan.q).x, plan.robot.d
+    x, d = KINEMATIC_MODELS[Loaded.name].follow(plan.robot, plan.q).x, plan.robot.d
     which = np.flatnonzero(np.isfinite(x).all(axis=1))
     which = which[which % every == 0]
     of_robot = np.repeat(plan.robot.numbers[None], len(which), axis=0)
-    states = equilibria.unloaded(of_robot, plan.q[which], tip_angles(x[which], d))
+    states = equilibria.solve_unloaded(of_robot, plan.q[which], tip_angles(x[which], d))
     # Of all frames, so that those that are looked at have the load of their own time.
-    acting = load.over(d, np.linspace(0.0, 1.0, len(x)))
-    loaded, done = equilibria.along(states, states.q, acting[which])
+    acting = load.numbers_at(d, np.linspace(0.0, 1.0, len(x)))
+    loaded, done = equilibria.follow_branches(states, states.q, acting[which])
     return which[done == 1], loaded.rows(done == 1)
 
 
-def _left(plan: Plan, off: float, kind: RodKind) -> Question:
+def _left_lumen_criterion(plan: Plan, off: float, kind: RodKind) -> StateCondition:
     """Return the condition that a robot is further beyond the wall of the plan's lumen than off, mm."""
     if plan.lumen is None:
         raise OptionError("off is asked for, and the plan knows no wall of a lumen")
-    beside, robot = Beside(Lumen(plan.lumen)), plan.robot
+    beside, robot = WallDistance(Lumen(plan.lumen)), plan.robot
 
     def left(states: States) -> Flags:
-        shape = shapes(robot, states, SIGMA, kind)
-        return np.asarray(beside.clearances(robot, robot.split(states.q)[1], shape, SIGMA).min(axis=1) < -off)
+        shape = loaded_shapes(robot, states, TIP_FORCE_CLEARANCE_SIGMA, kind)
+        return np.asarray(
+            beside.clearances(robot, robot.split(states.q)[1], shape, TIP_FORCE_CLEARANCE_SIGMA).min(axis=1) < -off
+        )
 
     return left
 

@@ -15,14 +15,14 @@ from ctr_nlp.figures.parts.palette import BLACK, BLUE, SKY, VERMILLION
 from ctr_nlp.studies.borne.tip import Forces
 from ctr_nlp.typing import Array
 
-LABELLED = "125"
+FORCE_TICK_DIGITS = "125"
 """Leading digits of ticks that carry a number."""
-PLANES = (0, 1), (2, 0), (2, 1)
+POLAR_PLANES = (0, 1), (2, 0), (2, 1)
 """Axes of the base frame that are drawn against each other, the first to the right."""
 
 
 @rc_context(STYLE)
-def picture(found: Forces, problem: str) -> Figure:
+def draw_tip_forces(found: Forces, problem: str) -> Figure:
     """Draw the tip forces that a plan bears, how soft its tip is, and the worst frame's forces in three planes.
 
     Parameters
@@ -42,12 +42,12 @@ def picture(found: Forces, problem: str) -> Figure:
     above, below = parts
     forces, soft = above.subplots(2, sharex=True, height_ratios=(2, 1))
     _by_frame(forces, found)
-    soft.plot(found.frames, found.softest, color=BLUE)
+    soft.plot(found.frames, found.largest_compliance, color=BLUE)
     soft.set_ylabel("tip gives in\n(mm/N)")
     soft.set_xlabel("frame")
-    worst = int(np.flatnonzero(found.bears.min(axis=1) == found.bears.min())[0])
-    grid = below.subplots(1, len(PLANES), subplot_kw={"projection": "polar"})
-    for axes, plane in zip(grid, PLANES, strict=True):
+    worst = int(np.flatnonzero(found.critical_forces.min(axis=1) == found.critical_forces.min())[0])
+    grid = below.subplots(1, len(POLAR_PLANES), subplot_kw={"projection": "polar"})
+    for axes, plane in zip(grid, POLAR_PLANES, strict=True):
         _polar(axes, found, worst, plane)
     below.suptitle(f"frame {found.frames[worst]}: force borne (N), by direction", fontsize=9)
     figure.suptitle(printable(f"Tip forces that the plan bears: {problem}"), fontsize=10, parse_math=False)
@@ -56,17 +56,25 @@ def picture(found: Forces, problem: str) -> Figure:
 
 def _by_frame(axes: Axes, found: Forces) -> None:
     """Forces over frames, from the worst direction to the best."""
-    shown = np.minimum(found.snaps, found.most)
+    shown = np.minimum(found.snapping_forces, found.max_force)
     axes.fill_between(found.frames, shown.min(axis=1), shown.max(axis=1), color=SKY, alpha=0.4, lw=0)
     marker = "." if len(found.frames) < 30 else ""
     axes.plot(found.frames, shown.min(axis=1), color=VERMILLION, marker=marker, label="snaps, worst direction")
-    if found.off is not None:
-        leaves = np.where(np.isinf(found.leaves.min(axis=1)), np.nan, found.leaves.min(axis=1))
-        axes.plot(found.frames, leaves, color=BLACK, ls="--", label=f"more than {found.off:g} mm beyond the wall")
-    axes.axhline(found.most, color=BLACK, lw=0.8, ls=":", label=f"not looked beyond {found.most:g} N")
+    if found.allowed_depth is not None:
+        leaves = np.where(
+            np.isinf(found.lumen_exit_forces.min(axis=1)), np.nan, found.lumen_exit_forces.min(axis=1)
+        )
+        axes.plot(
+            found.frames,
+            leaves,
+            color=BLACK,
+            ls="--",
+            label=f"more than {found.allowed_depth:g} mm beyond the wall",
+        )
+    axes.axhline(found.max_force, color=BLACK, lw=0.8, ls=":", label=f"not looked beyond {found.max_force:g} N")
     axes.set_yscale("log")
     for ticks in (axes.yaxis.set_major_formatter, axes.yaxis.set_minor_formatter):
-        ticks(lambda force, _: f"{force:g}" if f"{force:.0e}"[0] in LABELLED else "")
+        ticks(lambda force, _: f"{force:g}" if f"{force:.0e}"[0] in FORCE_TICK_DIGITS else "")
     axes.set_ylabel("tip force (N)")
     axes.legend()
 
@@ -78,7 +86,7 @@ def _polar(axes: Any, found: Forces, worst: int, plane: tuple[int, int]) -> None
     angle = np.arctan2(y[inside], x[inside])
     order = np.argsort(angle)
     ends = np.append(order, order[0])
-    values = np.minimum(found.bears[worst], found.most)[inside]
+    values = np.minimum(found.critical_forces[worst], found.max_force)[inside]
     axes.plot(angle[ends], values[ends], color=VERMILLION, marker=".", ms=4)
     axes.set_rscale("symlog", linthresh=_nice(values))
     axes.set_ylim(0, 1.2 * values.max())

@@ -11,21 +11,21 @@ import numpy as np
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.loads import Load, check_moduli
 from ctr_nlp.plan.plan import Plan
-from ctr_nlp.simulation.touching import Foundation, Touching
-from ctr_nlp.support.values import instance, number
+from ctr_nlp.simulation.touching import Foundation, WallContact
+from ctr_nlp.support.values import check_instance, number
 from ctr_nlp.target.lumen import Lumen
 from ctr_nlp.typing import Array, Flags
 
-STIFFNESS = 0.032
+AIRWAY_WALL_STIFFNESS_N_PER_MM2 = 0.032
 """N/mm for every mm of length, of an airway's wall under a long tube: pi/4 E / (1 - 0.5^2) (Popov, Contact
 Mechanics and Friction, 2010: a cylinder's side) with E = 30.5 kPa (Eskandari, Arvayo, Levenston, Mechanical
 properties of the airway tree, J. Appl. Physiol. 125, 2018: of pigs, along the airway, where it is stiffest)."""
-LEAST, MOST = 1e-6, 1e3
+MIN_WALL_STIFFNESS_N_PER_MM2, MAX_WALL_STIFFNESS_N_PER_MM2 = 1e-6, 1e3
 """Range of stiffnesses of a wall, N/mm^2, from gels to bone."""
 
 
 @dataclass(frozen=True, eq=False)
-class WallForces(Touching):
+class WallForces(WallContact):
     """Contact forces of a plan's robot with an elastic wall, in T frames and on K pieces of the robot.
 
     See :class:`~ctr_nlp.simulation.touching.Touching` for the forces and where they act.
@@ -45,7 +45,7 @@ class WallForces(Touching):
     tip: Array
 
     @property
-    def known(self) -> Flags:
+    def in_equilibrium(self) -> Flags:
         """Mask (T,) of the frames in which the robot has an equilibrium; after a snap none is known."""
         return np.asarray(np.isfinite(self.force).all(axis=1))
 
@@ -73,7 +73,7 @@ class WallForces(Touching):
         dict
             Fit for strict JSON; None where nothing is known.
         """
-        worst, known = self.worst, self.known
+        worst, known = self.worst, self.in_equilibrium
         at = 0 if worst is None else worst - 1
         return {
             "stiffness_N_per_mm2": self.stiffness,
@@ -109,7 +109,7 @@ class WallForces(Touching):
         ]
 
 
-def wall_forces(plan: Plan, stiffness: float = STIFFNESS) -> WallForces:
+def wall_forces(plan: Plan, stiffness: float = AIRWAY_WALL_STIFFNESS_N_PER_MM2) -> WallForces:
     """Find the forces with which a plan's robot and the wall of its lumen press on each other.
 
     The robot is that of the elastic model. The wall is an elastic foundation: every mm of the robot is pushed with
@@ -147,19 +147,24 @@ def wall_forces(plan: Plan, stiffness: float = STIFFNESS) -> WallForces:
     >>> found.total.round(2).tolist(), found.worst
     ([0.14, 0.82], 2)
     """
-    instance(OptionError, "plan", plan, Plan)
-    allowed = f"lie in [{LEAST:g}, {MOST:g}] N/mm²"
+    check_instance(OptionError, "plan", plan, Plan)
+    allowed = f"lie in [{MIN_WALL_STIFFNESS_N_PER_MM2:g}, {MAX_WALL_STIFFNESS_N_PER_MM2:g}] N/mm²"
     value = number(
-        OptionError, "stiffness of the wall", stiffness, lambda x: LEAST <= x <= MOST, allowed, " N/mm²"
+        OptionError,
+        "stiffness of the wall",
+        stiffness,
+        lambda x: MIN_WALL_STIFFNESS_N_PER_MM2 <= x <= MAX_WALL_STIFFNESS_N_PER_MM2,
+        allowed,
+        " N/mm²",
     )
     check_moduli(plan.robot)
     if plan.lumen is None:
         raise OptionError("the plan knows no wall of a lumen, so that nothing can touch it")
     if not np.isfinite(plan.q).all():
         raise OptionError("the plan has frames that were not reached; forces of contact need all of them")
-    load, lumen = plan.bears or Load(), Lumen(plan.lumen)
-    found = Foundation(plan.robot, lumen, value, load).along(plan.q)
-    alone = plan.under(load)
+    load, lumen = plan.evaluated_load or Load(), Lumen(plan.lumen)
+    found = Foundation(plan.robot, lumen, value, load).follow_motion(plan.q)
+    alone = plan.with_load(load)
     assert alone.clearance is not None  # a lumen is known
     return WallForces(
         **vars(found),

@@ -13,7 +13,7 @@ from ctr_nlp.studies.borne.wall import WallForces
 
 
 @rc_context(STYLE)
-def picture(found: WallForces, problem: str) -> Figure:
+def draw_wall_forces(found: WallForces, problem: str) -> Figure:
     """Draw where along the robot the wall pushes in every frame, the total force, and how deep the robot is.
 
     Parameters

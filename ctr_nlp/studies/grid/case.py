@@ -15,10 +15,10 @@ from ctr_nlp.anatomy.problem_files import problem_from_file
 from ctr_nlp.exceptions import CtrError, OptionError, OutputError
 from ctr_nlp.formulations.settings import Settings
 from ctr_nlp.loads import load_from_dict, with_modulus
-from ctr_nlp.models import model_named, under
+from ctr_nlp.models import model_named, model_with_load
 from ctr_nlp.plan.metrics import summary, verdict_columns
 from ctr_nlp.plan.plan import Plan, versions
-from ctr_nlp.problems import NAMES, named
+from ctr_nlp.problems import PROBLEM_NAMES, named_problem
 from ctr_nlp.robot import Robot
 from ctr_nlp.steer import solve_horizon, solve_per_frame
 from ctr_nlp.steer.robust import solve_robust, solve_robust_per_frame
@@ -27,13 +27,13 @@ from ctr_nlp.studies.grid.measures import MEASURES
 from ctr_nlp.support.values import strict_json
 from ctr_nlp.target.problem import Problem
 
-METHODS = "horizon", "joint", "two-stage", "robust-horizon", "robust-joint"
+STUDY_METHODS = "horizon", "joint", "two-stage", "robust-horizon", "robust-joint"
 """Ways in which a case may be planned."""
-DONE, FAILED, LATE, LOST = "done", "failed", "late", "lost"
+CASE_DONE, CASE_FAILED, CASE_LATE, CASE_LOST = "done", "failed", "late", "lost"
 """A row's status: there is a plan, solved or not; there is none; it took too long; its workers died."""
 NO_LOAD = "none"
 """The name of no load."""
-PATIENCE_S = "patience_s"
+TIME_LIMIT_COLUMN = "patience_s"
 """Column of cases that took too long: the time that they had, s."""
 
 
@@ -54,7 +54,7 @@ class Case:
     model : str
         Name of the kinematic model.
     method : str
-        How the motion is planned, of METHODS.
+        How the motion is planned, of STUDY_METHODS.
     frames : int
         Number of frames.
     settings : tuple of (str, value)
@@ -114,7 +114,7 @@ class Case:
         found = {"digest": self.digest} | {name: getattr(self, name) for name in own}
         return found | {"load": self.load_name} | named_so
 
-    def loaded(self) -> Problem:
+    def load_problem(self) -> Problem:
         """Make the problem, with its robot.
 
         Returns
@@ -127,22 +127,22 @@ class Case:
         CtrError
             The problem's file or the robot is none, or they do not go together.
         """
-        problem = self._loaded()
+        problem = self._load_source_problem()
         if self.youngs_modulus is not None:
             problem = replace(problem, robot=with_modulus(problem.robot, self.youngs_modulus))
         return problem if self.walled else replace(problem, lumen=None)
 
-    def _loaded(self) -> Problem:
+    def _load_source_problem(self) -> Problem:
         """Make the problem as its source has it, with the case's robot."""
         robot = None if self.robot is None else Robot.from_dict(json.loads(self.robot))
         if self.problem.startswith(SYNTHETIC):
             problem = synthetic_problem(int(self.problem.removeprefix(SYNTHETIC)), self.frames)
             return problem if robot is None else replace(problem, robot=robot)
-        if self.problem in NAMES:
-            return named(self.problem, self.frames, robot=robot)
+        if self.problem in PROBLEM_NAMES:
+            return named_problem(self.problem, self.frames, robot=robot)
         return problem_from_file(self.problem, frames=self.frames, robot=robot, **dict(self.options))
 
-    def planned(self, problem: Problem) -> Plan:
+    def plan_motion(self, problem: Problem) -> Plan:
         """Plan the motion, and try it on samples of the robot where the case asks for them.
 
         Parameters
@@ -162,7 +162,7 @@ class Case:
         """
         settings, model = Settings(**dict(self.settings)), model_named(self.model)
         if self.load is not None:
-            model = under(model, load_from_dict(json.loads(self.load)))
+            model = model_with_load(model, load_from_dict(json.loads(self.load)))
         made: dict[str, Callable[[], Plan]] = {
             "horizon": lambda: solve_horizon(problem, model=model, settings=settings),
             "robust-horizon": lambda: solve_robust(problem, model=model, settings=settings),
@@ -193,21 +193,21 @@ class Case:
         """
         begin, columns = time.process_time(), self.columns
         try:
-            problem = self.loaded()
-            plan = self.planned(problem)
-            found = _numbers(plan) | {"status": DONE, "reason": ""}
+            problem = self.load_problem()
+            plan = self.plan_motion(problem)
+            found = _plan_columns(plan) | {"status": CASE_DONE, "reason": ""}
             for name in self.measures:
                 found |= MEASURES[name](plan, problem)
         except Exception as error:
             # A study of thousands goes on whatever one of them dies of; the row tells what that was.
             told = str(error) if isinstance(error, CtrError) else f"{type(error).__name__}: {error}"
-            return row_without_plan(self, FAILED, told, time.process_time() - begin)
+            return row_without_plan(self, CASE_FAILED, told, time.process_time() - begin)
         if keep is not None:
-            self.keep(plan, keep)
+            self.save_plan(plan, keep)
         # A plan calls its problem by a name of its own; rows of plans and of failures have the same one.
         return columns | found | columns | {"process_s": time.process_time() - begin}
 
-    def keep(self, plan: Plan, folder: Path) -> None:
+    def save_plan(self, plan: Plan, folder: Path) -> None:
         """Write the plan into a folder, under the case's digest.
 
         Parameters
@@ -226,9 +226,9 @@ class Case:
             folder.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise OutputError(f"a folder of plans cannot be made at {folder}: {error}") from error
-        plan.save(self.place(folder))
+        plan.save(self.plan_path(folder))
 
-    def place(self, folder: Path) -> Path:
+    def plan_path(self, folder: Path) -> Path:
         """Return the path of the plan in a folder."""
         return folder / f"{self.digest}.npz"
 
@@ -241,7 +241,7 @@ def row_without_plan(case: Case, status: str, reason: str, process_s: float) -> 
     case : Case
         The case.
     status : str
-        FAILED, LATE or LOST.
+        CASE_FAILED, CASE_LATE or CASE_LOST.
     reason : str
         Why there is no plan, in a sentence.
     process_s : float
@@ -255,7 +255,7 @@ def row_without_plan(case: Case, status: str, reason: str, process_s: float) -> 
     return case.columns | {"status": status, "reason": reason, "process_s": process_s}
 
 
-def content_of(path: str) -> str:
+def file_digest(path: str) -> str:
     """Return the digest of the file at a path; raise OptionError where it cannot be read."""
     try:
         return hashlib.sha256(Path(path).read_bytes()).hexdigest()
@@ -263,20 +263,20 @@ def content_of(path: str) -> str:
         raise OptionError(f"problem file {path} cannot be read: {error}") from error
 
 
-def _numbers(plan: Plan) -> dict[str, Any]:
+def _plan_columns(plan: Plan) -> dict[str, Any]:
     """The summary and the verdicts of a plan as columns, and the versions of what computed them."""
-    found = dict(_flat(strict_json(summary(plan))))
+    found = dict(_flatten(strict_json(summary(plan))))
     found |= verdict_columns(plan)
     found["complete"] = plan.complete
     return found | {f"version_{name}": value for name, value in versions().items()}
 
 
-def _flat(told: Mapping[str, Any], before: str = "") -> list[tuple[str, Any]]:
+def _flatten(mapping: Mapping[str, Any], before: str = "") -> list[tuple[str, Any]]:
     """Pairs of names and values of nested mappings, with names joined by underscores; lists are left out."""
     found = list[tuple[str, Any]]()
-    for name, value in told.items():
+    for name, value in mapping.items():
         if isinstance(value, Mapping):
-            found += _flat(value, f"{before}{name}_")
+            found += _flatten(value, f"{before}{name}_")
         elif value is None or isinstance(value, bool | int | float | str):
             found.append((f"{before}{name}", value))
     return found

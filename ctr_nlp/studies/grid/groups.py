@@ -16,19 +16,19 @@ import numpy as np
 
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.plan.verdicts import NO, Verdicts
-from ctr_nlp.studies.grid.case import DONE
+from ctr_nlp.studies.grid.case import CASE_DONE
 from ctr_nlp.studies.grid.results import Results
 from ctr_nlp.typing import Array
 
-ERROR = "e3"
+STUDY_RANKING_COLUMN = "e3"
 """Column by which plans are ranked."""
-ALWAYS = "digest", "status", "reason", "problem", "robot_name", "complete", ERROR
+ALWAYS_READ_COLUMNS = "digest", "status", "reason", "problem", "robot_name", "complete", STUDY_RANKING_COLUMN
 """Columns that are read whatever is asked for."""
-WORST = 5
+LISTED_WORST_PLANS = 5
 """Number of plans with the largest errors that are listed."""
 
 
-class Bad(NamedTuple):
+class WorstPlan(NamedTuple):
     """One of the plans with the largest e3: that error, mm, the case's digest, and names of problem and robot."""
 
     error: float
@@ -64,22 +64,22 @@ class Group:
     failed: int = 0
     values: dict[str, list[Any]] = field(default_factory=dict)
 
-    def grow(self, rows: Any, shown: Sequence[str]) -> None:
+    def add_rows(self, rows: Any, shown: Sequence[str]) -> None:
         """Add rows, a pandas frame, with their values of the columns shown."""
         self.plans += len(rows)
-        self.failed += int((rows["status"] != DONE).sum())
+        self.failed += int((rows["status"] != CASE_DONE).sum())
         for name in shown:
             values = np.asarray(rows[name], dtype=np.float32)
             self.values.setdefault(name, []).append(values[np.isfinite(values)])
 
-    def of(self, column: str) -> Array:
+    def column_values(self, column: str) -> Array:
         """Return all values of a column, (n,) float32."""
         found: Array = np.concatenate([np.zeros(0, np.float32), *self.values.get(column, [])])
         return found
 
     def quantile(self, column: str, share: float) -> float:
         """Return the value of a column that a share in [0, 1] of plans is at most; NaN where there is no value."""
-        values = self.of(column)
+        values = self.column_values(column)
         return float(np.quantile(values, share)) if len(values) else float("nan")
 
 
@@ -102,17 +102,17 @@ class Groups:
     column: str
     groups: Sequence[Group]
     failures: Sequence[Failure]
-    worst: Sequence[Bad]
+    worst: Sequence[WorstPlan]
     complete: bool
     verdicts: Mapping[str, Counter[str]]
 
     @property
-    def passed(self) -> bool:
+    def all_passed(self) -> bool:
         """Whether every frame was solved and no verdict is *no*."""
         return self.complete and not any(words[NO] for words in self.verdicts.values())
 
 
-def grouped(results: Results, digests: Collection[str], column: str, shown: Sequence[str]) -> Groups:
+def group_rows(results: Results, digests: Collection[str], column: str, shown: Sequence[str]) -> Groups:
     """Group the rows of some cases by a column.
 
     Parameters
@@ -139,34 +139,34 @@ def grouped(results: Results, digests: Collection[str], column: str, shown: Sequ
     known = results.columns
     if missing := [name for name in (column, *shown) if name not in known]:
         raise OptionError(f"{missing[0]} is no column of the study; those are {', '.join(sorted(known))}")
-    groups, failures, worst = dict[Any, Group](), dict[str, Failure](), list[Bad]()
+    groups, failures, worst = dict[Any, Group](), dict[str, Failure](), list[WorstPlan]()
     complete, own = True, set(digests)
     named = {f"verdict_{name}": name for name in Verdicts._fields}
     words = {name: Counter[str]() for key, name in named.items() if key in known}
     # Rows of cases that the study's file no longer has, or of older versions, may be in the folder, too.
-    for frame in results.parts([*dict.fromkeys([*ALWAYS, column, *shown, *named])]):
+    for frame in results.read_parts([*dict.fromkeys([*ALWAYS_READ_COLUMNS, column, *shown, *named])]):
         part = frame[frame["digest"].isin(own)]
-        done = part[part["status"] == DONE]
+        done = part[part["status"] == CASE_DONE]
         complete &= len(done) == len(part) and bool(done["complete"].all())
         for value, rows in part.groupby(column, dropna=False):
-            groups.setdefault(str(value), Group(str(value))).grow(rows, shown)
-        for reason, rows in part[part["status"] != DONE].groupby("reason"):
+            groups.setdefault(str(value), Group(str(value))).add_rows(rows, shown)
+        for reason, rows in part[part["status"] != CASE_DONE].groupby("reason"):
             before = failures.get(str(reason), Failure(str(reason), 0, rows["digest"].iloc[0]))
             failures[str(reason)] = before._replace(plans=before.plans + len(rows))
         for name, counted in words.items():
             counted.update(done[f"verdict_{name}"].dropna())
-        if ERROR in done:
-            told = done[[ERROR, "digest", "problem", "robot_name"]].dropna().itertuples(index=False)
-            worst = heapq.nlargest(WORST, [*worst, *(Bad(*row) for row in told)])
+        if STUDY_RANKING_COLUMN in done:
+            told = done[[STUDY_RANKING_COLUMN, "digest", "problem", "robot_name"]].dropna().itertuples(index=False)
+            worst = heapq.nlargest(LISTED_WORST_PLANS, [*worst, *(WorstPlan(*row) for row in told)])
     if not groups:
         raise OptionError(
             f"{results.folder} holds no rows of this study, as its file and the versions of what plans are now"
         )
-    ordered = [groups[name] for name in sorted(groups, key=_order)]
+    ordered = [groups[name] for name in sorted(groups, key=_sort_key)]
     return Groups(column, ordered, [*failures.values()], worst, complete, words)
 
 
-def _order(name: str) -> tuple[float, str]:
+def _sort_key(name: str) -> tuple[float, str]:
     """Sort key of a group's name: numbers by their size, before words."""
     try:
         return float(name), name

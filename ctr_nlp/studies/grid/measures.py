@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 
 import numpy as np
 
-from ctr_nlp.plan.measures import depth
+from ctr_nlp.plan.measures import contact_depths
 from ctr_nlp.plan.plan import Plan
 from ctr_nlp.target.problem import Problem
 
@@ -28,7 +28,7 @@ def contact(plan: Plan, problem: Problem) -> dict[str, float]:
         ``length``: of the target in its last frame, mm; ``short``: by how much the robot is shorter than its
         target at most, mm.
     """
-    deep, out = depth(plan), np.minimum(problem.target.lengths, problem.robot.reach)
+    deep, out = contact_depths(plan), np.minimum(problem.target.lengths, problem.robot.reach)
     return {
         "contact_sum": float(deep.sum()),
         "contact_frames": float((deep > 0).sum()),

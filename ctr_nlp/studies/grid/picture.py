@@ -11,15 +11,15 @@ from matplotlib.figure import Figure
 
 from ctr_nlp.figures.parts.page import STYLE, printable
 from ctr_nlp.figures.parts.palette import BLUE, VERMILLION
-from ctr_nlp.studies.grid.groups import ERROR, Group, Groups
+from ctr_nlp.studies.grid.groups import STUDY_RANKING_COLUMN, Group, Groups
 from ctr_nlp.typing import Array, Flags
 
-NAMED = 30
+MAX_LABELLED_GROUPS = 30
 """Largest number of groups that are all labelled."""
-SHARES = 0.05, 0.25, 0.5, 0.75, 0.95
+GROUP_QUANTILES = 0.05, 0.25, 0.5, 0.75, 0.95
 """Quantiles of a group that its bars show."""
-UNITS = {
-    ERROR: "e3 (mm)",
+COLUMN_AXIS_LABELS = {
+    STUDY_RANKING_COLUMN: "e3 (mm)",
     "robustness_e3_mean": "mean e3 over draws (mm)",
     "robustness_lost_share": "share of draws lost",
 }
@@ -27,7 +27,7 @@ UNITS = {
 
 
 @matplotlib.rc_context(STYLE)
-def by_group(found: Groups, column: str, against: str | None = None) -> Figure:
+def draw_groups(found: Groups, column: str, against: str | None = None) -> Figure:
     """Draw quantiles of a column in every group, and its medians over those of another column.
 
     Parameters
@@ -45,43 +45,47 @@ def by_group(found: Groups, column: str, against: str | None = None) -> Figure:
     Figure
         Without groups in which the column has no values.
     """
-    groups = [group for group in found.groups if len(group.of(column))]
+    groups = [group for group in found.groups if len(group.column_values(column))]
     size = min(7.5, 1.4 + 0.22 * len(groups))
     figure = Figure(
         figsize=(7.0, max(2.6, size)) if against is None else (9.0, max(3.6, size)), layout="constrained"
     )
     left, *right = figure.subplots(1, 1 if against is None else 2, squeeze=False)[0].tolist()
-    _quantiles(left, groups, column, found.column)
+    _draw_quantiles(left, groups, column, found.column)
     if against is not None:
-        _weighed(right[0], groups, column, against)
+        _draw_trade_off(right[0], groups, column, against)
     count = sum(group.plans for group in groups)
     figure.suptitle(printable(f"{count} plans by {found.column}"), fontsize=10, parse_math=False)
     return figure
 
 
-def _quantiles(axes: Axes, groups: Sequence[Group], column: str, by: str) -> None:
+def _draw_quantiles(axes: Axes, groups: Sequence[Group], column: str, by: str) -> None:
     """Draw the quantiles of a column in every group, one line each; by: the column of the groups."""
     for place, group in enumerate(groups):
-        least, low, middle, high, most = (group.quantile(column, share) for share in SHARES)
+        least, low, middle, high, most = (group.quantile(column, share) for share in GROUP_QUANTILES)
         axes.plot([least, most], [place, place], color=BLUE, lw=1.0, solid_capstyle="butt")
         axes.plot([low, high], [place, place], color=BLUE, lw=4.0, solid_capstyle="butt")
         axes.plot(middle, place, color=VERMILLION, marker="|", ms=8, mew=2.0, ls="")
     names = [printable(group.name) for group in groups]
-    shown = range(len(groups)) if len(groups) <= NAMED else range(0, len(groups), -(-len(groups) // NAMED))
+    shown = (
+        range(len(groups))
+        if len(groups) <= MAX_LABELLED_GROUPS
+        else range(0, len(groups), -(-len(groups) // MAX_LABELLED_GROUPS))
+    )
     axes.set_yticks(list(shown), [names[place] for place in shown], parse_math=False, fontsize=8)
     axes.set_ylim(len(groups) - 0.5, -0.5)
     axes.set_ylabel(printable(by), parse_math=False)
-    axes.set_xlabel(_called(column), parse_math=False)
+    axes.set_xlabel(_axis_label(column), parse_math=False)
     axes.set_title("median, middle half and 5 to 95 % of plans", fontsize=8)
 
 
-def _weighed(axes: Axes, groups: Sequence[Group], column: str, against: str) -> None:
+def _draw_trade_off(axes: Axes, groups: Sequence[Group], column: str, against: str) -> None:
     """Draw medians of a column over those of another one, and the line through the Pareto-optimal groups."""
     medians = np.array([[group.quantile(name, 0.5) for name in (against, column)] for group in groups])
     axes.plot(*medians.T, color=BLUE, marker="o", ms=4, ls="")
-    front = medians[best(medians)]
+    front = medians[pareto_optimal(medians)]
     axes.plot(*front[np.argsort(front[:, 0])].T, color=VERMILLION, lw=1.4, drawstyle="steps-post")
-    if len(groups) <= NAMED:
+    if len(groups) <= MAX_LABELLED_GROUPS:
         for group, place in zip(groups, medians.tolist(), strict=True):
             axes.annotate(
                 printable(group.name),
@@ -92,12 +96,12 @@ def _weighed(axes: Axes, groups: Sequence[Group], column: str, against: str) -> 
                 parse_math=False,
             )
     axes.margins(0.12)
-    axes.set_xlabel(_called(against), parse_math=False)
-    axes.set_ylabel(_called(column), parse_math=False)
+    axes.set_xlabel(_axis_label(against), parse_math=False)
+    axes.set_ylabel(_axis_label(column), parse_math=False)
     axes.set_title("medians of groups; no other is smaller in both than those on the line", fontsize=8)
 
 
-def best(medians: Array) -> Flags:
+def pareto_optimal(medians: Array) -> Flags:
     """Find the Pareto-optimal rows of medians.
 
     Parameters
@@ -117,6 +121,6 @@ def best(medians: Array) -> Flags:
     return kept
 
 
-def _called(column: str) -> str:
+def _axis_label(column: str) -> str:
     """Label of a column on axes, with its unit where that is known."""
-    return UNITS.get(column, printable(column))
+    return COLUMN_AXIS_LABELS.get(column, printable(column))

@@ -13,7 +13,7 @@ REPORTS = ("reached", "survival")
 """Names of the reports, each that of the package in ctr_nlp.studies that makes it."""
 
 
-def reported(report: str, rows: Sequence[Mapping[str, Any]], folder: Path) -> list[str]:
+def write_report(report: str, rows: Sequence[Mapping[str, Any]], folder: Path) -> list[str]:
     """Write the page, the table and the figure of a report into a folder.
 
     Parameters

@@ -14,19 +14,19 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ctr_nlp.exceptions import OptionError, OutputError
-from ctr_nlp.studies.grid.case import LOST, PATIENCE_S
-from ctr_nlp.support.extras import needed
-from ctr_nlp.support.folder_lock import locked
-from ctr_nlp.support.whole_file import whole_file
+from ctr_nlp.studies.grid.case import CASE_LOST, TIME_LIMIT_COLUMN
+from ctr_nlp.support.extras import import_extra
+from ctr_nlp.support.folder_lock import lock_folder
+from ctr_nlp.support.whole_file import write_atomically
 
 if TYPE_CHECKING:
     import pandas as pd
 
-ROWS = "rows"
+ROWS_FOLDER = "rows"
 """The folder of the files, beside which plans may lie."""
-PART = 50_000
+MIN_ROWS_PER_READ = 50_000
 """Least number of rows that are read at a time: file by file, pandas took 40 ms for each."""
-LOST_FILE = "lost-"
+RETRYABLE_FILE_PREFIX = "lost-"
 """How names of files begin that hold the row of one case whose workers died, or that took too long."""
 
 
@@ -61,11 +61,11 @@ class Results:
         OutputError
             Another program adds rows, or none can be written.
         """
-        place = self.folder / ROWS
+        place = self.folder / ROWS_FOLDER
         with ExitStack() as held:
             try:
                 place.mkdir(parents=True, exist_ok=True)
-                held.enter_context(locked(place))
+                held.enter_context(lock_folder(place))
             except BlockingIOError as error:
                 raise OutputError(
                     f"another study is at work in {self.folder}; wait until it has ended, or name another folder"
@@ -82,11 +82,11 @@ class Results:
         OutputError
             One does, or rows cannot be written.
         """
-        if (self.folder / ROWS).exists():
+        if (self.folder / ROWS_FOLDER).exists():
             with self.sole_writer():
                 pass
 
-    def known(self) -> set[str]:
+    def read_digests(self) -> set[str]:
         """Return the digests of the cases that have rows.
 
         Returns
@@ -114,7 +114,7 @@ class Results:
         if rows:
             self._write(rows, "")
 
-    def add_lost(self, rows: Sequence[Mapping[str, Any]]) -> None:
+    def add_retryable_rows(self, rows: Sequence[Mapping[str, Any]]) -> None:
         """Write rows of cases that may be tried again, each into a file of its own, which can be deleted.
 
         Parameters
@@ -128,9 +128,9 @@ class Results:
             A file cannot be written.
         """
         for row in rows:
-            self._write([row], LOST_FILE)
+            self._write([row], RETRYABLE_FILE_PREFIX)
 
-    def forget_lost(self, patience: float) -> None:
+    def delete_retryable_rows(self, time_limit: float) -> None:
         """Delete rows of cases that are to be tried again.
 
         These are the cases whose workers died, and those that took too long while they had less time than they
@@ -138,7 +138,7 @@ class Results:
 
         Parameters
         ----------
-        patience : float
+        time_limit : float
             Time that a case may take now, s.
 
         Raises
@@ -146,24 +146,24 @@ class Results:
         OutputError
             A file cannot be deleted.
         """
-        parquet = needed("pyarrow.parquet")
+        parquet = import_extra("pyarrow.parquet")
         try:
-            for file in (self.folder / ROWS).glob(f"{LOST_FILE}*.parquet"):
+            for file in (self.folder / ROWS_FOLDER).glob(f"{RETRYABLE_FILE_PREFIX}*.parquet"):
                 (row,) = parquet.read_table(file).to_pylist()
-                if row["status"] == LOST or row[PATIENCE_S] < patience:
+                if row["status"] == CASE_LOST or row[TIME_LIMIT_COLUMN] < time_limit:
                     file.unlink()
         except OSError as error:
             raise OutputError(f"rows of the study cannot be deleted: {error}") from error
 
     def _write(self, rows: Sequence[Mapping[str, Any]], begin: str) -> None:
         """Write rows into a new file whose name begins so; raise OutputError where that cannot be done."""
-        arrow, parquet = needed("pyarrow"), needed("pyarrow.parquet")
-        place = self.folder / ROWS
+        arrow, parquet = import_extra("pyarrow"), import_extra("pyarrow.parquet")
+        place = self.folder / ROWS_FOLDER
         try:
             place.mkdir(parents=True, exist_ok=True)
             names = list(dict.fromkeys(name for row in rows for name in row))
             columns = {name: _column(arrow, [row.get(name) for row in rows]) for name in names}
-            with whole_file(place / f"{begin}{uuid.uuid4().hex}.parquet") as partial:
+            with write_atomically(place / f"{begin}{uuid.uuid4().hex}.parquet") as partial:
                 parquet.write_table(arrow.table(columns), partial)
         except OSError as error:
             raise OutputError(f"rows of the study cannot be written to {place}: {error}") from error
@@ -173,7 +173,7 @@ class Results:
         """Names of all columns that any row has; raises OptionError where there are no rows."""
         return list(self._dataset().schema.names)
 
-    def parts(self, columns: Sequence[str]) -> Iterator[pd.DataFrame]:
+    def read_parts(self, columns: Sequence[str]) -> Iterator[pd.DataFrame]:
         """Read all rows part by part, so that there may be more than memory holds.
 
         Parameters
@@ -184,19 +184,19 @@ class Results:
         Yields
         ------
         pandas.DataFrame
-            At least PART rows each, but for the last.
+            At least MIN_ROWS_PER_READ rows each, but for the last.
 
         Raises
         ------
         OptionError
             There are no rows.
         """
-        dataset, arrow, part, rows = self._dataset(), needed("pyarrow"), list[Any](), 0
+        dataset, arrow, part, rows = self._dataset(), import_extra("pyarrow"), list[Any](), 0
         # Batches are as small as files are; pandas' costs are per frame, and so several are joined.
         for batch in dataset.to_batches(columns=[name for name in columns if name in dataset.schema.names]):
             part.append(batch)
             rows += len(batch)
-            if rows >= PART:
+            if rows >= MIN_ROWS_PER_READ:
                 yield arrow.Table.from_batches(part).to_pandas()
                 part, rows = [], 0
         if rows:
@@ -220,15 +220,19 @@ class Results:
 
     @property
     def _files(self) -> list[str]:
-        """Complete files of rows: a writer that was killed leaves a hidden one behind (support/whole_file.py)."""
-        return sorted(str(path) for path in (self.folder / ROWS).glob("*.parquet") if path.name[0] != ".")
+        """Complete files of rows: a writer that was killed leaves a hidden one behind
+        (support/write_atomically.py).
+        """
+        return sorted(str(path) for path in (self.folder / ROWS_FOLDER).glob("*.parquet") if path.name[0] != ".")
 
     def _dataset(self) -> Any:
         """Open all files as one dataset with the columns of all; raise OptionError where there are none."""
         files = self._files
         if not files:
             raise OptionError(f"{self.folder} holds no rows of a study")
-        arrow, dataset, parquet = (needed(name) for name in ("pyarrow", "pyarrow.dataset", "pyarrow.parquet"))
+        arrow, dataset, parquet = (
+            import_extra(name) for name in ("pyarrow", "pyarrow.dataset", "pyarrow.parquet")
+        )
         schema = arrow.unify_schemas([parquet.read_schema(file) for file in files], promote_options="permissive")
         return dataset.dataset(files, schema=schema)
 

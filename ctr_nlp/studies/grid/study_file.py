@@ -15,26 +15,35 @@ import numpy as np
 from ctr_nlp.anatomy.files import centrelines_in
 from ctr_nlp.exceptions import CtrError, OptionError
 from ctr_nlp.loads import with_modulus
-from ctr_nlp.problems import NAMES
+from ctr_nlp.problems import PROBLEM_NAMES
 from ctr_nlp.robot import Robot, table_i_robot
-from ctr_nlp.robot.draws import drawn, known_robot
+from ctr_nlp.robot.draws import build_calibrated_robot, sample_robots
 from ctr_nlp.studies.airways import SYNTHETIC
-from ctr_nlp.studies.grid.case import Case, content_of
+from ctr_nlp.studies.grid.case import Case, file_digest
 from ctr_nlp.studies.grid.reports import REPORTS
-from ctr_nlp.studies.grid.ways import OF_WAYS, check_table, ways
-from ctr_nlp.support.values import check_choice, floats, instance, number, read_toml, text, texts, whole_number
+from ctr_nlp.studies.grid.ways import SETUP_KEYS, check_table, planner_setups
+from ctr_nlp.support.values import (
+    check_choice,
+    check_instance,
+    floats,
+    number,
+    read_toml,
+    text,
+    texts,
+    whole_number,
+)
 
-KEYS = (
-    *("name", "problems", "robots", "youngs_modulus", *OF_WAYS, "ways"),
+STUDY_KEYS = (
+    *("name", "problems", "robots", "youngs_modulus", *SETUP_KEYS, "ways"),
     *("frames", "walls", "draws", "seed", "report"),
 )
-OF_PROBLEMS = ("names", "files", "folder", "synthetic", "options")
-OF_ROBOTS = ("files", "drawn")
-OF_DRAWN = ("of", "count", "seed")
-OF_OPTIONS = ("branch", "entry", "target", "reverse", "smoothing", "trim", "insertion", "tilt")
-MOST_CASES = 1_000_000
+STUDY_PROBLEM_KEYS = ("names", "files", "folder", "synthetic", "options")
+STUDY_ROBOT_KEYS = ("files", "drawn")
+STUDY_SAMPLED_ROBOT_KEYS = ("of", "count", "seed")
+STUDY_FILE_OPTION_KEYS = ("branch", "entry", "target", "reverse", "smoothing", "trim", "insertion", "tilt")
+MAX_STUDY_CASES = 1_000_000
 """Plans of one study; a file that asks for more has a slip of the pen in it."""
-OWN = "its own"
+OWN_ROBOT_NAME = "its own"
 """The name of a problem's own robot."""
 
 
@@ -98,12 +107,12 @@ class Study:
             raise OptionError(f"study {path}: {error}") from error
 
     @classmethod
-    def from_dict(cls, told: Mapping[str, Any], folder: Path) -> Study:
+    def from_dict(cls, data: Mapping[str, Any], folder: Path) -> Study:
         """Make the study that a mapping describes.
 
         Parameters
         ----------
-        told : mapping
+        data : mapping
             Keys and values of a study's file; see ``examples/study.toml``.
         folder : Path
             Folder to which names of files are relative.
@@ -126,24 +135,24 @@ class Study:
         >>> [(case.problem, case.method) for case in study.cases]
         [('arc', 'joint'), ('arc', 'horizon'), ('cos', 'joint'), ('cos', 'horizon')]
         """
-        check_table(told, KEYS, "a study")
-        problems = tuple(_problems(told.get("problems", {}), folder))
-        robots, every_way = tuple(_robots(told.get("robots", {}), folder)), tuple(ways(told, folder))
-        name = text(OptionError, "name of a study", told.get("name", "study"))
+        check_table(data, STUDY_KEYS, "a study")
+        problems = tuple(_problems(data.get("problems", {}), folder))
+        robots, every_way = tuple(_robots(data.get("robots", {}), folder)), tuple(planner_setups(data, folder))
+        name = text(OptionError, "name of a study", data.get("name", "study"))
         draws, seed = (
-            whole_number(OptionError, f"{key} of a study", told.get(key, 0), 0) for key in ("draws", "seed")
+            whole_number(OptionError, f"{key} of a study", data.get(key, 0), 0) for key in ("draws", "seed")
         )
-        frames = whole_number(OptionError, "frames of a study", told.get("frames", 100), 1)
-        walled, report, modulus = told.get("walls", True), told.get("report"), told.get("youngs_modulus")
+        frames = whole_number(OptionError, "frames of a study", data.get("frames", 100), 1)
+        walled, report, modulus = data.get("walls", True), data.get("report"), data.get("youngs_modulus")
         if modulus is not None:
             with_modulus(table_i_robot(), modulus)  # a number that is none is refused here, not in every row
-        instance(OptionError, "walls of a study", walled, bool)
+        check_instance(OptionError, "walls of a study", walled, bool)
         if report is not None:
             check_choice("report of a study", report, REPORTS)
-        options = _options(told.get("problems", {}).get("options", {}))
+        options = _options(data.get("problems", {}).get("options", {}))
         count = len(problems) * len(robots) * len(every_way)
-        if count > MOST_CASES:
-            raise OptionError(f"study {name!r} has {count} cases; it must have at most {MOST_CASES}")
+        if count > MAX_STUDY_CASES:
+            raise OptionError(f"study {name!r} has {count} cases; it must have at most {MAX_STUDY_CASES}")
         cases = (
             Case(
                 problem,
@@ -170,58 +179,58 @@ class Study:
         return cls(name, tuple(cases), report)
 
 
-def _problems(told: Any, folder: Path) -> Iterator[tuple[str, str]]:
+def _problems(table: Any, folder: Path) -> Iterator[tuple[str, str]]:
     """Problems of the table [problems], each with the digest of its file, which is empty where it has none."""
-    check_table(told, OF_PROBLEMS, "problems of a study")
-    for name in texts(OptionError, "names of problems of a study", told.get("names", [])):
-        check_choice("a problem of a study", name, NAMES)
+    check_table(table, STUDY_PROBLEM_KEYS, "problems of a study")
+    for name in texts(OptionError, "names of problems of a study", table.get("names", [])):
+        check_choice("a problem of a study", name, PROBLEM_NAMES)
         yield name, ""
-    files = [folder / name for name in texts(OptionError, "files of problems of a study", told.get("files", []))]
-    if "folder" in told:
-        files += centrelines_in(folder / text(OptionError, "folder of problems of a study", told["folder"]))
+    files = [folder / name for name in texts(OptionError, "files of problems of a study", table.get("files", []))]
+    if "folder" in table:
+        files += centrelines_in(folder / text(OptionError, "folder of problems of a study", table["folder"]))
     for path in files:
-        yield str(path), content_of(str(path))
-    for airway in range(_count("synthetic of problems of a study", told.get("synthetic", 0), 0)):
+        yield str(path), file_digest(str(path))
+    for airway in range(_count("synthetic of problems of a study", table.get("synthetic", 0), 0)):
         yield f"{SYNTHETIC}{airway}", ""
 
 
-def _options(told: Any) -> tuple[tuple[str, Any], ...]:
+def _options(table: Any) -> tuple[tuple[str, Any], ...]:
     """How files become problems: options of problem_from_file, in the order of their names."""
-    check_table(told, OF_OPTIONS, "options of problems of a study")
-    if told.get("trim") is not None:
-        check_choice("trim of options of problems of a study", told["trim"], ("start", "end"))
+    check_table(table, STUDY_FILE_OPTION_KEYS, "options of problems of a study")
+    if table.get("trim") is not None:
+        check_choice("trim of options of problems of a study", table["trim"], ("start", "end"))
     for name in ("smoothing", "tilt"):
-        if name in told:
+        if name in table:
             number(
-                OptionError, f"{name} of options of problems of a study", told[name], math.isfinite, "be finite"
+                OptionError, f"{name} of options of problems of a study", table[name], math.isfinite, "be finite"
             )
     for name in ("entry", "target", "insertion"):
-        if name in told:
-            floats(OptionError, f"{name} of options of problems of a study", told[name], (3,))
-    if "reverse" in told:
-        instance(OptionError, "reverse of options of problems of a study", told["reverse"], bool)
-    if "branch" in told:
-        instance(OptionError, "branch of options of problems of a study", told["branch"], str, int)
-    return tuple(sorted(told.items()))
+        if name in table:
+            floats(OptionError, f"{name} of options of problems of a study", table[name], (3,))
+    if "reverse" in table:
+        check_instance(OptionError, "reverse of options of problems of a study", table["reverse"], bool)
+    if "branch" in table:
+        check_instance(OptionError, "branch of options of problems of a study", table["branch"], str, int)
+    return tuple(sorted(table.items()))
 
 
 def _count(name: str, value: Any, least: int) -> int:
     """A number of things that are gone through one by one; raises OptionError."""
-    if (count := whole_number(OptionError, name, value, least)) > MOST_CASES:
-        raise OptionError(f"{name} is {count}; it must be at most {MOST_CASES}")
+    if (count := whole_number(OptionError, name, value, least)) > MAX_STUDY_CASES:
+        raise OptionError(f"{name} is {count}; it must be at most {MAX_STUDY_CASES}")
     return count
 
 
-def _robots(told: Any, folder: Path) -> Iterator[tuple[str, str | None]]:
+def _robots(table: Any, folder: Path) -> Iterator[tuple[str, str | None]]:
     """Names and JSON of the robots of the table [robots]; the problems' own robots where there is none."""
-    check_table(told, OF_ROBOTS, "robots of a study")
-    if not told:
-        yield OWN, None
-    for name in texts(OptionError, "files of robots of a study", told.get("files", [])):
+    check_table(table, STUDY_ROBOT_KEYS, "robots of a study")
+    if not table:
+        yield OWN_ROBOT_NAME, None
+    for name in texts(OptionError, "files of robots of a study", table.get("files", [])):
         yield Path(name).stem, _as_json(Robot.from_toml(folder / name))
-    if "drawn" in told:
-        asked = told["drawn"]
-        check_table(asked, OF_DRAWN, "drawn robots of a study")
+    if "drawn" in table:
+        asked = table["drawn"]
+        check_table(asked, STUDY_SAMPLED_ROBOT_KEYS, "drawn robots of a study")
         if not {"of", "count"} <= asked.keys():
             raise OptionError("drawn robots of a study need of, a robot file, and count")
         of = text(OptionError, "of of drawn robots", asked["of"])
@@ -230,8 +239,8 @@ def _robots(told: Any, folder: Path) -> Iterator[tuple[str, str | None]]:
         seed = whole_number(OptionError, "seed of drawn robots", asked.get("seed", 0), 0)
         # Each robot is built as drawn, and as uncertain as the one that it is drawn from.
         none = np.zeros((5 * base.d, 5 * base.d))
-        for draw, parts in enumerate(drawn(base, count, seed).parts):
-            robot = known_robot(base, parts, none, 0.0)
+        for draw, parts in enumerate(sample_robots(base, count, seed).deviations):
+            robot = build_calibrated_robot(base, parts, none, 0.0)
             yield f"{Path(of).stem} {draw}", _as_json(replace(robot, tolerances=base.tolerances))
 
 

@@ -16,20 +16,20 @@ from ctr_nlp.exceptions import OptionError
 from ctr_nlp.formulations import default_model
 from ctr_nlp.formulations.settings import Settings
 from ctr_nlp.loads import Load, LoadOverTime, read_load
-from ctr_nlp.models import MODELS, under
-from ctr_nlp.studies.grid.case import METHODS, NO_LOAD
+from ctr_nlp.models import KINEMATIC_MODELS, model_with_load
+from ctr_nlp.studies.grid.case import NO_LOAD, STUDY_METHODS
 from ctr_nlp.studies.grid.measures import MEASURES
-from ctr_nlp.support.values import check_choice, check_keys, floats, instance, whole_number
+from ctr_nlp.support.values import check_choice, check_instance, check_keys, floats, whole_number
 
-OF_WAYS = ("models", "methods", "loads", "settings", "sample", "measures")
-MOST_SAMPLES = 100_000
-OF_SAMPLE = ("method", "count", "seed", "ranges")
+SETUP_KEYS = ("models", "methods", "loads", "settings", "sample", "measures")
+MAX_SETTINGS_SAMPLES = 100_000
+SETTINGS_SAMPLE_KEYS = ("method", "count", "seed", "ranges")
 SAMPLERS: Mapping[str, type[qmc.QMCEngine]] = {"sobol": qmc.Sobol, "latin-hypercube": qmc.LatinHypercube}
 """How settings may be sampled, by name."""
 
 
 @dataclass(frozen=True)
-class Way:
+class PlannerSetup:
     """How a problem is planned, and what is measured of the plan; fields mean the same as those of Case."""
 
     model: str
@@ -40,12 +40,12 @@ class Way:
     measures: tuple[str, ...]
 
 
-def ways(told: Mapping[str, Any], folder: Path) -> Iterator[Way]:
+def planner_setups(data: Mapping[str, Any], folder: Path) -> Iterator[PlannerSetup]:
     """Combine the models, methods, loads and settings of a study.
 
     Parameters
     ----------
-    told : mapping
+    data : mapping
         The study's file. Its tables ``[[ways]]`` are combined each by itself; without any, keys of the study
         itself are taken.
     folder : Path
@@ -63,51 +63,51 @@ def ways(told: Mapping[str, Any], folder: Path) -> Iterator[Way]:
     OptionError
         A key is unknown, a value is out of its range, or a load does not go with a model.
     """
-    tables = told.get("ways")
+    tables = data.get("ways")
     if tables is None:
-        tables = [{name: told[name] for name in OF_WAYS if name in told}]
-    elif both := sorted(set(OF_WAYS) & told.keys()):
+        tables = [{name: data[name] for name in SETUP_KEYS if name in data}]
+    elif both := sorted(set(SETUP_KEYS) & data.keys()):
         raise OptionError(f"{both[0]} of a study stands beside its tables [[ways]]; write it into each of these")
-    instance(OptionError, "ways of a study", tables, list)
+    check_instance(OptionError, "ways of a study", tables, list)
     for table in tables:
-        check_table(table, OF_WAYS, "ways of a study")
-        measures = tuple(_listed(table.get("measures", [])))
+        check_table(table, SETUP_KEYS, "ways of a study")
+        measures = tuple(_as_list(table.get("measures", [])))
         for name in measures:
             check_choice("a measure of a study", name, MEASURES)
-        loads = [_load(name, folder) for name in _listed(table.get("loads", [NO_LOAD]))]
-        methods = _listed(table.get("methods", ["horizon"]))
-        models = _listed(table.get("models", [None]))  # None: the default of each method
+        loads = [_load(name, folder) for name in _as_list(table.get("loads", [NO_LOAD]))]
+        methods = _as_list(table.get("methods", ["horizon"]))
+        models = _as_list(table.get("models", [None]))  # None: the default of each method
         for given, method, (name, load), settings in itertools.product(models, methods, loads, _settings(table)):
             model = default_model(method) if given is None else given
-            check_choice("a model of a study", model, MODELS)
-            check_choice("a method of a study", method, METHODS)
+            check_choice("a model of a study", model, KINEMATIC_MODELS)
+            check_choice("a method of a study", method, STUDY_METHODS)
             if load is not None:
-                under(model, load)  # raises where the model knows no loads, before anything is planned
+                model_with_load(model, load)  # raises where the model knows no loads, before anything is planned
             written = None if load is None else json.dumps(load.to_dict())
-            yield Way(model, method, name, written, settings, measures)
+            yield PlannerSetup(model, method, name, written, settings, measures)
 
 
 def _load(name: Any, folder: Path) -> tuple[str, Load | LoadOverTime | None]:
     """Return the name of a load in tables and the load itself, or None for none."""
-    instance(OptionError, "a load of a study", name, str)
+    check_instance(OptionError, "a load of a study", name, str)
     if name == NO_LOAD:
         return NO_LOAD, None
     return Path(name).stem, read_load(folder / name)
 
 
-def check_table(told: Any, allowed: Sequence[str], of: str) -> None:
+def check_table(table: Any, allowed: Sequence[str], of: str) -> None:
     """Raise OptionError unless told is a mapping whose keys are all allowed; of: its name in the message."""
-    if not isinstance(told, Mapping):
-        raise OptionError(f"{of} is {told!r:.60}; it must be a table with the keys {', '.join(allowed)}")
-    check_keys(OptionError, of, told, allowed)
+    if not isinstance(table, Mapping):
+        raise OptionError(f"{of} is {table!r:.60}; it must be a table with the keys {', '.join(allowed)}")
+    check_keys(OptionError, of, table, allowed)
 
 
-def _settings(told: Mapping[str, Any]) -> Iterator[tuple[tuple[str, Any], ...]]:
+def _settings(table: Mapping[str, Any]) -> Iterator[tuple[tuple[str, Any], ...]]:
     """Every combination of the settings that a table lists, each with every sample of those that are sampled."""
-    listed = told.get("settings", {})
+    listed = table.get("settings", {})
     check_table(listed, tuple(Settings.__dataclass_fields__), "settings of a study")
-    grid = itertools.product(*([(name, value) for value in _listed(values)] for name, values in listed.items()))
-    for chosen, sampled in itertools.product(grid, _sampled(told.get("sample"))):
+    grid = itertools.product(*([(name, value) for value in _as_list(values)] for name, values in listed.items()))
+    for chosen, sampled in itertools.product(grid, _sample_settings(table.get("sample"))):
         if both := {name for name, _ in chosen} & {name for name, _ in sampled}:
             raise OptionError(f"{sorted(both)[0]} of a study is both listed and sampled; leave one out")
         # Sorted, so that the order of keys in a file does not make another case, with another digest.
@@ -116,29 +116,29 @@ def _settings(told: Mapping[str, Any]) -> Iterator[tuple[tuple[str, Any], ...]]:
         yield found
 
 
-def _sampled(told: Any) -> list[tuple[tuple[str, Any], ...]]:
+def _sample_settings(table: Any) -> list[tuple[tuple[str, Any], ...]]:
     """Settings sampled evenly within the ranges of a table; one empty sample where there is no table."""
-    if told is None:
+    if table is None:
         return [()]
-    check_table(told, OF_SAMPLE, "sample of a study")
-    ranges = told.get("ranges", {})
+    check_table(table, SETTINGS_SAMPLE_KEYS, "sample of a study")
+    ranges = table.get("ranges", {})
     check_table(ranges, tuple(Settings.__dataclass_fields__), "ranges of a sample")
-    check_choice("method of a sample", told.get("method", "sobol"), SAMPLERS)
-    count = whole_number(OptionError, "count of a sample", told.get("count", 0), 1)
-    if count > MOST_SAMPLES:
-        raise OptionError(f"count of a sample is {count}; it must be at most {MOST_SAMPLES}")
-    seed = whole_number(OptionError, "seed of a sample", told.get("seed", 0), 0)
+    check_choice("method of a sample", table.get("method", "sobol"), SAMPLERS)
+    count = whole_number(OptionError, "count of a sample", table.get("count", 0), 1)
+    if count > MAX_SETTINGS_SAMPLES:
+        raise OptionError(f"count of a sample is {count}; it must be at most {MAX_SETTINGS_SAMPLES}")
+    seed = whole_number(OptionError, "seed of a sample", table.get("seed", 0), 0)
     for name, ends in ranges.items():
         low, high = floats(OptionError, f"range of {name}", ends, (2,))
         if low >= high:
             raise OptionError(f"range of {name} is {ends!r:.40}; it must be two numbers, the least first")
     if not ranges:
         raise OptionError("ranges of a sample are empty; name settings, each with two numbers, the least first")
-    engine = SAMPLERS[told.get("method", "sobol")](len(ranges), rng=np.random.default_rng(seed))
+    engine = SAMPLERS[table.get("method", "sobol")](len(ranges), rng=np.random.default_rng(seed))
     low, high = np.array([ranges[name] for name in ranges], dtype=float).T
     return [tuple(zip(ranges, row, strict=True)) for row in qmc.scale(engine.random(count), low, high).tolist()]
 
 
-def _listed(value: Any) -> list[Any]:
+def _as_list(value: Any) -> list[Any]:
     """Return a list as it is, and anything else as the only entry of one."""
     return value if isinstance(value, list) else [value]

@@ -7,11 +7,11 @@ from matplotlib.figure import Figure
 
 from ctr_nlp.figures.parts.page import STYLE, plain_ticks
 from ctr_nlp.figures.parts.palette import BLUE, VERMILLION
-from ctr_nlp.reference.learned.network import Network
+from ctr_nlp.reference.learned.network import InverseKinematicsNetwork
 
 
 @rc_context(STYLE)
-def learning_curve(network: Network) -> Figure:
+def learning_curve(network: InverseKinematicsNetwork) -> Figure:
     """The error over steps of training, on what is trained and on what is not."""
     figure = Figure(figsize=(7.0, 4.2), layout="constrained")
     axes = figure.subplots()

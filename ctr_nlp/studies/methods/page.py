@@ -12,17 +12,17 @@ from typing import Any, NamedTuple
 
 from ctr_nlp.formulations import FORMULATIONS
 from ctr_nlp.formulations.horizon import horizon
-from ctr_nlp.plan.account import shown
-from ctr_nlp.reference import METHODS
-from ctr_nlp.studies.comparison import PATHS, ROBUST, WARM, Comparison
+from ctr_nlp.plan.account import format_cell
+from ctr_nlp.reference import REFERENCE_METHODS
+from ctr_nlp.studies.comparison import LUMEN_PATH_VARIANTS, ROBUST_VARIANTS, WARM_STARTED_VARIANTS, Comparison
 from ctr_nlp.support.tables import markdown
 
 Row = Mapping[str, Any]
-OURS: Mapping[str, Callable[..., Any]] = {
+OUR_VARIANT_PREFIXES: Mapping[str, Callable[..., Any]] = {
     "horizon": horizon,
-    **dict.fromkeys(WARM, horizon),
+    **dict.fromkeys(WARM_STARTED_VARIANTS, horizon),
     **FORMULATIONS,
-    **ROBUST,
+    **ROBUST_VARIANTS,
 }
 """Our own methods by the beginnings of their names."""
 
@@ -32,11 +32,11 @@ class Column(NamedTuple):
 
     title: str
     key: str
-    show: Callable[[float], str] = shown
+    show: Callable[[float], str] = format_cell
     planned: str | None = None
 
 
-COLUMNS = (
+METHOD_PAGE_COLUMNS = (
     Column("e3 mm", "e3", planned="planned_e3"),
     Column("largest mm", "e_max", planned="planned_e_max"),
     Column("tip mm", "tip_max", planned="planned_tip_max"),
@@ -47,8 +47,11 @@ COLUMNS = (
     Column("contact mm", "depth", planned="planned_depth"),
     Column("ms a frame", "frame_ms"),
 )
-OVERVIEWS = {"e3 in mm on the elastic model": COLUMNS[0], "Share of draws that is lost": COLUMNS[5]}
-EXPLANATION = """\
+OVERVIEWS = {
+    "e3 in mm on the elastic model": METHOD_PAGE_COLUMNS[0],
+    "Share of draws that is lost": METHOD_PAGE_COLUMNS[5],
+}
+METHOD_PAGE_EXPLANATION = """\
 # Methods beside each other
 
 Every method on every problem that it serves, with the paper's robot. Each was made for something: **judge it by
@@ -77,7 +80,7 @@ were planned on; where two numbers stand in a cell, the first is on the model pl
 **Bold** is the least of a column among methods that solved all frames, and, of others, all that is less than the
 least of ours. Below each table stand the methods that do not serve its problem, and why.
 """
-REMAKING = """
+METHOD_PAGE_REPRODUCTION = """
 ## How to remake it
 
     {command}
@@ -96,13 +99,13 @@ def page(found: Comparison, command: str) -> str:
     problems = list(dict.fromkeys(problem for problem, _ in asked))
     kinds = dict.fromkeys(variant.partition(":")[0] for _, variant in asked)
     methods = markdown(
-        ["method", "what it is"], [[f"`{kind}`", made_for(kind).replace("|", "\\|")] for kind in kinds]
+        ["method", "what it is"], [[f"`{kind}`", method_description(kind).replace("|", "\\|")] for kind in kinds]
     )
     draws, frames = (max((row[key] or 0 for row in found.rows), default=0) for key in ("draws", "frames"))
-    parts = [EXPLANATION.format(draws=draws, methods=methods.rstrip())]
+    parts = [METHOD_PAGE_EXPLANATION.format(draws=draws, methods=methods.rstrip())]
     parts += [f"## {title}\n\n{_overview(found, problems, column)}" for title, column in OVERVIEWS.items()]
     parts += [f"## {problem}\n\n{table(found, problem)}" for problem in problems]
-    return "\n".join(parts) + REMAKING.format(command=command, frames=frames, machine=machine())
+    return "\n".join(parts) + METHOD_PAGE_REPRODUCTION.format(command=command, frames=frames, machine=machine())
 
 
 def table(found: Comparison, problem: str) -> str:
@@ -111,16 +114,17 @@ def table(found: Comparison, problem: str) -> str:
     """
     rows = [row for row in found.rows if row["problem"] == problem]
     body = [
-        [f"`{row['variant']}`", *(_cell(row, rows, column) for column in COLUMNS), _solved(row)] for row in rows
+        [f"`{row['variant']}`", *(_cell(row, rows, column) for column in METHOD_PAGE_COLUMNS), _format_solved(row)]
+        for row in rows
     ]
     refused = [f"- `{r.variant}` does not serve it: {r.why}" for r in found.refusals if r.problem == problem]
     return "\n".join([markdown(["method", *_titles(), "solved"], body), *refused, *([""] if refused else [])])
 
 
-def made_for(kind: str) -> str:
+def method_description(kind: str) -> str:
     """Return the first line of the file that implements a method; empty where the method is in no registry."""
-    others = {**PATHS, **{name: reference.method for name, reference in METHODS.items()}}
-    made = {**OURS, **others}.get(kind)
+    others = {**LUMEN_PATH_VARIANTS, **{name: reference.method for name, reference in REFERENCE_METHODS.items()}}
+    made = {**OUR_VARIANT_PREFIXES, **others}.get(kind)
     if made is None:
         return ""
     file = sys.modules[getattr(made, "func", made).__module__]  # a part of a function is as its whole
@@ -138,7 +142,7 @@ def machine() -> str:
 
 
 def _titles() -> list[str]:
-    return [column.title for column in COLUMNS]
+    return [column.title for column in METHOD_PAGE_COLUMNS]
 
 
 def _overview(found: Comparison, problems: Sequence[str], column: Column) -> str:
@@ -162,7 +166,7 @@ def _cell(row: Row, rows: Sequence[Row], column: Column) -> str:
         return ""
     told = f"**{column.show(value)}**" if _is_best(row, rows, column.key) else column.show(value)
     planned = None if column.planned is None else row[column.planned]
-    return told if planned in (None, value) else f"{shown(planned)} / {told}"
+    return told if planned in (None, value) else f"{format_cell(planned)} / {told}"
 
 
 def _is_best(row: Row, rows: Sequence[Row], key: str) -> bool:
@@ -174,8 +178,8 @@ def _is_best(row: Row, rows: Sequence[Row], key: str) -> bool:
 
 
 def _is_ours(variant: str) -> bool:
-    return variant.partition(":")[0] in OURS
+    return variant.partition(":")[0] in OUR_VARIANT_PREFIXES
 
 
-def _solved(row: Row) -> str:
+def _format_solved(row: Row) -> str:
     return "all" if row["solved"] == row["frames"] else f"{row['solved']} of {row['frames']}"

@@ -12,22 +12,22 @@ from ctr_nlp.figures.overlay import draw, key
 from ctr_nlp.plan.plan import Plan
 from ctr_nlp.typing import Array
 
-QUARTERS = (0.25, 0.5, 0.75, 1.0)
+CLIP_MOTION_FRACTIONS = (0.25, 0.5, 0.75, 1.0)
 """Parts of a motion at which it is shown."""
-WIDTH = 7.2
+CLIPS_WIDTH_INCH = 7.2
 """Width of a picture, inches."""
-LEFT, RIGHT, BETWEEN, GAP = 0.55, 0.1, 0.5, 0.08
+CLIPS_LEFT_MARGIN_INCH, CLIPS_RIGHT_MARGIN_INCH, CLIP_GROUP_SPACING_INCH, CLIP_SPACING_INCH = 0.55, 0.1, 0.5, 0.08
 """Inches beside everything, between groups, and between the clips of a group."""
-ABOVE, BELOW, FOOT = 0.5, 0.45, 0.4
+CLIP_ROW_TOP_INCH, CLIP_ROW_BOTTOM_INCH, CLIPS_KEY_HEIGHT_INCH = 0.5, 0.45, 0.4
 """Inches above and below a row, and for the key."""
-SLIM = 34.0
+MIN_CLIP_WIDTH_MM = 34.0
 """Least width of a clip in mm, for its ticks."""
-MARGIN = 5.0
+CLIP_MARGIN_MM = 5.0
 """mm around what is shown."""
 
 
 @dataclass(frozen=True)
-class Group:
+class ClipGroup:
     """A plan's clips seen from one side; sideways: the horizontal axis, 0 for x and 1 for y."""
 
     title: str
@@ -37,23 +37,23 @@ class Group:
     @property
     def frames(self) -> list[int]:
         """The frames that are shown, from 1."""
-        return frames_shown(len(self.plan.time))
+        return clip_frames(len(self.plan.time))
 
     def box(self) -> Array:
         """Lowest and highest of the horizontal axis and of z, (2, 2) in mm."""
         index = np.array(self.frames) - 1
         points = np.concatenate([self.plan.target[index], self.plan.shape[index]]).reshape(-1, 3)
         low, high = (f(points[:, [self.sideways, 2]], axis=0) for f in (np.nanmin, np.nanmax))
-        missing = max(0.0, SLIM - 2 * MARGIN - (high - low)[0]) / 2
-        return np.array([low - MARGIN - [missing, 0.0], high + MARGIN + [missing, 0.0]])
+        missing = max(0.0, MIN_CLIP_WIDTH_MM - 2 * CLIP_MARGIN_MM - (high - low)[0]) / 2
+        return np.array([low - CLIP_MARGIN_MM - [missing, 0.0], high + CLIP_MARGIN_MM + [missing, 0.0]])
 
 
-def frames_shown(frames: int) -> list[int]:
+def clip_frames(frames: int) -> list[int]:
     """The frames that are shown of so many, from 1."""
-    return sorted({max(1, round(part * frames)) for part in QUARTERS})
+    return sorted({max(1, round(part * frames)) for part in CLIP_MOTION_FRACTIONS})
 
 
-def clips(rows: Sequence[Sequence[Group]], room: float = 0.0) -> Figure:
+def draw_clips(rows: Sequence[Sequence[ClipGroup]], room: float = 0.0) -> Figure:
     """A picture with rows of groups of clips, all to one scale, and a key; z points up.
 
     room: inches left free at the bottom, above the key, for what else the caller draws there.
@@ -61,27 +61,34 @@ def clips(rows: Sequence[Sequence[Group]], room: float = 0.0) -> Figure:
     boxes = [[group.box() for group in row] for row in rows]
     scale = min(_scale(row, at) for row, at in zip(rows, boxes, strict=True))
     heights = [scale * max(np.diff(box, axis=0)[0, 1] for box in at) for at in boxes]
-    height = FOOT + room + sum(heights) + len(rows) * (ABOVE + BELOW)
-    figure = Figure(figsize=(WIDTH, height))
+    height = CLIPS_KEY_HEIGHT_INCH + room + sum(heights) + len(rows) * (CLIP_ROW_TOP_INCH + CLIP_ROW_BOTTOM_INCH)
+    figure = Figure(figsize=(CLIPS_WIDTH_INCH, height))
     top = height
     for row, at, tall in zip(rows, boxes, heights, strict=True):
-        left, top = LEFT, top - ABOVE - tall
+        left, top = CLIPS_LEFT_MARGIN_INCH, top - CLIP_ROW_TOP_INCH - tall
         for group, box in zip(row, at, strict=True):
-            figure.text((left - 0.35) / WIDTH, (top + tall + 0.24) / height, f"{group.title}, frame", fontsize=9)
-            left = _place(figure, group, box, scale, (left, top)) + BETWEEN
-        top -= BELOW
+            figure.text(
+                (left - 0.35) / CLIPS_WIDTH_INCH, (top + tall + 0.24) / height, f"{group.title}, frame", fontsize=9
+            )
+            left = _draw_group(figure, group, box, scale, (left, top)) + CLIP_GROUP_SPACING_INCH
+        top -= CLIP_ROW_BOTTOM_INCH
     figure.legend(handles=key(rows[0][0].plan.robot.d), loc="lower center", ncols=8)
     return figure
 
 
-def _scale(row: Sequence[Group], boxes: Sequence[Array]) -> float:
+def _scale(row: Sequence[ClipGroup], boxes: Sequence[Array]) -> float:
     """Inches a mm at which a row takes the picture's width, up to that of the paper's figures."""
-    gaps = LEFT + RIGHT + BETWEEN * (len(row) - 1) + GAP * sum(len(group.frames) - 1 for group in row)
+    gaps = (
+        CLIPS_LEFT_MARGIN_INCH
+        + CLIPS_RIGHT_MARGIN_INCH
+        + CLIP_GROUP_SPACING_INCH * (len(row) - 1)
+        + CLIP_SPACING_INCH * sum(len(group.frames) - 1 for group in row)
+    )
     widths = [np.diff(box, axis=0)[0, 0] * len(group.frames) for group, box in zip(row, boxes, strict=True)]
-    return float(min((WIDTH - gaps) / sum(widths), 2.2 / 150.0))
+    return float(min((CLIPS_WIDTH_INCH - gaps) / sum(widths), 2.2 / 150.0))
 
 
-def _place(figure: Figure, group: Group, box: Array, scale: float, corner: tuple[float, float]) -> float:
+def _draw_group(figure: Figure, group: ClipGroup, box: Array, scale: float, corner: tuple[float, float]) -> float:
     """Draw a group with its lower left corner, inches, at corner; returns where its right edge is."""
     (x, y), (wide, high) = corner, scale * np.diff(box, axis=0)[0]
     across, up = figure.get_size_inches()
@@ -96,7 +103,7 @@ def _place(figure: Figure, group: Group, box: Array, scale: float, corner: tuple
             axes.tick_params(labelleft=False)
         else:
             axes.set_ylabel("z (mm)", labelpad=1)
-        x += wide + GAP
-    middle = (corner[0] + x - GAP) / 2
+        x += wide + CLIP_SPACING_INCH
+    middle = (corner[0] + x - CLIP_SPACING_INCH) / 2
     figure.text(middle / across, (y - 0.35) / up, f"{'xy'[group.sideways]} (mm)", ha="center", fontsize=9)
-    return float(x - GAP)
+    return float(x - CLIP_SPACING_INCH)

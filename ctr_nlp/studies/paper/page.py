@@ -8,8 +8,8 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from ctr_nlp.figures import save
-from ctr_nlp.studies.paper.runs import NAMES, SETTINGS, Found
-from ctr_nlp.studies.paper.section import Section
+from ctr_nlp.studies.paper.runs import NO_WALL_SETTINGS, PAPER_METHOD_LABELS, PaperResults
+from ctr_nlp.studies.paper.section import PaperSection
 from ctr_nlp.support import tables
 
 INTRODUCTION = """\
@@ -54,7 +54,7 @@ It writes `seed.md` (this page), a picture for each figure, and for each a `.csv
 """
 
 
-def write(found: Found, sections: Sequence[Section], folder: Path) -> Iterator[str]:
+def write(found: PaperResults, sections: Sequence[PaperSection], folder: Path) -> Iterator[str]:
     """Write seed.md, and a PNG and a CSV file for each section, into a folder that exists.
 
     Yields the name of each section whose files are written, so that the caller may end it.
@@ -67,13 +67,13 @@ def write(found: Found, sections: Sequence[Section], folder: Path) -> Iterator[s
     (folder / "seed.md").write_text(page(found, sections), encoding="utf-8")
 
 
-def page(found: Found, sections: Sequence[Section]) -> str:
+def page(found: PaperResults, sections: Sequence[PaperSection]) -> str:
     """Write the page in Markdown."""
     failures = found.failures()
     introduction = INTRODUCTION.format(
-        methods="; ".join(f"`{key}`: {NAMES[key]}" for key in methods(found)),
+        methods="; ".join(f"`{key}`: {PAPER_METHOD_LABELS[key]}" for key in methods(found)),
         frames=found.frames,
-        weight=SETTINGS.motion_weight,
+        weight=NO_WALL_SETTINGS.motion_weight,
         seconds=found.seconds,
         jobs=f"{found.jobs} process{'es side by side' if found.jobs > 1 else ''}",
         machine=machine(),
@@ -85,30 +85,30 @@ def page(found: Found, sections: Sequence[Section]) -> str:
     return introduction + verdicts(found, sections) + body + READING.format(frames=found.frames)
 
 
-def methods(found: Found) -> list[str]:
-    """Return the methods that were run, in the order of NAMES."""
+def methods(found: PaperResults) -> list[str]:
+    """Return the methods that were run, in the order of PAPER_METHOD_LABELS."""
     used = {task.method for task in found.task_seconds}
-    return [name for name in NAMES if name in used]
+    return [name for name in PAPER_METHOD_LABELS if name in used]
 
 
-def verdicts(found: Found, sections: Sequence[Section]) -> str:
+def verdicts(found: PaperResults, sections: Sequence[PaperSection]) -> str:
     """Write the table of the paper's statements, with what this run says of each."""
     body = [
-        [f"[{section.name}](#{_anchor(section.title)})", f"{check.whose}: {check.says}", check.verdict]
+        [f"[{section.name}](#{_anchor(section.title)})", f"{check.source}: {check.statement}", check.verdict]
         for section in sections
         for check in section.checks(found)
     ]
     return tables.markdown(["where", "statement", "here"], body).replace("---:", "---") + "\n"
 
 
-def _section(found: Found, section: Section) -> str:
+def _section(found: PaperResults, section: PaperSection) -> str:
     picture = "" if section.draw is None else f"![{section.title}]({section.name}.png)\n\n"
     numbers = "".join(
         f"{table.caption}:\n\n{tables.markdown(table.header, table.body)}\n" for table in section.tables(found)
     )
     checks = "".join(
-        f"- **{check.verdict[0].upper()}{check.verdict[1:]}.** {check.whose}: {check.says}. "
-        f"Found: {check.finds}.\n"
+        f"- **{check.verdict[0].upper()}{check.verdict[1:]}.** {check.source}: {check.statement}. "
+        f"Found: {check.finding}.\n"
         for check in section.checks(found)
     )
     return (
@@ -132,6 +132,6 @@ def machine() -> str:
     return f"{os.cpu_count()} cores of {name}"
 
 
-def part_seconds(found: Found, section: Section) -> float:
+def section_seconds(found: PaperResults, section: PaperSection) -> float:
     """Return the time of all tasks of a section, s; tasks that sections share count for each."""
     return sum(found.task_seconds[task] for task in section.tasks)

@@ -11,18 +11,18 @@ import numpy as np
 
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.loads import Load
-from ctr_nlp.models import MODELS, Model, under
+from ctr_nlp.models import KINEMATIC_MODELS, Model, model_with_load
 from ctr_nlp.robot import Robot
-from ctr_nlp.studies.peers.program import answers, question
+from ctr_nlp.studies.peers.program import format_input, run_peer_program
 from ctr_nlp.support.values import whole_number
 from ctr_nlp.typing import Array
 
-ELASTIC = MODELS["elastic"]
-ELSEWHERE = 5.0
+ELASTIC_MODEL = KINEMATIC_MODELS["elastic"]
+DIFFERENT_EQUILIBRIUM_DISTANCE_MM = 5.0
 """mm between two tips from which on the models are in different equilibria, and are not compared."""
-GRID = 0.01
+EXTENSION_ROUNDING_MM = 0.01
 """mm that extensions are multiples of, since some models round lengths."""
-SHORTEST, APART = 0.1, 2.0
+MIN_SAMPLED_EXTENSION_FRACTION, MIN_TUBE_TIP_SPACING_MM = 0.1, 2.0
 """Part of its room that a tube is out at least, and mm between tips: models differentiate over a millimetre."""
 
 
@@ -52,7 +52,7 @@ class Agreement:
     ours_ms: float
 
 
-def configurations(robot: Robot, count: int, seed: int = 0) -> Array:
+def sample_configurations(robot: Robot, count: int, seed: int = 0) -> Array:
     """Sample q (count, 2d + 2) without a tilt: alpha uniform in (-pi, pi), beta in its room and in order.
 
     Raises OptionError where count is not a whole number of at least 1.
@@ -62,14 +62,14 @@ def configurations(robot: Robot, count: int, seed: int = 0) -> Array:
     q = np.zeros((count, 2 * d + 2))
     q[:, :d] = rng.uniform(-np.pi, np.pi, (count, d))
     low, high = robot.lower[d : 2 * d], robot.upper[d : 2 * d]
-    beta = low + (high - low) * rng.uniform(SHORTEST, 1.0, (count, d))
+    beta = low + (high - low) * rng.uniform(MIN_SAMPLED_EXTENSION_FRACTION, 1.0, (count, d))
     for i in range(1, d):
-        beta[:, i] = np.minimum(np.maximum(beta[:, i], beta[:, i - 1] + APART), high[i])
-    q[:, d : 2 * d] = np.round(beta / GRID) * GRID
+        beta[:, i] = np.minimum(np.maximum(beta[:, i], beta[:, i - 1] + MIN_TUBE_TIP_SPACING_MM), high[i])
+    q[:, d : 2 * d] = np.round(beta / EXTENSION_ROUNDING_MM) * EXTENSION_ROUNDING_MM
     return q
 
 
-def agreement(
+def compare_models(
     name: str,
     program: str | Path,
     robot: Robot,
@@ -81,11 +81,15 @@ def agreement(
     name: of the peer. Ours is the equilibrium that is reached by turning from where all tubes are aligned. Raises
     OptionError, and LoadError of a robot without moduli where there is a force.
     """
-    model = under(ELASTIC, Load(force=tuple(force))) if np.any(force) else ELASTIC
-    said = answers(program, question(robot, q, force), len(q))
-    ours = [_solved(model, robot, row, answer.arc_length) for row, answer in zip(q, said, strict=True)]
+    model = model_with_load(ELASTIC_MODEL, Load(force=tuple(force))) if np.any(force) else ELASTIC_MODEL
+    said = run_peer_program(program, format_input(robot, q, force), len(q))
+    ours = [_solve_ours(model, robot, row, answer.arc_length) for row, answer in zip(q, said, strict=True)]
     away = [_distances(answer.points, points) for answer, (points, _) in zip(said, ours, strict=True)]
-    same = [k for k, distances in enumerate(away) if len(distances) and distances[-1] < ELSEWHERE]
+    same = [
+        k
+        for k, distances in enumerate(away)
+        if len(distances) and distances[-1] < DIFFERENT_EQUILIBRIUM_DISTANCE_MM
+    ]
     tips = np.array([away[k][-1] for k in same] or [np.nan])
     shapes = np.array([away[k].max() for k in same] or [np.nan])
     median, most, largest = np.quantile(tips, (0.5, 0.95, 1.0)).tolist()
@@ -108,13 +112,13 @@ def agreement(
     )
 
 
-def _solved(model: Model, robot: Robot, q: Array, arc_length: Array) -> tuple[Array, float]:
+def _solve_ours(model: Model, robot: Robot, q: Array, arc_length: Array) -> tuple[Array, float]:
     """Return points (m, 3) of ours at arc lengths (m,), or of its tip, mm, and the seconds that shape and margin
     took.
     """
     sigma = np.clip(arc_length / q[2 * robot.d - 1], 0.0, 1.0) if len(arc_length) else np.ones(1)
     begin = time.perf_counter()
-    found = model.at_rest(robot, q[None], sigma)
+    found = model.rest_states(robot, q[None], sigma)
     return found.points[0], time.perf_counter() - begin
 
 

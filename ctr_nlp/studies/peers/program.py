@@ -31,11 +31,11 @@ from ctr_nlp.exceptions import OptionError
 from ctr_nlp.robot import Robot
 from ctr_nlp.typing import Array
 
-PATIENCE = 600.0
+PEER_PROGRAM_TIMEOUT_S = 600.0
 """s that a program may take for all configurations."""
 
 
-class Answer(NamedTuple):
+class PeerSolution(NamedTuple):
     """A model's answer for a configuration; arc_length (m,), points (m, 3) in mm, empty where it is not solved."""
 
     seconds: float
@@ -44,7 +44,7 @@ class Answer(NamedTuple):
     points: Array
 
 
-def question(robot: Robot, q: Array, force: Sequence[float] = (0.0, 0.0, 0.0)) -> str:
+def format_input(robot: Robot, q: Array, force: Sequence[float] = (0.0, 0.0, 0.0)) -> str:
     """Write a program's input for configurations q (n, 2d + 2) without a tilt, under a tip force (3,), N.
 
     Raises OptionError of tubes whose pre-curvature varies or turns, which other models do not know, and of a tilt.
@@ -70,7 +70,7 @@ def question(robot: Robot, q: Array, force: Sequence[float] = (0.0, 0.0, 0.0)) -
     return "\n".join([f"{robot.d} {len(q)}", *lines]) + "\n"
 
 
-def answers(program: str | Path, text: str, count: int) -> list[Answer]:
+def run_peer_program(program: str | Path, text: str, count: int) -> list[PeerSolution]:
     """Run a program on its input `text` of `count` configurations, in one thread; raises OptionError."""
     environment = os.environ | {"OMP_NUM_THREADS": "1"}
     try:
@@ -79,11 +79,11 @@ def answers(program: str | Path, text: str, count: int) -> list[Answer]:
             input=text,
             capture_output=True,
             text=True,
-            timeout=PATIENCE,
+            timeout=PEER_PROGRAM_TIMEOUT_S,
             check=True,
             env=environment,
         )
-        found = [_answer(line) for line in done.stdout.splitlines()]
+        found = [_parse_solution(line) for line in done.stdout.splitlines()]
     except (OSError, subprocess.SubprocessError, ValueError) as error:
         raise OptionError(f"{program} does not answer as the model of another laboratory does: {error}") from error
     if len(found) != count:
@@ -91,10 +91,10 @@ def answers(program: str | Path, text: str, count: int) -> list[Answer]:
     return found
 
 
-def _answer(line: str) -> Answer:
+def _parse_solution(line: str) -> PeerSolution:
     """Parse a line of a program's output; raises ValueError where it has another form than the module's docstring
     says.
     """
     seconds, stability, count, *numbers = (float(word) for word in line.split())
     rows = np.array(numbers).reshape(int(count), 4)
-    return Answer(seconds, stability, rows[:, 0], rows[:, 1:])
+    return PeerSolution(seconds, stability, rows[:, 0], rows[:, 1:])

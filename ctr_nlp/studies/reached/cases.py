@@ -16,7 +16,7 @@ REACHED = "reached"
 
 
 @dataclass(frozen=True)
-class Outcome:
+class PlanOutcome:
     """Outcome of one plan.
 
     Attributes
@@ -44,19 +44,19 @@ class Outcome:
 
 
 @dataclass(frozen=True)
-class Way:
+class MethodOutcomes:
     """Plans of many problems that were planned in one way: its name, and an outcome for each problem."""
 
     name: str
-    outcomes: tuple[Outcome, ...]
+    outcomes: tuple[PlanOutcome, ...]
 
     @property
-    def reached(self) -> int:
+    def reached_count(self) -> int:
         """Number of problems whose end is reached."""
         return sum(outcome.failed == REACHED for outcome in self.outcomes)
 
 
-def from_rows(rows: Sequence[Mapping[str, Any]]) -> list[Way]:
+def from_rows(rows: Sequence[Mapping[str, Any]]) -> list[MethodOutcomes]:
     """Sort the rows of a study by robot, method and settings.
 
     Parameters
@@ -69,11 +69,11 @@ def from_rows(rows: Sequence[Mapping[str, Any]]) -> list[Way]:
     list of Way
         In the order of the rows.
     """
-    found = dict[str, list[Outcome]]()
+    found = dict[str, list[PlanOutcome]]()
     several = len({row["robot_name"] for row in rows}) > 1
     for row in rows:
         found.setdefault(_name(row, several), []).append(_outcome(row))
-    return [Way(name, tuple(outcomes)) for name, outcomes in found.items()]
+    return [MethodOutcomes(name, tuple(outcomes)) for name, outcomes in found.items()]
 
 
 def _name(row: Mapping[str, Any], several: bool) -> str:
@@ -86,13 +86,13 @@ def _name(row: Mapping[str, Any], several: bool) -> str:
     return ", ".join([*told, row["robot_name"]] if several else told)
 
 
-def _outcome(row: Mapping[str, Any]) -> Outcome:
+def _outcome(row: Mapping[str, Any]) -> PlanOutcome:
     failed = next((check for check in CHECKS if row.get(f"verdict_{check}") != YES), REACHED)
     tip, held, e3 = (_number(row.get(key)) for key in ("tip_last", "robustness_held_share", "e3"))
     # `contact_depth` of a row sums the depths of all frames; the verdict is on the deepest one.
     clearances = (row.get(key) for key in ("clearance_min", "clearance_between_min"))
     least = min((value for each in clearances if not math.isnan(value := _number(each))), default=math.nan)
-    return Outcome(shown_name(row["problem"]), failed, tip, max(-least, 0.0), held, e3)
+    return PlanOutcome(shown_name(row["problem"]), failed, tip, max(-least, 0.0), held, e3)
 
 
 def _number(value: Any) -> float:

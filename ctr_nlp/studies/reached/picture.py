@@ -12,16 +12,18 @@ from matplotlib.patches import Rectangle
 from ctr_nlp.figures.parts.page import STYLE
 from ctr_nlp.figures.parts.palette import BLACK, BLUE, GREEN, ORANGE, PURPLE, SKY, VERMILLION
 from ctr_nlp.formulations.settings import Settings
-from ctr_nlp.studies.reached.cases import CHECKS, REACHED, Way
+from ctr_nlp.studies.reached.cases import CHECKS, REACHED, MethodOutcomes
 
-COLOURS = dict(zip((REACHED, *CHECKS), (GREEN, BLACK, VERMILLION, PURPLE, ORANGE, SKY, "0.75"), strict=True))
+OUTCOME_COLOURS = dict(
+    zip((REACHED, *CHECKS), (GREEN, BLACK, VERMILLION, PURPLE, ORANGE, SKY, "0.75"), strict=True)
+)
 """Colours of reached ends, and of plans by their first failed check."""
-MARKS = "osD^v"
+OUTCOME_MARKERS = "osD^v"
 """Markers of the ways in the right half; they repeat after five."""
 
 
 @matplotlib.rc_context(STYLE)
-def draw_outcomes(ways: Sequence[Way], fails: Mapping[str, str]) -> Figure:
+def draw_outcomes(ways: Sequence[MethodOutcomes], fails: Mapping[str, str]) -> Figure:
     """Draw the outcomes of plans.
 
     Parameters
@@ -40,7 +42,7 @@ def draw_outcomes(ways: Sequence[Way], fails: Mapping[str, str]) -> Figure:
     figure = Figure(figsize=(8.4, 2.6 + 0.4 * len(ways)), layout="constrained")
     left, right = figure.subplots(1, 2, width_ratios=(1.2, 1.0))
     begin = np.zeros(len(ways))
-    for check, colour in COLOURS.items():
+    for check, colour in OUTCOME_COLOURS.items():
         counts = np.array([sum(outcome.failed == check for outcome in way.outcomes) for way in ways])
         if counts.any():
             bars = left.barh(range(len(ways)), counts, left=begin, color=colour, label=fails.get(check, check))
@@ -55,7 +57,7 @@ def draw_outcomes(ways: Sequence[Way], fails: Mapping[str, str]) -> Figure:
     for k, way in enumerate(ways):
         contact = [outcome.contact for outcome in way.outcomes]
         tip = [outcome.tip for outcome in way.outcomes]
-        look = {"marker": MARKS[k % len(MARKS)], "color": (BLUE, VERMILLION, BLACK)[k % 3]}
+        look = {"marker": OUTCOME_MARKERS[k % len(OUTCOME_MARKERS)], "color": (BLUE, VERMILLION, BLACK)[k % 3]}
         right.scatter(contact, tip, s=14, alpha=0.6, lw=0, label=way.name, **look)
     right.add_patch(Rectangle((0.0, 0.0), allowed, tolerance, color=GREEN, alpha=0.25, lw=0, label="allowed"))
     right.set_xlabel("deepest contact (mm)")

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from ctr_nlp.figures import save
-from ctr_nlp.plan.account import shown
-from ctr_nlp.studies.reached.cases import CHECKS, REACHED, Way
+from ctr_nlp.plan.account import format_cell
+from ctr_nlp.studies.reached.cases import CHECKS, REACHED, MethodOutcomes
 from ctr_nlp.studies.reached.picture import draw_outcomes
 from ctr_nlp.support.tables import markdown, write_csv
 
@@ -24,7 +24,7 @@ FAILS: Mapping[str, str] = {
 }
 """What is said of plans whose first failed check is this one of CHECKS."""
 QUARTILES = {"least": 0.0, "quarter": 0.25, "median": 0.5, "three quarters": 0.75, "most": 1.0}
-EXPLANATION = """\
+REACHED_PAGE_EXPLANATION = """\
 
 ![What becomes of plans](reached.png)
 
@@ -36,7 +36,7 @@ that fails counts for the first of these checks that does not read yes.
 """
 
 
-def write(ways: Sequence[Way], folder: Path) -> None:
+def write(ways: Sequence[MethodOutcomes], folder: Path) -> None:
     """Write reached.md, .csv, .png and .pdf into a folder that exists."""
     rows = [{"way": way.name} | asdict(outcome) for way in ways for outcome in way.outcomes]
     write_csv(folder / "reached.csv", rows)
@@ -45,19 +45,22 @@ def write(ways: Sequence[Way], folder: Path) -> None:
     (folder / "reached.md").write_text(page(ways), encoding="utf-8")
 
 
-def findings(ways: Sequence[Way]) -> list[str]:
+def findings(ways: Sequence[MethodOutcomes]) -> list[str]:
     """Tell how many ends each way reaches, and why the others are not, a sentence a way."""
-    return [f"{way.name}: {way.reached} of {len(way.outcomes)} ends are reached{_rest(way)}" for way in ways]
+    return [
+        f"{way.name}: {way.reached_count} of {len(way.outcomes)} ends are reached{_failure_reasons(way)}"
+        for way in ways
+    ]
 
 
-def _rest(way: Way) -> str:
+def _failure_reasons(way: MethodOutcomes) -> str:
     """Why the others are not, the most frequent reason first."""
     counts = {check: sum(outcome.failed == check for outcome in way.outcomes) for check in CHECKS}
     failed = sorted((check for check in CHECKS if counts[check]), key=lambda check: -counts[check])
     return "".join(f"; {counts[check]} {FAILS[check]}" for check in failed)
 
 
-def page(ways: Sequence[Way]) -> str:
+def page(ways: Sequence[MethodOutcomes]) -> str:
     """All of it in Markdown."""
     title = f"# Which of {max(len(way.outcomes) for way in ways)} ends are reached\n\n"
     sentences = [f"{k}. {told[0].upper()}{told[1:]}.\n" for k, told in enumerate(findings(ways), 1)]
@@ -75,15 +78,15 @@ def page(ways: Sequence[Way]) -> str:
             ("e3, mm", "e3"),
         )
     ]
-    return "".join([title, *sentences, EXPLANATION, table, *numbers])
+    return "".join([title, *sentences, REACHED_PAGE_EXPLANATION, table, *numbers])
 
 
-def _quantiles(title: str, ways: Sequence[Way], name: str) -> str:
+def _quantiles(title: str, ways: Sequence[MethodOutcomes], name: str) -> str:
     """A table of quantiles over problems, a row a way; a dash where a number is known of no plan."""
     rows = []
     for way in ways:
         values = np.array([getattr(outcome, name) for outcome in way.outcomes])
         known = values[~np.isnan(values)]
         found = np.quantile(known, list(QUARTILES.values())).tolist() if known.size else []
-        rows.append([way.name, *(map(shown, found) if found else ["–"] * len(QUARTILES))])
+        rows.append([way.name, *(map(format_cell, found) if found else ["–"] * len(QUARTILES))])
     return f"\n## {title}\n\n{markdown(['', *QUARTILES], rows)}"

@@ -10,11 +10,11 @@ from typing import Any
 
 from ctr_nlp.formulations.settings import Settings
 from ctr_nlp.studies.airways import shown_name
-from ctr_nlp.studies.grid.case import DONE
-from ctr_nlp.studies.trade import Traded
+from ctr_nlp.studies.grid.case import CASE_DONE
+from ctr_nlp.studies.trade import RobustnessPoint
 from ctr_nlp.support.tables import write_csv
 
-ROBUST = "robust-horizon"
+ROBUST_METHOD = "robust-horizon"
 """Method of robust plans; other methods plan for the robot as described."""
 
 
@@ -27,28 +27,28 @@ class Airway:
 
     name: str
     frames: int
-    margins: tuple[Traded, ...]
-    robust: Traded
+    margins: tuple[RobustnessPoint, ...]
+    robust: RobustnessPoint
 
     @property
-    def plain(self) -> Traded:
+    def plain(self) -> RobustnessPoint:
         """Plan at the usual margin, which is the least."""
         return self.margins[0]
 
     @property
-    def best(self) -> Traded:
+    def best(self) -> RobustnessPoint:
         """Plan, of those at all margins, on which fewest draws are lost; of equals the one with the least mean
         error.
         """
-        return min(self.margins, key=lambda plan: (plan.lost, mean_of(plan)))
+        return min(self.margins, key=lambda plan: (plan.lost, mean_error_or_inf(plan)))
 
     @property
-    def plans(self) -> tuple[Traded, ...]:
+    def plans(self) -> tuple[RobustnessPoint, ...]:
         """All plans of the airway, the robust one last."""
         return *self.margins, self.robust
 
 
-def mean_of(plan: Traded) -> float:
+def mean_error_or_inf(plan: RobustnessPoint) -> float:
     """Return the mean e3 over simulated robots, mm; infinite where none has a shape."""
     return math.inf if plan.mean is None else plan.mean
 
@@ -56,25 +56,25 @@ def mean_of(plan: Traded) -> float:
 def from_rows(rows: Sequence[Mapping[str, Any]]) -> list[Airway]:
     """Make airways of a study's rows, without those that lack a plan for the robot described or a robust one."""
     found = dict[str, list[Mapping[str, Any]]]()
-    for row in (row for row in rows if row["status"] == DONE):
+    for row in (row for row in rows if row["status"] == CASE_DONE):
         found.setdefault(row["problem"], []).append(row)
     return [airway for plans in found.values() if (airway := _airway(plans)) is not None]
 
 
 def _airway(rows: Sequence[Mapping[str, Any]]) -> Airway | None:
-    plans = sorted(map(_traded, rows), key=lambda plan: plan.margin)
+    plans = sorted(map(_plan_from_row, rows), key=lambda plan: plan.margin)
     margins, robust = ([plan for plan in plans if (plan.amount > 0) is asked] for asked in (False, True))
     if not margins or len(robust) != 1:
         return None
     return Airway(margins[0].problem, int(rows[0]["frames"]), tuple(margins), robust[0])
 
 
-def _traded(row: Mapping[str, Any]) -> Traded:
+def _plan_from_row(row: Mapping[str, Any]) -> RobustnessPoint:
     margin = row.get("set_stability_margin")
     known = margin is not None and not math.isnan(margin)
-    return Traded(
+    return RobustnessPoint(
         problem=shown_name(row["problem"]),
-        amount=float(row["method"] == ROBUST),
+        amount=float(row["method"] == ROBUST_METHOD),
         margin=margin if margin is not None and known else float(Settings().stability_margin or 0.0),
         planned=row["e3"],
         mean=row.get("robustness_e3_mean"),

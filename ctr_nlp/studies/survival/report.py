@@ -8,16 +8,16 @@ from pathlib import Path
 import numpy as np
 
 from ctr_nlp.figures import save
-from ctr_nlp.plan.account import shown
+from ctr_nlp.plan.account import format_cell
 from ctr_nlp.plan.robustness import MOST_LOST
-from ctr_nlp.studies.survival.cases import Airway, mean_of, write_rows
+from ctr_nlp.studies.survival.cases import Airway, mean_error_or_inf, write_rows
 from ctr_nlp.studies.survival.distributions import distributions
-from ctr_nlp.studies.trade import Traded
+from ctr_nlp.studies.trade import RobustnessPoint
 from ctr_nlp.support.tables import markdown
 from ctr_nlp.typing import Array
 
 QUARTILES = {"least": 0.0, "quarter": 0.25, "median": 0.5, "three quarters": 0.75, "most": 1.0}
-EXPLANATION = """\
+SURVIVAL_PAGE_EXPLANATION = """\
 
 ![How mean errors and shares lost are distributed](survival.png)
 
@@ -31,7 +31,7 @@ these the one of least mean e3: nobody knows it beforehand. Robust plans are mad
 the airway's own, which planning does not see. A draw is lost where it snaps or slides onto another branch of
 equilibria.
 """
-REMAKING = """
+SURVIVAL_PAGE_REPRODUCTION = """
 ## How to remake it
 
     ctr-nlp study examples/survival.toml --out DIR
@@ -49,7 +49,7 @@ def write(airways: Sequence[Airway], folder: Path) -> None:
     (folder / "survival.md").write_text(page(airways), encoding="utf-8")
 
 
-def methods(airways: Sequence[Airway]) -> Mapping[str, list[Traded]]:
+def methods(airways: Sequence[Airway]) -> Mapping[str, list[RobustnessPoint]]:
     """Return the plans of all airways by kind of plan, in the order of tables."""
     margins = {
         f"margin {first.margin:g}": [airway.margins[k] for airway in airways]
@@ -71,7 +71,7 @@ def findings(airways: Sequence[Airway]) -> list[str]:
             f"median of mean e3 is {np.nanmedian(_means(plans)):.3g} mm"
         )
     fewer = sum(a.robust.lost <= min(plan.lost for plan in a.margins) for a in airways)
-    nearer = sum(mean_of(a.robust) <= min(map(mean_of, a.margins)) for a in airways)
+    nearer = sum(mean_error_or_inf(a.robust) <= min(map(mean_error_or_inf, a.margins)) for a in airways)
     told.append(
         f"robust plans lose no more draws than any margin in {fewer} of {count} airways, and have no larger mean "
         f"e3 than any in {nearer}"
@@ -100,19 +100,24 @@ def page(airways: Sequence[Airway]) -> str:
     }
     title = f"# How plans of {len(airways)} airways survive tubes that are not quite known\n\n"
     tables = [
-        _table("Mean e3 over draws, mm", every, _means, shown),
+        _table("Mean e3 over draws, mm", every, _means, format_cell),
         _table("Draws lost", every, lambda plans: np.array([plan.share for plan in plans]), "{:.1%}".format),
         _table(
-            "e3 as planned, mm", every, lambda plans: np.array([plan.planned or np.nan for plan in plans]), shown
+            "e3 as planned, mm",
+            every,
+            lambda plans: np.array([plan.planned or np.nan for plan in plans]),
+            format_cell,
         ),
     ]
-    return "".join([title, *sentences, EXPLANATION.format(**numbers), *tables, REMAKING])
+    return "".join(
+        [title, *sentences, SURVIVAL_PAGE_EXPLANATION.format(**numbers), *tables, SURVIVAL_PAGE_REPRODUCTION]
+    )
 
 
 def _table(
     title: str,
-    every: Mapping[str, list[Traded]],
-    values: Callable[[Sequence[Traded]], Array],
+    every: Mapping[str, list[RobustnessPoint]],
+    values: Callable[[Sequence[RobustnessPoint]], Array],
     text: Callable[[float], str],
 ) -> str:
     """Write a table of quantiles over airways, a row a method, the mean last."""
@@ -124,6 +129,6 @@ def _table(
     return f"\n## {title}\n\n{markdown(['', *QUARTILES, 'mean'], rows)}"
 
 
-def _means(plans: Sequence[Traded]) -> Array:
+def _means(plans: Sequence[RobustnessPoint]) -> Array:
     """Return mean e3 over simulated robots, mm; NaN where none has a shape."""
     return np.array([np.nan if plan.mean is None else plan.mean for plan in plans])

@@ -10,14 +10,14 @@ from contextlib import contextmanager
 from typing import Any
 
 from ctr_nlp.exceptions import ClusterError
-from ctr_nlp.support.extras import needed
-from ctr_nlp.support.own_requests import is_own_request
+from ctr_nlp.support.extras import import_extra
+from ctr_nlp.support.own_requests import is_same_origin_request
 
 LOOPBACK = "127.0.0.1"
-CONNECT = 10.0
+SCHEDULER_CONNECT_TIMEOUT_S = 10.0
 """s that a scheduler may take to answer when a client asks it first."""
 MEBIBYTE = 2**20
-SETTINGS = {
+DASK_SETTINGS = {
     # a case whose worker died is tried again by us, and not by Dask
     "distributed.scheduler.allowed-failures": 0,
     # what Dask does all the time in every process took 2.6 % of two cores, with its own settings
@@ -47,27 +47,27 @@ def local_client(workers: int, memory: str = "auto", **more: Any) -> Iterator[An
 
     memory: that each may take before it is ended; more: options of distributed.LocalCluster.
     """
-    distributed, dask = needed("distributed"), needed("dask")
+    distributed, dask = import_extra("distributed"), import_extra("dask")
     asked = {"n_workers": workers, "threads_per_worker": 1, "dashboard_address": f"{LOOPBACK}:0"} | more
     with (
-        dask.config.set(SETTINGS),
+        dask.config.set(DASK_SETTINGS),
         distributed.LocalCluster(host=LOOPBACK, memory_limit=memory, silence_logs="CRITICAL", **asked) as begun,
         distributed.Client(begun) as client,
     ):
-        _guard(begun.scheduler.http_application)
+        _refuse_foreign_requests(begun.scheduler.http_application)
         yield client
 
 
-def _guard(application: Any) -> None:
+def _refuse_foreign_requests(application: Any) -> None:
     """Have a tornado application answer only requests of its own pages, which a browser sends to loopback."""
-    routing, web = needed("tornado.routing"), needed("tornado.web")
+    routing, web = import_extra("tornado.routing"), import_extra("tornado.web")
 
     class Foreign(routing.Matcher):  # type: ignore[name-defined]
         def match(self, request: Any) -> dict[str, Any] | None:
             """Match what is to be refused."""
             hosts, origins = (request.headers.get_list(name) for name in ("Host", "Origin"))
             reached = request.connection.stream.socket.getsockname()[:2]
-            return None if is_own_request(hosts, origins, LOOPBACK, reached) else {}
+            return None if is_same_origin_request(hosts, origins, LOOPBACK, reached) else {}
 
     class Refused(web.RequestHandler):  # type: ignore[name-defined]
         def prepare(self) -> None:
@@ -83,37 +83,37 @@ def cluster_client(address: str) -> Iterator[Any]:
 
     What Dask logs meanwhile is silenced: errors tell it. Raises ClusterError where no scheduler answers so.
     """
-    distributed = needed("distributed")
+    distributed = import_extra("distributed")
     for handler in logging.getLogger("distributed").handlers:
         handler.setLevel(logging.CRITICAL)
     try:
-        asyncio.run(_asked(address))  # a client that fails itself is left half open
+        asyncio.run(_probe_scheduler(address))  # a client that fails itself is left half open
     except Exception as error:  # of many kinds: bad URLs, missing certificates, nobody there
         cause = re.sub("in <.*?>: ", "", str(error.__cause__ or "") or str(error))
         raise ClusterError(f"no cluster can be reached at {address}: {cause}"[:500]) from error
-    with distributed.Client(address, timeout=CONNECT) as client:
+    with distributed.Client(address, timeout=SCHEDULER_CONNECT_TIMEOUT_S) as client:
         yield client
 
 
-async def _asked(address: str) -> None:
+async def _probe_scheduler(address: str) -> None:
     """Connect to a scheduler and close again; raises what Dask raises where nobody answers at a URL."""
-    secrets = needed("distributed").Security().get_connection_args("client")
-    comm = await needed("distributed.comm").connect(address, timeout=CONNECT, **secrets)
+    secrets = import_extra("distributed").Security().get_connection_args("client")
+    comm = await import_extra("distributed.comm").connect(address, timeout=SCHEDULER_CONNECT_TIMEOUT_S, **secrets)
     await comm.close()
 
 
-def losses() -> tuple[type[Exception], ...]:
+def scheduler_loss_errors() -> tuple[type[Exception], ...]:
     """Return the exceptions that Dask raises where its scheduler is there no more."""
-    distributed = needed("distributed")
+    distributed = import_extra("distributed")
     return OSError, distributed.TimeoutError, distributed.CancelledError
 
 
 @contextmanager
-def loss_told() -> Iterator[None]:
+def report_scheduler_loss() -> Iterator[None]:
     """Raise ClusterError where the scheduler is lost within the block."""
     try:
         yield
-    except losses() as error:
+    except scheduler_loss_errors() as error:
         raise ClusterError(
             "the cluster's scheduler was lost; rows that were made are kept, and the same study begun again into "
             f"the same folder goes on where it was ({type(error).__name__})"

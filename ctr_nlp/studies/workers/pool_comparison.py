@@ -22,8 +22,8 @@ from ctr_nlp.exceptions import BenchmarkError
 from ctr_nlp.studies.grid.case import Case
 from ctr_nlp.studies.grid.study_file import Study
 from ctr_nlp.studies.workers.clients import local_client
-from ctr_nlp.studies.workers.running import Progress, run_study
-from ctr_nlp.support.pool import side_by_side
+from ctr_nlp.studies.workers.running import StudyProgress, run_study
+from ctr_nlp.support.pool import run_in_parallel
 
 SPAWN = get_context("spawn")
 
@@ -54,7 +54,7 @@ class Turn:
 
 
 @dataclass(frozen=True)
-class Paired:
+class PoolComparison:
     """Turns of a study and of a pool, pair by pair."""
 
     study: tuple[Turn, ...]
@@ -67,7 +67,7 @@ class Paired:
         return float(np.median([study.processor_s / pool.processor_s for study, pool in pairs]))
 
 
-def compare_with_pool(study: Study, workers: int, pairs: int = 1) -> Paired:
+def compare_with_pool(study: Study, workers: int, pairs: int = 1) -> PoolComparison:
     """Make the plans of a study and those of a pool of processes in turns.
 
     Parameters
@@ -93,7 +93,7 @@ def compare_with_pool(study: Study, workers: int, pairs: int = 1) -> Paired:
     for number in range(pairs):
         for side in (_in_study, _in_pool) if number % 2 else (_in_pool, _in_study):
             turns[side].append(_turn(side, study, workers))
-    return Paired(tuple(turns[_in_study]), tuple(turns[_in_pool]))
+    return PoolComparison(tuple(turns[_in_study]), tuple(turns[_in_pool]))
 
 
 Side = Callable[[Connection, Study, int], None]
@@ -126,16 +126,16 @@ def _in_study(answer: Connection, study: Study, workers: int) -> None:
     memory = list[int]()
     with tempfile.TemporaryDirectory() as folder, local_client(workers) as client:
 
-        def seen(progress: Progress) -> None:
+        def seen(progress: StudyProgress) -> None:
             known = client.cluster.scheduler.workers.values()
             memory.append(max((worker.metrics["memory"] for worker in known), default=0))
 
-        run_study(study, Path(folder), client, seen=seen)
+        run_study(study, Path(folder), client, callback=seen)
     answer.send(memory)
 
 
 def _in_pool(answer: Connection, study: Study, workers: int) -> None:
-    for _ in side_by_side(_row, study.cases, workers):
+    for _ in run_in_parallel(_row, study.cases, workers):
         pass
     answer.send([])
 
@@ -144,7 +144,7 @@ def _row(case: Case) -> dict[str, Any]:
     return case.row()
 
 
-def rows_of(compared: Paired) -> list[Sequence[str]]:
+def rows_of(compared: PoolComparison) -> list[Sequence[str]]:
     """Write a comparison as rows of a table.
 
     Parameters

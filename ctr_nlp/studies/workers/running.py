@@ -18,50 +18,50 @@ from queue import Empty, SimpleQueue
 from typing import Any
 
 from ctr_nlp.exceptions import ClusterError, CtrError
-from ctr_nlp.studies.grid.case import DONE, LATE, LOST, PATIENCE_S, Case, row_without_plan
+from ctr_nlp.studies.grid.case import CASE_DONE, CASE_LATE, CASE_LOST, TIME_LIMIT_COLUMN, Case, row_without_plan
 from ctr_nlp.studies.grid.results import Results
 from ctr_nlp.studies.grid.study_file import Study
 from ctr_nlp.studies.workers import task
-from ctr_nlp.studies.workers.batches import TRIES, Batches, worth
-from ctr_nlp.studies.workers.clients import local_client, loss_told, losses
-from ctr_nlp.support.extras import needed
+from ctr_nlp.studies.workers.batches import MAX_WORKER_DEATHS, Batches, target_batch_seconds
+from ctr_nlp.studies.workers.clients import local_client, report_scheduler_loss, scheduler_loss_errors
+from ctr_nlp.support.extras import import_extra
 
-WAITING = 3
+BATCHES_PER_WORKER = 3
 """Batches that are given to each worker, those at work included."""
-POLL, ROUND = 0.5, 0.1
+STUDY_STOP_POLL_S, BATCH_COLLECTION_S = 0.5, 0.1
 """s between looks at whether to stop while nothing is done, and for which batches that are done are collected."""
-PATIENCE = 600.0
+DEFAULT_CASE_TIMEOUT_S = 600.0
 """s that a case may take, where nobody says."""
 
-Seen = Callable[["Progress"], None]
+StudyCallback = Callable[["StudyProgress"], None]
 """Told of every batch that is done, and while no worker is there."""
 
 
 @dataclass
-class Progress:
+class StudyProgress:
     """done, failed: cases of total; known: of them what an earlier run had done. busy: process time of cases, s;
     seconds: since the run began; workers: threads of the cluster.
     """
 
     total: int
-    known: int
+    done_before: int
     done: int = 0
     failed: int = 0
-    busy: float = 0.0
+    process_s: float = 0.0
     seconds: float = 0.0
     workers: int = 0
 
-    def grow(self, rows: Sequence[Mapping[str, Any]], seconds: float, workers: int) -> None:
+    def add_rows(self, rows: Sequence[Mapping[str, Any]], seconds: float, workers: int) -> None:
         """Rows have been kept, so many seconds after the run began, while there are so many workers."""
         self.workers = workers
         times = [row["process_s"] for row in rows if math.isfinite(row["process_s"])]
-        self.done, self.busy, self.seconds = self.done + len(rows), self.busy + sum(times), seconds
-        self.failed += sum(row["status"] != DONE for row in rows)
+        self.done, self.process_s, self.seconds = self.done + len(rows), self.process_s + sum(times), seconds
+        self.failed += sum(row["status"] != CASE_DONE for row in rows)
 
     @property
     def rate(self) -> float:
         """Cases a second in this run."""
-        return (self.done - self.known) / self.seconds if self.seconds else 0.0
+        return (self.done - self.done_before) / self.seconds if self.seconds else 0.0
 
 
 def run_study(
@@ -70,10 +70,10 @@ def run_study(
     client: Any = None,
     *,
     keep_plans: bool = False,
-    patience: float = PATIENCE,
-    seen: Seen = lambda progress: None,
+    patience: float = DEFAULT_CASE_TIMEOUT_S,
+    callback: StudyCallback = lambda progress: None,
     stop: Callable[[], bool] = lambda: False,
-) -> Progress:
+) -> StudyProgress:
     """Do the cases of a study that a folder has no rows of, on the workers of a Dask cluster.
 
     Parameters
@@ -89,7 +89,7 @@ def run_study(
         Whether plans are written into folder/plans, too.
     patience : float
         Seconds that a case may take.
-    seen : callable
+    callback : callable
         Called with the progress at the beginning, after every batch, and while no worker is there.
     stop : callable
         Asked now and then; after a yes no more is begun.
@@ -108,25 +108,25 @@ def run_study(
     """
     results, begin = Results(Path(folder)), time.monotonic()
     with results.sole_writer():
-        results.forget_lost(patience)
-        known = results.known()
+        results.delete_retryable_rows(patience)
+        known = results.read_digests()
         left = [case for case in study.cases if case.digest not in known]
-        progress = Progress(len(study), len(study) - len(left), len(study) - len(left))
+        progress = StudyProgress(len(study), len(study) - len(left), len(study) - len(left))
         plans = Path(folder) / "plans" if keep_plans else None
-        seen(progress)
+        callback(progress)
         here = local_client(os.cpu_count() or 1) if client is None else nullcontext(client)
-        with here as workers, _late(workers) as late:
-            at_work = _AtWork(workers, Batches.of(left), late, plans, patience)
+        with here as workers, _overdue_digests(workers) as late:
+            at_work = _BatchDispatcher(workers, Batches.of(left), late, plans, patience)
             try:
                 while at_work:
-                    with loss_told():
-                        threads = at_work.give()
-                        rows, lost = at_work.take()
+                    with report_scheduler_loss():
+                        threads = at_work.submit_batches()
+                        rows, lost = at_work.collect_rows()
                     results.add(rows)
-                    results.add_lost(lost)
-                    progress.grow([*rows, *lost], time.monotonic() - begin, threads)
+                    results.add_retryable_rows(lost)
+                    progress.add_rows([*rows, *lost], time.monotonic() - begin, threads)
                     if rows or lost or not threads:
-                        seen(progress)
+                        callback(progress)
                     if stop():
                         break
             finally:
@@ -135,18 +135,18 @@ def run_study(
 
 
 @contextmanager
-def _late(client: Any) -> Iterator[set[str]]:
+def _overdue_digests(client: Any) -> Iterator[set[str]]:
     """Digests of cases of which workers tell within the block that they take too long."""
     digests = set[str]()
-    client.subscribe_topic(task.TOO_LONG, lambda event: digests.add(event[1]))
+    client.subscribe_topic(task.CASE_TIMEOUT_TOPIC, lambda event: digests.add(event[1]))
     try:
         yield digests
     finally:
-        with suppress(*losses(), ValueError):
-            client.unsubscribe_topic(task.TOO_LONG)
+        with suppress(*scheduler_loss_errors(), ValueError):
+            client.unsubscribe_topic(task.CASE_TIMEOUT_TOPIC)
 
 
-class _AtWork:
+class _BatchDispatcher:
     """Batches that workers have, and those that wait to be given."""
 
     def __init__(self, client: Any, batches: Batches, late: set[str], plans: Path | None, patience: float) -> None:
@@ -157,26 +157,27 @@ class _AtWork:
     def __bool__(self) -> bool:
         return bool(self._batches) or bool(self._given)
 
-    def give(self) -> int:
+    def submit_batches(self) -> int:
         """Give batches to workers until each has enough; returns how many workers there are."""
         workers = sum(self._client.nthreads().values())
-        while self._batches and len(self._given) < workers * self._each():
-            cases = self._batches.next(worth(workers))
-            asked = (task.work, cases, self._plans, self._patience)
+        while self._batches and len(self._given) < workers * self._batches_per_worker():
+            cases = self._batches.next(target_batch_seconds(workers))
+            asked = (task.run_batch, cases, self._plans, self._patience)
             future = self._client.submit(*asked, pure=False, retries=0)
             self._given[future] = cases
             future.add_done_callback(self._done.put)
         return workers
 
-    def _each(self) -> int:
-        return 1 if self._batches.suspects(self._given.values()) else WAITING
+    def _batches_per_worker(self) -> int:
+        return 1 if self._batches.has_suspects(self._given.values()) else BATCHES_PER_WORKER
 
-    def take(self) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
-        """Rows of what is done within ROUND seconds of the first batch, and rows of cases that are given up.
+    def collect_rows(self) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
+        """Rows of what is done within BATCH_COLLECTION_S seconds of the first batch, and rows of cases that are
+        given up.
 
-        Neither, where nothing is done within POLL seconds. Raises as run_study does.
+        Neither, where nothing is done within STUDY_STOP_POLL_S seconds. Raises as run_study does.
         """
-        futures = self._finished()
+        futures = self._finished_futures()
         if not futures:
             return [], []
         found = self._client.gather(dict(enumerate(futures)), errors="skip")  # None of those that failed
@@ -184,41 +185,43 @@ class _AtWork:
         for number, future in enumerate(futures):
             cases = self._given.pop(future)
             if found[number] is None:
-                lost += self._rows_of_lost(cases, future.exception())
+                lost += self._rows_of_dropped(cases, future.exception())
             else:
                 made, seconds = found[number]
-                self._batches.took(cases, seconds)
+                self._batches.record_duration(cases, seconds)
                 rows += made
         return rows, lost
 
-    def _finished(self) -> list[Any]:
+    def _finished_futures(self) -> list[Any]:
         try:
-            futures = [self._done.get(timeout=POLL)]
+            futures = [self._done.get(timeout=STUDY_STOP_POLL_S)]
         except Empty:
             return []
-        time.sleep(ROUND)
+        time.sleep(BATCH_COLLECTION_S)
         while not self._done.empty():
             futures.append(self._done.get())
         return futures
 
-    def _rows_of_lost(self, cases: list[Case], error: BaseException) -> list[dict[str, Any]]:
+    def _rows_of_dropped(self, cases: list[Case], error: BaseException) -> list[dict[str, Any]]:
         """Rows of the cases of a batch that are given up since its worker died; other errors are raised."""
-        if isinstance(error, CtrError | needed("distributed").CancelledError):
+        if isinstance(error, CtrError | import_extra("distributed").CancelledError):
             raise error
-        if not isinstance(error, needed("distributed").KilledWorker):
+        if not isinstance(error, import_extra("distributed").KilledWorker):
             told = f"its scheduler and workers need ctr_nlp as it is here ({type(error).__name__}: {error})"[:500]
             raise ClusterError(f"the cluster cannot do what this study asks for: {told}") from error
         rows = []
-        for case in self._batches.died(cases, self._late):
+        for case in self._batches.record_death(cases, self._late):
             if case.digest in self._late:
                 told = f"it took longer than {self._patience:g} s"
-                rows.append(row_without_plan(case, LATE, told, math.nan) | {PATIENCE_S: self._patience})
+                rows.append(
+                    row_without_plan(case, CASE_LATE, told, math.nan) | {TIME_LIMIT_COLUMN: self._patience}
+                )
             else:
-                told = f"{TRIES} workers died of it, one after the other: {error}"[:500]
-                rows.append(row_without_plan(case, LOST, told, math.nan))
+                told = f"{MAX_WORKER_DEATHS} workers died of it, one after the other: {error}"[:500]
+                rows.append(row_without_plan(case, CASE_LOST, told, math.nan))
         return rows
 
     def cancel(self) -> None:
         """Take back what is not done."""
-        with suppress(*losses()):
+        with suppress(*scheduler_loss_errors()):
             self._client.cancel(list(self._given), force=True)

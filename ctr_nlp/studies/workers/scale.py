@@ -20,18 +20,18 @@ from typing import Any
 
 import numpy as np
 
-from ctr_nlp.studies.grid.case import DONE, Case
-from ctr_nlp.studies.grid.results import ROWS
+from ctr_nlp.studies.grid.case import CASE_DONE, Case
+from ctr_nlp.studies.grid.results import ROWS_FOLDER
 from ctr_nlp.studies.grid.study_file import Study
-from ctr_nlp.studies.workers.batches import FIRST, MOST, worth
+from ctr_nlp.studies.workers.batches import FIRST_BATCH_CASES, MAX_BATCH_CASES, target_batch_seconds
 from ctr_nlp.studies.workers.clients import local_client
-from ctr_nlp.studies.workers.running import WAITING, Progress, run_study
+from ctr_nlp.studies.workers.running import BATCHES_PER_WORKER, StudyProgress, run_study
 
-THREADS = 16
+SIMULATED_WORKER_THREADS = 16
 """Threads of each worker of a simulated cluster."""
-NUMBERS, SENTENCES = 48, 16
+SLEEPER_NUMBER_COLUMNS, SLEEPER_TEXT_COLUMNS = 48, 16
 """Columns of a row that stand for those of a plan."""
-COUNTED = 400
+MEMORY_MEASURED_CASES = 400
 """Cases whose memory is counted."""
 
 
@@ -50,12 +50,15 @@ class Sleeper(Case):
     def row(self, keep: Path | None = None) -> dict[str, Any]:
         """Sleep, and return a row that is about as long as that of a plan."""
         time.sleep(self.sleep_s)
-        numbers = {f"number_{k}": self.seed + 0.1 * k for k in range(NUMBERS)}
-        words = {f"sentence_{k}": f"All 25 frames of {self.seed} are within {k} mm." for k in range(SENTENCES)}
-        return self.columns | numbers | words | {"status": DONE, "reason": "", "process_s": self.sleep_s}
+        numbers = {f"number_{k}": self.seed + 0.1 * k for k in range(SLEEPER_NUMBER_COLUMNS)}
+        words = {
+            f"sentence_{k}": f"All 25 frames of {self.seed} are within {k} mm."
+            for k in range(SLEEPER_TEXT_COLUMNS)
+        }
+        return self.columns | numbers | words | {"status": CASE_DONE, "reason": "", "process_s": self.sleep_s}
 
 
-def sleepers(seconds: Sequence[float], group: int = 0) -> Study:
+def sleeper_study(seconds: Sequence[float], group: int = 0) -> Study:
     """Make a study of cases that sleep for `seconds` each; group: how many of them share a kind, 0 for all."""
     own = ("arc", "", "its own", None, "dominant", "horizon", 25)
     cases = [
@@ -66,7 +69,7 @@ def sleepers(seconds: Sequence[float], group: int = 0) -> Study:
 
 
 @dataclass(frozen=True)
-class Cost:
+class StudyCost:
     """Cost of a study beside its plans.
 
     Process time of the client's thread and of the scheduler's, of a batch and of each of its rows; s a case before
@@ -84,7 +87,7 @@ class Cost:
 
 
 @dataclass(frozen=True)
-class Scale:
+class StudyScale:
     """A study as a whole: s, bytes, and shares of its wall time; tasks: at the scheduler at once, at most."""
 
     wall_s: float
@@ -98,24 +101,24 @@ class Scale:
     client_bytes: float
 
 
-def projected(plans: int, workers: int, seconds: float, cost: Cost) -> Scale:
+def project_study(plans: int, workers: int, seconds: float, cost: StudyCost) -> StudyScale:
     """Project a study of so many plans of so many seconds on average onto so many workers.
 
     Workers wait for the last batch, half of one on average; client and scheduler are taken to work in turns, as on
     one core, and whichever is slower, they or the workers, decides. What prepares the study comes before.
     """
-    first = min(plans, FIRST * WAITING * workers)
-    size = min(MOST, max(1, round(worth(workers) / seconds)))
-    batches = first / FIRST + (plans - first) / size
+    first = min(plans, FIRST_BATCH_CASES * BATCHES_PER_WORKER * workers)
+    size = min(MAX_BATCH_CASES, max(1, round(target_batch_seconds(workers) / seconds)))
+    batches = first / FIRST_BATCH_CASES + (plans - first) / size
     client = batches * cost.client_batch_s + plans * cost.client_row_s
     scheduler = batches * cost.scheduler_batch_s + plans * cost.scheduler_row_s
     ideal = plans * seconds / workers
     wall = plans * cost.prepare_s + max(ideal + size * seconds / 2, client + scheduler)
-    return Scale(
+    return StudyScale(
         wall_s=wall,
         efficiency=ideal / wall,
         batches=batches,
-        tasks=min(batches, WAITING * workers),
+        tasks=min(batches, BATCHES_PER_WORKER * workers),
         client_share=client / wall,
         scheduler_share=scheduler / wall,
         rows_bytes=plans * cost.row_bytes,
@@ -124,79 +127,79 @@ def projected(plans: int, workers: int, seconds: float, cost: Cost) -> Scale:
     )
 
 
-def measured(batches: int = 200) -> Cost:
+def measure_study_cost(batches: int = 200) -> StudyCost:
     """Measure the cost on this machine, of so many small batches and a fifth of that in large ones, which do
     nothing.
     """
-    small = sleepers([0.0] * (FIRST * batches), group=FIRST)
-    large = sleepers([0.0] * (MOST * batches // 5))
+    small = sleeper_study([0.0] * (FIRST_BATCH_CASES * batches), group=FIRST_BATCH_CASES)
+    large = sleeper_study([0.0] * (MAX_BATCH_CASES * batches // 5))
     with local_client(2) as client:
-        spent = [_spent(study, client) for study in (small, large)]
-    counts = np.array([[batches, FIRST * batches], [batches / 5, MOST * batches / 5]])
+        spent = [_measure_study(study, client) for study in (small, large)]
+    counts = np.array([[batches, FIRST_BATCH_CASES * batches], [batches / 5, MAX_BATCH_CASES * batches / 5]])
     per_batch, per_row = np.maximum(np.linalg.solve(counts, np.array([each[:2] for each in spent])), 0.0)
-    prepare_s, case_bytes = _prepared()
-    cases = list(large.cases[:MOST])
+    prepare_s, case_bytes = _measure_preparation()
+    cases = list(large.cases[:MAX_BATCH_CASES])
     message = len(pickle.dumps(cases)) + len(pickle.dumps([case.row() for case in cases]))
-    return Cost(
+    return StudyCost(
         *(per_batch[0], per_row[0], per_batch[1], per_row[1]),
         prepare_s=prepare_s,
-        message_bytes=message / MOST,
+        message_bytes=message / MAX_BATCH_CASES,
         row_bytes=spent[1][2] / len(large),
         case_bytes=case_bytes,
     )
 
 
-def _spent(study: Study, client: Any) -> tuple[float, float, int]:
+def _measure_study(study: Study, client: Any) -> tuple[float, float, int]:
     """Run a study; return process times of the client's thread and of the scheduler's, s, and bytes of rows."""
     loop = client.cluster.loop
     with tempfile.TemporaryDirectory() as folder:
-        before = time.thread_time(), _in(loop, time.thread_time)
+        before = time.thread_time(), _call_in_loop(loop, time.thread_time)
         run_study(study, Path(folder), client)
-        after = time.thread_time(), _in(loop, time.thread_time)
-        return after[0] - before[0], after[1] - before[1], _bytes(Path(folder))
+        after = time.thread_time(), _call_in_loop(loop, time.thread_time)
+        return after[0] - before[0], after[1] - before[1], _rows_bytes(Path(folder))
 
 
-def _in(loop: Any, call: Callable[[], float]) -> float:
+def _call_in_loop(loop: Any, call: Callable[[], float]) -> float:
     """Call a function in the thread of an event loop, and return its result."""
     answer = SimpleQueue[float]()
     loop.add_callback(lambda: answer.put(call()))
     return answer.get(timeout=60.0)
 
 
-def _bytes(folder: Path) -> int:
-    return sum(path.stat().st_size for path in (folder / ROWS).glob("*.parquet"))
+def _rows_bytes(folder: Path) -> int:
+    return sum(path.stat().st_size for path in (folder / ROWS_FOLDER).glob("*.parquet"))
 
 
-def _prepared() -> tuple[float, float]:
+def _measure_preparation() -> tuple[float, float]:
     """Return the process time of making a case and its digest, s, and the bytes that it takes."""
     begin = time.process_time()
-    sleepers([0.0] * COUNTED)
+    sleeper_study([0.0] * MEMORY_MEASURED_CASES)
     seconds = time.process_time() - begin
     tracemalloc.start()
-    kept = sleepers([0.0] * COUNTED)
+    kept = sleeper_study([0.0] * MEMORY_MEASURED_CASES)
     taken = tracemalloc.get_traced_memory()[0]
     tracemalloc.stop()
     return seconds / len(kept), taken / len(kept)
 
 
-def simulated(seconds: Sequence[float], workers: int) -> Scale:
+def simulate_study(seconds: Sequence[float], workers: int) -> StudyScale:
     """Run a study of cases that sleep for `seconds` each, on a cluster of `workers` threads of this process, whose
     messages go over loopback. Figures that cannot be measured so are nan: client, scheduler and workers share one
     process.
     """
     begin, tasks = time.monotonic(), [0]
-    study = sleepers(seconds)
+    study = sleeper_study(seconds)
     prepared = time.monotonic() - begin
-    with _threads(workers) as client, tempfile.TemporaryDirectory() as folder:
-        counting = _Counting(client)
+    with _threaded_client(workers) as client, tempfile.TemporaryDirectory() as folder:
+        counting = _CountingClient(client)
 
-        def seen(progress: Progress) -> None:
+        def seen(progress: StudyProgress) -> None:
             tasks.append(len(client.cluster.scheduler.tasks))
 
-        progress = run_study(study, Path(folder), counting, seen=seen)
-        rows_bytes = _bytes(Path(folder))
+        progress = run_study(study, Path(folder), counting, callback=seen)
+        rows_bytes = _rows_bytes(Path(folder))
     wall = prepared + progress.seconds
-    return Scale(
+    return StudyScale(
         wall_s=wall,
         efficiency=sum(seconds) / workers / wall,
         batches=counting.batches,
@@ -209,7 +212,7 @@ def simulated(seconds: Sequence[float], workers: int) -> Scale:
     )
 
 
-class _Counting:
+class _CountingClient:
     """A client that counts what is given to it."""
 
     def __init__(self, client: Any) -> None:
@@ -224,8 +227,8 @@ class _Counting:
         return self._client.submit(*given, **options)
 
 
-def _threads(workers: int) -> AbstractContextManager[Any]:
+def _threaded_client(workers: int) -> AbstractContextManager[Any]:
     """Return a client of `workers` threads of this process."""
-    each = math.gcd(workers, THREADS)
+    each = math.gcd(workers, SIMULATED_WORKER_THREADS)
     threads = {"threads_per_worker": each, "processes": False, "protocol": "tcp://", "dashboard_address": None}
     return local_client(workers // each, "0", **threads)

@@ -15,22 +15,22 @@ from ctr_nlp.codegen import cache
 from ctr_nlp.exceptions import ClusterError
 from ctr_nlp.plan.plan import versions
 from ctr_nlp.studies.grid.case import Case
-from ctr_nlp.support.extras import needed
+from ctr_nlp.support.extras import import_extra
 
-TOO_LONG = "ctr_nlp-late"
+CASE_TIMEOUT_TOPIC = "ctr_nlp-late"
 """The topic under which a worker tells the digest of the case that takes too long, before it ends itself."""
-TELLING = 0.5
+TIMEOUT_REPORT_S = 0.5
 """s that a worker takes to tell it."""
-LEAST_WAIT = 0.01
+MIN_TIMEOUT_POLL_S = 0.01
 """s between two looks at whether a case takes too long, at least."""
-EXIT = 70
+TIMEOUT_EXIT_STATUS = 70
 """Exit status with which a worker ends itself."""
 
-Worked = tuple[list[dict[str, Any]], float]
+BatchResult = tuple[list[dict[str, Any]], float]
 """Result of a batch: rows, and the seconds that they took."""
 
 
-def work(cases: list[Case], plans: Path | None, patience: float) -> Worked:
+def run_batch(cases: list[Case], plans: Path | None, patience: float) -> BatchResult:
     """Make the rows of cases. A case that takes longer than patience ends the process.
 
     What the cases are solved with is compiled first, for as long as that takes: interpreted functions differ from
@@ -61,34 +61,34 @@ def work(cases: list[Case], plans: Path | None, patience: float) -> Worked:
     if replace(cases[0]).digest != cases[0].digest:
         own = ", ".join(f"{name} {version}" for name, version in versions().items())
         raise ClusterError(f"a worker has other versions than the program that asks for the study: it has {own}")
-    os.environ.setdefault(cache.SWITCH, "now")
-    begin, rows, worker = _worked_s(), list[dict[str, Any]](), needed("distributed").get_worker()
+    os.environ.setdefault(cache.COMPILE_VARIABLE, "now")
+    begin, rows, worker = _worked_s(), list[dict[str, Any]](), import_extra("distributed").get_worker()
 
     def ended() -> None:
-        worker.log_event(TOO_LONG, cases[len(rows)].digest)
-        time.sleep(TELLING)
-        os._exit(EXIT)
+        worker.log_event(CASE_TIMEOUT_TOPIC, cases[len(rows)].digest)
+        time.sleep(TIMEOUT_REPORT_S)
+        os._exit(TIMEOUT_EXIT_STATUS)
 
     for case in cases:
-        with _limited(patience, ended):
+        with _limit_time(patience, ended):
             rows.append(case.row(plans))
     return rows, _worked_s() - begin
 
 
 def _worked_s() -> float:
     """A clock, s, that stands still while this process waits for a compiler."""
-    return time.monotonic() - cache.waited_s()
+    return time.monotonic() - cache.library_wait_s()
 
 
 @contextmanager
-def _limited(seconds: float, ended: Callable[[], None]) -> Iterator[None]:
+def _limit_time(seconds: float, on_timeout: Callable[[], None]) -> Iterator[None]:
     """A call is made where the block takes longer, without the time for which it waits for a compiler."""
     end, left = _worked_s() + seconds, threading.Event()
 
     def watch() -> None:
-        while not left.wait(max(end - _worked_s(), LEAST_WAIT)):
+        while not left.wait(max(end - _worked_s(), MIN_TIMEOUT_POLL_S)):
             if _worked_s() >= end:
-                ended()
+                on_timeout()
                 return
 
     threading.Thread(target=watch, daemon=True).start()

@@ -9,5 +9,5 @@ def problem(frames: int = 100, duration: float = 10.0, robot: Robot | None = Non
     """The last 150 mm of the airway of seed 0."""
     airway = synthetic_airway(seed=0)
     path, to_robot = placed(airway.part(airway.length - 150, airway.length))
-    target, lumen = growing(path, frames), airway.moved(to_robot)
+    target, lumen = growing(path, frames), airway.apply_transform(to_robot)
     return Problem("bronchus", robot or seed_robot(), target, duration, to_robot=to_robot, lumen=lumen)

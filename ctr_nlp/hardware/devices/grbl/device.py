@@ -8,24 +8,24 @@ from ctr_nlp.exceptions import DeviceFault, HardwareError
 from ctr_nlp.hardware.clock import Clock
 from ctr_nlp.hardware.description import Hardware
 from ctr_nlp.hardware.devices import Asked, Standing
-from ctr_nlp.hardware.devices.grbl.identity import Identity, check
-from ctr_nlp.hardware.devices.grbl.stop import stopped
+from ctr_nlp.hardware.devices.grbl.identity import Identity, check_settings
+from ctr_nlp.hardware.devices.grbl.stop import stop_controller
 from ctr_nlp.hardware.devices.grbl.stream import Stream
-from ctr_nlp.hardware.devices.grbl.talk import GREETING, RESET, Talk, never
-from ctr_nlp.hardware.link import Link
+from ctr_nlp.hardware.devices.grbl.talk import GRBL_RESET, GREETING, Talk, never
+from ctr_nlp.hardware.link import ByteLink
 from ctr_nlp.hardware.motion.lookahead import Commands
 from ctr_nlp.typing import Array
 
-HOMING = 180.0
+HOMING_CYCLE_TIMEOUT_S = 180.0
 """s for a homing cycle."""
 
 
 class Grbl:
     """A grblHAL controller at the end of a link that opened makes; stream.py plays a motion on it."""
 
-    def __init__(self, hardware: Hardware, opened: Callable[[], Link], clock: Clock) -> None:
-        self._hardware, self._opened, self._clock = hardware, opened, clock
-        self._link: Link | None = None
+    def __init__(self, hardware: Hardware, open_link: Callable[[], ByteLink], clock: Clock) -> None:
+        self._hardware, self._opened, self._clock = hardware, open_link, clock
+        self._link: ByteLink | None = None
         self._known: Identity | None = None
         self.stream: Stream | None = None
         """The motion that was played last."""
@@ -42,14 +42,14 @@ class Grbl:
 
     def _identify(self, stop: Asked = never) -> None:
         self._known = self._talk.identify(stop)
-        check(self._known, self._hardware)
+        check_settings(self._known, self._hardware)
 
     @property
     def identity(self) -> str:
         """Version, options and driver of the controller."""
-        return self._asked_who().told
+        return self._require_identity().description
 
-    def _asked_who(self) -> Identity:
+    def _require_identity(self) -> Identity:
         if self._known is None:
             raise DeviceFault("the controller has not been asked who it is: it was not idle when it was connected")
         return self._known
@@ -57,7 +57,7 @@ class Grbl:
     @property
     def resolution(self) -> Array:
         """What the axes (m,) can tell apart: a step, and the last digit of reports."""
-        return self._asked_who().resolution(self._hardware)
+        return self._require_identity().resolution(self._hardware)
 
     def standing(self) -> Standing:
         """Where it stands, which must be at rest and in order."""
@@ -76,12 +76,12 @@ class Grbl:
         if override != 100:
             raise DeviceFault(f"the feed override is {override:g} %; set it to 100 % at the controller")
         homed = self._hardware.connection.homing == "manual" or self._all_homed(offsets)
-        return Standing(report.position[self._asked_who().columns(self._hardware)], homed)
+        return Standing(report.position[self._require_identity().columns(self._hardware)], homed)
 
     def _all_homed(self, offsets: dict[str, tuple[float, ...]]) -> bool:
         """Whether all slides have been homed; turning axes have no end to find."""
         *_, mask = offsets.get("HOME", (0.0,))
-        columns = zip(self._hardware.axes, self._asked_who().columns(self._hardware), strict=True)
+        columns = zip(self._hardware.axes, self._require_identity().columns(self._hardware), strict=True)
         return all(int(mask) >> column & 1 for axis, column in columns if axis.unit == "mm")
 
     def home(self, stop: Asked) -> None:
@@ -89,21 +89,21 @@ class Grbl:
         if self._hardware.connection.homing != "cycle":
             raise HardwareError("this hardware homes by hand: connection.homing is not cycle")
         if self._talk.report().state == "Alarm":
-            self._talk.link.write(RESET)
-            self._talk.until("banner", GREETING)
+            self._talk.link.write(GRBL_RESET)
+            self._talk.replies_until("banner", GREETING)
             self._talk.quiet()
-            self._talk.forgiven()
+            self._talk.take_restart_message()
         if self._known is None:
             self._identify(stop)
         self._homing, self.stream = True, None
-        self._talk.ask("$H", HOMING, stop)
+        self._talk.ask("$H", HOMING_CYCLE_TIMEOUT_S, stop)
         self._homing = False
         self._talk.quiet()
 
     def start(self, commands: Commands) -> Stream:
         """Get ready to play commands from where it stands; raises TrajectoryError where the link is too slow."""
         self._restarted = ""
-        self.stream = Stream(self._talk, self._asked_who(), self._hardware, self._clock, commands)
+        self.stream = Stream(self._talk, self._require_identity(), self._hardware, self._clock, commands)
         return self.stream
 
     def abort(self) -> Standing:
@@ -111,7 +111,7 @@ class Grbl:
         if self._link is None:
             raise DeviceFault("the link was never opened: nothing could be sent")
         homing, self._homing = self._homing, False
-        stopped(self._talk, self._clock, homing)
+        stop_controller(self._talk, self._clock, homing)
         if self._restarted:
             raise DeviceFault("the controller restarted when it was connected: its position is not to be trusted")
         standing = self.standing()

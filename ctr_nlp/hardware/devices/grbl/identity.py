@@ -55,7 +55,7 @@ class Identity:
     receive: int
     blocks: int
     settings: dict[str, str]
-    told: str
+    description: str
 
     def setting(self, number: int) -> float:
         """A setting as a number; raises DeviceFault."""
@@ -80,7 +80,7 @@ class Identity:
         return np.array([self.setting(120 + column) for column in self.columns(hardware)])
 
 
-class Finding(NamedTuple):
+class SettingFinding(NamedTuple):
     """A setting that is wrong: its name, its value, the value to set, and why."""
 
     name: str
@@ -92,15 +92,15 @@ class Finding(NamedTuple):
         return f"the controller's ${self.name} is {self.value}, and {self.why}: set ${self.name}={self.wanted}"
 
 
-def check(identity: Identity, hardware: Hardware) -> None:
+def check_settings(identity: Identity, hardware: Hardware) -> None:
     """Raise DeviceFault with the first wrong setting, and how many more there are."""
-    wrong = [*findings(identity, hardware), *changes(identity, hardware)]
+    wrong = [*find_wrong_settings(identity, hardware), *find_changed_settings(identity, hardware)]
     if wrong:
         more = f" ({len(wrong) - 1} more: `ctr-nlp commission` lists all)" if len(wrong) > 1 else ""
         raise DeviceFault(f"{wrong[0]}{more}")
 
 
-def findings(identity: Identity, hardware: Hardware) -> list[Finding]:
+def find_wrong_settings(identity: Identity, hardware: Hardware) -> list[SettingFinding]:
     """Every setting that goes against safe playing on this hardware; raises DeviceFault where one is not told."""
     wrong = (
         *_reports(identity),
@@ -108,10 +108,12 @@ def findings(identity: Identity, hardware: Hardware) -> list[Finding]:
         *_corners(identity),
         *_limits(identity, hardware),
     )
-    return [Finding(str(name), identity.settings[str(name)], wanted, why) for name, wanted, why in wrong]
+    return [SettingFinding(str(name), identity.settings[str(name)], wanted, why) for name, wanted, why in wrong]
 
 
-def loose(settings: Mapping[str, str], columns: Sequence[int], hardware: Hardware) -> list[Finding]:
+def find_loose_settings(
+    settings: Mapping[str, str], columns: Sequence[int], hardware: Hardware
+) -> list[SettingFinding]:
     """Settings that let a line that was changed on the way move an axis faster or further than any plan may.
 
     Parameters
@@ -137,15 +139,17 @@ def loose(settings: Mapping[str, str], columns: Sequence[int], hardware: Hardwar
             name = str(number)
             if float(settings.get(name, "0")) > most * (1 + 1e-6):
                 why = f"lets a line that was changed on the way move {axis.letter} {what} in the hardware file"
-                found.append(Finding(name, settings[name], f"{most:g}", why))
+                found.append(SettingFinding(name, settings[name], f"{most:g}", why))
     return found
 
 
-def changes(identity: Identity, hardware: Hardware) -> list[Finding]:
+def find_changed_settings(identity: Identity, hardware: Hardware) -> list[SettingFinding]:
     """Every setting that is not what it was when the rig was commissioned; none where it has not been."""
     before = hardware.commissioned or {}
     return [
-        Finding(name, identity.settings.get(name, "not told"), value, f"was {value} when the rig was commissioned")
+        SettingFinding(
+            name, identity.settings.get(name, "not told"), value, f"was {value} when the rig was commissioned"
+        )
         for name, value in sorted(before.items())
         if identity.settings.get(name) != value and not _wrong_before(name, value, identity, hardware)
     ]
@@ -157,7 +161,7 @@ def _wrong_before(name: str, value: str, identity: Identity, hardware: Hardware)
     Nobody is asked to set it again: otherwise one message would ask for a value that another one forbids.
     """
     try:
-        then = findings(replace(identity, settings=identity.settings | {name: value}), hardware)
+        then = find_wrong_settings(replace(identity, settings=identity.settings | {name: value}), hardware)
     except DeviceFault:
         return False
     return name in [finding.name for finding in then]

@@ -33,7 +33,7 @@ STRANGE_S = 0.1
 """Time for which line numbers may be reported that cannot be: where the number of one line, or of one report, was
 changed on the way, and all else agrees, the motion is as it should be."""
 
-SLOW = 6.0
+MAX_LINE_DURATION_RATIO = 6.0
 """Times its own duration for which a line may be in preparation; corners and starts from rest need up to 2."""
 
 LINGERING_S = 0.15
@@ -43,7 +43,7 @@ FOLLOWED_BY = 3
 """Blocks that must be in the planner for that: before the last ones it brakes, and so goes slower than asked."""
 
 
-class Written(NamedTuple):
+class SentLine(NamedTuple):
     """A line that was sent.
 
     number: N of it, from 1. size: bytes. seconds: duration of the motion. last: whether no other copy of it
@@ -70,7 +70,7 @@ class Ledger:
     ) -> None:
         self._there, self._resolution, self._blocks, self._link = start, resolution, blocks, link
         self._patience = patience
-        self._written: list[Written] = []
+        self._written: list[SentLine] = []
         self._due: list[float] = []
         self._first_of = [0, 0]
         self._least, self._most = [0], [0]
@@ -113,7 +113,7 @@ class Ledger:
             least = int((gone / self._resolution).max() >= SURELY_STEPS)
             self._there = position
         for i, text in enumerate(texts):
-            line = Written(number, len(text), seconds, i == len(texts) - 1, position is None)
+            line = SentLine(number, len(text), seconds, i == len(texts) - 1, position is None)
             self._written.append(line)
             self.in_flight += line.size
             self._due.append(self._time_due(now))
@@ -150,7 +150,7 @@ class Ledger:
             return ""
         return self._overdue(line, due, now) or self._lasting(line, now - due, now)
 
-    def _lasting(self, line: Written, late: float, now: float) -> str:
+    def _lasting(self, line: SentLine, late: float, now: float) -> str:
         """Why answers that come so late must not go on to, "" where they may."""
         if late <= self._patience:
             self._late_since = None
@@ -163,7 +163,7 @@ class Ledger:
             f"{LASTING_S:g} s; at this pace {self._patience:.2g} s are allowed"
         )
 
-    def _overdue(self, line: Written, due: float, now: float) -> str:
+    def _overdue(self, line: SentLine, due: float, now: float) -> str:
         """Why a line that was to be answered at a time ought to have been, "" where it need not."""
         if now - due <= LATE_ANSWER_S:
             return ""
@@ -264,7 +264,7 @@ class Ledger:
             return ""
         seconds = self._written[self._first_of[line]].seconds
         lasted = now - self._lingers[1]
-        if lasted <= max(LINGERING_S, SLOW * seconds):
+        if lasted <= max(LINGERING_S, MAX_LINE_DURATION_RATIO * seconds):
             return ""
         return (
             f"line {line} has lasted for {lasted:.2g} s, and should take {seconds:.2g} s: its feed was changed on "

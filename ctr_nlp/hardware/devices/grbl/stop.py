@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from ctr_nlp.exceptions import DeviceFault
 from ctr_nlp.hardware.clock import Clock
-from ctr_nlp.hardware.devices.grbl.talk import ANSWER, HOLD, JOG_CANCEL, RESET, Report, Talk
+from ctr_nlp.hardware.devices.grbl.talk import ANSWER, GRBL_HOLD, GRBL_JOG_CANCEL, GRBL_RESET, Report, Talk
 
 ASKING = 0.02
 """s between status questions while it comes to rest."""
@@ -27,21 +27,21 @@ RESTART = 3.0
 """s for a restart."""
 
 
-def stopped(talk: Talk, clock: Clock, homing: bool = False) -> Report:
+def stop_controller(talk: Talk, clock: Clock, homing: bool = False) -> Report:
     """Stop motion and let the controller forget the rest of it; returns what it reports at rest afterwards.
 
     A feed hold, and for jogs, which know none, a cancellation are sent at once, and then, when the axes rest, a
     reset, which keeps the position. Where the hold is not obeyed in time, and in a homing cycle, which knows no
     hold, the reset is sent all the same. Raises DeviceFault where the position is not to be trusted afterwards.
     """
-    talk.link.write(HOLD + JOG_CANCEL)
-    rested = None if homing else _rested(talk, clock)
+    talk.link.write(GRBL_HOLD + GRBL_JOG_CANCEL)
+    rested = None if homing else _wait_for_rest(talk, clock)
     restarted = talk.lost
-    talk.link.write(RESET)
-    said = [reply.kind for reply in talk.until("banner", RESTART) if reply.kind != "report"]
+    talk.link.write(GRBL_RESET)
+    said = [reply.kind for reply in talk.replies_until("banner", RESTART) if reply.kind != "report"]
     if "banner" not in said:
         raise DeviceFault(f"the controller answers a reset with {said}: its position is not to be trusted")
-    talk.forgiven()
+    talk.take_restart_message()
     if restarted:
         raise DeviceFault(
             f"the controller said {restarted!r} before it was stopped: its position is not to be trusted"
@@ -54,7 +54,7 @@ def stopped(talk: Talk, clock: Clock, homing: bool = False) -> Report:
     return report
 
 
-def _rested(talk: Talk, clock: Clock) -> Report | None:
+def _wait_for_rest(talk: Talk, clock: Clock) -> Report | None:
     """The second of two reports in a row of axes at rest in one place, None where that does not come in time.
 
     The controller has heard the hold where it tells another state, or, of a jog, a feed of 0.
@@ -63,7 +63,7 @@ def _rested(talk: Talk, clock: Clock) -> Report | None:
     before: Report | None = None
     heard = False
     while clock.now() - begun < (RESTING if heard else UNHEARD):
-        report = talk.asked_report(ASKING)
+        report = talk.request_report(ASKING)
         if report is None:
             continue
         if report.state in ("Alarm", "Home"):
@@ -74,6 +74,6 @@ def _rested(talk: Talk, clock: Clock) -> Report | None:
             return report
         before = report if at_rest else None
         if not at_rest and clock.now() - held > OVERHEARD and report.state in ("Run", "Jog"):
-            talk.link.write(HOLD + JOG_CANCEL)
+            talk.link.write(GRBL_HOLD + GRBL_JOG_CANCEL)
             held = clock.now()
     return None

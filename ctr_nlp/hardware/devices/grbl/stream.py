@@ -10,26 +10,34 @@ import numpy as np
 from ctr_nlp.exceptions import TrajectoryError
 from ctr_nlp.hardware.clock import Clock
 from ctr_nlp.hardware.description import Hardware
-from ctr_nlp.hardware.devices import Progress, Signs
+from ctr_nlp.hardware.devices import MotionProgress, Signs
 from ctr_nlp.hardware.devices.grbl.identity import Identity
 from ctr_nlp.hardware.devices.grbl.ledger import Ledger
 from ctr_nlp.hardware.devices.grbl.stop import OVERHEARD
-from ctr_nlp.hardware.devices.grbl.talk import HOLD, RESUME, STATUS, Reply, Report, Talk, report_of
+from ctr_nlp.hardware.devices.grbl.talk import (
+    GRBL_HOLD,
+    GRBL_RESUME,
+    GRBL_STATUS_QUERY,
+    Reply,
+    Report,
+    Talk,
+    report_of,
+)
 from ctr_nlp.hardware.motion import lookahead
-from ctr_nlp.hardware.motion.gcode import DECIMALS, MEANING, MODES, WAITS, Lines, lines
-from ctr_nlp.hardware.motion.lookahead import Commands, FollowedPath, Place
+from ctr_nlp.hardware.motion.gcode import GCODE_DECIMALS, MEANING, MODES, WAITS, GcodeWriter, lines
+from ctr_nlp.hardware.motion.lookahead import Commands, FollowedPath, PathPlace
 from ctr_nlp.typing import Array
 
-AGAIN = 0.1
+STATUS_QUERY_RETRY_S = 0.1
 """s after which a status question counts as lost and is asked again."""
 
 FRESH = 0.15
 """s after which a position is too old for giving the controller more: this process may have been suspended."""
 
-SETTLING = 1.0
+IDLE_SETTLING_TIME_S = 1.0
 """s in which an idle controller that is not quite at the end may still begin with the last line."""
 
-SPARE = 128
+SPARE_BUFFER_BYTES = 128
 """Bytes of the controller's buffer that are left free, lest a doubled ok makes it run over."""
 
 STOPPED = "[MSG:Stop]"
@@ -42,14 +50,14 @@ It counts the steps that it makes, and makes them along these lines, so that one
 is further off was not sent so, or is not so, even where it is little beside the tolerances of the axes.
 """
 
-SOFT_LIMIT = 2
+GRBL_SOFT_LIMIT_ALARM = 2
 """The alarm of a line that leads beyond the soft limits."""
 
 BEFORE_ASKING = (20, 20, 50)
 """Bytes of copies before the question in them, in turns: 1.7 and 4.3 ms at 115200 baud, in which a controller
 plans the line before; some need longer for that than others."""
 
-PATIENCE = (0.05, 0.06, 0.08, 0.1, 0.12, 0.15, 0.2)
+ANSWER_DELAY_MARGINS_S = (0.05, 0.06, 0.08, 0.1, 0.12, 0.15, 0.2)
 """s by which answers may come later for good than before the motion: the most of these that its pace bears.
 The least is allowed in any case, since times of single answers vary."""
 
@@ -76,8 +84,8 @@ class Stream:
         self._seen = Report("Idle", False, now.position, 0, now.free, None, None)
         start = self._seen.position[self._columns]
         self._follow_path(start, commands)
-        self._place, self._count = Place(0.0, 0.0, 0, 0.0), len(commands.time)
-        self._lines, self._next = Lines(hardware.letters, start, MEANING), list[bytes]()
+        self._place, self._count = PathPlace(0.0, 0.0, 0, 0.0), len(commands.time)
+        self._lines, self._next = GcodeWriter(hardware.letters, start, MEANING), list[bytes]()
         self._sent = 0
         self.underruns = 0
         """How often the planner was found empty in a motion that had begun, and had not ended."""
@@ -88,7 +96,7 @@ class Stream:
         link, patience = self._check_link(identity.acceleration(hardware), size)
         talk.ask(MODES)
         blocks = identity.blocks if self._seen.free is None else self._seen.free
-        self._ledger = Ledger(np.round(start, DECIMALS), self._resolution, blocks, link, patience)
+        self._ledger = Ledger(np.round(start, GCODE_DECIMALS), self._resolution, blocks, link, patience)
         self._hold_sent, self._overrides = 0.0, 100.0
         self._go_on()
 
@@ -98,7 +106,7 @@ class Stream:
         self._window = lookahead.Window(self._path.ends, self._path.points, self._slides)
 
     @property
-    def given(self) -> float:
+    def committed_time(self) -> float:
         """To the end of the last line that is sent, or is about to be."""
         return float(self._path.ends[min(self._sent + bool(self._next), self._count)])
 
@@ -121,7 +129,7 @@ class Stream:
         return self._ledger.in_flight
 
     @property
-    def _planned(self) -> int:
+    def _acknowledged_line(self) -> int:
         """Number of the last line that was acknowledged, all its copies."""
         return self._ledger.planned
 
@@ -133,33 +141,38 @@ class Stream:
         seconds = np.diff(self._path.ends)
         link = lookahead.LinkTiming(self._talk.round_trip(), self._connection.baud / 10.0)
         speed = abs(np.diff(self._path.points, axis=0) / seconds[:, None]).max(axis=0)
-        rate = size / max(float(self._path.ends[-1]), lookahead.AHEAD)  # a shorter motion is given at once
+        rate = size / max(
+            float(self._path.ends[-1]), lookahead.MAX_MOTION_IN_HAND_S
+        )  # a shorter motion is given at once
         part = lookahead.sustainable(speed, acceleration, self._slides, link, rate)
         if part < 1.0:
             advice = f"play it at {int(100 * part) / 100:g} of this tempo" if part >= 0.01 else "use another link"
             raise TrajectoryError(
                 f"the link answers after {1e3 * link.round_trip:.0f} ms and takes {link.rate:.0f} bytes/s: with "
-                f"{lookahead.AHEAD:g} s of motion in the controller's hands, it cannot keep this pace; {advice}"
+                f"{lookahead.MAX_MOTION_IN_HAND_S:g} s of motion in the controller's hands, it cannot keep "
+                f"this pace; {advice}"
             )
-        slower = [link._replace(round_trip=link.round_trip + later) for later in PATIENCE]
+        slower = [link._replace(round_trip=link.round_trip + later) for later in ANSWER_DELAY_MARGINS_S]
         kept = [lookahead.sustainable(speed, acceleration, self._slides, each, rate) >= 1.0 for each in slower]
         return link, max(
-            later for later, keeps in zip(PATIENCE, kept, strict=True) if keeps or later == PATIENCE[0]
+            later
+            for later, keeps in zip(ANSWER_DELAY_MARGINS_S, kept, strict=True)
+            if keeps or later == ANSWER_DELAY_MARGINS_S[0]
         )
 
-    def update(self) -> Progress:
+    def update(self) -> MotionProgress:
         """Take what has come and find out how far it is."""
         for reply in self._talk.replies():
             self._take(reply)
-        done = self._planned == self._count and self._seen.state == "Idle" and self._settled()
+        done = self._acknowledged_line == self._count and self._seen.state == "Idle" and self._has_settled()
         state = "done" if done else "held" if self._held else "holding" if self._holding else "running"
         time = float(self._path.ends[-1]) if done else self._place.time
         position = self._seen.position[self._columns]
-        return Progress(state, time, position, self._stamp, self._place.away, self._signs())
+        return MotionProgress(state, time, position, self._stamp, self._place.away, self._signs())
 
     def _signs(self) -> Signs:
-        idle = self._seen.state == "Idle" and not self._holding and self._planned < self._count
-        waiting = self._planned < self._sent or self._sent < self._count
+        idle = self._seen.state == "Idle" and not self._holding and self._acknowledged_line < self._count
+        waiting = self._acknowledged_line < self._sent or self._sent < self._count
         stalled = self._stamp - max(self._moved, self._fed) if idle and waiting else 0.0
         cause = self._cause() if stalled > 0.0 else ""
         return Signs(self._said, self._overrides, max(stalled, 0.0), cause, self._astray)
@@ -176,14 +189,14 @@ class Stream:
         lines = f"of the {self._sent} lines that it was sent, some did not arrive, or were not obeyed"
         return f"{lines}: {missing} `ok` {'is' if missing == 1 else 'are'} missing"
 
-    def _settled(self) -> bool:
+    def _has_settled(self) -> bool:
         """Whether an idle controller has done all that was planned: it may not have begun with the last of it.
 
         At the end of the path two reports that agree will do: one alone may be a lie.
         """
         off = abs(self._seen.position[self._columns] - self._path.points[-1]) / self._resolution
         rest = self._stamp - self._moved
-        return rest > (lookahead.POLL / 2 if off.max() <= 1.0 else SETTLING)
+        return rest > (lookahead.POSITION_POLL_PERIOD_S / 2 if off.max() <= 1.0 else IDLE_SETTLING_TIME_S)
 
     def _take(self, reply: Reply) -> None:
         if reply.kind == "ok":
@@ -204,11 +217,11 @@ class Stream:
             return f"a reply of the controller cannot be read, since it was changed on the way: {reply.text!r}"
         says = f"the controller says {reply.text!r}"
         if reply.kind == "error":
-            line = min(self._planned + 1, self._count)
+            line = min(self._acknowledged_line + 1, self._count)
             return (
                 f"{says} (line {line} of {self._count}): a line was changed on the way, or another client sent it"
             )
-        if reply.kind == "alarm" and reply.number == SOFT_LIMIT:
+        if reply.kind == "alarm" and reply.number == GRBL_SOFT_LIMIT_ALARM:
             return f"{says}: a line that was changed on the way, or another client's, leads beyond the soft limits"
         return f"{says}: another client stopped it" if reply.text == STOPPED else says
 
@@ -223,7 +236,9 @@ class Stream:
         if (position != self._seen.position[self._columns]).any():
             self._moved = self._stamp
         empty = report.free is not None and report.free >= self._identity.blocks
-        begun = self._place.time > lookahead.AHEAD  # before, the controller is still being given its first lines
+        begun = (
+            self._place.time > lookahead.MAX_MOTION_IN_HAND_S
+        )  # before, the controller is still being given its first lines
         if empty and begun and self._sent < self._count and not self._holding:
             self.underruns += 1
         self._resumed = self._resumed and report.state == "Hold"  # told before the controller went on
@@ -271,15 +286,17 @@ class Stream:
         if not self._holding:
             self._send(now)
         # While lines are sent, most questions go with them; once all are, none does.
-        poll = lookahead.POLL if self._sent < self._count else lookahead.POLL / 2
-        if now - self._asked >= (poll if self._answered else AGAIN):
-            self._talk.link.write(STATUS)
+        poll = (
+            lookahead.POSITION_POLL_PERIOD_S if self._sent < self._count else lookahead.POSITION_POLL_PERIOD_S / 2
+        )
+        if now - self._asked >= (poll if self._answered else STATUS_QUERY_RETRY_S):
+            self._talk.link.write(GRBL_STATUS_QUERY)
             self._asked_first = now if self._answered else self._asked_first
             self._asked, self._answered = now, False
 
     def _send(self, now: float) -> None:
         """Lines within the window; a player that was suspended between two of them looks before it sends more."""
-        room = self._identity.receive - SPARE
+        room = self._identity.receive - SPARE_BUFFER_BYTES
         if self._filled:
             room = min(IN_FLIGHT, room)
         if self._connection.flow == "wait":
@@ -306,8 +323,8 @@ class Stream:
             self._asked = self._asked_first = now
             self._answered = False
         place = BEFORE_ASKING[self._sent % len(BEFORE_ASKING)]
-        self._talk.link.write(b"".join(firsts) + last[:place] + STATUS * ask + last[place:])
-        position = np.round(self._path.points[self._sent + 1], DECIMALS) if firsts else None
+        self._talk.link.write(b"".join(firsts) + last[:place] + GRBL_STATUS_QUERY * ask + last[place:])
+        position = np.round(self._path.points[self._sent + 1], GCODE_DECIMALS) if firsts else None
         seconds = float(self._path.ends[self._sent + 1] - self._path.ends[self._sent])
         self._ledger.write(copies, position, seconds, now)
         self._sent, self._fed, self._next = self._sent + 1, now, []
@@ -326,11 +343,11 @@ class Stream:
         self._ledger.note_hold()
 
     def _say_hold(self) -> None:
-        self._talk.link.write(HOLD)
+        self._talk.link.write(GRBL_HOLD)
         self._hold_sent = self._clock.now()
 
     def resume(self) -> None:
         """Go on after a hold."""
-        self._talk.link.write(RESUME)
+        self._talk.link.write(GRBL_RESUME)
         self._resumed = True
         self._go_on()

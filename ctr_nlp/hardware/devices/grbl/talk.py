@@ -17,10 +17,10 @@ from ctr_nlp.exceptions import DeviceFault
 from ctr_nlp.hardware.clock import Clock
 from ctr_nlp.hardware.devices import Asked
 from ctr_nlp.hardware.devices.grbl.identity import Identity
-from ctr_nlp.hardware.link import Link
+from ctr_nlp.hardware.link import ByteLink
 from ctr_nlp.typing import Array
 
-STATUS, HOLD, RESUME, RESET, JOG_CANCEL = b"?", b"!", b"~", b"\x18", b"\x85"
+GRBL_STATUS_QUERY, GRBL_HOLD, GRBL_RESUME, GRBL_RESET, GRBL_JOG_CANCEL = b"?", b"!", b"~", b"\x18", b"\x85"
 
 GREETING = 6.0
 """s for a controller that restarts when its port is opened."""
@@ -34,7 +34,7 @@ RARELY = 32
 QUIET = 0.15
 """s without a byte: nothing else is under way."""
 
-TICK = 0.005
+LINK_POLL_PERIOD_S = 0.005
 """s between two looks at the link while waiting."""
 
 _PATTERNS = (
@@ -48,8 +48,8 @@ _PATTERNS = (
 )
 
 REPORT = re.compile(r"<(?P<state>[A-Z][a-z]+)(:(?P<part>\d+))?\|(?P<fields>[^<>]*)>")
-NUMBERS = re.compile(r"-?\d+\.\d+(,-?\d+\.\d+)*", re.ASCII)
-WHOLE = re.compile(r"\d+", re.ASCII)
+DECIMAL_LIST_PATTERN = re.compile(r"-?\d+\.\d+(,-?\d+\.\d+)*", re.ASCII)
+WHOLE_NUMBER_PATTERN = re.compile(r"\d+", re.ASCII)
 """Noise has digits of other kinds, as ¹, which are no numbers."""
 
 
@@ -97,16 +97,20 @@ def report_of(text: str, axes: int) -> Report | None:
     fields = dict(field.partition(":")[::2] for field in found["fields"].split("|"))
     place, line = fields.get("MPos", ""), fields.get("Ln", "0")
     free, feed, override = (fields.get(name, "").partition(",")[0] for name in ("Bf", "FS", "Ov"))
-    if not (NUMBERS.fullmatch(place) and place.count(",") == axes - 1 and WHOLE.fullmatch(line)):
+    if not (
+        DECIMAL_LIST_PATTERN.fullmatch(place)
+        and place.count(",") == axes - 1
+        and WHOLE_NUMBER_PATTERN.fullmatch(line)
+    ):
         return None
     return Report(
         found["state"],
         found["state"] == "Hold" and found["part"] == "0",
         np.array([float(value) for value in place.split(",")]),
         int(line),
-        int(free) if WHOLE.fullmatch(free) else None,
-        float(feed) if WHOLE.fullmatch(feed) or NUMBERS.fullmatch(feed) else None,
-        float(override) if WHOLE.fullmatch(override) else None,
+        int(free) if WHOLE_NUMBER_PATTERN.fullmatch(free) else None,
+        float(feed) if WHOLE_NUMBER_PATTERN.fullmatch(feed) or DECIMAL_LIST_PATTERN.fullmatch(feed) else None,
+        float(override) if WHOLE_NUMBER_PATTERN.fullmatch(override) else None,
     )
 
 
@@ -118,7 +122,7 @@ def never() -> bool:
 class Talk:
     """Replies as they come, and answers that are waited for."""
 
-    def __init__(self, link: Link, clock: Clock) -> None:
+    def __init__(self, link: ByteLink, clock: Clock) -> None:
         self.link, self._clock, self._rest = link, clock, b""
         self.axes = 6
         self.lost = ""
@@ -134,26 +138,28 @@ class Talk:
                 self.lost = reply.text
             yield reply
 
-    def waited(self, seconds: float, stop: Asked = never) -> Iterator[Reply]:
+    def wait_for_replies(self, seconds: float, stop: Asked = never) -> Iterator[Reply]:
         """Replies of so many s, or until a stop is asked for."""
         end = self._clock.now() + seconds
         while self._clock.now() < end and not stop():
             yield from self.replies()
-            self._clock.sleep(TICK)
+            self._clock.sleep(LINK_POLL_PERIOD_S)
 
-    def until(self, kind: str, seconds: float) -> list[Reply]:
+    def replies_until(self, kind: str, seconds: float) -> list[Reply]:
         """Replies up to the first of a kind, or of so many s."""
         heard: list[Reply] = []
-        for reply in self.waited(seconds):
+        for reply in self.wait_for_replies(seconds):
             heard.append(reply)
             if reply.kind == kind:
                 break
         return heard
 
-    def asked_report(self, seconds: float) -> Report | None:
+    def request_report(self, seconds: float) -> Report | None:
         """The status report that a question brings, None where none that can be read comes in so many s."""
-        self.link.write(STATUS)
-        reports = (report_of(reply.text, self.axes) for reply in self.waited(seconds) if reply.kind == "report")
+        self.link.write(GRBL_STATUS_QUERY)
+        reports = (
+            report_of(reply.text, self.axes) for reply in self.wait_for_replies(seconds) if reply.kind == "report"
+        )
         return next((report for report in reports if report is not None), None)
 
     def ask(self, line: str, seconds: float = ANSWER, stop: Asked = never) -> list[str]:
@@ -163,7 +169,7 @@ class Talk:
         """
         self.link.write(line.encode("ascii") + b"\n")
         said: list[str] = []
-        for reply in self.waited(seconds, stop):
+        for reply in self.wait_for_replies(seconds, stop):
             if reply.kind == "ok":
                 return said
             if reply.kind == "error" and line:
@@ -178,9 +184,9 @@ class Talk:
         """The status of a controller that may restart when its port is opened, and what it said if it did."""
         report = self.report(GREETING, greeting=True, stop=stop)
         self.quiet()
-        return report, self.forgiven()
+        return report, self.take_restart_message()
 
-    def forgiven(self) -> str:
+    def take_restart_message(self) -> str:
         """What it said when it last restarted or stopped by itself, which does not count from now on."""
         said, self.lost = self.lost, ""
         return said
@@ -194,8 +200,8 @@ class Talk:
         """Its status; greeting: it may restart meanwhile. Raises DeviceFault."""
         end = self._clock.now() + seconds
         while self._clock.now() < end and not stop():
-            self.link.write(STATUS)
-            for reply in self.waited(0.25, stop):
+            self.link.write(GRBL_STATUS_QUERY)
+            for reply in self.wait_for_replies(0.25, stop):
                 if not greeting:
                     self.check()
                 if "|WPos:" in reply.text:
@@ -239,7 +245,7 @@ class Talk:
         while self._clock.now() < min(end, last + QUIET):
             if list(self.replies()):
                 last = self._clock.now()
-            self._clock.sleep(TICK)
+            self._clock.sleep(LINK_POLL_PERIOD_S)
 
     def identify(self, stop: Asked = never) -> Identity:
         """Make sure that lines are answered, and read who answers; raises DeviceFault.
@@ -247,7 +253,7 @@ class Talk:
         A link that is open at one end only may pass status on, but no lines. The part of a line that was sent when
         another link was lost is dropped first, lest the end of ours make a command of it.
         """
-        self.link.write(JOG_CANCEL)
+        self.link.write(GRBL_JOG_CANCEL)
         self.ask("", stop=stop)
         self.quiet()
         told = dict(

@@ -21,18 +21,18 @@ import numpy as np
 from ctr_nlp.exceptions import DeviceFault, HardwareError
 from ctr_nlp.hardware.clock import Clock
 from ctr_nlp.hardware.description import Hardware
-from ctr_nlp.hardware.devices import Asked, Progress, Standing
-from ctr_nlp.hardware.devices.ros2.joints import REST, SILENCE, Joints
-from ctr_nlp.hardware.devices.ros2.messages import Points, Topics, address_of
-from ctr_nlp.hardware.devices.ros2.track import FIRST, Track, stop_there
+from ctr_nlp.hardware.devices import Asked, MotionProgress, Standing
+from ctr_nlp.hardware.devices.ros2.joints import MAX_JOINT_STATE_SILENCE_S, REST, Joints
+from ctr_nlp.hardware.devices.ros2.messages import Points, Topics, parse_controller_url
+from ctr_nlp.hardware.devices.ros2.track import FIRST_POINT_DELAY_IN_MOTION_S, ControllerTrack, stop_there
 from ctr_nlp.hardware.journal import Journal
-from ctr_nlp.hardware.motion.lookahead import Commands, FollowedPath, Place
+from ctr_nlp.hardware.motion.lookahead import Commands, FollowedPath, PathPlace
 from ctr_nlp.typing import Array
 
 DISCOVERY = 5.0
 """s in which a controller must have been found, and have said where its joints are."""
 
-STILL = 2.0
+ROS_STOP_TIMEOUT_S = 2.0
 """s in which a stop must have come to rest."""
 
 BEHIND = 0.5
@@ -41,10 +41,10 @@ BEHIND = 0.5
 LAPSE = 0.05
 """s that may pass from when it is asked how far commands are given until others are sent."""
 
-SETTLE = 1.0
+ROS_GOAL_SETTLING_TIME_S = 1.0
 """s after the end of a motion in which the joints may still creep to their goal."""
 
-PARTS = 10.0
+RESOLUTIONS_PER_TOLERANCE = 10.0
 """Into how many parts the axes' tolerances are divided for what positions must agree by; ROS tells no steps."""
 
 
@@ -56,10 +56,10 @@ class Ros2:
 
     def __init__(self, hardware: Hardware, journal: Journal, clock: Clock) -> None:
         self._hardware, self._journal, self._clock = hardware, journal, clock
-        self._address = address_of(hardware.connection.url)
+        self._address = parse_controller_url(hardware.connection.url)
         self._acceleration = hardware.each("acceleration")
         self._topics: Topics | None = None
-        self._track: Track | None = None
+        self._track: ControllerTrack | None = None
 
     def connect(self, stop: Asked = lambda: False) -> None:
         """Open the topics; wait for a controller that listens, and for the first joint states."""
@@ -68,7 +68,7 @@ class Ros2:
         self._track, self._holding = None, False
         self._joints, self._stopped = Joints(self._hardware, self.resolution), -np.inf
         end = self._clock.now() + DISCOVERY
-        while not (self._joints.known and topics.listeners()):
+        while not (self._joints.has_state and topics.listeners()):
             self._take()
             if stop():
                 raise DeviceFault("a stop was asked for before the controller was found: nothing was sent")
@@ -91,11 +91,11 @@ class Ros2:
     @property
     def resolution(self) -> Array:
         """A tenth of the axes' tolerances (m,): ROS does not tell what they can tell apart."""
-        return np.asarray(self._hardware.tolerance / PARTS)
+        return np.asarray(self._hardware.tolerance / RESOLUTIONS_PER_TOLERANCE)
 
     def standing(self) -> Standing:
         """Where it stands."""
-        if not self._rested(self._clock.now() + SILENCE):
+        if not self._wait_for_rest(self._clock.now() + MAX_JOINT_STATE_SILENCE_S):
             raise DeviceFault("the joints move; they must stand still before anything is played")
         return Standing(self._joints.position, self._hardware.connection.homing == "manual")
 
@@ -113,7 +113,7 @@ class Ros2:
         if not self._open().listeners():
             raise DeviceFault(f"nothing listens on /{self._address.trajectories} any more: the controller is gone")
 
-    def _rested(self, end: float) -> bool:
+    def _wait_for_rest(self, end: float) -> bool:
         """Wait until the joints are at rest, at most until the clock shows end; whether they are."""
         while True:
             self._take()
@@ -130,8 +130,8 @@ class Ros2:
         self._take()
         position = self._joints.position
         self._path = FollowedPath(position, commands, self._hardware.tolerance)
-        self._place, self._holding = Place(0.0, 0.0, 0, 0.0), False
-        self._track = Track(position, commands)
+        self._place, self._holding = PathPlace(0.0, 0.0, 0, 0.0), False
+        self._track = ControllerTrack(position, commands)
         self._track.begin(self._clock.now())
         self._send(self._track.points())
         self._track.begin_ramp(self._clock.now())
@@ -140,7 +140,7 @@ class Ros2:
     def _send(self, points: Points) -> None:
         self._open().send(self._joints.names, self._joints.in_ros(points))
 
-    def update(self) -> Progress:
+    def update(self) -> MotionProgress:
         """Take what has come and find out how far it is."""
         track = self._playing()
         before = self._joints.stamp
@@ -152,27 +152,27 @@ class Ros2:
             self._follow(track, position)
         state = self._state(track, position, now)
         time = track.end if state == "done" else self._place.time
-        return Progress(state, time, position, self._joints.stamp, self._place.away)
+        return MotionProgress(state, time, position, self._joints.stamp, self._place.away)
 
     def feed(self) -> None:
         """The controller has the whole trajectory."""
 
     @property
-    def given(self) -> float:
+    def committed_time(self) -> float:
         """As far as the first point of a trajectory that replaces the one it plays."""
-        return self._playing().now(self._clock.now())[0] + FIRST + LAPSE
+        return self._playing().now(self._clock.now())[0] + FIRST_POINT_DELAY_IN_MOTION_S + LAPSE
 
     def amend(self, commands: Commands) -> None:
         """Replace the trajectory, unless it is being held: then that is done when it goes on."""
-        self._track = track = Track(self._path.points[0], commands, self._playing().ramp)
+        self._track = track = ControllerTrack(self._path.points[0], commands, self._playing().ramp)
         self._path = FollowedPath(self._path.points[0], commands, self._hardware.tolerance)
         if not self._holding:
             self._play_at(1.0, track, self._clock.now())
 
-    def _follow(self, track: Track, position: Array) -> None:
+    def _follow(self, track: ControllerTrack, position: Array) -> None:
         """Find where on its path the newest state shows it, and see that it is not left behind."""
         due, _ = track.now(self._joints.stamp)
-        ahead = int(np.searchsorted(track.ends[1:], due + FIRST, "right")) + 1
+        ahead = int(np.searchsorted(track.ends[1:], due + FIRST_POINT_DELAY_IN_MOTION_S, "right")) + 1
         last = min(ahead, len(track.ends) - 1)
         place = self._path.nearest(position, max(self._place.line - 1, 0), last)
         self._place = max(self._place, place, key=lambda known: known.time)._replace(away=place.away)
@@ -184,25 +184,25 @@ class Ros2:
                 f"({axis.joint}) {off.max():.3g} tolerances from its command"
             )
 
-    def _state(self, track: Track, position: Array, now: float) -> str:
+    def _state(self, track: ControllerTrack, position: Array, now: float) -> str:
         time, _ = track.now(now)
         if time >= track.end:
             near = (abs(position - track.position(track.end)) <= self.resolution).all()
             over = now - track.ramp.begun - float(track.ramp.when(np.array([track.end]))[0])
-            return "done" if self._joints.still() and (near or over > SETTLE) else "running"
+            return "done" if self._joints.still() and (near or over > ROS_GOAL_SETTLING_TIME_S) else "running"
         if self._holding:
             return "held" if track.rests(now) and self._joints.still() else "holding"
         return "running"
 
     def hold(self) -> None:
         """Come to rest on the path, as fast as the axes' accelerations allow."""
-        self._turn(0.0)
+        self._change_pace(0.0)
 
     def resume(self) -> None:
         """Go on from there, from rest to the commands' pace."""
-        self._turn(1.0)
+        self._change_pace(1.0)
 
-    def _turn(self, pace: float) -> None:
+    def _change_pace(self, pace: float) -> None:
         """Let the rest be played at another pace."""
         track, now = self._playing(), self._clock.now()
         self._holding = pace == 0.0
@@ -211,7 +211,7 @@ class Ros2:
             if track.ramp.before == 0.0:
                 track.begin_ramp(self._clock.now())
 
-    def _play_at(self, pace: float, track: Track, now: float) -> None:
+    def _play_at(self, pace: float, track: ControllerTrack, now: float) -> None:
         track.turn(now, pace, self._acceleration)
         self._stopped = now + track.ramp.length
         self._send(track.points())
@@ -220,21 +220,22 @@ class Ros2:
         """Stop, on the path where it is on it, and wait for rest; raises DeviceFault where that is not sure."""
         track, self._track = self._track, None
         if track is None:
-            self._rested(self._clock.now() + 2 * REST)
+            self._wait_for_rest(self._clock.now() + 2 * REST)
         now = self._clock.now()
-        if track is None or not self._on(track, now):
+        if track is None or not self._is_on_path(track, now):
             points = stop_there(self._joints.position, self._joints.speed, self._acceleration)
             self._stopped = now + float(points.time[-1])
             self._send(points)
         elif not track.rests(now) and track.ramp.after != 0.0:
             self._play_at(0.0, track, now)
-        if not self._rested(self._clock.now() + STILL):
+        if not self._wait_for_rest(self._clock.now() + ROS_STOP_TIMEOUT_S):
             raise DeviceFault(
-                f"the joints have not come to rest in {STILL:g} s: their position is not to be trusted"
+                f"the joints have not come to rest in {ROS_STOP_TIMEOUT_S:g} s: their position is not to be "
+                f"trusted"
             )
         return self.standing()
 
-    def _on(self, track: Track, now: float) -> bool:
+    def _is_on_path(self, track: ControllerTrack, now: float) -> bool:
         """Whether the joints were last seen on their path, and not too far behind."""
         due, _ = track.now(min(now, self._joints.stamp))
         return self._place.away <= 1.0 and due - self._place.time <= BEHIND
@@ -250,7 +251,7 @@ class Ros2:
             raise DeviceFault("the ROS 2 device is not connected")
         return self._topics
 
-    def _playing(self) -> Track:
+    def _playing(self) -> ControllerTrack:
         if self._track is None:
             raise DeviceFault("the ROS 2 device plays nothing")
         return self._track

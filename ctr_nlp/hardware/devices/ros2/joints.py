@@ -11,7 +11,7 @@ from ctr_nlp.hardware.description import Hardware
 from ctr_nlp.hardware.devices.ros2.messages import JointStates, Points
 from ctr_nlp.typing import Array
 
-SILENCE = 0.5
+MAX_JOINT_STATE_SILENCE_S = 0.5
 """s without fresh joint states after which the controller counts as gone, or by which they may come late."""
 
 DRIFT = 1e-3
@@ -45,7 +45,7 @@ class Joints:
         """Some names of the last state that was of other joints alone."""
 
     @property
-    def known(self) -> bool:
+    def has_state(self) -> bool:
         """Whether any state has come."""
         return bool(self._seen)
 
@@ -68,7 +68,7 @@ class Joints:
         if any(fresh):
             late = now - self._seen[-1][0]
             self._lag = min(late, self._lag + DRIFT * max(now - self.stamp, 0.0))
-            if late - self._lag > SILENCE:
+            if late - self._lag > MAX_JOINT_STATE_SILENCE_S:
                 raise DeviceFault(f"joint states come {late - self._lag:.2g} s later than they did at first")
             self.stamp = now
 
@@ -93,10 +93,11 @@ class Joints:
         return True
 
     def check_fresh(self, now: float) -> None:
-        """Raise DeviceFault where no state has come for SILENCE s."""
-        if now - self.stamp > SILENCE:
+        """Raise DeviceFault where no state has come for MAX_JOINT_STATE_SILENCE_S s."""
+        if now - self.stamp > MAX_JOINT_STATE_SILENCE_S:
             raise DeviceFault(
-                f"no fresh joint states have come for {SILENCE:g} s: nobody knows where the joints are"
+                f"no fresh joint states have come for {MAX_JOINT_STATE_SILENCE_S:g} s: nobody knows where the "
+                f"joints are"
             )
 
     def still(self) -> bool:

@@ -17,12 +17,12 @@ import numpy as np
 
 from ctr_nlp.exceptions import DeviceFault, HardwareError
 from ctr_nlp.hardware.journal import Journal
-from ctr_nlp.support.extras import needed
+from ctr_nlp.support.extras import import_extra
 from ctr_nlp.typing import Array
 
 LOOPBACK = "127.0.0.1"
 
-CONFIGURATION = """<CycloneDDS><Domain Id="any">
+CYCLONEDDS_CONFIGURATION = """<CycloneDDS><Domain Id="any">
 <General>
 <Interfaces><NetworkInterface address="{own}"/></Interfaces>
 <AllowMulticast>false</AllowMulticast>
@@ -41,14 +41,14 @@ LATEST = 100
 BLOCKED = 0.1
 """s that a writer may wait for room."""
 
-DIGITS = 9
+ROS_MESSAGE_DECIMALS = 9
 """After the decimal point of what is sent, in m, rad and s."""
 
 _domains: WeakValueDictionary[int, Any] = WeakValueDictionary()
 _configurations: dict[int, str] = {}
 
 
-class Address(NamedTuple):
+class ControllerAddress(NamedTuple):
     """A controller's full name, without a leading slash, the host on which it runs ("" for this one), and its
     ROS_DOMAIN_ID.
     """
@@ -85,7 +85,7 @@ class JointStates(NamedTuple):
     velocity: list[float]
 
 
-def address_of(url: str) -> Address:
+def parse_controller_url(url: str) -> ControllerAddress:
     """What "name", "name@host" or "name@host?domain=7" means; raises HardwareError."""
     name = r"[A-Za-z_]\w*"
     match = re.fullmatch(rf"/?({name}(?:/{name})*)(?:@([A-Za-z0-9.-]+))?(?:\?domain=(\d+))?", url)
@@ -94,13 +94,13 @@ def address_of(url: str) -> Address:
             f"url of the connection is {url!r}; for ros2 it must be a controller's name, optionally with its host "
             "and ROS domain (0 to 232): ctr_controller, ctr_controller@192.168.1.5, ctr_controller?domain=7"
         )
-    return Address(match[1], match[2] or "", int(match[3] or 0))
+    return ControllerAddress(match[1], match[2] or "", int(match[3] or 0))
 
 
 @cache
 def types() -> SimpleNamespace:
     """The types of messages and their parts, by name; raises OptionError where cyclonedds is missing."""
-    idl, kinds = needed("cyclonedds.idl"), needed("cyclonedds.idl.types")
+    idl, kinds = import_extra("cyclonedds.idl"), import_extra("cyclonedds.idl.types")
 
     known: dict[str, Any] = {}
 
@@ -140,18 +140,18 @@ def configuration(host: str) -> str:
     loopback, the system sends nowhere else.
     """
     if not host:
-        return CONFIGURATION.format(own=LOOPBACK, peer=LOOPBACK)
+        return CYCLONEDDS_CONFIGURATION.format(own=LOOPBACK, peer=LOOPBACK)
     try:
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
             probe.connect((host, 7400))
-            return CONFIGURATION.format(own=probe.getsockname()[0], peer=probe.getpeername()[0])
+            return CYCLONEDDS_CONFIGURATION.format(own=probe.getsockname()[0], peer=probe.getpeername()[0])
     except OSError as exception:
         raise DeviceFault(f"host {host} of the ROS 2 controller is not to be reached: {exception}") from exception
 
 
-def participant(address: Address) -> tuple[Any, Any]:
+def participant(address: ControllerAddress) -> tuple[Any, Any]:
     """A new participant, and its domain, to be held as long as the participant lives; raises DeviceFault."""
-    module, failure = needed("cyclonedds.domain"), needed("cyclonedds.core").DDSException
+    module, failure = import_extra("cyclonedds.domain"), import_extra("cyclonedds.core").DDSException
     number, text = address.domain, configuration(address.host)
     domain = _domains.get(number)
     if domain is not None and _configurations[number] != text:
@@ -167,8 +167,8 @@ def participant(address: Address) -> tuple[Any, Any]:
 
 def quality(reliable: bool, depth: int) -> Any:
     """QoS of a writer or reader whose messages are XCDR1, as ROS's are."""
-    core = needed("cyclonedds.core")
-    policy, most = core.Policy, needed("cyclonedds.util").duration(seconds=BLOCKED)
+    core = import_extra("cyclonedds.core")
+    policy, most = core.Policy, import_extra("cyclonedds.util").duration(seconds=BLOCKED)
     return core.Qos(
         policy.Reliability.Reliable(most) if reliable else policy.Reliability.BestEffort,
         policy.Durability.Volatile,
@@ -184,16 +184,16 @@ class Topics:
     followed by the next.
     """
 
-    def __init__(self, address: Address, journal: Journal) -> None:
+    def __init__(self, address: ControllerAddress, journal: Journal) -> None:
         self.address, self._journal = address, journal
-        topic, known = needed("cyclonedds.topic").Topic, types()
-        failure = needed("cyclonedds.core").DDSException
+        topic, known = import_extra("cyclonedds.topic").Topic, types()
+        failure = import_extra("cyclonedds.core").DDSException
         own, domain = participant(address)
         try:
             commands = topic(own, f"rt/{address.trajectories}", known.JointTrajectory)
             states = topic(own, f"rt/{address.states}", known.JointState)
-            self._writer = needed("cyclonedds.pub").DataWriter(own, commands, quality(True, 1))
-            self._reader = needed("cyclonedds.sub").DataReader(own, states, quality(False, LATEST))
+            self._writer = import_extra("cyclonedds.pub").DataWriter(own, commands, quality(True, 1))
+            self._reader = import_extra("cyclonedds.sub").DataReader(own, states, quality(False, LATEST))
         except failure as exception:
             raise DeviceFault(f"topics of {address.controller} cannot be opened: {exception}") from exception
         self._held = [domain, own, commands, states]
@@ -204,7 +204,7 @@ class Topics:
 
     def send(self, names: list[str], points: Points) -> None:
         """Record a trajectory of joints, then publish it, to be started at once."""
-        points = Points(*(np.round(part, DIGITS) for part in points))
+        points = Points(*(np.round(part, ROS_MESSAGE_DECIMALS) for part in points))
         listed = {name: part.tolist() for name, part in points._asdict().items()}
         self._journal.record("sent", topic=f"/{self.address.trajectories}", joints=names, **listed)
         self._call(self._writer.write, trajectory_message(names, points))
@@ -236,4 +236,4 @@ class Topics:
 
 
 def _finite(values: list[float]) -> list[float | None]:
-    return [round(value, DIGITS) if math.isfinite(value) else None for value in values]
+    return [round(value, ROS_MESSAGE_DECIMALS) if math.isfinite(value) else None for value in values]

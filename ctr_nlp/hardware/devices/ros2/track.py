@@ -16,20 +16,20 @@ from ctr_nlp.hardware.devices.ros2.messages import Points
 from ctr_nlp.hardware.motion.lookahead import Commands
 from ctr_nlp.typing import Array
 
-FIRST = 0.1
+FIRST_POINT_DELAY_IN_MOTION_S = 0.1
 """s until the first point of a trajectory that is begun in motion: when it arrives, the controller is not quite
 where it was thought to be."""
 
-SECOND = 0.02
+FIRST_POINT_DELAY_AT_REST_S = 0.02
 """s until the first point of one that is begun at rest, on the path."""
 
-CLOSE = 0.005
+LAST_POINT_SPACING_S = 0.005
 """s by which the last point comes after the one before it."""
 
 RAMPS = (0.1, 0.15, 0.2, 0.25, 0.3, 0.4, 0.6, 1.0)
 """s in which the pace may go to nothing, or come back; the first that the axes' accelerations allow is taken."""
 
-STOP = 0.25
+MAX_STOP_DURATION_S = 0.25
 """s that a stop takes at most, whatever the axes' accelerations are."""
 
 
@@ -63,7 +63,7 @@ class Ramp(NamedTuple):
         return np.where(within <= self.length, within, beyond)
 
 
-class Track:
+class ControllerTrack:
     """The path that a controller is to follow, from a position (m,) along commands, and its pace.
 
     It is at rest at both ends, overshoots no command, and is a cubic between commands, as the controller's is.
@@ -106,7 +106,7 @@ class Track:
                 self._path(at[:, 0], 2) * running[:, None] ** 2
                 + self._path(at[:, 0], 1) * (pace - before) / length
             )
-            if (abs(needed) <= acceleration).all() or (pace == 0.0 and length >= STOP):
+            if (abs(needed) <= acceleration).all() or (pace == 0.0 and length >= MAX_STOP_DURATION_S):
                 return
 
     def begin(self, clock: float) -> None:
@@ -122,10 +122,12 @@ class Track:
         ramp = self.ramp
         passed = ramp.when(self.ends)
         if ramp.before < 1.0 or ramp.after < 1.0 or ramp.start > 0.0:
-            passed = passed[passed > (FIRST if ramp.before > 0 else SECOND)]
+            passed = passed[
+                passed > (FIRST_POINT_DELAY_IN_MOTION_S if ramp.before > 0 else FIRST_POINT_DELAY_AT_REST_S)
+            ]
         passed = passed[np.isfinite(passed) & (passed > 0)]
         if np.isinf(ramp.when(self.ends[-1:])[0]):
-            passed = np.append(passed[passed < ramp.length - CLOSE], ramp.length)
+            passed = np.append(passed[passed < ramp.length - LAST_POINT_SPACING_S], ramp.length)
         elif not len(passed):
             passed = ramp.when(self.ends[-1:])
         time, pace = self.ramp.at(passed)
@@ -137,6 +139,6 @@ class Track:
 
 def stop_there(position: Array, speed: Array, acceleration: Array) -> Points:
     """One point, to come to rest at from a position (m,) at a speed (m,), as fast as accelerations (m,) allow."""
-    length = max(RAMPS[0], min(STOP, float((abs(speed) / acceleration).max())))
+    length = max(RAMPS[0], min(MAX_STOP_DURATION_S, float((abs(speed) / acceleration).max())))
     goal = position + 0.5 * length * speed
     return Points(np.array([length]), goal[None], np.zeros((1, len(goal))))

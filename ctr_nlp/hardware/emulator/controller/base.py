@@ -9,8 +9,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ctr_nlp.hardware.emulator.gcode import Lines, Modal
-from ctr_nlp.hardware.emulator.motion import Motion
+from ctr_nlp.hardware.emulator.gcode import Modal, ReceiveBuffer
+from ctr_nlp.hardware.emulator.motion import EmulatedMotors
 from ctr_nlp.hardware.emulator.planner import Overrides, Vector
 from ctr_nlp.hardware.emulator.reports import ControllerSettings, Status
 from ctr_nlp.typing import Array
@@ -32,7 +32,7 @@ class Controller:
 
     def __init__(self, settings: Mapping[int, float] | None = None) -> None:
         self.settings = ControllerSettings(settings)
-        self.motion = Motion(self.settings.limits)
+        self.motion = EmulatedMotors(self.settings.limits)
         self.state = "Idle"
         """Idle, Run, Hold, Jog, Alarm, Home or Check."""
         self.time = 0.0
@@ -45,7 +45,7 @@ class Controller:
         """How a reset in motion ends; all three were seen with the real one: "both" drops the plan, with ALARM:3
         and the banner; "alarm" sends ALARM:3 alone and carries on once unlocked; "banner" gives no alarm."""
         self.pressed: set[str] = set()
-        self.lines = Lines()
+        self.lines = ReceiveBuffer()
         self.modal = Modal()
         self.pending: Callable[[], bool] | None = None
         """What is left to do for the last line, tried until it says True; the next line waits for it."""
@@ -74,7 +74,7 @@ class Controller:
         return np.asarray(np.round(np.array(self.motion.position) * steps) / steps)
 
     @property
-    def executed(self) -> list[tuple[int | None, Vector]]:
+    def executed_blocks(self) -> list[tuple[int | None, Vector]]:
         """(line number or None, target (6,)) of each block, in the order in which they were finished."""
         return self.motion.finished
 
@@ -91,7 +91,7 @@ class Controller:
     @property
     def backlog(self) -> int:
         """Bytes received that no answer was given to yet."""
-        return self.lines.waiting + self.lines.begun + bool(self.pending)
+        return self.lines.waiting + self.lines.unfinished_bytes + bool(self.pending)
 
     def take(self) -> bytes:
         """What it has sent since this was last called."""
@@ -115,7 +115,7 @@ class Controller:
 
     def report(self) -> None:
         """Send a status report."""
-        state = f"Hold:{not self.motion.halted:d}" if self.state == "Hold" else self.state
+        state = f"Hold:{not self.motion.is_halted:d}" if self.state == "Hold" else self.state
         feed = 0.0 if self.state == "Alarm" else self.motion.speed * 60
         buffers, homed = (self.motion.free, self.lines.free), bool(self.homed)
         line, overrides = self.motion.line, self.motion.overrides

@@ -11,20 +11,27 @@ from collections.abc import Callable, Iterable
 import numpy as np
 
 from ctr_nlp.hardware.emulator.controller.stops import Stopping
-from ctr_nlp.hardware.emulator.gcode import Line, Modal, Refused, read
+from ctr_nlp.hardware.emulator.gcode import GcodeLine, Modal, Refused, read
 from ctr_nlp.hardware.emulator.planner import Vector
-from ctr_nlp.hardware.emulator.reports import HELP, VERSION, modes, offsets
+from ctr_nlp.hardware.emulator.reports import FIRMWARE_IDENTITY_LINES, HELP, modes, offsets
 
-NOT_UNDERSTOOD, HOMING_OFF, NOT_IDLE, LOCKED, TRAVEL, CRITICAL = 3, 5, 8, 9, 15, 79
+(
+    ERROR_NOT_UNDERSTOOD,
+    ERROR_HOMING_OFF,
+    ERROR_NOT_IDLE,
+    ERROR_LOCKED,
+    ERROR_JOG_BEYOND_TRAVEL,
+    ERROR_CRITICAL_ALARM,
+) = 3, 5, 8, 9, 15, 79
 
 
-class Commands(Stopping):
+class CommandInterpreter(Stopping):
     """A controller that obeys G-code, and can be asked and set."""
 
     def execute(self, text: str) -> None:
         """Obey a line of G-code, now or as soon as there is room; raises Refused."""
         if self.state in ("Alarm", "Jog"):
-            raise Refused(LOCKED)
+            raise Refused(ERROR_LOCKED)
         if self.error is not None:
             raise Refused(self.error)
         line = read(text, self.modal)
@@ -34,11 +41,11 @@ class Commands(Stopping):
         elif self.outside(target):
             self.soft_limit()
         elif line.dwell or line.ends:
-            self.pending = lambda: self._waited(line)
+            self.pending = lambda: self._try_finish_wait(line)
         else:
-            self.pending = lambda: self.planned(line, target)
+            self.pending = lambda: self.plan_line(line, target)
 
-    def target_of(self, line: Line) -> Vector:
+    def target_of(self, line: GcodeLine) -> Vector:
         """Where a line leads from what is planned, (6,) mm and deg."""
         at = list(self.motion.target)
         for i, value in line.axes.items():
@@ -51,7 +58,7 @@ class Commands(Stopping):
             return False
         return any(not -self.settings[130 + i] <= target[i] <= 0 for i in self.homed)
 
-    def planned(self, line: Line, target: Vector, jog: bool = False) -> bool:
+    def plan_line(self, line: GcodeLine, target: Vector, jog: bool = False) -> bool:
         """Put a line into the planner; False where there is no room yet."""
         if line.axes and not self.motion.free:
             return False
@@ -70,7 +77,7 @@ class Commands(Stopping):
         self.modal = modal
         self.ok()
 
-    def _waited(self, line: Line) -> bool:
+    def _try_finish_wait(self, line: GcodeLine) -> bool:
         """A dwell or the program's end waits for all motion; True once it is over."""
         if self.motion.running or self.motion.blocks:
             if not self.motion.running:
@@ -96,7 +103,7 @@ class Commands(Stopping):
         """Obey what follows a `$`; raises Refused."""
         upper = text.upper()
         if self.critical and upper not in QUERIES:
-            raise Refused(CRITICAL)
+            raise Refused(ERROR_CRITICAL_ALARM)
         if upper.startswith("J="):
             self._jog(text[2:])
         elif upper in ACTIONS:
@@ -106,9 +113,9 @@ class Commands(Stopping):
         elif upper in QUERIES:
             self._tell(QUERIES[upper](self))
         elif text.isdecimal() and int(text) in self.settings:
-            self._tell([self.settings.shown(int(text))])
+            self._tell([self.settings.format_setting(int(text))])
         else:
-            raise Refused(NOT_UNDERSTOOD)
+            raise Refused(ERROR_NOT_UNDERSTOOD)
 
     def _tell(self, lines: Iterable[str]) -> None:
         for line in lines:
@@ -117,12 +124,12 @@ class Commands(Stopping):
 
     def _check_state(self, *states: str) -> None:
         if self.state not in states:
-            raise Refused(NOT_IDLE)
+            raise Refused(ERROR_NOT_IDLE)
 
     def _change(self, text: str) -> None:
         """Apply `n=value`."""
         if not text.partition("=")[0].strip().isdecimal():
-            raise Refused(NOT_UNDERSTOOD)
+            raise Refused(ERROR_NOT_UNDERSTOOD)
         self._check_state("Idle", "Alarm")
         number = self.settings.change(text)
         if 100 <= number < 110:
@@ -132,13 +139,13 @@ class Commands(Stopping):
     def all_settings(self) -> list[str]:
         """The answer to `$$`."""
         self._check_state("Idle", "Alarm")
-        return [self.settings.shown(number) for number in sorted(self.settings)]
+        return [self.settings.format_setting(number) for number in sorted(self.settings)]
 
     def home(self) -> None:
         """Begin the homing cycle, where it is on."""
         self._check_state("Idle", "Alarm")
         if not self.settings[22]:
-            raise Refused(HOMING_OFF)
+            raise Refused(ERROR_HOMING_OFF)
         self.start_homing()
 
     def unlock(self) -> None:
@@ -163,19 +170,19 @@ class Commands(Stopping):
         line = read(text, self.modal, jog=True)
         target = self.target_of(line)
         if self.outside(target):
-            raise Refused(TRAVEL)
-        self.pending = lambda: self.planned(line, target, jog=True)
+            raise Refused(ERROR_JOG_BEYOND_TRAVEL)
+        self.pending = lambda: self.plan_line(line, target, jog=True)
 
 
-ACTIONS: dict[str, Callable[[Commands], None]] = {
-    "H": Commands.home,
-    "X": Commands.unlock,
-    "C": Commands.toggle_check,
+ACTIONS: dict[str, Callable[[CommandInterpreter], None]] = {
+    "H": CommandInterpreter.home,
+    "X": CommandInterpreter.unlock,
+    "C": CommandInterpreter.toggle_check,
 }
 
-QUERIES: dict[str, Callable[[Commands], Iterable[str]]] = {
-    "$": Commands.all_settings,
-    "I": lambda controller: VERSION,
+QUERIES: dict[str, Callable[[CommandInterpreter], Iterable[str]]] = {
+    "$": CommandInterpreter.all_settings,
+    "I": lambda controller: FIRMWARE_IDENTITY_LINES,
     "G": lambda controller: modes(controller.modal),
     "#": lambda controller: offsets(controller.settings, controller.homed),
     "N": lambda controller: ("$N0=", "$N1="),

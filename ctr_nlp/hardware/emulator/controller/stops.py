@@ -10,7 +10,7 @@ from ctr_nlp.hardware.emulator.planner import Overrides
 from ctr_nlp.hardware.emulator.reports import BANNER, UNLOCK, Status
 
 ALARM_PAUSE_S = 0.1
-HARD_LIMIT, SOFT_LIMIT, RESET, RESET_HOMING, ESTOP = 1, 2, 3, 6, 10
+ALARM_HARD_LIMIT, ALARM_SOFT_LIMIT, ALARM_RESET_IN_MOTION, ALARM_RESET_WHILE_HOMING, ALARM_ESTOP = 1, 2, 3, 6, 10
 
 
 class Stopping(Controller):
@@ -24,7 +24,7 @@ class Stopping(Controller):
 
     def resume(self) -> None:
         """Go on after a feed hold, once it has come to a standstill."""
-        if self.state == "Hold" and self.motion.halted and self.when_stopped is None:
+        if self.state == "Hold" and self.motion.is_halted and self.when_stopped is None:
             self.say("[MSG:]")
             self.state = "Run"
             self.motion.resume()
@@ -72,7 +72,7 @@ class Stopping(Controller):
         if not homing and not (self.moving and self.on_reset != "banner"):
             self.restart(locked=not self.moving and self.state == "Alarm")
             return
-        self.say(f"ALARM:{RESET_HOMING if homing else RESET}")
+        self.say(f"ALARM:{ALARM_RESET_WHILE_HOMING if homing else ALARM_RESET_IN_MOTION}")
         self.state = "Alarm"
         self.forget_lines()
         self._drop_plans()
@@ -124,16 +124,16 @@ class Stopping(Controller):
 
     def hard_limit(self) -> None:
         """A limit switch is met in motion: everything stops where it is."""
-        self.alarm(HARD_LIMIT)
+        self.alarm(ALARM_HARD_LIMIT)
 
     def soft_limit(self) -> None:
         """Come to a standstill, then raise the alarm."""
         if self.motion.running:
             self.state = "Hold"
             self.motion.hold()
-            self.when_stopped = lambda: self.alarm(SOFT_LIMIT)
+            self.when_stopped = lambda: self.alarm(ALARM_SOFT_LIMIT)
         else:
-            self.alarm(SOFT_LIMIT)
+            self.alarm(ALARM_SOFT_LIMIT)
 
     def start_homing(self) -> None:
         """Begin the cycle; a report says so."""

@@ -14,19 +14,19 @@ import numpy as np
 
 from ctr_nlp.loads import Load, LoadOverTime
 from ctr_nlp.models.elastic.equilibria import Equilibria
-from ctr_nlp.models.loaded.acting import RodKind, eased
+from ctr_nlp.models.loaded.acting import RodKind, scale_loads
 from ctr_nlp.models.loaded.equilibria import LoadedEquilibria, States
-from ctr_nlp.models.loaded.following.course import Course, course
-from ctr_nlp.models.loaded.following.likely import Likely
-from ctr_nlp.models.loaded.following.track import Track
+from ctr_nlp.models.loaded.following.course import LoadSchedule, schedule_load
+from ctr_nlp.models.loaded.following.likely import StationGuesses
+from ctr_nlp.models.loaded.following.track import StateTrack
 from ctr_nlp.models.loaded.stability import least_margins, margins
-from ctr_nlp.models.protocol import Followed, Passage, Snap
+from ctr_nlp.models.protocol import EquilibriumPath, MotionSubsteps, Snap
 from ctr_nlp.robot.structure import Structure
 from ctr_nlp.typing import Array, Index
 
-FEW = 12
+MAX_GUESSED_ROBOTS = 12
 """Most robots of which places are guessed side by side (likely.py); more robots fill a batch by themselves."""
-TURNING = 0.3
+MIN_SNAP_TURN_SHARE = 0.3
 """Share of the largest turn of a tip, where a branch ends, from which on a tube is reported to jump."""
 
 
@@ -44,30 +44,30 @@ class Follower:
         self._elastic = [Equilibria(structure, own) for own in numbers]
         self.loaded = LoadedEquilibria(structure, RodKind.of(load))
 
-    def settled(self, q: Array) -> tuple[Index, States]:
+    def rest_without_load(self, q: Array) -> tuple[Index, States]:
         """Return which robots come to rest at q (N, 2d + 2) without a load and a history, and their states."""
-        states = [elastic.settled(place) for elastic, place in zip(self._elastic, q, strict=True)]
+        states = [elastic.find_rest_state(place) for elastic, place in zip(self._elastic, q, strict=True)]
         which = np.array([k for k, state in enumerate(states) if state is not None], dtype=int)
         tips = np.array([state.tips for state in states if state is not None])
         known = self._numbers[which], q[which], tips.reshape(len(which), self._numbers.shape[1])
-        return which, self.loaded.unloaded(*known)
+        return which, self.loaded.solve_unloaded(*known)
 
     def rest(self, q: Array) -> Array:
         """Return the unknowns (N, 2d + 2) at q after the load has come; NaN of robots that snap on the way."""
-        which, states = self.settled(q)
-        states, done = self.loaded.along(states, q[which], self._acting[which, 0])
+        which, states = self.rest_without_load(q)
+        states, done = self.loaded.follow_branches(states, q[which], self._acting[which, 0])
         found = np.full(q.shape, np.nan)
         found[which[done == 1]] = states.rows(done == 1).unknowns
         return found
 
-    def followed(self, way: Passage, q: Array, with_margins: bool = True) -> list[Followed]:
+    def follow_motion(self, motion: MotionSubsteps, q: Array, with_margins: bool = True) -> list[EquilibriumPath]:
         """Follow robots along ways through q (N, M, 2d + 2), before which the load comes and after which it goes.
 
         with_margins: whether stability margins are computed. Unknowns are NaN from a snap to the next fresh place.
         """
-        places, count, total = course(way), len(q), way.total
-        load = eased(self._acting[:, places.at], places.part)
-        track = Track(places, self._numbers, q[:, places.at], load)
+        places, count, total = schedule_load(motion), len(q), motion.total
+        load = scale_loads(self._acting[:, places.at], places.load_fraction)
+        track = StateTrack(places, self._numbers, q[:, places.at], load)
         robots = range(count)
         # First from station to station alone, which is enough for unknowns; margins are wanted at all places.
         snaps = self._branches(places, track, robots)
@@ -80,7 +80,7 @@ class Follower:
             if torn:
                 snaps |= self._branches(places, track, torn)
         frames = (total * np.arange(count)[:, None] + places.frames).ravel()
-        known, own = track.known, np.tile(places.own, count)
+        known, own = track.is_known, np.tile(places.is_frame, count)
         here = np.flatnonzero(known & own)
         x, (at, between) = np.full((count * total, q.shape[2]), np.nan), np.full((2, count * total), np.nan)
         x[frames[here]] = track.states.rows(here).unknowns
@@ -90,39 +90,43 @@ class Follower:
             way_there = np.flatnonzero(known & ~own & np.isfinite(at[frames]))
             between = least_margins(self.loaded, track.states.rows(way_there), frames[way_there], at)
         each = zip(np.split(x, count), np.split(at, count), np.split(between, count), strict=True)
-        return [_followed(*one, snaps[k], self._numbers.shape[1]) for k, one in enumerate(each)]
+        return [_assemble_path(*one, snaps[k], self._numbers.shape[1]) for k, one in enumerate(each)]
 
-    def _branches(self, places: Course, track: Track, robots: Sequence[int]) -> dict[int, list[Snap]]:
+    def _branches(self, places: LoadSchedule, track: StateTrack, robots: Sequence[int]) -> dict[int, list[Snap]]:
         """Follow robots, by number, from station to station; return the snaps where branches of each end."""
         snaps = {k: list[Snap]() for k in robots}
-        likely = Likely(self._structure, self.loaded, track.states) if len(robots) <= FEW else None
+        likely = (
+            StationGuesses(self._structure, self.loaded, track.states)
+            if len(robots) <= MAX_GUESSED_ROBOTS
+            else None
+        )
         # Stretches between fresh places are followed one after the other; robots side by side.
         begins = [*np.flatnonzero(places.fresh).tolist(), len(places.at)]
         for begin, end in itertools.pairwise(begins):
-            which, start = self.settled(track.q(begin))
+            which, start = self.rest_without_load(track.q(begin))
             kept = np.isin(which, robots)
             first = track.rows(which[kept], begin)
             track.states.write(first, start.rows(kept))
             if likely is not None:
                 for row in first:
-                    likely.look(track.stations(row, row + end - begin))
-            for row, slopes in track.onwards(self.loaded, first, first + end - begin - 1, likely):
+                    likely.guess_stations(track.stations(row, row + end - begin))
+            for row, slopes in track.follow_stations(self.loaded, first, first + end - begin - 1, likely):
                 robot, place = track.robot(row)
-                snaps[robot].append(Snap(int(places.frames[place]) + 1, _leaving(slopes), None))
+                snaps[robot].append(Snap(int(places.frames[place]) + 1, _snapping_tubes(slopes), None))
         return snaps
 
 
-def _leaving(slopes: Array) -> tuple[int, ...]:
+def _snapping_tubes(slopes: Array) -> tuple[int, ...]:
     """Return the tubes, from 1, whose tips turn most where a branch ends, by the slopes (d + 2, d + 2) there."""
     # At the end of a branch slopes are singular: the right singular vector of the least value is the change of the
     # tip that no motor feels. Its first two entries are turns of the frame.
     turn = np.linalg.svd(slopes)[2][-1][2:]
     # A turn of all tubes alike is none of any tube.
     apart = abs(turn - turn.mean())
-    return tuple(int(i) + 1 for i in np.flatnonzero(apart >= TURNING * max(apart.max(), 1e-300)))
+    return tuple(int(i) + 1 for i in np.flatnonzero(apart >= MIN_SNAP_TURN_SHARE * max(apart.max(), 1e-300)))
 
 
-def _followed(x: Array, at: Array, between: Array, snaps: list[Snap], d: int) -> Followed:
+def _assemble_path(x: Array, at: Array, between: Array, snaps: list[Snap], d: int) -> EquilibriumPath:
     """Make the record of one robot from its unknowns x (T, 2d + 2) and margins (T,).
 
     The angle of its innermost tube is made continuous over frames. Where it snaps, the least margin between frames
@@ -132,4 +136,4 @@ def _followed(x: Array, at: Array, between: Array, snaps: list[Snap], d: int) ->
     x[reached, d - 1] = np.unwrap(x[reached, d - 1])
     snapped = [snap.frame - 1 for snap in snaps]
     between[snapped] = np.fmin(between[snapped], 0.0)
-    return Followed(x, at, between, tuple(snaps))
+    return EquilibriumPath(x, at, between, tuple(snaps))

@@ -11,27 +11,29 @@ from collections.abc import Iterator
 import numpy as np
 
 from ctr_nlp.models.loaded.equilibria import LoadedEquilibria, States
-from ctr_nlp.models.loaded.following.course import Course
-from ctr_nlp.models.loaded.following.likely import Likely
+from ctr_nlp.models.loaded.following.course import LoadSchedule
+from ctr_nlp.models.loaded.following.likely import StationGuesses
 from ctr_nlp.typing import Array, Flags, Index
 
-STRAIGHT = 1e-9
+MAX_LINEAR_SECOND_DIFFERENCE = 1e-9
 """Largest second difference, rad, mm or N, of what counts as changing linearly from place to place."""
 
 
-class Track:
+class StateTrack:
     """States of N robots at M places each, one robot's after the other's; NaN where none is known.
 
     Stations are frames, and places where a line ends.
     """
 
-    def __init__(self, places: Course, numbers: Array, q: Array, load: Array) -> None:
+    def __init__(self, places: LoadSchedule, numbers: Array, q: Array, load: Array) -> None:
         """Prepare for numbers (N, d, 8), q (N, M, 2d + 2), load (N, M, l); places: of the course."""
         self._count, self._length, _ = q.shape
         flat = (array.reshape(self._count * self._length, -1) for array in (q, load))
-        self.states = States.nowhere(np.repeat(numbers, self._length, axis=0), *flat)
+        self.states = States.unknown_states(np.repeat(numbers, self._length, axis=0), *flat)
         self._fresh = np.tile(places.fresh, self._count)
-        self._stations = (places.own | places.fresh | _bent(np.concatenate([q, load], axis=2))).ravel()
+        self._stations = (
+            places.is_frame | places.fresh | _find_line_ends(np.concatenate([q, load], axis=2))
+        ).ravel()
 
     def rows(self, robots: Index, place: int) -> Index:
         """Return the rows of robots, by number, at a place."""
@@ -46,7 +48,7 @@ class Track:
         return self.states.q[self.rows(np.arange(self._count), place)]
 
     @property
-    def known(self) -> Flags:
+    def is_known(self) -> Flags:
         """Whether the state of each row is known, (N M,)."""
         return np.isfinite(self.states.determinant)
 
@@ -54,23 +56,23 @@ class Track:
         """Return the rows of stations from row `begin` to before row `end`."""
         return begin + np.flatnonzero(self._stations[begin:end])
 
-    def onwards(
-        self, equilibria: LoadedEquilibria, at: Index, last: Index, likely: Likely | None
+    def follow_stations(
+        self, equilibria: LoadedEquilibria, at: Index, last: Index, guesses: StationGuesses | None
     ) -> Iterator[tuple[int, Array]]:
         """Follow robots from rows `at` to rows `last`, from station to station.
 
         Yields the stations that branches do not lead to, each with the slopes (d + 2, d + 2) where its branch
-        ends. likely: equilibria that may be skipped to, or None.
+        ends. guesses: equilibria that may be skipped to, or None.
         """
         states, following = self.states, _next(self._stations)
         while True:
             # Rows that were guessed, and confirmed, cost nothing; the others take a step each, all in one batch.
-            at = at if likely is None else likely.skip(states, at)
+            at = at if guesses is None else guesses.skip_confirmed(states, at)
             at, last = at[at < last], last[at < last]
             if not len(at):
                 return
             ahead = following[at]
-            reached, done = equilibria.along(states.rows(at), states.q[ahead], states.load[ahead])
+            reached, done = equilibria.follow_branches(states.rows(at), states.q[ahead], states.load[ahead])
             there = done == 1
             yield from zip(ahead[~there], reached.slopes[~there], strict=True)
             at, last = ahead[there], last[there]
@@ -79,31 +81,33 @@ class Track:
     def fill(self, equilibria: LoadedEquilibria, robot: int) -> bool:
         """Find the states between stations of a robot; return whether each place leads to the next one."""
         here = slice(robot * self._length, (robot + 1) * self._length)
-        states, stations, known = self.states.rows(here), self._stations[here], self.known[here]
+        states, stations, known = self.states.rows(here), self._stations[here], self.is_known[here]
         # The last station at or before each place: from it the line leads through the place.
         before = np.maximum.accumulate(np.where(stations, np.arange(self._length), 0))
         wanted = np.flatnonzero(~stations & known[before] & known[_next(stations)])
-        found, done = equilibria.along(states.rows(before[wanted]), states.q[wanted], states.load[wanted])
+        found, done = equilibria.follow_branches(
+            states.rows(before[wanted]), states.q[wanted], states.load[wanted]
+        )
         states.write(wanted[done == 1], found.rows(done == 1))
         self.states.write(here, states)
         known[wanted] = done == 1
         # A fresh place begins anew: nothing leads to it.
         joined = np.flatnonzero(known[1:] & ~self._fresh[here][1:])
-        return bool(done.all() and equilibria.linked(states.rows(joined), states.rows(joined + 1)).all())
+        return bool(done.all() and equilibria.branches_lead_to(states.rows(joined), states.rows(joined + 1)).all())
 
     def forget(self, robot: int) -> None:
         """Forget a robot's states, and make each of its places a station."""
         here = slice(robot * self._length, (robot + 1) * self._length)
         numbers, q, load, *_ = self.states.rows(here)
-        self.states.write(here, States.nowhere(numbers, q, load))
+        self.states.write(here, States.unknown_states(numbers, q, load))
         self._stations[here] = True
 
 
-def _bent(values: Array) -> Flags:
+def _find_line_ends(values: Array) -> Flags:
     """Return at which places (N, M) of values (N, M, k) a line ends; the first and last places count as such."""
     found = np.ones(values.shape[:2], dtype=bool)
     # Places are evenly spaced in time: on a line second differences are 0.
-    found[:, 1:-1] = abs(np.diff(values, 2, axis=1)).max(axis=2, initial=0.0) > STRAIGHT
+    found[:, 1:-1] = abs(np.diff(values, 2, axis=1)).max(axis=2, initial=0.0) > MAX_LINEAR_SECOND_DIFFERENCE
     return found
 
 

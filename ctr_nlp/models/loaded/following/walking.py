@@ -26,37 +26,37 @@ class LoadedWalker(Walker):
         follower = Follower(structure, np.array(numbers, dtype=float)[None], load, self._acting[:, None])
         self._equilibria = follower.loaded
         # Unloaded first: which equilibrium a robot is in under a load depends on how it came there.
-        _, states = follower.settled(self.q[None])
-        self._go_on(states if len(states.q) else None)
+        _, states = follower.rest_without_load(self.q[None])
+        self._follow_to_target(states if len(states.q) else None)
 
-    def _go_on(self, states: States | None, numbers: Array | None = None) -> None:
+    def _follow_to_target(self, states: States | None, numbers: Array | None = None) -> None:
         """Go on to q under the load from states of the robot; None where it has none.
 
         numbers (1, d, 8): of its tubes from then on, None for those that it has.
         """
         if states is not None:
-            states, done = self._equilibria.along(states, self.q[None], self._acting, numbers=numbers)
+            states, done = self._equilibria.follow_branches(states, self.q[None], self._acting, numbers=numbers)
             states = states if done[0] == 1 else None
         self._states = states
         self.x = np.full(len(self.q), np.nan) if states is None else states.unknowns[0]
 
-    def go(self, q: Array) -> list[Array]:
+    def move_to(self, q: Array) -> list[Array]:
         """Move to q (2d + 2,) on a line; no jump is reported, as it is not known where a loaded robot snaps to."""
         self.q = np.array(q, dtype=float)
-        self._go_on(self._states)
+        self._follow_to_target(self._states)
         return []
 
-    def become(self, numbers: Array, x: Array | None = None) -> list[Array]:
+    def change_tubes(self, numbers: Array, x: Array | None = None) -> list[Array]:
         """Continue as a robot of other numbers (d, 8); x is ignored, as the branch is followed while the numbers
         change.
         """
-        self._go_on(self._states, np.array(numbers, dtype=float)[None])
+        self._follow_to_target(self._states, np.array(numbers, dtype=float)[None])
         return []
 
-    def bear(self, load: Array) -> list[Array]:
+    def change_load(self, load: Array) -> list[Array]:
         """Continue under another load of the same kind, with numbers (17 + 3d,); no jump is reported."""
         self._acting = np.array(load, dtype=float)[None]
-        self._go_on(self._states)
+        self._follow_to_target(self._states)
         return []
 
     def margin(self) -> float:

@@ -3,20 +3,20 @@
 from __future__ import annotations
 
 from ctr_nlp.studies.paper.parts import fig3, fig4, fig6, fig7, fig10, table2
-from ctr_nlp.studies.paper.section import Section
+from ctr_nlp.studies.paper.section import PaperSection
 
-SECTIONS: dict[str, Section] = {
+SECTIONS: dict[str, PaperSection] = {
     section.name: section
     for section in (
-        fig3.SECTION,
+        fig3.FIG3,
         fig4.FIG4,
-        table2.SECTION,
+        table2.TABLE_II,
         fig6.FIG5,
         fig6.FIG6,
         fig7.FIG7,
         fig7.FIG8,
         fig4.FIG9,
-        fig10.SECTION,
+        fig10.FIG10,
     )
 }
 """By the names that options use."""

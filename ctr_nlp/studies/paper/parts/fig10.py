@@ -12,37 +12,51 @@ from matplotlib.figure import Figure
 from ctr_nlp.figures.parts.page import STYLE
 from ctr_nlp.figures.parts.palette import BLACK, tube_colour, tube_width
 from ctr_nlp.models.dominant import shape as dominant
-from ctr_nlp.plan.account import shown
+from ctr_nlp.plan.account import format_cell
 from ctr_nlp.plan.plan import Plan
 from ctr_nlp.studies.paper.checks import Check, number
-from ctr_nlp.studies.paper.clips import FOOT, LEFT, WIDTH, Group, clips
-from ctr_nlp.studies.paper.runs import BASELINE, HORIZON, NAMES, SEED, Found
-from ctr_nlp.studies.paper.section import Section, Table, errors, motions
-from ctr_nlp.support.tables import by_line
+from ctr_nlp.studies.paper.clips import (
+    CLIPS_KEY_HEIGHT_INCH,
+    CLIPS_LEFT_MARGIN_INCH,
+    CLIPS_WIDTH_INCH,
+    ClipGroup,
+    draw_clips,
+)
+from ctr_nlp.studies.paper.runs import (
+    EUCLIDEAN_BASELINE,
+    OUR_HORIZON,
+    PAPER_METHOD_LABELS,
+    PAPER_TWO_STAGE,
+    PaperResults,
+)
+from ctr_nlp.studies.paper.section import CaptionedTable, PaperSection, format_errors, motion_tasks
+from ctr_nlp.support.tables import columns_to_rows
 from ctr_nlp.typing import Array
 
-PROBLEMS = {"euler": "(a) three Euler curves", "euler_mixed": "(b) a line, an arc and an Euler curve"}
-METHODS = HORIZON, SEED, BASELINE
-PANEL = 2.3
+FIG10_PROBLEMS = {"euler": "(a) three Euler curves", "euler_mixed": "(b) a line, an arc and an Euler curve"}
+FIG10_METHODS = OUR_HORIZON, PAPER_TWO_STAGE, EUCLIDEAN_BASELINE
+CURVATURE_PANEL_HEIGHT_INCH = 2.3
 """Inches for the curvatures and what is around them."""
-STEP = 1.0
+FIG10_CURVATURE_SPACING_MM = 1.0
 """mm along the robot at which curvatures are computed."""
 
 
-def tables(found: Found) -> list[Table]:
+def tables(found: PaperResults) -> list[CaptionedTable]:
     """Errors of all methods; the paper prints none."""
-    header = ["problem", "the paper (published)", *(NAMES[m] for m in METHODS)]
-    body = [[f"`{p}`", "none", *(errors(found, p, m) for m in METHODS)] for p in PROBLEMS]
-    return [Table("e3 / e4 in mm on the stiffness-dominant model", header, body)]
+    header = ["problem", "the paper (published)", *(PAPER_METHOD_LABELS[m] for m in FIG10_METHODS)]
+    body = [[f"`{p}`", "none", *(format_errors(found, p, m) for m in FIG10_METHODS)] for p in FIG10_PROBLEMS]
+    return [CaptionedTable("e3 / e4 in mm on the stiffness-dominant model", header, body)]
 
 
-def checks(found: Found) -> list[Check]:
+def checks(found: PaperResults) -> list[Check]:
     """How well the path is followed; the paper gives no number to hold it against."""
     parts = []
-    for problem in PROBLEMS:
-        plan, e3 = found.plan(problem, HORIZON), number(found.row(problem, HORIZON)["e3"])
+    for problem in FIG10_PROBLEMS:
+        plan, e3 = found.plan(problem, OUR_HORIZON), number(found.row(problem, OUR_HORIZON)["e3"])
         length = float(np.linalg.norm(np.diff(plan.target[-1], axis=0), axis=1).sum())
-        parts.append(f"`{problem}`: e3 of {shown(e3)} mm over targets of up to {length:.0f} mm, {e3 / length:.2%}")
+        parts.append(
+            f"`{problem}`: e3 of {format_cell(e3)} mm over targets of up to {length:.0f} mm, {e3 / length:.2%}"
+        )
     return [
         Check(
             "robots of tubes with varying curvature follow the path well",
@@ -59,16 +73,16 @@ def curvatures(plan: Plan) -> dict[str, Array]:
     A tube's is NaN beyond its tip.
     """
     robot, beta = plan.robot, plan.beta[-1]
-    s = np.arange(0.0, beta[-1], STEP)
+    s = np.arange(0.0, beta[-1], FIG10_CURVATURE_SPACING_MM)
     tubes = {}
     for i, tube in enumerate(robot.tube_numbers):
         from_tip = np.minimum(beta[i] - s, tube.curved_length)
         tubes[f"k_{i + 1}"] = np.where(s <= beta[i], tube.tip_curvature + tube.slope * from_tip, np.nan)
     whole = dominant.curvature(robot.tube_numbers, list(beta), s, lambda x: np.heaviside(x, 0.0), np)
-    return {"s": s, **tubes, "robot": whole, "target": np.interp(s, *of_target(plan.target[-1]))}
+    return {"s": s, **tubes, "robot": whole, "target": np.interp(s, *target_curvature(plan.target[-1]))}
 
 
-def of_target(points: Array) -> tuple[Array, Array]:
+def target_curvature(points: Array) -> tuple[Array, Array]:
     """Arc length in mm and curvature in 1/mm at the inner ones of points (n, 3) of a smooth curve."""
     chords = np.diff(points, axis=0)
     lengths = np.linalg.norm(chords, axis=1)
@@ -77,26 +91,31 @@ def of_target(points: Array) -> tuple[Array, Array]:
     return np.cumsum(lengths)[:-1], 2 * angle / (lengths[:-1] + lengths[1:])
 
 
-def rows(found: Found) -> list[dict[str, Any]]:
+def rows(found: PaperResults) -> list[dict[str, Any]]:
     """A line for each problem and mm along the robot in the last frame; 1/mm, nothing beyond a tube's tip."""
     result: list[dict[str, Any]] = []
-    for problem in PROBLEMS:
-        for line in by_line(curvatures(found.plan(problem, HORIZON))):
+    for problem in FIG10_PROBLEMS:
+        for line in columns_to_rows(curvatures(found.plan(problem, OUR_HORIZON))):
             numbers = {name: "" if np.isnan(value) else value for name, value in line.items()}
             result.append({"problem": problem, **numbers})
     return result
 
 
 @matplotlib.rc_context(STYLE)
-def draw(found: Found) -> Figure:
+def draw(found: PaperResults) -> Figure:
     """Clips of both robots, and curvatures along them in the last frame."""
-    plans = {title: found.plan(problem, HORIZON) for problem, title in PROBLEMS.items()}
-    figure = clips([[Group(title, plan) for title, plan in plans.items()]], PANEL)
-    height, wide = figure.get_figheight(), (WIDTH - 2 * LEFT - 0.5) / 2
+    plans = {title: found.plan(problem, OUR_HORIZON) for problem, title in FIG10_PROBLEMS.items()}
+    figure = draw_clips([[ClipGroup(title, plan) for title, plan in plans.items()]], CURVATURE_PANEL_HEIGHT_INCH)
+    height, wide = figure.get_figheight(), (CLIPS_WIDTH_INCH - 2 * CLIPS_LEFT_MARGIN_INCH - 0.5) / 2
     first: Axes | None = None
     for k, (title, plan) in enumerate(plans.items()):
-        left = LEFT + 0.15 + k * (wide + LEFT)
-        box = (left / WIDTH, (FOOT + 0.45) / height, wide / WIDTH, (PANEL - 0.75) / height)
+        left = CLIPS_LEFT_MARGIN_INCH + 0.15 + k * (wide + CLIPS_LEFT_MARGIN_INCH)
+        box = (
+            left / CLIPS_WIDTH_INCH,
+            (CLIPS_KEY_HEIGHT_INCH + 0.45) / height,
+            wide / CLIPS_WIDTH_INCH,
+            (CURVATURE_PANEL_HEIGHT_INCH - 0.75) / height,
+        )
         axes = figure.add_axes(box, sharey=first)
         first = first or axes
         _curvatures(axes, plan)
@@ -120,10 +139,10 @@ def _curvatures(axes: Axes, plan: Plan) -> None:
     axes.set_xlabel("s (mm)")
 
 
-SECTION = Section(
+FIG10 = PaperSection(
     "fig10",
     "Fig. 10: tubes of varying curvature",
-    motions(tuple(PROBLEMS), METHODS),
+    motion_tasks(tuple(FIG10_PROBLEMS), FIG10_METHODS),
     "Ours, all frames at once. Below, pre-curvatures k_i(s) of the tubes along the robot when it is all out, "
     "thick where a tube is the outermost one, so that it sets the robot's curvature, dotted where it lies "
     "within another; and the target's, dashed.",
