@@ -42,7 +42,7 @@ class Calibration(ReadOnlyValue):
     ----------
     robot : Robot
         With the tubes that fit best, and the covariance that is left as its tolerances.
-    described : Robot
+    nominal : Robot
         The nominal robot that was given.
     measured : Measurements
         The T observations that were used, without copies.
@@ -53,15 +53,15 @@ class Calibration(ReadOnlyValue):
     standing : tuple of str
         For every parameter ``"determined"``, ``"partly"``, or ``"held"``: fixed at its mean before measuring, as
         the data say next to nothing of it.
-    untold : tuple of str
+    unidentified : tuple of str
         Sentences that name the parameters, and combinations of them, that the data cannot identify.
-    before : (T, 6 + 3n) array
+    nominal_residuals : (T, 6 + 3n) array
         Residuals of the nominal robot, with the bases registered to the measurements.
     held_out : (T, 6 + 3n) array
         Residuals of fits that did not see the observation; NaN without folds.
     fold : (T,) array of int
         The fold, from 0, that an observation belongs to; -1 without folds.
-    retraced : (n, 2) array of int
+    repeated_poses : (n, 2) array of int
         Observations, and the first ones that had the same pose before.
     floor : float or None
         Half the mean distance between places measured at the same pose, mm: an error that no model of the pose

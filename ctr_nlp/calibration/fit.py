@@ -58,7 +58,7 @@ class Noise(NamedTuple):
         Standard deviation of a measured coordinate, mm; NaN where there is none.
     direction : float
         Standard deviation of a component of a measured direction, rad; NaN where there is none.
-    alike : float
+    autocorrelation : float
         Correlation of residuals that follow each other in a motion; 0 where there is none.
     """
 
@@ -93,7 +93,7 @@ class ParameterFit:
         Measured less predicted, NaN where nothing was measured; mm, and components of unit vectors.
     noise : Noise
         Estimated from these residuals.
-    held : (P,) array of bool
+    fixed : (P,) array of bool
         Parameters that are fixed at their means before measuring, as the data hardly say anything of them.
     """
 

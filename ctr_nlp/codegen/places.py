@@ -78,9 +78,9 @@ class SamplePointFunction(NamedTuple):
 class FunctionInParts(NamedTuple):
     """A function called `name`, in parts: one of the unknowns and other inputs, and one of all that this finds.
 
-    directed: its last input are the results at places, which are evaluated in its pause, from its other inputs and
-    early outputs with their slopes; outputs whose names begin with EARLY_OUTPUT_PREFIX come first. joined: of the
-    results at places and then those of directed, in their order (directions.py).
+    main_part: its last input are the results at places, which are evaluated in its pause, from its other inputs
+    and early outputs with their slopes; outputs whose names begin with EARLY_OUTPUT_PREFIX come first. join_part:
+    of the results at places and then those of directed, in their order (directions.py).
     """
 
     name: str

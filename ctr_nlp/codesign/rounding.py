@@ -60,7 +60,7 @@ class StockRounding:
         What to buy, outermost first.
     free, rounded : ndarray
         e3 (n,) of the tasks' motions with free tubes and with these, mm, over the same frames and scenarios.
-    tried : int
+    combination_count : int
         Number of combinations of which they are the best.
     """
 

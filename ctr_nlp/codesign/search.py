@@ -136,7 +136,7 @@ class DesignSearch:
         Least stability margin of every robot.
     stop : callable
         Returns whether to stop; asked between steps.
-    seen : callable or None
+    on_candidate : callable or None
         Called with the candidate of every round.
     jobs : int or distributed.Client
         Where independent tasks are worked on; see `run_in_parallel`.

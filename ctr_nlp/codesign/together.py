@@ -98,13 +98,13 @@ class Design:
         Rules of manufacture, with the values that the tubes have.
     remarks : tuple of Remark
         Rules that bind, the costliest first.
-    tried : tuple of dict
+    start_results : tuple of dict
         Results of the robot's own tubes and of every start, as numbers and strings.
     interrupted : bool
         Whether Ctrl-C ended the work.
-    stocked : Stocked or None
+    stock_rounding : Stocked or None
         What to buy and what it costs, where tubes were rounded to a stock.
-    doubts : tuple of str
+    warnings : tuple of str
         Sentences on tubes that are not used or hardly sold.
     """
 

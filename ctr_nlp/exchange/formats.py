@@ -16,7 +16,9 @@ from ctr_nlp.plan.plan import Plan
 
 @dataclass(frozen=True)
 class FileFormat:
-    """A format of one file. of: the bytes of a plan's file; opening: what those have at byte `at`."""
+    """A format of one file. encode: the bytes of a plan's file; signature: what those have at byte
+    `signature_offset`.
+    """
 
     encode: Callable[[Plan], bytes]
     suffix: str

@@ -25,9 +25,9 @@ from ctr_nlp.formulations.terms.lumen import (
 )
 from ctr_nlp.models import Model
 from ctr_nlp.models.protocol import frame_and_load_symbol, symbolic_tubes
+from ctr_nlp.nlp.local_parameters import LocalParameterSource
 from ctr_nlp.robot import Robot
 from ctr_nlp.robot.structure import TUBE_NUMBER_NAMES, Structure
-from ctr_nlp.solvers.frame.adapter import LocalParameterSource
 from ctr_nlp.target.lumen import LUMEN_TABLE_SPACING_MM, Lumen, outermost_tube_radii, tube_outer_radii
 from ctr_nlp.typing import Array
 

@@ -67,7 +67,7 @@ class Wall:
     """The wall of a lumen around a robot on a model.
 
     weight: cost of a mm of contact, mm^2. clearance: mm that are to be kept. contact_allowed: mm beyond the wall
-    from which contact costs more. finer: samples for each place, between it and the one before.
+    from which contact costs more. subsamples: samples for each place, between it and the one before.
     """
 
     robot: Robot

@@ -24,10 +24,11 @@ class LoopRun(ReadOnlyValue):
     """What became of a plan of T frames on a plant.
 
     q (T, 2d + 2): where motors were told to go. shape (T, 101, 3): the plant's, mm; e2 (T,): root mean squares
-    over sigma of its distance from the target, mm. lost, snapped: the frame, from 1, in which it is not in the
-    equilibrium that it was planned to be in, or snaps first; 0 where none. means (T, k), deviations (T, k): of the
-    differences estimated; none of an open loop. seconds (T,): of the process, for a cycle each. notes: what the
-    operator was told; stopped: whether the tracker gave up. planned: what came of planning the rest anew.
+    over sigma of its distance from the target, mm. first_failed_frame, first_snap_frame: the frame, from 1, in
+    which it is not in the equilibrium that it was planned to be in, or snaps first; 0 where none. means (T, k),
+    deviations (T, k): of the differences estimated; none of an open loop. seconds (T,): of the process, for a
+    cycle each. notes: what the operator was told; stopped: whether the tracker gave up. replannings: what came of
+    planning the rest anew.
     """
 
     q: Array

@@ -33,7 +33,7 @@ NO_TUBE = -1
 class ParameterDifferences:
     """The k differences of a robot whose tolerances are not 0: of tubes, then zeros, a force at the tip, and lags.
 
-    places: the tube, from 0, and the name of each, as robot.tolerances has them, or one of FORCE_COMPONENT_NAMES.
+    entries: the tube, from 0, and the name of each, as robot.tolerances has them, or one of FORCE_COMPONENT_NAMES.
     mean (k,), covariance (k, k): what is known before anything is measured, in parts, mm, rad and N.
     """
 

@@ -70,7 +70,7 @@ class Observer:
 
     q (2d + 2,): where the motors are. margin: of the estimated robot, NaN where nothing can be unstable.
     predicted: its shape at the predictor's places, of which the sensors' come first. jumps: by what its tips
-    jumped so far; refused: how many readings were not taken since the estimated robot would have snapped.
+    jumped so far; rejected_updates: how many readings were not taken since the estimated robot would have snapped.
     """
 
     def __init__(

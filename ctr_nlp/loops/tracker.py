@@ -67,8 +67,8 @@ class Note(NamedTuple):
 
 
 class Tracker:
-    """Leads one robot through a plan. notes: what the operator was told, in order. way: what tubes are led along,
-    the plan's until it is planned anew.
+    """Leads one robot through a plan. notes: what the operator was told, in order. reference: what tubes are led
+    along, the plan's until it is planned anew.
 
     Where sensors cannot be believed, the estimate goes back to what it was before, and is kept, and the motors go
     back to the plan, which decides whether robots survive. It tracks again after silence alone: a registration

@@ -21,8 +21,8 @@ import numpy as np
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.loads import Load, LoadOverTime
 from ctr_nlp.loads.load import FIRST_WEIGHT_COLUMN
+from ctr_nlp.models.inner import Inner
 from ctr_nlp.models.walker import ConfigurationWalker, Walker
-from ctr_nlp.nlp.nlp import Inner
 from ctr_nlp.robot import Robot
 from ctr_nlp.robot.structure import TUBE_NUMBER_NAMES, Structure, Tubes, tubes_of
 from ctr_nlp.typing import Array, Flags, Index, Vector

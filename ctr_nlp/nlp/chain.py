@@ -92,10 +92,10 @@ class Chain:
     frame: the Nlp of every frame, with n unknowns x and m constraint values g, from which it picks a configuration
     q of k entries. axes: names of these; scale (k,): mm that a unit of each counts as. parameters (p, T): packed,
     a column a frame. lower, upper (T, n): bounds of x, equal where an unknown is fixed. functions: returns the
-    frame's functions, interpreted or, as soon as that is done, compiled. surroundings: None, or a function of the
-    robot's unknowns (T, n - slacks) that returns parameters (T, ..) by name that hold near these only, and the
-    slacks (T,) that they need there. held: lower and upper bounds (T, m) of the frames' constraints; None for the
-    frame's own.
+    frame's functions, interpreted or, as soon as that is done, compiled. local_parameters: None, or a function of
+    the robot's unknowns (T, n - slacks) that returns parameters (T, ..) by name that hold near these only, and the
+    slacks (T,) that they need there. constraint_bounds: lower and upper bounds (T, m) of the frames' constraints;
+    None for the frame's own.
 
     x is (T n,), frame by frame. Rows are, in this order: x itself; the frames' constraints, frame by frame; the
     links, one after the other.

@@ -11,7 +11,7 @@ sign: positive at upper bounds.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -19,6 +19,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from ctr_nlp.models.inner import Inner
 from ctr_nlp.nlp.written import FrameFunctions, ProgramExpressions
 from ctr_nlp.typing import Array, Flags, Index
 
@@ -48,32 +49,6 @@ class Constraint:
     value: ca.SX
     lower: Array
     upper: Array
-
-
-@dataclass(frozen=True)
-class Inner:
-    """Quantities between x and the terms of an Nlp, in whose symbols the terms may be written.
-
-    Where residuals are simple in a few quantities and these depend on few x each, as points that are sums of
-    lengths times directions, derivatives taken in two steps need a third fewer operations. Layers of them follow
-    each other: the values of one may be written in the symbols of those before.
-    """
-
-    symbols: tuple[ca.SX, ...] = ()
-    values: tuple[ca.SX, ...] = ()
-
-    @classmethod
-    def of(cls, values: Sequence[ca.SX]) -> Inner:
-        """Make a layer of values, with a new symbol of the same shape for each."""
-        # Dense, since a symbol is: entries that are zero by structure would have no symbol to match.
-        dense = tuple(ca.densify(value) for value in values)
-        return cls(tuple(ca.SX.sym("inner", *value.shape) for value in dense), dense)
-
-    @property
-    def columns(self) -> tuple[ca.SX, ca.SX]:
-        """All symbols, and all values, in one column."""
-        symbols, values = ([ca.vec(each) for each in part] for part in (self.symbols, self.values))
-        return ca.vertcat(ca.SX(0, 1), *symbols), ca.vertcat(ca.SX(0, 1), *values)
 
 
 @dataclass(frozen=True, eq=False)

@@ -35,8 +35,9 @@ def partition_program(written: ProgramExpressions) -> list[FunctionInParts]:
 class _Partition:
     """The places of a program, and the rest: the program without their rows.
 
-    values: of the quantities that places share, which come first in the rest's first layer. kept: numbers of the
-    constraints that the rest has; order: position of each constraint among these and then those of places.
+    values: of the quantities that places share, which come first in the rest's first layer. rest_constraints:
+    numbers of the constraints that the rest has; order: position of each constraint among these and then those of
+    places.
     """
 
     places: tuple[SampleTerms, ...]

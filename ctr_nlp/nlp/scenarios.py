@@ -170,9 +170,10 @@ class SharedMotion:
     scenario's, rad. twist_steps (T,): rad by which the first's may turn beyond its motors on the way to each
     frame; infinite where none is before it.
 
-    surroundings: None, or a function of all robots' unknowns (T, S, m) that returns parameters (T, S, ..) by name
-    that hold near these only. free: the program without the wall, for robots that this is far from; bare: the
-    program without any objective, for robots whose errors do not count. None: the whole program serves.
+    local_parameters: None, or a function of all robots' unknowns (T, S, m) that returns parameters (T, S, ..) by
+    name that hold near these only. without_wall: the program without the wall, for robots that this is far from;
+    without_objective: the program without any objective, for robots whose errors do not count. None: the whole
+    program serves.
     """
 
     frame: Nlp

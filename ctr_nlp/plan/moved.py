@@ -22,8 +22,8 @@ PLANNED_BRANCH_TOLERANCE_RAD = 0.05
 
 
 class MotionEvaluation(NamedTuple):
-    """Results of a simulated motion. arrays, told: fields of a plan and entries of its meta. simulation: the robot
-    moved through its motion.
+    """Results of a simulated motion. arrays, metadata: fields of a plan and entries of its meta. simulation: the
+    robot moved through its motion.
     """
 
     arrays: dict[str, Any]

@@ -32,7 +32,7 @@ class SampleOutcomes:
         Deepest contact with the wall over all frames, mm, 0 where it touches nothing; NaN without a wall.
     arrival_tolerance, contact_allowed : float
         The limits that the robots are judged by, mm.
-    walled : bool
+    wall_known : bool
         Whether a wall is known.
     """
 

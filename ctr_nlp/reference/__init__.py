@@ -26,7 +26,8 @@ from ctr_nlp.target.problem import Problem
 class Reference(NamedTuple):
     """A method of others: made of a problem and lambda / dt^2, and the model that it knows.
 
-    every: whether it serves every problem; another one says why it does not serve one, and is run by name only.
+    serves_every_problem: whether it serves every problem; another one says why it does not serve one, and is run
+    by name only.
     """
 
     method: Callable[[Problem, float], Method]

@@ -49,11 +49,11 @@ class RobotSamples(ReadOnlyValue):
         Tubes (n, d, 8), in the order of `structure.NUMBERS`.
     offsets : ndarray
         Errors of the motors' zeros (n, d), rad: by how much the angle of a tube exceeds that of its motor.
-    lags : ndarray
+    backlash : ndarray
         Backlash (n, d), rad: by which angle a tube may stay behind its motor, to either side.
     forces : ndarray
         Forces (n, 3) at the tips, N, in the axes of the base.
-    parts : ndarray
+    deviations : ndarray
         Differences (n, d, 5) from the nominal robot, in the order of `tolerances.NAMES`.
     """
 

@@ -27,7 +27,7 @@ class Structure:
     ----------
     kinds : tuple of str
         Kinds of the tubes' curved parts, outermost first.
-    shown : tuple of bool
+    transmission_emerges : tuple of bool
         Which tubes can be extended so far that their straight transmissions come out of the insertion point.
     gap : bool
         Whether carriages are kept at a least distance.
@@ -50,7 +50,7 @@ class TubeNumbers(NamedTuple):
     ----------
     kind : str
         Kind of its curved part.
-    shown : bool
+    transmission_emerges : bool
         Whether its straight transmission can come out.
     length, curved_length : Any
         Lengths, mm.

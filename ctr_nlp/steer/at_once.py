@@ -16,9 +16,10 @@ from ctr_nlp.formulations import Stage
 from ctr_nlp.formulations.frame import pack_frames
 from ctr_nlp.formulations.frames import FrameResult
 from ctr_nlp.formulations.joint import tip_step_limits
+from ctr_nlp.nlp.local_parameters import LocalParameterSource
 from ctr_nlp.robot import Robot
 from ctr_nlp.solvers import NlpSolver, Solution
-from ctr_nlp.solvers.frame.adapter import ConfigurationLimits, LocalParameterSource
+from ctr_nlp.solvers.frame.adapter import ConfigurationLimits
 from ctr_nlp.typing import Array
 
 
@@ -40,8 +41,8 @@ class CompiledFrames:
 
     p (T, n_p): its parameters in each frame. reach: bounds of q and of its change from frame to frame. tips:
     number of unknowns that are tips' angles, which may also change only so much between frames; 0 where the
-    unknowns are q itself. near: gives parameters that are valid near one configuration only, such as those of a
-    wall; None where there are none.
+    unknowns are q itself. local_parameters: gives parameters that are valid near one configuration only, such as
+    those of a wall; None where there are none.
     """
 
     stage: Stage

@@ -50,8 +50,8 @@ class SolvedStart:
 
     motion (T, n - slacks): the robot's unknowns. parameters: of the chain that was solved. start_objective:
     objective of the start after it was brought within limits, mm^2; inf where that was not possible. feasible:
-    whether the point keeps all limits. made: whether the robot, simulated through the motion, is where it was
-    planned to be, as far as that was checked.
+    whether the point keeps all limits. on_planned_branch: whether the robot, simulated through the motion, is
+    where it was planned to be, as far as that was checked.
     """
 
     solution: Solution

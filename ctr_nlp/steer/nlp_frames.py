@@ -55,8 +55,8 @@ class NlpFrames:
 
     free, inside: stages far from any wall, and within one that counts; inside is empty where none does. runs:
     those of formulations of one stage, for many frames in one call. margins (T,): least stability margins, NaN
-    where none is asked for. near: the wall that frames are kept within, None for none. wall: that of the lumen,
-    None where it costs nothing. arrival: the term that leads the tip to the target's end, or None.
+    where none is asked for. active_wall: the wall that frames are kept within, None for none. wall: that of the
+    lumen, None where it costs nothing. arrival: the term that leads the tip to the target's end, or None.
 
     Solvers with other margins or another wall are made by dataclasses.replace and share everything that was built.
     """

@@ -43,8 +43,8 @@ T = TypeVar("T")
 
 
 class MarginShortfall(NamedTuple):
-    """By how much the stability margin is missed on the way to each frame, by_frame (T,); lost: the robot left the
-    branch.
+    """By how much the stability margin is missed on the way to each frame, by_frame (T,); left_branch: the robot
+    left the branch.
     """
 
     by_frame: Array

@@ -21,9 +21,10 @@ from ctr_nlp.formulations.terms.shape import TARGET_SAMPLE_STRIDE, ShapeDistance
 from ctr_nlp.formulations.wall import MAX_WALL_RELINEARISATIONS, WALL_SLACK_TOLERANCE_MM, Wall, make_wall
 from ctr_nlp.loads import require_constant_load
 from ctr_nlp.models import DEFAULT_MODEL, Model, model_named
+from ctr_nlp.nlp.local_parameters import LocalParameterSource
 from ctr_nlp.robot import Robot
 from ctr_nlp.solvers.compiled import library
-from ctr_nlp.solvers.frame.adapter import KKT_TOLERANCE, LocalParameterSource
+from ctr_nlp.solvers.frame.adapter import KKT_TOLERANCE
 from ctr_nlp.solvers.frame.program import Program
 from ctr_nlp.solvers.frame.run import FrameSequence
 from ctr_nlp.steer.at_once import reach_of

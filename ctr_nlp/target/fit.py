@@ -35,7 +35,7 @@ class Misfit(NamedTuple):
         Its number, from 1.
     start, stop : float
         Ends of that part along the path from the entry, mm.
-    lack : float
+    radius_excess : float
         By how much its radius exceeds the lumen's at most, mm.
     at : float
         Where that is, mm along the path.

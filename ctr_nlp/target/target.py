@@ -43,7 +43,7 @@ class Frame(ReadOnlyValue):
         The curve of which the shape is the first part of this length.
     number : int
         Number of the frame in its target, from 0.
-    part : float
+    motion_fraction : float
         Part of the motion that has passed there, from 0 to 1.
     """
 

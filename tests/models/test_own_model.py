@@ -29,7 +29,8 @@ from ctr_nlp.figures import save_all
 from ctr_nlp.formulations.terms import Parts, Term
 from ctr_nlp.hardware.description import simulated_hardware
 from ctr_nlp.models import KINEMATIC_MODELS, Model, SymbolicShape, register
-from ctr_nlp.nlp.nlp import Inner, Residual
+from ctr_nlp.models.inner import Inner
+from ctr_nlp.nlp.nlp import Residual
 from ctr_nlp.plan.metrics import by_frame, summary
 
 matplotlib.use("Agg")

@@ -14,9 +14,10 @@ from strategies import seeds
 
 from ctr_nlp import Limits, Problem, Robot, Tube, curve_from_formula, growing, shapes, table_i_robot
 from ctr_nlp.formulations.horizon import EndConfigurations
+from ctr_nlp.models.inner import Inner
 from ctr_nlp.nlp.chain import Chain, Excess, Slopes
 from ctr_nlp.nlp.links import FrameLink, differences
-from ctr_nlp.nlp.nlp import Constraint, CostTerm, Inner, Nlp, Residual
+from ctr_nlp.nlp.nlp import Constraint, CostTerm, Nlp, Residual
 from ctr_nlp.target.target import SIGMA_GRID
 
 FRAMES, WEIGHT, DURATION = 4, 3e-3, 5.0

@@ -30,7 +30,7 @@ VECTORS = ("avx512f", "avx2", "neon", "asimd")
 class CheckResult(NamedTuple):
     """Result of one check.
 
-    what: the thing that was checked. good: whether it works. seen: what was found. remedy: how to mend it. core:
+    what: the thing that was checked. good: whether it works. detail: what was found. remedy: how to mend it. core:
     whether planning needs it.
     """
 

@@ -26,7 +26,8 @@ from ctr_nlp.formulations.settings import ARRIVAL_WEIGHT, Settings
 from ctr_nlp.formulations.terms.term import Body, Parts, Symbols, Term
 from ctr_nlp.formulations.terms.tip import TipOnlyTerm
 from ctr_nlp.models import Model
-from ctr_nlp.nlp.nlp import CostTerm, Inner
+from ctr_nlp.models.inner import Inner
+from ctr_nlp.nlp.nlp import CostTerm
 from ctr_nlp.robot.structure import Structure
 from ctr_nlp.target.target import Frame
 from ctr_nlp.typing import Array
@@ -80,7 +81,7 @@ class ArrivalTerm(TipOnlyTerm):
         Distance from the target's end within which the tip may be in the last frame at no cost, mm.
     required : float
         Distance beyond which each mm costs EXCESS_ARRIVAL_FACTOR times as much, mm.
-    wider : float
+    perturbed_extra_radius : float
         How much larger the radius is for robots that differ from the nominal one, mm.
     """
 

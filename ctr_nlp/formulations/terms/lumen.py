@@ -17,8 +17,9 @@ import numpy as np
 
 from ctr_nlp.formulations.terms.arrival import smooth_excess
 from ctr_nlp.formulations.terms.term import Body, Parts, Symbols, Term
+from ctr_nlp.models.inner import Inner
 from ctr_nlp.models.protocol import columns_of
-from ctr_nlp.nlp.nlp import Constraint, CostTerm, Inner
+from ctr_nlp.nlp.nlp import Constraint, CostTerm
 from ctr_nlp.robot.structure import Structure
 from ctr_nlp.target.target import Frame
 from ctr_nlp.typing import Array, Vector

@@ -15,7 +15,8 @@ import casadi as ca
 import numpy as np
 
 from ctr_nlp.models import SymbolicShape
-from ctr_nlp.nlp.nlp import Constraint, CostTerm, Inner, Residual
+from ctr_nlp.models.inner import Inner
+from ctr_nlp.nlp.nlp import Constraint, CostTerm, Residual
 from ctr_nlp.robot.structure import Structure, Tubes
 from ctr_nlp.target.target import Frame
 from ctr_nlp.typing import Vector

@@ -22,7 +22,8 @@ from ctr_nlp.formulations.terms.lumen import (
     wall_parameters,
 )
 from ctr_nlp.formulations.terms.term import Body, Parts, Symbols, Term
-from ctr_nlp.nlp.nlp import CostTerm, Inner
+from ctr_nlp.models.inner import Inner
+from ctr_nlp.nlp.nlp import CostTerm
 from ctr_nlp.robot.structure import Structure
 from ctr_nlp.target.target import Frame
 

@@ -22,10 +22,11 @@ class Standing(NamedTuple):
 class Signs(NamedTuple):
     """What a device shows beside its position; whether that is as it should be is decided by the supervision.
 
-    said: a sentence on what it said or did that no device does that plays as it should, "" for nothing. override:
-    what it scales all speeds by, in %, None where it does not tell. stalled: s in which it has done nothing
-    although it was given something to do. cause: why that is so, as far as can be told, "" where nothing can.
-    astray: why its axes are further from the path than those of such a device can be, "" where they are not.
+    anomaly: a sentence on what it said or did that no device does that plays as it should, "" for nothing.
+    override: what it scales all speeds by, in %, None where it does not tell. stalled: s in which it has done
+    nothing although it was given something to do. cause: why that is so, as far as can be told, "" where nothing
+    can. off_path_cause: why its axes are further from the path than those of such a device can be, "" where they
+    are not.
     """
 
     anomaly: str = ""

@@ -89,7 +89,7 @@ class Result:
     """How it ended and why.
 
     frame: the last that was passed for certain, 0 for none. position: where the axes stand (m,) in their units,
-    None where nothing is known. trusted: whether that is where the motors are. unkept: why that could not be
+    None where nothing is known. trusted: whether that is where the motors are. memory_error: why that could not be
     remembered, so that the next session asks for it again; "" where it was.
     """
 

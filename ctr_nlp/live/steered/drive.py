@@ -25,7 +25,7 @@ COMPILATION_POLL_S = 0.5
 
 @dataclass(frozen=True)
 class Drive:
-    """A model, and a steerer on it; walled: whether the steerer keeps the robot within the lumen."""
+    """A model, and a steerer on it; within_lumen: whether the steerer keeps the robot within the lumen."""
 
     model: Model
     steerer: Steerer
@@ -46,7 +46,7 @@ class Drive:
 class PendingDrive:
     """The drive that is wanted, made in a thread of its own as soon as its programs have been compiled.
 
-    found: the drive on the model, None until then. failed: why there will be none, None where nothing failed.
+    drive: the drive on the model, None until then. error: why there will be none, None where nothing failed.
     """
 
     def __init__(self, problem: Problem, model: Model, q: Array, dt: float, settings: Settings) -> None:

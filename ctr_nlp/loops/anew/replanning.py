@@ -22,8 +22,8 @@ take."""
 class ReplanningOutcome(NamedTuple):
     """The outcome of one replanning.
 
-    first: the frame, from 1, that it was to lead from. seconds: processor time that it took. leads: whether it
-    leads from there, since it came to something better.
+    first: the frame, from 1, that it was to lead from. seconds: processor time that it took. adopted_plan: whether
+    it leads from there, since it came to something better.
     """
 
     first: int
@@ -34,8 +34,8 @@ class ReplanningOutcome(NamedTuple):
 class Replanning:
     """Plans again and again what is left of a motion that a tracker leads: each time as soon as the last is over.
 
-    planned: what came of each so far. It plans in place, as if it had been done beside: what is planned leads from
-    REPLANNING_LEAD_S later on.
+    outcomes: what came of each so far. It plans in place, as if it had been done beside: what is planned leads
+    from REPLANNING_LEAD_S later on.
     """
 
     def __init__(self, replanner: Replanner, time: Array) -> None:

@@ -60,7 +60,7 @@ class ReplanningStart(NamedTuple):
     """Where the rest of a motion begins. first: its first frame, from 0. robot: as it is known, with what is left
     to doubt as its tolerances; zeros (d,): what its motors' are off by, rad. before (n, 2d + 2): where its tubes
     will have come through by then, the last of it where they begin; before the motion has begun n is 0, and it may
-    begin elsewhere. way: the rest that is in force.
+    begin elsewhere. reference: the rest that is in force.
     """
 
     first: int

@@ -60,7 +60,7 @@ class Sensor(ABC):
 class Sensors:
     """Several sensors as one. sigma (n,), noise (m,): of all.
 
-    grouped: the places (groups, size) of values that are right or wrong together, an array for every size of
+    value_groups: the places (groups, size) of values that are right or wrong together, an array for every size of
     groups.
     """
 

@@ -13,6 +13,7 @@ import numpy as np
 
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.models.dominant import shape
+from ctr_nlp.models.inner import Inner
 from ctr_nlp.models.protocol import (
     Model,
     SampleArcLengths,
@@ -22,7 +23,6 @@ from ctr_nlp.models.protocol import (
     matrix_of,
     vectors_of,
 )
-from ctr_nlp.nlp.nlp import Inner
 from ctr_nlp.robot import Robot
 from ctr_nlp.robot.structure import Structure, Tubes, tubes_of_batch
 from ctr_nlp.typing import Array, Vector

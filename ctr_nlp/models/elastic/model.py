@@ -14,6 +14,7 @@ from ctr_nlp.models.elastic import shape, stability, torsion
 from ctr_nlp.models.elastic.compiled import get_compiled_elastic
 from ctr_nlp.models.elastic.following import follow, follow_robot_batch, solve_rest_unknowns
 from ctr_nlp.models.elastic.walking import ElasticWalker
+from ctr_nlp.models.inner import Inner
 from ctr_nlp.models.protocol import (
     STABILITY_SUBSTEPS_PER_FRAME,
     EquilibriumPath,
@@ -28,7 +29,6 @@ from ctr_nlp.models.protocol import (
     vectors_of,
 )
 from ctr_nlp.models.walker import Walker
-from ctr_nlp.nlp.nlp import Inner
 from ctr_nlp.robot import Robot
 from ctr_nlp.robot.structure import Structure, Tubes, tubes_of_batch
 from ctr_nlp.typing import Array, Vector

@@ -31,7 +31,7 @@ class InverseKinematicsNetwork:
 
     layers: weights (n_out, n_in) and biases (n_out,). mean (61,), whitening (61, 61): what is subtracted from an
     input, and what it is multiplied by then. curve (k, 3): step of training, mean error of a batch and of held-out
-    shapes there, mm. told: the format, the model's name, the robot's identity, and how it was trained.
+    shapes there, mm. metadata: the format, the model's name, the robot's identity, and how it was trained.
     """
 
     layers: tuple[tuple[Array, Array], ...]

@@ -59,7 +59,7 @@ def s2j(problem: Problem, motion_weight: float, model: str = "dominant", project
 class PredictedConfiguration(NamedTuple):
     """Unknowns x and configuration q, (2d + 2,) each, that keep all limits of position.
 
-    beyond: by how much what the network gave would have left them, rad or mm.
+    limit_violation: by how much what the network gave would have left them, rad or mm.
     """
 
     x: Array

@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
+from ctr_nlp.nlp.local_parameters import LocalParameterSource
 from ctr_nlp.nlp.nlp import Nlp, kkt_residual
 from ctr_nlp.typing import Array
 
@@ -55,29 +56,6 @@ class ConfigurationLimits(NamedTuple):
     low: Array
     high: Array
     most: Array
-
-
-class LocalParameterSource(NamedTuple):
-    """Where run.c finds the parameters of a program that hold near a robot only, with a slack as last unknown.
-
-    call, of: addresses of a function of C and of its first argument; it then takes x, the parameter named load if
-    the program has it, and room for the parameter named described followed by the slack needed there, mm. Slack
-    costs the parameter named weight a mm, mm^2, and hard times as much beyond the parameter named allowed, mm,
-    where that sets in over rounded mm, and firm a mm^2. A frame is solved again around its solution until that
-    needs the same slack within settled mm, or rounds times.
-    """
-
-    call: int
-    context: int
-    load_parameter: str
-    wall_parameter: str
-    weight_parameter: str
-    allowed_parameter: str
-    slack_square_cost: float
-    excess_factor: float
-    excess_rounding_mm: float
-    slack_tolerance_mm: float
-    max_rounds: int
 
 
 class TimedSolution(NamedTuple):

@@ -46,7 +46,7 @@ class Expansion:
     of its own rows; inverse (T, S, k, k): of the equations' Jacobian over phi, whose places (k,) among a robot's
     unknowns are tips; turns (T, S, m, n + P): dx over (dq, dp); repair (T, S, m): the constant part c of dx. Of
     the frames: jacobian (T, r, n + P) of the rows over q and p, and ahead (T, r): what the repair changes them by;
-    twists (T, d - 1, n + P): slopes of the first scenario's twists. given: derivatives over p alone.
+    twists (T, d - 1, n + P): slopes of the first scenario's twists. common_derivatives: derivatives over p alone.
     """
 
     at: Values

@@ -34,11 +34,11 @@ for an infinite bound, and the part of its distance from a bound that a step lea
 class SharedSolution:
     """A point of a shared motion: q (T, n), tips phi (T, S, k), the objective in mm^2, common unknowns p (P,).
 
-    violation: of bounds; missing: of the scenarios' equations; kkt: residual of all conditions of optimality, from
-    the program itself. success: whether it is a solution. held (n - d,): where a robot's unknowns hold beta and
-    theta (SharedMotion). prices (c,): multipliers of p's own rows, mm^2 a unit, positive at upper bounds. burdens
-    (T, S): price at which a robot keeps its margin and its distance in a frame: the sum of its multipliers' sizes,
-    mm^2 a unit. rough: whether the solve was to end near a solution only.
+    violation: of bounds; equation_violation: of the scenarios' equations; kkt: residual of all conditions of
+    optimality, from the program itself. success: whether it is a solution. held (n - d,): where a robot's unknowns
+    hold beta and theta (SharedMotion). prices (c,): multipliers of p's own rows, mm^2 a unit, positive at upper
+    bounds. burdens (T, S): price at which a robot keeps its margin and its distance in a frame: the sum of its
+    multipliers' sizes, mm^2 a unit. rough: whether the solve was to end near a solution only.
     """
 
     q: Array
@@ -92,8 +92,8 @@ class SharedPoint:
 class BarrierErrors(NamedTuple):
     """Residuals of the barrier problem's conditions at a point.
 
-    stationarity: of the Lagrangian, mm^2 per unit of q; missed: by rows and equations, rad and mm; least, most:
-    smallest and largest product of a slack's distance and its multiplier, mm^2.
+    stationarity: of the Lagrangian, mm^2 per unit of q; infeasibility: by rows and equations, rad and mm; least,
+    most: smallest and largest product of a slack's distance and its multiplier, mm^2.
     """
 
     stationarity: float

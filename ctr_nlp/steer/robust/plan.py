@@ -253,7 +253,8 @@ class _Starts:
     """Finds motions to start from: given ones, or the plan of the nominal robot; and others, frame by frame.
 
     planner: of the nominal robot's horizon. model: on which plans are reported. given: motions (T, 2d + 2).
-    margins: of motions frame by frame. told: called with the nominal plan. plan: that plan, once it is known.
+    margins: of motions frame by frame. on_nominal_plan: called with the nominal plan. plan: that plan, once it is
+    known.
     """
 
     planner: Horizon

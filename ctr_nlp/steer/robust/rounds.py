@@ -51,7 +51,7 @@ class FailingSamples(NamedTuple):
     numbers, offsets, forces : ndarray
         Of the F failing robots that keep the branch: (F, d, 8) of the tubes, (F, d) of the motors' zeros in rad,
         (F, 3) N at the tips.
-    held : float
+    holding_share : float
         Share of all robots that keep the branch, arrive, and keep off the wall.
     """
 

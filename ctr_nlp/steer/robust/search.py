@@ -59,8 +59,8 @@ class InitialMotion:
 class StartResult:
     """The result of a start on so many frames.
 
-    grown: part of their differences from the nominal robot with which scenarios were solved for. made: whether the
-    nominal robot makes the motion, as far as that was checked.
+    grown: part of their differences from the nominal robot with which scenarios were solved for.
+    on_planned_branch: whether the nominal robot makes the motion, as far as that was checked.
     """
 
     start: str

@@ -43,8 +43,8 @@ class FailedSamples(NamedTuple):
     """Robots that were lost of those drawn for a motion.
 
     numbers (L, d, 8): of their tubes. offsets (L, d): of their motors' zeros, rad. forces (L, 3): at their tips,
-    N. frames (L,): in which each was lost, from 1. drawn: number of robots simulated. few: whether so few are lost
-    that hardly any robot within the tolerances is.
+    N. frames (L,): in which each was lost, from 1. sample_count: number of robots simulated. few: whether so few
+    are lost that hardly any robot within the tolerances is.
     """
 
     numbers: Array

@@ -35,7 +35,7 @@ DESIGN_OPTIMISERS = "design", "CMA-ES", "Nelder-Mead"
 @dataclass(frozen=True)
 class OptimiserRun:
     """Course of a method: the least root mean square of the tasks' e3, mm, that it had found after so many seconds
-    of process time, (n,) each. asked: number of tubes on which motions were planned.
+    of process time, (n,) each. evaluations: number of tubes on which motions were planned.
     """
 
     method: str
@@ -55,7 +55,7 @@ class _TimeOver(Exception):
 
 @dataclass
 class _RunRecorder:
-    """A run under way, which ends after `most` seconds of process time."""
+    """A run under way, which ends after `max_seconds` seconds of process time."""
 
     method: str
     max_seconds: float

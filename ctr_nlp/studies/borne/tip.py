@@ -68,16 +68,16 @@ class Forces(ReadOnlyValue):
         The frames, from 1.
     directions : (n, 3) array
         Unit vectors in the base frame.
-    snaps : (F, n) array
-        Forces under which the robot snaps, N; infinity where that is more than `most`.
-    leaves : (F, n) array
-        Forces under which the robot is further than `off` beyond its lumen's wall, N; infinity where that is more
-        than `most`, and everywhere where no wall counts.
+    snapping_forces : (F, n) array
+        Forces under which the robot snaps, N; infinity where that is more than `max_force`.
+    lumen_exit_forces : (F, n) array
+        Forces under which the robot is further than `allowed_depth` beyond its lumen's wall, N; infinity where
+        that is more than `max_force`, and everywhere where no wall counts.
     compliance : (F, 3, 3) array
         Displacements of the tip (rows) per small force (columns), mm/N.
-    most : float
+    max_force : float
         Largest force that was looked at, N.
-    off : float or None
+    allowed_depth : float or None
         Depth beyond the wall from which on the robot has left its lumen, mm; None where no wall counts.
     """
 

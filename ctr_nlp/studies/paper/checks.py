@@ -19,7 +19,7 @@ PUBLISHED_DECIMALS = 2
 class Check:
     """A statement, what is found here, and in how many of the cases it is about it holds.
 
-    about = 0: nothing was published that could be compared. asked: it is not the paper's, but asked here.
+    about = 0: nothing was published that could be compared. own_question: it is not the paper's, but asked here.
     """
 
     statement: str

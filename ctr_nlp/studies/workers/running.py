@@ -39,8 +39,8 @@ StudyCallback = Callable[["StudyProgress"], None]
 
 @dataclass
 class StudyProgress:
-    """done, failed: cases of total; known: of them what an earlier run had done. busy: process time of cases, s;
-    seconds: since the run began; workers: threads of the cluster.
+    """done, failed: cases of total; done_before: of them what an earlier run had done. process_s: process time of
+    cases, s; seconds: since the run began; workers: threads of the cluster.
     """
 
     total: int

@@ -48,7 +48,7 @@ NEEDED = {0: "machine positions", 1: "the planner's free blocks", 2: "line numbe
 class Identity:
     """letters of its axes; receive: bytes that it can keep; blocks: of its planner; settings: by name
     ("110"; startup lines are "N0", "N1"), as told.
-    told: version, options and driver, as it answers $I; these tell it from another controller.
+    description: version, options and driver, as it answers $I; these tell it from another controller.
     """
 
     letters: str

@@ -14,7 +14,7 @@ from ctr_nlp.typing import Array
 
 
 class LoadedWalker(Walker):
-    """A robot on its branch of equilibria, under a load that changes only when it is told so (`bear`).
+    """A robot on its branch of equilibria, under a load that changes only when it is told so (`change_load`).
 
     Where the branch ends, it is not known where the robot comes to rest: x is NaN from then on.
     """
