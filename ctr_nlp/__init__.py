@@ -10,33 +10,34 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from ctr_nlp.anatomy.problem_files import problem_from_file, read_csv
-    from ctr_nlp.calibration.calibration import Calibration, calibrate
-    from ctr_nlp.calibration.measurements import Measurements
-    from ctr_nlp.calibration.reading import read_measurements
-    from ctr_nlp.codesign.groups import assign_to_robots, divide_problems
-    from ctr_nlp.codesign.stock import StockTube, read_stock
-    from ctr_nlp.codesign.together import Design, design
+    from ctr_nlp.design.co_design import Design, design
+    from ctr_nlp.design.groups import assign_to_robots, divide_problems
+    from ctr_nlp.design.stock import StockTube, read_stock
     from ctr_nlp.exceptions import CtrError
-    from ctr_nlp.exchange.configurations import plan_through, read_configurations
-    from ctr_nlp.exchange.robots import read_robot
-    from ctr_nlp.formulations.settings import Settings
-    from ctr_nlp.formulations.shared.manufacture import Manufacture
-    from ctr_nlp.loads import Load, LoadOverTime, read_load
+    from ctr_nlp.identify.calibration.calibration import Calibration, calibrate
+    from ctr_nlp.identify.calibration.measurements import Measurements
+    from ctr_nlp.identify.calibration.reading import read_measurements
+    from ctr_nlp.loads.tip import Forces, forces
+    from ctr_nlp.loads.wall import WallForces, wall_forces
     from ctr_nlp.models.loaded.model import Loaded
+    from ctr_nlp.models.loads import Load, LoadOverTime, read_load
+    from ctr_nlp.ocp.settings import Settings
+    from ctr_nlp.ocp.shared.manufacture import Manufacture
+    from ctr_nlp.paths.curve import Curve, curve_from_formula, curve_from_points
+    from ctr_nlp.paths.named_problems import named_problem
+    from ctr_nlp.paths.problem import Problem
+    from ctr_nlp.paths.target import Target, growing, sequence
     from ctr_nlp.plan.metrics import by_frame, summary
     from ctr_nlp.plan.plan import Plan
-    from ctr_nlp.robot import Limits, Robot, Tolerances, Tube, seed_robot, table_i_robot
-    from ctr_nlp.simulation.forward import shape_curve, shapes
-    from ctr_nlp.steer import Steerer, solve_horizon, solve_per_frame
-    from ctr_nlp.steer.robust import solve_robust, solve_robust_per_frame
-    from ctr_nlp.studies.borne.tip import Forces, forces
-    from ctr_nlp.studies.borne.wall import WallForces, wall_forces
+    from ctr_nlp.plan.simulation import shape_curve, shapes
+    from ctr_nlp.planning import Steerer, solve_horizon, solve_per_frame
+    from ctr_nlp.robot import Limits, Robot, Tolerances, Tube, table_i_robot
+    from ctr_nlp.robust import solve_robust, solve_robust_per_frame
     from ctr_nlp.studies.grid.results import Results
     from ctr_nlp.studies.grid.study_file import Study
     from ctr_nlp.studies.workers.running import run_study
-    from ctr_nlp.target.curve import Curve, curve_from_formula, curve_from_points
-    from ctr_nlp.target.problem import Problem
-    from ctr_nlp.target.target import Target, growing, sequence
+    from ctr_nlp.view.exchange.configurations import plan_through, read_configurations
+    from ctr_nlp.view.exchange.robots import read_robot
 
 __version__ = "0.1.0"
 
@@ -74,6 +75,7 @@ __all__ = [
     "divide_problems",
     "forces",
     "growing",
+    "named_problem",
     "plan_through",
     "problem_from_file",
     "read_configurations",
@@ -83,7 +85,6 @@ __all__ = [
     "read_robot",
     "read_stock",
     "run_study",
-    "seed_robot",
     "sequence",
     "shape_curve",
     "shapes",
@@ -98,33 +99,34 @@ __all__ = [
 
 _HOMES = {
     "anatomy.problem_files": ("problem_from_file", "read_csv"),
-    "codesign.groups": ("divide_problems", "assign_to_robots"),
-    "calibration.calibration": ("Calibration", "calibrate"),
-    "calibration.measurements": ("Measurements",),
-    "calibration.reading": ("read_measurements",),
-    "codesign.stock": ("StockTube", "read_stock"),
-    "codesign.together": ("Design", "design"),
+    "identify.calibration.calibration": ("Calibration", "calibrate"),
+    "identify.calibration.measurements": ("Measurements",),
+    "identify.calibration.reading": ("read_measurements",),
+    "design.groups": ("assign_to_robots", "divide_problems"),
+    "design.stock": ("StockTube", "read_stock"),
+    "design.co_design": ("Design", "design"),
     "exceptions": ("CtrError",),
-    "exchange.configurations": ("plan_through", "read_configurations"),
-    "exchange.robots": ("read_robot",),
-    "formulations.settings": ("Settings",),
-    "loads": ("Load", "LoadOverTime", "read_load"),
+    "view.exchange.configurations": ("plan_through", "read_configurations"),
+    "view.exchange.robots": ("read_robot",),
+    "ocp.settings": ("Settings",),
+    "ocp.shared.manufacture": ("Manufacture",),
+    "models.loads": ("Load", "LoadOverTime", "read_load"),
     "models.loaded.model": ("Loaded",),
     "plan.metrics": ("by_frame", "summary"),
     "plan.plan": ("Plan",),
-    "robot": ("Limits", "Robot", "Tolerances", "Tube", "seed_robot", "table_i_robot"),
-    "formulations.shared.manufacture": ("Manufacture",),
-    "simulation.forward": ("shape_curve", "shapes"),
-    "steer": ("Steerer", "solve_horizon", "solve_per_frame"),
-    "steer.robust": ("solve_robust", "solve_robust_per_frame"),
-    "studies.borne.tip": ("Forces", "forces"),
-    "studies.borne.wall": ("WallForces", "wall_forces"),
+    "robot": ("Limits", "Robot", "Tolerances", "Tube", "table_i_robot"),
+    "plan.simulation": ("shape_curve", "shapes"),
+    "planning": ("Steerer", "solve_horizon", "solve_per_frame"),
+    "robust": ("solve_robust", "solve_robust_per_frame"),
+    "loads.tip": ("Forces", "forces"),
+    "loads.wall": ("WallForces", "wall_forces"),
     "studies.grid.results": ("Results",),
     "studies.grid.study_file": ("Study",),
     "studies.workers.running": ("run_study",),
-    "target.curve": ("Curve", "curve_from_formula", "curve_from_points"),
-    "target.problem": ("Problem",),
-    "target.target": ("Target", "growing", "sequence"),
+    "paths.curve": ("Curve", "curve_from_formula", "curve_from_points"),
+    "paths.named_problems": ("named_problem",),
+    "paths.problem": ("Problem",),
+    "paths.target": ("Target", "growing", "sequence"),
 }
 """Module -> the public names that it holds."""
 

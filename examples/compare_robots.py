@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 
 import ctr_nlp as ctr
-from ctr_nlp.problems import named_problem
 
 FRAMES = 12
 
@@ -20,5 +19,5 @@ def bent_more(robot: ctr.Robot, factor: float) -> ctr.Robot:
 seed = ctr.table_i_robot()
 for name, robot in {"the paper's robot": seed, "bent half as much again": bent_more(seed, 1.5)}.items():
     for problem in ("cos", "line"):
-        plan = ctr.solve_per_frame(named_problem(problem, FRAMES, robot=robot))
+        plan = ctr.solve_per_frame(ctr.named_problem(problem, FRAMES, robot=robot))
         print(f"{name} along {problem}: e3 {ctr.summary(plan)['e3']:.2f} mm")

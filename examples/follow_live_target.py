@@ -3,7 +3,7 @@
 import numpy as np
 
 import ctr_nlp as ctr
-from ctr_nlp.simulation.forward import simulate_motion
+from ctr_nlp.plan.simulation import simulate_motion
 
 DT, SIGMA = 0.1, np.linspace(0, 1, 101)
 """Seconds from one target to the next, and places along a shape."""

@@ -1,9 +1,8 @@
 """Plan a robot's way along a bronchus, all frames at once; print how well it follows, and save the plan."""
 
 import ctr_nlp as ctr
-from ctr_nlp.problems import named_problem
 
-problem = named_problem("bronchus", frames=20)
+problem = ctr.named_problem("bronchus", frames=20)
 plan = ctr.solve_horizon(problem).check()  # looks at the wall, stability and 200 simulated robots
 
 found = ctr.summary(plan)

@@ -7,14 +7,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from emulator.firmware import Firmware
+from emulator.wire import VirtualClock, Wire, WireFault
 
 from ctr_nlp import table_i_robot
 from ctr_nlp.exceptions import DeviceFault
 from ctr_nlp.hardware.axis import Axis
 from ctr_nlp.hardware.description import Connection, Hardware
 from ctr_nlp.hardware.devices.grbl.device import Grbl
-from ctr_nlp.hardware.emulator.firmware import Firmware
-from ctr_nlp.hardware.emulator.wire import VirtualClock, Wire, WireFault
 from ctr_nlp.hardware.journal import Journal, read_journal
 from ctr_nlp.hardware.link import RecordedLink
 from ctr_nlp.hardware.motion.trajectory import Trajectory
@@ -25,7 +25,7 @@ from ctr_nlp.hardware.playing.retract import retract
 from ctr_nlp.hardware.playing.session import play_plan, prepare_trajectory, resume
 from ctr_nlp.hardware.playing.trust import Memory, Remembered
 from ctr_nlp.plan.plan import Plan
-from ctr_nlp.simulation.forward import shapes, tangents
+from ctr_nlp.plan.simulation import shapes, tangents
 from ctr_nlp.typing import Array
 
 
@@ -178,12 +178,12 @@ class World:
         return retract(self.latest, self.plan, self.hardware, records, **options)
 
     def resume(
-        self, faults: tuple[WireFault, ...] = (), verified: bool = False, seen: Seen | None = None
+        self, faults: tuple[WireFault, ...] = (), verified: bool = False, callback: Seen | None = None
     ) -> Result:
         """Go on."""
         records = read_journal(self.path)
         self.latest = self.player(faults)
-        return resume(self.latest, self.plan, self.hardware, records, verified=verified, callback=seen)
+        return resume(self.latest, self.plan, self.hardware, records, verified=verified, callback=callback)
 
     def frames_played(self, within: float = 2e-4) -> list[int]:
         """Which frames' positions the controller finished lines at, to so many mm and deg, in order."""

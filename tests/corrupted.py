@@ -20,7 +20,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from malformed import EXAMPLES, RIG, ROBOT, legacy_vtk, markups, mask, plan, plan_entries, table
 
-from ctr_nlp.plan.record import DIGEST, PLAN_ARRAY_SHAPES, digest
+from ctr_nlp.plan.plan_data import DIGEST, PLAN_ARRAY_SHAPES, digest
 
 if sys.version_info >= (3, 11):
     import tomllib

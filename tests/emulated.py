@@ -1,6 +1,6 @@
 """A host of the emulated controller, in virtual time."""
 
-from ctr_nlp.hardware.emulator import Firmware, VirtualClock, Wire
+from emulator import Firmware, VirtualClock, Wire
 
 
 class Host:

@@ -1,13 +1,13 @@
 """A frame's program and its parameters, as tests want them; and robots followed on the elastic model."""
 
-from ctr_nlp.formulations import horizon as formulations
-from ctr_nlp.formulations.frame import fill_parameters, program
-from ctr_nlp.formulations.horizon import interpreted_functions
-from ctr_nlp.formulations.joint import frame_terms
-from ctr_nlp.formulations.joint import joint as formulated
-from ctr_nlp.formulations.terms import ShapeDistance
 from ctr_nlp.models import KINEMATIC_MODELS
-from ctr_nlp.target.target import SIGMA_GRID
+from ctr_nlp.ocp import horizon as formulations
+from ctr_nlp.ocp.frame import fill_parameters, program
+from ctr_nlp.ocp.horizon import interpreted_functions
+from ctr_nlp.ocp.joint import frame_terms
+from ctr_nlp.ocp.joint import joint as formulated
+from ctr_nlp.ocp.terms import ShapeDistance
+from ctr_nlp.paths.target import SIGMA_GRID
 
 MARGIN = 0.1
 

@@ -8,21 +8,21 @@ from typing import Any
 
 import numpy as np
 from bench import REACH, World
+from emulator.firmware import Firmware
+from emulator.wire import WireFault as WireFault
 from loops_of import ROBOT, SENSORS, made_plan
 from near_fold import plan_through
 
 from ctr_nlp.hardware.axis import Axis
 from ctr_nlp.hardware.description import Connection, Hardware
-from ctr_nlp.hardware.emulator.firmware import Firmware
-from ctr_nlp.hardware.emulator.wire import WireFault as WireFault
 from ctr_nlp.hardware.guiding.loop import ClosedLoop, final_estimate, initial_estimate
 from ctr_nlp.hardware.guiding.replay import Replay, replay_session
 from ctr_nlp.hardware.journal import read_journal
 from ctr_nlp.hardware.playing.results import Result
 from ctr_nlp.hardware.playing.session import play_plan, resume
 from ctr_nlp.hardware.sensing.simulated import SimulatedRobot
-from ctr_nlp.loops.feed import SensorFault
-from ctr_nlp.loops.tracker import Note, Tracker
+from ctr_nlp.identify.closed_loop.feed import SensorFault
+from ctr_nlp.identify.closed_loop.tracker import Note, Tracker
 from ctr_nlp.plan.plan import Plan
 
 
@@ -57,19 +57,21 @@ class Loops:
         self.robot = SimulatedRobot(self.world.plan, SENSORS, self.seed, self.faults)
         return ClosedLoop(Tracker(self.world.plan, SENSORS, prior=known), self.robot, self.notes.append)
 
-    def begin(self, wire: tuple[WireFault, ...] = (), seen: Callable[..., None] | None = None) -> Result:
+    def begin(self, wire: tuple[WireFault, ...] = (), callback: Callable[..., None] | None = None) -> Result:
         """Play from the first frame."""
         self.world.latest = self.world.player(wire)
         self.latest = self.loop()
-        return play_plan(self.world.latest, self.world.plan, self.world.hardware, callback=seen, loop=self.latest)
+        return play_plan(
+            self.world.latest, self.world.plan, self.world.hardware, callback=callback, loop=self.latest
+        )
 
-    def resume(self, seen: Callable[..., None] | None = None) -> Result:
+    def resume(self, callback: Callable[..., None] | None = None) -> Result:
         """Go on."""
         records = read_journal(self.world.path)
         self.world.latest = self.world.player()
         self.latest = self.loop(final_estimate(records))
         world = self.world
-        return resume(world.latest, world.plan, world.hardware, records, callback=seen, loop=self.latest)
+        return resume(world.latest, world.plan, world.hardware, records, callback=callback, loop=self.latest)
 
     def replayed(self) -> Replay:
         """The last session again, from its journal."""

@@ -6,8 +6,8 @@ import numpy as np
 from malformed import plan as three_tubes
 
 from ctr_nlp import Plan, Problem, Robot, Tube, curve_from_formula, growing
+from ctr_nlp.paths.curve import Curve
 from ctr_nlp.plan.plan import plan_from_configurations
-from ctr_nlp.target.curve import Curve
 
 TWO = Robot((Tube(90, 70, 0.01, 4.0, 3.2), Tube(150, 90, 0.01, 2.6, 1.6)))
 """Moduli are ratios."""

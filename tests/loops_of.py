@@ -6,9 +6,9 @@ import numpy as np
 from near_fold import LONG, plan_through
 
 from ctr_nlp import Limits, Tolerances
-from ctr_nlp.loops.sensors import Sensors
-from ctr_nlp.loops.sensors.points import ShapePointSensor, TipPositionSensor
-from ctr_nlp.robot.draws import sample_robots
+from ctr_nlp.identify.closed_loop.sensors import Sensors
+from ctr_nlp.identify.closed_loop.sensors.points import ShapePointSensor, TipPositionSensor
+from ctr_nlp.robot.samples import sample_robots
 
 FRAMES = 40
 OFF = Tolerances(0.1, 0.1, motor_zero=0.05)

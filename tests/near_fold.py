@@ -3,10 +3,10 @@
 import numpy as np
 
 from ctr_nlp import Limits, Robot, Tolerances, Tube
+from ctr_nlp.paths.curve import curve_from_points
+from ctr_nlp.paths.problem import Problem
+from ctr_nlp.paths.target import growing
 from ctr_nlp.plan.plan import plan_from_configurations
-from ctr_nlp.target.curve import curve_from_points
-from ctr_nlp.target.problem import Problem
-from ctr_nlp.target.target import growing
 
 LONG = Robot(
     (Tube(90, 70, 0.02, 4.0, 3.2), Tube(150, 90, 0.02, 2.6, 1.6)),

@@ -5,9 +5,9 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 
-from ctr_nlp.nlp.chain import Chain
-from ctr_nlp.nlp.links import FrameLink, differences
-from ctr_nlp.nlp.nlp import Constraint, Nlp, Residual
+from ctr_nlp.ocp.chain import Chain
+from ctr_nlp.ocp.links import FrameLink, differences
+from ctr_nlp.ocp.nlp import Constraint, Nlp, Residual
 from ctr_nlp.typing import Array
 
 

@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 
 from ctr_nlp import Load, Measurements, Robot, Tolerances, Tube
-from ctr_nlp.calibration.next_poses import stable_poses
+from ctr_nlp.identify.calibration.next_poses import stable_poses
 from ctr_nlp.models import KINEMATIC_MODELS, model_with_load
 from ctr_nlp.models.protocol import MotionSubsteps
-from ctr_nlp.robot.draws import perturb_robot
+from ctr_nlp.robot.samples import perturb_robot
 
 TWO = Robot(
     (Tube(90, 60, 1 / 130, 3.0, 2.4), Tube(160, 110, 1 / 60, 2.0, 1.4)),

@@ -33,7 +33,7 @@ from ctr_nlp.cli.main import COMMANDS
 from ctr_nlp.hardware.arm.description import Arm
 from ctr_nlp.hardware.axis import Axis
 from ctr_nlp.hardware.description import Connection, Hardware
-from ctr_nlp.support.values import build_from_table, read_toml
+from ctr_nlp.support.value_checks import build_from_table, read_toml
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
@@ -68,7 +68,7 @@ PIP = '''#!{python}
 import re
 import sys
 
-from ctr_nlp.support.values import read_toml
+from ctr_nlp.support.value_checks import read_toml
 
 *options, wanted = sys.argv[1:]
 extras = set(read_toml("pyproject.toml")["project"]["optional-dependencies"])
@@ -299,7 +299,7 @@ def helps() -> dict[str, str]:
     """The --help of every program."""
     programs = {name: partial(runpy.run_path, str(ROOT / "scripts" / name)) for name in SCRIPTS}
     programs |= {f"ctr-nlp {name}": partial(runpy.run_module, "ctr_nlp") for name in COMMANDS}
-    programs |= {"ctr_nlp.hardware.emulator": partial(runpy.run_module, "ctr_nlp.hardware.emulator")}
+    programs |= {"emulator": partial(runpy.run_module, "emulator")}
     return {name: help_of(name.split(), run) for name, run in programs.items()}
 
 
@@ -379,7 +379,7 @@ def test_diagrams_are_of_a_kind_that_github_draws():
 
 def test_the_wiring_is_that_of_the_example_hardware():
     """Axis, joint, unit, range, speed and acceleration; the drives agree with the emulated machine's settings."""
-    from ctr_nlp.hardware.emulator.reports import DEFAULT_CONTROLLER_SETTINGS
+    from emulator.reports import DEFAULT_CONTROLLER_SETTINGS
 
     hardware = Hardware.from_toml(ROOT / "examples" / "hardware.toml")
     rows = [

@@ -29,11 +29,11 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 from bench import Killed, World, plan_of
+from emulator.faults import FAULTS, THIRD_PARTIES
+from emulator.firmware import is_realtime
+from emulator.wire import SerialLine, VirtualClock
 
 from ctr_nlp.exceptions import DeviceFault
-from ctr_nlp.hardware.emulator.faults import FAULTS, THIRD_PARTIES
-from ctr_nlp.hardware.emulator.firmware import is_realtime
-from ctr_nlp.hardware.emulator.wire import SerialLine, VirtualClock
 from ctr_nlp.hardware.motion.lookahead import FollowedPath
 from ctr_nlp.hardware.motion.trajectory import Trajectory
 from ctr_nlp.hardware.playing import session
@@ -516,7 +516,7 @@ def run(seed: int, folder: Path, kind: str = "") -> Run:
 
     clock.world = world
     try:
-        result = world.begin(seen=seen)
+        result = world.begin(callback=seen)
     except Killed:
         result = None
     clock.sleep(AFTERWARDS_S)

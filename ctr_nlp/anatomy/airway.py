@@ -7,9 +7,9 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from ctr_nlp.support.values import check_choice
-from ctr_nlp.target.curve import Curve, curve_from_points
-from ctr_nlp.target.points import cumulative_arc_length
+from ctr_nlp.paths.curve import Curve, curve_from_points
+from ctr_nlp.paths.points import cumulative_arc_length
+from ctr_nlp.support.value_checks import check_choice
 from ctr_nlp.typing import Array
 
 

@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ctr_nlp.exceptions import CurveError
-from ctr_nlp.target.points import LEAST_POINTS, LONGEST_MM, SHORTEST_MM, check_coordinates
+from ctr_nlp.paths.points import LEAST_POINTS, LONGEST_MM, SHORTEST_MM, check_coordinates
 from ctr_nlp.typing import Array
 
 CENTRELINE_SPACE_TO_LPS = {"LPS": np.eye(4), "RAS": np.diag([-1.0, -1.0, 1.0, 1.0])}

@@ -10,16 +10,16 @@ import numpy as np
 import numpy.typing as npt
 
 from ctr_nlp.anatomy.branch import check_branches, name_source_in_errors
-from ctr_nlp.anatomy.choose import read_branch_segment
+from ctr_nlp.anatomy.branch_selection import read_branch_segment
 from ctr_nlp.anatomy.files import read_table, title
 from ctr_nlp.exceptions import CurveError, OptionError, RobotError
+from ctr_nlp.paths.curve import Curve, curve_from_points
+from ctr_nlp.paths.placement import move_to_robot_frame, normalise_direction, trim_curve
+from ctr_nlp.paths.problem import Problem
+from ctr_nlp.paths.target import check_frames, growing
 from ctr_nlp.robot import Robot, table_i_robot
 from ctr_nlp.robot.units import between, did_you_mean, suggest_angle
-from ctr_nlp.support.values import check_instance, checked_path, number
-from ctr_nlp.target.curve import Curve, curve_from_points
-from ctr_nlp.target.placing import move_to_robot_frame, normalise_direction, trim_curve
-from ctr_nlp.target.problem import Problem
-from ctr_nlp.target.target import check_frames, growing
+from ctr_nlp.support.value_checks import check_instance, checked_path, number
 
 
 def problem_from_file(

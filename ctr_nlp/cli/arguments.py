@@ -11,8 +11,8 @@ from typing import Any
 from ctr_nlp.cli.output.file import check_file
 from ctr_nlp.codegen.cache import COMPILE_VARIABLE
 from ctr_nlp.exceptions import OptionError
-from ctr_nlp.formulations.settings import Settings
-from ctr_nlp.support.values import floats
+from ctr_nlp.ocp.settings import Settings
+from ctr_nlp.support.value_checks import floats
 from ctr_nlp.typing import Array
 
 DEFAULT_SETTINGS = Settings()
@@ -133,7 +133,7 @@ def film_file(arguments: argparse.Namespace) -> Path | None:
     """
     if arguments.film is None:
         return None
-    from ctr_nlp.figures.film import check_film  # brings matplotlib, which takes long to load
+    from ctr_nlp.view.figures.film import check_film  # brings matplotlib, which takes long to load
 
     check_film(arguments.film)
     check_file(Path(arguments.film), "")

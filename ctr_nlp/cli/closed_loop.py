@@ -11,15 +11,15 @@ from typing import Any
 import numpy as np
 
 from ctr_nlp.cli.console import EXIT_SOLVED, EXIT_SOME_FAILED
-from ctr_nlp.cli.telling import console, print_stderr, print_table
+from ctr_nlp.cli.terminal_output import console, print_stderr, print_table
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.hardware.description import Hardware
 from ctr_nlp.hardware.guiding.loop import ClosedLoop, final_estimate, initial_estimate
 from ctr_nlp.hardware.guiding.replay import replay_session
 from ctr_nlp.hardware.sensing.description import URLS, Sensing
-from ctr_nlp.hardware.sensing.opening import source_of
 from ctr_nlp.hardware.sensing.simulated import SimulatedRobot
-from ctr_nlp.loops.tracker import Note, Tracker
+from ctr_nlp.hardware.sensing.source_factory import source_of
+from ctr_nlp.identify.closed_loop.tracker import Note, Tracker
 from ctr_nlp.plan.plan import Plan
 from ctr_nlp.plan.verdicts import YES
 from ctr_nlp.typing import Array

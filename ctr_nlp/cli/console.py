@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import ctr_nlp
-from ctr_nlp.cli.telling import StdoutError, collect_output, print_stderr, write_stdout
+from ctr_nlp.cli.terminal_output import StdoutError, collect_output, print_stderr, write_stdout
 from ctr_nlp.exceptions import CtrError, escape_control_characters, suggest_names
 from ctr_nlp.support.interrupt import deferred_interrupt
 

@@ -16,16 +16,16 @@ from ctr_nlp.cli.arguments import (
     whole,
 )
 from ctr_nlp.exceptions import OptionError
-from ctr_nlp.formulations import default_model
-from ctr_nlp.formulations.settings import ARRIVAL_WEIGHT, THRESHOLDS
-from ctr_nlp.formulations.terms import ShapeDistance, Term, TipDirection, TipPosition
 from ctr_nlp.models import KINEMATIC_MODELS
-from ctr_nlp.plan.draws import DEFAULT_PLAN_SAMPLES
+from ctr_nlp.ocp import default_model
+from ctr_nlp.ocp.settings import ARRIVAL_WEIGHT, THRESHOLDS
+from ctr_nlp.ocp.terms import ShapeDistance, Term, TipDirection, TipPosition
+from ctr_nlp.paths.problem import Problem
+from ctr_nlp.paths.target import SIGMA_GRID
+from ctr_nlp.plan.monte_carlo import DEFAULT_PLAN_SAMPLES
 from ctr_nlp.plan.plan import Plan
 from ctr_nlp.plan.robustness import MOST_LOST
-from ctr_nlp.studies.trade_off import DEFAULT_SWEEP_WEIGHTS_S2
-from ctr_nlp.target.problem import Problem
-from ctr_nlp.target.target import SIGMA_GRID
+from ctr_nlp.studies.pareto_front import DEFAULT_SWEEP_WEIGHTS_S2
 
 HORIZON_FORMULATION = "horizon"
 """The formulation that solves all frames in one program."""

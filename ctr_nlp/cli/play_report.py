@@ -10,7 +10,7 @@ import numpy as np
 from ctr_nlp.cli import closed_loop
 from ctr_nlp.cli.output.file import check_file
 from ctr_nlp.cli.output.folder import check_folder, output_folder
-from ctr_nlp.cli.telling import console, print_stderr, print_table, report_written_files
+from ctr_nlp.cli.terminal_output import console, print_stderr, print_table, report_written_files
 from ctr_nlp.exceptions import OptionError, OutputError
 from ctr_nlp.hardware.description import Hardware
 from ctr_nlp.hardware.guiding.loop import ClosedLoop
@@ -129,7 +129,7 @@ def report(
 
 def _written(title: str, seen: Tracking, names: list[str], out: Path, loop: ClosedLoop | None) -> list[str]:
     """Write tracking.csv and .png, and estimate.csv; their names. Raises OutputError."""
-    from ctr_nlp.figures import save, tracking  # matplotlib is not needed before anything has moved
+    from ctr_nlp.view.figures import save, tracking  # matplotlib is not needed before anything has moved
 
     with output_folder(out, "play") as staging:
         write_csv(staging / "tracking.csv", columns_to_rows(_columns(seen, names)))

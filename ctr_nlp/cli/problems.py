@@ -13,13 +13,13 @@ from typing import Any
 
 from ctr_nlp.anatomy.files import CENTRELINE_SUFFIXES, MASK_SUFFIXES, centrelines_in
 from ctr_nlp.anatomy.problem_files import problem_from_file
-from ctr_nlp.cli.telling import print_stderr
+from ctr_nlp.cli.terminal_output import print_stderr
 from ctr_nlp.exceptions import CtrError, OptionError, ProblemError, suggest_names
 from ctr_nlp.models import model_named
-from ctr_nlp.problems import PROBLEM_NAMES, named_problem
+from ctr_nlp.paths.lumen_fit import problem_notes
+from ctr_nlp.paths.named_problems import PROBLEM_NAMES, named_problem
+from ctr_nlp.paths.problem import Problem
 from ctr_nlp.robot import Robot
-from ctr_nlp.target.fit import problem_notes
-from ctr_nlp.target.problem import Problem
 
 PROBLEM_FILE_SUFFIXES = (*CENTRELINE_SUFFIXES, *MASK_SUFFIXES, ".py")
 """How names of files that problems are read from end."""

@@ -24,7 +24,7 @@ from pathlib import Path
 
 import casadi as ca
 
-from ctr_nlp.codegen import cache, directions, language, places, tape, vector
+from ctr_nlp.codegen import cache, forward_mode, language, sample_points, tape, vector
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.support.folder_lock import FolderLock, lock_named_folder, remove_abandoned
 from ctr_nlp.support.pool import DetachedProcess
@@ -66,7 +66,7 @@ class Library:
     def __init__(
         self,
         described: str,
-        functions: Callable[[], Sequence[ca.Function | places.FunctionInParts]],
+        functions: Callable[[], Sequence[ca.Function | sample_points.FunctionInParts]],
         lanes: int | None,
     ) -> None:
         """Prepare; nothing is compiled yet.
@@ -94,7 +94,7 @@ class Library:
         if (found := cache.find_library(self.key)) is not None:
             return found
         with cache.count_library_wait(), _exclusive_build(self.key):
-            return cache.library(self.key, lambda: places.code(tuple(self._functions()), self._lanes))
+            return cache.library(self.key, lambda: sample_points.code(tuple(self._functions()), self._lanes))
 
     def path_if_ready(self) -> Path | None:
         """The library, or None while it is built in the background, which the first call begins.
@@ -162,7 +162,7 @@ def _hash(key: str) -> str:
 @functools.cache
 def _generator_source() -> str:
     """Source of the modules that write C: a change to them changes what is compiled."""
-    return "".join(map(inspect.getsource, (language, vector, tape, directions, places)))
+    return "".join(map(inspect.getsource, (language, vector, tape, forward_mode, sample_points)))
 
 
 def _claim(key: str) -> FolderLock | None:
@@ -186,7 +186,7 @@ def _claim(key: str) -> FolderLock | None:
 def _begin(
     work: FolderLock,
     key: str,
-    functions: Callable[[], Sequence[ca.Function | places.FunctionInParts]],
+    functions: Callable[[], Sequence[ca.Function | sample_points.FunctionInParts]],
     lanes: int | None,
 ) -> None:
     """Begin to make a library: whoever waits for a solution need not even derive what is compiled.
@@ -240,7 +240,7 @@ def main(work: Path) -> None:
         key, functions, lanes = pickle.loads((work / BUILD_TASK_FILE).read_bytes())
         failed = cache.folder() / f"{FAILED_BUILD_PREFIX}{_hash(key)}"
         try:
-            cache.library(key, lambda: places.code(tuple(functions()), lanes))
+            cache.library(key, lambda: sample_points.code(tuple(functions()), lanes))
             failed.unlink(missing_ok=True)
         except OptionError as error:
             failed.write_text(str(error), encoding="utf-8")

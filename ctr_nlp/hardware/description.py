@@ -17,9 +17,9 @@ from ctr_nlp.exceptions import HardwareError, RobotError
 from ctr_nlp.hardware.arm.description import Arm
 from ctr_nlp.hardware.axis import Axis, apply_axis_limits, check_fit
 from ctr_nlp.hardware.sensing.description import Sensing
+from ctr_nlp.plan.backlash import BacklashAndDrag
 from ctr_nlp.robot import Robot
-from ctr_nlp.simulation.lag import BacklashAndDrag
-from ctr_nlp.support.values import build_from_table, check_keys, number, read_toml
+from ctr_nlp.support.value_checks import build_from_table, check_keys, number, read_toml
 from ctr_nlp.typing import Array
 
 MOTOR_DEVICES = ("simulated", "grbl", "ros2")

@@ -1,15 +1,1 @@
-"""What pulls at a robot, turns it and weighs it down, in N, N mm, N/mm and g/cm^3. Knows robots, and no model."""
-
-from ctr_nlp.loads.load import Load
-from ctr_nlp.loads.modulus import check_moduli, with_modulus
-from ctr_nlp.loads.over_time import LoadOverTime, load_from_dict, read_load, require_constant_load
-
-__all__ = [
-    "Load",
-    "LoadOverTime",
-    "check_moduli",
-    "load_from_dict",
-    "read_load",
-    "require_constant_load",
-    "with_modulus",
-]
+"""Forces on the robot of a plan: the largest ones at its tip, and those of the walls that it touches."""

@@ -19,9 +19,9 @@ import casadi as ca
 import numpy as np
 
 from ctr_nlp.exceptions import OptionError
-from ctr_nlp.loads import Load, LoadOverTime
-from ctr_nlp.loads.load import FIRST_WEIGHT_COLUMN
 from ctr_nlp.models.inner import Inner
+from ctr_nlp.models.loads import Load, LoadOverTime
+from ctr_nlp.models.loads.load import FIRST_WEIGHT_COLUMN
 from ctr_nlp.models.walker import ConfigurationWalker, Walker
 from ctr_nlp.robot import Robot
 from ctr_nlp.robot.structure import TUBE_NUMBER_NAMES, Structure, Tubes, tubes_of
@@ -198,8 +198,8 @@ class Model(ABC):
 
     @property
     def applied_load(self) -> Load | LoadOverTime | None:
-        """The load on the robot, which comes and goes while it stands; None for none. With one, frame_under must
-        be defined.
+        """The load on the robot, which comes and goes while it stands; None for none. With one,
+        frame_with_load must be defined.
         """
         return None
 
@@ -322,7 +322,7 @@ class Model(ABC):
         margins: bool = True,
     ) -> list[EquilibriumPath]:
         """Follow robots with loads (n, M, 17 + 3d) at the sub-steps of a way; arguments and result as in
-        follow_apart.
+        follow_batch.
 
         Raises OptionError on models without loads.
         """

@@ -6,13 +6,13 @@ import importlib.metadata
 from collections.abc import Iterator, Mapping
 
 from ctr_nlp.exceptions import OptionError
-from ctr_nlp.loads import Load, LoadOverTime
 from ctr_nlp.models.dominant import Dominant
 from ctr_nlp.models.elastic import Elastic
 from ctr_nlp.models.loaded.model import Loaded, TipForceModel
+from ctr_nlp.models.loads import Load, LoadOverTime
 from ctr_nlp.models.protocol import Model
 from ctr_nlp.robot import Robot
-from ctr_nlp.support.values import check_choice
+from ctr_nlp.support.value_checks import check_choice
 from ctr_nlp.typing import Array
 
 MODEL_ENTRY_POINT_GROUP = "ctr_nlp.models"

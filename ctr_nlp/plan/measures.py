@@ -8,10 +8,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ctr_nlp.plan.record import PlanData
-from ctr_nlp.support.runs import find_flag_runs
-from ctr_nlp.target.lumen import Lumen, outermost_tube_index
-from ctr_nlp.target.target import QUADRATURE, SIGMA_GRID
+from ctr_nlp.paths.lumen import Lumen, outermost_tube_index
+from ctr_nlp.paths.target import QUADRATURE, SIGMA_GRID
+from ctr_nlp.plan.plan_data import PlanData
+from ctr_nlp.support.flag_runs import find_flag_runs
 from ctr_nlp.typing import Array
 
 

@@ -24,10 +24,10 @@ from ctr_nlp.plan.measures import (
     tip_angle,
 )
 from ctr_nlp.plan.measures import root_mean_square as root_mean_square
-from ctr_nlp.plan.record import PlanData
+from ctr_nlp.plan.plan_data import PlanData
 from ctr_nlp.plan.sample_outcomes import sample_summary
 from ctr_nlp.plan.verdicts import verdicts
-from ctr_nlp.support.runs import find_flag_runs
+from ctr_nlp.support.flag_runs import find_flag_runs
 from ctr_nlp.typing import Array
 
 SAMPLE_E2_COLUMNS = "e2_draws_median", "e2_draws_95"
@@ -60,8 +60,8 @@ def by_frame(plan: PlanData) -> dict[str, Array]:
     Examples
     --------
     >>> import ctr_nlp as ctr
-    >>> from ctr_nlp.problems import named
-    >>> plan = ctr.solve_per_frame(named("arc", frames=3), model="dominant")
+    >>> from ctr_nlp.problems import named_problem
+    >>> plan = ctr.solve_per_frame(named_problem("arc", frames=3), model="dominant")
     >>> ctr.by_frame(plan)["frame"]
     array([1, 2, 3])
     """
@@ -148,8 +148,8 @@ def summary(plan: PlanData) -> dict[str, Any]:
     Examples
     --------
     >>> import ctr_nlp as ctr
-    >>> from ctr_nlp.problems import named
-    >>> plan = ctr.solve_per_frame(named("arc", frames=3), model="dominant")
+    >>> from ctr_nlp.problems import named_problem
+    >>> plan = ctr.solve_per_frame(named_problem("arc", frames=3), model="dominant")
     >>> numbers = ctr.summary(plan)
     >>> numbers["frames"], numbers["failed"]
     (3, 0)

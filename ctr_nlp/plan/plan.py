@@ -14,20 +14,21 @@ import casadi as ca
 import numpy as np
 
 from ctr_nlp.exceptions import CtrError, LoadError, OutputError
-from ctr_nlp.formulations.settings import THRESHOLDS, Settings
-from ctr_nlp.loads import Load, LoadOverTime, with_modulus
 from ctr_nlp.models import Model, model_named
 from ctr_nlp.models.loaded.model import Loaded
-from ctr_nlp.plan.draws import DEFAULT_PLAN_SAMPLE_SEED, DEFAULT_PLAN_SAMPLES, robustness
+from ctr_nlp.models.loads import Load, LoadOverTime, with_modulus
+from ctr_nlp.ocp.settings import THRESHOLDS, Settings
+from ctr_nlp.paths.problem import Problem
 from ctr_nlp.plan.measures import e3
-from ctr_nlp.plan.moved import (
+from ctr_nlp.plan.monte_carlo import DEFAULT_PLAN_SAMPLE_SEED, DEFAULT_PLAN_SAMPLES, robustness
+from ctr_nlp.plan.motion_evaluation import (
     clearance_between,
     describe_branch_failures,
     evaluate_motion,
     find_off_branch_frames,
     lumen_of,
 )
-from ctr_nlp.plan.record import (
+from ctr_nlp.plan.plan_data import (
     DIGEST,
     FORMAT,
     SAMPLE_ARRAY_NAMES,
@@ -38,15 +39,14 @@ from ctr_nlp.plan.record import (
     planned_model,
     read_plan_file,
 )
+from ctr_nlp.plan.plan_transforms import join_plans, per_frame_arrays, resample_plan, reverse_plan, slice_plan
 from ctr_nlp.plan.robustness import Robustness, robustness_from_arrays
-from ctr_nlp.plan.stretches import join_plans, per_frame_arrays, resample_plan, reverse_plan, slice_plan
+from ctr_nlp.plan.simulation import Simulator
 from ctr_nlp.plan.verdicts import Verdicts, verdicts
 from ctr_nlp.robot import Robot
-from ctr_nlp.simulation.forward import Simulator
-from ctr_nlp.support.cards import CardLine, notebook_card_html
-from ctr_nlp.support.values import check_choice, check_instance, checked_path, whole_number
-from ctr_nlp.support.whole_file import write_atomically
-from ctr_nlp.target.problem import Problem
+from ctr_nlp.support.atomic_write import write_atomically
+from ctr_nlp.support.notebook_card import CardLine, notebook_card_html
+from ctr_nlp.support.value_checks import check_choice, check_instance, checked_path, whole_number
 from ctr_nlp.typing import Array, Flags
 
 META_PROBLEM_ATTRIBUTES = "name", "frames", "duration", "deviation", "deviation_share", "space"
@@ -101,8 +101,8 @@ class Plan(PlanData):
     Examples
     --------
     >>> import ctr_nlp as ctr
-    >>> from ctr_nlp.problems import named
-    >>> plan = ctr.solve_per_frame(named("arc", frames=3), model="dominant")
+    >>> from ctr_nlp.problems import named_problem
+    >>> plan = ctr.solve_per_frame(named_problem("arc", frames=3), model="dominant")
     >>> plan.q.shape, plan[:2].shape.shape, len((plan + plan.reversed()).time)
     ((3, 8), (2, 101, 3), 6)
     """
@@ -142,8 +142,8 @@ class Plan(PlanData):
         Examples
         --------
         >>> import ctr_nlp as ctr
-        >>> from ctr_nlp.problems import named
-        >>> problem = named("arc", frames=5)
+        >>> from ctr_nlp.problems import named_problem
+        >>> problem = named_problem("arc", frames=5)
         >>> plan = ctr.solve_per_frame(problem, model="dominant").check(samples=5)
         >>> plan.evaluated, plan.verdicts.unchecked
         ('elastic', ('within the wall',))
@@ -201,8 +201,8 @@ class Plan(PlanData):
         Examples
         --------
         >>> import ctr_nlp as ctr
-        >>> from ctr_nlp.problems import named
-        >>> plan = ctr.solve_per_frame(named("arc", frames=3), model="dominant")
+        >>> from ctr_nlp.problems import named_problem
+        >>> plan = ctr.solve_per_frame(named_problem("arc", frames=3), model="dominant")
         >>> plan.on("elastic").evaluated
         'elastic'
         """
@@ -231,8 +231,8 @@ class Plan(PlanData):
         Examples
         --------
         >>> import ctr_nlp as ctr
-        >>> from ctr_nlp.problems import named
-        >>> plan = ctr.solve_per_frame(named("arc", frames=3), model="dominant").with_modulus(60_000)
+        >>> from ctr_nlp.problems import named_problem
+        >>> plan = ctr.solve_per_frame(named_problem("arc", frames=3), model="dominant").with_modulus(60_000)
         >>> loaded = plan.under(ctr.Load(force=(0.05, 0, 0)))  # doctest: +SKIP
         >>> loaded.evaluated  # doctest: +SKIP
         'elastic'
@@ -264,8 +264,8 @@ class Plan(PlanData):
         Examples
         --------
         >>> import ctr_nlp as ctr
-        >>> from ctr_nlp.problems import named
-        >>> plan = ctr.solve_per_frame(named("arc", frames=2), model="dominant")
+        >>> from ctr_nlp.problems import named_problem
+        >>> plan = ctr.solve_per_frame(named_problem("arc", frames=2), model="dominant")
         >>> plan.with_modulus(60_000).robot.tubes[0].youngs_modulus
         60000.0
         """
@@ -315,8 +315,8 @@ class Plan(PlanData):
         Examples
         --------
         >>> import ctr_nlp as ctr
-        >>> from ctr_nlp.problems import named
-        >>> plan = ctr.solve_per_frame(named("arc", frames=3), model="dominant").on("elastic")
+        >>> from ctr_nlp.problems import named_problem
+        >>> plan = ctr.solve_per_frame(named_problem("arc", frames=3), model="dominant").on("elastic")
         >>> found = plan.robustness(draws=5)
         >>> len(found), found.e2.shape
         (5, (5, 3))
@@ -387,8 +387,8 @@ class Plan(PlanData):
         >>> import tempfile
         >>> from pathlib import Path
         >>> import ctr_nlp as ctr
-        >>> from ctr_nlp.problems import named
-        >>> plan = ctr.solve_per_frame(named("arc", frames=2), model="dominant")
+        >>> from ctr_nlp.problems import named_problem
+        >>> plan = ctr.solve_per_frame(named_problem("arc", frames=2), model="dominant")
         >>> with tempfile.TemporaryDirectory() as folder:
         ...     plan.save(Path(folder) / "plan.npz")
         ...     ctr.Plan.load(Path(folder) / "plan.npz") == plan

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.special import betaincinv
 
 from ctr_nlp.robot.tolerances import DEVIATION_NAMES
-from ctr_nlp.support.equal import ReadOnlyValue
+from ctr_nlp.support.value_objects import ReadOnlyValue
 from ctr_nlp.typing import Array, Flags, Index
 
 SAMPLE_ARRAY_PREFIX = "draws_"

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from ctr_nlp.exceptions import OptionError
-from ctr_nlp.formulations.settings import Settings
-from ctr_nlp.plan.record import PlanData
+from ctr_nlp.ocp.settings import Settings
+from ctr_nlp.plan.plan_data import PlanData
 from ctr_nlp.plan.robustness import spread
 from ctr_nlp.typing import Array, Flags
 

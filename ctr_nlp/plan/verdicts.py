@@ -14,9 +14,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ctr_nlp.formulations.settings import Settings
+from ctr_nlp.ocp.settings import Settings
 from ctr_nlp.plan.measures import arrival, e3, find_deepest_point, find_most_used_limit, largest_error
-from ctr_nlp.plan.record import PlanData, load_of
+from ctr_nlp.plan.plan_data import PlanData, load_of
 from ctr_nlp.plan.sample_outcomes import SampleOutcomes, sample_outcomes
 
 YES, NO, NOT_CHECKED = "yes", "no", "NOT CHECKED"

@@ -9,8 +9,9 @@ from collections.abc import Callable
 from functools import partial
 from typing import NamedTuple
 
-from ctr_nlp.formulations.settings import Settings
 from ctr_nlp.models import KINEMATIC_MODELS
+from ctr_nlp.ocp.settings import Settings
+from ctr_nlp.paths.problem import Problem
 from ctr_nlp.reference.approximate_leader import approximate_leader
 from ctr_nlp.reference.descent import Method, ReferenceFrames
 from ctr_nlp.reference.euclidean import euclidean
@@ -19,8 +20,7 @@ from ctr_nlp.reference.learned.s2j import s2j
 from ctr_nlp.reference.paper_two_stage import paper_two_stage
 from ctr_nlp.reference.tip_jacobian import tip_jacobian
 from ctr_nlp.reference.tip_resolved import tip_resolved
-from ctr_nlp.support.values import check_choice
-from ctr_nlp.target.problem import Problem
+from ctr_nlp.support.value_checks import check_choice
 
 
 class Reference(NamedTuple):

@@ -19,13 +19,13 @@ from __future__ import annotations
 import numpy as np
 
 from ctr_nlp.exceptions import OptionError
-from ctr_nlp.formulations.frames import FrameResult
 from ctr_nlp.models import KINEMATIC_MODELS
+from ctr_nlp.ocp.frame_solver import FrameResult
+from ctr_nlp.paths.problem import Problem
+from ctr_nlp.paths.target import QUADRATURE, SIGMA_GRID, Frame
 from ctr_nlp.reference.descent import Method, descend, extensions, fractions, shape_error
 from ctr_nlp.reference.follow_the_leader import growing_path
 from ctr_nlp.robot import Robot
-from ctr_nlp.target.problem import Problem
-from ctr_nlp.target.target import QUADRATURE, SIGMA_GRID, Frame
 from ctr_nlp.typing import Array
 
 ELASTIC_MODEL = KINEMATIC_MODELS["elastic"]

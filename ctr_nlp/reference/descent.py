@@ -8,10 +8,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.optimize import minimize
 
-from ctr_nlp.formulations.frames import FrameResult, sobol_starts, step_through_frames
+from ctr_nlp.ocp.frame_solver import FrameResult, sobol_starts, step_through_frames
+from ctr_nlp.paths.problem import Problem
+from ctr_nlp.paths.target import Frame
 from ctr_nlp.robot import Robot
-from ctr_nlp.target.problem import Problem
-from ctr_nlp.target.target import Frame
 from ctr_nlp.typing import Array
 
 Method = Callable[[Frame, Array, FrameResult | None], FrameResult]

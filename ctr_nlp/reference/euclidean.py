@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from ctr_nlp.formulations.frames import FrameResult
 from ctr_nlp.models.dominant import shape as dominant
+from ctr_nlp.ocp.frame_solver import FrameResult
+from ctr_nlp.paths.problem import Problem
+from ctr_nlp.paths.target import QUADRATURE, SIGMA_GRID, Frame
 from ctr_nlp.reference.descent import Method, descend, extensions, fractions, motion_term, shape_error
-from ctr_nlp.target.problem import Problem
-from ctr_nlp.target.target import QUADRATURE, SIGMA_GRID, Frame
 from ctr_nlp.typing import Array
 
 

@@ -24,14 +24,14 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from ctr_nlp.exceptions import OptionError, RobotError
-from ctr_nlp.formulations.frames import FrameResult
 from ctr_nlp.models import KINEMATIC_MODELS
 from ctr_nlp.models.dominant.shape import backbone
+from ctr_nlp.ocp.frame_solver import FrameResult
+from ctr_nlp.paths.problem import Problem
+from ctr_nlp.paths.target import SIGMA_GRID, Frame
 from ctr_nlp.reference.descent import Method, extensions
 from ctr_nlp.robot import Robot, Tube
 from ctr_nlp.robot.structure import Kind, Tubes
-from ctr_nlp.target.problem import Problem
-from ctr_nlp.target.target import SIGMA_GRID, Frame
 from ctr_nlp.typing import Array
 
 ELASTIC_MODEL = KINEMATIC_MODELS["elastic"]

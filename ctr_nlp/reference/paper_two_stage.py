@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from ctr_nlp.formulations.curvature import curvature_to_shape_scale
-from ctr_nlp.formulations.frames import FrameResult
 from ctr_nlp.models.dominant import shape as dominant
+from ctr_nlp.ocp.curvature import curvature_to_shape_scale
+from ctr_nlp.ocp.frame_solver import FrameResult
+from ctr_nlp.paths.problem import Problem
+from ctr_nlp.paths.target import SIGMA_GRID, Frame
 from ctr_nlp.reference.descent import Method, descend, extensions, fractions, motion_term, shape_error
 from ctr_nlp.robot import Robot
-from ctr_nlp.target.problem import Problem
-from ctr_nlp.target.target import SIGMA_GRID, Frame
 from ctr_nlp.typing import Array
 
 CURVATURE_MIDPOINTS_PER_SEGMENT = 20

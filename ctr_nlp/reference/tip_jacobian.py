@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from ctr_nlp.formulations.frames import FrameResult
+from ctr_nlp.ocp.frame_solver import FrameResult
+from ctr_nlp.paths.problem import Problem
+from ctr_nlp.paths.target import Frame
+from ctr_nlp.plan.simulation import shapes
 from ctr_nlp.reference.descent import REFERENCE_DIFFERENCE_STEP, Method, clip_configuration
-from ctr_nlp.simulation.forward import shapes
-from ctr_nlp.target.problem import Problem
-from ctr_nlp.target.target import Frame
 from ctr_nlp.typing import Array
 
 TIP_JACOBIAN_DAMPING = 1.0

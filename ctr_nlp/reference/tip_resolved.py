@@ -18,18 +18,18 @@ import numpy as np
 
 from ctr_nlp.codegen import cache
 from ctr_nlp.codegen.background import Library
-from ctr_nlp.codegen.mapped import BatchEvaluator
-from ctr_nlp.formulations.frames import FrameResult
+from ctr_nlp.codegen.batch_evaluator import BatchEvaluator
 from ctr_nlp.models import KINEMATIC_MODELS
 from ctr_nlp.models.protocol import symbolic_tubes
-from ctr_nlp.nlp.written import ProgramExpressions
+from ctr_nlp.ocp.expressions import ProgramExpressions
+from ctr_nlp.ocp.frame_solver import FrameResult
+from ctr_nlp.paths.problem import Problem
+from ctr_nlp.paths.target import Frame
 from ctr_nlp.reference.descent import Method
 from ctr_nlp.reference.tip_jacobian import CLOSE_MM
 from ctr_nlp.robot import Robot
 from ctr_nlp.robot.robot import mm_per_unit
 from ctr_nlp.robot.structure import TUBE_NUMBER_NAMES, Structure
-from ctr_nlp.target.problem import Problem
-from ctr_nlp.target.target import Frame
 from ctr_nlp.typing import Array
 
 ELASTIC_MODEL = KINEMATIC_MODELS["elastic"]

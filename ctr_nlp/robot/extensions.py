@@ -10,7 +10,7 @@ import numpy as np
 from ctr_nlp.exceptions import RobotError
 from ctr_nlp.robot.tube import TUBE_LENGTH_RANGE_MM, Tube
 from ctr_nlp.robot.units import between, did_you_mean, suggest_length
-from ctr_nlp.support.values import frozen
+from ctr_nlp.support.value_checks import frozen
 from ctr_nlp.typing import Array
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, fields
 from typing import Any
 
 from ctr_nlp.support.packing import packable
-from ctr_nlp.support.values import to_nested_tuples
+from ctr_nlp.support.value_checks import to_nested_tuples
 
 
 @packable("limits")

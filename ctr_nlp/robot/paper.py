@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
-
 from ctr_nlp.robot.robot import Robot
 from ctr_nlp.robot.tube import Tube
 
@@ -40,22 +38,3 @@ def table_i_robot(literal: bool = False) -> Robot:
             Tube(390.0, curved[2], 1 / 80, outer_diameter=2.1, inner_diameter=1.0),
         )
     )
-
-
-def seed_robot(literal: bool = False) -> Robot:
-    """Return :func:`table_i_robot`, of which this is the old name.
-
-    Deprecated: the name stays for one more version, and warns.
-
-    Parameters
-    ----------
-    literal : bool
-        As that of :func:`table_i_robot`: whether the table's lengths are straight.
-
-    Returns
-    -------
-    Robot
-        The robot of the paper, Table I.
-    """
-    warnings.warn("seed_robot is called table_i_robot now", DeprecationWarning, stacklevel=2)
-    return table_i_robot(literal)

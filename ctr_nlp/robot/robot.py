@@ -27,7 +27,7 @@ from ctr_nlp.robot.tube import Tube
 from ctr_nlp.robot.units import between, did_you_mean, suggest_angle
 from ctr_nlp.support.packing import packable
 from ctr_nlp.support.tables import toml_text
-from ctr_nlp.support.values import (
+from ctr_nlp.support.value_checks import (
     build_from_table,
     check_keys,
     frozen,

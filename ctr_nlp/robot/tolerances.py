@@ -17,7 +17,7 @@ from ctr_nlp.exceptions import RobotError
 from ctr_nlp.robot.tube import Tube
 from ctr_nlp.robot.units import between
 from ctr_nlp.support.packing import packable
-from ctr_nlp.support.values import number, numbers, plain_floats, to_nested_tuples
+from ctr_nlp.support.value_checks import number, numbers, plain_floats, to_nested_tuples
 from ctr_nlp.typing import Array
 
 DISTRIBUTIONS = "uniform", "normal"

@@ -8,7 +8,7 @@ from dataclasses import dataclass, fields
 from ctr_nlp.exceptions import RobotError
 from ctr_nlp.robot.units import between, did_you_mean, suggest_curvature, suggest_length
 from ctr_nlp.support.packing import packable
-from ctr_nlp.support.values import numbers
+from ctr_nlp.support.value_checks import numbers
 
 MAX_PRE_CURVATURE_STRAIN = 0.08
 """Largest strain of a tube's outer fibre by its pre-curvature."""

@@ -8,8 +8,8 @@ success by the KKT conditions of the problem itself, never by a solver's own sta
 from collections.abc import Callable
 
 from ctr_nlp.codegen import cache
-from ctr_nlp.nlp.chain import Chain
-from ctr_nlp.nlp.nlp import Nlp
+from ctr_nlp.ocp.chain import Chain
+from ctr_nlp.ocp.nlp import Nlp
 from ctr_nlp.solvers.frame.adapter import FEASIBILITY_TOLERANCE, Ipopt, NlpSolver, Solution
 from ctr_nlp.solvers.frame.sqp import Sqp
 from ctr_nlp.solvers.motion.banded import BandedSolver

@@ -5,10 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 
 from ctr_nlp.anatomy import synthetic_airway
+from ctr_nlp.paths.placement import move_to_robot_frame
+from ctr_nlp.paths.problem import Problem
+from ctr_nlp.paths.target import growing
 from ctr_nlp.robot import table_i_robot
-from ctr_nlp.target.placing import move_to_robot_frame
-from ctr_nlp.target.problem import Problem
-from ctr_nlp.target.target import growing
 
 SYNTHETIC = "synthetic:"
 """Prefix, before the seed, of the names of synthetic airways in studies."""

@@ -10,24 +10,24 @@ import numpy as np
 
 from ctr_nlp.codegen import cache
 from ctr_nlp.exceptions import CtrError, OptionError
-from ctr_nlp.formulations import FORMULATIONS
-from ctr_nlp.formulations.horizon import EndConfigurations, horizon
-from ctr_nlp.formulations.settings import Settings
 from ctr_nlp.models import KINEMATIC_MODELS, model_named, suits
+from ctr_nlp.ocp import FORMULATIONS
+from ctr_nlp.ocp.horizon import EndConfigurations, horizon
+from ctr_nlp.ocp.settings import Settings
+from ctr_nlp.paths.problem import Problem
 from ctr_nlp.plan.measures import arrival
 from ctr_nlp.plan.metrics import summary, verdict_columns
 from ctr_nlp.plan.plan import Plan
+from ctr_nlp.planning import march, solve_horizon, solve_per_frame
+from ctr_nlp.planning.marching import Progress
+from ctr_nlp.planning.motions import per_frame_motions
 from ctr_nlp.reference import REFERENCE_METHODS, reference_frames
 from ctr_nlp.reference.published import TABLE_II_BASELINE, TABLE_II_PAPER_METHOD
+from ctr_nlp.robust import solve_robust, solve_robust_per_frame
 from ctr_nlp.solvers import CHAIN_SOLVERS, SOLVERS, default_chain_solver, default_solver
-from ctr_nlp.steer import march, solve_horizon, solve_per_frame
-from ctr_nlp.steer.motions import per_frame_motions
-from ctr_nlp.steer.passes import Progress
-from ctr_nlp.steer.robust import solve_robust, solve_robust_per_frame
-from ctr_nlp.studies.sampled import rrt_connect
+from ctr_nlp.studies.rrt_connect import rrt_connect
 from ctr_nlp.support.interrupt import deferred_interrupt
-from ctr_nlp.support.values import check_choice
-from ctr_nlp.target.problem import Problem
+from ctr_nlp.support.value_checks import check_choice
 from ctr_nlp.typing import Array
 
 PAPER_MODEL = "dominant"

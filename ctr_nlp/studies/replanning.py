@@ -5,11 +5,11 @@ from __future__ import annotations
 from typing import Any
 
 from ctr_nlp.exceptions import OptionError
+from ctr_nlp.paths.problem import Problem
 from ctr_nlp.plan.plan import Plan
-from ctr_nlp.plan.record import planned_model
-from ctr_nlp.steer import solve_per_frame
-from ctr_nlp.support.values import whole_number
-from ctr_nlp.target.problem import Problem
+from ctr_nlp.plan.plan_data import planned_model
+from ctr_nlp.planning import solve_per_frame
+from ctr_nlp.support.value_checks import whole_number
 
 
 def replan_from_frame(plan: Plan, problem: Problem, from_frame: int, **options: Any) -> Plan:

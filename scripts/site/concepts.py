@@ -15,13 +15,13 @@ import numpy as np
 from matplotlib.axes import Axes
 
 import ctr_nlp as ctr
-from ctr_nlp.figures.parts.palette import BLUE, GREEN, ORANGE, VERMILLION
 from ctr_nlp.models import model_named
 from ctr_nlp.models.protocol import subdivide_motion
-from ctr_nlp.robot.draws import sample_robots
-from ctr_nlp.simulation.forward import simulate_motion
-from ctr_nlp.target.target import SIGMA_GRID
+from ctr_nlp.paths.target import SIGMA_GRID
+from ctr_nlp.plan.simulation import simulate_motion
+from ctr_nlp.robot.samples import sample_robots
 from ctr_nlp.typing import Array
+from ctr_nlp.view.figures.parts.palette import BLUE, GREEN, ORANGE, VERMILLION
 
 FOLDER = Path(__file__).parents[2] / "docs" / "concepts"
 COLOURS = BLUE, ORANGE, GREEN

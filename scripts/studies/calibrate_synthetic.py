@@ -17,13 +17,13 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from ctr_nlp import Calibration, Measurements, Robot, Tolerances, calibrate, table_i_robot
-from ctr_nlp.calibration.calibration import errors
-from ctr_nlp.calibration.parameters import BASE
-from ctr_nlp.calibration.prediction import Prediction, flat_measured
+from ctr_nlp.identify.calibration.calibration import errors
+from ctr_nlp.identify.calibration.parameters import BASE
+from ctr_nlp.identify.calibration.prediction import Prediction, flat_measured
 from ctr_nlp.models import model_named
-from ctr_nlp.robot.draws import RobotSamples, sample_robots
+from ctr_nlp.robot.samples import RobotSamples, sample_robots
 from ctr_nlp.robot.tolerances import DEVIATION_NAMES
-from ctr_nlp.studies.identified import measure_random_poses
+from ctr_nlp.studies.identification import measure_random_poses
 from ctr_nlp.typing import Array
 
 POSES, PLACES, NOISE = 60, 10, 0.5

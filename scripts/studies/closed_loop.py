@@ -10,7 +10,7 @@ from dataclasses import asdict
 from pathlib import Path
 
 from ctr_nlp import Plan
-from ctr_nlp.studies.loops import (
+from ctr_nlp.studies.closed_loop_study import (
     AS_PLANNED,
     CLOSED_LOOP_CASES,
     CLOSED_LOOP_SAMPLES,

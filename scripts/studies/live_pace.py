@@ -19,10 +19,10 @@ import numpy as np
 from playwright.sync_api import Page, sync_playwright
 
 from ctr_nlp.codegen.cache import COMPILE_VARIABLE
-from ctr_nlp.live import Live
 from ctr_nlp.models import KINEMATIC_MODELS
-from ctr_nlp.problems import named_problem
+from ctr_nlp.paths.named_problems import named_problem
 from ctr_nlp.support.tables import markdown
+from ctr_nlp.view.live import Live
 
 BROWSERS = "chromium", "chromium-browser", "google-chrome", "google-chrome-stable"
 SOFTWARE = "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--no-sandbox"

@@ -13,7 +13,7 @@ import shutil
 from dataclasses import asdict
 
 from ctr_nlp import Robot, table_i_robot
-from ctr_nlp.loads import with_modulus
+from ctr_nlp.models.loads import with_modulus
 from ctr_nlp.studies.peers.agreement import compare_models, sample_configurations
 from ctr_nlp.support.tables import markdown
 

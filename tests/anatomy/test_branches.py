@@ -10,11 +10,11 @@ from matplotlib.image import imread
 
 from ctr_nlp import curve_from_points, read_csv
 from ctr_nlp.anatomy.branch import CENTRELINE_SPACE_TO_LPS, Branch, Branches, transform_points
-from ctr_nlp.anatomy.choose import find_extent, select_branch
+from ctr_nlp.anatomy.branch_selection import find_extent, select_branch
 from ctr_nlp.anatomy.files import read_branches
 from ctr_nlp.cli.commands.branches import main as list_branches
 from ctr_nlp.exceptions import CurveError
-from ctr_nlp.figures.branches import tree
+from ctr_nlp.view.figures.branches import tree
 
 T = np.linspace(0, 1, 31)[:, None]
 TRUNK = np.array([0, 0, 100]) + T * [0, 0, -60]

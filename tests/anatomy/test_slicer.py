@@ -9,7 +9,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from ctr_nlp import curve_from_points, read_csv
-from ctr_nlp.anatomy.choose import select_branch
+from ctr_nlp.anatomy.branch_selection import select_branch
 from ctr_nlp.anatomy.files import read_branches
 from ctr_nlp.exceptions import CurveError
 

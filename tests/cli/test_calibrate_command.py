@@ -9,7 +9,7 @@ from sensed import TWO, measured_shapes, parts_within, weighed
 
 from ctr_nlp import Robot
 from ctr_nlp.cli.main import main
-from ctr_nlp.loads import with_modulus
+from ctr_nlp.models.loads import with_modulus
 
 
 def run(*arguments):

@@ -11,7 +11,6 @@ from argparse import Namespace
 
 import numpy as np
 import pytest
-from problems import ROOT, UNJUDGED
 
 from ctr_nlp import Plan
 from ctr_nlp.cli.commands.plan import horizon as solve_horizon
@@ -20,7 +19,8 @@ from ctr_nlp.cli.output.folder import MARK
 from ctr_nlp.cli.problems import load_all
 from ctr_nlp.cli.studies.compare import main as compare_solvers
 from ctr_nlp.exceptions import OptionError, OutputError
-from ctr_nlp.steer.nlp_frames import NlpFrames
+from ctr_nlp.planning.nlp_frames import NlpFrames
+from problems import ROOT, UNJUDGED
 
 FILES = {
     "plan.npz",
@@ -85,7 +85,7 @@ def test_files_come_whole_or_not_at_all_before_anything_is_shown(tmp_path, capsy
     assert solve("arc", "--frames", 3, "--out", out) == 0
     before = {path: path.read_bytes() for path in out.iterdir()}
     capsys.readouterr()
-    monkeypatch.setattr("ctr_nlp.figures.save_all", drawn)
+    monkeypatch.setattr("ctr_nlp.view.figures.save_all", drawn)
     assert solve("arc", "--frames", 4, "--out", out) == 2
     ((printed, _),) = seen
     assert printed == ""
@@ -153,8 +153,8 @@ def test_a_problem_s_name_makes_no_path(tmp_path, name, monkeypatch):
     work.mkdir(parents=True)
     (work / "own.py").write_text(
         "from dataclasses import replace\n"
-        "from ctr_nlp.problems import named\n"
-        f"problem = lambda *options: replace(named('arc', *options), name={name!r})\n"
+        "from ctr_nlp.problems import named_problem\n"
+        f"problem = lambda *options: replace(named_problem('arc', *options), name={name!r})\n"
     )
     monkeypatch.chdir(work)
     before = set(tmp_path.rglob("*"))

@@ -10,7 +10,6 @@ import time
 
 import numpy as np
 import pytest
-from problems import ROOT, UNJUDGED
 
 from ctr_nlp import Plan
 from ctr_nlp.cli import problems
@@ -18,10 +17,11 @@ from ctr_nlp.cli.commands.plan import horizon as solve_horizon
 from ctr_nlp.cli.commands.plan import steer as solve_per_frame
 from ctr_nlp.cli.output.folder import MARK
 from ctr_nlp.cli.studies.compare import main as compare_solvers
+from ctr_nlp.planning.nlp_frames import NlpFrames
 from ctr_nlp.solvers import CHAIN_SOLVERS
-from ctr_nlp.solvers.motion.judged import evaluate_chain_solution
-from ctr_nlp.steer.nlp_frames import NlpFrames
-from ctr_nlp.studies import trade_off
+from ctr_nlp.solvers.motion.chain_solution import evaluate_chain_solution
+from ctr_nlp.studies import pareto_front
+from problems import ROOT, UNJUDGED
 
 PICTURES = {"shapes.png", "errors.png", "by_frame.png", "configuration.png"}
 FILES = {"plan.npz", "errors.csv", "summary.json", MARK} | PICTURES
@@ -247,10 +247,12 @@ def test_ctrl_c_before_solving_begins_writes_nothing(tmp_path, capsys, monkeypat
 
 def test_an_interrupted_sweep_leaves_the_last_one(tmp_path, monkeypatch):
     arguments = ("arc", "--frames", 4, "--out", tmp_path / "out", "--sweep-motion-weight", 1e-3, 1e-5)
-    monkeypatch.setattr(trade_off, "COMPARED_VARIANTS", ("joint:ipopt",))
+    monkeypatch.setattr(pareto_front, "COMPARED_VARIANTS", ("joint:ipopt",))
     assert solve(*arguments) == 0
     before = contents(tmp_path)
-    monkeypatch.setattr(trade_off, "sweep_motion_weights", pressing_ctrl_c_once(trade_off.sweep_motion_weights))
+    monkeypatch.setattr(
+        pareto_front, "sweep_motion_weights", pressing_ctrl_c_once(pareto_front.sweep_motion_weights)
+    )
     assert solve(*arguments) == 130
     after = contents(tmp_path)
     assert {name: after[name] for name in before} == before

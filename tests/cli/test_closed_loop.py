@@ -15,16 +15,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 from bench import homing_hardware, sweep
+from emulator.firmware import Firmware
+from emulator.serve import serving
 from test_play import complaint_of, main, toml
 
 from ctr_nlp import Plan, Tolerances
 from ctr_nlp.cli.commands.play import JOURNAL
 from ctr_nlp.hardware.description import simulated_hardware
-from ctr_nlp.hardware.emulator.firmware import Firmware
-from ctr_nlp.hardware.emulator.serve import serving
 from ctr_nlp.hardware.journal import read_journal
-from ctr_nlp.loops.plant import Plant
-from ctr_nlp.robot.draws import sample_robots
+from ctr_nlp.identify.closed_loop.plant import Plant
+from ctr_nlp.robot.samples import sample_robots
 
 pytestmark = pytest.mark.real_time
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from problems import NAMES, ROOT, UNJUDGED
+from ctr_nlp.problems import named_problem
 
 import ctr_nlp
 from ctr_nlp import Plan, Robot, read_load
@@ -19,8 +19,8 @@ from ctr_nlp.cli.problems import from_python
 from ctr_nlp.codegen import cache
 from ctr_nlp.exceptions import ProblemError
 from ctr_nlp.hardware.description import Hardware
-from ctr_nlp.problems import named_problem
 from ctr_nlp.studies.grid.study_file import Study
+from problems import NAMES, ROOT, UNJUDGED
 
 HEAVY = {"casadi", "numpy", "scipy", "matplotlib", "rich", "argparse"}
 
@@ -199,11 +199,11 @@ def test_a_named_problem_is_that_of_its_file():
 
 def test_a_problem_file_is_planned_and_may_import_what_lies_beside_it(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    Path("parts.py").write_text("from ctr_nlp.problems import named\n")
+    Path("parts.py").write_text("from ctr_nlp.problems import named_problem\n")
     Path("mine.py").write_text(
         "from dataclasses import replace\nfrom parts import named\n"
         "def problem(frames, duration, robot):\n"
-        "    return replace(named('arc', frames, duration, robot), name='mine')\n"
+        "    return replace(named_problem('arc', frames, duration, robot), name='mine')\n"
     )
     made = from_python("mine.py", 3, 6.0, None)
     assert (made.name, made.frames, made.dt) == ("mine", 3, 2.0)

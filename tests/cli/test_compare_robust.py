@@ -3,13 +3,13 @@
 import json
 
 import pytest
+from ctr_nlp.problems import named_problem
 
 from ctr_nlp import Problem
 from ctr_nlp.cli.problems import from_python
 from ctr_nlp.cli.studies.compare import main as compare
-from ctr_nlp.formulations.settings import Settings
-from ctr_nlp.problems import named_problem
-from ctr_nlp.steer import solve_horizon
+from ctr_nlp.ocp.settings import Settings
+from ctr_nlp.planning import solve_horizon
 from ctr_nlp.studies.comparison import ROBUST_VARIANTS, available_variants
 
 BEND = '''"""A bend in space that two tubes cannot follow exactly; many draws snap on the best plan for it."""

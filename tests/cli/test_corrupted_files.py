@@ -18,11 +18,11 @@ import pytest
 from bench import sweep
 from corrupted import GOOD, Corrupted, configurations, corrupted
 from malformed import ENTRY, ROBOT, TARGET, plan, plan_entries
-from problems import UNJUDGED
 
 from ctr_nlp import Plan
 from ctr_nlp.cli.main import main
-from ctr_nlp.plan.account import NOT_FOR_PATIENTS
+from ctr_nlp.plan.summary_text import NOT_FOR_PATIENTS
+from problems import UNJUDGED
 
 pytestmark = [
     pytest.mark.interpreted,

@@ -9,6 +9,7 @@ import venv
 import zipfile
 
 import pytest
+
 from problems import NAMES, ROOT
 
 BUILT = ("pyproject.toml", "README.md", "LICENSE")
@@ -56,7 +57,7 @@ def program(wheel, tmp_path_factory):
 
 def test_the_wheel_holds_problems_templates_and_types(wheel):
     names = set(zipfile.ZipFile(wheel).namelist())
-    assert {f"ctr_nlp/problems/{name}.py" for name in NAMES} <= names
+    assert {f"problems/{name}.py" for name in NAMES} <= names
     assert {f"ctr_nlp/cli/templates/{name}" for name in ("problem.py", "robot.toml", "hardware.toml")} <= names
     assert not [name for name in names if not name.startswith("ctr_nlp")]
     kept = {path for path in (ROOT / "ctr_nlp").rglob("*") if path.is_file() and path.suffix != ".pyc"}
@@ -94,9 +95,9 @@ SCRIPT = """
 import numpy as np
 
 import ctr_nlp as ctr
-from ctr_nlp.problems import named
+from ctr_nlp.problems import named_problem
 
-problem: ctr.Problem = named("cos", frames=3, robot=ctr.table_i_robot())
+problem: ctr.Problem = named_problem("cos", frames=3, robot=ctr.table_i_robot())
 plan = ctr.solve_horizon(problem)
 q: np.ndarray = plan.q
 tube = ctr.Tube(length=90, curved_length=50, curvature=0.01, outer_diameter=2, inner_diameter=1)

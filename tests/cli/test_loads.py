@@ -8,15 +8,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from ctr_nlp.problems import named_problem
 from loaded_plans import turned
 
 from ctr_nlp import Load, Plan, read_load, solve_horizon
 from ctr_nlp.cli.main import main
-from ctr_nlp.figures.beside import shapes_compared
-from ctr_nlp.loads import with_modulus
 from ctr_nlp.models import model_with_load
-from ctr_nlp.problems import named_problem
-from ctr_nlp.steer.horizon.bearing import LoadedHorizon
+from ctr_nlp.models.loads import with_modulus
+from ctr_nlp.planning.horizon.loaded_horizon import LoadedHorizon
+from ctr_nlp.view.figures.shape_comparison import shapes_compared
 
 NITINOL = "--youngs-modulus", "60000"
 

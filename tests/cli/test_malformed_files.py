@@ -28,7 +28,7 @@ from ctr_nlp.cli.arguments import read_start
 from ctr_nlp.cli.commands import robust
 from ctr_nlp.exceptions import MAX_MESSAGE_LENGTH, HardwareError, LoadError, OptionError, OutputError, RobotError
 from ctr_nlp.hardware.description import Hardware
-from ctr_nlp.loads import Load
+from ctr_nlp.models.loads import Load
 
 ROBOT_FILES = [
     ("length = 90 ", "length = 0.09 ",

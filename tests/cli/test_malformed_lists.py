@@ -11,7 +11,7 @@ from ctr_nlp.cli.studies import study
 from ctr_nlp.exceptions import CtrError, HardwareError
 from ctr_nlp.hardware.arm.description import Arm
 from ctr_nlp.hardware.description import Hardware
-from ctr_nlp.loads import read_load
+from ctr_nlp.models.loads import read_load
 from ctr_nlp.studies.grid.study_file import Study
 
 TEMPLATES = EXAMPLES.parent / "ctr_nlp" / "cli" / "templates"

@@ -24,7 +24,7 @@ from ctr_nlp import (
     table_i_robot,
 )
 from ctr_nlp.exceptions import CurveError, OptionError, ProblemError, RobotError
-from ctr_nlp.target.lumen import Lumen
+from ctr_nlp.paths.lumen import Lumen
 
 PATH = curve_from_points(helix(), np.full(61, 6.0))
 SEED = table_i_robot()

@@ -6,19 +6,19 @@ import io
 import pytest
 from bench import sweep
 from malformed import helix, plan, program, table, written
-from problems import UNJUDGED
 from rich.console import Console
 
-from ctr_nlp.cli import telling
+from ctr_nlp.cli import terminal_output
 from ctr_nlp.cli.commands import branches, export, play, report, robust
 from ctr_nlp.cli.commands import plan as plan_command
 from ctr_nlp.cli.exchange import configurations
 from ctr_nlp.cli.loads import contact, under
 from ctr_nlp.cli.main import main
-from ctr_nlp.cli.telling import announce, console, print_table, progress_bar, report_written_files
-from ctr_nlp.figures.branches import tree
-from ctr_nlp.figures.overlay import shapes
-from ctr_nlp.figures.parts.page import label_text
+from ctr_nlp.cli.terminal_output import announce, console, print_table, progress_bar, report_written_files
+from ctr_nlp.view.figures.branches import tree
+from ctr_nlp.view.figures.overlay import shapes
+from ctr_nlp.view.figures.parts.page import label_text
+from problems import UNJUDGED
 
 MARKED = "airway [/left] [red]deep[/red] :smile: [link=https://a.b]c[/link]"
 OBEYED = "a\x1b[31mb\x1b]0;title\x07\nc\rd\x9b2Je\u202ef\u2066g\x00h\ud800"
@@ -35,12 +35,12 @@ def saved(found, name, folder):
 
 @pytest.mark.parametrize(("given", "shown"), [(MARKED, MARKED), (OBEYED, ESCAPED)])
 def test_a_terminal_shows_lines_tables_and_files_as_text(given, shown, capsys, monkeypatch):
-    monkeypatch.setattr(telling, "PIPED_WIDTH", 1000)
+    monkeypatch.setattr(terminal_output, "PIPED_WIDTH", 1000)
     console().print(given)
     announce(given)
     report_written_files(given, [given], more=given)
     print_table(given, ("", given), [(given, given)], text=(given,))
-    telling.print_stderr(given)
+    terminal_output.print_stderr(given)
     told = capsys.readouterr()
     assert told.out.count(shown) == 9
     assert told.err == f"{shown}\n"
@@ -49,8 +49,8 @@ def test_a_terminal_shows_lines_tables_and_files_as_text(given, shown, capsys, m
 
 @pytest.mark.parametrize(("given", "shown"), [(MARKED, MARKED), (OBEYED, ESCAPED)])
 def test_progress_shows_names_as_text(given, shown, capsys, monkeypatch):
-    monkeypatch.setattr(telling, "PIPED_WIDTH", 1000)
-    with telling.collect_output(as_json=False, verbose=True), progress_bar() as labelled:
+    monkeypatch.setattr(terminal_output, "PIPED_WIDTH", 1000)
+    with terminal_output.collect_output(as_json=False, verbose=True), progress_bar() as labelled:
         labelled(given)(1, 2, given)
     told = capsys.readouterr().err
     assert told.count(shown) == 3
@@ -59,9 +59,9 @@ def test_progress_shows_names_as_text(given, shown, capsys, monkeypatch):
 
 def test_a_bar_on_a_terminal_shows_names_as_text(monkeypatch):
     seen = io.StringIO()
-    real = telling.console
+    real = terminal_output.console
     monkeypatch.setattr(
-        telling, "console", lambda stderr=False: type(real())(file=seen, force_terminal=True, width=300)
+        terminal_output, "console", lambda stderr=False: type(real())(file=seen, force_terminal=True, width=300)
     )
     assert issubclass(type(real()), Console)
     with progress_bar() as labelled:
@@ -87,9 +87,9 @@ def test_a_plan_with_markup_in_its_name_is_played_and_exported(name, tmp_path, c
 
 
 def test_a_problem_with_markup_in_its_name_is_planned(tmp_path, capsys):
-    source = "from ctr_nlp.problems import named\n\n\ndef problem(frames, duration, robot):\n"
+    source = "from ctr_nlp.problems import named_problem\n\n\ndef problem(frames, duration, robot):\n"
     source += "    from dataclasses import replace\n\n"
-    source += "    return replace(named('arc', frames, duration, robot), name='airway [/left]')\n"
+    source += "    return replace(named_problem('arc', frames, duration, robot), name='airway [/left]')\n"
     out = tmp_path / "out"
     argv = [
         str(written(tmp_path, "mine.py", source)),

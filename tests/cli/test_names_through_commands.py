@@ -10,7 +10,6 @@ import pytest
 from bench import sweep
 from exchange.test_peer_robots import INNER, OUTER
 from malformed import ROBOT, plan, table, written
-from problems import UNJUDGED
 from scipy.io import loadmat
 
 from ctr_nlp import Plan, Robot, read_robot
@@ -21,6 +20,7 @@ from ctr_nlp.cli.loads import contact, force, under
 from ctr_nlp.cli.studies import baselines, compare, design, study, trade
 from ctr_nlp.exceptions import escape_control_characters
 from ctr_nlp.studies.grid.study_file import Study
+from problems import UNJUDGED
 
 NAMES = {
     "markup": "airway [/left] [red]a[/red] [bold]",
@@ -132,9 +132,9 @@ def test_the_page_of_plans_of_any_name_shows_it(kind, tmp_path, shown):
 @pytest.mark.parametrize("kind", HARD)
 def test_a_problem_of_any_name_is_planned_into_its_own_folder(kind, tmp_path, monkeypatch, shown):
     monkeypatch.chdir(tmp_path)
-    source = "from dataclasses import replace\n\nfrom ctr_nlp.problems import named\n\n\n"
+    source = "from dataclasses import replace\n\nfrom ctr_nlp.problems import named_problem\n\n\n"
     source += "def problem(frames, duration, robot):\n"
-    source += f"    return replace(named('arc', frames, duration, robot), name={NAMES[kind]!a})\n"
+    source += f"    return replace(named_problem('arc', frames, duration, robot), name={NAMES[kind]!a})\n"
     written(tmp_path, "mine.py", source)
     asked = "mine.py", "--model", "dominant", "--formulation", "joint", "--frames", "3", *UNJUDGED
     drawn = () if kind in ("mathtext", "control") else ("--no-figures",)
@@ -180,11 +180,11 @@ NASTY = "airway [/left] [red]\x1b[2J\n../../x </script> $\\frac{$ 'a\"b (G28) \u
 PROBLEM = """\
 from dataclasses import replace
 
-from ctr_nlp.problems import named
+from ctr_nlp.problems import named_problem
 
 
 def problem(frames, duration, robot):
-    return replace(named('arc', frames, duration, robot), name={name!a})
+    return replace(named_problem('arc', frames, duration, robot), name={name!a})
 """
 
 

@@ -32,14 +32,12 @@ def test_a_hardware_file_of_before_is_the_rig_that_it_was():
     assert hardware.approach == 0.2
 
 
-@pytest.mark.filterwarnings("ignore:seed_robot:DeprecationWarning")
 def test_a_problem_file_of_before_is_read():
     problem = from_python(str(BEFORE / "spiral.py"), 6, 3.0, None)
     assert (problem.name, problem.frames, problem.duration) == ("spiral", 6, 3.0)
     assert problem.robot == table_i_robot()
 
 
-@pytest.mark.filterwarnings("ignore:seed_robot:DeprecationWarning")
 def test_a_problem_file_that_imports_a_module_from_where_it_was_is_told_where_it_is():
     with pytest.raises(ProblemError, match=r"bronchus\.py, line 5: .* it is now ctr_nlp\.target\.placing$"):
         from_python(str(BEFORE / "bronchus.py"), 6, 3.0, None)

@@ -20,6 +20,8 @@ from typing import Any
 import numpy as np
 import pytest
 from bench import homing_hardware, sweep
+from emulator.firmware import Firmware
+from emulator.serve import serving
 
 from ctr_nlp import Plan, table_i_robot
 from ctr_nlp.cli.commands import play as play_command
@@ -29,12 +31,10 @@ from ctr_nlp.cli.output.folder import check_folder, output_folder
 from ctr_nlp.cli.output.manifest import MARK
 from ctr_nlp.hardware import journal as journal_module
 from ctr_nlp.hardware.description import Hardware, simulated_hardware
-from ctr_nlp.hardware.emulator.firmware import Firmware
-from ctr_nlp.hardware.emulator.serve import serving
 from ctr_nlp.hardware.journal import read_journal
 from ctr_nlp.hardware.playing import trust as trust_module
 from ctr_nlp.hardware.playing.session import prepare_trajectory
-from ctr_nlp.plan.account import NOT_FOR_PATIENTS
+from ctr_nlp.plan.summary_text import NOT_FOR_PATIENTS
 from ctr_nlp.plan.verdicts import NO, YES, Verdict
 
 pytestmark = pytest.mark.real_time

@@ -15,9 +15,9 @@ from ctr_nlp.cli.commands.play import main as play
 from ctr_nlp.cli.commands.robust import main as robust
 from ctr_nlp.cli.main import main as command
 from ctr_nlp.exceptions import OptionError
-from ctr_nlp.plan.account import remarks
 from ctr_nlp.plan.metrics import summary
-from ctr_nlp.report import page
+from ctr_nlp.plan.summary_text import remarks
+from ctr_nlp.view.report import page
 
 SMALL = """
 [[tubes]]

@@ -16,8 +16,8 @@ import pytest
 
 from ctr_nlp import Limits, Problem, Robot, Tube, curve_from_formula, growing, solve_horizon, solve_per_frame
 from ctr_nlp.codegen import background, cache
-from ctr_nlp.nlp.nlp import Nlp, Residual
-from ctr_nlp.solvers import compiled
+from ctr_nlp.ocp.nlp import Nlp, Residual
+from ctr_nlp.solvers import compiled_functions
 from ctr_nlp.solvers.frame.program import Program
 
 pytestmark = pytest.mark.skipif(bool(cache.unavailable_reason()), reason="no C compiler")
@@ -44,7 +44,7 @@ def toy(factor):
 
 def ready(nlp, lanes=1):
     end = time.monotonic() + LONG
-    while compiled.library(nlp, lanes).path_if_ready() is None:
+    while compiled_functions.library(nlp, lanes).path_if_ready() is None:
         assert time.monotonic() < end, "not compiled in time"
         time.sleep(0.1)
 
@@ -89,7 +89,7 @@ def test_processes_that_wait_for_one_library_have_it_made_once(cold, tmp_path, m
 
 
 def test_what_is_compiled_steps_back_for_what_is_waited_for(cold):
-    compiled.library(toy(31.0), 1).path_if_ready()
+    compiled_functions.library(toy(31.0), 1).path_if_ready()
     process = background._begun[-1]
     group = Path(f"/proc/{process.pid}/autogroup")
     assert os.getpriority(os.PRIO_PROCESS, process.pid) == background.COMPILER_NICENESS
@@ -107,7 +107,7 @@ def test_what_a_process_begins_nobody_else_begins_and_it_is_said_once(cold, monk
     monkeypatch.setattr(background, "_begin", lambda work, key, functions, lanes: begun.append(key))
     with caplog.at_level(logging.WARNING, "ctr_nlp"):
         for factor in (2.0, 2.0, 2.25):
-            assert compiled.library(toy(factor), 1).path_if_ready() is None
+            assert compiled_functions.library(toy(factor), 1).path_if_ready() is None
     assert len(begun) == 2
     assert [record.getMessage() for record in caplog.records] == [background.BACKGROUND_BUILD_MESSAGE]
 
@@ -121,10 +121,10 @@ def test_a_process_begins_a_build_that_died_again_only_later(cold, monkeypatch):
     monkeypatch.setattr(background, "LIBRARY_POLL_INTERVAL_S", 0.0)
     nlp = toy(2.5)
     for _ in range(3):
-        compiled.library(nlp, 1).path_if_ready()
+        compiled_functions.library(nlp, 1).path_if_ready()
     assert len(begun) == 1
     monkeypatch.setattr(background, "FAILED_BUILD_RETRY_S", -1.0)
-    compiled.library(nlp, 1).path_if_ready()
+    compiled_functions.library(nlp, 1).path_if_ready()
     assert len(begun) == 2
 
 
@@ -244,11 +244,11 @@ def test_whoever_waits_for_another_process_is_told_in_one_line(cold, monkeypatch
     holder = subprocess.Popen(
         [sys.executable, "-c", hold], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
     )
-    holder.stdin.write(compiled.library(nlp, 1).key)
+    holder.stdin.write(compiled_functions.library(nlp, 1).key)
     holder.stdin.close()
     holder.stdout.readline()
     with caplog.at_level(logging.WARNING, "ctr_nlp"):
-        assert compiled.library(nlp, 1).wait_for_path().is_file()
+        assert compiled_functions.library(nlp, 1).wait_for_path().is_file()
     holder.wait()
     holder.stdout.close()
     assert [record.getMessage() for record in caplog.records] == [background.WAITING_FOR_BUILD_MESSAGE]

@@ -21,7 +21,7 @@ from ctr_nlp import table_i_robot
 from ctr_nlp.codegen import cache
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.solvers import default_chain_solver
-from ctr_nlp.solvers.compiled import compile_functions, fastest_functions
+from ctr_nlp.solvers.compiled_functions import compile_functions, fastest_functions
 from ctr_nlp.support import folder_lock
 from ctr_nlp.support.folder_lock import lock_folder
 

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from every_operation import OPERATIONS, X, Y
 
-from ctr_nlp.codegen import cache, directions
-from ctr_nlp.codegen.directions import DERIVATIVE_FACTORS, FunctionWithJacobian, forward_mode_code
+from ctr_nlp.codegen import cache, forward_mode
+from ctr_nlp.codegen.forward_mode import DERIVATIVE_FACTORS, FunctionWithJacobian, forward_mode_code
 from ctr_nlp.codegen.vector import EARLY_OUTPUT_PREFIX, VECTOR_LANES
 
 pytestmark = pytest.mark.skipif(cache.unavailable_reason() is not None, reason="no C compiler")
@@ -116,7 +116,7 @@ def test_any_number_of_unknowns(unknowns):
 
 @pytest.mark.parametrize("part", [1, 2, 30, 10**6])
 def test_values_and_slopes_go_on_to_later_parts(part, monkeypatch):
-    monkeypatch.setattr(directions, "FORWARD_MODE_PART_INSTRUCTIONS", part)
+    monkeypatch.setattr(forward_mode, "FORWARD_MODE_PART_INSTRUCTIONS", part)
     rng = np.random.default_rng(3)
     assert_right(dense(long_function(9, 60), 0, 2), rng.normal(size=9), rng.normal(size=3))
 

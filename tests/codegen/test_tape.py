@@ -4,8 +4,8 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from ctr_nlp.codegen import cache, mapped, tape
-from ctr_nlp.codegen.mapped import BatchEvaluator, load_tape_function
+from ctr_nlp.codegen import batch_evaluator, cache, tape
+from ctr_nlp.codegen.batch_evaluator import BatchEvaluator, load_tape_function
 from ctr_nlp.codegen.tape import TAPE_BLOCK_FRAMES, tape_code
 from ctr_nlp.codegen.vector import VECTOR_LANES
 
@@ -73,6 +73,6 @@ def test_a_function_that_is_too_large_is_named(monkeypatch):
 
 def test_a_tape_without_memory_for_it_is_an_error_and_no_result(monkeypatch):
     function = loaded(FUNCTION)
-    monkeypatch.setitem(mapped._tapes, function, lambda *given: 1)
+    monkeypatch.setitem(batch_evaluator._tapes, function, lambda *given: 1)
     with pytest.raises(MemoryError):
         evaluated(function, np.ones((5, 3)), np.ones((5, 4)))

@@ -10,12 +10,12 @@ from every_operation import OPERATIONS, ROUNDED, X, Y
 from frames import alone, horizon
 
 from ctr_nlp import Limits, Robot, curve_from_formula, growing, table_i_robot
-from ctr_nlp.codegen import background, cache, language, places, vector
+from ctr_nlp.codegen import background, cache, language, sample_points, vector
 from ctr_nlp.codegen.tape import tape_code
 from ctr_nlp.codegen.vector import VECTOR_LANES, vector_code
-from ctr_nlp.formulations.horizon import EndConfigurations
-from ctr_nlp.nlp.nlp import Nlp, Residual
-from ctr_nlp.solvers import CHAIN_SOLVERS, Watch, compiled
+from ctr_nlp.ocp.horizon import EndConfigurations
+from ctr_nlp.ocp.nlp import Nlp, Residual
+from ctr_nlp.solvers import CHAIN_SOLVERS, Watch, compiled_functions
 
 INF, NAN = np.inf, np.nan
 SPECIAL = [-INF, -1e300, -2.5, -1.0, -0.5, 0.0, 1e-300, 0.5, 1.0, 2.0, 3.0, 1e300, INF]
@@ -308,7 +308,7 @@ def inside(seed):
 
 def at_once(nlp):
     """A program's functions, compiled before anything is solved."""
-    functions = compiled.compile_functions(nlp)
+    functions = compiled_functions.compile_functions(nlp)
     return lambda: functions
 
 
@@ -363,19 +363,19 @@ def toy(factor):
 
 
 def test_frames_of_equal_robots_share_a_library(monkeypatch):
-    first = compiled.library(alone(robot()), None).wait_for_path()
-    monkeypatch.setattr(places, "code", lambda *arguments: pytest.fail("written again"))
-    assert compiled.library(alone(robot()), None).wait_for_path().read_bytes() == first.read_bytes()
+    first = compiled_functions.library(alone(robot()), None).wait_for_path()
+    monkeypatch.setattr(sample_points, "code", lambda *arguments: pytest.fail("written again"))
+    assert compiled_functions.library(alone(robot()), None).wait_for_path().read_bytes() == first.read_bytes()
 
 
 def test_another_number_of_lanes_is_another_library():
     paths = []
     for asked, lanes in ((1, 1), (None, VECTOR_LANES)):
-        functions = compiled.compile_functions(toy(2), asked)
+        functions = compiled_functions.compile_functions(toy(2), asked)
         assert functions.lanes == lanes
         (found, _) = evaluated(functions.value, np.full((1, lanes), 5.0), np.full((1, lanes), 2.0))
         np.testing.assert_array_equal(found, np.ones((1, lanes)))
-        paths.append(compiled.library(toy(2), asked).wait_for_path())
+        paths.append(compiled_functions.library(toy(2), asked).wait_for_path())
     assert len(set(paths)) == 2
 
 
@@ -398,14 +398,16 @@ def test_robots_of_one_structure_share_a_key():
         paper.with_limits(carriage_gap=5.0),
         Robot(paper.tubes[1:]),
     ]
-    shared, own = ([compiled.library(alone(robot), 1).key for robot in robots] for robots in (same, different))
+    shared, own = (
+        [compiled_functions.library(alone(robot), 1).key for robot in robots] for robots in (same, different)
+    )
     assert len(set(shared)) == 1
     assert len({shared[0], *own}) == 1 + len(own)
 
 
 def test_the_key_changes_with_constants_and_with_what_writes_the_code(monkeypatch):
-    keys = [compiled.library(toy(factor), 1).key for factor in (2, 3)]
-    for room, source in ((compiled, "_deriver"), (background, "_writer")):
+    keys = [compiled_functions.library(toy(factor), 1).key for factor in (2, 3)]
+    for room, source in ((compiled_functions, "_deriver"), (background, "_writer")):
         monkeypatch.setattr(room, source, lambda: "another writer")
-        keys.append(compiled.library(toy(2), 1).key)
+        keys.append(compiled_functions.library(toy(2), 1).key)
     assert len(set(keys)) == 4

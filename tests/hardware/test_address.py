@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from ctr_nlp.exceptions import DeviceFault, HardwareError
-from ctr_nlp.hardware import opening
+from ctr_nlp.hardware import device_factory
 from ctr_nlp.hardware.address import canonical_address
 from ctr_nlp.hardware.description import Connection
 from ctr_nlp.hardware.playing.trust import Remembered
@@ -107,7 +107,7 @@ def test_what_is_remembered_follows_the_device(tmp_path: Path, monkeypatch: pyte
     monkeypatch.setenv("CTR_NLP_STATE", str(tmp_path / "state"))
     (tmp_path / "port").touch()
     (tmp_path / "link").symlink_to("port")
-    port, link = (opening.memory_of(Connection("grbl", str(tmp_path / each))) for each in ("port", "link"))
+    port, link = (device_factory.memory_of(Connection("grbl", str(tmp_path / each))) for each in ("port", "link"))
     assert port is not None
     assert link is not None
     port.claim()

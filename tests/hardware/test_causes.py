@@ -36,7 +36,7 @@ def lose_an_ok(world: World) -> None:
 def test_a_lost_ok_is_named(flow: str, tmp_path: Path) -> None:
     world = World(tmp_path, sweep(20))
     world.hardware = replace(world.hardware, connection=replace(world.hardware.connection, flow=flow))
-    result = world.begin(seen=once(lambda _, progress: progress.time > 0.8, lambda: lose_an_ok(world)))
+    result = world.begin(callback=once(lambda _, progress: progress.time > 0.8, lambda: lose_an_ok(world)))
     assert result.outcome is PlaybackOutcome.DEVICE_FAULT
     assert "a line or its `ok` was lost on the way" in result.message
     assert result.trusted
@@ -44,7 +44,7 @@ def test_a_lost_ok_is_named(flow: str, tmp_path: Path) -> None:
 
 def test_an_offset_within_tolerance_is_named_at_once(tmp_path: Path) -> None:
     world = World(tmp_path, sweep(20))
-    result = world.begin(seen=once(lambda _, progress: progress.time > 0.8, lambda: jump(world, -0.3)))
+    result = world.begin(callback=once(lambda _, progress: progress.time > 0.8, lambda: jump(world, -0.3)))
     assert (result.outcome, result.trusted) == (PlaybackOutcome.PATH_TOLERANCE_VIOLATED, False)
     assert "from the lines that were sent" in result.message
     assert result.frame in (8, 9)
@@ -56,6 +56,6 @@ def test_lines_that_do_not_arrive_are_named(tmp_path: Path) -> None:
     def mute() -> None:
         wire(world).outward.append(lambda data: bytes(byte for byte in data if byte in b"?!~\x18\x85"))
 
-    result = world.begin(seen=once(lambda _, progress: progress.time > 0.8, mute))
+    result = world.begin(callback=once(lambda _, progress: progress.time > 0.8, mute))
     assert result.outcome is PlaybackOutcome.DEVICE_FAULT
     assert "a line or its `ok` was lost on the way" in result.message

@@ -14,12 +14,12 @@ from pathlib import Path
 
 import pytest
 from bench import sweep
+from emulator import Firmware, serving
 
 from ctr_nlp.cli.commands.commission import main as commission
 from ctr_nlp.cli.commands.play import main
 from ctr_nlp.exceptions import HardwareError
 from ctr_nlp.hardware.description import Hardware, commissioned_file, read_commissioned
-from ctr_nlp.hardware.emulator import Firmware, serving
 
 pytestmark = pytest.mark.real_time
 

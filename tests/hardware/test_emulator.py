@@ -14,10 +14,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 from emulated import Host, program
+from emulator import FAULTS, Firmware, Wire, fault, serving
+from emulator.planner import BLOCKS
 
 from ctr_nlp.exceptions import OptionError
-from ctr_nlp.hardware.emulator import FAULTS, Firmware, Wire, fault, serving
-from ctr_nlp.hardware.emulator.planner import BLOCKS
 
 pytestmark = pytest.mark.real_time
 
@@ -555,7 +555,7 @@ def test_a_cut_reaches_a_served_host():
 
 
 def test_program_prints_its_url_and_ends_on_sigterm():
-    command = [sys.executable, "-m", "ctr_nlp.hardware.emulator", "--tcp", "0", "--homed", "--settings", "$20=1"]
+    command = [sys.executable, "-m", "emulator", "--tcp", "0", "--homed", "--settings", "$20=1"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
         assert re.fullmatch(r"socket://127\.0\.0\.1:\d+\n", process.stdout.readline())
         process.send_signal(signal.SIGTERM)

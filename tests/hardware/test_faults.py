@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 import pytest
 from bench import Killed, World
+from emulator.faults import FAULTS
 
 from ctr_nlp.exceptions import DeviceFault, TrajectoryError
 from ctr_nlp.hardware import journal as journal_module
-from ctr_nlp.hardware.emulator.faults import FAULTS
 from ctr_nlp.hardware.playing.results import PlaybackOutcome, PlayerState, Result
 
 pytestmark = pytest.mark.usefixtures("prepared_once")
@@ -55,7 +55,7 @@ def struck(world: World, kind: str, at: float, seed: int, monkeypatch: pytest.Mo
 
     moment = Moment(world, at, {"killed": kill, "ctrl_c": lambda: world.latest.abort(), "full_disk": fill}[kind])
     try:
-        return world.begin(seen=moment)
+        return world.begin(callback=moment)
     except Killed:
         return None
     finally:

@@ -12,6 +12,8 @@ from typing import Any
 import numpy as np
 import pytest
 from bench import WireLink, World, homed_firmware, homing_hardware, plan_of, sweep
+from emulator.faults import FAULTS
+from emulator.firmware import Firmware
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -21,8 +23,6 @@ from ctr_nlp.hardware.devices import MotionProgress
 from ctr_nlp.hardware.devices.grbl import stream
 from ctr_nlp.hardware.devices.grbl.identity import find_loose_settings
 from ctr_nlp.hardware.devices.grbl.talk import reply_of, report_of
-from ctr_nlp.hardware.emulator.faults import FAULTS
-from ctr_nlp.hardware.emulator.firmware import Firmware
 from ctr_nlp.hardware.motion.trajectory import Trajectory
 from ctr_nlp.hardware.playing.record import Recorder
 from ctr_nlp.hardware.playing.results import PlaybackOutcome, PlayerState
@@ -171,7 +171,7 @@ def test_400_frames_stream_in_20_seconds(flow: str, tmp_path: Path) -> None:
         recorder(trajectory, progress)
         most[0] = max(most[0], rig.latest.device.stream.in_flight)
 
-    result = rig.begin(seen=seen)
+    result = rig.begin(callback=seen)
     assert result.outcome is PlaybackOutcome.SUCCESS
     tracking = recorder.tracking()
     assert tracking is not None
@@ -191,7 +191,7 @@ def test_frames_in_which_nothing_moves_take_their_time(tmp_path: Path) -> None:
     q = sweep(12).q
     still = np.vstack([q[:6], np.repeat(q[5:6], 5, axis=0), q[6:]])
     rig, recorder = world(tmp_path, plan=plan_of(still, 0.1)), Recorder()
-    assert rig.begin(seen=recorder).outcome is PlaybackOutcome.SUCCESS
+    assert rig.begin(callback=recorder).outcome is PlaybackOutcome.SUCCESS
     tracking = recorder.tracking()
     assert tracking is not None
     assert abs(tracking.late).max() < 0.2
@@ -222,7 +222,7 @@ def test_holds_and_aborts_are_quick_and_keep_the_position(kind: str, tmp_path: P
                 assert not rig.firmware.motion.running
                 rig.latest.abort()
 
-        result = rig.begin(seen=seen)
+        result = rig.begin(callback=seen)
         took.append((rest[0] or rig.clock.now()) - called[0])
         assert result.outcome is PlaybackOutcome.CANCELLED
         assert result.trusted
@@ -252,7 +252,7 @@ def test_a_hold_that_was_not_heard_is_repeated(tmp_path: Path) -> None:
             asked.append(rig.clock.now())
             rig.latest.abort()
 
-    assert rig.begin(seen=seen).outcome is PlaybackOutcome.CANCELLED
+    assert rig.begin(callback=seen).outcome is PlaybackOutcome.CANCELLED
     assert deaf[0] == 0
     assert asked[1] - asked[0] < 0.5
 
@@ -273,7 +273,7 @@ def test_a_held_controller_is_asked_for_its_status_and_nothing_else(tmp_path: Pa
             if len(sent) == 300:
                 rig.latest.resume()
 
-    assert rig.begin(seen=seen).outcome is PlaybackOutcome.SUCCESS
+    assert rig.begin(callback=seen).outcome is PlaybackOutcome.SUCCESS
     while_held = sent_by_host(rig)[sent[0] : sent[299]]
     assert len(while_held) > 20
     assert set(while_held) == {ord("?")}
@@ -291,7 +291,7 @@ def test_a_reset_in_motion_is_never_trusted(how: str, tmp_path: Path) -> None:
             rig.links[-1].wire.line.outward.append(lambda data: data.replace(b"!", b""))
             rig.latest.abort()
 
-    result = rig.begin(seen=seen)
+    result = rig.begin(callback=seen)
     rig.clock.sleep(5.0)
     assert result.outcome is PlaybackOutcome.CANCELLED
     assert not result.trusted
@@ -313,7 +313,7 @@ def test_a_controller_that_restarts_when_its_port_is_opened_does_not_go_on(tmp_p
         if len(trajectory.frames) > 2 and progress.time > 0.8:
             rig.latest.abort()
 
-    assert rig.begin(seen=seen).trusted
+    assert rig.begin(callback=seen).trusted
     with pytest.raises(DeviceFault, match="restarted when it was connected"):
         rig.resume((FAULTS["banner"](at=rig.firmware.time + 0.004, choice=0.0),))
 

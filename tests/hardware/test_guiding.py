@@ -19,9 +19,8 @@ from ctr_nlp.hardware.journal import read_journal
 from ctr_nlp.hardware.motion.trajectory import Trajectory
 from ctr_nlp.hardware.playing.results import PlaybackOutcome, PlayerState
 from ctr_nlp.hardware.sensing.simulated import SimulatedRobot
-from ctr_nlp.loops import tracker
-from ctr_nlp.loops.closed import closed_loop
-from ctr_nlp.loops.feed import (
+from ctr_nlp.identify.closed_loop import tracker
+from ctr_nlp.identify.closed_loop.feed import (
     Feed,
     LateReadings,
     Outliers,
@@ -31,9 +30,10 @@ from ctr_nlp.loops.feed import (
     StuckReadings,
     SwappedAxes,
 )
-from ctr_nlp.loops.plant import Plant
-from ctr_nlp.loops.tracker import Tracker
-from ctr_nlp.robot.draws import sample_robots
+from ctr_nlp.identify.closed_loop.plant import Plant
+from ctr_nlp.identify.closed_loop.runs import closed_loop
+from ctr_nlp.identify.closed_loop.tracker import Tracker
+from ctr_nlp.robot.samples import sample_robots
 
 pytestmark = pytest.mark.usefixtures("prepared_once")
 
@@ -94,7 +94,7 @@ def test_the_controller_never_goes_faster_than_its_axes_may(tmp_path: Path) -> N
     """Whatever is wanted: the estimate is told to be a robot that is far off."""
     loops = Loops(tmp_path, PLAN)
     path = []
-    loops.begin(seen=lambda trajectory, progress: path.append(trajectory))
+    loops.begin(callback=lambda trajectory, progress: path.append(trajectory))
     led = path[-1]
     assert led.continues(path[-2])
     q, speed, acceleration = led.at(np.linspace(0.0, led.duration, 5000))
@@ -116,7 +116,7 @@ def test_the_journal_gives_the_same_commands_bit_for_bit(tmp_path: Path) -> None
 @pytest.mark.parametrize("what", ["measured", "commanded"])
 def test_a_journal_in_which_something_was_changed_is_found_out(tmp_path: Path, what: str) -> None:
     loops = Loops(tmp_path, PLAN)
-    loops.begin(seen=at(3.0, lambda: loops.world.latest.abort()))
+    loops.begin(callback=at(3.0, lambda: loops.world.latest.abort()))
     records = read_journal(loops.world.path)
     if what == "measured":
         next(r for r in records if r["kind"] == "sensed" and r["time"] > 1.0)["readings"][0][1][0] += 0.1
@@ -129,12 +129,12 @@ def test_a_journal_in_which_something_was_changed_is_found_out(tmp_path: Path, w
 
 def test_it_stops_where_it_is_told_to_and_goes_on_with_what_was_known(tmp_path: Path) -> None:
     loops = Loops(tmp_path, PLAN)
-    result = loops.begin(seen=at(3.0, lambda: loops.world.latest.abort()))
+    result = loops.begin(callback=at(3.0, lambda: loops.world.latest.abort()))
     assert (result.outcome, result.trusted) == (PlaybackOutcome.CANCELLED, True)
     for time in (2.0, 1.5, np.inf):
         loops.world.latest.close()
         mean = next(r for r in read_journal(loops.world.path)[::-1] if r["kind"] == "corrected")["mean"]
-        result = loops.resume(seen=at(time, lambda: loops.world.latest.abort()))
+        result = loops.resume(callback=at(time, lambda: loops.world.latest.abort()))
         assert loops.latest.tracker.observer.differences.mean.tolist() == mean
         assert loops.replayed().differs == ""
     assert (result.outcome, result.frame) == (PlaybackOutcome.SUCCESS, 40), result.message
@@ -153,7 +153,7 @@ def test_it_goes_on_after_its_player_has_died(tmp_path: Path) -> None:
         loops.world.links[-1].dead = True
 
     with pytest.raises(Killed):
-        loops.begin(seen=at(3.0, die))
+        loops.begin(callback=at(3.0, die))
     loops.world.clock.sleep(2.0)
     result = loops.resume()
     assert (result.outcome, result.frame) == (PlaybackOutcome.SUCCESS, 40), result.message
@@ -171,7 +171,7 @@ def test_in_a_pause_it_stands_and_goes_on_looking(tmp_path: Path) -> None:
                 loops.world.latest.resume()
 
     pause = at(3.0, lambda: loops.world.latest.pause())
-    assert loops.begin(seen=seen).outcome is PlaybackOutcome.SUCCESS
+    assert loops.begin(callback=seen).outcome is PlaybackOutcome.SUCCESS
     assert (np.ptp([position for _, position in held], axis=0) == 0).all()
     looked = [r["now"] for r in read_journal(loops.world.path) if r["kind"] == "sensed"]
     assert sum(held[0][0] < now < held[-1][0] for now in looked) > 10
@@ -182,7 +182,7 @@ def test_in_a_pause_it_stands_and_goes_on_looking(tmp_path: Path) -> None:
 def test_tubes_are_pulled_back_along_the_corrected_path(tmp_path: Path) -> None:
     loops = Loops(tmp_path, PLAN)
     before = loops.world.firmware.position.copy()
-    loops.begin(seen=at(6.0, lambda: loops.world.latest.abort()))
+    loops.begin(callback=at(6.0, lambda: loops.world.latest.abort()))
     loops.world.latest.close()
     assert loops.world.retract().outcome is PlaybackOutcome.SUCCESS
     assert loops.world.firmware.position == pytest.approx(before, abs=0.01)
@@ -190,7 +190,7 @@ def test_tubes_are_pulled_back_along_the_corrected_path(tmp_path: Path) -> None:
 
 def test_a_closed_loop_is_not_gone_on_with_as_an_open_one(tmp_path: Path) -> None:
     loops = Loops(tmp_path, PLAN)
-    loops.begin(seen=at(3.0, lambda: loops.world.latest.abort()))
+    loops.begin(callback=at(3.0, lambda: loops.world.latest.abort()))
     loops.world.latest.close()
     with pytest.raises(TrajectoryError, match="closed loop: go on as it was begun"):
         loops.world.resume()

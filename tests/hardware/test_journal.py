@@ -10,10 +10,10 @@ from typing import Any
 
 import pytest
 from bench import WireLink, World, sweep
+from emulator.wire import VirtualClock
 
 from ctr_nlp.exceptions import JournalError
 from ctr_nlp.hardware import journal as journal_module
-from ctr_nlp.hardware.emulator.wire import VirtualClock
 from ctr_nlp.hardware.journal import Journal, read_journal
 from ctr_nlp.hardware.link import RecordedLink
 from ctr_nlp.hardware.playing.results import PlaybackOutcome, PlayerState
@@ -154,7 +154,7 @@ def test_a_disk_that_fills_up_leaves_whole_records(tmp_path: Path) -> None:
     """A real limit, which writes a part of the record that crosses it."""
     program = f"""
 import resource
-from ctr_nlp.hardware.emulator.wire import VirtualClock
+from emulator.wire import VirtualClock
 from ctr_nlp.exceptions import JournalError
 from ctr_nlp.hardware.journal import Journal
 journal = Journal({str(tmp_path / "j")!r}, VirtualClock())

@@ -62,7 +62,7 @@ def distrusted(world: World) -> None:
 
 
 def test_a_jump_on_the_way_is_not_trusted(world: World) -> None:
-    result = world.begin(seen=once(lambda _, progress: progress.time > 0.8, lambda: jump(world, 5.0)))
+    result = world.begin(callback=once(lambda _, progress: progress.time > 0.8, lambda: jump(world, 5.0)))
     assert (result.outcome, result.trusted) == (PlaybackOutcome.PATH_TOLERANCE_VIOLATED, False)
     assert "tolerances from their path; 1 is allowed" in result.message
     distrusted(world)
@@ -73,7 +73,7 @@ def test_a_jump_while_it_stops_is_not_trusted(world: World) -> None:
         world.latest.abort()
         jump(world, 5.0)
 
-    result = world.begin(seen=once(lambda _, progress: progress.time > 0.8, stop))
+    result = world.begin(callback=once(lambda _, progress: progress.time > 0.8, stop))
     assert not result.trusted
     distrusted(world)
 
@@ -86,7 +86,7 @@ def test_a_jump_in_a_pause_is_not_trusted(world: World) -> None:
         pause(trajectory, progress)
         rest(trajectory, progress)
 
-    result = world.begin(seen=seen)
+    result = world.begin(callback=seen)
     assert not result.trusted
     distrusted(world)
 
@@ -100,20 +100,20 @@ def test_a_jump_before_the_motion_is_not_trusted(world: World) -> None:
             arrived.append(True)
             jump(world, 5.0)
 
-    result = world.begin(seen=seen)
+    result = world.begin(callback=seen)
     assert (result.outcome, result.trusted) == (PlaybackOutcome.INVALID_PLAN, False)
     distrusted(world)
 
 
 @pytest.mark.parametrize("by", [0.3, 0.6, 1.4])
 def test_an_offset_of_a_few_tolerances_is_not_trusted(by: float, world: World) -> None:
-    result = world.begin(seen=once(lambda _, progress: progress.time > 0.8, lambda: jump(world, by)))
+    result = world.begin(callback=once(lambda _, progress: progress.time > 0.8, lambda: jump(world, by)))
     assert (result.outcome, result.trusted) == (PlaybackOutcome.PATH_TOLERANCE_VIOLATED, False)
 
 
 @pytest.mark.parametrize("by", [0.3, 5.0])
 def test_a_jump_at_the_last_frame_is_not_trusted(by: float, world: World) -> None:
     last = once(lambda trajectory, progress: progress.time > trajectory.duration - 1e-3, lambda: jump(world, by))
-    result = world.begin(seen=last)
+    result = world.begin(callback=last)
     assert result.outcome is not PlaybackOutcome.SUCCESS
     assert not result.trusted, result.message

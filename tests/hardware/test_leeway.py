@@ -9,7 +9,7 @@ import pytest
 from bench import homing_hardware, plan_of, sweep
 
 from ctr_nlp import table_i_robot
-from ctr_nlp.hardware.guiding.course import FIRST_CORRECTED_KNOT
+from ctr_nlp.hardware.guiding.corrected_trajectory import FIRST_CORRECTED_KNOT
 from ctr_nlp.hardware.guiding.leeway import Leeway
 from ctr_nlp.hardware.motion.trajectory import Patch, Trajectory, remaining_trajectory, trajectory_of
 

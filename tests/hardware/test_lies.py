@@ -5,9 +5,8 @@ import re
 import numpy as np
 import pytest
 from emulated import Host, program
-
-from ctr_nlp.hardware.emulator import Wire, fault
-from ctr_nlp.hardware.emulator.faults import LIES
+from emulator import Wire, fault
+from emulator.faults import LIES
 
 
 def playing(name, **options):

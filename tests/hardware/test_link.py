@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from emulator import Firmware, VirtualClock, serving
 
 from ctr_nlp.exceptions import DeviceFault, JournalError
-from ctr_nlp.hardware.emulator import Firmware, VirtualClock, serving
 from ctr_nlp.hardware.journal import Journal
 from ctr_nlp.hardware.link import RecordedLink, SerialLink
 

@@ -11,15 +11,15 @@ from typing import Any
 import numpy as np
 import pytest
 from bench import World, plan_of, sweep
+from emulator.faults import FAULTS
+from emulator.firmware import Firmware
+from emulator.wire import VirtualClock
 
 from ctr_nlp.exceptions import DeviceFault, Stopped, TrajectoryError
 from ctr_nlp.hardware.description import simulated_hardware
 from ctr_nlp.hardware.devices import MotionProgress, Standing
 from ctr_nlp.hardware.devices.arms import SimulatedArm
 from ctr_nlp.hardware.devices.simulated import Simulated
-from ctr_nlp.hardware.emulator.faults import FAULTS
-from ctr_nlp.hardware.emulator.firmware import Firmware
-from ctr_nlp.hardware.emulator.wire import VirtualClock
 from ctr_nlp.hardware.journal import Journal, read_journal
 from ctr_nlp.hardware.motion.trajectory import Trajectory
 from ctr_nlp.hardware.playing.player import Player
@@ -164,7 +164,7 @@ def test_a_hold_asked_for_at_the_controller_is_a_pause(tmp_path: Path) -> None:
             if held[0] == 100:
                 world.latest.resume()
 
-    assert world.begin(seen=seen).outcome is PlaybackOutcome.SUCCESS
+    assert world.begin(callback=seen).outcome is PlaybackOutcome.SUCCESS
     assert held[0] >= 100
     assert world.frames_played() == list(range(1, 11))
 

@@ -6,8 +6,7 @@ import re
 import numpy as np
 import pytest
 from emulated import Host, program
-
-from ctr_nlp.hardware.emulator.planner import Overrides
+from emulator.planner import Overrides
 
 FASTER, SLOWER, USUAL = b"\x91", b"\x92", b"\x90"
 

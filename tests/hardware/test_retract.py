@@ -29,7 +29,7 @@ def stopped(folder: Path, at: float = 1.0, **hardware: Any) -> World:
         if trajectory.frames[0] == 1 and progress.time > at:
             world.latest.abort()
 
-    assert world.begin(seen=seen).trusted
+    assert world.begin(callback=seen).trusted
     return world
 
 
@@ -48,7 +48,7 @@ def test_the_way_back_is_the_way_there(at: float, tmp_path: Path) -> None:
         if len(played.frames) > 2:
             places.append(path.nearest(progress.position, 0, len(trajectory.commands().time)).away)
 
-    result = world.retract(seen=seen)
+    result = world.retract(callback=seen)
     assert result.outcome is PlaybackOutcome.SUCCESS, result.message
     np.testing.assert_allclose(world.firmware.position, start, atol=5e-3)
     assert max(places) < 0.1
@@ -73,7 +73,7 @@ def test_a_retraction_that_was_stopped_is_gone_on_with(tmp_path: Path) -> None:
             world.latest.abort()
 
     for _ in range(3):
-        assert world.retract(seen=seen).outcome is PlaybackOutcome.CANCELLED
+        assert world.retract(callback=seen).outcome is PlaybackOutcome.CANCELLED
     assert world.retract().outcome is PlaybackOutcome.SUCCESS
     np.testing.assert_allclose(world.firmware.position, start, atol=5e-3)
 
@@ -97,7 +97,7 @@ def test_a_controller_that_a_dead_player_left_in_motion_is_stopped_first(tmp_pat
             raise Killed
 
     with pytest.raises(Killed):
-        world.begin(seen=die, verified=True)
+        world.begin(callback=die, verified=True)
     world.latest.close()
     assert world.retract().outcome is PlaybackOutcome.SUCCESS
     assert (world.firmware.position[:3] > -1.1).all()
@@ -110,7 +110,7 @@ def test_a_position_that_is_not_to_be_trusted_needs_a_person(tmp_path: Path) -> 
         if trajectory.frames[0] == 1 and progress.time > 0.8:
             world.firmware.receive(b"\x18")
 
-    assert not world.begin(seen=reset, verified=True).trusted
+    assert not world.begin(callback=reset, verified=True).trusted
     world.latest.close()
     world.firmware.receive(b"$X\n")
     with pytest.raises(TrajectoryError, match="not to be trusted"):
@@ -129,7 +129,7 @@ def test_without_a_journal_the_innermost_tube_comes_first(tmp_path: Path) -> Non
         places.append(-progress.position[:3])
 
     before = world.firmware.position.copy()
-    result = world.retract(known=False, seen=seen)
+    result = world.retract(known=False, callback=seen)
     assert result.outcome is PlaybackOutcome.SUCCESS
     beta = np.array(places)
     assert (np.diff(beta, axis=0) < 2e-3).all()

@@ -39,9 +39,9 @@ from ctr_nlp.hardware.playing.player import Player
 from ctr_nlp.hardware.playing.results import PlaybackOutcome, PlayerState
 from ctr_nlp.hardware.playing.session import play_plan, resume
 from ctr_nlp.hardware.sensing.simulated import SimulatedRobot
-from ctr_nlp.loops.sensors import Sensors
-from ctr_nlp.loops.sensors.points import TipPositionSensor
-from ctr_nlp.loops.tracker import Tracker
+from ctr_nlp.identify.closed_loop.sensors import Sensors
+from ctr_nlp.identify.closed_loop.sensors.points import TipPositionSensor
+from ctr_nlp.identify.closed_loop.tracker import Tracker
 from ctr_nlp.plan.plan import plan_from_configurations
 
 pytestmark = pytest.mark.real_time

@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from bench import plan_of, sweep
+from emulator import Firmware, serving
 
 from ctr_nlp import Tolerances
 from ctr_nlp.exceptions import DeviceFault
@@ -23,7 +24,6 @@ from ctr_nlp.hardware.description import Connection, Hardware
 from ctr_nlp.hardware.devices import MotionProgress
 from ctr_nlp.hardware.devices.grbl.device import Grbl
 from ctr_nlp.hardware.devices.grbl.talk import Talk
-from ctr_nlp.hardware.emulator import Firmware, serving
 from ctr_nlp.hardware.guiding.loop import ClosedLoop, final_estimate, initial_estimate
 from ctr_nlp.hardware.guiding.replay import replay_session
 from ctr_nlp.hardware.journal import Journal, read_journal
@@ -34,9 +34,9 @@ from ctr_nlp.hardware.playing.record import Recorder
 from ctr_nlp.hardware.playing.results import PlaybackOutcome, PlayerState
 from ctr_nlp.hardware.playing.session import play_plan, resume
 from ctr_nlp.hardware.sensing.simulated import SimulatedRobot
-from ctr_nlp.loops.sensors import Sensors
-from ctr_nlp.loops.sensors.points import TipPositionSensor
-from ctr_nlp.loops.tracker import Note, Tracker
+from ctr_nlp.identify.closed_loop.sensors import Sensors
+from ctr_nlp.identify.closed_loop.sensors.points import TipPositionSensor
+from ctr_nlp.identify.closed_loop.tracker import Note, Tracker
 from ctr_nlp.plan.plan import Plan
 from ctr_nlp.typing import Array
 

@@ -23,7 +23,7 @@ from ctr_nlp.hardware.sensing.description import Sensing, parse_sensor_url
 from ctr_nlp.hardware.sensing.igtl import Igtl
 from ctr_nlp.hardware.sensing.lines import JsonLineSource, message_of
 from ctr_nlp.hardware.sensing.source import OLDEST, Message, Remote
-from ctr_nlp.loops.sensors import Reading
+from ctr_nlp.identify.closed_loop.sensors import Reading
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "hardware.toml"
 NOWHERE = np.zeros(8)

@@ -12,10 +12,10 @@ from typing import Any
 import numpy as np
 import pytest
 from bench import Killed, World, homing_hardware, plan_of, sweep
+from emulator.firmware import Firmware
 
 from ctr_nlp.exceptions import DeviceFault, TrajectoryError
 from ctr_nlp.hardware.devices import MotionProgress
-from ctr_nlp.hardware.emulator.firmware import Firmware
 from ctr_nlp.hardware.journal import read_journal
 from ctr_nlp.hardware.motion.trajectory import Trajectory
 from ctr_nlp.hardware.playing.results import PlaybackOutcome, PlayerState, Result
@@ -52,7 +52,7 @@ def killed(world: World, seconds: float, play: Callable[..., Result] | None = No
         raise Killed
 
     with pytest.raises(Killed):
-        (play or world.begin)(seen=until(world, seconds, die))
+        (play or world.begin)(callback=until(world, seconds, die))
 
 
 def motion_start(world: World) -> float:
@@ -66,7 +66,7 @@ def motion_start(world: World) -> float:
         if trajectory.frames[0] == 1 and not found:
             found.append(trial.clock.now() - start)
 
-    assert trial.begin(seen=seen).outcome is PlaybackOutcome.SUCCESS
+    assert trial.begin(callback=seen).outcome is PlaybackOutcome.SUCCESS
     return found[0]
 
 
@@ -96,7 +96,7 @@ def test_the_first_frame_is_gone_to_slowly_and_straight(part: float, tmp_path: P
             approach.append(played)
             places.append(progress.position)
 
-    assert world.begin(seen=seen).outcome is PlaybackOutcome.SUCCESS
+    assert world.begin(callback=seen).outcome is PlaybackOutcome.SUCCESS
     motion = approach[0]
     fastest = abs(motion.at(np.linspace(0, motion.duration, 500))[1]).max(axis=0)
     limits = world.hardware.apply_limits(world.plan.robot).speed * part
@@ -117,7 +117,7 @@ def test_nothing_is_gone_to_where_the_robot_is_there_already(tmp_path: Path) -> 
     played = set()
     np.testing.assert_allclose(world.trajectory().positions(np.zeros(1))[0][:3], HOMED[:3], atol=1e-3)
     assert (
-        world.begin(seen=lambda trajectory, _: played.add(int(trajectory.frames[0]))).outcome
+        world.begin(callback=lambda trajectory, _: played.add(int(trajectory.frames[0]))).outcome
         is PlaybackOutcome.SUCCESS
     )
     assert played == {1}
@@ -142,7 +142,8 @@ def test_an_aborted_session_goes_on_where_it_stopped(seed: int, tmp_path: Path) 
     world = rig(tmp_path)
     moment = motion_start(world) + random.Random(seed).uniform(0.1, 0.9)
     assert (
-        world.begin(seen=until(world, moment, lambda: world.latest.abort())).outcome is PlaybackOutcome.CANCELLED
+        world.begin(callback=until(world, moment, lambda: world.latest.abort())).outcome
+        is PlaybackOutcome.CANCELLED
     )
     finish(world)
 
@@ -161,7 +162,7 @@ def test_a_killed_session_goes_on_where_the_controller_came_to(seed: int, wait: 
 def test_twice_in_a_row(seed: int, tmp_path: Path) -> None:
     draw, world = random.Random(seed), rig(tmp_path)
     killed(world, motion_start(world) + draw.uniform(0.1, 0.2))
-    result = world.resume(seen=until(world, 1.0 + draw.uniform(0.0, 0.2), lambda: world.latest.abort()))
+    result = world.resume(callback=until(world, 1.0 + draw.uniform(0.0, 0.2), lambda: world.latest.abort()))
     if result.outcome is PlaybackOutcome.CANCELLED:
         finish(world)
     assert world.frames_played() == ALL
@@ -180,7 +181,7 @@ def test_killed_while_it_is_held(tmp_path: Path) -> None:
             raise Killed
 
     with pytest.raises(Killed):
-        world.begin(seen=seen)
+        world.begin(callback=seen)
     world.clock.sleep(10.0)
     finish(world)
 
@@ -200,7 +201,8 @@ def stopped(folder: Path, **hardware: Any) -> World:
     world = rig(folder, **hardware)
     moment = motion_start(world) + 0.5
     assert (
-        world.begin(seen=until(world, moment, lambda: world.latest.abort())).outcome is PlaybackOutcome.CANCELLED
+        world.begin(callback=until(world, moment, lambda: world.latest.abort())).outcome
+        is PlaybackOutcome.CANCELLED
     )
     return world
 
@@ -286,7 +288,7 @@ def test_a_failed_attempt_to_resume_does_not_hide_the_session(tmp_path: Path) ->
 
 
 def unanswered() -> Any:
-    from ctr_nlp.hardware.emulator.faults import FAULTS
+    from emulator.faults import FAULTS
 
     return FAULTS["half_open"](at=0.0)
 

@@ -11,11 +11,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 from bench import Killed, World, plan_of
+from emulator.faults import FAULTS
+from emulator.wire import VirtualClock
 
 from ctr_nlp.exceptions import CtrError
 from ctr_nlp.hardware.devices import MotionProgress
-from ctr_nlp.hardware.emulator.faults import FAULTS
-from ctr_nlp.hardware.emulator.wire import VirtualClock
 from ctr_nlp.hardware.motion.lookahead import (
     MAX_MOTION_IN_HAND_S,
     MAX_SLIDE_TRAVEL_IN_HAND_MM,
@@ -110,7 +110,7 @@ def ended(world: World, cause: str, at: float) -> tuple[float, float, PlaybackOu
 
     outcome = None
     with suppress(Killed):
-        outcome = world.begin(seen=seen).outcome
+        outcome = world.begin(callback=seen).outcome
     clock.sleep(6.0)
     seconds, travel = clock.motion()
     return seconds, travel, outcome
@@ -187,7 +187,7 @@ def test_over_a_link_that_works_a_stop_is_sent_and_obeyed_at_once(
                 line.outward.append(noted)
                 FAULTS[fault](at=0.0, **options).strike(line)
 
-        result = world.begin(seen=seen)
+        result = world.begin(callback=seen)
         clock.sleep(4.0)
         assert result.outcome not in (PlaybackOutcome.SUCCESS, PlaybackOutcome.CANCELLED)
         assert clock.cause is not None
@@ -202,7 +202,7 @@ def test_an_override_is_named_with_its_value_and_when(tmp_path: Path) -> None:
         if trajectory.frames[0] == 1 and progress.time > 2.0:
             world.firmware.receive(b"\x91" * 10)
 
-    result = world.begin(seen=seen)
+    result = world.begin(callback=seen)
     assert result.outcome is PlaybackOutcome.DEVICE_FAULT
     assert "the feed override is 200 %, and must be 100 %" in result.message
     assert "s after the start, frame 2" in result.message
@@ -235,7 +235,7 @@ def test_never_more_than_allowed_is_in_the_controllers_hands(tmp_path: Path) -> 
         ahead = commands.time[max(numbers) - 1] - progress.time
         most[:] = max(most[0], ahead), max(most[1], travel)
 
-    assert world.begin(seen=seen).outcome is PlaybackOutcome.SUCCESS
+    assert world.begin(callback=seen).outcome is PlaybackOutcome.SUCCESS
     assert 0.15 < most[0] <= MAX_MOTION_IN_HAND_S + 0.005
     assert 6.0 < most[1] <= MAX_SLIDE_TRAVEL_IN_HAND_MM + 0.01
 

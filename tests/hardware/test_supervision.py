@@ -186,7 +186,7 @@ def test_somebody_elses_resume_in_a_hold_stops_the_motion(tmp_path: Path) -> Non
             world.firmware.receive(b"~")
 
     pause = on_the_way(world, 0.5, lambda: world.latest.pause())
-    result = world.begin(seen=seen)
+    result = world.begin(callback=seen)
     assert result.outcome is PlaybackOutcome.DEVICE_FAULT
     assert "though the player did not resume" in result.message
     assert world.clock.now() - resumed[0] < 0.6
@@ -196,7 +196,7 @@ def test_somebody_elses_resume_in_a_hold_stops_the_motion(tmp_path: Path) -> Non
 
 def test_a_hold_by_a_pendant_that_nobody_ends_does_not_last_for_ever(tmp_path: Path) -> None:
     world = World(tmp_path, sweep(40))
-    result = world.begin(seen=on_the_way(world, 0.5, lambda: world.firmware.receive(b"!")))
+    result = world.begin(callback=on_the_way(world, 0.5, lambda: world.firmware.receive(b"!")))
     assert "somebody else has held the motion for 10 s" in result.message
     assert result.trusted
     assert world.resume().outcome is PlaybackOutcome.SUCCESS
@@ -214,6 +214,6 @@ def test_a_pace_that_no_override_explains_is_seen(tmp_path: Path) -> None:
         world.links[-1].wire.line.inward.append(hide)
         world.firmware.receive(b"\x92" * 5)
 
-    result = world.begin(seen=on_the_way(world, 0.5, slow))
+    result = world.begin(callback=on_the_way(world, 0.5, slow))
     assert result.outcome is PlaybackOutcome.PATH_TOLERANCE_VIOLATED
     assert "s behind their schedule; 1 s are allowed (" in result.message

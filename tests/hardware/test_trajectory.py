@@ -18,7 +18,7 @@ from ctr_nlp.hardware.motion import gcode
 from ctr_nlp.hardware.motion.lookahead import MAX_PIECE_DURATION_S, FollowedPath
 from ctr_nlp.hardware.motion.trajectory import approach_to, digests, remaining_trajectory, trajectory_of
 from ctr_nlp.hardware.playing.record import Recorder
-from ctr_nlp.simulation.lag import BacklashAndDrag
+from ctr_nlp.plan.backlash import BacklashAndDrag
 
 OVER = 1e-3
 

@@ -36,7 +36,7 @@ def killed(world: World, frame: int = 6) -> None:
             raise Killed
 
     with pytest.raises(Killed):
-        world.begin(seen=die, verified=True)
+        world.begin(callback=die, verified=True)
     world.clock.sleep(3.0)
     world.latest.close()
 
@@ -48,7 +48,7 @@ def test_distrust_lasts_until_a_person_has_looked(world: World) -> None:
         if trajectory.frames[0] == 1 and progress.time > 0.5:
             world.firmware.receive(b"\x18")
 
-    assert not world.begin(seen=reset, verified=True).trusted
+    assert not world.begin(callback=reset, verified=True).trusted
     world.latest.close()
     world.firmware.receive(b"$X\n")
     for _ in range(2):

@@ -12,10 +12,10 @@ import pytest
 from ctr_nlp.exceptions import DeviceFault, HardwareError, OptionError
 from ctr_nlp.hardware.arm.description import Arm
 from ctr_nlp.hardware.arm.kinematics import insertion_error, inverse_kinematics, tilt_of_joints
+from ctr_nlp.hardware.device_factory import arm_follower
 from ctr_nlp.hardware.devices.arms import LONGEST_STEP, SimulatedArm
 from ctr_nlp.hardware.devices.ur import STALE, UrArm
 from ctr_nlp.hardware.exports.urscript import UR_LAST_SAMPLE_HOLD_S, write_urscript
-from ctr_nlp.hardware.opening import arm_follower
 
 pytest.importorskip("ur_analytic_ik")
 

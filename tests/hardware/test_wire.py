@@ -57,7 +57,7 @@ def struck(folder: Path, change: Callable[[bytes], bytes | None]) -> tuple[World
             injectors.append(Injector(world.links[-1].wire.line, random.Random(0)))
             injectors[0].on_lines(change)
 
-    return world, world.begin(seen=seen), injectors[0]
+    return world, world.begin(callback=seen), injectors[0]
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,7 @@ import pytest
 
 from ctr_nlp import Load, Robot, table_i_robot
 from ctr_nlp.exceptions import LoadError, RobotError
-from ctr_nlp.loads import check_moduli, with_modulus
+from ctr_nlp.models.loads import check_moduli, with_modulus
 
 NITINOL = with_modulus(table_i_robot(), 60_000)
 

@@ -10,7 +10,7 @@ from loaded_plans import turned
 
 from ctr_nlp import Load, LoadOverTime, Plan, forces, read_load
 from ctr_nlp.exceptions import LoadError
-from ctr_nlp.loads import load_from_dict
+from ctr_nlp.models.loads import load_from_dict
 
 pytestmark = pytest.mark.interpreted
 

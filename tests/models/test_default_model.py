@@ -26,18 +26,18 @@ from ctr_nlp.cli.commands.plan import plan, steer
 from ctr_nlp.cli.exchange.configurations import main as import_command
 from ctr_nlp.cli.steering.live import main as live_command
 from ctr_nlp.cli.studies.learn import main as learn_command
-from ctr_nlp.codesign.together import design
+from ctr_nlp.design.co_design import design
 from ctr_nlp.exceptions import OptionError, ProblemError
-from ctr_nlp.formulations import FORMULATIONS, default_model
-from ctr_nlp.live import Live
-from ctr_nlp.live.steered.session import Session
 from ctr_nlp.models import DEFAULT_MODEL
+from ctr_nlp.ocp import FORMULATIONS, default_model
+from ctr_nlp.paths.curve import curve_from_points
+from ctr_nlp.planning import Horizon
+from ctr_nlp.planning.nlp_frames import NlpFrames
 from ctr_nlp.reference import REFERENCE_METHODS
-from ctr_nlp.steer import Horizon
-from ctr_nlp.steer.nlp_frames import NlpFrames
-from ctr_nlp.studies import trade_off
+from ctr_nlp.studies import pareto_front
 from ctr_nlp.studies.comparison import VARIANTS, parse_variant
-from ctr_nlp.target.curve import curve_from_points
+from ctr_nlp.view.live import Live
+from ctr_nlp.view.live.steered.session import Session
 
 TWO_STAGE = ["two-stage", "two-stage-exact"]
 ENTRIES = [
@@ -142,11 +142,11 @@ def test_methods_beside_a_front_are_judged_on_its_model(problem, monkeypatch):
     ours, other = (plan_through(problem, q, model) for model in ("elastic", "dominant"))
     horizon = types.SimpleNamespace(problem=problem, solve=lambda *_, **__: ours)
     variant = types.SimpleNamespace(model="dominant", plan=lambda *_: other)
-    monkeypatch.setattr(trade_off, "COMPARED_VARIANTS", ("other",))
-    monkeypatch.setattr(trade_off, "parse_variant", lambda _: variant)
+    monkeypatch.setattr(pareto_front, "COMPARED_VARIANTS", ("other",))
+    monkeypatch.setattr(pareto_front, "parse_variant", lambda _: variant)
     monkeypatch.setattr(
-        trade_off, "_point", lambda method, plan: types.SimpleNamespace(method=method, shape=plan.shape)
+        pareto_front, "_point", lambda method, plan: types.SimpleNamespace(method=method, shape=plan.shape)
     )
-    front, beside = trade_off.compute_pareto_front(horizon, ours, (1e-5,), None, lambda label: None)
+    front, beside = pareto_front.compute_pareto_front(horizon, ours, (1e-5,), None, lambda label: None)
     np.testing.assert_allclose(beside.shape, front.shape, atol=1e-9)
     assert np.abs(other.shape - ours.shape).max() > 0.1

@@ -15,7 +15,7 @@ from strategies import numbers, robots, robots_with_q
 
 from ctr_nlp import Limits, Robot, Tube, shape_curve, shapes, table_i_robot
 from ctr_nlp.models.dominant import shape as dominant
-from ctr_nlp.simulation.forward import tangents
+from ctr_nlp.plan.simulation import tangents
 
 SIGMA = np.linspace(0, 1, 41)
 DEPLOYS_ALL = Limits(beta=[(0, 80), (0, 150), (0, 300)])

@@ -19,7 +19,7 @@ from strategies import numbers, robots, robots_with_q
 from ctr_nlp import Limits, Robot, Tube
 from ctr_nlp.models.elastic import shape as elastic
 from ctr_nlp.models.elastic import stability, torsion
-from ctr_nlp.simulation import forward as dominant_shapes
+from ctr_nlp.plan import simulation as dominant_shapes
 
 SIGMA = np.linspace(0, 1, 31)
 pytestmark = pytest.mark.interpreted

@@ -15,7 +15,7 @@ from ctr_nlp import Robot, Tube, table_i_robot
 from ctr_nlp.models.elastic import Elastic, stability
 from ctr_nlp.models.elastic.following import follow_robot_batch, follow_substeps
 from ctr_nlp.models.protocol import subdivide_motion
-from ctr_nlp.robot.draws import perturb_robot, sample_robots
+from ctr_nlp.robot.samples import perturb_robot, sample_robots
 
 LONG = Robot((Tube(90, 70, 0.02, 4.0, 3.2), Tube(150, 90, 0.02, 2.6, 1.6)))
 BETA = 60.0, 80.0

@@ -15,15 +15,15 @@ from strategies import drawn
 
 from ctr_nlp import Limits, Load, LoadOverTime, Robot, Tube, table_i_robot
 from ctr_nlp.exceptions import LoadError, OptionError
-from ctr_nlp.loads import with_modulus
 from ctr_nlp.models import KINEMATIC_MODELS, model_with_load
-from ctr_nlp.models.loaded import acting, compiled
-from ctr_nlp.models.loaded.acting import RodKind
+from ctr_nlp.models.loaded import compiled, rod_loads
 from ctr_nlp.models.loaded.equilibria import LoadedEquilibria, States
 from ctr_nlp.models.loaded.following.track import StateTrack
 from ctr_nlp.models.loaded.model import Loaded
+from ctr_nlp.models.loaded.rod_loads import RodKind
 from ctr_nlp.models.loaded.stability import margins
 from ctr_nlp.models.loaded.tips import tips, unknowns
+from ctr_nlp.models.loads import with_modulus
 from ctr_nlp.models.protocol import subdivide_motion
 
 pytestmark = pytest.mark.interpreted
@@ -455,7 +455,7 @@ def test_a_tube_pushed_out_beyond_its_curved_part_may_be_the_last_one():
 
 def test_rods_go_over_to_compiled_code_once_it_is_there(monkeypatch):
     """Until then they are interpreted, in the same object."""
-    offers = [compiled.symbolic(ROD.structure, acting.TIP_FORCE_ROD_KIND)] * 3
+    offers = [compiled.symbolic(ROD.structure, rod_loads.TIP_FORCE_ROD_KIND)] * 3
     fastest = compiled._fastest
     monkeypatch.setattr(compiled, "_fastest", lambda *which: offers.pop() if offers else fastest(*which))
     equilibria, state = rod_state(0.1)

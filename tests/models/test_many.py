@@ -12,7 +12,7 @@ from ctr_nlp.models import KINEMATIC_MODELS
 from ctr_nlp.models.elastic import stability
 from ctr_nlp.models.elastic.equilibria import Equilibria, EquilibriumState
 from ctr_nlp.models.elastic.following import solve_rest_batch, solve_rest_unknowns
-from ctr_nlp.target.target import SIGMA_GRID
+from ctr_nlp.paths.target import SIGMA_GRID
 
 COMPARED = 8
 

@@ -5,9 +5,9 @@ import pytest
 from near_fold import LONG
 
 from ctr_nlp.models.elastic import Elastic
-from ctr_nlp.models.elastic.onward import ElasticWithHistory
+from ctr_nlp.models.elastic.history import ElasticWithHistory
 from ctr_nlp.models.protocol import subdivide_motion
-from ctr_nlp.robot.draws import sample_robots
+from ctr_nlp.robot.samples import sample_robots
 
 FIRST, SUBSTEPS = 20, 4
 

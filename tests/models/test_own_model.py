@@ -25,13 +25,13 @@ from ctr_nlp import (
 )
 from ctr_nlp.cli.commands.export import main
 from ctr_nlp.exceptions import OptionError
-from ctr_nlp.figures import save_all
-from ctr_nlp.formulations.terms import Parts, Term
 from ctr_nlp.hardware.description import simulated_hardware
 from ctr_nlp.models import KINEMATIC_MODELS, Model, SymbolicShape, register
 from ctr_nlp.models.inner import Inner
-from ctr_nlp.nlp.nlp import Residual
+from ctr_nlp.ocp.nlp import Residual
+from ctr_nlp.ocp.terms import Parts, Term
 from ctr_nlp.plan.metrics import by_frame, summary
+from ctr_nlp.view.figures import save_all
 
 matplotlib.use("Agg")
 ROBOT = Robot((Tube(200, 150, 0.008, 2, 1),), Limits(alpha=(-1.5, 1.5)))

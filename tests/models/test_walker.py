@@ -6,10 +6,10 @@ from near_fold import LONG, near_the_fold
 
 from ctr_nlp import Load, Loaded, LoadOverTime, table_i_robot
 from ctr_nlp.exceptions import LoadError
-from ctr_nlp.loads import with_modulus
 from ctr_nlp.models import KINEMATIC_MODELS
 from ctr_nlp.models.elastic import stability
-from ctr_nlp.robot.draws import perturb_robot
+from ctr_nlp.models.loads import with_modulus
+from ctr_nlp.robot.samples import perturb_robot
 
 
 def stepped(model, robot, q):

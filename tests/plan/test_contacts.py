@@ -9,12 +9,12 @@ import pytest
 from matplotlib.image import imread
 from test_metrics_plan import made
 
-from ctr_nlp.cli import report
-from ctr_nlp.figures import clearance as picture
-from ctr_nlp.figures import save, save_all
+from ctr_nlp.cli import plan_report
+from ctr_nlp.paths.target import SIGMA_GRID
 from ctr_nlp.plan.measures import Contact, contact_depths, contacts
 from ctr_nlp.plan.metrics import by_frame, summary
-from ctr_nlp.target.target import SIGMA_GRID
+from ctr_nlp.view.figures import clearance as picture
+from ctr_nlp.view.figures import save, save_all
 
 LENGTH, BEFORE = 100.0, 30.0
 TABLE = np.column_stack([np.zeros((361, 2)), np.linspace(-BEFORE, 150, 361), np.full(361, 5.0)])
@@ -107,8 +107,8 @@ def test_a_plan_without_any_frame_reached_has_no_clearance():
 
 def test_errors_csv_has_the_least_clearance_of_every_frame(tmp_path):
     plan = touching(2.5, -0.25, np.nan)
-    report.write(plan, tmp_path)
-    report.draw(plan, [], tmp_path)
+    plan_report.write(plan, tmp_path)
+    plan_report.draw(plan, [], tmp_path)
     with open(tmp_path / "errors.csv", newline="") as file:
         column = [row["clearance"] for row in csv.DictReader(file)]
     assert column == ["2.5", "-0.25", "nan"]
@@ -120,7 +120,7 @@ def printed(capsys):
     """What is printed about a plan, but where it was written."""
 
     def told(plan):
-        report.print_report(plan)
+        plan_report.print_report(plan)
         return capsys.readouterr().out.partition("wrote ")[0]
 
     return told

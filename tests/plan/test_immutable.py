@@ -12,7 +12,7 @@ import pytest
 from malformed import helix, plan
 
 from ctr_nlp import Limits, Problem, Robot, Settings, curve_from_points, growing, shape_curve, table_i_robot
-from ctr_nlp.target.lumen import Lumen
+from ctr_nlp.paths.lumen import Lumen
 
 ARRAYS = [f.name for f in fields(plan()) if isinstance(getattr(plan(), f.name), np.ndarray)]
 

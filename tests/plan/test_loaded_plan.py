@@ -14,7 +14,7 @@ from ctr_nlp import Load, Plan, summary
 from ctr_nlp.exceptions import LoadError, OptionError, OutputError
 from ctr_nlp.models import KINEMATIC_MODELS
 from ctr_nlp.models.loaded.model import Loaded
-from ctr_nlp.plan import account
+from ctr_nlp.plan import summary_text
 from ctr_nlp.plan.verdicts import NO, NOT_CHECKED, YES
 
 WEAK = Load(force=(0.0, 0.05, 0.0))
@@ -44,7 +44,7 @@ def test_a_plan_bears_a_load(nitinol):
     told = "under a tip force of (0, 0.05, 0) N"
     assert told in repr(found)
     assert told in found.verdicts.stable.why
-    assert account.title(summary(found)).endswith(f", {told}")
+    assert summary_text.title(summary(found)).endswith(f", {told}")
     assert found.verdicts.solved.why == "All 4 frames were solved on the elastic model."
 
 
@@ -100,7 +100,7 @@ def test_a_snap_under_a_load_is_told(shared_data, frames):
     found = made(case.robot, np.stack([case.q] * frames)).with_modulus(60_000).with_load(Load(force=(-0.5, 0, 0)))
     numbers = summary(found)
     assert [snap["jump"] for snap in numbers["snaps"]] == [None]
-    (remark,) = [each for each in account.remarks(found, numbers) if each.startswith("snap")]
+    (remark,) = [each for each in summary_text.remarks(found, numbers) if each.startswith("snap")]
     assert remark.startswith("snap on the way to frame 1: ")
     assert remark.endswith("where the robot comes to rest under the load is not known")
     assert found.verdicts.stable.word == NO

@@ -13,10 +13,10 @@ from strategies import rigid_transforms, seeds
 
 from ctr_nlp import Limits, Plan, Robot, table_i_robot
 from ctr_nlp.exceptions import OutputError
+from ctr_nlp.paths.target import SIGMA_GRID
 from ctr_nlp.plan.metrics import by_frame, summary, tip_angle
 from ctr_nlp.plan.plan import plan_from_configurations
-from ctr_nlp.simulation.forward import shapes, tangents
-from ctr_nlp.target.target import SIGMA_GRID
+from ctr_nlp.plan.simulation import shapes, tangents
 
 LINE = np.outer(100 * SIGMA_GRID, [0, 0, 1.0])
 ERRORS = ("e3", "e4", "e_max", "tip_max", "tip_angle_max_deg", "nearest_max")

@@ -12,9 +12,9 @@ from hypothesis import strategies as st
 from scipy.spatial import cKDTree
 
 from ctr_nlp import Problem, Robot, Tube, curve_from_points, growing
-from ctr_nlp.exchange.configurations import plan_through
+from ctr_nlp.paths.lumen import Lumen
 from ctr_nlp.plan.verdicts import NO, NOT_CHECKED, YES
-from ctr_nlp.target.lumen import Lumen
+from ctr_nlp.view.exchange.configurations import plan_through
 
 FRAMES = 4
 SUBSTEPS = 10

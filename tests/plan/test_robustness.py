@@ -5,18 +5,18 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from ctr_nlp.problems import named_problem
 from near_fold import LONG, near_the_fold, plan_through
 from scipy.stats import beta, binomtest
 
 from ctr_nlp import Plan, by_frame, summary
 from ctr_nlp.exceptions import OutputError
+from ctr_nlp.paths.lumen import Lumen
+from ctr_nlp.paths.target import SIGMA_GRID
 from ctr_nlp.plan.measures import e3
 from ctr_nlp.plan.robustness import Robustness, upper_bound
-from ctr_nlp.problems import named_problem
-from ctr_nlp.robot.draws import perturb_robot, sample_robots
-from ctr_nlp.simulation.drawn import simulate_samples
-from ctr_nlp.target.lumen import Lumen
-from ctr_nlp.target.target import SIGMA_GRID
+from ctr_nlp.plan.sample_motions import simulate_samples
+from ctr_nlp.robot.samples import perturb_robot, sample_robots
 
 
 @pytest.fixture(scope="module")
@@ -64,7 +64,7 @@ def test_the_same_seed_gives_the_same(plan):
 
 
 def test_groups_of_draws_are_put_together(monkeypatch, plan):
-    monkeypatch.setattr("ctr_nlp.plan.draws.PLAN_SAMPLES_PER_BATCH", 7)
+    monkeypatch.setattr("ctr_nlp.plan.monte_carlo.PLAN_SAMPLES_PER_BATCH", 7)
     assert plan.robustness(30, 4) == plan.drawn
 
 

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from ctr_nlp.problems import named_problem
 from hypothesis import given
 from hypothesis import strategies as st
 from lumens import straight
@@ -13,14 +14,13 @@ from test_contacts import touching
 from test_metrics_plan import LINE, aside, made
 
 from ctr_nlp import Plan, Problem, Settings, growing, solve_per_frame, summary, table_i_robot
-from ctr_nlp.cli import report
+from ctr_nlp.cli import plan_report
 from ctr_nlp.exceptions import OptionError
-from ctr_nlp.figures.parts.page import outcome
-from ctr_nlp.formulations.settings import THRESHOLDS
-from ctr_nlp.plan.account import NOT_FOR_PATIENTS
+from ctr_nlp.ocp.settings import THRESHOLDS
 from ctr_nlp.plan.sample_outcomes import sample_outcomes
+from ctr_nlp.plan.summary_text import NOT_FOR_PATIENTS
 from ctr_nlp.plan.verdicts import NO, NOT_CHECKED, YES, Verdicts
-from ctr_nlp.problems import named_problem
+from ctr_nlp.view.figures.parts.page import outcome
 
 WORDS = {YES, NO, NOT_CHECKED}
 OUT = np.array([0.0, 0, 0, 20, 50, 100, 0, 0])
@@ -392,13 +392,13 @@ def test_verdicts_cannot_be_changed():
 def test_a_failed_verdict_is_exit_status_1_and_an_interruption_130(name):
     plan = PLANS[name]
     described = plan.meta | {"interrupted": False}
-    assert report.exit_status(replace(plan, meta=described)) == (1 if FAILED[name] else 0)
-    assert report.exit_status(replace(plan, meta=described | {"interrupted": True})) == 130
+    assert plan_report.exit_status(replace(plan, meta=described)) == (1 if FAILED[name] else 0)
+    assert plan_report.exit_status(replace(plan, meta=described | {"interrupted": True})) == 130
 
 
 def test_failed_samples_are_exit_status_1(sampled):
     assert "holds on built robots" in sampled.verdicts.failed
-    assert report.exit_status(sampled.with_thresholds(arrival_tolerance=500, error_allowed=500)) == 1
+    assert plan_report.exit_status(sampled.with_thresholds(arrival_tolerance=500, error_allowed=500)) == 1
 
 
 def test_summary_terminal_and_python_have_the_same_words_and_numbers(name, capsys):
@@ -408,7 +408,7 @@ def test_summary_terminal_and_python_have_the_same_words_and_numbers(name, capsy
     assert [each["word"] for each in found.values()] == [verdict.word for verdict in plan.verdicts]
     assert [each["number"] for each in found.values()] == [verdict.number for verdict in plan.verdicts]
     assert list(found) == list(Verdicts._fields)
-    report.print_report(plan)
+    plan_report.print_report(plan)
     text = capsys.readouterr().out
     assert NOT_FOR_PATIENTS in text
     lines = text.partition("numbers")[0].splitlines()
@@ -426,7 +426,7 @@ def test_summary_terminal_and_python_have_the_same_words_and_numbers(name, capsy
     ],
 )
 def test_what_was_not_checked_is_never_summed_up_as_passed(plan, text, capsys):
-    report.print_verdicts(summary(PLANS[plan]))
+    plan_report.print_verdicts(summary(PLANS[plan]))
     assert text in capsys.readouterr().out
 
 

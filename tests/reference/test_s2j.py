@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from problems import named_problem
 from scipy.spatial.transform import Rotation
 from strategies import configurations, robots
 from truth import Shot
@@ -15,6 +14,8 @@ from truth import Shot
 from ctr_nlp import Robot, Settings, summary, table_i_robot
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.models import KINEMATIC_MODELS
+from ctr_nlp.paths.target import QUADRATURE, SIGMA_GRID
+from ctr_nlp.planning import march
 from ctr_nlp.reference import REFERENCE_METHODS, reference_frames
 from ctr_nlp.reference.descent import clip_configuration
 from ctr_nlp.reference.learned.network import (
@@ -28,10 +29,9 @@ from ctr_nlp.reference.learned.network import (
 from ctr_nlp.reference.learned.s2j import predict_configuration, target_tilt
 from ctr_nlp.reference.learned.samples import NETWORK_INPUT_SIGMA, sample_stable_unknowns, shapes_of
 from ctr_nlp.reference.learned.training import Training, train_network
-from ctr_nlp.steer import march
 from ctr_nlp.studies.comparison import parse_variant
-from ctr_nlp.studies.learning.shapes import evaluate_network
-from ctr_nlp.target.target import QUADRATURE, SIGMA_GRID
+from ctr_nlp.studies.learning.network_errors import evaluate_network
+from problems import named_problem
 
 pytestmark = pytest.mark.interpreted
 ROBOT = table_i_robot()

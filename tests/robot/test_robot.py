@@ -11,7 +11,6 @@ import pytest
 from hypothesis import given
 from strategies import robots, robots_with_q
 
-import ctr_nlp
 from ctr_nlp import Limits, Robot, Tube, table_i_robot
 from ctr_nlp.exceptions import RobotError
 
@@ -304,8 +303,3 @@ def test_a_missing_robot_file_is_named(tmp_path):
 def test_limits_that_are_no_pairs_are_refused(limits):
     with pytest.raises(RobotError, match=r"give \(lower, upper\)"):
         Robot(table_i_robot().tubes, Limits(**limits))
-
-
-def test_the_old_name_of_the_papers_robot_still_works():
-    with pytest.warns(DeprecationWarning, match="table_i_robot"):
-        assert ctr_nlp.seed_robot(literal=True) == ctr_nlp.table_i_robot(literal=True)

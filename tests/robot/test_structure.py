@@ -9,12 +9,12 @@ import pytest
 from strategies import drawn
 
 from ctr_nlp import Limits, Problem, Robot, Tube, curve_from_formula, growing, table_i_robot
-from ctr_nlp.codegen import cache, places
-from ctr_nlp.formulations.frames import FrameResult, sobol_starts
+from ctr_nlp.codegen import cache, sample_points
 from ctr_nlp.models import KINEMATIC_MODELS
 from ctr_nlp.models.protocol import build_sample_function
+from ctr_nlp.ocp.frame_solver import FrameResult, sobol_starts
+from ctr_nlp.planning.nlp_frames import NlpFrames
 from ctr_nlp.robot.structure import TUBE_NUMBER_NAMES, Structure
-from ctr_nlp.steer.nlp_frames import NlpFrames
 
 COUNTS = pytest.mark.parametrize("count", [25, pytest.param(1000, marks=pytest.mark.slow)])
 
@@ -42,7 +42,7 @@ def test_random_robots_of_one_structure_are_compiled_once(d, model, count, monke
     if cache.unavailable_reason():
         pytest.skip("no C compiler")
     written = list[str]()
-    monkeypatch.setattr(places, "code", told(written, places.code))
+    monkeypatch.setattr(sample_points, "code", told(written, sample_points.code))
     rng, seconds, failed = np.random.default_rng(d), list[float](), 0
     for number in range(count + 1):
         problem = one_frame(drawn(rng, d))

@@ -9,7 +9,7 @@ import pytest
 
 from ctr_nlp import Robot, Tolerances, table_i_robot
 from ctr_nlp.exceptions import RobotError
-from ctr_nlp.robot.draws import RobotSamples, box_vertices_of, sample_robots
+from ctr_nlp.robot.samples import RobotSamples, box_vertices_of, sample_robots
 from ctr_nlp.robot.structure import TUBE_NUMBER_NAMES
 
 WIDE = Tolerances(

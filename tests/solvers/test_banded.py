@@ -16,17 +16,17 @@ from strategies import seeds
 
 from ctr_nlp import Limits, Problem, Robot, Tube, curve_from_formula, growing, table_i_robot
 from ctr_nlp.exceptions import OptionError
-from ctr_nlp.formulations.horizon import EndConfigurations
-from ctr_nlp.nlp.chain import Chain
-from ctr_nlp.nlp.links import FrameLink, differences
-from ctr_nlp.nlp.nlp import Constraint, Nlp, Residual
-from ctr_nlp.nlp.written import FrameFunctions
+from ctr_nlp.ocp.chain import Chain
+from ctr_nlp.ocp.expressions import FrameFunctions
+from ctr_nlp.ocp.horizon import EndConfigurations
+from ctr_nlp.ocp.links import FrameLink, differences
+from ctr_nlp.ocp.nlp import Constraint, Nlp, Residual
 from ctr_nlp.solvers import CHAIN_SOLVERS, FEASIBILITY_TOLERANCE, Iterate, Solution, Watch
 from ctr_nlp.solvers.frame.adapter import KKT_TOLERANCE
 from ctr_nlp.solvers.motion import banded
 from ctr_nlp.solvers.motion import ipopt as chain_ipopt
 from ctr_nlp.solvers.motion.banded import BANDED_KKT_TOLERANCE, BandedSolver
-from ctr_nlp.solvers.motion.judged import LOCAL_START_BARRIER_MM2
+from ctr_nlp.solvers.motion.chain_solution import LOCAL_START_BARRIER_MM2
 
 INF = np.inf
 EVERY_SOLVER = pytest.mark.parametrize("solver", CHAIN_SOLVERS)

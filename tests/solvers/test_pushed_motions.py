@@ -12,13 +12,13 @@ from test_shared_motions import check_derivatives, repaired
 
 from ctr_nlp import Load, Loaded, Problem, curve_from_formula, growing
 from ctr_nlp.exceptions import OptionError
-from ctr_nlp.formulations.horizon import EndConfigurations
-from ctr_nlp.formulations.shared.scenarios import shared_motion
-from ctr_nlp.loads import with_modulus
 from ctr_nlp.models import KINEMATIC_MODELS, model_with_tip_forces
+from ctr_nlp.models.loads import with_modulus
 from ctr_nlp.models.protocol import subdivide_motion
-from ctr_nlp.nlp.scenarios import Scenarios
-from ctr_nlp.solvers.compiled import fastest_functions
+from ctr_nlp.ocp.horizon import EndConfigurations
+from ctr_nlp.ocp.scenarios import Scenarios
+from ctr_nlp.ocp.shared.scenarios import shared_motion
+from ctr_nlp.solvers.compiled_functions import fastest_functions
 from ctr_nlp.solvers.scenarios import SharedSolver
 from ctr_nlp.solvers.scenarios.condensed import Condensed
 

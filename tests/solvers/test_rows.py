@@ -16,9 +16,9 @@ from rows import central, links_hessian, whole_jacobian
 from strategies import seeds
 
 from ctr_nlp.codegen import cache
-from ctr_nlp.nlp.chain import Chain
-from ctr_nlp.nlp.links import FrameLink, differences
-from ctr_nlp.nlp.nlp import Constraint, Nlp, Residual
+from ctr_nlp.ocp.chain import Chain
+from ctr_nlp.ocp.links import FrameLink, differences
+from ctr_nlp.ocp.nlp import Constraint, Nlp, Residual
 from ctr_nlp.solvers.motion.rows import CHAIN_BOUND_RELAXATION, CHAIN_INFINITE_BOUND, ChainRows
 
 INF = np.inf

@@ -8,7 +8,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from ctr_nlp.nlp.nlp import Constraint, CostTerm, Nlp
+from ctr_nlp.ocp.nlp import Constraint, CostTerm, Nlp
 from ctr_nlp.solvers.frame.adapter import KKT_TOLERANCE
 from ctr_nlp.solvers.frame.program import Program
 from ctr_nlp.solvers.frame.run import FrameSequence

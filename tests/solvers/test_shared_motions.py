@@ -12,17 +12,17 @@ from truth import TWO, Shot
 
 from ctr_nlp import Problem, growing
 from ctr_nlp.exceptions import OptionError
-from ctr_nlp.formulations.horizon import EndConfigurations
-from ctr_nlp.formulations.shared.scenarios import shared_motion
 from ctr_nlp.models import KINEMATIC_MODELS
-from ctr_nlp.nlp.scenarios import Scenarios
-from ctr_nlp.solvers.compiled import fastest_functions
+from ctr_nlp.ocp.horizon import EndConfigurations
+from ctr_nlp.ocp.scenarios import Scenarios
+from ctr_nlp.ocp.shared.scenarios import shared_motion
+from ctr_nlp.paths.curve import curve_from_formula
+from ctr_nlp.paths.target import SIGMA_GRID
+from ctr_nlp.solvers.compiled_functions import fastest_functions
 from ctr_nlp.solvers.scenarios import SharedSolver
 from ctr_nlp.solvers.scenarios.bordered import solve_bordered_system as solved_by
 from ctr_nlp.solvers.scenarios.condensed import Condensed
 from ctr_nlp.solvers.scenarios.twists import TwistSteps
-from ctr_nlp.target.curve import curve_from_formula
-from ctr_nlp.target.target import SIGMA_GRID
 
 pytestmark = pytest.mark.interpreted
 

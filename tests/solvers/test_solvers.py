@@ -20,15 +20,15 @@ from scipy.optimize import nnls
 from strategies import seeds
 
 from ctr_nlp.exceptions import OptionError
-from ctr_nlp.formulations import FORMULATIONS, Settings
 from ctr_nlp.models import KINEMATIC_MODELS
-from ctr_nlp.nlp.nlp import Constraint, CostTerm, Nlp, Residual, kkt_residual
+from ctr_nlp.ocp import FORMULATIONS, Settings
+from ctr_nlp.ocp.nlp import Constraint, CostTerm, Nlp, Residual, kkt_residual
+from ctr_nlp.planning.nlp_frames import NlpFrames
 from ctr_nlp.solvers import FEASIBILITY_TOLERANCE, SOLVERS, Solution
 from ctr_nlp.solvers.frame import sqp
 from ctr_nlp.solvers.frame.adapter import KKT_TOLERANCE
 from ctr_nlp.solvers.frame.program import MAX_SQP_ITERATIONS, SQP_KKT_TOLERANCE, Program
 from ctr_nlp.solvers.frame.sqp import SQP_STATUS_TEXTS, Sqp
-from ctr_nlp.steer.nlp_frames import NlpFrames
 
 INF = np.inf
 EVERY_SOLVER = pytest.mark.parametrize("solver", SOLVERS)

@@ -11,10 +11,10 @@ from truth import TWO
 
 from ctr_nlp import Manufacture, Problem, Robot, growing
 from ctr_nlp.cli.main import main
-from ctr_nlp.codesign.request import draft, search_for
+from ctr_nlp.design.request import draft, search_for
+from ctr_nlp.paths.curve import curve_from_formula
 from ctr_nlp.studies.baselines.race import DESIGN_OPTIMISERS, OptimiserRun, race_optimisers, seconds_to
 from ctr_nlp.support.interrupt import deferred_interrupt
-from ctr_nlp.target.curve import curve_from_formula
 
 RULES = Manufacture(channel=0.3, wall=0.1, outer=4.0)
 PAIR = Robot(TWO.tubes)

@@ -9,14 +9,14 @@ from contextlib import contextmanager
 
 import numpy as np
 import pytest
-from problems import ROOT, named_problem
 
 from ctr_nlp.cli.studies import benchmark
 from ctr_nlp.cli.studies.benchmark import main, unexplained_rows
 from ctr_nlp.exceptions import BenchmarkError
-from ctr_nlp.studies.benchmarks import paired, shares, work
+from ctr_nlp.studies.benchmarks import tree_comparison, uncompiled_time, work
 from ctr_nlp.studies.benchmarks.growth import draw_growths, fit_growth
-from ctr_nlp.studies.benchmarks.paired import (
+from ctr_nlp.studies.benchmarks.peers import PEER_RACE_ROUNDS, REFERENCE_FRAME_STRIDE, REFERENCES, race_solvers
+from ctr_nlp.studies.benchmarks.tree_comparison import (
     LEAST_BLOCKS,
     RowComparison,
     Worker,
@@ -25,8 +25,8 @@ from ctr_nlp.studies.benchmarks.paired import (
     measure_row,
     median_confidence_interval,
 )
-from ctr_nlp.studies.benchmarks.peers import PEER_RACE_ROUNDS, REFERENCE_FRAME_STRIDE, REFERENCES, race_solvers
 from ctr_nlp.studies.benchmarks.trees import tree_of
+from problems import ROOT, named_problem
 
 BUSY = "while True: sum(range(10000))"
 BLOCKS = 12
@@ -84,7 +84,7 @@ class Scripted:
     ("ratio", "verdict"), [(1.0, "same"), (1.1, "same"), (1.3, "slower"), (0.9, "same"), (0.7, "faster")]
 )
 def test_losses_and_gains_beyond_the_tolerance_are_told_apart_from_what_is_within(ratio, verdict, monkeypatch):
-    monkeypatch.setattr(paired, "turns_for_min_duration", lambda worker: 5)
+    monkeypatch.setattr(tree_comparison, "turns_for_min_duration", lambda worker: 5)
     for seed in range(20):
         found = compare_row("row", Scripted(1e-3, seed), Scripted(ratio * 1e-3, seed + 100), BLOCKS)
         assert found.verdict == verdict
@@ -93,7 +93,7 @@ def test_losses_and_gains_beyond_the_tolerance_are_told_apart_from_what_is_withi
 
 def test_a_drift_of_the_machine_is_no_change(monkeypatch):
     """Everything takes longer and longer, both trees alike: turns in the order A B B A cancel it."""
-    monkeypatch.setattr(paired, "turns_for_min_duration", lambda worker: 1)
+    monkeypatch.setattr(tree_comparison, "turns_for_min_duration", lambda worker: 1)
     clock = iter(range(10**6))
 
     class Drifting(Scripted):
@@ -195,8 +195,8 @@ def test_every_method_has_its_frames_and_sqp_solves_them_all():
 
 
 def test_compiled_code_is_what_is_called_and_python_is_outside():
-    assert shares.uncompiled_share(lambda: sum(k * k for k in range(100_000)), 2) == 1.0
-    for end, function in shares.CALLERS:
+    assert uncompiled_time.uncompiled_share(lambda: sum(k * k for k in range(100_000)), 2) == 1.0
+    for end, function in uncompiled_time.CALLERS:
         (file,) = (ROOT / "ctr_nlp").glob(f"**/{end}")
         assert f"def {function}(" in file.read_text()
 

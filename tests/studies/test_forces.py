@@ -14,9 +14,9 @@ from lumens import straight
 
 from ctr_nlp import Load, Plan, Robot, Tube, forces
 from ctr_nlp.exceptions import LoadError, OptionError
+from ctr_nlp.loads.tip import cube_directions
+from ctr_nlp.loads.tip_picture import draw_tip_forces
 from ctr_nlp.models.loaded.following.follower import Follower
-from ctr_nlp.studies.borne.tip import cube_directions
-from ctr_nlp.studies.borne.tip_picture import draw_tip_forces
 
 ROD = Robot((Tube(200, 150, 0.0, 1.5, 1.0, youngs_modulus=60_000),))
 OUT = 100.0

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from loops_of import OFF, ROBOT, made_plan, robots
 
-from ctr_nlp.loops.differences import ParameterDifferences
+from ctr_nlp.identify.closed_loop.parameter_differences import ParameterDifferences
 from ctr_nlp.models import KINEMATIC_MODELS
 from ctr_nlp.robot.tolerances import DEVIATION_NAMES
-from ctr_nlp.studies.identified import identify_robot
-from ctr_nlp.studies.loops import CLOSED_LOOP_CASES, REPLANNED, REPLANNING_MODES, run_closed_loops
+from ctr_nlp.studies.closed_loop_study import CLOSED_LOOP_CASES, REPLANNED, REPLANNING_MODES, run_closed_loops
+from ctr_nlp.studies.identification import identify_robot
 
 
 def test_feedback_is_told_beside_open_loop():

@@ -7,14 +7,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from ctr_nlp.problems import named_problem
 
 from ctr_nlp import Problem, Robot, Settings, curve_from_points, growing, table_i_robot
 from ctr_nlp.cli.studies.compare import main
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.plan.measures import follow_the_leader_deviation
-from ctr_nlp.problems import named_problem
+from ctr_nlp.planning import solve_per_frame
 from ctr_nlp.reference import REFERENCE_METHODS
-from ctr_nlp.steer import solve_per_frame
 from ctr_nlp.studies.comparison import (
     LUMEN_PATH_VARIANTS,
     ROBUST_VARIANTS,
@@ -23,7 +23,7 @@ from ctr_nlp.studies.comparison import (
     compare,
     parse_variant,
 )
-from ctr_nlp.studies.methods.measured import every_method, measure_plan
+from ctr_nlp.studies.methods.metrics import every_method, measure_plan
 from ctr_nlp.studies.methods.page import METHOD_PAGE_COLUMNS, method_description, page, table
 
 ROBOT = table_i_robot()

@@ -9,7 +9,7 @@ import pytest
 
 from ctr_nlp import Robot, table_i_robot
 from ctr_nlp.exceptions import OptionError
-from ctr_nlp.loads import with_modulus
+from ctr_nlp.models.loads import with_modulus
 from ctr_nlp.studies.peers.agreement import compare_models, sample_configurations
 from ctr_nlp.studies.peers.program import format_input, run_peer_program
 

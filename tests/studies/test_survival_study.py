@@ -8,10 +8,10 @@ import pytest
 from ctr_nlp.cli.commands.new import template
 from ctr_nlp.cli.main import main
 from ctr_nlp.studies.airways import synthetic_problem
+from ctr_nlp.studies.robustness_trade_off import COMPARED_STABILITY_MARGINS, RobustnessPoint, plan_for_tolerances
 from ctr_nlp.studies.survival.cases import Airway, from_rows
 from ctr_nlp.studies.survival.distributions import distributions
 from ctr_nlp.studies.survival.report import findings, page, write
-from ctr_nlp.studies.trade import COMPARED_STABILITY_MARGINS, RobustnessPoint, plan_for_tolerances
 
 pytest.importorskip("distributed", reason="the extra `study` is not installed")
 

@@ -12,8 +12,9 @@ from truth import TWO
 from ctr_nlp import Problem, growing
 from ctr_nlp.cli.studies import trade as command
 from ctr_nlp.exceptions import OptionError, RobotError
+from ctr_nlp.paths.curve import curve_from_formula
 from ctr_nlp.robot.tolerances import Tolerances
-from ctr_nlp.studies.trade import (
+from ctr_nlp.studies.robustness_trade_off import (
     RobustnessPoint,
     choice_sentence,
     choose_plan,
@@ -21,7 +22,6 @@ from ctr_nlp.studies.trade import (
     requested_plans,
     scale_tolerances,
 )
-from ctr_nlp.target.curve import curve_from_formula
 
 CURVE = curve_from_formula(lambda u: (8 - 8 * ca.cos(u / 25), 6 * ca.sin(u / 30), u), 0.0, 70.0)
 
@@ -47,7 +47,9 @@ def test_no_plan_is_asked_for_twice():
 
 
 def test_what_cannot_be_drawn_is_refused_before_anything_is_planned(problem, monkeypatch):
-    monkeypatch.setattr("ctr_nlp.studies.trade.solve_horizon", lambda *a, **k: pytest.fail("planned"))
+    monkeypatch.setattr(
+        "ctr_nlp.studies.robustness_trade_off.solve_horizon", lambda *a, **k: pytest.fail("planned")
+    )
     for wrong in ({"draws": 0}, {"amounts": (0, -1.0)}, {"amounts": (0, 1e9)}):
         with pytest.raises((OptionError, RobotError)):
             plan_for_tolerances(problem, **wrong)

@@ -2,17 +2,17 @@
 
 import numpy as np
 import pytest
-from problems import NAMES, named_problem
 
 from ctr_nlp import problem_from_file
-from ctr_nlp.formulations.settings import Settings
-from ctr_nlp.steer import Horizon
-from ctr_nlp.studies.trade_off import (
+from ctr_nlp.ocp.settings import Settings
+from ctr_nlp.planning import Horizon
+from ctr_nlp.studies.pareto_front import (
     COMPARED_VARIANTS,
     DEFAULT_SWEEP_WEIGHTS_S2,
     compute_pareto_front,
     sweep_motion_weights,
 )
+from problems import NAMES, named_problem
 
 
 def quiet(label):

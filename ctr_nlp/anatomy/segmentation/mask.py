@@ -15,7 +15,7 @@ from scipy.sparse.csgraph import dijkstra
 
 from ctr_nlp.anatomy.branch import Branch, Branches, checked_point, name_source_in_errors, transform_points
 from ctr_nlp.anatomy.formats.images import IMAGE_SPACE_TO_LPS, Image, read_image
-from ctr_nlp.anatomy.segmentation.middle import centre_route, lie_in_lumen
+from ctr_nlp.anatomy.segmentation.centring import centre_route, lie_in_lumen
 from ctr_nlp.exceptions import CurveError
 from ctr_nlp.typing import Array, Flags
 

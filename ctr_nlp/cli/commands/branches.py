@@ -13,12 +13,12 @@ from ctr_nlp.anatomy.files import CENTRELINE_SUFFIXES, read_branches
 from ctr_nlp.cli.arguments import add_entry_option
 from ctr_nlp.cli.console import EXIT_SOLVED, Command
 from ctr_nlp.cli.output.file import check_file, output_file
-from ctr_nlp.cli.telling import print_table, progress_bar, report_written_files
+from ctr_nlp.cli.terminal_output import print_table, progress_bar, report_written_files
 from ctr_nlp.exceptions import OptionError, OutputError, escape_control_characters
-from ctr_nlp.figures import save
-from ctr_nlp.figures.branches import tree
-from ctr_nlp.target.curve import curve_from_points
-from ctr_nlp.target.fit import JAGGED_CURVATURE_PER_MM, sharpest_bend
+from ctr_nlp.paths.curve import curve_from_points
+from ctr_nlp.paths.lumen_fit import JAGGED_CURVATURE_PER_MM, sharpest_bend
+from ctr_nlp.view.figures import save
+from ctr_nlp.view.figures.branches import tree
 
 PNG = b"\x89PNG"
 BRANCH_TABLE_COLUMNS = (

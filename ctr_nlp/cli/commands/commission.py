@@ -8,17 +8,17 @@ import sys
 from pathlib import Path
 
 from ctr_nlp.cli.console import EXIT_SOLVED, EXIT_SOME_FAILED, Command
-from ctr_nlp.cli.obeying import SIGNAL_EXIT_BASE, stop_on_signals
+from ctr_nlp.cli.operator_control import SIGNAL_EXIT_BASE, stop_on_signals
 from ctr_nlp.cli.output.file import write_text
 from ctr_nlp.cli.play_report import JOURNAL, claim
-from ctr_nlp.cli.telling import console, print_stderr, print_table, report_written_files
+from ctr_nlp.cli.terminal_output import console, print_stderr, print_table, report_written_files
 from ctr_nlp.exceptions import DeviceFault, HardwareError
 from ctr_nlp.hardware.clock import RealClock
 from ctr_nlp.hardware.commission import STEP_DIRECTION_SIGNS, TRIAL_STEP_LENGTH, Commissioning, ControllerReadout
 from ctr_nlp.hardware.description import Hardware, commissioned_file, commissioned_text
+from ctr_nlp.hardware.device_factory import memory_of, recorded_link
 from ctr_nlp.hardware.devices import Asked
 from ctr_nlp.hardware.journal import Journal
-from ctr_nlp.hardware.opening import memory_of, recorded_link
 from ctr_nlp.support.interrupt import deferred_interrupt
 
 SKIP, TIGHTEN = "SKIP", "SET"

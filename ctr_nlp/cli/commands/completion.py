@@ -7,8 +7,8 @@ from typing import Any
 
 from ctr_nlp.cli.console import EXIT_SOLVED, Command
 from ctr_nlp.cli.main import parser as whole_parser
-from ctr_nlp.cli.telling import write_stdout
-from ctr_nlp.problems import PROBLEM_NAMES
+from ctr_nlp.cli.terminal_output import write_stdout
+from ctr_nlp.paths.named_problems import PROBLEM_NAMES
 from ctr_nlp.support.extras import import_extra
 
 SHELLS = ("bash", "zsh", "fish")

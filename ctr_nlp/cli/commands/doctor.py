@@ -17,7 +17,7 @@ from typing import NamedTuple
 
 import ctr_nlp
 from ctr_nlp.cli.console import EXIT_SOLVED, EXIT_SOME_FAILED, Command
-from ctr_nlp.cli.telling import console, print_table
+from ctr_nlp.cli.terminal_output import console, print_table
 from ctr_nlp.codegen import cache
 from ctr_nlp.exceptions import CtrError
 
@@ -137,7 +137,7 @@ def _plan() -> Iterator[CheckResult]:
     On the dominant model, since elastic frames take long where nothing is compiled.
     """
     try:
-        from ctr_nlp.problems import named_problem
+        from ctr_nlp.paths.named_problems import named_problem
 
         plan = ctr_nlp.solve_per_frame(
             named_problem("arc", 2), model="dominant", solver="ipopt", direction="forward"

@@ -10,11 +10,8 @@ from ctr_nlp.cli.exchange.shapes import write_shapes
 from ctr_nlp.cli.output.file import check_file, write_text
 from ctr_nlp.cli.output.folder import check_folder, output_folder
 from ctr_nlp.cli.play_report import print_trajectory
-from ctr_nlp.cli.telling import report_written_files
+from ctr_nlp.cli.terminal_output import report_written_files
 from ctr_nlp.exceptions import OptionError, escape_control_characters
-from ctr_nlp.exchange import formats
-from ctr_nlp.exchange.formats import SLICER_FORMAT
-from ctr_nlp.exchange.slicer import SLICER_SPACES
 from ctr_nlp.hardware.description import Hardware, simulated_hardware
 from ctr_nlp.hardware.exports import BAG, MACHINE_FORMATS, MACHINE_TEXT_FORMATS
 from ctr_nlp.hardware.exports.rosbag2 import STORAGES, write_bag
@@ -22,6 +19,9 @@ from ctr_nlp.hardware.motion.trajectory import Trajectory
 from ctr_nlp.hardware.playing.session import prepare_trajectory
 from ctr_nlp.plan.plan import Plan
 from ctr_nlp.support.interrupt import deferred_interrupt
+from ctr_nlp.view.exchange import formats
+from ctr_nlp.view.exchange.formats import SLICER_FORMAT
+from ctr_nlp.view.exchange.slicer import SLICER_SPACES
 
 
 def _parser(prog: str) -> argparse.ArgumentParser:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from ctr_nlp.cli.console import EXIT_SOLVED, Command
 from ctr_nlp.cli.output.file import check_file, write_text
-from ctr_nlp.cli.telling import report_written_files
+from ctr_nlp.cli.terminal_output import report_written_files
 from ctr_nlp.exceptions import OptionError, OutputError
 
 NEXT_COMMAND_BY_TEMPLATE = {
@@ -59,7 +59,7 @@ def _text(arguments: argparse.Namespace, name: str) -> str:
         return template(name)
     if arguments.kind != "robot":
         raise OptionError(f"--from is given for a {arguments.kind} file; only a robot is read from other programs")
-    from ctr_nlp.exchange.robots import read_robot  # brings numerics, which templates do without
+    from ctr_nlp.view.exchange.robots import read_robot  # brings numerics, which templates do without
 
     imported = read_robot(arguments.source, arguments.name, arguments.poisson_ratio)
     return imported.to_toml(Path(arguments.source).name)

@@ -27,7 +27,7 @@ from ctr_nlp.cli.loads.options import (
 from ctr_nlp.cli.output.file import path_component
 from ctr_nlp.cli.output.folder import NOMINAL_FOLDER_NAME, check_folder, output_folder, results_folder
 from ctr_nlp.cli.plan_options import HORIZON_FORMULATION
-from ctr_nlp.cli.report import (
+from ctr_nlp.cli.plan_report import (
     draw,
     draw_shapes_only,
     exit_status,
@@ -39,30 +39,30 @@ from ctr_nlp.cli.report import (
     write_film,
     write_front,
 )
-from ctr_nlp.cli.telling import announce, progress_bar, report_written_files
+from ctr_nlp.cli.terminal_output import announce, progress_bar, report_written_files
 from ctr_nlp.exceptions import CtrError, OptionError
-from ctr_nlp.formulations import FORMULATIONS
-from ctr_nlp.formulations.settings import THRESHOLDS, Settings, check_motion_weight
 from ctr_nlp.models import KINEMATIC_MODELS
-from ctr_nlp.plan import account
-from ctr_nlp.plan.account import NOT_FOR_PATIENTS
+from ctr_nlp.ocp import FORMULATIONS
+from ctr_nlp.ocp.settings import THRESHOLDS, Settings, check_motion_weight
+from ctr_nlp.paths.lumen_fit import check_radii
+from ctr_nlp.paths.problem import Problem
+from ctr_nlp.plan import summary_text
 from ctr_nlp.plan.metrics import summary
 from ctr_nlp.plan.plan import PHYSICAL_MODEL, Plan
+from ctr_nlp.plan.summary_text import NOT_FOR_PATIENTS
 from ctr_nlp.plan.verdicts import NO
+from ctr_nlp.planning import DIRECTIONS, horizon_planner, solve_per_frame
+from ctr_nlp.planning.compromise import Compromise, compromises
+from ctr_nlp.planning.validation import Direction, check_search, checked_motions
+from ctr_nlp.robust import solve_robust, solve_robust_per_frame
+from ctr_nlp.robust.tolerance_scenarios import resolve_scenarios
 from ctr_nlp.solvers import CHAIN_SOLVERS, SOLVERS
-from ctr_nlp.steer import DIRECTIONS, horizon_planner, solve_per_frame
-from ctr_nlp.steer.compromise import Compromise, compromises
-from ctr_nlp.steer.requests import Direction, check_search, checked_motions
-from ctr_nlp.steer.robust import solve_robust, solve_robust_per_frame
-from ctr_nlp.steer.robust.tolerated import resolve_scenarios
-from ctr_nlp.studies.trade_off import DEFAULT_SWEEP_WEIGHTS_S2, ParetoPoint, compute_pareto_front
+from ctr_nlp.studies.pareto_front import DEFAULT_SWEEP_WEIGHTS_S2, ParetoPoint, compute_pareto_front
 from ctr_nlp.support.interrupt import deferred_interrupt, end_if_interrupted
-from ctr_nlp.support.values import check_choice
-from ctr_nlp.target.fit import check_radii
-from ctr_nlp.target.problem import Problem
+from ctr_nlp.support.value_checks import check_choice
 
 if TYPE_CHECKING:
-    from ctr_nlp.cli.live import SolverView
+    from ctr_nlp.cli.live_views import SolverView
 
 
 OPTIONS_EXCLUDED_BY_ROBUST = "initial", "starts", "exhaustive", "jobs", "sweep_motion_weight", "live", "solver"
@@ -375,7 +375,7 @@ def _write_nominal_plan(plan: Plan, out: Path, figures: bool) -> None:
     found = summary(plan)
     tip = found["tip_last"]
     announce(
-        f"plan for the robot as described: {account.summarise_verdicts(found)} The tip ends {tip:.2f} mm off "
+        f"plan for the robot as described: {summary_text.summarise_verdicts(found)} The tip ends {tip:.2f} mm off "
         f"the target. "
         f"Wrote {place}; now planning for all robots within the tolerances"
     )
@@ -385,9 +385,9 @@ def _open_live_view(problem: Problem, arguments: argparse.Namespace) -> Abstract
     """A window on the search where one is asked for; only then is what shows it loaded."""
     if not arguments.live:
         return nullcontext()
-    from ctr_nlp.cli import live
+    from ctr_nlp.cli import live_views
 
-    return live.open_solver_view(problem, plan_options.model_from(arguments))
+    return live_views.open_solver_view(problem, plan_options.model_from(arguments))
 
 
 plan = Command("ctr-nlp plan", partial(_parser, (HORIZON_FORMULATION, *FORMULATIONS)), _run)

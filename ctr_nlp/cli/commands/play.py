@@ -10,25 +10,25 @@ from typing import Any
 
 import numpy as np
 
-from ctr_nlp.cli import closed_loop, live
+from ctr_nlp.cli import closed_loop, live_views
 from ctr_nlp.cli.arguments import add_live_option
 from ctr_nlp.cli.commands.commission import commission
 from ctr_nlp.cli.console import EXIT_BAD_INPUT, EXIT_SOLVED, EXIT_SOME_FAILED, Command
-from ctr_nlp.cli.obeying import SIGNAL_EXIT_BASE, obey_operator
+from ctr_nlp.cli.operator_control import SIGNAL_EXIT_BASE, obey_operator
 from ctr_nlp.cli.output.file import path_component
 from ctr_nlp.cli.play_report import JOURNAL, claim, print_trajectory, report
-from ctr_nlp.cli.telling import print_stderr, progress_bar
+from ctr_nlp.cli.terminal_output import print_stderr, progress_bar
 from ctr_nlp.exceptions import DeviceFault, OptionError
 from ctr_nlp.hardware.axis import LETTERS
 from ctr_nlp.hardware.clock import RealClock
 from ctr_nlp.hardware.description import Hardware, simulated_hardware
+from ctr_nlp.hardware.device_factory import arm_follower, device_of, memory_of
 from ctr_nlp.hardware.devices import MotionProgress
 from ctr_nlp.hardware.devices.grbl.identity import find_loose_settings
 from ctr_nlp.hardware.guiding.guide import SHARE
 from ctr_nlp.hardware.guiding.loop import ClosedLoop
 from ctr_nlp.hardware.journal import Journal, read_journal
 from ctr_nlp.hardware.motion.trajectory import Trajectory
-from ctr_nlp.hardware.opening import arm_follower, device_of, memory_of
 from ctr_nlp.hardware.playing.checks import check_plan
 from ctr_nlp.hardware.playing.permission import check_permission
 from ctr_nlp.hardware.playing.playback import Seen
@@ -37,8 +37,8 @@ from ctr_nlp.hardware.playing.record import Recorder
 from ctr_nlp.hardware.playing.results import PlaybackOutcome
 from ctr_nlp.hardware.playing.retract import retract
 from ctr_nlp.hardware.playing.session import play_plan, prepare_trajectory, resume
-from ctr_nlp.plan.account import NOT_FOR_PATIENTS
 from ctr_nlp.plan.plan import Plan
+from ctr_nlp.plan.summary_text import NOT_FOR_PATIENTS
 from ctr_nlp.support.interrupt import deferred_interrupt
 
 
@@ -163,7 +163,7 @@ def _run(arguments: argparse.Namespace) -> int:
     known = arguments.resume or (arguments.retract and (out / JOURNAL).exists())
     records = read_journal(out / JOURNAL) if known else None
     looped = closed_loop.start_closed_loop(plan, hardware, records) if arguments.closed_loop else nullcontext()
-    with looped as loop, live.open_playback_view(plan) if arguments.live else nullcontext() as told:
+    with looped as loop, live_views.open_playback_view(plan) if arguments.live else nullcontext() as told:
         return _play_plan(arguments, plan, hardware, out, records, told, loop)
 
 
@@ -212,7 +212,7 @@ def _play_plan(
     hardware: Hardware,
     out: Path,
     records: list[dict[str, Any]] | None,
-    live_view: live.PlaybackView | None,
+    live_view: live_views.PlaybackView | None,
     loop: ClosedLoop | None,
 ) -> int:
     """Play, from the beginning or where records end, or retract; told, unless None, of all that is seen.
@@ -233,7 +233,7 @@ def _play_plan(
         if interrupted():
             player.abort()
         seen = _make_progress_callback(player, recorder, labelled(plan.meta["problem"]["name"]), live_view)
-        how: dict[str, Any] = {"verified": arguments.position_verified, "seen": seen}
+        how: dict[str, Any] = {"verified": arguments.position_verified, "callback": seen}
         try:
             if arguments.retract:
                 result = retract(player, plan, hardware, records, **how)
@@ -273,7 +273,10 @@ def _last_tilt(plan: Plan, records: list[dict[str, Any]] | None) -> Any:
 
 
 def _make_progress_callback(
-    player: Player, recorder: Recorder, show: Callable[[int, int, str], None], live_view: live.PlaybackView | None
+    player: Player,
+    recorder: Recorder,
+    show: Callable[[int, int, str], None],
+    live_view: live_views.PlaybackView | None,
 ) -> Seen:
     """Record, and show progress."""
 

@@ -9,10 +9,10 @@ from ctr_nlp.cli.arguments import add_film_option, add_out_option, film_file
 from ctr_nlp.cli.console import EXIT_SOLVED, Command
 from ctr_nlp.cli.output.file import write_text
 from ctr_nlp.cli.output.folder import check_folder, output_folder
-from ctr_nlp.cli.report import write_film
-from ctr_nlp.cli.telling import report_written_files
+from ctr_nlp.cli.plan_report import write_film
+from ctr_nlp.cli.terminal_output import report_written_files
 from ctr_nlp.plan.plan import Plan
-from ctr_nlp.report import page
+from ctr_nlp.view.report import page
 
 PAGE = "report.html"
 

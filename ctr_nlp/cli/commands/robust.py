@@ -10,10 +10,10 @@ from ctr_nlp.cli.console import Command
 from ctr_nlp.cli.output.file import path_component
 from ctr_nlp.cli.output.folder import check_folder, output_folder
 from ctr_nlp.cli.plan_options import add_evaluate_option, add_threshold_options, with_thresholds
-from ctr_nlp.cli.report import exit_status, print_robustness, write
-from ctr_nlp.cli.telling import busy, report_written_files
+from ctr_nlp.cli.plan_report import exit_status, print_robustness, write
+from ctr_nlp.cli.terminal_output import busy, report_written_files
 from ctr_nlp.exceptions import OptionError
-from ctr_nlp.plan.draws import DEFAULT_PLAN_SAMPLE_SEED, DEFAULT_PLAN_SAMPLES
+from ctr_nlp.plan.monte_carlo import DEFAULT_PLAN_SAMPLE_SEED, DEFAULT_PLAN_SAMPLES
 from ctr_nlp.plan.plan import Plan
 
 
@@ -58,8 +58,8 @@ def _run(arguments: argparse.Namespace) -> int:
     with output_folder(out, "robust") as staging:
         write(plan, staging)
         if not arguments.no_figures:
-            from ctr_nlp.figures import save  # brings matplotlib, which takes long to load
-            from ctr_nlp.figures.draws import robustness
+            from ctr_nlp.view.figures import save  # brings matplotlib, which takes long to load
+            from ctr_nlp.view.figures.robustness_plot import robustness
 
             save(robustness(plan), staging / "robustness.png")
         files = sorted(path.name for path in staging.iterdir())

@@ -15,12 +15,12 @@ from ctr_nlp.cli.loads.options import (
     model_from_options,
     problem_with_modulus,
 )
-from ctr_nlp.cli.telling import console, print_stderr, print_table, progress_bar
+from ctr_nlp.cli.terminal_output import console, print_stderr, print_table, progress_bar
 from ctr_nlp.codegen import cache
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.models import KINEMATIC_MODELS, suits
-from ctr_nlp.problems import PROBLEM_NAMES
-from ctr_nlp.steer import solve_horizon, solve_per_frame
+from ctr_nlp.paths.named_problems import PROBLEM_NAMES
+from ctr_nlp.planning import solve_horizon, solve_per_frame
 from ctr_nlp.support.interrupt import deferred_interrupt
 
 WARM_FRAME_COUNT = 3

@@ -17,12 +17,12 @@ from ctr_nlp.cli.plan_options import (
     evaluate_plan,
     with_thresholds,
 )
-from ctr_nlp.cli.report import draw, exit_status, print_report, write
-from ctr_nlp.cli.telling import report_written_files
-from ctr_nlp.exchange.configurations import plan_through, read_configurations
+from ctr_nlp.cli.plan_report import draw, exit_status, print_report, write
+from ctr_nlp.cli.terminal_output import report_written_files
 from ctr_nlp.models import DEFAULT_MODEL, KINEMATIC_MODELS
-from ctr_nlp.target.problem import Problem
+from ctr_nlp.paths.problem import Problem
 from ctr_nlp.typing import Array
+from ctr_nlp.view.exchange.configurations import plan_through, read_configurations
 
 DURATION = 10.0
 """s, where neither the file nor an option tells it."""

@@ -6,11 +6,11 @@ from pathlib import Path
 
 from ctr_nlp.cli.output.file import check_file, write_bytes, write_text
 from ctr_nlp.cli.output.folder import check_folder, output_folder
-from ctr_nlp.cli.telling import console, report_written_files
+from ctr_nlp.cli.terminal_output import console, report_written_files
 from ctr_nlp.exceptions import OptionError
-from ctr_nlp.exchange.formats import FILE_FORMATS, SLICER_FORMAT
-from ctr_nlp.exchange.slicer import slicer_files
 from ctr_nlp.plan.plan import Plan
+from ctr_nlp.view.exchange.formats import FILE_FORMATS, SLICER_FORMAT
+from ctr_nlp.view.exchange.slicer import slicer_files
 
 
 def write_shapes(source: Path, to: str, out: Path | None, space: str | None) -> None:

@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING
 
 from ctr_nlp.cli.arguments import add_figures_option, add_out_option
 from ctr_nlp.cli.console import EXIT_SOLVED, Command
+from ctr_nlp.cli.loads.force_files import write_forces
 from ctr_nlp.cli.loads.options import add_modulus_option, read_plan
-from ctr_nlp.cli.loads.written import write_forces
 from ctr_nlp.cli.output.file import path_component
 from ctr_nlp.cli.output.folder import check_folder
-from ctr_nlp.cli.telling import busy, console, print_table, report_written_files
-from ctr_nlp.studies.borne.wall import AIRWAY_WALL_STIFFNESS_N_PER_MM2, WallForces, wall_forces
+from ctr_nlp.cli.terminal_output import busy, console, print_table, report_written_files
+from ctr_nlp.loads.wall import AIRWAY_WALL_STIFFNESS_N_PER_MM2, WallForces, wall_forces
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -62,7 +62,7 @@ def _run(arguments: argparse.Namespace) -> int:
 
 
 def _picture(found: WallForces, name: str) -> Figure:
-    from ctr_nlp.studies.borne.wall_picture import draw_wall_forces  # brings matplotlib, which takes long to load
+    from ctr_nlp.loads.wall_picture import draw_wall_forces  # brings matplotlib, which takes long to load
 
     return draw_wall_forces(found, name)
 

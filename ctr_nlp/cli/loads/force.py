@@ -10,13 +10,13 @@ from typing import TYPE_CHECKING
 
 from ctr_nlp.cli.arguments import add_figures_option, add_out_option, whole
 from ctr_nlp.cli.console import EXIT_SOLVED, Command
+from ctr_nlp.cli.loads.force_files import write_forces
 from ctr_nlp.cli.loads.options import add_modulus_option, read_plan
-from ctr_nlp.cli.loads.written import write_forces
 from ctr_nlp.cli.output.file import path_component
 from ctr_nlp.cli.output.folder import check_folder
-from ctr_nlp.cli.telling import busy, console, print_table, report_written_files
+from ctr_nlp.cli.terminal_output import busy, console, print_table, report_written_files
+from ctr_nlp.loads.tip import DEFAULT_MAX_TIP_FORCE_N, FORCE_DIRECTION_COUNTS, Forces, WorstForce, forces
 from ctr_nlp.plan.plan import Plan
-from ctr_nlp.studies.borne.tip import DEFAULT_MAX_TIP_FORCE_N, FORCE_DIRECTION_COUNTS, Forces, WorstForce, forces
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -65,7 +65,7 @@ def _run(arguments: argparse.Namespace) -> int:
 
 
 def _picture(found: Forces, name: str) -> Figure:
-    from ctr_nlp.studies.borne.tip_picture import draw_tip_forces  # brings matplotlib, which takes long to load
+    from ctr_nlp.loads.tip_picture import draw_tip_forces  # brings matplotlib, which takes long to load
 
     return draw_tip_forces(found, name)
 

@@ -6,10 +6,10 @@ import argparse
 from dataclasses import replace
 
 from ctr_nlp.cli.arguments import add_triple
-from ctr_nlp.loads import Load, LoadOverTime, read_load, with_modulus
 from ctr_nlp.models import Model, model_named, model_with_load
+from ctr_nlp.models.loads import Load, LoadOverTime, read_load, with_modulus
+from ctr_nlp.paths.problem import Problem
 from ctr_nlp.plan.plan import Plan
-from ctr_nlp.target.problem import Problem
 
 
 def add_modulus_option(parser: argparse.ArgumentParser) -> None:

@@ -11,8 +11,8 @@ from ctr_nlp.cli.loads.options import add_load_options, add_modulus_option, load
 from ctr_nlp.cli.output.file import path_component
 from ctr_nlp.cli.output.folder import check_folder, output_folder
 from ctr_nlp.cli.plan_options import add_check_options, add_threshold_options, evaluate_plan, with_thresholds
-from ctr_nlp.cli.report import draw, exit_status, print_report, write
-from ctr_nlp.cli.telling import busy, report_written_files
+from ctr_nlp.cli.plan_report import draw, exit_status, print_report, write
+from ctr_nlp.cli.terminal_output import busy, report_written_files
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.plan.plan import Plan
 
@@ -67,8 +67,8 @@ def _run(arguments: argparse.Namespace) -> int:
 
 
 def _draw_beside(plans: dict[str, Plan], folder: Path) -> None:
-    from ctr_nlp.figures import save
-    from ctr_nlp.figures.beside import shapes_compared
+    from ctr_nlp.view.figures import save
+    from ctr_nlp.view.figures.shape_comparison import shapes_compared
 
     found = plans["under the load"]
     save(shapes_compared(plans, f"{found.meta['problem']['name']}: {found.evaluated_load}"), folder / "beside.png")

@@ -7,14 +7,10 @@ import json
 from pathlib import Path
 from typing import Any
 
-from ctr_nlp.calibration.calibration import Calibration, calibrate
-from ctr_nlp.calibration.folds import FOLD_BLOCK_S
-from ctr_nlp.calibration.parameters import BASE, PARAMETER_KINDS
-from ctr_nlp.calibration.reading import read_measurements
 from ctr_nlp.cli.arguments import add_figures_option, add_out_option, whole
 from ctr_nlp.cli.console import EXIT_SOLVED, Command
 from ctr_nlp.cli.loads.options import add_load_options, add_modulus_option, model_from_options
-from ctr_nlp.cli.measured.files import (
+from ctr_nlp.cli.measured.calibration_files import (
     as_json,
     error_summaries,
     parameter_rows,
@@ -23,9 +19,13 @@ from ctr_nlp.cli.measured.files import (
     write_residuals,
 )
 from ctr_nlp.cli.output.folder import check_folder, output_folder
-from ctr_nlp.cli.telling import console, print_table, progress_bar, report_written_files
-from ctr_nlp.loads import with_modulus
+from ctr_nlp.cli.terminal_output import console, print_table, progress_bar, report_written_files
+from ctr_nlp.identify.calibration.calibration import Calibration, calibrate
+from ctr_nlp.identify.calibration.folds import FOLD_BLOCK_S
+from ctr_nlp.identify.calibration.parameters import BASE, PARAMETER_KINDS
+from ctr_nlp.identify.calibration.reading import read_measurements
 from ctr_nlp.models import KINEMATIC_MODELS
+from ctr_nlp.models.loads import with_modulus
 from ctr_nlp.robot import Robot
 
 FOLDS = 5
@@ -112,7 +112,7 @@ def _write(found: Calibration, folder: Path, pictures: bool) -> None:
     if len(found.next_q):
         write_next(found, folder / "next.csv")
     if pictures:
-        from ctr_nlp.calibration.pictures import save_all  # brings matplotlib, which takes long to load
+        from ctr_nlp.identify.calibration.pictures import save_all  # brings matplotlib, which takes long to load
 
         save_all(found, folder)
 

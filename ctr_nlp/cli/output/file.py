@@ -12,7 +12,7 @@ from pathlib import Path
 
 from ctr_nlp.cli.output.manifest import MARK
 from ctr_nlp.exceptions import OutputError
-from ctr_nlp.support.whole_file import write_atomically
+from ctr_nlp.support.atomic_write import write_atomically
 
 
 def check_file(file: Path, opening: str, at: int = 0) -> None:

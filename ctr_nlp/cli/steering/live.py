@@ -19,18 +19,18 @@ from ctr_nlp.cli.loads.options import (
 from ctr_nlp.cli.output.file import path_component
 from ctr_nlp.cli.output.folder import check_folder, output_folder
 from ctr_nlp.cli.plan_options import add_file_options
-from ctr_nlp.cli.report import write
-from ctr_nlp.cli.telling import announce, print_stderr
-from ctr_nlp.live import Live
-from ctr_nlp.live.page.server import HOST, PORT
-from ctr_nlp.live.steered.free import free_problem
-from ctr_nlp.loads import Load, require_constant_load, with_modulus
+from ctr_nlp.cli.plan_report import write
+from ctr_nlp.cli.terminal_output import announce, print_stderr
 from ctr_nlp.models import DEFAULT_MODEL, KINEMATIC_MODELS
+from ctr_nlp.models.loads import Load, require_constant_load, with_modulus
+from ctr_nlp.paths.problem import Problem
 from ctr_nlp.plan.plan import Plan
 from ctr_nlp.robot import Robot, table_i_robot
 from ctr_nlp.support.interrupt import deferred_interrupt
-from ctr_nlp.support.own_requests import is_loopback
-from ctr_nlp.target.problem import Problem
+from ctr_nlp.support.same_origin import is_loopback
+from ctr_nlp.view.live import Live
+from ctr_nlp.view.live.page.server import HOST, PORT
+from ctr_nlp.view.live.steered.free import free_problem
 
 USUAL = "bronchus"
 """The problem that is steered where none is named."""

@@ -20,9 +20,9 @@ from ctr_nlp.cli.console import EXIT_INTERRUPTED, EXIT_SOLVED, Command
 from ctr_nlp.cli.output.file import write_text
 from ctr_nlp.cli.output.folder import check_folder, output_folder, results_folder
 from ctr_nlp.cli.studies.design import add_rules, rules_from
-from ctr_nlp.cli.telling import busy, print_table, report_written_files
-from ctr_nlp.codesign.request import draft, search_for
-from ctr_nlp.codesign.together import STARTS
+from ctr_nlp.cli.terminal_output import busy, print_table, report_written_files
+from ctr_nlp.design.co_design import STARTS
+from ctr_nlp.design.request import draft, search_for
 from ctr_nlp.studies.baselines.race import (
     DESIGN_OPTIMISERS,
     OptimiserRun,
@@ -93,8 +93,8 @@ def _rows(runs: list[OptimiserRun]) -> list[list[str]]:
 
 
 def _write(runs: list[OptimiserRun], names: list[str], folder: Path) -> None:
-    from ctr_nlp.figures import save  # brings matplotlib, which takes long to load
     from ctr_nlp.studies.baselines.picture import draw_optimiser_race
+    from ctr_nlp.view.figures import save  # brings matplotlib, which takes long to load
 
     write_csv(folder / "baselines.csv", improvement_rows(runs))
     write_text(

@@ -14,12 +14,13 @@ import numpy as np
 from ctr_nlp.cli.arguments import whole
 from ctr_nlp.cli.console import EXIT_SOLVED, EXIT_SOME_FAILED, Command
 from ctr_nlp.cli.output.file import write_text
-from ctr_nlp.cli.telling import console, print_table, report_written_files
+from ctr_nlp.cli.terminal_output import console, print_table, report_written_files
 from ctr_nlp.codegen import cache
 from ctr_nlp.exceptions import OptionError
-from ctr_nlp.problems import named_problem
+from ctr_nlp.paths.named_problems import named_problem
 from ctr_nlp.studies.benchmarks.growth import draw_growths, measure_growths
-from ctr_nlp.studies.benchmarks.paired import (
+from ctr_nlp.studies.benchmarks.peers import race_solvers
+from ctr_nlp.studies.benchmarks.tree_comparison import (
     LEAST_BLOCKS,
     MAX_RELATIVE_TIME_CHANGE,
     RowComparison,
@@ -27,9 +28,8 @@ from ctr_nlp.studies.benchmarks.paired import (
     compare_trees,
     measure_row,
 )
-from ctr_nlp.studies.benchmarks.peers import race_solvers
-from ctr_nlp.studies.benchmarks.shares import measure_uncompiled_shares
 from ctr_nlp.studies.benchmarks.trees import ROOT, tree_of
+from ctr_nlp.studies.benchmarks.uncompiled_time import measure_uncompiled_shares
 from ctr_nlp.studies.benchmarks.work import BENCHMARK_ROWS
 
 Entries = list[dict[str, Any]]

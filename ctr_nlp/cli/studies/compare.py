@@ -13,13 +13,13 @@ from ctr_nlp.cli import problems
 from ctr_nlp.cli.console import EXIT_INTERRUPTED, EXIT_SOLVED, EXIT_SOME_FAILED, Command
 from ctr_nlp.cli.output.folder import check_folder, output_folder, results_folder
 from ctr_nlp.cli.plan_options import add_file_options
-from ctr_nlp.cli.report import STYLES
-from ctr_nlp.cli.telling import console, print_stderr, print_table, progress_bar, report_written_files
+from ctr_nlp.cli.plan_report import STYLES
+from ctr_nlp.cli.terminal_output import console, print_stderr, print_table, progress_bar, report_written_files
 from ctr_nlp.models import KINEMATIC_MODELS, model_named
-from ctr_nlp.plan.account import format_cell
-from ctr_nlp.plan.draws import DEFAULT_PLAN_SAMPLES
+from ctr_nlp.paths.named_problems import PROBLEM_NAMES
+from ctr_nlp.plan.monte_carlo import DEFAULT_PLAN_SAMPLES
+from ctr_nlp.plan.summary_text import format_cell
 from ctr_nlp.plan.verdicts import NOT_CHECKED, SHORT_NAMES, Verdicts
-from ctr_nlp.problems import PROBLEM_NAMES
 from ctr_nlp.reference import REFERENCE_METHODS
 from ctr_nlp.reference.published import (
     TABLE_II_BASELINE,
@@ -36,7 +36,7 @@ from ctr_nlp.studies.comparison import (
     compare,
     parse_variant,
 )
-from ctr_nlp.studies.methods.measured import every_method, measure_plan
+from ctr_nlp.studies.methods.metrics import every_method, measure_plan
 from ctr_nlp.studies.methods.page import page
 from ctr_nlp.support.interrupt import end_if_interrupted
 from ctr_nlp.support.tables import markdown, write_csv

@@ -32,23 +32,23 @@ from ctr_nlp.cli.loads.options import (
 from ctr_nlp.cli.output.file import path_component
 from ctr_nlp.cli.output.folder import check_folder, output_folder, results_folder
 from ctr_nlp.cli.plan_options import with_tip_force_option
-from ctr_nlp.cli.report import exit_status
-from ctr_nlp.cli.studies.designed import DesignWithPlans, EvaluatedPlan, print_designs, write_designs
-from ctr_nlp.cli.telling import progress_bar, report_written_files
-from ctr_nlp.codesign.groups import assign_to_robots, divide_problems
-from ctr_nlp.codesign.plans import on_tubing_as_sold, plan_tasks
-from ctr_nlp.codesign.stock import read_stock
-from ctr_nlp.codesign.together import STARTS, design
+from ctr_nlp.cli.plan_report import exit_status
+from ctr_nlp.cli.studies.design_output import DesignWithPlans, EvaluatedPlan, print_designs, write_designs
+from ctr_nlp.cli.terminal_output import progress_bar, report_written_files
+from ctr_nlp.design.co_design import STARTS, design
+from ctr_nlp.design.groups import assign_to_robots, divide_problems
+from ctr_nlp.design.plans import on_tubing_as_sold, plan_tasks
+from ctr_nlp.design.stock import read_stock
 from ctr_nlp.exceptions import OptionError
-from ctr_nlp.formulations.settings import Settings
-from ctr_nlp.formulations.shared.manufacture import Manufacture
 from ctr_nlp.models import KINEMATIC_MODELS, Model
+from ctr_nlp.ocp.settings import Settings
+from ctr_nlp.ocp.shared.manufacture import Manufacture
+from ctr_nlp.paths.problem import Problem
 from ctr_nlp.plan.plan import Plan
-from ctr_nlp.steer.passes import Progress
+from ctr_nlp.planning.marching import Progress
 from ctr_nlp.studies.workers.clients import cluster_client
 from ctr_nlp.support.interrupt import end_if_interrupted
 from ctr_nlp.support.pool import Jobs, run_in_parallel
-from ctr_nlp.target.problem import Problem
 
 DESIGN_CHECK_SAMPLES, DESIGN_CHECK_SEED = 500, 0
 """Number and seed of the simulated robots that every plan is tried on; neither design nor planning sees them."""

@@ -10,14 +10,14 @@ import numpy as np
 from ctr_nlp.cli.arguments import add_out_option, whole
 from ctr_nlp.cli.console import EXIT_SOLVED, Command
 from ctr_nlp.cli.output.folder import check_folder, output_folder
-from ctr_nlp.cli.telling import console, print_table, progress_bar, report_written_files
+from ctr_nlp.cli.terminal_output import console, print_table, progress_bar, report_written_files
 from ctr_nlp.models import KINEMATIC_MODELS
 from ctr_nlp.reference.learned.network import InverseKinematicsNetwork, network_path
 from ctr_nlp.reference.learned.samples import sample_stable_unknowns
 from ctr_nlp.reference.learned.training import VALIDATION_SHAPE_COUNT, Training, train_network
 from ctr_nlp.robot import Robot
 from ctr_nlp.robot.paper import table_i_robot
-from ctr_nlp.studies.learning.shapes import NetworkErrors, evaluate_network
+from ctr_nlp.studies.learning.network_errors import NetworkErrors, evaluate_network
 from ctr_nlp.support.interrupt import deferred_interrupt
 from ctr_nlp.support.tables import write_csv
 
@@ -87,8 +87,8 @@ def _rows(found: NetworkErrors) -> list[list[str]]:
 
 
 def _write(network: InverseKinematicsNetwork, folder: Path) -> None:
-    from ctr_nlp.figures import save  # brings matplotlib, which takes long to load
     from ctr_nlp.studies.learning.picture import learning_curve
+    from ctr_nlp.view.figures import save  # brings matplotlib, which takes long to load
 
     steps = [dict(zip(("step", "trained_mm", "held_out_mm"), row, strict=True)) for row in network.curve.tolist()]
     write_csv(folder / "learn.csv", steps)

@@ -10,13 +10,13 @@ from pathlib import Path
 from ctr_nlp.cli.arguments import add_frames_option, add_out_option, whole
 from ctr_nlp.cli.console import EXIT_SOLVED, EXIT_SOME_FAILED, Command
 from ctr_nlp.cli.output.folder import check_folder, output_folder
-from ctr_nlp.cli.telling import console, print_table, progress_bar, report_written_files
-from ctr_nlp.problems import named_problem
+from ctr_nlp.cli.terminal_output import console, print_table, progress_bar, report_written_files
+from ctr_nlp.paths.named_problems import named_problem
+from ctr_nlp.paths.target import check_frames
 from ctr_nlp.studies.paper import SECTIONS, PaperResults, run_tasks
 from ctr_nlp.studies.paper.page import section_seconds, write
 from ctr_nlp.studies.paper.section import PaperSection
 from ctr_nlp.support.interrupt import deferred_interrupt
-from ctr_nlp.target.target import check_frames
 
 
 def _parser(prog: str) -> argparse.ArgumentParser:

@@ -13,13 +13,12 @@ from ctr_nlp.cli.arguments import add_out_option, whole
 from ctr_nlp.cli.console import EXIT_INTERRUPTED, EXIT_SOLVED, EXIT_SOME_FAILED, Command
 from ctr_nlp.cli.output.file import path_component, write_text
 from ctr_nlp.cli.output.folder import check_folder, output_folder
-from ctr_nlp.cli.report import exit_status
-from ctr_nlp.cli.telling import console, print_table, progress_bar, report_written_files
+from ctr_nlp.cli.plan_report import exit_status
+from ctr_nlp.cli.terminal_output import console, print_table, progress_bar, report_written_files
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.plan.metrics import summary
 from ctr_nlp.plan.plan import Plan
 from ctr_nlp.plan.verdicts import NO, NOT_CHECKED, YES
-from ctr_nlp.report import page
 from ctr_nlp.studies.grid.case import Case
 from ctr_nlp.studies.grid.groups import STUDY_RANKING_COLUMN, Groups, group_rows
 from ctr_nlp.studies.grid.reports import write_report
@@ -28,6 +27,7 @@ from ctr_nlp.studies.grid.study_file import Study
 from ctr_nlp.studies.workers.clients import cluster_client, local_client
 from ctr_nlp.studies.workers.running import DEFAULT_CASE_TIMEOUT_S, StudyProgress, run_study
 from ctr_nlp.support.interrupt import deferred_interrupt
+from ctr_nlp.view.report import page
 
 STUDY_MEAN_COLUMNS = STUDY_RANKING_COLUMN, "stability_min", "process_s"
 """Columns whose means are printed."""
@@ -139,8 +139,8 @@ def _report_by_column(study: Study, out: Path, arguments: argparse.Namespace) ->
     against = arguments.against
     found = _group_plans(study, out, arguments.by, [] if against is None else [against])
     check_folder(out, "by")
-    from ctr_nlp.figures import save
     from ctr_nlp.studies.grid.picture import draw_groups  # brings matplotlib, which takes long to load
+    from ctr_nlp.view.figures import save
 
     with output_folder(out, "by") as staging:
         save(draw_groups(found, STUDY_RANKING_COLUMN, against), staging / GROUP_PICTURE_NAME)

@@ -12,11 +12,11 @@ from ctr_nlp.cli.arguments import add_compile_option, add_out_option, add_proble
 from ctr_nlp.cli.console import EXIT_INTERRUPTED, EXIT_SOLVED, EXIT_SOME_FAILED, Command
 from ctr_nlp.cli.output.file import path_component
 from ctr_nlp.cli.output.folder import check_folder, output_folder, results_folder
-from ctr_nlp.cli.telling import console, print_table, progress_bar, report_written_files
-from ctr_nlp.plan.account import format_cell
+from ctr_nlp.cli.terminal_output import console, print_table, progress_bar, report_written_files
+from ctr_nlp.paths.named_problems import PROBLEM_NAMES
 from ctr_nlp.plan.robustness import MOST_LOST
-from ctr_nlp.problems import PROBLEM_NAMES
-from ctr_nlp.studies.trade import (
+from ctr_nlp.plan.summary_text import format_cell
+from ctr_nlp.studies.robustness_trade_off import (
     COMPARED_STABILITY_MARGINS,
     ROBUSTNESS_STUDY_SAMPLES,
     ROBUSTNESS_STUDY_SEED,
@@ -129,8 +129,8 @@ def _write(found: list[list[RobustnessPoint]], folder: Path, arguments: argparse
             f"{name}\n\n{markdown(TRADE_TABLE_COLUMNS, _rows(points, most))}\n{choice_sentence(points, most)}\n"
         )
         if not arguments.no_figures:
-            from ctr_nlp.figures import save  # brings matplotlib, which takes long to load
-            from ctr_nlp.studies.trade_picture import draw_robustness_trade_off
+            from ctr_nlp.studies.robustness_trade_off_picture import draw_robustness_trade_off
+            from ctr_nlp.view.figures import save  # brings matplotlib, which takes long to load
 
             for ending in ("png", "pdf"):
                 save(draw_robustness_trade_off(points, name, most), folder / f"{path_component(name)}.{ending}")

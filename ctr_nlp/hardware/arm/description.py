@@ -11,7 +11,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from ctr_nlp.exceptions import HardwareError, RobotError
-from ctr_nlp.support.values import frozen, numbers, plain_floats
+from ctr_nlp.support.value_checks import frozen, numbers, plain_floats
 from ctr_nlp.typing import Array
 
 ARM_MODELS = (

@@ -9,12 +9,12 @@ import numpy as np
 
 from ctr_nlp.exceptions import TrajectoryError
 from ctr_nlp.hardware.devices import MotionProgress
-from ctr_nlp.hardware.guiding.course import FIRST_CORRECTED_KNOT, CorrectedTrajectory
+from ctr_nlp.hardware.guiding.corrected_trajectory import FIRST_CORRECTED_KNOT, CorrectedTrajectory
 from ctr_nlp.hardware.journal import Journal
 from ctr_nlp.hardware.motion.trajectory import Trajectory
 from ctr_nlp.hardware.sensing.source import Source
-from ctr_nlp.loops.sensors import Reading
-from ctr_nlp.loops.tracker import Note, TrackerState
+from ctr_nlp.identify.closed_loop.sensors import Reading
+from ctr_nlp.identify.closed_loop.tracker import Note, TrackerState
 from ctr_nlp.typing import Array
 
 SHARE = 0.5

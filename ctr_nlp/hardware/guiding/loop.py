@@ -7,12 +7,12 @@ from typing import Any
 
 import numpy as np
 
-from ctr_nlp.hardware.guiding.course import CorrectedTrajectory
+from ctr_nlp.hardware.guiding.corrected_trajectory import CorrectedTrajectory
 from ctr_nlp.hardware.guiding.guide import Guide, RobotEstimate
 from ctr_nlp.hardware.journal import Journal
 from ctr_nlp.hardware.motion.trajectory import Trajectory
 from ctr_nlp.hardware.sensing.source import Source
-from ctr_nlp.loops.tracker import Note, Tracker
+from ctr_nlp.identify.closed_loop.tracker import Note, Tracker
 from ctr_nlp.typing import Array
 
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from ctr_nlp.exceptions import TrajectoryError
 from ctr_nlp.hardware.description import Hardware
-from ctr_nlp.hardware.guiding.course import CorrectedTrajectory
+from ctr_nlp.hardware.guiding.corrected_trajectory import CorrectedTrajectory
 from ctr_nlp.hardware.guiding.guide import readings_of
 from ctr_nlp.hardware.motion.gcode import MEANING, lines
 from ctr_nlp.hardware.motion.trajectory import Patch, Trajectory
@@ -19,7 +19,7 @@ from ctr_nlp.hardware.playing.session import (
     rebuild_planned_trajectory,
     split_at_parameter,
 )
-from ctr_nlp.loops.tracker import Tracker
+from ctr_nlp.identify.closed_loop.tracker import Tracker
 from ctr_nlp.plan.plan import Plan
 
 

@@ -17,9 +17,9 @@ from ctr_nlp.hardware.description import Hardware
 from ctr_nlp.hardware.motion.lookahead import MAX_PIECE_DURATION_S, Commands
 from ctr_nlp.hardware.motion.path import backlash_compensation, path_through
 from ctr_nlp.hardware.motion.timing import TimedPath, compute_time_scaling
+from ctr_nlp.plan.backlash import BACKLASH_PARAMETER_NAMES as LAG_PARTS
 from ctr_nlp.plan.plan import Plan
 from ctr_nlp.robot import Robot
-from ctr_nlp.simulation.lag import BACKLASH_PARAMETER_NAMES as LAG_PARTS
 from ctr_nlp.typing import Array
 
 AT_FRAME_STEP_FRACTION = 1e-4

@@ -14,10 +14,10 @@ from ctr_nlp.hardware.arm.description import check_joints
 from ctr_nlp.hardware.arm.kinematics import inverse_kinematics
 from ctr_nlp.hardware.motion.trajectory import Trajectory
 from ctr_nlp.models import Model, Snap, model_named
+from ctr_nlp.paths.target import SIGMA_GRID
 from ctr_nlp.plan.plan import Plan
+from ctr_nlp.plan.simulation import simulate_motion
 from ctr_nlp.robot import Robot
-from ctr_nlp.simulation.forward import simulate_motion
-from ctr_nlp.target.target import SIGMA_GRID
 from ctr_nlp.typing import Array
 
 TRAJECTORY_SAMPLES_PER_FRAME = 10

@@ -46,8 +46,8 @@ def check_permission(
     Examples
     --------
     >>> import ctr_nlp as ctr
-    >>> from ctr_nlp.problems import named
-    >>> plan = ctr.solve_per_frame(named("arc", frames=3), model="dominant")
+    >>> from ctr_nlp.problems import named_problem
+    >>> plan = ctr.solve_per_frame(named_problem("arc", frames=3), model="dominant")
     >>> "stable" in [verdict.matter for verdict in check_permission(plan, uncertified=True)]
     True
     """

@@ -20,8 +20,8 @@ import numpy as np
 from ctr_nlp.exceptions import DeviceFault
 from ctr_nlp.hardware.devices import Device, Standing
 from ctr_nlp.hardware.playing.results import Result
+from ctr_nlp.support.atomic_write import write_atomically
 from ctr_nlp.support.extras import import_extra
-from ctr_nlp.support.whole_file import write_atomically
 from ctr_nlp.typing import Array
 
 STATE_FOLDER_VARIABLE = "CTR_NLP_STATE"

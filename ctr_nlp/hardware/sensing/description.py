@@ -11,8 +11,8 @@ import numpy as np
 
 from ctr_nlp.exceptions import HardwareError, OptionError
 from ctr_nlp.hardware.arm.description import all_numbers, frame_of, some_numbers
-from ctr_nlp.loops.sensors import Sensors
-from ctr_nlp.loops.sensors.points import ShapePointSensor, TipPoseSensor, TipPositionSensor
+from ctr_nlp.identify.closed_loop.sensors import Sensors
+from ctr_nlp.identify.closed_loop.sensors.points import ShapePointSensor, TipPoseSensor, TipPositionSensor
 from ctr_nlp.typing import Array
 
 SENSOR_KINDS = ("simulated", "udp", "tcp", "igtl", "ros2")

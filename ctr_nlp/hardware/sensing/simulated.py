@@ -7,12 +7,12 @@ from collections.abc import Sequence
 import numpy as np
 
 from ctr_nlp.hardware.sensing.source import Source
-from ctr_nlp.loops.feed import Feed, SensorFault
-from ctr_nlp.loops.plant import Plant
-from ctr_nlp.loops.sensors import Reading, Sensors
+from ctr_nlp.identify.closed_loop.feed import Feed, SensorFault
+from ctr_nlp.identify.closed_loop.plant import Plant
+from ctr_nlp.identify.closed_loop.sensors import Reading, Sensors
 from ctr_nlp.models import Model, model_named
 from ctr_nlp.plan.plan import Plan
-from ctr_nlp.robot.draws import RobotSamples, sample_robots
+from ctr_nlp.robot.samples import RobotSamples, sample_robots
 from ctr_nlp.robot.tolerances import DEVIATION_NAMES
 from ctr_nlp.typing import Array
 

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ctr_nlp.hardware.sensing.description import Sensing
-from ctr_nlp.loops.sensors import Reading
+from ctr_nlp.identify.closed_loop.sensors import Reading
 from ctr_nlp.typing import Array
 
 DRIFT = 1e-3

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg import lapack
 
-from ctr_nlp.codegen.mapped import BatchEvaluator
+from ctr_nlp.codegen.batch_evaluator import BatchEvaluator
 from ctr_nlp.codegen.vector import VECTOR_LANES
 from ctr_nlp.models.elastic import compiled as compiled_code
 from ctr_nlp.models.elastic import energy, stability

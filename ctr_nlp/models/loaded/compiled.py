@@ -15,14 +15,14 @@ import numpy as np
 
 from ctr_nlp.codegen import cache
 from ctr_nlp.codegen.background import Library
+from ctr_nlp.codegen.batch_evaluator import BatchEvaluator, load_tape_function
 from ctr_nlp.codegen.language import VECTOR_LANES
-from ctr_nlp.codegen.mapped import BatchEvaluator, load_tape_function
-from ctr_nlp.loads.load import FIRST_WEIGHT_COLUMN
 from ctr_nlp.models.elastic.torsion import sections
-from ctr_nlp.models.loaded.acting import RodKind, loading
 from ctr_nlp.models.loaded.equations import Softness
 from ctr_nlp.models.loaded.rod import Tip, integrate_rod
+from ctr_nlp.models.loaded.rod_loads import RodKind, loading
 from ctr_nlp.models.loaded.vectors import vectors
+from ctr_nlp.models.loads.load import FIRST_WEIGHT_COLUMN
 from ctr_nlp.models.protocol import symbolic_tubes
 from ctr_nlp.robot.structure import TUBE_NUMBER_NAMES, Structure
 from ctr_nlp.typing import Array

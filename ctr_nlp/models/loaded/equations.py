@@ -21,7 +21,7 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 from ctr_nlp.models.elastic.torsion import RobotSection, curvatures_at
-from ctr_nlp.models.loaded.acting import DistributedForce
+from ctr_nlp.models.loaded.rod_loads import DistributedForce
 from ctr_nlp.models.loaded.vectors import cross, dot, plus, scale_vector, vectors
 from ctr_nlp.robot.structure import Tubes
 from ctr_nlp.typing import Vector

@@ -20,8 +20,8 @@ from ctr_nlp.models.elastic.compiled import (
     MAX_PREDICTION_ERROR_RAD,
     MIN_PATH_STEP_FRACTION,
 )
-from ctr_nlp.models.loaded.acting import TIP_FORCE_ROD_KIND, RodKind
 from ctr_nlp.models.loaded.compiled import RodBases, Rods
+from ctr_nlp.models.loaded.rod_loads import TIP_FORCE_ROD_KIND, RodKind
 from ctr_nlp.models.loaded.tips import axes_of, turn_tips, unknowns
 from ctr_nlp.robot.structure import Structure
 from ctr_nlp.typing import Array, Flags

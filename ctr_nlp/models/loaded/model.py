@@ -10,8 +10,8 @@ tip (tips.py):
 psi_i, rad, is the angle of tube i at its own tip; beta_i, mm, its extension; and (w_1, w_2, 0), rad, the rotation
 vector of the tip's frame. The motors' angles alpha and the tilt theta of q, eq. (5) of the paper, follow from x.
 
-A load enters as a row of 17 + 3d numbers (:meth:`ctr_nlp.loads.Load.numbers`), never as an object, so that one
-compiled program serves all loads of a kind (:class:`~ctr_nlp.models.loaded.acting.RodKind`).
+A load enters as a row of 17 + 3d numbers (:meth:`ctr_nlp.models.loads.Load.numbers`), never as an object, so that
+one compiled program serves all loads of a kind (:class:`~ctr_nlp.models.loaded.rod_loads.RodKind`).
 """
 
 from __future__ import annotations
@@ -22,18 +22,18 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
-from ctr_nlp.loads import Load, LoadOverTime, require_constant_load
 from ctr_nlp.models.dominant.shape import columns_of
 from ctr_nlp.models.elastic import shape
 from ctr_nlp.models.elastic.torsion import sections
-from ctr_nlp.models.loaded.acting import RodKind, check_kinds, loading
 from ctr_nlp.models.loaded.compiled import Rods
 from ctr_nlp.models.loaded.equilibria import LoadedEquilibria, States
 from ctr_nlp.models.loaded.following.follower import Follower
 from ctr_nlp.models.loaded.following.walking import LoadedWalker
+from ctr_nlp.models.loaded.rod_loads import RodKind, check_kinds, loading
 from ctr_nlp.models.loaded.shape import build_loaded_shape
 from ctr_nlp.models.loaded.stability import margins
 from ctr_nlp.models.loaded.tips import tips, unknowns
+from ctr_nlp.models.loads import Load, LoadOverTime, require_constant_load
 from ctr_nlp.models.protocol import (
     STABILITY_SUBSTEPS_PER_FRAME,
     EquilibriumPath,
@@ -174,8 +174,8 @@ class Loaded(Model):
         Parameters
         ----------
         load : SX
-            The load's numbers (17 + 3d, 1), in the order of :meth:`ctr_nlp.loads.Load.numbers`. Of them only those
-            count that this model's kind of rod has.
+            The load's numbers (17 + 3d, 1), in the order of :meth:`ctr_nlp.models.loads.Load.numbers`. Of them
+            only those count that this model's kind of rod has.
         structure : Structure
             What is compiled of the robot: kinds of its tubes.
         tubes : Tubes
@@ -289,8 +289,8 @@ class Loaded(Model):
         Parameters
         ----------
         loads : (T, 17 + 3d) array
-            The numbers of every row's load, in the order of :meth:`ctr_nlp.loads.Load.numbers`, used in place of
-            this model's own load. Of them only those count that this model's kind of rod has.
+            The numbers of every row's load, in the order of :meth:`ctr_nlp.models.loads.Load.numbers`, used in
+            place of this model's own load. Of them only those count that this model's kind of rod has.
         structure : Structure
             The structure that all robots share.
         numbers : (T, d, 8) or (1, d, 8) array
@@ -486,7 +486,7 @@ class Loaded(Model):
         (T, 2d + 2) array
             Configurations q. alpha is known up to whole turns of all tubes together, and theta_x is the one within
             a quarter turn: further tilts have the same shapes in other words
-            (:func:`~ctr_nlp.simulation.forward.other_way`).
+            (:func:`~ctr_nlp.plan.simulation.other_way`).
         """
         return self.states(robot, x).q
 
@@ -644,7 +644,7 @@ class Loaded(Model):
 class TipForceModel(Loaded):
     """A loaded model of n robots each of which has a tip force of its own beside the common load.
 
-    Only the methods for several robots apply the forces: :meth:`follow_apart` and :meth:`points_apart`.
+    Only the methods for several robots apply the forces: :meth:`follow_batch` and :meth:`points_batch`.
 
     Parameters
     ----------

@@ -22,8 +22,8 @@ import casadi as ca
 import numpy as np
 
 from ctr_nlp.models.elastic.torsion import Node, RobotSection, curvatures_at
-from ctr_nlp.models.loaded.acting import DistributedForce, Loading, RodKind, check_kinds
 from ctr_nlp.models.loaded.equations import Equations, Softness, Values
+from ctr_nlp.models.loaded.rod_loads import DistributedForce, Loading, RodKind, check_kinds
 from ctr_nlp.models.loaded.vectors import cross, dot, plus, scale_vector, total, vectors
 from ctr_nlp.robot.structure import Tubes
 from ctr_nlp.typing import Vector

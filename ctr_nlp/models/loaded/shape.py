@@ -16,8 +16,8 @@ from ctr_nlp.models.elastic.shape import powers, rotate_axes, travels
 from ctr_nlp.models.elastic.stability import determinant, responses
 from ctr_nlp.models.elastic.torsion import sections
 from ctr_nlp.models.inner import Inner
-from ctr_nlp.models.loaded.acting import RodKind
 from ctr_nlp.models.loaded.rod import Loading, Rod, Tip, integrate_rod
+from ctr_nlp.models.loaded.rod_loads import RodKind
 from ctr_nlp.models.loaded.vectors import dot
 from ctr_nlp.models.protocol import SampleArcLengths, SymbolicShape, combination, matrix_of, vectors_of
 from ctr_nlp.robot.structure import Structure, Tubes

@@ -7,7 +7,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from ctr_nlp.codegen.mapped import BatchEvaluator
+from ctr_nlp.codegen.batch_evaluator import BatchEvaluator
 from ctr_nlp.models.protocol import Model, build_sample_function
 from ctr_nlp.reference.descent import clip_extensions
 from ctr_nlp.reference.learned.samples import NETWORK_INPUT_SIGMA, ShapeBatch

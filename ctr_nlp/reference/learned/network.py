@@ -16,7 +16,7 @@ from ctr_nlp.codegen import cache
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.reference.learned.samples import ShapeBatch
 from ctr_nlp.robot import Robot
-from ctr_nlp.support.whole_file import write_atomically
+from ctr_nlp.support.atomic_write import write_atomically
 from ctr_nlp.typing import Array
 
 FORMAT = 1

@@ -16,15 +16,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ctr_nlp.formulations.frames import FrameResult
 from ctr_nlp.models import KINEMATIC_MODELS, Model
 from ctr_nlp.models.dominant.shape import base_frame
+from ctr_nlp.ocp.frame_solver import FrameResult
+from ctr_nlp.paths.problem import Problem
+from ctr_nlp.paths.target import QUADRATURE, SIGMA_GRID, Frame
 from ctr_nlp.reference.descent import Method, clip_configuration, clip_extensions
 from ctr_nlp.reference.learned.network import InverseKinematicsNetwork, load_trained_network
 from ctr_nlp.reference.learned.samples import NETWORK_INPUT_SIGMA, ShapeBatch, unwrap_tip_angles
 from ctr_nlp.robot import Robot
-from ctr_nlp.target.problem import Problem
-from ctr_nlp.target.target import QUADRATURE, SIGMA_GRID, Frame
 from ctr_nlp.typing import Array
 
 NETWORK_INPUT_INDICES = np.searchsorted(SIGMA_GRID, NETWORK_INPUT_SIGMA)

@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 
 from ctr_nlp.models import Model
+from ctr_nlp.paths.target import SIGMA_GRID
 from ctr_nlp.reference.descent import clip_extensions, extensions
 from ctr_nlp.robot import Robot
-from ctr_nlp.target.target import SIGMA_GRID
 from ctr_nlp.typing import Array
 
 NETWORK_INPUT_SIGMA = SIGMA_GRID[5::5]

@@ -16,7 +16,7 @@ from ctr_nlp.reference.learned.network import FORMAT, InverseKinematicsNetwork, 
 from ctr_nlp.reference.learned.samples import NETWORK_INPUT_SIGMA, ShapeBatch, sample_stable_unknowns, shapes_of
 from ctr_nlp.robot import Robot
 from ctr_nlp.support.extras import import_extra
-from ctr_nlp.support.values import whole_number
+from ctr_nlp.support.value_checks import whole_number
 from ctr_nlp.typing import Array
 
 VALIDATION_SHAPE_COUNT = 1000

@@ -15,8 +15,8 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
-from ctr_nlp.nlp.local_parameters import LocalParameterSource
-from ctr_nlp.nlp.nlp import Nlp, kkt_residual
+from ctr_nlp.ocp.local_parameters import LocalParameterSource
+from ctr_nlp.ocp.nlp import Nlp, kkt_residual
 from ctr_nlp.typing import Array
 
 FEASIBILITY_TOLERANCE = 1e-6

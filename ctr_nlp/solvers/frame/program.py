@@ -13,9 +13,9 @@ import casadi as ca
 import numpy as np
 
 from ctr_nlp.codegen import cache
-from ctr_nlp.nlp.nlp import Nlp
-from ctr_nlp.nlp.written import FrameFunctions
-from ctr_nlp.solvers.compiled import library
+from ctr_nlp.ocp.expressions import FrameFunctions
+from ctr_nlp.ocp.nlp import Nlp
+from ctr_nlp.solvers.compiled_functions import library
 from ctr_nlp.typing import Array
 
 SQP_KKT_TOLERANCE = 1e-6

@@ -11,7 +11,7 @@ import ctypes
 import numpy as np
 
 from ctr_nlp.codegen import cache
-from ctr_nlp.nlp.local_parameters import LocalParameterSource
+from ctr_nlp.ocp.local_parameters import LocalParameterSource
 from ctr_nlp.solvers.frame.adapter import FEASIBILITY_TOLERANCE
 from ctr_nlp.solvers.frame.program import Program
 from ctr_nlp.typing import Array

@@ -14,8 +14,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from ctr_nlp.nlp.local_parameters import LocalParameterSource
-from ctr_nlp.nlp.nlp import Nlp
+from ctr_nlp.ocp.local_parameters import LocalParameterSource
+from ctr_nlp.ocp.nlp import Nlp
 from ctr_nlp.solvers.frame.adapter import (
     FEASIBILITY_TOLERANCE,
     KKT_TOLERANCE,

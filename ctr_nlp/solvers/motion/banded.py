@@ -20,9 +20,9 @@ from __future__ import annotations
 import numpy as np
 
 from ctr_nlp.exceptions import OptionError
-from ctr_nlp.nlp.chain import Chain
+from ctr_nlp.ocp.chain import Chain
 from ctr_nlp.solvers.frame.adapter import FEASIBILITY_TOLERANCE, Solution
-from ctr_nlp.solvers.motion.judged import COLD_START_BARRIER_MM2, evaluate_chain_solution
+from ctr_nlp.solvers.motion.chain_solution import COLD_START_BARRIER_MM2, evaluate_chain_solution
 from ctr_nlp.solvers.motion.loop import Loop
 from ctr_nlp.solvers.motion.watch import Watch
 from ctr_nlp.typing import Array

@@ -14,9 +14,9 @@ import casadi as ca
 import numpy as np
 import scipy.sparse as sp
 
-from ctr_nlp.nlp.chain import Chain
+from ctr_nlp.ocp.chain import Chain
 from ctr_nlp.solvers.frame.adapter import CASADI_SOLVER_OPTIONS, Solution, status_and_iterations
-from ctr_nlp.solvers.motion.judged import COLD_START_BARRIER_MM2, evaluate_chain_solution
+from ctr_nlp.solvers.motion.chain_solution import COLD_START_BARRIER_MM2, evaluate_chain_solution
 from ctr_nlp.solvers.motion.watch import Iterate, Watch
 from ctr_nlp.typing import Array
 

@@ -11,8 +11,8 @@ import ctypes
 import numpy as np
 
 from ctr_nlp.codegen import cache
-from ctr_nlp.codegen.mapped import BatchStruct
-from ctr_nlp.nlp.chain import Chain
+from ctr_nlp.codegen.batch_evaluator import BatchStruct
+from ctr_nlp.ocp.chain import Chain
 from ctr_nlp.solvers.motion.rows import ChainRows
 from ctr_nlp.solvers.motion.watch import Iterate
 from ctr_nlp.typing import Array

@@ -18,7 +18,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ctr_nlp.codegen import cache
-from ctr_nlp.nlp.chain import Chain
+from ctr_nlp.ocp.chain import Chain
 from ctr_nlp.typing import Array
 
 CHAIN_BOUND_RELAXATION = 1e-9

@@ -4,7 +4,7 @@ Each scenario's tips are eliminated from every Newton step by its own equations,
 the unknowns of the shared q alone and is banded, however many scenarios there are.
 """
 
-from ctr_nlp.solvers.scenarios.interior import SharedSolver
+from ctr_nlp.solvers.scenarios.interior_point import SharedSolver
 from ctr_nlp.solvers.scenarios.rows import SharedSolution
 
 __all__ = ["SharedSolution", "SharedSolver"]

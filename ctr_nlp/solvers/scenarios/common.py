@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ctr_nlp.nlp.scenarios import CommonUnknowns, SharedMotion
+from ctr_nlp.ocp.scenarios import CommonUnknowns, SharedMotion
 from ctr_nlp.typing import Array
 
 NO_COMMON_UNKNOWNS = np.zeros(0)

@@ -18,9 +18,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ctr_nlp.nlp.scenarios import SharedMotion
+from ctr_nlp.ocp.scenarios import SharedMotion
 from ctr_nlp.solvers.scenarios.common import NO_COMMON_UNKNOWNS, CommonDerivatives, CommonQuantities, CommonValues
-from ctr_nlp.solvers.scenarios.grouped import FAR_WALL_COST_MM2, GroupedEvaluator
+from ctr_nlp.solvers.scenarios.grouped_evaluator import FAR_WALL_COST_MM2, GroupedEvaluator
 from ctr_nlp.solvers.scenarios.twists import TwistSteps
 from ctr_nlp.typing import Array, Index
 

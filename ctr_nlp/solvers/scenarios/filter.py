@@ -23,7 +23,10 @@ FILTER_OBJECTIVE_ROUNDING = 1e-11
 
 
 class Merit(NamedTuple):
-    """Merit of a point. infeasibility: the sum of what equations and rows miss; objective: with the barrier, mm^2."""
+    """Merit of a point.
+
+    infeasibility: the sum of what equations and rows miss; objective: with the barrier, mm^2.
+    """
 
     infeasibility: float
     objective: float

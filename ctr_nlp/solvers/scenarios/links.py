@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ctr_nlp.nlp.scenarios import SharedMotion
+from ctr_nlp.ocp.scenarios import SharedMotion
 from ctr_nlp.typing import Array
 
 

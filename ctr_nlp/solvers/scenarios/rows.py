@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ctr_nlp.nlp.scenarios import SharedMotion, assemble_robot_unknowns
+from ctr_nlp.ocp.scenarios import SharedMotion, assemble_robot_unknowns
 from ctr_nlp.solvers.frame.adapter import FEASIBILITY_TOLERANCE, KKT_TOLERANCE
 from ctr_nlp.solvers.scenarios.common import NO_COMMON_UNKNOWNS
 from ctr_nlp.solvers.scenarios.condensed import Condensed, Expansion, Values

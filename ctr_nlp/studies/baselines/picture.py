@@ -7,9 +7,9 @@ from collections.abc import Sequence
 from matplotlib import rc_context
 from matplotlib.figure import Figure
 
-from ctr_nlp.figures.parts.page import STYLE, plain_ticks, printable
-from ctr_nlp.figures.parts.palette import BLACK, BLUE, VERMILLION
 from ctr_nlp.studies.baselines.race import DESIGN_OPTIMISERS, OptimiserRun
+from ctr_nlp.view.figures.parts.page import STYLE, plain_ticks, printable
+from ctr_nlp.view.figures.parts.palette import BLACK, BLUE, VERMILLION
 
 OPTIMISER_COLOURS = dict(zip(DESIGN_OPTIMISERS, (VERMILLION, BLUE, BLACK), strict=True))
 

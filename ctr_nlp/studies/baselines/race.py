@@ -15,8 +15,8 @@ from itertools import islice
 import numpy as np
 from scipy.optimize import minimize
 
-from ctr_nlp.codesign.search import Candidate, DesignSearch
-from ctr_nlp.codesign.starts import generate_start_tubes as first_tubes
+from ctr_nlp.design.search import Candidate, DesignSearch
+from ctr_nlp.design.starts import generate_start_tubes as first_tubes
 from ctr_nlp.exceptions import CtrError, OptionError
 from ctr_nlp.support.interrupt import deferred_interrupt
 from ctr_nlp.typing import Array

@@ -10,13 +10,13 @@ from typing import Any
 
 import numpy as np
 
-from ctr_nlp.formulations.frame import program
-from ctr_nlp.formulations.terms import Order, ShapeDistance
 from ctr_nlp.models import KINEMATIC_MODELS
-from ctr_nlp.problems import named_problem
+from ctr_nlp.ocp.frame import program
+from ctr_nlp.ocp.terms import Order, ShapeDistance
+from ctr_nlp.paths.named_problems import named_problem
+from ctr_nlp.planning import solve_horizon, solve_per_frame
 from ctr_nlp.robot import Robot, Tube, table_i_robot
 from ctr_nlp.solvers.frame.program import Program
-from ctr_nlp.steer import solve_horizon, solve_per_frame
 from ctr_nlp.studies.benchmarks.peers import evaluation_seconds
 from ctr_nlp.typing import Array
 
@@ -116,9 +116,9 @@ def draw_growths(found: Sequence[Growth], path: Path) -> Path:
     import matplotlib
     from matplotlib.ticker import EngFormatter, LogLocator, NullFormatter
 
-    from ctr_nlp.figures import save
-    from ctr_nlp.figures.parts.page import STYLE, panels
-    from ctr_nlp.figures.parts.palette import BLUE, VERMILLION
+    from ctr_nlp.view.figures import save
+    from ctr_nlp.view.figures.parts.page import STYLE, panels
+    from ctr_nlp.view.figures.parts.palette import BLUE, VERMILLION
 
     with matplotlib.rc_context(STYLE):
         figure, grid = panels([growth.what for growth in found], 2, (3.6, 2.6))

@@ -11,16 +11,16 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from ctr_nlp.formulations.frames import FrameResult, reachable_bounds
-from ctr_nlp.formulations.joint import joint
-from ctr_nlp.formulations.settings import Settings
-from ctr_nlp.formulations.stage import Stage
 from ctr_nlp.models import KINEMATIC_MODELS
+from ctr_nlp.ocp.frame_solver import FrameResult, reachable_bounds
+from ctr_nlp.ocp.joint import joint
+from ctr_nlp.ocp.settings import Settings
+from ctr_nlp.ocp.stage import Stage
+from ctr_nlp.paths.problem import Problem
+from ctr_nlp.planning.nlp_frames import NlpFrames
 from ctr_nlp.reference import reference_frames
 from ctr_nlp.solvers import SOLVERS, NlpSolver, Solution
 from ctr_nlp.solvers.frame.program import Program
-from ctr_nlp.steer.nlp_frames import NlpFrames
-from ctr_nlp.target.problem import Problem
 from ctr_nlp.typing import Array
 
 Found = TypeVar("Found", Solution, FrameResult)

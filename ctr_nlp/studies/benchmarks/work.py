@@ -29,15 +29,15 @@ BENCHMARK_FORCE_N, BENCHMARK_MODULUS_MPA = 0.1, 60_000.0
 
 
 def _problem(name: str, frames: int = 100) -> Any:
-    from ctr_nlp.problems import named_problem
+    from ctr_nlp.paths.named_problems import named_problem
 
     return named_problem(name, frames)
 
 
 def _loaded_problem(problem: Any) -> tuple[Any, Any]:
     """A problem whose robot has a modulus, and the model on which it bears a force."""
-    from ctr_nlp.loads import Load, with_modulus
     from ctr_nlp.models.loaded.model import Loaded
+    from ctr_nlp.models.loads import Load, with_modulus
 
     robot = with_modulus(problem.robot, BENCHMARK_MODULUS_MPA)
     return replace(problem, robot=robot), Loaded(Load((0.0, BENCHMARK_FORCE_N, 0.0)))
@@ -45,7 +45,7 @@ def _loaded_problem(problem: Any) -> tuple[Any, Any]:
 
 def step(model: str, loaded: bool = False) -> TurnFunction:
     """Steerer.step for each frame's target of cos, there and back."""
-    from ctr_nlp.steer import Steerer, solve_per_frame
+    from ctr_nlp.planning import Steerer, solve_per_frame
 
     problem, model = _loaded_problem(_problem("cos")) if loaded else (_problem("cos"), model)
     plan = solve_per_frame(problem, model=model, direction="forward")
@@ -57,7 +57,7 @@ def step(model: str, loaded: bool = False) -> TurnFunction:
 
 def march(name: str, model: str = "dominant") -> TurnFunction:
     """A frame of solve_per_frame: all frames of a problem from a known start, over their number."""
-    from ctr_nlp.steer import solve_per_frame
+    from ctr_nlp.planning import solve_per_frame
 
     problem = _problem(name)
     start = solve_per_frame(problem, model=model, direction="forward").q[0]
@@ -75,8 +75,8 @@ def _poses(robot: Any) -> Any:
 
 def shape(count: int) -> TurnFunction:
     """Elastic shapes with margins on the way through random configurations, count in a call; the time of one."""
+    from ctr_nlp.plan.simulation import simulate_motion
     from ctr_nlp.robot import table_i_robot
-    from ctr_nlp.simulation.forward import simulate_motion
 
     robot = table_i_robot()
     q = _poses(robot)
@@ -89,8 +89,8 @@ def rest() -> TurnFunction:
     one.
     """
     from ctr_nlp.models import model_named
+    from ctr_nlp.paths.target import SIGMA_GRID
     from ctr_nlp.robot import table_i_robot
-    from ctr_nlp.target.target import SIGMA_GRID
 
     robot, elastic = table_i_robot(), model_named("elastic")
     q = _poses(robot)
@@ -99,7 +99,7 @@ def rest() -> TurnFunction:
 
 def horizon(*names: str, model: str = "dominant", frames: int = 100, loaded: bool = False) -> TurnFunction:
     """solve_horizon with all that belongs to it."""
-    from ctr_nlp.steer import solve_horizon
+    from ctr_nlp.planning import solve_horizon
 
     problems = [_problem(name, frames) for name in names]
     asked = [_loaded_problem(problem) if loaded else (problem, model) for problem in problems]

@@ -13,19 +13,19 @@ from typing import Any
 
 from ctr_nlp.anatomy.problem_files import problem_from_file
 from ctr_nlp.exceptions import CtrError, OptionError, OutputError
-from ctr_nlp.formulations.settings import Settings
-from ctr_nlp.loads import load_from_dict, with_modulus
 from ctr_nlp.models import model_named, model_with_load
+from ctr_nlp.models.loads import load_from_dict, with_modulus
+from ctr_nlp.ocp.settings import Settings
+from ctr_nlp.paths.named_problems import PROBLEM_NAMES, named_problem
+from ctr_nlp.paths.problem import Problem
 from ctr_nlp.plan.metrics import summary, verdict_columns
 from ctr_nlp.plan.plan import Plan, versions
-from ctr_nlp.problems import PROBLEM_NAMES, named_problem
+from ctr_nlp.planning import solve_horizon, solve_per_frame
 from ctr_nlp.robot import Robot
-from ctr_nlp.steer import solve_horizon, solve_per_frame
-from ctr_nlp.steer.robust import solve_robust, solve_robust_per_frame
+from ctr_nlp.robust import solve_robust, solve_robust_per_frame
 from ctr_nlp.studies.airways import SYNTHETIC, synthetic_problem
 from ctr_nlp.studies.grid.measures import MEASURES
-from ctr_nlp.support.values import strict_json
-from ctr_nlp.target.problem import Problem
+from ctr_nlp.support.value_checks import strict_json
 
 STUDY_METHODS = "horizon", "joint", "two-stage", "robust-horizon", "robust-joint"
 """Ways in which a case may be planned."""

@@ -6,9 +6,9 @@ from collections.abc import Callable, Mapping
 
 import numpy as np
 
+from ctr_nlp.paths.problem import Problem
 from ctr_nlp.plan.measures import contact_depths
 from ctr_nlp.plan.plan import Plan
-from ctr_nlp.target.problem import Problem
 
 
 def contact(plan: Plan, problem: Problem) -> dict[str, float]:

@@ -9,10 +9,10 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from ctr_nlp.figures.parts.page import STYLE, printable
-from ctr_nlp.figures.parts.palette import BLUE, VERMILLION
 from ctr_nlp.studies.grid.groups import STUDY_RANKING_COLUMN, Group, Groups
 from ctr_nlp.typing import Array, Flags
+from ctr_nlp.view.figures.parts.page import STYLE, printable
+from ctr_nlp.view.figures.parts.palette import BLUE, VERMILLION
 
 MAX_LABELLED_GROUPS = 30
 """Largest number of groups that are all labelled."""

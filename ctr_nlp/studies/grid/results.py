@@ -15,9 +15,9 @@ from typing import TYPE_CHECKING, Any
 
 from ctr_nlp.exceptions import OptionError, OutputError
 from ctr_nlp.studies.grid.case import CASE_LOST, TIME_LIMIT_COLUMN
+from ctr_nlp.support.atomic_write import write_atomically
 from ctr_nlp.support.extras import import_extra
 from ctr_nlp.support.folder_lock import lock_folder
-from ctr_nlp.support.whole_file import write_atomically
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -14,15 +14,15 @@ import numpy as np
 
 from ctr_nlp.anatomy.files import centrelines_in
 from ctr_nlp.exceptions import CtrError, OptionError
-from ctr_nlp.loads import with_modulus
-from ctr_nlp.problems import PROBLEM_NAMES
+from ctr_nlp.models.loads import with_modulus
+from ctr_nlp.paths.named_problems import PROBLEM_NAMES
 from ctr_nlp.robot import Robot, table_i_robot
-from ctr_nlp.robot.draws import build_calibrated_robot, sample_robots
+from ctr_nlp.robot.samples import build_calibrated_robot, sample_robots
 from ctr_nlp.studies.airways import SYNTHETIC
 from ctr_nlp.studies.grid.case import Case, file_digest
 from ctr_nlp.studies.grid.reports import REPORTS
-from ctr_nlp.studies.grid.ways import SETUP_KEYS, check_table, planner_setups
-from ctr_nlp.support.values import (
+from ctr_nlp.studies.grid.setups import SETUP_KEYS, check_table, planner_setups
+from ctr_nlp.support.value_checks import (
     check_choice,
     check_instance,
     floats,

@@ -5,9 +5,9 @@ from __future__ import annotations
 from matplotlib import rc_context
 from matplotlib.figure import Figure
 
-from ctr_nlp.figures.parts.page import STYLE, plain_ticks
-from ctr_nlp.figures.parts.palette import BLUE, VERMILLION
 from ctr_nlp.reference.learned.network import InverseKinematicsNetwork
+from ctr_nlp.view.figures.parts.page import STYLE, plain_ticks
+from ctr_nlp.view.figures.parts.palette import BLUE, VERMILLION
 
 
 @rc_context(STYLE)

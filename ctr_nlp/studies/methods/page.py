@@ -10,9 +10,9 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from ctr_nlp.formulations import FORMULATIONS
-from ctr_nlp.formulations.horizon import horizon
-from ctr_nlp.plan.account import format_cell
+from ctr_nlp.ocp import FORMULATIONS
+from ctr_nlp.ocp.horizon import horizon
+from ctr_nlp.plan.summary_text import format_cell
 from ctr_nlp.reference import REFERENCE_METHODS
 from ctr_nlp.studies.comparison import LUMEN_PATH_VARIANTS, ROBUST_VARIANTS, WARM_STARTED_VARIANTS, Comparison
 from ctr_nlp.support.tables import markdown

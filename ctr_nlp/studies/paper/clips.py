@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from matplotlib.figure import Figure
 
-from ctr_nlp.figures.overlay import draw, key
 from ctr_nlp.plan.plan import Plan
 from ctr_nlp.typing import Array
+from ctr_nlp.view.figures.overlay import draw, key
 
 CLIP_MOTION_FRACTIONS = (0.25, 0.5, 0.75, 1.0)
 """Parts of a motion at which it is shown."""

@@ -7,10 +7,10 @@ import platform
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from ctr_nlp.figures import save
 from ctr_nlp.studies.paper.runs import NO_WALL_SETTINGS, PAPER_METHOD_LABELS, PaperResults
 from ctr_nlp.studies.paper.section import PaperSection
 from ctr_nlp.support import tables
+from ctr_nlp.view.figures import save
 
 INTRODUCTION = """\
 # The paper's figures and Table II, remade

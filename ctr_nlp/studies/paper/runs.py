@@ -10,19 +10,19 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ctr_nlp.formulations.frame import fill_parameters, program
-from ctr_nlp.formulations.settings import Settings
-from ctr_nlp.formulations.terms import Order, ShapeDistance
 from ctr_nlp.models import KINEMATIC_MODELS
+from ctr_nlp.ocp.frame import fill_parameters, program
+from ctr_nlp.ocp.settings import Settings
+from ctr_nlp.ocp.terms import Order, ShapeDistance
+from ctr_nlp.paths.problem import Problem
 from ctr_nlp.plan.metrics import rms_over_sigma
 from ctr_nlp.plan.plan import Plan
+from ctr_nlp.plan.simulation import shapes
 from ctr_nlp.reference.paper_two_stage import paper_two_stage
-from ctr_nlp.simulation.forward import shapes
 from ctr_nlp.solvers import SOLVERS, default_chain_solver, default_solver
 from ctr_nlp.studies.comparison import comparison_row, parse_variant
 from ctr_nlp.support.interrupt import deferred_interrupt
 from ctr_nlp.support.pool import run_in_parallel
-from ctr_nlp.target.problem import Problem
 from ctr_nlp.typing import Array
 
 OUR_HORIZON, OUR_JOINT, OUR_ELASTIC_HORIZON = "horizon", "joint", "elastic"

@@ -8,9 +8,9 @@ from typing import Any
 
 from matplotlib.figure import Figure
 
-from ctr_nlp.plan.account import format_cell
 from ctr_nlp.plan.metrics import by_frame
 from ctr_nlp.plan.plan import Plan
+from ctr_nlp.plan.summary_text import format_cell
 from ctr_nlp.reference.published import TABLE_II_BASELINE as BASELINE_PRINTED
 from ctr_nlp.reference.published import TABLE_II_PAPER_METHOD as SEED_PRINTED
 from ctr_nlp.studies.paper.checks import Check

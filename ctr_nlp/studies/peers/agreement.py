@@ -10,11 +10,11 @@ from pathlib import Path
 import numpy as np
 
 from ctr_nlp.exceptions import OptionError
-from ctr_nlp.loads import Load
 from ctr_nlp.models import KINEMATIC_MODELS, Model, model_with_load
+from ctr_nlp.models.loads import Load
 from ctr_nlp.robot import Robot
 from ctr_nlp.studies.peers.program import format_input, run_peer_program
-from ctr_nlp.support.values import whole_number
+from ctr_nlp.support.value_checks import whole_number
 from ctr_nlp.typing import Array
 
 ELASTIC_MODEL = KINEMATIC_MODELS["elastic"]

@@ -9,10 +9,10 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
-from ctr_nlp.figures.parts.page import STYLE
-from ctr_nlp.figures.parts.palette import BLACK, BLUE, GREEN, ORANGE, PURPLE, SKY, VERMILLION
-from ctr_nlp.formulations.settings import Settings
+from ctr_nlp.ocp.settings import Settings
 from ctr_nlp.studies.reached.cases import CHECKS, REACHED, MethodOutcomes
+from ctr_nlp.view.figures.parts.page import STYLE
+from ctr_nlp.view.figures.parts.palette import BLACK, BLUE, GREEN, ORANGE, PURPLE, SKY, VERMILLION
 
 OUTCOME_COLOURS = dict(
     zip((REACHED, *CHECKS), (GREEN, BLACK, VERMILLION, PURPLE, ORANGE, SKY, "0.75"), strict=True)

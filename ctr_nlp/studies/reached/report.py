@@ -8,11 +8,11 @@ from pathlib import Path
 
 import numpy as np
 
-from ctr_nlp.figures import save
-from ctr_nlp.plan.account import format_cell
+from ctr_nlp.plan.summary_text import format_cell
 from ctr_nlp.studies.reached.cases import CHECKS, REACHED, MethodOutcomes
 from ctr_nlp.studies.reached.picture import draw_outcomes
 from ctr_nlp.support.tables import markdown, write_csv
+from ctr_nlp.view.figures import save
 
 FAILS: Mapping[str, str] = {
     "solved": "not solved",

@@ -8,10 +8,10 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from ctr_nlp.formulations.settings import Settings
+from ctr_nlp.ocp.settings import Settings
 from ctr_nlp.studies.airways import shown_name
 from ctr_nlp.studies.grid.case import CASE_DONE
-from ctr_nlp.studies.trade import RobustnessPoint
+from ctr_nlp.studies.robustness_trade_off import RobustnessPoint
 from ctr_nlp.support.tables import write_csv
 
 ROBUST_METHOD = "robust-horizon"

@@ -9,9 +9,9 @@ import matplotlib
 from matplotlib.figure import Figure
 from matplotlib.ticker import PercentFormatter
 
-from ctr_nlp.figures.parts.page import STYLE, plain_ticks
-from ctr_nlp.figures.parts.palette import BLUE, ORANGE, VERMILLION
 from ctr_nlp.studies.survival.cases import Airway
+from ctr_nlp.view.figures.parts.page import STYLE, plain_ticks
+from ctr_nlp.view.figures.parts.palette import BLUE, ORANGE, VERMILLION
 
 
 @matplotlib.rc_context(STYLE)

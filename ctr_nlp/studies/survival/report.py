@@ -7,14 +7,14 @@ from pathlib import Path
 
 import numpy as np
 
-from ctr_nlp.figures import save
-from ctr_nlp.plan.account import format_cell
 from ctr_nlp.plan.robustness import MOST_LOST
+from ctr_nlp.plan.summary_text import format_cell
+from ctr_nlp.studies.robustness_trade_off import RobustnessPoint
 from ctr_nlp.studies.survival.cases import Airway, mean_error_or_inf, write_rows
 from ctr_nlp.studies.survival.distributions import distributions
-from ctr_nlp.studies.trade import RobustnessPoint
 from ctr_nlp.support.tables import markdown
 from ctr_nlp.typing import Array
+from ctr_nlp.view.figures import save
 
 QUARTILES = {"least": 0.0, "quarter": 0.25, "median": 0.5, "three quarters": 0.75, "most": 1.0}
 SURVIVAL_PAGE_EXPLANATION = """\

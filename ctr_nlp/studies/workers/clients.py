@@ -11,7 +11,7 @@ from typing import Any
 
 from ctr_nlp.exceptions import ClusterError
 from ctr_nlp.support.extras import import_extra
-from ctr_nlp.support.own_requests import is_same_origin_request
+from ctr_nlp.support.same_origin import is_same_origin_request
 
 LOOPBACK = "127.0.0.1"
 SCHEDULER_CONNECT_TIMEOUT_S = 10.0

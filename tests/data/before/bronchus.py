@@ -1,6 +1,6 @@
 """From the trachea into the right lower lobe, as the seed's Fig. 9 (d), on a synthetic airway."""
 
-from ctr_nlp import Problem, Robot, growing, seed_robot
+from ctr_nlp import Problem, Robot, growing, table_i_robot
 from ctr_nlp.anatomy import synthetic_airway
 from ctr_nlp.placing import placed
 
@@ -10,4 +10,4 @@ def problem(frames: int = 100, duration: float = 10.0, robot: Robot | None = Non
     airway = synthetic_airway(seed=0)
     path, to_robot = placed(airway.part(airway.length - 150, airway.length))
     target, lumen = growing(path, frames), airway.apply_transform(to_robot)
-    return Problem("bronchus", robot or seed_robot(), target, duration, to_robot=to_robot, lumen=lumen)
+    return Problem("bronchus", robot or table_i_robot(), target, duration, to_robot=to_robot, lumen=lumen)

@@ -12,14 +12,14 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ctr_nlp.loads import Load, LoadOverTime
 from ctr_nlp.models.elastic.equilibria import Equilibria
-from ctr_nlp.models.loaded.acting import RodKind, scale_loads
 from ctr_nlp.models.loaded.equilibria import LoadedEquilibria, States
-from ctr_nlp.models.loaded.following.course import LoadSchedule, schedule_load
-from ctr_nlp.models.loaded.following.likely import StationGuesses
+from ctr_nlp.models.loaded.following.load_schedule import LoadSchedule, schedule_load
+from ctr_nlp.models.loaded.following.station_guesses import StationGuesses
 from ctr_nlp.models.loaded.following.track import StateTrack
+from ctr_nlp.models.loaded.rod_loads import RodKind, scale_loads
 from ctr_nlp.models.loaded.stability import least_margins, margins
+from ctr_nlp.models.loads import Load, LoadOverTime
 from ctr_nlp.models.protocol import EquilibriumPath, MotionSubsteps, Snap
 from ctr_nlp.robot.structure import Structure
 from ctr_nlp.typing import Array, Index

@@ -11,8 +11,8 @@ from collections.abc import Iterator
 import numpy as np
 
 from ctr_nlp.models.loaded.equilibria import LoadedEquilibria, States
-from ctr_nlp.models.loaded.following.course import LoadSchedule
-from ctr_nlp.models.loaded.following.likely import StationGuesses
+from ctr_nlp.models.loaded.following.load_schedule import LoadSchedule
+from ctr_nlp.models.loaded.following.station_guesses import StationGuesses
 from ctr_nlp.typing import Array, Flags, Index
 
 MAX_LINEAR_SECOND_DIFFERENCE = 1e-9

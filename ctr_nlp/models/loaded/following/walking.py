@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from ctr_nlp.loads import Load
 from ctr_nlp.models.loaded.equilibria import States
 from ctr_nlp.models.loaded.following.follower import Follower
 from ctr_nlp.models.loaded.stability import margins
+from ctr_nlp.models.loads import Load
 from ctr_nlp.models.walker import Walker
 from ctr_nlp.robot.structure import Structure
 from ctr_nlp.typing import Array

@@ -9,11 +9,9 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from ctr_nlp.figures.parts.page import STYLE
-from ctr_nlp.figures.parts.palette import BLACK, tube_colour, tube_width
 from ctr_nlp.models.dominant import shape as dominant
-from ctr_nlp.plan.account import format_cell
 from ctr_nlp.plan.plan import Plan
+from ctr_nlp.plan.summary_text import format_cell
 from ctr_nlp.studies.paper.checks import Check, number
 from ctr_nlp.studies.paper.clips import (
     CLIPS_KEY_HEIGHT_INCH,
@@ -32,6 +30,8 @@ from ctr_nlp.studies.paper.runs import (
 from ctr_nlp.studies.paper.section import CaptionedTable, PaperSection, format_errors, motion_tasks
 from ctr_nlp.support.tables import columns_to_rows
 from ctr_nlp.typing import Array
+from ctr_nlp.view.figures.parts.page import STYLE
+from ctr_nlp.view.figures.parts.palette import BLACK, tube_colour, tube_width
 
 FIG10_PROBLEMS = {"euler": "(a) three Euler curves", "euler_mixed": "(b) a line, an arc and an Euler curve"}
 FIG10_METHODS = OUR_HORIZON, PAPER_TWO_STAGE, EUCLIDEAN_BASELINE

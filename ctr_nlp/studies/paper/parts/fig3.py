@@ -10,8 +10,6 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, NullLocator
 
-from ctr_nlp.figures.parts.page import STYLE
-from ctr_nlp.figures.parts.palette import BLACK, BLUE, GREEN, ORANGE, PURPLE, VERMILLION
 from ctr_nlp.studies.paper.checks import Check, where_it_holds
 from ctr_nlp.studies.paper.runs import (
     OUR_JOINT,
@@ -24,6 +22,8 @@ from ctr_nlp.studies.paper.runs import (
     PointCountFit,
 )
 from ctr_nlp.studies.paper.section import TABLE_II_PROBLEMS, CaptionedTable, PaperSection, format_mm
+from ctr_nlp.view.figures.parts.page import STYLE
+from ctr_nlp.view.figures.parts.palette import BLACK, BLUE, GREEN, ORANGE, PURPLE, VERMILLION
 
 DECREASING_E3_TOLERANCE, SUFFICIENT_E3_TOLERANCE = 0.01, 0.1
 """Parts of e3: more points raise it by less than the first; fewer are enough within the second."""

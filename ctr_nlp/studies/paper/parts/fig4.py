@@ -8,10 +8,9 @@ import matplotlib
 import numpy as np
 from matplotlib.figure import Figure
 
-from ctr_nlp.figures.parts.page import STYLE
-from ctr_nlp.plan.account import format_cell
 from ctr_nlp.plan.metrics import by_frame
 from ctr_nlp.plan.plan import Plan
+from ctr_nlp.plan.summary_text import format_cell
 from ctr_nlp.studies.paper.checks import Check, number
 from ctr_nlp.studies.paper.clips import ClipGroup, clip_frames, draw_clips
 from ctr_nlp.studies.paper.runs import OUR_HORIZON, PAPER_METHOD_LABELS, PAPER_TWO_STAGE, TIP_ONLY, PaperResults
@@ -23,6 +22,7 @@ from ctr_nlp.studies.paper.section import (
     motion_tasks,
     published_comparison_table,
 )
+from ctr_nlp.view.figures.parts.page import STYLE
 
 FIG4_STEP_TOLERANCE = 1e-6
 """rad or mm by which a step may exceed what speeds allow."""

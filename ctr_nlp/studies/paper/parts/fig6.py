@@ -6,9 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from ctr_nlp.figures.errors import by_frame_compared, errors_compared, spread
-from ctr_nlp.plan.account import format_cell
 from ctr_nlp.plan.metrics import by_frame, e1
+from ctr_nlp.plan.summary_text import format_cell
 from ctr_nlp.studies.paper.checks import Check, number, rms_between
 from ctr_nlp.studies.paper.runs import (
     EUCLIDEAN_BASELINE,
@@ -26,6 +25,7 @@ from ctr_nlp.studies.paper.section import (
     published_comparison_table,
 )
 from ctr_nlp.typing import Array
+from ctr_nlp.view.figures.errors import by_frame_compared, errors_compared, spread
 
 FIG5_METHODS = OUR_HORIZON, PAPER_TWO_STAGE
 QUANTILES = {"quarter": 0.25, "median": 0.5, "three_quarters": 0.75, "most": 1.0}

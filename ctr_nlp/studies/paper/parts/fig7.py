@@ -6,8 +6,6 @@ from typing import Any
 
 import numpy as np
 
-from ctr_nlp.figures.motion import configuration_errors, error_from_truth, gimbal_lock_frames
-from ctr_nlp.figures.overlay import shapes
 from ctr_nlp.plan.plan import Plan
 from ctr_nlp.reference.published import TABLE_II_PAPER_METHOD as PRINTED
 from ctr_nlp.studies.paper.checks import Check, compare_with_published, number
@@ -27,6 +25,8 @@ from ctr_nlp.studies.paper.section import (
     published_comparison_table,
 )
 from ctr_nlp.support.tables import columns_to_rows
+from ctr_nlp.view.figures.motion import configuration_errors, error_from_truth, gimbal_lock_frames
+from ctr_nlp.view.figures.overlay import shapes
 
 FIG7_PROBLEM = "synthesis"
 FIG7_METHODS = OUR_HORIZON, PAPER_TWO_STAGE

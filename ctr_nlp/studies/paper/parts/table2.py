@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from ctr_nlp.models import model_named
-from ctr_nlp.plan.account import format_cell
+from ctr_nlp.plan.summary_text import format_cell
 from ctr_nlp.reference import published
 from ctr_nlp.reference.learned.network import network_path
 from ctr_nlp.robot.paper import table_i_robot

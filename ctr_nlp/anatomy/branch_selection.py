@@ -1,0 +1,187 @@
+"""Which branch a robot follows, and from where to where."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+from scipy.optimize import minimize_scalar
+
+from ctr_nlp.anatomy.branch import (
+    Branch,
+    Branches,
+    checked_point,
+    format_point,
+    name_source_in_errors,
+    transform_points,
+)
+from ctr_nlp.anatomy.files import is_mask, read_branches
+from ctr_nlp.exceptions import CurveError, OptionError
+from ctr_nlp.paths.curve import Curve, curve_from_points
+from ctr_nlp.paths.points import SHORTEST_MM
+from ctr_nlp.typing import Array
+
+UNKNOWN_LUMEN_MM = 5.0
+"""How far from a branch without a radius a point may lie."""
+NEAREST_SEARCH_SPACING_MM = 0.25
+"""Places along a curve among which the nearest one is looked for, before it is refined."""
+MAX_LISTED_BRANCHES = 20
+
+
+@dataclass(frozen=True)
+class BranchSegment:
+    """A whole branch in LPS, from where to where along it, in mm, and to_lps (4, 4) from the file's own.
+
+    space: the name of the file's own coordinates, as in Branches.
+    """
+
+    branch: Curve
+    start: float
+    stop: float
+    to_lps: Array
+    space: str
+
+    @property
+    def followed_path(self) -> Curve:
+        """The part that is followed."""
+        return self.branch.part(self.start, self.stop)
+
+
+def read_branch_segment(
+    path: str | Path,
+    branch: str | int | None = None,
+    entry: npt.ArrayLike | None = None,
+    target: npt.ArrayLike | None = None,
+    reverse: bool = False,
+) -> BranchSegment:
+    """The passage along a branch of a file, by its name or its number from 1, from entry to target.
+
+    entry, target: (3,) mm in the file's own coordinates, by default the ends of the branch. reverse: the file's
+    lines run from the tip to the root. A mask has one branch, between the two points. Raises CurveError and
+    OptionError.
+    """
+    if is_mask(path):
+        for option, value in (("branch", branch), ("reverse", reverse or None)):
+            if value is not None:
+                raise OptionError(
+                    f"{option} does not go with a mask, as {path} is one: its path leads from entry to target"
+                )
+        branches = read_branches(path, entry, target)
+        entry = target = None
+    else:
+        branches = read_branches(path, target if reverse else entry)
+    if reverse:
+        branches = branches.reverse_direction()
+    with name_source_in_errors(path):
+        found = select_branch(branches, None if branch is None else str(branch), entry, target)
+        curve = curve_from_points(found.points, found.radius)
+        start, stop = find_extent(curve, branches, entry, target)
+        if stop - start < SHORTEST_MM:
+            raise CurveError(
+                f"from entry to target the path is {stop - start:.3g} mm long; it must be at least "
+                f"{SHORTEST_MM:g} mm"
+            )
+    return BranchSegment(curve, start, stop, branches.to_lps, branches.space)
+
+
+def select_branch(
+    branches: Branches,
+    branch: str | None = None,
+    entry: npt.ArrayLike | None = None,
+    target: npt.ArrayLike | None = None,
+) -> Branch:
+    """The branch that is meant, whole: `extent` says where entry and target lie along it.
+
+    branch: its number from 1 or its name. entry, target: points (3,) in mm, in the file's own coordinates.
+    Without branch it is the one that passes nearest to target, or the only one. Raises CurveError where there is
+    no such branch, none is named, or a point lies outside of the branch's lumen (5 mm where that is unknown).
+    """
+    points = {
+        name: checked_point(name, at) for name, at in (("entry", entry), ("target", target)) if at is not None
+    }
+    lps = {name: transform_points(at, branches.to_lps) for name, at in points.items()}
+    if branch is not None:
+        found = _find_branch_named(branches, branch)
+    elif len(branches.branches) == 1:
+        found = branches.branches[0]
+    elif target is not None:
+        found = min(branches.branches, key=lambda each: _distance(each, lps["target"])[0])
+    else:
+        raise CurveError(
+            f"there are {len(branches.branches)} branches, {describe_branches(branches)}; say which to follow, "
+            f"by its number "
+            "or its name, or by a target point in the file's coordinates that it passes"
+        )
+    for name, at in lps.items():
+        distance, lumen = _distance(found, at)
+        if distance > lumen:
+            raise CurveError(
+                f"{name} {format_point(points[name])} is {distance:.1f} mm away from branch {found.name!r}; it "
+                f"must "
+                f"lie in its lumen, within {lumen:.1f} mm, and be given in mm in the file's coordinates, "
+                f"{branches.space}"
+            )
+    return found
+
+
+def find_extent(
+    curve: Curve, branches: Branches, entry: npt.ArrayLike | None = None, target: npt.ArrayLike | None = None
+) -> tuple[float, float]:
+    """Arc lengths in mm of a branch's curve, in LPS, nearest to entry and to target; its ends where not given.
+
+    entry, target: (3,) mm in the file's own coordinates. Raises CurveError where target does not come after entry.
+    """
+    start, stop = (
+        end if point is None else _nearest(curve, transform_points(checked_point(name, point), branches.to_lps))
+        for name, point, end in (("entry", entry, 0.0), ("target", target, curve.length))
+    )
+    if start >= stop:
+        raise CurveError(
+            f"the branch passes its target at {stop:.1f} mm and its entry at {start:.1f} mm; it must enter first: "
+            "exchange the points, or reverse the branch"
+        )
+    return start, stop
+
+
+def describe_branches(branches: Branches) -> str:
+    """Numbers, names and lengths of the branches in words, the first twenty of them."""
+    entries = [f"{k} {each.name!r} ({each.length:.1f} mm)" for k, each in enumerate(branches.branches, start=1)]
+    more = len(entries) - MAX_LISTED_BRANCHES
+    return ", ".join(entries[:MAX_LISTED_BRANCHES]) + (f" and {more} more" if more > 0 else "")
+
+
+def _find_branch_named(branches: Branches, branch: str) -> Branch:
+    every = branches.branches
+    if branch.strip().isdecimal() and 1 <= int(branch) <= len(every):
+        return every[int(branch) - 1]
+    same = [each for each in every if each.name == branch]
+    if len(same) == 1:
+        return same[0]
+    problem = f"{len(same)} branches have that name" if same else "there is none of that name or number"
+    raise CurveError(f"branch is {branch!r}; {problem}: {describe_branches(branches)}")
+
+
+def _distance(branch: Branch, point: Array) -> tuple[float, float]:
+    """Distance in mm of a point to the lines through a branch's points, and the lumen's radius there."""
+    start, step = branch.points[:-1], np.diff(branch.points, axis=0)
+    part = np.clip(((point - start) * step).sum(axis=1) / (step**2).sum(axis=1), 0, 1)
+    distances = np.linalg.norm(start + part[:, None] * step - point, axis=1)
+    k = int(distances.argmin())
+    if branch.radius is None:
+        return float(distances[k]), UNKNOWN_LUMEN_MM
+    return float(distances[k]), float(branch.radius[k] + part[k] * (branch.radius[k + 1] - branch.radius[k]))
+
+
+def _nearest(curve: Curve, point: Array) -> float:
+    """Arc length in mm where a curve passes nearest to a point."""
+
+    def distance(s: npt.ArrayLike) -> Array:
+        return np.asarray(np.linalg.norm(curve.point(np.atleast_1d(s)) - point, axis=1))
+
+    places = np.linspace(0, curve.length, max(2, int(np.ceil(curve.length / NEAREST_SEARCH_SPACING_MM)) + 1))
+    k = int(distance(places).argmin())
+    bounds = places[max(k - 1, 0)], places[min(k + 1, len(places) - 1)]
+    refined = minimize_scalar(lambda s: float(distance(s)[0]), bounds=bounds, method="bounded")
+    return float(min((places[k], refined.x), key=lambda s: float(distance(s)[0])))

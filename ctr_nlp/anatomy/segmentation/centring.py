@@ -1,0 +1,176 @@
+"""The middle of a lumen and its radius, from cross-sections along a route through it.
+
+A tube is an array (n, 4): points and radius in mm, along the axes of the image, counted from the middle of its
+first voxel.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from scipy import sparse
+from scipy.interpolate import CubicSpline
+from scipy.ndimage import map_coordinates
+from scipy.sparse.linalg import spsolve
+
+from ctr_nlp.paths.points import cumulative_arc_length
+from ctr_nlp.typing import Array, Flags
+
+STEP_MM = 1.0
+"""Between neighbouring cross-sections, and between points of the result."""
+LEAST_SECTIONS = 13
+END_SEARCH_SUBDIVISIONS = 200
+"""Places between neighbouring cross-sections among which those nearest to the ends are looked for."""
+PASSES = 6
+RAYS = 48
+SAMPLES_PER_RAY = 64
+"""Along each ray, up to twice the radius."""
+HARMONIC_REGULARISATION = (1e-3, 1e-3, 1e-3, 0.1, 0.1)
+"""How much each term of a cross-section is drawn to 0, for the sake of those of which little is seen."""
+MAX_RAY_TO_MEDIAN_RATIO = 1.35
+"""A ray longer than this times the median of its cross-section looks into another branch."""
+SMOOTHING_LENGTH_VOXELS = 2.0
+"""Waves along the path shorter than 2 pi times this many voxels are smoothed away."""
+SMOOTHING_PADDING_SECTIONS = 5
+"""Cross-sections by which a smoothed path is continued at either end."""
+MAX_END_OFFSET_RADII = 1.5
+"""An end is as many radii, at most, from a route that has not yet come to the middle: sqrt(2) in a corner."""
+END_CAP_RADII = 0.15
+"""Cross-sections so near to an end, in radii, may cut through a cap of the lumen: they are not looked at."""
+
+
+def centre_route(lumen: Flags, spacing: Array, route: Array, depth: Array, ends: Array) -> Array:
+    """The tube (n, 4) along the middle of a lumen, its points about 1 mm apart.
+
+    lumen: (l, m, n), its voxels spacing (3,) mm apart. route: (k, 3) mm, through the lumen, depth (k,) mm from the
+    wall. ends: (2, 3) mm; the tube begins and stops where it is nearest to them within the lumen.
+    """
+    voxel = float(np.linalg.norm(spacing))
+    tube = np.column_stack([route, depth])
+    for end in ends[::-1]:
+        tube = _straighten_beginning(tube[::-1], end, voxel)
+    tube = _resample_tube(tube)
+    trusted = np.ones(len(tube), bool)
+    for _ in range(PASSES):
+        tube = _between(_smooth_tube(tube, trusted, SMOOTHING_LENGTH_VOXELS * spacing.max()), ends, lumen, spacing)
+        along = cumulative_arc_length(tube[:, :3])
+        from_end = np.minimum(along, along[-1] - along)
+        trusted = from_end > np.minimum(voxel + END_CAP_RADII * tube[:, 3], along[-1] / 4)
+        tube = np.where(trusted[:, None], _recentre_points(lumen, spacing, tube), tube)
+    return _between(_smooth_tube(tube, trusted, SMOOTHING_LENGTH_VOXELS * spacing.max()), ends, lumen, spacing)
+
+
+def lie_in_lumen(lumen: Flags, spacing: Array, points: Array) -> Flags:
+    """Whether points (n, 3) in mm lie in voxels of a lumen."""
+    index = np.rint(points / spacing).astype(int)
+    within = ((index >= 0) & (index < lumen.shape)).all(axis=1)
+    return within & lumen[tuple(np.clip(index, 0, np.array(lumen.shape) - 1).T)]
+
+
+def _resample_tube(tube: Array) -> Array:
+    along = cumulative_arc_length(tube[:, :3])
+    even = np.linspace(0, along[-1], max(LEAST_SECTIONS, round(along[-1] / STEP_MM) + 1))
+    return np.column_stack([np.interp(even, along, column) for column in tube.T])
+
+
+def _straighten_beginning(tube: Array, end: Array, slack: float) -> Array:
+    """The tube with a straight beginning: what leads from its end (3,) to the middle of the lumen is no middle.
+
+    It comes from the last point, in the tube's first third, from which a ball up to the wall holds the end.
+    """
+    along = cumulative_arc_length(tube[:, :3])
+    away = np.linalg.norm(tube[:, :3] - end, axis=1) > MAX_END_OFFSET_RADII * tube[:, 3] + slack
+    first = int((away | (along > along[-1] / 3)).argmax())
+    ahead = int(np.clip(np.searchsorted(along, along[first] + tube[first, 3]), first + 1, len(tube) - 1))
+    outwards = tube[first, :3] - tube[ahead, :3]
+    outwards /= np.linalg.norm(outwards)
+    beginning = tube[first].copy()
+    beginning[:3] += outwards * np.maximum(0, (end - tube[first, :3]) @ outwards)
+    return np.vstack([beginning, tube[first:]])
+
+
+def _smooth_tube(tube: Array, trusted: Flags, length: float) -> Array:
+    """The tube under the smoother of Whittaker (1923) for waves longer than length mm, continued at both ends.
+
+    Third differences are small in points, so that they go on at a constant curvature, second ones in radii.
+    """
+    tube_at, kept = (
+        np.pad(tube, ((SMOOTHING_PADDING_SECTIONS, SMOOTHING_PADDING_SECTIONS), (0, 0))),
+        np.pad(trusted, SMOOTHING_PADDING_SECTIONS).astype(float),
+    )
+    step = cumulative_arc_length(tube[:, :3])[-1] / (len(tube) - 1)
+
+    def smooth(values: Array, order: int) -> Array:
+        differences = sparse.csc_array(np.diff(np.eye(len(kept)), order, axis=0))
+        penalty = (length / step) ** (2 * order) * differences.T @ differences
+        return np.asarray(spsolve(sparse.csc_array(sparse.diags_array(kept) + penalty), kept[:, None] * values))
+
+    return np.column_stack([smooth(tube_at[:, :3], 3), smooth(tube_at[:, 3:], 2)])
+
+
+def _between(tube: Array, ends: Array, lumen: Flags, spacing: Array) -> Array:
+    """The piece of a spline through the tube between its points in the lumen nearest to ends (2, 3), resampled."""
+    dense = CubicSpline(np.arange(len(tube)), tube)(
+        np.linspace(0, len(tube) - 1, END_SEARCH_SUBDIVISIONS * len(tube))
+    )
+    half = len(dense) // 2
+    inside = lie_in_lumen(lumen, spacing, dense[:, :3])
+    first, last = (
+        int(np.where(inside[part], np.linalg.norm(dense[part, :3] - end, axis=1), np.inf).argmin()) + part.start
+        for part, end in zip((slice(0, half), slice(half, len(dense))), ends, strict=True)
+    )
+    return _resample_tube(dense[first : last + 1])
+
+
+def _recentre_points(lumen: Flags, spacing: Array, tube: Array) -> Array:
+    """Each point moved to the middle of its cross-section, and the distance to the wall there.
+
+    From a point the wall is r + a cos t + b sin t + c cos 2t + d sin 2t away at angle t: the middle is at (a, b),
+    and the least distance from there is r - |(c, d)|.
+    """
+    tangent = np.gradient(tube[:, :3], axis=0)
+    tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
+    first = np.cross(tangent, np.eye(3)[np.abs(tangent).argmin(axis=1)])
+    first /= np.linalg.norm(first, axis=1, keepdims=True)
+    second = np.cross(tangent, first)
+    angle = 2 * np.pi * np.arange(RAYS) / RAYS
+    directions = np.cos(angle)[:, None] * first[:, None] + np.sin(angle)[:, None] * second[:, None]
+    rays = _to_wall(lumen, spacing, tube, directions)
+    seen = np.isfinite(rays)
+    rays = np.where(seen, rays, tube[:, 3:])
+    median = np.median(rays, axis=1, keepdims=True)
+    rays = np.where(rays > MAX_RAY_TO_MEDIAN_RATIO * median, median, rays)
+    harmonics = np.column_stack([np.ones(RAYS), *(f(k * angle) for k in (1, 2) for f in (np.cos, np.sin))])
+    normal = np.einsum("nr,ri,rj->nij", seen, harmonics, harmonics) + RAYS * np.diag(HARMONIC_REGULARISATION)
+    found = np.linalg.solve(normal, (seen * (rays - tube[:, 3:]) @ harmonics)[..., None])[..., 0]
+    points = tube[:, :3] + found[:, 1:2] * first + found[:, 2:3] * second
+    radius = tube[:, 3] + found[:, 0] - np.hypot(found[:, 3], found[:, 4])
+    return np.column_stack([points, np.maximum(radius, spacing.min() / 2)])
+
+
+def _to_wall(lumen: Flags, spacing: Array, tube: Array, directions: Array) -> Array:
+    """Distance in mm from the tube's points to the wall along directions (n, rays, 3), at most about two radii.
+
+    The wall is where the lumen, 1 at its voxels and interpolated between them, falls to 1/2. A ray that leaves the
+    image before is given the tube's radius.
+    """
+    reach = 2 * tube[:, 3] + np.linalg.norm(spacing)
+    far = reach[:, None] * np.linspace(0, 1, SAMPLES_PER_RAY)
+    index = (tube[:, None, None, :3] + far[:, None, :, None] * directions[:, :, None]) / spacing
+    value = map_coordinates(
+        lumen.view(np.uint8), np.moveaxis(index, -1, 0), output=np.float32, order=1, mode="nearest"
+    )
+    outside = ((index < -0.5) | (index > np.array(lumen.shape) - 0.5)).any(axis=-1)
+    wall = (value < 0.5) | outside
+    met = np.maximum(wall.argmax(axis=-1), 1)[..., None]
+
+    def at(values: npt.NDArray[Any], place: npt.NDArray[Any]) -> Array:
+        return np.take_along_axis(values, place, axis=-1)[..., 0].astype(float)
+
+    before, after = at(value, met - 1), at(value, met)
+    part = np.clip((before - 0.5) / np.maximum(before - after, 1e-6), 0, 1)
+    distance = (met[..., 0] - 1 + part) / (SAMPLES_PER_RAY - 1) * reach[:, None]
+    distance = np.where(wall.any(axis=-1), distance, reach[:, None])
+    return np.where(at(np.asarray(outside), met) > 0, np.nan, distance)

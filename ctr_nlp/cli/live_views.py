@@ -1,0 +1,79 @@
+"""What programs tell their live views."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from functools import partial
+
+import numpy as np
+
+from ctr_nlp.hardware.devices import MotionProgress
+from ctr_nlp.hardware.motion.trajectory import Trajectory
+from ctr_nlp.paths.problem import Problem
+from ctr_nlp.plan.plan import Plan
+from ctr_nlp.solvers import Iterate
+from ctr_nlp.view.figures.live import LiveWindow, PlaybackPicture, PlaybackState, SolverPicture, SolverState
+
+
+class SolverView:
+    """Shows iterates of a problem's motion as they are found, and at last the plan that they have led to."""
+
+    def __init__(self, view: LiveWindow, problem: Problem) -> None:
+        self._view, self._frames, self._unknowns = view, problem.frames, len(problem.robot.axes)
+        self._history = list[tuple[float, float]]()
+
+    def __call__(self, iterate: Iterate) -> None:
+        """Show an iterate; where a solver begins anew there is a gap."""
+        if iterate.number == 0 and self._history:
+            self._history.append((np.nan, np.nan))
+        self._history.append((iterate.objective / self._frames, iterate.error))
+        self._view.show(partial(self._stage, iterate))
+
+    def _stage(self, iterate: Iterate) -> SolverState:
+        objective, error = np.array(self._history).T
+        return SolverState(objective, error, iterate.x.reshape(self._frames, -1)[:, : self._unknowns])
+
+    def show_plan(self, plan: Plan) -> None:
+        """Show the plan."""
+        self._view.show(lambda: plan)
+
+
+class PlaybackView:
+    """Shows what a player sees, and at last how it ended."""
+
+    def __init__(self, view: LiveWindow) -> None:
+        self._view = view
+        self._last: tuple[Trajectory, MotionProgress] | None = None
+
+    def __call__(self, trajectory: Trajectory, progress: MotionProgress, state: str) -> None:
+        """Show where the robot is; state: of the player, in words."""
+        self._last = trajectory, progress
+        self._view.show(partial(_playback_state, trajectory, progress, state))
+
+    def show_outcome(self, outcome: str) -> None:
+        """Show how it ended, with the robot where it was seen last."""
+        if self._last is not None:
+            self(*self._last, outcome)
+
+
+def _playback_state(trajectory: Trajectory, progress: MotionProgress, state: str) -> PlaybackState:
+    time = np.array([progress.time])
+    measured, commanded = trajectory.joints(time, progress.position[None])[0], trajectory.at(time)[0][0]
+    return PlaybackState(state, trajectory.last_frame_passed(progress.time), progress.time, measured, commanded)
+
+
+@contextmanager
+def open_solver_view(problem: Problem, model: str) -> Iterator[SolverView]:
+    """A window for the motion of a problem; raises OptionError where none can be opened."""
+    lumen = None if problem.sampled_lumen is None else problem.sampled_lumen.table
+    target = np.array([frame.points for frame in problem.target_frames])
+    with LiveWindow(SolverPicture(problem.name, problem.robot, model, target, lumen)) as view:
+        yield SolverView(view, problem)
+
+
+@contextmanager
+def open_playback_view(plan: Plan) -> Iterator[PlaybackView]:
+    """A window for a plan that is played; raises OptionError where none can be opened."""
+    with LiveWindow(PlaybackPicture(plan)) as view:
+        yield PlaybackView(view)

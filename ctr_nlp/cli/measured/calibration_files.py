@@ -1,0 +1,117 @@
+"""A calibration as files: a table of residuals, the next poses, and all of it as JSON."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from ctr_nlp.identify.calibration.calibration import Calibration, errors, summary_of
+from ctr_nlp.identify.calibration.parameters import LAGS
+from ctr_nlp.identify.calibration.prediction import flat_measured
+from ctr_nlp.identify.calibration.reading import FORCE_COLUMNS
+from ctr_nlp.plan.backlash import BACKLASH_PARAMETER_NAMES as LAG_PARTS
+from ctr_nlp.support.tables import columns_to_rows, write_csv
+from ctr_nlp.support.value_checks import strict_json
+
+
+def parameter_rows(found: Calibration) -> list[dict[str, Any]]:
+    """A row a parameter: name, unit, before and its sigma, after and its sigma, how well it is known."""
+    columns = {
+        "name": found.parameters.names,
+        "unit": [one.unit for one in found.parameters.each],
+        "before": found.parameters.mean.tolist(),
+        "before_sigma": found.parameters.sigma.tolist(),
+        "value": found.fit.values.tolist(),
+        "sigma": found.fit.sigma.tolist(),
+        "standing": list(found.standing),
+    }
+    return [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
+
+
+def as_json(found: Calibration) -> dict[str, Any]:
+    """All that is worth reading by machines, for strict JSON."""
+    noise, measured = found.fit.noise, found.measured
+    bases = [{"rotation": turn, "place": place} for turn, place in found.bases]
+    told = {
+        "model": found.model,
+        "observations": len(measured),
+        "repeated": measured.repeated,
+        "retraced": len(found.repeated_poses),
+        "recordings": measured.recordings,
+        "parameters": parameter_rows(found),
+        "covariance": found.fit.covariance,
+        "untold": list(found.unidentified),
+        "bases": bases,
+        "noise": {
+            "position_mm": _finite_or_none(noise.position),
+            "direction_rad": _finite_or_none(noise.direction),
+            "alike": noise.autocorrelation,
+        },
+        "errors_mm": error_summaries(found),
+        "floor_mm": found.floor,
+        "next": [{"q": q, "left": left} for q, left in zip(found.next_q, found.next_left, strict=True)],
+    }
+    plain: dict[str, Any] = strict_json(told)
+    return plain
+
+
+def error_summaries(found: Calibration) -> dict[str, Any]:
+    """Mean, 95 % quantile and largest error, mm: of the robot as described, as fitted, and held out."""
+    kinds = {"described": found.nominal_residuals, "fitted": found.fit.residuals, "held_out": found.held_out}
+    return {name: summary_of(errors(residuals)) for name, residuals in kinds.items()}
+
+
+def write_residuals(found: Calibration, path: Path) -> None:
+    """A line an observation: its pose, what was measured less what is predicted, and errors in mm."""
+    measured, axes = found.measured, found.nominal.axes
+    columns: dict[str, npt.NDArray[Any]] = {"recording": measured.recording + 1, "fold": found.fold + 1}
+    columns |= {"time_s": measured.time} if measured.has_times else {}
+    columns |= {axis: measured.q[:, k] for k, axis in enumerate(axes)}
+    columns |= dict(zip(FORCE_COLUMNS, measured.force.T, strict=True)) if measured.has_tip_force else {}
+    points = [f"p{k + 1}" for k in range(measured.sigma.shape[1])]
+    names = [f"residual_{place}_{axis}" for place in ("tip", "tip_direction", *points) for axis in "xyz"]
+    seen = np.flatnonzero(np.isfinite(flat_measured(measured)).any(axis=0))
+    columns |= {names[k]: found.fit.residuals[:, k] for k in seen}
+    columns |= {"error_mm": errors(found.fit.residuals), "error_held_out_mm": errors(found.held_out)}
+    columns |= {"error_described_mm": errors(found.nominal_residuals)}
+    write_csv(path, columns_to_rows(columns))
+
+
+def write_next(found: Calibration, path: Path) -> None:
+    """A line a pose, in the columns that measurements are read from, and what part of the doubt is left then."""
+    columns: dict[str, npt.NDArray[Any]] = dict(zip(found.nominal.axes, found.next_q.T, strict=True))
+    write_csv(path, columns_to_rows(columns | {"left": found.next_left}))
+
+
+def robot_file_comment(found: Calibration) -> str:
+    """The comment on top of a robot file: where it is from, and by what angles motors are off."""
+    lines = [
+        f"From {len(found.measured)} measured poses. The tolerances are what is left to doubt.",
+        *(f"Not known from them: {sentence}." for sentence in found.unidentified),
+    ]
+    parameters = found.parameters
+    for k in parameters.columns("motor_zero"):
+        value, one = found.fit.values[k], parameters.each[k]
+        lines.append(f"Where the motor of tube {one.number} reads 0, alpha_{one.number} is {value:.4f} rad.")
+    return "\n".join([*lines, *_lag_table(found)])
+
+
+def _lag_table(found: Calibration) -> list[str]:
+    """The table of a hardware file that makes up for the lags found; nothing where none were estimated."""
+    parameters = found.parameters
+    if not parameters.columns(*LAGS):
+        return []
+    lag = parameters.lag(found.fit.values)
+    told = (f"{name} = [{', '.join(f'{v:.5g}' for v in getattr(lag, name))}]" for name in LAG_PARTS)
+    return [
+        "What makes up for the lags of the tubes, in the hardware file that plans are played on:",
+        "[lag]",
+        *told,
+    ]
+
+
+def _finite_or_none(value: float) -> float | None:
+    return value if np.isfinite(value) else None

@@ -1,0 +1,157 @@
+"""A plan as files, as pictures and a film, and as a table on the terminal.
+
+What draws is imported where it draws: matplotlib takes longer to load than a motion takes to be planned.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from ctr_nlp.cli.console import EXIT_INTERRUPTED, EXIT_SOLVED, EXIT_SOME_FAILED
+from ctr_nlp.cli.output.folder import name_within
+from ctr_nlp.cli.terminal_output import console, print_table, progress_bar
+from ctr_nlp.plan import sample_text, summary_text
+from ctr_nlp.plan.metrics import by_frame, summary
+from ctr_nlp.plan.plan import Plan
+from ctr_nlp.plan.verdicts import NO, NOT_CHECKED, YES
+from ctr_nlp.planning.compromise import Compromise, compromise_sentences
+from ctr_nlp.studies.pareto_front import ParetoPoint
+from ctr_nlp.support.tables import columns_to_rows, write_csv
+
+STYLES = {YES: "green", NO: "bold red", NOT_CHECKED: "dark_orange"}
+"""Colours of a verdict's word in a terminal; amber is not the colour of *yes*."""
+
+
+def write(plan: Plan, folder: Path) -> None:
+    """plan.npz, errors.csv and summary.json."""
+    plan.save(folder / "plan.npz")
+    write_csv(folder / "errors.csv", columns_to_rows(by_frame(plan)))
+    text = json.dumps(summary(plan), indent=2, allow_nan=False)
+    (folder / "summary.json").write_text(text + "\n", encoding="utf-8")
+
+
+def draw(plan: Plan, points: Sequence[ParetoPoint], folder: Path, found: Sequence[Compromise] = ()) -> None:
+    """Draw a plan, and where a sweep has found points, or what can be had was looked for, that too."""
+    from ctr_nlp.view.figures import save, save_all
+
+    save_all(plan, folder)
+    if found:
+        from ctr_nlp.view.figures.compromise import compromise
+
+        save(compromise(plan, found), folder / "trade_off.png")
+    if points:
+        from ctr_nlp.studies.pareto_picture import save_pareto_front
+
+        save_pareto_front(points, plan.meta["problem"]["name"], folder)
+
+
+def draw_shapes_only(plan: Plan, folder: Path) -> None:
+    """Draw the shapes of a plan alone, which takes least time."""
+    from ctr_nlp.view.figures import save
+    from ctr_nlp.view.figures.overlay import shapes
+
+    save(shapes(plan), folder / "shapes.png")
+
+
+def print_report(plan: Plan) -> None:
+    """Print the verdicts on a plan, its numbers, and what is wrong with it."""
+    found = summary(plan)
+    print_verdicts(found)
+    print_table("numbers", ("", "value", "unit"), summary_text.measure_rows(found))
+    for remark in summary_text.remarks(plan, found):
+        console().print(remark)
+
+
+def print_verdicts(found: dict[str, Any]) -> None:
+    """Print the table of verdicts of a plan's summary, its words in colour, and what they come to."""
+    rows = summary_text.verdict_rows(found)
+    print_table(summary_text.title(found), summary_text.VERDICTS, rows, text=("value", "why"), styles=STYLES)
+    console().print(summary_text.summarise_verdicts(found))
+    console().print(summary_text.NOT_FOR_PATIENTS)
+
+
+def print_robustness(plan: Plan) -> None:
+    """Print the verdicts on a plan, and what becomes of its samples: arrival, contact, errors, losses, costs."""
+    assert plan.drawn is not None
+    print_verdicts(summary(plan))
+    for table in sample_text.tables(plan):
+        print_table(table.title, table.columns, table.rows)
+    for sentence in (plan.drawn.summary_sentence, *sample_text.robustness_sentences(plan.drawn)):
+        console().print(sentence)
+
+
+def exit_status(plan: Plan) -> int:
+    """0 where no verdict is *no*, 1 where one is, 130 where the plan was interrupted."""
+    if plan.meta.get("interrupted", False):
+        return EXIT_INTERRUPTED
+    return EXIT_SOME_FAILED if plan.verdicts.failed_names else EXIT_SOLVED
+
+
+def write_front(points: Sequence[ParetoPoint], folder: Path) -> None:
+    """pareto.csv."""
+    write_csv(folder / "pareto.csv", [asdict(point) for point in points])
+
+
+def print_front(points: Sequence[ParetoPoint]) -> None:
+    """A line a weight, then a line a method."""
+    rows = [
+        (p.method + " *" * (not p.solved), f"{p.motion_weight:.2g}", p.e3, f"{p.roughness:.0f}") for p in points
+    ]
+    title = "error against roughness (a star: not solved everywhere)"
+    print_table(title, ("", "weight s²", "e3 mm", "roughness mm²/s"), rows)
+
+
+def write_compromises(found: Sequence[Compromise], folder: Path) -> None:
+    """Write trade_off.csv: arrival against contact."""
+    write_csv(folder / "trade_off.csv", [_row(one) for one in found])
+
+
+def _row(one: Compromise) -> dict[str, Any]:
+    touched = one.where
+    return {
+        "arrival_weight": "plan" if one.arrival_weight is None else one.arrival_weight,
+        "tip_mm": one.tip,
+        "contact_mm": one.contact,
+        "e3_mm": one.e3,
+        "tube": None if touched is None else touched.tube,
+        "along_robot_mm": None if touched is None else touched.arc_length,
+        "frame": None if touched is None else touched.frame,
+    }
+
+
+def print_compromises(plan: Plan, found: Sequence[Compromise]) -> None:
+    """Print what can be had of arriving and keeping off the wall, and what stands in the way."""
+    columns = "motion", "tip off mm", "deepest contact mm", "e3 mm", "at"
+    rows = [
+        (
+            "this plan" if one.arrival_weight is None else f"--arrival-weight {one.arrival_weight:g}",
+            *(one.tip, one.contact, one.e3),
+            "" if one.where is None else f"tube {one.where.tube}, {one.where.arc_length:.0f} mm",
+        )
+        for one in found
+    ]
+    print_table("arrival against contact, for the robot as described", columns, rows)
+    for sentence in compromise_sentences(plan, found):
+        console().print(sentence)
+
+
+def write_film(plans: Sequence[Plan], file: Path, out: Path, place: Path, staging: Path) -> Path:
+    """Write a film of plans and show how far it is; returns where it will be. Raises OptionError, OutputError.
+
+    out: the output folder that was asked for; place: the one that takes staging's files, another where the run was
+    interrupted, which then takes all films. Otherwise a file that is not within out is written where it is to be.
+    """
+    from ctr_nlp.view.figures.film import film
+
+    inner = name_within(out, file)
+    if inner is None and place == out:
+        target = found = file
+    else:
+        target, found = staging / (inner or file.name), place / (inner or file.name)
+    with progress_bar() as labelled:
+        film(plans, target, labelled(file.name))
+    return found

@@ -1,0 +1,441 @@
+"""The search for tubes: tubes and the motions of all tasks, solved together from one start after another.
+
+Unknowns are p (P,) of the tubes (formulations/shared/design.py), shared by all tasks, and q of every frame. A
+round solves the joint program by an interior-point method; between rounds, motions are re-planned on the tubes
+found, since the joint program is local: it follows the branch of motions that it starts on. See docs/method.md,
+"Tubes designed with their motions".
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
+
+import numpy as np
+
+from ctr_nlp.exceptions import CtrError, ProblemError
+from ctr_nlp.models import KINEMATIC_MODELS, Model, model_for_tip_forces
+from ctr_nlp.ocp.horizon import EndConfigurations
+from ctr_nlp.ocp.scenarios import Scenarios, SharedMotion
+from ctr_nlp.ocp.settings import Settings
+from ctr_nlp.ocp.shared.design import DesignedTubes
+from ctr_nlp.ocp.shared.scenarios import shared_motion
+from ctr_nlp.ocp.shared.tasks import CurvedPartLimit, join_task_motions
+from ctr_nlp.paths.problem import Problem
+from ctr_nlp.plan.metrics import summary
+from ctr_nlp.plan.plan import Plan
+from ctr_nlp.planning.horizon import Horizon, solve_horizon
+from ctr_nlp.robot import Robot
+from ctr_nlp.robust.plan import MOTION_PART
+from ctr_nlp.robust.search import InitialMotion, RobustSearch, StartResult
+from ctr_nlp.robust.tolerance_scenarios import tips_of, unknowns_of
+from ctr_nlp.solvers.compiled_functions import fastest_functions
+from ctr_nlp.solvers.motion.chain_solution import COLD_START_BARRIER_MM2
+from ctr_nlp.solvers.scenarios import SharedSolution, SharedSolver
+from ctr_nlp.solvers.scenarios.condensed import Condensed
+from ctr_nlp.support.interrupt import deferred_interrupt
+from ctr_nlp.support.pool import Jobs, run_in_parallel
+from ctr_nlp.typing import Array
+
+MAX_CANDIDATE_VIOLATION = 1e-3
+"""Largest violation, rad and mm, of a point from which the search continues though it is no solution yet."""
+INITIAL_STEP_COST_MM2, STEP_COST_FACTOR = 1e-3, 0.1
+"""Cost of a step of p by one unit in the first round, mm^2 a frame, and the factor from round to round: where
+tubes matter little, they stay.
+"""
+MAX_DESIGN_STEPS, DESIGN_STEPS_PER_TASK = 560, 10
+"""Most steps of a round, and how many more for every task: tubes that dozens of tasks share take more."""
+MAX_DESIGN_ROUNDS, MIN_DESIGN_IMPROVEMENT = 5, 2e-3
+"""Most rounds from a start, and the relative improvement below which they end."""
+REPLANNED_BARRIER_MM2, CONTINUED_BARRIER_MM2 = 0.1, 1e-3
+"""First barriers, mm^2, of rounds after the first: for motions that were re-planned since, and for those of the
+round before, from which a larger barrier leads away.
+"""
+
+
+@dataclass(frozen=True)
+class Motions:
+    """Motions of all tasks, one after the other.
+
+    Attributes
+    ----------
+    q : ndarray
+        Configurations (T, 2d + 2) of all frames of all tasks, rad and mm.
+    phi : ndarray
+        Angles (T, S, k) of the tubes' tips in S scenarios, rad.
+    e3 : ndarray
+        Error (n,) of each task over its frames and scenarios, mm; NaN where its motion is no solution.
+    """
+
+    q: Array
+    phi: Array
+    e3: Array
+
+    @property
+    def rms(self) -> float:
+        """Root mean square of the tasks' e3, mm; infinite where one is not known."""
+        known = np.isfinite(self.e3).all()
+        return float(np.sqrt(np.mean(self.e3**2))) if known else np.inf
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """Tubes with motions on them.
+
+    Attributes
+    ----------
+    start : str
+        Name of the tubes that the search started from.
+    p : ndarray
+        Unknowns (P,) of the tubes.
+    motions : Motions
+        Motions of all tasks.
+    solution : SharedSolution or None
+        Solution of the last round, where they come from one.
+    """
+
+    start: str
+    p: Array
+    motions: Motions
+    solution: SharedSolution | None = None
+
+    @property
+    def is_solution(self) -> bool:
+        """Whether tubes and motions come from a round and are a solution."""
+        return self.solution is not None and self.solution.success
+
+
+Robots = Callable[[Robot], Scenarios]
+"""Maps a robot to the robots that share its motions, of which it is the first."""
+
+
+def nominal_scenario(robot: Robot) -> Scenarios:
+    """Return the nominal robot as the only scenario."""
+    return Scenarios(robot.numbers[None], np.zeros((1, robot.d)), np.ones(1))
+
+
+def never() -> bool:
+    """Return False: what a search asks whether to stop, where nobody can ask for that."""
+    return False
+
+
+@dataclass(frozen=True)
+class DesignSearch:
+    """Search for tubes over tasks that differ in their targets alone.
+
+    Attributes
+    ----------
+    tasks : tuple of Problem
+        Tasks with one robot.
+    tubes : DesignedTubes
+        The tubes as unknowns, with rules of manufacture.
+    model : Model
+        Kinematic model.
+    margin : float
+        Least stability margin of every robot.
+    stop : callable
+        Returns whether to stop; asked between steps.
+    on_candidate : callable or None
+        Called with the candidate of every round.
+    jobs : int or distributed.Client
+        Where independent tasks are worked on; see `run_in_parallel`.
+    """
+
+    tasks: tuple[Problem, ...]
+    tubes: DesignedTubes
+    model: Model
+    margin: float
+    stop: Callable[[], bool] = never
+    on_candidate: Callable[[Candidate], None] | None = None
+    jobs: Jobs = 1
+
+    @property
+    def has_load(self) -> bool:
+        """Whether a load acts on the robots, or may, so that stiffnesses count and not only their ratios."""
+        return self.model.applied_load is not None or self.tubes.robot.tolerances.tip_force > 0
+
+    @cached_property
+    def settings(self) -> Settings:
+        """Settings of the tasks' motions, without walls or arrival."""
+        return Settings(stability_margin=self.margin, contact_weight=0.0, arrival_weight=0.0)
+
+    def split_by_task(self, of_all: Array) -> list[Array]:
+        """Split rows `of_all` (T, ...) of all tasks' frames, task by task."""
+        return np.split(of_all, np.cumsum([task.frames for task in self.tasks])[:-1])
+
+    def tasks_on(self, robot: Robot) -> list[Problem]:
+        """Return the tasks with another robot."""
+        return [replace(task, robot=robot) for task in self.tasks]
+
+    def plan_on_tubes(self, p: Array) -> Motions:
+        """Plan the tasks on tubes p as they are, each by itself.
+
+        Parameters
+        ----------
+        p : ndarray
+            Unknowns (P,) of the tubes.
+
+        Returns
+        -------
+        Motions
+            Of the nominal robot (S = 1). After Ctrl-C some are no solutions.
+
+        Raises
+        ------
+        CtrError
+            p is no robot, or Ctrl-C came before all tasks were given to processes.
+        """
+        robot = self.tubes.robot_of(p)
+        plan = partial(solve_horizon, model=self.model, settings=self.settings)
+        plans = (
+            [plan(task) for task in self.tasks_on(robot)]
+            if self.jobs == 1
+            else self._plan_in_processes(plan, robot)
+        )
+        q = np.concatenate([plan.q for plan in plans])
+        tips = [tips_of(self.model, robot, self.model.follow(robot, plan.q).x) for plan in plans]
+        e3 = [summary(plan)["e3"] if plan.success.all() else np.nan for plan in plans]
+        return Motions(q, np.concatenate(tips)[:, None], np.array(e3, dtype=float))
+
+    def _plan_in_processes(self, plan: Callable[[Problem], Plan], robot: Robot) -> list[Plan]:
+        """Return the plans of the tasks on a robot, made in processes or on a cluster."""
+        made = dict(run_in_parallel(plan, self.tasks_on(robot), self.jobs))
+        if len(made) < len(self.tasks):
+            raise ProblemError("the work on some tasks of a design was interrupted")
+        return [made[number] for number in range(len(self.tasks))]
+
+    def start(self, name: str, p: Array) -> Candidate | None:
+        """Plan the tasks on tubes to start from.
+
+        Parameters
+        ----------
+        name : str
+            What the start is called.
+        p : ndarray
+            Unknowns (P,) of the tubes.
+
+        Returns
+        -------
+        Candidate or None
+            None where no robot has these tubes, or it cannot be moved as the tasks ask.
+        """
+        try:
+            motions = self.plan_on_tubes(p)
+        except CtrError:
+            return None
+        return Candidate(name, p, motions) if np.isfinite(motions.phi).all() else None
+
+    def motion(self, p: Array, motions: Motions, robots: Robots, pull: float) -> SharedMotion:
+        """Build the joint program of tubes and motions.
+
+        Parameters
+        ----------
+        p : ndarray
+            Unknowns (P,) of the tubes near which it is used.
+        motions : Motions
+            Motions near which it is used.
+        robots : callable
+            Maps the robot to the scenarios that share its motions.
+        pull : float
+            Cost of a step of p by one unit, mm^2 a frame.
+
+        Returns
+        -------
+        SharedMotion
+            The program, with the tubes' numbers as unknowns that all frames share.
+        """
+        robot, made = self.tubes.robot_of(p), list[SharedMotion]()
+        scenarios = robots(robot)
+        for task, q in zip(self.tasks_on(robot), self.split_by_task(motions.q), strict=True):
+            weight = MOTION_PART * self._motion_weight(task, q)
+            margins = np.full(task.frames, self.margin)
+            at = (
+                robot,
+                task.target_frames,
+                task.dt,
+                weight,
+                EndConfigurations(),
+                model_for_tip_forces(self.model, scenarios.has_tip_forces),
+                scenarios,
+            )
+            one = shared_motion(
+                *at, fastest_functions, margins, (CurvedPartLimit(),), free_numbers=self.tubes.free_number_names
+            )
+            # Upper limits of beta are the curved lengths of the start; these are unknowns now, and WithinCurved
+            # bounds beta.
+            upper = one.upper.copy()
+            upper[:, robot.d : 2 * robot.d] = robot.reach
+            made.append(replace(one, upper=upper))
+        return join_task_motions(made, self.tubes.common(scenarios, p, pull * len(motions.q)))
+
+    def _motion_weight(self, task: Problem, q: Array) -> float:
+        """Return lambda in s^2, as a horizon without walls balances it, from a motion of robots without a load."""
+        free = self.model if self.model.applied_load is None else KINEMATIC_MODELS[self.model.name]
+        horizon = Horizon(task, free, settings=self.settings)
+        return horizon.balanced_weight(np.nan_to_num(free.follow(task.robot, q).x))
+
+    def share_motions(self, candidate: Candidate, robots: Robots) -> Candidate | None:
+        """Find motions that scenarios share, on the same tubes.
+
+        Parameters
+        ----------
+        candidate : Candidate
+            Tubes, with motions of the nominal robot.
+        robots : callable
+            Maps the robot to the scenarios.
+
+        Returns
+        -------
+        Candidate or None
+            The same tubes with shared motions, each task's by itself; None where one has none or Ctrl-C came.
+        """
+        robot = self.tubes.robot_of(candidate.p)
+        tips = self.split_by_task(candidate.motions.phi[:, 0])
+        tasks = list(zip(self.tasks_on(robot), self.split_by_task(candidate.motions.q), tips, strict=True))
+        work, tried = (
+            partial(self.portable.share_task_motion, candidate.start, robots(robot)),
+            dict[int, StartResult](),
+        )
+        for number, one in run_in_parallel(work, tasks, self.jobs):
+            if not one.is_solved:
+                return None
+            tried[number] = one
+        if len(tried) < len(tasks):
+            return None  # Ctrl-C came first
+        found = [tried[number].solution for number in range(len(tasks))]
+        # The objective is the sum over frames of the weighted mean squared error; its motion term is small beside
+        # it.
+        e3 = np.sqrt([one.objective / len(one.q) for one in found])
+        q, phi = (np.concatenate([getattr(one, name) for one in found]) for name in ("q", "phi"))
+        return replace(candidate, motions=Motions(q, phi, e3))
+
+    def share_task_motion(
+        self, start: str, scenarios: Scenarios, task_and_motion: tuple[Problem, Array, Array]
+    ) -> StartResult:
+        """Solve for a motion of one task that scenarios share.
+
+        Parameters
+        ----------
+        start : str
+            Name of the start.
+        scenarios : Scenarios
+            The robots that share it.
+        task_and_motion : tuple of (Problem, ndarray, ndarray)
+            The task, a motion (T, 2d + 2) to start from, and the nominal tips (T, k) there.
+
+        Returns
+        -------
+        Tried
+            The motion, solved or not.
+        """
+        task, of_task, tips = task_and_motion
+        weight, margins = MOTION_PART * self._motion_weight(task, of_task), np.full(task.frames, self.margin)
+        x = unknowns_of(self.model, task.robot, tips, of_task)
+        with deferred_interrupt() as interrupted:
+            own = (
+                model_for_tip_forces(self.model, scenarios.has_tip_forces),
+                EndConfigurations(),
+                (),
+                weight,
+                margins,
+            )
+            search = RobustSearch(task, *own, stop=interrupted)
+            return search.solve(InitialMotion(start, x), scenarios)
+
+    @property
+    def portable(self) -> DesignSearch:
+        """The search without what cannot be pickled for another process."""
+        return replace(self, tubes=replace(self.tubes), stop=never, on_candidate=None, jobs=1)
+
+    def run_round(self, candidate: Candidate, robots: Robots, pull: float, barrier: float) -> Candidate | None:
+        """Run one round: solve tubes and motions together, from known ones.
+
+        Parameters
+        ----------
+        candidate : Candidate
+            Tubes and motions to start from.
+        robots : callable
+            Maps the robot to the scenarios that share its motions.
+        pull : float
+            Cost of a step of p by one unit, mm^2 a frame.
+        barrier : float
+            First barrier, mm^2.
+
+        Returns
+        -------
+        Candidate or None
+            None where the result violates equations or constraints by more than MAX_CANDIDATE_VIOLATION.
+        """
+        motion = self.motion(candidate.p, candidate.motions, robots, pull)
+        steps = MAX_DESIGN_STEPS + DESIGN_STEPS_PER_TASK * len(self.tasks)
+        found = SharedSolver(motion)(
+            candidate.motions.q, candidate.motions.phi, barrier, self.stop, steps, candidate.p
+        )
+        if max(found.violation, found.equation_violation) > MAX_CANDIDATE_VIOLATION:
+            return None
+        # The objective itself has the motion term and the pull on p, which are no errors.
+        squares = Condensed(motion).by_robot(found.q, found.phi, found.p) @ motion.weights
+        e3 = np.sqrt([part.mean() for part in self.split_by_task(squares)])
+        return Candidate(candidate.start, found.p, Motions(found.q, found.phi, e3), found)
+
+    def best_of_both(self, candidate: Candidate) -> Candidate:
+        """Re-plan every task on the tubes of a known candidate, and keep the better of its two motions."""
+        again = self.start(candidate.start, candidate.p)
+        if again is None:
+            return candidate
+        better = again.motions.e3 < candidate.motions.e3
+        # One choice a task, repeated for each of its frames.
+        rows = np.repeat(better, [task.frames for task in self.tasks])
+        q = np.where(rows[:, None], again.motions.q, candidate.motions.q)
+        phi = np.where(rows[:, None, None], again.motions.phi, candidate.motions.phi[:, :1])
+        e3 = np.where(better, again.motions.e3, candidate.motions.e3)
+        return replace(candidate, motions=Motions(q, phi, e3))
+
+    def run_rounds(
+        self, start: Candidate, robots: Robots = nominal_scenario, first: float = COLD_START_BARRIER_MM2
+    ) -> Candidate | None:
+        """Run rounds from a start and return the best result.
+
+        Parameters
+        ----------
+        start : Candidate
+            Tubes and motions to start from.
+        robots : callable
+            Maps the robot to the scenarios that share its motions. Where that is `alone`, motions are re-planned
+            between rounds.
+        first : float
+            Barrier of the first round, mm^2.
+
+        Returns
+        -------
+        Candidate or None
+            The one with the least error; None where the first round already failed.
+        """
+        found, known, pull, barrier = list[Candidate](), start, INITIAL_STEP_COST_MM2, first
+        for _ in range(MAX_DESIGN_ROUNDS):
+            again = self.run_round(known, robots, pull, barrier)
+            if again is None or self.stop():
+                break
+            found.append(again)
+            if self.on_candidate is not None:
+                self.on_candidate(again)
+            if (
+                len(found) > 1
+                and found[-2].motions.rms - again.motions.rms < MIN_DESIGN_IMPROVEMENT * again.motions.rms
+            ):
+                break
+            # Motions that were re-planned are further from a solution of the joint program than those of the round
+            # before, and need a larger barrier.
+            known, barrier = (
+                (self.best_of_both(again), REPLANNED_BARRIER_MM2)
+                if robots is nominal_scenario
+                else (again, CONTINUED_BARRIER_MM2)
+            )
+            pull *= STEP_COST_FACTOR
+        return min(found, key=error_of, default=None)
+
+
+def error_of(candidate: Candidate) -> float:
+    """Return the root mean square of e3 over the tasks of a candidate, mm, by which candidates are compared."""
+    return candidate.motions.rms

@@ -1,0 +1,194 @@
+"""Choice among designed tubes by the plans on them: for the nominal robot, and for all robots within the
+tolerances.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from ctr_nlp.design.search import CONTINUED_BARRIER_MM2, REPLANNED_BARRIER_MM2, Candidate, DesignSearch, error_of
+from ctr_nlp.ocp.scenarios import Scenarios
+from ctr_nlp.plan.measures import e3
+from ctr_nlp.plan.plan import Plan
+from ctr_nlp.robot import Robot
+from ctr_nlp.robust.tolerance_scenarios import scenarios_from_tolerances
+
+MAX_DESIGNED_FRAMES = 1500
+"""Frames of all tasks, together, for which tubes are solved; with more, the frames of drafts decide."""
+PROMISING_ERROR_RATIO = 0.9
+"""Further tubes are tried where the error of their motions is below this part of the error of the best plans."""
+TOLERANT_DESIGN_MARGIN = 0.3
+"""Stability margin of all robots within the tolerances while tubes are designed for them, where it can be
+satisfied. It hardly costs any error, and plans, which need less, have it in hand.
+"""
+MAX_TOLERANT_CANDIDATES = 4
+"""Most tubes for tolerances that are tried until all plans on them are certified."""
+
+
+def choose_best_planned(
+    found: Sequence[Candidate], search: DesignSearch, plan: Callable[[Candidate], list[Plan]]
+) -> tuple[Candidate, list[Plan]]:
+    """Choose the tubes with the best plans, for the nominal robot.
+
+    A plan satisfies its margin between frames, too, which may cost it much of the error that the motion found with
+    the tubes promised. Tubes are therefore tried in the order of these motions, until the next ones promise little
+    more.
+
+    Parameters
+    ----------
+    found : sequence of Candidate
+        Designed tubes, at least one.
+    search : DesignSearch
+        The search that found them.
+    plan : callable
+        Maps tubes to the plans of all tasks on them; fewer after Ctrl-C.
+
+    Returns
+    -------
+    best : Candidate
+        The chosen tubes.
+    plans : list of Plan
+        The plans on them.
+    """
+    ranked = sorted(found, key=error_of)
+    tried = list[tuple[float, Candidate, list[Plan]]]()
+    for number, one in enumerate(ranked, start=1):
+        best = solve_all_frames(one, search)
+        plans = plan(best)
+        error = _error(plans) if len(plans) == len(search.tasks) else math.inf  # not after Ctrl-C
+        tried.append((error, best, plans))
+        least = min(tried, key=lambda each: each[0])
+        if search.stop() or number == len(ranked) or error_of(ranked[number]) >= PROMISING_ERROR_RATIO * least[0]:
+            break
+    return least[1:]
+
+
+def solve_all_frames(best: Candidate, search: DesignSearch) -> Candidate:
+    """Solve tubes over all frames of the tasks, starting from tubes found on the frames of a draft.
+
+    Parameters
+    ----------
+    best : Candidate
+        Tubes of a draft.
+    search : DesignSearch
+        The search over all frames.
+
+    Returns
+    -------
+    Candidate
+        The tubes for all frames; those of the draft where there are more than MAX_DESIGNED_FRAMES, no motions on
+        them, or Ctrl-C came.
+    """
+    if sum(task.frames for task in search.tasks) > MAX_DESIGNED_FRAMES:
+        return best
+    begun = search.start(best.start, best.p)
+    if begun is None or search.stop():
+        return best
+    found = search.run_rounds(begun, first=REPLANNED_BARRIER_MM2)
+    return begun if found is None else found
+
+
+def _error(plans: Sequence[Plan]) -> float:
+    """Return the root mean square of plans' e3, mm; infinite where a frame of one was not solved."""
+    errors = [e3(plan) if plan.success.all() else None for plan in plans]
+    return float(np.sqrt(np.mean([math.inf if error is None else error**2 for error in errors])))
+
+
+def tolerance_scenarios(robot: Robot) -> Scenarios:
+    """Return robots that stand for all within a robot's tolerances, with the forces that may act at its tip.
+
+    Tubes decide how far a force bends them, so that errors under forces count here; motions hardly do, and plans
+    leave them out.
+
+    Parameters
+    ----------
+    robot : Robot
+        The nominal robot.
+
+    Returns
+    -------
+    Scenarios
+        The nominal robot first.
+    """
+    return scenarios_from_tolerances(robot, with_tip_force=True)
+
+
+def choose_certified(
+    found: Sequence[Candidate], search: DesignSearch, plan: Callable[[Candidate], list[Plan]]
+) -> tuple[Candidate, list[Plan]]:
+    """Choose the tubes on which most plans are certified, for the robots within the tolerances.
+
+    Tubes are tried until all plans on them are: that motions exist at some frames says little of what happens
+    between these.
+
+    Parameters
+    ----------
+    found : sequence of Candidate
+        Designed tubes, at least one.
+    search : DesignSearch
+        The search that found them, on the frames of a draft.
+    plan : callable
+        Maps tubes to the plans of all tasks on them.
+
+    Returns
+    -------
+    best : Candidate
+        The chosen tubes; the best nominal ones where no motions were found that all robots share.
+    plans : list of Plan
+        The plans on them.
+    """
+    tried = list[tuple[Candidate, list[Plan], int]]()
+    for best in itertools.islice(tolerant_candidates(found, search), MAX_TOLERANT_CANDIDATES):
+        plans = plan(best)
+        tried.append((best, plans, sum(plan.meta.get("certificate", {}).get("held", False) for plan in plans)))
+        if tried[-1][2] == len(search.tasks) or search.stop():
+            break
+    if not tried:
+        best = min(found, key=error_of)
+        return best, plan(best)
+    # Most certified plans first; the error decides among equals.
+    best, plans, _ = min(tried, key=lambda one: (-one[2], error_of(one[0])))
+    return best, plans
+
+
+def tolerant_candidates(found: Sequence[Candidate], search: DesignSearch) -> Iterator[Candidate]:
+    """Yield tubes for the robots within the tolerances, on which these share motions, the most promising first.
+
+    Parameters
+    ----------
+    found : sequence of Candidate
+        Tubes designed for the nominal robot.
+    search : DesignSearch
+        The search that found them.
+
+    Yields
+    ------
+    Candidate
+        Solved tubes and motions, with the margin TOLERANT_DESIGN_MARGIN first, then with the search's own.
+    """
+    for firm, one in _promising(found, search):
+        if search.stop():
+            return
+        begun = None if one is None else firm.share_motions(one, tolerance_scenarios)
+        settled = None if begun is None else firm.run_rounds(begun, tolerance_scenarios, CONTINUED_BARRIER_MM2)
+        if settled is not None and settled.is_solution:
+            yield settled
+
+
+def _promising(
+    found: Sequence[Candidate], search: DesignSearch
+) -> Iterator[tuple[DesignSearch, Candidate | None]]:
+    """Yield tubes to start from with searches that keep a margin: each with its own motions, then with re-planned
+    ones.
+    """
+    for one in sorted(found, key=error_of):
+        # The larger margin first, which leaves plans more in hand.
+        for margin in sorted({TOLERANT_DESIGN_MARGIN, search.margin}, reverse=True):
+            firm = replace(search, margin=margin)
+            yield firm, one
+            yield firm, firm.start(one.start, one.p)

@@ -1,6 +1,0 @@
-"""Pictures of work that goes on, in windows with processes of their own."""
-
-from ctr_nlp.figures.live.pictures import PlaybackPicture, PlaybackState, SolverPicture, SolverState
-from ctr_nlp.figures.live.view import LiveWindow, Picture
-
-__all__ = ["LiveWindow", "Picture", "PlaybackPicture", "PlaybackState", "SolverPicture", "SolverState"]

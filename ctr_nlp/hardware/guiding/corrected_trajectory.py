@@ -1,0 +1,78 @@
+"""A trajectory as a tracker has corrected it so far: the same inputs give the same corrections, bit for bit."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.interpolate import CubicHermiteSpline
+
+from ctr_nlp.hardware.guiding.leeway import Leeway
+from ctr_nlp.hardware.motion.trajectory import Patch, Trajectory
+from ctr_nlp.hardware.playing.checks import check_trajectory
+from ctr_nlp.identify.closed_loop.sensors import Reading
+from ctr_nlp.identify.closed_loop.tracker import Tracker
+from ctr_nlp.typing import Array
+
+FIRST_CORRECTED_KNOT = 2
+"""The first knot that may be corrected: what comes before is given when the motion begins."""
+
+
+class CorrectedTrajectory:
+    """From a trajectory with a share below 1, led by a tracker.
+
+    trajectory: as corrected. Beyond the last knot that was corrected it goes back to what it was at first, so that
+    all of it can be played, whether or not anything is corrected later.
+    """
+
+    def __init__(self, trajectory: Trajectory, tracker: Tracker, before: Array) -> None:
+        """Begin; before (n, 2d + 2): where the robot has come through until it stood at the trajectory's start."""
+        self.trajectory, self.tracker, self.leeway = trajectory, tracker, Leeway(trajectory)
+        path = trajectory.motion.path
+        self._at = np.clip(path.x, self.leeway.knots[0], self.leeway.knots[-1])
+        self._path, self._slopes = path(path.x), path(path.x, 1)
+        self._planned = path(self.leeway.knots)
+        self._offsets = np.zeros_like(self._planned)
+        self._time = 0.0
+        tracker.apply_past_motion(before)
+
+    def joints(self, time: float, position: Array) -> Array:
+        """The q (2d + 2,) of axes that are found at a position (m,) at a time of the trajectory, s."""
+        return self.trajectory.joints(np.array([time]), position[None])[0]
+
+    def observe(self, time: float, q: Array, now: float, readings: Sequence[Reading]) -> None:
+        """The motors are at q (2d + 2,) at a time of the trajectory, s, which is now on the clock, s.
+
+        readings: what sensors have told since.
+        """
+        self._time = time
+        self.tracker.observe(q, now, readings)
+
+    def correct(self, knot: int) -> Patch:
+        """Lead the robot to where the tracker wants it at a knot of the leeway; how the path has changed.
+
+        Raises TrajectoryError where that leaves what the arm can do.
+        """
+        s, knots, before = self.trajectory.knots, self.leeway.knots, self._offsets[knot - 1]
+        here = float(self.trajectory.motion.parameter(self._time))
+        ahead = self.trajectory.motion.path(np.append(s[(s > here) & (s < knots[knot - 1])], knots[knot - 1]))
+        low, high = self.leeway.box(knot, before)
+        planned = self._planned[knot]
+        frame, last = (int(self.leeway.frames[k]) - 1 for k in (knot, knot - 1))
+        wanted = self.tracker.compute_command(frame, last, ahead, planned + low, planned + high)
+        offset = self.leeway.nearest_allowed_offset(knot, before, wanted - planned)
+        self._offsets[knot:] = self.leeway.offsets_back_to_plan(knot, offset)
+        patch = self._patch()
+        self.trajectory = self.trajectory.apply_patch(patch)
+        first, last = np.searchsorted(s, knots[knot - 1 : knot + 1])
+        check_trajectory(self.trajectory, stretch=slice(int(first), int(last) + 1))
+        return patch
+
+    def _patch(self) -> Patch:
+        """What differs from the trajectory as it was corrected before."""
+        path = self.trajectory.motion.path
+        added = CubicHermiteSpline(self.leeway.knots, self._offsets, np.zeros_like(self._offsets))
+        q, slopes = self._path + added(self._at), self._slopes + added(self._at, 1)
+        other = np.flatnonzero(((q != path(path.x)) | (slopes != path(path.x, 1))).any(axis=1))
+        rows = slice(int(other[0]), int(other[-1]) + 1) if len(other) else slice(0, 0)
+        return Patch(rows.start, q[rows], slopes[rows])

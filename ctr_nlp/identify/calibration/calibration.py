@@ -1,0 +1,310 @@
+"""Calibration: from measurements to a robot, its remaining uncertainty, and errors on held-out observations.
+
+Symbols are those of "Tubes from measurements" in docs/method.md: y_k is what was measured in observation k, h_k(p)
+what a robot of parameters p would have shown, and p_0 and C_0 mean and covariance of p before measuring. Residuals
+y_k - h_k(p) are rows of 6 + 3n: the tip (3, mm), the direction at the tip (3, components of unit vectors), and n
+points of the shape (3 each, mm).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from ctr_nlp.exceptions import MeasurementError
+from ctr_nlp.identify.calibration.fit import ParameterFit, fit_parameters, recompute_residuals
+from ctr_nlp.identify.calibration.folds import FOLD_BLOCK_S, assign_folds, find_repeated_poses
+from ctr_nlp.identify.calibration.identifiability import classify_parameters, describe_unidentified
+from ctr_nlp.identify.calibration.measurements import Measurements
+from ctr_nlp.identify.calibration.next_poses import next_poses
+from ctr_nlp.identify.calibration.parameters import BASE, Parameters, parameters_of
+from ctr_nlp.identify.calibration.prediction import Prediction, flat_measured, register_points
+from ctr_nlp.identify.calibration.robots import calibrated_robot
+from ctr_nlp.models import Model, model_for_tip_forces, model_named
+from ctr_nlp.robot import Robot
+from ctr_nlp.support.value_checks import check_instance
+from ctr_nlp.support.value_objects import ReadOnlyValue
+from ctr_nlp.typing import Array, Index
+
+Progress = Callable[[int, int, str], None]
+"""Called as ``progress(done, total, what)``: fits done, of how many, and which comes next."""
+
+
+@dataclass(frozen=True, eq=False)
+class Calibration(ReadOnlyValue):
+    """Result of :func:`calibrate`: a robot, how well the data determine it, and how large its errors are.
+
+    Residuals are (T, 6 + 3n) arrays of what was measured less what is predicted, NaN where nothing was measured.
+
+    Attributes
+    ----------
+    robot : Robot
+        With the tubes that fit best, and the covariance that is left as its tolerances.
+    nominal : Robot
+        The nominal robot that was given.
+    measured : Measurements
+        The T observations that were used, without copies.
+    model : str
+        Name of the kinematic model.
+    fit : Fit
+        Estimated values, their covariance, the noise and the residuals.
+    standing : tuple of str
+        For every parameter ``"determined"``, ``"partly"``, or ``"held"``: fixed at its mean before measuring, as
+        the data say next to nothing of it.
+    unidentified : tuple of str
+        Sentences that name the parameters, and combinations of them, that the data cannot identify.
+    nominal_residuals : (T, 6 + 3n) array
+        Residuals of the nominal robot, with the bases registered to the measurements.
+    held_out : (T, 6 + 3n) array
+        Residuals of fits that did not see the observation; NaN without folds.
+    fold : (T,) array of int
+        The fold, from 0, that an observation belongs to; -1 without folds.
+    repeated_poses : (n, 2) array of int
+        Observations, and the first ones that had the same pose before.
+    floor : float or None
+        Half the mean distance between places measured at the same pose, mm: an error that no model of the pose
+        alone can explain. None where no pose was repeated.
+    bases : tuple of (rotation, place)
+        For every recording the pose of the robot's base for the sensor: (3, 3), and (3,) mm.
+    next_q : (k, 2d + 2) array
+        Poses whose measurement would teach most, rad and mm.
+    next_left : (k,) array
+        Part of the uncertainty that is left after measuring the poses up to each.
+    """
+
+    robot: Robot
+    nominal: Robot
+    measured: Measurements
+    model: str
+    fit: ParameterFit
+    standing: tuple[str, ...]
+    unidentified: tuple[str, ...]
+    nominal_residuals: Array
+    held_out: Array
+    fold: Index
+    repeated_poses: Index
+    floor: float | None
+    bases: tuple[tuple[Array, Array], ...]
+    next_q: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    next_left: Array = field(default_factory=lambda: np.zeros(0))
+
+    @property
+    def parameters(self) -> Parameters:
+        """The parameters that were estimated, with their means and covariance before measuring."""
+        return self.fit.parameters
+
+
+def calibrate(
+    robot: Robot,
+    measured: Measurements,
+    estimate: Sequence[str] | None = None,
+    *,
+    model: str | Model = "elastic",
+    registered: bool = False,
+    held_out: int = 5,
+    block: float = FOLD_BLOCK_S,
+    next_count: int = 0,
+    seed: int = 0,
+    progress: Progress | None = None,
+) -> Calibration:
+    """Estimate the parameters of a robot from measured shapes, by robust least squares around its tolerances.
+
+    Minimises the sum over observations of rho((y_k - h_k(p)) / s) plus (p - p_0)^T C_0^-1 (p - p_0), with rho(r) =
+    2 c^2 (sqrt(1 + r^2 / c^2) - 1) and c = 2. p_0 and C_0 come from the robot's tolerances; the noise s is
+    estimated along with p (Huber and Ronchetti, Robust Statistics, 2nd ed., 2009, proposal 2).
+
+    Parameters
+    ----------
+    robot : Robot
+        The nominal robot, with tolerances for what is to be estimated.
+    measured : Measurements
+        The observations.
+    estimate : sequence of str, optional
+        Kinds of parameters, of ``calibration.parameters.KINDS``. By default whatever has a tolerance; where the
+        time is known, also the tubes' backlash and drag and the sensor's delay; and under a load, the tubes'
+        Young's modulus.
+    model : str or Model
+        The kinematic model. If it has a load, or `measured` has forces at the tip, every observation is that of
+        the loaded robot, whose tubes must have Young's moduli in MPa: only then do stiffnesses show themselves,
+        and not just their ratios.
+    registered : bool
+        Whether the sensor's axes are those of the robot's base. Otherwise the pose of the base is estimated, one
+        for every recording.
+    held_out : int
+        Number of folds for cross-validation, at least 2; 0 for none.
+    block : float
+        Time of a motion that stays together in one fold, s.
+    next_count : int
+        How many next poses are proposed.
+    seed : int
+        Of the folds and of the proposals.
+    progress : callable, optional
+        Called as ``progress(done, total, what)`` before each fit, with how many are done of how many and what
+        comes next, and once at the end.
+
+    Returns
+    -------
+    Calibration
+        The robot found, the remaining uncertainty, and errors before, after and held out.
+
+    Raises
+    ------
+    MeasurementError
+        The robot cannot have been at these configurations, or the tubes that fit best are none that can be made.
+    OptionError
+        An option is unknown or out of its range, or a parameter is named that such measurements cannot show.
+    LoadError
+        There is a load and a tube's modulus is not in MPa, or the load changes over time.
+
+    Examples
+    --------
+    The curvature of the inner tube is off by 5 % and found from six measured tips:
+
+    >>> import numpy as np
+    >>> import ctr_nlp as ctr
+    >>> tubes = ctr.Tube(90, 60, 1 / 130, 3.0, 2.4), ctr.Tube(160, 110, 1 / 60, 2.0, 1.4)
+    >>> nominal = ctr.Robot(tubes, tolerances=ctr.Tolerances(curvature=0.1))
+    >>> real = ctr.Robot((tubes[0], ctr.Tube(160, 110, 1.05 / 60, 2.0, 1.4)))
+    >>> q = np.array([[0.0, turn, 30.0, out, 0.0, 0.0] for turn in (0, 1, 2) for out in (50, 80)])
+    >>> none = np.full((6, 3), np.nan)
+    >>> measured = ctr.Measurements(
+    ...     q=q,
+    ...     tip=ctr.shapes(real, q, np.ones(1))[:, 0],
+    ...     direction=none,
+    ...     points=np.zeros((6, 0, 3)),
+    ...     sigma=np.zeros((6, 0)),
+    ...     time=none[:, 0],
+    ...     recording=np.zeros(6, dtype=int),
+    ... )
+    >>> options = {"model": "dominant", "registered": True, "held_out": 0}
+    >>> found = ctr.calibrate(nominal, measured, ["curvature"], **options)
+    >>> found.parameters.names, (found.fit.values.round(3) + 0.0).tolist()
+    (['curvature_1', 'curvature_2'], [0.0, 0.05])
+    """
+    check_instance(MeasurementError, "robot", robot, Robot)
+    check_instance(MeasurementError, "measurements", measured, Measurements)
+    # A copy of an observation is no further evidence, and in another fold it would give the held-out one away.
+    measured = measured.distinct()
+    described = model_for_tip_forces(model_named(model), measured.has_tip_force)
+    described.check(robot)
+    measured.check(robot)
+    parameters = parameters_of(robot, measured, estimate, registered, described.applied_load is not None)
+    fold = assign_folds(robot, measured, held_out, block, seed=seed) if held_out else np.full(len(measured), -1)
+    prediction = build_registered_prediction(parameters, measured, described)
+    before = flat_measured(measured) - prediction.predict_values(parameters.mean).flat()
+    told, total = progress or (lambda *_: None), 1 + held_out
+    told(0, total, "all observations")
+    fit = fit_parameters(prediction)
+    out = np.full(before.shape, np.nan)
+    for k in range(held_out):
+        told(1 + k, total, f"without fold {k + 1}")
+        # The noise is estimated anew, too: nothing of a fit has seen what is held out.
+        found = recompute_residuals(fit_parameters(prediction, fold != k), prediction)
+        out[fold == k] = found.residuals[fold == k]
+    told(total, total, "done")
+    made, again = calibrated_robot(fit, measured), find_repeated_poses(robot, measured, block)
+    proposed = next_poses(fit, prediction, described, made, next_count, seed) if next_count else ()
+    return Calibration(
+        *(
+            made,
+            robot,
+            measured,
+            described.name,
+            fit,
+            tuple(classify_parameters(fit)),
+            tuple(describe_unidentified(fit)),
+        ),
+        *(before, out, fold, again, _floor(before, again), prediction.bases_at(fit.values), *proposed),
+    )
+
+
+def build_registered_prediction(parameters: Parameters, measured: Measurements, model: Model) -> Prediction:
+    """Make predictions whose bases are registered to the measurements of each recording.
+
+    The base's pose may be anything before measuring. Started from where the nominal robot fits best, a fit has
+    only small rotations to find.
+
+    Parameters
+    ----------
+    parameters : Parameters
+        What is estimated; where the base's pose is not among it, the sensor's axes are the base's.
+    measured : Measurements
+        The observations.
+    model : Model
+        The kinematic model, under a load where one acts.
+
+    Returns
+    -------
+    Prediction
+        The predictions.
+    """
+    prediction = Prediction(parameters, measured, model)
+    if not parameters.columns(*BASE):
+        return prediction
+    seen, bases = prediction.predict_values(parameters.mean), []
+    for recording in range(measured.recordings):
+        own = measured.recording == recording
+        pairs = ((seen.tip, measured.tip), (seen.points, measured.points))
+        predicted, there = (np.concatenate([pair[k][own].reshape(-1, 3) for pair in pairs]) for k in range(2))
+        bases.append(register_points(predicted, there))
+    return Prediction(parameters, measured, model, bases)
+
+
+def _floor(before: Array, again: Index) -> float | None:
+    """Half the mean distance between places that were measured at the same pose, mm; None where there are none.
+
+    before (T, 6 + 3n): residuals, whose differences at one pose are those of the measurements; again (n, 2): pairs
+    of observations of one pose.
+    """
+    # What is predicted at one pose cancels. Two places that differ by 2 e are both e off their middle, which is
+    # the best that any model of the pose alone can predict.
+    known = errors(before[again[:, 0]] - before[again[:, 1]])
+    return float(np.nanmean(known)) / 2 if np.isfinite(known).any() else None
+
+
+def distances(residuals: Array) -> Array:
+    """Compute how far measured places are from predicted ones.
+
+    Parameters
+    ----------
+    residuals : (T, 6 + 3n) array
+        Measured less predicted; see :class:`Calibration`.
+
+    Returns
+    -------
+    (T, 1 + n) array
+        Distances of the tip and of the points, mm, over those coordinates that were measured; NaN where none was.
+    """
+    places = np.delete(residuals, slice(3, 6), axis=1)
+    places = places.reshape(len(places), places.shape[1] // 3, 3)
+    seen = np.isfinite(places).any(axis=2)
+    return np.asarray(np.where(seen, np.sqrt(np.nansum(places**2, axis=2)), np.nan))
+
+
+def errors(residuals: Array) -> Array:
+    """Compute the root mean square distance of every observation.
+
+    Parameters
+    ----------
+    residuals : (T, 6 + 3n) array
+        Measured less predicted; see :class:`Calibration`.
+
+    Returns
+    -------
+    (T,) array
+        Over its tip and points, mm; NaN where no place was measured.
+    """
+    found = distances(residuals)
+    known = np.isfinite(found)
+    with np.errstate(invalid="ignore"):
+        return np.asarray(np.sqrt(np.nansum(found**2, axis=1) / known.sum(axis=1)))
+
+
+def summary_of(found: Array) -> dict[str, float] | None:
+    """Summarise errors found (T,), mm, by their mean, 95 % quantile and maximum; None where none is finite."""
+    known = found[np.isfinite(found)]
+    if not len(known):
+        return None
+    return {"mean": float(known.mean()), "q95": float(np.quantile(known, 0.95)), "max": float(known.max())}

@@ -1,0 +1,348 @@
+"""What a sensor would measure of a robot with given values of its parameters, and the derivatives over these.
+
+The prediction h_k(p) of docs/method.md, "Tubes from measurements", is made in four steps: motors lag, are off by
+their zeros, and the sensor is late (configurations); the equilibrium is found that the robot is in (x); places are
+computed in the base's axes; and these are turned and moved to the sensor's axes. Derivatives follow from the
+implicit function theorem for whatever concerns the tubes (simulation/sensitivities.py), in closed form for offsets
+and positions, and by differences for lags, delays and rotations of the base.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from ctr_nlp.identify.calibration.measurements import Measurements
+from ctr_nlp.identify.calibration.parameters import (
+    BASE,
+    DELAY,
+    DEVIATION_NAMES,
+    LAGS,
+    MODULUS_KIND,
+    OFFSET,
+    Parameters,
+)
+from ctr_nlp.identify.calibration.sensitivities import shape_derivatives_at_q
+from ctr_nlp.models import Model
+from ctr_nlp.models.loads import Load, require_constant_load
+from ctr_nlp.models.protocol import MotionSubsteps
+from ctr_nlp.plan.backlash import delay_configurations
+from ctr_nlp.robot.samples import perturb_robot
+from ctr_nlp.typing import Array, Flags
+
+TIP_DIFFERENCE_SPACING = 2e-3
+"""Distance of the places at the tip whose differences give its direction, as a part of the robot's length."""
+STENCIL = np.array([3.0, -4.0, 1.0])
+"""Weights of the tip and of the places one and two steps before it: a one-sided second-order difference."""
+NUMERICAL_DERIVATIVE_STEP = 1e-6
+"""Step of numerical derivatives over rotations of the base, rad, and over delays and lags."""
+
+
+class ObservableValues(NamedTuple):
+    """Measurable values of T observations.
+
+    As derivatives over P parameters each array has a further, last axis (P,).
+
+    Attributes
+    ----------
+    tip : (T, 3) array
+        The tip, mm.
+    direction : (T, 3) array
+        Unit tangents at the tip.
+    points : (T, n, 3) array
+        Points of the shape, mm.
+    """
+
+    tip: Array
+    direction: Array
+    points: Array
+
+    def flat(self) -> Array:
+        """Return all values of an observation side by side, (T, 6 + 3n), or (T, 6 + 3n, P) of derivatives."""
+        rows = len(self.tip), -1
+        return np.concatenate(
+            [self.tip, self.direction, self.points.reshape(*rows, *self.points.shape[3:])], axis=1
+        )
+
+
+class Prediction:
+    """Predicts measurements at their configurations, for values of the parameters.
+
+    Parameters
+    ----------
+    parameters : Parameters
+        The P parameters.
+    measured : Measurements
+        The T observations: configurations, times, places on the robot and forces at the tip.
+    model : Model
+        The kinematic model. Where a force acts in any observation it must be one of loaded robots; its own load
+        acts in all of them.
+    bases : list of (rotation, place), optional
+        For every recording the pose of the base for the sensor before measuring: (3, 3), and (3,) mm. By default
+        the sensor's axes are the base's.
+
+    Raises
+    ------
+    LoadError
+        The model's load changes over time.
+    """
+
+    def __init__(
+        self,
+        parameters: Parameters,
+        measured: Measurements,
+        model: Model,
+        bases: list[tuple[Array, Array]] | None = None,
+    ) -> None:
+        self.parameters, self.measured, self._model = parameters, measured, model
+        self.bases = bases or [(np.eye(3), np.zeros(3))] * measured.recordings
+        count, d = len(measured), parameters.robot.d
+        load = Load() if model.applied_load is None else require_constant_load(model.applied_load, "a calibration")
+        self._loads = np.tile(load.numbers(d), (count, 1))
+        self._loads[:, :3] += measured.force
+        # The tip, and two places just before it from which its direction is told, come before the measured points.
+        tip = np.broadcast_to([1.0, 1.0 - TIP_DIFFERENCE_SPACING, 1.0 - 2 * TIP_DIFFERENCE_SPACING], (count, 3))
+        self._sigma = np.hstack([tip, np.where(np.isfinite(measured.sigma), measured.sigma, 1.0)])
+
+    def predict_values(self, values: Array) -> ObservableValues:
+        """Predict what the sensor measures.
+
+        Parameters
+        ----------
+        values : (P,) array
+            Values of the parameters.
+
+        Returns
+        -------
+        Seen
+            In the sensor's axes; NaN where the robot has no equilibrium.
+        """
+        return self._for_sensor(values, self._in_base(values, *self._equilibria(values))[0])
+
+    def predict_with_derivatives(self, values: Array, rows: Flags | None = None) -> tuple[ObservableValues, Array]:
+        """Predict what the sensor measures, and the derivatives of that.
+
+        Parameters
+        ----------
+        values : (P,) array
+            Values of the parameters.
+        rows : (T,) array of bool, optional
+            Observations whose derivatives are wanted, by default all.
+
+        Returns
+        -------
+        seen : Seen
+            In the sensor's axes; NaN where the robot has no equilibrium.
+        changes : (T, 6 + 3n, P) array
+            Derivatives over the parameters, in the order of :meth:`Seen.flat`; 0 in other rows, and where the
+            robot has no equilibrium or is at a fold, where derivatives are infinite.
+        """
+        x, numbers = self._equilibria(values)
+        inside, ahead = self._in_base(values, x, numbers)
+        asked = np.asarray(np.isfinite(x).all(axis=1) & (True if rows is None else rows))
+        over = self._in_base_derivatives(values, x, numbers, asked)
+        changes = np.where(asked[:, None, None], self._changes(values, inside, ahead, over), 0.0)
+        return self._for_sensor(values, inside), changes
+
+    def configurations(self, values: Array) -> Array:
+        """Compute where the tubes are when the sensor measures.
+
+        Parameters
+        ----------
+        values : (P,) array
+            Values of the parameters.
+
+        Returns
+        -------
+        (T, 2d + 2) array
+            Configurations after lags, the sensor's delay, and the motors' zeros; rad, mm and rad.
+        """
+        parameters, measured = self.parameters, self.measured
+        q = measured.q
+        if parameters.columns(*LAGS):
+            q = parameters.lag(values).apply_to_motion(parameters.robot, q, measured.time, measured.fresh)
+        if parameters.columns(DELAY):
+            q = delay_configurations(q, measured.time, parameters.delay(values), measured.fresh)
+        q = np.array(q)
+        # Last: zeros turn tubes and not motors, so that they do not lag.
+        q[:, : parameters.robot.d] += parameters.of_tubes(values, "motor_zero")
+        return q
+
+    def _equilibria(self, values: Array) -> tuple[Array, Array]:
+        """Find the equilibria x (T, n_x) for values (P,), and the tubes' numbers (d, 8)."""
+        parameters, measured = self.parameters, self.measured
+        parts = parameters.parts(values)[None]
+        numbers = perturb_robot(parameters.robot, parts, np.zeros(parts.shape[:2])).numbers
+        count, q = len(measured), self.configurations(values)
+        way, at = MotionSubsteps(q, np.arange(count), measured.fresh, count), parameters.structure
+        if self._model.applied_load is None:
+            found = self._model.follow_batch(at, numbers, way, q[None], False)
+        elif measured.has_times:
+            found = self._model.follow_with_loads(self._loads[None], at, numbers, way, q[None], False)
+        else:  # robots apart are looked at side by side, which is much faster
+            each, way = np.repeat(numbers, count, axis=0), MotionSubsteps(q[:1], way.frames[:1], way.fresh[:1], 1)
+            found = self._model.follow_with_loads(self._loads[:, None], at, each, way, q[:, None], False)
+        return np.concatenate([one.x for one in found]), numbers[0]
+
+    def _in_base(self, values: Array, x: Array, numbers: Array) -> tuple[ObservableValues, Array]:
+        """Compute what is measured in the axes of the base, at unknowns x (T, n_x) and the tubes' numbers (d, 8).
+
+        Also returns the vectors (T, 3) along the tip whose directions are measured; their length has no meaning.
+        """
+        at = self.parameters.structure, numbers[None]
+        if self._model.applied_load is None:
+            (points,) = self._model.points_batch(*at, x[None], self._sigma)
+        else:
+            points = self._model.points_with_loads(self._loads, *at, x, self._sigma)
+        # A difference of points, and not the model's own tangent, so that derivatives of points are all that is
+        # needed.
+        ahead = np.einsum("k,tka->ta", STENCIL, points[:, :3])
+        direction = ahead / np.linalg.norm(ahead, axis=1, keepdims=True)
+        offset = sum(values[k] for k in self.parameters.columns(OFFSET))
+        return ObservableValues(points[:, 0] + offset * direction, direction, points[:, 3:]), ahead
+
+    def _in_base_derivatives(self, values: Array, x: Array, numbers: Array, rows: Flags) -> Array:
+        """Derivatives (T, places, 3, P) of all places in the base's axes over the parameters of tubes and motors.
+
+        0 for the other parameters, and outside rows (T,).
+        """
+        parameters, (count, places) = self.parameters, self._sigma.shape
+        found = np.zeros((count, places, 3, len(values)))
+        columns = parameters.columns(*DEVIATION_NAMES, MODULUS_KIND, *LAGS, DELAY)
+        if not columns:
+            return found
+        function = shape_derivatives_at_q(self._model, parameters.structure, places)
+        # Numbers (d, 8) are columns of symbols, tube after tube within each number: Fortran's order.
+        over = np.stack([parameters.numbers_derivative(k).ravel(order="F") for k in columns], axis=1)
+        moved = self._configuration_derivatives(values, columns)
+        for row in np.flatnonzero(rows):
+            given = x[row], self._sigma[row], numbers, [] if self._model.applied_load is None else self._loads[row]
+            of_numbers, of_q = (each.full() for each in function(*given))
+            # Chain rule over the tubes' numbers, and over what lags, delays and zeros make of the configuration.
+            # Near a fold both may be infinite.
+            change = np.nan_to_num(of_numbers @ over + of_q @ moved[row], posinf=0.0, neginf=0.0)
+            found[row][..., columns] = change.reshape(3, places, len(columns)).swapaxes(0, 1)
+        return found
+
+    def _configuration_derivatives(self, values: Array, columns: list[int]) -> Array:
+        """Derivatives (T, 2d + 2, n) of configurations over the parameters at n columns."""
+        parameters, here = self.parameters, self.configurations(values)
+        found = np.zeros((*here.shape, len(columns)))
+        for place, k in enumerate(columns):
+            one = parameters.each[k]
+            if one.kind in (*LAGS, DELAY):
+                changed = np.array(values)
+                changed[k] += NUMERICAL_DERIVATIVE_STEP
+                found[..., place] = (self.configurations(changed) - here) / NUMERICAL_DERIVATIVE_STEP
+            elif one.kind == "motor_zero":
+                found[:, parameters.tube(k), place] = 1.0
+        return found
+
+    def _changes(self, values: Array, inside: ObservableValues, ahead: Array, over: Array) -> Array:
+        """Derivatives (T, 6 + 3n, P) of what the sensor measures, from those of places in the base's axes.
+
+        inside: what is measured in the base's axes; ahead (T, 3): vectors along the tip; over (T, places, 3, P):
+        the derivatives of places.
+        """
+        parameters, turns = self.parameters, self._turns(values)[self.measured.recording]
+        along = np.einsum("k,tkap->tap", STENCIL, over[:, :3]) / np.linalg.norm(ahead, axis=1)[:, None, None]
+        # Of a unit vector v / |v| only what is at right angles to it changes: (1 - t t^T) dv / |v|.
+        along -= inside.direction[..., None] * np.einsum("ta,tap->tp", inside.direction, along)[:, None]
+        tip, offsets = np.array(over[:, 0]), parameters.columns(OFFSET)
+        # The sensor sits an offset beyond the tip, along it: tip + offset t.
+        tip += sum(values[k] for k in offsets) * along
+        for k in offsets:
+            tip[..., k] += inside.direction
+        changes = ObservableValues(tip, along, over[:, 3:])
+        found = ObservableValues(*(np.einsum("tab,t...bp->t...ap", turns, part) for part in changes))
+        self._add_bases(values, inside, found)
+        return found.flat()
+
+    def _add_bases(self, values: Array, inside: ObservableValues, found: ObservableValues) -> None:
+        """Add to derivatives found what the poses of bases change; inside: what is measured in the base's axes."""
+        recording = self.measured.recording
+        for axis, kind in enumerate(BASE):
+            for k in self.parameters.columns(kind):
+                own = recording == (self.parameters.each[k].number or 1) - 1
+                if axis < 3:
+                    found.tip[own, axis, k] += 1.0
+                    found.points[own, :, axis, k] += 1.0
+                    continue
+                # Rotation vectors do not add up; central differences of the rotation are exact to 1e-10.
+                ends = [np.array(values), np.array(values)]
+                ends[0][k] += NUMERICAL_DERIVATIVE_STEP
+                ends[1][k] -= NUMERICAL_DERIVATIVE_STEP
+                turn = (self._turns(ends[0]) - self._turns(ends[1]))[recording[own]] / (
+                    2 * NUMERICAL_DERIVATIVE_STEP
+                )
+                for part, vectors in zip(found, inside, strict=True):
+                    part[own, ..., k] += np.einsum("tab,t...b->t...a", turn, vectors[own])
+
+    def _for_sensor(self, values: Array, inside: ObservableValues) -> ObservableValues:
+        """Turn and move what is measured from the base's axes to the sensor's."""
+        recording = self.measured.recording
+        turns, places = self._turns(values)[recording], self._places(values)[recording]
+        turned = [np.einsum("tab,t...b->t...a", turns, part) for part in inside]
+        return ObservableValues(turned[0] + places, turned[1], turned[2] + places[:, None])
+
+    def bases_at(self, values: Array) -> tuple[tuple[Array, Array], ...]:
+        """Return rotation (3, 3) and place (3,), mm, of every recording's base for the sensor, for values (P,)."""
+        return tuple(zip(self._turns(values), self._places(values), strict=True))
+
+    def _turns(self, values: Array) -> Array:
+        """Rotations (recordings, 3, 3) from the bases' axes to the sensor's."""
+        vectors = self._of_bases(values, BASE[3:])
+        rotations = Rotation.from_rotvec(vectors).as_matrix()
+        # Small rotations about the base's own axes, behind those that registration has found: far from the
+        # singularity of rotation vectors, and the roll is one about the base's z.
+        return np.stack([turn for turn, _ in self.bases]) @ rotations
+
+    def _places(self, values: Array) -> Array:
+        """The bases' origins (recordings, 3) in the sensor's axes, mm."""
+        return np.stack([place for _, place in self.bases]) + self._of_bases(values, BASE[:3])
+
+    def _of_bases(self, values: Array, kinds: tuple[str, ...]) -> Array:
+        """Values (recordings, n) of n kinds of parameters of bases, from values (P,)."""
+        found = np.zeros((len(self.bases), len(kinds)))
+        for axis, kind in enumerate(kinds):
+            for k in self.parameters.columns(kind):
+                found[(self.parameters.each[k].number or 1) - 1, axis] = values[k]
+        return found
+
+
+def flat_measured(measured: Measurements) -> Array:
+    """Return measured values as rows (T, 6 + 3n), in the order of :meth:`Seen.flat`."""
+    return ObservableValues(measured.tip, measured.direction, measured.points).flat()
+
+
+def register_points(points: Array, measured: Array) -> tuple[Array, Array]:
+    """Find the rigid motion that brings points closest to measured ones, in the least mean square.
+
+    Kabsch, A solution for the best rotation to relate two sets of vectors, Acta Crystallographica A32, 1976.
+
+    Parameters
+    ----------
+    points : (K, 3) array
+        Points, mm.
+    measured : (K, 3) array
+        Where these were measured, mm. Rows in which either is NaN do not count.
+
+    Returns
+    -------
+    rotation : (3, 3) array
+        With determinant 1.
+    place : (3,) array
+        Translation after the rotation, mm.
+    """
+    known = np.isfinite(points).all(axis=1) & np.isfinite(measured).all(axis=1)
+    own, there = points[known], measured[known]
+    if not len(own):
+        return np.eye(3), np.zeros(3)
+    centres = own.mean(axis=0), there.mean(axis=0)
+    u, _, v = np.linalg.svd((own - centres[0]).T @ (there - centres[1]))
+    # Without this sign the best orthogonal matrix of points in a plane, or with noise, may be a mirror.
+    mirrored = np.sign(np.linalg.det(u @ v))
+    turn = v.T @ np.diag([1.0, 1.0, mirrored]) @ u.T
+    return turn, centres[1] - turn @ centres[0]

@@ -1,0 +1,235 @@
+"""Measurements from CSV files.
+
+Columns, in any order; angles in rad, lengths in mm; empty cells and nan mean that a value was not measured:
+
+    alpha_1 ..  beta_1 ..       the configuration, of every tube; theta_x, theta_y: 0 where there is no such column
+    time_s                      of a motion; without it poses were measured one by one
+    force_x  force_y  force_z   what pulls at the tip, N, as a weight that hangs there, in the axes of the robot's
+                                base; without these columns nothing does
+    tip_x  tip_y  tip_z         the tip
+    tip_qw tip_qx tip_qy tip_qz the rotation from axes at the tip, z along the robot, to the sensor's, a quaternion
+    p1_x   p1_y   p1_z   p1_sigma or p1_s   a point of the shape at arc length s, or at sigma = s / beta_d; p2_x ..
+"""
+
+from __future__ import annotations
+
+import csv
+import math
+import re
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ctr_nlp.exceptions import MeasurementError
+from ctr_nlp.identify.calibration.measurements import Measurements
+from ctr_nlp.models.loads.load import MAX_LOAD_FORCE_N as MOST_FORCE
+from ctr_nlp.robot import Robot
+from ctr_nlp.support.value_checks import checked_path
+from ctr_nlp.typing import Array
+
+TIP_COLUMNS = "tip_x", "tip_y", "tip_z"
+QUATERNION = "tip_qw", "tip_qx", "tip_qy", "tip_qz"
+THETA = "theta_x", "theta_y"
+FORCE_COLUMNS = "force_x", "force_y", "force_z"
+TIME = "time_s"
+POINT = re.compile(r"p([1-9]\d*)_(x|y|z|sigma|s)")
+QUATERNION_LENGTH_TOLERANCE = 0.05
+"""By how much the length of a quaternion may differ from 1: rounding, or a mean of several."""
+
+
+class _Table(NamedTuple):
+    """A file of measurements: its name, its columns and their values (T, columns), and the line of each row."""
+
+    path: Path
+    names: tuple[str, ...]
+    values: Array
+    lines: tuple[int, ...]
+
+    def columns(self, names: Sequence[str]) -> Array:
+        """Return the values (T, n) of the columns of n names; NaN for columns that are not there."""
+        found = np.full((len(self.values), len(names)), np.nan)
+        for k, name in enumerate(names):
+            if name in self.names:
+                found[:, k] = self.values[:, self.names.index(name)]
+        return found
+
+
+def read_measurements(path: str | Path | Sequence[str | Path], robot: Robot) -> Measurements:
+    r"""Read the observations of one CSV file, or of several, each of which is a recording.
+
+    Parameters
+    ----------
+    path : str, Path or sequence of these
+        Files with the columns at the top of this module: the configuration, alpha in rad and beta in mm; and any
+        of tip, rotation at the tip, points of the shape in mm, time_s in s and forces at the tip in N.
+    robot : Robot
+        The robot, whose axes name the columns of the configuration.
+
+    Returns
+    -------
+    Measurements
+        Without copies of an observation, which ``repeated`` counts.
+
+    Raises
+    ------
+    MeasurementError
+        A file cannot be read, a column is missing or unknown, or a value cannot be; the message names file, line,
+        column and value.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> import ctr_nlp as ctr
+    >>> robot = ctr.Robot((ctr.Tube(90, 60, 1 / 130, 3.0, 2.4),))
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     path = Path(folder, "measured.csv")
+    ...     _ = path.write_text("alpha_1,beta_1,tip_x,tip_y,tip_z\n0,40,0.1,6.1,39.4\n1,40,-5,3.2,39.4\n")
+    ...     measured = read_measurements(path, robot)
+    >>> len(measured), measured.tip[0].tolist()
+    (2, [0.1, 6.1, 39.4])
+    """
+    paths = [path] if isinstance(path, str | Path) else list(path)
+    if not paths:
+        raise MeasurementError("no file of measurements is given; at least one is needed")
+    tables = [_table(checked_path(MeasurementError, each), robot) for each in paths]
+    most = max(max(_points(table), default=0) for table in tables)
+    found = [_observations(table, robot, number, most) for number, table in enumerate(tables)]
+    names = ("q", "tip", "direction", "points", "sigma", "time", "recording", "force")
+    arrays: dict[str, Any] = {name: np.concatenate([getattr(one, name) for one in found]) for name in names}
+    together = Measurements(**arrays)
+    if np.isfinite(together.time).any() and not together.has_times:
+        without = next(t.path for t, one in zip(tables, found, strict=True) if not one.has_times)
+        raise MeasurementError(f"{without} has no {TIME} in some rows, and others have it; give it everywhere")
+    together.check(robot)
+    return together.distinct()
+
+
+def _table(path: Path, robot: Robot) -> _Table:
+    """Read a file; raise MeasurementError where it is none of measurements of the robot."""
+    try:
+        with open(path, newline="", encoding="utf-8-sig") as file:
+            rows = list(csv.reader(file))
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise MeasurementError(f"measurements {path} cannot be read: {error}") from error
+    lines = [(n, row) for n, row in enumerate(rows, 1) if any(map(str.strip, row)) and row[0][:1] != "#"]
+    if len(lines) < 2:
+        raise MeasurementError(
+            f"measurements {path} hold no rows; they must have a line of names and one of values"
+        )
+    names = tuple(name.strip().lower() for name in lines[0][1])
+    _check_names(path, names, robot)
+    values = np.array([_row(path, n, names, row) for n, row in lines[1:]])
+    return _Table(path, names, values, tuple(n for n, _ in lines[1:]))
+
+
+def _check_names(path: Path, names: tuple[str, ...], robot: Robot) -> None:
+    """Raise MeasurementError for a column that is missing, unknown or there twice."""
+    needed = robot.axes[: 2 * robot.d]
+    known = {*robot.axes, TIME, *FORCE_COLUMNS, *TIP_COLUMNS, *QUATERNION}
+    for name in needed:
+        if name not in names:
+            raise MeasurementError(f"{path} has no column {name}; it must have {', '.join(needed)}")
+    for name in names:
+        if names.count(name) > 1:
+            raise MeasurementError(f"{path} has the column {name!r} twice")
+        if name not in known and not POINT.fullmatch(name):
+            raise MeasurementError(
+                f"{path} has a column {name!r}, which is unknown; known are {', '.join(robot.axes)}, {TIME}, "
+                f"{', '.join((*FORCE_COLUMNS, *TIP_COLUMNS, *QUATERNION))} and, for points of the shape, p1_x, "
+                f"p1_y, p1_z with "
+                "p1_sigma or p1_s, p2_x .."
+            )
+
+
+def _row(path: Path, line: int, names: tuple[str, ...], row: Sequence[str]) -> list[float]:
+    """Return the numbers of a row, NaN where a cell is empty; line: its number in the file, for messages."""
+    if len(row) != len(names):
+        raise MeasurementError(f"line {line} of {path} has {len(row)} cells; the first line names {len(names)}")
+    found = []
+    for name, cell in zip(names, row, strict=True):
+        try:
+            value = float(cell) if cell.strip() else math.nan
+        except ValueError:
+            value = math.inf
+        if math.isinf(value):
+            raise MeasurementError(f"{name} in line {line} of {path} is {cell!r}; it must be a number, or empty")
+        found.append(value)
+    return found
+
+
+def _points(table: _Table) -> list[int]:
+    """The numbers of the points that a table has columns of."""
+    return sorted({int(match[1]) for name in table.names if (match := POINT.fullmatch(name))})
+
+
+def _observations(table: _Table, robot: Robot, recording: int, most: int) -> Measurements:
+    """Make the observations of a table; recording: its number, from 0; most: points an observation may have."""
+    q = table.columns(robot.axes)
+    absent = [k for k, name in enumerate(robot.axes) if name in THETA and name not in table.names]
+    q[:, absent] = 0.0
+    for row, axis in np.argwhere(~np.isfinite(q)):
+        raise MeasurementError(
+            f"{robot.axes[axis]} in line {table.lines[row]} of {table.path} is empty; every configuration "
+            "must be known"
+        )
+    points, sigma = np.full((len(q), most, 3), np.nan), np.full((len(q), most), np.nan)
+    for number in _points(table):
+        points[:, number - 1] = table.columns([f"p{number}_{axis}" for axis in "xyz"])
+        sigma[:, number - 1] = _places(table, number, points[:, number - 1], robot.split(q)[1][:, -1])
+    time, seen = table.columns([TIME])[:, 0], (table.columns(TIP_COLUMNS), _directions(table), points, sigma)
+    return Measurements(q, *seen, time, np.full(len(q), recording), force=_forces(table))
+
+
+def _forces(table: _Table) -> Array:
+    """Forces at the tip (T, 3), N; 0 along axes that have no column."""
+    found = table.columns(FORCE_COLUMNS)
+    found[:, [name not in table.names for name in FORCE_COLUMNS]] = 0.0
+    for row, axis in np.argwhere(~np.isfinite(found)):
+        raise MeasurementError(
+            f"{FORCE_COLUMNS[axis]} in line {table.lines[row]} of {table.path} is empty; write 0 where nothing "
+            f"pulls"
+        )
+    for row in np.flatnonzero(np.linalg.norm(found, axis=1) > MOST_FORCE):
+        raise MeasurementError(
+            f"{', '.join(FORCE_COLUMNS)} in line {table.lines[row]} of {table.path} are {found[row].tolist()} "
+            f"N; they "
+            f"must be at most {MOST_FORCE:g} N together. A weight of a gram pulls with 0.00981 N"
+        )
+    return found
+
+
+def _places(table: _Table, number: int, points: Array, reach: Array) -> Array:
+    """Where on the robot a point was measured, as sigma (T,); NaN where it was not measured and no place is given.
+
+    number: of the point, from 1; points (T, 3): where it was measured, mm; reach (T,): beta_d, mm.
+    """
+    sigma, s = table.columns([f"p{number}_sigma", f"p{number}_s"]).T
+    with np.errstate(divide="ignore", invalid="ignore"):
+        found = np.where(np.isfinite(sigma), sigma, s / reach)
+    for row in np.flatnonzero(np.isfinite(points).any(axis=1)):
+        where = f"in line {table.lines[row]} of {table.path}"
+        if not np.isfinite(found[row]):
+            raise MeasurementError(f"p{number} {where} has neither p{number}_sigma nor p{number}_s; one is needed")
+        if not 0 <= found[row] <= 1 + 1e-9:
+            told = f"sigma is {sigma[row]:g}" if np.isfinite(sigma[row]) else f"s is {s[row]:g} mm"
+            raise MeasurementError(
+                f"p{number}_{told} {where}; the point must lie on the robot, sigma in [0, 1] and s in "
+                f"[0, {reach[row]:g}] mm"
+            )
+    return np.asarray(found)
+
+
+def _directions(table: _Table) -> Array:
+    """Unit tangents at the tip, (T, 3): the z axis turned by the measured quaternions."""
+    quaternions = table.columns(QUATERNION)
+    size = np.linalg.norm(quaternions, axis=1)
+    for row in np.flatnonzero(abs(size - 1) > QUATERNION_LENGTH_TOLERANCE):
+        raise MeasurementError(
+            f"{', '.join(QUATERNION)} in line {table.lines[row]} of {table.path} are {quaternions[row].tolist()}, "
+            f"of length {size[row]:.3g}; a quaternion of a rotation has length 1"
+        )
+    # The third column of the rotation matrix: where z, which runs along the robot, points.
+    w, x, y, z = (quaternions / size[:, None]).T
+    return np.stack([2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)], axis=1)

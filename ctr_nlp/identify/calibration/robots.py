@@ -1,0 +1,77 @@
+"""The robot that a fit describes: tubes of the values found, and the remaining uncertainty as tolerances."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from ctr_nlp.exceptions import MeasurementError, RobotError
+from ctr_nlp.identify.calibration.fit import ParameterFit
+from ctr_nlp.identify.calibration.measurements import Measurements
+from ctr_nlp.identify.calibration.parameters import LAGS
+from ctr_nlp.plan.backlash import overlaps
+from ctr_nlp.robot import Robot
+from ctr_nlp.robot.samples import build_calibrated_robot
+from ctr_nlp.typing import Array
+
+LARGEST_LAG = math.pi / 2
+"""Largest lag that tolerances may have, rad."""
+
+
+def calibrated_robot(fit: ParameterFit, measured: Measurements) -> Robot:
+    """Make the robot with the tubes that fit best, and the covariance that is left as its tolerances.
+
+    A motor's zero is no number of a tube: its value stays in the fit, and only its covariance is among the
+    tolerances. Stiffness becomes the tubes' youngs_modulus.
+
+    Parameters
+    ----------
+    fit : Fit
+        The estimates.
+    measured : Measurements
+        The observations, at whose configurations the largest backlash is taken.
+
+    Returns
+    -------
+    Robot
+        The calibrated robot.
+
+    Raises
+    ------
+    MeasurementError
+        No tubes can be made with these values.
+    """
+    parameters = fit.parameters
+    robot, parts = parameters.robot, parameters.parts(fit.values)
+    try:
+        return build_calibrated_robot(robot, parts, _covariance(fit), _lag(fit, measured))
+    except RobotError as error:
+        raise MeasurementError(
+            f"the tubes that fit the measurements best are none that can be made: {error}. Are columns, units and "
+            "the robot's file right?"
+        ) from error
+
+
+def _covariance(fit: ParameterFit) -> Array:
+    """Covariance (5d, 5d) that is left of all tubes' differences; as before for those that were not estimated."""
+    parameters = fit.parameters
+    root = parameters.robot.tolerances.covariance_root(parameters.robot.tubes)
+    over, covariance = parameters.parts_jacobian, np.array(root @ root.T)
+    # Parts that no parameter changes keep their covariance; their correlations with the others are dropped.
+    estimated = over.any(axis=1)
+    kept = np.outer(~estimated, ~estimated)
+    return np.asarray(np.where(kept, covariance, over @ fit.covariance @ over.T))
+
+
+def _lag(fit: ParameterFit, measured: Measurements) -> Any:
+    """Largest backlash of every tube that was found, rad; as before where none was estimated."""
+    parameters = fit.parameters
+    if not parameters.columns(*LAGS):
+        return parameters.robot.tolerances.rotation_lag
+    found = parameters.lag(fit.values)
+    # A tolerance is one angle a tube: play is the largest at the overlaps that were measured. Drag depends on
+    # speed and has no place there.
+    most = overlaps(parameters.robot, measured.q).max(axis=0)
+    return np.minimum(found.play + found.play_per_mm * most, LARGEST_LAG)

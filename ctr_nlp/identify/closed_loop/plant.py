@@ -1,0 +1,208 @@
+"""A robot to experiment on, with tubes, zeros and lags of its own; who steers it sees what sensors tell."""
+
+from __future__ import annotations
+
+import functools
+import itertools
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import casadi as ca
+import numpy as np
+import numpy.typing as npt
+
+from ctr_nlp.codegen.batch_evaluator import BatchEvaluator
+from ctr_nlp.codegen.vector import SHARED_INPUT_PREFIX, VECTOR_LANES
+from ctr_nlp.exceptions import LoadError, RobotError
+from ctr_nlp.identify.closed_loop.compilation import compile_function
+from ctr_nlp.identify.closed_loop.sensors import SensedShape
+from ctr_nlp.models import Model, model_named, model_with_load
+from ctr_nlp.models.loads import require_constant_load
+from ctr_nlp.models.protocol import build_sample_function
+from ctr_nlp.models.walker import Walker
+from ctr_nlp.paths.target import SIGMA_GRID
+from ctr_nlp.plan.backlash import BacklashAndDrag, against_outer
+from ctr_nlp.plan.sample_motions import SAMPLE_SUBSTEPS_PER_FRAME
+from ctr_nlp.robot import Robot
+from ctr_nlp.robot.samples import RobotSamples, apply_backlash
+from ctr_nlp.robot.structure import Structure
+from ctr_nlp.support.value_checks import floats
+from ctr_nlp.typing import Array
+
+SAMPLES_PER_LANE = -(-len(SIGMA_GRID) // VECTOR_LANES)
+"""Places of the shape in each of the lanes in which it is evaluated."""
+
+
+class PlantState(NamedTuple):
+    """Where a robot is at a time, s: motors q (2d + 2,), unknowns x (n_x,), shape (101, 3) mm at uniform sigma.
+
+    jumps: by what its tips jumped (d,) rad on the way there, an entry a snap.
+    """
+
+    time: float
+    q: Array
+    x: Array
+    shape: Array
+    jumps: tuple[Array, ...]
+
+
+class Plant:
+    """One drawn robot that its motors move; it comes to rest at the first q from where all tubes are aligned.
+
+    A tube stays behind its motor within the draw's lag, as in RobotSamples.tube_configurations, or by a lag that
+    is given. The same calls give the same motion.
+    """
+
+    def __init__(
+        self,
+        robot: Robot,
+        sample: RobotSamples,
+        model: str | Model = "elastic",
+        steps: npt.ArrayLike = 0.0,
+        bending: Sequence[float] = (0.0, 0.0),
+        lag: BacklashAndDrag | None = None,
+    ) -> None:
+        """sample: of the robot described, one. steps: of the motors, rad and mm, one or (2d + 2,), 0 for none.
+
+        bending: how far along x and y the tip is bent away, mm, where the robot is all out, by what the model does
+        not know; elsewhere in proportion to the square of arc length. lag: of the tubes in place of the draw's,
+        with which tubes stand where motors do at the first q; None for the draw's. A force of the draw acts at its
+        tip all the time, beside what robots on the model bear. Raises LoadError, OptionError, RobotError.
+        """
+        if len(sample) != 1:
+            raise RobotError(f"a plant is one robot, and {len(sample)} draws are given")
+        self._model = _with_tip_force(model_named(model), sample.forces[0])
+        self._model.check(robot)
+        if lag is not None:
+            lag.check(robot)
+        self._robot, self._lag = robot, lag
+        self._structure, self._numbers = sample.structure, sample.numbers[0]
+        self._offsets, self._lags, self._reach = sample.offsets[0], sample.backlash[0], robot.reach
+        size = 2 * robot.d + 2
+        self._steps = np.broadcast_to(np.asarray(steps, dtype=float), (size,))
+        self._bent = floats(RobotError, "bending", bending, (2,))
+        load = (
+            np.zeros(0)
+            if self._model.applied_load is None
+            else require_constant_load(self._model.applied_load, "a plant").numbers(robot.d)
+        )
+        self._given = np.concatenate([self._numbers.ravel("F"), load])
+        self._view = _view(self._model, self._structure)
+        self._walker: Walker | None = None
+        self.history = list[PlantState]()
+        """Where it was told to go, and came to, in order."""
+
+    @property
+    def has_snapped(self) -> bool:
+        """Whether it has ever jumped from one equilibrium into another, or came to none."""
+        return any(moved.jumps or not np.isfinite(moved.x).all() for moved in self.history)
+
+    def move_to(self, q: Array, time: float) -> PlantState:
+        """The robot after its motors have moved to q (2d + 2,), all at once and evenly, at a time, s."""
+        q, jumps = self._round_to_steps(np.asarray(q, dtype=float)), list[Array]()
+        if self._walker is None:
+            aligned = np.full_like(self._lags, q[len(self._lags) - 1])
+            self._alpha = (
+                self._robot.split(q)[0]
+                if self._lag
+                else apply_backlash(aligned, self._robot.split(q)[0], self._lags)
+            )
+            self._walker = self._model.walker(self._structure, self._numbers, self._tube_configuration(q))
+        else:
+            before, passed = self.history[-1].q, (time - self.history[-1].time) / SAMPLE_SUBSTEPS_PER_FRAME
+            places = (
+                before
+                + (q - before) * (np.arange(SAMPLE_SUBSTEPS_PER_FRAME + 1) / SAMPLE_SUBSTEPS_PER_FRAME)[:, None]
+            )
+            for there, place in itertools.pairwise(places):
+                self._alpha = self._tube_angles_after(there, place, passed)
+                jumps += self._walker.move_to(self._tube_configuration(place))
+        found = PlantState(time, q, self._walker.x, self._at(SIGMA_GRID)[0], tuple(jumps))
+        self.history.append(found)
+        return found
+
+    def _round_to_steps(self, q: Array) -> Array:
+        """Return where motors stop that move in steps: at multiples of their step."""
+        size = np.where(self._steps > 0, self._steps, 1.0)
+        return np.where(self._steps > 0, np.round(q / size) * size, q)
+
+    def _tube_angles_after(self, before: Array, q: Array, time: float) -> Array:
+        """Where tubes are turned to (d,) rad, zeros apart, by motors that move from before to q in time s."""
+        motors = self._robot.split(q)[0]
+        if self._lag is None:
+            return apply_backlash(self._alpha, motors, self._lags)
+        turn = against_outer(self._robot, q) - against_outer(self._robot, before)
+        ahead = self._alpha - self._robot.split(before)[0]
+        return motors + self._lag.advance_offset(
+            ahead, turn, self._lag.play_at(self._robot, q[None])[..., 0, :], time
+        )
+
+    def _tube_configuration(self, q: Array) -> Array:
+        """Return the configuration (2d + 2,) of the tubes, with their lags and zeros, where motors are at q."""
+        found = q.copy()
+        found[: len(self._lags)] = self._alpha + self._offsets
+        return found
+
+    def sample_shape(self, sigma: Array) -> SensedShape:
+        """The shape at sigma (n,), at most 101, without slopes."""
+        points, tangents = self._at(sigma)
+        none = np.zeros((0, len(sigma), 3))
+        return SensedShape(points, tangents, none, none, self._length)
+
+    @property
+    def _length(self) -> float:
+        """Length of the robot, mm."""
+        return float(self.history[-1].q[2 * len(self._lags) - 1]) if self.history else 0.0
+
+    def _at(self, sigma: Array) -> tuple[Array, Array]:
+        """Return points and tangents (n, 3) at sigma (n,), mm and unit vectors."""
+        assert self._walker is not None
+        x, d, count = self._walker.x, len(self._lags), len(sigma)
+        self._view.inputs[1][0] = np.resize(sigma, VECTOR_LANES * SAMPLES_PER_LANE)
+        points, tangents = (
+            found.reshape(VECTOR_LANES, 3, SAMPLES_PER_LANE).swapaxes(1, 2).reshape(-1, 3)[:count]
+            for found in self._view(x, self._given)
+        )
+        if self._bent.any():
+            # A parabola from the base, whose slope is added to tangents: a bend that no tube's number explains.
+            s, aside = sigma * x[2 * d - 1], np.append(self._bent, 0.0) / self._reach**2
+            points += np.multiply.outer(s**2, aside)
+            tangents += np.multiply.outer(2 * s, aside)
+            tangents /= np.linalg.norm(tangents, axis=1, keepdims=True)
+        return points, tangents
+
+
+def _with_tip_force(model: Model, force: Array) -> Model:
+    """A model of robots that bear a force (3,), N, at the tip beside what they bear on it.
+
+    Raises LoadError where that changes over time, turns with the tool, or is told of no modulus.
+    """
+    if not force.any():
+        return model
+    load = require_constant_load(model.applied_load, "a plant")
+    if load.axes == "tool" and any((*load.force, *load.moment)):
+        raise LoadError("a force that a draw bears at its tip does not go beside a load in the axes of the tool")
+    pushed = replace(load, axes="base", force=tuple(np.add(load.force, force)))
+    return model_with_load(model, pushed)
+
+
+def _view(model: Model, structure: Structure) -> BatchEvaluator:
+    """(x, sigma (SAMPLES_PER_LANE,), numbers (d, 8) and load) -> points and tangents (SAMPLES_PER_LANE, 3) in
+    columns, in each of several lanes.
+    """
+    return BatchEvaluator(_compiled_view(model.program_model, structure), 1)
+
+
+@functools.lru_cache(maxsize=16)
+def _compiled_view(model: Model, structure: Structure) -> ca.Function:
+    of = build_sample_function(model, structure, SAMPLES_PER_LANE)
+    x, sigma, *given = (ca.SX.sym(of.name_in(i), *of.size_in(i)) for i in range(4))
+    found, names = (
+        of(x, sigma, *given),
+        ([f"{SHARED_INPUT_PREFIX}x", "sigma", f"{SHARED_INPUT_PREFIX}given"], ["points", "tangents"]),
+    )
+    inputs = [x, sigma, ca.vertcat(*(ca.vec(each) for each in given))]
+    return compile_function(
+        ca.Function("view", inputs, [ca.densify(each) for each in found], *names), VECTOR_LANES
+    )

@@ -1,0 +1,125 @@
+"""Plans played on plants in closed loop, and open loop beside them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from time import process_time
+
+import numpy as np
+
+from ctr_nlp.identify.closed_loop.feed import Feed
+from ctr_nlp.identify.closed_loop.observer import Innovation
+from ctr_nlp.identify.closed_loop.plant import Plant
+from ctr_nlp.identify.closed_loop.replanning.replanning import Replanning, ReplanningOutcome
+from ctr_nlp.identify.closed_loop.tracker import Note, Tracker, TrackerState
+from ctr_nlp.plan.measures import rms_over_sigma
+from ctr_nlp.plan.plan import Plan
+from ctr_nlp.plan.sample_motions import MAX_TIP_DIFFERENCE_FROM_NOMINAL_RAD
+from ctr_nlp.support.value_objects import ReadOnlyValue
+from ctr_nlp.typing import Array, Flags
+
+
+@dataclass(frozen=True, eq=False)
+class LoopRun(ReadOnlyValue):
+    """What became of a plan of T frames on a plant.
+
+    q (T, 2d + 2): where motors were told to go. shape (T, 101, 3): the plant's, mm; e2 (T,): root mean squares
+    over sigma of its distance from the target, mm. first_failed_frame, first_snap_frame: the frame, from 1, in
+    which it is not in the equilibrium that it was planned to be in, or snaps first; 0 where none. means (T, k),
+    deviations (T, k): of the differences estimated; none of an open loop. seconds (T,): of the process, for a
+    cycle each. notes: what the operator was told; stopped: whether the tracker gave up. replannings: what came of
+    planning the rest anew.
+    """
+
+    q: Array
+    shape: Array
+    e2: Array
+    first_failed_frame: int
+    first_snap_frame: int
+    means: Array
+    deviations: Array
+    seconds: Array
+    innovations: tuple[Innovation, ...] = ()
+    notes: tuple[Note, ...] = ()
+    stopped: bool = False
+    replannings: tuple[ReplanningOutcome, ...] = ()
+
+    @property
+    def e3(self) -> float:
+        """Root mean square over frames of e2, mm."""
+        return float(np.sqrt((self.e2**2).mean()))
+
+
+def open_loop(plan: Plan, plant: Plant) -> LoopRun:
+    """A plan as it is, on a plant."""
+    for q, time in zip(plan.q, plan.time, strict=True):
+        plant.move_to(q, float(time))
+    nothing = np.zeros((len(plan.q), 0))
+    return _run(plan, plant, nothing, nothing, np.zeros(len(plan.q)))
+
+
+def closed_loop(
+    plan: Plan, plant: Plant, feed: Feed, tracker: Tracker, replanning: Replanning | None = None
+) -> LoopRun:
+    """A plan led by a tracker on a plant, of which a feed tells; each is used once. Raises as Tracker.
+
+    replanning: of the plan's motion, which then goes on as that says.
+    """
+    q, means, deviations, seconds = tracker.reference.motors[0], list[Array](), list[Array](), list[float]()
+    for frame, time in enumerate(plan.time.tolist()):
+        plant.move_to(q, time)
+        if replanning is not None:
+            replanning.update_plan(tracker, frame + 1, q[None])
+        readings, begin = feed.take_readings(time), process_time()
+        q = tracker.step(frame, q, time, readings)
+        seconds.append(process_time() - begin)
+        means.append(tracker.observer.mean)
+        deviations.append(np.sqrt(tracker.observer.covariance.diagonal()))
+    found = _run(plan, plant, np.array(means), np.array(deviations), np.array(seconds), tracker)
+    return found if replanning is None else replace(found, replannings=tuple(replanning.outcomes))
+
+
+def _run(
+    plan: Plan, plant: Plant, means: Array, deviations: Array, seconds: Array, tracker: Tracker | None = None
+) -> LoopRun:
+    shape, x = (np.array([getattr(moved, name) for moved in plant.history]) for name in ("shape", "x"))
+    snapped = next((k for k, moved in enumerate(plant.history, start=1) if moved.jumps), 0)
+    away = shape - plan.target
+    meant = (
+        plan.evaluated_model.follow(plan.robot, plan.q).x
+        if tracker is None
+        else _reference_equilibria(tracker, plan)
+    )
+    lost = next((k for k, far in enumerate(_on_another_branch(plan, x, meant), start=1) if far), 0)
+    lost = min(lost, snapped) if lost and snapped else lost or snapped
+    e2 = rms_over_sigma(np.linalg.norm(away, axis=-1))
+    q = np.array([moved.q for moved in plant.history])
+    found = LoopRun(q, shape, e2, lost, snapped, means, deviations, seconds)
+    if tracker is None:
+        return found
+    stopped = tracker.state is TrackerState.STOPPED
+    return replace(found, innovations=tuple(tracker.innovations), notes=tuple(tracker.notes), stopped=stopped)
+
+
+def _reference_equilibria(tracker: Tracker, plan: Plan) -> Array:
+    """The unknowns (T, n_x) of the equilibria that the robot is meant to be in, frame by frame.
+
+    A robot that was stopped is meant to stay where it stands, and is compared with that from then on: else every
+    robot that is stopped in good time would count as lost as soon as the plan has gone on without it.
+    """
+    x = tracker.reference.x
+    if tracker.state is not TrackerState.STOPPED:
+        return x
+    stopped = int(np.searchsorted(plan.time, tracker.notes[-1].time - 1e-9))
+    return np.concatenate([x[: stopped + 1], np.repeat(x[stopped : stopped + 1], len(x) - stopped - 1, axis=0)])
+
+
+def _on_another_branch(plan: Plan, x: Array, meant: Array) -> Flags:
+    """In which frames tips are turned by more than MAX_TIP_DIFFERENCE_FROM_NOMINAL_RAD against each other than
+    they were meant to be, (T,).
+    """
+    if not plan.evaluated_model.several_equilibria:
+        return np.zeros(len(x), dtype=bool)
+    apart = abs(x - meant)[:, : plan.robot.d - 1].max(axis=1, initial=0.0)
+    found: Flags = ~(apart <= MAX_TIP_DIFFERENCE_FROM_NOMINAL_RAD)
+    return found

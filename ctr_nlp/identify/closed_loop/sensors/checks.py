@@ -1,0 +1,24 @@
+"""What all sensors ask of their numbers."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from ctr_nlp.exceptions import OptionError
+from ctr_nlp.support.value_checks import floats, number
+from ctr_nlp.typing import Array
+
+
+def check_positive(name: str, value: float, unit: str) -> None:
+    """Raise OptionError unless a number with a unit is finite and above 0."""
+    number(OptionError, name, value, lambda x: 0 < x < np.inf, "be a finite number > 0", unit)
+
+
+def checked_places(sigma: Sequence[float]) -> Array:
+    """Places on a robot as an array; raises OptionError unless there are some, all in [0, 1]."""
+    found = floats(OptionError, "sigma of a sensor", sigma, (None,))
+    if not len(found) or found.min() < 0 or found.max() > 1:
+        raise OptionError(f"sigma of a sensor is {sigma}; it must be one or more numbers in [0, 1]")
+    return found

@@ -1,0 +1,201 @@
+"""How large a force at its tip a robot bears before it snaps or leaves its lumen, and how far the tip gives in.
+
+The force is raised along fixed directions of the base frame, beside the robot's own load, and the branch of
+equilibria is followed until it ends (models/loaded/equilibria.py). All configurations and directions are rows of
+one batch. The force grows through levels each of which is twice the one before, so that whatever happens within a
+level is found to the same part of the force, small or large.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from ctr_nlp.models.loaded.equilibria import LoadedEquilibria, States
+from ctr_nlp.models.loaded.model import curves
+from ctr_nlp.models.loaded.rod_loads import RodKind
+from ctr_nlp.models.loaded.stability import pivots
+from ctr_nlp.robot import Robot
+from ctr_nlp.typing import Array, Flags
+
+TIP_FORCE_LEVELS = 10
+"""Doublings of the force from the least level to the largest force."""
+MIN_FORCE_LEVEL_STEP = 2.0**-8
+"""Least step as a part of a level: the end of a branch is found to this part of the force."""
+BISECTIONS = 7
+"""How often the level is halved within which a condition becomes true."""
+COMPLIANCE_FORCE_N = 1e-4
+"""Force at the tip whose displacements give the compliance, N."""
+
+StateCondition = Callable[[States], Flags]
+"""A condition: takes T states, returns for which of them it is true, (T,)."""
+
+
+def find_tip_force_limits(
+    equilibria: LoadedEquilibria,
+    states: States,
+    directions: Array,
+    max_force: float,
+    conditions: Sequence[StateCondition],
+) -> tuple[Array, list[Array]]:
+    """Find the tip forces at which the branches of equilibria end, and from which on conditions hold.
+
+    Parameters
+    ----------
+    equilibria : LoadedEquilibria
+        Follows the robot's equilibria.
+    states : States
+        Equilibria of T configurations under their own loads.
+    directions : (n, 3) array
+        Unit vectors in the base frame along which forces are raised.
+    max_force : float
+        Largest force that is looked at, N.
+    conditions : sequence of callable
+        Conditions: each takes states of m rows and returns for which of them it is true, (m,). It must stay true
+        once a force has made it true.
+
+    Returns
+    -------
+    ends : (T, n) array
+        Forces beside the rows' loads at which their branches end, N, to about 0.4 %.
+    found : list of (T, n) arrays
+        For each condition the forces from which on it is true, N: 0 where it is true without a force. In both,
+        infinity stands for more than `max_force`, and in `found` for never before the branch ends.
+    """
+    rows, count = len(states.q), len(directions)
+    # A row for each pair of a configuration and a direction: row k n + j has configuration k and direction j.
+    now, toward = states.rows(np.repeat(np.arange(rows), count)), np.tile(directions, (rows, 1))
+    own, ends = now.load, np.full(rows * count, np.inf)
+    found = [np.where(true(now), 0.0, np.inf) for true in conditions]
+    before, going = 0.0, np.arange(rows * count)
+    # Forces within a level are steps from the one before, on the branch that has been followed so far. A row whose
+    # branch has ended within a level is followed no further.
+    for level in max_force * 2.0 ** -np.arange(TIP_FORCE_LEVELS - 1.0, -1.0, -1.0):
+        new, done = _raise_tip_force(equilibria, now.rows(going), own[going], level * toward[going])
+        force = before + done * (level - before)
+        ends[going[done < 1]] = force[done < 1]
+        for true, since in zip(conditions, found, strict=True):
+            # Also on a branch that ended: what became true before its end counts.
+            crossing = np.flatnonzero(np.isinf(since[going]) & true(new))
+            which, high = going[crossing], force[crossing]
+            since[which] = _crossing(equilibria, now.rows(which), own[which], toward[which], before, high, true)
+        now = now.replace_rows(going[done == 1], new.rows(done == 1))
+        going, before = going[done == 1], level
+    return ends.reshape(rows, count), [since.reshape(rows, count) for since in found]
+
+
+def instability_condition(equilibria: LoadedEquilibria) -> StateCondition:
+    """Return the condition that some direction has given way, for loads that have an energy.
+
+    The branch of equilibria need not end there: at Euler's load two directions give way at once, and the straight
+    rod is an equilibrium of any force. Therefore it is the pivots of the response matrices that are looked at, all
+    of which are positive where the robot is stable (models/loaded/stability.py).
+
+    Parameters
+    ----------
+    equilibria : LoadedEquilibria
+        Follows the robot's equilibria.
+
+    Returns
+    -------
+    callable
+        Takes states of m rows; returns which of them are unstable, (m,).
+    """
+
+    def true(states: States) -> Flags:
+        return np.asarray(~(pivots(equilibria.ends_of(states).responses) > 0).all(axis=(1, 2)))
+
+    return true
+
+
+def _raise_tip_force(
+    equilibria: LoadedEquilibria, states: States, own: Array, force: Array
+) -> tuple[States, Array]:
+    """Follow the branches of states to tip forces (T, 3), N, beside their own loads (T, l).
+
+    Returns the states as far as their branches go, and which part of the way that is, (T,), 1 for all of it.
+    """
+    # The first three numbers of a load are the tip force in base directions; see Load.numbers.
+    load = own.copy()
+    load[:, :3] += force
+    return equilibria.follow_branches(states, states.q, load, smallest=MIN_FORCE_LEVEL_STEP)
+
+
+def _crossing(
+    equilibria: LoadedEquilibria,
+    states: States,
+    own: Array,
+    toward: Array,
+    before: float,
+    high: Array,
+    true: StateCondition,
+) -> Array:
+    """Bisect the forces (T,), N, at which a condition becomes true.
+
+    It is false at the force before, N, where states are, and true at the forces high (T,), N; own (T, l): the
+    rows' own loads; toward (T, 3): the directions; true: the condition.
+    """
+    low = np.full(len(high), before)
+    for _ in range(BISECTIONS if len(high) else 0):
+        middle = (low + high) / 2
+        new, _ = _raise_tip_force(equilibria, states, own, middle[:, None] * toward)
+        past = true(new)
+        # Where the condition is still false the branch is followed on from there, which is less far each time.
+        states = states.replace_rows(~past, new.rows(~past))
+        low, high = np.where(past, low, middle), np.where(past, middle, high)
+    return (low + high) / 2
+
+
+def compliance(robot: Robot, equilibria: LoadedEquilibria, states: States) -> Array:
+    """Compute how far the tips of equilibria give in to small forces.
+
+    Central differences of equilibria under forces of 1e-4 N along each axis of the base frame, to both sides.
+
+    Parameters
+    ----------
+    robot : Robot
+        The robot.
+    equilibria : LoadedEquilibria
+        Follows its equilibria.
+    states : States
+        T equilibria.
+
+    Returns
+    -------
+    (T, 3, 3) array
+        Displacements of the tip (rows) per force (columns), mm/N; symmetric where the load has an energy. NaN
+        where the robot snaps under such a force.
+    """
+    rows = len(states.q)
+    pushed = states.rows(np.repeat(np.arange(rows), 6))
+    # Six rows a state: +x, +y, +z, -x, -y, -z.
+    force = np.tile(COMPLIANCE_FORCE_N * np.concatenate([np.eye(3), -np.eye(3)]), (rows, 1))
+    found, done = _raise_tip_force(equilibria, pushed, pushed.load, force)
+    tips = np.where(
+        done[:, None] == 1, loaded_shapes(robot, found, np.ones(1), equilibria.rods.kind)[:, 0], np.nan
+    )
+    ahead, behind = np.moveaxis(tips.reshape(rows, 2, 3, 3), 1, 0)
+    return np.swapaxes(ahead - behind, 1, 2) / (2 * COMPLIANCE_FORCE_N)
+
+
+def loaded_shapes(robot: Robot, states: States, sigma: Array, kind: RodKind) -> Array:
+    """Compute points of the backbone of equilibria under their loads.
+
+    Parameters
+    ----------
+    robot : Robot
+        The robot.
+    states : States
+        T equilibria.
+    sigma : (n,) or (T, n) array
+        Arc lengths as parts of beta_d, in [0, 1].
+    kind : RodKind
+        Kind of rods that the states are of.
+
+    Returns
+    -------
+    (T, n, 3) array
+        Points in the robot's base frame, mm.
+    """
+    return curves(robot.structure, robot.numbers[None], states.load, states.unknowns, sigma, kind)[0]

@@ -1,0 +1,244 @@
+"""The lumen's wall near a robot, found in C: wall.c, with the robot's points from compiled functions.
+
+wall.py says what is looked for, and has it in numpy for use without a compiler. Lengths in mm, unknowns x in rad
+and mm. Samples along the robot are evaluated side by side, one in each lane of a vector.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import functools
+
+import casadi as ca
+import numpy as np
+
+from ctr_nlp.codegen import cache, vector
+from ctr_nlp.codegen.background import Library
+from ctr_nlp.models import Model
+from ctr_nlp.models.protocol import frame_and_load_symbol, symbolic_tubes
+from ctr_nlp.ocp.local_parameters import LocalParameterSource
+from ctr_nlp.ocp.terms import LoadTerm
+from ctr_nlp.ocp.terms.arrival import PENALTY_ROUNDING_MM
+from ctr_nlp.ocp.terms.lumen import (
+    CENTRELINE_SMOOTHING_MM,
+    EXCESS_CONTACT_FACTOR,
+    SLACK_SQUARE_COST,
+    WALL_COLUMN_COUNT,
+    WALL_SAMPLES_PER_TUBE,
+)
+from ctr_nlp.paths.lumen import LUMEN_TABLE_SPACING_MM, Lumen, outermost_tube_radii, tube_outer_radii
+from ctr_nlp.robot import Robot
+from ctr_nlp.robot.structure import TUBE_NUMBER_NAMES, Structure
+from ctr_nlp.typing import Array
+
+WALL_SAMPLE_LANES = vector.VECTOR_LANES
+"""Samples that are evaluated side by side."""
+_WALL_INTEGER_FIELDS = "unknowns", "loaded", "tubes", "places", "finer", "samples", "lanes", "nodes"
+"""Names of the integer fields of the struct Wall, in its order; then those of given arrays, of numbers, and of
+room.
+"""
+_WALL_INPUT_FIELDS = "shares", "numbers", "table", "along", "path", "radius", "outer"
+_WALL_NUMBER_FIELDS = "clearance", "centred", "tiny", "spacing", "widest"
+_WALL_WORK_FIELDS = "x", "load", "at", "kept_x", "kept_load", "kept"
+
+
+class _WallStruct(ctypes.Structure):
+    """The struct Wall of wall.c, field by field."""
+
+    known: int
+    _fields_ = [
+        ("points", ctypes.c_void_p),
+        *((name, ctypes.c_long) for name in _WALL_INTEGER_FIELDS),
+        *((name, ctypes.c_void_p) for name in _WALL_INPUT_FIELDS),
+        *((name, ctypes.c_double) for name in _WALL_NUMBER_FIELDS),
+        *((name, ctypes.c_void_p) for name in _WALL_WORK_FIELDS),
+        ("known", ctypes.c_long),
+    ]
+
+    def forget_points(self) -> None:
+        """Let nothing count as found before: the next call looks at every point."""
+        self.known = 0
+
+
+class CompiledWall:
+    """A lumen's wall around a robot on a model, in C; not from two threads at once.
+
+    subsamples: samples a place. clearance, mm: to be kept. tiny: replaces 0 in a denominator.
+    """
+
+    def __init__(
+        self, robot: Robot, lumen: Lumen, model: Model, clearance: float, subsamples: int, tiny: float
+    ) -> None:
+        """Prepare; raises OptionError where nothing can be compiled."""
+        count, d = robot.d * WALL_SAMPLES_PER_TUBE * subsamples, robot.d
+        # Rounded up to whole vectors; samples more than there are stand at the tip (_arc_length_coefficients).
+        samples = -(-count // WALL_SAMPLE_LANES)
+        self._points, self._made = _compile_sample_points(model.program_model, robot.structure, samples)
+        unknowns, self._loaded = (
+            self._points.numel_in(0),
+            0 if model.applied_load is None else self._points.numel_in(3),
+        )
+        rows = d * WALL_SAMPLES_PER_TUBE
+        given = (
+            _arc_length_coefficients(d, WALL_SAMPLES_PER_TUBE * subsamples, samples),
+            # Every lane needs the numbers of the tubes, as its own column.
+            np.tile(robot.numbers.ravel(order="F"), WALL_SAMPLE_LANES),
+            *(
+                np.ascontiguousarray(each)
+                for each in (lumen.table[:, :3], lumen.arc_lengths, *lumen.spline_coefficients)
+            ),
+            tube_outer_radii(robot),
+        )
+        sizes = [WALL_SAMPLE_LANES * unknowns, WALL_SAMPLE_LANES * self._loaded, WALL_SAMPLE_LANES * samples * 3]
+        sizes += [unknowns, self._loaded, rows * WALL_COLUMN_COUNT + 1]
+        self._arrays = [*given, *map(np.zeros, sizes)]
+        # C keeps addresses: the arrays must live as long as the struct, in self._arrays.
+        addresses = [array.ctypes.data for array in self._arrays]
+        self._fixed = (
+            *(
+                unknowns,
+                self._loaded,
+                d,
+                WALL_SAMPLES_PER_TUBE,
+                subsamples,
+                samples,
+                WALL_SAMPLE_LANES,
+                len(lumen.arc_lengths),
+            ),
+            *addresses[: len(given)],
+            *(
+                clearance,
+                CENTRELINE_SMOOTHING_MM,
+                tiny,
+                LUMEN_TABLE_SPACING_MM,
+                float(np.diff(lumen.arc_lengths).max()),
+            ),
+            *addresses[len(given) :],
+        )
+        self._rows, self._numbers = rows, self._arrays[_WALL_INPUT_FIELDS.index("numbers")]
+        # The robot's numbers, to go back to after other robots' were used.
+        self._own = self._numbers.copy()
+        self._wall = _WallStruct(None, *self._fixed)
+        self._library = cache.load_c_files(__package__, "wall.c")
+        self._compiled: ctypes.CDLL | None = None
+
+    def ready(self, wait: bool = False) -> bool:
+        """Whether the functions have been compiled; wait: until they have."""
+        if (
+            self._compiled is None
+            and (path := self._made.wait_for_path() if wait else self._made.path_if_ready()) is not None
+        ):
+            self._compiled = ctypes.CDLL(str(path))
+            # Until the points' function is compiled the struct has a null pointer there, and is not called.
+            points = ctypes.cast(self._compiled[self._points.name()], ctypes.c_void_p).value
+            self._wall = _WallStruct(points, *self._fixed)
+        return self._compiled is not None
+
+    def __call__(self, x: Array, numbers: Array | None = None, loads: Array | None = None) -> tuple[Array, Array]:
+        """Numbers that describe the wall, (T, d WALL_SAMPLES_PER_TUBE, WALL_COLUMN_COUNT), near unknowns x (T, n),
+        and slacks (T,) needed, mm.
+
+        numbers (d, 8): of the tubes, where they are not the robot's. loads (T, 17 + 3d): on models with loads.
+        Raises ValueError for other unknowns or loads than the model's.
+        """
+        loads = np.zeros((len(x), 0)) if loads is None else np.ascontiguousarray(loads, dtype=float)
+        if loads.shape != (len(x), self._loaded):
+            raise ValueError(f"loads have shape {loads.shape}; it must be {(len(x), self._loaded)}")
+        if x.shape[1:] != (self._fixed[0],):
+            raise ValueError(f"x has shape {x.shape}; the model has {self._fixed[0]} unknowns")
+        x, found = np.ascontiguousarray(x, dtype=float), np.empty((len(x), self._rows * WALL_COLUMN_COUNT + 1))
+        of_tubes = self._own if numbers is None else np.tile(numbers.ravel(order="F"), WALL_SAMPLE_LANES)
+        if not np.array_equal(of_tubes, self._numbers):
+            self._numbers[:] = of_tubes
+            # C skips points that it has found at the same x; with other tubes these are elsewhere.
+            self._wall.forget_points()
+        given = ctypes.c_long(len(x)), x.ctypes, loads.ctypes, found.ctypes
+        self._library.around_all(ctypes.byref(self._wall), *given)
+        # C writes column after column of (d WALL_SAMPLES_PER_TUBE, WALL_COLUMN_COUNT), as programs pack
+        # parameters.
+        return found[:, :-1].reshape(len(x), WALL_COLUMN_COUNT, self._rows).transpose(0, 2, 1), found[:, -1].copy()
+
+    def local_parameter_source(self, settled: float, rounds: int) -> LocalParameterSource:
+        """Addresses and costs for run.c, which calls around at every frame; valid as long as this object lives.
+
+        settled: mm by which slacks may differ in the last round; rounds: most of them.
+        """
+        call = ctypes.cast(self._library.around, ctypes.c_void_p).value or 0
+        named = LoadTerm.name, "wall", "contact_weight", "contact_allowed"
+        costs = SLACK_SQUARE_COST, EXCESS_CONTACT_FACTOR, PENALTY_ROUNDING_MM
+        return LocalParameterSource(call, ctypes.addressof(self._wall), *named, *costs, settled, rounds)
+
+
+class WallDistance:
+    """Room in a lumen beside points: its radius less the distance to its path; in C where possible."""
+
+    def __init__(self, lumen: Lumen) -> None:
+        """Prepare."""
+        self._lumen = lumen
+        pieces = (
+            np.ascontiguousarray(each)
+            for each in (lumen.table[:, :3], lumen.arc_lengths, *lumen.spline_coefficients)
+        )
+        self._kept = dict(zip(("table", "along", "path", "radius"), pieces, strict=True))
+        addresses = {name: array.ctypes.data for name, array in self._kept.items()}
+        widest = float(np.diff(lumen.arc_lengths).max())
+        self._wall = _WallStruct(
+            nodes=len(lumen.arc_lengths), spacing=LUMEN_TABLE_SPACING_MM, widest=widest, **addresses
+        )
+
+    def __call__(self, points: Array) -> Array:
+        """Room at points (.., 3) in mm, (..,) mm; NaN at points that are NaN."""
+        if cache.unavailable_reason():
+            near = self._lumen.project(points)
+            return np.asarray(near.radius - near.distance)
+        # C reads and writes plain rows of doubles.
+        points, found = np.ascontiguousarray(points, dtype=float), np.empty(points.shape[:-1])
+        call = cache.load_c_files(__package__, "wall.c").left_beside
+        call(ctypes.byref(self._wall), ctypes.c_long(found.size), points.ctypes, found.ctypes)
+        return found
+
+    def clearances(self, robot: Robot, beta: Array, shape: Array, sigma: Array) -> Array:
+        """Clearance between the wall and a robot's outermost tube, (.., T, n) mm; negative beyond the wall.
+
+        beta (T, d): extensions; shape (.., T, n, 3) mm: points at sigma (n,), NaN where there are none.
+        """
+        return np.asarray(self(shape) - outermost_tube_radii(robot, beta, sigma))
+
+
+def _arc_length_coefficients(d: int, count: int, samples: int) -> Array:
+    """Coefficients of the extensions in arc lengths of count samples a tube: (samples, d) by columns, by lanes.
+
+    Arc lengths are those of terms.lumen.arc_lengths; samples more than there are stand at the innermost tip.
+    """
+    # Sample number j of tube i is at beta_{i-1} + (j + 1) / count (beta_i - beta_{i-1}): shares 1 - f and f
+    # of two neighbouring extensions, the first of which is beta_0 = 0 and has no column.
+    tube, part = np.divmod(np.arange(WALL_SAMPLE_LANES * samples).clip(max=d * count - 1), count)
+    fraction, found = (part + 1.0) / count, np.zeros((WALL_SAMPLE_LANES * samples, d + 1))
+    np.put_along_axis(found, tube[:, None], 1 - fraction[:, None], axis=1)
+    np.put_along_axis(found, tube[:, None] + 1, fraction[:, None], axis=1)
+    return np.ascontiguousarray(found[:, 1:].reshape(WALL_SAMPLE_LANES, samples, d).transpose(0, 2, 1))
+
+
+@functools.lru_cache(maxsize=64)
+def _compile_sample_points(model: Model, structure: Structure, samples: int) -> tuple[ca.Function, Library]:
+    """The function sample_points_function, and its library for WALL_SAMPLE_LANES samples side by side."""
+    points = sample_points_function(model, structure, samples)
+    return points, Library(points.serialize(), functools.partial(tuple, (points,)), WALL_SAMPLE_LANES)
+
+
+@functools.lru_cache(maxsize=64)
+def sample_points_function(model: Model, structure: Structure, samples: int) -> ca.Function:
+    """A function (x, shares (samples, d) of extensions, numbers) -> points (samples, 3), mm.
+
+    They are the points that programs have. On models with loads the function takes the numbers of one, too.
+    """
+    shares, numbers = (
+        ca.SX.sym("shares", samples, structure.d),
+        ca.SX.sym("numbers", structure.d, len(TUBE_NUMBER_NAMES)),
+    )
+    tubes = symbolic_tubes(structure, numbers)
+    shape, load = frame_and_load_symbol(model, structure, tubes, lambda beta: shares @ ca.vertcat(*beta))
+    given = [shape.x, shares, numbers] + [load] * (model.applied_load is not None)
+    symbols, values = shape.inner.columns
+    (found,) = ca.substitute([ca.SX(ca.horzcat(*shape.to_base_frame(shape.points)))], [symbols], [values])
+    return ca.Function("points", given, [ca.densify(found)])

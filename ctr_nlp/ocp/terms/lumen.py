@@ -1,0 +1,166 @@
+"""The lumen's wall as a soft constraint.
+
+At places on the robot, r(p) - |C - p| - rho + z >= c with one slack z >= 0 for all of them (mm), at a cost w z: an
+exact penalty, for which z = 0 wherever the clearance c can be kept at a smaller cost. r is the lumen's radius at
+the path's nearest point p, and rho the tube's outer radius. Near a configuration the path is described to second
+order and the radius to first (formulations/wall.py).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from ctr_nlp.models.inner import Inner
+from ctr_nlp.models.protocol import columns_of
+from ctr_nlp.ocp.nlp import Constraint, CostTerm
+from ctr_nlp.ocp.terms.arrival import smooth_excess
+from ctr_nlp.ocp.terms.term import Body, Parts, Symbols, Term
+from ctr_nlp.paths.target import Frame
+from ctr_nlp.robot.structure import Structure
+from ctr_nlp.typing import Array, Vector
+
+WALL_SAMPLES_PER_TUBE = 12
+"""Places on every tube's visible part; the last is its tip."""
+WALL_COLUMN_COUNT = 13
+"""Numbers that describe the wall at a place: centre (3), tangent (3), bend (3), room, taper, behind and ahead."""
+WALL_ROOM_COLUMN = 9
+"""Column of the room; the ones before it are vectors."""
+NO_WALL_ROOM_MM = 1e3
+"""Room in mm that no robot fills: it stands for no wall."""
+SLACK_SQUARE_COST = 1e-3
+"""Coefficient of the slack's square in its cost, mm^2 a mm^2: it keeps Hessians definite where contact costs
+nothing, too.
+"""
+EXCESS_CONTACT_FACTOR = 20.0
+"""How many times more contact costs beyond what is allowed. By default a mm costs, in mm^2 and in one frame, 30 of
+contact that is allowed, 150 of the tip's distance beyond its tolerance (terms/arrival.py), and 600 of contact
+beyond what is allowed: that is the order of priorities, before the shape's error.
+"""
+CENTRELINE_SMOOTHING_MM = 0.01
+"""Distance in mm that rounds off the distance to the path where that is 0, and its slope undefined."""
+
+
+def room_beside_path(points: Vector, path: Sequence[Vector], wall: Sequence[ca.SX]) -> ca.SX:
+    """Room (n, 1) that the lumen leaves a robot beside a path, mm; negative in contact.
+
+    points: x, y, z, each (n, 1) mm. path: its point near each, its tangent and its bend, 1/mm, in the same axes.
+    wall, each (n, 1): the room there, mm, how much more there is a mm further, and how far the path continues
+    behind and ahead, mm.
+    """
+    (centre, tangent, bend), (room, taper, behind, ahead) = path, wall
+    away = [points[i] - centre[i] for i in range(3)]
+    # Along the tangent to the foot of the perpendicular, but not beyond the path's ends.
+    further = ca.fmax(ca.fmin(sum(away[i] * tangent[i] for i in range(3)), ahead), -behind)
+    # The path to second order: centre + f tangent + f^2 / 2 bend.
+    across = [away[i] - further * tangent[i] - further**2 / 2 * bend[i] for i in range(3)]
+    # CENTRELINE_SMOOTHING_MM keeps the root's slope finite on the path itself, where the direction to the wall is
+    # undefined.
+    distance = ca.sqrt(sum(part**2 for part in across) + CENTRELINE_SMOOTHING_MM**2)
+    return room + taper * further - distance
+
+
+def room_at_samples(body: Body, wall: ca.SX) -> tuple[Inner, ca.SX]:
+    """The robot's points as inner symbols, and the room there, written in these; wall: a row a place."""
+    # As a layer of their own: the wall's second derivatives are taken over three coordinates a place, not
+    # over x.
+    points = Inner.of([ca.SX(ca.horzcat(*body.points))])
+    at, *path = (columns_of(each) for each in (points.symbols[0], wall[:, :3], wall[:, 3:6], wall[:, 6:9]))
+    return points, room_beside_path(at, path, ca.horzsplit(wall[:, WALL_ROOM_COLUMN:]))
+
+
+def contact_penalty(slack: Any, weight: Any, allowed: Any) -> Any:
+    """The exact penalty on the depth of contact, mm^2.
+
+    Parameters
+    ----------
+    slack : float, array or casadi expression
+        Depth by which the clearance is missed, mm.
+    weight : float or casadi expression
+        Cost of a mm of it, mm^2.
+    allowed : float or casadi expression
+        Depth from which a mm costs EXCESS_CONTACT_FACTOR times as much, mm.
+
+    Returns
+    -------
+    float, array or casadi expression
+        weight slack + (EXCESS_CONTACT_FACTOR - 1) weight max(slack - allowed, 0), the second corner rounded, +
+        SLACK_SQUARE_COST slack^2.
+    """
+    return (
+        weight * slack
+        + (EXCESS_CONTACT_FACTOR - 1) * weight * smooth_excess(slack - allowed)
+        + SLACK_SQUARE_COST * slack**2
+    )
+
+
+def arc_lengths(beta: Sequence[Any], count: int = WALL_SAMPLES_PER_TUBE) -> list[Any]:
+    """Arc lengths, mm, of `count` places on every tube's visible part, the last of which is its tip."""
+    starts = [0 * beta[0], *(beta[i] for i in range(len(beta) - 1))]
+    fractions = np.arange(1.0, count + 1) / count
+    return [start + fractions * (end - start) for start, end in zip(starts, beta, strict=True)]
+
+
+def wall_parameters(d: int) -> dict[str, tuple[int, int]]:
+    """Return the shapes of the parameters that describe the wall near a robot of d tubes, by name."""
+    return {
+        "wall": (d * WALL_SAMPLES_PER_TUBE, WALL_COLUMN_COUNT),
+        "contact_weight": (1, 1),
+        "contact_allowed": (1, 1),
+    }
+
+
+def no_wall_parameters(d: int) -> dict[str, Any]:
+    """Parameters of a frame of d tubes with no wall nearby."""
+    wall = np.zeros((d * WALL_SAMPLES_PER_TUBE, WALL_COLUMN_COUNT))
+    # Zero vectors and much room: rows that are always satisfied, and a weight of 0.
+    wall[:, WALL_ROOM_COLUMN] = NO_WALL_ROOM_MM
+    return {"wall": wall, "contact_weight": 0.0, "contact_allowed": 0.0}
+
+
+@dataclass(frozen=True)
+class LumenClearance(Term):
+    """Clearance at WALL_SAMPLES_PER_TUBE places of every tube's visible part, and the cost of contact; d: number
+    of tubes.
+
+    A step gives the parameters that describe the wall near the robot (wall.py); without them, none is near.
+    """
+
+    d: int
+    name = "lumen"
+
+    def sample_arc_lengths(self, beta: Sequence[ca.SX]) -> ca.SX:
+        """Arc lengths of the places on every tube, mm."""
+        return ca.vertcat(*arc_lengths(beta))
+
+    def parameters(self, structure: Structure) -> Mapping[str, tuple[int, int]]:
+        """Shapes of the parameters: wall, a row of WALL_COLUMN_COUNT a place; contact_weight, mm^2 a mm;
+        contact_allowed, mm.
+        """
+        return wall_parameters(self.d)
+
+    def build(self, body: Body, parameters: Symbols) -> Parts:
+        """One smooth constraint a place, and one slack for all."""
+        slack = ca.SX.sym("slack")
+        points, room = room_at_samples(body, parameters["wall"])
+        # room + slack >= 0 at every place: the slack is the deepest contact, and its cost counts once a
+        # frame.
+        bounds = np.zeros(room.numel()), np.full(room.numel(), np.inf)
+        return Parts(
+            costs=(
+                CostTerm(
+                    "contact", contact_penalty(slack, parameters["contact_weight"], parameters["contact_allowed"])
+                ),
+            ),
+            constraints=(Constraint("clearance", room + slack, *bounds),),
+            inner=(points,),
+            slack=slack,
+        )
+
+    def fill(self, frame: Frame) -> Mapping[str, Array]:
+        """Parameters for no wall nearby."""
+        return no_wall_parameters(self.d)

@@ -1,0 +1,68 @@
+"""The lumen's wall as a smooth cost, for programs in which slacks and constraints of every place would be too
+many.
+
+With depths t_k in mm of the places, negative without contact, and eps = CONTACT_SMOOTHING_MM, the deepest is
+smoothed to eps log(1 + sum_k exp(t_k / eps)), which is never less than max(t_k, 0). It needs neither unknowns nor
+rows: several robots in every frame can have it (formulations/shared/scenarios.py).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+
+from ctr_nlp.models.inner import Inner
+from ctr_nlp.ocp.nlp import CostTerm
+from ctr_nlp.ocp.terms.lumen import (
+    arc_lengths,
+    contact_penalty,
+    no_wall_parameters,
+    room_at_samples,
+    wall_parameters,
+)
+from ctr_nlp.ocp.terms.term import Body, Parts, Symbols, Term
+from ctr_nlp.paths.target import Frame
+from ctr_nlp.robot.structure import Structure
+
+CONTACT_SMOOTHING_MM = 0.3
+"""Depth in mm over which contact sets in: as little as robots differ by, and so much that solvers need half as
+many steps as with 0.05.
+"""
+
+
+@dataclass(frozen=True)
+class SmoothContact(Term):
+    """The cost of the deepest contact at the places of Lumen (lumen.contact); d: number of tubes.
+
+    Of depths t_k, negative where nothing touches, it is w log(1 + sum_k exp(t_k / w)) with w =
+    CONTACT_SMOOTHING_MM: never less than the deepest and 0, and by at most w log(1 + places) more. The wall near
+    the robot is a parameter, as in Lumen.
+    """
+
+    d: int
+    name = "touch"
+    objective_only = True
+
+    def sample_arc_lengths(self, beta: Sequence[ca.SX]) -> ca.SX:
+        """Arc lengths of the places on every tube, mm."""
+        return ca.vertcat(*arc_lengths(beta))
+
+    def parameters(self, structure: Structure) -> Mapping[str, tuple[int, int]]:
+        """Shapes of the parameters, by name: the same as Lumen's."""
+        return wall_parameters(self.d)
+
+    def build(self, body: Body, parameters: Symbols) -> Parts:
+        """One cost. The sum is a quantity of its own, so that no place's second derivatives meet another's."""
+        points, room = room_at_samples(body, parameters["wall"])
+        # room is -t_k; exponents are negative where nothing touches, and exp(-FAR / CONTACT_SMOOTHING_MM) is 0.
+        total = Inner.of([ca.sum1(ca.exp(-room / CONTACT_SMOOTHING_MM))])
+        depth = CONTACT_SMOOTHING_MM * ca.log(1 + total.symbols[0])
+        cost = contact_penalty(depth, parameters["contact_weight"], parameters["contact_allowed"])
+        return Parts(costs=(CostTerm("contact", cost),), inner=(points, total))
+
+    def fill(self, frame: Frame) -> Mapping[str, Any]:
+        """Parameters for no wall nearby."""
+        return no_wall_parameters(self.d)

@@ -1,0 +1,141 @@
+"""The interface of a term of a frame's program, and the part of a robot's shape that it is given.
+
+Objectives are in mm^2: residuals in mm are squared, costs are not. Terms know arc lengths, points and tangents,
+not how a model computes them.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Hashable, Mapping, Sequence
+from dataclasses import dataclass, fields, is_dataclass
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from ctr_nlp.models import SymbolicShape
+from ctr_nlp.models.inner import Inner
+from ctr_nlp.ocp.nlp import Constraint, CostTerm, Residual
+from ctr_nlp.paths.target import Frame
+from ctr_nlp.robot.structure import Structure, Tubes
+from ctr_nlp.typing import Vector
+
+Symbols = Mapping[str, ca.SX]
+"""Symbols of parameters, by name."""
+
+
+@dataclass(frozen=True)
+class Body:
+    """The robot as a term sees it, in symbols: its configuration, and its shape at the term's own places.
+
+    q (2d + 2, 1). tubes: with symbols for numbers. shape: at the places of all terms; span: which of them are this
+    term's.
+    """
+
+    q: ca.SX
+    tubes: Tubes
+    shape: SymbolicShape
+    span: slice
+
+    @property
+    def beta(self) -> tuple[ca.SX, ...]:
+        """The extensions, mm."""
+        return self.shape.beta
+
+    @property
+    def points(self) -> Vector:
+        """x, y, z of the places, each (n, 1) mm, in the base frame."""
+        return self.shape.to_base_frame(self.own_points)
+
+    @property
+    def tangents(self) -> Vector:
+        """x, y, z of the unit tangents at the places, each (n, 1), in the base frame."""
+        return self.shape.to_base_frame(self.own_tangents)
+
+    @property
+    def own_points(self) -> Vector:
+        """Points of the places in the model's own axes, in which it needs fewer operations; see
+        SymbolicShape.to_shape_axes.
+        """
+        return self._own_samples(self.shape.points)
+
+    @property
+    def own_tangents(self) -> Vector:
+        """Unit tangents at the places in the model's own axes."""
+        assert self.shape.tangents is not None
+        return self._own_samples(self.shape.tangents)
+
+    def _own_samples(self, vectors: Vector) -> Vector:
+        # The model computes the samples of all terms in one column; span picks this term's.
+        x, y, z = (axis[self.span] for axis in vectors)
+        return x, y, z
+
+
+@dataclass(frozen=True)
+class Parts:
+    """Contributions of a term to a program.
+
+    inner: layers of quantities between shape and term. slack: one more unknown, >= 0.
+    """
+
+    residuals: tuple[Residual, ...] = ()
+    costs: tuple[CostTerm, ...] = ()
+    constraints: tuple[Constraint, ...] = ()
+    inner: tuple[Inner, ...] = ()
+    slack: ca.SX | None = None
+
+
+class Term(ABC):
+    """A residual, cost or constraint on a frame's shape. Numbers that vary from frame to frame are parameters.
+
+    A new term is a frozen dataclass with a name, and with build; the other methods have defaults. What it holds is
+    part of what is compiled, unless key leaves it out and it enters as a parameter. tangents: whether build needs
+    the tangents at its places. of_settings: whether the planner adds it because of its settings.
+    objective_only: whether build adds no constraint.
+    """
+
+    name: str
+    tangents = False
+    of_settings = False
+    objective_only = False
+
+    def __str__(self) -> str:
+        """The term in one line, for a plan's options; an array is told by its number of entries."""
+        names: list[str] = [f.name for f in fields(self)] if is_dataclass(self) else []
+        # Long arrays would fill a plan's options: only their size is written.
+        held = {name: np.asarray(getattr(self, name)) for name in names}
+        told = (
+            f"{name}={value.size} numbers" if value.size > 1 else f"{name}={value.item()}"
+            for name, value in held.items()
+        )
+        return f"{type(self).__name__}({', '.join(told)})"
+
+    @property
+    def key(self) -> Hashable:
+        """Everything that `build` depends on: terms of equal keys share a compiled program."""
+        return self
+
+    def sample_arc_lengths(self, beta: Sequence[ca.SX]) -> ca.SX:
+        """Arc lengths (n, 1), mm, at which the term looks at the robot; none by default."""
+        return ca.SX(0, 1)
+
+    def parameters(self, structure: Structure) -> Mapping[str, tuple[int, int]]:
+        """The shapes of the term's parameters, by name; names of two terms must differ."""
+        return {}
+
+    @abstractmethod
+    def build(self, body: Body, parameters: Symbols) -> Parts:
+        """The term's contributions, as symbols.
+
+        body: the robot at the term's places. parameters: symbols of this and other terms' parameters, by name.
+        """
+
+    def fill(self, frame: Frame) -> Mapping[str, Any]:
+        """Values of the parameters for a target frame, by name."""
+        return {}
+
+
+def describe_terms(terms: Sequence[Term]) -> list[str]:
+    """Return the terms that were asked for beside the settings, each in a line, as a plan's options hold them."""
+    return [str(term) for term in terms if not term.of_settings]

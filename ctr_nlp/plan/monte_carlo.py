@@ -1,0 +1,141 @@
+"""A plan simulated on robots within the tolerances, and on robots that differ by one tolerance alone."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+
+from ctr_nlp.ocp.compiled_wall import WallDistance
+from ctr_nlp.paths.lumen import Lumen
+from ctr_nlp.paths.target import SIGMA_GRID
+from ctr_nlp.plan.measures import rms_over_sigma
+from ctr_nlp.plan.plan_data import PlanData
+from ctr_nlp.plan.robustness import COSTLY, Robustness
+from ctr_nlp.plan.sample_motions import SampleMotions, simulate_samples
+from ctr_nlp.robot import Robot
+from ctr_nlp.robot.samples import RobotSamples, perturb_robot, sample_robots
+from ctr_nlp.robot.tolerances import DEVIATION_NAMES
+from ctr_nlp.typing import Array, Index
+
+DEFAULT_PLAN_SAMPLES, DEFAULT_PLAN_SAMPLE_SEED = 200, 0
+"""Number and seed of the simulated robots where none are given."""
+PLAN_SAMPLES_PER_BATCH = 50
+"""Simulated robots whose whole shapes are in memory at once."""
+CLOUD_FRAME_COUNT, CLOUD_POINT_STRIDE = 5, 4
+"""Number of frames whose shapes are kept, evenly spaced up to the last one, and the stride of the kept samples
+along the robot.
+"""
+
+
+def robustness(
+    plan: PlanData, count: int = DEFAULT_PLAN_SAMPLES, seed: int = DEFAULT_PLAN_SAMPLE_SEED
+) -> Robustness:
+    """Move `count` robots, sampled within the tolerances with a seed, through a plan, on the model that it is
+    evaluated on.
+
+    Raises RobotError, and OptionError where that model cannot follow such robots.
+    """
+    draws = sample_robots(plan.robot, count, seed)
+    frames = np.unique(np.linspace(-1, len(plan.time) - 1, CLOUD_FRAME_COUNT + 1)[1:].round().astype(int))
+    parts = [
+        _measure_samples(plan, draws[first : first + PLAN_SAMPLES_PER_BATCH], frames)
+        for first in range(0, count, PLAN_SAMPLES_PER_BATCH)
+    ]
+    arrays: list[Any] = [np.concatenate(each) for each in zip(*(part[:-1] for part in parts), strict=True)]
+    cloud = np.concatenate([part[-1] for part in parts], axis=1)
+    growth, lost_alone = _measure_tolerance_costs(plan)
+    ends: list[Any] = [cloud, frames + 1, growth, lost_alone, plan.beta[:, -1]]
+    return Robustness(*[seed, draws.deviations, draws.backlash, *arrays, *ends])
+
+
+def _measure_samples(plan: PlanData, draws: RobotSamples, frames: Index) -> tuple[Any, ...]:
+    """Simulate a group of robots, and return the fields of Robustness from e2 to cloud, in its order; `frames`
+    (from 0) are those of the cloud.
+    """
+    found = simulate_samples(plan.robot, draws, plan.q, plan.evaluated_model)
+    distance = _distance(plan, found)
+    margins = np.fmin(found.stability, found.stability_between)
+    clearance = contact = np.full(len(draws), np.nan)
+    if plan.lumen is not None:
+        least = clearances(plan.robot, Lumen(plan.lumen), plan.beta, found.shape)
+        clearance, contact = np.fmin.reduce(least, axis=1), np.nansum(np.maximum(-least, 0.0), axis=1)
+    return (
+        *(
+            rms_over_sigma(distance).astype(np.float32),
+            np.fmax.reduce(distance, axis=(1, 2)),
+            found.lost,
+            found.snapped,
+        ),
+        *(np.fmin.reduce(margins, axis=1), clearance, contact),
+        found.shape[:, frames, ::CLOUD_POINT_STRIDE].swapaxes(0, 1).astype(np.float32),
+    )
+
+
+def clearances(robot: Robot, lumen: Lumen, beta: Array, shape: Array) -> Array:
+    """Find what robots leave of a lumen in every frame.
+
+    Parameters
+    ----------
+    robot : Robot
+        The nominal robot, whose tubes are as wide as theirs.
+    lumen : Lumen
+        Around them.
+    beta : ndarray
+        Extensions (T, d), mm.
+    shape : ndarray
+        Their shapes (n, T, 101, 3) at uniform sigma, mm.
+
+    Returns
+    -------
+    ndarray
+        Least distance of each body from the wall in each frame (n, T), mm; negative beyond the wall, NaN where a
+        robot has no shape.
+    """
+    return np.asarray(WallDistance(lumen).clearances(robot, beta, shape, SIGMA_GRID).min(axis=2))
+
+
+def _distance(plan: PlanData, found: SampleMotions) -> Array:
+    """Distances (n, T, 101) mm of simulated shapes from the targets, at equal sigma."""
+    away = found.shape - plan.target
+    return np.asarray(np.sqrt(np.einsum("ntsk,ntsk->nts", away, away)))
+
+
+def _measure_tolerance_costs(plan: PlanData) -> tuple[Array, Index]:
+    """Return by how much each tolerance alone lets e3 grow, (d, 6) mm, and how many of two robots it loses.
+
+    Each is off by its standard deviation to either side, where a mean over two is that over a band as far as
+    errors are quadratic; a lag is as large as its root mean square. NaN where a tolerance is 0.
+    """
+    cases = list(_single_tolerance_cases(plan))
+    parts, lags = (np.array(arrays) for arrays in zip(*((part, lag) for _, part, lag in cases), strict=True))
+    found = simulate_samples(plan.robot, perturb_robot(plan.robot, parts, lags), plan.q, plan.evaluated_model)
+    squares = np.nanmean(rms_over_sigma(_distance(plan, found)) ** 2, axis=1)
+    growth = np.full((plan.robot.d, len(COSTLY)), np.nan)
+    lost = np.zeros(growth.shape, dtype=int)
+    for place in {place for place, *_ in cases[1:]}:
+        rows = [row for row, (other, *_) in enumerate(cases) if other == place]
+        growth[place] = math.sqrt(squares[rows].mean()) - math.sqrt(squares[0])
+        lost[place] = (found.lost[rows] > 0).sum()
+    return growth, lost
+
+
+def _single_tolerance_cases(plan: PlanData) -> Iterator[tuple[tuple[int, int] | None, Array, Array]]:
+    """Yield the robot described, and then those that differ by one tolerance: its place (tube, tolerance), parts
+    (d, 5) and lags (d,).
+    """
+    d, tolerances = plan.robot.d, plan.robot.tolerances
+    bands, lags = tolerances.bands(plan.robot.tubes), tolerances.max_backlash(d)
+    yield None, np.zeros_like(bands), np.zeros(d)
+    for (i, k), sign in itertools.product(np.ndindex(d, len(COSTLY)), (-1.0, 1.0)):
+        parts, lag = np.zeros_like(bands), np.zeros(d)
+        # Over a band of half-width b, uniform values have the standard deviation b / sqrt(3).
+        if k < len(DEVIATION_NAMES):
+            parts[i, k] = sign * bands[i, k] / math.sqrt(3)
+        else:
+            lag[i] = lags[i] / math.sqrt(3)
+        if parts.any() or lag.any():
+            yield (i, k), parts, lag

@@ -1,0 +1,292 @@
+"""Motions between arriving and keeping off the wall, for robots that cannot do both, and what stands in their way.
+
+Costs are priorities (mm^2 for a mm), so that a few weights of arrival trace out the trade-off. The path's
+curvature is compared with the largest one that the tubes present at each place can have, sum_i EI_i k_i / sum_i
+EI_i (Dupont et al., Design and control of concentric-tube robots, IEEE Transactions on Robotics 26(2), 2010).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from ctr_nlp.exceptions import ProblemError
+from ctr_nlp.models import DEFAULT_MODEL, Model
+from ctr_nlp.ocp.settings import Settings
+from ctr_nlp.ocp.terms import Term
+from ctr_nlp.paths.lumen import Lumen, outermost_tube_index, outermost_tube_radii
+from ctr_nlp.paths.problem import Problem
+from ctr_nlp.paths.target import SIGMA_GRID
+from ctr_nlp.plan.measures import Contact, arrival, contacts, e3, find_deepest_point
+from ctr_nlp.plan.plan import Plan
+from ctr_nlp.plan.verdicts import option
+from ctr_nlp.planning.horizon import horizon_planner
+from ctr_nlp.planning.marching import Progress
+from ctr_nlp.planning.nlp_frames import DEFAULT_PLANNER_SETTINGS
+from ctr_nlp.planning.starts.search import with_draft_frames
+from ctr_nlp.robot.tube import Tube
+from ctr_nlp.support.interrupt import deferred_interrupt
+from ctr_nlp.typing import Array
+
+COMPROMISE_ARRIVAL_WEIGHTS = 0.0, 5.0, 5000.0
+"""Weights of arrival, mm^2 a mm, of motions beside the plan's own: contact first, between the two, arrival first.
+"""
+CURVATURE_WINDOW_HALF_WIDTH_MM = 5.0
+"""Half width, mm, over which a path's curvature is averaged: sharper bends are noise of its points."""
+
+
+@dataclass(frozen=True)
+class Compromise:
+    """One motion between arriving and keeping off the wall.
+
+    Attributes
+    ----------
+    arrival_weight : float
+        What a mm by which the tip misses cost, mm^2 (:class:`Settings`); None for the plan itself.
+    tip : float
+        Distance of the last tip from the target's end, mm.
+    contact : float
+        Depth of the deepest contact, mm; negative where the wall stays clear.
+    e3 : float
+        Mean shape error, mm.
+    solved : bool
+        Whether every frame was solved.
+    where : Contact or None
+        Where the robot touches deepest; None where it does not.
+    """
+
+    arrival_weight: float | None
+    tip: float
+    contact: float
+    e3: float
+    solved: bool
+    where: Contact | None
+
+    @classmethod
+    def of(cls, plan: Plan, arrival_weight: float | None = None) -> Compromise:
+        """Take the figures of a plan within a lumen."""
+        ends, deepest, error = arrival(plan), find_deepest_point(plan), e3(plan)
+        tip = math.nan if ends is None else ends.distance
+        contact = math.nan if deepest is None else deepest.depth
+        touched = max(contacts(plan), key=lambda one: one.depth, default=None)
+        solved = bool(plan.success.all())
+        return cls(arrival_weight, tip, contact, math.nan if error is None else error, solved, touched)
+
+
+class PathDemands(NamedTuple):
+    """Where the end of a path demands most of the tubes, in curvature and in room.
+
+    bend: place along the robot, mm, where the path's curvature exceeds what the tubes there can bend to by most,
+    or comes nearest to it; radius: of the path's bend there, mm; least: smallest radius that those tubes bend to,
+    mm. narrow: place along the robot, mm, where the lumen leaves least room; room: the lumen's radius there less
+    the tube's, mm; tube: its number, from 1.
+    """
+
+    bend: float
+    radius: float
+    least: float
+    narrow: float
+    room: float
+    tube: int
+
+
+def compromises(
+    problem: Problem,
+    plan: Plan,
+    *,
+    model: str | Model = DEFAULT_MODEL,
+    settings: Settings = DEFAULT_PLANNER_SETTINGS,
+    terms: Sequence[Term] = (),
+    weights: Sequence[float] = COMPROMISE_ARRIVAL_WEIGHTS,
+    progress: Progress | None = None,
+) -> list[Compromise]:
+    """Find motions between arriving and keeping off the wall, for the robot as described.
+
+    They have the frames of a draft, 25 to 49: what can be had shows there, in a third of the time.
+
+    Parameters
+    ----------
+    problem : Problem
+        Robot and target, within a lumen.
+    plan : Plan
+        A plan of it, which all motions start from; they begin and end where it was asked to.
+    model, settings, terms
+        As :func:`solve_horizon`.
+    weights : sequence of float
+        Weights of arrival, mm^2 a mm.
+    progress : callable, optional
+        Called as ``progress(done, total, note)``.
+
+    Returns
+    -------
+    list of Compromise
+        The plan, and a motion for each weight, from the least contact to the deepest. After Ctrl-C, those that
+        were found.
+
+    Raises
+    ------
+    ProblemError
+        No wall is known.
+
+    Examples
+    --------
+    >>> import ctr_nlp as ctr
+    >>> from ctr_nlp.problems import named_problem
+    >>> problem = named_problem("bronchus", frames=10)
+    >>> plan = ctr.solve_horizon(problem)
+    >>> found = compromises(problem, plan, weights=(0.0,))
+    >>> len(found)
+    2
+    """
+    if plan.clearance is None:
+        raise ProblemError("the lumen's radii are not known; there is no contact to weigh against arrival")
+    found = [Compromise.of(plan)]
+    start, end = (plan.options.get(name) for name in ("start", "end"))
+    # Every motion starts from the plan at the frames of the draft, so that differences come from the weight alone.
+    coarse, picked = with_draft_frames(problem)
+    with deferred_interrupt() as interrupted:
+        for number, weight in enumerate(weights):
+            if interrupted():
+                break
+            if progress is not None:
+                progress(number, len(weights), f"arrival weight {weight:g}")
+            asked = replace(settings, arrival_weight=weight)
+            planner = horizon_planner(coarse, model, None, start, end, asked, terms)
+            motion = planner.solve([plan.q[picked]])
+            if not interrupted() and motion.success.all():
+                found.append(Compromise.of(motion, weight))
+    return sorted(found, key=lambda one: one.contact)
+
+
+def find_path_demands(plan: Plan) -> PathDemands:
+    """Tell what the path asks of the tubes in a plan's last frame.
+
+    Parameters
+    ----------
+    plan : Plan
+        A plan within a lumen.
+
+    Returns
+    -------
+    Needed
+        Where the path bends most for the tubes that lie there, and where it is narrowest for them. What tubes can
+        bend to at most is the curvature of all tubes present there when they bend to the same side,
+        sum_i EI_i k_i / sum_i EI_i (Dupont et al., 2010).
+    """
+    assert plan.lumen is not None
+    beta, lumen = plan.beta[-1], Lumen(plan.lumen)
+    near = lumen.project(plan.target[-1])
+    # Robot and path are compared at equal sigma, as in eq. (8).
+    s = SIGMA_GRID * beta[-1]
+    asked = _moving_average(np.linalg.norm(near.curvature_vector, axis=-1), s)
+    possible = _largest_curvature(plan.robot.tubes, beta, s)
+    # The difference of curvatures, 1/mm, not the ratio: it is finite where tubes are straight.
+    bend = int(np.argmax(asked - possible))
+    # The clearance that a robot would have which follows the path exactly.
+    room = near.radius - outermost_tube_radii(plan.robot, beta[None], SIGMA_GRID)[0]
+    narrow = int(np.argmin(room))
+    tube = int(outermost_tube_index(beta[None], SIGMA_GRID)[0, narrow]) + 1
+    with np.errstate(divide="ignore"):
+        radius, least = 1 / asked[bend], 1 / possible[bend]
+    return PathDemands(float(s[bend]), float(radius), float(least), float(s[narrow]), float(room[narrow]), tube)
+
+
+def compromise_sentences(plan: Plan, found: Sequence[Compromise]) -> list[str]:
+    """Say what can be had, and what stands in the way, in sentences.
+
+    Parameters
+    ----------
+    plan : Plan
+        The plan.
+    found : sequence of Compromise
+        Of :func:`compromises`.
+
+    Returns
+    -------
+    list of str
+        The least contact of those that arrive, the least miss of those that keep off the wall, where the robot
+        touches, and what the path asks of the tubes.
+    """
+    tolerance, allowed = float(option(plan, "arrival_tolerance")), float(option(plan, "contact_allowed"))
+    arriving = [one for one in found if one.tip <= tolerance]
+    clear = [one for one in found if one.contact <= allowed]
+    told = list[str]()
+    if best := min(arriving, key=lambda one: one.contact, default=None):
+        depth = f"presses {best.contact:.2f} mm into the wall" if best.contact > 0 else "stays off the wall"
+        told.append(f"Of the motions tried, the best that arrives {depth}; its tip ends {best.tip:.2f} mm off.")
+    else:
+        told.append(f"None of the motions tried arrives within {tolerance:g} mm.")
+    if best := min(clear, key=lambda one: one.tip, default=None):
+        told.append(
+            f"Of those with at most {allowed:g} mm of contact, the best ends {best.tip:.2f} mm off the target."
+        )
+    else:
+        told.append(f"None of them keeps contact to {allowed:g} mm.")
+    # One motion does both: nothing stands in the way, and nothing more is said.
+    if any(one.tip <= tolerance and one.contact <= allowed for one in found):
+        return told
+    deepest = min(arriving or found, key=lambda one: one.contact).where
+    if deepest is not None:
+        told.append(
+            f"The wall is in the way of tube {deepest.tube}, {deepest.arc_length:.0f} mm along the robot "
+            f"({deepest.path:.0f} mm along the path)."
+        )
+    at = find_path_demands(plan)
+    told.append(
+        f"The path asks most of the tubes {at.bend:.0f} mm along the robot, where it bends with a radius of "
+        f"{at.radius:.0f} mm and the tubes there to {at.least:.0f} mm at most; it is narrowest for them at "
+        f"{at.narrow:.0f} mm, where it leaves tube {at.tube} {at.room:.2f} mm of room on each side."
+    )
+    return told
+
+
+def pareto_front(found: Sequence[Compromise]) -> list[Compromise]:
+    """Leave out motions that another one beats in both the tip's distance and contact.
+
+    Parameters
+    ----------
+    found : sequence of Compromise
+        Motions.
+
+    Returns
+    -------
+    list of Compromise
+        The others, from the least contact to the deepest.
+    """
+
+    def beaten(one: Compromise) -> bool:
+        return any(
+            other.tip <= one.tip and other.contact <= one.contact
+            for other in found
+            if (other.tip, other.contact) != (one.tip, one.contact)
+        )
+
+    return sorted((one for one in found if not beaten(one)), key=lambda one: one.contact)
+
+
+def _moving_average(values: Array, s: Array) -> Array:
+    """Means of values (n,) at arc lengths s (n,), mm, over CURVATURE_WINDOW_HALF_WIDTH_MM to either side."""
+    # Means over all samples within the window; near the ends there are fewer of them, and no padding.
+    near = abs(s[:, None] - s) <= CURVATURE_WINDOW_HALF_WIDTH_MM
+    return np.asarray((near * values).sum(axis=1) / near.sum(axis=1))
+
+
+def _largest_curvature(tubes: Sequence[Tube], beta: Array, s: Array) -> Array:
+    """The largest curvature (n,), 1/mm, that the tubes present at arc lengths s (n,), mm, bend to."""
+    bent, stiff = np.zeros(len(s)), np.zeros(len(s))
+    for tube, end in zip(tubes, beta, strict=True):
+        from_tip = end - s
+        part = np.clip(from_tip / tube.curved_length, 0.0, 1.0)
+        # Pre-curvature is linear along the curved part, from its tip to its root; a straight transmission has
+        # none.
+        curvature = abs(tube.tip_curvature + (tube.root_curvature - tube.tip_curvature) * part)
+        # A tube's own end counts as present, against rounding.
+        present = from_tip >= -1e-9
+        bent += present * (from_tip <= tube.curved_length) * tube.bending_stiffness * curvature
+        stiff += present * tube.bending_stiffness
+    # Past all tubes both are 0, and so is the quotient.
+    return bent / np.maximum(stiff, 1e-300)

@@ -1,0 +1,270 @@
+"""All frames of a problem as one chain (nlp/chain.py), solved from several motions, and the plan that comes of it.
+
+The search is far from any wall first. Within a lumen the best motions are then solved again with the wall, at a
+tenth of its weight and then at all of it. lambda (s^2) weighs motion against shape; by default it is such that the
+motion of the start costs a tenth of its shape errors.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from ctr_nlp.exceptions import OptionError
+from ctr_nlp.models import DEFAULT_MODEL, KINEMATIC_MODELS, Model, model_named
+from ctr_nlp.models.loads import require_constant_load
+from ctr_nlp.ocp.chain import Chain
+from ctr_nlp.ocp.horizon import EndConfigurations, horizon
+from ctr_nlp.ocp.settings import Settings
+from ctr_nlp.ocp.terms import Term
+from ctr_nlp.ocp.terms.arrival import with_arrival
+from ctr_nlp.ocp.terms.term import describe_terms
+from ctr_nlp.ocp.wall import Wall, make_wall
+from ctr_nlp.paths.problem import Problem
+from ctr_nlp.plan.plan import Plan, plan_from_configurations
+from ctr_nlp.plan.simulation import Simulator
+from ctr_nlp.planning.marching import Progress
+from ctr_nlp.planning.motions import per_frame_motions
+from ctr_nlp.planning.multistart import (
+    IterateCallback,
+    SolvedStart,
+    best_solved_start,
+    describe_failures,
+    distinct,
+)
+from ctr_nlp.planning.nlp_frames import DEFAULT_PLANNER_SETTINGS
+from ctr_nlp.planning.starts.search import Search
+from ctr_nlp.planning.validation import (
+    check_ends,
+    check_growth,
+    check_model,
+    check_search,
+    checked_ends,
+    checked_motions,
+    checked_terms,
+)
+from ctr_nlp.planning.within_wall import failed_frames
+from ctr_nlp.solvers import CHAIN_SOLVERS, default_chain_solver
+from ctr_nlp.solvers.compiled_functions import fastest_functions
+from ctr_nlp.support.interrupt import deferred_interrupt
+from ctr_nlp.support.value_checks import check_choice
+from ctr_nlp.typing import Array
+
+WALL_PARTS = 0.1, 1.0
+"""Parts of the contact weight with which a motion is solved within the wall, one after the other. From a motion
+deep in the wall, the whole weight at once leads the solver astray.
+"""
+
+
+class Horizon:
+    """All frames of a problem as one NLP, built once and solved for any weight and from any motions."""
+
+    def __init__(
+        self,
+        problem: Problem,
+        model: str | Model = DEFAULT_MODEL,
+        solver: str | None = None,
+        start: npt.ArrayLike | None = None,
+        end: npt.ArrayLike | None = None,
+        settings: Settings = DEFAULT_PLANNER_SETTINGS,
+        terms: Sequence[Term] = (),
+    ) -> None:
+        """Build all programs; arguments as in solve_horizon.
+
+        Raises OptionError, RobotError, and ProblemError where no motion can keep the limits.
+        """
+        self._model = model_named(model, "model of a horizon")
+        check_model(problem, self._model)
+        solver = default_chain_solver() if solver is None else solver
+        check_choice("solver of a horizon", solver, CHAIN_SOLVERS)
+        if problem.frames < 2:
+            raise OptionError("frames is 1; a motion over a horizon needs at least 2")
+        # Before anything is built: what is impossible shows at once.
+        check_growth(problem)
+        begin = time.perf_counter()
+        self.problem = problem
+        self.ends = EndConfigurations(*checked_ends(problem, "best", start, end))
+        if self.ends.end is not None:
+            require_constant_load(self._model.applied_load, "a motion to an end that is given")
+        self._names = {"formulation": "horizon", **self._model.metadata, "solver": solver}
+        self._settings, self._terms = settings, with_arrival(checked_terms(terms), settings, self._model)
+        self._wall = make_wall(problem.robot, problem.sampled_lumen, self._model, settings)
+        # Built with a weight of 1 s^2: a chain's motion term is scaled afterwards (with_cost), so that one chain
+        # serves all weights.
+        self._free = self._build_chain(None)
+        inside = self._free if self._wall is None else self._build_chain(self._wall)
+        self._simulator = Simulator(problem.robot, self._model)
+        own = self._simulator, solver, self.ends, settings, self._terms
+        self._search = Search(problem, *own, self._free, inside)
+        if self.ends.start is not None and self.ends.end is not None:
+            check_ends(problem, self._linear_chain())
+        self.build_seconds = time.perf_counter() - begin
+
+    def _build_chain(self, wall: Wall | None) -> Chain:
+        """The chain of all frames, within a wall or free of any, with a motion weight of 1 s^2."""
+        at = self.problem.robot, self.problem.target_frames, self.problem.dt, 1.0, self.ends, self._model
+        return horizon(*at, fastest_functions, self._settings.stability_margin, wall, self._terms)
+
+    def _linear_chain(self) -> Chain:
+        """A chain of all frames whose links between frames are linear in its unknowns.
+
+        Limits of position, order, speed and acceleration are those of q, whatever the model. Where the unknowns of
+        the model are not q, as on the elastic one, these limits are taken from the chain of the dominant model.
+        """
+        if not self._free.has_nonlinear_links:
+            return self._free
+        at = self.problem.robot, self.problem.target_frames, self.problem.dt, 1.0, self.ends
+        return horizon(*at, KINEMATIC_MODELS["dominant"])
+
+    def solve(
+        self,
+        initial: Sequence[npt.ArrayLike] = (),
+        motion_weight: float | None = None,
+        starts: int | None = None,
+        jobs: int = 1,
+        progress: Progress | None = None,
+        callback: IterateCallback | None = None,
+        exhaustive: bool = False,
+    ) -> Plan:
+        """Search for the best motion and return its plan; arguments as in :func:`solve_horizon`."""
+        check_search(motion_weight, starts, jobs)
+        given = checked_motions(self.problem, initial)
+        with deferred_interrupt() as interrupted:
+            begin = time.perf_counter()
+            found = self.motions(given, progress)
+            between = time.perf_counter()
+            weight = self.balanced_weight(found[0]) if motion_weight is None else motion_weight
+            search = replace(
+                self._search, weight=weight, jobs=jobs, progress=progress, seen=callback, stop=interrupted
+            )
+            wall, free = None, None
+            attempts: Sequence[SolvedStart] = []
+            # Motions that the user chose are all solved to the end; those of the search's own only as far as they
+            # promise something.
+            every = bool(given or starts or exhaustive)
+            if not interrupted():
+                ranked = search.rank_motions(found, starts or len(found))
+                attempts = search.solve_from_motions(ranked) if every else search.solve_most_promising(ranked)
+            if self._wall is not None and not interrupted():
+                free = self.configurations(best_solved_start(attempts).motion)
+                # Which motion is best without the wall need not be best within it: given motions are all tried
+                # there, as they were given, too.
+                tried = (
+                    [one.motion for one in distinct(attempts)] if every else [best_solved_start(attempts).motion]
+                )
+                tried += found if given else []
+                wall, attempts = self._solve_within_wall(self._wall, search, attempts, tried)
+            work = {"search_s": between - begin, "solve_s": time.perf_counter() - between}
+            stopped = interrupted()
+        options = self.options(weight, starts, exhaustive)
+        meta = {**self._names, **work, "options": options, "build_s": self.build_seconds, "interrupted": stopped}
+        meta["contact_weight"] = None if wall is None else wall.weight
+        return self._plan(search.chain_for_wall(wall), found[0], attempts, free, meta)
+
+    def motions(self, given: Sequence[Array] = (), progress: Progress | None = None) -> list[Array]:
+        """Return unknowns (T, n) to start from: of given motions (T, 2d + 2), or solved frame by frame, best
+        first.
+        """
+        at = self.problem, self.ends, self._settings, progress, self._model, self._terms
+        return [x for motion in given for x in self._unknowns(motion)] or per_frame_motions(*at)
+
+    def options(self, weight: float, starts: int | None = None, exhaustive: bool = False) -> dict[str, Any]:
+        """Return the options of a plan's meta.
+
+        weight: lambda in s^2. starts, exhaustive: as in solve_horizon.
+        """
+        asked = {"motion_weight": weight, "starts": starts, "exhaustive": exhaustive}
+        return {**self._settings.options(), **asked, "terms": describe_terms(self._terms), **self.ends.options}
+
+    def _solve_within_wall(
+        self, wall: Wall, search: Search, free: Sequence[SolvedStart], motions: Sequence[Array]
+    ) -> tuple[Wall | None, Sequence[SolvedStart]]:
+        """Solve motions within a wall; return that wall and the results.
+
+        free: results without the wall. motions: unknowns (T, n) to start from. Where more frames fail within the
+        wall than without it, None and `free` are returned.
+        """
+
+        def count_failed_frames(one: SolvedStart) -> int:
+            success = np.full(self.problem.frames, one.solution.success)
+            moved = self._simulator(self.configurations(one.motion))
+            return failed_frames(self.problem, moved, one.motion, success)
+
+        within: Sequence[SolvedStart] = ()
+        for part in WALL_PARTS:
+            within = search.solve_from_motions(motions, replace(wall, weight=part * wall.weight))
+            # Each weight starts from the solutions of the one before; where there is none, from the same motions
+            # again.
+            motions = [one.motion for one in within if one.solution.success] or motions
+        if count_failed_frames(best_solved_start(within)) > count_failed_frames(best_solved_start(free)):
+            return None, free
+        return wall, within
+
+    def configurations(self, motion: Array) -> Array:
+        """The configurations (T, 2d + 2) of a motion's unknowns (T, n)."""
+        value = self._free.evaluate(motion.ravel())[1]
+        return self._free.configurations(value)[:, : len(self.problem.robot.axes)]
+
+    def balanced_weight(self, motion: Array) -> float:
+        """The lambda in s^2 at which a motion (T, n) costs a tenth of its shape errors."""
+        return self._search.balanced_weight(motion)
+
+    def objective(self, motion: Array, weight: float) -> float:
+        """Return the objective of a motion's unknowns (T, n) far from any wall, mm^2, summed over frames.
+
+        weight: lambda in s^2.
+        """
+        chain, x = self._free.with_cost(weight).linearise_at(motion)
+        return chain.evaluate(x)[0]
+
+    def _plan(
+        self,
+        chain: Chain,
+        motion: Array,
+        attempts: Sequence[SolvedStart],
+        free: Array | None,
+        meta: dict[str, Any],
+    ) -> Plan:
+        """The best attempt as a plan; without any, the motion (T, n) to start from, not solved."""
+        frames = self.problem.frames
+        unknown = np.full(frames, np.nan)
+        solved, kkt = False, unknown
+        why = {"all": "interrupted before the horizon was begun"}
+        if attempts:
+            best = best_solved_start(attempts)
+            found, solved, why = best.solution, best.solution.success, describe_failures(chain, best)
+            motion = best.motion
+            # Multipliers of a point that is no solution say nothing: its KKT residual is left unknown.
+            if solved:
+                multipliers = np.concatenate([found.lam_x, found.lam_g])
+                kkt = replace(chain, parameters=best.parameters).kkt(found.x, multipliers)
+        # Objectives by frame belong to the wall as it is near the motion of the plan.
+        chain, x = chain.linearise_at(motion)
+        meta["starts"] = [one.to_meta(frames) for one in attempts]
+        meta["iterations"] = sum(one.solution.iterations for one in attempts)
+        return plan_from_configurations(
+            self.problem,
+            self.configurations(motion),
+            meta | {"failures": why},
+            success=np.full(frames, solved),
+            solve_time=unknown,
+            objective=np.add(*chain.by_frame(x)),
+            kkt=kkt,
+            planned=motion if self._model.several_equilibria else None,
+            free=free,
+            simulator=self._simulator,
+        )
+
+    def _unknowns(self, motion: Array) -> list[Array]:
+        """Return unknowns (T, n) to start from for a given motion (T, 2d + 2), one or two of them."""
+        if not self._model.several_equilibria:
+            return [motion]
+        robot = self.problem.robot
+        # Simulated, the motion has the equilibria that a robot is in, but NaN or jumps where it snaps; estimated
+        # from the motors' angles, it is smooth, but no equilibrium. Either may be the better start.
+        return [self._model.follow(robot, motion).x, self._model.guess(robot, motion)]

@@ -1,5 +1,0 @@
-"""Plans as one page that opens offline in a browser; knows plans, and needs the extra `report`."""
-
-from ctr_nlp.report.page import page
-
-__all__ = ["page"]

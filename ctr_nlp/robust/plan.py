@@ -1,0 +1,395 @@
+"""Robust plans over all frames at once: one motion for all robots within the tolerances.
+
+    min  sum_j ( sum_s w_s E_j(phi_sj, q_j; tubes_s) + lambda |W (q_{j+1} - q_j)|^2 / dt^2 )
+    subject to  alpha(phi_sj, q_j; tubes_s) = alpha_j + delta_s
+
+over the shared q_j = (alpha, beta, theta), rad and mm, of every frame j and the tips phi_sj, rad, of every robot
+s, with limits and a least stability margin of each ("Plans for robots that are not quite known" in
+docs/method.md). The scenarios s are few; simulated robots tell whether others within the tolerances do as well,
+and those that do not join the scenarios.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from ctr_nlp.exceptions import OptionError
+from ctr_nlp.models import Model
+from ctr_nlp.ocp.scenarios import Scenarios
+from ctr_nlp.ocp.settings import Settings
+from ctr_nlp.ocp.terms import Term
+from ctr_nlp.ocp.terms.arrival import with_arrival
+from ctr_nlp.ocp.terms.term import describe_terms
+from ctr_nlp.ocp.wall import make_wall
+from ctr_nlp.paths.problem import Problem
+from ctr_nlp.plan.plan import Plan, plan_from_configurations
+from ctr_nlp.plan.robustness import MOST_LOST
+from ctr_nlp.plan.simulation import Simulator
+from ctr_nlp.planning.horizon import Horizon
+from ctr_nlp.planning.marching import Progress
+from ctr_nlp.planning.motions import per_frame_motions
+from ctr_nlp.planning.nlp_frames import DEFAULT_PLANNER_SETTINGS
+from ctr_nlp.planning.stability_refinement import MAX_FRAME_MARGIN
+from ctr_nlp.planning.validation import check_problem_and_settings, check_search, checked_motions, checked_terms
+from ctr_nlp.robust.arrival_rounds import MAX_ARRIVAL_ROUNDS as IMPROVEMENTS
+from ctr_nlp.robust.arrival_rounds import ArrivalJudge, improve_arrival
+from ctr_nlp.robust.constraint_scenarios import plan_with_constraint_scenarios
+from ctr_nlp.robust.rounds import (
+    MAX_RELAXATIONS,
+    FailureJudge,
+    Round,
+    best_round,
+    relax_scenarios,
+    replan_for_failures,
+)
+from ctr_nlp.robust.search import InitialMotion, RobustSearch, StartResult
+from ctr_nlp.robust.tolerance_scenarios import reported_model, reported_unknowns, resolve_scenarios
+from ctr_nlp.robust.tolerance_vertices import ToleranceVertices
+from ctr_nlp.robust.trials import Trials
+from ctr_nlp.solvers.scenarios.condensed import Condensed
+from ctr_nlp.support.interrupt import deferred_interrupt
+from ctr_nlp.support.value_checks import whole_number
+from ctr_nlp.typing import Array
+
+ROBUST_START_MARGINS = (0.5,)
+"""Stability margins of the nominal robot in motions frame by frame, the starts beside its plan."""
+EXTRA_SCENARIO_MARGIN = 0.1
+"""Margin beyond the one asked for with which scenarios are planned for: margins are less between frames, and on
+robots that are not among them. Plans need fewer rounds with it, and errors are larger by 1 % at most.
+"""
+START_FRAMES = 49
+"""Most frames of these motions that are solved: drafts, which begin from them, have 25 to 49 frames."""
+MOTION_PART = 0.1
+"""Share of the lambda of a nominal horizon: robots differ more from the target than smoothness is worth there."""
+NOT_SHARED = "no motion was found that all robots within the tolerances share"
+MAX_REFINED_ROUNDS = 2
+"""Most rounds over the frames of a draft, from the last one back, of which all frames are tried."""
+MAX_ROBUST_REPLANNING_ROUNDS = 4
+"""Most times that a motion is planned again for robots that were lost."""
+
+
+def solve_robust(
+    problem: Problem,
+    scenarios: Scenarios | None = None,
+    *,
+    most_lost: float = MOST_LOST,
+    rounds: int = MAX_ROBUST_REPLANNING_ROUNDS,
+    guards: bool = False,
+    model: str | Model = "elastic",
+    start: npt.ArrayLike | None = None,
+    end: npt.ArrayLike | None = None,
+    motion_weight: float | None = None,
+    initial: Sequence[npt.ArrayLike] = (),
+    margins: Sequence[float] = ROBUST_START_MARGINS,
+    settings: Settings = DEFAULT_PLANNER_SETTINGS,
+    terms: Sequence[Term] = (),
+    progress: Progress | None = None,
+    nominal: Callable[[Plan], None] | None = None,
+) -> Plan:
+    """Plan one motion that all robots within the tolerances follow, arrive with, and keep off the wall with.
+
+    Robots that stand for the tolerances (scenarios) share the motors' angles and extensions of every frame, and
+    each has tips of its own. Minimised is their mean shape error, with what contact and arrival of each cost,
+    subject to a stability margin of each. A motion is then tried on simulated robots; those that snap or leave the
+    branch join the scenarios, and it is planned again.
+
+    Parameters
+    ----------
+    problem : Problem
+        Robot and target; the robot's tolerances say how built robots differ from it.
+    scenarios : Scenarios, optional
+        The robots that are planned for, the first of which is the problem's own. By default a two-level design of
+        the tolerances (Plackett and Burman, 1946), and the nominal robot under the forces that may act at its tip,
+        whose errors do not count.
+    most_lost : float
+        Share of all robots within the tolerances that may snap or leave the branch, known with 95 % confidence.
+    rounds : int
+        How often a motion is planned again for robots that were lost, at most.
+    guards : bool
+        Whether robots at the corners of the tolerances are kept as well, which takes several times as long.
+    model : str or Model
+        ``"elastic"``, ``"dominant"`` or ``Loaded(load)``. On a model that cannot snap, the plan of the nominal
+        robot is started from.
+    start, end : array_like, optional
+        Configurations q (2d + 2,) at time 0 and in the last frame.
+    motion_weight : float, optional
+        Lambda in s^2; by default a tenth of that of a nominal horizon.
+    initial : sequence of array_like
+        Motions (T, 2d + 2) to start from. By default the plan of the nominal robot (:func:`solve_horizon`).
+    margins : sequence of float
+        Stability margins of the nominal robot in motions frame by frame, which are started from where too many
+        robots are lost on what comes of the others.
+    settings : Settings
+        `stability_margin` is the least one of every scenario, which are planned for with EXTRA_SCENARIO_MARGIN
+        more; weights of contact and arrival count for each.
+    terms : sequence of Term
+        Further terms of the objective.
+    progress : callable, optional
+        Called as ``progress(done, total, note)``.
+    nominal : callable, optional
+        Called with the plan of the nominal robot, seconds before all the others are planned for; not where
+        `initial` motions are given, or the robot bears a load.
+
+    Returns
+    -------
+    Plan
+        With its certificate in ``meta["certificate"]`` (:meth:`Trials.certify_plan`) and the robots that it was
+        certified on. Where no motion is found that all scenarios share, the plan of the nominal robot, and
+        ``meta["not_shared"]`` says so; without one, the first motion started from, no frame of which counts as
+        solved.
+
+    Raises
+    ------
+    OptionError, ProblemError, RobotError
+        An option, the problem or the robot is not what it must be.
+    """
+    check_problem_and_settings(problem, settings)
+    check_search(motion_weight, None, 1)
+    whole_number(OptionError, "rounds", rounds, 0)
+    model, scenarios = resolve_scenarios(problem.robot, model, scenarios)
+    given = checked_motions(problem, initial)
+    if not (given or margins) and reported_model(model).applied_load is not None:
+        raise OptionError(
+            "initial and margins are both empty: give motions to start from, or margins to find them"
+        )
+    # Most motions that can be tried: each is judged with its part of the 5 % (Trials), which holds only if none
+    # comes unplanned. For two sets of starts: rounds on a draft and on all frames, relaxations, and improvements
+    # with a round each; and once with guards.
+    motions = 2 * (2 * (rounds + 1) + MAX_RELAXATIONS + 2 * IMPROVEMENTS) + 1
+    trials = Trials(problem.robot, model, motions, most_lost)
+    terms = with_arrival(checked_terms(terms), settings, model)
+    purpose = ArrivalJudge(problem, model, settings)
+    # `weight` stays None until a first start is known from which the default can be found.
+    begin, searched, weight = time.perf_counter(), 0.0, motion_weight
+    told = reported_model(model)
+    with deferred_interrupt() as interrupted:
+        planner = Horizon(problem, told, None, start, end, settings, terms)
+        least = None
+        if settings.stability_margin is not None:
+            least = np.full(
+                problem.frames, min(settings.stability_margin + EXTRA_SCENARIO_MARGIN, MAX_FRAME_MARGIN)
+            )
+        wall = make_wall(problem.robot, problem.sampled_lumen, model, settings, subsamples=1)
+        starts = _Starts(planner, told, given, margins, terms, settings, progress, interrupted, nominal)
+        tried, made, best, open_ = list[StartResult](), list[Round](), None, list[StartResult]()
+        # Ways to find starts, one after the other; a later one is used where the drafts of the earlier ones are
+        # not good, or their motions lose too many robots.
+        for number, find in enumerate(starts.start_finders):
+            begun = time.perf_counter()
+            found = find()
+            searched += time.perf_counter() - begun
+            if not found:
+                continue
+            if weight is None:
+                # One lambda for the whole search, from the first start: objectives of later starts can be compared
+                # with it.
+                weight = MOTION_PART * planner.balanced_weight(found[0].x)
+            own = model, planner.ends, tuple(terms), weight, least
+            search = RobustSearch(problem, *own, progress, interrupted, wall)
+            drafts = search.drafts(found, scenarios)
+            tried += drafts
+            # Drafts that no rounds were made from yet; good or not, they are compared with those of the next way.
+            open_ = sorted(open_ + drafts, key=lambda one: one.promise)
+            last = number + 1 == len(starts.start_finders)
+            # A draft that is poor, though solved, is put aside while there is another way to find starts.
+            if not (last or given or interrupted()) and open_ and not _good(open_[0], settings):
+                continue
+            made += _rounds(search, open_, scenarios, trials, rounds, len(made))
+            best, open_ = best_round(made, problem.frames), []
+            if best is not None and best.lost.few and not interrupted():
+                # Few robots are lost: only now is it worth asking how many also arrive and keep off the wall.
+                judged = best._replace(failing=purpose(best.tried.solution.q, len(made)))
+                made = [judged if one is best else one for one in made]
+                made += improve_arrival(judged, purpose, trials, len(made))
+                best = best_round(made, problem.frames)
+            if interrupted() or (best is not None and best.lost.few):
+                break
+        if guards and best is not None and not interrupted():
+            made += plan_with_constraint_scenarios(
+                best, scenarios, ToleranceVertices.of(problem.robot, model), trials, len(made)
+            )
+            best = best_round(made, problem.frames)
+        stopped = interrupted()
+    asked: dict[str, Any] = {
+        "motion_weight": weight,
+        "most_lost": most_lost,
+        "margins": list(margins),
+        "rounds": rounds,
+    }
+    asked |= {"terms": describe_terms(terms)}
+    meta = {
+        "formulation": "robust-horizon",
+        **told.metadata,
+        "solver": "interior-point",
+        "options": settings.options() | asked | planner.ends.options,
+        "build_s": planner.build_seconds,
+        "search_s": searched,
+        "solve_s": time.perf_counter() - begin - searched,
+        "interrupted": stopped,
+        "contact_weight": None if wall is None else wall.weight,
+        "starts": [_start_to_meta(one) for one in tried],
+        "rounds": [one.to_meta() for one in made],
+    }
+    # No motion for all robots: the user gets the nominal plan, which says so.
+    if best is None and starts.plan is not None and starts.plan.success.all():
+        kept = {"interrupted": stopped, "starts": meta["starts"], "rounds": meta["rounds"]}
+        kept |= {} if stopped else {"not_shared": NOT_SHARED}
+        return replace(starts.plan, meta=starts.plan.meta | kept)
+    if best is None:
+        return _plan_without_solution(problem, told.configuration(problem.robot, found[0].x), meta)
+    plan = _plan(problem, best, meta)
+    return plan if stopped else trials.certify_plan(plan, best.lost, len(made))
+
+
+@dataclass
+class _Starts:
+    """Finds motions to start from: given ones, or the plan of the nominal robot; and others, frame by frame.
+
+    planner: of the nominal robot's horizon. model: on which plans are reported. given: motions (T, 2d + 2).
+    margins: of motions frame by frame. on_nominal_plan: called with the nominal plan. plan: that plan, once it is
+    known.
+    """
+
+    planner: Horizon
+    model: Model
+    given: Sequence[Array]
+    margins: Sequence[float]
+    terms: Sequence[Term]
+    settings: Settings
+    progress: Progress | None
+    stop: Callable[[], bool]
+    on_nominal_plan: Callable[[Plan], None] | None
+    plan: Plan | None = None
+
+    @property
+    def start_finders(self) -> list[Callable[[], list[InitialMotion]]]:
+        """Ways to find starts; where the first finds a good one, the others are not needed."""
+        first = self._follow_given_motions if self.given else self._nominal
+        return [first, *([self._frame_by_frame] if self.model.can_snap and self.margins else [])]
+
+    def _follow_given_motions(self) -> list[InitialMotion]:
+        robot = self.planner.problem.robot
+        followed = [self.model.follow(robot, motion).x for motion in self.given]
+        # A motion on which the nominal robot snaps has NaN: scenarios cannot be started from there.
+        found = [InitialMotion(f"motion {k}", x) for k, x in enumerate(followed, 1) if np.isfinite(x).all()]
+        if not (found or self.margins):
+            raise OptionError(
+                "no motion of initial leads the robot from equilibrium to equilibrium; give margins too"
+            )
+        return found
+
+    def _nominal(self) -> list[InitialMotion]:
+        """Return the nominal robot's plan as a start; nothing where that robot snaps, or bears a known load."""
+        if self.model.applied_load is not None:
+            return []
+        self.plan = self.planner.solve(progress=self.progress)
+        if self.on_nominal_plan is not None:
+            self.on_nominal_plan(self.plan)
+        x = self.model.follow(self.planner.problem.robot, self.plan.q).x if self.model.can_snap else self.plan.q
+        return [InitialMotion("the nominal plan", x)] if np.isfinite(x).all() else []
+
+    def _frame_by_frame(self) -> list[InitialMotion]:
+        """Return motions frame by frame without a wall, one for each of the margins."""
+        found = partial(
+            per_frame_motions,
+            *(self.planner.problem, self.planner.ends),
+            progress=None,
+            model=self.model,
+            terms=self.terms,
+            most=START_FRAMES,
+        )
+        asked = (replace(self.settings, stability_margin=each) for each in self.margins)
+        return [InitialMotion(f"margin {each.stability_margin:g}", found(settings=each)[0]) for each in asked]
+
+
+def _good(draft: StartResult, settings: Settings) -> bool:
+    """Whether a draft's mean error over robots, with all that its contact and misses cost, is what is allowed."""
+    # The objective is a sum over frames of mean squared errors, mm^2; error_allowed is in mm.
+    return draft.is_shared and draft.solution.objective <= draft.frames * settings.error_allowed**2
+
+
+def _rounds(
+    search: RobustSearch,
+    drafts: Sequence[StartResult],
+    scenarios: Scenarios,
+    lost: FailureJudge,
+    most: int,
+    first: int,
+) -> list[Round]:
+    """Make rounds over the frames of the best draft, then over all; from the next draft where none leads to a
+    motion.
+
+    drafts: the most promising first. scenarios: planned for from the beginning. lost: judges each round's motion;
+    rounds are numbered from `first` on. most: rounds on a draft, and on all frames.
+    """
+    for draft in drafts:
+        if not draft.is_solved or search.stop():
+            break
+        coarse = list[Round]()
+        if draft.on_planned_branch and search.draft_frames is not None:
+            coarse = replan_for_failures(search, draft, scenarios, lost, most, first)
+        # The last round of the draft has met most of the lost robots already; an earlier one may be easier to
+        # refine.
+        tried = [(one.tried, one.scenarios) for one in reversed(coarse)] or [(draft, scenarios)]
+        for one, joined in tried[:MAX_REFINED_ROUNDS]:
+            whole = search.refine_draft(one, joined)
+            if whole.is_shared:
+                made = coarse + replan_for_failures(search, whole, joined, lost, most, first + len(coarse))
+                return made + relax_scenarios(made[-1], len(scenarios), lost, first + len(made))
+    return []
+
+
+def _start_to_meta(one: StartResult) -> dict[str, Any]:
+    found = one.solution
+    return {
+        "start": one.start,
+        "frames": one.frames,
+        "objective": found.objective / one.frames,
+        "solved": one.is_solved,
+        "made": one.on_planned_branch,
+        "grown": one.grown,
+        "status": found.status,
+        "iterations": found.iterations,
+    }
+
+
+def _plan(problem: Problem, best: Round, meta: dict[str, Any]) -> Plan:
+    """Make a plan of the best round; meta: of the plan."""
+    found = best.tried.solution
+    condensed, model, robot = Condensed(best.search.motion(best.scenarios)), best.search.model, problem.robot
+    # What depends on where robots are, such as the wall near them, is described at the solution before objectives
+    # are evaluated there.
+    condensed.update_local_parameters(found.q, found.phi)
+    return plan_from_configurations(
+        problem,
+        found.q,
+        meta | {"failures": {}, "iterations": found.iterations},
+        success=np.full(problem.frames, found.success),
+        solve_time=np.full(problem.frames, np.nan),
+        objective=condensed.by_frame(found.q, found.phi),
+        kkt=np.full(problem.frames, found.kkt),
+        planned=reported_unknowns(robot, model, found.q, found.x),
+        simulator=Simulator(robot, reported_model(model)),
+    )
+
+
+def _plan_without_solution(problem: Problem, start: Array, meta: dict[str, Any]) -> Plan:
+    """Make a plan of a start, configurations (T, 2d + 2), in which no frame counts as solved."""
+    why = "interrupted" if meta["interrupted"] else NOT_SHARED
+    unknown = np.full(problem.frames, np.nan)
+    return plan_from_configurations(
+        problem,
+        start,
+        meta | {"failures": {"all": why}},
+        success=np.zeros(problem.frames, dtype=bool),
+        solve_time=unknown,
+        objective=unknown,
+        kkt=unknown,
+    )

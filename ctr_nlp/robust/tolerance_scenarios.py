@@ -1,0 +1,158 @@
+"""Scenarios that stand for all the robots within the tolerances, and the models that they are planned on.
+
+The numbers that tolerances leave uncertain, z, have mean 0 and covariance R R^T. N robots z = R d with the rows d
+of a two-level orthogonal array have the same mean and covariance, so that the mean over them of errors that are
+quadratic in z is the mean over all robots (Plackett and Burman, The design of optimum multifactorial experiments,
+Biometrika 33, 1946).
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from ctr_nlp.exceptions import OptionError
+from ctr_nlp.models import KINEMATIC_MODELS, Model, model_for_tip_forces, model_named
+from ctr_nlp.models.loaded.model import Loaded
+from ctr_nlp.models.loaded.tips import tip_angles
+from ctr_nlp.models.loads import Load
+from ctr_nlp.ocp.scenarios import Scenarios
+from ctr_nlp.ocp.shared.scenarios import check_scenarios
+from ctr_nlp.robot import Robot
+from ctr_nlp.robot.samples import perturb_robot
+from ctr_nlp.robot.tolerances import DEVIATION_NAMES
+from ctr_nlp.support.value_checks import check_instance
+from ctr_nlp.typing import Array
+
+
+def scenarios_from_tolerances(robot: Robot, with_tip_force: bool = False) -> Scenarios:
+    """Return the nominal robot, and robots with the mean and the covariance of what tolerances allow.
+
+    robot: with its tolerances. with_tip_force: whether each robot but the first bears the largest force that may
+    act at its tip, in directions whose mean is 0; otherwise forces are left out. Lags are left out. Raises
+    OptionError where nothing may differ, and where a tube's curved part may come to end within its range of
+    extensions, which is another structure of programs.
+    """
+    force = robot.tolerances.tip_force
+    root = robot.tolerances.covariance_root(robot.tubes)
+    # Numbers that are not uncertain would only make the design larger.
+    deviations = root[:, abs(root).max(axis=0) > 0]
+    if not (deviations.size or force):
+        raise OptionError("all tolerances of the robot are 0; give some, or plan without robustness")
+    count, sides = deviations.shape[1], 3 * bool(with_tip_force and force)
+    signs = two_level_orthogonal_array(count + sides) if count + sides else np.zeros((0, 0))
+    # The first row is the nominal robot.
+    parts = np.vstack([np.zeros(len(root)), signs[:, :count] @ deviations.T]).reshape(
+        -1, robot.d, len(DEVIATION_NAMES)
+    )
+    made = perturb_robot(robot, parts, np.zeros(parts.shape[:2]))
+    if made.structure != robot.structure:
+        raise OptionError(
+            "curved_length of tolerances lets a curved part end before the tube's largest extension; "
+            "a robust plan needs limits of beta below the curved lengths"
+        )
+    # The nominal robot has no weight in the mean over robots, unless it is the only one.
+    weights = np.append(float(not len(signs)), np.ones(len(signs)))
+    # Entries +-F / sqrt(3) have size F and covariance F^2 / 3 I, that of forces of size F from all sides.
+    forces = np.vstack([np.zeros(3), force / math.sqrt(3) * signs[:, count:]]) if sides else np.zeros((0, 3))
+    return Scenarios(made.numbers, made.offsets, weights, forces)
+
+
+def with_forces(scenarios: Scenarios, size: float) -> Scenarios:
+    """Return scenarios with six more: the first one with a force of `size`, N, at its tip along each axis, either
+    way.
+
+    Their shape errors do not count. None are added where the size is 0.
+    """
+    forces = size * np.vstack([np.eye(3), -np.eye(3)])[: 6 * (size > 0)]
+    numbers, offsets = (np.repeat(of[:1], len(forces), axis=0) for of in (scenarios.numbers, scenarios.offsets))
+    return scenarios.append_robots(numbers, offsets, forces)
+
+
+def resolve_scenarios(robot: Robot, model: str | Model, scenarios: Scenarios | None) -> tuple[Model, Scenarios]:
+    """Return the model and the scenarios that are planned for; by default those of the robot's tolerances.
+
+    Where forces may act, the model is one of loaded robots. Raises OptionError, and LoadError where forces act on
+    a robot whose elastic moduli are not known.
+    """
+    model = model_named(model, "model of scenarios")
+    if scenarios is None:
+        scenarios = with_forces(scenarios_from_tolerances(robot), robot.tolerances.tip_force)
+    check_instance(OptionError, "scenarios", scenarios, Scenarios)
+    # Draws that bear forces join the scenarios in later rounds, even if none of the first bears any.
+    model = model_for_tip_forces(model, scenarios.has_tip_forces or robot.tolerances.tip_force > 0)
+    model.check(robot)
+    check_scenarios(robot, model, scenarios)
+    return model, scenarios
+
+
+def reported_model(model: Model) -> Model:
+    """Return the model on which a plan is reported: that without a load, where the nominal robot bears none.
+
+    model: on which scenarios are planned.
+    """
+    return KINEMATIC_MODELS[model.name] if model.applied_load == Load() else model
+
+
+def reported_unknowns(robot: Robot, model: Model, q: Array, x: Array) -> Array:
+    """Return the unknowns (T, 2d + 2) of the nominal robot on the model that plans are reported on.
+
+    q (T, 2d + 2): its configurations. x: its unknowns on the scenarios' model.
+    """
+    told, last = reported_model(model), robot.d - 1
+    if told == model:
+        return x
+    found = q.copy()
+    # Tips relative to each other are the same on both models. The innermost tip's own angle adds to every alpha
+    # alike: with 0 for it, what alpha_d misses is that angle.
+    found[:, :last], found[:, last] = x[:, :last], 0.0
+    found[:, last] = q[:, last] - told.configuration(robot, found)[:, last]
+    return found
+
+
+def loaded_unknowns(robot: Robot, model: Model, q: Array, x: Array) -> Array:
+    """Return the unknowns (T, 2d + 2) on the scenarios' model of a nominal robot without a load.
+
+    q (T, 2d + 2): its configurations. x: its unknowns on reported_model(model). The innermost tip's angle, which
+    alpha determines up to whole turns, is continuous over the frames.
+    """
+    if reported_model(model) == model:
+        return x
+    assert isinstance(model, Loaded)
+    found, last = model.unloaded_unknowns(robot, q, tip_angles(x, robot.d)), robot.d - 1
+    found[:, last] = np.unwrap(found[:, last])
+    return found
+
+
+def tips_of(model: Model, robot: Robot, x: Array) -> Array:
+    """Return the part of unknowns x (T, n_x) that q does not determine: tips (T, d), under a load (T, d + 2)."""
+    angles, turns = x[:, : robot.d], x[:, 2 * robot.d :]
+    return angles if model.applied_load is None else np.hstack([angles, turns])
+
+
+def unknowns_of(model: Model, robot: Robot, tips: Array, q: Array) -> Array:
+    """Return the unknowns (T, n_x) of a robot at q (T, 2d + 2) whose tips are those of tips_of."""
+    d = robot.d
+    if model.applied_load is None:
+        return np.hstack([tips, q[:, d:]])
+    return np.hstack([tips[:, :d], q[:, d : 2 * d], tips[:, d:]])
+
+
+def two_level_orthogonal_array(count: int) -> Array:
+    """Return a two-level orthogonal array (N, count): rows are robots, columns independent numbers of mean 0 and
+    variance 1.
+
+    N - 1 is the least prime p >= count with p = 3 (mod 4). Columns are orthogonal, so that a mean over the rows of
+    a function up to its second order is that over all values of the numbers (Plackett and Burman, 1946).
+    """
+    size = count
+    # Paley's construction: for such a prime the quadratic residues modulo p give a Hadamard matrix of order p + 1.
+    while size % 4 != 3 or any(size % k == 0 for k in range(2, size)):
+        size += 1
+    squares = {k * k % size for k in range(1, size)}
+    # +1 at 0 and at quadratic residues, -1 elsewhere; shifted p times, and closed by a row of -1, columns sum to
+    # 0.
+    row = np.array([1.0 if k in squares or k == 0 else -1.0 for k in range(size)])
+    signs = np.vstack([*(np.roll(row, -k) for k in range(size)), -np.ones(size)])
+    return signs[:, :count]

@@ -1,0 +1,177 @@
+"""Motions tried on robots drawn within tolerances: is it certain enough that hardly any such robot is lost?
+
+Of n drawn robots k are lost; the share of all such robots that are lost is then with confidence c at most the
+quantile c of the beta distribution of k + 1 and n - k (Clopper and Pearson, Biometrika 26, 1934).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from itertools import count
+from typing import NamedTuple
+
+import numpy as np
+
+from ctr_nlp.exceptions import OptionError
+from ctr_nlp.models import Model
+from ctr_nlp.plan.plan import Plan
+from ctr_nlp.plan.robustness import CONFIDENCE, MOST_LOST, upper_bound
+from ctr_nlp.plan.sample_motions import find_failure_frames
+from ctr_nlp.plan.sample_outcomes import sample_outcomes
+from ctr_nlp.plan.verdicts import option, outcome_sentence
+from ctr_nlp.robot import Robot
+from ctr_nlp.robot.samples import perturb_robot, sample_robots
+from ctr_nlp.support.value_checks import number
+from ctr_nlp.typing import Array, Index
+
+MAX_JOINING_SAMPLES = 6
+"""Most lost robots that join the scenarios in one round."""
+MIN_TRIAL_SAMPLES, DRAFT_TRIAL_SAMPLES, TRIAL_SAMPLES_PER_BATCH = 500, 200, 50
+"""Least number of robots drawn for a whole motion, number for a draft, and how many are simulated at a time."""
+TRIAL_FIRST_SAMPLE_SEED = 2**40
+"""Seed of the first motion's robots, from which seeds count on: none that users try plans with."""
+CERTIFICATION_SAMPLES = 200
+"""Fresh robots on which the chosen plan is judged for arrival and contact: where at most 4 of them fail, at least
+95 % of all such robots hold with 95 % confidence.
+"""
+TOLERANCE_PART_BISECTIONS = 6
+"""Bisection steps for the part of the tolerances that a motion bears."""
+
+
+class FailedSamples(NamedTuple):
+    """Robots that were lost of those drawn for a motion.
+
+    numbers (L, d, 8): of their tubes. offsets (L, d): of their motors' zeros, rad. forces (L, 3): at their tips,
+    N. frames (L,): in which each was lost, from 1. sample_count: number of robots simulated. few: whether so few
+    are lost that hardly any robot within the tolerances is.
+    """
+
+    numbers: Array
+    offsets: Array
+    forces: Array
+    frames: Index
+    sample_count: int
+    few: bool
+
+    @property
+    def share(self) -> float:
+        """Share of the simulated robots that is lost."""
+        return len(self.frames) / self.sample_count
+
+
+@dataclass(frozen=True)
+class Trials:
+    """Judge of motions: robots drawn within a robot's tolerances, other ones for each motion.
+
+    motions: most motions that are tried. most_lost: share of all such robots that may be lost. What is said of the
+    last motion holds with 95 % confidence however many were tried before it, since each has its part of the 5 %
+    (Bonferroni). Raises OptionError.
+    """
+
+    robot: Robot
+    model: Model
+    motions: int
+    most_lost: float = MOST_LOST
+
+    def __post_init__(self) -> None:
+        number(OptionError, "most_lost", self.most_lost, lambda x: 0 < x < 1, "be more than 0 and less than 1")
+
+    @property
+    def confidence(self) -> float:
+        """Confidence with which a single motion is judged."""
+        return 1 - (1 - CONFIDENCE) / self.motions
+
+    @property
+    def samples_per_motion(self) -> int:
+        """Number of robots drawn for a motion: enough that none of them being lost proves what is asked for."""
+        # None of n lost: (1 - p)^n <= 1 - c, with p the share that may be lost and c the confidence.
+        return max(MIN_TRIAL_SAMPLES, math.ceil(math.log(1 - self.confidence) / math.log1p(-self.most_lost)))
+
+    @property
+    def allowed_failures(self) -> int:
+        """Number of these that may be lost."""
+        # The bound grows with the number lost: the last number below it is wanted.
+        bounds = (upper_bound(lost, self.samples_per_motion, self.confidence) for lost in count())
+        return next(lost for lost, bound in enumerate(bounds) if bound > self.most_lost) - 1
+
+    def __call__(self, q: Array, number: int, draft: bool = False) -> FailedSamples:
+        """Simulate the robots drawn for motion q (T, 2d + 2), which is number `number`, and return those that are
+        lost.
+
+        draft: whether it is a draft's motion, for which fewer robots are drawn, and few means none. Simulation
+        ends as soon as more are lost than may be.
+        """
+        draws = sample_robots(
+            self.robot, DRAFT_TRIAL_SAMPLES if draft else self.samples_per_motion, TRIAL_FIRST_SAMPLE_SEED + number
+        )
+        allowed, frames = 0 if draft else self.allowed_failures, np.zeros(0, dtype=int)
+        # The verdict is no once more than `allowed` are lost; but MAX_JOINING_SAMPLES of them are wanted as
+        # scenarios.
+        while len(frames) < len(draws) and (frames > 0).sum() < max(MAX_JOINING_SAMPLES, allowed + 1):
+            group = draws[len(frames) : len(frames) + TRIAL_SAMPLES_PER_BATCH]
+            frames = np.append(frames, find_failure_frames(self.robot, group, q, self.model))
+        gone = np.flatnonzero(frames)
+        found = draws[gone]
+        own = found.numbers, found.offsets, found.forces
+        return FailedSamples(*own, frames[gone], len(frames), len(gone) <= allowed)
+
+    def tolerated_part(self, q: Array, number: int) -> float:
+        """Return the part of the tolerances, below 1, at which few robots are lost on motion q; 0 where many are
+        at any.
+
+        number: of the motion, whose robots are drawn again and scaled.
+        """
+        draws, (low, high) = (
+            sample_robots(self.robot, self.samples_per_motion, TRIAL_FIRST_SAMPLE_SEED + number),
+            (0.0, 1.0),
+        )
+        for _ in range(TOLERANCE_PART_BISECTIONS):
+            part = (low + high) / 2
+            shrunk = perturb_robot(self.robot, part * draws.deviations, part * draws.backlash, part * draws.forces)
+            few = (find_failure_frames(self.robot, shrunk, q, self.model) > 0).sum() <= self.allowed_failures
+            low, high = (part, high) if few else (low, part)
+        # The lower end: few are known to be lost there.
+        return low
+
+    def certify_plan(self, plan: Plan, lost: FailedSamples, number: int) -> Plan:
+        """Certify a plan by robots that neither planning nor the choice among motions has seen.
+
+        Parameters
+        ----------
+        plan : Plan
+            The plan that was chosen.
+        lost : Lost
+            What the last trial of its motion found.
+        number : int
+            Of a motion that was not tried: robots are drawn for it alone.
+
+        Returns
+        -------
+        Plan
+            The same plan with these robots as its samples, and with ``meta["certificate"]``: ``held``, whether few
+            enough robots are lost; ``draws``, ``lost``, ``lost_in`` and ``borne`` of the last trial; ``samples``,
+            ``outcome``, ``holds`` and ``holds_at_least``: of how many fresh robots how many arrive and keep off
+            the wall as well, and the share of all robots that does so at least with 95 % confidence (Clopper and
+            Pearson); ``certified``: whether few are lost and that share is as large as asked for.
+        """
+        frames, counts = np.unique(lost.frames, return_counts=True)
+        plan = plan.with_samples(CERTIFICATION_SAMPLES, TRIAL_FIRST_SAMPLE_SEED + number)
+        outcomes = sample_outcomes(plan)
+        holds = int(outcomes.passed_all_checks.sum())
+        at_least = 1 - upper_bound(CERTIFICATION_SAMPLES - holds, CERTIFICATION_SAMPLES)
+        found = {
+            "held": lost.few,
+            "most_lost": self.most_lost,
+            "draws": lost.sample_count,
+            "lost": len(lost.frames),
+            "lost_in": dict(zip(map(str, frames.tolist()), counts.tolist(), strict=True)),
+            # Known without a search where few are lost at the whole tolerances.
+            "borne": 1.0 if lost.few else self.tolerated_part(plan.q, number),
+            "samples": CERTIFICATION_SAMPLES,
+            "outcome": outcome_sentence(outcomes),
+            "holds": holds,
+            "holds_at_least": at_least,
+            "certified": bool(lost.few and at_least >= float(option(plan, "share"))),
+        }
+        return replace(plan, meta=plan.meta | {"certificate": found})

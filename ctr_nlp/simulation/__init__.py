@@ -1,1 +1,0 @@
-"""Robots moved through configurations, as numbers: shapes, margins, snaps. Knows no program."""

@@ -1,0 +1,169 @@
+"""A plan for 3D Slicer, in the coordinates of the scan that its path was found in.
+
+Curves follow the schema markups-schema-v1.0.3.json of Slicer's Markups module, models the convention of its
+vtkMRMLModelStorageNode, which reads the coordinate system from the field SPACE. Everything is in LPS, the
+coordinates of DICOM, and says so; Slicer turns it into its own.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import numpy as np
+
+from ctr_nlp.anatomy.branch import transform_points
+from ctr_nlp.anatomy.formats.images import IMAGE_SPACE_TO_LPS
+from ctr_nlp.exceptions import OptionError
+from ctr_nlp.plan.plan import Plan
+from ctr_nlp.plan.summary_text import NOT_FOR_PATIENTS
+from ctr_nlp.support.extras import import_extra
+from ctr_nlp.typing import Array
+from ctr_nlp.view.exchange.surface import Surface, frames_with_shape, tube_surfaces, wall_surface
+from ctr_nlp.view.figures.parts.palette import BLACK, BLUE
+
+SCHEMA = (
+    "https://raw.githubusercontent.com/slicer/slicer/master/Modules/Loadable/Markups/Resources/Schema/"
+    "markups-schema-v1.0.3.json#"
+)
+SLICER_SPACES = ("LPS", "RAS")
+"""What a caller may say of a path whose file does not tell its coordinates."""
+UNSTATED = "xyz"
+"""The space of a file that does not tell it; see Problem."""
+SLICER_SCRIPT_FILE, SLICER_TUBES_FILE, SLICER_WALL_FILE = "load_in_slicer.py", "tubes.pvd", "wall.vtp"
+"""Names of files that are there once: the script for Slicer, what lists the tubes over time, the lumen's wall."""
+TEMPLATE = Path(__file__).parent / "templates" / SLICER_SCRIPT_FILE
+SLICER_DECIMALS = 6
+"""Decimals of coordinates: a millionth of a millimetre."""
+LINE_MM = 0.6
+"""Thickness of curves in Slicer, mm."""
+
+
+def slicer_files(plan: Plan, space: str | None = None) -> dict[str, str]:
+    """The files of a folder, by name, for 3D Slicer: texts in UTF-8.
+
+    For every frame that has a shape, numbered from 1: frames/robot_001.mrk.json and frames/target_001.mrk.json,
+    the 101 points at uniform sigma of the robot's centreline and of its target as open curves, and
+    frames/tubes_001.vtp, the tubes as surfaces with their outer diameters. tubes.pvd lists those with their times
+    in s; wall.vtp is the lumen's wall where it is known; load_in_slicer.py loads and films all of it in Slicer.
+    The script, and the first point of every curve, say that nothing here is validated for use on patients.
+    space: as to_scan. Raises OptionError, also where pyvista is missing, and OutputError where there is no shape.
+    """
+    to_lps, frames = to_scan(plan, space), frames_with_shape(plan)
+    digits = max(3, len(str(len(plan.time))))
+    numbers = {j: str(j + 1).zfill(digits) for j in frames}
+    found = {
+        SLICER_SCRIPT_FILE: TEMPLATE.read_text(encoding="utf-8"),
+        SLICER_TUBES_FILE: _collection(plan, numbers),
+    }
+    for j, number in numbers.items():
+        for name, points, colour in (("robot", plan.shape[j], BLUE), ("target", plan.target[j], BLACK)):
+            found[f"frames/{name}_{number}.mrk.json"] = _curve(name, transform_points(points, to_lps), colour)
+        found[tubes_file(number)] = _model(tube_surfaces(plan, j), to_lps, float(plan.time[j]))
+    wall = wall_surface(plan)
+    return found if wall is None else found | {SLICER_WALL_FILE: _model({0: wall}, to_lps)}
+
+
+def to_scan(plan: Plan, space: str | None = None) -> Array:
+    """The transform (4, 4) from the robot's base frame to the scan that the plan's path was found in, LPS, mm.
+
+    space: LPS or RAS, where the file of the path does not tell in which patient coordinates it is. A plan whose
+    path comes from no file is written in the coordinates that its path is given in. Raises OptionError where the
+    coordinates are not known, or told otherwise by the file.
+    """
+    stated = plan.meta["problem"].get("space", UNSTATED)
+    if stated in IMAGE_SPACE_TO_LPS:
+        if space not in (None, stated):
+            raise OptionError(f"space is {space}, but the file of the plan's path tells that it is in {stated}")
+    elif space is not None:
+        if space not in SLICER_SPACES:
+            raise OptionError(f"space is {space!r}; it must be one of {', '.join(SLICER_SPACES)}")
+        stated = space
+    elif stated is None or np.array_equal(plan.to_robot, np.eye(4)):
+        stated = "LPS"
+    else:
+        raise OptionError(
+            "the plan does not tell whether its path is in LPS or in RAS coordinates of the scan: its file does "
+            "not say so, or an earlier version made the plan; give --space LPS or --space RAS"
+        )
+    return np.asarray(IMAGE_SPACE_TO_LPS[stated] @ np.linalg.inv(plan.to_robot), dtype=float)
+
+
+def tubes_file(number: str) -> str:
+    """The name of the surfaces of a frame."""
+    return f"frames/tubes_{number}.vtp"
+
+
+def _curve(name: str, points: Array, colour: str) -> str:
+    """A markups file with one open curve through points (n, 3) in LPS, mm."""
+    controls: list[dict[str, Any]] = [
+        {"id": str(k), "label": f"{name}-{k}", "position": place, "positionStatus": "defined", "locked": True}
+        for k, place in enumerate((np.round(points, SLICER_DECIMALS) + 0.0).tolist(), start=1)
+    ]
+    controls[0]["description"] = NOT_FOR_PATIENTS  # the schema has no description of a whole curve
+    shades = [int(colour[k : k + 2], 16) / 255 for k in (1, 3, 5)]
+    display = {
+        "color": shades,
+        "selectedColor": shades,
+        "pointLabelsVisibility": False,
+        "propertiesLabelVisibility": False,
+        "useGlyphScale": False,
+        "glyphSize": LINE_MM / 2,
+        "lineDiameter": LINE_MM,
+        "curveLineSizeMode": "SetLineDiameter",
+        "handlesInteractive": False,
+    }
+    markup = {
+        "type": "Curve",
+        "name": name,
+        "coordinateSystem": "LPS",
+        "coordinateUnits": "mm",
+        "locked": True,
+        "controlPoints": controls,
+        "display": display,
+    }
+    return json.dumps({"@schema": SCHEMA, "markups": [markup]}, allow_nan=False) + "\n"
+
+
+def _model(surfaces: dict[int, Surface], to_lps: Array, time: float | None = None) -> str:
+    """A .vtp file with surfaces of the robot's base frame, each cell with the number of its tube, in LPS.
+
+    time: in s, kept in the field TimeValue.
+    """
+    pyvista, writing = import_extra("pyvista"), import_extra("vtkmodules.vtkIOXML")
+    sizes = np.cumsum([0, *(len(surface.points) for surface in surfaces.values())])[:-1]
+    triangles = [surface.triangles + first for surface, first in zip(surfaces.values(), sizes, strict=True)]
+    mirrored = np.linalg.det(to_lps[:3, :3]) < 0
+    mesh = pyvista.PolyData.from_regular_faces(
+        transform_points(_stack_rows([surface.points for surface in surfaces.values()]), to_lps),
+        _stack_rows(triangles).astype(int)[:, :: -1 if mirrored else 1],
+    )
+    mesh.point_data["Normals"] = _stack_rows([surface.normals for surface in surfaces.values()]) @ to_lps[:3, :3].T
+    mesh.cell_data["tube"] = np.repeat(list(surfaces), [len(each) for each in triangles]).astype(np.int32)
+    mesh.field_data["SPACE"] = ["LPS"]
+    if time is not None:
+        mesh.field_data["TimeValue"] = [time]
+    writer = writing.vtkXMLPolyDataWriter()
+    writer.SetInputData(mesh)
+    writer.SetDataModeToBinary()
+    writer.WriteToOutputStringOn()
+    writer.Write()
+    return str(writer.GetOutputString())
+
+
+def _stack_rows(parts: Sequence[Any]) -> Any:
+    """Rows of several arrays (n, 3), of none too."""
+    return np.vstack([np.zeros((0, 3)), *parts])
+
+
+def _collection(plan: Plan, numbers: dict[int, str]) -> str:
+    """The tubes over time, in the collection format of ParaView, which load_in_slicer.py reads too."""
+    root = ElementTree.Element("VTKFile", type="Collection", version="1.0")
+    listed = ElementTree.SubElement(root, "Collection")
+    for j, number in numbers.items():
+        ElementTree.SubElement(listed, "DataSet", timestep=f"{plan.time[j]:.9g}", file=tubes_file(number))
+    ElementTree.indent(root)
+    return ElementTree.tostring(root, encoding="unicode", xml_declaration=True) + "\n"

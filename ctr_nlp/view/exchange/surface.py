@@ -1,0 +1,85 @@
+"""Surfaces of what a plan shows: every tube where it is the outermost one, and the wall of the lumen."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from scipy.interpolate import CubicSpline
+
+from ctr_nlp.exceptions import OutputError
+from ctr_nlp.paths.lumen import tube_outer_radii, wall_mesh
+from ctr_nlp.paths.target import SIGMA_GRID
+from ctr_nlp.plan.plan import Plan
+from ctr_nlp.typing import Array
+
+TUBE_SURFACE_SIDES = 16
+"""Sides of the polygon that stands for a tube's cross-section."""
+WALL_SURFACE_SIDES = 24
+MIN_VISIBLE_TUBE_MM = 1e-3
+"""mm: a tube of which less is seen is left out."""
+
+
+class Surface(NamedTuple):
+    """Points (n, 3) mm, unit normals (n, 3) outwards, triangles (m, 3) that turn left seen from outside."""
+
+    points: Array
+    normals: Array
+    triangles: npt.NDArray[Any]
+
+
+def frames_with_shape(plan: Plan) -> list[int]:
+    """The frames, from 0, that have a shape; raises OutputError where none has."""
+    found: list[int] = np.flatnonzero(plan.reached_frames).tolist()
+    if not found:
+        raise OutputError("no frame of the plan has a shape; there is nothing to show")
+    return found
+
+
+def tube_surfaces(plan: Plan, frame: int) -> dict[int, Surface]:
+    """The visible part of every tube in a frame from 0, by the tube's number from 1, in the robot's base frame.
+
+    Each has the tube's outer diameter, and flat ends. Tubes of which nothing is seen are left out.
+    """
+    beta, radius = plan.beta[frame], tube_outer_radii(plan.robot)
+    found = {}
+    for i, (start, stop) in enumerate(zip(np.append(0.0, beta[:-1]), beta, strict=True)):
+        if stop - start >= MIN_VISIBLE_TUBE_MM:
+            s = SIGMA_GRID * beta[-1]
+            s = np.concatenate(
+                [[start], s[(s > start + MIN_VISIBLE_TUBE_MM / 2) & (s < stop - MIN_VISIBLE_TUBE_MM / 2)], [stop]]
+            )
+            centre = CubicSpline(SIGMA_GRID * beta[-1], plan.shape[frame])(s)
+            found[i + 1] = _sweep_capped_surface(np.column_stack([centre, np.full(len(s), radius[i])]))
+    return found
+
+
+def wall_surface(plan: Plan) -> Surface | None:
+    """The wall of the lumen in the robot's base frame, open at both ends; None where no lumen is known."""
+    return None if plan.lumen is None else _sweep_surface(plan.lumen, WALL_SURFACE_SIDES)
+
+
+def _sweep_surface(table: Array, sides: int) -> Surface:
+    """The surface around a path with a radius, a table (n, 4), mm."""
+    points, triangles = wall_mesh(table, sides)
+    outwards = points - np.repeat(table[:, :3], sides, axis=0)
+    return Surface(points, outwards / np.linalg.norm(outwards, axis=-1, keepdims=True), triangles)
+
+
+def _sweep_capped_surface(table: Array) -> Surface:
+    """The surface around a path with a radius, with a disc at either end."""
+    body = _sweep_surface(table, TUBE_SURFACE_SIDES)
+    points, normals, triangles = [body.points], [body.normals], [body.triangles]
+    for end, inner, ring in (
+        (0, 1, body.points[:TUBE_SURFACE_SIDES]),
+        (-1, -2, body.points[-TUBE_SURFACE_SIDES:]),
+    ):
+        outwards = table[end, :3] - table[inner, :3]
+        count = sum(map(len, points))
+        rim = count + 1 + np.arange(TUBE_SURFACE_SIDES)
+        disc = np.stack([np.full(TUBE_SURFACE_SIDES, count), rim, np.roll(rim, -1)], axis=-1)
+        points.append(np.vstack([table[end, :3], ring]))
+        normals.append(np.tile(outwards / np.linalg.norm(outwards), (TUBE_SURFACE_SIDES + 1, 1)))
+        triangles.append(disc[:, ::-1] if end == 0 else disc)
+    return Surface(np.vstack(points), np.vstack(normals), np.vstack(triangles))

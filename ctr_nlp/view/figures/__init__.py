@@ -1,0 +1,58 @@
+"""Plans to pictures: what the paper shows in its Figs. 4, 5, 6 and 8, for any plan; and pictures to files."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from matplotlib import rc_context
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.backends.backend_pdf import FigureCanvasPdf
+from matplotlib.backends.backend_svg import FigureCanvasSVG
+from matplotlib.figure import Figure
+
+from ctr_nlp.exceptions import OutputError
+from ctr_nlp.plan.plan import Plan
+from ctr_nlp.view.figures.errors import by_frame, errors
+from ctr_nlp.view.figures.film import check_film, film
+from ctr_nlp.view.figures.margins import clearance, stability
+from ctr_nlp.view.figures.motion import configuration, tracking
+from ctr_nlp.view.figures.overlay import shapes
+from ctr_nlp.view.figures.robustness_plot import robustness
+
+__all__ = ["check_film", "film", "save", "save_all", "tracking"]
+
+PICTURES = {"shapes": shapes, "errors": errors, "by_frame": by_frame, "configuration": configuration}
+"""Pictures of every plan, by the names of their files."""
+FIGURE_DPI = 150
+
+
+def save_all(plan: Plan, folder: str | Path) -> list[Path]:
+    """Write shapes.png, errors.png, by_frame.png, configuration.png; where known stability, clearance, robustness.
+
+    All are .png, in a folder that exists; returns where they lie. Raises OutputError where one cannot be written.
+    """
+    pictures = PICTURES | ({"stability": stability} if np.isfinite(plan.stability).any() else {})
+    pictures |= {} if plan.clearance is None else {"clearance": clearance}
+    pictures |= {} if plan.drawn is None else {"robustness": robustness}
+    return [save(picture(plan), Path(folder) / f"{name}.png") for name, picture in pictures.items()]
+
+
+def save(figure: Figure, path: Path) -> Path:
+    """Write a picture, as lines and text where its name ends in .pdf or .svg, to the same bytes every time.
+
+    Raises OutputError where it cannot be written.
+    """
+    try:
+        figure.set_dpi(FIGURE_DPI)
+        if path.suffix == ".pdf":
+            FigureCanvasPdf(figure).print_pdf(path, metadata={"CreationDate": None})
+        elif path.suffix == ".svg":
+            with rc_context({"svg.hashsalt": "ctr-nlp"}):
+                FigureCanvasSVG(figure).print_svg(path, metadata={"Date": None})
+        else:
+            canvas = FigureCanvasAgg(figure)  # Figure.savefig draws a laid-out figure twice
+            canvas.print_png(path)
+    except OSError as error:
+        raise OutputError(f"{path} cannot be written: {error}") from error
+    return path

@@ -1,0 +1,166 @@
+"""The branches of a file of anatomy, from the front, from the side and from below."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import matplotlib
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patheffects import withStroke
+
+from ctr_nlp.typing import Array
+from ctr_nlp.view.figures.parts.page import STYLE, label_text, printable
+from ctr_nlp.view.figures.parts.palette import BLACK, tube_colour, tube_width
+
+TREE_PANELS_SIZE_IN = 6.5
+"""Inches that the larger of width and height of all panels may take."""
+MIN_TREE_PANEL_FRACTION = 0.2
+"""Least extent of a panel's side as part of the largest."""
+TREE_PANEL_MARGIN_FACTOR = 1.22
+"""Extent of a panel by that of what it shows, with room for numbers at the tips."""
+TREE_PANEL_GAP_IN, TREE_LEFT_MARGIN_IN, TREE_RIGHT_MARGIN_IN, TREE_TOP_MARGIN_IN, TREE_BOTTOM_MARGIN_IN = (
+    0.75,
+    0.75,
+    0.25,
+    0.8,
+    0.6,
+)
+"""Inches between and around panels."""
+TREE_LABEL_DISTANCES_PT, POINTS_PER_INCH = (8.0, 13.0, 18.0, 23.0), 72.0
+"""How far from its tip a number may stand, in points, the first also being how far from other numbers."""
+TREE_KEY_WIDTH_IN, TREE_KEY_LINE_HEIGHT_IN = 2.6, 0.17
+"""Inches that the key and each line of it take."""
+PATIENT_LEFT_RIGHT_LETTERS, REVERSED_AXIS_LETTERS = "LR", "RAI"
+"""Directions of a patient's first axis, and those of any axis that are drawn the other way round."""
+TREE_LABEL_TIP_LENGTH_MM = 8.0
+"""The last stretch of a branch, whose direction says where its number goes."""
+
+
+class Projection(NamedTuple):
+    """Which axes go across and up, and from where a patient is seen so."""
+
+    across: int
+    up: int
+    title: str
+
+
+VIEW_FROM_FRONT, VIEW_FROM_LEFT, VIEW_FROM_BELOW = (
+    Projection(0, 2, "from the front"),
+    Projection(1, 2, "from the left"),
+    Projection(0, 1, "from below"),
+)
+
+
+@matplotlib.rc_context(STYLE)
+def tree(paths: Sequence[Array], names: Sequence[str], title: str, directions: str = "xyz") -> Figure:
+    """Branches to scale, from paths (n, 3) in mm, numbered at their tips.
+
+    directions: in which x, y, z grow, such as LPS or RAS; they name the axes, and these are turned as radiologists
+    turn them, with the patient's left on the right of the picture. Other letters name the axes and turn none.
+    """
+    every = np.concatenate(paths)
+    low, high = every.min(axis=0), every.max(axis=0)
+    side = np.maximum(high - low, MIN_TREE_PANEL_FRACTION * (high - low).max()) * TREE_PANEL_MARGIN_FACTOR
+    figure, panels = _panels(side)
+    for view, axes in zip((VIEW_FROM_FRONT, VIEW_FROM_LEFT, VIEW_FROM_BELOW), panels, strict=True):
+        _frame(axes, view, (low + high) / 2, side, directions)
+        _draw(axes, view, paths, figure.dpi)
+    _key(figure, panels, paths, names)
+    figure.suptitle("\n".join(map(printable, title.splitlines())), fontsize=10, parse_math=False)
+    return figure
+
+
+def _panels(side: Array) -> tuple[Figure, list[Axes]]:
+    """Three panels of one scale: front, to its right the side, beneath it the view from below."""
+    inches = TREE_PANELS_SIZE_IN / max(side[0] + side[1], side[2] + side[1])
+    across, deep, tall = side * inches
+    key = 0.0 if deep >= TREE_KEY_WIDTH_IN else TREE_KEY_WIDTH_IN - deep
+    size = (
+        TREE_LEFT_MARGIN_IN + across + TREE_PANEL_GAP_IN + deep + TREE_RIGHT_MARGIN_IN + key,
+        TREE_BOTTOM_MARGIN_IN + deep + TREE_PANEL_GAP_IN + tall + TREE_TOP_MARGIN_IN,
+    )
+    figure = Figure(figsize=size)
+
+    def panel(left: float, bottom: float, width: float, height: float) -> Axes:
+        return figure.add_axes((left / size[0], bottom / size[1], width / size[0], height / size[1]))
+
+    upper, right = (
+        TREE_BOTTOM_MARGIN_IN + deep + TREE_PANEL_GAP_IN,
+        TREE_LEFT_MARGIN_IN + across + TREE_PANEL_GAP_IN,
+    )
+    return figure, [
+        panel(TREE_LEFT_MARGIN_IN, upper, across, tall),
+        panel(right, upper, deep, tall),
+        panel(TREE_LEFT_MARGIN_IN, TREE_BOTTOM_MARGIN_IN, across, deep),
+    ]
+
+
+def _frame(axes: Axes, view: Projection, middle: Array, side: Array, directions: str) -> None:
+    across, up = view.across, view.up
+    low, high = middle - side / 2, middle + side / 2
+    axes.set_xlim(low[across], high[across])
+    axes.set_ylim(low[up], high[up])
+    if directions[across] in REVERSED_AXIS_LETTERS:
+        axes.invert_xaxis()
+    named = directions[0] in PATIENT_LEFT_RIGHT_LETTERS
+    if (directions[up] in REVERSED_AXIS_LETTERS) != (view is VIEW_FROM_BELOW and named):
+        axes.invert_yaxis()
+    axes.set_xlabel(f"{directions[across]} (mm)")
+    axes.set_ylabel(f"{directions[up]} (mm)")
+    axes.set_title(view.title if named else "")
+    axes.locator_params(nbins=5)
+
+
+def _draw(axes: Axes, view: Projection, paths: Sequence[Array], dpi: float) -> None:
+    """The branches, later ones thinner, so that all are seen where they share a trunk; then their numbers."""
+    for k, path in enumerate(paths):
+        across, up = path[:, [view.across, view.up]].T
+        axes.plot(across, up, color=tube_colour(k), lw=tube_width(k, len(paths)), solid_capstyle="round")
+    for root in {tuple(np.round(path[0], 3)) for path in paths}:
+        axes.plot(root[view.across], root[view.up], "o", ms=5, mfc="white", mec=BLACK, zorder=5)
+    edge = [withStroke(linewidth=2, foreground="white")]
+    look: dict[str, Any] = {"color": BLACK, "fontsize": 8, "path_effects": edge, "zorder": 6}
+    for number, place in enumerate(_places(axes, view, paths, dpi), start=1):
+        axes.annotate(
+            str(number),
+            (float(place[0]), float(place[1])),
+            xycoords="figure points",
+            ha="center",
+            va="center",
+            **look,
+        )
+
+
+def _places(axes: Axes, view: Projection, paths: Sequence[Array], dpi: float) -> list[Array]:
+    """Where numbers go, in points on the page: ahead of the tips, and off one another while that is near."""
+    places: list[Array] = []
+    for path in paths:
+        before = np.flatnonzero(np.linalg.norm(path - path[-1], axis=1) > TREE_LABEL_TIP_LENGTH_MM)
+        ends = path[[before[-1] if before.size else 0, -1]][:, [view.across, view.up]]
+        behind, tip = axes.transData.transform(ends) * POINTS_PER_INCH / dpi
+        ahead = (tip - behind) / max(np.linalg.norm(tip - behind), 1e-9)
+        tried = [tip + distance * ahead for distance in TREE_LABEL_DISTANCES_PT]
+        gaps = [min((float(np.linalg.norm(place - other)) for other in places), default=np.inf) for place in tried]
+        places.append(tried[int(np.argmax(np.minimum(gaps, TREE_LABEL_DISTANCES_PT[0])))])
+    return places
+
+
+def _key(figure: Figure, panels: list[Axes], paths: Sequence[Array], names: Sequence[str]) -> None:
+    """Names and lengths, in the free corner."""
+    corner = panels[1].get_position().x0, panels[2].get_position().y1
+    room = int(corner[1] * figure.get_figheight() / TREE_KEY_LINE_HEIGHT_IN) - 2
+    entries = []
+    for k, (path, name) in enumerate(list(zip(paths, names, strict=True))[:room]):
+        length = np.linalg.norm(np.diff(path, axis=0), axis=1).sum()
+        label = label_text(f"{k + 1}  {name[:24]}, {length:.0f} mm")
+        entries.append(Line2D([], [], color=tube_colour(k), lw=2.5, label=label))
+    if len(paths) > room:
+        entries.append(Line2D([], [], ls="", label=f"and {len(paths) - room} more"))
+    entries.append(Line2D([], [], ls="", marker="o", mfc="white", mec=BLACK, ms=5, label="start"))
+    legend = figure.legend(handles=entries, loc="upper left", bbox_to_anchor=corner, borderaxespad=0)
+    for text in legend.get_texts():
+        text.set_parse_math(False)

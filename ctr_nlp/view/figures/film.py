@@ -1,0 +1,128 @@
+"""Plans as films: robots that move, side by side and in step, over their errors."""
+
+from __future__ import annotations
+
+import subprocess
+import textwrap
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import matplotlib
+import numpy as np
+from matplotlib.animation import FFMpegWriter, PillowWriter
+from matplotlib.figure import Figure
+
+from ctr_nlp.exceptions import OptionError, OutputError
+from ctr_nlp.plan import metrics, summary_text
+from ctr_nlp.plan.plan import Plan
+from ctr_nlp.support.atomic_write import write_atomically
+from ctr_nlp.typing import Array
+from ctr_nlp.view.figures.errors import CURVES
+from ctr_nlp.view.figures.overlay import TARGET_LINE_STYLE
+from ctr_nlp.view.figures.parts.page import STYLE, by_frames, curve, legend_of, outcome, printable
+from ctr_nlp.view.figures.parts.palette import BLACK
+from ctr_nlp.view.figures.parts.space import RobotLines, add_space_axes, fit_box, key, points_of_all, span
+
+WRITERS: dict[str, Any] = {".gif": PillowWriter, ".mp4": FFMpegWriter}
+"""What writes a film, by the suffix of its file."""
+FILM_COLUMN_WIDTH_IN, FILM_HEIGHT_IN, FILM_DPI = 4.8, 7.2, 100
+"""Inches of a plan's column; whole and even numbers of pixels, as H.264 needs them."""
+FILM_TITLE_LINE_CHARACTERS = 64
+"""Characters of a title's line, which fit into a column."""
+MIN_FILM_DURATION_S, MAX_FILM_DURATION_S = 2.0, 60.0
+"""s that a film lasts, however short or long its plans are."""
+MAX_FILM_PICTURES_PER_S, MAX_FILM_PICTURES = 25, 300
+"""Most pictures a second, and in all."""
+
+
+def check_film(path: str | Path) -> None:
+    """Raise OptionError where a film of that name cannot be made: by its suffix, or since ffmpeg is missing."""
+    suffix = Path(path).suffix.lower()
+    if suffix not in WRITERS:
+        raise OptionError(f"film is {str(path)!r}; its suffix must be {' or '.join(WRITERS)}")
+    if not WRITERS[suffix].isAvailable():
+        raise OptionError(
+            f"film is {str(path)!r} and ffmpeg is missing; install it, or name a .gif, which needs none"
+        )
+
+
+@matplotlib.rc_context(STYLE | {"animation.codec": "h264"})
+def film(
+    plans: Sequence[Plan], path: str | Path, progress: Callable[[int, int, str], None] = lambda *_: None
+) -> Path:
+    """Write a film of plans side by side: tubes, targets, walls where known, and errors; returns its path.
+
+    It lasts as long as the longest plan, within 2 to 60 s. Plans with other numbers of frames or durations play in
+    step: at every moment each is at the same part of its own. A frame that was never reached shows its target
+    alone. A file that exists is replaced. Raises OptionError for a path as check_film, and without plans;
+    OutputError where it cannot be written.
+    """
+    check_film(path)
+    if not plans:
+        raise OptionError("plans is empty; a film needs at least one")
+    target = Path(path)
+    seconds = float(np.clip(max(plan.time[-1] for plan in plans), MIN_FILM_DURATION_S, MAX_FILM_DURATION_S))
+    count = min(max(len(plan.time) for plan in plans), round(seconds * MAX_FILM_PICTURES_PER_S), MAX_FILM_PICTURES)
+    figure, columns = _stage(plans)
+    writer = WRITERS[target.suffix.lower()](fps=count / seconds)
+    try:
+        target.parent.mkdir(parents=True, exist_ok=True)
+        with write_atomically(target) as partial, writer.saving(figure, str(partial), FILM_DPI):
+            for k in range(1, count + 1):
+                for column in columns:
+                    column.show(k / count)
+                writer.grab_frame()
+                progress(k, count, "pictures of the film")
+    except (OSError, subprocess.CalledProcessError) as error:
+        raise OutputError(f"film {target} cannot be written: {error}") from error
+    return target
+
+
+def _stage(plans: Sequence[Plan]) -> tuple[Figure, list[_Column]]:
+    """The picture before anything moves; shapes of all plans at one scale, errors too."""
+    figure = Figure(figsize=(FILM_COLUMN_WIDTH_IN * len(plans), FILM_HEIGHT_IN), dpi=FILM_DPI)
+    shown = [points_of_all([plan.shape, plan.target], plan.lumen) for plan in plans]
+    side = np.max([span(points) for points in shown], axis=0)
+    columns = [
+        _Column(figure, k / len(plans), 1 / len(plans), plan, points, side)
+        for k, (plan, points) in enumerate(zip(plans, shown, strict=True))
+    ]
+    highest = max(column.errors.get_ylim()[1] for column in columns)
+    for column in columns:
+        column.errors.set_ylim(0.0, highest)
+    handles = key(max(plan.robot.d for plan in plans), any(plan.lumen is not None for plan in plans))
+    curves = legend_of(*(column.errors for column in columns))
+    figure.legend(handles=[*handles, *curves.values()], loc="lower center", ncols=4 * len(plans))
+    return figure, columns
+
+
+class _Column:
+    """One plan: its robot above, its errors below."""
+
+    def __init__(self, figure: Figure, left: float, width: float, plan: Plan, points: Array, side: Array) -> None:
+        self._plan, numbers = plan, metrics.summary(plan)
+        space = add_space_axes(figure, (left, 0.31, width, 0.605), plan.lumen)
+        self._target = space.plot([], [], [], zorder=5, **TARGET_LINE_STYLE)[0]
+        self._body = RobotLines(space, plan.robot.d)
+        fit_box(space, points, side)
+        title = textwrap.fill(printable(summary_text.title(numbers)), FILM_TITLE_LINE_CHARACTERS)
+        told = f"{title}\n{outcome(numbers)}"
+        figure.text(left + width / 2, 0.985, told, ha="center", va="top", parse_math=False)
+        self._now = figure.text(left + width / 2, 0.91, "", ha="center", va="center")
+        self.errors = figure.add_axes((left + 0.13 * width, 0.125, 0.82 * width, 0.125))
+        distance, frames = metrics.e1(plan), by_frames(self.errors, plan)
+        curve(self.errors, frames, distance.max(axis=1), **CURVES["max"])
+        curve(self.errors, frames, metrics.rms_over_sigma(distance), **CURVES["e2"])
+        self.errors.set_ylabel("distance (mm)")
+        self._cursor = self.errors.axvline(0.0, color=BLACK, lw=1.0)
+
+    def show(self, part: float) -> None:
+        """The frame at a part of the motion, in (0, 1]."""
+        plan = self._plan
+        j = int(np.ceil(part * len(plan.time) - 1e-9)) - 1
+        state = "" if plan.success[j] else ", failed" if plan.reached_frames[j] else ", not reached"
+        self._body.show(plan.shape[j], plan.beta[j])
+        self._target.set_data_3d(*plan.target[j].T)
+        self._now.set_text(f"frame {j + 1} of {len(plan.time)}, {plan.time[j]:.2f} s{state}")
+        self._cursor.set_xdata([j + 1, j + 1])

@@ -1,0 +1,166 @@
+"""What windows show: a motion while it is solved for, and a robot while it is moved."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.ticker import MaxNLocator
+
+from ctr_nlp.models import KINEMATIC_MODELS
+from ctr_nlp.paths.target import SIGMA_GRID
+from ctr_nlp.plan.metrics import summary
+from ctr_nlp.plan.plan import Plan
+from ctr_nlp.robot import Robot
+from ctr_nlp.typing import Array
+from ctr_nlp.view.figures.overlay import TARGET_LINE_STYLE
+from ctr_nlp.view.figures.parts.page import outcome, printable
+from ctr_nlp.view.figures.parts.palette import BLACK, BLUE, FAILED_FRAME_COLOUR
+from ctr_nlp.view.figures.parts.space import RobotLines, add_space_axes, fit_box, key, points_of_all
+
+LIVE_SHAPE_FRAMES = 5
+"""Frames whose shapes are drawn."""
+
+
+class SolverState(NamedTuple):
+    """Where a solver is. objective (n,), mean over frames, mm^2, and error (n,), KKT residual: of all iterates.
+
+    motion (T, 2d + 2): the newest one's unknowns.
+    """
+
+    objective: Array
+    error: Array
+    motion: Array
+
+
+@dataclass
+class SolverPicture:
+    """The picture of a motion in the making; states are Stage, and at last a Plan.
+
+    target (T, 101, 3) mm; lumen (N, 4) mm, where known.
+    """
+
+    name: str
+    robot: Robot
+    model: str
+    target: Array
+    lumen: Array | None
+    size = (9.6, 7.0)
+
+    def begin(self, figure: Figure) -> None:
+        """Draw what stays: box, wall, insertion point and targets."""
+        axes = add_space_axes(figure, (0.0, 0.08, 0.5, 0.84), self.lumen)
+        count = len(self.target)
+        self._frames = np.unique(
+            np.ceil(np.arange(1, LIVE_SHAPE_FRAMES + 1) * count / LIVE_SHAPE_FRAMES).astype(int) - 1
+        )
+        self._bodies = [RobotLines(axes, self.robot.d) for _ in self._frames]
+        for j in self._frames:
+            axes.plot(*self.target[j].T, zorder=5, **TARGET_LINE_STYLE)
+        fit_box(axes, points_of_all([self.target], self.lumen))
+        self._curves = list[tuple[Axes, Line2D]]()
+        for row, (label, colour) in enumerate((("objective (mm²)", BLUE), ("KKT residual", BLACK))):
+            panel = figure.add_axes((0.6, 0.57 - 0.4 * row, 0.36, 0.33))
+            panel.set_yscale("log")
+            panel.set_ylabel(label)
+            self._curves.append((panel, panel.plot([], [], color=colour, lw=0.8, marker=".", ms=2)[0]))
+            panel.xaxis.set_major_locator(MaxNLocator(integer=True))
+        panel.set_xlabel("iterate, of all starts")
+        title = printable(f"{self.name}: the motion while it is solved for")
+        figure.suptitle(title, fontsize=10, parse_math=False)
+        self._now = figure.text(0.25, 0.925, "looking for motions to start from", ha="center", va="center")
+        figure.legend(handles=key(self.robot.d, self.lumen is not None), loc="lower center", ncols=6)
+
+    def show(self, state: SolverState | Plan) -> None:
+        """The newest motion and all iterates; or a plan, in their place."""
+        if isinstance(state, Plan):
+            shapes, beta = state.shape[self._frames], state.beta[self._frames]
+            self._show(shapes, beta, f"the plan: {outcome(summary(state))}")
+            return
+        motion = state.motion[self._frames]
+        shapes, beta = (
+            KINEMATIC_MODELS[self.model].points(self.robot, motion, SIGMA_GRID),
+            self.robot.split(motion)[1],
+        )
+        for (panel, line), values in zip(self._curves, (state.objective, state.error), strict=True):
+            line.set_data(np.arange(len(values)), np.where(values > 0, values, np.nan))
+            panel.relim()
+            panel.autoscale_view()
+        number = np.isfinite(state.error).sum()
+        self._show(shapes, beta, f"iterate {number}, objective {state.objective[-1]:.4g} mm²")
+
+    def _show(self, shapes: Array, beta: Array, words: str) -> None:
+        for body, shape, row in zip(self._bodies, shapes, beta, strict=True):
+            body.show(shape, row)
+        self._now.set_text(f"frames {', '.join(str(j + 1) for j in self._frames)}; {words}")
+
+
+COMMANDED: dict[str, Any] = {"color": FAILED_FRAME_COLOUR, "lw": 8.0, "zorder": 3}
+"""A broad light band, which the robot is to lie in."""
+
+
+class PlaybackState(NamedTuple):
+    """A moment. state: in words; frame: the last that was passed, 0 for none; time: s of the program.
+
+    measured, commanded: q (2d + 2,).
+    """
+
+    state: str
+    frame: int
+    time: float
+    measured: Array
+    commanded: Array
+
+
+@dataclass
+class PlaybackPicture:
+    """The picture of a plan that is played; states are Now."""
+
+    plan: Plan
+    size = (5.2, 7.0)
+
+    def begin(self, figure: Figure) -> None:
+        """Draw what stays: box, wall, insertion point."""
+        plan = self.plan
+        axes = add_space_axes(figure, (0.0, 0.08, 1.0, 0.84), plan.lumen)
+        self._commanded = (
+            RobotLines(axes, plan.robot.d, **COMMANDED),
+            ShapeContinuation(plan.robot, plan.evaluated_model_name),
+        )
+        self._measured = RobotLines(axes, plan.robot.d), ShapeContinuation(plan.robot, plan.evaluated_model_name)
+        self._target = axes.plot([], [], [], zorder=5, **TARGET_LINE_STYLE)[0]
+        fit_box(axes, points_of_all([plan.shape, plan.target], plan.lumen))
+        figure.suptitle(printable(f"{plan.meta['problem']['name']}, played"), fontsize=10, parse_math=False)
+        self._now = figure.text(0.5, 0.925, "waiting", ha="center", va="center")
+        commanded = Line2D([], [], label="commanded", **{name: COMMANDED[name] for name in ("color", "lw")})
+        figure.legend(handles=[*key(plan.robot.d, plan.lumen is not None), commanded], loc="lower center", ncols=4)
+
+    def show(self, state: PlaybackState) -> None:
+        """A moment; nothing is drawn of a robot whose equilibrium is lost."""
+        d, plan = self.plan.robot.d, self.plan
+        for (body, shape), q in ((self._commanded, state.commanded), (self._measured, state.measured)):
+            body.show(shape(q), q[d : 2 * d])
+        self._target.set_data_3d(*plan.target[np.clip(state.frame, 1, len(plan.time)) - 1].T)
+        where = f"frame {state.frame} of {len(plan.time)}" if state.frame else "on the way to frame 1"
+        self._now.set_text(f"{state.state}, {where}, {state.time:.1f} s")
+
+
+class ShapeContinuation:
+    """Shapes of one robot at one configuration after the other, each equilibrium from the one before."""
+
+    def __init__(self, robot: Robot, model: str) -> None:
+        self._robot, self._model = robot, KINEMATIC_MODELS[model]
+        self._before: tuple[Array, Array] | None = None
+
+    def __call__(self, q: Array) -> Array:
+        """The shape (101, 3) mm at q (2d + 2,); NaN where no equilibrium is found."""
+        passage, x0 = (
+            (q[None], None) if self._before is None else (np.stack([self._before[0], q]), self._before[1])
+        )
+        x = self._model.follow(self._robot, passage, x0).x[-1]
+        self._before = (q, x) if np.isfinite(x).all() else None
+        return self._model.points(self._robot, x[None], SIGMA_GRID)[0]

@@ -1,0 +1,164 @@
+"""Colours of live numbers: along the robot, in a legend, and behind the numbers themselves."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from matplotlib import colormaps
+from matplotlib.colors import to_hex, to_rgb
+
+from ctr_nlp.paths.lumen import outermost_tube_index
+from ctr_nlp.paths.target import SIGMA_GRID
+from ctr_nlp.plan.verdicts import NOT_CHECKED
+from ctr_nlp.robot import Robot
+from ctr_nlp.typing import Array
+from ctr_nlp.view.figures.parts.palette import CONTACT, ERROR_COLOUR_MAP, ORANGE, SKY, VERMILLION, tube_colour
+from ctr_nlp.view.live.steered.session import SessionState
+
+Colours = npt.NDArray[np.uint8]
+"""(n, 3), red, green and blue."""
+MIDDLES = (SIGMA_GRID[1:] + SIGMA_GRID[:-1]) / 2
+"""Normalised arc lengths (100,) of the pieces that a robot is drawn of."""
+LARGE_ERROR_MM, LARGE_CLEARANCE_MM = 5.0, 3.0
+"""mm at the far ends of the scales of error and clearance."""
+COLOUR_BY_ERROR, COLOUR_BY_CLEARANCE, COLOUR_BY_TUBE = "error", "clearance", "tube"
+"""Quantities that the robot may be coloured by."""
+LEGEND_COLOUR_COUNT = 9
+"""Colours that a legend is made of."""
+
+
+def piece_colours(robot: Robot, seen: SessionState, by: str) -> Colours:
+    """Return a colour for each of the 100 pieces of the robot, by error, clearance or tube."""
+    if by == COLOUR_BY_ERROR:
+        return _shades(_between(seen.error) / LARGE_ERROR_MM)
+    if by == COLOUR_BY_CLEARANCE and seen.clearance is not None:
+        room = _between(seen.clearance)
+        return np.where(room[:, None] < 0, _bytes(CONTACT), _shades(1 - room / LARGE_CLEARANCE_MM))
+    beta = robot.split(seen.q)[1]
+    return np.array([_bytes(tube_colour(i)) for i in range(robot.d)])[outermost_tube_index(beta[None], MIDDLES)[0]]
+
+
+def legend(robot: Robot, by: str) -> str:
+    """Return the legend of the colours as a piece of HTML; `by` is `COLOUR_BY_ERROR`, `COLOUR_BY_CLEARANCE` or
+    `COLOUR_BY_TUBE`.
+    """
+    if by == COLOUR_BY_TUBE:
+        return " ".join(_patch(tube_colour(i), f"tube {i + 1}") for i in range(robot.d))
+    part = np.linspace(0.0, 1.0, LEGEND_COLOUR_COUNT)
+    colours = ", ".join(to_hex(colour / 255) for colour in _shades(part if by == COLOUR_BY_ERROR else 1 - part))
+    bar = f'<div style="height:10px;background:linear-gradient(to right, {colours})"></div>'
+    most = LARGE_ERROR_MM if by == COLOUR_BY_ERROR else LARGE_CLEARANCE_MM
+    told = (
+        "distance from the target at equal arc length" if by == COLOUR_BY_ERROR else "room between tubes and wall"
+    )
+    contact = f" {_patch(CONTACT, 'contact')}" if by == COLOUR_BY_CLEARANCE else ""
+    return f"{bar}<small>0 to {most:g} mm: {told}{contact}</small>"
+
+
+class RatedNumber(NamedTuple):
+    """A number as it is shown: its name, the number with its unit, a word on it, and a colour behind the word."""
+
+    name: str
+    number: str
+    word: str
+    colour: str
+
+
+GOOD_COLOUR, CAUTION_COLOUR, BAD_COLOUR = SKY, ORANGE, VERMILLION
+CLOSE_ERROR_MM, FAR_ERROR_MM = 1.0, 3.0
+"""mm of error e2 up to which the robot is called close to its target, and above which far from it."""
+TIGHT_CLEARANCE_MM = 0.5
+"""mm of clearance below which it is called tight."""
+
+
+def rate_numbers(seen: SessionState, required_margin: float | None) -> list[RatedNumber]:
+    """Return the numbers of a moment with words on them; `required_margin` is the least stability margin that
+    steering keeps, None for any.
+    """
+    e2, tip = seen.e2, float(seen.error[-1])
+    how = (
+        ("close", GOOD_COLOUR)
+        if e2 <= CLOSE_ERROR_MM
+        else ("near", CAUTION_COLOUR)
+        if e2 <= FAR_ERROR_MM
+        else ("far", BAD_COLOUR)
+    )
+    found = [
+        RatedNumber("shape error e2", f"{e2:.2f} mm", *how),
+        RatedNumber("tip error", f"{tip:.2f} mm", "", ""),
+    ]
+    if np.isfinite(seen.e3):
+        found.append(RatedNumber("recorded, e3", f"{seen.e3:.2f} mm", "", ""))
+    found.append(_margin(seen, required_margin or 0.0))
+    if seen.clearance is not None:
+        least = float(seen.clearance.min())
+        room = (
+            ("free", GOOD_COLOUR)
+            if least > TIGHT_CLEARANCE_MM
+            else ("tight", CAUTION_COLOUR)
+            if least >= 0
+            else ("contact", BAD_COLOUR)
+        )
+        found.append(RatedNumber("least clearance", f"{least:.2f} mm", *room))
+    if len(seen.lost):
+        lost = int(seen.lost.sum())
+        all_kept = ("none lost", GOOD_COLOUR) if not lost else ("some lost", BAD_COLOUR)
+        found.append(RatedNumber("sampled robots lost", f"{lost} of {len(seen.lost)}", *all_kept))
+    return found
+
+
+def _margin(seen: SessionState, required_margin: float) -> RatedNumber:
+    if not np.isfinite(seen.margin):
+        return RatedNumber(
+            "stability margin", "", f"{NOT_CHECKED}: this model cannot predict snapping", CAUTION_COLOUR
+        )
+    how = (
+        ("stable", GOOD_COLOUR)
+        if seen.margin > 2 * required_margin
+        else ("little", CAUTION_COLOUR)
+        if seen.margin > 0
+        else ("unstable", BAD_COLOUR)
+    )
+    return RatedNumber("stability margin", f"{seen.margin:.3f}", *how)
+
+
+FIGURES = "text-align:right;font-variant-numeric:tabular-nums"
+"""How numbers stand below each other."""
+
+
+def table(rows: list[RatedNumber]) -> str:
+    """Judged numbers as a piece of HTML."""
+    lines = [
+        f'<tr><td>{row.name}</td><td style="{FIGURES}"><b>{row.number}</b></td>'
+        f"<td>{_patch(row.colour, row.word) if row.colour else row.word}</td></tr>"
+        for row in rows
+    ]
+    return f'<table style="width:100%;font-size:0.85em">{"".join(lines)}</table>'
+
+
+def _patch(colour: str, word: str) -> str:
+    """A word on a colour, black or white as can be read better."""
+    red, green, blue = to_rgb(colour)
+    ink = "black" if 0.299 * red + 0.587 * green + 0.114 * blue > 0.45 else "white"
+    return f'<span style="background:{colour};color:{ink};padding:0 5px;border-radius:3px">{word}</span>'
+
+
+def _between(values: Array) -> Array:
+    """Interpolate values at the samples (101,) along the robot to the middles (100,) of its pieces."""
+    return np.asarray((values[1:] + values[:-1]) / 2)
+
+
+_ERROR_COLOUR_TABLE = np.round(255 * colormaps[ERROR_COLOUR_MAP](np.linspace(0.0, 1.0, 256))[:, :3]).astype(
+    np.uint8
+)
+
+
+def _shades(part: Array) -> Colours:
+    """Return colours for numbers (n,) from 0, good, to 1, bad; NaN counts as bad."""
+    return np.asarray(_ERROR_COLOUR_TABLE[np.clip(255 * np.nan_to_num(part, nan=1.0), 0, 255).astype(int)])
+
+
+def _bytes(colour: str) -> Colours:
+    return np.round(255 * np.array(to_rgb(colour))).astype(np.uint8)

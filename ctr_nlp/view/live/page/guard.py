@@ -1,0 +1,91 @@
+"""Whom the server of the page answers: the page itself, and programs that call it by its own name."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from functools import cache
+from http import HTTPStatus
+from typing import Any
+
+from ctr_nlp.support.extras import import_extra
+from ctr_nlp.support.same_origin import is_same_origin_request
+
+REFUSED = "This server answers only its own page.\n"
+UNREADABLE = "a message to the live page could not be read: %s"
+
+
+@contextmanager
+def guard_websocket_server(host: str) -> Iterator[Callable[[], bool]]:
+    """Guard the WebSocket server that viser starts within the block.
+
+    Viser has no option for this. Its server is therefore made with a check before viser's own: requests of other
+    pages, and for other hosts, are answered with 403. Messages that cannot be read are logged in one line each.
+
+    Parameters
+    ----------
+    host : str
+        The host that the server listens on.
+
+    Yields
+    ------
+    callable
+        Says whether a server was started and is guarded.
+    """
+    module, started = import_extra("websockets.asyncio.server"), list[str]()
+    serve = module.serve
+
+    def serve_own(handler: Any, *where: Any, process_request: Any = None, **options: Any) -> Any:
+        def check(connection: Any, request: Any) -> Any:
+            hosts, origins = (request.headers.get_all(name) for name in ("Host", "Origin"))
+            if not is_same_origin_request(hosts, origins, host, connection.local_address[:2]):
+                return connection.respond(HTTPStatus.FORBIDDEN, REFUSED)
+            return None if process_request is None else process_request(connection, request)
+
+        asyncio.get_running_loop().set_exception_handler(_log_failure)
+        started.append(host)
+        return serve(handler, *where, process_request=check, logger=_server_log(), **options)
+
+    module.serve = serve_own
+    try:
+        yield lambda: bool(started)
+    finally:
+        module.serve = serve
+
+
+def log_unreadable(error: object) -> None:
+    """Log in one line that a message could not be read.
+
+    Parameters
+    ----------
+    error : object
+        What was wrong with it.
+    """
+    _server_log().warning(UNREADABLE, error)
+
+
+def _log_failure(loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
+    """Log what a message has made fail, without the traceback that asyncio would print."""
+    log_unreadable(_describe_error(context.get("exception")) or context["message"])
+
+
+def _describe_error(error: BaseException | None) -> str:
+    return "" if error is None else f"{type(error).__name__}: {error}".replace("\n", " ")
+
+
+@cache
+def _server_log() -> logging.Logger:
+    """The log of the server, in which every failure takes one line."""
+    found = logging.getLogger("ctr_nlp.view.live")
+    found.addFilter(_keep_without_error)
+    return found
+
+
+def _keep_without_error(record: logging.LogRecord) -> bool:
+    """Whether a record has no error; one with an error is logged anew in one line, unless a link just closed."""
+    error = record.exc_info[1] if record.exc_info else None
+    if error is not None and not isinstance(error.__cause__, EOFError | ConnectionError):
+        log_unreadable(_describe_error(error))
+    return error is None

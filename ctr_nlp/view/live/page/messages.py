@@ -1,0 +1,48 @@
+"""Sentences that stand beside the numbers of the moment."""
+
+from __future__ import annotations
+
+from ctr_nlp.plan.metrics import summary
+from ctr_nlp.plan.plan import Plan
+from ctr_nlp.plan.summary_text import NOT_FOR_PATIENTS, summarise_verdicts
+from ctr_nlp.view.live.steered.session import HAND_METHOD, Session
+
+HINT = "Drag a ball to pull the target, or a slider to move a joint. The mouse turns the view elsewhere."
+
+
+def status_message(session: Session, snapped: bool, news: str) -> str:
+    """Say what is being compiled, how wall and load count, whether the robot snapped, and the latest `news`, if
+    any.
+    """
+    found = [*_compilation_messages(session)]
+    if session.problem.lumen is not None and session.method == HAND_METHOD:
+        found.append("By hand, the robot goes where the sliders say, also into the wall.")
+    if session.active_load is not None:
+        found.append(f"The robot bears {session.active_load}.")
+    if snapped:
+        found.append("**The robot snapped.** It goes on from where it came to rest.")
+    return "\n\n".join([*found, news or HINT])
+
+
+def verdict_list(plan: Plan) -> str:
+    """Write the verdicts on a recorded plan as a list in Markdown, with what they come to and a warning."""
+    rows = [f"- {each.matter}: **{each.word}**{f', {each.value}' if each.value else ''}" for each in plan.verdicts]
+    return "\n".join([f"{summarise_verdicts(summary(plan))} {NOT_FOR_PATIENTS}", "", *rows])
+
+
+def _compilation_messages(session: Session) -> list[str]:
+    """Say which programs are being compiled, are ready or cannot be made; nothing where none are awaited."""
+    awaited = session.pending_drive
+    if awaited is None:
+        return []
+    borne = f" under {session.load}" if session.load is not None else ""
+    wanted = f"the {awaited.model.name} model{borne}{' within the wall' if awaited.within_lumen else ''}"
+    if awaited.error is not None:
+        return [f"The programs of {wanted} cannot be made: {awaited.error}."]
+    if awaited.drive is not None:
+        return [f"The programs of {wanted} are ready, and are taken when the recording ends."]
+    return [
+        f"The programs of {wanted} are being compiled in the background, once for all robots of this kind. That "
+        f"takes up to some minutes. Until then the robot is steered on the {session.model} model, without regard "
+        "to a wall or a load; the change comes by itself."
+    ]

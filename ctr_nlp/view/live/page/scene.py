@@ -1,0 +1,216 @@
+"""The scene: a tree of named things in the browser, changed to what is seen, with handles to be dragged."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from matplotlib.colors import to_rgb
+
+from ctr_nlp.exceptions import OptionError
+from ctr_nlp.paths.lumen import Lumen, outermost_tube_radii, tube_outer_radii, wall_mesh
+from ctr_nlp.paths.problem import Problem
+from ctr_nlp.paths.target import SIGMA_GRID
+from ctr_nlp.support.value_checks import floats
+from ctr_nlp.typing import Array
+from ctr_nlp.view.figures.parts.palette import BLACK, ORANGE, SKY, VERMILLION
+from ctr_nlp.view.live.page.colours import MIDDLES, piece_colours
+from ctr_nlp.view.live.page.guard import log_unreadable
+from ctr_nlp.view.live.steered.ghosts import GHOST_SHAPE_STRIDE
+from ctr_nlp.view.live.steered.goal import HANDLES
+from ctr_nlp.view.live.steered.session import MAX_SAMPLED_ROBOTS, SessionState
+
+HandleDragCallback = Callable[[int, Array], None]
+"""Called with the number of a handle that is dragged, from 0, and the point (3,) mm to which it is pulled."""
+TUBE_POLYGON_SIDES, LUMEN_POLYGON_SIDES, RING_MM = 12, 20, 3.0
+"""Corners of a tube's cross-section, and of the lumen's; mm between two rings of the lumen."""
+OVERLAP = 1.08
+"""By what factor the pieces of a robot are longer than their share: no gaps where it bends."""
+LUMEN_SURFACE_COLOUR, LUMEN_OPACITY = (140, 140, 140), 0.22
+TARGET_MM, GHOST_MM, HANDLE_EXTRA_RADIUS_MM, TIP_HANDLE_EXTRA_RADIUS_MM = 0.6, 0.35, 0.8, 1.6
+"""Widths of lines, and by how much handles, and that of the tip, are larger in radius than the outermost tube."""
+SEEN_THROUGH = 0.5
+"""Opacity of the robot while drawn ones are seen, which often lie within its tubes."""
+AXES_MM = 12.0
+"""Length of the base frame's axes."""
+FORCE_MM, ARROW_MM, HEAD_MM = 0.8, 18.0, 3.0
+"""Width and length of the arrow of a force at the tip, and length and width of its head."""
+VIEW = (0.25, -1.0, 0.2)
+"""Direction from which the scene is seen at first."""
+LIVE_FIELD_OF_VIEW_DEG = 35.0
+"""Field of view, degrees."""
+
+
+class Scene:
+    """Drawing of one problem in the browser: robot, simulated robots, target with handles, lumen and tip force."""
+
+    def __init__(self, server: Any, problem: Problem, on_drag: HandleDragCallback) -> None:
+        """Draw everything that never changes; `on_drag` is called in the server's own thread, and must return at
+        once.
+        """
+        self._server, self._robot = server, problem.robot
+        scene = server.scene
+        scene.configure_environment_map(None)
+        scene.configure_default_lights(False)
+        scene.add_light_ambient("/light/all around", intensity=1.1)
+        scene.add_light_directional("/light/above", intensity=1.8, cast_shadow=False, position=(0.3, -1.0, 0.8))
+        scene.add_frame("/base", axes_length=AXES_MM, axes_radius=0.3)
+        lumen = problem.sampled_lumen
+        if lumen is not None:
+            look = {
+                "color": LUMEN_SURFACE_COLOUR,
+                "opacity": LUMEN_OPACITY,
+                "side": "back",
+                "cast_shadow": False,
+                "receive_shadow": False,
+            }
+            vertices, triangles = wall_mesh(_coarse(lumen), LUMEN_POLYGON_SIDES)
+            scene.add_mesh_simple("/lumen", vertices.astype(np.float32), triangles, **look)
+        place = np.zeros((len(MIDDLES), 3))
+        self._body = scene.add_batched_meshes_simple(
+            "/robot",
+            *_rod(),
+            np.tile([1.0, 0.0, 0.0, 0.0], (len(MIDDLES), 1)),
+            place,
+            batched_scales=place + 1.0,
+            batched_colors=np.zeros((len(MIDDLES), 3), dtype=np.uint8),
+            lod="off",
+            cast_shadow=False,
+            receive_shadow=False,
+        )
+        black = np.array(to_rgb(BLACK))
+        line = np.zeros((len(SIGMA_GRID) - 1, 2, 3))
+        self._target = scene.add_line_segments("/target", line, black, thickness=TARGET_MM)
+        parts = np.zeros((MAX_SAMPLED_ROBOTS * (len(SIGMA_GRID[::GHOST_SHAPE_STRIDE]) - 1), 2, 3))
+        self._ghosts = scene.add_line_segments("/draws", parts, parts, thickness=GHOST_MM, visible=False)
+        self._force = scene.add_line_segments(
+            "/force", np.zeros((5, 2, 3)), np.array(to_rgb(VERMILLION)), thickness=FORCE_MM, visible=False
+        )
+        self._handles = [self._handle(k, on_drag) for k in range(HANDLES)]
+        self._look(problem)
+
+    def show(self, seen: SessionState, handles: Array, by: str) -> None:
+        """Show a moment; `handles` (HANDLES, 3) mm are the target's, and `by` is the quantity that the robot is
+        coloured by.
+        """
+        self._show_robot(seen, by)
+        self._target.points = _line_segments(seen.target)
+        self._force.visible = bool(seen.force.any() and np.isfinite(seen.shape[-1]).all())
+        if self._force.visible:
+            self._force.points = _arrow(seen.shape[-1], seen.force / np.linalg.norm(seen.force))
+        for handle, point in zip(self._handles, handles, strict=True):
+            handle.position = point
+        self._ghosts.visible = len(seen.ghosts) > 0
+        self._body.opacity = SEEN_THROUGH if len(seen.ghosts) else 1.0
+        if len(seen.ghosts):
+            # Always as many lines; those of no robot lie at the insertion point.
+            lines, colours = np.zeros(
+                (2, MAX_SAMPLED_ROBOTS, len(SIGMA_GRID[::GHOST_SHAPE_STRIDE]) - 1, 2, 3), dtype=np.float32
+            )
+            for k, (shape, lost) in enumerate(zip(seen.ghosts, seen.lost, strict=True)):
+                lines[k], colours[k] = np.nan_to_num(_line_segments(shape)), to_rgb(VERMILLION if lost else SKY)
+            self._ghosts.points = lines.reshape(-1, 2, 3)
+            self._ghosts.colors = colours.reshape(-1, 2, 3)
+
+    def _show_robot(self, seen: SessionState, by: str) -> None:
+        known = bool(np.isfinite(seen.shape).all())
+        self._body.visible = known
+        if known:
+            ahead = np.diff(seen.shape, axis=0)
+            length = np.linalg.norm(ahead, axis=1)
+            beta = self._robot.split(seen.q)[1]
+            radius = outermost_tube_radii(self._robot, beta[None], MIDDLES)[0]
+            self._body.batched_positions = ((seen.shape[1:] + seen.shape[:-1]) / 2).astype(np.float32)
+            self._body.batched_wxyzs = _quaternions_towards(ahead / np.maximum(length, 1e-9)[:, None]).astype(
+                np.float32
+            )
+            self._body.batched_scales = np.stack([radius, radius, OVERLAP * length], axis=1).astype(np.float32)
+            self._body.batched_colors = piece_colours(self._robot, seen, by)
+
+    def _handle(self, k: int, on_drag: HandleDragCallback) -> Any:
+        """A ball that can be dragged; the last one is the target's tip."""
+        tip = k == HANDLES - 1
+        name, colour = ("/tip", VERMILLION) if tip else (f"/handle {k + 1}", ORANGE)
+        radius = float(tube_outer_radii(self._robot)[0]) + (
+            TIP_HANDLE_EXTRA_RADIUS_MM if tip else HANDLE_EXTRA_RADIUS_MM
+        )
+        look = {"color": to_rgb(colour), "subdivisions": 2, "cast_shadow": False, "receive_shadow": False}
+        ball = self._server.scene.add_icosphere(name, radius, **look)
+        grabbed = np.zeros(3)
+
+        @ball.on_drag
+        async def _(event: Any) -> None:
+            try:
+                start = floats(OptionError, "start_position", event.start_position, (3,))
+                end = floats(OptionError, "end_position", event.end_position, (3,))
+            except OptionError as error:
+                log_unreadable(error)
+                return
+            if event.phase == "start":
+                grabbed[:] = start - ball.position
+            on_drag(k, end - grabbed)
+
+        return ball
+
+    def _look(self, problem: Problem) -> None:
+        """Place the camera at first so that all of path and lumen is seen from the side."""
+        points = np.concatenate([frame.points for frame in problem.target_frames[-1:]])
+        if problem.sampled_lumen is not None:
+            points = np.concatenate([points, problem.sampled_lumen.table[:, :3]])
+        low, high = points.min(axis=0), points.max(axis=0)
+        middle, away = (low + high) / 2, np.array(VIEW)
+        if high[1] - low[1] > high[0] - low[0]:
+            away = away[[1, 0, 2]] * [-1.0, 1.0, 1.0]
+        far = 0.6 * np.linalg.norm(high - low) / np.tan(np.radians(LIVE_FIELD_OF_VIEW_DEG / 2))
+        camera = self._server.initial_camera
+        camera.up, camera.fov = (0.0, 0.0, 1.0), float(np.radians(LIVE_FIELD_OF_VIEW_DEG))
+        camera.look_at = tuple(middle)
+        camera.position = tuple(middle + far * away / np.linalg.norm(away))
+
+
+def _arrow(begin: Array, direction: Array) -> Array:
+    """Five lines (5, 2, 3) mm that begin at a point (3,) and show a direction, a unit vector (3,)."""
+    end, across = begin + ARROW_MM * direction, np.eye(3)[abs(direction).argmin()]
+    side = np.cross(direction, across) / np.linalg.norm(np.cross(direction, across))
+    sides = [side, -side, np.cross(direction, side), -np.cross(direction, side)]
+    heads = [(end, end - HEAD_MM * direction + HEAD_MM / 2 * each) for each in sides]
+    return np.array([(begin, end), *heads], dtype=np.float32)
+
+
+def _line_segments(points: Array) -> Array:
+    """Lines (n - 1, 2, 3) between neighbours of points (n, 3)."""
+    return np.stack([points[:-1], points[1:]], axis=1).astype(np.float32)
+
+
+def _coarse(lumen: Lumen) -> Array:
+    """A lumen's table (N, 4) with its ends and few rings between: each triangle is drawn thirty times a second."""
+    count = max(2, round(lumen.arc_lengths[-1] / RING_MM) + 1)
+    chosen = np.searchsorted(lumen.arc_lengths, np.linspace(0.0, lumen.arc_lengths[-1], count))
+    return np.asarray(lumen.table[np.unique(chosen)])
+
+
+def _rod() -> tuple[Array, Array]:
+    """Vertices and triangles of a closed rod along z, of radius and length 1, around the origin."""
+    angle = np.linspace(0.0, 2 * np.pi, TUBE_POLYGON_SIDES, endpoint=False)
+    ring = np.stack([np.cos(angle), np.sin(angle), np.zeros(TUBE_POLYGON_SIDES)], axis=1)
+    ends = [ring + np.array([0.0, 0.0, side]) for side in (-0.5, 0.5)]
+    vertices = np.concatenate(
+        [*ends, *ends, [[0.0, 0.0, -0.5], [0.0, 0.0, 0.5]]]
+    )  # ends of their own: sharp edges
+    k = np.arange(TUBE_POLYGON_SIDES)
+    beside = (k + 1) % TUBE_POLYGON_SIDES
+    sides = [[k, beside, k + TUBE_POLYGON_SIDES], [beside, beside + TUBE_POLYGON_SIDES, k + TUBE_POLYGON_SIDES]]
+    below, above = 2 * TUBE_POLYGON_SIDES, 3 * TUBE_POLYGON_SIDES
+    caps = [
+        [beside + below, k + below, np.full(TUBE_POLYGON_SIDES, 4 * TUBE_POLYGON_SIDES)],
+        [k + above, beside + above, np.full(TUBE_POLYGON_SIDES, 4 * TUBE_POLYGON_SIDES + 1)],
+    ]
+    return vertices, np.concatenate([np.transpose(each) for each in (*sides, *caps)])
+
+
+def _quaternions_towards(ahead: Array) -> Array:
+    """Quaternions (n, 4) wxyz that turn z to unit vectors (n, 3) by the smallest rotation."""
+    found = np.stack([1.0 + ahead[:, 2], -ahead[:, 1], ahead[:, 0], 0.0 * ahead[:, 2]], axis=1)
+    found[found[:, 0] < 1e-9] = [0.0, 1.0, 0.0, 0.0]
+    return np.asarray(found / np.linalg.norm(found, axis=1, keepdims=True))

@@ -1,0 +1,70 @@
+"""The server of the page: on a port that is free, to this machine alone, and never by way of somebody else's."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import socket
+from typing import Any
+
+from ctr_nlp.exceptions import OptionError
+from ctr_nlp.support.extras import import_extra
+from ctr_nlp.support.value_checks import whole_number
+from ctr_nlp.view.live.page.guard import guard_websocket_server
+
+HOST, PORT = "127.0.0.1", 8080
+"""Where the page is served unless told otherwise."""
+LABEL = "ctr-nlp live"
+
+
+def start_server(host: str, port: int) -> Any:
+    """Start a viser server that answers only its own page.
+
+    Viser would take the next port that is free, tell on standard output what it does, answer whatever page is open
+    in a browser, and let the world in through a server of its makers where a page asks for it. None of this
+    happens here.
+
+    Parameters
+    ----------
+    host, port : str and int
+        Where to listen; port 0 takes any that is free.
+
+    Returns
+    -------
+    viser.ViserServer
+        The server, which is already listening.
+
+    Raises
+    ------
+    OptionError
+        The port cannot be served, or viser is not installed or cannot be guarded.
+    """
+    viser = import_extra("viser")
+    if whole_number(OptionError, "port", port, 0) > 65535:
+        raise OptionError(f"port is {port}; it must be a whole number from 0 to 65535")
+    try:
+        socket.create_server((host, port)).close()
+    except OSError as error:
+        why = error.strerror or str(error)
+        raise OptionError(
+            f"port {port} of {host} cannot be served ({why.lower()}); give another, or 0 for any that is free"
+        ) from error
+
+    class Unshared(viser.ViserServer):  # type: ignore[name-defined]
+        def request_share_url(self, verbose: bool = True) -> None:
+            """Nobody is let in from outside."""
+
+    with contextlib.redirect_stdout(io.StringIO()), guard_websocket_server(host) as is_guarded:
+        server = Unshared(host, port, LABEL, verbose=False)
+    if not is_guarded():
+        stop_server(server)
+        raise OptionError("this version of viser cannot be kept from answering other pages; install viser 1.1")
+    server.gui.configure_theme(show_logo=False, show_share_button=False)
+    server.gui.main_panel.dock_right()
+    return server
+
+
+def stop_server(server: Any) -> None:
+    """End a server, without its words on that."""
+    with contextlib.redirect_stdout(io.StringIO()):
+        server.stop()

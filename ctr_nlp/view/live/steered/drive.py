@@ -1,0 +1,84 @@
+"""What moves the robot: a model on which it is seen, and a steerer. Those wanted may still be being compiled."""
+
+from __future__ import annotations
+
+import threading
+import time
+from contextlib import suppress
+from dataclasses import dataclass
+
+from ctr_nlp.codegen import cache
+from ctr_nlp.exceptions import CtrError, OptionError
+from ctr_nlp.models import KINEMATIC_MODELS, Model, model_with_load, suits
+from ctr_nlp.models.loaded.model import Loaded
+from ctr_nlp.models.loads import Load
+from ctr_nlp.ocp.settings import Settings
+from ctr_nlp.paths.problem import Problem
+from ctr_nlp.planning import Steerer
+from ctr_nlp.typing import Array
+
+INTERIM_MODEL = "dominant"
+"""The model that is steered on while the one that is wanted is compiled: its steps need no compiled code."""
+COMPILATION_POLL_S = 0.5
+"""s between two looks at whether something has been compiled."""
+
+
+@dataclass(frozen=True)
+class Drive:
+    """A model, and a steerer on it; within_lumen: whether the steerer keeps the robot within the lumen."""
+
+    model: Model
+    steerer: Steerer
+    within_lumen: bool
+
+    @classmethod
+    def interim(cls, problem: Problem, q: Array, dt: float, settings: Settings) -> Drive:
+        """One for which nobody waits: on the simplest model, without a wall, interpreted until it is compiled.
+
+        Raises OptionError where nothing can be compiled at all, and where that model does not describe the robot.
+        """
+        if why := cache.unavailable_reason():
+            raise OptionError(f"live steering needs a C compiler: {why}")
+        steerer = Steerer(problem.robot, q, dt, settings, INTERIM_MODEL, wait=False)
+        return cls(KINEMATIC_MODELS[INTERIM_MODEL], steerer, within_lumen=False)
+
+
+class PendingDrive:
+    """The drive that is wanted, made in a thread of its own as soon as its programs have been compiled.
+
+    drive: the drive on the model, None until then. error: why there will be none, None where nothing failed.
+    """
+
+    def __init__(self, problem: Problem, model: Model, q: Array, dt: float, settings: Settings) -> None:
+        """Begin; the programs are compiled by a process of their own, which outlives this one."""
+        self.model, self.within_lumen = model, problem.lumen is not None and settings.contact_weight > 0
+        self.drive: Drive | None = None
+        self.error: CtrError | None = None
+        self._asked, self._dropped = (problem, q, dt, settings), threading.Event()
+        threading.Thread(target=self._wait, daemon=True).start()
+
+    def cancel(self) -> None:
+        """Nobody wants it any more."""
+        self._dropped.set()
+
+    def _wait(self) -> None:
+        problem, q, dt, settings = self._asked
+        try:
+            while not self._dropped.is_set():
+                steerer = Steerer.create_if_compiled(problem.robot, q, dt, settings, self.model, problem.lumen)
+                if steerer is not None:
+                    self.drive = Drive(self.model, steerer, self.within_lumen)
+                    return
+                time.sleep(COMPILATION_POLL_S)
+        except CtrError as error:
+            self.error = error
+
+
+def suitable_models(problem: Problem, load: Load | None = None) -> list[str]:
+    """The models that describe a problem's robot, which bears a load, by name."""
+    if load is None:
+        return [name for name in KINEMATIC_MODELS if suits(problem.robot, name)]
+    with suppress(CtrError):
+        model_with_load(Loaded.name, load).check(problem.robot)
+        return [Loaded.name]
+    return []

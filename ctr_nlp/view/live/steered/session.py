@@ -1,0 +1,258 @@
+"""Live steering without a screen: requests to the robot, and the state that is to be seen after every step."""
+
+from __future__ import annotations
+
+import time
+from typing import NamedTuple
+
+import numpy as np
+
+from ctr_nlp.exceptions import OptionError
+from ctr_nlp.models import DEFAULT_MODEL, model_named, model_with_load
+from ctr_nlp.models.loads import Load
+from ctr_nlp.models.walker import Walker
+from ctr_nlp.ocp.compiled_wall import WallDistance
+from ctr_nlp.ocp.settings import Settings
+from ctr_nlp.ocp.terms import ShapeDistance
+from ctr_nlp.paths.problem import Problem
+from ctr_nlp.paths.target import SIGMA_GRID
+from ctr_nlp.plan.measures import rms_over_sigma
+from ctr_nlp.plan.plan import Plan
+from ctr_nlp.planning.nlp_frames import DEFAULT_PLANNER_SETTINGS
+from ctr_nlp.support.value_checks import check_choice, number, whole_number
+from ctr_nlp.typing import Array, Flags
+from ctr_nlp.view.live.steered.drive import Drive, PendingDrive, suitable_models
+from ctr_nlp.view.live.steered.ghosts import GHOST_SHAPE_STRIDE, Ghosts
+from ctr_nlp.view.live.steered.goal import Goal
+from ctr_nlp.view.live.steered.joints import retracted_configuration, slide_joint, step_towards
+from ctr_nlp.view.live.steered.recording import Moment, Recording
+
+STEP_RATE_HZ = 30.0
+"""Steps a second."""
+MAX_SAMPLED_ROBOTS = 20
+"""Most simulated robots that are moved beside the one described."""
+NOBODY = np.zeros((0, len(SIGMA_GRID[::GHOST_SHAPE_STRIDE]), 3))
+EMPTY = "nothing has been recorded; begin to record, and steer"
+SHAPE_METHOD, TIP_METHOD, HAND_METHOD = "whole shape", "tip alone", "by hand"
+"""Methods: the whole shape follows the target, its tip alone does, or joints go where sliders say."""
+DISTANCES = {
+    SHAPE_METHOD: ShapeDistance(),
+    TIP_METHOD: ShapeDistance(depth_weights=np.asarray(SIGMA_GRID == 1.0, dtype=float)),
+}
+STEERING_METHODS = (*DISTANCES, HAND_METHOD)
+
+
+class SessionState(NamedTuple):
+    """State of a session after one step.
+
+    target, shape (101, 3) mm; shape is NaN where no equilibrium is found. q (2d + 2,). error (101,) mm: distance
+    at equal sigma; e2 mm: its root mean square over sigma; e3 mm: root mean square of e2 over what has been
+    recorded, NaN where nothing has. margin: of stability, NaN where the model has none. clearance (101,) mm, None
+    where no wall is known. ghosts (n, 26, 3) mm: shapes of the simulated robots, and lost (n,): which of them are
+    lost. snapped: whether the robot snapped in this step. force (3,) N: that keeps its direction and acts at the
+    tip. seconds: that the step took.
+    """
+
+    target: Array
+    shape: Array
+    q: Array
+    error: Array
+    e2: float
+    e3: float
+    margin: float
+    clearance: Array | None
+    ghosts: Array
+    lost: Flags
+    snapped: bool
+    force: Array
+    seconds: float
+
+
+class Session:
+    """A robot that is steered step by step. Not for two threads at once."""
+
+    def __init__(
+        self,
+        problem: Problem,
+        model: str = DEFAULT_MODEL,
+        settings: Settings = DEFAULT_PLANNER_SETTINGS,
+        rate: float = STEP_RATE_HZ,
+        load: Load | None = None,
+    ) -> None:
+        """Place the robot, retracted, at the beginning of a problem's path. rate: steps a second. load: the
+        constant load.
+
+        Until the programs under the load are compiled, the robot is unloaded. Raises OptionError where nothing can
+        be compiled, or the model does not describe the robot, or knows no load; LoadError where the robot cannot
+        be said to bear it.
+        """
+        number(OptionError, "rate", rate, lambda x: 0 < x < np.inf, "be a finite number > 0", " 1/s")
+        self.problem, self.settings, self.dt, self.load = problem, settings, 1.0 / rate, load
+        if load is not None:
+            model_with_load(model, load).check(problem.robot)
+        self.goal, self.method = Goal(problem.target_frames, problem.robot.reach), SHAPE_METHOD
+        self.hand = retracted_configuration(problem.robot, problem.target_frames[-1].points)
+        self._beside = None if problem.sampled_lumen is None else WallDistance(problem.sampled_lumen)
+        self._count = 0
+        self._ghosts: Ghosts | None = None
+        self._recording: Recording | None = None
+        self._drive = Drive.interim(problem, self.hand, self.dt, settings)
+        self._robot = self._resting(self.hand)
+        self._awaited: PendingDrive | None = None
+        self.use_model(model)
+
+    @property
+    def q(self) -> Array:
+        """Configuration (2d + 2,) in which the motors stand."""
+        return self._robot.q
+
+    @property
+    def model(self) -> str:
+        """The name of the model on which the robot is seen and steered now."""
+        return self._drive.model.name
+
+    @property
+    def active_load(self) -> Load | None:
+        """Load on the robot now; None until the model that knows the load has been compiled."""
+        return None if self._drive.model.applied_load is None else self.load
+
+    @property
+    def requested_model(self) -> str:
+        """The name of the model that was asked for last."""
+        return self.model if self._awaited is None else self._awaited.model.name
+
+    @property
+    def sample_count(self) -> int:
+        """Number of simulated robots that are moved beside the one described."""
+        return self._count
+
+    @property
+    def pending_drive(self) -> PendingDrive | None:
+        """Drive that is being compiled, or could not be; None where the one that was asked for is in use."""
+        return self._awaited
+
+    @property
+    def within_lumen(self) -> bool:
+        """Whether steps keep the robot within the lumen."""
+        return self._drive.within_lumen and self.method != HAND_METHOD
+
+    def use_model(self, model: str) -> None:
+        """See and steer the robot on another model, as soon as its programs are compiled; raises OptionError."""
+        check_choice("model", model, suitable_models(self.problem, self.load))
+        if self._awaited is not None:
+            self._awaited.cancel()
+        described = model_named(model) if self.load is None else model_with_load(model, self.load)
+        self._awaited = PendingDrive(self.problem, described, self.q, self.dt, self.settings)
+
+    def follow(self, method: str) -> None:
+        """Steer by another method, one of STEERING_METHODS; raises OptionError."""
+        check_choice("method", method, STEERING_METHODS)
+        if self.method == HAND_METHOD and method != HAND_METHOD:
+            self._drive.steerer.set_configuration(self.q, self._robot.x)
+        self.method, self.hand = method, self.q
+        if method != HAND_METHOD:
+            self._drive.steerer.set_shape_weights(DISTANCES[method])
+
+    def pull(self, handle: int, point: Array) -> None:
+        """Take a handle of the target to a point (3,) mm; steering takes over from a hand. Raises OptionError."""
+        self.goal.pull(handle, point)
+        if self.method == HAND_METHOD:
+            self.follow(SHAPE_METHOD)
+
+    def slide(self, joint: int, value: float) -> None:
+        """Take a joint of q, from 0, by hand towards a value, rad or mm; raises OptionError."""
+        if whole_number(OptionError, "joint", joint, 0) >= len(self.q):
+            raise OptionError(f"joint is {joint}; it must be a whole number from 0 to {len(self.q) - 1}")
+        number(OptionError, f"the value of joint {joint}", value, np.isfinite, "be a finite number")
+        if self.method != HAND_METHOD:
+            self.follow(HAND_METHOD)
+        self.hand = slide_joint(self.problem.robot, self.hand, joint, value)
+
+    def set_sample_count(self, count: int) -> None:
+        """Move `count` simulated robots beside the one described, from rest where it is; raises OptionError."""
+        if whole_number(OptionError, "draws", count, 0) > MAX_SAMPLED_ROBOTS:
+            raise OptionError(f"draws are {count}; there can be {MAX_SAMPLED_ROBOTS} at most")
+        self._count = count
+        self._ghosts = Ghosts(self.problem.robot, self._drive.model, self.q, count) if count else None
+
+    def record(self) -> None:
+        """Begin to record, and forget what was recorded before; until it ends, the model stays what it is."""
+        self._recording = Recording(self.problem, self._drive.model, self.settings, self.dt)
+
+    @property
+    def moment_count(self) -> int | None:
+        """Number of moments recorded so far; None while no recording is on."""
+        return None if self._recording is None else len(self._recording.moments)
+
+    def end_recording(self) -> Recording:
+        """End the recording and return it; raises OptionError where nothing was recorded."""
+        found, self._recording = self._recording, None
+        if found is None or not found.moments:
+            raise OptionError(EMPTY)
+        return found
+
+    def plan(self) -> Plan:
+        """End the recording and return it as a plan; raises OptionError where nothing was recorded."""
+        return self.end_recording().plan()
+
+    def step(self) -> SessionState:
+        """Move the robot by dt s, and return the state after it."""
+        begin = time.perf_counter()
+        if self._awaited is not None and self._awaited.drive is not None and self._recording is None:
+            self._switch_drive(self._awaited.drive)
+        moment = self._move_robot(self.goal.points)
+        robot, q = self.problem.robot, self.q
+        shape, ghosts = self._drive.model.points(robot, self._robot.x[None], SIGMA_GRID)[0], self._ghosts
+        if ghosts is not None:
+            ghosts.go(q, self._robot.x)
+        error, clearance = np.linalg.norm(shape - moment.target, axis=1), None
+        if self._beside is not None:
+            clearance = self._beside.clearances(robot, robot.split(q)[1][None], shape[None], SIGMA_GRID)[0]
+        e2 = float(rms_over_sigma(error))
+        if self._recording is not None:
+            self._recording.add(moment, e2)
+        return SessionState(
+            target=moment.target,
+            shape=shape,
+            q=q,
+            error=error,
+            e2=e2,
+            e3=np.nan if self._recording is None else self._recording.e3,
+            margin=self._robot.margin(),
+            clearance=clearance,
+            ghosts=NOBODY if ghosts is None else ghosts.shapes,
+            lost=np.zeros(0, dtype=bool) if ghosts is None else ghosts.lost.copy(),
+            snapped=moment.snapped,
+            force=np.zeros(3) if self.active_load is None else self.active_load.numbers(robot.d)[:3],
+            seconds=time.perf_counter() - begin,
+        )
+
+    def _switch_drive(self, drive: Drive) -> None:
+        """Go on with another drive from where the robot stands."""
+        q, self._drive, self._awaited = self.q, drive, None
+        self._robot = self._resting(q)
+        drive.steerer.set_configuration(q, self._robot.x)
+        self.follow(self.method)
+        self.set_sample_count(self._count)
+
+    def _resting(self, q: Array) -> Walker:
+        """Return the robot at rest at q (2d + 2,), without a history."""
+        robot = self.problem.robot
+        return self._drive.model.walker(robot.structure, robot.numbers, q)
+
+    def _move_robot(self, target: Array) -> Moment:
+        """Move the robot by one step; where it loses its equilibrium, it comes to rest anew, which counts as a
+        snap.
+        """
+        steerer, begin = self._drive.steerer, time.perf_counter()
+        if self.method == HAND_METHOD:
+            q, solved = step_towards(self.problem.robot, self.q, self.hand, self.dt), (np.nan, np.nan, np.nan)
+        else:
+            q = steerer.step(target, self.goal.progress)
+            solved = steerer.objective, steerer.kkt, time.perf_counter() - begin
+        snapped = bool(self._robot.move_to(q))
+        if not np.isfinite(self._robot.x).all():
+            self._robot, snapped = self._resting(q), True
+        if snapped:
+            steerer.set_configuration(q, self._robot.x)
+        return Moment(q, target, snapped, *solved)

@@ -1,0 +1,231 @@
+"""A plan as a moving scene in three dimensions, and what its robot may be coloured by."""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from matplotlib import colormaps
+from matplotlib.colors import to_hex, to_rgb
+from scipy.spatial.transform import Rotation
+
+from ctr_nlp.paths.lumen import tube_outer_radii, wall_mesh, wall_rings
+from ctr_nlp.paths.points import cumulative_arc_length
+from ctr_nlp.paths.target import SIGMA_GRID
+from ctr_nlp.plan.metrics import e1
+from ctr_nlp.plan.plan import Plan
+from ctr_nlp.support.extras import import_extra
+from ctr_nlp.typing import Array
+from ctr_nlp.view.figures.overlay import tube_ends
+from ctr_nlp.view.figures.parts.palette import BLACK, CONTACT, ERROR_COLOUR_MAP, tube_colour
+from ctr_nlp.view.figures.parts.space import points_of_all
+from ctr_nlp.view.report.camera import OUTSIDE_FIELD_OF_VIEW_DEG, cameras
+from ctr_nlp.view.report.ghosts import ghosts
+
+SHADES = np.linspace(0.0, 1.0, 17)
+SCALE_FRACTION_BELOW_ZERO = 1 / 8
+"""Part of a scale above 0 by which it also reaches below 0."""
+MIN_COLOUR_SCALE_SPAN = 0.1
+"""Least span of a scale: less is rounding noise."""
+
+
+@dataclass(frozen=True)
+class ColourScale:
+    """A quantity along the robot: its key, its name with unit, the values at both ends, and colours between them.
+
+    stops: (position in [0, 1], colour), in order; two at one position are a jump.
+    """
+
+    key: str
+    name: str
+    low: float
+    high: float
+    stops: tuple[tuple[float, str], ...]
+
+
+def quantities(plan: Plan) -> dict[str, Array]:
+    """Values (T, 101) at uniform sigma of what is known of a plan: error and clearance in mm, stability margin."""
+    found = {"error": e1(plan), "stability": np.repeat(plan.stability[:, None], len(SIGMA_GRID), axis=1)}
+    if plan.clearance is not None:
+        found["clearance"] = plan.clearance
+    return {key: values for key, values in found.items() if np.isfinite(values).any()}
+
+
+def scales(plans: Sequence[Plan]) -> list[ColourScale]:
+    """One for each quantity that is known of any plan."""
+    known = [quantities(plan) for plan in plans]
+    most = {
+        key: max(MIN_COLOUR_SCALE_SPAN, *(float(np.nanmax(some[key])) for some in known if key in some))
+        for key in dict.fromkeys(key for some in known for key in some)
+    }
+    errors = tuple(zip(SHADES.tolist(), _colours(SHADES), strict=True))
+    every = [
+        ColourScale("error", "error at equal arc length (mm)", 0.0, most.get("error", 0.0), errors),
+        _signed_scale("clearance", "clearance from the wall (mm), contact below 0", most.get("clearance", 0.0)),
+        _signed_scale("stability", "stability margin, unstable below 0", 1.0),
+    ]
+    return [scale for scale in every if scale.key in most]
+
+
+def _signed_scale(key: str, name: str, high: float) -> ColourScale:
+    """The colour of contact below 0, then as errors, the other way round, with more shades near to 0."""
+    zero = SCALE_FRACTION_BELOW_ZERO / (1 + SCALE_FRACTION_BELOW_ZERO)
+    roomy = zip(zero + (1 - zero) * SHADES, _colours(1.0 - np.sqrt(SHADES)), strict=True)
+    stops = ((0.0, CONTACT), (zero, CONTACT), *((float(at), colour) for at, colour in roomy))
+    return ColourScale(key, name, -SCALE_FRACTION_BELOW_ZERO * high, high, stops)
+
+
+def _colours(bad: Array) -> list[str]:
+    """From good, dark, to bad, light."""
+    return [to_hex(colour) for colour in colormaps[ERROR_COLOUR_MAP](bad)]
+
+
+TUBE_COLOURING = "tube"
+"""Colouring that is always there: every tube in its own colour."""
+SCENE_TUBE_POINTS = 31
+"""Points of a tube's visible part."""
+SCENE_WALL_RING_POINTS, SCENE_WALL_RING_SPACING_MM = 24, 10.0
+"""Points around the wall, and mm between its rings."""
+HOLDER_LENGTH_MM = 12.0
+"""Length in mm of what is drawn of the robot before the insertion point."""
+TARGET_RADIUS, AXIS_RADIUS, POINT_SIZE = 0.25, 0.12, 2.6
+"""Radii of the target's line and the insertion axis, mm; diameter of the insertion point in radii of tube 1."""
+SCENE_WALL_COLOUR, SCENE_WALL_OPACITY = 0x8A8A8A, 0.2
+SCENE_HOLDER_COLOUR, SCENE_AXIS_COLOUR = 0x777777, 0x888888
+SCENE_ROBOT_PART, SCENE_WALL_PART, SCENE_TARGET_PART = "robot", "wall", "target"
+"""Parts of a scene that are switched on and off, in the custom_data of its objects."""
+SCENE_DATA_PLACEHOLDER = "@DATA@"
+"""Stands in k3d's page for the data."""
+READY = (
+    "console.log = () => {}; document.documentElement.lang = 'en'; document.title = 'Scene'; "
+    "window.parent.ready(window.frameElement, K3DInstance);"
+)
+"""Run in each scene once it is drawn; k3d would write a line for every tube of every frame."""
+
+
+def scene_template() -> str:
+    """A page of k3d's for any scene, with SCENE_DATA_PLACEHOLDER where its data goes."""
+    empty = import_extra("k3d").plot()
+    data = base64.b64encode(empty.get_binary_snapshot()).decode()
+    return str(empty.get_snapshot(additional_js_code=READY)).replace(data, SCENE_DATA_PLACEHOLDER)
+
+
+def scene(plan: Plan, scales: Sequence[ColourScale], low: Array, high: Array) -> str:
+    """The data of a scene in base64.
+
+    low, high: corners (3,) mm of what is seen at first. The scene's time is the index of the frame. Objects name
+    the part that they belong to in their custom_data, and their colouring where they show under one only.
+    """
+    k3d = import_extra("k3d")
+    plot = k3d.plot(
+        menu_visibility=False,
+        camera_auto_fit=False,
+        grid_auto_fit=False,
+        grid=[*low, *high],
+        grid_visible=False,
+        axes_helper=0.0,
+        camera_fov=OUTSIDE_FIELD_OF_VIEW_DEG,
+        colorbar_object_id=0,
+    )
+    plot.camera = cameras(low, high)["side"]
+    for drawn in [*_tubes(k3d, plan, scales), *_environment_objects(k3d, plan), *ghosts(k3d, plan)]:
+        plot += drawn
+    return base64.b64encode(plot.get_binary_snapshot()).decode()
+
+
+def _tubes(k3d: Any, plan: Plan, scales: Sequence[ColourScale]) -> list[Any]:
+    """Each tube where it is the outermost one, once for every colouring."""
+    known, radius, found = quantities(plan), tube_outer_radii(plan.robot), []
+    sigma = _visible(plan)
+    for i in range(plan.robot.d):
+        vertices = _over_time(_at(sigma[:, i], plan.shape))
+        tube = partial(k3d.line, vertices, width=float(radius[i]), shader="mesh", radial_segments=16)
+        named = {"name": f"tube {i + 1}", "custom_data": {"part": SCENE_ROBOT_PART, "colouring": TUBE_COLOURING}}
+        found.append(tube(color=_pack_colour(tube_colour(i)), **named))
+        for scale in (scale for scale in scales if scale.key in known):
+            values = np.clip(np.nan_to_num(known[scale.key], nan=scale.low), scale.low, scale.high)
+            coloured = {
+                "attribute": _over_time(_at(sigma[:, i], values[..., None])[..., 0]),
+                "color_map": [part for at, colour in scale.stops for part in (at, *to_rgb(colour))],
+                "color_range": [scale.low, scale.high],
+            }
+            told = {"part": SCENE_ROBOT_PART, "colouring": scale.key}
+            found.append(tube(visible=False, name=f"tube {i + 1} by {scale.key}", custom_data=told, **coloured))
+    return found
+
+
+def _environment_objects(k3d: Any, plan: Plan) -> list[Any]:
+    """Target, insertion point and axis, the robot's holder with its tilt, and the wall where it is known."""
+    tilted = Rotation.from_euler("xy", np.nan_to_num(plan.theta)).apply([0.0, 0.0, -HOLDER_LENGTH_MM])
+    radius = float(tube_outer_radii(plan.robot)[0])
+    line, black = partial(k3d.line, shader="mesh"), _pack_colour(BLACK)
+    axis, holder = (
+        [[0.0, 0.0, -1.5 * HOLDER_LENGTH_MM], [0.0, 0.0, HOLDER_LENGTH_MM]],
+        np.stack([tilted, 0 * tilted], axis=1),
+    )
+    held = {"name": "holder, tilted", "custom_data": {"part": SCENE_ROBOT_PART}}
+    aim = {"name": "target", "custom_data": {"part": SCENE_TARGET_PART}}
+    found = [
+        line(_over_time(plan.target), color=black, width=TARGET_RADIUS, **aim),
+        k3d.points([[0.0, 0.0, 0.0]], point_size=POINT_SIZE * radius, color=black, name="insertion point"),
+        line(axis, color=SCENE_AXIS_COLOUR, width=AXIS_RADIUS, name="insertion axis"),
+        line(_over_time(holder), color=SCENE_HOLDER_COLOUR, width=1.5 * radius, **held),
+    ]
+    if plan.lumen is not None:
+        look = {"color": SCENE_WALL_COLOUR, "opacity": SCENE_WALL_OPACITY, "flat_shading": False, "side": "double"}
+        part = {"custom_data": {"part": SCENE_WALL_PART}}
+        vertices, triangles = wall_mesh(plan.lumen, SCENE_WALL_RING_POINTS)
+        found.append(k3d.mesh(vertices.astype(np.float32), triangles, name="lumen", **part, **look))
+        hoops = {"indices_type": "segment", "color": SCENE_WALL_COLOUR, "width": AXIS_RADIUS, "shader": "thick"}
+        found.append(k3d.lines(*_hoops(plan.lumen), name="lumen, rings", **part, **hoops))
+    return found
+
+
+def _hoops(lumen: Array) -> tuple[Array, npt.NDArray[np.uint32]]:
+    """Rings of the wall every SCENE_WALL_RING_SPACING_MM mm, which show its depth to an eye within it: points and
+    pairs of them.
+    """
+    along = cumulative_arc_length(lumen[:, :3])
+    stations = np.unique(np.searchsorted(along, np.arange(0.0, along[-1], SCENE_WALL_RING_SPACING_MM)))
+    hoops = wall_rings(lumen, np.linspace(0.0, 2 * np.pi, SCENE_WALL_RING_POINTS, endpoint=False))[stations]
+    here = np.arange(hoops[..., 0].size).reshape(-1, SCENE_WALL_RING_POINTS)
+    pairs = np.stack([here, np.roll(here, -1, axis=1)], axis=-1)
+    return hoops.reshape(-1, 3).astype(np.float32), pairs.reshape(-1, 2).astype(np.uint32)
+
+
+def _visible(plan: Plan) -> Array:
+    """Sigma (T, d, SCENE_TUBE_POINTS) along the part of each tube where it is the outermost one."""
+    ends = np.array([tube_ends(beta) for beta in np.nan_to_num(plan.beta)])
+    starts = np.concatenate([np.zeros((len(ends), 1)), ends[:, :-1]], axis=1)
+    return starts[..., None] + (ends - starts)[..., None] * np.linspace(0.0, 1.0, SCENE_TUBE_POINTS)
+
+
+def _at(sigma: Array, values: Array) -> Array:
+    """Values (T, 101, n) at sigma (T, m): (T, m, n); 0 in frames that were never reached."""
+    place = np.clip(sigma, 0.0, 1.0) * (len(SIGMA_GRID) - 1)
+    before = np.minimum(place.astype(int), len(SIGMA_GRID) - 2)
+    frames, part = np.arange(len(values))[:, None], (place - before)[..., None]
+    return np.nan_to_num((1 - part) * values[frames, before] + part * values[frames, before + 1])
+
+
+def _over_time(frames: Any) -> dict[str, npt.NDArray[np.float32]]:
+    """A keyframe a frame."""
+    return {str(j): np.asarray(frame, dtype=np.float32) for j, frame in enumerate(frames)}
+
+
+def box(plans: Sequence[Plan]) -> tuple[Array, Array]:
+    """Corners (3,) mm of all that is ever seen of plans."""
+    seen = [points_of_all([plan.target, plan.shape], plan.lumen) for plan in plans]
+    points = np.concatenate([[[0.0, 0.0, -HOLDER_LENGTH_MM], [0.0, 0.0, HOLDER_LENGTH_MM]], *seen])
+    return np.nanmin(points, axis=0), np.nanmax(points, axis=0)
+
+
+def _pack_colour(colour: str) -> int:
+    """A colour as k3d takes it."""
+    red, green, blue = (round(255 * part) for part in to_rgb(colour))
+    return red << 16 | green << 8 | blue

@@ -1,0 +1,45 @@
+"""Pictures of a plan's page at the widths of a phone, a tablet and a desk, for the documentation.
+
+`PYTHONPATH=tests python tests/view/report/pictures.py PLAN.npz FOLDER` writes report-390.png, report-768.png and
+report-1440.png.
+"""
+
+from __future__ import annotations
+
+import sys
+import tempfile
+from pathlib import Path
+
+from browser import SOFTWARE, launcher, opened
+
+from ctr_nlp import Plan
+from ctr_nlp.view.report import page
+
+SIZES = ((390, 844), (768, 1024), (1440, 900))
+MOMENT = 0.9
+"""Of the motion, as a part of it."""
+ABOVE = 250
+"""Pixels above the remarks in narrow pictures, so that they show verdicts and the robot."""
+
+
+def pictures(plan: Plan, name: str, folder: Path) -> list[Path]:
+    """Write a picture of the page at each width, as it is seen at MOMENT; the paths of the files."""
+    written = [folder / f"report-{width}.png" for width, _ in SIZES]
+    with tempfile.TemporaryDirectory() as place, launcher() as launch:
+        file, browser = Path(place) / "report.html", launch(SOFTWARE)
+        file.write_text(page([plan], [name]), encoding="utf-8")
+        for (width, height), path in zip(SIZES, written, strict=True):
+            with opened(browser, file, width, height) as view:
+                view.set_default_timeout(120_000)
+                view.wait_for_function("scenes.every((scene) => scene)")
+                view.evaluate(f"seek({MOMENT})")
+                if width < SIZES[-1][0]:
+                    view.evaluate(f"document.querySelector('.remarks').scrollIntoView(); scrollBy(0, -{ABOVE})")
+                view.evaluate("() => new Promise((done) => setTimeout(done, 2000))")
+                path.write_bytes(view.screenshot())
+    return written
+
+
+if __name__ == "__main__":
+    for path in pictures(Plan.load(sys.argv[1]), sys.argv[1], Path(sys.argv[2])):
+        print(path, f"{path.stat().st_size / 1e3:.0f} kB")
