@@ -83,7 +83,10 @@ def _path(lengths: Array, angles: Array, rolls: Array, rounding: Array) -> tuple
     """
     cut = rounding * np.tan(angles / 2)
     straights = lengths - np.append(0.0, cut) - np.append(cut, 0.0)
-    axes, pieces, corners, length = Rotation.identity(), [np.zeros((1, 3))], [], 0.0
+    axes = Rotation.identity()
+    pieces = [np.zeros((1, 3))]
+    corners = []
+    length = 0.0
     for i, straight in enumerate(straights):
         if straight > TINY_MM:
             pieces.append(pieces[-1][-1] + np.outer(_steps(straight), axes.apply([0.0, 0.0, 1.0])))

@@ -165,7 +165,8 @@ def _find_branch_named(branches: Branches, branch: str) -> Branch:
 
 def _distance(branch: Branch, point: Array) -> tuple[float, float]:
     """Distance in mm of a point to the lines through a branch's points, and the lumen's radius there."""
-    start, step = branch.points[:-1], np.diff(branch.points, axis=0)
+    start = branch.points[:-1]
+    step = np.diff(branch.points, axis=0)
     part = np.clip(((point - start) * step).sum(axis=1) / (step**2).sum(axis=1), 0, 1)
     distances = np.linalg.norm(start + part[:, None] * step - point, axis=1)
     k = int(distances.argmin())

@@ -174,5 +174,6 @@ def _limit_tilt(robot: Robot, tilt: float | None) -> Robot:
             f"tilt is {tilt:g} rad, {math.degrees(tilt):g} degrees; it must lie in [0, pi] rad{meant}"
         )
     # The last two entries of q are theta_x and theta_y, eq. (5). Narrower limits of the robot's own stay.
-    lower, upper = np.clip(robot.lower[-2:], -tilt, None), np.clip(robot.upper[-2:], None, tilt)
+    lower = np.clip(robot.lower[-2:], -tilt, None)
+    upper = np.clip(robot.upper[-2:], None, tilt)
     return robot.with_limits(theta=tuple(zip(lower.tolist(), upper.tolist(), strict=True)))

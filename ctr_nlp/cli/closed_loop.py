@@ -73,7 +73,8 @@ def start_closed_loop(
     """
     sensing = sensing_of(hardware)
     known = None if records is None else final_estimate(records)
-    tracker, source = Tracker(plan, sensing.sensors, prior=known), source_of(sensing, plan)
+    tracker = Tracker(plan, sensing.sensors, prior=known)
+    source = source_of(sensing, plan)
     if isinstance(source, SimulatedRobot):
         print_stderr(f"sensor: {source}")
     loop = ClosedLoop(tracker, source, _print_note)
@@ -107,7 +108,8 @@ def print_estimates(loop: ClosedLoop) -> None:
     """Print the estimates of the robot's parameters, how well measurements fitted, and the notes of the loop."""
     if not loop.estimates:
         return
-    last, of = loop.estimates[-1], loop.tracker.observer.differences
+    last = loop.estimates[-1]
+    of = loop.tracker.observer.differences
     columns = last.mean, last.deviation, np.sqrt(of.covariance.diagonal())
     named = zip(of.values_by_name(last.mean.tolist()), *(column.tolist() for column in columns), strict=True)
     print_table(

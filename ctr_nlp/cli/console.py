@@ -34,7 +34,8 @@ class Command(NamedTuple):
 
     def parser(self, prog: str) -> argparse.ArgumentParser:
         """Make the parser of the program's own options and those of every program, with examples in the help."""
-        own, told = self.options(prog), [""]
+        own = self.options(prog)
+        told = [""]
         given = examples(self.name.rpartition(" ")[2])
         if given:
             told += ["examples:", *(f"{INDENT}{what}\n{2 * INDENT}{prog} {call}".rstrip() for what, call in given)]

@@ -20,7 +20,9 @@ class SolverView:
     """Shows iterates of a problem's motion as they are found, and at last the plan that they have led to."""
 
     def __init__(self, view: LiveWindow, problem: Problem) -> None:
-        self._view, self._frames, self._unknowns = view, problem.frames, len(problem.robot.axes)
+        self._view = view
+        self._frames = problem.frames
+        self._unknowns = len(problem.robot.axes)
         self._history = list[tuple[float, float]]()
 
     def __call__(self, iterate: Iterate) -> None:
@@ -59,7 +61,8 @@ class PlaybackView:
 
 def _playback_state(trajectory: Trajectory, progress: MotionProgress, state: str) -> PlaybackState:
     time = np.array([progress.time])
-    measured, commanded = trajectory.joints(time, progress.position[None])[0], trajectory.at(time)[0][0]
+    measured = trajectory.joints(time, progress.position[None])[0]
+    commanded = trajectory.at(time)[0][0]
     return PlaybackState(state, trajectory.last_frame_passed(progress.time), progress.time, measured, commanded)
 
 

@@ -151,7 +151,8 @@ def write_film(plans: Sequence[Plan], file: Path, out: Path, place: Path, stagin
     if inner is None and place == out:
         target = found = file
     else:
-        target, found = staging / (inner or file.name), place / (inner or file.name)
+        target = staging / (inner or file.name)
+        found = place / (inner or file.name)
     with progress_bar() as labelled:
         film(plans, target, labelled(file.name))
     return found

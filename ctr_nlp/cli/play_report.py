@@ -92,7 +92,8 @@ def report(
         Whether all that was to be written and remembered was.
     """
     out = journal.path.parent
-    name, device = plan.meta["problem"]["name"], hardware.connection.device
+    name = plan.meta["problem"]["name"]
+    device = hardware.connection.device
     where = "trusted" if result.trusted else "not to be trusted"
     if result.memory_error:
         where += ", but not remembered"

@@ -57,7 +57,8 @@ def collect_output(as_json: bool, verbose: bool) -> Iterator[JsonOutput | None]:
     """Gather a program's output for JSON, and yield it; without --json yield None. `verbose`: report progress line
     by line on stderr.
     """
-    told, before = JsonOutput() if as_json else None, (_json_output.get(), _verbose.get())
+    told = JsonOutput() if as_json else None
+    before = (_json_output.get(), _verbose.get())
     _json_output.set(told)
     _verbose.set(verbose)
     try:
@@ -185,7 +186,8 @@ def progress_bar() -> Iterator[Labelled]:
         TimeRemainingColumn(),
     )
     with Progress(*columns, console=console(stderr=True), transient=True) as bar:
-        task, begin = bar.add_task("", total=None), time.monotonic()
+        task = bar.add_task("", total=None)
+        begin = time.monotonic()
 
         def labelled(label: str) -> Callable[[int, int, str], None]:
             bar.reset(task, description=escape_control_characters(label), total=None)
@@ -201,7 +203,8 @@ def progress_bar() -> Iterator[Labelled]:
                 bar.update(task, description=escape_control_characters(f"{label} ({note})"), completed=done)
                 now = time.monotonic() - begin
                 if _verbose.get() and (now - last >= PROGRESS_LINE_INTERVAL_S or done == total):
-                    last, left = now, bar.tasks[0].time_remaining
+                    last = now
+                    left = bar.tasks[0].time_remaining
                     until = "" if left is None or done == total else f", about {left:.0f} s left"
                     bar.console.print(f"{now:8.1f} s  {label}: {note}, {done} of {total}{until}")
 

@@ -86,7 +86,8 @@ class Library:
                 described,
             ]
         )
-        self._functions, self._lanes = functions, lanes
+        self._functions = functions
+        self._lanes = lanes
         self._missed = -math.inf
 
     def wait_for_path(self) -> Path:
@@ -142,7 +143,8 @@ def _exclusive_build(key: str) -> Iterator[None]:
             # One file for all keys: a lock covers one byte of it, whose offset is taken from the key's
             # hash.
             lock = stack.enter_context(open(Path(tempfile.gettempdir(), f"ctr_nlp-{os.getuid()}.lock"), "a"))
-            begin, place = time.monotonic(), int(_hash(key)[:LOCK_HASH_DIGITS], 16)
+            begin = time.monotonic()
+            place = int(_hash(key)[:LOCK_HASH_DIGITS], 16)
             while time.monotonic() - begin < SILENT_BUILD_WAIT_S:
                 with contextlib.suppress(BlockingIOError, PermissionError):  # either, says POSIX
                     fcntl.lockf(lock, fcntl.LOCK_EX | fcntl.LOCK_NB, 1, place)
@@ -173,7 +175,8 @@ def _claim(key: str) -> FolderLock | None:
     name = _hash(key)
     if time.monotonic() - _tried.get(name, -math.inf) < FAILED_BUILD_RETRY_S:
         return None  # whatever ended that build, as a lack of memory, would end this one, too
-    place, own = cache.folder().absolute(), f"{cache.BUILD_FOLDER_PREFIX}{name}"
+    place = cache.folder().absolute()
+    own = f"{cache.BUILD_FOLDER_PREFIX}{name}"
     place.mkdir(mode=0o700, parents=True, exist_ok=True)
     remove_abandoned(place, own, cache.BUILD_FOLDER_ABANDONED_AFTER_S)
     work = lock_named_folder(place / own)

@@ -153,7 +153,8 @@ class _Body:
 
     def _find_argument_instructions(self) -> list[list[int]]:
         """For each instruction, the instructions that made its arguments; slots of the work vector are reused."""
-        made, taken = dict[int, int](), list[list[int]]()
+        made = dict[int, int]()
+        taken = list[list[int]]()
         for k, (operation, to, of) in enumerate(self.instructions):
             # An output takes one slot, an operation at most two.
             slots = [] if operation in (ca.OP_CONST, ca.OP_INPUT) else of[: 1 if operation == ca.OP_OUTPUT else 2]
@@ -173,7 +174,8 @@ class _Body:
         """For each instruction the chunks over which its slopes are not always 0 and are needed by outputs."""
         # Forward: chunks that a result depends on. Backward: chunks that some wanted output needs it for.
         # Only what is in both is computed.
-        moved, needed = list[set[int]](), [set[int]() for _ in self.instructions]
+        moved = list[set[int]]()
+        needed = [set[int]() for _ in self.instructions]
         for k, (operation, _, of) in enumerate(self.instructions):
             # Entry j of input 0 is unknown j: it follows itself alone, in one chunk.
             own = {of[1] // VECTOR_LANES} if self.chunks and operation == ca.OP_INPUT and of[0] == 0 else set()
@@ -189,7 +191,8 @@ class _Body:
 
     def code(self) -> str:
         """C of the whole, part by part: what later parts need is stored in the work vectors w and v0, v1, ..."""
-        name, size = self.function.name(), self.function.sz_w()
+        name = self.function.name()
+        size = self.function.sz_w()
         # A work vector for numbers, and one for each chunk's slopes, with the same slots.
         works = [("double", "w"), *((chunk.kind, f"v{c}") for c, chunk in enumerate(self.chunks))]
         parameters = "".join(f", {kind} *{work}" for kind, work in works)
@@ -210,7 +213,8 @@ class _Body:
     def _parts(self) -> list[list[str]]:
         """Lines of C, part by part: each number is followed by its slopes."""
         later = needed_later(self.function, self.starts)
-        parts, here = list[list[str]](), dict[int, str]()
+        parts = list[list[str]]()
+        here = dict[int, str]()
         for k, (operation, to, of) in enumerate(self.instructions):
             if k in self.starts:
                 parts.append([])
@@ -251,7 +255,8 @@ class _Body:
             return []
         # Slopes come after all outputs, in the order of the outputs' numbers.
         result = self.function.n_out() + sorted(self.wanted).index(number)
-        pattern, lines = self.wanted[number], list[str]()
+        pattern = self.wanted[number]
+        lines = list[str]()
         # get_triplet lists entries column by column, the order in which they are stored.
         for entry, (at, column) in enumerate(zip(*pattern.get_triplet(), strict=True)):
             if at == row:

@@ -91,7 +91,8 @@ class FunctionInParts(NamedTuple):
     @property
     def early(self) -> list[int]:
         """Numbers of directed's results that places are given: early outputs, then their slopes."""
-        function, slopes = self.main_part.function, sorted(self.main_part.slopes)
+        function = self.main_part.function
+        slopes = sorted(self.main_part.slopes)
         # Early results with wanted slopes have these after all outputs, in the order of the outputs'
         # numbers.
         early = [k for k in range(function.n_out()) if function.name_out(k).startswith(EARLY_OUTPUT_PREFIX)]
@@ -132,7 +133,9 @@ def code(functions: Sequence[ca.Function | FunctionInParts], lanes: int | None) 
 
 def _sample_point_call(whole: FunctionInParts) -> str:
     """C of the function that evaluates the places when all early outputs are found."""
-    inputs, lines, to = whole.main_part.function.n_in() - 1, list[str](), 0
+    inputs = whole.main_part.function.n_in() - 1
+    lines = list[str]()
+    to = 0
     early = ", ".join(f"res[{k}]" for k in whole.early)
     for at in whole.sample_point_parts:
         sizes = ", ".join(map(str, at.sizes))
@@ -154,8 +157,10 @@ def _sample_point_call(whole: FunctionInParts) -> str:
 
 def _public_entry_point(whole: FunctionInParts) -> str:
     """C of the function as it is called from outside, and by casadi.external."""
-    directed, joined = whole.main_part.function, whole.join_part
-    inputs, results = directed.n_in() - 1, [f"found_{k}" for k in range(joined.n_in() - 1)]
+    directed = whole.main_part.function
+    joined = whole.join_part
+    inputs = directed.n_in() - 1
+    results = [f"found_{k}" for k in range(joined.n_in() - 1)]
     # C has no arrays of length 0.
     sizes = [max(joined.numel_in(k), 1) for k in range(joined.n_in())]
     room = ", ".join(f"{name}[{size}]" for name, size in zip(["places", *results], sizes, strict=True))

@@ -119,7 +119,8 @@ def _value(operation: int) -> str:
 
 def _tape(function: ca.Function) -> str:
     """C of one function: its tape, and its entry points for rows and for CasADi."""
-    name, constants = function.name(), list[float]()
+    name = function.name()
+    constants = list[float]()
     instructions = [_instruction(function, k, constants) for k in range(function.n_instructions())]
     sizes_in = [function.numel_in(i) for i in range(function.n_in())]
     sizes_out = [function.numel_out(i) for i in range(function.n_out())]
@@ -145,14 +146,17 @@ int {name}_rows(const double **arg, double **res, long rows) {{
 
 def _instruction(function: ca.Function, k: int, constants: list[float]) -> int:
     """Instruction k as one number; a constant that it takes is appended to constants."""
-    operation, to, of = function.instruction_id(k), function.instruction_output(k), function.instruction_input(k)
+    operation = function.instruction_id(k)
+    to = function.instruction_output(k)
+    of = function.instruction_input(k)
     if operation == ca.OP_CONST:
         of = [len(constants), 0]
         constants.append(function.instruction_constant(k))
     elif operation == ca.OP_OUTPUT:
         # An output's destination is (which output, entry): the entry takes the place of the second
         # argument.
-        of, to = [of[0], to[1]], to[:1]
+        of = [of[0], to[1]]
+        to = to[:1]
     # One-argument operations repeat it as the second, which their case does not read.
     numbers = of[0], of[-1], to[0]
     if max(numbers) >> TAPE_OPERAND_BITS:

@@ -60,7 +60,8 @@ def eliminate_common_subexpressions(function: ca.Function) -> ca.Function:
 
 def _function(function: ca.Function, lanes: int) -> str:
     """C of one function: its parts, and the function that calls them."""
-    name, pause = function.name(), pause_after(function)
+    name = function.name()
+    pause = pause_after(function)
     parts = _parts(function, pause)
     bodies = "".join(
         # Not inlined: one large body would take the compiler's time again.

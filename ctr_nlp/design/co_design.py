@@ -256,7 +256,8 @@ def _solve_starts(
     Starts are distributed over processes where there are at least as many starts as processes; otherwise the tasks
     of each start are.
     """
-    begun, found = dict[int, Candidate | None](), dict[int, Candidate]()
+    begun = dict[int, Candidate | None]()
+    found = dict[int, Candidate]()
     starts = list(itertools.islice(first_tubes(search.tubes, seed), count))
     apart, within = (jobs, 1) if isinstance(jobs, int) and len(starts) >= jobs else (1, jobs)
     alike = replace(search.portable, jobs=within)
@@ -343,7 +344,8 @@ def _remarks(best: Candidate, kept: Sequence[RuleValue]) -> tuple[Remark, ...]:
     """Return the rules that bind, those first that cost most."""
     if best.solution is None:
         return ()
-    found, whole = list[Remark](), best.solution.objective
+    found = list[Remark]()
+    whole = best.solution.objective
     for rule, price in zip(kept, best.solution.common_multipliers.tolist(), strict=True):
         bound = rule.upper if price > 0 else rule.lower
         if np.isfinite(bound) and abs(rule.value - bound) <= BINDING * max(abs(bound), BINDING):

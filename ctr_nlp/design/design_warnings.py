@@ -42,7 +42,8 @@ def _unused_tube_warnings(robot: Robot, beta: Array) -> Iterator[str]:
     """Yield a sentence for each tube that is hardly pushed out, or that hardly bends the robot; beta
     (T, d) in mm.
     """
-    out, felt = beta.max(axis=0), _effective_lengths(robot, beta).max(axis=0)
+    out = beta.max(axis=0)
+    felt = _effective_lengths(robot, beta).max(axis=0)
     for i in range(robot.d):
         if out[i] <= MIN_USEFUL_LENGTH_MM:
             yield (
@@ -61,7 +62,8 @@ def _effective_lengths(robot: Robot, beta: Array) -> Array:
     """Return the lengths (T, d), mm, over which each tube has at least MIN_STIFFNESS_SHARE of the stiffness, with
     beta (T, d) mm.
     """
-    stiffness, found = np.array([tube.bending_stiffness for tube in robot.tubes]), np.zeros_like(beta)
+    stiffness = np.array([tube.bending_stiffness for tube in robot.tubes])
+    found = np.zeros_like(beta)
     edges = np.sort(np.concatenate([np.zeros((len(beta), 1)), beta], axis=1), axis=1)
     for start, end in zip(edges.T[:-1], edges.T[1:], strict=True):
         # Tubes that reach beyond the start of a piece carry all of it, since pieces end where tubes do.

@@ -116,20 +116,24 @@ def divide_problems(
         return [tasks]
     search = replace(search, tasks=tuple(draft(task) for task in search.tasks))
     groups = _groups(_cluster_paths(search.tasks, count, settings.seed), count)
-    begun, least = [search.tubes.nominal_unknowns] * count, (len(tasks), np.inf)
+    begun = [search.tubes.nominal_unknowns] * count
+    least = (len(tasks), np.inf)
     for number in range(MAX_GROUPING_ROUNDS):
         found = dict(
             run_in_parallel(partial(_design_for_group, search), list(zip(groups, begun, strict=True)), jobs)
         )
         end_if_interrupted()
-        begun, errors = [found[k][0] for k in range(count)], np.array([found[k][1] for k in range(count)])
+        begun = [found[k][0] for k in range(count)]
+        errors = np.array([found[k][1] for k in range(count)])
         unserved, rms = _summarise_errors(errors)
         if progress is not None:
             progress(number + 1, MAX_GROUPING_ROUNDS, f"groups of problems, e3 {rms:.3f} mm")
         # Fewest tasks that no robot follows first, then the error: an error over fewer tasks is no progress.
         if (unserved, rms) >= (least[0], (1 - MIN_GROUPING_IMPROVEMENT) * least[1]):
             break
-        least, before, groups = (unserved, rms), groups, _groups(assign_by_errors(errors), count)
+        least = (unserved, rms)
+        before = groups
+        groups = _groups(assign_by_errors(errors), count)
         # Nothing moved: tubes would be designed for the same groups again.
         if groups == before:
             break

@@ -61,7 +61,8 @@ def plan_tasks(
     given = [[motion] for motion in initial] or [list[Array]()] * len(tasks)
     pairs = list(zip(tasks, given, strict=True))
     settings = settings if walls else replace(settings, contact_weight=0.0)
-    work, found = partial(_plan_task, settings, nominal, model), dict[int, Plan]()
+    work = partial(_plan_task, settings, nominal, model)
+    found = dict[int, Plan]()
     for number, plan in run_in_parallel(work, pairs, jobs):
         found[number] = plan
         if progress is not None:
@@ -98,7 +99,8 @@ def on_tubing_as_sold(plan: Plan, draws: int, seed: int) -> Robustness | None:
     Robustness or None
         What happens on them; None where the tolerances of the robot already name diameters or a covariance.
     """
-    robot, own = plan.robot, plan.robot.tolerances
+    robot = plan.robot
+    own = plan.robot.tolerances
     if own.covariance is not None or own.diameters(robot.d).any():
         return None
     sold = replace(own, diameter=tuple(max(diameter_tolerances(tube.outer_diameter)) for tube in robot.tubes))

@@ -162,7 +162,8 @@ def _fix_entries(search: DesignSearch, p: Array, kinds: Sequence[str]) -> Design
 
 def _round_tubes(candidate: Candidate, search: DesignSearch, robots: Robots) -> Candidate | None:
     """Return tubes with lengths and curvatures that can be made; None where no motion exists on them."""
-    d, solution = search.tubes.robot.d, candidate.solution
+    d = search.tubes.robot.d
+    solution = candidate.solution
     steps = [tuple(f"curved_length_{i}" for i in range(1, d + 1))]
     steps += [
         tuple(f"{kind}_{i}" for kind in ("curvature", "root_curvature", "tip_curvature")) for i in range(1, d + 1)

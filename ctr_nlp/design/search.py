@@ -245,7 +245,8 @@ class DesignSearch:
         SharedMotion
             The program, with the tubes' numbers as unknowns that all frames share.
         """
-        robot, made = self.tubes.robot_of(p), list[SharedMotion]()
+        robot = self.tubes.robot_of(p)
+        made = list[SharedMotion]()
         scenarios = robots(robot)
         for task, q in zip(self.tasks_on(robot), self.split_by_task(motions.q), strict=True):
             weight = MOTION_PART * self._motion_weight(task, q)
@@ -293,10 +294,8 @@ class DesignSearch:
         robot = self.tubes.robot_of(candidate.p)
         tips = self.split_by_task(candidate.motions.phi[:, 0])
         tasks = list(zip(self.tasks_on(robot), self.split_by_task(candidate.motions.q), tips, strict=True))
-        work, tried = (
-            partial(self.portable.share_task_motion, candidate.start, robots(robot)),
-            dict[int, StartResult](),
-        )
+        work = partial(self.portable.share_task_motion, candidate.start, robots(robot))
+        tried = dict[int, StartResult]()
         for number, one in run_in_parallel(work, tasks, self.jobs):
             if not one.is_solved:
                 return None
@@ -330,7 +329,8 @@ class DesignSearch:
             The motion, solved or not.
         """
         task, of_task, tips = task_and_motion
-        weight, margins = MOTION_PART * self._motion_weight(task, of_task), np.full(task.frames, self.margin)
+        weight = MOTION_PART * self._motion_weight(task, of_task)
+        margins = np.full(task.frames, self.margin)
         x = unknowns_of(self.model, task.robot, tips, of_task)
         with deferred_interrupt() as interrupted:
             own = (
@@ -412,7 +412,10 @@ class DesignSearch:
         Candidate or None
             The one with the least error; None where the first round already failed.
         """
-        found, known, pull, barrier = list[Candidate](), start, INITIAL_STEP_COST_MM2, first
+        found = list[Candidate]()
+        known = start
+        pull = INITIAL_STEP_COST_MM2
+        barrier = first
         for _ in range(MAX_DESIGN_ROUNDS):
             again = self.run_round(known, robots, pull, barrier)
             if again is None or self.stop():

@@ -50,8 +50,10 @@ def _sample_tubes(tubes: DesignedTubes, random: np.random.Generator) -> Array:
     allows.
     """
     # A part in a million more than a rule asks for, so that rounding does not break it.
-    rules, d = tubes.rules, tubes.robot.d
-    diameters, inner = np.zeros((d, 2)), rules.channel * (1 + 1e-6)
+    rules = tubes.rules
+    d = tubes.robot.d
+    diameters = np.zeros((d, 2))
+    inner = rules.channel * (1 + 1e-6)
     for i in reversed(range(d)):
         if i < d - 1:
             inner *= 1 + MAX_INNER_DIAMETER_GROWTH * random.random()

@@ -104,7 +104,8 @@ def _tube(place: Path, line: int, row: dict[str, str | None], unit: str) -> Stoc
     """Return the tubing of one line of a stock file, whose diameters are in `unit`, ``"mm"`` or ``"in"``."""
     found = []
     for end in DIAMETER_COLUMNS:
-        name, text = f"{end}_{unit}", row[f"{end}_{unit}"]
+        name = f"{end}_{unit}"
+        text = row[f"{end}_{unit}"]
         try:
             value = float(text or "") * (INCH if unit == "in" else 1.0)
         except ValueError:
@@ -155,14 +156,16 @@ def nearest_stock(
     OptionError
         No tubes of the stock nest within the rules.
     """
-    robot, rules = tubes.robot_of(p), tubes.rules
+    robot = tubes.robot_of(p)
+    rules = tubes.rules
     moduli = [tube.youngs_modulus for tube in robot.tubes]
     wanted = [math.log(tube.bending_stiffness) for tube in robot.tubes]
     found: list[tuple[float, tuple[StockTube, ...]]] = [(0.0, ())]
     # From the innermost tube outwards: each must clear the one inside it, and ratios need the stiffness of that
     # one.
     for i in reversed(range(robot.d)):
-        tube, longer = robot.tubes[i], list[tuple[float, tuple[StockTube, ...]]]()
+        tube = robot.tubes[i]
+        longer = list[tuple[float, tuple[StockTube, ...]]]()
         for cost, inside in found:
             least = inside[0].outer + rules.clearance if inside else rules.channel
             for one in _choices(stock, tubes, p, i):
@@ -217,7 +220,8 @@ def with_diameters(tubes: DesignedTubes, p: Array, chosen: Sequence[StockTube]) 
     ndarray
         Changed unknowns (P,).
     """
-    found, names = np.array(p, dtype=float), tubes.names
+    found = np.array(p, dtype=float)
+    names = tubes.names
     for k, name in enumerate(names):
         kind, _, number = name.rpartition("_")
         one = chosen[int(number) - 1]

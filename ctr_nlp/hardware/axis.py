@@ -73,7 +73,8 @@ class Axis:
 
 def check_fit(robot: Robot, axes: tuple[Axis, ...], mounted: Robot | None) -> None:
     """Raise HardwareError unless axes move all tubes of a robot, and these are mounted (None: any may be)."""
-    wanted, moved = set(robot.axes[: 2 * robot.d]), {axis.joint for axis in axes}
+    wanted = set(robot.axes[: 2 * robot.d])
+    moved = {axis.joint for axis in axes}
     for name in sorted(wanted ^ moved):
         what = f"no axis moves {name} of the robot" if name in wanted else f"an axis moves {name}"
         raise HardwareError(f"{what}; axes must move {', '.join(sorted(wanted))}")
@@ -82,7 +83,8 @@ def check_fit(robot: Robot, axes: tuple[Axis, ...], mounted: Robot | None) -> No
         raise HardwareError(f"the plan's robot has {robot.d} tubes, {len(tubes)} are mounted")
     for i, (tube, there) in enumerate(zip(robot.tubes, tubes, strict=True), start=1):
         for f in fields(tube):
-            planned, real = getattr(tube, f.name), getattr(there, f.name)
+            planned = getattr(tube, f.name)
+            real = getattr(there, f.name)
             if not np.allclose(planned, real, rtol=1e-9):
                 raise HardwareError(
                     f"tube {i} of the plan's robot has {f.name} {planned}, the one that is mounted {real}: "

@@ -57,7 +57,9 @@ class Commissioning:
             raise HardwareError(
                 f"device of the connection is {hardware.connection.device!r}; only grbl can be commissioned"
             )
-        self._hardware, self._link, self._clock = hardware, open_link(), clock
+        self._hardware = hardware
+        self._link = open_link()
+        self._clock = clock
         self._talk = Talk(self._link, clock)
         self._arrived = set[tuple[str, int]]()
         self._skipped = set[str]()
@@ -70,10 +72,8 @@ class Commissioning:
         identity = self._talk.identify()
         self._columns = identity.columns(self._hardware)
         self._acceleration = identity.acceleration(self._hardware)
-        wrong, changed = (
-            find_wrong_settings(identity, self._hardware),
-            find_changed_settings(identity, self._hardware),
-        )
+        wrong = find_wrong_settings(identity, self._hardware)
+        changed = find_changed_settings(identity, self._hardware)
         position = self._talk.report().position[self._columns]
         loosely = find_loose_settings(identity.settings, self._columns, self._hardware)
         self.controller = ControllerReadout(identity, wrong, changed, loosely, position, self._talk.round_trip())

@@ -26,7 +26,9 @@ class Journal:
     """
 
     def __init__(self, path: str | Path, clock: Clock) -> None:
-        self.path, self._clock, self._strict = Path(path), clock, True
+        self.path = Path(path)
+        self._clock = clock
+        self._strict = True
         self.session = uuid.uuid4().hex
         self.unwritten = ""
         with self._written():
@@ -52,7 +54,8 @@ class Journal:
     @contextmanager
     def forgiving(self) -> Iterator[None]:
         """Within the block failures are only noted: what stops a robot must not fail for want of a journal."""
-        before, self._strict = self._strict, False
+        before = self._strict
+        self._strict = False
         try:
             yield
         finally:

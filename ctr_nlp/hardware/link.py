@@ -30,7 +30,8 @@ class SerialLink:
     """A port that pyserial can open: "/dev/ttyUSB0", "COM3", "socket://127.0.0.1:23". Raises DeviceFault."""
 
     def __init__(self, url: str, baud: int) -> None:
-        self._url, serial = url, import_extra("serial")
+        self._url = url
+        serial = import_extra("serial")
         self._lost: tuple[type[Exception], ...] = _failures(serial)
         unopened: tuple[type[Exception], ...] = (*self._lost, ValueError)
         try:
@@ -75,7 +76,8 @@ class RecordedLink:
     """A link of which every byte is in a journal: what is sent before it is sent, what comes when it has come."""
 
     def __init__(self, link: ByteLink, journal: Journal) -> None:
-        self._link, self._journal = link, journal
+        self._link = link
+        self._journal = journal
 
     def write(self, data: bytes) -> None:
         """Record, then send; what cannot be recorded is not sent."""

@@ -91,7 +91,8 @@ def failed_from_any_side(
     """
     # The force is put on by hand, the same for all samples: theirs would each come from a direction of its own.
     robot = replace(plan.robot, tolerances=replace(plan.robot.tolerances, tip_force=0.0))
-    known, lost = sample_robots(robot, samples, FORCE_STUDY_SEED), np.zeros(samples, dtype=bool)
+    known = sample_robots(robot, samples, FORCE_STUDY_SEED)
+    lost = np.zeros(samples, dtype=bool)
     for direction in cube_directions(direction_count) if force else np.zeros((1, 3)):
         pushed = replace(known, forces=np.tile(force * direction, (samples, 1)))
         lost |= find_failure_frames(robot, pushed, plan.q, "elastic") > 0

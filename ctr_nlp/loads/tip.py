@@ -226,7 +226,8 @@ def forces(
     )
     if off is not None:
         number(OptionError, "off", off, lambda x: 0 <= x < math.inf, "be a finite number >= 0", " mm")
-    load, way = plan.evaluated_load or Load(), cube_directions(directions)
+    load = plan.evaluated_load or Load()
+    way = cube_directions(directions)
     load.check(plan.robot)
     equilibria = LoadedEquilibria(plan.robot.structure, RodKind.of(load))
     which, states = _loaded_states(plan, load, equilibria, whole_number(OptionError, "every", every))
@@ -274,7 +275,8 @@ def _loaded_states(
     every: only every so many frames are looked at.
     """
     # The branch is that of the motion without a load; in each frame the load of its time then grows from zero.
-    x, d = KINEMATIC_MODELS[Loaded.name].follow(plan.robot, plan.q).x, plan.robot.d
+    x = KINEMATIC_MODELS[Loaded.name].follow(plan.robot, plan.q).x
+    d = plan.robot.d
     which = np.flatnonzero(np.isfinite(x).all(axis=1))
     which = which[which % every == 0]
     of_robot = np.repeat(plan.robot.numbers[None], len(which), axis=0)
@@ -289,7 +291,8 @@ def _left_lumen_criterion(plan: Plan, off: float, kind: RodKind) -> StateConditi
     """Return the condition that a robot is further beyond the wall of the plan's lumen than off, mm."""
     if plan.lumen is None:
         raise OptionError("off is asked for, and the plan knows no wall of a lumen")
-    beside, robot = WallDistance(Lumen(plan.lumen)), plan.robot
+    beside = WallDistance(Lumen(plan.lumen))
+    robot = plan.robot
 
     def left(states: States) -> Flags:
         shape = loaded_shapes(robot, states, TIP_FORCE_CLEARANCE_SIGMA, kind)

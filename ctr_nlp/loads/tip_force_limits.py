@@ -63,12 +63,16 @@ def find_tip_force_limits(
         For each condition the forces from which on it is true, N: 0 where it is true without a force. In both,
         infinity stands for more than `max_force`, and in `found` for never before the branch ends.
     """
-    rows, count = len(states.q), len(directions)
+    rows = len(states.q)
+    count = len(directions)
     # A row for each pair of a configuration and a direction: row k n + j has configuration k and direction j.
-    now, toward = states.rows(np.repeat(np.arange(rows), count)), np.tile(directions, (rows, 1))
-    own, ends = now.load, np.full(rows * count, np.inf)
+    now = states.rows(np.repeat(np.arange(rows), count))
+    toward = np.tile(directions, (rows, 1))
+    own = now.load
+    ends = np.full(rows * count, np.inf)
     found = [np.where(true(now), 0.0, np.inf) for true in conditions]
-    before, going = 0.0, np.arange(rows * count)
+    before = 0.0
+    going = np.arange(rows * count)
     # Forces within a level are steps from the one before, on the branch that has been followed so far. A row whose
     # branch has ended within a level is followed no further.
     for level in max_force * 2.0 ** -np.arange(TIP_FORCE_LEVELS - 1.0, -1.0, -1.0):
@@ -78,10 +82,12 @@ def find_tip_force_limits(
         for true, since in zip(conditions, found, strict=True):
             # Also on a branch that ended: what became true before its end counts.
             crossing = np.flatnonzero(np.isinf(since[going]) & true(new))
-            which, high = going[crossing], force[crossing]
+            which = going[crossing]
+            high = force[crossing]
             since[which] = _crossing(equilibria, now.rows(which), own[which], toward[which], before, high, true)
         now = now.replace_rows(going[done == 1], new.rows(done == 1))
-        going, before = going[done == 1], level
+        going = going[done == 1]
+        before = level
     return ends.reshape(rows, count), [since.reshape(rows, count) for since in found]
 
 
@@ -143,7 +149,8 @@ def _crossing(
         past = true(new)
         # Where the condition is still false the branch is followed on from there, which is less far each time.
         states = states.replace_rows(~past, new.rows(~past))
-        low, high = np.where(past, low, middle), np.where(past, middle, high)
+        low = np.where(past, low, middle)
+        high = np.where(past, middle, high)
     return (low + high) / 2
 
 

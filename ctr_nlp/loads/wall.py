@@ -73,7 +73,8 @@ class WallForces(WallContact):
         dict
             Fit for strict JSON; None where nothing is known.
         """
-        worst, known = self.worst, self.in_equilibrium
+        worst = self.worst
+        known = self.in_equilibrium
         at = 0 if worst is None else worst - 1
         return {
             "stiffness_N_per_mm2": self.stiffness,
@@ -162,7 +163,8 @@ def wall_forces(plan: Plan, stiffness: float = AIRWAY_WALL_STIFFNESS_N_PER_MM2) 
         raise OptionError("the plan knows no wall of a lumen, so that nothing can touch it")
     if not np.isfinite(plan.q).all():
         raise OptionError("the plan has frames that were not reached; forces of contact need all of them")
-    load, lumen = plan.evaluated_load or Load(), Lumen(plan.lumen)
+    load = plan.evaluated_load or Load()
+    lumen = Lumen(plan.lumen)
     found = Foundation(plan.robot, lumen, value, load).follow_motion(plan.q)
     alone = plan.with_load(load)
     assert alone.clearance is not None  # a lumen is known

@@ -112,7 +112,8 @@ class Foundation:
         places = middle[..., None] + length[..., None] * (np.array(CONTACT_PIECE_SAMPLE_PARTS) - 0.5)
         sigma = places.reshape(len(beta), -1) / beta[:, -1:]
         points = loaded_shapes(self.robot, states, sigma, self.kind)
-        near, over = self.lumen.project(points), outermost_tube_radii(self.robot, beta, sigma)
+        near = self.lumen.project(points)
+        over = outermost_tube_radii(self.robot, beta, sigma)
         over -= near.radius
         # On the far side, where a lumen is narrower than the robot, the wall pushes back: behind is the depth
         # there.
@@ -136,12 +137,12 @@ class Foundation:
 
     def follow_motion(self, q: Array) -> WallContact:
         """The robot moved through frames q (T, 2d + 2), in the first of which the wall closes around it."""
-        found, way = self._empty_result(q), subdivide_motion(np.asarray(q, dtype=float), SAMPLE_SUBSTEPS_PER_FRAME)
-        states, pushes = self._unloaded_state(q[:1]), np.zeros((1, found["along"].shape[1], 3))
-        loads, last_of = (
-            self.load.numbers_at(self.robot.d, way.elapsed_fractions),
-            np.diff(way.frames, append=-1) != 0,
-        )
+        found = self._empty_result(q)
+        way = subdivide_motion(np.asarray(q, dtype=float), SAMPLE_SUBSTEPS_PER_FRAME)
+        states = self._unloaded_state(q[:1])
+        pushes = np.zeros((1, found["along"].shape[1], 3))
+        loads = self.load.numbers_at(self.robot.d, way.elapsed_fractions)
+        last_of = np.diff(way.frames, append=-1) != 0
         # Pushes are dead loads while the robot moves on; then they are adjusted to the depths at the new place.
         for place, load, j, last in zip(way.q[:, None], loads, way.frames, last_of, strict=True):
             states, done = self.equilibria.follow_branches(states, place, self.combine_loads(load, pushes))
@@ -197,7 +198,10 @@ class Foundation:
                     break
             else:
                 return None
-            states, wall, pushes, missed = there, at, tried, less
+            states = there
+            wall = at
+            pushes = tried
+            missed = less
         return None
 
     def _force_residual(self, wall: WallReaction, pushes: Array, length: Array) -> float:
@@ -206,7 +210,8 @@ class Foundation:
 
     def _newton(self, states: States, load: Array, wall: WallReaction, pushes: Array) -> Array:
         """The change (1, K, 3) of pushes after which, to first order, they are what depths say."""
-        sizes, towards = wall.push[0], wall.towards[0]
+        sizes = wall.push[0]
+        towards = wall.towards[0]
         kept = (pushes[0] * towards).sum(axis=1)
         busy = np.flatnonzero((sizes > 0) | (kept > 0))
         if not len(busy):

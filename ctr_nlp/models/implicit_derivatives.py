@@ -28,7 +28,8 @@ def make_total_derivative(shape: SymbolicShape, rows: ca.SX, others: ca.SX) -> C
     configuration are eliminated by the implicit function theorem. shape: the model's frame. rows: Shape.rows side
     by side, in x and others: the part of the configuration that x does not hold.
     """
-    unknowns, places = shape.x.numel(), shape.picks or tuple(range(shape.x.numel()))
+    unknowns = shape.x.numel()
+    places = shape.picks or tuple(range(shape.x.numel()))
     q = list(places[: 2 * len(shape.beta) + 2])
     own = [k for k in range(unknowns) if k not in q]
     # A = (c_y)^-1; where x is q itself, nothing has to be eliminated.

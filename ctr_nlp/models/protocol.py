@@ -151,7 +151,8 @@ def subdivide_motion(q: Array, substeps: int) -> MotionSubsteps:
     steps = np.where(joined, substeps, known.astype(int))
     frames = np.repeat(np.arange(len(q)), steps)
     part = (np.arange(len(frames)) - (np.cumsum(steps) - steps)[frames] + 1) / steps[frames]
-    before, after = q[frames - joined[frames]], q[frames]
+    before = q[frames - joined[frames]]
+    after = q[frames]
     # The last sub-step is the frame itself, without rounding: states are compared with goals for equality.
     places = np.where((part == 1)[:, None], after, before + part[:, None] * (after - before))
     return MotionSubsteps(places, frames, ~joined[frames], len(q))
@@ -349,7 +350,8 @@ class Model(ABC):
             )
         # The last sub-step of each frame is the frame itself; with one shape for each q, the others do not
         # matter.
-        ends, unknown = np.flatnonzero(np.diff(motion.frames, append=-1)), np.full(motion.total, np.nan)
+        ends = np.flatnonzero(np.diff(motion.frames, append=-1))
+        unknown = np.full(motion.total, np.nan)
         x = np.full((len(q), motion.total, q.shape[2]), np.nan)
         x[:, motion.frames[ends]] = q[:, ends]
         return [EquilibriumPath(each, unknown, unknown) for each in x]
@@ -373,7 +375,8 @@ def build_sample_function(model: Model, structure: Structure, count: int) -> ca.
 
     Points are in mm. load: its numbers; empty for a model without one.
     """
-    sigma, numbers = ca.SX.sym("sigma", count), ca.SX.sym("numbers", structure.d, len(TUBE_NUMBER_NAMES))
+    sigma = ca.SX.sym("sigma", count)
+    numbers = ca.SX.sym("numbers", structure.d, len(TUBE_NUMBER_NAMES))
     tubes = symbolic_tubes(structure, numbers)
     # sigma is relative to the robot's length beta_d: s = sigma beta_d.
     shape, load = frame_and_load_symbol(model, structure, tubes, lambda beta: sigma * beta[-1], tangents=True)

@@ -60,7 +60,8 @@ class _Evaluators:
     """
 
     def __init__(self, functions: Callable[[], FrameFunctions], parameters: Array) -> None:
-        self._functions, self._parameters = functions, parameters
+        self._functions = functions
+        self._parameters = parameters
         self._of: FrameFunctions | None = None
         self._mapped = dict[int, BatchEvaluator]()
 
@@ -69,7 +70,8 @@ class _Evaluators:
         # Functions change when compiled ones, made in the background, take the place of interpreted ones.
         found = self._functions()
         if found is not self._of:
-            self._of, self._mapped = found, {}
+            self._of = found
+            self._mapped = {}
         if which not in self._mapped:
             mapped = BatchEvaluator(found[:3][which], self._parameters.shape[1])
             mapped.inputs[1][:] = self._parameters.T
@@ -163,7 +165,8 @@ class Chain:
         Distances are |scale (x - to)|^2 with the unknown number i scaled as axis number i, of which there must be
         as many.
         """
-        own, to = self.frame, ca.SX.sym("to", self.unknowns)
+        own = self.frame
+        to = ca.SX.sym("to", self.unknowns)
         frame = Nlp(
             "nearest",
             own.x,
@@ -187,7 +190,8 @@ class Chain:
     @cached_property
     def linking(self) -> sp.csr_array:
         """The matrices of all links over the frames' rows, (l, T (n + m)): all x, and then all g."""
-        over_q, rows = self.difference, self.frames * (self.unknowns + self.frame.g.numel())
+        over_q = self.difference
+        rows = self.frames * (self.unknowns + self.frame.g.numel())
         # Renaming columns moves the matrix from q to the rows from which q is picked. Two entries may meet
         # in one column; then they are summed.
         entries = over_q.data, self._configuration_rows[over_q.indices], over_q.indptr
@@ -198,7 +202,9 @@ class Chain:
     @cached_property
     def _configuration_rows(self) -> Index:
         """The rows that the entries of q are picked from, (T k,)."""
-        picks, n, m = self.frame.configuration, self.unknowns, self.frame.g.numel()
+        picks = self.frame.configuration
+        n = self.unknowns
+        m = self.frame.g.numel()
         frame = np.arange(self.frames)[:, None]
         # A pick below n is an entry of x, one from n on a constraint; constraints of all frames come after
         # all x.

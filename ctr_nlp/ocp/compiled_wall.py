@@ -70,14 +70,13 @@ class CompiledWall:
         self, robot: Robot, lumen: Lumen, model: Model, clearance: float, subsamples: int, tiny: float
     ) -> None:
         """Prepare; raises OptionError where nothing can be compiled."""
-        count, d = robot.d * WALL_SAMPLES_PER_TUBE * subsamples, robot.d
+        count = robot.d * WALL_SAMPLES_PER_TUBE * subsamples
+        d = robot.d
         # Rounded up to whole vectors; samples more than there are stand at the tip (_arc_length_coefficients).
         samples = -(-count // WALL_SAMPLE_LANES)
         self._points, self._made = _compile_sample_points(model.program_model, robot.structure, samples)
-        unknowns, self._loaded = (
-            self._points.numel_in(0),
-            0 if model.applied_load is None else self._points.numel_in(3),
-        )
+        unknowns = self._points.numel_in(0)
+        self._loaded = 0 if model.applied_load is None else self._points.numel_in(3)
         rows = d * WALL_SAMPLES_PER_TUBE
         given = (
             _arc_length_coefficients(d, WALL_SAMPLES_PER_TUBE * subsamples, samples),
@@ -115,7 +114,8 @@ class CompiledWall:
             ),
             *addresses[len(given) :],
         )
-        self._rows, self._numbers = rows, self._arrays[_WALL_INPUT_FIELDS.index("numbers")]
+        self._rows = rows
+        self._numbers = self._arrays[_WALL_INPUT_FIELDS.index("numbers")]
         # The robot's numbers, to go back to after other robots' were used.
         self._own = self._numbers.copy()
         self._wall = _WallStruct(None, *self._fixed)
@@ -213,7 +213,8 @@ def _arc_length_coefficients(d: int, count: int, samples: int) -> Array:
     # Sample number j of tube i is at beta_{i-1} + (j + 1) / count (beta_i - beta_{i-1}): shares 1 - f and f
     # of two neighbouring extensions, the first of which is beta_0 = 0 and has no column.
     tube, part = np.divmod(np.arange(WALL_SAMPLE_LANES * samples).clip(max=d * count - 1), count)
-    fraction, found = (part + 1.0) / count, np.zeros((WALL_SAMPLE_LANES * samples, d + 1))
+    fraction = (part + 1.0) / count
+    found = np.zeros((WALL_SAMPLE_LANES * samples, d + 1))
     np.put_along_axis(found, tube[:, None], 1 - fraction[:, None], axis=1)
     np.put_along_axis(found, tube[:, None] + 1, fraction[:, None], axis=1)
     return np.ascontiguousarray(found[:, 1:].reshape(WALL_SAMPLE_LANES, samples, d).transpose(0, 2, 1))
@@ -232,10 +233,8 @@ def sample_points_function(model: Model, structure: Structure, samples: int) -> 
 
     They are the points that programs have. On models with loads the function takes the numbers of one, too.
     """
-    shares, numbers = (
-        ca.SX.sym("shares", samples, structure.d),
-        ca.SX.sym("numbers", structure.d, len(TUBE_NUMBER_NAMES)),
-    )
+    shares = ca.SX.sym("shares", samples, structure.d)
+    numbers = ca.SX.sym("numbers", structure.d, len(TUBE_NUMBER_NAMES))
     tubes = symbolic_tubes(structure, numbers)
     shape, load = frame_and_load_symbol(model, structure, tubes, lambda beta: shares @ ca.vertcat(*beta))
     given = [shape.x, shares, numbers] + [load] * (model.applied_load is not None)

@@ -66,13 +66,17 @@ def curvature_exact(
     the tube's two ends. The mean of kappa^2, which no beta changes, is left out. reach: mm. kappa: (n + 1,) in
     1/mm and turning: (n + 1,) in rad, at uniform sigma; target_length: mm.
     """
-    total, start = ca.SX(0), ca.SX(0)
+    total = ca.SX(0)
+    start = ca.SX(0)
     first, second = _cumulative(kappa, turning, target_length)
     for i, tube in enumerate(tubes):
         low, at_low, slope = shape.curved_part(tubes, i, start, beta[i], ca)
         # From s to sigma: dk/dsigma = beta_d dk/ds.
-        sigma_low, sigma_high, per_sigma = low / beta[-1], beta[i] / beta[-1], slope * beta[-1]
-        width, turned = sigma_high - sigma_low, first(sigma_high) - first(sigma_low)
+        sigma_low = low / beta[-1]
+        sigma_high = beta[i] / beta[-1]
+        per_sigma = slope * beta[-1]
+        width = sigma_high - sigma_low
+        turned = first(sigma_high) - first(sigma_low)
         # int k^2 dsigma with k = at_low + per_sigma (sigma - sigma_low).
         own = at_low**2 * width + at_low * per_sigma * width**2 + per_sigma**2 * width**3 / 3
         # int k kappa dsigma; for a linear k by parts, with F the integral of kappa and S that of F:
@@ -96,7 +100,8 @@ def _cumulative(kappa: ca.SX, turning: ca.SX, target_length: ca.SX) -> tuple[Any
     nodes = ca.DM(np.arange(cells) * h)
     # d(turning) = kappa ds = kappa L dsigma.
     rise = (turning[1:] - turning[:-1]) / target_length
-    a, b = kappa[:-1], kappa[1:]
+    a = kappa[:-1]
+    b = kappa[1:]
     # Hermite's cubic in c = sigma - node: F = F_node + a c + square c^2 + cubic c^3.
     cubic = (a + b) / h**2 - 2 * rise / h**3
     square = 3 * rise / h**2 - (2 * a + b) / h

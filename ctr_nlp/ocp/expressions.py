@@ -97,9 +97,11 @@ class ProgramExpressions:
         Common subexpressions are not eliminated here, which takes seconds: the generator of machine code does it.
         """
         residual, cost, g = self.terms_in_x
-        lam_f, lam_g = ca.SX.sym("lam_f"), ca.SX.sym("lam_g", g.numel())
+        lam_f = ca.SX.sym("lam_f")
+        lam_g = ca.SX.sym("lam_g", g.numel())
         gradient, jacobian, hessian = (ca.densify(part) for part in self.derivatives(lam_f, lam_g))
-        inputs, multipliers = [self.x, self.p], [lam_f, lam_g]
+        inputs = [self.x, self.p]
+        multipliers = [lam_f, lam_g]
         value = [ca.sumsqr(residual) + cost, ca.densify(g)]
         slopes = [value[0], gradient, value[1], jacobian]
         return FrameFunctions(
@@ -121,16 +123,23 @@ class ProgramExpressions:
         # Forward through the layers: u are the quantities so far, u_x their Jacobian over x. For each layer
         # keep the quantities below, their Jacobian over x, all quantities in terms of those below, and the
         # Jacobian of that step.
-        u, u_x, layers = self.x, ca.SX.eye(self.x.numel()), list[tuple[ca.SX, ca.SX, ca.SX, ca.SX]]()
+        u = self.x
+        u_x = ca.SX.eye(self.x.numel())
+        layers = list[tuple[ca.SX, ca.SX, ca.SX, ca.SX]]()
         for symbols, values in self.inner:
             at = ca.vertcat(values, u)
             step = ca.jacobian(at, u)
             layers.append((u, u_x, at, step))
-            u, u_x = ca.vertcat(symbols, u), step @ u_x
-        r, cost, g = self.residual, self.cost, self.g
-        r_u, g_u = ca.jacobian(r, u), ca.jacobian(g, u)
+            u = ca.vertcat(symbols, u)
+            u_x = step @ u_x
+        r = self.residual
+        cost = self.cost
+        g = self.g
+        r_u = ca.jacobian(r, u)
+        g_u = ca.jacobian(g, u)
         # slope = dr/dx; pull = d(|r|^2 + cost)/du, from which the gradient is u_x' pull.
-        slope, pull = r_u @ u_x, ca.densify(2 * r_u.T @ r + ca.gradient(cost, u))
+        slope = r_u @ u_x
+        pull = ca.densify(2 * r_u.T @ r + ca.gradient(cost, u))
         # The residuals' curvature is sum_k 2 lam_f r_k d2r_k/du2. Stand-ins for the factors 2 lam_f r keep
         # these constant while `pushes . r` is differentiated; their values are substituted at the end.
         pushes = ca.SX.sym("pushes", r.numel())
@@ -138,7 +147,8 @@ class ProgramExpressions:
         # Gauss-Newton part 2 lam_f J'J plus the curvature of the outermost expressions. Only upper
         # triangles are formed, since the Hessian is symmetric.
         half = ca.triu(2 * lam_f * slope.T @ slope + u_x.T @ ca.hessian(straight, u)[0] @ u_x)
-        stand_ins, given = [pushes], [ca.densify(2 * lam_f * r)]
+        stand_ins = [pushes]
+        given = [ca.densify(2 * lam_f * r)]
         # force = L_u, what the Lagrangian's slope over u multiplies second derivatives of u(v) with.
         force = ca.densify(lam_f * pull + g_u.T @ lam_g)
         # Backward through the layers: each adds below_x' (sum_k force_k d2u_k/dbelow2) below_x, and hands
@@ -146,7 +156,8 @@ class ProgramExpressions:
         for below, below_x, at, step in reversed(layers):
             pulls = ca.SX.sym("pulls", at.numel())
             half += ca.triu(below_x.T @ ca.hessian(ca.dot(pulls, at), below)[0] @ below_x)
-            stand_ins, given = [*stand_ins, pulls], [*given, force]
+            stand_ins = [*stand_ins, pulls]
+            given = [*given, force]
             force = ca.densify(step.T @ force)
         (half,) = ca.substitute([half], stand_ins, given)
         gradient, jacobian, half = self.in_x([u_x.T @ pull, g_u @ u_x, half])

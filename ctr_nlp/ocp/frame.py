@@ -93,7 +93,8 @@ def _program(
     numbers = ca.SX.sym("tubes", structure.d, len(TUBE_NUMBER_NAMES))
     parameters = {"tubes": numbers} | _parameters(structure, terms)
     places_freed = locate_free_numbers(structure, free_numbers or ())
-    unknown, known = ca.SX.sym("freed", len(places_freed)), ca.SX(numbers)
+    unknown = ca.SX.sym("freed", len(places_freed))
+    known = ca.SX(numbers)
     for k, (i, columns) in enumerate(places_freed):
         for column in columns:
             # An arc's curvature stands in two columns, at root and tip: one unknown takes the place of
@@ -156,7 +157,9 @@ def _assemble_nlp(
     """
     slacks = [part.slack for part in parts if part.slack is not None]
     motors = list[Constraint]()
-    n, more, picks = shape.x.numel(), freed.numel(), shape.picks
+    n = shape.x.numel()
+    more = freed.numel()
+    picks = shape.picks
     if picks is not None or motors_shared:
         for row, value in shape.rows.items():
             # Rows without bounds here: the robot's limits are put on them solve by solve (Nlp.row_bounds).

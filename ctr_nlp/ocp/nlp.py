@@ -175,7 +175,8 @@ class Nlp:
     @cached_property
     def kkt_function(self) -> ca.Function:
         """(x, p, lam_x, lam_g) -> (gradient of the Lagrangian, g)."""
-        lam_x, lam_g = ca.SX.sym("lam_x", self.x.numel()), ca.SX.sym("lam_g", self.g.numel())
+        lam_x = ca.SX.sym("lam_x", self.x.numel())
+        lam_g = ca.SX.sym("lam_g", self.g.numel())
         # Stationarity: df/dx + (dg/dx)' lam_g + lam_x = 0, where lam_x belongs to the bounds of x.
         gradient = ca.gradient(self.objective + ca.dot(lam_g, self.g), self.x) + lam_x
         return ca.Function("kkt", [self.x, self.p, lam_x, lam_g], [gradient, self.g], {"cse": True})
@@ -191,7 +192,8 @@ def kkt_residual(
     infeasibility (units of x and g) and complementarity (mm^2).
     """
     gradient, g = (value.full().ravel() for value in nlp.kkt_function(x, p, lam_x, lam_g))
-    values, multipliers = np.concatenate([x, g]), np.concatenate([lam_x, lam_g])
+    values = np.concatenate([x, g])
+    multipliers = np.concatenate([lam_x, lam_g])
     lows, highs = nlp.row_bounds(lower, upper)
     infeasible = np.maximum(np.maximum(lows - values, values - highs), 0.0)
     # Complementarity is |multiplier| times the distance to the bound that the multiplier's sign names.

@@ -53,7 +53,8 @@ class _Partition:
         groups, indices = group_samples(written)
         # Without groups nothing is shared, and the whole program is the rest.
         shared, (symbols, values) = indices.tolist() if groups else [], written.first_layer
-        residuals, pattern = written.residual.numel(), ca.jacobian_sparsity(values[shared], written.x)
+        residuals = written.residual.numel()
+        pattern = ca.jacobian_sparsity(values[shared], written.x)
         entries = ca.SX.sym("slopes", pattern.nnz())
         multipliers = ca.SX.sym("lam_f"), ca.SX.sym("lam_g", written.g.numel())
         common = SampleInputs(written.x, written.p, symbols[shared], entries, pattern, *multipliers)
@@ -91,7 +92,8 @@ class _Partition:
         Slopes of that gradient over x are half of the Hessian of lam_f objective + lam_g g + pull . values, where
         pull is found at the places in between.
         """
-        n, inputs = self.common.x.numel(), self.common.inputs(order)
+        n = self.common.x.numel()
+        inputs = self.common.inputs(order)
         # Substituted, not nested: forward differentiation needs no layers.
         residual, cost, g = self.rest.terms_in_x
         f = ca.sumsqr(residual) + cost
@@ -121,7 +123,8 @@ class _Partition:
         rows: Sequence[SampleConstraintRows],
     ) -> ca.Function:
         """The whole program's results, from those found at places and those of the rest."""
-        function, patterns = directed.function, list(directed.slopes.values())
+        function = directed.function
+        patterns = list(directed.slopes.values())
         results = [ca.SX.sym("result", *function.size_out(k)) for k in range(function.n_out())]
         entries = [ca.SX.sym("entries", pattern.nnz()) for pattern in patterns]
         _, f, g, *_ = results
@@ -140,7 +143,8 @@ class _Partition:
 
 def _without_unused(written: ProgramExpressions, first: list[int]) -> ProgramExpressions:
     """The program without inner quantities that nothing needs; those of the first layer in `first` come first."""
-    needed, inner = ca.vertcat(written.rows, written.cost), list[tuple[ca.SX, ca.SX]]()
+    needed = ca.vertcat(written.rows, written.cost)
+    inner = list[tuple[ca.SX, ca.SX]]()
     for number, (symbols, values) in reversed(list(enumerate(written.inner))):
         used = np.flatnonzero(depends(needed, symbols).any(axis=0)).tolist()
         picked = used if number else [*first, *(k for k in used if k not in first)]

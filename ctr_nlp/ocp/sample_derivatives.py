@@ -80,7 +80,8 @@ class SampleSums(NamedTuple):
     @classmethod
     def of(cls, common: SampleInputs, every: Sequence[SampleSums]) -> SampleSums:
         """Add up the Sums of several groups of places."""
-        n, base = common.x.numel(), common.base.numel()
+        n = common.x.numel()
+        base = common.base.numel()
         none = cls(ca.SX(1, 1), ca.SX(n, 1), ca.SX(n, n), ca.SX(base - n, 1), ca.SX(base, base))
         return cls(*(sum(parts[1:], parts[0]) for parts in zip(none, *every, strict=True)))
 
@@ -120,18 +121,28 @@ class SampleTerms:
         counts: 1, or 0 for a place that has been evaluated before, in the last vector. lam_g: multipliers of
         constraints, from the place's own on.
         """
-        value, z, base, n = self.group.value, self.group.z, self.common.base, self.common.x.numel()
-        value_x, u = self._value_u @ self._u_x, ca.vertcat(z, base)
+        value = self.group.value
+        z = self.group.z
+        base = self.common.base
+        n = self.common.x.numel()
+        value_x = self._value_u @ self._u_x
+        u = ca.vertcat(z, base)
         # push = L_r, the slope of the Lagrangian over the rows: lam_g for constraints, 2 lam_f r for
         # residuals.
-        push, f, gradient, half = counts * lam_g[self.first or []], ca.SX(0), ca.SX(n, 1), ca.SX(n, n)
+        push = counts * lam_g[self.first or []]
+        f = ca.SX(0)
+        gradient = ca.SX(n, 1)
+        half = ca.SX(n, n)
         if self.first is None:
-            push, f = 2 * counts * self.common.lam_f * value, counts * ca.sumsqr(value)
+            push = 2 * counts * self.common.lam_f * value
+            f = counts * ca.sumsqr(value)
             # Only residuals have a Gauss-Newton part, 2 lam_f r_x' r_x.
-            gradient, half = 2 * counts * value_x.T @ value, 2 * counts * self.common.lam_f * value_x.T @ value_x
+            gradient = 2 * counts * value_x.T @ value
+            half = 2 * counts * self.common.lam_f * value_x.T @ value_x
         # Stand-ins keep the factors constant while second derivatives are taken (as in
         # Written.derivatives).
-        pushes, pulls = ca.SX.sym("pushes", value.numel()), ca.SX.sym("pulls", z.numel())
+        pushes = ca.SX.sym("pushes", value.numel())
+        pulls = ca.SX.sym("pulls", z.numel())
         half += self._u_x.T @ ca.hessian(ca.dot(pushes, value), u)[0] @ self._u_x
         force = self._value_u.T @ push
         # L_b: through z, and directly.
@@ -145,19 +156,23 @@ class SampleTerms:
     @cached_property
     def _patterns(self) -> tuple[ca.Sparsity, ...]:
         """Sparsity of each entry of Sums: the entries that may differ from 0."""
-        n, m = self.common.x.numel(), self.common.shared.numel()
+        n = self.common.x.numel()
+        m = self.common.shared.numel()
         bend = self._sums(ca.SX.sym("counts"), self.common.lam_g).bend.sparsity()
         return ca.Sparsity.dense(1), ca.Sparsity.dense(n), ca.Sparsity.upper(n), ca.Sparsity.dense(m), bend
 
     def function(self, order: int, name: str) -> SamplePointFunction:
         """The function of one place: its part of the sums, and its rows, with derivatives up to an order."""
-        common, group, places = self.common, self.group, len(self.group.rows)
+        common = self.common
+        group = self.group
+        places = len(self.group.rows)
         shared = common.inputs(order) + common.early(order)
         # Every input a second time, read with an offset of so many entries as the place is after the first:
         # that is where a place finds parameters and multipliers of its own.
         apart = [ca.SX.sym("apart", each.numel()) for each in common.inputs(order)]
         constants = np.array([values for _, values in group.constants]).reshape(-1, places)
-        fixed, counts = ca.SX.sym("fixed", constants.size), ca.SX.sym("counts")
+        fixed = ca.SX.sym("fixed", constants.size)
+        counts = ca.SX.sym("counts")
         sums = self._sums(counts, apart[3] if order == 2 else common.lam_g)
         added = [ca.project(part, pattern).nz[:] for part, pattern in zip(sums, self._patterns, strict=True)]
         rows = [] if self.first is None else [group.value, ca.vec(ca.densify(self._value_u @ self._u_x))]
@@ -182,7 +197,8 @@ class SampleTerms:
         """Split the numbers that the function found at all places: sums, and rows entry by entry and then place by
         place.
         """
-        patterns, constraints = self._patterns, 0 if self.first is None else self.group.rows.size
+        patterns = self._patterns
+        constraints = 0 if self.first is None else self.group.rows.size
         ends = np.cumsum([0, *(pattern.nnz() for pattern in patterns[: SUMS[order]])]).tolist()
         parts = [ca.SX(*pattern.shape) for pattern in patterns]
         for k in range(SUMS[order]):

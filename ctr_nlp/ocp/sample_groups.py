@@ -52,18 +52,21 @@ class _SampleRows(NamedTuple):
 def group_samples(written: ProgramExpressions) -> tuple[tuple[SampleGroup, ...], Index]:
     """Groups of places whose rows are one expression, and which symbols of the first layer they take as given."""
     symbols, values = written.first_layer
-    later, rows = ca.vertcat(ca.SX(0, 1), *(layer[0] for layer in written.inner[1:])), written.rows
+    later = ca.vertcat(ca.SX(0, 1), *(layer[0] for layer in written.inner[1:]))
+    rows = written.rows
     uses = depends(written.without(written.inner[1:], [rows])[0], symbols)
     # A quantity that fewer than VECTOR_LANES rows use belongs to a place; one that more use, to all of them. A
     # place has a few rows only, of which each may use the same quantity.
     own = uses.any(axis=0) & (uses.sum(axis=0) < VECTOR_LANES)
-    shared, mine = np.flatnonzero(~own), np.flatnonzero(own).tolist()
+    shared = np.flatnonzero(~own)
+    mine = np.flatnonzero(own).tolist()
     own_layer = [(symbols[mine], values[mine])]
     # Quantities of later layers in x, p and shared symbols, without the place's own symbols: the place has
     # to compute these itself.
     (quantities,) = written.without([*own_layer, *written.inner[1:]], [later])
     (rows,) = written.without(own_layer, [rows])
-    given, direct = [written.x, written.p, symbols[shared.tolist()]], depends(rows, later)
+    given = [written.x, written.p, symbols[shared.tolist()]]
+    direct = depends(rows, later)
     groups: dict[Any, list[_SampleRows]] = defaultdict(list)
     for of_place in _rows_by_sample(uses & own, written.residual.numel()):
         used = np.flatnonzero(direct[of_place].any(axis=0)).tolist()
@@ -102,9 +105,12 @@ def _operations(function: ca.Function) -> tuple[tuple[Any, ...], list[float | in
     """
     # CasADi reuses slots of its work vector. Two functions are compared by which earlier instruction made
     # each argument instead, as slots may be assigned differently.
-    made, numbers, operations = dict[int, int](), list[float | int](), list[Any]()
+    made = dict[int, int]()
+    numbers = list[float | int]()
+    operations = list[Any]()
     for k in range(function.n_instructions()):
-        operation, to = function.instruction_id(k), function.instruction_output(k)
+        operation = function.instruction_id(k)
+        to = function.instruction_output(k)
         of: Sequence[int] = function.instruction_input(k)
         if operation == ca.OP_CONST:
             numbers.append(function.instruction_constant(k))
@@ -125,13 +131,16 @@ def _operations(function: ca.Function) -> tuple[tuple[Any, ...], list[float | in
 
 def _merge_samples(given: list[ca.SX], count: int, places: list[_SampleRows]) -> SampleGroup | None:
     """Places with the same operations as one; None if their parameters or rows do not follow each other."""
-    rows, follow = np.array([place.rows for place in places]), np.arange(len(places))
+    rows = np.array([place.rows for place in places])
+    follow = np.arange(len(places))
     # The generated code reads and writes neighbouring entries for neighbouring places, lane by lane.
     if (rows != rows[0] + follow[:, None]).any():
         return None
     columns = zip(*(place.numbers for place in places), strict=True)
     taken: dict[Any, ca.SX] = {}
-    parameters, constants, leaves = list[tuple[ca.SX, int]](), list[tuple[ca.SX, Array]](), list[ca.SX]()
+    parameters = list[tuple[ca.SX, int]]()
+    constants = list[tuple[ca.SX, Array]]()
+    leaves = list[ca.SX]()
     for column in columns:
         # The types tell the constant 1.0 from entry 1 of p, which are equal as numbers.
         key = tuple(map(type, column)), column
@@ -160,7 +169,9 @@ def _replay_operations(
     operations: Sequence[Any], inputs: list[ca.SX], numbers: list[ca.SX]
 ) -> tuple[ca.SX, ca.SX]:
     """The two results of a list of operations, with numbers (expressions) put into its gaps."""
-    left, done, results = iter(numbers), list[ca.SX](), (list[ca.SX](), list[ca.SX]())
+    left = iter(numbers)
+    done = list[ca.SX]()
+    results = (list[ca.SX](), list[ca.SX]())
     for operation, *of in operations:
         if operation == ca.OP_OUTPUT:
             results[of[1]].append(done[of[0]])

@@ -46,7 +46,8 @@ class Scenarios:
             object.__setattr__(self, "forces", np.zeros((len(self.weights), 3)))
         for name in ("numbers", "offsets", "weights", "forces"):
             object.__setattr__(self, name, frozen(np.array(getattr(self, name), dtype=float)))
-        count, d = len(self.weights), self.offsets.shape[-1]
+        count = len(self.weights)
+        d = self.offsets.shape[-1]
         shapes = {
             "numbers": (count, d, len(TUBE_NUMBER_NAMES)),
             "offsets": (count, d),

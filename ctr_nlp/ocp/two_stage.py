@@ -111,8 +111,10 @@ def _extension_program(structure: Structure, exact: bool) -> Nlp:
     # The exact form takes the target's curvature itself, the smoothed one a width.
     sizes |= {"previous": d, "motion_root": 1} | ({"kappa": len(SIGMA_GRID)} if exact else {"width": 1})
     p = {name: ca.SX.sym(name, *np.atleast_1d(size).tolist()) for name, size in sizes.items()}
-    beta, tubes = ca.SX.sym("beta", d), symbolic_tubes(structure, p["tubes"])
-    entries, target = ca.vertsplit(beta), (p["turning"], p["length"])
+    beta = ca.SX.sym("beta", d)
+    tubes = symbolic_tubes(structure, p["tubes"])
+    entries = ca.vertsplit(beta)
+    target = (p["turning"], p["length"])
     if exact:
         cost = curvature.curvature_exact(tubes, entries, p["reach"], p["kappa"], *target)
     else:
@@ -150,13 +152,17 @@ def _rotation_program(structure: Structure) -> Nlp:
     sigma.
     """
     d = structure.d
-    numbers, beta = ca.SX.sym("tubes", d, len(TUBE_NUMBER_NAMES)), ca.SX.sym("beta", d)
-    x, previous = ca.SX.sym("alpha_theta", d + 2), ca.SX.sym("previous", d + 2)
-    root, target = ca.SX.sym("motion_root"), ca.SX.sym("target", 2 * d, 3)
+    numbers = ca.SX.sym("tubes", d, len(TUBE_NUMBER_NAMES))
+    beta = ca.SX.sym("beta", d)
+    x = ca.SX.sym("alpha_theta", d + 2)
+    previous = ca.SX.sym("previous", d + 2)
+    root = ca.SX.sym("motion_root")
+    target = ca.SX.sym("target", 2 * d, 3)
     entries = ca.vertsplit(ca.vertcat(x[:d], beta, x[d:]))
     sigma, quadrature = _quadrature_samples(ca.vertsplit(beta), ca)
     points = shape.backbone(symbolic_tubes(structure, numbers), entries, ca.vertcat(*sigma), ca).points
-    scale, free = mm_per_unit(d)[np.r_[0:d, 2 * d : 2 * d + 2]], np.full(d + 2, np.inf)
+    scale = mm_per_unit(d)[np.r_[0:d, 2 * d : 2 * d + 2]]
+    free = np.full(d + 2, np.inf)
     return Nlp(
         "rotation",
         x,

@@ -123,7 +123,8 @@ class Wall:
         found = self.compiled_wall
         wall, slack = (self.compute_local_wall if found is None or not found.ready() else found)(x, numbers, loads)
         # A row a frame, as Chain.with_parameters and the scenarios take them.
-        weight, allowed = np.full(len(x), self.weight), np.full(len(x), self.contact_threshold)
+        weight = np.full(len(x), self.weight)
+        allowed = np.full(len(x), self.contact_threshold)
         return {"wall": wall, "contact_weight": weight, "contact_allowed": allowed}, slack
 
     def scenario_local_parameters(self, x: Array, numbers: Array, loads: Array | None = None) -> dict[str, Array]:

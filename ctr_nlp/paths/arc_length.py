@@ -112,7 +112,8 @@ class Formula(Value):
         ndarray
             (n, 3), mm per unit of u to the power of the order.
         """
-        given, found = np.array(u, dtype=float), np.empty((len(u), 3))
+        given = np.array(u, dtype=float)
+        found = np.empty((len(u), 3))
         if len(u):  # a buffer saves the copies through CasADi's matrices, which take longer than most formulas
             buffer, evaluate = self._functions[order].map(len(u)).buffer()
             buffer.set_arg(0, given.data)  # type: ignore[call-arg]
@@ -125,7 +126,9 @@ class Formula(Value):
 
 def _step(function: ca.Function, k: int) -> Step:
     """Return the k-th operation of a CasADi function; raise CurveError where it calls another function."""
-    code, reads, writes = function.instruction_id(k), function.instruction_input(k), function.instruction_output(k)
+    code = function.instruction_id(k)
+    reads = function.instruction_input(k)
+    writes = function.instruction_output(k)
     name = CASADI_OPERATION_NAMES.get(code, "")
     if name == "call" or not writes:
         raise CurveError("formula calls a function that is kept apart from it (never_inline); write it out")
@@ -216,7 +219,8 @@ class ByArcLength(ReadOnlyValue):
         # Five Gauss-Legendre nodes a cell: within a cell |x'| is smooth, since the knots of a spline are among the
         # breaks.
         nodes, weights = np.polynomial.legendre.leggauss(5)
-        breaks, width = self.breaks, np.diff(self.breaks)
+        breaks = self.breaks
+        width = np.diff(self.breaks)
         u = (breaks[:-1, None] + width[:, None] * (nodes + 1) / 2).ravel()
         speeds = np.linalg.norm(self.x.derivative(u, 1), axis=1).reshape(len(width), -1)
         s = np.concatenate([[0.0], np.cumsum(speeds @ weights * width / 2)])

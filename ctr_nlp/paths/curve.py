@@ -87,7 +87,8 @@ class Curve(Value):
     deviation_share: float = 0.0
 
     def __post_init__(self) -> None:
-        what, allowed = "length of a curve", "be a finite number > 0"
+        what = "length of a curve"
+        allowed = "be a finite number > 0"
         number(CurveError, what, self.length, lambda x: 0 < x < math.inf, allowed, " mm")
         for name in ("point", "tangent", "curvature"):
             if not callable(given := getattr(self, name)):
@@ -223,7 +224,8 @@ class Curve(Value):
             return self
         spacing = max(min(SAMPLE_MM, allowed / 8), self.length / MAX_SMOOTHING_SAMPLES)
         s = np.linspace(0.0, self.length, max(16, int(np.ceil(self.length / spacing)) + 1))
-        given, radius = self.point(s), None if self.radius is None else self.radius(s)
+        given = self.point(s)
+        radius = None if self.radius is None else self.radius(s)
         bound = (
             np.full(len(s), allowed)
             if radius is None

@@ -73,7 +73,8 @@ class Lumen:
 
     def __init__(self, table: Array) -> None:
         self._table = floats(CurveError, "table of a lumen", table, (None, 4))
-        centre, radius = self._table[:, :3], self._table[:, 3]
+        centre = self._table[:, :3]
+        radius = self._table[:, 3]
         if (radius <= 0).any():
             raise CurveError(f"radius of a lumen is {radius.min():g} mm; it must be positive all along")
         self._along = cumulative_arc_length(centre)
@@ -150,7 +151,8 @@ class Lumen:
             # vanishes at the centre of curvature of the path, where the nearest point is not unique; it is kept
             # above 0.1, and steps below the spacing of the table, so that the search stays at the branch of the
             # path that the table found.
-            away, tangent = points - self._path(s), self._path(s, 1)
+            away = points - self._path(s)
+            tangent = self._path(s, 1)
             stretch = (tangent**2).sum(axis=-1) - (away * self._path(s, 2)).sum(axis=-1)
             step = (away * tangent).sum(axis=-1) / np.maximum(stretch, 0.1)
             s = np.clip(s + np.clip(step, -LUMEN_TABLE_SPACING_MM, LUMEN_TABLE_SPACING_MM), 0.0, self._along[-1])
@@ -200,11 +202,13 @@ def wall_rings(table: Array, angle: Array) -> Array:
     ndarray
         Points (N, n, 3), mm.
     """
-    centre, radius = table[:, :3], table[:, 3]
+    centre = table[:, :3]
+    radius = table[:, 3]
     # By the length of the polyline, so that unevenly spaced tables give the same directions.
     tangents = np.gradient(centre, cumulative_arc_length(centre), axis=0)
     tangents /= np.linalg.norm(tangents, axis=1, keepdims=True)
-    side, sides = np.eye(3)[abs(tangents[0]).argmin()], np.empty_like(tangents)
+    side = np.eye(3)[abs(tangents[0]).argmin()]
+    sides = np.empty_like(tangents)
     for j, tangent in enumerate(tangents):
         # Projecting the previous axis into the plane across the path is, for close points, its parallel transport.
         # Frenet axes would jump where the path is straight.
@@ -234,7 +238,8 @@ def wall_mesh(table: Array, vertices_per_ring: int) -> tuple[Array, npt.NDArray[
     """
     vertices = wall_rings(table, np.linspace(0.0, 2 * np.pi, vertices_per_ring, endpoint=False))
     here = np.arange(vertices[..., 0].size).reshape(-1, vertices_per_ring)
-    beside, ahead = np.roll(here, -1, axis=1)[:-1], here[1:]
+    beside = np.roll(here, -1, axis=1)[:-1]
+    ahead = here[1:]
     across = np.roll(here, -1, axis=1)[1:]
     triangles = np.stack([here[:-1], beside, ahead, beside, across, ahead], axis=-1)
     return vertices.reshape(-1, 3), triangles.reshape(-1, 3).astype(np.uint32)

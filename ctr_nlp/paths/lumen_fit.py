@@ -69,7 +69,8 @@ def misfits(problem: Problem) -> list[Misfit]:
     if problem.sampled_lumen is None:
         return []
     curve, s = _longest(problem)
-    radius, found = problem.sampled_lumen.project(curve.point(s)).radius, []
+    radius = problem.sampled_lumen.project(curve.point(s)).radius
+    found = []
     for i, (least, most) in enumerate(_extensions(problem.robot, s[-1])):
         lack = tube_outer_radii(problem.robot)[i] - radius
         for forced, reached in ((True, (s <= least) & (least > 0)), (False, (s > least) & (s <= most))):
@@ -151,7 +152,8 @@ def _extensions(robot: Robot, length: float) -> list[tuple[float, float]]:
     _, low, _ = robot.split(robot.lower)
     _, high, _ = robot.split(robot.upper)
     # Order, eq. (2): a tube must go at least as far as those outside it, and can go no further than those within.
-    low, high = np.maximum.accumulate(low), np.minimum.accumulate(high[::-1])[::-1]
+    low = np.maximum.accumulate(low)
+    high = np.minimum.accumulate(high[::-1])[::-1]
     low[-1] = length
     if robot.carriage_gap is not None:
         for i in range(robot.d - 2, -1, -1):
@@ -202,7 +204,9 @@ def _note_misfits(problem: Problem) -> Iterator[str]:
     for (tube, forced), group in groupby(misfits(problem), key=lambda each: (each.tube, each.forced)):
         found = list(group)
         width = problem.robot.tubes[tube - 1].outer_diameter
-        worst, start, stop = max(found, key=lambda each: each.radius_excess), found[0].start, found[-1].stop
+        worst = max(found, key=lambda each: each.radius_excess)
+        start = found[0].start
+        stop = found[-1].stop
         if forced:
             places = f" in {len(found)} places" if len(found) > 1 else ""
             yield (

@@ -60,7 +60,8 @@ def move_to_robot_frame(curve: Curve, direction: npt.ArrayLike | None = None) ->
     # The smallest rotation is about heading x z. Where the heading is -z, every horizontal axis will do: x is
     # taken.
     axis = np.cross(heading, [0.0, 0.0, 1.0])
-    sine, cosine = np.linalg.norm(axis), heading[2]
+    sine = np.linalg.norm(axis)
+    cosine = heading[2]
     about = axis / sine if sine > 1e-12 else np.array([1.0, 0.0, 0.0])
     rotation = Rotation.from_rotvec(np.arctan2(sine, cosine) * about).as_matrix()
     to_robot = np.eye(4)

@@ -185,14 +185,17 @@ def smooth_points(points: Array, allowed: Array) -> Array:
     """
     # Scaled so that the largest weight is 1, and one range of penalties suits every bound.
     weight = (allowed.min() / allowed) ** 2
-    best, weakest, strongest = points, MIN_PENALTY_EXPONENT, MAX_PENALTY_EXPONENT
+    best = points
+    weakest = MIN_PENALTY_EXPONENT
+    strongest = MAX_PENALTY_EXPONENT
     for _ in range(PENALTY_BISECTIONS):
         power = (weakest + strongest) / 2
         # On the whole, displacements grow with the penalty, from 0 towards those of a straight line, so that
         # bisection finds the largest one.
         step = _step(points, weight, 10.0**power)
         if (np.linalg.norm(step, axis=1) <= allowed).all():
-            best, weakest = points + step, power
+            best = points + step
+            weakest = power
         else:
             strongest = power
     return best
@@ -203,7 +206,8 @@ def _step(points: Array, weight: Array, penalty: float) -> Array:
 
     With D the second differences they solve (W + penalty D^T D) step = -penalty D^T D points.
     """
-    count, bend = len(points), np.diff(points, 2, axis=0)
+    count = len(points)
+    bend = np.diff(points, 2, axis=0)
     slope = np.zeros_like(points)
     # Upper bands of W + penalty D^T D, as solveh_banded stores them: row 2 the diagonal, rows 1 and 0 those above
     # it. D has rows (1, -2, 1), so that neighbours meet in products of -2 twice, but for the ends.

@@ -97,7 +97,8 @@ class Problem(Value):
         for name, shape in (("to_robot", (4, 4)), ("truth", (self.frames, 2 * self.robot.d + 2))):
             if getattr(self, name) is not None:  # a read-only copy is kept
                 object.__setattr__(self, name, floats(ProblemError, name, getattr(self, name), shape))
-        longest, reach = max(self.target.lengths), self.robot.reach
+        longest = max(self.target.lengths)
+        reach = self.robot.reach
         if longest > reach * MAX_TARGET_LENGTH_RATIO:
             raise ProblemError(
                 f"the target of {self.name} is {longest:.2f} mm long and the robot reaches {reach:.2f} mm "
@@ -208,7 +209,8 @@ class Problem(Value):
         ...     ctr.Problem.load(Path(folder) / "arc.npz") == problem
         True
         """
-        path, packed = checked_path(OutputError, path), Packed()
+        path = checked_path(OutputError, path)
+        packed = Packed()
         try:
             told = {"problem": packed.add(self), "table": packed.table, "format": FORMAT}
             meta = np.array(json.dumps(told, allow_nan=False))

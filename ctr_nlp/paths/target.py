@@ -150,7 +150,8 @@ class Target(Value):
         ProblemError
             A curve has no finite point, tangent or radius somewhere, or turns back on itself.
         """
-        found, frames = list[Frame](), range(len(self))
+        found = list[Frame]()
+        frames = range(len(self))
         for _, run in itertools.groupby(frames, lambda frame: id(self.curves[frame])):
             found += _sample_frames(
                 self.curves[len(found)], np.array([self.lengths[frame] for frame in run]), len(found), len(self)
@@ -260,7 +261,8 @@ def _sample_frames(curve: Curve, lengths: Array, first: int, total: int) -> list
         names = (f"{name} of frame {frame + 1} of the target" for frame in frames)
         return [floats(ProblemError, *each, (len(SIGMA_GRID), *shape)) for each in zip(names, parts, strict=True)]
 
-    points, tangents = known("point", curve.point, 3), known("tangent", curve.tangent, 3)
+    points = known("point", curve.point, 3)
+    tangents = known("tangent", curve.tangent, 3)
     _check_direction(np.array(points), lengths, frames)
     radii = [None] * len(lengths) if curve.radius is None else known("radius", curve.radius)
     each = zip(points, tangents, lengths.tolist(), radii, frames, strict=True)

@@ -74,11 +74,13 @@ class BacklashAndDrag(ReadOnlyValue):
         motors do; by default at the first alone. From one q to the next every motor turns at a steady speed, and
         the play is that of the next: for such motors the result is the exact solution.
         """
-        q, time = np.asarray(q, dtype=float), np.asarray(time, dtype=float)
+        q = np.asarray(q, dtype=float)
+        time = np.asarray(time, dtype=float)
         starts = np.arange(len(q)) == 0 if fresh is None else fresh
         shape = np.broadcast_shapes(self.play.shape, self.play_per_mm.shape, self.drag.shape, (robot.d,))
         found = np.broadcast_to(q, (*shape[:-1], *q.shape)).copy()
-        play, passed = self.play_at(robot, q), np.diff(time, prepend=time[:1])
+        play = self.play_at(robot, q)
+        passed = np.diff(time, prepend=time[:1])
         # Turns against the next tube outwards: tubes that are turned together do not rub.
         turn = np.diff(against_outer(robot, q), axis=0, prepend=0.0)
         ahead = np.zeros(shape)
@@ -113,9 +115,12 @@ class BacklashAndDrag(ReadOnlyValue):
         back at the speed at which tubes turn against each other. At the first of q tubes stand where motors do. A
         tube that is to stay where it is against the motor around it is left as it is.
         """
-        found, d = np.array(q, dtype=float), robot.d
+        found = np.array(q, dtype=float)
+        d = robot.d
         rate = np.diff(against_outer(robot, found), axis=0, prepend=0.0) / np.diff(time, prepend=-1.0)[:, None]
-        play, behind, side = self.play_at(robot, found), self.drag * rate, np.zeros(d)
+        play = self.play_at(robot, found)
+        behind = self.drag * rate
+        side = np.zeros(d)
         for j in range(1, len(q)):
             carried = 0.0
             for i in range(d):
@@ -147,7 +152,9 @@ def _offset_with_drag(ahead: Array, turn: Array, play: Array, drag: Array, time:
     """
     # Mirrored, so that every motor turns forwards.
     to = np.where(turn < 0, -1.0, 1.0)
-    e, speed, left = to * ahead, abs(turn) / max(time, BACKLASH_DENOMINATOR_FLOOR), np.full(ahead.shape, time)
+    e = to * ahead
+    speed = abs(turn) / max(time, BACKLASH_DENOMINATOR_FLOOR)
+    left = np.full(ahead.shape, time)
     steady = np.maximum(drag * speed, BACKLASH_DENOMINATOR_FLOOR)
     excess = np.maximum(e - play, 0.0)
     # Phase 1: e' = -(e - play) / drag - speed, and the time until e = play.
@@ -156,7 +163,8 @@ def _offset_with_drag(ahead: Array, turn: Array, play: Array, drag: Array, time:
     left = left - within
     # Phase 2: e falls with the motor from play to -play.
     still = np.minimum(np.maximum(e + play, 0.0) / np.maximum(speed, BACKLASH_DENOMINATOR_FLOOR), left)
-    e, left = e - speed * still, left - still
+    e = e - speed * still
+    left = left - still
     # Phase 3: e + play decays towards -drag speed, the steady lag.
     short = np.minimum(e + play, 0.0)
     follows = (short + drag * speed) * _decay(left, drag) - drag * speed
@@ -186,12 +194,14 @@ def delay_configurations(q: Array, time: Array, delay: float, fresh: Flags | Non
     Between those given they change linearly, and before a fresh one (T,) they stand still. A delay may be
     negative.
     """
-    q, time = np.asarray(q, dtype=float), np.asarray(time, dtype=float)
+    q = np.asarray(q, dtype=float)
+    time = np.asarray(time, dtype=float)
     starts = np.arange(len(q)) == 0 if fresh is None else fresh
     runs = np.flatnonzero(starts)
     found = np.array(q)
     for first, last in zip(runs, [*runs[1:], len(q)], strict=True):
-        own, at = q[first:last], time[first:last]
+        own = q[first:last]
+        at = time[first:last]
         for column in range(q.shape[1]):
             found[first:last, column] = np.interp(at - delay, at, own[:, column])
     return found

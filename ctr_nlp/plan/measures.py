@@ -38,7 +38,8 @@ def _distances_to_polyline(points: Array, line: Array) -> Array:
     Which part of the line is nearest is found by products of matrices, whose rounding, some 1e-12 mm^2, may
     exchange parts that are equally near; the distance to that part is taken without.
     """
-    start, span = line[:-1], np.diff(line, axis=0)
+    start = line[:-1]
+    span = np.diff(line, axis=0)
     length = np.maximum((span**2).sum(-1), 1e-30)
     through = points @ span.T - (start * span).sum(-1)
     along = np.clip(through / length, 0.0, 1.0)
@@ -140,10 +141,12 @@ def find_deepest_point(plan: PlanData) -> DeepestPoint | None:
     """
     if plan.clearance is None or not np.isfinite(plan.clearance).any():
         return None
-    least, when = plan.clearance, "in frame"
+    least = plan.clearance
+    when = "in frame"
     between = plan.clearance_between
     if between is not None and np.nanmin(between) < np.nanmin(least) - 1e-6:
-        least, when = between, "on the way to frame"
+        least = between
+        when = "on the way to frame"
     frame, sample = np.unravel_index(np.nanargmin(least), least.shape)
     tube = outermost_tube_index(plan.beta[frame][None], SIGMA_GRID)[0, sample]
     arc_length = float(SIGMA_GRID[sample] * plan.beta[frame, -1])
@@ -177,7 +180,9 @@ def contacts(plan: PlanData) -> list[Contact]:
     """Return all contacts of a plan with the wall, in order of time; none where no wall is known."""
     if plan.clearance is None or plan.lumen is None:
         return []
-    deep, lumen, found = contact_depths(plan), Lumen(plan.lumen), []
+    deep = contact_depths(plan)
+    lumen = Lumen(plan.lumen)
+    found = []
     for first, stop in find_flag_runs(deep > 0):
         frame = first + int(deep[first:stop].argmax())
         sample = int(plan.clearance[frame].argmin())
@@ -238,7 +243,9 @@ def _positions(plan: PlanData) -> Iterator[LimitUse]:
     """Yield the worst place of each limit of positions, order and carriage gap that is exceeded by more than
     PLAN_LIMIT_TOLERANCE_RAD_OR_MM.
     """
-    robot, d, reach = plan.robot, plan.robot.d, plan.robot.reach
+    robot = plan.robot
+    d = plan.robot.d
+    reach = plan.robot.reach
     scale = np.where(np.char.startswith(robot.axes, "beta"), reach, math.pi)
     growth = np.diff(plan.beta, axis=1)
     between = [f"{i} and {i + 1}" for i in range(1, d)]

@@ -67,7 +67,9 @@ def by_frame(plan: PlanData) -> dict[str, Array]:
     """
     if not isinstance(plan, PlanData):
         raise OptionError(f"plan is {plan!r:.80}; it must be a Plan")
-    distance, near, has_margins = e1(plan), nearest_target_distances(plan), np.isfinite(plan.stability).any()
+    distance = e1(plan)
+    near = nearest_target_distances(plan)
+    has_margins = np.isfinite(plan.stability).any()
     return {
         "frame": np.arange(1, len(plan.time) + 1),
         "time": plan.time,
@@ -121,7 +123,8 @@ def missed_margin(plan: PlanData) -> tuple[int, float] | None:
     tuple of (int, float) or None
         The frame to which the way leads, from 1, and the margin found; None where the margin is held.
     """
-    margin, found = plan.options.get("stability_margin"), plan.stability_between
+    margin = plan.options.get("stability_margin")
+    found = plan.stability_between
     if margin is None or not plan.as_planned or not np.isfinite(found).any():
         return None
     if np.nanmin(found) >= margin - 2 * BINDS:
@@ -162,7 +165,8 @@ def summary(plan: PlanData) -> dict[str, Any]:
     seconds = plan.solve_time[np.isfinite(plan.solve_time)]
     largest = np.abs(steps).max(axis=0, initial=0.0)
     alpha, beta, theta = robot.split(largest)
-    end, worst = arrival(plan), largest_error(plan)
+    end = arrival(plan)
+    worst = largest_error(plan)
     return {
         "e3": e3(plan),
         "e3_free": plan.meta.get("e3_free"),

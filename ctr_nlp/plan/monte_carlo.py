@@ -62,7 +62,8 @@ def _measure_samples(plan: PlanData, draws: RobotSamples, frames: Index) -> tupl
     clearance = contact = np.full(len(draws), np.nan)
     if plan.lumen is not None:
         least = clearances(plan.robot, Lumen(plan.lumen), plan.beta, found.shape)
-        clearance, contact = np.fmin.reduce(least, axis=1), np.nansum(np.maximum(-least, 0.0), axis=1)
+        clearance = np.fmin.reduce(least, axis=1)
+        contact = np.nansum(np.maximum(-least, 0.0), axis=1)
     return (
         *(
             rms_over_sigma(distance).astype(np.float32),
@@ -127,11 +128,14 @@ def _single_tolerance_cases(plan: PlanData) -> Iterator[tuple[tuple[int, int] | 
     """Yield the robot described, and then those that differ by one tolerance: its place (tube, tolerance), parts
     (d, 5) and lags (d,).
     """
-    d, tolerances = plan.robot.d, plan.robot.tolerances
-    bands, lags = tolerances.bands(plan.robot.tubes), tolerances.max_backlash(d)
+    d = plan.robot.d
+    tolerances = plan.robot.tolerances
+    bands = tolerances.bands(plan.robot.tubes)
+    lags = tolerances.max_backlash(d)
     yield None, np.zeros_like(bands), np.zeros(d)
     for (i, k), sign in itertools.product(np.ndindex(d, len(COSTLY)), (-1.0, 1.0)):
-        parts, lag = np.zeros_like(bands), np.zeros(d)
+        parts = np.zeros_like(bands)
+        lag = np.zeros(d)
         # Over a band of half-width b, uniform values have the standard deviation b / sqrt(3).
         if k < len(DEVIATION_NAMES):
             parts[i, k] = sign * bands[i, k] / math.sqrt(3)

@@ -38,7 +38,10 @@ def evaluate_motion(
 
     lumen: the wall, where it is known; free: the motion (T, 2d + 2) that was found without the wall.
     """
-    robot, found, clearance, between = simulator.robot, simulator(q), None, None
+    robot = simulator.robot
+    found = simulator(q)
+    clearance = None
+    between = None
     if lumen is not None:
         clearance = WallDistance(lumen).clearances(robot, robot.split(q)[1], found.shape, SIGMA_GRID)
         between = clearance_between(robot, q, simulator.model, lumen)

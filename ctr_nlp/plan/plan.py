@@ -284,7 +284,8 @@ class Plan(PlanData):
 
     def _evaluate_on_model(self, model: Model, metadata: dict[str, Any]) -> Plan:
         """Return the plan with its robot moved through the motion on `model`, and with `metadata` in its meta."""
-        simulator, lumen = Simulator(self.robot, model), lumen_of(self)
+        simulator = Simulator(self.robot, model)
+        lumen = lumen_of(self)
         found = evaluate_motion(simulator, self.q, target=self.target, lumen=lumen, free=self.free)
         # Results on simulated robots are those of the model before, and are dropped.
         return replace(self, **found.arrays, meta=self.meta | found.metadata | metadata, drawn=None)
@@ -353,7 +354,8 @@ class Plan(PlanData):
     resampled = resample_plan
 
     def __repr__(self) -> str:
-        failed, error = int((~self.success).sum()), e3(self)
+        failed = int((~self.success).sum())
+        error = e3(self)
         on = "" if self.evaluated_model_name == self.meta["model"] else f" on the {self.evaluated_model_name} one"
         on += "" if self.evaluated_load is None else f" under {self.evaluated_load}"
         return (
@@ -400,7 +402,8 @@ class Plan(PlanData):
             | ({} if self.lumen is None else {"lumen": self.lumen})
         )
         present |= {} if self.drawn is None else self.drawn.arrays()
-        target, told = checked_path(OutputError, path), self._meta_as_json()
+        target = checked_path(OutputError, path)
+        told = self._meta_as_json()
         saved: dict[str, Any] = {DIGEST: np.array(digest(present, told)), "meta": np.array(told), **present}
         try:
             with write_atomically(target) as partial, open(partial, "wb") as file:
@@ -502,8 +505,10 @@ def plan_from_configurations(
     Plan
         The plan, with the shapes of the simulated robot.
     """
-    robot, frames = problem.robot, problem.target_frames
-    target, radii = np.array([frame.points for frame in frames]), [frame.radius for frame in frames]
+    robot = problem.robot
+    frames = problem.target_frames
+    target = np.array([frame.points for frame in frames])
+    radii = [frame.radius for frame in frames]
     simulator = simulator or Simulator(robot, planned_model(meta))
     # Shapes are those of the robot moved through q, and not those that the solver planned: a stationary point can
     # be an equilibrium that the motion does not lead to.
@@ -513,10 +518,8 @@ def plan_from_configurations(
         # On the elastic model q does not determine the equilibrium. Where the motion leads to another one than was
         # planned, the frame is not a solution, however small its residual.
         away = success & find_off_branch_frames(found.simulation.x, planned, snaps, robot.d)
-        success, meta = (
-            success & ~away,
-            meta | {"failures": meta["failures"] | describe_branch_failures(away, snaps)},
-        )
+        success = success & ~away
+        meta = meta | {"failures": meta["failures"] | describe_branch_failures(away, snaps)}
     alpha, beta, theta = robot.split(q)
     return Plan(
         time=np.arange(1.0, problem.frames + 1) * problem.dt,

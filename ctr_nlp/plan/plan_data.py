@@ -256,10 +256,8 @@ def read_plan_file(path: Path) -> PlanFileContent:
             with np.load(file, allow_pickle=False) as data:
                 if "meta" not in data.files:
                     raise OutputError("it has no meta")
-                arrays, meta = (
-                    {name: data[name] for name in data.files if name in PLAN_ARRAY_SHAPES},
-                    str(data["meta"]),
-                )
+                arrays = {name: data[name] for name in data.files if name in PLAN_ARRAY_SHAPES}
+                meta = str(data["meta"])
                 changed = DIGEST in data.files and str(data[DIGEST]) != digest(arrays, meta)
                 return PlanFileContent(arrays, json.loads(meta, parse_constant=_reject_non_finite), changed)
         except OutputError:
@@ -323,7 +321,8 @@ def check_arrays(arrays: Mapping[str, npt.NDArray[Any]], tubes: int) -> None:
     missing = [name for name in REQUIRED_PLAN_ARRAYS if name not in arrays]
     if missing:
         raise OutputError(f"it has no {missing[0]}")
-    frames, points = arrays["time"].size, len(np.atleast_1d(arrays.get("lumen", np.empty(0))))
+    frames = arrays["time"].size
+    points = len(np.atleast_1d(arrays.get("lumen", np.empty(0))))
     sizes = {"T": frames, "d": tubes, "q": 2 * tubes + 2, "N": points}
     sizes |= {
         size: len(np.atleast_1d(arrays.get(SAMPLE_ARRAY_PREFIX + name, ())))

@@ -54,7 +54,8 @@ def slice_plan(plan: AnyPlan, frames: slice) -> AnyPlan:
     if len(chosen) == count:
         return plan
     require_constant_load(plan.evaluated_load, "a part of a plan")
-    first, stop = chosen.start, chosen.stop
+    first = chosen.start
+    stop = chosen.stop
     kept = {name: array[first:stop] for name, array in per_frame_arrays(plan).items()}
     kept["time"] = plan.dt * np.arange(1.0, len(chosen) + 1)
     meta: dict[str, Any] = dict(plan.meta) | {
@@ -102,7 +103,9 @@ def join_plans(plan: AnyPlan, other: PlanData) -> AnyPlan:
         raise OptionError(f"a plan is joined with {other!r:.80}; give another Plan")
     _check_joinable(plan, other)
     require_constant_load(plan.evaluated_load, "a plan that is joined with another one")
-    first, second, count = per_frame_arrays(plan), per_frame_arrays(other), len(plan.time)
+    first = per_frame_arrays(plan)
+    second = per_frame_arrays(other)
+    count = len(plan.time)
     both = {name: np.concatenate([first[name], second[name]]) for name in first if name in second}
     both["time"] = plan.dt * np.arange(1.0, len(both["time"]) + 1)
     absent = {name: None for name in (*first, *second) if name not in both}
@@ -158,7 +161,8 @@ def resample_plan(plan: AnyPlan, frames: int | None = None, dt: float | None = N
     step = plan.dt * (len(plan.time) - 1) / (len(at) - 1)
     between["time"] = step * np.arange(1.0, len(at) + 1)
     q = np.hstack([between["alpha"], between["beta"], between["theta"]])
-    target, free = between["target"], between.get("free")
+    target = between["target"]
+    free = between.get("free")
     found = evaluate_motion(
         Simulator(plan.robot, plan.evaluated_model), q, target=target, lumen=lumen_of(plan), free=free
     )
@@ -215,7 +219,8 @@ def _interpolate_rows(array: Array, low: Any, part: Array) -> Array:
     is 0 or 1.
     """
     part = part.reshape(-1, *[1] * (array.ndim - 1))
-    here, there = array[low], array[low + 1]
+    here = array[low]
+    there = array[low + 1]
     # A row that is one of the given ones must not take NaN from the row beside it.
     return np.where(part == 0, here, np.where(part == 1, there, here + part * (there - here)))
 

@@ -108,7 +108,8 @@ class Robustness(ReadOnlyValue):
     def e3(self) -> Array:
         """Root mean squares (n,) over frames of e2, mm."""
         known = np.isfinite(self.e2)
-        sums, counts = (np.where(known, self.e2, 0.0).astype(float) ** 2).sum(axis=1), known.sum(axis=1)
+        sums = (np.where(known, self.e2, 0.0).astype(float) ** 2).sum(axis=1)
+        counts = known.sum(axis=1)
         return np.asarray(np.sqrt(np.divide(sums, counts, out=np.full(len(self), np.nan), where=counts > 0)))
 
     @property
@@ -164,7 +165,8 @@ class Robustness(ReadOnlyValue):
     @property
     def summary_sentence(self) -> str:
         """Say in a sentence how many samples are lost, the bound for all such robots, and their mean error."""
-        lost, errors = self.lost_count, self.errors
+        lost = self.lost_count
+        errors = self.errors
         mean = f"; e3 is {errors.mean:.3g} mm on average over the samples" if errors else ""
         bound = f"95 % bound for all such robots: {100 * self.lost_share_bound:.1f} %"
         return f"{lost} of {len(self)} samples snap or end on another branch ({bound}){mean}."

@@ -109,8 +109,11 @@ def _spreads(plan: PlanData, found: Robustness) -> list[tuple[Any, ...]]:
     """Return the rows over samples: the nominal robot's value, then mean, median, and what 95 % of samples do not
     exceed (clearance: fall below).
     """
-    outcomes, end, place = sample_outcomes(plan), arrival(plan), find_deepest_point(plan)
-    errors, least = e1(plan), None if place is None else -place.depth
+    outcomes = sample_outcomes(plan)
+    end = arrival(plan)
+    place = find_deepest_point(plan)
+    errors = e1(plan)
+    least = None if place is None else -place.depth
     known = np.isfinite(errors).any()
     depths = spread(outcomes.contact) if outcomes.wall_known else None
     summed = None if plan.clearance is None else float(np.nansum(contact_depths(plan)))

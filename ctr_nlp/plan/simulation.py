@@ -156,7 +156,8 @@ def simulate_motion(robot: Robot, q: Array, model: str | Model) -> Simulation:
     >>> found.shape[0, -1].round(1).tolist(), found.snaps  # the tip
     ([75.2, 59.4, 82.0], ())
     """
-    described, q = model_named(model), _check_configurations(robot, q)
+    described = model_named(model)
+    q = _check_configurations(robot, q)
     described.check(robot)
     # One configuration has no way between frames, on which margins could be less than at rest.
     if len(q) == 1 and described.applied_load is None:
@@ -197,7 +198,8 @@ def shapes_between(
     Between
         One row for the first frame and `substeps` rows for each further one.
     """
-    described, q = model_named(model), _check_configurations(robot, q)
+    described = model_named(model)
+    q = _check_configurations(robot, q)
     part = np.arange(1, substeps + 1)[:, None] / substeps
     between = q[:-1, None] + part * (q[1:] - q[:-1])[:, None]
     # The last sub-step is the frame itself, also where rounding or a frame without a configuration says otherwise.
@@ -240,7 +242,8 @@ class Simulator:
     """
 
     def __init__(self, robot: Robot, model: str | Model) -> None:
-        self.robot, self.model = robot, model_named(model)
+        self.robot = robot
+        self.model = model_named(model)
         self._through = functools.lru_cache(MAX_REMEMBERED_SIMULATIONS)(self._simulate_bytes)
 
     def __call__(self, q: Array) -> Simulation:

@@ -53,7 +53,9 @@ def _verdict_names(found: Mapping[str, Any], word: str) -> list[str]:
 
 def summarise_verdicts(found: Mapping[str, Any]) -> str:
     """Sum up all verdicts of a plan's summary in one sentence."""
-    count, no, unchecked = len(found["verdicts"]), _verdict_names(found, NO), _verdict_names(found, NOT_CHECKED)
+    count = len(found["verdicts"])
+    no = _verdict_names(found, NO)
+    unchecked = _verdict_names(found, NOT_CHECKED)
     told = []
     if no:
         told.append(f"This plan fails {len(no)} of {count} checks: {', '.join(no)}.")
@@ -66,7 +68,8 @@ def summarise_verdicts(found: Mapping[str, Any]) -> str:
 
 def measure_rows(found: dict[str, Any]) -> list[Row]:
     """Return the rows of numbers that tell how good a plan is; lengths in mm."""
-    failed, steps = found["failed"], " / ".join(map(format_cell, found["max_step"].values()))
+    failed = found["failed"]
+    steps = " / ".join(map(format_cell, found["max_step"].values()))
     return [
         ("e3, RMS over frames of e2", found["e3"], "mm"),
         ("e4, median over frames of e2", found["e4"], "mm"),
@@ -118,7 +121,8 @@ def _limits(plan: Plan, found: dict[str, Any]) -> list[str]:
 def _contacts(plan: Plan, found: dict[str, Any]) -> list[str]:
     told = []
     for contact in found["contacts"]:
-        first, last = contact["first"], contact["last"]
+        first = contact["first"]
+        last = contact["last"]
         frames = f"frame {first}" if first == last else f"frames {first} to {last}"
         told.append(
             f"contact in {frames}: tube {contact['tube']} by up to {contact['depth']:.2f} mm, "
@@ -156,12 +160,14 @@ def _certificate(plan: Plan) -> list[str]:
 
 def _tolerances(plan: Plan, part: float) -> str:
     """Write `part` times the tolerances of a plan's robot in words, each as its largest of any tube."""
-    robot, told = plan.robot, list[str]()
+    robot = plan.robot
+    told = list[str]()
     bands = part * robot.tolerances.bands(robot.tubes).max(axis=0)
     for name, band in zip(DEVIATION_NAMES, bands.tolist(), strict=True):
         value = f"{band:.2g}{TOLERANCE_UNITS[name]}" if name in TOLERANCE_UNITS else f"{band:.2%}"
         told += [f"{name.replace('_', ' ')} {value}"] if band else []
-    lag, force = part * robot.tolerances.max_backlash(robot.d).max(), part * robot.tolerances.tip_force
+    lag = part * robot.tolerances.max_backlash(robot.d).max()
+    force = part * robot.tolerances.tip_force
     told += [f"rotation lag {lag:.2g} rad"] if lag else []
     return ", ".join([*told, *([f"tip force {force:.2g} N"] if force else [])])
 

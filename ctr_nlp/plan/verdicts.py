@@ -156,7 +156,8 @@ def _judge_solved(plan: PlanData) -> Judgement:
 
 def _cost_of_clearance(plan: PlanData) -> str:
     """Say in a sentence how much larger e3 is for keeping off the wall; empty where that is not known."""
-    free, found = plan.meta.get("e3_free"), e3(plan)
+    free = plan.meta.get("e3_free")
+    found = e3(plan)
     if plan.free is None or not free or found is None or not plan.as_planned:
         return ""
     return f" Keeping off the wall costs {100 * max(found / free - 1, 0.0):.1f} % of e3."
@@ -298,7 +299,8 @@ def _judge_robustness(plan: PlanData) -> Judgement:
             f"On the {plan.evaluated_model_name} model no robot can snap; use `ctr-nlp robust --evaluate elastic`."
         )
         return NOT_CHECKED, None, unit, why, ""
-    found, wanted = sample_outcomes(plan), float(option(plan, "share"))
+    found = sample_outcomes(plan)
+    wanted = float(option(plan, "share"))
     word = YES if found.share >= wanted else NO
     hint = "" if word == YES or "certificate" in plan.meta else " `ctr-nlp plan --robust` plans for such robots."
     force = plan.robot.tolerances.tip_force

@@ -28,10 +28,8 @@ def reach_of(robot: Robot, dt: float, several_equilibria: bool) -> Configuration
     # The model's unknowns have no bounds of their own where they are not q. The tips' angles are still limited
     # from frame to frame: a larger turn would be a jump to another branch of equilibria.
     free = np.full(robot.d * several_equilibria, np.inf)
-    own, more = (
-        (robot.lower, robot.upper, robot.speed * dt),
-        (-free, free, tip_step_limits(robot, dt)[: len(free)]),
-    )
+    own = (robot.lower, robot.upper, robot.speed * dt)
+    more = (-free, free, tip_step_limits(robot, dt)[: len(free)])
     return ConfigurationLimits(*(np.append(*pair) for pair in zip(own, more, strict=True)))
 
 
@@ -71,7 +69,8 @@ class CompiledFrames:
         Names that the program does not have are left out. local_parameters: what gives parameters that are valid
         near one configuration only, or None.
         """
-        nlp, p = self.stage.nlp, self.p.copy()
+        nlp = self.stage.nlp
+        p = self.p.copy()
         for name, value in values.items():
             if name in nlp.parameters:
                 # A number has one column; `start` picks it, and broadcasts over frames.

@@ -69,7 +69,9 @@ class Compromise:
     @classmethod
     def of(cls, plan: Plan, arrival_weight: float | None = None) -> Compromise:
         """Take the figures of a plan within a lumen."""
-        ends, deepest, error = arrival(plan), find_deepest_point(plan), e3(plan)
+        ends = arrival(plan)
+        deepest = find_deepest_point(plan)
+        error = e3(plan)
         tip = math.nan if ends is None else ends.distance
         contact = math.nan if deepest is None else deepest.depth
         touched = max(contacts(plan), key=lambda one: one.depth, default=None)
@@ -178,7 +180,8 @@ def find_path_demands(plan: Plan) -> PathDemands:
         sum_i EI_i k_i / sum_i EI_i (Dupont et al., 2010).
     """
     assert plan.lumen is not None
-    beta, lumen = plan.beta[-1], Lumen(plan.lumen)
+    beta = plan.beta[-1]
+    lumen = Lumen(plan.lumen)
     near = lumen.project(plan.target[-1])
     # Robot and path are compared at equal sigma, as in eq. (8).
     s = SIGMA_GRID * beta[-1]
@@ -191,7 +194,8 @@ def find_path_demands(plan: Plan) -> PathDemands:
     narrow = int(np.argmin(room))
     tube = int(outermost_tube_index(beta[None], SIGMA_GRID)[0, narrow]) + 1
     with np.errstate(divide="ignore"):
-        radius, least = 1 / asked[bend], 1 / possible[bend]
+        radius = 1 / asked[bend]
+        least = 1 / possible[bend]
     return PathDemands(float(s[bend]), float(radius), float(least), float(s[narrow]), float(room[narrow]), tube)
 
 
@@ -211,7 +215,8 @@ def compromise_sentences(plan: Plan, found: Sequence[Compromise]) -> list[str]:
         The least contact of those that arrive, the least miss of those that keep off the wall, where the robot
         touches, and what the path asks of the tubes.
     """
-    tolerance, allowed = float(option(plan, "arrival_tolerance")), float(option(plan, "contact_allowed"))
+    tolerance = float(option(plan, "arrival_tolerance"))
+    allowed = float(option(plan, "contact_allowed"))
     arriving = [one for one in found if one.tip <= tolerance]
     clear = [one for one in found if one.contact <= allowed]
     told = list[str]()
@@ -277,7 +282,8 @@ def _moving_average(values: Array, s: Array) -> Array:
 
 def _largest_curvature(tubes: Sequence[Tube], beta: Array, s: Array) -> Array:
     """The largest curvature (n,), 1/mm, that the tubes present at arc lengths s (n,), mm, bend to."""
-    bent, stiff = np.zeros(len(s)), np.zeros(len(s))
+    bent = np.zeros(len(s))
+    stiff = np.zeros(len(s))
     for tube, end in zip(tubes, beta, strict=True):
         from_tip = end - s
         part = np.clip(from_tip / tube.curved_length, 0.0, 1.0)

@@ -175,7 +175,8 @@ def run_again(known: Pass, solver: Restartable, stop: Callable[[], bool]) -> Pas
 
     stop: asked after every frame whether to end.
     """
-    first, begin = known.order[0], time.perf_counter()
+    first = known.order[0]
+    begin = time.perf_counter()
     # A run from a given start has no first solution that could be solved anew: its start is no frame.
     results = {} if known.before else {first: solver.search_near(first, known.results[first])}
     seconds = dict.fromkeys(results, time.perf_counter() - begin)
@@ -238,6 +239,7 @@ class Forecast:
         # Iterations left at the recent rate; where there is no fall, as many as the window is long.
         left = (recent[-1] - math.log(BANDED_KKT_TOLERANCE)) / fall if fall > 0 else FORECAST_WINDOW_ITERATIONS
         total = iterate.number + max(1, min(math.ceil(left), MAX_BANDED_ITERATIONS - iterate.number))
-        objective, violation = iterate.objective / self._frames, max(iterate.violation, 0.0)
+        objective = iterate.objective / self._frames
+        violation = max(iterate.violation, 0.0)
         note = f"{self._which}objective {objective:.4g} mm², violation {violation:.0e}"
         self._progress(iterate.number, total, note)

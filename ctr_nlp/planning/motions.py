@@ -88,7 +88,9 @@ def _best_first(passes: Sequence[Pass], problem: Problem, model: Model, relative
         else (cost[0], cost[1] / (1 + relative_difference) - MOTION_TERM_BOUND_MM2)
         for one, cost in zip(ranked, costs, strict=True)
     ]
-    simulator, best, least = Simulator(problem.robot, model), 0, (problem.frames + 1, math.inf)
+    simulator = Simulator(problem.robot, model)
+    best = 0
+    least = (problem.frames + 1, math.inf)
     # Branch and bound: in the order of lower bounds, only runs that might still be better are simulated.
     for k in sorted(range(len(bounds)), key=bounds.__getitem__):
         if bounds[k] < least:
@@ -101,7 +103,8 @@ def _best_first(passes: Sequence[Pass], problem: Problem, model: Model, relative
 
 def at_frames(problem: Problem, picked: Index, stride: int) -> Problem:
     """Return a problem of some frames only: picked, numbers from 0, evenly `stride` apart."""
-    curves, lengths = problem.target.curves, problem.target.lengths
+    curves = problem.target.curves
+    lengths = problem.target.lengths
     target = Target(tuple(curves[i] for i in picked), tuple(lengths[i] for i in picked))
     # dt grows with the stride, so that speeds and the motion term keep their meaning.
     return replace(problem, target=target, duration=problem.dt * stride * len(picked), truth=None)
@@ -128,7 +131,8 @@ def perturb_motion(robot: Robot, motion: Array, seed: int) -> Iterator[Array]:
     Speeds, gaps between carriages, and outer tubes that reach further than inner ones are left to within_limits.
     """
     rng = np.random.default_rng(seed)
-    frames, d = len(motion), robot.d
+    frames = len(motion)
+    d = robot.d
     t = np.linspace(0.0, 1.0, frames)[:, None]
     spread = np.concatenate(
         [

@@ -195,7 +195,9 @@ def solve_from_motion(
     chain that is valid near a motion only, as at a wall, is solved again around its solution until the slacks are
     those that it needs. The result is never worse than the start.
     """
-    begin, tried, missing = time.perf_counter(), list[SolvedStart](), list[float]()
+    begin = time.perf_counter()
+    tried = list[SolvedStart]()
+    missing = list[float]()
     near, x0 = chain.linearise_at(motion)
     while (
         len(tried) < MAX_WALL_RELINEARISATIONS

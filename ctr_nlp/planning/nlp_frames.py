@@ -99,7 +99,8 @@ class NlpFrames:
         check_model(problem, described)
         solver = default_solver() if solver is None else solver
         check_choice("solver", solver, SOLVERS)
-        samples, begin = problem.target_frames, time.perf_counter()
+        samples = problem.target_frames
+        begin = time.perf_counter()
         # Only the program over all of q can trade contact against shape; two stages have no wall.
         lumen = problem.sampled_lumen if formulation == "joint" else None
         wall = make_wall(problem.robot, lumen, described, settings)
@@ -110,7 +111,8 @@ class NlpFrames:
             for stages in (FORMULATIONS[formulation](*at), walled)
         )
         # Filled once, so that a target that is not known in some frame is found now and not after minutes.
-        stage, zero = (inside or free)[0][0], np.zeros(len(problem.robot.axes))
+        stage = (inside or free)[0][0]
+        zero = np.zeros(len(problem.robot.axes))
         values = [stage.fill(sample, zero) for sample in samples]  # raises where the target is not known
         reach = reach_of(problem.robot, problem.dt, described.several_equilibria)
         # The second of two stages needs the first one's solution, frame by frame: that is not one program to be
@@ -123,13 +125,15 @@ class NlpFrames:
             "solver": solver,
             "options": settings.options() | {"terms": describe_terms(terms)},
         }
-        margins, seconds = np.full(problem.frames, margin), time.perf_counter() - begin
+        margins = np.full(problem.frames, margin)
+        seconds = time.perf_counter() - begin
         rest = margins, wall, None, seconds, description, find_arrival(terms)
         return cls(problem, described, settings, free, inside, runs, *rest)
 
     def search(self, frame: int) -> list[FrameResult]:
         """Distinct answers for a frame without a past, best first; at least one."""
-        robot, sample = self.problem.robot, self.problem.target_frames[frame]
+        robot = self.problem.robot
+        sample = self.problem.target_frames[frame]
         # alpha has a dimension for each tube, and a search has to cover all of them: hence 4 to the power of tubes
         # beyond the usual number.
         guesses = sobol_starts(
@@ -170,9 +174,11 @@ class NlpFrames:
                 else self._compiled_frames.follow(left[:FRAMES_PER_COMPILED_CALL], self._with_unknowns(before))
             )
             if len(found) < min(len(left), FRAMES_PER_COMPILED_CALL):
-                begin, last = time.perf_counter(), found[-1][0] if found else before
+                begin = time.perf_counter()
+                last = found[-1][0] if found else before
                 found.append((self.step(left[len(found)], last), time.perf_counter() - begin))
-            left, before = left[len(found) :], found[-1][0]
+            left = left[len(found) :]
+            before = found[-1][0]
             yield from found
 
     @cached_property
@@ -214,7 +220,9 @@ class NlpFrames:
         each tip is at most half a turn from the innermost one: that equilibrium is reached from aligned tubes. The
         result is left as it is where q would leave its limits.
         """
-        d, q, x = self.problem.robot.d, result.q.copy(), result.x
+        d = self.problem.robot.d
+        q = result.q.copy()
+        x = result.x
         if x is None and abs(q[:d]).max() <= 2 * np.pi:
             return result
         # Without tips the shape has period 2 pi in each alpha: turns may be taken off each motor.
@@ -224,7 +232,8 @@ class NlpFrames:
             # of its relative tip plus those of the innermost. Motors are turned by as much as tips, so that the
             # twist of every transmission stays what it is.
             own = np.append(np.round(x[: d - 1] / (2 * np.pi)), turns[-1])
-            x, turns = x - 2 * np.pi * np.pad(own, (0, len(x) - d)), np.append(own[:-1] + own[-1], own[-1])
+            x = x - 2 * np.pi * np.pad(own, (0, len(x) - d))
+            turns = np.append(own[:-1] + own[-1], own[-1])
         if not turns.any():
             return result
         q[:d] -= 2 * np.pi * turns
@@ -242,7 +251,8 @@ class NlpFrames:
         theta_x and pi - theta_x give the same shape with all alpha turned by half a turn
         (equivalent_configurations). From there a motion may lead further before it comes to a limit.
         """
-        robot, twin = self.problem.robot, equivalent_configurations(self.problem.robot, q)
+        robot = self.problem.robot
+        twin = equivalent_configurations(self.problem.robot, q)
         # Whole turns of the tilt change nothing: it is written within half a turn of 0.
         twin[-2:] -= 2 * np.pi * np.round(twin[-2:] / (2 * np.pi))
         room = np.minimum(twin - robot.lower, robot.upper - twin)[-2:]
@@ -282,13 +292,16 @@ class NlpFrames:
 
         before: the frame before, from which speeds limit both; None where there is none.
         """
-        robot, dt = self.problem.robot, self.problem.dt
+        robot = self.problem.robot
+        dt = self.problem.dt
         low, high = reachable_bounds(robot, None if before is None else before.q, dt)
         if not self.model.several_equilibria:
             return low, high
-        tips, step = np.zeros(robot.d), np.full(robot.d, np.inf)
+        tips = np.zeros(robot.d)
+        step = np.full(robot.d, np.inf)
         if before is not None and before.x is not None:
-            tips, step = before.x[: robot.d], tip_step_limits(robot, dt)
+            tips = before.x[: robot.d]
+            step = tip_step_limits(robot, dt)
         return np.append(low, tips - step), np.append(high, tips + step)
 
     def search_near(self, frame: int, known: FrameResult) -> FrameResult:
@@ -302,7 +315,8 @@ class NlpFrames:
 
         before: the frame before, or None.
         """
-        result, tried = self._solve_stages(index, guess, before), list[FrameResult]()
+        result = self._solve_stages(index, guess, before)
+        tried = list[FrameResult]()
         while self.active_wall is not None and result.success:
             slack = result.warm[0].x[-1]
             x = result.q if result.x is None else result.x
@@ -321,7 +335,9 @@ class NlpFrames:
         """Solve the stages of a frame one after the other from a guess, and return the last one's solution with
         all of q.
         """
-        q, solutions, iterations = guess.q.copy(), list[Solution](), 0
+        q = guess.q.copy()
+        solutions = list[Solution]()
+        iterations = 0
         for k, (stage, solver) in enumerate(self.free if self.active_wall is None else self.inside):
             warm: Solution | None = guess.warm[k] if guess.warm else None
             solution, more = self._solve_stage(stage, solver, index, q, guess, before, warm)
@@ -376,6 +392,7 @@ class NlpFrames:
         for further in stage.schedule:
             packed = stage.nlp.pack({**values, **further})
             warm = solver(x, packed, low[limited], high[limited], warm)
-            x, iterations = warm.x, iterations + warm.iterations
+            x = warm.x
+            iterations = iterations + warm.iterations
         assert warm is not None
         return warm, iterations

@@ -145,7 +145,8 @@ def refine_margins(
     stop: asked whether to end. Returns the motion that misses least, and by how much; None where the robot makes
     none.
     """
-    tried, best = first, None
+    tried = first
+    best = None
     for _ in range(MAX_MARGIN_ROUNDS + 1):
         by_frame, lost = find_shortfall(tried)
         short = float(by_frame.max())
@@ -196,7 +197,8 @@ def refine_pass_margins(
     margin = None if np.isnan(frames.margins[0]) else float(frames.margins[0])
 
     def find_shortfall(tried: _Run) -> MarginShortfall:
-        made, problem = tried.frame_run, tried.frames.problem
+        made = tried.frame_run
+        problem = tried.frames.problem
         return find_margin_shortfall(
             simulator(made.motion(problem)), made.unknowns(problem), margin, problem.robot.d
         )
@@ -204,7 +206,9 @@ def refine_pass_margins(
     def solve_with_margins(tried: _Run, margins: Array) -> _Run | None:
         # Raised margins change the first solved frame, too: it is solved anew, near what it was, and the run
         # follows from there. A given start is not a frame, and stays.
-        made, first, within = tried.frame_run, tried.frame_run.order[0], replace(frames, margins=margins)
+        made = tried.frame_run
+        first = tried.frame_run.order[0]
+        within = replace(frames, margins=margins)
         known = {} if made.before else {first: made.results[first]}
         if known and margins[first] > tried.frames.margins[first]:
             known = {first: within.search_near(first, made.results[first])}
@@ -295,7 +299,8 @@ def _find_whole_turns(robot: Robot, model: Model, q: Array, x: Array) -> Array:
     for turn in 2 * np.pi * turns[np.argsort(np.abs(turns).sum(axis=1), kind="stable")]:
         # Turning motor and tip together leaves the twist of the tube, and with it the equilibrium, as it is; what
         # changes is the configuration from which a robot at rest would have come.
-        there, to = q.copy(), x.copy()
+        there = q.copy()
+        to = x.copy()
         there[outer] += turn
         to[outer] += turn
         allowed = (robot.lower[outer] <= there[outer]).all() and (there[outer] <= robot.upper[outer]).all()

@@ -122,14 +122,17 @@ class Steerer:
             values |= {"contact_weight": self._wall.weight, "contact_allowed": self._wall.contact_threshold}
         run.p[0] = stage.nlp.pack(values)
         run.low[:], run.high[:], run.most[:] = reach
-        self._size, self._robot, self._model = len(q), robot, described
+        self._size = len(q)
+        self._robot = robot
+        self._model = described
         self.set_configuration(q)
         self._target = run.p[0, stage.nlp.parameter_slice("target")].reshape(3, -1)
         # `_none` stays 0: its scalar product with a target is 0 unless that has a NaN or an infinity.
         self._whole, self._none = np.zeros((2, len(SIGMA_GRID), 3))
         # A view: writing the whole target also writes the samples that the program takes.
         self._sampled = self._whole[::TARGET_SAMPLE_STRIDE].T
-        self._arrival, self._part = arrival, 0.0
+        self._arrival = arrival
+        self._part = 0.0
         if arrival is not None:
             self._arrives = {
                 name: stage.nlp.parameter_slice(name) for name in arrival.values(self._whole[-1:], 0.0)

@@ -118,10 +118,12 @@ def check_growth(problem: Problem) -> None:
     # which the path gets ahead of a tube at full speed between any two frames; negated, for a path that shrinks.
     late = np.array([_largest_rise(lengths - speed * time), _largest_rise(-lengths - speed * time)])
     # Half: the tube may be ahead of the path at one end of the interval, and behind it at the other.
-    worst, lag = int(late[:, 0].argmax()), float(late[:, 0].max()) / 2
+    worst = int(late[:, 0].argmax())
+    lag = float(late[:, 0].max()) / 2
     if lag > (MAX_TARGET_LENGTH_RATIO - 1) * problem.robot.reach:
         _, first, last = late[worst]
-        i, j = int(first), int(last)
+        i = int(first)
+        j = int(last)
         needed = abs(lengths[j] - lengths[i]) / (time[j] - time[i])
         raise ProblemError(
             f"the path of {problem.name} changes its length by {abs(lengths[j] - lengths[i]):.1f} mm from frame "
@@ -152,7 +154,8 @@ def check_ends(problem: Problem, chain: Chain) -> None:
     """
     # Any point will do to take derivatives at, as the rows are linear.
     x0 = np.clip(np.zeros(chain.lower.size), chain.lower.ravel(), chain.upper.ravel())
-    at, size = chain.slopes(x0), x0.size
+    at = chain.slopes(x0)
+    size = x0.size
     rows = size + np.flatnonzero(np.tile(~chain.frame.g_nonlinear, chain.frames))
     # Rows of a chain are x, then the frames' constraints, then links between frames: speeds and accelerations.
     links = np.arange(at.value.size - len(chain.offset), at.value.size)

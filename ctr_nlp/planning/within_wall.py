@@ -66,7 +66,9 @@ def run_within_wall(
     Pass, Wall or None
         The run within the wall, and that wall; or `free` and None where more frames fail within the wall.
     """
-    problem, wall, first = frames.problem, frames.wall, free.order[0]
+    problem = frames.problem
+    wall = frames.wall
+    first = free.order[0]
     if wall is None or first not in free.results:
         return free, None
 

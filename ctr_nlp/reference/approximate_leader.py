@@ -42,7 +42,8 @@ def approximate_leader(problem: Problem, motion_weight: float) -> Method:
     Raises OptionError where the target is not one path that grows, or motors' angles have limits.
     """
     del motion_weight
-    robot, d = problem.robot, problem.robot.d
+    robot = problem.robot
+    d = problem.robot.d
     if np.isfinite([robot.lower[:d], robot.upper[:d]]).any():
         raise OptionError(
             f"{APPROXIMATE_LEADER_NAME} turns tubes as far as it takes, and alpha of the robot has limits"
@@ -83,7 +84,8 @@ def approximate_leader(problem: Problem, motion_weight: float) -> Method:
         stable = bool(ELASTIC_MODEL.margins(robot, x)[0] > 0)
         tip = ELASTIC_MODEL.points(robot, x, np.ones(1))[0, 0]
         warm = np.vstack([travelled[travelled[:, 0] < depth], [depth, *tip]])
-        q, status = ELASTIC_MODEL.configuration(robot, x)[0], found.status if stable else "not stable"
+        q = ELASTIC_MODEL.configuration(robot, x)[0]
+        status = found.status if stable else "not stable"
         solved = found.success and stable
         return FrameResult(q, solved, found.objective, np.nan, found.evaluations, status, warm, x[0])
 

@@ -30,7 +30,8 @@ class ReferenceFrames:
 
     def __init__(self, problem: Problem, name: str, model: str, method: Method, options: dict[str, Any]) -> None:
         """Wrap a method for the frames of a problem; options go into the plan's meta."""
-        self.problem, self._method = problem, method
+        self.problem = problem
+        self._method = method
         self.build_seconds = 0.0
         self.description: dict[str, Any] = {
             "formulation": name,
@@ -140,7 +141,8 @@ def descend(cost: Callable[[Array], Array], initial_guess: Array, bounds: Array)
     evaluations = 0
     for gradient, points in ((forward, len(x) + 1), (central, 2 * len(x) + 1)):
         result = minimize(gradient, x, jac=True, method="L-BFGS-B", bounds=bounds)
-        x, evaluations = result.x, evaluations + result.nfev * points
+        x = result.x
+        evaluations = evaluations + result.nfev * points
         if result.success:
             break
     flat = np.abs(x - np.clip(x - result.jac, bounds[:, 0], bounds[:, 1])).max(initial=0.0)

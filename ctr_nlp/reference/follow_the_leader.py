@@ -81,7 +81,8 @@ def follow_the_leader(problem: Problem, motion_weight: float) -> Method:
 
 def find_deployment(problem: Problem) -> Deployment:
     """Find the deployment that follows a problem's path; raises OptionError as follow_the_leader does."""
-    robot, name = problem.robot, problem.name or "the problem"
+    robot = problem.robot
+    name = problem.name or "the problem"
     torsion = _torsion(robot)
     path = growing_path(problem, "follow-the-leader")
     known = [
@@ -117,7 +118,8 @@ def growing_path(problem: Problem, method: str) -> Frame:
     """Return the last frame's target, of which those of all frames are parts; raises OptionError where they are
     not.
     """
-    curves, lengths = problem.target.curves, np.array(problem.target.lengths)
+    curves = problem.target.curves
+    lengths = np.array(problem.target.lengths)
     if any(curve is not curves[0] for curve in curves) or (np.diff(lengths) < 0).any():
         raise OptionError(f"{method} follows one path that grows, and the target of {problem.name} is none")
     return problem.target_frames[-1]
@@ -127,7 +129,8 @@ def _torsion(robot: Robot) -> float:
     """Return the torsion of all curved tubes, rad/mm; raises OptionError where they differ or a curvature is not
     constant.
     """
-    kinds, spins = robot.structure.kinds, [tube.pre_torsion for tube in robot.tubes]
+    kinds = robot.structure.kinds
+    spins = [tube.pre_torsion for tube in robot.tubes]
     curved = [i for i, kind in enumerate(kinds) if kind != "straight"]
     for i in curved:
         if kinds[i] == "linear":
@@ -157,7 +160,8 @@ def _fit_deployment(robot: Robot, torsion: float, opposed: Array, path: Frame) -
     low, high = beta[-1]
     if not low <= path.length <= high * (1 + MAX_TORSION_DIFFERENCE_RAD_PER_MM):
         return None
-    within, last = robot.with_limits(beta=beta), np.array(path.length)
+    within = robot.with_limits(beta=beta)
+    last = np.array(path.length)
     tubes = _combine_tubes(robot, torsion, opposed)
 
     def away(parts: Array) -> tuple[Rotation, Array]:

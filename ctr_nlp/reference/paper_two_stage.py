@@ -38,7 +38,9 @@ def _extend(
     robot: Robot, frame: Frame, guess: Array, before: FrameResult | None, weight: float
 ) -> tuple[Array, bool, int, str]:
     """Beta from curvature; the tip belongs to the target's end, so beta_d is the target's length."""
-    d, low, high = robot.d, robot.lower[2 * robot.d - 1], robot.reach
+    d = robot.d
+    low = robot.lower[2 * robot.d - 1]
+    high = robot.reach
     last = float(np.clip(frame.length, low, high))
     middles = (np.arange(CURVATURE_MIDPOINTS_PER_SEGMENT) + 0.5) / CURVATURE_MIDPOINTS_PER_SEGMENT
 
@@ -66,9 +68,11 @@ def _rotate(
     robot: Robot, frame: Frame, beta: Array, points: int, guess: Array, before: FrameResult | None, weight: float
 ) -> tuple[Array, float, bool, int, str]:
     """Alpha and theta from evenly spaced points of the segments, all weighted alike."""
-    d, parts = robot.d, np.arange(1, points + 1) / points
+    d = robot.d
+    parts = np.arange(1, points + 1) / points
     sigma = (beta - np.outer(1 - parts, np.diff(beta, prepend=0.0))).ravel() / beta[-1]
-    target, even = frame.at(sigma), np.full(len(sigma), 1 / len(sigma))
+    target = frame.at(sigma)
+    even = np.full(len(sigma), 1 / len(sigma))
 
     def configured(x: Array) -> Array:
         return np.concatenate([x[:, :d], np.broadcast_to(beta, (len(x), d)), x[:, d:]], axis=1)

@@ -63,7 +63,9 @@ def tip_resolved(problem: Problem, motion_weight: float) -> Method:
 
     def solve(frame: Frame, guess: Array, before: FrameResult | None) -> FrameResult:
         x = ELASTIC_MODEL.rest(robot, guess) if before is None or before.x is None else before.x
-        steps, last, distance = 0, np.inf, np.inf
+        steps = 0
+        last = np.inf
+        distance = np.inf
         while steps < MAX_TIP_STEPS_PER_FRAME and np.isfinite(x).all():
             new, distance, moved = steering.step(x, frame.points[-1])
             steps += 1
@@ -71,7 +73,8 @@ def tip_resolved(problem: Problem, motion_weight: float) -> Method:
                 distance > CLOSE_MM and distance > MAX_REMAINING_DISTANCE_RATIO * last
             ):
                 break
-            x, last = new, distance
+            x = new
+            last = distance
         if not np.isfinite(x).all():
             return FrameResult(guess, False, np.inf, np.nan, steps, "no equilibrium")
         q = ELASTIC_MODEL.configuration(robot, x[None])[0]
@@ -101,7 +104,8 @@ class TipSteering:
         return new[0].copy(), float(told[0, 0]), float(told[0, 1])
 
     def _map_function(self) -> BatchEvaluator:
-        found, robot = BatchEvaluator(self._function, 1), self._robot
+        found = BatchEvaluator(self._function, 1)
+        robot = self._robot
         found.inputs[1][0] = np.concatenate([robot.numbers.ravel(order="F"), robot.lower, robot.upper])
         return found
 
@@ -110,8 +114,10 @@ class TipSteering:
 def step_function(structure: Structure) -> ca.Function:
     """(x and goal, numbers and limits) -> (x after a step, [distance of the tip, what motors move by])."""
     d = structure.d
-    numbers, limits = ca.SX.sym("numbers", d, len(TUBE_NUMBER_NAMES)), ca.SX.sym("limits", 2 * d + 2, 2)
-    goal, none = ca.SX.sym("goal", 3), ca.SX(0)
+    numbers = ca.SX.sym("numbers", d, len(TUBE_NUMBER_NAMES))
+    limits = ca.SX.sym("limits", 2 * d + 2, 2)
+    goal = ca.SX.sym("goal", 3)
+    none = ca.SX(0)
     shape = ELASTIC_MODEL.frame(structure, symbolic_tubes(structure, numbers), lambda beta: beta[-1], none)
     theta = shape.x[2 * d :]
     far_from_snap = (
@@ -119,12 +125,14 @@ def step_function(structure: Structure) -> ca.Function:
     )
     told: list[Any] = [ca.vertcat(*shape.to_base_frame(shape.points)), shape.alpha, far_from_snap]
     tip, alpha, criterion = ProgramExpressions.without([shape.inner.columns], told)
-    q, scale = ca.vertcat(alpha, *shape.beta, theta), ca.DM(mm_per_unit(d))
+    q = ca.vertcat(alpha, *shape.beta, theta)
+    scale = ca.DM(mm_per_unit(d))
     by_q = ca.solve(ca.jacobian(q, shape.x), ca.SX.eye(2 * d + 2))  # dx / dq
     jacobian, uphill = (ca.jacobian(each, shape.x) @ by_q @ ca.diag(1 / scale) for each in (tip, criterion))
     far = ca.norm_2(goal - tip)
     wanted = (goal - tip) * ca.fmin(1.0, MAX_TIP_STEP_MM / (far + 1e-12))
-    weights, kept = _limit_weights(q, limits, scale), q
+    weights = _limit_weights(q, limits, scale)
+    kept = q
     for _ in range(MAX_LIMIT_PASSES):
         aim = q + _resolve_motor_step(jacobian, uphill.T, weights, wanted) / scale
         kept = _clip_to_limits(aim, limits, d)
@@ -136,7 +144,8 @@ def step_function(structure: Structure) -> ca.Function:
 
 def _limit_weights(q: ca.SX, limits: ca.SX, scale: ca.DM) -> ca.SX:
     """1 + |dH/dq| of each motor, H = sum (u - l)^2 / (4 (u - q) (q - l)), in the mm that motors are told in."""
-    low, high = limits[:, 0], limits[:, 1]
+    low = limits[:, 0]
+    high = limits[:, 1]
     room = high - low
     below, above = (ca.fmax(each, MIN_LIMIT_DISTANCE_FRACTION * room) for each in (q - low, high - q))
     slope = room**2 * (2 * q - high - low) / (4 * (above * below) ** 2)

@@ -35,7 +35,8 @@ def check_extensions(
     """
     # [low, high] is the interval of beta_i that the tubes outside leave. Each tube narrows it by its own limits,
     # by the order beta_i <= beta_{i+1}, and by the gap: (L_{i+1} - beta_{i+1}) - (L_i - beta_i) >= gap.
-    low, high = 0.0, math.inf
+    low = 0.0
+    high = math.inf
     for i, (tube, least, most) in enumerate(zip(tubes, lower, upper, strict=True)):
         name = f"beta_{i + 1}"
         _check_ends(name, tube, least, most)
@@ -45,7 +46,8 @@ def check_extensions(
                 f"carriage_gap is {gap:g} mm and tube {i + 1} only {longer:g} mm longer than tube {i}: with "
                 f"beta_{i} <= {name}, it must be at most that"
             )
-        low, high = max(low, least), min(high + longer - (gap or 0.0), most)
+        low = max(low, least)
+        high = min(high + longer - (gap or 0.0), most)
         if low > high:
             raise RobotError(
                 f"limits of {name} leave no room: it must be at least {low:g} mm (order, lower limits) "

@@ -118,7 +118,8 @@ class Robot:
         """Raise RobotError unless lower limits lie below upper ones, angles can be turned, and rates
         are positive.
         """
-        lower, upper = self.lower, self.upper
+        lower = self.lower
+        upper = self.upper
         for name, lo, hi in zip(self.axes, lower, upper, strict=True):
             if math.isnan(lo) or math.isnan(hi) or lo > hi:
                 raise RobotError(f"limits of {name} are [{lo:g}, {hi:g}]; the lower must not exceed the upper")
@@ -148,7 +149,8 @@ class Robot:
     @cached_property
     def structure(self) -> Structure:
         """Structure of the robot: what programs are compiled for, apart from the numbers of the tubes."""
-        low, high = self.d, 2 * self.d
+        low = self.d
+        high = 2 * self.d
         ends = zip(self.tubes, self.upper[low:high], strict=True)
         shown = tuple(bool(end > tube.curved_length) for tube, end in ends)
         return Structure(tuple(map(kind_of, self.tubes)), shown, self.carriage_gap is not None)

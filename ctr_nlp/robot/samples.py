@@ -156,8 +156,10 @@ def sample_robots(robot: Robot, count: int, seed: int) -> RobotSamples:
     >>> samples.numbers.shape, samples.offsets.shape
     ((3, 3, 8), (3, 3))
     """
-    count, seed = whole_number(RobotError, "draws", count), whole_number(RobotError, "seed of draws", seed, 0)
-    tolerances, d = robot.tolerances, robot.d
+    count = whole_number(RobotError, "draws", count)
+    seed = whole_number(RobotError, "seed of draws", seed, 0)
+    tolerances = robot.tolerances
+    d = robot.d
     # Three independent streams: robots without a tolerance of diameters or a backlash stay the same samples when
     # another tolerance is added.
     random, shares, sections = (np.random.default_rng([seed, stream]) for stream in range(3))

@@ -151,7 +151,8 @@ def locate_free_numbers(
         For each unknown its tube, from 0, and its columns in `TUBE_NUMBER_NAMES`: two for a curvature that root
         and tip share.
     """
-    root, tip = TUBE_NUMBER_NAMES.index("root_curvature"), TUBE_NUMBER_NAMES.index("tip_curvature")
+    root = TUBE_NUMBER_NAMES.index("root_curvature")
+    tip = TUBE_NUMBER_NAMES.index("tip_curvature")
     curvatures = {"straight": (), "arc": ((root, tip),), "linear": ((root,), (tip,)), "helix": ((root, tip),)}
     found = list[tuple[int, tuple[int, ...]]]()
     for name in free_names:

@@ -116,7 +116,8 @@ class Tolerances:
         """Raise RobotError unless the covariance is symmetric, positive semidefinite and given in
         place of bands.
         """
-        name, found = _of("covariance"), self._covariance()
+        name = _of("covariance")
+        found = self._covariance()
         if self.distribution != "normal":
             raise RobotError(f'{name} needs distribution = "normal"; it is {self.distribution!r}')
         for f in fields(self):
@@ -247,7 +248,8 @@ class Tolerances:
         bands = self.bands(tubes)
         if self.covariance is None:
             return np.diag(bands.ravel() / math.sqrt(3))
-        found, root = self._covariance(), np.zeros((bands.size, bands.size))
+        found = self._covariance()
+        root = np.zeros((bands.size, bands.size))
         # By rounding, an eigenvector of the whole matrix would let numbers differ that have no variance; rows
         # without variance are left out.
         differs = np.flatnonzero(found.diagonal() > 0)  # by rounding, nothing else may differ either

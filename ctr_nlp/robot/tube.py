@@ -132,10 +132,8 @@ class Tube:
             what = f"it is unsigned (turn the tube instead){shaped if isinstance(self.curvature, tuple) else ''}"
             raise RobotError(f"tube curvature is {self.curvature}; {what}")
         # The strain k D / 2, solved for k.
-        largest, most = (
-            self.largest_curvature,
-            min(MAX_TUBE_CURVATURE_PER_MM, 2 * MAX_PRE_CURVATURE_STRAIN / self.outer_diameter),
-        )
+        largest = self.largest_curvature
+        most = min(MAX_TUBE_CURVATURE_PER_MM, 2 * MAX_PRE_CURVATURE_STRAIN / self.outer_diameter)
         if largest > MAX_TUBE_CURVATURE_PER_MM:
             meant = suggest_curvature(largest, between(0, most))
             raise RobotError(
@@ -198,7 +196,8 @@ class Tube:
     def stiffness_slopes(self) -> tuple[float, float]:
         """Relative growth of the bending stiffness with the outer and with the inner diameter, 1/mm."""
         # d log(D^4 - d^4) / dD and / dd.
-        outer, inner = self.outer_diameter, self.inner_diameter
+        outer = self.outer_diameter
+        inner = self.inner_diameter
         return 4 * outer**3 / (outer**4 - inner**4), -4 * inner**3 / (outer**4 - inner**4)
 
 

@@ -96,7 +96,8 @@ class ArrivalJudge:
         """Simulate n robots; return whether each is lost, the last distance of its tip from the target's end, and
         its deepest contact, mm.
         """
-        problem, lumen = self.problem, self._lumen
+        problem = self.problem
+        lumen = self._lumen
         found = simulate_samples(problem.robot, draws, q, self.model)
         # Only the last tip counts as arrival; its place is that of the shape's last sample.
         tip_error = np.linalg.norm(found.shape[:, -1, -1] - problem.target_frames[-1].points[-1], axis=-1)
@@ -127,7 +128,9 @@ def improve_arrival(best: Round, purpose: ArrivalJudge, lost: FailureJudge, numb
     list of Round
         What was tried, MAX_ARRIVAL_ROUNDS times at most.
     """
-    search, last, rounds = best.search, best, list[Round]()
+    search = best.search
+    last = best
+    rounds = list[Round]()
     # A cutting-set method: the worst constraints that samples show are added, and the program is solved again. It
     # ends where few fail, where so many do that no motion will help, or where robots are lost again.
     for _ in range(MAX_ARRIVAL_ROUNDS):

@@ -54,11 +54,13 @@ class FrameVertices(NamedTuple):
         found: a solution, whose last robots these guards are.
         """
         count = self.corners.shape[1]
-        burdens, tips = found.constraint_multipliers[:, -count:], found.phi[:, -count:]
+        burdens = found.constraint_multipliers[:, -count:]
+        tips = found.phi[:, -count:]
         # Arrays need as many guards in each frame: those of the frame with most active ones. Others are filled up
         # with the next dearest.
         most = int((burdens > ACTIVE_CONSTRAINT_SCENARIO_SHARE * burdens.max()).sum(axis=1).max())
-        kept, frames = np.argsort(-burdens, axis=1, kind="stable")[:, :most], np.arange(len(tips))[:, None]
+        kept = np.argsort(-burdens, axis=1, kind="stable")[:, :most]
+        frames = np.arange(len(tips))[:, None]
         return FrameVertices(self.corners[frames, kept], tips[frames, kept])
 
 
@@ -72,22 +74,21 @@ def plan_with_constraint_scenarios(
     number `number`. Corners that bear least of their difference are given up, as many as may be lost; the others
     that are lost, or nearly, become guards, until no more are lost than may be.
     """
-    found, tried, best = held.tried.solution, held.tried, list[Round]()
-    least, dearest = (
-        int(corners.find_failing_vertices(found.q).sum()),
-        (1 + CONSTRAINT_SCENARIO_MAX_COST_GROWTH) * found.objective,
-    )
+    found = held.tried.solution
+    tried = held.tried
+    best = list[Round]()
+    least = int(corners.find_failing_vertices(found.q).sum())
+    dearest = (1 + CONSTRAINT_SCENARIO_MAX_COST_GROWTH) * found.objective
     if not held.lost.few or least <= corners.allowed_failures:
         return []
-    borne, placed = corners.find_failure_scales(found.q), FrameVertices.none(found.phi)
+    borne = corners.find_failure_scales(found.q)
+    placed = FrameVertices.none(found.phi)
     # Those that are lost at the smallest part of their difference would cost most to keep.
     spared = np.argsort(borne, kind="stable")[: corners.allowed_failures]
     # Finite: lost within NEAR times their difference. Corners that are barely kept now would be lost on a slightly
     # different motion.
-    new, parts = (
-        np.setdiff1d(np.flatnonzero(np.isfinite(borne)), spared),
-        np.full(len(borne), CONSTRAINT_SCENARIO_START_SCALE),
-    )
+    new = np.setdiff1d(np.flatnonzero(np.isfinite(borne)), spared)
+    parts = np.full(len(borne), CONSTRAINT_SCENARIO_START_SCALE)
     for _ in range(MAX_CONSTRAINT_SCENARIO_ROUNDS):
         if least <= corners.allowed_failures or not len(new) or held.search.stop():
             break
@@ -96,10 +97,8 @@ def plan_with_constraint_scenarios(
         search, tried = _solve_with_constraints(held.search, tried, scenarios, corners, placed, parts)
         if not tried.is_shared or tried.solution.objective > dearest:
             break
-        placed, gone = (
-            placed.keep_active(tried.solution),
-            np.flatnonzero(corners.find_failing_vertices(tried.solution.q)),
-        )
+        placed = placed.keep_active(tried.solution)
+        gone = np.flatnonzero(corners.find_failing_vertices(tried.solution.q))
         new = np.setdiff1d(gone, spared)
         # Lost though it is a guard: frames are apart too far to see it. Planned for with a larger difference, it
         # is kept between them.
@@ -123,7 +122,8 @@ def _solve_with_constraints(
 
     before: the result so far. parts (C,): multiple of its difference that each corner has as a guard.
     """
-    robots, found = corners.with_part(placed.corners, parts[placed.corners]), before.solution
+    robots = corners.with_part(placed.corners, parts[placed.corners])
+    found = before.solution
     of_robots = robots.numbers, robots.offsets, robots.forces
     each = (values.reshape(*placed.corners.shape, *values.shape[1:]) for values in of_robots)
     search = replace(search, guards=ConstraintScenarios(*each))

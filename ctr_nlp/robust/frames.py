@@ -151,7 +151,9 @@ class ScenarioFrames:
 
         before: the frame before, None without one.
         """
-        robot, iterations, ends = self.problem.robot, 0, EndConfigurations(None if before is None else before.q)
+        robot = self.problem.robot
+        iterations = 0
+        ends = EndConfigurations(None if before is None else before.q)
         last, far = (start, np.inf) if before is None else (before, tip_step_limits(robot, self.problem.dt))
         # A dearer step keeps motors near the frame before, and tips with them. Programs with dearer steps are
         # built only where they are needed.
@@ -173,7 +175,8 @@ class ScenarioFrames:
 
     def _motion(self, frame: int, ends: EndConfigurations, factor: float) -> SharedMotion:
         """Build the program of one frame; factor: multiplies the weight of the step from the frame before."""
-        problem, margins = self.problem, None if self.margins is None else self.margins[frame : frame + 1]
+        problem = self.problem
+        margins = None if self.margins is None else self.margins[frame : frame + 1]
         at = problem.robot, [problem.target_frames[frame]], problem.dt, factor * self.settings.motion_weight, ends
         return shared_motion(*at, self.model, self.scenarios, fastest_functions, margins, self.terms)
 

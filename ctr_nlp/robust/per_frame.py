@@ -153,7 +153,8 @@ def solve_robust_per_frame(
 
 def _with_reported_unknowns(best: Pass, problem: Problem, model: Model) -> Pass:
     """Return the run with the unknowns of the model that a plan is reported on."""
-    q, robot = best.motion(problem), problem.robot
+    q = best.motion(problem)
+    robot = problem.robot
     found = {
         j: one if one.x is None else replace(one, x=reported_unknowns(robot, model, q[j : j + 1], one.x[None])[0])
         for j, one in best.results.items()
@@ -168,7 +169,8 @@ def _rerun_best(ranked: Sequence[Pass], solver: ScenarioFrames, stop: Callable[[
     Where none does, the cheapest of the new ones is returned. `ranked` are the runs before, cheapest first, and
     `stop` is asked between runs.
     """
-    problem, found = solver.problem, list[Pass]()
+    problem = solver.problem
+    found = list[Pass]()
     failed, least = ranked[0].cost(problem)
     for one in ranked:
         found.append(run_again(one, replace(solver, known=one.results), stop))

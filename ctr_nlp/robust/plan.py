@@ -167,7 +167,9 @@ def solve_robust(
     terms = with_arrival(checked_terms(terms), settings, model)
     purpose = ArrivalJudge(problem, model, settings)
     # `weight` stays None until a first start is known from which the default can be found.
-    begin, searched, weight = time.perf_counter(), 0.0, motion_weight
+    begin = time.perf_counter()
+    searched = 0.0
+    weight = motion_weight
     told = reported_model(model)
     with deferred_interrupt() as interrupted:
         planner = Horizon(problem, told, None, start, end, settings, terms)
@@ -178,7 +180,10 @@ def solve_robust(
             )
         wall = make_wall(problem.robot, problem.sampled_lumen, model, settings, subsamples=1)
         starts = _Starts(planner, told, given, margins, terms, settings, progress, interrupted, nominal)
-        tried, made, best, open_ = list[StartResult](), list[Round](), None, list[StartResult]()
+        tried = list[StartResult]()
+        made = list[Round]()
+        best = None
+        open_ = list[StartResult]()
         # Ways to find starts, one after the other; a later one is used where the drafts of the earlier ones are
         # not good, or their motions lose too many robots.
         for number, find in enumerate(starts.start_finders):
@@ -202,7 +207,8 @@ def solve_robust(
             if not (last or given or interrupted()) and open_ and not _good(open_[0], settings):
                 continue
             made += _rounds(search, open_, scenarios, trials, rounds, len(made))
-            best, open_ = best_round(made, problem.frames), []
+            best = best_round(made, problem.frames)
+            open_ = []
             if best is not None and best.lost.few and not interrupted():
                 # Few robots are lost: only now is it worth asking how many also arrive and keep off the wall.
                 judged = best._replace(failing=purpose(best.tried.solution.q, len(made)))
@@ -363,7 +369,9 @@ def _start_to_meta(one: StartResult) -> dict[str, Any]:
 def _plan(problem: Problem, best: Round, meta: dict[str, Any]) -> Plan:
     """Make a plan of the best round; meta: of the plan."""
     found = best.tried.solution
-    condensed, model, robot = Condensed(best.search.motion(best.scenarios)), best.search.model, problem.robot
+    condensed = Condensed(best.search.motion(best.scenarios))
+    model = best.search.model
+    robot = problem.robot
     # What depends on where robots are, such as the wall near them, is described at the solution before objectives
     # are evaluated there.
     condensed.update_local_parameters(found.q, found.phi)

@@ -124,7 +124,8 @@ def replan_for_failures(
     search, tried, scenarios: of the motion so far. lost: judges each round's motion; rounds are numbered from
     `first` on. most: rounds.
     """
-    rounds, frames = list[Round](), search.problem.frames
+    rounds = list[Round]()
+    frames = search.problem.frames
     picked = search.draft_frames if tried.frames < frames else None
     for number in range(most + 1):
         # Robots are simulated on all frames; a draft's motion is interpolated.
@@ -146,7 +147,8 @@ def replan_for_failures(
                 break
         if not again.is_shared:
             break
-        tried, scenarios = again, more
+        tried = again
+        scenarios = more
     return rounds
 
 
@@ -155,7 +157,8 @@ def relax_scenarios(held: Round, first: int, lost: FailureJudge, number: int) ->
 
     held: a round on whose motion few are. lost: judges each round's motion; rounds are numbered from `number` on.
     """
-    rounds, search = list[Round](), held.search
+    rounds = list[Round]()
+    search = held.search
     while len(held.scenarios) > first and held.lost.few and len(rounds) < MAX_RELAXATIONS and not search.stop():
         # burdens are multipliers: by how much the objective falls for a unit by which the limits of a robot are
         # eased. Solving again takes long, so that the gain is estimated first.
@@ -199,7 +202,8 @@ def solve_with_scenarios(
 
     before: the result so far. picked: frames of a draft, None for all. barrier: the first one, mm^2.
     """
-    known, motion = before.solution, search.motion(scenarios, picked)
+    known = before.solution
+    motion = search.motion(scenarios, picked)
     # Tips are in the order scenarios, then guards: sizes[1] counts both, so that new scenarios are put in between.
     old = known.phi.shape[1] - (motion.sizes[1] - len(scenarios))
     joining = np.repeat(known.phi[:, :1], len(scenarios) - old, axis=1)
@@ -226,7 +230,8 @@ def raise_margins_near_failures(margins: Array | None, frames: Index, picked: In
     """
     if margins is None:
         return None
-    found, known = margins.copy(), np.arange(len(margins)) if picked is None else picked
+    found = margins.copy()
+    known = np.arange(len(margins)) if picked is None else picked
     # Frame numbers count from 1; searchsorted finds the first known frame at or after the loss.
     after = np.searchsorted(known, np.unique(frames) - 1)
     beside = known[np.unique(np.concatenate([after, np.maximum(after - 1, 0)]))]

@@ -153,7 +153,8 @@ class RobustSearch:
 
     def solve(self, start: InitialMotion, scenarios: Scenarios, picked: Index | None = None) -> StartResult:
         """Solve all frames, or picked ones, from a start."""
-        robot, own = self.problem.robot, self.motion(scenarios, picked).own
+        robot = self.problem.robot
+        own = self.motion(scenarios, picked).own
         q = reported_model(self.model).configuration(robot, start.x)
         # All scenarios begin with the nominal robot's tips: their own equations need not hold at a start.
         tips = np.repeat(loaded_unknowns(robot, self.model, q, start.x)[:, None, own], len(scenarios), axis=1)
@@ -184,14 +185,19 @@ class RobustSearch:
         tips = np.repeat(tips, self.motion(scenarios, picked).sizes[1], axis=1)
         # Half of the differences first, then all of them; after a failure, half way between the last success and
         # it. Each solve starts from the last success.
-        done, part, best = 0.0, 0.5, None
+        done = 0.0
+        part = 0.5
+        best = None
         for _ in range(MAX_SCENARIO_GROWTH_SOLVES):
             solver = SharedSolver(self.motion(scenarios.shrink_differences(part), picked), COARSE_LAST_BARRIER_MM2)
             found = solver(
                 q, tips, COLD_START_BARRIER_MM2, self.stop, MAX_SCENARIO_GROWTH_STEPS, rough=picked is not None
             )
             if found.success:
-                done, best, q, tips = part, found, found.q, found.phi
+                done = part
+                best = found
+                q = found.q
+                tips = found.phi
                 if part == 1.0:
                     break
                 part = 1.0
@@ -206,7 +212,8 @@ class RobustSearch:
 
     def with_branch_check(self, tried: StartResult) -> StartResult:
         """Return a result with `made` set: whether the simulated nominal robot is where it is planned to be."""
-        found, robot = tried.solution, self.problem.robot
+        found = tried.solution
+        robot = self.problem.robot
         if not found.success:
             return tried
         moved = self.model.follow(robot, found.q)

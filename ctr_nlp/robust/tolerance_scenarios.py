@@ -40,7 +40,8 @@ def scenarios_from_tolerances(robot: Robot, with_tip_force: bool = False) -> Sce
     deviations = root[:, abs(root).max(axis=0) > 0]
     if not (deviations.size or force):
         raise OptionError("all tolerances of the robot are 0; give some, or plan without robustness")
-    count, sides = deviations.shape[1], 3 * bool(with_tip_force and force)
+    count = deviations.shape[1]
+    sides = 3 * bool(with_tip_force and force)
     signs = two_level_orthogonal_array(count + sides) if count + sides else np.zeros((0, 0))
     # The first row is the nominal robot.
     parts = np.vstack([np.zeros(len(root)), signs[:, :count] @ deviations.T]).reshape(
@@ -100,7 +101,8 @@ def reported_unknowns(robot: Robot, model: Model, q: Array, x: Array) -> Array:
 
     q (T, 2d + 2): its configurations. x: its unknowns on the scenarios' model.
     """
-    told, last = reported_model(model), robot.d - 1
+    told = reported_model(model)
+    last = robot.d - 1
     if told == model:
         return x
     found = q.copy()
@@ -120,14 +122,16 @@ def loaded_unknowns(robot: Robot, model: Model, q: Array, x: Array) -> Array:
     if reported_model(model) == model:
         return x
     assert isinstance(model, Loaded)
-    found, last = model.unloaded_unknowns(robot, q, tip_angles(x, robot.d)), robot.d - 1
+    found = model.unloaded_unknowns(robot, q, tip_angles(x, robot.d))
+    last = robot.d - 1
     found[:, last] = np.unwrap(found[:, last])
     return found
 
 
 def tips_of(model: Model, robot: Robot, x: Array) -> Array:
     """Return the part of unknowns x (T, n_x) that q does not determine: tips (T, d), under a load (T, d + 2)."""
-    angles, turns = x[:, : robot.d], x[:, 2 * robot.d :]
+    angles = x[:, : robot.d]
+    turns = x[:, 2 * robot.d :]
     return angles if model.applied_load is None else np.hstack([angles, turns])
 
 

@@ -57,11 +57,13 @@ class ToleranceVertices:
         gone = np.flatnonzero(self._first_failure_frames(np.arange(len(self.robots)), q, MAX_VERTEX_SCALE))
         # Bisection takes being lost as monotonic in the difference: nearer robots are lost less. All corners are
         # halved in one batch.
-        low, high = np.zeros(len(gone)), np.full(len(gone), MAX_VERTEX_SCALE)
+        low = np.zeros(len(gone))
+        high = np.full(len(gone), MAX_VERTEX_SCALE)
         for _ in range(VERTEX_SCALE_BISECTIONS if len(gone) else 0):
             middle = (low + high) / 2
             lost = self._first_failure_frames(gone, q, middle) > 0
-            low, high = np.where(lost, low, middle), np.where(lost, middle, high)
+            low = np.where(lost, low, middle)
+            high = np.where(lost, middle, high)
         found[gone] = high
         return found
 

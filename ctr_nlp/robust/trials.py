@@ -105,7 +105,8 @@ class Trials:
         draws = sample_robots(
             self.robot, DRAFT_TRIAL_SAMPLES if draft else self.samples_per_motion, TRIAL_FIRST_SAMPLE_SEED + number
         )
-        allowed, frames = 0 if draft else self.allowed_failures, np.zeros(0, dtype=int)
+        allowed = 0 if draft else self.allowed_failures
+        frames = np.zeros(0, dtype=int)
         # The verdict is no once more than `allowed` are lost; but MAX_JOINING_SAMPLES of them are wanted as
         # scenarios.
         while len(frames) < len(draws) and (frames > 0).sum() < max(MAX_JOINING_SAMPLES, allowed + 1):

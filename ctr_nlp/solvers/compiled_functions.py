@@ -63,7 +63,8 @@ class _FastestFunctions:
     """Returns interpreted functions until the library, which is made in the background, can be loaded."""
 
     def __init__(self, nlp: Nlp) -> None:
-        self._nlp, self._library = nlp, library(nlp, None)
+        self._nlp = nlp
+        self._library = library(nlp, None)
         self._found: FrameFunctions | None = None
 
     def __call__(self) -> FrameFunctions:

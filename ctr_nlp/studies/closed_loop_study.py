@@ -110,18 +110,18 @@ def run_closed_loops(
     of REPLANNING_MODES; what open loops play, and errors are told as parts of, is the plan as it was given. Raises
     as Replanner, too.
     """
-    at, led = (
-        CLOSED_LOOP_CASES[case],
-        replan_for_tolerances(plan, PLANT_TOLERANCES) if replanning_mode == REPLANNED else plan,
-    )
+    at = CLOSED_LOOP_CASES[case]
+    led = replan_for_tolerances(plan, PLANT_TOLERANCES) if replanning_mode == REPLANNED else plan
     replanner = None if replanning_mode == AS_PLANNED else Replanner(plan)
     tolerances = replace(PLANT_TOLERANCES, rotation_lag=at.play)
     robots = sample_robots(replace(plan.robot, tolerances=tolerances), samples, seed)
     robots = replace(robots, backlash=np.full_like(robots.backlash, at.play))
-    runs, seconds = [], list[float]()
+    runs = []
+    seconds = list[float]()
     for k, bent in zip(range(samples), _bending_offsets(at.bending, samples, seed), strict=True):
         own = plan.robot, robots[k : k + 1], plan.evaluated_model
-        opened, plant = open_loop(plan, Plant(*own, bending=bent)), Plant(*own, bending=bent)
+        opened = open_loop(plan, Plant(*own, bending=bent))
+        plant = Plant(*own, bending=bent)
         tracker = _make_tracker(
             led, at, tolerances, own[1], seed + k, replanner if replanning_mode == IDENTIFIED else None
         )
@@ -130,7 +130,8 @@ def run_closed_loops(
         )
         runs.append((opened, closed_loop(led, plant, Feed(plant, at.sensors, seed + k), tracker, replanning)))
         seconds += runs[-1][1].seconds.tolist()
-    planned, anew = e3(plan) or np.nan, [each for _, run in runs for each in run.replannings]
+    planned = e3(plan) or np.nan
+    anew = [each for _, run in runs for each in run.replannings]
     kept = [run.e3 for _, run in runs if not (run.first_failed_frame or run.stopped)]
     return ClosedLoopResult(
         plan=name,

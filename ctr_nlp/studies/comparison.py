@@ -179,7 +179,8 @@ def compare(
     row, `row` by default. Ctrl-C leaves the rows that were begun. A variant that does not serve a problem is a
     refusal; the first one is raised where none serves any.
     """
-    chosen, measure = settings or Settings(contact_weight=0.0, arrival_weight=0.0), measure or comparison_row
+    chosen = settings or Settings(contact_weight=0.0, arrival_weight=0.0)
+    measure = measure or comparison_row
     found = Comparison([], [], [])
     with deferred_interrupt() as interrupted:
         for problem in problems:
@@ -258,7 +259,8 @@ def comparison_row(problem: str, variant: str, plan: Plan) -> dict[str, Any]:
     """
     checked = _check_on_samples(plan)
     end = arrival(checked)
-    found, drawn = summary(plan), checked.drawn
+    found = summary(plan)
+    drawn = checked.drawn
     errors = None if drawn is None else drawn.errors
     models = [model for model in KINEMATIC_MODELS if suits(plan.robot, model)]
     plans = {model: plan if model == plan.meta["model"] else plan.evaluate_on(model) for model in models}

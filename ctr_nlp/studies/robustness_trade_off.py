@@ -65,7 +65,9 @@ def plan_for_tolerances(
     All are judged on the same robots, sampled within the whole tolerances. progress: (number done, of how many,
     what is planned next). Ctrl-C leaves what was found. Raises OptionError, RobotError.
     """
-    free, found, wanted = replace(problem, lumen=None), list[RobustnessPoint](), requested_plans(amounts, margins)
+    free = replace(problem, lumen=None)
+    found = list[RobustnessPoint]()
+    wanted = requested_plans(amounts, margins)
     sample_robots(problem.robot, samples, seed)
     for amount, _ in wanted:
         scale_tolerances(problem.robot, amount)
@@ -120,7 +122,8 @@ def choice_sentence(points: Sequence[RobustnessPoint], most_lost: float = MOST_L
 
 def scale_tolerances(robot: Robot, amount: float) -> Robot:
     """Return a robot with its tolerances times `amount`; raises RobotError where they become too large."""
-    own, square = robot.tolerances, robot.tolerances.covariance
+    own = robot.tolerances
+    square = robot.tolerances.covariance
     if square is not None:
         covariance = amount**2 * np.array(square)
         parts: dict[str, Any] = {"rotation_lag": amount * np.array(own.rotation_lag), "covariance": covariance}

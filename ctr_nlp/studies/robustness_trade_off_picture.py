@@ -31,7 +31,8 @@ def draw_robustness_trade_off(
     above, below = figure.subplots(2, sharex=True, height_ratios=(2, 1))
     usual = Settings().stability_margin
     robust = sorted((p for p in points if p.amount or p.margin == usual), key=lambda p: p.amount)
-    known, amounts = [p for p in robust if p.mean is not None], [p.amount for p in robust]
+    known = [p for p in robust if p.mean is not None]
+    amounts = [p.amount for p in robust]
     above.plot(amounts, [p.planned or float("nan") for p in robust], "o--", color=BLUE, label="as planned")
     means = [p.amount for p in known], [p.mean or 0.0 for p in known]
     above.plot(*means, "o-", color=VERMILLION, label="mean over draws")

@@ -52,9 +52,12 @@ class SearchSpace:
         if lumen is None or lumen.radius is None:
             name = problem.name or "the problem"
             raise OptionError(f"rrt-connect plans within a lumen, and {name} has none with a radius")
-        self.robot, self._settings, self.checked_points = problem.robot, settings, 0
+        self.robot = problem.robot
+        self._settings = settings
+        self.checked_points = 0
         places = np.arange(0.0, lumen.length, LUMEN_SAMPLE_SPACING_MM)
-        self._tree, self._radius = cKDTree(lumen.point(places)), lumen.radius(places)
+        self._tree = cKDTree(lumen.point(places))
+        self._radius = lumen.radius(places)
         d = self.robot.d
         turn, room, tilt = RRT_STATE_SCALE_MM
         self._scale = np.concatenate([np.full(d, turn), np.full(d - 1, room), [1.0], np.full(2, tilt)])
@@ -67,7 +70,8 @@ class SearchSpace:
 
     def unknowns(self, place: Array) -> Array:
         """Return the unknowns x (2d + 2,) of a point."""
-        d, values = self.robot.d, place / self._scale
+        d = self.robot.d
+        values = place / self._scale
         beta = extensions(self.robot, values[d : 2 * d - 1], values[2 * d - 1])
         return np.concatenate([values[:d], beta, values[2 * d :]])
 
@@ -76,7 +80,8 @@ class SearchSpace:
         them the start.
         """
         d, (low, high) = self.robot.d, (self.robot.lower, self.robot.upper)
-        beta, theta = slice(d, 2 * d - 1), slice(2 * d, None)
+        beta = slice(d, 2 * d - 1)
+        theta = slice(2 * d, None)
         low, high = (np.where(np.isfinite(each), each, sign * np.pi) for each, sign in ((low, -1), (high, 1)))
         low[:d], high[:d], low[beta], high[beta] = -np.pi, np.pi, 0.0, 1.0
         middle = known[0, theta] / self._scale[theta]
@@ -91,7 +96,8 @@ class SearchSpace:
 
     def is_valid_robot(self, x: Array) -> bool:
         """Whether the robot with unknowns x (2d + 2,) is within the lumen, stable and within its limits."""
-        d, robot = self.robot.d, self.robot
+        d = self.robot.d
+        robot = self.robot
         points = ELASTIC_MODEL.points(robot, x[None], WALL_CHECK_SIGMA)[0]
         distance, nearest = self._tree.query(points)
         over = (
@@ -105,7 +111,8 @@ class SearchSpace:
 
     def _within_angle_limits(self, x: Array) -> bool:
         """Whether motors are within limits that the space does not know: those of tubes' angles."""
-        robot, d = self.robot, self.robot.d
+        robot = self.robot
+        d = self.robot.d
         if not np.isfinite([robot.lower[:d], robot.upper[:d]]).any():
             return True
         q = ELASTIC_MODEL.configuration(robot, x[None])[0]
@@ -153,7 +160,8 @@ def rrt_connect(
         "iterations": room.checked_points,
         "failures": why,
     }
-    q, solved = ELASTIC_MODEL.configuration(problem.robot, x), np.full(problem.frames, found)
+    q = ELASTIC_MODEL.configuration(problem.robot, x)
+    solved = np.full(problem.frames, found)
     q[:, : problem.robot.d] = np.unwrap(q[:, : problem.robot.d], axis=0)
     return plan_from_configurations(
         problem, q, meta, success=solved, solve_time=unknown, objective=unknown, kkt=unknown, planned=x
@@ -180,11 +188,14 @@ def _valid_end(
 
 def _search_path(ompl: Any, room: SearchSpace, ends: Array, seconds: float, seed: int) -> Array | None:
     """Search a path between two points and shorten it, (n, 2d + 2); None where none is found in time."""
-    base, geometric, util = ompl.base, ompl.geometric, ompl.util
+    base = ompl.base
+    geometric = ompl.geometric
+    util = ompl.util
     util.noOutputHandler()
     util.RNG.setSeed(seed)
     size = ends.shape[1]
-    space, bounds = base.RealVectorStateSpace(size), base.RealVectorBounds(size)
+    space = base.RealVectorStateSpace(size)
+    bounds = base.RealVectorBounds(size)
     for i, (low, high) in enumerate(zip(*room.bounds(ends), strict=True)):
         bounds.setLow(i, float(low))
         bounds.setHigh(i, float(high))

@@ -45,11 +45,15 @@ def lines_svg(lines: Sequence[CardLine]) -> str:
     if not known:
         return ""
     every = np.concatenate([line.points for line in known])
-    low, high = every.min(axis=0), every.max(axis=0)
-    scale, left, drawn = CARD_VIEW_HEIGHT_PX / max(float((high - low).max()), 1e-9), CARD_VIEW_MARGIN_PX, []
+    low = every.min(axis=0)
+    high = every.max(axis=0)
+    scale = CARD_VIEW_HEIGHT_PX / max(float((high - low).max()), 1e-9)
+    left = CARD_VIEW_MARGIN_PX
+    drawn = []
     for across, name in VIEWS:
         width = max(scale * float(high[across] - low[across]), MIN_CARD_VIEW_WIDTH_PX)
-        middle, centre = (low[across] + high[across]) / 2, left + width / 2
+        middle = (low[across] + high[across]) / 2
+        centre = left + width / 2
         for line in known:
             x = centre + scale * (line.points[:, across] - middle)
             y = CARD_VIEW_MARGIN_PX + scale * (high[2] - line.points[:, 2])

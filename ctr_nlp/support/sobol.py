@@ -28,7 +28,8 @@ S. Joe, F. Y. Kuo, "Constructing Sobol sequences with better two-dimensional pro
 
 def sobol(count: int, dimensions: int, seed: int) -> Array:
     """The first count scrambled points (count, dimensions) in [0, 1); from the 27th on, coordinates are random."""
-    rng, known = np.random.default_rng(seed), min(dimensions, len(JOE_KUO))
+    rng = np.random.default_rng(seed)
+    known = min(dimensions, len(JOE_KUO))
     levels = max(count - 1, 1).bit_length()
     shift = rng.integers(2, size=(known, SOBOL_BITS), dtype=np.uint32)
     mixing = np.tril(rng.integers(2, size=(known, SOBOL_BITS, SOBOL_BITS), dtype=np.uint32))
@@ -47,10 +48,13 @@ def sobol(count: int, dimensions: int, seed: int) -> Array:
 @lru_cache
 def _directions(row: tuple[int, ...], levels: int) -> tuple[int, ...]:
     """The first direction numbers of a row of JOE_KUO, as binary fractions of SOBOL_BITS digits."""
-    polynomial, found = row[0], list(row[1:])
+    polynomial = row[0]
+    found = list(row[1:])
     degree = polynomial.bit_length() - 1
     if degree == 0:
-        found, degree, polynomial = [1], 1, 2
+        found = [1]
+        degree = 1
+        polynomial = 2
     while len(found) < levels:
         following = found[-degree]
         for back in range(1, degree + 1):

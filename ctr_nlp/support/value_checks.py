@@ -87,7 +87,8 @@ def _of_one_kind(items: list[Any]) -> bool:
 
 def build_from_table(cls: type, data: Any) -> Any:
     """Make the dataclass `cls` of a table of a file; raises RobotError where keys are unknown or missing."""
-    allowed, of = [f.name for f in fields(cls)], cls.__name__.lower()
+    allowed = [f.name for f in fields(cls)]
+    of = cls.__name__.lower()
     check_keys(RobotError, of, data if isinstance(data, dict) else [data], allowed)
     try:
         return cls(**data)

@@ -71,7 +71,8 @@ def read_image(path: str | Path) -> Image:
 
 
 def _nifti(path: Path) -> tuple[npt.NDArray[Any], Array, str]:
-    nifti1, arrayproxy = import_extra("nibabel.nifti1"), import_extra("nibabel.arrayproxy")
+    nifti1 = import_extra("nibabel.nifti1")
+    arrayproxy = import_extra("nibabel.arrayproxy")
     with gzip.open(path) if path.name.lower().endswith(".gz") else path.open("rb") as file:
         raw = file.read(HEADER_BYTES)
         bytes_held = file.seek(0, 2)

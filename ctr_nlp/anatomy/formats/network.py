@@ -89,7 +89,9 @@ class Tree:
     """Pieces that hang together: a network and those of its edges (m, 2), pointing as their lines do."""
 
     def __init__(self, network: CentrelineNetwork, edges: Indices) -> None:
-        self._network, self._edges, self._graph = network, edges, _graph(edges)
+        self._network = network
+        self._edges = edges
+        self._graph = _graph(edges)
         if not import_extra("networkx").is_tree(self._graph):
             raise CurveError("its lines form a loop; they must form trees, with one path from a root to each tip")
         self._ends = np.array(sorted(node for node, degree in self._graph.degree if degree == 1))

@@ -61,7 +61,8 @@ def read_slicer(path: str | Path) -> Branches:
 
 def _space(name: str, markup: dict[str, Any]) -> str:
     """The coordinate system of a markup that is an open curve in millimetres."""
-    kind, space = markup.get("type"), markup.get("coordinateSystem")
+    kind = markup.get("type")
+    space = markup.get("coordinateSystem")
     if kind != "Curve":
         raise CurveError(f"markup {name!r} is of type {kind!r}; it must be an open curve, type 'Curve'")
     if space not in tuple(CENTRELINE_SPACE_TO_LPS):

@@ -105,7 +105,8 @@ def _capture_vtk_errors() -> Iterator[list[str]]:
     holds the first error.
     """
     common = import_extra("vtkmodules.vtkCommonCore")
-    usual, heard = common.vtkOutputWindow.GetInstance(), common.vtkStringOutputWindow()
+    usual = common.vtkOutputWindow.GetInstance()
+    heard = common.vtkStringOutputWindow()
     errors: list[str] = []
     common.vtkOutputWindow.SetInstance(heard)
     try:

@@ -96,10 +96,8 @@ def _smooth_tube(tube: Array, trusted: Flags, length: float) -> Array:
 
     Third differences are small in points, so that they go on at a constant curvature, second ones in radii.
     """
-    tube_at, kept = (
-        np.pad(tube, ((SMOOTHING_PADDING_SECTIONS, SMOOTHING_PADDING_SECTIONS), (0, 0))),
-        np.pad(trusted, SMOOTHING_PADDING_SECTIONS).astype(float),
-    )
+    tube_at = np.pad(tube, ((SMOOTHING_PADDING_SECTIONS, SMOOTHING_PADDING_SECTIONS), (0, 0)))
+    kept = np.pad(trusted, SMOOTHING_PADDING_SECTIONS).astype(float)
     step = cumulative_arc_length(tube[:, :3])[-1] / (len(tube) - 1)
 
     def smooth(values: Array, order: int) -> Array:
@@ -169,7 +167,8 @@ def _to_wall(lumen: Flags, spacing: Array, tube: Array, directions: Array) -> Ar
     def at(values: npt.NDArray[Any], place: npt.NDArray[Any]) -> Array:
         return np.take_along_axis(values, place, axis=-1)[..., 0].astype(float)
 
-    before, after = at(value, met - 1), at(value, met)
+    before = at(value, met - 1)
+    after = at(value, met)
     part = np.clip((before - 0.5) / np.maximum(before - after, 1e-6), 0, 1)
     distance = (met[..., 0] - 1 + part) / (SAMPLES_PER_RAY - 1) * reach[:, None]
     distance = np.where(wall.any(axis=-1), distance, reach[:, None])

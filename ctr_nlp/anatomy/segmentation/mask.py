@@ -64,7 +64,8 @@ def _lumen(voxels: npt.NDArray[Any]) -> Flags:
 
 def _crop_to_lumen(image: Image) -> Image:
     """The part of a mask that holds the lumen, with a voxel of wall around it where the image has one."""
-    lumen, affine = _lumen(image.voxels), image.affine.copy()
+    lumen = _lumen(image.voxels)
+    affine = image.affine.copy()
     (tight,) = find_objects(lumen.view(np.uint8))
     box = tuple(slice(max(0, part.start - 1), part.stop + 1) for part in tight)
     affine[:3, 3] = transform_points([part.start for part in box], image.affine)
@@ -74,7 +75,8 @@ def _crop_to_lumen(image: Image) -> Image:
 def _end(mask: Image, name: str, given: npt.ArrayLike) -> Array:
     """The index (3,), not whole, of the lumen's point nearest to a given one; raises CurveError if that is far."""
     point = checked_point(name, given)
-    to_index, one = np.asarray(np.linalg.inv(mask.affine), dtype=float), np.ones(3)
+    to_index = np.asarray(np.linalg.inv(mask.affine), dtype=float)
+    one = np.ones(3)
     index = transform_points(point, to_index)
     if lie_in_lumen(mask.voxels, one, index[None])[0]:
         return index
@@ -105,8 +107,10 @@ def _tube(lumen: Flags, spacing: Array, ends: Array) -> Array:
     voxels = cheapest_route(depth, spacing, np.rint(ends).astype(int))
     if voxels is None:
         raise CurveError("entry and target lie in separate parts of the mask; there is no path between them")
-    route, room = voxels * spacing, depth[tuple(voxels.T)].astype(float)
-    length, width = float(np.linalg.norm(np.diff(route, axis=0), axis=1).sum()), 2 * (room.max() + voxel)
+    route = voxels * spacing
+    room = depth[tuple(voxels.T)].astype(float)
+    length = float(np.linalg.norm(np.diff(route, axis=0), axis=1).sum())
+    width = 2 * (room.max() + voxel)
     if length < width:
         raise CurveError(
             f"the path from entry to target is {length:.3g} mm long; it must be longer than the lumen is wide, "
@@ -156,7 +160,8 @@ def cheapest_route(depth: npt.NDArray[np.float32], spacing: Array, ends: Index) 
     diagonal = float(np.linalg.norm(strides * spacing))
     room = np.pad(depth, [(s, s) for s in strides])
     every = tuple(slice(s, -s, s) for s in strides)
-    coarse, fine = np.zeros(room.shape, bool), np.zeros(room.shape, bool)
+    coarse = np.zeros(room.shape, bool)
+    fine = np.zeros(room.shape, bool)
     coarse[every] = room[every] > diagonal / 2 + spacing.min()
     for end in ends + strides:
         near = tuple(
@@ -202,5 +207,6 @@ def _links(nodes: Flags, number: Index, cost: Array, step: int, length: float) -
     """Pairs of nodes that are a step apart in the flattened image, and the cost of going between them."""
     here = np.flatnonzero(nodes)
     here = here[nodes.ravel()[here + step]]
-    tails, heads = number[here], number[here + step]
+    tails = number[here]
+    heads = number[here + step]
     return tails, heads, length * (cost[tails] + cost[heads]) / 2

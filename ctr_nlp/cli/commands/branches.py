@@ -62,7 +62,8 @@ def _run(arguments: argparse.Namespace) -> int:
     branches = read_branches(arguments.file, arguments.entry)
     if arguments.reverse:
         branches = branches.reverse_direction()
-    rows, count = [], len(branches.branches)
+    rows = []
+    count = len(branches.branches)
     with progress_bar() as bar:
         report = bar("branches")
         for number in range(1, count + 1):

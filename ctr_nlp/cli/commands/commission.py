@@ -34,8 +34,10 @@ def commission(hardware_file: Path, out: str | None) -> int:
     folder = Path(out or OUT)
     claim(folder)
     journal_file = folder / JOURNAL
-    hardware, clock = Hardware.from_toml(hardware_file), RealClock()
-    journal, memory = Journal(journal_file, clock), memory_of(hardware.connection)
+    hardware = Hardware.from_toml(hardware_file)
+    clock = RealClock()
+    journal = Journal(journal_file, clock)
+    memory = memory_of(hardware.connection)
     try:
         if memory is not None:
             memory.claim()
@@ -126,7 +128,8 @@ def _steps(rig: Commissioning, hardware: Hardware) -> int:
 
 def _obey(typed: str, rig: Commissioning, hardware: Hardware, interrupted: Asked) -> int:
     """Do what a typed line asks for, or say that it means nothing; the signal that came meanwhile, 0 for none."""
-    letter, letters = typed.removeprefix(SKIP).strip(), " ".join(hardware.letters)
+    letter = typed.removeprefix(SKIP).strip()
+    letters = " ".join(hardware.letters)
     if typed == TIGHTEN:
         done = rig.tighten()
         said = " ".join(f"${one.name}={one.wanted}" for one in done)

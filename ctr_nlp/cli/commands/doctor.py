@@ -100,7 +100,9 @@ def _version(spec: str) -> str | None:
 
 def _compiler() -> Iterator[CheckResult]:
     """The compiler, and those of VECTORS that Linux, where it does, tells of the processor."""
-    why, chosen, told = cache.unavailable_reason(), cache.compiler(), set[str]()
+    why = cache.unavailable_reason()
+    chosen = cache.compiler()
+    told = set[str]()
     with suppress(OSError):
         told = set(Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace").split())
     vectors = ", ".join(name for name in VECTORS if name in told)
@@ -142,9 +144,11 @@ def _plan() -> Iterator[CheckResult]:
         plan = ctr_nlp.solve_per_frame(
             named_problem("arc", 2), model="dominant", solver="ipopt", direction="forward"
         )
-        good, seen = plan.complete, f"two frames solved, e3 {ctr_nlp.summary(plan)['e3']:.2f} mm"
+        good = plan.complete
+        seen = f"two frames solved, e3 {ctr_nlp.summary(plan)['e3']:.2f} mm"
     except (CtrError, ImportError, RuntimeError, OSError) as error:
-        good, seen = False, f"{type(error).__name__}: {error}"
+        good = False
+        seen = f"{type(error).__name__}: {error}"
     yield CheckResult("a plan", good, seen if good else f"not solved: {seen}", core=True)
 
 

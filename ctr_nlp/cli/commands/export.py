@@ -61,7 +61,8 @@ def _parser(prog: str) -> argparse.ArgumentParser:
 
 
 def _run(arguments: argparse.Namespace) -> int:
-    to, source = arguments.to, Path(arguments.plan)
+    to = arguments.to
+    source = Path(arguments.plan)
     _check_format_options(arguments)
     if to in formats.EXCHANGE_FORMATS:
         write_shapes(source, to, None if arguments.out is None else Path(arguments.out), arguments.space)

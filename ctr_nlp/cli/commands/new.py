@@ -66,7 +66,8 @@ def _text(arguments: argparse.Namespace, name: str) -> str:
 
 
 def _run(arguments: argparse.Namespace) -> int:
-    name, file = TEMPLATE_BY_KIND[arguments.kind], Path(arguments.file)
+    name = TEMPLATE_BY_KIND[arguments.kind]
+    file = Path(arguments.file)
     if file.suffix != Path(name).suffix:
         raise OptionError(f"file is {file}; the name of a {arguments.kind} file ends in {Path(name).suffix}")
     if file.exists() or file.is_symlink():

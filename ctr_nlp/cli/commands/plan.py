@@ -77,7 +77,8 @@ ROBUST_ONLY_OPTIONS = {
 
 def _parser(formulations: tuple[str, ...], prog: str) -> argparse.ArgumentParser:
     """The options of some formulations, the first of which is the default."""
-    frames, horizon = set(formulations) != {HORIZON_FORMULATION}, HORIZON_FORMULATION in formulations
+    frames = set(formulations) != {HORIZON_FORMULATION}
+    horizon = HORIZON_FORMULATION in formulations
     how = " or ".join(["all frames in one program"] * horizon + ["frame by frame"] * frames)
     parser = argparse.ArgumentParser(
         prog=prog,
@@ -109,10 +110,8 @@ def _parser(formulations: tuple[str, ...], prog: str) -> argparse.ArgumentParser
     plan_options.add_motion_options(parser)
     plan_options.add_robust_options(parser)
     if frames:
-        group, order = (
-            parser.add_argument_group("frame by frame"),
-            "order in which frames are solved (default best)",
-        )
+        group = parser.add_argument_group("frame by frame")
+        order = "order in which frames are solved (default best)"
         group.add_argument("--direction", choices=DIRECTIONS, help=order)
     if horizon:
         plan_options.add_horizon_options(parser)
@@ -130,7 +129,8 @@ def _parser(formulations: tuple[str, ...], prog: str) -> argparse.ArgumentParser
 
 
 def _run(arguments: argparse.Namespace) -> int:
-    whole, swept = arguments.formulation == HORIZON_FORMULATION, getattr(arguments, "sweep_motion_weight", None)
+    whole = arguments.formulation == HORIZON_FORMULATION
+    swept = getattr(arguments, "sweep_motion_weight", None)
     _check_formulation_options(arguments)
     for weight in swept or ():
         check_motion_weight(weight)
@@ -139,12 +139,14 @@ def _run(arguments: argparse.Namespace) -> int:
     model = plan_options.model_from(arguments)
     model_from_options(model, arguments).check(problem.robot)
     robust, alone = _decide_robust(arguments, problem)
-    out, film = Path(arguments.out or f"runs/{_folder(problem, model, arguments, robust)}"), film_file(arguments)
+    out = Path(arguments.out or f"runs/{_folder(problem, model, arguments, robust)}")
+    film = film_file(arguments)
     check_folder(out, "plan", film)
     if alone:
         announce(f"planned for the robot as described alone: {alone}")
     if robust:
-        plan, points = _plan_robust(arguments, problem, out), list[ParetoPoint]()
+        plan = _plan_robust(arguments, problem, out)
+        points = list[ParetoPoint]()
     else:
         plan, points = _plan_horizon(arguments, problem) if whole else (_plan_per_frame(arguments, problem), [])
     with deferred_interrupt() as pressed:
@@ -225,7 +227,8 @@ def _decide_robust(arguments: argparse.Namespace, problem: Problem) -> tuple[boo
 
 def _folder(problem: Problem, model: str, arguments: argparse.Namespace, robust: bool) -> str:
     """Name the output folder by what was asked for: plans of other requests do not replace each other."""
-    whole, loaded = arguments.formulation == HORIZON_FORMULATION, has_load(arguments)
+    whole = arguments.formulation == HORIZON_FORMULATION
+    loaded = has_load(arguments)
     asked = {
         "nominal": whole and not (robust or loaded) and KINEMATIC_MODELS[model].can_snap,
         "robust": robust and not whole,
@@ -310,7 +313,8 @@ def _plan_horizon(arguments: argparse.Namespace, problem: Problem) -> tuple[Plan
     """Plan all frames at once; returns the plan, and the points of a sweep of motion weights where one is asked
     for.
     """
-    settings, jobs = _settings(arguments, problem, "seed"), 1 if arguments.jobs is None else arguments.jobs
+    settings = _settings(arguments, problem, "seed")
+    jobs = 1 if arguments.jobs is None else arguments.jobs
     start, end = (None if path is None else read_start(path) for path in (arguments.start, arguments.end))
     check_search(arguments.motion_weight, arguments.starts, jobs)
     initial = checked_motions(problem, [Plan.load(path).q for path in arguments.initial or ()])

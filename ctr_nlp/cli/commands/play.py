@@ -224,7 +224,8 @@ def _play_plan(
     journal = Journal(out / JOURNAL, clock)
     arm = None if hardware.arm is None else arm_follower(hardware.arm, _last_tilt(plan, records), clock.now)
     device = device_of(hardware, journal, clock, _last_axis_positions(hardware, records))
-    player, recorder = Player(device, arm, journal, clock, memory_of(hardware.connection)), Recorder()
+    player = Player(device, arm, journal, clock, memory_of(hardware.connection))
+    recorder = Recorder()
     with (
         deferred_interrupt() as interrupted,
         progress_bar() as labelled,

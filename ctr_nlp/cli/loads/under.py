@@ -47,7 +47,8 @@ def _parser(prog: str) -> argparse.ArgumentParser:
 
 
 def _run(arguments: argparse.Namespace) -> int:
-    plan, load = read_plan(arguments), load_from(arguments)
+    plan = read_plan(arguments)
+    load = load_from(arguments)
     out = Path(arguments.out or f"runs/{path_component(str(plan.meta['problem']['name']))}-under")
     planned = _load_comparison_plan(plan, arguments.beside)
     check_folder(out, "under")

@@ -79,7 +79,8 @@ def _parser(prog: str) -> argparse.ArgumentParser:
 
 
 def _run(arguments: argparse.Namespace) -> int:
-    out, robot = Path(arguments.out), Robot.from_toml(arguments.robot)
+    out = Path(arguments.out)
+    robot = Robot.from_toml(arguments.robot)
     if arguments.youngs_modulus is not None:
         robot = with_modulus(robot, arguments.youngs_modulus)
     measured = read_measurements(arguments.measured, robot)
@@ -125,7 +126,8 @@ def _print(found: Calibration) -> None:
         if row["name"].rpartition("_")[0] not in BASE and row["name"] not in BASE
     ]
     print_table("what was estimated", CALIBRATION_TABLE_COLUMNS, [_row(row) for row in rows], ("unit", "the data"))
-    told, noise = console(), found.fit.noise
+    told = console()
+    noise = found.fit.noise
     lines = [
         [CALIBRATION_ERROR_LABELS[name], *of.values()]
         for name, of in error_summaries(found).items()

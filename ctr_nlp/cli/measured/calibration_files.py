@@ -33,7 +33,8 @@ def parameter_rows(found: Calibration) -> list[dict[str, Any]]:
 
 def as_json(found: Calibration) -> dict[str, Any]:
     """All that is worth reading by machines, for strict JSON."""
-    noise, measured = found.fit.noise, found.measured
+    noise = found.fit.noise
+    measured = found.measured
     bases = [{"rotation": turn, "place": place} for turn, place in found.bases]
     told = {
         "model": found.model,
@@ -66,7 +67,8 @@ def error_summaries(found: Calibration) -> dict[str, Any]:
 
 def write_residuals(found: Calibration, path: Path) -> None:
     """A line an observation: its pose, what was measured less what is predicted, and errors in mm."""
-    measured, axes = found.measured, found.nominal.axes
+    measured = found.measured
+    axes = found.nominal.axes
     columns: dict[str, npt.NDArray[Any]] = {"recording": measured.recording + 1, "fold": found.fold + 1}
     columns |= {"time_s": measured.time} if measured.has_times else {}
     columns |= {axis: measured.q[:, k] for k, axis in enumerate(axes)}
@@ -94,7 +96,8 @@ def robot_file_comment(found: Calibration) -> str:
     ]
     parameters = found.parameters
     for k in parameters.columns("motor_zero"):
-        value, one = found.fit.values[k], parameters.each[k]
+        value = found.fit.values[k]
+        one = parameters.each[k]
         lines.append(f"Where the motor of tube {one.number} reads 0, alpha_{one.number} is {value:.4f} rad.")
     return "\n".join([*lines, *_lag_table(found)])
 

@@ -40,7 +40,8 @@ def results_folder(out: Path, interrupted: bool) -> Path:
 
 def name_within(folder: Path, file: Path) -> str | None:
     """The name of a file relative to folder; None where it lies elsewhere."""
-    place, home = file.parent.resolve() / file.name, folder.resolve()
+    place = file.parent.resolve() / file.name
+    home = folder.resolve()
     return place.relative_to(home).as_posix() if place.is_relative_to(home) else None
 
 
@@ -161,7 +162,8 @@ def _tidy(folder: Path) -> None:
     """
     manifest = read_manifest(folder)
     if manifest is not None and manifest.pending is not None:
-        new, staging = manifest.pending.files, folder / manifest.pending.staging
+        new = manifest.pending.files
+        staging = folder / manifest.pending.staging
         if left := _finish(folder):
             raise OutputError(
                 f"{folder / left[0]} was changed after a run was killed that had begun to replace it. "
@@ -179,7 +181,8 @@ def _finish(folder: Path) -> list[str]:
     manifest = read_manifest(folder)
     if manifest is None or manifest.pending is None:
         return []
-    staging, names = folder / manifest.pending.staging, manifest.pending.files
+    staging = folder / manifest.pending.staging
+    names = manifest.pending.files
     for name in names:
         if (staging / name).is_file() and manifest.find_conflict(folder, name) is None:
             (folder / name).parent.mkdir(parents=True, exist_ok=True)

@@ -196,7 +196,8 @@ def _manifest_from_mark(folder: Path) -> Manifest:
 def _parse_manifest(data: Any) -> Manifest:
     if data["format"] != FORMAT:
         raise ValueError(f"its format is {data['format']!r}, and this version reads {FORMAT}")
-    files, pending = _files(data["files"]), data.get("pending")
+    files = _files(data["files"])
+    pending = data.get("pending")
     if pending is None:
         return Manifest(files)
     if STAGING.fullmatch(pending["staging"]) is None:

@@ -72,10 +72,12 @@ def _parser(prog: str) -> argparse.ArgumentParser:
 
 
 def _run(arguments: argparse.Namespace) -> int:
-    problem, load = problem_with_modulus(_problem(arguments), arguments), _load(arguments)
+    problem = problem_with_modulus(_problem(arguments), arguments)
+    load = _load(arguments)
     out = Path(arguments.out or f"runs/{path_component(problem.name)}-live")
     check_folder(_next(out), "plan")
-    table_i, modulus = table_i_robot(), arguments.youngs_modulus
+    table_i = table_i_robot()
+    modulus = arguments.youngs_modulus
     robots = {"Table I": table_i if modulus is None else with_modulus(table_i, modulus)}
     robots |= {Path(file).stem: Robot.from_toml(file) for file in arguments.more_robots}
     problems.print_problem_notes(problem)

@@ -60,7 +60,8 @@ def _parser(prog: str) -> argparse.ArgumentParser:
 
 
 def _run(arguments: argparse.Namespace) -> int:
-    out, settings = Path(arguments.out), settings_from(arguments, "seed")
+    out = Path(arguments.out)
+    settings = settings_from(arguments, "seed")
     tasks = problems.load_all(arguments.problems, arguments)
     search = search_for(tasks, rules=rules_from(arguments), settings=settings)
     search = replace(search, tasks=tuple(draft(task) for task in search.tasks))

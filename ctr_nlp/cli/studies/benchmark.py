@@ -120,7 +120,8 @@ def _compare_with_commit(arguments: argparse.Namespace) -> list[RowComparison]:
 
     with tempfile.TemporaryDirectory(prefix="ctr_nlp-") as folder, tree_of(arguments.against) as before:
         libraries = Path(folder) / "before", Path(folder) / "after"
-        blocks, tolerance = arguments.blocks, arguments.tolerance
+        blocks = arguments.blocks
+        tolerance = arguments.tolerance
         rows = compare_trees(arguments.rows, (before, ROOT), libraries, blocks, tolerance, told)
     lines = [
         (r.row, _format_seconds(r.before), _format_seconds(r.after), f"{r.ratio:.3f}", _between(r), r.verdict)

@@ -155,7 +155,8 @@ def _parser(prog: str) -> argparse.ArgumentParser:
 
 
 def _run(arguments: argparse.Namespace) -> int:
-    settings, out = options.settings_from(arguments, *options.FRAME_SETTINGS), Path(arguments.out)
+    settings = options.settings_from(arguments, *options.FRAME_SETTINGS)
+    out = Path(arguments.out)
     names = arguments.variants or (every_method() if arguments.all else available_variants())
     for name in RENAMED_VARIANTS.keys() & set(names):
         print_stderr(f"note: the variant {name} is called {RENAMED_VARIANTS[name]} now")

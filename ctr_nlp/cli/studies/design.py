@@ -134,23 +134,23 @@ def rules_from(arguments: argparse.Namespace) -> Manufacture:
 
 def _run(arguments: argparse.Namespace) -> int:
     out = Path(arguments.out)
-    designed_for, held_out = (
-        problems.expand_folders(arguments.problems),
-        problems.expand_folders(arguments.hold_out),
-    )
+    designed_for = problems.expand_folders(arguments.problems)
+    held_out = problems.expand_folders(arguments.hold_out)
     names = designed_for + held_out
     read = zip(names, problems.load_all(names, arguments), strict=True)
     asked = [
         _with_file_name(name, with_tip_force_option(problem_with_modulus(problem, arguments), arguments))
         for name, problem in read
     ]
-    tasks, held = asked[: len(designed_for)], asked[len(designed_for) :]
+    tasks = asked[: len(designed_for)]
+    held = asked[len(designed_for) :]
     model = model_from_options(arguments.model, arguments)
     if twice := [name for name, count in Counter(task.name for task in (*tasks, *held)).items() if count > 1]:
         raise OptionError(
             f"two problems are called {twice[0]}; plans are written under these names, rename a file"
         )
-    rules, settings = rules_from(arguments), settings_from(arguments, "seed")
+    rules = rules_from(arguments)
+    settings = settings_from(arguments, "seed")
     stock = None if arguments.stock is None else read_stock(arguments.stock or None)
     if arguments.nominal and arguments.tip_force is not None:
         raise OptionError("--tip-force goes with tolerances, which --nominal leaves out; leave one of them out")

@@ -51,7 +51,8 @@ def write_designs(designs: Sequence[DesignWithPlans], folder: Path, nominal: boo
 
 
 def _write_design(design: DesignWithPlans, folder: Path, nominal: bool, figures: bool) -> None:
-    found, title = design.design, f"designed for {', '.join(design.design.names)}"
+    found = design.design
+    title = f"designed for {', '.join(design.design.names)}"
     write_text(folder / "robot.toml", found.robot.to_toml(f"A robot {title}."))
     rows = [_row(found, one) for one in design.evaluated_plans]
     for row, one in zip(rows, design.evaluated_plans, strict=True):

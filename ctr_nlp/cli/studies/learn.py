@@ -55,7 +55,8 @@ def _parser(prog: str) -> argparse.ArgumentParser:
 
 def _run(arguments: argparse.Namespace) -> int:
     robot = table_i_robot() if arguments.robot is None else Robot.from_toml(arguments.robot)
-    model, out = KINEMATIC_MODELS[arguments.model], Path(arguments.out)
+    model = KINEMATIC_MODELS[arguments.model]
+    out = Path(arguments.out)
     training = Training(**{name: getattr(arguments, name) for name in TRAINING_OPTION_HELP})
     check_folder(out, "learn")
     with deferred_interrupt() as interrupted, progress_bar() as labelled:

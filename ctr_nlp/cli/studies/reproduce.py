@@ -37,7 +37,8 @@ def _parser(prog: str) -> argparse.ArgumentParser:
 
 
 def _run(arguments: argparse.Namespace) -> int:
-    out, wanted = Path(arguments.out), arguments.only or SECTIONS
+    out = Path(arguments.out)
+    wanted = arguments.only or SECTIONS
     sections = [section for name, section in SECTIONS.items() if name in wanted]
     check_frames(arguments.frames)
     check_folder(out, "seed")

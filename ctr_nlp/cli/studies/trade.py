@@ -117,7 +117,8 @@ def _rows(points: list[RobustnessPoint], most_lost: float) -> list[list[str]]:
 
 
 def _write(found: list[list[RobustnessPoint]], folder: Path, arguments: argparse.Namespace) -> None:
-    most, page = arguments.most_lost, list[str]()
+    most = arguments.most_lost
+    page = list[str]()
     every = [
         asdict(point) | {"lost_share": point.share, "chosen": point is choose_plan(points, most)}
         for points in found

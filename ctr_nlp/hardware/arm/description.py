@@ -137,7 +137,8 @@ def check_joints(arm: Arm, time: Array, joints: Array) -> None:
     rest before and after. Give frames for these: between samples of a motion that is linear from frame to frame,
     they show corners that the arm's controller rounds.
     """
-    time, joints = np.asarray(time, dtype=float), np.asarray(joints, dtype=float)
+    time = np.asarray(time, dtype=float)
+    joints = np.asarray(joints, dtype=float)
     if joints.shape != (len(time), 6) or not (np.isfinite(time).all() and np.isfinite(joints).all()):
         raise HardwareError(f"joints have shape {joints.shape}, times {time.shape}; give finite (T, 6) and (T,)")
     step = np.diff(time)

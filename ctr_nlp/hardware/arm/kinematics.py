@@ -45,8 +45,10 @@ def gains(arm: Arm, joints: Array) -> Array:
     1 / the smallest singular value of the Jacobian at the insertion point, LENGTH counting as a radian; infinite
     at a singularity.
     """
-    screws, at = _screws(arm, joints), arm.base[:3, 3]
-    turning, moving = screws[:, :3], screws[:, 3:] + np.cross(screws[:, :3], at, axisa=1, axisb=0, axisc=1)
+    screws = _screws(arm, joints)
+    at = arm.base[:3, 3]
+    turning = screws[:, :3]
+    moving = screws[:, 3:] + np.cross(screws[:, :3], at, axisa=1, axisb=0, axisc=1)
     with np.errstate(divide="ignore"):
         smallest = np.linalg.svd(np.concatenate([turning, moving / LENGTH], axis=1), compute_uv=False)[:, -1]
         return np.asarray(1 / smallest)
@@ -75,7 +77,8 @@ def _turns(model: str) -> tuple[Array, Array, Array]:
 def _placements(arm: Arm, joints: Array) -> list[Array]:
     """What joints (T, 6) rad do to a frame fixed to each link from the base to the flange, 7 of (T, 4, 4), mm."""
     _, cosine, sine = _turns(arm.model)
-    c, s = np.cos(joints)[..., None, None], np.sin(joints)[..., None, None]
+    c = np.cos(joints)[..., None, None]
+    s = np.sin(joints)[..., None, None]
     moved = [np.tile(np.eye(4), (len(joints), 1, 1))]
     for i in range(6):
         moved.append(moved[-1] @ (np.eye(4) + (c[:, i] - 1) * cosine[i] + s[:, i] * sine[i]))
@@ -117,9 +120,11 @@ def inverse_kinematics(arm: Arm, theta: Array, start: Array | None = None) -> Ar
     theta = np.asarray(theta, dtype=float)
     if theta.ndim != 2 or theta.shape[1] != 2 or not len(theta) or not np.isfinite(theta).all():
         raise HardwareError(f"theta has shape {theta.shape}; it must be finite (T, 2), with at least one frame")
-    near, lead = start, 0
+    near = start
+    lead = 0
     if start is None and arm.start_joints_deg is not None:
-        near, lead = np.radians(arm.start_joints_deg), 1
+        near = np.radians(arm.start_joints_deg)
+        lead = 1
         theta = np.concatenate([np.zeros((1, 2)), theta])
     path, frames = _subdivide_tilts(theta)
     solutions = [_solutions(arm.model, pose) for pose in poses(arm, path)]
@@ -149,7 +154,8 @@ def poses(arm: Arm, theta: Array) -> Array:
 
 def _follow(arm: Arm, q: Array, solutions: list[Array], frames: list[int], wound: bool) -> _JointPath:
     """The joint solution from q (6,) on, over solutions [(n, 6)]; wound: q's whole turns are those of the arm."""
-    turned, complaint = [q], ""
+    turned = [q]
+    complaint = ""
     for found in solutions[1:]:
         if not len(found):
             complaint = "out of the arm's reach"
@@ -157,7 +163,8 @@ def _follow(arm: Arm, q: Array, solutions: list[Array], frames: list[int], wound
         steps = _wrap_angles(found - turned[-1])
         step = steps[np.abs(steps).max(axis=1).argmin()]
         if np.abs(step).max() > MAX_SUBSTEP_JOINT_TURN_RAD:
-            joint, gain = int(np.abs(step).argmax()), gains(arm, (turned[-1] + step)[None])[0]
+            joint = int(np.abs(step).argmax())
+            gain = gains(arm, (turned[-1] + step)[None])[0]
             complaint = f"joint {joint + 1} ({JOINTS[joint]}) would jump by {abs(step[joint]):.3g} rad"
             complaint = ARM_SINGULARITY_MESSAGE.format(gain=gain) if gain > LARGEST_GAIN else complaint
             break
@@ -183,7 +190,8 @@ def _follow(arm: Arm, q: Array, solutions: list[Array], frames: list[int], wound
 
 def _subdivide_tilts(theta: Array) -> tuple[Array, list[int]]:
     """Tilts (n, 2) at most SUBSTEP apart on the path through theta (T, 2), and where in them the frames are."""
-    path, frames = [theta[:1]], [0]
+    path = [theta[:1]]
+    frames = [0]
     for a, b in pairwise(theta):
         count = max(1, math.ceil(np.abs(b - a).max() / SUBSTEP))
         path.append(a + (b - a) * np.linspace(0, 1, count + 1)[1:, None])

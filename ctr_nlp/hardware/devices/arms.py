@@ -33,7 +33,8 @@ class ArmFollower(ABC):
     """
 
     def __init__(self, arm: Arm, clock: Now) -> None:
-        self._arm, self._clock = arm, clock
+        self._arm = arm
+        self._clock = clock
         self._last: tuple[Array, float] | None = None
         """The last command (6,) rad and its time, s of the clock; None where the arm does not follow."""
 
@@ -131,7 +132,8 @@ class SimulatedArm(ArmFollower):
         clock: Now = time.monotonic,
     ) -> None:
         super().__init__(arm, clock)
-        self._lag, self._speed = lag, speed
+        self._lag = lag
+        self._speed = speed
         self._at = self._target = inverse_kinematics(arm, np.array([theta], dtype=float))[0]
         self._time = clock()
         self._coming: deque[tuple[float, Array]] = deque()

@@ -18,8 +18,10 @@ class Simulated:
     """Axes that follow commands in straight lines; position (m,): where they stand at first, in their units."""
 
     def __init__(self, position: Array, clock: Clock) -> None:
-        self._clock, self._position = clock, np.array(position, dtype=float)
-        self._ends, self._path = np.zeros(1), self._position[None]
+        self._clock = clock
+        self._position = np.array(position, dtype=float)
+        self._ends = np.zeros(1)
+        self._path = self._position[None]
         self._time = self._pace = self._goal = self._seen = 0.0
         self._open = False
 
@@ -56,7 +58,8 @@ class Simulated:
         """Move on by the time that has passed."""
         self._check_open()
         now = self._clock.now()
-        passed, self._seen = now - self._seen, now
+        passed = now - self._seen
+        self._seen = now
         change = float(
             np.clip(self._goal - self._pace, -passed / SIMULATED_HOLD_TIME_S, passed / SIMULATED_HOLD_TIME_S)
         )
@@ -102,7 +105,8 @@ class Simulated:
             self.hold()
         while self._open and self.update().state == "holding":
             self._clock.sleep(0.01)
-        self._ends, self._path = np.zeros(1), self._position[None]
+        self._ends = np.zeros(1)
+        self._path = self._position[None]
         return self.standing()
 
     def close(self) -> None:

@@ -43,7 +43,8 @@ class UrArm(ArmFollower):
 
     def connect(self) -> None:
         """Check that the arm is fit and holds the insertion point, then start the control program on it."""
-        receiving, controlling = import_extra("rtde_receive"), import_extra("rtde_control")
+        receiving = import_extra("rtde_receive")
+        controlling = import_extra("rtde_control")
         try:
             with self._faults("cannot be reached"):
                 self._receive = receiving.RTDEReceiveInterface(self._arm.address)
@@ -77,7 +78,9 @@ class UrArm(ArmFollower):
 
     def stop(self) -> None:
         """Slow down and end the control program; raises DeviceFault where the arm cannot be told."""
-        control, self._control, self._last = self._control, None, None
+        control = self._control
+        self._control = None
+        self._last = None
         if control is None:
             return
         try:
@@ -104,8 +107,10 @@ class UrArm(ArmFollower):
         if self._receive is None:
             raise DeviceFault(f"the arm at {self._arm.address} is not connected")
         with self._faults("does not answer"):
-            connected, stamp = self._receive.isConnected(), self._receive.getTimestamp()
-            protective, emergency = self._receive.isProtectiveStopped(), self._receive.isEmergencyStopped()
+            connected = self._receive.isConnected()
+            stamp = self._receive.getTimestamp()
+            protective = self._receive.isProtectiveStopped()
+            emergency = self._receive.isEmergencyStopped()
             mode = self._receive.getRobotMode()
         now = self._clock()
         if stamp != self._news[0]:
@@ -126,7 +131,8 @@ class UrArm(ArmFollower):
             held = inverse_kinematics(self._arm, tilt_of_joints(self._arm, start[None]), start)[0]
         except HardwareError as exception:
             raise DeviceFault(f"the arm stands where it cannot begin: {exception}") from exception
-        off, away = np.abs(held - start).max(), insertion_error(self._arm, start[None])[0]
+        off = np.abs(held - start).max()
+        away = insertion_error(self._arm, start[None])[0]
         if off > START_TOLERANCE:
             raise DeviceFault(
                 f"the arm holds the robot {away:.3g} mm from the insertion point, its joints up to "

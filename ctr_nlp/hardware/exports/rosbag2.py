@@ -37,7 +37,8 @@ def write_bag(trajectory: Trajectory, title: str, folder: Path, storage: str = "
     """
     if storage not in STORAGES:
         raise OptionError(f"storage is {storage!r}; it must be {' or '.join(STORAGES)}")
-    bags, typesys = import_extra("rosbags.rosbag2"), import_extra("rosbags.typesys")
+    bags = import_extra("rosbags.rosbag2")
+    typesys = import_extra("rosbags.typesys")
     store = typesys.get_typestore(typesys.Stores.LATEST)
     with bags.Writer(
         folder, version=BAG_FORMAT_VERSION, storage_plugin=bags.StoragePlugin[storage.upper()]
@@ -69,7 +70,8 @@ def _trajectory_message(make: Any, trajectory: Trajectory) -> Any:
 def _states(make: Any, trajectory: Trajectory) -> list[tuple[float, Any]]:
     """Joint states and their times in s, at the start and at the end of every command."""
     joints, scale = _joints(trajectory)
-    times, found = np.append(0.0, trajectory.commands().time), []
+    times = np.append(0.0, trajectory.commands().time)
+    found = []
     for time, *parts in zip(times, *trajectory.at(times)[:2], strict=True):
         position, velocity = scale * np.stack(parts)[:, : len(joints)]
         header = make["std_msgs/msg/Header"](stamp=_stamp(make, "Time", time), frame_id="")

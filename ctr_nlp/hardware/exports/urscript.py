@@ -44,7 +44,8 @@ def write_urscript(
     """
     _check_options(period, lookahead_time, gain, approach_speed, name)
     samples = _samples(time, joints, period)
-    first, last = _format_joints(samples[0]), _format_joints(samples[-1])
+    first = _format_joints(samples[0])
+    last = _format_joints(samples[-1])
     how = f"t={period:g}, lookahead_time={lookahead_time:g}, gain={gain:g}"
     lines = [
         f"def {name}():",
@@ -81,7 +82,8 @@ def _check_options(period: float, lookahead_time: float, gain: float, approach_s
 
 
 def _samples(time: Any, joints: Any, period: float) -> Any:
-    time, joints = np.asarray(time, dtype=float), np.asarray(joints, dtype=float)
+    time = np.asarray(time, dtype=float)
+    joints = np.asarray(joints, dtype=float)
     if time.ndim != 1 or not len(time) or joints.shape != (len(time), 6):
         raise HardwareError(f"time has shape {time.shape} and joints {joints.shape}; give (N,) and (N, 6), N > 0")
     finite = np.isfinite(time) & np.isfinite(joints).all(axis=1)

@@ -27,10 +27,13 @@ class CorrectedTrajectory:
 
     def __init__(self, trajectory: Trajectory, tracker: Tracker, before: Array) -> None:
         """Begin; before (n, 2d + 2): where the robot has come through until it stood at the trajectory's start."""
-        self.trajectory, self.tracker, self.leeway = trajectory, tracker, Leeway(trajectory)
+        self.trajectory = trajectory
+        self.tracker = tracker
+        self.leeway = Leeway(trajectory)
         path = trajectory.motion.path
         self._at = np.clip(path.x, self.leeway.knots[0], self.leeway.knots[-1])
-        self._path, self._slopes = path(path.x), path(path.x, 1)
+        self._path = path(path.x)
+        self._slopes = path(path.x, 1)
         self._planned = path(self.leeway.knots)
         self._offsets = np.zeros_like(self._planned)
         self._time = 0.0
@@ -53,7 +56,9 @@ class CorrectedTrajectory:
 
         Raises TrajectoryError where that leaves what the arm can do.
         """
-        s, knots, before = self.trajectory.knots, self.leeway.knots, self._offsets[knot - 1]
+        s = self.trajectory.knots
+        knots = self.leeway.knots
+        before = self._offsets[knot - 1]
         here = float(self.trajectory.motion.parameter(self._time))
         ahead = self.trajectory.motion.path(np.append(s[(s > here) & (s < knots[knot - 1])], knots[knot - 1]))
         low, high = self.leeway.box(knot, before)
@@ -72,7 +77,8 @@ class CorrectedTrajectory:
         """What differs from the trajectory as it was corrected before."""
         path = self.trajectory.motion.path
         added = CubicHermiteSpline(self.leeway.knots, self._offsets, np.zeros_like(self._offsets))
-        q, slopes = self._path + added(self._at), self._slopes + added(self._at, 1)
+        q = self._path + added(self._at)
+        slopes = self._slopes + added(self._at, 1)
         other = np.flatnonzero(((q != path(path.x)) | (slopes != path(path.x, 1))).any(axis=1))
         rows = slice(int(other[0]), int(other[-1]) + 1) if len(other) else slice(0, 0)
         return Patch(rows.start, q[rows], slopes[rows])

@@ -50,9 +50,15 @@ class Guide:
     def __init__(
         self, course: CorrectedTrajectory, source: Source, journal: Journal, notify: Callable[[Note], None]
     ) -> None:
-        self._course, self._source, self._journal, self._told = course, source, journal, notify
-        self._looked, self._knot, self._notes = -np.inf, FIRST_CORRECTED_KNOT, len(course.tracker.notes)
-        self.wrong, self.estimates = "", list[RobotEstimate]()
+        self._course = course
+        self._source = source
+        self._journal = journal
+        self._told = notify
+        self._looked = -np.inf
+        self._knot = FIRST_CORRECTED_KNOT
+        self._notes = len(course.tracker.notes)
+        self.wrong = ""
+        self.estimates = list[RobotEstimate]()
 
     def look(self, progress: MotionProgress, committed_time: float) -> Trajectory:
         """The trajectory as corrected by now; committed_time: how far the device has been given it, s."""
@@ -70,7 +76,8 @@ class Guide:
 
     def _observe(self, progress: MotionProgress) -> None:
         """Take what sensors have told; everything is in the journal before it counts."""
-        now, self._looked = progress.stamp, progress.stamp
+        now = progress.stamp
+        self._looked = progress.stamp
         q = self._course.joints(progress.time, progress.position)
         readings = self._source.take(q, now)
         told = [[reading.time, _to_json_values(reading.values)] for reading in readings]
@@ -81,7 +88,8 @@ class Guide:
 
     def _current_estimate(self, now: float, count: int) -> RobotEstimate:
         tracker = self._course.tracker
-        mean, deviation = tracker.observer.mean, np.sqrt(tracker.observer.covariance.diagonal())
+        mean = tracker.observer.mean
+        deviation = np.sqrt(tracker.observer.covariance.diagonal())
         if not count or not tracker.innovations:
             return RobotEstimate(now, mean, deviation, float("nan"), 0.0)
         last = tracker.innovations[-1]

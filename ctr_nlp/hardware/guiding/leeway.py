@@ -34,7 +34,8 @@ class Leeway:
 
     def __init__(self, trajectory: Trajectory) -> None:
         chosen = _choose_knots(trajectory.frame_time)
-        self.knots, self.frames = trajectory.knots[chosen], trajectory.frames[chosen]
+        self.knots = trajectory.knots[chosen]
+        self.frames = trajectory.frames[chosen]
         self.time: Array = trajectory.frame_time[chosen]
         self._change = _largest_offset_changes(trajectory, self.knots)
         self._allowed = self._backwards(_bound_offsets(trajectory, self.knots))
@@ -49,7 +50,8 @@ class Leeway:
 
     def _reachable_bounds(self, knot: int, before: Array) -> Array:
         """The bounds (n + 1, n + 1) of offsets at a knot, from 1, after that of the knot before."""
-        change, bounds = self._change[knot], self._allowed[knot].copy()
+        change = self._change[knot]
+        bounds = self._allowed[knot].copy()
         bounds[0, 1:] = np.minimum(bounds[0, 1:], before + change)
         bounds[1:, 0] = np.minimum(bounds[1:, 0], change - before)
         return _tighten_bounds(bounds)
@@ -61,7 +63,8 @@ class Leeway:
 
     def nearest_allowed_offset(self, knot: int, before: Array, wanted: Array) -> Array:
         """An offset (n,) near a wanted one at a knot, from 1, after that of the knot before."""
-        bounds, found = self._reachable_bounds(knot, before), np.empty_like(wanted)
+        bounds = self._reachable_bounds(knot, before)
+        found = np.empty_like(wanted)
         for j, value in enumerate(wanted, start=1):
             value = min(max(value, -bounds[j, 0]), bounds[0, j])
             bounds[0], bounds[:, 0] = (
@@ -97,14 +100,17 @@ def _largest_offset_changes(trajectory: Trajectory, knots: Array) -> Array:
     """The largest changes (K, n) of offsets from each knot to the next, at the latter, that speed and acceleration
     allow; 0 at the first.
     """
-    motion, robot, left = trajectory.motion, trajectory.robot, 1.0 - trajectory.share
+    motion = trajectory.motion
+    robot = trajectory.robot
+    left = 1.0 - trajectory.share
     part = np.linspace(0.0, 1.0, 5)
     s = motion.s[:-1, None] + part * np.diff(motion.s)[:, None]
     squared = np.maximum(motion.pace[:-1, None] ** 2 + 2 * motion.change[:, None] * (s - motion.s[:-1, None]), 0.0)
     cell = np.clip(np.searchsorted(knots, s.mean(axis=1), "right") - 1, 0, len(knots) - 2)
     length = np.diff(knots)[cell][:, None]
     x = (s - knots[cell][:, None]) / length
-    slope, bend = 6 * x * (1 - x) / length, (6 - 12 * x) / length**2
+    slope = 6 * x * (1 - x) / length
+    bend = (6 - 12 * x) / length**2
     speed = (slope * np.sqrt(squared)).max(axis=1)
     acceleration = abs(bend * squared + slope * motion.change[:, None]).max(axis=1)
     begin = np.searchsorted(cell, np.arange(len(knots) - 1))
@@ -117,7 +123,8 @@ def _bound_offsets(trajectory: Trajectory, knots: Array) -> Array:
     """Bounds (K, n + 1, n + 1) of offsets that keep positions, order and carriages from the knot before to the
     next.
     """
-    robot, d = trajectory.robot, trajectory.robot.d
+    robot = trajectory.robot
+    d = trajectory.robot.d
     ends = trajectory.knots
     s = np.append(
         (
@@ -130,8 +137,10 @@ def _bound_offsets(trajectory: Trajectory, knots: Array) -> Array:
     driven = q + trajectory.hardware.in_joints(robot, trajectory.lash(s))
     least, most = trajectory.hardware.reach(robot)
     growth = np.diff(q[:, d : 2 * d], axis=1)
-    above, below = np.minimum(robot.upper - q, most - driven), np.minimum(q - robot.lower, driven - least)
-    near, apart = growth, robot.max_extension_differences - growth
+    above = np.minimum(robot.upper - q, most - driven)
+    below = np.minimum(q - robot.lower, driven - least)
+    near = growth
+    apart = robot.max_extension_differences - growth
     found = np.full((len(knots), q.shape[1] + 1, q.shape[1] + 1), np.inf)
     betas = d + 1 + np.arange(d - 1)
     for k, (first, last) in enumerate(_around(s, knots)):

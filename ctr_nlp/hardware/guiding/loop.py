@@ -20,7 +20,9 @@ class ClosedLoop:
     """For one motion. tracker: of its plan; notify: called with what the operator must know, at once."""
 
     def __init__(self, tracker: Tracker, source: Source, notify: Callable[[Note], None]) -> None:
-        self.tracker, self._source, self._told = tracker, source, notify
+        self.tracker = tracker
+        self._source = source
+        self._told = notify
         self.estimates: list[RobotEstimate] = []
         """What was known in the motion, in order."""
 

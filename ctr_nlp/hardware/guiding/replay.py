@@ -48,10 +48,12 @@ def replay_session(plan: Plan, hardware: Hardware, records: list[dict[str, Any]]
     before = plan.q[:0]
     if told["parameter"] is not None:
         trajectory, before = split_at_parameter(trajectory, told["parameter"], told["tempo"])
-    course, count = CorrectedTrajectory(trajectory, tracker, before), 0
+    course = CorrectedTrajectory(trajectory, tracker, before)
+    count = 0
     for record in records:
         if record["kind"] == "sensed":
-            q, readings = np.array(record["q"]), readings_of(record["readings"])
+            q = np.array(record["q"])
+            readings = readings_of(record["readings"])
             course.observe(record["time"], q, record["now"], readings)
         elif record["kind"] == "corrected":
             count += 1
@@ -69,7 +71,8 @@ def _compare_commands(
     found = re.findall(r"N\d+ [^\n]*(?=\n)", sent)
     if not found:
         return Replay(count, 0, "")
-    commands, start = trajectory.commands(), np.array(records[begun]["position"])
+    commands = trajectory.commands()
+    start = np.array(records[begun]["position"])
     again = lines(hardware.letters, start, commands.positions, commands.time, MEANING)
     differs = next(
         (f"line {k}: {a!r}" for k, (a, b) in enumerate(zip(found, again, strict=False), 1) if a != b), ""

@@ -49,7 +49,10 @@ class GcodeWriter:
     """
 
     def __init__(self, letters: Sequence[str], start: Array, meaning: str = "") -> None:
-        self._letters, self._there, self._meaning, self._made = letters, start, meaning, 0
+        self._letters = letters
+        self._there = start
+        self._meaning = meaning
+        self._made = 0
 
     def next(self, position: Array, seconds: float, last: bool) -> str:
         """The line that goes on to a position (m,) within so many s; last: nothing comes after it."""
@@ -69,7 +72,8 @@ class GcodeWriter:
 
 def lines(letters: Sequence[str], start: Array, positions: Array, time: Array, meaning: str = "") -> list[str]:
     """The lines from start (m,) to positions (N, m) that are reached at time (N,) s; meaning: as of line."""
-    made, count = GcodeWriter(letters, start, meaning), len(positions)
+    made = GcodeWriter(letters, start, meaning)
+    count = len(positions)
     return [
         made.next(position, float(seconds), n == count)
         for n, (position, seconds) in enumerate(zip(positions, np.diff(time, prepend=0.0), strict=True), start=1)
@@ -81,8 +85,10 @@ def gcode_text(trajectory: Trajectory, title: str) -> str:
 
     title: of the plan.
     """
-    letters, commands = trajectory.hardware.letters, trajectory.commands()
-    start, seconds = trajectory.positions(0.0), approach_time(trajectory)
+    letters = trajectory.hardware.letters
+    commands = trajectory.commands()
+    start = trajectory.positions(0.0)
+    seconds = approach_time(trajectory)
     head = [
         f"ctr_nlp: {title[:60]}",
         f"digest {trajectory.digests.plan}",
@@ -118,7 +124,8 @@ def approach_time(trajectory: Trajectory) -> float:
 
     As time, and not as a feed, this holds however a controller counts degrees beside millimetres.
     """
-    robot, hardware = trajectory.robot, trajectory.hardware
+    robot = trajectory.robot
+    hardware = trajectory.hardware
     seconds = [
         max(abs(position - end) for end in axis.range)
         / (abs(axis.scale) * robot.speed[robot.axes.index(axis.joint)] * hardware.approach)

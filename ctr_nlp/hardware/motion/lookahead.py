@@ -143,7 +143,8 @@ class FollowedPath:
     def nearest(self, position: Array, first: int, last: int) -> PathPlace:
         """The place on pieces first to last - 1, from 0, nearest to a position (m,); the earliest of equals."""
         last = max(last, first + 1)
-        start, piece = self.points[first:last], np.diff(self.points[first : last + 1], axis=0) * self._scale
+        start = self.points[first:last]
+        piece = np.diff(self.points[first : last + 1], axis=0) * self._scale
         gone = (position - start) * self._scale
         length = (piece**2).sum(axis=1)
         part = np.clip((piece * gone).sum(axis=1) / np.where(length > 0, length, 1.0), 0.0, 1.0)

@@ -28,7 +28,8 @@ def path_through(robot: Robot, time: Array, q: Array) -> CubicHermiteSpline:
     tubes, go steadily from each frame to the next (slopes in the box of de Boor and Swartz, 1977). Where frames
     keep positions, order and carriage gaps, so does all of it. Raises TrajectoryError.
     """
-    step, n = np.diff(time), q.shape[1]
+    step = np.diff(time)
+    n = q.shape[1]
     chord = np.diff(q * robot.mm_per_unit, axis=0) / step[:, None]
     fastest = abs(chord).max() or 1.0
     chord /= fastest
@@ -37,7 +38,9 @@ def path_through(robot: Robot, time: Array, q: Array) -> CubicHermiteSpline:
     fixed = (lower == upper)[:, :n] @ abs(between).T == 2
     lower[:, n:][fixed], upper[:, n:][fixed] = -np.inf, np.inf
     slope = ca.SX.sym("slope", n, len(q))
-    before, after, mean = slope[:, :-1], slope[:, 1:], ca.DM(chord.T)
+    before = slope[:, :-1]
+    after = slope[:, 1:]
+    mean = ca.DM(chord.T)
     bending = (before**2 + before * after + after**2 - 3 * mean * (before + after)) @ ca.DM(step.mean() / step)
     program = {"x": ca.vec(slope), "f": ca.sum1(bending), "g": ca.vec(ca.DM(between) @ slope)}
     solve = ca.nlpsol("path", "ipopt", program, PATH_IPOPT_OPTIONS)

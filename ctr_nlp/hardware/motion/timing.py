@@ -117,8 +117,10 @@ def _fastest(
     """The pace (K,) of the fastest motion, None where toppra, which counts in 1 / unit s, finds none."""
     toppra = import_extra("toppra")
     logging.getLogger("toppra").setLevel(logging.ERROR)
-    constraint, kind = toppra.constraint, toppra.constraint.DiscretizationType.Interpolation
-    fastest, hardest = np.append(speed, tempo * unit), np.append(np.minimum(acceleration, 1e9), CLOCK)
+    constraint = toppra.constraint
+    kind = toppra.constraint.DiscretizationType.Interpolation
+    fastest = np.append(speed, tempo * unit)
+    hardest = np.append(np.minimum(acceleration, 1e9), CLOCK)
     solver = toppra.algorithm.TOPPRA(
         [
             constraint.JointVelocityConstraint(np.stack([-fastest, fastest], axis=1)),

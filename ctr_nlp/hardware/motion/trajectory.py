@@ -109,8 +109,10 @@ class Trajectory:
         """The same motion at the same pace, with other places from some of its path's breakpoints on."""
         if not len(patch.q):
             return self
-        path, rows = self.motion.path, slice(patch.first, patch.first + len(patch.q))
-        q, slopes = path(path.x), path(path.x, 1)
+        path = self.motion.path
+        rows = slice(patch.first, patch.first + len(patch.q))
+        q = path(path.x)
+        slopes = path(path.x, 1)
         q[rows], slopes[rows] = patch.q, patch.slopes
         return replace(self, motion=replace(self.motion, path=CubicHermiteSpline(path.x, q, slopes)))
 
@@ -160,12 +162,10 @@ def remaining_trajectory(trajectory: Trajectory, s: float, tempo: float = 1.0) -
         raise TrajectoryError("nothing is left of this trajectory: it has reached its last frame")
     knots = np.append(s, trajectory.knots[ahead])
     frames = np.append(trajectory.frames[ahead][0] - 1, trajectory.frames[ahead])
-    robot, hardware, path, lash = (
-        trajectory.robot,
-        trajectory.hardware,
-        trajectory.motion.path,
-        trajectory.lash,
-    )
+    robot = trajectory.robot
+    hardware = trajectory.hardware
+    path = trajectory.motion.path
+    lash = trajectory.lash
     return trajectory_along(
         robot, hardware, path, lash, knots, frames, trajectory.digests, tempo, trajectory.share
     )
@@ -173,7 +173,9 @@ def remaining_trajectory(trajectory: Trajectory, s: float, tempo: float = 1.0) -
 
 def approach_to(trajectory: Trajectory, standing: Array, theta: Array) -> Trajectory:
     """The straight and slow approach from positions (m,) of axes and a tilt (2,) to where a trajectory starts."""
-    robot, hardware, start = trajectory.robot, trajectory.hardware, trajectory.knots[:1]
+    robot = trajectory.robot
+    hardware = trajectory.hardware
+    start = trajectory.knots[:1]
     q = np.stack([hardware.joints(robot, standing, theta), trajectory.motion.path(start[0])])
     added = np.vstack([np.zeros(len(hardware.axes)), trajectory.lash(start)])
     first = trajectory.frames[0]
@@ -198,7 +200,8 @@ def trajectory_through(
     added = np.zeros((len(q), len(hardware.axes))) if added is None else added
     seconds = np.maximum(1e-3, (abs(np.diff(q, axis=0)) / robot.speed).max(axis=1))
     knots = np.append(0.0, np.cumsum(seconds))
-    lash, path = CubicHermiteSpline(knots, added, np.zeros_like(added)), path_through(robot, knots, q)
+    lash = CubicHermiteSpline(knots, added, np.zeros_like(added))
+    path = path_through(robot, knots, q)
     return trajectory_along(
         robot, hardware, path, lash, knots, np.arange(len(q)) if frames is None else frames, names, 1.0
     )

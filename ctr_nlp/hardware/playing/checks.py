@@ -72,12 +72,14 @@ def check_plan(plan: Plan, robot: Robot) -> None:
 
 def _check_arrays(plan: Plan) -> None:
     """A motion has frames, and everything is known of all of them."""
-    frames, d = plan.time.size, plan.robot.d
+    frames = plan.time.size
+    d = plan.robot.d
     if frames < 2:
         raise TrajectoryError(f"a plan of {frames} frames is no motion; give at least two")
     sizes = {"time": (), "success": (), "alpha": (d,), "beta": (d,), "theta": (2,), "shape": (len(SIGMA_GRID), 3)}
     for name, size in sizes.items():
-        found, wanted = getattr(plan, name).shape, (frames, *size)
+        found = getattr(plan, name).shape
+        wanted = (frames, *size)
         if found != wanted:
             raise TrajectoryError(f"{name} of the plan has shape {found}; it must be {wanted}")
 
@@ -132,7 +134,8 @@ def check_trajectory(
     model: on which it must be stable all along its path, where a robot can snap on it; None for no model.
     stretch: the frames, counted from 0, between which it is looked at.
     """
-    ends, frames = trajectory.frame_time[stretch], trajectory.frames[stretch]
+    ends = trajectory.frame_time[stretch]
+    frames = trajectory.frames[stretch]
     time = np.append(
         np.linspace(ends[:-1], ends[1:], TRAJECTORY_SAMPLES_PER_FRAME, endpoint=False).T.ravel(), ends[-1]
     )

@@ -72,8 +72,13 @@ class Playback:
         report_state: Callable[[PlayerState], None],
         corrector: TrajectoryCorrector | None = None,
     ) -> None:
-        self._trajectory, self._arm, self._corrects = trajectory, arm, corrector
-        self._journal, self._clock, self._wishes, self._to = journal, clock, wishes, report_state
+        self._trajectory = trajectory
+        self._arm = arm
+        self._corrects = corrector
+        self._journal = journal
+        self._clock = clock
+        self._wishes = wishes
+        self._to = report_state
         self._held = False
         self._between = (0.0, 0.0)
         """s of the motion between which the axes are: what was played, as last seen, and what was given."""
@@ -182,7 +187,8 @@ class Playback:
         """Remember for how long there was no news from the device, as long as the arm may suffer from it."""
         gap = stamp - self._stamp if np.isfinite(self._stamp) else 0.0
         if gap >= self._gap or stamp - self._gap_end > CATCHING_UP:
-            self._gap, self._gap_end = gap, stamp
+            self._gap = gap
+            self._gap_end = stamp
         self._stamp = stamp
 
     def _lead(self, arm: ArmFollower, progress: MotionProgress) -> None:
@@ -214,7 +220,8 @@ class Playback:
 
     def _settle_arm(self, arm: ArmFollower) -> float:
         """Let the arm come to the last tilt and rest; by how much it stays off, rad."""
-        end, theta = self._clock.now() + ARM_SETTLING_TIME_S, self._trajectory.tilt(self._trajectory.duration)
+        end = self._clock.now() + ARM_SETTLING_TIME_S
+        theta = self._trajectory.tilt(self._trajectory.duration)
         arm.follow(theta)
         while (
             off := float(np.linalg.norm(arm.tilt() - theta))

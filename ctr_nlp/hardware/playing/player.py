@@ -36,9 +36,12 @@ class Player:
         clock: Clock | None = None,
         memory: Memory | None = None,
     ) -> None:
-        self.device, self._arm, self.journal = device, arm, journal
+        self.device = device
+        self._arm = arm
+        self.journal = journal
         self._clock = RealClock() if clock is None else clock
-        self._wishes, self._trust = Wishes(journal), Trust(memory)
+        self._wishes = Wishes(journal)
+        self._trust = Trust(memory)
         self.state = PlayerState.DISCONNECTED
 
     @property
@@ -183,7 +186,8 @@ class Player:
                     if self._arm is not None:
                         self._arm.hold() if outcome is PlaybackOutcome.CANCELLED else self._arm.stop()
                 except DeviceFault as exception:
-                    outcome, message = PlaybackOutcome.DEVICE_FAULT, f"{message}; {exception}"
+                    outcome = PlaybackOutcome.DEVICE_FAULT
+                    message = f"{message}; {exception}"
         return self._finish_motion(Ending(outcome, message, standing, misplaced), playback)
 
     def _finish_motion(self, ending: Ending, playback: Playback | None = None) -> Result:

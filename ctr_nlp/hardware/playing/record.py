@@ -38,7 +38,8 @@ class Recorder:
 
     def __call__(self, trajectory: Trajectory, progress: MotionProgress) -> None:
         """Add what is new, but for pauses."""
-        before, self._trajectory = self._trajectory, trajectory
+        before = self._trajectory
+        self._trajectory = trajectory
         if not trajectory.continues(before):
             self._paused = 0.0
             self._rows: list[tuple[float, float, Array]] = []

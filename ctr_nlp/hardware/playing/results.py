@@ -22,7 +22,8 @@ class Wishes:
     """
 
     def __init__(self, journal: Journal) -> None:
-        self._journal, self._queue = journal, SimpleQueue[str]()
+        self._journal = journal
+        self._queue = SimpleQueue[str]()
         self.latest = ""
 
     def ask(self, wish: str) -> None:

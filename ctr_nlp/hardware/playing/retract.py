@@ -75,7 +75,8 @@ def return_path(
     """The path of a session, backwards: to its first frame, then to where the axes stood before it."""
     told = find_program_record(records)
     trajectory = rebuild_corrected_trajectory(plan, hardware, records)
-    home, first = np.array(told["standing"]), trajectory.positions(0.0)
+    home = np.array(told["standing"])
+    first = trajectory.positions(0.0)
     theta = trajectory.motion.path(trajectory.knots[0])[-2:]
     if _between(home, first, standing.position, hardware.tolerance):
         return [_straight(trajectory, standing.position, home, theta)]
@@ -85,7 +86,8 @@ def return_path(
 
 def _between(start: Array, end: Array, position: Array, tolerance: Array) -> bool:
     """Whether positions (m,) lie on the straight line between others, but for tolerances (m,)."""
-    line, gone = (end - start) / tolerance, (position - start) / tolerance
+    line = (end - start) / tolerance
+    gone = (position - start) / tolerance
     part = np.clip(line @ gone / np.maximum(line @ line, 1e-12), 0.0, 1.0)
     return bool(abs(gone - part * line).max() <= 1.0)
 
@@ -97,7 +99,8 @@ def _backwards(trajectory: Trajectory, s: float) -> Trajectory:
     def reversed_in_time(curve: CubicHermiteSpline) -> CubicHermiteSpline:
         return CubicHermiteSpline(s - knots[::-1], curve(knots)[::-1], -curve(knots, 1)[::-1])
 
-    path, lash = reversed_in_time(trajectory.motion.path), reversed_in_time(trajectory.lash)
+    path = reversed_in_time(trajectory.motion.path)
+    lash = reversed_in_time(trajectory.lash)
     robot = scale_robot_speeds(trajectory.robot, trajectory.hardware.approach)
     return trajectory_along(
         robot, trajectory.hardware, path, lash, s - knots[::-1], np.arange(len(knots)), trajectory.digests, 1.0

@@ -145,7 +145,8 @@ def resume(
 
 def split_at_parameter(trajectory: Trajectory, s: float, tempo: float) -> tuple[Trajectory, Array]:
     """The rest of a trajectory for a robot that stands at its parameter s; q (n, 2d + 2) from its start to s."""
-    path, passed = trajectory.motion.path, trajectory.knots < s
+    path = trajectory.motion.path
+    passed = trajectory.knots < s
     return remaining_trajectory(trajectory, s, tempo), path(np.append(trajectory.knots[passed], s))
 
 
@@ -272,7 +273,8 @@ def locate_on_path(trajectory: Trajectory, standing: Standing, resolution: Array
     first time: a controller that was left alone plays no more than what it had in its buffer. A frame that they
     cannot be told apart from has been passed.
     """
-    commands, tolerance = trajectory.commands(), trajectory.hardware.tolerance
+    commands = trajectory.commands()
+    tolerance = trajectory.hardware.tolerance
     path = FollowedPath(trajectory.positions(0.0), commands, tolerance)
     first = int(np.searchsorted(commands.frame, frame, "right"))
     pieces = range(max(first - 1, 0), len(commands.time))

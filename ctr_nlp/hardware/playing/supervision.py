@@ -64,7 +64,8 @@ class Supervisor:
 
     def violation(self, progress: MotionProgress, now: float) -> Ending | None:
         """What is wrong at a moment (s of the clock), None where nothing is; the gravest first."""
-        fault, off_path = PlaybackOutcome.DEVICE_FAULT, PlaybackOutcome.PATH_TOLERANCE_VIOLATED
+        fault = PlaybackOutcome.DEVICE_FAULT
+        off_path = PlaybackOutcome.PATH_TOLERANCE_VIOLATED
         found = (
             (fault, self._check_signs(progress)),
             (off_path, self._check_path(progress)),
@@ -99,7 +100,8 @@ class Supervisor:
 
     def _check_path(self, progress: MotionProgress) -> str:
         """The axes are within their tolerances of the path, and as near to it as those of such a device."""
-        away, astray = progress.away, progress.signs.off_path_cause
+        away = progress.away
+        astray = progress.signs.off_path_cause
         if away <= 1.0:
             return astray
         return f"the axes are {away:.3g} tolerances from their path; 1 is allowed{': ' * bool(astray)}{astray}"
@@ -129,7 +131,8 @@ class Supervisor:
 
     def _check_silence(self, progress: MotionProgress, now: float) -> str:
         """Neither the device nor the player itself is away for long."""
-        away, self._looked = 0.0 if self._looked is None else now - self._looked, now
+        away = 0.0 if self._looked is None else now - self._looked
+        self._looked = now
         if away > HELD_UP and progress.state != "held":
             return f"the player itself was held up for {away:.2g} s; {HELD_UP:g} s are allowed"
         silent = now - progress.stamp

@@ -68,7 +68,9 @@ class Memory:
     """
 
     def __init__(self, folder: Path, address: str, url: str = "", shared_folder: Path = SHARED_FOLDER) -> None:
-        self._folder, self._address, self._url = folder, address, url or address
+        self._folder = folder
+        self._address = address
+        self._url = url or address
         self._shared_folder = shared_folder
         self._locks = ExitStack()
 
@@ -173,7 +175,8 @@ class Trust:
     """
 
     def __init__(self, memory: Memory | None) -> None:
-        self._memory, self.doubt = memory, ""
+        self._memory = memory
+        self.doubt = ""
         self._vouched = False
         """Whether its memory, its homing or a person speaks for the position, so that what follows counts."""
 
@@ -196,7 +199,8 @@ class Trust:
 
     def vouch(self) -> None:
         """A person has made sure of the position."""
-        self.doubt, self._vouched = "", True
+        self.doubt = ""
+        self._vouched = True
 
     def holds(self, device: Device, standing: Standing) -> bool:
         """Whether what the device tells at the end of a session is to be trusted."""

@@ -103,7 +103,8 @@ class Sensing:
 
     def to_base_frame(self, values: Array) -> Array:
         """Values (m,) in the sensor's frame, points and of a pose a direction, in the robot's base frame."""
-        frame, triads = frame_of(self.translation, self.rotation_deg), values.reshape(-1, 3)
+        frame = frame_of(self.translation, self.rotation_deg)
+        triads = values.reshape(-1, 3)
         turned = triads @ frame[:3, :3].T
         points = len(turned) - (self.measures == "pose")
         turned[:points] += frame[:3, 3]

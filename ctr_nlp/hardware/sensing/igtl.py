@@ -25,7 +25,8 @@ class Igtl(Remote):
 
     def open(self) -> None:
         """As Source; raises OptionError too, where pyigtl is missing."""
-        client, clock = import_extra("pyigtl").OpenIGTLinkClient, RealClock()
+        client = import_extra("pyigtl").OpenIGTLinkClient
+        clock = RealClock()
         self._client = client(self._sensing.address.host, self._sensing.address.port)
         end = clock.now() + IGTL_CONNECT_TIMEOUT_S
         while not self._client.is_connected():
@@ -47,7 +48,8 @@ class Igtl(Remote):
 
     def _read(self, message: Any) -> list[Message]:
         """One or, where it is of another kind, none."""
-        points, matrix = getattr(message, "positions", None), getattr(message, "matrix", None)
+        points = getattr(message, "positions", None)
+        matrix = getattr(message, "matrix", None)
         if self._sensing.measures == "points" and points is not None:
             return [Message(np.array(points, dtype=float).ravel(), float(message.timestamp))]
         if self._sensing.measures != "points" and matrix is not None:

@@ -24,7 +24,8 @@ MM_PER_M = 1e3
 @cache
 def geometry() -> SimpleNamespace:
     """Types of geometry_msgs, by name; raises OptionError where cyclonedds is missing."""
-    idl, kinds = import_extra("cyclonedds.idl"), import_extra("cyclonedds.idl.types")
+    idl = import_extra("cyclonedds.idl")
+    kinds = import_extra("cyclonedds.idl.types")
     known: dict[str, Any] = {}
 
     def struct(kind: str, /, **fields: Any) -> Any:
@@ -33,7 +34,8 @@ def geometry() -> SimpleNamespace:
 
     point = struct("Point", **dict.fromkeys("xyz", kinds.float64))
     quaternion = struct("Quaternion", **dict.fromkeys("xyzw", kinds.float64))
-    pose, header = struct("Pose", position=point, orientation=quaternion), types().Header
+    pose = struct("Pose", position=point, orientation=quaternion)
+    header = types().Header
     struct("PoseStamped", header=header, pose=pose)
     struct("PoseArray", header=header, poses=kinds.sequence[pose])
     return SimpleNamespace(**known)
@@ -48,7 +50,8 @@ class Topic(Remote):
 
     def open(self) -> None:
         """As Source; raises OptionError and HardwareError too."""
-        address, kind = parse_controller_url(self._sensing.address.rest), self._kind
+        address = parse_controller_url(self._sensing.address.rest)
+        kind = self._kind
         failure = import_extra("cyclonedds.core").DDSException
         own, domain = participant(address)
         try:

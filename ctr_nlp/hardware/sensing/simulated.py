@@ -54,7 +54,9 @@ class SimulatedRobot(Source):
     ) -> None:
         if model is None:
             model = "elastic" if plan.evaluated_load is None else plan.evaluated_model
-        self._model, self._sample, self._seed = model_named(model), sample_robots(plan.robot, 1, seed), seed
+        self._model = model_named(model)
+        self._sample = sample_robots(plan.robot, 1, seed)
+        self._seed = seed
         self._plan = plan
         self.plant = Plant(plan.robot, self._sample, self._model)
         self._feed = Feed(self.plant, sensors, seed, faults=faults)

@@ -59,7 +59,9 @@ class Remote(Source):
     """A sender beyond a link, described by sensing; a kind of link says what has come."""
 
     def __init__(self, sensing: Sensing) -> None:
-        self._sensing, self._lag, self._last = sensing, math.inf, -math.inf
+        self._sensing = sensing
+        self._lag = math.inf
+        self._last = -math.inf
 
     @abstractmethod
     def _receive_messages(self) -> list[Message]:
@@ -70,7 +72,8 @@ class Remote(Source):
 
     def take(self, q: Array, now: float) -> list[Reading]:
         """As Source; of these the newest."""
-        size, found = len(self._sensing.sensors), list[Reading]()
+        size = len(self._sensing.sensors)
+        found = list[Reading]()
         for message in self._receive_messages():
             if message.values.shape != (size,):
                 self.strange = f"{message.values.size} numbers, where {size} are measured"
@@ -86,5 +89,6 @@ class Remote(Source):
             return came - self._sensing.delay
         if math.isfinite(self._last):
             self._lag += DRIFT * (came - self._last)
-        self._lag, self._last = min(self._lag, came - stamp), came
+        self._lag = min(self._lag, came - stamp)
+        self._last = came
         return stamp + self._lag - self._sensing.delay

@@ -194,7 +194,8 @@ def calibrate(
     fold = assign_folds(robot, measured, held_out, block, seed=seed) if held_out else np.full(len(measured), -1)
     prediction = build_registered_prediction(parameters, measured, described)
     before = flat_measured(measured) - prediction.predict_values(parameters.mean).flat()
-    told, total = progress or (lambda *_: None), 1 + held_out
+    told = progress or (lambda *_: None)
+    total = 1 + held_out
     told(0, total, "all observations")
     fit = fit_parameters(prediction)
     out = np.full(before.shape, np.nan)
@@ -204,7 +205,8 @@ def calibrate(
         found = recompute_residuals(fit_parameters(prediction, fold != k), prediction)
         out[fold == k] = found.residuals[fold == k]
     told(total, total, "done")
-    made, again = calibrated_robot(fit, measured), find_repeated_poses(robot, measured, block)
+    made = calibrated_robot(fit, measured)
+    again = find_repeated_poses(robot, measured, block)
     proposed = next_poses(fit, prediction, described, made, next_count, seed) if next_count else ()
     return Calibration(
         *(
@@ -243,7 +245,8 @@ def build_registered_prediction(parameters: Parameters, measured: Measurements, 
     prediction = Prediction(parameters, measured, model)
     if not parameters.columns(*BASE):
         return prediction
-    seen, bases = prediction.predict_values(parameters.mean), []
+    seen = prediction.predict_values(parameters.mean)
+    bases = []
     for recording in range(measured.recordings):
         own = measured.recording == recording
         pairs = ((seen.tip, measured.tip), (seen.points, measured.points))

@@ -137,7 +137,8 @@ def fit_parameters(prediction: Prediction, rows: Flags | None = None, start: Arr
     Fit
         The estimates; residuals are those of all observations.
     """
-    measured, parameters = prediction.measured, prediction.parameters
+    measured = prediction.measured
+    parameters = prediction.parameters
     used = (
         thin_rows(measured.observed_mask & (True if rows is None else rows))
         if measured.has_times
@@ -145,24 +146,28 @@ def fit_parameters(prediction: Prediction, rows: Flags | None = None, start: Arr
     )
     used = used if rows is None else used & rows
     problem = _Problem(prediction, used)
-    free, values = np.ones(len(parameters), dtype=bool), _start_within_bounds(parameters, start)
+    free = np.ones(len(parameters), dtype=bool)
+    values = _start_within_bounds(parameters, start)
     noise = problem.noise(values, np.zeros(0, dtype=int))
     # A few steps for each estimate of the noise: fitting to the end with a noise that is still wrong is in vain.
     for _ in range(MAX_NOISE_ROUNDS):
         values = problem.solve_values(values, free, noise, FIT_STEPS_PER_ROUND)
-        before, noise = noise, problem.noise(values, np.flatnonzero(free))
+        before = noise
+        noise = problem.noise(values, np.flatnonzero(free))
         if _same(before, noise):
             break
     # What the data say next to nothing of would only follow rounding and the errors of the model.
     held = problem.fit(values, free, noise).sigma_ratio > MAX_FREE_SIGMA_RATIO
-    free, values = ~held, np.where(held, parameters.mean, values)
+    free = ~held
+    values = np.where(held, parameters.mean, values)
     values = problem.solve_values(values, free, noise, MOST_STEPS)
     return problem.fit(values, free, problem.noise(values, np.flatnonzero(free)))
 
 
 def thin_rows(rows: Flags) -> Flags:
     """Return at most MOST_ROWS of the rows (T,) that are true, evenly: neighbours of a motion hardly differ."""
-    found, chosen = np.zeros(len(rows), dtype=bool), np.flatnonzero(rows)
+    found = np.zeros(len(rows), dtype=bool)
+    chosen = np.flatnonzero(rows)
     found[chosen[:: -(-len(chosen) // MOST_ROWS) or 1]] = True
     return found
 
@@ -216,7 +221,8 @@ class _Problem:
     """Residuals of the observations in some rows (T,), as functions of the parameters' values (P,)."""
 
     def __init__(self, prediction: Prediction, rows: Flags) -> None:
-        self._prediction, self._rows = prediction, rows
+        self._prediction = prediction
+        self._rows = rows
         self._parameters = prediction.parameters
         self._measured = flat_measured(prediction.measured)
         self._known = np.isfinite(self._measured) & rows[:, None]
@@ -227,7 +233,8 @@ class _Problem:
         if not len(chosen):
             return values
         sigma, (low, high) = self._parameters.sigma, self._parameters.bounds
-        weights, whitened = 1 / _scales(noise, self._measured.shape[1]), self._parameters.whitening_matrix
+        weights = 1 / _scales(noise, self._measured.shape[1])
+        whitened = self._parameters.whitening_matrix
         count = int(self._known.sum())
 
         # The unknowns u are values over their standard deviations before measuring, so that steps in mm, rad and

@@ -37,7 +37,8 @@ def same_poses(robot: Robot, measured: Measurements, near: float = SAME_POSE_DIS
     (T,) array of int
         The first observation of each one's pose, from 0.
     """
-    scaled, found = measured.q * robot.mm_per_unit, np.full(len(measured), -1)
+    scaled = measured.q * robot.mm_per_unit
+    found = np.full(len(measured), -1)
     around = cKDTree(scaled).query_ball_point(scaled, near)
     for row, others in enumerate(around):
         if found[row] < 0:

@@ -61,7 +61,8 @@ def describe_unidentified(fit: ParameterFit) -> list[str]:
     """
     parameters = fit.parameters
     scaled = fit.information * np.outer(parameters.sigma, parameters.sigma)
-    sentences, known = list[str](), list[Array]()
+    sentences = list[str]()
+    known = list[Array]()
     for direction, sentence in _invariances(parameters):
         # Under an arm that tilts, or a load, such a direction may well show itself.
         if direction @ scaled @ direction < MIN_IDENTIFIED_INFORMATION:
@@ -93,14 +94,17 @@ def _invariances(parameters: Parameters) -> list[tuple[Array, str]]:
 
     Directions are unit vectors (P,) of parameters over their standard deviations before measuring.
     """
-    found, d = list[tuple[Array, str]](), parameters.robot.d
-    zeros, rolls = parameters.columns("motor_zero"), parameters.columns("base_roll")
+    found = list[tuple[Array, str]]()
+    d = parameters.robot.d
+    zeros = parameters.columns("motor_zero")
+    rolls = parameters.columns("base_roll")
     if len(zeros) == d and rolls:
         # All tubes turned by an angle, and the base turned back by it, are the same shape for the sensor.
         direction = np.zeros(len(parameters))
         direction[zeros], direction[rolls] = 1.0, -1.0
         found.append((direction, "the common zero of all tubes cannot be told from the base's roll"))
-    stiffness, modulus = parameters.columns("bending_stiffness"), parameters.columns(MODULUS_KIND)
+    stiffness = parameters.columns("bending_stiffness")
+    modulus = parameters.columns(MODULUS_KIND)
     if len(stiffness) == d:
         # Without a load, moments balance whatever unit stiffnesses are in; with one, the modulus is that unit.
         direction = np.zeros(len(parameters))

@@ -216,7 +216,8 @@ def _check_configuration(robot: Robot, row: int, q: Array, lengths: Array) -> No
                 check_angle(f"{axis} {where} is {value:g} rad, and it", axis, value)
             except RobotError as error:
                 raise MeasurementError(str(error)) from error
-    beta, before = robot.split(q)[1], 0.0
+    beta = robot.split(q)[1]
+    before = 0.0
     for i, (value, length) in enumerate(zip(beta, lengths, strict=True), start=1):
         if not before - EXTENSION_TOLERANCE_MM <= value <= length + EXTENSION_TOLERANCE_MM:
             least = f"beta_{i - 1}, {before:g}" if i > 1 else "0"

@@ -65,7 +65,8 @@ def next_poses(
         `count` is no whole number of at least 1.
     """
     count = whole_number(OptionError, "number of next poses", count)
-    parameters, measured = fit.parameters, prediction.measured
+    parameters = fit.parameters
+    measured = prediction.measured
     q = stable_poses(robot, model, max(CANDIDATE_POSE_COUNT, 2 * count), seed)
     seen = _observations_at(measured, q)
     there = Prediction(parameters, seen, model, prediction.bases)
@@ -73,7 +74,9 @@ def next_poses(
     told = information_of(changes, np.isfinite(flat_measured(seen)), Noise(*fit.noise[:2]))
     # The base's pose is of this setup alone, and no number of the robot.
     taught = [k for k, one in enumerate(parameters.each) if one.kind not in BASE]
-    information, chosen, left = fit.information, list[int](), list[float]()
+    information = fit.information
+    chosen = list[int]()
+    left = list[float]()
     begin = _log_mean_sigma(parameters, information, taught)
     # Information adds up over observations, so that each candidate is only linearised once. Greedy: the best one,
     # given those chosen, not the best set.
@@ -113,10 +116,13 @@ def stable_poses(
     (n, 2d + 2) array
         At most `count` poses; rad, mm and rad.
     """
-    random, d = np.random.default_rng([seed, 2]), robot.d
-    low, high = robot.lower, robot.upper
+    random = np.random.default_rng([seed, 2])
+    d = robot.d
+    low = robot.lower
+    high = robot.upper
     bounded = np.isfinite(low) & np.isfinite(high)
-    low, high = np.where(bounded, low, -MOST_TURN), np.where(bounded, high, MOST_TURN)
+    low = np.where(bounded, low, -MOST_TURN)
+    high = np.where(bounded, high, MOST_TURN)
     q = random.uniform(low, high, (4 * count, len(low)))
     # beta_1 <= .. <= beta_d, eq. (2): sorted numbers are in order, and drawing until they are would take long.
     beta = np.sort(q[:, d : 2 * d], axis=1)

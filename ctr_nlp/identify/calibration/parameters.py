@@ -149,7 +149,8 @@ class Parameters:
     @cached_property
     def covariance(self) -> Array:
         """Covariance C_0 (P, P) before measuring, with the correlations that the robot's tolerances may have."""
-        found, all_parts = np.diag(self.sigma**2), _covariance(self.robot)
+        found = np.diag(self.sigma**2)
+        all_parts = _covariance(self.robot)
         columns = self.columns(*DEVIATION_NAMES)
         places = [len(DEVIATION_NAMES) * self.tube(k) + DEVIATION_NAMES.index(self.each[k].kind) for k in columns]
         for k, row in zip(columns, places, strict=True):
@@ -231,14 +232,16 @@ class Parameters:
         (d, 8) array
             Derivatives in the order of ``robot.structure.NUMBERS``, each in its unit per unit of the parameter.
         """
-        one, found = self.each[column], np.zeros((self.robot.d, len(TUBE_NUMBER_NAMES)))
+        one = self.each[column]
+        found = np.zeros((self.robot.d, len(TUBE_NUMBER_NAMES)))
         if one.kind == MODULUS_KIND:
             number = TUBE_NUMBER_NAMES.index("bending_stiffness")
             found[:, number] = self.robot.numbers[:, number]
         # Parts scale the nominal number, a length is added to it; a motor's zero is no number of a tube.
         scaled = {"curvature": ("root_curvature", "tip_curvature")}.get(one.kind, (one.kind,))
         for name in scaled if one.kind in DEVIATION_NAMES and one.kind != "motor_zero" else ():
-            number, i = TUBE_NUMBER_NAMES.index(name), self.tube(column)
+            number = TUBE_NUMBER_NAMES.index(name)
+            i = self.tube(column)
             found[i, number] = 1.0 if one.kind == "curved_length" else self.robot.numbers[i, number]
         return found
 

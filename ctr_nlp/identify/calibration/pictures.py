@@ -98,7 +98,8 @@ def parameters(found: Calibration) -> Figure:
     chosen = chosen or list(range(len(found.parameters)))
     figure = Figure(figsize=(6.0, 1.0 + 0.26 * len(chosen)), layout="constrained")
     axes = figure.subplots()
-    sigma, rows = found.parameters.sigma[chosen], np.arange(len(chosen))[::-1]
+    sigma = found.parameters.sigma[chosen]
+    rows = np.arange(len(chosen))[::-1]
     off = (found.fit.values - found.parameters.mean)[chosen] / sigma
     axes.barh(rows, 4.0, left=-2.0, height=0.8, color="0.85", label="before")
     axes.errorbar(off, rows, xerr=2 * found.fit.sigma[chosen] / sigma, fmt="o", ms=3, color=BLUE, label="after")
@@ -114,7 +115,8 @@ def parameters(found: Calibration) -> Figure:
 @matplotlib.rc_context(STYLE)
 def correlations(found: Calibration) -> Figure:
     """Draw the correlations of the parameters found that are left after measuring."""
-    count, sigma = len(found.parameters), found.fit.sigma
+    count = len(found.parameters)
+    sigma = found.fit.sigma
     side = max(3.5, 1.6 + 0.2 * count)
     figure = Figure(figsize=(side + 0.6, side), layout="constrained")
     axes = figure.subplots()

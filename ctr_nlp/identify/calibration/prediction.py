@@ -96,9 +96,12 @@ class Prediction:
         model: Model,
         bases: list[tuple[Array, Array]] | None = None,
     ) -> None:
-        self.parameters, self.measured, self._model = parameters, measured, model
+        self.parameters = parameters
+        self.measured = measured
+        self._model = model
         self.bases = bases or [(np.eye(3), np.zeros(3))] * measured.recordings
-        count, d = len(measured), parameters.robot.d
+        count = len(measured)
+        d = parameters.robot.d
         load = Load() if model.applied_load is None else require_constant_load(model.applied_load, "a calibration")
         self._loads = np.tile(load.numbers(d), (count, 1))
         self._loads[:, :3] += measured.force
@@ -159,7 +162,8 @@ class Prediction:
         (T, 2d + 2) array
             Configurations after lags, the sensor's delay, and the motors' zeros; rad, mm and rad.
         """
-        parameters, measured = self.parameters, self.measured
+        parameters = self.parameters
+        measured = self.measured
         q = measured.q
         if parameters.columns(*LAGS):
             q = parameters.lag(values).apply_to_motion(parameters.robot, q, measured.time, measured.fresh)
@@ -172,17 +176,21 @@ class Prediction:
 
     def _equilibria(self, values: Array) -> tuple[Array, Array]:
         """Find the equilibria x (T, n_x) for values (P,), and the tubes' numbers (d, 8)."""
-        parameters, measured = self.parameters, self.measured
+        parameters = self.parameters
+        measured = self.measured
         parts = parameters.parts(values)[None]
         numbers = perturb_robot(parameters.robot, parts, np.zeros(parts.shape[:2])).numbers
-        count, q = len(measured), self.configurations(values)
-        way, at = MotionSubsteps(q, np.arange(count), measured.fresh, count), parameters.structure
+        count = len(measured)
+        q = self.configurations(values)
+        way = MotionSubsteps(q, np.arange(count), measured.fresh, count)
+        at = parameters.structure
         if self._model.applied_load is None:
             found = self._model.follow_batch(at, numbers, way, q[None], False)
         elif measured.has_times:
             found = self._model.follow_with_loads(self._loads[None], at, numbers, way, q[None], False)
         else:  # robots apart are looked at side by side, which is much faster
-            each, way = np.repeat(numbers, count, axis=0), MotionSubsteps(q[:1], way.frames[:1], way.fresh[:1], 1)
+            each = np.repeat(numbers, count, axis=0)
+            way = MotionSubsteps(q[:1], way.frames[:1], way.fresh[:1], 1)
             found = self._model.follow_with_loads(self._loads[:, None], at, each, way, q[:, None], False)
         return np.concatenate([one.x for one in found]), numbers[0]
 
@@ -228,7 +236,8 @@ class Prediction:
 
     def _configuration_derivatives(self, values: Array, columns: list[int]) -> Array:
         """Derivatives (T, 2d + 2, n) of configurations over the parameters at n columns."""
-        parameters, here = self.parameters, self.configurations(values)
+        parameters = self.parameters
+        here = self.configurations(values)
         found = np.zeros((*here.shape, len(columns)))
         for place, k in enumerate(columns):
             one = parameters.each[k]
@@ -246,11 +255,13 @@ class Prediction:
         inside: what is measured in the base's axes; ahead (T, 3): vectors along the tip; over (T, places, 3, P):
         the derivatives of places.
         """
-        parameters, turns = self.parameters, self._turns(values)[self.measured.recording]
+        parameters = self.parameters
+        turns = self._turns(values)[self.measured.recording]
         along = np.einsum("k,tkap->tap", STENCIL, over[:, :3]) / np.linalg.norm(ahead, axis=1)[:, None, None]
         # Of a unit vector v / |v| only what is at right angles to it changes: (1 - t t^T) dv / |v|.
         along -= inside.direction[..., None] * np.einsum("ta,tap->tp", inside.direction, along)[:, None]
-        tip, offsets = np.array(over[:, 0]), parameters.columns(OFFSET)
+        tip = np.array(over[:, 0])
+        offsets = parameters.columns(OFFSET)
         # The sensor sits an offset beyond the tip, along it: tip + offset t.
         tip += sum(values[k] for k in offsets) * along
         for k in offsets:
@@ -283,7 +294,8 @@ class Prediction:
     def _for_sensor(self, values: Array, inside: ObservableValues) -> ObservableValues:
         """Turn and move what is measured from the base's axes to the sensor's."""
         recording = self.measured.recording
-        turns, places = self._turns(values)[recording], self._places(values)[recording]
+        turns = self._turns(values)[recording]
+        places = self._places(values)[recording]
         turned = [np.einsum("tab,t...b->t...a", turns, part) for part in inside]
         return ObservableValues(turned[0] + places, turned[1], turned[2] + places[:, None])
 
@@ -337,7 +349,8 @@ def register_points(points: Array, measured: Array) -> tuple[Array, Array]:
         Translation after the rotation, mm.
     """
     known = np.isfinite(points).all(axis=1) & np.isfinite(measured).all(axis=1)
-    own, there = points[known], measured[known]
+    own = points[known]
+    there = measured[known]
     if not len(own):
         return np.eye(3), np.zeros(3)
     centres = own.mean(axis=0), there.mean(axis=0)

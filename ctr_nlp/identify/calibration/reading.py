@@ -174,11 +174,13 @@ def _observations(table: _Table, robot: Robot, recording: int, most: int) -> Mea
             f"{robot.axes[axis]} in line {table.lines[row]} of {table.path} is empty; every configuration "
             "must be known"
         )
-    points, sigma = np.full((len(q), most, 3), np.nan), np.full((len(q), most), np.nan)
+    points = np.full((len(q), most, 3), np.nan)
+    sigma = np.full((len(q), most), np.nan)
     for number in _points(table):
         points[:, number - 1] = table.columns([f"p{number}_{axis}" for axis in "xyz"])
         sigma[:, number - 1] = _places(table, number, points[:, number - 1], robot.split(q)[1][:, -1])
-    time, seen = table.columns([TIME])[:, 0], (table.columns(TIP_COLUMNS), _directions(table), points, sigma)
+    time = table.columns([TIME])[:, 0]
+    seen = (table.columns(TIP_COLUMNS), _directions(table), points, sigma)
     return Measurements(q, *seen, time, np.full(len(q), recording), force=_forces(table))
 
 

@@ -44,7 +44,8 @@ def calibrated_robot(fit: ParameterFit, measured: Measurements) -> Robot:
         No tubes can be made with these values.
     """
     parameters = fit.parameters
-    robot, parts = parameters.robot, parameters.parts(fit.values)
+    robot = parameters.robot
+    parts = parameters.parts(fit.values)
     try:
         return build_calibrated_robot(robot, parts, _covariance(fit), _lag(fit, measured))
     except RobotError as error:
@@ -58,7 +59,8 @@ def _covariance(fit: ParameterFit) -> Array:
     """Covariance (5d, 5d) that is left of all tubes' differences; as before for those that were not estimated."""
     parameters = fit.parameters
     root = parameters.robot.tolerances.covariance_root(parameters.robot.tubes)
-    over, covariance = parameters.parts_jacobian, np.array(root @ root.T)
+    over = parameters.parts_jacobian
+    covariance = np.array(root @ root.T)
     # Parts that no parameter changes keep their covariance; their correlations with the others are dropped.
     estimated = over.any(axis=1)
     kept = np.outer(~estimated, ~estimated)

@@ -73,9 +73,12 @@ def derivatives(model: Model, structure: Structure, count: int) -> ca.Function:
     margin (1, 8 d). With D the determinant that vanishes where its margin is the smallest eigenvalue, the margin's
     derivative is -D_numbers / D_margin.
     """
-    d, sigma, margin = structure.d, ca.SX.sym("sigma", count), ca.SX.sym("margin")
+    d = structure.d
+    sigma = ca.SX.sym("sigma", count)
+    margin = ca.SX.sym("margin")
     numbers = ca.SX.sym("numbers", d, len(TUBE_NUMBER_NAMES))
-    tubes, asked = symbolic_tubes(structure, numbers), margin if model.can_snap else None
+    tubes = symbolic_tubes(structure, numbers)
+    asked = margin if model.can_snap else None
     shape = model.frame(structure, tubes, lambda beta: sigma * beta[-1], asked)
     stable = ca.SX(1, 1) if shape.stability is None else shape.stability[-1]
     points = ca.vertcat(*(ca.SX(axis) for axis in shape.to_base_frame(shape.points)))
@@ -101,11 +104,9 @@ def shape_derivatives_at_q(model: Model, structure: Structure, count: int) -> ca
     Of points (3 count,), x of all before y and z: over numbers with the configuration held (3 count, 8 d), and
     over the configuration (3 count, 2d + 2). load: its numbers; of a model that bears none, nothing.
     """
-    d, sigma, numbers = (
-        structure.d,
-        ca.SX.sym("sigma", count),
-        ca.SX.sym("numbers", structure.d, len(TUBE_NUMBER_NAMES)),
-    )
+    d = structure.d
+    sigma = ca.SX.sym("sigma", count)
+    numbers = ca.SX.sym("numbers", structure.d, len(TUBE_NUMBER_NAMES))
     tubes = symbolic_tubes(structure, numbers)
     shape, load = frame_and_load_symbol(model, structure, tubes, lambda beta: sigma * beta[-1])
     symbols, values = shape.inner.columns

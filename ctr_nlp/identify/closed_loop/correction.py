@@ -43,7 +43,8 @@ class Correction:
         Raises OptionError where nothing can be compiled.
         """
         self._mm_per_unit = robot.mm_per_unit
-        self._roots, self._size = np.repeat(roots, 3), len(robot.axes)
+        self._roots = np.repeat(roots, 3)
+        self._size = len(robot.axes)
         self._program = Program(_nlp(robot), wait=True)
         nlp = self._program.nlp
         self._root, self._wanted, self._margin, self._growth = (
@@ -67,7 +68,9 @@ class Correction:
         to be. margin: the least, which is missed where limits do not allow it. pull: mm^2 that a mm away from the
         planned configuration costs.
         """
-        q, size, program = at.q, self._size, self._program
+        q = at.q
+        size = self._size
+        program = self._program
         scale = math.sqrt(pull) * self._mm_per_unit
         slopes = at.point_slopes.reshape(size, -1).T * self._roots[:, None]
         away = (wanted - at.points).ravel() * self._roots
@@ -92,12 +95,17 @@ class Correction:
 
 def _nlp(robot: Robot) -> Nlp:
     """|root step - wanted|^2, with the order of tubes, carriages apart, and a margin missed only at a cost."""
-    size, d = len(robot.axes), robot.d
-    step, short = ca.SX.sym("step", size), ca.SX.sym("short")
-    root, wanted, growth = ca.SX.sym("root", size, size), ca.SX.sym("wanted", size), ca.SX.sym("growth", d - 1)
+    size = len(robot.axes)
+    d = robot.d
+    step = ca.SX.sym("step", size)
+    short = ca.SX.sym("short")
+    root = ca.SX.sym("root", size, size)
+    wanted = ca.SX.sym("wanted", size)
+    growth = ca.SX.sym("growth", d - 1)
     margin = ca.SX.sym("margin", size + 1)
     held = ca.dot(margin[:size], step) - margin[size] + short
-    free, order = np.full(size + 1, np.inf), growth + ca.diff(step[d : 2 * d])
+    free = np.full(size + 1, np.inf)
+    order = growth + ca.diff(step[d : 2 * d])
     return Nlp(
         "correction",
         ca.vertcat(step, short),

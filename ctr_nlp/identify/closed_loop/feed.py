@@ -128,9 +128,15 @@ class Feed:
         faults: Sequence[SensorFault] = (),
         noise: float = 1.0,
     ) -> None:
-        self._plant, self._sensors, self._random = plant, sensors, np.random.default_rng([seed, 3])
-        self._latency, self._dropped, self._faults, self._noise = latency, dropped, tuple(faults), noise
-        self._waiting, self._taken = list[Reading](), list[Reading]()
+        self._plant = plant
+        self._sensors = sensors
+        self._random = np.random.default_rng([seed, 3])
+        self._latency = latency
+        self._dropped = dropped
+        self._faults = tuple(faults)
+        self._noise = noise
+        self._waiting = list[Reading]()
+        self._taken = list[Reading]()
         self._told: Array | None = None
 
     def take_readings(self, time: float) -> list[Reading]:

@@ -62,7 +62,9 @@ def objection(observer: Observer, weaker: Observer | None, motors: Array, least_
 
 def _least_margin(observer: Observer, motors: Array) -> float:
     """The least stability margin on the way to motors (2d + 2,); -inf where the robot snaps."""
-    there, start, least = observer.independent_copy(), observer.q, math.inf
+    there = observer.independent_copy()
+    start = observer.q
+    least = math.inf
     for part in np.arange(1, LOOKAHEAD_SUBSTEPS + 1) / LOOKAHEAD_SUBSTEPS:
         if there.move_and_check_snap(start + part * (motors - start)):
             return -math.inf

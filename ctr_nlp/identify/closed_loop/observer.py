@@ -76,9 +76,14 @@ class Observer:
     def __init__(
         self, model: Model, differences: ParameterDifferences, sensors: Sensors, predictor: Predictor
     ) -> None:
-        self._model, self.differences, self._sensors, self._predict = model, differences, sensors, predictor
-        self.mean, self.covariance = differences.mean.copy(), differences.covariance.copy()
-        self._described, self._d = differences.robot.numbers, differences.robot.d
+        self._model = model
+        self.differences = differences
+        self._sensors = sensors
+        self._predict = predictor
+        self.mean = differences.mean.copy()
+        self.covariance = differences.covariance.copy()
+        self._described = differences.robot.numbers
+        self._d = differences.robot.d
         self._structure = differences.perturbed_robots(self.mean[None]).structure
         load = None if model.applied_load is None else require_constant_load(model.applied_load, "an observer")
         self._borne = np.zeros(0) if load is None else load.numbers(self._d)
@@ -86,7 +91,9 @@ class Observer:
         self.q = np.zeros(len(differences.robot.axes))
         self._recalled = PredictionHistory()
         self._walker: Walker | None = None
-        self.jumps, self.rejected_updates, self._odds = list[Array](), 0, 0.0
+        self.jumps = list[Array]()
+        self.rejected_updates = 0
+        self._odds = 0.0
         self.rival: Observer | None = None
         self._judged: tuple[tuple[Reading, Array, Array], tuple[Innovation, Array, Array]] | None = None
         self._take_mean()
@@ -112,7 +119,8 @@ class Observer:
 
     def motors(self, tubes: Array) -> Array:
         """Where motors must go to turn tubes to a configuration (2d + 2,): past it by their lags."""
-        found, d = tubes.copy(), self._d
+        found = tubes.copy()
+        d = self._d
         turn = tubes[:d] - self.tubes[:d]
         found[:d] -= (
             self._offsets - np.where(abs(turn) > MIN_TUBE_TURN_RAD, np.sign(turn), -self._engaged) * self._lags
@@ -225,7 +233,8 @@ class Observer:
         at the same motors comes nearer to it by SNAP_FIT_RATIO. The others are found as a tube that has snapped
         gets there: turned by a whole turn against the rest.
         """
-        innovation, d = self.compute_innovation(reading), self._d
+        innovation = self.compute_innovation(reading)
+        d = self._d
         away = _misfit(innovation.excess, innovation.expected_deviations)
         if not away > MIN_SNAP_MISFIT_DEVIATIONS:
             return None
@@ -242,7 +251,8 @@ class Observer:
             predicted, _ = self.predict_at(walker)
             misfit = _misfit(reading.values - self._sensor_values(predicted)[0], innovation.expected_deviations)
             if misfit < least:
-                found, least = predicted.points.copy(), misfit
+                found = predicted.points.copy()
+                least = misfit
         self.predicted, self.margin = self.predict_at(
             self.walker
         )  # the predictor overwrites what it returned before
@@ -275,7 +285,8 @@ class Observer:
             self._shift_mean(part * towards)
             before = self._update_walker()
             if not before and np.isfinite(self._walker.x).all():
-                self.rival, self._odds = rival._add_jumps(fell), 0.0
+                self.rival = rival._add_jumps(fell)
+                self._odds = 0.0
                 return
             self.__dict__.update(rival.__dict__)
         self.jumps = self.jumps + fell
@@ -302,11 +313,9 @@ class Observer:
 
     def _sensor_values(self, predicted: PredictedShape) -> tuple[Array, Array]:
         """What sensors would tell of a shape (m,), and its slopes (m, k) over differences."""
-        rows, signs, n = (
-            self.differences.derivative_indices,
-            self._signs_over[:, None, None],
-            len(self._sensors.sigma),
-        )
+        rows = self.differences.derivative_indices
+        signs = self._signs_over[:, None, None]
+        n = len(self._sensors.sigma)
         points, tangents, of_points, of_tangents, *_ = predicted
         of_seen, of_turned = (signs * of[rows, :n] for of in (of_points, of_tangents))
         seen = SensedShape(points[:n], tangents[:n], of_seen, of_turned, float(self.q[2 * self._d - 1]))
@@ -345,13 +354,16 @@ class Observer:
 
     def _compute_innovation_and_gain(self, reading: Reading) -> tuple[Innovation, Array, Array]:
         values, slopes = self.expected_reading(reading.time)
-        excess, over = reading.values - values, slopes @ self.covariance
+        excess = reading.values - values
+        over = slopes @ self.covariance
         spread = over @ slopes.T
         # The model is not exact either: MODEL_NOISE_SHARE adds to the sensor's noise, so that the covariance does
         # not shrink too far.
         spread[np.diag_indices_from(spread)] += self._sensors.noise**2 * (1 + MODEL_NOISE_SHARE)
-        taken, expected = gate_values(self._sensors, excess, spread), np.sqrt(spread.diagonal())
-        gain, size = np.zeros_like(slopes), float("nan")
+        taken = gate_values(self._sensors, excess, spread)
+        expected = np.sqrt(spread.diagonal())
+        gain = np.zeros_like(slopes)
+        size = float("nan")
         if taken.any():
             right = excess[taken]
             _, solved, _ = lapack.dposv(spread[taken][:, taken], np.column_stack([over[taken], right]))
@@ -394,8 +406,11 @@ class Observer:
 
     def _apply_change(self, change: Array, covariance: Array) -> None:
         """The mean moves by so much (k,), and the estimated robot with it."""
-        d, freed, before = self._d, len(self.differences.tube_parts), self.__dict__.copy()
-        self._walker, self.covariance = self.walker.copy(), covariance
+        d = self._d
+        freed = len(self.differences.tube_parts)
+        before = self.__dict__.copy()
+        self._walker = self.walker.copy()
+        self.covariance = covariance
         self._shift_mean(change)
         x = self._walker.x.copy()
         # To first order the tips follow the change of the tubes: a guess for the walker, which finds the

@@ -49,15 +49,15 @@ class ParameterDifferences:
         A lag is uniform between 0 and its tolerance; a force at the tip is as large as may be, from any side.
         Raises RobotError, and OptionError where all tolerances are 0.
         """
-        allowed, d = robot.tolerances if tolerances is None else tolerances, robot.d
-        bands, lags, root = (
-            allowed.bands(robot.tubes),
-            allowed.max_backlash(d),
-            allowed.covariance_root(robot.tubes),
-        )
+        allowed = robot.tolerances if tolerances is None else tolerances
+        d = robot.d
+        bands = allowed.bands(robot.tubes)
+        lags = allowed.max_backlash(d)
+        root = allowed.covariance_root(robot.tubes)
         order = [(i, k) for k in range(len(DEVIATION_NAMES)) for i in range(d) if bands[i, k] > 0]
         rows = [i * len(DEVIATION_NAMES) + k for i, k in order]
-        late, force = np.flatnonzero(lags), FORCE_COMPONENT_NAMES * (allowed.tip_force > 0)
+        late = np.flatnonzero(lags)
+        force = FORCE_COMPONENT_NAMES * (allowed.tip_force > 0)
         forces = ((NO_TUBE, name) for name in force)
         places = (
             *((i, DEVIATION_NAMES[k]) for i, k in order),
@@ -137,19 +137,15 @@ class ParameterDifferences:
         parts and the force.
         """
         after = 2 * self.robot.d + 2
-        freed, force = (
-            after + np.arange(len(self.tube_parts)),
-            after + len(self.tube_parts) + np.arange(len(self.force_indices)),
-        )
+        freed = after + np.arange(len(self.tube_parts))
+        force = after + len(self.tube_parts) + np.arange(len(self.force_indices))
         # A zero or a lag turns its tube as alpha does.
         return np.concatenate([freed, self.zero_indices[1], force, self.lag_indices[1]])
 
     def perturbed_robots(self, values: Array) -> RobotSamples:
         """The robots (n,) of vectors (n, k), without forces."""
-        parts, lags = (
-            np.zeros((len(values), self.robot.d, len(DEVIATION_NAMES))),
-            np.zeros((len(values), self.robot.d)),
-        )
+        parts = np.zeros((len(values), self.robot.d, len(DEVIATION_NAMES)))
+        lags = np.zeros((len(values), self.robot.d))
         for k, (tube, name) in enumerate(self.entries):
             if name == ROTATION_LAG_NAME:
                 lags[:, tube] = np.maximum(values[:, k], 0.0)
@@ -162,18 +158,18 @@ class ParameterDifferences:
 
         Raises RobotError where no such tubes can be made.
         """
-        d, among = self.robot.d, [k for k, (_, name) in enumerate(self.entries) if name in DEVIATION_NAMES]
+        d = self.robot.d
+        among = [k for k, (_, name) in enumerate(self.entries) if name in DEVIATION_NAMES]
         places = [
             tube * len(DEVIATION_NAMES) + DEVIATION_NAMES.index(name)
             for tube, name in (self.entries[k] for k in among)
         ]
-        parts, left = (
-            np.zeros(d * len(DEVIATION_NAMES)),
-            np.zeros((d * len(DEVIATION_NAMES), d * len(DEVIATION_NAMES))),
-        )
+        parts = np.zeros(d * len(DEVIATION_NAMES))
+        left = np.zeros((d * len(DEVIATION_NAMES), d * len(DEVIATION_NAMES)))
         parts[places] = values[among]
         left[np.ix_(places, places)] = covariance[np.ix_(among, among)]
-        found, zeros = build_calibrated_robot(self.robot, parts.reshape(d, -1), left, 0.0), self.offsets(values)
+        found = build_calibrated_robot(self.robot, parts.reshape(d, -1), left, 0.0)
+        zeros = self.offsets(values)
         alpha = zip(self.robot.lower[:d] + zeros, self.robot.upper[:d] + zeros, strict=True)
         return replace(found, limits=replace(found.limits, alpha=tuple(alpha)))
 

@@ -76,9 +76,13 @@ class Plant:
         self._model.check(robot)
         if lag is not None:
             lag.check(robot)
-        self._robot, self._lag = robot, lag
-        self._structure, self._numbers = sample.structure, sample.numbers[0]
-        self._offsets, self._lags, self._reach = sample.offsets[0], sample.backlash[0], robot.reach
+        self._robot = robot
+        self._lag = lag
+        self._structure = sample.structure
+        self._numbers = sample.numbers[0]
+        self._offsets = sample.offsets[0]
+        self._lags = sample.backlash[0]
+        self._reach = robot.reach
         size = 2 * robot.d + 2
         self._steps = np.broadcast_to(np.asarray(steps, dtype=float), (size,))
         self._bent = floats(RobotError, "bending", bending, (2,))
@@ -100,7 +104,8 @@ class Plant:
 
     def move_to(self, q: Array, time: float) -> PlantState:
         """The robot after its motors have moved to q (2d + 2,), all at once and evenly, at a time, s."""
-        q, jumps = self._round_to_steps(np.asarray(q, dtype=float)), list[Array]()
+        q = self._round_to_steps(np.asarray(q, dtype=float))
+        jumps = list[Array]()
         if self._walker is None:
             aligned = np.full_like(self._lags, q[len(self._lags) - 1])
             self._alpha = (
@@ -110,7 +115,8 @@ class Plant:
             )
             self._walker = self._model.walker(self._structure, self._numbers, self._tube_configuration(q))
         else:
-            before, passed = self.history[-1].q, (time - self.history[-1].time) / SAMPLE_SUBSTEPS_PER_FRAME
+            before = self.history[-1].q
+            passed = (time - self.history[-1].time) / SAMPLE_SUBSTEPS_PER_FRAME
             places = (
                 before
                 + (q - before) * (np.arange(SAMPLE_SUBSTEPS_PER_FRAME + 1) / SAMPLE_SUBSTEPS_PER_FRAME)[:, None]
@@ -158,7 +164,9 @@ class Plant:
     def _at(self, sigma: Array) -> tuple[Array, Array]:
         """Return points and tangents (n, 3) at sigma (n,), mm and unit vectors."""
         assert self._walker is not None
-        x, d, count = self._walker.x, len(self._lags), len(sigma)
+        x = self._walker.x
+        d = len(self._lags)
+        count = len(sigma)
         self._view.inputs[1][0] = np.resize(sigma, VECTOR_LANES * SAMPLES_PER_LANE)
         points, tangents = (
             found.reshape(VECTOR_LANES, 3, SAMPLES_PER_LANE).swapaxes(1, 2).reshape(-1, 3)[:count]
@@ -166,7 +174,8 @@ class Plant:
         )
         if self._bent.any():
             # A parabola from the base, whose slope is added to tangents: a bend that no tube's number explains.
-            s, aside = sigma * x[2 * d - 1], np.append(self._bent, 0.0) / self._reach**2
+            s = sigma * x[2 * d - 1]
+            aside = np.append(self._bent, 0.0) / self._reach**2
             points += np.multiply.outer(s**2, aside)
             tangents += np.multiply.outer(2 * s, aside)
             tangents /= np.linalg.norm(tangents, axis=1, keepdims=True)
@@ -198,10 +207,8 @@ def _view(model: Model, structure: Structure) -> BatchEvaluator:
 def _compiled_view(model: Model, structure: Structure) -> ca.Function:
     of = build_sample_function(model, structure, SAMPLES_PER_LANE)
     x, sigma, *given = (ca.SX.sym(of.name_in(i), *of.size_in(i)) for i in range(4))
-    found, names = (
-        of(x, sigma, *given),
-        ([f"{SHARED_INPUT_PREFIX}x", "sigma", f"{SHARED_INPUT_PREFIX}given"], ["points", "tangents"]),
-    )
+    found = of(x, sigma, *given)
+    names = ([f"{SHARED_INPUT_PREFIX}x", "sigma", f"{SHARED_INPUT_PREFIX}given"], ["points", "tangents"])
     inputs = [x, sigma, ca.vertcat(*(ca.vec(each) for each in given))]
     return compile_function(
         ca.Function("view", inputs, [ca.densify(each) for each in found], *names), VECTOR_LANES

@@ -73,11 +73,9 @@ class Predictor:
         each = -(-len(sigma) // VECTOR_LANES)
         self._call = BatchEvaluator(_code(model.program_model, structure, each, tube_parts, has_tip_force), 1)
         self._call.inputs[1][0] = np.append(sigma, np.zeros(VECTOR_LANES * each - len(sigma)))
-        self._d, self._n, self._k = (
-            structure.d,
-            len(sigma),
-            2 * structure.d + 2 + len(tube_parts) + 3 * has_tip_force,
-        )
+        self._d = structure.d
+        self._n = len(sigma)
+        self._k = 2 * structure.d + 2 + len(tube_parts) + 3 * has_tip_force
 
     def __call__(self, x: Array, numbers: Array, described: Array, margin: float, load: Array) -> PredictedShape:
         """At unknowns x (n_x,) of tubes of numbers (d, 8), with a margin, under a load of so many numbers, if any.
@@ -88,7 +86,8 @@ class Predictor:
             [numbers.ravel("F"), described.ravel("F"), [min(margin, MAX_LINEARISATION_MARGIN)], load]
         )
         points, tangents, of_points, of_tangents, of_phi, of_margin = (each[0] for each in self._call(x, given))
-        d, k = self._d, self._k
+        d = self._d
+        k = self._k
         return PredictedShape(
             points.reshape(-1, 3)[: self._n],
             tangents.reshape(-1, 3)[: self._n],
@@ -116,7 +115,9 @@ def _symbolic(
     model: Model, structure: Structure, count: int, tube_parts: tuple[tuple[int, str], ...], has_tip_force: bool
 ) -> ca.Function:
     """(x, sigma (count,), (numbers (d, 8), described (d, 8), margin, load)) -> Predicted, in columns."""
-    d, sigma, margin = structure.d, ca.SX.sym("sigma", count), ca.SX.sym("margin")
+    d = structure.d
+    sigma = ca.SX.sym("sigma", count)
+    margin = ca.SX.sym("margin")
     numbers, described = (ca.SX.sym(name, d, len(TUBE_NUMBER_NAMES)) for name in ("numbers", "described"))
     parts = ca.SX.sym("parts", len(tube_parts))
     tubes = symbolic_tubes(structure, _perturbed_numbers(numbers, described, parts, tube_parts))
@@ -136,7 +137,8 @@ def _symbolic(
     moved = make_total_derivative(shape, rows, ca.vertcat(parts, load[: 3 * has_tip_force]))
     slope = ca.SX.nan(1) if shape.stability is None else -ca.jacobian(determinant, margin)
     of_points, of_tangents = ca.vertsplit(moved(seen), 3 * count)
-    of_phi, of_margin = moved(shape.x[:d]), moved(determinant) / slope
+    of_phi = moved(shape.x[:d])
+    of_margin = moved(determinant) / slope
     found = [*ca.vertsplit(seen, 3 * count), of_points, of_tangents, of_phi, of_margin]
     found = ca.substitute(found, [parts], [ca.SX.zeros(len(tube_parts))])
     given = ca.vertcat(ca.vec(numbers), ca.vec(described), margin, load)

@@ -46,7 +46,8 @@ class PredictionHistory:
         Between two records values and slopes are interpolated.
         """
         after = self._after(time)
-        ends, part = [self._records[after]], 1.0
+        ends = [self._records[after]]
+        part = 1.0
         if after and time < ends[0].time - 1e-9:
             ends.insert(0, self._records[after - 1])
             part = (time - ends[0].time) / (ends[1].time - ends[0].time)

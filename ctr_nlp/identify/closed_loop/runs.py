@@ -65,12 +65,16 @@ def closed_loop(
 
     replanning: of the plan's motion, which then goes on as that says.
     """
-    q, means, deviations, seconds = tracker.reference.motors[0], list[Array](), list[Array](), list[float]()
+    q = tracker.reference.motors[0]
+    means = list[Array]()
+    deviations = list[Array]()
+    seconds = list[float]()
     for frame, time in enumerate(plan.time.tolist()):
         plant.move_to(q, time)
         if replanning is not None:
             replanning.update_plan(tracker, frame + 1, q[None])
-        readings, begin = feed.take_readings(time), process_time()
+        readings = feed.take_readings(time)
+        begin = process_time()
         q = tracker.step(frame, q, time, readings)
         seconds.append(process_time() - begin)
         means.append(tracker.observer.mean)

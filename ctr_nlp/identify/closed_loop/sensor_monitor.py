@@ -31,7 +31,8 @@ class SensorMonitor:
 
     def __init__(self) -> None:
         self._last: tuple[float, Reading] | None = None
-        self._equal, self._wrong = 0, 0
+        self._equal = 0
+        self._wrong = 0
         self._seen = deque[tuple[Innovation, Array, float]]()
 
     def silence_reason(self, time: float, start: float) -> str:
@@ -48,7 +49,8 @@ class SensorMonitor:
         rates (m,): at which what is measured changes, per s.
         """
         same = self._last is not None and np.array_equal(reading.values, self._last[1].values, equal_nan=True)
-        self._equal, self._last = (self._equal + 1 if same else 1), (time, reading)
+        self._equal = self._equal + 1 if same else 1
+        self._last = (time, reading)
         self._seen.append((innovation, rates, time))
         while self._seen[0][2] < time - SENSOR_WINDOW_S:
             self._seen.popleft()
@@ -86,10 +88,8 @@ class SensorMonitor:
         for each, rates, _ in self._seen:
             at = each.accepted
             scaled = rates[at] / each.expected_deviations[at]
-            along, across = (
-                along - float(scaled @ (each.excess[at] / each.expected_deviations[at])),
-                across + float(scaled @ scaled),
-            )
+            along = along - float(scaled @ (each.excess[at] / each.expected_deviations[at]))
+            across = across + float(scaled @ scaled)
         return (along / across, across**-0.5) if across > 0 else (0.0, np.inf)
 
     def _size(self) -> tuple[float, int]:

@@ -99,7 +99,9 @@ class Tracker:
         """
         if not plan.complete:
             raise OptionError("the plan has frames without a solution, and cannot be tracked")
-        self.plan, self._robot, model = plan, plan.robot, plan.evaluated_model
+        self.plan = plan
+        self._robot = plan.robot
+        model = plan.evaluated_model
         differences = ParameterDifferences.of(plan.robot, tolerances)
         pushed = len(differences.force_indices) > 0
         model = model_for_tip_forces(model, pushed)
@@ -116,19 +118,23 @@ class Tracker:
         weights = np.full(TRACKED_SHAPE_POINTS, 1.0)
         weights[[0, -1]] /= 2
         self._correction = Correction(plan.robot, np.sqrt(weights / weights.sum()))
-        self.reference, self._passed = (
-            ReferenceTrajectory.from_plan(plan, model, np.zeros(plan.robot.d)),
-            list[Array](),
-        )
+        self.reference = ReferenceTrajectory.from_plan(plan, model, np.zeros(plan.robot.d))
+        self._passed = list[Array]()
         alpha, beta, theta = MAX_CORRECTION_RAD_MM_RAD
         d = plan.robot.d
         self._near = np.concatenate([np.full(d, alpha), np.full(d, beta), np.full(2, theta)])
         self._betas = slice(d, 2 * d)
-        self._at, self._size = slice(count, count + TRACKED_SHAPE_POINTS), len(plan.robot.axes)
-        self._doubts, self.state, self.notes = SensorMonitor(), TrackerState.TRACKING, list[Note]()
-        self._known, self._warned = deque[tuple[Array, Array]](maxlen=ROLLBACK_READINGS), ""
+        self._at = slice(count, count + TRACKED_SHAPE_POINTS)
+        self._size = len(plan.robot.axes)
+        self._doubts = SensorMonitor()
+        self.state = TrackerState.TRACKING
+        self.notes = list[Note]()
+        self._known = deque[tuple[Array, Array]](maxlen=ROLLBACK_READINGS)
+        self._warned = ""
         self.innovations = list[Innovation]()
-        self._silent, self._time, self._frame = False, 0.0, 0
+        self._silent = False
+        self._time = 0.0
+        self._frame = 0
         self._begun: float | None = None
 
     @property
@@ -146,7 +152,8 @@ class Tracker:
         if frame + 1 >= len(self.reference.q):
             return q
         reach = self._robot.speed * (self.plan.time[frame + 1] - self.plan.time[frame])
-        least, most = np.maximum(self._robot.lower, q - reach), np.minimum(self._robot.upper, q + reach)
+        least = np.maximum(self._robot.lower, q - reach)
+        most = np.minimum(self._robot.upper, q + reach)
         return self.compute_command(frame + 1, frame, q[:0].reshape(0, len(q)), least, most)
 
     def replanning_start(self, ahead: Array, frame: int, first: int) -> ReplanningStart:
@@ -155,7 +162,9 @@ class Tracker:
         ahead (n, 2d + 2): where the motors will have gone until they are led to a frame; both frames from 0.
         Raises RobotError where no robot is made of tubes as they are estimated.
         """
-        there, known, betas = self.observer.copy_after_motion(ahead), self.estimated_robot, self._betas
+        there = self.observer.copy_after_motion(ahead)
+        known = self.estimated_robot
+        betas = self._betas
         beside = there.tubes - self.reference.q[frame - 1]
         later = np.clip(self.reference.q[frame:first] + beside, known.lower, known.upper)
         later[:, betas] = np.maximum.accumulate(later[:, betas], axis=1)
@@ -192,7 +201,8 @@ class Tracker:
 
     def observe(self, q: Array, time: float, readings: Sequence[Reading]) -> None:
         """The motors are at q (2d + 2,) at a time, s; readings: what arrived since it was last told."""
-        self._time, self._begun = time, time if self._begun is None else self._begun
+        self._time = time
+        self._begun = time if self._begun is None else self._begun
         self._passed.append(q)
         self.observer.move_motors(q, time)
         if self.observer.jumps and self.state is not TrackerState.STOPPED:
@@ -215,7 +225,8 @@ class Tracker:
             self._look_for_snap(reading)
         if self.state is TrackerState.STOPPED:
             return
-        seen, rates = self.observer.compute_innovation(reading), self.observer.rates(reading.time)
+        seen = self.observer.compute_innovation(reading)
+        rates = self.observer.rates(reading.time)
         why, outliers = self._doubts.check_reading(time, reading, seen, rates)
         self.innovations.append(seen)
         if outliers and not self._warned:
@@ -270,7 +281,8 @@ class Tracker:
             )
             return there.q
         off = there.tubes - there.q
-        held, planned = self.state is TrackerState.UNCORRECTED, self.reference.q[frame]
+        held = self.state is TrackerState.UNCORRECTED
+        planned = self.reference.q[frame]
         low, high = self._limits(planned, least + off, most + off)
         start = np.clip(
             self.reference.motors[frame] + off if held else there.tubes + planned - self.reference.q[last],
@@ -288,10 +300,8 @@ class Tracker:
             return there.q
         if held:
             return self._safest(there, predicted, frame, [start - off])
-        at, safe = (
-            self._linearise_at(start, predicted, margin),
-            TRACKER_STABILITY_MARGIN + MARGIN_RAISE_DEVIATIONS * deviation,
-        )
+        at = self._linearise_at(start, predicted, margin)
+        safe = TRACKER_STABILITY_MARGIN + MARGIN_RAISE_DEVIATIONS * deviation
         least_margin = float(np.nan_to_num(np.fmin(self.reference.stability[frame], safe)))
         thin = 1 - margin / safe if margin < safe else 0.0
         unknown = there.uncertainty(predicted.of_points[:, self._at]) / FULL_PULL_UNCERTAINTY_MM
@@ -316,7 +326,8 @@ class Tracker:
         if np.isnan(there.margin):  # on this model nothing can snap
             return candidates[0]
         least_margin = min(LEAST_MARGIN, float(self.reference.stability[frame]) / 2)
-        weaker, why = there.weaker_robot(predicted.of_margin, SNAP_SAFETY_DEVIATIONS), ""
+        weaker = there.weaker_robot(predicted.of_margin, SNAP_SAFETY_DEVIATIONS)
+        why = ""
         for motors in candidates:
             why = objection(there, weaker, motors, least_margin)
             if not why:
@@ -328,7 +339,8 @@ class Tracker:
 
     def _linearise_at(self, q: Array, predicted: PredictedShape, margin: float) -> LinearisedRobot:
         """The estimated robot with its tubes at q (2d + 2,)."""
-        points, slopes = predicted.points[self._at], predicted.of_points[: self._size, self._at]
+        points = predicted.points[self._at]
+        slopes = predicted.of_points[: self._size, self._at]
         return LinearisedRobot(q, points, slopes, margin, predicted.of_margin[: self._size])
 
     def _limits(self, planned: Array, low: Array, high: Array) -> tuple[Array, Array]:

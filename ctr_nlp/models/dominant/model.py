@@ -66,12 +66,14 @@ class Dominant(Model):
         """The shape of one frame as symbols; arguments as in Model.frame. margin is ignored: nothing can be
         unstable.
         """
-        x, d = ca.SX.sym("q", 2 * structure.d + 2), structure.d
+        x = ca.SX.sym("q", 2 * structure.d + 2)
+        d = structure.d
         q = ca.vertsplit(x)
         beta = q[d : 2 * d]
         # Three layers of inner quantities: lengths travelled on each tube (a row a sample), directions of
         # each tube's plane, and what the tangent gains on each tube.
-        lengths, turns = list[ca.SX](), list[ca.SX]()
+        lengths = list[ca.SX]()
+        turns = list[ca.SX]()
         for travel in shape.travels(tubes, beta, sample_lengths(beta), ca):
             lengths.append(ca.horzcat(*travel.lengths))
             turns += [ca.horzcat(*travel.gains(ca))] if tangents else []
@@ -115,7 +117,8 @@ def _points(tubes: Tubes, q: Array, sigma: Array) -> Array:
 
     tubes: with numbers, or columns (T, 1) of numbers. sigma: (n,) or (T, n).
     """
-    columns, d = shape.columns_of(q), len(tubes)
+    columns = shape.columns_of(q)
+    d = len(tubes)
     travelled = shape.travels(tubes, columns[d : 2 * d], sigma * columns[2 * d - 1], np)
     planes = shape.directions(tubes, columns, np)
     lengths = np.stack([part for travel in travelled for part in travel.lengths], axis=1)

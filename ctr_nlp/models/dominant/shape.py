@@ -69,7 +69,8 @@ class HelixTravel(NamedTuple):
         """w, sin(w length) and 1 - cos(w length)."""
         w = self.xp.sqrt(self.k**2 + self.torsion**2)
         # 1 - cos(a) = 2 sin(a / 2)^2, without the cancellation at small angles.
-        sin, half = self.xp.sin(w * self.length), self.xp.sin(w * self.length / 2)
+        sin = self.xp.sin(w * self.length)
+        half = self.xp.sin(w * self.length / 2)
         return w, sin, 2 * half * half
 
     @property
@@ -93,10 +94,8 @@ class HelixTravel(NamedTuple):
         # turns.
         about = combine_vectors(k / w, across, torsion / w, t)
         outwards = combine_vectors(torsion / w, across, -k / w, t)
-        side, turned = (
-            combine_vectors(1 - rest, bend, sin, outwards),
-            combine_vectors(1 - rest, outwards, -sin, bend),
-        )
+        side = combine_vectors(1 - rest, bend, sin, outwards)
+        turned = combine_vectors(1 - rest, outwards, -sin, bend)
         return (
             side,
             combine_vectors(k / w, about, torsion / w, turned),
@@ -113,13 +112,12 @@ def backbone(tubes: Tubes, q: Sequence[Any], sigma: Any, xp: Any) -> Backbone:
     """The shape C(s | q) at s = sigma beta_d, eqs. (1) and (4); q: its 2d + 2 entries, sigma in [0, 1]."""
     travelled = travels(tubes, q[len(tubes) : 2 * len(tubes)], sigma * q[2 * len(tubes) - 1], xp)
     planes = directions(tubes, q, xp)
-    point, tangent = (0.0, 0.0, 0.0), planes[0][1]
+    point = (0.0, 0.0, 0.0)
+    tangent = planes[0][1]
     for travel, plane in zip(travelled, planes, strict=True):
         for length, gain, vector in zip(travel.lengths, travel.gains(xp), plane, strict=True):
-            point, tangent = (
-                combine_vectors(1.0, point, length, vector),
-                combine_vectors(1.0, tangent, gain, vector),
-            )
+            point = combine_vectors(1.0, point, length, vector)
+            tangent = combine_vectors(1.0, tangent, gain, vector)
     return Backbone(point, tangent)
 
 
@@ -129,7 +127,9 @@ def travels(tubes: Tubes, beta: Sequence[Any], s: Any, xp: Any) -> list[Travel |
     The expression has the same structure whichever tube a sample lies on; positions are C1 in beta, also where
     rounding has put a tube's end before that of the tube around it.
     """
-    start, before, travelled = 0 * beta[0], 0 * beta[0], list[Travel | HelixTravel]()
+    start = 0 * beta[0]
+    before = 0 * beta[0]
+    travelled = list[Travel | HelixTravel]()
     for i in range(len(tubes)):
         # A sample beyond tube i's tip travels all of its segment, one before it nothing beyond s: clamping
         # replaces the cases of eq. (1).
@@ -137,7 +137,8 @@ def travels(tubes: Tubes, beta: Sequence[Any], s: Any, xp: Any) -> list[Travel |
         travelled.append(_on_tube(tubes, i, beta[i] - start, beta[i] - start - (here - before), xp))
         # Segment i begins at beta_{i-1}. Distances from the tip: beta_i - start at its beginning, and less
         # by what has been travelled.
-        start, before = beta[i], here
+        start = beta[i]
+        before = here
     return travelled
 
 
@@ -147,30 +148,37 @@ def directions(tubes: Tubes, q: Sequence[Any], xp: Any) -> list[tuple[Vector, ..
     """
     alpha, beta, (theta_x, theta_y) = q[: len(tubes)], q[len(tubes) : 2 * len(tubes)], q[2 * len(tubes) :]
     d1, d2, t = base_frame(theta_x, theta_y, xp)
-    start, planes = 0 * beta[0], list[tuple[Vector, ...]]()
+    start = 0 * beta[0]
+    planes = list[tuple[Vector, ...]]()
     for i in range(len(tubes)):
-        travel, turn = _on_tube(tubes, i, beta[i] - start, 0 * start, xp), alpha[i]
+        travel = _on_tube(tubes, i, beta[i] - start, 0 * start, xp)
+        turn = alpha[i]
         if isinstance(travel, HelixTravel):
             # alpha is the direction where the curved part begins, in the robot's hidden part; from there to
             # the segment's beginning the helix has turned by its own torsion.
             turn = turn + tubes[i].spin * (tubes[i].curved_length - travel.length)
-        cos, sin = xp.cos(turn), xp.sin(turn)
-        bend, normal = combine_vectors(cos, d1, sin, d2), combine_vectors(-sin, d1, cos, d2)
+        cos = xp.cos(turn)
+        sin = xp.sin(turn)
+        bend = combine_vectors(cos, d1, sin, d2)
+        normal = combine_vectors(-sin, d1, cos, d2)
         if isinstance(travel, HelixTravel):
             planes.append((bend, t, normal))
             bend, normal, t = travel.after(bend, normal, t)
             # Direction at the helix's tip: turning back by it leaves axes that have not spun, from which
             # the next tube's alpha is measured.
             turn = alpha[i] + tubes[i].spin * tubes[i].curved_length
-            cos, sin = xp.cos(turn), xp.sin(turn)
+            cos = xp.cos(turn)
+            sin = xp.sin(turn)
         else:
             planes.append((bend, t))
-            c, z = xp.cos(travel.angle), xp.sin(travel.angle)
+            c = xp.cos(travel.angle)
+            z = xp.sin(travel.angle)
             # Rotation by the angle turned, in the plane of N and T.
             bend, t = combine_vectors(c, bend, -z, t), combine_vectors(z, bend, c, t)
         # Undo the turn by alpha_i: alpha is absolute, eq. (5), so the next tube's is measured from the same
         # axes.
-        d1, d2 = combine_vectors(cos, bend, -sin, normal), combine_vectors(sin, bend, cos, normal)
+        d1 = combine_vectors(cos, bend, -sin, normal)
+        d2 = combine_vectors(sin, bend, cos, normal)
         start = beta[i]
     return planes
 
@@ -201,7 +209,8 @@ def planar(tube: TubeNumbers, x_from: Any, x_to: Any, xp: Any) -> Travel:
         k = tube.tip_curvature
         # side = (1 - cos kL) / k and along = sin(kL) / k, by half angles: without cancellation at small
         # angles.
-        sin, cos = xp.sin(k / 2 * length), xp.cos(k / 2 * length)
+        sin = xp.sin(k / 2 * length)
+        cos = xp.cos(k / 2 * length)
         return Travel(2 / k * sin * sin, 2 / k * sin * cos, k * length)
     # Linear curvature: sides and lengths are integrals of the sine and cosine of the angle turned so far.
     angle_from = _turning(tube, x_from)
@@ -209,7 +218,8 @@ def planar(tube: TubeNumbers, x_from: Any, x_to: Any, xp: Any) -> Travel:
     for node, weight in zip((_GAUSS_LEGENDRE_NODES + 1) / 2, _GAUSS_LEGENDRE_WEIGHTS / 2, strict=True):
         # Angle turned from the beginning of the travel to the node.
         angle = angle_from - _turning(tube, x_from - node * length)
-        side, along = side + weight * xp.sin(angle), along + weight * xp.cos(angle)
+        side = side + weight * xp.sin(angle)
+        along = along + weight * xp.cos(angle)
     return Travel(side * length, along * length, angle_from - _turning(tube, x_to))
 
 
@@ -222,7 +232,10 @@ def base_frame(theta_x: Any, theta_y: Any, xp: Any) -> tuple[Vector, Vector, Vec
     """The columns of R = Ry(theta_y) Rx(theta_x), eq. (4): the base's axes in space; the third is the insertion
     direction.
     """
-    cx, sx, cy, sy = xp.cos(theta_x), xp.sin(theta_x), xp.cos(theta_y), xp.sin(theta_y)
+    cx = xp.cos(theta_x)
+    sx = xp.sin(theta_x)
+    cy = xp.cos(theta_y)
+    sy = xp.sin(theta_y)
     return (cy, 0.0, -sy), (sy * sx, cx, cy * sx), (sy * cx, -sx, cy * cx)
 
 

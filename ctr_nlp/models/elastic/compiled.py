@@ -158,18 +158,17 @@ class CompiledElastic:
         """Move a state to goal (2d + 2,): whether it gets there, and its tips' jumps on the way (falls, d),
         rad.
         """
-        goal, jumps, falls = (
-            np.ascontiguousarray(goal),
-            np.zeros((MAX_FALLS_PER_STEP, self._elastic.d)),
-            ctypes.c_long(0),
-        )
+        goal = np.ascontiguousarray(goal)
+        jumps = np.zeros((MAX_FALLS_PER_STEP, self._elastic.d))
+        falls = ctypes.c_long(0)
         given = _address(numbers), ctypes.byref(state), _address(goal), _address(jumps), ctypes.byref(falls)
         return bool(self._run.follow(self._reference, *given)), jumps[: falls.value]
 
     def settle(self, numbers: Array, q: Array) -> tuple[ctypes.Array[StateStruct], Flags]:
         """States (T,) to which all tubes are turned from alpha_d at q (T, 2d + 2), and whether each was found."""
         q, rows = np.ascontiguousarray(q, dtype=float), ctypes.c_long(len(q))
-        states, found = (StateStruct * len(q))(), np.zeros(len(q), dtype=np.int64)
+        states = (StateStruct * len(q))()
+        found = np.zeros(len(q), dtype=np.int64)
         self._run.settle(
             self._reference, *_address_and_stride(numbers), _address(q), rows, states, _address(found)
         )
@@ -185,9 +184,12 @@ class CompiledElastic:
 
     def shapes(self, numbers: Array, x: Array, sigma: Array) -> tuple[Array, Array]:
         """Points (T, n, 3) in mm at x (T, 2d + 2) and sigma (n,) or (T, n), and directions of tips (T, 3)."""
-        x, sigma = np.ascontiguousarray(x, dtype=float), np.ascontiguousarray(sigma, dtype=float)
-        rows, samples = len(x), sigma.shape[-1]
-        points, tips = np.empty((rows, samples, 3)), np.empty((rows, 3))
+        x = np.ascontiguousarray(x, dtype=float)
+        sigma = np.ascontiguousarray(sigma, dtype=float)
+        rows = len(x)
+        samples = sigma.shape[-1]
+        points = np.empty((rows, samples, 3))
+        tips = np.empty((rows, 3))
         at = _address(x), ctypes.c_long(rows), _address(sigma), ctypes.c_long(samples)
         step = ctypes.c_long(samples if sigma.ndim > 1 else 0)
         self._run.shapes(
@@ -197,7 +199,8 @@ class CompiledElastic:
 
     def rest_states(self, numbers: Array, q: Array, sigma: Array) -> RestStates:
         """One robot, of numbers (1, 8d), at rest at each q (T, 2d + 2) without a history; points at sigma (m,)."""
-        q, sigma = np.ascontiguousarray(q, dtype=float), np.ascontiguousarray(sigma, dtype=float)
+        q = np.ascontiguousarray(q, dtype=float)
+        sigma = np.ascontiguousarray(sigma, dtype=float)
         rows, n, m = *q.shape, len(sigma)
         found = np.empty((rows, n + 4 + 3 * m))
         at = _address(numbers), _address(q), ctypes.c_long(rows), _address(sigma), ctypes.c_long(m)
@@ -239,13 +242,17 @@ class Symbolic(NamedTuple):
 def symbolic(structure: Structure) -> Symbolic:
     """The functions to be compiled for a structure, as symbols."""
     d = structure.d
-    x, numbers, s = ca.SX.sym("x", 2 * d + 2), ca.SX.sym("numbers", d, len(TUBE_NUMBER_NAMES)), ca.SX.sym("s")
-    tubes, entries = symbolic_tubes(structure, numbers), ca.vertsplit(x)
+    x = ca.SX.sym("x", 2 * d + 2)
+    numbers = ca.SX.sym("numbers", d, len(TUBE_NUMBER_NAMES))
+    s = ca.SX.sym("s")
+    tubes = symbolic_tubes(structure, numbers)
+    entries = ca.vertsplit(x)
     beta = entries[d : 2 * d]
     parts = torsion.sections(tubes, beta, ca)
     twisted = torsion.twist(tubes, entries, parts, ca)
     alpha = ca.vertcat(*torsion.motors(tubes, entries, twisted))
-    of, vectors = energy.in_symbols(tubes, entries), shape.curves(tubes, entries, parts, twisted, ca)
+    of = energy.in_symbols(tubes, entries)
+    vectors = shape.curves(tubes, entries, parts, twisted, ca)
     base = shape.turned_base(tubes, entries, ca)
     placed = [combination(vector, base) for vector in vectors]
     travels, _ = shape.travels(tubes, beta, parts, s, ca)
@@ -292,7 +299,8 @@ class _PendingCode:
 
     def __call__(self) -> CompiledElastic | None:
         if self._found is None and not cache.unavailable_reason():
-            alone, beside = self._alone.path_if_ready(), self._beside.path_if_ready()
+            alone = self._alone.path_if_ready()
+            beside = self._beside.path_if_ready()
             if alone is not None and beside is not None:
                 self._found = CompiledElastic(self._structure, alone, beside)
         return self._found

@@ -89,7 +89,8 @@ def energies(tubes: Tubes, x: Array) -> Iterator[Energy]:
     columns = columns_of(x)
     parts = sections(tubes, columns[len(tubes) : 2 * len(tubes)], np)
     twists = _twists(tubes, columns, parts, np)
-    couples, turns = _couples(parts), _pattern(parts, twists)
+    couples = _couples(parts)
+    turns = _pattern(parts, twists)
     # couples: each row is alpha_i - alpha_j.
     signs = np.array(
         [np.eye(len(tubes))[i] - np.eye(len(tubes))[j] for _, i, j in couples for _ in SECTION_NODE_FRACTIONS]
@@ -129,7 +130,9 @@ class Symbols(NamedTuple):
 def in_symbols(tubes: Tubes, x: Sequence[Any]) -> Symbols:
     """The energy of any robot of a structure at x, 2d + 2 symbols."""
     parts = sections(tubes, x[len(tubes) : 2 * len(tubes)], ca)
-    nodes, strength, angles = twist(tubes, x, parts, ca).nodes, [ca.SX(1, 0)], [ca.SX(1, 0)]
+    nodes = twist(tubes, x, parts, ca).nodes
+    strength = [ca.SX(1, 0)]
+    angles = [ca.SX(1, 0)]
     for k, i, j in _couples(parts):
         angles.append(ca.horzcat(*(node.angles[i] - node.angles[j] for node in nodes[k])))
         strength.append(_strength(tubes, x, parts[k], i, j, ca))

@@ -66,8 +66,10 @@ class Equilibria:
 
     def __init__(self, structure: Structure, numbers: Array) -> None:
         """Prepare for tubes of numbers (d, 8), in the order of structure.NUMBERS."""
-        self._d, self._tubes = structure.d, tubes_of(structure, numbers.tolist())
-        self._numbers, self._compiled = numbers.ravel(order="F")[None], get_compiled_elastic(structure)
+        self._d = structure.d
+        self._tubes = tubes_of(structure, numbers.tolist())
+        self._numbers = numbers.ravel(order="F")[None]
+        self._compiled = get_compiled_elastic(structure)
         self._structure = structure
 
     @cached_property
@@ -89,7 +91,8 @@ class Equilibria:
         if self._compiled is not None:
             states, found = self._compiled.settle(self._numbers, q[None])
             return _from_struct(states[0], self._d, q) if found[0] else None
-        d, x = self._d, np.array(q, dtype=float)
+        d = self._d
+        x = np.array(q, dtype=float)
         x[: d - 1] = 0.0
         # With tips alike (phi_i = 0) the robot is on the stable branch; the motors' angles there are where
         # the way begins.
@@ -151,13 +154,16 @@ class Equilibria:
 
     def _follow_branch(self, state: EquilibriumState, goal: Array, most: float = 1.0) -> EquilibriumState:
         """The equilibrium as far towards goal as its branch goes, in steps of at most `most` of the way."""
-        start, done, part = state.q, 0.0, min(1.0, most)
+        start = state.q
+        done = 0.0
+        part = min(1.0, most)
         while part >= MIN_PATH_STEP_FRACTION:
             new = self._step(state, _between(start, goal, done + part))
             if new is None:
                 part /= 2
             else:
-                state, done = new, done + part
+                state = new
+                done = done + part
                 # Steps grow again after a success; the last one ends at the goal.
                 part = min(2 * part, most, 1 - done)
         return state
@@ -166,8 +172,10 @@ class Equilibria:
         """The equilibrium at goal on the branch of a nearby state; None where it is not clear that it is on that
         branch.
         """
-        predicted, d = self._predict_unknowns(state, goal), self._d
-        turns, motors = (predicted - state.x)[: d - 1], (goal - state.q)[:d]
+        predicted = self._predict_unknowns(state, goal)
+        d = self._d
+        turns = (predicted - state.x)[: d - 1]
+        motors = (goal - state.q)[:d]
         # `not <` is true for NaN as well.
         if not abs(turns).max(initial=0.0) < MAX_PREDICTED_TURN_RAD + abs(motors[:-1] - motors[-1]).max(
             initial=0.0
@@ -187,7 +195,8 @@ class Equilibria:
         """The x at goal to which the branch's tangent leads."""
         # At the goal's beta and the old tips, alpha is off by goal - alpha(here); one linear step turns
         # tips by that.
-        d, here = self._d, np.concatenate([state.x[: self._d], goal[self._d :]])
+        d = self._d
+        here = np.concatenate([state.x[: self._d], goal[self._d :]])
         *_, turn, singular = lapack.dgesv(state.slopes, goal[:d] - self._evaluate_motors(here)[0])
         here[:d] += 0.0 if singular else turn
         return here
@@ -247,7 +256,8 @@ class Equilibria:
 
     def _estimate_fallen_unknowns(self, state: EquilibriumState, past: Array) -> Array | None:
         """Roughly the equilibrium at `past` into which a robot falls from a state nearby, if any."""
-        d, on = self._d, self._predict_unknowns(state, past) - state.x
+        d = self._d
+        on = self._predict_unknowns(state, past) - state.x
         (of,) = energy.energies(self._tubes, past[None])
         # A small step along the predicted direction, as a finite difference of angles: only its direction
         # is used.
@@ -280,11 +290,13 @@ def _fall(energy: Energy, motors: Array, angles: Array, towards: Array) -> Array
     _, modes = np.linalg.eigh(energy.hessian(angles))
     # At a fold the softest mode's eigenvalue vanishes: that is the direction in which the robot leaves, on
     # the side to which it was moving.
-    push, time = energy.turns @ modes[:, 0], 8.0
+    push = energy.turns @ modes[:, 0]
+    time = 8.0
     a = a + modes[:, 0] * np.copysign(FOLD_PERTURBATION_RAD / abs(push).max(), push @ towards)
     for _ in range(MAX_FALL_STEPS):
         change, time = _step_down(energy, motors, a, time)
-        a, size = a + change, abs(energy.turns @ change).max()
+        a = a + change
+        size = abs(energy.turns @ change).max()
         # A small step says little if its time was short: at a minimum, long ones are small as well.
         if size < ELASTIC_NEWTON_TOLERANCE_RAD and time > 40:
             return a
@@ -302,8 +314,11 @@ def _step_down(energy: Energy, motors: Array, a: Array, time: float) -> tuple[Ar
     Sci. Comput. 20, 1999.
     """
     # The gradient flow a' = -dE/da is stiff; L-stability damps its fast parts. gamma = 1 - 1/sqrt(2).
-    gamma, angles = 1 - np.sqrt(0.5), motors + energy.turns @ a
-    slope, bent, height = energy.gradient(a, angles), energy.hessian(angles), energy.height(a, angles)
+    gamma = 1 - np.sqrt(0.5)
+    angles = motors + energy.turns @ a
+    slope = energy.gradient(a, angles)
+    bent = energy.hessian(angles)
+    height = energy.height(a, angles)
     while True:
         # I + gamma time (K + V). Where it is not positive definite, the time is too long for the local
         # curvature.
@@ -333,7 +348,8 @@ def walk_robot_batch(
     2d + 2) at the goals that it reached, and the last state; None for one that does not settle, and for all
     without compiled code. What is found of a robot does not depend on those beside it.
     """
-    code, count = get_compiled_elastic(structure), len(numbers)
+    code = get_compiled_elastic(structure)
+    count = len(numbers)
     if code is None:
         return [None] * count
     every = np.arange(VECTOR_LANES) % count
@@ -357,7 +373,8 @@ def _to_struct(state: EquilibriumState) -> compiled_code.StateStruct:
 
 def _from_struct(code: compiled_code.StateStruct, d: int, goal: Array) -> EquilibriumState:
     """A state from the struct of C; its q is goal itself where that is reached."""
-    q, x = np.array(code.q[: 2 * d + 2]), np.array(code.x[: 2 * d + 2])
+    q = np.array(code.q[: 2 * d + 2])
+    x = np.array(code.x[: 2 * d + 2])
     # C has matrices by columns.
     slopes = np.array(code.slopes[: d * d]).reshape(d, d).T
     return EquilibriumState(goal if (q == goal).all() else q, x, slopes, code.determinant, bool(code.stable))

@@ -41,7 +41,8 @@ def solve_rest_batch(structure: Structure, numbers: Array, q: Array) -> tuple[Ar
 
     q (T, 2d + 2): a configuration for each. numbers: in the order of structure.NUMBERS. NaN where none is found.
     """
-    x, code = np.full(q.shape, np.nan), get_compiled_elastic(structure)
+    x = np.full(q.shape, np.nan)
+    code = get_compiled_elastic(structure)
     known = np.flatnonzero(np.isfinite(q).all(axis=1))
     if code is None:
         for row in known:
@@ -103,11 +104,12 @@ def follow_substeps(
     x0: its equilibrium in the first frame, None to let it settle. margins: whether stability is computed.
     solved_start: equilibria (k, 2d + 2) at the first places, k > 0, and the last state; None where none is known.
     """
-    equilibria, last = (
-        Equilibria(structure, numbers),
-        np.searchsorted(motion.frames, motion.frames, side="right") - 1,
-    )
-    x, snaps, at, state = np.full(places.shape, np.nan), list[Snap](), 0, None
+    equilibria = Equilibria(structure, numbers)
+    last = np.searchsorted(motion.frames, motion.frames, side="right") - 1
+    x = np.full(places.shape, np.nan)
+    snaps = list[Snap]()
+    at = 0
+    state = None
     if solved_start is not None:
         known, state = solved_start
         x[: len(known)], at = known, len(known) - 1

@@ -60,7 +60,8 @@ class ElasticWithHistory(Elastic):
         the way's.
         """
         # As many sub-steps to each configuration of the history as to the motion's last frame.
-        count, substeps = len(self.before), int((motion.frames == motion.frames[-1]).sum())
+        count = len(self.before)
+        substeps = int((motion.frames == motion.frames[-1]).sum())
         come = subdivide_motion(np.vstack([self.before, motion.q[:1]]), substeps)
         whole = MotionSubsteps(
             np.vstack([come.q, motion.q[1:]]),

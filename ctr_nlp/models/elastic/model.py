@@ -63,7 +63,8 @@ class Elastic(Model):
         tangents: bool = False,
     ) -> SymbolicShape:
         """The shape of one frame as symbols; arguments as in Model.frame."""
-        d, x = structure.d, ca.SX.sym("x", 2 * structure.d + 2)
+        d = structure.d
+        x = ca.SX.sym("x", 2 * structure.d + 2)
         entries = ca.vertsplit(x)
         beta = entries[d : 2 * d]
         parts = torsion.sections(tubes, beta, ca)
@@ -140,7 +141,9 @@ class Elastic(Model):
 
     def configuration(self, robot: Robot, x: Array) -> Array:
         """The configurations q (T, 2d + 2) of unknowns x (T, 2d + 2); alpha is explicit in x."""
-        tubes, columns, d = robot.tube_numbers, columns_of(x), robot.d
+        tubes = robot.tube_numbers
+        columns = columns_of(x)
+        d = robot.d
         twisted = torsion.twist(tubes, columns, torsion.sections(tubes, columns[d : 2 * d], np), np)
         return np.hstack([*torsion.motors(tubes, columns, twisted), *columns[d:]])
 
@@ -169,7 +172,9 @@ def _points(structure: Structure, numbers: Array, x: Array, sigma: Array) -> Arr
     """Points (T, n, 3) in mm of robots of numbers (T or 1, d, 8) at x (T, 2d + 2) and sigma (n,) or (T, n)."""
     if (code := get_compiled_elastic(structure)) is not None:
         return code.shapes(numbers.swapaxes(1, 2).reshape(len(numbers), -1), x, sigma)[0]
-    tubes, columns, d = tubes_of_batch(structure, numbers), columns_of(x), structure.d
+    tubes = tubes_of_batch(structure, numbers)
+    columns = columns_of(x)
+    d = structure.d
     parts = torsion.sections(tubes, columns[d : 2 * d], np)
     vectors = shape.curves(tubes, columns, parts, torsion.twist(tubes, columns, parts, np), np)
     directions, base = (
@@ -178,12 +183,15 @@ def _points(structure: Structure, numbers: Array, x: Array, sigma: Array) -> Arr
     )
     # Vectors (T, k, 3) in the robot's axes times these axes: one small product a shape, before samples
     # enter.
-    placed, points = directions @ base, np.empty((len(x), np.shape(sigma)[-1], 3))
+    placed = directions @ base
+    points = np.empty((len(x), np.shape(sigma)[-1], 3))
     for at in (
         slice(first, first + ELASTIC_SHAPES_PER_CHUNK) for first in range(0, len(x), ELASTIC_SHAPES_PER_CHUNK)
     ):
-        own, beta = numbers[at] if len(numbers) > 1 else numbers, columns_of(x[at, d : 2 * d])
-        tubes, s = tubes_of_batch(structure, own), (sigma[at] if np.ndim(sigma) > 1 else sigma) * beta[-1]
+        own = numbers[at] if len(numbers) > 1 else numbers
+        beta = columns_of(x[at, d : 2 * d])
+        tubes = tubes_of_batch(structure, own)
+        s = (sigma[at] if np.ndim(sigma) > 1 else sigma) * beta[-1]
         lengths, _ = shape.travels(tubes, beta, torsion.sections(tubes, beta, np), s, np)
         travelled = np.empty((len(s), len(lengths), s.shape[1]))
         for k, length in enumerate(lengths):

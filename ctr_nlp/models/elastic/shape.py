@@ -59,13 +59,15 @@ def curves(tubes: Tubes, x: Sequence[Any], parts: Sequence[RobotSection], twiste
     Of a plane section: where it bends to, and its tangent at the beginning. Of another: the coefficients of powers
     of the fraction of its length in the polynomial through the tangents at all nodes.
     """
-    beta, found = x[len(tubes) : 2 * len(tubes)], list[Vector]()
+    beta = x[len(tubes) : 2 * len(tubes)]
+    found = list[Vector]()
     axes: Axes = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
     for part, nodes in zip(parts, twisted.nodes, strict=True):
         if part.plane:
             # At most one active tube: the sum is its angle, or 0.
             psi = sum(nodes[0].angles[i] for i in part.active)
-            cos, sin = xp.cos(psi), xp.sin(psi)
+            cos = xp.cos(psi)
+            sin = xp.sin(psi)
             found += [combine_vectors(cos, axes[0], sin, axes[1]), axes[2]]
             angle = _arc(tubes, beta, part, part.length, xp).angle
             # The whole section is one turn, about the axis perpendicular to the direction in which it
@@ -94,7 +96,9 @@ def travels(
     steps: int = ELASTIC_STEPS_PER_SECTION,
 ) -> tuple[list[Any], list[Any]]:
     """Lengths along each vector of `curves` to arc lengths s, mm, and how much of each the tangent gains."""
-    lengths, turns, before = list[Any](), list[Any](), 0 * s
+    lengths = list[Any]()
+    turns = list[Any]()
+    before = 0 * s
     for part in parts:
         here = xp.fmin(s, part.start + part.length)
         if part.plane:
@@ -119,7 +123,8 @@ def turned_base(tubes: Tubes, x: Sequence[Any], xp: Any) -> Axes:
     """The axes of `curves` in the base frame: R of eq. (4), turned by phi_d about the insertion direction."""
     theta_x, theta_y = x[2 * len(tubes) :]
     d1, d2, t = base_frame(theta_x, theta_y, xp)
-    cos, sin = xp.cos(x[len(tubes) - 1]), xp.sin(x[len(tubes) - 1])
+    cos = xp.cos(x[len(tubes) - 1])
+    sin = xp.sin(x[len(tubes) - 1])
     return combine_vectors(cos, d1, sin, d2), combine_vectors(-sin, d1, cos, d2), t
 
 
@@ -128,13 +133,16 @@ def _arc(tubes: Tubes, beta: Sequence[Any], part: RobotSection, length: Any, xp:
     if not part.active:
         return Travel(0 * length, length, 0 * length)
     (i,) = part.active
-    tube, share = tubes[i], part.shares[i]
+    tube = tubes[i]
+    share = part.shares[i]
     # Straight tubes beside it share the bending: the curve has the tube's share of its pre-curvature.
     bent = tube._replace(root_curvature=share * tube.root_curvature, tip_curvature=share * tube.tip_curvature)
-    x_from, straight = beta[i] - part.start, 0.0
+    x_from = beta[i] - part.start
+    straight = 0.0
     x_to = x_from - length
     if tubes[i].transmission_emerges:
-        x_from, x_to = xp.fmin(x_from, tube.curved_length), xp.fmin(x_to, tube.curved_length)
+        x_from = xp.fmin(x_from, tube.curved_length)
+        x_to = xp.fmin(x_to, tube.curved_length)
         # Beyond the curved part, towards the root, the tube is straight; that part comes first.
         straight = length - (x_from - x_to)
     side, along, angle = planar(bent, x_from, x_to, xp)
@@ -143,7 +151,9 @@ def _arc(tubes: Tubes, beta: Sequence[Any], part: RobotSection, length: Any, xp:
 
 def _triads(axes: Axes, part: RobotSection, nodes: Sequence[Node], xp: Any) -> list[Axes]:
     """Bishop frames at a section's nodes, from those at its beginning, by Magnus' series to order 4."""
-    u, h, found = [bending(part, node, xp) for node in nodes], part.length / (len(nodes) - 1), [axes]
+    u = [bending(part, node, xp) for node in nodes]
+    h = part.length / (len(nodes) - 1)
+    found = [axes]
     # Three nodes at a time: both halves use the quadratic through the bending vectors at all three.
     for k in range(0, len(nodes) - 1, 2):
         a, b, c = u[k : k + 3]
@@ -170,7 +180,9 @@ def rotate_axes(axes: Axes, turn: Vector) -> Axes:
     x, y, z = turn
     # s = sin(a)/a and c = 2 (1 - cos(a))/a^2 by Horner's scheme in a^2: smooth at a = 0, where quotients
     # are not.
-    square, s, c = x * x + y * y + z * z, 1.0, 1.0
+    square = x * x + y * y + z * z
+    s = 1.0
+    c = 1.0
     for n in range(SERIES, 0, -1):
         s = 1 - square / (2 * n * (2 * n + 1)) * s
         c = 1 - square / ((2 * n + 1) * (2 * n + 2)) * c

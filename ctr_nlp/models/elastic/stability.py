@@ -140,7 +140,8 @@ def margins(tubes: Tubes, x: Array) -> Array:
     )
     if code is not None:
         return code.margins(numbers_of(tubes), x)
-    found, known = np.full(len(x), np.nan), np.asarray(np.isfinite(x).all(axis=1))
+    found = np.full(len(x), np.nan)
+    known = np.asarray(np.isfinite(x).all(axis=1))
     pairs = zip(energies(tubes, x), differences(tubes, x), strict=True)
     for row, (energy, angles) in enumerate(pairs):
         if known[row]:

@@ -88,7 +88,8 @@ def sections(tubes: Tubes, beta: Sequence[Any], xp: Any, planes: bool = True) ->
     planes: whether tubes that are alone bend in a plane, as without a load; then the last one, its straight part
     included, needs no division, unless it is a helix.
     """
-    d, found = len(tubes), list[RobotSection]()
+    d = len(tubes)
+    found = list[RobotSection]()
     divided = d - 1 if planes and tubes[-1].kind != "helix" else d
     # Where the curved part of each tube begins, mm from the base, if its straight part can show: 0 while
     # that is hidden.
@@ -97,7 +98,8 @@ def sections(tubes: Tubes, beta: Sequence[Any], xp: Any, planes: bool = True) ->
         for i, tube in enumerate(tubes)
     ]
     for i, (low, high) in enumerate(itertools.pairwise([0 * beta[0], *beta])):
-        present, edges = (0.0,) * i + (1.0,) * (d - i), [low, high]
+        present = (0.0,) * i + (1.0,) * (d - i)
+        edges = [low, high]
         for start in starts[i:] if i < divided else ():
             if start is not None:
                 # Clamped into every interval, so that there are as many sections wherever starts lie: some
@@ -136,7 +138,8 @@ def twist(
     """
     d = len(tubes)
     # Untwisted at the tips: psi' is the helix's own torsion, 0 for other tubes.
-    rates, nodes = [tube.spin for tube in tubes], list[list[Node]]()
+    rates = [tube.spin for tube in tubes]
+    nodes = list[list[Node]]()
     # All tubes start at the robot's tip, beta_d, as if each went on untwisted beyond its own tip: it then
     # arrives at beta_i with phi_i, and no case distinguishes sections with and without it.
     ahead = ((rate, x[2 * d - 1] - beta) for rate, beta in zip(rates, x[d : 2 * d], strict=True))
@@ -216,7 +219,8 @@ def _moments(tubes: Tubes, part: RobotSection, node: Node, xp: Any) -> list[Any]
     (x, y), found = bending(part, node, xp), [0.0] * len(tubes)
     for i in part.active:
         # torsional_ratio is EI / GJ = 1 + Poisson's ratio; u x e(psi) = u_x sin(psi) - u_y cos(psi).
-        psi, k = node.angles[i], tubes[i].torsional_ratio * node.curvatures[i]
+        psi = node.angles[i]
+        k = tubes[i].torsional_ratio * node.curvatures[i]
         found[i] = k * (x * xp.sin(psi) - y * xp.cos(psi))
     return found
 

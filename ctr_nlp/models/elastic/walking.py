@@ -26,18 +26,21 @@ class ElasticWalker(Walker):
 
     def __init__(self, structure: Structure, numbers: Array, q: Array) -> None:
         """Place a robot of numbers (d, 8) at rest at q (2d + 2,), all tubes turned there together from alpha_d."""
-        self._structure, self._numbers = structure, np.array(numbers)
+        self._structure = structure
+        self._numbers = np.array(numbers)
         self._equilibria = Equilibria(structure, self._numbers)
         self._set_state(self._equilibria.find_rest_state(np.array(q, dtype=float)), q)
 
     def _set_state(self, state: EquilibriumState | None, q: Array) -> None:
         """Be in a state at q; x is NaN for None."""
-        self._state, self.q = state, np.array(q, dtype=float)
+        self._state = state
+        self.q = np.array(q, dtype=float)
         self.x = np.full(len(q), np.nan) if state is None else state.x
 
     def move_to(self, q: Array) -> list[Array]:
         """Move linearly to q (2d + 2,); the tips' jumps (d,) rad, an entry for each snap."""
-        q, jumps = np.array(q, dtype=float), list[Array]()
+        q = np.array(q, dtype=float)
+        jumps = list[Array]()
         if self._state is not None:
             state, jumps = self._equilibria.follow_to_goal(self._state, q)
             self._set_state(state, q)
@@ -49,7 +52,9 @@ class ElasticWalker(Walker):
 
         x (2d + 2,): roughly where it will be; None for where it is.
         """
-        before, jumps, change = self._numbers, list[Array](), np.zeros(len(self.q))
+        before = self._numbers
+        jumps = list[Array]()
+        change = np.zeros(len(self.q))
         if x is not None and self._state is not None:
             change = x - self.x
         self._numbers = np.array(numbers)

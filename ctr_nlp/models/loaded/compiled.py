@@ -59,9 +59,13 @@ def symbolic(structure: Structure, kind: RodKind) -> ca.Function:
     """
     d = structure.d
     numbers = ca.SX.sym("numbers", d, len(TUBE_NUMBER_NAMES))
-    tip, beta = ca.SX.sym("tip", d + 9), ca.SX.sym("beta", d)
-    load, soft = ca.SX.sym("load", kind.numbers(structure)), ca.SX.sym("soft", 2)
-    tubes, entries, extensions = symbolic_tubes(structure, numbers), ca.vertsplit(tip), ca.vertsplit(beta)
+    tip = ca.SX.sym("tip", d + 9)
+    beta = ca.SX.sym("beta", d)
+    load = ca.SX.sym("load", kind.numbers(structure))
+    soft = ca.SX.sym("soft", 2)
+    tubes = symbolic_tubes(structure, numbers)
+    entries = ca.vertsplit(tip)
+    extensions = ca.vertsplit(beta)
     d1, d2, t = vectors(entries[d:])
     rod = integrate_rod(
         tubes,
@@ -82,7 +86,8 @@ def symbolic(structure: Structure, kind: RodKind) -> ca.Function:
     ends = ca.vertcat(*angles, *(entry for axis in rod.axes for entry in axis))
     responses = ca.horzcat(*(row for response in rod.responses for row in response)).T
     tangents = ca.vertcat(*(entry for nodes in rod.tangents for tangent in nodes for entry in tangent))
-    given, found = [ca.vertcat(tip, beta, load, soft), numbers], [ends, responses, tangents]
+    given = [ca.vertcat(tip, beta, load, soft), numbers]
+    found = [ends, responses, tangents]
     # cse: common subexpressions are computed once. Densified, since the compiled code takes plain arrays.
     return ca.Function("rod", given, [ca.densify(each) for each in found], {"cse": True})
 
@@ -109,7 +114,8 @@ class Rods:
 
     def __init__(self, structure: Structure, kind: RodKind) -> None:
         """Build."""
-        self.d, self.kind = structure.d, kind
+        self.d = structure.d
+        self.kind = kind
         # A gap between carriages is a limit of motors and does not change shapes: both structures share the code.
         self._which = replace(structure, gap=False), kind
         self.size = kind.numbers(structure)
@@ -125,7 +131,8 @@ class Rods:
         tips. beta (T, d): extensions, mm. load (T, size): numbers of the loads. soft (T, 2): softnesses of torsion
         and bending.
         """
-        rows, d = len(angles), self.d
+        rows = len(angles)
+        d = self.d
         given = np.hstack([angles, axes.reshape(rows, 9), beta, load, soft])
         # Column by column, as casadi stores the matrix (d, 8).
         of_tubes = numbers.swapaxes(1, 2).reshape(rows, len(TUBE_NUMBER_NAMES) * d)
@@ -142,7 +149,8 @@ class Rods:
 
     def _block(self, given: Array, of_tubes: Array) -> list[Array]:
         """Evaluate the function for at most ROD_ROWS_PER_CALL rows."""
-        rows, mapped = len(given), self._for(len(given))
+        rows = len(given)
+        mapped = self._for(len(given))
         padded = np.zeros_like(mapped.inputs[0])
         padded[:rows], mapped.inputs[1][:rows] = given, of_tubes
         if rows:  # the function's calls are for several robots; those that are too many are the last one's
@@ -153,7 +161,8 @@ class Rods:
         """Return the function mapped over at least so many rows, in few sizes; compiled once that was done."""
         # Still interpreted: it may have been compiled since the last call.
         if self._function.is_a("SXFunction"):
-            self._function, self._mapped = _fastest(*self._which), {}
+            self._function = _fastest(*self._which)
+            self._mapped = {}
         # Compiled code computes VECTOR_LANES rows side by side: multiples of these, and powers of 2 below.
         size = (
             -(-rows // VECTOR_LANES) * VECTOR_LANES if rows > VECTOR_LANES else 1 << max(rows - 1, 0).bit_length()

@@ -81,23 +81,29 @@ class Equations:
 
         steps: how many steps the place is away from the section's end towards the tip.
         """
-        d, h = len(self.tubes), -self.part.length * (share / self.steps)
+        d = len(self.tubes)
+        h = -self.part.length * (share / self.steps)
         here = self._here(steps / self.steps, h, y)
         (u1, u2), (d1, d2, t, _) = here.u, vectors(y[2 * d :])
         # psi_i'' = (EI_i k_i / GJ_i) (u x e(psi_i)), and u x e = u_1 sin psi - u_2 cos psi. h is in u already.
         turns = [
             here.twist[i] * (u1 * here.sin[i] - u2 * here.cos[i]) if i in here.twist else 0.0 for i in range(d)
         ]
-        rates, bends = [h * rate for rate in y[d : 2 * d]], plus(scale_vector(u1, d1), u2, d2)
+        rates = [h * rate for rate in y[d : 2 * d]]
+        bends = plus(scale_vector(u1, d1), u2, d2)
         found = [*rates, *turns, *scale_vector(-u1, t), *scale_vector(-u2, t), *bends, *cross(here.n, t)]
         return found, self._changes_of_responses(here, h, y, by) if by else []
 
     def _here(self, fraction: float, h: Any, y: Values) -> _Here:
-        d, part, active, xp = len(self.tubes), self.part, self.part.active, self.xp
+        d = len(self.tubes)
+        part = self.part
+        active = self.part.active
+        xp = self.xp
         s = part.start + part.length * (1 - fraction)
         # Only the extensions count for curvatures: zeros stand in for the unknowns before them.
         k = curvatures_at(self.tubes, [0.0] * d + list(self.beta), part, s)
-        sin, cos = {i: xp.sin(y[i]) for i in active}, {i: xp.cos(y[i]) for i in active}
+        sin = {i: xp.sin(y[i]) for i in active}
+        cos = {i: xp.cos(y[i]) for i in active}
         pull = {i: h * part.shares[i] * k[i] for i in active}
         twist = {i: self.tubes[i].torsional_ratio * k[i] for i in active}
         # The innermost tube is present everywhere: its share EI_d / sum EI over EI_d is 1 / sum EI.
@@ -115,13 +121,13 @@ class Equations:
         d, (u1, u2), (d1, d2, t, _) = len(self.tubes), here.u, vectors(y[2 * len(self.tubes) :])
         dpsi, drates, ((a, b, c), dm, dn) = by[:d], by[d : 2 * d], vectors(by[2 * d :])
         # A softer rod bends more for the same moments: all that bends is multiplied, and so is what twists below.
-        soft, sin, cos = self.soft.bending, here.sin, here.cos
+        soft = self.soft.bending
+        sin = here.sin
+        cos = here.cos
         soft1, soft2 = (scale_vector(soft * here.flexible, axis) for axis in (d1, d2))
         about1, about2, about3 = (soft * each for each in here.about)
-        pull, twist = (
-            {i: soft * k for i, k in here.pull.items()},
-            {i: self.soft.torsion * k for i, k in here.twist.items()},
-        )
+        pull = {i: soft * k for i, k in here.pull.items()}
+        twist = {i: self.soft.torsion * k for i, k in here.twist.items()}
         # Derivatives of u_1 and u_2 in the turned axes: by dm, by the turns (a, b, c) of the axes in which m is
         # told, and by dpsi.
         du1 = dot(dm, soft2) - c * about1 + a * about3 - sum(pull[i] * sin[i] * dpsi[i] for i in pull)

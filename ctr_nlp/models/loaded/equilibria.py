@@ -98,14 +98,16 @@ class LoadedEquilibria:
 
     def __init__(self, structure: Structure, kind: RodKind = TIP_FORCE_ROD_KIND) -> None:
         """Build."""
-        self.d, self.rods = structure.d, Rods(structure, kind)
+        self.d = structure.d
+        self.rods = Rods(structure, kind)
 
     def solve_unloaded(self, numbers: Array, q: Array, tips: Array) -> States:
         """Return the equilibria without a load of robots of numbers (T, d, 8) at q (T, 2d + 2).
 
         tips (T, d): approximate angles of the tubes at their tips, rad; only their differences count.
         """
-        placed, every = self.place_unloaded_tips(numbers, q, tips), np.ones(len(q), dtype=bool)
+        placed = self.place_unloaded_tips(numbers, q, tips)
+        every = np.ones(len(q), dtype=bool)
         return self._solve_newton(numbers, q, self._no_load(len(q)), *placed, every)[0]
 
     def place_unloaded_tips(self, numbers: Array, q: Array, tips: Array) -> tuple[Array, Array]:
@@ -115,14 +117,17 @@ class LoadedEquilibria:
         numbers (T, d, 8): of the tubes. tips (T, d): angles of the tubes at their tips, rad; only their
         differences count. The other motors are where the tips have them, which need not be at q.
         """
-        rows, d = len(q), self.d
-        axes, angles = np.tile(np.eye(3), (rows, 1, 1)), tips - tips[:, -1:]
+        rows = len(q)
+        d = self.d
+        axes = np.tile(np.eye(3), (rows, 1, 1))
+        angles = tips - tips[:, -1:]
         ends = self.ends(numbers, angles, axes, q, self._no_load(rows))
         # Integrated from a tip that points along z: without a load the whole robot may then be turned, about its
         # base's tangent until the innermost motor is at alpha_d, and with its base into the tilt.
         spin = q[:, d - 1] - ends.angles[:, -1]
         base = base_axes(q[:, 2 * d :])
-        cos, sin = np.cos(spin)[:, None], np.sin(spin)[:, None]
+        cos = np.cos(spin)[:, None]
+        sin = np.sin(spin)[:, None]
         spun = np.stack(
             [cos * base[:, 0] + sin * base[:, 1], cos * base[:, 1] - sin * base[:, 0], base[:, 2]], axis=1
         )
@@ -144,7 +149,8 @@ class LoadedEquilibria:
         largest and smallest part of the way in a step. numbers (T, d, 8): of the tubes at the end of the way; None
         for those of the states.
         """
-        start, done = states, np.zeros(len(q))
+        start = states
+        done = np.zeros(len(q))
         tubes = np.zeros(start.numbers.shape) if numbers is None else numbers - start.numbers
         part = np.full(len(q), min(1.0, most))
         while True:
@@ -159,7 +165,8 @@ class LoadedEquilibria:
                 numbers=start.numbers[active] + ahead[:, None, None] * tubes[active]
             )
             new, there = self._step(here, goal, pull)
-            gone, stopped = active[there], active[~there]
+            gone = active[there]
+            stopped = active[~there]
             states = states.replace_rows(gone, new.rows(there))
             done[gone] += part[gone]
             # Parts are summed up: rounding must not leave a last step of 1e-16.
@@ -222,8 +229,13 @@ class LoadedEquilibria:
         """Find equilibria from tips by Newton's method, in the rows that are wanted; return them, and for which
         rows it converged.
         """
-        angles, axes, rows, side = angles.copy(), axes.copy(), len(q), self.d + 2
-        slopes, found, going = np.tile(np.eye(side), (rows, 1, 1)), np.zeros(rows, dtype=bool), wanted.copy()
+        angles = angles.copy()
+        axes = axes.copy()
+        rows = len(q)
+        side = self.d + 2
+        slopes = np.tile(np.eye(side), (rows, 1, 1))
+        found = np.zeros(rows, dtype=bool)
+        going = wanted.copy()
         most = np.full(rows, MAX_LOADED_NEWTON_TURN_RAD)
         for _ in range(MAX_LOADED_NEWTON_STEPS):
             at = np.flatnonzero(going)

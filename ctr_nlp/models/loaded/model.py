@@ -343,7 +343,8 @@ class Loaded(Model):
         (T,) array
             Margins. NaN where x is NaN, and everywhere under a load that has no energy.
         """
-        found, known = np.full(len(x), np.nan), np.isfinite(x).all(axis=1)
+        found = np.full(len(x), np.nan)
+        known = np.isfinite(x).all(axis=1)
         # A moment, or a force that turns with the tool, does work that depends on the way: there is no energy, and
         # so no second variation from which a margin could be told.
         if self.load.conservative and known.any():
@@ -467,7 +468,8 @@ class Loaded(Model):
             last equilibrium that was found on it.
         """
         # Row by row, not along the motion: every frame is loaded by itself, from its own unloaded equilibrium.
-        equilibria, of_robot = self._equilibria(robot), np.repeat(robot.numbers[None], len(q), axis=0)
+        equilibria = self._equilibria(robot)
+        of_robot = np.repeat(robot.numbers[None], len(q), axis=0)
         free = equilibria.solve_unloaded(of_robot, q, angles)
         return equilibria.follow_branches(free, q, self._loads_over_frames(robot.d, len(q)))[0].unknowns
 
@@ -716,13 +718,17 @@ def curves(
     points, tangents : (T, n, 3) array
         In mm, and unit vectors; in the robots' base frames.
     """
-    d, rows = structure.d, len(x)
+    d = structure.d
+    rows = len(x)
     of_robots = np.broadcast_to(numbers, (rows, *numbers.shape[1:]))
-    beta, load = x[:, d : 2 * d], np.broadcast_to(acting, (rows, acting.shape[1]))
+    beta = x[:, d : 2 * d]
+    load = np.broadcast_to(acting, (rows, acting.shape[1]))
     ends = Rods(structure, kind)(of_robots, *tips(x, d), beta, load, np.ones((rows, 2)))
     # Powers of one polynomial through all of a section's nodes, which are evenly spaced, would swing between them
     # (Runge's phenomenon); of PIECE steps they do not.
-    tubes, out, steps = tubes_of_batch(structure, numbers), columns_of(beta), min(kind.steps, PIECE)
+    tubes = tubes_of_batch(structure, numbers)
+    out = columns_of(beta)
+    steps = min(kind.steps, PIECE)
     curved = [
         vector
         for nodes in np.moveaxis(ends.tangents, 0, 2)
@@ -735,7 +741,8 @@ def curves(
     lengths, turns = shape.travels(tubes, out, pieces, sigma * out[-1], np, steps // 2)
     like = np.zeros((rows, np.shape(sigma)[-1]))
     base = _vector(ends.axes[:, 2])  # the tangent at the opening, from which all further ones are told
-    points, tangents = combination(lengths, curved), combination([1.0, *turns], [base, *curved])
+    points = combination(lengths, curved)
+    tangents = combination([1.0, *turns], [base, *curved])
     return _stack_components(points, like), _stack_components(tangents, like)
 
 

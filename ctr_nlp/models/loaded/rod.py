@@ -67,7 +67,8 @@ class Rod(NamedTuple):
 
         tubes, beta, parts: those that the rod was integrated with.
         """
-        found, d = list[list[Node]](), len(tubes)
+        found = list[list[Node]]()
+        d = len(tubes)
         for part, states in zip(parts, self.states, strict=True):
             flexible = part.shares[-1] / tubes[-1].bending_stiffness
             found.append([])
@@ -101,8 +102,11 @@ def integrate_rod(
     LoadError of a helix.
     """
     check_kinds([tube.kind for tube in tubes])
-    d, force, axial = len(tubes), load.force, load.tool_moment[2]
-    moment, twistable = scale_vector(axial, tip.axes[2]), tubes[-1].torsional_ratio / tubes[-1].bending_stiffness
+    d = len(tubes)
+    force = load.force
+    axial = load.tool_moment[2]
+    moment = scale_vector(axial, tip.axes[2])
+    twistable = tubes[-1].torsional_ratio / tubes[-1].bending_stiffness
     if kind.follows:
         force = plus(force, 1.0, _tool_to_base(tip, load.tool_force, xp))
     if kind.bends:
@@ -113,7 +117,8 @@ def integrate_rod(
     rates = [*[0.0 * tip.angles[0]] * (d - 1), axial * twistable]
     y: Values = [*tip.angles, *rates, *(entry for axis in tip.axes for entry in axis), *moment]
     by = [] if soft is None else _changes(tip, load, kind, twistable, xp)
-    states, responses = [], list[list[Any]]()
+    states = []
+    responses = list[list[Any]]()
     along = DistributedForce(load.distributed, load.between, beta[-1], xp) if kind.distributed else None
     # From tip to base: force and moment are known at the tip.
     for k, part in reversed(list(enumerate(parts))):
@@ -179,9 +184,12 @@ def _changes(tip: Tip, load: Loading, kind: RodKind, twistable: Any, xp: Any) ->
     # the axial moment is along t.
     turned = plus(scale_vector(b, d1), -1.0 * a, d2)
     about = plus(plus(scale_vector(a, d1), b, d2), angles[-1], t)
-    moment, force, axial = scale_vector(load.tool_moment[2], turned), (none, none, none), none
+    moment = scale_vector(load.tool_moment[2], turned)
+    force = (none, none, none)
+    axial = none
     if kind.bends:
-        moment, axial = cross(about, _tool_to_base(tip, load.tool_moment, xp)), dot(load.moment, turned)
+        moment = cross(about, _tool_to_base(tip, load.tool_moment, xp))
+        axial = dot(load.moment, turned)
     if kind.follows:
         force = cross(about, _tool_to_base(tip, load.tool_force, xp))
     return [*angles, *[none] * (d - 1), axial * twistable, a, b, none, *moment, *force]
@@ -216,5 +224,6 @@ def _tool_to_base(tip: Tip, vector: Vector, xp: Any) -> Vector:
     innermost tube.
     """
     cos, sin, (d1, d2, t) = xp.cos(tip.angles[-1]), xp.sin(tip.angles[-1]), tip.axes
-    x, y = cos * vector[0] - sin * vector[1], sin * vector[0] + cos * vector[1]
+    x = cos * vector[0] - sin * vector[1]
+    y = sin * vector[0] + cos * vector[1]
     return plus(plus(scale_vector(x, d1), y, d2), vector[2], t)

@@ -141,7 +141,8 @@ class RodKind(NamedTuple):
 
     def numbers(self, structure: Structure) -> int:
         """How many numbers a load has: of loads.Load.numbers, and then three of every piece, N/mm, if any."""
-        d, shown = structure.d, structure.transmission_emerges
+        d = structure.d
+        shown = structure.transmission_emerges
         # Sections lie between neighbouring tips; each is divided once more for every tube present whose straight
         # part may show (torsion.sections).
         parts = sum(1 + sum(shown[i:]) for i in range(d))

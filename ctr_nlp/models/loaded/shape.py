@@ -43,9 +43,11 @@ def build_loaded_shape(
     lengths of samples, mm, for extensions. margin: least stability margin, None for none. tangents: whether these
     are wanted at samples. tilted: whether theta is an unknown beside x.
     """
-    d, x = structure.d, ca.SX.sym("x", 2 * structure.d + 2)
+    d = structure.d
+    x = ca.SX.sym("x", 2 * structure.d + 2)
     entries = ca.vertsplit(x)
-    beta, w = entries[d : 2 * d], entries[2 * d :]
+    beta = entries[d : 2 * d]
+    w = entries[2 * d :]
     # phi_i is relative to phi_d, w is the rotation vector of the tip's frame, which does not spin about its
     # tangent.
     tip = Tip(

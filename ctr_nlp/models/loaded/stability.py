@@ -45,8 +45,10 @@ def margins(equilibria: LoadedEquilibria, states: States, bending: bool = False)
     stable = held(np.zeros(len(every)), every) > 0
     # The sign at margin 0 tells on which side of it the root lies: in [0, MAX_COMPUTED_MARGIN] of a stable robot,
     # below 0 otherwise.
-    low, high = np.where(stable, 0.0, -1.0), np.where(stable, MAX_COMPUTED_MARGIN, 0.0)
-    falling, rising = every[~stable], every[stable]
+    low = np.where(stable, 0.0, -1.0)
+    high = np.where(stable, MAX_COMPUTED_MARGIN, 0.0)
+    falling = every[~stable]
+    rising = every[stable]
     # Brackets double away from 1: 1 - mu, by which torsion is stiffened, goes 2, 4, 8, ...
     while len(falling):
         falling = falling[(held(low[falling], falling) <= 0) & (low[falling] > MIN_REPORTED_MARGIN)]
@@ -69,14 +71,16 @@ def least_margins(equilibria: LoadedEquilibria, states: States, groups: Index, k
     at: all are tested at that margin in one batch, and of each group the one whose last pivot is least, which is
     likely to have the least margin, is solved for.
     """
-    least, left = known.copy(), np.arange(len(groups))
+    least = known.copy()
+    left = np.arange(len(groups))
     while True:
         # One integration of the rod tells whether a state's margin is above a given one; finding the margin takes
         # several.
         at = np.clip(least[groups[left]], MIN_REPORTED_MARGIN, MAX_COMPUTED_MARGIN)
         found = _pivots_at(equilibria, states.rows(left), at, False)
         lower = ~_positive(found)
-        left, last = left[lower], found[lower, -1].min(axis=1)
+        left = left[lower]
+        last = found[lower, -1].min(axis=1)
         if not len(left):
             return least
         ranked = left[np.lexsort((last, groups[left]))]
@@ -105,7 +109,8 @@ def pivots(responses: Array) -> Array:
 
     NaN where responses are not finite. Exchanges would make signs of pivots meaningless.
     """
-    left, found = responses.copy(), np.empty(responses.shape[:3])
+    left = responses.copy()
+    found = np.empty(responses.shape[:3])
     with np.errstate(all="ignore"):
         for k in range(responses.shape[2]):
             found[..., k] = left[..., k, k]

@@ -52,7 +52,8 @@ def unknowns(angles: Array, axes: Array, q: Array) -> Array:
     factor = np.arctan2(sine, t[:, 2]) / np.maximum(sine, 1e-300)
     w = np.where(sine[:, None] > 0, factor[:, None] * np.stack([-t[:, 1], t[:, 0]], axis=1), 0.0)
     made = _frames(w)
-    cos, sin = (axes[:, 0] * made[:, 0]).sum(axis=1), (axes[:, 0] * made[:, 1]).sum(axis=1)
+    cos = (axes[:, 0] * made[:, 0]).sum(axis=1)
+    sin = (axes[:, 0] * made[:, 1]).sum(axis=1)
     d = angles.shape[1]
     # The angle by which the given frame is spun from the one that w makes is added to the innermost angle; the
     # others are relative to it.

@@ -305,7 +305,8 @@ class Load:
 
     def __str__(self) -> str:
         """Describe the load in words, as tables and verdicts print it."""
-        told, tool = [], " in the tool's axes" * (self.axes == "tool")
+        told = []
+        tool = " in the tool's axes" * (self.axes == "tool")
         if any(self.force):
             x, y, z = self.force
             told.append(f"a tip force of ({x:g}, {y:g}, {z:g}) N{tool}")

@@ -100,7 +100,8 @@ class DesignedTubes:
             "curvature" if len(columns) > 1 else TUBE_NUMBER_NAMES[columns[0]] for _, columns in self._curvatures
         )
         curvatures = [f"{kind}_{i + 1}" for kind, (i, _) in zip(kinds, self._curvatures, strict=True)]
-        tubes, ends = range(1, self.robot.d + 1), ("outer_diameter", "inner_diameter")
+        tubes = range(1, self.robot.d + 1)
+        ends = ("outer_diameter", "inner_diameter")
         return (
             *curvatures,
             *(f"curved_length_{i}" for i in tubes),
@@ -140,10 +141,8 @@ class DesignedTubes:
             bent = (own[0], own[-1]) if own else 0.0
             if len(own) == 2 and own[0] == own[1]:  # the same kind of part, though it happens to be an arc
                 bent = (own[0], own[1] * (1 + MIN_RELATIVE_CURVATURE_CHANGE))
-            curved, straight = (
-                round(DESIGN_LENGTH_UNIT_MM * float(lengths[i]), RULE_VALUE_DECIMALS),
-                float(self._transmissions[i]),
-            )
+            curved = round(DESIGN_LENGTH_UNIT_MM * float(lengths[i]), RULE_VALUE_DECIMALS)
+            straight = float(self._transmissions[i])
             whole = straight + curved
             tubes.append(Tube(whole, curved, bent, outer, inner, tube.poisson_ratio, tube.youngs_modulus))
         # Limits of beta follow from the new lengths.
@@ -152,7 +151,8 @@ class DesignedTubes:
 
     def _split(self, p: Any) -> tuple[Any, Any, Any]:
         """Curvatures (c,), lengths (d,) and diameters (d, 2) of p, in its units."""
-        count, d = len(self._curvatures), self.robot.d
+        count = len(self._curvatures)
+        d = self.robot.d
         diameters = p[count + d :]
         # CasADi fills columns first, numpy rows: p has outer and inner diameter of one tube next to each
         # other.
@@ -162,7 +162,8 @@ class DesignedTubes:
     @cached_property
     def box(self) -> tuple[Array, Array]:
         """Lower and upper bounds (P,) of p."""
-        count, d = len(self._curvatures), self.robot.d
+        count = len(self._curvatures)
+        d = self.robot.d
         lower = np.full(len(self.names), self.rules.channel)
         upper = np.full(len(self.names), self.rules.outer)
         # Curvatures are positive, since a negative one is the same tube turned by pi; a root's may have the
@@ -189,13 +190,15 @@ class DesignedTubes:
         """
         p = ca.SX.sym("p", len(self.names))
         curvatures, lengths, diameters = self._split(p)
-        curvatures, lengths = curvatures / DESIGN_LENGTH_UNIT_MM, lengths * DESIGN_LENGTH_UNIT_MM
+        curvatures = curvatures / DESIGN_LENGTH_UNIT_MM
+        lengths = lengths * DESIGN_LENGTH_UNIT_MM
         outer, inner = ca.horzsplit(diameters)
         whole = lengths + ca.DM(self._transmissions)
         moduli = ca.DM([tube.youngs_modulus for tube in self.robot.tubes])
         # Second moment of area of a ring.
         stiffness = moduli * (math.pi / 64) * (outer**4 - inner**4)
-        near, pull = ca.SX.sym("near", p.numel()), ca.SX.sym("pull")
+        near = ca.SX.sym("near", p.numel())
+        pull = ca.SX.sym("pull")
         areas = (math.pi / 4) * (outer**2 - inner**2)
         # In the order of DESIGN_NUMBER_NAMES, which frames take them in.
         given = ca.vertcat(curvatures, stiffness, lengths, whole, *[areas] * self.weighs)
@@ -217,7 +220,9 @@ class DesignedTubes:
         self, curvatures: ca.SX, stiffness: ca.SX, lengths: ca.SX, outer: ca.SX, inner: ca.SX
     ) -> list[tuple[str, ca.SX, float, float]]:
         """Rules of manufacture: name, value, and lower and upper bound, each."""
-        rules, d, gap = self.rules, self.robot.d, self.robot.carriage_gap or 0.0
+        rules = self.rules
+        d = self.robot.d
+        gap = self.robot.carriage_gap or 0.0
         found = [
             (
                 f"strain of tube {i + 1} when made{_end_text(columns)}",
@@ -273,7 +278,8 @@ class DesignedTubes:
         """The rules' values and bounds at p."""
         parameters = self.program.pack({"near": p, "pull": 0.0})
         g = self.program.functions.value(p, parameters)[1].full().ravel()
-        found, at = list[RuleValue](), 0
+        found = list[RuleValue]()
+        at = 0
         for constraint in self.program.constraints:
             size = constraint.value.numel()
             if constraint.name != "freed":

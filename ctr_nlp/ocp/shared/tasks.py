@@ -23,7 +23,8 @@ from ctr_nlp.ocp.terms.term import Body, Parts, Symbols, Term
 def join_task_motions(motions: Sequence[SharedMotion], common: CommonUnknowns) -> SharedMotion:
     """Join motions of the same scenarios, each of a task of its own, as one with common unknowns."""
     sizes = [motion.lower.size for motion in motions]
-    begins, frames = np.cumsum([0, *sizes]), np.cumsum([0, *(len(motion.lower) for motion in motions)])
+    begins = np.cumsum([0, *sizes])
+    frames = np.cumsum([0, *(len(motion.lower) for motion in motions)])
     # Each task's links move behind the unknowns and frames of the tasks before it.
     links = [
         _shift_link(link, int(begin), sum(sizes), int(frame))
@@ -48,7 +49,8 @@ class CurvedPartLimit(Term):
     def build(self, body: Body, parameters: Symbols) -> Parts:
         """curved_length_i - beta_i >= 0, mm."""
         room = ca.vertcat(*(tube.curved_length - beta for tube, beta in zip(body.tubes, body.beta, strict=True)))
-        least, most = np.zeros(len(body.tubes)), np.full(len(body.tubes), np.inf)
+        least = np.zeros(len(body.tubes))
+        most = np.full(len(body.tubes), np.inf)
         return Parts(constraints=(Constraint(self.name, room, least, most),))
 
 

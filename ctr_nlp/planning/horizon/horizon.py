@@ -142,7 +142,8 @@ class Horizon:
             search = replace(
                 self._search, weight=weight, jobs=jobs, progress=progress, seen=callback, stop=interrupted
             )
-            wall, free = None, None
+            wall = None
+            free = None
             attempts: Sequence[SolvedStart] = []
             # Motions that the user chose are all solved to the end; those of the search's own only as far as they
             # promise something.
@@ -233,11 +234,14 @@ class Horizon:
         """The best attempt as a plan; without any, the motion (T, n) to start from, not solved."""
         frames = self.problem.frames
         unknown = np.full(frames, np.nan)
-        solved, kkt = False, unknown
+        solved = False
+        kkt = unknown
         why = {"all": "interrupted before the horizon was begun"}
         if attempts:
             best = best_solved_start(attempts)
-            found, solved, why = best.solution, best.solution.success, describe_failures(chain, best)
+            found = best.solution
+            solved = best.solution.success
+            why = describe_failures(chain, best)
             motion = best.motion
             # Multipliers of a point that is no solution say nothing: its KKT residual is left unknown.
             if solved:

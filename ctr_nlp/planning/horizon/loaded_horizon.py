@@ -84,7 +84,9 @@ class LoadedHorizon:
         model.check(problem.robot)
         begin = time.perf_counter()
         asked = solver, start, end
-        self.problem, self._model, self._settings = problem, model, settings
+        self.problem = problem
+        self._model = model
+        self._settings = settings
         self._terms = with_arrival(checked_terms(terms), settings, model)
         wall = make_wall(problem.robot, problem.sampled_lumen, model, settings)
         # The program of the one scenario is built without the wall. A motion that it finds is solved again within
@@ -111,7 +113,8 @@ class LoadedHorizon:
     ) -> Plan:
         """Search for the best motion and return its plan; arguments as in :func:`solve_horizon`."""
         check_search(motion_weight, starts, jobs)
-        without, given = self._without, checked_motions(self.problem, initial)
+        without = self._without
+        given = checked_motions(self.problem, initial)
         with deferred_interrupt() as interrupted:
             begin = time.perf_counter()
             first = without.motions(given, progress)[0]
@@ -150,7 +153,8 @@ class LoadedHorizon:
 
         first (T, n): unknowns of the motion with no more margin than asked, which is known already.
         """
-        asked, without = self._settings.stability_margin, self._without
+        asked = self._settings.stability_margin
+        without = self._without
         for more in EXTRA_START_MARGINS:
             if more == 0.0:
                 yield without.configurations(first)
@@ -209,7 +213,8 @@ class LoadedHorizon:
         first: the motion as solved. weight: lambda in s^2. most: objective, mm^2, above which it is given up. None
         where the robot does not make the motion.
         """
-        d, margin = self.problem.robot.d, self._settings.stability_margin
+        d = self.problem.robot.d
+        margin = self._settings.stability_margin
 
         def find_shortfall(found: SharedSolution) -> MarginShortfall:
             return find_margin_shortfall(self._simulator(found.q), found.x, margin, d)
@@ -222,7 +227,8 @@ class LoadedHorizon:
 
     def _motion(self, weight: float, margins: Array | None) -> SharedMotion:
         """Build the program of the one robot; weight: lambda in s^2; margins (T,): of each frame, or None."""
-        problem, robot = self.problem, self.problem.robot
+        problem = self.problem
+        robot = self.problem.robot
         # One scenario: the robot itself, without differences of its motors' zeros, and with all the weight.
         alone = Scenarios(robot.numbers[None], np.zeros((1, robot.d)), np.ones(1))
         at = robot, problem.target_frames, problem.dt, weight, self._without.ends, self._model, alone
@@ -232,7 +238,8 @@ class LoadedHorizon:
         """Solve under the load from a motion q (T, 2d + 2) without it; the load is raised in every frame by
         itself.
         """
-        robot, model = self.problem.robot, self._model
+        robot = self.problem.robot
+        model = self._model
         tips = tip_angles(KINEMATIC_MODELS[model.name].follow(robot, q).x, robot.d)
         # Raised frame by frame, the load needs no history between frames. Where the unloaded robot has no known
         # equilibrium, tips at their motors' angles are the guess.
@@ -252,17 +259,21 @@ class LoadedHorizon:
 
         weight: lambda in s^2. meta: of the plan.
         """
-        frames, unknown = self.problem.frames, np.full(self.problem.frames, np.nan)
+        frames = self.problem.frames
+        unknown = np.full(self.problem.frames, np.nan)
         if found is None:
             why = {"all": "interrupted before the load was looked at"}
             known: dict[str, Any] = {"objective": unknown, "kkt": unknown}
-            solved, planned = False, None
+            solved = False
+            planned = None
         else:
             condensed = Condensed(self._motion(weight, self._margins))
             condensed.update_local_parameters(found.q, found.phi)
             known = {"objective": condensed.by_frame(found.q, found.phi), "kkt": np.full(frames, found.kkt)}
             why = {} if found.success else {"all": f"{found.status}, KKT residual {found.kkt:.1e}"}
-            q, solved, planned = found.q, found.success, found.x
+            q = found.q
+            solved = found.success
+            planned = found.x
         return plan_from_configurations(
             self.problem,
             q,

@@ -62,7 +62,8 @@ def solve_starts_in_processes(
     callback: called with the result of each start that is the best so far. After Ctrl-C some results may be
     missing.
     """
-    found, best = dict[int, SolvedStart](), None
+    found = dict[int, SolvedStart]()
+    best = None
     for number, one in run_in_parallel(task.solve, motions, min(jobs, len(motions))):
         found[number] = one
         if progress is not None:

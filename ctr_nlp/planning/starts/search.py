@@ -118,7 +118,8 @@ class Search:
         """Solve from all motions near a wall, or far from any where it is None; on models with several equilibria,
         keep the best result whose motion the simulated robot makes.
         """
-        chain, count = self.chain_for_wall(wall), len(motions)
+        chain = self.chain_for_wall(wall)
+        count = len(motions)
         found = list[SolvedStart]()
         if self.jobs > 1 and count > 1:
             own = self.solver, self.simulator.model, self.settings.stability_margin, wall, self.terms
@@ -143,7 +144,8 @@ class Search:
         picked = pick_draft_frames(self.problem.frames)
         if len(picked) == self.problem.frames:
             return self.solve_from_motions(motions)
-        drafts, chain = self._drafts(motions, picked), self.chain_for_wall(None)
+        drafts = self._drafts(motions, picked)
+        chain = self.chain_for_wall(None)
         found = list[SolvedStart]()
         for draft in drafts[:MAX_REFINED_DRAFTS]:
             # The best draft is always refined; later ones only while they are near to it.
@@ -192,23 +194,23 @@ class Search:
             )
             if not one.solution.success:
                 break
-            motion, picked = one.motion, finer
+            motion = one.motion
+            picked = finer
         return interpolate_frames(motion, picked, frames)
 
     def _draft_chain(self, picked: Index) -> Chain:
         """Build the chain of picked frames, evenly apart, far from any wall."""
         # With the time between picked frames as dt, limits of speed mean what they do over all frames.
-        frames, dt = (
-            [self.problem.target_frames[k] for k in picked],
-            self.problem.dt * int(picked[-1] - picked[-2]),
-        )
+        frames = [self.problem.target_frames[k] for k in picked]
+        dt = self.problem.dt * int(picked[-1] - picked[-2])
         at = self.problem.robot, frames, dt, self.weight, self.ends, self.simulator.model
         return horizon(*at, fastest_functions, self.settings.stability_margin, extra=self.terms)
 
     def _drafts(self, motions: Sequence[Array], picked: Index) -> list[SolvedStart]:
         """Solve the motions that promise most on picked frames; return distinct solutions, best first."""
         # Motions are compared on the draft's own frames, before any is solved.
-        chain, found = self._draft_chain(picked), list[SolvedStart]()
+        chain = self._draft_chain(picked)
+        found = list[SolvedStart]()
         thinner = [motion[picked] for motion in motions]
         objectives = [chain.evaluate(chain.linearise_at(motion)[1])[0] for motion in thinner]
         far = (1 + MAX_PROMISING_MOTION_EXCESS) * min(objectives)
@@ -243,7 +245,8 @@ class Search:
         # With one equilibrium for each q the robot makes every motion.
         if not self.simulator.model.several_equilibria or self.stop():
             return attempts
-        margin, solver = self.settings.stability_margin, CHAIN_SOLVERS[self.solver]
+        margin = self.settings.stability_margin
+        solver = CHAIN_SOLVERS[self.solver]
         return select_realisable_starts(self.simulator, chain, solver, attempts, margin, self.stop)
 
 

@@ -26,7 +26,8 @@ class ShapeLoss:
 
     def __init__(self, torch: Any, robot: Robot, model: Model, count: int) -> None:
         """Prepare the loss of `count` shapes at a time; `torch` is the module."""
-        self._torch, self._robot = torch, robot
+        self._torch = torch
+        self._robot = robot
         self._distances = _differentiable(torch, BatchEvaluator(build_shape_distance(robot, model), count))
         self._unknowns = torch.tensor(model.guess(robot, np.eye(2 * robot.d + 2)))  # a guess is linear in q
 
@@ -35,7 +36,8 @@ class ShapeLoss:
 
         Extensions are brought within limits before the model sees them, and their gradient passes unchanged.
         """
-        torch, d = self._torch, self._robot.d
+        torch = self._torch
+        d = self._robot.d
         cos, sin, parts = output.double().split([d, d, d - 1], dim=1)
         length = torch.from_numpy(shapes.length)[:, None]
         beta = torch.cat([parts * length, length], dim=1)
@@ -49,7 +51,8 @@ class ShapeLoss:
 
 def build_shape_distance(robot: Robot, model: Model) -> ca.Function:
     """Build (x (2d + 2,), points (60,)) -> RMS distance of the shape at x in mm, and its gradient over x."""
-    x, points = ca.SX.sym("x", 2 * robot.d + 2), ca.SX.sym("points", 3 * len(NETWORK_INPUT_SIGMA))
+    x = ca.SX.sym("x", 2 * robot.d + 2)
+    points = ca.SX.sym("points", 3 * len(NETWORK_INPUT_SIGMA))
     found = build_sample_function(model, robot.structure, len(NETWORK_INPUT_SIGMA))(
         x, NETWORK_INPUT_SIGMA, robot.numbers, []
     )[0]

@@ -41,7 +41,8 @@ def s2j(problem: Problem, motion_weight: float, model: str = "dominant", project
     OptionError, which says how to train a network, where none is known for the problem's robot.
     """
     del motion_weight
-    robot, on = problem.robot, KINEMATIC_MODELS[model]
+    robot = problem.robot
+    on = KINEMATIC_MODELS[model]
     network = load_trained_network(robot, model)
 
     def solve(frame: Frame, guess: Array, before: FrameResult | None) -> FrameResult:

@@ -37,7 +37,8 @@ class ShapeBatch:
         """
         x, y, z = np.moveaxis(self.points, -1, 0)
         angle = np.arctan2(y.mean(axis=1), x.mean(axis=1))
-        c, s = np.cos(angle)[:, None], np.sin(angle)[:, None]
+        c = np.cos(angle)[:, None]
+        s = np.sin(angle)[:, None]
         return ShapeBatch(np.stack([c * x + s * y, c * y - s * x, z], axis=-1), self.length), angle
 
     def network_inputs(self) -> Array:
@@ -53,7 +54,8 @@ def sample_stable_unknowns(robot: Robot, model: Model, count: int, seed: int) ->
 
     Their angles at the tips and the fractions of their extensions are uniform.
     """
-    rng, d = np.random.default_rng(seed), robot.d
+    rng = np.random.default_rng(seed)
+    d = robot.d
     found = np.empty((0, 2 * d + 2))
     while len(found) < count:
         tips = np.zeros((count, 2 * d + 2))

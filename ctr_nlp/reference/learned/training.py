@@ -119,7 +119,8 @@ def _normalisation(inputs: Array) -> tuple[Array, Array]:
     Where the tubes end shows in small differences of points, which would hardly count beside the large ones.
     Those below MIN_RELATIVE_INPUT_DEVIATION are left smaller.
     """
-    mean, scale = inputs.mean(axis=0), inputs.std(axis=0) + INPUT_SCALE_OFFSET
+    mean = inputs.mean(axis=0)
+    scale = inputs.std(axis=0) + INPUT_SCALE_OFFSET
     variances, axes = np.linalg.eigh(np.cov((inputs - mean) / scale, rowvar=False))
     deviations = np.sqrt(np.maximum(variances, variances[-1] * MIN_RELATIVE_INPUT_DEVIATION**2))
     return mean, axes / scale[:, None] / deviations

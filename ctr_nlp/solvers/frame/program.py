@@ -74,18 +74,24 @@ class Program:
         wait: until the functions are compiled, instead of interpreting them at first. max_iterations: largest
         number of iterations of a run. Raises OptionError where nothing can be compiled.
         """
-        n, m = nlp.x.numel(), nlp.g.numel()
+        n = nlp.x.numel()
+        m = nlp.g.numel()
         low, high = nlp.g_bounds
         self.nlp = nlp
         # x's own bounds and the constraints' in one array, as sqp.c treats both as rows.
-        self.lower, self.upper = np.concatenate([nlp.lower, low]), np.concatenate([nlp.upper, high])
-        self.p, self.x, self.multipliers = np.zeros(nlp.p.numel()), np.zeros(n), np.zeros(n + m)
+        self.lower = np.concatenate([nlp.lower, low])
+        self.upper = np.concatenate([nlp.upper, high])
+        self.p = np.zeros(nlp.p.numel())
+        self.x = np.zeros(n)
+        self.multipliers = np.zeros(n + m)
         self.rows = np.zeros(n + m)
         given = (array.ctypes.data for array in (self.p, self.lower, self.upper))
         found = (array.ctypes.data for array in (self.x, self.multipliers, self.rows))
         # Kept, as the struct is made again when compiled functions are loaded.
-        self._sizes, self._places = (n, m), (*given, SQP_KKT_TOLERANCE, max_iterations, *found)
-        self._run, self._keep = cache.load_c_files(__package__, "sqp.c", "run.c").sqp, list[Any]()
+        self._sizes = (n, m)
+        self._places = (*given, SQP_KKT_TOLERANCE, max_iterations, *found)
+        self._run = cache.load_c_files(__package__, "sqp.c", "run.c").sqp
+        self._keep = list[Any]()
         self._point({})
         self._library = library(nlp, 1)
         # Without `wait`, the first solves are interpreted while another process compiles.

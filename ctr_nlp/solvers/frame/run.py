@@ -61,12 +61,14 @@ class FrameSequence:
         nlp, (n, rows) = program.nlp, (len(program.x), len(program.rows))
         # C reads the picks as long integers, whatever numpy's default is.
         self._picks = np.ascontiguousarray(nlp.configuration, dtype=np.int64)
-        self.program, self.p = program, np.zeros((frames, len(program.p)))
+        self.program = program
+        self.p = np.zeros((frames, len(program.p)))
         self.low, self.high, self.most, self.here = np.zeros((4, len(self._picks)))
         self.x, self.rows, self.multipliers = (np.zeros((frames, width)) for width in (n, rows, rows))
         self.objective, self.kkt, self.seconds = np.zeros((3, frames))
         # course: x's last step, its change from the step before, and the expected next step (run.c).
-        self.starts, self._course = np.zeros((frames, n)), np.zeros((3, n))
+        self.starts = np.zeros((frames, n))
+        self._course = np.zeros((3, n))
         self.iterations, self.status, self.solved = np.zeros((3, frames), dtype=np.int64)
         # Only programs with a motion term have the configuration of the frame before as a parameter.
         previous = nlp.parameter_slice("previous") if "previous" in nlp.parameters else slice(0, 0)

@@ -46,7 +46,9 @@ class Sqp(NlpSolver):
     def __init__(self, nlp: Nlp) -> None:
         """Build; raises OptionError where nothing can be compiled."""
         super().__init__(nlp)
-        self.program, self._picks, self._own = Program(nlp), nlp.configuration, nlp.row_bounds()
+        self.program = Program(nlp)
+        self._picks = nlp.configuration
+        self._own = nlp.row_bounds()
         self._ipopt: Ipopt | None = None
         self._room = FrameSequence(self.program, 1, KKT_TOLERANCE)
 
@@ -59,8 +61,10 @@ class Sqp(NlpSolver):
         warm: Solution | None = None,
     ) -> Solution:
         """Solve by SQP, and by IPOPT where that fails; arguments as in NlpSolver.__call__."""
-        at, n = self.program, len(x0)
-        own, picks = self._own, self._picks
+        at = self.program
+        n = len(x0)
+        own = self._own
+        picks = self._picks
         # Bounds of the configuration stay in the program's arrays from call to call: set them each time.
         at.lower[picks] = own[0][picks] if lower is None else lower
         at.upper[picks] = own[1][picks] if upper is None else upper
@@ -74,7 +78,8 @@ class Sqp(NlpSolver):
         # By the problem's own residuals, not by the reason for which the iteration ended.
         success = found.violation <= FEASIBILITY_TOLERANCE and found.kkt <= KKT_TOLERANCE
         lam_x, lam_g = np.split(at.multipliers.copy(), [n])
-        status, iterations = SQP_STATUS_TEXTS[found.status], found.iterations
+        status = SQP_STATUS_TEXTS[found.status]
+        iterations = found.iterations
         q = np.concatenate([x, at.rows[n:]])[self._picks]
         if success:
             return Solution(x, found.objective, found.kkt, True, status, iterations, lam_x, lam_g, q)
@@ -133,8 +138,11 @@ class Sqp(NlpSolver):
 
     def _collect_solutions(self, count: int) -> list[Solution]:
         """Solutions of the first `count` frames of the last run."""
-        run, n = self._room, self._room.x.shape[1]
-        x, multipliers, q = run.x[:count].copy(), run.multipliers[:count].copy(), run.rows[:count, self._picks]
+        run = self._room
+        n = self._room.x.shape[1]
+        x = run.x[:count].copy()
+        multipliers = run.multipliers[:count].copy()
+        q = run.rows[:count, self._picks]
         numbers = (each[:count].tolist() for each in (run.objective, run.kkt, run.status, run.iterations))
         return [
             Solution(

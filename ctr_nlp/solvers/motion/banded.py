@@ -86,14 +86,14 @@ class BandedSolver:
         self, x0: Array, watch: Watch, barrier: float = COLD_START_BARRIER_MM2, multipliers: Array | None = None
     ) -> Solution:
         """Solve from x0 (T n,), and from multipliers of all rows where a neighbouring chain's are known."""
-        loop, low, high = self._loop, self.chain.lower.ravel(), self.chain.upper.ravel()
+        loop = self._loop
+        low = self.chain.lower.ravel()
+        high = self.chain.upper.ravel()
         # Fixed unknowns take their values here, as they never move.
         loop.start(np.clip(x0, low, high), barrier, BANDED_SLACK_PUSH, multipliers)
         # Only a caller that wants every iterate needs C to come back after each.
-        status, points = (
-            "",
-            BANDED_ITERATIONS_PER_CALL if isinstance(watch, Watch) and not watch.reports_every_iterate else 1,
-        )
+        status = ""
+        points = BANDED_ITERATIONS_PER_CALL if isinstance(watch, Watch) and not watch.reports_every_iterate else 1
         while not status:
             status = BANDED_STATUS_TEXTS[loop.iterate(points)]
             told = loop.reported_iterate

@@ -59,17 +59,16 @@ class IpoptSolver:
 
         watch: reported every iterate. barrier: the first one, mm^2.
         """
-        chain, size = self.chain, x0.size
+        chain = self.chain
+        size = x0.size
         low, high = chain.bounds
         self._callback.set_watch(watch)
         # A start within its bounds; fixed unknowns take their values.
         x0 = np.clip(x0, low[:size], high[:size])
         solve = self._solver(barrier)
         # Rows that only fixed unknowns enter are constants: rounding may put them outside their bounds.
-        lbg, ubg = (
-            np.where(chain.changeable_rows, low, -np.inf)[size:],
-            np.where(chain.changeable_rows, high, np.inf)[size:],
-        )
+        lbg = np.where(chain.changeable_rows, low, -np.inf)[size:]
+        ubg = np.where(chain.changeable_rows, high, np.inf)[size:]
         result = solve(x0=x0, lbx=low[:size], ubx=high[:size], lbg=lbg, ubg=ubg)
         x, lam_x, lam_g = (result[key].full().ravel() for key in ("x", "lam_x", "lam_g"))
         # Off the relaxed bounds, before the point is judged.
@@ -89,7 +88,8 @@ class _Callback(ca.Callback):
 
     def set_watch(self, watch: Watch) -> None:
         """Hand iterates to another Watch, counted from 0."""
-        self.watch, self.number = watch, 0
+        self.watch = watch
+        self.number = 0
 
     def get_n_in(self) -> int:
         """Number of inputs: all outputs of an NLP solver."""
@@ -150,11 +150,16 @@ def _values(chain: Chain, x: ca.MX) -> tuple[ca.MX, ca.MX]:
 
 def _derivatives(chain: Chain) -> dict[str, ca.Function]:
     """Functions for gradient, Jacobian and Hessian, with the names and arguments that nlpsol asks for."""
-    x, p, lam_f = ca.MX.sym("x", chain.lower.size), ca.MX.sym("p", 0, 0), ca.MX.sym("lam_f")
+    x = ca.MX.sym("x", chain.lower.size)
+    p = ca.MX.sym("p", 0, 0)
+    lam_f = ca.MX.sym("lam_f")
     lam_g = ca.MX.sym("lam_g", chain.bounds[0].size - chain.lower.size)
-    frames, n, m = chain.frames, chain.unknowns, chain.frame.g.numel()
+    frames = chain.frames
+    n = chain.unknowns
+    m = chain.frame.g.numel()
     # d(w a^2) = 2 w a da, so the weights come with a factor 2 everywhere below.
-    weight, end = 2 * ca.DM(chain.weight), frames * m
+    weight = 2 * ca.DM(chain.weight)
+    end = frames * m
     f, g = _values(chain, x)
     at = _columns(chain, x), ca.MX(chain.parameters)
     _, gradient, _, jacobian = _map_frames(chain, chain.functions().slopes, *at)

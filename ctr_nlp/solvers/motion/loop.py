@@ -55,7 +55,11 @@ class _Loop(ctypes.Structure):
 
     def start(self, barrier: float) -> None:
         """Reset the counters, with a barrier in mm^2."""
-        self.barrier, self.penalty, self.number, self.expanded, self.merits = barrier, 1.0, 0, 0, 0
+        self.barrier = barrier
+        self.penalty = 1.0
+        self.number = 0
+        self.expanded = 0
+        self.merits = 0
 
 
 class Loop:
@@ -68,7 +72,8 @@ class Loop:
         Functions of the chain that are compiled later are left to the next loop: C keeps addresses of arrays.
         """
         self._chain = chain = chain.with_fixed_functions()
-        self.rows, self._told = ChainRows(chain), np.zeros(chain.lower.size)
+        self.rows = ChainRows(chain)
+        self._told = np.zeros(chain.lower.size)
         values, expansion = chain.evaluators()
         self._mapped = [each.as_struct() for each in (values, expansion)]
         # x of the values, x and the constraints' multipliers of the expansion: C writes these before it

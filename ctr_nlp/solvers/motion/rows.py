@@ -99,7 +99,8 @@ class ChainRows:
         self._chain = chain
         self._loops = cache.load_c_files(__package__, "rows.c", "banded.c")
         self._loops.merit.restype = ctypes.c_double
-        size, rows = chain.lower.size, chain.bounds[0].size
+        size = chain.lower.size
+        rows = chain.bounds[0].size
         lower, upper = chain.bounds
         # Rows that no free unknown changes are constants. They may break their bounds by rounding, and then
         # no interior point exists; without bounds they do no harm.
@@ -108,10 +109,12 @@ class ChainRows:
         self.low = np.where(still | np.isinf(lower), -CHAIN_INFINITE_BOUND, lower - CHAIN_BOUND_RELAXATION)
         self.high = np.where(still | np.isinf(upper), CHAIN_INFINITE_BOUND, upper + CHAIN_BOUND_RELAXATION)
         # The lower half of a symmetric band: width + 1 numbers for each of the T n unknowns.
-        links, width = chain.linking, _width(chain)
+        links = chain.linking
+        width = _width(chain)
         # Arrays with T (n + m) entries: links pull at constraints first, whose pulls then go on to x.
         own = links.shape[1]
-        self._band, self._value = np.zeros((size, width + 1)), np.zeros(rows)
+        self._band = np.zeros((size, width + 1))
+        self._value = np.zeros(rows)
         # Point, step and trial have the same layout, so that C can exchange point and trial.
         self._at, self._step, self._trial = ([np.zeros(size), *np.zeros((3, rows))] for _ in range(3))
         _, gradient, _, jacobian, _ = chain.frame_expansion(self.x, self.multipliers)
@@ -182,7 +185,8 @@ class ChainRows:
     def expand(self) -> tuple[Measures, Array]:
         """Derivatives at the point: its measures, and the frames' Hessians (T, n, n) of the Lagrangian."""
         f, _, g, _, hessian = self._chain.frame_expansion(self.x, self.multipliers)
-        self._f, self._g = f, g
+        self._f = f
+        self._g = g
         # Also computes the objective's slope, which `newton` needs: a point must be expanded first.
         self._loops.assess(self._chain_in_c, f.ctypes, g.ctypes, *self._out)
         n = self._chain.unknowns
@@ -237,11 +241,14 @@ def _width(chain: Chain) -> int:
 
     A constraint may depend on its whole frame, and so may a link that passes through it.
     """
-    links, n, size = chain.linking, chain.unknowns, chain.lower.size
+    links = chain.linking
+    n = chain.unknowns
+    size = chain.lower.size
     if not len(chain.offset):
         # Without links, frames do not meet at all.
         return n - 1
-    constraint, rows = links.indices >= size, links.indptr[:-1]
+    constraint = links.indices >= size
+    rows = links.indptr[:-1]
     first = np.where(constraint, (links.indices - size) // max(1, chain.frame.g.numel()) * n, links.indices)
     last = np.where(constraint, first + n - 1, first)
     return max(n - 1, int((np.maximum.reduceat(last, rows) - np.minimum.reduceat(first, rows)).max()))

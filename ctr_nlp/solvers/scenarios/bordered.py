@@ -30,9 +30,11 @@ def solve_bordered_system(
     q and p, added up over p. corner (P, P): more over p. diagonal, right, free (T n + P,): more on the diagonal,
     the right-hand side, and which unknowns are not fixed.
     """
-    frames, size = len(blocks), len(corner)
+    frames = len(blocks)
+    size = len(corner)
     n = blocks.shape[1] - size
-    band, border = links.copy(), blocks[:, :n, n:].reshape(frames * n, size)
+    band = links.copy()
+    border = blocks[:, :n, n:].reshape(frames * n, size)
     # Row `below` of the band holds the entries that are so far below the diagonal: those of a frame's block
     # do not reach into the next frame.
     for below in range(n):
@@ -42,7 +44,8 @@ def solve_bordered_system(
     band[0] += held[: frames * n]
     # Rows and columns of fixed unknowns are emptied, so that nothing but FIXED_UNKNOWN_DIAGONAL is left of them in
     # the border. In the band their entries stay: FIXED_UNKNOWN_DIAGONAL is larger by orders of magnitude.
-    right, border = right * free, border * free[: frames * n, None] * free[frames * n :]
+    right = right * free
+    border = border * free[: frames * n, None] * free[frames * n :]
     try:
         # Raises LinAlgError where the matrix is not positive definite, and so tells that it needs damping.
         factor = cholesky_banded(band, lower=True, check_finite=False)

@@ -78,7 +78,8 @@ class CommonValues:
             )
         # Chain rule: y_s = factors_s g(p), so the curvature of g counts with sum_s factors_s dL/dy_s.
         # Passed as the multipliers of g's first rows, these factors make one expansion give it all.
-        k, multipliers = self.factors.shape[1], np.append((self.factors * pulls).sum(axis=0), rows)
+        k = self.factors.shape[1]
+        multipliers = np.append((self.factors * pulls).sum(axis=0), rows)
         expansion = self._common.program.functions.expansion
         found = expansion(p, self._common.parameters, 1.0, multipliers)
         gradient, jacobian, hessian = (found[i].full() for i in (1, 3, 4))

@@ -73,7 +73,8 @@ class Expansion:
 
         damping: added to every second derivative over q and over tips. What p adds by itself (given) is not in it.
         """
-        tips, turns = self.tips, self.unknowns_jacobian
+        tips = self.tips
+        turns = self.unknowns_jacobian
         # With dx = Z du + c, the quadratic model dx' H dx / 2 has the Hessian Z' H Z and the extra slope Z'
         # H c.
         curved = self.hessian @ turns
@@ -120,12 +121,17 @@ class Condensed:
 
     def __init__(self, motion: SharedMotion) -> None:
         """Prepare."""
-        self.motion, self.linking = motion, motion.linking
+        self.motion = motion
+        self.linking = motion.linking
         self._evaluated = GroupedEvaluator(motion)
-        self._offsets, self._shares = motion.offsets, np.tile(motion.weights, len(motion.lower))
-        self.common, self.twists = CommonValues(motion), TwistSteps(motion)
-        self.link_weight, self._link_offset = motion.of_links("weight"), motion.of_links("offset")
-        of_q, names = (motion.lower, motion.upper), ("lower", "upper")
+        self._offsets = motion.offsets
+        self._shares = np.tile(motion.weights, len(motion.lower))
+        self.common = CommonValues(motion)
+        self.twists = TwistSteps(motion)
+        self.link_weight = motion.of_links("weight")
+        self._link_offset = motion.of_links("offset")
+        of_q = (motion.lower, motion.upper)
+        names = ("lower", "upper")
         bounds = zip(of_q, motion.row_bounds, self.twists.bounds, names, strict=True)
         self.lower, self.upper = (
             np.concatenate(
@@ -151,11 +157,14 @@ class Condensed:
         The objective's change is taken robot by robot and compared with settled times the objective. Where it is
         smaller, the parameters that were there before stay, and the result is False.
         """
-        motion, evaluated = self.motion, self._evaluated
+        motion = self.motion
+        evaluated = self._evaluated
         if motion.local_parameters is None:
             return False
-        x, parameters = motion.unknowns(q, phi, self.common(p).values), evaluated.parameters
-        known, far = parameters.copy(), evaluated.far
+        x = motion.unknowns(q, phi, self.common(p).values)
+        parameters = evaluated.parameters
+        known = parameters.copy()
+        far = evaluated.far
         before = evaluated(0, x)[0].ravel().copy()
         for name, value in motion.local_parameters(x).items():
             # Parameters are packed column by column: a matrix (rows, columns) a robot becomes (columns,
@@ -197,10 +206,14 @@ class Condensed:
         equations (T, S, k), rows (T, r), of_p (c,): multipliers of the equations, of the frames' rows, and of p's
         own.
         """
-        motion, given = self.motion, self.common(p)
+        motion = self.motion
+        given = self.common(p)
         frames, count, n, d = motion.sizes
-        tips, own, common = motion.own, motion.own_rows, motion.common_rows
-        k, robot = len(tips), len(tips) + len(motion.shared_entries)
+        tips = motion.own
+        own = motion.own_rows
+        common = motion.common_rows
+        k = len(tips)
+        robot = len(tips) + len(motion.shared_entries)
         m = robot + given.values.shape[1]
         # Multipliers of each robot's g, in the order of the frame's program: equations, own rows, and
         # common rows, which are counted with the first robot alone.
@@ -257,13 +270,15 @@ class Condensed:
         """Values from the results f, g of all robots' programs."""
         frames, count, _, d = self.motion.sizes
         each = g.reshape(frames, count, -1)
-        own, apart = each[..., self.motion.own_rows], phi[:, 1:, : d - 1] - phi[:, :1, : d - 1]
+        own = each[..., self.motion.own_rows]
+        apart = phi[:, 1:, : d - 1] - phi[:, :1, : d - 1]
         rows = [part.reshape(frames, -1) for part in (own, apart, each[:, 0, self.motion.common_rows])]
         linked = self.linking @ q.ravel() + self._link_offset
         # A robot without weight may have no finite objective, and 0 times that is not 0.
         counted = self._shares > 0
         objective = float(self._shares[counted] @ f.ravel()[counted] + self.link_weight @ linked**2) + given.cost
-        of_frames, twists = np.concatenate(rows, axis=1).ravel(), self.twists.values(q, phi)
+        of_frames = np.concatenate(rows, axis=1).ravel()
+        twists = self.twists.values(q, phi)
         value = np.concatenate([q.ravel(), of_frames, linked, twists, p, given.rows])
         return Values(objective, value, self._missing(each, q))
 
@@ -273,7 +288,8 @@ class Condensed:
 
         Where the tip's axes are unknowns, angles of motors are known only up to whole turns of all tubes together.
         """
-        k, d = len(self.motion.own), self.motion.d
+        k = len(self.motion.own)
+        d = self.motion.d
         found = rows[..., :k].copy()
         found[..., :d] -= q[:, None, :d] + self._offsets
         if k > d:

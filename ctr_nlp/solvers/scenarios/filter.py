@@ -37,7 +37,8 @@ class Filter:
 
     def __init__(self, first: float) -> None:
         """Start an empty filter; first: what the start misses, the unit of infeasibility."""
-        self._unit, self._kept = max(1.0, first), list[Merit]()
+        self._unit = max(1.0, first)
+        self._kept = list[Merit]()
 
     def clear(self) -> None:
         """Forget all points, as their objectives are those of another barrier."""

@@ -38,7 +38,8 @@ class GroupedEvaluator:
 
     def __init__(self, motion: SharedMotion) -> None:
         """Prepare: the wall is taken to be near everywhere."""
-        self._motion, self.parameters = motion, motion.parameters.copy()
+        self._motion = motion
+        self.parameters = motion.parameters.copy()
         self._counted = np.tile(motion.weights, len(motion.lower)) > 0
         self._far: Flags = np.zeros(len(self.parameters), dtype=bool)
         self.regroup(self._far)
@@ -56,7 +57,8 @@ class GroupedEvaluator:
         far : ndarray
             Whether the wall is far from each row, (T S,).
         """
-        motion, every = self._motion, np.arange(self.parameters.shape[1])
+        motion = self._motion
+        every = np.arange(self.parameters.shape[1])
         self._far = far
         # Three disjoint kinds of rows: no objective at all, no wall, everything. Rows whose errors do not
         # count need no look at the wall.
@@ -129,7 +131,8 @@ class GroupedEvaluator:
         ndarray
             (T S,), mm^2.
         """
-        free, flat = self._motion.without_wall, x.reshape(len(self.parameters), -1)
+        free = self._motion.without_wall
+        flat = x.reshape(len(self.parameters), -1)
         assert free is not None
         found = list[Array]()
         for functions, columns in ((self._motion.functions, slice(None)), (free.functions, free.columns)):

@@ -92,7 +92,8 @@ class SharedSolver:
 
     def __init__(self, motion: SharedMotion, last_barrier: float = FINE_LAST_BARRIER_MM2) -> None:
         """Prepare for a motion; last_barrier: the barrier at which a solve ends, mm^2."""
-        self._rows, self._last = SharedRows(motion), last_barrier
+        self._rows = SharedRows(motion)
+        self._last = last_barrier
 
     def __call__(
         self,
@@ -111,7 +112,8 @@ class SharedSolver:
         are any. rough: whether to end near a solution already, which is enough to start other solves from and
         takes half as long.
         """
-        run, status = _InteriorPointSolve(self._rows, q, phi, p, barrier, self._last, rough), ""
+        run = _InteriorPointSolve(self._rows, q, phi, p, barrier, self._last, rough)
+        status = ""
         while not status:
             status = run.status()
             if not status and run.number == max_iterations:
@@ -134,8 +136,12 @@ class _InteriorPointSolve:
     def __init__(
         self, rows: SharedRows, q: Array, phi: Array, p: Array, barrier: float, last: float, rough: bool = False
     ) -> None:
-        self._rows, self._barrier, self._damping, self.number = rows, barrier, 0.0, 0
-        self._rough, self._last = rough, last
+        self._rows = rows
+        self._barrier = barrier
+        self._damping = 0.0
+        self.number = 0
+        self._rough = rough
+        self._last = last
         self._looks = 0
         rows.condensed.update_local_parameters(q, phi, p)
         start = rows.start(q, phi, p, barrier)
@@ -149,7 +155,8 @@ class _InteriorPointSolve:
 
     def status(self) -> str:
         """The reason why the work has ended, or ""; lowers the barrier where its problem is solved."""
-        errors, known = self._rows.errors(self.point, self._about), self._objectives
+        errors = self._rows.errors(self.point, self._about)
+        known = self._objectives
         slow = (
             self._rough
             and errors.infeasibility <= ROUGH_INFEASIBILITY_TOLERANCE
@@ -176,7 +183,8 @@ class _InteriorPointSolve:
         while self._barrier > self._last and (
             stalled or errors.residual(self._barrier) < SHARED_BARRIER_RESIDUAL_FACTOR * self._barrier
         ):
-            self._barrier, stalled = max(self._last, SHARED_BARRIER_SHRINK_FACTOR * self._barrier), False
+            self._barrier = max(self._last, SHARED_BARRIER_SHRINK_FACTOR * self._barrier)
+            stalled = False
             self._filter.clear()
             known.clear()
         return ""
@@ -185,7 +193,8 @@ class _InteriorPointSolve:
         """Look at the surroundings again; True if they differ from those that were solved for, so that work goes
         on.
         """
-        point, self._looks = self.point, self._looks + 1
+        point = self.point
+        self._looks = self._looks + 1
         if self._looks > MAX_LOCAL_PARAMETER_UPDATES or not self._rows.condensed.update_local_parameters(
             point.q, point.phi, point.p, LOCAL_PARAMETER_TOLERANCE
         ):
@@ -197,7 +206,8 @@ class _InteriorPointSolve:
 
     def advance(self) -> str:
         """Make one step; returns the reason why there is none, or ""."""
-        least, point = 0.0, None
+        least = 0.0
+        point = None
         for _ in range(MAX_STEP_RETRIES):
             step = self._newton_step(least)
             if step is None:
@@ -215,8 +225,11 @@ class _InteriorPointSolve:
 
     def _newton_step(self, least: float) -> _Step | None:
         """The downhill step, damped as far as it needs and by at least `least`; None where there is none."""
-        rows, about, point = self._rows, self._about, self.point
-        per_lower, per_upper = 1 / (point.slack - rows.low), 1 / (rows.high - point.slack)
+        rows = self._rows
+        about = self._about
+        point = self.point
+        per_lower = 1 / (point.slack - rows.low)
+        per_upper = 1 / (rows.high - point.slack)
         # sigma = z_l / (s - l) + z_u / (u - s), from eliminating slacks and bound multipliers
         # (motion/rows.py).
         sigma = point.at_lower * per_lower + point.at_upper * per_upper
@@ -231,7 +244,8 @@ class _InteriorPointSolve:
         corner = about.common_derivatives.hessian + about.common_derivatives.rows.T @ (
             about.common_derivatives.rows * parts.own[:, None]
         )
-        links, damping = rows.links.band(parts.links), least
+        links = rows.links.band(parts.links)
+        damping = least
         rows.twists.square(about.twists, parts.twists, squares, links)
         while damping < MAX_SHARED_DAMPING:
             hessian, bent = about.quadratic(damping)
@@ -255,8 +269,11 @@ class _InteriorPointSolve:
 
     def _complete_step(self, about: Expansion, du: Array, damping: float) -> _Step:
         """The whole step that belongs to du (T n + P,), with slacks and multipliers."""
-        rows, point, barrier = self._rows, self.point, self._barrier
-        low, high = point.slack - rows.low, rows.high - point.slack
+        rows = self._rows
+        point = self.point
+        barrier = self._barrier
+        low = point.slack - rows.low
+        high = rows.high - point.slack
         dx = about.step(rows.by_frame(du))
         slack = about.at.rows - point.slack + rows.linearised_change(about, du)
         # From z (s - l) = mu, linearised: (z + dz)(s - l) + z ds = mu, and likewise at upper bounds.
@@ -273,12 +290,15 @@ class _InteriorPointSolve:
 
         Where a whole step misses more than before, its tips are corrected, since equations are curved.
         """
-        rows, point, about = self._rows, self.point, self._about
+        rows = self._rows
+        point = self.point
+        about = self._about
         here = rows.merit(about.at, point.slack, self._barrier)
         part, dual = self._fraction_to_boundary(step)
         for halving in range(MAX_SHARED_HALVINGS):
             q = point.q + part * step.du[: point.q.size].reshape(point.q.shape)
-            phi, p = point.phi + part * step.dx[..., about.tips], point.p + part * step.du[point.q.size :]
+            phi = point.phi + part * step.dx[..., about.tips]
+            p = point.p + part * step.du[point.q.size :]
             # Second-order correction: it costs one evaluation, as a halving does. Only whole steps are
             # corrected.
             for _ in range(1 if halving else MAX_TIP_CORRECTIONS):
@@ -306,8 +326,11 @@ class _InteriorPointSolve:
         """The parts of a step that keep slacks within their bounds, and multipliers positive (fraction to the
         boundary).
         """
-        rows, point, keep = self._rows, self.point, 1 - MIN_BOUND_DISTANCE_FRACTION
-        low, high = point.slack - rows.low, rows.high - point.slack
+        rows = self._rows
+        point = self.point
+        keep = 1 - MIN_BOUND_DISTANCE_FRACTION
+        low = point.slack - rows.low
+        high = rows.high - point.slack
         primal = max(keep, (-step.slack / low).max(), (step.slack / high).max())
         dual = max(keep, (-step.at_lower / point.at_lower).max(), (-step.at_upper / point.at_upper).max())
         return keep / float(primal), keep / float(dual)

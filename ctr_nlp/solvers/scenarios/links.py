@@ -20,9 +20,13 @@ class LinkBand:
     def __init__(self, motion: SharedMotion) -> None:
         """Prepare."""
         frames, _, n, _ = motion.sizes
-        self._matrix, self._shape, self.weight = motion.linking, (frames, n), motion.of_links("weight")
+        self._matrix = motion.linking
+        self._shape = (frames, n)
+        self.weight = motion.of_links("weight")
         entries = self._matrix.tocoo()
-        starts, columns, data = self._matrix.indptr, self._matrix.indices, self._matrix.data
+        starts = self._matrix.indptr
+        columns = self._matrix.indices
+        data = self._matrix.data
         # Pairs of entries in one row of A, once each: only the lower half of the symmetric product is
         # stored.
         pairs = [

@@ -132,13 +132,17 @@ class SharedRows:
 
     def __init__(self, motion: SharedMotion) -> None:
         """Prepare."""
-        self.condensed, self.links = Condensed(motion), LinkBand(motion)
-        common, of_q = self.condensed.common, motion.lower < motion.upper
+        self.condensed = Condensed(motion)
+        self.links = LinkBand(motion)
+        common = self.condensed.common
+        of_q = motion.lower < motion.upper
         of_p = common.lower < common.upper
         self.free: Flags = np.append(of_q.ravel(), of_p)
         frames, _, n, _ = motion.sizes
-        lower, upper = self.condensed.lower, self.condensed.upper
-        self._shape, self._size = (frames, n), of_p.size
+        lower = self.condensed.lower
+        upper = self.condensed.upper
+        self._shape = (frames, n)
+        self._size = of_p.size
         self.twists = self.condensed.twists
         sizes = of_q.size, motion.row_bounds[0].size, len(self.links.weight), self.twists.bounds[0].size, of_p.size
         self._ends = np.cumsum(sizes)
@@ -147,7 +151,8 @@ class SharedRows:
         self.low = np.where(still | np.isinf(lower), -SHARED_INFINITE_BOUND, lower - SHARED_BOUND_RELAXATION)
         self.high = np.where(still | np.isinf(upper), SHARED_INFINITE_BOUND, upper + SHARED_BOUND_RELAXATION)
         self._bounds = np.where(still, -np.inf, lower), np.where(still, np.inf, upper)
-        self._box, self._common_box = (motion.lower, motion.upper), (common.lower, common.upper)
+        self._box = (motion.lower, motion.upper)
+        self._common_box = (common.lower, common.upper)
 
     def _constant_rows(self, motion: SharedMotion, of_q: Flags, of_p: Flags) -> Flags:
         """Whether no free unknown changes a row: such rows get no bounds, which rounding could break."""
@@ -165,7 +170,8 @@ class SharedRows:
         """A point at q (T, n), phi (T, S, k) and p (P,), with slacks within their bounds and multipliers for this
         barrier, mm^2.
         """
-        q, p = np.clip(q, *self._box), np.clip(p, *self._common_box)
+        q = np.clip(q, *self._box)
+        p = np.clip(p, *self._common_box)
         rows = self.condensed.value(q, phi, p).rows
         # As in motion/rows.py: at most a tenth of the room between two bounds.
         within = np.minimum(SHARED_SLACK_PUSH, 0.1 * (self.high - self.low))
@@ -232,7 +238,8 @@ class SharedRows:
 
     def change_by_repair(self, about: Expansion) -> Array:
         """Change of all rows by the equations' repair alone, at fixed q and p."""
-        none, twists = self.split(np.zeros(len(self.low))), self.twists.change_by_repair(about.repair[:, 0])
+        none = self.split(np.zeros(len(self.low)))
+        twists = self.twists.change_by_repair(about.repair[:, 0])
         return none._replace(frames=about.row_repair, twists=twists).as_vector
 
     def own_slope(self, about: Expansion) -> Array:

@@ -23,7 +23,8 @@ class TwistSteps:
 
     def __init__(self, motion: SharedMotion) -> None:
         """Prepare."""
-        self._d, most = motion.d, motion.twist_steps
+        self._d = motion.d
+        most = motion.twist_steps
         self._frames = len(most)
         # An infinite limit marks the first frame of each task: no frame comes before it.
         self._after = np.flatnonzero(np.isfinite(most))
@@ -77,8 +78,11 @@ class TwistSteps:
 
         slopes: of the twists; sigma: of the rows; blocks (T, n + P, n + P); band: (width + 1, T n).
         """
-        n, after = band.shape[1] // len(slopes), self._after
-        here, there, weights = slopes[after], slopes[after - 1], sigma.reshape(-1, self._d - 1, 1)
+        n = band.shape[1] // len(slopes)
+        after = self._after
+        here = slopes[after]
+        there = slopes[after - 1]
+        weights = sigma.reshape(-1, self._d - 1, 1)
         for frames, own in ((after, here), (after - 1, -there)):
             # A row is twist(after) - twist(before): over q, either frame has a part of its own; over p,
             # both add up to one slope.

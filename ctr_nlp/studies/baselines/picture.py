@@ -22,7 +22,8 @@ def draw_optimiser_race(runs: Sequence[OptimiserRun], names: Sequence[str]) -> F
     last = max((run.seconds[-1] for run in runs if len(run.seconds)), default=1.0)
     for run in runs:
         if len(run.seconds):
-            seconds, e3 = [*run.seconds, last], [*run.e3, run.best]
+            seconds = [*run.seconds, last]
+            e3 = [*run.e3, run.best]
             label = f"{run.method}, {run.evaluations} tubes tried"
             axes.plot(seconds, e3, drawstyle="steps-post", color=OPTIMISER_COLOURS[run.method], label=label)
             axes.plot(run.seconds, run.e3, "o", ms=3, color=OPTIMISER_COLOURS[run.method])

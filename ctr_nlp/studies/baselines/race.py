@@ -93,7 +93,8 @@ def race_optimisers(search: DesignSearch, starts: int, seed: int, times: float =
             _run_design(search, starts, seed, course)
         except _TimeOver:
             return [course.finish_run()]
-        most, runs = times * (time.process_time() - course.begin), [course.finish_run()]
+        most = times * (time.process_time() - course.begin)
+        runs = [course.finish_run()]
         for method, run in (("CMA-ES", cma_es), ("Nelder-Mead", _nelder_mead)):
             course = _RunRecorder(method, most, interrupted)
             try:
@@ -124,7 +125,8 @@ def _cma_es() -> Callable[[DesignSearch, int, _RunRecorder], None]:
         raise OptionError("the package cma is missing; install ctr_nlp[studies]") from error
 
     def run(search: DesignSearch, seed: int, course: _RunRecorder) -> None:
-        objective, first = _objective(search, course), _to_fractions(search, search.tubes.nominal_unknowns)
+        objective = _objective(search, course)
+        first = _to_fractions(search, search.tubes.nominal_unknowns)
         while True:
             # The seed 0 stands for the time of day in cma.
             options = {"bounds": [0, 1], "seed": seed + 1, "verbose": -9}

@@ -45,7 +45,8 @@ class Growth:
 
 def fit_growth(what: str, sizes: Sequence[float], seconds: Sequence[float]) -> Growth:
     """Fit the exponent of `what` to times `seconds` (n,) at `sizes` (n,), by least squares of logarithms."""
-    x, y = np.log(sizes), np.log(seconds)
+    x = np.log(sizes)
+    y = np.log(seconds)
     basis = np.column_stack([np.ones(len(x)), x])
     (constant, exponent), *_ = np.linalg.lstsq(basis, y, rcond=None)
     rest = y - constant - exponent * x

@@ -71,7 +71,8 @@ def race_solvers(problem: Problem) -> dict[str, Times]:
 
 def _path(problem: Problem, stage: Stage, solve: NlpSolver) -> list[tuple[Array, Array, Array, Array]]:
     """Start, parameters and bounds of the frames' NLPs after the first, each from the solution before it."""
-    settings, warm = Settings(), None
+    settings = Settings()
+    warm = None
     path: list[tuple[Array, Array, Array, Array]] = []
     q = NlpFrames.of(problem, model="dominant", settings=settings).search(0)[0].q
     for frame in problem.target_frames[1:]:
@@ -87,7 +88,8 @@ def _path(problem: Problem, stage: Stage, solve: NlpSolver) -> list[tuple[Array,
 def evaluation_seconds(program: Program, function: str = "slopes") -> float:
     """Return the seconds of one evaluation of objective and constraints: values, or first derivatives too."""
     run = ctypes.CFUNCTYPE(ctypes.c_int, *[ctypes.c_void_p] * 4, ctypes.c_int)(program.functions[function])
-    n, m = len(program.x), len(program.lower) - len(program.x)
+    n = len(program.x)
+    m = len(program.lower) - len(program.x)
     results = [np.zeros(max(count, 1)) for count in ((1, m) if function == "value" else (1, n, m, m * n))]
     pointers = ctypes.c_void_p * 4
     arg = pointers(program.x.ctypes.data, program.p.ctypes.data)

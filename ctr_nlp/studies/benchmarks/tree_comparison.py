@@ -45,7 +45,8 @@ class Worker:
             "OPENBLAS_NUM_THREADS": "1",
         }
         given |= {} if libraries is None else {cache.CACHE_FOLDER_VARIABLE: str(libraries)}
-        self.tree, self.row = tree, row
+        self.tree = tree
+        self.row = row
         self._process = subprocess.Popen(
             [sys.executable, str(BENCHMARK_SCRIPT), row],
             env=os.environ | given,
@@ -156,7 +157,8 @@ def median_confidence_interval(
 
     Nothing is assumed of how they are distributed. Raises BenchmarkError where there are too few of them.
     """
-    n, ordered = len(values), sorted(values)
+    n = len(values)
+    ordered = sorted(values)
     tails = np.cumsum([math.comb(n, k) for k in range(n + 1)]) / 2.0**n
     rank = int((tails <= level / 2).sum())
     if rank < 1:
@@ -167,7 +169,8 @@ def median_confidence_interval(
 def measure_row(worker: Worker, seconds: float, least: int = 5) -> Array:
     """Return times (n,) in s of a row's pieces, over at least `least` turns and `seconds`."""
     found: list[float] = []
-    begin, turns = time.perf_counter(), 0
+    begin = time.perf_counter()
+    turns = 0
     while turns < least or time.perf_counter() - begin < seconds:
         found += worker.turns(1)[0]
         turns += 1

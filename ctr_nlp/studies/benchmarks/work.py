@@ -68,7 +68,8 @@ def march(name: str, model: str = "dominant") -> TurnFunction:
 
 def _poses(robot: Any) -> Any:
     """Random configurations (BENCHMARK_BATCH_SIZE, 2d + 2) of a robot that is not tilted."""
-    d, unit = robot.d, np.random.default_rng(0).random((BENCHMARK_BATCH_SIZE, len(robot.lower)))
+    d = robot.d
+    unit = np.random.default_rng(0).random((BENCHMARK_BATCH_SIZE, len(robot.lower)))
     beta = np.sort(unit[:, d : 2 * d], axis=1) * robot.upper[d : 2 * d]
     return np.hstack([unit[:, :d] * 2 * np.pi, beta, 0 * unit[:, 2 * d :]])
 
@@ -92,7 +93,8 @@ def rest() -> TurnFunction:
     from ctr_nlp.paths.target import SIGMA_GRID
     from ctr_nlp.robot import table_i_robot
 
-    robot, elastic = table_i_robot(), model_named("elastic")
+    robot = table_i_robot()
+    elastic = model_named("elastic")
     q = _poses(robot)
     return lambda timed: [timed(lambda: elastic.rest_states(robot, q, SIGMA_GRID)) / BENCHMARK_BATCH_SIZE]
 

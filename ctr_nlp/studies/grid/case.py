@@ -160,7 +160,8 @@ class Case:
         CtrError
             There is no plan for these options.
         """
-        settings, model = Settings(**dict(self.settings)), model_named(self.model)
+        settings = Settings(**dict(self.settings))
+        model = model_named(self.model)
         if self.load is not None:
             model = model_with_load(model, load_from_dict(json.loads(self.load)))
         made: dict[str, Callable[[], Plan]] = {
@@ -191,7 +192,8 @@ class Case:
         OutputError
             The plan cannot be written.
         """
-        begin, columns = time.process_time(), self.columns
+        begin = time.process_time()
+        columns = self.columns
         try:
             problem = self.load_problem()
             plan = self.plan_motion(problem)

@@ -139,8 +139,11 @@ def group_rows(results: Results, digests: Collection[str], column: str, shown: S
     known = results.columns
     if missing := [name for name in (column, *shown) if name not in known]:
         raise OptionError(f"{missing[0]} is no column of the study; those are {', '.join(sorted(known))}")
-    groups, failures, worst = dict[Any, Group](), dict[str, Failure](), list[WorstPlan]()
-    complete, own = True, set(digests)
+    groups = dict[Any, Group]()
+    failures = dict[str, Failure]()
+    worst = list[WorstPlan]()
+    complete = True
+    own = set(digests)
     named = {f"verdict_{name}": name for name in Verdicts._fields}
     words = {name: Counter[str]() for key, name in named.items() if key in known}
     # Rows of cases that the study's file no longer has, or of older versions, may be in the folder, too.

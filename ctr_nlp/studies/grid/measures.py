@@ -28,7 +28,8 @@ def contact(plan: Plan, problem: Problem) -> dict[str, float]:
         ``length``: of the target in its last frame, mm; ``short``: by how much the robot is shorter than its
         target at most, mm.
     """
-    deep, out = contact_depths(plan), np.minimum(problem.target.lengths, problem.robot.reach)
+    deep = contact_depths(plan)
+    out = np.minimum(problem.target.lengths, problem.robot.reach)
     return {
         "contact_sum": float(deep.sum()),
         "contact_frames": float((deep > 0).sum()),

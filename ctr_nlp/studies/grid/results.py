@@ -157,7 +157,8 @@ class Results:
 
     def _write(self, rows: Sequence[Mapping[str, Any]], begin: str) -> None:
         """Write rows into a new file whose name begins so; raise OutputError where that cannot be done."""
-        arrow, parquet = import_extra("pyarrow"), import_extra("pyarrow.parquet")
+        arrow = import_extra("pyarrow")
+        parquet = import_extra("pyarrow.parquet")
         place = self.folder / ROWS_FOLDER
         try:
             place.mkdir(parents=True, exist_ok=True)
@@ -191,14 +192,18 @@ class Results:
         OptionError
             There are no rows.
         """
-        dataset, arrow, part, rows = self._dataset(), import_extra("pyarrow"), list[Any](), 0
+        dataset = self._dataset()
+        arrow = import_extra("pyarrow")
+        part = list[Any]()
+        rows = 0
         # Batches are as small as files are; pandas' costs are per frame, and so several are joined.
         for batch in dataset.to_batches(columns=[name for name in columns if name in dataset.schema.names]):
             part.append(batch)
             rows += len(batch)
             if rows >= MIN_ROWS_PER_READ:
                 yield arrow.Table.from_batches(part).to_pandas()
-                part, rows = [], 0
+                part = []
+                rows = 0
         if rows:
             yield arrow.Table.from_batches(part).to_pandas()
 

@@ -137,13 +137,16 @@ class Study:
         """
         check_table(data, STUDY_KEYS, "a study")
         problems = tuple(_problems(data.get("problems", {}), folder))
-        robots, every_way = tuple(_robots(data.get("robots", {}), folder)), tuple(planner_setups(data, folder))
+        robots = tuple(_robots(data.get("robots", {}), folder))
+        every_way = tuple(planner_setups(data, folder))
         name = text(OptionError, "name of a study", data.get("name", "study"))
         draws, seed = (
             whole_number(OptionError, f"{key} of a study", data.get(key, 0), 0) for key in ("draws", "seed")
         )
         frames = whole_number(OptionError, "frames of a study", data.get("frames", 100), 1)
-        walled, report, modulus = data.get("walls", True), data.get("report"), data.get("youngs_modulus")
+        walled = data.get("walls", True)
+        report = data.get("report")
+        modulus = data.get("youngs_modulus")
         if modulus is not None:
             with_modulus(table_i_robot(), modulus)  # a number that is none is refused here, not in every row
         check_instance(OptionError, "walls of a study", walled, bool)

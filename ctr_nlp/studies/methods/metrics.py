@@ -41,8 +41,11 @@ def measure_plan(problem: str, variant: str, plan: Plan, samples: int = DEFAULT_
     programs.
     """
     moved = plan.check(samples)
-    planned, found, drawn = summary(plan), summary(moved), moved.drawn
-    errors, frames = None if drawn is None else drawn.errors, found["frames"]
+    planned = summary(plan)
+    found = summary(moved)
+    drawn = moved.drawn
+    errors = None if drawn is None else drawn.errors
+    frames = found["frames"]
     seconds = planned["solve_ms"]["total"] / 1e3 + (planned["search_s"] or 0.0)
     return {
         "problem": problem,

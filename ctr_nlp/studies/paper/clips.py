@@ -65,7 +65,8 @@ def draw_clips(rows: Sequence[Sequence[ClipGroup]], room: float = 0.0) -> Figure
     figure = Figure(figsize=(CLIPS_WIDTH_INCH, height))
     top = height
     for row, at, tall in zip(rows, boxes, heights, strict=True):
-        left, top = CLIPS_LEFT_MARGIN_INCH, top - CLIP_ROW_TOP_INCH - tall
+        left = CLIPS_LEFT_MARGIN_INCH
+        top = top - CLIP_ROW_TOP_INCH - tall
         for group, box in zip(row, at, strict=True):
             figure.text(
                 (left - 0.35) / CLIPS_WIDTH_INCH, (top + tall + 0.24) / height, f"{group.title}, frame", fontsize=9

@@ -128,10 +128,8 @@ def run_tasks(
 
     jobs: in how many processes. Raises OptionError, and after Ctrl-C KeyboardInterrupt: half of a figure is none.
     """
-    wanted, begin = (
-        sorted(dict.fromkeys(tasks), key=lambda task: TASK_START_ORDER.get(task.method, 2)),
-        time.perf_counter(),
-    )
+    wanted = sorted(dict.fromkeys(tasks), key=lambda task: TASK_START_ORDER.get(task.method, 2))
+    begin = time.perf_counter()
     results: dict[Task, Any] = {}
     seconds: dict[Task, float] = {}
     with deferred_interrupt() as interrupted:

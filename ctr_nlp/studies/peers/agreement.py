@@ -58,10 +58,12 @@ def sample_configurations(robot: Robot, count: int, seed: int = 0) -> Array:
     Raises OptionError where count is not a whole number of at least 1.
     """
     whole_number(OptionError, "configurations", count, 1)
-    rng, d = np.random.default_rng(seed), robot.d
+    rng = np.random.default_rng(seed)
+    d = robot.d
     q = np.zeros((count, 2 * d + 2))
     q[:, :d] = rng.uniform(-np.pi, np.pi, (count, d))
-    low, high = robot.lower[d : 2 * d], robot.upper[d : 2 * d]
+    low = robot.lower[d : 2 * d]
+    high = robot.upper[d : 2 * d]
     beta = low + (high - low) * rng.uniform(MIN_SAMPLED_EXTENSION_FRACTION, 1.0, (count, d))
     for i in range(1, d):
         beta[:, i] = np.minimum(np.maximum(beta[:, i], beta[:, i - 1] + MIN_TUBE_TIP_SPACING_MM), high[i])

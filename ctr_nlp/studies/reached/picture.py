@@ -53,7 +53,8 @@ def draw_outcomes(ways: Sequence[MethodOutcomes], fails: Mapping[str, str]) -> F
     left.set_xlabel("ends")
     left.legend(loc="upper center", bbox_to_anchor=(0.5, -0.25), ncols=3, frameon=False)
     thresholds = Settings()
-    allowed, tolerance = thresholds.contact_allowed, thresholds.arrival_tolerance
+    allowed = thresholds.contact_allowed
+    tolerance = thresholds.arrival_tolerance
     for k, way in enumerate(ways):
         contact = [outcome.contact for outcome in way.outcomes]
         tip = [outcome.tip for outcome in way.outcomes]

@@ -61,10 +61,12 @@ def methods(airways: Sequence[Airway]) -> Mapping[str, list[RobustnessPoint]]:
 
 def findings(airways: Sequence[Airway]) -> list[str]:
     """Return the findings of the study, a sentence each."""
-    count, told = len(airways), []
+    count = len(airways)
+    told = []
     named = {"plain": [a.plain for a in airways], "best margin": [a.best for a in airways]}
     for name, plans in (named | {"robust": [a.robust for a in airways]}).items():
-        lost, draws = sum(plan.lost for plan in plans), sum(plan.draws for plan in plans)
+        lost = sum(plan.lost for plan in plans)
+        draws = sum(plan.draws for plan in plans)
         few = sum(plan.share <= MOST_LOST for plan in plans)
         told.append(
             f"{name}: {lost} of {draws} draws are lost, at most {MOST_LOST:.0%} in {few} of {count} airways; the "
@@ -77,7 +79,8 @@ def findings(airways: Sequence[Airway]) -> list[str]:
         f"e3 than any in {nearer}"
     )
     ratios = np.divide(_means([a.robust for a in airways]), _means([a.best for a in airways]))
-    middle, most = np.nanmedian(ratios), np.nanmax(ratios)
+    middle = np.nanmedian(ratios)
+    most = np.nanmax(ratios)
     told.append(
         f"mean e3 of the robust plan is {middle:.2f} times that of the best margin in the median, and at most "
         f"{most:.2f} times"
@@ -91,7 +94,8 @@ def findings(airways: Sequence[Airway]) -> list[str]:
 
 def page(airways: Sequence[Airway]) -> str:
     """Write the page in Markdown."""
-    first, every = airways[0], methods(airways)
+    first = airways[0]
+    every = methods(airways)
     sentences = [f"{k}. {told[0].upper()}{told[1:]}.\n" for k, told in enumerate(findings(airways), 1)]
     numbers = {
         "frames": first.frames,

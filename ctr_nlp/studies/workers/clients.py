@@ -47,7 +47,8 @@ def local_client(workers: int, memory: str = "auto", **more: Any) -> Iterator[An
 
     memory: that each may take before it is ended; more: options of distributed.LocalCluster.
     """
-    distributed, dask = import_extra("distributed"), import_extra("dask")
+    distributed = import_extra("distributed")
+    dask = import_extra("dask")
     asked = {"n_workers": workers, "threads_per_worker": 1, "dashboard_address": f"{LOOPBACK}:0"} | more
     with (
         dask.config.set(DASK_SETTINGS),
@@ -60,7 +61,8 @@ def local_client(workers: int, memory: str = "auto", **more: Any) -> Iterator[An
 
 def _refuse_foreign_requests(application: Any) -> None:
     """Have a tornado application answer only requests of its own pages, which a browser sends to loopback."""
-    routing, web = import_extra("tornado.routing"), import_extra("tornado.web")
+    routing = import_extra("tornado.routing")
+    web = import_extra("tornado.web")
 
     class Foreign(routing.Matcher):  # type: ignore[name-defined]
         def match(self, request: Any) -> dict[str, Any] | None:

@@ -55,7 +55,9 @@ class StudyProgress:
         """Rows have been kept, so many seconds after the run began, while there are so many workers."""
         self.workers = workers
         times = [row["process_s"] for row in rows if math.isfinite(row["process_s"])]
-        self.done, self.process_s, self.seconds = self.done + len(rows), self.process_s + sum(times), seconds
+        self.done = self.done + len(rows)
+        self.process_s = self.process_s + sum(times)
+        self.seconds = seconds
         self.failed += sum(row["status"] != CASE_DONE for row in rows)
 
     @property
@@ -106,7 +108,8 @@ def run_study(
     ClusterError
         The scheduler is lost, or workers cannot do the cases. Only what was at work is lost.
     """
-    results, begin = Results(Path(folder)), time.monotonic()
+    results = Results(Path(folder))
+    begin = time.monotonic()
     with results.sole_writer():
         results.delete_retryable_rows(patience)
         known = results.read_digests()
@@ -150,9 +153,13 @@ class _BatchDispatcher:
     """Batches that workers have, and those that wait to be given."""
 
     def __init__(self, client: Any, batches: Batches, late: set[str], plans: Path | None, patience: float) -> None:
-        self._client, self._batches, self._late = client, batches, late
-        self._plans, self._patience = plans, patience
-        self._given, self._done = dict[Any, list[Case]](), SimpleQueue[Any]()
+        self._client = client
+        self._batches = batches
+        self._late = late
+        self._plans = plans
+        self._patience = patience
+        self._given = dict[Any, list[Case]]()
+        self._done = SimpleQueue[Any]()
 
     def __bool__(self) -> bool:
         return bool(self._batches) or bool(self._given)
@@ -181,7 +188,8 @@ class _BatchDispatcher:
         if not futures:
             return [], []
         found = self._client.gather(dict(enumerate(futures)), errors="skip")  # None of those that failed
-        rows, lost = list[dict[str, Any]](), list[dict[str, Any]]()
+        rows = list[dict[str, Any]]()
+        lost = list[dict[str, Any]]()
         for number, future in enumerate(futures):
             cases = self._given.pop(future)
             if found[number] is None:

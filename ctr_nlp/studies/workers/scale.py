@@ -187,7 +187,8 @@ def simulate_study(seconds: Sequence[float], workers: int) -> StudyScale:
     messages go over loopback. Figures that cannot be measured so are nan: client, scheduler and workers share one
     process.
     """
-    begin, tasks = time.monotonic(), [0]
+    begin = time.monotonic()
+    tasks = [0]
     study = sleeper_study(seconds)
     prepared = time.monotonic() - begin
     with _threaded_client(workers) as client, tempfile.TemporaryDirectory() as folder:
@@ -216,7 +217,8 @@ class _CountingClient:
     """A client that counts what is given to it."""
 
     def __init__(self, client: Any) -> None:
-        self._client, self.batches = client, 0
+        self._client = client
+        self.batches = 0
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._client, name)

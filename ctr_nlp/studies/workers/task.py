@@ -62,7 +62,9 @@ def run_batch(cases: list[Case], plans: Path | None, patience: float) -> BatchRe
         own = ", ".join(f"{name} {version}" for name, version in versions().items())
         raise ClusterError(f"a worker has other versions than the program that asks for the study: it has {own}")
     os.environ.setdefault(cache.COMPILE_VARIABLE, "now")
-    begin, rows, worker = _worked_s(), list[dict[str, Any]](), import_extra("distributed").get_worker()
+    begin = _worked_s()
+    rows = list[dict[str, Any]]()
+    worker = import_extra("distributed").get_worker()
 
     def ended() -> None:
         worker.log_event(CASE_TIMEOUT_TOPIC, cases[len(rows)].digest)
@@ -83,7 +85,8 @@ def _worked_s() -> float:
 @contextmanager
 def _limit_time(seconds: float, on_timeout: Callable[[], None]) -> Iterator[None]:
     """A call is made where the block takes longer, without the time for which it waits for a compiler."""
-    end, left = _worked_s() + seconds, threading.Event()
+    end = _worked_s() + seconds
+    left = threading.Event()
 
     def watch() -> None:
         while not left.wait(max(end - _worked_s(), MIN_TIMEOUT_POLL_S)):

@@ -137,11 +137,13 @@ def plan_through(problem: Problem, q: Array, model: str | Model = DEFAULT_MODEL,
     >>> plan.shape.shape, bool(plan.success.all())
     ((3, 101, 3), True)
     """
-    described, robot = model_named(model), problem.robot
+    described = model_named(model)
+    robot = problem.robot
     described.check(robot)
     q = _numbers("q", q)
     _check(q, robot, problem.frames)
-    simulator, unknown = Simulator(robot, described), np.full(problem.frames, np.nan)
+    simulator = Simulator(robot, described)
+    unknown = np.full(problem.frames, np.nan)
     known = np.asarray(np.isfinite(simulator(q).shape).all(axis=(1, 2)))
     meta = {
         "formulation": "configurations",

@@ -46,9 +46,11 @@ def encode_gltf(plan: Plan) -> bytes:
     Animated at the pace of the motion, in metres, in the robot's base frame with its insertion direction upwards.
     Without the animation the last frame is shown. Raises OutputError where no frame has a shape.
     """
-    scene, frames = _Scene(), frames_with_shape(plan)
+    scene = _Scene()
+    frames = frames_with_shape(plan)
     tubes = [scene.material(f"tube {i + 1}", tube_colour(i)) for i in range(plan.robot.d)]
-    centreline, target = scene.material("centreline", tube_colour(plan.robot.d)), scene.material("target", BLACK)
+    centreline = scene.material("centreline", tube_colour(plan.robot.d))
+    target = scene.material("target", BLACK)
     roots = []
     for j in frames:
         surfaces = {tubes[i - 1]: surface for i, surface in tube_surfaces(plan, j).items()}
@@ -146,7 +148,8 @@ class _Scene:
 
     def animate(self, nodes: list[int], times: Array, last: float) -> None:
         """Show one of `nodes` after the other, each from its time in s on, and the last one for `last` s."""
-        samplers, channels = list[dict[str, Any]](), []
+        samplers = list[dict[str, Any]]()
+        channels = []
         ends = np.append(times[1:], times[-1] + last)
         # Core glTF has no switch for visibility: a hidden node has the scale 0.
         for k, node in enumerate(nodes):

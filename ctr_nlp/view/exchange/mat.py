@@ -59,7 +59,9 @@ def encode_mat(plan: Plan) -> bytes:
 
 
 def _contents(plan: Plan) -> dict[str, Any]:
-    problem, robot, error = plan.meta["problem"], plan.robot, e3(plan)
+    problem = plan.meta["problem"]
+    robot = plan.robot
+    error = e3(plan)
     tubes = [{key: np.array(value, float) for key, value in asdict(tube).items()} for tube in robot.tubes]
     struct = np.array([tuple(tube.values()) for tube in tubes], dtype=[(key, object) for key in tubes[0]])
     return {

@@ -242,7 +242,8 @@ def _tube(name: str, given: Mapping[str, Any], poisson_ratio: float | None) -> t
         return number(OptionError, f"{word} of tube {name!r}", given[word], math.isfinite, "be a finite number")
 
     about_x, about_y = (*map(value, words.curvatures), 0.0)[:2]
-    modulus, length = value(words.youngs_modulus), value(words.length)
+    modulus = value(words.youngs_modulus)
+    length = value(words.length)
     curved = value(words.curved) if words.curved else length - value(words.straight)
     if poisson_ratio is None:
         poisson_ratio = _poisson_ratio(name, modulus, value(words.shear_modulus))

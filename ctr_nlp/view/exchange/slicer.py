@@ -52,7 +52,8 @@ def slicer_files(plan: Plan, space: str | None = None) -> dict[str, str]:
     The script, and the first point of every curve, say that nothing here is validated for use on patients.
     space: as to_scan. Raises OptionError, also where pyvista is missing, and OutputError where there is no shape.
     """
-    to_lps, frames = to_scan(plan, space), frames_with_shape(plan)
+    to_lps = to_scan(plan, space)
+    frames = frames_with_shape(plan)
     digits = max(3, len(str(len(plan.time))))
     numbers = {j: str(j + 1).zfill(digits) for j in frames}
     found = {
@@ -133,7 +134,8 @@ def _model(surfaces: dict[int, Surface], to_lps: Array, time: float | None = Non
 
     time: in s, kept in the field TimeValue.
     """
-    pyvista, writing = import_extra("pyvista"), import_extra("vtkmodules.vtkIOXML")
+    pyvista = import_extra("pyvista")
+    writing = import_extra("vtkmodules.vtkIOXML")
     sizes = np.cumsum([0, *(len(surface.points) for surface in surfaces.values())])[:-1]
     triangles = [surface.triangles + first for surface, first in zip(surfaces.values(), sizes, strict=True)]
     mirrored = np.linalg.det(to_lps[:3, :3]) < 0

@@ -42,7 +42,8 @@ def tube_surfaces(plan: Plan, frame: int) -> dict[int, Surface]:
 
     Each has the tube's outer diameter, and flat ends. Tubes of which nothing is seen are left out.
     """
-    beta, radius = plan.beta[frame], tube_outer_radii(plan.robot)
+    beta = plan.beta[frame]
+    radius = tube_outer_radii(plan.robot)
     found = {}
     for i, (start, stop) in enumerate(zip(np.append(0.0, beta[:-1]), beta, strict=True)):
         if stop - start >= MIN_VISIBLE_TUBE_MM:
@@ -70,7 +71,9 @@ def _sweep_surface(table: Array, sides: int) -> Surface:
 def _sweep_capped_surface(table: Array) -> Surface:
     """The surface around a path with a radius, with a disc at either end."""
     body = _sweep_surface(table, TUBE_SURFACE_SIDES)
-    points, normals, triangles = [body.points], [body.normals], [body.triangles]
+    points = [body.points]
+    normals = [body.normals]
+    triangles = [body.triangles]
     for end, inner, ring in (
         (0, 1, body.points[:TUBE_SURFACE_SIDES]),
         (-1, -2, body.points[-TUBE_SURFACE_SIDES:]),

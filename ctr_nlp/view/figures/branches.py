@@ -63,7 +63,8 @@ def tree(paths: Sequence[Array], names: Sequence[str], title: str, directions: s
     turn them, with the patient's left on the right of the picture. Other letters name the axes and turn none.
     """
     every = np.concatenate(paths)
-    low, high = every.min(axis=0), every.max(axis=0)
+    low = every.min(axis=0)
+    high = every.max(axis=0)
     side = np.maximum(high - low, MIN_TREE_PANEL_FRACTION * (high - low).max()) * TREE_PANEL_MARGIN_FACTOR
     figure, panels = _panels(side)
     for view, axes in zip((VIEW_FROM_FRONT, VIEW_FROM_LEFT, VIEW_FROM_BELOW), panels, strict=True):
@@ -88,10 +89,8 @@ def _panels(side: Array) -> tuple[Figure, list[Axes]]:
     def panel(left: float, bottom: float, width: float, height: float) -> Axes:
         return figure.add_axes((left / size[0], bottom / size[1], width / size[0], height / size[1]))
 
-    upper, right = (
-        TREE_BOTTOM_MARGIN_IN + deep + TREE_PANEL_GAP_IN,
-        TREE_LEFT_MARGIN_IN + across + TREE_PANEL_GAP_IN,
-    )
+    upper = TREE_BOTTOM_MARGIN_IN + deep + TREE_PANEL_GAP_IN
+    right = TREE_LEFT_MARGIN_IN + across + TREE_PANEL_GAP_IN
     return figure, [
         panel(TREE_LEFT_MARGIN_IN, upper, across, tall),
         panel(right, upper, deep, tall),
@@ -100,8 +99,10 @@ def _panels(side: Array) -> tuple[Figure, list[Axes]]:
 
 
 def _frame(axes: Axes, view: Projection, middle: Array, side: Array, directions: str) -> None:
-    across, up = view.across, view.up
-    low, high = middle - side / 2, middle + side / 2
+    across = view.across
+    up = view.up
+    low = middle - side / 2
+    high = middle + side / 2
     axes.set_xlim(low[across], high[across])
     axes.set_ylim(low[up], high[up])
     if directions[across] in REVERSED_AXIS_LETTERS:

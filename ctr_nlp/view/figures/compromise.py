@@ -34,7 +34,8 @@ def compromise(plan: Plan, found: Sequence[Compromise]) -> Figure:
     """
     figure = Figure(figsize=(5.6, 4.0), layout="constrained")
     axes = figure.subplots()
-    tolerance, allowed = float(option(plan, "arrival_tolerance")), float(option(plan, "contact_allowed"))
+    tolerance = float(option(plan, "arrival_tolerance"))
+    allowed = float(option(plan, "contact_allowed"))
     ordered = sorted(found, key=lambda one: one.contact)
     left = min(0.0, ordered[0].contact) - 0.5
     area = Rectangle((left, 0.0), allowed - left, tolerance, color=GREEN, alpha=0.2, lw=0, label="arrives, clear")

@@ -72,7 +72,8 @@ def by_frame(plan: Plan) -> Figure:
     """
     figure = Figure(figsize=(7.0, 3.6), layout="constrained")
     axes = figure.subplots()
-    columns, frames = metrics.by_frame(plan), by_frames(axes, plan)
+    columns = metrics.by_frame(plan)
+    frames = by_frames(axes, plan)
     for name, look in CURVES.items():
         curve(axes, frames, columns[name], **look)
     axes.set_ylim(bottom=0.0)
@@ -189,7 +190,8 @@ def spread(plan: Plan) -> list[tuple[Array, float, float]]:
     list of (ndarray, float, float)
         For each tenth e1 (n,), mm, and when it begins and ends, s. Tenths without a known shape are left out.
     """
-    distance, found = metrics.e1(plan), []
+    distance = metrics.e1(plan)
+    found = []
     for group in _groups(plan):
         known = distance[group][np.isfinite(distance[group]).all(axis=1)]
         if known.size:

@@ -101,7 +101,8 @@ class _Column:
     """One plan: its robot above, its errors below."""
 
     def __init__(self, figure: Figure, left: float, width: float, plan: Plan, points: Array, side: Array) -> None:
-        self._plan, numbers = plan, metrics.summary(plan)
+        self._plan = plan
+        numbers = metrics.summary(plan)
         space = add_space_axes(figure, (left, 0.31, width, 0.605), plan.lumen)
         self._target = space.plot([], [], [], zorder=5, **TARGET_LINE_STYLE)[0]
         self._body = RobotLines(space, plan.robot.d)
@@ -111,7 +112,8 @@ class _Column:
         figure.text(left + width / 2, 0.985, told, ha="center", va="top", parse_math=False)
         self._now = figure.text(left + width / 2, 0.91, "", ha="center", va="center")
         self.errors = figure.add_axes((left + 0.13 * width, 0.125, 0.82 * width, 0.125))
-        distance, frames = metrics.e1(plan), by_frames(self.errors, plan)
+        distance = metrics.e1(plan)
+        frames = by_frames(self.errors, plan)
         curve(self.errors, frames, distance.max(axis=1), **CURVES["max"])
         curve(self.errors, frames, metrics.rms_over_sigma(distance), **CURVES["e2"])
         self.errors.set_ylabel("distance (mm)")

@@ -94,7 +94,8 @@ def _ends(axes: Axes, plan: Plan) -> None:
     """Where tubes end, and where contacts are deepest."""
     sides = np.arange(len(plan.time) + 1) + 0.5
     for i, ends in enumerate(plan.beta.T):
-        width, line = 0.4 + 0.5 * tube_width(i, plan.robot.d), TUBE_END_LINE_STYLES[i % len(TUBE_END_LINE_STYLES)]
+        width = 0.4 + 0.5 * tube_width(i, plan.robot.d)
+        line = TUBE_END_LINE_STYLES[i % len(TUBE_END_LINE_STYLES)]
         axes.stairs(
             ends, sides, baseline=None, color=tube_colour(i), lw=width, ls=line, label=f"end of tube {i + 1}"
         )
@@ -110,7 +111,8 @@ def _least(axes: Axes, frames: npt.NDArray[np.int_], least: Array) -> None:
     if touching.any():
         axes.plot(frames[touching], least[touching], color=CONTACT, ls="", marker="s", ms=3.5, label="contact")
     known = least[np.isfinite(least)]
-    low, high = known.min(initial=0.0), known.max(initial=0.0)
+    low = known.min(initial=0.0)
+    high = known.max(initial=0.0)
     margin = max(0.08 * (high - low), MIN_CLEARANCE_SPAN_MM)
     axes.set_ylim(low - margin, high + margin)
     axes.axhspan(low - 2 * margin, 0.0, color=VERMILLION, alpha=0.15, lw=0, zorder=0, label="beyond the wall")

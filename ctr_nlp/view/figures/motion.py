@@ -116,7 +116,8 @@ def error_from_truth(plan: Plan) -> Array:
     truth is written in the way that is nearer to the plan, the same for the whole motion.
     """
     assert plan.truth is not None
-    q, d = plan.q, plan.robot.d
+    q = plan.q
+    d = plan.robot.d
     angles = np.r_[:d, 2 * d : 2 * d + 2]
     errors = []
     for truth in (plan.truth, equivalent_configurations(plan.robot, plan.truth)):

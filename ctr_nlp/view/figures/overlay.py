@@ -90,8 +90,10 @@ def shapes(plan: Plan, frames: Sequence[int] | None = None) -> Figure:
     points = np.concatenate([plan.target[index], plan.shape[index]]).reshape(-1, 3)
     if plan.lumen is not None:
         points = np.concatenate([points, wall_rings(plan.lumen, LUMEN_RING_ANGLES_RAD).reshape(-1, 3)])
-    low, high = np.nanmin(points, axis=0), np.nanmax(points, axis=0)
-    extent, margin = high - low, 0.05 * (high - low).max()
+    low = np.nanmin(points, axis=0)
+    high = np.nanmax(points, axis=0)
+    extent = high - low
+    margin = 0.05 * (high - low).max()
     views = [axis for axis in (0, 1) if extent[axis] > MIN_VIEW_EXTENT_FRACTION * extent.max()] or [
         int(extent[1] > extent[0])
     ]
@@ -165,11 +167,10 @@ def _grid(count: int, views: int, panel: Array) -> tuple[Figure, npt.NDArray[np.
     rows = math.ceil(count / columns) * views
     below = SHAPES_VIEW_GAP_IN if views > 1 else SHAPES_ROW_GAP_IN
     width, height = panel * max(scale(columns), MIN_SHAPE_PANEL_WIDTH_IN / panel[0])
-    across, down = columns * (width + SHAPES_COLUMN_GAP_IN) - SHAPES_COLUMN_GAP_IN, rows * (height + below) - below
-    left, right = (
-        max(SHAPES_LEFT_MARGIN_IN, (MIN_SHAPES_FIGURE_WIDTH_IN - across) / 2),
-        max(SHAPES_RIGHT_MARGIN_IN, (MIN_SHAPES_FIGURE_WIDTH_IN - across) / 2),
-    )
+    across = columns * (width + SHAPES_COLUMN_GAP_IN) - SHAPES_COLUMN_GAP_IN
+    down = rows * (height + below) - below
+    left = max(SHAPES_LEFT_MARGIN_IN, (MIN_SHAPES_FIGURE_WIDTH_IN - across) / 2)
+    right = max(SHAPES_RIGHT_MARGIN_IN, (MIN_SHAPES_FIGURE_WIDTH_IN - across) / 2)
     figure = Figure(figsize=(left + across + right, SHAPES_BOTTOM_MARGIN_IN + down + SHAPES_TOP_MARGIN_IN))
     grid = figure.subplots(rows, columns, sharex="row", sharey=True, squeeze=False)
     figure.subplots_adjust(
@@ -237,7 +238,8 @@ def parts(shape: Array, beta: Array) -> list[Array]:
     list of ndarray
         Points (n, 3), mm, of each tube; none where the shape is not known or no part of the tube is outermost.
     """
-    ends, found = tube_ends(beta), []
+    ends = tube_ends(beta)
+    found = []
     for start, end in zip([0.0, *ends], ends, strict=False):
         sigma = np.concatenate([[start], SIGMA_GRID[(start < SIGMA_GRID) & (end > SIGMA_GRID)], [end]])
         sigma = sigma if end > start and np.isfinite(shape).all() else sigma[:0]

@@ -48,7 +48,8 @@ def robustness(plan: Plan) -> Figure:
 
 def _clouds(panels: list[Axes], plan: Plan, found: Robustness) -> None:
     points = np.concatenate([found.cloud.reshape(-1, 3), plan.target.reshape(-1, 3)])
-    low, high = np.nanmin(points, axis=0), np.nanmax(points, axis=0)
+    low = np.nanmin(points, axis=0)
+    high = np.nanmax(points, axis=0)
     sideways = int(high[1] - low[1] > high[0] - low[0])
     margin = 0.05 * (high - low).max()
     for axes, frame, shapes in zip(panels, found.cloud_frames, found.cloud, strict=True):

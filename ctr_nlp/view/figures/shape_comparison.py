@@ -36,8 +36,10 @@ def shapes_compared(plans: Mapping[str, Plan], title: str, frames: Sequence[int]
     shown = frames_shown(first, frames, DEFAULT_COMPARED_FRAMES)
     index = np.array(shown) - 1
     points = np.concatenate([np.concatenate([each.target[index], each.shape[index]]) for each in plans.values()])
-    low, high = np.nanmin(points, axis=(0, 1)), np.nanmax(points, axis=(0, 1))
-    sideways, extent = int(np.argmax(np.ptp(first.target[index], axis=(0, 1))[:2])), high - low
+    low = np.nanmin(points, axis=(0, 1))
+    high = np.nanmax(points, axis=(0, 1))
+    sideways = int(np.argmax(np.ptp(first.target[index], axis=(0, 1))[:2]))
+    extent = high - low
     panel = np.array([max(extent[sideways], 0.5 * extent[2]), extent[2]]) * 1.2
     scale = min(SIZE[0] / panel[0], SIZE[1] / panel[1])
     width, height = panel * scale

@@ -58,7 +58,8 @@ def sheet(robot: Robot, title: str, plans: Sequence[Plan] = ()) -> Figure:
     rows = math.ceil(len(plans) / TASKS)
     figure = Figure(figsize=(SHEET[0], SHEET[1] + ROW * rows), layout="constrained")
     parts: Any = figure.subfigures(2 + (rows > 0), 1, height_ratios=(6.2, *([ROW * rows] if rows else []), 2.1))
-    above, below = parts[0], parts[-1]
+    above = parts[0]
+    below = parts[-1]
     grid = above.subplots(2, robot.d + 1, height_ratios=(2, 1), squeeze=False)
     views = [middle_line(tube) for tube in robot.tubes]
     low = np.min([view.min(axis=0) for view in views], axis=0) - 5
@@ -86,7 +87,8 @@ def _tasks(page: Any, plans: Sequence[Plan]) -> None:
         if k // 2 >= len(plans):
             axes.remove()
             continue
-        plan, sideways = plans[k // 2], k % 2
+        plan = plans[k // 2]
+        sideways = k % 2
         draw(axes, plan, len(plan.time) - 1, sideways)
         middle = (low + high)[sideways] / 2
         axes.set_xlim(middle - side, middle + side)
@@ -138,7 +140,8 @@ def _frame(axes: Axes, ends: tuple[Array, Array]) -> None:
 def _section(axes: Axes, tubes: list[tuple[int, Tube]], width: float) -> None:
     """Rings, outer ones first."""
     for i, tube in tubes:
-        outer, inner = tube.outer_diameter / 2, tube.inner_diameter / 2
+        outer = tube.outer_diameter / 2
+        inner = tube.inner_diameter / 2
         axes.add_patch(Circle((0, 0), outer, facecolor=tube_colour(i), edgecolor=BLACK, lw=0.5))
         axes.add_patch(Circle((0, 0), inner, facecolor="white", edgecolor=BLACK, lw=0.5))
     one = tubes[0][1]

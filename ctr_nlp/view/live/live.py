@@ -64,14 +64,18 @@ class Live:
         """
         check_instance(OptionError, "problem", problem, Problem)
         self.plan: Plan | None = None
-        self._problem, self._settings, self._keep = problem, settings, save_plan
+        self._problem = problem
+        self._settings = settings
+        self._keep = save_plan
         self._robots = {PROBLEM_ROBOT_LABEL: problem.robot, **(robots or {})}
         self._inbox: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
         self._spent: deque[float] = deque(maxlen=TIMED_STEP_COUNT)
-        self._news, self._snapped = "", -SNAP_NOTICE_S
+        self._news = ""
+        self._snapped = -SNAP_NOTICE_S
         self._course = 0.0
         self._writing: threading.Thread | None = None
-        self._ending, self._failures = threading.Event(), list[Exception]()
+        self._ending = threading.Event()
+        self._failures = list[Exception]()
         self._session = Session(problem, model, settings, load=load)
         self._server = start_server(host, port)
         self.url = f"http://{host}:{self._server.get_port()}"
@@ -157,7 +161,8 @@ class Live:
         return seen
 
     def _show(self, seen: SessionState) -> None:
-        session, busy = self._session, sum(self._spent) / max(len(self._spent), 1) / self._session.dt
+        session = self._session
+        busy = sum(self._spent) / max(len(self._spent), 1) / self._session.dt
         snapped = time.monotonic() - self._snapped < SNAP_NOTICE_S
         with self._server.atomic():
             self._scene.show(seen, session.goal.handles, self._panel.colour_quantity)
@@ -183,7 +188,8 @@ class Live:
         if not models:
             borne = "" if load is None else ", which would have to bear a load"
             raise OptionError(f"no model describes the robot {name!r}{borne}")
-        before, self._course = self._session, 0.0
+        before = self._session
+        self._course = 0.0
         model = before.requested_model if before.requested_model in models else models[0]
         self._session = Session(problem, model, self._settings, load=load)
         self._panel.remove()

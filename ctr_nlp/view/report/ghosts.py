@@ -37,7 +37,8 @@ def ghosts(k3d: Any, plan: Plan) -> list[Any]:
     shapes = _shapes(plan)
     n, frames, samples = shapes.shape[:3]
     first = samples * np.arange(n)[:, None] + np.arange(samples - 1)
-    lost, number = plan.drawn.lost[:n, None], np.arange(1, frames + 1)
+    lost = plan.drawn.lost[:n, None]
+    number = np.arange(1, frames + 1)
     gone = np.repeat((lost > 0) & (lost <= number), samples, axis=0).astype(np.float32)
     told = k3d.lines(
         {str(j): shapes[:, j].reshape(-1, 3) for j in range(frames)},

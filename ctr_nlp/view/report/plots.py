@@ -177,7 +177,8 @@ def _range(some: Sequence[PlotPanel]) -> tuple[float, float]:
         ]
     )
     known = values[np.isfinite(values)]
-    low, high = known.min(initial=np.inf), known.max(initial=-np.inf)
+    low = known.min(initial=np.inf)
+    high = known.max(initial=-np.inf)
     if not known.size:
         return 0.0, 1.0
     margin = max(PANEL_MARGIN_FRACTION * (high - low), (MIN_PANEL_SPAN - (high - low)) / 2)

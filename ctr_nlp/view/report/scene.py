@@ -140,7 +140,9 @@ def scene(plan: Plan, scales: Sequence[ColourScale], low: Array, high: Array) ->
 
 def _tubes(k3d: Any, plan: Plan, scales: Sequence[ColourScale]) -> list[Any]:
     """Each tube where it is the outermost one, once for every colouring."""
-    known, radius, found = quantities(plan), tube_outer_radii(plan.robot), []
+    known = quantities(plan)
+    radius = tube_outer_radii(plan.robot)
+    found = []
     sigma = _visible(plan)
     for i in range(plan.robot.d):
         vertices = _over_time(_at(sigma[:, i], plan.shape))
@@ -163,11 +165,10 @@ def _environment_objects(k3d: Any, plan: Plan) -> list[Any]:
     """Target, insertion point and axis, the robot's holder with its tilt, and the wall where it is known."""
     tilted = Rotation.from_euler("xy", np.nan_to_num(plan.theta)).apply([0.0, 0.0, -HOLDER_LENGTH_MM])
     radius = float(tube_outer_radii(plan.robot)[0])
-    line, black = partial(k3d.line, shader="mesh"), _pack_colour(BLACK)
-    axis, holder = (
-        [[0.0, 0.0, -1.5 * HOLDER_LENGTH_MM], [0.0, 0.0, HOLDER_LENGTH_MM]],
-        np.stack([tilted, 0 * tilted], axis=1),
-    )
+    line = partial(k3d.line, shader="mesh")
+    black = _pack_colour(BLACK)
+    axis = [[0.0, 0.0, -1.5 * HOLDER_LENGTH_MM], [0.0, 0.0, HOLDER_LENGTH_MM]]
+    holder = np.stack([tilted, 0 * tilted], axis=1)
     held = {"name": "holder, tilted", "custom_data": {"part": SCENE_ROBOT_PART}}
     aim = {"name": "target", "custom_data": {"part": SCENE_TARGET_PART}}
     found = [
@@ -209,7 +210,8 @@ def _at(sigma: Array, values: Array) -> Array:
     """Values (T, 101, n) at sigma (T, m): (T, m, n); 0 in frames that were never reached."""
     place = np.clip(sigma, 0.0, 1.0) * (len(SIGMA_GRID) - 1)
     before = np.minimum(place.astype(int), len(SIGMA_GRID) - 2)
-    frames, part = np.arange(len(values))[:, None], (place - before)[..., None]
+    frames = np.arange(len(values))[:, None]
+    part = (place - before)[..., None]
     return np.nan_to_num((1 - part) * values[frames, before] + part * values[frames, before + 1])
 
 

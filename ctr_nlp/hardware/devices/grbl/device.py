@@ -24,7 +24,9 @@ class Grbl:
     """A grblHAL controller at the end of a link that opened makes; stream.py plays a motion on it."""
 
     def __init__(self, hardware: Hardware, open_link: Callable[[], ByteLink], clock: Clock) -> None:
-        self._hardware, self._opened, self._clock = hardware, open_link, clock
+        self._hardware = hardware
+        self._opened = open_link
+        self._clock = clock
         self._link: ByteLink | None = None
         self._known: Identity | None = None
         self.stream: Stream | None = None
@@ -95,7 +97,8 @@ class Grbl:
             self._talk.take_restart_message()
         if self._known is None:
             self._identify(stop)
-        self._homing, self.stream = True, None
+        self._homing = True
+        self.stream = None
         self._talk.ask("$H", HOMING_CYCLE_TIMEOUT_S, stop)
         self._homing = False
         self._talk.quiet()
@@ -110,7 +113,8 @@ class Grbl:
         """Stop, whatever it does; raises DeviceFault where the position is lost."""
         if self._link is None:
             raise DeviceFault("the link was never opened: nothing could be sent")
-        homing, self._homing = self._homing, False
+        homing = self._homing
+        self._homing = False
         stop_controller(self._talk, self._clock, homing)
         if self._restarted:
             raise DeviceFault("the controller restarted when it was connected: its position is not to be trusted")

@@ -68,12 +68,16 @@ class Ledger:
     def __init__(
         self, start: Array, resolution: Array, blocks: int, link: LinkTiming, patience: float = LATE_ANSWER_S
     ) -> None:
-        self._there, self._resolution, self._blocks, self._link = start, resolution, blocks, link
+        self._there = start
+        self._resolution = resolution
+        self._blocks = blocks
+        self._link = link
         self._patience = patience
         self._written: list[SentLine] = []
         self._due: list[float] = []
         self._first_of = [0, 0]
-        self._least, self._most = [0], [0]
+        self._least = [0]
+        self._most = [0]
         self.acknowledged = 0
         """Lines for which an ok has come."""
         self.planned = 0
@@ -140,7 +144,8 @@ class Ledger:
                 "the controller acknowledges more lines than it was sent: a line or its `ok` came twice, or "
                 "another client sent one"
             )
-        line, due = self._written[self.acknowledged], self._due[self.acknowledged]
+        line = self._written[self.acknowledged]
+        due = self._due[self.acknowledged]
         self.acknowledged += 1
         self.in_flight -= line.size
         if line.last:
@@ -223,8 +228,10 @@ class Ledger:
             return ""
         if not self._playing <= line < len(self._first_of) - 1:
             return self._strange(line, now)
-        self._strange_since, self._playing = None, line
-        done, last = self.acknowledged, self._written[self.acknowledged - 1] if self.acknowledged else None
+        self._strange_since = None
+        self._playing = line
+        done = self.acknowledged
+        last = self._written[self.acknowledged - 1] if self.acknowledged else None
         newest = 0 if last is None else last.number
         has = f"the controller plays line {line} and has {blocks} in hand"
         if line > newest:
@@ -233,7 +240,8 @@ class Ledger:
                 "the way, or a line or this report was changed on the way"
             )
         before = self._first_of[line]
-        least, most = self._least[done] - self._least[before], self._most[done] - self._most[before]
+        least = self._least[done] - self._least[before]
+        most = self._most[done] - self._most[before]
         if blocks > most:
             has = f"{has}, and should have {most}"
             changed = "a line or this report was changed on the way, or another client sent a line"

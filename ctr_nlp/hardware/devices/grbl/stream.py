@@ -76,16 +76,23 @@ class Stream:
     def __init__(
         self, talk: Talk, identity: Identity, hardware: Hardware, clock: Clock, commands: Commands
     ) -> None:
-        self._talk, self._identity, self._connection, self._clock = talk, identity, hardware.connection, clock
+        self._talk = talk
+        self._identity = identity
+        self._connection = hardware.connection
+        self._clock = clock
         self._axes = hardware.axes
-        self._columns, self._resolution = identity.columns(hardware), identity.resolution(hardware)
-        self._slides, self._tolerance = np.array([axis.unit == "mm" for axis in hardware.axes]), hardware.tolerance
+        self._columns = identity.columns(hardware)
+        self._resolution = identity.resolution(hardware)
+        self._slides = np.array([axis.unit == "mm" for axis in hardware.axes])
+        self._tolerance = hardware.tolerance
         now = talk.report()
         self._seen = Report("Idle", False, now.position, 0, now.free, None, None)
         start = self._seen.position[self._columns]
         self._follow_path(start, commands)
-        self._place, self._count = PathPlace(0.0, 0.0, 0, 0.0), len(commands.time)
-        self._lines, self._next = GcodeWriter(hardware.letters, start, MEANING), list[bytes]()
+        self._place = PathPlace(0.0, 0.0, 0, 0.0)
+        self._count = len(commands.time)
+        self._lines = GcodeWriter(hardware.letters, start, MEANING)
+        self._next = list[bytes]()
         self._sent = 0
         self.underruns = 0
         """How often the planner was found empty in a motion that had begun, and had not ended."""
@@ -97,7 +104,8 @@ class Stream:
         talk.ask(MODES)
         blocks = identity.blocks if self._seen.free is None else self._seen.free
         self._ledger = Ledger(np.round(start, GCODE_DECIMALS), self._resolution, blocks, link, patience)
-        self._hold_sent, self._overrides = 0.0, 100.0
+        self._hold_sent = 0.0
+        self._overrides = 100.0
         self._go_on()
 
     def _follow_path(self, start: Array, commands: Commands) -> None:
@@ -242,7 +250,8 @@ class Stream:
         if empty and begun and self._sent < self._count and not self._holding:
             self.underruns += 1
         self._resumed = self._resumed and report.state == "Hold"  # told before the controller went on
-        self._seen, self._held = report, report.stopped and not self._resumed
+        self._seen = report
+        self._held = report.stopped and not self._resumed
         if report.state == "Hold" and not self._resumed:  # a person at the controller may have asked for it
             self._holding = True
             self._ledger.note_hold()
@@ -292,7 +301,8 @@ class Stream:
         if now - self._asked >= (poll if self._answered else STATUS_QUERY_RETRY_S):
             self._talk.link.write(GRBL_STATUS_QUERY)
             self._asked_first = now if self._answered else self._asked_first
-            self._asked, self._answered = now, False
+            self._asked = now
+            self._answered = False
 
     def _send(self, now: float) -> None:
         """Lines within the window; a player that was suspended between two of them looks before it sends more."""
@@ -327,11 +337,14 @@ class Stream:
         position = np.round(self._path.points[self._sent + 1], GCODE_DECIMALS) if firsts else None
         seconds = float(self._path.ends[self._sent + 1] - self._path.ends[self._sent])
         self._ledger.write(copies, position, seconds, now)
-        self._sent, self._fed, self._next = self._sent + 1, now, []
+        self._sent = self._sent + 1
+        self._fed = now
+        self._next = []
 
     def _copies(self) -> list[bytes]:
         """The line after those sent, and its copy; alone where it waits, since it would wait twice."""
-        n, ends = self._sent, self._path.ends
+        n = self._sent
+        ends = self._path.ends
         text = self._lines.next(self._path.points[n + 1], float(ends[n + 1] - ends[n]), n + 1 == self._count)
         texts = [text] if WAITS in text else [text, self._lines.copy(text)]
         return [each.encode("ascii") + b"\n" for each in texts]
@@ -339,7 +352,8 @@ class Stream:
     def hold(self) -> None:
         """Ask for a feed hold; no line is sent until it is resumed."""
         self._say_hold()
-        self._holding, self._held = True, False
+        self._holding = True
+        self._held = False
         self._ledger.note_hold()
 
     def _say_hold(self) -> None:

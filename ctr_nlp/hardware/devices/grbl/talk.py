@@ -95,7 +95,8 @@ def report_of(text: str, axes: int) -> Report | None:
     if not found:
         return None
     fields = dict(field.partition(":")[::2] for field in found["fields"].split("|"))
-    place, line = fields.get("MPos", ""), fields.get("Ln", "0")
+    place = fields.get("MPos", "")
+    line = fields.get("Ln", "0")
     free, feed, override = (fields.get(name, "").partition(",")[0] for name in ("Bf", "FS", "Ov"))
     if not (
         DECIMAL_LIST_PATTERN.fullmatch(place)
@@ -123,7 +124,9 @@ class Talk:
     """Replies as they come, and answers that are waited for."""
 
     def __init__(self, link: ByteLink, clock: Clock) -> None:
-        self.link, self._clock, self._rest = link, clock, b""
+        self.link = link
+        self._clock = clock
+        self._rest = b""
         self.axes = 6
         self.lost = ""
         """What it said when it last restarted or stopped by itself: what it was told before is gone."""
@@ -188,7 +191,8 @@ class Talk:
 
     def take_restart_message(self) -> str:
         """What it said when it last restarted or stopped by itself, which does not count from now on."""
-        said, self.lost = self.lost, ""
+        said = self.lost
+        self.lost = ""
         return said
 
     def check(self) -> None:

@@ -55,7 +55,9 @@ class Ros2:
     """
 
     def __init__(self, hardware: Hardware, journal: Journal, clock: Clock) -> None:
-        self._hardware, self._journal, self._clock = hardware, journal, clock
+        self._hardware = hardware
+        self._journal = journal
+        self._clock = clock
         self._address = parse_controller_url(hardware.connection.url)
         self._acceleration = hardware.each("acceleration")
         self._topics: Topics | None = None
@@ -65,8 +67,10 @@ class Ros2:
         """Open the topics; wait for a controller that listens, and for the first joint states."""
         self.close()
         self._topics = topics = Topics(self._address, self._journal)
-        self._track, self._holding = None, False
-        self._joints, self._stopped = Joints(self._hardware, self.resolution), -np.inf
+        self._track = None
+        self._holding = False
+        self._joints = Joints(self._hardware, self.resolution)
+        self._stopped = -np.inf
         end = self._clock.now() + DISCOVERY
         while not (self._joints.has_state and topics.listeners()):
             self._take()
@@ -130,7 +134,8 @@ class Ros2:
         self._take()
         position = self._joints.position
         self._path = FollowedPath(position, commands, self._hardware.tolerance)
-        self._place, self._holding = PathPlace(0.0, 0.0, 0, 0.0), False
+        self._place = PathPlace(0.0, 0.0, 0, 0.0)
+        self._holding = False
         self._track = ControllerTrack(position, commands)
         self._track.begin(self._clock.now())
         self._send(self._track.points())
@@ -204,7 +209,8 @@ class Ros2:
 
     def _change_pace(self, pace: float) -> None:
         """Let the rest be played at another pace."""
-        track, now = self._playing(), self._clock.now()
+        track = self._playing()
+        now = self._clock.now()
         self._holding = pace == 0.0
         if track.now(now)[0] < track.end and track.ramp.after != pace:
             self._play_at(pace, track, now)
@@ -218,7 +224,8 @@ class Ros2:
 
     def abort(self) -> Standing:
         """Stop, on the path where it is on it, and wait for rest; raises DeviceFault where that is not sure."""
-        track, self._track = self._track, None
+        track = self._track
+        self._track = None
         if track is None:
             self._wait_for_rest(self._clock.now() + 2 * REST)
         now = self._clock.now()

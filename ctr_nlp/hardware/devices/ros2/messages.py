@@ -100,7 +100,8 @@ def parse_controller_url(url: str) -> ControllerAddress:
 @cache
 def types() -> SimpleNamespace:
     """The types of messages and their parts, by name; raises OptionError where cyclonedds is missing."""
-    idl, kinds = import_extra("cyclonedds.idl"), import_extra("cyclonedds.idl.types")
+    idl = import_extra("cyclonedds.idl")
+    kinds = import_extra("cyclonedds.idl.types")
 
     known: dict[str, Any] = {}
 
@@ -151,8 +152,10 @@ def configuration(host: str) -> str:
 
 def participant(address: ControllerAddress) -> tuple[Any, Any]:
     """A new participant, and its domain, to be held as long as the participant lives; raises DeviceFault."""
-    module, failure = import_extra("cyclonedds.domain"), import_extra("cyclonedds.core").DDSException
-    number, text = address.domain, configuration(address.host)
+    module = import_extra("cyclonedds.domain")
+    failure = import_extra("cyclonedds.core").DDSException
+    number = address.domain
+    text = configuration(address.host)
     domain = _domains.get(number)
     if domain is not None and _configurations[number] != text:
         raise DeviceFault(f"ROS domain {number} is open in this program already, on another interface")
@@ -168,7 +171,8 @@ def participant(address: ControllerAddress) -> tuple[Any, Any]:
 def quality(reliable: bool, depth: int) -> Any:
     """QoS of a writer or reader whose messages are XCDR1, as ROS's are."""
     core = import_extra("cyclonedds.core")
-    policy, most = core.Policy, import_extra("cyclonedds.util").duration(seconds=BLOCKED)
+    policy = core.Policy
+    most = import_extra("cyclonedds.util").duration(seconds=BLOCKED)
     return core.Qos(
         policy.Reliability.Reliable(most) if reliable else policy.Reliability.BestEffort,
         policy.Durability.Volatile,
@@ -185,8 +189,10 @@ class Topics:
     """
 
     def __init__(self, address: ControllerAddress, journal: Journal) -> None:
-        self.address, self._journal = address, journal
-        topic, known = import_extra("cyclonedds.topic").Topic, types()
+        self.address = address
+        self._journal = journal
+        topic = import_extra("cyclonedds.topic").Topic
+        known = types()
         failure = import_extra("cyclonedds.core").DDSException
         own, domain = participant(address)
         try:

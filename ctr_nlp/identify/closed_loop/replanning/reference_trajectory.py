@@ -40,7 +40,8 @@ class ReferenceTrajectory(NamedTuple):
     @property
     def motors(self) -> Array:
         """Where motors are planned to be (T, 2d + 2)."""
-        found, d = self.q.copy(), self.zeros.shape[1]
+        found = self.q.copy()
+        d = self.zeros.shape[1]
         found[:, :d] -= self.zeros
         return found
 

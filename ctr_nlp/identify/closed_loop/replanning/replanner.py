@@ -96,9 +96,7 @@ class Replanner:
             return None
         if not plan.complete or not plan.meta["certificate"]["held"]:
             return None
-        rest, target = (
-            ReferenceTrajectory.from_plan(plan, model, start.zeros),
-            self._plan.target[start.first :, ::TRACKED_SHAPE_STRIDE],
-        )
+        rest = ReferenceTrajectory.from_plan(plan, model, start.zeros)
+        target = self._plan.target[start.first :, ::TRACKED_SHAPE_STRIDE]
         own, other = (float(((way.shape - target) ** 2).sum()) for way in (rest, start.reference))
         return None if begun and own >= other else rest

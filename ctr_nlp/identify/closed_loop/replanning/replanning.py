@@ -40,7 +40,8 @@ class Replanning:
 
     def __init__(self, replanner: Replanner, time: Array) -> None:
         """For a motion whose frames are at times (T,), s."""
-        self._replanner, self._time = replanner, time
+        self._replanner = replanner
+        self._time = time
         self._begun: _PendingReplanning | None = None
         self.outcomes = list[ReplanningOutcome]()
 
@@ -51,7 +52,8 @@ class Replanning:
         """
         begun = self._begun
         if begun is not None and frame >= begun.start.first:
-            leads, self._begun = begun.rest is not None, None
+            leads = begun.rest is not None
+            self._begun = None
             self.outcomes.append(ReplanningOutcome(begun.start.first + 1, begun.seconds, leads))
             if begun.rest is not None:
                 tracker.switch_reference(begun.start, begun.rest)
@@ -67,7 +69,8 @@ class Replanning:
         first = int(np.searchsorted(self._time, now + REPLANNING_LEAD_S))
         if now < self._time[0] + REPLANNING_LEAD_S or first >= len(self._time) - 1:
             return
-        outset, begin = tracker.replanning_start(ahead, frame, first), process_time()
+        outset = tracker.replanning_start(ahead, frame, first)
+        begin = process_time()
         rest = self._replanner(outset)
         self._begun = _PendingReplanning(outset, rest, process_time() - begin)
 

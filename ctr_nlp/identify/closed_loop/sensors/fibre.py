@@ -47,7 +47,8 @@ class FibreSensor(Sensor):
 
     def slopes(self, shape: SensedShape) -> Array:
         """Return the derivatives (n - 1, k) of the curvatures."""
-        turned, of_turned = np.diff(shape.tangents, axis=0), np.diff(shape.of_tangents, axis=1)
+        turned = np.diff(shape.tangents, axis=0)
+        of_turned = np.diff(shape.of_tangents, axis=1)
         # d|v| = v . dv / |v|; a straight fibre has no direction in which it bends, and slopes of 0.
         size = np.maximum(np.linalg.norm(turned, axis=1), 1e-9)
         slopes = np.einsum("kni,ni->kn", of_turned, turned / size[:, None]) / (np.diff(self.sigma) * shape.length)

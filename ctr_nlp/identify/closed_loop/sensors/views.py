@@ -57,7 +57,8 @@ class ViewSensor(Sensor):
     def slopes(self, shape: SensedShape) -> Array:
         """Return the derivatives (2 v n, k) of the coordinates in the pictures."""
         found = self._homogeneous(shape.points) + self.projections[:, None, :, 3]
-        turned, depth = self._homogeneous(shape.of_points), found[:, None, :, 2:]
+        turned = self._homogeneous(shape.of_points)
+        depth = found[:, None, :, 2:]
         places = (found[..., :2] / found[..., 2:])[:, None]
         # Derivative of the quotient p = n / w by which points are projected: dp = (dn - p dw) / w.
         slopes = (turned[..., :2] - places * turned[..., 2:]) / depth
@@ -71,7 +72,8 @@ def view(source: Array, centre: Array, up: Array, magnification: float = 1.0) ->
     in the picture. Raises OptionError where these make no picture.
     """
     away = np.asarray(centre, dtype=float) - source
-    distance, right = float(np.linalg.norm(away)), np.cross(away, up)
+    distance = float(np.linalg.norm(away))
+    right = np.cross(away, up)
     if not distance > 0 or not np.linalg.norm(right) > 0:
         raise OptionError(
             "a view needs a source away from its centre, and an up that does not point along the ray"

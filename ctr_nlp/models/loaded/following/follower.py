@@ -39,7 +39,9 @@ class Follower:
         """Build; load: of which kind all loads are; acting (N, M, 17 + 3d): numbers of each robot's load at M
         places of a way.
         """
-        self._structure, self._numbers, self._acting = structure, numbers, acting
+        self._structure = structure
+        self._numbers = numbers
+        self._acting = acting
         self._conservative = load.conservative
         self._elastic = [Equilibria(structure, own) for own in numbers]
         self.loaded = LoadedEquilibria(structure, RodKind.of(load))
@@ -65,7 +67,9 @@ class Follower:
 
         with_margins: whether stability margins are computed. Unknowns are NaN from a snap to the next fresh place.
         """
-        places, count, total = schedule_load(motion), len(q), motion.total
+        places = schedule_load(motion)
+        count = len(q)
+        total = motion.total
         load = scale_loads(self._acting[:, places.at], places.load_fraction)
         track = StateTrack(places, self._numbers, q[:, places.at], load)
         robots = range(count)
@@ -80,7 +84,8 @@ class Follower:
             if torn:
                 snaps |= self._branches(places, track, torn)
         frames = (total * np.arange(count)[:, None] + places.frames).ravel()
-        known, own = track.is_known, np.tile(places.is_frame, count)
+        known = track.is_known
+        own = np.tile(places.is_frame, count)
         here = np.flatnonzero(known & own)
         x, (at, between) = np.full((count * total, q.shape[2]), np.nan), np.full((2, count * total), np.nan)
         x[frames[here]] = track.states.rows(here).unknowns

@@ -23,7 +23,8 @@ class StationGuesses:
 
     def __init__(self, structure: Structure, equilibria: LoadedEquilibria, states: States) -> None:
         """Prepare; of states only numbers, q and load are used."""
-        self._structure, self._equilibria = structure, equilibria
+        self._structure = structure
+        self._equilibria = equilibria
         self._states = States.unknown_states(states.numbers, states.q, states.load)
         self._until = np.arange(len(states.q))
 

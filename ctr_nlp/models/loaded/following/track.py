@@ -64,7 +64,8 @@ class StateTrack:
         Yields the stations that branches do not lead to, each with the slopes (d + 2, d + 2) where its branch
         ends. guesses: equilibria that may be skipped to, or None.
         """
-        states, following = self.states, _next(self._stations)
+        states = self.states
+        following = _next(self._stations)
         while True:
             # Rows that were guessed, and confirmed, cost nothing; the others take a step each, all in one batch.
             at = at if guesses is None else guesses.skip_confirmed(states, at)
@@ -75,13 +76,16 @@ class StateTrack:
             reached, done = equilibria.follow_branches(states.rows(at), states.q[ahead], states.load[ahead])
             there = done == 1
             yield from zip(ahead[~there], reached.slopes[~there], strict=True)
-            at, last = ahead[there], last[there]
+            at = ahead[there]
+            last = last[there]
             states.write(at, reached.rows(there))
 
     def fill(self, equilibria: LoadedEquilibria, robot: int) -> bool:
         """Find the states between stations of a robot; return whether each place leads to the next one."""
         here = slice(robot * self._length, (robot + 1) * self._length)
-        states, stations, known = self.states.rows(here), self._stations[here], self.is_known[here]
+        states = self.states.rows(here)
+        stations = self._stations[here]
+        known = self.is_known[here]
         # The last station at or before each place: from it the line leads through the place.
         before = np.maximum.accumulate(np.where(stations, np.arange(self._length), 0))
         wanted = np.flatnonzero(~stations & known[before] & known[_next(stations)])

@@ -21,7 +21,8 @@ class LoadedWalker(Walker):
 
     def __init__(self, structure: Structure, numbers: Array, q: Array, load: Load) -> None:
         """Place the robot at q (2d + 2,), to which all tubes were turned together from alpha_d, and load it."""
-        self.q, self._conservative = np.array(q, dtype=float), load.conservative
+        self.q = np.array(q, dtype=float)
+        self._conservative = load.conservative
         self._acting = load.numbers(structure.d)[None]
         follower = Follower(structure, np.array(numbers, dtype=float)[None], load, self._acting[:, None])
         self._equilibria = follower.loaded

@@ -52,7 +52,8 @@ def checks(found: PaperResults) -> list[Check]:
     """How well the path is followed; the paper gives no number to hold it against."""
     parts = []
     for problem in FIG10_PROBLEMS:
-        plan, e3 = found.plan(problem, OUR_HORIZON), number(found.row(problem, OUR_HORIZON)["e3"])
+        plan = found.plan(problem, OUR_HORIZON)
+        e3 = number(found.row(problem, OUR_HORIZON)["e3"])
         length = float(np.linalg.norm(np.diff(plan.target[-1], axis=0), axis=1).sum())
         parts.append(
             f"`{problem}`: e3 of {format_cell(e3)} mm over targets of up to {length:.0f} mm, {e3 / length:.2%}"
@@ -72,7 +73,8 @@ def curvatures(plan: Plan) -> dict[str, Array]:
 
     A tube's is NaN beyond its tip.
     """
-    robot, beta = plan.robot, plan.beta[-1]
+    robot = plan.robot
+    beta = plan.beta[-1]
     s = np.arange(0.0, beta[-1], FIG10_CURVATURE_SPACING_MM)
     tubes = {}
     for i, tube in enumerate(robot.tube_numbers):
@@ -106,7 +108,8 @@ def draw(found: PaperResults) -> Figure:
     """Clips of both robots, and curvatures along them in the last frame."""
     plans = {title: found.plan(problem, OUR_HORIZON) for problem, title in FIG10_PROBLEMS.items()}
     figure = draw_clips([[ClipGroup(title, plan) for title, plan in plans.items()]], CURVATURE_PANEL_HEIGHT_INCH)
-    height, wide = figure.get_figheight(), (CLIPS_WIDTH_INCH - 2 * CLIPS_LEFT_MARGIN_INCH - 0.5) / 2
+    height = figure.get_figheight()
+    wide = (CLIPS_WIDTH_INCH - 2 * CLIPS_LEFT_MARGIN_INCH - 0.5) / 2
     first: Axes | None = None
     for k, (title, plan) in enumerate(plans.items()):
         left = CLIPS_LEFT_MARGIN_INCH + 0.15 + k * (wide + CLIPS_LEFT_MARGIN_INCH)
@@ -127,9 +130,11 @@ def draw(found: PaperResults) -> Figure:
 
 def _curvatures(axes: Axes, plan: Plan) -> None:
     columns = curvatures(plan)
-    s, start = columns["s"], 0.0
+    s = columns["s"]
+    start = 0.0
     for i in range(plan.robot.d):
-        value, end = columns[f"k_{i + 1}"], plan.beta[-1, i]
+        value = columns[f"k_{i + 1}"]
+        end = plan.beta[-1, i]
         seen = (s >= start) & (s <= end)
         axes.plot(s, value, color=tube_colour(i), lw=0.9, ls=":")
         axes.plot(s[seen], value[seen], color=tube_colour(i), lw=tube_width(i, plan.robot.d))

@@ -63,10 +63,8 @@ def checks(found: PaperResults) -> list[Check]:
     """Whether the error falls with the number of points, and how few are enough."""
     seeds = {p: found.fit_results[FittingTask(p, PAPER_TWO_STAGE)] for p in TABLE_II_PROBLEMS}
     ours = {p: found.fit_results[FittingTask(p, OUR_JOINT)] for p in TABLE_II_PROBLEMS}
-    falls, enough = (
-        {p: is_decreasing(some) for p, some in seeds.items()},
-        {p: is_sufficient(s, PAPER_POINTS_PER_SEGMENT) for p, s in seeds.items()},
-    )
+    falls = {p: is_decreasing(some) for p, some in seeds.items()}
+    enough = {p: is_sufficient(s, PAPER_POINTS_PER_SEGMENT) for p, s in seeds.items()}
     gains = [(1 - some[1].e3 / some[0].e3, 1 - some[-1].e3 / some[1].e3) for some in seeds.values()]
     first, rest = (sorted(column) for column in zip(*gains, strict=True))
     percent = f"{SUFFICIENT_E3_TOLERANCE:.0%}"

@@ -78,14 +78,13 @@ class SolverPicture:
     def show(self, state: SolverState | Plan) -> None:
         """The newest motion and all iterates; or a plan, in their place."""
         if isinstance(state, Plan):
-            shapes, beta = state.shape[self._frames], state.beta[self._frames]
+            shapes = state.shape[self._frames]
+            beta = state.beta[self._frames]
             self._show(shapes, beta, f"the plan: {outcome(summary(state))}")
             return
         motion = state.motion[self._frames]
-        shapes, beta = (
-            KINEMATIC_MODELS[self.model].points(self.robot, motion, SIGMA_GRID),
-            self.robot.split(motion)[1],
-        )
+        shapes = KINEMATIC_MODELS[self.model].points(self.robot, motion, SIGMA_GRID)
+        beta = self.robot.split(motion)[1]
         for (panel, line), values in zip(self._curves, (state.objective, state.error), strict=True):
             line.set_data(np.arange(len(values)), np.where(values > 0, values, np.nan))
             panel.relim()
@@ -141,7 +140,8 @@ class PlaybackPicture:
 
     def show(self, state: PlaybackState) -> None:
         """A moment; nothing is drawn of a robot whose equilibrium is lost."""
-        d, plan = self.plan.robot.d, self.plan
+        d = self.plan.robot.d
+        plan = self.plan
         for (body, shape), q in ((self._commanded, state.commanded), (self._measured, state.measured)):
             body.show(shape(q), q[d : 2 * d])
         self._target.set_data_3d(*plan.target[np.clip(state.frame, 1, len(plan.time)) - 1].T)
@@ -153,7 +153,8 @@ class ShapeContinuation:
     """Shapes of one robot at one configuration after the other, each equilibrium from the one before."""
 
     def __init__(self, robot: Robot, model: str) -> None:
-        self._robot, self._model = robot, KINEMATIC_MODELS[model]
+        self._robot = robot
+        self._model = KINEMATIC_MODELS[model]
         self._before: tuple[Array, Array] | None = None
 
     def __call__(self, q: Array) -> Array:

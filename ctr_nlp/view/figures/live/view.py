@@ -62,7 +62,8 @@ class LiveWindow:
         assert self._process.stdout is not None
         self._pipe = self._process.stdin
         self._states = deque[Callable[[], Any]](maxlen=1)
-        self._news, self._ending = threading.Event(), False
+        self._news = threading.Event()
+        self._ending = False
         self._sender = threading.Thread(target=self._send, daemon=True)
         with self._process.stdout as words:
             with suppress(OSError):

@@ -30,7 +30,8 @@ class Inbox:
     """The newest of the states that come, received in a thread; ended, s of the clock, once no more can come."""
 
     def __init__(self, source: BinaryIO) -> None:
-        self._source, self._states = source, deque[Any](maxlen=1)
+        self._source = source
+        self._states = deque[Any](maxlen=1)
         self.ended: float | None = None
         threading.Thread(target=self._receive, daemon=True).start()
 

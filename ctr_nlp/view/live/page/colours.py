@@ -77,7 +77,8 @@ def rate_numbers(seen: SessionState, required_margin: float | None) -> list[Rate
     """Return the numbers of a moment with words on them; `required_margin` is the least stability margin that
     steering keeps, None for any.
     """
-    e2, tip = seen.e2, float(seen.error[-1])
+    e2 = seen.e2
+    tip = float(seen.error[-1])
     how = (
         ("close", GOOD_COLOUR)
         if e2 <= CLOSE_ERROR_MM

@@ -34,7 +34,8 @@ def guard_websocket_server(host: str) -> Iterator[Callable[[], bool]]:
     callable
         Says whether a server was started and is guarded.
     """
-    module, started = import_extra("websockets.asyncio.server"), list[str]()
+    module = import_extra("websockets.asyncio.server")
+    started = list[str]()
     serve = module.serve
 
     def serve_own(handler: Any, *where: Any, process_request: Any = None, **options: Any) -> Any:

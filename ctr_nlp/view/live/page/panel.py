@@ -59,8 +59,11 @@ class ControlPanel:
         """Build the controls; `robots` are the names to choose from, `robot` the one that is chosen, `requests`
         takes the requests.
         """
-        self._session, self._asked, self._last = session, requests, 0.0
-        self._numbers, self._news = gui.add_html(""), gui.add_markdown("")
+        self._session = session
+        self._asked = requests
+        self._last = 0.0
+        self._numbers = gui.add_html("")
+        self._news = gui.add_markdown("")
         self._all = [self._numbers, self._news]
         with self._register_folder(gui.add_folder("What steers")):
             self._method = self._add_dropdown(gui, "method", STEERING_METHODS, session.method, Session.follow)
@@ -99,7 +102,8 @@ class ControlPanel:
         """
         if time.monotonic() - self._last < PANEL_UPDATE_PERIOD_S:
             return
-        self._last, session = time.monotonic(), self._session
+        self._last = time.monotonic()
+        session = self._session
         rows = rate_numbers(seen, session.settings.stability_margin)
         work = RatedNumber("time for a step", f"{1e3 * seen.seconds:.1f} ms", f"busy {busy:.0%}", "")
         self._numbers.content = table([*rows, work])
@@ -138,7 +142,8 @@ class ControlPanel:
         found.on_update(lambda _: self._asked.use_robot(str(found.value)))
 
     def _target(self, gui: Any) -> None:
-        session, ask = self._session, self._asked.ask
+        session = self._session
+        ask = self._asked.ask
         self._progress = gui.add_slider("progress", 0.0, 1.0, SLIDER_STEP, session.goal.progress)
         self._play = gui.add_button("Follow the path")
         release = gui.add_button("Let go of all handles")
@@ -154,7 +159,8 @@ class ControlPanel:
 
     def _joint(self, gui: Any, joint: int, span: Array) -> Any:
         name, (low, high) = self._session.problem.robot.axes[joint], span.tolist()
-        now, unit = float(np.clip(self._session.q[joint], low, high)), "mm" if name.startswith("beta") else "rad"
+        now = float(np.clip(self._session.q[joint], low, high))
+        unit = "mm" if name.startswith("beta") else "rad"
         locked = low == high  # such a joint has a slider that shows it and does not move
         found = gui.add_slider(
             f"{name}, {unit}", low, high + SLIDER_STEP * locked, SLIDER_STEP, now, disabled=locked

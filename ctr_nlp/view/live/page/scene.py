@@ -49,7 +49,8 @@ class Scene:
         """Draw everything that never changes; `on_drag` is called in the server's own thread, and must return at
         once.
         """
-        self._server, self._robot = server, problem.robot
+        self._server = server
+        self._robot = problem.robot
         scene = server.scene
         scene.configure_environment_map(None)
         scene.configure_default_lights(False)
@@ -158,20 +159,24 @@ class Scene:
         points = np.concatenate([frame.points for frame in problem.target_frames[-1:]])
         if problem.sampled_lumen is not None:
             points = np.concatenate([points, problem.sampled_lumen.table[:, :3]])
-        low, high = points.min(axis=0), points.max(axis=0)
-        middle, away = (low + high) / 2, np.array(VIEW)
+        low = points.min(axis=0)
+        high = points.max(axis=0)
+        middle = (low + high) / 2
+        away = np.array(VIEW)
         if high[1] - low[1] > high[0] - low[0]:
             away = away[[1, 0, 2]] * [-1.0, 1.0, 1.0]
         far = 0.6 * np.linalg.norm(high - low) / np.tan(np.radians(LIVE_FIELD_OF_VIEW_DEG / 2))
         camera = self._server.initial_camera
-        camera.up, camera.fov = (0.0, 0.0, 1.0), float(np.radians(LIVE_FIELD_OF_VIEW_DEG))
+        camera.up = (0.0, 0.0, 1.0)
+        camera.fov = float(np.radians(LIVE_FIELD_OF_VIEW_DEG))
         camera.look_at = tuple(middle)
         camera.position = tuple(middle + far * away / np.linalg.norm(away))
 
 
 def _arrow(begin: Array, direction: Array) -> Array:
     """Five lines (5, 2, 3) mm that begin at a point (3,) and show a direction, a unit vector (3,)."""
-    end, across = begin + ARROW_MM * direction, np.eye(3)[abs(direction).argmin()]
+    end = begin + ARROW_MM * direction
+    across = np.eye(3)[abs(direction).argmin()]
     side = np.cross(direction, across) / np.linalg.norm(np.cross(direction, across))
     sides = [side, -side, np.cross(direction, side), -np.cross(direction, side)]
     heads = [(end, end - HEAD_MM * direction + HEAD_MM / 2 * each) for each in sides]
@@ -201,7 +206,8 @@ def _rod() -> tuple[Array, Array]:
     k = np.arange(TUBE_POLYGON_SIDES)
     beside = (k + 1) % TUBE_POLYGON_SIDES
     sides = [[k, beside, k + TUBE_POLYGON_SIDES], [beside, beside + TUBE_POLYGON_SIDES, k + TUBE_POLYGON_SIDES]]
-    below, above = 2 * TUBE_POLYGON_SIDES, 3 * TUBE_POLYGON_SIDES
+    below = 2 * TUBE_POLYGON_SIDES
+    above = 3 * TUBE_POLYGON_SIDES
     caps = [
         [beside + below, k + below, np.full(TUBE_POLYGON_SIDES, 4 * TUBE_POLYGON_SIDES)],
         [k + above, beside + above, np.full(TUBE_POLYGON_SIDES, 4 * TUBE_POLYGON_SIDES + 1)],

@@ -51,10 +51,12 @@ class PendingDrive:
 
     def __init__(self, problem: Problem, model: Model, q: Array, dt: float, settings: Settings) -> None:
         """Begin; the programs are compiled by a process of their own, which outlives this one."""
-        self.model, self.within_lumen = model, problem.lumen is not None and settings.contact_weight > 0
+        self.model = model
+        self.within_lumen = problem.lumen is not None and settings.contact_weight > 0
         self.drive: Drive | None = None
         self.error: CtrError | None = None
-        self._asked, self._dropped = (problem, q, dt, settings), threading.Event()
+        self._asked = (problem, q, dt, settings)
+        self._dropped = threading.Event()
         threading.Thread(target=self._wait, daemon=True).start()
 
     def cancel(self) -> None:

@@ -16,6 +16,7 @@ def free_problem(name: str, robot: Robot, frames: int = 100) -> Problem:
 
     Raises OptionError where the dominant model does not describe the robot, and ProblemError.
     """
-    turned, tilted = np.zeros(robot.d), np.zeros(2)
+    turned = np.zeros(robot.d)
+    tilted = np.zeros(2)
     q = np.clip(np.concatenate([turned, robot.max_extensions, tilted]), robot.lower, robot.upper)
     return Problem(name, robot, growing(shape_curve(robot, q), frames))

@@ -26,7 +26,9 @@ class Ghosts:
 
     def __init__(self, robot: Robot, model: Model, q: Array, count: int) -> None:
         """So many draws at rest at q (2d + 2,); raises RobotError."""
-        self._draws, self._model, self._d = sample_robots(robot, count, GHOST_SEED), model, robot.d
+        self._draws = sample_robots(robot, count, GHOST_SEED)
+        self._model = model
+        self._d = robot.d
         self._alpha = np.repeat(q[None, : robot.d], count, axis=0)
         self._robots = [
             model.walker(self._draws.structure, numbers, own)
@@ -52,5 +54,6 @@ class Ghosts:
         self.shapes = self._sample_shapes()
 
     def _sample_shapes(self) -> Array:
-        x, draws = np.array([[robot.x] for robot in self._robots]), self._draws
+        x = np.array([[robot.x] for robot in self._robots])
+        draws = self._draws
         return self._model.points_batch(draws.structure, draws.numbers, x, SIGMA_GRID[::GHOST_SHAPE_STRIDE])[:, 0]

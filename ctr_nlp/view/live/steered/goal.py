@@ -28,8 +28,10 @@ class Goal:
 
     def __init__(self, frames: Sequence[Frame], reach: float) -> None:
         """frames: those of the problem's target. reach: mm to which the robot reaches; a longer target is cut."""
-        self._frames, self._reach = frames, reach
-        self._progress, self._pulled = 0.0, np.zeros((HANDLES, 3))
+        self._frames = frames
+        self._reach = reach
+        self._progress = 0.0
+        self._pulled = np.zeros((HANDLES, 3))
 
     @property
     def progress(self) -> float:
@@ -84,7 +86,8 @@ class Goal:
         """The path (101, 3) mm, linear between two frames."""
         place = self._progress * (len(self._frames) - 1)
         before = min(int(place), max(len(self._frames) - 2, 0))
-        after, part = min(before + 1, len(self._frames) - 1), place - before
+        after = min(before + 1, len(self._frames) - 1)
+        part = place - before
         return np.asarray((1 - part) * self._frames[before].points + part * self._frames[after].points)
 
     def _forget(self) -> None:

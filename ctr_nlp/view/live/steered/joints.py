@@ -19,7 +19,8 @@ def slide_joint(robot: Robot, q: Array, joint: int, value: float) -> Array:
     A tube takes its neighbours along where order or the gap between carriages would not be kept: outer ones do
     not come out further than inner ones. Where those cannot follow, it stops with them.
     """
-    found, d = np.array(q, dtype=float), robot.d
+    found = np.array(q, dtype=float)
+    d = robot.d
     found[joint] = value
     found = np.clip(found, robot.lower, robot.upper)
     if d <= joint < 2 * d:
@@ -29,9 +30,12 @@ def slide_joint(robot: Robot, q: Array, joint: int, value: float) -> Array:
 
 def _enforce_order(robot: Robot, beta: Array, moved: int) -> None:
     """Let all tubes follow the one that was moved, from 0, and that one follow those that are at their limits."""
-    d, growth = robot.d, robot.max_extension_differences
-    low, high = robot.lower[d : 2 * d], robot.upper[d : 2 * d]
-    least, most = low.copy(), high.copy()
+    d = robot.d
+    growth = robot.max_extension_differences
+    low = robot.lower[d : 2 * d]
+    high = robot.upper[d : 2 * d]
+    least = low.copy()
+    most = high.copy()
     for i in range(1, d):
         least[i] = max(least[i], least[i - 1])
         most[i] = min(most[i], most[i - 1] + growth[i - 1])
@@ -60,7 +64,8 @@ def slider_ranges(robot: Robot) -> Array:
     """Return the range of each joint's slider, (2d + 2, 2): the joint's limits, those of angles within
     `SLIDER_TURNS` turns to either side.
     """
-    ends, angles = np.stack([robot.lower, robot.upper], axis=1), np.ones(2 * robot.d + 2, dtype=bool)
+    ends = np.stack([robot.lower, robot.upper], axis=1)
+    angles = np.ones(2 * robot.d + 2, dtype=bool)
     angles[robot.d : 2 * robot.d] = False
     wide = SLIDER_TURNS * 2 * math.pi
     ends[angles] = np.clip(ends[angles], -wide, wide)

@@ -109,7 +109,8 @@ def curve_through(points: Array) -> Curve:
         return np.asarray(slope / np.linalg.norm(slope, axis=-1, keepdims=True))
 
     def curvature(s: Array) -> Array:
-        slope, bend = path(s, 1), path(s, 2)
+        slope = path(s, 1)
+        bend = path(s, 2)
         return np.asarray(np.linalg.norm(np.cross(slope, bend), axis=-1) / np.linalg.norm(slope, axis=-1) ** 3)
 
     return Curve(float(along[-1]), path, tangent, curvature)

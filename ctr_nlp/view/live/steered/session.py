@@ -87,10 +87,14 @@ class Session:
         be said to bear it.
         """
         number(OptionError, "rate", rate, lambda x: 0 < x < np.inf, "be a finite number > 0", " 1/s")
-        self.problem, self.settings, self.dt, self.load = problem, settings, 1.0 / rate, load
+        self.problem = problem
+        self.settings = settings
+        self.dt = 1.0 / rate
+        self.load = load
         if load is not None:
             model_with_load(model, load).check(problem.robot)
-        self.goal, self.method = Goal(problem.target_frames, problem.robot.reach), SHAPE_METHOD
+        self.goal = Goal(problem.target_frames, problem.robot.reach)
+        self.method = SHAPE_METHOD
         self.hand = retracted_configuration(problem.robot, problem.target_frames[-1].points)
         self._beside = None if problem.sampled_lumen is None else WallDistance(problem.sampled_lumen)
         self._count = 0
@@ -149,7 +153,8 @@ class Session:
         check_choice("method", method, STEERING_METHODS)
         if self.method == HAND_METHOD and method != HAND_METHOD:
             self._drive.steerer.set_configuration(self.q, self._robot.x)
-        self.method, self.hand = method, self.q
+        self.method = method
+        self.hand = self.q
         if method != HAND_METHOD:
             self._drive.steerer.set_shape_weights(DISTANCES[method])
 
@@ -186,7 +191,8 @@ class Session:
 
     def end_recording(self) -> Recording:
         """End the recording and return it; raises OptionError where nothing was recorded."""
-        found, self._recording = self._recording, None
+        found = self._recording
+        self._recording = None
         if found is None or not found.moments:
             raise OptionError(EMPTY)
         return found
@@ -201,11 +207,14 @@ class Session:
         if self._awaited is not None and self._awaited.drive is not None and self._recording is None:
             self._switch_drive(self._awaited.drive)
         moment = self._move_robot(self.goal.points)
-        robot, q = self.problem.robot, self.q
-        shape, ghosts = self._drive.model.points(robot, self._robot.x[None], SIGMA_GRID)[0], self._ghosts
+        robot = self.problem.robot
+        q = self.q
+        shape = self._drive.model.points(robot, self._robot.x[None], SIGMA_GRID)[0]
+        ghosts = self._ghosts
         if ghosts is not None:
             ghosts.go(q, self._robot.x)
-        error, clearance = np.linalg.norm(shape - moment.target, axis=1), None
+        error = np.linalg.norm(shape - moment.target, axis=1)
+        clearance = None
         if self._beside is not None:
             clearance = self._beside.clearances(robot, robot.split(q)[1][None], shape[None], SIGMA_GRID)[0]
         e2 = float(rms_over_sigma(error))
@@ -229,7 +238,9 @@ class Session:
 
     def _switch_drive(self, drive: Drive) -> None:
         """Go on with another drive from where the robot stands."""
-        q, self._drive, self._awaited = self.q, drive, None
+        q = self.q
+        self._drive = drive
+        self._awaited = None
         self._robot = self._resting(q)
         drive.steerer.set_configuration(q, self._robot.x)
         self.follow(self.method)
@@ -244,15 +255,18 @@ class Session:
         """Move the robot by one step; where it loses its equilibrium, it comes to rest anew, which counts as a
         snap.
         """
-        steerer, begin = self._drive.steerer, time.perf_counter()
+        steerer = self._drive.steerer
+        begin = time.perf_counter()
         if self.method == HAND_METHOD:
-            q, solved = step_towards(self.problem.robot, self.q, self.hand, self.dt), (np.nan, np.nan, np.nan)
+            q = step_towards(self.problem.robot, self.q, self.hand, self.dt)
+            solved = (np.nan, np.nan, np.nan)
         else:
             q = steerer.step(target, self.goal.progress)
             solved = steerer.objective, steerer.kkt, time.perf_counter() - begin
         snapped = bool(self._robot.move_to(q))
         if not np.isfinite(self._robot.x).all():
-            self._robot, snapped = self._resting(q), True
+            self._robot = self._resting(q)
+            snapped = True
         if snapped:
             steerer.set_configuration(q, self._robot.x)
         return Moment(q, target, snapped, *solved)
