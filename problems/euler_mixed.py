@@ -1,8 +1,7 @@
 """A straight tube, an arc and an Euler tube along the same Euler curve, Fig. 10 (b); the numbers are ours."""
 
-from ctr_nlp.problems.euler import euler_curve, robot_with_curvatures
-
 from ctr_nlp import Problem, Robot, growing
+from ctr_nlp.problems.euler import euler_curve, robot_with_curvatures
 
 EULER_MIXED_CURVATURES_PER_MM = (0.0, 1 / 80, (1 / 120, 1 / 60))
 """Of each tube, 1/mm; root and tip of the curved part where it varies."""

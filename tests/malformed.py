@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
-from problems import ROOT
+from common import ROOT
 
 from ctr_nlp import Plan, Problem, curve_from_points, growing, table_i_robot
 from ctr_nlp.exceptions import CtrError

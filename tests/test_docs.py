@@ -48,10 +48,10 @@ THIN = {
     ("plan *airway*", "steer *airway*"): "--frames 40 --stability-margin 0.2 --samples 20",
     ("plan *", "steer *"): "--frames 40 --samples 20",
     ("force *",): "--every 20 --directions 14",
-    ("scripts/compare_solvers.py*", "compare *"): "arc bronchus --frames 2 --variants joint:sqp horizon:banded",
-    ("scripts/benchmark.py*", "benchmark *"): "--parts rows --rows frame",
+    ("scripts/studies/compare.py*", "compare *"): "arc bronchus --frames 2 --variants joint:sqp horizon:banded",
+    ("scripts/studies/benchmark.py*", "benchmark *"): "--parts rows --rows frame",
     ("scripts/design_tubes.py*", "design *"): "--nominal --model dominant --frames 3 --starts 1 --robot two.toml",
-    ("scripts/reproduce_seed.py*", "reproduce *"): "--only fig10 --frames 3 --jobs 1",
+    ("scripts/studies/reproduce.py*", "reproduce *"): "--only fig10 --frames 3 --jobs 1",
 }
 """What command lines look like, as a script or a subcommand -> further arguments; the first that fits is taken."""
 JUDGING = (

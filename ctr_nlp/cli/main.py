@@ -40,22 +40,14 @@ COMMANDS = {
     "import": Entry("exchange.configurations", "main", "make a plan of configurations from another program"),
     "play": Entry("commands.play", "main", "check a plan for some hardware and play it there"),
     "commission": Entry("commands.commission", "main", "read a controller, try its axes and keep its settings"),
-    "compare": Entry("studies.compare", "main", "solve problems by several methods, side by side"),
-    "learn": Entry("studies.learn", "main", "train a network that gives configurations for shapes"),
     "study": Entry("studies.study", "main", "make thousands of plans, on this machine or on a cluster"),
     "trade": Entry("studies.trade", "main", "study what robustness costs and brings"),
-    "baselines": Entry("studies.baselines", "main", "design tubes beside general optimisers"),
-    "reproduce": Entry("studies.reproduce", "main", "remake the paper's figures and tables"),
-    "benchmark": Entry("studies.benchmark", "main", "measure speed, and compare it with a baseline"),
     "new": Entry("commands.new", "main", "write a problem, robot, hardware, load or study file to start from"),
     "warm": Entry("commands.warm", "main", "compile what problems need before it is needed"),
     "doctor": Entry("commands.doctor", "main", "tell what is installed, what is missing and how to get it"),
     "completion": Entry("commands.completion", "main", "print what completes commands in a shell"),
 }
 """Every subcommand by its name, in the order in which --help lists them."""
-
-HORIZON_ENTRY = Entry("commands.plan", "horizon", "plan a whole motion at once")
-"""`ctr-nlp plan --formulation horizon` without the options of other formulations: scripts/solve_horizon.py."""
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -73,12 +65,6 @@ def main(argv: list[str] | None = None) -> int:
         )
     top.parse_args(given)
     return 0
-
-
-def script(entry: Entry) -> int:
-    """Run a subcommand under the name of the script that was started; the exit status."""
-    _hold_interrupts()
-    return load(entry)(prog=sys.argv[0].replace("\\", "/").rpartition("/")[2])
 
 
 def load(entry: Entry) -> Command:

@@ -13,7 +13,7 @@ from ctr_nlp.plan.plan import Plan
 from ctr_nlp.planning import Horizon
 from ctr_nlp.planning.horizon.loaded_horizon import LoadedHorizon
 from ctr_nlp.planning.marching import Progress
-from ctr_nlp.studies.comparison import parse_variant
+from ctr_nlp.studies.variants import parse_solver_variant
 from ctr_nlp.support.interrupt import deferred_interrupt
 
 DEFAULT_SWEEP_WEIGHTS_S2 = tuple(10.0 ** (k / 2 - 8) for k in range(13))
@@ -55,7 +55,7 @@ def compute_pareto_front(
         for name in COMPARED_VARIANTS:
             if interrupted():
                 break
-            variant = parse_variant(name)
+            variant = parse_solver_variant(name)
             label = f"{horizon.problem.name}, {name}"
             if suits(horizon.problem.robot, variant.model):
                 found = variant.plan(horizon.problem, settings, (), labelled(label))

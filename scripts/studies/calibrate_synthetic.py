@@ -14,6 +14,7 @@ import time
 from dataclasses import replace
 
 import numpy as np
+from identification import measure_random_poses
 from scipy.spatial.transform import Rotation
 
 from ctr_nlp import Calibration, Measurements, Robot, Tolerances, calibrate, table_i_robot
@@ -23,7 +24,6 @@ from ctr_nlp.identify.calibration.prediction import Prediction, flat_measured
 from ctr_nlp.models import model_named
 from ctr_nlp.robot.samples import RobotSamples, sample_robots
 from ctr_nlp.robot.tolerances import DEVIATION_NAMES
-from ctr_nlp.studies.identification import measure_random_poses
 from ctr_nlp.typing import Array
 
 POSES, PLACES, NOISE = 60, 10, 0.5

@@ -9,14 +9,15 @@ import argparse
 from dataclasses import asdict
 from pathlib import Path
 
-from ctr_nlp import Plan
-from ctr_nlp.studies.closed_loop_study import (
+from closed_loop_study import (
     AS_PLANNED,
     CLOSED_LOOP_CASES,
     CLOSED_LOOP_SAMPLES,
     REPLANNING_MODES,
     run_closed_loops,
 )
+
+from ctr_nlp import Plan
 from ctr_nlp.support.tables import markdown
 
 

@@ -3,7 +3,7 @@
 python scripts/studies/peer_models.py NAME=PROGRAM [NAME=PROGRAM ...] [--configurations N] [--forces N ...]
 
 A PROGRAM wraps a peer's model that was built elsewhere; what it reads and writes, and how conventions differ,
-stands in ctr_nlp/studies/peers/program.py. A program that is not there is skipped.
+stands in scripts/studies/peers/program.py. A program that is not there is skipped.
 """
 
 from __future__ import annotations
@@ -12,9 +12,10 @@ import argparse
 import shutil
 from dataclasses import asdict
 
+from peers.agreement import compare_models, sample_configurations
+
 from ctr_nlp import Robot, table_i_robot
 from ctr_nlp.models.loads import with_modulus
-from ctr_nlp.studies.peers.agreement import compare_models, sample_configurations
 from ctr_nlp.support.tables import markdown
 
 

@@ -7,6 +7,7 @@ import sys
 
 import numpy as np
 import pytest
+from common import UNJUDGED, named_problem
 
 from ctr_nlp import problem_from_file, table_i_robot
 from ctr_nlp.anatomy.branch import transform_points
@@ -15,7 +16,6 @@ from ctr_nlp.cli.commands.plan import horizon as solve_horizon
 from ctr_nlp.cli.commands.plan import steer as solve_per_frame
 from ctr_nlp.exceptions import CtrError, CurveError, OptionError
 from ctr_nlp.paths.lumen_fit import problem_notes
-from problems import UNJUDGED, named_problem
 
 FLIP = np.array([-1.0, -1.0, 1.0])
 Z = np.linspace(0, 120, 121)

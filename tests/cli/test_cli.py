@@ -11,16 +11,16 @@ from argparse import Namespace
 
 import numpy as np
 import pytest
+from common import ROOT, UNJUDGED
+from compare import main as compare_solvers
 
 from ctr_nlp import Plan
 from ctr_nlp.cli.commands.plan import horizon as solve_horizon
 from ctr_nlp.cli.commands.plan import steer as solve_per_frame
 from ctr_nlp.cli.output.folder import MARK
 from ctr_nlp.cli.problems import load_all
-from ctr_nlp.cli.studies.compare import main as compare_solvers
 from ctr_nlp.exceptions import OptionError, OutputError
 from ctr_nlp.planning.nlp_frames import NlpFrames
-from problems import ROOT, UNJUDGED
 
 FILES = {
     "plan.npz",

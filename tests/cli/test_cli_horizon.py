@@ -10,18 +10,18 @@ import time
 
 import numpy as np
 import pytest
+from common import ROOT, UNJUDGED
+from compare import main as compare_solvers
 
 from ctr_nlp import Plan
 from ctr_nlp.cli import problems
 from ctr_nlp.cli.commands.plan import horizon as solve_horizon
 from ctr_nlp.cli.commands.plan import steer as solve_per_frame
 from ctr_nlp.cli.output.folder import MARK
-from ctr_nlp.cli.studies.compare import main as compare_solvers
 from ctr_nlp.planning.nlp_frames import NlpFrames
 from ctr_nlp.solvers import CHAIN_SOLVERS
 from ctr_nlp.solvers.motion.chain_solution import evaluate_chain_solution
 from ctr_nlp.studies import pareto_front
-from problems import ROOT, UNJUDGED
 
 PICTURES = {"shapes.png", "errors.png", "by_frame.png", "configuration.png"}
 FILES = {"plan.npz", "errors.csv", "summary.json", MARK} | PICTURES

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from ctr_nlp.problems import named_problem
+from common import NAMES, ROOT, UNJUDGED
 
 import ctr_nlp
 from ctr_nlp import Plan, Robot, read_load
@@ -19,8 +19,8 @@ from ctr_nlp.cli.problems import from_python
 from ctr_nlp.codegen import cache
 from ctr_nlp.exceptions import ProblemError
 from ctr_nlp.hardware.description import Hardware
+from ctr_nlp.problems import named_problem
 from ctr_nlp.studies.grid.study_file import Study
-from problems import NAMES, ROOT, UNJUDGED
 
 HEAVY = {"casadi", "numpy", "scipy", "matplotlib", "rich", "argparse"}
 
@@ -123,11 +123,20 @@ def test_what_is_nearly_a_subcommand_is_told_which(capsys):
     assert told.endswith("Did you mean 'export'?\n")
 
 
-def test_every_script_is_a_subcommand():
-    names = {path.name: path.read_text() for path in (ROOT / "scripts").glob("*.py")}
-    called = {text.partition("script(")[2].partition(")")[0] for text in names.values()}
-    assert len(called) == len(names) == 12
-    assert called - {"HORIZON"} <= {f'COMMANDS["{name}"]' for name in COMMANDS}
+@pytest.mark.parametrize(
+    ("script", "options", "printed"),
+    [
+        ("horizon", ("--frames", "10"), "e3 0."),
+        ("per_frame", ("--frames", "5"), "e3 0."),
+        ("compare", ("--frames", "5", "--variants", "joint:sqp"), "joint:sqp"),
+        ("export", ("--frames", "20", "--to", "gcode"), "wrote cos.gcode"),
+    ],
+)
+def test_scripts_run_from_any_folder(script, options, printed, tmp_path):
+    model = () if script == "compare" else ("--model", "dominant")
+    command = [sys.executable, str(ROOT / f"scripts/{script}.py"), "cos", *model, *options]
+    done = subprocess.run(command, capture_output=True, text=True, check=True, cwd=tmp_path)
+    assert printed in done.stdout
 
 
 @pytest.mark.parametrize(
@@ -201,7 +210,7 @@ def test_a_problem_file_is_planned_and_may_import_what_lies_beside_it(tmp_path, 
     monkeypatch.chdir(tmp_path)
     Path("parts.py").write_text("from ctr_nlp.problems import named_problem\n")
     Path("mine.py").write_text(
-        "from dataclasses import replace\nfrom parts import named\n"
+        "from dataclasses import replace\nfrom parts import named_problem\n"
         "def problem(frames, duration, robot):\n"
         "    return replace(named_problem('arc', frames, duration, robot), name='mine')\n"
     )

@@ -3,14 +3,14 @@
 import json
 
 import pytest
-from ctr_nlp.problems import named_problem
+from compare import main as compare
+from methods.comparison import ROBUST_VARIANTS, available_variants
 
 from ctr_nlp import Problem
 from ctr_nlp.cli.problems import from_python
-from ctr_nlp.cli.studies.compare import main as compare
 from ctr_nlp.ocp.settings import Settings
 from ctr_nlp.planning import solve_horizon
-from ctr_nlp.studies.comparison import ROBUST_VARIANTS, available_variants
+from ctr_nlp.problems import named_problem
 
 BEND = '''"""A bend in space that two tubes cannot follow exactly; many draws snap on the best plan for it."""
 

@@ -16,13 +16,13 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 from bench import sweep
+from common import UNJUDGED
 from corrupted import GOOD, Corrupted, configurations, corrupted
 from malformed import ENTRY, ROBOT, TARGET, plan, plan_entries
 
 from ctr_nlp import Plan
 from ctr_nlp.cli.main import main
 from ctr_nlp.plan.summary_text import NOT_FOR_PATIENTS
-from problems import UNJUDGED
 
 pytestmark = [
     pytest.mark.interpreted,

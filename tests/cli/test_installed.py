@@ -9,8 +9,7 @@ import venv
 import zipfile
 
 import pytest
-
-from problems import NAMES, ROOT
+from common import NAMES, ROOT
 
 BUILT = ("pyproject.toml", "README.md", "LICENSE")
 """What a wheel is built from, beside the package."""

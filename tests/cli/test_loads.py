@@ -8,7 +8,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from ctr_nlp.problems import named_problem
 from loaded_plans import turned
 
 from ctr_nlp import Load, Plan, read_load, solve_horizon
@@ -16,6 +15,7 @@ from ctr_nlp.cli.main import main
 from ctr_nlp.models import model_with_load
 from ctr_nlp.models.loads import with_modulus
 from ctr_nlp.planning.horizon.loaded_horizon import LoadedHorizon
+from ctr_nlp.problems import named_problem
 from ctr_nlp.view.figures.shape_comparison import shapes_compared
 
 NITINOL = "--youngs-modulus", "60000"

@@ -7,7 +7,10 @@ import json
 
 import numpy as np
 import pytest
+from benchmark import main as benchmark
+from compare import main as compare_solvers
 from malformed import ROBOT, Case, Said, helix, judge, markups, plan_file, program, spoilt, table, written
+from reproduce import main as reproduce_seed
 
 from ctr_nlp.cli.commands.branches import main as list_branches
 from ctr_nlp.cli.commands.export import main as export_commands
@@ -15,9 +18,6 @@ from ctr_nlp.cli.commands.plan import horizon as solve_horizon
 from ctr_nlp.cli.commands.plan import steer as solve_per_frame
 from ctr_nlp.cli.commands.play import main as play
 from ctr_nlp.cli.commands.report import main as make_report
-from ctr_nlp.cli.studies.benchmark import main as benchmark
-from ctr_nlp.cli.studies.compare import main as compare_solvers
-from ctr_nlp.cli.studies.reproduce import main as reproduce_seed
 
 BOTH = [
     ("arc --frames 0", "frames is 0; it must be a whole number of at least 1"),

@@ -5,6 +5,7 @@ import io
 
 import pytest
 from bench import sweep
+from common import UNJUDGED
 from malformed import helix, plan, program, table, written
 from rich.console import Console
 
@@ -18,7 +19,6 @@ from ctr_nlp.cli.terminal_output import announce, console, print_table, progress
 from ctr_nlp.view.figures.branches import tree
 from ctr_nlp.view.figures.overlay import shapes
 from ctr_nlp.view.figures.parts.page import label_text
-from problems import UNJUDGED
 
 MARKED = "airway [/left] [red]deep[/red] :smile: [link=https://a.b]c[/link]"
 OBEYED = "a\x1b[31mb\x1b]0;title\x07\nc\rd\x9b2Je\u202ef\u2066g\x00h\ud800"

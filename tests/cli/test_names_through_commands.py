@@ -17,10 +17,11 @@ from ctr_nlp.cli.commands import export, new, play, report, robust, warm
 from ctr_nlp.cli.commands import plan as plan_command
 from ctr_nlp.cli.exchange import configurations
 from ctr_nlp.cli.loads import contact, force, under
-from ctr_nlp.cli.studies import baselines, compare, design, study, trade
+from  import baselines, compare
+from ctr_nlp.cli.studies import design, study, trade
 from ctr_nlp.exceptions import escape_control_characters
 from ctr_nlp.studies.grid.study_file import Study
-from problems import UNJUDGED
+from common import UNJUDGED
 
 NAMES = {
     "markup": "airway [/left] [red]a[/red] [bold]",

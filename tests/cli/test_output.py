@@ -20,13 +20,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule
+from paper import SECTIONS
 
 from ctr_nlp.cli.output import folder as output
 from ctr_nlp.cli.output.file import MAX_PATH_COMPONENT_BYTES, check_file, path_component, write_text
 from ctr_nlp.cli.output.folder import check_folder, output_folder, results_folder
 from ctr_nlp.cli.output.manifest import MARK, STANDARD
 from ctr_nlp.exceptions import OutputError
-from ctr_nlp.studies.paper import SECTIONS
 from ctr_nlp.support.folder_lock import lock_folder
 
 unix = pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork and flock")

@@ -10,12 +10,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 from bench import sweep
+from common import UNJUDGED
 
 from ctr_nlp.cli.console import examples
 from ctr_nlp.cli.main import COMMANDS, load, main
 from ctr_nlp.cli.terminal_output import collect_output, console, print_table, report_written_files
 from ctr_nlp.plan.summary_text import NOT_FOR_PATIENTS
-from problems import UNJUDGED
 
 
 @pytest.mark.parametrize("name", COMMANDS)

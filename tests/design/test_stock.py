@@ -9,7 +9,6 @@ from dataclasses import replace
 import casadi as ca
 import numpy as np
 import pytest
-from ctr_nlp.problems import named_problem
 from truth import TWO
 
 from ctr_nlp import Manufacture, Problem, Robot, Tube, curve_from_formula, design, growing, summary, table_i_robot
@@ -19,6 +18,7 @@ from ctr_nlp.design.rounding import round_entries
 from ctr_nlp.design.stock import StockTube, nearest_stock, read_stock, with_diameters
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.ocp.shared.design import DesignedTubes, with_linear_curvatures
+from ctr_nlp.problems import named_problem
 
 PAIR = Robot(TWO.tubes)
 RULES = Manufacture(channel=0.3, wall=0.1, outer=4.0)

@@ -6,6 +6,8 @@ import casadi as ca
 import numpy as np
 import pytest
 from frames import follow
+from methods.comparison import compare, parse_variant
+from reference import REFERENCE_METHODS, reference_frames
 
 from ctr_nlp import (
     Plan,
@@ -23,8 +25,6 @@ from ctr_nlp import (
 )
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.models import suits
-from ctr_nlp.reference import REFERENCE_METHODS, reference_frames
-from ctr_nlp.studies.comparison import compare, parse_variant
 
 OUTER = Tube(90, 60, 0.008, outer_diameter=2.4, inner_diameter=2.2)
 STIFFER = Robot((OUTER, Tube(150, 100, 0.012, 2.0, 1.0)))

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from methods.comparison import parse_variant
 from strategies import numbers
 
 from ctr_nlp import (
@@ -30,7 +31,6 @@ from ctr_nlp import (
     table_i_robot,
 )
 from ctr_nlp.exceptions import CtrError
-from ctr_nlp.studies.comparison import parse_variant
 
 FRAMES = 10
 

@@ -4,10 +4,10 @@ import json
 
 import numpy as np
 import pytest
+from common import NAMES, named_problem
 
 from ctr_nlp import Plan, curve_from_points
 from ctr_nlp.paths.target import SIGMA_GRID
-from problems import NAMES, named_problem
 
 
 def test_there_are_eight():

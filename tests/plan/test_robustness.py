@@ -5,7 +5,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from ctr_nlp.problems import named_problem
 from near_fold import LONG, near_the_fold, plan_through
 from scipy.stats import beta, binomtest
 
@@ -16,6 +15,7 @@ from ctr_nlp.paths.target import SIGMA_GRID
 from ctr_nlp.plan.measures import e3
 from ctr_nlp.plan.robustness import Robustness, upper_bound
 from ctr_nlp.plan.sample_motions import simulate_samples
+from ctr_nlp.problems import named_problem
 from ctr_nlp.robot.samples import perturb_robot, sample_robots
 
 

@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from ctr_nlp.problems import named_problem
 from hypothesis import given
 from hypothesis import strategies as st
 from lumens import straight
@@ -20,6 +19,7 @@ from ctr_nlp.ocp.settings import THRESHOLDS
 from ctr_nlp.plan.sample_outcomes import sample_outcomes
 from ctr_nlp.plan.summary_text import NOT_FOR_PATIENTS
 from ctr_nlp.plan.verdicts import NO, NOT_CHECKED, YES, Verdicts
+from ctr_nlp.problems import named_problem
 from ctr_nlp.view.figures.parts.page import outcome
 
 WORDS = {YES, NO, NOT_CHECKED}

@@ -4,7 +4,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from ctr_nlp.problems import named_problem
 
 from ctr_nlp import Settings, solve_horizon, table_i_robot
 from ctr_nlp.exceptions import ProblemError
@@ -18,6 +17,7 @@ from ctr_nlp.planning.compromise import (
     find_path_demands,
     pareto_front,
 )
+from ctr_nlp.problems import named_problem
 from ctr_nlp.view.figures.compromise import compromise
 
 

@@ -8,6 +8,7 @@ import casadi as ca
 import numpy as np
 import pytest
 import shooting
+from common import named_problem
 from truth import TWO
 
 from ctr_nlp import Problem, growing, problem_from_file, solve_horizon
@@ -15,7 +16,6 @@ from ctr_nlp.paths.curve import curve_from_formula
 from ctr_nlp.plan.sample_motions import simulate_samples
 from ctr_nlp.robot.samples import sample_robots
 from ctr_nlp.robust import solve_robust
-from problems import named_problem
 
 NAMED = "cos", "arc", "line", "line_arc", "synthesis", "bronchus"
 AIRWAYS = "chaste_ts002_RLL", "chaste_ts002_LLL", "chaste_ts002_RML", "hra_vhm_left_main"

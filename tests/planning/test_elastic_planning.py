@@ -12,7 +12,11 @@ import frames as tracking
 import numpy as np
 import pytest
 import truth
+from common import UNJUDGED, named_problem
 from frames import alone
+from methods.comparison import available_variants, parse_variant
+from reference import REFERENCE_METHODS
+from reference.published import TABLE_II_PAPER_METHOD_ELASTIC
 from rows import central
 
 from ctr_nlp import (
@@ -40,12 +44,8 @@ from ctr_nlp.ocp.terms import ShapeDistance
 from ctr_nlp.ocp.terms.feasible import MIN_INNER_DETERMINANT
 from ctr_nlp.plan.plan import Plan
 from ctr_nlp.planning.nlp_frames import NlpFrames
-from ctr_nlp.reference import REFERENCE_METHODS
-from ctr_nlp.reference.published import TABLE_II_PAPER_METHOD_ELASTIC
 from ctr_nlp.solvers import compiled_functions
 from ctr_nlp.solvers.frame.sqp import IPOPT_FALLBACK_TEXT
-from ctr_nlp.studies.comparison import available_variants, parse_variant
-from problems import UNJUDGED, named_problem
 
 MARGIN = 0.1
 ROBOTS = {

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from ctr_nlp.problems import named_problem
 from truth import TWO
 
 from ctr_nlp.models import KINEMATIC_MODELS
@@ -15,6 +14,7 @@ from ctr_nlp.ocp.shared.scenarios import (
     SCENARIO_TIP_LIMIT_RAD,
     shared_motion,
 )
+from ctr_nlp.problems import named_problem
 from ctr_nlp.robust import constraint_scenarios
 from ctr_nlp.robust.constraint_scenarios import (
     CONSTRAINT_SCENARIO_SCALE_STEP,

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from common import NAMES, named_problem
 from frames import horizon
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -20,7 +21,6 @@ from ctr_nlp.planning.multistart import SolvedStart, describe_failures
 from ctr_nlp.solvers import CHAIN_SOLVERS
 from ctr_nlp.solvers.motion.chain_solution import evaluate_chain_solution
 from ctr_nlp.support.interrupt import deferred_interrupt
-from problems import NAMES, named_problem
 
 AIRWAYS = ("chaste_ts002_RLL", "chaste_ts002_LLL", "chaste_ts002_RML", "hra_vhm_left_main")
 

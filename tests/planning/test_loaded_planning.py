@@ -8,6 +8,7 @@ from dataclasses import replace
 import casadi as ca
 import numpy as np
 import pytest
+from common import named_problem
 from loaded_plans import TWO, made, through_the_pole
 from rows import central
 from test_elastic_planning import TIES
@@ -33,7 +34,6 @@ from ctr_nlp.ocp.joint import frame_terms
 from ctr_nlp.paths.curve import curve_from_points
 from ctr_nlp.planning.horizon import loaded_horizon
 from ctr_nlp.solvers.scenarios import interior_point
-from problems import named_problem
 
 pytestmark = pytest.mark.interpreted
 NITINOL, SIGMA = with_modulus(table_i_robot(), 60_000), np.linspace(0, 1, 31)

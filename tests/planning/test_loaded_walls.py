@@ -6,12 +6,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from common import named_problem
 from lumens import bent
 
 from ctr_nlp import Load, Loaded, Problem, Settings, Steerer, growing, solve_per_frame, table_i_robot
 from ctr_nlp.models.loads import with_modulus
 from ctr_nlp.plan.measures import e3
-from problems import named_problem
 
 NITINOL = with_modulus(table_i_robot(), 60_000)
 PULL = Load(force=(0.1, -0.2, 0.15))

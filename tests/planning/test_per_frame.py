@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from common import named_problem
 
 from ctr_nlp import (
     Limits,
@@ -27,7 +28,6 @@ from ctr_nlp.planning import march
 from ctr_nlp.planning.nlp_frames import NlpFrames
 from ctr_nlp.solvers.frame import program
 from ctr_nlp.solvers.frame.sqp import Sqp
-from problems import named_problem
 
 JOINT_E3 = {"cos": 0.35, "arc": 0.36, "line": 1.10, "line_arc": 0.65, "synthesis": 0.02}
 TWO_STAGE_E3 = {"cos": 1.81, "arc": 1.62, "line": 7.46, "line_arc": 2.67, "synthesis": 0.98}

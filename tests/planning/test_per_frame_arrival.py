@@ -5,11 +5,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from ctr_nlp.problems import named_problem
 
 from ctr_nlp import Robot, Settings, Steerer, solve_per_frame
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.plan.simulation import simulate_motion
+from ctr_nlp.problems import named_problem
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 FRAMES = 40

@@ -6,6 +6,7 @@ import threading
 
 import numpy as np
 import pytest
+from common import named_problem
 from frames import joint
 from hypothesis import example, given
 from hypothesis import strategies as st
@@ -32,7 +33,6 @@ from ctr_nlp.robot import MM_PER_RAD
 from ctr_nlp.solvers import FEASIBILITY_TOLERANCE
 from ctr_nlp.solvers.frame.adapter import KKT_TOLERANCE
 from ctr_nlp.solvers.frame.run import FrameSequence
-from problems import named_problem
 
 Q0 = np.array([3.0, 3, 3, 30, 70, 105, 0, 0])
 DT, WEIGHT = 0.1, Settings().motion_weight

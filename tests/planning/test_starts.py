@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from common import NAMES, named_problem
 
 from ctr_nlp import Limits, Problem, Robot, Tube, curve_from_points, growing, solve_horizon, summary
 from ctr_nlp.models import KINEMATIC_MODELS
@@ -13,7 +14,6 @@ from ctr_nlp.planning import Horizon
 from ctr_nlp.planning.marching import Pass
 from ctr_nlp.planning.motions import per_frame_motions
 from ctr_nlp.planning.starts.search import MIN_DRAFT_FRAMES, pick_draft_frames
-from problems import NAMES, named_problem
 
 FREE = Settings(contact_weight=0.0)
 FOUND = 1e-4

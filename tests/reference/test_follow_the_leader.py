@@ -7,15 +7,15 @@ import leaders
 import numpy as np
 import pytest
 import shooting
+from common import named_problem
+from methods.comparison import VARIANTS, parse_variant
+from reference import reference_frames
+from reference.follow_the_leader import find_deployment
 from scipy.spatial import cKDTree
 
 from ctr_nlp import Limits, Problem, Robot, Settings, Tube, curve_from_points, growing, solve_per_frame, summary
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.planning import march
-from ctr_nlp.reference import reference_frames
-from ctr_nlp.reference.follow_the_leader import find_deployment
-from ctr_nlp.studies.comparison import VARIANTS, parse_variant
-from problems import named_problem
 
 pytestmark = pytest.mark.interpreted
 EXACT = 0.02

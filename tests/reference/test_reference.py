@@ -2,17 +2,17 @@
 
 import numpy as np
 import pytest
+from common import named_problem
 from hypothesis import given
 from hypothesis import strategies as st
+from methods.comparison import VARIANTS, compare, parse_variant
+from reference import reference_frames
+from reference.descent import descend, extensions, fractions
 from strategies import configurations, robots
 
 from ctr_nlp import Settings, summary
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.planning import march
-from ctr_nlp.reference import reference_frames
-from ctr_nlp.reference.descent import descend, extensions, fractions
-from ctr_nlp.studies.comparison import VARIANTS, compare, parse_variant
-from problems import named_problem
 
 
 def run(name, method):

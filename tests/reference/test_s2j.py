@@ -5,8 +5,24 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from common import named_problem
 from hypothesis import given
 from hypothesis import strategies as st
+from learning.network_errors import evaluate_network
+from methods.comparison import parse_variant
+from reference import REFERENCE_METHODS, reference_frames
+from reference.descent import clip_configuration
+from reference.learned.network import (
+    FORMAT,
+    InverseKinematicsNetwork,
+    load_trained_network,
+    network_path,
+    read_network,
+    robot_identity,
+)
+from reference.learned.s2j import predict_configuration, target_tilt
+from reference.learned.samples import NETWORK_INPUT_SIGMA, sample_stable_unknowns, shapes_of
+from reference.learned.training import Training, train_network
 from scipy.spatial.transform import Rotation
 from strategies import configurations, robots
 from truth import Shot
@@ -16,22 +32,6 @@ from ctr_nlp.exceptions import OptionError
 from ctr_nlp.models import KINEMATIC_MODELS
 from ctr_nlp.paths.target import QUADRATURE, SIGMA_GRID
 from ctr_nlp.planning import march
-from ctr_nlp.reference import REFERENCE_METHODS, reference_frames
-from ctr_nlp.reference.descent import clip_configuration
-from ctr_nlp.reference.learned.network import (
-    FORMAT,
-    InverseKinematicsNetwork,
-    load_trained_network,
-    network_path,
-    read_network,
-    robot_identity,
-)
-from ctr_nlp.reference.learned.s2j import predict_configuration, target_tilt
-from ctr_nlp.reference.learned.samples import NETWORK_INPUT_SIGMA, sample_stable_unknowns, shapes_of
-from ctr_nlp.reference.learned.training import Training, train_network
-from ctr_nlp.studies.comparison import parse_variant
-from ctr_nlp.studies.learning.network_errors import evaluate_network
-from problems import named_problem
 
 pytestmark = pytest.mark.interpreted
 ROBOT = table_i_robot()
@@ -140,7 +140,8 @@ def test_the_tilt_is_that_of_a_robot_that_begins_in_the_target_s_direction(theta
 def test_a_problem_without_a_network_is_refused_and_told_how_to_have_one(cache):
     for name, model in (("s2j", "dominant"), ("s2j-elastic", "elastic"), ("s2j-horizon", "dominant")):
         with pytest.raises(
-            OptionError, match=rf"no network .* on the {model} model; `ctr-nlp learn --model {model}`"
+            OptionError,
+            match=rf"no network .* on the {model} model; `python scripts/studies/learn.py --model {model}`",
         ):
             parse_variant(name).plan(named_problem("arc", 2), Settings(), (), None)
 

@@ -2,13 +2,13 @@
 
 import numpy as np
 import pytest
+from common import named_problem
+from reference import reference_frames
+from reference.tip_resolved import TipSteering
 
 from ctr_nlp import Robot, Settings, Tube, table_i_robot
 from ctr_nlp.models import KINEMATIC_MODELS
 from ctr_nlp.planning import march
-from ctr_nlp.reference import reference_frames
-from ctr_nlp.reference.tip_resolved import TipSteering
-from problems import named_problem
 
 pytestmark = pytest.mark.interpreted
 ROBOT, ELASTIC = table_i_robot(), KINEMATIC_MODELS["elastic"]

@@ -8,12 +8,12 @@ import casadi as ca
 import numpy as np
 import pytest
 from truth import TWO
+from tube_optimisers.race import DESIGN_OPTIMISERS, OptimiserRun, race_optimisers, seconds_to
 
 from ctr_nlp import Manufacture, Problem, Robot, growing
 from ctr_nlp.cli.main import main
 from ctr_nlp.design.request import draft, search_for
 from ctr_nlp.paths.curve import curve_from_formula
-from ctr_nlp.studies.baselines.race import DESIGN_OPTIMISERS, OptimiserRun, race_optimisers, seconds_to
 from ctr_nlp.support.interrupt import deferred_interrupt
 
 RULES = Manufacture(channel=0.3, wall=0.1, outer=4.0)

@@ -10,23 +10,15 @@ from contextlib import contextmanager
 import numpy as np
 import pytest
 
-from ctr_nlp.cli.studies import benchmark
-from ctr_nlp.cli.studies.benchmark import main, unexplained_rows
+from  import benchmark
+from benchmark import main, unexplained_rows
 from ctr_nlp.exceptions import BenchmarkError
-from ctr_nlp.studies.benchmarks import tree_comparison, uncompiled_time, work
-from ctr_nlp.studies.benchmarks.growth import draw_growths, fit_growth
-from ctr_nlp.studies.benchmarks.peers import PEER_RACE_ROUNDS, REFERENCE_FRAME_STRIDE, REFERENCES, race_solvers
-from ctr_nlp.studies.benchmarks.tree_comparison import (
-    LEAST_BLOCKS,
-    RowComparison,
-    Worker,
-    compare_row,
-    mean_of_least_times,
-    measure_row,
-    median_confidence_interval,
-)
-from ctr_nlp.studies.benchmarks.trees import tree_of
-from problems import ROOT, named_problem
+from benchmarks import tree_comparison, uncompiled_time, work
+from benchmarks.growth import draw_growths, fit_growth
+from benchmarks.peers import PEER_RACE_ROUNDS, REFERENCES, REFERENCE_FRAME_STRIDE, race_solvers
+from benchmarks.tree_comparison import LEAST_BLOCKS, RowComparison, Worker, compare_row, mean_of_least_times, measure_row, median_confidence_interval
+from benchmarks.trees import tree_of
+from common import ROOT, named_problem
 
 BUSY = "while True: sum(range(10000))"
 BLOCKS = 12
@@ -159,7 +151,7 @@ def test_a_commit_is_checked_out_while_it_is_needed_and_another_is_refused(tmp_p
     git("add", "file")
     git("commit", "-m", "first")
     (tmp_path / "file").write_text("second")
-    monkeypatch.setattr("ctr_nlp.studies.benchmarks.trees.ROOT", tmp_path)
+    monkeypatch.setattr("benchmarks.trees.ROOT", tmp_path)
     with tree_of("HEAD") as tree:
         assert (tree / "file").read_text() == "first"
     assert not tree.exists()

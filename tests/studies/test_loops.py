@@ -2,13 +2,13 @@
 
 import numpy as np
 import pytest
+from closed_loop_study import CLOSED_LOOP_CASES, REPLANNED, REPLANNING_MODES, run_closed_loops
+from identification import identify_robot
 from loops_of import OFF, ROBOT, made_plan, robots
 
 from ctr_nlp.identify.closed_loop.parameter_differences import ParameterDifferences
 from ctr_nlp.models import KINEMATIC_MODELS
 from ctr_nlp.robot.tolerances import DEVIATION_NAMES
-from ctr_nlp.studies.closed_loop_study import CLOSED_LOOP_CASES, REPLANNED, REPLANNING_MODES, run_closed_loops
-from ctr_nlp.studies.identification import identify_robot
 
 
 def test_feedback_is_told_beside_open_loop():

@@ -7,24 +7,17 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from ctr_nlp.problems import named_problem
+from compare import main
+from methods.comparison import LUMEN_PATH_VARIANTS, ROBUST_VARIANTS, Comparison, Refusal, compare, parse_variant
+from methods.metrics import every_method, measure_plan
+from methods.page import METHOD_PAGE_COLUMNS, method_description, page, table
+from reference import REFERENCE_METHODS
 
 from ctr_nlp import Problem, Robot, Settings, curve_from_points, growing, table_i_robot
-from ctr_nlp.cli.studies.compare import main
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.plan.measures import follow_the_leader_deviation
 from ctr_nlp.planning import solve_per_frame
-from ctr_nlp.reference import REFERENCE_METHODS
-from ctr_nlp.studies.comparison import (
-    LUMEN_PATH_VARIANTS,
-    ROBUST_VARIANTS,
-    Comparison,
-    Refusal,
-    compare,
-    parse_variant,
-)
-from ctr_nlp.studies.methods.metrics import every_method, measure_plan
-from ctr_nlp.studies.methods.page import METHOD_PAGE_COLUMNS, method_description, page, table
+from ctr_nlp.problems import named_problem
 
 ROBOT = table_i_robot()
 ALIKE = {column.key: 1.0 for column in METHOD_PAGE_COLUMNS} | {
@@ -117,9 +110,9 @@ def test_every_method_is_told_of_in_the_words_of_its_file():
 
 def test_the_page_tells_how_it_is_made_and_nothing_of_where(tmp_path):
     rows = [row("joint:sqp"), row("tip-jacobian", e3=0.1, solved=1, interrupted=True)]
-    text = page(Comparison(rows, [], []), "ctr-nlp compare bend --all")
+    text = page(Comparison(rows, [], []), "python scripts/studies/compare.py bend --all")
     assert "tip-jacobian" not in text
-    assert "    ctr-nlp compare bend --all\n" in text
+    assert "    python scripts/studies/compare.py bend --all\n" in text
     assert "cores of" in text
     assert not re.search(r"/(home|tmp|work|root)/", text)
 
@@ -136,7 +129,7 @@ def test_the_wall_counts_for_methods_that_know_it_and_all_goes_into_one_page(tmp
     assert json.loads((out / "refusals.json").read_text())[0]["variant"] == "two-stage:sqp:elastic"
     assert "two-stage formulations need" in capsys.readouterr().out
     text = (out / "comparison.md").read_text()
-    assert "ctr-nlp compare bronchus --all --variants joint:sqp tip-jacobian" in text
+    assert "python scripts/studies/compare.py bronchus --all --variants joint:sqp tip-jacobian" in text
     free = compare(
         [named_problem("bronchus", 5)],
         [parse_variant("joint:sqp")],

@@ -6,12 +6,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from peers.agreement import compare_models, sample_configurations
+from peers.program import format_input, run_peer_program
 
 from ctr_nlp import Robot, table_i_robot
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.models.loads import with_modulus
-from ctr_nlp.studies.peers.agreement import compare_models, sample_configurations
-from ctr_nlp.studies.peers.program import format_input, run_peer_program
 
 THREE = with_modulus(table_i_robot(), 60_000.0)
 LONE = Robot(THREE.tubes[:1])

@@ -4,13 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from ctr_nlp.problems import named_problem
+from methods.comparison import parse_variant
+from methods.rrt_connect import SearchSpace, rrt_connect
 
 from ctr_nlp import Problem, Settings, curve_from_points, growing, table_i_robot
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.models import KINEMATIC_MODELS
-from ctr_nlp.studies.comparison import parse_variant
-from ctr_nlp.studies.rrt_connect import SearchSpace, rrt_connect
+from ctr_nlp.problems import named_problem
 
 FRAMES, MARGIN = 40, 0.1
 STRICT = Settings(stability_margin=MARGIN, contact_allowed=0.0)

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from common import NAMES, named_problem
 
 from ctr_nlp import problem_from_file
 from ctr_nlp.ocp.settings import Settings
@@ -12,7 +13,6 @@ from ctr_nlp.studies.pareto_front import (
     compute_pareto_front,
     sweep_motion_weights,
 )
-from problems import NAMES, named_problem
 
 
 def quiet(label):

@@ -396,4 +396,3 @@ def _open_live_view(problem: Problem, arguments: argparse.Namespace) -> Abstract
 
 plan = Command("ctr-nlp plan", partial(_parser, (HORIZON_FORMULATION, *FORMULATIONS)), _run)
 steer = Command("ctr-nlp steer", partial(_parser, tuple(FORMULATIONS)), _run)
-horizon = Command("solve_horizon.py", partial(_parser, (HORIZON_FORMULATION,)), _run)

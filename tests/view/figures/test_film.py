@@ -9,6 +9,7 @@ import casadi as ca
 import matplotlib
 import numpy as np
 import pytest
+from common import UNJUDGED
 from lumens import straight
 from PIL import Image
 
@@ -19,7 +20,6 @@ from ctr_nlp.paths.lumen import Lumen
 from ctr_nlp.view.figures import film
 from ctr_nlp.view.figures.film import WRITERS
 from ctr_nlp.view.figures.parts.palette import TUBE_COLOURS
-from problems import UNJUDGED
 
 FRAMES = 4
 RADIUS = 7.0

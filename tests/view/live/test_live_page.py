@@ -12,12 +12,12 @@ import time
 import numpy as np
 import pytest
 from browser import SOFTWARE, launcher
+from common import ROOT, named_problem
 
 from ctr_nlp import Plan, table_i_robot
 from ctr_nlp.cli.main import COMMANDS, load
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.view.live import Live
-from problems import ROOT, named_problem
 
 pytest.importorskip("viser", reason='needs viser: pip install "ctr_nlp[live]"')
 PATIENCE = 60.0

@@ -5,8 +5,7 @@ import logging
 import socket
 
 import pytest
-
-from problems import named_problem
+from common import named_problem
 
 pytest.importorskip("viser", reason='needs viser: pip install "ctr_nlp[live]"')
 import msgspec

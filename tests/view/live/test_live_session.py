@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from common import named_problem
 from hypothesis import given
 from hypothesis import strategies as st
 from lumens import straight
@@ -24,7 +25,6 @@ from ctr_nlp.view.live.steered.free import free_problem
 from ctr_nlp.view.live.steered.goal import HANDLES, Goal
 from ctr_nlp.view.live.steered.joints import slide_joint, slider_ranges, step_towards
 from ctr_nlp.view.live.steered.session import HAND_METHOD, MAX_SAMPLED_ROBOTS, SHAPE_METHOD, TIP_METHOD
-from problems import named_problem
 
 STEPS = 90
 ALONG = 0.6

@@ -1,0 +1,186 @@
+"""The page that shows every method on every problem: an overview, and a table a problem."""
+
+from __future__ import annotations
+
+import math
+import os
+import platform
+import sys
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from reference import REFERENCE_METHODS
+
+from ctr_nlp.ocp import FORMULATIONS
+from ctr_nlp.ocp.horizon import horizon
+from ctr_nlp.plan.summary_text import format_cell
+from ctr_nlp.support.tables import markdown
+from methods.comparison import LUMEN_PATH_VARIANTS, ROBUST_VARIANTS, WARM_STARTED_VARIANTS, Comparison
+
+Row = Mapping[str, Any]
+OUR_VARIANT_PREFIXES: Mapping[str, Callable[..., Any]] = {
+    "horizon": horizon,
+    **dict.fromkeys(WARM_STARTED_VARIANTS, horizon),
+    **FORMULATIONS,
+    **ROBUST_VARIANTS,
+}
+"""Our own methods by the beginnings of their names."""
+
+
+class Column(NamedTuple):
+    """A number of a row, the less the better; planned: the key of the same on the model planned on."""
+
+    title: str
+    key: str
+    show: Callable[[float], str] = format_cell
+    planned: str | None = None
+
+
+METHOD_PAGE_COLUMNS = (
+    Column("e3 mm", "e3", planned="planned_e3"),
+    Column("largest mm", "e_max", planned="planned_e_max"),
+    Column("tip mm", "tip_max", planned="planned_tip_max"),
+    Column("off own path mm", "own_path"),
+    Column("roughness mm²/s", "roughness"),
+    Column("draws lost", "lost", lambda value: f"{value:.1%}"),
+    Column("e3 over draws mm", "draws_e3"),
+    Column("contact mm", "depth", planned="planned_depth"),
+    Column("ms a frame", "frame_ms"),
+)
+OVERVIEWS = {
+    "e3 in mm on the elastic model": METHOD_PAGE_COLUMNS[0],
+    "Share of draws that is lost": METHOD_PAGE_COLUMNS[5],
+}
+METHOD_PAGE_EXPLANATION = """\
+# Methods beside each other
+
+Every method on every problem that it serves, with the paper's robot. Each was made for something: **judge it by
+that**. Methods of the tip by the tip, those that follow their own leader by the distance off their own path, those
+that lead through a lumen by the contact, robust ones by the draws. `:elastic` is the model that a method plans on,
+otherwise it is the dominant one.
+
+{methods}
+
+**What is measured.** All motions are judged on the elastic model, which stands for the real robot, whatever they
+were planned on; where two numbers stand in a cell, the first is on the model planned on.
+
+- *e3*: root mean square over frames and arc length of the distance from the target. *Largest* and *tip*: the
+  largest distance at any place, and at the tip, in any frame.
+- *Off own path*: how far any frame's shape is off the last frame's at most, which is 0 where a robot follows its
+  leader, whatever its target.
+- *Roughness*: squared steps of all motors over time.
+- *Draws lost*: of {draws} robots that differ by their tolerances (the paper's robot: 2 % of curvature and
+  stiffness, 0.02 rad of each motor's zero), those that snap or end on another branch of equilibria; then the mean
+  of e3 over all draws. All methods meet the same robots.
+- *Contact*: how deep the robot is beyond the lumen's wall at most. `horizon`, `joint`, the robust ones and
+  `rrt-connect` know of the wall, the others do not. For clearance e3 may grow by a tenth (robust: by 70 %).
+- *ms a frame*: search and solution divided by frames, without what is built or compiled once.
+- *Solved*: frames that are solved in the method's own sense; for methods of the tip that it is within 1 mm.
+
+**Bold** is the least of a column among methods that solved all frames, and, of others, all that is less than the
+least of ours. Below each table stand the methods that do not serve its problem, and why.
+"""
+METHOD_PAGE_REPRODUCTION = """
+## How to remake it
+
+    {command}
+
+This command writes this page as `comparison.md` into its folder, with all rows as `comparison.csv` and `.json`.
+It was made with {frames} frames on {machine}, one method after the other; times differ from
+machine to machine and with what else runs there.
+"""
+
+
+def page(found: Comparison, command: str) -> str:
+    """Write the page, without methods that were interrupted; `command` is the one that makes it."""
+    found = found._replace(rows=[row for row in found.rows if not row["interrupted"]])
+    asked = [(row["problem"], row["variant"]) for row in found.rows]
+    asked += [(refusal.problem, refusal.variant) for refusal in found.refusals]
+    problems = list(dict.fromkeys(problem for problem, _ in asked))
+    kinds = dict.fromkeys(variant.partition(":")[0] for _, variant in asked)
+    methods = markdown(
+        ["method", "what it is"], [[f"`{kind}`", method_description(kind).replace("|", "\\|")] for kind in kinds]
+    )
+    draws, frames = (max((row[key] or 0 for row in found.rows), default=0) for key in ("draws", "frames"))
+    parts = [METHOD_PAGE_EXPLANATION.format(draws=draws, methods=methods.rstrip())]
+    parts += [f"## {title}\n\n{_overview(found, problems, column)}" for title, column in OVERVIEWS.items()]
+    parts += [f"## {problem}\n\n{table(found, problem)}" for problem in problems]
+    return "\n".join(parts) + METHOD_PAGE_REPRODUCTION.format(command=command, frames=frames, machine=machine())
+
+
+def table(found: Comparison, problem: str) -> str:
+    """Write the table of a problem, a row a method, and a line for each method that does not serve it, with the
+    reason.
+    """
+    rows = [row for row in found.rows if row["problem"] == problem]
+    body = [
+        [f"`{row['variant']}`", *(_cell(row, rows, column) for column in METHOD_PAGE_COLUMNS), _format_solved(row)]
+        for row in rows
+    ]
+    refused = [f"- `{r.variant}` does not serve it: {r.why}" for r in found.refusals if r.problem == problem]
+    return "\n".join([markdown(["method", *_titles(), "solved"], body), *refused, *([""] if refused else [])])
+
+
+def method_description(kind: str) -> str:
+    """Return the first line of the file that implements a method; empty where the method is in no registry."""
+    others = {**LUMEN_PATH_VARIANTS, **{name: reference.method for name, reference in REFERENCE_METHODS.items()}}
+    made = {**OUR_VARIANT_PREFIXES, **others}.get(kind)
+    if made is None:
+        return ""
+    file = sys.modules[getattr(made, "func", made).__module__]  # a part of a function is as its whole
+    return (file.__doc__ or "").partition("\n")[0]
+
+
+def machine() -> str:
+    """Return the number of cores and the kind of the processor, without the machine's name."""
+    try:
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
+    except OSError:
+        lines = []
+    named = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
+    return f"{os.cpu_count()} cores of {named[0] if named else platform.machine()}"
+
+
+def _titles() -> list[str]:
+    return [column.title for column in METHOD_PAGE_COLUMNS]
+
+
+def _overview(found: Comparison, problems: Sequence[str], column: Column) -> str:
+    """Write the table of a number, with a row a method and a column a problem; empty where it was refused."""
+    known = {(row["variant"], row["problem"]): row for row in found.rows}
+    columns = {problem: [row for row in found.rows if row["problem"] == problem] for problem in problems}
+    alone = column._replace(planned=None)
+    body = [
+        [
+            f"`{variant}`",
+            *(_cell(known[variant, p], columns[p], alone) if (variant, p) in known else "" for p in problems),
+        ]
+        for variant in dict.fromkeys(variant for variant, _ in known)
+    ]
+    return markdown(["method", *problems], body)
+
+
+def _cell(row: Row, rows: Sequence[Row], column: Column) -> str:
+    value = row[column.key]
+    if value is None:
+        return ""
+    told = f"**{column.show(value)}**" if _is_best(row, rows, column.key) else column.show(value)
+    planned = None if column.planned is None else row[column.planned]
+    return told if planned in (None, value) else f"{format_cell(planned)} / {told}"
+
+
+def _is_best(row: Row, rows: Sequence[Row], key: str) -> bool:
+    """Whether no other method has less, or none of ours has as little; of those that solved all frames."""
+    whole = [each for each in rows if each["solved"] == each["frames"] and each[key] is not None]
+    least = min((each[key] for each in whole), default=math.inf)
+    ours = min((each[key] for each in whole if _is_ours(each["variant"])), default=math.inf)
+    return row in whole and (row[key] <= least or (not _is_ours(row["variant"]) and row[key] < ours))
+
+
+def _is_ours(variant: str) -> bool:
+    return variant.partition(":")[0] in OUR_VARIANT_PREFIXES
+
+
+def _format_solved(row: Row) -> str:
+    return "all" if row["solved"] == row["frames"] else f"{row['solved']} of {row['frames']}"
