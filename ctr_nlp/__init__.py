@@ -10,9 +10,6 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from ctr_nlp.anatomy.problem_files import problem_from_file, read_csv
-    from ctr_nlp.design.co_design import Design, design
-    from ctr_nlp.design.groups import assign_to_robots, divide_problems
-    from ctr_nlp.design.stock import StockTube, read_stock
     from ctr_nlp.exceptions import CtrError
     from ctr_nlp.identify.calibration.calibration import Calibration, calibrate
     from ctr_nlp.identify.calibration.measurements import Measurements
@@ -36,6 +33,9 @@ if TYPE_CHECKING:
     from ctr_nlp.studies.grid.results import Results
     from ctr_nlp.studies.grid.study_file import Study
     from ctr_nlp.studies.workers.running import run_study
+    from ctr_nlp.tube_design.co_design import Design, design
+    from ctr_nlp.tube_design.groups import assign_to_robots, divide_problems
+    from ctr_nlp.tube_design.stock import StockTube, read_stock
     from ctr_nlp.view.exchange.configurations import plan_through, read_configurations
     from ctr_nlp.view.exchange.robots import read_robot
 
@@ -102,9 +102,9 @@ _HOMES = {
     "identify.calibration.calibration": ("Calibration", "calibrate"),
     "identify.calibration.measurements": ("Measurements",),
     "identify.calibration.reading": ("read_measurements",),
-    "design.groups": ("assign_to_robots", "divide_problems"),
-    "design.stock": ("StockTube", "read_stock"),
-    "design.co_design": ("Design", "design"),
+    "tube_design.groups": ("assign_to_robots", "divide_problems"),
+    "tube_design.stock": ("StockTube", "read_stock"),
+    "tube_design.co_design": ("Design", "design"),
     "exceptions": ("CtrError",),
     "view.exchange.configurations": ("plan_through", "read_configurations"),
     "view.exchange.robots": ("read_robot",),

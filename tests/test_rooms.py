@@ -11,7 +11,18 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 
-FEATURES = ("cli", "studies", "hardware", "design", "identify", "loads", "view", "reference", "robust", "anatomy")
+FEATURES = (
+    "cli",
+    "studies",
+    "hardware",
+    "tube_design",
+    "identify",
+    "loads",
+    "view",
+    "reference",
+    "robust",
+    "anatomy",
+)
 """From top to bottom: each may import those after it, and the core. A feature can be deleted without the core
 noticing.
 """

@@ -123,17 +123,7 @@ def _call_user_code(file: str, call: Callable[[], Any]) -> Any:
         lines = [at.lineno for at in traceback.extract_tb(error.__traceback__) if at.filename == file]
         place = f"{file}, line {lines[-1]}" if lines else file
         kind = "" if isinstance(error, CtrError) else f"{type(error).__name__}: "
-        raise ProblemError(f"{place}: {kind}{error}{_suggest_new_module(error)}") from error
-
-
-def _suggest_new_module(error: BaseException) -> str:
-    """Where a module of ours that is missing can be found now, for a file written for an older version."""
-    package, _, module = str(getattr(error, "name", "")).rpartition(".")
-    if not isinstance(error, ModuleNotFoundError) or package.partition(".")[0] != "ctr_nlp":
-        return ""
-    found = (path.relative_to(PACKAGE.parent) for path in sorted(PACKAGE.rglob(f"{module}.py")))
-    homes = [".".join(path.with_suffix("").parts) for path in found]
-    return f"; it is now {' or '.join(homes)}" if homes else ""
+        raise ProblemError(f"{place}: {kind}{error}") from error
 
 
 def print_problem_notes(problem: Problem) -> None:

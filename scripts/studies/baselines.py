@@ -24,10 +24,10 @@ from ctr_nlp.cli.output.file import write_text
 from ctr_nlp.cli.output.folder import check_folder, output_folder, results_folder
 from ctr_nlp.cli.studies.design import add_rules, rules_from
 from ctr_nlp.cli.terminal_output import busy, print_table, report_written_files
-from ctr_nlp.design.co_design import STARTS
-from ctr_nlp.design.request import draft, search_for
 from ctr_nlp.support.interrupt import end_if_interrupted
 from ctr_nlp.support.tables import markdown, write_csv
+from ctr_nlp.tube_design.co_design import STARTS
+from ctr_nlp.tube_design.request import draft, search_for
 
 BASELINE_TABLE_COLUMNS = "method", "best e3 mm", "process s", "design as good after s", "tubes tried"
 

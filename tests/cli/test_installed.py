@@ -11,7 +11,7 @@ import zipfile
 import pytest
 from common import NAMES, ROOT
 
-BUILT = ("pyproject.toml", "README.md", "LICENSE")
+BUILT = ("pyproject.toml", "setup.py", "README.md", "LICENSE")
 """What a wheel is built from, beside the package."""
 ON_A_CLUSTER = {"slurm_study.py"}
 """Examples that need other commands and arguments: tests/studies/test_slurm.py runs them."""
@@ -32,7 +32,8 @@ def ran(command, folder, **environment):
 def wheel(tmp_path_factory):
     """The wheel of this working tree; skips where nothing can build one."""
     source, out = tmp_path_factory.mktemp("source"), tmp_path_factory.mktemp("wheel")
-    shutil.copytree(ROOT / "ctr_nlp", source / "ctr_nlp", ignore=shutil.ignore_patterns("__pycache__"))
+    for name in ("ctr_nlp", "problems"):
+        shutil.copytree(ROOT / name, source / name, ignore=shutil.ignore_patterns("__pycache__"))
     for name in BUILT:
         shutil.copy(ROOT / name, source)
     command = [sys.executable, "-m", "pip", "wheel", "-q", "--no-deps", "-w", str(out), str(source)]
@@ -56,7 +57,7 @@ def program(wheel, tmp_path_factory):
 
 def test_the_wheel_holds_problems_templates_and_types(wheel):
     names = set(zipfile.ZipFile(wheel).namelist())
-    assert {f"problems/{name}.py" for name in NAMES} <= names
+    assert {f"ctr_nlp/problems/{name}.py" for name in NAMES} <= names
     assert {f"ctr_nlp/cli/templates/{name}" for name in ("problem.py", "robot.toml", "hardware.toml")} <= names
     assert not [name for name in names if not name.startswith("ctr_nlp")]
     kept = {path for path in (ROOT / "ctr_nlp").rglob("*") if path.is_file() and path.suffix != ".pyc"}
@@ -94,9 +95,8 @@ SCRIPT = """
 import numpy as np
 
 import ctr_nlp as ctr
-from ctr_nlp.problems import named_problem
 
-problem: ctr.Problem = named_problem("cos", frames=3, robot=ctr.table_i_robot())
+problem: ctr.Problem = ctr.named_problem("cos", frames=3, robot=ctr.table_i_robot())
 plan = ctr.solve_horizon(problem)
 q: np.ndarray = plan.q
 tube = ctr.Tube(length=90, curved_length=50, curvature=0.01, outer_diameter=2, inner_diameter=1)

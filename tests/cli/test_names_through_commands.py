@@ -6,8 +6,11 @@ import json
 import re
 import struct
 
+import baselines
+import compare
 import pytest
 from bench import sweep
+from common import UNJUDGED
 from exchange.test_peer_robots import INNER, OUTER
 from malformed import ROBOT, plan, table, written
 from scipy.io import loadmat
@@ -17,11 +20,9 @@ from ctr_nlp.cli.commands import export, new, play, report, robust, warm
 from ctr_nlp.cli.commands import plan as plan_command
 from ctr_nlp.cli.exchange import configurations
 from ctr_nlp.cli.loads import contact, force, under
-from  import baselines, compare
 from ctr_nlp.cli.studies import design, study, trade
 from ctr_nlp.exceptions import escape_control_characters
 from ctr_nlp.studies.grid.study_file import Study
-from common import UNJUDGED
 
 NAMES = {
     "markup": "airway [/left] [red]a[/red] [bold]",

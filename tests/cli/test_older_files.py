@@ -9,7 +9,6 @@ import pytest
 
 from ctr_nlp import Robot, table_i_robot
 from ctr_nlp.cli.problems import from_python
-from ctr_nlp.exceptions import ProblemError
 from ctr_nlp.hardware.description import Hardware
 
 BEFORE = Path(__file__).resolve().parents[1] / "data" / "before"
@@ -36,8 +35,3 @@ def test_a_problem_file_of_before_is_read():
     problem = from_python(str(BEFORE / "spiral.py"), 6, 3.0, None)
     assert (problem.name, problem.frames, problem.duration) == ("spiral", 6, 3.0)
     assert problem.robot == table_i_robot()
-
-
-def test_a_problem_file_that_imports_a_module_from_where_it_was_is_told_where_it_is():
-    with pytest.raises(ProblemError, match=r"bronchus\.py, line 5: .* it is now ctr_nlp\.target\.placing$"):
-        from_python(str(BEFORE / "bronchus.py"), 6, 3.0, None)

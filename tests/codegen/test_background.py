@@ -81,8 +81,8 @@ def test_processes_that_wait_for_one_library_have_it_made_once(cold, tmp_path, m
     script.write_text(f'#!/bin/sh\ncase " $* " in *" -E "*) ;; *) {mark};; esac\nexec {real} "$@"\n')
     script.chmod(0o755)
     monkeypatch.setenv("CC", str(script))
-    call = "from codegen.test_background import toy; from ctr_nlp.solvers import compiled; "
-    call += "print(compiled.library(toy(1.125), 1).now().is_file())"
+    call = "from codegen.test_background import toy; from ctr_nlp.solvers import compiled_functions; "
+    call += "print(compiled_functions.library(toy(1.125), 1).wait_for_path().is_file())"
     run = partial(subprocess.Popen, [sys.executable, "-c", call], cwd=TESTS, stdout=subprocess.PIPE, text=True)
     assert [process.communicate()[0] for process in [run(), run()]] == ["True\n"] * 2
     assert len(list(marks.iterdir())) == 1
@@ -132,14 +132,14 @@ BEGIN = """\
 import logging, sys, time
 from codegen.test_background import toy
 from ctr_nlp.codegen import background
-from ctr_nlp.solvers import compiled
+from ctr_nlp.solvers import compiled_functions
 logging.basicConfig(format="%(message)s")
-library = compiled.library(toy(float(sys.argv[1])), 1)
-found = library.soon()
+library = compiled_functions.library(toy(float(sys.argv[1])), 1)
+found = library.path_if_ready()
 print(*[process.pid for process in background._begun], flush=True)
 while len(sys.argv) > 2 and found is None:
     time.sleep(0.1)
-    found = library.soon()
+    found = library.path_if_ready()
 """
 """A process that begins a build, tells its number, and waits for it where it has a second argument."""
 
@@ -240,7 +240,7 @@ def test_whoever_waits_for_another_process_is_told_in_one_line(cold, monkeypatch
     monkeypatch.setattr(background, "SILENT_BUILD_WAIT_S", 0.2)
     nlp = toy(6.5)
     hold = "import sys, time; from ctr_nlp.codegen import background\n"
-    hold += "with background._alone(sys.stdin.read()): print(flush=True); time.sleep(1.5)"
+    hold += "with background._exclusive_build(sys.stdin.read()): print(flush=True); time.sleep(1.5)"
     holder = subprocess.Popen(
         [sys.executable, "-c", hold], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
     )

@@ -407,7 +407,7 @@ def test_robots_of_one_structure_share_a_key():
 
 def test_the_key_changes_with_constants_and_with_what_writes_the_code(monkeypatch):
     keys = [compiled_functions.library(toy(factor), 1).key for factor in (2, 3)]
-    for room, source in ((compiled_functions, "_deriver"), (background, "_writer")):
+    for room, source in ((compiled_functions, "_derivation_source"), (background, "_generator_source")):
         monkeypatch.setattr(room, source, lambda: "another writer")
         keys.append(compiled_functions.library(toy(2), 1).key)
     assert len(set(keys)) == 4

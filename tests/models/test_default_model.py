@@ -28,7 +28,6 @@ from ctr_nlp.cli import plan_options
 from ctr_nlp.cli.commands.plan import plan, steer
 from ctr_nlp.cli.exchange.configurations import main as import_command
 from ctr_nlp.cli.steering.live import main as live_command
-from ctr_nlp.design.co_design import design
 from ctr_nlp.exceptions import OptionError, ProblemError
 from ctr_nlp.models import DEFAULT_MODEL
 from ctr_nlp.ocp import FORMULATIONS, default_model
@@ -36,6 +35,7 @@ from ctr_nlp.paths.curve import curve_from_points
 from ctr_nlp.planning import Horizon
 from ctr_nlp.planning.nlp_frames import NlpFrames
 from ctr_nlp.studies import pareto_front
+from ctr_nlp.tube_design.co_design import design
 from ctr_nlp.view.live import Live
 from ctr_nlp.view.live.steered.session import Session
 

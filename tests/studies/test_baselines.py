@@ -12,9 +12,9 @@ from tube_optimisers.race import DESIGN_OPTIMISERS, OptimiserRun, race_optimiser
 
 from ctr_nlp import Manufacture, Problem, Robot, growing
 from ctr_nlp.cli.main import main
-from ctr_nlp.design.request import draft, search_for
 from ctr_nlp.paths.curve import curve_from_formula
 from ctr_nlp.support.interrupt import deferred_interrupt
+from ctr_nlp.tube_design.request import draft, search_for
 
 RULES = Manufacture(channel=0.3, wall=0.1, outer=4.0)
 PAIR = Robot(TWO.tubes)

@@ -7,18 +7,26 @@ import subprocess
 import sys
 from contextlib import contextmanager
 
+import benchmark
 import numpy as np
 import pytest
-
-from  import benchmark
 from benchmark import main, unexplained_rows
-from ctr_nlp.exceptions import BenchmarkError
 from benchmarks import tree_comparison, uncompiled_time, work
 from benchmarks.growth import draw_growths, fit_growth
-from benchmarks.peers import PEER_RACE_ROUNDS, REFERENCES, REFERENCE_FRAME_STRIDE, race_solvers
-from benchmarks.tree_comparison import LEAST_BLOCKS, RowComparison, Worker, compare_row, mean_of_least_times, measure_row, median_confidence_interval
+from benchmarks.peers import PEER_RACE_ROUNDS, REFERENCE_FRAME_STRIDE, REFERENCES, race_solvers
+from benchmarks.tree_comparison import (
+    LEAST_BLOCKS,
+    RowComparison,
+    Worker,
+    compare_row,
+    mean_of_least_times,
+    measure_row,
+    median_confidence_interval,
+)
 from benchmarks.trees import tree_of
 from common import ROOT, named_problem
+
+from ctr_nlp.exceptions import BenchmarkError
 
 BUSY = "while True: sum(range(10000))"
 BLOCKS = 12

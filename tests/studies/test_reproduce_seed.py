@@ -9,19 +9,31 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import reproduce as reproduce_seed
 from common import named_problem
-
-from ctr_nlp import solve_per_frame
-from  import reproduce as reproduce_seed
-from reproduce import main
-from reference import published
 from methods.comparison import comparison_row
-from paper import PaperResults, SECTIONS, page, runs
+from paper import SECTIONS, PaperResults, page, runs
 from paper.checks import Check, compare_with_published, rms_between, summarise_comparison
 from paper.checks import where_it_holds as where
-from paper.parts import fig10, fig3, fig4, fig6, table2
-from paper.runs import EUCLIDEAN_BASELINE, FittingTask, MotionResult, MotionTask, OUR_HORIZON, OUR_JOINT, OUR_METHODS, PAPER_TWO_STAGE, PointCountFit, fit_point_counts, run_tasks
+from paper.parts import fig3, fig4, fig6, fig10, table2
+from paper.runs import (
+    EUCLIDEAN_BASELINE,
+    OUR_HORIZON,
+    OUR_JOINT,
+    OUR_METHODS,
+    PAPER_TWO_STAGE,
+    FittingTask,
+    MotionResult,
+    MotionTask,
+    PointCountFit,
+    fit_point_counts,
+    run_tasks,
+)
 from paper.section import format_mm
+from reference import published
+from reproduce import main
+
+from ctr_nlp import solve_per_frame
 from ctr_nlp.studies.workers.clients import local_client
 from ctr_nlp.support.pool import run_in_parallel
 

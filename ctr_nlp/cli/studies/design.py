@@ -35,10 +35,6 @@ from ctr_nlp.cli.plan_options import with_tip_force_option
 from ctr_nlp.cli.plan_report import exit_status
 from ctr_nlp.cli.studies.design_output import DesignWithPlans, EvaluatedPlan, print_designs, write_designs
 from ctr_nlp.cli.terminal_output import progress_bar, report_written_files
-from ctr_nlp.design.co_design import STARTS, design
-from ctr_nlp.design.groups import assign_to_robots, divide_problems
-from ctr_nlp.design.plans import on_tubing_as_sold, plan_tasks
-from ctr_nlp.design.stock import read_stock
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.models import KINEMATIC_MODELS, Model
 from ctr_nlp.ocp.settings import Settings
@@ -49,6 +45,10 @@ from ctr_nlp.planning.marching import Progress
 from ctr_nlp.studies.workers.clients import cluster_client
 from ctr_nlp.support.interrupt import end_if_interrupted
 from ctr_nlp.support.pool import Jobs, run_in_parallel
+from ctr_nlp.tube_design.co_design import STARTS, design
+from ctr_nlp.tube_design.groups import assign_to_robots, divide_problems
+from ctr_nlp.tube_design.plans import on_tubing_as_sold, plan_tasks
+from ctr_nlp.tube_design.stock import read_stock
 
 DESIGN_CHECK_SAMPLES, DESIGN_CHECK_SEED = 500, 0
 """Number and seed of the simulated robots that every plan is tried on; neither design nor planning sees them."""

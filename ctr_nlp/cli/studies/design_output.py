@@ -11,14 +11,14 @@ from typing import Any
 from ctr_nlp.cli.output.file import write_text
 from ctr_nlp.cli.plan_report import STYLES
 from ctr_nlp.cli.terminal_output import console, print_table
-from ctr_nlp.design.co_design import Design
-from ctr_nlp.design.rounding import StockRounding
 from ctr_nlp.plan.metrics import summary
 from ctr_nlp.plan.plan import Plan
 from ctr_nlp.plan.robustness import Robustness
 from ctr_nlp.plan.summary_text import format_cell
 from ctr_nlp.plan.verdicts import SHORT_NAMES
 from ctr_nlp.support.value_checks import strict_json
+from ctr_nlp.tube_design.co_design import Design
+from ctr_nlp.tube_design.rounding import StockRounding
 
 DESIGN_TABLE_COLUMNS = (
     *("problem", "with the first tubes", "planned", "mean over draws", "lost", "mean with diameters as sold"),

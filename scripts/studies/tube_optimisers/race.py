@@ -15,10 +15,10 @@ from itertools import islice
 import numpy as np
 from scipy.optimize import minimize
 
-from ctr_nlp.design.search import Candidate, DesignSearch
-from ctr_nlp.design.starts import generate_start_tubes as first_tubes
 from ctr_nlp.exceptions import CtrError, OptionError
 from ctr_nlp.support.interrupt import deferred_interrupt
+from ctr_nlp.tube_design.search import Candidate, DesignSearch
+from ctr_nlp.tube_design.starts import generate_start_tubes as first_tubes
 from ctr_nlp.typing import Array
 
 INITIAL_SEARCH_SPREAD = 0.2

@@ -234,8 +234,8 @@ TABLE_II = PaperSection(
     motion_tasks(TABLE_II_PROBLEMS, TABLE_II_METHODS),
     "All but the last row of each part plan on the stiffness-dominant model; the compliant part shows what the "
     "same motions come to on that model, and in its last row what a plan made on it does. S2J-IK, the paper's "
-    "[7], has a row where `scripts/studies/learn.py` has trained a network for the paper's robot. Bold: ours, lower "
-    f"than the paper's own published figure (not for "
+    "[7], has a row where `scripts/studies/learn.py` has trained a network for the paper's robot. Bold: ours, "
+    f"lower than the paper's own published figure (not for "
     f"{join_names([f'`{p}`' for p in TABLE_II_PROBLEMS if p not in COMPARABLE_PROBLEMS])}, "
     "where targets differ; statements on published numbers leave it out too). A star: some frames not solved. "
     "An exclamation mark: the robot snaps on the way. t_c is the time of a frame, on average, without the "

@@ -11,12 +11,18 @@ from dataclasses import replace
 
 import numpy as np
 
-from ctr_nlp.design.search import CONTINUED_BARRIER_MM2, REPLANNED_BARRIER_MM2, Candidate, DesignSearch, error_of
 from ctr_nlp.ocp.scenarios import Scenarios
 from ctr_nlp.plan.measures import e3
 from ctr_nlp.plan.plan import Plan
 from ctr_nlp.robot import Robot
 from ctr_nlp.robust.tolerance_scenarios import scenarios_from_tolerances
+from ctr_nlp.tube_design.search import (
+    CONTINUED_BARRIER_MM2,
+    REPLANNED_BARRIER_MM2,
+    Candidate,
+    DesignSearch,
+    error_of,
+)
 
 MAX_DESIGNED_FRAMES = 1500
 """Frames of all tasks, together, for which tubes are solved; with more, the frames of drafts decide."""

@@ -2,6 +2,6 @@
 devices.
 """
 
-from ctr_nlp.design.co_design import Design, design
+from ctr_nlp.tube_design.co_design import Design, design
 
 __all__ = ["Design", "design"]

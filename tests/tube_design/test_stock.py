@@ -11,14 +11,24 @@ import numpy as np
 import pytest
 from truth import TWO
 
-from ctr_nlp import Manufacture, Problem, Robot, Tube, curve_from_formula, design, growing, summary, table_i_robot
+from ctr_nlp import (
+    Manufacture,
+    Problem,
+    Robot,
+    Tube,
+    curve_from_formula,
+    growing,
+    summary,
+    table_i_robot,
+    tube_design,
+)
 from ctr_nlp.cli.main import main
-from ctr_nlp.design.design_warnings import find_design_warnings
-from ctr_nlp.design.rounding import round_entries
-from ctr_nlp.design.stock import StockTube, nearest_stock, read_stock, with_diameters
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.ocp.shared.design import DesignedTubes, with_linear_curvatures
 from ctr_nlp.problems import named_problem
+from ctr_nlp.tube_design.design_warnings import find_design_warnings
+from ctr_nlp.tube_design.rounding import round_entries
+from ctr_nlp.tube_design.stock import StockTube, nearest_stock, read_stock, with_diameters
 
 PAIR = Robot(TWO.tubes)
 RULES = Manufacture(channel=0.3, wall=0.1, outer=4.0)
@@ -107,7 +117,7 @@ def test_where_something_pushes_stiffness_itself_counts():
 def test_what_cannot_nest_is_refused_before_anything_is_solved():
     stock = [StockTube("A", 2.0, 1.0, "here")]
     with pytest.raises(OptionError, match="no 2 tubes of the stock nest with walls of at least"):
-        design([_task("bend", 12.0)], nominal=True, rules=RULES, stock=stock)
+        tube_design([_task("bend", 12.0)], nominal=True, rules=RULES, stock=stock)
 
 
 def test_a_fixed_diameter_stays_and_thick_tubes_are_bent_less():
@@ -148,7 +158,7 @@ def stocked():
     stock = [StockTube(f"{k}/{wall}", k / 10, round(k / 10 - 2 * wall, 2), "here") for k, wall in sizes]
     stock = [one for one in stock if one.inner > 0.1]
     tasks = [_task("bend", 12.0), _task("turn", 18.0, 3.0)]
-    return stock, design(tasks, nominal=True, rules=RULES, starts=1, stock=stock)
+    return stock, tube_design(tasks, nominal=True, rules=RULES, starts=1, stock=stock)
 
 
 def test_a_design_in_stock_is_of_the_list_and_keeps_the_rules(stocked):
@@ -243,7 +253,7 @@ def test_diameters_that_are_not_sold_are_named():
 
 
 def test_a_design_for_one_straight_line_is_no_needle():
-    found = design([_task("straight", 0.0)], nominal=True, rules=RULES, starts=1)
+    found = tube_design([_task("straight", 0.0)], nominal=True, rules=RULES, starts=1)
     assert summary(found.plans[0])["e3"] < 0.05
     for tube in found.robot.tubes:
         assert tube.outer_diameter - tube.inner_diameter >= 0.2 - 1e-9
@@ -251,5 +261,5 @@ def test_a_design_for_one_straight_line_is_no_needle():
 
 @pytest.mark.slow
 def test_a_design_for_one_straight_line_names_the_tube_that_it_does_not_need():
-    found = design([named_problem("line", 20)], nominal=True, starts=2)
+    found = tube_design([named_problem("line", 20)], nominal=True, starts=2)
     assert any("pushed out" in told or "hardly felt" in told for told in found.warnings), found.warnings

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-from ctr_nlp.design.search import DesignSearch
 from ctr_nlp.exceptions import OptionError, ProblemError
 from ctr_nlp.models import Model, model_named
 from ctr_nlp.ocp.settings import Settings
@@ -16,6 +15,7 @@ from ctr_nlp.planning.motions import at_frames
 from ctr_nlp.planning.nlp_frames import DEFAULT_PLANNER_SETTINGS
 from ctr_nlp.planning.starts.search import pick_draft_frames
 from ctr_nlp.support.value_checks import check_instance
+from ctr_nlp.tube_design.search import DesignSearch
 
 
 def search_for(

@@ -11,11 +11,11 @@ from truth import TWO
 
 from ctr_nlp import Manufacture, Problem, Robot, Settings, assign_to_robots, divide_problems, growing
 from ctr_nlp.cli.main import main
-from ctr_nlp.design import plans
-from ctr_nlp.design.groups import _cluster_paths, assign_by_errors
-from ctr_nlp.design.plans import plan_tasks
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.paths.curve import curve_from_formula
+from ctr_nlp.tube_design import plans
+from ctr_nlp.tube_design.groups import _cluster_paths, assign_by_errors
+from ctr_nlp.tube_design.plans import plan_tasks
 
 PAIR = Robot(TWO.tubes)
 RULES = Manufacture(channel=0.3, wall=0.1, outer=4.0)

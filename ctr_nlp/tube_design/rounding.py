@@ -14,7 +14,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ctr_nlp.design.search import (
+from ctr_nlp.exceptions import CtrError, ProblemError
+from ctr_nlp.ocp.shared.design import DESIGN_LENGTH_UNIT_MM, DesignedTubes
+from ctr_nlp.solvers.motion.chain_solution import COLD_START_BARRIER_MM2
+from ctr_nlp.tube_design.search import (
     CONTINUED_BARRIER_MM2,
     INITIAL_STEP_COST_MM2,
     REPLANNED_BARRIER_MM2,
@@ -24,10 +27,7 @@ from ctr_nlp.design.search import (
     error_of,
     nominal_scenario,
 )
-from ctr_nlp.design.stock import DIAMETER_COLUMNS, StockTube, nearest_stock, with_diameters
-from ctr_nlp.exceptions import CtrError, ProblemError
-from ctr_nlp.ocp.shared.design import DESIGN_LENGTH_UNIT_MM, DesignedTubes
-from ctr_nlp.solvers.motion.chain_solution import COLD_START_BARRIER_MM2
+from ctr_nlp.tube_design.stock import DIAMETER_COLUMNS, StockTube, nearest_stock, with_diameters
 from ctr_nlp.typing import Array
 
 MAX_DRAFT_COMBINATIONS, FINALISTS = 8, 2

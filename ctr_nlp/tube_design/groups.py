@@ -13,8 +13,6 @@ from functools import partial
 import numpy as np
 from scipy.cluster.vq import kmeans2
 
-from ctr_nlp.design.request import draft, search_for
-from ctr_nlp.design.search import DesignSearch
 from ctr_nlp.exceptions import CtrError, OptionError
 from ctr_nlp.models import Model
 from ctr_nlp.ocp.settings import Settings
@@ -28,6 +26,8 @@ from ctr_nlp.robot import Robot
 from ctr_nlp.support.interrupt import deferred_interrupt, end_if_interrupted
 from ctr_nlp.support.pool import Jobs, run_in_parallel
 from ctr_nlp.support.value_checks import whole_number
+from ctr_nlp.tube_design.request import draft, search_for
+from ctr_nlp.tube_design.search import DesignSearch
 from ctr_nlp.typing import Array, Index
 
 MAX_GROUPING_ROUNDS, MIN_GROUPING_IMPROVEMENT = 6, 5e-3

@@ -16,20 +16,6 @@ from typing import Any
 
 import numpy as np
 
-from ctr_nlp.design.design_warnings import find_design_warnings
-from ctr_nlp.design.plans import plan_tasks
-from ctr_nlp.design.request import draft, search_for
-from ctr_nlp.design.rounding import FINALISTS, StockRounding, round_to_stock
-from ctr_nlp.design.search import Candidate, DesignSearch, Robots, error_of, nominal_scenario
-from ctr_nlp.design.selection import (
-    choose_best_planned,
-    choose_certified,
-    solve_all_frames,
-    tolerance_scenarios,
-    tolerant_candidates,
-)
-from ctr_nlp.design.starts import generate_start_tubes as first_tubes
-from ctr_nlp.design.stock import StockTube, nearest_stock
 from ctr_nlp.exceptions import OptionError, ProblemError
 from ctr_nlp.models import Model, model_for_tip_forces
 from ctr_nlp.ocp.settings import Settings
@@ -45,6 +31,20 @@ from ctr_nlp.robot import Robot
 from ctr_nlp.support.interrupt import deferred_interrupt
 from ctr_nlp.support.pool import Jobs, run_in_parallel
 from ctr_nlp.support.value_checks import whole_number
+from ctr_nlp.tube_design.design_warnings import find_design_warnings
+from ctr_nlp.tube_design.plans import plan_tasks
+from ctr_nlp.tube_design.request import draft, search_for
+from ctr_nlp.tube_design.rounding import FINALISTS, StockRounding, round_to_stock
+from ctr_nlp.tube_design.search import Candidate, DesignSearch, Robots, error_of, nominal_scenario
+from ctr_nlp.tube_design.selection import (
+    choose_best_planned,
+    choose_certified,
+    solve_all_frames,
+    tolerance_scenarios,
+    tolerant_candidates,
+)
+from ctr_nlp.tube_design.starts import generate_start_tubes as first_tubes
+from ctr_nlp.tube_design.stock import StockTube, nearest_stock
 from ctr_nlp.typing import Array
 
 STARTS = 4
