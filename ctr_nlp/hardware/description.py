@@ -248,7 +248,7 @@ class Hardware:
                 data.get("late", cls.late),
                 None if record is None else record.settings,
                 build_from_table(Sensing, data["sensing"]) if "sensing" in data else None,
-                build_from_table(BacklashAndDrag, data["lag"]) if "lag" in data else None,
+                build_from_table(BacklashAndDrag, data["lag"], "lag") if "lag" in data else None,
                 () if record is None else record.untried,
             )
             if hardware.robot is not None:

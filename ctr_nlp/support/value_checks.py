@@ -85,10 +85,10 @@ def _of_one_kind(items: list[Any]) -> bool:
     return True
 
 
-def build_from_table(cls: type, data: Any) -> Any:
+def build_from_table(cls: type, data: Any, name: str | None = None) -> Any:
     """Make the dataclass `cls` of a table of a file; raises RobotError where keys are unknown or missing."""
     allowed = [f.name for f in fields(cls)]
-    of = cls.__name__.lower()
+    of = name or cls.__name__.lower()
     check_keys(RobotError, of, data if isinstance(data, dict) else [data], allowed)
     try:
         return cls(**data)

@@ -167,7 +167,8 @@ except JournalError as error:
 resource.setrlimit(resource.RLIMIT_FSIZE, (resource.RLIM_INFINITY, resource.RLIM_INFINITY))
 journal.record("result", frame=frame)
 """
-    found = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    tests = Path(__file__).parents[1]
+    found = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True, cwd=tests)
     assert "bytes fit" in found.stdout
     records = [json.loads(line) for line in (tmp_path / "j").read_bytes().splitlines()]
     frames = [record["frame"] for record in records[1:]]

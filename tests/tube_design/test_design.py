@@ -13,7 +13,7 @@ import pytest
 import shooting
 from truth import TWO
 
-from ctr_nlp import Manufacture, Plan, Problem, Robot, Settings, growing, solve_horizon, summary, tube_design
+from ctr_nlp import Manufacture, Plan, Problem, Robot, Settings, design, growing, solve_horizon, summary
 from ctr_nlp.cli import problems
 from ctr_nlp.cli.main import main
 from ctr_nlp.exceptions import OptionError, ProblemError
@@ -40,13 +40,13 @@ def tasks():
 
 @pytest.fixture(scope="module")
 def nominal(tasks):
-    return tube_design(tasks, nominal=True, rules=RULES, starts=2)
+    return design(tasks, nominal=True, rules=RULES, starts=2)
 
 
 @pytest.fixture(scope="module")
 def tolerant(tasks):
     """A design for the first task and the robot's tolerances."""
-    return tube_design(tasks[:1], rules=RULES, starts=1)
+    return design(tasks[:1], rules=RULES, starts=1)
 
 
 def _rms(plans):
@@ -63,7 +63,7 @@ def test_designed_tubes_are_better_than_those_they_began_as(tasks, nominal):
 
 def test_tubes_are_designed_on_the_dominant_model_too(tasks):
     own = [solve_horizon(task, model="dominant", settings=Settings(contact_weight=0.0)) for task in tasks]
-    found = tube_design(tasks, nominal=True, model="dominant", rules=RULES, starts=1)
+    found = design(tasks, nominal=True, model="dominant", rules=RULES, starts=1)
     assert all(plan.success.all() and plan.meta["model"] == "dominant" for plan in found.plans)
     again = [solve_horizon(replace(task, robot=found.robot), model="dominant") for task in tasks]
     assert _rms(found.plans) == pytest.approx(_rms(again), rel=0.02)
@@ -88,7 +88,7 @@ def test_no_tubes_nearby_are_better(tasks):
 
     Arcs: with curvatures that vary, errors are so small that the cost of motion decides.
     """
-    arcs = tube_design(tasks, nominal=True, rules=RULES, starts=1, constant_curvature=True)
+    arcs = design(tasks, nominal=True, rules=RULES, starts=1, constant_curvature=True)
     tubes = DesignedTubes(arcs.robot, RULES)
     far, least = Settings(contact_weight=0.0), _rms(arcs.plans)
     assert least > 0.02
@@ -103,7 +103,7 @@ def test_no_tubes_nearby_are_better(tasks):
 
 
 def test_rules_that_bind_are_remarked_with_their_price(tasks, nominal):
-    tight = tube_design(tasks, nominal=True, rules=replace(RULES, strain_made=0.008), starts=1)
+    tight = design(tasks, nominal=True, rules=replace(RULES, strain_made=0.008), starts=1)
     assert _rms(tight.plans) > _rms(nominal.plans)
     bound = [remark for remark in tight.remarks if "when made" in remark.rule.name]
     assert bound
@@ -112,7 +112,7 @@ def test_rules_that_bind_are_remarked_with_their_price(tasks, nominal):
 
 
 def test_fixed_numbers_stay(tasks):
-    found = tube_design(tasks[:1], nominal=True, rules=RULES, fixed=["outer_diameter_1"], starts=1)
+    found = design(tasks[:1], nominal=True, rules=RULES, fixed=["outer_diameter_1"], starts=1)
     assert found.robot.tubes[0].outer_diameter == PAIR.tubes[0].outer_diameter
 
 
@@ -130,7 +130,7 @@ def test_random_tubes_to_start_from_can_be_made_and_come_again():
 
 @pytest.mark.slow
 def test_a_design_for_tolerances_survives_its_draws(tasks):
-    found = tube_design(tasks, rules=RULES, starts=2)
+    found = design(tasks, rules=RULES, starts=2)
     for plan in found.plans:
         assert plan.meta["certificate"]["held"]
         assert plan.robustness(200, 7).lost_count <= 2
@@ -144,7 +144,7 @@ def test_a_design_for_tolerances_carries_robust_plans(tolerant):
 @pytest.mark.slow
 def test_two_processes_find_what_one_alone_finds(tasks):
     """The same work from the same starts: to the last bit."""
-    alone, several = (tube_design(tasks[:1], nominal=True, rules=RULES, starts=2, jobs=jobs) for jobs in (1, 2))
+    alone, several = (design(tasks[:1], nominal=True, rules=RULES, starts=2, jobs=jobs) for jobs in (1, 2))
     assert alone.robot == several.robot
     assert alone.start_results == several.start_results
     np.testing.assert_array_equal(alone.plans[0].q, several.plans[0].q)
@@ -158,7 +158,7 @@ def test_a_cluster_finds_what_one_process_finds(tasks, kind, asked, request):
     pytest.importorskip("distributed", reason="the extra `study` is not installed")
     alone = request.getfixturevalue(kind)
     with local_client(2) as client:
-        several = tube_design(tasks[: len(alone.plans)], rules=RULES, jobs=client, **asked)
+        several = design(tasks[: len(alone.plans)], rules=RULES, jobs=client, **asked)
     assert alone.robot == several.robot
     assert alone.tried == several.start_results
     np.testing.assert_array_equal(alone.plans[0].q, several.plans[0].q)
@@ -166,7 +166,7 @@ def test_a_cluster_finds_what_one_process_finds(tasks, kind, asked, request):
 
 def test_problems_of_several_robots_are_refused(tasks):
     with pytest.raises(ProblemError, match="the robot of turn is not that of bend"):
-        tube_design([tasks[0], replace(tasks[1], robot=PAIR.with_locked_tilt())], nominal=True)
+        design([tasks[0], replace(tasks[1], robot=PAIR.with_locked_tilt())], nominal=True)
 
 
 @pytest.mark.parametrize(
@@ -179,14 +179,14 @@ def test_problems_of_several_robots_are_refused(tasks):
 )
 def test_bad_input_is_refused(tasks, given, told):
     with pytest.raises(OptionError, match=told):
-        tube_design(tasks, nominal=True, rules=RULES, **given)
+        design(tasks, nominal=True, rules=RULES, **given)
 
 
 def test_no_problems_and_equal_names_are_refused(tasks):
     with pytest.raises(ProblemError, match="problems of a design is empty"):
-        tube_design([])
+        design([])
     with pytest.raises(ProblemError, match="the same name"):
-        tube_design([tasks[0], tasks[0]])
+        design([tasks[0], tasks[0]])
 
 
 PROGRAM = """
@@ -255,7 +255,7 @@ def test_plans_on_designed_tubes_are_where_equations_say(nominal):
 
 
 def test_tubes_shaped_like_an_s_are_found_unless_they_are_ruled_out(tasks, nominal):
-    one_sided = tube_design(tasks, nominal=True, rules=replace(RULES, one_sided=True), starts=2)
+    one_sided = design(tasks, nominal=True, rules=replace(RULES, one_sided=True), starts=2)
     assert min(tube.root_curvature for tube in nominal.robot.tubes) < 0
     assert min(tube.root_curvature for tube in one_sided.robot.tubes) >= 0
     assert _rms(nominal.plans) < _rms(one_sided.plans)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from truth import TWO
 
-from ctr_nlp import (
+from ctr_nlp import design, (
     Load,
     Loaded,
     LoadOverTime,
@@ -19,7 +19,6 @@ from ctr_nlp import (
     Tolerances,
     growing,
     solve_horizon,
-    tube_design,
 )
 from ctr_nlp.cli.main import main
 from ctr_nlp.exceptions import LoadError, OptionError
@@ -51,8 +50,8 @@ def _pushed(**others):
 @LOADS
 def test_tubes_for_a_load_follow_under_it_better_than_tubes_for_none(load):
     tasks, model = [_task(NITINOL, name) for name in BENDS], Loaded(load)
-    free = tube_design(tasks, nominal=True, rules=RULES, starts=2)
-    found = tube_design(tasks, nominal=True, model=model, rules=RULES, starts=2)
+    free = design(tasks, nominal=True, rules=RULES, starts=2)
+    found = design(tasks, nominal=True, model=model, rules=RULES, starts=2)
     for plan in found.plans:
         assert plan.complete
         assert plan.evaluated_load == load
@@ -71,8 +70,8 @@ def test_tubes_are_designed_for_their_own_weight():
     """Of a soft and heavy material: those that were designed without it follow less well, though plans know it."""
     weight = Loaded(Load(densities=21.0, down=(0, 1, 0)))
     tasks = [_task(with_modulus(Robot(TWO.tubes), 300), name) for name in BENDS]
-    free = tube_design(tasks, nominal=True, rules=RULES, starts=2)
-    found = tube_design(tasks, nominal=True, model=weight, rules=RULES, starts=2)
+    free = design(tasks, nominal=True, rules=RULES, starts=2)
+    found = design(tasks, nominal=True, model=weight, rules=RULES, starts=2)
     assert all(plan.complete and plan.evaluated_load == weight.load for plan in found.plans)
     knowing = [solve_horizon(replace(task, robot=free.robot), model=weight) for task in tasks]
     assert _rms(found.plans) < 0.9 * _rms(knowing)
@@ -80,13 +79,13 @@ def test_tubes_are_designed_for_their_own_weight():
 
 @LOADS
 def test_a_design_for_tolerances_may_bear_a_load_as_well(load):
-    (plan,) = tube_design([_task(NITINOL)], model=Loaded(load), rules=RULES, starts=1).plans
+    (plan,) = design([_task(NITINOL)], model=Loaded(load), rules=RULES, starts=1).plans
     assert plan.evaluated_load == load
     assert plan.meta["certificate"]["held"]
 
 
 def test_tubes_for_forces_from_any_side_are_bent_by_them_less():
-    blind, found = (tube_design([_task(robot)], rules=RULES, starts=1) for robot in (NITINOL, _pushed()))
+    blind, found = (design([_task(robot)], rules=RULES, starts=1) for robot in (NITINOL, _pushed()))
     assert found.plans[0].meta["certificate"]["held"]
     errors = []
     for one in (blind, found):
@@ -125,7 +124,7 @@ def test_pushed_scenarios_have_the_mean_and_the_covariance_of_forces_from_all_si
 )
 def test_moduli_are_asked_for_before_anything_is_solved(robot, model, nominal):
     with pytest.raises(LoadError, match="modul"):
-        tube_design([_task(robot)], model=model, nominal=nominal, progress=_never)
+        design([_task(robot)], model=model, nominal=nominal, progress=_never)
 
 
 def _never(*_told):
@@ -134,7 +133,7 @@ def _never(*_told):
 
 def test_what_a_design_cannot_bear_is_said_first():
     with pytest.raises(OptionError, match="dominant"):
-        tube_design([_task(_pushed())], model="dominant", progress=_never)
+        design([_task(_pushed())], model="dominant", progress=_never)
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from truth import TWO
 
-from ctr_nlp import (
+from ctr_nlp import design, (
     Manufacture,
     Problem,
     Robot,
@@ -20,7 +20,6 @@ from ctr_nlp import (
     growing,
     summary,
     table_i_robot,
-    tube_design,
 )
 from ctr_nlp.cli.main import main
 from ctr_nlp.exceptions import OptionError
@@ -117,7 +116,7 @@ def test_where_something_pushes_stiffness_itself_counts():
 def test_what_cannot_nest_is_refused_before_anything_is_solved():
     stock = [StockTube("A", 2.0, 1.0, "here")]
     with pytest.raises(OptionError, match="no 2 tubes of the stock nest with walls of at least"):
-        tube_design([_task("bend", 12.0)], nominal=True, rules=RULES, stock=stock)
+        design([_task("bend", 12.0)], nominal=True, rules=RULES, stock=stock)
 
 
 def test_a_fixed_diameter_stays_and_thick_tubes_are_bent_less():
@@ -158,7 +157,7 @@ def stocked():
     stock = [StockTube(f"{k}/{wall}", k / 10, round(k / 10 - 2 * wall, 2), "here") for k, wall in sizes]
     stock = [one for one in stock if one.inner > 0.1]
     tasks = [_task("bend", 12.0), _task("turn", 18.0, 3.0)]
-    return stock, tube_design(tasks, nominal=True, rules=RULES, starts=1, stock=stock)
+    return stock, design(tasks, nominal=True, rules=RULES, starts=1, stock=stock)
 
 
 def test_a_design_in_stock_is_of_the_list_and_keeps_the_rules(stocked):
@@ -253,7 +252,7 @@ def test_diameters_that_are_not_sold_are_named():
 
 
 def test_a_design_for_one_straight_line_is_no_needle():
-    found = tube_design([_task("straight", 0.0)], nominal=True, rules=RULES, starts=1)
+    found = design([_task("straight", 0.0)], nominal=True, rules=RULES, starts=1)
     assert summary(found.plans[0])["e3"] < 0.05
     for tube in found.robot.tubes:
         assert tube.outer_diameter - tube.inner_diameter >= 0.2 - 1e-9
@@ -261,5 +260,5 @@ def test_a_design_for_one_straight_line_is_no_needle():
 
 @pytest.mark.slow
 def test_a_design_for_one_straight_line_names_the_tube_that_it_does_not_need():
-    found = tube_design([named_problem("line", 20)], nominal=True, starts=2)
+    found = design([named_problem("line", 20)], nominal=True, starts=2)
     assert any("pushed out" in told or "hardly felt" in told for told in found.warnings), found.warnings
