@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from truth import TWO
 
-from ctr_nlp import design, (
+from ctr_nlp import (
     Load,
     Loaded,
     LoadOverTime,
@@ -17,6 +17,7 @@ from ctr_nlp import design, (
     Problem,
     Robot,
     Tolerances,
+    design,
     growing,
     solve_horizon,
 )

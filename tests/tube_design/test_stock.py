@@ -11,12 +11,13 @@ import numpy as np
 import pytest
 from truth import TWO
 
-from ctr_nlp import design, (
+from ctr_nlp import (
     Manufacture,
     Problem,
     Robot,
     Tube,
     curve_from_formula,
+    design,
     growing,
     summary,
     table_i_robot,
