@@ -44,10 +44,10 @@ def runs(plan):
 
 def test_what_is_planned_anew_comes_nearer_to_the_target_and_is_safe(runs, plan):
     for kept, anew in runs:
-        assert any(each.adopted_plan for each in anew.planned)
+        assert any(each.adopted_plan for each in anew.replannings)
         assert remaining(anew, plan) < 0.9 * remaining(kept, plan)
-        assert not anew.lost
-        assert not anew.snapped
+        assert not anew.first_failed_frame
+        assert not anew.first_snap_frame
         assert not anew.stopped
 
 
@@ -61,7 +61,7 @@ def test_it_keeps_limits_where_one_way_leads_into_another(runs, plan):
 
 def test_nothing_changes_before_it_may(runs, plan):
     for kept, anew in runs:
-        first = min(each.first for each in anew.planned if each.adopted_plan)
+        first = min(each.first for each in anew.replannings if each.adopted_plan)
         assert plan.time[first - 1] >= 2 * REPLANNING_LEAD_S
         np.testing.assert_array_equal(anew.q[: first - 1], kept.q[: first - 1])
 

@@ -36,8 +36,8 @@ def test_robots_stop_before_they_snap(sensors):
     assert sum(run.first_snap_frame > 0 for run in opened) > 2
     for k in range(10):
         run = played(plan, draws[k : k + 1], k, sensors)
-        assert not run.snapped
-        assert not run.lost
+        assert not run.first_snap_frame
+        assert not run.first_failed_frame
         if run.stopped:
             assert (run.q[-1] == run.q[-2]).all() or run.notes[-1].time >= plan.time[-2]
 
@@ -60,7 +60,7 @@ def test_robots_with_margin_to_spare_are_not_stopped():
     for k in range(10):
         run = played(plan, draws[k : k + 1], k, TIP)
         assert run.notes == ()
-        assert (run.stopped, run.lost) == (False, 0)
+        assert (run.stopped, run.first_failed_frame) == (False, 0)
 
 
 @pytest.mark.parametrize("sensors", [SENSORS, TIP], ids=["points", "tip"])
@@ -106,7 +106,7 @@ def test_where_it_is_estimated_is_what_matters_not_the_plan():
     draw = perturb_robot(ROBOT, parts, np.zeros((1, 2)))
     assert open_loop(plan, Plant(ROBOT, draw)).first_snap_frame
     run = played(plan, draw, 0, SENSORS, Tolerances(0.02, 0.02, motor_zero=0.3))
-    assert not run.snapped
+    assert not run.first_snap_frame
 
 
 def test_a_less_stable_robot_that_cannot_snap_is_not_taken_for_one_that_has():

@@ -29,8 +29,8 @@ def observer(tolerances=OFF):
 
 def true(draws, k):
     """The differences of a draw, in the order of Differences."""
-    parts = draws.parts[k]
-    return np.concatenate([parts[:, 0], parts[:, 1], parts[:, 4], draws.lags[k][draws.lags[k] > 0]])
+    parts = draws.deviations[k]
+    return np.concatenate([parts[:, 0], parts[:, 1], parts[:, 4], draws.backlash[k][draws.backlash[k] > 0]])
 
 
 def watched(plan, draws, k, tolerances=OFF, **feed):
@@ -38,22 +38,22 @@ def watched(plan, draws, k, tolerances=OFF, **feed):
     source = Feed(plant, SENSORS, k, **feed)
     for q, time in zip(plan.q, plan.time.tolist(), strict=True):
         plant.move_to(q, time)
-        found.moved(q, time)
+        found.move_motors(q, time)
         for reading in source.take_readings(time):
-            found.measured(reading)
+            found.update_estimate(reading)
     return found
 
 
 def test_slopes_of_what_is_measured_match_finite_differences(plan):
     found, step = observer(), 1e-5
-    found.moved(plan.q[0], 0.0)
-    found.moved(plan.q[30], 1.0)
+    found.move_motors(plan.q[0], 0.0)
+    found.move_motors(plan.q[30], 1.0)
     _, slopes = found.expected_reading(1.0)
     of = found.differences
     for k in range(len(of)):
         ends = []
         for side in (1, -1):
-            draw = of.draws((side * step * np.eye(len(of))[k])[None])
+            draw = of.perturbed_robots((side * step * np.eye(len(of))[k])[None])
             plant = Plant(ROBOT, draw)
             plant.move_to(plan.q[0], 0.0)
             plant.move_to(plan.q[30], 1.0)
@@ -105,12 +105,12 @@ def test_lags_are_among_what_is_estimated(plan):
 def test_values_that_cannot_be_are_not_taken(plan):
     found = observer()
     for k, time in ((0, 0.0), (10, 1.0)):
-        found.moved(plan.q[k], time)
+        found.move_motors(plan.q[k], time)
     values, _ = found.expected_reading(1.0)
     values = values.copy()
     values[3:6] += 30.0
     values[6] = np.nan
-    seen = found.measured(Reading(1.0, values))
+    seen = found.update_estimate(Reading(1.0, values))
     assert seen.accepted.tolist() == [True] * 3 + [False] * 6
     assert found.mean == pytest.approx(found.differences.mean, abs=1e-9)
 
@@ -118,7 +118,7 @@ def test_values_that_cannot_be_are_not_taken(plan):
 def test_judging_a_reading_takes_nothing_of_it(plan):
     found = observer()
     for k, time in ((0, 0.0), (10, 1.0)):
-        found.moved(plan.q[k], time)
+        found.move_motors(plan.q[k], time)
     mean, covariance = found.mean, found.covariance
     seen = found.compute_innovation(Reading(1.0, found.expected_reading(1.0)[0] + 0.3))
     assert seen.accepted.all()

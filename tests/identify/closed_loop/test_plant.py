@@ -19,7 +19,7 @@ def plan():
 
 
 def led(plant, plan):
-    return np.array([plant.moved(q, t).shape for q, t in zip(plan.q, plan.time, strict=True)])
+    return np.array([plant.move_to(q, t).shape for q, t in zip(plan.q, plan.time, strict=True)])
 
 
 def test_a_plant_is_a_draw_moved_open_loop(plan):

@@ -69,7 +69,7 @@ def test_feedback_brings_robots_to_the_planned_shapes(plan):
     assert closed.mean() < 0.5 * opened.mean()
     for _, run in runs:
         check_limits(run, plan)
-        assert not run.lost
+        assert not run.first_failed_frame
         assert not run.stopped
         assert run.notes == ()
 
@@ -87,10 +87,10 @@ def test_faults_of_sensors_are_told_in_half_a_second_and_do_no_harm(plan, name):
         run = led(plan, draws[k : k + 1], k, (FAULTS[name],))
         opened = open_loop(plan, Plant(ROBOT, draws[k : k + 1]))
         check_limits(run, plan)
-        assert opened.first_failed_frame or not run.lost
+        assert opened.first_failed_frame or not run.first_failed_frame
         first = next(note for note in run.notes if note.time >= BEGIN)
         assert first.time <= BEGIN + 0.5 + 1e-9
-        assert opened.first_snap_frame or not run.snapped
+        assert opened.first_snap_frame or not run.first_snap_frame
 
 
 @pytest.mark.parametrize("name", ["silence", "registration", "axes"])
