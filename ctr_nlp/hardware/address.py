@@ -46,17 +46,18 @@ def canonical_address(connection: Connection) -> str:
 
 
 def _canonical_host(name: str) -> str:
-    """The least of the IP addresses of a host, IPv4 first; LOCAL where one of them is this machine's."""
+    """Return the least of a host's IP addresses, IPv4 first, or LOCAL where one is this machine's."""
     try:
         found = {str(entry[4][0]) for entry in socket.getaddrinfo(name, None)}
     except (OSError, UnicodeError):
         return name.lower()
+    # Resolvers give addresses in any order; the least is the same every time.
     addresses = sorted(map(_parse_ip_address, found), key=lambda address: (address.version, int(address)))
     return LOCAL if any(map(_is_local, addresses)) else str(addresses[0])
 
 
 def _parse_ip_address(text: str) -> ipaddress.IPv4Address | ipaddress.IPv6Address:
-    """An address; one of IPv4 that is written as one of IPv6 (::ffff:1.2.3.4) counts as the former."""
+    """Return an IP address, where IPv4 written as IPv6 (::ffff:1.2.3.4) becomes IPv4."""
     address = ipaddress.ip_address(text)
     return getattr(address, "ipv4_mapped", None) or address
 

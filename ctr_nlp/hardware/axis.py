@@ -18,7 +18,7 @@ LETTERS = "XYZABCUVW"
 """Letters of axes, in the order in which Grbl numbers their settings."""
 
 MOTOR_AXIS_UNITS = {"beta": {"mm": 1.0}, "alpha": {"deg": math.degrees(1.0), "rad": 1.0}}
-"""What an axis may count in, by what it moves, and how much of that a mm or a rad is."""
+"""Units of an axis by the kind of joint that it moves, and how many of them a mm or a rad is."""
 
 
 @dataclass(frozen=True)
@@ -26,7 +26,7 @@ class Axis:
     """One motor and the joint that it moves: position = zero + sign * (joint in the axis' unit).
 
     joint: "alpha_i" or "beta_i". letter: in G-code. unit: "mm" for beta, "deg" or "rad" for alpha. range: (lower,
-    upper) position; speed, acceleration: largest, in unit/s and unit/s^2. backlash: play of the drive, made up for
+    upper) position; speed, acceleration: largest, in unit/s and unit/s^2. backlash: play of the drive, compensated
     on every reversal; tolerance: how far from its command the axis may be found. Raises HardwareError.
     """
 
@@ -72,7 +72,10 @@ class Axis:
 
 
 def check_fit(robot: Robot, axes: tuple[Axis, ...], mounted: Robot | None) -> None:
-    """Raise HardwareError unless axes move all tubes of a robot, and these are mounted (None: any may be)."""
+    """Raise HardwareError unless axes move all tubes of a robot, and these tubes are mounted.
+
+    mounted: the robot whose tubes are on the hardware; None takes any.
+    """
     wanted = set(robot.axes[: 2 * robot.d])
     moved = {axis.joint for axis in axes}
     for name in sorted(wanted ^ moved):
@@ -93,9 +96,10 @@ def check_fit(robot: Robot, axes: tuple[Axis, ...], mounted: Robot | None) -> No
 
 
 def apply_axis_limits(robot: Robot, axes: tuple[Axis, ...], arm: Arm | None, looks_ahead: bool) -> Robot:
-    """The robot with limits that axes and an arm keep too; raises HardwareError.
+    """Return the robot with limits that the axes and the arm satisfy, too; raises HardwareError.
 
-    looks_ahead: whether the controller plans to stand still at the end of the little motion that it has in hand.
+    arm: None where nothing tilts the robot. looks_ahead: whether the controller plans to stand still at the end of
+    the short motion that it has been given, as Grbl does.
     """
     lower, upper, speed, acceleration = (
         np.array(part) for part in (robot.lower, robot.upper, robot.speed, robot.acceleration)
@@ -104,6 +108,8 @@ def apply_axis_limits(robot: Robot, axes: tuple[Axis, ...], arm: Arm | None, loo
         i = robot.axes.index(axis.joint)
         ends = sorted((end - axis.zero) / axis.scale for end in axis.range)
         fastest = axis.speed
+        # Grbl is never faster than it can brake within the motion that it was given, so that a higher speed in the
+        # plan would only make it late.
         if looks_ahead:
             fastest = min(fastest, steady_speed(axis.acceleration, axis.unit == "mm"))
         lower[i], upper[i] = max(lower[i], ends[0]), min(upper[i], ends[1])
@@ -111,6 +117,8 @@ def apply_axis_limits(robot: Robot, axes: tuple[Axis, ...], arm: Arm | None, loo
         acceleration[i] = min(acceleration[i], axis.acceleration / abs(axis.scale))
     _check_ranges(robot, axes, lower, upper)
     if arm is None:
+        # Without an arm the tilt is 0. Where the robot's limits exclude 0, lower ends above upper and with_limits
+        # refuses the robot.
         lower[-2:], upper[-2:] = np.maximum(lower[-2:], 0.0), np.minimum(upper[-2:], 0.0)
     else:
         speed[-2:] = np.minimum(speed[-2:], np.radians(arm.tilt_speed_deg))

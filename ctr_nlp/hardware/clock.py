@@ -1,4 +1,4 @@
-"""Time, as a player sees it: real, or that of an emulated world."""
+"""Clocks of a player: the machine's, or that of an emulated controller in tests."""
 
 from __future__ import annotations
 
@@ -7,17 +7,17 @@ from typing import Protocol
 
 
 class Clock(Protocol):
-    """Seconds that never go back."""
+    """A monotonic clock in s."""
 
     def now(self) -> float:
-        """The time, s."""
+        """Return the time, s."""
 
     def sleep(self, seconds: float) -> None:
-        """Let so much time pass."""
+        """Let so many seconds pass."""
 
 
 class RealClock:
-    """The machine's own."""
+    """The machine's monotonic clock, which does not jump when the time of day is set."""
 
     now = staticmethod(time.monotonic)
     sleep = staticmethod(time.sleep)

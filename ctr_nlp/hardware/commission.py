@@ -28,17 +28,19 @@ TRIAL_STEP_SPEED = 2.0
 """mm/s or degrees/s of a trial step."""
 
 TRIAL_STEP_POLL_S = 0.1
-"""s between two looks at a trial step; it may take three times as long as planned."""
+"""s between two status reports during a trial step; it may take three times as long as planned."""
 
 
 STEP_DIRECTION_SIGNS = {"+": 1, "-": -1}
-"""How the directions of a step are written."""
+"""Signs that name the directions of a trial step."""
 
 
 class ControllerReadout(NamedTuple):
-    """What was read. wrong: settings that go against safe playing; changed: since the last commissioning.
+    """Settings, position and delay of a controller, as read for commissioning.
 
-    loose: those that let a line that was changed on the way go faster or further than any plan.
+    wrong: settings that go against safe playing. changed: those that differ from the last commissioning. loose:
+    those that let a corrupted line move an axis faster or further than any plan. position: (m,) of the axes in
+    their units. round_trip: s from a status question to its answer.
     """
 
     identity: Identity
@@ -65,7 +67,7 @@ class Commissioning:
         self._skipped = set[str]()
 
     def read(self) -> ControllerReadout:
-        """Everything that is told, with what is wrong in it."""
+        """Read settings, position and delay of an idle controller, and judge the settings."""
         report, _ = self._talk.greet()
         if report.state != "Idle":
             raise DeviceFault(f"the controller is {report.state}; it must be Idle to be commissioned")
@@ -80,7 +82,10 @@ class Commissioning:
         return self.controller
 
     def tighten(self) -> list[SettingFinding]:
-        """Set what is loose to what plans may use, and read everything again; what was set. Raises DeviceFault."""
+        """Set the loose settings to what plans may use and read everything again.
+
+        Returns what was set. Raises DeviceFault.
+        """
         found = self.controller.loose
         for one in found:
             self._talk.ask(f"${one.name}={one.wanted}")
@@ -88,10 +93,11 @@ class Commissioning:
         return found
 
     def step(self, letter: str, direction: int, stop: Asked) -> tuple[float, float]:
-        """Move one axis by a small step up (1) or down (-1); its positions before and after, in its unit.
+        """Move one axis by a small step and return its positions before and after, in its unit.
 
-        The axis stays in its range. Where a stop is asked for, or the axis does not arrive, it is stopped. A step
-        that arrives counts as tried.
+        letter: of the axis. direction: 1 for up, -1 for down. stop: called while the axis moves; True stops it.
+        The axis stays in its range. It is stopped, too, where it does not arrive in time, which is a DeviceFault.
+        A step that arrives counts as tried.
         """
         index = self._hardware.letters.index(letter)
         axis = self._hardware.axes[index]
@@ -102,6 +108,8 @@ class Commissioning:
                 f"axis {letter} ({axis.joint}) stands at {before:.4g} {axis.unit} and would go to {goal:.4g}; it "
                 f"must stay in [{axis.range[0]:g}, {axis.range[1]:g}]"
             )
+        # A jog can be cancelled and leaves the parser's modes alone. Its F is per minute, whatever G93 or G94 is
+        # active.
         self._talk.ask(f"$J=G90 G21 {letter}{goal:.4f} F{60 * TRIAL_STEP_SPEED:g}")
         end = (
             self._clock.now()
@@ -111,6 +119,7 @@ class Commissioning:
         while self._clock.now() < end and not stop():
             report = self._talk.request_report(TRIAL_STEP_POLL_S)
             after = before if report is None else float(report.position[self._columns][index])
+            # Idle alone is no proof of arrival: the first report may come before the jog begins.
             if report is not None and report.state == "Idle" and abs(after - goal) < 0.5 * TRIAL_STEP_LENGTH:
                 self._arrived.add((letter, direction))
                 return before, after
@@ -120,12 +129,12 @@ class Commissioning:
         )
 
     def skip(self, letter: str) -> None:
-        """Leave an axis untried, because a person says so."""
+        """Leave the axis with this letter untested, because a person says so."""
         self._skipped.add(letter)
 
     @property
     def remaining(self) -> tuple[str, ...]:
-        """Steps that have not arrived yet, of axes that are not skipped: "X+", "X-" and so on, in order."""
+        """Steps that have not arrived yet, as "X+", "X-", of axes that are not skipped, in order."""
         return tuple(
             f"{letter}{sign}"
             for letter in self._hardware.letters

@@ -1,4 +1,4 @@
-"""What a plan is played on: which axis moves which joint, how far and how fast, and where the device is; TOML."""
+"""The hardware file (TOML): which axis moves which joint, how far and how fast, and where the device is."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ FLOW = ("count", "wait")
 NETWORK_SCHEMES = ("socket", "rfc2217")
 
 HARDWARE_FILE_KEYS = ("name", "robot", "axes", "arm", "connection", "sensing", "lag", "approach", "late")
-"""Of a hardware file."""
+"""Top-level keys of a hardware file."""
 
 
 @dataclass(frozen=True)
@@ -37,7 +37,7 @@ class Connection:
 
     device: "simulated", "grbl" or "ros2". url: a serial port, "socket://host:port", "rfc2217://host:port", or for
     ros2 the controller's name. baud: of a serial port. homing: "cycle" lets the controller home itself and wants
-    its soft limits, "manual" takes the position that it reports for true. flow: "count" sends lines as long as
+    its soft limits, "manual" believes the position that it reports. flow: "count" sends lines as long as
     counted characters fit into the controller's buffer, "wait" sends a line when the one before was acknowledged.
     Raises HardwareError.
     """
@@ -77,7 +77,10 @@ class Connection:
 
 
 def commissioned_file(hardware_file: str | Path) -> Path:
-    """Where the settings of the rig of a hardware file are kept."""
+    """Return the path of the commissioning record that lies beside a hardware file.
+
+    hardware_file: path of the TOML file.
+    """
     return Path(hardware_file).with_suffix(".commissioned.json")
 
 
@@ -87,10 +90,10 @@ class Commissioned(NamedTuple):
     Attributes
     ----------
     settings : dict of str to str
-        The controller's settings by name, as it told them.
+        The controller's settings by name, as it reported them.
     untried : tuple of str or None
-        Letters of the axes that were not moved in both directions; None in records of versions that did not keep
-        it.
+        Letters of the axes that were not moved in both directions; None in records of old versions, which do not
+        say.
     """
 
     settings: dict[str, str]
@@ -98,7 +101,10 @@ class Commissioned(NamedTuple):
 
 
 def read_commissioned(hardware_file: str | Path) -> Commissioned | None:
-    """The record of a rig's commissioning, None where it has not been commissioned; raises HardwareError."""
+    """Read the record of a rig's commissioning; None where it has not been commissioned.
+
+    hardware_file: path of the rig's TOML file. Raises HardwareError where the record cannot be read.
+    """
     path = commissioned_file(hardware_file)
     if not path.exists():
         return None
@@ -121,7 +127,7 @@ def commissioned_text(settings: dict[str, str], identity: str, untried: Sequence
     settings : dict of str to str
         The controller's settings by name.
     identity : str
-        What the controller tells of itself.
+        The controller's description of itself, :attr:`Identity.description`.
     untried : sequence of str
         Letters of the axes that were not moved in both directions.
 
@@ -137,12 +143,12 @@ def commissioned_text(settings: dict[str, str], identity: str, untried: Sequence
 class Hardware:
     """Axes, one for every alpha and beta of a robot, an arm that tilts it or None, and the connection.
 
-    approach: part of the largest speeds at which the first frame is gone to. robot: whose tubes are mounted; plans
-    for others are refused, None takes any. late: s that a motion may be behind its schedule. commissioned: the
-    controller's settings by name when the rig was commissioned, as it told them; None where that was not done.
-    untried: letters of axes that were not moved then, None where the record does not tell.
-    sensing: what measures the robot, None for nothing; sensors may change between sessions. lag: by which the
-    tubes that are mounted stay behind their motors, made up for; None for none. Raises HardwareError.
+    approach: part of the largest speeds at which the robot goes to the first frame. robot: whose tubes are
+    mounted; plans for others are refused, None takes any. late: s that a motion may be behind its schedule.
+    commissioned: the controller's settings by name when the rig was commissioned; None where it was not. sensing:
+    what measures the robot, None for nothing. lag: backlash and drag between motors and tubes, compensated by the
+    motors; None for none. untried: letters of axes that were not moved when the rig was commissioned, None where
+    the record does not say. Raises HardwareError.
     """
 
     axes: tuple[Axis, ...]
@@ -152,6 +158,8 @@ class Hardware:
     robot: Robot | None = None
     late: float = 1.0
     commissioned: dict[str, str] | None = None
+    # Fields out of repr stay out of the rig's digest (motion.trajectory.digests), which resume compares: sensors
+    # may change between sessions, and files without a lag keep the digest that they had before there were lags.
     sensing: Sensing | None = field(default=None, repr=False)
     lag: BacklashAndDrag | None = field(default=None, repr=False)
     untried: tuple[str, ...] | None = field(default=(), repr=False)
@@ -169,59 +177,71 @@ class Hardware:
         )
 
     def each(self, name: str) -> Array:
-        """A number of every axis (m,), by its name in Axis."""
+        """Return a number of every axis (m,); name: of the field of Axis."""
         return np.array([getattr(axis, name) for axis in self.axes])
 
     @cached_property
     def letters(self) -> tuple[str, ...]:
-        """Of the axes, in order."""
+        """Letters of the axes, in order."""
         return tuple(axis.letter for axis in self.axes)
 
     @cached_property
     def backlash(self) -> Array:
-        """Of the axes (m,), in their units."""
+        """Play of the axes' drives (m,), in their units."""
         return self.each("backlash")
 
     @cached_property
     def tolerance(self) -> Array:
-        """Of the axes (m,), in their units."""
+        """Largest distance of the axes (m,) from their commands, in their units."""
         return self.each("tolerance")
 
     def apply_limits(self, robot: Robot) -> Robot:
-        """The robot with limits that these axes and the arm keep too; raises HardwareError."""
+        """Return the robot with limits that these axes and the arm satisfy, too; raises HardwareError."""
         check_fit(robot, self.axes, self.robot)
         if self.lag is not None:
             self.lag.check(robot)
         return apply_axis_limits(robot, self.axes, self.arm, self.connection.device == "grbl")
 
     def positions(self, robot: Robot, q: Array) -> Array:
-        """Positions (.., m) of the axes, in their units, at q (.., 2d + 2)."""
+        """Return the positions (.., m) of the axes, in their units, of a robot at q (.., 2d + 2).
+
+        robot: whose joints q are, which names the columns.
+        """
         columns = [robot.axes.index(axis.joint) for axis in self.axes]
         return np.asarray(self.each("zero") + self.each("scale") * q[..., columns])
 
     def lag_compensation(self, robot: Robot, q: Array, time: Array) -> Array:
-        """What is added to the axes (T, m), in their units, so that tubes that lag come through q (T, 2d + 2).
+        """Return what motors turn further, (T, m) in the axes' units, so that lagging tubes pass through q.
 
-        time (T,): when they do, s.
+        robot: whose tubes lag. q: (T, 2d + 2). time: (T,) s at which the tubes pass.
         """
         if self.lag is None:
             return np.zeros((len(q), len(self.axes)))
         return self.positions(robot, self.lag.compensate_motion(robot, q, time)) - self.positions(robot, q)
 
     def joints(self, robot: Robot, positions: Array, theta: Array) -> Array:
-        """The q (.., 2d + 2) at positions (.., m) of the axes and a tilt (.., 2)."""
+        """Return q (.., 2d + 2) of a robot whose axes stand at positions (.., m), in their units.
+
+        robot: names the columns of q. theta: tilt (.., 2) rad, which no axis measures.
+        """
         q = self.in_joints(robot, positions - self.each("zero"))
         q[..., -2:] = theta
         return q
 
     def in_joints(self, robot: Robot, lengths: Array) -> Array:
-        """Changes (.., m) of axes, in their units, as changes of q (.., 2d + 2); the tilt does not move."""
+        """Convert changes of axes to changes of q (.., 2d + 2), in which the tilt is 0.
+
+        robot: names the columns of q. lengths: changes (.., m) of the axes, in their units.
+        """
         q = np.zeros((*np.shape(lengths)[:-1], 2 * robot.d + 2))
         q[..., [robot.axes.index(axis.joint) for axis in self.axes]] = lengths / self.each("scale")
         return q
 
     def reach(self, robot: Robot) -> tuple[Array, Array]:
-        """The least and the largest q (2d + 2,) in the axes' ranges; infinite where no axis moves it."""
+        """Return the least and the largest q (2d + 2,) in the axes' ranges; infinite for joints without axis.
+
+        robot: names the columns of q.
+        """
         least, most = np.full((2, 2 * robot.d + 2), [[-np.inf], [np.inf]])
         for axis in self.axes:
             i = robot.axes.index(axis.joint)
@@ -230,7 +250,11 @@ class Hardware:
 
     @classmethod
     def from_toml(cls, path: str | Path) -> Hardware:
-        """The hardware of a TOML file; raises HardwareError, also where it cannot move the robot that it names."""
+        """Read a hardware file.
+
+        path: of the TOML file; paths in it are relative to its folder. Raises HardwareError, also where the axes
+        cannot move the robot that it names.
+        """
         try:
             data = read_toml(path)
             check_keys(HardwareError, "hardware", data, HARDWARE_FILE_KEYS)
@@ -259,7 +283,7 @@ class Hardware:
 
 
 def simulated_hardware(robot: Robot) -> Hardware:
-    """A simulated rig for a robot of up to three tubes: what is played on where no hardware file is given.
+    """Return a simulated rig for a robot of up to three tubes, used where no hardware file is given.
 
     50 mm/s and 200 mm/s^2, 600 deg/s and 2000 deg/s^2. Raises HardwareError.
     """

@@ -1,4 +1,4 @@
-"""The devices that a hardware file names."""
+"""Devices, arms and memory that a hardware file names."""
 
 from __future__ import annotations
 
@@ -22,7 +22,11 @@ from ctr_nlp.typing import Array
 
 
 def device_of(hardware: Hardware, journal: Journal, clock: Clock, position: Array) -> Device:
-    """The device, not connected yet; position (m,): where the axes of a simulated one stand."""
+    """Return the device that a hardware file names, not connected yet.
+
+    hardware: its connection says which. journal: records every byte or message. clock: of the player. position:
+    (m,) where the axes of a simulated device stand, in their units.
+    """
     connection = hardware.connection
     if connection.device == "grbl":
         return Grbl(hardware, lambda: recorded_link(connection, journal), clock)
@@ -32,12 +36,18 @@ def device_of(hardware: Hardware, journal: Journal, clock: Clock, position: Arra
 
 
 def recorded_link(connection: Connection, journal: Journal) -> ByteLink:
-    """An open link to a Grbl controller, of which every byte is in a journal; raises DeviceFault."""
+    """Open a serial link to a Grbl controller of which every byte is recorded; raises DeviceFault.
+
+    connection: gives url and baud. journal: where bytes are recorded.
+    """
     return RecordedLink(SerialLink(connection.url, connection.baud), journal)
 
 
 def memory_of(connection: Connection) -> Memory | None:
-    """What is remembered of the device there, None where it is simulated; raises HardwareError."""
+    """Return the memory of the device at a connection, None for a simulated one; raises HardwareError.
+
+    connection: of the hardware file; its address names the memory.
+    """
     if connection.device == "simulated":
         return None
     return Memory(state_folder(), canonical_address(connection), connection.url)
@@ -46,5 +56,8 @@ def memory_of(connection: Connection) -> Memory | None:
 def arm_follower(
     arm: Arm, theta: Sequence[float] = (0.0, 0.0), clock: Callable[[], float] = time.monotonic
 ) -> ArmFollower:
-    """What the arm's device names; a simulated arm stands at a tilt theta (2,) rad."""
+    """Return the simulated or real arm that its description names.
+
+    arm: description. theta: tilt (2,) rad at which a simulated arm stands. clock: returns the time, s.
+    """
     return SimulatedArm(arm, theta, clock=clock) if arm.device == "simulated" else UrArm(arm, clock=clock)

@@ -1,4 +1,4 @@
-"""A line of JSON for every byte, state and frame of playing: what happened, and enough to go on after a crash."""
+"""Journal of a session: a line of JSON for every byte, state and frame, enough to resume after a crash."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from ctr_nlp.exceptions import JournalError
 from ctr_nlp.hardware.clock import Clock
 
 DURABLE = ("program", "state", "result")
-"""Kinds of records that are on the disk before anything else happens."""
+"""Kinds of records that are on the disk before the program goes on."""
 
 
 class Journal:
-    """An open file to which records are added, each whole; raises JournalError where that fails.
+    """An open file to which whole records are appended; raises JournalError where that fails.
 
-    A record is {"t": s of the clock, "kind": ..., ...}. Bytes are latin-1 text. A file that is there is added to.
-    session: a name that no other session has. unwritten: why records are missing, "" where none is.
+    A record is {"t": s of the clock, "kind": ..., ...}. Bytes are latin-1 text. An existing file is continued.
+    session: a unique name. unwritten: why records are missing, "" where none is.
     """
 
     def __init__(self, path: str | Path, clock: Clock) -> None:
@@ -36,6 +36,7 @@ class Journal:
         try:
             with self._written():
                 self._end = os.fstat(self._file).st_size
+                # A crash may have cut the last line short: end it, so that ours begins a new one.
                 if self._end and not self.path.read_bytes().endswith(b"\n"):
                     self._write(b"\n")
             self.record("session", id=self.session, wall=time.time(), pid=os.getpid())
@@ -44,16 +45,21 @@ class Journal:
             raise
 
     def record(self, kind: str, **fields: Any) -> None:
-        """Add a record; a half-written one is taken back before JournalError is raised."""
+        """Add a record; one that fits only in part is removed again before JournalError is raised.
+
+        kind: of the record. fields: the rest of it, values as JSON has them.
+        """
         line = json.dumps({"t": round(self._clock.now(), 6), "kind": kind} | fields, allow_nan=False)
         with self._written():
             self._write(line.encode() + b"\n")
             if kind in DURABLE:
+                # Only for these: waiting for the disk at every byte would hold up the player, which looks every 5
+                # ms.
                 os.fsync(self._file)
 
     @contextmanager
     def forgiving(self) -> Iterator[None]:
-        """Within the block failures are only noted: what stops a robot must not fail for want of a journal."""
+        """Note write errors within the block instead of raising them, so that they cannot prevent a stop."""
         before = self._strict
         self._strict = False
         try:
@@ -78,15 +84,16 @@ class Journal:
         self._end += written
 
     def close(self) -> None:
-        """Nothing can be added afterwards. A system may tell only now that a disk is full, which is noted."""
+        """Close the file; write errors are noted."""
         with self.forgiving(), self._written():
             os.close(self._file)
 
 
 def read_journal(path: str | Path) -> list[dict[str, Any]]:
-    """The records since the session that played last began, oldest first; raises JournalError.
+    """Return the records since the session that played last began, oldest first; raises JournalError.
 
-    Sessions that came to nothing may have followed it. Lines that a crash cut short are left out.
+    path: of the journal. Later sessions that played nothing are included. Lines that a crash cut short are left
+    out.
     """
     try:
         lines = Path(path).read_bytes().split(b"\n")
@@ -100,6 +107,8 @@ def read_journal(path: str | Path) -> list[dict[str, Any]]:
             record = json.loads(line)
             kind = record["kind"]
         except (ValueError, TypeError, KeyError) as exception:
+            # number counts from 1, so that lines[number] is the next line. Only the last record of a session can
+            # be cut short; any other damage means that the file is not to be relied on.
             if number == len(lines) or b'"kind": "session"' in lines[number]:
                 continue
             raise JournalError(f"journal {path}: line {number} is not a record ({exception})") from exception

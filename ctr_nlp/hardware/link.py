@@ -1,4 +1,4 @@
-"""Bytes to and from a controller, by pyserial: serial ports, pseudo terminals and sockets."""
+"""Byte links to a controller through pyserial: serial ports, pseudo terminals and sockets."""
 
 from __future__ import annotations
 
@@ -10,20 +10,20 @@ from ctr_nlp.hardware.journal import Journal
 from ctr_nlp.support.extras import import_extra
 
 WRITE_TIMEOUT = 1.0
-"""s: a controller that takes no bytes for so long is lost."""
+"""s after which a controller that takes no bytes counts as disconnected."""
 
 
 class ByteLink(Protocol):
-    """An open connection; a lost one raises DeviceFault."""
+    """An open connection; one that breaks raises DeviceFault."""
 
     def write(self, data: bytes) -> None:
-        """Send all of it."""
+        """Send all bytes of data."""
 
     def read(self) -> bytes:
-        """What has come since the last call, without waiting."""
+        """Return the bytes that have come since the last call, without waiting."""
 
     def close(self) -> None:
-        """Let go of it."""
+        """Close the connection."""
 
 
 class SerialLink:
@@ -42,7 +42,7 @@ class SerialLink:
             raise DeviceFault(f"{url} cannot be opened: {exception}") from exception
 
     def write(self, data: bytes) -> None:
-        """Send all of it."""
+        """Send all bytes of data."""
         try:
             sent = self._port.write(data)
         except self._lost as exception:
@@ -51,21 +51,23 @@ class SerialLink:
             raise DeviceFault(f"the link to {self._url} took {sent} of {len(data)} bytes")
 
     def read(self) -> bytes:
-        """What has come since the last call, without waiting."""
+        """Return the bytes that have come since the last call, without waiting."""
         try:
             return bytes(self._port.read(4096))
         except self._lost as exception:
             raise DeviceFault(f"the link to {self._url} is lost: {exception}") from exception
 
     def close(self) -> None:
-        """Let go of it; a lost one is let go of as well."""
+        """Close the port, also one whose connection is broken."""
         with suppress(*self._lost):
             self._port.close()
 
 
 def _failures(serial: Any) -> tuple[type[Exception], ...]:
-    """What pyserial raises when a plug is pulled: its own error, the system's, or a bare termios.error."""
+    """Return the exceptions of pyserial's module `serial` for a plug that is pulled."""
     try:
+        # Where a USB adapter is pulled, POSIX ports let termios.error through, which is no OSError. Windows has no
+        # termios.
         import termios
     except ImportError:
         return serial.SerialException, OSError
@@ -73,23 +75,23 @@ def _failures(serial: Any) -> tuple[type[Exception], ...]:
 
 
 class RecordedLink:
-    """A link of which every byte is in a journal: what is sent before it is sent, what comes when it has come."""
+    """A link of which every byte is in a journal: sent bytes before they are sent, received ones at once."""
 
     def __init__(self, link: ByteLink, journal: Journal) -> None:
         self._link = link
         self._journal = journal
 
     def write(self, data: bytes) -> None:
-        """Record, then send; what cannot be recorded is not sent."""
+        """Record data, then send it; data that cannot be recorded is not sent."""
         self._journal.record("sent", data=data.decode("latin-1"))
         self._link.write(data)
 
     def read(self) -> bytes:
-        """What has come, recorded."""
+        """Return and record the bytes that have come, without waiting."""
         if data := self._link.read():
             self._journal.record("received", data=data.decode("latin-1"))
         return data
 
     def close(self) -> None:
-        """Let go of the link."""
+        """Close the link; the journal stays open."""
         self._link.close()

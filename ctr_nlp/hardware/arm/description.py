@@ -79,7 +79,7 @@ class Arm:
 
     @cached_property
     def address(self) -> str:
-        """Where the controller is."""
+        """Name or IP address of the controller."""
         return self.host or "127.0.0.1"
 
     @cached_property
@@ -104,15 +104,23 @@ class Arm:
 
 
 def frame_of(translation: Any, rotation_deg: Any) -> Array:
-    """A read-only frame (4, 4): mm, and (roll, pitch, yaw) in degrees about the fixed axes."""
+    """Return a read-only homogeneous frame (4, 4).
+
+    translation: (3,) in mm. rotation_deg: (roll, pitch, yaw) in degrees about the fixed axes, x first.
+    """
     frame = np.eye(4)
+    # Lower-case letters turn about fixed axes: R = Rz(yaw) Ry(pitch) Rx(roll), as in URDF. It is not the rotation
+    # vector that a UR shows on its pendant.
     frame[:3, :3] = Rotation.from_euler("xyz", rotation_deg, degrees=True).as_matrix()
     frame[:3, 3] = translation
     return frozen(frame)
 
 
 def some_numbers(what: str, value: Any, size: int) -> Array:
-    """So many numbers (size,), or one that stands for all; raises HardwareError."""
+    """Return numbers (size,), where a single one stands for all; raises HardwareError.
+
+    what: name of the quantity in the message. value: as read from TOML, a number or a list. size: how many.
+    """
     try:
         return numbers(what, value, size)
     except RobotError as exception:
@@ -120,7 +128,10 @@ def some_numbers(what: str, value: Any, size: int) -> Array:
 
 
 def all_numbers(what: str, value: Any, size: int) -> tuple[float, ...]:
-    """Exactly size numbers: one does not stand for all here; raises HardwareError."""
+    """Return exactly `size` numbers, since here a single one does not stand for all; raises HardwareError.
+
+    what: name of the quantity in the message. value: as read from TOML. size: how many.
+    """
     try:
         found = plain_floats(value)
     except (TypeError, ValueError, OverflowError):  # ValueError: also lists of several lengths
@@ -147,6 +158,8 @@ def check_joints(arm: Arm, time: Array, joints: Array) -> None:
     if not len(step):
         return
     speed = np.diff(joints, axis=0) / step[:, None]
+    # Means over steps belong to the middles of the steps, so accelerations divide by the distance of these. Before
+    # the first and after the last step, a step of rest of the same length is assumed.
     around = np.concatenate([step[:1], (step[1:] + step[:-1]) / 2, step[-1:]])
     acceleration = np.diff(speed, axis=0, prepend=0.0, append=0.0) / around[:, None]
     for name, unit, value, limit, lead in (

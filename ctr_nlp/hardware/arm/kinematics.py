@@ -1,4 +1,17 @@
-"""Kinematics of the arm: what joints do to the robot that it holds, and the joints of a tilting motion."""
+"""Kinematics of the arm that tilts the robot: joint angles to tilt, and joint angles along a tilting motion.
+
+Forward kinematics are a product of exponentials (Lynch and Park, Modern Robotics, 2017, chapter 4)
+
+    T(q) = exp(S_1 q_1) ... exp(S_6 q_6) M,   exp(S q) = I + sin(q) S + (1 - cos(q)) S^2
+
+with the flange's pose M at q = 0 and the joints' screws S_i (4, 4) in the arm's base frame; the second equation
+holds for revolute joints. The columns of the Jacobian are the screws moved along by the joints before them.
+Inverse kinematics are analytic (ur-analytic-ik), with up to eight joint solutions for a pose; one of them is
+followed along the motion in small steps of tilt, and it ends at singularities, joint limits and the end of the
+reach.
+
+The tilt theta (2,) turns the robot about the insertion point by R = Ry(theta_y) Rx(theta_x).
+"""
 
 from __future__ import annotations
 
@@ -28,26 +41,35 @@ MAX_SUBSTEP_JOINT_TURN_RAD = 0.5
 
 
 def tilt_of_joints(arm: Arm, joints: Array) -> Array:
-    """Tilt (T, 2) rad, within +-pi, of joints (T, 6) rad, by forward kinematics."""
+    """Return the tilt (T, 2) rad, within +-pi, by forward kinematics.
+
+    arm: the arm and how the robot is mounted on it. joints: (T, 6) rad.
+    """
     turned = arm.base[:3, :3].T @ _robot_base_frames(arm, joints)[:, :3, :3]
+    # Ry(theta_y) Rx(theta_x) has the middle row (0, cos theta_x, -sin theta_x) and the first column (cos theta_y,
+    # 0, -sin theta_y).
     theta_x = np.arctan2(-turned[:, 1, 2], turned[:, 1, 1])
     return np.stack([theta_x, np.arctan2(-turned[:, 2, 0], turned[:, 0, 0])], axis=1)
 
 
 def insertion_error(arm: Arm, joints: Array) -> Array:
-    """Distance (T,) in mm of what joints (T, 6) rad hold at the insertion point from there."""
+    """Return the distance (T,) in mm from the robot's base frame to the insertion point.
+
+    arm: says where both should be. joints: (T, 6) rad.
+    """
     return np.asarray(np.linalg.norm(_robot_base_frames(arm, joints)[:, :3, 3] - arm.base[:3, 3], axis=1))
 
 
 def gains(arm: Arm, joints: Array) -> Array:
-    """How many times as fast (T,) joints (T, 6) rad may have to turn as the robot they hold.
+    """Return the largest ratio (T,) of joint speed to the speed of the robot that the joints hold.
 
     1 / the smallest singular value of the Jacobian at the insertion point, LENGTH counting as a radian; infinite
-    at a singularity.
+    at a singularity. arm: the arm. joints: (T, 6) rad.
     """
     screws = _screws(arm, joints)
     at = arm.base[:3, 3]
     turning = screws[:, :3]
+    # The point p of a body that turns with omega moves with v + omega x p, v at the origin.
     moving = screws[:, 3:] + np.cross(screws[:, :3], at, axisa=1, axisb=0, axisc=1)
     with np.errstate(divide="ignore"):
         smallest = np.linalg.svd(np.concatenate([turning, moving / LENGTH], axis=1), compute_uv=False)[:, -1]
@@ -56,11 +78,9 @@ def gains(arm: Arm, joints: Array) -> Array:
 
 @cache
 def _turns(model: str) -> tuple[Array, Array, Array]:
-    """Forward kinematics in parts, mm: the flange with all joints at 0 (4, 4), and of each joint's turn about
-    where its axis then lies what goes with its cosine and with its sine, (6, 4, 4) each.
+    """Return the parts of forward kinematics: M (4, 4), -S_i^2 (6, 4, 4) and S_i (6, 4, 4), lengths in mm.
 
-    A pose depends on a joint by these two alone: the library's poses a quarter turn to either side give both
-    exactly, and serve whole arrays of joints.
+    model: of the arm, one of ARM_MODELS.
     """
 
     def pose(*joints: float) -> Array:
@@ -68,6 +88,9 @@ def _turns(model: str) -> tuple[Array, Array, Array]:
         found[:3, 3] *= 1000
         return found
 
+    # With the other joints at 0, pose M^-1 = exp(S q). At q = +-pi/2 that is I + S^2 +- S: the mean and half the
+    # difference of the two give S^2 and S exactly, without the library's table of link lengths, and then serve
+    # whole arrays of joints, which the library does not take.
     home = pose(*np.zeros(6))
     back = np.linalg.inv(home)
     quarters = np.array([[pose(*(s * np.pi / 2 * e)) @ back for e in np.eye(6)] for s in (1, -1)])
@@ -75,7 +98,10 @@ def _turns(model: str) -> tuple[Array, Array, Array]:
 
 
 def _placements(arm: Arm, joints: Array) -> list[Array]:
-    """What joints (T, 6) rad do to a frame fixed to each link from the base to the flange, 7 of (T, 4, 4), mm."""
+    """Return exp(S_1 q_1) ... exp(S_i q_i) for i = 0 to 6, 7 of (T, 4, 4), mm.
+
+    Each is the motion of a frame fixed to link i away from q = 0. arm: the arm. joints: q (T, 6) rad.
+    """
     _, cosine, sine = _turns(arm.model)
     c = np.cos(joints)[..., None, None]
     s = np.sin(joints)[..., None, None]
@@ -86,14 +112,20 @@ def _placements(arm: Arm, joints: Array) -> list[Array]:
 
 
 def _robot_base_frames(arm: Arm, joints: Array) -> Array:
-    """The robot's base frame in the arm's, (T, 4, 4) mm."""
+    """Return the robot's base frame in the arm's base frame, (T, 4, 4) mm; joints: (T, 6) rad."""
     return np.asarray(_placements(arm, np.asarray(joints))[-1] @ _turns(arm.model)[0] @ arm.mount)
 
 
 def _screws(arm: Arm, joints: Array) -> Array:
-    """(T, 6, 6): a column a joint, its axis above the speed that it gives a point at the origin, mm/rad."""
+    """Return the Jacobian (T, 6, 6) in the arm's base frame, a column for each joint.
+
+    A column is the joint's axis (3,) above the velocity (3,) in mm/rad that it gives a point at the origin.
+    joints: (T, 6) rad.
+    """
     columns = []
     for moved, screw in zip(_placements(arm, joints), _turns(arm.model)[2], strict=False):
+        # The adjoint of the motion (R, p) of the link: omega -> R omega, v -> R v + p x R omega. The axis is read
+        # from S, whose upper left part is the cross-product matrix of omega.
         axis = moved[:, :3, :3] @ np.array([screw[2, 1], screw[0, 2], screw[1, 0]])
         speed = np.einsum("tij,j->ti", moved[:, :3, :3], screw[:3, 3]) - np.cross(axis, moved[:, :3, 3])
         columns.append(np.concatenate([axis, speed], axis=1))
@@ -101,7 +133,11 @@ def _screws(arm: Arm, joints: Array) -> Array:
 
 
 class _JointPath(NamedTuple):
-    """A joint solution, as far as it can be followed; margin: to singularities and joint limits, 0 at them."""
+    """A joint solution (n, 6) rad, as far as it can be followed.
+
+    margin: distance to singularities and joint limits, 0 at them. frame: the first that it does not reach.
+    complaint: why not, "" where it reaches all.
+    """
 
     joints: Array
     margin: float
@@ -112,10 +148,10 @@ class _JointPath(NamedTuple):
 def inverse_kinematics(arm: Arm, theta: Array, start: Array | None = None) -> Array:
     """Joint angles (T, 6) rad that tilt the robot by theta (T, 2) rad, linear in theta between frames.
 
-    All frames follow one joint solution continuously, within JOINT_LIMIT. start: (6,) rad,
-    where the arm stands at the first frame. Without it the one of start_joints_deg at zero tilt is taken, or
-    if there is none, of those that go through all frames the one that stays furthest from singularities
-    and joint limits. Raises HardwareError that names the frame, counted from 1, where no joint solution goes on.
+    All frames follow one joint solution continuously, within JOINT_LIMIT. start: (6,) rad, where the arm stands at
+    the first frame. Without it the solution of start_joints_deg at zero tilt is taken, or, if there is none, of
+    those that pass all frames the one that stays furthest from singularities and joint limits. Raises
+    HardwareError that names the frame, counted from 1, at which every joint solution ends.
     """
     theta = np.asarray(theta, dtype=float)
     if theta.ndim != 2 or theta.shape[1] != 2 or not len(theta) or not np.isfinite(theta).all():
@@ -131,6 +167,8 @@ def inverse_kinematics(arm: Arm, theta: Array, start: Array | None = None) -> Ar
     first = solutions[0]
     if near is not None and len(first):
         first = first[[np.abs(_wrap_angles(first - near)).sum(axis=1).argmin()]]
+        # The library answers within +-pi, but the joints of a UR turn by +-2 pi: the arm may stand a whole turn
+        # away from the answer, and must not be sent back by it.
         first = near + _wrap_angles(first - near)
     followed = [_follow(arm, q, solutions, frames, wound=near is not None) for q in first]
     if not followed:
@@ -153,7 +191,11 @@ def poses(arm: Arm, theta: Array) -> Array:
 
 
 def _follow(arm: Arm, q: Array, solutions: list[Array], frames: list[int], wound: bool) -> _JointPath:
-    """The joint solution from q (6,) on, over solutions [(n, 6)]; wound: q's whole turns are those of the arm."""
+    """Return the joint solution that goes on from q over all tilts, as far as it can be followed.
+
+    q: (6,) rad at the first tilt. solutions: all joint solutions (n, 6) rad at each tilt. frames: which tilts are
+    frames. wound: whether the whole turns in q are those of the arm; else they are free.
+    """
     turned = [q]
     complaint = ""
     for found in solutions[1:]:
@@ -162,6 +204,8 @@ def _follow(arm: Arm, q: Array, solutions: list[Array], frames: list[int], wound
             break
         steps = _wrap_angles(found - turned[-1])
         step = steps[np.abs(steps).max(axis=1).argmin()]
+        # A larger step is a change to another joint solution, or a singularity between two tilts: inverse
+        # kinematics alone would hide both.
         if np.abs(step).max() > MAX_SUBSTEP_JOINT_TURN_RAD:
             joint = int(np.abs(step).argmax())
             gain = gains(arm, (turned[-1] + step)[None])[0]
@@ -171,6 +215,7 @@ def _follow(arm: Arm, q: Array, solutions: list[Array], frames: list[int], wound
         turned.append(turned[-1] + step)
     path = np.array(turned)
     if not wound:
+        # Whole turns are free here: bring the middle of each joint's range next to 0, away from both limits.
         middle = (path.max(axis=0) + path.min(axis=0)) / 2
         path = path - 2 * np.pi * np.round(middle / (2 * np.pi))
     gain = gains(arm, path)
@@ -200,12 +245,15 @@ def _subdivide_tilts(theta: Array) -> tuple[Array, list[int]]:
 
 
 def _solutions(model: str, pose: Array) -> Array:
-    """All joint angles (n, 6) rad within +-pi that hold the flange at a pose (4, 4) in mm."""
+    """Return all joint angles (n, 6) rad within +-pi that hold the flange at a pose.
+
+    model: of the arm. pose: (4, 4) in mm.
+    """
     metres = pose.copy()
     metres[:3, 3] /= 1000
     return np.array(getattr(import_extra("ur_analytic_ik"), model).inverse_kinematics(metres)).reshape(-1, 6)
 
 
 def _wrap_angles(angles: Array) -> Array:
-    """The same angles within +-pi."""
+    """Return angles in rad shifted by whole turns to within +-pi."""
     return (angles + np.pi) % (2 * np.pi) - np.pi

@@ -1,4 +1,4 @@
-"""What moves the axes: one small interface, and a file for every kind of device. Knows no plan."""
+"""Interface of the devices that move the axes; one file for every kind of device. Knows no plan."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from ctr_nlp.typing import Array
 
 
 class Standing(NamedTuple):
-    """Where a device that does not move stands: position (m,) of its axes, in their units.
+    """Position (m,) of the axes of a device at rest, in their units.
 
-    homed: whether it knows that this is where the motors are.
+    homed: whether the device knows that the motors are there.
     """
 
     position: Array
@@ -20,13 +20,12 @@ class Standing(NamedTuple):
 
 
 class Signs(NamedTuple):
-    """What a device shows beside its position; whether that is as it should be is decided by the supervision.
+    """Signs of trouble that a device shows beside its position; the supervision judges them.
 
-    anomaly: a sentence on what it said or did that no device does that plays as it should, "" for nothing.
-    override: what it scales all speeds by, in %, None where it does not tell. stalled: s in which it has done
-    nothing although it was given something to do. cause: why that is so, as far as can be told, "" where nothing
-    can. off_path_cause: why its axes are further from the path than those of such a device can be, "" where they
-    are not.
+    anomaly: a sentence on what it reported or did and no sound device does, "" for nothing. override: factor on
+    all speeds, in %, None where it is not reported. stalled: s for which the device has done nothing although it
+    was given something to do. cause: why, as far as that can be known, "" where it cannot. off_path_cause: why the
+    axes are further from the path than such a device can be, "" where they are not.
     """
 
     anomaly: str = ""
@@ -40,8 +39,8 @@ class MotionProgress(NamedTuple):
     """How far a device has come.
 
     state: "running", "holding" (slowing down), "held" or "done". time: s of the trajectory that have been played.
-    position (m,): of the axes, in their units; stamp: when it was seen there, s of the clock. away: how far it was
-    from the path it should be on, in parts of the axes' tolerances. signs: what else it shows.
+    position (m,): of the axes, in their units; stamp: when it was measured, s of the clock. away: distance from
+    the path, in parts of the axes' tolerances. signs: of trouble.
     """
 
     state: str
@@ -53,63 +52,72 @@ class MotionProgress(NamedTuple):
 
 
 Asked = Callable[[], bool]
-"""Whether a stop has been asked for."""
+"""Returns whether a stop has been requested."""
 
 
 class RunningMotion(Protocol):
     """Commands that a device has begun to play; all raise DeviceFault."""
 
     def update(self) -> MotionProgress:
-        """Take the news and tell how far it is; gives the device nothing to do. Call it every few ms."""
+        """Read what the device has reported and return the progress; sends no motion. Call it every few ms."""
 
     def feed(self) -> None:
-        """Give the device what it may have now: called after every update in which nothing was wrong."""
+        """Send the motion that the device may have now; call it after every update that shows no fault."""
 
     @property
     def committed_time(self) -> float:
-        """How far it has been given its commands for good, s of the motion."""
+        """Time of the motion, s, up to which commands were sent and cannot be changed."""
 
     def amend(self, commands: Commands) -> None:
-        """Play other commands, which end when those before did and are the same as far as they were given."""
+        """Replace the commands that have not been sent.
+
+        commands: have the same end time as those before, and are the same up to committed_time.
+        """
 
     def hold(self) -> None:
-        """Begin to stop on the path, so that it can go on."""
+        """Begin to stop on the path, so that the motion can be resumed."""
 
     def resume(self) -> None:
-        """Go on after a hold."""
+        """Continue after a hold."""
 
 
 class Device(Protocol):
-    """Plays commands. Only home and abort wait for a motion, and their waits end; all raise DeviceFault."""
+    """A player of commands; only home and abort wait for a motion, for a limited time. All raise DeviceFault."""
 
     def connect(self, stop: Asked) -> None:
-        """Open the link and make sure of what answers; where a stop is asked for meanwhile, that is a fault."""
+        """Open the link and check what answers.
+
+        stop: called meanwhile; where it returns True, DeviceFault is raised.
+        """
 
     @property
     def identity(self) -> str:
-        """What tells this device, once it is connected, from others at its address; "" where nothing does."""
+        """Name that distinguishes a connected device from others at its address, "" where nothing does."""
 
     def standing(self) -> Standing:
-        """Where it stands; a device that moves is a fault."""
+        """Return where the axes stand; a device that moves is a fault."""
 
     @property
     def resolution(self) -> Array:
-        """The least that its axes (m,) can tell apart, in their units, once it is connected."""
+        """Smallest distances that the axes (m,) of a connected device can resolve, in their units."""
 
     def home(self, stop: Asked) -> None:
-        """Find its position by itself, and wait for that; where stop says so, stop at once, which is a fault."""
+        """Let the device find its position, and wait for that.
+
+        stop: called meanwhile; where it returns True the device is stopped at once, which is a fault.
+        """
 
     def start(self, commands: Commands) -> RunningMotion:
-        """Get ready to play commands from where it stands; feeding begins with it.
+        """Start to play commands from where the axes stand; feed is to be called from now on.
 
         Raises TrajectoryError where the link is too slow for them.
         """
 
     def abort(self) -> Standing:
-        """Stop for good, in whatever state it is, and forget what has not been played.
+        """Stop for good, in whatever state the device is, and forget what has not been played.
 
-        The stop is sent before anything is asked. Returns where it stands once that is sure.
+        The stop is sent before any question. Returns where the axes stand, once that is certain.
         """
 
     def close(self) -> None:
-        """Let go of the link; nothing is sent."""
+        """Close the link; nothing is sent."""

@@ -1,4 +1,4 @@
-"""Followers: arms that go where they are told, tick by tick, and say where they are; and one that is not real."""
+"""Arms that follow commanded tilts, one command every few ms, and report where they are; and a simulated one."""
 
 from __future__ import annotations
 
@@ -22,14 +22,15 @@ LONGEST_STEP = 0.1
 
 
 class OutOfStep(DeviceFault):
-    """An arm that is not where the device's progress puts it, or that cannot get there in time."""
+    """The arm is not where the device's progress requires it, or cannot get there in time."""
 
 
 class ArmFollower(ABC):
     """An arm that tilts the robot. Every method raises DeviceFault where the arm does not do what it should.
 
-    Its commands are of one joint solution, from where it stands, and none is further from the one before than the
-    largest joint speeds allow. A kind of arm says how it is looked at, measured, sent joints and halted.
+    All commands are of one joint solution, the one in which the arm stands at first, and none is further from the
+    one before than the largest joint speeds allow. A kind of arm implements how its state is read, joints are sent
+    and motion is halted.
     """
 
     def __init__(self, arm: Arm, clock: Now) -> None:
@@ -40,15 +41,15 @@ class ArmFollower(ABC):
 
     @abstractmethod
     def connect(self) -> None:
-        """Get ready to follow from where the arm stands; nothing moves."""
+        """Prepare to follow from where the arm stands; nothing moves."""
 
     @abstractmethod
     def _look(self) -> None:
-        """Find out how the arm is now."""
+        """Read the arm's state."""
 
     @abstractmethod
     def _read_joints(self) -> Array:
-        """Joint angles (6,) rad, as last looked at."""
+        """Return the joint angles (6,) rad of the last state."""
 
     @abstractmethod
     def _send(self, wanted: Array) -> None:
@@ -56,22 +57,22 @@ class ArmFollower(ABC):
 
     @abstractmethod
     def _halt(self) -> None:
-        """Stop what was commanded."""
+        """Stop the commanded motion."""
 
     def joints(self) -> Array:
-        """Measured joint angles now, (6,) rad."""
+        """Return the measured joint angles, (6,) rad."""
         self._look()
         return self._read_joints()
 
     def tilt(self) -> Array:
-        """Measured tilt now, (2,) rad."""
+        """Return the measured tilt, (2,) rad."""
         return tilt_of_joints(self._arm, self.joints()[None])[0]
 
     def follow(self, theta: Array) -> None:
-        """Go to a tilt (2,) rad, now; called at a regular rate.
+        """Command a tilt, now; called at a regular rate.
 
-        Nothing is sent where a joint would have to step further than its largest speed allows since the command
-        before, or where the path there leaves the joint solution.
+        theta: (2,) rad. Nothing is sent where a joint would have to step further than its largest speed allows
+        since the command before, or where the path there leaves the joint solution.
         """
         if self._last is None:
             raise DeviceFault("the arm was told to follow, but is not connected or was stopped")
@@ -82,7 +83,12 @@ class ArmFollower(ABC):
         self._send(wanted)
 
     def _step(self, last: Array, since: float, theta: Array, now: float) -> Array:
-        """The joints (6,) of a tilt (2,) rad, once they are allowed after the last ones, since when; s."""
+        """Return the joints (6,) rad of a tilt, if they can be reached in the time since the last command.
+
+        last: joints (6,) rad of that command, given at since, s. theta: (2,) rad. now: s. Raises DeviceFault.
+        """
+        # From the tilt of the last command, not from the measured one: the steps of commands are bounded, and the
+        # servo's lag does not count as a step.
         path = np.array([tilt_of_joints(self._arm, last[None])[0], theta])
         try:
             wanted = inverse_kinematics(self._arm, path, last)[-1]
@@ -100,26 +106,26 @@ class ArmFollower(ABC):
         return wanted
 
     def hold(self) -> None:
-        """Stand still, and be ready to follow from there."""
+        """Stand still, ready to follow from there."""
         if self._last is not None:
             self._halt()
             self._last = self.joints(), self._clock()
 
     def stop(self) -> None:
-        """Stand still for good; nothing is sent afterwards, until the arm is connected again."""
+        """Stand still for good; nothing is sent until the arm is connected again."""
         self.hold()
         self._last = None
 
     def close(self) -> None:
-        """Stop, let go of the connection; raises nothing."""
+        """Stop and close the connection; raises nothing."""
         self.stop()
 
 
 class SimulatedArm(ArmFollower):
-    """An arm that is not there: it moves exactly on command, or with a lag, or no faster than it can.
+    """A simulated arm, which moves exactly on command, or with a lag, or at a limited speed.
 
-    theta: (2,) rad, where it stands. lag: s until a command takes effect. speed: rad/s that its joints manage,
-    whatever they are told; both make it fall behind.
+    theta: (2,) rad, where it stands. lag: s until a command takes effect. speed: rad/s that its joints reach,
+    whatever is commanded. Both make it fall behind. clock: returns the time, s.
     """
 
     def __init__(
@@ -139,7 +145,7 @@ class SimulatedArm(ArmFollower):
         self._coming: deque[tuple[float, Array]] = deque()
 
     def connect(self) -> None:
-        """Get ready to follow."""
+        """Prepare to follow."""
         self._last = self.joints(), self._clock()
 
     def _look(self) -> None:

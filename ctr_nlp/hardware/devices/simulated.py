@@ -1,4 +1,4 @@
-"""A device without hardware: its axes are exactly where they should be, when they should."""
+"""A device without hardware, whose axes are exactly where they should be."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from ctr_nlp.hardware.motion.lookahead import MAX_MOTION_IN_HAND_S, Commands
 from ctr_nlp.typing import Array
 
 SIMULATED_HOLD_TIME_S = 0.1
-"""s in which a hold takes its pace to nothing, and resuming back."""
+"""s in which a hold lowers the pace from 1 to 0, and a resume raises it again."""
 
 
 class Simulated:
@@ -26,28 +26,28 @@ class Simulated:
         self._open = False
 
     def connect(self, stop: Asked = lambda: False) -> None:
-        """Nothing is opened."""
+        """Connect; nothing is opened, and stop is not called."""
         self._open = True
 
     @property
     def identity(self) -> str:
-        """There is nothing that could be told from another."""
+        """Empty, since nothing distinguishes one simulated device from another."""
         return ""
 
     def standing(self) -> Standing:
-        """Where the axes are; their position is always known."""
+        """Return where the axes are; their position is always known."""
         return Standing(self._position, homed=True)
 
     @property
     def resolution(self) -> Array:
-        """The digits of a number."""
+        """1e-6 for every axis (m,), in its unit, for rounding."""
         return np.full(len(self._position), 1e-6)
 
     def home(self, stop: Asked) -> None:
-        """Nothing needs to be found."""
+        """Do nothing, since the position is known; stop is not called."""
 
     def start(self, commands: Commands) -> Simulated:
-        """Begin to play commands from where it stands."""
+        """Begin to play commands from where the axes stand."""
         self._check_open()
         self._ends = np.append(0.0, commands.time)
         self._path = np.vstack([self._position, commands.positions])
@@ -55,7 +55,7 @@ class Simulated:
         return self
 
     def update(self) -> MotionProgress:
-        """Move on by the time that has passed."""
+        """Advance by the time that has passed."""
         self._check_open()
         now = self._clock.now()
         passed = now - self._seen
@@ -64,6 +64,8 @@ class Simulated:
             np.clip(self._goal - self._pace, -passed / SIMULATED_HOLD_TIME_S, passed / SIMULATED_HOLD_TIME_S)
         )
         turning = abs(change) * SIMULATED_HOLD_TIME_S
+        # The pace ds/dt changes linearly for `turning` s, which passes the mean of both paces, and is constant for
+        # the rest.
         self._time += turning * (self._pace + 0.5 * change) + (passed - turning) * (self._pace + change)
         self._pace += change
         self._time = min(self._time, float(self._ends[-1]))
@@ -78,29 +80,29 @@ class Simulated:
         return "running"
 
     def feed(self) -> None:
-        """It has been given everything."""
+        """Do nothing, since all commands are there."""
 
     @property
     def committed_time(self) -> float:
-        """As far ahead as a controller has motion in hand."""
+        """Time of the motion, s, that a controller would have been given: MAX_MOTION_IN_HAND_S ahead."""
         return self._time + MAX_MOTION_IN_HAND_S
 
     def amend(self, commands: Commands) -> None:
-        """Follow other commands from there."""
+        """Follow other commands from now on."""
         self._path = np.vstack([self._path[:1], commands.positions])
 
     def hold(self) -> None:
-        """Slow down."""
+        """Slow down to rest."""
         self.update()
         self._goal = 0.0
 
     def resume(self) -> None:
-        """Go on."""
+        """Continue after a hold."""
         self.update()
         self._goal = 1.0
 
     def abort(self) -> Standing:
-        """Slow down, and forget the rest."""
+        """Slow down to rest, and forget the remaining commands."""
         if self._open:
             self.hold()
         while self._open and self.update().state == "holding":
@@ -110,7 +112,7 @@ class Simulated:
         return self.standing()
 
     def close(self) -> None:
-        """Nothing was opened."""
+        """Disconnect; nothing was opened."""
         self._open = False
 
     def _check_open(self) -> None:

@@ -1,4 +1,4 @@
-"""A Universal Robots arm that tilts the robot, over RTDE."""
+"""A Universal Robots arm that tilts the robot, over the real-time data exchange (RTDE)."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ from ctr_nlp.support.extras import import_extra
 from ctr_nlp.typing import Array
 
 STALE = 0.2
-"""s without news from the controller after which the connection counts as lost."""
+"""s without a new time stamp from the controller after which the connection counts as broken."""
 START_TOLERANCE = 0.02
-"""rad by which joints may be off what holds the insertion point when an arm is connected."""
+"""rad by which joints may differ from those that hold the insertion point when an arm is connected."""
 RUNNING = 7
 """The robot mode of a UR that is powered, with its brakes released."""
 SERVO = (0.02, 0.05, 500.0)
@@ -31,8 +31,8 @@ which the arm is behind, 0.03 to 0.2; and how stiffly it follows, 100 to 2000.""
 class UrArm(ArmFollower):
     """A Universal Robots arm over RTDE, by ur_rtde's servoJ. Not yet tried on a robot.
 
-    Where commands stop coming, the controller keeps to the last one. The speed slider of the pendant must be at
-    100 %: servoj gets slower with it.
+    Where commands stop, the controller holds the last one. The speed slider of the pendant must be at 100 %:
+    servoj gets slower with it.
     """
 
     def __init__(self, arm: Arm, clock: Now = time.monotonic) -> None:
@@ -42,11 +42,13 @@ class UrArm(ArmFollower):
         self._news = (math.nan, 0.0)
 
     def connect(self) -> None:
-        """Check that the arm is fit and holds the insertion point, then start the control program on it."""
+        """Check that the arm is ready and holds the insertion point, then start the control program on it."""
         receiving = import_extra("rtde_receive")
         controlling = import_extra("rtde_control")
         try:
             with self._faults("cannot be reached"):
+                # Only receiving, at first: the control interface starts a program on the arm, which must not
+                # happen before the arm has passed its check.
                 self._receive = receiving.RTDEReceiveInterface(self._arm.address)
             self._news = (math.nan, self._clock())
             start = self.joints()
@@ -77,7 +79,7 @@ class UrArm(ArmFollower):
             self._control.servoStop()
 
     def stop(self) -> None:
-        """Slow down and end the control program; raises DeviceFault where the arm cannot be told."""
+        """Slow down and end the control program; raises DeviceFault where the arm cannot be reached."""
         control = self._control
         self._control = None
         self._last = None
@@ -94,7 +96,7 @@ class UrArm(ArmFollower):
                 control.disconnect()
 
     def close(self) -> None:
-        """Stop and disconnect."""
+        """Stop and disconnect; raises nothing."""
         with contextlib.suppress(DeviceFault):
             self.stop()
         if self._receive is not None:
@@ -127,6 +129,7 @@ class UrArm(ArmFollower):
             )
 
     def _check_start(self, start: Array) -> None:
+        """Raise DeviceFault unless joints (6,) rad, start, hold the robot at the insertion point."""
         try:
             held = inverse_kinematics(self._arm, tilt_of_joints(self._arm, start[None]), start)[0]
         except HardwareError as exception:
@@ -142,7 +145,7 @@ class UrArm(ArmFollower):
 
     @contextlib.contextmanager
     def _faults(self, what: str) -> Iterator[None]:
-        """What ur_rtde raises, as DeviceFault."""
+        """Raise the errors of ur_rtde within the block as DeviceFault; what: the rest of the sentence."""
         try:
             yield
         except (RuntimeError, ValueError, OSError) as exception:

@@ -1,4 +1,4 @@
-"""Files that other machines play: one format a file, and the table for spreadsheets and scripts."""
+"""Files that other machines play: one format a file, and a table for spreadsheets and scripts."""
 
 from __future__ import annotations
 
@@ -17,17 +17,17 @@ from ctr_nlp.hardware.motion.gcode import GCODE_FILE_OPENING, gcode_text
 from ctr_nlp.hardware.motion.trajectory import Trajectory
 
 CSV_EXPORT_DECIMALS = 9
-"""Of numbers in the table."""
+"""Digits after the decimal point in the table."""
 
 PERIOD = 0.008
 """s from sample to sample of the arm's motion."""
 
 
 def csv_text(trajectory: Trajectory) -> str:
-    """The table, comma-separated, with names and units in its first row.
+    """Return the table of a trajectory, comma-separated, with names and units in its first row.
 
-    time_s; frame: the next one to be reached in a row; at_frame: 1 where it is reached. Then joints, as in
-    alpha_1_rad, beta_1_mm, theta_x_rad, and positions of axes, backlash included, as in X_mm, A_deg.
+    trajectory: as played. Columns: time_s; frame, the next one to be reached in a row; at_frame, 1 where it is
+    reached; joints, as alpha_1_rad, beta_1_mm, theta_x_rad; positions of axes, backlash included, as X_mm, A_deg.
     """
     commands = trajectory.commands()
     time = np.append(0.0, commands.time)
@@ -48,6 +48,7 @@ def csv_text(trajectory: Trajectory) -> str:
 
 
 def _urscript(trajectory: Trajectory, title: str) -> str:
+    """Return the URScript program of the arm's part of a trajectory; title: of the plan, for its name."""
     holder = trajectory.hardware.arm
     if holder is None:
         raise HardwareError("this hardware has no arm, so that there is nothing to write for one")
@@ -59,7 +60,11 @@ def _urscript(trajectory: Trajectory, title: str) -> str:
 
 @dataclass(frozen=True)
 class TextFormat:
-    """A format of one file. of: (trajectory, title) to what is in it; opening: with which that begins."""
+    """A format of one file.
+
+    of: function of (trajectory, title) that returns the text. suffix: of the file's name. opening: how every file
+    of the format begins.
+    """
 
     of: Callable[[Trajectory, str], str]
     suffix: str

@@ -15,25 +15,27 @@ from ctr_nlp.support.extras import import_extra
 from ctr_nlp.typing import Array
 
 STORAGES = ("mcap", "sqlite3")
-"""What bags may be kept in: mcap is what ROS records since Iron, sqlite3 what Humble reads without a plugin."""
+"""Storage formats of bags: ROS records mcap since Iron; Humble reads sqlite3 without a plugin."""
 
 JOINT_TRAJECTORY_TOPIC, JOINT_STATES_TOPIC = "/ctr/joint_trajectory", "/ctr/joint_states"
 
 BAG_FORMAT_VERSION = 8
-"""Of the bag's format: the last whose metadata Humble can read too."""
+"""Version of the bag's format, the last whose metadata Humble can read, too."""
 
 BAG_INTERPOLATION_TOLERANCE_MM = 0.005
-"""mm, with angles counted as in the motion term: what interpolation between points may be off the trajectory."""
+"""mm, with angles counted as in the motion term, by which interpolated points may differ from the trajectory."""
 
 INTERPOLATION_CHECK_FRACTIONS = np.linspace(0.0, 1.0, 9)[1:-1]
 
 
 def write_bag(trajectory: Trajectory, title: str, folder: Path, storage: str = "mcap") -> None:
-    """Make a bag, a folder that does not exist yet; raises OptionError.
+    """Write a trajectory as a ROS 2 bag, a folder that must not exist yet; raises OptionError.
 
-    The message has the points of points(), the states come with the commands. Positions are joints, rad and
-    metres, not positions of axes: sign, zero and backlash are the driver's. Tilts are in it where the hardware has
-    an arm. Times count from the start of the motion, in stamps as in the bag.
+    trajectory: as played. title: of the plan. folder: path of the bag. storage: one of STORAGES.
+
+    The JointTrajectory message has the points of points(); joint states come with the commands. Positions are
+    joints in rad and metres, not positions of axes: sign, zero and backlash are the driver's. Tilts are included
+    where the hardware has an arm. Times count from the start of the motion, in stamps as in the bag.
     """
     if storage not in STORAGES:
         raise OptionError(f"storage is {storage!r}; it must be {' or '.join(STORAGES)}")
@@ -56,7 +58,7 @@ def write_bag(trajectory: Trajectory, title: str, folder: Path, storage: str = "
 
 
 def _trajectory_message(make: Any, trajectory: Trajectory) -> Any:
-    """The message; make: types of messages by name."""
+    """Return the JointTrajectory message; make: message types by name."""
     joints, scale = _joints(trajectory)
     listed = []
     for time, *parts in zip(*points(trajectory), strict=True):
@@ -68,7 +70,7 @@ def _trajectory_message(make: Any, trajectory: Trajectory) -> Any:
 
 
 def _states(make: Any, trajectory: Trajectory) -> list[tuple[float, Any]]:
-    """Joint states and their times in s, at the start and at the end of every command."""
+    """Return joint states and their times in s, at the start and at the end of every command."""
     joints, scale = _joints(trajectory)
     times = np.append(0.0, trajectory.commands().time)
     found = []
@@ -86,10 +88,10 @@ def _stamp(make: Any, kind: str, time: float) -> Any:
 
 
 def points(trajectory: Trajectory) -> tuple[Array, Array, Array, Array]:
-    """Times (N,), q, velocities and accelerations (N, 2d + 2), in s, rad, mm, with frames among them.
+    """Return times (N,), q, velocities and accelerations (N, 2d + 2), in s, rad, mm, with frames among them.
 
-    So dense that both cubic and quintic interpolation, what a controller does with velocities, and with
-    accelerations as well, stay within BAG_INTERPOLATION_TOLERANCE_MM of the trajectory.
+    The times are so dense that cubic and quintic interpolation both stay within BAG_INTERPOLATION_TOLERANCE_MM of
+    the trajectory: a controller does the first with velocities, the second with accelerations, too.
     """
     longest = float("inf")
     while True:
@@ -110,6 +112,6 @@ def points(trajectory: Trajectory) -> tuple[Array, Array, Array, Array]:
 
 
 def _joints(trajectory: Trajectory) -> tuple[list[str], Array]:
-    """Names (n,) of the joints that the hardware moves, and what a ROS unit is per one of ours."""
+    """Return names (n,) of the joints that the hardware moves, and ROS units per unit of ours (n,)."""
     names = list(trajectory.robot.axes[: None if trajectory.hardware.arm is not None else -2])
     return names, np.array([1e-3 if name.startswith("beta") else 1.0 for name in names])

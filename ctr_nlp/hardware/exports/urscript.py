@@ -13,9 +13,9 @@ from ctr_nlp.hardware.arm.description import JOINT_LIMIT
 UR_CONTROLLER_CYCLE_S = 0.002
 """s: the controller's own cycle; 0.008 before the e-series."""
 UR_LAST_SAMPLE_HOLD_S = 0.5
-"""s for which the last sample is kept, so that the arm, which is behind by the lookahead time, arrives."""
+"""s for which the last sample is repeated, so that the arm, which lags by the lookahead time, arrives."""
 URSCRIPT_ANGLE_DECIMALS = 7
-"""Of angles in rad: 0.1 micrometre at a metre."""
+"""Digits after the decimal point of angles in rad: 0.1 micrometre at a metre."""
 
 
 def write_urscript(
@@ -28,11 +28,12 @@ def write_urscript(
     approach_speed: float = 0.1,
     name: str = "ctr_nlp_arm",
 ) -> str:
-    """The program that plays joints (N, 6) rad sampled at time (N,) s, every period seconds.
+    """Return the program that plays joints (N, 6) rad sampled at time (N,) s, every period seconds.
 
     It moves slowly (approach_speed, rad/s) from wherever the arm is to the first sample, waits for somebody to
     confirm, plays, and stops. period: a multiple of the controller's cycle, 0.008 suits all; longer ones make
-    shorter programs. lookahead_time (s, 0.03 to 0.2), gain (100 to 2000): servoj's.
+    shorter programs. lookahead_time (s, 0.03 to 0.2), gain (100 to 2000): of servoj. name: of the program, an
+    identifier.
 
     There is one servoj a sample and no table of samples: each lasts a period, so that the controller's watchdog
     against programs that compute without moving stays quiet, and neither lists nor loops over lists, whose sizes
@@ -82,6 +83,7 @@ def _check_options(period: float, lookahead_time: float, gain: float, approach_s
 
 
 def _samples(time: Any, joints: Any, period: float) -> Any:
+    """Return joints (N, 6) rad as an array, or raise HardwareError where they or time (N,) s cannot be played."""
     time = np.asarray(time, dtype=float)
     joints = np.asarray(joints, dtype=float)
     if time.ndim != 1 or not len(time) or joints.shape != (len(time), 6):

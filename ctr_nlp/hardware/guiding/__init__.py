@@ -1,1 +1,1 @@
-"""Plans that are corrected while they are played, by what sensors tell of the robot. Knows trackers, no device."""
+"""Closed loop: plans are corrected while they are played, from sensors. Knows trackers, no device."""

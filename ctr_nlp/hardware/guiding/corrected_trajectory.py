@@ -1,4 +1,4 @@
-"""A trajectory as a tracker has corrected it so far: the same inputs give the same corrections, bit for bit."""
+"""A trajectory and its corrections by a tracker; the same inputs give the same corrections, bit for bit."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ from ctr_nlp.identify.closed_loop.tracker import Tracker
 from ctr_nlp.typing import Array
 
 FIRST_CORRECTED_KNOT = 2
-"""The first knot that may be corrected: what comes before is given when the motion begins."""
+"""The first knot that may be corrected: what comes before is sent when the motion begins."""
 
 
 class CorrectedTrajectory:
-    """From a trajectory with a share below 1, led by a tracker.
+    """A trajectory with a share below 1, corrected knot by knot as a tracker asks.
 
-    trajectory: as corrected. Beyond the last knot that was corrected it goes back to what it was at first, so that
-    all of it can be played, whether or not anything is corrected later.
+    trajectory: as corrected. Beyond the last corrected knot it returns to the plan, so that all of it can be
+    played, whether or not anything is corrected later.
     """
 
     def __init__(self, trajectory: Trajectory, tracker: Tracker, before: Array) -> None:
-        """Begin; before (n, 2d + 2): where the robot has come through until it stood at the trajectory's start."""
+        """Start; before (n, 2d + 2): configurations that the robot has passed until the trajectory's start."""
         self.trajectory = trajectory
         self.tracker = tracker
         self.leeway = Leeway(trajectory)
@@ -40,26 +40,29 @@ class CorrectedTrajectory:
         tracker.apply_past_motion(before)
 
     def joints(self, time: float, position: Array) -> Array:
-        """The q (2d + 2,) of axes that are found at a position (m,) at a time of the trajectory, s."""
+        """Return q (2d + 2,) of axes measured at a position (m,) at a time of the trajectory, s."""
         return self.trajectory.joints(np.array([time]), position[None])[0]
 
     def observe(self, time: float, q: Array, now: float, readings: Sequence[Reading]) -> None:
-        """The motors are at q (2d + 2,) at a time of the trajectory, s, which is now on the clock, s.
+        """Give the tracker what sensors have measured.
 
-        readings: what sensors have told since.
+        time: of the trajectory, s, at which the motors are at q (2d + 2,). now: that moment on the clock, s.
+        readings: since the last call.
         """
         self._time = time
         self.tracker.observe(q, now, readings)
 
     def correct(self, knot: int) -> Patch:
-        """Lead the robot to where the tracker wants it at a knot of the leeway; how the path has changed.
+        """Correct the path at a knot of the leeway as the tracker asks; return what has changed.
 
-        Raises TrajectoryError where that leaves what the arm can do.
+        Raises TrajectoryError where that is beyond the reach of the arm.
         """
         s = self.trajectory.knots
         knots = self.leeway.knots
         before = self._offsets[knot - 1]
         here = float(self.trajectory.motion.parameter(self._time))
+        # The robot depends on where it came from: the tracker needs the configurations from here to the knot
+        # before, which are fixed already.
         ahead = self.trajectory.motion.path(np.append(s[(s > here) & (s < knots[knot - 1])], knots[knot - 1]))
         low, high = self.leeway.box(knot, before)
         planned = self._planned[knot]
@@ -74,7 +77,7 @@ class CorrectedTrajectory:
         return patch
 
     def _patch(self) -> Patch:
-        """What differs from the trajectory as it was corrected before."""
+        """Return what differs from the trajectory as it was before the last correction."""
         path = self.trajectory.motion.path
         added = CubicHermiteSpline(self.leeway.knots, self._offsets, np.zeros_like(self._offsets))
         q = self._path + added(self._at)

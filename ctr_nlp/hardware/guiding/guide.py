@@ -1,4 +1,4 @@
-"""Looking at sensors while a plan is played, and correcting what the device has not been given yet."""
+"""Reading sensors while a plan is played, and correcting what the device has not been given yet."""
 
 from __future__ import annotations
 
@@ -18,20 +18,23 @@ from ctr_nlp.identify.closed_loop.tracker import Note, TrackerState
 from ctr_nlp.typing import Array
 
 SHARE = 0.5
-"""Of the largest speeds and accelerations that a plan has in a closed loop; the rest is for corrections."""
+"""Part of the largest speeds and accelerations that a closed loop's plan uses; the rest is for corrections."""
 
 SENSING_PERIOD_S = 0.1
-"""s between two looks at sensors."""
+"""s between two readings of sensors."""
 
 SOON = 0.1
-"""s before the device is given what leads to a knot at which that is corrected."""
+"""s before the device is given the stretch to a knot, at which this stretch is corrected: late, so that the newest
+readings count."""
 
 
 class RobotEstimate(NamedTuple):
-    """What was known at a time, s of the clock: mean (k,) and deviations (k,) of the robot's differences.
+    """Estimate of the robot's differences from the plan's robot.
+
+    time: s of the clock. mean, deviation (k,): of the differences, in the order of the tracker's parameters.
 
     size: the mean square of the innovations of the last reading, in expected deviations, NaN where there was none.
-    accepted: the share of its values that was taken.
+    accepted: the share of its values that was used.
     """
 
     time: float
@@ -42,9 +45,9 @@ class RobotEstimate(NamedTuple):
 
 
 class Guide:
-    """Leads one trajectory; notify: called with what the operator must know, at once.
+    """Corrector of one trajectory; notify: called with what the operator must know, at once.
 
-    wrong: why the motion must stop, "" where nothing speaks against it. estimates: what was known, in order.
+    wrong: why the motion must stop, "" where it need not. estimates: of the robot, in order.
     """
 
     def __init__(
@@ -61,7 +64,10 @@ class Guide:
         self.estimates = list[RobotEstimate]()
 
     def look(self, progress: MotionProgress, committed_time: float) -> Trajectory:
-        """The trajectory as corrected by now; committed_time: how far the device has been given it, s."""
+        """Return the trajectory as corrected by now.
+
+        progress: of the device. committed_time: s of the motion that the device has been given.
+        """
         if progress.stamp >= self._looked + SENSING_PERIOD_S:
             self._observe(progress)
         leeway = self._course.leeway
@@ -69,13 +75,14 @@ class Guide:
             begin = leeway.time[self._knot - 1]
             if begin > committed_time + SOON:
                 break
+            # A stretch that the device was given in part keeps its plan: a correction must not change it.
             if begin >= committed_time:
                 self._correct(self._knot)
             self._knot += 1
         return self._course.trajectory
 
     def _observe(self, progress: MotionProgress) -> None:
-        """Take what sensors have told; everything is in the journal before it counts."""
+        """Read the sensors; readings are in the journal before they count."""
         now = progress.stamp
         self._looked = progress.stamp
         q = self._course.joints(progress.time, progress.position)
@@ -96,7 +103,7 @@ class Guide:
         return RobotEstimate(now, mean, deviation, last.size, float(last.accepted.mean()))
 
     def _correct(self, knot: int) -> None:
-        """Correct one knot, and record what is needed to go on after a crash."""
+        """Correct one knot, and record what is needed to resume after a crash."""
         observer = self._course.tracker.observer
         try:
             patch = self._course.correct(knot)
@@ -113,7 +120,7 @@ class Guide:
         self._note()
 
     def _note(self) -> None:
-        """Tell what is new, and stop where the tracker does."""
+        """Report new notes of the tracker, and stop where it does."""
         notes = self._course.tracker.notes
         for note in notes[self._notes :]:
             if note.state is TrackerState.UNCORRECTED and self._source.strange:
@@ -126,10 +133,13 @@ class Guide:
 
 
 def _to_json_values(values: Array) -> list[float | None]:
-    """As JSON has them, None for what is missing."""
+    """Return values as JSON has them, None for what is missing."""
     return [value if np.isfinite(value) else None for value in values.tolist()]
 
 
 def readings_of(entries: list[list[object]]) -> list[Reading]:
-    """The readings of a journal's record."""
+    """Return the readings of a journal's record.
+
+    entries: pairs of time, s, and values.
+    """
     return [Reading(float(time), np.array(values, dtype=float)) for time, values in entries]  # type: ignore[arg-type]

@@ -1,4 +1,4 @@
-"""A closed loop around a player: whose tracker, which sensors, and who is told."""
+"""A closed loop around a player: a tracker, a source of sensor readings, and a callback for notes."""
 
 from __future__ import annotations
 
@@ -17,21 +17,28 @@ from ctr_nlp.typing import Array
 
 
 class ClosedLoop:
-    """For one motion. tracker: of its plan; notify: called with what the operator must know, at once."""
+    """A closed loop for one motion.
+
+    tracker: of its plan. source: of readings. notify: called with what the operator must know, at once.
+    """
 
     def __init__(self, tracker: Tracker, source: Source, notify: Callable[[Note], None]) -> None:
         self.tracker = tracker
         self._source = source
         self._told = notify
         self.estimates: list[RobotEstimate] = []
-        """What was known in the motion, in order."""
+        """Estimates during the motion, in order."""
 
     def open(self) -> None:
-        """Begin to listen, before anything moves; raises DeviceFault, OptionError, HardwareError."""
+        """Start to listen, before anything moves; raises DeviceFault, OptionError, HardwareError."""
         self._source.open()
 
     def guide(self, trajectory: Trajectory, before: Array, journal: Journal) -> Guide:
-        """Who corrects a trajectory; before (n, 2d + 2): where the robot has come through."""
+        """Return the corrector of a trajectory.
+
+        trajectory: with a share below 1. before (n, 2d + 2): configurations that the robot has passed. journal: of
+        the session.
+        """
         observer = self.tracker.observer
         journal.record("estimate", mean=observer.mean.tolist(), covariance=observer.covariance.tolist())
         self._source.apply_past_motion(before)
@@ -40,19 +47,26 @@ class ClosedLoop:
         return guide
 
     def close(self) -> None:
-        """Stop to listen."""
+        """Stop listening."""
         self._source.close()
 
 
 def final_estimate(records: list[dict[str, Any]]) -> tuple[Array, Array] | None:
-    """Mean (k,) and covariance (k, k) of the robot's differences at a session's end; None where nobody knew."""
+    """Return mean (k,) and covariance (k, k) of the robot's differences at a session's end, None without any.
+
+    records: of the session's journal.
+    """
     return next((_read_estimate(record) for record in records[::-1] if "covariance" in record), None)
 
 
 def initial_estimate(records: list[dict[str, Any]]) -> tuple[Array, Array] | None:
-    """The same when a session began."""
+    """Return mean (k,) and covariance (k, k) of the robot's differences at a session's start, None without any.
+
+    records: of the session's journal.
+    """
     return next((_read_estimate(record) for record in records if "covariance" in record), None)
 
 
 def _read_estimate(record: dict[str, Any]) -> tuple[Array, Array]:
+    """Return mean and covariance of a record."""
     return np.array(record["mean"]), np.array(record["covariance"])

@@ -1,4 +1,4 @@
-"""A closed loop worked out again from its journal: the same measurements give the same commands, bit for bit."""
+"""Replay of a closed loop from its journal: the same measurements give the same commands, bit for bit."""
 
 from __future__ import annotations
 
@@ -24,9 +24,10 @@ from ctr_nlp.plan.plan import Plan
 
 
 class Replay(NamedTuple):
-    """What was worked out again. corrections, commands: how many of each were compared; commands are Grbl's lines.
+    """Result of a replay.
 
-    differs: the first that is not the same, "" where all are.
+    corrections, commands: how many of each were compared; commands are Grbl's lines. differs: the first that is
+    not the same, "" where all are.
     """
 
     corrections: int
@@ -35,9 +36,10 @@ class Replay(NamedTuple):
 
 
 def replay_session(plan: Plan, hardware: Hardware, records: list[dict[str, Any]], tracker: Tracker) -> Replay:
-    """The closed loop of a session (the records of its journal) again; tracker: as it was when that began.
+    """Compute the closed loop of a session again from the records of its journal, and compare.
 
-    Raises TrajectoryError where plan or hardware is another, or where it was none of a closed loop.
+    tracker: as it was when the session began. Raises TrajectoryError where plan or hardware is another, or where
+    the session was not of a closed loop.
     """
     told = find_program_record(records)
     if not is_closed_loop(told):
@@ -65,9 +67,10 @@ def replay_session(plan: Plan, hardware: Hardware, records: list[dict[str, Any]]
 def _compare_commands(
     count: int, trajectory: Trajectory, hardware: Hardware, records: list[dict[str, Any]]
 ) -> Replay:
-    """The lines of a corrected trajectory beside those that a Grbl controller was sent last."""
+    """Compare the lines of a corrected trajectory with those that a Grbl controller was sent last."""
     begun = max((k for k, record in enumerate(records) if record["kind"] == "start"), default=len(records))
     sent = "".join(record.get("data", "") for record in records[begun:] if record["kind"] == "sent")
+    # With a blank after the number: the first copies of lines, not the shortened second ones.
     found = re.findall(r"N\d+ [^\n]*(?=\n)", sent)
     if not found:
         return Replay(count, 0, "")

@@ -1,4 +1,4 @@
-"""A motion as G-code: lines for a controller beside which a computer stands, and a file for one that plays alone.
+"""A motion as G-code: lines to be streamed to a controller, and a file for one that plays alone.
 
 Inverse time (G93), absolute millimetres and degrees, one straight piece a numbered line.
 """
@@ -17,32 +17,35 @@ MEANING = "G21 G90 G93"
 """Millimetres, absolute positions, and F as 1 / (minutes that a line takes)."""
 
 MODES = f"{MEANING} G54"
-"""What a program begins with: also the first work offset, which is 0."""
+"""Modes that a program begins with: MEANING, and the first work offset, which is 0."""
 
 GCODE_DECIMALS = 4
 
 GCODE_FILE_OPENING = "(ctr_nlp"
-"""With which a file begins."""
+"""First characters of a file."""
 
 WAITS = "G4"
-"""What a line says that waits and moves nothing."""
+"""Word of a line that waits and moves nothing."""
 
 LEAST_FEED = 1.0 / 60.0
 """Units/s: Grbl goes no slower, and a line in which nothing moves takes no time there."""
 
 
 def line(number: int, letters: Sequence[str], position: Array, seconds: float, meaning: str = "") -> str:
-    """The line that goes straight to a position (m,) within so many s; every axis and F are on it.
+    """Return the line that goes straight to a position.
 
-    meaning: words that it says besides, lest it means something else after another client's word.
+    number: its N. letters: of the axes. position: (m,) in their units. seconds: duration. meaning: words of modes
+    that the line repeats, so that no other client can have changed what it means. Every axis and F are on it.
     """
+    # Adding 0 turns -0.0 into 0.0, which prints without a sign.
     rounded = np.round(position, GCODE_DECIMALS) + 0.0
     words = " ".join(f"{letter}{value:.{GCODE_DECIMALS}f}" for letter, value in zip(letters, rounded, strict=True))
+    # In G93 F is 1 / minutes and belongs to one line only: a line without it is an error.
     return f"N{number} {meaning}{' ' * bool(meaning)}G1 {words} F{60.0 / seconds:.{GCODE_DECIMALS}f}"
 
 
 class GcodeWriter:
-    """Numbered lines, from 1, from start (m,) along straight pieces; each is made in turn, and once.
+    """Writer of numbered lines, from 1, along straight pieces from start (m,); each line is made in turn, once.
 
     Where less would move than Grbl's least feed a line waits (G4), and the next line makes up for it. meaning: as
     of line.
@@ -55,23 +58,30 @@ class GcodeWriter:
         self._made = 0
 
     def next(self, position: Array, seconds: float, last: bool) -> str:
-        """The line that goes on to a position (m,) within so many s; last: nothing comes after it."""
+        """Return the next line.
+
+        position: (m,) where it leads. seconds: duration. last: whether it is the last one, which never waits.
+        """
         self._made += 1
         if not last and np.linalg.norm(position - self._there) < LEAST_FEED * seconds:
             return f"N{self._made} {WAITS} P{seconds:.{GCODE_DECIMALS}f}"
+        # Not after a wait: the next line starts from where this one leaves the axes.
         self._there = position
         return line(self._made, self._letters, position, seconds, self._meaning)
 
     def copy(self, text: str) -> str:
-        """A shorter copy of a line that moves, which finds nothing to move where that line came as it was sent.
+        """Return a shorter copy of a line, which moves nothing where that line came as it was sent.
 
-        It leaves out what lasts from line to line, and blanks.
+        text: the line. Words that last from line to line, and blanks, are left out.
         """
         return text.replace(self._meaning, "").replace(" ", "")
 
 
 def lines(letters: Sequence[str], start: Array, positions: Array, time: Array, meaning: str = "") -> list[str]:
-    """The lines from start (m,) to positions (N, m) that are reached at time (N,) s; meaning: as of line."""
+    """Return the lines from start (m,) to positions (N, m), reached at time (N,) s.
+
+    letters: of the axes. meaning: as of line.
+    """
     made = GcodeWriter(letters, start, meaning)
     count = len(positions)
     return [
@@ -81,9 +91,9 @@ def lines(letters: Sequence[str], start: Array, positions: Array, time: Array, m
 
 
 def gcode_text(trajectory: Trajectory, title: str) -> str:
-    """The file: a pause, the slow approach to the first frame, another pause, and the trajectory's numbered lines.
+    """Return the file: a pause, the slow approach to the first frame, another pause, and the motion's lines.
 
-    title: of the plan.
+    trajectory: as played. title: of the plan.
     """
     letters = trajectory.hardware.letters
     commands = trajectory.commands()
@@ -120,9 +130,10 @@ def gcode_text(trajectory: Trajectory, title: str) -> str:
 
 
 def approach_time(trajectory: Trajectory) -> float:
-    """Seconds that are enough to come from any place in the axes' ranges, at hardware.approach of their speeds.
+    """Return the seconds that suffice from any place in the axes' ranges, at hardware.approach of their speeds.
 
-    As time, and not as a feed, this holds however a controller counts degrees beside millimetres.
+    trajectory: its start is approached. As time, and not as a feed, this holds however a controller counts degrees
+    beside millimetres.
     """
     robot = trajectory.robot
     hardware = trajectory.hardware
@@ -135,7 +146,7 @@ def approach_time(trajectory: Trajectory) -> float:
 
 
 def _comment(text: str) -> str:
-    """In parentheses, without what ends a comment or is obeyed within one.
+    """Return text in parentheses, without characters that end a comment or are obeyed within one.
 
     Grbl takes ? ! ~ wherever they are; readers that do not know parentheses take G28 and M3.
     """

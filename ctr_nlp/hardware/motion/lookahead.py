@@ -1,4 +1,4 @@
-"""The straight pieces that a controller is given: how many it may have in hand, and where on them it is.
+"""Look-ahead: how many straight pieces a controller may have been given, and where on them it is.
 
 A controller plays what it was given to the end, whatever becomes of the host: nothing can call it back once the
 link or the player is gone. So what it was given and has not done, counted from the position that it last
@@ -30,7 +30,7 @@ MAX_PREPARED_PULSES_S = 0.09
 """s of step pulses that grblHAL works out beyond the position that it reports, at most (ten segments of 10 ms)."""
 
 POSITION_POLL_PERIOD_S = 0.02
-"""s between two questions for the position while axes move."""
+"""s between two status questions while axes move."""
 
 ROUND_TRIP = 0.025
 """s from such a question to its answer on an ordinary link: 9 ms are a report of 100 bytes at 115200 baud."""
@@ -53,32 +53,34 @@ class Commands:
 
 
 class LinkTiming(NamedTuple):
-    """What a link can do. round_trip: s from a question to its answer; rate: bytes/s that it takes."""
+    """Delay and rate of a link. round_trip: s from a question to its answer; rate: bytes/s."""
 
     round_trip: float = ROUND_TRIP
     rate: float = math.inf
 
     @property
     def delay(self) -> float:
-        """Seconds of motion in hand that are of no use for braking: done but not told, or still under way."""
+        """Motion in hand, s, that is of no use for braking: done but not reported, or still under way."""
         return MAX_PREPARED_PULSES_S + MAX_PIECE_DURATION_S + POSITION_POLL_PERIOD_S + 1.5 * self.round_trip
 
 
 def steady_speed(acceleration: float, slides: bool, link: LinkTiming | None = None) -> float:
-    """The largest speed that an axis keeps up with so little motion in hand; 0 where the link is too slow.
+    """Return the largest speed, in unit/s, that an axis can keep with so little motion in hand.
 
-    acceleration: of the axis, in unit/s^2. slides: whether its travel (mm) is bounded too. The room that is left
-    when everything late is taken off must do for braking: v / (2 a) + delay = MAX_MOTION_IN_HAND_S, v^2 / (2 a) +
-    v delay = MAX_SLIDE_TRAVEL_IN_HAND_MM.
+    acceleration: of the axis, in unit/s^2. slides: whether its travel (mm) is bounded, too. link: None for an
+    ordinary one; where it is too slow the speed is 0. The motion in hand less what is late must suffice for
+    braking: v / (2 a) + delay = MAX_MOTION_IN_HAND_S, v^2 / (2 a) + v delay = MAX_SLIDE_TRAVEL_IN_HAND_MM.
     """
     delay = (link or LinkTiming()).delay
+    # Braking from v takes v / a, in which the axis covers v^2 / (2 a): v / (2 a) s of the motion at full speed.
+    # Both conditions of the docstring solved for v; the second by its positive root.
     by_time = max(0.0, 2.0 * acceleration * (MAX_MOTION_IN_HAND_S - delay))
     by_travel = acceleration * (math.sqrt(delay**2 + 2.0 * MAX_SLIDE_TRAVEL_IN_HAND_MM / acceleration) - delay)
     return min(by_time, by_travel) if slides else by_time
 
 
 class Window:
-    """Which of the pieces of a motion a controller may have been given.
+    """Limits on how many pieces of a motion a controller may have been given.
 
     ends (N + 1,) s and points (N + 1, m): when and where pieces begin and end; slides (m,): which axes count in
     mm.
@@ -90,7 +92,7 @@ class Window:
         self._travel = np.cumsum(gone, axis=0)
 
     def open_to(self, done: float) -> int:
-        """How many pieces may have been given when a controller is known to have done so many s of the motion."""
+        """Return how many pieces may have been given to a controller that has confirmed so many s, done."""
         in_time = int(np.searchsorted(self._ends, done + MAX_MOTION_IN_HAND_S + 1e-9, "right")) - 1
         allowed = [
             int(
@@ -104,10 +106,10 @@ class Window:
 
 
 def sustainable(speed: Array, acceleration: Array, slides: Flags, link: LinkTiming, rate: float) -> float:
-    """The part of its pace, at most 1, at which a motion can be kept supplied over a link; 0 for none.
+    """Return the part of its pace, at most 1, at which a link can supply a motion; 0 for none.
 
-    speed (m,): largest of the axes in the motion; acceleration (m,): of the controller; rate: bytes/s of the
-    motion.
+    speed (m,): largest of the axes in the motion. acceleration (m,): of the controller. slides (m,): which axes
+    count in mm. link: as measured. rate: bytes/s of the motion.
     """
     parts = [1.0, link.rate / rate if rate > 0 else 1.0]
     for fastest, change, slide in zip(speed, acceleration, slides, strict=True):
@@ -117,9 +119,10 @@ def sustainable(speed: Array, acceleration: Array, slides: Flags, link: LinkTimi
 
 
 class PathPlace(NamedTuple):
-    """A place on a path: the time (s) at which it is passed, how many pieces lie behind, and the distance to it.
+    """A place on a path.
 
-    until: when it is left, where it is rested at. away: of the axis furthest off, in parts of its tolerance.
+    time: s at which it is passed. until: s at which it is left, where the path rests there. line: number of pieces
+    behind it. away: distance to it of the axis furthest off, in parts of its tolerance.
     """
 
     time: float
@@ -129,7 +132,7 @@ class PathPlace(NamedTuple):
 
 
 class FollowedPath:
-    """From a position (m,) along commands; tolerance (m,): of the axes."""
+    """Straight pieces from a start position (m,) along commands; tolerance (m,): of the axes."""
 
     def __init__(self, start: Array, commands: Commands, tolerance: Array) -> None:
         self.ends = np.append(0.0, commands.time)
@@ -137,18 +140,24 @@ class FollowedPath:
         self._scale = 1.0 / tolerance
 
     def at(self, time: float) -> Array:
-        """Position (m,) at a time, s."""
+        """Return the position (m,) at a time, s."""
         return np.array([np.interp(time, self.ends, column) for column in self.points.T])
 
     def nearest(self, position: Array, first: int, last: int) -> PathPlace:
-        """The place on pieces first to last - 1, from 0, nearest to a position (m,); the earliest of equals."""
+        """Return the place nearest to a position (m,) on pieces first to last - 1, from 0.
+
+        Of equally near places it is the earliest.
+        """
         last = max(last, first + 1)
         start = self.points[first:last]
         piece = np.diff(self.points[first : last + 1], axis=0) * self._scale
         gone = (position - start) * self._scale
         length = (piece**2).sum(axis=1)
+        # Projection on each piece, all axes in parts of their tolerances, since mm and degrees have no common
+        # distance. A piece without length counts as its start.
         part = np.clip((piece * gone).sum(axis=1) / np.where(length > 0, length, 1.0), 0.0, 1.0)
         away = abs(gone - part[:, None] * piece).max(axis=1)
+        # argmin of booleans is the first False: rounding must not prefer a later place.
         best = int((away > away.min() + 1e-9).argmin())
         k = first + best
         time = float(self.ends[k] + part[best] * (self.ends[k + 1] - self.ends[k]))

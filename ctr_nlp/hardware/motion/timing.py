@@ -1,4 +1,10 @@
-"""When a path is where: as planned, and later where the hardware cannot keep up. The time-scaling is toppra's."""
+"""Timing of a path: at its own pace times tempo, and slower where the hardware cannot keep up.
+
+Along a path p(s), with the pace v = ds/dt, axes move at p' v and accelerate by p'' v^2 + p' dv/dt. Limits of speed
+bound x = v^2, and accelerations are linear in x and dv/dt = (dx/ds) / 2, so that the fastest motion is found by
+sweeps of small linear programs, TOPP-RA (Pham and Pham, 2018, IEEE Transactions on Robotics). toppra keeps dv/dt
+constant within each cell of a grid in s.
+"""
 
 from __future__ import annotations
 
@@ -18,29 +24,32 @@ Path = Any
 """(s, order) -> (.., n): a path's points, or derivatives of that order, at parameters s (..,)."""
 
 TOPPRA_CELLS_PER_SEGMENT = 6
-"""Into how many cells toppra's grid divides the path between frames."""
+"""Cells of toppra's grid between two frames."""
 
 TOPPRA_SIDE_CELL_FRACTIONS = 1e-3, 1e-2, 0.1
-"""Parts of a cell: limits hold on both sides of a frame, where accelerations may jump."""
+"""Widths, in parts of a cell, of narrow cells before frames; limits must hold on both sides of a frame, where
+accelerations may jump. The first with which toppra finds a motion is taken."""
 
 COARSER = 2.0, 16.0, 128.0
-"""Its linear programs are badly conditioned where paces are far from 1, and fail now and then: it tries again."""
+"""Divisors of the unit: toppra's linear programs are badly conditioned for paces far from 1, and may fail.
+The first with which it finds a motion is taken."""
 
 CLOCK = 100.0
 """1/s: how fast the pace may change where no joint moves."""
 
 CHECKED = np.append(np.arange(40) / 40, 1.0 - 1e-6)
-"""At which parts of every cell limits are checked."""
+"""Parts of every cell at which limits are checked."""
 
 TIMING_SAFETY_FACTOR = 1.001
-"""What is left for places between them."""
+"""Factor on the excess found there, for places between them."""
 
 
 @dataclass(frozen=True)
 class TimedPath:
     """A path and its pace: the square of ds/dt is linear in s between grid points.
 
-    s, pace: (K,) the plan's time, and how fast it passes. Time starts at 0.
+    path: function of (s, order). s: (K,) parameters of the grid, the plan's time. pace: (K,) ds/dt there. Time
+    starts at 0.
     """
 
     path: Path
@@ -49,21 +58,21 @@ class TimedPath:
 
     @cached_property
     def time(self) -> Array:
-        """At grid points, (K,) s."""
+        """Times at grid points, (K,) s."""
         return np.append(0.0, np.cumsum(2.0 * np.diff(self.s) / (self.pace[1:] + self.pace[:-1])))
 
     @property
     def duration(self) -> float:
-        """In s."""
+        """Duration of the motion, s."""
         return float(self.time[-1])
 
     @cached_property
     def change(self) -> Array:
-        """Of pace, constant within each cell, (K - 1,) 1/s."""
+        """Rate of the pace, dv/dt, constant within each cell, (K - 1,) 1/s."""
         return np.diff(self.pace**2) / (2.0 * np.diff(self.s))
 
     def parameter(self, time: Any) -> Array:
-        """Where on the path it is, s (..,), at a time (..,); the ends before and after."""
+        """Return the parameter s (..,) at a time (..,) s; the ends of the path before and after."""
         time = np.clip(time, 0.0, self.duration)
         k = np.clip(np.searchsorted(self.time, time, "right") - 1, 0, len(self.change) - 1)
         ahead = time - self.time[k]
@@ -72,9 +81,11 @@ class TimedPath:
         )
 
     def when(self, s: Array) -> Array:
-        """The times (..,) at which parameters s (..,) are reached."""
+        """Return the times (..,) s at which parameters s (..,) are reached."""
         k = np.clip(np.searchsorted(self.s, s, "right") - 1, 0, len(self.change) - 1)
         ahead = np.clip(s - self.s[k], 0.0, None)
+        # As 2 ds over the sum of both paces, which needs no case for constant pace. At rest at both ends of the
+        # way the sum is 0, and so is the way.
         pace = np.sqrt(np.maximum(self.pace[k] ** 2 + 2.0 * self.change[k] * ahead, 0.0))
         total = pace + self.pace[k]
         return np.asarray(self.time[k] + np.where(total > 0, 2.0 * ahead / np.where(total > 0, total, 1.0), 0.0))
@@ -95,11 +106,10 @@ class TimedPath:
 def compute_time_scaling(
     path: Path, driven: Path, knots: Array, speed: Array, acceleration: Array, tempo: float
 ) -> TimedPath:
-    """The motion from rest to rest that passes a path at its own pace times tempo, slower only where it must.
+    """Return the motion from rest to rest along a path at its own pace times tempo, slower only where it must.
 
-    driven: the path that drives take, whose speed and acceleration (n,) are limited. knots: (T,) ascending
-    parameters between which both are smooth. The pace is a further joint of toppra's, whose speed is limited to
-    tempo. Raises TrajectoryError.
+    path: of the joints. driven: the path that drives take, whose speed and acceleration (n,) are limited. knots:
+    (T,) ascending parameters between which both are smooth. tempo: in (0, 1]. Raises TrajectoryError.
     """
     unit = _unit(abs(driven(knots, 1)).max(axis=0), speed, acceleration * (knots[-1] - knots[0]))
     for side, coarser in itertools.product(TOPPRA_SIDE_CELL_FRACTIONS, COARSER):
@@ -107,6 +117,8 @@ def compute_time_scaling(
         pace = _fastest(driven, grid, speed, acceleration, tempo, max(unit / coarser, 1.0))
         if pace is not None:
             excess = _excess(TimedPath(driven, grid, pace), speed, acceleration)
+            # Dividing the pace by f divides speeds by f and accelerations by f^2: _excess takes the square root of
+            # the latter.
             return TimedPath(path, grid, pace / max(1.0, excess))
     raise TrajectoryError("no timing of this motion keeps the hardware's speeds and accelerations")
 
@@ -114,11 +126,17 @@ def compute_time_scaling(
 def _fastest(
     driven: Path, grid: Array, speed: Array, acceleration: Array, tempo: float, unit: float
 ) -> Array | None:
-    """The pace (K,) of the fastest motion, None where toppra, which counts in 1 / unit s, finds none."""
+    """Return the pace (K,) of the fastest motion at grid (K,), None where toppra finds none.
+
+    driven: path of the drives. speed, acceleration: (n,) limits. tempo: largest pace. unit: toppra counts time in
+    1 / unit s.
+    """
     toppra = import_extra("toppra")
     logging.getLogger("toppra").setLevel(logging.ERROR)
     constraint = toppra.constraint
     kind = toppra.constraint.DiscretizationType.Interpolation
+    # A further joint moves by s itself, so that its limit of speed is the limit of the pace. Its acceleration
+    # bounds the change of the pace where no other joint moves.
     fastest = np.append(speed, tempo * unit)
     hardest = np.append(np.minimum(acceleration, 1e9), CLOCK)
     solver = toppra.algorithm.TOPPRA(
@@ -135,23 +153,26 @@ def _fastest(
 
 
 def _unit(tangent: Array, speed: Array, acceleration: Array) -> float:
-    """In which parts of a second toppra counts: its tolerances are for paces around 1, not for far smaller ones.
+    """Return 1 / the unit of time, s, in which toppra's paces are about 1, which its tolerances are made for.
 
-    A power of two, so that knots stay where they are.
+    tangent: largest |p'| of each joint. A power of two, so that knots are multiplied without rounding.
     """
     hurry = float(max((tangent / speed).max(), np.sqrt((tangent / acceleration).max())))
     return float(2.0 ** np.ceil(np.log2(np.clip(hurry, 1.0, 1e3))))
 
 
 def _grid(knots: Array, side: float) -> Array:
-    """Every cell of toppra's, with a narrow one before every knot within."""
+    """Return toppra's grid (K,): equal cells between knots (T,), with a narrow one before every inner knot."""
     cell = np.diff(knots)[:, None] / TOPPRA_CELLS_PER_SEGMENT
     inner = knots[:-1, None] + cell * np.arange(TOPPRA_CELLS_PER_SEGMENT)
     return np.unique(np.concatenate([inner.ravel(), knots[-1:], knots[1:-1] - side * cell[:-1, 0]]))
 
 
 def _append_clock_joint(path: Path, grid: Array, joints: int, unit: float) -> Any:
-    """The path with its own parameter, in 1 / unit, as one more joint, as toppra wants it."""
+    """Return the path with its own parameter as one more joint, in toppra's interface.
+
+    joints: number of joints, this one included. unit: the parameter counts in 1 / unit.
+    """
 
     class Clocked(import_extra("toppra").interpolator.AbstractGeometricPath):  # type: ignore[misc]
         dof = joints
@@ -166,7 +187,7 @@ def _append_clock_joint(path: Path, grid: Array, joints: int, unit: float) -> An
 
 
 def _excess(motion: TimedPath, speed: Array, acceleration: Array) -> float:
-    """By which factor all must be slower: toppra keeps limits at grid points only."""
+    """Return the factor by which all must be slower, since toppra satisfies limits at grid points only."""
     times = (motion.time[:-1, None] + np.diff(motion.time)[:, None] * CHECKED).ravel()
     _, velocity, change = motion.at(times)
     return TIMING_SAFETY_FACTOR * float(

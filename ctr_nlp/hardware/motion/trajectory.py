@@ -23,7 +23,7 @@ from ctr_nlp.robot import Robot
 from ctr_nlp.typing import Array
 
 AT_FRAME_STEP_FRACTION = 1e-4
-"""Part of the path from frame to frame: what stands so little before a frame stands at it."""
+"""Part of the path between two frames within which a robot before a frame counts as standing at it."""
 
 
 class Digests(NamedTuple):
@@ -34,19 +34,22 @@ class Digests(NamedTuple):
 
 
 class Patch(NamedTuple):
-    """Places q (K, 2d + 2) and slopes (K, 2d + 2) of a path at its breakpoints from one, `first`, on."""
+    """Points q (K, 2d + 2) and slopes (K, 2d + 2) of a path at its breakpoints from the one numbered first on."""
 
     first: int
     q: Array
     slopes: Array
 
     def to_record(self) -> dict[str, Any]:
-        """For a journal."""
+        """Return the patch as a record of a journal."""
         return {"first": self.first, "q": self.q.tolist(), "slopes": self.slopes.tolist()}
 
     @classmethod
     def from_record(cls, record: dict[str, Any]) -> Patch:
-        """The patch that told tells."""
+        """Return the patch that to_record has written.
+
+        record: of a journal.
+        """
         return cls(int(record["first"]), np.array(record["q"]), np.array(record["slopes"]))
 
 
@@ -56,9 +59,9 @@ class Trajectory:
 
     robot: with the limits of the hardware. knots (T,): parameters of the path (the plan's time) where frames are
     passed, the first of which may be a place between frames; frames (T,): their numbers. lash: what is added to
-    the axes' positions (.., m) for play in the drives and tubes that lag, a function of that parameter. digests:
-    of what is played. share: of the largest speeds and accelerations that it was timed with; the rest is left for
-    corrections.
+    the axes' positions (.., m) for play in the drives and lag of the tubes, a function of that parameter. digests:
+    of the plan and the hardware. share: of the largest speeds and accelerations that it was timed with; the rest
+    is left for corrections.
     """
 
     robot: Robot
@@ -72,41 +75,45 @@ class Trajectory:
 
     @property
     def duration(self) -> float:
-        """In s."""
+        """Duration of the motion, s."""
         return self.motion.duration
 
     @cached_property
     def frame_time(self) -> Array:
-        """When its frames are passed, (T,) s."""
+        """Times at which the frames are passed, (T,) s."""
         return self.motion.when(self.knots)
 
     def at(self, time: Any) -> tuple[Array, Array, Array]:
-        """Configurations q, velocities and accelerations (.., 2d + 2) at a time (..,) s."""
+        """Return configurations q, velocities and accelerations (.., 2d + 2); time: (..,) s."""
         return self.motion.at(time)
 
     def positions(self, time: Any) -> Array:
-        """Positions (.., m) of the axes, in their units, at a time (..,) s."""
+        """Return positions (.., m) of the axes, in their units; time: (..,) s."""
         joints = self.hardware.positions(self.robot, self.at(time)[0])
         return np.asarray(joints + self.lash(self.motion.parameter(time)))
 
     def joints(self, time: Array, positions: Array) -> Array:
-        """Configurations (N, 2d + 2) of axes that are found at positions (N, m) at times (N,) s.
+        """Return the configurations (N, 2d + 2) of axes measured at some times.
 
-        The tilt is the one commanded then; what is added for play and lag is taken out.
+        time: (N,) s. positions: (N, m) in the axes' units. The tilt is the commanded one; what is added to the
+        axes for play and lag is subtracted.
         """
         lengths = positions - self.lash(self.motion.parameter(time))
         return self.hardware.joints(self.robot, lengths, self.tilt(time))
 
     def tilt(self, time: Any) -> Array:
-        """Tilts (.., 2) rad at a time (..,) s."""
+        """Return tilts (.., 2) rad; time: (..,) s."""
         return self.at(time)[0][..., -2:]
 
     def last_frame_passed(self, time: float) -> int:
-        """The last frame that is passed by a time in s, 0 before the first."""
+        """Return the last frame that is passed by a time in s, 0 before the first."""
         return int(self.frames[self.frame_time <= time].max(initial=0))
 
     def apply_patch(self, patch: Patch) -> Trajectory:
-        """The same motion at the same pace, with other places from some of its path's breakpoints on."""
+        """Return the trajectory with some breakpoints of its path replaced, at the same pace.
+
+        patch: the new points and slopes.
+        """
         if not len(patch.q):
             return self
         path = self.motion.path
@@ -117,11 +124,17 @@ class Trajectory:
         return replace(self, motion=replace(self.motion, path=CubicHermiteSpline(path.x, q, slopes)))
 
     def continues(self, other: Trajectory | None) -> bool:
-        """Whether it is the same motion as another, but for patches."""
+        """Return whether another trajectory is this motion before or after patches.
+
+        other: None for none.
+        """
         return other is not None and self.knots is other.knots
 
     def commands(self, longest: float = MAX_PIECE_DURATION_S) -> Commands:
-        """The motion in straight pieces of at most so many s, with frames among their ends."""
+        """Return the motion in straight pieces, with frames among their ends.
+
+        longest: longest duration of a piece, s.
+        """
         counts = np.maximum(1, np.ceil(np.diff(self.frame_time) / longest - 1e-6)).astype(int)
         pieces = [
             np.linspace(start, end, count + 1)[1:]
@@ -134,11 +147,11 @@ class Trajectory:
 def trajectory_of(
     plan: Plan, hardware: Hardware, tempo: float = 1.0, standing: Array | None = None, share: float = 1.0
 ) -> Trajectory:
-    """A plan's motion from its first frame on, at its own pace times tempo, slower where the hardware has to.
+    """Return a plan's motion from its first frame on, at its own pace times tempo, slower where it has to be.
 
-    standing (m,): positions from which axes come to the first frame. share: of the largest speeds and
-    accelerations. Raises HardwareError, OptionError,
-    TrajectoryError; what is played must be checked before (checks.checked).
+    standing (m,): positions from which axes come to the first frame. hardware: on which it is played. share: of
+    the largest speeds and accelerations. Raises HardwareError, OptionError, TrajectoryError. A trajectory must be
+    checked before it is played (checks.check_trajectory).
     """
     if isinstance(tempo, bool) or not 0 < tempo <= 1:
         raise OptionError(f"tempo is {tempo!r}; it must lie in (0, 1]")
@@ -147,6 +160,7 @@ def trajectory_of(
     positions = hardware.positions(robot, plan.q) + ahead
     before = np.zeros(len(hardware.axes))
     if standing is not None:
+        # An axis that comes down to the first frame lies against the other side of its play.
         before = np.where(standing > positions[0] + 0.01 * hardware.backlash, -hardware.backlash, 0.0)
     added = ahead + backlash_compensation(plan.time, positions, hardware.backlash, before)(plan.time)
     lash = CubicHermiteSpline(plan.time, added, np.zeros_like(added))
@@ -156,7 +170,11 @@ def trajectory_of(
 
 
 def remaining_trajectory(trajectory: Trajectory, s: float, tempo: float = 1.0) -> Trajectory:
-    """What is left of a trajectory when the robot stands on its path at the parameter s (the plan's time)."""
+    """Return the rest of a trajectory, for a robot that stands on its path.
+
+    trajectory: the whole. s: parameter of the path, the plan's time, where the robot stands. tempo: part of the
+    plan's pace. Raises TrajectoryError where nothing is left.
+    """
     ahead = trajectory.knots > s + AT_FRAME_STEP_FRACTION * np.diff(trajectory.knots, prepend=s)
     if not ahead.any():
         raise TrajectoryError("nothing is left of this trajectory: it has reached its last frame")
@@ -172,7 +190,11 @@ def remaining_trajectory(trajectory: Trajectory, s: float, tempo: float = 1.0) -
 
 
 def approach_to(trajectory: Trajectory, standing: Array, theta: Array) -> Trajectory:
-    """The straight and slow approach from positions (m,) of axes and a tilt (2,) to where a trajectory starts."""
+    """Return the straight and slow approach to the start of a trajectory.
+
+    trajectory: whose start is approached. standing: positions (m,) of the axes now, in their units. theta: tilt
+    (2,) rad now.
+    """
     robot = trajectory.robot
     hardware = trajectory.hardware
     start = trajectory.knots[:1]
@@ -191,10 +213,11 @@ def trajectory_through(
     added: Array | None = None,
     frames: npt.NDArray[np.int64] | None = None,
 ) -> Trajectory:
-    """The trajectory through configurations q (K, 2d + 2), as slow as an approach.
+    """Return the trajectory through configurations q (K, 2d + 2), as slow as an approach.
 
-    added (K, m): to the axes' positions there, for play in the drives, None for nothing. frames (K,): the numbers
-    of these places, None to count from 0.
+    robot: with the limits of the hardware. hardware: which is moved. names: digests of what is played. added (K,
+    m): to the axes' positions there, for play in the drives, None for nothing. frames (K,): the numbers of these
+    places, None to count from 0.
     """
     robot = scale_robot_speeds(robot, hardware.approach)
     added = np.zeros((len(q), len(hardware.axes))) if added is None else added
@@ -208,7 +231,7 @@ def trajectory_through(
 
 
 def scale_robot_speeds(robot: Robot, part: float) -> Robot:
-    """A robot that moves at a part of its largest speeds."""
+    """Return a robot that may move at a part of its largest speeds."""
     parts = zip(("alpha", "beta", "theta"), robot.split(part * robot.speed), strict=True)
     return robot.with_limits(**{f"{name}_speed": speed.tolist() for name, speed in parts})
 
@@ -224,8 +247,16 @@ def trajectory_along(
     tempo: float,
     share: float = 1.0,
 ) -> Trajectory:
-    """The trajectory along a path; limits, a share of the largest, are those of what the drives do."""
+    """Return the trajectory along a path, timed within the limits of the robot.
 
+    robot: with the limits of the hardware. hardware: which is moved. path: q over the parameter. lash: what is
+    added to the axes' positions, over the parameter. knots: (T,) parameters of the frames; frames: (T,) their
+    numbers. names: digests of what is played. tempo: part of the path's own pace. share: of the largest speeds and
+    accelerations.
+    """
+
+    # Drives also move by what is added for play and lag, and their limits hold for the sum; tubes move along the
+    # path alone.
     def driven(s: Array, order: int = 0) -> Array:
         return np.asarray(path(s, order) + hardware.in_joints(robot, lash(s, order)))
 
@@ -234,7 +265,7 @@ def trajectory_along(
 
 
 def digests(plan: Plan, hardware: Hardware) -> Digests:
-    """Names for a plan and some hardware, which change with every number, word or limit in either."""
+    """Return digests of a plan and some hardware, which change with every number, word or limit in either."""
     known = hashlib.sha256(json.dumps(plan.meta, sort_keys=True).encode())
     for field in fields(plan):
         array = getattr(plan, field.name)
@@ -242,6 +273,7 @@ def digests(plan: Plan, hardware: Hardware) -> Digests:
             known.update(
                 f"{field.name} {array.dtype} {array.shape}".encode() + np.ascontiguousarray(array).tobytes()
             )
+    # Without the commissioned settings, which are compared with the controller's whenever it is connected.
     described = repr(replace(hardware, commissioned=None))
     if hardware.lag is not None:
         described += repr([getattr(hardware.lag, name).tolist() for name in LAG_PARTS])

@@ -1,1 +1,1 @@
-"""A trajectory played on a device: supervised, resumed, taken back, trusted. Knows no kind of device."""
+"""Playing a trajectory on a device: supervised, resumed, retracted, trusted. Knows no kind of device."""

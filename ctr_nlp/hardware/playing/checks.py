@@ -1,4 +1,4 @@
-"""What must be true of a plan and of its trajectory before anything moves; complaints name frame and axis."""
+"""Checks of a plan and of its trajectory before anything moves; errors name frame and axis."""
 
 from __future__ import annotations
 
@@ -21,22 +21,23 @@ from ctr_nlp.robot import Robot
 from ctr_nlp.typing import Array
 
 TRAJECTORY_SAMPLES_PER_FRAME = 10
-"""Places at which a trajectory is checked from frame to frame."""
+"""Places between two frames at which a trajectory is checked."""
 
 WHOLE_TRAJECTORY = slice(None)
 """All of a trajectory."""
 
 TRAJECTORY_LIMIT_SLACK = 1e-6
-"""By how much limits may be exceeded, in rad, mm and parts of a speed."""
+"""Excess over limits that is rounding, in rad, mm and parts of a speed."""
 
 SAME_SHAPE = 0.05
-"""mm: a plan whose shapes are further from those of its configurations was changed after it was made."""
+"""mm from the shapes of its configurations beyond which a plan's shapes were changed after planning."""
 
 
 class TrajectoryCheck(NamedTuple):
-    """What was found: largest parts of speeds and accelerations that are used, and least stability margin.
+    """Result of a check.
 
-    late: s by which the last frame comes after the plan's time. margin: NaN where nothing can be unstable.
+    speed, acceleration: the largest used, in parts of the limits. late: s by which the last frame comes after the
+    plan's time. margin: least stability margin, NaN where nothing can be unstable.
     """
 
     speed: float
@@ -46,7 +47,7 @@ class TrajectoryCheck(NamedTuple):
 
 
 def check_plan(plan: Plan, robot: Robot) -> None:
-    """Raise TrajectoryError unless a plan is whole, keeps this robot's limits and is as it was made."""
+    """Raise TrajectoryError unless a plan is complete, satisfies this robot's limits and is as it was planned."""
     _check_arrays(plan)
     unsolved = np.flatnonzero(plan.success == 0)
     if unsolved.size:
@@ -71,7 +72,7 @@ def check_plan(plan: Plan, robot: Robot) -> None:
 
 
 def _check_arrays(plan: Plan) -> None:
-    """A motion has frames, and everything is known of all of them."""
+    """Raise TrajectoryError unless a plan has two frames, and all its arrays have their shapes."""
     frames = plan.time.size
     d = plan.robot.d
     if frames < 2:
@@ -85,6 +86,7 @@ def _check_arrays(plan: Plan) -> None:
 
 
 def _check_limits(robot: Robot, q: Array, name: str) -> None:
+    """Raise TrajectoryError unless q (2d + 2,) satisfies the robot's limits; name: of the place in messages."""
     try:
         robot.check(q, name)
     except RobotError as exception:
@@ -94,7 +96,7 @@ def _check_limits(robot: Robot, q: Array, name: str) -> None:
 
 
 def _check_snaps(snaps: Sequence[Snap], frame: npt.NDArray[Any]) -> None:
-    """Frame (T,): the next one at each place that was followed."""
+    """Raise TrajectoryError for the first snap; frame (T,): number of the next frame at each simulated place."""
     for snap in snaps:
         raise TrajectoryError(
             f"frame {frame[snap.frame - 1]}: the robot would snap on the path, tubes {snap.tubes}"
@@ -102,7 +104,7 @@ def _check_snaps(snaps: Sequence[Snap], frame: npt.NDArray[Any]) -> None:
 
 
 def _check_steps(plan: Plan) -> None:
-    """The plan's robot was promised speeds; what is faster was not planned."""
+    """Raise TrajectoryError where a plan is faster than its own robot may be: that was not planned."""
     made = plan.robot
     excess = abs(np.diff(plan.q, axis=0)) / np.diff(plan.time)[:, None] / made.speed
     j, i = np.unravel_index(excess.argmax(), excess.shape)
@@ -114,9 +116,10 @@ def _check_steps(plan: Plan) -> None:
 
 
 def _check_shapes(plan: Plan) -> None:
-    """Shapes are those that the motion leads to on the model that the plan is evaluated on."""
+    """Raise TrajectoryError unless the plan's shapes are those of its motion on the model that evaluates it."""
     moved = simulate_motion(plan.robot, plan.q, plan.evaluated_model)
     _check_snaps(moved.snaps, np.arange(1, len(plan.time) + 1))
+    # A shape that could not be simulated is infinitely far off, so that it is refused.
     away = np.nan_to_num(np.linalg.norm(moved.shape - plan.shape, axis=-1).max(axis=1), nan=np.inf)
     if away.max() > SAME_SHAPE:
         j = int(away.argmax())
@@ -129,10 +132,10 @@ def _check_shapes(plan: Plan) -> None:
 def check_trajectory(
     trajectory: Trajectory, model: str | Model | None = None, stretch: slice = WHOLE_TRAJECTORY
 ) -> TrajectoryCheck:
-    """What a trajectory uses of its hardware; raises TrajectoryError where that is more than all of it.
+    """Return the used parts of the hardware's limits; raises TrajectoryError where one exceeds 1.
 
-    model: on which it must be stable all along its path, where a robot can snap on it; None for no model.
-    stretch: the frames, counted from 0, between which it is looked at.
+    trajectory: to be checked. model: on which it must be stable all along its path, where a robot can snap on it;
+    None for no model. stretch: the frames, counted from 0, between which it is checked.
     """
     ends = trajectory.frame_time[stretch]
     frames = trajectory.frames[stretch]
@@ -166,6 +169,7 @@ def check_trajectory(
 
 
 def _check_ranges(trajectory: Trajectory, time: Array, frame: Array) -> None:
+    """Raise TrajectoryError where an axis would leave its range at times (N,) s; frame (N,): for messages."""
     positions = trajectory.positions(time)
     for k, axis in enumerate(trajectory.hardware.axes):
         lower, upper = axis.range
@@ -180,6 +184,7 @@ def _check_ranges(trajectory: Trajectory, time: Array, frame: Array) -> None:
 
 
 def _most(name: str, used: Array, trajectory: Trajectory, frame: Array) -> float:
+    """Return the largest of used (N, n), parts of limits, or raise TrajectoryError where it exceeds 1."""
     j, i = np.unravel_index(used.argmax(), used.shape)
     if not used[j, i] <= 1 + TRAJECTORY_LIMIT_SLACK:
         raise TrajectoryError(
@@ -189,7 +194,7 @@ def _most(name: str, used: Array, trajectory: Trajectory, frame: Array) -> float
 
 
 def _least_margin(trajectory: Trajectory, model: Model, frame: Array, q: Array) -> float:
-    """The least margin of the robot moved through q, which must be stable everywhere."""
+    """Return the least stability margin of the robot moved through q (N, 2d + 2), which must be positive."""
     found = model.follow(trajectory.robot, q, substeps=1)
     _check_snaps(found.snaps, frame)
     least = np.nan_to_num(found.stability_between, nan=-np.inf)

@@ -1,4 +1,4 @@
-"""One trajectory played on a device that has been started, and led to its last frame, the arm in step with it."""
+"""Playback of one trajectory on a started device to its last frame, with the arm in step."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ from ctr_nlp.hardware.playing.supervision import MISPLACED, Supervisor
 from ctr_nlp.typing import Array
 
 MAX_ARM_EXTRAPOLATION_S = 0.1
-"""s for which the arm goes on without news from the device."""
+"""s for which the arm goes on without a report of the device."""
 
 CATCHING_UP = 0.5
-"""s in which the arm may still be out of step after the device had told nothing for a while."""
+"""s after a gap in the device's reports for which the arm may still be out of step because of it."""
 
 IN_STEP = 0.005
-"""rad by which the arm may be off where the device's progress, within the skew tolerance, puts it."""
+"""rad by which the arm may be off the tilts that the device's progress, within the skew tolerance, requires."""
 
 ARM_GOAL_TOLERANCE_RAD = 1e-3
 """rad by which the arm may be off the last frame, ARM_SETTLING_TIME_S s after the axes are there."""
@@ -33,33 +33,39 @@ ARM_GOAL_TOLERANCE_RAD = 1e-3
 ARM_SETTLING_TIME_S = 0.5
 
 SEEN_LATE = 0.1
-"""s of motion by which the progress that is seen may be ahead of where the axes are, as reports are rounded."""
+"""s of motion by which reported progress may be ahead of the axes, as reports are rounded."""
 
 STOP_OVERRUN_S = 0.5
-"""s of motion beyond what was given in which a stop comes to rest on the path."""
+"""s of motion beyond what the device was given within which a stop comes to rest on the path."""
 
 PLAYBACK_PERIOD_S = 0.005
-"""s between two looks at the device, or at the arm while it settles."""
+"""s between two updates of the device, or of the arm while it settles."""
 
 Seen = Callable[[Trajectory, MotionProgress], None]
 
 
 class TrajectoryCorrector(Protocol):
-    """Who changes a motion while it is played. wrong: why it must stop instead, "" where nothing is wrong."""
+    """Corrector of a motion while it is played.
+
+    wrong: why the motion must stop, "" where it need not.
+    """
 
     @property
     def wrong(self) -> str:
-        """As of the last look."""
+        """Reason to stop as of the last look, "" for none."""
 
     def look(self, progress: MotionProgress, committed_time: float) -> Trajectory:
-        """The motion as it is from now on; the same as before as far as the device was given it, s."""
+        """Return the motion as it is from now on.
+
+        progress: of the device. committed_time: s of the motion up to which it must not be changed.
+        """
 
 
 class Playback:
-    """A trajectory in progress, and an arm or None that is led by the device's progress and must keep in step.
+    """Playback of a trajectory, with an arm or None that follows the device's progress and must keep in step.
 
-    report_state: told of the states running and hold; frame: the last that was passed. corrector: None where
-    nobody does.
+    journal: of the session. wishes: of the operator. report_state: called with the states running and hold.
+    corrector: changes what is still ahead, None for nothing. frame: the last that was passed.
     """
 
     def __init__(
@@ -81,14 +87,17 @@ class Playback:
         self._to = report_state
         self._held = False
         self._between = (0.0, 0.0)
-        """s of the motion between which the axes are: what was played, as last seen, and what was given."""
+        """s of the motion between which the axes are: from the reported progress to what was sent."""
         self._stamp = self._gap_end = -np.inf
         self._gap = 0.0
-        """s without news from the device, the longest lately, up to _gap_end (s of the clock)."""
+        """s without a report of the device, the longest gap lately, which ended at _gap_end (s of the clock)."""
         self.frame = int(trajectory.frames[0])
 
     def check_start(self, standing: Standing) -> None:
-        """Raise TrajectoryError unless the axes stand where the trajectory starts."""
+        """Raise TrajectoryError unless the axes stand where the trajectory starts.
+
+        standing: of the device at rest.
+        """
         start = self._trajectory.positions(0.0)
         for axis, wanted, there in zip(self._trajectory.hardware.axes, start, standing.position, strict=True):
             if abs(wanted - there) > axis.tolerance:
@@ -98,7 +107,7 @@ class Playback:
                 )
 
     def explain_misplacement(self, position: Array) -> str:
-        """Why axes that rest at a position (m,) are not to be trusted, "" where nothing speaks against it."""
+        """Return why axes at rest at a position (m,) are not to be trusted, "" where they are."""
         tolerance = self._trajectory.hardware.tolerance
         path = FollowedPath(self._trajectory.positions(0.0), self._trajectory.commands(), tolerance)
         pieces = len(path.ends) - 1
@@ -109,9 +118,10 @@ class Playback:
         return f"the axes rest {away:.3g} tolerances from where they should: their position is not to be trusted"
 
     def run(self, played: RunningMotion, resolution: Array, callback: Seen | None) -> Ending:
-        """Play until it ends, or until something is wrong; raises DeviceFault, JournalError.
+        """Play until the end, or until something is wrong; raises DeviceFault, JournalError.
 
-        resolution (m,): what the device can tell apart.
+        played: the started motion. resolution (m,): of the device's axes, in their units. callback: called with
+        the trajectory and the progress every few ms, None for nothing.
         """
         hardware = self._trajectory.hardware
         supervisor = Supervisor(hardware.late, resolution, hardware.tolerance, self._due)
@@ -135,15 +145,16 @@ class Playback:
             self._obey(played, progress, supervisor)
             if self._arm is not None and not self._held:
                 self._lead(self._arm, progress)
+            # Last: more motion is given only after everything has been checked in this round.
             played.feed()
             self._clock.sleep(PLAYBACK_PERIOD_S)
 
     def _due(self, time: float) -> Array:
-        """Where the axes (m,) should be at a time of the motion, s; after its end they rest."""
+        """Return where the axes (m,) should be at a time of the motion, s; after its end they rest."""
         return self._trajectory.positions(min(time, self._trajectory.duration))
 
     def _tell(self, progress: MotionProgress) -> None:
-        """Record every frame that has been passed, with the position when that was seen."""
+        """Record every frame that has been passed, with the position when that was reported."""
         passed = self._trajectory.frames[self._trajectory.frame_time <= progress.time + 1e-9]
         if progress.state == "done":
             passed = self._trajectory.frames
@@ -154,7 +165,7 @@ class Playback:
     def _apply_correction(
         self, corrector: TrajectoryCorrector, played: RunningMotion, progress: MotionProgress
     ) -> Ending | None:
-        """Let what is still ahead be changed; how it ends where that cannot be gone on with."""
+        """Let the corrector change what is still ahead; return the ending where it must stop."""
         trajectory = corrector.look(progress, played.committed_time)
         if trajectory is not self._trajectory:
             self._trajectory = trajectory
@@ -162,7 +173,7 @@ class Playback:
         return Ending(PlaybackOutcome.PATH_TOLERANCE_VIOLATED, corrector.wrong) if corrector.wrong else None
 
     def _obey(self, played: RunningMotion, progress: MotionProgress, supervisor: Supervisor) -> None:
-        """Pause or go on as wished, once the device can."""
+        """Pause or resume as the operator wishes, once the device can."""
         wish = self._wishes.latest
         if progress.state == "held" and not self._held:
             if self._arm is not None:
@@ -180,11 +191,12 @@ class Playback:
         self._wishes.clear_wish()
 
     def _rest(self, held: bool) -> None:
+        """Note and report that the motion rests in a hold, or that it does not."""
         self._held = held
         self._to(PlayerState.HOLD if held else PlayerState.RUNNING)
 
     def _note_gap(self, stamp: float) -> None:
-        """Remember for how long there was no news from the device, as long as the arm may suffer from it."""
+        """Remember the longest recent gap between reports, for as long as the arm may suffer from it; stamp: s."""
         gap = stamp - self._stamp if np.isfinite(self._stamp) else 0.0
         if gap >= self._gap or stamp - self._gap_end > CATCHING_UP:
             self._gap = gap
@@ -205,12 +217,14 @@ class Playback:
             ) from exception
 
     def _follow(self, arm: ArmFollower, progress: MotionProgress) -> None:
-        """Send the arm where it should be now, and see that it is there; raises DeviceFault."""
+        """Command the arm's tilt of now and check its measured one; raises DeviceFault."""
         described = self._trajectory.hardware.arm
         tolerance = 0.0 if described is None else described.skew_tolerance
         late = self._clock.now() - progress.stamp
+        # The report is old by `late`: a running device has gone on since, a slowing one by an unknown part of it.
         now = progress.time + (min(late, MAX_ARM_EXTRAPOLATION_S) if progress.state == "running" else 0.0)
         arm.follow(self._trajectory.tilt(now))
+        # In step means within a time, not an angle: a fast tilt may be further off than a slow one.
         around = self._trajectory.tilt(now + np.linspace(-1.0, 1.0, 21) * tolerance)
         away = np.linalg.norm(around - arm.tilt(), axis=1).min()
         if away > IN_STEP:
@@ -219,7 +233,7 @@ class Playback:
             )
 
     def _settle_arm(self, arm: ArmFollower) -> float:
-        """Let the arm come to the last tilt and rest; by how much it stays off, rad."""
+        """Let the arm come to the last tilt and rest; return by how much it stays off, rad."""
         end = self._clock.now() + ARM_SETTLING_TIME_S
         theta = self._trajectory.tilt(self._trajectory.duration)
         arm.follow(theta)
@@ -232,6 +246,7 @@ class Playback:
         return off
 
     def _check_goal(self, progress: MotionProgress, resolution: Array) -> Ending:
+        """Return the ending of a motion whose device is done: success, or how far axes or arm are off."""
         goal = self._trajectory.positions(self._trajectory.duration)
         tilted = 0.0 if self._arm is None else self._settle_arm(self._arm)
         standing = Standing(progress.position, True)

@@ -1,4 +1,4 @@
-"""Playing a trajectory: a state machine around a device, and an arm that keeps in step with it."""
+"""Player of trajectories: a state machine around a device, and an arm that keeps in step with it."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ from ctr_nlp.typing import Array
 
 
 class Player:
-    """One device, and an arm or None, from connecting to closing; everything that happens is in the journal.
+    """Player of one device, and an arm or None, from connecting to closing; everything is in the journal.
 
-    pause, resume and abort may be called from anywhere, also from the callback of play; the last word counts, but
-    an abort is final, and works in every state. What is asked for while nothing plays holds for what is played
+    pause, resume and abort may be called from anywhere, also from the callback of play; the last request counts,
+    but an abort is final, and works in every state. What is requested while nothing plays holds for what is played
     next. After any stop nothing moves and nothing is sent until the next call. memory: of whether the device's
-    position was to be trusted when sessions before this one ended, None to forget. A call that the state does not
-    allow raises DeviceFault.
+    position was trusted when earlier sessions ended, None for none. A call that the state does not allow raises
+    DeviceFault.
     """
 
     def __init__(
@@ -46,15 +46,15 @@ class Player:
 
     @property
     def doubt(self) -> str:
-        """Why the position of the connected device is not to be trusted, "" where nothing speaks against it."""
+        """Reason not to trust the position of the connected device, "" for none."""
         return self._trust.doubt
 
     def connect(self, stop_first: bool = False, home: bool = False, session: str = "") -> Standing:
-        """Open the device and the arm; where the axes stand. Raises DeviceFault.
+        """Open the device and the arm, and return where the axes stand. Raises DeviceFault.
 
         stop_first: a device that moves, since its player died, is stopped; else that is a fault. home: let the
-        device find its position, which also ends its alarm. session: the journal's, of one that is to be gone on
-        with. Where an abort is asked for meanwhile, the device is stopped, and Stopped is raised.
+        device find its position, which also ends its alarm. session: name of the session that is to be resumed,
+        from its journal. Where an abort is requested meanwhile, the device is stopped, and Stopped is raised.
         """
         self._expect("connects", PlayerState.DISCONNECTED)
         try:
@@ -71,7 +71,7 @@ class Player:
         return standing
 
     def _open_device(self, stop_first: bool, home: bool) -> Standing:
-        """Connect the device, home or stop it as wanted, and tell where it stands; an abort ends that."""
+        """Connect the device, home or stop it as requested, and return where it stands; an abort ends that."""
         homing = False
         try:
             self.device.connect(self._wishes.is_abort_requested)
@@ -90,7 +90,7 @@ class Player:
             raise
 
     def _clear_leftover_motion(self) -> Standing:
-        """Stop what a dead player left behind; where that fails the position is lost, which is recorded."""
+        """Stop the motion of a player that died; where that fails, the lost position is recorded."""
         try:
             return self.device.abort()
         except DeviceFault as exception:
@@ -98,29 +98,29 @@ class Player:
             raise
 
     def trust(self) -> None:
-        """Take the position that the device tells for true, since a person has made sure of it."""
+        """Trust the position that the device reports, since a person has checked it."""
         self._expect("can be told to trust a position", PlayerState.IDLE, PlayerState.HOMED)
         self._trust.vouch()
         self._set_state(PlayerState.HOMED)
 
     def tilt(self) -> Array:
-        """Measured tilt (2,) rad; 0 without an arm."""
+        """Return the measured tilt (2,) rad; 0 without an arm."""
         return np.zeros(2) if self._arm is None else self._arm.tilt()
 
     def pause(self) -> None:
-        """Stop on the path, so that it can go on."""
+        """Request a stop on the path that can be resumed."""
         self._wishes.ask("pause")
 
     def resume(self) -> None:
-        """Go on after a pause, once it has come to rest."""
+        """Request to continue after a pause, once the axes are at rest."""
         self._wishes.ask("resume")
 
     def abort(self) -> None:
-        """Stop for good."""
+        """Request a stop for good."""
         self._wishes.ask("abort")
 
     def close(self) -> None:
-        """Let go of device and arm; nothing is sent to the device."""
+        """Close device and arm; nothing is sent to the device."""
         for part in (self._arm, self.device):
             if part is not None:
                 part.close()
@@ -131,10 +131,11 @@ class Player:
     def play(
         self, trajectory: Trajectory, callback: Seen | None = None, corrector: TrajectoryCorrector | None = None
     ) -> Result:
-        """Play a trajectory that was checked, from where it starts; returns when everything stands still.
+        """Play a checked trajectory from where it starts; return when everything stands still.
 
-        seen is told of it and of the progress every few ms; corrector: who changes what is still ahead, if
-        anybody. Nothing is sent where axes are not at the start.
+        trajectory: to be played; nothing is sent where axes are not at its start. callback: called with the
+        trajectory and the progress every few ms, None for nothing. corrector: changes what is still ahead, None
+        for nothing.
         """
         self._expect("plays", PlayerState.HOMED)
         playback = Playback(
@@ -152,6 +153,7 @@ class Player:
             )
         except (DeviceFault, JournalError) as exception:
             return self._stop_all(Ending(PlaybackOutcome.DEVICE_FAULT, str(exception)), playback)
+        # Ctrl-C and errors of callbacks, too: the axes must stop before the exception goes on.
         except BaseException as exception:
             self._stop_all(
                 Ending(PlaybackOutcome.CANCELLED, f"playing was interrupted by {exception!r}"), playback
@@ -159,7 +161,7 @@ class Player:
             raise
 
     def _start_device(self, playback: Playback, trajectory: Trajectory) -> RunningMotion | Ending:
-        """Start the device, or tell how that ended where nothing moves."""
+        """Start the device and return its motion, or the ending where nothing moves."""
         standing = self.device.standing()
         try:
             playback.check_start(standing)
@@ -168,13 +170,14 @@ class Player:
             return Ending(PlaybackOutcome.INVALID_PLAN, str(exception), standing)
         if self._wishes.is_abort_requested():
             return Ending(PlaybackOutcome.CANCELLED, "stopped on request, before anything moved", standing)
+        # Distrust is on the disk before the first line is sent: a crash from here on leaves it behind.
         self._trust.note_motion_start(self.device, self.journal.session)
         self.journal.record("start", frame=playback.frame, position=standing.position.tolist())
         self._set_state(PlayerState.RUNNING)
         return played
 
     def _stop_all(self, ending: Ending, playback: Playback | None = None) -> Result:
-        """Stop everything that can be stopped; the axes first, since an arm that is not led stands still."""
+        """Stop everything and return the result; the axes first, since an arm that is not led stands still."""
         outcome, message, standing, misplaced = ending
         with self.journal.forgiving():
             try:
@@ -191,7 +194,7 @@ class Player:
         return self._finish_motion(Ending(outcome, message, standing, misplaced), playback)
 
     def _finish_motion(self, ending: Ending, playback: Playback | None = None) -> Result:
-        """The result, recorded if that is possible; what was asked for is done with.
+        """Return the result of a motion, recorded if that is possible, and clear an abort.
 
         playback: of the motion that ended, None where none had been prepared.
         """
@@ -228,10 +231,12 @@ class Player:
         return result
 
     def _expect(self, what: str, *states: PlayerState) -> None:
+        """Raise DeviceFault unless the player is in one of some states; what: it does, for the message."""
         if self.state not in states:
             wanted = " or ".join(state.value for state in states)
             raise DeviceFault(f"the player is {self.state.value}; only one that is {wanted} {what}")
 
     def _set_state(self, state: PlayerState) -> None:
+        """Change and record the state."""
         self.state = state
         self.journal.record("state", state=state.value)

@@ -1,4 +1,4 @@
-"""What was played beside what was commanded: measured positions at the times of frames."""
+"""Record of a motion: measured positions beside commanded ones, at the times of frames."""
 
 from __future__ import annotations
 
@@ -13,9 +13,10 @@ from ctr_nlp.typing import Array
 
 
 class Tracking(NamedTuple):
-    """frame (T,); time (T,) s: when each was due, without pauses; commanded and measured (T, m): positions there.
+    """Measured and commanded positions at frames.
 
-    late (T,) s: how much later than due it was passed.
+    frame (T,): numbers. time (T,) s: when each was due, without pauses. commanded, measured (T, m): positions
+    then, in the axes' units. late (T,) s: how much later than due it was passed.
     """
 
     frame: npt.NDArray[np.int64]
@@ -26,18 +27,18 @@ class Tracking(NamedTuple):
 
     @property
     def error(self) -> Array:
-        """Measured less commanded, (T, m)."""
+        """Measured minus commanded positions, (T, m)."""
         return self.measured - self.commanded
 
 
 class Recorder:
-    """Collects the progress of the latest trajectory; call it with every progress."""
+    """Recorder of the progress of the latest trajectory; call it with every progress."""
 
     def __init__(self) -> None:
         self._trajectory: Trajectory | None = None
 
     def __call__(self, trajectory: Trajectory, progress: MotionProgress) -> None:
-        """Add what is new, but for pauses."""
+        """Add a new progress, unless it is of a pause."""
         before = self._trajectory
         self._trajectory = trajectory
         if not trajectory.continues(before):
@@ -48,6 +49,7 @@ class Recorder:
             self._held = self._held or progress
             return
         if self._held is not None:
+            # The time of a pause less the motion that was still made while slowing down.
             self._paused += progress.stamp - self._held.stamp - (progress.time - self._held.time)
             self._held = None
         time = progress.stamp - self._paused
@@ -55,7 +57,7 @@ class Recorder:
             self._rows.append((time, progress.time, progress.position))
 
     def tracking(self) -> Tracking | None:
-        """Positions at the times of frames, between reports linearly; None where too little was seen.
+        """Return positions at the times of frames, linear between reports; None where too few came.
 
         Times count from when the axes began to move, by the first report in which they had.
         """

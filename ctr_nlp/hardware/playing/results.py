@@ -1,6 +1,6 @@
-"""What is asked of a player while it works, its states, and how playing ends.
+"""Requests to a player while it works, its states, and how playing ends.
 
-Outcomes are typed as the ROS 2 trajectory controllers type them.
+Outcomes are those of the ROS 2 trajectory controllers.
 """
 
 from __future__ import annotations
@@ -16,22 +16,27 @@ from ctr_nlp.typing import Array
 
 
 class Wishes:
-    """Wishes from anywhere, also from other threads and signal handlers; the last counts, but an abort is final.
+    """Requests from anywhere, also other threads and signal handlers; the last counts, but an abort is final.
 
-    latest: "" for none, "pause", "resume" or "abort", as of the last look. Each is in the journal once it is seen.
+    latest: "" for none, "pause", "resume" or "abort", as of the last look. Each is recorded once it is seen.
     """
 
     def __init__(self, journal: Journal) -> None:
         self._journal = journal
+        # put of a SimpleQueue is reentrant: a signal handler may interrupt another put, or a get. A lock would
+        # deadlock there.
         self._queue = SimpleQueue[str]()
         self.latest = ""
 
     def ask(self, wish: str) -> None:
-        """Ask for something."""
+        """Request something.
+
+        wish: "pause", "resume" or "abort".
+        """
         self._queue.put(wish)
 
     def is_abort_requested(self) -> bool:
-        """Look at what has been asked for; whether an abort has."""
+        """Read and record new requests; return whether one of them was an abort."""
         while True:
             try:
                 wish = self._queue.get_nowait()
@@ -42,17 +47,17 @@ class Wishes:
                 self.latest = wish
 
     def clear_wish(self) -> None:
-        """What was wished for has been done."""
+        """Forget the latest request, since it has been carried out."""
         self.latest = ""
 
     def clear_abort(self) -> None:
-        """An abort has been carried out; other wishes hold for what is played next."""
+        """Forget an abort that has been carried out; other requests hold for what is played next."""
         if self.latest == "abort":
             self.clear_wish()
 
 
 class PlayerState(Enum):
-    """Of the player; the value is what a person reads."""
+    """State of the player; the value is what a person reads."""
 
     DISCONNECTED = "disconnected"
     IDLE = "idle"
@@ -63,7 +68,10 @@ class PlayerState(Enum):
 
 
 class PlaybackOutcome(Enum):
-    """As error codes of control_msgs/action/FollowJointTrajectory, where it has one; the value is for people."""
+    """Outcome of playing; the value is for people.
+
+    Named as the error codes of control_msgs/action/FollowJointTrajectory, where these have one.
+    """
 
     SUCCESS = "success"
     INVALID_PLAN = "invalid plan"
@@ -74,9 +82,10 @@ class PlaybackOutcome(Enum):
 
 
 class Ending(NamedTuple):
-    """How a motion ends, and a sentence why; standing: None where the device still has to be stopped.
+    """Outcome of a motion, and a sentence why.
 
-    misplaced: whether the axes were reported so far from where they should be that they are not to be trusted.
+    standing: where the axes rest, None where the device still has to be stopped. misplaced: whether the axes were
+    reported so far from where they should be that their position is not to be trusted.
     """
 
     outcome: PlaybackOutcome
@@ -87,11 +96,11 @@ class Ending(NamedTuple):
 
 @dataclass(frozen=True)
 class Result:
-    """How it ended and why.
+    """Outcome of playing, and why.
 
     frame: the last that was passed for certain, 0 for none. position: where the axes stand (m,) in their units,
-    None where nothing is known. trusted: whether that is where the motors are. memory_error: why that could not be
-    remembered, so that the next session asks for it again; "" where it was.
+    None where that is not known. trusted: whether that is where the motors are. memory_error: why trust could not
+    be remembered, so that the next session asks for it again; "" where it was.
     """
 
     outcome: PlaybackOutcome

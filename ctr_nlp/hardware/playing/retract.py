@@ -1,4 +1,4 @@
-"""Pulling the tubes back after a stop: along the path they came, or innermost first where nobody knows it."""
+"""Retraction of the tubes after a stop: along the path they came, or innermost first without a journal."""
 
 from __future__ import annotations
 
@@ -45,11 +45,13 @@ def retract(
     verified: bool = False,
     callback: Seen | None = None,
 ) -> Result:
-    """Pull the tubes of a plan's robot back, as slowly as a first frame is gone to.
+    """Pull the tubes of a plan's robot back, at the speed of an approach.
 
-    records: of the journal of the session that brought them where they are, None where there is none. A device
-    that still moves is stopped first. verified: a person has made sure that the axes are where the device says.
-    Raises TrajectoryError where the robot does not stand on that path, or the return does not pass its check.
+    player: not connected yet. hardware: as played. records: of the journal of the session that brought the tubes
+    where they are, None where there is none. A device that still moves is stopped first. verified: a person has
+    checked that the axes are where the device says. callback: called with the trajectory and the progress every
+    few ms. Raises TrajectoryError where the robot does not stand on that path, or the return does not pass its
+    check.
     """
     if records is not None:
         check_trusted(records, verified)
@@ -72,7 +74,11 @@ def retract(
 def return_path(
     plan: Plan, hardware: Hardware, records: list[dict[str, Any]], standing: Standing, resolution: Array
 ) -> list[Trajectory]:
-    """The path of a session, backwards: to its first frame, then to where the axes stood before it."""
+    """Return the path of a session backwards: to its first frame, then to where the axes stood before it.
+
+    plan, hardware: as played. records: of the session's journal. standing: of the axes now. resolution (m,): of
+    the axes, in their units.
+    """
     told = find_program_record(records)
     trajectory = rebuild_corrected_trajectory(plan, hardware, records)
     home = np.array(told["standing"])
@@ -85,7 +91,7 @@ def return_path(
 
 
 def _between(start: Array, end: Array, position: Array, tolerance: Array) -> bool:
-    """Whether positions (m,) lie on the straight line between others, but for tolerances (m,)."""
+    """Return whether position (m,) lies on the straight line from start to end (m,), within tolerance (m,)."""
     line = (end - start) / tolerance
     gone = (position - start) / tolerance
     part = np.clip(line @ gone / np.maximum(line @ line, 1e-12), 0.0, 1.0)
@@ -93,7 +99,7 @@ def _between(start: Array, end: Array, position: Array, tolerance: Array) -> boo
 
 
 def _backwards(trajectory: Trajectory, s: float) -> Trajectory:
-    """A trajectory from its parameter s back to its first frame, on the same path."""
+    """Return the way from parameter s of a trajectory back to its first frame, on the same path."""
     knots = np.append(trajectory.knots[trajectory.knots < s], s)
 
     def reversed_in_time(curve: CubicHermiteSpline) -> CubicHermiteSpline:
@@ -108,15 +114,16 @@ def _backwards(trajectory: Trajectory, s: float) -> Trajectory:
 
 
 def _straight(trajectory: Trajectory, start: Array, end: Array, theta: Array) -> Trajectory:
-    """The straight line from positions (m,) of the axes to others, at a tilt (2,)."""
+    """Return the straight line from positions start (m,) of the axes to end (m,), at a tilt theta (2,) rad."""
     q = trajectory.hardware.joints(trajectory.robot, np.stack([start, end]), theta)
     return trajectory_through(trajectory.robot, trajectory.hardware, q, trajectory.digests)
 
 
 def innermost_first(plan: Plan, hardware: Hardware, position: Array, theta: Array) -> Trajectory:
-    """From positions (m,) and a tilt (2,): the innermost tube into the next, both into the next, and all in.
+    """Return the retraction without turning: innermost tube into the next, both into the next, and all in.
 
-    Nothing is turned. Raises TrajectoryError where the tubes are in already.
+    plan: whose robot it is. hardware: which is moved. position: (m,) of the axes, in their units. theta: tilt (2,)
+    rad. Raises TrajectoryError where the tubes are retracted already.
     """
     robot = hardware.apply_limits(plan.robot)
     steps = [hardware.joints(robot, position, theta)]

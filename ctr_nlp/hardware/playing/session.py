@@ -1,4 +1,4 @@
-"""From a plan to its last frame: check, connect, go to the first frame, play; or go on where a session ended."""
+"""Sessions: check a plan, connect, go to the first frame and play; or resume where a session ended."""
 
 from __future__ import annotations
 
@@ -27,19 +27,20 @@ from ctr_nlp.typing import Array
 Playing = ParamSpec("Playing")
 
 RETRACTED = "retraction"
-"""Kind of the journal's record of a retraction, after which no session before it can be resumed."""
+"""Kind of the journal's record of a retraction, after which no earlier session can be resumed."""
 
 ARM_START_TOLERANCE_RAD = 1e-4
-"""rad by which the arm may be off where a trajectory starts."""
+"""rad by which the arm may be off the start of a trajectory without an approach."""
 
 
 def prepare_trajectory(
     plan: Plan, hardware: Hardware, tempo: float = 1.0, standing: Array | None = None, share: float = 1.0
 ) -> tuple[Trajectory, TrajectoryCheck]:
-    """The trajectory of a plan, and what was found when all of it was checked.
+    """Return the trajectory of a plan, and the result of checking all of it.
 
-    standing (m,): positions from which the axes come to the first frame. share: of the largest speeds and
-    accelerations; the rest is left for corrections. Raises HardwareError, OptionError, TrajectoryError.
+    hardware: on which it is played. tempo: part of the plan's pace, in (0, 1]. standing (m,): positions from which
+    the axes come to the first frame. share: of the largest speeds and accelerations; the rest is left for
+    corrections. Raises HardwareError, OptionError, TrajectoryError.
     """
     check_plan(plan, hardware.apply_limits(plan.robot))
     trajectory = trajectory_of(plan, hardware, tempo, standing, share)
@@ -47,7 +48,10 @@ def prepare_trajectory(
 
 
 def catch_stop(play: Callable[Playing, Result]) -> Callable[Playing, Result]:
-    """The same, but that an abort while the device is being connected is a result too."""
+    """Decorate a function so that an abort while the device is being connected is a result, too.
+
+    play: the function, which may raise Stopped.
+    """
 
     @wraps(play)
     def played(*arguments: Playing.args, **options: Playing.kwargs) -> Result:
@@ -73,15 +77,18 @@ def play_plan(
 ) -> Result:
     """Play a plan from its first frame, to which the robot goes slowly and straight from where it stands.
 
-    home: let the device find its position before. verified: a person has made sure that the axes are where the
-    device says. loop: what corrects the plan, None for nothing. Raises what prepared raises before anything is
-    sent, and DeviceFault where nothing could be begun.
+    player: not connected yet. hardware: on which it is played. tempo: part of the plan's pace, in (0, 1]. home:
+    let the device find its position before. verified: a person has checked that the axes are where the device
+    says. callback: called with the trajectory and the progress every few ms. loop: what corrects the plan, None
+    for nothing. Raises what prepare_trajectory raises before anything is sent, and DeviceFault where nothing could
+    be started.
     """
     share = 1.0 if loop is None else SHARE
     trajectory, _ = prepare_trajectory(plan, hardware, tempo, share=share)
     if loop is not None:
         loop.open()
     standing = connect_player(player, home=home, verified=verified)
+    # Which side of its play an axis lies against depends on where it comes from, known only now.
     if hardware.backlash.any():
         trajectory = trajectory_of(plan, hardware, tempo, standing.position, share)
         check_trajectory(trajectory, plan.evaluated_model)
@@ -92,7 +99,11 @@ def play_plan(
 def connect_player(
     player: Player, *, home: bool = False, verified: bool = False, stop_first: bool = False, session: str = ""
 ) -> Standing:
-    """Connect a player whose device must know where it stands, or a person for it; raises DeviceFault, Stopped."""
+    """Connect a player; raises DeviceFault unless the device, or a person for it, knows where it stands.
+
+    home: let the device find its position. verified: a person has checked it. stop_first: stop a device that
+    moves. session: name of the session that is to be resumed, "" for none. Raises Stopped, too.
+    """
     standing = player.connect(stop_first, home, session)
     if verified:
         player.trust()
@@ -113,10 +124,11 @@ def resume(
     callback: Seen | None = None,
     loop: ClosedLoop | None = None,
 ) -> Result:
-    """Go on where a session (the records of its journal) ended, if the robot still stands on its path.
+    """Continue a session (the records of its journal) where it ended, if the robot still stands on its path.
 
-    A device that still moves is stopped first. verified: a person has made sure that the axes are where the device
-    says. loop: what corrects the rest, if that session was one of a closed loop, and None if not. Raises
+    player: not connected yet. hardware: as played. A device that still moves is stopped first. verified: a person
+    has checked that the axes are where the device says. callback: called with the trajectory and the progress
+    every few ms. loop: what corrects the rest, if that session was one of a closed loop, and None if not. Raises
     TrajectoryError where the plan or the position is another, or nothing is left.
     """
     if any(record["kind"] == RETRACTED for record in records):
@@ -144,19 +156,28 @@ def resume(
 
 
 def split_at_parameter(trajectory: Trajectory, s: float, tempo: float) -> tuple[Trajectory, Array]:
-    """The rest of a trajectory for a robot that stands at its parameter s; q (n, 2d + 2) from its start to s."""
+    """Return the rest of a trajectory from its parameter s on, and q (n, 2d + 2) from its start to s.
+
+    tempo: part of the plan's pace.
+    """
     path = trajectory.motion.path
     passed = trajectory.knots < s
     return remaining_trajectory(trajectory, s, tempo), path(np.append(trajectory.knots[passed], s))
 
 
 def is_closed_loop(program: dict[str, Any]) -> bool:
-    """Whether what a journal announced was corrected while it was played."""
+    """Return whether a session was corrected while it was played.
+
+    program: its record of that kind.
+    """
     return float(program.get("share", 1.0)) < 1.0
 
 
 def patches_of(records: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """By how much trajectories were corrected in a session and in those that it went on with, in order."""
+    """Return the corrections of a session and of those that it continued, in order.
+
+    records: of its journal.
+    """
     return [
         *find_program_record(records).get("patches", []),
         *(r["patch"] for r in records if r["kind"] == "corrected"),
@@ -164,7 +185,10 @@ def patches_of(records: list[dict[str, Any]]) -> list[dict[str, Any]]:
 
 
 def find_program_record(records: list[dict[str, Any]]) -> dict[str, Any]:
-    """What a journal tells of the trajectory that its session played; raises TrajectoryError."""
+    """Return the record of the trajectory that a session played; raises TrajectoryError.
+
+    records: of its journal.
+    """
     told = next((record for record in records if record["kind"] == "program"), None)
     if told is None:
         raise TrajectoryError("the journal's session played no trajectory: begin anew")
@@ -172,19 +196,28 @@ def find_program_record(records: list[dict[str, Any]]) -> dict[str, Any]:
 
 
 def last_passed(records: list[dict[str, Any]]) -> int:
-    """The last frame that a session passed for certain, 0 for none."""
+    """Return the last frame that a session passed for certain, 0 for none.
+
+    records: of its journal.
+    """
     return max(
         [int(find_program_record(records)["first"]), *(int(r["frame"]) for r in records if r["kind"] == "frame")]
     )
 
 
 def session_of(records: list[dict[str, Any]]) -> str:
-    """The name of the session that played, "" where the journal is too old to tell."""
+    """Return the name of the session that played, "" where the journal is too old to have it.
+
+    records: of its journal.
+    """
     return str(next((record.get("id", "") for record in records if record["kind"] == "session"), ""))
 
 
 def check_trusted(records: list[dict[str, Any]], verified: bool) -> None:
-    """Raise TrajectoryError where a session left a position that is not to be trusted, and nobody verified it."""
+    """Raise TrajectoryError where a session left a position that is not to be trusted.
+
+    records: of its journal. verified: whether a person has checked the position since, so that nothing is raised.
+    """
     results = [record for record in records if record["kind"] == "result"]
     if not verified and results and not results[-1]["trusted"]:
         raise TrajectoryError(f"the position was not to be trusted when the session ended: {DISTRUST_REMEDY}")
@@ -201,7 +234,7 @@ def _approach_and_play(
 ) -> Result:
     """Play a trajectory, after a slow approach to its start where the robot is not there.
 
-    before (n, 2d + 2): where the robot has come through, as far as that matters.
+    before (n, 2d + 2): configurations that the robot has passed, as far as they matter to the closed loop.
     """
     start = trajectory.positions(0.0)
     tilted = abs(player.tilt() - trajectory.tilt(0.0)).max() > ARM_START_TOLERANCE_RAD
@@ -223,7 +256,11 @@ def _announce(
     s: float | None,
     patches: list[dict[str, Any]],
 ) -> None:
-    """What resume and retract need to know."""
+    """Record what resume and retract need to know.
+
+    standing (m,): of the axes before the session. s: parameter at which it continues, None for a new one. patches:
+    corrections of the sessions that it continues.
+    """
     player.journal.record(
         "program",
         plan=trajectory.digests.plan,
@@ -240,9 +277,9 @@ def _announce(
 
 
 def rebuild_corrected_trajectory(plan: Plan, hardware: Hardware, records: list[dict[str, Any]]) -> Trajectory:
-    """The trajectory of a session, made again as it was corrected at last.
+    """Return the trajectory of a session as it was last corrected.
 
-    Raises TrajectoryError where plan or hardware is another.
+    plan, hardware: as played. records: of its journal. Raises TrajectoryError where plan or hardware is another.
     """
     trajectory = rebuild_planned_trajectory(plan, hardware, find_program_record(records))
     for patch in patches_of(records):
@@ -251,8 +288,10 @@ def rebuild_corrected_trajectory(plan: Plan, hardware: Hardware, records: list[d
 
 
 def rebuild_planned_trajectory(plan: Plan, hardware: Hardware, program: dict[str, Any]) -> Trajectory:
-    """The trajectory that was announced, before it was corrected; raises TrajectoryError as
-    rebuild_corrected_trajectory.
+    """Return the trajectory of a session before it was corrected.
+
+    plan, hardware: as played. program: the session's record of that kind. Raises TrajectoryError where plan or
+    hardware is another.
     """
     share = float(program.get("share", 1.0))
     trajectory, _ = prepare_trajectory(plan, hardware, program["tempo"], np.array(program["standing"]), share)
@@ -267,11 +306,13 @@ def rebuild_planned_trajectory(plan: Plan, hardware: Hardware, program: dict[str
 
 
 def locate_on_path(trajectory: Trajectory, standing: Standing, resolution: Array, frame: int) -> float:
-    """Where on the path after a frame the axes stand, as its parameter; raises TrajectoryError.
+    """Return where on the path after a frame the axes stand, as its parameter; raises TrajectoryError.
 
-    Where the path comes by the same place again, what the axes can tell apart (resolution, (m,)) decides for the
-    first time: a controller that was left alone plays no more than what it had in its buffer. A frame that they
-    cannot be told apart from has been passed.
+    trajectory: of the session. standing: of the axes. frame: the last that was passed for certain.
+
+    Where the path comes by the same place again, the first time within the axes' resolution (m,) counts: a
+    controller that was left alone plays no more than what it had in its buffer. A frame from which the axes cannot
+    be distinguished has been passed.
     """
     commands = trajectory.commands()
     tolerance = trajectory.hardware.tolerance

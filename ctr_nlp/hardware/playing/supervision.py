@@ -1,4 +1,4 @@
-"""When playing must stop: every tolerance and every decision. docs/hardware.md tells what follows from each."""
+"""Supervision: when playing must stop, with all tolerances. docs/hardware.md lists what follows from each."""
 
 from __future__ import annotations
 
@@ -10,24 +10,24 @@ from ctr_nlp.hardware.playing.results import Ending, PlaybackOutcome
 from ctr_nlp.typing import Array
 
 MAX_DEVICE_SILENCE_S = 0.5
-"""s without news from the device."""
+"""s without a report of the device."""
 
 HELD_UP = 0.5
-"""s in which the player itself did not look, since its process was suspended or its machine too busy."""
+"""s between two updates of the player, whose process may be suspended or whose machine too busy."""
 
 MAX_STALL_TIME_S = 1.0
-"""s in which nothing moves and nothing is acknowledged, and yet something should."""
+"""s in which nothing moves and nothing is acknowledged although the device was given more to do."""
 
 HOLDING = 2.0
 """s in which a hold must have come to rest."""
 
 UNASKED = 10.0
-"""s for which somebody else may hold the motion; then it is stopped, from where it can be resumed."""
+"""s for which somebody else may hold the motion; then it is stopped, and can be resumed from there."""
 
 MISPLACED = 1.0
-"""Tolerances from where the axes should be beyond which a report is not to be trusted: steppers that follow their
-commands are never so far off, so the controller has lost count, was told something else or is not understood. All
-that is trusted must be true within one tolerance."""
+"""Distance from where the axes should be, in tolerances, beyond which a position is not trusted: steppers that
+follow their commands are never so far off, so the controller has lost count, was sent something else or is not
+understood. All that is trusted must be true within one tolerance."""
 
 MAX_AHEAD_OF_SCHEDULE_S = 0.25
 """s by which the device may run ahead of its schedule: reports are late, never early."""
@@ -35,10 +35,10 @@ MAX_AHEAD_OF_SCHEDULE_S = 0.25
 
 @dataclass
 class Supervisor:
-    """Looks at every progress of one motion before anything more is given to the device.
+    """Supervisor of one motion, which checks every progress before the device is given more.
 
-    late: s that it may be behind its schedule. at_rest (m,): how far the axes may be found from where they were
-    held, in their units. tolerance (m,): of the axes; Progress.away counts in it. due: where the axes (m,) should
+    late: s that the motion may be behind its schedule. at_rest (m,): how far the axes may move in a hold, in their
+    units. tolerance (m,): of the axes; MotionProgress.away counts in it. due: returns where the axes (m,) should
     be at a time (s) of the motion.
     """
 
@@ -47,25 +47,29 @@ class Supervisor:
     tolerance: Array
     due: Callable[[float], Array]
     _since: tuple[float, float] | None = field(default=None, init=False)
-    """When (s of the clock) and where (s of the motion) the schedule began, anew after every hold."""
+    """When (s of the clock) and where (s of the motion) the schedule began, again after every hold."""
     _looked: float | None = field(default=None, init=False)
     _holding: float | None = field(default=None, init=False)
     _paused: bool = field(default=False, init=False)
     _rest: Array | None = field(default=None, init=False)
 
     def note_pause(self) -> None:
-        """The player has asked for a hold, which may last as long as its user wants."""
+        """Note that the player has asked for a hold, which may last as long as its user wants."""
         self._paused = True
 
     def note_resume(self) -> None:
-        """The player lets a held device go on: from now on it may move, and keeps a new schedule."""
+        """Note that the player resumes a hold: from now on the device may move, on a new schedule."""
         self._since = self._looked = self._holding = self._rest = None
         self._paused = False
 
     def violation(self, progress: MotionProgress, now: float) -> Ending | None:
-        """What is wrong at a moment (s of the clock), None where nothing is; the gravest first."""
+        """Return the ending that a progress requires, None where nothing is wrong; the gravest first.
+
+        progress: of the device. now: s of the clock.
+        """
         fault = PlaybackOutcome.DEVICE_FAULT
         off_path = PlaybackOutcome.PATH_TOLERANCE_VIOLATED
+        # All are checked before one is chosen, since the checks also update the schedule and the state of a hold.
         found = (
             (fault, self._check_signs(progress)),
             (off_path, self._check_path(progress)),
@@ -77,14 +81,14 @@ class Supervisor:
         return None if ending is None else ending._replace(misplaced=self._is_misplaced(progress, now))
 
     def _is_misplaced(self, progress: MotionProgress, now: float) -> bool:
-        """Whether axes are reported far from their path or from where they rested, or ahead of time, or astray."""
+        """Return whether axes are reported so far off, or so early, that their position is not to be trusted."""
         if self._time_ahead(progress, now) > MAX_AHEAD_OF_SCHEDULE_S or progress.signs.off_path_cause:
             return True
         moved = 0.0 if self._rest is None else (abs(progress.position - self._rest) / self.tolerance).max()
         return max(progress.away, moved) > MISPLACED
 
     def _check_signs(self, progress: MotionProgress) -> str:
-        """The device shows nothing that no device shows that plays as it should."""
+        """Return what is wrong with the signs of a device, "" for nothing."""
         signs = progress.signs
         if signs.anomaly:
             return signs.anomaly
@@ -99,7 +103,7 @@ class Supervisor:
         return ""
 
     def _check_path(self, progress: MotionProgress) -> str:
-        """The axes are within their tolerances of the path, and as near to it as those of such a device."""
+        """Return how far the axes are from their path, "" where they are near enough for such a device."""
         away = progress.away
         astray = progress.signs.off_path_cause
         if away <= 1.0:
@@ -107,8 +111,13 @@ class Supervisor:
         return f"the axes are {away:.3g} tolerances from their path; 1 is allowed{': ' * bool(astray)}{astray}"
 
     def _check_hold(self, progress: MotionProgress, now: float) -> str:
-        """A hold comes to rest in time, nothing moves in it, and nobody but the player ends it."""
+        """Return what is wrong with a hold, "" for nothing.
+
+        It must come to rest in time, nothing may move in it, and only the player may end it.
+        """
         if progress.state not in ("holding", "held"):
+            # A hold that had come to rest and was not resumed by note_resume, which clears _rest. Somebody else
+            # sent a resume.
             on = self._rest is not None
             return "the motion goes on after a hold, though the player did not resume it" if on else ""
         self._holding = now if self._holding is None else self._holding
@@ -130,9 +139,10 @@ class Supervisor:
         )
 
     def _check_silence(self, progress: MotionProgress, now: float) -> str:
-        """Neither the device nor the player itself is away for long."""
+        """Return for how long the device or the player itself was away, "" where it may be."""
         away = 0.0 if self._looked is None else now - self._looked
         self._looked = now
+        # A suspended player has let the device run on what it had, unsupervised; in a hold nothing could happen.
         if away > HELD_UP and progress.state != "held":
             return f"the player itself was held up for {away:.2g} s; {HELD_UP:g} s are allowed"
         silent = now - progress.stamp
@@ -141,10 +151,11 @@ class Supervisor:
         return ""
 
     def _check_pace(self, progress: MotionProgress, now: float) -> str:
-        """A running device keeps its schedule, which begins with the first progress and after every hold.
+        """Return how far a running device is off its schedule, "" where it may be.
 
-        Axes within their tolerances of where they should be now are not late, however long the motion lingers
-        there. Of a device that has stalled it is told why it has, once that is sure.
+        The schedule begins with the first progress and after every hold. Axes within their tolerances of where
+        they should be now are not late, however long the motion lingers there. Of a device that has stalled the
+        cause is reported instead, once it is certain.
         """
         if progress.state != "running":
             return ""
@@ -158,13 +169,13 @@ class Supervisor:
         return ""
 
     def _time_ahead(self, progress: MotionProgress, now: float) -> float:
-        """By how many s a running device is ahead of its schedule, negative where it is behind it."""
+        """Return by how many s a running device is ahead of its schedule, negative where it is behind."""
         if progress.state != "running" or self._since is None:
             return 0.0
         begun, at = self._since
         return (progress.time - at) - (now - begun)
 
     def _is_behind(self, progress: MotionProgress, late: float) -> bool:
-        """Whether an axis is further than its tolerance from where it should be, so many s later in the motion."""
+        """Return whether an axis is beyond its tolerance of where it should be, late s further in the motion."""
         away = abs(progress.position - self.due(progress.time + late))
         return bool((away > self.tolerance).any())

@@ -1,7 +1,7 @@
-"""What is remembered of a device between sessions: whether its position is to be trusted, and where it was.
+"""Trust in a device's position between sessions: what is remembered of a device, and where it was left.
 
-Steppers have no encoders. A session that ended badly, or without a word, leaves a position that only homing or a
-person can vouch for; so does a controller that was switched off, which is seen by its own count.
+Steppers have no encoders. A session that ended badly, or without a record, leaves a position that only homing or a
+person can confirm; so does a controller that was switched off, which shows in its own count.
 """
 
 from __future__ import annotations
@@ -34,16 +34,17 @@ DISTRUST_REMEDY = "home, or make sure that the axes stand where the device says,
 
 
 def state_folder() -> Path:
-    """Where devices are remembered: CTR_NLP_STATE, or ctr_nlp in the user's state folder."""
+    """Return the folder where devices are remembered: CTR_NLP_STATE, or ctr_nlp in the user's state folder."""
     named = os.environ.get(STATE_FOLDER_VARIABLE)
     return Path(named) if named else Path(import_extra("platformdirs").user_state_path("ctr_nlp", appauthor=False))
 
 
 @dataclass(frozen=True)
 class Remembered:
-    """How a session left a device. why: a sentence where it is not trusted; position (m,): of the axes, if known.
+    """State in which a session left a device.
 
-    session: of a motion that had begun and had not ended, "" for none.
+    why: a sentence where it is not trusted. position (m,): of the axes, if known. session: of a motion that had
+    begun and had not ended, "" for none.
     """
 
     trusted: bool
@@ -53,18 +54,18 @@ class Remembered:
 
 
 class Memory:
-    """What is remembered of the device at an address; whoever claims it is its only player. Raises DeviceFault.
+    """Memory of the device at an address, which also locks it for one player. Raises DeviceFault.
 
     Parameters
     ----------
     folder : Path
-        Of this user, where devices are remembered.
+        State folder of this user, where devices are remembered.
     address : str
         Canonical address of the device, the same however a hardware file spells it.
     url : str, optional
-        What messages call it; by default its address.
+        Name of the device in messages; by default its address.
     shared_folder : Path, optional
-        Where players of all users lock devices.
+        Folder where players of all users lock devices.
     """
 
     def __init__(self, folder: Path, address: str, url: str = "", shared_folder: Path = SHARED_FOLDER) -> None:
@@ -75,12 +76,14 @@ class Memory:
         self._locks = ExitStack()
 
     def claim(self) -> None:
-        """Keep players of all users of this machine off this device until it is released or this process ends."""
+        """Lock the device against players of all users of this machine, until release or the process' end."""
         filelock = import_extra("filelock")
         own = filelock.FileLock(self._path("lock", ""))
         with ExitStack() as taken:
             try:
                 shared = self._shared_folder / f"ctr_nlp-{_digest(self._address)}.lock"
+                # Users have state folders of their own, so that the shared lock alone keeps them apart. The own
+                # one serves where the shared one does nothing, without fcntl.
                 taken.enter_context(_locked_for_all(shared))
                 self._folder.mkdir(parents=True, exist_ok=True)
                 own.acquire(timeout=0)
@@ -97,11 +100,14 @@ class Memory:
             self._locks = taken.pop_all()
 
     def release(self) -> None:
-        """Let others play."""
+        """Release the locks, so that others can play."""
         self._locks.close()
 
     def read(self, identity: str) -> Remembered | None:
-        """How the device was left, None where it was never met; what cannot be read is no reason for trust."""
+        """Return how the device was left, None where it is not known; an unreadable record is no reason for trust.
+
+        identity: of the connected device.
+        """
         path = self._path("json", identity)
         try:
             return Remembered(**json.loads(path.read_text(encoding="utf-8")))
@@ -111,7 +117,10 @@ class Memory:
             return Remembered(False, f"what was remembered of it, in {path}, cannot be read ({exception})")
 
     def write(self, identity: str, left: Remembered) -> None:
-        """Remember it, on the disk before this returns."""
+        """Remember how the device was left, on the disk before this returns.
+
+        identity: of the connected device. left: its state.
+        """
         path = self._path("json", identity)
         try:
             self._folder.mkdir(parents=True, exist_ok=True)
@@ -123,6 +132,7 @@ class Memory:
             raise self._unwritten(exception) from exception
 
     def _path(self, kind: str, identity: str) -> Path:
+        """Return the path of a file of some kind, its suffix, for a device with an identity."""
         return self._folder / f"{_digest(self._address, identity)}.{kind}"
 
     def _unwritten(self, exception: OSError) -> DeviceFault:
@@ -133,7 +143,7 @@ class Memory:
 
 
 def _digest(*words: str) -> str:
-    """A short name for what some words stand for."""
+    """Return a short name for some words, which is also a file name."""
     return hashlib.sha256("\n".join(words).encode()).hexdigest()[:24]
 
 
@@ -158,10 +168,12 @@ def _locked_for_all(path: Path) -> Iterator[None]:
             made = os.open(path, os.O_RDONLY | os.O_CREAT | os.O_EXCL)
             os.fchmod(made, 0o444)  # the umask does not count
             os.close(made)
+        # Anybody could put a link of this name into a folder that all may write to.
         file = os.open(path, os.O_RDONLY | os.O_NOFOLLOW)
     except OSError as exception:
         raise _Unlockable(exception) from exception
     try:
+        # The system drops this lock when the process dies, however it does.
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         yield
     finally:
@@ -169,51 +181,64 @@ def _locked_for_all(path: Path) -> Iterator[None]:
 
 
 class Trust:
-    """Whether the position of a connected device is to be trusted; memory: None where nothing is remembered of it.
+    """Trust in the position of a connected device; memory: None where nothing is remembered of it.
 
-    doubt: why it is not, "" where nothing speaks against it.
+    doubt: why the position is not to be trusted, "" where it is.
     """
 
     def __init__(self, memory: Memory | None) -> None:
         self._memory = memory
         self.doubt = ""
         self._vouched = False
-        """Whether its memory, its homing or a person speaks for the position, so that what follows counts."""
+        """Whether memory, homing or a person confirms the position, so that later results count."""
 
     def claim(self) -> None:
-        """Be the device's only player; raises DeviceFault."""
+        """Lock the device against other players; raises DeviceFault."""
         if self._memory is not None:
             self._memory.claim()
 
     def release(self) -> None:
-        """Let others play."""
+        """Release the lock, so that others can play."""
         if self._memory is not None:
             self._memory.release()
 
     def look_back(self, device: Device, standing: Standing, homed: bool = False, session: str = "") -> None:
-        """Judge by what is remembered of the device; homed: just now. session: one that is being resumed."""
+        """Judge the position of a connected device by what is remembered of it.
+
+        standing: of the device now. homed: just now, which replaces memory. session: one that is being resumed, ""
+        for none.
+        """
         if self._memory is not None and not homed:
             left = self._memory.read(device.identity)
             self.doubt = doubt(left, standing.position, device.resolution, session)
         self._vouched = not self.doubt
 
     def vouch(self) -> None:
-        """A person has made sure of the position."""
+        """Trust the position, since a person has checked it."""
         self.doubt = ""
         self._vouched = True
 
     def holds(self, device: Device, standing: Standing) -> bool:
-        """Whether what the device tells at the end of a session is to be trusted."""
+        """Return whether the position that a device reports at the end of a session is to be trusted.
+
+        standing: of the device now.
+        """
         if not self._vouched:
             self.look_back(device, standing)
         return standing.homed and not self.doubt
 
     def note_motion_start(self, device: Device, session: str) -> None:
-        """Distrust the device from now on, lest nobody tells how the motion ends; raises DeviceFault."""
+        """Remember the device as not trusted from now on, in case the motion's end is never recorded.
+
+        session: name of the one that begins. Raises DeviceFault.
+        """
         self._write(device, Remembered(False, "a motion had begun, and its end was never told", session=session))
 
     def note_motion_end(self, device: Device, result: Result) -> None:
-        """Remember how a session left the device, unless nobody vouched for what it tells; raises DeviceFault."""
+        """Remember how a session left the device, unless nobody confirms what it reports; raises DeviceFault.
+
+        result: of the motion.
+        """
         if self._vouched or result.position is None:
             position = None if result.position is None else tuple(result.position.tolist())
             self._write(device, Remembered(result.trusted, "" if result.trusted else result.message, position))
@@ -224,16 +249,18 @@ class Trust:
 
 
 def doubt(left: Remembered | None, position: Array, resolution: Array, session: str = "") -> str:
-    """Why a device at a position (m,) is not to be trusted, "" where nothing speaks against it.
+    """Return why a device at a position (m,) is not to be trusted, "" where it is.
 
-    left: None where it was never met, so that somebody must look. resolution (m,): what it can tell apart.
-    session: one that is being resumed, whose motion is looked for by itself.
+    left: None where nothing is remembered, so that somebody must look. resolution (m,): of the axes, in their
+    units. session: one that is being resumed, whose place on the path is looked for instead.
     """
     if left is None:
         return (
             "nothing is remembered of this device, so that nobody knows whether its axes stand where it says: "
             f"{DISTRUST_REMEDY}"
         )
+    # A motion of this session was interrupted: its position cannot be the one it was left at, but must lie on the
+    # path, which resume checks.
     if session and left.session == session:
         return ""
     if not left.trusted:

@@ -1,4 +1,4 @@
-"""What sensors measure of the robot, how well, in which frame, and where that is told; TOML."""
+"""The [sensing] table of a hardware file: what sensors measure, how well, in which frame, and from where."""
 
 from __future__ import annotations
 
@@ -22,8 +22,10 @@ URLS = "simulated, simulated:SEED, udp://HOST:PORT, tcp://HOST:PORT, igtl://HOST
 
 
 class SensorAddress(NamedTuple):
-    """Where measurements are told. kind: of SENSOR_KINDS; rest: TOPIC and more for ros2, DEVICE for igtl, SEED; or
-    "".
+    """Address of a source of measurements.
+
+    kind: of SENSOR_KINDS. host, port: for udp, tcp and igtl. rest: TOPIC and more for ros2, DEVICE for igtl, SEED;
+    or "".
     """
 
     kind: str
@@ -33,7 +35,10 @@ class SensorAddress(NamedTuple):
 
 
 def parse_sensor_url(url: str) -> SensorAddress:
-    """What a url of a sensor means; raises HardwareError."""
+    """Parse the url of a sensor; raises HardwareError.
+
+    url: as URLS.
+    """
     told = str(url)
     plain = re.fullmatch(r"simulated(?::(\d{1,18}))?", told)
     if plain:
@@ -49,13 +54,13 @@ def parse_sensor_url(url: str) -> SensorAddress:
 
 @dataclass(frozen=True)
 class Sensing:
-    """Sensors of the robot's shape, and who tells of them.
+    """Sensors of the robot's shape, and the source of their measurements.
 
     url: as URLS. measures: "tip" for its position, "pose" for position and direction, "points" for points of the
-    shape at places, numbers from 0 at the insertion point to 1 at the tip. deviation: of each coordinate, mm;
-    turn: of the direction, rad. delay: s by which a measurement without a time is old when it is sent.
-    translation, rotation_deg: of the sensor's frame in the robot's base frame, mm and (roll, pitch, yaw). Raises
-    HardwareError.
+    shape at places, numbers from 0 at the insertion point to 1 at the tip. deviation: standard deviation of each
+    coordinate, mm; turn: of the direction, rad. delay: s by which a measurement without a time is old when it is
+    sent. translation, rotation_deg: of the sensor's frame in the robot's base frame, mm and (roll, pitch, yaw).
+    Raises HardwareError.
     """
 
     url: str = "simulated"
@@ -89,12 +94,12 @@ class Sensing:
 
     @cached_property
     def address(self) -> SensorAddress:
-        """Where measurements are told."""
+        """Address of the source of measurements."""
         return parse_sensor_url(self.url)
 
     @cached_property
     def sensors(self) -> Sensors:
-        """What observers need to know of them."""
+        """Description of the sensors for observers."""
         if self.measures == "points":
             return Sensors(ShapePointSensor(self.places, self.deviation))
         if self.measures == "pose":
@@ -102,10 +107,14 @@ class Sensing:
         return Sensors(TipPositionSensor(self.deviation))
 
     def to_base_frame(self, values: Array) -> Array:
-        """Values (m,) in the sensor's frame, points and of a pose a direction, in the robot's base frame."""
+        """Convert values (m,) from the sensor's frame to the robot's base frame.
+
+        values: points in mm, and of a pose a direction after the point.
+        """
         frame = frame_of(self.translation, self.rotation_deg)
         triads = values.reshape(-1, 3)
         turned = triads @ frame[:3, :3].T
+        # The direction of a pose is turned with the frame, and not moved.
         points = len(turned) - (self.measures == "pose")
         turned[:points] += frame[:3, 3]
         return np.asarray(turned.ravel())

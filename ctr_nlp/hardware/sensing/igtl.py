@@ -1,4 +1,4 @@
-"""Measurements of an OpenIGTLink server, as 3D Slicer and PLUS are: TRANSFORM for a tip, POINT for points."""
+"""Measurements of an OpenIGTLink server, such as 3D Slicer and PLUS: TRANSFORM for a tip, POINT for points."""
 
 from __future__ import annotations
 
@@ -13,18 +13,18 @@ from ctr_nlp.hardware.sensing.source import Message, Remote
 from ctr_nlp.support.extras import import_extra
 
 IGTL_CONNECT_TIMEOUT_S = 3.0
-"""s for a server to answer."""
+"""s within which a server must answer."""
 
 
 class Igtl(Remote):
-    """The device that a url names, of the server there; a transform's third axis is the tip's direction."""
+    """A device of an OpenIGTLink server, named by the url; a transform's third axis is the tip's direction."""
 
     def __init__(self, sensing: Sensing) -> None:
         super().__init__(sensing)
         self._client: Any = None
 
     def open(self) -> None:
-        """As Source; raises OptionError too, where pyigtl is missing."""
+        """Start to listen; raises DeviceFault, and OptionError where pyigtl is missing."""
         client = import_extra("pyigtl").OpenIGTLinkClient
         clock = RealClock()
         self._client = client(self._sensing.address.host, self._sensing.address.port)
@@ -47,7 +47,7 @@ class Igtl(Remote):
         return found
 
     def _read(self, message: Any) -> list[Message]:
-        """One or, where it is of another kind, none."""
+        """Return the message's values, or nothing where it is of another kind."""
         points = getattr(message, "positions", None)
         matrix = getattr(message, "matrix", None)
         if self._sensing.measures == "points" and points is not None:
@@ -60,7 +60,7 @@ class Igtl(Remote):
         return []
 
     def close(self) -> None:
-        """As Source."""
+        """Stop listening."""
         if self._client is not None:
             self._client.stop()
         self._client = None

@@ -1,4 +1,4 @@
-"""Measurements as lines of JSON, {"values": [x, y, z], "time": s}, over UDP or TCP; null for what is missing."""
+"""Measurements as lines of JSON, {"values": [x, y, z], "time": s}, over UDP or TCP; null for missing values."""
 
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ from ctr_nlp.hardware.sensing.description import Sensing
 from ctr_nlp.hardware.sensing.source import Message, Remote
 
 TCP_SENSOR_TIMEOUT_S = 3.0
-"""s for a server to answer."""
+"""s within which a server must answer."""
 
 MAX_JSON_LINE_BYTES = 65536
-"""Bytes of a line: more of them without an end are dropped."""
+"""Longest line, bytes; more without an end are dropped."""
 
 AT_ONCE = 64
-"""Packets that are looked at between two readings of the clock."""
+"""Packets that are read at most in one call, so that a flood of them cannot hold up the player."""
 
 
 def message_of(line: bytes) -> Message | str:
-    """The message of a line, or why it is none."""
+    """Return the message of a line, or why it is none."""
     try:
         told = json.loads(line)
         values = np.array([math.nan if value is None else value for value in told["values"]], dtype=float)
@@ -40,7 +40,7 @@ def message_of(line: bytes) -> Message | str:
 
 
 class JsonLineSource(Remote):
-    """Lines from a socket: of any sender's packets to a UDP address, or of the server at a TCP address."""
+    """Lines from a socket: packets of any sender to a UDP address, or a TCP server's stream."""
 
     def __init__(self, sensing: Sensing) -> None:
         super().__init__(sensing)
@@ -48,7 +48,7 @@ class JsonLineSource(Remote):
         self._rest = b""
 
     def open(self) -> None:
-        """As Source."""
+        """Start to listen; raises DeviceFault."""
         kind, host, port, _ = self._sensing.address
         try:
             if kind == "udp":
@@ -75,18 +75,20 @@ class JsonLineSource(Remote):
         return found
 
     def _lines(self) -> Iterator[tuple[bytes, float]]:
-        """Whole lines that have come, and for how many s each has waited."""
+        """Yield complete lines that have come, and for how many s each has waited."""
         for _ in range(AT_ONCE):
             data, waited = self._packet()
             if not data:
                 break
+            # A packet is a whole message, whose sender may leave out the line feed.
             whole = self._sensing.address.kind == "udp" and not data.endswith(b"\n")
             *lines, rest = (self._rest + data + b"\n" * whole).split(b"\n")
+            # A sender that never ends a line must not fill the memory.
             self._rest = rest if len(rest) <= MAX_JSON_LINE_BYTES else b""
             yield from ((line, waited) for line in lines if line.strip())
 
     def _packet(self) -> tuple[bytes, float]:
-        """What has come next, if anything, and for how many s it has waited."""
+        """Return the next bytes, empty for none, and for how many s they have waited."""
         if self._socket is None:
             return b"", 0.0
         try:
@@ -102,7 +104,7 @@ class JsonLineSource(Remote):
         return data, waited
 
     def close(self) -> None:
-        """As Source."""
+        """Stop listening."""
         if self._socket is not None:
             with suppress(OSError):
                 self._socket.close()

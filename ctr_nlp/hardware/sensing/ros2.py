@@ -1,6 +1,6 @@
 """Measurements of a ROS 2 topic, in m: geometry_msgs/PoseStamped for a tip or pose, PoseArray for points.
 
-As the device for ROS 2 it needs no ROS, and is heard under the same conditions (devices/ros2/device.py).
+As the device for ROS 2 it needs no ROS, and must be discovered in the same way (devices/ros2/device.py).
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ MM_PER_M = 1e3
 
 @cache
 def geometry() -> SimpleNamespace:
-    """Types of geometry_msgs, by name; raises OptionError where cyclonedds is missing."""
+    """Return types of geometry_msgs, by name; raises OptionError where cyclonedds is missing."""
     idl = import_extra("cyclonedds.idl")
     kinds = import_extra("cyclonedds.idl.types")
     known: dict[str, Any] = {}
@@ -42,14 +42,14 @@ def geometry() -> SimpleNamespace:
 
 
 class Topic(Remote):
-    """A topic that a url names, with a host or a domain as that of a controller may have."""
+    """A topic named by the url, with a host or a domain as the url of a controller may have."""
 
     def __init__(self, sensing: Sensing) -> None:
         super().__init__(sensing)
         self._held: list[Any] = []
 
     def open(self) -> None:
-        """As Source; raises OptionError and HardwareError too."""
+        """Start to listen; raises DeviceFault, OptionError and HardwareError."""
         address = parse_controller_url(self._sensing.address.rest)
         kind = self._kind
         failure = import_extra("cyclonedds.core").DDSException
@@ -74,14 +74,17 @@ class Topic(Remote):
         return [self._read(sample) for sample in samples if isinstance(sample, self._kind)]
 
     def _read(self, sample: Any) -> Message:
+        """Return the values of a sample in mm, and its stamp, None where that is 0."""
         poses = sample.poses if self._sensing.measures == "points" else [sample.pose]
         values = [[MM_PER_M * getattr(pose.position, axis) for axis in "xyz"] for pose in poses]
         if self._sensing.measures == "pose":
+            # A quaternion (x, y, z, w) of zeros is a message whose sender knows no orientation: its direction is
+            # missing.
             turned = [getattr(poses[0].orientation, axis) for axis in "xyzw"]
             values.append(Rotation.from_quat(turned).as_matrix()[:, 2].tolist() if any(turned) else [np.nan] * 3)
         stamp = sample.header.stamp.sec + 1e-9 * sample.header.stamp.nanosec
         return Message(np.array(values).ravel(), stamp or None)
 
     def close(self) -> None:
-        """As Source."""
+        """Stop listening."""
         self._held = []

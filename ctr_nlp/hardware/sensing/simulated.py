@@ -1,4 +1,4 @@
-"""A robot that is not there: one drawn from the plan's tolerances, which follows the motors and is measured."""
+"""A simulated robot, sampled within the plan's tolerances, which follows the motors and is measured."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ ROBOT_DIFFERENCE_LABELS = {
     "curved_length": ("curved length", 1.0, " mm"),
     "motor_zero": ("motor zero", 1.0, " rad"),
 }
-"""How the differences of a drawn robot are called, by what they are multiplied, and their unit then."""
+"""Label, factor and unit in which the differences of a sampled robot are printed."""
 
 
 class SimulatedRobot(Source):
@@ -32,16 +32,16 @@ class SimulatedRobot(Source):
     Parameters
     ----------
     plan : Plan
-        Its robot and tolerances are what the sample is drawn from.
+        Gives the robot and the tolerances.
     sensors : Sensors
-        What is measured, and how well.
+        Quantities that are measured, and their noise.
     seed : int
-        Of the sample and of the noise; the same seed gives the same robot.
-    faults : sequence of Fault, optional
-        Of the sensors; see Feed.
+        Seed of the sample and of the noise; the same seed gives the same robot.
+    faults : sequence of SensorFault, optional
+        Faults of the sensors; see Feed.
     model : str or Model, optional
-        How the robot behaves. By default it is elastic, under the load that the plan is evaluated under, whatever
-        model the plan was made on: tubes twist and can snap also where a plan knows nothing of that.
+        Model of the robot. By default it is elastic, with the load with which the plan is evaluated, whatever
+        model the plan was made with: tubes twist and can snap although a plan knows nothing of that.
     """
 
     def __init__(
@@ -62,33 +62,37 @@ class SimulatedRobot(Source):
         self._feed = Feed(self.plant, sensors, seed, faults=faults)
 
     def __str__(self) -> str:
-        """Which robot it is, in one line: model, seed, and by how much its tubes differ, outermost first."""
+        """Return model, seed, and by how much the tubes differ, outermost first, in one line."""
         told = "; ".join(_differences(self._sample)) or "exactly as described"
         return f"a simulated robot on the {self._model.name} model, seed {self._seed}: {told}"
 
     def open(self) -> None:
-        """Nothing is opened."""
+        """Do nothing, since nothing needs to be opened."""
 
     def apply_past_motion(self, configurations: Array) -> None:
-        """As Source. A robot that has come through nothing comes to rest in the plan's first frame.
+        """Move the robot through past configurations; without any, it comes to rest in the plan's first frame.
 
-        Its first equilibrium takes up to a second where programs are not compiled yet. It is found here, before
-        anything moves: within the motion, the player would stop because it was held up.
+        configurations: q (n, 2d + 2). The first equilibrium takes up to a second where programs are not compiled
+        yet. It is found here, before anything moves: within the motion, the player would stop because it was held
+        up.
         """
         for q in configurations if len(configurations) else self._plan.q[:1]:
             self.plant.move_to(q, 0.0)
 
     def take(self, q: Array, now: float) -> list[Reading]:
-        """As Source."""
+        """Move the robot and return the readings by now, oldest first.
+
+        q: (2d + 2,) of the motors. now: s of the clock.
+        """
         self.plant.move_to(q, now)
         return self._feed.take_readings(now)
 
     def close(self) -> None:
-        """Nothing was opened."""
+        """Do nothing, since nothing was opened."""
 
 
 def _differences(sample: RobotSamples) -> list[str]:
-    """By how much one sample differs from the robot described, a phrase for each quantity that does."""
+    """Return phrases that say by how much one sample differs from the robot described, one a quantity."""
     columns = {name: sample.deviations[0, :, k] for k, name in enumerate(DEVIATION_NAMES)}
     told = [
         f"{name} {', '.join(f'{factor * value:+.3g}' for value in columns[key])}{unit}"

@@ -1,4 +1,4 @@
-"""What sends measurements, and how its messages become readings of our clock in the robot's frame."""
+"""Sources of measurements, and how their messages become readings on our clock in the robot's base frame."""
 
 from __future__ import annotations
 
@@ -13,19 +13,20 @@ from ctr_nlp.identify.closed_loop.sensors import Reading
 from ctr_nlp.typing import Array
 
 DRIFT = 1e-3
-"""By which part the sender's clock may run faster or slower than ours."""
+"""Largest relative difference in speed between the sender's clock and ours."""
 
 OLDEST = 0.9
-"""s: what was measured earlier is left out, as if it had never come."""
+"""s: older measurements are left out, as if they had never come."""
 
 MAX_READINGS_PER_LOOK = 4
-"""Readings that are taken between two looks: the newest."""
+"""Readings that one call returns at most, the newest."""
 
 
 class Message(NamedTuple):
-    """Values (m,) as sent, NaN for missing ones; stamp: when that was, s of the sender's clock, or None.
+    """A message of a sender.
 
-    waited: for how many s it has been at this machine, 0 where nobody knows.
+    values (m,): as sent, NaN for missing ones. stamp: when it was sent, s of the sender's clock, or None. waited:
+    s since it reached this machine, 0 where that is not known.
     """
 
     values: Array
@@ -34,29 +35,35 @@ class Message(NamedTuple):
 
 
 class Source(ABC):
-    """One sender of measurements. strange: the last that came and is no measurement, "" for nothing."""
+    """One source of measurements. strange: the last input that was no measurement, "" for none."""
 
     strange = ""
 
     @abstractmethod
     def open(self) -> None:
-        """Begin to listen; raises DeviceFault."""
+        """Start to listen; raises DeviceFault."""
 
     @abstractmethod
     def apply_past_motion(self, configurations: Array) -> None:
-        """The robot has come through q (n, 2d + 2), where nothing was measured."""
+        """Note that the robot has passed configurations without being measured.
+
+        configurations: q (n, 2d + 2).
+        """
 
     @abstractmethod
     def take(self, q: Array, now: float) -> list[Reading]:
-        """What has come by now, s of the clock, with the motors at q (2d + 2,), oldest first; never waits."""
+        """Return the readings that have come, oldest first, without waiting.
+
+        q: (2d + 2,) of the motors. now: s of the clock.
+        """
 
     @abstractmethod
     def close(self) -> None:
-        """Stop to listen."""
+        """Stop listening."""
 
 
 class Remote(Source):
-    """A sender beyond a link, described by sensing; a kind of link says what has come."""
+    """A source beyond a link; a kind of link implements how messages come. sensing: describes it."""
 
     def __init__(self, sensing: Sensing) -> None:
         self._sensing = sensing
@@ -65,13 +72,16 @@ class Remote(Source):
 
     @abstractmethod
     def _receive_messages(self) -> list[Message]:
-        """The messages that have come, oldest first."""
+        """Return the messages that have come, oldest first."""
 
     def apply_past_motion(self, configurations: Array) -> None:
-        """A robot that is there knows."""
+        """Ignore past configurations: a real robot has passed them itself."""
 
     def take(self, q: Array, now: float) -> list[Reading]:
-        """As Source; of these the newest."""
+        """Return the newest readings that have come, oldest first, without waiting.
+
+        q: not used, since a real robot is measured. now: s of the clock.
+        """
         size = len(self._sensing.sensors)
         found = list[Reading]()
         for message in self._receive_messages():
@@ -84,9 +94,14 @@ class Remote(Source):
         return found[-MAX_READINGS_PER_LOOK:]
 
     def _time(self, stamp: float | None, came: float) -> float:
-        """When a message that came at a time was measured, s of our clock; the quickest one took no time."""
+        """Return when a message was measured, s of our clock; the quickest message counts as having taken no time.
+
+        stamp: s of the sender's clock, or None. came: s of our clock at which it reached this machine.
+        """
         if stamp is None:
             return came - self._sensing.delay
+        # The two clocks have an unknown offset. The least of came - stamp is this offset and the quickest delay;
+        # it may grow as fast as the clocks drift apart.
         if math.isfinite(self._last):
             self._lag += DRIFT * (came - self._last)
         self._lag = min(self._lag, came - stamp)

@@ -1,4 +1,4 @@
-"""The senders that a hardware file, or an option, names."""
+"""Sources of measurements that a hardware file, or an option, names."""
 
 from __future__ import annotations
 
@@ -14,7 +14,10 @@ REMOTE: dict[str, type[Remote]] = {"udp": JsonLineSource, "tcp": JsonLineSource,
 
 
 def source_of(sensing: Sensing, plan: Plan) -> Source:
-    """The sender of measurements, not open yet; plan: whose robot a simulated one is drawn from."""
+    """Return the source of measurements, not open yet.
+
+    sensing: describes it. plan: whose robot a simulated source samples.
+    """
     if sensing.address.kind == "simulated":
         return SimulatedRobot(plan, sensing.sensors, int(sensing.address.rest))
     return REMOTE[sensing.address.kind](sensing)

@@ -1,4 +1,4 @@
-"""Steppers behind a Grbl controller: connected, asked, homed, played on and stopped."""
+"""The device of a Grbl controller: connect, home, start a motion and stop it."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ HOMING_CYCLE_TIMEOUT_S = 180.0
 
 
 class Grbl:
-    """A grblHAL controller at the end of a link that opened makes; stream.py plays a motion on it."""
+    """A grblHAL controller at the end of the link that open_link opens; stream.py plays a motion on it."""
 
     def __init__(self, hardware: Hardware, open_link: Callable[[], ByteLink], clock: Clock) -> None:
         self._hardware = hardware
@@ -35,10 +35,15 @@ class Grbl:
         self._restarted = ""
 
     def connect(self, stop: Asked = never) -> None:
-        """Open the link and make sure of who answers; unless idle, it is asked for no more than its status."""
+        """Open the link and identify the controller; unless it is idle, only its status is asked for.
+
+        stop: called meanwhile; where it returns True, DeviceFault is raised.
+        """
         self._link = self._opened()
         self._talk = Talk(self._link, self._clock)
         report, self._restarted = self._talk.greet(stop)
+        # Status questions are real-time bytes, which a moving controller answers at once. Lines would wait behind
+        # the motion.
         if report.state == "Idle":
             self._identify(stop)
 
@@ -58,11 +63,11 @@ class Grbl:
 
     @property
     def resolution(self) -> Array:
-        """What the axes (m,) can tell apart: a step, and the last digit of reports."""
+        """Resolution of the axes (m,), in their units: a step, and the last digit of reports."""
         return self._require_identity().resolution(self._hardware)
 
     def standing(self) -> Standing:
-        """Where it stands, which must be at rest and in order."""
+        """Return where the axes stand; raises DeviceFault unless the controller is idle and set correctly."""
         report = self._talk.report()
         if report.state != "Idle":
             raise DeviceFault(f"the controller is {report.state}; it must be Idle before anything is played")
@@ -87,16 +92,21 @@ class Grbl:
         return all(int(mask) >> column & 1 for axis, column in columns if axis.unit == "mm")
 
     def home(self, stop: Asked) -> None:
-        """Run the controller's homing cycle, which also ends an alarm."""
+        """Run the controller's homing cycle, which also ends an alarm.
+
+        stop: called meanwhile; where it returns True, DeviceFault is raised.
+        """
         if self._hardware.connection.homing != "cycle":
             raise HardwareError("this hardware homes by hand: connection.homing is not cycle")
         if self._talk.report().state == "Alarm":
+            # After a limit alarm Grbl waits for a reset before it takes anything else, $H included.
             self._talk.link.write(GRBL_RESET)
             self._talk.replies_until("banner", GREETING)
             self._talk.quiet()
             self._talk.take_restart_message()
         if self._known is None:
             self._identify(stop)
+        # Stays set where homing fails, so that abort knows that a feed hold is not obeyed.
         self._homing = True
         self.stream = None
         self._talk.ask("$H", HOMING_CYCLE_TIMEOUT_S, stop)
@@ -104,18 +114,20 @@ class Grbl:
         self._talk.quiet()
 
     def start(self, commands: Commands) -> Stream:
-        """Get ready to play commands from where it stands; raises TrajectoryError where the link is too slow."""
+        """Prepare to play commands from where the axes stand; raises TrajectoryError for a slow link."""
         self._restarted = ""
         self.stream = Stream(self._talk, self._require_identity(), self._hardware, self._clock, commands)
         return self.stream
 
     def abort(self) -> Standing:
-        """Stop, whatever it does; raises DeviceFault where the position is lost."""
+        """Stop in whatever state the controller is; raises DeviceFault where the position is not to be trusted."""
         if self._link is None:
             raise DeviceFault("the link was never opened: nothing could be sent")
         homing = self._homing
         self._homing = False
         stop_controller(self._talk, self._clock, homing)
+        # Opening a port restarts many boards (DTR). One that was moving has lost steps, though it reports a
+        # position afterwards.
         if self._restarted:
             raise DeviceFault("the controller restarted when it was connected: its position is not to be trusted")
         standing = self.standing()
@@ -125,6 +137,6 @@ class Grbl:
         return standing
 
     def close(self) -> None:
-        """Let go of the link; nothing is sent."""
+        """Close the link; nothing is sent."""
         if self._link is not None:
             self._link.close()

@@ -1,6 +1,8 @@
-"""Who a Grbl controller is, and which of its settings lose its position, change its meaning, or break limits.
+"""Identity of a Grbl controller, and those of its settings that are not safe to play with.
 
-Numbers and meanings of settings: grblHAL, settings.c. A finding tells the value to set.
+Settings that let motors lose their position, change the meaning of lines or break limits are found, each with the
+value to set. Numbers and meanings of settings: grblHAL, settings.c. Settings of single axes are numbered from a
+base: $100 steps per unit, $110 largest rate per minute, $120 acceleration, $130 travel, $160 backlash.
 """
 
 from __future__ import annotations
@@ -29,13 +31,14 @@ At a corner between two lines Grbl goes at most at the speed v with v^2 = a $11 
 half the angle between the lines and a the acceleration across the corner (grblHAL, planner.c). It does not leave
 the path: the velocity changes at once, by at most sqrt(8 a $11). So a larger $11 means faster corners.
 
-From below: a motion is sent in pieces of 0.025 s (LONGEST), so that a turn at 2000 deg/s^2 changes its speed by 50
-deg/s from one piece to the next. With 0.01, as controllers are delivered, only sqrt(8 2000 0.01) = 13 deg/s pass
-at once. Grbl then brakes at every piece of a quick turn, until the supervision stops it for being late.
+The lower bound: a motion is sent in pieces of 0.025 s (MAX_PIECE_DURATION_S), so that a turn at 2000 deg/s^2
+changes its speed by 50 deg/s from one piece to the next. With 0.01, as controllers are delivered, only
+sqrt(8 2000 0.01) = 13 deg/s pass at once. Grbl then brakes at every piece of a quick turn, until the
+supervision stops it for being late.
 On the emulated controller, tubes turned back and forth at 2.9 Hz are 1 s late after 2 s with 0.01, and 0.32 s with
 0.03; with 0.1 and more they are no later than the link alone makes them.
 
-From above: $11 is what keeps lines of other origin, such as jogs, from asking the motors for a leap in speed.
+The upper bound: $11 keeps lines of other origin, such as jogs, from asking the motors for a leap in speed.
 Steppers that are asked for too large a leap lose steps, which nobody notices without encoders. With 1 a slide of
 200 mm/s^2 may leap by 40 mm/s, nearly its full speed; beyond that $11 bounds nothing.
 """
@@ -46,9 +49,11 @@ NEEDED = {0: "machine positions", 1: "the planner's free blocks", 2: "line numbe
 
 @dataclass(frozen=True)
 class Identity:
-    """letters of its axes; receive: bytes that it can keep; blocks: of its planner; settings: by name
-    ("110"; startup lines are "N0", "N1"), as told.
-    description: version, options and driver, as it answers $I; these tell it from another controller.
+    """Description of a connected controller, from its answers to $I, $$ and $N.
+
+    letters: of its axes. receive: size of its receive buffer, bytes. blocks: size of its planner. settings: values
+    by name, as reported ("110"; startup lines are "N0", "N1"). description: version, options and driver, which
+    distinguish it from other controllers.
     """
 
     letters: str
@@ -58,25 +63,28 @@ class Identity:
     description: str
 
     def setting(self, number: int) -> float:
-        """A setting as a number; raises DeviceFault."""
+        """Return the setting of a number; raises DeviceFault where it is not reported or no number."""
         try:
             return float(self.settings[str(number)])
         except (KeyError, ValueError) as exception:
             raise DeviceFault(f"the controller does not tell its setting ${number}") from exception
 
     def columns(self, hardware: Hardware) -> list[int]:
-        """Which of its axes the hardware's are; raises DeviceFault."""
+        """Return which of the controller's axes the hardware's axes are; raises DeviceFault."""
         missing = [axis.letter for axis in hardware.axes if axis.letter not in self.letters]
         if missing:
             raise DeviceFault(f"the controller has axes {self.letters}; the hardware wants {missing[0]}")
         return [self.letters.index(axis.letter) for axis in hardware.axes]
 
     def resolution(self, hardware: Hardware) -> npt.NDArray[np.float64]:
-        """What the hardware's axes (m,) can tell apart, in their units: a step, and the last digit of reports."""
+        """Return the smallest distances that the hardware's axes (m,) can resolve, in their units.
+
+        hardware: names the axes.
+        """
         return 1.0 / np.array([self.setting(100 + column) for column in self.columns(hardware)]) + 1e-3
 
     def acceleration(self, hardware: Hardware) -> npt.NDArray[np.float64]:
-        """With which the controller moves the hardware's axes (m,), in unit/s^2."""
+        """Return the controller's acceleration of the hardware's axes (m,), in unit/s^2."""
         return np.array([self.setting(120 + column) for column in self.columns(hardware)])
 
 
@@ -93,7 +101,10 @@ class SettingFinding(NamedTuple):
 
 
 def check_settings(identity: Identity, hardware: Hardware) -> None:
-    """Raise DeviceFault with the first wrong setting, and how many more there are."""
+    """Raise DeviceFault with the first unsafe setting and the number of others.
+
+    identity: of the controller, with its settings. hardware: what the settings must suit.
+    """
     wrong = [*find_wrong_settings(identity, hardware), *find_changed_settings(identity, hardware)]
     if wrong:
         more = f" ({len(wrong) - 1} more: `ctr-nlp commission` lists all)" if len(wrong) > 1 else ""
@@ -101,7 +112,10 @@ def check_settings(identity: Identity, hardware: Hardware) -> None:
 
 
 def find_wrong_settings(identity: Identity, hardware: Hardware) -> list[SettingFinding]:
-    """Every setting that goes against safe playing on this hardware; raises DeviceFault where one is not told."""
+    """Return every setting that is unsafe to play with; raises DeviceFault where one is not reported.
+
+    identity: of the controller, with its settings. hardware: what the settings must suit.
+    """
     wrong = (
         *_reports(identity),
         *_positions(identity, hardware),
@@ -114,7 +128,7 @@ def find_wrong_settings(identity: Identity, hardware: Hardware) -> list[SettingF
 def find_loose_settings(
     settings: Mapping[str, str], columns: Sequence[int], hardware: Hardware
 ) -> list[SettingFinding]:
-    """Settings that let a line that was changed on the way move an axis faster or further than any plan may.
+    """Return the settings with which a corrupted line can move an axis faster or further than any plan may.
 
     Parameters
     ----------
@@ -127,12 +141,13 @@ def find_loose_settings(
 
     Returns
     -------
-    list of Finding
+    list of SettingFinding
         With the values to set. Without homing Grbl has no soft limits, and only the largest rates count.
     """
     found = []
     for axis, column in zip(hardware.axes, columns, strict=True):
         bounds = [(110 + column, 60.0 * axis.speed, "faster than its speed")]
+        # After homing Grbl counts from 0 at the switch down to -$130, the soft limit.
         if hardware.connection.homing == "cycle" and axis.unit == "mm" and axis.range[0] < 0:
             bounds.append((130 + column, -axis.range[0], "beyond its range"))
         for number, most, what in bounds:
@@ -144,7 +159,10 @@ def find_loose_settings(
 
 
 def find_changed_settings(identity: Identity, hardware: Hardware) -> list[SettingFinding]:
-    """Every setting that is not what it was when the rig was commissioned; none where it has not been."""
+    """Return every setting that differs from the rig's commissioning; none without commissioning.
+
+    identity: of the controller, with its settings. hardware: holds the commissioned settings.
+    """
     before = hardware.commissioned or {}
     return [
         SettingFinding(
@@ -156,9 +174,10 @@ def find_changed_settings(identity: Identity, hardware: Hardware) -> list[Settin
 
 
 def _wrong_before(name: str, value: str, identity: Identity, hardware: Hardware) -> bool:
-    """Whether a setting that was kept goes against safe playing, as in a record of a version with other rules.
+    """Return whether the commissioned value of a setting is unsafe, as in a record of a version with other rules.
 
-    Nobody is asked to set it again: otherwise one message would ask for a value that another one forbids.
+    Then nobody is asked to restore it: else one message would ask for a value that another one forbids. name,
+    value: of the setting.
     """
     try:
         then = find_wrong_settings(replace(identity, settings=identity.settings | {name: value}), hardware)
@@ -168,6 +187,7 @@ def _wrong_before(name: str, value: str, identity: Identity, hardware: Hardware)
 
 
 def _reports(identity: Identity) -> Iterator[Wrong]:
+    """Yield settings without which status reports do not suffice for supervision."""
     mask = int(identity.setting(10))
     missing = [name for bit, name in NEEDED.items() if not mask >> bit & 1]
     if missing:
@@ -179,7 +199,7 @@ def _reports(identity: Identity) -> Iterator[Wrong]:
 
 
 def _positions(identity: Identity, hardware: Hardware) -> Iterator[Wrong]:
-    """Settings with which motors lose their place, or an axis counts as something else."""
+    """Yield settings with which motors lose their position, or an axis counts as something else."""
     axes = [(axis.letter, column) for axis, column in zip(hardware.axes, identity.columns(hardware), strict=True)]
     held = int(float(identity.settings.get("37", "0")))
     limp = [letter for letter, column in axes if not held >> column & 1]
@@ -202,7 +222,7 @@ def _positions(identity: Identity, hardware: Hardware) -> Iterator[Wrong]:
 
 
 def _corners(identity: Identity) -> Iterator[Wrong]:
-    """The junction deviation, where the controller would be late in corners or would not bound their speed."""
+    """Yield the junction deviation, where corners would be late or their speed would not be bounded."""
     deviation = identity.setting(11)
     if deviation < MIN_JUNCTION_DEVIATION:
         yield (
@@ -216,6 +236,7 @@ def _corners(identity: Identity) -> Iterator[Wrong]:
 
 
 def _limits(identity: Identity, hardware: Hardware) -> Iterator[Wrong]:
+    """Yield rates and accelerations below the hardware file's, and homing or soft limits that are off."""
     for axis, column in zip(hardware.axes, identity.columns(hardware), strict=True):
         for base, name, wanted in ((110, "speed", 60 * axis.speed), (120, "acceleration", axis.acceleration)):
             number = base + column

@@ -1,4 +1,4 @@
-"""What a Grbl controller was sent and has acknowledged, and whether what it reports can follow from that.
+"""Ledger of the lines that a Grbl controller was sent and has acknowledged, to test its reports against.
 
 Grbl's lines have no checksum. A digit that is lost on the way makes another position of a line, which is obeyed.
 So every line of a motion is sent twice. Where both copies arrive as they were sent, the second finds nothing to
@@ -34,7 +34,7 @@ STRANGE_S = 0.1
 changed on the way, and all else agrees, the motion is as it should be."""
 
 MAX_LINE_DURATION_RATIO = 6.0
-"""Times its own duration for which a line may be in preparation; corners and starts from rest need up to 2."""
+"""How many times its own duration a line may be in preparation; corners and starts from rest need up to 2."""
 
 LINGERING_S = 0.15
 """The least time for which a line may be in preparation."""
@@ -46,8 +46,8 @@ FOLLOWED_BY = 3
 class SentLine(NamedTuple):
     """A line that was sent.
 
-    number: N of it, from 1. size: bytes. seconds: duration of the motion. last: whether no other copy of it
-    follows. dwells: whether it waits, and is acknowledged after that.
+    number: its N, from 1. size: bytes. seconds: duration of the motion. last: whether no other copy of it follows.
+    dwells: whether it waits (G4), and is acknowledged after that.
     """
 
     number: int
@@ -60,9 +60,9 @@ class SentLine(NamedTuple):
 class Ledger:
     """Lines in the order in which they were sent, and how many of them were acknowledged.
 
-    start (m,): where the motion starts; resolution (m,): what the axes can tell apart, both in their units.
-    blocks: of the planner when nothing moves. link: as measured. patience: s by which answers may come later than
-    measured, so that the motion can still be kept supplied.
+    start (m,): where the motion starts; resolution (m,): what the axes can resolve, both in their units. blocks:
+    of the planner when nothing moves. link: as measured. patience: s by which answers may come later than measured
+    without stopping the supply of motion.
     """
 
     def __init__(
@@ -75,7 +75,10 @@ class Ledger:
         self._patience = patience
         self._written: list[SentLine] = []
         self._due: list[float] = []
+        # Lines are numbered from 1: _first_of[n] is the index of line n's first copy, entry 0 stands for none.
         self._first_of = [0, 0]
+        # Running sums: the copies with indices a to b - 1 take between _least[b] - _least[a] and
+        # _most[b] - _most[a] blocks of the planner. The bounds differ where a line may be too short for a step.
         self._least = [0]
         self._most = [0]
         self.acknowledged = 0
@@ -92,7 +95,7 @@ class Ledger:
 
     @property
     def missing(self) -> int:
-        """Lines that were not acknowledged."""
+        """Number of lines that have not been acknowledged."""
         return len(self._written) - self.acknowledged
 
     def write(self, texts: list[bytes], position: Array | None, seconds: float, now: float) -> None:
@@ -120,6 +123,7 @@ class Ledger:
             line = SentLine(number, len(text), seconds, i == len(texts) - 1, position is None)
             self._written.append(line)
             self.in_flight += line.size
+            # After in_flight has grown: a line is answered once its own bytes have arrived, too.
             self._due.append(self._time_due(now))
             # Only the first copy moves anything, and so takes a block of the planner.
             self._least.append(self._least[-1] + least * (i == 0))
@@ -156,10 +160,11 @@ class Ledger:
         return self._overdue(line, due, now) or self._lasting(line, now - due, now)
 
     def _lasting(self, line: SentLine, late: float, now: float) -> str:
-        """Why answers that come so late must not go on to, "" where they may."""
+        """Return why answers must not stay so late, "" where they may; late: s of this one, now: s."""
         if late <= self._patience:
             self._late_since = None
             return ""
+        # Late since due + patience, not since it was noticed: answers may come in bunches.
         self._late_since = now - late + self._patience if self._late_since is None else self._late_since
         if now - self._late_since <= LASTING_S:
             return ""
@@ -169,7 +174,7 @@ class Ledger:
         )
 
     def _overdue(self, line: SentLine, due: float, now: float) -> str:
-        """Why a line that was to be answered at a time ought to have been, "" where it need not."""
+        """Return why a line should have been answered by now, "" where it need not; due: s of the clock."""
         if now - due <= LATE_ANSWER_S:
             return ""
         return (
@@ -178,16 +183,16 @@ class Ledger:
         )
 
     def _time_due(self, now: float) -> float:
-        """When all that is under way is answered, if it is sent off now; s of the clock."""
+        """Return when all lines under way are answered, s of the clock, if the last was sent now."""
         return now + self.in_flight / self._link.rate + self._link.round_trip
 
     def note_hold(self) -> None:
-        """The controller is to hold: it reads no lines, and none lasts too long."""
+        """Note a hold: the controller reads no lines, and no line counts as late or lasting too long."""
         self._due[self.acknowledged :] = [float("inf")] * self.missing
         self._lingers = None
 
     def note_resume(self, now: float) -> None:
-        """The controller may go on, and read what is under way."""
+        """Note that the controller may read what is under way from now on, s of the clock."""
         self._late_since = None
         self._due[self.acknowledged :] = [self._time_due(now)] * self.missing
 
@@ -199,7 +204,7 @@ class Ledger:
         line : int
             Number of the first block in its planner, 0 for none.
         free : int or None
-            Blocks for which it has room; None where that is not told.
+            Blocks for which it has room; None where that is not reported.
         running : bool
             Whether it is in that state.
         now : float
@@ -239,6 +244,7 @@ class Ledger:
                 f"{has}, though it has acknowledged none beyond line {newest}: lines or their `ok` were lost on "
                 "the way, or a line or this report was changed on the way"
             )
+        # In the planner are the blocks from the line that is being played to the last acknowledged one.
         before = self._first_of[line]
         least = self._least[done] - self._least[before]
         most = self._most[done] - self._most[before]
@@ -256,7 +262,7 @@ class Ledger:
         return self._lingering(line, blocks, now) if running else ""
 
     def _strange(self, line: int, now: float) -> str:
-        """Why a number that was never sent, or is behind the last one, cannot be reported for long."""
+        """Return why an impossible line number is reported for too long, "" while it may be a corrupted report."""
         self._strange_since = now if self._strange_since is None else self._strange_since
         if now - self._strange_since <= STRANGE_S:
             return ""
@@ -266,7 +272,7 @@ class Ledger:
         )
 
     def _lingering(self, line: int, blocks: int, now: float) -> str:
-        """Why a line has been in preparation for longer than it may, "" where it has not."""
+        """Return why a line is in preparation for longer than it may, "" where it is not; now: s."""
         if self._lingers is None or self._lingers[0] != line or blocks < FOLLOWED_BY:
             self._lingers = line, now
             return ""

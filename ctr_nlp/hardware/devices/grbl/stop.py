@@ -1,7 +1,6 @@
-"""How motion behind a Grbl controller is stopped, whatever the cause and the controller's state.
+"""Stopping the motion behind a Grbl controller, whatever the cause and the controller's state.
 
-The stop is sent first; what happened is asked afterwards. Every wait ends, and a stop during a stop changes
-nothing.
+The stop is sent first; questions follow. Every wait ends, and a second stop during a stop changes nothing.
 """
 
 from __future__ import annotations
@@ -11,10 +10,10 @@ from ctr_nlp.hardware.clock import Clock
 from ctr_nlp.hardware.devices.grbl.talk import ANSWER, GRBL_HOLD, GRBL_JOG_CANCEL, GRBL_RESET, Report, Talk
 
 ASKING = 0.02
-"""s between status questions while it comes to rest."""
+"""s between status questions while the axes come to rest."""
 
 OVERHEARD = 0.06
-"""s in which a controller must react to a hold; else it has not heard it, as happens just after a resume."""
+"""s in which a controller must react to a hold; else it has missed it, as happens just after a resume."""
 
 UNHEARD = 0.2
 """s after which a controller that still runs, or says nothing, is reset without having come to rest."""
@@ -24,18 +23,21 @@ RESTING = 1.0
 are prepared are still made, one by one, after its feed has come to 0."""
 
 RESTART = 3.0
-"""s for a restart."""
+"""s within which a controller must restart after a reset."""
 
 
 def stop_controller(talk: Talk, clock: Clock, homing: bool = False) -> Report:
-    """Stop motion and let the controller forget the rest of it; returns what it reports at rest afterwards.
+    """Stop motion, let the controller forget the rest of it, and return its report at rest.
 
     A feed hold, and for jogs, which know none, a cancellation are sent at once, and then, when the axes rest, a
     reset, which keeps the position. Where the hold is not obeyed in time, and in a homing cycle, which knows no
     hold, the reset is sent all the same. Raises DeviceFault where the position is not to be trusted afterwards.
+
+    talk: with the controller. clock: of the player. homing: whether a homing cycle may be running.
     """
     talk.link.write(GRBL_HOLD + GRBL_JOG_CANCEL)
     rested = None if homing else _wait_for_rest(talk, clock)
+    # Before our own reset, whose banner would look like a restart, too.
     restarted = talk.lost
     talk.link.write(GRBL_RESET)
     said = [reply.kind for reply in talk.replies_until("banner", RESTART) if reply.kind != "report"]
@@ -49,15 +51,16 @@ def stop_controller(talk: Talk, clock: Clock, homing: bool = False) -> Report:
     if rested is None or "alarm" in said:
         raise DeviceFault("the controller was reset in motion: its position is not to be trusted")
     report = talk.report(ANSWER)
+    # A reset in motion loses steps. Counted positions that still agree say that it came at rest.
     if (report.position != rested.position).any():
         raise DeviceFault("the axes have moved after they were stopped: their position is not to be trusted")
     return report
 
 
 def _wait_for_rest(talk: Talk, clock: Clock) -> Report | None:
-    """The second of two reports in a row of axes at rest in one place, None where that does not come in time.
+    """Return the second of two successive reports of axes at rest in one place, None where it comes too late.
 
-    The controller has heard the hold where it tells another state, or, of a jog, a feed of 0.
+    The controller has heard the hold where it reports another state, or, of a jog, a feed of 0.
     """
     begun = held = clock.now()
     before: Report | None = None

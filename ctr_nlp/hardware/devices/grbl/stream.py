@@ -1,4 +1,4 @@
-"""One motion, streamed to a Grbl controller: lines a little ahead of it, counted, and watched.
+"""Stream of one motion to a Grbl controller: lines sent a little ahead of it, counted and supervised.
 
 Every line is sent twice, so that ledger.py can tell by counting whether it came as it was sent.
 """
@@ -32,7 +32,7 @@ STATUS_QUERY_RETRY_S = 0.1
 """s after which a status question counts as lost and is asked again."""
 
 FRESH = 0.15
-"""s after which a position is too old for giving the controller more: this process may have been suspended."""
+"""s after which a position is too old for sending more lines: this process may have been suspended."""
 
 IDLE_SETTLING_TIME_S = 1.0
 """s in which an idle controller that is not quite at the end may still begin with the last line."""
@@ -41,10 +41,10 @@ SPARE_BUFFER_BYTES = 128
 """Bytes of the controller's buffer that are left free, lest a doubled ok makes it run over."""
 
 STOPPED = "[MSG:Stop]"
-"""What a controller says that a client has stopped (0x19), and that has forgotten what it was to play."""
+"""Message of a controller that a client has stopped (0x19), and that has dropped what it was to play."""
 
 OFF_LINE = 4.0
-"""How far a controller may be reported from the lines that it was sent, in parts of what its axes can tell apart.
+"""How far a controller may be reported from the lines that it was sent, in multiples of its axes' resolution.
 
 It counts the steps that it makes, and makes them along these lines, so that one step and rounding is usual. What
 is further off was not sent so, or is not so, even where it is little beside the tolerances of the axes.
@@ -58,7 +58,7 @@ BEFORE_ASKING = (20, 20, 50)
 plans the line before; some need longer for that than others."""
 
 ANSWER_DELAY_MARGINS_S = (0.05, 0.06, 0.08, 0.1, 0.12, 0.15, 0.2)
-"""s by which answers may come later for good than before the motion: the most of these that its pace bears.
+"""s by which answers may stay later than before the motion: the largest of these that its pace allows is taken.
 The least is allowed in any case, since times of single answers vary."""
 
 IN_FLIGHT = 320
@@ -69,8 +69,9 @@ a hold waits behind them, 28 ms at 115200 baud."""
 class Stream:
     """Commands that are played from where the controller stands, by counting characters or line by line.
 
-    Never further ahead of the confirmed position than lookahead allows. ok means planned: what has been played is
-    told by the line number and position of status reports. Raises TrajectoryError where the link is too slow.
+    Never further ahead of the confirmed position than lookahead allows. An ok means that a line is planned; how
+    much has been played follows from line number and position in status reports. Raises TrajectoryError where the
+    link is too slow.
     """
 
     def __init__(
@@ -103,27 +104,28 @@ class Stream:
         link, patience = self._check_link(identity.acceleration(hardware), size)
         talk.ask(MODES)
         blocks = identity.blocks if self._seen.free is None else self._seen.free
+        # Rounded as in the text of lines, which is all that the controller knows.
         self._ledger = Ledger(np.round(start, GCODE_DECIMALS), self._resolution, blocks, link, patience)
         self._hold_sent = 0.0
         self._overrides = 100.0
         self._go_on()
 
     def _follow_path(self, start: Array, commands: Commands) -> None:
-        """Commands from a position (m,) on are what is played."""
+        """Set the commands to be played, from a position start (m,) on."""
         self._path = FollowedPath(start, commands, self._tolerance)
         self._window = lookahead.Window(self._path.ends, self._path.points, self._slides)
 
     @property
     def committed_time(self) -> float:
-        """To the end of the last line that is sent, or is about to be."""
+        """Time of the motion, s, at the end of the last line that is sent, or is about to be."""
         return float(self._path.ends[min(self._sent + bool(self._next), self._count)])
 
     def amend(self, commands: Commands) -> None:
-        """Play other commands from there on."""
+        """Replace the commands beyond committed_time."""
         self._follow_path(self._path.points[0], commands)
 
     def _go_on(self) -> None:
-        """From now on the axes may move, and no faster than the clock."""
+        """Note that the axes may move from now on, and not faster than the clock."""
         self._holding = self._held = False
         now = self._clock.now()
         self._stamp = self._asked = self._asked_first = self._moved = self._fed = now
@@ -138,15 +140,17 @@ class Stream:
 
     @property
     def _acknowledged_line(self) -> int:
-        """Number of the last line that was acknowledged, all its copies."""
+        """Number of the last line of which all copies were acknowledged."""
         return self._ledger.planned
 
     def _check_link(self, acceleration: Array, size: int) -> tuple[lookahead.LinkTiming, float]:
-        """The link as measured, and by how much later (s) it may answer so that it can keep the motion supplied.
+        """Return the link as measured, and the s by which it may answer later and still supply the motion.
 
-        size: bytes of the motion. Raises TrajectoryError where it cannot.
+        acceleration: of the axes (m,), in unit/s^2. size: bytes of the motion. Raises TrajectoryError where the
+        link is too slow.
         """
         seconds = np.diff(self._path.ends)
+        # A byte takes 10 bits on a serial line: start, 8 data bits, stop.
         link = lookahead.LinkTiming(self._talk.round_trip(), self._connection.baud / 10.0)
         speed = abs(np.diff(self._path.points, axis=0) / seconds[:, None]).max(axis=0)
         rate = size / max(
@@ -169,7 +173,7 @@ class Stream:
         )
 
     def update(self) -> MotionProgress:
-        """Take what has come and find out how far it is."""
+        """Read the replies that have come and return the progress."""
         for reply in self._talk.replies():
             self._take(reply)
         done = self._acknowledged_line == self._count and self._seen.state == "Idle" and self._has_settled()
@@ -186,7 +190,7 @@ class Stream:
         return Signs(self._said, self._overrides, max(stalled, 0.0), cause, self._astray)
 
     def _cause(self) -> str:
-        """Why a controller that was sent lines rests: it has played them and an ok was lost, or it lacks some."""
+        """Explain why a controller that was sent lines rests: an ok was lost, or some lines were."""
         missing = self._ledger.missing
         if not missing:
             return ""
@@ -198,9 +202,9 @@ class Stream:
         return f"{lines}: {missing} `ok` {'is' if missing == 1 else 'are'} missing"
 
     def _has_settled(self) -> bool:
-        """Whether an idle controller has done all that was planned: it may not have begun with the last of it.
+        """Return whether an idle controller has finished: it may not have begun with the last lines.
 
-        At the end of the path two reports that agree will do: one alone may be a lie.
+        At the end of the path two reports that agree suffice; a single one may be corrupted.
         """
         off = abs(self._seen.position[self._columns] - self._path.points[-1]) / self._resolution
         rest = self._stamp - self._moved
@@ -220,7 +224,7 @@ class Stream:
             self._said = self._said or self._explain_reply(reply)
 
     def _explain_reply(self, reply: Reply) -> str:
-        """Tell what a reply means that no controller gives to lines as they were sent."""
+        """Explain a reply that no controller gives to lines as they were sent."""
         if reply.kind == "unreadable":
             return f"a reply of the controller cannot be read, since it was changed on the way: {reply.text!r}"
         says = f"the controller says {reply.text!r}"
@@ -234,7 +238,7 @@ class Stream:
         return f"{says}: another client stopped it" if reply.text == STOPPED else says
 
     def _follow(self, report: Report) -> None:
-        """Find where on its path a report shows it."""
+        """Take a report: state, overrides, position on the path, and whether it agrees with the lines sent."""
         before, self._answered, self._stamp = self._stamp, True, self._clock.now()
         if report.state not in ("Idle", "Run", "Hold"):
             self._said = self._said or f"the controller is in state {report.state} while it should play"
@@ -249,7 +253,7 @@ class Stream:
         )  # before, the controller is still being given its first lines
         if empty and begun and self._sent < self._count and not self._holding:
             self.underruns += 1
-        self._resumed = self._resumed and report.state == "Hold"  # told before the controller went on
+        self._resumed = self._resumed and report.state == "Hold"  # reported before the controller went on
         self._seen = report
         self._held = report.stopped and not self._resumed
         if report.state == "Hold" and not self._resumed:  # a person at the controller may have asked for it
@@ -263,9 +267,15 @@ class Stream:
             self._locate(report, position, self._stamp - before)
 
     def _locate(self, report: Report, position: Array, passed: float) -> None:
-        """The place on the path of a position that was reported so many s after the one before."""
+        """Find the place of a reported position on the path.
+
+        report: the whole of it. position: (m,) in the axes' units. passed: s since the report before.
+        """
+        # Only among the lines around the reported number: a path may come by the same place twice.
         ahead = min(report.line + 1, self._sent) if report.line else self._sent
         place = self._path.nearest(position, max(self._place.line - 1, 0), ahead)
+        # Where the path rests, positions do not tell the time: it goes on with the clock, at most to the end of
+        # the rest. Time never goes back, whatever a report says.
         while_resting = min(place.until, self._place.time + passed)
         time = max(self._place.time, place.time, while_resting)
         self._place = place._replace(time=time, line=max(place.line, self._place.line))
@@ -274,12 +284,12 @@ class Stream:
             self._astray = f"{off}: a line or this report was changed on the way, or the controller has lost count"
 
     def off_lines(self, position: Array) -> str:
-        """Which axis cannot have come to a position (m,) along what was sent, "" where all can."""
+        """Return which axis cannot have come to a position (m,) along the lines sent, "" where all can."""
         place = self._path.nearest(position, max(self._place.line - 1, 0), self._sent)
         return self._off_lines(abs(position - self._path.at(place.time)))
 
     def _off_lines(self, off: Array) -> str:
-        """Which axis is further off than it can be, of axes so far (m,) from the lines that were sent."""
+        """Return which axis is further from the lines sent than it can be, "" for none; off: distances (m,)."""
         worst = int((off / self._resolution).argmax())
         if off[worst] <= OFF_LINE * self._resolution[worst]:
             return ""
@@ -291,6 +301,7 @@ class Stream:
         """Ask for the next report, and send the lines that the controller may have now."""
         now = self._clock.now()
         if self._holding and self._seen.state == "Run" and now - self._hold_sent > OVERHEARD:
+            # A hold that arrives just after a resume is not obeyed: say it again.
             self._say_hold()
         if not self._holding:
             self._send(now)
@@ -305,7 +316,7 @@ class Stream:
             self._answered = False
 
     def _send(self, now: float) -> None:
-        """Lines within the window; a player that was suspended between two of them looks before it sends more."""
+        """Send the lines within the window; after a suspension of this process, wait for a new report first."""
         room = self._identity.receive - SPARE_BUFFER_BYTES
         if self._filled:
             room = min(IN_FLIGHT, room)
@@ -316,6 +327,7 @@ class Stream:
         while self._sent < open_to:
             if self._clock.now() - self._stamp > FRESH:
                 return
+            # Kept until there is room: lines are numbered as they are made, and so each is made once.
             copies = self._next = self._next or self._copies()
             if self._ledger.missing and self.in_flight + sum(map(len, copies)) > room:
                 return
@@ -323,9 +335,10 @@ class Stream:
         self._filled = True
 
     def _write(self, copies: list[bytes], now: float) -> None:
-        """Send the copies of the next line, with a question within the last one: between answers a lost ok shows.
+        """Send the copies of the next line, with a status question within the last one, so that a lost ok shows.
 
-        A controller takes questions out of lines as they arrive, and by then it has done with the line before.
+        A controller takes questions out of lines as they arrive, and by then it is done with the line before. now:
+        s.
         """
         *firsts, last = copies
         ask = self._answered
@@ -342,7 +355,7 @@ class Stream:
         self._next = []
 
     def _copies(self) -> list[bytes]:
-        """The line after those sent, and its copy; alone where it waits, since it would wait twice."""
+        """Return the next line and its copy; a line that waits alone, since its copy would wait, too."""
         n = self._sent
         ends = self._path.ends
         text = self._lines.next(self._path.points[n + 1], float(ends[n + 1] - ends[n]), n + 1 == self._count)
@@ -361,7 +374,7 @@ class Stream:
         self._hold_sent = self._clock.now()
 
     def resume(self) -> None:
-        """Go on after a hold."""
+        """Continue after a hold."""
         self._talk.link.write(GRBL_RESUME)
         self._resumed = True
         self._go_on()

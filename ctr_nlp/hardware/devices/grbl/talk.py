@@ -1,6 +1,8 @@
-"""Questions and answers with a Grbl controller: who it is, how it is set, where it stands.
+"""Questions to a Grbl controller and its answers: identity, settings, status.
 
-What Grbl and grblHAL say, one line at a time: github.com/gnea/grbl/wiki/Grbl-v1.1-Interface.
+Protocol of Grbl and grblHAL, line by line: github.com/gnea/grbl/wiki/Grbl-v1.1-Interface. The bytes `?`, `!`, `~`,
+0x18 and 0x85 are real-time commands: the controller takes them out of the stream as they arrive, also within a
+line.
 """
 
 from __future__ import annotations
@@ -29,10 +31,10 @@ ANSWER = 3.0
 """s within which a line is answered while nothing moves."""
 
 RARELY = 32
-"""Reports among which one tells the overrides."""
+"""Number of reports of which at least one contains the overrides."""
 
 QUIET = 0.15
-"""s without a byte: nothing else is under way."""
+"""s without a reply after which nothing else is under way."""
 
 LINK_POLL_PERIOD_S = 0.005
 """s between two looks at the link while waiting."""
@@ -50,11 +52,14 @@ _PATTERNS = (
 REPORT = re.compile(r"<(?P<state>[A-Z][a-z]+)(:(?P<part>\d+))?\|(?P<fields>[^<>]*)>")
 DECIMAL_LIST_PATTERN = re.compile(r"-?\d+\.\d+(,-?\d+\.\d+)*", re.ASCII)
 WHOLE_NUMBER_PATTERN = re.compile(r"\d+", re.ASCII)
-"""Noise has digits of other kinds, as ¹, which are no numbers."""
+"""ASCII, since noise may contain other digits, such as ¹, which int does not read."""
 
 
 class Reply(NamedTuple):
-    """kind: ok, error, alarm, banner, message, setting, report or unreadable; number: of an error or alarm."""
+    """A line from the controller.
+
+    kind: ok, error, alarm, banner, message, setting, report or unreadable. number: of an error or alarm.
+    """
 
     kind: str
     text: str
@@ -63,12 +68,13 @@ class Reply(NamedTuple):
 
 @dataclass(frozen=True)
 class Report:
-    """A status report. position (m,): MPos, in the order of the controller's axes, mm and deg.
+    """A status report.
 
-    state: Idle, Run, Hold, Jog, Alarm, Home, Check, ...; stopped: whether a Hold has come to rest. line: number
-    of the line that is being played, 0 where that is not told. free: empty blocks of the planner; feed: the speed
-    at which the last steps that are prepared end, in the controller's units; override: of the feed, in %; None
-    where that is not told, as an override is for many reports after the one that told it.
+    position (m,): MPos, in the order of the controller's axes, mm and deg. state: Idle, Run, Hold, Jog, Alarm,
+    Home, Check, ...; stopped: whether a Hold has come to rest. line: number of the line that is being played, 0
+    where it is not reported. free: empty blocks of the planner; feed: the speed at which the last prepared steps
+    end, in the controller's units; override: of the feed, in %; None where it is not reported, as for many reports
+    after one that contains it.
     """
 
     state: str
@@ -81,7 +87,7 @@ class Report:
 
 
 def reply_of(text: str) -> Reply:
-    """The reply that a line is."""
+    """Classify a line from the controller; text: without its end."""
     for kind, pattern in _PATTERNS:
         found = pattern.fullmatch(text)
         if found:
@@ -90,13 +96,18 @@ def reply_of(text: str) -> Reply:
 
 
 def report_of(text: str, axes: int) -> Report | None:
-    """The report that a line of this many axes is, or None where it is damaged."""
+    """Parse a status report; None where it is damaged.
+
+    text: the line. axes: number of the controller's axes.
+    """
     found = REPORT.fullmatch(text)
     if not found:
         return None
     fields = dict(field.partition(":")[::2] for field in found["fields"].split("|"))
     place = fields.get("MPos", "")
     line = fields.get("Ln", "0")
+    # Bf: free planner blocks, free bytes of the receive buffer. FS: feed, spindle speed. Ov: overrides of feed,
+    # rapids, spindle. Only the first number of each is needed.
     free, feed, override = (fields.get(name, "").partition(",")[0] for name in ("Bf", "FS", "Ov"))
     if not (
         DECIMAL_LIST_PATTERN.fullmatch(place)
@@ -116,12 +127,12 @@ def report_of(text: str, axes: int) -> Report | None:
 
 
 def never() -> bool:
-    """No stop is asked for."""
+    """Return False: no stop is requested."""
     return False
 
 
 class Talk:
-    """Replies as they come, and answers that are waited for."""
+    """Lines to and from a controller: replies as they come, and answers that are waited for."""
 
     def __init__(self, link: ByteLink, clock: Clock) -> None:
         self.link = link
@@ -129,10 +140,10 @@ class Talk:
         self._rest = b""
         self.axes = 6
         self.lost = ""
-        """What it said when it last restarted or stopped by itself: what it was told before is gone."""
+        """Text with which the controller last restarted or stopped by itself, losing its lines; "" for none."""
 
     def replies(self) -> Iterator[Reply]:
-        """Every whole line that has come."""
+        """Yield every complete line that has come, without waiting."""
         self._rest += self.link.read()
         while b"\n" in self._rest:  # what is not asked for stays for the next time
             line, _, self._rest = self._rest.partition(b"\n")
@@ -142,14 +153,14 @@ class Talk:
             yield reply
 
     def wait_for_replies(self, seconds: float, stop: Asked = never) -> Iterator[Reply]:
-        """Replies of so many s, or until a stop is asked for."""
+        """Yield the replies of so many seconds, or until stop returns True."""
         end = self._clock.now() + seconds
         while self._clock.now() < end and not stop():
             yield from self.replies()
             self._clock.sleep(LINK_POLL_PERIOD_S)
 
     def replies_until(self, kind: str, seconds: float) -> list[Reply]:
-        """Replies up to the first of a kind, or of so many s."""
+        """Return the replies up to the first of a kind, at most those of so many seconds."""
         heard: list[Reply] = []
         for reply in self.wait_for_replies(seconds):
             heard.append(reply)
@@ -158,7 +169,7 @@ class Talk:
         return heard
 
     def request_report(self, seconds: float) -> Report | None:
-        """The status report that a question brings, None where none that can be read comes in so many s."""
+        """Ask for a status report; None where no readable one comes within so many seconds."""
         self.link.write(GRBL_STATUS_QUERY)
         reports = (
             report_of(reply.text, self.axes) for reply in self.wait_for_replies(seconds) if reply.kind == "report"
@@ -166,9 +177,10 @@ class Talk:
         return next((report for report in reports if report is not None), None)
 
     def ask(self, line: str, seconds: float = ANSWER, stop: Asked = never) -> list[str]:
-        """Send a line and wait for its ok; what was said before it. Raises DeviceFault, also where it is stopped.
+        """Send a line, wait for its ok and return the replies before that.
 
-        An empty line ends an error's latch, and errors of lines before it are none of its own.
+        line: without its end; an empty one ends an error's latch, and errors of lines before it are none of its
+        own. seconds: to wait. stop: called meanwhile. Raises DeviceFault, also where stop returns True.
         """
         self.link.write(line.encode("ascii") + b"\n")
         said: list[str] = []
@@ -184,26 +196,35 @@ class Talk:
         raise DeviceFault(f"the controller does not answer {line!r} within {seconds:g} s, but for {said}")
 
     def greet(self, stop: Asked = never) -> tuple[Report, str]:
-        """The status of a controller that may restart when its port is opened, and what it said if it did."""
+        """Return the status of a controller just connected, and the text with which it restarted, "" for none.
+
+        stop: called meanwhile; where it returns True, DeviceFault is raised. Many boards restart when a port is
+        opened.
+        """
         report = self.report(GREETING, greeting=True, stop=stop)
         self.quiet()
         return report, self.take_restart_message()
 
     def take_restart_message(self) -> str:
-        """What it said when it last restarted or stopped by itself, which does not count from now on."""
+        """Return and clear the text with which the controller last restarted or stopped by itself."""
         said = self.lost
         self.lost = ""
         return said
 
     def check(self) -> None:
-        """Raise DeviceFault where it restarted or stopped by itself."""
+        """Raise DeviceFault where the controller restarted or stopped by itself."""
         if self.lost:
             raise DeviceFault(f"the controller said {self.lost!r}: its position is not to be trusted")
 
     def report(self, seconds: float = ANSWER, greeting: bool = False, stop: Asked = never) -> Report:
-        """Its status; greeting: it may restart meanwhile. Raises DeviceFault."""
+        """Ask for the status until it comes.
+
+        seconds: to wait. greeting: whether the controller may restart meanwhile. stop: called meanwhile. Raises
+        DeviceFault, also where stop returns True.
+        """
         end = self._clock.now() + seconds
         while self._clock.now() < end and not stop():
+            # Asked again and again: a controller that restarts drops what it received before.
             self.link.write(GRBL_STATUS_QUERY)
             for reply in self.wait_for_replies(0.25, stop):
                 if not greeting:
@@ -218,7 +239,7 @@ class Talk:
         raise DeviceFault(f"the controller sends no status within {seconds:g} s")
 
     def round_trip(self) -> float:
-        """The median of five times from a status question to its answer, s; raises DeviceFault."""
+        """Return the median of five times from a status question to its answer, s; raises DeviceFault."""
         taken = []
         for _ in range(5):
             asked = self._clock.now()
@@ -227,7 +248,7 @@ class Talk:
         return float(statistics.median(taken))
 
     def override(self) -> float:
-        """By what the feed is scaled, in %, which only some reports tell; raises DeviceFault."""
+        """Return the feed override in %, which only some reports contain; raises DeviceFault."""
         for _ in range(RARELY):
             override = self.report().override
             if override is not None:
@@ -235,7 +256,7 @@ class Talk:
         raise DeviceFault("the controller does not tell its feed override: set $10=511")
 
     def offsets(self) -> dict[str, tuple[float, ...]]:
-        """Offsets between G-code and machine, and what has been homed, by name ($#); raises DeviceFault."""
+        """Return offsets between G-code and machine, and what is homed, by name ($#); raises DeviceFault."""
         pairs = [text.strip("[]").partition(":") for text in self.ask("$#") if text.startswith("[")]
         try:
             return {name: tuple(float(x) for x in re.split("[,:]", values)) for name, _, values in pairs}
@@ -243,7 +264,7 @@ class Talk:
             raise DeviceFault(f"the controller's offsets cannot be read: {pairs}") from exception
 
     def quiet(self) -> None:
-        """Let pass what is still under way, such as the second ok that a status question before a line earns."""
+        """Discard replies that are still under way, such as the second ok of a status question before a line."""
         end = self._clock.now() + ANSWER
         last = self._clock.now()
         while self._clock.now() < min(end, last + QUIET):
@@ -252,10 +273,11 @@ class Talk:
             self._clock.sleep(LINK_POLL_PERIOD_S)
 
     def identify(self, stop: Asked = never) -> Identity:
-        """Make sure that lines are answered, and read who answers; raises DeviceFault.
+        """Check that lines are answered, and read identity and settings; raises DeviceFault.
 
-        A link that is open at one end only may pass status on, but no lines. The part of a line that was sent when
-        another link was lost is dropped first, lest the end of ours make a command of it.
+        stop: called meanwhile; where it returns True, DeviceFault is raised. A link that is open at one end only
+        may pass status on, but no lines. The part of a line that was sent when another link broke is dropped
+        first, lest the end of ours make a command of it.
         """
         self.link.write(GRBL_JOG_CANCEL)
         self.ask("", stop=stop)

@@ -1,17 +1,17 @@
-"""Motors behind ROS 2: trajectories for a joint_trajectory_controller, followed on joint states; no ROS is needed.
+"""Motors behind ROS 2: trajectories for a joint_trajectory_controller, observed by joint states; no ROS is needed.
 
-Not yet tried with a real ROS 2 controller: with one that does in tests what ros2_controllers' source does.
+Not yet tried with a real ROS 2 controller, only with an emulated one that follows ros2_controllers' source.
 
 Written for ros2_control's joint_trajectory_controller, which replaces what it plays by every trajectory that it
 gets on /<controller>/joint_trajectory, from where it is then. Its joint_state_broadcaster (use_local_topics:
-false, the default) tells on /joint_states, in the controller's namespace, where the joints are. The
+false, the default) publishes on /joint_states, in the controller's namespace, where the joints are. The
 controller's joints must be the robot's, in any order, and all of them: alpha_i in rad, of type revolute
-(continuous ones would be wrapped), beta_i in m. The tilt is the arm's business.
+(continuous ones would be wrapped), beta_i in m. The arm that tilts the robot is another device.
 
-Nothing is sent to other machines, nor by multicast, unless the hardware file names a host. The controller's
-side must be found without multicast: ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST (ROS_LOCALHOST_ONLY=1 up to
-Humble), or ROS_STATIC_PEERS with this machine's address. DDS has no passwords: who reaches these ports can tell
-lies.
+Nothing is sent to other machines, nor by multicast, unless the hardware file names a host. The controller's side
+must be found without multicast: ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST (ROS_LOCALHOST_ONLY=1 up to Humble), or
+ROS_STATIC_PEERS with this machine's address. DDS has no passwords: whoever reaches these ports can send false
+states.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from ctr_nlp.hardware.motion.lookahead import Commands, FollowedPath, PathPlace
 from ctr_nlp.typing import Array
 
 DISCOVERY = 5.0
-"""s in which a controller must have been found, and have said where its joints are."""
+"""s in which a controller must have been found, and have published where its joints are."""
 
 ROS_STOP_TIMEOUT_S = 2.0
 """s in which a stop must have come to rest."""
@@ -39,19 +39,19 @@ BEHIND = 0.5
 """s that the joints may be behind their commands."""
 
 LAPSE = 0.05
-"""s that may pass from when it is asked how far commands are given until others are sent."""
+"""s that may pass between reading committed_time and sending amended commands."""
 
 ROS_GOAL_SETTLING_TIME_S = 1.0
 """s after the end of a motion in which the joints may still creep to their goal."""
 
 RESOLUTIONS_PER_TOLERANCE = 10.0
-"""Into how many parts the axes' tolerances are divided for what positions must agree by; ROS tells no steps."""
+"""The axes' tolerances divided by this are their resolution, since ROS does not report the size of steps."""
 
 
 class Ros2:
     """A joint_trajectory_controller, at hardware.connection.url: "name", "name@host", "name?domain=7".
 
-    Axes stand where joint states say, and know it: homing is the controller's own. Raises HardwareError.
+    Axes stand where joint states say, and count as homed: homing is the controller's own. Raises HardwareError.
     """
 
     def __init__(self, hardware: Hardware, journal: Journal, clock: Clock) -> None:
@@ -64,7 +64,10 @@ class Ros2:
         self._track: ControllerTrack | None = None
 
     def connect(self, stop: Asked = lambda: False) -> None:
-        """Open the topics; wait for a controller that listens, and for the first joint states."""
+        """Open the topics; wait for a controller that listens, and for the first joint states.
+
+        stop: called meanwhile; where it returns True, DeviceFault is raised.
+        """
         self.close()
         self._topics = topics = Topics(self._address, self._journal)
         self._track = None
@@ -89,36 +92,36 @@ class Ros2:
 
     @property
     def identity(self) -> str:
-        """The joints that the controller moves."""
+        """Names of the joints that the controller moves."""
         return ", ".join(axis.joint for axis in self._hardware.axes)
 
     @property
     def resolution(self) -> Array:
-        """A tenth of the axes' tolerances (m,): ROS does not tell what they can tell apart."""
+        """A tenth of the axes' tolerances (m,), in their units, since ROS does not report their resolution."""
         return np.asarray(self._hardware.tolerance / RESOLUTIONS_PER_TOLERANCE)
 
     def standing(self) -> Standing:
-        """Where it stands."""
+        """Return where the axes stand; raises DeviceFault where they move."""
         if not self._wait_for_rest(self._clock.now() + MAX_JOINT_STATE_SILENCE_S):
             raise DeviceFault("the joints move; they must stand still before anything is played")
         return Standing(self._joints.position, self._hardware.connection.homing == "manual")
 
     def home(self, stop: Asked) -> None:
-        """A controller in ROS 2 homes by itself."""
+        """Raise HardwareError, since a controller in ROS 2 homes by itself; stop is not called."""
         raise HardwareError("a ROS 2 controller homes by its own means: connection.homing must be manual")
 
     def _take(self) -> None:
-        """Take the joint states that have come."""
+        """Read the joint states that have come."""
         self._joints.take(self._open().states(), self._clock.now())
 
     def _watch(self, now: float) -> None:
-        """Whether a controller is there and tells where its joints are."""
+        """Raise DeviceFault unless a controller listens and joint states are fresh; now: s of the clock."""
         self._joints.check_fresh(now)
         if not self._open().listeners():
             raise DeviceFault(f"nothing listens on /{self._address.trajectories} any more: the controller is gone")
 
     def _wait_for_rest(self, end: float) -> bool:
-        """Wait until the joints are at rest, at most until the clock shows end; whether they are."""
+        """Wait until the joints are at rest, at most until the clock shows end; return whether they are."""
         while True:
             self._take()
             now = self._clock.now()
@@ -130,7 +133,7 @@ class Ros2:
             self._clock.sleep(0.005)
 
     def start(self, commands: Commands) -> Ros2:
-        """Begin to play commands from where it stands."""
+        """Begin to play commands from where the axes stand."""
         self._take()
         position = self._joints.position
         self._path = FollowedPath(position, commands, self._hardware.tolerance)
@@ -139,6 +142,7 @@ class Ros2:
         self._track = ControllerTrack(position, commands)
         self._track.begin(self._clock.now())
         self._send(self._track.points())
+        # The controller starts when the trajectory arrives, after the time that sending took.
         self._track.begin_ramp(self._clock.now())
         return self
 
@@ -146,7 +150,7 @@ class Ros2:
         self._open().send(self._joints.names, self._joints.in_ros(points))
 
     def update(self) -> MotionProgress:
-        """Take what has come and find out how far it is."""
+        """Read the joint states that have come and return the progress."""
         track = self._playing()
         before = self._joints.stamp
         self._take()
@@ -160,22 +164,25 @@ class Ros2:
         return MotionProgress(state, time, position, self._joints.stamp, self._place.away)
 
     def feed(self) -> None:
-        """The controller has the whole trajectory."""
+        """Do nothing, since the controller has the whole trajectory."""
 
     @property
     def committed_time(self) -> float:
-        """As far as the first point of a trajectory that replaces the one it plays."""
+        """Time of the motion, s, of the first point of a trajectory that would replace the present one."""
         return self._playing().now(self._clock.now())[0] + FIRST_POINT_DELAY_IN_MOTION_S + LAPSE
 
     def amend(self, commands: Commands) -> None:
-        """Replace the trajectory, unless it is being held: then that is done when it goes on."""
+        """Replace the trajectory; in a hold, the new one is sent when it is resumed.
+
+        commands: the same as before up to committed_time.
+        """
         self._track = track = ControllerTrack(self._path.points[0], commands, self._playing().ramp)
         self._path = FollowedPath(self._path.points[0], commands, self._hardware.tolerance)
         if not self._holding:
             self._play_at(1.0, track, self._clock.now())
 
     def _follow(self, track: ControllerTrack, position: Array) -> None:
-        """Find where on its path the newest state shows it, and see that it is not left behind."""
+        """Find where on the path the newest state (m,) is, and raise DeviceFault where it has fallen behind."""
         due, _ = track.now(self._joints.stamp)
         ahead = int(np.searchsorted(track.ends[1:], due + FIRST_POINT_DELAY_IN_MOTION_S, "right")) + 1
         last = min(ahead, len(track.ends) - 1)
@@ -204,11 +211,11 @@ class Ros2:
         self._change_pace(0.0)
 
     def resume(self) -> None:
-        """Go on from there, from rest to the commands' pace."""
+        """Continue from a hold, from rest to the commands' pace."""
         self._change_pace(1.0)
 
     def _change_pace(self, pace: float) -> None:
-        """Let the rest be played at another pace."""
+        """Play the rest at another pace, 0 for a hold or 1."""
         track = self._playing()
         now = self._clock.now()
         self._holding = pace == 0.0
@@ -223,12 +230,13 @@ class Ros2:
         self._send(track.points())
 
     def abort(self) -> Standing:
-        """Stop, on the path where it is on it, and wait for rest; raises DeviceFault where that is not sure."""
+        """Stop and wait for rest, on the path if the joints are on it; raises DeviceFault without rest."""
         track = self._track
         self._track = None
         if track is None:
             self._wait_for_rest(self._clock.now() + 2 * REST)
         now = self._clock.now()
+        # A stop on the path would make joints that are off it jump back: they come to rest straight ahead.
         if track is None or not self._is_on_path(track, now):
             points = stop_there(self._joints.position, self._joints.speed, self._acceleration)
             self._stopped = now + float(points.time[-1])
@@ -243,12 +251,12 @@ class Ros2:
         return self.standing()
 
     def _is_on_path(self, track: ControllerTrack, now: float) -> bool:
-        """Whether the joints were last seen on their path, and not too far behind."""
+        """Return whether the joints were last seen on their path, and not too far behind."""
         due, _ = track.now(min(now, self._joints.stamp))
         return self._place.away <= 1.0 and due - self._place.time <= BEHIND
 
     def close(self) -> None:
-        """Leave; nothing is sent."""
+        """Leave the topics; nothing is sent."""
         if self._topics is not None:
             self._topics.close()
         self._topics = None

@@ -1,4 +1,4 @@
-"""Where a robot's joints are, from joint states that come when they come."""
+"""Positions of a robot's joints, from ROS joint states that come at irregular times."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from ctr_nlp.hardware.devices.ros2.messages import JointStates, Points
 from ctr_nlp.typing import Array
 
 MAX_JOINT_STATE_SILENCE_S = 0.5
-"""s without fresh joint states after which the controller counts as gone, or by which they may come late."""
+"""s without new joint states after which the controller counts as gone, and by which states may be late."""
 
 DRIFT = 1e-3
-"""By which part the controller's clock may run faster or slower than ours."""
+"""Largest relative difference in speed between the controller's clock and ours."""
 
 REST = 0.05
 """s over which positions must agree for the joints to be at rest."""
@@ -25,7 +25,7 @@ AGREEING = 3
 
 
 class Joints:
-    """The joints of some hardware: their last states, and their units in ROS.
+    """The joints of some hardware: their last states, and conversion to ROS units.
 
     stamp: s of the clock when the newest state came, -inf before any. Everything else is in the axes' units.
     """
@@ -51,29 +51,32 @@ class Joints:
 
     @property
     def position(self) -> Array:
-        """(m,) of the newest state."""
+        """Position (m,) of the newest state, in the axes' units."""
         return self._seen[-1][1]
 
     def in_ros(self, points: Points) -> Points:
-        """Points of the axes, in rad and m."""
+        """Convert points of the axes, in their units, to joints in rad and m."""
         position = (points.position - self._zero) * self._per_unit
         return Points(points.time, position, points.velocity * self._per_unit)
 
     def take(self, states: list[JointStates], now: float) -> None:
-        """Take states that have come by now (s of the clock); raises DeviceFault where they cannot be true."""
+        """Take joint states that have come by now, s of the clock; raises DeviceFault for impossible ones."""
         ours = [state for state in states if set(state.name) & set(self.names)]
         if states and not ours:
             self.strangers = ", ".join(states[-1].name[:6])
         fresh = [self._add(state) for state in ours]
         if any(fresh):
             late = now - self._seen[-1][0]
+            # The two clocks have an unknown offset. The least of now - stamp is this offset and the quickest
+            # delay; what is above it is how much later a state comes. It may grow as fast as the clocks drift
+            # apart.
             self._lag = min(late, self._lag + DRIFT * max(now - self.stamp, 0.0))
             if late - self._lag > MAX_JOINT_STATE_SILENCE_S:
                 raise DeviceFault(f"joint states come {late - self._lag:.2g} s later than they did at first")
             self.stamp = now
 
     def _add(self, state: JointStates) -> bool:
-        """Keep a state, unless it is not newer than the last and tells nothing."""
+        """Append a state and return True, unless it is not newer than the last one."""
         columns = _columns(state, self.names)
         position = np.array(state.position)[columns]
         if not np.isfinite(position).all():
@@ -93,7 +96,10 @@ class Joints:
         return True
 
     def check_fresh(self, now: float) -> None:
-        """Raise DeviceFault where no state has come for MAX_JOINT_STATE_SILENCE_S s."""
+        """Raise DeviceFault where no state has come for MAX_JOINT_STATE_SILENCE_S s.
+
+        now: s of the clock.
+        """
         if now - self.stamp > MAX_JOINT_STATE_SILENCE_S:
             raise DeviceFault(
                 f"no fresh joint states have come for {MAX_JOINT_STATE_SILENCE_S:g} s: nobody knows where the "
@@ -101,14 +107,14 @@ class Joints:
             )
 
     def still(self) -> bool:
-        """Whether the last positions agree: AGREEING of them at least, and all of REST s."""
+        """Return whether the last positions agree: at least AGREEING of them, over at least REST s."""
         if len(self._seen) < AGREEING or self._seen[-1][0] - self._seen[0][0] < REST:
             return False
         return bool((np.ptp([position for _, position in self._seen], axis=0) <= self._resolution).all())
 
 
 def _columns(state: JointStates, names: list[str]) -> list[int]:
-    """Where in a state joints are; raises DeviceFault unless each is there once and everything is told of it."""
+    """Return where in a state the joints of these names are; raises DeviceFault unless each is there once."""
     if len(state.position) != len(state.name) or len(state.velocity) not in (0, len(state.name)):
         raise DeviceFault(
             f"a joint state has {len(state.name)} names, {len(state.position)} positions and "

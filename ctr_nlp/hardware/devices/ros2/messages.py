@@ -1,4 +1,4 @@
-"""ROS 2 messages without ROS: their types for CycloneDDS, and the two topics over which a controller is spoken to.
+"""ROS 2 messages without ROS: their types for CycloneDDS, and the two topics to and from a controller.
 
 Message and topic names are those of rmw_cyclonedds: "rt/" before topics, "::dds_::" and a final "_" in types.
 """
@@ -33,24 +33,25 @@ CYCLONEDDS_CONFIGURATION = """<CycloneDDS><Domain Id="any">
 <Peers><Peer address="{peer}"/></Peers>
 </Discovery>
 </Domain></CycloneDDS>"""
-"""What CycloneDDS is told instead of what the environment says: one interface, no multicast, one peer."""
+"""Configuration of CycloneDDS in place of the environment's: one interface, no multicast, one peer."""
 
 LATEST = 100
-"""How many joint states are kept between two looks."""
+"""Joint states that are kept from one read to the next."""
 
 BLOCKED = 0.1
-"""s that a writer may wait for room."""
+"""s that a writer may wait for room in its queue."""
 
 ROS_MESSAGE_DECIMALS = 9
-"""After the decimal point of what is sent, in m, rad and s."""
+"""Digits after the decimal point in messages, in m, rad and s."""
 
 _domains: WeakValueDictionary[int, Any] = WeakValueDictionary()
 _configurations: dict[int, str] = {}
 
 
 class ControllerAddress(NamedTuple):
-    """A controller's full name, without a leading slash, the host on which it runs ("" for this one), and its
-    ROS_DOMAIN_ID.
+    """Address of a controller.
+
+    controller: full name, without a leading slash. host: on which it runs, "" for this one. domain: ROS_DOMAIN_ID.
     """
 
     controller: str
@@ -77,7 +78,7 @@ class Points(NamedTuple):
 
 
 class JointStates(NamedTuple):
-    """A sensor_msgs/JointState, as it came: stamp in s; velocity may be empty."""
+    """A sensor_msgs/JointState as it came: stamp in s; velocity may be empty."""
 
     stamp: float
     name: list[str]
@@ -86,9 +87,13 @@ class JointStates(NamedTuple):
 
 
 def parse_controller_url(url: str) -> ControllerAddress:
-    """What "name", "name@host" or "name@host?domain=7" means; raises HardwareError."""
+    """Parse "name", "name@host" or "name@host?domain=7"; raises HardwareError.
+
+    url: of the connection in a hardware file.
+    """
     name = r"[A-Za-z_]\w*"
     match = re.fullmatch(rf"/?({name}(?:/{name})*)(?:@([A-Za-z0-9.-]+))?(?:\?domain=(\d+))?", url)
+    # DDS derives ports from the domain, 7400 + 250 domain, which ends below 65536 at 232.
     if match is None or int(match[3] or 0) > 232:
         raise HardwareError(
             f"url of the connection is {url!r}; for ros2 it must be a controller's name, optionally with its host "
@@ -99,7 +104,7 @@ def parse_controller_url(url: str) -> ControllerAddress:
 
 @cache
 def types() -> SimpleNamespace:
-    """The types of messages and their parts, by name; raises OptionError where cyclonedds is missing."""
+    """Return the message types and their parts, by name; raises OptionError where cyclonedds is missing."""
     idl = import_extra("cyclonedds.idl")
     kinds = import_extra("cyclonedds.idl.types")
 
@@ -125,7 +130,10 @@ def types() -> SimpleNamespace:
 
 
 def trajectory_message(names: list[str], points: Points) -> Any:
-    """A JointTrajectory that starts when it arrives: its stamp is 0."""
+    """Return a JointTrajectory that starts when it arrives, as its stamp is 0.
+
+    names: of the m joints. points: in rad, m and s.
+    """
     known = types()
     listed = [
         known.JointTrajectoryPoint(position, velocity, [], [], known.Duration(*divmod(round(time * 1e9), 10**9)))
@@ -135,15 +143,16 @@ def trajectory_message(names: list[str], points: Points) -> Any:
 
 
 def configuration(host: str) -> str:
-    """CycloneDDS's configuration for a controller on a host ("" for this one); raises DeviceFault.
+    """Return CycloneDDS's configuration for a controller on a host; raises DeviceFault.
 
-    The interface is the one from which the host is reached. All that is sent leaves through it; what is bound to
-    loopback, the system sends nowhere else.
+    host: "" for this machine. The interface is the one from which the host is reached. All that is sent leaves
+    through it; what is bound to loopback, the system sends nowhere else.
     """
     if not host:
         return CYCLONEDDS_CONFIGURATION.format(own=LOOPBACK, peer=LOOPBACK)
     try:
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+            # Connecting a UDP socket sends nothing: the system only chooses the interface.
             probe.connect((host, 7400))
             return CYCLONEDDS_CONFIGURATION.format(own=probe.getsockname()[0], peer=probe.getpeername()[0])
     except OSError as exception:
@@ -151,7 +160,10 @@ def configuration(host: str) -> str:
 
 
 def participant(address: ControllerAddress) -> tuple[Any, Any]:
-    """A new participant, and its domain, to be held as long as the participant lives; raises DeviceFault."""
+    """Return a new DDS participant and its domain; keep both, as collecting the domain closes it.
+
+    address: gives domain and host. Raises DeviceFault.
+    """
     module = import_extra("cyclonedds.domain")
     failure = import_extra("cyclonedds.core").DDSException
     number = address.domain
@@ -169,7 +181,10 @@ def participant(address: ControllerAddress) -> tuple[Any, Any]:
 
 
 def quality(reliable: bool, depth: int) -> Any:
-    """QoS of a writer or reader whose messages are XCDR1, as ROS's are."""
+    """Return the QoS of a writer or reader of XCDR1 messages, as ROS 2 sends them.
+
+    reliable: whether lost messages are sent again. depth: messages that are kept.
+    """
     core = import_extra("cyclonedds.core")
     policy = core.Policy
     most = import_extra("cyclonedds.util").duration(seconds=BLOCKED)
@@ -182,9 +197,9 @@ def quality(reliable: bool, depth: int) -> Any:
 
 
 class Topics:
-    """One controller's topics, open; every message is in the journal. Raises DeviceFault and OptionError.
+    """The two topics of one controller; every message is recorded. Raises DeviceFault and OptionError.
 
-    Trajectories are sent reliably. States are taken from reliable and from best-effort publishers: a lost one is
+    Trajectories are sent reliably. States are read from reliable and from best-effort publishers: a lost one is
     followed by the next.
     """
 
@@ -202,21 +217,25 @@ class Topics:
             self._reader = import_extra("cyclonedds.sub").DataReader(own, states, quality(False, LATEST))
         except failure as exception:
             raise DeviceFault(f"topics of {address.controller} cannot be opened: {exception}") from exception
+        # CycloneDDS deletes an entity when its Python object is collected.
         self._held = [domain, own, commands, states]
 
     def listeners(self) -> int:
-        """How many subscribers get trajectories."""
+        """Return the number of subscribers to trajectories."""
         return len(self._call(self._writer.get_matched_subscriptions))
 
     def send(self, names: list[str], points: Points) -> None:
-        """Record a trajectory of joints, then publish it, to be started at once."""
+        """Record a trajectory, then publish it, to be started at once.
+
+        names: of the m joints. points: in rad, m and s.
+        """
         points = Points(*(np.round(part, ROS_MESSAGE_DECIMALS) for part in points))
         listed = {name: part.tolist() for name, part in points._asdict().items()}
         self._journal.record("sent", topic=f"/{self.address.trajectories}", joints=names, **listed)
         self._call(self._writer.write, trajectory_message(names, points))
 
     def states(self) -> list[JointStates]:
-        """What has come since the last call, recorded, oldest first."""
+        """Return and record the joint states that have come since the last call, oldest first."""
         found = []
         for sample in self._call(self._reader.take, LATEST):
             if not isinstance(sample, types().JointState):
@@ -229,9 +248,10 @@ class Topics:
         return found
 
     def _call(self, function: Any, *arguments: Any) -> Any:
-        """What DDS answers; whatever fails in it, or in reading what came, is the connection's fault."""
+        """Call a function of CycloneDDS; whatever it raises is raised as DeviceFault."""
         try:
             return function(*arguments)
+        # Reading a malformed packet raises whatever its decoder runs into.
         except Exception as exception:
             raise DeviceFault(f"the connection to {self.address.controller} failed: {exception}") from exception
 
@@ -242,4 +262,5 @@ class Topics:
 
 
 def _finite(values: list[float]) -> list[float | None]:
+    """Return rounded values, None for those that JSON does not have."""
     return [round(value, ROS_MESSAGE_DECIMALS) if math.isfinite(value) else None for value in values]
