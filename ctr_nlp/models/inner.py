@@ -1,4 +1,9 @@
-"""Intermediate quantities, in whose symbols a shape and the terms of a program may be written."""
+"""Intermediate quantities, as whose functions a shape and the terms of a program are written.
+
+A program needs second derivatives of residuals r(v(x)). With v as separate symbols, r and v are differentiated one
+after the other and joined by the chain rule, which costs fewer operations than differentiating the substituted
+expression (ocp/expressions.py).
+"""
 
 from __future__ import annotations
 
@@ -10,11 +15,11 @@ import casadi as ca
 
 @dataclass(frozen=True)
 class Inner:
-    """Quantities between x and the terms of an Nlp, in whose symbols the terms may be written.
+    """One layer of quantities v(x) between the unknowns x and the terms of an Nlp: a symbol and a value for each.
 
-    Where residuals are simple in a few quantities and these depend on few x each, as points that are sums of
-    lengths times directions, derivatives taken in two steps need a third fewer operations. Layers of them follow
-    each other: the values of one may be written in the symbols of those before.
+    Points are sums of lengths times directions, which depend on few x each: derivatives taken in two steps then
+    need a third fewer operations. Layers follow each other: values of one may be written in the symbols of those
+    before.
     """
 
     symbols: tuple[ca.SX, ...] = ()

@@ -1,10 +1,11 @@
-"""The interface of a model: symbols of a frame for programs, and batches of numbers for everything else.
+"""The interface of a kinematic model: one frame in symbols for nonlinear programs, batches of numbers for the
+rest.
 
-A frame's shape is given as sums of lengths times directions, in layers of inner quantities (nlp.Inner), so that
-programs can differentiate it cheaply. Symbols: q = (alpha, beta, theta) of eq. (5), rad and mm; x (n_x,): the
+A frame's shape is a sum of lengths times directions, written in layers of inner quantities (models/inner.py), so
+that programs can differentiate it cheaply. Symbols: q = (alpha, beta, theta) of eq. (5), rad and mm; x (n_x,): the
 model's unknowns, which are q itself or determine it; sigma = s / beta_d in [0, 1]; numbers (d, 8) of the tubes, in
-the order of robot.structure.NUMBERS; load (17 + 3d,), see loads.Load. T stands for frames, n and m for robots or
-samples.
+the order of robot.structure.TUBE_NUMBER_NAMES; load (17 + 3d,), in the order of loads.Load.numbers. T counts
+frames, n and m count robots or samples.
 """
 
 from __future__ import annotations
@@ -35,15 +36,15 @@ SampleArcLengths = Callable[[Sequence[ca.SX]], ca.SX]
 
 @dataclass(frozen=True)
 class SymbolicShape:
-    """A robot's shape at some samples, as symbols; everything but x is written in the symbols of inner.
+    """The shape of a robot at some samples, in symbols; everything but x is written in the symbols of inner.
 
     x (n, 1): the unknowns. alpha (d, 1): the motors' angles; beta: d extensions. points: x, y, z of the samples,
-    mm, and tangents there, if asked for, in axes whose directions are base (None: the base frame itself).
-    stability: determinants (k, 1) that are positive where the stability margin is at least the one asked for, or
-    None. picks: positions of the configuration among x's entries, then alpha's and then theta's, and after it
-    further entries that say in which of several equilibria the robot is; None where x is q. theta (2, 1): the
-    tilt, where x does not hold it. aside (2, 1): where x holds the tilt beside unknowns that determine it, the
-    angles in rad by which the base points elsewhere.
+    mm, and tangents there, if requested, in axes whose directions are base (None: the base frame itself).
+    stability: determinants (k, 1) that are positive where the stability margin is at least the one required, or
+    None. picks: positions of alpha, beta and theta among the entries of x followed by `rows`, and after them of
+    further entries that identify the equilibrium branch; None where x is q. theta (2, 1): the tilt, where x does
+    not contain it. aside (2, 1): where x contains the tilt beside unknowns that determine it, the angles in rad
+    between the base's direction and that tilt; they must be 0.
     """
 
     x: ca.SX
@@ -60,14 +61,12 @@ class SymbolicShape:
 
     @property
     def rows(self) -> dict[str, ca.SX]:
-        """The part of the configuration that x does not hold, in the order of picks, and then what must be 0; by
-        name.
-        """
+        """Functions of x that belong to the configuration or must be 0, by name, in the order of picks."""
         found = {"alpha": self.alpha, "theta": self.theta, "aside": self.aside}
         return {name: value for name, value in found.items() if value is not None}
 
     def to_shape_axes(self, vectors: ca.SX) -> Vector:
-        """Vectors (n, 3) of the base frame, in the axes of `points`."""
+        """Express vectors (n, 3), given in the base frame, in the axes of `points`."""
         if self.base is None:
             return columns_of(vectors)
         # Axes are orthonormal: the components along them are dot products. Turning the target's constant
@@ -76,7 +75,10 @@ class SymbolicShape:
         return x, y, z
 
     def to_base_frame(self, vectors: Vector) -> Vector:
-        """Points or tangents in the base frame."""
+        """Express vectors, given in the axes of `points`, in the base frame.
+
+        vectors: x, y, z of points in mm, or of tangents.
+        """
         # None means that the model computes in the base frame: turning by the identity would cost
         # operations.
         return vectors if self.base is None else combination(vectors, self.base)
@@ -85,8 +87,8 @@ class SymbolicShape:
 class Snap(NamedTuple):
     """A loss of stability during a motion.
 
-    frame: the frame on the way to which it happens, from 1. tubes: tubes whose tips jump, from 1. jump: largest
-    jump of a tip, rad; None where it is not known where the robot comes to rest.
+    frame: the frame before which it happens, from 1. tubes: tubes whose tips jump, from 1. jump: largest jump of a
+    tip, rad; None where the equilibrium after the snap is not known.
     """
 
     frame: int
@@ -95,9 +97,9 @@ class Snap(NamedTuple):
 
 
 class EquilibriumPath(NamedTuple):
-    """The unknowns x (T, n) of a robot along a motion; NaN where its configuration is, or where none are found.
+    """Equilibria of a robot along a motion: x (T, n), NaN where its configuration is, or where none are found.
 
-    stability (T,): margins at frames; stability_between (T,): least margins on the way from the frame before, at
+    stability (T,): margins at frames; stability_between (T,): least margins between a frame and the one before, at
     most 0 where the robot snaps; NaN where nothing can be unstable.
     """
 
@@ -108,10 +110,10 @@ class EquilibriumPath(NamedTuple):
 
 
 class RestStates(NamedTuple):
-    """Robots at rest without a history, NaN where no equilibrium is found.
+    """Equilibria of robots at rest without a history, NaN where none is found.
 
-    x (T, n): unknowns. points (T, m, 3) mm; tips (T, 3): directions of tips; margins (T,): of stability, NaN where
-    nothing can be unstable.
+    x (T, n): unknowns. points (T, m, 3) mm; tips (T, 3): directions of tips; margins (T,): stability margins, NaN
+    where nothing can be unstable.
     """
 
     x: Array
@@ -124,7 +126,7 @@ class MotionSubsteps(NamedTuple):
     """Sub-steps q (M, 2d + 2) of a motion through `total` frames; frames that are NaN have none.
 
     frames (M,): the frame that a sub-step is in or leads to, from 0; a frame's last sub-step is the frame itself.
-    fresh (M,): where a robot comes to rest without a history, in the first frame and after those that are NaN.
+    fresh (M,): whether a robot settles there without a history, in the first frame and after frames that are NaN.
     """
 
     q: Array
@@ -134,7 +136,7 @@ class MotionSubsteps(NamedTuple):
 
     @property
     def elapsed_fractions(self) -> Array:
-        """The part of the whole motion that has passed at every sub-step, (M,), from 0 in the first frame to 1."""
+        """Fraction of the whole motion that has passed at every sub-step, (M,), from 0 in the first frame to 1."""
         places = np.bincount(self.frames, minlength=self.total)[self.frames]
         # frames is sorted: searchsorted finds the first sub-step of each frame, so number counts within it
         # from 1.
@@ -143,9 +145,9 @@ class MotionSubsteps(NamedTuple):
 
 
 def subdivide_motion(q: Array, substeps: int) -> MotionSubsteps:
-    """Sub-steps of a motion through frames q (T, 2d + 2), linear and `substeps` many between neighbours."""
+    """Divide a motion through frames q (T, 2d + 2) linearly, with so many substeps between neighbours."""
     known = np.asarray(np.isfinite(q).all(axis=1))
-    # A frame is led to in substeps only from a frame before that is known; else it is one sub-step, a fresh
+    # Only a frame whose predecessor is known is reached in sub-steps; any other known frame is a single fresh
     # start.
     joined = known & np.concatenate([[False], known[:-1]])
     steps = np.where(joined, substeps, known.astype(int))
@@ -159,12 +161,13 @@ def subdivide_motion(q: Array, substeps: int) -> MotionSubsteps:
 
 
 class Model(ABC):
-    """From configuration to backbone. A new model defines name and frame; register makes it known under its name.
+    """A map from configuration to backbone.
 
-    The defaults suit a model whose unknowns are the configuration q (2d + 2,) itself, with one shape for each.
-    several_equilibria: whether q alone does not determine the unknowns x; then x has d tip angles first, and rest,
-    guess, configuration and follow must be defined. can_snap: whether an equilibrium can become unstable.
-    bends_by_extension: whether curvatures depend on beta alone, which two-stage formulations need.
+    A new model defines name and frame; `register` makes it available by name. The defaults suit a model whose
+    unknowns are the configuration q (2d + 2,) itself, with one shape for each. several_equilibria: whether q alone
+    does not determine the unknowns x; then x has d tip angles first, and rest, guess, configuration and follow
+    must be defined. can_snap: whether an equilibrium can become unstable. bends_by_extension: whether curvatures
+    depend on beta alone, which two-stage formulations need.
     """
 
     name: str
@@ -173,12 +176,13 @@ class Model(ABC):
     bends_by_extension = False
 
     def check(self, robot: Robot) -> None:  # noqa: B027 - most models describe any robot
-        """Raise OptionError unless the model describes a robot."""
+        """Raise OptionError unless the model can describe the robot."""
 
     def fast(self, structure: Structure) -> bool:
-        """Whether shapes and margins of robots of this structure take microseconds, not milliseconds, by now.
+        """Return whether shapes and margins are computed by fast code by now: in microseconds, not milliseconds.
 
-        Where that needs compiled code, the first call begins to compile it in the background.
+        structure: kinds of the tubes. Where speed needs compiled code, the first call begins to compile it in the
+        background.
         """
         return True
 
@@ -191,16 +195,19 @@ class Model(ABC):
         margin: ca.SX | None = None,
         tangents: bool = False,
     ) -> SymbolicShape:
-        """The shape of one frame at places, as symbols; tubes: with symbols for numbers.
+        """Build the shape of one frame in symbols.
 
-        structure: kinds of the tubes. margin: the least stability margin that Shape.stability is for, a symbol, or
-        None. tangents: whether these are wanted, too.
+        structure: kinds of the tubes. tubes: their numbers, as symbols. sample_lengths: maps the extensions beta
+        to the arc lengths (n, 1) of the samples, mm. margin: least stability margin for which
+        SymbolicShape.stability is built, a symbol; None for none. tangents: whether tangents at the samples are
+        needed, too.
         """
 
     @property
     def applied_load(self) -> Load | LoadOverTime | None:
-        """The load on the robot, which comes and goes while it stands; None for none. With one,
-        frame_with_load must be defined.
+        """The load on the robot, absent at the beginning and the end of a motion; None for none.
+
+        With a load, frame_with_load must be defined.
         """
         return None
 
@@ -212,9 +219,7 @@ class Model(ABC):
 
     @property
     def program_model(self) -> Model:
-        """The model that programs are made of: one for all models that differ in numbers alone, so that they share
-        programs.
-        """
+        """The model from which programs are built: one for all models that differ in numbers alone."""
         return self
 
     def frame_with_load(
@@ -227,24 +232,26 @@ class Model(ABC):
         tangents: bool = False,
         tilted: bool = False,
     ) -> SymbolicShape:
-        """The shape of one frame under a load whose numbers (17 + 3d, 1) are symbols; other arguments as in
-        `frame`.
+        """Build the shape of one frame in symbols under a load whose numbers (17 + 3d, 1) are symbols.
 
-        tilted: whether x holds the tilt, too, after unknowns that determine it. Raises OptionError on models
-        without loads.
+        load: these symbols. structure, tubes, sample_lengths, margin, tangents: as in `frame`. tilted: whether x
+        contains the tilt, too, after unknowns that determine it. Raises OptionError on models without loads.
         """
         raise OptionError(f"model is {self.name!r}, which bears no load")
 
     def points(self, robot: Robot, x: Array, sigma: Array) -> Array:
-        """Points (T, n, 3) in mm at unknowns x (T, n_x) and sigma (n,) or (T, n)."""
+        """Return points (T, n, 3) in mm of a robot at unknowns x (T, n_x) and sigma (n,) or (T, n)."""
         return self._sample_curve(robot, x, sigma)[0]
 
     def tangents(self, robot: Robot, x: Array, sigma: Array) -> Array:
-        """Unit tangents (T, n, 3) at unknowns x (T, n_x) and sigma (n,) or (T, n)."""
+        """Return unit tangents (T, n, 3) of a robot at unknowns x (T, n_x) and sigma (n,) or (T, n)."""
         return self._sample_curve(robot, x, sigma)[1]
 
     def _sample_curve(self, robot: Robot, x: Array, sigma: Array) -> tuple[Array, Array]:
-        """Points and tangents (T, n, 3), frame by frame, by CasADi's interpreter."""
+        """Return points and tangents (T, n, 3), frame by frame, by CasADi's interpreter.
+
+        Arguments as in `points`.
+        """
         sigma = np.broadcast_to(sigma, (len(x), np.shape(sigma)[-1]))
         function = build_sample_function(self, robot.structure, sigma.shape[1])
         numbers = robot.numbers
@@ -254,9 +261,9 @@ class Model(ABC):
         return points, tangents
 
     def points_batch(self, structure: Structure, numbers: Array, x: Array, sigma: Array) -> Array:
-        """Points (n, T, m, 3) in mm of robots that differ in numbers (n, d, 8), each at x (n, T, n_x).
+        """Return points (n, T, m, 3) in mm of robots that differ in numbers (n, d, 8), each at x (n, T, n_x).
 
-        sigma (m,) or (T, m).
+        structure: what the robots share. sigma: (m,) or (T, m).
         """
         tubes, each, at = flatten_batch(numbers, x, sigma)
         # One sigma for all rows, or one a row: both as (n T, m).
@@ -267,48 +274,53 @@ class Model(ABC):
     def points_with_loads(
         self, loads: Array, structure: Structure, numbers: Array, x: Array, sigma: Array
     ) -> Array:
-        """Points (T, m, 3) in mm of robots of numbers (T or 1, d, 8) at x (T, n_x) under loads (T, 17 + 3d).
+        """Return points (T, m, 3) in mm of robots at x (T, n_x), each under a load of its own.
 
-        sigma (m,) or (T, m). Raises OptionError where no load acts.
+        loads (T, 17 + 3d). structure: what the robots share. numbers (T or 1, d, 8): of the tubes. sigma: (m,) or
+        (T, m). Raises OptionError on models without loads.
         """
         raise OptionError(f"model is {self.name!r}, which bears no load")
 
     def margins(self, robot: Robot, x: Array) -> Array:
-        """Stability margins (T,) at unknowns x (T, n_x), from 1 down to 0 at the snap; NaN where nothing can be
-        unstable.
+        """Return the stability margins (T,) of a robot at unknowns x (T, n_x), from 1 down to 0 at the snap.
+
+        NaN where nothing can be unstable.
         """
         return np.full(len(x), np.nan)
 
     def rest(self, robot: Robot, q: Array) -> Array:
-        """The unknowns (n_x,) of a robot that stands at q (2d + 2,) and has no history."""
+        """Return the unknowns (n_x,) of a robot at rest at q (2d + 2,) without a history."""
         return np.copy(q)
 
     def rest_states(self, robot: Robot, q: Array, sigma: Array) -> RestStates:
-        """A robot that stands at each q (T, 2d + 2) without a history; points at sigma (m,)."""
+        """Return the equilibria of a robot at rest at each q (T, 2d + 2) without a history.
+
+        sigma (m,): where points are computed.
+        """
         x = np.array([self.rest(robot, each) for each in q])
         # sigma = 1 is the tip.
         tips = self.tangents(robot, x, np.ones(1))[:, 0]
         return RestStates(x, self.points(robot, x, sigma), tips, self.margins(robot, x))
 
     def guess(self, robot: Robot, q: Array) -> Array:
-        """A fast estimate of the unknowns (.., n_x) at q (.., 2d + 2), to start a solver from."""
+        """Estimate the unknowns (.., n_x) of a robot at q (.., 2d + 2) quickly, as a solver's initial guess."""
         return np.copy(q)
 
     def configuration(self, robot: Robot, x: Array) -> Array:
-        """The configurations q (T, 2d + 2) of unknowns x (T, n_x)."""
+        """Return the configurations q (T, 2d + 2) of a robot at unknowns x (T, n_x)."""
         return np.copy(x)
 
     def extensions(self, robot: Robot, x: Array) -> Array:
-        """The extensions beta (T, d) of unknowns x (T, n_x), mm."""
+        """Return the extensions beta (T, d) in mm of a robot at unknowns x (T, n_x)."""
         return self.configuration(robot, x)[:, robot.d : 2 * robot.d]
 
     def follow(
         self, robot: Robot, q: Array, x0: Array | None = None, substeps: int = STABILITY_SUBSTEPS_PER_FRAME
     ) -> EquilibriumPath:
-        """The unknowns of a robot moved through frames q (T, 2d + 2), linearly and in substeps between them.
+        """Return the equilibria of a robot moved linearly through frames q (T, 2d + 2).
 
-        x0 (n_x,): where it is in the first frame; None for one that comes to rest there. After frames that are NaN
-        it comes to rest again without a history.
+        x0 (n_x,): its equilibrium in the first frame; None for a robot that settles there. substeps: between
+        frames. After frames that are NaN it settles again without a history.
         """
         unknown = np.full(len(q), np.nan)
         return EquilibriumPath(np.array(q, dtype=float), unknown, unknown)
@@ -322,15 +334,18 @@ class Model(ABC):
         q: Array,
         margins: bool = True,
     ) -> list[EquilibriumPath]:
-        """Follow robots with loads (n, M, 17 + 3d) at the sub-steps of a way; arguments and result as in
-        follow_batch.
+        """Follow robots under loads (n, M, 17 + 3d), given at the sub-steps of a motion.
 
-        Raises OptionError on models without loads.
+        structure, numbers, motion, q, margins and the result: as in follow_batch. Raises OptionError on models
+        without loads.
         """
         raise OptionError(f"model is {self.name!r}, which bears no load")
 
     def walker(self, structure: Structure, numbers: Array, q: Array) -> Walker:
-        """A robot of numbers (d, 8) that stands at q (2d + 2,) without a history, to be moved step by step."""
+        """Return a robot at rest at q (2d + 2,) without a history, to be moved step by step.
+
+        structure: kinds of its tubes. numbers (d, 8): of its tubes.
+        """
         if self.several_equilibria:
             raise OptionError(f"model is {self.name!r}, and does not tell how robots move step by step")
         return ConfigurationWalker(q)
@@ -338,11 +353,12 @@ class Model(ABC):
     def follow_batch(
         self, structure: Structure, numbers: Array, motion: MotionSubsteps, q: Array, margins: bool = True
     ) -> list[EquilibriumPath]:
-        """The unknowns of robots that differ in numbers (n, d, 8), each at its own sub-steps q (n, M, 2d + 2) of a
-        way.
+        """Follow robots that differ in numbers (n, d, 8), each through its own q (n, M, 2d + 2) at the sub-steps.
 
-        margins: whether stability is asked for, which takes longer than the unknowns; it is NaN where not. Raises
-        OptionError where the model has several equilibria and does not say which these robots are in.
+        structure: what the robots share. motion: which frames the M sub-steps belong to, and where robots settle
+        without a history. margins: whether stability margins are computed, which takes longer than the unknowns;
+        NaN otherwise. Raises OptionError where the model has several equilibria and cannot follow perturbed
+        robots.
         """
         if self.several_equilibria:
             raise OptionError(
@@ -360,7 +376,7 @@ class Model(ABC):
 def flatten_batch(numbers: Array, x: Array, sigma: Array) -> tuple[Array, Array, Array]:
     """Flatten a batch of separate robots: numbers (n, d, 8), x (n, T, n_x) and sigma (T, m), as rows (n T, ..).
 
-    A sigma (m,), which is the same for all of them, stays as it is.
+    A sigma (m,), common to all of them, is returned unchanged.
     """
     count, frames = x.shape[:2]
     # Robot by robot, all frames of each: the order of x.reshape.
@@ -370,10 +386,11 @@ def flatten_batch(numbers: Array, x: Array, sigma: Array) -> tuple[Array, Array,
 
 @functools.lru_cache(maxsize=64)
 def build_sample_function(model: Model, structure: Structure, count: int) -> ca.Function:
-    """Compile-once function (x, sigma (count,), numbers (d, 8), load) -> points and tangents (count, 3) in the
-    base frame.
+    """Build the function (x, sigma (count,), numbers (d, 8), load) -> points and tangents (count, 3).
 
-    Points are in mm. load: its numbers; empty for a model without one.
+    Points are in mm, both in the base frame. structure: kinds of the tubes. count: samples along the robot. load:
+    its numbers; empty for a model without one. The result is cached: one function for each model, structure and
+    count.
     """
     sigma = ca.SX.sym("sigma", count)
     numbers = ca.SX.sym("numbers", structure.d, len(TUBE_NUMBER_NAMES))
@@ -397,9 +414,9 @@ def frame_and_load_symbol(
     margin: ca.SX | None = None,
     tangents: bool = False,
 ) -> tuple[SymbolicShape, ca.SX]:
-    """A model's frame, and a symbol for the numbers of its load, which is empty for a model without one.
+    """Build the frame of a model, and a symbol for its load's numbers, empty for a model without one.
 
-    margin, tangents: as in Model.frame.
+    structure, tubes, sample_lengths, margin, tangents: as in Model.frame.
     """
     if model.applied_load is None:
         return model.frame(structure, tubes, sample_lengths, margin, tangents), ca.SX(0, 1)
@@ -408,30 +425,30 @@ def frame_and_load_symbol(
 
 
 def symbolic_tubes(structure: Structure, numbers: ca.SX) -> Tubes:
-    """Tubes whose numbers are the entries of a symbol (d, 8)."""
+    """Return tubes of a structure whose numbers are the entries of a symbol (d, 8)."""
     return tubes_of(
         structure, [[numbers[i, k] for k in range(len(TUBE_NUMBER_NAMES))] for i in range(structure.d)]
     )
 
 
 def combination(weights: Sequence[object], vectors: Sequence[Vector]) -> Vector:
-    """The sum of weights times vectors, component by component."""
+    """Return the sum of weights times vectors, component by component."""
     x, y, z = (sum(w * v[i] for w, v in zip(weights, vectors, strict=True)) for i in range(3))
     return x, y, z
 
 
 def columns_of(vectors: ca.SX) -> Vector:
-    """x, y and z of vectors (n, 3), each (n, 1)."""
+    """Split vectors (n, 3) into x, y and z, each (n, 1)."""
     x, y, z = ca.horzsplit(vectors)
     return x, y, z
 
 
 def matrix_of(vectors: Sequence[Vector]) -> ca.SX:
-    """Vectors side by side as columns, (3, n)."""
+    """Join vectors as the columns of a matrix (3, n)."""
     return ca.horzcat(*(ca.vertcat(ca.SX(0, 1), *vector) for vector in vectors))
 
 
 def vectors_of(matrix: ca.SX) -> list[Vector]:
-    """The columns of a matrix (3, n) as vectors."""
+    """Split a matrix (3, n) into its columns, as vectors."""
     columns = (ca.vertsplit(column) for column in ca.horzsplit(matrix))
     return [(x, y, z) for x, y, z in columns]

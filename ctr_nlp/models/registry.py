@@ -67,7 +67,7 @@ register = KINEMATIC_MODELS.register
 
 
 def model_named(model: str | Model, name: str = "model") -> Model:
-    """The model of a name, or the one given; `name` is the option's, for messages. Raises OptionError."""
+    """Return the model of a name, or the one given; `name` is the option's, for messages. Raises OptionError."""
     if isinstance(model, Model):
         return model
     check_choice(name, model, KINEMATIC_MODELS)
@@ -75,7 +75,7 @@ def model_named(model: str | Model, name: str = "model") -> Model:
 
 
 def model_with_load(model: str | Model, load: Load | LoadOverTime) -> Model:
-    """A model of robots with a load; raises OptionError where `model` has no loaded counterpart."""
+    """Return a model of robots under a load; raises OptionError where `model` has no loaded counterpart."""
     described = model_named(model)
     # Loaded has the name of the elastic model, the only one with a loaded counterpart.
     if described.name != Loaded.name:
@@ -84,12 +84,15 @@ def model_with_load(model: str | Model, load: Load | LoadOverTime) -> Model:
 
 
 def model_for_tip_forces(model: Model, has_tip_forces: bool) -> Model:
-    """A model, or if robots have tip forces (pushed), its model of loaded robots; raises OptionError."""
+    """Return a model, or, if has_tip_forces, its counterpart for loaded robots.
+
+    Raises OptionError where it has none.
+    """
     return model_with_load(model, Load()) if has_tip_forces and model.applied_load is None else model
 
 
 def model_with_tip_forces(model: str | Model, forces: Array) -> Model:
-    """A model of robots with one of the tip forces (n, 3), N, each, in addition to the load of `model`.
+    """Return a model of n robots, each with one of the tip forces (n, 3) in N in addition to the load of `model`.
 
     It is `model` itself if all forces are 0; raises OptionError where that cannot be loaded.
     """
@@ -102,7 +105,7 @@ def model_with_tip_forces(model: str | Model, forces: Array) -> Model:
 
 
 def suits(robot: Robot, model: str | Model) -> bool:
-    """Whether a model describes a robot."""
+    """Return whether a model can describe a robot."""
     try:
         model_named(model).check(robot)
     except OptionError:

@@ -24,22 +24,23 @@ class Walker(ABC):
     def move_to(self, q: Array) -> list[Array]:
         """Move linearly to q (2d + 2,).
 
-        Returns, for each snap on the way, the angles (d,) in rad by which the tips jumped. If no equilibrium is
-        found at q, x is NaN from then on.
+        Returns the angles (d,) in rad by which the tips jumped, an entry for each snap on the way. If no
+        equilibrium is found at q, x is NaN from then on.
         """
 
     @abstractmethod
     def change_tubes(self, numbers: Array, x: Array | None = None) -> list[Array]:
         """Continue as a robot of other numbers (d, 8) at the same q, as when an estimate of them changes.
 
-        x (n_x,): roughly where it will be; None for where it is. Returns the tips' jumps (d,) rad, an entry for
-        each snap.
+        x (n_x,): approximate unknowns afterwards; None for the present ones. Returns the tips' jumps (d,) in rad,
+        an entry for each snap.
         """
 
     def change_load(self, load: Array) -> list[Array]:
-        """Continue under another load of the same kind, with numbers (17 + 3d,).
+        """Continue under another load (17 + 3d,) of the same kind, in the order of loads.Load.numbers.
 
-        Returns the tips' jumps (d,) rad, an entry for each snap. Raises OptionError where the model has no loads.
+        Returns the tips' jumps (d,) in rad, an entry for each snap. Raises OptionError where the model has no
+        loads.
         """
         raise OptionError("the model of the robot that moves step by step bears no load")
 
@@ -48,7 +49,8 @@ class Walker(ABC):
         """The stability margin; NaN where nothing can be unstable."""
 
     def copy(self) -> Walker:
-        """Another walker in the same place, for the same thread."""
+        """Return another walker in the same state, for the same thread."""
+        # A shallow copy suffices: walkers replace their states and never change them in place.
         return copy.copy(self)
 
 
@@ -64,7 +66,7 @@ class ConfigurationWalker(Walker):
         return []
 
     def change_tubes(self, numbers: Array, x: Array | None = None) -> list[Array]:
-        """Do nothing: other numbers change the shape, but neither q nor x, which is q."""
+        """Do nothing: other numbers change the shape, but neither q nor x, which is q. numbers, x: ignored."""
         return []
 
     def margin(self) -> float:

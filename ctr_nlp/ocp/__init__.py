@@ -1,8 +1,9 @@
-"""Formulations of one frame: a tuple of stages, each an Nlp and how its parameters are filled.
+"""Optimal control problems of the robot: the program of a frame, and of all frames of a motion.
 
-`joint` solves eq. (9) for all of q, `two_stage` eqs. (10)-(12) as the paper does; `horizon` has all frames in one
-program, and `shared` several robots or tasks. `terms` are the parts of an objective, one a file; `frame` puts a
-model and terms together; `wall` and `around` describe a lumen near the robot.
+A frame formulation is a tuple of stages, each an Nlp and a function that fills its parameters. `joint` solves eq.
+(9) for all of q, `two_stage` eqs. (10)-(12) as the paper does. `horizon` has all frames in one program, and
+`shared` several robots or tasks. `terms` are the parts of an objective, one a file; `frame` assembles a model and
+terms; `wall` linearises a lumen's wall near the robot.
 """
 
 from collections.abc import Callable, Sequence
@@ -26,7 +27,7 @@ TWO_STAGE = ("two-stage", "two-stage-exact")
 
 
 def default_model(formulation: str) -> str:
-    """Name of the model that a formulation plans on where none is given; formulation may also be "horizon".
+    """Return the name of the model that a formulation plans on by default; formulation may also be "horizon".
 
     The elastic model, except for the two-stage formulations: their first stage needs a curvature that alpha does
     not change, and only the dominant model has one.

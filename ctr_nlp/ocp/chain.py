@@ -55,8 +55,9 @@ class Slopes(NamedTuple):
 
 
 class _Evaluators:
-    """Value, slopes and expansion of all frames, for parameters (p, T); rebuilt when `functions` returns
-    others.
+    """Value, slopes and expansion of all frames, for parameters (p, T).
+
+    Evaluators are rebuilt when `functions` returns others.
     """
 
     def __init__(self, functions: Callable[[], FrameFunctions], parameters: Array) -> None:
@@ -66,7 +67,7 @@ class _Evaluators:
         self._mapped = dict[int, BatchEvaluator]()
 
     def __call__(self, which: int) -> BatchEvaluator:
-        """The evaluator number `which` of value, slopes and expansion, of the functions as they are now."""
+        """Return the evaluator number `which` of value, slopes and expansion, of the functions as they are now."""
         # Functions change when compiled ones, made in the background, take the place of interpreted ones.
         found = self._functions()
         if found is not self._of:
@@ -80,7 +81,7 @@ class _Evaluators:
 
 
 class Excess(NamedTuple):
-    """A row that leaves its bounds: its name, the frame (from 1) and by how much, in units of the row."""
+    """A row that violates its bounds: its name, the frame (from 1) and by how much, in units of the row."""
 
     name: str
     frame: int
@@ -94,9 +95,9 @@ class Chain:
     frame: the Nlp of every frame, with n unknowns x and m constraint values g, from which it picks a configuration
     q of k entries. axes: names of these; scale (k,): mm that a unit of each counts as. parameters (p, T): packed,
     a column a frame. lower, upper (T, n): bounds of x, equal where an unknown is fixed. functions: returns the
-    frame's functions, interpreted or, as soon as that is done, compiled. local_parameters: None, or a function of
-    the robot's unknowns (T, n - slacks) that returns parameters (T, ..) by name that hold near these only, and the
-    slacks (T,) that they need there. constraint_bounds: lower and upper bounds (T, m) of the frames' constraints;
+    frame's functions, interpreted or, as soon as they are ready, compiled. local_parameters: None, or a function
+    of the robot's unknowns (T, n - slacks) that returns parameters (T, ..) by name that are valid near these only,
+    and the slacks (T,) needed there. constraint_bounds: lower and upper bounds (T, m) of the frames' constraints;
     None for the frame's own.
 
     x is (T n,), frame by frame. Rows are, in this order: x itself; the frames' constraints, frame by frame; the
@@ -125,13 +126,13 @@ class Chain:
         return self.frame.x.numel()
 
     def robot_of(self, x: Array) -> Array:
-        """The robot's unknowns (T, n - slacks) of x (T n,)."""
+        """Return the robot's unknowns (T, n - slacks) of x (T n,)."""
         return x.reshape(self.frames, -1)[:, : self.unknowns - self.frame.slacks]
 
     def linearise_at(self, motion: Array) -> tuple[Chain, Array]:
-        """The chain linearised near a motion, and that motion as x (T n,).
+        """Return the chain linearised near a motion, and that motion as x (T n,).
 
-        motion: (T, n - slacks), or its entries in one row. Slacks get the values that they need there.
+        motion: (T, n - slacks), or its entries in one row. Slacks get the values needed there.
         """
         unknowns = motion.reshape(self.frames, -1)
         if self.local_parameters is None:
@@ -140,7 +141,7 @@ class Chain:
         return self.with_parameters(values), np.column_stack([unknowns, slack]).ravel()
 
     def with_parameters(self, values: Mapping[str, Array]) -> Chain:
-        """A chain with other values (T, ..) of some parameters, and the rest unchanged."""
+        """Return a chain with other values (T, ..) of some parameters, by name, and the rest unchanged."""
         parameters = self.parameters.copy()
         for name, value in values.items():
             # A parameter is packed column by column (Nlp.pack), a column of `parameters` a frame.
@@ -149,18 +150,18 @@ class Chain:
         return self._with(parameters=parameters)
 
     def with_cost(self, factor: float) -> Chain:
-        """A chain whose links cost `factor` times as much."""
+        """Return a chain whose links cost `factor` times as much."""
         return self._with(links=tuple(replace(link, weight=link.weight * factor) for link in self.links))
 
     def _with(self, **changes: Any) -> Chain:
-        """A chain with other parameters, costs or functions, none of which the rows depend on."""
+        """Return a chain with other parameters, costs or functions, none of which the rows depend on."""
         found = replace(self, **changes)
         # dataclasses.replace drops cached properties; those of the rows are still valid and are taken over.
         vars(found).update({name: getattr(self, name) for name in OF_ROWS})
         return found
 
     def nearest(self, x: Array) -> Chain:
-        """The chain that finds the point nearest to x (T n,), in mm, among those within all bounds.
+        """Return the chain that finds the point nearest to x (T n,), in mm, among those within all bounds.
 
         Distances are |scale (x - to)|^2 with the unknown number i scaled as axis number i, of which there must be
         as many.
@@ -225,10 +226,11 @@ class Chain:
         return sp.csr_array(self.linking.T)
 
     def _concatenate_links(self, pick: Callable[[FrameLink], Array]) -> Array:
+        """Return the values that `pick` takes from each link, in one row."""
         return np.concatenate([pick(link) for link in self.links])
 
     def _rows(self, x: Array, g: Array) -> tuple[Array, Array]:
-        """Values of all rows where the frames' constraints are g (T, m), and of the links alone."""
+        """Return values of all rows where the frames' constraints are g (T, m), and of the links alone."""
         own = np.concatenate([x, g.ravel()])
         linked = self.linking @ own + self.offset
         return np.concatenate([own, linked]), linked
@@ -253,14 +255,15 @@ class Chain:
         )
 
     def with_fixed_functions(self) -> Chain:
-        """A copy with the functions fixed to those available now, for callers that keep the arrays that these
-        write.
+        """Return a copy with the functions fixed to those available now.
+
+        For callers that keep the arrays that these write.
         """
         now = self.functions()
         return self._with(functions=lambda: now)
 
     def evaluators(self) -> list[BatchEvaluator]:
-        """The evaluators of values and of expansions of all frames, with the functions available now."""
+        """Return the evaluators of values and of expansions of all frames, with the functions available now."""
         return [self._evaluators(0), self._evaluators(2)]
 
     @cached_property
@@ -268,11 +271,11 @@ class Chain:
         return _Evaluators(self.functions, self.parameters)
 
     def frame_values(self, x: Array) -> list[Array]:
-        """Objectives (T, 1) and constraints (T, m) of the frames at x; the next call overwrites them."""
+        """Return objectives (T, 1) and constraints (T, m) of the frames at x; the next call overwrites them."""
         return self._evaluators(0)(x)
 
     def frame_expansion(self, x: Array, multipliers: Array) -> list[Array]:
-        """Second-order expansions of the frames at x; the next call overwrites them.
+        """Return second-order expansions of the frames at x; the next call overwrites them.
 
         multipliers: of all rows. Returns objectives (T, 1), gradients (T, n), constraints (T, m), their Jacobians
         (T, n m) by columns, and Hessians (T, n n) of the Lagrangian. B' diag(2 weight) B is left out, with B the
@@ -290,18 +293,20 @@ class Chain:
         return self._evaluators(2)(x, np.ones(self.frames), of_frames)
 
     def evaluate(self, x: Array) -> tuple[float, Array]:
-        """The objective in mm^2 and the rows' values at x."""
+        """Return the objective in mm^2 and the rows' values at x."""
         f, g = self.frame_values(x)
         value, linked = self._rows(x, g)
         return float(f.sum() + self.weight @ linked**2), value
 
     def configurations(self, value: Array) -> Array:
-        """The configurations q of the frames, (T, k), from values of all rows."""
+        """Return the configurations q of the frames, (T, k), from the values of all rows (value)."""
         return value[self._configuration_rows].reshape(self.frames, -1)
 
     def by_frame(self, x: Array) -> tuple[Array, Array]:
-        """Contributions of each frame to the objective, (T,) mm^2: its own, and that of the links that end at
-        it.
+        """Return each frame's contributions to the objective at x (T n,): its own, and those of links that end
+        there.
+
+        Both are (T,) mm^2.
         """
         f, g = self.frame_values(x)
         cost = np.zeros(self.frames)
@@ -311,7 +316,7 @@ class Chain:
         return f.ravel().copy(), cost
 
     def slopes(self, x: Array) -> Slopes:
-        """First derivatives at x."""
+        """Return first derivatives at x."""
         f, gradient, g, columns = self._evaluators(1)(x)
         value, linked = self._rows(x, g)
         # CasADi stores matrices by columns: (T, n m) is read as (T, n, m) and transposed to (T, m, n).
@@ -323,7 +328,10 @@ class Chain:
         return Slopes(float(f.sum() + self.weight @ linked**2), gradient, value, jacobian)
 
     def multiply_transposed_jacobian(self, jacobian: Array, rows: Array) -> Array:
-        """The transposed Jacobian of all rows times a vector over the rows, (T n,)."""
+        """Return the transposed Jacobian of all rows times a vector over the rows (rows), (T n,).
+
+        jacobian (T, m, n): of the frames' constraints over their unknowns.
+        """
         frames, m, n = jacobian.shape
         # Links reach x directly or through g: first A' to both, then g's part through the frames'
         # Jacobians.
@@ -333,12 +341,15 @@ class Chain:
         return of_x + product + through_x
 
     def violation(self, value: Array) -> float:
-        """Largest amount by which any row leaves its bounds; negative where all are strictly inside."""
+        """Return the largest violation of a bound by the rows' values (value).
+
+        Negative where all are strictly inside.
+        """
         low, high = self.bounds
         return float(np.maximum(low - value, value - high).max())
 
     def excesses(self, value: Array, tolerance: float) -> list[Excess]:
-        """The rows that leave their bounds by more than tolerance, worst first."""
+        """Return the rows whose values (value) violate their bounds by more than tolerance, worst first."""
         low, high = self.bounds
         # NaN counts as infinite: a row that could not be evaluated is the worst of all.
         amount = np.nan_to_num(np.maximum(low - value, value - high), nan=np.inf)
@@ -346,7 +357,7 @@ class Chain:
         return [Excess(*self.describe_row(row), float(amount[row])) for row in worst]
 
     def describe_row(self, row: int) -> tuple[str, int]:
-        """Name of the quantity that a row limits, and the frame it belongs to, from 1."""
+        """Return the name of the quantity that a row limits, and the frame it belongs to, from 1."""
         own = self._own_names
         for names in (own[: self.unknowns], own[self.unknowns :]):
             if row < self.frames * len(names):
@@ -368,10 +379,10 @@ class Chain:
         return names
 
     def kkt(self, x: Array, multipliers: Array) -> Array:
-        """How far each frame is from a KKT point, (T,), from the problem alone and not from what a solver reports.
+        """Return how far each frame is from a KKT point, (T,), computed from the problem alone.
 
-        The largest of its stationarity (mm^2 per unit of x), infeasibility (units of a row) and complementarity
-        (mm^2). multipliers: of all rows, positive at upper bounds.
+        It is the largest of stationarity (mm^2 per unit of x), infeasibility (units of a row) and complementarity
+        (mm^2), whatever a solver reports. x (T n,); multipliers: of all rows, positive at upper bounds.
         """
         at = self.slopes(x)
         # A fixed unknown may have any slope: its bounds, which meet, can take any multiplier.

@@ -1,7 +1,7 @@
-"""The lumen's wall near a robot, found in C: wall.c, with the robot's points from compiled functions.
+"""The lumen's wall near a robot, computed in C: wall.c, with the robot's points from compiled functions.
 
-wall.py says what is looked for, and has it in numpy for use without a compiler. Lengths in mm, unknowns x in rad
-and mm. Samples along the robot are evaluated side by side, one in each lane of a vector.
+wall.py explains the method, and has it in numpy for use without a compiler. Lengths in mm, unknowns x in rad and
+mm. Samples along the robot are evaluated side by side, one in each lane of a vector.
 """
 
 from __future__ import annotations
@@ -34,14 +34,16 @@ from ctr_nlp.typing import Array
 WALL_SAMPLE_LANES = vector.VECTOR_LANES
 """Samples that are evaluated side by side."""
 _WALL_INTEGER_FIELDS = "unknowns", "loaded", "tubes", "places", "finer", "samples", "lanes", "nodes"
-"""Names of the integer fields of the struct Wall, in its order; then those of given arrays, of numbers, and of
-room.
+"""Names of the integer fields of the struct Wall, in its order; the tuples below name its given arrays, its
+numbers and its work arrays.
 """
 _WALL_INPUT_FIELDS = "shares", "numbers", "table", "along", "path", "radius", "outer"
 _WALL_NUMBER_FIELDS = "clearance", "centred", "tiny", "spacing", "widest"
 _WALL_WORK_FIELDS = "x", "load", "at", "kept_x", "kept_load", "kept"
 
 
+# Order and types of the fields must be those of the struct in C: nothing checks them, and a mismatch reads other
+# memory.
 class _WallStruct(ctypes.Structure):
     """The struct Wall of wall.c, field by field."""
 
@@ -56,14 +58,15 @@ class _WallStruct(ctypes.Structure):
     ]
 
     def forget_points(self) -> None:
-        """Let nothing count as found before: the next call looks at every point."""
+        """Clear the cache of points: the next call computes every point again."""
         self.known = 0
 
 
 class CompiledWall:
     """A lumen's wall around a robot on a model, in C; not from two threads at once.
 
-    subsamples: samples a place. clearance, mm: to be kept. tiny: replaces 0 in a denominator.
+    clearance: least distance from the wall, mm. subsamples: for each sample point. tiny: replaces 0 in a
+    denominator.
     """
 
     def __init__(
@@ -123,7 +126,7 @@ class CompiledWall:
         self._compiled: ctypes.CDLL | None = None
 
     def ready(self, wait: bool = False) -> bool:
-        """Whether the functions have been compiled; wait: until they have."""
+        """Return whether the functions have been compiled; wait: until they have."""
         if (
             self._compiled is None
             and (path := self._made.wait_for_path() if wait else self._made.path_if_ready()) is not None
@@ -135,11 +138,11 @@ class CompiledWall:
         return self._compiled is not None
 
     def __call__(self, x: Array, numbers: Array | None = None, loads: Array | None = None) -> tuple[Array, Array]:
-        """Numbers that describe the wall, (T, d WALL_SAMPLES_PER_TUBE, WALL_COLUMN_COUNT), near unknowns x (T, n),
-        and slacks (T,) needed, mm.
+        """Return the wall's numbers near x (T, n), and the slacks (T,) needed, mm.
 
-        numbers (d, 8): of the tubes, where they are not the robot's. loads (T, 17 + 3d): on models with loads.
-        Raises ValueError for other unknowns or loads than the model's.
+        The first are (T, d WALL_SAMPLES_PER_TUBE, WALL_COLUMN_COUNT). numbers (d, 8): of the tubes, where they are
+        not the robot's. loads (T, 17 + 3d): on models with loads. Raises ValueError for other unknowns or loads
+        than the model's.
         """
         loads = np.zeros((len(x), 0)) if loads is None else np.ascontiguousarray(loads, dtype=float)
         if loads.shape != (len(x), self._loaded):
@@ -150,7 +153,7 @@ class CompiledWall:
         of_tubes = self._own if numbers is None else np.tile(numbers.ravel(order="F"), WALL_SAMPLE_LANES)
         if not np.array_equal(of_tubes, self._numbers):
             self._numbers[:] = of_tubes
-            # C skips points that it has found at the same x; with other tubes these are elsewhere.
+            # C skips points that it has computed at the same x; with other tubes these are different.
             self._wall.forget_points()
         given = ctypes.c_long(len(x)), x.ctypes, loads.ctypes, found.ctypes
         self._library.around_all(ctypes.byref(self._wall), *given)
@@ -159,7 +162,7 @@ class CompiledWall:
         return found[:, :-1].reshape(len(x), WALL_COLUMN_COUNT, self._rows).transpose(0, 2, 1), found[:, -1].copy()
 
     def local_parameter_source(self, settled: float, rounds: int) -> LocalParameterSource:
-        """Addresses and costs for run.c, which calls around at every frame; valid as long as this object lives.
+        """Return addresses and costs for run.c, which updates every frame; valid as long as this object lives.
 
         settled: mm by which slacks may differ in the last round; rounds: most of them.
         """
@@ -173,7 +176,7 @@ class WallDistance:
     """Room in a lumen beside points: its radius less the distance to its path; in C where possible."""
 
     def __init__(self, lumen: Lumen) -> None:
-        """Prepare."""
+        """Prepare the tables of a lumen for C."""
         self._lumen = lumen
         pieces = (
             np.ascontiguousarray(each)
@@ -187,7 +190,7 @@ class WallDistance:
         )
 
     def __call__(self, points: Array) -> Array:
-        """Room at points (.., 3) in mm, (..,) mm; NaN at points that are NaN."""
+        """Return the room at points (.., 3) in mm, (..,) mm; NaN at points that are NaN."""
         if cache.unavailable_reason():
             near = self._lumen.project(points)
             return np.asarray(near.radius - near.distance)
@@ -198,17 +201,19 @@ class WallDistance:
         return found
 
     def clearances(self, robot: Robot, beta: Array, shape: Array, sigma: Array) -> Array:
-        """Clearance between the wall and a robot's outermost tube, (.., T, n) mm; negative beyond the wall.
+        """Return the clearance between the wall and a robot's outermost tube, (.., T, n) mm.
 
-        beta (T, d): extensions; shape (.., T, n, 3) mm: points at sigma (n,), NaN where there are none.
+        Negative beyond the wall. beta (T, d): extensions; shape (.., T, n, 3) mm: points at sigma (n,), NaN where
+        there are none.
         """
         return np.asarray(self(shape) - outermost_tube_radii(robot, beta, sigma))
 
 
 def _arc_length_coefficients(d: int, count: int, samples: int) -> Array:
-    """Coefficients of the extensions in arc lengths of count samples a tube: (samples, d) by columns, by lanes.
+    """Return coefficients of the extensions in arc lengths of `count` samples a tube: (samples, d) by columns, by
+    lanes.
 
-    Arc lengths are those of terms.lumen.arc_lengths; samples more than there are stand at the innermost tip.
+    Arc lengths are those of terms.lumen.arc_lengths; samples beyond the last stand at the innermost tip.
     """
     # Sample number j of tube i is at beta_{i-1} + (j + 1) / count (beta_i - beta_{i-1}): shares 1 - f and f
     # of two neighbouring extensions, the first of which is beta_0 = 0 and has no column.
@@ -222,16 +227,17 @@ def _arc_length_coefficients(d: int, count: int, samples: int) -> Array:
 
 @functools.lru_cache(maxsize=64)
 def _compile_sample_points(model: Model, structure: Structure, samples: int) -> tuple[ca.Function, Library]:
-    """The function sample_points_function, and its library for WALL_SAMPLE_LANES samples side by side."""
+    """Return the function sample_points_function, and its library for WALL_SAMPLE_LANES samples side by side."""
     points = sample_points_function(model, structure, samples)
     return points, Library(points.serialize(), functools.partial(tuple, (points,)), WALL_SAMPLE_LANES)
 
 
 @functools.lru_cache(maxsize=64)
 def sample_points_function(model: Model, structure: Structure, samples: int) -> ca.Function:
-    """A function (x, shares (samples, d) of extensions, numbers) -> points (samples, 3), mm.
+    """Build the function (x, shares (samples, d) of extensions, numbers) -> points (samples, 3), mm.
 
-    They are the points that programs have. On models with loads the function takes the numbers of one, too.
+    model, structure: of the robot, whose points are those in programs. On models with loads the function takes the
+    numbers of one, too.
     """
     shares = ca.SX.sym("shares", samples, structure.d)
     numbers = ca.SX.sym("numbers", structure.d, len(TUBE_NUMBER_NAMES))

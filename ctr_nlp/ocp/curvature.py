@@ -1,9 +1,9 @@
-"""Curvature of the robot against the target's, eq. (11), smoothed and exact, as stage one compares them.
+"""Curvature of the robot against the target's, eq. (11), smoothed and exact, for the first of the two stages.
 
 The paper's eq. (11) is an integral over the robot's arc length, sum_i int (k_i - kbar(s L / beta_d))^2 ds with
 curvatures in 1/mm. Here it is a mean over sigma = s / beta_d, since the integral shrinks with the robot, and is
-scaled to mm^2 by a lever, so that its weights compare with those of shape errors. Symbols: turning is the integral
-of the target's curvature over its arc length (rad), kappa that curvature, both at uniform sigma.
+scaled to mm^2 (curvature_to_shape_scale), so that its weights compare with those of shape errors. Symbols: turning
+is the integral of the target's curvature over its arc length (rad), kappa that curvature, both at uniform sigma.
 """
 
 from __future__ import annotations
@@ -20,29 +20,30 @@ from ctr_nlp.robot.structure import Tubes
 
 
 def length_residual(beta_d: ca.SX, target_length: ca.SX, weight: float) -> Residual:
-    """Deployed length beta_d against the target's, mm, as a residual; weight has no unit."""
+    """Return the residual of the deployed length beta_d against target_length, mm; weight has no unit."""
     return Residual("length", np.sqrt(weight) * (beta_d - target_length))
 
 
 def curvature_to_shape_scale(reach: Any) -> Any:
-    """The factor reach^2 / (2 sqrt 5), mm^2, from 1/mm to mm, which gives stage one the scale of shape errors.
+    """Return the factor reach^2 / (2 sqrt 5), mm^2, that converts curvature errors in 1/mm to shape errors in mm.
 
-    A curvature error kept along the whole reach moves the points by it times s^2 / 2; this is the root mean square
-    over sigma.
+    A constant curvature error along the whole reach, mm, moves the points by it times s^2 / 2; this is the root
+    mean square over sigma.
     """
+    # sqrt(mean of (s^2 / 2)^2) with s = sigma reach: the mean of sigma^4 over [0, 1] is 1/5.
     return reach**2 / (2 * np.sqrt(5))
 
 
 def curvature(
     tubes: Tubes, beta: Sequence[ca.SX], reach: ca.SX, turning: ca.SX, target_length: ca.SX, width: ca.SX
 ) -> CostTerm:
-    """Curvature of the robot against the target's, eq. (11), with jumps smoothed over a width in mm.
+    """Return the cost of the robot's curvature against the target's, eq. (11), with smoothed jumps.
 
-    tubes, beta: of the robot. reach: mm, see lever. turning: (n + 1,) integral of the target's curvature in rad at
-    uniform sigma; target_length: mm. The target's mean over each cell is compared with the robot's value at its
-    middle. As a mean over sigma, the sum cannot be made small by shrinking the robot. A Cost, not a Residual: what
-    is left at the optimum is large and its second derivatives dominate, so that Gauss-Newton steps do not
-    converge.
+    tubes, beta: of the robot, extensions in mm. reach: mm, see curvature_to_shape_scale. turning: (n + 1,)
+    integral of the target's curvature in rad at uniform sigma; target_length: mm. width: of the smoothed jumps,
+    mm. The target's mean over each cell is compared with the robot's value at its middle. As a mean over sigma,
+    the sum cannot be made small by shrinking the robot. A CostTerm, not a Residual: the curvature error left at
+    the optimum is large and its second derivatives dominate, so that Gauss-Newton steps do not converge.
     """
     cells = turning.numel() - 1
     middle = ca.DM((np.arange(cells) + 0.5) / cells)
@@ -53,18 +54,19 @@ def curvature(
 
 
 def smooth_step(x: Any) -> Any:
-    """A smooth step S(x) from 0 to 1; 96 % of the rise lies in [-1, 1]."""
+    """Return a smooth step S(x) from 0 to 1; 96 % of the rise lies in [-1, 1]."""
     return (1 + ca.tanh(2 * x)) / 2
 
 
 def curvature_exact(
     tubes: Tubes, beta: Sequence[ca.SX], reach: ca.SX, kappa: ca.SX, turning: ca.SX, target_length: ca.SX
 ) -> CostTerm:
-    """The integral in eq. (11) itself, as a mean over sigma and without any smoothing of jumps.
+    """Return the cost of eq. (11) as an exact mean over sigma, without any smoothing of jumps.
 
-    For each tube, the mean of (k - kappa)^2 needs the target's curvature only through its cumulative integrals at
-    the tube's two ends. The mean of kappa^2, which no beta changes, is left out. reach: mm. kappa: (n + 1,) in
-    1/mm and turning: (n + 1,) in rad, at uniform sigma; target_length: mm.
+    tubes, beta: of the robot, extensions in mm. reach: mm. kappa: (n + 1,) in 1/mm and turning: (n + 1,) in rad,
+    at uniform sigma; target_length: mm. For each tube, the mean of (k - kappa)^2 needs the target's curvature only
+    through its cumulative integrals at the tube's two ends. The mean of kappa^2, which no beta changes, is left
+    out.
     """
     total = ca.SX(0)
     start = ca.SX(0)
@@ -91,9 +93,9 @@ def curvature_exact(
 
 
 def _cumulative(kappa: ca.SX, turning: ca.SX, target_length: ca.SX) -> tuple[Any, Any]:
-    """The integral F over sigma of the target's curvature from 0, and F's own integral S, as functions of sigma.
+    """Return the integral F over sigma of the target's curvature, and F's own integral S, as functions of sigma.
 
-    Between grid points F is the cubic that meets turning and kappa at both: C1 everywhere. Units: 1/mm.
+    Between grid points F is the cubic that matches turning and kappa at both: C1 everywhere. Units: 1/mm.
     """
     cells = kappa.numel() - 1
     h = 1 / cells

@@ -2,7 +2,7 @@
 
 Expressions may be nested: residuals r(u), with u = (v, x) and inner quantities v(x), in several layers. The chain
 rule is applied layer by layer, which needs fewer operations than differentiating the substituted expression;
-`Written.derivatives` has the formulas. Units are those of nlp.py.
+`ProgramExpressions.derivatives` has the formulas. Units are those of nlp.py.
 """
 
 from __future__ import annotations
@@ -20,7 +20,8 @@ class FrameFunctions(NamedTuple):
 
     value: (x, p) -> (objective, g). slopes: (x, p) -> (objective, its gradient, g, the dense Jacobian of g).
     expansion: (x, p, lam_f, lam_g) -> slopes and the dense exact Hessian of lam_f objective + lam_g g. lanes:
-    number of frames that one call evaluates, side by side as `map` lays them out; codegen.mapped takes any number.
+    number of frames that one call evaluates, side by side as `map` lays them out; codegen.batch_evaluator takes
+    any number.
     """
 
     value: ca.Function
@@ -46,7 +47,7 @@ class ProgramExpressions:
 
     @classmethod
     def of(cls, function: ca.Function) -> ProgramExpressions:
-        """Rebuild the expressions from the `function` of another Written, in new symbols."""
+        """Rebuild the expressions from the `function` of another ProgramExpressions, in new symbols."""
         symbols = [ca.SX.sym(function.name_in(i), *function.size_in(i)) for i in range(function.n_in())]
         residual, cost, g, *values = function.call(symbols)
         x, p, *inner = symbols
@@ -74,14 +75,17 @@ class ProgramExpressions:
 
     @staticmethod
     def without(layers: Sequence[tuple[ca.SX, ca.SX]], expressions: list[ca.SX]) -> list[ca.SX]:
-        """Expressions with the symbols of some layers replaced by their values."""
+        """Return expressions with the symbols of some layers replaced by their values.
+
+        layers: pairs of symbols and values.
+        """
         # From the last layer to the first: values of later layers contain symbols of earlier ones.
         for symbols, values in reversed(layers):
             expressions = ca.substitute(expressions, [symbols], [values])
         return expressions
 
     def in_x(self, expressions: list[ca.SX]) -> list[ca.SX]:
-        """Expressions with all inner symbols replaced by their values."""
+        """Return expressions with all inner symbols replaced by their values."""
         return self.without(self.inner, expressions)
 
     @cached_property
@@ -111,11 +115,11 @@ class ProgramExpressions:
         )
 
     def functions_to_compile(self) -> tuple[ca.Function, ...]:
-        """Value, slopes and expansion as a tuple of functions, to be compiled."""
+        """Return value, slopes and expansion as a tuple of functions, to be compiled."""
         return self.functions[:3]
 
     def derivatives(self, lam_f: ca.SX, lam_g: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
-        """The objective's gradient, the Jacobian of g, and the Hessian of lam_f objective + lam_g g.
+        """Return the objective's gradient, the Jacobian of g, and the Hessian of lam_f objective + lam_g g.
 
         With L(u) = lam_f (|r(u)|^2 + cost(u)) + lam_g g(u) of u(x), the Hessian is u_x' L_uu u_x + sum L_u u_xx,
         where of L_uu the part 2 r_u' r_u becomes 2 J'J with J = r_u u_x; and so on for u(v(x)), layer by layer.

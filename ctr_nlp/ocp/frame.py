@@ -1,7 +1,7 @@
 """A frame's program from a model and terms, built once for robots that differ in numbers alone.
 
-Unknowns are the model's x (rad, mm), then numbers of tubes that are freed, then slacks. Constraints begin with
-what x does not hold of the configuration q, eq. (5), then those of the terms. Numbers of tubes, targets and
+Unknowns are the model's x (rad, mm), then free numbers of tubes, then slacks. Constraints begin with the part of
+the configuration q, eq. (5), that x does not contain, then those of the terms. Numbers of tubes, targets and
 weights are parameters: a program is found again by its structure, model and terms.
 """
 
@@ -36,30 +36,32 @@ def program(
     terms: Sequence[Term],
     free_numbers: tuple[str, ...] | None = None,
 ) -> Nlp:
-    """The program of one frame: the model's unknowns, the rest of q as rows, and what the terms add.
+    """Return the program of one frame: the model's unknowns, the rest of q as rows, and what the terms add.
 
-    name: of the program, for messages. free_numbers: for robots that share their motors, names of tubes' numbers
-    that are unknowns, too, after the model's (structure.freed_places), or empty; the motors' angles are then rows
-    on any model, and the tilt, which they share, is an unknown. None for a robot of its own. Raises OptionError
-    where two terms have parameters of one name.
+    name: of the program, for messages. structure: kinds of the tubes. model, terms: of the frame. free_numbers:
+    for robots that share their motors, names of tubes' numbers that are unknowns, too, after the model's
+    (robot.structure.locate_free_numbers), or empty; the motors' angles are then rows on any model, and the tilt,
+    which they share, is an unknown. None for a robot of its own. Raises OptionError where two terms have
+    parameters of one name.
     """
+    # Cached by keys: models and terms that differ in numbers alone share one program, whose parameters these are.
     return _program(name, structure, model.program_model, _TermsByKey(terms), free_numbers)
 
 
 def robot_values(robot: Robot) -> dict[str, Any]:
-    """The parameters of every program that describe the robot, by name."""
+    """Return the parameters of every program that describe the robot, by name."""
     return {"tubes": robot.numbers}
 
 
 def fill_parameters(robot: Robot, terms: Sequence[Term], frame: Frame) -> dict[str, Any]:
-    """All parameters of a program, by name, for a target frame."""
+    """Return all parameters of the program of a robot and terms for a target frame, by name."""
     return robot_values(robot) | {key: value for term in terms for key, value in term.fill(frame).items()}
 
 
 def pack_frames(nlp: Nlp, values: Sequence[Mapping[str, Any]]) -> Array:
-    """Parameters of many frames, by name in values, as rows (frames, n_p), each as Nlp.pack would make it.
+    """Return parameters of many frames of nlp, given by name in values, as rows (frames, n_p).
 
-    Raises ValueError as Nlp.pack does, or where frames differ in their parameters.
+    A row is what Nlp.pack returns. Raises ValueError as Nlp.pack does, or where frames differ in their parameters.
     """
     found = [nlp.pack(values[0])[None, :0].repeat(len(values), axis=0)]
     for name in nlp.parameters:
@@ -106,7 +108,7 @@ def _program(
     # All terms' samples in one column: the model computes its shape once. counts tells which samples are
     # whose.
     def places(beta: Sequence[ca.SX]) -> ca.SX:
-        """Arc lengths of the samples of all terms, mm, one term after another."""
+        """Return the arc lengths of the samples of all terms, mm, one term after another."""
         found = [ca.SX(term.sample_arc_lengths(beta)) for term in terms]
         counts[:] = [each.numel() for each in found]
         return ca.vertcat(*found)
@@ -125,7 +127,7 @@ def _program(
 
 
 def _parameters(structure: Structure, terms: Sequence[Term]) -> dict[str, ca.SX]:
-    """Symbols for the parameters of all terms, by name."""
+    """Return symbols for the parameters of all terms, by name."""
     found = dict[str, ca.SX]()
     for term in terms:
         for name, size in term.parameters(structure).items():
@@ -136,7 +138,7 @@ def _parameters(structure: Structure, terms: Sequence[Term]) -> dict[str, ca.SX]
 
 
 def _configuration(shape: SymbolicShape, d: int) -> ca.SX:
-    """The configuration q (2d + 2, 1), from x and the rows."""
+    """Return the configuration q (2d + 2, 1), picked from x and the rows."""
     if shape.picks is None:
         return shape.x
     return ca.vertcat(shape.x, *shape.rows.values())[list(shape.picks[: 2 * d + 2])]
@@ -150,10 +152,11 @@ def _assemble_nlp(
     freed: ca.SX,
     motors_shared: bool,
 ) -> Nlp:
-    """The Nlp of a shape and the terms' parts.
+    """Assemble the Nlp of a shape and the terms' parts.
 
-    Freed numbers and then slacks come after the model's unknowns, and the part of the configuration that these do
-    not hold comes first among the rows; so do the motors' angles where several robots share them (motors_shared).
+    freed: free numbers of tubes, (k, 1); they and then slacks come after the model's unknowns. The part of the
+    configuration that these do not contain comes first among the rows; so do the motors' angles where several
+    robots share them (motors_shared).
     """
     slacks = [part.slack for part in parts if part.slack is not None]
     motors = list[Constraint]()

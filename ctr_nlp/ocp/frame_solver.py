@@ -1,4 +1,4 @@
-"""The interface of solvers of single frames, and starts for a search without a previous frame.
+"""The interface of solvers of single frames, and initial guesses for a search without a previous frame.
 
 Steering frame by frame is the paper's eq. (6): q(t) for the target of time t, from the configuration before it.
 Configurations q (2d + 2,) are in rad and mm, objectives in mm^2, times in s.
@@ -19,17 +19,17 @@ from ctr_nlp.support.sobol import sobol
 from ctr_nlp.typing import Array
 
 MIN_RELATIVE_OBJECTIVE_DIFFERENCE = 1e-3
-"""Part by which the objectives of two answers must differ to count as distinct."""
+"""Relative difference from which on the objectives of two solutions count as distinct."""
 
 
 @dataclass(frozen=True)
 class FrameResult:
     """The configuration found for one frame.
 
-    q (2d + 2,): the answer, and where success is False the one to fall back to, never a solution. objective: mm^2.
-    kkt: NaN for methods without multipliers. iterations: of the solver, or evaluations of the shape. status: the
-    solver's own word. warm: what the next frame may start from, known to the solver only. x: the unknowns of a
-    model whose q does not determine them.
+    q (2d + 2,): the solution, or, where success is False, a fallback that is no solution. objective: mm^2. kkt:
+    NaN for methods without multipliers. iterations: of the solver, or evaluations of the shape. status: the
+    solver's own message. warm: warm start for the next frame, in a form known to the solver only. x: the unknowns
+    of a model whose q does not determine them.
     """
 
     q: Array
@@ -54,24 +54,24 @@ class FrameSolver(Protocol):
         """Metadata of plans: formulation, model, solver, options."""
 
     def search(self, frame: int) -> list[FrameResult]:
-        """Distinct answers for a frame without a past, best first; at least one."""
+        """Return distinct solutions of a frame without a frame before it, best first; at least one."""
 
     def step(self, frame: int, before: FrameResult) -> FrameResult:
-        """The answer for a frame within the robot's speed limits of the frame before."""
+        """Return the solution of a frame within the robot's speed limits of the frame before."""
 
     def run(self, frames: Sequence[int], before: FrameResult) -> Iterator[tuple[FrameResult, float]]:
-        """Answers for frames, each from the one before, and the seconds that each took."""
+        """Yield solutions of frames, each within reach of the one before, and the seconds that each took."""
 
 
 class Restartable(FrameSolver, Protocol):
-    """A frame solver that can start a run again near another one's answer."""
+    """A frame solver that can restart a run near a known solution."""
 
     def search_near(self, frame: int, known: FrameResult) -> FrameResult:
-        """The answer for a frame without a past, near a known one."""
+        """Return the solution of a frame without a frame before it, near a known one."""
 
 
 def distinct_results(results: Sequence[FrameResult]) -> list[FrameResult]:
-    """The results whose objectives differ by more than MIN_RELATIVE_OBJECTIVE_DIFFERENCE, best first."""
+    """Return the results whose objectives differ by more than MIN_RELATIVE_OBJECTIVE_DIFFERENCE, best first."""
     found = list[FrameResult]()
     for result in sorted(results, key=lambda one: one.objective):
         # 1e-9 mm^2: objectives that are 0 but for rounding are the same.
@@ -83,7 +83,10 @@ def distinct_results(results: Sequence[FrameResult]) -> list[FrameResult]:
 def step_through_frames(
     step: Callable[[int, FrameResult], FrameResult], frames: Sequence[int], before: FrameResult
 ) -> Iterator[tuple[FrameResult, float]]:
-    """FrameSolver.run by a solver's `step`, one frame after another."""
+    """Yield the solutions of frames by a solver's `step`, one after another, and their seconds.
+
+    before: the result before the first of them.
+    """
     for frame in frames:
         begin = time.perf_counter()
         before = step(frame, before)
@@ -91,7 +94,7 @@ def step_through_frames(
 
 
 def sobol_starts(robot: Robot, target: Frame, count: int, seed: int = 0) -> Array:
-    """Start configurations (count, 2d + 2) for a target without a past: Sobol points within the robot's limits.
+    """Return initial guesses (count, 2d + 2) for a target: Sobol points of a seed within the robot's limits.
 
     Without limits, angles of tubes span a full turn; tilts stay within 0.5 rad of the target's own.
     """
@@ -115,7 +118,7 @@ def sobol_starts(robot: Robot, target: Frame, count: int, seed: int = 0) -> Arra
 
 
 def reachable_bounds(robot: Robot, previous: Array | None, dt: float) -> tuple[Array, Array]:
-    """Lower and upper bounds of q: the robot's limits and, from a previous q, what its speed allows in dt s."""
+    """Return lower and upper bounds of q: a robot's limits and, from a previous q, its speed limits over dt s."""
     if previous is None:
         return robot.lower, robot.upper
     step = robot.speed * dt

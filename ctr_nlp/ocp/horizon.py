@@ -30,9 +30,9 @@ from ctr_nlp.typing import Array
 
 @dataclass(frozen=True)
 class EndConfigurations:
-    """Where the robot stands one frame before the first, and in the last frame; None where it is free.
+    """The robot's configurations one frame before the first, and in the last frame; None where it is free.
 
-    start, end: q (2d + 2,). Where accelerations are limited, the robot rests at given ends.
+    start, end: q (2d + 2,). Where accelerations are limited, the robot is at rest at given ends.
     """
 
     start: Array | None = None
@@ -40,13 +40,13 @@ class EndConfigurations:
 
     @property
     def options(self) -> dict[str, list[float] | None]:
-        """Both ends as a plan's options have them, by name."""
+        """Both ends in the form of a plan's options, by name."""
         ends = (("start", self.start), ("end", self.end))
         return {name: None if q is None else q.tolist() for name, q in ends}
 
 
 def interpreted_functions(nlp: Nlp) -> Callable[[], FrameFunctions]:
-    """A function that returns a frame's functions, evaluated by CasADi's interpreter."""
+    """Return a function that returns the functions of nlp, evaluated by CasADi's interpreter."""
     return lambda: nlp.functions
 
 
@@ -62,26 +62,27 @@ def horizon(
     wall: Wall | None = None,
     extra: Sequence[Term] = (),
 ) -> Chain:
-    """The motion of a robot through frames, dt s apart, as a chain.
+    """Build the motion of a robot on a model through frames, dt s apart, as a chain.
 
     motion_weight: lambda in s^2. ends: given configurations. functions: maps a program to a function that returns
     its functions, interpreted or compiled. margin: least stability margin on models that can snap; None for any.
-    wall: of the lumen that the robot is kept in; the chain is then linearised near a motion (Chain.linearise_at).
-    extra: further terms.
+    wall: of the lumen around the robot; the chain is then linearised near a motion (Chain.linearise_at). extra:
+    further terms.
     """
     terms = frame_terms(robot, model, margin, extra, walled=wall is not None)
     frame = program("frame", robot.structure, model, terms)
     # Where q does not determine the equilibrium, tips are picked along with q, so that links can limit
     # their steps, too: a plan must not jump to another branch between frames.
     tips = tip_step_limits(robot, dt) if model.several_equilibria else np.zeros(0)
+    # Tips are limited from frame to frame (links), not in themselves.
     free = np.full(len(tips), np.inf)
     # alpha may be a constraint and beta an unknown: limits of the configuration are split into both.
     rows = frame.row_bounds(np.append(robot.lower, -free), np.append(robot.upper, free))
     (lower, least), (upper, most) = (
         np.split(np.tile(row, (len(frames), 1)), [frame.x.numel()], axis=1) for row in rows
     )
-    # Given ends are configurations; where q does not determine the equilibrium, the robot stands in that
-    # which it settles in without a history.
+    # Given ends are configurations; where q does not determine the equilibrium, the robot is in the one in which
+    # it settles without a history.
     rest = [None if q is None or not len(tips) else model.rest(robot, q) for q in (ends.start, ends.end)]
     if ends.end is not None:
         robot_only = frame.x.numel() - frame.slacks
@@ -116,13 +117,14 @@ def motion_links(
     after: list[Array],
     tips: Array,
 ) -> tuple[FrameLink, ...]:
-    """The links between frames: steps with their cost (9) and speed limits; second differences, where these are
-    limited.
+    """Build the links between frames: steps with their cost (9) and speed limits, and limited second differences.
 
-    before, after: where the robot stands at given ends, with its tips where these have limits of their own. tips:
-    those limits (d,), rad, or empty.
+    robot: whose limits count. frames: their number, dt s apart. motion_weight: lambda in s^2. before, after: known
+    configurations at given ends, with the tips' angles where these have limits of their own. tips: those limits
+    (d,), rad, or empty.
     """
-    # lambda W^2 / dt^2, for squared steps; tips cost nothing.
+    # lambda W^2 / dt^2, for squared steps: the objective is J / dt, so that frames keep the weight 1. Tips cost
+    # nothing.
     cost = np.append(motion_weight * robot.mm_per_unit**2 / dt**2, 0 * tips)
     links = [_difference_link("speed", frames, 1, (before, []), np.append(robot.speed * dt, tips), cost)]
     if np.isfinite(robot.acceleration).any():
@@ -140,7 +142,7 @@ def _difference_link(
     most: Array,
     cost: Array,
 ) -> FrameLink:
-    """Differences of the configuration (k,) within +-most (k,), at a cost (k,) per squared unit.
+    """Build the link of differences of the configuration (k,) within +-most (k,), at a cost (k,) per squared unit.
 
     order: of the difference; outside_configurations: configurations before and after.
     """

@@ -27,11 +27,11 @@ TIP_TO_MOTOR_SPEED_RATIO times what motors may, whichever is more.
 def frame_terms(
     robot: Robot, model: Model, margin: float | None, extra: Sequence[Term] = (), walled: bool = False
 ) -> tuple[Term, ...]:
-    """The terms of a frame without neighbours, and those given; a ShapeDistance among these replaces the usual
-    one.
+    """Return the terms of a frame of a robot on a model, with the extra ones given.
 
-    margin: the least stability margin, on models that can snap; None for any. extra: further terms. walled:
-    whether the lumen's wall counts, as a soft constraint.
+    margin: the least stability margin, on models that can snap; None for any. extra: further terms; a
+    ShapeDistance among these replaces the usual one. walled: whether the lumen's wall counts, as a soft
+    constraint.
     """
     # A user's ShapeDistance, with weights along sigma, takes the place of the usual one instead of adding
     # to it.
@@ -44,8 +44,9 @@ def frame_terms(
 
 
 def tip_step_limits(robot: Robot, dt: float) -> Array:
-    """Angles (d,) in rad that tips may turn by in a frame of dt s: more than motors, and less than where a robot
-    snaps.
+    """Return the angles (d,) in rad that tips of a robot may turn by in a frame of dt s.
+
+    They are larger than the motors' own steps, and smaller than the jump of a tip that snaps.
     """
     return np.maximum(MIN_TIP_STEP_LIMIT_RAD, TIP_TO_MOTOR_SPEED_RATIO * robot.speed[: robot.d] * dt)
 
@@ -53,9 +54,10 @@ def tip_step_limits(robot: Robot, dt: float) -> Array:
 def joint(
     robot: Robot, settings: Settings, model: Model, extra: Sequence[Term] = (), walled: bool = False
 ) -> tuple[Stage, ...]:
-    """One stage that decides all of q, so that bounds and step limits are bounds of the program.
+    """Return one stage that decides all of q, so that bounds and step limits are bounds of the program.
 
-    extra, walled: as in frame_terms.
+    robot, model: what is planned on. settings: of which the stability margin counts. extra, walled: as in
+    frame_terms.
     """
     terms = (*frame_terms(robot, model, settings.stability_margin, extra, walled), MotionCost(robot.d))
     # The program depends on the structure alone; the robot's numbers enter as parameters in `filled`.

@@ -42,10 +42,10 @@ class FrameLink:
 def differences(
     frames: int, order: int, before: Sequence[Array], after: Sequence[Array], n: int
 ) -> tuple[sp.csr_array, Array, Index, Index]:
-    """Differences of a given order along q (frames, n), with known q before the first and after the last frame.
+    """Return the differences of a given order along q (frames, n), as a matrix and an offset.
 
-    before, after: known configurations (n,), in order. Returns matrix and offset, and frame and axis of every row;
-    rows in which nothing is unknown are left out.
+    before, after: known configurations (n,) before the first and after the last frame, in order. Returns matrix
+    and offset, and frame and axis of every row; rows in which nothing is unknown are left out.
     """
     known = [*before, *after]
     matrix, outer, frame, axis = _stencil(frames, order, len(before), len(after), n)
@@ -54,7 +54,7 @@ def differences(
 
 @functools.lru_cache(maxsize=LINK_MATRIX_CACHE_SIZE)
 def _stencil(frames: int, order: int, before: int, after: int, n: int) -> tuple[sp.csr_array, Any, Index, Index]:
-    """The difference matrix over the unknown frames, that over the known ones, and frame and axis of every row."""
+    """Return the difference matrices over the unknown and the known frames, and frame and axis of every row."""
     # Order k is k times a first difference, of known and unknown frames alike.
     stencil = sp.identity(before + frames + after, format="csr")
     for _ in range(order):

@@ -1,4 +1,4 @@
-"""Parameters of a program that hold near one configuration only, and who finds them while run.c solves."""
+"""Parameters of a program that are valid near one configuration only, and their source for run.c."""
 
 from __future__ import annotations
 
@@ -6,13 +6,14 @@ from typing import NamedTuple
 
 
 class LocalParameterSource(NamedTuple):
-    """Where run.c finds the parameters of a program that hold near a robot only, with a slack as last unknown.
+    """The source of parameters that are valid near a configuration only, for run.c.
 
-    call, context: addresses of a function of C and of its first argument; it then takes x, the parameter named
-    load_parameter if the program has it, and room for the one named wall_parameter followed by the slack needed
-    there, mm. Slack costs weight_parameter a mm, mm^2, and excess_factor times as much beyond
-    allowed_parameter, mm, rounded over excess_rounding_mm, and slack_square_cost a mm^2. A frame is solved again
-    around its solution until that needs the same slack within slack_tolerance_mm, or max_rounds times.
+    The program's last unknown is a slack. call, context: addresses of a function of C and of its first argument;
+    it then takes x, the parameter named load_parameter if the program has it, and room for the one named
+    wall_parameter followed by the slack needed there, mm. Slack costs weight_parameter a mm, mm^2, and
+    excess_factor times as much beyond allowed_parameter, mm, rounded over excess_rounding_mm, and
+    slack_square_cost a mm^2. A frame is solved again around its solution until that needs the same slack within
+    slack_tolerance_mm, or max_rounds times.
     """
 
     call: int

@@ -56,9 +56,10 @@ class Nlp:
     """Minimise sum |residual|^2 + sum cost over x, subject to constraints and bounds.
 
     x: the unknowns (n, 1), within lower and upper (n,). The bounds of the configuration may be replaced for one
-    solve, as by a robot's limits. parameters: symbols by name. picks: positions of the configuration's entries
-    among x and then g; None where the configuration is x itself, without its slacks. slacks: number of x's last
-    entries that only measure by how much soft constraints are violated.
+    solve, as by a robot's limits. parameters: symbols by name. inner: layers of quantities between x and the
+    terms. picks: positions of the configuration's entries among x and then g; None where the configuration is x
+    itself, without its slacks. slacks: number of x's last entries, which measure the violation of soft
+    constraints.
     """
 
     name: str
@@ -112,7 +113,7 @@ class Nlp:
 
     @cached_property
     def configuration(self) -> Index:
-        """Where the configuration's entries stand among x's entries and then g's."""
+        """Positions of the configuration's entries among x's entries and then g's."""
         return np.arange(self.x.numel() - self.slacks) if self.picks is None else np.array(self.picks)
 
     @property
@@ -121,7 +122,7 @@ class Nlp:
         return ca.vertcat(self.x, self.expressions.g)[self.configuration.tolist()]
 
     def row_bounds(self, lower: Array | None = None, upper: Array | None = None) -> tuple[Array, Array]:
-        """Lower and upper bounds of x and then g, (n + m,).
+        """Return lower and upper bounds of x and then g, (n + m,).
 
         lower, upper (k,): bounds of the configuration, which replace the program's own. The configuration may lie
         in g: on the elastic model alpha is a function of x, and a limit of a motor is a constraint.
@@ -145,13 +146,13 @@ class Nlp:
         return np.array(ca.which_depends(self.g, self.x, 2, True), dtype=bool)
 
     def parameter_slice(self, name: str) -> slice:
-        """Positions of a parameter among the entries of p."""
+        """Return the positions of the parameter `name` among the entries of p."""
         sizes = {key: symbol.numel() for key, symbol in self.parameters.items()}
         begin = sum(itertools.islice(sizes.values(), list(sizes).index(name)))
         return slice(begin, begin + sizes[name])
 
     def pack(self, values: Mapping[str, Any]) -> Array:
-        """Parameter values in one column (len(p),); every parameter must be given, in its own shape.
+        """Return the values of all parameters in one column (len(p),), each given in its own shape.
 
         CasADi would take a missing parameter for zeros and stretch a scalar. Raises ValueError.
         """
@@ -185,11 +186,11 @@ class Nlp:
 def kkt_residual(
     nlp: Nlp, x: Array, p: Array, lower: Array | None, upper: Array | None, lam_x: Array, lam_g: Array
 ) -> float:
-    """How far x is from a KKT point, computed from the problem alone and not from what a solver reports.
+    """Return how far x is from a KKT point of nlp, computed from the problem alone.
 
-    lower, upper (k,): bounds of the configuration, where they are not the program's own (None). lam_x, lam_g:
-    multipliers, positive at upper bounds. The result is the largest of stationarity (mm^2 per unit of x),
-    infeasibility (units of x and g) and complementarity (mm^2).
+    p: parameters (n_p,). lower, upper (k,): bounds of the configuration, where they are not the program's own
+    (None). lam_x, lam_g: multipliers, positive at upper bounds. The result is the largest of stationarity (mm^2
+    per unit of x), infeasibility (units of x and g) and complementarity (mm^2), whatever a solver reports.
     """
     gradient, g = (value.full().ravel() for value in nlp.kkt_function(x, p, lam_x, lam_g))
     values = np.concatenate([x, g])

@@ -1,8 +1,8 @@
-"""A program's functions in parts: the rows of alike places as one function, evaluated for many places together.
+"""A program's functions in parts: the rows of alike sample points as one function, evaluated in vectors.
 
 The rest of the program (other rows, shared quantities) is evaluated with its slopes over the unknowns by forward
-differentiation (codegen/directions.py), and then joined with the sums and rows of the places (at_place.py). The
-order of evaluation is: shared quantities, places, rest, join.
+differentiation (codegen/forward_mode.py), and then joined with the sums and rows of the sample points
+(sample_derivatives.py). The order of evaluation is: shared quantities, sample points, rest, join.
 """
 
 from __future__ import annotations
@@ -22,22 +22,22 @@ from ctr_nlp.ocp.sample_derivatives import SampleConstraintRows, SampleInputs, S
 from ctr_nlp.ocp.sample_groups import depends, group_samples
 
 FRAME_FUNCTION_NAMES = FrameFunctions._fields[:3]
-"""Value, slopes and expansion: the number of a name is the order of the derivatives that are found."""
+"""Value, slopes and expansion: the index of a name is the order of the derivatives that are computed."""
 
 
 def partition_program(written: ProgramExpressions) -> list[FunctionInParts]:
-    """The three functions of a program for one frame, to be compiled."""
+    """Return the three functions of a program (written) for one frame, in parts, to be compiled."""
     parts = _Partition.of(written)
     return [parts.whole(order) for order in range(len(FRAME_FUNCTION_NAMES))]
 
 
 @dataclass(frozen=True, eq=False)
 class _Partition:
-    """The places of a program, and the rest: the program without their rows.
+    """The sample points of a program, and the rest: the program without their rows.
 
-    values: of the quantities that places share, which come first in the rest's first layer. rest_constraints:
-    numbers of the constraints that the rest has; order: position of each constraint among these and then those of
-    places.
+    values: of the quantities that sample points share, which come first in the rest's first layer.
+    rest_constraints: numbers of the constraints in the rest; order: position of each constraint among these and
+    then those of sample points.
     """
 
     places: tuple[SampleTerms, ...]
@@ -49,7 +49,7 @@ class _Partition:
 
     @classmethod
     def of(cls, written: ProgramExpressions) -> _Partition:
-        """Split a program into places and the rest."""
+        """Split a program into sample points and the rest."""
         groups, indices = group_samples(written)
         # Without groups nothing is shared, and the whole program is the rest.
         shared, (symbols, values) = indices.tolist() if groups else [], written.first_layer
@@ -73,7 +73,7 @@ class _Partition:
         return cls(tuple(places), _without_unused(rest, shared), common, values[shared], order, kept)
 
     def whole(self, order: int) -> FunctionInParts:
-        """The function with derivatives up to an order."""
+        """Return the function with derivatives up to an order, in parts."""
         functions = [
             place.function(order, f"{FRAME_FUNCTION_NAMES[order]}_{k}") for k, place in enumerate(self.places)
         ]
@@ -87,10 +87,11 @@ class _Partition:
         return FunctionInParts(FRAME_FUNCTION_NAMES[order], directed, tuple(functions), joined)
 
     def _differentiate_rest(self, order: int, found: ca.SX, pull: ca.SX) -> FunctionWithJacobian:
-        """Shared quantities first, and then objective, constraints and, for order 2, the gradient of the rest.
+        """Return the function of shared quantities, objective, constraints and, for order 2, the gradient of the
+        rest.
 
         Slopes of that gradient over x are half of the Hessian of lam_f objective + lam_g g + pull . values, where
-        pull is found at the places in between.
+        pull is computed at the sample points in between. found: results of the sample points, as symbols.
         """
         n = self.common.x.numel()
         inputs = self.common.inputs(order)
@@ -100,7 +101,7 @@ class _Partition:
         outputs = [self.values, f, g]
         patterns = [self.common.pattern, ca.Sparsity.dense(1, n), ca.Sparsity.dense(len(self.rest_constraints), n)]
         if order == 2:
-            # The places' `pull` multiplies second derivatives of shared quantities: adding pull . values to
+            # The sample points' `pull` multiplies second derivatives of shared quantities: adding pull . values to
             # the Lagrangian gives these in the same sweep.
             lagrangian = self.common.lam_f * f + ca.dot(self.common.lam_g[self.rest_constraints], g)
             outputs.append(ca.gradient(lagrangian + ca.dot(pull, self.values), self.common.x))
@@ -122,7 +123,9 @@ class _Partition:
         total: SampleSums,
         rows: Sequence[SampleConstraintRows],
     ) -> ca.Function:
-        """The whole program's results, from those found at places and those of the rest."""
+        """Return the function of the whole program's results, from those at sample points and those of the
+        rest.
+        """
         function = directed.function
         patterns = list(directed.slopes.values())
         results = [ca.SX.sym("result", *function.size_out(k)) for k in range(function.n_out())]
@@ -133,7 +136,7 @@ class _Partition:
             values_x, f_x, g_x, *half = map(ca.SX, patterns, entries)
             jacobian = ca.vertcat(g_x, *(each.jacobian for each in rows))[self.order, :]
             outputs = [outputs[0], f_x.T + total.gradient, outputs[1], jacobian]
-            # b_x' bend b_x: second derivatives over (shared, x), summed over places, taken to x once.
+            # b_x' bend b_x: second derivatives over (shared, x), summed over sample points, transformed to x once.
             base_x = ca.vertcat(values_x, ca.SX.eye(self.common.x.numel()))
             bent = ca.triu(base_x.T @ ca.triu2symm(total.bend) @ base_x)
             outputs += [ca.triu2symm(each + total.half + bent) for each in half]
@@ -142,7 +145,10 @@ class _Partition:
 
 
 def _without_unused(written: ProgramExpressions, first: list[int]) -> ProgramExpressions:
-    """The program without inner quantities that nothing needs; those of the first layer in `first` come first."""
+    """Return the program without inner quantities that nothing needs.
+
+    Quantities of the first layer that are in `first` come first.
+    """
     needed = ca.vertcat(written.rows, written.cost)
     inner = list[tuple[ca.SX, ca.SX]]()
     for number, (symbols, values) in reversed(list(enumerate(written.inner))):

@@ -1,14 +1,14 @@
-"""The contribution of one of many alike places to a program: its rows, and their derivatives over x.
+"""The contribution of one of many alike sample points to a program: its rows, and their derivatives over x.
 
-With b = (shared quantities, x), the place's own quantities z(b) and its rows r(z, b), the chain rule is applied in
+With b = (shared quantities, x), the point's own quantities z(b) and its rows r(z, b), the chain rule is applied in
 three steps, r over u = (z, b), z over b, and b over x:
 
     r_x  = r_u u_x,      u_x = (z_b b_x, b_x)
     L_xx = u_x' (L_uu) u_x + b_x' (sum_k force_k d2z_k/db2) b_x + sum_k pull_k d2b_k/dx2
 
 with L = lam_f |r|^2 for residuals and lam_g . r for constraints (objective in mm^2), force = L_z and pull = L_b.
-The middle sum (`bend`) and `pull` are added up over all places before they meet b_x and d2b/dx2, so that these
-products are formed once, not once a place.
+The middle sum (`bend`) and `pull` are summed over all sample points before they are multiplied by b_x and d2b/dx2,
+so that these products are formed once, not once a point.
 """
 
 from __future__ import annotations
@@ -26,15 +26,15 @@ from ctr_nlp.codegen.vector import ADJACENT_LANES_PREFIX, SHARED_INPUT_PREFIX
 from ctr_nlp.ocp.sample_groups import SampleGroup
 
 SUMS = 1, 2, 5
-"""Number of entries of Sums that are needed, by the order of derivatives: f; with its gradient; all five."""
+"""Number of entries of SampleSums that are needed, by the order of derivatives: f; with its gradient; all five."""
 
 
 class SampleInputs(NamedTuple):
-    """The symbols that all places are given.
+    """The symbols that all sample points are given.
 
-    x, p: unknowns and parameters. shared: quantities of the first layer that places share. slopes: entries of
-    their Jacobian over x that may differ from 0, at the places of pattern. lam_f, lam_g: multipliers of objective
-    and constraints.
+    x, p: unknowns and parameters. shared: quantities of the first layer that sample points share. slopes: entries
+    of their Jacobian over x that may differ from 0, with the sparsity `pattern`. lam_f, lam_g: multipliers of
+    objective and constraints.
     """
 
     x: ca.SX
@@ -46,11 +46,11 @@ class SampleInputs(NamedTuple):
     lam_g: ca.SX
 
     def inputs(self, order: int) -> list[ca.SX]:
-        """Inputs of functions with derivatives up to an order."""
+        """Return the inputs of functions with derivatives up to an order."""
         return [self.x, self.p, *([self.lam_f, self.lam_g] if order == 2 else [])]
 
     def early(self, order: int) -> list[ca.SX]:
-        """Results that are found before places are evaluated, which are given to these."""
+        """Return the results that are passed to sample points, for derivatives up to an order."""
         return [self.shared, *([self.slopes] if order else [])]
 
     @property
@@ -65,7 +65,7 @@ class SampleInputs(NamedTuple):
 
 
 class SampleSums(NamedTuple):
-    """Sums over places: f, of squares, and over x its gradient (n, 1) and half of the Hessian (n, n).
+    """Sums over sample points: f, of squares, and over x its gradient (n, 1) and half of the Hessian (n, n).
 
     That half is the upper triangle. pull: factors of the second derivatives of shared quantities. bend: second
     derivatives over b, the shared quantities and x, upper triangle.
@@ -79,7 +79,10 @@ class SampleSums(NamedTuple):
 
     @classmethod
     def of(cls, common: SampleInputs, every: Sequence[SampleSums]) -> SampleSums:
-        """Add up the Sums of several groups of places."""
+        """Add up the sums of several groups of sample points (every).
+
+        common: the symbols that all of them are given.
+        """
         n = common.x.numel()
         base = common.base.numel()
         none = cls(ca.SX(1, 1), ca.SX(n, 1), ca.SX(n, n), ca.SX(base - n, 1), ca.SX(base, base))
@@ -95,9 +98,9 @@ class SampleConstraintRows(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class SampleTerms:
-    """A place of a group of alike places, with its rows and derivatives as expressions.
+    """A sample point of a group of alike ones, with its rows and derivatives as expressions.
 
-    first: the constraints of the group's first place; None if rows are residuals.
+    first: the constraints of the group's first point; None if rows are residuals.
     """
 
     common: SampleInputs
@@ -116,10 +119,10 @@ class SampleTerms:
         return ca.vertcat(z_base @ self.common.base_x, self.common.base_x)
 
     def _sums(self, counts: ca.SX, lam_g: ca.SX) -> SampleSums:
-        """The place's part of Sums.
+        """Return the sample point's part of SampleSums.
 
-        counts: 1, or 0 for a place that has been evaluated before, in the last vector. lam_g: multipliers of
-        constraints, from the place's own on.
+        counts: 1, or 0 for a point that fills up the last vector and has been counted before. lam_g: multipliers
+        of constraints, from the point's own on.
         """
         value = self.group.value
         z = self.group.z
@@ -140,7 +143,7 @@ class SampleTerms:
             gradient = 2 * counts * value_x.T @ value
             half = 2 * counts * self.common.lam_f * value_x.T @ value_x
         # Stand-ins keep the factors constant while second derivatives are taken (as in
-        # Written.derivatives).
+        # ProgramExpressions.derivatives).
         pushes = ca.SX.sym("pushes", value.numel())
         pulls = ca.SX.sym("pulls", z.numel())
         half += self._u_x.T @ ca.hessian(ca.dot(pushes, value), u)[0] @ self._u_x
@@ -155,20 +158,23 @@ class SampleTerms:
 
     @cached_property
     def _patterns(self) -> tuple[ca.Sparsity, ...]:
-        """Sparsity of each entry of Sums: the entries that may differ from 0."""
+        """Sparsity of each entry of SampleSums: the entries that may differ from 0."""
         n = self.common.x.numel()
         m = self.common.shared.numel()
         bend = self._sums(ca.SX.sym("counts"), self.common.lam_g).bend.sparsity()
         return ca.Sparsity.dense(1), ca.Sparsity.dense(n), ca.Sparsity.upper(n), ca.Sparsity.dense(m), bend
 
     def function(self, order: int, name: str) -> SamplePointFunction:
-        """The function of one place: its part of the sums, and its rows, with derivatives up to an order."""
+        """Return the function, called name, of one sample point: its part of the sums, and its rows.
+
+        order: of the derivatives.
+        """
         common = self.common
         group = self.group
         places = len(self.group.rows)
         shared = common.inputs(order) + common.early(order)
-        # Every input a second time, read with an offset of so many entries as the place is after the first:
-        # that is where a place finds parameters and multipliers of its own.
+        # Every input a second time, read with an offset of as many entries as the sample point is after the first:
+        # that is where a point finds parameters and multipliers of its own.
         apart = [ca.SX.sym("apart", each.numel()) for each in common.inputs(order)]
         constants = np.array([values for _, values in group.constants]).reshape(-1, places)
         fixed = ca.SX.sym("fixed", constants.size)
@@ -178,8 +184,8 @@ class SampleTerms:
         rows = [] if self.first is None else [group.value, ca.vec(ca.densify(self._value_u @ self._u_x))]
         results = [ca.vertcat(*added[: SUMS[order]]), ca.vertcat(ca.SX(0, 1), *rows[: 1 + order])]
         results = ca.substitute(results, [group.z], [group.z_value])
-        # Parameters of the first place at p[first], constants of all places in one column, constant after
-        # constant. The next lane of either is the next place.
+        # Parameters of the first sample point at p[first], constants of all points in one column, constant after
+        # constant. The next lane of either is the next sample point.
         numbers = [(symbol, apart[1][first]) for symbol, first in group.parameters]
         numbers += [(symbol, fixed[k * places]) for k, (symbol, _) in enumerate(group.constants)]
         symbols, values = (ca.vertcat(ca.SX(0, 1), *(pair[k] for pair in numbers)) for k in range(2))
@@ -194,8 +200,9 @@ class SampleTerms:
         return SamplePointFunction(function, constants)
 
     def split_results(self, order: int, numbers: ca.SX) -> tuple[SampleSums, SampleConstraintRows]:
-        """Split the numbers that the function found at all places: sums, and rows entry by entry and then place by
-        place.
+        """Split the numbers found at all sample points into sums and constraint rows; order: of derivatives.
+
+        numbers: sums, then rows entry by entry and then point by point.
         """
         patterns = self._patterns
         constraints = 0 if self.first is None else self.group.rows.size
@@ -205,7 +212,7 @@ class SampleTerms:
             parts[k] = ca.SX(patterns[k], numbers[ends[k] : ends[k + 1]])
         found = numbers[ends[-1] :]
         n = self.common.x.numel()
-        # Entries come column by column of the Jacobian; within a column, row r of all places and then row r
-        # + 1 of all places, which is the order of Alike.rows read by columns.
+        # Entries come column by column of the Jacobian; within a column, row r of all sample points and then row r
+        # + 1 of all, which is the order of SampleGroup.rows read by columns.
         jacobian = ca.reshape(found[constraints:], constraints if order else 0, n)
         return SampleSums(*parts), SampleConstraintRows(ca.reshape(found[:constraints], constraints, 1), jacobian)

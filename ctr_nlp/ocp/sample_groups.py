@@ -1,13 +1,13 @@
 """Rows of sample points that are one expression in different numbers, found among the rows of a program.
 
-A program compares the robot with its target at many places along it (eq. (8) at equal sigma), and each place has
-the same rows: residuals in x, y and z, or a clearance. Code for one place, evaluated for VECTOR_LANES places in
+A program compares the robot with its target at many sample points along it (eq. (8) at equal sigma), and each has
+the same rows: residuals in x, y and z, or a clearance. Code for one point, evaluated for VECTOR_LANES points in
 one vector, is shorter and faster than code for all. This module finds such groups in the finished expressions, so
 that no term needs to declare them.
 
-A place's rows are those that depend on inner quantities of their own, such as the length travelled to a sample.
-Places are alike if their rows are made by the same operations on the same unknowns and shared quantities, and
-differ only in constants and in parameters that follow each other from place to place.
+A sample point's rows are those that depend on inner quantities of their own, such as the length travelled to it.
+Sample points are alike if their rows are made by the same operations on the same unknowns and shared quantities,
+and differ only in constants and in parameters that follow each other from point to point.
 """
 
 from __future__ import annotations
@@ -25,12 +25,12 @@ from ctr_nlp.typing import Array, Flags, Index
 
 
 class SampleGroup(NamedTuple):
-    """Places whose rows are one expression, at least VECTOR_LANES of them.
+    """Sample points whose rows are one expression, at least VECTOR_LANES of them.
 
-    rows (places, k): the numbers of each place's rows, among residuals and then constraints. value (k, 1): the
-    rows' expression, in the symbols z of the place's inner quantities, x, shared symbols, parameters and the
+    rows (points, k): the numbers of each point's rows, among residuals and then constraints. value (k, 1): the
+    rows' expression, in the symbols z of the point's inner quantities, x, shared symbols, parameters and the
     symbols of numbers. z_value: the expressions of z, in all others. parameters: symbols, and where in p they
-    stand for the first place; constants: symbols, and their values at all places.
+    stand for the first point; constants: symbols, and their values at all points.
     """
 
     rows: Index
@@ -42,7 +42,9 @@ class SampleGroup(NamedTuple):
 
 
 class _SampleRows(NamedTuple):
-    """Rows of a place, the operations that make them, and the numbers that these take: constants, places in p."""
+    """Rows of a sample point, the operations that make them, and the numbers in these: constants, and positions in
+    p.
+    """
 
     rows: list[int]
     operations: tuple[Any, ...]
@@ -50,19 +52,22 @@ class _SampleRows(NamedTuple):
 
 
 def group_samples(written: ProgramExpressions) -> tuple[tuple[SampleGroup, ...], Index]:
-    """Groups of places whose rows are one expression, and which symbols of the first layer they take as given."""
+    """Return groups of sample points whose rows are one expression, and which quantities they share.
+
+    written: the program. The second result are positions among the first layer's symbols.
+    """
     symbols, values = written.first_layer
     later = ca.vertcat(ca.SX(0, 1), *(layer[0] for layer in written.inner[1:]))
     rows = written.rows
     uses = depends(written.without(written.inner[1:], [rows])[0], symbols)
-    # A quantity that fewer than VECTOR_LANES rows use belongs to a place; one that more use, to all of them. A
-    # place has a few rows only, of which each may use the same quantity.
+    # A quantity that fewer than VECTOR_LANES rows use belongs to a sample point; one that more use, to all of
+    # them. A point has a few rows only, of which each may use the same quantity.
     own = uses.any(axis=0) & (uses.sum(axis=0) < VECTOR_LANES)
     shared = np.flatnonzero(~own)
     mine = np.flatnonzero(own).tolist()
     own_layer = [(symbols[mine], values[mine])]
-    # Quantities of later layers in x, p and shared symbols, without the place's own symbols: the place has
-    # to compute these itself.
+    # Quantities of later layers in x, p and shared symbols, without the sample point's own symbols, which its
+    # function has to compute itself.
     (quantities,) = written.without([*own_layer, *written.inner[1:]], [later])
     (rows,) = written.without(own_layer, [rows])
     given = [written.x, written.p, symbols[shared.tolist()]]
@@ -84,14 +89,16 @@ def group_samples(written: ProgramExpressions) -> tuple[tuple[SampleGroup, ...],
 
 
 def depends(expression: ca.SX, symbols: ca.SX) -> Flags:
-    """Whether each entry of an expression depends on each symbol, (entries, symbols), by structure."""
+    """Return whether each entry of an expression depends on each symbol, (entries, symbols), by structure."""
     if not symbols.numel():
         return np.zeros((expression.numel(), 0), dtype=bool)
     return np.asarray(ca.DM(ca.jacobian_sparsity(expression, symbols), 1).full() > 0)
 
 
 def _rows_by_sample(uses: Flags, residuals: int) -> list[list[int]]:
-    """The rows of each place: rows that use the same own quantities, residuals and constraints apart."""
+    """Return the rows of each sample point: rows that use the same own quantities, residuals and constraints
+    separately.
+    """
     found: dict[Any, list[int]] = defaultdict(list)
     for row in np.flatnonzero(uses.any(axis=1)).tolist():
         found[row < residuals, uses[row].tobytes()].append(row)
@@ -99,7 +106,7 @@ def _rows_by_sample(uses: Flags, residuals: int) -> list[list[int]]:
 
 
 def _operations(function: ca.Function) -> tuple[tuple[Any, ...], list[float | int]]:
-    """The operations of a function of (x, p, shared, z), with gaps for numbers; and these numbers.
+    """Return the operations of a function of (x, p, shared, z), with gaps for numbers; and these numbers.
 
     Numbers are the constants (float) and the positions in p (int), in the order of the gaps.
     """
@@ -114,7 +121,7 @@ def _operations(function: ca.Function) -> tuple[tuple[Any, ...], list[float | in
         of: Sequence[int] = function.instruction_input(k)
         if operation == ca.OP_CONST:
             numbers.append(function.instruction_constant(k))
-        # Input 1 is p: its entry differs from place to place, so it is a number and not part of the
+        # Input 1 is p: its entry differs from point to point, so it is a number and not part of the
         # operation.
         elif operation == ca.OP_INPUT and of[0] == 1:
             numbers.append(of[1])
@@ -130,10 +137,13 @@ def _operations(function: ca.Function) -> tuple[tuple[Any, ...], list[float | in
 
 
 def _merge_samples(given: list[ca.SX], count: int, places: list[_SampleRows]) -> SampleGroup | None:
-    """Places with the same operations as one; None if their parameters or rows do not follow each other."""
+    """Merge sample points with the same operations; None if their parameters or rows do not follow each other.
+
+    given: symbols x, p and shared. count: of inner quantities.
+    """
     rows = np.array([place.rows for place in places])
     follow = np.arange(len(places))
-    # The generated code reads and writes neighbouring entries for neighbouring places, lane by lane.
+    # The generated code reads and writes neighbouring entries for neighbouring sample points, lane by lane.
     if (rows != rows[0] + follow[:, None]).any():
         return None
     columns = zip(*(place.numbers for place in places), strict=True)
@@ -158,8 +168,8 @@ def _merge_samples(given: list[ca.SX], count: int, places: list[_SampleRows]) ->
         leaves.append(taken[key])
     z = ca.SX.sym("z", count)
     value, z_value = _replay_operations(places[0].operations, [*given, z], leaves)
-    # Derivatives are taken in two steps, over z and then over the rest (at_place.py). A place without inner
-    # quantities has its rows as z, so that both cases are one.
+    # Derivatives are taken in two steps, over z and then over the rest (sample_derivatives.py). A sample point
+    # without inner quantities has its rows as z, so that both cases are one.
     if not count:
         z, value, z_value = (own := ca.SX.sym("z", value.numel())), own, value
     return SampleGroup(rows, value, z, z_value, tuple(parameters), tuple(constants))
@@ -168,7 +178,7 @@ def _merge_samples(given: list[ca.SX], count: int, places: list[_SampleRows]) ->
 def _replay_operations(
     operations: Sequence[Any], inputs: list[ca.SX], numbers: list[ca.SX]
 ) -> tuple[ca.SX, ca.SX]:
-    """The two results of a list of operations, with numbers (expressions) put into its gaps."""
+    """Return the two results of a list of operations on inputs, with numbers (expressions) put into its gaps."""
     left = iter(numbers)
     done = list[ca.SX]()
     results = (list[ca.SX](), list[ca.SX]())

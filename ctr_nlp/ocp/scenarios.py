@@ -4,8 +4,8 @@
     subject to  alpha(phi_{s,j}, q_j; tubes_s) = alpha_j + offset_s   for every scenario s and frame j
 
 with q_j = (alpha, beta, theta) in frame j, in rad and mm, tips phi_{s,j} of scenario s in rad, weights w_s that
-sum to 1, and the frame's objective f_j (mm^2). These records only say what the program is; formulations/shared
-makes them, and solvers/scenarios solves it. See "Plans for robots that are not quite known" in docs/method.md.
+sum to 1, and the frame's objective f_j (mm^2). These records only describe the program; ocp/shared builds them,
+and solvers/scenarios solves it. See "Plans for robots that are not quite known" in docs/method.md.
 """
 
 from __future__ import annotations
@@ -30,9 +30,9 @@ from ctr_nlp.typing import Array, Index
 class Scenarios:
     """S robots whose motors move alike; the first is the nominal one, and the others are compared with it.
 
-    numbers (S, d, 8): of the tubes, in the order of structure.NUMBERS. offsets (S, d): of the motors' zeros, added
-    to alpha, rad. weights (S,): how much each one's shape error counts, >= 0 and not all 0. forces (S, 3): at
-    their tips, N, in the base's directions; none by default. Raises OptionError.
+    numbers (S, d, 8): of the tubes, in the order of structure.TUBE_NUMBER_NAMES. offsets (S, d): of the motors'
+    zeros, added to alpha, rad. weights (S,): how much each one's shape error counts, >= 0 and not all 0. forces
+    (S, 3): at their tips, N, in the base's directions; none by default. Raises OptionError.
     """
 
     numbers: Array
@@ -65,9 +65,10 @@ class Scenarios:
         return len(self.weights)
 
     def append_robots(self, numbers: Array, offsets: Array, forces: Array, weight: float = 0.0) -> Scenarios:
-        """These robots followed by others (k, ..), whose errors count with a weight.
+        """Return these robots followed by k others, whose errors count with a weight.
 
-        By default, 0, the others only have to stay stable and near the nominal robot's branch.
+        numbers (k, d, 8), offsets (k, d) in rad, forces (k, 3) in N: of the others, as in Scenarios. With the
+        default weight 0 they only have to stay stable and near the nominal robot's branch.
         """
         weights = np.full(len(offsets), weight)
         pairs = zip(self.arrays, (numbers, offsets, weights, forces), strict=True)
@@ -84,7 +85,7 @@ class Scenarios:
         return self.numbers, self.offsets, self.weights, self.forces
 
     def shrink_differences(self, part: float, since: int = 0) -> Scenarios:
-        """Robots that differ from the first by only a `part` of what these do, from number `since` on."""
+        """Return robots with only a `part` of these robots' differences from the first, from number `since` on."""
         parts = np.where(np.arange(len(self)) < since, 1.0, part)[:, None]
         numbers = self.numbers[0] + parts[..., None] * (self.numbers - self.numbers[0])
         offsets, forces = (of[0] + parts * (of - of[0]) for of in (self.offsets, self.forces))
@@ -103,7 +104,7 @@ class ConstraintScenarios:
     forces: Array
 
     def at(self, picked: Index | list[int]) -> ConstraintScenarios:
-        """The guards of the frames `picked`."""
+        """Return the constraint scenarios of the frames `picked`."""
         return ConstraintScenarios(self.numbers[picked], self.offsets[picked], self.forces[picked])
 
 
@@ -130,9 +131,9 @@ class ReducedProgram:
     Attributes
     ----------
     functions : callable
-        Gives its functions, compiled or not.
+        Returns its functions, compiled or not.
     columns : (n_p,) int
-        Where its parameters stand among those of the whole program.
+        Positions of its parameters among those of the whole program.
     """
 
     functions: Callable[[], FrameFunctions]
@@ -140,15 +141,19 @@ class ReducedProgram:
 
 
 def with_constraint_scenarios(of_scenarios: Array, of_guards: Array | None, frames: int) -> Array:
-    """Values of scenarios (S, ..) in every frame, followed by those of its guards (T, K, ..): (T, S + K, ..)."""
+    """Return values (T, S + K, ..): those of scenarios in every frame, followed by those of constraint scenarios.
+
+    of_scenarios (S, ..): the same in each of `frames` frames. of_guards (T, K, ..): of the constraint scenarios of
+    each frame; None for none.
+    """
     found = np.repeat(of_scenarios[None], frames, axis=0)
     return found if of_guards is None else np.concatenate([found, of_guards], axis=1)
 
 
 def assemble_robot_unknowns(q: Array, phi: Array, shared_entries: Index) -> Array:
-    """The unknowns (T, S, m) of robots with tips phi (T, S, k) at the shared q (T, n).
+    """Return the unknowns (T, S, m) of robots with tips phi (T, S, k) at the shared q (T, n).
 
-    shared_entries (n - d,): which of a robot's m unknowns are beta and theta, the last n - d entries of q.
+    shared_entries (n - d,): positions among a robot's m unknowns of beta and theta, the last n - d entries of q.
     """
     frames, count, k = phi.shape
     found = np.empty((frames, count, k + len(shared_entries)))
@@ -161,20 +166,20 @@ def assemble_robot_unknowns(q: Array, phi: Array, shared_entries: Index) -> Arra
 class SharedMotion:
     """Minimise the scenarios' mean shape error and the links' costs over q (T, n) and the tips (T, S, k).
 
-    The S robots of a frame are the scenarios and, if there are any, its guards, whose errors do not count. frame:
-    the program of one robot in one frame, over its unknowns x (m,) and those that common unknowns give it, which
-    are then solved for, too. held (n - d,): which entries of x are beta and theta, which are q's. The other k
-    entries each robot has of its own: d tip angles and, under a load, the turn of the tip's axes. The frame's
-    first k rows are their equations: alpha is what q and the offsets say, and under a load the base points aside
-    by 0. parameters (T S, p): a row for every robot of every frame. lower, upper (T, n): of q, equal where it is
-    fixed. apart (S,): by how much a scenario's tips, relative to the innermost one, may differ from the first
-    scenario's, rad. twist_steps (T,): rad by which the first's may turn beyond its motors on the way to each
-    frame; infinite where none is before it.
+    The S robots of a frame are the scenarios and, if there are any, its constraint scenarios, whose errors do not
+    count. frame: the program of one robot in one frame, over its unknowns x (m,) and those given by common
+    unknowns, which are then solved for, too. shared_entries (n - d,): the entries of x that are beta and theta,
+    and equal to q's. The other k entries are each robot's own: d tip angles and, under a load, the turn of the
+    tip's axes. The frame's first k rows are their equations: alpha is that of q plus the offsets, and under a load
+    the base points where theta has it. parameters (T S, p): a row for every robot of every frame. lower, upper (T,
+    n): of q, equal where it is fixed. max_tip_differences (S,): by how much a scenario's tips, relative to the
+    innermost one, may differ from the first scenario's, rad. twist_steps (T,): rad by which the first's may turn
+    beyond its motors between a frame and the one before; infinite where there is none.
 
     local_parameters: None, or a function of all robots' unknowns (T, S, m) that returns parameters (T, S, ..) by
-    name that hold near these only. without_wall: the program without the wall, for robots that this is far from;
+    name that are valid near these only. without_wall: the program without the wall, for robots far from it;
     without_objective: the program without any objective, for robots whose errors do not count. None: the whole
-    program serves.
+    program is used.
     """
 
     frame: Nlp
@@ -209,7 +214,7 @@ class SharedMotion:
     def weights(self) -> Array:
         """The share (S,) of every robot in the mean."""
         shares = self.scenarios.weights / self.scenarios.weights.sum()
-        # Guards come after the scenarios and have no part in the mean.
+        # Constraint scenarios come after the scenarios and have no part in the mean.
         return np.append(shares, np.zeros(len(self.max_tip_differences) - len(shares)))
 
     @cached_property
@@ -247,8 +252,9 @@ class SharedMotion:
         return bounds[0], bounds[1]
 
     def by_robot(self, rows: Array) -> Array:
-        """Sums (T, S) of values (T, m) over the rows that each robot has of its own, or together with
-        the first.
+        """Return sums (T, S) of values over the rows that each robot has of its own, or together with the first.
+
+        rows (T, m): these values.
         """
         frames, count, _, d = self.sizes
         size = count * len(self.own_rows)
@@ -257,7 +263,7 @@ class SharedMotion:
         return np.asarray(found)
 
     def unknowns(self, q: Array, phi: Array, given: Array) -> Array:
-        """Unknowns (T, S, m + g) of every robot in every frame, at q (T, n) and tips phi (T, S, k).
+        """Return unknowns (T, S, m + g) of every robot in every frame, at q (T, n) and tips phi (T, S, k).
 
         given (S, g): values that common unknowns give every scenario.
         """
@@ -270,5 +276,5 @@ class SharedMotion:
         return sp.csr_array(sp.vstack([link.matrix for link in self.links]))
 
     def of_links(self, name: str) -> Array:
-        """The offset, weight, lower or upper bounds of all links, (l,)."""
+        """Return the field `name` of all links, one after the other, (l,): offset, weight, lower or upper."""
         return np.concatenate([getattr(link, name) for link in self.links])

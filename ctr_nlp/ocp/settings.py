@@ -30,19 +30,19 @@ class Settings:
         Width of the smoothed jumps of curvature in the two-stage formulation, mm, reached from wider ones by
         continuation.
     seed : int
-        Of the random starts, in [0, 2^32).
+        Seed of the random initial guesses, in [0, 2^32).
     stability_margin : float or None
         Least stability margin of a configuration on the elastic model, from 1 (no tube acts on another) down to 0
         (snap); None for any.
     clearance : float
-        Distance that is to be kept between tubes and the lumen's wall where that is known, mm.
+        Least distance between tubes and the lumen's wall where that is known, mm.
     contact_weight : float
-        What a mm less of it costs in a frame, mm^2, as an exact penalty (formulations.terms.lumen). Each mm beyond
+        Cost of a mm less of it in a frame, mm^2, as an exact penalty (ocp.terms.lumen). Each mm beyond
         `contact_allowed` costs twenty times as much: more than the tip's arrival, which costs more than the
         shape's error. 0: the wall does not count.
     arrival_weight : float or None
-        What a mm by which the tip misses the target's end costs in each frame of the last tenth of a motion,
-        mm^2; beyond `arrival_tolerance` three times as much (formulations.terms.arrival). 0: the end counts no
+        Cost of a mm by which the tip misses the target's end in each frame of the last tenth of a motion,
+        mm^2; beyond `arrival_tolerance` three times as much (ocp.terms.arrival). 0: the end counts no
         more than other frames. None: ARRIVAL_WEIGHT on a model that can predict snapping, and 0 on others, so that
         the paper's experiments stay what they were.
     arrival_tolerance : float
@@ -51,9 +51,9 @@ class Settings:
     error_allowed : float
         A plan follows its target where e2 is at most this in every frame, mm.
     contact_allowed : float
-        A plan is within the wall where no place of the robot is further beyond it, mm: tissue gives a little.
+        A plan is within the wall where no point of the robot is further beyond it, mm: tissue yields a little.
     share : float
-        Share of the simulated robots within the tolerances that must hold, in (0, 1].
+        Share of the simulated robots that must satisfy the tolerances, in (0, 1].
 
     Raises
     ------
@@ -96,13 +96,13 @@ class Settings:
         number(OptionError, "share", self.share, lambda x: 0 < x <= 1, "lie in (0, 1]")
 
     def options(self) -> dict[str, Any]:
-        """Return the settings as the metadata of a plan hold them."""
+        """Return the settings in the form of a plan's metadata."""
         found: dict[str, Any] = strict_json(asdict(self))
         return found
 
 
 def check_motion_weight(weight: float) -> float:
-    """The weight lambda of eq. (9) in s^2, or OptionError."""
+    """Return the weight lambda of eq. (9) in s^2, or raise OptionError."""
     return number(
         OptionError, "motion_weight", weight, lambda x: 0 <= x < math.inf, "be a finite number >= 0", " s^2"
     )

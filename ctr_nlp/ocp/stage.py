@@ -17,8 +17,8 @@ class Stage:
 
     decides: indices into q, in the order of the program's configuration. fill: (target frame, q) -> parameters by
     name, among them `previous` (the decided entries one frame before) and `motion_root` (sqrt(lambda) / dt), which
-    a step overrides. schedule: values of further parameters, solved for one after the other, each from the last
-    solution (continuation).
+    FrameSolver.step overrides. schedule: values of further parameters, solved for one after the other, each from
+    the last solution (continuation).
     """
 
     nlp: Nlp

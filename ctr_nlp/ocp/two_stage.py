@@ -42,9 +42,10 @@ DEPLOYED_LENGTH_WEIGHT = 100.0
 
 
 def two_stage(robot: Robot, settings: Settings, model: Model, extra: Sequence[Term] = ()) -> tuple[Stage, ...]:
-    """Stages with smoothed jumps of curvature, tightened to settings.jump_width, and then rotation.
+    """Return a stage with smoothed jumps of curvature, tightened to settings.jump_width, and one for rotations.
 
-    model: one where alpha does not change curvatures. extra: must be empty. Raises OptionError.
+    robot: what is planned for. model: one where alpha does not change curvatures. extra: must be empty. Raises
+    OptionError.
     """
     _check_model_and_terms(model, extra)
     return _extension(robot, tuple(factor * settings.jump_width for factor in JUMP_WIDTH_FACTORS)), _rotation(
@@ -55,9 +56,10 @@ def two_stage(robot: Robot, settings: Settings, model: Model, extra: Sequence[Te
 def two_stage_exact(
     robot: Robot, settings: Settings, model: Model, extra: Sequence[Term] = ()
 ) -> tuple[Stage, ...]:
-    """Stages with the integral (11) itself, through the target's cumulative integrals, and then rotation.
+    """Return a stage with the integral (11) itself, and one for rotations.
 
-    model, extra: as in two_stage. Raises OptionError.
+    robot: what is planned for. settings: not used, as nothing is smoothed. model, extra: as in two_stage. Raises
+    OptionError.
     """
     _check_model_and_terms(model, extra)
     return _extension(robot, None), _rotation(robot)
@@ -79,8 +81,9 @@ def _check_model_and_terms(model: Model, extra: Sequence[Term]) -> None:
 
 
 def _extension(robot: Robot, widths: tuple[float, ...] | None) -> Stage:
-    """Stage one, which decides beta; widths of smoothed jumps in mm, one after another, or None for the exact
-    form.
+    """Return stage one, which decides beta; widths of smoothed jumps in mm, or None for the exact form.
+
+    Widths are solved for one after another.
     """
     gap = robot.carriage_gap
 
@@ -98,7 +101,7 @@ def _extension(robot: Robot, widths: tuple[float, ...] | None) -> Stage:
 
 @functools.lru_cache(maxsize=MAX_CACHED_FRAME_PROGRAMS)
 def _extension_program(structure: Structure, exact: bool) -> Nlp:
-    """The program of stage one over beta (d,), smoothed or exact."""
+    """Build the program of stage one over beta (d,), smoothed or exact."""
     d = structure.d
     sizes: dict[str, Any] = {
         "tubes": (d, len(TUBE_NUMBER_NAMES)),
@@ -130,9 +133,7 @@ def _extension_program(structure: Structure, exact: bool) -> Nlp:
 
 
 def _rotation(robot: Robot) -> Stage:
-    """Stage two, which decides alpha and theta at given beta, sampled at the ends and the middle of every
-    segment.
-    """
+    """Return stage two, which decides alpha and theta at given beta, sampled at ends and middles of segments."""
     d = robot.d
 
     def fill(frame: Frame, q: Array) -> dict[str, Any]:
@@ -148,9 +149,7 @@ def _rotation(robot: Robot) -> Stage:
 
 @functools.lru_cache(maxsize=MAX_CACHED_FRAME_PROGRAMS)
 def _rotation_program(structure: Structure) -> Nlp:
-    """The program of stage two: Simpson's rule over the samples is the distance (8), each at the target's equal
-    sigma.
-    """
+    """Build the program of stage two: the distance (8) by Simpson's rule over samples at equal sigma."""
     d = structure.d
     numbers = ca.SX.sym("tubes", d, len(TUBE_NUMBER_NAMES))
     beta = ca.SX.sym("beta", d)
@@ -178,9 +177,9 @@ def _rotation_program(structure: Structure) -> Nlp:
 
 
 def _quadrature_samples(beta: Any, xp: Any) -> tuple[list[Any], list[Any]]:
-    """Sigma at the middles, then the ends of all segments, and Simpson's weights there.
+    """Return sigma at the middles, then the ends of all segments, and Simpson's weights there.
 
-    The base point never moves and is left out. A solver's beta may break the order by its tolerance, and weights
+    The base point never moves and is left out. A solver's beta may violate the order by its tolerance, and weights
     must not become negative.
     """
     edges = [0 * beta[0], *(beta[i] for i in range(len(beta)))]

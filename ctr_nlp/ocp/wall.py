@@ -1,10 +1,11 @@
-"""A lumen's wall as programs see it: at some places along the robot, linearised near its configuration.
+"""A lumen's wall as programs see it: at sample points along the robot, linearised near its configuration.
 
-Every tube's visible part is looked at in terms.lumen.PLACES places, each with the lumen's path nearby to second
-order and the wall's radius to first order. Where there is less room between two places, the room at the second is
-reduced to it. This holds near a configuration only: a solution is looked at again, and the program solved again,
-until nothing changes. Clearance is r(p) - |C - p| - rho in mm, with the radius r at the path's nearest point p and
-the outer radius rho of the outermost tube (docs/method.md, "The lumen's wall").
+The visible part of every tube has terms.lumen.WALL_SAMPLES_PER_TUBE sample points, each with the lumen's path
+nearby to second order and the wall's radius to first order. Where there is less room between two sample points,
+the room at the second is reduced to it. This is valid near a configuration only: the wall is linearised again at a
+solution, and the program solved again, until nothing changes. Clearance is r(p) - |C - p| - rho in mm, with the
+radius r at the path's nearest point p and the outer radius rho of the outermost tube (docs/method.md, "The lumen's
+wall").
 """
 
 from __future__ import annotations
@@ -30,14 +31,14 @@ from ctr_nlp.robot import Robot
 from ctr_nlp.typing import Array
 
 WALL_SUBSAMPLES = 5
-"""Number of samples for each place, from the place before up to this one."""
+"""Number of subsamples for each sample point, from the one before up to this one."""
 MAX_WALL_RELINEARISATIONS = 12
 """Most times that a program is solved around its own solution."""
 WALL_SLACK_TOLERANCE_MM = 0.01
-"""Difference in mm up to which the slack of a solution counts as the one that it needs."""
+"""Difference in mm up to which the slack of a solution agrees with the slack needed there."""
 PLANNED_CONTACT_FRACTION = 0.8
-"""Part of the allowed contact beyond which it costs more in planning: penalties give a little, and programs look
-at the wall in fewer places than the verdict does.
+"""Fraction of the allowed contact beyond which it costs more in planning: penalties yield a little, and programs
+check the wall at fewer points than the verdict does.
 """
 WALL_MIN_DENOMINATOR = 1e-9
 """Replaces 0 in denominators, mm and 1/mm."""
@@ -46,9 +47,9 @@ WALL_MIN_DENOMINATOR = 1e-9
 def make_wall(
     robot: Robot, lumen: Lumen | None, model: Model, settings: Settings, subsamples: int = WALL_SUBSAMPLES
 ) -> Wall | None:
-    """The wall of a lumen; None where there is no lumen or contact costs nothing.
+    """Return the wall of a lumen around a robot on a model; None without a lumen, or where contact costs nothing.
 
-    settings: weight, clearance and allowed contact. subsamples: samples a place, see Wall.
+    settings: weight, clearance and allowed contact. subsamples: for each sample point, see Wall.
     """
     if lumen is None or not settings.contact_weight:
         return None
@@ -61,8 +62,8 @@ def make_wall(
 class Wall:
     """The wall of a lumen around a robot on a model.
 
-    weight: cost of a mm of contact, mm^2. clearance: mm that are to be kept. contact_allowed: mm beyond the wall
-    from which contact costs more. subsamples: samples for each place, between it and the one before.
+    weight: cost of a mm of contact, mm^2. clearance: least distance from the wall, mm. contact_allowed: mm beyond
+    the wall from which contact costs more. subsamples: for each sample point, between it and the one before.
     """
 
     robot: Robot
@@ -74,7 +75,7 @@ class Wall:
     subsamples: int = WALL_SUBSAMPLES
 
     def cost(self, slack: Array) -> Array:
-        """Cost of slacks, mm^2, each as in terms.lumen.contact."""
+        """Return the costs, mm^2, of a slack in mm, entry by entry, as terms.lumen.contact_penalty."""
         return np.asarray(
             ca.DM(contact_penalty(ca.DM(slack), self.weight, self.contact_threshold))
             .full()
@@ -102,8 +103,9 @@ class Wall:
     def local_parameters_during(
         self, frames: Sequence[Frame]
     ) -> Callable[[Array], tuple[dict[str, Array], Array]]:
-        """A function of unknowns x (T, n) in these frames that returns their surroundings, under the load of their
-        time.
+        """Return a function that maps unknowns x (T, n) in these frames to their local parameters.
+
+        Loads that change over time are those of the frames' times.
         """
         bears = self.model.applied_load
         acting = (
@@ -116,7 +118,7 @@ class Wall:
     def local_parameters(
         self, x: Array, numbers: Array | None = None, loads: Array | None = None
     ) -> tuple[dict[str, Array], Array]:
-        """Parameters (T, ..) of frames near unknowns x (T, n) of the model, by name, and slacks (T,) needed, mm.
+        """Return parameters (T, ..) linearised at unknowns x (T, n), by name, and slacks (T,) needed, mm.
 
         numbers (d, 8): of the tubes, where they are not the robot's. loads (T, 17 + 3d): on models with loads.
         """
@@ -128,9 +130,9 @@ class Wall:
         return {"wall": wall, "contact_weight": weight, "contact_allowed": allowed}, slack
 
     def scenario_local_parameters(self, x: Array, numbers: Array, loads: Array | None = None) -> dict[str, Array]:
-        """Parameters (T, S, ..) near unknowns x (T, S, n) of robots whose tubes have numbers (S, d, 8), by name.
+        """Return parameters (T, S, ..) linearised at the unknowns x (T, S, n) of S robots, by name.
 
-        loads (T, S, 17 + 3d): on models with loads.
+        numbers (S, d, 8): of their tubes. loads (T, S, 17 + 3d): on models with loads.
         """
         found = [
             self.local_parameters(x[:, k], own, None if loads is None else loads[:, k])[0]
@@ -141,10 +143,10 @@ class Wall:
     def compute_local_wall(
         self, x: Array, numbers: Array | None = None, loads: Array | None = None
     ) -> tuple[Array, Array]:
-        """Numbers that describe the wall (T, d WALL_SAMPLES_PER_TUBE, COLUMNS), and slacks (T,), without compiled
-        code.
+        """Return the wall's numbers near x (T, n), and the slacks (T,) needed, without compiled code.
 
-        Arguments as in surroundings. Bends sharper than the lumen is wide are noise of the path's points.
+        The first are (T, d WALL_SAMPLES_PER_TUBE, WALL_COLUMN_COUNT). numbers (d, 8), loads (T, 17 + 3d): as in
+        local_parameters. Bends sharper than the lumen is wide are noise of the path's points.
         """
         beta = columns_of(self.model.extensions(self.robot, x))
         # Arc lengths over beta_d; a robot that is not out at all has samples at 0.
@@ -157,10 +159,11 @@ class Wall:
             - np.repeat(tube_outer_radii(self.robot), WALL_SAMPLES_PER_TUBE * self.subsamples)
             - self.clearance
         )
-        # The same rounded distance as in the program (terms.lumen.left), so that both agree on the slack.
+        # The same rounded distance as in the program (terms.lumen.room_beside_path), so that both agree on the
+        # slack.
         left = room - np.hypot(near.distance, CENTRELINE_SMOOTHING_MM)
-        # The room at a place is reduced by what is less between the place before and it: the least of its
-        # samples.
+        # The room at a sample point is reduced to the least between the one before and it: contact in between is
+        # not missed.
         room -= left - np.repeat(left.reshape(len(x), -1, self.subsamples).min(axis=-1), self.subsamples, axis=-1)
         numbers = np.stack([room, near.taper, near.length_before, near.length_after], axis=-1)
         # Curvature of the path at most 1 / r.
@@ -168,13 +171,13 @@ class Wall:
             1.0 / near.radius / np.maximum(np.linalg.norm(near.curvature_vector, axis=-1), WALL_MIN_DENOMINATOR)
         )
         bend = near.curvature_vector * np.minimum(sharpest, 1.0)[..., None]
-        # In the order of terms.lumen.COLUMNS: three vectors, then four numbers.
+        # In the order of terms.lumen.WALL_COLUMN_COUNT: three vectors, then four numbers.
         wall = np.concatenate([near.centre, near.tangent, bend, numbers], axis=-1)
-        # The last sample of each place is the place itself.
+        # The last subsample of each sample point is the point itself.
         return wall[:, self.subsamples - 1 :: self.subsamples], np.maximum(-left.min(axis=1), 0.0)
 
     def _points(self, x: Array, sigma: Array, numbers: Array | None, loads: Array | None) -> Array:
-        """Points (T, m, 3) in mm of the robot at x and sigma (T, m)."""
+        """Return points (T, m, 3) in mm of the robot at x and sigma (T, m)."""
         tubes = (self.robot.numbers if numbers is None else numbers)[None]
         if loads is not None:
             return self.model.points_with_loads(loads, self.robot.structure, tubes, x, sigma)

@@ -1,6 +1,6 @@
 """The dominant-stiffness model, eqs. (1)-(4), as a Model: its unknowns are q, and nothing can be unstable.
 
-The geometry is in shape.py; here it is arranged as a matrix product of lengths, which depend on beta and sigma,
+The geometry is in shape.py. Here it is arranged as a matrix product of lengths, which depend on beta and sigma,
 and directions, which depend on q alone. q = (alpha, beta, theta) in rad and mm.
 """
 
@@ -34,19 +34,20 @@ stiffer.
 
 
 DOMINANT_SHAPES_PER_CHUNK = 128
-"""Number of shapes whose samples are computed together: what fits into a processor's nearest cache."""
+"""Number of shapes whose samples are computed in one batch: as many as fit into a processor's innermost cache."""
 
 
 class Dominant(Model):
-    """The paper's model: a shape for each q, curvatures that alpha does not change, no torsion and no
-    stability.
-    """
+    """The paper's model: one shape for each q, curvatures independent of alpha, no torsion and no instability."""
 
     name = "dominant"
     bends_by_extension = True
 
     def check(self, robot: Robot) -> None:
-        """Raise OptionError unless every tube is stiffer than the one within it: alone it sets the curvature."""
+        """Raise OptionError unless every tube of the robot is stiffer than the one within it.
+
+        Only then does it set the curvature alone.
+        """
         for i, (outer, inner) in enumerate(itertools.pairwise(robot.tubes), start=1):
             if outer.bending_stiffness <= inner.bending_stiffness * MIN_STIFFNESS_RATIO:
                 raise OptionError(
@@ -63,8 +64,9 @@ class Dominant(Model):
         margin: ca.SX | None = None,
         tangents: bool = False,
     ) -> SymbolicShape:
-        """The shape of one frame as symbols; arguments as in Model.frame. margin is ignored: nothing can be
-        unstable.
+        """Build the shape of one frame in symbols, as Model.frame.
+
+        structure, tubes, sample_lengths, tangents: as there. margin: ignored, since nothing can be unstable.
         """
         x = ca.SX.sym("q", 2 * structure.d + 2)
         d = structure.d
@@ -92,11 +94,14 @@ class Dominant(Model):
         return SymbolicShape(x, x[:d], tuple(beta), points, inner, found)
 
     def points(self, robot: Robot, x: Array, sigma: Array) -> Array:
-        """Points (T, n, 3) in mm at q (T, 2d + 2) and sigma (n,) or (T, n), of one robot."""
+        """Return points (T, n, 3) in mm of a robot at x (T, 2d + 2), which is q, and sigma (n,) or (T, n)."""
         return _points(robot.tube_numbers, x, sigma)
 
     def points_batch(self, structure: Structure, numbers: Array, x: Array, sigma: Array) -> Array:
-        """Points (n, T, m, 3) in mm of robots that differ in numbers; arguments as in Model.points_batch."""
+        """Return points (n, T, m, 3) in mm of robots that differ in numbers (n, d, 8), each at x (n, T, 2d + 2).
+
+        structure: what the robots share. sigma: (m,) or (T, m).
+        """
         tubes, each, sigma = flatten_batch(numbers, x, sigma)
         points = np.empty((len(each), np.shape(sigma)[-1], 3))
         for at in (
@@ -108,12 +113,12 @@ class Dominant(Model):
         return points.reshape(*x.shape[:2], *points.shape[1:])
 
     def tangents(self, robot: Robot, x: Array, sigma: Array) -> Array:
-        """Unit tangents (T, n, 3) at q (T, 2d + 2) and sigma (n,) or (T, n)."""
+        """Return unit tangents (T, n, 3) of a robot at x (T, 2d + 2), which is q, and sigma (n,) or (T, n)."""
         return _stack_components(shape.backbone(robot.tube_numbers, shape.columns_of(x), sigma, np).tangents)
 
 
 def _points(tubes: Tubes, q: Array, sigma: Array) -> Array:
-    """Points (T, n, 3) in mm at q (T, 2d + 2): lengths travelled on tubes times directions.
+    """Return points (T, n, 3) in mm at q (T, 2d + 2): lengths travelled on tubes times directions.
 
     tubes: with numbers, or columns (T, 1) of numbers. sigma: (n,) or (T, n).
     """

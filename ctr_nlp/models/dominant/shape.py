@@ -1,4 +1,4 @@
-"""Geometry of the dominant-stiffness model, eqs. (1)-(4): between beta_{i-1} and beta_i, tube i alone sets the
+"""Geometry of the dominant-stiffness model, eqs. (1)-(4): between beta_{i-1} and beta_i, tube i sets the
 curvature.
 
 A point is a sum over tubes, C(s) = sum_i (a_i N_i + b_i T_i + c_i B_i): lengths a, b, c in mm travelled on tube i
@@ -47,15 +47,18 @@ class Travel(NamedTuple):
         return self.side, self.along
 
     def gains(self, xp: Any) -> tuple[Any, ...]:
-        """Gain of the tangent along N and T: (sin, cos - 1) of the angle turned."""
+        """Return the gain of the tangent along N and T: (sin, cos - 1) of the angle turned.
+
+        xp: casadi or numpy.
+        """
         return xp.sin(self.angle), xp.cos(self.angle) - 1
 
 
 class HelixTravel(NamedTuple):
     """Travel on a helix of curvature k and torsion, 1/mm: `straight` mm, then `length` mm of its curved part.
 
-    Its Frenet frame turns about a fixed axis, the Darboux vector k B + torsion T, by w = sqrt(k^2 + torsion^2) a
-    mm.
+    Its Frenet frame turns about a fixed axis, the Darboux vector k B + torsion T, at the rate w = sqrt(k^2 +
+    torsion^2) in rad/mm. xp: casadi or numpy.
     """
 
     k: Any
@@ -80,15 +83,18 @@ class HelixTravel(NamedTuple):
         # The tangent at length s is T + k sin(ws)/w N - k^2 (1 - cos(ws))/w^2 T + k torsion (1 -
         # cos(ws))/w^2 B; these are its integrals.
         late = (self.length - sin / w) / w**2
+        # w > 0, since a helix has k > 0 and torsion of either sign; a limit at w = 0 is not needed.
         return k * rest / w**2, self.straight + self.length - k**2 * late, k * torsion * late
 
     def gains(self, xp: Any) -> tuple[Any, ...]:
-        """Gain of the tangent along N, T and B."""
+        """Return the gain of the tangent along N, T and B. xp: not used, as the helix has its own."""
         (w, sin, rest), k = self._rotation_terms, self.k
         return k * sin / w, -(k**2) * rest / w**2, k * self.torsion * rest / w**2
 
     def after(self, bend: Vector, across: Vector, t: Vector) -> tuple[Vector, Vector, Vector]:
-        """The Frenet frame (N, B, T) at the end, from that at the beginning: bend N, across B and tangent t."""
+        """Return the Frenet frame (N, B, T) at the end, from that at the beginning: bend N, across B and tangent
+        t.
+        """
         (w, sin, rest), k, torsion = self._rotation_terms, self.k, self.torsion
         # about: unit axis of the turn. outwards: perpendicular to it and to N, the direction in which N
         # turns.
@@ -104,12 +110,15 @@ class HelixTravel(NamedTuple):
 
 
 def columns_of(q: Any) -> list[Any]:
-    """Columns (T, 1) of configurations or unknowns (T, n), in the layout that numpy takes here."""
+    """Split configurations or unknowns q (T, n) into n columns (T, 1)."""
     return [column[:, None] for column in np.asarray(q, dtype=float).T]
 
 
 def backbone(tubes: Tubes, q: Sequence[Any], sigma: Any, xp: Any) -> Backbone:
-    """The shape C(s | q) at s = sigma beta_d, eqs. (1) and (4); q: its 2d + 2 entries, sigma in [0, 1]."""
+    """Compute the shape C(s | q) at s = sigma beta_d, eqs. (1) and (4).
+
+    tubes: of the robot. q: its 2d + 2 entries, in rad and mm. sigma: in [0, 1]. xp: casadi or numpy.
+    """
     travelled = travels(tubes, q[len(tubes) : 2 * len(tubes)], sigma * q[2 * len(tubes) - 1], xp)
     planes = directions(tubes, q, xp)
     point = (0.0, 0.0, 0.0)
@@ -122,11 +131,13 @@ def backbone(tubes: Tubes, q: Sequence[Any], sigma: Any, xp: Any) -> Backbone:
 
 
 def travels(tubes: Tubes, beta: Sequence[Any], s: Any, xp: Any) -> list[Travel | HelixTravel]:
-    """Lengths travelled on each tube to arc lengths s, mm.
+    """Compute the lengths travelled on each tube to arc lengths s, mm.
 
-    The expression has the same structure whichever tube a sample lies on; positions are C1 in beta, also where
-    rounding has put a tube's end before that of the tube around it.
+    tubes: of the robot. beta: extensions, mm. xp: casadi or numpy. The expression has the same structure whichever
+    tube a sample lies on; positions are C1 in beta, also where rounding has put a tube's end before that of the
+    tube around it.
     """
+    # 0 * beta has the type and shape of beta, a symbol or a column, which the number 0 has not.
     start = 0 * beta[0]
     before = 0 * beta[0]
     travelled = list[Travel | HelixTravel]()
@@ -143,8 +154,9 @@ def travels(tubes: Tubes, beta: Sequence[Any], s: Any, xp: Any) -> list[Travel |
 
 
 def directions(tubes: Tubes, q: Sequence[Any], xp: Any) -> list[tuple[Vector, ...]]:
-    """For each tube where it bends to, the tangent and, of a helix, the direction across, where its segment
-    begins.
+    """Compute for each tube the directions where its segment begins: N, the tangent T and, of a helix, B.
+
+    tubes: of the robot. q: its 2d + 2 entries, in rad and mm. xp: casadi or numpy.
     """
     alpha, beta, (theta_x, theta_y) = q[: len(tubes)], q[len(tubes) : 2 * len(tubes)], q[2 * len(tubes) :]
     d1, d2, t = base_frame(theta_x, theta_y, xp)
@@ -201,7 +213,10 @@ def _on_tube(tubes: Tubes, i: int, x_from: Any, x_to: Any, xp: Any) -> Travel | 
 
 
 def planar(tube: TubeNumbers, x_from: Any, x_to: Any, xp: Any) -> Travel:
-    """Travel on the curved part of a tube between distances from its tip, mm."""
+    """Compute the travel on the curved part of a tube between distances x_from >= x_to from its tip, mm.
+
+    xp: casadi or numpy.
+    """
     length = x_from - x_to
     if tube.kind == "straight":
         return Travel(0 * length, length, 0 * length)
@@ -229,8 +244,9 @@ def _turning(tube: TubeNumbers, x: Any) -> Any:
 
 
 def base_frame(theta_x: Any, theta_y: Any, xp: Any) -> tuple[Vector, Vector, Vector]:
-    """The columns of R = Ry(theta_y) Rx(theta_x), eq. (4): the base's axes in space; the third is the insertion
-    direction.
+    """Return the columns of R = Ry(theta_y) Rx(theta_x), eq. (4): the base's axes.
+
+    The third is the insertion direction. theta_x, theta_y: the tilt, rad. xp: casadi or numpy.
     """
     cx = xp.cos(theta_x)
     sx = xp.sin(theta_x)
@@ -240,15 +256,15 @@ def base_frame(theta_x: Any, theta_y: Any, xp: Any) -> tuple[Vector, Vector, Vec
 
 
 def combine_vectors(a: Any, u: Vector, b: Any, v: Vector) -> Vector:
-    """The vector a u + b v."""
+    """Return the vector a u + b v."""
     return a * u[0] + b * v[0], a * u[1] + b * v[1], a * u[2] + b * v[2]
 
 
 def curvature(tubes: Tubes, beta: Sequence[Any], s: Any, step: Any, xp: Any) -> Any:
-    """Curvature k(s | beta) in 1/mm, eq. (10), whatever alpha is.
+    """Compute the curvature k(s | beta) in 1/mm, eq. (10), which does not depend on alpha.
 
-    step(x) goes from 0 to 1 as x mm passes 0: the Heaviside function, or a smooth one that programs can
-    differentiate.
+    tubes: of the robot. beta: extensions, mm. s: arc lengths, mm. step(x) goes from 0 to 1 as x mm passes 0: the
+    Heaviside function, or a smooth one that programs can differentiate. xp: casadi or numpy.
     """
     value = _profile(tubes, 0, beta[0] - s, step, xp)
     for i in range(1, len(tubes)):
@@ -259,7 +275,7 @@ def curvature(tubes: Tubes, beta: Sequence[Any], s: Any, step: Any, xp: Any) -> 
 
 
 def _profile(tubes: Tubes, i: int, x: Any, step: Any, xp: Any) -> Any:
-    """Pre-curvature of tube i at x mm from its tip, 1/mm."""
+    """Return the pre-curvature of tube i at x mm from its tip, 1/mm; step as in `curvature`."""
     tube = tubes[i]
     # Clamped, so that a smoothed step does not extrapolate the linear curvature beyond the tube's curved
     # part.
@@ -268,7 +284,10 @@ def _profile(tubes: Tubes, i: int, x: Any, step: Any, xp: Any) -> Any:
 
 
 def curved_part(tubes: Tubes, i: int, start: Any, end: Any, xp: Any) -> tuple[Any, Any, Any]:
-    """Where between start and end (mm) tube i begins to curve, k there (1/mm) and dk/ds (1/mm^2)."""
+    """Return where between start and end (mm) tube i begins to curve, k there (1/mm) and dk/ds (1/mm^2).
+
+    tubes: of the robot; `end` is the tip of tube i. xp: casadi or numpy.
+    """
     tube = tubes[i]
     low = xp.fmax(start, end - tube.curved_length) if tubes[i].transmission_emerges else start
     # slope is per mm from the tip towards the root, that is against s: hence the sign of dk/ds.

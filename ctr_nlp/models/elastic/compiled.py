@@ -1,8 +1,8 @@
 """The elastic model in C: the files in c/ around functions that are generated for each structure of a robot.
 
 A structure's functions (motors' angles, energy, shape) are derived once as symbols from torsion.py, energy.py and
-shape.py, compiled, and called by hand-written C that follows branches, falls and evaluates batches. equilibria.py
-has the method in Python, for use without a compiler. Angles are in rad, lengths in mm.
+shape.py, compiled, and called by hand-written C that follows branches, simulates snaps and evaluates batches.
+equilibria.py has the method in Python, for use without a compiler. Angles are in rad, lengths in mm.
 """
 
 from __future__ import annotations
@@ -32,31 +32,31 @@ ELASTIC_C_FILES = tuple(
 )
 """The files of C, in the order in which they are compiled as one."""
 FUNCTIONS = "motors", "energy", "second", "shape", "points", "motors_beside"
-"""Functions that the struct Elastic of branch.c points to; the last two for LANES arc lengths or robots
-together.
+"""Functions that the struct Elastic of branch.c points to; the last two evaluate VECTOR_LANES arc lengths or
+robots in one call.
 """
 
 MAX_ALIGNED_TURN_STEP_RAD = 1.0
 """Angle in rad that tubes are turned by in one step from the aligned robot."""
 ELASTIC_NEWTON_TOLERANCE_RAD, INTERMEDIATE_NEWTON_TOLERANCE_RAD, MAX_ELASTIC_NEWTON_STEPS = 1e-7, 1e-2, 8
-"""Newton's method: the last step in rad, whose error is about its square, that at intermediate points, and most
-steps.
+"""Newton's method: the size of the last step in rad, whose error is about its square; the same at intermediate
+points; and most steps.
 """
 MAX_PREDICTION_ERROR_RAD = 0.1
-"""Distance in rad beyond which an equilibrium may belong to another branch than the one that predicted it."""
+"""Distance in rad from its prediction beyond which an equilibrium may belong to another branch."""
 MAX_PREDICTED_TURN_RAD = 0.2
-"""Angle in rad that tips may be predicted to turn against each other in one step, beyond their motors: further
-away, and as near to the prediction by chance, there is another branch.
+"""Angle in rad that tips may be predicted to turn against each other in one step, beyond their motors. A solution
+further away may lie near its prediction by chance, and on another branch.
 """
 MIN_PATH_STEP_FRACTION = 2.0**-20
-"""Part of a step at which a branch that cannot be followed counts as ended."""
+"""Fraction of the path below which steps are not halved any more: the branch counts as ended."""
 FOLD_PERTURBATION_RAD = 0.1
-"""Angle in rad that tubes are turned by against each other where a branch ends, to leave the old equilibrium: more
-than the difference between the two discretisations (Galerkin's and Nystroem's).
+"""Angle in rad by which tubes are turned against each other at a fold, to leave the old equilibrium: more than the
+difference between the two discretisations (Galerkin's and Nystroem's).
 """
 MAX_FALL_STEP_RAD, MAX_FALLS_PER_STEP = 0.2, 20
-"""Largest angle in rad by which tubes turn against each other in one step of a fall; and most falls in one step of
-a motion (MAX_FALLS_PER_STEP).
+"""Largest angle in rad by which tubes turn against each other in one step of a snap down the energy; and most
+snaps in one step of a motion (MAX_FALLS_PER_STEP).
 """
 
 
@@ -76,6 +76,8 @@ class StateStruct(ctypes.Structure):
     ]
 
 
+# Order and types of the fields must be those of the struct in C: nothing checks them, and a mismatch reads other
+# memory.
 class _Elastic(ctypes.Structure):
     """The struct Elastic of branch.c, field by field."""
 
@@ -92,19 +94,24 @@ class _Elastic(ctypes.Structure):
 
 
 class CompiledElastic:
-    """Equilibria of a structure in C; any thread may call. numbers (T or 1, 8d): of the tubes, a row a robot."""
+    """Solver in C of equilibria of one structure.
+
+    Any thread may call. numbers (T or 1, 8d): of the tubes, a row a robot.
+    """
 
     def __init__(self, structure: Structure, alone: Path, beside: Path) -> None:
-        """Load the functions of a structure from their libraries; raises OptionError where nothing can be
-        compiled.
+        """Load the functions of a structure from their libraries.
 
-        alone: the library of functions for one robot; beside: of those for LANES arc lengths or robots.
+        Raises OptionError where nothing can be compiled. alone: the library of functions for one robot; beside: of
+        those for VECTOR_LANES arc lengths or robots.
         """
         made = symbolic(structure)
         libraries = [
             *([ctypes.CDLL(str(alone))] * len(made.scalar_functions)),
             *([ctypes.CDLL(str(beside))] * len(made.vector_functions)),
         ]
+        # The C files know no structure: one library serves all robots, through a struct of sizes and function
+        # pointers.
         self._run = cache.load_c_files(__package__, *ELASTIC_C_FILES)
         couples = np.ascontiguousarray(made.of.couples, dtype=np.int64)
         addresses = (
@@ -131,15 +138,20 @@ class CompiledElastic:
         self.motors = ca.external("motors", str(alone))
 
     def walk(self, numbers: Array, state: StateStruct, goals: Array) -> Array:
-        """Equilibria (count, 2d + 2) at as many goals (T, 2d + 2) as the branch reaches; the state moves on."""
+        """Return equilibria (k, 2d + 2) at the first k of goals (T, 2d + 2), which the branch reaches.
+
+        state: where the branch is followed from; it moves along. numbers (1, 8d): of the tubes.
+        """
         goals, x = np.ascontiguousarray(goals, dtype=float), np.empty(goals.shape)
         given = _address(numbers), ctypes.byref(state), _address(goals)
+        # C returns how many goals were reached; rows after these are not written.
         return x[: self._run.walk(self._reference, *given, ctypes.c_long(len(goals)), _address(x))]
 
     def walk_batch(self, numbers: Array, states: ctypes.Array[StateStruct], goals: Array) -> tuple[Array, Index]:
-        """Equilibria (n, T, 2d + 2) of up to LANES robots at goals (n, T, 2d + 2), a robot in each lane.
+        """Return equilibria (n, T, 2d + 2) of up to VECTOR_LANES robots at goals (n, T, 2d + 2).
 
-        The second result (n,) is how many goals each reached in whole steps; the states (n,) move on so far.
+        A robot in each lane. numbers (n, 8d): of the tubes. The second result (n,) counts the goals that each
+        reached in whole steps; states (n,) move that far.
         """
         count, places, size = goals.shape
         # Lanes without a robot of their own repeat the first ones; their results are dropped.
@@ -155,8 +167,9 @@ class CompiledElastic:
         return x, reached[:count]
 
     def follow(self, numbers: Array, state: StateStruct, goal: Array) -> tuple[bool, Array]:
-        """Move a state to goal (2d + 2,): whether it gets there, and its tips' jumps on the way (falls, d),
-        rad.
+        """Move `state` to goal (2d + 2,) along its branch.
+
+        Returns whether it gets there, and its tips' jumps on the way (k, d), rad. numbers (1, 8d): of the tubes.
         """
         goal = np.ascontiguousarray(goal)
         jumps = np.zeros((MAX_FALLS_PER_STEP, self._elastic.d))
@@ -165,7 +178,10 @@ class CompiledElastic:
         return bool(self._run.follow(self._reference, *given)), jumps[: falls.value]
 
     def settle(self, numbers: Array, q: Array) -> tuple[ctypes.Array[StateStruct], Flags]:
-        """States (T,) to which all tubes are turned from alpha_d at q (T, 2d + 2), and whether each was found."""
+        """Return the states (T,) of rest at q (T, 2d + 2), and whether each was found.
+
+        They are reached by turning all tubes there from alpha_d. numbers (T or 1, 8d): of the tubes.
+        """
         q, rows = np.ascontiguousarray(q, dtype=float), ctypes.c_long(len(q))
         states = (StateStruct * len(q))()
         found = np.zeros(len(q), dtype=np.int64)
@@ -175,7 +191,10 @@ class CompiledElastic:
         return states, found.astype(bool)
 
     def margins(self, numbers: Array, x: Array) -> Array:
-        """Stability margins (T,) of x (T, 2d + 2); NaN where x is."""
+        """Return the stability margins (T,) of x (T, 2d + 2).
+
+        NaN where x is. numbers (T or 1, 8d): of the tubes.
+        """
         x, found = np.ascontiguousarray(x, dtype=float), np.empty(len(x))
         self._run.margins(
             self._reference, *_address_and_stride(numbers), _address(x), ctypes.c_long(len(x)), _address(found)
@@ -183,7 +202,10 @@ class CompiledElastic:
         return found
 
     def shapes(self, numbers: Array, x: Array, sigma: Array) -> tuple[Array, Array]:
-        """Points (T, n, 3) in mm at x (T, 2d + 2) and sigma (n,) or (T, n), and directions of tips (T, 3)."""
+        """Return points (T, n, 3) in mm at x (T, 2d + 2) and sigma (n,) or (T, n), and directions of tips (T, 3).
+
+        numbers (T or 1, 8d): of the tubes.
+        """
         x = np.ascontiguousarray(x, dtype=float)
         sigma = np.ascontiguousarray(sigma, dtype=float)
         rows = len(x)
@@ -198,7 +220,10 @@ class CompiledElastic:
         return points, tips
 
     def rest_states(self, numbers: Array, q: Array, sigma: Array) -> RestStates:
-        """One robot, of numbers (1, 8d), at rest at each q (T, 2d + 2) without a history; points at sigma (m,)."""
+        """Return the equilibria of one robot of numbers (1, 8d) at rest at each q (T, 2d + 2) without a history.
+
+        sigma (m,): where points are computed.
+        """
         q = np.ascontiguousarray(q, dtype=float)
         sigma = np.ascontiguousarray(sigma, dtype=float)
         rows, n, m = *q.shape, len(sigma)
@@ -211,21 +236,25 @@ class CompiledElastic:
 
 
 def _address(array: np.ndarray[Any, Any]) -> ctypes.c_void_p:
-    """Address of an array's first entry."""
+    """Return the address of an array's first entry."""
     return ctypes.c_void_p(array.ctypes.data)
 
 
 def _address_and_stride(numbers: Array) -> tuple[ctypes.c_void_p, ctypes.c_long]:
-    """Address of the tubes' numbers, and the distance between two rows of them: 0 where one robot has all rows."""
+    """Return the address of the tubes' numbers, and the distance between their rows: 0 where one robot has all
+    rows.
+    """
     return _address(numbers), ctypes.c_long(numbers.shape[1] if len(numbers) > 1 else 0)
 
 
 class Symbolic(NamedTuple):
-    """Functions of a structure, in the order of FUNCTIONS: alone; the last two, for LANES together; the energy.
+    """Functions of a structure, in the order of FUNCTIONS, and the energy in symbols.
 
-    motors: (x, numbers (d, 8)) -> alpha and slopes over phi but the last. energy: -> strength, angles, turns, ends
-    and made of Symbols, turns and ends transposed. second: -> second of Symbols. shape: -> vectors (3, n) and the
-    direction of the tip. points: (arc length, vectors, extensions (d,), numbers) -> the point there (3,), mm.
+    scalar_functions: for one robot; vector_functions: the last two, for VECTOR_LANES in one call. motors: (x,
+    numbers (d, 8)) -> alpha and its derivatives over phi but the last. energy: -> strength, angles, turns, ends
+    and helix_angles of energy.Symbols, turns and ends transposed. second: -> second of energy.Symbols. shape: ->
+    vectors (3, n) and the direction of the tip. points: (arc length, vectors, extensions (d,), numbers) -> the
+    point there (3,), mm.
     """
 
     scalar_functions: tuple[ca.Function, ...]
@@ -240,7 +269,7 @@ class Symbolic(NamedTuple):
 
 @functools.lru_cache(maxsize=64)
 def symbolic(structure: Structure) -> Symbolic:
-    """The functions to be compiled for a structure, as symbols."""
+    """Build the functions to be compiled for a structure, in symbols."""
     d = structure.d
     x = ca.SX.sym("x", 2 * d + 2)
     numbers = ca.SX.sym("numbers", d, len(TUBE_NUMBER_NAMES))
@@ -277,14 +306,14 @@ def symbolic(structure: Structure) -> Symbolic:
 
 
 def get_compiled_elastic(structure: Structure) -> CompiledElastic | None:
-    """The compiled code of a structure; None until it has been compiled, and where nothing can be."""
+    """Return the compiled code of a structure; None until it has been compiled, and where nothing can be."""
     if os.environ.get(cache.COMPILE_VARIABLE) == "0" or structure.d > MOST_TUBES:
         return None
     return _soon(structure)()
 
 
 class _PendingCode:
-    """Compiled code of a structure as soon as the background process is done."""
+    """Compiled code of a structure, available as soon as the background process is done."""
 
     def __init__(self, structure: Structure) -> None:
         # The carriages' gap is a constraint of programs; equilibria do not depend on it, so robots with and
@@ -310,6 +339,8 @@ _soon = functools.lru_cache(maxsize=64)(_PendingCode)
 
 
 def numbers_of(tubes: Tubes) -> Array:
-    """Numbers of tubes as `CompiledElastic` lays them out: (T or 1, 8d), number by number, then tube by tube."""
+    """Return the numbers of tubes in the layout of `CompiledElastic`: (T or 1, 8d), number by number, then tube by
+    tube.
+    """
     numbers = [tube[2 + k] for k in range(len(TUBE_NUMBER_NAMES)) for tube in tubes]
     return np.stack(np.broadcast_arrays(*map(np.ravel, numbers)), axis=1)

@@ -2,12 +2,12 @@
 
 The energy of docs/method.md, E = sum_i int GJ_i/2 psi_i'^2 ds - int |sum_i EI_i k_i e(psi_i)|^2 / (2 sum_i EI_i)
 ds, depends on the angles through differences only: up to a constant its second part is the sum over pairs of tubes
-of - int EI_i EI_j k_i k_j cos(psi_i - psi_j) / sum EI ds. The motors are held, and a twist psi_i' (rad/mm) is a
+of - int EI_i EI_j k_i k_j cos(psi_i - psi_j) / sum EI ds. The motors are fixed, and a twist psi_i' (rad/mm) is a
 sum of Legendre polynomials in every section and a constant in the transmission, normalised so that the first part
 is |a|^2 / 2.
 
-Its second variation K + V has the stability margin as an eigenvalue, and its gradient is what a robot falls along.
-One source for symbols and numbers: `xp` is casadi or numpy.
+Its second variation K + V has the stability margin as its smallest eigenvalue, and a robot that snaps moves down
+its gradient. One source for symbols and numbers: `xp` is casadi or numpy.
 """
 
 from __future__ import annotations
@@ -46,12 +46,13 @@ the section's base.
 
 
 class Energy(NamedTuple):
-    """E(a) = |a|^2 / 2 - sum strength cos(angle), with the tubes' twist a combination of n unit twists by a (n,).
+    """E(a) = |a|^2 / 2 - sum strength cos(angle), where the tubes' twist is a combination of n unit twists by a
+    (n,).
 
-    Angles (rows,), rad, are those between two tubes at a node: couples (rows, d) alpha + made + turns (rows, n) a.
-    Those of the tips are alpha + made + ends (d, n) a. made (rows + d,): angles by which helices turn by
-    themselves, first of the rows, then of the tips. strength (rows,): EI_i EI_j k_i k_j / sum EI times the node's
-    weight.
+    Angles (rows,), rad, are those between two tubes at a node: couples (rows, d) alpha + helix_angles[:rows] +
+    turns (rows, n) a. Those of the tips are alpha + helix_angles[rows:] + ends (d, n) a. helix_angles (rows + d,):
+    angles by which helices turn by their own torsion. strength (rows,): EI_i EI_j k_i k_j / sum EI times the
+    node's weight.
     """
 
     strength: Array
@@ -61,20 +62,25 @@ class Energy(NamedTuple):
     helix_angles: Array
 
     def height(self, a: Array, angles: Array) -> float:
-        """The energy E(a), with angles (rows,) those that a gives."""
+        """Return the energy E(a) at coefficients a (n,); angles (rows,) in rad belong to a."""
         return float(a @ a / 2 - self.strength @ np.cos(angles))
 
     def gradient(self, a: Array, angles: Array) -> Array:
-        """The gradient dE/da, (n,)."""
+        """Return the gradient dE/da, (n,), at coefficients a (n,); angles (rows,) in rad belong to a."""
         return a + (self.strength * np.sin(angles)) @ self.turns
 
     def hessian(self, angles: Array) -> Array:
-        """The second variation K + V, (n, n), in which K is the identity."""
+        """Return the second variation K + V, (n, n), at angles (rows,) in rad.
+
+        In these coordinates K is the identity.
+        """
+        # -cos(angle) has the second derivative +cos(angle): couples at less than a quarter turn stiffen, opposed
+        # ones soften.
         return np.eye(self.turns.shape[1]) + (self.strength * np.cos(angles) * self.turns.T) @ self.turns
 
 
 def differences(tubes: Tubes, x: Array) -> Array:
-    """The angles (T, rows) between tubes, rows as in Energy, at every x (T, 2d + 2)."""
+    """Return the angles (T, rows) between tubes, rows as in Energy, at every x (T, 2d + 2)."""
     columns = columns_of(x)
     parts = sections(tubes, columns[len(tubes) : 2 * len(tubes)], np)
     nodes = twist(tubes, columns, parts, np).nodes
@@ -85,7 +91,7 @@ def differences(tubes: Tubes, x: Array) -> Array:
 
 
 def energies(tubes: Tubes, x: Array) -> Iterator[Energy]:
-    """The Energy at the beta of every x (T, 2d + 2), one after the other."""
+    """Yield the Energy of tubes at the extensions of every x (T, 2d + 2), one after the other."""
     columns = columns_of(x)
     parts = sections(tubes, columns[len(tubes) : 2 * len(tubes)], np)
     twists = _twists(tubes, columns, parts, np)
@@ -114,8 +120,8 @@ def energies(tubes: Tubes, x: Array) -> Iterator[Energy]:
 class Symbols(NamedTuple):
     """The Energy in symbols for any beta, of m twists that turn tubes against each other; other twists stay zero.
 
-    strength, angles (rows, 1), turns (rows, m), ends (d, m), made (rows + d, 1): as in Energy. couples (2, rows):
-    the tubes of an angle. second (m, m): K + V, whose eigenvalues below 1 are those of all twists.
+    strength, angles (rows, 1), turns (rows, m), ends (d, m), helix_angles (rows + d, 1): as in Energy. couples (2,
+    rows): the two tubes of each angle. second (m, m): K + V, whose eigenvalues below 1 are those of all twists.
     """
 
     strength: ca.SX
@@ -128,9 +134,13 @@ class Symbols(NamedTuple):
 
 
 def in_symbols(tubes: Tubes, x: Sequence[Any]) -> Symbols:
-    """The energy of any robot of a structure at x, 2d + 2 symbols."""
+    """Build the energy of any robot of a structure in symbols.
+
+    tubes: with symbols for numbers. x: 2d + 2 symbols.
+    """
     parts = sections(tubes, x[len(tubes) : 2 * len(tubes)], ca)
     nodes = twist(tubes, x, parts, ca).nodes
+    # An empty row first: a robot on which no tubes act on each other has no couples, but still needs shapes.
     strength = [ca.SX(1, 0)]
     angles = [ca.SX(1, 0)]
     for k, i, j in _couples(parts):
@@ -154,10 +164,10 @@ def in_symbols(tubes: Tubes, x: Sequence[Any]) -> Symbols:
 def _second(
     tubes: Tubes, parts: Sequence[RobotSection], twists: Sequence[_Twist], against: ca.SX, weights: Sequence[ca.SX]
 ) -> ca.SX:
-    """The matrix K + V (m, m) of the twists against each other; weights (1, nodes) of every couple's angles.
+    """Build the matrix K + V (m, m) of twists against each other.
 
-    What turns two tubes against each other is a sum of a constant and ANGLES, so that V is made of moments of
-    weights.
+    weights (1, nodes): strength cos(angle) of every couple. Each twist turns two tubes against each other by a sum
+    of a constant and ANGLES, so that V consists of moments of weights.
     """
     # Within section k, a twist of k itself turns by ANGLES[degree], one of a section nearer to the base by
     # a constant, its angle at that section's end.
@@ -176,8 +186,8 @@ def _second(
 
 
 def _relative_twist_basis(tubes: Tubes, parts: Sequence[RobotSection], twists: Sequence[_Twist]) -> ca.SX:
-    """An orthonormal basis (n, m) of twists, without the one in each section and degree by which all tubes turn
-    alike.
+    """Return an orthonormal basis (n, m) of twists, without the one in each section and degree that turns all
+    tubes alike.
     """
     columns = list[ca.SX]()
     for k, degree in sorted({(one.section, one.degree) for one in twists}):
@@ -198,8 +208,9 @@ def _relative_twist_basis(tubes: Tubes, parts: Sequence[RobotSection], twists: S
 
 
 class _Twist(NamedTuple):
-    """A tube's unit twist in a section (-1: its transmission), a Legendre polynomial; scale (T, 1) makes its K
-    one.
+    """A tube's unit twist in a section (-1: its transmission), a Legendre polynomial.
+
+    scale (T, 1) normalises its K to 1.
     """
 
     tube: int
@@ -218,13 +229,13 @@ class _Twist(NamedTuple):
         """Angles by which it turns a tube at a section's nodes, without the scale."""
         if tube != self.tube or section < self.section:
             return np.zeros(len(SECTION_NODE_FRACTIONS))
-        # The motor is held: nothing turns between it and the twist's section, and everything beyond turns
-        # by its end.
+        # The motor is fixed: nothing turns between it and the twist's section, and everything beyond turns by its
+        # end.
         return ANGLES[self.degree] if section == self.section else np.full(len(SECTION_NODE_FRACTIONS), self.end)
 
 
 def _twists(tubes: Tubes, columns: Sequence[Any], parts: Sequence[RobotSection], xp: Any) -> list[_Twist]:
-    """Unit twists: of the transmissions, and below DEGREE of every tube where others act on it."""
+    """Return unit twists: of the transmissions, and below DEGREE of every tube where others act on it."""
     acting = {k: part.active for k, part in enumerate(parts) if len(part.active) > 1}
     found = []
     for i in sorted({i for active in acting.values() for i in active}):
@@ -242,12 +253,12 @@ def _twists(tubes: Tubes, columns: Sequence[Any], parts: Sequence[RobotSection],
 
 
 def _couples(parts: Sequence[RobotSection]) -> list[tuple[int, int, int]]:
-    """Each section and pair of tubes in it that act on each other there."""
+    """Return each section and pair of tubes in it that act on each other there."""
     return [(k, i, j) for k, part in enumerate(parts) for i, j in itertools.combinations(part.active, 2)]
 
 
 def _pattern(parts: Sequence[RobotSection], twists: Sequence[_Twist]) -> Array:
-    """Angles by which twists (columns) turn two tubes against each other at the nodes (rows), without the
+    """Return the angles by which twists (columns) turn two tubes against each other at nodes (rows), without
     scales.
     """
     couples = _couples(parts)
@@ -256,12 +267,14 @@ def _pattern(parts: Sequence[RobotSection], twists: Sequence[_Twist]) -> Array:
 
 
 def _ends(tubes: Tubes, twists: Sequence[_Twist]) -> Array:
-    """Angles by which twists (columns) turn the tubes' tips (rows), without the scales."""
+    """Return the angles by which twists (columns) turn the tubes' tips (rows), without the scales."""
     return np.reshape([[one.end * (one.tube == i) for one in twists] for i in range(len(tubes))], (len(tubes), -1))
 
 
 def _helix_angles(tubes: Tubes, columns: Sequence[Any], parts: Sequence[RobotSection], xp: Any) -> list[Any]:
-    """Angles by which helices turn by themselves: couples at nodes, (T, nodes) each, then tips, (T, 1) each."""
+    """Return angles by which helices turn by themselves: couples at nodes, (T, nodes) each, then tips, (T, 1)
+    each.
+    """
     nodes = ca.DM(SECTION_NODE_FRACTIONS).T if xp is ca else SECTION_NODE_FRACTIONS
     none = 0 * columns[0]
     found = []
@@ -272,11 +285,14 @@ def _helix_angles(tubes: Tubes, columns: Sequence[Any], parts: Sequence[RobotSec
 
 
 def _strength(tubes: Tubes, columns: Sequence[Any], part: RobotSection, i: int, j: int, xp: Any) -> Any:
-    """Strength with which two tubes act on each other at a section's nodes, (T, nodes), by Simpson's rule."""
+    """Return the strength with which two tubes act on each other at a section's nodes, (T, nodes), by Simpson's
+    rule.
+    """
     # Weights 1 4 2 4 ... 1 of 2 ELASTIC_STEPS_PER_SECTION intervals, as parts of the section's length.
     simpson = np.array([1.0, *[4.0, 2.0] * (ELASTIC_STEPS_PER_SECTION - 1), 4.0, 1.0]) / (
         6 * ELASTIC_STEPS_PER_SECTION
     )
     nodes, weights = (ca.DM(row).T if xp is ca else row for row in (SECTION_NODE_FRACTIONS, simpson))
     k = curvatures_at(tubes, columns, part, part.start + part.length * nodes)
+    # shares[i] EI_j = EI_i EI_j / sum EI, the factor of k_i k_j cos(psi_i - psi_j) in the energy.
     return part.shares[i] * tubes[j].bending_stiffness * k[i] * k[j] * part.length * weights

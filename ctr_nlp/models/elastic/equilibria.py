@@ -2,8 +2,9 @@
 
 alpha(x) = alpha is solved for phi by Newton's method, from a prediction along the tangent (path following). A step
 that turns far from its prediction, or passes a singular d alpha / d phi, is halved until it is clear that the
-stable branch ends there (a fold, where the robot snaps); then the robot falls down the gradient of its energy into
-another equilibrium. Angles in rad, extensions in mm. The files in c/ do so in C, with better predictors.
+stable branch ends there: at a fold, where the robot snaps. Then the energy is minimised along its gradient flow
+into another equilibrium. Angles in rad, extensions in mm. The files in c/ do the same in C, with better
+predictors.
 """
 
 from __future__ import annotations
@@ -39,13 +40,13 @@ from ctr_nlp.typing import Array
 MIN_TURN_DENOMINATOR = 1e-300
 """Replaces 0 in a denominator; where tubes slide without turning, angles do not change."""
 MAX_FALL_STEPS = 2000
-"""Largest number of steps of a fall."""
+"""Largest number of steps of the gradient flow after a snap."""
 
 
 class EquilibriumState(NamedTuple):
     """An equilibrium x at q, (2d + 2,) both; stable: whether it is stable.
 
-    slopes (d, d): of alpha over phi; determinant: of these.
+    slopes (d, d): derivatives of alpha over phi; determinant: of these.
     """
 
     q: Array
@@ -65,7 +66,7 @@ class Equilibria:
     """Finds and follows a robot's equilibria; one object a thread."""
 
     def __init__(self, structure: Structure, numbers: Array) -> None:
-        """Prepare for tubes of numbers (d, 8), in the order of structure.NUMBERS."""
+        """Prepare for tubes of numbers (d, 8), in the order of structure.TUBE_NUMBER_NAMES."""
         self._d = structure.d
         self._tubes = tubes_of(structure, numbers.tolist())
         self._numbers = numbers.ravel(order="F")[None]
@@ -74,9 +75,11 @@ class Equilibria:
 
     @cached_property
     def _motors(self) -> BatchEvaluator:
-        """Function (x, numbers) -> alpha and its slopes, compiled or interpreted, with this robot's numbers filled
-        in.
+        """Function (x, numbers) -> alpha and its derivatives, compiled or interpreted, with this robot's numbers
+        filled in.
         """
+        # A least gap between carriages constrains motors and not equilibria: robots with and without it share the
+        # function.
         code = self._compiled
         found = BatchEvaluator(
             code.motors if code else symbolic(replace(self._structure, gap=False)).scalar_functions[0], 1
@@ -85,8 +88,9 @@ class Equilibria:
         return found
 
     def find_rest_state(self, q: Array) -> EquilibriumState | None:
-        """The equilibrium at q to which all tubes are turned from where their tips bend alike, towards alpha_d; or
-        None.
+        """Return the equilibrium at q (2d + 2,) that turning all tubes there from aligned tips reaches; or None.
+
+        The motion begins where all tips bend alike and the innermost one is at alpha_d.
         """
         if self._compiled is not None:
             states, found = self._compiled.settle(self._numbers, q[None])
@@ -94,23 +98,27 @@ class Equilibria:
         d = self._d
         x = np.array(q, dtype=float)
         x[: d - 1] = 0.0
-        # With tips alike (phi_i = 0) the robot is on the stable branch; the motors' angles there are where
-        # the way begins.
+        # With aligned tips (phi_i = 0) the robot is on the stable branch; the motors' angles there are where the
+        # motion begins.
         aligned = np.concatenate([self._evaluate_motors(x)[0], q[d:]])
         state = self._solve_equilibrium(aligned, x, True)
+        # Long motions are divided: a single prediction over several radians could converge on another branch.
         most = MAX_ALIGNED_TURN_STEP_RAD / max(abs(q - aligned).max(), MIN_TURN_DENOMINATOR)
         return state and self._continue_to_goal(self._follow_branch(state, q, most), q)[0]
 
     def nearest(self, q: Array, x: Array) -> EquilibriumState | None:
-        """The equilibrium at q near x (2d + 2,), stable or not; the settled one if there is none."""
+        """Return the equilibrium at q near x (2d + 2,), stable or not.
+
+        Where there is none, return that of find_rest_state.
+        """
         state = self._solve_equilibrium(q, x, False)
         return self.find_rest_state(q) if state is None else state._replace(stable=self._is_stable(state))
 
     def follow_to_goal(self, state: EquilibriumState, goal: Array) -> tuple[EquilibriumState | None, list[Array]]:
-        """The equilibrium at goal (2d + 2,) of a robot moved there in a line, and what its tips jumped by (d,)
-        rad, each.
+        """Return the equilibrium at goal (2d + 2,) after a linear motion from `state`, and the tips' jumps, if
+        any.
 
-        The equilibrium is None where none is found.
+        The equilibrium is None where none is found; a jump is (d,) in rad.
         """
         if self._compiled is None:
             return self._continue_to_goal(self._follow_branch(state, goal), goal)
@@ -119,8 +127,9 @@ class Equilibria:
         return _from_struct(code, self._d, goal) if there else None, list(jumps)
 
     def walk_through_goals(self, state: EquilibriumState, goals: Array) -> tuple[Array, EquilibriumState]:
-        """Equilibria (n, 2d + 2) at as many of goals (T, 2d + 2) as are reached without a fall, and the last
-        state.
+        """Return equilibria (k, 2d + 2) at the first k of goals (T, 2d + 2), up to a snap, and the last state.
+
+        state: where the motion begins.
         """
         if self._compiled is None:
             found = [state.x[:0]]
@@ -138,9 +147,10 @@ class Equilibria:
     def _continue_to_goal(
         self, state: EquilibriumState, goal: Array
     ) -> tuple[EquilibriumState | None, list[Array]]:
-        """The equilibrium at goal and the jumps, from a state to which a branch was followed on the way there.
+        """Return the equilibrium at goal and the jumps, from a state to which a branch was followed on the way
+        there.
 
-        Falls and branches alternate until goal is reached. None where no equilibrium is found.
+        Snaps and branches alternate until goal is reached. None where no equilibrium is found.
         """
         jumps = list[Array]()
         # Identity, not equality: a state's q is the goal's own array exactly if the goal was reached.
@@ -153,13 +163,17 @@ class Equilibria:
         return state, jumps
 
     def _follow_branch(self, state: EquilibriumState, goal: Array, most: float = 1.0) -> EquilibriumState:
-        """The equilibrium as far towards goal as its branch goes, in steps of at most `most` of the way."""
+        """Return the equilibrium as far towards goal as its branch goes.
+
+        most: largest fraction of the path in one step.
+        """
         start = state.q
         done = 0.0
         part = min(1.0, most)
         while part >= MIN_PATH_STEP_FRACTION:
             new = self._step(state, _between(start, goal, done + part))
             if new is None:
+                # Either the prediction was poor, or the branch ends before this point: bisection finds out which.
                 part /= 2
             else:
                 state = new
@@ -169,8 +183,9 @@ class Equilibria:
         return state
 
     def _step(self, state: EquilibriumState, goal: Array) -> EquilibriumState | None:
-        """The equilibrium at goal on the branch of a nearby state; None where it is not clear that it is on that
-        branch.
+        """Return the equilibrium at goal on the branch of a nearby state.
+
+        None where it may be on another branch.
         """
         predicted = self._predict_unknowns(state, goal)
         d = self._d
@@ -192,17 +207,18 @@ class Equilibria:
         return None if state.stable else new._replace(stable=self._is_stable(new))
 
     def _predict_unknowns(self, state: EquilibriumState, goal: Array) -> Array:
-        """The x at goal to which the branch's tangent leads."""
+        """Return the x at goal that the branch's tangent predicts."""
         # At the goal's beta and the old tips, alpha is off by goal - alpha(here); one linear step turns
         # tips by that.
         d = self._d
         here = np.concatenate([state.x[: self._d], goal[self._d :]])
         *_, turn, singular = lapack.dgesv(state.slopes, goal[:d] - self._evaluate_motors(here)[0])
+        # At a fold there is no tangent: the old tips are the prediction, and Newton's method decides.
         here[:d] += 0.0 if singular else turn
         return here
 
     def _evaluate_motors(self, x: Array) -> tuple[Array, Array]:
-        """The motors' angles (d,) at x and their slopes over phi (d, d).
+        """Return the motors' angles (d,) at x and their derivatives over phi (d, d).
 
         The last column is ones, since turning all tubes turns the robot.
         """
@@ -210,10 +226,9 @@ class Equilibria:
         return alpha[0], np.column_stack([columns.reshape(-1, self._d).T, np.ones(self._d)])
 
     def _solve_equilibrium(self, q: Array, x: Array, stable: bool) -> EquilibriumState | None:
-        """The equilibrium at q (2d + 2,) that Newton's method finds from x (2d + 2,); None where it does not
-        converge.
+        """Return the equilibrium at q (2d + 2,) that Newton's method finds from x (2d + 2,).
 
-        stable: what the state is said to be.
+        None where it does not converge. stable: the stability that is recorded in the state, without a check.
         """
         d = self._d
         x = np.concatenate([x[:d], q[d:]])
@@ -221,7 +236,8 @@ class Equilibria:
             alpha, slopes = self._evaluate_motors(x)
             factors, pivots, turn, singular = lapack.dgesv(slopes, q[:d] - alpha)
             size = abs(turn).max()
-            # A step of 1 rad is no correction of a prediction: Newton's method is leaving.
+            # A step of 1 rad is no correction of a prediction: Newton's method diverges. `not <` is true for NaN
+            # as well.
             if singular or not size < 1:
                 return None
             x[:d] += turn
@@ -233,12 +249,12 @@ class Equilibria:
         return None
 
     def _is_stable(self, state: EquilibriumState) -> bool:
-        """Whether a state is stable, by its margin."""
+        """Return whether a state is stable, by its margin."""
         return bool(stability.margins(self._tubes, state.x[None])[0] > 0)
 
     def _fall_off_branch(self, state: EquilibriumState, goal: Array) -> EquilibriumState | None:
-        """A stable equilibrium into which a robot falls where its branch ends on the way to goal; just past the
-        end.
+        """Return the stable equilibrium that a robot snaps into where its branch ends on the way to goal, just
+        past the end.
         """
         # Just past the end of the branch first, then further and further, up to goal itself.
         for part in MIN_PATH_STEP_FRACTION ** np.linspace(1, 0, 11):
@@ -255,7 +271,10 @@ class Equilibria:
         return None
 
     def _estimate_fallen_unknowns(self, state: EquilibriumState, past: Array) -> Array | None:
-        """Roughly the equilibrium at `past` into which a robot falls from a state nearby, if any."""
+        """Estimate the equilibrium at `past` that a robot snaps into from a state nearby.
+
+        None where none is found.
+        """
         d = self._d
         on = self._predict_unknowns(state, past) - state.x
         (of,) = energy.energies(self._tubes, past[None])
@@ -269,21 +288,21 @@ class Equilibria:
         a = _fall(of, of.couples @ past[:d] + of.helix_angles[:rows], here, ahead - here)
         if a is None:
             return None
-        # The fall's coefficients a as tip angles; then relative to the innermost tube's, as x has them.
+        # The minimum's coefficients a as tip angles; then relative to the innermost tube's, as x has them.
         tips = past[:d] + of.helix_angles[rows:] + of.ends @ a
         return np.concatenate([tips[:-1] - tips[-1], tips[-1:], past[d:]])
 
 
 def _between(start: Array, goal: Array, part: float) -> Array:
-    """The point a part of the way from start to goal; goal itself, not a copy, at its end."""
+    """Return the point a part of the way from start to goal; goal itself, not a copy, at its end."""
     return goal if part == 1 else start + part * (goal - start)
 
 
 def _fall(energy: Energy, motors: Array, angles: Array, towards: Array) -> Array | None:
-    """The minimum of energy that a robot comes to down its gradient, as coefficients a (n,); None for none.
+    """Return the minimum of energy along the gradient flow from an equilibrium, as coefficients a (n,).
 
-    angles (rows,): of the equilibrium that it leaves. motors (rows,): angles between the tubes' motors; towards
-    (rows,): how angles last changed.
+    None where none is found. angles (rows,): between tubes at the equilibrium that is left. motors (rows,): angles
+    between the tubes' motors; towards (rows,): last change of the angles.
     """
     # At an equilibrium the gradient a + strength sin(angles) turns is 0, which gives its a.
     a: Array = -(energy.strength * np.sin(angles)) @ energy.turns
@@ -307,11 +326,10 @@ def _fall(energy: Energy, motors: Array, angles: Array, towards: Array) -> Array
 
 
 def _step_down(energy: Energy, motors: Array, a: Array, time: float) -> tuple[Array, float]:
-    """A step (n,) down the gradient for about the given time, at most MAX_FALL_STEP_RAD rad and never uphill; and
-    the time it took.
+    """Return a step (n,) of the gradient flow of at most MAX_FALL_STEP_RAD rad that is never uphill, and its time.
 
-    By Rosenbrock's method of second order that is L-stable: ROS2 of Verwer, Spee, Blom and Hundsdorfer, SIAM J.
-    Sci. Comput. 20, 1999.
+    time: the time it should take. By Rosenbrock's method of second order that is L-stable: ROS2 of Verwer, Spee,
+    Blom and Hundsdorfer, SIAM J. Sci. Comput. 20, 1999.
     """
     # The gradient flow a' = -dE/da is stiff; L-stability damps its fast parts. gamma = 1 - 1/sqrt(2).
     gamma = 1 - np.sqrt(0.5)
@@ -342,11 +360,12 @@ def _step_down(energy: Energy, motors: Array, a: Array, time: float) -> tuple[Ar
 def walk_robot_batch(
     structure: Structure, numbers: Array, goals: Array
 ) -> list[tuple[Array, EquilibriumState] | None]:
-    """Equilibria of up to LANES robots of numbers (n, d, 8) along goals (n, T, 2d + 2), a robot in each lane.
+    """Return equilibria of up to VECTOR_LANES robots of numbers (n, d, 8) along goals (n, T, 2d + 2).
 
-    Each robot settles at its first goal and follows its branch in whole steps. Returns for each the equilibria (k,
-    2d + 2) at the goals that it reached, and the last state; None for one that does not settle, and for all
-    without compiled code. What is found of a robot does not depend on those beside it.
+    structure: what the robots share. Each robot settles at its first goal and follows its branch in whole steps.
+    Returns for each the equilibria (k, 2d + 2) at the goals that it reached, and the last state; None for one that
+    does not settle, and for all without compiled code. The result of a robot does not depend on those in other
+    lanes.
     """
     code = get_compiled_elastic(structure)
     count = len(numbers)
@@ -364,7 +383,7 @@ def walk_robot_batch(
 
 
 def _to_struct(state: EquilibriumState) -> compiled_code.StateStruct:
-    """A state as the struct of C."""
+    """Convert a state to the struct of C."""
     found = compiled_code.StateStruct(determinant=state.determinant, stable=state.stable)
     for array, values in ((found.q, state.q), (found.x, state.x), (found.slopes, state.slopes.ravel(order="F"))):
         np.ctypeslib.as_array(array)[: len(values)] = values
@@ -372,7 +391,7 @@ def _to_struct(state: EquilibriumState) -> compiled_code.StateStruct:
 
 
 def _from_struct(code: compiled_code.StateStruct, d: int, goal: Array) -> EquilibriumState:
-    """A state from the struct of C; its q is goal itself where that is reached."""
+    """Convert the struct of C to a state; its q is goal itself where that is reached."""
     q = np.array(code.q[: 2 * d + 2])
     x = np.array(code.x[: 2 * d + 2])
     # C has matrices by columns.

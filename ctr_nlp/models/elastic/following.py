@@ -1,4 +1,4 @@
-"""The equilibria that a robot is really in along motions: which of several it is in depends on how it came there.
+"""The equilibria that a robot is in along motions: which of several it is in depends on how it came there.
 
 Branches are followed by path following (equilibria.py) from sub-step to sub-step; where one ends, the robot snaps.
 x are unknowns (rad, mm), q configurations (rad, mm), margins have no unit.
@@ -28,7 +28,7 @@ MIN_ELASTIC_SNAP_JUMP_RAD = 0.1
 
 
 def solve_rest_unknowns(robot: Robot, q: Array) -> Array:
-    """The equilibrium x (2d + 2,) at q (2d + 2,) without a history: all tubes turned together from alpha_d.
+    """Return the equilibrium x (2d + 2,) of a robot at rest at q (2d + 2,), all tubes turned there from alpha_d.
 
     NaN where none is found.
     """
@@ -37,9 +37,9 @@ def solve_rest_unknowns(robot: Robot, q: Array) -> Array:
 
 
 def solve_rest_batch(structure: Structure, numbers: Array, q: Array) -> tuple[Array, Array]:
-    """Equilibria x (T, 2d + 2) without a history of robots that differ in numbers (T, d, 8), and margins (T,).
+    """Return equilibria x (T, 2d + 2) at rest, of robots that differ in numbers (T, d, 8), and margins (T,).
 
-    q (T, 2d + 2): a configuration for each. numbers: in the order of structure.NUMBERS. NaN where none is found.
+    structure: what the robots share. q (T, 2d + 2): a configuration for each. NaN where none is found.
     """
     x = np.full(q.shape, np.nan)
     code = get_compiled_elastic(structure)
@@ -61,10 +61,10 @@ def solve_rest_batch(structure: Structure, numbers: Array, q: Array) -> tuple[Ar
 def follow(
     robot: Robot, q: Array, x0: Array | None = None, substeps: int = STABILITY_SUBSTEPS_PER_FRAME
 ) -> EquilibriumPath:
-    """The equilibria of a robot moved through frames q (T, 2d + 2), linearly and in substeps between them.
+    """Return the equilibria of a robot moved through frames q (T, 2d + 2), linearly and in substeps between them.
 
-    x0: the equilibrium of the first frame, which may be unstable; else the robot settles there. After frames that
-    are NaN it settles anew. An unstable branch that the motion starts on is followed as long as it exists.
+    x0: the equilibrium of the first frame, which may be unstable; None to let the robot settle there. After frames
+    that are NaN it settles again. An unstable branch that the motion starts on is followed as long as it exists.
     """
     q = np.asarray(q, dtype=float)
     way = subdivide_motion(q, substeps)
@@ -74,13 +74,13 @@ def follow(
 def follow_robot_batch(
     structure: Structure, numbers: Array, motion: MotionSubsteps, places: Array, margins: bool = True
 ) -> list[EquilibriumPath]:
-    """The equilibria of robots of numbers (n, d, 8), each at its own places (n, M, 2d + 2), the sub-steps of a
-    way.
+    """Return the equilibria of robots of numbers (n, d, 8), each at its own q at the sub-steps of a motion.
 
-    Up to LANES robots walk abreast as far as whole steps lead, and continue one by one from there. margins:
-    whether stability is computed.
+    structure: what the robots share. motion: which frames the M sub-steps belong to. places (n, M, 2d + 2): these
+    q. margins: whether stability margins are computed. Up to VECTOR_LANES robots are followed in one batch as far
+    as whole steps suffice, and continue one by one from there.
     """
-    # Abreast only up to the first fresh start, since robots settle one by one.
+    # In a batch only up to the first fresh start, since robots settle one by one.
     found, (stop, *_) = list[EquilibriumPath](), [*np.flatnonzero(motion.fresh[1:]) + 1, len(motion.fresh)]
     for first in range(0, len(numbers), VECTOR_LANES):
         group = slice(first, first + VECTOR_LANES)
@@ -99,12 +99,16 @@ def follow_substeps(
     margins: bool = True,
     solved_start: tuple[Array, EquilibriumState] | None = None,
 ) -> EquilibriumPath:
-    """The equilibria of a robot of numbers (d, 8) at its own places (M, 2d + 2), the sub-steps of a way.
+    """Return the equilibria of a robot of numbers (d, 8) at its own q at the sub-steps of a motion.
 
-    x0: its equilibrium in the first frame, None to let it settle. margins: whether stability is computed.
-    solved_start: equilibria (k, 2d + 2) at the first places, k > 0, and the last state; None where none is known.
+    structure: kinds of its tubes. motion: which frames the M sub-steps belong to. places (M, 2d + 2): these q. x0:
+    its equilibrium in the first frame, None to let it settle. margins: whether stability margins are computed.
+    solved_start: equilibria (k, 2d + 2) at the first sub-steps, k > 0, and the last state; None where none is
+    known.
     """
     equilibria = Equilibria(structure, numbers)
+    # The last sub-step of each sub-step's frame: a robot that failed settles again at a whole frame, not within
+    # one.
     last = np.searchsorted(motion.frames, motion.frames, side="right") - 1
     x = np.full(places.shape, np.nan)
     snaps = list[Snap]()
@@ -121,7 +125,7 @@ def follow_substeps(
             )
         if state is not None:
             at, state = _branches(equilibria, motion, places, at, state, x, snaps)
-        if state is None:  # it settles anew in the next frame
+        if state is None:  # it settles again in the next frame
             after = last[min(at, len(last) - 1)] + 1
             at = len(last) if after == len(last) else last[after]
         state = None
@@ -140,10 +144,10 @@ def _branches(
     x: Array,
     snaps: list[Snap],
 ) -> tuple[int, EquilibriumState | None]:
-    """Follow one branch after the other from place `at` up to the next fresh start, and record equilibria and
-    snaps.
+    """Follow one branch after the other from place `at` to the next fresh start.
 
-    Returns the place reached, and the state there; None where no equilibrium was found.
+    Writes equilibria to x and appends to snaps. Returns the place reached, and the state there; None where no
+    equilibrium was found.
     """
     assert state is not None
     fresh = np.flatnonzero(way.fresh[at + 1 :])
@@ -167,7 +171,7 @@ def _branches(
 
 
 def _snap(frame: int, jump: Array) -> Snap:
-    """A snap on the way to a frame, from the angles (d,) by which the tips jumped."""
+    """Return the record of a snap before a frame, from the angles (d,) by which the tips jumped."""
     return Snap(
         frame,
         tuple(int(i) + 1 for i in np.flatnonzero(abs(jump) > MIN_ELASTIC_SNAP_JUMP_RAD)),
@@ -176,7 +180,7 @@ def _snap(frame: int, jump: Array) -> Snap:
 
 
 def _at_frames(way: MotionSubsteps, x: Array, margins: Array, snaps: tuple[Snap, ...]) -> EquilibriumPath:
-    """Equilibria and margins at frames, from x (M, 2d + 2) and margins (M,) at all sub-steps."""
+    """Return equilibria and margins at frames, from x (M, 2d + 2) and margins (M,) at all sub-steps."""
     ends = np.flatnonzero(np.diff(way.frames, append=-1))
     at, between = np.full((2, way.total), np.nan)
     here = np.full((way.total, x.shape[1]), np.nan)

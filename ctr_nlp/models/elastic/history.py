@@ -17,6 +17,7 @@ from ctr_nlp.robot import Robot
 from ctr_nlp.robot.structure import Structure
 from ctr_nlp.typing import Array
 
+# One object for all histories: programs are cached by model, and would be built again for another object.
 PLAIN_ELASTIC_MODEL = Elastic()
 
 
@@ -36,16 +37,16 @@ class ElasticWithHistory(Elastic):
         return PLAIN_ELASTIC_MODEL
 
     def rest(self, robot: Robot, q: Array) -> Array:
-        """The equilibrium x (2d + 2,) at q (2d + 2,) of a robot that has come through the configurations
-        before.
-        """
+        """Return the equilibrium x (2d + 2,) of a robot at q (2d + 2,) after the configurations before."""
         return self.follow(robot, np.asarray(q, dtype=float)[None]).x[0]
 
     def follow(
         self, robot: Robot, q: Array, x0: Array | None = None, substeps: int = STABILITY_SUBSTEPS_PER_FRAME
     ) -> EquilibriumPath:
-        """The equilibria along frames q (T, 2d + 2), after the configurations before unless x0 says where it
-        begins.
+        """Return the equilibria of a robot along frames q (T, 2d + 2), after the configurations before.
+
+        x0 (2d + 2,): its equilibrium in the first frame, which replaces that history; None otherwise. substeps:
+        between frames.
         """
         if x0 is not None:
             return follow(robot, q, x0, substeps)
@@ -54,12 +55,14 @@ class ElasticWithHistory(Elastic):
     def follow_batch(
         self, structure: Structure, numbers: Array, motion: MotionSubsteps, q: Array, margins: bool = True
     ) -> list[EquilibriumPath]:
-        """The equilibria of robots that differ in numbers along a way, each after a history of its own.
+        """Return the equilibria of robots that differ in numbers (n, d, 8), each after a history of its own.
 
-        A robot's history is parallel to the configurations before, at the distance of its first configuration from
-        the way's.
+        structure: what the robots share. motion: the sub-steps; q (n, M, 2d + 2): each robot's configurations
+        there. margins: whether stability margins are computed. A robot's history is parallel to the configurations
+        before, at the distance of its first configuration from the motion's.
         """
-        # As many sub-steps to each configuration of the history as to the motion's last frame.
+        # As many sub-steps to each configuration of the history as to the motion's last frame, so that branches
+        # are resolved alike.
         count = len(self.before)
         substeps = int((motion.frames == motion.frames[-1]).sum())
         come = subdivide_motion(np.vstack([self.before, motion.q[:1]]), substeps)
@@ -77,6 +80,9 @@ class ElasticWithHistory(Elastic):
 
 
 def _drop_history(found: EquilibriumPath, count: int) -> EquilibriumPath:
-    """The frames after the first `count`; a snap within those counts as one on the way to the first frame."""
+    """Return the frames after the first `count`.
+
+    A snap within those is assigned to the first frame that remains.
+    """
     snaps = tuple(snap._replace(frame=max(snap.frame - count, 1)) for snap in found.snaps)
     return EquilibriumPath(found.x[count:], found.stability[count:], found.stability_between[count:], snaps)

@@ -1,7 +1,7 @@
 """The elastic model as a Model: its unknowns are x = (phi, beta, theta) of torsion.py, every x an equilibrium.
 
 Angles in rad, extensions in mm. alpha is a function of x, so that limits and speeds of motors are constraints of
-programs; the stability margin is held through determinants (stability.py).
+programs; the stability margin is constrained through determinants (stability.py).
 """
 
 from __future__ import annotations
@@ -34,11 +34,11 @@ from ctr_nlp.robot.structure import Structure, Tubes, tubes_of_batch
 from ctr_nlp.typing import Array, Vector
 
 ELASTIC_NLP_STEPS_PER_SECTION = 2
-"""Steps of integration a section in a nonlinear program: 0.02 mm, where a forward solution has 0.002."""
+"""Steps of integration a section in a nonlinear program: an error of 0.02 mm, where evaluations have 0.002."""
 
 
 ELASTIC_SHAPES_PER_CHUNK = 64
-"""Number of shapes whose samples are computed together: what fits into a processor's nearest cache."""
+"""Number of shapes whose samples are computed in one batch: as many as fit into a processor's innermost cache."""
 
 
 class Elastic(Model):
@@ -49,8 +49,9 @@ class Elastic(Model):
     can_snap = True
 
     def fast(self, structure: Structure) -> bool:
-        """Whether compiled code for this structure is ready; the first call begins to compile it in the
-        background.
+        """Return whether compiled code for this structure is ready.
+
+        The first call begins to compile it in the background.
         """
         return get_compiled_elastic(structure) is not None
 
@@ -62,7 +63,10 @@ class Elastic(Model):
         margin: ca.SX | None = None,
         tangents: bool = False,
     ) -> SymbolicShape:
-        """The shape of one frame as symbols; arguments as in Model.frame."""
+        """Build the shape of one frame in symbols.
+
+        structure, tubes, sample_lengths, margin, tangents: as in Model.frame.
+        """
         d = structure.d
         x = ca.SX.sym("x", 2 * structure.d + 2)
         entries = ca.vertsplit(x)
@@ -70,8 +74,8 @@ class Elastic(Model):
         parts = torsion.sections(tubes, beta, ca)
         twisted = torsion.twist(tubes, entries, parts, ca, ELASTIC_NLP_STEPS_PER_SECTION)
         lengths, turns = shape.travels(tubes, beta, parts, sample_lengths(beta), ca, ELASTIC_NLP_STEPS_PER_SECTION)
-        # Layer by layer: lengths, a row a sample; vectors as columns; the axes; alpha; then margins and
-        # turns if asked for.
+        # Layer by layer: lengths, a row a sample; vectors as columns; the axes; alpha; then determinants and
+        # tangents if requested.
         values = [
             ca.horzcat(*lengths),
             matrix_of(shape.curves(tubes, entries, parts, twisted, ca)),
@@ -94,45 +98,53 @@ class Elastic(Model):
         if tangents:
             # The tangent at the base is the third axis, (0, 0, 1); vectors of all sections add their gains.
             found = combination([1.0, *ca.horzsplit(others[-1])], [(0.0, 0.0, 1.0), *vectors])
-        # q = (alpha, beta, theta): alpha from the rows after x, beta and theta from x. Then the tips, which
-        # tell in which of several equilibria the robot is.
+        # q = (alpha, beta, theta): alpha from the rows after x, beta and theta from x. The tips follow: they
+        # identify the branch of equilibria, which q does not.
         picks = (*range(2 * d + 2, 3 * d + 2), *range(d, 2 * d + 2), *range(d))
         margins = others[0] if stable else None
         return SymbolicShape(x, alpha, tuple(beta), points, inner, found, (first, second, third), margins, picks)
 
     def points(self, robot: Robot, x: Array, sigma: Array) -> Array:
-        """Points (T, n, 3) in mm at x (T, 2d + 2) and sigma (n,) or (T, n), of one robot."""
+        """Return points (T, n, 3) in mm of a robot at x (T, 2d + 2) and sigma (n,) or (T, n)."""
         return _points(robot.structure, robot.numbers[None], x, sigma)
 
     def points_batch(self, structure: Structure, numbers: Array, x: Array, sigma: Array) -> Array:
-        """Points (n, T, m, 3) in mm of robots that differ in numbers; arguments as in Model.points_batch."""
+        """Return points (n, T, m, 3) in mm of robots that differ in numbers (n, d, 8), each at x (n, T, 2d + 2).
+
+        structure: what the robots share. sigma: (m,) or (T, m).
+        """
         found = _points(structure, *flatten_batch(numbers, x, sigma))
         return found.reshape(*x.shape[:2], *found.shape[1:])
 
     def rest_states(self, robot: Robot, q: Array, sigma: Array) -> RestStates:
-        """A robot that stands at each q (T, 2d + 2) without a history; points at sigma (m,)."""
+        """Return the equilibria of a robot at rest at each q (T, 2d + 2) without a history.
+
+        sigma (m,): where points are computed.
+        """
         code = get_compiled_elastic(robot.structure)
         if code is None:
             return super().rest_states(robot, q, sigma)
+        # By columns of (d, 8), number by number, as CasADi and so C lay out a matrix.
         return code.rest_states(robot.numbers.ravel(order="F")[None], q, sigma)
 
     def tangents(self, robot: Robot, x: Array, sigma: Array) -> Array:
-        """Unit tangents (T, n, 3) at x (T, 2d + 2) and sigma (n,) or (T, n)."""
+        """Return unit tangents (T, n, 3) of a robot at x (T, 2d + 2) and sigma (n,) or (T, n)."""
         found = shape.backbone(robot.tube_numbers, columns_of(x), sigma, np).tangents
         return _stack_components(found, len(x), np.shape(sigma)[-1])
 
     def margins(self, robot: Robot, x: Array) -> Array:
-        """Stability margins (T,) at x (T, 2d + 2), by Galerkin's method (stability.py)."""
+        """Return the stability margins (T,) of a robot at x (T, 2d + 2), by Galerkin's method (stability.py)."""
         return stability.margins(robot.tube_numbers, x)
 
     def rest(self, robot: Robot, q: Array) -> Array:
-        """The equilibrium at q (2d + 2,) to which all tubes are turned together from alpha_d; NaN where none is
-        found.
+        """Return the equilibrium of a robot at q (2d + 2,), reached by turning all tubes there from alpha_d.
+
+        NaN where none is found.
         """
         return solve_rest_unknowns(robot, q)
 
     def guess(self, robot: Robot, q: Array) -> Array:
-        """Unknowns (.., 2d + 2) at q (.., 2d + 2) of tubes that are not twisted."""
+        """Return the unknowns (.., 2d + 2) of a robot at q (.., 2d + 2) as if its tubes were not twisted."""
         x = np.array(q, dtype=float)
         # A helix's direction turns by its own torsion along its curved part; phi_i is relative to phi_d.
         x[..., : robot.d] += [tube.spin * tube.curved_length for tube in robot.tube_numbers]
@@ -140,7 +152,7 @@ class Elastic(Model):
         return x
 
     def configuration(self, robot: Robot, x: Array) -> Array:
-        """The configurations q (T, 2d + 2) of unknowns x (T, 2d + 2); alpha is explicit in x."""
+        """Return the configurations q (T, 2d + 2) of a robot at unknowns x (T, 2d + 2); alpha is explicit in x."""
         tubes = robot.tube_numbers
         columns = columns_of(x)
         d = robot.d
@@ -148,28 +160,41 @@ class Elastic(Model):
         return np.hstack([*torsion.motors(tubes, columns, twisted), *columns[d:]])
 
     def extensions(self, robot: Robot, x: Array) -> Array:
-        """The extensions beta (T, d) in mm, which x holds where q does."""
+        """Return the extensions beta (T, d) in mm of a robot, which x has in the same columns as q."""
         return x[:, robot.d : 2 * robot.d]
 
     def follow(
         self, robot: Robot, q: Array, x0: Array | None = None, substeps: int = STABILITY_SUBSTEPS_PER_FRAME
     ) -> EquilibriumPath:
-        """The equilibria along a motion through frames q (T, 2d + 2); see following.follow."""
+        """Return the equilibria of a robot along a motion through frames q (T, 2d + 2).
+
+        x0 (2d + 2,): its equilibrium in the first frame, None to let it settle there. substeps: between frames.
+        See following.follow.
+        """
         return follow(robot, q, x0, substeps)
 
     def walker(self, structure: Structure, numbers: Array, q: Array) -> Walker:
-        """A robot to be moved step by step; see walking.ElasticWalker."""
+        """Return a robot of numbers (d, 8) at rest at q (2d + 2,), to be moved step by step.
+
+        structure: kinds of its tubes. See walking.ElasticWalker.
+        """
         return ElasticWalker(structure, numbers, q)
 
     def follow_batch(
         self, structure: Structure, numbers: Array, motion: MotionSubsteps, q: Array, margins: bool = True
     ) -> list[EquilibriumPath]:
-        """The equilibria of robots that differ in numbers along a way; see following.followed_apart."""
+        """Return the equilibria of robots that differ in numbers (n, d, 8), each at its own q (n, M, 2d + 2).
+
+        structure: what the robots share. motion: which frames the M sub-steps belong to. margins: whether
+        stability margins are computed. See following.follow_robot_batch.
+        """
         return follow_robot_batch(structure, numbers, motion, q, margins)
 
 
 def _points(structure: Structure, numbers: Array, x: Array, sigma: Array) -> Array:
-    """Points (T, n, 3) in mm of robots of numbers (T or 1, d, 8) at x (T, 2d + 2) and sigma (n,) or (T, n)."""
+    """Return points (T, n, 3) in mm of robots of numbers (T or 1, d, 8) at x (T, 2d + 2) and sigma (n,) or
+    (T, n).
+    """
     if (code := get_compiled_elastic(structure)) is not None:
         return code.shapes(numbers.swapaxes(1, 2).reshape(len(numbers), -1), x, sigma)[0]
     tubes = tubes_of_batch(structure, numbers)

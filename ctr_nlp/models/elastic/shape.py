@@ -43,7 +43,11 @@ SERIES = 7
 def backbone(
     tubes: Tubes, x: Sequence[Any], sigma: Any, xp: Any, steps: int = ELASTIC_STEPS_PER_SECTION
 ) -> Backbone:
-    """The shape at s = sigma beta_d; x: the 2d + 2 unknowns of torsion.py, sigma in [0, 1]."""
+    """Compute the shape at s = sigma beta_d, with sigma in [0, 1].
+
+    tubes: of the robot. x: the 2d + 2 unknowns of torsion.py, rad and mm. xp: casadi or numpy. steps: of
+    integration in each section.
+    """
     beta = x[len(tubes) : 2 * len(tubes)]
     parts = sections(tubes, beta, xp)
     vectors = curves(tubes, x, parts, twist(tubes, x, parts, xp, steps), xp)
@@ -54,10 +58,12 @@ def backbone(
 
 
 def curves(tubes: Tubes, x: Sequence[Any], parts: Sequence[RobotSection], twisted: Twist, xp: Any) -> list[Vector]:
-    """The vectors of which a shape is the sum, section by section.
+    """Return the vectors of which a shape is the sum, section by section, in axes turned with the innermost tip.
 
-    Of a plane section: where it bends to, and its tangent at the beginning. Of another: the coefficients of powers
-    of the fraction of its length in the polynomial through the tangents at all nodes.
+    tubes: of the robot. x: its 2d + 2 unknowns. parts: its sections. twisted: the tubes' angles along them. xp:
+    casadi or numpy. A plane section has two vectors: the direction in which it bends, and its tangent at the
+    beginning. Any other has the coefficients of powers of the fraction of its length in the polynomial through the
+    tangents at all nodes.
     """
     beta = x[len(tubes) : 2 * len(tubes)]
     found = list[Vector]()
@@ -81,8 +87,12 @@ def curves(tubes: Tubes, x: Sequence[Any], parts: Sequence[RobotSection], twiste
 
 
 def powers(tangents: Sequence[Vector]) -> list[Vector]:
-    """Coefficients of powers of the fraction of a section's length, of the polynomial through its tangents."""
+    """Return the coefficients of the polynomial through a section's tangents, by powers of the fraction of its
+    length.
+    """
     # The inverse of Vandermonde's matrix for evenly spaced nodes maps values to coefficients.
+    # The tangent is interpolated, not the angle: points are then the exact integral of a polynomial, and linear in
+    # these vectors.
     to_powers = np.linalg.inv(np.vander(np.linspace(0.0, 1.0, len(tangents)), increasing=True))
     return [combination(row, tangents) for row in to_powers]
 
@@ -95,7 +105,10 @@ def travels(
     xp: Any,
     steps: int = ELASTIC_STEPS_PER_SECTION,
 ) -> tuple[list[Any], list[Any]]:
-    """Lengths along each vector of `curves` to arc lengths s, mm, and how much of each the tangent gains."""
+    """Compute lengths along each vector of `curves` to arc lengths s, mm, and how much of each the tangent gains.
+
+    tubes, parts: of the robot. beta: extensions, mm. xp: casadi or numpy. steps: of integration in each section.
+    """
     lengths = list[Any]()
     turns = list[Any]()
     before = 0 * s
@@ -120,7 +133,10 @@ def travels(
 
 
 def turned_base(tubes: Tubes, x: Sequence[Any], xp: Any) -> Axes:
-    """The axes of `curves` in the base frame: R of eq. (4), turned by phi_d about the insertion direction."""
+    """Return the axes of `curves` in the base frame: R of eq. (4), turned by phi_d about the insertion direction.
+
+    tubes: of the robot. x: its 2d + 2 unknowns, rad and mm. xp: casadi or numpy.
+    """
     theta_x, theta_y = x[2 * len(tubes) :]
     d1, d2, t = base_frame(theta_x, theta_y, xp)
     cos = xp.cos(x[len(tubes) - 1])
@@ -158,6 +174,8 @@ def _triads(axes: Axes, part: RobotSection, nodes: Sequence[Node], xp: Any) -> l
     for k in range(0, len(nodes) - 1, 2):
         a, b, c = u[k : k + 3]
         found.append(rotate_axes(found[-1], _turn(h, a, b, c, a, b)))
+        # The second half by the same formula with the nodes reversed: its quadrature weights are mirrored, while h
+        # and the commutator keep the order of integration.
         found.append(rotate_axes(found[-1], _turn(h, c, b, a, b, c)))
     return found
 

@@ -1,13 +1,13 @@
-"""Whether an equilibrium of the elastic model is stable, and how far it is from snapping.
+"""Stability of equilibria of the elastic model, and their distance from snapping.
 
 With K the torsional part of the energy's second variation, transmissions included, and V its bending part, the
 margin mu is the smallest eigenvalue of (K + V) x = mu K x: 1 where tubes do not act on each other, 0 at the snap.
 It has no unit.
 
-Two ways lead to it. Evaluations solve the eigenproblem by Galerkin's method (energy.py). Programs need a smooth
-constraint instead: mu > margin means that ((1 - margin) K + V) is positive definite, which by Jacobi's condition
-holds as long as solutions of the linearised balance of moments, on tubes of (1 - margin) GJ, do not become
-singular anywhere from the tips to the motors (Gilbert et al. 2016 for margin 0).
+There are two ways to compute it. Evaluations solve the eigenproblem by Galerkin's method (energy.py). Programs
+need a smooth constraint instead: mu > margin means that (1 - margin) K + V is positive definite, which by Jacobi's
+condition is the case as long as solutions of the linearised balance of moments, on tubes of (1 - margin) GJ, do
+not become singular anywhere from the tips to the motors (Gilbert et al. 2016 for margin 0).
 """
 
 from __future__ import annotations
@@ -33,23 +33,28 @@ def responses(
     xp: Any,
     include_common_turn: bool = False,
 ) -> list[list[list[Any]]]:
-    """Derivatives of the tubes' angles over those at the tips, on tubes of (1 - margin) GJ.
+    """Compute derivatives of the tubes' angles over those at the tips, on tubes of (1 - margin) GJ.
 
-    parts: sections; places: Twist.nodes; beta: extensions, mm. Returns matrices [tube][tip]: of psi at the base of
-    every section in which tubes twist each other, from tip to base, and then with one transmission after the
-    other; with margin 0 the last is d alpha / d phi. By Jacobi's condition, in steps that let one eigenvalue pass
-    at a time, the margin exceeds the one given as long as no determinant on the way loses its sign. They are d - 1
-    each way, of angles relative to the innermost tube's, unless a moment from outside holds the direction in which
-    all are turned together (held): then d.
+    tubes, parts: of the robot. beta: extensions, mm. places: Twist.nodes. margin: least stability margin. xp:
+    casadi or numpy. include_common_turn: whether turning all tubes together is a deformation, too, as where a
+    moment from outside fixes the direction of bending.
+
+    Returns matrices [tube][tip]: of psi at the base of every section in which tubes twist each other, from tip to
+    base, and then after one transmission after the other; with margin 0 the last is d alpha / d phi. They are d x
+    d with include_common_turn, else of size d - 1, of angles relative to the innermost tube's. By Jacobi's
+    condition the margin exceeds the given one as long as no determinant on the way loses its sign, in steps in
+    which at most one eigenvalue passes zero.
     """
     d = len(tubes)
     free = d if include_common_turn else d - 1
     # At the tips the response is the identity, with rate 0: psi'(beta_i) = 0 for every tip angle.
+    # Angles and rates at the tips, as initial values of the linearised equations, integrated towards the base (h <
+    # 0).
     columns = [[1.0 if i == j else 0.0 for i in range(d)] for j in range(free)]
     rates: list[list[Any]] = [[0.0] * d for _ in columns]
     found = []
     for part, nodes in zip(reversed(parts), reversed(places), strict=True):
-        # A plane section: tubes do not act on each other, and responses go on linearly.
+        # A plane section: tubes do not act on each other, and responses are linear in s.
         if len(nodes) == 1:
             columns = [add_scaled_changes(y, (-part.length, rate)) for y, rate in zip(columns, rates, strict=True)]
             continue
@@ -115,7 +120,7 @@ def _times(matrix: Sequence[Sequence[Any]], y: Sequence[Any]) -> list[Any]:
 
 
 def _reduce_responses(columns: Sequence[Sequence[Any]], include_common_turn: bool) -> list[list[Any]]:
-    """Responses as [tube][tip], less the innermost tube's row unless turns of all tubes are held."""
+    """Return responses as [tube][tip], without the innermost tube's row unless include_common_turn."""
     if include_common_turn:
         return [list(row) for row in zip(*columns, strict=True)]
     # Turning all tubes together is no deformation without a moment from outside.
@@ -123,8 +128,10 @@ def _reduce_responses(columns: Sequence[Sequence[Any]], include_common_turn: boo
 
 
 def determinant(matrix: Sequence[Sequence[Any]]) -> Any:
-    """Determinant by expansion along the first row; for the few tubes that there are, and without pivoting:
-    smooth.
+    """Return the determinant of a matrix [row][column] by expansion along the first row.
+
+    No pivots are chosen, so that it is a smooth expression; the cost does not matter for the few tubes that there
+    are.
     """
     if not matrix:
         return 1.0
@@ -134,7 +141,7 @@ def determinant(matrix: Sequence[Sequence[Any]]) -> Any:
 
 
 def margins(tubes: Tubes, x: Array) -> Array:
-    """The stability margin (T,) of every x (T, 2d + 2), by Galerkin's method; NaN where x is."""
+    """Return the stability margin (T,) of tubes at every x (T, 2d + 2), by Galerkin's method; NaN where x is."""
     code = get_compiled_elastic(
         Structure(tuple(tube.kind for tube in tubes), tuple(tube.transmission_emerges for tube in tubes))
     )

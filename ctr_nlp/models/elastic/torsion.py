@@ -32,17 +32,17 @@ STAGES = (1 / 5, (1 / 50,)), (2 / 3, (-1 / 27, 7 / 27)), (1.0, (3 / 10, -2 / 35,
 it.
 """
 OF_ANGLES = 14 / 336, 100 / 336, 54 / 336, 0.0
-"""Weights of the second derivatives at the four stages in what a step adds to angles (the rates' are OF_RATES)."""
+"""Weights of the second derivatives at the four stages in the change of angles over a step."""
 OF_RATES = 14 / 336, 125 / 336, 162 / 336, 35 / 336
-"""Weights of the second derivatives at its four stages in what a step adds to angles and to rates."""
+"""Weights of the second derivatives at the four stages in the change of rates over a step."""
 
 
 class RobotSection(NamedTuple):
     """Part of the robot along which the same tubes are present and curved; start and length in mm.
 
     shares: each tube's part of the bending stiffness of those present. curved: 0 or 1 for every tube. present: the
-    tubes that are there; active: those of them that may be curved. plane: whether these are at most one, with a
-    known share, and no helix: the section then bends in a plane.
+    tubes that are there; active: those of them that may be curved. plane: whether at most one tube is active, with
+    a known share, and is no helix: the section then bends in a plane.
     """
 
     start: Any
@@ -54,7 +54,7 @@ class RobotSection(NamedTuple):
     plane: bool
 
     def split_evenly(self, count: int) -> list[RobotSection]:
-        """The section as so many pieces of the same length, from base to tip."""
+        """Divide the section into `count` pieces of equal length, from base to tip."""
         length = self.length / count
         return [self._replace(start=self.start + k * length, length=length) for k in range(count)]
 
@@ -73,8 +73,8 @@ class Node(NamedTuple):
 class Twist(NamedTuple):
     """The tubes' angles along the robot.
 
-    nodes: of every section from base to tip; one, at the base, of plane sections, else 2 steps + 1, evenly spaced.
-    angles, rates: at the base, rad and rad/mm.
+    nodes: of every section from base to tip; a single one, at its base, in a plane section, else 2 steps + 1,
+    evenly spaced. angles, rates: at the base, rad and rad/mm.
     """
 
     nodes: list[list[Node]]
@@ -83,10 +83,11 @@ class Twist(NamedTuple):
 
 
 def sections(tubes: Tubes, beta: Sequence[Any], xp: Any, planes: bool = True) -> list[RobotSection]:
-    """Sections between neighbouring tube tips, divided where a straight part that can be pushed out begins.
+    """Divide the robot at tube tips, and where a straight part that can be pushed out begins.
 
-    planes: whether tubes that are alone bend in a plane, as without a load; then the last one, its straight part
-    included, needs no division, unless it is a helix.
+    tubes: of the robot. beta: extensions, mm. xp: casadi or numpy. planes: whether a tube that is alone bends in a
+    plane, as without a load; then the last interval, its straight part included, needs no division, unless it is a
+    helix.
     """
     d = len(tubes)
     found = list[RobotSection]()
@@ -107,7 +108,7 @@ def sections(tubes: Tubes, beta: Sequence[Any], xp: Any, planes: bool = True) ->
                 inside = (xp.fmax(a, xp.fmin(b, start)) for a, b in itertools.pairwise(edges))
                 edges = [low, *inside, high]
         for a, b in itertools.pairwise(edges):
-            # Within a section a tube is curved throughout or not at all; its midpoint tells which.
+            # Within a section a tube is curved throughout or not at all; its midpoint decides which.
             curved = [
                 here if start is None or i == divided else here * ((a + b) / 2 >= start)
                 for here, start in zip(present, starts, strict=True)
@@ -131,10 +132,11 @@ def _section(tubes: Tubes, a: Any, b: Any, present: Sequence[float], curved: Seq
 def twist(
     tubes: Tubes, x: Sequence[Any], parts: Sequence[RobotSection], xp: Any, steps: int = ELASTIC_STEPS_PER_SECTION
 ) -> Twist:
-    """The tubes' angles at x, integrated from their tips to the base by Nystroem's method of order 5.
+    """Integrate the tubes' angles from their tips to the base by Nystroem's method of order 5.
 
-    parts: the sections; steps: of integration in each. (Hairer, Norsett, Wanner, Solving Ordinary Differential
-    Equations I, section II.14, table 14.1.)
+    tubes: of the robot. x: its 2d + 2 unknowns, rad and mm. parts: its sections. xp: casadi or numpy. steps: of
+    integration in each section. (Hairer, Norsett, Wanner, Solving Ordinary Differential Equations I, section
+    II.14, table 14.1.)
     """
     d = len(tubes)
     # Untwisted at the tips: psi' is the helix's own torsion, 0 for other tubes.
@@ -182,40 +184,57 @@ def twist(
 
 
 def motors(tubes: Tubes, x: Sequence[Any], twisted: Twist) -> list[Any]:
-    """Angles of the motors (d,), rad: alpha_i = psi_i(0) - psi_i'(0) (L_i - beta_i)."""
+    """Return the angles of the motors (d,), rad: alpha_i = psi_i(0) - psi_i'(0) (L_i - beta_i).
+
+    tubes: of the robot. x: its 2d + 2 unknowns. twisted: the tubes' angles along it.
+    """
     d = len(tubes)
     ends = zip(twisted.angles, twisted.rates, tubes, x[d : 2 * d], strict=True)
     return [
         # Nothing bends the straight transmission, so its twist is constant. A helix's direction turns on
         # the hidden part of its curved part, but not on the straight part of length L_i - Lc_i: the last
         # summand takes that back. x[d - 1] is phi_d, which angles are relative to.
+        # The sign: s runs from base to tip and the motor is at s = beta_i - L_i < 0, so psi there is psi(0) minus
+        # rate times (L_i - beta_i).
         x[d - 1] + angle - rate * (tube.length - beta) + tube.spin * (tube.length - tube.curved_length)
         for angle, rate, tube, beta in ends
     ]
 
 
 def turned_untwisted(tubes: Tubes, x: Sequence[Any], i: int, s: Any) -> Any:
-    """The direction in which tube i bends at s (mm), rad, where it is untwisted and its motor is at 0."""
+    """Return the direction in which tube i bends at s (mm), rad, if it is untwisted and its motor is at 0.
+
+    tubes: of the robot. x: its 2d + 2 unknowns, of which the extensions count.
+    """
     return tubes[i].spin * (tubes[i].curved_length - x[len(tubes) + i] + s)
 
 
 def bending(part: RobotSection, node: Node, xp: Any) -> tuple[Any, Any]:
-    """The bending vector u = sum of shares times k e(psi) over the active tubes, 1/mm, as x and y."""
+    """Return the bending vector u at a node of a section (part), 1/mm, as x and y: shares times k e(psi), summed.
+
+    The sum is over the active tubes. xp: casadi or numpy.
+    """
     here = [(part.shares[i] * node.curvatures[i], node.angles[i]) for i in part.active]
     return sum(k * xp.cos(psi) for k, psi in here), sum(k * xp.sin(psi) for k, psi in here)
 
 
 def curvatures_at(tubes: Tubes, x: Sequence[Any], part: RobotSection, s: Any) -> list[Any]:
-    """Pre-curvature of every tube at s of a section, 1/mm; 0.0 where it is not active."""
+    """Return the pre-curvature of every tube at s (mm) of a section (part), 1/mm; 0.0 where it is not active.
+
+    tubes: of the robot. x: its 2d + 2 unknowns, of which the extensions count.
+    """
     found: list[Any] = [0.0] * len(tubes)
     for i in part.active:
         tube = tubes[i]
+        # slope is per mm from the tip towards the root, and beta_i - s is the distance from the tip.
         found[i] = part.curved[i] * (tube.tip_curvature + tube.slope * (x[len(tubes) + i] - s))
     return found
 
 
 def _moments(tubes: Tubes, part: RobotSection, node: Node, xp: Any) -> list[Any]:
-    """Second derivatives psi'' of every tube, rad/mm^2, from the balance of moments."""
+    """Return the second derivatives psi'' of every tube at a node of a section, rad/mm^2, from the balance of
+    moments.
+    """
     (x, y), found = bending(part, node, xp), [0.0] * len(tubes)
     for i in part.active:
         # torsional_ratio is EI / GJ = 1 + Poisson's ratio; u x e(psi) = u_x sin(psi) - u_y cos(psi).
@@ -226,10 +245,9 @@ def _moments(tubes: Tubes, part: RobotSection, node: Node, xp: Any) -> list[Any]
 
 
 def _between(begin: Any, end: Any, seconds: Any, h: Any) -> list[Any]:
-    """Angles halfway through a step h, by the quintic polynomial with both ends' angles, rates and second
-    derivatives.
+    """Return the angles halfway through a step h, by the quintic polynomial through both ends.
 
-    begin, end: angles and rates; seconds: second derivatives at both ends.
+    begin, end: angles and rates there; seconds: second derivatives at both ends.
     """
     (first, first_rates), (last, last_rates), (a, b) = begin, end, seconds
     # Quintic Hermite at 1/2: (y0 + y1) / 2 + 5 h (y0' - y1') / 32 + h^2 (y0'' + y1'') / 64.
@@ -239,5 +257,5 @@ def _between(begin: Any, end: Any, seconds: Any, h: Any) -> list[Any]:
 
 
 def add_scaled_changes(values: Sequence[Any], *changes: tuple[Any, Sequence[Any]]) -> list[Any]:
-    """Values plus the sum of factors times changes, entry by entry."""
+    """Return values plus the sum of factors times changes, entry by entry; changes: pairs (factor, change)."""
     return [value + sum(factor * change[i] for factor, change in changes) for i, value in enumerate(values)]

@@ -1,4 +1,4 @@
-"""One elastic robot that is moved step by step (models/walker.py): it stays on its branch until that ends.
+"""One elastic robot that is moved step by step (models/walker.py) and stays on its branch until that ends.
 
 Configurations q and unknowns x (2d + 2,) in rad and mm; equilibria.py follows branches.
 """
@@ -16,8 +16,8 @@ from ctr_nlp.robot.structure import Structure, tubes_of
 from ctr_nlp.typing import Array
 
 MAX_PREDICTED_TIP_STEP_RAD = 0.05
-"""Angle in rad that tips may be predicted to turn by in one step from a robot's numbers to others: half of what
-would belong to another branch.
+"""Angle in rad that tips may be predicted to turn by in one step from a robot's numbers to others: half of the
+distance at which a solution may be on another branch.
 """
 
 
@@ -32,13 +32,13 @@ class ElasticWalker(Walker):
         self._set_state(self._equilibria.find_rest_state(np.array(q, dtype=float)), q)
 
     def _set_state(self, state: EquilibriumState | None, q: Array) -> None:
-        """Be in a state at q; x is NaN for None."""
+        """Record a state at q; x is NaN for None."""
         self._state = state
         self.q = np.array(q, dtype=float)
         self.x = np.full(len(q), np.nan) if state is None else state.x
 
     def move_to(self, q: Array) -> list[Array]:
-        """Move linearly to q (2d + 2,); the tips' jumps (d,) rad, an entry for each snap."""
+        """Move linearly to q (2d + 2,); return the tips' jumps (d,) in rad, an entry for each snap."""
         q = np.array(q, dtype=float)
         jumps = list[Array]()
         if self._state is not None:
@@ -47,10 +47,10 @@ class ElasticWalker(Walker):
         return [jump for jump in jumps if abs(jump).max() > MIN_ELASTIC_SNAP_JUMP_RAD]
 
     def change_tubes(self, numbers: Array, x: Array | None = None) -> list[Array]:
-        """Continue as a robot of other numbers (d, 8), in steps if that robot's x is far away; the tips' jumps
-        (d,) rad.
+        """Continue as a robot of other numbers (d, 8), in steps if x is far away.
 
-        x (2d + 2,): roughly where it will be; None for where it is.
+        Returns the tips' jumps (d,) in rad, an entry for each snap. x (2d + 2,): approximate unknowns afterwards;
+        None for the present ones.
         """
         before = self._numbers
         jumps = list[Array]()

@@ -1,7 +1,7 @@
-"""Rods from tip to base as one function of symbols, for a batch of rows: compiled where that can be.
+"""Rods from tip to base as one function of symbols, evaluated for a batch of rows; compiled where possible.
 
 The function is generated once for each structure and kind of rod. Until it is compiled, in the background, it is
-interpreted, so that nobody waits. Angles are in rad, lengths in mm, forces in N and moments in N mm.
+interpreted, so that no caller waits. Angles are in rad, lengths in mm, forces in N and moments in N mm.
 """
 
 from __future__ import annotations
@@ -53,9 +53,10 @@ class RodBases(NamedTuple):
 
 @functools.lru_cache(maxsize=64)
 def symbolic(structure: Structure, kind: RodKind) -> ca.Function:
-    """Return the function (row, numbers (8 d,)) -> what Ends holds, in symbols.
+    """Build the function (row, numbers (8 d,)) -> the arrays of RodBases, in symbols.
 
-    A row has the tubes' angles at the tip and its axes, the extensions, the load, and the two softnesses.
+    structure, kind: of the rod. A row has the tubes' angles at the tip and its axes, the extensions, the load, and
+    the two softnesses.
     """
     d = structure.d
     numbers = ca.SX.sym("numbers", d, len(TUBE_NUMBER_NAMES))
@@ -94,11 +95,13 @@ def symbolic(structure: Structure, kind: RodKind) -> ca.Function:
 
 @functools.lru_cache(maxsize=64)
 def _library(structure: Structure, kind: RodKind) -> Library:
+    """Return the library of the function, which is compiled in the background."""
     functions = functools.partial(_functions, structure, kind)  # it is sent to the process that compiles
     return Library(symbolic(structure, kind).serialize(), functions, None)
 
 
 def _functions(structure: Structure, kind: RodKind) -> tuple[ca.Function]:
+    """Return the function to be compiled, in a tuple, as Library calls it in the process that compiles."""
     return (symbolic(structure, kind),)
 
 
@@ -113,7 +116,7 @@ class Rods:
     """Integrates rods of robots from tip to base, in batches. Not to be used from several threads at once."""
 
     def __init__(self, structure: Structure, kind: RodKind) -> None:
-        """Build."""
+        """Prepare for rods of a structure and kind; the function is interpreted until it has been compiled."""
         self.d = structure.d
         self.kind = kind
         # A gap between carriages is a limit of motors and does not change shapes: both structures share the code.
@@ -125,11 +128,11 @@ class Rods:
     def __call__(
         self, numbers: Array, angles: Array, axes: Array, beta: Array, load: Array, soft: Array
     ) -> RodBases:
-        """Integrate T rods.
+        """Integrate T rods from tip to base.
 
-        numbers (T, d, 8): of the tubes, in the order of structure.NUMBERS. angles (T, d), axes (T, 3, 3): of the
-        tips. beta (T, d): extensions, mm. load (T, size): numbers of the loads. soft (T, 2): softnesses of torsion
-        and bending.
+        numbers (T, d, 8): of the tubes, in the order of structure.TUBE_NUMBER_NAMES. angles (T, d), axes (T, 3,
+        3): of the tips. beta (T, d): extensions, mm. load (T, size): numbers of the loads. soft (T, 2): softnesses
+        of torsion and bending.
         """
         rows = len(angles)
         d = self.d
@@ -158,7 +161,10 @@ class Rods:
         return [found[:rows].copy() for found in mapped(padded.ravel())]
 
     def _for(self, rows: int) -> BatchEvaluator:
-        """Return the function mapped over at least so many rows, in few sizes; compiled once that was done."""
+        """Return the function mapped over at least `rows` rows, in few sizes.
+
+        It is the compiled one as soon as that is ready.
+        """
         # Still interpreted: it may have been compiled since the last call.
         if self._function.is_a("SXFunction"):
             self._function = _fastest(*self._which)

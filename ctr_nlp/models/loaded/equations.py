@@ -8,10 +8,10 @@ spin along the robot; the tubes' angles psi_i, rad, in it; a weight and a force 
     GJ_i psi_i'' = EI_i k_i u x e(psi_i)
 
 (Rucker, Jones, Webster, IEEE Transactions on Robotics 26(5), 2010.) A state is a list of angles psi, of their
-rates psi', and of the entries of d_1, d_2, t and m. A response is what follows to first order of a change at the
-tip: of angles and rates, turns (a, b, c) of the frame about d_1, d_2 and t, and changes of moment and force.
-Changes over a step are slopes times a length h, which is negative towards the base: curvatures, rates and forces
-are multiplied by h once, and the rest follows without further products.
+rates psi', and of the entries of d_1, d_2, t and m. A response is the first-order effect of a change at the tip:
+on angles and rates, turns (a, b, c) of the frame about d_1, d_2 and t, and on moment and force. Changes over a
+step are slopes times a length h, which is negative towards the base: curvatures, rates and forces are multiplied
+by h once, and the rest follows without further products.
 """
 
 from __future__ import annotations
@@ -30,8 +30,9 @@ Values = list[Any]
 
 
 class Softness(NamedTuple):
-    """Factors by which torsion and bending are softer in responses than in the rod itself: 1 / (1 - margin), see
-    stability.py.
+    """Factors by which torsion and bending are softer in responses than in the rod: 1 / (1 - margin).
+
+    See stability.py.
     """
 
     torsion: Any = 1.0
@@ -58,11 +59,11 @@ class _Here(NamedTuple):
 
 @dataclass(frozen=True)
 class Equations:
-    """The equations along one section of a rod.
+    """The equations along one section (part) of a rod.
 
     tubes: with their numbers. beta: extensions, mm. force: internal force at the section's end towards the tip, N,
-    without what acts between two places along the body. weight: per length, N/mm. along: that force between two
-    places, or None. soft: of the responses. xp: casadi or numpy. steps: number of steps of integration.
+    without the force along the body. weight: per length, N/mm. along: the force between two places along the body,
+    or None. soft: softness of the responses. xp: casadi or numpy. steps: number of steps of integration.
     """
 
     tubes: Tubes
@@ -76,10 +77,9 @@ class Equations:
     steps: int
 
     def changes(self, steps: float, share: float, y: Values, by: Values) -> tuple[Values, Values]:
-        """Return the changes of a state y, and of its responses `by` if there are any, over a share of a step
-        towards the base.
+        """Return the changes of a state y, and of its responses `by` if any, over a share of a step to the base.
 
-        steps: how many steps the place is away from the section's end towards the tip.
+        steps: distance of the place from the section's end towards the tip, in steps.
         """
         d = len(self.tubes)
         h = -self.part.length * (share / self.steps)
@@ -95,6 +95,11 @@ class Equations:
         return found, self._changes_of_responses(here, h, y, by) if by else []
 
     def _here(self, fraction: float, h: Any, y: Values) -> _Here:
+        """Return the quantities at a state y that its changes are made of.
+
+        fraction: distance from the section's end towards the tip, as a part of the section. h: length of the step,
+        mm, negative.
+        """
         d = len(self.tubes)
         part = self.part
         active = self.part.active
@@ -118,9 +123,12 @@ class Equations:
         return _Here(twist, sin, cos, pull, flexible, about, u, n)
 
     def _changes_of_responses(self, here: _Here, h: Any, y: Values, by: Values) -> Values:
+        """Return the changes of responses `by` over a step h at the state y, the derivatives of those of the
+        state.
+        """
         d, (u1, u2), (d1, d2, t, _) = len(self.tubes), here.u, vectors(y[2 * len(self.tubes) :])
         dpsi, drates, ((a, b, c), dm, dn) = by[:d], by[d : 2 * d], vectors(by[2 * d :])
-        # A softer rod bends more for the same moments: all that bends is multiplied, and so is what twists below.
+        # A softer rod bends more under the same moments: bending is multiplied here, and twisting below.
         soft = self.soft.bending
         sin = here.sin
         cos = here.cos
@@ -129,7 +137,7 @@ class Equations:
         pull = {i: soft * k for i, k in here.pull.items()}
         twist = {i: self.soft.torsion * k for i, k in here.twist.items()}
         # Derivatives of u_1 and u_2 in the turned axes: by dm, by the turns (a, b, c) of the axes in which m is
-        # told, and by dpsi.
+        # expressed, and by dpsi.
         du1 = dot(dm, soft2) - c * about1 + a * about3 - sum(pull[i] * sin[i] * dpsi[i] for i in pull)
         du2 = sum(pull[i] * cos[i] * dpsi[i] for i in pull) - dot(dm, soft1) - c * about2 + b * about3
         # The linearised balance of torsion: psi_i'' changes with u and with the tube's own angle.
@@ -143,4 +151,6 @@ class Equations:
         # m' = n x t: turned by (a, b, c), t changes by b d_1 - a d_2, and n changes by dn.
         leaning = plus(scale_vector(b, cross(here.n, d1)), -1.0 * a, cross(here.n, d2))
         moments = plus(leaning, h, cross(dn, t))
+        # Dead loads do not turn with the rod: a change of force at the tip (of a follower force) stays the same to
+        # the base.
         return [*(h * rate for rate in drates), *sway, *turning, *moments, *[0.0 * a] * 3]

@@ -1,11 +1,11 @@
 """Equilibria of loaded robots, a batch of rows, each followed along a line of configurations and loads.
 
 Robots of the rows may differ in the numbers of their tubes. Every tip is an equilibrium of some configuration
-(rod.py); wanted is the tip whose base stands at a given q. That is a root of d + 2 equations: the base's tangent
-points where theta has it (2), and the motors are at alpha (d). It is found by Newton's method from a prediction
-along the tangent of the branch, as elastic/equilibria.py does without a load; a step that strays from its
-prediction, or passes a singular slope, is halved until it is clear that the branch ends there. Angles are in rad,
-lengths in mm, forces in N.
+(rod.py); the tip whose base stands at a given q is a root of d + 2 equations: the base's tangent points where
+theta has it (2), and the motors are at alpha (d). It is found by Newton's method from a prediction along the
+tangent of the branch, as elastic/equilibria.py does without a load. A step that strays from its prediction, or
+passes a singular Jacobian, is halved until it is clear that the branch ends there. Angles are in rad, lengths in
+mm, forces in N.
 """
 
 from __future__ import annotations
@@ -27,15 +27,15 @@ from ctr_nlp.robot.structure import Structure
 from ctr_nlp.typing import Array, Flags
 
 LOADED_NEWTON_TOLERANCE_RAD, MAX_LOADED_NEWTON_STEPS = 1e-7, 12
-"""Largest last Newton step, rad, whose error is about its square; and most steps."""
+"""Newton's method: the size of the last step, rad, whose error is about its square; and most steps."""
 NEWTON_BASIN_RADIUS_RAD = 1e-2
-"""Distance, rad, from its prediction up to which an equilibrium is the one that Newton's method finds from there.
+"""Distance, rad, from its prediction up to which a known equilibrium is taken for the one on the predicted branch.
 """
 SAME_EQUILIBRIUM_TOLERANCE_RAD = 1e-6
 """Largest difference of the unknowns of two descriptions of the same equilibrium, rad."""
 MAX_LOADED_NEWTON_TURN_RAD, MAX_LOADED_NEWTON_STEP_RATIO = 1.0, 0.7
-"""Largest angle, rad, of a Newton step, and the part of the step before that it may have at most; else none is
-found.
+"""Largest angle, rad, of a Newton step, and its largest ratio to the step before; where either is exceeded,
+Newton's method is given up.
 """
 
 
@@ -60,7 +60,7 @@ class States(NamedTuple):
         return States(*(each[which] for each in self))
 
     def move_tips(self, step: Array) -> tuple[Array, Array]:
-        """Return angles and axes of the tips after changes (T, d + 2) of them."""
+        """Return angles and axes of the tips after changes step (T, d + 2) of them, rad."""
         return turn_tips(self.angles, self.axes, step)
 
     def same_equilibria(self, others: States) -> Flags:
@@ -76,18 +76,21 @@ class States(NamedTuple):
 
     @classmethod
     def unknown_states(cls, numbers: Array, q: Array, load: Array) -> States:
-        """Return states of robots at q (T, 2d + 2) whose equilibria are not known: NaN."""
+        """Return states of robots at q (T, 2d + 2) whose equilibria are not known: NaN.
+
+        numbers (T, d, 8): of the tubes. load (T, 17 + 3d).
+        """
         rows, d, _ = numbers.shape
         shapes = (rows, d), (rows, 3, 3), (rows, d + 2, d + 2), (rows,)
         return cls(numbers, q, load, *(np.full(shape, np.nan) for shape in shapes))
 
     def write(self, which: Any, others: States) -> None:
-        """Put other states in place of some rows."""
+        """Write others to the rows that `which`, any index, selects."""
         for array, values in zip(self, others, strict=True):
             array[which] = values
 
     def replace_rows(self, which: Any, others: States) -> States:
-        """Return a copy of these states with others in place of some rows."""
+        """Return a copy of these states with others in the rows that `which`, any index, selects."""
         found = States(*(each.copy() for each in self))
         found.write(which, others)
         return found
@@ -97,7 +100,7 @@ class LoadedEquilibria:
     """Solver of equilibria of loaded robots. Not to be used from several threads at once."""
 
     def __init__(self, structure: Structure, kind: RodKind = TIP_FORCE_ROD_KIND) -> None:
-        """Build."""
+        """Prepare for robots of a structure, under loads of a kind."""
         self.d = structure.d
         self.rods = Rods(structure, kind)
 
@@ -111,11 +114,10 @@ class LoadedEquilibria:
         return self._solve_newton(numbers, q, self._no_load(len(q)), *placed, every)[0]
 
     def place_unloaded_tips(self, numbers: Array, q: Array, tips: Array) -> tuple[Array, Array]:
-        """Return angles and axes of unloaded tips whose bases stand at q (T, 2d + 2) with the innermost motor at
-        alpha_d.
+        """Return angles and axes of unloaded tips with bases at q (T, 2d + 2) and the innermost motor at alpha_d.
 
         numbers (T, d, 8): of the tubes. tips (T, d): angles of the tubes at their tips, rad; only their
-        differences count. The other motors are where the tips have them, which need not be at q.
+        differences count. The other motors' angles follow from the tips, and need not be those of q.
         """
         rows = len(q)
         d = self.d
@@ -143,11 +145,11 @@ class LoadedEquilibria:
         smallest: float = MIN_PATH_STEP_FRACTION,
         numbers: Array | None = None,
     ) -> tuple[States, Array]:
-        """Follow branches of equilibria from states towards q (T, 2d + 2) and loads, on a line in both.
+        """Follow branches of equilibria from states towards q (T, 2d + 2) and load (T, l), on a line in both.
 
-        Returns the equilibria as far as branches go, and which part of the way that is, (T,). most, smallest:
-        largest and smallest part of the way in a step. numbers (T, d, 8): of the tubes at the end of the way; None
-        for those of the states.
+        Returns the equilibria as far as branches go, and the fraction of the line that was covered, (T,). most,
+        smallest: largest and smallest fraction of the line in a step. numbers (T, d, 8): of the tubes at the end
+        of the line; None for those of the states.
         """
         start = states
         done = np.zeros(len(q))
@@ -169,7 +171,7 @@ class LoadedEquilibria:
             stopped = active[~there]
             states = states.replace_rows(gone, new.rows(there))
             done[gone] += part[gone]
-            # Parts are summed up: rounding must not leave a last step of 1e-16.
+            # Fractions are summed up: rounding must not leave a last step of 1e-16.
             done[gone[done[gone] > 1 - 1e-12]] = 1.0
             # Double the step after a success, halve it after a failure.
             part[gone] = np.minimum(np.minimum(2 * part[gone], most), 1 - done[gone])
@@ -178,8 +180,8 @@ class LoadedEquilibria:
     def branches_lead_to(self, states: States, goals: States) -> Flags:
         """Return whether the branches of states lead to goals on straight lines, (T,).
 
-        A goal within ON of the tangent's prediction counts as reached; for others the line is followed. False
-        where either is unknown.
+        A goal within NEWTON_BASIN_RADIUS_RAD of the tangent's prediction counts as reached; for others the line is
+        followed. False where either is unknown.
         """
         found = np.isfinite(states.determinant) & np.isfinite(goals.determinant)
         known = np.flatnonzero(found)
@@ -191,14 +193,14 @@ class LoadedEquilibria:
         return found
 
     def _within_prediction(self, states: States, goals: States) -> Flags:
-        """Return whether goals (T,) lie within ON of where the tangents of states' branches lead."""
+        """Return whether goals (T,) lie within NEWTON_BASIN_RADIUS_RAD of the tangents' predictions at states."""
         angles, axes, near = self._predict_tips(states, goals.q, goals.load)
         away = abs(unknowns(angles, axes, goals.q) - goals.unknowns).max(axis=1, initial=0.0)
         return np.asarray(near & (away < NEWTON_BASIN_RADIUS_RAD) & (goals.determinant * states.determinant > 0))
 
     def _step(self, states: States, q: Array, load: Array) -> tuple[States, Flags]:
-        """Return the equilibria at q (T, 2d + 2) and loads on the branches of nearby states, and for which rows
-        they were found.
+        """Return the equilibria at q (T, 2d + 2) and loads on the branches of nearby states, and whether each was
+        found.
         """
         angles, axes, near = self._predict_tips(states, q, load)
         new, found = self._solve_newton(states.numbers, q, load, angles, axes, near)
@@ -207,12 +209,12 @@ class LoadedEquilibria:
         return new, found & (away < MAX_PREDICTION_ERROR_RAD) & (new.determinant * states.determinant > 0)
 
     def _predict_tips(self, states: States, q: Array, load: Array) -> tuple[Array, Array, Flags]:
-        """Return tips at q (T, 2d + 2) and loads along the tangents of states' branches, and for which rows they
-        turn little.
+        """Return tips at q (T, 2d + 2) and loads along the tangents of states' branches, and whether each turns
+        little.
         """
         d = self.d
-        # The old tip under the new load, at the new extensions: what its base misses of q, and one Newton step for
-        # that. This is the tangent's prediction without derivatives over load and extensions.
+        # The old tip under the new load, at the new extensions: one Newton step for the residual at its base. This
+        # is the tangent's prediction without derivatives over load and extensions.
         here = self.ends(states.numbers, states.angles, states.axes, q, load)
         step = compute_newton_steps(states.slopes, self.misfit(q, here))
         motors = q[:, :d] - states.q[:, :d]
@@ -226,8 +228,9 @@ class LoadedEquilibria:
     def _solve_newton(
         self, numbers: Array, q: Array, load: Array, angles: Array, axes: Array, wanted: Flags
     ) -> tuple[States, Flags]:
-        """Find equilibria from tips by Newton's method, in the rows that are wanted; return them, and for which
-        rows it converged.
+        """Find equilibria from tips by Newton's method in the rows that are wanted.
+
+        Returns the states, and whether each row converged.
         """
         angles = angles.copy()
         axes = axes.copy()
@@ -260,9 +263,10 @@ class LoadedEquilibria:
     def ends(
         self, numbers: Array, angles: Array, axes: Array, q: Array, load: Array, soft: Array | None = None
     ) -> RodBases:
-        """Integrate the rods of tips at the extensions of q (T, 2d + 2) under loads (T, 17 + 3d).
+        """Integrate the rods of tips at the extensions of q (T, 2d + 2) under loads (load, (T, 17 + 3d)).
 
-        soft (T, 2): softnesses of torsion and bending in responses; None for 1.
+        numbers (T, d, 8): of the tubes. angles (T, d), rad, and axes (T, 3, 3): of the tips. soft (T, 2):
+        softnesses of torsion and bending in responses; None for 1.
         """
         soft = np.ones((len(q), 2)) if soft is None else soft
         return self.rods(numbers, angles, axes, q[:, self.d : 2 * self.d], load, soft)
@@ -272,16 +276,20 @@ class LoadedEquilibria:
         return self.ends(states.numbers, states.angles, states.axes, states.q, states.load, soft)
 
     def states(self, numbers: Array, angles: Array, axes: Array, beta: Array, load: Array) -> States:
-        """Return the states of tips under loads, each at the configuration that it is an equilibrium of."""
+        """Return the states of tips under loads, each at the configuration that it is an equilibrium of.
+
+        numbers (T, d, 8): of the tubes. angles (T, d), rad, and axes (T, 3, 3): of the tips. beta (T, d):
+        extensions, mm. load (T, 17 + 3d).
+        """
         q = self.configurations(numbers, angles, axes, beta, load)
         slopes = self.ends(numbers, angles, axes, q, load).slopes
         return States(numbers, q, load, angles, axes, slopes, np.linalg.det(slopes))
 
     def misfit(self, q: Array, ends: RodBases) -> Array:
-        """Return what is missing at the bases for robots to stand at q (T, 2d + 2), rad: (T, d + 2), in the order
-        of responses.
+        """Return the residuals at the bases (ends) of robots that should stand at q (T, 2d + 2): (T, d + 2) rad.
 
-        The first two are turns of the base's tangent about d_1 and d_2, the others turns of the motors.
+        The first two are turns of the base's tangent about d_1 and d_2, the others turns of the motors, in the
+        order of responses.
         """
         between = _between(q, ends)
         x, y, z = (between[:, 2, k] for k in range(3))
@@ -298,8 +306,9 @@ class LoadedEquilibria:
     def configurations(self, numbers: Array, angles: Array, axes: Array, beta: Array, load: Array) -> Array:
         """Return the configurations q (T, 2d + 2) of tips.
 
-        theta_x is within a quarter turn, and alpha is known up to whole turns of all tubes together. beta (T, d):
-        extensions, mm.
+        numbers (T, d, 8): of the tubes. angles (T, d), rad, and axes (T, 3, 3): of the tips. beta (T, d):
+        extensions, mm. load (T, 17 + 3d). theta_x is within a quarter turn, and alpha is known up to whole turns
+        of all tubes together.
         """
         q = np.hstack([np.zeros(beta.shape), beta, np.zeros((len(beta), 2))])
         ends = self.ends(numbers, angles, axes, q, load)
@@ -310,6 +319,7 @@ class LoadedEquilibria:
         return q
 
     def _no_load(self, rows: int) -> Array:
+        """Return zeros (rows, l) for loads."""
         return np.zeros((rows, self.rods.size))
 
 
@@ -325,10 +335,7 @@ def _between(q: Array, ends: RodBases) -> Array:
 
 
 def _alpha(ends: RodBases, between: Array) -> Array:
-    """Return the motors' angles (T, d) of rods; between: the result of _between.
-
-    shape.py has the same in symbols.
-    """
+    """Return the motors' angles (T, d) of rods; between: the result of _between. shape.py has them in symbols."""
     # The turn of the rod's base frame about the tangent: the angle of the rotation's upper block, which is exact
     # where both tangents agree.
     spin = np.arctan2(between[:, 1, 0] - between[:, 0, 1], between[:, 0, 0] + between[:, 1, 1])
@@ -336,7 +343,12 @@ def _alpha(ends: RodBases, between: Array) -> Array:
 
 
 def compute_newton_steps(slopes: Array, misfit: Array) -> Array:
-    """Return the steps (T, n) that make up for misfits (T, n), NaN where slopes are singular or unknown."""
+    """Return the steps (T, n) that remove residuals (misfit, (T, n)) to first order.
+
+    NaN where slopes are singular. slopes (T, n, n): derivatives of the configuration over the unknowns, so that no
+    sign is changed.
+    """
+    # numpy's solve raises for the whole batch where a single matrix is singular: such rows are left out.
     fine = np.asarray(np.isfinite(slopes).all(axis=(1, 2)) & (abs(np.linalg.det(slopes)) > 0))
     found = np.full(misfit.shape, np.nan)
     found[fine] = np.linalg.solve(slopes[fine], misfit[fine][..., None])[..., 0]

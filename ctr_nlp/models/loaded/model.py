@@ -51,8 +51,9 @@ from ctr_nlp.robot.structure import Structure, Tubes, tubes_of_batch
 from ctr_nlp.typing import Array, Vector
 
 PIECE = 6
-"""Steps of integration whose tangents one polynomial goes through; with more, evenly spaced, it oscillates between
-them."""
+"""Steps of integration whose tangents one polynomial interpolates. Through more, evenly spaced nodes it would
+oscillate between them.
+"""
 MAX_FOLLOWED_ROBOTS_PER_BATCH = 128
 """Robots in one batch that is followed; with more, the states at all places would need too much memory."""
 
@@ -105,7 +106,7 @@ class Loaded(Model):
         return RodKind.of(self.load)
 
     def check(self, robot: Robot) -> None:
-        """Check that a robot can bear the load.
+        """Raise LoadError unless the equations of a loaded rod can describe the robot.
 
         Parameters
         ----------
@@ -148,7 +149,7 @@ class Loaded(Model):
 
         Returns
         -------
-        Shape
+        SymbolicShape
             Points in mm and the rest of the frame, as symbols of x.
 
         Raises
@@ -195,7 +196,7 @@ class Loaded(Model):
 
         Returns
         -------
-        Shape
+        SymbolicShape
             Points in mm and the rest of the frame, as symbols of x.
 
         Raises
@@ -245,14 +246,14 @@ class Loaded(Model):
         return self._curves(robot, x, sigma)[1]
 
     def _loads_over_frames(self, d: int, rows: int) -> Array:
-        """Return the numbers (rows, 17 + 3d) of the load in every frame of a motion of so many frames.
+        """Return the numbers (rows, 17 + 3d) of the load in every frame of a motion of that many frames (rows).
 
         d: number of tubes. Frames are evenly spaced in time, from 0, the beginning of the load, to 1, its end.
         """
         return self.load.numbers_at(d, np.linspace(0.0, 1.0, rows))
 
     def _curves(self, robot: Robot, x: Array, sigma: Array) -> tuple[Array, Array]:
-        """Points and tangents (T, n, 3) of one robot at unknowns x (T, 2d + 2) and sigma (n,) or (T, n)."""
+        """Return points and tangents (T, n, 3) of a robot at unknowns x (T, 2d + 2) and sigma (n,) or (T, n)."""
         acting = self._loads_over_frames(robot.d, len(x))
         return curves(robot.structure, robot.numbers[None], acting, x, sigma, self.kind)
 
@@ -264,7 +265,7 @@ class Loaded(Model):
         structure : Structure
             The structure that all robots share.
         numbers : (n, d, 8) array
-            The tubes' numbers of every robot, in the order of ``robot.structure.NUMBERS``.
+            The tubes' numbers of every robot, in the order of ``robot.structure.TUBE_NUMBER_NAMES``.
         x : (n, T, 2d + 2) array
             Unknowns of every robot in every frame; rad and mm.
         sigma : (m,) or (T, m) array
@@ -284,7 +285,7 @@ class Loaded(Model):
     def points_with_loads(
         self, loads: Array, structure: Structure, numbers: Array, x: Array, sigma: Array
     ) -> Array:
-        """Compute points of robots each of which bears a load of its own.
+        """Compute points of robots, each under a load of its own.
 
         Parameters
         ----------
@@ -294,7 +295,7 @@ class Loaded(Model):
         structure : Structure
             The structure that all robots share.
         numbers : (T, d, 8) or (1, d, 8) array
-            The tubes' numbers, in the order of ``robot.structure.NUMBERS``: of every row, or once for all.
+            The tubes' numbers, in the order of ``robot.structure.TUBE_NUMBER_NAMES``; one row serves all robots.
         x : (T, 2d + 2) array
             Unknowns; rad and mm.
         sigma : (m,) or (T, m) array
@@ -345,8 +346,8 @@ class Loaded(Model):
         """
         found = np.full(len(x), np.nan)
         known = np.isfinite(x).all(axis=1)
-        # A moment, or a force that turns with the tool, does work that depends on the way: there is no energy, and
-        # so no second variation from which a margin could be told.
+        # A moment, or a force that turns with the tool, does work that depends on the path: there is no energy,
+        # and so no second variation whose eigenvalues would be margins.
         if self.load.conservative and known.any():
             equilibria = self._equilibria(robot)
             acting = self._loads_over_frames(robot.d, len(x))
@@ -371,19 +372,19 @@ class Loaded(Model):
         return self._states(self._equilibria(robot), robot, x, self._loads_over_frames(robot.d, len(x)))
 
     def _states(self, equilibria: LoadedEquilibria, robot: Robot, x: Array, acting: Array) -> States:
-        """States of unknowns x (T, 2d + 2) of one robot, under loads acting (T, 17 + 3d)."""
+        """Return the states of unknowns x (T, 2d + 2) of a robot, under loads acting (T, 17 + 3d)."""
         of_robot = np.repeat(robot.numbers[None], len(x), axis=0)
         return equilibria.states(of_robot, *tips(x, robot.d), x[:, robot.d : 2 * robot.d], acting)
 
     def _equilibria(self, robot: Robot) -> LoadedEquilibria:
-        """Solver of equilibria of robots of this structure, under loads of this kind."""
+        """Return the solver of equilibria of robots of this structure, under loads of this kind."""
         return LoadedEquilibria(robot.structure, self.kind)
 
     def rest(self, robot: Robot, q: Array) -> Array:
         """Find the equilibrium of a robot that has no history.
 
         Unloaded, all tubes are turned from where they are aligned at alpha_d to q; then the load grows from zero
-        while q stays. Both ways are followed, so that the result is the equilibrium that a real robot reaches.
+        while q stays. Both motions are followed, so that the result is the equilibrium that a real robot reaches.
 
         Parameters
         ----------
@@ -458,7 +459,7 @@ class Loaded(Model):
         q : (T, 2d + 2) array
             Configurations, which stay as they are; rad and mm.
         angles : (T, d) array
-            Angles of the tubes at their tips, rad, as of :meth:`unloaded`: about those of the unloaded equilibrium
+            Angles of the tubes at their tips, rad, as of :meth:`unloaded_unknowns`: near the unloaded equilibrium
             at q, which is found from them by Newton's method.
 
         Returns
@@ -487,13 +488,12 @@ class Loaded(Model):
         -------
         (T, 2d + 2) array
             Configurations q. alpha is known up to whole turns of all tubes together, and theta_x is the one within
-            a quarter turn: further tilts have the same shapes in other words
-            (:func:`~ctr_nlp.plan.simulation.other_way`).
+            a quarter turn; a tilt beyond it is returned as another q of the same shape.
         """
         return self.states(robot, x).q
 
     def extensions(self, robot: Robot, x: Array) -> Array:
-        """Return the extensions beta, which x holds at the same place as q.
+        """Return the extensions beta, which x has in the same columns as q.
 
         Parameters
         ----------
@@ -531,11 +531,11 @@ class Loaded(Model):
 
         Returns
         -------
-        Followed
+        EquilibriumPath
             Unknowns and margins of the frames; NaN from a snap on, as nobody knows where a loaded robot then comes
             to rest.
         """
-        # The load is told as parts of the whole motion; a place between frames has that of its own time.
+        # The load is a function of the fraction of the motion; a sub-step has the load of its own time.
         way = subdivide_motion(np.asarray(q, dtype=float), substeps)
         return self._follower(robot, self.load.numbers_at(robot.d, way.elapsed_fractions)).follow_motion(
             way, way.q[None]
@@ -551,8 +551,8 @@ class Loaded(Model):
         structure : Structure
             The structure that all robots share.
         numbers : (n, d, 8) array
-            The tubes' numbers of every robot, in the order of ``robot.structure.NUMBERS``.
-        motion : Passage
+            The tubes' numbers of every robot, in the order of ``robot.structure.TUBE_NUMBER_NAMES``.
+        motion : MotionSubsteps
             The sub-steps of the motion: which frames its M places belong to, and where robots begin without a
             history.
         q : (n, M, 2d + 2) array
@@ -562,7 +562,7 @@ class Loaded(Model):
 
         Returns
         -------
-        list of Followed
+        list of EquilibriumPath
             Unknowns and margins of every robot.
         """
         acting = self.loads_of_batch(len(numbers), self.load.numbers_at(structure.d, motion.elapsed_fractions))
@@ -577,7 +577,7 @@ class Loaded(Model):
         q: Array,
         margins: bool = True,
     ) -> list[EquilibriumPath]:
-        """Follow the equilibria of several robots each of which bears a load of its own.
+        """Follow the equilibria of several robots, each under a load of its own.
 
         Parameters
         ----------
@@ -587,8 +587,8 @@ class Loaded(Model):
         structure : Structure
             The structure that all robots share.
         numbers : (n, d, 8) array
-            The tubes' numbers of every robot, in the order of ``robot.structure.NUMBERS``.
-        motion : Passage
+            The tubes' numbers of every robot, in the order of ``robot.structure.TUBE_NUMBER_NAMES``.
+        motion : MotionSubsteps
             The sub-steps of the motion: which frames its M places belong to, and where robots begin without a
             history.
         q : (n, M, 2d + 2) array
@@ -598,7 +598,7 @@ class Loaded(Model):
 
         Returns
         -------
-        list of Followed
+        list of EquilibriumPath
             Unknowns and margins of every robot.
         """
         found = list[EquilibriumPath]()
@@ -619,7 +619,7 @@ class Loaded(Model):
         structure : Structure
             The robot's structure.
         numbers : (d, 8) array
-            The tubes' numbers, in the order of ``robot.structure.NUMBERS``.
+            The tubes' numbers, in the order of ``robot.structure.TUBE_NUMBER_NAMES``.
         q : (2d + 2,) array
             The configuration at which it stands, without a history; rad and mm.
 
@@ -638,10 +638,12 @@ class Loaded(Model):
         )
 
     def _follower(self, robot: Robot, acting: Array) -> Follower:
-        """The follower of one robot; acting (M, 17 + 3d): the numbers of the load at every place of a motion."""
+        """Return the follower of a robot; acting (M, 17 + 3d): the load's numbers at every place of a motion."""
         return Follower(robot.structure, robot.numbers[None], self.load, acting[None])
 
 
+# Equality and hash are inherited from Loaded and regard the load alone: arrays have neither, and functions that
+# are cached by model do not depend on the forces.
 @dataclass(frozen=True, eq=False)
 class TipForceModel(Loaded):
     """A loaded model of n robots each of which has a tip force of its own beside the common load.
@@ -651,7 +653,7 @@ class TipForceModel(Loaded):
     Parameters
     ----------
     load : Load or LoadOverTime
-        The load that all robots bear.
+        The load on all robots.
     forces : (n, 3) array
         Tip forces in the directions of the base frame, N.
     """
@@ -659,9 +661,9 @@ class TipForceModel(Loaded):
     forces: Array
 
     def loads_of_batch(self, count: int, acting: Array) -> Array:
-        """Add every robot's own tip force to the load's numbers acting (M, 17 + 3d).
+        """Return the load's numbers acting (M, 17 + 3d) plus every robot's own tip force, (count, M, 17 + 3d).
 
-        Returns (count, M, 17 + 3d); count must be the number n of forces.
+        count must be the number n of forces.
         """
         found = np.array(super().loads_of_batch(count, acting))
         found[..., :3] += self.forces[:, None]  # the first three numbers are the tip force in base directions
@@ -703,7 +705,7 @@ def curves(
     structure : Structure
         The structure that all robots share.
     numbers : (T, d, 8) or (1, d, 8) array
-        The tubes' numbers, in the order of ``robot.structure.NUMBERS``: of every row, or once for all.
+        The tubes' numbers, in the order of ``robot.structure.TUBE_NUMBER_NAMES``: of every row, or once for all.
     acting : (T, l) or (1, l) array
         The numbers of what acts: 17 + 3d of a load, and further ones where forces act on pieces of the rod.
     x : (T, 2d + 2) array
@@ -740,7 +742,7 @@ def curves(
     # travels counts steps of two intervals: a piece of `steps` intervals has steps + 1 nodes and powers.
     lengths, turns = shape.travels(tubes, out, pieces, sigma * out[-1], np, steps // 2)
     like = np.zeros((rows, np.shape(sigma)[-1]))
-    base = _vector(ends.axes[:, 2])  # the tangent at the opening, from which all further ones are told
+    base = _vector(ends.axes[:, 2])  # the tangent at the opening, to which all gains are added
     points = combination(lengths, curved)
     tangents = combination([1.0, *turns], [base, *curved])
     return _stack_components(points, like), _stack_components(tangents, like)

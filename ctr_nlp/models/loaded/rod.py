@@ -7,10 +7,10 @@ Transactions on Robotics 26(5), 2010; Antman, Nonlinear Problems of Elasticity):
 
     psi_i'(beta_i) = 0, but GJ_d psi_d'(beta_d) is the tip's moment about t.
 
-Beside it go responses to d + 2 changes: turns about d_1 and d_2, and of every psi_i. They are told from place to
-place: at each they begin anew with changes of that place, which keeps them of the same size however far the base
-is. One source for symbols and numbers, as in torsion.py: `xp` is casadi or numpy; what responds is a
-row of d + 2 entries.
+Beside it, the responses to d + 2 changes are integrated: turns about d_1 and d_2, and of every psi_i. They are
+recorded from place to place: at each they restart as responses to changes of that place, which keeps them of the
+same size however far the base is. One source for symbols and numbers, as in torsion.py: `xp` is casadi or numpy;
+each quantity that responds is a row of d + 2 entries.
 """
 
 from __future__ import annotations
@@ -29,8 +29,8 @@ from ctr_nlp.robot.structure import Tubes
 from ctr_nlp.typing import Vector
 
 RESPONSE_RESTART_STEPS = 3
-"""Steps after which responses begin anew. Over longer pieces what is soft in torsion turns so far that pivots
-become negative where no direction has lost its stability.
+"""Steps after which responses restart. Over longer pieces, directions that are soft in torsion turn so far that
+pivots become negative where no direction has lost its stability.
 """
 
 
@@ -44,10 +44,10 @@ class Tip(NamedTuple):
 class Rod(NamedTuple):
     """A rod, integrated from its tip.
 
-    states: at the nodes of every section from base to tip, evenly spaced: angles, rates, axes and moment, as
-    equations.py has them. angles, rates, axes: at the base, rad, rad/mm. responses: from tip to base the matrices,
-    row by row a list, of the turns about d_1 and d_2 of the frame and of its spin with every tube's angle, over
-    the same at the place before; the last d of one transmission after the other.
+    states: at the nodes of every section from base to tip, evenly spaced: angles, rates, axes and moment, in the
+    layout of equations.py. angles, rates, axes: at the base, rad, rad/mm. responses: from tip to base the
+    matrices, row by row a list, of derivatives of the turns about d_1 and d_2 and of every tube's angle plus the
+    frame's spin, over the same at the place before; the last d are of one transmission after the other.
     """
 
     states: list[list[Values]]
@@ -62,8 +62,7 @@ class Rod(NamedTuple):
         return [[vectors(state[2 * len(self.angles) :])[2] for state in nodes] for nodes in self.states]
 
     def nodes(self, tubes: Tubes, beta: Sequence[Any], parts: Sequence[RobotSection]) -> list[list[Node]]:
-        """Return what twists the tubes at the nodes, as elastic/stability.py takes it, with the moment along the
-        rod as one from outside.
+        """Return the rod's nodes for elastic/stability.py, with the moment along the rod as one from outside.
 
         tubes, beta, parts: those that the rod was integrated with.
         """
@@ -96,14 +95,16 @@ def integrate_rod(
 ) -> Rod:
     """Integrate the rod of a tip to the base, with the classical method of Runge and Kutta of order 4.
 
-    tubes, beta, parts: of the robot, extensions in mm, sections from base to tip. kind: which of the load's terms
-    count. xp: casadi or numpy. steps: in each section. soft: softness of the responses; None for no responses.
-    section_forces: forces per length, N/mm, that act along each of the parts beside the tubes' weights. Raises
-    LoadError of a helix.
+    tubes, beta, parts: of the robot, extensions in mm, sections from base to tip. load: what acts, of which kind
+    selects the terms that count. xp: casadi or numpy. steps: in each section. soft: softness of the responses;
+    None for no responses. section_forces: forces per length, N/mm, that act along each of the parts beside the
+    tubes' weights. Raises LoadError for a helix.
     """
     check_kinds([tube.kind for tube in tubes])
     d = len(tubes)
     force = load.force
+    # A moment about the tip's tangent alone needs no axes of the tool, which saves operations in most kinds of
+    # rods.
     axial = load.tool_moment[2]
     moment = scale_vector(axial, tip.axes[2])
     twistable = tubes[-1].torsional_ratio / tubes[-1].bending_stiffness
@@ -111,7 +112,7 @@ def integrate_rod(
         force = plus(force, 1.0, _tool_to_base(tip, load.tool_force, xp))
     if kind.bends:
         moment = plus(load.moment, 1.0, _tool_to_base(tip, load.tool_moment, xp))
-        # What acts about the tip's tangent twists the innermost tube, which alone reaches the tip.
+        # The moment about the tip's tangent twists the innermost tube, which alone reaches the tip.
         axial = dot(moment, tip.axes[2])
     # psi_i' = 0 at free ends; 0 times an angle has the shape of a column, or is a symbol.
     rates = [*[0.0 * tip.angles[0]] * (d - 1), axial * twistable]
@@ -135,6 +136,7 @@ def integrate_rod(
             if by and (step + 1 == steps or (step + 1) % RESPONSE_RESTART_STEPS == 0):
                 by = _restart_responses(by, responses, d, xp)
         states.append(nodes[::-1])
+        # Weights are dead loads in the base's directions: the internal force grows by that of the section.
         force = plus(force, part.length, weight)
     if by:
         for i, tube in enumerate(tubes):
@@ -172,8 +174,7 @@ def _plus(begin: tuple[Values, Values], changes: tuple[Values, Values]) -> tuple
 
 
 def _changes(tip: Tip, load: Loading, kind: RodKind, twistable: Any, xp: Any) -> Values:
-    """Return the responses at the tip: what turns about d_1 and d_2 and changes of angles make of all that is
-    integrated.
+    """Return the initial responses at the tip, to turns about d_1 and d_2 and to changes of angles.
 
     twistable: 1 / GJ_d, of the innermost tube. xp: casadi or numpy.
     """
@@ -196,19 +197,19 @@ def _changes(tip: Tip, load: Loading, kind: RodKind, twistable: Any, xp: Any) ->
 
 
 def _restart_responses(by: Values, responses: list[list[Any]], d: int, xp: Any) -> Values:
-    """Begin responses anew at this place: return `by` as what changes of this place make of all that responds.
+    """Restart responses at this place: return `by` as responses to changes of this place.
 
-    The responses of this place over the place before are appended. They are inverted by elimination without a
-    choice of pivots, which are positive where a robot is stable (stability.py).
+    The responses of this place over the place before are appended to `responses`. They are inverted by elimination
+    without a choice of pivots, which are positive where a robot is stable (stability.py).
     """
     a, b, c = by[2 * d : 2 * d + 3]
-    # An angle in space is psi plus the spin c of the frame it is told in. Only such sums matter, so that d + 2
-    # numbers describe a place.
+    # An angle in space is psi plus the spin c of its frame. Only such sums matter, so that d + 2 numbers describe
+    # a place.
     rows = [a, b, *(c + psi for psi in by[:d])]
     responses.append(rows)
     for k, unit in enumerate(_units(d + 2, xp)):
-        # Gauss and Jordan's elimination on columns: column k becomes a unit vector, and all that responds is
-        # changed alike.
+        # Gauss and Jordan's elimination on columns: column k becomes a unit vector, and all responses are changed
+        # alike.
         change = (unit - rows[k]) / rows[k][:, k : k + 1]
         rows, by = ([row + row[:, k : k + 1] * change for row in some] for some in (rows, by))
     return by
@@ -220,8 +221,9 @@ def _units(size: int, xp: Any) -> list[Any]:
 
 
 def _tool_to_base(tip: Tip, vector: Vector, xp: Any) -> Vector:
-    """Return a vector that is given in the tool's directions in those of the base; the tool's x bends with the
-    innermost tube.
+    """Return a vector, given in the tool's directions, in those of the base.
+
+    The tool's x bends with the innermost tube.
     """
     cos, sin, (d1, d2, t) = xp.cos(tip.angles[-1]), xp.sin(tip.angles[-1]), tip.axes
     x = cos * vector[0] - sin * vector[1]

@@ -1,8 +1,8 @@
-"""Loads as the rod's equations take them, and the kinds of rods that they make.
+"""Loads in the form that the rod's equations take, and the kinds of rods that they make.
 
 A kind says which terms the equations contain; within it, all loads share one compiled program, whose parameters
-are the load's numbers (loads/load.py). A force along the body begins and ends within FORCE_EDGE_HALF_WIDTH_MM of
-its places instead of at once, so that shapes stay smooth functions of the extensions.
+are the load's numbers (loads/load.py). A force along the body sets in and ends within FORCE_EDGE_HALF_WIDTH_MM of
+its places instead of abruptly, so that shapes stay smooth functions of the extensions.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ FORCE_EDGE_HALF_WIDTH_MM = 0.25
 
 
 class Loading(NamedTuple):
-    """A load's numbers (loads.Load.numbers) as the equations take them: numbers, columns (T, 1), or symbols.
+    """A load's numbers (loads.Load.numbers) split into vectors: of numbers, columns (T, 1), or symbols.
 
     force: at the tip, N, in the base's directions. tool_force: at the tip, N, in those of the tip. moment,
     tool_moment: at the tip, N mm, likewise. distributed: N/mm, in the base's directions, which acts between two
@@ -45,7 +45,10 @@ class Loading(NamedTuple):
 
 
 def check_kinds(kinds: Sequence[Kind]) -> None:
-    """Raise LoadError of a helix: the equations of a loaded rod are written for tubes that bend in a plane."""
+    """Raise LoadError if the kinds of a robot's tubes include a helix.
+
+    The equations of a loaded rod are written for tubes that bend in a plane.
+    """
     for i, kind in enumerate(kinds, start=1):
         if kind == "helix":
             raise LoadError(
@@ -54,7 +57,7 @@ def check_kinds(kinds: Sequence[Kind]) -> None:
 
 
 def loading(values: Sequence[Any]) -> Loading:
-    """Split a load's numbers, in the order of loads.Load.numbers, into the vectors of a Loading."""
+    """Split the values of a load's numbers, in the order of loads.Load.numbers, into the vectors of a Loading."""
     force, tool_force, moment, tool_moment, distributed = vectors(values[: FORCE_RANGE_COLUMNS.start])
     begin, end = values[FORCE_RANGE_COLUMNS]
     return Loading(
@@ -64,9 +67,9 @@ def loading(values: Sequence[Any]) -> Loading:
 
 @dataclass(frozen=True)
 class DistributedForce:
-    """A force per length, N/mm, that acts between two places, mm from the opening, of a robot of a length in mm.
+    """A force per length, N/mm, between two places, mm from the opening, on a robot of a given length, mm.
 
-    xp: casadi or numpy, with which it is evaluated.
+    xp: casadi or numpy.
     """
 
     force: Vector
@@ -75,10 +78,11 @@ class DistributedForce:
     xp: Any
 
     def beyond(self, s: Any) -> Any:
-        """Return the length from s to the tip along which the force acts, mm; times the force it is what acts
-        beyond s.
+        """Return the length from s to the tip along which the force acts, mm.
+
+        Multiplied by the force, it is the load beyond s.
         """
-        # Where the robot ends before the force does, what lies beyond its tip is taken off.
+        # Where the robot ends before the force does, the part beyond its tip is subtracted.
         return self._after(s) - self._after(self.length)
 
     def _after(self, s: Any) -> Any:
@@ -97,7 +101,7 @@ class DistributedForce:
 
 
 def scale_loads(acting: Array, part: Array) -> Array:
-    """Return numbers (.., l) of loads of which only parts (..), from 0 to 1, act yet.
+    """Return the numbers (.., l) of loads (acting) of which only a fraction (part, (..), from 0 to 1) is applied.
 
     The places between which a force along the body acts are no forces, and are not scaled.
     """
@@ -111,8 +115,8 @@ class RodKind(NamedTuple):
 
     follows: a force at the tip turns with the tool. bends: a moment acts at the tip that is not about its
     direction. distributed: a force acts between two places along the body. weighs: tubes have a weight. pieces:
-    number of pieces into which every section is divided, along each of which a force per length of its own acts,
-    or 0 where none does. Numbers of a load whose term a kind does not contain are ignored.
+    number of pieces into which every section is divided, each with a force per length of its own, or 0 where there
+    are none. Numbers of a load whose term a kind does not contain are ignored.
     """
 
     follows: bool = False
@@ -127,7 +131,7 @@ class RodKind(NamedTuple):
         return cls(load.has_follower_force, load.has_tip_moment, load.has_distributed_force, load.has_weight)
 
     def split_sections(self, parts: Sequence[RobotSection]) -> list[RobotSection]:
-        """The sections, or their pieces, from base to tip."""
+        """Return the sections (parts), or their pieces, from base to tip."""
         return (
             [piece for part in parts for piece in part.split_evenly(self.pieces)] if self.pieces else list(parts)
         )
@@ -140,7 +144,11 @@ class RodKind(NamedTuple):
         return LOADED_STEPS_PER_SECTION * (2 if self.distributed else 1) // max(self.pieces, 1)
 
     def numbers(self, structure: Structure) -> int:
-        """How many numbers a load has: of loads.Load.numbers, and then three of every piece, N/mm, if any."""
+        """Return how many numbers a load of a robot has: of loads.Load.numbers, and three for every piece, N/mm,
+        if any.
+
+        structure: of the robot, whose tubes determine the number of sections.
+        """
         d = structure.d
         shown = structure.transmission_emerges
         # Sections lie between neighbouring tips; each is divided once more for every tube present whose straight

@@ -1,8 +1,8 @@
-"""The shape of a loaded robot as symbols of a program: every x = (phi, beta, w) of tips.py is an equilibrium.
+"""The shape of a loaded robot in symbols: every x = (phi, beta, w) of tips.py is an equilibrium.
 
-It is integrated from its tip, and where its base then points tells theta, but for a pole at theta_x = 90 deg.
-Where theta is an unknown beside x, two equations say that the base points where theta has it: these have no pole.
-Angles are in rad, lengths in mm; R is that of eq. (4).
+It is integrated from its tip, and the direction of its base then determines theta, but for a pole at theta_x = 90
+deg. Where theta is an unknown beside x, two equations say that the base points where theta has it: these have no
+pole. Angles are in rad, lengths in mm; R is that of eq. (4).
 """
 
 from __future__ import annotations
@@ -24,7 +24,9 @@ from ctr_nlp.robot.structure import Structure, Tubes
 from ctr_nlp.typing import Vector
 
 LOADED_NLP_STEPS_PER_SECTION = 4
-"""Steps of integration a section in a nonlinear program: 0.02 mm at 0.3 N, where a forward solution has 0.001."""
+"""Steps of integration a section in a nonlinear program: an error of 0.02 mm at 0.3 N, where evaluations have
+0.001.
+"""
 
 
 def build_loaded_shape(
@@ -41,7 +43,7 @@ def build_loaded_shape(
 
     load: its numbers, as symbols. kind: of the rod. structure, tubes: of the robot. sample_lengths: returns arc
     lengths of samples, mm, for extensions. margin: least stability margin, None for none. tangents: whether these
-    are wanted at samples. tilted: whether theta is an unknown beside x.
+    are needed at samples. tilted: whether theta is an unknown beside x.
     """
     d = structure.d
     x = ca.SX.sym("x", 2 * structure.d + 2)
@@ -57,6 +59,8 @@ def build_loaded_shape(
     parts = sections(tubes, beta, ca, planes=False)
     rod = integrate_rod(tubes, tip, beta, parts, load, kind, ca, LOADED_NLP_STEPS_PER_SECTION)
     # One polynomial for the tangent of each section: its coefficients are vectors, and samples are linear in them.
+    # travels counts steps of two intervals each, as torsion.twist has them: LOADED_NLP_STEPS_PER_SECTION intervals
+    # here.
     lengths, turns = travels(tubes, beta, parts, sample_lengths(beta), ca, LOADED_NLP_STEPS_PER_SECTION // 2)
     curves = [vector for at in rod.tangents for vector in powers(at)]
     held = ca.SX.sym("theta", 2 * tilted)
@@ -70,9 +74,9 @@ def build_loaded_shape(
     of_base = _base_misalignment(rod, base) if tilted else theta
     values = [ca.horzcat(*lengths), matrix_of(curves), ca.vertcat(*alpha), ca.vertcat(*of_base)]
     if margin is not None:
-        # The moment along the rod is held as it is while tubes turn, which takes a fifteenth of the operations of
-        # the exact responses, and is off by up to 0.03 at 0.3 N. Plans are followed with exact margins afterwards
-        # (steer/realised.py, held_between).
+        # The moment along the rod is frozen while tubes turn, which takes a fifteenth of the operations of the
+        # exact responses, and is off by up to 0.03 at 0.3 N. Finished plans are judged with exact margins
+        # (loaded/stability.py).
         found_at = responses(
             tubes, beta, parts, rod.nodes(tubes, beta, parts), margin, ca, include_common_turn=True
         )
@@ -90,6 +94,8 @@ def build_loaded_shape(
     x = ca.vertcat(x, held)
     rows = x.numel()
     at = rows - 2 if tilted else rows + d
+    # As SymbolicShape.picks counts: alpha is in the rows after x; theta is in x if tilted, else in the rows after
+    # alpha.
     picks = (*range(rows, rows + d), *range(d, 2 * d), at, at + 1, *range(d))
     stable = None if margin is None else others[0]
     told = {"aside" if tilted else "theta": second}
@@ -102,8 +108,8 @@ def tilt(t: Vector) -> tuple[Any, Any]:
 
 
 def _base_misalignment(rod: Rod, base: tuple[Vector, Vector, Vector]) -> tuple[Any, Any]:
-    """Return by how much the rod's base points aside of the third column of R of eq. (4): sines, about rad where
-    small.
+    """Return the angles between the rod's base and the third column of R of eq. (4): sines, about rad
+    where small.
     """
     return dot(base[0], rod.axes[2]), dot(base[1], rod.axes[2])
 

@@ -1,14 +1,15 @@
-"""Whether an equilibrium of a loaded robot is stable, and how far from the snap and from buckling.
+"""Stability of equilibria of a loaded robot, and their distance from snapping and from buckling.
 
 A load that keeps its direction has an energy, of which K is the torsional part of the second variation, B that of
 bending and V the rest. Jacobi's condition: as seen from the tip, responses D of all that can move (rod.Rod) stay
-regular down to the base and on through the transmissions. With torsion that gives in 1 / (1 - mu) times as much it
-tells the same of K + V - mu K, so that the stability margin is the least mu at which it fails, as without a load;
-with bending and torsion giving in, it is the least mu of (K + B + V) x = mu (K + B) x, the margin to buckling.
+regular down to the base and on through the transmissions. With torsion that is softer by 1 / (1 - mu) the same
+test decides whether K + V - mu K is positive definite, so that the stability margin is the least mu at which it
+fails, as without a load; with bending and torsion both softer, it is the least mu of (K + B + V) x = mu (K + B) x,
+the margin to buckling.
 
-Where two eigenvalues pass at once, as at Euler's load, det D has a double root and keeps its sign. Therefore not
-determinants are looked at but the pivots of D from place to place, which is the stiffness of what lies beyond a
-place but for a positive factor: one of them is negative for every direction that gave way.
+Where two eigenvalues pass zero together, as at Euler's load, det D has a double root and keeps its sign. Therefore
+the test uses the pivots of D from place to place, which is, but for a positive factor, the stiffness of the part
+beyond a place: there is a negative pivot for every direction that has lost its stability.
 """
 
 from __future__ import annotations
@@ -28,12 +29,14 @@ LOADED_MARGIN_TOLERANCE = 1e-7
 
 
 def margins(equilibria: LoadedEquilibria, states: States, bending: bool = False) -> Array:
-    """Return the stability margins (T,) of states; with `bending`, their margins to buckling, where bending is
-    soft as well.
+    """Return the stability margins (T,) of states.
+
+    With `bending`, they are margins to buckling, where bending is soft, too. equilibria: solver of the robots'
+    structure and kind of load.
     """
 
     def held(at: Array, rows: Index) -> Array:
-        """Determinants at margins of rows, but with the sign of what holds: also where two directions give way."""
+        """Return determinants at margins `at` of some rows; negative where any pivot is."""
         found = _pivots_at(equilibria, states.rows(rows), at, bending)
         with np.errstate(over="ignore", invalid="ignore"):
             # The determinant is the product of pivots: smooth in the margin, as root finding wants it, while the
@@ -43,7 +46,7 @@ def margins(equilibria: LoadedEquilibria, states: States, bending: bool = False)
 
     every = np.arange(len(states.q))
     stable = held(np.zeros(len(every)), every) > 0
-    # The sign at margin 0 tells on which side of it the root lies: in [0, MAX_COMPUTED_MARGIN] of a stable robot,
+    # The sign at margin 0 shows on which side of it the root lies: in [0, MAX_COMPUTED_MARGIN] of a stable robot,
     # below 0 otherwise.
     low = np.where(stable, 0.0, -1.0)
     high = np.where(stable, MAX_COMPUTED_MARGIN, 0.0)
@@ -64,17 +67,17 @@ def margins(equilibria: LoadedEquilibria, states: States, bending: bool = False)
 
 
 def least_margins(equilibria: LoadedEquilibria, states: States, groups: Index, known: Array) -> Array:
-    """Return the least stability margin of the states in each of n groups, or the one known of it, (n,), if that
-    is less.
+    """Return the least stability margin (n,) of the states in each of n groups, or the known one if that is less.
 
-    groups (T,): number of each state's group, from 0. Only states that have less than the least known are looked
-    at: all are tested at that margin in one batch, and of each group the one whose last pivot is least, which is
-    likely to have the least margin, is solved for.
+    equilibria: solver of the robots' structure and kind of load. groups (T,): number of each state's group, from
+    0. known (n,): an upper bound for each group. Only states below that bound are solved for: all are tested at it
+    in one batch, and of each group the one whose last pivot is least, which is likely to have the least margin, is
+    solved for.
     """
     least = known.copy()
     left = np.arange(len(groups))
     while True:
-        # One integration of the rod tells whether a state's margin is above a given one; finding the margin takes
+        # One integration of the rod shows whether a state's margin is above a given one; finding the margin takes
         # several.
         at = np.clip(least[groups[left]], MIN_REPORTED_MARGIN, MAX_COMPUTED_MARGIN)
         found = _pivots_at(equilibria, states.rows(left), at, False)
@@ -91,23 +94,22 @@ def least_margins(equilibria: LoadedEquilibria, states: States, groups: Index, k
 
 
 def _pivots_at(equilibria: LoadedEquilibria, states: States, margin: Array, bending: bool) -> Array:
-    """Return the pivots (T, k, d + 2) of states at margins (T,); bending: whether bending is soft as well."""
-    # K + V - mu K has torsion stiffer by 1 - mu: it gives in 1 / (1 - mu) times as much.
+    """Return the pivots (T, k, d + 2) of states at margins (T,); bending: whether bending is soft, too."""
+    # K + V - mu K has torsion of stiffness 1 - mu, that is of the compliance 1 / (1 - mu).
     torsion = 1 / (1 - margin)
     soft = np.stack([torsion, torsion if bending else np.ones_like(torsion)], axis=1)
     return pivots(equilibria.ends_of(states, soft).responses)
 
 
 def _positive(found: Array) -> Flags:
-    """Return whether no direction gives way, (T,): all pivots (T, k, d + 2) are positive numbers."""
+    """Return whether all directions are stable, (T,): all pivots (T, k, d + 2) are positive numbers."""
     return np.asarray((found > 0).all(axis=(1, 2)))
 
 
 def pivots(responses: Array) -> Array:
-    """Return the pivots (T, k, d + 2) of responses (T, k, d + 2, d + 2), by Gauss's elimination without exchanges
-    of rows.
+    """Return the pivots (T, k, d + 2) of responses (T, k, d + 2, d + 2), without row exchanges.
 
-    NaN where responses are not finite. Exchanges would make signs of pivots meaningless.
+    By Gauss's elimination; NaN where responses are not finite. Exchanges would make signs of pivots meaningless.
     """
     left = responses.copy()
     found = np.empty(responses.shape[:3])

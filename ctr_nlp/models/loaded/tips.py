@@ -21,8 +21,9 @@ def axes_of(vectors: tuple[Vector, Vector, Vector]) -> Array:
 
 
 def turn_tips(angles: Array, axes: Array, step: Array) -> tuple[Array, Array]:
-    """Return tips (T, d), (T, 3, 3) after changes (T, d + 2): turns about their own d_1 and d_2, and of the
-    angles.
+    """Return tips after changes step (T, d + 2): turns about d_1 and d_2, and changes of the angles, rad.
+
+    angles (T, d), rad, and axes (T, 3, 3): of the tips, which turn about their own axes.
     """
     turns = np.concatenate([step[:, :2], np.zeros((len(step), 1))], axis=1)
     # Axes are rows here: the turn in the tip's own axes is applied from the left, transposed.
@@ -36,8 +37,8 @@ def rotations(vectors: Array) -> Array:
     x, y, z = vectors.T
     none = np.zeros_like(x)
     cross = np.array([[none, -z, y], [z, none, -x], [-y, x, none]]).transpose(2, 0, 1)
-    # numpy's sinc(x) is sin(pi x) / (pi x): sin(a) / a and (1 - cos a) / a^2 = (sin(a/2) / (a/2))^2 / 2, smooth at
-    # 0.
+    # numpy's sinc(x) is sin(pi x) / (pi x), so that these are sin(a) / a and (1 - cos a) / a^2 = (sin(a/2) /
+    # (a/2))^2 / 2, smooth at 0.
     return np.eye(3) + np.sinc(angle / np.pi) * cross + np.sinc(angle / (2 * np.pi)) ** 2 / 2 * cross @ cross
 
 
@@ -58,6 +59,8 @@ def unknowns(angles: Array, axes: Array, q: Array) -> Array:
     # The angle by which the given frame is spun from the one that w makes is added to the innermost angle; the
     # others are relative to it.
     spun = angles[:, -1] + np.arctan2(sin, cos)
+    # Whole turns of all tubes together do not change the shape; the one nearest to alpha_d is taken here, and
+    # follower.py makes it continuous along a motion.
     spun -= 2 * np.pi * np.round((spun - q[:, d - 1]) / (2 * np.pi))
     return np.hstack([angles[:, :-1] - angles[:, -1:], spun[:, None], q[:, d : 2 * d], w])
 
@@ -75,4 +78,8 @@ def tip_angles(x: Array, d: int) -> Array:
 
 
 def _frames(w: Array) -> Array:
+    """Return the frames (T, 3, 3) of rotation vectors (w_1, w_2, 0), w (T, 2) in rad, row by row d_1, d_2
+    and t.
+    """
+    # Transposed, since the axes are the columns of a rotation matrix and rows here.
     return np.swapaxes(rotations(np.hstack([w, np.zeros((len(w), 1))])), 1, 2)

@@ -14,7 +14,7 @@ def vectors(values: Sequence[Any]) -> list[Vector]:
 
 
 def dot(a: Vector, b: Vector) -> Any:
-    """Return the scalar product."""
+    """Return the scalar product a . b."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 

@@ -1,6 +1,6 @@
-"""A load: what pulls at a robot's tip, turns it, pushes along its body, and weighs on its tubes.
+"""A load: forces and moments at a robot's tip, a force along its body, and the weight of its tubes.
 
-:meth:`Load.numbers` writes it as one row of 17 + 3d numbers, which is all that models see of it:
+:meth:`Load.numbers` writes it as one row of 17 + 3d numbers, the only form in which models take it:
 
     0:3    force at the tip, base directions, N          9:12   moment at the tip, tool directions, N mm
     3:6    force at the tip, tool directions, N         12:15   force along the body, base directions, N/mm
@@ -27,7 +27,7 @@ from ctr_nlp.typing import Array
 LOAD_AXES = "base", "tool"
 """Frames in which a force and a moment at the tip may be given: the robot's base, or its tip."""
 MAX_LOAD_FORCE_N, MAX_LOAD_MOMENT_N_MM, MAX_LOAD_FORCE_N_PER_MM = 100.0, 1000.0, 10.0
-"""Largest tip force, N, moment, N mm, and force per length, N/mm: some hundred times what robots bear."""
+"""Largest tip force, N, moment, N mm, and force per length, N/mm: some hundred times what robots can carry."""
 TUBE_DENSITY_RANGE_G_PER_CM3 = (0.5, 25.0)
 """Least and largest density of a tube, g/cm^3, from light polymers to beyond platinum."""
 GRAVITY = 9.80665
@@ -97,6 +97,7 @@ class Load:
     moment: Any = (0.0, 0.0, 0.0)
 
     def __post_init__(self) -> None:
+        # The dataclass is frozen: its own fields can be normalised only this way.
         for f in fields(self):
             object.__setattr__(self, f.name, to_nested_tuples(getattr(self, f.name)))
         if self.axes not in LOAD_AXES:
@@ -177,7 +178,7 @@ class Load:
         return self.densities is not None
 
     def check(self, robot: Robot) -> None:
-        """Check that a robot can bear the load.
+        """Check that the load fits a robot.
 
         Parameters
         ----------
@@ -324,7 +325,7 @@ class Load:
 
 
 def _check_size(name: str, value: float, most: float, units: tuple[str, ...]) -> None:
-    """Raise LoadError where a value is larger than any robot of this kind bears.
+    """Raise LoadError where a value is larger than any robot of this kind can carry.
 
     name: of the value in the message; most: the largest size allowed; units: that of the value first, then smaller
     ones, each a thousandth of the one before, of which the message offers those that make the value plausible.

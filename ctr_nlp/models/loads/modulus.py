@@ -12,7 +12,7 @@ from ctr_nlp.support.value_checks import number
 MODULUS_RANGE_MPA = (100.0, 500_000.0)
 """Least and largest modulus of a tube, MPa, from soft polymers to beyond steel."""
 MAX_MODULUS_RATIO = 10.0
-"""A modulus of less is a ratio to those of other tubes, or written in GPa."""
+"""Largest number that is read as a ratio to the moduli of other tubes, or as written in GPa."""
 MODULUS_REMEDY = (
     "; this one looks like a ratio, which is enough without loads: write moduli into the robot file, or give one "
     "by with_modulus (--youngs-modulus)"
@@ -22,7 +22,7 @@ PA, GPA = 1e-6, 1e3
 
 
 def check_moduli(robot: Robot) -> None:
-    """Raise LoadError unless every tube has a Young's modulus in MPa, which a load needs."""
+    """Raise LoadError unless every tube of a robot has a Young's modulus in MPa, which a load needs."""
     for i, tube in enumerate(robot.tubes, start=1):
         value, (low, high) = tube.youngs_modulus, MODULUS_RANGE_MPA
         if low <= value <= high:
@@ -36,10 +36,10 @@ def check_moduli(robot: Robot) -> None:
 
 
 def with_modulus(robot: Robot, modulus: float) -> Robot:
-    """The robot with youngs_modulus in MPa, where its tubes have only ratios; shapes without load stay the same.
+    """Return the robot with youngs_modulus in MPa, where its tubes have only ratios.
 
-    modulus: in MPa, of a tube whose ratio is 1; the others keep their ratio to it. A robot whose tubes have moduli
-    in MPa, of which this is one, stays as it is. Raises LoadError.
+    Shapes without load stay the same. modulus: in MPa, of a tube whose ratio is 1; the others keep their ratio to
+    it. A robot whose tubes have moduli in MPa, of which this is one, stays as it is. Raises LoadError.
     """
     low, high = MODULUS_RANGE_MPA
     value = number(
@@ -50,6 +50,8 @@ def with_modulus(robot: Robot, modulus: float) -> Robot:
         f"be in MPa and lie in [{low:g}, {high:g}]{did_you_mean(_suggest_moduli(modulus))}",
     )
     own = [tube.youngs_modulus for tube in robot.tubes]
+    # A larger number cannot be a ratio, so that the file has moduli already, and a second scale would be a
+    # mistake.
     if max(own) > MAX_MODULUS_RATIO:
         check_moduli(robot)
         if value not in own:
@@ -66,7 +68,7 @@ def with_modulus(robot: Robot, modulus: float) -> Robot:
 
 
 def _suggest_moduli(value: object) -> list[str]:
-    """The moduli in MPa that one in GPa or Pa was perhaps meant to be."""
+    """Return the moduli in MPa that one in GPa or Pa was perhaps meant to be."""
     if not isinstance(value, int | float):
         return []
     plausible = between(*MODULUS_RANGE_MPA)

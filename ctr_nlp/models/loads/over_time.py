@@ -23,7 +23,7 @@ LOADS_OVER_TIME_KEY, LOAD_TIME_KEY = "over_time", "at"
 @packable("load over time")
 @dataclass(frozen=True)
 class LoadOverTime:
-    """Loads that a robot bears one after the other during a motion, changing linearly from each to the next.
+    """Loads on a robot during a motion, one after the other, changing linearly from each to the next.
 
     Parameters
     ----------
@@ -41,7 +41,7 @@ class LoadOverTime:
     Examples
     --------
     >>> load = LoadOverTime([Load(), Load(force=(0.0, 0.2, 0.0))], [0.0, 1.0])
-    >>> load.over(3, np.array([0.0, 0.5, 1.0]))[:, 1].tolist()
+    >>> load.numbers_at(3, np.array([0.0, 0.5, 1.0]))[:, 1].tolist()
     [0.0, 0.1, 0.2]
     """
 
@@ -89,7 +89,7 @@ class LoadOverTime:
         return any(load.has_weight for load in self.loads)
 
     def check(self, robot: Robot) -> None:
-        """Check that a robot can bear each of the loads.
+        """Check that each of the loads fits a robot.
 
         Parameters
         ----------

@@ -42,7 +42,7 @@ MIN_RELATIVE_CURVATURE_CHANGE = 1e-9
 structure.
 """
 RULE_BOUND_MARGIN = 1e-7
-"""Distance within its bounds by which a rule is kept, so that rounding does not break it."""
+"""Distance from its bounds that a rule keeps, so that rounding does not violate it."""
 
 RULE_VALUE_DECIMALS = 12
 """Digits after the point of rules' values, and of lengths in mm: sums of decimal numbers are off by less."""
@@ -129,7 +129,7 @@ class DesignedTubes:
         return np.array([*curvatures, *lengths, *diameters])
 
     def robot_of(self, p: Array) -> Robot:
-        """The robot with the tubes of p, which may be pushed out by all of their curved parts."""
+        """Return the robot with the tubes of p (P,), which may be pushed out by all of their curved parts."""
         curvatures, lengths, diameters = self._split(p)
         tubes = list[Tube]()
         for i, (tube, (outer, inner)) in enumerate(zip(self.robot.tubes, diameters.tolist(), strict=True)):
@@ -150,7 +150,7 @@ class DesignedTubes:
         return replace(self.robot, tubes=tuple(tubes), limits=limits)
 
     def _split(self, p: Any) -> tuple[Any, Any, Any]:
-        """Curvatures (c,), lengths (d,) and diameters (d, 2) of p, in its units."""
+        """Split p into curvatures (c,), lengths (d,) and diameters (d, 2), in its units."""
         count = len(self._curvatures)
         d = self.robot.d
         diameters = p[count + d :]
@@ -184,7 +184,7 @@ class DesignedTubes:
 
     @cached_property
     def program(self) -> Nlp:
-        """The program over p: rows that give frames their freed numbers, then the rules; and a pull towards near.
+        """The program over p: rows with the frames' free numbers, the rules, and a proximal term towards near.
 
         Parameters: near (P, 1), pull (1, 1) in mm^2 a squared unit.
         """
@@ -219,7 +219,7 @@ class DesignedTubes:
     def _rules(
         self, curvatures: ca.SX, stiffness: ca.SX, lengths: ca.SX, outer: ca.SX, inner: ca.SX
     ) -> list[tuple[str, ca.SX, float, float]]:
-        """Rules of manufacture: name, value, and lower and upper bound, each."""
+        """Return the rules of manufacture: name, value, and lower and upper bound, each."""
         rules = self.rules
         d = self.robot.d
         gap = self.robot.carriage_gap or 0.0
@@ -264,8 +264,9 @@ class DesignedTubes:
         return found
 
     def common(self, scenarios: Scenarios, near: Array, pull: float) -> CommonUnknowns:
-        """Common unknowns of a shared motion: this program, pulled towards near (P,) by so many mm^2 a squared
-        unit.
+        """Return the common unknowns of a shared motion of scenarios: this program, with its proximal term.
+
+        near (P,): towards which p is pulled, by `pull` mm^2 a squared unit.
         """
         places = locate_free_numbers(self.robot.structure, self.free_number_names)
         numbers = scenarios.numbers[:, [i for i, _ in places], [columns[0] for _, columns in places]]
@@ -275,7 +276,7 @@ class DesignedTubes:
         return CommonUnknowns(self.program, numbers / numbers[0], parameters, *self.box)
 
     def rule_values(self, p: Array) -> list[RuleValue]:
-        """The rules' values and bounds at p."""
+        """Return the rules' values and bounds at p (P,)."""
         parameters = self.program.pack({"near": p, "pull": 0.0})
         g = self.program.functions.value(p, parameters)[1].full().ravel()
         found = list[RuleValue]()
@@ -290,21 +291,22 @@ class DesignedTubes:
         return found
 
     def satisfies_rules(self, p: Array) -> bool:
-        """Whether the tubes of p can be made."""
+        """Return whether the tubes of p (P,) satisfy rules and bounds."""
         lower, upper = self.box
         good = all(rule.lower <= rule.value <= rule.upper for rule in self.rule_values(p))
         return good and bool(((lower <= p) & (p <= upper)).all())
 
 
 def _end_text(columns: Sequence[int]) -> str:
-    """Text for the end of a curved part at which a pre-curvature is, by its columns in TUBE_NUMBER_NAMES; empty
-    for an arc.
+    """Return the text for the end of a curved part with a pre-curvature, by its columns in TUBE_NUMBER_NAMES.
+
+    Empty for an arc, whose two ends share it.
     """
     return "" if len(columns) > 1 else f" at its {TUBE_NUMBER_NAMES[columns[0]].partition('_')[0]}"
 
 
 def with_linear_curvatures(robot: Robot) -> Robot:
-    """The robot with arcs as curved parts of linear curvature, all but constant."""
+    """Return the robot with arcs as curved parts of linear curvature, all but constant."""
     tubes = (
         replace(tube, curvature=(tube.root_curvature, tube.tip_curvature * (1 + MIN_RELATIVE_CURVATURE_CHANGE)))
         if kind == "arc"
@@ -315,5 +317,5 @@ def with_linear_curvatures(robot: Robot) -> Robot:
 
 
 def _rule_constraint(name: str, value: ca.SX, lower: float, upper: float) -> Constraint:
-    """A constraint that keeps a rule RULE_BOUND_MARGIN its bounds."""
+    """Return a constraint that keeps a rule RULE_BOUND_MARGIN within its bounds."""
     return Constraint(name, value, np.array([lower + RULE_BOUND_MARGIN]), np.array([upper - RULE_BOUND_MARGIN]))

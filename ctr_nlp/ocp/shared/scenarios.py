@@ -3,12 +3,13 @@
 alpha, beta and theta of every frame belong to all of S robots, and each has tips phi of its own, which its motors'
 angles and their offsets determine: alpha(phi_s, beta; tubes_s) = alpha + offset_s, in rad. The weighted mean of
 their shape errors and the motion (9) are minimised, in mm^2. Each robot keeps a stability margin, and tips near
-the first's, so that all are on one branch at a bifurcation, which the margin does not see. Nor does it see a
-bifurcation between two frames: the first's tips turn by little more than its motors from frame to frame. Guards
-are scenarios that only have to stay stable: less margin does for them, and tips that are further away.
+the first's, so that all are on one branch at a bifurcation, which the margin does not detect. Nor does it detect a
+bifurcation between two frames: the first's tips turn by little more than its motors from frame to frame.
+Constraint scenarios only have to stay stable: less margin suffices for them, and tips may be further away.
 
-Robots may have a load, each a force of its own at its tip beside it. Then the turn w of the tip's axes is also an
-unknown of each robot's own, and an equation says that its base points where theta has it (models/loaded/shape.py).
+Robots may have a load, and in addition each a force of its own at its tip. Then the turn w of the tip's axes is
+also an unknown of each robot's own, and an equation says that its base points where theta has it
+(models/loaded/shape.py).
 """
 
 from __future__ import annotations
@@ -40,14 +41,14 @@ from ctr_nlp.typing import Array, Index
 
 SCENARIO_TIP_LIMIT_RAD, CONSTRAINT_SCENARIO_TIP_LIMIT_RAD = 0.7, 0.9
 """Angles in rad by which a scenario's tips, relative to the innermost one, may differ from the first scenario's
-(SCENARIO_TIP_LIMIT_RAD), and those of a guard (CONSTRAINT_SCENARIO_TIP_LIMIT_RAD), which counts as lost from
-simulation.drawn.APART on.
+(SCENARIO_TIP_LIMIT_RAD), and those of a constraint scenario (CONSTRAINT_SCENARIO_TIP_LIMIT_RAD). Simulated robots
+count as failed beyond plan.sample_motions.MAX_TIP_DIFFERENCE_FROM_NOMINAL_RAD.
 """
 CONSTRAINT_SCENARIO_MARGIN_FRACTION = 0.3
-"""Part of the margin that a guard keeps."""
+"""Fraction of the margin that a constraint scenario keeps."""
 PERTURBED_CONTACT_LIMIT_MM = 0.8
-"""Depth in mm by which a robot other than the nominal one may press into the wall before it costs much; the
-nominal one may less. Simulated robots are judged by 1 mm (plan.sample_outcomes).
+"""Depth in mm by which a perturbed robot may press into the wall before it costs much; the nominal one may less.
+Simulated robots are judged by 1 mm (plan.sample_outcomes).
 """
 NOMINAL_TWIST_STEP_LIMIT_RAD = 0.7
 """Angle in rad by which the first scenario's tips, relative to the innermost one, may turn beyond its motors in a
@@ -78,12 +79,12 @@ def shared_motion(
     free_numbers: tuple[str, ...] = (),
     constraint_scenarios: ConstraintScenarios | None = None,
 ) -> SharedMotion:
-    """The motion through frames, dt s apart, of scenarios of a robot.
+    """Build the motion of scenarios of a robot on a model through frames, dt s apart.
 
-    motion_weight, ends, model, functions, extra: as in horizon.horizon; but tips may turn as they do, and the wall
-    is not a matter of slacks but a smooth cost (terms.touch). margins (T,): the least of every scenario in each
-    frame, None for any; unused on a model that cannot snap. wall: of the lumen. free_numbers: numbers of tubes
-    that are unknowns (frame.program). constraint_scenarios: of these frames. Raises OptionError.
+    motion_weight, ends, functions, extra: as in horizon.horizon; but tips have no limits of steps, and the wall is
+    a smooth cost without slacks (terms.smooth_contact). margins (T,): the least of every scenario in each frame,
+    None for any; unused on a model that cannot snap. wall: of the lumen. free_numbers: numbers of tubes that are
+    unknowns (frame.program). constraint_scenarios: of these frames. Raises OptionError.
     """
     check_scenarios(robot, model, scenarios)
     margins = margins if model.can_snap else None
@@ -92,7 +93,7 @@ def shared_motion(
     terms = (*frame_terms(robot, model, margin, extra), *([] if wall is None else [SmoothContact(robot.d)]))
     frame = program("frame", robot.structure, model, terms, free_numbers)
     each = pack_frames(frame, [fill_parameters(robot, terms, at) for at in frames])
-    # (T, S + K, d, 8): scenarios are the same in every frame, guards differ.
+    # (T, S + K, d, 8): scenarios are the same in every frame, constraint scenarios differ.
     numbers = with_constraint_scenarios(
         scenarios.numbers, None if constraint_scenarios is None else constraint_scenarios.numbers, len(frames)
     )
@@ -115,6 +116,8 @@ def shared_motion(
     if ends.end is not None:
         lower[-1] = upper[-1] = ends.end
     before, after = ([] if q is None else [q] for q in (ends.start, ends.end))
+    # No limits for steps of tips: `twists` below limits those of the first scenario, and `apart` keeps the others
+    # near it.
     links = motion_links(robot, len(frames), dt, motion_weight, before, after, np.zeros(0))
     flat = parameters.reshape(len(frames) * len(eased), -1)
     loads = (
@@ -128,7 +131,7 @@ def shared_motion(
     twists = np.append(np.inf, np.full(len(frames) - 1, NOMINAL_TWIST_STEP_LIMIT_RAD))
     rest = flat, lower, upper, links, apart, twists
     lighter = partial(_reduced_program, frame, robot, model, freed=free_numbers, functions=functions)
-    # Touch is the last of the terms.
+    # SmoothContact is the last of the terms.
     without_wall = None if wall is None else lighter(terms[:-1])
     constraints = [term for term in terms if not term.objective_only]
     bare = lighter(constraints) if len(constraints) < len(terms) else None
@@ -166,12 +169,12 @@ def _reduced_program(
 
 
 def _shared_entries(frame: Nlp, robot: Robot) -> Index:
-    """Positions of beta and theta among a frame's unknowns, (d + 2,)."""
+    """Return the positions of beta and theta among a frame's unknowns, (d + 2,)."""
     return frame.configuration[robot.d : len(robot.axes)]
 
 
 def _local_wall_parameters(wall: Wall, numbers: Array, loads: Array | None, x: Array) -> dict[str, Array]:
-    """Parameters that describe the wall near robots x (T, S, m); robots whose cost is 0 get the first one's."""
+    """Return parameters of the wall near robots x (T, S, m); robots whose cost is 0 get the first one's."""
     n = 2 * numbers.shape[1] + 2  # a tilt that is stored beside the model's unknowns comes after them
     found = wall.scenario_local_parameters(x[:, : len(numbers), :n], numbers, loads)
     # The nominal robot keeps its own limit; perturbed ones may press deeper.

@@ -42,12 +42,16 @@ def join_task_motions(motions: Sequence[SharedMotion], common: CommonUnknowns) -
 
 @dataclass(frozen=True)
 class CurvedPartLimit(Term):
-    """Tubes are pushed out by no more than their curved parts, whatever the length of these."""
+    """A constraint by which tubes are pushed out by no more than their curved parts, of any length."""
 
     name = "curved part"
 
     def build(self, body: Body, parameters: Symbols) -> Parts:
-        """curved_length_i - beta_i >= 0, mm."""
+        """Return the constraints curved_length_i - beta_i >= 0, mm, for the tubes of body.
+
+        parameters: not used.
+        """
+        # A constraint, not a bound of beta: curved lengths may be unknowns of a design.
         room = ca.vertcat(*(tube.curved_length - beta for tube, beta in zip(body.tubes, body.beta, strict=True)))
         least = np.zeros(len(body.tubes))
         most = np.full(len(body.tubes), np.inf)
@@ -55,7 +59,7 @@ class CurvedPartLimit(Term):
 
 
 def _shift_link(link: FrameLink, begin: int, size: int, frame: int) -> FrameLink:
-    """A link over `size` unknowns, its own beginning at entry `begin`, and its frames at `frame`."""
+    """Return a link over `size` unknowns, its own beginning at entry `begin`, and its frames at `frame`."""
     found = link.matrix.tocoo()
     # The same entries, with columns shifted to the task's own unknowns.
     matrix = sp.csr_array((found.data, (found.row, found.col + begin)), shape=(found.shape[0], size))

@@ -1,4 +1,4 @@
-"""Terms of a frame's program, one matter a file: a residual, a cost or a constraint on the robot's shape."""
+"""Terms of a frame's program, one subject a file: a residual, a cost or a constraint on the robot's shape."""
 
 from ctr_nlp.ocp.terms.arrival import ArrivalTerm
 from ctr_nlp.ocp.terms.feasible import Margin, Order

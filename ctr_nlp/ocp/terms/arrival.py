@@ -1,17 +1,17 @@
 """Arrival: the tip at the target's end where the motion ends.
 
-A horizon minimises a mean over frames, eq. (9). Most frames lie in the easy part of a path, so the mean gives the
-last frames away: it ends 2 to 13 mm off where 0.2 mm costs next to no error elsewhere. This term asks for the end.
-In frame j the distance from the tip p to the target's end costs
+A horizon minimises a mean over frames, eq. (9). Most frames lie in the easy part of a path, so the mean neglects
+the last frames: they end 2 to 13 mm off where 0.2 mm would increase the mean hardly at all. This term adds a cost
+of the end. In frame j the distance from the tip p to the target's end costs
 
     w h(|p - p_j| - r - f_j) + (EXCESS_ARRIVAL_FACTOR - 1) w h(|p - p_j| - R - f_j),    f_j = ARRIVAL_FUNNEL_MM (1
     - part_j) / ARRIVAL_MOTION_FRACTION
 
 in the last ARRIVAL_MOTION_FRACTION of the motion, and nothing before. The tip should be within r and has to be
 within R, which is just less than the tolerance that the plan is judged by: beyond R a mm costs
-EXCESS_ARRIVAL_FACTOR times as much. The balls shrink towards the end, so that the tip is led into them instead of
-jumping there in the last frame. h(x) is 0 for x <= 0: a plan that arrives pays nothing. Beyond, h is x -
-PENALTY_ROUNDING_MM / 2, an exact penalty with a rounded corner.
+EXCESS_ARRIVAL_FACTOR times as much. The balls shrink towards the end, so that the tip enters them gradually
+instead of jumping there in the last frame. h(x) is 0 for x <= 0: a plan that arrives pays nothing. Beyond, h is x
+- PENALTY_ROUNDING_MM / 2, an exact penalty with a rounded corner.
 """
 
 from __future__ import annotations
@@ -37,8 +37,9 @@ ARRIVAL_MOTION_FRACTION = 0.1
 ARRIVAL_FUNNEL_MM = 2.0
 """mm by which the ball is larger where the term sets in than in the last frame."""
 AIMED_TOLERANCE_FRACTION, AIMED_TOLERANCE_FRACTION_PERTURBED, REQUIRED_TOLERANCE_FRACTION = 0.15, 0.5, 0.85
-"""Parts of the tolerance: within which the tip should be in the last frame, of the nominal robot and of robots
-that differ from it, and within which it has to be. The rest is left for what is not modelled."""
+"""Fractions of the tolerance: within which the tip should be in the last frame, of the nominal robot and of
+perturbed robots, and within which it has to be. The rest is reserved for effects that are not modelled.
+"""
 EXCESS_ARRIVAL_FACTOR = 3.0
 """How many times more a mm costs beyond what is required."""
 PENALTY_ROUNDING_MM = 0.3
@@ -71,18 +72,18 @@ def smooth_excess(value: Any, width: float = PENALTY_ROUNDING_MM) -> Any:
 
 @dataclass(frozen=True, eq=False)
 class ArrivalTerm(TipOnlyTerm):
-    """Penalise the distance by which the tip misses the target's end, in the last frames of a motion.
+    """The cost of the distance by which the tip misses the target's end, in the last frames of a motion.
 
     Parameters
     ----------
     weight : float
-        What a mm of it costs in a frame, mm^2.
+        Cost of a mm of it in a frame, mm^2.
     radius : float
         Distance from the target's end within which the tip may be in the last frame at no cost, mm.
     required : float
         Distance beyond which each mm costs EXCESS_ARRIVAL_FACTOR times as much, mm.
     perturbed_extra_radius : float
-        How much larger the radius is for robots that differ from the nominal one, mm.
+        How much larger the radius is for perturbed robots than for the nominal one, mm.
     """
 
     weight: float
@@ -93,12 +94,15 @@ class ArrivalTerm(TipOnlyTerm):
     of_settings = True
 
     def parameters(self, structure: Structure) -> Mapping[str, tuple[int, int]]:
-        """The target's end, mm; the weight, mm^2 a mm; the radius and what is required, mm."""
+        """Return shapes of the target's end, mm, the weight, mm^2 a mm, the radius and the required one, mm.
+
+        structure: not used.
+        """
         single = dict.fromkeys(("arrival_weight", "arrival_radius", "arrival_required"), (1, 1))
         return {"arrival_end": (1, 3), **single}
 
     def fill(self, frame: Frame) -> Mapping[str, Any]:
-        """Values for a frame; the weight is 0 before the last part of the motion."""
+        """Return the values for a frame; the weight is 0 before the last part of the motion."""
         return self.values(frame.points[-1:], frame.motion_fraction)
 
     def values(self, end: Array, part: float) -> dict[str, Any]:
@@ -126,7 +130,7 @@ class ArrivalTerm(TipOnlyTerm):
         }
 
     def build(self, body: Body, parameters: Symbols) -> Parts:
-        """One cost, written in the tip's position."""
+        """Return one cost, written in the tip's position: that of body. parameters: symbols by name."""
         # As a layer of its own: second derivatives are taken over three coordinates instead of over x.
         tip = Inner.of([ca.SX(ca.horzcat(*body.points))])
         away = tip.symbols[0] - parameters["arrival_end"]
@@ -137,7 +141,7 @@ class ArrivalTerm(TipOnlyTerm):
 
 
 def with_arrival(terms: Sequence[Term], settings: Settings, model: Model) -> tuple[Term, ...]:
-    """Return terms with the arrival that settings ask for, unless they hold one already.
+    """Return terms with the ArrivalTerm of the settings, unless they contain one already.
 
     Parameters
     ----------
@@ -168,10 +172,10 @@ def with_arrival(terms: Sequence[Term], settings: Settings, model: Model) -> tup
 
 
 def with_frame_arrival(terms: Sequence[Term], settings: Settings, model: Model) -> tuple[Term, ...]:
-    """Return terms of single frames with the arrival that settings ask for; under a load, the terms alone.
+    """Return terms of single frames with the ArrivalTerm of the settings; under a load, the terms alone.
 
-    Under a load, single frames whose tip is led to the end are left unsolved or touch the wall: frames that are
-    solved one after the other cannot prepare for the end.
+    Under a load, single frames with this term remain unsolved or touch the wall: frames that are solved one after
+    the other cannot prepare for the end.
 
     Parameters
     ----------
@@ -187,5 +191,5 @@ def with_frame_arrival(terms: Sequence[Term], settings: Settings, model: Model) 
 
 
 def find_arrival(terms: Sequence[Term]) -> ArrivalTerm | None:
-    """Return the term that leads the tip to the target's end; None where there is none."""
+    """Return the ArrivalTerm among terms; None where there is none."""
     return next((term for term in terms if isinstance(term, ArrivalTerm)), None)

@@ -24,7 +24,10 @@ MIN_INNER_DETERMINANT = 0.05
 
 
 def order(tubes: Tubes, beta: Sequence[ca.SX], gap: ca.SX | None) -> tuple[Constraint, ...]:
-    """Constraints beta_i <= beta_{i+1}, eq. (2), and the least gap between carriages, mm, if the robot has one."""
+    """Return the constraints beta_i <= beta_{i+1}, eq. (2), and of the least gap between carriages, mm, if any.
+
+    tubes: of the robot. beta: extensions, mm. gap: None for a robot without one.
+    """
     if len(tubes) == 1:
         return ()
     growth = ca.diff(ca.vertcat(*beta))
@@ -38,7 +41,7 @@ def order(tubes: Tubes, beta: Sequence[ca.SX], gap: ca.SX | None) -> tuple[Const
 
 
 def _positive(name: str, value: ca.SX) -> Constraint:
-    """A constraint value >= 0, entry by entry."""
+    """Return a constraint value >= 0, entry by entry."""
     return Constraint(name, value, np.zeros(value.numel()), np.full(value.numel(), np.inf))
 
 
@@ -51,50 +54,56 @@ class Order(Term):
 
     @property
     def key(self) -> Hashable:
-        """Whether there is a gap, whose size is a parameter."""
+        """The type, and whether there is a gap, whose size is a parameter."""
         return type(self), self.gap is None
 
     def parameters(self, structure: Structure) -> Mapping[str, tuple[int, int]]:
-        """Shape of the parameter gap, mm, if there is one."""
+        """Return the shape of the parameter gap, mm, if there is one. structure: not used."""
         return {} if self.gap is None else {"gap": (1, 1)}
 
     def build(self, body: Body, parameters: Symbols) -> Parts:
-        """Constraints of eq. (2) and of the gap."""
+        """Return the constraints of eq. (2) and of the gap on body; parameters: symbols by name."""
         return Parts(constraints=order(body.tubes, body.beta, parameters.get("gap")))
 
     def fill(self, frame: Frame) -> Mapping[str, Any]:
-        """The robot's gap."""
+        """Return the robot's gap, which is the same in every frame."""
         return {} if self.gap is None else {"gap": self.gap}
 
 
 @dataclass(frozen=True)
 class Margin(Term):
-    """The least stability margin, on models that can snap; a step may ask for more than fill gives."""
+    """The least stability margin, on models that can snap; planners may require more than fill returns."""
 
     least: float
     name = "margin"
 
     @property
     def key(self) -> Hashable:
-        """The margin is a parameter."""
+        """The type: the margin is a parameter."""
         return type(self)
 
     def parameters(self, structure: Structure) -> Mapping[str, tuple[int, int]]:
-        """Shape of the parameter margin: from 0, the snap, to 1, where no tube acts on another."""
+        """Return the shape of the margin, from 0, the snap, to 1, where no tube acts on another.
+
+        structure: not used.
+        """
         return {"margin": (1, 1)}
 
     def build(self, body: Body, parameters: Symbols) -> Parts:
-        """Determinants that are positive as long as the margin is kept; none where nothing twists."""
+        """Return determinants of body that are positive as long as the margin is kept; none where nothing twists.
+
+        parameters: not used, as the shape has been computed with the margin.
+        """
         value = body.shape.stability
         # One tube, or no margin: nothing can snap.
         if value is None:
             return Parts()
         count = value.numel()
-        # Jacobi's condition wants all of them positive on the way. The last one is 0 where the margin is
-        # exactly the least one, and may come to that.
+        # Jacobi's condition requires all of them positive on the way. The last one is 0 where the margin is
+        # exactly the least one, so that its bound is 0.
         lower = np.append(np.full(count - 1, MIN_INNER_DETERMINANT), 0.0)
         return Parts(constraints=(Constraint("stability", value, lower, np.full(count, np.inf)),))
 
     def fill(self, frame: Frame) -> Mapping[str, Any]:
-        """The least margin."""
+        """Return the least margin, which is the same in every frame."""
         return {"margin": self.least}

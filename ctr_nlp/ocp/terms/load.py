@@ -17,7 +17,7 @@ from ctr_nlp.robot.structure import Structure
 
 @dataclass(frozen=True, eq=False)
 class LoadTerm(Term):
-    """The numbers (17 + 3d,) of a load in every frame, for so many tubes (loads.Load.over)."""
+    """The numbers (17 + 3d,) of a load in every frame, for a number of tubes (loads.Load.numbers_at)."""
 
     load: Load | LoadOverTime
     tubes: int
@@ -29,14 +29,14 @@ class LoadTerm(Term):
         return type(self)
 
     def parameters(self, structure: Structure) -> Mapping[str, tuple[int, int]]:
-        """Shape of the load's numbers: N, N mm, N/mm and mm."""
+        """Return the shape of the load's numbers, N, N mm, N/mm and mm, for the tubes of a structure."""
         return {self.name: (FIRST_WEIGHT_COLUMN + 3 * structure.d, 1)}
 
     def build(self, body: Body, parameters: Symbols) -> Parts:
-        """No contribution: the shape has been computed with the load."""
+        """Return no contribution: the shape of body has been computed with the load. parameters: not used."""
         return Parts()
 
     def fill(self, frame: Frame) -> Mapping[str, Any]:
-        """The load's numbers in that part of the motion."""
+        """Return the load's numbers at the time of a frame."""
         # Loads that change over time are evaluated at the frame's part of the motion.
         return {self.name: self.load.numbers_at(self.tubes, np.array([frame.motion_fraction]))[0]}

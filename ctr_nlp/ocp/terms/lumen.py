@@ -1,9 +1,9 @@
 """The lumen's wall as a soft constraint.
 
-At places on the robot, r(p) - |C - p| - rho + z >= c with one slack z >= 0 for all of them (mm), at a cost w z: an
-exact penalty, for which z = 0 wherever the clearance c can be kept at a smaller cost. r is the lumen's radius at
-the path's nearest point p, and rho the tube's outer radius. Near a configuration the path is described to second
-order and the radius to first (formulations/wall.py).
+At sample points on the robot, r(p) - |C - p| - rho + z >= c with one slack z >= 0 for all of them (mm), at a cost
+w z: an exact penalty, for which z = 0 wherever the clearance c can be kept at a smaller cost. r is the lumen's
+radius at the path's nearest point p, and rho the tube's outer radius. Near a configuration the path is described
+to second order and the radius to first (ocp/wall.py).
 """
 
 from __future__ import annotations
@@ -25,9 +25,11 @@ from ctr_nlp.robot.structure import Structure
 from ctr_nlp.typing import Array, Vector
 
 WALL_SAMPLES_PER_TUBE = 12
-"""Places on every tube's visible part; the last is its tip."""
+"""Sample points on every tube's visible part; the last is its tip."""
 WALL_COLUMN_COUNT = 13
-"""Numbers that describe the wall at a place: centre (3), tangent (3), bend (3), room, taper, behind and ahead."""
+"""Numbers that describe the wall at a sample point: centre (3), tangent (3), bend (3), room, taper, behind and
+ahead.
+"""
 WALL_ROOM_COLUMN = 9
 """Column of the room; the ones before it are vectors."""
 NO_WALL_ROOM_MM = 1e3
@@ -46,7 +48,7 @@ CENTRELINE_SMOOTHING_MM = 0.01
 
 
 def room_beside_path(points: Vector, path: Sequence[Vector], wall: Sequence[ca.SX]) -> ca.SX:
-    """Room (n, 1) that the lumen leaves a robot beside a path, mm; negative in contact.
+    """Return the room (n, 1) that the lumen leaves a robot beside a path, mm; negative in contact.
 
     points: x, y, z, each (n, 1) mm. path: its point near each, its tangent and its bend, 1/mm, in the same axes.
     wall, each (n, 1): the room there, mm, how much more there is a mm further, and how far the path continues
@@ -65,8 +67,11 @@ def room_beside_path(points: Vector, path: Sequence[Vector], wall: Sequence[ca.S
 
 
 def room_at_samples(body: Body, wall: ca.SX) -> tuple[Inner, ca.SX]:
-    """The robot's points as inner symbols, and the room there, written in these; wall: a row a place."""
-    # As a layer of their own: the wall's second derivatives are taken over three coordinates a place, not
+    """Return the points of body, (n, 3) as inner symbols, and the room there in mm, (n, 1), written in these.
+
+    wall: parameters that describe it, a row a sample point.
+    """
+    # As a layer of their own: the wall's second derivatives are taken over three coordinates a sample point, not
     # over x.
     points = Inner.of([ca.SX(ca.horzcat(*body.points))])
     at, *path = (columns_of(each) for each in (points.symbols[0], wall[:, :3], wall[:, 3:6], wall[:, 6:9]))
@@ -74,7 +79,7 @@ def room_at_samples(body: Body, wall: ca.SX) -> tuple[Inner, ca.SX]:
 
 
 def contact_penalty(slack: Any, weight: Any, allowed: Any) -> Any:
-    """The exact penalty on the depth of contact, mm^2.
+    """Return the exact penalty on the depth of contact, mm^2.
 
     Parameters
     ----------
@@ -99,7 +104,10 @@ def contact_penalty(slack: Any, weight: Any, allowed: Any) -> Any:
 
 
 def arc_lengths(beta: Sequence[Any], count: int = WALL_SAMPLES_PER_TUBE) -> list[Any]:
-    """Arc lengths, mm, of `count` places on every tube's visible part, the last of which is its tip."""
+    """Return arc lengths, mm, of `count` sample points on every tube's visible part, the last of which is its tip.
+
+    beta: extensions, mm.
+    """
     starts = [0 * beta[0], *(beta[i] for i in range(len(beta) - 1))]
     fractions = np.arange(1.0, count + 1) / count
     return [start + fractions * (end - start) for start, end in zip(starts, beta, strict=True)]
@@ -115,7 +123,7 @@ def wall_parameters(d: int) -> dict[str, tuple[int, int]]:
 
 
 def no_wall_parameters(d: int) -> dict[str, Any]:
-    """Parameters of a frame of d tubes with no wall nearby."""
+    """Return the parameters of a frame of d tubes with no wall nearby."""
     wall = np.zeros((d * WALL_SAMPLES_PER_TUBE, WALL_COLUMN_COUNT))
     # Zero vectors and much room: rows that are always satisfied, and a weight of 0.
     wall[:, WALL_ROOM_COLUMN] = NO_WALL_ROOM_MM
@@ -124,30 +132,33 @@ def no_wall_parameters(d: int) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class LumenClearance(Term):
-    """Clearance at WALL_SAMPLES_PER_TUBE places of every tube's visible part, and the cost of contact; d: number
-    of tubes.
+    """Clearance at WALL_SAMPLES_PER_TUBE sample points of every tube, and the cost of contact; d: number of tubes.
 
-    A step gives the parameters that describe the wall near the robot (wall.py); without them, none is near.
+    The parameters that describe the wall near the robot are filled in by wall.py; without them there is no wall.
     """
 
     d: int
     name = "lumen"
 
     def sample_arc_lengths(self, beta: Sequence[ca.SX]) -> ca.SX:
-        """Arc lengths of the places on every tube, mm."""
+        """Return the arc lengths of the sample points on every tube, mm, at extensions beta in mm."""
         return ca.vertcat(*arc_lengths(beta))
 
     def parameters(self, structure: Structure) -> Mapping[str, tuple[int, int]]:
-        """Shapes of the parameters: wall, a row of WALL_COLUMN_COUNT a place; contact_weight, mm^2 a mm;
-        contact_allowed, mm.
+        """Return the shapes of wall, a row a sample point.
+
+        Those of contact_weight, mm^2 a mm, and contact_allowed, mm. structure: not used.
         """
         return wall_parameters(self.d)
 
     def build(self, body: Body, parameters: Symbols) -> Parts:
-        """One smooth constraint a place, and one slack for all."""
+        """Return one smooth constraint a sample point of body, and one slack for all.
+
+        parameters: symbols by name.
+        """
         slack = ca.SX.sym("slack")
         points, room = room_at_samples(body, parameters["wall"])
-        # room + slack >= 0 at every place: the slack is the deepest contact, and its cost counts once a
+        # room + slack >= 0 at every sample point: the slack is the deepest contact, and its cost counts once a
         # frame.
         bounds = np.zeros(room.numel()), np.full(room.numel(), np.inf)
         return Parts(
@@ -162,5 +173,5 @@ class LumenClearance(Term):
         )
 
     def fill(self, frame: Frame) -> Mapping[str, Array]:
-        """Parameters for no wall nearby."""
+        """Return the parameters of a frame without a wall nearby, the same for every frame."""
         return no_wall_parameters(self.d)

@@ -1,7 +1,7 @@
 """The cost of moving, eq. (9): lambda |W (q - previous)|^2 / dt^2 in mm^2, for one frame.
 
 lambda is in s^2, dt in s; W turns units of q into mm: 10 mm/rad for angles, 1 for beta. Over a horizon, links have
-this cost instead (formulations/horizon.py).
+this cost instead (ocp/horizon.py).
 """
 
 from __future__ import annotations
@@ -22,8 +22,9 @@ from ctr_nlp.typing import Array
 
 
 def motion_residual(q: ca.SX, previous: ca.SX, mm_per_unit: Array, root: ca.SX) -> Residual:
-    """Change of configuration over one frame, eq. (9), as a residual in mm.
+    """Return the change of configuration over one frame, eq. (9), as a residual in mm.
 
+    q, previous (k, 1): configurations in this frame and the one before, or some of their entries, rad and mm.
     mm_per_unit: the diagonal of W. root: sqrt(lambda) / dt; 0 where there is no frame before.
     """
     return Residual("motion", root * ca.DM(mm_per_unit) * (q - previous))
@@ -31,19 +32,20 @@ def motion_residual(q: ca.SX, previous: ca.SX, mm_per_unit: Array, root: ca.SX) 
 
 @dataclass(frozen=True)
 class MotionCost(Term):
-    """The term lambda |W (q - previous)|^2 / dt^2; a step overrides what fill gives, which is for a first
-    frame.
+    """The cost lambda |W (q - previous)|^2 / dt^2.
+
+    FrameSolver.step overrides the values of fill, which are for a first frame.
     """
 
     d: int
     name = "motion"
 
     def parameters(self, structure: Structure) -> Mapping[str, tuple[int, int]]:
-        """Shapes of the parameters: q one frame before, and sqrt(lambda) / dt."""
+        """Return the shapes of q one frame before, and of sqrt(lambda) / dt. structure: not used."""
         return {"previous": (2 * self.d + 2, 1), "motion_root": (1, 1)}
 
     def build(self, body: Body, parameters: Symbols) -> Parts:
-        """The residual of eq. (9)."""
+        """Return the residual of eq. (9) on the configuration of body; parameters: symbols by name."""
         # W of eq. (9): 10 mm/rad for angles and 1 for extensions.
         scale = mm_per_unit(self.d)
         return Parts(
@@ -51,6 +53,6 @@ class MotionCost(Term):
         )
 
     def fill(self, frame: Frame) -> Mapping[str, Any]:
-        """Values for a frame with none before it, which costs nothing."""
+        """Return the values for a frame with none before it, which costs nothing."""
         # motion_root = 0 switches the term off; `previous` then does not matter.
         return {"previous": np.zeros(2 * self.d + 2), "motion_root": 0.0}

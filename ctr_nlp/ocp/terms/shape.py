@@ -27,7 +27,7 @@ TARGET_SAMPLE_STRIDE = 5
 
 
 def shape_residual(points: Vector, target: Vector, root: Any) -> Residual:
-    """Distance from the robot to its target at equal sigma, eq. (8), as residuals.
+    """Return the distance from the robot to its target at equal sigma, eq. (8), as residuals.
 
     points, target: x, y, z, each (n, 1) mm. root: square roots (n, 1) of quadrature weights.
     """
@@ -61,25 +61,26 @@ class ShapeDistance(Term):
         return type(self), self.stride
 
     def sample_arc_lengths(self, beta: Sequence[ca.SX]) -> ca.SX:
-        """Every stride-th of the uniform sigma."""
+        """Return the arc lengths of every stride-th of the uniform sigma, mm, at extensions beta in mm."""
         return ca.DM(SIGMA_GRID[:: self.stride]) * beta[-1]
 
     def parameters(self, structure: Structure) -> Mapping[str, tuple[int, int]]:
-        """Shapes of the parameters: target points in mm in the base frame, and square roots of the quadrature's
-        weights.
+        """Return the shapes of the target's points, mm, and of square roots of quadrature weights.
+
+        structure: not used.
         """
         count = len(SIGMA_GRID[:: self.stride])
         return {"target": (count, 3), "shape_roots": (count, 1)}
 
     def build(self, body: Body, parameters: Symbols) -> Parts:
-        """Eq. (8), in the model's own axes."""
+        """Return the residual of eq. (8) on body, in the model's own axes; parameters: symbols by name."""
         # Distances do not depend on axes: turning the target's points into the model's costs fewer
         # operations.
         seen = body.shape.to_shape_axes(parameters["target"])
         return Parts(residuals=(shape_residual(body.own_points, seen, parameters["shape_roots"]),))
 
     def fill(self, frame: Frame) -> Mapping[str, Any]:
-        """The frame's points."""
+        """Return the frame's points, mm, and the square roots of the weights."""
         return {"target": frame.points[:: self.stride], "shape_roots": self.roots}
 
     @cached_property

@@ -27,10 +27,10 @@ Symbols = Mapping[str, ca.SX]
 
 @dataclass(frozen=True)
 class Body:
-    """The robot as a term sees it, in symbols: its configuration, and its shape at the term's own places.
+    """The robot as a term sees it, in symbols: its configuration, and its shape at the term's own sample points.
 
-    q (2d + 2, 1). tubes: with symbols for numbers. shape: at the places of all terms; span: which of them are this
-    term's.
+    q (2d + 2, 1). tubes: with symbols for numbers. shape: at the sample points of all terms; span: which of them
+    are this term's.
     """
 
     q: ca.SX
@@ -45,29 +45,30 @@ class Body:
 
     @property
     def points(self) -> Vector:
-        """x, y, z of the places, each (n, 1) mm, in the base frame."""
+        """x, y, z of the sample points, each (n, 1) mm, in the base frame."""
         return self.shape.to_base_frame(self.own_points)
 
     @property
     def tangents(self) -> Vector:
-        """x, y, z of the unit tangents at the places, each (n, 1), in the base frame."""
+        """x, y, z of the unit tangents at the sample points, each (n, 1), in the base frame."""
         return self.shape.to_base_frame(self.own_tangents)
 
     @property
     def own_points(self) -> Vector:
-        """Points of the places in the model's own axes, in which it needs fewer operations; see
+        """Sample points in the model's own axes, in which they need fewer operations; see
         SymbolicShape.to_shape_axes.
         """
         return self._own_samples(self.shape.points)
 
     @property
     def own_tangents(self) -> Vector:
-        """Unit tangents at the places in the model's own axes."""
+        """Unit tangents at the sample points in the model's own axes."""
         assert self.shape.tangents is not None
         return self._own_samples(self.shape.tangents)
 
     def _own_samples(self, vectors: Vector) -> Vector:
         # The model computes the samples of all terms in one column; span picks this term's.
+        """Return this term's entries of vectors at the sample points of all terms."""
         x, y, z = (axis[self.span] for axis in vectors)
         return x, y, z
 
@@ -89,9 +90,9 @@ class Parts:
 class Term(ABC):
     """A residual, cost or constraint on a frame's shape. Numbers that vary from frame to frame are parameters.
 
-    A new term is a frozen dataclass with a name, and with build; the other methods have defaults. What it holds is
-    part of what is compiled, unless key leaves it out and it enters as a parameter. tangents: whether build needs
-    the tangents at its places. of_settings: whether the planner adds it because of its settings.
+    A new term is a frozen dataclass with a name, and with build; the other methods have defaults. Its fields are
+    part of what is compiled, unless key omits them and they enter as parameters. tangents: whether build needs the
+    tangents at its sample points. of_settings: whether the planner adds it because of its settings.
     objective_only: whether build adds no constraint.
     """
 
@@ -101,7 +102,7 @@ class Term(ABC):
     objective_only = False
 
     def __str__(self) -> str:
-        """The term in one line, for a plan's options; an array is told by its number of entries."""
+        """Return the term in one line, for a plan's options; of an array only its number of entries."""
         names: list[str] = [f.name for f in fields(self)] if is_dataclass(self) else []
         # Long arrays would fill a plan's options: only their size is written.
         held = {name: np.asarray(getattr(self, name)) for name in names}
@@ -117,25 +118,29 @@ class Term(ABC):
         return self
 
     def sample_arc_lengths(self, beta: Sequence[ca.SX]) -> ca.SX:
-        """Arc lengths (n, 1), mm, at which the term looks at the robot; none by default."""
+        """Return the arc lengths (n, 1), mm, at which the term samples a robot of extensions beta, mm.
+
+        By default a term needs none.
+        """
         return ca.SX(0, 1)
 
     def parameters(self, structure: Structure) -> Mapping[str, tuple[int, int]]:
-        """The shapes of the term's parameters, by name; names of two terms must differ."""
+        """Return the shapes of the term's parameters for a structure, by name; names of two terms must differ."""
         return {}
 
     @abstractmethod
     def build(self, body: Body, parameters: Symbols) -> Parts:
-        """The term's contributions, as symbols.
+        """Return the term's contributions, as symbols.
 
-        body: the robot at the term's places. parameters: symbols of this and other terms' parameters, by name.
+        body: the robot at the term's sample points. parameters: symbols of this and other terms' parameters, by
+        name.
         """
 
     def fill(self, frame: Frame) -> Mapping[str, Any]:
-        """Values of the parameters for a target frame, by name."""
+        """Return the values of the parameters for a target frame, by name."""
         return {}
 
 
 def describe_terms(terms: Sequence[Term]) -> list[str]:
-    """Return the terms that were asked for beside the settings, each in a line, as a plan's options hold them."""
+    """Return the given terms, except those added because of settings, each in a line, for a plan's options."""
     return [str(term) for term in terms if not term.of_settings]

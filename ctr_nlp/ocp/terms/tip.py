@@ -29,24 +29,25 @@ MAX_HALF_ANGLE_SINE = 0.999
 
 
 class TipOnlyTerm(Term):
-    """A term of the objective that looks at the robot's tip alone, and all of whose numbers are parameters."""
+    """A term of the objective that depends on the robot's tip alone, and all of whose numbers are parameters."""
 
     objective_only = True
 
     @property
     def key(self) -> Hashable:
-        """All numbers are parameters."""
+        """The type: all numbers are parameters."""
         return type(self)
 
     def sample_arc_lengths(self, beta: Sequence[ca.SX]) -> ca.SX:
-        """Arc length of the tip, mm."""
+        """Return the arc length of the tip, mm, at extensions beta in mm."""
         return beta[-1]
 
 
 @dataclass(frozen=True, eq=False)
 class _WeightedTipTerm(TipOnlyTerm):
-    """A tip term. weight: a number >= 0, or one a frame (T,). wanted: (3,), or (T, 3), or None for the target's
-    own.
+    """A term on the tip's position or direction against a wanted one.
+
+    weight: a number >= 0, or one a frame (T,). wanted: (3,), or (T, 3), or None for the target's own.
     """
 
     weight: float | Array = 1.0
@@ -61,22 +62,25 @@ class _WeightedTipTerm(TipOnlyTerm):
             object.__setattr__(self, "wanted", self._check_wanted(np.atleast_2d(self.wanted)))
 
     def _check_wanted(self, wanted: npt.ArrayLike) -> Array:
-        """The wanted vectors as an array (1 or T, 3); raises OptionError."""
+        """Return the wanted vectors as an array (1 or T, 3); raises OptionError."""
         return floats(OptionError, f"wanted {self.name}", wanted, (None, 3))
 
     def parameters(self, structure: Structure) -> Mapping[str, tuple[int, int]]:
-        """Shapes of the parameters: the wanted vector, and the square root of the weight."""
+        """Return shapes of the parameters: the wanted vector, and the square root of the weight."""
         return {f"{self.name}_wanted": (1, 3), f"{self.name}_root": (1, 1)}
 
     def fill(self, frame: Frame) -> Mapping[str, Any]:
-        """The wanted vector and the root of the weight in this frame."""
+        """Return the wanted vector and the root of the weight in this frame."""
         wanted = self._target_value(frame) if self.wanted is None else self._row_for_frame(self.wanted, frame)
         # Residuals are squared: the weight enters as its square root.
         root = float(np.sqrt(self._row_for_frame(np.asarray(self.weight), frame)))
         return {f"{self.name}_wanted": wanted[None], f"{self.name}_root": root}
 
     def _row_for_frame(self, values: Array, frame: Frame) -> Any:
-        """The row of values for a frame; a single row is for all. Raises OptionError where there is none."""
+        """Return the row of values for a frame.
+
+        A single row is for all. Raises OptionError where there is none.
+        """
         if len(values) == 1:
             return values[0]
         if frame.number >= len(values):
@@ -84,23 +88,23 @@ class _WeightedTipTerm(TipOnlyTerm):
         return values[frame.number]
 
     def _target_value(self, frame: Frame) -> Array:
-        """The target's own vector in a frame."""
+        """Return the target's own vector in a frame."""
         raise NotImplementedError
 
     def _difference(self, at: Any, parameters: Symbols) -> ca.SX:
-        """The tip's vector less the wanted one, (3, 1)."""
+        """Return the tip's vector less the wanted one, (3, 1)."""
         wanted = parameters[f"{self.name}_wanted"]
         return ca.vertcat(*(at[i] - wanted[i] for i in range(3)))
 
 
 @dataclass(frozen=True, eq=False)
 class TipPosition(_WeightedTipTerm):
-    """The term weight |p - wanted|^2, mm^2, where p is the tip and wanted (mm) by default the target's end."""
+    """The cost weight |p - wanted|^2, mm^2, where p is the tip and wanted (mm) by default the target's end."""
 
     name = "tip_position"
 
     def build(self, body: Body, parameters: Symbols) -> Parts:
-        """The distance from the tip to where it is wanted."""
+        """Return the distance from the tip of body to the wanted position; parameters: symbols by name."""
         value = parameters[f"{self.name}_root"] * self._difference(body.points, parameters)
         return Parts(residuals=(Residual(self.name, value),))
 
@@ -110,7 +114,7 @@ class TipPosition(_WeightedTipTerm):
 
 @dataclass(frozen=True, eq=False)
 class TipDirection(_WeightedTipTerm):
-    """The term weight angle^2, mm^2, with the angle (rad) from the tip's tangent to a wanted direction.
+    """The cost weight angle^2, mm^2, with the angle (rad) from the tip's tangent to a wanted direction.
 
     The weight is in mm^2/rad^2; the direction is by default that of the target's end.
     """
@@ -127,7 +131,10 @@ class TipDirection(_WeightedTipTerm):
         return wanted / lengths[:, None]
 
     def build(self, body: Body, parameters: Symbols) -> Parts:
-        """The angle, as a vector along the difference of the two directions."""
+        """Return the angle at the tip of body, as a vector along the difference of directions.
+
+        parameters: symbols by name.
+        """
         difference = self._difference(body.tangents, parameters)
         # |t - w| = 2 sin(angle / 2) for unit vectors, which is accurate at small angles, where acos(t . w)
         # is not. With half = sin(angle / 2), the residual's length is 2 half asin(half) / half = angle.

@@ -1,8 +1,8 @@
-"""The equilibria that loaded robots are really in, along motions.
+"""The equilibria that loaded robots are in along motions.
 
-Under a load q has several equilibria, and the way to it decides which of them a robot is in. It is followed on its
-branch from station to station (track.py), from where it comes to rest without a load; a branch that ends is a
-snap, after which it is not known where the robot comes to rest.
+Under a load q has several equilibria, and the motion before decides which of them a robot is in. It is followed on
+its branch from station to station (track.py), from where it settles without a load; a branch that ends is a snap,
+after which it is not known where the robot comes to rest.
 """
 
 from __future__ import annotations
@@ -25,19 +25,23 @@ from ctr_nlp.robot.structure import Structure
 from ctr_nlp.typing import Array, Index
 
 MAX_GUESSED_ROBOTS = 12
-"""Most robots of which places are guessed side by side (likely.py); more robots fill a batch by themselves."""
+"""Most robots whose stations are guessed in a batch (station_guesses.py); more robots fill a batch by themselves.
+"""
 MIN_SNAP_TURN_SHARE = 0.3
 """Share of the largest turn of a tip, where a branch ends, from which on a tube is reported to jump."""
 
 
 class Follower:
-    """Follows N robots of numbers (N, d, 8), each under a load of its own, in batches. Not for several threads at
-    once.
+    """Follows N robots of numbers (N, d, 8), each under a load of its own, in batches.
+
+    Not for several threads at once.
     """
 
     def __init__(self, structure: Structure, numbers: Array, load: Load | LoadOverTime, acting: Array) -> None:
-        """Build; load: of which kind all loads are; acting (N, M, 17 + 3d): numbers of each robot's load at M
-        places of a way.
+        """Prepare for loads of the kind of `load`.
+
+        acting (N, M, 17 + 3d): each robot's load at M places of a motion. structure: what the robots share.
+        numbers (N, d, 8): of their tubes.
         """
         self._structure = structure
         self._numbers = numbers
@@ -55,7 +59,10 @@ class Follower:
         return which, self.loaded.solve_unloaded(*known)
 
     def rest(self, q: Array) -> Array:
-        """Return the unknowns (N, 2d + 2) at q after the load has come; NaN of robots that snap on the way."""
+        """Return the unknowns (N, 2d + 2) at q after the load has grown to its full size.
+
+        NaN of robots that snap before.
+        """
         which, states = self.rest_without_load(q)
         states, done = self.loaded.follow_branches(states, q[which], self._acting[which, 0])
         found = np.full(q.shape, np.nan)
@@ -63,9 +70,10 @@ class Follower:
         return found
 
     def follow_motion(self, motion: MotionSubsteps, q: Array, with_margins: bool = True) -> list[EquilibriumPath]:
-        """Follow robots along ways through q (N, M, 2d + 2), before which the load comes and after which it goes.
+        """Follow robots along motions through q (N, M, 2d + 2), with the load applied before and removed after.
 
-        with_margins: whether stability margins are computed. Unknowns are NaN from a snap to the next fresh place.
+        motion: which frames the M sub-steps belong to. with_margins: whether stability margins are computed.
+        Unknowns are NaN from a snap to the next fresh place.
         """
         places = schedule_load(motion)
         count = len(q)
@@ -126,18 +134,20 @@ def _snapping_tubes(slopes: Array) -> tuple[int, ...]:
     # At the end of a branch slopes are singular: the right singular vector of the least value is the change of the
     # tip that no motor feels. Its first two entries are turns of the frame.
     turn = np.linalg.svd(slopes)[2][-1][2:]
-    # A turn of all tubes alike is none of any tube.
+    # Turning all tubes alike turns the robot; it does not snap by that.
     apart = abs(turn - turn.mean())
     return tuple(int(i) + 1 for i in np.flatnonzero(apart >= MIN_SNAP_TURN_SHARE * max(apart.max(), 1e-300)))
 
 
 def _assemble_path(x: Array, at: Array, between: Array, snaps: list[Snap], d: int) -> EquilibriumPath:
-    """Make the record of one robot from its unknowns x (T, 2d + 2) and margins (T,).
+    """Assemble the path of one robot from its unknowns x (T, 2d + 2) and margins at and between frames (T,).
 
     The angle of its innermost tube is made continuous over frames. Where it snaps, the least margin between frames
     is at most 0.
     """
     reached = np.isfinite(x[:, d - 1])
+    # Whole turns of all tubes are the same shape: unwrapped, neighbouring frames have unknowns that can be
+    # interpolated.
     x[reached, d - 1] = np.unwrap(x[reached, d - 1])
     snapped = [snap.frame - 1 for snap in snaps]
     between[snapped] = np.fmin(between[snapped], 0.0)

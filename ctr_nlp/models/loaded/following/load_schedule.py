@@ -1,7 +1,7 @@
-"""The course of a loaded robot: its way through frames, and before and after it the load that comes and goes.
+"""The schedule of a loaded robot: a load that grows, a motion through frames, and a load that is removed.
 
 A real motion begins and ends without the load. It grows from zero while the robot stands in its first frame and is
-taken away in the last one, so that the equilibria under the load are those that a robot comes to.
+removed in the last one, so that the equilibria under the load are those that a robot reaches.
 """
 
 from __future__ import annotations
@@ -14,15 +14,15 @@ from ctr_nlp.models.protocol import MotionSubsteps
 from ctr_nlp.typing import Array, Flags, Index
 
 LOAD_RAMP_STEPS = 10
-"""Number of steps in which the load comes, and in which it is taken away."""
+"""Number of steps in which the load is applied, and in which it is removed."""
 
 
 class LoadSchedule(NamedTuple):
-    """M places of a robot's course.
+    """M places of a loaded robot's motion.
 
-    at (M,): number of the way's place, from 0. part (M,): part of the load that acts. frames (M,): the frame, from
-    0, that a place belongs to or is on the way to. own (M,): whether it is the frame itself, under the whole load.
-    fresh (M,): where a robot without a load and a history comes to rest.
+    at (M,): number of the motion's sub-step, from 0. load_fraction (M,): fraction of the load that acts. frames
+    (M,): the frame, from 0, that a place belongs to or leads to. is_frame (M,): whether it is the frame itself,
+    under the whole load. fresh (M,): where a robot without a load and a history settles.
     """
 
     at: Index
@@ -33,15 +33,17 @@ class LoadSchedule(NamedTuple):
 
 
 def schedule_load(motion: MotionSubsteps) -> LoadSchedule:
-    """Return the course of a motion: the load comes wherever a robot comes to rest, and goes where a way ends."""
+    """Return the schedule of a motion: the load grows where a robot settles, and is removed where a stretch
+    ends.
+    """
     rising = np.arange(LOAD_RAMP_STEPS) / LOAD_RAMP_STEPS
     found: list[tuple[int, float, bool, bool]] = []
-    # A way may have several beginnings, after frames that are not known: each stretch ends before the next.
+    # A motion may have several fresh starts, after frames that are not known: each stretch ends before the next.
     ends = np.append(np.flatnonzero(motion.fresh)[1:] - 1, len(motion.q) - 1)
     last_of = np.append(np.diff(motion.frames) != 0, True) if len(motion.q) else np.zeros(0, dtype=bool)
     for at in range(len(motion.q)):
         if motion.fresh[at]:
-            # Without a load (part 0) the robot comes to rest; the steps after it raise the load at the same place.
+            # Without a load (fraction 0) the robot settles; the steps after it raise the load at the same place.
             found += [(at, float(part), False, k == 0) for k, part in enumerate(rising)]
         found.append((at, 1.0, bool(last_of[at]), False))
         if at in ends:

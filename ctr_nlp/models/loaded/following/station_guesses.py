@@ -1,7 +1,8 @@
-"""Equilibria at all stations of a robot's way, found in one batch instead of one after the other.
+"""Guesses of the equilibria at all stations of a robot's motion, found in one batch instead of one after the
+other.
 
-They are what the robot probably takes: at every station the load is raised on the equilibrium of the unloaded
-robot that is followed through the motion. They count only where the branch of each leads to the next one.
+At every station the load is raised on the equilibrium of the unloaded robot that is followed through the motion.
+The result is used only where the branch of each guess leads to the next one.
 """
 
 from __future__ import annotations
@@ -17,9 +18,7 @@ from ctr_nlp.typing import Array, Flags, Index
 
 
 class StationGuesses:
-    """Equilibria that robots probably take, at the rows of states that are to be found. One object for each
-    motion.
-    """
+    """Guessed equilibria at the rows of states that are to be found. One object for each motion."""
 
     def __init__(self, structure: Structure, equilibria: LoadedEquilibria, states: States) -> None:
         """Prepare; of states only numbers, q and load are used."""
@@ -29,7 +28,7 @@ class StationGuesses:
         self._until = np.arange(len(states.q))
 
     def guess_stations(self, rows: Index) -> None:
-        """Find the equilibria at some rows, which are the stations of one robot in their order."""
+        """Find the guesses at some rows, which are the stations of one robot in their order."""
         numbers, q, load, *_ = self._states.rows(rows)
         x = self._unloaded_unknowns(numbers[0], q)
         stands = np.flatnonzero(np.isfinite(x).all(axis=1))
@@ -39,7 +38,8 @@ class StationGuesses:
         self._states.write(rows[stands[done == 1]], found.rows(done == 1))
         states = self._states.rows(rows)
         leads = self._equilibria.branches_lead_to(states.rows(slice(-1)), states.rows(slice(1, None)))
-        # From each station the last one that is reached by going from one to the next: so many can be skipped.
+        # For each station the last one that is reached from it by confirmed guesses: all up to there can be
+        # skipped.
         self._until[rows] = rows[_last_of_runs(np.append(leads, False))]
 
     def _unloaded_unknowns(self, numbers: Array, q: Array) -> Array:
@@ -47,8 +47,9 @@ class StationGuesses:
         return follow_substeps(self._structure, numbers, subdivide_motion(q, 1), q, margins=False).x
 
     def skip_confirmed(self, states: States, at: Index) -> Index:
-        """Write states after the rows `at` as far as they are known; return the last rows written, or `at` where
-        none are.
+        """Write confirmed guesses to states after the rows `at`.
+
+        Returns the last rows written, or `at` where there are none.
         """
         # A robot that is on another branch than guessed is followed step by step.
         last = np.where(self._states.rows(at).same_equilibria(states.rows(at)), self._until[at], at)
@@ -59,8 +60,9 @@ class StationGuesses:
 
 
 def _last_of_runs(leads: Flags) -> Index:
-    """Return for each of M places the last one that is reached from it, where places that lead are followed by the
-    next.
+    """Return for each of M places the last one that is reached from it.
+
+    leads (M,): whether it leads to the next one.
     """
     ends = np.where(leads, len(leads), np.arange(len(leads)))
     return np.minimum.accumulate(ends[::-1])[::-1]

@@ -1,7 +1,7 @@
-"""Loaded robots at the places of their courses: followed from station to station, and filled in between.
+"""Loaded robots at the places of their schedules: followed from station to station, and filled in between.
 
-Between two stations configuration and load change linearly, so that one long step, halved where it fails, leads as
-far as many short ones.
+Between two stations configuration and load change linearly, so that one long step, halved where it fails, replaces
+many short ones.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from ctr_nlp.models.loaded.following.station_guesses import StationGuesses
 from ctr_nlp.typing import Array, Flags, Index
 
 MAX_LINEAR_SECOND_DIFFERENCE = 1e-9
-"""Largest second difference, rad, mm or N, of what counts as changing linearly from place to place."""
+"""Largest second difference, rad, mm or N, up to which a change from place to place counts as linear."""
 
 
 class StateTrack:
@@ -26,7 +26,7 @@ class StateTrack:
     """
 
     def __init__(self, places: LoadSchedule, numbers: Array, q: Array, load: Array) -> None:
-        """Prepare for numbers (N, d, 8), q (N, M, 2d + 2), load (N, M, l); places: of the course."""
+        """Prepare for numbers (N, d, 8), q (N, M, 2d + 2), load (N, M, l); places: the schedule."""
         self._count, self._length, _ = q.shape
         flat = (array.reshape(self._count * self._length, -1) for array in (q, load))
         self.states = States.unknown_states(np.repeat(numbers, self._length, axis=0), *flat)
@@ -61,13 +61,14 @@ class StateTrack:
     ) -> Iterator[tuple[int, Array]]:
         """Follow robots from rows `at` to rows `last`, from station to station.
 
-        Yields the stations that branches do not lead to, each with the slopes (d + 2, d + 2) where its branch
-        ends. guesses: equilibria that may be skipped to, or None.
+        equilibria: solver of the robots' structure and kind of load. guesses: equilibria to which confirmed
+        stretches may skip, or None. Yields the stations that branches do not reach, each with the slopes (d + 2, d
+        + 2) where its branch ends.
         """
         states = self.states
         following = _next(self._stations)
         while True:
-            # Rows that were guessed, and confirmed, cost nothing; the others take a step each, all in one batch.
+            # Rows that were guessed and confirmed cost nothing; the others take a step each, all in one batch.
             at = at if guesses is None else guesses.skip_confirmed(states, at)
             at, last = at[at < last], last[at < last]
             if not len(at):
@@ -81,7 +82,10 @@ class StateTrack:
             states.write(at, reached.rows(there))
 
     def fill(self, equilibria: LoadedEquilibria, robot: int) -> bool:
-        """Find the states between stations of a robot; return whether each place leads to the next one."""
+        """Find the states between stations of a robot, by number; return whether each place leads to the next one.
+
+        equilibria: solver of the robots' structure and kind of load.
+        """
         here = slice(robot * self._length, (robot + 1) * self._length)
         states = self.states.rows(here)
         stations = self._stations[here]
@@ -95,7 +99,7 @@ class StateTrack:
         states.write(wanted[done == 1], found.rows(done == 1))
         self.states.write(here, states)
         known[wanted] = done == 1
-        # A fresh place begins anew: nothing leads to it.
+        # A fresh place has no history: nothing leads to it.
         joined = np.flatnonzero(known[1:] & ~self._fresh[here][1:])
         return bool(done.all() and equilibria.branches_lead_to(states.rows(joined), states.rows(joined + 1)).all())
 

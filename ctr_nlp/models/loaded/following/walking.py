@@ -14,7 +14,7 @@ from ctr_nlp.typing import Array
 
 
 class LoadedWalker(Walker):
-    """A robot on its branch of equilibria, under a load that changes only when it is told so (`change_load`).
+    """A robot on its branch of equilibria, under a load that changes only by `change_load`.
 
     Where the branch ends, it is not known where the robot comes to rest: x is NaN from then on.
     """
@@ -31,7 +31,7 @@ class LoadedWalker(Walker):
         self._follow_to_target(states if len(states.q) else None)
 
     def _follow_to_target(self, states: States | None, numbers: Array | None = None) -> None:
-        """Go on to q under the load from states of the robot; None where it has none.
+        """Follow the branch from states to q under the present load; None where the robot has no state.
 
         numbers (1, d, 8): of its tubes from then on, None for those that it has.
         """
@@ -42,15 +42,13 @@ class LoadedWalker(Walker):
         self.x = np.full(len(self.q), np.nan) if states is None else states.unknowns[0]
 
     def move_to(self, q: Array) -> list[Array]:
-        """Move to q (2d + 2,) on a line; no jump is reported, as it is not known where a loaded robot snaps to."""
+        """Move to q (2d + 2,) on a line; no jump is reported, as the equilibrium after a snap is not known."""
         self.q = np.array(q, dtype=float)
         self._follow_to_target(self._states)
         return []
 
     def change_tubes(self, numbers: Array, x: Array | None = None) -> list[Array]:
-        """Continue as a robot of other numbers (d, 8); x is ignored, as the branch is followed while the numbers
-        change.
-        """
+        """Continue as a robot of other numbers (d, 8), along its branch while they change; x is ignored."""
         self._follow_to_target(self._states, np.array(numbers, dtype=float)[None])
         return []
 
