@@ -1,4 +1,4 @@
-"""Arguments that several programs take, and how their values are read."""
+"""Options that several programs have, and how their values are read."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ from ctr_nlp.typing import Array
 
 DEFAULT_SETTINGS = Settings()
 FRAME_SETTINGS = ("motion_weight", "jump_width", "seed")
-"""Names of the options of add_settings that settings_from takes where frames are solved one by one."""
+"""Names of add_settings' options that settings_from takes where frames are solved one by one."""
 
 
 def add_problem_options(parser: argparse.ArgumentParser) -> None:
-    """Robot, number of frames and duration."""
+    """Add the options for robot, number of frames and duration to `parser`."""
     parser.add_argument("--robot", metavar="FILE.toml", help="robot file (default: the problem's own robot)")
     add_frames_option(parser)
     parser.add_argument(
@@ -30,14 +30,18 @@ def add_problem_options(parser: argparse.ArgumentParser) -> None:
 
 
 def add_frames_option(parser: argparse.ArgumentParser) -> None:
-    """In how many frames a motion is planned."""
+    """Add the option for the number of frames of a motion to `parser`."""
     parser.add_argument("--frames", metavar="T", type=whole, default=100, help="number of frames (default 100)")
 
 
 def add_settings(
     parser: argparse.ArgumentParser, motion: str = f"{DEFAULT_SETTINGS.motion_weight:g}", jumps: bool = True
 ) -> None:
-    """The numbers of Settings, apart from the wall's; motion: what the help says of lambda's default."""
+    """Add the options for the numbers of Settings, apart from the wall's, to `parser`.
+
+    motion: what the help says of the default of lambda, the weight of motion. jumps: whether there is an option
+    for the width of curvature jumps, which two-stage formulations smooth.
+    """
     parser.add_argument(
         "--stability-margin",
         metavar="MU",
@@ -55,7 +59,7 @@ def add_settings(
 
 
 def add_numbers(parser: argparse._ActionsContainer, *options: tuple[str, str, str]) -> None:
-    """Add options that are numbers, None where not given: name, what stands for the number, and help."""
+    """Add options for numbers, None where not given, to `parser`; options: name, placeholder and help of each."""
     for name, metavar, what in options:
         parser.add_argument(f"--{name}", metavar=metavar, type=float, help=what)
 
@@ -63,19 +67,25 @@ def add_numbers(parser: argparse._ActionsContainer, *options: tuple[str, str, st
 def add_triple(
     parser: argparse._ActionsContainer, name: str, what: str, metavar: tuple[str, ...] = ("X", "Y", "Z")
 ) -> None:
-    """Add an option `name` of three numbers, None where not given; `what` is its help, `metavar` names the
-    numbers.
+    """Add an option for three numbers, None where not given, to `parser`.
+
+    name: of the option, without dashes. what: its help. metavar: placeholders of the numbers.
     """
     parser.add_argument(f"--{name}", metavar=metavar, nargs=3, type=float, help=what)
 
 
 def settings_from(arguments: argparse.Namespace, *names: str) -> Settings:
-    """The Settings of a stability margin and of what else is given of these names; raises OptionError."""
+    """Return Settings with the stability margin and the other options in `names` that were given; raises
+    OptionError.
+
+    arguments: parsed options. names: of settings, whose options have the same names.
+    """
     given = {name: value for name in names if (value := getattr(arguments, name, None)) is not None}
     return Settings(**given, stability_margin=arguments.stability_margin)
 
 
 def _margin(text: str) -> float | None:
+    """Return the stability margin that `text` stands for, None for `none`."""
     try:
         return None if text == "none" else float(text)
     except ValueError as error:
@@ -83,10 +93,11 @@ def _margin(text: str) -> float | None:
 
 
 def add_compile_option(parser: argparse.ArgumentParser) -> None:
-    """--no-compile, which holds for this process and those that it starts."""
+    """Add --no-compile to `parser`, for this process and those that it starts."""
 
     class Switch(argparse.Action):
         def __call__(self, *_: Any) -> None:
+            # A variable of the environment, which worker processes inherit.
             os.environ[COMPILE_VARIABLE] = "0"
 
     parser.add_argument(
@@ -98,7 +109,9 @@ def add_compile_option(parser: argparse.ArgumentParser) -> None:
 
 
 def add_out_option(parser: argparse.ArgumentParser, default: str) -> None:
-    """The output folder, by default that folder; where its name depends on the problem, None."""
+    """Add the option for the output folder to `parser`; a `default` that contains PROBLEM is for the help alone,
+    else it is used.
+    """
     parser.add_argument(
         "--out",
         metavar="DIR",
@@ -109,7 +122,7 @@ def add_out_option(parser: argparse.ArgumentParser, default: str) -> None:
 
 
 def add_film_option(parser: argparse.ArgumentParser) -> None:
-    """Whether the motion is also drawn as a film."""
+    """Add the option to `parser` for a film of the motion."""
     parser.add_argument(
         "--film",
         metavar="FILE.gif|mp4",
@@ -118,7 +131,7 @@ def add_film_option(parser: argparse.ArgumentParser) -> None:
 
 
 def add_figures_option(parser: argparse.ArgumentParser) -> None:
-    """Whether pictures are drawn."""
+    """Add --no-figures to `parser`."""
     parser.add_argument(
         "--no-figures",
         action="store_true",
@@ -127,9 +140,10 @@ def add_figures_option(parser: argparse.ArgumentParser) -> None:
 
 
 def film_file(arguments: argparse.Namespace) -> Path | None:
-    """Where add_film_option's argument wants a film, None for nowhere; raises OptionError, OutputError.
+    """Return the file of add_film_option's option in `arguments`, None without it; raises OptionError,
+    OutputError.
 
-    A file that is there already will be replaced, but no folder or link.
+    An existing file will be replaced, but no folder or link.
     """
     if arguments.film is None:
         return None
@@ -141,7 +155,7 @@ def film_file(arguments: argparse.Namespace) -> Path | None:
 
 
 def add_live_option(parser: argparse._ActionsContainer, what: str) -> None:
-    """Whether a window shows something while the program works."""
+    """Add --live to `parser`, a window that shows `what` while the program works."""
     parser.add_argument(
         "--live",
         action="store_true",
@@ -150,12 +164,14 @@ def add_live_option(parser: argparse._ActionsContainer, what: str) -> None:
 
 
 def add_entry_option(parser: argparse._ActionsContainer, default: str) -> None:
-    """Where the robot enters."""
+    """Add the option for the point where the robot enters to `parser`; default: which point is usual, for the
+    help.
+    """
     add_triple(parser, "entry", f"point where the robot enters, in the file's coordinates (default: {default})")
 
 
 def whole(text: str) -> int:
-    """A whole number, or argparse's own complaint."""
+    """Return the whole number in `text`; raises argparse's own error."""
     try:
         return int(text)
     except ValueError as error:
@@ -163,9 +179,9 @@ def whole(text: str) -> int:
 
 
 def read_start(path: str) -> Array:
-    """A configuration from JSON: 2d + 2 numbers, or {"alpha": [...], "beta": [...], "theta": [...]}.
+    """Read a configuration (2d + 2,), rad and mm, from a JSON file; raises OptionError.
 
-    Raises OptionError.
+    path: of a file with a list of numbers, or with {"alpha": [...], "beta": [...], "theta": [...]}.
     """
     expected = 'JSON, a list of 2d + 2 numbers or {"alpha": [...], "beta": [...], "theta": [...]}, in rad and mm'
     try:

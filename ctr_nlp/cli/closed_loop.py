@@ -1,4 +1,4 @@
-"""Closed loops in the words of options: sensors, what the operator is told, the journal worked out again."""
+"""Options and output of closed loops: sensors, messages to the operator, estimates, replay of the journal."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from ctr_nlp.typing import Array
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
-    """Add the options of closed loops."""
+    """Add the options of closed loops to `parser`."""
     parser.add_argument(
         "--closed-loop",
         action="store_true",
@@ -48,8 +48,8 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 
 def with_sensor(hardware: Hardware, url: str | None) -> Hardware:
-    """Return the hardware with the sensor at `url`, if given; raises HardwareError, and OptionError where there is
-    no sensor.
+    """Return hardware with the sensor at `url`, if given; raises HardwareError, and OptionError where there is no
+    sensor.
     """
     if url is not None:
         return replace(hardware, sensing=replace(hardware.sensing or Sensing(), url=url))
@@ -59,7 +59,7 @@ def with_sensor(hardware: Hardware, url: str | None) -> Hardware:
 
 
 def sensing_of(hardware: Hardware) -> Sensing:
-    """Return the description of the sensor of hardware in a closed loop, which always has one."""
+    """Return the description of the sensor of `hardware` in a closed loop, which always has one."""
     assert hardware.sensing is not None
     return hardware.sensing
 
@@ -68,8 +68,10 @@ def sensing_of(hardware: Hardware) -> Sensing:
 def start_closed_loop(
     plan: Plan, hardware: Hardware, records: list[dict[str, Any]] | None
 ) -> Iterator[ClosedLoop]:
-    """Yield a loop that continues with what the records of a journal know, None for no records; raises
-    OptionError.
+    """Yield a closed loop on a plan, and close it when the block ends; raises OptionError.
+
+    plan: the plan to correct. hardware: with a sensor. records: of the journal of a session that is continued,
+    whose last estimate of the robot is the prior of this one; None for a new session.
     """
     sensing = sensing_of(hardware)
     known = None if records is None else final_estimate(records)
@@ -85,7 +87,7 @@ def start_closed_loop(
 
 
 def warn(plan: Plan) -> None:
-    """Say on stderr, before anything moves, that a plan is not known to hold on robots as they are built.
+    """Say on stderr, before anything moves, where a plan is not known to hold on built robots.
 
     A closed loop corrects where the robot is, not how much stability a plan leaves it: one that was not made for
     the tolerances is stopped where the estimated robot comes too near to a snap, mostly long before its end.
@@ -101,11 +103,12 @@ def warn(plan: Plan) -> None:
 
 
 def _print_note(note: Note) -> None:
+    """Print a message of the tracker on stderr."""
     print_stderr(f"note: {note.why}: the robot is {note.state.value}")
 
 
 def print_estimates(loop: ClosedLoop) -> None:
-    """Print the estimates of the robot's parameters, how well measurements fitted, and the notes of the loop."""
+    """Print a loop's estimates of the robot's parameters, how well measurements fitted, and its messages."""
     if not loop.estimates:
         return
     last = loop.estimates[-1]
@@ -129,7 +132,7 @@ def print_estimates(loop: ClosedLoop) -> None:
 
 
 def columns(loop: ClosedLoop) -> dict[str, Array]:
-    """Return the estimates over time as columns, with a row for each look at the sensors."""
+    """Return the estimates of `loop` over time as columns by name, with a row for each look at the sensors."""
     time, mean, deviation, size, accepted = (np.array(column) for column in zip(*loop.estimates, strict=True))
     found: dict[str, Any] = {"time_s": time - time[0], "innovation": size, "accepted": accepted}
     for k, name in enumerate(loop.tracker.observer.differences.values_by_name(mean[0].tolist())):
@@ -138,7 +141,11 @@ def columns(loop: ClosedLoop) -> dict[str, Array]:
 
 
 def replay(plan: Plan, hardware: Hardware, records: list[dict[str, Any]]) -> int:
-    """Tell whether the last session's commands follow from its measurements; exit status."""
+    """Compute the commands of the last session again from its measurements, report whether they are the same, and
+    return the exit status.
+
+    plan: the plan that was played. hardware: with the sensor. records: of the session's journal.
+    """
     tracker = Tracker(plan, sensing_of(hardware).sensors, prior=initial_estimate(records))
     corrections, commands, differs = replay_session(plan, hardware, records, tracker)
     if differs:

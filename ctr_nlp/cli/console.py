@@ -1,4 +1,4 @@
-"""Parts of every program: how it is called, prints its help and ends."""
+"""Parts of every program: calling it, printing its help, and its exit status."""
 
 from __future__ import annotations
 
@@ -17,14 +17,16 @@ from ctr_nlp.support.interrupt import deferred_interrupt
 EXIT_SOLVED, EXIT_SOME_FAILED, EXIT_BAD_INPUT, EXIT_INTERRUPTED = 0, 1, 2, 130
 """Exit codes of every program."""
 EXAMPLES = Path(__file__).parent / "templates" / "examples.txt"
-"""Calls of programs: after a line `[NAME]`, what each of its examples does, and in the next line its arguments."""
+"""File of example calls: after a line `[NAME]`, for each example a line on what it does and one with its
+arguments.
+"""
 INDENT = "  "
 STDOUT = 1
 """The descriptor of standard output."""
 
 
 class Command(NamedTuple):
-    """A subcommand that can be called with arguments, and returns its exit status."""
+    """Subcommand that can be called with arguments, and returns its exit status."""
 
     name: str
     """Name in usage messages."""
@@ -33,7 +35,9 @@ class Command(NamedTuple):
     run: Callable[[argparse.Namespace], int]
 
     def parser(self, prog: str) -> argparse.ArgumentParser:
-        """Make the parser of the program's own options and those of every program, with examples in the help."""
+        """Make the parser of the program's own options and those of every program; prog: its name in usage
+        messages and examples.
+        """
         own = self.options(prog)
         told = [""]
         given = examples(self.name.rpartition(" ")[2])
@@ -56,17 +60,16 @@ class Command(NamedTuple):
         return parser
 
     def __call__(self, argv: list[str] | None = None, prog: str | None = None) -> int:
-        """Run with `argv`, by default the arguments of the process, and return the exit status; `prog` is another
-        name for usage messages.
+        """Run the subcommand, and return its exit status.
+
+        argv: arguments, by default those of the process. prog: another name for usage messages.
         """
         return run_with_exit_status(
             lambda: self._run_and_report(parse_arguments(self.parser(prog or self.name), argv))
         )
 
     def _run_and_report(self, arguments: argparse.Namespace) -> int:
-        """Run the program; with --json, print its output as one JSON object, with the message of an error as a
-        part of it.
-        """
+        """Run the program; with --json print its output, or the message of its error, as one JSON object."""
         with collect_output(getattr(arguments, "as_json", False), arguments.verbose) as told:
             if told is None:
                 return self.run(arguments)
@@ -81,7 +84,7 @@ class Command(NamedTuple):
 
 
 def examples(name: str) -> list[tuple[str, str]]:
-    """Return the examples of a subcommand: for each what it does, and its arguments."""
+    """Return the examples of the subcommand called `name`: for each what it does, and its arguments."""
     blocks = dict(block.split("]\n", 1) for block in EXAMPLES.read_text(encoding="utf-8").split("[")[1:])
     lines = blocks.get(name, "").splitlines()
     return [(what, call.strip()) for what, call in zip(lines[::2], lines[1::2], strict=True)]
@@ -99,8 +102,9 @@ class _Formatter(argparse.HelpFormatter):
 
 
 def parse_arguments(parser: argparse.ArgumentParser, argv: Sequence[str] | None) -> argparse.Namespace:
-    """Parse `argv`, None for the arguments of the process; the error on an unknown option names the one that was
-    probably meant.
+    """Parse arguments; the error on an unknown option names the one that was probably meant.
+
+    parser: of the program. argv: arguments, None for those of the process.
     """
     found, unknown = parser.parse_known_args(argv)
     if unknown:
@@ -111,7 +115,7 @@ def parse_arguments(parser: argparse.ArgumentParser, argv: Sequence[str] | None)
 
 
 def run_with_exit_status(program: Callable[[], int]) -> int:
-    """Run a program; bad input becomes one line and exit code 2, Ctrl-C exit code 130.
+    """Run a program; bad input becomes one line and exit status 2, Ctrl-C exit status 130.
 
     The first Ctrl-C is left to the program, which ends early and writes what it has; a second ends it at once.
     """
@@ -131,7 +135,8 @@ def run_with_exit_status(program: Callable[[], int]) -> int:
 
 
 def _forget_stdout() -> None:
-    """Let what standard output could not take go nowhere, or Python would complain of it once more at its end."""
+    """Redirect standard output to nowhere once it has failed."""
+    # Python flushes standard output when it ends, and would report the same failure again.
     if sys.stdout is sys.__stdout__:
         nowhere = os.open(os.devnull, os.O_WRONLY)
         os.dup2(nowhere, STDOUT)

@@ -1,4 +1,4 @@
-"""What programs tell their live views."""
+"""Live windows of programs: what they are shown while a plan is solved for or played."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from ctr_nlp.view.figures.live import LiveWindow, PlaybackPicture, PlaybackState
 
 
 class SolverView:
-    """Shows iterates of a problem's motion as they are found, and at last the plan that they have led to."""
+    """Window that shows iterates of a problem's motion as they are found, and at last the plan."""
 
     def __init__(self, view: LiveWindow, problem: Problem) -> None:
         self._view = view
@@ -26,14 +26,16 @@ class SolverView:
         self._history = list[tuple[float, float]]()
 
     def __call__(self, iterate: Iterate) -> None:
-        """Show an iterate; where a solver begins anew there is a gap."""
+        """Show an iterate; a gap separates it from those of another start."""
         if iterate.number == 0 and self._history:
             self._history.append((np.nan, np.nan))
         self._history.append((iterate.objective / self._frames, iterate.error))
         self._view.show(partial(self._stage, iterate))
 
     def _stage(self, iterate: Iterate) -> SolverState:
+        """Return what the picture shows of an iterate; called in the window's sender thread."""
         objective, error = np.array(self._history).T
+        # A horizon's unknowns have, frame by frame, those of the robot first, and slack variables after them.
         return SolverState(objective, error, iterate.x.reshape(self._frames, -1)[:, : self._unknowns])
 
     def show_plan(self, plan: Plan) -> None:
@@ -42,7 +44,7 @@ class SolverView:
 
 
 class PlaybackView:
-    """Shows what a player sees, and at last how it ended."""
+    """Window that shows what a player sees, and at last how playback ended."""
 
     def __init__(self, view: LiveWindow) -> None:
         self._view = view
@@ -54,12 +56,13 @@ class PlaybackView:
         self._view.show(partial(_playback_state, trajectory, progress, state))
 
     def show_outcome(self, outcome: str) -> None:
-        """Show how it ended, with the robot where it was seen last."""
+        """Show `outcome`, how playback ended in words, with the robot where it was seen last."""
         if self._last is not None:
             self(*self._last, outcome)
 
 
 def _playback_state(trajectory: Trajectory, progress: MotionProgress, state: str) -> PlaybackState:
+    """Return what the picture shows of a moment; called in the window's sender thread."""
     time = np.array([progress.time])
     measured = trajectory.joints(time, progress.position[None])[0]
     commanded = trajectory.at(time)[0][0]
@@ -68,7 +71,9 @@ def _playback_state(trajectory: Trajectory, progress: MotionProgress, state: str
 
 @contextmanager
 def open_solver_view(problem: Problem, model: str) -> Iterator[SolverView]:
-    """A window for the motion of a problem; raises OptionError where none can be opened."""
+    """Open a window for the motion of a problem on the model called `model`; raises OptionError where it
+    cannot.
+    """
     lumen = None if problem.sampled_lumen is None else problem.sampled_lumen.table
     target = np.array([frame.points for frame in problem.target_frames])
     with LiveWindow(SolverPicture(problem.name, problem.robot, model, target, lumen)) as view:
@@ -77,6 +82,6 @@ def open_solver_view(problem: Problem, model: str) -> Iterator[SolverView]:
 
 @contextmanager
 def open_playback_view(plan: Plan) -> Iterator[PlaybackView]:
-    """A window for a plan that is played; raises OptionError where none can be opened."""
+    """Open a window for a plan that is played; raises OptionError where it cannot."""
     with LiveWindow(PlaybackPicture(plan)) as view:
         yield PlaybackView(view)

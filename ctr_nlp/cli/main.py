@@ -1,4 +1,4 @@
-"""The command `ctr-nlp`: which subcommands there are. Each is loaded when it is called, and nothing else is."""
+"""The command `ctr-nlp`: its subcommands, each of which is imported when it is called, and no other."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 class Entry(NamedTuple):
-    """A subcommand: the module of ctr_nlp.cli that holds it, its name there, and what it is for."""
+    """Where a subcommand is: its module in ctr_nlp.cli and its name there; summary: a line on what it does."""
 
     module: str
     name: str
@@ -51,7 +51,7 @@ COMMANDS = {
 
 
 def main(argv: list[str] | None = None) -> int:
-    """The command `ctr-nlp`: run the subcommand that argv names; the exit status."""
+    """Run the subcommand that `argv` names, and return its exit status."""
     if argv is None:
         _hold_interrupts()
     given = sys.argv[1:] if argv is None else argv
@@ -68,13 +68,15 @@ def main(argv: list[str] | None = None) -> int:
 
 
 def load(entry: Entry) -> Command:
-    """A subcommand, imported."""
+    """Import the subcommand at `entry`, and return it."""
     command: Command = getattr(importlib.import_module(f"ctr_nlp.cli.{entry.module}"), entry.name)
     return command
 
 
 def parser(every_option: bool = False) -> argparse.ArgumentParser:
-    """The subcommands; with all their options, which imports them, only where these are asked for."""
+    """Make the parser of all subcommands; every_option: with all their options, for which they must be
+    imported.
+    """
     import argparse  # not before Ctrl-C is held back
 
     made = argparse.ArgumentParser(
@@ -94,6 +96,8 @@ def parser(every_option: bool = False) -> argparse.ArgumentParser:
 
 
 def _hold_interrupts() -> None:
-    """Keep Ctrl-C waiting while a program is loaded, until it can answer."""
+    """Block Ctrl-C while a program is imported; deferred_interrupt unblocks it."""
     if hasattr(signal, "pthread_sigmask"):
+        # Otherwise it would raise KeyboardInterrupt amid imports of large libraries, with a traceback. Once
+        # unblocked it is delivered, and so is not lost.
         signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})

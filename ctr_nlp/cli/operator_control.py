@@ -1,4 +1,8 @@
-"""What is typed while a plan is played, and signals, as wishes of the player's."""
+"""Operator's control of a plan that is played: typed lines and signals become requests to the player.
+
+Handlers of signals and the thread that reads lines only ask; the player itself decides between two commands of the
+motion, so that a stop is never cut short.
+"""
 
 from __future__ import annotations
 
@@ -18,17 +22,17 @@ STOP_SIGNAL_NAMES = ("SIGTERM", "SIGHUP", "SIGQUIT")
 """Names of the signals that stop the motors, beside that of Ctrl-C; SIGQUIT is Ctrl-\\."""
 
 SIGNAL_EXIT_BASE = 128
-"""Added to the number of the signal that stopped a program, it is the exit status, as shells have it."""
+"""Exit status less the number of the signal that stopped a program, as shells have it."""
 
 
 @contextmanager
 def obey_operator(player: Player, interrupted: Callable[[], bool]) -> Iterator[Callable[[], int]]:
-    """Within the block what is typed, and signals that end programs, are wishes of the player's.
+    """Turn typed lines, and signals that end programs, into requests to the player within the block.
 
     Parameters
     ----------
     player : Player
-        Who is to stop, pause or go on.
+        Player that pauses, resumes or stops.
     interrupted : callable
         Whether Ctrl-C was pressed, also before the block began.
 
@@ -50,14 +54,14 @@ def obey_operator(player: Player, interrupted: Callable[[], bool]) -> Iterator[C
 
 @contextmanager
 def stop_on_signals(stop: Callable[[], None], interrupted: Callable[[], bool]) -> Iterator[Callable[[], int]]:
-    """Within the block signals that end programs ask for a stop, as often as they come.
+    """Ask for a stop at every signal that would end the program within the block.
 
     A stop is never itself interrupted, and always ends.
 
     Parameters
     ----------
     stop : callable
-        Called for every signal.
+        Called for every signal, in its handler.
     interrupted : callable
         Whether Ctrl-C was pressed, also before the block began.
 
@@ -70,8 +74,11 @@ def stop_on_signals(stop: Callable[[], None], interrupted: Callable[[], bool]) -
     remember = signal.getsignal(signal.SIGINT)
 
     def handler(number: int, frame: Any) -> None:
+        # First of all, so that nothing that fails later keeps the motors running.
         stop()
         came.append(number)
+        # deferred_interrupt learns of the first Ctrl-C. A second one would make it raise KeyboardInterrupt in the
+        # middle of the stop.
         if number == signal.SIGINT and callable(remember) and not interrupted():
             remember(number, frame)
 
@@ -85,8 +92,9 @@ def stop_on_signals(stop: Callable[[], None], interrupted: Callable[[], bool]) -
 
 
 def _listen(player: Player) -> None:
-    """Obey lines of standard input, past its buffer, whose lock would be in the way when the program ends."""
+    """Obey lines of standard input until it ends, in a thread of its own."""
     try:
+        # Past Python's buffer: this thread would hold its lock when the program ends.
         while typed := os.read(sys.stdin.fileno(), 1024).decode(errors="replace"):
             for line in typed.splitlines():
                 wish = OPERATOR_COMMANDS.get(line.strip().lower()[:1])

@@ -30,7 +30,7 @@ from ctr_nlp.studies.pareto_front import DEFAULT_SWEEP_WEIGHTS_S2
 HORIZON_FORMULATION = "horizon"
 """The formulation that solves all frames in one program."""
 PER_FRAME_ONLY_OPTIONS = ("direction", "jump_width")
-"""Options that only formulations frame by frame have."""
+"""Options that only frame-by-frame formulations have."""
 HORIZON_ONLY_OPTIONS = (
     "arrival_weight",
     "end",
@@ -43,7 +43,7 @@ HORIZON_ONLY_OPTIONS = (
 )
 """Options that only a horizon has."""
 WALL_SETTING_NAMES = ("clearance", "contact_weight")
-"""Options that add_wall_options adds, by their names in Settings."""
+"""Settings that the options of add_wall_options set."""
 THRESHOLD_HELP = {
     "arrival_tolerance": ("MM", "distance from the target's end within which the tip arrives in the last frame"),
     "error_allowed": ("MM", "largest e2 of any frame with which the plan follows its target"),
@@ -54,26 +54,27 @@ THRESHOLD_HELP = {
 
 
 def add_model_options(parser: argparse.ArgumentParser) -> None:
-    """Add the option for the model to plan on."""
+    """Add the option for the model to plan on to `parser`."""
     parser.add_argument("--model", choices=KINEMATIC_MODELS, help="(default elastic; with two stages dominant)")
 
 
 def model_from(arguments: argparse.Namespace) -> str:
-    """Return the name of the model to plan on: the one that was given, or the default of the formulation."""
+    """Return the name of the model in `arguments`, or the default of the formulation."""
     named: str | None = arguments.model
     return named or default_model(arguments.formulation)
 
 
 def add_evaluate_option(parser: argparse.ArgumentParser, default: str) -> None:
-    """Add the option for the model on which a plan's shapes are computed; `default` says in words which one is
-    usual.
+    """Add the option for the model on which a plan's shapes are computed to `parser`.
+
+    default: which model is usual, in words for the help.
     """
     told = f"model on which the plan's shapes are found (default: {default})"
     parser.add_argument("--evaluate", choices=KINEMATIC_MODELS, help=told)
 
 
 def add_motion_options(parser: argparse.ArgumentParser) -> None:
-    """Add the options of every motion: where it starts, its direction, and limits of the motors."""
+    """Add the options of every motion to `parser`: its start, its direction, and limits of the motors."""
     group = parser.add_argument_group("the motion")
     group.add_argument("--start", metavar="Q.json", help="configuration at time 0, where the robot stands now")
     group.add_argument("--retract", action="store_true", help="plan the retraction: the frames in opposite order")
@@ -83,7 +84,7 @@ def add_motion_options(parser: argparse.ArgumentParser) -> None:
 
 
 def with_motion_options(problem: Problem, arguments: argparse.Namespace) -> Problem:
-    """Return the problem with the limits and in the direction that the options of add_motion_options ask for."""
+    """Return the problem with limits and direction from add_motion_options' options in `arguments`."""
     robot = problem.robot.with_locked_tilt() if arguments.lock_tilt else problem.robot
     for kind in ("speed", "acceleration"):
         if getattr(arguments, kind) is not None:
@@ -94,7 +95,7 @@ def with_motion_options(problem: Problem, arguments: argparse.Namespace) -> Prob
 
 
 def add_horizon_options(parser: argparse.ArgumentParser) -> None:
-    """Add the options of motions that are solved over all frames at once."""
+    """Add the options of motions that are solved over all frames at once to `parser`."""
     group = parser.add_argument_group("all frames at once")
     group.add_argument("--end", metavar="Q.json", help="configuration of the last frame")
     group.add_argument(
@@ -128,7 +129,7 @@ def add_horizon_options(parser: argparse.ArgumentParser) -> None:
 
 
 def add_robust_options(parser: argparse.ArgumentParser) -> None:
-    """Add whether all the robots within tolerances are planned for, or the described one alone."""
+    """Add the options to `parser` that choose between all robots within the tolerances and the nominal one."""
     group = parser.add_argument_group("robots that are not quite the one described")
     which = group.add_mutually_exclusive_group()
     which.add_argument(
@@ -153,7 +154,7 @@ def add_robust_options(parser: argparse.ArgumentParser) -> None:
 
 
 def add_tip_force(group: argparse._ActionsContainer) -> None:
-    """Add the option for the tip force that a robot's tolerances allow."""
+    """Add the option for the tip force that a robot's tolerances allow to `group`."""
     force = (
         "force that may act at the tip, in any direction, and come and go (default: the robot file's tip_force)"
     )
@@ -161,9 +162,7 @@ def add_tip_force(group: argparse._ActionsContainer) -> None:
 
 
 def with_tip_force_option(problem: Problem, arguments: argparse.Namespace) -> Problem:
-    """Return the problem, whose robot's tolerances have the tip force of add_tip_force's option; raises
-    RobotError.
-    """
+    """Return the problem, its robot's tolerances with the tip force in `arguments`, if any; raises RobotError."""
     if arguments.tip_force is None:
         return problem
     tolerances = replace(problem.robot.tolerances, tip_force=arguments.tip_force)
@@ -171,7 +170,7 @@ def with_tip_force_option(problem: Problem, arguments: argparse.Namespace) -> Pr
 
 
 def add_wall_options(parser: argparse.ArgumentParser) -> None:
-    """Add the options for how the lumen's wall counts, `WALL_SETTING_NAMES`."""
+    """Add the options for how the lumen's wall counts, `WALL_SETTING_NAMES`, to `parser`."""
     group = parser.add_argument_group("the lumen's wall, where radii are known")
     for option, metavar, what in (
         ("clearance", "MM", "to keep between tubes and wall"),
@@ -188,7 +187,7 @@ def add_wall_options(parser: argparse.ArgumentParser) -> None:
 
 
 def add_threshold_options(parser: argparse.ArgumentParser) -> None:
-    """Add the thresholds that verdicts judge by: settings.THRESHOLDS."""
+    """Add the options for the thresholds of verdicts, settings.THRESHOLDS, to `parser`."""
     group = parser.add_argument_group("what counts as good")
     for name in THRESHOLDS:
         metavar, what = THRESHOLD_HELP[name]
@@ -198,13 +197,13 @@ def add_threshold_options(parser: argparse.ArgumentParser) -> None:
 
 
 def with_thresholds(plan: Plan, arguments: argparse.Namespace) -> Plan:
-    """Judge a plan by the thresholds that were given; raises OptionError where one is out of range."""
+    """Return the plan, judged by the thresholds in `arguments`; raises OptionError where one is out of range."""
     given = {name: value for name in THRESHOLDS if (value := getattr(arguments, name)) is not None}
     return plan.with_thresholds(**given) if given else plan
 
 
 def add_check_options(parser: argparse.ArgumentParser) -> None:
-    """Add how a plan is looked at once it is made."""
+    """Add the options for how a finished plan is evaluated to `parser`."""
     group = parser.add_argument_group("how the plan is looked at")
     group.add_argument(
         "--no-evaluate",
@@ -218,7 +217,9 @@ def add_check_options(parser: argparse.ArgumentParser) -> None:
 
 
 def evaluate_plan(plan: Plan, arguments: argparse.Namespace) -> Plan:
-    """Look at a plan as add_check_options' arguments say; raises RobotError for a bad number of samples."""
+    """Evaluate a plan as add_check_options' options in `arguments` say; raises RobotError for a bad number of
+    samples.
+    """
     if arguments.no_evaluate:
         return plan
     loaded = plan.evaluated_load is not None
@@ -230,7 +231,7 @@ def evaluate_plan(plan: Plan, arguments: argparse.Namespace) -> Plan:
 
 
 def add_file_options(parser: argparse.ArgumentParser) -> None:
-    """Add the options for how a path from a file is prepared before it is followed, problems.FILE_OPTIONS."""
+    """Add the options for how a path from a file is prepared, problems.FILE_OPTIONS, to `parser`."""
     kinds = f"a centreline ({', '.join(CENTRELINE_SUFFIXES)}) or a mask of the lumen ({', '.join(MASK_SUFFIXES)})"
     group = parser.add_argument_group(
         f"where PROBLEM is {kinds}", "Points and directions are in the file's own coordinates, in mm."
@@ -256,8 +257,8 @@ def add_file_options(parser: argparse.ArgumentParser) -> None:
 
 
 def add_term_options(parser: argparse.ArgumentParser) -> None:
-    """Add the options for terms of the objective beside the mean distance of the whole shape; None where not
-    given.
+    """Add the options for terms of the objective beside the shape's mean distance, None where not given, to
+    `parser`.
     """
     group = parser.add_argument_group("what counts beside the mean distance of the shape, not with two stages")
     angle = "weight of the squared angle between the tip and the target's end, in mm^2/rad^2 (default 0)"
@@ -271,7 +272,7 @@ def add_term_options(parser: argparse.ArgumentParser) -> None:
 
 
 def terms_from(arguments: argparse.Namespace) -> list[Term]:
-    """Return the terms of the objective that the options of add_term_options ask for; raises OptionError."""
+    """Return the terms of the objective from add_term_options' options in `arguments`; raises OptionError."""
     terms = list[Term]()
     if arguments.depth_power is not None:
         if not 0 <= arguments.depth_power < math.inf:

@@ -1,6 +1,6 @@
-"""A plan as files, as pictures and a film, and as a table on the terminal.
+"""Write and print plans: files, pictures, a film, and tables on the terminal.
 
-What draws is imported where it draws: matplotlib takes longer to load than a motion takes to be planned.
+Drawing is imported where it is needed: matplotlib takes longer to load than a motion takes to plan.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ STYLES = {YES: "green", NO: "bold red", NOT_CHECKED: "dark_orange"}
 
 
 def write(plan: Plan, folder: Path) -> None:
-    """plan.npz, errors.csv and summary.json."""
+    """Write plan.npz, errors.csv and summary.json of a plan into `folder`."""
     plan.save(folder / "plan.npz")
     write_csv(folder / "errors.csv", columns_to_rows(by_frame(plan)))
     text = json.dumps(summary(plan), indent=2, allow_nan=False)
@@ -35,7 +35,11 @@ def write(plan: Plan, folder: Path) -> None:
 
 
 def draw(plan: Plan, points: Sequence[ParetoPoint], folder: Path, found: Sequence[Compromise] = ()) -> None:
-    """Draw a plan, and where a sweep has found points, or what can be had was looked for, that too."""
+    """Draw a plan into files of a folder.
+
+    plan: the plan. points: of a sweep of motion weights, drawn where there are any. folder: an existing folder.
+    found: compromises between arrival and contact, drawn where there are any.
+    """
     from ctr_nlp.view.figures import save, save_all
 
     save_all(plan, folder)
@@ -50,7 +54,7 @@ def draw(plan: Plan, points: Sequence[ParetoPoint], folder: Path, found: Sequenc
 
 
 def draw_shapes_only(plan: Plan, folder: Path) -> None:
-    """Draw the shapes of a plan alone, which takes least time."""
+    """Draw the shapes of a plan alone, which is fastest, into `folder`."""
     from ctr_nlp.view.figures import save
     from ctr_nlp.view.figures.overlay import shapes
 
@@ -58,7 +62,7 @@ def draw_shapes_only(plan: Plan, folder: Path) -> None:
 
 
 def print_report(plan: Plan) -> None:
-    """Print the verdicts on a plan, its numbers, and what is wrong with it."""
+    """Print the verdicts on a plan, its numbers, and remarks on what is wrong with it."""
     found = summary(plan)
     print_verdicts(found)
     print_table("numbers", ("", "value", "unit"), summary_text.measure_rows(found))
@@ -67,7 +71,7 @@ def print_report(plan: Plan) -> None:
 
 
 def print_verdicts(found: dict[str, Any]) -> None:
-    """Print the table of verdicts of a plan's summary, its words in colour, and what they come to."""
+    """Print the table of verdicts of a plan's summary `found`, its words in colour, and a conclusion."""
     rows = summary_text.verdict_rows(found)
     print_table(summary_text.title(found), summary_text.VERDICTS, rows, text=("value", "why"), styles=STYLES)
     console().print(summary_text.summarise_verdicts(found))
@@ -75,7 +79,9 @@ def print_verdicts(found: dict[str, Any]) -> None:
 
 
 def print_robustness(plan: Plan) -> None:
-    """Print the verdicts on a plan, and what becomes of its samples: arrival, contact, errors, losses, costs."""
+    """Print the verdicts on a plan, and statistics of its simulated robots: arrival, contact, errors, losses,
+    costs.
+    """
     assert plan.drawn is not None
     print_verdicts(summary(plan))
     for table in sample_text.tables(plan):
@@ -85,19 +91,19 @@ def print_robustness(plan: Plan) -> None:
 
 
 def exit_status(plan: Plan) -> int:
-    """0 where no verdict is *no*, 1 where one is, 130 where the plan was interrupted."""
+    """Return 0 where no verdict is *no*, 1 where one is, 130 where the plan was interrupted."""
     if plan.meta.get("interrupted", False):
         return EXIT_INTERRUPTED
     return EXIT_SOME_FAILED if plan.verdicts.failed_names else EXIT_SOLVED
 
 
 def write_front(points: Sequence[ParetoPoint], folder: Path) -> None:
-    """pareto.csv."""
+    """Write pareto.csv with a row for each of `points` into `folder`."""
     write_csv(folder / "pareto.csv", [asdict(point) for point in points])
 
 
 def print_front(points: Sequence[ParetoPoint]) -> None:
-    """A line a weight, then a line a method."""
+    """Print a row for each of `points`: weights first, then other methods."""
     rows = [
         (p.method + " *" * (not p.solved), f"{p.motion_weight:.2g}", p.e3, f"{p.roughness:.0f}") for p in points
     ]
@@ -106,7 +112,7 @@ def print_front(points: Sequence[ParetoPoint]) -> None:
 
 
 def write_compromises(found: Sequence[Compromise], folder: Path) -> None:
-    """Write trade_off.csv: arrival against contact."""
+    """Write trade_off.csv, arrival against contact, with a row for each of `found` into `folder`."""
     write_csv(folder / "trade_off.csv", [_row(one) for one in found])
 
 
@@ -124,7 +130,7 @@ def _row(one: Compromise) -> dict[str, Any]:
 
 
 def print_compromises(plan: Plan, found: Sequence[Compromise]) -> None:
-    """Print what can be had of arriving and keeping off the wall, and what stands in the way."""
+    """Print the compromises `found` between arriving and keeping off the wall, and what limits `plan`."""
     columns = "motion", "tip off mm", "deepest contact mm", "e3 mm", "at"
     rows = [
         (
@@ -140,10 +146,11 @@ def print_compromises(plan: Plan, found: Sequence[Compromise]) -> None:
 
 
 def write_film(plans: Sequence[Plan], file: Path, out: Path, place: Path, staging: Path) -> Path:
-    """Write a film of plans and show how far it is; returns where it will be. Raises OptionError, OutputError.
+    """Write a film of plans with a progress bar; return where it will be. Raises OptionError, OutputError.
 
-    out: the output folder that was asked for; place: the one that takes staging's files, another where the run was
-    interrupted, which then takes all films. Otherwise a file that is not within out is written where it is to be.
+    plans: side by side. file: asked for by the user. out: output folder that was asked for. place: folder that
+    takes staging's files, within `out` where the run was interrupted; it then takes all films. staging: files
+    before publication. Otherwise a file outside of `out` is written where it is to be.
     """
     from ctr_nlp.view.figures.film import film
 

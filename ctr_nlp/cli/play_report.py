@@ -1,4 +1,4 @@
-"""What is told of a plan that is played: what was checked before anything moved, and afterwards how it went."""
+"""Report on a plan that is played: checks before anything moves, and afterwards how it went."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ from ctr_nlp.support.tables import columns_to_rows, write_csv
 from ctr_nlp.typing import Array
 
 JOURNAL = "journal.jsonl"
-"""In the output folder: the record of all sessions, to which each adds its own."""
+"""Record of all sessions in the output folder, to which each session adds its own."""
 
 ESTIMATE = "estimate.csv"
-"""There too: what measurements told of the robot in a closed loop."""
+"""Estimates of the robot over a closed loop, in the output folder."""
 
 
 FILE_SUFFIXES = (".json", ".jsonl", ".csv", ".png", ".npz", ".toml", ".txt")
-"""A name for the output folder that ends so was meant for a file."""
+"""Suffixes of --out that were meant for a file, and not for the folder."""
 
 
 def claim(out: Path) -> None:
@@ -43,12 +43,13 @@ def claim(out: Path) -> None:
         raise OptionError(f"--out is {out}, but {JOURNAL} and more go into a folder; name a folder")
     check_file(out / JOURNAL, '{"t": ')
     check_folder(out, "play")
+    # Publishing nothing marks the folder as ours and removes what earlier sessions published.
     with output_folder(out, "play"):
         pass
 
 
 def print_trajectory(title: str, trajectory: Trajectory, found: TrajectoryCheck) -> None:
-    """Print how long a trajectory takes, and what part of the hardware's limits it uses; `found` is its check."""
+    """Print a trajectory's duration and use of the hardware's limits under `title`; found: its check."""
     rows: list[tuple[str, Any, str]] = [
         ("frames", len(trajectory.frames), ""),
         ("duration", f"{trajectory.duration:.2f}", "s"),
@@ -69,27 +70,27 @@ def report(
     journal: Journal,
     loop: ClosedLoop | None,
 ) -> bool:
-    """Tell how it went, on the terminal and, where enough was seen, in files beside the journal.
+    """Report how playback went, on the terminal and, where enough was seen, in files beside the journal.
 
     Parameters
     ----------
     plan : Plan
-        Which was played.
+        The plan that was played.
     hardware : Hardware
-        On which.
+        The hardware that played it.
     result : Result
-        How that ended.
+        How playback ended.
     seen : Tracking, optional
         Where the axes were when frames were due.
     journal : Journal
-        Of the session, closed.
+        Journal of the session, closed.
     loop : ClosedLoop, optional
-        What corrected the plan.
+        Closed loop that corrected the plan.
 
     Returns
     -------
     bool
-        Whether all that was to be written and remembered was.
+        Whether everything could be written and remembered.
     """
     out = journal.path.parent
     name = plan.meta["problem"]["name"]
@@ -129,7 +130,7 @@ def report(
 
 
 def _written(title: str, seen: Tracking, names: list[str], out: Path, loop: ClosedLoop | None) -> list[str]:
-    """Write tracking.csv and .png, and estimate.csv; their names. Raises OutputError."""
+    """Write tracking.csv, tracking.png and estimate.csv, and return their names; raises OutputError."""
     from ctr_nlp.view.figures import save, tracking  # matplotlib is not needed before anything has moved
 
     with output_folder(out, "play") as staging:

@@ -1,4 +1,4 @@
-"""PROBLEM on a command line: a named problem, a problem file of the user's, or a file of anatomy."""
+"""PROBLEM on a command line: a named problem, a user's problem file, or a file of anatomy."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from ctr_nlp.paths.problem import Problem
 from ctr_nlp.robot import Robot
 
 PROBLEM_FILE_SUFFIXES = (*CENTRELINE_SUFFIXES, *MASK_SUFFIXES, ".py")
-"""How names of files that problems are read from end."""
+"""Suffixes of the files that problems are read from."""
 
 PACKAGE = Path(__file__).parents[1]
 FILE_OPTIONS = ("branch", "entry", "target", "insertion", "tilt", "reverse", "smoothing", "trim")
@@ -31,22 +31,24 @@ PROBLEM_ARGUMENT_HELP = (
     f"{', '.join(PROBLEM_NAMES)}, a problem file (.py), a centreline file "
     f"({', '.join(CENTRELINE_SUFFIXES)}) or a mask"
 )
-"""What PROBLEM may be."""
+"""Help of PROBLEM."""
 
 
 def load(name: str, arguments: argparse.Namespace) -> Problem:
-    """Return the problem that a name or a file stands for; raises a CtrError, also where a model that is asked for
-    does not describe its robot.
+    """Return the problem that a name or a file stands for.
+
+    arguments: with robot, frames, duration and the options of add_file_options. Raises CtrError, also where a
+    model in arguments does not describe the problem's robot.
     """
     (problem,) = load_all([name], arguments)
     return problem
 
 
 def load_all(names: Sequence[str], arguments: argparse.Namespace) -> list[Problem]:
-    """Return the problems that several names or files stand for; raises a CtrError as `load` does.
+    """Return the problems that several names or files stand for; raises CtrError as `load` does.
 
-    Options of `FILE_OPTIONS` are passed on to files of anatomy alone, of which there must be one where such an
-    option is given.
+    arguments: as `load`. Options of `FILE_OPTIONS` are passed on to files of anatomy alone, of which there must be
+    one where such an option is given.
     """
     options = {key: value for key in FILE_OPTIONS if (value := getattr(arguments, key, None)) is not None}
     if options and not any(_is_anatomy(name) for name in names):
@@ -65,9 +67,8 @@ def _is_anatomy(name: str) -> bool:
 
 
 def expand_folders(names: Sequence[str]) -> list[str]:
-    """Names of problems and files, with the centreline files in a folder, in their order, in place of its name.
-
-    Raises OptionError where a folder has none.
+    """Return `names`, each folder replaced by its centreline files in order; raises OptionError where it
+    has none.
     """
     found = list[str]()
     for name in names:
@@ -76,8 +77,8 @@ def expand_folders(names: Sequence[str]) -> list[str]:
 
 
 def _problem(name: str, arguments: argparse.Namespace, options: Mapping[str, Any]) -> Problem:
-    """Return the problem of a name, a Python file or a file of anatomy; `options` are those of `FILE_OPTIONS` that
-    were given.
+    """Return the problem of a name, a Python file or a file of anatomy; options: those of `FILE_OPTIONS` that were
+    given.
     """
     robot = None if arguments.robot is None else Robot.from_toml(arguments.robot)
     if name in PROBLEM_NAMES:
@@ -119,6 +120,7 @@ def _call_user_code(file: str, call: Callable[[], Any]) -> Any:
     """Call into a user's file and return the result; raises ProblemError with the line of `file` that failed."""
     try:
         return call()
+    # A user's file may call sys.exit(), which is an error here, too.
     except (Exception, SystemExit) as error:
         lines = [at.lineno for at in traceback.extract_tb(error.__traceback__) if at.filename == file]
         place = f"{file}, line {lines[-1]}" if lines else file

@@ -54,8 +54,9 @@ _verbose: ContextVar[bool] = ContextVar("verbose", default=False)
 
 @contextmanager
 def collect_output(as_json: bool, verbose: bool) -> Iterator[JsonOutput | None]:
-    """Gather a program's output for JSON, and yield it; without --json yield None. `verbose`: report progress line
-    by line on stderr.
+    """Collect a program's output within the block and yield it, where it is for JSON; else yield None.
+
+    as_json: whether --json was given. verbose: whether progress is reported line by line on stderr.
     """
     told = JsonOutput() if as_json else None
     before = (_json_output.get(), _verbose.get())
@@ -89,7 +90,9 @@ class _Console(Console):
 
 
 def console(stderr: bool = False) -> Console:
-    """A console on stdout or stderr, wide enough for tables where it is not a terminal; a string is a line."""
+    """Return a console on stdout or stderr, wide enough for tables where it is not a terminal; a string is
+    a line.
+    """
     told = _json_output.get()
     if told is not None and not stderr:
         return _Console(file=told.text, width=1_000_000)
@@ -103,7 +106,7 @@ def print_stderr(line: str) -> None:
     Parameters
     ----------
     line : str
-        Without its line break.
+        The line, without its line break.
     """
     sys.stderr.write(f"{escape_control_characters(line)}\n")
 
@@ -118,7 +121,9 @@ def write_stdout(text: str) -> None:
 
 
 def announce(line: str) -> None:
-    """Tell at once what somebody waits for: with --json, whose object comes at the end, on stderr as well."""
+    """Print `line` at once for somebody who waits; with --json, whose object comes at the end, on stderr
+    as well.
+    """
     console().print(line, soft_wrap=True)
     if _json_output.get() is not None:
         console(stderr=True).print(line, soft_wrap=True)
@@ -146,7 +151,7 @@ def print_table(
     Parameters
     ----------
     title : str
-        Stands above it.
+        Title above the table.
     columns : sequence of str
         Names of the columns.
     rows : sequence of sequences
@@ -178,7 +183,7 @@ def print_table(
 
 @contextmanager
 def progress_bar() -> Iterator[Labelled]:
-    """A bar on stderr, and with --verbose lines beside it; yields what turns a label into a callback."""
+    """Show a bar on stderr, and with --verbose lines beside it; yield what turns a label into a callback."""
     columns = (
         TextColumn("{task.description}", markup=False),
         BarColumn(),
@@ -215,7 +220,7 @@ def progress_bar() -> Iterator[Labelled]:
 
 @contextmanager
 def busy(label: str) -> Iterator[None]:
-    """A bar that says what is being done while nothing tells how far it is."""
+    """Show a bar with `label` while a step runs whose progress is not known."""
     with progress_bar() as labelled:
         labelled(label)
         yield
@@ -228,7 +233,7 @@ def _text(cell: Any) -> str:
 
 
 def _plain(value: Any) -> Any:
-    """A value as JSON has it."""
+    """Return a value as JSON has it."""
     if isinstance(value, dict):
         return {str(key): _plain(one) for key, one in value.items()}
     if isinstance(value, list | tuple):

@@ -1,3 +1,1 @@
-"""What people and other programs see of a plan: figures, a page, a live view in the browser, files of other
-programs.
-"""
+"""Views of a plan for people and other programs: figures, a report page, live steering, exchange files."""

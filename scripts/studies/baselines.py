@@ -1,4 +1,4 @@
-"""`python scripts/studies/baselines.py`: the design of tubes beside general optimisers."""
+"""`python scripts/studies/baselines.py`: compare the design of tubes with general optimisers."""
 
 from __future__ import annotations
 

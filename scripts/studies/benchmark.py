@@ -1,4 +1,4 @@
-"""`python scripts/studies/benchmark.py`: how long things take, and whether that differs from another commit."""
+"""`python scripts/studies/benchmark.py`: measure how long things take, and whether that differs from another commit."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ from ctr_nlp.paths.named_problems import named_problem
 
 Entries = list[dict[str, Any]]
 BENCHMARK_ROW_DURATION_S = 5.0
-"""For which a row is repeated."""
+"""Time for which a row is repeated."""
 
 
 def _parser(prog: str) -> argparse.ArgumentParser:
@@ -109,9 +109,7 @@ def _target(option: str, given: str | None) -> Path | None:
 
 
 def unexplained_rows(rows: list[RowComparison], explained: list[str]) -> list[RowComparison]:
-    """Return rows that are slower, or faster and not among `explained`, the rows with a reason known to the
-    caller.
-    """
+    """Return rows that are slower, or faster and not among `explained`, names of rows with a known reason."""
     return [r for r in rows if r.verdict == "slower" or (r.verdict == "faster" and r.row not in explained)]
 
 

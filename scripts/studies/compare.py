@@ -1,4 +1,4 @@
-"""`python scripts/studies/compare.py`: problems solved by several methods, side by side."""
+"""`python scripts/studies/compare.py`: solve problems by several methods, side by side."""
 
 from __future__ import annotations
 
@@ -107,7 +107,7 @@ AGREEMENT = ("problem", "objective mm²", "difference mm²", "limits that differ
 
 
 def _cells(row: dict[str, Any], columns: Columns = COMPARISON_PAGE_COLUMNS) -> list[str]:
-    """A row's cells; shares in percent, several numbers of a column divided by a stroke."""
+    """Return a row's cells; shares in percent, several numbers of a column divided by a stroke."""
     told = row | {"draws_lost": None if row["draws_lost"] is None else f"{100 * row['draws_lost']:.3g}%"}
     return [
         " / ".join(format_cell(told[key]) for key in keys if told[key] is not None) for keys in columns.values()
@@ -191,7 +191,7 @@ def _run(arguments: argparse.Namespace) -> int:
 
 
 def _command(arguments: argparse.Namespace) -> str:
-    """With which the page is made again, files by their names alone."""
+    """Return the command that makes the page again, with files by their names alone."""
     words = ["python scripts/studies/compare.py", *(Path(name).name for name in arguments.problems), "--all"]
     words += ["--variants", *arguments.variants] if arguments.variants else []
     words += [f"--frames {arguments.frames}"] if arguments.frames != 100 else []
@@ -209,7 +209,7 @@ def _print(found: Comparison) -> None:
 
 
 def _short(cell: str) -> str:
-    """A cell of the printed tables: a verdict that was not checked is a question mark there."""
+    """Return a cell of the printed tables: a verdict that was not checked is a question mark there."""
     return UNCHECKED if cell == NOT_CHECKED else cell
 
 
@@ -247,7 +247,9 @@ def _page(found: Comparison) -> str:
 
 
 def _samples_section(rows: list[dict[str, Any]]) -> str:
-    """A row a problem, a column an elastic variant: what becomes of it on draws; empty where none was tried."""
+    """Return a table of errors and losses over samples, a row a problem, a column an elastic variant; empty
+    without any.
+    """
     tried = [row for row in rows if row["draws"]]
     if not tried:
         return ""
@@ -265,7 +267,7 @@ def _samples_section(rows: list[dict[str, Any]]) -> str:
 
 
 def _overview(rows: list[dict[str, Any]], model: str) -> str:
-    """A row a problem, a column a variant: e3 in mm on a model; the paper's figures last.
+    """Return a table of e3 in mm on a model, a row a problem, a column a variant; the paper's figures last.
 
     An exclamation mark: the verdict on stability is no; a star: another one is.
     """

@@ -1,4 +1,4 @@
-"""`python scripts/studies/learn.py`: a network that gives configurations for shapes, trained for a robot."""
+"""`python scripts/studies/learn.py`: train a network that gives a robot's configurations for shapes."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ TRAINING_OPTION_HELP = {
     "batch": "shapes in a step",
     "seed": "of the shapes and of the first weights",
 }
-"""What of a Training can be asked for, and what it is."""
+"""Options of a Training, and their help."""
 
 
 def _parser(prog: str) -> argparse.ArgumentParser:

@@ -1,4 +1,4 @@
-"""`python scripts/studies/reproduce.py`: the paper's figures and its Table II."""
+"""`python scripts/studies/reproduce.py`: remake the paper's figures and its Table II."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ def _run(arguments: argparse.Namespace) -> int:
 
 
 def _print(found: PaperResults, sections: Sequence[PaperSection]) -> None:
-    """Table II, where it is among the sections, and what became of all statements; without marks of Markdown."""
+    """Print Table II, where it is among the sections, and the result of every check, without marks of Markdown."""
     for table in SECTIONS["table2"].tables(found) if SECTIONS["table2"] in sections else ():
         lines = ([_plain(cell) for cell in line] for line in (table.header, *table.body))
         print_table(f"Table II, {table.caption}", next(lines), list(lines))

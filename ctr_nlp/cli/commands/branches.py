@@ -33,13 +33,13 @@ BRANCH_TABLE_COLUMNS = (
     "remark",
 )
 BRANCH_CHECK_SPACING_MM = 0.1
-"""Places along a branch at which its bends and its lumen are looked at."""
+"""Spacing of the points along a branch at which its bends and its lumen are measured."""
 MIN_BEND_CURVATURE_PER_MM = 1e-4
-"""A branch of a smaller curvature, in 1/mm, has no bend to speak of."""
+"""Curvature below which a branch has no bend worth a number."""
 END_PART = 0.1
-"""The first and the last part of a branch whose mean radii are compared."""
+"""Length of the first and the last part of a branch, whose mean radii are compared, as a part of it."""
 WIDENS = 1.2
-"""From root to tip a lumen narrows; one that widens so much runs the other way, surely."""
+"""Ratio of mean radii at end and start from which on a branch seems to run from tip to root: a lumen narrows."""
 
 
 def _parser(prog: str) -> argparse.ArgumentParser:

@@ -1,4 +1,4 @@
-"""`ctr-nlp commission`: a controller's settings, single steps of its axes, and the record that is kept."""
+"""`ctr-nlp commission`: check a controller's settings, try single steps of its axes, and keep a record."""
 
 from __future__ import annotations
 
@@ -26,10 +26,11 @@ OUT = "runs/commissioning"
 
 
 def commission(hardware_file: Path, out: str | None) -> int:
-    """Read a controller, move what a person asks for, and keep its settings; the exit status.
+    """Read a controller, move what a person asks for, and keep its settings; return the exit status.
 
-    Settings are kept where none is wrong and every axis has arrived in both directions, or is skipped by a person.
-    The journal goes into the folder `out`, or where that is None into one of its own.
+    hardware_file: describes the rig; settings are kept beside it. out: folder for the journal, None for the usual
+    one. Settings are kept where none is wrong and every axis has arrived in both directions, or is skipped by a
+    person.
     """
     folder = Path(out or OUT)
     claim(folder)
@@ -82,7 +83,7 @@ def commission(hardware_file: Path, out: str | None) -> int:
 
 
 def _show(hardware: Hardware, controller: ControllerReadout) -> None:
-    """Who it is, where its axes stand, and every setting that is wrong or has changed."""
+    """Print the controller, where its axes stand, and every setting that is wrong or has changed."""
     stands = zip(hardware.axes, controller.position, strict=True)
     rows = [(f"axis {axis.letter} ({axis.joint})", f"{there:.3f}", axis.unit) for axis, there in stands]
     rows.append(("question to answer", f"{1e3 * controller.round_trip:.0f}", "ms"))
@@ -103,7 +104,9 @@ def _show(hardware: Hardware, controller: ControllerReadout) -> None:
 
 
 def _steps(rig: Commissioning, hardware: Hardware) -> int:
-    """Move single axes as typed, until an empty line or the end of input; the signal that ended it, 0 for none."""
+    """Move single axes as typed, until an empty line or the end of input; return the signal that ended it, 0 for
+    none.
+    """
     letters = " ".join(hardware.letters)
     for sentence in (
         f"With the tubes taken out, type an axis ({letters}) and + or - to move it by {TRIAL_STEP_LENGTH:g} mm "
@@ -116,6 +119,8 @@ def _steps(rig: Commissioning, hardware: Hardware) -> int:
     ):
         console().print(sentence)
     with deferred_interrupt() as interrupted:
+        # Ctrl-C while a line is awaited sets a flag alone, since Python repeats the read: it counts with the next
+        # line, and a second Ctrl-C ends the program.
         for line in sys.stdin:
             typed = line.strip().upper()
             if not typed or interrupted():
@@ -127,7 +132,9 @@ def _steps(rig: Commissioning, hardware: Hardware) -> int:
 
 
 def _obey(typed: str, rig: Commissioning, hardware: Hardware, interrupted: Asked) -> int:
-    """Do what a typed line asks for, or say that it means nothing; the signal that came meanwhile, 0 for none."""
+    """Do what a typed line asks for, or say that it means nothing; return the signal that came meanwhile, 0 for
+    none.
+    """
     letter = typed.removeprefix(SKIP).strip()
     letters = " ".join(hardware.letters)
     if typed == TIGHTEN:
@@ -146,13 +153,14 @@ def _obey(typed: str, rig: Commissioning, hardware: Hardware, interrupted: Asked
 
 
 def _step_axis(letter: str, direction: int, rig: Commissioning, interrupted: Asked) -> int:
-    """Move an axis by a step, which signals stop; the first that came, 0 for none."""
+    """Move an axis by a step, which signals stop; return the first signal that came, 0 for none."""
     with stop_on_signals(lambda: None, interrupted) as signalled:
         try:
             before, after = rig.step(letter, direction, lambda: signalled() != 0)
         except HardwareError as exception:
             console().print(str(exception))
         except DeviceFault as exception:
+            # A step that a signal stops ends as a fault of the device, which is then none.
             if not signalled():
                 raise
             console().print(str(exception))

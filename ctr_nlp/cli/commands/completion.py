@@ -1,4 +1,4 @@
-"""`ctr-nlp completion`: what makes a shell complete subcommands, options and names of problems."""
+"""`ctr-nlp completion`: print the script with which a shell completes subcommands, options and problem names."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def _run(arguments: argparse.Namespace) -> int:
 
 
 def _complete(action: argparse.Action, shtab: Any) -> None:
-    """Let an argument be completed by what its metavar stands for."""
+    """Let an argument be completed according to its metavar."""
     meta = action.metavar if isinstance(action.metavar, str) else ""
     if isinstance(action.choices, dict):  # shtab takes these for subcommands
         action.choices = tuple(action.choices)

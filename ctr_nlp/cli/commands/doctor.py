@@ -1,4 +1,4 @@
-"""`ctr-nlp doctor`: what is installed and works, what is missing, and how to get it."""
+"""`ctr-nlp doctor`: check what is installed and works, what is missing, and how to get it."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ from ctr_nlp.exceptions import CtrError
 DISTRIBUTION_NAME = "ctr_nlp"
 """Name of the distribution whose requirements are checked."""
 VECTORS = ("avx512f", "avx2", "neon", "asimd")
-"""Features of processors that compiled code gains from, the best first of each kind."""
+"""Processor features that make compiled code faster, the best first of each kind."""
 
 
 class CheckResult(NamedTuple):
     """Result of one check.
 
-    what: the thing that was checked. good: whether it works. detail: what was found. remedy: how to mend it. core:
-    whether planning needs it.
+    what: the thing that was checked. good: whether it works. detail: what was found. remedy: how to repair it.
+    core: whether planning needs it.
     """
 
     what: str
@@ -64,7 +64,7 @@ def _run(_: argparse.Namespace) -> int:
 
 
 def _packages() -> Iterator[CheckResult]:
-    """A line for what the core needs, and one for each extra; `dev` is for those who change this library."""
+    """Check the packages that the core needs, and those of each extra but `dev`, which users do not need."""
     yield CheckResult("Python", True, f"{platform.python_version()} at {sys.executable}")
     try:
         required = metadata.requires(DISTRIBUTION_NAME) or []
@@ -99,7 +99,7 @@ def _version(spec: str) -> str | None:
 
 
 def _compiler() -> Iterator[CheckResult]:
-    """The compiler, and those of VECTORS that Linux, where it does, tells of the processor."""
+    """Check the compiler, and list the processor's VECTORS where Linux reports them."""
     why = cache.unavailable_reason()
     chosen = cache.compiler()
     told = set[str]()
@@ -134,7 +134,7 @@ def _devices() -> Iterator[CheckResult]:
 
 
 def _plan() -> Iterator[CheckResult]:
-    """Two frames of the simplest problem, without compiled code: whether planning works at all.
+    """Solve two frames of the simplest problem without compiled code, to check whether planning works at all.
 
     On the dominant model, since elastic frames take long where nothing is compiled.
     """

@@ -1,4 +1,4 @@
-"""`ctr-nlp export`: a plan as commands that other machines play, or as shapes for other programs."""
+"""`ctr-nlp export`: write a plan as commands that other machines play, or as shapes for other programs."""
 
 from __future__ import annotations
 

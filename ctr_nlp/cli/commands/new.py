@@ -1,4 +1,4 @@
-"""`ctr-nlp new`: a commented problem, robot, hardware, load or study file to start from."""
+"""`ctr-nlp new`: write a commented problem, robot, hardware, load or study file to start from."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ NEXT_COMMAND_BY_TEMPLATE = {
     "study.toml": "ctr-nlp study {file}",
     "survival.toml": "ctr-nlp study {file}",
 }
-"""Template -> what can be done with a copy of it."""
+"""Command to try next with a copy of each template."""
 TEMPLATE_BY_KIND = {Path(name).stem: name for name in NEXT_COMMAND_BY_TEMPLATE}
 
 
@@ -44,12 +44,12 @@ def _parser(prog: str) -> argparse.ArgumentParser:
 
 
 def template(name: str) -> str:
-    """The text of a template, a key of NEXT_COMMAND_BY_TEMPLATE."""
+    """Return the text of the template called `name`, a key of NEXT_COMMAND_BY_TEMPLATE."""
     return files("ctr_nlp.cli").joinpath("templates", name).read_text(encoding="utf-8")
 
 
 def _text(arguments: argparse.Namespace, name: str) -> str:
-    """Return the text to write: the template called `name`, or the robot of another program's file; raises a
+    """Return the text to write: the template called `name`, or the robot of another program's file; raises
     CtrError.
     """
     given = {f"--{key.replace('_', '-')}": getattr(arguments, key) for key in ("name", "poisson_ratio")}

@@ -1,7 +1,7 @@
 """`ctr-nlp plan`, and its two halves: `ctr-nlp steer`, frame by frame, and scripts/solve_horizon.py, all at once.
 
-A plan is by default found over a horizon, for all the robots that tolerances allow. It starts from the plan of the
-robot as described, which is there after a few seconds and shown meanwhile.
+By default a plan is found over a horizon, for all robots within the tolerances. It starts from the plan of the
+nominal robot, which is written after a few seconds.
 """
 
 from __future__ import annotations
@@ -72,11 +72,11 @@ ROBUST_ONLY_OPTIONS = {
     "guards": "that robots at the corners of the tolerances are kept, too",
     "tip_force": "which force robots may bear that a robust plan is for",
 }
-"""Options of plans for all robots within the tolerances, and what they say."""
+"""Options that only robust plans have, and what each says."""
 
 
 def _parser(formulations: tuple[str, ...], prog: str) -> argparse.ArgumentParser:
-    """The options of some formulations, the first of which is the default."""
+    """Make the parser for some formulations, the first of which is the default."""
     frames = set(formulations) != {HORIZON_FORMULATION}
     horizon = HORIZON_FORMULATION in formulations
     how = " or ".join(["all frames in one program"] * horizon + ["frame by frame"] * frames)
@@ -150,7 +150,7 @@ def _run(arguments: argparse.Namespace) -> int:
     else:
         plan, points = _plan_horizon(arguments, problem) if whole else (_plan_per_frame(arguments, problem), [])
     with deferred_interrupt() as pressed:
-        # Ctrl-C waits while the plan is looked at, which takes seconds: what was solved is not to be lost by it.
+        # Ctrl-C waits while the plan is evaluated, which takes seconds: it must not discard what was solved.
         plan = plan_options.evaluate_plan(plan_options.with_thresholds(plan, arguments), arguments)
         found = _compromises(arguments, problem, plan)
         interrupted = plan.meta["interrupted"] or pressed()
@@ -178,8 +178,8 @@ def _run(arguments: argparse.Namespace) -> int:
 
 
 def _compromises(arguments: argparse.Namespace, problem: Problem, plan: Plan) -> list[Compromise]:
-    """Compute compromises between arriving and keeping off the wall, where a plan over all frames does not do
-    both; none otherwise.
+    """Compute compromises between arriving and keeping off the wall for a horizon plan that fails one of them;
+    else none.
     """
     found = plan.verdicts
     failed = plan.clearance is not None and NO in (found.arrives.word, found.within_wall.word)
@@ -198,16 +198,16 @@ def _compromises(arguments: argparse.Namespace, problem: Problem, plan: Plan) ->
 
 
 def _wants_robust(arguments: argparse.Namespace) -> bool:
-    """Whether all robots within the tolerances are to be planned for, by --robust or by what only that has."""
+    """Tell whether a robust plan is asked for, by --robust or by an option that only robust plans have."""
     told = any(getattr(arguments, option) is not None for option in ROBUST_ONLY_OPTIONS)
     return arguments.robust or (told and arguments.formulation == HORIZON_FORMULATION and not arguments.nominal)
 
 
 def _decide_robust(arguments: argparse.Namespace, problem: Problem) -> tuple[bool, str]:
-    """Whether all robots within the tolerances are planned for; where nobody said so, why they are not.
+    """Decide whether to plan for all robots within the tolerances; where no option says so, also return why not.
 
-    Over all frames they are, where the model can tell which of them snap and nothing was asked for that only the
-    plan of the described robot has.
+    Over all frames that is the default, where the model can predict which robots snap and no option was given that
+    only nominal plans have.
     """
     robust = _wants_robust(arguments)
     if robust or arguments.nominal or arguments.formulation != HORIZON_FORMULATION:
@@ -226,7 +226,7 @@ def _decide_robust(arguments: argparse.Namespace, problem: Problem) -> tuple[boo
 
 
 def _folder(problem: Problem, model: str, arguments: argparse.Namespace, robust: bool) -> str:
-    """Name the output folder by what was asked for: plans of other requests do not replace each other."""
+    """Name the output folder by what was asked for, so that plans of other requests do not replace each other."""
     whole = arguments.formulation == HORIZON_FORMULATION
     loaded = has_load(arguments)
     asked = {
@@ -271,8 +271,8 @@ def _check_formulation_options(arguments: argparse.Namespace) -> None:
 
 
 def _given_options(arguments: argparse.Namespace, names: Sequence[str]) -> list[str]:
-    """Return the options that were given, as they are written on the command line; `names` are their attributes in
-    arguments.
+    """Return the options that were given, as written on the command line; names: their attributes in
+    `arguments`.
     """
     # Compared by identity: 0 equals False, but is a value that was given.
     unset = None, False
@@ -281,8 +281,9 @@ def _given_options(arguments: argparse.Namespace, names: Sequence[str]) -> list[
 
 
 def _settings(arguments: argparse.Namespace, problem: Problem, *names: str) -> Settings:
-    """Make the Settings from the options in `names` and those of the wall, arrival and thresholds; raises
-    OptionError, and ProblemError where the wall is asked for and the problem has no radii.
+    """Make the Settings from the options in `names` and those of the wall, arrival and thresholds.
+
+    Raises OptionError, and ProblemError where the wall is asked for and the problem has no radii.
     """
     if any(getattr(arguments, name) for name in plan_options.WALL_SETTING_NAMES):
         check_radii(problem)
@@ -310,7 +311,7 @@ def _plan_per_frame(arguments: argparse.Namespace, problem: Problem) -> Plan:
 
 
 def _plan_horizon(arguments: argparse.Namespace, problem: Problem) -> tuple[Plan, list[ParetoPoint]]:
-    """Plan all frames at once; returns the plan, and the points of a sweep of motion weights where one is asked
+    """Plan all frames at once; return the plan, and the points of a sweep of motion weights where one is asked
     for.
     """
     settings = _settings(arguments, problem, "seed")
@@ -338,10 +339,9 @@ def _plan_horizon(arguments: argparse.Namespace, problem: Problem) -> tuple[Plan
 
 
 def _plan_robust(arguments: argparse.Namespace, problem: Problem, out: Path) -> Plan:
-    """The plan for all robots that the tolerances allow, over all frames at once or frame by frame.
+    """Plan for all robots within the tolerances, over all frames at once or frame by frame.
 
-    out: the output folder, within which a folder takes the plan of the robot as described while others are planned
-    for.
+    out: the output folder; a folder within it takes the nominal robot's plan as soon as that is found.
     """
     whole = arguments.formulation == HORIZON_FORMULATION
     asked: dict[str, Any] = {
@@ -368,9 +368,10 @@ def _plan_robust(arguments: argparse.Namespace, problem: Problem, out: Path) -> 
 
 
 def _write_nominal_plan(plan: Plan, out: Path, figures: bool) -> None:
-    """Write the plan of the robot as described, which the one for all robots within the tolerances comes after."""
+    """Write the plan of the nominal robot into a folder within `out`; figures: whether to draw its shapes."""
     if plan.meta["interrupted"]:
         return
+    # A folder of its own: the robust plan may be interrupted, and must not be taken for this one.
     place = out / NOMINAL_FOLDER_NAME
     with output_folder(place, "plan") as staging:
         write(plan, staging)
@@ -386,7 +387,7 @@ def _write_nominal_plan(plan: Plan, out: Path, figures: bool) -> None:
 
 
 def _open_live_view(problem: Problem, arguments: argparse.Namespace) -> AbstractContextManager[SolverView | None]:
-    """A window on the search where one is asked for; only then is what shows it loaded."""
+    """Open a window on the search where --live asks for one, and only then load what it needs."""
     if not arguments.live:
         return nullcontext()
     from ctr_nlp.cli import live_views

@@ -1,4 +1,4 @@
-"""`ctr-nlp play`: a plan on hardware, or on a simulated rig."""
+"""`ctr-nlp play`: play a plan on hardware, or on a simulated rig."""
 
 from __future__ import annotations
 
@@ -114,7 +114,7 @@ PLAY_EXCLUSIVE_OPTIONS = {
     "replay": ("home", "tempo", "dry_run", "resume", "live", "position_verified"),
     "dry_run": ("live", "position_verified"),
 }
-"""Option -> what does not go with it."""
+"""Options that do not go with each option."""
 
 
 def _check_exclusive_options(arguments: argparse.Namespace) -> None:
@@ -145,7 +145,7 @@ def _run(arguments: argparse.Namespace) -> int:
     if arguments.closed_loop or arguments.replay:
         hardware = closed_loop.with_sensor(hardware, arguments.sensor)
     asked = not (arguments.retract or arguments.resume or arguments.replay)
-    if asked:  # what check_plan refuses, no option waives: it comes first
+    if asked:  # no option waives what check_plan refuses: it comes first
         check_plan(plan, hardware.apply_limits(plan.robot))
     print_stderr(NOT_FOR_PATIENTS)
     if asked:
@@ -170,8 +170,8 @@ def _run(arguments: argparse.Namespace) -> int:
 def _ask_permission(arguments: argparse.Namespace, plan: Plan) -> None:
     """Raise an error unless the plan may be played, and name on stderr the verdicts that options waive.
 
-    A session that is resumed was asked when it began, and goes on only with the very same plan. A retraction is
-    never asked: whatever is wrong with a plan, the robot must come out.
+    Resuming needs no new permission, since it takes the very same plan. Nor does retracting: whatever is wrong
+    with a plan, the robot must come out.
     """
     waived = check_permission(
         plan, free_space=arguments.free_space, uncertified=arguments.uncertified, name=arguments.plan
@@ -183,7 +183,7 @@ def _ask_permission(arguments: argparse.Namespace, plan: Plan) -> None:
 
 
 def _note_untried(hardware: Hardware) -> None:
-    """Name on stderr the axes that nobody tried when the rig was commissioned."""
+    """Name on stderr the axes that were not moved when the rig was commissioned."""
     if hardware.commissioned is None or hardware.untried == ():
         return
     if hardware.untried is None:
@@ -194,7 +194,9 @@ def _note_untried(hardware: Hardware) -> None:
 
 
 def _note_loose(hardware: Hardware) -> None:
-    """Name on stderr what bounds a changed line less than it could, as the controller was commissioned."""
+    """Name on stderr the settings of the commissioned controller that could bound a corrupted line more
+    tightly.
+    """
     if hardware.commissioned is None:
         return
     columns = [LETTERS.index(axis.letter) for axis in hardware.axes]
@@ -215,9 +217,10 @@ def _play_plan(
     live_view: live_views.PlaybackView | None,
     loop: ClosedLoop | None,
 ) -> int:
-    """Play, from the beginning or where records end, or retract; told, unless None, of all that is seen.
+    """Play a plan, from the beginning or from where `records` end, or retract; return the exit status.
 
-    loop: what corrects the plan, if anything.
+    out: folder of the journal. records: of the journal's last session, None for a new one. live_view: shows the
+    motion, if any. loop: corrects the plan, if any.
     """
     claim(out)
     clock = RealClock()
@@ -227,10 +230,12 @@ def _play_plan(
     player = Player(device, arm, journal, clock, memory_of(hardware.connection))
     recorder = Recorder()
     with (
+        # Within this block signals only ask for a stop: none of them ends the program with motors running.
         deferred_interrupt() as interrupted,
         progress_bar() as labelled,
         obey_operator(player, interrupted) as signalled,
     ):
+        # Ctrl-C may have come before there was a player to stop: nothing must move then.
         if interrupted():
             player.abort()
         seen = _make_progress_callback(player, recorder, labelled(plan.meta["problem"]["name"]), live_view)
@@ -262,13 +267,13 @@ def _play_plan(
 
 
 def _last_axis_positions(hardware: Hardware, records: list[dict[str, Any]] | None) -> Any:
-    """Where the axes of a simulated device stand: at their zeros, or where the journal saw them last."""
+    """Return where the axes of a simulated device stand: at their zeros, or where the journal saw them last."""
     seen = [record["position"] for record in records or () if record.get("position") is not None]
     return seen[-1] if seen else [axis.zero for axis in hardware.axes]
 
 
 def _last_tilt(plan: Plan, records: list[dict[str, Any]] | None) -> Any:
-    """Where a simulated arm stands: upright, or at the last frame that the journal tells of."""
+    """Return the tilt (2,), rad, of a simulated arm: 0, or that of the last frame in the journal."""
     frames = [record["frame"] for record in records or () if record["kind"] == "frame"]
     return plan.theta[frames[-1] - 1] if frames else np.zeros(2)
 
@@ -279,7 +284,7 @@ def _make_progress_callback(
     show: Callable[[int, int, str], None],
     live_view: live_views.PlaybackView | None,
 ) -> Seen:
-    """Record, and show progress."""
+    """Return a callback that records progress, and shows it on the terminal and in the window."""
 
     def seen(trajectory: Trajectory, progress: MotionProgress) -> None:
         recorder(trajectory, progress)

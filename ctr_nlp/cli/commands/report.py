@@ -1,4 +1,4 @@
-"""`ctr-nlp report`: plans as one page for a browser."""
+"""`ctr-nlp report`: write plans as one page for a browser."""
 
 from __future__ import annotations
 

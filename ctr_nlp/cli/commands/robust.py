@@ -1,4 +1,4 @@
-"""`ctr-nlp robust`: what becomes of a plan on robots that are not quite the one described."""
+"""`ctr-nlp robust`: simulate a plan on robots within the tolerances."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`ctr-nlp warm`: what problems are solved with, compiled before it is needed."""
+"""`ctr-nlp warm`: compile the programs that problems are solved with, before they are needed."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ BUILDS = {
     "frame by frame": lambda problem, model: solve_per_frame(problem, model=model),
     "horizon": lambda problem, model: solve_horizon(problem, model=model),
 }
-"""A few frames planned so compile all that plans of their structure are solved with."""
+"""Ways to plan: planning a few frames compiles all that plans of the same structure need."""
 
 
 def _parser(prog: str) -> argparse.ArgumentParser:

@@ -1,1 +1,1 @@
-"""Programs that exchange plans with other programs: shapes for viewers, configurations from elsewhere."""
+"""Programs that exchange plans with other programs: shapes for viewers, configurations to be judged."""

@@ -1,4 +1,4 @@
-"""`ctr-nlp import`: configurations that another program has found, as a plan."""
+"""`ctr-nlp import`: make a plan of configurations that another program has found."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from ctr_nlp.typing import Array
 from ctr_nlp.view.exchange.configurations import plan_through, read_configurations
 
 DURATION = 10.0
-"""s, where neither the file nor an option tells it."""
+"""Duration, s, where neither the file nor an option gives one."""
 
 
 def _parser(prog: str) -> argparse.ArgumentParser:
@@ -74,7 +74,9 @@ def _run(arguments: argparse.Namespace) -> int:
 
 
 def _read(arguments: argparse.Namespace) -> tuple[Problem, Array]:
-    """The problem, in as many frames as there are configurations, and these; raises a CtrError."""
+    """Return the problem, in as many frames as there are configurations, and these (T, 2d + 2); raises
+    CtrError.
+    """
     found = read_configurations(arguments.configurations)
     duration = next(each for each in (arguments.duration, found.duration, DURATION) if each is not None)
     asked = argparse.Namespace(**vars(arguments) | {"frames": len(found.q), "duration": duration})

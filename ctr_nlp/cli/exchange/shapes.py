@@ -1,4 +1,4 @@
-"""`ctr-nlp export --to slicer|gltf|mat|shapes-csv`: the shapes of a plan for other programs."""
+"""`ctr-nlp export --to slicer|gltf|mat|shapes-csv`: write the shapes of a plan for other programs."""
 
 from __future__ import annotations
 
@@ -14,8 +14,11 @@ from ctr_nlp.view.exchange.slicer import slicer_files
 
 
 def write_shapes(source: Path, to: str, out: Path | None, space: str | None) -> None:
-    """Write the plan in `source` for another program, `to`, by default beside it, and tell where; raises a
-    CtrError.
+    """Write a plan in the format of another program, and report where; raises CtrError.
+
+    source: file of the plan. to: one of EXCHANGE_FORMATS. out: file or folder to write, None for one beside the
+    plan. space: patient coordinates of the path's file, LPS or RAS, where that does not state them; for Slicer
+    alone.
     """
     if to == SLICER_FORMAT:
         _write_folder(source, out or source.with_name(f"{source.stem}_slicer"), space)

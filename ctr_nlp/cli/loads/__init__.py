@@ -1,1 +1,1 @@
-"""Commands on robots that bear a load."""
+"""Commands on loaded robots."""

@@ -1,4 +1,4 @@
-"""`ctr-nlp contact`: the forces with which a plan touches the wall of its lumen."""
+"""`ctr-nlp contact`: find the forces between a plan's robot and the wall of its lumen."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 MAX_CONTACT_TABLE_FRAMES = 5
-"""Frames that the table shows."""
+"""Most frames that the table shows."""
 
 
 def _parser(prog: str) -> argparse.ArgumentParser:
@@ -68,7 +68,7 @@ def _picture(found: WallForces, name: str) -> Figure:
 
 
 def _print(found: WallForces, name: str) -> None:
-    """The frames with the largest forces, and what is to be said of all."""
+    """Print the frames with the largest forces, and sentences on all of them."""
     told = found.summary()
     rows = [row for row in found.rows() if row["total_N"] not in ("", 0.0)]
     rows.sort(key=lambda row: -float(row["total_N"]))

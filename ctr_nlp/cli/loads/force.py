@@ -1,4 +1,4 @@
-"""`ctr-nlp force`: the tip forces that a plan bears."""
+"""`ctr-nlp force`: find the tip forces under which a plan does not snap."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 MAX_FORCE_TABLE_FRAMES = 5
-"""Frames that the table shows."""
+"""Most frames that the table shows."""
 
 
 def _parser(prog: str) -> argparse.ArgumentParser:
@@ -71,7 +71,7 @@ def _picture(found: Forces, name: str) -> Figure:
 
 
 def _print(found: Forces, plan: Plan) -> None:
-    """The weakest frames, and what the worst of all is."""
+    """Print the weakest frames, and the weakest of all in sentences."""
     order = found.critical_forces.min(axis=1).argsort(kind="stable")[:MAX_FORCE_TABLE_FRAMES]
     every = found.rows()
     columns = (

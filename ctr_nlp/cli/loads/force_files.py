@@ -1,4 +1,4 @@
-"""What commands on forces write: numbers as JSON, a row a frame as CSV, and a picture."""
+"""Write the results of commands on forces: JSON, a CSV row a frame, and a picture."""
 
 from __future__ import annotations
 
@@ -25,13 +25,13 @@ def write_forces(
     Parameters
     ----------
     found : Forces or WallForces
-        What is written.
+        Forces to write.
     out : Path
         The output folder.
     kind : str
-        Of the run, a key of STANDARD in ctr_nlp/cli/output/manifest.py.
+        Kind of the run, a key of STANDARD in ctr_nlp/cli/output/manifest.py.
     stem : str
-        Of the names of the files.
+        Stem of the files' names.
     picture : callable or None
         Draws the picture; None for none.
 

@@ -13,7 +13,7 @@ from ctr_nlp.plan.plan import Plan
 
 
 def add_modulus_option(parser: argparse.ArgumentParser) -> None:
-    """Add the option for Young's modulus of a robot's tubes."""
+    """Add the option for Young's modulus of a robot's tubes to `parser`."""
     parser.add_argument(
         "--youngs-modulus",
         metavar="MPA",
@@ -24,7 +24,7 @@ def add_modulus_option(parser: argparse.ArgumentParser) -> None:
 
 
 def add_load_options(parser: argparse.ArgumentParser, required: bool = True) -> None:
-    """Add the options for the load on the robot, a file or a tip force alone; `required`: whether one must be
+    """Add the options for a load, a file or a tip force alone, to `parser`; required: whether one must be
     given.
     """
     group = parser.add_mutually_exclusive_group(required=required)
@@ -34,32 +34,33 @@ def add_load_options(parser: argparse.ArgumentParser, required: bool = True) -> 
 
 
 def read_plan(arguments: argparse.Namespace) -> Plan:
-    """Load the plan that a command was given, with Young's modulus where that was given; raises LoadError,
-    OutputError.
+    """Load the plan that `arguments` name, with Young's modulus where that was given.
+
+    Raises LoadError where the modulus cannot be set, and OutputError where the plan cannot be read.
     """
     plan = Plan.load(arguments.plan)
     return plan if arguments.youngs_modulus is None else plan.with_modulus(arguments.youngs_modulus)
 
 
 def load_from(arguments: argparse.Namespace) -> Load | LoadOverTime:
-    """Return the load that the options of add_load_options ask for; raises LoadError."""
+    """Return the load that the options of add_load_options in `arguments` ask for; raises LoadError."""
     return Load(force=arguments.force) if arguments.load is None else read_load(arguments.load)
 
 
 def problem_with_modulus(problem: Problem, arguments: argparse.Namespace) -> Problem:
-    """Return the problem, its robot with the Young's modulus of the options, if any; raises LoadError."""
+    """Return the problem, its robot with the Young's modulus in `arguments`, if any; raises LoadError."""
     if arguments.youngs_modulus is None:
         return problem
     return replace(problem, robot=with_modulus(problem.robot, arguments.youngs_modulus))
 
 
 def has_load(arguments: argparse.Namespace) -> bool:
-    """Tell whether a load was given, by --load or --force."""
+    """Tell whether `arguments` have a load, from --load or --force."""
     return arguments.load is not None or arguments.force is not None
 
 
 def model_from_options(model: str, arguments: argparse.Namespace) -> Model:
-    """Return the model called `model`, under the load where one was given; raises LoadError, OptionError."""
+    """Return the model called `model`, under the load in `arguments`, if any; raises LoadError, OptionError."""
     if not has_load(arguments):
         return model_named(model)
     return model_with_load(model, load_from(arguments))

@@ -1,4 +1,4 @@
-"""`ctr-nlp under`: a plan's motion of a robot that bears a load."""
+"""`ctr-nlp under`: simulate a plan's motion of a loaded robot."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from ctr_nlp.exceptions import OptionError
 from ctr_nlp.plan.plan import Plan
 
 SAME_TARGET_TOLERANCE_MM = 1e-3
-"""mm by which targets may differ that are the same."""
+"""Distance up to which two targets count as the same."""
 
 
 def _parser(prog: str) -> argparse.ArgumentParser:
@@ -76,7 +76,7 @@ def _draw_beside(plans: dict[str, Plan], folder: Path) -> None:
 
 
 def _load_comparison_plan(plan: Plan, name: str | None) -> dict[str, Plan]:
-    """The plan to be shown beside; raises OptionError where it is of another target."""
+    """Load the plan `name` to be shown beside; raises OptionError where it has another target."""
     if name is None:
         return {}
     planned = Plan.load(name)

@@ -1,1 +1,1 @@
-"""Programs that begin with what was measured of a robot."""
+"""Programs that start from measurements of a robot."""

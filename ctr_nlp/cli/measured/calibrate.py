@@ -1,4 +1,4 @@
-"""`ctr-nlp calibrate`: a robot's tubes, its motors' zeros and lags, from measurements of its shape."""
+"""`ctr-nlp calibrate`: identify a robot's tubes, motor zeros, backlash and drag from measurements of its shape."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A calibration as files: a table of residuals, the next poses, and all of it as JSON."""
+"""Write a calibration to files: residuals, the next poses, and everything as JSON."""
 
 from __future__ import annotations
 
@@ -18,7 +18,9 @@ from ctr_nlp.support.value_checks import strict_json
 
 
 def parameter_rows(found: Calibration) -> list[dict[str, Any]]:
-    """A row a parameter: name, unit, before and its sigma, after and its sigma, how well it is known."""
+    """Return a row for each parameter of the calibration `found`: name, unit, mean and sigma before and after, how
+    well known.
+    """
     columns = {
         "name": found.parameters.names,
         "unit": [one.unit for one in found.parameters.each],
@@ -32,7 +34,7 @@ def parameter_rows(found: Calibration) -> list[dict[str, Any]]:
 
 
 def as_json(found: Calibration) -> dict[str, Any]:
-    """All that is worth reading by machines, for strict JSON."""
+    """Return everything of the calibration `found` that programs may read, for strict JSON."""
     noise = found.fit.noise
     measured = found.measured
     bases = [{"rotation": turn, "place": place} for turn, place in found.bases]
@@ -60,13 +62,17 @@ def as_json(found: Calibration) -> dict[str, Any]:
 
 
 def error_summaries(found: Calibration) -> dict[str, Any]:
-    """Mean, 95 % quantile and largest error, mm: of the robot as described, as fitted, and held out."""
+    """Return mean, 95 % quantile and largest error, mm, of the robots of `found`: nominal, fitted, and
+    held out.
+    """
     kinds = {"described": found.nominal_residuals, "fitted": found.fit.residuals, "held_out": found.held_out}
     return {name: summary_of(errors(residuals)) for name, residuals in kinds.items()}
 
 
 def write_residuals(found: Calibration, path: Path) -> None:
-    """A line an observation: its pose, what was measured less what is predicted, and errors in mm."""
+    """Write a row for each observation of `found` to `path`: pose, measured less predicted values, errors
+    in mm.
+    """
     measured = found.measured
     axes = found.nominal.axes
     columns: dict[str, npt.NDArray[Any]] = {"recording": measured.recording + 1, "fold": found.fold + 1}
@@ -83,13 +89,15 @@ def write_residuals(found: Calibration, path: Path) -> None:
 
 
 def write_next(found: Calibration, path: Path) -> None:
-    """A line a pose, in the columns that measurements are read from, and what part of the doubt is left then."""
+    """Write the proposed poses of `found` to `path`, in columns as measured ones, with the part of the doubt left
+    after each.
+    """
     columns: dict[str, npt.NDArray[Any]] = dict(zip(found.nominal.axes, found.next_q.T, strict=True))
     write_csv(path, columns_to_rows(columns | {"left": found.next_left}))
 
 
 def robot_file_comment(found: Calibration) -> str:
-    """The comment on top of a robot file: where it is from, and by what angles motors are off."""
+    """Return the comment on top of the robot file of `found`: its origin, and the offsets of motors."""
     lines = [
         f"From {len(found.measured)} measured poses. The tolerances are what is left to doubt.",
         *(f"Not known from them: {sentence}." for sentence in found.unidentified),
@@ -103,7 +111,9 @@ def robot_file_comment(found: Calibration) -> str:
 
 
 def _lag_table(found: Calibration) -> list[str]:
-    """The table of a hardware file that makes up for the lags found; nothing where none were estimated."""
+    """Return the table of a hardware file that compensates backlash and drag; nothing where none were
+    estimated.
+    """
     parameters = found.parameters
     if not parameters.columns(*LAGS):
         return []

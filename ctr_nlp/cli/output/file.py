@@ -1,4 +1,4 @@
-"""Single output files, written whole or not at all, and their names."""
+"""Single output files, written whole or not at all, and names that are safe in paths."""
 
 from __future__ import annotations
 
@@ -16,13 +16,16 @@ from ctr_nlp.support.atomic_write import write_atomically
 
 
 def check_file(file: Path, opening: str, at: int = 0) -> None:
-    """Raise OutputError unless a file can be written and is new, empty or ours: it has opening at byte `at`."""
+    """Raise OutputError unless `file` can be written and is new, empty or ours: with the text `opening` at byte
+    `at`.
+    """
     try:
         if file.is_symlink() or (file.exists() and not file.is_file()):
             raise OutputError(f"output file {file} is a folder or a link; it must be new or one of ours")
         if file.exists():
             with open(file, "rb") as known:
                 held = known.read(at + len(opening))
+                # A file of ours that was cut short within its opening still counts as ours.
                 if held and (len(held) <= at or not opening.encode().startswith(held[at:])):
                     raise OutputError(f"output file {file} exists and is not one of ours; name another with --out")
         check_writable(file)
@@ -31,10 +34,10 @@ def check_file(file: Path, opening: str, at: int = 0) -> None:
 
 
 def check_writable(path: Path) -> None:
-    """Make a folder beside where `path` is to be, and remove it, to see that this can be done; raises OSError.
+    """Make a folder beside `path` and remove it, to see whether `path` can be written; raises OSError.
 
-    It has the name of a staging folder: a run that is killed meanwhile leaves what the next one tidies away, and
-    another run that begins meanwhile may tidy it away, too.
+    It has the name of a staging folder: what a run leaves that is killed meanwhile, the next one removes. Another
+    run that begins meanwhile may remove it, too.
     """
     trial = next(p for p in path.absolute().parents if p.exists()) / f"{MARK}-{secrets.token_hex(4)}"
     trial.mkdir()
@@ -44,8 +47,8 @@ def check_writable(path: Path) -> None:
 
 @contextmanager
 def output_file(file: Path) -> Iterator[Path]:
-    """Yield a path to write to; once the block ends, what was written there becomes the file, whole or not at all.
-    Raises OutputError.
+    """Yield a path to write to; when the block ends, it replaces `file`, whole or not at all. Raises
+    OutputError.
     """
     try:
         file.parent.mkdir(parents=True, exist_ok=True)
@@ -56,26 +59,24 @@ def output_file(file: Path) -> Iterator[Path]:
 
 
 def write_text(file: Path, text: str) -> None:
-    """Write text to a file in UTF-8, whole or not at all; characters that UTF-8 cannot encode are escaped. Raises
-    OutputError.
-    """
+    """Write text to a file in UTF-8, whole or not at all, with lone surrogates escaped; raises OutputError."""
     write_bytes(file, text.encode(errors="backslashreplace"))
 
 
 def write_bytes(file: Path, content: bytes) -> None:
-    """Write a file whole or not at all; raises OutputError."""
+    """Write `content` to a file, whole or not at all; raises OutputError."""
     with output_file(file) as partial:
         partial.write_bytes(content)
 
 
 MAX_PATH_COMPONENT_BYTES = 80
-"""Bytes of UTF-8 that a name may take in a path, well below the 255 that file systems allow."""
+"""Most bytes of UTF-8 of a name in a path, well below the 255 that file systems allow."""
 RESERVED = re.compile(r"(con|prn|aux|nul|(com|lpt)\w)(\..*)?", re.IGNORECASE)
 """Names that Windows keeps for devices, whatever their suffix."""
 
 
 def path_component(name: str) -> str:
-    """A name as one component of a path: a name that is safe as it stands, anything else changed and marked.
+    """Return a name as one component of a path: as it is where that is safe, else changed and marked.
 
     Safe are letters, digits and the characters - _ . and space, with a letter, a digit or _ at the beginning and
     no dot or space at the end, up to MAX_PATH_COMPONENT_BYTES bytes. In other names everything else becomes _, and
@@ -91,6 +92,7 @@ def path_component(name: str) -> str:
 
 
 def _safe(name: str) -> bool:
+    """Tell whether a name is safe as a component of a path on every system."""
     return (
         re.fullmatch(r"\w[\w .-]*(?<![. ])", name) is not None
         and unicodedata.is_normalized("NFC", name)

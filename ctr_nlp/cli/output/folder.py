@@ -1,4 +1,10 @@
-"""Output folders. A run replaces what such runs wrote before, whole and at its end, and leaves all else alone."""
+"""Output folders. A run replaces what such runs wrote before, whole and at its end, and leaves all else alone.
+
+A run writes into a hidden staging folder, and publishes its files in steps, as a journalling file system would:
+the manifest says what will be done (`pending`); files move to their places; superseded ones are deleted; the
+manifest says that it is done. Each step looks whether it has been done, so that the next run can complete the work
+of one that was killed anywhere. Locks on folders keep two runs from publishing at the same time.
+"""
 
 from __future__ import annotations
 
@@ -25,31 +31,32 @@ from ctr_nlp.support.folder_lock import lock_folder
 from ctr_nlp.support.interrupt import ignored_interrupt
 
 INTERRUPTED_FOLDER_NAME = "interrupted"
-"""The folder within an output folder that takes what interrupted runs have found until then."""
+"""Folder within an output folder for the results of interrupted runs."""
 NOMINAL_FOLDER_NAME = "nominal"
-"""The folder within an output folder that takes the plan of the robot as described, while others are planned
-for."""
+"""Folder within an output folder for the nominal robot's plan, while others are planned for."""
 PUBLISH_LOCK_TIMEOUT_S = 10.0
-"""Seconds for which a run waits for another one that publishes into the same folder, which takes milliseconds."""
+"""Time for which a run waits for another one that publishes into the same folder, which takes milliseconds."""
 
 
 def results_folder(out: Path, interrupted: bool) -> Path:
-    """The folder for a run's files: out, or where the run was interrupted a folder of their own within it."""
+    """Return the folder for a run's files: `out`, or a folder of their own within it where the run was
+    interrupted.
+    """
     return out / INTERRUPTED_FOLDER_NAME if interrupted else out
 
 
 def name_within(folder: Path, file: Path) -> str | None:
-    """The name of a file relative to folder; None where it lies elsewhere."""
+    """Return the name of `file` relative to `folder`; None where it lies outside."""
     place = file.parent.resolve() / file.name
     home = folder.resolve()
     return place.relative_to(home).as_posix() if place.is_relative_to(home) else None
 
 
 def check_folder(folder: Path, kind: str, other: Path | None = None) -> None:
-    """Raise OutputError unless a run of this kind can write into folder: it is new, empty or one of ours.
+    """Raise OutputError unless a run of this kind can write into `folder`: it is new, empty or one of ours.
 
-    None of the files that the run may write there, nor the other one if that is within folder, may be the user's.
-    What a run that was killed has left in folder is completed or removed first.
+    kind: a key of manifest.STANDARD. other: another file that the run will write. None of the run's files within
+    folder may be the user's. What a run that was killed has left in folder is completed or removed first.
     """
     target = folder.absolute()
     inner = None if other is None else name_within(folder, other)
@@ -66,11 +73,12 @@ def check_folder(folder: Path, kind: str, other: Path | None = None) -> None:
 
 @contextmanager
 def output_folder(folder: Path, kind: str) -> Iterator[Path]:
-    """A hidden folder: what the block writes into it moves to folder when the block ends well, else it vanishes.
+    """Yield a hidden folder; its files move to `folder` when the block ends well, else they vanish.
 
-    Of what earlier runs wrote, files of the same kind that were not written anew are deleted; all others stay.
-    Two runs into one folder publish one after the other, each whole, as if the second had begun after the first.
-    Raises OutputError, with the name of another folder that holds the results where they could not be moved.
+    kind: a key of manifest.STANDARD. Of what earlier runs wrote, files of the same kind that were not written
+    again are deleted; all others stay. Two runs into one folder publish one after the other, each whole, as if the
+    second had begun after the first. Raises OutputError, with the name of another folder that has the results
+    where they could not be moved.
     """
     target = folder.absolute()
     fresh = not target.exists()
@@ -79,6 +87,7 @@ def output_folder(folder: Path, kind: str) -> Iterator[Path]:
             staging = _staging(target, held)
             try:
                 yield staging
+                # Ctrl-C here would leave milliseconds of work to the next run.
                 with ignored_interrupt():
                     _publish(staging, target, kind)
             finally:
@@ -88,7 +97,9 @@ def output_folder(folder: Path, kind: str) -> Iterator[Path]:
 
 
 def _check(folder: Path, names: Sequence[str]) -> None:
-    """Raise OutputError unless folder is new, empty or ours and nothing of the user's is where names are to be."""
+    """Raise OutputError unless `folder` is new, empty or ours and nothing of the user's has one of `names`
+    in it.
+    """
     if folder.is_symlink() or (folder.exists() and not folder.is_dir()):
         raise OutputError(f"output folder {folder} is a file or a link; it must be new, empty or one of ours")
     manifest = read_manifest(folder)
@@ -103,22 +114,28 @@ def _check(folder: Path, names: Sequence[str]) -> None:
 
 
 def _foreign(entry: Path) -> bool:
-    """Whether something in a folder without a manifest is not what an interrupted or a killed run has left."""
+    """Tell whether an entry of a folder without a manifest was left by something else than an interrupted or
+    killed run.
+    """
     ours = entry.name in (INTERRUPTED_FOLDER_NAME, NOMINAL_FOLDER_NAME) and (entry / MARK).is_file()
     return not ours and STAGING.fullmatch(entry.name) is None
 
 
 def _staging(target: Path, locks: ExitStack) -> Path:
-    """A new folder within target, or where that fails beside it; locked, so that others see that it is in use."""
+    """Make a locked folder within target, or where that fails beside it; locks: release it at the end."""
     name = f"{MARK}-{secrets.token_hex(4)}"
     try:
+        # Within target, so that moving a file is a rename in one file system, which is atomic.
         return _make_locked_folder(target / name, locks)
     except OSError:
         return _make_locked_folder(target.parent / name, locks)
 
 
 def _make_locked_folder(staging: Path, locks: ExitStack) -> Path:
+    """Make the folder `staging` and lock it until `locks` are released."""
     staging.parent.mkdir(parents=True, exist_ok=True)
+    # _tidy holds this lock, too: without it, another run would remove the folder between its making and its
+    # locking.
     with lock_folder(staging.parent, PUBLISH_LOCK_TIMEOUT_S):
         staging.mkdir()
         locks.enter_context(lock_folder(staging))
@@ -135,7 +152,10 @@ def _publish(staging: Path, target: Path, kind: str) -> None:
     try:
         for path in paths:
             with open(path, "rb+") as file:
+                # On the disk before the manifest promises it, lest a crash of the machine leave empty files in
+                # good places.
                 os.fsync(file.fileno())
+        # Checked again under the lock: the first check was before the run's work, perhaps hours ago.
         with lock_folder(target, PUBLISH_LOCK_TIMEOUT_S):
             _tidy(target)
             _check(target, list(new))
@@ -150,13 +170,13 @@ def _publish(staging: Path, target: Path, kind: str) -> None:
 
 
 def _write(manifest: Manifest, staging: Path, folder: Path) -> None:
-    """Replace the manifest of folder in one step."""
+    """Replace the manifest of `folder` in one step, from a temporary file in `staging`."""
     manifest.write(staging / MARK)
     os.replace(staging / MARK, folder / MARK)
 
 
 def _tidy(folder: Path) -> None:
-    """Complete what a run that was killed had begun to publish, and remove what others that were killed have left.
+    """Complete what a killed run had begun to publish, and remove the staging folders of other killed runs.
 
     Raises OutputError where files have come in the way since, with the folder where the rest of its results is.
     """
@@ -171,13 +191,15 @@ def _tidy(folder: Path) -> None:
             )
     for entry in folder.iterdir():
         if STAGING.fullmatch(entry.name) is not None and entry.is_dir() and not entry.is_symlink():
+            # A living run holds the lock of its staging folder, and BlockingIOError skips it. Without locks nobody
+            # can tell.
             with suppress(OSError), lock_folder(entry) as certain:
                 if certain:
                     shutil.rmtree(entry)
 
 
 def _finish(folder: Path) -> list[str]:
-    """Do what the manifest says is pending, and is not done yet; the names of files that could not be moved."""
+    """Do what is pending in the manifest and not done yet; return the names of files that could not be moved."""
     manifest = read_manifest(folder)
     if manifest is None or manifest.pending is None:
         return []
@@ -187,10 +209,12 @@ def _finish(folder: Path) -> list[str]:
         if (staging / name).is_file() and manifest.find_conflict(folder, name) is None:
             (folder / name).parent.mkdir(parents=True, exist_ok=True)
             os.replace(staging / name, folder / name)
+    # Superseded files go last: until all new ones are in place, nothing is lost.
     if all(one.is_at(folder / name) for name, one in names.items()):
         for name in manifest.pending.superseded:
             if manifest.owns_file(folder, name):
                 _delete(folder, name)
+    # The manifest is written here before it is moved; somebody may have removed the folder.
     staging.mkdir(exist_ok=True)
     _write(manifest.without_pending(folder), staging, folder)
     left = [name for name in names if (staging / name).is_file()]
@@ -208,7 +232,9 @@ def _delete(folder: Path, name: str) -> None:
 
 
 def _move_results_aside(staging: Path, target: Path, new: Mapping[str, WrittenFile]) -> Path | None:
-    """Make staging an output folder of its own, beside target or within it; None where that cannot be."""
+    """Make staging an output folder of its own, beside target or within it, and return it; None where that
+    fails.
+    """
     for stem in (f"{target}-kept", f"{target / 'kept'}"):
         place = next(place for n in count(1) if not os.path.lexists(place := Path(f"{stem}-{n}")))
         with suppress(OSError):

@@ -1,4 +1,8 @@
-"""The manifest of an output folder: which of its files runs have written, and so which are the user's."""
+"""The manifest of an output folder: which of its files runs have written, and so which are the user's.
+
+A file is ours while its size and SHA-256 are those in the manifest. A user who changes or replaces it makes it
+theirs, and no run touches it any more.
+"""
 
 from __future__ import annotations
 
@@ -14,12 +18,12 @@ from typing import Any
 from ctr_nlp.exceptions import OutputError
 
 MARK = ".ctr_nlp"
-"""The manifest's name in its folder."""
+"""Name of the manifest in its folder."""
 FORMAT = 1
 ABOUT = "Files that ctr_nlp wrote here. It leaves alone all others, and those of them that were changed since."
 
 STAGING = re.compile(r"\.ctr_nlp-[0-9a-f]{8}")
-"""Names of the hidden folders in which runs make their files."""
+"""Names of the hidden folders in which runs write their files before publication."""
 
 STANDARD: Mapping[str, tuple[str, ...]] = {
     "plan": (
@@ -61,19 +65,20 @@ STANDARD: Mapping[str, tuple[str, ...]] = {
         *(f"fig{number}.{suffix}" for number in (3, 4, 5, 6, 7, 8, 10) for suffix in ("csv", "png")),
     ),
 }
-"""For each kind of run, the files that it may write; {folder} stands for the name of their folder."""
+"""Files that each kind of run may write; {folder} stands for the name of their folder."""
 
 
 @dataclass(frozen=True)
 class WrittenFile:
-    """A file as a run of some kind, a key of STANDARD, has written it."""
+    """A file as a run has written it; kind: of the run, a key of STANDARD."""
 
     kind: str
     size: int
     sha256: str
 
     def is_at(self, place: Path) -> bool:
-        """Whether this file, unchanged, lies at `place`."""
+        """Tell whether this file, unchanged, lies at `place`."""
+        # The size first: it is cheap, and shows most changes without reading the file.
         if place.is_symlink() or not place.is_file() or place.stat().st_size != self.size:
             return False
         return hashlib.sha256(place.read_bytes()).hexdigest() == self.sha256
@@ -87,9 +92,7 @@ def describe_file(kind: str, place: Path) -> WrittenFile:
 
 @dataclass(frozen=True)
 class Publication:
-    """A run's pending changes to a folder: files to move there from a staging folder, and superseded files to
-    delete.
-    """
+    """Pending changes of a folder: files to move there from a staging folder, superseded files to delete."""
 
     staging: str
     files: Mapping[str, WrittenFile]
@@ -104,15 +107,16 @@ class Manifest:
     pending: Publication | None = None
 
     def with_pending(self, staging: str, kind: str, new: Mapping[str, WrittenFile]) -> Manifest:
-        """Return this manifest with new files of a run pending, which supersede those of the same kind; `staging`
-        names the folder that they are moved from.
+        """Return this manifest with new files of a run pending, which supersede those of the same kind.
+
+        staging: name of the folder that they are moved from. kind: of the run. new: the files by name.
         """
         old = (name for name, one in self.files.items() if one.kind == kind and name not in new)
         return Manifest(self.files, Publication(staging, new, tuple(old)))
 
     def without_pending(self, folder: Path) -> Manifest:
-        """Return this manifest with nothing pending, and with what lies in `folder` now under each name that was
-        new or superseded.
+        """Return this manifest with nothing pending, and with what is now in `folder` under each pending or
+        superseded name.
         """
         if self.pending is None:
             return self
@@ -127,7 +131,9 @@ class Manifest:
         return Manifest(files)
 
     def owns_file(self, folder: Path, name: str) -> bool:
-        """Whether the file called `name` is as a run has written it, in folders that are no links."""
+        """Tell whether the file called `name` in `folder` is as a run has written it, with no links on its
+        path.
+        """
         return (
             name in self.files
             and _find_blocking_parent(folder, name) is None
@@ -135,14 +141,14 @@ class Manifest:
         )
 
     def find_conflict(self, folder: Path, name: str) -> Path | None:
-        """Return what of the user's is in the way of a file called `name`; None where nothing is."""
+        """Return what of the user's is in the way of a file called `name` in `folder`; None where nothing is."""
         place = folder / name
         if (blocked := _find_blocking_parent(folder, name)) is not None:
             return blocked
         return place if os.path.lexists(place) and not self.owns_file(folder, name) else None
 
     def write(self, place: Path) -> None:
-        """Write the manifest to a file; it is on the disk afterwards."""
+        """Write the manifest to the file `place`, and wait until it is on the disk."""
         pending = {} if self.pending is None else {"pending": asdict(self.pending)}
         files = {name: asdict(one) for name, one in self.files.items()}
         data = {"format": FORMAT, "about": ABOUT, "files": files} | pending
@@ -153,9 +159,10 @@ class Manifest:
 
 
 def _find_blocking_parent(folder: Path, name: str) -> Path | None:
-    """Return the link or file that stands in place of a folder between `folder` and the file called `name`; None
-    where nothing does.
+    """Return the link or file in place of a folder between `folder` and the file called `name`; None
+    without one.
     """
+    # Through a link, a run would write or delete files outside of its folder.
     parents = [folder / parent for parent in Path(name).parents]
     return next((one for one in parents[:-1] if one.is_symlink() or (one.exists() and not one.is_dir())), None)
 
@@ -166,7 +173,8 @@ def standard_file_names(kind: str, folder: Path) -> list[str]:
 
 
 def read_manifest(folder: Path) -> Manifest | None:
-    """The manifest of a folder, None where it has none; raises OutputError for one that cannot be understood.
+    """Return the manifest of a folder, None where it has none; raises OutputError for one that cannot be
+    understood.
 
     Earlier versions marked a folder with a line of text instead: all files with standard names count as theirs.
     """
@@ -182,9 +190,7 @@ def read_manifest(folder: Path) -> Manifest | None:
 
 
 def _manifest_from_mark(folder: Path) -> Manifest:
-    """Return the manifest of a folder marked by an earlier version: each file with a standard name counts as a
-    run's.
-    """
+    """Return the manifest of a folder marked by an earlier version: files with standard names count as a run's."""
     found: dict[str, WrittenFile] = {}
     for kind in STANDARD:
         for name in standard_file_names(kind, folder):
@@ -194,6 +200,7 @@ def _manifest_from_mark(folder: Path) -> Manifest:
 
 
 def _parse_manifest(data: Any) -> Manifest:
+    """Return the manifest that JSON data describe; raises ValueError and what bad data raise."""
     if data["format"] != FORMAT:
         raise ValueError(f"its format is {data['format']!r}, and this version reads {FORMAT}")
     files = _files(data["files"])
@@ -211,7 +218,8 @@ def _files(data: Mapping[str, Any]) -> dict[str, WrittenFile]:
 
 
 def _inner(name: str) -> str:
-    """A name that stays within its folder; raises ValueError."""
+    """Return a name that stays within its folder; raises ValueError for others."""
+    # Anybody may have edited the manifest, and its names are written to and deleted.
     path = Path(name)
     if not path.parts or path.anchor or ".." in path.parts or path.as_posix() != name or "\0" in name:
         raise ValueError(f"{name!r} is not a name of a file within the folder")

@@ -1,4 +1,4 @@
-"""`ctr-nlp live`: a robot that is steered in the browser."""
+"""`ctr-nlp live`: steer a robot in the browser."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ from ctr_nlp.view.live.page.server import HOST, PORT
 from ctr_nlp.view.live.steered.free import free_problem
 
 USUAL = "bronchus"
-"""The problem that is steered where none is named."""
+"""Problem that is steered where none is named."""
 
 
 def _parser(prog: str) -> argparse.ArgumentParser:
@@ -88,6 +88,7 @@ def _run(arguments: argparse.Namespace) -> int:
             robots=robots,
             host=arguments.host,
             port=arguments.port,
+            # Called in a thread of the recording: the next number is looked up only when the plan is there.
             save_plan=lambda plan: _save_recording(plan, _next(out)),
             load=load,
         )
@@ -99,7 +100,7 @@ def _run(arguments: argparse.Namespace) -> int:
 
 
 def _problem(arguments: argparse.Namespace) -> Problem:
-    """The problem that is named, or that of a robot file alone."""
+    """Return the problem that is named, or that of a robot file alone."""
     if arguments.problem.endswith(".toml"):
         return free_problem(Path(arguments.problem).stem, Robot.from_toml(arguments.problem), arguments.frames)
     return problems.load(arguments.problem, arguments)
@@ -111,7 +112,7 @@ def _load(arguments: argparse.Namespace) -> Load | None:
 
 
 def _next(out: Path) -> Path:
-    """Return a new folder within `out`, numbered from 1, so that no recording takes the place of another."""
+    """Return a new folder within `out`, numbered from 1, so that no recording replaces another."""
     return next(folder for n in itertools.count(1) if not (folder := out / str(n)).exists())
 
 

@@ -1,1 +1,1 @@
-"""Programs that solve many problems: comparisons, the paper remade, clearance, benchmarks."""
+"""Programs that solve many problems: comparisons, the paper's results, clearance, benchmarks."""

@@ -1,4 +1,4 @@
-"""`ctr-nlp design`: tubes chosen together with the motions of several problems."""
+"""`ctr-nlp design`: choose tubes together with the motions of several problems."""
 
 from __future__ import annotations
 
@@ -51,7 +51,9 @@ from ctr_nlp.tube_design.plans import on_tubing_as_sold, plan_tasks
 from ctr_nlp.tube_design.stock import read_stock
 
 DESIGN_CHECK_SAMPLES, DESIGN_CHECK_SEED = 500, 0
-"""Number and seed of the simulated robots that every plan is tried on; neither design nor planning sees them."""
+"""Number and seed of the simulated robots on which every plan is evaluated; design and planning do not see
+them.
+"""
 RULES = {
     "wall": "least thickness of a tube's wall, mm",
     "channel": "least inner diameter of the innermost tube, mm",
@@ -61,7 +63,7 @@ RULES = {
     "strain_deployed": "largest strain of the aligned robot's tubes, as a part",
     "bend_radius": "least radius of any tube's curvature, mm",
 }
-"""Rules of manufacture, which are options, and what they are."""
+"""Rules of manufacture that are options, and their help."""
 
 
 def _parser(prog: str) -> argparse.ArgumentParser:
@@ -116,7 +118,7 @@ def _parser(prog: str) -> argparse.ArgumentParser:
 
 
 def add_rules(parser: argparse.ArgumentParser) -> None:
-    """Add the options for the rules of manufacture, `RULES`."""
+    """Add the options for the rules of manufacture, `RULES`, to `parser`."""
     defaults = Manufacture()
     group = parser.add_argument_group("what can be made")
     for name, what in RULES.items():
@@ -127,7 +129,7 @@ def add_rules(parser: argparse.ArgumentParser) -> None:
 
 
 def rules_from(arguments: argparse.Namespace) -> Manufacture:
-    """Return the rules of manufacture that the options of add_rules ask for; raises OptionError."""
+    """Return the rules of manufacture from add_rules' options in `arguments`; raises OptionError."""
     given = {name: value for name in RULES if (value := getattr(arguments, name)) is not None}
     return Manufacture(**given, one_sided=arguments.one_sided)
 
@@ -204,8 +206,8 @@ def _plan_held_out(
     jobs: Jobs,
     labelled: Callable[[str], Progress],
 ) -> list[DesignWithPlans]:
-    """Return designs with plans of the held-out problems, each on the robot that follows it best; all plans are
-    tried on simulated robots.
+    """Return designs with plans of the held-out problems, each on the robot that follows it best, and evaluate all
+    plans on simulated robots.
 
     designs: the designs. held_out: the held-out problems. labelled: turns a label into a progress callback.
     """
@@ -219,6 +221,7 @@ def _plan_held_out(
     asked: dict[str, Any] = {"model": model, "walls": arguments.walls, "jobs": jobs}
     plans = plan_tasks(on, settings, arguments.nominal, **asked, progress=labelled("held out"))
     whole = [[*one.design.plans, *(plan for plan in plans if plan.robot == one.design.robot)] for one in designs]
+    # After Ctrl-C results are missing; those plans are kept without an evaluation.
     tried = dict(run_in_parallel(_evaluate_on_samples, [plan for each in whole for plan in each], jobs))
     numbers = itertools.count()
     return [
@@ -228,9 +231,7 @@ def _plan_held_out(
 
 
 def _evaluate_on_samples(plan: Plan) -> EvaluatedPlan:
-    """Try a plan on simulated robots, and on simulated ones of tubing as sold, where any of its frames was
-    reached.
-    """
+    """Evaluate a plan on simulated robots, and on ones of tubing as sold, where any of its frames was reached."""
     if not plan.reached_frames.any():
         return EvaluatedPlan(plan)
     return EvaluatedPlan(

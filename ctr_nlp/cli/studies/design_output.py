@@ -43,7 +43,12 @@ class DesignWithPlans:
 
 
 def write_designs(designs: Sequence[DesignWithPlans], folder: Path, nominal: bool, figures: bool) -> None:
-    """Write robot.toml, the plans, design.json and the sheet; for several robots, in a folder for each."""
+    """Write robot.toml, the plans, design.json and the sheet of each design, in a folder for each where there are
+    several.
+
+    designs: the designs with their plans. folder: an existing folder. nominal: whether tolerances were left out.
+    figures: whether to draw the sheet.
+    """
     for number, one in enumerate(designs, start=1):
         place = folder / f"robot_{number}" if len(designs) > 1 else folder
         place.mkdir(exist_ok=True)
@@ -115,7 +120,7 @@ def _sample_statistics(drawn: Robustness | None) -> dict[str, Any]:
 
 
 def print_designs(designs: Sequence[DesignWithPlans]) -> None:
-    """Print tables and remarks, robot by robot."""
+    """Print tables and remarks for each of `designs`."""
     for number, one in enumerate(designs, start=1):
         _print_design(one, f"robot {number}: " if len(designs) > 1 else "")
 
@@ -152,5 +157,5 @@ def _print_design(design: DesignWithPlans, label: str) -> None:
 
 
 def _cells(of: dict[str, Any]) -> tuple[str, str]:
-    """Return the mean error over simulated robots, and how many of them are lost, as text."""
+    """Return the mean error over simulated robots, and how many of them failed, as text."""
     return format_cell(of["mean_over_draws"]), "" if of["draws"] is None else f"{of['lost']} of {of['draws']}"

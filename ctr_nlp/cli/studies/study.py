@@ -1,4 +1,4 @@
-"""`ctr-nlp study`: thousands of plans, on the processes of this machine or on a cluster."""
+"""`ctr-nlp study`: make thousands of plans, in processes of this machine or on a cluster."""
 
 from __future__ import annotations
 

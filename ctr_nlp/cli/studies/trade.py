@@ -1,4 +1,4 @@
-"""`ctr-nlp trade`: errors as planned, over draws and lost draws, against how much robustness is asked for."""
+"""`ctr-nlp trade`: study errors and losses over simulated robots against how much robustness is asked for."""
 
 from __future__ import annotations
 

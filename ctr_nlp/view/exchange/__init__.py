@@ -1,1 +1,3 @@
-"""Plans as files of other programs, and their configurations as plans. Knows nothing of machines or of options."""
+"""Exchange with other programs: plans written as their files, their configurations and robots read. Knows no
+machines and no options.
+"""

@@ -1,4 +1,4 @@
-"""Configurations from files of other programs, and the plan that moves a robot through them."""
+"""Read configurations from files of other programs, and make the plan that moves a robot through them."""
 
 from __future__ import annotations
 
@@ -25,19 +25,19 @@ from ctr_nlp.view.exchange.mat import read_mat_variables
 CONFIGURATION_SUFFIXES = (".mat", ".csv")
 TIME = "time_s"
 MAX_RELATIVE_STEP_DEVIATION = 1e-6
-"""Part of a step by which the times of frames may differ from even ones."""
+"""Largest deviation of a frame's time from even steps, as a part of a step."""
 CONFIGURATION_ROWS_TEXT = (
     "(T, 2d + 2), a row a frame: alpha_1..d in rad, beta_1..d in mm, theta_x and theta_y in rad"
 )
 CONFIGURATION_LENGTH_TOLERANCE_MM = 1e-6
-"""mm by which lengths may break their order: rounding."""
+"""Rounding error, mm, by which lengths beta may leave their range or order."""
 
 NO_SHAPE = "the model finds no shape for the configuration"
 
 
 @dataclass(frozen=True)
 class Configurations:
-    """Configurations of the frames of a motion, as a file holds them.
+    """Configurations of a motion, one a frame, read from a file.
 
     Attributes
     ----------
@@ -66,7 +66,7 @@ def read_configurations(path: str | Path) -> Configurations:
     Returns
     -------
     Configurations
-        What the file holds. Whether a robot can be there is checked by :func:`plan_through`.
+        Configurations and duration. :func:`plan_through` checks whether a robot can take them.
 
     Raises
     ------
@@ -124,10 +124,10 @@ def plan_through(problem: Problem, q: Array, model: str | Model = DEFAULT_MODEL,
     Raises
     ------
     OptionError
-        `q` has another shape, or a frame is none that the tubes can be in, and the message names it; or the model
+        `q` has another shape, the tubes cannot take a configuration (the message names its frame), or the model
         does not describe the robot.
     LoadError
-        The robot cannot bear the model's load.
+        The model's load cannot be applied to the robot.
 
     Examples
     --------
@@ -167,7 +167,7 @@ def plan_through(problem: Problem, q: Array, model: str | Model = DEFAULT_MODEL,
 
 
 def _of_mat(path: Path) -> tuple[Array, Array | None]:
-    """Read q (T, 2d + 2) and the times (T,), or None, of a MATLAB file; raise OptionError."""
+    """Read q (T, 2d + 2) and the times (T,), or None, from a MATLAB file; raise OptionError."""
     held = read_mat_variables(path, "q")
     if "q" not in held:
         raise OptionError(
@@ -180,8 +180,9 @@ def _of_mat(path: Path) -> tuple[Array, Array | None]:
 
 
 def _of_csv(path: Path) -> tuple[Array, Array | None]:
-    """Read q (T, 2d + 2) and the times (T,), or None, of a CSV file; raise OptionError."""
+    """Read q (T, 2d + 2) and the times (T,), or None, from a CSV file; raise OptionError."""
     try:
+        # Spreadsheets begin a file with a byte order mark; utf-8-sig drops it.
         with open(path, newline="", encoding="utf-8-sig") as file:
             lines = [(n, row) for n, row in enumerate(csv.reader(file), start=1) if any(map(str.strip, row))]
     except (UnicodeDecodeError, csv.Error) as error:
@@ -197,7 +198,7 @@ def _of_csv(path: Path) -> tuple[Array, Array | None]:
 
 
 def _columns(tubes: int) -> list[str]:
-    """Return the names of a table's columns for a robot of so many tubes, in the order of q."""
+    """Return the names of a table's columns for a robot of `tubes` tubes, in the order of q."""
     count = range(1, tubes + 1)
     return [*(f"alpha_{i}_rad" for i in count), *(f"beta_{i}_mm" for i in count), "theta_x_rad", "theta_y_rad"]
 
@@ -234,7 +235,7 @@ def _row(line: int, header: list[str], row: list[str]) -> list[float]:
 
 
 def _numbers(name: str, value: Any) -> Array:
-    """Return a value as an array of floats; raise OptionError where it holds anything else."""
+    """Return a value as an array of floats; raise OptionError, with `name`, where it contains anything else."""
     try:
         return plain_floats(value)
     except (TypeError, ValueError) as error:
@@ -242,7 +243,9 @@ def _numbers(name: str, value: Any) -> Array:
 
 
 def _check(q: Array, robot: Robot, frames: int) -> None:
-    """Raise OptionError where q is not (frames, 2d + 2), or a frame is none that the robot's tubes can be in."""
+    """Raise OptionError where q is not (frames, 2d + 2), or the robot's tubes cannot take one of its
+    configurations.
+    """
     width = len(robot.axes)
     if q.shape != (frames, width):
         turned = "; it seems to be transposed" if q.ndim == 2 and q.shape[0] == width != q.shape[1] else ""
@@ -259,6 +262,7 @@ def _check(q: Array, robot: Robot, frames: int) -> None:
         beta = robot.split(row)[1]
         for i, (value, most) in enumerate(zip(beta, lengths, strict=True), start=1):
             if not -CONFIGURATION_LENGTH_TOLERANCE_MM <= value <= most + CONFIGURATION_LENGTH_TOLERANCE_MM:
+                # Papers often give the position of a tube's base, beta - L <= 0, instead of beta.
                 based = -most <= value < 0
                 meant = "; is it the position of the tube's base, beta - length?" if based else ""
                 meant = meant or did_you_mean(suggest_length(value, between(1e-9, most)))
@@ -272,6 +276,7 @@ def _check(q: Array, robot: Robot, frames: int) -> None:
             )
         if not beta[-1] > 0:
             raise OptionError(f"beta_{robot.d} in frame {frame} is 0 mm; something of the robot must be out")
+    # All lengths below 1 mm make no motion of a longer robot, but are usual lengths in metres.
     if (longest := robot.split(q)[1].max()) < 1.0 < robot.reach:
         raise OptionError(
             f"beta is at most {longest:g} mm in all frames; lengths must be in mm: are these in metres?"
@@ -280,6 +285,8 @@ def _check(q: Array, robot: Robot, frames: int) -> None:
 
 def _check_angles(row: Array, frame: int, robot: Robot) -> None:
     """Raise OptionError where an angle was likely written in degrees: no base tilts by more than a turn."""
+    # Only the tilt is checked: alpha is never wrapped, since a full turn of one tube is not the identity on the
+    # elastic model.
     most = 2 * math.pi
     for axis, value in zip(robot.axes[-2:], row[-2:], strict=True):
         if abs(value) > most:
@@ -290,7 +297,7 @@ def _check_angles(row: Array, frame: int, robot: Robot) -> None:
 
 
 def _duration(time: Array, frames: int) -> float:
-    """Duration of frames at times (T,), all in s; raises OptionError unless these are even steps from 0 on."""
+    """Return the duration, s, of frames at times (T,), s; raise OptionError unless these are even steps from 0."""
     if time.shape != (frames,):
         raise OptionError(f"time has shape {time.shape}; it must have one value for each of {frames} frames")
     # Frame j = 1..T is at j dt, as in a plan; the motion takes T dt.

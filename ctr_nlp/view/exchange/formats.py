@@ -16,8 +16,10 @@ from ctr_nlp.view.exchange.shapes_csv import encode_shapes_csv
 
 @dataclass(frozen=True)
 class FileFormat:
-    """A format of one file. encode: the bytes of a plan's file; signature: what those have at byte
-    `signature_offset`.
+    """Format that writes a plan as one file.
+
+    encode: returns the bytes of a plan's file. suffix: of the file's name. signature: text that each such file has
+    at byte `signature_offset`, by which a file of ours is recognised before it is replaced.
     """
 
     encode: Callable[[Plan], bytes]
@@ -31,9 +33,9 @@ FILE_FORMATS = {
     "mat": FileFormat(encode_mat, ".mat", MAT_OPENING),
     "shapes-csv": FileFormat(encode_shapes_csv, "_shapes.csv", TABLE_OPENING),
 }
-"""Formats of one file, by name."""
+"""Formats that write one file, by name."""
 
 SLICER_FORMAT = "slicer"
-"""The format that is a folder; see slicer.py."""
+"""The format that writes a folder; see slicer.py."""
 
 EXCHANGE_FORMATS = (SLICER_FORMAT, *FILE_FORMATS)

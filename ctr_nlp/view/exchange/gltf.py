@@ -1,7 +1,7 @@
-"""A plan as an animated glTF 2.0 scene in one binary file, .glb (Khronos, glTF 2.0 Specification, 2021).
+"""Write a plan as an animated glTF 2.0 scene in one binary file, .glb (Khronos, glTF 2.0 Specification, 2021).
 
-Frames are nodes, of which one at a time has the scale 1 and all others 0. This flip-book needs no more than the
-core of glTF: viewers need not support more than eight morph targets, and tubes that come out change their number
+Frames are nodes, of which one at a time has the scale 1 and all others 0. This flip-book needs only core glTF.
+Morph targets would not do: viewers need not support more than eight, and tubes that come out change their number
 of points.
 """
 
@@ -20,10 +20,12 @@ from ctr_nlp.typing import Array
 from ctr_nlp.view.exchange.surface import Surface, frames_with_shape, tube_surfaces, wall_surface
 from ctr_nlp.view.figures.parts.palette import BLACK, tube_colour
 
+# A rotation by -90 degrees about x, (x, y, z) -> (x, z, -y). Its determinant is +1, so that triangles keep their
+# outside, and normals turn as points do.
 BASE_TO_GLTF_AXES = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
 """From the robot's base frame to glTF's, in which +Y is up: the insertion direction, +z, leads upwards."""
 GLTF_M_PER_MM = 1e-3
-"""m; glTF is in metres."""
+"""Metres per millimetre: glTF is in metres."""
 GLTF_METADATA = {
     "units": "metres",
     "axes": "+Y is up: the robot's insertion direction, +z of its base frame; +X is its x, +Z its -y; the origin "
@@ -31,20 +33,22 @@ GLTF_METADATA = {
     "time": "seconds; every frame of the plan is shown from its own time on, the first of them at 0",
 }
 ASSET = '{"asset":{"version":"2.0","generator":"ctr_nlp"'
-"""With which the text within the file begins, so that a file of ours can be told from others."""
+"""Beginning of the JSON text within the file, by which a file of ours is recognised."""
 GLTF_SIGNATURE, GLTF_SIGNATURE_OFFSET = ASSET, 20
-"""That text and the byte at which it begins: after the header of the file and that of its first chunk."""
+"""Signature of a file, and its first byte: after the file's header (12 bytes) and the first chunk's (8)."""
 GLTF_FLOAT, GLTF_UNSIGNED_SHORT, GLTF_UNSIGNED_INT = 5126, 5123, 5125
-"""glTF's numbers for types of components, and below for what a buffer holds and how points are joined."""
+"""glTF's codes of component types; below, of what a buffer view contains and of how points are joined."""
 VERTICES, INDICES = 34962, 34963
 GLTF_LINES, GLTF_TRIANGLES = 1, 4
 
 
 def encode_gltf(plan: Plan) -> bytes:
-    """The scene: every frame that has a shape, with its tubes, centreline and target, and the lumen's wall.
+    """Return the bytes of a plan's scene: tubes, centreline and target of every frame with a shape, and the
+    lumen's wall.
 
-    Animated at the pace of the motion, in metres, in the robot's base frame with its insertion direction upwards.
-    Without the animation the last frame is shown. Raises OutputError where no frame has a shape.
+    plan: the plan, whose shapes (101, 3) mm in the robot's base frame become metres with the insertion direction
+    upwards. The animation runs at the pace of the motion; without it, the last frame is shown. Raises OutputError
+    where no frame has a shape.
     """
     scene = _Scene()
     frames = frames_with_shape(plan)
@@ -71,7 +75,7 @@ def encode_gltf(plan: Plan) -> bytes:
 
 @dataclass
 class _Scene:
-    """The parts of a scene as they are added: lists of JSON objects by kind, and the bytes that they refer to."""
+    """Parts of a scene as they are added: lists of JSON objects by kind, and the bytes that they refer to."""
 
     parts: dict[str, list[dict[str, Any]]] = field(default_factory=dict)
     binary: bytearray = field(default_factory=bytearray)
@@ -83,21 +87,22 @@ class _Scene:
         return len(listed) - 1
 
     def material(self, name: str, colour: str, opacity: float = 1.0) -> int:
-        """Add a matt colour, such as #0072B2, which glTF wants in linear light, and return its number."""
+        """Add a matt material of a colour such as #0072B2, with an opacity from 0 to 1, and return its number."""
         shade = np.array([int(colour[k : k + 2], 16) / 255 for k in (1, 3, 5)])
+        # glTF takes base colours in linear light: the inverse of the sRGB transfer function (IEC 61966-2-1).
         linear = np.where(shade <= 0.04045, shade / 12.92, ((shade + 0.055) / 1.055) ** 2.4)
         surface = {"baseColorFactor": [*linear.tolist(), opacity], "metallicFactor": 0.0, "roughnessFactor": 0.6}
         glass = {"alphaMode": "BLEND", "doubleSided": True} if opacity < 1.0 else {}
         return self.add("materials", {"name": name, "pbrMetallicRoughness": surface} | glass)
 
     def node(self, name: str, primitives: list[dict[str, Any]]) -> int:
-        """Add a node with a mesh of its own, both of that name, and return its number."""
+        """Add a node with a mesh of its own, both called `name`, and return its number."""
         return self.add(
             "nodes", {"name": name, "mesh": self.add("meshes", {"name": name, "primitives": primitives})}
         )
 
     def solid(self, surfaces: dict[int, Surface]) -> list[dict[str, Any]]:
-        """Return the primitives of surfaces in the robot's base frame, mm, given by the numbers of their
+        """Return the primitives of surfaces in the robot's base frame, mm; their keys are the numbers of their
         materials.
         """
         found = []
@@ -115,7 +120,9 @@ class _Scene:
         return found
 
     def line(self, points: Array, material: int) -> list[dict[str, Any]]:
-        """Return the primitives of a line through points (n, 3) in the robot's base frame, mm."""
+        """Return the primitives of a line through points (n, 3), mm in the robot's base frame; material: its
+        number.
+        """
         places = {
             "POSITION": self.numbers(points @ BASE_TO_GLTF_AXES.T * GLTF_M_PER_MM, "VEC3", VERTICES, bounds=True)
         }
@@ -125,15 +132,16 @@ class _Scene:
     def numbers(self, values: Any, kind: str, target: int | None = None, bounds: bool = False) -> int:
         """Store an array, and return the number of its accessor.
 
-        values: kept as single floats, or where they are indices as whole numbers. kind: glTF's name of an element,
-        such as "VEC3". target: VERTICES, INDICES or None. bounds: whether the accessor tells the least and largest
-        values.
+        values: array, stored as single floats, or as whole numbers where they are indices. kind: glTF's name of an
+        element, such as "VEC3". target: VERTICES, INDICES or None. bounds: whether the accessor has the least and
+        largest values.
         """
         whole = target == INDICES
         # glTF reserves the largest number of a type.
         short = whole and values.max() < 2**16 - 1
         array = values.astype("<u2" if short else "<u4" if whole else "<f4")
         view = {"buffer": 0, "byteOffset": len(self.binary), "byteLength": array.nbytes}
+        # An accessor begins at a multiple of its component's size; 4 bytes suit every type here.
         self.binary += array.tobytes() + bytes(-array.nbytes % 4)
         accessor = {
             "bufferView": self.add("bufferViews", view | ({} if target is None else {"target": target})),
@@ -141,13 +149,16 @@ class _Scene:
             "count": len(array),
             "type": kind,
         }
+        # The specification requires these bounds of positions and of the times of an animation.
         ends = {"min": array.min(axis=0), "max": array.max(axis=0)} if bounds else {}
         return self.add(
             "accessors", accessor | {end: np.atleast_1d(value).tolist() for end, value in ends.items()}
         )
 
     def animate(self, nodes: list[int], times: Array, last: float) -> None:
-        """Show one of `nodes` after the other, each from its time in s on, and the last one for `last` s."""
+        """Show one of `nodes` after the other, each from its time in `times` (n,) s on, and the last one for
+        `last` s.
+        """
         samplers = list[dict[str, Any]]()
         channels = []
         ends = np.append(times[1:], times[-1] + last)
@@ -163,10 +174,12 @@ class _Scene:
     def file(self, name: str, roots: list[int]) -> bytes:
         """Return the binary file of a scene called `name`, with the nodes `roots` at its top."""
         asset = {"version": "2.0", "generator": "ctr_nlp", "extras": GLTF_METADATA}
+        # The asset goes first, where GLTF_SIGNATURE is looked for.
         told = {"asset": asset, "scene": 0, "scenes": [{"name": name, "nodes": roots}]}
         told |= self.parts | {"buffers": [{"byteLength": len(self.binary)}]}
         text = json.dumps(told, allow_nan=False, separators=(",", ":")).encode()
         chunks = b""
+        # A chunk ends at a multiple of 4 bytes: JSON is filled up with spaces, binary data with zeros.
         for kind, content, filler in ((b"JSON", text, b" "), (b"BIN\0", bytes(self.binary), b"\0")):
             padded = content + filler * (-len(content) % 4)
             chunks += struct.pack("<I4s", len(padded), kind) + padded

@@ -1,4 +1,4 @@
-"""MATLAB files of version 7, which MATLAB, Octave, Julia and scipy read: a plan as one, and what others hold."""
+"""MATLAB files of version 7, which MATLAB, Octave, Julia and scipy read: write plans, read variables of others."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from ctr_nlp.plan.simulation import Simulator
 
 MAT_SIGNATURE = "MATLAB 5.0 MAT-file, a plan of ctr_nlp"
 HEADER = 116
-"""Bytes of text that such a file begins with."""
+"""Bytes of descriptive text at the beginning of such a file."""
 README = {
     "time": "(T x 1) s, of every frame; frames are evenly spaced, and the first is one step after 0",
     "q": "(T x 2d+2) configurations: alpha_1..d rad, beta_1..d mm, theta_x, theta_y rad; tube 1 is the outermost. "
@@ -45,20 +45,25 @@ README = {
     "problem": "name of the problem",
     "model": "name of the model that shapes and stability are those of",
 }
-"""What the file holds, by name; it is in the file too."""
+"""What the variables of the file are, by name; also written into the file."""
 
 
 def encode_mat(plan: Plan) -> bytes:
-    """The file: q, unknowns, shapes, targets, times, errors and the robot's numbers, explained in its README."""
+    """Return the bytes of a .mat file of `plan`: q, unknowns, shapes, targets, times, errors, robot, explained in
+    README.
+    """
     found = _contents(plan)
     told = "\n".join(f"{name}: {README[name]}" for name in found)
     buffer = io.BytesIO()
     text = f"A plan of ctr_nlp. T frames, d tubes; mm, rad and s.\n{told}\n"
     savemat(buffer, {"README": text} | found, do_compression=True, long_field_names=True, oned_as="column")
+    # scipy writes platform and date into the text of the header; in their place, the signature makes a file of
+    # ours recognisable, and the same plan the same bytes.
     return MAT_SIGNATURE.ljust(HEADER).encode() + buffer.getvalue()[HEADER:]
 
 
 def _contents(plan: Plan) -> dict[str, Any]:
+    """Return the variables of a plan's file by name, as README explains them."""
     problem = plan.meta["problem"]
     robot = plan.robot
     error = e3(plan)
@@ -86,10 +91,11 @@ def _contents(plan: Plan) -> dict[str, Any]:
 
 
 def read_mat_variables(path: Path, wanted: str, structs: bool = False) -> dict[str, Any]:
-    """The variables of a .mat file; wanted: the one that is asked for.
+    """Return the variables in a .mat file by name.
 
-    structs: whether structs become tables, and arrays lose axes of one entry.
-    Raises OSError where the file cannot be opened, and OptionError where it is none that can be read.
+    path: the file. wanted: name of the variable that is needed, for messages. structs: whether structs become
+    tables, and arrays lose axes of one entry. Raises OSError where the file cannot be opened, and OptionError
+    where its contents cannot be read.
     """
     with open(path, "rb") as file:
         try:

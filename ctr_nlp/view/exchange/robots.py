@@ -1,4 +1,6 @@
-"""Robots from files: this library's own, and tubes in SI units in the words of two families of other codes."""
+"""Read robots from files: of this library, or tubes in SI units in the vocabulary of two families of other
+programs.
+"""
 
 from __future__ import annotations
 
@@ -16,19 +18,20 @@ from ctr_nlp.view.exchange.mat import read_mat_variables
 
 OWN_ROBOT_SUFFIX, FOREIGN_ROBOT_SUFFIXES = ".toml", (".json", ".mat")
 READABLE_ROBOT_FILES = "robot files of ctr_nlp (.toml), and tubes as MexLib or gym-ctr have them (.json, .mat)"
-"""What can be read, as messages list it."""
+"""Files that can be read, as messages list them."""
 ROBOT_FILE_MM_PER_M, ROBOT_FILE_M_PER_MM, ROBOT_FILE_MPA_PER_PA = 1e3, 1e-3, 1e-6
 """Factors that turn lengths in m, curvatures in 1/m and moduli in Pa into mm, 1/mm and MPa."""
 DEEPEST = 20
-"""Depth to which tables within tables are searched for tubes."""
+"""Depth to which nested tables are searched for tubes."""
 
 
 @dataclass(frozen=True)
 class TubeVocabulary:
-    """Names that a family of codes gives to the numbers of a tube.
+    """Names that a family of programs gives to the numbers of a tube.
 
-    program: where they are used. curved, straight: the pre-curved length, or the straight one before it; one of
-    the two. curvatures: the pre-curvature about x, and about y where there is one.
+    program: which programs, for messages. curved, straight: name of the pre-curved length, or of the straight
+    length before it; one of the two is empty. curvatures: names of the pre-curvature about x, and about y where
+    there is one.
     """
 
     program: str
@@ -43,7 +46,7 @@ class TubeVocabulary:
 
     @property
     def required_names(self) -> tuple[str, ...]:
-        """Every word that a tube must have."""
+        """Names of all the numbers that a tube must have."""
         sizes = (self.outer_diameter, self.inner_diameter, self.length, self.curved or self.straight)
         return (*sizes, *self.curvatures, self.youngs_modulus, self.shear_modulus)
 
@@ -68,11 +71,12 @@ environment of Iyengar and Stoyanov (Deep reinforcement learning for concentric 
 
 @dataclass(frozen=True)
 class ImportedRobot:
-    """A robot, and what its file calls its tubes, the outermost first.
+    """Robot that was read from a file, and how the file names its tubes and measures their angles.
 
-    turned (d,): rad by which alpha here exceeds the angle there, since a lone tube with alpha = 0 bends towards +x
-    here, and there about x or about the axis that its two curvatures give. own: whether the file is one of this
-    library, so that configurations there are those here.
+    names (d,): the file's names of the tubes, the outermost first. alpha_offsets (d,): alpha less the file's
+    angle, rad. A lone tube with alpha = 0 bends towards +x here; in other programs it bends about x, or about the
+    axis that its two curvatures give. own: whether the file is one of this library, whose configurations need no
+    conversion.
     """
 
     robot: Robot
@@ -81,8 +85,8 @@ class ImportedRobot:
     own: bool = False
 
     def to_toml(self, source: str) -> str:
-        """Return the text of a robot file that also says how configurations there become such here; `source` names
-        where the robot is from.
+        """Return the text of a robot file, with comments on how to convert the file's configurations; source: the
+        file's name.
         """
         if self.own:
             return self.robot.to_toml(f"A robot from {source}.")
@@ -107,15 +111,15 @@ def read_robot(path: str | Path, name: str | None = None, poisson_ratio: float |
         table with the words of one of `TUBE_VOCABULARIES`, with lengths and diameters in m, curvatures in 1/m and
         moduli in Pa, and a robot is a table or a list of such tubes, in any order.
     name : str, optional
-        Which robot, where a file of another program holds several.
+        Name of the robot, where a file of another program contains several.
     poisson_ratio : float, optional
-        Of every tube, in place of what the file says. Some published tables have moduli that no isotropic tube
-        has.
+        Poisson ratio of every tube, in place of the file's. Some published tables have moduli that no isotropic
+        tube has.
 
     Returns
     -------
-    Imported
-        The robot, and how its tubes and angles are called in the file.
+    ImportedRobot
+        The robot, and how the file names its tubes and measures their angles.
 
     Raises
     ------
@@ -147,7 +151,7 @@ def read_robot(path: str | Path, name: str | None = None, poisson_ratio: float |
 
 
 def _read_own_robot(path: Path, name: str | None, poisson_ratio: float | None) -> ImportedRobot:
-    """The robot in a robot file of this library."""
+    """Read the robot from a robot file of this library; name and poisson_ratio as read_robot."""
     if name is not None:
         raise OptionError(f"robot file {path} holds one robot, without a name; leave out name ({name!r})")
     try:
@@ -178,9 +182,7 @@ def _read(path: Path) -> Any:
 
 
 def _robots(data: Any, name: str, depth: int = 0) -> Iterator[tuple[str, dict[str, Mapping[str, Any]]]]:
-    """Yield the name of each robot in the data of a file, and its tubes by name; tables within tables are
-    searched.
-    """
+    """Yield the name of each robot in the data of a file, and its tubes by name; searches nested tables."""
     if depth > DEEPEST:
         raise OptionError(f"it holds tables within tables, more than {DEEPEST} deep")
     if not isinstance(data, Mapping):
@@ -194,16 +196,17 @@ def _robots(data: Any, name: str, depth: int = 0) -> Iterator[tuple[str, dict[st
 
 
 def _is_list(data: Any) -> bool:
-    """Whether something is a list of a file, of Python or of MATLAB."""
+    """Tell whether something is a list, of Python or of MATLAB."""
     return isinstance(data, list) or (hasattr(data, "dtype") and data.dtype == object and data.ndim == 1)
 
 
 def _find_vocabulary(tube: Mapping[str, Any]) -> TubeVocabulary | None:
-    """Return the family whose words a table has most of, at least half; None where the table is no tube."""
+    """Return the vocabulary of which a table has most names, at least half; None where it has fewer."""
     shares = [
         sum(word in tube for word in words.required_names) / len(words.required_names)
         for words in TUBE_VOCABULARIES
     ]
+    # Half of the names are enough, so that a tube with a missing one is reported by that name and not passed over.
     return TUBE_VOCABULARIES[shares.index(max(shares))] if max(shares) >= 0.5 else None
 
 
@@ -221,8 +224,8 @@ def _select_robot(
 
 
 def _build_imported_robot(tubes: dict[str, Mapping[str, Any]], poisson_ratio: float | None) -> ImportedRobot:
-    """Make the robot of tubes by name, sorted by outer diameter; `poisson_ratio`, where given, is that of every
-    tube.
+    """Make the robot from tubes by name, sorted by outer diameter; poisson_ratio: of every tube, None for the
+    file's.
     """
     made = {name: _tube(name, tube, poisson_ratio) for name, tube in tubes.items()}
     names = sorted(made, key=lambda name: -made[name][0].outer_diameter)
@@ -232,7 +235,7 @@ def _build_imported_robot(tubes: dict[str, Mapping[str, Any]], poisson_ratio: fl
 
 
 def _tube(name: str, given: Mapping[str, Any], poisson_ratio: float | None) -> tuple[Tube, float]:
-    """The tube of a table, and by how much alpha exceeds the angle there, rad."""
+    """Return the tube of a table, and alpha less the table's angle, rad."""
     words = _find_vocabulary(given)
     assert words is not None
 
@@ -260,14 +263,18 @@ def _tube(name: str, given: Mapping[str, Any], poisson_ratio: float | None) -> t
         )
     except RobotError as error:
         raise RobotError(f"tube {name!r}, in {words.program}'s m, 1/m and Pa: {error}") from error
-    # Curvature about +y bends a tube towards +x, which is alpha = 0 here.
+    # A curvature about the axis at the angle a from x bends a tube towards a - pi/2: about +y towards +x, which is
+    # alpha = 0 here.
     turned = math.atan2(about_y, about_x) - math.pi / 2 if curvature else 0.0
     return tube, math.remainder(turned, 2 * math.pi)
 
 
 def _poisson_ratio(name: str, modulus: float, shear: float) -> float:
-    """E / 2G - 1; raises OptionError where no isotropic tube has it."""
+    """Return E / 2G - 1 of Young's modulus `modulus` and shear modulus `shear`, Pa; raise OptionError where no
+    isotropic tube has it.
+    """
     ratio = modulus / (2 * shear) - 1 if shear > 0 else math.inf
+    # A modulus of G = E / 3 that was rounded gives a ratio a little above 1/2.
     if not -1 < ratio <= 0.5 + 1e-9:
         raise OptionError(
             f"tube {name!r} has a Young's modulus of {modulus:g} Pa and a shear modulus of {shear:g} Pa, which is "

@@ -1,4 +1,4 @@
-"""A plan's shapes and targets as a table for spreadsheets and scripts."""
+"""Write a plan's shapes and targets as a table for spreadsheets and scripts."""
 
 from __future__ import annotations
 
@@ -24,14 +24,16 @@ SHAPES_CSV_COLUMNS = (
 )
 SHAPES_CSV_SIGNATURE = ",".join(SHAPES_CSV_COLUMNS[:6])
 SHAPES_CSV_DECIMALS = 6
-"""Decimals of coordinates: a millionth of a millimetre."""
+"""Decimals of coordinates in mm."""
 
 
 def encode_shapes_csv(plan: Plan) -> bytes:
-    """The table, comma-separated, in UTF-8: a row for each of 101 points in every frame that has a shape.
+    """Return the bytes of a plan's table, comma-separated, in UTF-8, with a row for each of 101 points in every
+    frame that has a shape.
 
-    frame: its number from 1; sigma: part of the robot's length up to the point; x, y, z: of the robot, and of its
-    target at the same sigma, in the robot's base frame. Raises OutputError where no frame has a shape.
+    plan: the plan. Columns: frame, from 1; time; sigma, the part of the robot's length up to the point; x, y, z of
+    the robot, and of its target at the same sigma, mm in the robot's base frame. Raises OutputError where no frame
+    has a shape.
     """
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")

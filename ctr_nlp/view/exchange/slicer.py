@@ -1,8 +1,10 @@
-"""A plan for 3D Slicer, in the coordinates of the scan that its path was found in.
+"""Write a plan for 3D Slicer, in the coordinates of the scan that its path was found in.
+
+Shapes go from the robot's base frame to the file of the path (the inverse of the plan's to_robot), and from its
+axes to LPS, the coordinates of DICOM. Every file says that it is in LPS; Slicer converts it to its own RAS.
 
 Curves follow the schema markups-schema-v1.0.3.json of Slicer's Markups module, models the convention of its
-vtkMRMLModelStorageNode, which reads the coordinate system from the field SPACE. Everything is in LPS, the
-coordinates of DICOM, and says so; Slicer turns it into its own.
+vtkMRMLModelStorageNode, which reads the coordinate system from the field SPACE.
 """
 
 from __future__ import annotations
@@ -30,27 +32,29 @@ SCHEMA = (
     "markups-schema-v1.0.3.json#"
 )
 SLICER_SPACES = ("LPS", "RAS")
-"""What a caller may say of a path whose file does not tell its coordinates."""
+"""Coordinates that a caller may state for a path whose file does not."""
 UNSTATED = "xyz"
-"""The space of a file that does not tell it; see Problem."""
+"""Space of a file that does not state its coordinates; see Problem."""
 SLICER_SCRIPT_FILE, SLICER_TUBES_FILE, SLICER_WALL_FILE = "load_in_slicer.py", "tubes.pvd", "wall.vtp"
-"""Names of files that are there once: the script for Slicer, what lists the tubes over time, the lumen's wall."""
+"""Names of the files that exist once: the script for Slicer, the list of tubes over time, the lumen's wall."""
 TEMPLATE = Path(__file__).parent / "templates" / SLICER_SCRIPT_FILE
 SLICER_DECIMALS = 6
-"""Decimals of coordinates: a millionth of a millimetre."""
+"""Decimals of coordinates in mm."""
 LINE_MM = 0.6
 """Thickness of curves in Slicer, mm."""
 
 
 def slicer_files(plan: Plan, space: str | None = None) -> dict[str, str]:
-    """The files of a folder, by name, for 3D Slicer: texts in UTF-8.
+    """Return the files of a folder for 3D Slicer, by name: texts in UTF-8.
 
     For every frame that has a shape, numbered from 1: frames/robot_001.mrk.json and frames/target_001.mrk.json,
     the 101 points at uniform sigma of the robot's centreline and of its target as open curves, and
     frames/tubes_001.vtp, the tubes as surfaces with their outer diameters. tubes.pvd lists those with their times
     in s; wall.vtp is the lumen's wall where it is known; load_in_slicer.py loads and films all of it in Slicer.
     The script, and the first point of every curve, say that nothing here is validated for use on patients.
-    space: as to_scan. Raises OptionError, also where pyvista is missing, and OutputError where there is no shape.
+
+    plan: the plan. space: as in to_scan. Raises OptionError, also where pyvista is missing, and OutputError where
+    no frame has a shape.
     """
     to_lps = to_scan(plan, space)
     frames = frames_with_shape(plan)
@@ -69,11 +73,12 @@ def slicer_files(plan: Plan, space: str | None = None) -> dict[str, str]:
 
 
 def to_scan(plan: Plan, space: str | None = None) -> Array:
-    """The transform (4, 4) from the robot's base frame to the scan that the plan's path was found in, LPS, mm.
+    """Return the transform (4, 4), mm, from the robot's base frame to LPS coordinates of the scan that the plan's
+    path was found in.
 
-    space: LPS or RAS, where the file of the path does not tell in which patient coordinates it is. A plan whose
-    path comes from no file is written in the coordinates that its path is given in. Raises OptionError where the
-    coordinates are not known, or told otherwise by the file.
+    plan: the plan. space: LPS or RAS, where the file of the path does not state its patient coordinates. A plan
+    whose path comes from no file is written in the coordinates of its path. Raises OptionError where the
+    coordinates are not known, or the file states others.
     """
     stated = plan.meta["problem"].get("space", UNSTATED)
     if stated in IMAGE_SPACE_TO_LPS:
@@ -90,16 +95,18 @@ def to_scan(plan: Plan, space: str | None = None) -> Array:
             "the plan does not tell whether its path is in LPS or in RAS coordinates of the scan: its file does "
             "not say so, or an earlier version made the plan; give --space LPS or --space RAS"
         )
+    # to_robot takes the file's coordinates to the base frame; its inverse leads back to the file, whose axes are
+    # then turned to LPS. From LAS, a left-handed system, that is a reflection.
     return np.asarray(IMAGE_SPACE_TO_LPS[stated] @ np.linalg.inv(plan.to_robot), dtype=float)
 
 
 def tubes_file(number: str) -> str:
-    """The name of the surfaces of a frame."""
+    """Return the name of the file of a frame's tubes; number: the frame's number as text, with leading zeros."""
     return f"frames/tubes_{number}.vtp"
 
 
 def _curve(name: str, points: Array, colour: str) -> str:
-    """A markups file with one open curve through points (n, 3) in LPS, mm."""
+    """Return a markups file with one open curve through points (n, 3), mm in LPS; colour: such as #0072B2."""
     controls: list[dict[str, Any]] = [
         {"id": str(k), "label": f"{name}-{k}", "position": place, "positionStatus": "defined", "locked": True}
         for k, place in enumerate((np.round(points, SLICER_DECIMALS) + 0.0).tolist(), start=1)
@@ -130,19 +137,22 @@ def _curve(name: str, points: Array, colour: str) -> str:
 
 
 def _model(surfaces: dict[int, Surface], to_lps: Array, time: float | None = None) -> str:
-    """A .vtp file with surfaces of the robot's base frame, each cell with the number of its tube, in LPS.
+    """Return a .vtp file of surfaces by tube number, moved from the robot's base frame to LPS; each cell has the
+    number of its tube.
 
-    time: in s, kept in the field TimeValue.
+    to_lps: transform (4, 4), mm. time: in s, kept in the field TimeValue.
     """
     pyvista = import_extra("pyvista")
     writing = import_extra("vtkmodules.vtkIOXML")
     sizes = np.cumsum([0, *(len(surface.points) for surface in surfaces.values())])[:-1]
     triangles = [surface.triangles + first for surface, first in zip(surfaces.values(), sizes, strict=True)]
+    # A reflection turns triangles inside out; their corners in reverse order face outwards again.
     mirrored = np.linalg.det(to_lps[:3, :3]) < 0
     mesh = pyvista.PolyData.from_regular_faces(
         transform_points(_stack_rows([surface.points for surface in surfaces.values()]), to_lps),
         _stack_rows(triangles).astype(int)[:, :: -1 if mirrored else 1],
     )
+    # to_lps is orthogonal, so that normals turn as vectors do.
     mesh.point_data["Normals"] = _stack_rows([surface.normals for surface in surfaces.values()]) @ to_lps[:3, :3].T
     mesh.cell_data["tube"] = np.repeat(list(surfaces), [len(each) for each in triangles]).astype(np.int32)
     mesh.field_data["SPACE"] = ["LPS"]
@@ -157,12 +167,14 @@ def _model(surfaces: dict[int, Surface], to_lps: Array, time: float | None = Non
 
 
 def _stack_rows(parts: Sequence[Any]) -> Any:
-    """Rows of several arrays (n, 3), of none too."""
+    """Stack the rows of several arrays (n, 3), of no array too."""
     return np.vstack([np.zeros((0, 3)), *parts])
 
 
 def _collection(plan: Plan, numbers: dict[int, str]) -> str:
-    """The tubes over time, in the collection format of ParaView, which load_in_slicer.py reads too."""
+    """List the tubes over time in ParaView's collection format; numbers: the number, as text, of each frame from
+    0.
+    """
     root = ElementTree.Element("VTKFile", type="Collection", version="1.0")
     listed = ElementTree.SubElement(root, "Collection")
     for j, number in numbers.items():

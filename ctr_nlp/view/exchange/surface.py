@@ -1,4 +1,4 @@
-"""Surfaces of what a plan shows: every tube where it is the outermost one, and the wall of the lumen."""
+"""Surfaces of a plan's frames: each tube where it is the outermost one, and the wall of the lumen."""
 
 from __future__ import annotations
 
@@ -15,14 +15,16 @@ from ctr_nlp.plan.plan import Plan
 from ctr_nlp.typing import Array
 
 TUBE_SURFACE_SIDES = 16
-"""Sides of the polygon that stands for a tube's cross-section."""
+"""Sides of the polygon that approximates a tube's cross-section."""
 WALL_SURFACE_SIDES = 24
 MIN_VISIBLE_TUBE_MM = 1e-3
-"""mm: a tube of which less is seen is left out."""
+"""Visible length, mm, below which a tube is left out."""
 
 
 class Surface(NamedTuple):
-    """Points (n, 3) mm, unit normals (n, 3) outwards, triangles (m, 3) that turn left seen from outside."""
+    """Triangle mesh: points (n, 3) mm, outward unit normals (n, 3), triangles (m, 3) anticlockwise seen from
+    outside.
+    """
 
     points: Array
     normals: Array
@@ -30,7 +32,7 @@ class Surface(NamedTuple):
 
 
 def frames_with_shape(plan: Plan) -> list[int]:
-    """The frames, from 0, that have a shape; raises OutputError where none has."""
+    """Return the frames of `plan`, from 0, that have a shape; raise OutputError where none has."""
     found: list[int] = np.flatnonzero(plan.reached_frames).tolist()
     if not found:
         raise OutputError("no frame of the plan has a shape; there is nothing to show")
@@ -38,9 +40,10 @@ def frames_with_shape(plan: Plan) -> list[int]:
 
 
 def tube_surfaces(plan: Plan, frame: int) -> dict[int, Surface]:
-    """The visible part of every tube in a frame from 0, by the tube's number from 1, in the robot's base frame.
+    """Return the visible part of every tube in a frame, by the tube's number from 1, in the robot's base frame.
 
-    Each has the tube's outer diameter, and flat ends. Tubes of which nothing is seen are left out.
+    plan: the plan. frame: index from 0. Each surface has the tube's outer diameter, and flat ends. Tubes that
+    others cover are left out.
     """
     beta = plan.beta[frame]
     radius = tube_outer_radii(plan.robot)
@@ -48,6 +51,7 @@ def tube_surfaces(plan: Plan, frame: int) -> dict[int, Surface]:
     for i, (start, stop) in enumerate(zip(np.append(0.0, beta[:-1]), beta, strict=True)):
         if stop - start >= MIN_VISIBLE_TUBE_MM:
             s = SIGMA_GRID * beta[-1]
+            # Grid points too near to an end are left out: two rings in one place have no direction between them.
             s = np.concatenate(
                 [[start], s[(s > start + MIN_VISIBLE_TUBE_MM / 2) & (s < stop - MIN_VISIBLE_TUBE_MM / 2)], [stop]]
             )
@@ -57,20 +61,23 @@ def tube_surfaces(plan: Plan, frame: int) -> dict[int, Surface]:
 
 
 def wall_surface(plan: Plan) -> Surface | None:
-    """The wall of the lumen in the robot's base frame, open at both ends; None where no lumen is known."""
+    """Return the wall of the plan's lumen in the robot's base frame, open at both ends; None where no lumen is
+    known.
+    """
     return None if plan.lumen is None else _sweep_surface(plan.lumen, WALL_SURFACE_SIDES)
 
 
 def _sweep_surface(table: Array, sides: int) -> Surface:
-    """The surface around a path with a radius, a table (n, 4), mm."""
+    """Return the surface around a path (n, 4) of x, y, z and radius in mm; sides: of its cross-section."""
     points, triangles = wall_mesh(table, sides)
     outwards = points - np.repeat(table[:, :3], sides, axis=0)
     return Surface(points, outwards / np.linalg.norm(outwards, axis=-1, keepdims=True), triangles)
 
 
 def _sweep_capped_surface(table: Array) -> Surface:
-    """The surface around a path with a radius, with a disc at either end."""
+    """Return the surface around a path, a table (n, 4) of x, y, z and radius in mm, with a disc at either end."""
     body = _sweep_surface(table, TUBE_SURFACE_SIDES)
+    # Each disc has rim points of its own: shared ones would share normals, and edges would look round.
     points = [body.points]
     normals = [body.normals]
     triangles = [body.triangles]

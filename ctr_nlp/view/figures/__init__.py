@@ -1,4 +1,4 @@
-"""Plans to pictures: what the paper shows in its Figs. 4, 5, 6 and 8, for any plan; and pictures to files."""
+"""Figures of a plan, like Figs. 4, 5, 6 and 8 of the paper, and the files that they are written to."""
 
 from __future__ import annotations
 
@@ -23,14 +23,16 @@ from ctr_nlp.view.figures.robustness_plot import robustness
 __all__ = ["check_film", "film", "save", "save_all", "tracking"]
 
 PICTURES = {"shapes": shapes, "errors": errors, "by_frame": by_frame, "configuration": configuration}
-"""Pictures of every plan, by the names of their files."""
+"""Figures that every plan has, by the names of their files."""
 FIGURE_DPI = 150
 
 
 def save_all(plan: Plan, folder: str | Path) -> list[Path]:
-    """Write shapes.png, errors.png, by_frame.png, configuration.png; where known stability, clearance, robustness.
+    """Write shapes, errors, by_frame, configuration, and where known stability, clearance and robustness, as .png
+    files.
 
-    All are .png, in a folder that exists; returns where they lie. Raises OutputError where one cannot be written.
+    plan: the plan to draw. folder: an existing folder. Returns the paths of the files. Raises OutputError where
+    one cannot be written.
     """
     pictures = PICTURES | ({"stability": stability} if np.isfinite(plan.stability).any() else {})
     pictures |= {} if plan.clearance is None else {"clearance": clearance}
@@ -39,11 +41,13 @@ def save_all(plan: Plan, folder: str | Path) -> list[Path]:
 
 
 def save(figure: Figure, path: Path) -> Path:
-    """Write a picture, as lines and text where its name ends in .pdf or .svg, to the same bytes every time.
+    """Write a figure to a file, and return its path; the same figure gives the same bytes every time.
 
-    Raises OutputError where it cannot be written.
+    figure: the figure. path: where to write; a name in .pdf or .svg gets lines and text, any other a PNG. Raises
+    OutputError where it cannot be written.
     """
     try:
+        # Dates in PDF and SVG, and random names within SVG, would change the bytes of every run.
         figure.set_dpi(FIGURE_DPI)
         if path.suffix == ".pdf":
             FigureCanvasPdf(figure).print_pdf(path, metadata={"CreationDate": None})

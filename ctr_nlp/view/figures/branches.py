@@ -1,4 +1,4 @@
-"""The branches of a file of anatomy, from the front, from the side and from below."""
+"""Draw the branches of a file of anatomy from the front, from the left and from below."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ from ctr_nlp.view.figures.parts.page import STYLE, label_text, printable
 from ctr_nlp.view.figures.parts.palette import BLACK, tube_colour, tube_width
 
 TREE_PANELS_SIZE_IN = 6.5
-"""Inches that the larger of width and height of all panels may take."""
+"""Largest width and height of all panels together, inches."""
 MIN_TREE_PANEL_FRACTION = 0.2
-"""Least extent of a panel's side as part of the largest."""
+"""Least side of a panel as a part of the largest one."""
 TREE_PANEL_MARGIN_FACTOR = 1.22
-"""Extent of a panel by that of what it shows, with room for numbers at the tips."""
+"""Side of a panel over that of its contents, with room for numbers at the tips."""
 TREE_PANEL_GAP_IN, TREE_LEFT_MARGIN_IN, TREE_RIGHT_MARGIN_IN, TREE_TOP_MARGIN_IN, TREE_BOTTOM_MARGIN_IN = (
     0.75,
     0.75,
@@ -31,17 +31,17 @@ TREE_PANEL_GAP_IN, TREE_LEFT_MARGIN_IN, TREE_RIGHT_MARGIN_IN, TREE_TOP_MARGIN_IN
 )
 """Inches between and around panels."""
 TREE_LABEL_DISTANCES_PT, POINTS_PER_INCH = (8.0, 13.0, 18.0, 23.0), 72.0
-"""How far from its tip a number may stand, in points, the first also being how far from other numbers."""
+"""Distances, in points, at which a number may stand from its tip; the first is also the least between numbers."""
 TREE_KEY_WIDTH_IN, TREE_KEY_LINE_HEIGHT_IN = 2.6, 0.17
-"""Inches that the key and each line of it take."""
+"""Width of the key, and height of each of its lines, inches."""
 PATIENT_LEFT_RIGHT_LETTERS, REVERSED_AXIS_LETTERS = "LR", "RAI"
-"""Directions of a patient's first axis, and those of any axis that are drawn the other way round."""
+"""Directions of a patient's first axis, and directions in which any axis is drawn reversed."""
 TREE_LABEL_TIP_LENGTH_MM = 8.0
-"""The last stretch of a branch, whose direction says where its number goes."""
+"""Length of the end of a branch, mm, along whose direction its number is placed."""
 
 
 class Projection(NamedTuple):
-    """Which axes go across and up, and from where a patient is seen so."""
+    """View along an axis: indices of the axes drawn across and up, and the side from which a patient is seen."""
 
     across: int
     up: int
@@ -57,10 +57,11 @@ VIEW_FROM_FRONT, VIEW_FROM_LEFT, VIEW_FROM_BELOW = (
 
 @matplotlib.rc_context(STYLE)
 def tree(paths: Sequence[Array], names: Sequence[str], title: str, directions: str = "xyz") -> Figure:
-    """Branches to scale, from paths (n, 3) in mm, numbered at their tips.
+    """Draw branches to scale in three views, numbered at their tips.
 
-    directions: in which x, y, z grow, such as LPS or RAS; they name the axes, and these are turned as radiologists
-    turn them, with the patient's left on the right of the picture. Other letters name the axes and turn none.
+    paths: points (n, 3) of each branch, mm. names: of the branches, for the key. title: may have several lines.
+    directions: letters in which x, y, z grow, such as LPS or RAS; they name the axes, and these are reversed as
+    radiologists have them, with the patient's left on the right of the picture. Other letters reverse none.
     """
     every = np.concatenate(paths)
     low = every.min(axis=0)
@@ -76,7 +77,9 @@ def tree(paths: Sequence[Array], names: Sequence[str], title: str, directions: s
 
 
 def _panels(side: Array) -> tuple[Figure, list[Axes]]:
-    """Three panels of one scale: front, to its right the side, beneath it the view from below."""
+    """Make three panels of one scale for a box of sides (3,) mm: front, to its right the side, beneath it from
+    below.
+    """
     inches = TREE_PANELS_SIZE_IN / max(side[0] + side[1], side[2] + side[1])
     across, deep, tall = side * inches
     key = 0.0 if deep >= TREE_KEY_WIDTH_IN else TREE_KEY_WIDTH_IN - deep
@@ -108,6 +111,8 @@ def _frame(axes: Axes, view: Projection, middle: Array, side: Array, directions:
     if directions[across] in REVERSED_AXIS_LETTERS:
         axes.invert_xaxis()
     named = directions[0] in PATIENT_LEFT_RIGHT_LETTERS
+    # From below, as axial slices are shown: the patient's front is up, so that an axis that grows to the back (P)
+    # is reversed and one that grows to the front (A) is not.
     if (directions[up] in REVERSED_AXIS_LETTERS) != (view is VIEW_FROM_BELOW and named):
         axes.invert_yaxis()
     axes.set_xlabel(f"{directions[across]} (mm)")
@@ -117,7 +122,7 @@ def _frame(axes: Axes, view: Projection, middle: Array, side: Array, directions:
 
 
 def _draw(axes: Axes, view: Projection, paths: Sequence[Array], dpi: float) -> None:
-    """The branches, later ones thinner, so that all are seen where they share a trunk; then their numbers."""
+    """Draw the branches, later ones thinner, so that all are seen where they share a trunk; then their numbers."""
     for k, path in enumerate(paths):
         across, up = path[:, [view.across, view.up]].T
         axes.plot(across, up, color=tube_colour(k), lw=tube_width(k, len(paths)), solid_capstyle="round")
@@ -137,7 +142,9 @@ def _draw(axes: Axes, view: Projection, paths: Sequence[Array], dpi: float) -> N
 
 
 def _places(axes: Axes, view: Projection, paths: Sequence[Array], dpi: float) -> list[Array]:
-    """Where numbers go, in points on the page: ahead of the tips, and off one another while that is near."""
+    """Return positions (2,) of the numbers, points on the page: ahead of the tips, and apart where tips
+    are close.
+    """
     places: list[Array] = []
     for path in paths:
         before = np.flatnonzero(np.linalg.norm(path - path[-1], axis=1) > TREE_LABEL_TIP_LENGTH_MM)
@@ -151,7 +158,7 @@ def _places(axes: Axes, view: Projection, paths: Sequence[Array], dpi: float) ->
 
 
 def _key(figure: Figure, panels: list[Axes], paths: Sequence[Array], names: Sequence[str]) -> None:
-    """Names and lengths, in the free corner."""
+    """Draw the key with names and lengths in the free corner."""
     corner = panels[1].get_position().x0, panels[2].get_position().y1
     room = int(corner[1] * figure.get_figheight() / TREE_KEY_LINE_HEIGHT_IN) - 2
     entries = []

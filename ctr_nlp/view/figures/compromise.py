@@ -1,4 +1,4 @@
-"""Arrival against contact: what a robot can have where it cannot have both."""
+"""Draw arrival against contact: the compromises of a robot that cannot both arrive and keep off the wall."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ from ctr_nlp.view.figures.parts.palette import BLACK, BLUE, GREEN, VERMILLION
 
 @matplotlib.rc_context(STYLE)
 def compromise(plan: Plan, found: Sequence[Compromise]) -> Figure:
-    """Draw the tip's distance from the target's end over the deepest contact, of motions between the two.
+    """Draw the tip's distance from the target's end over the deepest contact, a point a motion.
 
     Parameters
     ----------
     plan : Plan
-        The plan, whose thresholds bound the green area in which both are had.
+        The plan, whose thresholds bound the green area: motions that arrive and keep off the wall.
     found : sequence of Compromise
-        Of :func:`ctr_nlp.planning.compromise.compromises`.
+        Motions found by :func:`ctr_nlp.planning.compromise.compromises`.
 
     Returns
     -------

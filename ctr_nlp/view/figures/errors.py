@@ -1,4 +1,4 @@
-"""Errors over time, as in Figs. 5 and 6 of the paper: how they spread over the shape, and those of every frame."""
+"""Draw errors over time, as Figs. 5 and 6 of the paper: their spread over the shape, and one value a frame."""
 
 from __future__ import annotations
 
@@ -35,14 +35,14 @@ CURVES: dict[str, dict[str, Any]] = {
     "tip": {"label": "tip", "color": GREEN, "lw": 0.9, "ls": "-."},
     "nearest": {"label": "nearest point, RMS", "color": PURPLE, "lw": 0.9, "ls": "-"},
 }
-"""Columns of errors.csv in the picture and how they are drawn: the paper's two strong, the others thin."""
+"""Columns of errors.csv that are drawn, and their styles: the paper's two are strong, the others thin."""
 
 COMPARED: tuple[dict[str, Any], ...] = (
     {"color": BLUE, "lw": 2.2},
     {"color": ORANGE, "lw": 1.6},
     {"color": BLACK, "lw": 0.9},
 )
-"""How the first, second and third plan are drawn in one panel."""
+"""Styles of the first, second and third plan in one panel."""
 LINES: tuple[tuple[Any, str], ...] = (("-", "RMSE, e2"), ((0, (3, 1.5)), "maximum of e1"))
 """Line styles of the two errors, with their names."""
 
@@ -205,8 +205,8 @@ def _groups(plan: Plan) -> list[npt.NDArray[np.int_]]:
 
 
 def _violin(axes: Axes, values: Array, centre: float, width: float, colour: str) -> None:
+    """Draw a violin of `values`, mm, at time `centre`, s, with its median and middle half."""
     # A density needs a spread: once rounded, values that differ by noise alone are equal, and drawn flat.
-    """Draw a violin of `values`, mm, at time `centre`, s."""
     parts: Any = axes.violinplot([np.round(values, 9)], [centre], widths=width, showextrema=False, points=200)
     for body in parts["bodies"]:
         body.set(facecolor=colour, edgecolor=BLACK, linewidth=0.6, alpha=1.0)

@@ -1,4 +1,4 @@
-"""Plans as films: robots that move, side by side and in step, over their errors."""
+"""Make films of plans: moving robots side by side and in step, above their errors."""
 
 from __future__ import annotations
 
@@ -25,19 +25,19 @@ from ctr_nlp.view.figures.parts.palette import BLACK
 from ctr_nlp.view.figures.parts.space import RobotLines, add_space_axes, fit_box, key, points_of_all, span
 
 WRITERS: dict[str, Any] = {".gif": PillowWriter, ".mp4": FFMpegWriter}
-"""What writes a film, by the suffix of its file."""
+"""Class that writes a film, by the suffix of its file."""
 FILM_COLUMN_WIDTH_IN, FILM_HEIGHT_IN, FILM_DPI = 4.8, 7.2, 100
-"""Inches of a plan's column; whole and even numbers of pixels, as H.264 needs them."""
+"""Size of a plan's column, inches; whole and even numbers of pixels, as H.264 needs them."""
 FILM_TITLE_LINE_CHARACTERS = 64
-"""Characters of a title's line, which fit into a column."""
+"""Characters of a line of a title that fits into a column."""
 MIN_FILM_DURATION_S, MAX_FILM_DURATION_S = 2.0, 60.0
-"""s that a film lasts, however short or long its plans are."""
+"""Bounds of a film's duration, however short or long its plans are."""
 MAX_FILM_PICTURES_PER_S, MAX_FILM_PICTURES = 25, 300
 """Most pictures a second, and in all."""
 
 
 def check_film(path: str | Path) -> None:
-    """Raise OptionError where a film of that name cannot be made: by its suffix, or since ffmpeg is missing."""
+    """Raise OptionError where no film can be written to `path`: its suffix is unknown, or ffmpeg is missing."""
     suffix = Path(path).suffix.lower()
     if suffix not in WRITERS:
         raise OptionError(f"film is {str(path)!r}; its suffix must be {' or '.join(WRITERS)}")
@@ -51,12 +51,14 @@ def check_film(path: str | Path) -> None:
 def film(
     plans: Sequence[Plan], path: str | Path, progress: Callable[[int, int, str], None] = lambda *_: None
 ) -> Path:
-    """Write a film of plans side by side: tubes, targets, walls where known, and errors; returns its path.
+    """Write a film of plans side by side, with tubes, targets, walls where known, and errors; return its path.
+
+    plans: the plans, at least one. path: the film's file; an existing one is replaced. progress: called as
+    progress(done, total, note) after each picture.
 
     It lasts as long as the longest plan, within 2 to 60 s. Plans with other numbers of frames or durations play in
     step: at every moment each is at the same part of its own. A frame that was never reached shows its target
-    alone. A file that exists is replaced. Raises OptionError for a path as check_film, and without plans;
-    OutputError where it cannot be written.
+    alone. Raises OptionError as check_film, and without plans; OutputError where the film cannot be written.
     """
     check_film(path)
     if not plans:
@@ -80,7 +82,9 @@ def film(
 
 
 def _stage(plans: Sequence[Plan]) -> tuple[Figure, list[_Column]]:
-    """The picture before anything moves; shapes of all plans at one scale, errors too."""
+    """Return the figure before anything moves, with one scale for the shapes and one for the errors of all
+    plans.
+    """
     figure = Figure(figsize=(FILM_COLUMN_WIDTH_IN * len(plans), FILM_HEIGHT_IN), dpi=FILM_DPI)
     shown = [points_of_all([plan.shape, plan.target], plan.lumen) for plan in plans]
     side = np.max([span(points) for points in shown], axis=0)
@@ -98,7 +102,7 @@ def _stage(plans: Sequence[Plan]) -> tuple[Figure, list[_Column]]:
 
 
 class _Column:
-    """One plan: its robot above, its errors below."""
+    """A plan's column of a film: its robot above, its errors below."""
 
     def __init__(self, figure: Figure, left: float, width: float, plan: Plan, points: Array, side: Array) -> None:
         self._plan = plan
@@ -120,8 +124,9 @@ class _Column:
         self._cursor = self.errors.axvline(0.0, color=BLACK, lw=1.0)
 
     def show(self, part: float) -> None:
-        """The frame at a part of the motion, in (0, 1]."""
+        """Show the frame at a part of the motion, in (0, 1]."""
         plan = self._plan
+        # part may be k / T plus rounding, which must not show the frame after k.
         j = int(np.ceil(part * len(plan.time) - 1e-9)) - 1
         state = "" if plan.success[j] else ", failed" if plan.reached_frames[j] else ", not reached"
         self._body.show(plan.shape[j], plan.beta[j])

@@ -1,4 +1,4 @@
-"""How far a motion keeps from the snap, and its tubes from the lumen's wall."""
+"""Draw the distance of a motion from snapping, and of its tubes from the lumen's wall."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from ctr_nlp.view.figures.parts.palette import (
 
 @matplotlib.rc_context(STYLE)
 def stability(plan: Plan) -> Figure:
-    """Stability margin at every frame and on the way to it, the one asked for, and snaps."""
+    """Draw the stability margin of `plan` at every frame and on the way to it, the margin asked for, and snaps."""
     figure = Figure(figsize=(7.0, 3.2), layout="constrained")
     axes = figure.subplots()
     frames = by_frames(axes, plan)
@@ -48,16 +48,18 @@ def stability(plan: Plan) -> Figure:
 
 
 CLEARANCE_COLOUR_POWER = 0.5
-"""Power of the scale of colours: the last millimetre has more shades than others."""
+"""Exponent of the colour scale: the last millimetre has more shades than others."""
 TUBE_END_LINE_STYLES = ("-", (0, (6, 2)), (0, (2, 1.5)))
 """Lines at tubes' ends, which differ without their colours too; they repeat after three tubes."""
 MIN_CLEARANCE_SPAN_MM = 0.1
-"""Least span of clearances, and least depth that is drawn beyond the wall, mm."""
+"""Least span of clearances, and least depth that is drawn beyond the wall."""
 
 
 @matplotlib.rc_context(STYLE)
 def clearance(plan: Plan) -> Figure:
-    """Clearance along the robot frame by frame, tubes' ends and contacts; below it the least a frame; mm."""
+    """Draw clearance along the robot by frame, tubes' ends and contacts of `plan`; below, the least clearance of
+    each frame; mm.
+    """
     assert plan.clearance is not None
     figure = Figure(figsize=(7.0, 5.8), layout="constrained")
     upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=(2.2, 1.0))
@@ -73,9 +75,13 @@ def clearance(plan: Plan) -> Figure:
 
 
 def _map(figure: Figure, axes: Axes, plan: Plan, found: Array) -> None:
-    """Colours over frames and arc length: a column a frame, as long as its robot."""
+    """Draw clearances (T, 101) mm as colours over frames and arc length: a column a frame, as long as its
+    robot.
+    """
     cells = np.concatenate([[0.0], (SIGMA_GRID[1:] + SIGMA_GRID[:-1]) / 2, [1.0]])
     length = np.nan_to_num(plan.beta[:, -1])
+    # Robots of neighbouring frames differ in length. Columns of zero width and no value between frames let one
+    # mesh have a step there.
     sides = np.repeat(np.arange(len(length) + 1) + 0.5, 2)[1:-1]
     columns = np.full((2 * len(length) - 1, len(SIGMA_GRID)), np.nan)
     columns[::2] = found
@@ -91,7 +97,7 @@ def _map(figure: Figure, axes: Axes, plan: Plan, found: Array) -> None:
 
 
 def _ends(axes: Axes, plan: Plan) -> None:
-    """Where tubes end, and where contacts are deepest."""
+    """Mark where tubes end, and where contacts are deepest."""
     sides = np.arange(len(plan.time) + 1) + 0.5
     for i, ends in enumerate(plan.beta.T):
         width = 0.4 + 0.5 * tube_width(i, plan.robot.d)
@@ -105,7 +111,7 @@ def _ends(axes: Axes, plan: Plan) -> None:
 
 
 def _least(axes: Axes, frames: npt.NDArray[np.int_], least: Array) -> None:
-    """The least of every frame over what is beyond the wall."""
+    """Draw the least clearance (T,) mm of every frame, and shade what is beyond the wall."""
     curve(axes, frames, least, color=BLUE, lw=1.8)
     touching = least < 0
     if touching.any():

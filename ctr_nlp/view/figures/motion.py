@@ -1,4 +1,6 @@
-"""The configuration over time, its distance from the known one, as Fig. 8, and how a device tracked it."""
+"""Draw the configuration over time, its error where the true one is known, as Fig. 8, and how a device
+tracked it.
+"""
 
 from __future__ import annotations
 
@@ -29,13 +31,15 @@ from ctr_nlp.view.figures.parts.palette import AMBIGUOUS, TILT_COLOURS, tube_col
 
 CONFIGURATION_AXIS_LABELS = ("α (rad)", "β (mm)", "θ (rad)")
 MIN_CONFIGURATION_SPANS = (0.1, 1.0, 0.1)
-"""Least vertical ranges of alpha, beta and theta, rad and mm."""
+"""Least vertical ranges of alpha, beta and theta: rad, mm, rad."""
 MIN_CONFIGURATION_ERROR_SPANS = (1e-3, 1e-3, 1e-3)
 
 
 @matplotlib.rc_context(STYLE)
 def configuration(plan: Plan) -> Figure:
-    """Alpha, beta with its limits and theta over time; beside them q - truth where the truth is known."""
+    """Draw alpha, beta with its limits and theta of `plan` over time; beside them q - truth where the truth is
+    known.
+    """
     columns = 1 if plan.truth is None else 2
     figure = Figure(figsize=(2.2 + 4.2 * columns, 6.2), layout="constrained")
     grid = figure.subplots(3, columns, sharex=True, squeeze=False)
@@ -51,7 +55,7 @@ def configuration(plan: Plan) -> Figure:
 
 @matplotlib.rc_context(STYLE)
 def configuration_errors(plans: Mapping[str, Plan]) -> Figure:
-    """Errors q - truth over time of plans for a problem whose truth is known, a column each, by name."""
+    """Draw errors q - truth over time, a column for each of `plans` by name; all have a known truth."""
     figure = Figure(figsize=(1.2 + 3.4 * len(plans), 6.2), layout="constrained")
     grid = figure.subplots(3, len(plans), sharex=True, squeeze=False)
     for column, (name, plan) in zip(grid.T, plans.items(), strict=True):
@@ -63,7 +67,7 @@ def configuration_errors(plans: Mapping[str, Plan]) -> Figure:
 
 
 def _errors(column: npt.NDArray[np.object_], plan: Plan) -> None:
-    """Three panels of the errors of alpha, beta and theta."""
+    """Draw three panels of the errors of alpha, beta and theta."""
     for axes in column:
         axes.axhline(0.0, color="0.6", lw=0.9)
     _column(column, plan, error_from_truth(plan), MIN_CONFIGURATION_ERROR_SPANS)
@@ -74,7 +78,7 @@ def _errors(column: npt.NDArray[np.object_], plan: Plan) -> None:
 
 
 def _column(column: npt.NDArray[np.object_], plan: Plan, values: Array, least: tuple[float, ...]) -> None:
-    """Three panels of values (T, 2d + 2) in the order of q."""
+    """Draw three panels of values (T, 2d + 2) in the order of q; least: their least vertical ranges."""
     for axes, part, name, span in zip(
         column, plan.robot.split(values), CONFIGURATION_AXIS_LABELS, least, strict=True
     ):
@@ -94,13 +98,13 @@ def _look(name: str, i: int, d: int) -> dict[str, Any]:
 
 
 def _legend(row: npt.NDArray[np.object_]) -> None:
-    """One legend to the right of the row for all that its panels name."""
+    """Draw one legend to the right of the row for all that its panels name."""
     handles = legend_of(*row)
     row[-1].legend(handles.values(), handles.keys(), loc="center left", bbox_to_anchor=(1.01, 0.5))
 
 
 def _limits(axes: Axes, plan: Plan) -> None:
-    """Thin dashed lines at the limits of every beta that has any, in its tube's colour."""
+    """Draw thin dashed lines at the limits of every beta that has any, in its tube's colour."""
     robot = plan.robot
     for bound in (robot.lower, robot.upper):
         for i, value in enumerate(robot.split(bound)[1]):
@@ -109,11 +113,12 @@ def _limits(axes: Axes, plan: Plan) -> None:
 
 
 def error_from_truth(plan: Plan) -> Array:
-    """The error q - truth (T, 2d + 2) in rad, mm, where the truth is known; NaN for frames never reached.
+    """Return the error q - truth (T, 2d + 2) in rad and mm of a plan whose truth is known; NaN for frames never
+    reached.
 
-    Two things that leave every shape as it is do not count. Whole turns of any angle. And the two ways to
-    write one rotation, R(theta_x, theta_y) Rz(alpha) = R(pi - theta_x, theta_y + pi) Rz(alpha + pi): the
-    truth is written in the way that is nearer to the plan, the same for the whole motion.
+    Two differences that leave every shape as it is do not count: whole turns of any angle, and the two ways to
+    write one rotation, R(theta_x, theta_y) Rz(alpha) = R(pi - theta_x, theta_y + pi) Rz(alpha + pi). The truth is
+    written in the way that is nearer to the plan, the same for the whole motion.
     """
     assert plan.truth is not None
     q = plan.q
@@ -124,22 +129,29 @@ def error_from_truth(plan: Plan) -> Array:
         error = q - truth
         error[:, angles] = without_whole_turns(error[:, angles])
         errors.append(error)
+    # Both writings have the same beta, so that angles alone decide.
     return min(errors, key=lambda error: float(np.nansum(np.abs(error[:, angles]))))
 
 
 def without_whole_turns(angle: Array) -> Array:
-    """Angles (T, n) in rad without jumps of whole turns from frame to frame, and each column nearest to zero."""
+    """Return the angles `angle` (T, n), rad, without jumps of whole turns between frames, each column nearest to
+    0.
+    """
     result = np.array(angle, dtype=float)
     known = np.isfinite(result).all(axis=1)
     if known.any():
         smooth = np.unwrap(result[known], axis=0)
+        # One whole number of turns for a column; its median ignores a few frames that are far off.
         result[known] = smooth - 2 * np.pi * np.round(np.median(smooth, axis=0) / (2 * np.pi))
     return result
 
 
 def gimbal_lock_frames(plan: Plan) -> Flags:
-    """Frames (T,) whose known theta_x is within 0.05 rad of +-pi/2, where alpha and theta_y are one rotation."""
+    """Flag the frames (T,) of `plan` whose true theta_x is within 0.05 rad of +-pi/2: alpha and theta_y are one
+    rotation.
+    """
     assert plan.truth is not None
+    # By the cosine, so that whole turns do not matter: |cos theta_x| = sin of the distance from +-pi/2.
     return np.abs(np.cos(plan.truth[:, -2])) < np.sin(0.05)
 
 
@@ -147,9 +159,10 @@ def gimbal_lock_frames(plan: Plan) -> Flags:
 def tracking(
     title: str, frame: npt.NDArray[Any], error: npt.NDArray[Any], late: npt.NDArray[Any], names: Sequence[str]
 ) -> Figure:
-    """Errors of sliding axes (mm), of turning ones, and lateness (ms) over frames (T,).
+    """Draw errors of sliding axes (mm), of turning ones, and lateness (ms) over frames.
 
-    error: (T, m), measured less commanded. late: (T,) s. names: (m,), of the axes, each with its unit, "X (mm)".
+    title: of the figure. frame (T,): numbers, from 1. error (T, m): measured less commanded. late (T,): s. names
+    (m,): of the axes, each with its unit, "X (mm)".
     """
     figure = Figure(figsize=(6.4, 6.2), layout="constrained")
     rows = figure.subplots(3, 1, sharex=True)

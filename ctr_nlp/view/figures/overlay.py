@@ -1,4 +1,4 @@
-"""Shapes over their targets, as in Fig. 4 of the paper."""
+"""Draw shapes over their targets, as in Fig. 4 of the paper."""
 
 from __future__ import annotations
 
@@ -27,13 +27,13 @@ from ctr_nlp.view.figures.parts.page import STYLE, add_heading
 from ctr_nlp.view.figures.parts.palette import BLACK, LUMEN_COLOUR, WALL_COLOUR, tube_colour, tube_width
 
 DEFAULT_SHAPE_FRAMES = 6
-"""Frames in the picture where the caller names none."""
+"""Number of frames that are drawn where the caller names none."""
 MIN_VIEW_EXTENT_FRACTION = 0.05
-"""A view whose width is below this part of the whole extent is left out."""
+"""Width of a view, as a part of the whole extent, below which it is left out."""
 MIN_SHAPE_PANEL_FRACTION = 0.15
 """Least width of a panel as part of the whole extent."""
 SHAPE_PANELS_SIZE_IN = (8.0, 5.2)
-"""Width and height in inches that all panels together may take, unless they would be narrower than
+"""Largest width and height of all panels together, inches, unless they would be narrower than
 MIN_SHAPE_PANEL_WIDTH_IN.
 """
 MIN_SHAPE_PANEL_WIDTH_IN = 0.5
@@ -43,7 +43,7 @@ SHAPES_LEFT_MARGIN_IN, SHAPES_RIGHT_MARGIN_IN, SHAPES_TOP_MARGIN_IN, SHAPES_BOTT
 MIN_SHAPES_FIGURE_WIDTH_IN, SHAPES_LEGEND_ENTRY_WIDTH_IN = 5.0, 0.95
 """Least width of the picture, inches, which the title needs, and the width of an entry of the legend."""
 TARGET_LINE_STYLE: dict[str, Any] = {"color": BLACK, "lw": 0.8, "ls": (0, (4, 2))}
-"""How targets are drawn."""
+"""Line style of targets."""
 SHAPES_COLUMN_GAP_IN, SHAPES_VIEW_GAP_IN, SHAPES_ROW_GAP_IN = 0.2, 0.55, 1.05
 """Inches between columns, between the views of a frame, and between rows of frames."""
 LUMEN_RING_ANGLES_RAD = np.linspace(0.0, 2 * np.pi, 32)
@@ -236,7 +236,7 @@ def parts(shape: Array, beta: Array) -> list[Array]:
     Returns
     -------
     list of ndarray
-        Points (n, 3), mm, of each tube; none where the shape is not known or no part of the tube is outermost.
+        Points (n, 3), mm, of each tube; (0, 3) where the shape is not known or no part of the tube is outermost.
     """
     ends = tube_ends(beta)
     found = []
@@ -253,6 +253,7 @@ def tube_ends(beta: Array) -> Array:
     """
     ends = np.clip(beta / max(beta[-1], 1e-9), 0.0, 1.0)
     ends[-1] = 1.0
+    # Rounding of beta must not end a tube before the one outside of it.
     return np.maximum.accumulate(ends)
 
 

@@ -1,4 +1,4 @@
-"""What becomes of a plan on draws of its robot: a cloud of shapes, and errors with their band."""
+"""Draw a plan on robots sampled within the tolerances: a cloud of shapes, and errors with their band."""
 
 from __future__ import annotations
 
@@ -25,10 +25,12 @@ CLOUD: dict[str, Any] = {"lw": 0.5, "alpha": 0.5}
 
 @matplotlib.rc_context(STYLE)
 def robustness(plan: Plan) -> Figure:
-    """Shapes of all draws in a few frames, those lost by then in another colour; below them e2 over frames.
+    """Draw shapes of all simulated robots in a few frames, failed ones in another colour; below them e2 over
+    frames.
 
-    Shapes are seen from the side on which the motion is widest, to scale, in mm. e2 of the plan, and the median
-    over draws with what 5 % and 95 % do not exceed, on a scale of square roots; marks show where draws are lost.
+    plan: a plan with simulated robots. Shapes are seen from the side on which the motion is widest, to scale, in
+    mm. e2 is drawn for the plan, and over robots as median and 5 % to 95 % band, on a square-root scale; marks
+    show where robots snap or leave their branch.
     """
     assert plan.drawn is not None
     figure = Figure(figsize=(7.0, 6.6), layout="constrained")
@@ -47,6 +49,7 @@ def robustness(plan: Plan) -> Figure:
 
 
 def _clouds(panels: list[Axes], plan: Plan, found: Robustness) -> None:
+    """Draw the simulated robots, the plan and its target, a panel a frame."""
     points = np.concatenate([found.cloud.reshape(-1, 3), plan.target.reshape(-1, 3)])
     low = np.nanmin(points, axis=0)
     high = np.nanmax(points, axis=0)
@@ -68,11 +71,12 @@ def _clouds(panels: list[Axes], plan: Plan, found: Robustness) -> None:
 
 
 def _project_sideways(points: Array, sideways: int) -> Array:
-    """Points (.., 3) from one side, (.., 2)."""
+    """Project points (.., 3) to one side, (.., 2); sideways: 0 for x, 1 for y."""
     return points[..., [sideways, 2]]
 
 
 def _errors(axes: Axes, plan: Plan, found: Robustness) -> None:
+    """Draw e2 of the plan and its distribution over the simulated robots, mm."""
     frames = by_frames(axes, plan)
     low, middle, high = found.e2_quantiles(0.05, 0.5, 0.95)
     axes.fill_between(frames, low, high, color=SKY, alpha=0.5, lw=0, label="5 % to 95 % of draws")

@@ -1,4 +1,4 @@
-"""Plans of one target beside each other: a row a plan, a column a frame."""
+"""Draw plans of one target beside each other: a row a plan, a column a frame."""
 
 from __future__ import annotations
 
@@ -17,20 +17,20 @@ from ctr_nlp.view.figures.parts.page import STYLE, printable
 from ctr_nlp.view.figures.parts.palette import VERMILLION
 
 DEFAULT_COMPARED_FRAMES = 4
-"""Columns where the caller names no frames."""
+"""Number of columns where the caller names no frames."""
 ARROW = 0.12
-"""Length of a force's arrow, as part of the height of a panel."""
+"""Length of a force's arrow, as a part of a panel's height."""
 SIZE = 1.9, 2.1
-"""Inches of a panel, across and down, at most."""
+"""Largest width and height of a panel, inches."""
 
 
 @rc_context(STYLE)
 def shapes_compared(plans: Mapping[str, Plan], title: str, frames: Sequence[int] | None = None) -> Figure:
-    """Shapes of plans over their targets in the same frames, to scale, in mm, a row under each name.
+    """Draw shapes of plans over their targets in the same frames, to scale, in mm, a row a plan.
 
-    Seen from the side where targets are widest, with z upwards; a tip force is an arrow. frames: from 1, by
-    default four, evenly spread. All plans have as many frames. Raises OptionError for a frame that they do not
-    have.
+    plans: by name; all have as many frames. title: of the figure. frames: numbers from 1, by default four, evenly
+    spread. Seen from the side where targets are widest, with z upwards; a tip force is an arrow. Raises
+    OptionError for a frame that the plans do not have.
     """
     first = next(iter(plans.values()))
     shown = frames_shown(first, frames, DEFAULT_COMPARED_FRAMES)
@@ -59,7 +59,7 @@ def shapes_compared(plans: Mapping[str, Plan], title: str, frames: Sequence[int]
 
 
 def _frame_title(plan: Plan, number: int) -> str:
-    """The frame, its error, and whether it failed or the robot has snapped by then."""
+    """Return the frame, its error, and whether it failed or the robot has snapped by then."""
     away = plan.shape[number - 1] - plan.target[number - 1]
     error = float(rms_over_sigma(np.linalg.norm(away, axis=-1)))
     told = [] if plan.success[number - 1] else ["failed"]
@@ -69,7 +69,7 @@ def _frame_title(plan: Plan, number: int) -> str:
 
 
 def _arrow(axes: Axes, plan: Plan, frame: int, sideways: int, length: float) -> None:
-    """A tip force that keeps its direction, as far as it lies in the plane of the picture."""
+    """Draw a tip force that keeps its direction, as far as it lies in the plane of the picture; length: mm."""
     if plan.evaluated_load is None or plan.evaluated_load.has_follower_force:
         return
     force = plan.evaluated_load.numbers_at(plan.robot.d, np.array([frame / max(len(plan.time) - 1, 1)]))[0, :3]

@@ -1,4 +1,6 @@
-"""The drawing sheet of a robot: its tubes from the side and in section, what they are made to, and its tasks."""
+"""Draw a robot's sheet: its tubes from the side and in section, their dimensions with tolerances, and its
+tasks.
+"""
 
 from __future__ import annotations
 
@@ -25,11 +27,11 @@ from ctr_nlp.view.figures.parts.palette import BLACK, tube_colour
 SHEET = 11.7, 8.3
 """Size in inches of a sheet without tasks: A4, landscape."""
 ROW, TASKS = 3.4, 4
-"""Inches by which a row of tasks makes it taller, and the most tasks of a row."""
+"""Height, inches, of a row of tasks, and the most tasks of a row."""
 TUBE_DRAWING_POINTS = 200
-"""Places along a tube's middle line."""
+"""Number of points along a tube's middle line."""
 SHOWN_TRANSMISSION_MM = 20.0
-"""mm of the straight transmission that a side view shows; the rest is broken off."""
+"""Length of the straight transmission that a side view shows; the rest is broken off."""
 TUBE_DIMENSION_COLUMNS = (
     "tube",
     "outer diameter",
@@ -44,16 +46,16 @@ TUBE_DIMENSION_COLUMNS = (
     "diameters within",
 )
 LARGEST_RADIUS = 5000.0
-"""mm: from here on a part is called straight."""
+"""Radius, mm, from which on a part is called straight."""
 
 
 @rc_context(STYLE)
 def sheet(robot: Robot, title: str, plans: Sequence[Plan] = ()) -> Figure:
-    """Every tube from the side, free of the others, and in section; all nested; a table of dimensions.
+    """Draw every tube from the side, free of the others, and in section; all nested; a table of dimensions.
 
-    plans: of the tasks that the robot was made for, with its shape and the target in the last frame of each.
-    Tolerances of curvature are the robot's; those of diameters are the ones with which tubing is sold
-    (manufacture.py).
+    robot: the robot. title: of the sheet. plans: of the tasks that the robot was designed for, each drawn in its
+    last frame with its target. Tolerances of curvature are the robot's; those of diameters are the ones with which
+    tubing is sold (manufacture.py).
     """
     rows = math.ceil(len(plans) / TASKS)
     figure = Figure(figsize=(SHEET[0], SHEET[1] + ROW * rows), layout="constrained")
@@ -77,7 +79,9 @@ def sheet(robot: Robot, title: str, plans: Sequence[Plan] = ()) -> Figure:
 
 
 def _tasks(page: Any, plans: Sequence[Plan]) -> None:
-    """The robot of each plan in its last frame, with the target, in the zx- and the yz-plane, all to one scale."""
+    """Draw the robot of each plan in its last frame, with the target, in the zx- and the yz-plane, all to one
+    scale.
+    """
     rows = math.ceil(len(plans) / TASKS)
     grid = page.subplots(rows, 2 * min(len(plans), TASKS), squeeze=False, sharey=True)
     points = [np.concatenate([plan.shape[-1], plan.target[-1], np.zeros((1, 3))]) for plan in plans]
@@ -105,9 +109,12 @@ def _tasks(page: Any, plans: Sequence[Plan]) -> None:
 
 
 def middle_line(tube: Tube) -> Array:
-    """A tube's middle line free of all others, (n, 2) mm: across and along; 0 where its curved part begins."""
+    """Return a tube's middle line free of all others, (n, 2) mm: across and along; 0 where its curved part
+    begins.
+    """
     s = np.linspace(0.0, tube.curved_length, TUBE_DRAWING_POINTS)
     bent = np.array([pre_curvature(tube, tube.curved_length - each) for each in s])
+    # Angle by the trapezoidal rule, then steps along the mean direction of each: second order in the step.
     angle = np.concatenate([[0.0], np.cumsum((bent[1:] + bent[:-1]) / 2 * np.diff(s))])
     middle = (angle[1:] + angle[:-1]) / 2
     steps = np.diff(s)[:, None] * np.column_stack([np.sin(middle), np.cos(middle)])
@@ -138,7 +145,7 @@ def _frame(axes: Axes, ends: tuple[Array, Array]) -> None:
 
 
 def _section(axes: Axes, tubes: list[tuple[int, Tube]], width: float) -> None:
-    """Rings, outer ones first."""
+    """Draw rings, outer ones first; width: largest outer diameter, mm."""
     for i, tube in tubes:
         outer = tube.outer_diameter / 2
         inner = tube.inner_diameter / 2
@@ -167,7 +174,7 @@ def _table(axes: Axes, robot: Robot) -> None:
 
 
 def _row(i: int, tube: Tube, band: float) -> tuple[str, ...]:
-    """band: by what part its curvature may differ."""
+    """Return the table's row of tube i, from 0; band: relative tolerance of its curvature."""
     outer, inner = diameter_tolerances(tube.outer_diameter)
     return (
         f"{i + 1}",

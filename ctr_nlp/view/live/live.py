@@ -1,4 +1,9 @@
-"""Live steering served to browsers: a session that is moved thirty times a second, its scene and its panel."""
+"""Live steering served to browsers: a session that is moved thirty times a second, its scene and its panel.
+
+Three kinds of threads: the server's call what people do on the page; the steering thread alone changes session
+and scene; a thread for each recording makes and saves its plan. Requests go from the first to the second
+through one queue, and are served between two steps.
+"""
 
 from __future__ import annotations
 
@@ -28,21 +33,21 @@ from ctr_nlp.view.live.steered.recording import Recording
 from ctr_nlp.view.live.steered.session import Session, SessionState
 
 PROBLEM_ROBOT_LABEL = "the problem's own"
-"""The name of the robot that the problem comes with."""
+"""Name of the robot that the problem comes with."""
 NOTEBOOK_FRAME_HEIGHT_PX = 640
-"""Pixels of the frame in a notebook."""
+"""Height of the frame in a notebook."""
 WAIT_POLL_S = 0.05
-"""s between two looks at whether waiting has ended."""
+"""Time between two checks whether waiting has ended."""
 TIMED_STEP_COUNT = 60
-"""Steps over which it is told what part of the time they take."""
+"""Number of steps over which the share of time that they take is averaged."""
 SNAP_NOTICE_S = 4.0
-"""s for which it is told that the robot snapped."""
+"""Time for which the page says that the robot snapped."""
 
 
 class Live:
-    """A page on which a problem's robot is steered, served from construction until stop().
+    """Page on which a problem's robot is steered, served from construction until stop().
 
-    url: where the page is. plan: the last motion that was recorded; None before the first.
+    url: address of the page. plan: the last motion that was recorded; None before the first.
     """
 
     def __init__(
@@ -56,11 +61,15 @@ class Live:
         save_plan: Callable[[Plan], str] | None = None,
         load: Load | None = None,
     ) -> None:
-        """Serve; raises OptionError where a port is in use, nothing can be compiled, or viser is not installed.
+        """Start to serve the page.
 
-        robots: others to choose from, by name. host, port: where; port 0 takes any that is free. save_plan: what
-        is done with a recorded plan, in a thread of its own; what it returns tells where the plan went. load: what
-        the robot bears, on the elastic model. Raises as Session, too.
+        problem: robot and target. model: name of the kinematic model. settings: weights and tolerances. robots:
+        others to choose from, by name. host, port: where to serve; port 0 takes any that is free. save_plan:
+        called with a recorded plan, in a thread of its own; returns a sentence that says where the plan is. load:
+        constant load on the robot, on the elastic model.
+
+        Raises OptionError where the port is in use, nothing can be compiled, or viser is not installed; and as
+        Session.
         """
         check_instance(OptionError, "problem", problem, Problem)
         self.plan: Plan | None = None
@@ -84,7 +93,9 @@ class Live:
         self._thread.start()
 
     def show(self, height: int = NOTEBOOK_FRAME_HEIGHT_PX) -> Any:
-        """The page within a notebook, as an IFrame so many pixels high; raises OptionError outside of IPython."""
+        """Return the page as an IFrame for a notebook, `height` pixels high; raises OptionError outside of
+        IPython.
+        """
         try:
             from IPython.display import IFrame
         except ImportError as error:
@@ -92,43 +103,49 @@ class Live:
         return IFrame(self.url, width="100%", height=height)
 
     def wait(self, ended: Callable[[], bool]) -> None:
-        """Serve until ended() is true, in the main thread; raises what has made steering fail."""
+        """Serve until `ended` returns true, in the main thread; raises the error that has ended steering,
+        if any.
+        """
         while not ended() and self._thread.is_alive():
             time.sleep(WAIT_POLL_S)
         self.stop()
 
     def stop(self) -> None:
-        """End serving; a plan that is being kept is kept first. Raises what has made steering fail."""
+        """End serving once a plan that is being saved is saved; raises the error that has ended steering,
+        if any.
+        """
         self._ending.set()
         self._thread.join()
+        # Only now: until it has ended, the steering thread may still begin to save a plan.
         if self._writing is not None:
             self._writing.join()
         stop_server(self._server)
         if self._failures:
             raise self._failures[0]
 
-    # What the panel and the scene ask for, in any thread: panel.Asked
+    # Requests of panel and scene, in any thread: panel.SteeringRequests. Each only puts a call into the queue.
 
     def ask(self, act: Callable[[Session], None]) -> None:
-        """Do something to the session between two steps."""
+        """Call `act` with the session between two steps."""
+        # The session is looked up when the call is made: it may have been replaced since the request.
         self._inbox.put(lambda: act(self._session))
 
     def play(self, on: bool) -> None:
-        """Follow the path to its end and back, again and again, or stop that."""
+        """Follow the path to its end and back, again and again, where `on`; else stop that."""
         self._inbox.put(lambda: self._set_off(on))
 
     def use_robot(self, name: str) -> None:
-        """Go on with another robot from the beginning of the path."""
+        """Continue with the robot called `name`, from the beginning of the path."""
         self._inbox.put(lambda: self._replace(name))
 
     def record(self) -> None:
-        """Begin to record, or end it and keep the plan."""
+        """Begin to record, or end it and save the plan."""
         self._inbox.put(self._record)
 
     # The loop
 
     def _run(self) -> None:
-        """Step after step, each begun when it is due; one that is late is not made up for."""
+        """Step after step, each when it is due, until serving ends."""
         try:
             due = time.perf_counter()
             while not self._ending.is_set():
@@ -136,13 +153,14 @@ class Live:
                 self._answer()
                 self._show(self._step())
                 self._spent.append(time.perf_counter() - begin)
+                # A late step is not made up for: steps in quick succession would exceed the motors' speeds.
                 due = max(due + self._session.dt, time.perf_counter())
                 self._ending.wait(due - time.perf_counter())
         except Exception as error:
             self._failures.append(error)
 
     def _answer(self) -> None:
-        """Do what was asked for since the last step; what cannot be done is told, and changes nothing."""
+        """Serve the requests that came since the last step; one that fails is reported, and changes nothing."""
         while not self._inbox.empty():
             try:
                 self._inbox.get()()
@@ -150,6 +168,7 @@ class Live:
                 self._news = f"{error}."
 
     def _step(self) -> SessionState:
+        """Move the target along the path where it is followed, and the robot by one step; return its state."""
         session = self._session
         if self._course:
             progress = session.goal.progress + self._course * session.dt / session.problem.duration
@@ -161,16 +180,18 @@ class Live:
         return seen
 
     def _show(self, seen: SessionState) -> None:
+        """Show a state of the session on the page."""
         session = self._session
         busy = sum(self._spent) / max(len(self._spent), 1) / self._session.dt
         snapped = time.monotonic() - self._snapped < SNAP_NOTICE_S
+        # Browsers get the changes of a step together, so that robot and target are of the same moment.
         with self._server.atomic():
             self._scene.show(seen, session.goal.handles, self._panel.colour_quantity)
             self._panel.show(seen, bool(self._course), status_message(session, snapped, self._news), busy)
         self._server.flush()
 
     def _build_page(self, robot: str) -> None:
-        """Draw the session anew, which has this robot."""
+        """Build scene and panel of the session, whose robot is called `robot`."""
         self._scene = Scene(self._server, self._session.problem, self._pull_handle)
         self._panel = ControlPanel(self._server.gui, self._session, tuple(self._robots), robot, self)
 
@@ -178,9 +199,11 @@ class Live:
         self.ask(lambda session: session.pull(handle, point))
 
     def _set_off(self, on: bool) -> None:
+        """Follow the path forwards, or backwards from its end, where `on`; else stop that."""
         self._course = (1.0 if self._session.goal.progress < 1.0 else -1.0) if on else 0.0
 
     def _replace(self, name: str) -> None:
+        """Replace the session by one with another robot; raises OptionError where no model describes it."""
         check_choice("robot", name, self._robots)
         problem = replace(self._problem, robot=self._robots[name])
         load = self._session.load
@@ -206,7 +229,7 @@ class Live:
             self._news = "The plan is being made of what was recorded."
 
     def _finish_recording(self, recording: Recording) -> None:
-        """Make a plan and keep it, beside the steps that go on."""
+        """Make a plan of a recording and save it, in a thread of its own while steps go on."""
         try:
             plan = recording.plan().check()
             self.plan = plan

@@ -1,4 +1,4 @@
-"""Plans as one page that opens offline in a browser; knows plans, and needs the extra `report`."""
+"""A page of plans that opens offline in a browser. Knows plans, and needs the extra `report`."""
 
 from ctr_nlp.view.report.page import page
 

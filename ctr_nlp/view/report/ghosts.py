@@ -1,4 +1,4 @@
-"""Robots drawn within the tolerances, beside the one that was planned for, as thin lines of a scene."""
+"""Simulated robots within the tolerances beside the nominal one, as thin lines of a scene."""
 
 from __future__ import annotations
 
@@ -14,23 +14,23 @@ from ctr_nlp.typing import Array
 from ctr_nlp.view.figures.parts.palette import SKY, VERMILLION
 
 MAX_REPORT_GHOSTS, REPORT_GHOST_SAMPLE_STRIDE = 20, 5
-"""Number of simulated robots that are shown, and the stride of the 101 samples of their shapes: some 0.3 MB of a
-page.
+"""Number of simulated robots that are shown, and stride of the 101 samples of their shapes: some 0.3 MB of
+a page.
 """
 REPORT_GHOST_COLOUR, REPORT_FAILED_GHOST_COLOUR = SKY, VERMILLION
-"""Colours of simulated robots, and of those that are lost from the frame on in which they are."""
+"""Colours of simulated robots, and of failed ones from the frame on in which they fail."""
 REPORT_GHOST_LINE_WIDTH_MM = 0.35
-"""Width of their lines, mm."""
+"""Width of their lines."""
 SAMPLED_ROBOTS_PART = "sampled robots"
-"""Name of the part of a scene that they are."""
+"""Name of their part of a scene."""
 
 
 def ghosts(k3d: Any, plan: Plan) -> list[Any]:
-    """Make one object of the first simulated robots of a plan, none where it has no such robots; its time is the
-    index of the frame.
+    """Return one object with the first simulated robots of a plan, in a list; an empty list where it has none.
 
-    They are moved again as they were when the plan was tried: the plan holds their numbers. In frames in which a
-    robot has no shape it is a point at the insertion point.
+    k3d: the module. plan: the plan, which holds the robots' parameters but not their shapes: these are simulated
+    again. The object's time is the index of the frame. Where a robot has no shape it is a point at the insertion
+    point.
     """
     if plan.drawn is None:
         return []

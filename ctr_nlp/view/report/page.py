@@ -1,4 +1,4 @@
-"""One HTML file with everything in it: scenes, plots, numbers, and the script that keeps them in step."""
+"""The report: one HTML file with scenes, plots, numbers, and the script that keeps them in step."""
 
 from __future__ import annotations
 
@@ -42,18 +42,19 @@ from ctr_nlp.view.report.scene import (
 READOUT = {"e2": "mm", "max": "mm", "clearance": "mm", "stability": ""}
 """Columns of errors.csv that are shown for the frame on display, with their units."""
 PAGE_SCRIPT_FILES = ("scenes.js", "camera.js", "player.js", "page.js")
-"""The script of the page, in the order in which its parts need each other."""
+"""Parts of the page's script, each after those that it needs."""
 VERDICT_SIGNS = {YES: "\N{CHECK MARK}", NO: "\N{BALLOT X}", NOT_CHECKED: "?"}
-"""Signs beside the word of a verdict, as a colour does not tell it to everyone."""
+"""Signs beside the word of a verdict: not everyone can tell the colours."""
 PAGE_PLAYBACK_SPEEDS = ("0.25", "0.5", "1", "2", "4")
-"""Speeds of playing, as multiples of the plan's own."""
+"""Playback speeds, as multiples of the plan's own."""
 
 
 def page(plans: Sequence[Plan], names: Sequence[str] | None = None) -> str:
-    """Make a page for one plan, or for several side by side in step; it needs no other file and no network.
+    """Return a page for one plan, or for several side by side in step, as HTML that needs no other file and no
+    network.
 
-    names: what to call each plan besides its title, such as its file. Raises OptionError without plans, or where
-    the extra `report` is not installed.
+    plans: at least one. names: what to call each plan besides its title, such as its file. Raises OptionError
+    without plans, or where the extra `report` is not installed.
     """
     if not plans:
         raise OptionError("plans is empty; give at least one")
@@ -136,13 +137,10 @@ def _plan_texts(plan: Plan, name: str) -> dict[str, Any]:
 
 
 def _comparison_rows(texts: Sequence[dict[str, Any]]) -> list[tuple[str, list[str], str]]:
-    """Rows of the table that compares plans.
+    """Return the rows of the table that compares plans: name, a cell for each plan, and unit.
 
-    Returns
-    -------
-    list of (str, list of str, str)
-        A name, a cell for each plan, empty where a plan does not have the number, and a unit. Verdicts come first:
-        their words with the figures that decide.
+    texts: of each plan, from _plan_texts. A cell is empty where a plan does not have the number. Verdicts come
+    first: their words with the figures that decide.
     """
     tables = [{row: (value, unit) for row, value, unit in some["rows"]} for some in texts]
     named = {row: unit for table in tables for row, (_, unit) in table.items()}
@@ -204,6 +202,7 @@ def _round_values(values: Array) -> list[float | None]:
 
 
 def _legend(scale: ColourScale) -> dict[str, Any]:
+    """Return a colour scale's legend for the template; zero: where 0 is, percent of its length."""
     gradient = ", ".join(f"{colour} {100 * at:.2f}%" for at, colour in scale.stops)
     zero = 100 * (0.0 - scale.low) / (scale.high - scale.low)
     told = {"key": scale.key, "name": scale.name, "zero": zero, "high": f"{scale.high:.3g}"}
@@ -211,4 +210,5 @@ def _legend(scale: ColourScale) -> dict[str, Any]:
 
 
 def _text(name: str) -> str:
+    """Read a file of the page by its name."""
     return resources.files("ctr_nlp.view.report").joinpath(name).read_text(encoding="utf-8")

@@ -1,4 +1,6 @@
-"""Errors, clearance, stability, configuration and speeds over time, as paths that any browser draws by itself."""
+"""Plots of errors, clearance, stability, configuration and speeds over time, as paths that browsers draw
+themselves.
+"""
 
 from __future__ import annotations
 
@@ -34,14 +36,14 @@ PANEL_NAME_ORDER = (
 """Names of panels from top to bottom."""
 
 EXTENT = 1000
-"""Length of a plot's two axes, in units of its drawing; the page stretches it to the room that there is."""
+"""Length of both axes in units of the drawing; the page stretches it to the space that there is."""
 DASHES = ("", "6 4", "8 3 2 3", "2 3")
-"""Lengths in pixels that are drawn and left out in turn; "" is a solid line."""
+"""Dash patterns, pixels drawn and left out in turn; "" is a solid line."""
 LIMIT = "#777777"
 """Colour of limits."""
 MOST_TICKS = 5
 PANEL_MARGIN_FRACTION = 0.06
-"""Room above and below what is shown, as a part of it."""
+"""Margin above and below what is shown, as a part of it."""
 MIN_PANEL_SPAN = 0.1
 """Least span of an axis: less is rounding noise."""
 
@@ -58,10 +60,11 @@ class PlotLine:
 
 @dataclass(frozen=True)
 class PlotPanel:
-    """Lines on one vertical axis, named with its unit; values that it always shows, and limits of the robot.
+    """Lines on one vertical axis, named with its unit.
 
-    band: its name, and lower and upper ends (T,) of what is filled behind the lines. marks: a name, and the frames
-    (n,), from 1, that are marked at 0.
+    least: values that the axis always includes. limits: of the robot, drawn where they lie within the axis. band:
+    its name, and lower and upper ends (T,) of the area that is filled behind the lines. marks: a name, and the
+    frames (n,), from 1, that are marked at 0.
     """
 
     name: str
@@ -97,7 +100,7 @@ def panels(plan: Plan) -> Iterator[PlotPanel]:
 
 
 def _sample_error_panel(plan: Plan, found: Robustness, columns: Mapping[str, Array]) -> PlotPanel:
-    """Plot e2 over the simulated robots of a plan beside its own, and where robots are lost."""
+    """Plot e2 over the simulated robots of a plan beside its own, and where robots snap or leave their branch."""
     low, high = found.e2_quantiles(0.05, 0.95)
     lines = (
         PlotLine("median", columns[SAMPLE_E2_COLUMNS[0]], BLUE),
@@ -169,6 +172,7 @@ def plots(plans: Sequence[Plan]) -> list[dict[str, Plot | None]]:
 
 
 def _range(some: Sequence[PlotPanel]) -> tuple[float, float]:
+    """Return the common range of the vertical axis of panels, with a margin."""
     values = np.concatenate(
         [
             part
@@ -186,6 +190,7 @@ def _range(some: Sequence[PlotPanel]) -> tuple[float, float]:
 
 
 def _plot(plan: Plan, panel: PlotPanel, low: float, high: float) -> Plot:
+    """Return a panel as the page draws it, with a vertical axis from low to high."""
     end = float(plan.time[-1] + plan.dt / 2)
 
     def path(x: Array, y: Array) -> str:

@@ -1,4 +1,4 @@
-"""A plan as a moving scene in three dimensions, and what its robot may be coloured by."""
+"""A plan as an animated scene in three dimensions, and the quantities that colour its robot."""
 
 from __future__ import annotations
 
@@ -29,14 +29,14 @@ from ctr_nlp.view.report.ghosts import ghosts
 
 SHADES = np.linspace(0.0, 1.0, 17)
 SCALE_FRACTION_BELOW_ZERO = 1 / 8
-"""Part of a scale above 0 by which it also reaches below 0."""
+"""Length of a scale below 0 as a part of its length above 0."""
 MIN_COLOUR_SCALE_SPAN = 0.1
 """Least span of a scale: less is rounding noise."""
 
 
 @dataclass(frozen=True)
 class ColourScale:
-    """A quantity along the robot: its key, its name with unit, the values at both ends, and colours between them.
+    """Colour scale of a quantity along the robot: its key, its name with unit, and the values at both ends.
 
     stops: (position in [0, 1], colour), in order; two at one position are a jump.
     """
@@ -49,7 +49,9 @@ class ColourScale:
 
 
 def quantities(plan: Plan) -> dict[str, Array]:
-    """Values (T, 101) at uniform sigma of what is known of a plan: error and clearance in mm, stability margin."""
+    """Return values (T, 101) at uniform sigma of what is known of a plan: error and clearance in mm, stability
+    margin.
+    """
     found = {"error": e1(plan), "stability": np.repeat(plan.stability[:, None], len(SIGMA_GRID), axis=1)}
     if plan.clearance is not None:
         found["clearance"] = plan.clearance
@@ -57,7 +59,7 @@ def quantities(plan: Plan) -> dict[str, Array]:
 
 
 def scales(plans: Sequence[Plan]) -> list[ColourScale]:
-    """One for each quantity that is known of any plan."""
+    """Return a colour scale for each quantity that is known of any of `plans`; all plans share it."""
     known = [quantities(plan) for plan in plans]
     most = {
         key: max(MIN_COLOUR_SCALE_SPAN, *(float(np.nanmax(some[key])) for some in known if key in some))
@@ -73,7 +75,9 @@ def scales(plans: Sequence[Plan]) -> list[ColourScale]:
 
 
 def _signed_scale(key: str, name: str, high: float) -> ColourScale:
-    """The colour of contact below 0, then as errors, the other way round, with more shades near to 0."""
+    """Return a scale with the colour of contact below 0; above, the colours of errors reversed, with more shades
+    near 0.
+    """
     zero = SCALE_FRACTION_BELOW_ZERO / (1 + SCALE_FRACTION_BELOW_ZERO)
     roomy = zip(zero + (1 - zero) * SHADES, _colours(1.0 - np.sqrt(SHADES)), strict=True)
     stops = ((0.0, CONTACT), (zero, CONTACT), *((float(at), colour) for at, colour in roomy))
@@ -81,18 +85,18 @@ def _signed_scale(key: str, name: str, high: float) -> ColourScale:
 
 
 def _colours(bad: Array) -> list[str]:
-    """From good, dark, to bad, light."""
+    """Return colours for numbers (n,) from 0, good and dark, to 1, bad and light."""
     return [to_hex(colour) for colour in colormaps[ERROR_COLOUR_MAP](bad)]
 
 
 TUBE_COLOURING = "tube"
-"""Colouring that is always there: every tube in its own colour."""
+"""Colouring that every plan has: each tube in its own colour."""
 SCENE_TUBE_POINTS = 31
-"""Points of a tube's visible part."""
+"""Number of points along a tube's visible part."""
 SCENE_WALL_RING_POINTS, SCENE_WALL_RING_SPACING_MM = 24, 10.0
 """Points around the wall, and mm between its rings."""
 HOLDER_LENGTH_MM = 12.0
-"""Length in mm of what is drawn of the robot before the insertion point."""
+"""Length of the part of the robot that is drawn before the insertion point."""
 TARGET_RADIUS, AXIS_RADIUS, POINT_SIZE = 0.25, 0.12, 2.6
 """Radii of the target's line and the insertion axis, mm; diameter of the insertion point in radii of tube 1."""
 SCENE_WALL_COLOUR, SCENE_WALL_OPACITY = 0x8A8A8A, 0.2
@@ -105,21 +109,23 @@ READY = (
     "console.log = () => {}; document.documentElement.lang = 'en'; document.title = 'Scene'; "
     "window.parent.ready(window.frameElement, K3DInstance);"
 )
-"""Run in each scene once it is drawn; k3d would write a line for every tube of every frame."""
+"""Script that runs in each scene once it is drawn; k3d would log a line for every tube of every frame."""
 
 
 def scene_template() -> str:
-    """A page of k3d's for any scene, with SCENE_DATA_PLACEHOLDER where its data goes."""
+    """Return k3d's page for any scene, with SCENE_DATA_PLACEHOLDER in place of its data."""
     empty = import_extra("k3d").plot()
+    # k3d's page contains its whole library. The report has it once; of each plan it has the data alone.
     data = base64.b64encode(empty.get_binary_snapshot()).decode()
     return str(empty.get_snapshot(additional_js_code=READY)).replace(data, SCENE_DATA_PLACEHOLDER)
 
 
 def scene(plan: Plan, scales: Sequence[ColourScale], low: Array, high: Array) -> str:
-    """The data of a scene in base64.
+    """Return the data of a plan's scene in base64.
 
-    low, high: corners (3,) mm of what is seen at first. The scene's time is the index of the frame. Objects name
-    the part that they belong to in their custom_data, and their colouring where they show under one only.
+    plan: the plan. scales: colour scales that the robot can be coloured by. low, high: corners (3,), mm, of the
+    box that is seen at first. The scene's time is the index of the frame. Objects name their part in their
+    custom_data, and their colouring where they show under one only.
     """
     k3d = import_extra("k3d")
     plot = k3d.plot(
@@ -139,7 +145,7 @@ def scene(plan: Plan, scales: Sequence[ColourScale], low: Array, high: Array) ->
 
 
 def _tubes(k3d: Any, plan: Plan, scales: Sequence[ColourScale]) -> list[Any]:
-    """Each tube where it is the outermost one, once for every colouring."""
+    """Return each tube where it is the outermost one, once for every colouring."""
     known = quantities(plan)
     radius = tube_outer_radii(plan.robot)
     found = []
@@ -162,7 +168,10 @@ def _tubes(k3d: Any, plan: Plan, scales: Sequence[ColourScale]) -> list[Any]:
 
 
 def _environment_objects(k3d: Any, plan: Plan) -> list[Any]:
-    """Target, insertion point and axis, the robot's holder with its tilt, and the wall where it is known."""
+    """Return target, insertion point and axis, the robot's holder with its tilt, and the wall where it is
+    known.
+    """
+    # Lower-case axes are fixed ones in scipy, so that this is R = Ry(theta_y) Rx(theta_x), eq. (4).
     tilted = Rotation.from_euler("xy", np.nan_to_num(plan.theta)).apply([0.0, 0.0, -HOLDER_LENGTH_MM])
     radius = float(tube_outer_radii(plan.robot)[0])
     line = partial(k3d.line, shader="mesh")
@@ -188,7 +197,7 @@ def _environment_objects(k3d: Any, plan: Plan) -> list[Any]:
 
 
 def _hoops(lumen: Array) -> tuple[Array, npt.NDArray[np.uint32]]:
-    """Rings of the wall every SCENE_WALL_RING_SPACING_MM mm, which show its depth to an eye within it: points and
+    """Return rings of the wall every SCENE_WALL_RING_SPACING_MM, which show its depth from within: points and
     pairs of them.
     """
     along = cumulative_arc_length(lumen[:, :3])
@@ -200,14 +209,14 @@ def _hoops(lumen: Array) -> tuple[Array, npt.NDArray[np.uint32]]:
 
 
 def _visible(plan: Plan) -> Array:
-    """Sigma (T, d, SCENE_TUBE_POINTS) along the part of each tube where it is the outermost one."""
+    """Return sigma (T, d, SCENE_TUBE_POINTS) along the part of each tube where it is the outermost one."""
     ends = np.array([tube_ends(beta) for beta in np.nan_to_num(plan.beta)])
     starts = np.concatenate([np.zeros((len(ends), 1)), ends[:, :-1]], axis=1)
     return starts[..., None] + (ends - starts)[..., None] * np.linspace(0.0, 1.0, SCENE_TUBE_POINTS)
 
 
 def _at(sigma: Array, values: Array) -> Array:
-    """Values (T, 101, n) at sigma (T, m): (T, m, n); 0 in frames that were never reached."""
+    """Interpolate values (T, 101, n) at sigma (T, m), giving (T, m, n); 0 in frames that were never reached."""
     place = np.clip(sigma, 0.0, 1.0) * (len(SIGMA_GRID) - 1)
     before = np.minimum(place.astype(int), len(SIGMA_GRID) - 2)
     frames = np.arange(len(values))[:, None]
@@ -216,18 +225,18 @@ def _at(sigma: Array, values: Array) -> Array:
 
 
 def _over_time(frames: Any) -> dict[str, npt.NDArray[np.float32]]:
-    """A keyframe a frame."""
+    """Return a keyframe for each frame."""
     return {str(j): np.asarray(frame, dtype=np.float32) for j, frame in enumerate(frames)}
 
 
 def box(plans: Sequence[Plan]) -> tuple[Array, Array]:
-    """Corners (3,) mm of all that is ever seen of plans."""
+    """Return the corners (3,), mm, of a box around everything that `plans` ever show."""
     seen = [points_of_all([plan.target, plan.shape], plan.lumen) for plan in plans]
     points = np.concatenate([[[0.0, 0.0, -HOLDER_LENGTH_MM], [0.0, 0.0, HOLDER_LENGTH_MM]], *seen])
     return np.nanmin(points, axis=0), np.nanmax(points, axis=0)
 
 
 def _pack_colour(colour: str) -> int:
-    """A colour as k3d takes it."""
+    """Return a colour as k3d takes it, 0xRRGGBB."""
     red, green, blue = (round(255 * part) for part in to_rgb(colour))
     return red << 16 | green << 8 | blue

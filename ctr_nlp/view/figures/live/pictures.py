@@ -1,4 +1,4 @@
-"""What windows show: a motion while it is solved for, and a robot while it is moved."""
+"""Contents of live windows: a motion while it is solved for, and a robot while it is moved."""
 
 from __future__ import annotations
 
@@ -23,13 +23,14 @@ from ctr_nlp.view.figures.parts.palette import BLACK, BLUE, FAILED_FRAME_COLOUR
 from ctr_nlp.view.figures.parts.space import RobotLines, add_space_axes, fit_box, key, points_of_all
 
 LIVE_SHAPE_FRAMES = 5
-"""Frames whose shapes are drawn."""
+"""Number of frames whose shapes are drawn."""
 
 
 class SolverState(NamedTuple):
-    """Where a solver is. objective (n,), mean over frames, mm^2, and error (n,), KKT residual: of all iterates.
+    """Progress of a solver.
 
-    motion (T, 2d + 2): the newest one's unknowns.
+    objective (n,), mean over frames, mm^2, and error (n,), KKT residual, of all iterates; NaN between two starts.
+    motion (T, 2d + 2): unknowns of the newest iterate.
     """
 
     objective: Array
@@ -39,9 +40,9 @@ class SolverState(NamedTuple):
 
 @dataclass
 class SolverPicture:
-    """The picture of a motion in the making; states are Stage, and at last a Plan.
+    """Picture of a motion while it is solved for; its states are SolverState, and at last a Plan.
 
-    target (T, 101, 3) mm; lumen (N, 4) mm, where known.
+    name: of the problem. model: name of the kinematic model. target (T, 101, 3) mm; lumen (N, 4) mm, where known.
     """
 
     name: str
@@ -52,7 +53,7 @@ class SolverPicture:
     size = (9.6, 7.0)
 
     def begin(self, figure: Figure) -> None:
-        """Draw what stays: box, wall, insertion point and targets."""
+        """Draw what stays into `figure`: box, wall, insertion point and targets."""
         axes = add_space_axes(figure, (0.0, 0.08, 0.5, 0.84), self.lumen)
         count = len(self.target)
         self._frames = np.unique(
@@ -76,7 +77,7 @@ class SolverPicture:
         figure.legend(handles=key(self.robot.d, self.lumen is not None), loc="lower center", ncols=6)
 
     def show(self, state: SolverState | Plan) -> None:
-        """The newest motion and all iterates; or a plan, in their place."""
+        """Show the newest motion and all iterates of `state`; or a plan, in their place."""
         if isinstance(state, Plan):
             shapes = state.shape[self._frames]
             beta = state.beta[self._frames]
@@ -89,23 +90,26 @@ class SolverPicture:
             line.set_data(np.arange(len(values)), np.where(values > 0, values, np.nan))
             panel.relim()
             panel.autoscale_view()
+        # NaN separates starts and is no iterate.
         number = np.isfinite(state.error).sum()
         self._show(shapes, beta, f"iterate {number}, objective {state.objective[-1]:.4g} mm²")
 
     def _show(self, shapes: Array, beta: Array, words: str) -> None:
+        """Draw shapes (n, 101, 3) mm with extensions beta (n, d) mm, and say `words` above them."""
         for body, shape, row in zip(self._bodies, shapes, beta, strict=True):
             body.show(shape, row)
         self._now.set_text(f"frames {', '.join(str(j + 1) for j in self._frames)}; {words}")
 
 
 COMMANDED: dict[str, Any] = {"color": FAILED_FRAME_COLOUR, "lw": 8.0, "zorder": 3}
-"""A broad light band, which the robot is to lie in."""
+"""Style of the commanded shape: a broad light band, in which the robot should lie."""
 
 
 class PlaybackState(NamedTuple):
-    """A moment. state: in words; frame: the last that was passed, 0 for none; time: s of the program.
+    """A moment of a plan that is played.
 
-    measured, commanded: q (2d + 2,).
+    state: of the player, in words. frame: the last that was passed, 0 for none. time: since the program's start,
+    s. measured, commanded: q (2d + 2,).
     """
 
     state: str
@@ -117,13 +121,13 @@ class PlaybackState(NamedTuple):
 
 @dataclass
 class PlaybackPicture:
-    """The picture of a plan that is played; states are Now."""
+    """Picture of a plan that is played; its states are PlaybackState."""
 
     plan: Plan
     size = (5.2, 7.0)
 
     def begin(self, figure: Figure) -> None:
-        """Draw what stays: box, wall, insertion point."""
+        """Draw what stays into `figure`: box, wall and insertion point."""
         plan = self.plan
         axes = add_space_axes(figure, (0.0, 0.08, 1.0, 0.84), plan.lumen)
         self._commanded = (
@@ -139,7 +143,7 @@ class PlaybackPicture:
         figure.legend(handles=[*key(plan.robot.d, plan.lumen is not None), commanded], loc="lower center", ncols=4)
 
     def show(self, state: PlaybackState) -> None:
-        """A moment; nothing is drawn of a robot whose equilibrium is lost."""
+        """Show the moment `state`; a robot without an equilibrium is not drawn."""
         d = self.plan.robot.d
         plan = self.plan
         for (body, shape), q in ((self._commanded, state.commanded), (self._measured, state.measured)):
@@ -150,7 +154,7 @@ class PlaybackPicture:
 
 
 class ShapeContinuation:
-    """Shapes of one robot at one configuration after the other, each equilibrium from the one before."""
+    """Shapes of one robot along a sequence of configurations, each equilibrium continued from the one before."""
 
     def __init__(self, robot: Robot, model: str) -> None:
         self._robot = robot
@@ -158,7 +162,8 @@ class ShapeContinuation:
         self._before: tuple[Array, Array] | None = None
 
     def __call__(self, q: Array) -> Array:
-        """The shape (101, 3) mm at q (2d + 2,); NaN where no equilibrium is found."""
+        """Return the shape (101, 3) mm at q (2d + 2,); NaN where no equilibrium is found."""
+        # On the elastic model q alone does not determine the equilibrium; its branch comes from the motion before.
         passage, x0 = (
             (q[None], None) if self._before is None else (np.stack([self._before[0], q]), self._before[1])
         )

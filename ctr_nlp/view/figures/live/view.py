@@ -1,4 +1,8 @@
-"""A window in a process of its own, which shows states of a program that never waits for it."""
+"""A window in a process of its own, which shows states of a program that never waits for it.
+
+The program's thread leaves its newest state in a queue of one; a sender thread takes it from there, pickles it and
+writes it to the window's standard input. A window that is slow, hangs or is closed holds up the sender only.
+"""
 
 from __future__ import annotations
 
@@ -22,9 +26,9 @@ from ctr_nlp.support.pool import DetachedProcess
 WINDOW_MODULE = "ctr_nlp.view.figures.live.window"
 """The module that runs in the window's process."""
 PAUSE = 0.04
-"""s between two states that are sent."""
+"""Pause between two states that are sent, s."""
 LAST_STATE_TIMEOUT_S = 2.0
-"""s in which the last state must have been sent."""
+"""Time for which the end of the block waits until the last state has been sent."""
 
 
 class Picture(Protocol):
@@ -34,7 +38,7 @@ class Picture(Protocol):
     """Width and height of the window, inches."""
 
     def begin(self, figure: Figure) -> None:
-        """Draw everything that no state changes."""
+        """Draw everything that no state changes into `figure`."""
         ...
 
     def show(self, state: Any) -> None:
@@ -43,14 +47,14 @@ class Picture(Protocol):
 
 
 class LiveWindow:
-    """A window with a picture. Only the newest state counts: those that it has no time for are dropped.
+    """Window with a picture, which shows the newest state; it skips those for which it has no time.
 
-    Whatever becomes of the window, the program goes on. Where the block of `with` ends well the window stays until
-    it is closed, with the last state in it, though the program may end; else it closes.
+    Whatever becomes of the window, the program continues. Where the block of `with` ends well the window stays
+    until it is closed, with the last state in it, though the program may end; else it closes.
     """
 
     def __init__(self, picture: Picture) -> None:
-        """Open the window; raises OptionError where that cannot be done."""
+        """Open the window on `picture`; raises OptionError where that cannot be done."""
         self._process = DetachedProcess(
             [sys.executable, "-m", WINDOW_MODULE],
             stdin=subprocess.PIPE,
@@ -61,10 +65,13 @@ class LiveWindow:
         assert self._process.stdin is not None
         assert self._process.stdout is not None
         self._pipe = self._process.stdin
+        # A queue of one: a new state replaces the one that was not sent. Append and pop of a deque need no lock.
         self._states = deque[Callable[[], Any]](maxlen=1)
         self._news = threading.Event()
         self._ending = False
         self._sender = threading.Thread(target=self._send, daemon=True)
+        # The window answers `open:` or `not:` with a reason, and closes its side; read() returns then, or when the
+        # process ends.
         with self._process.stdout as words:
             with suppress(OSError):
                 self._send_object(picture)
@@ -78,7 +85,9 @@ class LiveWindow:
         self._sender.start()
 
     def show(self, state: Callable[[], Any]) -> None:
-        """Show what state returns, unless a newer one comes first; it is called in another thread, if at all."""
+        """Show what `state` returns, unless a newer one comes first; it is called in the sender thread, if
+        at all.
+        """
         self._states.append(state)
         self._news.set()
 
@@ -91,6 +100,7 @@ class LiveWindow:
         self._ending = True
         self._news.set()
         if kind is None:
+            # A window that hangs must not keep the program from ending: the sender is a daemon thread.
             self._sender.join(LAST_STATE_TIMEOUT_S)
         else:
             self._end()
@@ -98,6 +108,7 @@ class LiveWindow:
     def _send(self) -> None:
         """Send the newest state to the window, in a thread of its own, until the block of `with` ends."""
         with suppress(OSError):
+            # Until a state that came last has been sent, too. A closed window breaks the pipe, an OSError.
             while not self._ending or self._states:
                 self._news.wait()
                 self._news.clear()
@@ -108,7 +119,8 @@ class LiveWindow:
             self._pipe.close()
 
     def _send_object(self, what: Any) -> None:
-        """Send an object to the window's process, pickled."""
+        """Send an object to the window's process, pickled; blocks while the pipe is full."""
+        # A write to a pipe may take a part of the bytes only.
         left = memoryview(pickle.dumps(what))
         while left:
             left = left[os.write(self._pipe.fileno(), left) :]

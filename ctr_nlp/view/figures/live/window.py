@@ -1,4 +1,4 @@
-"""The process of a window: a picture comes through standard input, then states; run by View."""
+"""The process of a window: a picture comes through standard input, then states; started by LiveWindow."""
 
 from __future__ import annotations
 
@@ -19,15 +19,17 @@ from ctr_nlp.view.figures.live.view import Picture
 from ctr_nlp.view.figures.parts.page import STYLE
 
 PACE_MS = 100
-"""Between two looks at what there is to show."""
+"""Period at which the window looks for a new state."""
 NICE = 10
-"""By how much this process stands back behind others."""
+"""Niceness that is added to this process, so that it does not slow the solver."""
 UNWATCHED_PAGE_TIMEOUT_S = 60.0
-"""s after the end of the work for which a page without readers is served."""
+"""Time after the end of the work for which a page (WebAgg) without readers is served."""
 
 
 class Inbox:
-    """The newest of the states that come, received in a thread; ended, s of the clock, once no more can come."""
+    """Newest of the states that come, received in a thread. ended: monotonic time, s, when no more can come; None
+    before.
+    """
 
     def __init__(self, source: BinaryIO) -> None:
         self._source = source
@@ -44,16 +46,19 @@ class Inbox:
             self.ended = time.monotonic()
 
     def newest(self) -> list[Any]:
-        """The newest state that has not been taken, or nothing."""
+        """Return the newest state that has not been taken, or nothing."""
         return [self._states.pop()] if self._states else []
 
 
 def open_window(picture: Picture) -> tuple[Figure, TimerBase]:
-    """A window with a picture, and a timer; raises whatever the toolkit does where there can be none."""
+    """Open a window on `picture`, and return its figure and a timer; raises what the toolkit does where it
+    cannot.
+    """
     from matplotlib import pyplot
 
     figure = pyplot.figure(figsize=picture.size)
     timer = figure.canvas.new_timer(interval=PACE_MS)
+    # Backends without an event loop, such as Agg, have the base class's timer, which never fires.
     if type(timer) is TimerBase:
         backend = matplotlib.get_backend()
         raise RuntimeError(f"there is no display or no toolkit for it (matplotlib's backend is {backend})")
@@ -62,7 +67,10 @@ def open_window(picture: Picture) -> tuple[Figure, TimerBase]:
 
 
 def run(source: BinaryIO, picture: Picture, figure: Figure, timer: TimerBase) -> None:
-    """Show the states that come until the window is closed."""
+    """Show the states that come until the window is closed.
+
+    source: stream of pickled states. picture: draws them. figure, timer: of the window, from open_window.
+    """
     from matplotlib import pyplot
 
     inbox = Inbox(source)
@@ -71,6 +79,7 @@ def run(source: BinaryIO, picture: Picture, figure: Figure, timer: TimerBase) ->
         for state in inbox.newest():
             picture.show(state)
             figure.canvas.draw_idle()
+        # The server of WebAgg does not end by itself, and without a reader nobody can close its page.
         readers = getattr(figure.canvas.manager, "web_sockets", True)
         if inbox.ended is not None and not readers and time.monotonic() > inbox.ended + UNWATCHED_PAGE_TIMEOUT_S:
             os._exit(0)
@@ -81,7 +90,7 @@ def run(source: BinaryIO, picture: Picture, figure: Figure, timer: TimerBase) ->
 
 
 def _detach_standard_streams() -> None:
-    """Whoever waits for the program's output need not wait for the window."""
+    """Point output to nowhere: whoever waits for the program's output need not wait for the window."""
     nothing = os.open(os.devnull, os.O_WRONLY)
     for stream in (1, 2):
         os.dup2(nothing, stream)
@@ -89,7 +98,8 @@ def _detach_standard_streams() -> None:
 
 
 def main() -> None:
-    """Open the window, tell whether that went well, and keep it."""
+    """Open the window, report on standard output whether that went well, and keep it."""
+    # Where processes have no sessions, as on Windows, Ctrl-C in the terminal reaches this one as well.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     if hasattr(os, "nice"):
         os.nice(NICE)
@@ -103,6 +113,7 @@ def main() -> None:
             return
         sys.stdout.write("open:")
         sys.stdout.flush()
+        # Ends the program's wait for the answer: the pipe on standard output closes, and toolkits print to stderr.
         os.dup2(2, 1)
         run(source, picture, figure, timer)
 

@@ -1,1 +1,1 @@
-"""What pictures share: page, colours, panels and axes in space."""
+"""Parts that figures share: page, colours, panels and axes in space."""

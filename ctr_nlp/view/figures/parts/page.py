@@ -1,4 +1,4 @@
-"""Parts that all pictures share: style, heading, marks behind frames, panels with letters, a scale of roots."""
+"""Parts that figures share: style, heading, marks behind frames, panels with letters, a square-root scale."""
 
 from __future__ import annotations
 
@@ -37,11 +37,11 @@ STYLE: Any = {
     "xtick.labelsize": 8,
     "ytick.labelsize": 8,
 }
-"""Settings under which each picture is drawn, whatever the caller's own are."""
+"""Settings with which every figure is drawn, whatever the caller's own are."""
 
 
 def add_heading(figure: Figure, plan: Plan, title: str) -> None:
-    """Title a picture with what it shows, the problem, how it was solved, and the error over all frames."""
+    """Add a heading to `figure`: title, problem, how `plan` was solved, and its error over all frames."""
     numbers = summary(plan)
     on = (
         numbers["model"]
@@ -55,14 +55,15 @@ def add_heading(figure: Figure, plan: Plan, title: str) -> None:
 
 
 def outcome(numbers: Mapping[str, Any]) -> str:
-    """Say the error over all frames, how many failed, and which verdicts are no; `numbers` is a plan's summary."""
+    """Say the error over all frames, how many failed, and which verdicts are no; numbers: a plan's summary."""
     e3 = "no frame reached" if numbers["e3"] is None else f"e3 = {numbers['e3']:.3g} mm"
     frames = f"{numbers['failed']} of {numbers['frames']} frames failed" if numbers["failed"] else ""
     return ", ".join(filter(None, (e3, frames, describe_unmet_verdicts(numbers))))
 
 
 def printable(text: str) -> str:
-    """One line with "?" for what the font lacks: a file, and so a problem, may have any name.
+    """Return `text` as one line with "?" for characters that the font lacks: a file, and so a problem, may have
+    any name.
 
     Draw it with parse_math=False; where matplotlib offers none, as in legends, draw :func:`label_text`.
     """
@@ -71,13 +72,15 @@ def printable(text: str) -> str:
 
 
 def label_text(text: str) -> str:
-    """Text for the entry of a legend, where matplotlib takes what stands between dollar signs for mathematics."""
+    """Return `text` for a legend, where matplotlib would read what stands between dollar signs as mathematics."""
     return printable(text).replace("$", r"\$")
 
 
 def shade(axes: Axes, centres: npt.NDArray[Any], width: float, mask: Flags, colour: str, label: str) -> None:
-    """Colour the background of the frames in `mask`; `centres` and `width` are on the horizontal axis, and `label`
-    is for the legend.
+    """Colour the background of some frames.
+
+    axes: the panel. centres (T,), width: positions and width of frames on the horizontal axis. mask (T,): frames
+    to shade. colour: of matplotlib. label: for the legend.
     """
     for number, centre in enumerate(centres[mask]):
         name = "_" if number else label
@@ -85,26 +88,31 @@ def shade(axes: Axes, centres: npt.NDArray[Any], width: float, mask: Flags, colo
 
 
 def shade_failures(axes: Axes, plan: Plan, centres: npt.NDArray[Any], width: float) -> None:
-    """Shade the frames that were not solved, lighter where there is no shape at all."""
+    """Shade the frames of a plan that were not solved, lighter where there is no shape at all.
+
+    axes: the panel. plan: the plan. centres (T,), width: positions and width of frames on the horizontal axis.
+    """
     shade(axes, centres, width, ~plan.success & plan.reached_frames, FAILED_FRAME_COLOUR, "failed frame")
     shade(axes, centres, width, ~plan.reached_frames, UNREACHED_FRAME_COLOUR, "not reached")
 
 
 def curve(axes: Axes, x: npt.NDArray[Any], y: npt.NDArray[np.float64], **look: Any) -> None:
-    """Plot y over x, with a dot for each value that no line would show."""
+    """Plot y (n,) over x (n,) on `axes`, with a dot for each value that no line would show; look: style, with
+    `color`.
+    """
     axes.plot(x, y, **look)
     single = isolated_indices(y)
     axes.plot(x[single], y[single], color=look["color"], ls="", marker="o", ms=3)
 
 
 def isolated_indices(y: npt.NDArray[np.float64]) -> npt.NDArray[np.int_]:
-    """Indices of known values of y (n,) between two unknown ones."""
+    """Return the indices of known values of y (n,) between two unknown ones."""
     known = np.isfinite(np.concatenate([[np.nan], y, [np.nan]]))
     return np.flatnonzero(known[1:-1] & ~known[:-2] & ~known[2:])
 
 
 def by_frames(axes: Axes, plan: Plan) -> npt.NDArray[np.int_]:
-    """Make the horizontal axis one of a plan's frames, shade those that failed, and return their numbers (T,),
+    """Make the horizontal axis of `axes` one of a plan's frames, shade failed ones, and return their numbers (T,),
     from 1.
     """
     frames = np.arange(1, len(plan.time) + 1)
@@ -120,14 +128,16 @@ def legend_of(*panels: Axes) -> dict[str, Any]:
 
 
 def frame_axis(axes: Axes, frames: int) -> None:
-    """Frames, from 1, along the horizontal axis."""
+    """Number frames from 1 to `frames` along the horizontal axis of `axes`."""
     axes.set_xlim(0.5, max(frames, 1) + 0.5)
     axes.xaxis.set_major_locator(MaxNLocator(integer=True, min_n_ticks=1))
     axes.set_xlabel("frame")
 
 
 def at_least(axes: Axes, span: float) -> None:
-    """Widen the vertical range to a span, so that rounding noise does not fill the picture."""
+    """Widen the vertical range of `axes` to `span`, in its unit, so that rounding noise does not fill the
+    picture.
+    """
     low, high = axes.get_ylim()
     if high - low < span:
         middle = (low + high) / 2
@@ -140,8 +150,10 @@ MIN_ROOT_TICK_DISTANCE = 0.13
 
 
 def panels(titles: Sequence[str], columns: int, size: tuple[float, float]) -> tuple[Figure, list[Axes]]:
-    """Make a figure with a panel for each title, (a), (b), ... in reading order; `size` is that of a panel in
-    inches.
+    """Make a figure with a panel for each of `titles`, lettered (a), (b), ... in reading order; return it and the
+    panels.
+
+    columns: panels in a row. size: width and height of a panel, inches.
     """
     rows = -(-len(titles) // columns)
     figure = Figure(figsize=(columns * size[0], rows * size[1]), layout="constrained")
@@ -154,7 +166,9 @@ def panels(titles: Sequence[str], columns: int, size: tuple[float, float]) -> tu
 
 
 def root_scale(axes: Axes) -> None:
-    """A square-root scale from 0 upwards: small errors are seen beside large ones, and 0 has its place."""
+    """Give `axes` a square-root scale from 0 upwards: small errors are seen beside large ones, and 0 has its
+    place.
+    """
     top = max(axes.get_ylim()[1], 2 * ROOT_SCALE_TICKS[0])
     axes.set_yscale("function", functions=(lambda y: np.sqrt(np.maximum(y, 0.0)), np.square))
     axes.set_ylim(0.0, top)
@@ -170,7 +184,7 @@ def root_scale(axes: Axes) -> None:
 
 
 def plain_ticks(axis: Axis) -> None:
-    """Ticks of a logarithmic axis as plain numbers, a few in every decade."""
+    """Label the ticks of a logarithmic axis with plain numbers, a few in every decade."""
     axis.set_major_locator(LogLocator(subs=(1.0, 1.5, 2.0, 3.0, 5.0, 7.0)))
     axis.set_major_formatter("{x:g}")
     axis.set_minor_locator(NullLocator())

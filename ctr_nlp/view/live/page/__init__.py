@@ -1,1 +1,1 @@
-"""What the browser shows of live steering: scene, panel, colours, and the server behind them."""
+"""The page of live steering in the browser: scene, panel, colours, and the server behind them."""

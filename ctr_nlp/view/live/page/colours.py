@@ -20,17 +20,20 @@ from ctr_nlp.view.live.steered.session import SessionState
 Colours = npt.NDArray[np.uint8]
 """(n, 3), red, green and blue."""
 MIDDLES = (SIGMA_GRID[1:] + SIGMA_GRID[:-1]) / 2
-"""Normalised arc lengths (100,) of the pieces that a robot is drawn of."""
+"""Normalised arc lengths (100,) of the middles of the pieces that a robot is drawn of."""
 LARGE_ERROR_MM, LARGE_CLEARANCE_MM = 5.0, 3.0
-"""mm at the far ends of the scales of error and clearance."""
+"""Values at the far ends of the scales of error and clearance."""
 COLOUR_BY_ERROR, COLOUR_BY_CLEARANCE, COLOUR_BY_TUBE = "error", "clearance", "tube"
 """Quantities that the robot may be coloured by."""
 LEGEND_COLOUR_COUNT = 9
-"""Colours that a legend is made of."""
+"""Number of colours of a legend's gradient."""
 
 
 def piece_colours(robot: Robot, seen: SessionState, by: str) -> Colours:
-    """Return a colour for each of the 100 pieces of the robot, by error, clearance or tube."""
+    """Return a colour (100, 3) for each piece of the robot.
+
+    robot: the robot. seen: the state of the session. by: COLOUR_BY_ERROR, COLOUR_BY_CLEARANCE or COLOUR_BY_TUBE.
+    """
     if by == COLOUR_BY_ERROR:
         return _shades(_between(seen.error) / LARGE_ERROR_MM)
     if by == COLOUR_BY_CLEARANCE and seen.clearance is not None:
@@ -41,8 +44,8 @@ def piece_colours(robot: Robot, seen: SessionState, by: str) -> Colours:
 
 
 def legend(robot: Robot, by: str) -> str:
-    """Return the legend of the colours as a piece of HTML; `by` is `COLOUR_BY_ERROR`, `COLOUR_BY_CLEARANCE` or
-    `COLOUR_BY_TUBE`.
+    """Return the legend of a robot's colours as HTML; by: COLOUR_BY_ERROR, COLOUR_BY_CLEARANCE or
+    COLOUR_BY_TUBE.
     """
     if by == COLOUR_BY_TUBE:
         return " ".join(_patch(tube_colour(i), f"tube {i + 1}") for i in range(robot.d))
@@ -58,7 +61,9 @@ def legend(robot: Robot, by: str) -> str:
 
 
 class RatedNumber(NamedTuple):
-    """A number as it is shown: its name, the number with its unit, a word on it, and a colour behind the word."""
+    """Number as it is shown: its name, the number with its unit, a word that rates it, and a colour behind the
+    word.
+    """
 
     name: str
     number: str
@@ -68,14 +73,14 @@ class RatedNumber(NamedTuple):
 
 GOOD_COLOUR, CAUTION_COLOUR, BAD_COLOUR = SKY, ORANGE, VERMILLION
 CLOSE_ERROR_MM, FAR_ERROR_MM = 1.0, 3.0
-"""mm of error e2 up to which the robot is called close to its target, and above which far from it."""
+"""Error e2 up to which the robot is called close to its target, and above which far from it."""
 TIGHT_CLEARANCE_MM = 0.5
-"""mm of clearance below which it is called tight."""
+"""Clearance below which it is called tight."""
 
 
 def rate_numbers(seen: SessionState, required_margin: float | None) -> list[RatedNumber]:
-    """Return the numbers of a moment with words on them; `required_margin` is the least stability margin that
-    steering keeps, None for any.
+    """Return the numbers of the state `seen` with ratings; required_margin: least stability margin of steering,
+    None for any.
     """
     e2 = seen.e2
     tip = float(seen.error[-1])
@@ -111,6 +116,7 @@ def rate_numbers(seen: SessionState, required_margin: float | None) -> list[Rate
 
 
 def _margin(seen: SessionState, required_margin: float) -> RatedNumber:
+    """Return the stability margin with its rating."""
     if not np.isfinite(seen.margin):
         return RatedNumber(
             "stability margin", "", f"{NOT_CHECKED}: this model cannot predict snapping", CAUTION_COLOUR
@@ -126,11 +132,11 @@ def _margin(seen: SessionState, required_margin: float) -> RatedNumber:
 
 
 FIGURES = "text-align:right;font-variant-numeric:tabular-nums"
-"""How numbers stand below each other."""
+"""Style of a column of numbers."""
 
 
 def table(rows: list[RatedNumber]) -> str:
-    """Judged numbers as a piece of HTML."""
+    """Return the rated numbers `rows` as an HTML table."""
     lines = [
         f'<tr><td>{row.name}</td><td style="{FIGURES}"><b>{row.number}</b></td>'
         f"<td>{_patch(row.colour, row.word) if row.colour else row.word}</td></tr>"
@@ -140,8 +146,9 @@ def table(rows: list[RatedNumber]) -> str:
 
 
 def _patch(colour: str, word: str) -> str:
-    """A word on a colour, black or white as can be read better."""
+    """Return a word on a coloured ground as HTML, black or white, whichever can be read better."""
     red, green, blue = to_rgb(colour)
+    # Luma of Rec. 601: how bright a colour looks.
     ink = "black" if 0.299 * red + 0.587 * green + 0.114 * blue > 0.45 else "white"
     return f'<span style="background:{colour};color:{ink};padding:0 5px;border-radius:3px">{word}</span>'
 

@@ -1,4 +1,4 @@
-"""Whom the server of the page answers: the page itself, and programs that call it by its own name."""
+"""Guard the page's server: it answers the page itself, and programs that call it by its own name."""
 
 from __future__ import annotations
 
@@ -40,6 +40,7 @@ def guard_websocket_server(host: str) -> Iterator[Callable[[], bool]]:
 
     def serve_own(handler: Any, *where: Any, process_request: Any = None, **options: Any) -> Any:
         def check(connection: Any, request: Any) -> Any:
+            # Any page that is open in the browser may connect to this machine; see support/same_origin.py.
             hosts, origins = (request.headers.get_all(name) for name in ("Host", "Origin"))
             if not is_same_origin_request(hosts, origins, host, connection.local_address[:2]):
                 return connection.respond(HTTPStatus.FORBIDDEN, REFUSED)
@@ -49,6 +50,8 @@ def guard_websocket_server(host: str) -> Iterator[Callable[[], bool]]:
         started.append(host)
         return serve(handler, *where, process_request=check, logger=_server_log(), **options)
 
+    # viser looks the function up when it starts its server, so that another one can stand in its place until then.
+    # A version that no longer does leaves `started` empty.
     module.serve = serve_own
     try:
         yield lambda: bool(started)
@@ -68,7 +71,7 @@ def log_unreadable(error: object) -> None:
 
 
 def _log_failure(loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
-    """Log what a message has made fail, without the traceback that asyncio would print."""
+    """Log the failure that a message has caused, without the traceback that asyncio would print."""
     log_unreadable(_describe_error(context.get("exception")) or context["message"])
 
 
@@ -85,7 +88,9 @@ def _server_log() -> logging.Logger:
 
 
 def _keep_without_error(record: logging.LogRecord) -> bool:
-    """Whether a record has no error; one with an error is logged anew in one line, unless a link just closed."""
+    """Tell whether a record has no error; an error is logged in one line instead, unless a connection just
+    closed.
+    """
     error = record.exc_info[1] if record.exc_info else None
     if error is not None and not isinstance(error.__cause__, EOFError | ConnectionError):
         log_unreadable(_describe_error(error))

@@ -1,4 +1,4 @@
-"""Sentences that stand beside the numbers of the moment."""
+"""Sentences beside the numbers of the moment."""
 
 from __future__ import annotations
 
@@ -11,8 +11,9 @@ HINT = "Drag a ball to pull the target, or a slider to move a joint. The mouse t
 
 
 def status_message(session: Session, snapped: bool, news: str) -> str:
-    """Say what is being compiled, how wall and load count, whether the robot snapped, and the latest `news`, if
-    any.
+    """Say what is being compiled, how wall and load count, whether the robot snapped, and the latest news.
+
+    session: what is steered. snapped: whether the robot snapped a moment ago. news: sentences, "" for none.
     """
     found = [*_compilation_messages(session)]
     if session.problem.lumen is not None and session.method == HAND_METHOD:
@@ -25,7 +26,7 @@ def status_message(session: Session, snapped: bool, news: str) -> str:
 
 
 def verdict_list(plan: Plan) -> str:
-    """Write the verdicts on a recorded plan as a list in Markdown, with what they come to and a warning."""
+    """Return the verdicts on a recorded plan as a list in Markdown, with a summary and a warning."""
     rows = [f"- {each.matter}: **{each.word}**{f', {each.value}' if each.value else ''}" for each in plan.verdicts]
     return "\n".join([f"{summarise_verdicts(summary(plan))} {NOT_FOR_PATIENTS}", "", *rows])
 

@@ -1,4 +1,4 @@
-"""The panel beside the scene: what can be asked for, and the numbers of the moment."""
+"""The panel beside the scene: controls, and the numbers of the moment."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from ctr_nlp.view.live.steered.session import (
 )
 
 PANEL_UPDATE_PERIOD_S = 0.15
-"""s between two changes of numbers and sliders: faster ones cannot be read."""
+"""Time between two changes of numbers and sliders: faster ones cannot be read."""
 SLIDER_STEP = 1e-3
 """Step of the sliders, rad and mm."""
 
@@ -41,23 +41,25 @@ class SteeringRequests(Protocol):
         """Call `act` with the session between two steps."""
 
     def use_robot(self, name: str) -> None:
-        """Go on with another robot."""
+        """Continue with the robot called `name`."""
 
     def play(self, on: bool) -> None:
-        """Follow the path by itself, or stop that."""
+        """Follow the path automatically where `on`; else stop that."""
 
     def record(self) -> None:
-        """Begin to record, or end it and keep the plan."""
+        """Begin to record, or end it and save the plan."""
 
 
 class ControlPanel:
-    """The controls of one session; removed when another one takes its place."""
+    """Controls of one session; removed when another session takes its place."""
 
     def __init__(
         self, gui: Any, session: Session, robots: Sequence[str], robot: str, requests: SteeringRequests
     ) -> None:
-        """Build the controls; `robots` are the names to choose from, `robot` the one that is chosen, `requests`
-        takes the requests.
+        """Build the controls.
+
+        gui: of the viser server. session: what is steered. robots: names to choose from. robot: the one that is
+        chosen. requests: takes the requests.
         """
         self._session = session
         self._asked = requests
@@ -92,13 +94,15 @@ class ControlPanel:
         return str(self._by.value)
 
     def remove(self) -> None:
-        """Take everything away."""
+        """Remove all controls from the page."""
         for each in self._all:
             each.remove()
 
     def show(self, seen: SessionState, playing: bool, news: str, busy: float) -> None:
-        """Show the numbers of a moment, not too often; `news`: a sentence or more; `busy`: part of the time that
-        steps take.
+        """Show the numbers of a state, at most every PANEL_UPDATE_PERIOD_S.
+
+        seen: state of the session. playing: whether the path is followed. news: sentences. busy: share of the time
+        that steps take.
         """
         if time.monotonic() - self._last < PANEL_UPDATE_PERIOD_S:
             return
@@ -115,6 +119,7 @@ class ControlPanel:
         recorded = session.moment_count
         told = "Record" if recorded is None else f"Stop, and keep {recorded * session.dt:.1f} s as a plan"
         self._record.label = told
+        # By hand the sliders are where a person has put them: they may be ahead of the motors.
         if session.method != HAND_METHOD:
             for slider, value in zip(self._joints, seen.q.tolist(), strict=True):
                 slider.value = min(max(round(value, 3), slider.min), slider.max)
@@ -131,6 +136,7 @@ class ControlPanel:
 
         @found.on_update
         def _(event: Any) -> None:
+            # None means that `show` has set the value, which is no request. So below.
             if event.client_id is not None:
                 value = str(found.value)
                 self._asked.ask(lambda session: do(session, value))
@@ -158,6 +164,7 @@ class ControlPanel:
                 ask(lambda session: session.goal.advance(value))
 
     def _joint(self, gui: Any, joint: int, span: Array) -> Any:
+        """Add the slider of a joint, from 0, with a range (2,), rad or mm."""
         name, (low, high) = self._session.problem.robot.axes[joint], span.tolist()
         now = float(np.clip(self._session.q[joint], low, high))
         unit = "mm" if name.startswith("beta") else "rad"

@@ -1,4 +1,4 @@
-"""The scene: a tree of named things in the browser, changed to what is seen, with handles to be dragged."""
+"""The scene in the browser: a tree of named objects, updated with the state, and handles to be dragged."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ from ctr_nlp.view.live.steered.session import MAX_SAMPLED_ROBOTS, SessionState
 HandleDragCallback = Callable[[int, Array], None]
 """Called with the number of a handle that is dragged, from 0, and the point (3,) mm to which it is pulled."""
 TUBE_POLYGON_SIDES, LUMEN_POLYGON_SIDES, RING_MM = 12, 20, 3.0
-"""Corners of a tube's cross-section, and of the lumen's; mm between two rings of the lumen."""
+"""Sides of a tube's cross-section, and of the lumen's; distance between rings of the lumen, mm."""
 OVERLAP = 1.08
-"""By what factor the pieces of a robot are longer than their share: no gaps where it bends."""
+"""Length of a robot's piece over its share, so that no gaps open where the robot bends."""
 LUMEN_SURFACE_COLOUR, LUMEN_OPACITY = (140, 140, 140), 0.22
 TARGET_MM, GHOST_MM, HANDLE_EXTRA_RADIUS_MM, TIP_HANDLE_EXTRA_RADIUS_MM = 0.6, 0.35, 0.8, 1.6
-"""Widths of lines, and by how much handles, and that of the tip, are larger in radius than the outermost tube."""
+"""Widths of lines, and how much the radius of handles, and that of the tip, exceeds the outermost tube's."""
 SEEN_THROUGH = 0.5
-"""Opacity of the robot while drawn ones are seen, which often lie within its tubes."""
+"""Opacity of the robot beside simulated ones, which often lie within its tubes."""
 AXES_MM = 12.0
 """Length of the base frame's axes."""
 FORCE_MM, ARROW_MM, HEAD_MM = 0.8, 18.0, 3.0
@@ -46,8 +46,10 @@ class Scene:
     """Drawing of one problem in the browser: robot, simulated robots, target with handles, lumen and tip force."""
 
     def __init__(self, server: Any, problem: Problem, on_drag: HandleDragCallback) -> None:
-        """Draw everything that never changes; `on_drag` is called in the server's own thread, and must return at
-        once.
+        """Draw everything that never changes.
+
+        server: of viser. problem: robot, target and lumen. on_drag: called in the server's own thread; it must
+        return at once.
         """
         self._server = server
         self._robot = problem.robot
@@ -62,6 +64,7 @@ class Scene:
             look = {
                 "color": LUMEN_SURFACE_COLOUR,
                 "opacity": LUMEN_OPACITY,
+                # Of the wall only the far side, so that it never covers the robot.
                 "side": "back",
                 "cast_shadow": False,
                 "receive_shadow": False,
@@ -92,8 +95,8 @@ class Scene:
         self._look(problem)
 
     def show(self, seen: SessionState, handles: Array, by: str) -> None:
-        """Show a moment; `handles` (HANDLES, 3) mm are the target's, and `by` is the quantity that the robot is
-        coloured by.
+        """Show a state `seen`; handles (HANDLES, 3): positions of the target's handles, mm; by: quantity that
+        colours the robot.
         """
         self._show_robot(seen, by)
         self._target.points = _line_segments(seen.target)
@@ -115,6 +118,7 @@ class Scene:
             self._ghosts.colors = colours.reshape(-1, 2, 3)
 
     def _show_robot(self, seen: SessionState, by: str) -> None:
+        """Place, turn and colour the pieces of the robot; hide it where it has no shape."""
         known = bool(np.isfinite(seen.shape).all())
         self._body.visible = known
         if known:
@@ -130,7 +134,7 @@ class Scene:
             self._body.batched_colors = piece_colours(self._robot, seen, by)
 
     def _handle(self, k: int, on_drag: HandleDragCallback) -> Any:
-        """A ball that can be dragged; the last one is the target's tip."""
+        """Add the ball of handle k, from 0, that can be dragged; the last one is the target's tip."""
         tip = k == HANDLES - 1
         name, colour = ("/tip", VERMILLION) if tip else (f"/handle {k + 1}", ORANGE)
         radius = float(tube_outer_radii(self._robot)[0]) + (
@@ -148,6 +152,7 @@ class Scene:
             except OptionError as error:
                 log_unreadable(error)
                 return
+            # A ball is rarely grabbed at its centre; without this offset it would jump to the pointer.
             if event.phase == "start":
                 grabbed[:] = start - ball.position
             on_drag(k, end - grabbed)
@@ -155,7 +160,7 @@ class Scene:
         return ball
 
     def _look(self, problem: Problem) -> None:
-        """Place the camera at first so that all of path and lumen is seen from the side."""
+        """Place the first view so that all of path and lumen is seen from the side."""
         points = np.concatenate([frame.points for frame in problem.target_frames[-1:]])
         if problem.sampled_lumen is not None:
             points = np.concatenate([points, problem.sampled_lumen.table[:, :3]])
@@ -174,7 +179,9 @@ class Scene:
 
 
 def _arrow(begin: Array, direction: Array) -> Array:
-    """Five lines (5, 2, 3) mm that begin at a point (3,) and show a direction, a unit vector (3,)."""
+    """Return five lines (5, 2, 3), mm, of an arrow that begins at a point (3,) and has a direction, a unit vector
+    (3,).
+    """
     end = begin + ARROW_MM * direction
     across = np.eye(3)[abs(direction).argmin()]
     side = np.cross(direction, across) / np.linalg.norm(np.cross(direction, across))
@@ -184,19 +191,21 @@ def _arrow(begin: Array, direction: Array) -> Array:
 
 
 def _line_segments(points: Array) -> Array:
-    """Lines (n - 1, 2, 3) between neighbours of points (n, 3)."""
+    """Return the lines (n - 1, 2, 3) between neighbours of points (n, 3)."""
     return np.stack([points[:-1], points[1:]], axis=1).astype(np.float32)
 
 
 def _coarse(lumen: Lumen) -> Array:
-    """A lumen's table (N, 4) with its ends and few rings between: each triangle is drawn thirty times a second."""
+    """Return a lumen's table (N, 4) at its ends and few rings between: triangles are drawn thirty times a
+    second.
+    """
     count = max(2, round(lumen.arc_lengths[-1] / RING_MM) + 1)
     chosen = np.searchsorted(lumen.arc_lengths, np.linspace(0.0, lumen.arc_lengths[-1], count))
     return np.asarray(lumen.table[np.unique(chosen)])
 
 
 def _rod() -> tuple[Array, Array]:
-    """Vertices and triangles of a closed rod along z, of radius and length 1, around the origin."""
+    """Return vertices and triangles of a closed rod along z, of radius and length 1, around the origin."""
     angle = np.linspace(0.0, 2 * np.pi, TUBE_POLYGON_SIDES, endpoint=False)
     ring = np.stack([np.cos(angle), np.sin(angle), np.zeros(TUBE_POLYGON_SIDES)], axis=1)
     ends = [ring + np.array([0.0, 0.0, side]) for side in (-0.5, 0.5)]
@@ -216,7 +225,9 @@ def _rod() -> tuple[Array, Array]:
 
 
 def _quaternions_towards(ahead: Array) -> Array:
-    """Quaternions (n, 4) wxyz that turn z to unit vectors (n, 3) by the smallest rotation."""
+    """Return quaternions (n, 4) wxyz that turn z to unit vectors `ahead` (n, 3) by the smallest rotation."""
+    # (1 + z . a, z x a) is twice the cosine of the half angle times the quaternion. It vanishes for a = -z, where
+    # a half turn about x is taken.
     found = np.stack([1.0 + ahead[:, 2], -ahead[:, 1], ahead[:, 0], 0.0 * ahead[:, 2]], axis=1)
     found[found[:, 0] < 1e-9] = [0.0, 1.0, 0.0, 0.0]
     return np.asarray(found / np.linalg.norm(found, axis=1, keepdims=True))

@@ -1,4 +1,4 @@
-"""The server of the page: on a port that is free, to this machine alone, and never by way of somebody else's."""
+"""The server of the page: on a free port, for this machine alone, and never through a server of others."""
 
 from __future__ import annotations
 
@@ -13,21 +13,23 @@ from ctr_nlp.support.value_checks import whole_number
 from ctr_nlp.view.live.page.guard import guard_websocket_server
 
 HOST, PORT = "127.0.0.1", 8080
-"""Where the page is served unless told otherwise."""
+"""Default address and port of the page."""
 LABEL = "ctr-nlp live"
 
 
 def start_server(host: str, port: int) -> Any:
     """Start a viser server that answers only its own page.
 
-    Viser would take the next port that is free, tell on standard output what it does, answer whatever page is open
-    in a browser, and let the world in through a server of its makers where a page asks for it. None of this
+    Viser would take the next port that is free, print messages on standard output, answer whatever page is open
+    in a browser, and open a public tunnel through its makers' server where a page asks for one. None of this
     happens here.
 
     Parameters
     ----------
-    host, port : str and int
-        Where to listen; port 0 takes any that is free.
+    host : str
+        Host or address to listen on.
+    port : int
+        Port to listen on; 0 takes any that is free.
 
     Returns
     -------
@@ -43,6 +45,8 @@ def start_server(host: str, port: int) -> Any:
     if whole_number(OptionError, "port", port, 0) > 65535:
         raise OptionError(f"port is {port}; it must be a whole number from 0 to 65535")
     try:
+        # viser would take the next free port without a word. Another program may still take this one before viser
+        # binds it; Live.url then has the port that viser got.
         socket.create_server((host, port)).close()
     except OSError as error:
         why = error.strerror or str(error)
@@ -52,7 +56,7 @@ def start_server(host: str, port: int) -> Any:
 
     class Unshared(viser.ViserServer):  # type: ignore[name-defined]
         def request_share_url(self, verbose: bool = True) -> None:
-            """Nobody is let in from outside."""
+            """Do nothing: nobody is let in from outside."""
 
     with contextlib.redirect_stdout(io.StringIO()), guard_websocket_server(host) as is_guarded:
         server = Unshared(host, port, LABEL, verbose=False)
@@ -65,6 +69,6 @@ def start_server(host: str, port: int) -> Any:
 
 
 def stop_server(server: Any) -> None:
-    """End a server, without its words on that."""
+    """End a server without the messages that it would print."""
     with contextlib.redirect_stdout(io.StringIO()):
         server.stop()

@@ -1,1 +1,1 @@
-"""Steering step by step without a screen: targets, joints, draws, recordings. Knows no browser."""
+"""Steering step by step without a screen: targets, joints, simulated robots, recordings. Knows no browser."""

@@ -1,4 +1,4 @@
-"""What moves the robot: a model on which it is seen, and a steerer. Those wanted may still be being compiled."""
+"""Drives of a steered robot: a kinematic model and a steerer on it, which may still have to be compiled."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ from ctr_nlp.planning import Steerer
 from ctr_nlp.typing import Array
 
 INTERIM_MODEL = "dominant"
-"""The model that is steered on while the one that is wanted is compiled: its steps need no compiled code."""
+"""Model for steering while the requested one is compiled: its steps need no compiled code."""
 COMPILATION_POLL_S = 0.5
-"""s between two looks at whether something has been compiled."""
+"""Time between two checks whether something has been compiled."""
 
 
 @dataclass(frozen=True)
 class Drive:
-    """A model, and a steerer on it; within_lumen: whether the steerer keeps the robot within the lumen."""
+    """A model and a steerer on it. within_lumen: whether the steerer keeps the robot within the lumen."""
 
     model: Model
     steerer: Steerer
@@ -33,9 +33,12 @@ class Drive:
 
     @classmethod
     def interim(cls, problem: Problem, q: Array, dt: float, settings: Settings) -> Drive:
-        """One for which nobody waits: on the simplest model, without a wall, interpreted until it is compiled.
+        """Return a drive that is ready at once: the simplest model without a wall, interpreted until it is
+        compiled.
 
-        Raises OptionError where nothing can be compiled at all, and where that model does not describe the robot.
+        problem: whose robot is steered. q (2d + 2,): configuration in which it stands. dt: time of a step, s.
+        settings: weights of steering. Raises OptionError where nothing can be compiled at all, and where that
+        model does not describe the robot.
         """
         if why := cache.unavailable_reason():
             raise OptionError(f"live steering needs a C compiler: {why}")
@@ -44,13 +47,17 @@ class Drive:
 
 
 class PendingDrive:
-    """The drive that is wanted, made in a thread of its own as soon as its programs have been compiled.
+    """A requested drive, made in a thread of its own as soon as its programs have been compiled.
 
-    drive: the drive on the model, None until then. error: why there will be none, None where nothing failed.
+    drive: None until then. error: why there will be none, None where nothing failed.
     """
 
     def __init__(self, problem: Problem, model: Model, q: Array, dt: float, settings: Settings) -> None:
-        """Begin; the programs are compiled by a process of their own, which outlives this one."""
+        """Start to compile, in a process of its own that outlives this one.
+
+        problem: robot and lumen. model: what to steer on. q (2d + 2,): where the robot stands. dt: time of a step,
+        s. settings: weights of steering.
+        """
         self.model = model
         self.within_lumen = problem.lumen is not None and settings.contact_weight > 0
         self.drive: Drive | None = None
@@ -60,15 +67,18 @@ class PendingDrive:
         threading.Thread(target=self._wait, daemon=True).start()
 
     def cancel(self) -> None:
-        """Nobody wants it any more."""
+        """Give up waiting: nobody needs the drive any more."""
         self._dropped.set()
 
     def _wait(self) -> None:
+        """Look for the compiled programs until they are there or nobody needs them."""
         problem, q, dt, settings = self._asked
         try:
             while not self._dropped.is_set():
                 steerer = Steerer.create_if_compiled(problem.robot, q, dt, settings, self.model, problem.lumen)
                 if steerer is not None:
+                    # The last step of this thread. The session, in another one, looks at `drive` between its
+                    # steps, and sees all of it or None.
                     self.drive = Drive(self.model, steerer, self.within_lumen)
                     return
                 time.sleep(COMPILATION_POLL_S)
@@ -77,7 +87,7 @@ class PendingDrive:
 
 
 def suitable_models(problem: Problem, load: Load | None = None) -> list[str]:
-    """The models that describe a problem's robot, which bears a load, by name."""
+    """Return the names of the models that describe a problem's robot, with its load, if any."""
     if load is None:
         return [name for name in KINEMATIC_MODELS if suits(problem.robot, name)]
     with suppress(CtrError):

@@ -1,4 +1,4 @@
-"""A problem for a robot that has none: a path of its own shape."""
+"""Make a problem for a robot that has none: a path of its own shape."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from ctr_nlp.robot import Robot
 
 
 def free_problem(name: str, robot: Robot, frames: int = 100) -> Problem:
-    """Return a problem that follows the robot's own shape with all tubes deployed and turned alike, without a
-    lumen.
+    """Return a problem that follows the robot's own shape, all tubes deployed and turned alike, without a lumen.
 
-    Raises OptionError where the dominant model does not describe the robot, and ProblemError.
+    name: of the problem. robot: the robot. frames: number of frames. Raises OptionError where the dominant model
+    does not describe the robot, and ProblemError.
     """
     turned = np.zeros(robot.d)
     tilted = np.zeros(2)

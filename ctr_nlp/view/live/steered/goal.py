@@ -1,4 +1,4 @@
-"""What the robot is to follow at this moment: a part of the problem's path, pulled aside at a few handles."""
+"""The target of the moment: a part of the problem's path, displaced at a few handles."""
 
 from __future__ import annotations
 
@@ -15,19 +15,21 @@ from ctr_nlp.support.value_checks import floats, number, whole_number
 from ctr_nlp.typing import Array
 
 HANDLES = 4
-"""Places at which the target can be pulled; the last one is its tip."""
+"""Number of points at which the target can be pulled; the last one is its tip."""
 HANDLE_SIGMA = (np.arange(HANDLES) + 1.0) / HANDLES
 """Their normalised arc lengths (HANDLES,) on the path."""
 
 
 class Goal:
-    """The target between two frames of a problem, plus a smooth displacement that is 0 at the insertion point.
+    """Target between two frames of a problem, plus a smooth displacement that is 0 at the insertion point.
 
-    What is pulled stays pulled while the part of the path that is followed grows or shrinks.
+    The displacement stays while the part of the path that is followed grows or shrinks.
     """
 
     def __init__(self, frames: Sequence[Frame], reach: float) -> None:
-        """frames: those of the problem's target. reach: mm to which the robot reaches; a longer target is cut."""
+        """Begin at the first of `frames`, those of the problem's target; reach: of the robot, mm; a longer target
+        is cut.
+        """
         self._frames = frames
         self._reach = reach
         self._progress = 0.0
@@ -35,11 +37,11 @@ class Goal:
 
     @property
     def progress(self) -> float:
-        """How much of the frames has passed, from 0 (the first) to 1 (the last)."""
+        """Part of the frames that has passed, from 0 (the first) to 1 (the last)."""
         return self._progress
 
     def advance(self, progress: float) -> None:
-        """Follow the path so far; raises OptionError unless progress lies in [0, 1]."""
+        """Follow the path up to `progress`; raises OptionError unless that lies in [0, 1]."""
         self._progress = number(OptionError, "progress", progress, lambda x: 0 <= x <= 1, "lie in [0, 1]")
         self._forget()
 
@@ -48,6 +50,7 @@ class Goal:
         if whole_number(OptionError, "handle", handle, 0) >= HANDLES:
             raise OptionError(f"handle is {handle}; it must be a whole number from 0 to {HANDLES - 1}")
         there = floats(OptionError, f"the point of handle {handle}", point, (3,))
+        # Kept as a displacement from the path, so that it moves with the path.
         self._pulled[handle] += there - self.handles[handle]
         self._forget()
 
@@ -58,12 +61,12 @@ class Goal:
 
     @property
     def is_displaced(self) -> bool:
-        """Whether the target is not the path itself."""
+        """Whether the target differs from the path."""
         return bool(self._pulled.any())
 
     @cached_property
     def handles(self) -> Array:
-        """Where the handles are, (HANDLES, 3) mm."""
+        """Positions of the handles, (HANDLES, 3) mm."""
         return np.array([np.interp(HANDLE_SIGMA, SIGMA_GRID, axis) for axis in self._path.T]).T + self._pulled
 
     @cached_property
@@ -77,13 +80,14 @@ class Goal:
         )
         points = path + aside(SIGMA_GRID)
         along = cumulative_arc_length(points)
-        if not (np.diff(along) > 0).all():  # two points in one place: nothing can be sampled anew
+        if not (np.diff(along) > 0).all():  # two points in one place: not a curve by arc length
             return path
+        # The displacement changes the length: sample again at uniform sigma of the new one.
         return np.asarray(CubicSpline(along, points)(SIGMA_GRID * min(along[-1], self._reach)))
 
     @cached_property
     def _path(self) -> Array:
-        """The path (101, 3) mm, linear between two frames."""
+        """Path (101, 3) mm, linear between two frames."""
         place = self._progress * (len(self._frames) - 1)
         before = min(int(place), max(len(self._frames) - 2, 0))
         after = min(before + 1, len(self._frames) - 1)
@@ -91,6 +95,6 @@ class Goal:
         return np.asarray((1 - part) * self._frames[before].points + part * self._frames[after].points)
 
     def _forget(self) -> None:
-        """Let all that follows from progress and handles be found anew."""
+        """Drop what was computed from progress and handles."""
         for name in ("handles", "points", "_path"):
             self.__dict__.pop(name, None)

@@ -1,4 +1,8 @@
-"""Configurations that a hand may ask for by moving one joint: limits, order and speed are kept."""
+"""Configurations for joints that are moved by hand: limits, order and speeds of the robot are kept.
+
+Extensions beta obey low_i <= beta_i <= high_i and 0 <= beta_{i+1} - beta_i <= g_i, with g_i from the gap between
+carriages (infinite without one).
+"""
 
 from __future__ import annotations
 
@@ -10,14 +14,16 @@ from ctr_nlp.robot import Robot
 from ctr_nlp.typing import Array
 
 SLIDER_TURNS = 1.0
-"""Whole turns to either side that a slider offers of an angle that has no limits."""
+"""Whole turns to either side that a slider offers for an angle without limits."""
 
 
 def slide_joint(robot: Robot, q: Array, joint: int, value: float) -> Array:
-    """The configuration (2d + 2,) where one joint of q, from 0, is taken to a value, rad or mm, within its limits.
+    """Return the configuration (2d + 2,) in which one joint of q has been taken to a value, within the robot's
+    limits.
 
-    A tube takes its neighbours along where order or the gap between carriages would not be kept: outer ones do
-    not come out further than inner ones. Where those cannot follow, it stops with them.
+    robot: whose limits count. q (2d + 2,): rad and mm. joint: index in q. value: rad or mm. A tube takes its
+    neighbours along where order or the gap between carriages would be violated: outer ones do not come out further
+    than inner ones. Where those cannot follow, it stops with them.
     """
     found = np.array(q, dtype=float)
     d = robot.d
@@ -29,13 +35,17 @@ def slide_joint(robot: Robot, q: Array, joint: int, value: float) -> Array:
 
 
 def _enforce_order(robot: Robot, beta: Array, moved: int) -> None:
-    """Let all tubes follow the one that was moved, from 0, and that one follow those that are at their limits."""
+    """Move all of beta (d,), mm, in place with tube `moved`, from 0, which stops where others are at their
+    limits.
+    """
     d = robot.d
     growth = robot.max_extension_differences
     low = robot.lower[d : 2 * d]
     high = robot.upper[d : 2 * d]
     least = low.copy()
     most = high.copy()
+    # Both sweeps narrow each tube's limits by those of its neighbours (bound propagation along a chain). Then
+    # every value within least_i, most_i can be completed by values of all other tubes.
     for i in range(1, d):
         least[i] = max(least[i], least[i - 1])
         most[i] = min(most[i], most[i - 1] + growth[i - 1])
@@ -50,9 +60,9 @@ def _enforce_order(robot: Robot, beta: Array, moved: int) -> None:
 
 
 def step_towards(robot: Robot, q: Array, goal: Array, dt: float) -> Array:
-    """Return the configuration to which motors at q (2d + 2,) come in dt s on their way to a goal (2d + 2,), all
-    arriving at once.
+    """Return the configuration (2d + 2,) that motors reach in one step towards a goal, all arriving together.
 
+    robot: with the motors' speeds. q, goal (2d + 2,): present and wanted configuration. dt: time of the step, s.
     Order and carriage gap are kept on the way where both ends keep them, since these are linear.
     """
     away = goal - q
@@ -61,8 +71,8 @@ def step_towards(robot: Robot, q: Array, goal: Array, dt: float) -> Array:
 
 
 def slider_ranges(robot: Robot) -> Array:
-    """Return the range of each joint's slider, (2d + 2, 2): the joint's limits, those of angles within
-    `SLIDER_TURNS` turns to either side.
+    """Return the range (2d + 2, 2) of each joint's slider: the limits of `robot`, of angles within SLIDER_TURNS
+    turns.
     """
     ends = np.stack([robot.lower, robot.upper], axis=1)
     angles = np.ones(2 * robot.d + 2, dtype=bool)
@@ -73,9 +83,10 @@ def slider_ranges(robot: Robot) -> Array:
 
 
 def retracted_configuration(robot: Robot, path: Array) -> Array:
-    """The configuration (2d + 2,) with all tubes as far in as limits allow, turned to where a path bends.
+    """Return the configuration (2d + 2,) with all tubes as far in as limits allow, turned to where a path bends.
 
-    path (n, 3) mm: from the insertion point. The tubes' curves lie then towards the side on which most of it is.
+    robot: whose limits count. path (n, 3) mm: from the insertion point; the tubes bend towards the side on which
+    most of it lies.
     """
     aside = path.mean(axis=0)
     q = np.zeros(2 * robot.d + 2)

@@ -1,4 +1,4 @@
-"""A motion that was steered live, kept moment by moment and made into a plan."""
+"""Record a motion that is steered live, step by step, and make it a plan."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ from ctr_nlp.plan.plan import Plan, plan_from_configurations
 from ctr_nlp.typing import Array, Index
 
 FORMULATION = "live"
-"""What a plan's meta calls the way in which it was found."""
+"""Name of the formulation in a plan's meta."""
 
 
 class Moment(NamedTuple):
     """One step: q (2d + 2,) to which motors went, target (101, 3) mm, and whether the robot snapped on the way.
 
-    objective mm^2, kkt and seconds are the solver's; NaN where a hand moved the joints.
+    objective (mm^2), kkt and seconds are the solver's; NaN where joints were moved by hand.
     """
 
     q: Array
@@ -38,7 +38,7 @@ class Moment(NamedTuple):
 
 @dataclass
 class Recording:
-    """Moments that are dt s apart, of a problem's robot on a model."""
+    """Moments, dt s apart, of a problem's robot on a model, steered with settings."""
 
     problem: Problem
     model: Model
@@ -48,19 +48,19 @@ class Recording:
     _squares: float = 0.0
 
     def add(self, moment: Moment, e2: float) -> None:
-        """The next moment, and its error in mm."""
+        """Append a moment with its shape error e2, mm."""
         self.moments.append(moment)
         self._squares += e2**2
 
     @property
     def e3(self) -> float:
-        """The root mean square of all moments' errors, mm; NaN where there are none."""
+        """Root mean square of e2 over all moments, mm; NaN where there are none."""
         return math.sqrt(self._squares / len(self.moments)) if self.moments else math.nan
 
     def plan(self) -> Plan:
-        """The motion as a plan whose frames are the moments, of which there must be one at least.
+        """Return the motion as a plan whose frames are the moments, at least one.
 
-        Every frame in which the robot did not snap counts as solved: what a hand asks for is no error of a solver,
+        Every frame in which the robot did not snap counts as solved: a motion by hand is no failure of a solver,
         and every step kept limits and speeds.
         """
         columns = [np.array(column) for column in zip(*self.moments, strict=True)]
@@ -76,7 +76,7 @@ class Recording:
         )
 
     def _recorded_problem(self) -> Problem:
-        """The problem with the targets that were steered after."""
+        """Return the problem with the recorded targets."""
         problem = self.problem
         return Problem(
             f"{problem.name}-live",
@@ -88,6 +88,7 @@ class Recording:
         )
 
     def _meta(self, snapped: Index) -> dict[str, Any]:
+        """Return the plan's meta; snapped: numbers of the frames, from 1, in which the robot snapped."""
         return {
             "formulation": FORMULATION,
             **self.model.metadata,
@@ -100,7 +101,7 @@ class Recording:
 
 
 def curve_through(points: Array) -> Curve:
-    """The curve through a target (n, 3) mm; it has no lumen of its own. Raises CurveError."""
+    """Return the curve through the points (n, 3), mm, of a target, without a lumen; raises CurveError."""
     along = cumulative_arc_length(points)
     path = CubicSpline(along, points)
 
@@ -111,6 +112,7 @@ def curve_through(points: Array) -> Curve:
     def curvature(s: Array) -> Array:
         slope = path(s, 1)
         bend = path(s, 2)
+        # |r' x r''| / |r'|^3: the spline's parameter is the length of its polygon, and so not quite arc length.
         return np.asarray(np.linalg.norm(np.cross(slope, bend), axis=-1) / np.linalg.norm(slope, axis=-1) ** 3)
 
     return Curve(float(along[-1]), path, tangent, curvature)

@@ -1,4 +1,4 @@
-"""Live steering without a screen: requests to the robot, and the state that is to be seen after every step."""
+"""Live steering without a screen: requests to the robot, and its state after every step."""
 
 from __future__ import annotations
 
@@ -28,13 +28,13 @@ from ctr_nlp.view.live.steered.joints import retracted_configuration, slide_join
 from ctr_nlp.view.live.steered.recording import Moment, Recording
 
 STEP_RATE_HZ = 30.0
-"""Steps a second."""
+"""Steps in a second."""
 MAX_SAMPLED_ROBOTS = 20
-"""Most simulated robots that are moved beside the one described."""
+"""Largest number of simulated robots that are moved beside the nominal one."""
 NOBODY = np.zeros((0, len(SIGMA_GRID[::GHOST_SHAPE_STRIDE]), 3))
 EMPTY = "nothing has been recorded; begin to record, and steer"
 SHAPE_METHOD, TIP_METHOD, HAND_METHOD = "whole shape", "tip alone", "by hand"
-"""Methods: the whole shape follows the target, its tip alone does, or joints go where sliders say."""
+"""Methods: the whole shape follows the target, or the tip alone, or joints go where the sliders are."""
 DISTANCES = {
     SHAPE_METHOD: ShapeDistance(),
     TIP_METHOD: ShapeDistance(depth_weights=np.asarray(SIGMA_GRID == 1.0, dtype=float)),
@@ -46,11 +46,11 @@ class SessionState(NamedTuple):
     """State of a session after one step.
 
     target, shape (101, 3) mm; shape is NaN where no equilibrium is found. q (2d + 2,). error (101,) mm: distance
-    at equal sigma; e2 mm: its root mean square over sigma; e3 mm: root mean square of e2 over what has been
-    recorded, NaN where nothing has. margin: of stability, NaN where the model has none. clearance (101,) mm, None
-    where no wall is known. ghosts (n, 26, 3) mm: shapes of the simulated robots, and lost (n,): which of them are
-    lost. snapped: whether the robot snapped in this step. force (3,) N: that keeps its direction and acts at the
-    tip. seconds: that the step took.
+    at equal sigma; e2 mm: its root mean square over sigma; e3 mm: root mean square of e2 over the recording, NaN
+    without one. margin: of stability, NaN where the model has none. clearance (101,) mm, None where no wall is
+    known. ghosts (n, 26, 3) mm: shapes of the simulated robots. lost (n,): which of them snapped or left their
+    branch. snapped: whether the robot snapped in this step. force (3,) N: dead force at the tip. seconds: duration
+    of the step's computation.
     """
 
     target: Array
@@ -69,7 +69,7 @@ class SessionState(NamedTuple):
 
 
 class Session:
-    """A robot that is steered step by step. Not for two threads at once."""
+    """A robot that is steered step by step. Only one thread may use it."""
 
     def __init__(
         self,
@@ -79,12 +79,12 @@ class Session:
         rate: float = STEP_RATE_HZ,
         load: Load | None = None,
     ) -> None:
-        """Place the robot, retracted, at the beginning of a problem's path. rate: steps a second. load: the
-        constant load.
+        """Place the robot, retracted, at the beginning of a problem's path.
 
-        Until the programs under the load are compiled, the robot is unloaded. Raises OptionError where nothing can
-        be compiled, or the model does not describe the robot, or knows no load; LoadError where the robot cannot
-        be said to bear it.
+        problem: robot and target. model: name of the kinematic model. settings: weights of steering. rate: steps a
+        second. load: constant load on the robot. Until the programs for model and load are compiled, the robot is
+        steered unloaded on the simplest model. Raises OptionError where nothing can be compiled, or the model does
+        not describe the robot, or knows no load; LoadError where the load cannot be applied to the robot.
         """
         number(OptionError, "rate", rate, lambda x: 0 < x < np.inf, "be a finite number > 0", " 1/s")
         self.problem = problem
@@ -112,7 +112,7 @@ class Session:
 
     @property
     def model(self) -> str:
-        """The name of the model on which the robot is seen and steered now."""
+        """Name of the model on which the robot is shown and steered now."""
         return self._drive.model.name
 
     @property
@@ -122,17 +122,17 @@ class Session:
 
     @property
     def requested_model(self) -> str:
-        """The name of the model that was asked for last."""
+        """Name of the model that was requested last."""
         return self.model if self._awaited is None else self._awaited.model.name
 
     @property
     def sample_count(self) -> int:
-        """Number of simulated robots that are moved beside the one described."""
+        """Number of simulated robots that are moved beside the nominal one."""
         return self._count
 
     @property
     def pending_drive(self) -> PendingDrive | None:
-        """Drive that is being compiled, or could not be; None where the one that was asked for is in use."""
+        """Drive that is being compiled, or could not be; None where the requested one is in use."""
         return self._awaited
 
     @property
@@ -141,7 +141,7 @@ class Session:
         return self._drive.within_lumen and self.method != HAND_METHOD
 
     def use_model(self, model: str) -> None:
-        """See and steer the robot on another model, as soon as its programs are compiled; raises OptionError."""
+        """Show and steer the robot on another model, as soon as its programs are compiled; raises OptionError."""
         check_choice("model", model, suitable_models(self.problem, self.load))
         if self._awaited is not None:
             self._awaited.cancel()
@@ -152,6 +152,7 @@ class Session:
         """Steer by another method, one of STEERING_METHODS; raises OptionError."""
         check_choice("method", method, STEERING_METHODS)
         if self.method == HAND_METHOD and method != HAND_METHOD:
+            # The steerer did not see how a hand has moved the joints since.
             self._drive.steerer.set_configuration(self.q, self._robot.x)
         self.method = method
         self.hand = self.q
@@ -159,13 +160,15 @@ class Session:
             self._drive.steerer.set_shape_weights(DISTANCES[method])
 
     def pull(self, handle: int, point: Array) -> None:
-        """Take a handle of the target to a point (3,) mm; steering takes over from a hand. Raises OptionError."""
+        """Take a handle of the target, from 0, to a point (3,) mm, and end steering by hand; raises
+        OptionError.
+        """
         self.goal.pull(handle, point)
         if self.method == HAND_METHOD:
             self.follow(SHAPE_METHOD)
 
     def slide(self, joint: int, value: float) -> None:
-        """Take a joint of q, from 0, by hand towards a value, rad or mm; raises OptionError."""
+        """Move joint `joint` of q, from 0, by hand towards a value, rad or mm; raises OptionError."""
         if whole_number(OptionError, "joint", joint, 0) >= len(self.q):
             raise OptionError(f"joint is {joint}; it must be a whole number from 0 to {len(self.q) - 1}")
         number(OptionError, f"the value of joint {joint}", value, np.isfinite, "be a finite number")
@@ -174,14 +177,14 @@ class Session:
         self.hand = slide_joint(self.problem.robot, self.hand, joint, value)
 
     def set_sample_count(self, count: int) -> None:
-        """Move `count` simulated robots beside the one described, from rest where it is; raises OptionError."""
+        """Move `count` simulated robots beside the nominal one, from rest where it is; raises OptionError."""
         if whole_number(OptionError, "draws", count, 0) > MAX_SAMPLED_ROBOTS:
             raise OptionError(f"draws are {count}; there can be {MAX_SAMPLED_ROBOTS} at most")
         self._count = count
         self._ghosts = Ghosts(self.problem.robot, self._drive.model, self.q, count) if count else None
 
     def record(self) -> None:
-        """Begin to record, and forget what was recorded before; until it ends, the model stays what it is."""
+        """Begin to record, and drop an earlier recording; until it ends, the model stays what it is."""
         self._recording = Recording(self.problem, self._drive.model, self.settings, self.dt)
 
     @property
@@ -204,6 +207,7 @@ class Session:
     def step(self) -> SessionState:
         """Move the robot by dt s, and return the state after it."""
         begin = time.perf_counter()
+        # Never within a recording, whose frames must all be of one model.
         if self._awaited is not None and self._awaited.drive is not None and self._recording is None:
             self._switch_drive(self._awaited.drive)
         moment = self._move_robot(self.goal.points)
@@ -237,7 +241,7 @@ class Session:
         )
 
     def _switch_drive(self, drive: Drive) -> None:
-        """Go on with another drive from where the robot stands."""
+        """Continue on another drive from where the robot stands."""
         q = self.q
         self._drive = drive
         self._awaited = None
@@ -252,7 +256,7 @@ class Session:
         return self._drive.model.walker(robot.structure, robot.numbers, q)
 
     def _move_robot(self, target: Array) -> Moment:
-        """Move the robot by one step; where it loses its equilibrium, it comes to rest anew, which counts as a
+        """Move the robot by one step to `target` (101, 3) mm; a robot that loses its equilibrium comes to rest, a
         snap.
         """
         steerer = self._drive.steerer
@@ -268,5 +272,6 @@ class Session:
             self._robot = self._resting(q)
             snapped = True
         if snapped:
+            # The steerer predicts from its own equilibrium, which the snap has left behind.
             steerer.set_configuration(q, self._robot.x)
         return Moment(q, target, snapped, *solved)
