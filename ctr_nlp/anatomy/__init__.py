@@ -1,4 +1,4 @@
-"""Lumens to curves: a seeded generator of airways."""
+"""Anatomy: readers of centrelines and masks, and a seeded generator of synthetic airways."""
 
 from ctr_nlp.anatomy.airway import synthetic_airway
 

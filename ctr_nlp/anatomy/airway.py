@@ -53,9 +53,10 @@ TINY_MM = 1e-6
 
 
 def synthetic_airway(seed: int = 0, lobe: str = "right lower") -> Curve:
-    """The centreline, lumen radius included, of the airway that a seed stands for, trachea downwards.
+    """Return the centreline of a random airway, from the trachea downwards, with the lumen's radius.
 
-    lobe: one of LOBES, whose segmental bronchus the airway ends in. Raises OptionError for others.
+    seed: of numpy's default generator. lobe: one of LOBES, in whose segmental bronchus the airway ends. Raises
+    OptionError for another lobe.
     """
     check_choice("lobe", lobe, LOBES)
     generations, bifurcations = LOBES[lobe]
@@ -64,22 +65,30 @@ def synthetic_airway(seed: int = 0, lobe: str = "right lower") -> Curve:
     diameters = np.array([random.uniform(*generation.diameter) for generation in generations])
     angles = np.radians(random.uniform(*np.transpose(bifurcations)))
     rolls = np.radians(random.uniform(*ROLL_DEG, len(angles))) * random.choice([-1, 1], len(angles))
+    # The first bend has no plane before it, from which its own could be measured.
     rolls[0] = random.uniform(-np.pi, np.pi)
+    # Length of bronchus that the rounding of each corner may use up: half of one between two corners, which share
+    # it, and all of the first and of the last one.
     room = np.minimum(
         lengths[:-1] * np.where(np.arange(len(angles)) > 0, 0.5, 1), lengths[1:] * np.append(np.full(3, 0.5), 1)
     )
+    # A rounding of radius r about an angle a takes r tan(a / 2) from both bronchi.
     widest = np.minimum(ROUNDING_MM[1], room / np.tan(angles / 2))
     rounding = random.uniform(np.minimum(ROUNDING_MM[0], widest), widest)
     points, corners = _path(lengths, angles, rolls, rounding)
     along = cumulative_arc_length(points)
+    # A diameter is reached in the middle of its bronchus (of the outer two: at the airway's end); radii are linear
+    # between.
     middles = np.concatenate([[0.0], (corners[1:] + corners[:-1]) / 2, [along[-1]]])
     return curve_from_points(points, np.interp(along, middles, diameters / 2))
 
 
 def _path(lengths: Array, angles: Array, rolls: Array, rounding: Array) -> tuple[Array, Array]:
-    """Points every AIRWAY_SPACING_MM along straight bronchi and rounded corners; arc length at corners' middles.
+    """Return points every AIRWAY_SPACING_MM along bronchi and rounded corners, and the corners' arc lengths, mm.
 
-    The third of the axes points along the path, its first towards the side of the next bend.
+    lengths: (k,) mm of the bronchi. angles, rolls (k - 1,): bend at each corner, and turn of its plane against the
+    one before, rad. rounding (k - 1,): radii, mm. The third of the axes points along the path, the first towards
+    the side of the next bend.
     """
     cut = rounding * np.tan(angles / 2)
     straights = lengths - np.append(0.0, cut) - np.append(cut, 0.0)
@@ -103,6 +112,6 @@ def _path(lengths: Array, angles: Array, rolls: Array, rounding: Array) -> tuple
 
 
 def _steps(length: float) -> Array:
-    """Evenly spaced arc lengths from 0 (excluded) to length, mm."""
+    """Return evenly spaced arc lengths from 0 (excluded) to `length` (included), mm."""
     count = max(1, round(length / AIRWAY_SPACING_MM))
     return np.arange(1.0, count + 1) * (length / count)

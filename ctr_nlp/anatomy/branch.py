@@ -1,4 +1,4 @@
-"""Branches that files of anatomy hold: paths from where a robot enters to the tips of a tree."""
+"""Branches in files of anatomy: paths from where a robot enters to the tips of a tree."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class Branch:
 
 @dataclass(frozen=True)
 class Branches:
-    """The branches of a file. space: the coordinate system it is written in; to_lps (4, 4): from there to LPS."""
+    """The branches of a file. space: coordinate system of the file; to_lps (4, 4): transform from it to LPS."""
 
     branches: tuple[Branch, ...]
     space: str

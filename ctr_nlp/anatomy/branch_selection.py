@@ -1,4 +1,4 @@
-"""Which branch a robot follows, and from where to where."""
+"""Selection of the branch that a robot follows, and of the part of it between entry and target."""
 
 from __future__ import annotations
 
@@ -32,9 +32,10 @@ MAX_LISTED_BRANCHES = 20
 
 @dataclass(frozen=True)
 class BranchSegment:
-    """A whole branch in LPS, from where to where along it, in mm, and to_lps (4, 4) from the file's own.
+    """A branch and the part of it that is followed.
 
-    space: the name of the file's own coordinates, as in Branches.
+    branch: the whole branch, in LPS. start, stop: arc lengths between which it is followed, mm. to_lps: transform
+    (4, 4) from the file's coordinates to LPS. space: name of the file's coordinates, as in Branches.
     """
 
     branch: Curve
@@ -56,11 +57,11 @@ def read_branch_segment(
     target: npt.ArrayLike | None = None,
     reverse: bool = False,
 ) -> BranchSegment:
-    """The passage along a branch of a file, by its name or its number from 1, from entry to target.
+    """Read the part of a branch of a file from entry to target.
 
-    entry, target: (3,) mm in the file's own coordinates, by default the ends of the branch. reverse: the file's
-    lines run from the tip to the root. A mask has one branch, between the two points. Raises CurveError and
-    OptionError.
+    path: the file. branch: name of the branch, or its number from 1. entry, target: (3,) mm in the file's own
+    coordinates, by default the ends of the branch. reverse: whether the file's lines run from the tip to the root.
+    A mask has one branch, between the two points. Raises CurveError and OptionError.
     """
     if is_mask(path):
         for option, value in (("branch", branch), ("reverse", reverse or None)):
@@ -71,6 +72,7 @@ def read_branch_segment(
         branches = read_branches(path, entry, target)
         entry = target = None
     else:
+        # In a file whose lines run towards the root, the target is where its trees start.
         branches = read_branches(path, target if reverse else entry)
     if reverse:
         branches = branches.reverse_direction()
@@ -92,11 +94,11 @@ def select_branch(
     entry: npt.ArrayLike | None = None,
     target: npt.ArrayLike | None = None,
 ) -> Branch:
-    """The branch that is meant, whole: `extent` says where entry and target lie along it.
+    """Return the whole branch that is meant; `find_extent` locates entry and target along it.
 
-    branch: its number from 1 or its name. entry, target: points (3,) in mm, in the file's own coordinates.
-    Without branch it is the one that passes nearest to target, or the only one. Raises CurveError where there is
-    no such branch, none is named, or a point lies outside of the branch's lumen (5 mm where that is unknown).
+    branches: those of the file. branch: its number from 1 or its name; without it, the branch nearest to target,
+    or the only one. entry, target: points (3,) in mm, in the file's own coordinates. Raises CurveError where there
+    is no such branch, none is named, or a point lies outside of the branch's lumen (5 mm where that is unknown).
     """
     points = {
         name: checked_point(name, at) for name, at in (("entry", entry), ("target", target)) if at is not None
@@ -129,9 +131,10 @@ def select_branch(
 def find_extent(
     curve: Curve, branches: Branches, entry: npt.ArrayLike | None = None, target: npt.ArrayLike | None = None
 ) -> tuple[float, float]:
-    """Arc lengths in mm of a branch's curve, in LPS, nearest to entry and to target; its ends where not given.
+    """Return the arc lengths in mm of a branch at which it is nearest to entry and to target.
 
-    entry, target: (3,) mm in the file's own coordinates. Raises CurveError where target does not come after entry.
+    curve: the branch, in LPS. branches: those of its file, for the transform. entry, target: (3,) mm in the file's
+    own coordinates, by default the curve's ends. Raises CurveError where target does not come after entry.
     """
     start, stop = (
         end if point is None else _nearest(curve, transform_points(checked_point(name, point), branches.to_lps))
@@ -146,7 +149,7 @@ def find_extent(
 
 
 def describe_branches(branches: Branches) -> str:
-    """Numbers, names and lengths of the branches in words, the first twenty of them."""
+    """Return numbers, names and lengths of the first twenty branches as text."""
     entries = [f"{k} {each.name!r} ({each.length:.1f} mm)" for k, each in enumerate(branches.branches, start=1)]
     more = len(entries) - MAX_LISTED_BRANCHES
     return ", ".join(entries[:MAX_LISTED_BRANCHES]) + (f" and {more} more" if more > 0 else "")
@@ -164,9 +167,12 @@ def _find_branch_named(branches: Branches, branch: str) -> Branch:
 
 
 def _distance(branch: Branch, point: Array) -> tuple[float, float]:
-    """Distance in mm of a point to the lines through a branch's points, and the lumen's radius there."""
+    """Return the distance in mm of a point (3,) from the polyline through a branch's points, and the lumen's
+    radius there.
+    """
     start = branch.points[:-1]
     step = np.diff(branch.points, axis=0)
+    # Foot of the perpendicular on every segment, as a part of its length, clipped to the segment.
     part = np.clip(((point - start) * step).sum(axis=1) / (step**2).sum(axis=1), 0, 1)
     distances = np.linalg.norm(start + part[:, None] * step - point, axis=1)
     k = int(distances.argmin())
@@ -176,13 +182,15 @@ def _distance(branch: Branch, point: Array) -> tuple[float, float]:
 
 
 def _nearest(curve: Curve, point: Array) -> float:
-    """Arc length in mm where a curve passes nearest to a point."""
+    """Return the arc length in mm where a curve is nearest to a point (3,)."""
 
     def distance(s: npt.ArrayLike) -> Array:
         return np.asarray(np.linalg.norm(curve.point(np.atleast_1d(s)) - point, axis=1))
 
     places = np.linspace(0, curve.length, max(2, int(np.ceil(curve.length / NEAREST_SEARCH_SPACING_MM)) + 1))
     k = int(distance(places).argmin())
+    # The distance has several minima along a bent path. The nearest sample is beside the right one, and the search
+    # is confined to its two neighbours.
     bounds = places[max(k - 1, 0)], places[min(k + 1, len(places) - 1)]
     refined = minimize_scalar(lambda s: float(distance(s)[0]), bounds=bounds, method="bounded")
     return float(min((places[k], refined.x), key=lambda s: float(distance(s)[0])))

@@ -1,4 +1,4 @@
-"""Files of anatomy of every kind, by the ends of their names."""
+"""Files of anatomy: the reader of every kind, by the ends of their names."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ ANATOMY_SUFFIXES = (*CENTRELINE_SUFFIXES, *MASK_SUFFIXES)
 
 
 def centrelines_in(folder: str | Path) -> list[Path]:
-    """The centreline files in a folder, in their order; raises OptionError where it has none."""
+    """Return the sorted centreline files in a folder; raise OptionError where it has none."""
     found = sorted(path for path in Path(folder).glob("*") if path.name.endswith(CENTRELINE_SUFFIXES))
     if not found:
         raise OptionError(f"folder {folder} has no centreline files ({', '.join(CENTRELINE_SUFFIXES)})")
@@ -32,11 +32,11 @@ def centrelines_in(folder: str | Path) -> list[Path]:
 def read_branches(
     path: str | Path, entry: npt.ArrayLike | None = None, target: npt.ArrayLike | None = None
 ) -> Branches:
-    """The branches of a centreline file, or the path between two points of a mask, each fit to be a curve.
+    """Read the branches of a centreline file, or the path between two points of a mask, each fit to be a curve.
 
-    entry: (3,) mm in the file's coordinates, where the robot enters; it settles where a tree in a VTK file
-    starts, if the file does not. A mask needs it and target, (3,) mm too. Raises CurveError, and OptionError where
-    a mask lacks one of them or an extra is missing.
+    path: the file. entry: (3,) mm in the file's coordinates, where the robot enters; it settles where a tree in a
+    VTK file starts, if the file does not. A mask needs it and target, (3,) mm too. Raises CurveError, and
+    OptionError where a mask lacks one of them or an extra is missing.
     """
     for what, point in (("entry", entry), ("target", target)):
         if point is not None:
@@ -61,12 +61,12 @@ def read_branches(
 
 
 def is_mask(path: str | Path) -> bool:
-    """Whether a file holds a mask rather than centrelines."""
+    """Return whether the file `path` contains a mask rather than centrelines, by its name."""
     return Path(path).name.lower().endswith(MASK_SUFFIXES)
 
 
 def title(path: str | Path) -> str:
-    """The name of a file without what tells its kind."""
+    """Return the name of the file `path` without the suffix that identifies its kind."""
     name = Path(path).name
     known = [suffix for suffix in ANATOMY_SUFFIXES if name.lower().endswith(suffix)]
     return name[: -max(map(len, known))] if known else name
@@ -77,9 +77,9 @@ EXPECTED = "expected a header x_mm,y_mm,z_mm and optionally radius_mm, then one 
 
 
 def read_table(path: str | Path) -> Branches:
-    """The path of a CSV file with columns x_mm, y_mm, z_mm and optionally radius_mm; raises CurveError.
+    """Read the path of a CSV file with columns x_mm, y_mm, z_mm and optionally radius_mm.
 
-    Such a file says nothing of the patient's axes: its coordinates are kept as they are.
+    Such a file does not name the patient's axes: its coordinates stay as they are. Raises CurveError.
     """
     try:
         lines = [line for line in Path(path).read_text(encoding="utf-8-sig").splitlines() if line.strip()]

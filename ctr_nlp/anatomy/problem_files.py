@@ -1,4 +1,4 @@
-"""From a file of anatomy to the problem of advancing into it."""
+"""Problems of advancing into the anatomy of a file."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def problem_from_file(
     Parameters
     ----------
     path : str or Path
-        The file; its name tells the kind. Tables are in mm.
+        The file; its suffix identifies the kind. Tables are in mm.
     robot : Robot, optional
         The robot; by default that of Table I of the paper.
     frames : int
@@ -115,6 +115,8 @@ def problem_from_file(
             followed = trim_curve(followed, robot.reach, trim)
         # Paths are in LPS, the direction in the file's own axes.
         followed, to_robot = move_to_robot_frame(followed, None if along is None else found.to_lps[:3, :3] @ along)
+    # The lumen of the whole branch, in the same frame: tubes touch walls before the entry and beyond the target,
+    # too.
     lumen = None if found.branch.radius is None else found.branch.apply_transform(to_robot)
     return Problem(
         title(path),

@@ -1,8 +1,8 @@
 """Libraries built by another process, so that nobody waits for a compiler.
 
-The process outlives the program that started it: what was begun is there for the next one. It works in a folder in
-the cache, all its temporary files included, and holds the lock of that folder as long as it lives. Where it is
-killed, the system lets go of the lock, so that the next process removes the folder and begins anew.
+The process outlives the program that started it, so that the library is there for the next one. It works in a
+folder in the cache, all its temporary files included, and has that folder locked as long as it lives. Where it is
+killed, the system releases the lock, so that the next process removes the folder and starts the build again.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ WAITING_FOR_BUILD_MESSAGE = (
     "another process is compiling the programs for this kind of robot; this one waits until it has"
 )
 FAILED_BUILD_PREFIX = "failed-"
-"""How files in the cache begin that tell why a library could not be made."""
+"""Prefix of the names of files in the cache that contain the reason why a library could not be made."""
 _begun: list[DetachedProcess] = []
 """Processes started by this one that have not been seen to end."""
 _tried: dict[str, float] = {}
@@ -45,19 +45,19 @@ _tried: dict[str, float] = {}
 COMPILER_NICENESS = 10
 """Increment of the compiling process's nice value, so that processes that somebody waits for come first."""
 LIBRARY_LOCK_RETRY_S = 0.05
-"""s between two attempts to get hold of a library that another process makes."""
+"""s between two attempts to lock the build of a library that another process makes."""
 LIBRARY_POLL_INTERVAL_S = 0.5
-"""s between two looks at whether a library has been made meanwhile."""
+"""s between two checks whether a library has been made meanwhile."""
 TEMPORARY_FOLDER_VARIABLES = "TMPDIR", "TEMP", "TMP"
-"""What tells a process, and the compiler that it calls, where temporary files go."""
+"""Environment variables that set the folder of temporary files, for a process and the compiler that it calls."""
 BUILD_TASK_FILE = "task"
-"""Name of the file that tells the other process what to compile."""
+"""Name of the file from which the other process reads what to compile."""
 LOCK_HASH_DIGITS = 12
-"""Digits of a key's hash that tell its place among the locks of one file."""
+"""Digits of a key's hash that give the offset of its lock in the one file of all locks."""
 FAILED_BUILD_RETRY_S = 900.0
 """s after which a build is begun again that the same process has begun before, or that a compiler has refused."""
 SILENT_BUILD_WAIT_S = 5.0
-"""s for which a process waits for another one's library without a word."""
+"""s for which a process waits for another one's library before it logs a message."""
 
 
 class Library:
@@ -91,20 +91,20 @@ class Library:
         self._missed = -math.inf
 
     def wait_for_path(self) -> Path:
-        """The library, made at once where it is not there; raises OptionError where nothing can be compiled."""
+        """Return the library's path, built first if it is missing; raise OptionError where that is impossible."""
         if (found := cache.find_library(self.key)) is not None:
             return found
         with cache.count_library_wait(), _exclusive_build(self.key):
             return cache.library(self.key, lambda: sample_points.code(tuple(self._functions()), self._lanes))
 
     def path_if_ready(self) -> Path | None:
-        """The library, or None while it is built in the background, which the first call begins.
+        """Return the library's path, or None while it is built in the background, which the first call begins.
 
         Where the environment variable CTR_NLP_COMPILE is `now`, it is built at once.
         """
         if os.environ.get(cache.COMPILE_VARIABLE) == "now":
             return self.wait_for_path()
-        # Callers ask in every iteration; a look at the file system each time would slow them down.
+        # Callers ask in every iteration; reading the file system each time would slow them down.
         if time.monotonic() - self._missed < LIBRARY_POLL_INTERVAL_S:
             return None
         _begun[:] = [process for process in _begun if process.poll() is None]
@@ -115,7 +115,7 @@ class Library:
         return found
 
     def _start_background_build(self) -> None:
-        """Begin to make the library unless another process is at it; either way, tell the user."""
+        """Begin to build the library unless another process does; log a message either way."""
         failed = cache.folder() / f"{FAILED_BUILD_PREFIX}{_hash(self.key)}"
         with contextlib.suppress(OSError):
             if time.time() - failed.stat().st_mtime < FAILED_BUILD_RETRY_S:
@@ -134,7 +134,7 @@ class Library:
 
 @contextlib.contextmanager
 def _exclusive_build(key: str) -> Iterator[None]:
-    """Context in which only one process of a user builds a library, if the system has locks; others wait."""
+    """Let only one process of a user build a library within the block, if the system has locks; others wait."""
     with contextlib.ExitStack() as stack:
         # Without locks (as on Windows) processes may build the same library twice, which costs time only.
         with contextlib.suppress(ImportError, OSError):
@@ -157,18 +157,18 @@ def _exclusive_build(key: str) -> Iterator[None]:
 
 
 def _hash(key: str) -> str:
-    """Hash of a key, for names of files."""
+    """Return the hash of a key, for names of files."""
     return hashlib.sha256(key.encode()).hexdigest()[:32]
 
 
 @functools.cache
 def _generator_source() -> str:
-    """Source of the modules that write C: a change to them changes what is compiled."""
+    """Return the source of the modules that write C: a change to them changes what is compiled."""
     return "".join(map(inspect.getsource, (language, vector, tape, forward_mode, sample_points)))
 
 
 def _claim(key: str) -> FolderLock | None:
-    """The folder in which this process is to begin a library; None where one is at work, or has begun it before.
+    """Return the locked folder for building a library; None where a build is running or was tried before.
 
     Raises OSError where nothing can be written into the cache.
     """
@@ -192,9 +192,10 @@ def _begin(
     functions: Callable[[], Sequence[ca.Function | sample_points.FunctionInParts]],
     lanes: int | None,
 ) -> None:
-    """Begin to make a library: whoever waits for a solution need not even derive what is compiled.
+    """Start a process that builds a library: whoever waits for a solution need not even derive what is compiled.
 
-    The process that makes it takes over the claim, work, so that it lasts as long as that process.
+    work: the claim, which that process takes over, so that the lock lasts as long as the process. key, functions,
+    lanes: as in Library.
     """
     # The other process must import this very package, also where it is not installed.
     path = os.pathsep.join([str(Path(__file__).parents[2]), *filter(None, [os.environ.get("PYTHONPATH")])])
@@ -226,7 +227,7 @@ def _begin(
 
 
 def _lower_priority(pid: int) -> None:
-    """Lower the priority of a process and all that it starts, on systems that allow it.
+    """Lower the priority of a process and of all processes that it starts, on systems that allow it.
 
     Linux weighs the processes of one session against those of others; with its groups for sessions (sched(7)), the
     nice value of a process that leads its own session means nothing to others unless the group has it, too.
@@ -238,7 +239,7 @@ def _lower_priority(pid: int) -> None:
 
 
 def main(work: Path) -> None:
-    """Make the library that a folder describes, or note why that failed, and remove the folder."""
+    """Build the library that the folder `work` describes, or note why that failed, and remove the folder."""
     try:
         key, functions, lanes = pickle.loads((work / BUILD_TASK_FILE).read_bytes())
         failed = cache.folder() / f"{FAILED_BUILD_PREFIX}{_hash(key)}"

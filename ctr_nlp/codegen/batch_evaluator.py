@@ -22,8 +22,9 @@ _tapes: dict[ca.Function, ctypes._FuncPointer] = {}
 
 
 def load_tape_function(name: str, path: str) -> ca.Function:
-    """A function from a library of tape.tape_code, for VECTOR_LANES frames side by side; Mapped finds its rows'
-    entry point.
+    """Load the function `name` from `path`, a library of tape.tape_code, for VECTOR_LANES frames side by side.
+
+    BatchEvaluator finds the entry point for any number of rows, which is noted here.
     """
     function = ca.external(name, path)
     _tapes[function] = ctypes.CDLL(path)[f"{name}_rows"]
@@ -31,7 +32,7 @@ def load_tape_function(name: str, path: str) -> ca.Function:
 
 
 _ARRAY_POINTER_TYPES = ctypes.c_void_p * 4, ctypes.c_void_p * 5
-"""Pointers to at most four inputs (x, p, lam_f, lam_g) and five outputs (nlp.written.FrameFunctions)."""
+"""Pointers to at most four inputs (x, p, lam_f, lam_g) and five outputs (ocp.expressions.FrameFunctions)."""
 
 
 class BatchStruct(ctypes.Structure):
@@ -46,7 +47,7 @@ class BatchStruct(ctypes.Structure):
 
 
 class BatchEvaluator:
-    """A function of one frame evaluated for all frames, without copies on the way; a row a frame.
+    """A function of one frame, evaluated for all frames without copies; arrays have one row a frame.
 
     inputs, outputs: arrays (T, entries) that the function reads and writes. The arrays that a call returns are
     overwritten by the next.
@@ -72,7 +73,7 @@ class BatchEvaluator:
         return self.inputs, self.outputs
 
     def _make_tape_call(self, tape: Callable[..., int]) -> Callable[[], None]:
-        """A call that evaluates the function by its tape."""
+        """Return a call that evaluates the function by its tape."""
         # Addresses are taken once: inputs and outputs must never be replaced by other arrays, only filled.
         places = [(ctypes.c_void_p * len(arrays))(*map(_address, arrays)) for arrays in self._arrays]
 
@@ -83,7 +84,8 @@ class BatchEvaluator:
         return run
 
     def _make_interpreted_call(self, function: ca.Function) -> Callable[[], None]:
-        """A call that evaluates the function by CasADi; function: already mapped over all frames."""
+        """Return a call that evaluates the function by CasADi; function: already mapped over all frames."""
+        # The buffer is stored: `run` keeps no reference to it.
         self._buffer, run = function.buffer()
         for put, arrays in zip((self._buffer.set_arg, self._buffer.set_res), self._arrays, strict=True):
             for i, array in enumerate(arrays):
@@ -91,8 +93,9 @@ class BatchEvaluator:
         return run
 
     def __call__(self, x: Array, *multipliers: Array) -> list[Array]:
-        """Results (T, entries) at x (T n,), with the rows of parameters that are there, and multipliers if it
-        takes any.
+        """Return the results (T, entries) at x (T n,), and at multipliers if the function takes any.
+
+        Parameters are those in `inputs[1]`.
 
         Raises MemoryError.
         """
@@ -105,7 +108,7 @@ class BatchEvaluator:
         return self.outputs
 
     def as_struct(self) -> BatchStruct:
-        """The function for C, valid as long as this object lives."""
+        """Return the function as a struct for C, valid as long as this object lives."""
         of_rows = None if self._tape is None else ctypes.cast(self._tape, ctypes.c_void_p)
         into, out = (
             kind(*map(_address, arrays)) for kind, arrays in zip(_ARRAY_POINTER_TYPES, self._arrays, strict=True)
@@ -121,5 +124,5 @@ class BatchEvaluator:
 
 
 def _address(array: Array) -> int:
-    """Address of an array's first entry."""
+    """Return the address of an array's first entry."""
     return array.ctypes.data

@@ -1,8 +1,8 @@
 """C code to shared libraries, by the C compiler at hand, stored in the user's cache folder.
 
-A library's name is a digest of its source's key, the compiler's command and all that the compiler says of its
-version and target: another compiler or machine finds nothing. Folders are put in place by one rename, so that what
-is there is complete even if processes build the same library at once or are killed.
+A library's name is a digest of its source's key, the compiler's command and the compiler's report of its version
+and target: another compiler or machine finds nothing. Folders are put in place by one rename, so that a library
+that is found is complete even if several processes build it simultaneously or are killed.
 """
 
 from __future__ import annotations
@@ -46,17 +46,17 @@ LINK_LIBRARY_CHOICES = (
     ("-DLIBMVEC", "-mprefer-vector-width=512", "-fopenmp-simd", "-Wl,--no-undefined", "-lmvec", "-lm"),
     ("-lm",),
 )
-"""What is linked, in order of preference: glibc has sines of whole vectors."""
+"""Libraries to link, in order of preference: glibc has sines of whole vectors (libmvec)."""
 TRIAL_C_CODE = "#include <math.h>\ndouble trial(double x) { return sin(x); }\n"
 """Smallest program that shows whether compiling and linking work."""
 BUILD_FOLDER_PREFIX, PROCESS_FOLDER_PREFIX = "building-", "ctr_nlp-libraries-"
-"""How folders begin that hold what a process is at work on: in the cache, and in the temporary folder."""
+"""Prefixes of the working folders of processes: in the cache, and in the temporary folder."""
 BUILD_FOLDER_ABANDONED_AFTER_S = 900.0
 """s after which such a folder is taken for one of a process that died, on file systems without locks."""
 
 
 class Compiler(NamedTuple):
-    """A C compiler: its command, and all that it says of its version and of the machine it writes for."""
+    """A C compiler: its command, and its report of its version and of the machine it compiles for."""
 
     command: tuple[str, ...]
     identity: str
@@ -64,7 +64,7 @@ class Compiler(NamedTuple):
 
 @functools.cache
 def compiler() -> Compiler | None:
-    """The C compiler named by CC, or cc, gcc or clang; None where there is none that works."""
+    """Find the C compiler named by CC, or cc, gcc or clang; return None where none works."""
     for name in filter(None, (os.environ.get("CC"), "cc", "gcc", "clang")):
         # Not every compiler has GCC's --param, and not every one knows the processor: try with less each
         # time.
@@ -84,7 +84,7 @@ def _run(command: list[str], folder: Path | None = None) -> subprocess.Completed
 
 
 def unavailable_reason() -> str | None:
-    """Reason why nothing can be compiled, or None where it can; logged once if a user might mend it."""
+    """Return why nothing can be compiled, or None where it can; log the reason once if a user can remedy it."""
     if os.environ.get(COMPILE_VARIABLE) == "0":
         return f"{COMPILE_VARIABLE} is 0"
     try:
@@ -103,17 +103,17 @@ def warn_once(text: str) -> None:
 
 
 def folder() -> Path:
-    """Folder for libraries: CTR_NLP_CACHE, or ctr_nlp in the user's cache folder."""
+    """Return the folder for libraries: CTR_NLP_CACHE, or ctr_nlp in the user's cache folder."""
     return Path(os.environ.get(CACHE_FOLDER_VARIABLE) or platformdirs.user_cache_dir("ctr_nlp", appauthor=False))
 
 
 def library(key: str, code: Callable[[], str]) -> Path:
-    """The shared library made from code() once a key, compiler and machine; raises OptionError.
+    """Return the shared library made from code(), compiled once for each key, compiler and machine.
 
     key: text that changes whenever code() does. In the cache, a library and the digest of both have a folder of
     their own, which takes its name in one step: whatever is there is complete, and what does not match its digest
     or belongs to another user is built again. A library that this process built itself is loaded from a folder of
-    its own.
+    its own. Raises OptionError where nothing can be compiled.
     """
     name, chosen = _identify_library(key)
     place = folder() / name
@@ -129,13 +129,14 @@ def library(key: str, code: Callable[[], str]) -> Path:
 
 
 def library_wait_s() -> float:
-    """Tell for how long this process has waited for libraries, a wait that goes on included.
+    """Return for how long this process has waited for libraries, including a wait that has not ended.
 
     Returns
     -------
     float
         Seconds since the process began.
     """
+    # Only the outermost wait that has not ended: inner ones are part of it.
     return sum(_ended_waits) + sum(time.monotonic() - begin for begin in _waits[:1])
 
 
@@ -152,14 +153,14 @@ def count_library_wait() -> Iterator[None]:
 
 
 def find_library(key: str) -> Path | None:
-    """The library of a key if it has been built before, else None; raises OptionError as library."""
+    """Return the library of a key if it has been built before, else None; raises OptionError as `library` does."""
     name, _ = _identify_library(key)
     place = folder() / name
     return _made.get(name) or (place / "library.so" if _is_complete(place) else None)
 
 
 def _identify_library(key: str) -> tuple[str, Compiler]:
-    """The name of a key's folder, and the compiler."""
+    """Return the name of a key's folder, and the compiler."""
     if os.environ.get(COMPILE_VARIABLE) == "0":
         raise OptionError(f"nothing is compiled: {COMPILE_VARIABLE} is 0")
     chosen = compiler()
@@ -170,14 +171,14 @@ def _identify_library(key: str) -> tuple[str, Compiler]:
 
 @functools.lru_cache(maxsize=64)
 def _hash_build_inputs(key: str, chosen: Compiler, linked: tuple[tuple[str, ...], ...]) -> str:
-    """Digest of everything that what is compiled depends on: key, command, libraries, compiler and target."""
+    """Return the digest of all that a library depends on: key, command, libraries, compiler and target."""
     parts = [key, *chosen.command, *map(" ".join, linked), chosen.identity]
     return hashlib.sha256("\0".join(parts).encode()).hexdigest()[:32]
 
 
 @functools.cache
 def load_c_files(package: str, *names: str) -> ctypes.CDLL:
-    """A package's files of C, compiled as one; raises OptionError where nothing can be compiled."""
+    """Compile and load a package's C files as one; raises OptionError where nothing can be compiled."""
     code = "".join(files(package).joinpath(name).read_text(encoding="utf-8") for name in names)
     return ctypes.CDLL(str(library(code, lambda: code)))
 
@@ -192,7 +193,7 @@ _made: dict[str, Path] = {}
 
 @functools.cache
 def _process_folder() -> Path:
-    """A folder that lives as long as this process; raises OSError."""
+    """Make a folder that is removed when this process ends; raises OSError."""
     remove_abandoned_folders()
     own = folder_lock.lock_new_folder(Path(tempfile.gettempdir()), PROCESS_FOLDER_PREFIX).folder
     atexit.register(shutil.rmtree, own, ignore_errors=True)
@@ -200,7 +201,7 @@ def _process_folder() -> Path:
 
 
 def remove_abandoned_folders() -> None:
-    """Remove what processes left that were killed, in the cache and in the temporary folder."""
+    """Remove folders of processes that were killed, in the cache and in the temporary folder."""
     folder_lock.remove_abandoned(folder(), f"{BUILD_FOLDER_PREFIX}*", BUILD_FOLDER_ABANDONED_AFTER_S)
     # without locks, age tells nothing of the libraries that a process has loaded: it may live for weeks
     folder_lock.remove_abandoned(Path(tempfile.gettempdir()), f"{PROCESS_FOLDER_PREFIX}*", math.inf)
@@ -251,12 +252,12 @@ def _keep(made: Path, kept: Path) -> None:
 
 
 def warn_cache_unwritable(error: OSError) -> None:
-    """Tell a user, once a process, that nothing can be written into the cache."""
+    """Warn, once a process, that nothing can be written into the cache; `error` gives the reason."""
     warn_once(f"compiled code cannot be kept in {folder()}: {error.strerror}")
 
 
 def _is_complete(kept: Path) -> bool:
-    """Whether a library belongs to this user and is what was built under its name."""
+    """Return whether a library belongs to this user and is the one that was built under its name."""
     try:
         library, digest = ((kept / name).stat() for name in ("library.so", "sha256"))
         # A library that another user put into a shared folder would be run with this user's rights.
@@ -271,12 +272,13 @@ def _is_complete(kept: Path) -> bool:
 
 @functools.lru_cache(maxsize=64)
 def _matches_digest(kept: Path, *as_they_are: tuple[int, ...]) -> bool:
-    """Whether a library matches its digest; as_they_are: inode, size and time of both files, for the cache of
-    results.
+    """Return whether a library matches its digest.
+
+    as_they_are: inode, size and time of both files, which are keys of the cache of results only.
     """
     return (kept / "sha256").read_text(encoding="ascii") == _digest(kept / "library.so", kept.name)
 
 
 def _digest(path: Path, name: str) -> str:
-    """Digest of a library and its name, so that a library under another's name does not match."""
+    """Return the digest of a library and its name, so that a library under another's name does not match."""
     return hashlib.sha256(name.encode() + path.read_bytes()).hexdigest()

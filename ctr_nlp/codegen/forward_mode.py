@@ -1,4 +1,4 @@
-"""CasADi functions as C that finds, beside every number, its slopes over the unknowns, in vectors.
+"""CasADi functions as C that computes, beside every number, its slopes over the unknowns, in vectors.
 
 As straight code of numbers, second derivatives have each operation once more for every unknown. That is longer
 than what a processor keeps in its instruction cache, so that it waits for code. Here a number is followed by one
@@ -90,7 +90,7 @@ class Chunk(NamedTuple):
 
     @classmethod
     def all_of(cls, unknowns: int) -> list[Chunk]:
-        """The chunks for so many unknowns."""
+        """Return the chunks for so many unknowns."""
         return [cls(first, min(VECTOR_LANES, unknowns - first)) for first in range(0, unknowns, VECTOR_LANES)]
 
     @property
@@ -105,7 +105,7 @@ class Chunk(NamedTuple):
         return f"D{self.lanes}"
 
     def unit(self, unknown: int) -> str:
-        """C for the slopes of one of the unknowns over the chunk: 1 in its own lane."""
+        """Return C for the slopes of the unknown with number `unknown` over the chunk: 1 in its own lane."""
         entries = ", ".join(_UNIT_FACTOR if lane == unknown - self.first else "0.0" for lane in range(self.lanes))
         return f"({self.kind}){{{entries}}}"
 
@@ -121,11 +121,11 @@ class FunctionWithJacobian(NamedTuple):
 
 
 def forward_mode_code(functions: Sequence[FunctionWithJacobian]) -> str:
-    """A file of C for functions with dense inputs and outputs, all with the same number of unknowns.
+    """Return a C file for functions with dense inputs and outputs, all with the same number of unknowns.
 
     Each becomes `static void NAME(const double **arg, double **res)`. Results are the outputs, and then, in the
-    order of their numbers, the slopes that are wanted. Names of outputs that begin with EARLY mean what they mean
-    in vector.py. Raises NotImplementedError for operations without C.
+    order of their numbers, the slopes that are wanted. Names of outputs that begin with EARLY_OUTPUT_PREFIX have
+    the meaning that they have in vector.py. Raises NotImplementedError for operations without C.
     """
     alone = [each._replace(function=eliminate_common_subexpressions(each.function)) for each in functions]
     used = known_operations(tuple(each.function for each in alone))
@@ -152,7 +152,7 @@ class _Body:
         self.sloped = self._find_slope_chunks()
 
     def _find_argument_instructions(self) -> list[list[int]]:
-        """For each instruction, the instructions that made its arguments; slots of the work vector are reused."""
+        """Return for each instruction those that computed its arguments; slots of the work vector are reused."""
         made = dict[int, int]()
         taken = list[list[int]]()
         for k, (operation, to, of) in enumerate(self.instructions):
@@ -164,14 +164,14 @@ class _Body:
         return taken
 
     def _differentiable_arguments(self, k: int) -> list[int]:
-        """Instructions whose results the result of k follows with slopes other than 0."""
+        """Return the instructions on whose results that of k depends with slopes other than 0."""
         operation = self.instructions[k][0]
         if operation == ca.OP_OUTPUT:
             return self.taken[k]
         return [j for j, slope in zip(self.taken[k], DERIVATIVE_FACTORS.get(operation, ()), strict=False) if slope]
 
     def _find_slope_chunks(self) -> list[set[int]]:
-        """For each instruction the chunks over which its slopes are not always 0 and are needed by outputs."""
+        """Return for each instruction the chunks over which its slopes are not always 0 and outputs need them."""
         # Forward: chunks that a result depends on. Backward: chunks that some wanted output needs it for.
         # Only what is in both is computed.
         moved = list[set[int]]()
@@ -190,7 +190,7 @@ class _Body:
         return needed
 
     def code(self) -> str:
-        """C of the whole, part by part: what later parts need is stored in the work vectors w and v0, v1, ..."""
+        """Return C of the whole, part by part; results that later parts need are stored in w and v0, v1, ..."""
         name = self.function.name()
         size = self.function.sz_w()
         # A work vector for numbers, and one for each chunk's slopes, with the same slots.
@@ -211,7 +211,7 @@ class _Body:
         return f"{bodies}static void {name}(const double **arg, double **res) {{\n{room}{''.join(calls)}}}\n"
 
     def _parts(self) -> list[list[str]]:
-        """Lines of C, part by part: each number is followed by its slopes."""
+        """Return lines of C, part by part: each number is followed by its slopes."""
         later = needed_later(self.function, self.starts)
         parts = list[list[str]]()
         here = dict[int, str]()
@@ -234,7 +234,7 @@ class _Body:
         return parts
 
     def _slopes(self, k: int, c: int, here: dict[int, str]) -> str:
-        """C for the slopes of the result of k over chunk c: sum of factors times the arguments' slopes."""
+        """Return C for the slopes of the result of k over chunk c: factors times the arguments' slopes, summed."""
         operation, _, of = self.instructions[k]
         if operation == ca.OP_INPUT:
             return self.chunks[c].unit(of[1])
@@ -249,7 +249,7 @@ class _Body:
         )
 
     def _store_jacobian_row(self, k: int, here: dict[int, str]) -> list[str]:
-        """C that stores the entries of a Jacobian's row when its output is found."""
+        """Return C that stores the entries of a Jacobian's row when its output has been computed."""
         _, (number, row), of = self.instructions[k]
         if number not in self.wanted:
             return []
@@ -267,5 +267,5 @@ class _Body:
 
 
 def _vector(slot: int, c: int, here: dict[int, str]) -> str:
-    """C for the slopes over chunk c of the result in a slot: of this part, or stored by an earlier one."""
+    """Return C for the slopes over chunk c of the result in a slot: of this part, or stored by an earlier one."""
     return f"{here[slot]}_{c}" if slot in here else f"v{c}[{slot}]"

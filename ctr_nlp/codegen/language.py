@@ -1,4 +1,4 @@
-"""The C that functions are written in: for single numbers, or for vectors with one frame in each lane.
+"""The C in which functions are written: for single numbers, or for vectors with one frame in each lane.
 
 Both kinds define the same names (V, all, gathered, ...), so that the same generated text is code for one frame or
 for VECTOR_LANES frames. Vectors use GCC's vector extension, which clang knows, too.
@@ -18,13 +18,13 @@ QUICK_COMPILE_VARIABLE = "CTR_NLP_QUICK"
 _QUICK_PRAGMA = '#pragma GCC optimize("Og")\n'
 """Long straight code of vectors gains a tenth at most from more, that of numbers a fifth."""
 _FULL_OPTIMISATION_PRAGMA = '#pragma GCC optimize("O3")\n'
-"""Short loops over frames gain all that there is."""
+"""Short loops over frames gain from every optimisation."""
 _LEAN_OPTIMISATION_PRAGMAS = "".join(
     f'#pragma GCC optimize("no-tree-{name}")\n' for name in ("slp-vectorize", "slsr", "pre", "dse")
 )
 """Long straight code of numbers gains nothing from these, and compiles in 65 % of the time without them."""
 _HELPER_OPTIMISATION_PRAGMAS = '#pragma GCC push_options\n#pragma GCC optimize("O2")\n{}#pragma GCC pop_options\n'
-"""Loops over lanes do."""
+"""Loops over lanes gain from these optimisations, which the rest of the file is compiled without."""
 _SCALAR = """\
 #include <math.h>
 typedef double V;
@@ -124,7 +124,7 @@ SHARED_C_NAMES = (
 
 
 def file_header(operations: Iterable[int], lanes: int | None) -> str:
-    """The beginning of a file with these operations.
+    """Return the beginning of a file with these operations.
 
     lanes: frames in a vector; 1 for numbers; None for loops over any number of frames, which take numbers.
     """
@@ -143,7 +143,7 @@ def file_header(operations: Iterable[int], lanes: int | None) -> str:
 
 
 def _unroll_lanes(lanes: int) -> dict[str, str]:
-    """Expressions written out lane by lane: at low effort, compilers leave short loops as they are."""
+    """Return expressions written out lane by lane: with few optimisations, compilers do not unroll short loops."""
     return {
         "gathered": ", ".join(f"a[{lane} * step]" for lane in range(lanes)),
         "scattered": " ".join(f"to[{lane} * step] = a[{lane}];" for lane in range(lanes)),
@@ -151,13 +151,13 @@ def _unroll_lanes(lanes: int) -> dict[str, str]:
 
 
 def number_in_c(number: float) -> str:
-    """A number in C; repr has all digits, so that it is read as the same number."""
+    """Return a number in C; repr has all digits, so that it is read as the same number."""
     written = repr(number)
     return {"inf": "INFINITY", "-inf": "-INFINITY", "nan": "NAN"}.get(written, written)
 
 
 def optimisation_pragmas(lanes: int | None) -> str:
-    """Pragmas for how hard the compiler tries; lanes: None for loops over any number of frames."""
+    """Return the pragmas of optimisation; lanes: None for loops over any number of frames."""
     if lanes is None:
         return _FULL_OPTIMISATION_PRAGMA
     return (
@@ -168,7 +168,7 @@ def optimisation_pragmas(lanes: int | None) -> str:
 
 
 def _by_lane(called: str, lanes: int) -> str:
-    """A C library function for vectors; with a vector library, one call computes all lanes."""
+    """Return a C library function for vectors; with a vector library, one call computes all lanes."""
     names = "ab" if called in TWO_ARGUMENT_FUNCTIONS else "a"
     parameters = ", ".join(f"V {name}" for name in names)
     # A number needs no loop over lanes: the C library is called in place.

@@ -1,7 +1,8 @@
-"""Functions with many alike places, as C: places are evaluated VECTOR_LANES together, and what they share once.
+"""Functions with many sample points of one kind, as C: VECTOR_LANES points at a time, shared quantities once.
 
-A whole function has three parts (nlp/parted.py): one that finds shared quantities and all else with slopes
-(`directed`), one for a place, called for VECTOR_LANES places at a time in between, and one that joins both.
+A whole function has three parts (ocp/partition.py): the main part, which computes shared quantities and all else
+with slopes, a part for a sample point, called in between for VECTOR_LANES points at a time, and one that joins
+both.
 """
 
 from __future__ import annotations
@@ -47,17 +48,17 @@ static void at_places(Place one, const double **arg, long inputs, const double *
     }
 }
 """
-"""The loop over places in C. The last vector may overlap the one before; its repeated places count 0 in sums."""
+"""The loop over sample points in C. The last vector may overlap the one before; repeated points add 0 to sums."""
 
 
 class SamplePointFunction(NamedTuple):
-    """A function of one of many alike places, at least VECTOR_LANES of them.
+    """A function of one of many sample points of one kind, at least VECTOR_LANES of them.
 
-    Its inputs are, with names that begin with SAME and shared by all places, the whole function's but the last and
-    its early outputs; then, with names that begin with BESIDE, those inputs again, constants (k, places), and
-    whether a place counts, 1 or 0. Of the latter, an entry is that of the first place, and the number after it
-    that of the next one. Its two outputs (BESIDE) are the parts of sums over places that count, and the results of
-    each place.
+    Its inputs are, with names that begin with SHARED_INPUT_PREFIX and shared by all points, the whole function's
+    but the last and its early outputs; then, with names that begin with ADJACENT_LANES_PREFIX, those inputs again,
+    constants (k, points), and whether a point counts, 1 or 0. Of the latter, an entry is that of the first point,
+    and the number after it that of the next one. Its two outputs (ADJACENT_LANES_PREFIX) are the parts of sums
+    over the points that count, and the results of each point.
     """
 
     function: ca.Function
@@ -65,22 +66,22 @@ class SamplePointFunction(NamedTuple):
 
     @property
     def sizes(self) -> tuple[int, int, int]:
-        """Number of places, of sums, and of results of each place."""
+        """Numbers of sample points, of sums, and of results of each point."""
         return self.constants.shape[1], self.function.numel_out(0), self.function.numel_out(1)
 
     @property
     def numbers(self) -> int:
-        """How many numbers the whole gets: the sums, and then, for each result, those of all places."""
+        """Count of numbers for the whole function: the sums, and then, for each result, those of all points."""
         places, sums, found = self.sizes
         return sums + found * places
 
 
 class FunctionInParts(NamedTuple):
-    """A function called `name`, in parts: one of the unknowns and other inputs, and one of all that this finds.
+    """A function called `name`, in parts: one of the unknowns and other inputs, and one that joins all results.
 
-    main_part: its last input are the results at places, which are evaluated in its pause, from its other inputs
-    and early outputs with their slopes; outputs whose names begin with EARLY_OUTPUT_PREFIX come first. join_part:
-    of the results at places and then those of directed, in their order (directions.py).
+    main_part: its last input are the results at sample points, which are evaluated in its pause, from its other
+    inputs and early outputs with their slopes; outputs whose names begin with EARLY_OUTPUT_PREFIX come first.
+    join_part: of the results at sample points and then those of the main part, in their order (forward_mode.py).
     """
 
     name: str
@@ -90,7 +91,7 @@ class FunctionInParts(NamedTuple):
 
     @property
     def early(self) -> list[int]:
-        """Numbers of directed's results that places are given: early outputs, then their slopes."""
+        """Numbers of the main part's results that sample points take: early outputs, then their slopes."""
         function = self.main_part.function
         slopes = sorted(self.main_part.slopes)
         # Early results with wanted slopes have these after all outputs, in the order of the outputs'
@@ -100,12 +101,13 @@ class FunctionInParts(NamedTuple):
 
 
 def code(functions: Sequence[ca.Function | FunctionInParts], lanes: int | None) -> str:
-    """A file of C for functions of `lanes` frames together, None for any number; those with places are of one
-    frame.
+    """Return a C file for functions of `lanes` frames together, None for any number.
+
+    Functions in parts are of one frame.
     """
     wholes = [each for each in functions if isinstance(each, FunctionInParts)]
     plain = tuple(each for each in functions if isinstance(each, ca.Function))
-    # Places are a matter of code for one frame; for many frames tapes put frames in the lanes instead.
+    # Only code for one frame has sample points in its lanes; tapes, for many frames, have frames there.
     if lanes is None:
         return tape_code(plain)
     if not wholes:
@@ -114,7 +116,7 @@ def code(functions: Sequence[ca.Function | FunctionInParts], lanes: int | None) 
     return "".join(
         [
             "#include <math.h>\n#include <string.h>\n#pragma GCC push_options\n",
-            # Vector code for places and number code for the rest define the same names: the former's get
+            # Vector code for points and number code for the rest define the same names: the former's get
             # another ending, and its compiler options are undone afterwards.
             *(f"#define {name} {name}_beside\n" for name in SHARED_C_NAMES),
             vector_code(each, VECTOR_LANES),
@@ -132,20 +134,20 @@ def code(functions: Sequence[ca.Function | FunctionInParts], lanes: int | None) 
 
 
 def _sample_point_call(whole: FunctionInParts) -> str:
-    """C of the function that evaluates the places when all early outputs are found."""
+    """Return C of the function that evaluates the sample points when all early outputs are known."""
     inputs = whole.main_part.function.n_in() - 1
     lines = list[str]()
     to = 0
     early = ", ".join(f"res[{k}]" for k in whole.early)
     for at in whole.sample_point_parts:
         sizes = ", ".join(map(str, at.sizes))
-        # Constants of all places, constant after constant, so that neighbouring places are neighbours in
+        # Constants of all points, constant after constant, so that neighbouring points are neighbours in
         # memory.
         numbers = ", ".join(map(repr, at.constants.ravel().tolist()))
         lines += [
             f"    {{\n        static const double constants[] = {{{numbers}}};\n",
             f"        at_places({at.function.name()}, arg, {inputs}, early, {len(whole.early)}, constants, "
-            # The last input of the directed function is filled here, before the rest of it is read.
+            # The last input of the main part is filled here, before the rest of it is evaluated.
             f"{sizes}, (double *)arg[{inputs}] + {to});\n    }}\n",
         ]
         to += at.numbers
@@ -156,7 +158,7 @@ def _sample_point_call(whole: FunctionInParts) -> str:
 
 
 def _public_entry_point(whole: FunctionInParts) -> str:
-    """C of the function as it is called from outside, and by casadi.external."""
+    """Return C of the function as it is called from outside, and by casadi.external."""
     directed = whole.main_part.function
     joined = whole.join_part
     inputs = directed.n_in() - 1

@@ -1,8 +1,8 @@
-"""CasADi functions as tapes: lists of instructions that a short loop of C carries out for many frames together.
+"""CasADi functions as tapes: lists of instructions that a short loop in C executes for many frames together.
 
 Straight code for a large function is millions of bytes, which a processor fetches again for every few frames, and
 more slowly than it computes; and a compiler needs half a minute for it. A tape is data, an eighth as large, which
-is read once for up to TAPE_BLOCK_FRAMES frames. It is made in the time that it takes to list the instructions.
+is read once for up to TAPE_BLOCK_FRAMES frames. Writing it takes no longer than listing the instructions.
 """
 
 from __future__ import annotations
@@ -22,9 +22,7 @@ from ctr_nlp.codegen.language import (
 from ctr_nlp.codegen.vector import eliminate_common_subexpressions, interface, known_operations
 
 TAPE_BLOCK_FRAMES = 64
-"""Largest number of frames that a tape is read for together: with more, numbers do not stay in the processor's
-caches.
-"""
+"""Largest number of frames for which a tape is read once: with more, numbers leave the processor's caches."""
 TAPE_OPERAND_BITS = 19
 """Bits of each of the three numbers in an instruction; the rest of 64 is the operation."""
 _TAPE_INTERPRETER_C = """\
@@ -79,11 +77,11 @@ static int played_for_all(const Tape *tape, const double *const *arg, double *co
 }}
 
 """
-"""The loop that carries out tapes, with a case for each operation that a file uses."""
+"""The loop that executes tapes, with a case for each operation that a file uses."""
 
 
 def tape_code(functions: tuple[ca.Function, ...]) -> str:
-    """A file of C for functions with dense inputs and outputs.
+    """Return a C file for functions with dense inputs and outputs.
 
     Each has `int NAME_rows(const double **arg, double **res, long rows)`, whose inputs and outputs have a row for
     each frame, and can be loaded by casadi.external as that of VECTOR_LANES frames, whose columns are side by
@@ -96,7 +94,7 @@ def tape_code(functions: tuple[ca.Function, ...]) -> str:
 
 
 def _tape_interpreter(used: set[int]) -> str:
-    """The loop in C, with cases for the operations that are used."""
+    """Return the loop in C, with cases for the operations that are used."""
     numbers = {"bits": TAPE_OPERAND_BITS, "mask": (1 << TAPE_OPERAND_BITS) - 1, "block": TAPE_BLOCK_FRAMES}
     # Instructions that move numbers have other operands than operations, and cases of their own in the
     # loop.
@@ -109,7 +107,7 @@ def _tape_interpreter(used: set[int]) -> str:
 
 
 def _value(operation: int) -> str:
-    """C for the result of an operation, for frame l."""
+    """Return C for the result of an operation, for frame l."""
     of = "a[l]", "b[l]"
     if operation in OPERATIONS:
         return OPERATIONS[operation].format(*of)
@@ -118,7 +116,7 @@ def _value(operation: int) -> str:
 
 
 def _tape(function: ca.Function) -> str:
-    """C of one function: its tape, and its entry points for rows and for CasADi."""
+    """Return C of one function: its tape, and its entry points for rows and for CasADi."""
     name = function.name()
     constants = list[float]()
     instructions = [_instruction(function, k, constants) for k in range(function.n_instructions())]
@@ -145,7 +143,7 @@ int {name}_rows(const double **arg, double **res, long rows) {{
 
 
 def _instruction(function: ca.Function, k: int, constants: list[float]) -> int:
-    """Instruction k as one number; a constant that it takes is appended to constants."""
+    """Return instruction k as one number; a constant that it takes is appended to `constants`."""
     operation = function.instruction_id(k)
     to = function.instruction_output(k)
     of = function.instruction_input(k)
@@ -172,5 +170,5 @@ def _instruction(function: ca.Function, k: int, constants: list[float]) -> int:
 
 
 def _array(kind: str, name: str, values: Iterable[str]) -> str:
-    """A static array in C; an empty one gets a 0, since C has no arrays of length 0."""
+    """Return a static array in C; an empty one gets a 0, since C has no arrays of length 0."""
     return f"static {kind} {name}[] = {{{', '.join(values) or 0}}};\n"

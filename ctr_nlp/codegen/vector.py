@@ -1,7 +1,7 @@
 """CasADi functions as C that evaluates several frames together, a frame in each lane of the processor's vectors.
 
-CasADi's own C takes one frame after the other, in one body that compilers need minutes for. Here every number is a
-vector, and the body is cut into parts, so that compile time grows in proportion to length.
+CasADi's own C evaluates one frame after the other, in one body for which compilers need minutes. Here every number
+is a vector, and the body is cut into parts, so that compile time grows in proportion to length.
 """
 
 from __future__ import annotations
@@ -20,17 +20,17 @@ ADJACENT_LANES_PREFIX = "beside_"
 An entry of an output is a vector. Those of an input overlap: the number after an entry is its next lane.
 """
 EARLY_OUTPUT_PREFIX = "early_"
-"""Prefix of names of outputs that are found first. After them `NAME_pause(arg, res)` is called, which must be in C
-before: it may read them and fill inputs that are read later.
+"""Prefix of names of outputs that are computed first. After them `NAME_pause(arg, res)` is called, which must be
+defined earlier in the file: it may read them and fill inputs that are read later.
 """
 VECTOR_PART_INSTRUCTIONS = 300
 """Instructions in one part of the body."""
 Sizes = list[tuple[int, int, int]]
-"""Rows and columns of inputs or outputs, and how often these columns come, once for each lane."""
+"""Rows and columns of inputs or outputs, and the number of lanes for which the columns are repeated."""
 
 
 def vector_code(functions: tuple[ca.Function, ...], lanes: int = VECTOR_LANES) -> str:
-    """A file of C for functions with dense inputs and outputs.
+    """Return a C file for functions with dense inputs and outputs.
 
     Operations that are repeated are done once. casadi.external loads them under their names; inputs and outputs
     have `lanes` times the columns, as those of `function.map(lanes)`, but for inputs whose names begin with
@@ -42,7 +42,7 @@ def vector_code(functions: tuple[ca.Function, ...], lanes: int = VECTOR_LANES) -
 
 
 def known_operations(functions: tuple[ca.Function, ...]) -> set[int]:
-    """The operations that functions use; raises NotImplementedError for those without C."""
+    """Return the operations that functions use; raises NotImplementedError for those without C."""
     used = {function.instruction_id(k) for function in functions for k in range(function.n_instructions())}
     if unknown := used - OPERATIONS.keys() - C_LIBRARY_FUNCTIONS.keys() - {ca.OP_CONST, ca.OP_INPUT, ca.OP_OUTPUT}:
         names = ", ".join(function.name() for function in functions)
@@ -51,7 +51,7 @@ def known_operations(functions: tuple[ca.Function, ...]) -> set[int]:
 
 
 def eliminate_common_subexpressions(function: ca.Function) -> ca.Function:
-    """The function with common subexpressions eliminated."""
+    """Return the function with common subexpressions eliminated."""
     inputs = [ca.SX.sym(function.name_in(i), *function.size_in(i)) for i in range(function.n_in())]
     # Names are kept, since their prefixes say how inputs and outputs are laid out.
     names = function.name_in(), function.name_out()
@@ -59,7 +59,7 @@ def eliminate_common_subexpressions(function: ca.Function) -> ca.Function:
 
 
 def _function(function: ca.Function, lanes: int) -> str:
-    """C of one function: its parts, and the function that calls them."""
+    """Return C of one function: its parts, and the function that calls them."""
     name = function.name()
     pause = pause_after(function)
     parts = _parts(function, pause)
@@ -79,19 +79,22 @@ def _function(function: ca.Function, lanes: int) -> str:
 
 
 def pause_after(function: ca.Function) -> int:
-    """Number of instructions until all early outputs have been found; 0 where there are none."""
+    """Return the number of instructions of `function` until all its early outputs are known; 0 without any."""
     early = sum(function.name_out(i).startswith(EARLY_OUTPUT_PREFIX) for i in range(function.n_out()))
     outputs = (k for k in range(function.n_instructions()) if function.instruction_id(k) == ca.OP_OUTPUT)
     return max((k + 1 for k in outputs if function.instruction_output(k)[0] < early), default=0)
 
 
 def part_starts(function: ca.Function, pause: int, part: int) -> list[int]:
-    """Numbers of the instructions with which parts begin; one part begins right after a pause."""
+    """Return the numbers of the instructions of `function` with which parts begin; one begins right after a pause.
+
+    pause: number of instructions before the pause. part: number of instructions in one part.
+    """
     return [*range(0, pause, part), *range(pause, function.n_instructions(), part)]
 
 
 def _parts(function: ca.Function, pause: int) -> list[list[str]]:
-    """The body, part by part: numbers have names of their own, and reach later parts in the work vector w."""
+    """Return the body, part by part: numbers have names of their own; later parts read them from w."""
     starts = part_starts(function, pause, VECTOR_PART_INSTRUCTIONS)
     needed = needed_later(function, starts)
     # Named numbers let the compiler keep them in registers. Only those that a later part needs are stored
@@ -114,7 +117,9 @@ def _parts(function: ca.Function, pause: int) -> list[list[str]]:
 
 
 def store_output(function: ca.Function, to: list[int], value: str) -> str:
-    """C that stores a value in an entry of an output."""
+    """Return C that stores `value` in an entry of an output of `function`; to: numbers of the output and of the
+    entry.
+    """
     number, entry = to
     if function.name_out(number).startswith(ADJACENT_LANES_PREFIX):
         return f"put({value}, res[{number}] + {entry} * LANES);\n"
@@ -122,14 +127,17 @@ def store_output(function: ca.Function, to: list[int], value: str) -> str:
 
 
 def instruction_of(function: ca.Function, k: int) -> tuple[int, list[int], list[int]]:
-    """Operation, destination and arguments of instruction k: slots of the work vector, or which input or output
-    entry.
+    """Return operation, destination and arguments of instruction k of `function`.
+
+    The latter two are slots of the work vector, or which input or output, and its entry.
     """
     return function.instruction_id(k), function.instruction_output(k), function.instruction_input(k)
 
 
 def needed_later(function: ca.Function, starts: list[int]) -> set[int]:
-    """Instructions whose results a later part than their own uses, for parts with these starts."""
+    """Return the instructions of `function` whose results a later part than their own uses, for parts with these
+    starts.
+    """
     # Which instruction filled each slot last; slots are reused, so that a slot alone does not identify a
     # number.
     made: dict[int, int] = {}
@@ -146,17 +154,19 @@ def needed_later(function: ca.Function, starts: list[int]) -> set[int]:
 
 
 def _is_shared_input(function: ca.Function, number: int) -> bool:
-    """Whether all frames share input `number`."""
+    """Return whether all frames share input `number`."""
     return bool(function.name_in(number).startswith(SHARED_INPUT_PREFIX))
 
 
 def name_in_c(slot: int, here: dict[int, str]) -> str:
-    """C for the number in a slot of the work vector. here: names of the numbers that this part has made."""
+    """Return C for the number in a slot of the work vector; here: names of numbers that this part has computed."""
     return here.get(slot, f"w[{slot}]")
 
 
 def result_in_c(function: ca.Function, k: int, here: dict[int, str]) -> str:
-    """C for the result of instruction k."""
+    """Return C for the result of instruction k of `function`; here: this part's names by slot of
+    the work vector.
+    """
     operation, _, of = instruction_of(function, k)
     if operation == ca.OP_CONST:
         return f"all({number_in_c(function.instruction_constant(k))})"
@@ -174,7 +184,10 @@ def result_in_c(function: ca.Function, k: int, here: dict[int, str]) -> str:
 
 
 def interface(function: ca.Function, body: str, lanes: int) -> str:
-    """The functions that casadi.external looks for, around the body of the one that evaluates."""
+    """Return the C functions that casadi.external looks for, around the body of the one that evaluates `function`.
+
+    lanes: number of frames that one call evaluates.
+    """
     of_lanes = [1 if _is_shared_input(function, i) else lanes for i in range(function.n_in())]
     sizes_in = [(*function.size_in(i), times) for i, times in enumerate(of_lanes)]
     sizes_out = [(*function.size_out(i), lanes) for i in range(function.n_out())]
@@ -182,8 +195,9 @@ def interface(function: ca.Function, body: str, lanes: int) -> str:
 
 
 def casadi_entry_points(name: str, body: str, sizes_in: Sizes, sizes_out: Sizes) -> str:
-    """The functions that casadi.external looks for, for a function of that name with such dense inputs and
-    outputs.
+    """Return the C functions that casadi.external looks for, for a function with dense inputs and outputs.
+
+    name: of the function. body: C of its evaluation. sizes_in, sizes_out: shapes of inputs and outputs.
     """
     return f"""\
 int {name}(const double **arg, double **res, long long *iw, double *w, int mem) {{
@@ -194,7 +208,7 @@ long long {name}_n_out(void) {{ return {len(sizes_out)}; }}
 
 
 def _sparsities(name: str, sizes: Sizes) -> str:
-    """The function that tells CasADi the shapes of inputs or outputs."""
+    """Return C of the function from which CasADi reads the shapes of inputs or outputs."""
     # CasADi's compact pattern of a dense matrix: rows, columns, 1.
     rows = ", ".join(f"{{{rows}, {times * columns}, 1}}" for rows, columns, times in sizes)
     return (

@@ -1,1 +1,1 @@
-"""What is followed: curves, lumens, targets and problems. Imports no model and no solver."""
+"""Targets of motions: curves, lumens, targets and problems. Imports no model and no solver."""

@@ -28,8 +28,8 @@ CASADI_OPERATION_NAMES = {getattr(ca, name): name[3:].lower() for name in dir(ca
 CASADI_OPERATION_CODES = {name: code for code, name in CASADI_OPERATION_NAMES.items()}
 """Codes of CasADi's operations by their names."""
 Step = tuple[str, float, tuple[int, ...], int]
-"""One operation: name, constant, the places that it reads, and the place that it writes; for `output` a
-coordinate.
+"""One operation: name, constant, slots of the work vector that it reads, and the slot that it writes; for `output`
+the number of the coordinate.
 """
 
 
@@ -130,6 +130,7 @@ def _step(function: ca.Function, k: int) -> Step:
     reads = function.instruction_input(k)
     writes = function.instruction_output(k)
     name = CASADI_OPERATION_NAMES.get(code, "")
+    # A call refers to another CasADi function, which a list of operations cannot contain.
     if name == "call" or not writes:
         raise CurveError("formula calls a function that is kept apart from it (never_inline); write it out")
     if name == "output":
@@ -174,6 +175,7 @@ class Spline(ReadOnlyValue):
             return self._through
         try:
             each = [make_smoothing_spline(self.knots, coordinate) for coordinate in self.points.T]
+            # The knots depend on the abscissae alone, so that the splines of all three coordinates have the same.
             even = BSpline(each[0].t, np.column_stack([spline.c for spline in each]), each[0].k)
             return CubicSpline(self.knots, even(self.knots))
         except (ValueError, np.linalg.LinAlgError):
@@ -223,6 +225,7 @@ class ByArcLength(ReadOnlyValue):
         width = np.diff(self.breaks)
         u = (breaks[:-1, None] + width[:, None] * (nodes + 1) / 2).ravel()
         speeds = np.linalg.norm(self.x.derivative(u, 1), axis=1).reshape(len(width), -1)
+        # Gauss-Legendre nodes are on [-1, 1]: half the width of a cell is the scale of its integral.
         s = np.concatenate([[0.0], np.cumsum(speeds @ weights * width / 2)])
         at_breaks = np.linalg.norm(self.x.derivative(breaks, 1), axis=1)
         if not np.isfinite([s[-1], *at_breaks]).all() or (at_breaks <= 0).any() or (np.diff(s) <= 0).any():
@@ -246,6 +249,8 @@ class ByArcLength(ReadOnlyValue):
 
     def curvature(self, s: Array) -> Array:
         """Return the curvature (n,), 1/mm and unsigned, at arc lengths s (n,), mm."""
+        # |x' x x''| / |x'|^3 holds for any parameter, so that the smoothing spline need not have this one's arc
+        # length.
         first, second = (self.x.bending(self._at(s), order) for order in (1, 2))
         return np.asarray(np.linalg.norm(np.cross(first, second), axis=1) / np.linalg.norm(first, axis=1) ** 3)
 

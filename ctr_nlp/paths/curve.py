@@ -27,7 +27,7 @@ MAX_SMOOTHING_SAMPLES = 50_000
 RIGID_TRANSFORM_TOLERANCE = 1e-6
 """By how much the axes of a rigid transform may miss being orthonormal."""
 DEVIATION_CHECK_SUBDIVISIONS = 8
-"""Places between two samples of a smoothed curve at which it is measured how far it was moved."""
+"""Points between two samples of a smoothed curve at which its distance from the original curve is measured."""
 MAX_SMOOTHING_RADIUS_SHARE = 0.5
 """Largest part of the lumen's radius by which smoothing may move the curve."""
 
@@ -58,7 +58,7 @@ class Curve(Value):
     deviation : float
         By how much smoothing moved the curve at most, mm.
     deviation_share : float
-        The same as a part of the lumen's radius, at most.
+        Largest ratio of this displacement to the lumen's radius.
 
     Raises
     ------
@@ -185,6 +185,8 @@ class Curve(Value):
             raise CurveError(
                 f"transform of a curve is {rigid.tolist()}; it must be rigid: a turn and a shift in mm"
             )
+        # Orthonormal matrices with determinant -1 mirror: of patient coordinates, one axis was then taken the
+        # wrong way.
         if np.linalg.det(rotation) < 0:
             raise CurveError(
                 f"transform of a curve is {rigid.tolist()}, which mirrors; it must be a turn and a shift in mm. "
@@ -217,11 +219,12 @@ class Curve(Value):
 
         See Also
         --------
-        ctr_nlp.paths.points.evened : The penalised least squares problem that is solved.
+        ctr_nlp.paths.points.smooth_points : The penalised least squares problem that is solved.
         """
         number(CurveError, "smoothing", allowed, lambda x: 0 <= x < math.inf, "be a finite number >= 0", " mm")
         if allowed == 0:
             return self
+        # With eight samples or more to a bound, the reserve below, half a spacing, is a small part of it.
         spacing = max(min(SAMPLE_MM, allowed / 8), self.length / MAX_SMOOTHING_SAMPLES)
         s = np.linspace(0.0, self.length, max(16, int(np.ceil(self.length / spacing)) + 1))
         given = self.point(s)
@@ -243,6 +246,7 @@ class Curve(Value):
         found = replace(curve, by_parameter=None, deviation=float(moved.max()))
         if radius is None:
             return found
+        # A ball around a moved point lies in the old ball if its radius is smaller by the displacement.
         lengths = np.array([curve.length_at(fraction) for fraction in s / self.length])
         return replace(
             found, radius=Radii(lengths, radius - away).at, deviation_share=float((away / radius).max())
@@ -278,6 +282,7 @@ class Piece(Value):
 
     def tangent(self, s: Array) -> Array:
         """Return the unit tangents (n, 3) at arc lengths s (n,), in the direction of the piece."""
+        # Backwards along the curve the derivative by arc length changes its sign; curvature, unsigned, does not.
         return self.direction * self.curve.tangent(self.at(s))
 
     def curvature(self, s: Array) -> Array:
@@ -385,10 +390,13 @@ def curve_from_points(points: npt.ArrayLike, radius: npt.ArrayLike | None = None
     # Chord length is close to arc length, so that the spline has no loops where points are unevenly spaced.
     chord = cumulative_arc_length(given)
     per_span = max(1, ARC_LENGTH_TABLE_CELLS // (len(chord) - 1))
+    # The same number of cells between all neighbouring points: knots of the spline are among the breaks, and
+    # within a cell |x'| is smooth, as the quadrature needs it.
     breaks = np.interp(np.arange(per_span * (len(chord) - 1) + 1) / per_span, np.arange(len(chord)), chord)
     by_chord = _by_arc_length(Spline(chord, given, by_smoothing=True), breaks)
     curve = replace(by_chord, by_parameter=None)
     if radii is not None:
+        # Radii belong to the points: they are interpolated over the arc length there, not over the chord length.
         lengths = np.array([by_chord.length_at(c / chord[-1]) for c in chord])
         curve = replace(curve, radius=Radii(lengths, radii).at)
     return curve.smooth(smoothing)

@@ -1,7 +1,7 @@
 """The lumen around a path: clearance between tubes and its wall, and the wall's geometry near a point.
 
-A path x(s) has a lumen of radius r(s). A point p of the robot has the room r(s) - |p - x(s)| to the wall, with s
-the arc length of the nearest point of the path; clearance is that room less the radius of the outermost tube
+A path x(s) has a lumen of radius r(s). A point p of the robot is r(s) - |p - x(s)| away from the wall, with s the
+arc length of the nearest point of the path; the clearance is that distance less the radius of the outermost tube
 there.
 """
 
@@ -39,12 +39,12 @@ class LumenProjection(NamedTuple):
         Radius of the lumen there (..,), mm.
     centre : ndarray
         The nearest point of the path (.., 3), mm.
-    tangent, bend : ndarray
+    tangent, curvature_vector : ndarray
         First and second derivative of the path there by arc length (.., 3); the second in 1/mm.
     taper : ndarray
         Growth of the radius per mm that the point moves along the tangent (..,).
-    behind, ahead : ndarray
-        Length of the path before and after that place (..,), mm.
+    length_before, length_after : ndarray
+        Length of the path before and after that point (..,), mm.
     """
 
     distance: Array
@@ -139,12 +139,14 @@ class Lumen:
 
         Returns
         -------
-        Near
-            Their nearest places; NaN for points that are NaN.
+        LumenProjection
+            The path and the wall at the nearest points of the path; NaN for points that are NaN.
         """
         # The search tree takes no NaN; frames that were not reached are put back as NaN below.
         known = np.isfinite(points).all(axis=-1, keepdims=True)
         points = np.where(known, points, 0.0)
+        # The nearest point of the table is on the right branch of the path, also where the path passes itself
+        # closely.
         s = self._along[self._tree.query(points)[1]]
         for _ in range(PROJECTION_NEWTON_STEPS):
             # Newton on |p - x(s)|^2 / 2: its slope is -(p - x) x', its curvature |x'|^2 - (p - x) x''. That
@@ -207,6 +209,7 @@ def wall_rings(table: Array, angle: Array) -> Array:
     # By the length of the polyline, so that unevenly spaced tables give the same directions.
     tangents = np.gradient(centre, cumulative_arc_length(centre), axis=0)
     tangents /= np.linalg.norm(tangents, axis=1, keepdims=True)
+    # The axis that the first tangent is least parallel to: its projection across the path is never near 0.
     side = np.eye(3)[abs(tangents[0]).argmin()]
     sides = np.empty_like(tangents)
     for j, tangent in enumerate(tangents):
@@ -241,6 +244,8 @@ def wall_mesh(table: Array, vertices_per_ring: int) -> tuple[Array, npt.NDArray[
     beside = np.roll(here, -1, axis=1)[:-1]
     ahead = here[1:]
     across = np.roll(here, -1, axis=1)[1:]
+    # Two triangles for each quadrangle between neighbouring rings, their corners ordered so that normals point
+    # outwards.
     triangles = np.stack([here[:-1], beside, ahead, beside, across, ahead], axis=-1)
     return vertices.reshape(-1, 3), triangles.reshape(-1, 3).astype(np.uint32)
 
@@ -286,4 +291,6 @@ def outermost_tube_index(beta: Array, sigma: Array) -> Index:
         Numbers (T, n) of tubes, from 0.
     """
     s = sigma * beta[:, -1:]
+    # Tubes end at beta_1 <= .. <= beta_d, so that the outermost tube at s is the first one that reaches beyond s:
+    # its index is the number of tubes that end before s. 1e-9 mm covers rounding at a tube's end.
     return np.asarray((s[..., None] > beta[:, None, :-1] + 1e-9).sum(axis=-1))

@@ -1,4 +1,4 @@
-"""Does a robot fit into its lumen: what can be said of a problem before anything is solved."""
+"""Checks whether a robot fits into its lumen, and other notes on a problem before anything is solved."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from ctr_nlp.support.flag_runs import find_flag_runs
 from ctr_nlp.typing import Array
 
 FIT_CHECK_SPACING_MM = 0.1
-"""Distance between places along a path that are looked at, mm."""
+"""Distance between the points of a path that are checked, mm."""
 JAGGED_CURVATURE_PER_MM = 0.5
 """Curvature, 1/mm, above which a path follows the noise of its points, as VMTK's lines do until they
 are smoothed.
@@ -73,6 +73,8 @@ def misfits(problem: Problem) -> list[Misfit]:
     found = []
     for i, (least, most) in enumerate(_extensions(problem.robot, s[-1])):
         lack = tube_outer_radii(problem.robot)[i] - radius
+        # A tube has to extend up to `least` and cannot avoid a narrow part there; between `least` and `most` it
+        # can.
         for forced, reached in ((True, (s <= least) & (least > 0)), (False, (s > least) & (s <= most))):
             for first, stop in find_flag_runs(reached & (lack > 0)):
                 worst = first + lack[first:stop].argmax()
@@ -81,7 +83,7 @@ def misfits(problem: Problem) -> list[Misfit]:
 
 
 def problem_notes(problem: Problem) -> list[str]:
-    """Return what a user should know of a problem before it is solved, a sentence each.
+    """Return notes on a problem for its user before it is solved, a sentence each.
 
     Parameters
     ----------
@@ -131,19 +133,21 @@ def sharpest_bend(curve: Curve, length: float) -> tuple[float, float]:
         Arc length where it is, mm.
     """
     s = _places(length)
+    # For close points the chord between two unit tangents is the angle between them, and angle over length
+    # curvature.
     turns = np.linalg.norm(np.diff(curve.tangent(s), axis=0), axis=1) / np.diff(s)
     return float(turns.max()), float(s[turns.argmax()])
 
 
 def _longest(problem: Problem) -> tuple[Curve, Array]:
-    """Return the curve of the longest frame of the target, and places (n,) along it, mm."""
+    """Return the curve of the longest frame of the target, and arc lengths (n,) of points along it, mm."""
     each = zip(problem.target.curves, problem.target.lengths, strict=True)
     curve, length = max(each, key=lambda pair: pair[1])
     return curve, _places(length)
 
 
 def _places(length: float) -> Array:
-    """Return places (n,) from 0 to a length in mm, at most FIT_CHECK_SPACING_MM apart."""
+    """Return arc lengths (n,) from 0 to `length`, mm, at most FIT_CHECK_SPACING_MM apart."""
     return np.linspace(0.0, length, max(2, int(np.ceil(length / FIT_CHECK_SPACING_MM)) + 1))
 
 
@@ -184,7 +188,7 @@ def _note_jagged_path(problem: Problem) -> Iterator[str]:
 
 
 def _note_entry_direction(problem: Problem) -> Iterator[str]:
-    """Yield a note where the base cannot tilt into the direction in which the path sets out."""
+    """Yield a note where the base cannot tilt into the direction in which the path begins."""
     # R = Ry(theta_y) Rx(theta_x), eq. (4), turns +z to (sin ty cos tx, -sin tx, cos ty cos tx), solved for the
     # tilt.
     x, y, z = tangent = problem.target.curves[-1].tangent(np.zeros(1))[0]

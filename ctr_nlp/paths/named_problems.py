@@ -1,4 +1,4 @@
-"""The problems that have a name, a small file each in the folder `problems`, installed as `ctr_nlp.problems`."""
+"""Named problems: a small file each in the folder `problems`, which is installed as `ctr_nlp.problems`."""
 
 from __future__ import annotations
 

@@ -63,8 +63,10 @@ def move_to_robot_frame(curve: Curve, direction: npt.ArrayLike | None = None) ->
     sine = np.linalg.norm(axis)
     cosine = heading[2]
     about = axis / sine if sine > 1e-12 else np.array([1.0, 0.0, 0.0])
+    # The angle from sine and cosine together: arccos alone loses half of the digits near 0 and pi.
     rotation = Rotation.from_rotvec(np.arctan2(sine, cosine) * about).as_matrix()
     to_robot = np.eye(4)
+    # x -> R x - R x(0) takes the first point to the origin.
     to_robot[:3, :3], to_robot[:3, 3] = rotation, -rotation @ curve.point(np.zeros(1))[0]
     return curve.apply_transform(to_robot), to_robot
 

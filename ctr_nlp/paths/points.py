@@ -181,7 +181,7 @@ def smooth_points(points: Array, allowed: Array) -> Array:
     Returns
     -------
     ndarray
-        Smoothed points x (n, 3), mm; the points themselves where no penalty keeps the bounds.
+        Smoothed points x (n, 3), mm; the points themselves where no penalty satisfies the bounds.
     """
     # Scaled so that the largest weight is 1, and one range of penalties suits every bound.
     weight = (allowed.min() / allowed) ** 2
@@ -189,6 +189,7 @@ def smooth_points(points: Array, allowed: Array) -> Array:
     weakest = MIN_PENALTY_EXPONENT
     strongest = MAX_PENALTY_EXPONENT
     for _ in range(PENALTY_BISECTIONS):
+        # Bisection over powers of ten, since the penalty ranges over many orders of magnitude.
         power = (weakest + strongest) / 2
         # On the whole, displacements grow with the penalty, from 0 towards those of a straight line, so that
         # bisection finds the largest one.

@@ -1,4 +1,4 @@
-"""A problem: a robot, the target that it is to follow, and how long that may take."""
+"""A problem: a robot, the target that it is to follow, and the duration of the motion."""
 
 from __future__ import annotations
 
@@ -126,6 +126,7 @@ class Problem(Value):
     @property
     def deviation(self) -> float:
         """By how much smoothing moved the target at most, mm; 0 without smoothing."""
+        # Frames of one path share one curve; of a sequence the worst counts.
         return max(curve.deviation for curve in self.target.curves)
 
     @property
@@ -210,6 +211,8 @@ class Problem(Value):
         True
         """
         path = checked_path(OutputError, path)
+        # Curves refer to functions; packing names them by class and method, so that reading the file runs no
+        # foreign code.
         packed = Packed()
         try:
             told = {"problem": packed.add(self), "table": packed.table, "format": FORMAT}

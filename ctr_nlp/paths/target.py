@@ -57,6 +57,7 @@ class Frame(ReadOnlyValue):
 
     def at(self, sigma: Array) -> Array:
         """Return points (n, 3), mm, at any sigma (n,), by the cubic Hermite interpolant of points and tangents."""
+        # dx/dsigma = length dx/ds, with dx/ds the unit tangent.
         return CubicHermiteSpline(SIGMA_GRID, self.points, self.tangents * self.length)(sigma)
 
     @cached_property
@@ -152,6 +153,7 @@ class Target(Value):
         """
         found = list[Frame]()
         frames = range(len(self))
+        # By identity: frames of a growing target share one curve object, and comparing curves by value is slow.
         for _, run in itertools.groupby(frames, lambda frame: id(self.curves[frame])):
             found += _sample_frames(
                 self.curves[len(found)], np.array([self.lengths[frame] for frame in run]), len(found), len(self)
@@ -252,7 +254,7 @@ def _sample_frames(curve: Curve, lengths: Array, first: int, total: int) -> list
     s = SIGMA_GRID * lengths[:, None]
 
     def known(name: str, function: Callable[[Array], Any], *shape: int) -> list[Array]:
-        """A function of arc length in every frame, finite and read-only; raises ProblemError."""
+        """Evaluate a function of arc length in every frame; raise ProblemError where it is not finite."""
         whole = np.asarray(function(s.ravel()))
         if whole.shape == (s.size, *shape) and whole.dtype == float and np.isfinite(whole).all():
             return list(frozen(whole).reshape(*s.shape, *shape))
@@ -277,6 +279,7 @@ def _check_direction(points: Array, lengths: Array, frames: range) -> None:
 
     Where it does, its tangent has no direction and its samples are further apart than its arc length says.
     """
+    # A polyline through points of a curve is never longer than the curve between them.
     chords = np.linalg.norm(np.diff(points, axis=1), axis=2).sum(axis=1)
     for frame, chord, length in zip(frames, chords, lengths, strict=True):
         if chord > length * (1 + MAX_RELATIVE_CHORD_EXCESS):

@@ -1,4 +1,4 @@
-"""Checks of a robot's tubes against each other (they must nest), and of angles against what motors can turn by."""
+"""Checks of a robot's tubes against each other (they must nest), and of angles against the range of motors."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from ctr_nlp.robot.tube import Tube
 from ctr_nlp.robot.units import between, did_you_mean, suggest_angle, unit_mismatch_factor
 
 MAX_MOTOR_ANGLES_RAD = {"alpha": 20 * math.pi, "theta": 4 * math.pi}
-"""Largest angles, rad: ten turns of a tube, beyond what any motor's cables bear, and two of the base."""
+"""Largest angles, rad: ten turns of a tube, more than any motor's cables allow, and two of the base."""
 
 
 def sequence_of_tubes(tubes: Any) -> tuple[Tube, ...]:
@@ -63,6 +63,8 @@ def check_pair(i: int, outer: Tube, inner: Tube) -> None:
             f"tubes {i} and {i + 1} do not nest: inner_diameter of tube {i} is {outer.inner_diameter:g} mm, "
             f"outer_diameter of tube {i + 1} is {inner.outer_diameter:g} mm"
         )
+    # Carriages stand behind each other in the order of the tubes: that of an inner tube, behind, needs the longer
+    # tube.
     if outer.length > inner.length:
         raise RobotError(
             f"length of tube {i} is {outer.length:g} mm and of tube {i + 1} {inner.length:g} mm: "

@@ -46,6 +46,8 @@ def check_extensions(
                 f"carriage_gap is {gap:g} mm and tube {i + 1} only {longer:g} mm longer than tube {i}: with "
                 f"beta_{i} <= {name}, it must be at most that"
             )
+        # Greedy from the outermost tube inwards: what is left of the interval is exactly what some extensions of
+        # the tubes outside allow, so that it is empty only if no extensions exist.
         low = max(low, least)
         high = min(high + longer - (gap or 0.0), most)
         if low > high:
@@ -75,6 +77,8 @@ def compute_max_extensions(tubes: Sequence[Tube], upper: Array, gap: float | Non
     beta = upper.copy()
     for i in range(1, len(tubes)):
         if gap is not None:
+            # Outermost first, since the gap bounds an inner tube by the one around it: beta_{i+1} <= beta_i +
+            # L_{i+1} - L_i - gap.
             beta[i] = min(beta[i], beta[i - 1] + tubes[i].length - tubes[i - 1].length - gap)
     # No outer tube may be out further than an inner one, eq. (2): the minimum over all tubes within it.
     return frozen(np.minimum.accumulate(beta[::-1])[::-1])

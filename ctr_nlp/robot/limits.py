@@ -60,4 +60,6 @@ class Limits:
 
     def __post_init__(self) -> None:
         for f in fields(self):
+            # Tuples instead of lists and arrays make limits hashable and comparable; frozen dataclasses are set
+            # this way only.
             object.__setattr__(self, f.name, to_nested_tuples(getattr(self, f.name)))

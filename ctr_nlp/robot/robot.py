@@ -1,4 +1,4 @@
-"""A robot: its tubes, and the one set of limits that every formulation, executor and check honours.
+"""A robot: its tubes, and the one set of limits that every formulation, executor and check respects.
 
 The configuration is q = (alpha_1 .. alpha_d, beta_1 .. beta_d, theta_x, theta_y), eq. (5) of the paper: rotations
 of the tubes at their motors in rad, extensions beyond the insertion point in mm, and the tilt of the base in rad.
@@ -40,8 +40,8 @@ from ctr_nlp.support.value_checks import (
 from ctr_nlp.typing import Array
 
 MM_PER_RAD = 10.0
-"""What one radian counts as in the motion term of eq. (9) and in the roughness, mm: the weights W of
-docs/method.md.
+"""Length in mm that one radian equals in the motion term of eq. (9) and in the roughness: the weights W of
+docs/method.md. A tube turned by 1 rad is as costly as one pushed by 10 mm.
 """
 ROBOT_FILE_KEYS = ("name", "tubes", "limits", "tolerances")
 """Keys of a robot file."""
@@ -61,8 +61,8 @@ TUBE_UNIT_COMMENTS = {
 class Robot:
     """A concentric tube robot of d nested tubes, outermost first, with limits and tolerances.
 
-    An inner tube may be as stiff as the one around it, or stiffer: only the dominant-stiffness model asks for an
-    order, and checks it itself (``Model.check``).
+    An inner tube may be as stiff as the one around it, or stiffer: only the dominant-stiffness model requires an
+    order of stiffnesses, and checks it itself (``Model.check``).
 
     Attributes
     ----------
@@ -111,7 +111,7 @@ class Robot:
         check_deployed(self.tubes, self.max_extensions.tolist())
 
     def __reduce__(self) -> Any:
-        # Made anew from its fields, so that cached arrays are not pickled and stay read-only.
+        # Rebuilt from its fields, so that cached arrays are not pickled and stay read-only.
         return Robot, (self.tubes, self.limits, self.tolerances)
 
     def _check_limits(self) -> None:
@@ -148,16 +148,17 @@ class Robot:
 
     @cached_property
     def structure(self) -> Structure:
-        """Structure of the robot: what programs are compiled for, apart from the numbers of the tubes."""
+        """Structure of the robot, for which programs are compiled; the tubes' numbers are their parameters."""
         low = self.d
         high = 2 * self.d
         ends = zip(self.tubes, self.upper[low:high], strict=True)
+        # A tube extended beyond its curved part shows its straight transmission: one section more in every model.
         shown = tuple(bool(end > tube.curved_length) for tube, end in ends)
         return Structure(tuple(map(kind_of, self.tubes)), shown, self.carriage_gap is not None)
 
     @cached_property
     def numbers(self) -> Array:
-        """Numbers of the tubes that models use, (d, 8), in the order of `structure.NUMBERS`."""
+        """Numbers of the tubes that models use, (d, 8), in the order of `structure.TUBE_NUMBER_NAMES`."""
         return frozen(np.array(numbers_of(self.tubes)))
 
     @cached_property

@@ -46,15 +46,15 @@ class RobotSamples(ReadOnlyValue):
     structure : Structure
         What they have in common: compiled programs are shared.
     numbers : ndarray
-        Tubes (n, d, 8), in the order of `structure.NUMBERS`.
+        Tubes (n, d, 8), in the order of `structure.TUBE_NUMBER_NAMES`.
     offsets : ndarray
         Errors of the motors' zeros (n, d), rad: by how much the angle of a tube exceeds that of its motor.
     backlash : ndarray
-        Backlash (n, d), rad: by which angle a tube may stay behind its motor, to either side.
+        Backlash (n, d), rad: largest difference between the angles of a tube and of its motor, to either side.
     forces : ndarray
         Forces (n, 3) at the tips, N, in the axes of the base.
     deviations : ndarray
-        Differences (n, d, 5) from the nominal robot, in the order of `tolerances.NAMES`.
+        Differences (n, d, 5) from the nominal robot, in the order of `tolerances.DEVIATION_NAMES`.
     """
 
     structure: Structure
@@ -140,7 +140,7 @@ def sample_robots(robot: Robot, count: int, seed: int) -> RobotSamples:
 
     Returns
     -------
-    Draws
+    RobotSamples
         The samples. Where a force may act at the tip, each has all of it, in a random direction of its own.
 
     Raises
@@ -151,8 +151,8 @@ def sample_robots(robot: Robot, count: int, seed: int) -> RobotSamples:
     Examples
     --------
     >>> from ctr_nlp.robot import table_i_robot
-    >>> from ctr_nlp.robot.samples import drawn
-    >>> samples = drawn(table_i_robot(), count=3, seed=0)
+    >>> from ctr_nlp.robot.samples import sample_robots
+    >>> samples = sample_robots(table_i_robot(), count=3, seed=0)
     >>> samples.numbers.shape, samples.offsets.shape
     ((3, 3, 8), (3, 3))
     """
@@ -174,6 +174,7 @@ def sample_robots(robot: Robot, count: int, seed: int) -> RobotSamples:
         stiffness[:] = (1 + stiffness) * _bending_stiffness_factors(robot, off) - 1
     else:
         root = tolerances.covariance_root(robot.tubes)
+        # Independent standard normal numbers times R have the covariance R R^T.
         parts = (random.standard_normal((count, len(root))) @ root.T).reshape(count, d, len(DEVIATION_NAMES))
     lags = shares.uniform(0.0, 1.0, (count, d)) * tolerances.max_backlash(d)
     return perturb_robot(robot, parts, lags, _forces(robot, count, seed))
@@ -191,7 +192,7 @@ def box_vertices_of(robot: Robot, max_vertices: int = MAX_BOX_VERTICES) -> Robot
 
     Returns
     -------
-    Draws
+    RobotSamples
         Robots of which every independent quantity is as far off as at the end of a uniform band. Tubes with a
         backlash have all of it; where a force may act at the tip, all of it does, in a random direction of each
         robot's own.
@@ -202,9 +203,11 @@ def box_vertices_of(robot: Robot, max_vertices: int = MAX_BOX_VERTICES) -> Robot
     if 2**count <= max_vertices:
         signs = np.array(list(itertools.product((-1.0, 1.0), repeat=count))).reshape(-1, count)
     else:
+        # Too many vertices to list: a random choice, which may repeat some.
         signs = np.random.default_rng(0).choice((-1.0, 1.0), (max_vertices, count))
     # A uniform band of half width b has the standard deviation b / sqrt(3), which is the size of root's columns.
     parts = math.sqrt(3) * signs @ deviations.T
+    # Every vertex has all of the backlash, which is no deviation to either side of a nominal value.
     lags = np.tile(robot.tolerances.max_backlash(robot.d), (len(signs), 1))
     return perturb_robot(
         robot, parts.reshape(-1, robot.d, len(DEVIATION_NAMES)), lags, _forces(robot, len(signs), 0)
@@ -214,7 +217,7 @@ def box_vertices_of(robot: Robot, max_vertices: int = MAX_BOX_VERTICES) -> Robot
 def _forces(robot: Robot, count: int, seed: int) -> Array:
     """Return forces (count, 3) at tips, N, each as large as may be, in directions uniform over the sphere."""
     # A normalised standard normal vector is uniform over the sphere. Stream 3 of the seed: 0 to 2 are those of
-    # `drawn`.
+    # `sample_robots`.
     directions = np.random.default_rng([seed, 3]).standard_normal((count, 3))
     return robot.tolerances.tip_force * directions / np.linalg.norm(directions, axis=1, keepdims=True)
 
@@ -237,7 +240,8 @@ def perturb_robot(robot: Robot, deviations: Array, backlash: Array, forces: Arra
     robot : Robot
         The nominal robot, of d tubes.
     deviations : ndarray
-        Differences (n, d, 5), in the order of `tolerances.NAMES`: relative for the first three, then mm and rad.
+        Differences (n, d, 5), in the order of `tolerances.DEVIATION_NAMES`: relative for the first three, then mm
+        and rad.
     backlash : ndarray
         Backlash (n, d), rad.
     forces : ndarray, optional
@@ -245,7 +249,7 @@ def perturb_robot(robot: Robot, deviations: Array, backlash: Array, forces: Arra
 
     Returns
     -------
-    Draws
+    RobotSamples
         Curvatures, stiffnesses and lengths are kept above a twentieth of the nominal ones, and curved parts no
         longer than their tubes.
     """
@@ -281,11 +285,11 @@ def build_calibrated_robot(robot: Robot, deviations: Array, covariance: Array, r
     robot : Robot
         The robot as described before.
     deviations : ndarray
-        Differences (d, 5) of its tubes from that description, in the order of `tolerances.NAMES`.
+        Differences (d, 5) of its tubes from that description, in the order of `tolerances.DEVIATION_NAMES`.
     covariance : ndarray
         Covariance (5 d, 5 d) that is left of these differences.
     rotation_lag : float or sequence of float
-        Backlash, rad; one number or one a tube.
+        Largest backlash, rad; one number or one a tube.
 
     Returns
     -------

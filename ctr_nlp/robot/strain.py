@@ -52,8 +52,8 @@ class Strain(NamedTuple):
 def check_deployed(tubes: Sequence[Tube], beta: Sequence[float]) -> None:
     """Check that no tube of the aligned robot is strained by more than 6 %.
 
-    6 % is the strain to which superelastic nitinol is loaded, and from which it must come back, where its plateaus
-    are measured (ASTM F2516).
+    In the standard test of superelastic nitinol (ASTM F2516) specimens are loaded to a strain of 6 %, from which
+    they must recover.
 
     Parameters
     ----------
@@ -108,6 +108,8 @@ def _strains(tubes: Sequence[Tube], beta: Sequence[float], s: float) -> list[Str
     there = [
         (i, tube, pre_curvature(tube, b - s)) for i, (tube, b) in enumerate(zip(tubes, beta, strict=True)) if b > s
     ]
+    # The mean curvature of the tubes that are present at s, weighted with EI: the equation at the top of this
+    # file.
     stiffness = sum(tube.bending_stiffness for _, tube, _ in there)
     common = sum(tube.bending_stiffness * own for _, tube, own in there) / stiffness
     return [Strain(i + 1, s, own, common, tube.outer_diameter / 2 * abs(own - common)) for i, tube, own in there]

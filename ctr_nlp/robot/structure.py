@@ -1,4 +1,4 @@
-"""Structure of a robot: what programs are compiled for, and the numbers of tubes that are their parameters.
+"""Structure of a robot, for which programs are compiled, and the numbers of its tubes, which are their parameters.
 
 Programs depend on the structure as code and on the numbers as parameters, so that robots that differ in numbers
 alone (perturbed robots, designed tubes) share every compiled program.
@@ -20,7 +20,7 @@ length, or of one curvature whose direction turns.
 
 @dataclass(frozen=True)
 class Structure:
-    """The part of a robot that programs are compiled for; robots that differ in numbers alone have the same
+    """The part of a robot for which programs are compiled; robots that differ in numbers alone have the same
     structure.
 
     Attributes
@@ -30,7 +30,7 @@ class Structure:
     transmission_emerges : tuple of bool
         Which tubes can be extended so far that their straight transmissions come out of the insertion point.
     gap : bool
-        Whether carriages are kept at a least distance.
+        Whether a least distance between carriages is a constraint.
     """
 
     kinds: tuple[Kind, ...]
@@ -44,7 +44,7 @@ class Structure:
 
 
 class TubeNumbers(NamedTuple):
-    """Numbers of one tube as models take them: floats, columns (T, 1) for T robots at once, or symbols.
+    """Numbers of one tube as models take them: floats, columns (T, 1) for a batch of T robots, or symbols.
 
     Attributes
     ----------
@@ -129,6 +129,7 @@ def tubes_of_batch(structure: Structure, numbers: Any) -> tuple[TubeNumbers, ...
     tuple of TubeNumbers
         Each number a column (T, 1), which broadcasts against samples along the robots (T, n).
     """
+    # (T, d, 8) becomes (d, 8, T, 1): tubes, then numbers, each a column.
     return tubes_of(structure, [list(tube) for tube in numbers.transpose(1, 2, 0)[..., None]])
 
 
@@ -163,7 +164,7 @@ def locate_free_numbers(
 
 
 def numbers_of(tubes: Iterable[Tube]) -> list[list[float]]:
-    """Return the numbers of tubes as lists of eight floats, in the order of `TUBE_NUMBER_NAMES`."""
+    """Return the numbers of `tubes` as lists of eight floats, in the order of `TUBE_NUMBER_NAMES`."""
     return [
         [
             tube.length,
@@ -180,9 +181,10 @@ def numbers_of(tubes: Iterable[Tube]) -> list[list[float]]:
 
 
 def kind_of(tube: Tube) -> Kind:
-    """Return the kind of a tube's curved part."""
+    """Return the kind of the curved part of `tube`."""
     if tube.largest_curvature == 0:
         return "straight"
     if tube.pre_torsion != 0:
         return "helix"
+    # Without a curved part there is nothing along which the curvature could change.
     return "linear" if tube.root_curvature != tube.tip_curvature and tube.curved_length else "arc"

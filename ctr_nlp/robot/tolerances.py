@@ -1,7 +1,7 @@
 """Tolerances: by how much a built robot, and its motors' zeros, may differ from the description.
 
 Differences of d tubes are a vector of 5 d entries, tube by tube in the order of DEVIATION_NAMES. A band of half
-width b stands for a uniform distribution on [-b, b], of variance b^2 / 3; the normal one has the same variance.
+width b is a uniform distribution on [-b, b], of variance b^2 / 3; the normal one has the same variance.
 """
 
 from __future__ import annotations
@@ -21,16 +21,16 @@ from ctr_nlp.support.value_checks import number, numbers, plain_floats, to_neste
 from ctr_nlp.typing import Array
 
 DISTRIBUTIONS = "uniform", "normal"
-"""Distributions of differences: uniform within the band, or normal with the variance of the uniform one."""
+"""Distributions of the differences: uniform within the band, or normal with the same variance."""
 MAX_TOLERANCES = {
     **dict.fromkeys(("curvature", "bending_stiffness", "torsional_ratio"), 0.5),
     "curved_length": 100.0,
     **dict.fromkeys(("motor_zero", "rotation_lag"), math.pi / 2),
     "diameter": 1.0,
 }
-"""Largest tolerances that are accepted: parts, mm and rad. With more, nothing is known of a robot."""
+"""Largest tolerances that are accepted: parts, mm and rad. Larger ones would hardly describe a robot."""
 MAX_TOLERANCE_FORCE_N = 10.0
-"""Largest force at the tip, N, beyond what any robot of this kind bears."""
+"""Largest force at the tip, N, more than any robot of this kind withstands."""
 TOLERANCE_UNITS = {"curved_length": " mm", "motor_zero": " rad", "rotation_lag": " rad", "diameter": " mm"}
 DEVIATION_NAMES = "curvature", "bending_stiffness", "torsional_ratio", "curved_length", "motor_zero"
 """Numbers that differ from robot to robot, tube by tube: parts, mm and rad."""
@@ -55,8 +55,8 @@ class Tolerances:
     motor_zero : float or sequence of float
         Angle by which alpha may be off where the motor reads 0, rad.
     rotation_lag : float or sequence of float
-        Largest backlash, rad: angle by which a tube may stay behind its motor when that turns. A robot's own is
-        uniform in [0, rotation_lag], whatever the distribution.
+        Largest backlash, rad: difference between the angles of a tube and of its motor while that turns. The
+        backlash of a robot is uniform in [0, rotation_lag], whatever the distribution.
     diameter : float or sequence of float
         Tolerance of the outer and of the inner diameter, mm. Diameters change the bending stiffness, which then
         varies by more than `bending_stiffness`.
@@ -252,8 +252,10 @@ class Tolerances:
         root = np.zeros((bands.size, bands.size))
         # By rounding, an eigenvector of the whole matrix would let numbers differ that have no variance; rows
         # without variance are left out.
-        differs = np.flatnonzero(found.diagonal() > 0)  # by rounding, nothing else may differ either
+        differs = np.flatnonzero(found.diagonal() > 0)
         among = np.ix_(differs, differs)
+        # R = V sqrt(S) from the eigenvalues S, not Cholesky's factor: that does not exist for a singular
+        # covariance, such as one that a calibration leaves.
         sizes, axes = np.linalg.eigh((found + found.T)[among] / 2)
         root[among] = axes * np.sqrt(np.maximum(sizes, 0.0))
         return root

@@ -1,4 +1,4 @@
-"""One tube: its numbers, checked against what nitinol bears and against mistakes of units."""
+"""One tube: its numbers, checked against the strain of nitinol and against mistakes of units."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from ctr_nlp.support.value_checks import numbers
 MAX_PRE_CURVATURE_STRAIN = 0.08
 """Largest strain of a tube's outer fibre by its pre-curvature."""
 MAX_TUBE_CURVATURE_PER_MM = 0.5
-"""Largest curvature of any tube, 1/mm: a radius of 2 mm, which nitinol bears up to 0.32 mm thick."""
+"""Largest curvature of any tube, 1/mm: a radius of 2 mm, to which nitinol can be bent up to 0.32 mm thick."""
 TUBE_LENGTH_RANGE_MM = (1.0, 10_000.0)
 """Shortest and longest tube, mm. What is shorter was likely written in metres, what is longer in micrometres."""
 MAX_HELIX_TURN_RAD = 2.0
@@ -87,6 +87,7 @@ class Tube:
             value = getattr(self, f.name)
             if f.name == "curvature":
                 pair = tuple(numbers(f.name, value, 2).tolist())
+                # Equal ends are one number: an arc is another structure than a curved part of linear curvature.
                 object.__setattr__(self, "curvature", pair[0] if pair[0] == pair[1] else pair)
             else:
                 object.__setattr__(self, f.name, float(numbers(f.name, value, 1)[0]))
@@ -190,6 +191,7 @@ class Tube:
     @property
     def bending_stiffness(self) -> float:
         """Bending stiffness EI, in units of youngs_modulus x mm^4: N mm^2 where that is in MPa."""
+        # Second moment of area of a ring, pi (D^4 - d^4) / 64.
         return self.youngs_modulus * math.pi / 64 * (self.outer_diameter**4 - self.inner_diameter**4)
 
     @property

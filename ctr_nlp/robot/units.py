@@ -1,4 +1,4 @@
-"""Mistakes of units: what a number that is out of range was likely meant to be."""
+"""Mistakes of units: guesses of the value that a user meant by a number that is out of range."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ UNIT_MISTAKE_FACTOR = 5.0
 
 
 def between(low: float, high: float) -> Plausible:
-    """Return a function that tells whether a number lies in [low, high]."""
+    """Return a function that returns whether a number lies in [low, high]."""
     return lambda value: low <= value <= high
 
 
 def did_you_mean(meant: Iterable[str]) -> str:
-    """Return the end of a message that offers what was likely meant; an empty text where `meant` is empty."""
+    """Return the end of a message that offers likely values; an empty text where `meant` is empty."""
     offers = list(meant)
     return f"; did you mean {' or '.join(offers)}?" if offers else ""
 
@@ -54,6 +54,7 @@ def suggest_angle(value: float, plausible: Plausible) -> list[str]:
 
 def unit_mismatch_factor(first: float, second: float) -> float | None:
     """Return the factor (1e3, 1e6 or 1e9) by which `first` and `second`, both positive, likely differ, or None."""
+    # Moduli of real tubes differ by far less than 200, the least ratio that is taken for a wrong prefix.
     ratio = max(first / second, second / first)
     return next(
         (step for step in THOUSANDS if step / UNIT_MISTAKE_FACTOR <= ratio <= step * UNIT_MISTAKE_FACTOR), None

@@ -25,16 +25,16 @@ CHAIN_SOLVERS: dict[str, Callable[[Chain], ChainSolver]] = {
     "banded": BandedSolver,
     "ipopt": IpoptSolver,
 }
-"""Solvers of chains, by the names that options use; each is called with (x0, watch[, first barrier])."""
+"""Solvers of chains, by the names that options use; each is called as solver(x0, watch[, first barrier])."""
 
 
 def default_solver() -> str:
-    """Name of the fastest frame solver that works here: sqp needs a C compiler."""
+    """Return the name of the fastest frame solver that works here: sqp needs a C compiler."""
     return "ipopt" if cache.unavailable_reason() else "sqp"
 
 
 def default_chain_solver() -> str:
-    """Name of the fastest chain solver that works here: banded needs a C compiler."""
+    """Return the name of the fastest chain solver that works here: banded needs a C compiler."""
     return "ipopt" if cache.unavailable_reason() else "banded"
 
 

@@ -24,7 +24,7 @@ MAX_CACHED_LIBRARIES = 64
 
 
 def compile_functions(nlp: Nlp, lanes: int | None = None) -> FrameFunctions:
-    """A program's functions for `lanes` frames together, or for any number of them (None), from its library.
+    """Return the functions of the program `nlp` for `lanes` frames together, or for any number of them (None).
 
     Waits for the compiler. Raises OptionError where nothing can be compiled.
     """
@@ -33,9 +33,11 @@ def compile_functions(nlp: Nlp, lanes: int | None = None) -> FrameFunctions:
 
 @functools.lru_cache(maxsize=MAX_CACHED_LIBRARIES)
 def library(nlp: Nlp, lanes: int | None) -> Library:
-    """The shared library of a program's functions for `lanes` frames together, or for any number (None)."""
+    """Return the shared library of the functions of `nlp` for `lanes` frames together, or for any
+    number (None).
+    """
     # A tape (any number of frames) is made of the plain functions, straight code for one frame of the
-    # functions in parts, with alike places evaluated together (nlp/parted.py).
+    # functions in parts, with sample points evaluated together (ocp/partition.py).
     derived = (
         nlp.expressions.functions_to_compile
         if lanes is None
@@ -46,15 +48,16 @@ def library(nlp: Nlp, lanes: int | None) -> Library:
 
 @functools.cache
 def _derivation_source() -> str:
-    """Source of the modules that turn a program into functions: a change to them is a change to what is
+    """Return the source of the modules that turn a program into functions: a change to them changes what is
     compiled.
     """
     return "".join(map(inspect.getsource, (expressions, sample_groups, sample_derivatives, partition)))
 
 
 def fastest_functions(nlp: Nlp) -> Callable[[], FrameFunctions]:
-    """A function that returns a program's functions: compiled as soon as the background process is done, else
-    interpreted.
+    """Return a function that returns the functions of the program `nlp`.
+
+    They are interpreted until the background process has compiled them.
     """
     return (lambda: nlp.functions) if cache.unavailable_reason() else _FastestFunctions(nlp)
 
@@ -76,8 +79,8 @@ class _FastestFunctions:
 
 @functools.lru_cache(maxsize=MAX_CACHED_LIBRARIES)
 def _load_functions(path: str, lanes: int | None) -> FrameFunctions:
-    """The three functions of a library, loaded once a process."""
-    # Libraries for any number of frames are tapes, whose row-wise entry point codegen.mapped needs as well.
+    """Return the three functions of a library, loaded once a process."""
+    # Libraries for any number of frames are tapes, whose row-wise entry point BatchEvaluator needs as well.
     load = load_tape_function if lanes is None else ca.external
     value, slopes, expansion = (load(name, path) for name in FrameFunctions._fields[:3])
     return FrameFunctions(value, slopes, expansion, lanes or vector.VECTOR_LANES)

@@ -11,14 +11,17 @@ from pathlib import Path
 
 @contextmanager
 def write_atomically(path: Path) -> Iterator[Path]:
-    """A new empty file beside path, which takes path's place when the block ends well and vanishes otherwise.
+    """Yield a new empty file that takes the place of `path` when the block ends well, and is removed otherwise.
 
-    It has path's suffix and a name that nothing else has. Raises OSError where it cannot be made or moved.
+    The file lies beside `path`, with its suffix and a random name. Raises OSError where it cannot be made or
+    moved.
     """
     partial = path.with_name(f".{path.stem[:40]}-{secrets.token_hex(4)}{path.suffix}")
     partial.touch(exist_ok=False)
     try:
         yield partial
+        # A rename within one file system is atomic, hence the file beside `path`: readers find the old file or the
+        # whole new one.
         os.replace(partial, path)
     finally:
         partial.unlink(missing_ok=True)

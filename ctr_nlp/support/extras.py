@@ -24,7 +24,11 @@ EXTRAS = {
 
 
 def import_extra(module: str) -> Any:
-    """The module; raises OptionError, which names the command that installs it, where it is missing."""
+    """Import an optional module and return it.
+
+    module: dotted name of a module of one of EXTRAS. Raises OptionError, which names the command that installs it,
+    where it is missing.
+    """
     try:
         return importlib.import_module(module)
     except ImportError as error:

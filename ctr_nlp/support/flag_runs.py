@@ -1,4 +1,4 @@
-"""Runs of flags that are set, one after the other."""
+"""Runs of consecutive flags that are set."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from ctr_nlp.typing import Flags
 
 
 def find_flag_runs(flags: Flags) -> list[tuple[int, int]]:
-    """The first index of each run of flags that are set, and the one after its last."""
+    """Return the first index of each run of set flags (n,), and the index after its last."""
+    # False at both ends, so that runs at the borders have two edges as well and edges come in pairs.
     edges = np.flatnonzero(np.diff(np.concatenate([[False], flags, [False]]).astype(int)))
     return [(first, stop) for first, stop in edges.reshape(-1, 2).tolist()]

@@ -17,14 +17,16 @@ except ImportError:  # on Windows
     fcntl = None  # type: ignore[assignment]
 
 FOLDER_LOCK_POLL_S = 0.02
-"""Seconds between two attempts to get hold of a folder."""
+"""Seconds between two attempts to lock a folder."""
 NEW_FOLDER_LOCK_TIMEOUT_S = 1.0
-"""Seconds for which a process waits for one that looks whether its new folder is abandoned."""
+"""Seconds for which a process waits for the lock of its new folder, which a process that removes abandoned folders
+may hold for a moment.
+"""
 
 
 @contextmanager
 def lock_folder(folder: Path, timeout_s: float = 0.0) -> Iterator[bool]:
-    """Hold a folder against other processes within the block. The lock of a process that dies is gone with it.
+    """Lock a folder against other processes within the block. The lock of a process that dies is released.
 
     Parameters
     ----------
@@ -53,7 +55,7 @@ def lock_folder(folder: Path, timeout_s: float = 0.0) -> Iterator[bool]:
 
 
 class FolderLock(NamedTuple):
-    """A folder that this process holds, and so does every process that inherits its descriptor."""
+    """A folder that this process has locked, together with every process that inherits its descriptor."""
 
     folder: Path
     descriptor: int | None
@@ -66,17 +68,19 @@ class FolderLock(NamedTuple):
 
     @property
     def inheritable_descriptors(self) -> tuple[int, ...]:
-        """Descriptors that a child process must be given (``pass_fds``) to hold the folder, too."""
+        """Descriptors that a child process must be given (``pass_fds``) to share the lock."""
         return () if self.descriptor is None else (self.descriptor,)
 
     def release(self) -> None:
-        """Let go of the folder here; processes that inherited it still hold it."""
+        """Release the lock in this process; processes that inherited it keep it."""
         if self.descriptor is not None:
+            # Closed instead of unlocked: flock's LOCK_UN would take the lock from child processes as well, which
+            # share it (flock(2)).
             os.close(self.descriptor)
 
 
 def acquire_folder_lock(folder: Path, timeout_s: float = 0.0) -> FolderLock:
-    """Hold a folder against other processes until it is released, or the last process that holds it has ended.
+    """Lock a folder until it is released, or the last process that shares the lock has ended.
 
     Parameters
     ----------
@@ -87,8 +91,8 @@ def acquire_folder_lock(folder: Path, timeout_s: float = 0.0) -> FolderLock:
 
     Returns
     -------
-    Held
-        To be released.
+    FolderLock
+        The lock, to be released by the caller.
 
     Raises
     ------
@@ -99,6 +103,8 @@ def acquire_folder_lock(folder: Path, timeout_s: float = 0.0) -> FolderLock:
     """
     if fcntl is None:
         return FolderLock(folder, None)
+    # The folder itself is locked, not a file in it: nothing is left behind, and the kernel releases the lock of a
+    # process that is killed.
     door = os.open(folder, os.O_RDONLY)
     try:
         certain = _acquire_flock(door, folder, time.monotonic() + timeout_s)
@@ -111,7 +117,10 @@ def acquire_folder_lock(folder: Path, timeout_s: float = 0.0) -> FolderLock:
 
 
 def lock_new_folder(place: Path, prefix: str) -> FolderLock:
-    """Make a folder of a new name in a place and hold it; raises OSError where none can be made."""
+    """Make a folder with a new name and lock it.
+
+    place: where to make it. prefix: beginning of its name. Raises OSError where it cannot be made.
+    """
     while True:
         held = _lock_if_present(Path(tempfile.mkdtemp(prefix=prefix, dir=place)))
         if held is not None:
@@ -119,7 +128,7 @@ def lock_new_folder(place: Path, prefix: str) -> FolderLock:
 
 
 def lock_named_folder(folder: Path) -> FolderLock | None:
-    """Make a folder of a given name and hold it.
+    """Make a folder of a given name and lock it.
 
     Parameters
     ----------
@@ -128,8 +137,8 @@ def lock_named_folder(folder: Path) -> FolderLock | None:
 
     Returns
     -------
-    Held or None
-        None where it is there already.
+    FolderLock or None
+        None where the folder exists already.
 
     Raises
     ------
@@ -144,12 +153,16 @@ def lock_named_folder(folder: Path) -> FolderLock | None:
 
 
 def _lock_if_present(folder: Path) -> FolderLock | None:
-    """Hold a folder that was made just now; None where another process took it for abandoned and removed it."""
+    """Lock a folder that was made just now; return None where another process took it for abandoned and removed
+    it.
+    """
     try:
         held = acquire_folder_lock(folder, NEW_FOLDER_LOCK_TIMEOUT_S)
     except (BlockingIOError, FileNotFoundError):
         return None
     with suppress(OSError):
+        # Between mkdir and flock another process may have removed the folder, or replaced it by one of the same
+        # name: the lock counts only if the descriptor and the path still are the same folder.
         if held.descriptor is None or os.path.samestat(os.fstat(held.descriptor), folder.stat()):
             return held
     held.release()
@@ -157,7 +170,7 @@ def _lock_if_present(folder: Path) -> FolderLock | None:
 
 
 def remove_abandoned(place: Path, pattern: str, uncertain_s: float) -> None:
-    """Remove folders that processes which have died held.
+    """Remove folders of processes that have died.
 
     Parameters
     ----------
@@ -177,6 +190,8 @@ def remove_abandoned(place: Path, pattern: str, uncertain_s: float) -> None:
                 continue
             held = acquire_folder_lock(folder)
             try:
+                # A lock that can be had means that its owner is dead. Without locks only the folder's age can
+                # tell.
                 if held.is_exclusive or time.time() - folder.stat().st_mtime > uncertain_s:
                     shutil.rmtree(folder)
             finally:
@@ -195,6 +210,7 @@ def _acquire_flock(door: int, folder: Path, deadline: float) -> bool:
                 raise BlockingIOError(f"another run is writing into {folder}") from error
             time.sleep(FOLDER_LOCK_POLL_S)
         except OSError:
+            # Not supported, as on some network file systems.
             return False
         else:
             return True

@@ -1,4 +1,7 @@
-"""Ctrl-C when a program is ready for it: CasADi may lose an interrupt that reaches it in the middle of a call."""
+"""Deferred Ctrl-C: CasADi may lose an interrupt that reaches it in the middle of a call.
+
+A handler remembers the first Ctrl-C; loops ask between steps whether it was pressed, and end with what they have.
+"""
 
 from __future__ import annotations
 
@@ -38,21 +41,24 @@ class _WorkerInterruptHandler(_InterruptHandler):
 
 @contextmanager
 def deferred_interrupt() -> Iterator[Callable[[], bool]]:
-    """Hold Ctrl-C back within the block; what is yielded tells whether it was pressed.
+    """Defer Ctrl-C within the block; yield a function that returns whether it was pressed.
 
-    Blocks within blocks share one answer; a Ctrl-C that a program blocked while it was loading counts too. Only
-    the main thread can do this; in others nothing is held back.
+    Nested blocks share one flag. A Ctrl-C that the program blocked while it was loading (cli/main.py) counts as
+    well. Only the main thread can install signal handlers; in other threads nothing is deferred, and the function
+    returns False.
     """
     if threading.current_thread() is not threading.main_thread():
         yield lambda: False
         return
     before = signal.getsignal(signal.SIGINT)
     if isinstance(before, _InterruptHandler):
+        # An outer block is active: its flag is shared, so that one Ctrl-C ends all blocks.
         yield before.pressed.is_set
         return
     handler = _InterruptHandler(threading.Event())
     signal.signal(signal.SIGINT, handler)
     if hasattr(signal, "pthread_sigmask"):
+        # The kernel delivers an interrupt that is pending since the program was loaded as soon as it is unblocked.
         signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
     try:
         yield handler.pressed.is_set
@@ -61,12 +67,12 @@ def deferred_interrupt() -> Iterator[Callable[[], bool]]:
 
 
 def share_interrupt(pressed: _InterruptFlag) -> None:
-    """Prepare a process that works for another one: a Ctrl-C sets `pressed`, the event that both share."""
+    """Make Ctrl-C in this worker process set `pressed`, an event that it shares with the process it works for."""
     signal.signal(signal.SIGINT, _WorkerInterruptHandler(pressed))
 
 
 def end_if_interrupted() -> None:
-    """Raise KeyboardInterrupt where Ctrl-C was pressed and is held back: for when nothing is worth keeping."""
+    """Raise KeyboardInterrupt where a deferred Ctrl-C was pressed: for work of which no part is worth keeping."""
     with deferred_interrupt() as interrupted:
         if interrupted():
             raise KeyboardInterrupt
@@ -74,7 +80,7 @@ def end_if_interrupted() -> None:
 
 @contextmanager
 def ignored_interrupt() -> Iterator[None]:
-    """Within the block Ctrl-C does nothing: for what takes milliseconds and must not stop halfway."""
+    """Ignore Ctrl-C within the block: for work that takes milliseconds and must not stop halfway."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return

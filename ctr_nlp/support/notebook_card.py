@@ -1,4 +1,4 @@
-"""What a notebook shows of a value: lines in two views as a small SVG picture, and a table of numbers."""
+"""HTML that a notebook shows for a value: lines in two views as a small SVG picture, and a table of numbers."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from ctr_nlp.exceptions import escape_control_characters
 from ctr_nlp.typing import Array
 
 VIEWS = ((0, "x"), (1, "y"))
-"""What goes across in each view; z goes up."""
+"""Coordinate on the horizontal axis of each view, and its name; z is vertical."""
 CARD_VIEW_HEIGHT_PX, CARD_VIEW_MARGIN_PX, MIN_CARD_VIEW_WIDTH_PX = 240.0, 14.0, 60.0
 """Height of a view, margin around it, and its least width, pixels."""
 
@@ -27,7 +27,10 @@ class CardLine(NamedTuple):
 
 
 def notebook_card_html(title: str, lines: Sequence[CardLine], rows: Sequence[tuple[str, Any]]) -> str:
-    """HTML of a title, the picture of lines, those that are not known left out, and rows of name and value."""
+    """Return HTML with a title, a picture of lines and a table.
+
+    lines: drawn where all their points are finite. rows: name and value of each line of the table.
+    """
     cells = "".join(
         f"<tr><td>{escape(escape_control_characters(name))}</td><td>{escape(escape_control_characters(str(value)))}</td></tr>"
         for name, value in rows
@@ -40,13 +43,14 @@ def notebook_card_html(title: str, lines: Sequence[CardLine], rows: Sequence[tup
 
 
 def lines_svg(lines: Sequence[CardLine]) -> str:
-    """An SVG of lines to scale, over x and over y, z upwards; empty where no line is known."""
+    """Return an SVG picture of lines to scale, z over x and z over y; empty where no line has finite points."""
     known = [line for line in lines if len(line.points) and np.isfinite(line.points).all()]
     if not known:
         return ""
     every = np.concatenate([line.points for line in known])
     low = every.min(axis=0)
     high = every.max(axis=0)
+    # One scale for both views, from the largest extent, so that lengths can be compared.
     scale = CARD_VIEW_HEIGHT_PX / max(float((high - low).max()), 1e-9)
     left = CARD_VIEW_MARGIN_PX
     drawn = []
@@ -56,6 +60,7 @@ def lines_svg(lines: Sequence[CardLine]) -> str:
         centre = left + width / 2
         for line in known:
             x = centre + scale * (line.points[:, across] - middle)
+            # SVG's y axis points down.
             y = CARD_VIEW_MARGIN_PX + scale * (high[2] - line.points[:, 2])
             path = " ".join(f"{a:.1f},{b:.1f}" for a, b in zip(x, y, strict=True))
             look = f"fill='none' stroke='{line.colour}' stroke-width='{line.width}' stroke-dasharray='{line.dash}'"

@@ -1,4 +1,8 @@
-"""Conversion of values to arrays and JSON and back, for files that are read without pickle."""
+"""Conversion of values to arrays and JSON and back, for files that are read without pickle.
+
+A file has a table of rows, one for every array and every dataclass that is used, and refers to them by number:
+curves that many frames share are stored once. Unlike pickle, reading builds registered classes only.
+"""
 
 from __future__ import annotations
 
@@ -14,12 +18,12 @@ import numpy.typing as npt
 Kind = TypeVar("Kind", bound=type)
 
 _kinds: dict[str, type] = {}
-"""Classes whose values a file may hold, by names that stay when classes move."""
+"""Classes whose values a file may contain, by names that do not change when classes are moved or renamed."""
 JSON_SCALAR_TYPES = bool, int, float, str, type(None)
 
 
 def packable(name: str) -> Callable[[Kind], Kind]:
-    """Return a decorator that lets files hold values of a dataclass, under this name."""
+    """Return a decorator that registers a dataclass, under this name, for values in files."""
 
     def known(kind: Kind) -> Kind:
         _kinds[name] = kind
@@ -30,17 +34,18 @@ def packable(name: str) -> Callable[[Kind], Kind]:
 
 @dataclass
 class Packed:
-    """Values as a table for JSON, each once, and the arrays that they hold."""
+    """Packed values: a table for JSON, with each value once, and the arrays that the rows refer to."""
 
     arrays: dict[str, npt.NDArray[Any]] = field(default_factory=dict)
     table: list[Any] = field(default_factory=list)
     _rows: dict[int, tuple[int, Any]] = field(default_factory=dict)
 
     def add(self, value: Any) -> Any:
-        """Add a value, and return what stands for it in JSON; raises TypeError for what no file can hold."""
+        """Add a value and return its representation in JSON; raises TypeError where no file can contain it."""
         if isinstance(value, np.generic):
             value = value.item()
         if isinstance(value, float) and not math.isfinite(value):
+            # Strict JSON has neither NaN nor infinity.
             return {"number": str(value)}
         if isinstance(value, JSON_SCALAR_TYPES):
             return value
@@ -49,6 +54,7 @@ class Packed:
         if isinstance(value, MethodType):
             return {"of": self.add(value.__self__), "method": value.__func__.__name__}
         if id(value) not in self._rows:
+            # The row adds the value's fields first, so that a row refers to earlier rows only.
             row = self._row(value)
             self._rows[id(value)] = len(self.table), value  # which keeps its id from being used again
             self.table.append(row)
@@ -67,7 +73,11 @@ class Packed:
 
 
 def unpack_value(packed: Any, table: list[Any], arrays: Mapping[str, npt.NDArray[Any]]) -> Any:
-    """Return the value that `packed` is in JSON; raises TypeError, LookupError, or what its class raises."""
+    """Rebuild a value from its representation in JSON.
+
+    packed: what `Packed.add` returned for it. table: rows of the file. arrays: its arrays, by name. Raises
+    TypeError, LookupError, or what the value's class raises.
+    """
     made: list[Any] = []
 
     def value(part: Any) -> Any:
@@ -80,6 +90,8 @@ def unpack_value(packed: Any, table: list[Any], arrays: Mapping[str, npt.NDArray
         if "row" in part:
             return made[part["row"]]
         owner = value(part["of"])
+        # A file is not trusted: it may name public methods of registered classes, and nothing else that getattr
+        # finds.
         if type(owner) not in _kinds.values() or part["method"].startswith("_"):
             raise TypeError(f"{part['method']!r} is not what a file may name")
         return getattr(owner, part["method"])

@@ -1,4 +1,4 @@
-"""Work on many things in several processes, or on a Dask cluster, until Ctrl-C."""
+"""Parallel work on many items, in several processes or on a Dask cluster, until Ctrl-C."""
 
 from __future__ import annotations
 
@@ -28,11 +28,11 @@ BLAS_THREAD_VARIABLES = "OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THRE
 def run_in_parallel(
     work: Callable[[Thing], Found], items: Sequence[Thing], jobs: Jobs
 ) -> Iterator[tuple[int, Found]]:
-    """Yield the result of `work` for each of `items`, with its number in their order, as they are done.
+    """Yield the result of `work` for each of `items`, with the item's number, in the order in which they are done.
 
-    jobs: in how many processes, with 1 in this one; or a distributed.Client, on whose cluster it is done. work and
-    things must be fit for pickling where it is done elsewhere. After Ctrl-C nothing new is begun, and what is at
-    work is told (deferred_interrupt). Raises OptionError, and what work raises.
+    jobs: number of processes, 1 for this one; or a distributed.Client, on whose cluster the work is done. `work`
+    and `items` must be picklable where another process works. After Ctrl-C no further item is begun, and work that
+    is running finds deferred_interrupt set. Raises OptionError, and whatever `work` raises.
     """
     with deferred_interrupt() as interrupted:
         if not isinstance(jobs, int):
@@ -52,7 +52,8 @@ def run_in_parallel(
 def _run_in_processes(
     work: Callable[[Thing], Found], items: Sequence[Thing], jobs: int, interrupted: Callable[[], bool]
 ) -> Iterator[tuple[int, Found]]:
-    """Do the work in `jobs` processes of this machine; after Ctrl-C what is at work may end early."""
+    """Do the work in `jobs` processes of this machine; after Ctrl-C running work may end early."""
+    # Not fork: a copy of a process in which threads of BLAS hold locks may wait for them for ever.
     context = get_context("spawn")
     pressed = context.Event()
     with _one_thread_each(), ProcessPoolExecutor(jobs, context, share_interrupt, (pressed,)) as pool:
@@ -64,6 +65,8 @@ def _run_in_processes(
                 for task in finished:
                     yield tasks[task], task.result()
                 if interrupted():
+                    # Running tasks cannot be cancelled: they see the event (share_interrupt), end early, and are
+                    # still yielded.
                     pressed.set()
                     waiting = {task for task in waiting if not task.cancel()}
         finally:
@@ -73,8 +76,9 @@ def _run_in_processes(
 def _run_on_cluster(
     work: Callable[[Thing], Found], items: Sequence[Thing], client: Any, interrupted: Callable[[], bool]
 ) -> Iterator[tuple[int, Found]]:
-    """Do the work on the cluster of a client; after Ctrl-C what is at work is cancelled."""
+    """Do the work on the cluster of a client; after Ctrl-C running work is cancelled."""
     distributed = import_extra("distributed")
+    # pure=False: Dask would otherwise return the earlier result of a call with equal arguments.
     tasks = {client.submit(work, thing, pure=False): number for number, thing in enumerate(items)}
     waiting = set(tasks)
     try:
@@ -89,9 +93,10 @@ def _run_on_cluster(
 
 @contextmanager
 def _one_thread_each() -> Iterator[None]:
-    """Processes that are started within the block keep to one thread: more of them wait for each other.
+    """Limit the linear algebra of processes that are started within the block to one thread.
 
-    Small problems then take up to ten times as long. What the user has set counts.
+    With more threads than cores they wait for each other, and small problems take up to ten times as long. Limits
+    that the user has set stay.
     """
     added = [name for name in BLAS_THREAD_VARIABLES if name not in os.environ]
     os.environ.update(dict.fromkeys(added, "1"))
@@ -106,4 +111,4 @@ class DetachedProcess(subprocess.Popen[Any]):
     """A process that nobody needs to wait for; Python warns of others that are left alone."""
 
     def __del__(self) -> None:
-        """Nothing is to be done."""
+        """Do nothing, instead of Popen's warning that the process still runs."""

@@ -1,4 +1,4 @@
-"""Which HTTP requests belong to a server itself, by their headers Host and Origin.
+"""Check of HTTP requests by their headers Host and Origin: only the server's own pages may send them.
 
 A browser lets any page send requests to servers of this machine. It says in `Origin` which page sends one, and in
 `Host` under which name the page has reached the server: a foreign name that leads here (DNS rebinding) gives the
@@ -21,14 +21,14 @@ LOOPBACK_NAMES = "localhost", "127.0.0.1", "[::1]"
 def is_same_origin_request(
     hosts: Sequence[str], origins: Sequence[str], listening: str, reached: tuple[str, int]
 ) -> bool:
-    """Whether a request was meant for this server, and does not come from the page of another one.
+    """Check that a request is meant for this server and does not come from another server's page.
 
     Parameters
     ----------
     hosts, origins : sequence of str
         All values of the headers ``Host`` and ``Origin``. Programs other than browsers send no ``Origin``.
     listening : str
-        The host that the server was told to listen on.
+        The host that the server listens on, as it was configured.
     reached : tuple of str and int
         Address and port at which the request arrived.
 
@@ -40,7 +40,10 @@ def is_same_origin_request(
     address, port = reached
     own = {f"{name}:{port}" for name in _names(listening, address)}
     if port == HTTP_PORT:
+        # Browsers leave out the default port in both headers.
         own |= {name.removesuffix(f":{port}") for name in own}
+    # Exactly one Host, as HTTP/1.1 asks for (RFC 9112, section 3.2): of two, a proxy might have checked the other
+    # one.
     if [host.lower() in own for host in hosts] != [True]:
         return False
     pages = {f"http://{host}" for host in own}
@@ -48,7 +51,7 @@ def is_same_origin_request(
 
 
 def is_loopback(host: str) -> bool:
-    """Whether a host can only be reached from this machine.
+    """Return whether a host can only be reached from this machine.
 
     Parameters
     ----------
@@ -67,7 +70,7 @@ def is_loopback(host: str) -> bool:
 
 @cache
 def _names(listening: str, address: str) -> frozenset[str]:
-    """Names, in lower case, of a server that listens on a host and was reached at an address of this machine."""
+    """Return the names, in lower case, of a server that listens on `listening` and was reached at `address`."""
     found = {listening.lower(), f"[{address}]" if ":" in address else address}
     if is_loopback(address):
         found |= set(LOOPBACK_NAMES)

@@ -23,7 +23,7 @@ else:
 Scalar = TypeVar("Scalar", bound=np.generic)
 
 JSON_INFINITIES = ("inf", "-inf")
-"""Texts for infinite numbers in strict JSON, which has no word for them."""
+"""Texts for infinite numbers in strict JSON, which cannot represent them."""
 
 
 def read_toml(path: str | Path) -> dict[str, Any]:
@@ -56,7 +56,7 @@ def read_toml(path: str | Path) -> dict[str, Any]:
 
 
 def _check_values(table: dict[str, Any], place: str) -> None:
-    """Raise RobotError where a list in a table mixes kinds or lengths; place: how messages begin, to name keys."""
+    """Raise RobotError where a list in a table mixes kinds or lengths; place: text with which messages begin."""
     for key, value in table.items():
         items = value if isinstance(value, list) else [value]
         tables = [isinstance(item, dict) for item in items]
@@ -69,12 +69,15 @@ def _check_values(table: dict[str, Any], place: str) -> None:
             raise RobotError(
                 f"{place}{key} is {value!r:.80}; it must be all texts, all numbers, or lists of as many numbers"
             )
+        # TOML's integers may have any size; converting this one to a float would overflow later.
         elif isinstance(value, int) and abs(value) > sys.float_info.max:
             raise RobotError(f"{place}{key} is {value!r:.20}..; it must be less than {sys.float_info.max:.2g}")
 
 
 def _of_one_kind(items: list[Any]) -> bool:
-    """Whether items are all of one type that is neither a number nor a list, or numbers in rows of one length."""
+    """Return whether `items` are of one type, neither number nor list, or numbers or equally long
+    rows of numbers.
+    """
     kinds = set(map(type, items))
     if len(kinds) == 1 and not kinds & {int, float, list}:
         return True
@@ -86,7 +89,10 @@ def _of_one_kind(items: list[Any]) -> bool:
 
 
 def build_from_table(cls: type, data: Any, name: str | None = None) -> Any:
-    """Make the dataclass `cls` of a table of a file; raises RobotError where keys are unknown or missing."""
+    """Build the dataclass `cls` from `data`, a table of a file that messages call `name` (default: the class's own).
+
+    Raises RobotError where `data` is no table, or its keys are unknown or missing.
+    """
     allowed = [f.name for f in fields(cls)]
     of = name or cls.__name__.lower()
     check_keys(RobotError, of, data if isinstance(data, dict) else [data], allowed)
@@ -97,7 +103,10 @@ def build_from_table(cls: type, data: Any, name: str | None = None) -> Any:
 
 
 def check_keys(error: type[CtrError], of: str, given: Iterable[Any], allowed: Sequence[str]) -> None:
-    """Raise `error` where keys of a table are not allowed, with what was probably meant; `of` names the table."""
+    """Raise `error` where a key of a table is not allowed; the message offers what was probably meant.
+
+    of: name of the table. given: its keys. allowed: the keys that it may have.
+    """
     unknown = sorted(set(map(str, given)) - set(allowed))
     if unknown:
         near = suggest_names(unknown[0], allowed)
@@ -107,11 +116,12 @@ def check_keys(error: type[CtrError], of: str, given: Iterable[Any], allowed: Se
 def number(
     error: type[CtrError], name: str, value: Any, is_valid: Callable[[float], bool], allowed: str, unit: str = ""
 ) -> float:
-    """Return a number for which `is_valid` is true; raise `error` otherwise.
+    """Return `value` as a float where it is a number for which `is_valid` is true; raise `error` otherwise.
 
     name: what the message calls it. allowed: what it must do, such as "be a finite number". unit: of the number,
     with a space before it.
     """
+    # bool is a subclass of int; a truth value is not accepted as a number.
     real = isinstance(value, int | float | np.number) and not isinstance(value, bool)
     if not real or not is_valid(float(value)):
         raise error(f"{name} is {value if real else repr(value)}{unit}; it must {allowed}")
@@ -119,23 +129,30 @@ def number(
 
 
 def whole_number(error: type[CtrError], name: str, value: Any, least: int = 1) -> int:
-    """Return a whole number of at least `least`; raise `error`, whose message calls it `name`, otherwise."""
+    """Return `value` where it is a whole number of at least `least`; raise `error`, which calls it `name`,
+    otherwise.
+    """
     if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < least:
         raise error(f"{name} is {value!r}; it must be a whole number of at least {least}")
     return int(value)
 
 
 def text(error: type[CtrError], name: str, value: Any) -> str:
-    """Return a text that is not empty and may name a file; raise `error`, whose message calls it `name`,
-    otherwise.
+    """Return `value` where it is a text that is not empty and may name a file.
+
+    name: what the message calls it. Raises `error` otherwise.
     """
+    # A null character would end the path in calls of the operating system.
     if not isinstance(value, str) or not value or "\0" in value:
         raise error(f"{name} is {value!r:.80}; it must be a text that is not empty, without null characters")
     return value
 
 
 def texts(error: type[CtrError], name: str, value: Any) -> list[str]:
-    """Return a list of texts that are not empty and may name files; raise `error` otherwise."""
+    """Return `value` as a list where it consists of texts that are not empty and may name files.
+
+    name: what the message calls it. Raises `error` otherwise.
+    """
     if not isinstance(value, list | tuple):
         near = f"; did you mean [{value!r:.60}]?" if isinstance(value, str) else ""
         raise error(f"{name} is {value!r:.80}; it must be a list of texts{near}")
@@ -143,7 +160,7 @@ def texts(error: type[CtrError], name: str, value: Any) -> list[str]:
 
 
 def check_instance(error: type[CtrError], name: str, value: Any, *kinds: type) -> None:
-    """Raise `error` unless a value is of one of `kinds`."""
+    """Raise `error`, which calls `value` by `name`, unless it is an instance of one of `kinds`."""
     if not isinstance(value, kinds):
         raise error(f"{name} is {value!r:.80}; it must be a {' or a '.join(kind.__name__ for kind in kinds)}")
 
@@ -156,7 +173,11 @@ def checked_path(error: type[CtrError], path: Any) -> Path:
 
 
 def floats(error: type[CtrError], name: str, value: Any, shape: tuple[int | None, ...]) -> Array:
-    """Return a read-only copy of finite numbers of a shape (None for any length); raise `error` otherwise."""
+    """Return finite numbers of a shape as a read-only array.
+
+    name: what messages call them. value: numbers, nested lists or an array. shape: None stands for any length.
+    Raises `error` where the numbers are not finite or have another shape.
+    """
     try:
         array = plain_floats(value)
     except (TypeError, ValueError, OverflowError):
@@ -171,9 +192,10 @@ def floats(error: type[CtrError], name: str, value: Any, shape: tuple[int | None
 
 
 def plain_floats(value: Any) -> Array:
-    """Return numbers, or lists of them, as an array; raises TypeError or ValueError where some are none.
+    """Convert a number, or nested lists of numbers, to an array of floats.
 
-    Truth values are none, but text that reads as a number is: strict_json writes infinity as "inf".
+    Raises TypeError or ValueError for anything else. Truth values in `value` are refused, but text that reads as a
+    number is accepted: strict_json writes infinity as "inf".
     """
     if isinstance(value, list | tuple):
         return np.array([plain_floats(item) for item in value])
@@ -184,8 +206,10 @@ def plain_floats(value: Any) -> Array:
 
 
 def numbers(name: str, value: Any, size: int, infinite: bool = False) -> Array:
-    """Return a number, or `size` of them, as (size,); raises RobotError, also for infinite ones unless `infinite`
-    is true.
+    """Return one number, repeated, or `size` numbers as an array (size,).
+
+    name: what messages call them. value: a number or a sequence. infinite: whether infinite numbers are allowed.
+    Raises RobotError otherwise.
     """
     try:
         array = np.broadcast_to(plain_floats(value), (size,))
@@ -199,7 +223,10 @@ def numbers(name: str, value: Any, size: int, infinite: bool = False) -> Array:
 
 
 def pairs(name: str, value: Any, size: int) -> Array:
-    """Return a (lower, upper), or `size` of them, as (size, 2); raises RobotError."""
+    """Return one pair (lower, upper), repeated, or `size` pairs as an array (size, 2).
+
+    name: what messages call them. value: a pair or a sequence of pairs. Raises RobotError otherwise.
+    """
     try:
         array = plain_floats(value)
         if array.shape in ((2,), (size, 2)):
@@ -210,8 +237,9 @@ def pairs(name: str, value: Any, size: int) -> Array:
 
 
 def strict_json(value: Any) -> Any:
-    """Prepare lists, strings and numbers for strict JSON: infinity becomes "inf", which pairs and numbers can
-    read.
+    """Convert `value`, nested dicts, lists, arrays and numbers, for strict JSON.
+
+    Infinity becomes "inf", which `pairs` and `numbers` can read.
     """
     if isinstance(value, dict):
         return {key: strict_json(item) for key, item in value.items()}
@@ -223,14 +251,14 @@ def strict_json(value: Any) -> Any:
 
 
 def frozen(array: npt.NDArray[Scalar]) -> npt.NDArray[Scalar]:
-    """Return a read-only copy of an array, which nobody else holds."""
+    """Return a read-only copy of an array."""
     copy = np.array(array)
     copy.flags.writeable = False
     return copy
 
 
 def to_nested_tuples(value: Any) -> Any:
-    """Turn lists and arrays into tuples, all the way down, and "inf" of strict JSON into the number."""
+    """Convert `value` and all lists and arrays in it to tuples, and "inf" of strict JSON to the number."""
     if isinstance(value, np.ndarray | np.generic):
         return to_nested_tuples(value.tolist())
     if isinstance(value, str) and value in JSON_INFINITIES:
@@ -239,7 +267,7 @@ def to_nested_tuples(value: Any) -> Any:
 
 
 def check_choice(name: str, value: str, allowed: Collection[str]) -> None:
-    """Raise OptionError, with the valid values, unless `value` is one of those allowed."""
+    """Raise OptionError, with the valid values, unless `value` is in `allowed`; messages call it `name`."""
     if not isinstance(value, str) or value not in allowed:
         raise OptionError(
             f"{name} is {value!r}; it must be one of {', '.join(allowed)}{suggest_names(value, allowed)}"

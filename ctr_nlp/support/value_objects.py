@@ -1,4 +1,4 @@
-"""Values: equal where all that they hold is (arrays, methods, other values), and JSON that cannot be changed."""
+"""Value objects, which are equal where all their fields are, and read-only dicts and lists for JSON data."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from ctr_nlp.support.value_checks import frozen, strict_json
 
 
 class Value:
-    """Base of frozen dataclasses, declared with eq=False, that hold arrays or methods of other values.
+    """Base of frozen dataclasses, declared with eq=False, whose fields may be arrays or methods of other values.
 
-    They are equal where all fields are, arrays by content and NaN to NaN. They have no hash. Pickled or copied
-    they are made anew from their fields, so that read-only arrays stay read-only.
+    They are equal where all fields are: arrays by content, NaN equal to NaN. They have no hash. Pickling and
+    copying build them again from their fields, so that read-only arrays stay read-only.
     """
 
     __hash__: ClassVar[None]  # type: ignore[assignment]
@@ -29,7 +29,7 @@ class Value:
 
 
 class ReadOnlyValue(Value):
-    """A value that keeps read-only copies of its arrays."""
+    """A value whose arrays are read-only copies of the given ones."""
 
     def __post_init__(self) -> None:
         for f in fields(self):  # type: ignore[arg-type]
@@ -38,9 +38,10 @@ class ReadOnlyValue(Value):
 
 
 def equal(one: Any, other: Any, known_equal: set[tuple[int, int]] | None = None) -> bool:
-    """Whether two things hold the same; NaN is equal to NaN.
+    """Return whether `one` and `other` have equal contents; NaN is equal to NaN.
 
-    known_equal: pairs, by id, that were found equal before: frames of a target share their curve.
+    known_equal: pairs of ids that were found equal before. Frames of a target share their curve, which would
+    otherwise be compared once for every frame.
     """
     known_equal = set() if known_equal is None else known_equal
     pair = id(one), id(other)
@@ -56,6 +57,7 @@ def _equal(one: Any, other: Any, known: set[tuple[int, int]]) -> bool:
     if isinstance(one, Mapping) and isinstance(other, Mapping):
         return one.keys() == other.keys() and all(equal(one[key], other[key], known) for key in one)
     if isinstance(one, np.ndarray) and isinstance(other, np.ndarray):
+        # numpy tests for NaN in numbers only; it raises TypeError for arrays of texts.
         return np.array_equal(one, other, equal_nan=one.dtype.kind in "fc" and other.dtype.kind in "fc")
     if isinstance(one, list | tuple) and isinstance(other, list | tuple):
         return len(one) == len(other) and all(equal(a, b, known) for a, b in zip(one, other, strict=True))
@@ -66,6 +68,7 @@ def _equal(one: Any, other: Any, known: set[tuple[int, int]]) -> bool:
         return same and all(equal(getattr(one, f.name), getattr(other, f.name), known) for f in fields(one))
     if isinstance(one, np.ndarray) or isinstance(other, np.ndarray):
         return False
+    # NaN alone differs from itself.
     return bool(one == other or (one != one and other != other))
 
 
@@ -86,6 +89,7 @@ class ReadOnlyDict(dict[str, Any]):
     update: Any = _refuse
 
     def __reduce__(self) -> Any:
+        # By default pickle would fill the new dict item by item, which __setitem__ refuses.
         return ReadOnlyDict, (dict(self),)
 
 
@@ -110,7 +114,10 @@ class ReadOnlyList(list[Any]):
 
 
 def read_only(value: Any) -> Any:
-    """A copy of nested dicts and lists that cannot be changed, as strict JSON has them: no arrays, no tuples."""
+    """Return a copy of `value`, nested dicts and lists, that cannot be changed.
+
+    Arrays and tuples become lists, as in strict JSON.
+    """
     plain = strict_json(value)
     if isinstance(plain, dict):
         return ReadOnlyDict({key: read_only(item) for key, item in plain.items()})

@@ -50,18 +50,18 @@ from ctr_nlp.typing import Array
 STARTS = 4
 """Tubes that a design starts from."""
 BINDING = 1e-3
-"""Part of its bound within which a rule counts as binding."""
+"""Distance from its bound, relative to it, within which a rule counts as binding."""
 MIN_REMARKED_GAIN = 5e-4
-"""Least gain with which a binding rule is remarked on."""
+"""Least gain, as a part of the error, for which a binding rule is reported."""
 
 
 @dataclass(frozen=True)
 class Remark:
-    """A rule of manufacture that binds, and what it costs.
+    """A rule of manufacture that binds, and its cost.
 
     Attributes
     ----------
-    rule : Kept
+    rule : RuleValue
         The rule, with its value and bounds.
     gain : float
         Part by which the root mean square error of the tasks would fall, to first order, if the bound were eased
@@ -94,7 +94,7 @@ class Design:
     before : tuple of (float or None)
         e3 of each task's motion on the robot that the design started from, mm, over the frames of a draft; None
         where it has none.
-    rules : tuple of Kept
+    rules : tuple of RuleValue
         Rules of manufacture, with the values that the tubes have.
     remarks : tuple of Remark
         Rules that bind, the costliest first.
@@ -102,10 +102,10 @@ class Design:
         Results of the robot's own tubes and of every start, as numbers and strings.
     interrupted : bool
         Whether Ctrl-C ended the work.
-    stock_rounding : Stocked or None
-        What to buy and what it costs, where tubes were rounded to a stock.
+    stock_rounding : StockRounding or None
+        Tubing to buy and the error that it costs, where tubes were rounded to a stock.
     warnings : tuple of str
-        Sentences on tubes that are not used or hardly sold.
+        Sentences on tubes that are not used, and on diameters that are rarely sold.
     """
 
     robot: Robot
@@ -138,15 +138,14 @@ def design(
     """Design the tubes with which one robot follows the targets of all problems best, and plan each problem on
     them.
 
-    The root mean square of the problems' e3 is minimised over tubes and motions at once: pre-curvatures, lengths
+    The root mean square of the problems' e3 is minimised over tubes and motions jointly: pre-curvatures, lengths
     of curved parts and diameters are shared by all problems, q of every frame belongs to its own
-    (formulations/shared/design.py). Walls do not count while tubes are solved for.
+    (ocp/shared/design.py). Walls do not count while tubes are solved for.
 
-    Without `nominal`, motions are shared by robots that stand for all within the tolerances, and each plan is
-    certified on simulated robots (:func:`solve_robust`). Under a load, tubes and motions are those that follow the
-    targets best while they bear it; a force that may act at the tip (`tip_force` of the tolerances) counts by how
-    far it bends the robot. On the dominant model stiffness does not count, and diameters follow from the rules
-    alone.
+    Without `nominal`, motions are shared by scenarios that represent all robots within the tolerances, and each
+    plan is certified on simulated robots (:func:`solve_robust`). With a load, all robots of the design are loaded;
+    a force that may act at the tip (`tip_force` of the tolerances) counts by how far it bends the robot. On the
+    dominant model stiffness does not count, and diameters follow from the rules alone.
 
     Parameters
     ----------
@@ -167,8 +166,8 @@ def design(
     walls : bool
         Whether the plans on the designed tubes are kept within the lumens.
     jobs : int or distributed.Client
-        Number of processes, or the cluster, on which starts, tasks and plans are worked on. Of dozens of problems,
-        only what all of them share is then solved in this process.
+        Number of processes, or the cluster, for starts, tasks and plans. With fewer starts than processes, the
+        joint program of all problems is solved in this process.
     stock : sequence of StockTube, optional
         Tubing (:func:`read_stock`) to which tubes are rounded, with lengths and curvatures that can be made;
         without it diameters are free.
@@ -180,7 +179,7 @@ def design(
     Returns
     -------
     Design
-        The robot, its plans and what was found on the way. Ctrl-C ends the work: the design is then the best so
+        The robot, its plans and the results of all starts. Ctrl-C ends the work: the design is then the best so
         far, marked as interrupted, and plans may be missing.
 
     Raises
@@ -191,7 +190,7 @@ def design(
 
     See Also
     --------
-    divided : Divide many problems among several robots.
+    divide_problems : Divide many problems among several robots.
 
     Examples
     --------
@@ -229,6 +228,7 @@ def design(
             finish = partial(_finish_tubes, tasks=whole.tasks if nominal else None)
             rounded = round_to_stock(best, search, stock, finish, FINALISTS if nominal else 1)
             if rounded is not None:
+                # Plans on the free tubes are none on the rounded ones.
                 (best, stocked), planned = rounded, []
         planned = planned or plan(best)
         robot = whole.tubes.robot_of(best.p)
@@ -259,6 +259,7 @@ def _solve_starts(
     begun = dict[int, Candidate | None]()
     found = dict[int, Candidate]()
     starts = list(itertools.islice(first_tubes(search.tubes, seed), count))
+    # Never both: processes that start processes of their own would be more than there are cores.
     apart, within = (jobs, 1) if isinstance(jobs, int) and len(starts) >= jobs else (1, jobs)
     alike = replace(search.portable, jobs=within)
     for number, (before, after) in run_in_parallel(partial(_solve_start, alike), starts, apart):
@@ -267,6 +268,7 @@ def _solve_starts(
             found[number] = after
         if progress is not None:
             progress(len(begun), len(starts), f"tubes from {starts[number][0]}")
+    # Start 0 is the robot's own tubes.
     return begun.get(0), [found[number] for number in sorted(found)]
 
 
@@ -283,8 +285,8 @@ def _solve_start(search: DesignSearch, start: tuple[str, Array]) -> tuple[Candid
 def _finish_tubes(
     tried: Sequence[Candidate], search: DesignSearch, tasks: tuple[Problem, ...] | None
 ) -> tuple[Candidate, DesignSearch, Robots]:
-    """Return tubes for all frames of `tasks`, or without these for the tolerances, with their search and its
-    scenarios.
+    """Return tubes solved over all frames of `tasks`, or for the tolerances where `tasks` is None, with their
+    search and its scenarios.
 
     Raises ProblemError where no robots within the tolerances share motions on them.
     """
@@ -329,7 +331,7 @@ def _finite_or_none(errors: Array) -> tuple[float | None, ...]:
 
 
 def _candidate_report(one: Candidate) -> dict[str, Any]:
-    """Return a candidate as numbers and strings, as reports hold it."""
+    """Return a candidate as numbers and strings, for reports."""
     return {
         "start": one.start,
         "e3": _finite_or_none(one.motions.e3),
@@ -347,7 +349,9 @@ def _remarks(best: Candidate, kept: Sequence[RuleValue]) -> tuple[Remark, ...]:
     found = list[Remark]()
     whole = best.solution.objective
     for rule, price in zip(kept, best.solution.common_multipliers.tolist(), strict=True):
+        # Multipliers are positive at upper bounds and negative at lower ones.
         bound = rule.upper if price > 0 else rule.lower
+        # Relative to the bound, but for bounds near 0.
         if np.isfinite(bound) and abs(rule.value - bound) <= BINDING * max(abs(bound), BINDING):
             # The price is the derivative of the objective by the bound, so that a tenth of the bound changes the
             # objective by price * bound / 10. e3 is its square root: its relative change is half that of the

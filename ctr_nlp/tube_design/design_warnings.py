@@ -1,4 +1,4 @@
-"""Doubts about a designed robot: tubes that are not used, and tubes that are hardly sold."""
+"""Warnings about a designed robot: tubes that are not used, and tubes that are rarely sold."""
 
 from __future__ import annotations
 
@@ -27,12 +27,12 @@ def find_design_warnings(robot: Robot, plans: Sequence[Plan], sold: bool) -> tup
     plans : sequence of Plan
         Plans on it.
     sold : bool
-        Whether all tubes are of a stock, so that their diameters are not doubted.
+        Whether all tubes are of a stock, so that their diameters need no warning.
 
     Returns
     -------
     tuple of str
-        One sentence a doubt; empty where there is none.
+        One sentence a warning; empty where there is none.
     """
     beta = np.concatenate([plan.beta for plan in plans])
     return (*_unused_tube_warnings(robot, beta), *(() if sold else _unsold_tube_warnings(robot)))
@@ -64,6 +64,7 @@ def _effective_lengths(robot: Robot, beta: Array) -> Array:
     """
     stiffness = np.array([tube.bending_stiffness for tube in robot.tubes])
     found = np.zeros_like(beta)
+    # Between two neighbouring tips, or the insertion point and the first tip, the same tubes are present.
     edges = np.sort(np.concatenate([np.zeros((len(beta), 1)), beta], axis=1), axis=1)
     for start, end in zip(edges.T[:-1], edges.T[1:], strict=True):
         # Tubes that reach beyond the start of a piece carry all of it, since pieces end where tubes do.

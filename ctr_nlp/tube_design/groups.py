@@ -1,7 +1,8 @@
 """Several robots for many tasks: which tasks share a robot, by Lloyd's algorithm on the tasks' errors.
 
 Lloyd's algorithm (Least squares quantization in PCM, IEEE Transactions on Information Theory 28(2), 1982)
-alternates between designing tubes for every group and assigning every task to the tubes that follow it best.
+alternates two steps: design tubes for every group, then assign every task to the tubes that follow it best. Up to
+local minima of the designs, neither step raises the sum of squared errors.
 """
 
 from __future__ import annotations
@@ -31,9 +32,9 @@ from ctr_nlp.tube_design.search import DesignSearch
 from ctr_nlp.typing import Array, Index
 
 MAX_GROUPING_ROUNDS, MIN_GROUPING_IMPROVEMENT = 6, 5e-3
-"""Most divisions that are tried, and the relative improvement of the error below which no more are."""
+"""Largest number of rounds, and the relative improvement of the error below which they end."""
 PATH_FEATURE_STRIDE = 5
-"""Step with which the 101 points of a target's last frame are taken, to compare paths at first."""
+"""Stride with which the 101 points of a target's last frame are taken for the first comparison of paths."""
 
 Group = tuple[int, ...]
 """Numbers of the tasks that share a robot, from 0."""
@@ -53,9 +54,9 @@ def divide_problems(
 ) -> list[list[Problem]]:
     """Divide problems into groups, each to be given a robot of its own by :func:`design`.
 
-    Groups of similar paths come first (k-means). Then tubes are designed for each group, on some frames and for
-    the nominal robot, every problem is assigned to the tubes that follow it best, and so on while the root mean
-    square of the errors falls.
+    The first groups are those of similar paths (k-means). Then tubes are designed for each group, on the frames of
+    drafts and for the nominal robot, and every problem is assigned to the tubes that follow it best. These two
+    steps are repeated while the root mean square of the errors falls.
 
     Parameters
     ----------
@@ -72,7 +73,7 @@ def divide_problems(
     constant_curvature : bool
         Whether curved parts are arcs; otherwise their curvature is linear in arc length.
     jobs : int or distributed.Client
-        Number of processes, or the cluster, on which groups are worked on.
+        Number of processes, or the cluster, for the designs of groups.
     settings : Settings
         `seed` of k-means, and `stability_margin`, the least of every robot.
     progress : callable, optional
@@ -92,16 +93,16 @@ def divide_problems(
 
     See Also
     --------
-    suited : Assign further problems to robots that were designed.
+    assign_to_robots : Assign further problems to robots that were designed.
 
     Examples
     --------
     >>> import ctr_nlp as ctr
     >>> from ctr_nlp.problems import named_problem
     >>> tasks = [named_problem("arc", frames=3), named_problem("line", frames=3)]
-    >>> [len(group) for group in ctr.divided(tasks, robots=1)]
+    >>> [len(group) for group in ctr.divide_problems(tasks, robots=1)]
     [2]
-    >>> groups = ctr.divided(tasks, robots=2, model="dominant")  # doctest: +SKIP
+    >>> groups = ctr.divide_problems(tasks, robots=2, model="dominant")  # doctest: +SKIP
     >>> [len(group) for group in groups]  # doctest: +SKIP
     [1, 1]
     """
@@ -123,6 +124,7 @@ def divide_problems(
             run_in_parallel(partial(_design_for_group, search), list(zip(groups, begun, strict=True)), jobs)
         )
         end_if_interrupted()
+        # Groups change little from round to round: their last tubes are good starts for the next ones.
         begun = [found[k][0] for k in range(count)]
         errors = np.array([found[k][1] for k in range(count)])
         unserved, rms = _summarise_errors(errors)
@@ -165,8 +167,8 @@ def assign_to_robots(
     Returns
     -------
     ndarray of int
-        For each problem the number of its robot, from 0. A robot that no problem would take gets the one that is
-        followed worst among those whose robots keep another.
+        For each problem the number of its robot, from 0. A robot to which no problem is assigned gets the one with
+        the largest error among those whose robots have another.
 
     Raises
     ------
@@ -178,7 +180,8 @@ def assign_to_robots(
     >>> import ctr_nlp as ctr
     >>> from ctr_nlp.problems import named_problem
     >>> robots = [ctr.table_i_robot(), ctr.table_i_robot(literal=True)]
-    >>> ctr.suited([named_problem("arc", frames=3), named_problem("line", frames=3)], robots, model="dominant")
+    >>> tasks = [named_problem("arc", frames=3), named_problem("line", frames=3)]
+    >>> ctr.assign_to_robots(tasks, robots, model="dominant")
     array([0, 1])
     """
     pairs = [replace(draft(task), robot=robot) for robot in robots for task in problems]
@@ -224,7 +227,7 @@ def _cluster_paths(tasks: Sequence[Problem], count: int, seed: int) -> Index:
     side.
     """
     features = np.array([_normalise_path(task.target_frames[-1].points) for task in tasks]).reshape(len(tasks), -1)
-    # k-means may leave a group empty, which no robot can be designed for: `taken` then fills it.
+    # k-means may leave a group empty, for which no robot can be designed: assign_by_errors then fills it.
     centres, labels = kmeans2(features, count, minit="++", rng=np.random.default_rng(seed))
     return (
         assign_by_errors(np.linalg.norm(features[None] - centres[:, None], axis=2))
@@ -252,6 +255,7 @@ def _design_for_group(search: DesignSearch, group: tuple[Group, Array]) -> tuple
     """Return tubes p for the tasks of a group, from given ones, and e3 (n,), mm, of all tasks on them."""
     numbers, p = group
     with deferred_interrupt() as interrupted:
+        # Tubes are solved for the tasks of the group alone, and then tried on all tasks.
         own = replace(search, tasks=tuple(search.tasks[i] for i in numbers), stop=interrupted)
         begun = own.start("tubes of the group", p)
         settled = None if begun is None or interrupted() else own.run_rounds(begun)

@@ -83,7 +83,7 @@ def _plan_task(settings: Settings, nominal: bool, model: str | Model, pair: tupl
 
 
 def on_tubing_as_sold(plan: Plan, draws: int, seed: int) -> Robustness | None:
-    """Try a plan on simulated robots whose diameters are off as well, by as much as tubing is sold with.
+    """Simulate a plan on robots whose diameters are off as well, within the tolerances of tubing as it is sold.
 
     Parameters
     ----------
@@ -97,12 +97,14 @@ def on_tubing_as_sold(plan: Plan, draws: int, seed: int) -> Robustness | None:
     Returns
     -------
     Robustness or None
-        What happens on them; None where the tolerances of the robot already name diameters or a covariance.
+        Results on them; None where the tolerances of the robot already include diameters or a covariance.
     """
     robot = plan.robot
     own = plan.robot.tolerances
     if own.covariance is not None or own.diameters(robot.d).any():
         return None
+    # A tube has one tolerance for both diameters here: the larger of those with which they are sold.
     sold = replace(own, diameter=tuple(max(diameter_tolerances(tube.outer_diameter)) for tube in robot.tubes))
     told = replace(robot, tolerances=sold).to_dict()
+    # A plan reads its robot, and so the samples, from its metadata.
     return replace(plan, meta=plan.meta | {"robot": told}).robustness(draws, seed)

@@ -1,4 +1,4 @@
-"""The request of a design, checked: problems, rules and settings, as a search for tubes."""
+"""Validation of a design's arguments (problems, rules, settings), and the search for tubes that they describe."""
 
 from __future__ import annotations
 

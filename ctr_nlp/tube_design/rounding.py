@@ -1,7 +1,7 @@
 """Rounding of designed tubes to what can be bought and heat set: diameters, lengths, then curvatures tube by tube.
 
 After every rounding the numbers that are not yet rounded are designed again, together with the motions, so that
-they make up for what the rounding cost.
+they compensate for the error of the rounding: a greedy search for the best point of a grid.
 """
 
 from __future__ import annotations
@@ -35,19 +35,19 @@ MAX_DRAFT_COMBINATIONS, FINALISTS = 8, 2
 end.
 """
 ROUNDINGS_PER_STEP = 2
-"""Nearest ways to round that are tried at every step."""
+"""Number of nearest ways to round that are tried at every step."""
 LENGTH_STEP = 0.5
 """Step to which lengths of curved parts are rounded, mm."""
 FORM_RADIUS_STEPS_MM = ((200.0, 1.0), (2000.0, 10.0), (math.inf, 100.0))
-"""Radii in mm up to which heat-setting forms are made in steps of so many mm. Forms can be cut to any radius; what
-a tube keeps of it differs by some percent from tube to tube, which Tolerances are for, and steps much smaller than
-that have no meaning. No published ladder of radii is known to us: this one is ours."""
+"""Largest radius, mm, and step of the radii of heat-setting forms up to there, mm. Forms can be cut to any radius,
+but the radius that a tube keeps differs by some percent from tube to tube (see Tolerances): much smaller steps
+have no meaning. No published series of radii is known to us: this one is ours."""
 
 MIN_COMPARED_CURVATURE = 0.1
 """Curvature, 1/(100 mm), below which changes count relative to this one."""
 
 Finish = Callable[[Sequence[Candidate], DesignSearch], tuple[Candidate, DesignSearch, Robots]]
-"""Takes the best tubes from the frames of a draft to what they are designed for: all frames, or tolerances."""
+"""Solves the best tubes of a draft for all frames, or for the tolerances."""
 
 
 @dataclass(frozen=True)
@@ -57,8 +57,8 @@ class StockRounding:
     Attributes
     ----------
     tubes : tuple of StockTube
-        What to buy, outermost first.
-    free, rounded : ndarray
+        Tubing to buy, outermost first.
+    free_errors, rounded_errors : ndarray
         e3 (n,) of the tasks' motions with free tubes and with these, mm, over the same frames and scenarios.
     combination_count : int
         Number of combinations of which they are the best.
@@ -71,7 +71,7 @@ class StockRounding:
 
     @property
     def loss(self) -> float:
-        """By what part the root mean square of e3 is above that of the free tubes."""
+        """Increase of the root mean square of e3 over that of the free tubes, relative to the latter."""
         return float(np.sqrt(np.mean(self.rounded_errors**2) / np.mean(self.free_errors**2)) - 1)
 
     def __str__(self) -> str:
@@ -86,7 +86,7 @@ def round_to_stock(
 ) -> tuple[Candidate, StockRounding] | None:
     """Find the best tubes of a stock, starting from designed ones.
 
-    Combinations are tried in the order of the loss that they promise.
+    Combinations are tried in the order of the distance from the designed stiffnesses (`nearest_stock`).
 
     Parameters
     ----------
@@ -97,14 +97,14 @@ def round_to_stock(
     stock : sequence of StockTube
         Tubing that can be bought.
     finish : callable
-        Takes tubes to all frames, or to the tolerances; see `Finish`.
+        Solves tubes for all frames, or for the tolerances; see `Finish`.
     finalists : int
         How many combinations are rounded to the end.
 
     Returns
     -------
-    tuple of (Candidate, Stocked) or None
-        The rounded tubes and what they cost; None when the search was stopped.
+    tuple of (Candidate, StockRounding) or None
+        The rounded tubes and their errors; None when the search was stopped.
 
     Raises
     ------
@@ -133,6 +133,8 @@ def round_to_stock(
             break
         with suppress(CtrError):  # where rounding leaves no robot that can be made
             found = _round_tubes(*finish([draft], on))
+            # Against the rules as they were given: the search that found these tubes had half of the diameters'
+            # rules.
             if found is not None and all(r.lower <= r.value <= r.upper for r in search.tubes.rule_values(found.p)):
                 ended.append((found, tubes))
     if not ended:
@@ -163,6 +165,7 @@ def _fix_entries(search: DesignSearch, p: Array, kinds: Sequence[str]) -> Design
 def _round_tubes(candidate: Candidate, search: DesignSearch, robots: Robots) -> Candidate | None:
     """Return tubes with lengths and curvatures that can be made; None where no motion exists on them."""
     d = search.tubes.robot.d
+    # The multipliers of the free tubes are kept for the remarks on binding rules: rounded tubes are no solution.
     solution = candidate.solution
     steps = [tuple(f"curved_length_{i}" for i in range(1, d + 1))]
     steps += [
@@ -189,6 +192,7 @@ def _redesign_rest(
     start = replace(candidate, p=search.tubes.nominal_unknowns, motions=unknown)
     found = (
         search.run_round(start, robots, INITIAL_STEP_COST_MM2, barrier)
+        # The small barrier stays near the motions so far; the larger one finds others where that fails.
         for barrier in (CONTINUED_BARRIER_MM2, REPLANNED_BARRIER_MM2)
     )
     return next((one for one in found if one is not None), start), search
@@ -215,6 +219,7 @@ def round_entries(tubes: DesignedTubes, p: Array, names: Sequence[str]) -> list[
     at = [k for k, name in enumerate(tubes.names) if name in names and lower[k] < upper[k]]
     ways = [[each for each in _around(tubes.names[k], p[k]) if lower[k] <= each <= upper[k]] or [p[k]] for k in at]
     found = list[tuple[bool, float, Array]]()
+    # Duplicates are dropped: a value that can be made is its own neighbour above and below.
     for way in itertools.product(*map(dict.fromkeys, ways)):
         other = p.copy()
         other[at] = way
@@ -235,6 +240,8 @@ def _around(name: str, value: float) -> tuple[float, ...]:
         return math.floor(value / step) * step, math.ceil(value / step) * step
     if value == 0:
         return (value,)
+    # Forms are made by radius: curvatures between two neighbouring radii are further apart the smaller these are.
+    # The radius of an S-shaped tube's root is negative.
     radius = DESIGN_LENGTH_UNIT_MM / value
     step = next(step for most, step in FORM_RADIUS_STEPS_MM if abs(radius) <= most)
     return tuple(

@@ -1,9 +1,14 @@
 """The search for tubes: tubes and the motions of all tasks, solved together from one start after another.
 
-Unknowns are p (P,) of the tubes (formulations/shared/design.py), shared by all tasks, and q of every frame. A
-round solves the joint program by an interior-point method; between rounds, motions are re-planned on the tubes
-found, since the joint program is local: it follows the branch of motions that it starts on. See docs/method.md,
-"Tubes designed with their motions".
+Unknowns are p (P,) of the tubes (ocp/shared/design.py), shared by all tasks, and q of every frame. A round solves
+the joint program by an interior-point method; between rounds, motions are re-planned on the tubes found, since the
+joint program is local: it stays on the branch of motions on which it starts. With w_s the weights of scenarios s,
+E the mean squared shape error (8), j frames and i tasks, it is
+
+    minimise over p, q   sum_ij ( sum_s w_s E_ijs + lambda_i |W (q_{i,j+1} - q_ij)|^2 / dt_i^2 ) + pull |p - p_0|^2
+
+subject to equilibria, margins, limits and rules of manufacture. The last term, proximal to the start p_0 of a
+round, leaves tubes that matter little where they are. See docs/method.md, "Tubes designed with their motions".
 """
 
 from __future__ import annotations
@@ -39,18 +44,18 @@ from ctr_nlp.support.pool import Jobs, run_in_parallel
 from ctr_nlp.typing import Array
 
 MAX_CANDIDATE_VIOLATION = 1e-3
-"""Largest violation, rad and mm, of a point from which the search continues though it is no solution yet."""
+"""Largest violation, rad and mm, of a point that is no solution yet but from which the search continues."""
 INITIAL_STEP_COST_MM2, STEP_COST_FACTOR = 1e-3, 0.1
-"""Cost of a step of p by one unit in the first round, mm^2 a frame, and the factor from round to round: where
-tubes matter little, they stay.
+"""Cost of a step of p by one unit in the first round, mm^2 a frame, and the factor from round to round. A proximal
+term: tubes that hardly change the error stay, and those that do are free in the end.
 """
 MAX_DESIGN_STEPS, DESIGN_STEPS_PER_TASK = 560, 10
-"""Most steps of a round, and how many more for every task: tubes that dozens of tasks share take more."""
+"""Largest number of steps of a round, and more of them for every task, since tubes of many tasks need more."""
 MAX_DESIGN_ROUNDS, MIN_DESIGN_IMPROVEMENT = 5, 2e-3
 """Most rounds from a start, and the relative improvement below which they end."""
 REPLANNED_BARRIER_MM2, CONTINUED_BARRIER_MM2 = 0.1, 1e-3
 """First barriers, mm^2, of rounds after the first: for motions that were re-planned since, and for those of the
-round before, from which a larger barrier leads away.
+round before, which a larger barrier would move away from their solution.
 """
 
 
@@ -116,7 +121,7 @@ def nominal_scenario(robot: Robot) -> Scenarios:
 
 
 def never() -> bool:
-    """Return False: what a search asks whether to stop, where nobody can ask for that."""
+    """Return False: the default of `DesignSearch.stop`, for searches that nobody can stop."""
     return False
 
 
@@ -139,7 +144,7 @@ class DesignSearch:
     on_candidate : callable or None
         Called with the candidate of every round.
     jobs : int or distributed.Client
-        Where independent tasks are worked on; see `run_in_parallel`.
+        Number of processes, or the cluster, for independent tasks; see `run_in_parallel`.
     """
 
     tasks: tuple[Problem, ...]
@@ -169,7 +174,7 @@ class DesignSearch:
         return [replace(task, robot=robot) for task in self.tasks]
 
     def plan_on_tubes(self, p: Array) -> Motions:
-        """Plan the tasks on tubes p as they are, each by itself.
+        """Plan every task separately on given tubes p.
 
         Parameters
         ----------
@@ -196,6 +201,7 @@ class DesignSearch:
         q = np.concatenate([plan.q for plan in plans])
         tips = [tips_of(self.model, robot, self.model.follow(robot, plan.q).x) for plan in plans]
         e3 = [summary(plan)["e3"] if plan.success.all() else np.nan for plan in plans]
+        # Tips (T, k) of one robot become those of S = 1 scenarios, (T, 1, k).
         return Motions(q, np.concatenate(tips)[:, None], np.array(e3, dtype=float))
 
     def _plan_in_processes(self, plan: Callable[[Problem], Plan], robot: Robot) -> list[Plan]:
@@ -232,9 +238,9 @@ class DesignSearch:
         Parameters
         ----------
         p : ndarray
-            Unknowns (P,) of the tubes near which it is used.
+            Unknowns (P,) of the tubes from which it is solved, p_0.
         motions : Motions
-            Motions near which it is used.
+            Motions from which it is solved.
         robots : callable
             Maps the robot to the scenarios that share its motions.
         pull : float
@@ -263,11 +269,13 @@ class DesignSearch:
             one = shared_motion(
                 *at, fastest_functions, margins, (CurvedPartLimit(),), free_numbers=self.tubes.free_number_names
             )
-            # Upper limits of beta are the curved lengths of the start; these are unknowns now, and WithinCurved
+            # Upper limits of beta are the curved lengths of the start; these are unknowns now, and CurvedPartLimit
             # bounds beta.
             upper = one.upper.copy()
             upper[:, robot.d : 2 * robot.d] = robot.reach
             made.append(replace(one, upper=upper))
+        # The errors are summed over frames: the pull grows with their number, and so keeps its weight against
+        # them.
         return join_task_motions(made, self.tubes.common(scenarios, p, pull * len(motions.q)))
 
     def _motion_weight(self, task: Problem, q: Array) -> float:
@@ -325,7 +333,7 @@ class DesignSearch:
 
         Returns
         -------
-        Tried
+        StartResult
             The motion, solved or not.
         """
         task, of_task, tips = task_and_motion
@@ -349,7 +357,7 @@ class DesignSearch:
         return replace(self, tubes=replace(self.tubes), stop=never, on_candidate=None, jobs=1)
 
     def run_round(self, candidate: Candidate, robots: Robots, pull: float, barrier: float) -> Candidate | None:
-        """Run one round: solve tubes and motions together, from known ones.
+        """Run one round: solve jointly for tubes and motions, from known ones.
 
         Parameters
         ----------
@@ -375,15 +383,18 @@ class DesignSearch:
         if max(found.violation, found.equation_violation) > MAX_CANDIDATE_VIOLATION:
             return None
         # The objective itself has the motion term and the pull on p, which are no errors.
+        # Mean squared errors (T, S) of robots in frames, averaged over scenarios, then over the frames of each
+        # task: e3^2.
         squares = Condensed(motion).by_robot(found.q, found.phi, found.p) @ motion.weights
         e3 = np.sqrt([part.mean() for part in self.split_by_task(squares)])
         return Candidate(candidate.start, found.p, Motions(found.q, found.phi, e3), found)
 
     def best_of_both(self, candidate: Candidate) -> Candidate:
-        """Re-plan every task on the tubes of a known candidate, and keep the better of its two motions."""
+        """Re-plan every task on the tubes of a candidate, and keep the better of its two motions."""
         again = self.start(candidate.start, candidate.p)
         if again is None:
             return candidate
+        # NaN compares false: a task without a new plan keeps the motion that it has.
         better = again.motions.e3 < candidate.motions.e3
         # One choice a task, repeated for each of its frames.
         rows = np.repeat(better, [task.frames for task in self.tasks])
@@ -402,7 +413,7 @@ class DesignSearch:
         start : Candidate
             Tubes and motions to start from.
         robots : callable
-            Maps the robot to the scenarios that share its motions. Where that is `alone`, motions are re-planned
+            Maps the robot to the scenarios that share its motions. With `nominal_scenario` motions are re-planned
             between rounds.
         first : float
             Barrier of the first round, mm^2.
@@ -435,6 +446,8 @@ class DesignSearch:
                 if robots is nominal_scenario
                 else (again, CONTINUED_BARRIER_MM2)
             )
+            # p_0 moves with every round: the proximal term slows tubes down but does not bias them; a smaller one
+            # is faster.
             pull *= STEP_COST_FACTOR
         return min(found, key=error_of, default=None)
 

@@ -1,4 +1,4 @@
-"""Choice among designed tubes by the plans on them: for the nominal robot, and for all robots within the
+"""Selection among designed tubes by the plans on them: for the nominal robot, and for all robots within the
 tolerances.
 """
 
@@ -27,13 +27,13 @@ from ctr_nlp.tube_design.search import (
 MAX_DESIGNED_FRAMES = 1500
 """Frames of all tasks, together, for which tubes are solved; with more, the frames of drafts decide."""
 PROMISING_ERROR_RATIO = 0.9
-"""Further tubes are tried where the error of their motions is below this part of the error of the best plans."""
+"""Ratio of the error of further tubes' motions to that of the best plans below which these tubes are tried too."""
 TOLERANT_DESIGN_MARGIN = 0.3
 """Stability margin of all robots within the tolerances while tubes are designed for them, where it can be
-satisfied. It hardly costs any error, and plans, which need less, have it in hand.
+satisfied. It hardly costs any error, and is a reserve for the plans, whose margin is smaller.
 """
 MAX_TOLERANT_CANDIDATES = 4
-"""Most tubes for tolerances that are tried until all plans on them are certified."""
+"""Largest number of tubes for tolerances that are tried until all plans on them are certified."""
 
 
 def choose_best_planned(
@@ -41,9 +41,9 @@ def choose_best_planned(
 ) -> tuple[Candidate, list[Plan]]:
     """Choose the tubes with the best plans, for the nominal robot.
 
-    A plan satisfies its margin between frames, too, which may cost it much of the error that the motion found with
-    the tubes promised. Tubes are therefore tried in the order of these motions, until the next ones promise little
-    more.
+    A plan satisfies its margin between frames, too, which may make its error much larger than that of the motion
+    that was found with the tubes. Tubes are therefore tried in the order of these motions' errors, until the next
+    error is hardly smaller than that of the best plans.
 
     Parameters
     ----------
@@ -69,6 +69,7 @@ def choose_best_planned(
         error = _error(plans) if len(plans) == len(search.tasks) else math.inf  # not after Ctrl-C
         tried.append((error, best, plans))
         least = min(tried, key=lambda each: each[0])
+        # `number` counts from 1, so that ranked[number] is the next one.
         if search.stop() or number == len(ranked) or error_of(ranked[number]) >= PROMISING_ERROR_RATIO * least[0]:
             break
     return least[1:]
@@ -106,10 +107,10 @@ def _error(plans: Sequence[Plan]) -> float:
 
 
 def tolerance_scenarios(robot: Robot) -> Scenarios:
-    """Return robots that stand for all within a robot's tolerances, with the forces that may act at its tip.
+    """Return scenarios that represent all robots within the tolerances, with the forces that may act at the tip.
 
-    Tubes decide how far a force bends them, so that errors under forces count here; motions hardly do, and plans
-    leave them out.
+    The deflection by a force depends on the tubes, and hardly on motions: forces count here, and are left out when
+    motions are planned.
 
     Parameters
     ----------
@@ -129,7 +130,7 @@ def choose_certified(
 ) -> tuple[Candidate, list[Plan]]:
     """Choose the tubes on which most plans are certified, for the robots within the tolerances.
 
-    Tubes are tried until all plans on them are: that motions exist at some frames says little of what happens
+    Tubes are tried until all plans on them are certified: motions that exist at the frames of a draft may fail
     between these.
 
     Parameters
@@ -189,8 +190,8 @@ def tolerant_candidates(found: Sequence[Candidate], search: DesignSearch) -> Ite
 def _promising(
     found: Sequence[Candidate], search: DesignSearch
 ) -> Iterator[tuple[DesignSearch, Candidate | None]]:
-    """Yield tubes to start from with searches that keep a margin: each with its own motions, then with re-planned
-    ones.
+    """Yield tubes to start from, with searches that enforce a margin: each with its own motions, then with
+    re-planned ones.
     """
     for one in sorted(found, key=error_of):
         # The larger margin first, which leaves plans more in hand.

@@ -11,11 +11,11 @@ from ctr_nlp.ocp.shared.design import DESIGN_LENGTH_UNIT_MM, DesignedTubes
 from ctr_nlp.typing import Array
 
 MAX_EXTRA_WALL_MM, MAX_INNER_DIAMETER_GROWTH = 1.5, 0.6
-"""By how much a random tube's wall may exceed the least, mm on both sides together, and its inner diameter, as a
-part.
+"""Largest excess of a random tube over the least: of its wall, mm on both sides together, and of its inner
+diameter, as a part of that.
 """
 MAX_RANDOM_TUBE_TRIES = 1000
-"""Random tubes that are tried for one set that can be made."""
+"""Largest number of random sets of tubes that are tried for one that can be made."""
 
 
 def generate_start_tubes(tubes: DesignedTubes, seed: int) -> Iterator[tuple[str, Array]]:
@@ -66,7 +66,9 @@ def _sample_tubes(tubes: DesignedTubes, random: np.random.Generator) -> Array:
     found = np.concatenate([np.zeros(curvatures), _lengths(tubes, random), diameters.ravel()])
     for k, name in enumerate(tubes.names[:curvatures]):
         outer = diameters[int(name.rpartition("_")[2]) - 1, 0]
+        # The strain k D / 2 at the outer fibre, solved for k and in 1/(100 mm), times a random part.
         found[k] = DESIGN_LENGTH_UNIT_MM * 2 * rules.strain_made / outer * random.uniform(0.02, 0.98)
+    # The box has the fixed entries as equal bounds: clipping sets them.
     return np.clip(found, lower, upper)
 
 

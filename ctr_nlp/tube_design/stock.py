@@ -35,11 +35,11 @@ class StockTube(NamedTuple):
     Attributes
     ----------
     part : str
-        What it is called.
+        Name of the part.
     outer, inner : float
         Diameters, mm.
     source : str
-        Where these are stated.
+        Publication or list that states them.
     """
 
     part: str
@@ -182,6 +182,8 @@ def nearest_stock(
                 elif loaded:
                     more += stiffer**2
                 longer.append((cost + more, (one, *inside)))
+        # Beam search: combinations whose inner tubes cost more than BEAM_WIDTH others are given up, though outer
+        # ones might make up for it.
         found = sorted(longer, key=lambda state: state[0])[:BEAM_WIDTH]
     if not found:
         raise OptionError(

@@ -1,4 +1,4 @@
-"""`python scripts/studies/benchmark.py`: measure how long things take, and whether that differs from another commit."""
+"""Measure how long things take, and whether that differs from another commit."""
 
 from __future__ import annotations
 

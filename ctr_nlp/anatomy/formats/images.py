@@ -1,7 +1,7 @@
-"""Images of NIfTI and NRRD files; where their voxels lie is what the header says, and never guessed.
+"""Images of NIfTI and NRRD files; the position of their voxels is taken from the header, and never guessed.
 
-nibabel and pynrrd read headers and voxels. What nibabel would mend when it opens a file (spacings that are 0 or
-negative) is refused instead, so its header is taken unchecked.
+nibabel and pynrrd read headers and voxels. Errors that nibabel would repair silently when it opens a file
+(spacings that are 0 or negative) are refused here, so that its header is read without its checks.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from ctr_nlp.support.extras import import_extra
 from ctr_nlp.typing import Array
 
 IMAGE_SPACE_TO_LPS = CENTRELINE_SPACE_TO_LPS | {"LAS": np.diag([1.0, -1.0, 1.0, 1.0])}
-"""Coordinate systems that an image may be written in, and what takes each to LPS."""
+"""Coordinate systems in which an image may be written, and the transform (4, 4) from each to LPS."""
 NIFTI_SUFFIXES, NRRD_SUFFIXES = (".nii", ".nii.gz"), (".nrrd", ".nhdr")
 FINEST_MM, COARSEST_MM = 0.005, 20.0
 """Spacings outside of these were almost surely written in another unit."""
@@ -46,12 +46,16 @@ class Image:
 
     @property
     def spacing(self) -> Array:
-        """Distance in mm between neighbouring voxels along each axis, (3,)."""
+        """Distances (3,) in mm between neighbouring voxels, by axis."""
         return np.asarray(np.linalg.norm(self.affine[:3, :3], axis=0))
 
 
 def read_image(path: str | Path) -> Image:
-    """The image of a NIfTI-1 or NRRD file with three axes; raises CurveError, and OptionError without a reader."""
+    """Read the image of a NIfTI-1 or NRRD file with three axes.
+
+    path: the file, whose suffix decides which. Raises CurveError, and OptionError where the reader is not
+    installed.
+    """
     name = Path(path).name.lower()
     if not name.endswith((*NIFTI_SUFFIXES, *NRRD_SUFFIXES)):
         allowed = ", ".join((*NIFTI_SUFFIXES, *NRRD_SUFFIXES))
@@ -67,6 +71,8 @@ def read_image(path: str | Path) -> Image:
         raise CurveError(
             f"{path}: its voxels are {voxels.shape} of {voxels.dtype}; they must be numbers along 3 axes"
         )
+    # Both formats store the first axis fastest. Transposed, with the affine's columns in the same new order, the
+    # array is contiguous as numpy has it.
     return Image(voxels.T, affine[:, [2, 1, 0, 3]], space)
 
 
@@ -87,6 +93,7 @@ def _nifti(path: Path) -> tuple[npt.NDArray[Any], Array, str]:
     bytes_meant = float(header["vox_offset"]) + math.prod(shape[:3]) * int(header["bitpix"]) / 8
     if not bytes_held >= bytes_meant:
         raise CurveError(f"it was cut short: it holds {bytes_held} bytes of {bytes_meant:.0f}")
+    # The three lowest bits are the unit of length; higher ones are that of time.
     if int(header["xyzt_units"]) & 7 in REFUSED_NIFTI_UNITS:
         raise CurveError(
             f"its header says {REFUSED_NIFTI_UNITS[int(header['xyzt_units']) & 7]}; it must be in millimetres"
@@ -102,7 +109,11 @@ def _nifti(path: Path) -> tuple[npt.NDArray[Any], Array, str]:
 
 
 def _nifti_affine(header: Any, shape: list[int], sides: Array) -> Array:
-    """From index to mm (4, 4), by the header's sform, qform or both."""
+    """Return the transform (4, 4) from index to mm by the header's sform or qform; both must agree.
+
+    shape: number of voxels (3,). sides: their sides (3,), mm.
+    """
+    # qfac, which mirrors the third axis where it is -1; by the standard (nifti1.h) any other value stands for 1.
     header["pixdim"][0] = -1.0 if header["pixdim"][0] < 0 else 1.0
     affines = {}
     for name, found in (("qform", header.get_qform), ("sform", header.get_sform)):
@@ -115,6 +126,7 @@ def _nifti_affine(header: Any, shape: list[int], sides: Array) -> Array:
     apart = np.linalg.norm(places[0] - places[-1], axis=1).max()
     if apart > sides.min() / 2:
         raise CurveError(f"its qform and sform place voxels up to {apart:.3g} mm apart; they must agree")
+    # sform, where it is there, as in nibabel.
     affine = next(reversed(affines.values()))
     if np.abs(np.linalg.norm(affine[:3, :3], axis=0) / sides - 1).max() > 0.01:
         found = np.linalg.norm(affine[:3, :3], axis=0).round(6).tolist()
@@ -156,7 +168,7 @@ def _nrrd(path: Path) -> tuple[npt.NDArray[Any], Array, str]:
 
 
 def _nrrd_fields(nrrd: Any, path: Path) -> dict[str, Any]:
-    """The header; where that cannot be read, which of its fields is wrong."""
+    """Return the header's fields; where it cannot be read, raise CurveError that names the field at fault."""
     try:
         return dict(nrrd.read_header(str(path)))
     except Exception as error:  # whatever its readers of fields meet

@@ -1,4 +1,4 @@
-"""Lines through shared points, as centreline files hold them, to paths from a root to the tips.
+"""Paths from a root to the tips, from lines through shared points as centreline files contain them.
 
 Lines that share an end and leave it to the same side are whole: each is a path already, and that end the root.
 VMTK writes centrelines so, and they need not meet on the trunk. Any other lines are pieces of trees, cut where
@@ -42,7 +42,7 @@ class CentrelineNetwork:
     lines: tuple[Indices, ...]
 
     def paths(self, entry: Array | None = None) -> list[Indices]:
-        """The paths from each root to its tips, by the rules above; entry: (3,) mm. Raises CurveError."""
+        """Return the paths from each root to its tips, by the rules above; entry: (3,) mm. Raises CurveError."""
         joined = self._merge_repeated_points()
         if not joined.lines:
             raise CurveError("it holds no line of two or more points")
@@ -54,7 +54,7 @@ class CentrelineNetwork:
         return [path for tree in trees for path in tree.to_tips(entry)]
 
     def _merge_repeated_points(self) -> CentrelineNetwork:
-        """With one index for points in the same place, and no line that stands still."""
+        """Return the network with one index for points in the same place, and no line of a single point."""
         pairs = cKDTree(self.points).query_pairs(SAME_MM, output_type="ndarray")
         first = np.arange(len(self.points))
         for places in map(list, import_extra("networkx").connected_components(_graph(pairs))):
@@ -64,7 +64,7 @@ class CentrelineNetwork:
         return CentrelineNetwork(self.points, self.radius, tuple(line for line in lines if len(line) > 1))
 
     def _complete_paths(self) -> list[Indices]:
-        """The lines, turned to leave their common end; none where they are pieces."""
+        """Return the lines, directed away from their common end; an empty list where they are pieces of trees."""
         if any(line[0] == line[-1] for line in self.lines):
             return []
         if len(self.lines) == 1:
@@ -73,12 +73,14 @@ class CentrelineNetwork:
         for root in sorted(shared, key=lambda end: -sum(line[0] == end for line in self.lines)):
             away = [line if line[0] == root else line[::-1] for line in self.lines]
             headings = np.array([self._heading(line) for line in away])
+            # Within 90 degrees of each other: the lines run down the same trunk, side by side. Pieces that meet at
+            # a bifurcation point to different sides.
             if (headings @ headings.T > 0).all():
                 return away
         return []
 
     def _heading(self, line: Indices) -> Array:
-        """Unit vector (3,) of a line over its first millimetres."""
+        """Return the unit vector (3,) of a line over its first LINE_HEADING_MM."""
         offsets = self.points[line] - self.points[line[0]]
         far = np.flatnonzero(np.linalg.norm(offsets, axis=1) >= LINE_HEADING_MM)
         offset = offsets[far[0] if far.size else -1]
@@ -86,7 +88,7 @@ class CentrelineNetwork:
 
 
 class Tree:
-    """Pieces that hang together: a network and those of its edges (m, 2), pointing as their lines do."""
+    """Connected pieces: a network and those of its edges (m, 2), directed as their lines are."""
 
     def __init__(self, network: CentrelineNetwork, edges: Indices) -> None:
         self._network = network
@@ -97,12 +99,17 @@ class Tree:
         self._ends = np.array(sorted(node for node, degree in self._graph.degree if degree == 1))
 
     def to_tips(self, entry: Array | None) -> list[Indices]:
-        """The paths from the root to the other ends, these in the order of their points."""
+        """Return the paths from the root to the other ends, these in the order of their points.
+
+        entry: (3,) mm, where the robot enters, or None; decides between ends where no rule finds the root.
+        """
         root = self._root(entry)
         return [self._between(root, int(tip)) for tip in self._ends if tip != root]
 
     def _root(self, entry: Array | None) -> int:
         rules: list[Callable[[], int | None]] = [self._widest, self._source]
+        # A tree without branches has two ends, whose widths differ little: there the direction of its lines counts
+        # first.
         for rule in rules if len(self._ends) > 2 else reversed(rules):
             root = rule()
             if root is not None:
@@ -115,7 +122,7 @@ class Tree:
         return int(self._ends[np.linalg.norm(self._network.points[self._ends] - entry, axis=1).argmin()])
 
     def _widest(self) -> int | None:
-        """The end whose first stretch is clearly the widest; None where there is none or no radius."""
+        """Return the end whose first stretch is clearly the widest; None where there is none or no radius."""
         radius = self._network.radius
         if radius is None:
             return None
@@ -126,7 +133,7 @@ class Tree:
         )
 
     def _source(self) -> int | None:
-        """The end from which all lines lead away, or to which all of them lead."""
+        """Return the end from which all lines lead away, or to which all of them lead, or None."""
         for edges in (self._edges, self._edges[:, ::-1]):
             starts = self._ends[np.isin(self._ends, edges[:, 0])]
             if len(starts) == 1:
@@ -137,18 +144,18 @@ class Tree:
         return None
 
     def _between(self, root: int, tip: int) -> Indices:
-        """The points from one end to another."""
+        """Return the points from one end to another."""
         return np.array(import_extra("networkx").shortest_path(self._graph, root, tip))
 
     def _stretch(self, end: int) -> Indices:
-        """The points from an end to where branches part, or to the middle."""
+        """Return the points from an end to the first bifurcation, or to the middle where there is none."""
         path = self._between(end, int(self._ends[self._ends != end][0]))
         parts = [k for k, point in enumerate(path.tolist()) if self._graph.degree[point] > 2]
         return path[: parts[0] if parts else len(path) // 2]
 
 
 def _graph(edges: Indices) -> Any:
-    """The graph of pairs of points (m, 2)."""
+    """Return the graph of pairs of points (m, 2)."""
     graph = import_extra("networkx").Graph()
     graph.add_edges_from(edges.tolist())
     return graph

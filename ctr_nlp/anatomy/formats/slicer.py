@@ -26,7 +26,7 @@ WIDTHS = {
     "maximuminscribedsphereradius": 1.0,
     "diameter": 0.5,
 }
-"""Measurements that tell the lumen's size, in lower case, and how much of the radius they are.
+"""Measurements of the lumen's size, by names in lower case, and the factor from each to the radius.
 
 SlicerVMTK's Extract Centerline writes "Radius".
 """
@@ -35,7 +35,7 @@ UNPLACED = ("undefined", "preview", "missing")
 
 
 def read_slicer(path: str | Path) -> Branches:
-    """The open curves of a markups file, each from its first control point to its last.
+    """Read the open curves of the markups file `path`, each from its first control point to its last.
 
     The lumen's radius is taken from a measurement with a value for each control point. Raises CurveError.
     """
@@ -60,7 +60,7 @@ def read_slicer(path: str | Path) -> Branches:
 
 
 def _space(name: str, markup: dict[str, Any]) -> str:
-    """The coordinate system of a markup that is an open curve in millimetres."""
+    """Return the coordinate system of a markup; raise CurveError unless it is an open curve in millimetres."""
     kind = markup.get("type")
     space = markup.get("coordinateSystem")
     if kind != "Curve":
@@ -75,7 +75,7 @@ def _space(name: str, markup: dict[str, Any]) -> str:
 
 
 def _check_unit(what: str, unit: Any) -> None:
-    """A unit is its code in UCUM, or a list of code, coding scheme and meaning."""
+    """Raise CurveError unless a unit is mm, as its UCUM code or as a list of code, coding scheme and meaning."""
     code = unit[0] if isinstance(unit, list) and unit else unit
     if code != "mm":
         raise CurveError(f"{what} is {code!r}; it must be 'mm', millimetres")
@@ -105,7 +105,7 @@ def _position(name: str, number: int, control: dict[str, Any]) -> Array:
 
 
 def _radius(name: str, markup: dict[str, Any], count: int) -> Array | None:
-    """The lumen's radius (count,) in mm at all control points, None where nothing tells it."""
+    """Return the lumen's radius (count,) in mm at all control points; None where no measurement gives it."""
     measurements = markup.get("measurements") or []
     if not isinstance(measurements, list):
         raise CurveError(f"measurements of {name!r} must be a list")
@@ -128,7 +128,7 @@ def _radius(name: str, markup: dict[str, Any], count: int) -> Array | None:
 
 
 def _numbers(value: Any) -> Array | None:
-    """A list of numbers as an array, None for anything else."""
+    """Return a list of numbers as an array, None for anything else."""
     try:
         return np.array(value, dtype=float) if isinstance(value, list) else None
     except (TypeError, ValueError, OverflowError):

@@ -47,11 +47,11 @@ VTK_LINE, VTK_POLY_LINE = 3, 4
 
 
 def read_vtk(path: str | Path, entry: npt.ArrayLike | None = None) -> Branches:
-    """The paths from root to tips of the lines in a .vtp, .vtu or legacy .vtk file.
+    """Read the paths from root to tips of the lines in a .vtp, .vtu or legacy .vtk file.
 
-    entry: (3,) mm in the file's coordinates, which settles where a tree starts when the file does not; see
-    formats/network.py. Points that repeat the one before them are left out. Raises CurveError, and OptionError
-    where pyvista is missing.
+    path: the file. entry: (3,) mm in the file's coordinates, which settles where a tree starts when the file does
+    not; see formats/network.py. Points that repeat the one before them are left out. Raises CurveError, and
+    OptionError where pyvista is missing.
     """
     mesh, stated = _read(path)
     space = stated or "LPS"
@@ -76,7 +76,7 @@ def read_vtk(path: str | Path, entry: npt.ArrayLike | None = None) -> Branches:
 
 
 def _read(path: str | Path) -> tuple[Any, str]:
-    """The unstructured grid that a file holds, and the coordinate system that it states, or nothing."""
+    """Return the unstructured grid of a file, and the coordinate system that it states, or an empty string."""
     if not Path(path).is_file():
         raise CurveError(f"centreline {path} cannot be read: there is no such file")
     pyvista = import_extra("pyvista")
@@ -85,7 +85,7 @@ def _read(path: str | Path) -> tuple[Any, str]:
     reader.SetFileName(str(path))
     legacy = kind == LEGACY
     if legacy:
-        # The legacy reader takes only the first array of each kind unless it is told otherwise.
+        # By default the legacy reader reads only the first array of each kind.
         reader.ReadAllScalarsOn()
         reader.ReadAllFieldsOn()
     with pyvista.vtk_verbosity("off"), _capture_vtk_errors() as errors:
@@ -122,10 +122,9 @@ def _text(said: str | bytes | None) -> str:
 
 
 def _numbers(values: Any) -> Array:
-    """Values of a file as double precision, and nothing said of those that are no numbers: they are checked later.
+    """Return values of a file as double precision, without warnings; whether they are numbers is checked later.
 
-    A file that was cut short leaves any bytes in its arrays; numpy warns where such a byte pattern is a signalling
-    NaN.
+    A file that was cut short has random bytes in its arrays; numpy warns where they are a signalling NaN.
     """
     with np.errstate(invalid="ignore"):
         return np.array(values, dtype=float)
@@ -161,9 +160,10 @@ def _lines(mesh: Any) -> list[Indices]:
 
 
 def _join_tracts(mesh: Any, lines: list[Indices], points: Array) -> list[Indices]:
-    """The centrelines whose consecutive tracts the lines are, as VMTK's branch extractor leaves them.
+    """Return the centrelines whose consecutive tracts the lines are, as VMTK's branch extractor leaves them.
 
-    The lines themselves where they are no tracts, or tracts that do not meet.
+    lines: indices of points, a line each. points: (n, 3) mm. The lines themselves where they are no tracts, or
+    tracts that do not meet.
     """
     if not set(TRACTS) <= set(mesh.cell_data):
         return lines
@@ -172,6 +172,7 @@ def _join_tracts(mesh: Any, lines: list[Indices], points: Array) -> list[Indices
     whole = []
     for number in np.unique(centreline):
         parts = np.flatnonzero(centreline == number)
+        # A stable sort, so that lines with the same tract number stay in the order of the file.
         parts = parts[tract[parts].argsort(kind="stable")]
         for one, next_one in pairwise(parts):
             if np.linalg.norm(points[lines[one][-1]] - points[lines[next_one][0]]) > SAME_MM:

@@ -1,5 +1,9 @@
 """The middle of a lumen and its radius, from cross-sections along a route through it.
 
+Seen from a point, the wall of a cross-section is at the distance r + a cos t + b sin t + c cos 2t + d sin 2t in
+the direction t. To first order (a, b) is the vector to the middle and (c, d) the ellipticity. Points are moved by
+(a, b) and smoothed along the path (Whittaker 1923), PASSES times in turn.
+
 A tube is an array (n, 4): points and radius in mm, along the axes of the image, counted from the middle of its
 first voxel.
 """
@@ -28,7 +32,7 @@ RAYS = 48
 SAMPLES_PER_RAY = 64
 """Along each ray, up to twice the radius."""
 HARMONIC_REGULARISATION = (1e-3, 1e-3, 1e-3, 0.1, 0.1)
-"""How much each term of a cross-section is drawn to 0, for the sake of those of which little is seen."""
+"""Regularisation of r, a, b, c, d towards 0, for cross-sections of which few rays see the wall."""
 MAX_RAY_TO_MEDIAN_RATIO = 1.35
 """A ray longer than this times the median of its cross-section looks into another branch."""
 SMOOTHING_LENGTH_VOXELS = 2.0
@@ -38,11 +42,11 @@ SMOOTHING_PADDING_SECTIONS = 5
 MAX_END_OFFSET_RADII = 1.5
 """An end is as many radii, at most, from a route that has not yet come to the middle: sqrt(2) in a corner."""
 END_CAP_RADII = 0.15
-"""Cross-sections so near to an end, in radii, may cut through a cap of the lumen: they are not looked at."""
+"""Cross-sections so near to an end, in radii, may cut through a cap of the lumen: they are ignored."""
 
 
 def centre_route(lumen: Flags, spacing: Array, route: Array, depth: Array, ends: Array) -> Array:
-    """The tube (n, 4) along the middle of a lumen, its points about 1 mm apart.
+    """Return the tube (n, 4) along the middle of a lumen, its points about 1 mm apart.
 
     lumen: (l, m, n), its voxels spacing (3,) mm apart. route: (k, 3) mm, through the lumen, depth (k,) mm from the
     wall. ends: (2, 3) mm; the tube begins and stops where it is nearest to them within the lumen.
@@ -63,9 +67,10 @@ def centre_route(lumen: Flags, spacing: Array, route: Array, depth: Array, ends:
 
 
 def lie_in_lumen(lumen: Flags, spacing: Array, points: Array) -> Flags:
-    """Whether points (n, 3) in mm lie in voxels of a lumen."""
+    """Return whether points (n, 3) in mm lie in voxels of a lumen (l, m, n) with voxels of `spacing` (3,) mm."""
     index = np.rint(points / spacing).astype(int)
     within = ((index >= 0) & (index < lumen.shape)).all(axis=1)
+    # Clipped, since indices beyond the image would raise or wrap around; `within` leaves them out.
     return within & lumen[tuple(np.clip(index, 0, np.array(lumen.shape) - 1).T)]
 
 
@@ -76,9 +81,10 @@ def _resample_tube(tube: Array) -> Array:
 
 
 def _straighten_beginning(tube: Array, end: Array, slack: float) -> Array:
-    """The tube with a straight beginning: what leads from its end (3,) to the middle of the lumen is no middle.
+    """Return the tube with a straight beginning: the way from its end (3,) to the middle is no middle.
 
-    It comes from the last point, in the tube's first third, from which a ball up to the wall holds the end.
+    slack: mm by which distances may be off, a voxel's diagonal. The beginning comes from the last point, in the
+    tube's first third, from which a ball up to the wall contains the end.
     """
     along = cumulative_arc_length(tube[:, :3])
     away = np.linalg.norm(tube[:, :3] - end, axis=1) > MAX_END_OFFSET_RADII * tube[:, 3] + slack
@@ -92,15 +98,20 @@ def _straighten_beginning(tube: Array, end: Array, slack: float) -> Array:
 
 
 def _smooth_tube(tube: Array, trusted: Flags, length: float) -> Array:
-    """The tube under the smoother of Whittaker (1923) for waves longer than length mm, continued at both ends.
+    """Smooth the tube by Whittaker's method (1923), keeping waves longer than `length` mm, and extend both ends.
 
-    Third differences are small in points, so that they go on at a constant curvature, second ones in radii.
+    trusted: (n,) points that count. Third differences are small in points, so that they continue at a constant
+    curvature, second ones in radii.
     """
     tube_at = np.pad(tube, ((SMOOTHING_PADDING_SECTIONS, SMOOTHING_PADDING_SECTIONS), (0, 0)))
+    # Weight 0: padding and untrusted points have no data, and the penalty alone extrapolates into them.
     kept = np.pad(trusted, SMOOTHING_PADDING_SECTIONS).astype(float)
     step = cumulative_arc_length(tube[:, :3])[-1] / (len(tube) - 1)
 
     def smooth(values: Array, order: int) -> Array:
+        # Minimises sum_k w_k |x_k - p_k|^2 + (length / step)^(2 m) |D^m x|^2, with D^m the differences of order m.
+        # A wave of wavelength L keeps about the part 1 / (1 + (2 pi length / L)^(2 m)) of its amplitude: half at L
+        # = 2 pi length.
         differences = sparse.csc_array(np.diff(np.eye(len(kept)), order, axis=0))
         penalty = (length / step) ** (2 * order) * differences.T @ differences
         return np.asarray(spsolve(sparse.csc_array(sparse.diags_array(kept) + penalty), kept[:, None] * values))
@@ -109,10 +120,13 @@ def _smooth_tube(tube: Array, trusted: Flags, length: float) -> Array:
 
 
 def _between(tube: Array, ends: Array, lumen: Flags, spacing: Array) -> Array:
-    """The piece of a spline through the tube between its points in the lumen nearest to ends (2, 3), resampled."""
+    """Return the piece of a spline through the tube between its points in the lumen nearest to ends (2, 3),
+    resampled.
+    """
     dense = CubicSpline(np.arange(len(tube)), tube)(
         np.linspace(0, len(tube) - 1, END_SEARCH_SUBDIVISIONS * len(tube))
     )
+    # Either end is looked for in its own half: on a path that turns back, the other end may be nearer.
     half = len(dense) // 2
     inside = lie_in_lumen(lumen, spacing, dense[:, :3])
     first, last = (
@@ -123,13 +137,14 @@ def _between(tube: Array, ends: Array, lumen: Flags, spacing: Array) -> Array:
 
 
 def _recentre_points(lumen: Flags, spacing: Array, tube: Array) -> Array:
-    """Each point moved to the middle of its cross-section, and the distance to the wall there.
+    """Return each point moved to the middle of its cross-section, with the distance to the wall there.
 
     From a point the wall is r + a cos t + b sin t + c cos 2t + d sin 2t away at angle t: the middle is at (a, b),
     and the least distance from there is r - |(c, d)|.
     """
     tangent = np.gradient(tube[:, :3], axis=0)
     tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
+    # The axis that the tangent is least parallel to: the product with it is never near 0.
     first = np.cross(tangent, np.eye(3)[np.abs(tangent).argmin(axis=1)])
     first /= np.linalg.norm(first, axis=1, keepdims=True)
     second = np.cross(tangent, first)
@@ -139,8 +154,11 @@ def _recentre_points(lumen: Flags, spacing: Array, tube: Array) -> Array:
     seen = np.isfinite(rays)
     rays = np.where(seen, rays, tube[:, 3:])
     median = np.median(rays, axis=1, keepdims=True)
+    # Limited, not left out: the harmonics are badly determined where a whole side has no data.
     rays = np.where(rays > MAX_RAY_TO_MEDIAN_RATIO * median, median, rays)
     harmonics = np.column_stack([np.ones(RAYS), *(f(k * angle) for k in (1, 2) for f in (np.cos, np.sin))])
+    # Least squares over the rays that see the wall, for the difference from the radius so far, with
+    # regularisation.
     normal = np.einsum("nr,ri,rj->nij", seen, harmonics, harmonics) + RAYS * np.diag(HARMONIC_REGULARISATION)
     found = np.linalg.solve(normal, (seen * (rays - tube[:, 3:]) @ harmonics)[..., None])[..., 0]
     points = tube[:, :3] + found[:, 1:2] * first + found[:, 2:3] * second
@@ -149,10 +167,10 @@ def _recentre_points(lumen: Flags, spacing: Array, tube: Array) -> Array:
 
 
 def _to_wall(lumen: Flags, spacing: Array, tube: Array, directions: Array) -> Array:
-    """Distance in mm from the tube's points to the wall along directions (n, rays, 3), at most about two radii.
+    """Return the distance in mm from the tube's points to the wall along directions (n, rays, 3), up to two radii.
 
     The wall is where the lumen, 1 at its voxels and interpolated between them, falls to 1/2. A ray that leaves the
-    image before is given the tube's radius.
+    image before that is NaN.
     """
     reach = 2 * tube[:, 3] + np.linalg.norm(spacing)
     far = reach[:, None] * np.linspace(0, 1, SAMPLES_PER_RAY)
@@ -162,6 +180,7 @@ def _to_wall(lumen: Flags, spacing: Array, tube: Array, directions: Array) -> Ar
     )
     outside = ((index < -0.5) | (index > np.array(lumen.shape) - 0.5)).any(axis=-1)
     wall = (value < 0.5) | outside
+    # The first sample beyond the wall, at least 1, since the crossing lies between it and the one before.
     met = np.maximum(wall.argmax(axis=-1), 1)[..., None]
 
     def at(values: npt.NDArray[Any], place: npt.NDArray[Any]) -> Array:
@@ -169,6 +188,7 @@ def _to_wall(lumen: Flags, spacing: Array, tube: Array, directions: Array) -> Ar
 
     before = at(value, met - 1)
     after = at(value, met)
+    # Linear interpolation of the value 1/2 between these two samples.
     part = np.clip((before - 0.5) / np.maximum(before - after, 1e-6), 0, 1)
     distance = (met[..., 0] - 1 + part) / (SAMPLES_PER_RAY - 1) * reach[:, None]
     distance = np.where(wall.any(axis=-1), distance, reach[:, None])

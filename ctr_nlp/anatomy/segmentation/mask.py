@@ -1,4 +1,10 @@
-"""From a segmented lumen, a mask of voxels, to the path along its middle."""
+"""The path along the middle of a segmented lumen, a mask of voxels.
+
+A path between two points is found by Dijkstra's algorithm on the graph of the lumen's voxels. An edge of length l
+between voxels at distances d_1, d_2 from the wall costs l (d_1^-p + d_2^-p) / 2 with p = WALL_COST_POWER: the
+trapezoidal rule for the integral of d^-p along the path (after Antiga and Steinman, IEEE TMI 23(6), 2004).
+centring.py then moves the path to the middle of its cross-sections.
+"""
 
 from __future__ import annotations
 
@@ -25,16 +31,16 @@ MAX_LISTED_LABELS = 10
 
 
 def read_mask(path: str | Path, entry: npt.ArrayLike, target: npt.ArrayLike) -> Branches:
-    """The path from entry to target along the middle of a lumen, with its radius, from a mask of the lumen.
+    """Find the path from entry to target along the middle of a lumen, with its radius, in a mask.
 
-    path: NIfTI-1 or NRRD, 0 outside the lumen and one other value within it. entry, target: (3,) mm in the
-    file's own coordinates (RAS in NIfTI), in the lumen or at most a voxel's diagonal from it; the path begins and
-    stops where it is nearest to them. Its points are about 1 mm apart; its radius is the distance to the wall in
-    the cross-section, so that a lumen that ends or is cut open is not narrow there. The border of the image is no
+    path: NIfTI-1 or NRRD, 0 outside the lumen and one other value within it. entry, target: (3,) mm in the file's
+    own coordinates (RAS in NIfTI), in the lumen or at most a voxel's diagonal from it; the path begins and stops
+    where it is nearest to them. Its points are about 1 mm apart; its radius is the distance to the wall in the
+    cross-section, so that a lumen that ends or is cut open is not narrow there. The border of the image is no
     wall. Raises CurveError, and OptionError where nibabel or pynrrd is missing.
 
-    The route is found by Dijkstra's algorithm at a cost that grows towards the wall (after Antiga and Steinman,
-    IEEE TMI 23(6), 2004), then centred in its cross-sections and smoothed.
+    The route is found by Dijkstra's algorithm at a cost that grows towards the wall, then centred in its
+    cross-sections and smoothed.
     """
     image = read_image(path)
     to_lps = IMAGE_SPACE_TO_LPS[image.space]
@@ -47,7 +53,7 @@ def read_mask(path: str | Path, entry: npt.ArrayLike, target: npt.ArrayLike) -> 
 
 
 def _lumen(voxels: npt.NDArray[Any]) -> Flags:
-    """Where a mask is not 0; raises CurveError where it is no mask."""
+    """Return where a mask (l, m, n) is not 0; raise CurveError where it has several labels, or one only."""
     lumen = voxels != 0
     if not lumen.any():
         raise CurveError("its voxels are all 0; those of the lumen must have another value")
@@ -63,17 +69,22 @@ def _lumen(voxels: npt.NDArray[Any]) -> Flags:
 
 
 def _crop_to_lumen(image: Image) -> Image:
-    """The part of a mask that holds the lumen, with a voxel of wall around it where the image has one."""
+    """Return the part of a mask that contains the lumen, with a voxel of wall around it where the
+    image has one.
+    """
     lumen = _lumen(image.voxels)
     affine = image.affine.copy()
     (tight,) = find_objects(lumen.view(np.uint8))
     box = tuple(slice(max(0, part.start - 1), part.stop + 1) for part in tight)
+    # Index 0 of the cropped image is index `start` of the whole one.
     affine[:3, 3] = transform_points([part.start for part in box], image.affine)
     return replace(image, voxels=np.ascontiguousarray(lumen[box]), affine=affine)
 
 
 def _end(mask: Image, name: str, given: npt.ArrayLike) -> Array:
-    """The index (3,), not whole, of the lumen's point nearest to a given one; raises CurveError if that is far."""
+    """Return the index (3,), not whole, of the lumen's point nearest to a given one; raise CurveError if that is
+    far.
+    """
     point = checked_point(name, given)
     to_index = np.asarray(np.linalg.inv(mask.affine), dtype=float)
     one = np.ones(3)
@@ -81,12 +92,16 @@ def _end(mask: Image, name: str, given: npt.ArrayLike) -> Array:
     if lie_in_lumen(mask.voxels, one, index[None])[0]:
         return index
     voxels = np.argwhere(mask.voxels)
+    # The nearest point of every voxel's box. At 0.5, its border, rounding might give the neighbour outside of the
+    # lumen.
     there = np.clip(index, voxels - 0.49, voxels + 0.49)
     nearest = np.asarray(there[(((there - index) * mask.spacing) ** 2).sum(axis=1).argmin()])
     away = float(np.linalg.norm((nearest - index) * mask.spacing))
     allowed = float(np.linalg.norm(mask.spacing))
     if away <= allowed:
         return nearest
+    # RAS and LPS differ by the signs of x and y: the commonest mistake, which the message offers as an
+    # explanation.
     turned = transform_points(point * [-1, -1, 1], to_index)
     mixed = lie_in_lumen(mask.voxels, one, turned[None])[0]
     hint = "; with x and y negated it does: is it in LPS instead of RAS, or the other way round?" if mixed else ""
@@ -97,7 +112,10 @@ def _end(mask: Image, name: str, given: npt.ArrayLike) -> Array:
 
 
 def _tube(lumen: Flags, spacing: Array, ends: Array) -> Array:
-    """Points and radius (n, 4) in mm along the axes of a lumen (l, m, n), between indices (2, 3)."""
+    """Return points and radius (n, 4) in mm along the axes of a lumen (l, m, n), between indices `ends` (2, 3).
+
+    spacing: sides of a voxel (3,), mm.
+    """
     voxel = float(np.linalg.norm(spacing))
     apart = float(np.linalg.norm((ends[1] - ends[0]) * spacing))
     if apart < LEAST_VOXELS * voxel:
@@ -117,6 +135,8 @@ def _tube(lumen: Flags, spacing: Array, ends: Array) -> Array:
             f"about {width:.3g} mm"
         )
     tube = centre_route(lumen, spacing, route, room, ends * spacing)
+    # A single point outside is what rounding to voxels may do on a smooth path; two in a row are outside of the
+    # lumen.
     outside = ~lie_in_lumen(lumen, spacing, tube[:, :3])
     astray = np.flatnonzero(outside[1:] & outside[:-1])
     if astray.size:
@@ -140,28 +160,34 @@ VOXEL_NEIGHBOUR_STEPS = np.array([step for step in product((-1, 0, 1), repeat=3)
 
 
 def depths(lumen: Flags, spacing: Array) -> npt.NDArray[np.float32]:
-    """Distance in mm from the voxels (l, m, n) of a lumen to the wall, about; 0 outside of it.
+    """Return the approximate distance in mm from the voxels (l, m, n) of a lumen to the wall; 0 outside of it.
 
-    The Euclidean distance transform to the voxels that touch the wall. The border of the image is no wall.
+    spacing: sides of a voxel (3,), mm. The Euclidean distance transform to the voxels that touch the wall. The
+    border of the image is no wall.
     """
     edge = lumen & ~binary_erosion(lumen, np.ones((3, 3, 3)), border_value=1)
     to_edge = distance_transform_edt(~edge, sampling=spacing)
+    # The wall runs half a voxel outside of the centres of the voxels that touch it.
     return np.where(lumen, to_edge + spacing.min() / 2, 0.0).astype(np.float32)
 
 
 def cheapest_route(depth: npt.NDArray[np.float32], spacing: Array, ends: Index) -> Index | None:
-    """Indices (n, 3) of voxels from one end to the other, ends (2, 3); None where the lumen does not join them.
+    """Return the indices (n, 3) of voxels on the cheapest route between `ends` (2, 3); None where there is none.
 
-    depth: (l, m, n) mm, as `depths` gives it. Dijkstra's algorithm with the cost of Antiga and Steinman, IEEE TMI
-    23(6), 2004, a function of the distance to the wall. Its nodes are coarse where balls of that distance cover
-    the edges between them; narrow places, where every voxel is a node, are added if they are needed.
+    depth: (l, m, n) mm, as `depths` gives it. spacing: sides of a voxel (3,), mm. The cost is a function of the
+    distance to the wall (see above). Nodes are coarse where balls of that distance cover the edges between them;
+    narrow places, where every voxel is a node, are added if they are needed.
     """
     strides = np.maximum(1, np.round(COARSE_NODE_STRIDE_VOXELS * spacing.min() / spacing)).astype(int)
     diagonal = float(np.linalg.norm(strides * spacing))
+    # A border of wall as wide as a stride: a step in the flattened image then cannot wrap around to the other
+    # side.
     room = np.pad(depth, [(s, s) for s in strides])
     every = tuple(slice(s, -s, s) for s in strides)
     coarse = np.zeros(room.shape, bool)
     fine = np.zeros(room.shape, bool)
+    # Balls around both ends of an edge, each larger than half of its length, cover it: the edge stays in the
+    # lumen.
     coarse[every] = room[every] > diagonal / 2 + spacing.min()
     for end in ends + strides:
         near = tuple(
@@ -179,11 +205,16 @@ def cheapest_route(depth: npt.NDArray[np.float32], spacing: Array, ends: Index) 
 def _dijkstra(
     depth: npt.NDArray[np.float32], spacing: Array, levels: tuple[tuple[Flags, Index], ...], ends: Index
 ) -> Index | None:
-    """The cheapest route over nodes (l, m, n) that are linked to their neighbours at a stride (3,)."""
+    """Return the indices (n, 3) of the cheapest route between `ends` (2, 3); None where there is none.
+
+    depth: (l, m, n) mm. levels: nodes (l, m, n), each with the stride (3,) in voxels at which they are linked to
+    their neighbours.
+    """
     member = np.flatnonzero(np.any([nodes for nodes, _ in levels], axis=0))
     number = np.full(depth.size, -1, np.int32)
     number[member] = np.arange(len(member), dtype=np.int32)
     cost = depth.ravel()[member].astype(float) ** -WALL_COST_POWER
+    # Distance of neighbours along each axis in the flattened image, in entries.
     pitch = np.array(depth.strides) // depth.itemsize
     links = [
         _links(nodes, number, cost, step @ pitch, float(np.linalg.norm(step * spacing)))
@@ -193,6 +224,7 @@ def _dijkstra(
     tails, heads, costs = (np.concatenate(parts) for parts in zip(*links, strict=True))
     graph = coo_array((costs, (tails, heads)), shape=(len(member), len(member))).tocsr()
     start, at = (int(number[np.ravel_multi_index(tuple(end), depth.shape)]) for end in ends)
+    # Undirected: VOXEL_NEIGHBOUR_STEPS lists each pair of neighbours once.
     reached, before = dijkstra(graph, False, start, return_predecessors=True)
     if not np.isfinite(reached[at]):
         return None
@@ -204,7 +236,10 @@ def _dijkstra(
 
 
 def _links(nodes: Flags, number: Index, cost: Array, step: int, length: float) -> tuple[Index, Index, Array]:
-    """Pairs of nodes that are a step apart in the flattened image, and the cost of going between them."""
+    """Return the pairs of nodes that are `step` entries apart in the flattened image, and the cost of each pair.
+
+    nodes: (l, m, n). number: of each voxel's node. cost: per mm at every node. length: of the step, mm.
+    """
     here = np.flatnonzero(nodes)
     here = here[nodes.ravel()[here + step]]
     tails = number[here]

@@ -1,6 +1,6 @@
 """The interface of all solvers of a frame's program, and IPOPT behind it.
 
-A solution is checked against the problem itself (nlp.kkt_residual): residuals of stationarity and complementarity
+A solution is checked against the problem itself (ocp.nlp.kkt_residual): residuals of stationarity, complementarity
 in mm^2 per rad or mm, violations in rad or mm. IPOPT: Waechter and Biegler, Math. Program. 106 (2006).
 """
 
@@ -33,7 +33,7 @@ class Solution:
     """The point that a solver ended at, and whether it is a solution.
 
     x (n,): the point; objective: mm^2; kkt: residual computed from the Nlp alone; success: the point is finite,
-    feasible and a KKT point, whatever the solver reports; status: the solver's own word; lam_x, lam_g: multipliers
+    feasible and a KKT point, whatever the solver reports; status: the solver's report; lam_x, lam_g: multipliers
     to warm-start from; q: the configuration at x.
     """
 
@@ -96,18 +96,20 @@ class NlpSolver(ABC):
         warm: Solution | None,
         local_parameters: LocalParameterSource | None = None,
     ) -> list[TimedSolution]:
-        """Solve for parameters p (frames, n_p), each frame from the one before, up to the first that is not
-        solved.
+        """Solve for parameters p (frames, n_p), each frame from the one before, until one is not solved.
 
         x0 (n,): start of the first frame. reach: limits, and steps from frame to frame. here (k,): the
-        configuration before the first frame; the parameter named previous is set to it, and then to that of the
+        configuration before the first frame; the parameter named `previous` is set to it, and then to that of the
         last solved frame. warm: a solution to take multipliers from. local_parameters: source of parameters that
         hold near a robot only. A solver that takes one program at a time returns an empty list.
         """
         return []
 
     def solve_from_starts(self, x0: Array, p: Array, reach: ConfigurationLimits) -> list[Solution]:
-        """Solve for parameters p (n_p,) within reach from every start x0 (starts, n); only the solutions found."""
+        """Solve from every start and return the solutions found.
+
+        x0 (starts, n): the starts. p (n_p,): packed parameters. reach: limits of the configuration.
+        """
         found = (self(x, p, reach.low, reach.high) for x in x0)
         return [solution for solution in found if solution.success]
 
@@ -166,13 +168,13 @@ class Ipopt(NlpSolver):
 
 @functools.lru_cache(maxsize=MAX_CACHED_IPOPT_INSTANCES)
 def _ipopt(nlp: Nlp, thread: int) -> ca.Function:
-    """The IPOPT instance of a program and a thread; two threads must not share one."""
+    """Return the IPOPT instance of a program and a thread; two threads must not share one."""
     problem = {"x": nlp.x, "p": nlp.p, "f": nlp.objective, "g": nlp.g}
     return ca.nlpsol("ipopt", "ipopt", problem, CASADI_SOLVER_OPTIONS | {"ipopt": FRAME_IPOPT_OPTIONS})
 
 
 def status_and_iterations(solve: ca.Function) -> tuple[str, int]:
-    """Status and number of iterations of the last call of `solve`."""
+    """Return status and number of iterations of the last call of `solve`."""
     stats = solve.stats()
     return str(stats["return_status"]), int(stats["iter_count"])
 

@@ -40,7 +40,7 @@ _Called = ctypes.CFUNCTYPE(
 
 
 class SqpProgramStruct(ctypes.Structure):
-    """The struct Program of sqp.c: what a run is given, and what it finds."""
+    """The struct Program of sqp.c: inputs and results of a run."""
 
     objective: float
     kkt: float
@@ -141,8 +141,9 @@ class Program:
 
 
 def _callback(function: ca.Function) -> tuple[Any, Any]:
-    """A CasADi function as a callback for C, with the signature of casadi.external's, and the objects it needs
-    alive.
+    """Return a CasADi function as a callback for C, and the objects that must outlive it.
+
+    The callback has the signature of the functions that casadi.external loads.
     """
     buffer, evaluate = function.buffer()
     inputs = [np.zeros(function.numel_in(i)) for i in range(function.n_in())]

@@ -90,11 +90,12 @@ class FrameSequence:
         self._run = _RUN_SIGNATURE(("run", cache.load_c_files(__package__, "sqp.c", "run.c")))
 
     def set_local_parameters(self, local_parameters: LocalParameterSource | None) -> None:
-        """Choose how frames are solved from now on: again around their solutions with parameters from near, or
-        once (None).
+        """Choose how frames are solved from now on: once, or again around their solutions with local parameters.
+
+        local_parameters: their source; None: every frame is solved once.
         """
         nlp = self.program.nlp
-        # Null pointers and zeros: run.c then solves every frame once, as it is.
+        # With null pointers and zeros run.c solves every frame once.
         of_near: tuple[float | None, ...] = (None, None, *[0] * 6, *[0.0] * 4, None)
         if local_parameters is not None:
             place, weight, allowed = (
@@ -133,10 +134,10 @@ class FrameSequence:
         self.program.x[: len(x)] = x
 
     def __call__(self, frames: int, from_starts: bool = False) -> int:
-        """Solve the first so many frames from the program's x and multipliers; returns how many were solved.
+        """Solve the first `frames` frames from the program's x and multipliers; return how many were solved.
 
-        If one is not solved, it is the last that was tried, and its results are there too. from_starts: solve each
-        from its own row of starts instead, whatever comes of the others.
+        A frame that is not solved is the last one, and its results are stored too. from_starts: solve each frame
+        from its own row of `starts` instead, whether or not others are solved.
         """
         self.program.refresh()
         starts = self.starts.ctypes.data if from_starts else None

@@ -101,7 +101,10 @@ class Sqp(NlpSolver):
         warm: Solution | None,
         local_parameters: LocalParameterSource | None = None,
     ) -> list[TimedSolution]:
-        """Solve frames one after another in one call of C; arguments as in NlpSolver.solve_sequence."""
+        """Solve frames one after another in one call of C.
+
+        x0, p, reach, here, warm, local_parameters: as in NlpSolver.solve_sequence.
+        """
         run = self._fill_sequence(p, reach)
         run.set_local_parameters(local_parameters)
         run.here[:], run.program.x[:] = here, x0
@@ -113,7 +116,10 @@ class Sqp(NlpSolver):
         ]
 
     def solve_from_starts(self, x0: Array, p: Array, reach: ConfigurationLimits) -> list[Solution]:
-        """Solve from every start in one call of C; IPOPT is tried only if no start leads to a solution."""
+        """Solve from every start in one call of C; IPOPT is tried only if no start leads to a solution.
+
+        x0 (starts, n): the starts. p (n_p,): packed parameters. reach: limits of the configuration.
+        """
         # Starts are no frames of a motion: no step is limited.
         far = reach._replace(most=np.full(len(reach.low), np.inf))
         run = self._fill_sequence(np.broadcast_to(p, (len(x0), len(p))), far)
@@ -126,8 +132,9 @@ class Sqp(NlpSolver):
         return found or super().solve_from_starts(x0, p, reach)
 
     def _fill_sequence(self, p: Array, reach: ConfigurationLimits) -> FrameSequence:
-        """The arrays of a run, filled with parameters p (frames, n_p) and limits; they grow with the number of
-        frames.
+        """Return the arrays of a run, filled with parameters p (frames, n_p) and limits.
+
+        They grow with the number of frames.
         """
         # Room is kept from call to call and only ever grows.
         if len(p) > len(self._room.p):
@@ -137,7 +144,7 @@ class Sqp(NlpSolver):
         return run
 
     def _collect_solutions(self, count: int) -> list[Solution]:
-        """Solutions of the first `count` frames of the last run."""
+        """Return the solutions of the first `count` frames of the last run."""
         run = self._room
         n = self._room.x.shape[1]
         x = run.x[:count].copy()

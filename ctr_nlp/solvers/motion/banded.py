@@ -61,9 +61,9 @@ BANDED_STATUS_TEXTS = (
     "Search_Direction_Becomes_Too_Small",
     "Maximum_Iterations_Exceeded",
 )
-"""Status texts, in the order in which banded.c numbers them; the first means that work goes on."""
+"""Status texts, in the order in which banded.c numbers them; the first means that the solve has not ended."""
 BANDED_STALL_ITERATIONS, BANDED_STALL_DECREASE = 6, 1e-8
-"""Where samples cross from tube to tube second derivatives jump, and near such a point Newton steps go to and fro:
+"""Where samples cross from tube to tube second derivatives jump, and near such a point Newton steps oscillate:
 a barrier problem is left when so many iterations lower the merit by less than this part."""
 
 
@@ -73,8 +73,8 @@ class BandedSolver:
     def __init__(self, chain: Chain) -> None:
         """Prepare for a chain; raises OptionError where a frame has equations, or nothing can be compiled."""
         low, high = chain.frame.g_bounds
-        # A slack between bounds that meet has hardly any interior (rows.RELAX). Bounds of x that meet are no
-        # such case: Rows takes those unknowns out of the system.
+        # A slack between bounds that meet has hardly any interior (CHAIN_BOUND_RELAXATION). Bounds of x that meet
+        # are no such case: ChainRows takes those unknowns out of the system.
         if (low == high).any():
             raise OptionError(
                 f"solver is 'banded' and {chain.frame.name} has equations; it takes inequalities only"
@@ -106,7 +106,7 @@ class BandedSolver:
 
 
 def _real_settings() -> dict[str, float]:
-    """Real-valued settings by the names of loop.NUMBERS."""
+    """Return the real-valued settings by the names of LOOP_REAL_SETTINGS."""
     return {
         "tolerance": BANDED_KKT_TOLERANCE,
         "feasible": FEASIBILITY_TOLERANCE,
@@ -122,7 +122,7 @@ def _real_settings() -> dict[str, float]:
 
 
 def _integer_settings() -> dict[str, int]:
-    """Integer settings by the names of loop.COUNTS."""
+    """Return the integer settings by the names of LOOP_INTEGER_SETTINGS."""
     return {
         "most_iterations": MAX_BANDED_ITERATIONS,
         "most_halvings": MAX_BANDED_HALVINGS,

@@ -16,7 +16,7 @@ the basin of the start.
 
 
 def evaluate_chain_solution(chain: Chain, x: Array, multipliers: Array, status: str, iterations: int) -> Solution:
-    """A point x (T n,) as a Solution; success depends on the chain itself, whatever the solver reports.
+    """Return a point x (T n,) as a Solution; success depends on the chain itself, whatever the solver reports.
 
     multipliers: of all rows. status, iterations: the solver's.
     """

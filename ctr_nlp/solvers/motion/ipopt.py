@@ -1,6 +1,6 @@
 """Chains solved by IPOPT, with the same exact derivatives as every other solver of chains.
 
-The program is that of nlp/chain.py, with objective in mm^2 and unknowns in rad and mm. The gradient, Jacobian and
+The program is that of ocp/chain.py, with objective in mm^2 and unknowns in rad and mm. The gradient, Jacobian and
 Hessian of the whole are put together from the frames' blocks and the links' constant matrix, instead of being
 derived by CasADi from the whole expression. IPOPT: Waechter and Biegler, Math. Program. 106 (2006).
 """
@@ -34,8 +34,9 @@ class IpoptSolver:
     """Solver of any chain, from any start, feasible or not."""
 
     def __init__(self, chain: Chain, report_iterates: bool = True) -> None:
-        """Build for a chain; follow=False saves the time of reporting every iterate, and the Watch is not
-        called.
+        """Build for a chain.
+
+        report_iterates: whether the Watch is called with every iterate; without it the time of reporting is saved.
         """
         self.chain = chain
         self._callback = _Callback(chain)
@@ -46,7 +47,7 @@ class IpoptSolver:
         self._built: dict[float, ca.Function] = {}
 
     def _solver(self, barrier: float) -> ca.Function:
-        """The IPOPT instance that starts with a barrier, mm^2; built once for each."""
+        """Return the IPOPT instance that starts with a barrier, mm^2; built once for each."""
         if barrier not in self._built:
             options = self._options | {"ipopt": CHAIN_IPOPT_OPTIONS | {"mu_init": barrier}}
             self._built[barrier] = ca.nlpsol("ipopt", "ipopt", _problem(self.chain), options)
@@ -92,15 +93,15 @@ class _Callback(ca.Callback):
         self.number = 0
 
     def get_n_in(self) -> int:
-        """Number of inputs: all outputs of an NLP solver."""
+        """Return the number of inputs: all outputs of an NLP solver."""
         return int(ca.nlpsol_n_out())
 
     def get_n_out(self) -> int:
-        """Number of outputs: one, whether to stop."""
+        """Return the number of outputs: one, whether to stop."""
         return 1
 
     def get_sparsity_in(self, i: int) -> ca.Sparsity:
-        """Shape of an input; those that CasADi does not report are empty."""
+        """Return the shape of an input; inputs that CasADi does not report are empty."""
         rows = self._chain.lower.size
         g = self._chain.bounds[0].size - rows
         return ca.Sparsity.dense({"x": rows, "lam_x": rows, "f": 1, "g": g, "lam_g": g}.get(ca.nlpsol_out(i), 0))
@@ -117,14 +118,14 @@ class _Callback(ca.Callback):
 
 
 def _problem(chain: Chain) -> dict[str, ca.MX]:
-    """The chain as nlpsol takes it, in matrix symbols."""
+    """Return the chain as nlpsol takes it, in matrix symbols."""
     x = ca.MX.sym("x", chain.lower.size)
     f, g = _values(chain, x)
     return {"x": x, "f": f, "g": g}
 
 
 def _map_frames(chain: Chain, function: ca.Function, *columns: ca.MX) -> list[ca.MX]:
-    """A function of a frame evaluated for all frames; arguments have one column a frame."""
+    """Evaluate a function of a frame for all frames; arguments have one column a frame."""
     lanes = chain.functions().lanes
     # Compiled functions take `lanes` frames a call. The last call is filled up with copies of the last
     # frame, whose results are cut off again.
@@ -136,12 +137,12 @@ def _map_frames(chain: Chain, function: ca.Function, *columns: ca.MX) -> list[ca
 
 
 def _columns(chain: Chain, x: ca.MX) -> ca.MX:
-    """The unknowns x (T n,) as a matrix (n, T), a column a frame."""
+    """Return the unknowns x (T n,) as a matrix (n, T), a column a frame."""
     return ca.reshape(x, chain.unknowns, chain.frames)
 
 
 def _values(chain: Chain, x: ca.MX) -> tuple[ca.MX, ca.MX]:
-    """Objective and rows after x of the whole chain: the frames' constraints, then the links."""
+    """Return objective and rows after x of the whole chain: the frames' constraints, then the links."""
     f, g = _map_frames(chain, chain.functions().value, _columns(chain, x), ca.MX(chain.parameters))
     own = ca.vertcat(x, ca.vec(g))
     linked = _to_casadi_matrix(chain.linking) @ own + ca.DM(chain.offset)
@@ -149,7 +150,7 @@ def _values(chain: Chain, x: ca.MX) -> tuple[ca.MX, ca.MX]:
 
 
 def _derivatives(chain: Chain) -> dict[str, ca.Function]:
-    """Functions for gradient, Jacobian and Hessian, with the names and arguments that nlpsol asks for."""
+    """Return functions for gradient, Jacobian and Hessian, with the names and arguments that nlpsol asks for."""
     x = ca.MX.sym("x", chain.lower.size)
     p = ca.MX.sym("p", 0, 0)
     lam_f = ca.MX.sym("lam_f")
@@ -191,14 +192,14 @@ def _derivatives(chain: Chain) -> dict[str, ca.Function]:
 
 
 def _to_casadi_matrix(matrix: Any) -> ca.DM:
-    """A scipy matrix as a sparse CasADi matrix, which is stored by columns with sorted rows."""
+    """Return a scipy matrix as a sparse CasADi matrix, which is stored by columns with sorted rows."""
     columns = sp.csc_matrix(matrix)
     columns.sort_indices()
     return ca.DM(columns)
 
 
 def _block_diagonal(blocks: ca.MX, rows: int, columns: int, frames: int) -> ca.MX:
-    """Dense blocks side by side (rows, columns * frames), as the blocks of a block-diagonal matrix."""
+    """Return dense blocks side by side (rows, columns * frames) as the blocks of a block-diagonal matrix."""
     pattern = ca.diagcat(*[ca.Sparsity.dense(rows, columns)] * frames)
     # Both store entries column by column, so the nonzeros are the same numbers in the same order.
     return ca.MX(pattern, ca.vec(blocks))

@@ -67,7 +67,7 @@ class Loop:
 
     def __init__(self, chain: Chain, numbers: dict[str, float], counts: dict[str, int]) -> None:
         """Prepare for a chain; numbers and counts by the names in LOOP_REAL_SETTINGS and LOOP_INTEGER_SETTINGS.
-        Raises OptionError as Rows does.
+        Raises OptionError as ChainRows does.
 
         Functions of the chain that are compiled later are left to the next loop: C keeps addresses of arrays.
         """
@@ -95,14 +95,12 @@ class Loop:
         self._reference = ctypes.byref(self._loop)
 
     def start(self, x: Array, barrier: float, push: float, multipliers: Array | None = None) -> None:
-        """Put the point at x (T n,) with a barrier in mm^2; push and multipliers as in Rows.start."""
+        """Put the point at x (T n,) with a barrier in mm^2; push and multipliers as in ChainRows.start."""
         self.rows.start(x, barrier, push, multipliers)
         self._loop.start(barrier)
 
     def iterate(self, points: int) -> int:
-        """Continue for up to `points` further points; the reason why the work ended, as numbered in banded.c, or
-        0.
-        """
+        """Run up to `points` further iterations; return why the solve ended, as numbered in banded.c, or 0."""
         status = int(self._iterate(self._reference, ctypes.c_long(points)))
         # C swaps the point with the trial by exchanging pointers; Python's views follow.
         self.rows.sync_swapped_points()

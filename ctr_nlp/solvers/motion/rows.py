@@ -71,7 +71,7 @@ class Measures(NamedTuple):
 
     def error(self, barrier: float) -> float:
         """KKT residual of the barrier problem; with barrier 0, of the problem itself."""
-        # All products must equal the barrier: the smallest and the largest of them tell how far any is off.
+        # All products must equal the barrier: the smallest and the largest of them bound the error of any.
         parts = self.stationarity, self.gap, abs(self.least - barrier), abs(self.most - barrier)
         return float(np.max(parts))
 
@@ -183,7 +183,7 @@ class ChainRows:
             array[:] = values
 
     def expand(self) -> tuple[Measures, Array]:
-        """Derivatives at the point: its measures, and the frames' Hessians (T, n, n) of the Lagrangian."""
+        """Return the point's measures, and the frames' Hessians (T, n, n) of the Lagrangian."""
         f, _, g, _, hessian = self._chain.frame_expansion(self.x, self.multipliers)
         self._f = f
         self._g = g
@@ -193,7 +193,7 @@ class ChainRows:
         return Measures(*self._found), hessian.reshape(-1, n, n)
 
     def newton(self, hessian: Array, barrier: float, damping: float) -> Step | None:
-        """The step to a zero of the barrier problem's KKT conditions, linearised at the point, just expanded.
+        """Return the Newton step for the barrier problem's KKT conditions at the point, which has been expanded.
 
         hessian (T, n, n): the frames' blocks. barrier: mm^2. damping: added to the diagonal. None where the matrix
         is not positive definite, so that the step may lead uphill.
@@ -207,26 +207,30 @@ class ChainRows:
         return Step(*self._found[:5])
 
     def convex(self, hessian: Array) -> Array:
-        """The Hessians (T, n, n) of the frames with the absolute values of their eigenvalues."""
+        """Return the frames' Hessians, hessian (T, n, n), with the absolute values of their eigenvalues."""
         frames, n, _ = hessian.shape
         found = np.empty_like(hessian)
         self._loops.convex(ctypes.c_long(frames), ctypes.c_long(n), hessian.ctypes, found.ctypes)
         return found
 
     def merit(self, barrier: float, penalty: float) -> float:
-        """The l1 merit function of the barrier problem at the point, which has been expanded, in mm^2."""
+        """Return the l1 merit function of the barrier problem at the point, which has been expanded, in mm^2.
+
+        barrier: mm^2. penalty: weight of the rows' differences from their slacks.
+        """
         return self._merit(0, self._f, self._g, barrier, penalty)
 
     def advance(self, primal: float, dual: float, barrier: float, penalty: float) -> float:
-        """Put the trial at parts of the step, of slacks (primal) and multipliers (dual); returns its merit
-        function, mm^2.
+        """Put the trial at parts of the step and return its merit function, mm^2.
+
+        primal, dual: parts of the step for slacks and for multipliers. barrier, penalty: of the merit function.
         """
         self._loops.advance_trial(self._chain_in_c, ctypes.c_double(primal), ctypes.c_double(dual))
         f, g = self._chain.frame_values(self._trial[0])
         return self._merit(1, f, g, barrier, penalty)
 
     def _merit(self, of_trial: int, f: Array, g: Array, barrier: float, penalty: float) -> float:
-        """The merit function of the point (0) or the trial (1), from the frames' values f and g there."""
+        """Return the merit function of the point (0) or the trial (1), from the frames' values f and g there."""
         weights = ctypes.c_double(barrier), ctypes.c_double(penalty)
         return float(self._loops.merit(self._chain_in_c, of_trial, f.ctypes, g.ctypes, *weights))
 
@@ -237,7 +241,7 @@ class ChainRows:
 
 
 def _width(chain: Chain) -> int:
-    """Half-width of the band: the largest distance between unknowns that meet in a frame or a link.
+    """Return the half-width of the band: the largest distance of unknowns that share a frame or a link.
 
     A constraint may depend on its whole frame, and so may a link that passes through it.
     """
@@ -255,6 +259,6 @@ def _width(chain: Chain) -> int:
 
 
 def _address(array: Array) -> int:
-    """Address of an array's first entry; C takes arrays as contiguous."""
+    """Return the address of an array's first entry; C takes arrays as contiguous."""
     assert array.flags.c_contiguous
     return array.ctypes.data

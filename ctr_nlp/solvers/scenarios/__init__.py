@@ -1,4 +1,4 @@
-"""Interior-point solver of motions that several robots share (nlp/scenarios.py).
+"""Interior-point solver of motions that several robots share (ocp/scenarios.py).
 
 Each scenario's tips are eliminated from every Newton step by its own equations, so that the remaining system has
 the unknowns of the shared q alone and is banded, however many scenarios there are.

@@ -24,7 +24,7 @@ FIXED_UNKNOWN_DIAGONAL = 1e10
 def solve_bordered_system(
     links: Array, blocks: Array, corner: Array, diagonal: Array, right: Array, free: Flags
 ) -> Array | None:
-    """The solution (T n + P,) of the bordered symmetric system; None where it is not positive definite.
+    """Return the solution (T n + P,) of the bordered symmetric system; None where it is not positive definite.
 
     links: a band over q, in scipy's lower form (width + 1, T n). blocks (T, n + P, n + P): each frame's part over
     q and p, added up over p. corner (P, P): more over p. diagonal, right, free (T n + P,): more on the diagonal,
@@ -47,7 +47,7 @@ def solve_bordered_system(
     right = right * free
     border = border * free[: frames * n, None] * free[frames * n :]
     try:
-        # Raises LinAlgError where the matrix is not positive definite, and so tells that it needs damping.
+        # LinAlgError: the matrix is not positive definite, and the caller has to add damping.
         factor = cholesky_banded(band, lower=True, check_finite=False)
         columns = np.column_stack([right[: frames * n], border])
         found = cho_solve_banded((factor, True), columns, check_finite=False)

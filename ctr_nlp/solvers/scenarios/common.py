@@ -1,9 +1,9 @@
-"""Unknowns p that all frames have in common: what they give each frame, what they cost, and their own rows.
+"""Unknowns p that all frames have in common: their effect on frames, their cost, and their own rows.
 
-The program over p (nlp.scenarios.Common) has rows g: the first k are further unknowns of the first scenario in
-every frame, y_1 = g_{1..k}(p), and those of scenario s are y_s = factors_s y_1, entry by entry. Designed tubes are
-the use: p are curvatures, lengths and diameters, y the numbers of the tubes in the model
-(formulations/shared/design.py).
+The program over p (ocp.scenarios.CommonUnknowns) has rows g: the first k are further unknowns of the first
+scenario in every frame, y_1 = g_{1..k}(p), and those of scenario s are y_s = factors_s y_1, entry by entry. They
+serve the design of tubes: p are curvatures, lengths and diameters, y the numbers of the tubes in the model
+(ocp/shared/design.py).
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ class CommonValues:
         self._common: CommonUnknowns | None = common
 
     def __call__(self, p: Array) -> CommonQuantities:
-        """Further unknowns, cost and rows at p (P,)."""
+        """Return further unknowns, cost and rows at p (P,)."""
         # Arrays without entries let all formulas be the same with and without common unknowns.
         if self._common is None:
             return CommonQuantities(self.factors, 0.0, NO_COMMON_UNKNOWNS)
@@ -67,7 +67,7 @@ class CommonValues:
         return CommonQuantities(self.factors * g[:k], float(cost[0]), g[k:])
 
     def slopes(self, p: Array, pulls: Array, rows: Array) -> CommonDerivatives:
-        """Derivatives at p (P,).
+        """Return the derivatives at p (P,).
 
         pulls (S, k): the Lagrangian's slopes over the further unknowns, summed over frames; rows (c,): multipliers
         of p's own rows.

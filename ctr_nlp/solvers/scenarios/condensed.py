@@ -4,11 +4,12 @@ In every frame, scenario s has as many equations c(phi_s, q) = alpha(phi_s, beta
 under a load those of its base beside them, as it has tip unknowns phi_s. Linearised about a point, with A =
 (dc/dphi)^-1,
 
-    dphi_s = Z_s dq + c_s,     Z_s = -A dc/dq,     c_s = -A c    (what makes good the equations' residual).
+    dphi_s = Z_s dq + c_s,     Z_s = -A dc/dq,     c_s = -A c    (the repair: it removes the equations' residual).
 
 The remaining Newton system has the unknowns of q alone, Z' H Z, however many scenarios there are. The tips
-themselves stay unknowns: they need not satisfy their equations on the way, which near a fold is what lets a method
-move at all. Where frames have unknowns p in common, these stand beside q: dphi_s = Z_s dq + W_s dp + c_s.
+themselves stay unknowns: they need not satisfy their equations at every iterate. Near a fold of the equilibria,
+where A is large, steps of q would otherwise be tiny. Where frames have unknowns p in common, these stand beside q:
+dphi_s = Z_s dq + W_s dp + c_s.
 """
 
 from __future__ import annotations
@@ -28,8 +29,8 @@ from ctr_nlp.typing import Array, Index
 class Values(NamedTuple):
     """Values of a shared motion at a point.
 
-    objective: mm^2; rows: q, the frames' rows, the links, steps of twists, p, p's own rows, in this order; missing
-    (T, S, k): residuals of the equations, rad.
+    objective: mm^2; rows: q, the frames' rows, the links, steps of twists, p, p's own rows, in this order;
+    equation_residuals (T, S, k): rad.
     """
 
     objective: float
@@ -43,10 +44,11 @@ class Expansion:
 
     at: the values there. Of every scenario of every frame, with m unknowns x (phi, beta, theta, and what p gives):
     gradient (T, S, m) of the objective and hessian (T, S, m, m) of the Lagrangian; own (T, S, c, m): the Jacobian
-    of its own rows; inverse (T, S, k, k): of the equations' Jacobian over phi, whose places (k,) among a robot's
-    unknowns are tips; turns (T, S, m, n + P): dx over (dq, dp); repair (T, S, m): the constant part c of dx. Of
-    the frames: jacobian (T, r, n + P) of the rows over q and p, and ahead (T, r): what the repair changes them by;
-    twists (T, d - 1, n + P): slopes of the first scenario's twists. common_derivatives: derivatives over p alone.
+    of its own rows; inverse (T, S, k, k): of the equations' Jacobian over phi; tips (k,): indices of phi among a
+    robot's unknowns; unknowns_jacobian (T, S, m, n + P): dx over (dq, dp); repair (T, S, m): the constant part c
+    of dx. Of the frames: jacobian (T, r, n + P) of the rows over q and p, and row_repair (T, r): their change by
+    the repair; twists (T, d - 1, n + P): slopes of the first scenario's twists. common_derivatives: derivatives
+    over p alone.
     """
 
     at: Values
@@ -63,15 +65,17 @@ class Expansion:
     common_derivatives: CommonDerivatives
 
     def over_q(self, of_x: Array) -> Array:
-        """A gradient (T, S, m) over the scenarios' unknowns as one over q and p, (T, n + P), summed over
-        scenarios.
+        """Convert a gradient over the scenarios' unknowns to one over q and p, (T, n + P), summed over scenarios.
+
+        of_x: (T, S, m).
         """
         return np.asarray((self.unknowns_jacobian.swapaxes(-1, -2) @ of_x[..., None])[..., 0].sum(axis=1))
 
     def quadratic(self, damping: float) -> tuple[Array, Array]:
-        """The Hessian over q and p, (T, n + P, n + P), and what the repair adds to the gradient, (T, n + P).
+        """Return the Hessian over q and p, (T, n + P, n + P), and the repair's part of the gradient, (T, n + P).
 
-        damping: added to every second derivative over q and over tips. What p adds by itself (given) is not in it.
+        damping: added to every second derivative over q and over tips. Second derivatives over p alone are not
+        included (common_derivatives).
         """
         tips = self.tips
         turns = self.unknowns_jacobian
@@ -90,11 +94,13 @@ class Expansion:
         return found, self.over_q(bent)
 
     def step(self, dq: Array) -> Array:
-        """The step (T, S, m) of the scenarios' unknowns that goes with a step of q and p, (T, n + P)."""
+        """Return the step (T, S, m) of the scenarios' unknowns that belongs to a step dq of q and
+        p, (T, n + P).
+        """
         return np.asarray((self.unknowns_jacobian @ dq[:, None, :, None])[..., 0] + self.repair)
 
     def multipliers(self, rows: Array, turned: Array, step: Array | None = None, damping: float = 0.0) -> Array:
-        """Multipliers of the equations, (T, S, k), at which the Lagrangian is stationary over the tips.
+        """Return the equations' multipliers (T, S, k) at which the Lagrangian is stationary over the tips.
 
         rows: multipliers (T, m) of the frames' rows; turned (T, d - 1): pull of the twists' multipliers on the
         first robot's tips. step (T, S, m): a step after which it is to be stationary, with its damping; None for
@@ -144,7 +150,7 @@ class Condensed:
         )
 
     def value(self, q: Array, phi: Array, p: Array = NO_COMMON_UNKNOWNS) -> Values:
-        """Values at q (T, n), phi (T, S, k) and p (P,)."""
+        """Return the values at q (T, n), phi (T, S, k) and p (P,)."""
         given = self.common(p)
         f, g = self._evaluated(0, self.motion.unknowns(q, phi, given.values))
         return self._values(q, phi, p, given, f, g)
@@ -152,10 +158,11 @@ class Condensed:
     def update_local_parameters(
         self, q: Array, phi: Array, p: Array = NO_COMMON_UNKNOWNS, relative_tolerance: float = 0.0
     ) -> bool:
-        """Linearise what surrounds the robots near a point; True if that changes the objective there.
+        """Linearise local parameters (of walls) at a point; return True if that changes the objective there.
 
-        The objective's change is taken robot by robot and compared with settled times the objective. Where it is
-        smaller, the parameters that were there before stay, and the result is False.
+        q (T, n), phi (T, S, k), p (P,): the point. relative_tolerance: the objective's change, added up robot by
+        robot, is compared with this part of 1 + the objective. Where it is smaller, the former parameters stay,
+        and the result is False.
         """
         motion = self.motion
         evaluated = self._evaluated
@@ -181,12 +188,16 @@ class Condensed:
         return bool(changed)
 
     def by_robot(self, q: Array, phi: Array, p: Array = NO_COMMON_UNKNOWNS) -> Array:
-        """Objective of every robot in every frame, without links, (T, S) mm^2."""
+        """Return the objective of every robot in every frame, without links, (T, S) mm^2, at q (T, n), phi (T, S,
+        k) and p (P,).
+        """
         f, _ = self._evaluated(0, self.motion.unknowns(q, phi, self.common(p).values))
         return np.array(f.reshape(len(q), -1))
 
     def by_frame(self, q: Array, phi: Array) -> Array:
-        """Contribution of each frame to the objective, with the links that end at it, (T,) mm^2."""
+        """Return each frame's part of the objective at q (T, n) and phi (T, S, k), with links that end at it, (T,)
+        mm^2.
+        """
         found = self.by_robot(q, phi) @ self.motion.weights
         linked = self.linking @ q.ravel() + self._link_offset
         np.add.at(found, np.concatenate([link.frame for link in self.motion.links]), self.link_weight * linked**2)
@@ -201,7 +212,7 @@ class Condensed:
         p: Array = NO_COMMON_UNKNOWNS,
         of_p: Array = NO_COMMON_UNKNOWNS,
     ) -> Expansion:
-        """Derivatives about q (T, n), phi (T, S, k) and p (P,).
+        """Return the derivatives at q (T, n), phi (T, S, k) and p (P,).
 
         equations (T, S, k), rows (T, r), of_p (c,): multipliers of the equations, of the frames' rows, and of p's
         own.
@@ -267,7 +278,7 @@ class Condensed:
         )
 
     def _values(self, q: Array, phi: Array, p: Array, given: CommonQuantities, f: Array, g: Array) -> Values:
-        """Values from the results f, g of all robots' programs."""
+        """Return the values from the results f, g of all robots' programs."""
         frames, count, _, d = self.motion.sizes
         each = g.reshape(frames, count, -1)
         own = each[..., self.motion.own_rows]
@@ -283,8 +294,7 @@ class Condensed:
         return Values(objective, value, self._missing(each, q))
 
     def _missing(self, rows: Array, q: Array) -> Array:
-        """Residuals (T, S, k) of the equations that determine tips, from rows (T, S, m) of the frames, at q (T,
-        n).
+        """Return the residuals (T, S, k) of the equations of tips, from rows (T, S, m) of the frames, at q (T, n).
 
         Where the tip's axes are unknowns, angles of motors are known only up to whole turns of all tubes together.
         """
@@ -293,7 +303,7 @@ class Condensed:
         found = rows[..., :k].copy()
         found[..., :d] -= q[:, None, :d] + self._offsets
         if k > d:
-            # The innermost tube's residual says how many whole turns the robot has been turned by; all
-            # tubes share them.
+            # The innermost tube's residual gives the number of whole turns of the robot, which all tubes
+            # share.
             found[..., :d] -= 2 * np.pi * np.round(found[..., d - 1 : d] / (2 * np.pi))
         return np.asarray(found)

@@ -1,8 +1,8 @@
 """Acceptance of trial points by a filter: a trial must beat every earlier point in objective or in feasibility.
 
 A penalty that adds the two up shortens steps as long as equations are curved; a filter does not. After Waechter
-and Biegler, Math. Program. 106 (2006), section 2.3, with their constants: theta is `missing` (sum of what
-equations and rows miss, rad and mm), phi the `objective` with the barrier (mm^2).
+and Biegler, Math. Program. 106 (2006), section 2.3, with their constants: theta is `infeasibility` (sum of the
+residuals of equations and rows, rad and mm), phi the `objective` with the barrier (mm^2).
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ FILTER_IMPROVEMENT_FRACTION = 1e-5
 FILTER_ARMIJO_FRACTION = 1e-8
 """eta_phi: part of the predicted decrease of the objective that a step must reach."""
 FILTER_SLOPE_EXPONENT, FILTER_INFEASIBILITY_EXPONENT = 2.3, 1.1
-"""Exponents s_phi and s_theta in the switching condition, which tells whether the objective is what counts."""
+"""Exponents s_phi and s_theta in the switching condition, which decides whether the objective has to decrease."""
 FILTER_MAX_INFEASIBILITY_RATIO, FILTER_SWITCHING_INFEASIBILITY_RATIO = 1e4, 1e-4
 """theta_max and theta_min as parts of the first theta: never exceeded, and below which the objective may count."""
 FILTER_OBJECTIVE_ROUNDING = 1e-11
@@ -25,7 +25,7 @@ FILTER_OBJECTIVE_ROUNDING = 1e-11
 class Merit(NamedTuple):
     """Merit of a point.
 
-    infeasibility: the sum of what equations and rows miss; objective: with the barrier, mm^2.
+    infeasibility: sum of the residuals of equations and rows; objective: with the barrier, mm^2.
     """
 
     infeasibility: float
@@ -36,7 +36,7 @@ class Filter:
     """The points that trials must beat; one object a solve."""
 
     def __init__(self, first: float) -> None:
-        """Start an empty filter; first: what the start misses, the unit of infeasibility."""
+        """Start an empty filter; first: infeasibility of the start, the unit of infeasibilities."""
         self._unit = max(1.0, first)
         self._kept = list[Merit]()
 
@@ -45,7 +45,7 @@ class Filter:
         self._kept.clear()
 
     def add_point(self, here: Merit) -> None:
-        """Add a point, with a margin, which trials must beat from now on."""
+        """Add the point `here`, with a margin; trials must beat it from now on."""
         self._kept.append(
             Merit(
                 (1 - FILTER_IMPROVEMENT_FRACTION) * here.infeasibility,
@@ -54,8 +54,9 @@ class Filter:
         )
 
     def requires_decrease(self, here: Merit, slope: float, part: float) -> bool:
-        """Whether a part of a step, along which the objective changes at the rate slope, must lower the
-        objective.
+        """Return whether a trial must lower the objective.
+
+        here: merit of the point. slope: rate at which the objective changes along the step. part: of the step.
         """
         # Switching condition: the predicted decrease outweighs the infeasibility, and this is small
         # already.
@@ -66,8 +67,10 @@ class Filter:
         return steep and here.infeasibility <= FILTER_SWITCHING_INFEASIBILITY_RATIO * self._unit
 
     def accepts(self, here: Merit, trial: Merit, slope: float, part: float) -> bool:
-        """Whether a trial is accepted: a part of a step from here, along which the objective changes at the rate
-        slope.
+        """Return whether a trial is accepted.
+
+        here, trial: merits of the point and of the trial, a part of a step from it. slope: rate at which the
+        objective changes along the step.
         """
         if not all(map(math.isfinite, trial)) or trial.infeasibility > FILTER_MAX_INFEASIBILITY_RATIO * self._unit:
             return False

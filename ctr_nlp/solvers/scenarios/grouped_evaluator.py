@@ -1,4 +1,4 @@
-"""Values and derivatives of every robot in every frame, each by the lightest program that gives the same numbers.
+"""Values and derivatives of every robot in every frame, each by the cheapest program that gives the same numbers.
 
 Second derivatives take most of the time of a solve, and those of the wall two thirds of them. Robots that the wall
 is far from are therefore evaluated without its term, and robots whose errors do not count (which only have to keep
@@ -28,7 +28,7 @@ class _Group(NamedTuple):
 
 
 class GroupedEvaluator:
-    """The three functions of a frame's program (nlp.written.FrameFunctions), for all rows of a motion.
+    """The three functions of a frame's program (ocp.expressions.FrameFunctions), for all rows of a motion.
 
     Attributes
     ----------
@@ -61,7 +61,7 @@ class GroupedEvaluator:
         every = np.arange(self.parameters.shape[1])
         self._far = far
         # Three disjoint kinds of rows: no objective at all, no wall, everything. Rows whose errors do not
-        # count need no look at the wall.
+        # count do not need the wall.
         bare = np.zeros(len(far), dtype=bool) if motion.without_objective is None else ~self._counted
         free = np.zeros(len(far), dtype=bool) if motion.without_wall is None else far & ~bare
         kinds = [(motion.functions, every, ~(bare | free))]

@@ -31,7 +31,7 @@ by half of that.
 SHARED_RESIDUAL_PER_BARRIER, SHARED_MIN_RESIDUAL_TOLERANCE = 3.0, 1e-5
 """Largest residual at a solution in last barriers, and in any case, mm^2 per unit of q and mm^2."""
 SHARED_INFEASIBILITY_TOLERANCE = 1e-7
-"""What equations and rows miss at most at a solution, rad and mm."""
+"""Largest residual of equations and rows at a solution, rad and mm."""
 SHARED_BARRIER_RESIDUAL_FACTOR, SHARED_BARRIER_SHRINK_FACTOR = 20.0, 0.05
 """A barrier problem is solved until its residual is SHARED_BARRIER_RESIDUAL_FACTOR times its barrier; the next
 barrier is SHARED_BARRIER_SHRINK_FACTOR times this one.
@@ -61,8 +61,8 @@ ROUGH_BARRIER_MM2, ROUGH_PROGRESS, ROUGH_STEPS, ROUGH_INFEASIBILITY_TOLERANCE = 
 in ROUGH_STEPS steps, where rows and equations miss no more than ROUGH_INFEASIBILITY_TOLERANCE, rad and mm.
 """
 LOCAL_PARAMETER_TOLERANCE, MAX_LOCAL_PARAMETER_UPDATES = 1e-3, 6
-"""Part of the objective by which what surrounds the robots may change it at a solution; and how often it is looked
-at.
+"""Largest change of the objective at a solution by new local parameters, as a part of it; and how often local
+parameters are updated.
 """
 
 
@@ -86,8 +86,8 @@ class _Step(NamedTuple):
 class SharedSolver:
     """Solver of shared motions from any start; most reliable where the nominal robot has a good margin.
 
-    Where parameters hold near a motion only, it continues from its solution with those that hold there, until
-    these do not change any more.
+    Where parameters are local to a motion, it updates them at its solution and continues, until they do not change
+    any more.
     """
 
     def __init__(self, motion: SharedMotion, last_barrier: float = FINE_LAST_BARRIER_MM2) -> None:
@@ -123,7 +123,7 @@ class SharedSolver:
 
 
 def _progress(objectives: list[float]) -> float:
-    """Change of the objective over the last steps as a part of itself; infinite if there are too few."""
+    """Return the relative change of the objective over the last steps; infinite if there are too few."""
     recent = objectives[-ROUGH_STEPS:]
     if len(recent) < ROUGH_STEPS:
         return np.inf
@@ -154,7 +154,7 @@ class _InteriorPointSolve:
         self._objectives = list[float]()
 
     def status(self) -> str:
-        """The reason why the work has ended, or ""; lowers the barrier where its problem is solved."""
+        """Return why the solve has ended, or ""; lower the barrier where its problem is solved."""
         errors = self._rows.errors(self.point, self._about)
         known = self._objectives
         slow = (
@@ -178,7 +178,7 @@ class _InteriorPointSolve:
         if stalled and self._barrier == self._last:
             return "" if self._update_local_parameters() else "Solved_To_Acceptable_Level"
         stalled = stalled or slow
-        # Several barriers may be passed at once; after each the filter starts anew, since its objectives
+        # Several barriers may be passed in one go; after each the filter is cleared, since its objectives
         # contain the barrier.
         while self._barrier > self._last and (
             stalled or errors.residual(self._barrier) < SHARED_BARRIER_RESIDUAL_FACTOR * self._barrier
@@ -190,8 +190,8 @@ class _InteriorPointSolve:
         return ""
 
     def _update_local_parameters(self) -> bool:
-        """Look at the surroundings again; True if they differ from those that were solved for, so that work goes
-        on.
+        """Update the local parameters at the point; return True if they changed enough that the solve has to
+        continue.
         """
         point = self.point
         self._looks = self._looks + 1
@@ -205,7 +205,7 @@ class _InteriorPointSolve:
         return True
 
     def advance(self) -> str:
-        """Make one step; returns the reason why there is none, or ""."""
+        """Make one step; return the reason why there is none, or ""."""
         least = 0.0
         point = None
         for _ in range(MAX_STEP_RETRIES):
@@ -224,7 +224,7 @@ class _InteriorPointSolve:
         return ""
 
     def _newton_step(self, least: float) -> _Step | None:
-        """The downhill step, damped as far as it needs and by at least `least`; None where there is none."""
+        """Return a descent step, damped as far as necessary and by at least `least`; None where there is none."""
         rows = self._rows
         about = self._about
         point = self.point
@@ -268,7 +268,7 @@ class _InteriorPointSolve:
         return None
 
     def _complete_step(self, about: Expansion, du: Array, damping: float) -> _Step:
-        """The whole step that belongs to du (T n + P,), with slacks and multipliers."""
+        """Return the whole step that belongs to du (T n + P,), with slacks and multipliers."""
         rows = self._rows
         point = self.point
         barrier = self._barrier
@@ -286,9 +286,9 @@ class _InteriorPointSolve:
         return _Step(du, dx, slack, at_lower, at_upper, equations, float(slope))
 
     def _line_search(self, step: _Step) -> SharedPoint | None:
-        """The point as far along a step as the filter accepts; None where it accepts nothing.
+        """Return the point as far along a step as the filter accepts; None where it accepts nothing.
 
-        Where a whole step misses more than before, its tips are corrected, since equations are curved.
+        Where a whole step raises the infeasibility, its tips are corrected, since equations are curved.
         """
         rows = self._rows
         point = self.point
@@ -323,7 +323,7 @@ class _InteriorPointSolve:
         return None
 
     def _fraction_to_boundary(self, step: _Step) -> tuple[float, float]:
-        """The parts of a step that keep slacks within their bounds, and multipliers positive (fraction to the
+        """Return the parts of a step that keep slacks within bounds, and multipliers positive (fraction to the
         boundary).
         """
         rows = self._rows

@@ -44,21 +44,19 @@ class LinkBand:
         self._product = data[first] * data[second]
 
     def multiply_transposed_jacobian(self, rows: Array) -> Array:
-        """The transposed matrix times a vector (l,) over the links, as (T, n)."""
+        """Return the transposed matrix times a vector `rows` (l,) over the links, as (T, n)."""
         return np.asarray(self._matrix.T @ rows).reshape(self._shape)
 
     def multiply_jacobian(self, dq: Array) -> Array:
-        """The matrix times a step dq (T n,), (l,)."""
+        """Return the matrix times a step dq (T n,), (l,)."""
         return np.asarray(self._matrix @ dq)
 
     def slope(self, rows: Array) -> Array:
-        """Gradient (T, n) of the links' costs, with rows (l,) the links' values."""
+        """Return the gradient (T, n) of the links' costs, with rows (l,) the links' values."""
         return self.multiply_transposed_jacobian(2 * self.weight * rows)
 
     def band(self, sigma: Array) -> Array:
-        """Second derivatives of the links' costs plus sigma (l,) times the squares of their Jacobian, as
-        a band.
-        """
+        """Return the links' part of the Newton matrix as a band: A' diag(2 w + sigma) A, with sigma (l,)."""
         weights = self._product * (2 * self.weight + sigma)[self._row]
         size = self._matrix.shape[1]
         # bincount adds up pairs of different rows that meet at one place of the band.

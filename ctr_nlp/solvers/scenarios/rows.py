@@ -35,10 +35,10 @@ class SharedSolution:
     """A point of a shared motion: q (T, n), tips phi (T, S, k), the objective in mm^2, common unknowns p (P,).
 
     violation: of bounds; equation_violation: of the scenarios' equations; kkt: residual of all conditions of
-    optimality, from the program itself. success: whether it is a solution. held (n - d,): where a robot's unknowns
-    hold beta and theta (SharedMotion). prices (c,): multipliers of p's own rows, mm^2 a unit, positive at upper
-    bounds. burdens (T, S): price at which a robot keeps its margin and its distance in a frame: the sum of its
-    multipliers' sizes, mm^2 a unit. rough: whether the solve was to end near a solution only.
+    optimality, from the program itself. success: whether it is a solution. shared_entries (n - d,): indices of
+    beta and theta among a robot's unknowns (SharedMotion). common_multipliers (c,): of p's own rows, mm^2 a unit,
+    positive at upper bounds. constraint_multipliers (T, S): cost of the constraints of a robot in a frame, the sum
+    of the absolute values of its multipliers, mm^2 a unit. rough: whether the solve was to end near a solution.
     """
 
     q: Array
@@ -57,7 +57,7 @@ class SharedSolution:
 
     @property
     def x(self) -> Array:
-        """The model's unknowns (T, n) of the first robot, without a tilt that is stored beside them."""
+        """Unknowns (T, n) of the model for the first robot, without a tilt that is stored beside them."""
         return assemble_robot_unknowns(self.q, self.phi[:, :1], self.shared_entries)[:, 0, : self.q.shape[1]]
 
     @property
@@ -102,13 +102,13 @@ class BarrierErrors(NamedTuple):
     most: float
 
     def residual(self, barrier: float) -> float:
-        """The residual of a barrier problem with this barrier, mm^2; with barrier 0, of the problem itself."""
+        """Return the residual of the barrier problem, barrier in mm^2; with barrier 0, of the problem itself."""
         return max(self.stationarity, self.infeasibility, abs(self.least - barrier), abs(self.most - barrier))
 
 
 class RowsByKind(NamedTuple):
-    """Numbers of all rows by kind: of q (T, n), frames (T, m), links (l,), steps of twists (k,), p (P,) and p's
-    own (c,).
+    """A vector over all rows by kind: q (T, n), frames (T, m), links (l,), steps of twists (k,), p (P,), p's own
+    (c,).
     """
 
     q: Array
@@ -155,7 +155,7 @@ class SharedRows:
         self._common_box = (common.lower, common.upper)
 
     def _constant_rows(self, motion: SharedMotion, of_q: Flags, of_p: Flags) -> Flags:
-        """Whether no free unknown changes a row: such rows get no bounds, which rounding could break."""
+        """Return which rows no free unknown changes: they get no bounds, which rounding could violate."""
         rows = np.ones(motion.row_bounds[0].shape, dtype=bool)
         if len(motion.common_rows):
             depends = motion.frame.g_depends[np.ix_(motion.common_rows, motion.shared_entries)]
@@ -167,8 +167,8 @@ class SharedRows:
         return ~np.concatenate([part.ravel() for part in parts])
 
     def start(self, q: Array, phi: Array, p: Array, barrier: float) -> SharedPoint:
-        """A point at q (T, n), phi (T, S, k) and p (P,), with slacks within their bounds and multipliers for this
-        barrier, mm^2.
+        """Return a point at q (T, n), phi (T, S, k) and p (P,), with slacks within their bounds and multipliers
+        for a barrier, mm^2.
         """
         q = np.clip(q, *self._box)
         p = np.clip(p, *self._common_box)
@@ -181,7 +181,7 @@ class SharedRows:
         return SharedPoint(q, np.array(phi), p, slack, *pulls, np.zeros(phi.shape))
 
     def expand(self, point: SharedPoint) -> Expansion:
-        """Derivatives about a point."""
+        """Return the derivatives at a point."""
         return self._expand_at(point, point.q, point.p)
 
     def _expand_at(self, point: SharedPoint, q: Array, p: Array) -> Expansion:
@@ -189,12 +189,12 @@ class SharedRows:
         return self.condensed.expand(q, point.phi, point.equations, rows.frames, p, rows.own)
 
     def split(self, rows: Array) -> RowsByKind:
-        """A vector over all rows, as Parts."""
+        """Split a vector over all rows by kind."""
         of_q, of_frames, *others = np.split(rows, self._ends)
         return RowsByKind(of_q.reshape(self._shape), of_frames.reshape(self._shape[0], -1), *others)
 
     def equations(self, about: Expansion, rows: Array, step: Array | None = None, damping: float = 0.0) -> Array:
-        """Multipliers (T, S, k) of the equations that go with those of all rows, rows (Expansion.multipliers).
+        """Return the equations' multipliers (T, S, k) for given ones of all rows, rows (Expansion.multipliers).
 
         about: the expansion; step, damping: a step after which the Lagrangian is to be stationary over tips.
         """
@@ -202,18 +202,21 @@ class SharedRows:
         return about.multipliers(parts.frames, self.twists.of_tips(parts.twists), step, damping)
 
     def by_frame(self, step: Array) -> Array:
-        """A step (T n + P,) as seen by every frame: its own part of q, and p, (T, n + P)."""
+        """Return for every frame its own part of a step (T n + P,): that of its q, and that of p, (T, n + P)."""
         of_q, of_p = np.split(step, [step.size - self._size])
         frames = self._shape[0]
         return np.concatenate([of_q.reshape(self._shape), np.broadcast_to(of_p, (frames, of_p.size))], axis=1)
 
     def sum_over_frames(self, of_frames: Array) -> Array:
-        """Slopes (T, n + P) that frames contribute to a sum, as one vector (T n + P,): p's parts are added up."""
+        """Join slopes of_frames (T, n + P) of all frames into one vector (T n + P,), with p's parts added up."""
         n = self._shape[1]
         return np.append(of_frames[:, :n].ravel(), of_frames[:, n:].sum(axis=0))
 
     def multiply_transposed_jacobian(self, about: Expansion, rows: Array) -> Array:
-        """The transposed Jacobian of all rows over (q, p), times a vector over the rows: (T n + P,)."""
+        """Return the transposed Jacobian of all rows over (q, p), times a vector `rows`: (T n + P,).
+
+        about: the expansion with the Jacobian.
+        """
         parts = self.split(rows)
         # Frames' rows reach q and p through tips, too: about.jacobian has these eliminated.
         through = (about.jacobian.swapaxes(1, 2) @ parts.frames[..., None])[..., 0]
@@ -226,7 +229,10 @@ class SharedRows:
         return self.sum_over_frames(through) + np.append(*direct)
 
     def linearised_change(self, about: Expansion, step: Array) -> Array:
-        """Change of all rows by a step (T n + P,) of q and p, including that by the equations' repair."""
+        """Return the change of all rows by a step (T n + P,) of q and p, including that by the equations' repair.
+
+        about: the expansion at the point.
+        """
         of_frames = self.by_frame(step)
         through = (about.jacobian @ of_frames[..., None])[..., 0]
         dq, dp = np.split(step, [step.size - self._size])
@@ -237,21 +243,23 @@ class SharedRows:
         return direct.as_vector + self.change_by_repair(about)
 
     def change_by_repair(self, about: Expansion) -> Array:
-        """Change of all rows by the equations' repair alone, at fixed q and p."""
+        """Return the change of all rows by the equations' repair alone, at fixed q and p; about: the expansion."""
         none = self.split(np.zeros(len(self.low)))
         twists = self.twists.change_by_repair(about.repair[:, 0])
         return none._replace(frames=about.row_repair, twists=twists).as_vector
 
     def own_slope(self, about: Expansion) -> Array:
-        """Gradient (T n + P,) of the links' costs and of p's own cost."""
+        """Return the gradient (T n + P,) of the links' costs and of p's own cost; about: the expansion."""
         return np.append(self.links.slope(self.split(about.at.rows).links), about.common_derivatives.cost)
 
     def slope(self, about: Expansion) -> Array:
-        """Gradient of the objective (T n + P,), with tips following q and p as their equations say."""
+        """Return the gradient (T n + P,) of the objective, with tips as functions of q and p; about: the
+        expansion.
+        """
         return self.sum_over_frames(about.over_q(about.gradient)) + self.own_slope(about)
 
     def errors(self, point: SharedPoint, about: Expansion) -> BarrierErrors:
-        """Residuals of the conditions at a point, from its expansion."""
+        """Return the residuals of the barrier problem's conditions at a point; about: its expansion."""
         lower = point.at_lower * (point.slack - self.low)
         upper = point.at_upper * (self.high - point.slack)
         # Rows against their slacks, and the tips' equations.
@@ -262,7 +270,7 @@ class SharedRows:
         )
 
     def _stationarity(self, point: SharedPoint, about: Expansion) -> float:
-        """Largest slope of the Lagrangian over free unknowns; tips are stationary by their equations'
+        """Return the largest slope of the Lagrangian over free unknowns; tips are stationary by their equations'
         multipliers.
         """
         return float(
@@ -272,7 +280,10 @@ class SharedRows:
         )
 
     def merit(self, values: Values, slack: Array, barrier: float) -> Merit:
-        """Merit of a point: the sum of what rows and equations miss, and the objective with the barrier."""
+        """Return the merit of a point: the sum of all residuals, and the objective with the barrier.
+
+        values: of the motion there. slack: of all rows. barrier: mm^2.
+        """
         # A slack at or beyond its bound makes the logarithm infinite or NaN: the filter refuses such a
         # point.
         with np.errstate(invalid="ignore", divide="ignore"):
@@ -281,10 +292,11 @@ class SharedRows:
         return Merit(float(missing), float(values.objective - barrier * logs))
 
     def trial_slack(self, rows: Array, slack: Array, before: Array) -> Array:
-        """Slacks of a trial point with these row values; slack is where the step leads, before where it began.
+        """Return the slacks of a trial point with row values `rows`.
 
-        A slack becomes the row's own value where that keeps the part MIN_BOUND_DISTANCE_FRACTION of its former
-        distance from both bounds. The trial then misses nothing in that row, however curved it is.
+        slack: where the step leads, before: where it began. A slack becomes the row's own value where that keeps
+        the part MIN_BOUND_DISTANCE_FRACTION of its former distance from both bounds. That row then has no
+        residual, however curved it is.
         """
         # Rounding must not put a slack on its bound.
         edge = 1e-14 * (1 + np.minimum(abs(self.low), abs(self.high)))
@@ -297,7 +309,7 @@ class SharedRows:
     def evaluate_solution(
         self, point: SharedPoint, status: str, iterations: int, rough: bool = False
     ) -> SharedSolution:
-        """The point as a solution, judged by the program itself and within bounds as they were given.
+        """Return the point as a solution, judged by the program itself and within bounds as they were given.
 
         status, iterations: of the solver; rough: whether it was to end near a solution only.
         """

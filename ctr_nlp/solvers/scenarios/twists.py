@@ -16,7 +16,7 @@ from ctr_nlp.typing import Array, Flags
 
 
 class TwistSteps:
-    """Changes of twists on the way to every frame that has one before it, (k (d - 1),), as rows of a motion.
+    """Changes of twists from frame to frame, (k (d - 1),), as rows of a motion: one for every pair of neighbours.
 
     Methods take slopes (T, d - 1, n + P) of the twists of every frame over its q and over p.
     """
@@ -36,18 +36,19 @@ class TwistSteps:
         return -self._most, self._most
 
     def free(self, of_q: Flags) -> Flags:
-        """Whether a free unknown changes a row; of_q (T, n): which entries of q are free."""
+        """Return which rows a free unknown changes; of_q (T, n): which entries of q are free."""
         moving = np.asarray(of_q.any(axis=1))
         return np.repeat(moving[self._after] | moving[self._after - 1], self._d - 1)
 
     def values(self, q: Array, phi: Array) -> Array:
-        """Values of the rows at q (T, n) and tips phi (T, S, k), rad."""
+        """Return the values of the rows at q (T, n) and tips phi (T, S, k), rad."""
         d = self._d
         return self._differences_between_frames(phi[:, 0, : d - 1] - q[:, : d - 1]).ravel()
 
     def slopes(self, turns: Array) -> Array:
-        """Slopes of the twists over q and p, from the derivatives turns (T, m, n + P) of the first robot's
-        unknowns.
+        """Return the slopes of the twists over q and p, (T, d - 1, n + P).
+
+        turns (T, m, n + P): derivatives of the first robot's unknowns.
         """
         d = self._d
         found = turns[:, : d - 1].copy()
@@ -56,20 +57,26 @@ class TwistSteps:
         return found
 
     def change_by_repair(self, repair: Array) -> Array:
-        """Change of the rows by a change repair (T, m) of the first robot's unknowns at fixed q."""
+        """Return the change of the rows by a change repair (T, m) of the first robot's unknowns at fixed q."""
         return self._differences_between_frames(repair[:, : self._d - 1]).ravel()
 
     def multiply_jacobian(self, slopes: Array, step: Array) -> Array:
-        """Change of the rows by a step of q and p, as every frame sees it, (T, n + P)."""
+        """Return the change of the rows by a step of q and p, given for every frame, (T, n + P).
+
+        slopes (T, d - 1, n + P): of the twists.
+        """
         return self._differences_between_frames((slopes @ step[..., None])[..., 0]).ravel()
 
     def multiply_transposed_jacobian(self, slopes: Array, rows: Array) -> Array:
-        """The transposed Jacobian times a vector over the rows, frame by frame (T, n + P)."""
+        """Return the transposed Jacobian times a vector `rows` over the rows, frame by frame (T, n + P).
+
+        slopes (T, d - 1, n + P): of the twists.
+        """
         return np.asarray((slopes.swapaxes(1, 2) @ self._transposed_differences(rows)[..., None])[..., 0])
 
     def of_tips(self, rows: Array) -> Array:
-        """The transposed Jacobian over the first robot's first d - 1 tips alone, times a vector over the rows: (T,
-        d - 1).
+        """Return the transposed Jacobian over the first robot's first d - 1 tips, times a vector over the rows:
+        (T, d - 1).
         """
         return self._transposed_differences(rows)
 
@@ -98,12 +105,13 @@ class TwistSteps:
         band[n + rows - columns, (after[:, None, None] - 1) * n + columns] += coupled
 
     def _differences_between_frames(self, twists: Array) -> Array:
-        """Twists (T, ..) as their changes on the way to each frame that has one before it."""
+        """Return the changes of twists (T, ..) from frame to frame, within each task."""
         return np.asarray(twists[self._after] - twists[self._after - 1])
 
     def _transposed_differences(self, rows: Array) -> Array:
-        """A vector over the rows as its pull on every frame's twists, (T, d - 1): plus in the frame, minus in the
-        one before.
+        """Return the transposed differences times a vector over the rows, (T, d - 1).
+
+        An entry counts plus in its frame and minus in the one before.
         """
         each = rows.reshape(-1, self._d - 1)
         found = np.zeros((self._frames, self._d - 1))
