@@ -1,1 +1,1 @@
-"""Many plans beside each other: comparisons, trade-offs, benchmarks, clearance, and the paper remade."""
+"""Studies of many plans: comparisons, trade-offs, benchmarks, clearance, and reproduction of the paper."""

@@ -1,4 +1,4 @@
-"""Synthetic airways as problems of studies."""
+"""Problems of studies that are made from synthetic airways."""
 
 from __future__ import annotations
 
@@ -17,7 +17,10 @@ FOLLOWED_MM = 150.0
 
 
 def synthetic_problem(seed: int, frames: int = 100) -> Problem:
-    """Let the paper's robot advance into the last part of a synthetic airway, whose wall is that of the whole."""
+    """Make a problem in which the paper's robot advances along the last FOLLOWED_MM of a synthetic airway.
+
+    seed: of the generator of airways. frames: number of frames. The wall is that of the whole airway.
+    """
     airway = synthetic_airway(seed=seed)
     path, to_robot = move_to_robot_frame(airway.part(airway.length - FOLLOWED_MM, airway.length))
     lumen = airway.apply_transform(to_robot)
@@ -25,5 +28,5 @@ def synthetic_problem(seed: int, frames: int = 100) -> Problem:
 
 
 def shown_name(problem: str) -> str:
-    """Return the name of a study's problem as tables show it: a file without its folder and ending."""
+    """Return the name of a study's problem as tables show it: a file's path loses its folder and ending."""
     return problem.replace(":", " ") if problem.startswith(SYNTHETIC) else Path(problem).stem

@@ -1,4 +1,8 @@
-"""Error against roughness: the Pareto front of horizons, and other methods' points beside it."""
+"""Error against roughness: the Pareto front of horizon plans over lambda, and points of other methods.
+
+Error is e3 in mm, roughness sum_j |W (q_{j+1} - q_j)|^2 / dt in mm^2/s, and lambda the weight of the motion term
+of eq. (9) in s^2.
+"""
 
 from __future__ import annotations
 
@@ -19,14 +23,14 @@ from ctr_nlp.support.interrupt import deferred_interrupt
 DEFAULT_SWEEP_WEIGHTS_S2 = tuple(10.0 ** (k / 2 - 8) for k in range(13))
 """Default lambdas of a sweep, s^2."""
 COMPARED_VARIANTS = ("joint:ipopt", "two-stage:ipopt", "paper-two-stage", "euclidean")
-"""The variants whose points stand beside the front."""
+"""Variants whose points are compared with the front."""
 
 
 @dataclass(frozen=True)
 class ParetoPoint:
-    """A plan in the plane of error and roughness. motion_weight: s^2; e3: mm; roughness: mm^2/s.
+    """A plan in the plane of error and roughness.
 
-    solved: every frame was.
+    motion_weight: lambda, s^2; e3: mm; roughness: mm^2/s. solved: whether all frames were.
     """
 
     method: str
@@ -43,11 +47,12 @@ def compute_pareto_front(
     settings: Settings,
     labelled: Callable[[str], Progress],
 ) -> list[ParetoPoint]:
-    """The front over weights, of which each horizon starts from its neighbours', and the points beside it.
+    """Compute the front over `weights` (lambda, s^2), and the points of COMPARED_VARIANTS.
 
-    plan: any motion of the horizon, to start from. Methods whose model does not describe the robot are left out.
-    They plan on the dominant model; errors of all points are those of the model, and under the load, of plan.
-    Ctrl-C, held back by the caller, leaves what was found. Raises OptionError.
+    horizon: the program of the problem. plan: any plan of it, the first initial guess. settings: of the compared
+    variants, which plan on the dominant model; those whose model does not describe the robot are left out.
+    labelled: label -> progress callback. All errors are on the model, and with the load, of `plan`. After Ctrl-C,
+    which the caller defers, the points so far are returned. Raises OptionError.
     """
     with deferred_interrupt() as interrupted:
         plans = sweep_motion_weights(horizon, plan, weights, labelled)
@@ -66,9 +71,15 @@ def compute_pareto_front(
 def sweep_motion_weights(
     horizon: Horizon | LoadedHorizon, plan: Plan, weights: Sequence[float], labelled: Callable[[str], Progress]
 ) -> list[Plan]:
-    """Plan for every weight, in ascending order: the better of one plan started from below and one from above."""
+    """Plan for every weight and return the plans in ascending order of weight.
+
+    horizon: the program of the problem. plan: the first initial guess. weights: lambda, s^2. labelled: label ->
+    progress callback.
+    """
     ascending = sorted(set(weights))
     best: dict[float, Plan] = {}
+    # Each plan is warm-started from its neighbour's. A sweep stays in a local minimum that was good for earlier
+    # weights: so once upwards, once downwards, and the better of both counts.
     with deferred_interrupt() as interrupted:
         for order in (ascending, ascending[::-1]):
             motion = plan.q
@@ -85,7 +96,7 @@ def sweep_motion_weights(
 
 
 def _evaluate_as(plan: Plan, found: Plan) -> Plan:
-    """The motion `found` with the shapes that the robot has on the model, and under the load, of `plan`."""
+    """Return the plan `found` evaluated on the model, and with the load, of `plan`."""
     if plan.evaluated_load is not None:
         return found.with_load(plan.evaluated_load)
     return (

@@ -1,4 +1,4 @@
-"""Error against roughness as a picture, apart from the numbers, which need no matplotlib."""
+"""Figure of error against roughness; in a file of its own, since the numbers need no matplotlib."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ from ctr_nlp.view.figures.parts.palette import BLACK, BLUE, GREEN, ORANGE, PURPL
 PARETO_METHOD_MARKERS = (("s", VERMILLION), ("D", ORANGE), ("^", GREEN), ("v", PURPLE), ("P", SKY), ("X", BLACK))
 
 PARETO_TICK_DIGITS = "235"
-"""Leading digits of ticks between powers of ten that carry a number."""
+"""Leading digits of the ticks between powers of ten that are labelled."""
 
 
 @matplotlib.rc_context(STYLE)
 def draw_pareto_front(points: Sequence[ParetoPoint], problem: str) -> Figure:
-    """e3 in mm over roughness in mm^2/s, for a problem of that name; weights stand at the ends of the front."""
+    """Draw e3, mm, over roughness, mm^2/s; points: of all methods; problem: its name, for the title."""
     figure = Figure(figsize=(7.0, 4.2), layout="constrained")
     axes = figure.subplots()
     front = sorted((p for p in points if p.method == "horizon" and p.solved), key=lambda p: p.roughness)
@@ -44,7 +44,10 @@ def draw_pareto_front(points: Sequence[ParetoPoint], problem: str) -> Figure:
 
 
 def save_pareto_front(points: Sequence[ParetoPoint], problem: str, folder: str | Path) -> Path:
-    """Write pareto.png into a folder that exists; raises OutputError where it cannot be written."""
+    """Write pareto.png, the figure of `points` of a problem of that name, into an existing folder.
+
+    Raises OutputError where it cannot be written.
+    """
     return save(draw_pareto_front(points, problem), Path(folder) / "pareto.png")
 
 

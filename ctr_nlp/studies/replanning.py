@@ -1,4 +1,4 @@
-"""The rest of a plan planned anew."""
+"""Re-planning of the remaining frames of a plan."""
 
 from __future__ import annotations
 
@@ -13,10 +13,11 @@ from ctr_nlp.support.value_checks import whole_number
 
 
 def replan_from_frame(plan: Plan, problem: Problem, from_frame: int, **options: Any) -> Plan:
-    """A plan whose frames from a number on, counted from 1, are planned anew from where the one before them is.
+    """Return a plan whose frames from `from_frame` on, counted from 1, are re-planned.
 
-    problem: what is to be followed, frame by frame as the plan; its robot, pace and lumen must be the plan's, its
-    later targets may be others. options: those of solve_per_frame, such as settings. Raises OptionError.
+    plan: whose earlier frames are kept; the configuration of the last of them is the start. problem: as many
+    frames as the plan; its robot, time step and lumen must be the plan's, its later targets may differ. options:
+    of solve_per_frame, such as settings. Raises OptionError.
     """
     frames = len(plan.time)
     number = whole_number(OptionError, "from_frame", from_frame, 2)
@@ -25,6 +26,7 @@ def replan_from_frame(plan: Plan, problem: Problem, from_frame: int, **options: 
             f"from_frame is {number}, of a plan of {frames} frames and a problem of {problem.frames}: it must be "
             f"in [2, {frames}], and both must have as many frames"
         )
+    # Frames count from 1: q[number - 2] is the frame before `number`, and [number - 1 :] begins with it.
     start = plan.q[number - 2]
     model = {"model": planned_model(plan.meta)} | options
     return plan[: number - 1] + solve_per_frame(problem[number - 1 :], start=start, direction="forward", **model)

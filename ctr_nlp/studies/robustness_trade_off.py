@@ -1,4 +1,8 @@
-"""Errors as planned, errors on simulated robots and lost ones, against how much robustness is asked for."""
+"""Trade-off of robustness: error as planned, error on sampled robots, and share of failures.
+
+Robust plans for the robot's tolerances times a factor (`amount`) are compared with nominal plans at several
+stability margins; all are judged on the same robots, sampled within the whole tolerances.
+"""
 
 from __future__ import annotations
 
@@ -22,19 +26,20 @@ from ctr_nlp.robust import solve_robust
 from ctr_nlp.support.interrupt import deferred_interrupt
 
 TOLERANCE_SCALES = 0.0, 0.25, 0.5, 0.75, 1.0, 1.25, 1.5
-"""Factors by which the tolerances are scaled that are planned for; 0 is a plan for the robot described alone."""
+"""Factors on the tolerances that are planned for; 0 is a plan for the nominal robot."""
 COMPARED_STABILITY_MARGINS = 0.1, 0.3, 0.5, 0.7
-"""Stability margins of the plans for the robot described that stand beside."""
+"""Stability margins of the nominal plans to compare with."""
 ROBUSTNESS_STUDY_SAMPLES, ROBUSTNESS_STUDY_SEED = 500, 20260101
 """Number and seed of the robots on which all plans are judged; planning takes other seeds."""
 
 
 @dataclass(frozen=True)
 class RobustnessPoint:
-    """A plan judged on draws. amount: what the tolerances planned for are scaled by; margin: of stability.
+    """A plan judged on sampled robots.
 
-    planned, mean: e3 in mm, as planned and on average over the draws; lost: of so many draws. solved: every frame
-    was. Figures are those of what was found, also where that is not a solution.
+    amount: factor on the tolerances that were planned for. margin: of stability. planned, mean: e3 in mm, as
+    planned and as the mean over the samples. lost: number of samples that fail, of draws. solved: whether all
+    frames were; figures are given in any case.
     """
 
     problem: str
@@ -48,7 +53,7 @@ class RobustnessPoint:
 
     @property
     def share(self) -> float:
-        """Share of the simulated robots that are lost."""
+        """Share of the sampled robots that fail."""
         return self.lost / self.draws
 
 
@@ -60,14 +65,18 @@ def plan_for_tolerances(
     seed: int = ROBUSTNESS_STUDY_SEED,
     progress: Progress | None = None,
 ) -> list[RobustnessPoint]:
-    """Plan a problem, without its wall, for each amount of tolerances and at each margin, in the order of `asked`.
+    """Plan a problem, without its wall, for each factor on the tolerances and each margin, and judge the plans.
 
-    All are judged on the same robots, sampled within the whole tolerances. progress: (number done, of how many,
-    what is planned next). Ctrl-C leaves what was found. Raises OptionError, RobotError.
+    The order is that of requested_plans. amounts: factors on the tolerances. margins: of nominal plans. samples,
+    seed: number of robots on which all plans are judged, and the seed with which they are sampled. progress:
+    called with (plans done, plans in all, label of the next one). After Ctrl-C the points so far are returned.
+    Raises OptionError, RobotError.
     """
     free = replace(problem, lumen=None)
     found = list[RobustnessPoint]()
     wanted = requested_plans(amounts, margins)
+    # Results are not used: tolerances that cannot be sampled or scaled are refused now, not after hours of
+    # planning.
     sample_robots(problem.robot, samples, seed)
     for amount, _ in wanted:
         scale_tolerances(problem.robot, amount)
@@ -85,10 +94,10 @@ def plan_for_tolerances(
 
 
 def requested_plans(amounts: Sequence[float], margins: Sequence[float]) -> list[tuple[float, float]]:
-    """Return the parts of the tolerances to plan for, in order, each with a stability margin; none of them twice.
+    """Return the plans to make as pairs (factor on the tolerances, stability margin), sorted, without duplicates.
 
-    Plans for none of them come first, at all margins and, where 0 is among the amounts, at the usual one; others
-    have the usual one. Raises OptionError for margins that there are not.
+    Nominal plans, of factor 0, come first: at all `margins` and, where 0 is among the amounts, at the default one.
+    Others have the default margin. Raises OptionError for margins out of their range.
     """
     every = {(0.0, Settings(stability_margin=margin).stability_margin) for margin in margins}
     every |= {(amount, Settings().stability_margin) for amount in amounts}
@@ -96,13 +105,14 @@ def requested_plans(amounts: Sequence[float], margins: Sequence[float]) -> list[
 
 
 def plan_label(amount: float, margin: float) -> str:
-    """Say for what part of the tolerances, or at what margin without any, a plan is made."""
+    """Describe a plan: the factor on the tolerances, `amount`, or, where that is 0, the stability margin."""
     return f"{amount:g} × the tolerances" if amount else f"no tolerances, margin {margin:g}"
 
 
 def choose_plan(points: Sequence[RobustnessPoint], most_lost: float = MOST_LOST) -> RobustnessPoint | None:
-    """Return the solved plan with the least mean e3 that loses at most the share `most_lost`; None where each
-    loses more.
+    """Choose, of points that are solved and fail on at most a share `most_lost`, the one of least mean e3.
+
+    None where there is no such point.
     """
     able = [(point.mean, point) for point in points if point.solved and point.share <= most_lost]
     known = [(mean, point) for mean, point in able if mean is not None]
@@ -110,7 +120,7 @@ def choose_plan(points: Sequence[RobustnessPoint], most_lost: float = MOST_LOST)
 
 
 def choice_sentence(points: Sequence[RobustnessPoint], most_lost: float = MOST_LOST) -> str:
-    """Say which plan is chosen, and why."""
+    """Say which of the points is chosen, and why; most_lost: largest share of failures that is accepted."""
     best = choose_plan(points, most_lost)
     if best is None:
         return f"None is chosen: each plan loses more than {most_lost:.3g} of its draws or is not solved."
@@ -125,6 +135,7 @@ def scale_tolerances(robot: Robot, amount: float) -> Robot:
     own = robot.tolerances
     square = robot.tolerances.covariance
     if square is not None:
+        # Bands scale with the factor, a covariance with its square.
         covariance = amount**2 * np.array(square)
         parts: dict[str, Any] = {"rotation_lag": amount * np.array(own.rotation_lag), "covariance": covariance}
         return replace(robot, tolerances=replace(own, **parts))
@@ -140,7 +151,7 @@ def _plan_scaled(problem: Problem, amount: float, margin: float) -> Plan:
 
 
 def _judge_plan(plan: Plan, robot: Robot, name: str, amount: float, samples: int, seed: int) -> RobustnessPoint:
-    """Judge a plan on simulated robots around `robot`, which differs from its own in tolerances alone."""
+    """Judge a plan on sampled robots; robot: with the whole tolerances, where the plan's own has scaled ones."""
     tried = replace(plan, meta=plan.meta | {"robot": robot.to_dict()}).robustness(samples, seed)
     mean = None if tried.errors is None else tried.errors.mean
     margin = float(plan.options["stability_margin"])

@@ -1,4 +1,4 @@
-"""What robustness costs and brings as a picture, apart from the numbers, which need no matplotlib."""
+"""Figure of the robustness trade-off; in a file of its own, since the numbers need no matplotlib."""
 
 from __future__ import annotations
 
@@ -17,16 +17,20 @@ from ctr_nlp.view.figures.parts.page import STYLE, printable
 from ctr_nlp.view.figures.parts.palette import BLACK, BLUE, VERMILLION
 
 MARGIN_MARKERS = "x+sd^v"
-"""Markers of plans at other margins."""
+"""Markers of nominal plans, one for each margin."""
 ROBUSTNESS_TICK_DIGITS = "1235"
-"""Leading digits of ticks that carry a number."""
+"""Leading digits of the ticks that are labelled."""
 
 
 @rc_context(STYLE)
 def draw_robustness_trade_off(
     points: Sequence[RobustnessPoint], problem: str, most_lost: float = MOST_LOST
 ) -> Figure:
-    """e3 as planned and on average over draws, and below it the share lost; a ring marks the choice."""
+    """Draw e3 as planned and as the mean over samples, and below it the share of failures.
+
+    points: the judged plans. problem: its name, for the title. most_lost: accepted share of failures; a ring marks
+    the plan that is chosen with it.
+    """
     figure = Figure(figsize=(7.0, 5.2), layout="constrained")
     above, below = figure.subplots(2, sharex=True, height_ratios=(2, 1))
     usual = Settings().stability_margin
@@ -46,7 +50,7 @@ def draw_robustness_trade_off(
         above.plot(best.amount, best.mean, "o", ms=13, mfc="none", color=BLACK, label="chosen")
     below.axhline(most_lost, color=BLACK, lw=0.8, ls=":", label=f"allowed, {most_lost:.1%}")
     below.legend()
-    above.set_yscale("log")  # a draw that is lost is ten times further away than another
+    above.set_yscale("log")  # errors of failed robots are ten times larger than others
     for ticks in (above.yaxis.set_major_formatter, above.yaxis.set_minor_formatter):
         ticks(lambda e3, _: f"{e3:g}" if f"{e3:.0e}"[0] in ROBUSTNESS_TICK_DIGITS else "")
     above.grid(which="minor", lw=0.3)

@@ -1,4 +1,8 @@
-"""Plans on robots that differ from what they were made for, with feedback and without."""
+"""Plans executed on perturbed robots, with feedback (closed loop) and without (open loop).
+
+Each robot is a Monte Carlo sample of the tolerances. A run counts by its e3 relative to the plan's own, and by
+whether the robot failed, that is snapped or left its branch of equilibria.
+"""
 
 from __future__ import annotations
 
@@ -23,21 +27,22 @@ from ctr_nlp.robot.samples import RobotSamples, sample_robots
 from ctr_nlp.robust.plan import solve_robust
 
 CLOSED_LOOP_SAMPLES, CLOSED_LOOP_SEED = 100, 20260101
-"""Number and seed of the robots that every plan is run on; nothing was tuned on these."""
+"""Number and seed of the sampled robots on which every plan is run; nothing was tuned on these."""
 STUDY_SENSOR_NOISE_MM = 0.5
-"""Noise of every coordinate that is measured, mm."""
+"""Standard deviation of every measured coordinate, mm."""
 SENSED_SHAPE_SIGMA = 1 / 6, 1 / 3, 1 / 2, 2 / 3, 5 / 6
-"""Places of the shape that are measured beside the tip, sigma."""
+"""Normalised arc lengths of the points that are measured beside the tip."""
 PLANT_TOLERANCES = Tolerances(0.1, 0.1, motor_zero=0.05)
-"""Tolerances that robots differ by."""
+"""Tolerances from which the robots are sampled."""
 STUDY_BACKLASH_RAD, STUDY_TIP_BENDING_MM = 0.05, 2.0
-"""rad by which every tube stays behind its motor, and mm by which the tip is bent, in the cases that have them."""
+"""Backlash of every tube, rad, and bending of the tip, mm, in the cases that have them."""
 
 
 @dataclass(frozen=True)
 class ClosedLoopCase:
-    """A case of the study: the sensors, and what robots have beyond the differences PLANT_TOLERANCES: play, rad,
-    and bending, mm.
+    """A case of the study: sensors, and deviations of the robots beyond PLANT_TOLERANCES.
+
+    tip_alone: whether only the tip is measured. play: backlash of every tube, rad. bending: of the tip, mm.
     """
 
     tip_alone: bool = False
@@ -65,11 +70,14 @@ CLOSED_LOOP_CASES: Mapping[str, ClosedLoopCase] = {
 
 @dataclass(frozen=True)
 class ClosedLoopResult:
-    """A plan on robots in one case. planned: its e3, mm; opened, closed: mean e3 of all over that; kept: of those
-    neither lost nor stopped, with feedback. lost_open, lost, stopped: of so many draws; told: of those that were
-    lost with feedback, of how many the operator was told. cycle, slowest: median and 99 % quantile of one cycle,
-    ms. replanned: the share of replannings whose motion then led; replanning: the median time of one, s; late: the
-    share that took longer than REPLANNING_LEAD_S.
+    """Result of running a plan on sampled robots in one case.
+
+    planned: e3 of the plan, mm. opened, closed: mean e3 over all robots relative to that, without and with
+    feedback; kept: with feedback, of robots that neither failed nor were stopped. lost_open, lost, stopped: robots
+    that failed without feedback, failed with it, or were stopped, of so many draws (samples); told: robots that
+    failed with feedback about which the operator was informed. cycle, slowest: median and 99 % quantile of the
+    time of one control cycle, ms. replanned: share of re-planned motions that were adopted; replanning: median
+    time of one, s; late: share that took longer than REPLANNING_LEAD_S.
     """
 
     plan: str
@@ -91,8 +99,8 @@ class ClosedLoopResult:
 
 
 AS_PLANNED, REPLANNED, IDENTIFIED = REPLANNING_MODES = "as planned", "replanned", "identified"
-"""How a plan is led: as it is; planned anew, for PLANT_TOLERANCES before it begins, and for what is known while it
-goes on; planned anew for what was known of a robot after it was measured in free space.
+"""Which motion is followed: the plan; one re-planned for PLANT_TOLERANCES before the run, and for the estimate
+during it; one re-planned for the estimate after a robot was measured in free space.
 """
 
 
@@ -104,20 +112,22 @@ def run_closed_loops(
     seed: int = CLOSED_LOOP_SEED,
     replanning_mode: str = AS_PLANNED,
 ) -> ClosedLoopResult:
-    """Run a plan on `samples` robots, sampled with a seed, with feedback and without; raises as Tracker.
+    """Run a plan on sampled robots, with feedback and without.
 
-    name: of the plan. case: of CLOSED_LOOP_CASES; where it has a play, all tubes have it whole. replanning_mode:
-    of REPLANNING_MODES; what open loops play, and errors are told as parts of, is the plan as it was given. Raises
-    as Replanner, too.
+    name: of the plan. case: of CLOSED_LOOP_CASES; its backlash applies in full to all tubes. samples, seed: number
+    of robots, and the seed with which they are sampled. replanning_mode: of REPLANNING_MODES. Without feedback the
+    given plan is executed, and all errors are relative to its own. Raises as Tracker and Replanner.
     """
     at = CLOSED_LOOP_CASES[case]
     led = replan_for_tolerances(plan, PLANT_TOLERANCES) if replanning_mode == REPLANNED else plan
     replanner = None if replanning_mode == AS_PLANNED else Replanner(plan)
+    # The tracker knows that there may be backlash up to the given one; every robot has all of it, the worst case.
     tolerances = replace(PLANT_TOLERANCES, rotation_lag=at.play)
     robots = sample_robots(replace(plan.robot, tolerances=tolerances), samples, seed)
     robots = replace(robots, backlash=np.full_like(robots.backlash, at.play))
     runs = []
     seconds = list[float]()
+    # Both loops meet the same robot. seed + k: noise differs between robots, and is the same in every mode.
     for k, bent in zip(range(samples), _bending_offsets(at.bending, samples, seed), strict=True):
         own = plan.robot, robots[k : k + 1], plan.evaluated_model
         opened = open_loop(plan, Plant(*own, bending=bent))
@@ -161,8 +171,10 @@ def _make_tracker(
     seed: int,
     replanner: Replanner | None,
 ) -> Tracker:
-    """Make the tracker of one robot along a plan; with a replanner, the robot is measured in free space first and
-    planned for anew.
+    """Make the tracker of one robot, `sample`, along a plan.
+
+    at: the case. tolerances: prior knowledge of the robot. seed: of the noise. replanner: where given, the robot
+    is measured in free space first, and the motion is re-planned for the estimate.
     """
     if replanner is None:
         return Tracker(plan, at.sensors, tolerances)
@@ -179,12 +191,13 @@ def _make_tracker(
 
 
 def replan_for_tolerances(plan: Plan, tolerances: Tolerances) -> Plan:
-    """Plan for all robots within other tolerances, from a plan for those of its own; raises as solve_robust."""
+    """Re-plan for all robots within `tolerances`, with the plan as initial guess; raises as solve_robust."""
     problem = replace(problem_of(plan), robot=replace(plan.robot, tolerances=tolerances))
     return solve_robust(problem, initial=[plan.q], settings=settings_of(plan))
 
 
 def _bending_offsets(size: float, samples: int, seed: int) -> Iterator[tuple[float, float]]:
-    """Yield for every robot by what it is bent, (x, y) mm: `size` in a random direction."""
+    """Yield the bending (x, y), mm, of every robot's tip: of length `size` in a random direction."""
+    # A stream of its own: [seed, 7] is independent of the stream of `seed`, from which the robots are sampled.
     for turn in np.random.default_rng([seed, 7]).uniform(0.0, 2 * np.pi, samples).tolist():
         yield size * np.cos(turn), size * np.sin(turn)

@@ -1,4 +1,4 @@
-"""Robots that are measured in free space before a motion, by the sensors that correct it."""
+"""Identification of a robot's parameters from random poses in free space, before a motion."""
 
 from __future__ import annotations
 
@@ -23,11 +23,13 @@ IDENTIFICATION_POSE_COUNT = 20
 def identify_robot(
     robot: Robot, tolerances: Tolerances, sample: RobotSamples, model: Model, sigma: Array, noise: float, seed: int
 ) -> tuple[Array, Array]:
-    """Identify a simulated robot from IDENTIFICATION_POSE_COUNT poses: mean (k,) and covariance (k, k) of its
-    differences from the one described.
+    """Estimate the parameters of a simulated robot from IDENTIFICATION_POSE_COUNT random poses.
 
-    tolerances: what is known before. sample: the robot. sigma (n,): places of the shape that are measured, in the
-    axes of the base, with noise, mm. Raises MeasurementError, OptionError.
+    Returns the mean (k,) and the covariance (k, k) of its differences from the nominal robot, in the order of
+    ParameterDifferences. robot: the nominal one. tolerances: prior knowledge. sample: the robot that is measured.
+    model: kinematic model. sigma: (n,), normalised arc lengths of the measured points, in the axes of the base.
+    noise: standard deviation of every coordinate, mm. seed: of poses and noise. Raises MeasurementError,
+    OptionError.
     """
     differences = ParameterDifferences.of(robot, tolerances)
     measured = measure_random_poses(robot, sample, model, sigma, noise, seed)
@@ -44,16 +46,22 @@ def measure_random_poses(
     seed: int,
     poses: int = IDENTIFICATION_POSE_COUNT,
 ) -> Measurements:
-    """Measure places of the shape of a simulated robot at random poses, in each of which it comes to rest anew.
+    """Simulate measurements of a robot's shape at random stable poses.
 
-    sigma (n,): of the places; noise: the standard deviation of every coordinate, mm; seed: of poses and noise.
+    robot: the nominal one, whose limits the poses keep. sample: the robot that is measured. model: kinematic
+    model. sigma: (n,), normalised arc lengths of the measured points. noise: standard deviation of every
+    coordinate, mm. seed: of poses and noise. poses: number of them. In each pose the robot is at rest without a
+    history.
     """
     q = stable_poses(robot, model, poses, seed)
+    # The measurements record the commanded q. The tubes stand at q plus the errors of the motors' zeros, which are
+    # among the parameters to be estimated.
     turned = np.array(q)
     turned[:, : robot.d] += sample.offsets[0]
     way = MotionSubsteps(turned, np.arange(poses), np.ones(poses, dtype=bool), poses)
     (found,) = model.follow_batch(sample.structure, sample.numbers, way, turned[None], False)
     (points,) = model.points_batch(sample.structure, sample.numbers, found.x[None], sigma)
+    # Independent of the stream of `seed`, from which the poses are sampled.
     points += noise * np.random.default_rng([seed, 3]).standard_normal(points.shape)
     none = np.full((poses, 3), np.nan)
     places = np.tile(sigma, (poses, 1))
@@ -61,7 +69,7 @@ def measure_random_poses(
 
 
 def _ordered_estimates(differences: ParameterDifferences, found: Calibration) -> tuple[Array, Array]:
-    """Return estimates and covariance of a calibration in the order of differences, of which it estimated all."""
+    """Return estimates (k,) and covariance (k, k) of a calibration in the order of `differences`."""
     rows = {(one.number, one.kind): k for k, one in enumerate(found.parameters.each)}
     picked = [rows[tube + 1, name] for tube, name in differences.entries]
     return found.fit.values[picked], found.fit.covariance[np.ix_(picked, picked)]

@@ -1,1 +1,1 @@
-"""Studies of many plans: the file that describes one, its cases, their rows, and figures of these."""
+"""Studies of many plans: the study file, its cases, their rows of results, and figures of these."""

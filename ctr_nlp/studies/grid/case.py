@@ -1,4 +1,4 @@
-"""One plan of a study: what it is made from, and the row of numbers that describes it."""
+"""One plan of a study: its inputs, and the row of results that describes it."""
 
 from __future__ import annotations
 
@@ -28,18 +28,18 @@ from ctr_nlp.studies.grid.measures import MEASURES
 from ctr_nlp.support.value_checks import strict_json
 
 STUDY_METHODS = "horizon", "joint", "two-stage", "robust-horizon", "robust-joint"
-"""Ways in which a case may be planned."""
+"""Planning methods of a case."""
 CASE_DONE, CASE_FAILED, CASE_LATE, CASE_LOST = "done", "failed", "late", "lost"
-"""A row's status: there is a plan, solved or not; there is none; it took too long; its workers died."""
+"""Status of a row: there is a plan, solved or not; planning failed; it took too long; its workers died."""
 NO_LOAD = "none"
-"""The name of no load."""
+"""Name in tables of cases without a load."""
 TIME_LIMIT_COLUMN = "patience_s"
-"""Column of cases that took too long: the time that they had, s."""
+"""Column of cases that took too long: the time limit that they exceeded, s."""
 
 
 @dataclass(frozen=True)
 class Case:
-    """Everything that one plan of a study is made from; cases can be compared, pickled and written as JSON.
+    """The inputs of one plan of a study; cases can be compared, pickled and written as JSON.
 
     Attributes
     ----------
@@ -60,15 +60,15 @@ class Case:
     settings : tuple of (str, value)
         Fields of :class:`Settings` that differ from their defaults.
     draws : int
-        How many Monte Carlo samples of the robot the plan is tried on; 0 for none.
+        Number of Monte Carlo samples of the robot on which the plan is evaluated; 0 for none.
     seed : int
-        Of these samples.
+        Seed of these samples.
     options : tuple of (str, value)
         Arguments of :func:`problem_from_file`.
     walled : bool
         Whether the problem keeps its lumen's wall, where it has one.
     measures : tuple of str
-        What is measured of the plan beside its summary, of MEASURES.
+        Further figures of the plan beside its summary, of MEASURES.
     load_name : str
         Name of the load in tables.
     load : str or None
@@ -96,8 +96,9 @@ class Case:
 
     @cached_property
     def digest(self) -> str:
-        """Digest of all that the row depends on: the case, and the versions of what computes it."""
+        """Digest of all that the row depends on: the case, and the versions of the software that computes it."""
         # Another version of the solver or of numpy may find another plan: its rows are not mixed with these.
+        # Sorted keys, since equal cases must have equal text.
         told = json.dumps([asdict(self), versions()], sort_keys=True)
         return hashlib.sha256(told.encode()).hexdigest()[:32]
 
@@ -108,7 +109,7 @@ class Case:
 
     @property
     def columns(self) -> dict[str, Any]:
-        """The first columns of the row: the digest and what the case was asked for."""
+        """First columns of the row: the digest and the inputs of the case."""
         named_so = {f"set_{name}": value for name, value in self.settings}
         own = ("problem", "robot_name", "model", "method", "frames", "draws", "seed")
         found = {"digest": self.digest} | {name: getattr(self, name) for name in own}
@@ -143,12 +144,12 @@ class Case:
         return problem_from_file(self.problem, frames=self.frames, robot=robot, **dict(self.options))
 
     def plan_motion(self, problem: Problem) -> Plan:
-        """Plan the motion, and try it on samples of the robot where the case asks for them.
+        """Plan the motion, and evaluate it on samples of the robot where the case asks for them.
 
         Parameters
         ----------
         problem : Problem
-            The problem of :meth:`loaded`.
+            The problem of :meth:`load_problem`.
 
         Returns
         -------
@@ -201,7 +202,7 @@ class Case:
             for name in self.measures:
                 found |= MEASURES[name](plan, problem)
         except Exception as error:
-            # A study of thousands goes on whatever one of them dies of; the row tells what that was.
+            # A study of thousands continues whatever one of them fails with; the row reports it.
             told = str(error) if isinstance(error, CtrError) else f"{type(error).__name__}: {error}"
             return row_without_plan(self, CASE_FAILED, told, time.process_time() - begin)
         if keep is not None:
@@ -231,7 +232,7 @@ class Case:
         plan.save(self.plan_path(folder))
 
     def plan_path(self, folder: Path) -> Path:
-        """Return the path of the plan in a folder."""
+        """Return the path of the case's plan in a folder."""
         return folder / f"{self.digest}.npz"
 
 
@@ -266,7 +267,7 @@ def file_digest(path: str) -> str:
 
 
 def _plan_columns(plan: Plan) -> dict[str, Any]:
-    """The summary and the verdicts of a plan as columns, and the versions of what computed them."""
+    """Return the summary and the verdicts of a plan as columns, and the versions of what computed them."""
     found = dict(_flatten(strict_json(summary(plan))))
     found |= verdict_columns(plan)
     found["complete"] = plan.complete
@@ -274,7 +275,10 @@ def _plan_columns(plan: Plan) -> dict[str, Any]:
 
 
 def _flatten(mapping: Mapping[str, Any], before: str = "") -> list[tuple[str, Any]]:
-    """Pairs of names and values of nested mappings, with names joined by underscores; lists are left out."""
+    """Return pairs of names and values of nested mappings, with names joined by underscores; lists are left out.
+
+    before: prefix of the names.
+    """
     found = list[tuple[str, Any]]()
     for name, value in mapping.items():
         if isinstance(value, Mapping):

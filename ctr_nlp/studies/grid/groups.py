@@ -1,7 +1,7 @@
 """Rows of a study grouped by a column, for tables and figures.
 
-Studies may have more rows than memory holds: they are read a part and a few columns at a time, and of each value
-four bytes are kept.
+Studies may have more rows than memory holds: they are read part by part, with a few columns at a time, and each
+value is kept in four bytes.
 """
 
 from __future__ import annotations
@@ -23,13 +23,13 @@ from ctr_nlp.typing import Array
 STUDY_RANKING_COLUMN = "e3"
 """Column by which plans are ranked."""
 ALWAYS_READ_COLUMNS = "digest", "status", "reason", "problem", "robot_name", "complete", STUDY_RANKING_COLUMN
-"""Columns that are read whatever is asked for."""
+"""Columns that are always read."""
 LISTED_WORST_PLANS = 5
 """Number of plans with the largest errors that are listed."""
 
 
 class WorstPlan(NamedTuple):
-    """One of the plans with the largest e3: that error, mm, the case's digest, and names of problem and robot."""
+    """One of the plans with the largest e3: its error, mm, the case's digest, and names of problem and robot."""
 
     error: float
     digest: str
@@ -38,7 +38,7 @@ class WorstPlan(NamedTuple):
 
 
 class Failure(NamedTuple):
-    """Why some cases have no plan, how many they are, and the digest of one of them."""
+    """A reason for which cases have no plan, the number of these cases, and the digest of one of them."""
 
     reason: str
     plans: int
@@ -65,7 +65,7 @@ class Group:
     values: dict[str, list[Any]] = field(default_factory=dict)
 
     def add_rows(self, rows: Any, shown: Sequence[str]) -> None:
-        """Add rows, a pandas frame, with their values of the columns shown."""
+        """Add rows, a pandas frame; shown: names of the columns whose values are kept."""
         self.plans += len(rows)
         self.failed += int((rows["status"] != CASE_DONE).sum())
         for name in shown:
@@ -78,7 +78,7 @@ class Group:
         return found
 
     def quantile(self, column: str, share: float) -> float:
-        """Return the value of a column that a share in [0, 1] of plans is at most; NaN where there is no value."""
+        """Return a quantile of a column; share: in [0, 1], of plans with at most it. NaN without values."""
         values = self.column_values(column)
         return float(np.quantile(values, share)) if len(values) else float("nan")
 
@@ -108,7 +108,7 @@ class Groups:
 
     @property
     def all_passed(self) -> bool:
-        """Whether every frame was solved and no verdict is *no*."""
+        """True where every frame was solved and no verdict is *no*."""
         return self.complete and not any(words[NO] for words in self.verdicts.values())
 
 
@@ -170,7 +170,7 @@ def group_rows(results: Results, digests: Collection[str], column: str, shown: S
 
 
 def _sort_key(name: str) -> tuple[float, str]:
-    """Sort key of a group's name: numbers by their size, before words."""
+    """Return the sort key of a group's name: numbers by their size, before words."""
     try:
         return float(name), name
     except ValueError:

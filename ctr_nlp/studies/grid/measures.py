@@ -1,4 +1,4 @@
-"""What a study may measure of plans beside their summaries."""
+"""Further figures of plans that a study may ask for, beside their summaries."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from ctr_nlp.plan.plan import Plan
 
 
 def contact(plan: Plan, problem: Problem) -> dict[str, float]:
-    """Measure how much a plan presses into the wall.
+    """Measure the contact of a plan with the wall.
 
     Parameters
     ----------
     plan : Plan
         A plan within a lumen.
     problem : Problem
-        What it was planned for.
+        The problem that it was planned for.
 
     Returns
     -------
@@ -29,6 +29,7 @@ def contact(plan: Plan, problem: Problem) -> dict[str, float]:
         target at most, mm.
     """
     deep = contact_depths(plan)
+    # A target longer than the robot's reach does not count as a robot that is too short.
     out = np.minimum(problem.target.lengths, problem.robot.reach)
     return {
         "contact_sum": float(deep.sum()),
@@ -39,4 +40,4 @@ def contact(plan: Plan, problem: Problem) -> dict[str, float]:
 
 
 MEASURES: Mapping[str, Callable[[Plan, Problem], dict[str, float]]] = {"contact": contact}
-"""Columns of a plan's row, by the name of what is measured."""
+"""Name of a measure -> function that returns its columns of a plan's row."""

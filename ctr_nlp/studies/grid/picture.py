@@ -1,4 +1,4 @@
-"""Figures of a study's groups: how a number is distributed in each, and the trade-off between two numbers."""
+"""Figures of a study's groups: distribution of a number in each, and the trade-off between two numbers."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ def draw_groups(found: Groups, column: str, against: str | None = None) -> Figur
 
 
 def _draw_quantiles(axes: Axes, groups: Sequence[Group], column: str, by: str) -> None:
-    """Draw the quantiles of a column in every group, one line each; by: the column of the groups."""
+    """Draw the quantiles of a column in every group, one line each; by: column by which rows are grouped."""
     for place, group in enumerate(groups):
         least, low, middle, high, most = (group.quantile(column, share) for share in GROUP_QUANTILES)
         axes.plot([least, most], [place, place], color=BLUE, lw=1.0, solid_capstyle="butt")
@@ -80,7 +80,7 @@ def _draw_quantiles(axes: Axes, groups: Sequence[Group], column: str, by: str) -
 
 
 def _draw_trade_off(axes: Axes, groups: Sequence[Group], column: str, against: str) -> None:
-    """Draw medians of a column over those of another one, and the line through the Pareto-optimal groups."""
+    """Draw medians of `column` over medians of `against`, and the line through the Pareto-optimal groups."""
     medians = np.array([[group.quantile(name, 0.5) for name in (against, column)] for group in groups])
     axes.plot(*medians.T, color=BLUE, marker="o", ms=4, ls="")
     front = medians[pareto_optimal(medians)]
@@ -114,7 +114,7 @@ def pareto_optimal(medians: Array) -> Flags:
     (n,) array of bool
         Rows to which no other one is at most as large in both columns and smaller in one; never rows with NaN.
     """
-    # [i, j]: what row j has more than row i. NaN makes every comparison false, so that it dominates nothing.
+    # Entry [i, j] is row j minus row i. NaN makes every comparison false, so that it dominates nothing.
     differences = medians[None] - medians[:, None]
     below = np.all(differences <= 0, axis=2) & np.any(differences < 0, axis=2)
     kept: Flags = np.isfinite(medians).all(axis=1) & ~np.any(below, axis=1)
@@ -122,5 +122,5 @@ def pareto_optimal(medians: Array) -> Flags:
 
 
 def _axis_label(column: str) -> str:
-    """Label of a column on axes, with its unit where that is known."""
+    """Return the label of a column on axes, with its unit where that is known."""
     return COLUMN_AXIS_LABELS.get(column, printable(column))

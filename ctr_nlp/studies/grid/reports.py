@@ -1,4 +1,4 @@
-"""Pages of their own that some studies end with, made from their rows."""
+"""Reports that some studies end with, made from their rows."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Any
 from ctr_nlp.exceptions import OptionError
 
 REPORTS = ("reached", "survival")
-"""Names of the reports, each that of the package in ctr_nlp.studies that makes it."""
+"""Names of the reports; each is made by the package of ctr_nlp.studies of that name."""
 
 
 def write_report(report: str, rows: Sequence[Mapping[str, Any]], folder: Path) -> list[str]:
@@ -28,14 +28,15 @@ def write_report(report: str, rows: Sequence[Mapping[str, Any]], folder: Path) -
     Returns
     -------
     list of str
-        What the report found, in sentences.
+        The findings, a sentence each.
 
     Raises
     ------
     OptionError
-        No problem of the study has all the plans that the report compares.
+        No problem of the study has all plans that the report compares.
     """
     room = f"ctr_nlp.studies.{report}"
+    # Imported by name: studies without a report load none of it.
     found = importlib.import_module(f"{room}.cases").from_rows(rows)
     if not found:
         raise OptionError(

@@ -1,7 +1,7 @@
 """The rows of a study in Parquet files, written while it runs, each file whole or not at all.
 
-Files are never changed, so that a program that dies loses only what it had not written; a study goes on where it
-was stopped by asking which digests have rows.
+Files are never changed, so that a program that dies loses only what it had not written. A study is resumed by
+reading which digests have rows.
 """
 
 from __future__ import annotations
@@ -23,11 +23,11 @@ if TYPE_CHECKING:
     import pandas as pd
 
 ROWS_FOLDER = "rows"
-"""The folder of the files, beside which plans may lie."""
+"""Name of the folder of the files; plans may lie beside it."""
 MIN_ROWS_PER_READ = 50_000
-"""Least number of rows that are read at a time: file by file, pandas took 40 ms for each."""
+"""Least number of rows in a part: pandas took 40 ms for each, so that reading file by file would be slow."""
 RETRYABLE_FILE_PREFIX = "lost-"
-"""How names of files begin that hold the row of one case whose workers died, or that took too long."""
+"""Prefix of files with the row of one case whose workers died, or that took too long."""
 
 
 @dataclass(frozen=True)
@@ -43,7 +43,7 @@ class Results:
     --------
     >>> import tempfile
     >>> with tempfile.TemporaryDirectory() as folder:
-    ...     Results(folder).known()  # of a study that has not begun
+    ...     Results(folder).read_digests()  # of a study that has not begun
     set()
     """
 
@@ -54,7 +54,9 @@ class Results:
 
     @contextmanager
     def sole_writer(self) -> Iterator[None]:
-        """Keep other programs from adding rows within the block. A program that dies lets others in at once.
+        """Keep other programs from adding rows within the block.
+
+        The lock belongs to the process: a program that dies releases it at once.
 
         Raises
         ------
@@ -115,7 +117,7 @@ class Results:
             self._write(rows, "")
 
     def add_retryable_rows(self, rows: Sequence[Mapping[str, Any]]) -> None:
-        """Write rows of cases that may be tried again, each into a file of its own, which can be deleted.
+        """Write rows of cases that may be repeated, each into a file of its own, which can be deleted.
 
         Parameters
         ----------
@@ -131,10 +133,9 @@ class Results:
             self._write([row], RETRYABLE_FILE_PREFIX)
 
     def delete_retryable_rows(self, time_limit: float) -> None:
-        """Delete rows of cases that are to be tried again.
+        """Delete rows of cases that are to be repeated.
 
-        These are the cases whose workers died, and those that took too long while they had less time than they
-        have now.
+        These are the cases whose workers died, and those that exceeded a shorter time limit than the present one.
 
         Parameters
         ----------
@@ -156,7 +157,7 @@ class Results:
             raise OutputError(f"rows of the study cannot be deleted: {error}") from error
 
     def _write(self, rows: Sequence[Mapping[str, Any]], begin: str) -> None:
-        """Write rows into a new file whose name begins so; raise OutputError where that cannot be done."""
+        """Write rows into a new file whose name begins with `begin`; raise OutputError where that fails."""
         arrow = import_extra("pyarrow")
         parquet = import_extra("pyarrow.parquet")
         place = self.folder / ROWS_FOLDER
@@ -225,9 +226,8 @@ class Results:
 
     @property
     def _files(self) -> list[str]:
-        """Complete files of rows: a writer that was killed leaves a hidden one behind
-        (support/write_atomically.py).
-        """
+        """Paths of the complete files of rows, sorted."""
+        # A writer that was killed leaves a hidden file behind (support/atomic_write.py).
         return sorted(str(path) for path in (self.folder / ROWS_FOLDER).glob("*.parquet") if path.name[0] != ".")
 
     def _dataset(self) -> Any:
@@ -243,7 +243,7 @@ class Results:
 
 
 def _column(arrow: Any, values: list[Any]) -> Any:
-    """Make a column of values; numbers are floats, as a column may have whole numbers in one file only."""
+    """Make an Arrow column of values; numbers are floats, since a column may have integers in one file only."""
     if all(value is None or (isinstance(value, int | float) and not isinstance(value, bool)) for value in values):
         return arrow.array(values, arrow.float64())
     return arrow.array(values)

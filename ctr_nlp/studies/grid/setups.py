@@ -1,4 +1,4 @@
-"""The ways in which a study plans: every model with every method and setting, in one table or several."""
+"""Planner setups of a study: every combination of model, method, load and settings of one or more tables."""
 
 from __future__ import annotations
 
@@ -25,12 +25,12 @@ SETUP_KEYS = ("models", "methods", "loads", "settings", "sample", "measures")
 MAX_SETTINGS_SAMPLES = 100_000
 SETTINGS_SAMPLE_KEYS = ("method", "count", "seed", "ranges")
 SAMPLERS: Mapping[str, type[qmc.QMCEngine]] = {"sobol": qmc.Sobol, "latin-hypercube": qmc.LatinHypercube}
-"""How settings may be sampled, by name."""
+"""Samplers of settings, by name."""
 
 
 @dataclass(frozen=True)
 class PlannerSetup:
-    """How a problem is planned, and what is measured of the plan; fields mean the same as those of Case."""
+    """Model, method, load and settings of a plan, and its further measures; fields as in Case."""
 
     model: str
     method: str
@@ -53,7 +53,7 @@ def planner_setups(data: Mapping[str, Any], folder: Path) -> Iterator[PlannerSet
 
     Yields
     ------
-    Way
+    PlannerSetup
         One combination after the other.
 
     Raises
@@ -96,14 +96,14 @@ def _load(name: Any, folder: Path) -> tuple[str, Load | LoadOverTime | None]:
 
 
 def check_table(table: Any, allowed: Sequence[str], of: str) -> None:
-    """Raise OptionError unless told is a mapping whose keys are all allowed; of: its name in the message."""
+    """Raise OptionError unless `table` is a mapping whose keys are all allowed; of: its name in the message."""
     if not isinstance(table, Mapping):
         raise OptionError(f"{of} is {table!r:.60}; it must be a table with the keys {', '.join(allowed)}")
     check_keys(OptionError, of, table, allowed)
 
 
 def _settings(table: Mapping[str, Any]) -> Iterator[tuple[tuple[str, Any], ...]]:
-    """Every combination of the settings that a table lists, each with every sample of those that are sampled."""
+    """Yield every combination of the listed settings of a table, each with every sample of the sampled ones."""
     listed = table.get("settings", {})
     check_table(listed, tuple(Settings.__dataclass_fields__), "settings of a study")
     grid = itertools.product(*([(name, value) for value in _as_list(values)] for name, values in listed.items()))
@@ -112,12 +112,12 @@ def _settings(table: Mapping[str, Any]) -> Iterator[tuple[tuple[str, Any], ...]]
             raise OptionError(f"{sorted(both)[0]} of a study is both listed and sampled; leave one out")
         # Sorted, so that the order of keys in a file does not make another case, with another digest.
         found = tuple(sorted((*chosen, *sampled)))
-        Settings(**dict(found))
+        Settings(**dict(found))  # raises where a value is out of its range, before anything is planned
         yield found
 
 
 def _sample_settings(table: Any) -> list[tuple[tuple[str, Any], ...]]:
-    """Settings sampled evenly within the ranges of a table; one empty sample where there is no table."""
+    """Sample settings evenly within the ranges of a table; one empty sample where there is no table."""
     if table is None:
         return [()]
     check_table(table, SETTINGS_SAMPLE_KEYS, "sample of a study")

@@ -1,4 +1,4 @@
-"""A study's file, which names problems, robots and settings, and the cases to which these combine."""
+"""The study file, which lists problems, robots and settings, and the cases that are their combinations."""
 
 from __future__ import annotations
 
@@ -42,9 +42,9 @@ STUDY_ROBOT_KEYS = ("files", "drawn")
 STUDY_SAMPLED_ROBOT_KEYS = ("of", "count", "seed")
 STUDY_FILE_OPTION_KEYS = ("branch", "entry", "target", "reverse", "smoothing", "trim", "insertion", "tilt")
 MAX_STUDY_CASES = 1_000_000
-"""Plans of one study; a file that asks for more has a slip of the pen in it."""
+"""Largest number of plans of a study; a file that asks for more most likely has a typing error."""
 OWN_ROBOT_NAME = "its own"
-"""The name of a problem's own robot."""
+"""Name in tables of the robot that a problem brings with it."""
 
 
 @dataclass(frozen=True)
@@ -120,8 +120,8 @@ class Study:
         Returns
         -------
         Study
-            Every combination of problems, robots, models, methods, loads and settings. Of Monte Carlo samples
-            every problem has a seed of its own.
+            Every combination of problems, robots, models, methods, loads and settings. Every problem has its own
+            seed of Monte Carlo samples.
 
         Raises
         ------
@@ -156,6 +156,8 @@ class Study:
         count = len(problems) * len(robots) * len(every_way)
         if count > MAX_STUDY_CASES:
             raise OptionError(f"study {name!r} has {count} cases; it must have at most {MAX_STUDY_CASES}")
+        # seed + place: all plans of a problem meet the same sampled robots, and problems have independent ones.
+        # Without samples the seed is 0, since it is part of the digest: a plan is not made again for another seed.
         cases = (
             Case(
                 problem,
@@ -183,7 +185,7 @@ class Study:
 
 
 def _problems(table: Any, folder: Path) -> Iterator[tuple[str, str]]:
-    """Problems of the table [problems], each with the digest of its file, which is empty where it has none."""
+    """Yield the problems of the table [problems], each with the digest of its file, or "" where it has none."""
     check_table(table, STUDY_PROBLEM_KEYS, "problems of a study")
     for name in texts(OptionError, "names of problems of a study", table.get("names", [])):
         check_choice("a problem of a study", name, PROBLEM_NAMES)
@@ -198,7 +200,7 @@ def _problems(table: Any, folder: Path) -> Iterator[tuple[str, str]]:
 
 
 def _options(table: Any) -> tuple[tuple[str, Any], ...]:
-    """How files become problems: options of problem_from_file, in the order of their names."""
+    """Check options of problem_from_file, and return them in the order of their names."""
     check_table(table, STUDY_FILE_OPTION_KEYS, "options of problems of a study")
     if table.get("trim") is not None:
         check_choice("trim of options of problems of a study", table["trim"], ("start", "end"))
@@ -218,14 +220,14 @@ def _options(table: Any) -> tuple[tuple[str, Any], ...]:
 
 
 def _count(name: str, value: Any, least: int) -> int:
-    """A number of things that are gone through one by one; raises OptionError."""
+    """Return a whole number from `least` to MAX_STUDY_CASES; raises OptionError, in which `name` names it."""
     if (count := whole_number(OptionError, name, value, least)) > MAX_STUDY_CASES:
         raise OptionError(f"{name} is {count}; it must be at most {MAX_STUDY_CASES}")
     return count
 
 
 def _robots(table: Any, folder: Path) -> Iterator[tuple[str, str | None]]:
-    """Names and JSON of the robots of the table [robots]; the problems' own robots where there is none."""
+    """Yield names and JSON of the robots of the table [robots]; None, the problem's own, where there is none."""
     check_table(table, STUDY_ROBOT_KEYS, "robots of a study")
     if not table:
         yield OWN_ROBOT_NAME, None
@@ -240,7 +242,8 @@ def _robots(table: Any, folder: Path) -> Iterator[tuple[str, str | None]]:
         base = Robot.from_toml(folder / of)
         count = _count("count of drawn robots", asked["count"], 1)
         seed = whole_number(OptionError, "seed of drawn robots", asked.get("seed", 0), 0)
-        # Each robot is built as drawn, and as uncertain as the one that it is drawn from.
+        # Each robot is built with its sampled deviations, and has the same tolerances as the one it was sampled
+        # from.
         none = np.zeros((5 * base.d, 5 * base.d))
         for draw, parts in enumerate(sample_robots(base, count, seed).deviations):
             robot = build_calibrated_robot(base, parts, none, 0.0)

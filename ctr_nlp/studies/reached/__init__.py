@@ -1,1 +1,1 @@
-"""Which airways are reached by which plans: a page, a table and a picture."""
+"""Report on which ends of airways are reached by which plans: a page, a table and a figure."""

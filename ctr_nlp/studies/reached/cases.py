@@ -1,4 +1,4 @@
-"""Plans of a study, by how they are planned, and the first check that each of them fails."""
+"""Outcomes of a study's plans, grouped by planning method: the first check that each plan fails."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from ctr_nlp.plan.verdicts import YES
 from ctr_nlp.studies.airways import shown_name
 
 CHECKS = "solved", "stable", "within_limits", "arrives", "within_wall", "holds"
-"""Verdicts that have to read yes where an end is reached, in the order in which they are asked."""
+"""Verdicts that must be yes where an end is reached, in the order in which they are checked."""
 REACHED = "reached"
 
 
@@ -24,13 +24,13 @@ class PlanOutcome:
     problem : str
         Name of the problem.
     failed : str
-        First of CHECKS that does not read yes, or REACHED.
+        First of CHECKS that is not yes, or REACHED.
     tip : float
         Distance of the tip from the target's end in the last frame, mm.
     contact : float
         Deepest contact with the wall, mm; NaN where no wall is known.
     held : float
-        Share of the simulated robots that hold; NaN where none were simulated.
+        Share of the sampled robots that pass the verdict `holds`; NaN where none were sampled.
     e3 : float
         Mean error, mm.
     """
@@ -45,7 +45,7 @@ class PlanOutcome:
 
 @dataclass(frozen=True)
 class MethodOutcomes:
-    """Plans of many problems that were planned in one way: its name, and an outcome for each problem."""
+    """Outcomes of one planning method on many problems: its name, and an outcome for each problem."""
 
     name: str
     outcomes: tuple[PlanOutcome, ...]
@@ -57,7 +57,7 @@ class MethodOutcomes:
 
 
 def from_rows(rows: Sequence[Mapping[str, Any]]) -> list[MethodOutcomes]:
-    """Sort the rows of a study by robot, method and settings.
+    """Group the rows of a study by robot, method and settings.
 
     Parameters
     ----------
@@ -66,7 +66,7 @@ def from_rows(rows: Sequence[Mapping[str, Any]]) -> list[MethodOutcomes]:
 
     Returns
     -------
-    list of Way
+    list of MethodOutcomes
         In the order of the rows.
     """
     found = dict[str, list[PlanOutcome]]()
@@ -77,7 +77,7 @@ def from_rows(rows: Sequence[Mapping[str, Any]]) -> list[MethodOutcomes]:
 
 
 def _name(row: Mapping[str, Any], several: bool) -> str:
-    """Name the way in which a row was planned: the method, what was set, and the robot where there are several."""
+    """Name how a row was planned: the method, its settings, and the robot where there are several."""
     told = [row["method"].replace("horizon", "over all frames").replace("robust-", "robust ")]
     settings = {
         key: row[key] for key in sorted(row) if key.startswith("set_") and not math.isnan(_number(row[key]))

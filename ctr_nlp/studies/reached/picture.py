@@ -1,4 +1,4 @@
-"""What becomes of plans: how many ends are reached, and by how much tips miss and bodies press."""
+"""Figure of the outcomes of plans: ends reached, distances of tips from their ends, and depths of contact."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ OUTCOME_COLOURS = dict(
 )
 """Colours of reached ends, and of plans by their first failed check."""
 OUTCOME_MARKERS = "osD^v"
-"""Markers of the ways in the right half; they repeat after five."""
+"""Markers of the methods in the right panel; they repeat after five."""
 
 
 @matplotlib.rc_context(STYLE)
@@ -28,16 +28,17 @@ def draw_outcomes(ways: Sequence[MethodOutcomes], fails: Mapping[str, str]) -> F
 
     Parameters
     ----------
-    ways : sequence of Way
+    ways : sequence of MethodOutcomes
         At least one.
     fails : mapping
-        What is said of plans whose first failed check is a key.
+        Label in words for each of CHECKS that a plan may fail.
 
     Returns
     -------
     Figure
-        Left, a bar a way, divided by the first check that fails. Right, a mark a plan: the tip's distance from the
-        target's end over the deepest contact, both in mm, with the area in which both are allowed.
+        Left, a bar for each method, divided by the first check that fails. Right, a mark for each plan: the tip's
+        distance from the target's end over the deepest contact, both in mm, with the area in which both are
+        allowed.
     """
     figure = Figure(figsize=(8.4, 2.6 + 0.4 * len(ways)), layout="constrained")
     left, right = figure.subplots(1, 2, width_ratios=(1.2, 1.0))

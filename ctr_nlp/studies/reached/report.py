@@ -1,4 +1,4 @@
-"""The study as a page of Markdown, a table and a picture."""
+"""Report on reached ends as a page of Markdown, a table and a figure."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ FAILS: Mapping[str, str] = {
     "within_wall": "touches the wall",
     "holds": "not held when built",
 }
-"""What is said of plans whose first failed check is this one of CHECKS."""
+"""Check of CHECKS -> label, in words, of plans that fail it first."""
 QUARTILES = {"least": 0.0, "quarter": 0.25, "median": 0.5, "three quarters": 0.75, "most": 1.0}
 REACHED_PAGE_EXPLANATION = """\
 
@@ -37,7 +37,7 @@ that fails counts for the first of these checks that does not read yes.
 
 
 def write(ways: Sequence[MethodOutcomes], folder: Path) -> None:
-    """Write reached.md, .csv, .png and .pdf into a folder that exists."""
+    """Write reached.md, .csv, .png and .pdf into an existing folder; ways: outcomes, one for each method."""
     rows = [{"way": way.name} | asdict(outcome) for way in ways for outcome in way.outcomes]
     write_csv(folder / "reached.csv", rows)
     for ending in ("png", "pdf"):
@@ -46,7 +46,7 @@ def write(ways: Sequence[MethodOutcomes], folder: Path) -> None:
 
 
 def findings(ways: Sequence[MethodOutcomes]) -> list[str]:
-    """Tell how many ends each way reaches, and why the others are not, a sentence a way."""
+    """Return a sentence for each of `ways`, the methods: how many ends it reaches, and why not the others."""
     return [
         f"{way.name}: {way.reached_count} of {len(way.outcomes)} ends are reached{_failure_reasons(way)}"
         for way in ways
@@ -54,14 +54,14 @@ def findings(ways: Sequence[MethodOutcomes]) -> list[str]:
 
 
 def _failure_reasons(way: MethodOutcomes) -> str:
-    """Why the others are not, the most frequent reason first."""
+    """Describe why ends are not reached, the most frequent reason first; empty where all are."""
     counts = {check: sum(outcome.failed == check for outcome in way.outcomes) for check in CHECKS}
     failed = sorted((check for check in CHECKS if counts[check]), key=lambda check: -counts[check])
     return "".join(f"; {counts[check]} {FAILS[check]}" for check in failed)
 
 
 def page(ways: Sequence[MethodOutcomes]) -> str:
-    """All of it in Markdown."""
+    """Return the page in Markdown; ways: outcomes, one for each method."""
     title = f"# Which of {max(len(way.outcomes) for way in ways)} ends are reached\n\n"
     sentences = [f"{k}. {told[0].upper()}{told[1:]}.\n" for k, told in enumerate(findings(ways), 1)]
     body = [
@@ -82,7 +82,10 @@ def page(ways: Sequence[MethodOutcomes]) -> str:
 
 
 def _quantiles(title: str, ways: Sequence[MethodOutcomes], name: str) -> str:
-    """A table of quantiles over problems, a row a way; a dash where a number is known of no plan."""
+    """Return a table of quantiles of a number over problems, a row for each of `ways`; a dash where unknown.
+
+    title: of the table. name: of the number, a field of PlanOutcome.
+    """
     rows = []
     for way in ways:
         values = np.array([getattr(outcome, name) for outcome in way.outcomes])

@@ -1,1 +1,1 @@
-"""How plans of many airways survive robots that are not quite known: plain, at several margins, and robust."""
+"""Report on plans of many airways on perturbed robots: nominal at several stability margins, and robust."""

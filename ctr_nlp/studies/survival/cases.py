@@ -1,4 +1,4 @@
-"""Airways of a study, without walls: plain plans at several margins and a robust one, on the same draws."""
+"""Airways of a study, without walls: nominal plans at several margins and a robust one, on the same samples."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from ctr_nlp.studies.robustness_trade_off import RobustnessPoint
 from ctr_nlp.support.tables import write_csv
 
 ROBUST_METHOD = "robust-horizon"
-"""Method of robust plans; other methods plan for the robot as described."""
+"""Method of robust plans; other methods plan for the nominal robot."""
 
 
 @dataclass(frozen=True)
 class Airway:
-    """Plans of an airway, or of another problem, judged on the same draws.
+    """Plans of an airway, or of another problem, judged on the same sampled robots.
 
-    margins: plans for the robot described, the least margin first; robust: the one for its tolerances.
+    margins: nominal plans, the least stability margin first; robust: the plan for the robot's tolerances.
     """
 
     name: str
@@ -32,14 +32,12 @@ class Airway:
 
     @property
     def plain(self) -> RobustnessPoint:
-        """Plan at the usual margin, which is the least."""
+        """Nominal plan at the default margin, which is the least."""
         return self.margins[0]
 
     @property
     def best(self) -> RobustnessPoint:
-        """Plan, of those at all margins, on which fewest draws are lost; of equals the one with the least mean
-        error.
-        """
+        """Nominal plan with the fewest failed samples; of equals the one with the least mean error."""
         return min(self.margins, key=lambda plan: (plan.lost, mean_error_or_inf(plan)))
 
     @property
@@ -49,12 +47,12 @@ class Airway:
 
 
 def mean_error_or_inf(plan: RobustnessPoint) -> float:
-    """Return the mean e3 over simulated robots, mm; infinite where none has a shape."""
+    """Return the mean e3 of a plan over sampled robots, mm; infinite where none has a shape."""
     return math.inf if plan.mean is None else plan.mean
 
 
 def from_rows(rows: Sequence[Mapping[str, Any]]) -> list[Airway]:
-    """Make airways of a study's rows, without those that lack a plan for the robot described or a robust one."""
+    """Make airways of a study's rows; those without a nominal plan or a robust one are left out."""
     found = dict[str, list[Mapping[str, Any]]]()
     for row in (row for row in rows if row["status"] == CASE_DONE):
         found.setdefault(row["problem"], []).append(row)
@@ -71,6 +69,7 @@ def _airway(rows: Sequence[Mapping[str, Any]]) -> Airway | None:
 
 def _plan_from_row(row: Mapping[str, Any]) -> RobustnessPoint:
     margin = row.get("set_stability_margin")
+    # Tables write NaN in columns that a row does not have.
     known = margin is not None and not math.isnan(margin)
     return RobustnessPoint(
         problem=shown_name(row["problem"]),
@@ -85,7 +84,7 @@ def _plan_from_row(row: Mapping[str, Any]) -> RobustnessPoint:
 
 
 def write_rows(airways: Sequence[Airway], path: Path) -> None:
-    """Write a CSV file with a row for every plan."""
+    """Write a CSV file at `path` with a row for every plan of the airways."""
     rows = [
         {"airway": airway.name, "frames": airway.frames} | asdict(plan) | {"lost_share": plan.share}
         for airway in airways

@@ -1,4 +1,4 @@
-"""How errors and shares of lost draws are distributed over airways, as a picture."""
+"""Figure of the distributions, over airways, of errors and shares of failed samples."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from ctr_nlp.view.figures.parts.palette import BLUE, ORANGE, VERMILLION
 
 @matplotlib.rc_context(STYLE)
 def distributions(airways: Sequence[Airway]) -> Figure:
-    """Upwards the part of airways in which the mean e3 over draws, or the share lost, is no larger."""
+    """Draw cumulative distributions over the airways of the mean e3 over samples, and of the share that fails."""
     figure = Figure(figsize=(7.0, 3.4), layout="constrained")
     left, right = figure.subplots(1, 2, sharey=True)
     looks: dict[str, Any] = {

@@ -1,4 +1,4 @@
-"""The study as a page of Markdown, a table and a picture."""
+"""Report on plans on perturbed robots as a page of Markdown, a table and a figure."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ beside the rows of the study. A study that was stopped goes on where it was.
 
 
 def write(airways: Sequence[Airway], folder: Path) -> None:
-    """Write survival.md, .csv, .png and .pdf into a folder that exists."""
+    """Write survival.md, .csv, .png and .pdf of the airways into an existing folder."""
     write_rows(airways, folder / "survival.csv")
     for ending in ("png", "pdf"):
         save(distributions(airways), folder / f"survival.{ending}")
@@ -60,7 +60,7 @@ def methods(airways: Sequence[Airway]) -> Mapping[str, list[RobustnessPoint]]:
 
 
 def findings(airways: Sequence[Airway]) -> list[str]:
-    """Return the findings of the study, a sentence each."""
+    """Return the findings on the airways, a sentence each."""
     count = len(airways)
     told = []
     named = {"plain": [a.plain for a in airways], "best margin": [a.best for a in airways]}
@@ -93,7 +93,7 @@ def findings(airways: Sequence[Airway]) -> list[str]:
 
 
 def page(airways: Sequence[Airway]) -> str:
-    """Write the page in Markdown."""
+    """Return the page on the airways in Markdown."""
     first = airways[0]
     every = methods(airways)
     sentences = [f"{k}. {told[0].upper()}{told[1:]}.\n" for k, told in enumerate(findings(airways), 1)]
@@ -124,7 +124,10 @@ def _table(
     values: Callable[[Sequence[RobustnessPoint]], Array],
     text: Callable[[float], str],
 ) -> str:
-    """Write a table of quantiles over airways, a row a method, the mean last."""
+    """Return a table of quantiles over airways, a row for each kind of plan, with the mean in the last column.
+
+    every: plans of all airways by kind. values: plans -> numbers (n,). text: writes a number.
+    """
     rows = []
     for name, plans in every.items():
         found = values(plans)
@@ -134,5 +137,5 @@ def _table(
 
 
 def _means(plans: Sequence[RobustnessPoint]) -> Array:
-    """Return mean e3 over simulated robots, mm; NaN where none has a shape."""
+    """Return the mean e3 (n,) of plans over sampled robots, mm; NaN where none has a shape."""
     return np.array([np.nan if plan.mean is None else plan.mean for plan in plans])

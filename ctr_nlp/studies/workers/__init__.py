@@ -1,1 +1,1 @@
-"""How the plans of a study are done: on Dask's workers, in batches, whatever dies meanwhile."""
+"""Execution of a study on Dask's workers: in batches, and tolerant of workers that die."""

@@ -1,4 +1,4 @@
-"""Clients of Dask clusters: of processes of this machine, and of a scheduler that somebody else has begun."""
+"""Clients of Dask clusters: of local processes, and of a scheduler that is already running."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from ctr_nlp.support.same_origin import is_same_origin_request
 
 LOOPBACK = "127.0.0.1"
 SCHEDULER_CONNECT_TIMEOUT_S = 10.0
-"""s that a scheduler may take to answer when a client asks it first."""
+"""Time limit for the connection to a scheduler, s."""
 MEBIBYTE = 2**20
 DASK_SETTINGS = {
-    # a case whose worker died is tried again by us, and not by Dask
+    # a case whose worker died is repeated by us (Batches), and not by Dask
     "distributed.scheduler.allowed-failures": 0,
     # what Dask does all the time in every process took 2.6 % of two cores, with its own settings
     "distributed.admin.tick.limit": "60s",
@@ -29,23 +29,23 @@ DASK_SETTINGS = {
     # its statistical profile, a tree a second for three hours, grew by 40 KB a plan
     "distributed.worker.profile.enabled": False,
     "distributed.admin.low-level-log-length": 100,
-    # so long after a worker died Dask gives it up for good, if it is not there at that moment: it died again
+    # after this time Dask gives up a worker that died, if it is not back at that moment, as where it died again
     "distributed.deploy.lost-worker-timeout": "1000 days",
     "distributed.nanny.pre-spawn-environ.OMP_NUM_THREADS": "1",
     "distributed.nanny.pre-spawn-environ.OPENBLAS_NUM_THREADS": "1",
-    # Dask has glibc give memory back whenever 64 KiB at the end of the heap are free: a plan frees and takes the
+    # Dask makes glibc return memory whenever 64 KiB at the end of the heap are free: a plan frees and takes the
     # same pages again and again, which cost 30,000 page faults and a fifth of a plan's processor time
     "distributed.nanny.pre-spawn-environ.MALLOC_TRIM_THRESHOLD_": str(256 * MEBIBYTE),
     "distributed.nanny.pre-spawn-environ.MALLOC_MMAP_THRESHOLD_": str(32 * MEBIBYTE),
 }
-"""Dask's settings for clusters that are begun here."""
+"""Dask's settings for local clusters."""
 
 
 @contextmanager
 def local_client(workers: int, memory: str = "auto", **more: Any) -> Iterator[Any]:
-    """Yield a client of `workers` processes of this machine, which listen on loopback only, with one thread each.
+    """Yield a client of a local cluster of `workers` single-threaded processes, which listen on loopback only.
 
-    memory: that each may take before it is ended; more: options of distributed.LocalCluster.
+    memory: limit of each process, as Dask writes it; more: options of distributed.LocalCluster.
     """
     distributed = import_extra("distributed")
     dask = import_extra("dask")
@@ -60,13 +60,14 @@ def local_client(workers: int, memory: str = "auto", **more: Any) -> Iterator[An
 
 
 def _refuse_foreign_requests(application: Any) -> None:
-    """Have a tornado application answer only requests of its own pages, which a browser sends to loopback."""
+    """Make a tornado application refuse requests from other pages than its own."""
+    # Any web page can make a browser send requests to loopback: listening there alone is no protection.
     routing = import_extra("tornado.routing")
     web = import_extra("tornado.web")
 
     class Foreign(routing.Matcher):  # type: ignore[name-defined]
         def match(self, request: Any) -> dict[str, Any] | None:
-            """Match what is to be refused."""
+            """Match requests that are refused; None for others."""
             hosts, origins = (request.headers.get_list(name) for name in ("Host", "Origin"))
             reached = request.connection.stream.socket.getsockname()[:2]
             return None if is_same_origin_request(hosts, origins, LOOPBACK, reached) else {}
@@ -81,9 +82,9 @@ def _refuse_foreign_requests(application: Any) -> None:
 
 @contextmanager
 def cluster_client(address: str) -> Iterator[Any]:
-    """Yield a client of the scheduler at a URL; TLS as Dask's own configuration says.
+    """Yield a client of the scheduler at the URL `address`, with TLS as Dask's own configuration says.
 
-    What Dask logs meanwhile is silenced: errors tell it. Raises ClusterError where no scheduler answers so.
+    Dask's log messages are silenced, since errors report the same. Raises ClusterError where no scheduler answers.
     """
     distributed = import_extra("distributed")
     for handler in logging.getLogger("distributed").handlers:
@@ -98,14 +99,14 @@ def cluster_client(address: str) -> Iterator[Any]:
 
 
 async def _probe_scheduler(address: str) -> None:
-    """Connect to a scheduler and close again; raises what Dask raises where nobody answers at a URL."""
+    """Connect to the scheduler at the URL `address` and close again; raises Dask's errors where none answers."""
     secrets = import_extra("distributed").Security().get_connection_args("client")
     comm = await import_extra("distributed.comm").connect(address, timeout=SCHEDULER_CONNECT_TIMEOUT_S, **secrets)
     await comm.close()
 
 
 def scheduler_loss_errors() -> tuple[type[Exception], ...]:
-    """Return the exceptions that Dask raises where its scheduler is there no more."""
+    """Return the exceptions that Dask raises where its scheduler was lost."""
     distributed = import_extra("distributed")
     return OSError, distributed.TimeoutError, distributed.CancelledError
 

@@ -1,8 +1,8 @@
-"""What a study costs in all its processes, beside a plain pool of processes that makes the same plans.
+"""Cost of a study in all its processes, compared with a plain pool of processes that makes the same plans.
 
-A study's rows tell the process time of their plans, and what slows the plans themselves down looks like longer
-plans there. So each side runs in a process of its own, and its processor time, children included, is what the
-system counts when it has ended.
+A study's rows have the process time of their plans, in which overhead within the plans looks like longer plans. So
+each side runs in a process of its own, and its processor time, children included, is what the system counts when
+it has ended.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ class Turn:
     page_faults : int
         Minor page faults of all its processes.
     memory_bytes : tuple of int
-        Memory of the largest worker after each batch, as the scheduler knows it; empty for a pool.
+        Memory of the largest worker after each batch, as reported to the scheduler; empty for a pool.
     """
 
     user_s: float
@@ -68,20 +68,20 @@ class PoolComparison:
 
 
 def compare_with_pool(study: Study, workers: int, pairs: int = 1) -> PoolComparison:
-    """Make the plans of a study and those of a pool of processes in turns.
+    """Make the plans of a study on Dask and in a pool of processes, in turns.
 
     Parameters
     ----------
     study : Study
-        The cases; what they are solved with should be compiled already.
+        The cases; their programs should be compiled already.
     workers : int
-        Processes on either side.
+        Number of processes on either side.
     pairs : int
-        How many turns each side has; the order changes from pair to pair.
+        Number of turns of each side; the order changes from pair to pair.
 
     Returns
     -------
-    Paired
+    PoolComparison
         Processor times, page faults and memory.
 
     Raises
@@ -97,21 +97,23 @@ def compare_with_pool(study: Study, workers: int, pairs: int = 1) -> PoolCompari
 
 
 Side = Callable[[Connection, Study, int], None]
-"""Makes the plans of a study with so many workers, and sends the memory that these had."""
+"""Function that makes the plans of a study with so many workers, and sends these workers' memory, bytes."""
 
 
 def _turn(side: Side, study: Study, workers: int) -> Turn:
-    """Run a side in a process of its own."""
+    """Run a side in a process of its own, and return its processor time and memory."""
     here, there = SPAWN.Pipe()
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
     process = SPAWN.Process(target=side, args=(there, study, workers))
     process.start()
+    # Only the child holds this end now: recv raises EOFError where the child dies, instead of waiting forever.
     there.close()
     try:
         memory = here.recv()
     except EOFError as error:
         raise BenchmarkError("a side of the comparison has ended early") from error
     finally:
+        # The system counts a child's times, and those of its children, when it has been waited for.
         process.join()
     after = resource.getrusage(resource.RUSAGE_CHILDREN)
     return Turn(
@@ -149,7 +151,7 @@ def rows_of(compared: PoolComparison) -> list[Sequence[str]]:
 
     Parameters
     ----------
-    compared : Paired
+    compared : PoolComparison
         The comparison.
 
     Returns

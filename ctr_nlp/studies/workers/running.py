@@ -1,8 +1,8 @@
-"""A study on Dask's workers: batches of cases, given a few at a time, their rows kept as they come.
+"""Execution of a study on Dask's workers: batches of cases, submitted a few at a time, rows written as they come.
 
-Only a few batches a worker wait at the scheduler at any time, so that it costs the same however large the study
-is. A batch whose worker dies is given again case by case, each to a worker of its own; a case that costs several
-workers, or takes longer than it may once, is a row that says so.
+Only a few batches per worker wait at the scheduler at any time, so that its cost does not grow with the study. A
+batch whose worker dies is submitted again case by case, each to a worker of its own. A case of which several
+workers die, or that exceeds the time limit once, gets a row that says so.
 """
 
 from __future__ import annotations
@@ -27,20 +27,22 @@ from ctr_nlp.studies.workers.clients import local_client, report_scheduler_loss,
 from ctr_nlp.support.extras import import_extra
 
 BATCHES_PER_WORKER = 3
-"""Batches that are given to each worker, those at work included."""
+"""Number of batches submitted for each worker, those at work included."""
 STUDY_STOP_POLL_S, BATCH_COLLECTION_S = 0.5, 0.1
-"""s between looks at whether to stop while nothing is done, and for which batches that are done are collected."""
+"""Time between two calls of stop() while no batch ends, and time for which finished batches are collected, s."""
 DEFAULT_CASE_TIMEOUT_S = 600.0
-"""s that a case may take, where nobody says."""
+"""Default time limit of a case, s."""
 
 StudyCallback = Callable[["StudyProgress"], None]
-"""Told of every batch that is done, and while no worker is there."""
+"""Called with the progress after every batch, and while there is no worker."""
 
 
 @dataclass
 class StudyProgress:
-    """done, failed: cases of total; done_before: of them what an earlier run had done. process_s: process time of
-    cases, s; seconds: since the run began; workers: threads of the cluster.
+    """Progress of a study.
+
+    total: number of cases; done, failed: of these; done_before: of the done ones those of earlier runs. process_s:
+    process time of the cases, s; seconds: since the run began; workers: threads of the cluster.
     """
 
     total: int
@@ -52,8 +54,9 @@ class StudyProgress:
     workers: int = 0
 
     def add_rows(self, rows: Sequence[Mapping[str, Any]], seconds: float, workers: int) -> None:
-        """Rows have been kept, so many seconds after the run began, while there are so many workers."""
+        """Count rows that were written, `seconds` after the run began, with so many workers at that time."""
         self.workers = workers
+        # Cases that were given up have no process time: theirs is NaN.
         times = [row["process_s"] for row in rows if math.isfinite(row["process_s"])]
         self.done = self.done + len(rows)
         self.process_s = self.process_s + sum(times)
@@ -62,7 +65,7 @@ class StudyProgress:
 
     @property
     def rate(self) -> float:
-        """Cases a second in this run."""
+        """Cases per second in this run."""
         return (self.done - self.done_before) / self.seconds if self.seconds else 0.0
 
 
@@ -76,7 +79,7 @@ def run_study(
     callback: StudyCallback = lambda progress: None,
     stop: Callable[[], bool] = lambda: False,
 ) -> StudyProgress:
-    """Do the cases of a study that a folder has no rows of, on the workers of a Dask cluster.
+    """Plan the cases of a study that have no rows in a folder yet, on the workers of a Dask cluster.
 
     Parameters
     ----------
@@ -90,15 +93,15 @@ def run_study(
     keep_plans : bool
         Whether plans are written into folder/plans, too.
     patience : float
-        Seconds that a case may take.
+        Time limit of a case, s.
     callback : callable
         Called with the progress at the beginning, after every batch, and while no worker is there.
     stop : callable
-        Asked now and then; after a yes no more is begun.
+        Called regularly; after it has returned True nothing more is started.
 
     Returns
     -------
-    Progress
+    StudyProgress
         How many cases are done.
 
     Raises
@@ -139,7 +142,7 @@ def run_study(
 
 @contextmanager
 def _overdue_digests(client: Any) -> Iterator[set[str]]:
-    """Digests of cases of which workers tell within the block that they take too long."""
+    """Yield the set of digests of cases that workers report, within the block, as exceeding the time limit."""
     digests = set[str]()
     client.subscribe_topic(task.CASE_TIMEOUT_TOPIC, lambda event: digests.add(event[1]))
     try:
@@ -150,7 +153,7 @@ def _overdue_digests(client: Any) -> Iterator[set[str]]:
 
 
 class _BatchDispatcher:
-    """Batches that workers have, and those that wait to be given."""
+    """Batches at work and batches that wait to be submitted."""
 
     def __init__(self, client: Any, batches: Batches, late: set[str], plans: Path | None, patience: float) -> None:
         self._client = client
@@ -165,11 +168,13 @@ class _BatchDispatcher:
         return bool(self._batches) or bool(self._given)
 
     def submit_batches(self) -> int:
-        """Give batches to workers until each has enough; returns how many workers there are."""
+        """Submit batches until each worker has enough; returns the number of workers' threads."""
         workers = sum(self._client.nthreads().values())
         while self._batches and len(self._given) < workers * self._batches_per_worker():
             cases = self._batches.next(target_batch_seconds(workers))
             asked = (task.run_batch, cases, self._plans, self._patience)
+            # Not pure: Dask would identify equal calls, and return the old failure where a batch is submitted
+            # again.
             future = self._client.submit(*asked, pure=False, retries=0)
             self._given[future] = cases
             future.add_done_callback(self._done.put)
@@ -179,10 +184,10 @@ class _BatchDispatcher:
         return 1 if self._batches.has_suspects(self._given.values()) else BATCHES_PER_WORKER
 
     def collect_rows(self) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
-        """Rows of what is done within BATCH_COLLECTION_S seconds of the first batch, and rows of cases that are
-        given up.
+        """Wait for a batch, and return rows of finished cases and rows of cases that are given up.
 
-        Neither, where nothing is done within STUDY_STOP_POLL_S seconds. Raises as run_study does.
+        Batches that end within BATCH_COLLECTION_S of the first are collected with it. Both lists are empty where
+        none ends within STUDY_STOP_POLL_S. Raises as run_study does.
         """
         futures = self._finished_futures()
         if not futures:
@@ -205,13 +210,14 @@ class _BatchDispatcher:
             futures = [self._done.get(timeout=STUDY_STOP_POLL_S)]
         except Empty:
             return []
+        # Files are written for each collection: a short wait makes few large ones of many small ones.
         time.sleep(BATCH_COLLECTION_S)
         while not self._done.empty():
             futures.append(self._done.get())
         return futures
 
     def _rows_of_dropped(self, cases: list[Case], error: BaseException) -> list[dict[str, Any]]:
-        """Rows of the cases of a batch that are given up since its worker died; other errors are raised."""
+        """Return rows of the cases that are given up since their batch's worker died; raises other errors."""
         if isinstance(error, CtrError | import_extra("distributed").CancelledError):
             raise error
         if not isinstance(error, import_extra("distributed").KilledWorker):
@@ -230,6 +236,6 @@ class _BatchDispatcher:
         return rows
 
     def cancel(self) -> None:
-        """Take back what is not done."""
+        """Cancel all batches that are not done."""
         with suppress(*scheduler_loss_errors()):
             self._client.cancel(list(self._given), force=True)

@@ -1,7 +1,7 @@
-"""What a study costs beside its plans, and what one of any size will take on any number of workers.
+"""Overhead of a study beside its plans, and projection to studies of any size on any number of workers.
 
-The cost of a batch is measured with cases that do nothing; what is projected from it is confirmed by a study whose
-cases sleep for as long as plans take.
+The overhead is c_b per batch and c_r per row, at the client and at the scheduler, measured with cases that do
+nothing. The projection is confirmed by a study whose cases sleep for as long as plans take.
 """
 
 from __future__ import annotations
@@ -30,25 +30,25 @@ from ctr_nlp.studies.workers.running import BATCHES_PER_WORKER, StudyProgress, r
 SIMULATED_WORKER_THREADS = 16
 """Threads of each worker of a simulated cluster."""
 SLEEPER_NUMBER_COLUMNS, SLEEPER_TEXT_COLUMNS = 48, 16
-"""Columns of a row that stand for those of a plan."""
+"""Numbers of columns of a sleeper's row, about those of a plan's row."""
 MEMORY_MEASURED_CASES = 400
-"""Cases whose memory is counted."""
+"""Number of cases whose memory is measured."""
 
 
 @dataclass(frozen=True)
 class Sleeper(Case):
-    """A case that sleeps where others plan. group: of cases that are put into batches together."""
+    """A case that sleeps for sleep_s seconds instead of planning; group: of cases that share batches."""
 
     sleep_s: float = 0.0
     group: str = ""
 
     @property
     def kind(self) -> tuple[str, ...]:
-        """Group of the case, which decides with which others it is put into batches."""
+        """Group of the case; only cases of one kind share a batch."""
         return (self.group,)
 
     def row(self, keep: Path | None = None) -> dict[str, Any]:
-        """Sleep, and return a row that is about as long as that of a plan."""
+        """Sleep, and return a row about as long as that of a plan; `keep` is ignored."""
         time.sleep(self.sleep_s)
         numbers = {f"number_{k}": self.seed + 0.1 * k for k in range(SLEEPER_NUMBER_COLUMNS)}
         words = {
@@ -59,7 +59,7 @@ class Sleeper(Case):
 
 
 def sleeper_study(seconds: Sequence[float], group: int = 0) -> Study:
-    """Make a study of cases that sleep for `seconds` each; group: how many of them share a kind, 0 for all."""
+    """Make a study of cases that sleep for `seconds` (n,) s; group: how many of them share a kind, 0 for all."""
     own = ("arc", "", "its own", None, "dominant", "horizon", 25)
     cases = [
         Sleeper(*own, seed=k, sleep_s=each, group=str(k // group) if group else "")
@@ -70,10 +70,11 @@ def sleeper_study(seconds: Sequence[float], group: int = 0) -> Study:
 
 @dataclass(frozen=True)
 class StudyCost:
-    """Cost of a study beside its plans.
+    """Overhead of a study beside its plans.
 
-    Process time of the client's thread and of the scheduler's, of a batch and of each of its rows; s a case before
-    the first batch is given; bytes a case of messages both ways, of its row on disk, and of memory at the client.
+    client_*, scheduler_*: processor time of that thread for a batch and for each of its rows, s. prepare_s: time
+    per case before the first batch, s. message_bytes, row_bytes, case_bytes: per case, of messages both ways, of
+    its row on disk, and of memory at the client.
     """
 
     client_batch_s: float
@@ -88,7 +89,10 @@ class StudyCost:
 
 @dataclass(frozen=True)
 class StudyScale:
-    """A study as a whole: s, bytes, and shares of its wall time; tasks: at the scheduler at once, at most."""
+    """Figures of a whole study: times, s, bytes, and shares of its wall time.
+
+    efficiency: ideal over real wall time. tasks: largest number at the scheduler at a time.
+    """
 
     wall_s: float
     efficiency: float
@@ -102,11 +106,13 @@ class StudyScale:
 
 
 def project_study(plans: int, workers: int, seconds: float, cost: StudyCost) -> StudyScale:
-    """Project a study of so many plans of so many seconds on average onto so many workers.
+    """Project the wall time and other figures of a study of so many plans on so many workers.
 
-    Workers wait for the last batch, half of one on average; client and scheduler are taken to work in turns, as on
-    one core, and whichever is slower, they or the workers, decides. What prepares the study comes before.
+    seconds: mean duration of a plan, s. cost: measured overhead. Workers wait half a batch for the last one on
+    average. Client and scheduler are taken to work in turns, as on one core; the slower of them and the workers
+    decides. Preparation comes before.
     """
+    # The first batches of each worker are small, since durations are not known yet.
     first = min(plans, FIRST_BATCH_CASES * BATCHES_PER_WORKER * workers)
     size = min(MAX_BATCH_CASES, max(1, round(target_batch_seconds(workers) / seconds)))
     batches = first / FIRST_BATCH_CASES + (plans - first) / size
@@ -128,14 +134,14 @@ def project_study(plans: int, workers: int, seconds: float, cost: StudyCost) -> 
 
 
 def measure_study_cost(batches: int = 200) -> StudyCost:
-    """Measure the cost on this machine, of so many small batches and a fifth of that in large ones, which do
-    nothing.
-    """
+    """Measure the overhead on this machine, with `batches` small ones of idle cases and a fifth as many large."""
     small = sleeper_study([0.0] * (FIRST_BATCH_CASES * batches), group=FIRST_BATCH_CASES)
     large = sleeper_study([0.0] * (MAX_BATCH_CASES * batches // 5))
     with local_client(2) as client:
         spent = [_measure_study(study, client) for study in (small, large)]
     counts = np.array([[batches, FIRST_BATCH_CASES * batches], [batches / 5, MAX_BATCH_CASES * batches / 5]])
+    # Two studies, two unknowns: time = batches c_b + rows c_r, solved for client and scheduler at once. Noise
+    # could make a small cost negative.
     per_batch, per_row = np.maximum(np.linalg.solve(counts, np.array([each[:2] for each in spent])), 0.0)
     prepare_s, case_bytes = _measure_preparation()
     cases = list(large.cases[:MAX_BATCH_CASES])
@@ -150,9 +156,10 @@ def measure_study_cost(batches: int = 200) -> StudyCost:
 
 
 def _measure_study(study: Study, client: Any) -> tuple[float, float, int]:
-    """Run a study; return process times of the client's thread and of the scheduler's, s, and bytes of rows."""
+    """Run a study; return processor times of the client's and the scheduler's thread, s, and bytes of its rows."""
     loop = client.cluster.loop
     with tempfile.TemporaryDirectory() as folder:
+        # thread_time is that of the calling thread: the scheduler's has to be read in its own event loop.
         before = time.thread_time(), _call_in_loop(loop, time.thread_time)
         run_study(study, Path(folder), client)
         after = time.thread_time(), _call_in_loop(loop, time.thread_time)
@@ -171,10 +178,11 @@ def _rows_bytes(folder: Path) -> int:
 
 
 def _measure_preparation() -> tuple[float, float]:
-    """Return the process time of making a case and its digest, s, and the bytes that it takes."""
+    """Return the processor time of making a case and its digest, s, and its memory, bytes."""
     begin = time.process_time()
     sleeper_study([0.0] * MEMORY_MEASURED_CASES)
     seconds = time.process_time() - begin
+    # Made a second time for memory, since tracing slows the code down.
     tracemalloc.start()
     kept = sleeper_study([0.0] * MEMORY_MEASURED_CASES)
     taken = tracemalloc.get_traced_memory()[0]
@@ -183,9 +191,10 @@ def _measure_preparation() -> tuple[float, float]:
 
 
 def simulate_study(seconds: Sequence[float], workers: int) -> StudyScale:
-    """Run a study of cases that sleep for `seconds` each, on a cluster of `workers` threads of this process, whose
-    messages go over loopback. Figures that cannot be measured so are nan: client, scheduler and workers share one
-    process.
+    """Run a study of cases that sleep for `seconds` (n,) s on a cluster of `workers` threads of this process.
+
+    Messages go over loopback. Client, scheduler and workers share one process, so that their shares of time and
+    their memory cannot be measured and are NaN.
     """
     begin = time.monotonic()
     tasks = [0]
@@ -214,7 +223,7 @@ def simulate_study(seconds: Sequence[float], workers: int) -> StudyScale:
 
 
 class _CountingClient:
-    """A client that counts what is given to it."""
+    """A client that counts the batches that are submitted to it."""
 
     def __init__(self, client: Any) -> None:
         self._client = client
@@ -224,7 +233,7 @@ class _CountingClient:
         return getattr(self._client, name)
 
     def submit(self, *given: Any, **options: Any) -> Any:
-        """Submit work as the client does, and count it."""
+        """Submit a batch as the client does, and count it."""
         self.batches += 1
         return self._client.submit(*given, **options)
 

@@ -1,4 +1,4 @@
-"""What a worker does with a batch of cases. Everything here runs in the worker's process."""
+"""Execution of a batch of cases on a worker. Everything here runs in the worker's process."""
 
 from __future__ import annotations
 
@@ -18,24 +18,24 @@ from ctr_nlp.studies.grid.case import Case
 from ctr_nlp.support.extras import import_extra
 
 CASE_TIMEOUT_TOPIC = "ctr_nlp-late"
-"""The topic under which a worker tells the digest of the case that takes too long, before it ends itself."""
+"""Topic under which a worker reports the digest of a case that exceeds the time limit, before it exits."""
 TIMEOUT_REPORT_S = 0.5
-"""s that a worker takes to tell it."""
+"""Time that a worker waits for this report to be sent, s."""
 MIN_TIMEOUT_POLL_S = 0.01
-"""s between two looks at whether a case takes too long, at least."""
+"""Least time between two checks of the time limit, s."""
 TIMEOUT_EXIT_STATUS = 70
-"""Exit status with which a worker ends itself."""
+"""Exit status of a worker after a case has exceeded the time limit."""
 
 BatchResult = tuple[list[dict[str, Any]], float]
-"""Result of a batch: rows, and the seconds that they took."""
+"""Result of a batch: rows, and the time that they took, s."""
 
 
 def run_batch(cases: list[Case], plans: Path | None, patience: float) -> BatchResult:
-    """Make the rows of cases. A case that takes longer than patience ends the process.
+    """Make the rows of cases; a case that exceeds the time limit ends the process.
 
-    What the cases are solved with is compiled first, for as long as that takes: interpreted functions differ from
-    compiled ones in their last bits, and so would the plans of a study that compiles and one that need not. What
-    the user has said in CTR_NLP_COMPILE counts.
+    Programs are compiled first, for as long as that takes: interpreted functions differ from compiled ones in
+    their last bits, and so would the plans of a study that compiles and one that need not. The environment
+    variable CTR_NLP_COMPILE, where it is set, is respected.
 
     Parameters
     ----------
@@ -44,20 +44,21 @@ def run_batch(cases: list[Case], plans: Path | None, patience: float) -> BatchRe
     plans : Path or None
         The folder into which plans are written, too.
     patience : float
-        Seconds that a case may take, without those for which it waits for a compiler.
+        Time limit of a case, s, without the time for which it waits for a compiler.
 
     Returns
     -------
     tuple of list of dict and float
-        The rows, and the seconds that all took, waiting not included.
+        The rows, and the time that all took, s, without waiting for a compiler.
 
     Raises
     ------
     ClusterError
-        This process has other versions than the one that made the cases.
+        Versions of software here differ from those of the process that made the cases.
     OutputError
         A plan cannot be written.
     """
+    # The digest of a pickled case is cached with it. A copy computes its own, with the versions of this process.
     if replace(cases[0]).digest != cases[0].digest:
         own = ", ".join(f"{name} {version}" for name, version in versions().items())
         raise ClusterError(f"a worker has other versions than the program that asks for the study: it has {own}")
@@ -66,6 +67,8 @@ def run_batch(cases: list[Case], plans: Path | None, patience: float) -> BatchRe
     rows = list[dict[str, Any]]()
     worker = import_extra("distributed").get_worker()
 
+    # A case may hang in C code, which no exception interrupts: the process ends. The event is sent by another
+    # thread, hence the wait. len(rows) is the number of the case at work.
     def ended() -> None:
         worker.log_event(CASE_TIMEOUT_TOPIC, cases[len(rows)].digest)
         time.sleep(TIMEOUT_REPORT_S)
@@ -78,13 +81,13 @@ def run_batch(cases: list[Case], plans: Path | None, patience: float) -> BatchRe
 
 
 def _worked_s() -> float:
-    """A clock, s, that stands still while this process waits for a compiler."""
+    """Return a monotonic time, s, that stands still while this process waits for a compiler."""
     return time.monotonic() - cache.library_wait_s()
 
 
 @contextmanager
 def _limit_time(seconds: float, on_timeout: Callable[[], None]) -> Iterator[None]:
-    """A call is made where the block takes longer, without the time for which it waits for a compiler."""
+    """Call on_timeout where the block takes longer than `seconds`, without waiting for a compiler."""
     end = _worked_s() + seconds
     left = threading.Event()
 

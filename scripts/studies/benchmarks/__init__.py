@@ -1,4 +1,4 @@
-"""How fast the library is: rows timed alone or beside another commit's, growth, peers, what is not compiled.
+"""Benchmarks of speed: single rows, comparison with another commit, growth, other solvers, uncompiled time.
 
-Times are those of the thread, or of all processes of a program, so that what else runs counts little.
+Times are processor times of the thread, or of all processes of a program, so that other programs matter little.
 """

@@ -1,4 +1,7 @@
-"""How times grow with frames, tubes, samples and the lumen: an exponent each, and their picture."""
+"""Growth of times with the number of frames, tubes and samples: an exponent p each, and a figure.
+
+The model is t = c n^p with t in s and n the size, fitted by least squares of log t = log c + p log n.
+"""
 
 from __future__ import annotations
 
@@ -25,15 +28,16 @@ GROWTH_LUMEN_FRAME_COUNTS = (50, 100, 200, 400)
 """Frames of a motion within a lumen."""
 GROWTH_TUBE_COUNTS = (2, 3, 4, 5)
 GROWTH_SAMPLE_STRIDES = (20, 10, 5, 2, 1)
-"""Between the samples of a shape at which a frame looks."""
+"""Strides in the 101 samples of a shape, of which a frame's program evaluates every so many."""
 REPEATS = 3
+"""Number of measurements of which the least counts."""
 
 
 @dataclass(frozen=True)
 class Growth:
-    """Least times (n,) s at sizes (n,), and the exponent p of the power c size^p that is nearest to them.
+    """Growth of one kind of work: sizes (n,), least times seconds (n,), and the exponent p of the fit c size^p.
 
-    error: of the exponent, its standard error.
+    what: the kind of work, in words. error: standard error of the exponent.
     """
 
     what: str
@@ -50,6 +54,7 @@ def fit_growth(what: str, sizes: Sequence[float], seconds: Sequence[float]) -> G
     basis = np.column_stack([np.ones(len(x)), x])
     (constant, exponent), *_ = np.linalg.lstsq(basis, y, rcond=None)
     rest = y - constant - exponent * x
+    # Standard error of a regression's slope: sqrt(sum r^2 / (n - 2) / sum (x - mean x)^2).
     spread = float(np.sqrt((rest**2).sum() / max(len(x) - 2, 1) / ((x - x.mean()) ** 2).sum()))
     return Growth(what, np.array(sizes, float), np.array(seconds, float), float(exponent), spread)
 
@@ -73,7 +78,10 @@ def nested_robot(count: int) -> Robot:
 
 
 def min_thread_seconds(work: Callable[[], Any], repeats: int = REPEATS) -> float:
-    """Return the least seconds of this thread that work takes."""
+    """Return the least processor time, s, that this thread takes for `work`, over a number of `repeats`.
+
+    The least, since other programs and interrupts only ever add to it.
+    """
     times = []
     for _ in range(repeats):
         begin = time.thread_time()
@@ -101,19 +109,22 @@ GROWTH_KINDS: Mapping[str, tuple[Sequence[int], Callable[[int], float]]] = {
         lambda n: _frame_seconds(table_i_robot(), 100 // (n - 1)),
     ),
 }
-"""Kinds of growth: sizes, and the seconds at a size."""
+"""Kinds of work: sizes, and a function that returns the seconds at a size."""
 
 
 def measure_growths(
     kinds: Mapping[str, tuple[Sequence[int], Callable[[int], float]]] = GROWTH_KINDS,
 ) -> Iterator[Growth]:
-    """Yield the exponent of each kind of growth."""
+    """Measure and fit each of `kinds`: name -> (sizes, function from a size to seconds); yields the fits."""
     for what, (sizes, seconds) in kinds.items():
         yield fit_growth(what, sizes, [seconds(size) for size in sizes])
 
 
 def draw_growths(found: Sequence[Growth], path: Path) -> Path:
-    """Draw times over sizes on logarithmic scales, with the powers that were fitted; raises OutputError."""
+    """Draw times over sizes on logarithmic scales, with the fitted powers.
+
+    found: the fits. path: of the picture's file, which is returned. Raises OutputError where it cannot be written.
+    """
     import matplotlib
     from matplotlib.ticker import EngFormatter, LogLocator, NullFormatter
 
@@ -124,6 +135,7 @@ def draw_growths(found: Sequence[Growth], path: Path) -> Path:
     with matplotlib.rc_context(STYLE):
         figure, grid = panels([growth.what for growth in found], 2, (3.6, 2.6))
         for axes, growth in zip(grid, found, strict=True):
+            # The factor c: a least-squares line passes through the means of both logarithms.
             centre = np.exp(np.log(growth.seconds).mean() - growth.exponent * np.log(growth.sizes).mean())
             axes.loglog(growth.sizes, growth.seconds, color=BLUE, ls="", marker="o", ms=4, label="least time")
             label = f"size to the power of {growth.exponent:.2f} ± {growth.error:.2f}"

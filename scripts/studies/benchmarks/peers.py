@@ -1,4 +1,8 @@
-"""The same frames from the same past by compiled SQP, by interpreted IPOPT and by the paper's methods."""
+"""Race of solvers on identical frames: compiled SQP, interpreted IPOPT and the paper's methods.
+
+Every solver gets the same start, parameters and bounds of each frame, from the path of compiled SQP, so that only
+the solver makes a difference.
+"""
 
 from __future__ import annotations
 
@@ -26,23 +30,23 @@ from ctr_nlp.typing import Array
 Found = TypeVar("Found", Solution, FrameResult)
 
 REFERENCE_FRAME_STRIDE = 5
-"""Stride of the frames that the methods which take much longer are given."""
+"""Stride of the frames that the paper's methods solve, which take much longer."""
 REFERENCES = ("paper-two-stage", "euclidean")
 PEER_RACE_ROUNDS = 3
-"""Times that solvers have their turn on all frames."""
+"""Number of rounds in which each solver solves all frames."""
 EVALUATIONS = 2000
-"""Evaluations over which the time of one is averaged."""
+"""Number of evaluations over which the time of one is averaged."""
 
 
 class Times:
-    """Times of one method: seconds of the thread that each frame took, and how many frames were not solved."""
+    """Times of one method: processor time of the thread for each frame, s, and the number of failed frames."""
 
     def __init__(self) -> None:
         self.seconds: list[float] = []
         self.failed = 0
 
     def time_call(self, work: Callable[..., Found], *arguments: Any) -> Found:
-        """Do the work of one frame and note what it took."""
+        """Call `work` with `arguments`, which solves one frame; record its time, and return its result."""
         begin = time.thread_time()
         found = work(*arguments)
         self.seconds.append(time.thread_time() - begin)
@@ -51,7 +55,10 @@ class Times:
 
 
 def race_solvers(problem: Problem) -> dict[str, Times]:
-    """Solve the same frames of a problem by every method in turn, each from where compiled SQP stood before it."""
+    """Solve a problem's frames by every method in turn, each from compiled SQP's solution of the frame before.
+
+    Returns the times by the method's name.
+    """
     settings = Settings()
     (stage,) = joint(problem.robot, settings, KINEMATIC_MODELS["dominant"])
     solvers: dict[str, NlpSolver] = {name: SOLVERS[name](stage.nlp) for name in ("sqp", "ipopt")}
@@ -65,12 +72,16 @@ def race_solvers(problem: Problem) -> dict[str, Times]:
     for name in REFERENCES:
         method = reference_frames(problem, name, settings)
         for number in range(REFERENCE_FRAME_STRIDE, problem.frames, REFERENCE_FRAME_STRIDE):
+            # path[j] belongs to frame j + 1 and starts at the solution of frame j.
             times[name].time_call(method.step, number, FrameResult(path[number - 1][0]))
     return times
 
 
 def _path(problem: Problem, stage: Stage, solve: NlpSolver) -> list[tuple[Array, Array, Array, Array]]:
-    """Start, parameters and bounds of the frames' NLPs after the first, each from the solution before it."""
+    """Return start, parameters, lower and upper bounds of each frame's NLP but the first.
+
+    Each starts from the solution of the frame before by `solve`, which is compiled SQP.
+    """
     settings = Settings()
     warm = None
     path: list[tuple[Array, Array, Array, Array]] = []
@@ -86,7 +97,12 @@ def _path(problem: Problem, stage: Stage, solve: NlpSolver) -> list[tuple[Array,
 
 
 def evaluation_seconds(program: Program, function: str = "slopes") -> float:
-    """Return the seconds of one evaluation of objective and constraints: values, or first derivatives too."""
+    """Return the seconds of one evaluation of a frame's objective and constraints.
+
+    program: compiled. function: "value" for values alone, "slopes" for first derivatives, too.
+    """
+    # Called as C by its address, without CasADi's wrapper, which takes longer than the function: the signature of
+    # code that CasADi generates is int f(arg, res, iw, w, mem).
     run = ctypes.CFUNCTYPE(ctypes.c_int, *[ctypes.c_void_p] * 4, ctypes.c_int)(program.functions[function])
     n = len(program.x)
     m = len(program.lower) - len(program.x)

@@ -1,4 +1,8 @@
-"""Two trees of the library beside each other: turns in the order A B B A, and what their ratios say."""
+"""Comparison of the speed of two source trees of the library.
+
+Turns of both trees alternate in blocks A B B A, in which a linear drift of the machine's speed cancels. The ratio
+of a row is the median over blocks of mean log t_B - mean log t_A, and its interval is that of the sign test.
+"""
 
 from __future__ import annotations
 
@@ -22,22 +26,25 @@ from ctr_nlp.typing import Array
 
 BENCHMARK_SCRIPT = Path(__file__).with_name("work.py")
 ROW_SIGNIFICANCE_LEVEL = 0.02
-"""Part of unchanged rows whose interval may lie beside the true ratio."""
+"""Probability that the interval of a row misses the true ratio."""
 MAX_RELATIVE_TIME_CHANGE = 0.15
-"""Part by which a row may differ before anything is said."""
+"""Relative change of a row's time below which it counts as unchanged."""
 MIN_BENCHMARK_TURN_S = 0.05
-"""Least seconds of a turn: rows of small pieces are repeated for so long."""
+"""Least duration of a turn, s; shorter rows are repeated."""
 LEAST_BLOCKS = 7
-"""Fewer blocks cannot tell a change at ROW_SIGNIFICANCE_LEVEL."""
+"""Least number of blocks at which the sign test can reach ROW_SIGNIFICANCE_LEVEL: 2 / 2^7 < 0.02."""
 
 
 class Worker:
-    """A process that repeats one row of work.py for a tree; for a with block. Raises BenchmarkError."""
+    """A process that repeats one row of work.py for a source tree; used in a with block. Raises BenchmarkError."""
 
     def __init__(self, tree: Path, row: str, libraries: Path | None = None) -> None:
-        """Start the process. tree: a checkout. libraries: where what it compiles is kept; the user's own cache
-        where None.
+        """Start the process.
+
+        tree: a checkout. row: of work.BENCHMARK_ROWS. libraries: folder of compiled code; None for the user's own
+        cache.
         """
+        # Compiled before the first turn, and one thread of linear algebra: both would be measured otherwise.
         given = {
             "PYTHONPATH": str(tree),
             cache.COMPILE_VARIABLE: "now",
@@ -73,7 +80,7 @@ class Worker:
         self._process.communicate()
 
     def turns(self, count: int, factor: float = 1.0) -> list[list[float]]:
-        """Return the seconds of each piece of the row's work, over `count` turns; factor: see work.timer."""
+        """Return the seconds of each piece of the row's work in each of `count` turns; factor: see work.timer."""
         assert self._process.stdin is not None
         self._process.stdin.write(json.dumps([count, factor]) + "\n")
         self._process.stdin.flush()
@@ -91,8 +98,10 @@ class Worker:
 
 @dataclass(frozen=True)
 class RowComparison:
-    """Comparison of a row between two trees: medians before and after, s, and the ratio after / before with its
-    interval.
+    """Comparison of a row between two trees.
+
+    before, after: median times, s. ratio: after / before, with its interval from low to high. tolerance: relative
+    change that counts as none.
     """
 
     row: str
@@ -105,7 +114,7 @@ class RowComparison:
 
     @property
     def verdict(self) -> str:
-        """`slower` or `faster` where the whole interval is beyond the tolerance, else `same`."""
+        """Verdict: "slower" or "faster" where the whole interval is beyond the tolerance, else "same"."""
         if self.low > 1 + self.tolerance:
             return "slower"
         return "faster" if self.high < 1 / (1 + self.tolerance) else "same"
@@ -119,8 +128,10 @@ def compare_row(
     tolerance: float = MAX_RELATIVE_TIME_CHANGE,
     factor: float = 1.0,
 ) -> RowComparison:
-    """Compare a row in blocks of turns before, after, after, before, every second block in opposite order;
-    `factor` slows the later tree down on purpose.
+    """Compare a row in blocks of turns before, after, after, before; every second block in opposite order.
+
+    before, after: processes of the two trees. blocks: number of blocks. tolerance: relative change that counts as
+    none. factor: by which the later tree is slowed down on purpose, to test the benchmark.
     """
     count = turns_for_min_duration(before)
     times: dict[bool, list[float]] = {False: [], True: []}
@@ -144,7 +155,7 @@ def mean_of_least_times(turns: Sequence[Sequence[float]]) -> float:
 
 
 def turns_for_min_duration(worker: Worker) -> int:
-    """Return how many turns take about MIN_BENCHMARK_TURN_S seconds."""
+    """Return how many turns of `worker` take about MIN_BENCHMARK_TURN_S seconds; at least 1."""
     begin = time.perf_counter()
     worker.turns(1)
     return max(1, math.ceil(MIN_BENCHMARK_TURN_S / (time.perf_counter() - begin)))
@@ -153,12 +164,15 @@ def turns_for_min_duration(worker: Worker) -> int:
 def median_confidence_interval(
     values: Sequence[float], level: float = ROW_SIGNIFICANCE_LEVEL
 ) -> tuple[float, float]:
-    """Return an interval for the median of the distribution of values (n,), by the sign test.
+    """Return a confidence interval for the median of the distribution of values (n,), by the sign test.
 
-    Nothing is assumed of how they are distributed. Raises BenchmarkError where there are too few of them.
+    level: probability that it misses the median. No distribution is assumed. Raises BenchmarkError where there are
+    too few values.
     """
     n = len(values)
     ordered = sorted(values)
+    # The number of values below the median is binomial (n, 1/2). The interval from the rank-th smallest to the
+    # rank-th largest misses it with probability 2 P(B <= rank - 1).
     tails = np.cumsum([math.comb(n, k) for k in range(n + 1)]) / 2.0**n
     rank = int((tails <= level / 2).sum())
     if rank < 1:
@@ -167,7 +181,7 @@ def median_confidence_interval(
 
 
 def measure_row(worker: Worker, seconds: float, least: int = 5) -> Array:
-    """Return times (n,) in s of a row's pieces, over at least `least` turns and `seconds`."""
+    """Return times (n,) in s of the pieces of a worker's row, over at least `least` turns and `seconds` s."""
     found: list[float] = []
     begin = time.perf_counter()
     turns = 0
@@ -185,7 +199,12 @@ def compare_trees(
     tolerance: float,
     report: Callable[[RowComparison], None] = lambda _: None,
 ) -> list[RowComparison]:
-    """Compare every row between two trees, before and after; `report` is called with each result."""
+    """Compare every row between two trees.
+
+    rows: names, of work.BENCHMARK_ROWS. trees: checkouts before and after. libraries: folders of compiled code,
+    see Worker. blocks: number of blocks of each row. tolerance: relative change that counts as none. report:
+    called with each result.
+    """
     found = []
     for row in rows:
         with Worker(trees[0], row, libraries[0]) as before, Worker(trees[1], row, libraries[1]) as after:

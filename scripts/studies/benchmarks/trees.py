@@ -1,4 +1,4 @@
-"""Another commit of this repository, checked out beside it for as long as it is needed."""
+"""Temporary checkout of another commit of this repository."""
 
 from __future__ import annotations
 
@@ -16,7 +16,8 @@ ROOT = Path(__file__).resolve().parents[3]
 
 @contextmanager
 def tree_of(commit: str) -> Iterator[Path]:
-    """A work tree of a commit in a temporary folder, which goes afterwards; raises BenchmarkError."""
+    """Yield a work tree of a commit in a temporary folder, which is removed afterwards; raises BenchmarkError."""
+    # --end-of-options: a commit that begins with a dash is not taken for an option of git.
     name = _git("rev-parse", "--verify", "--quiet", "--end-of-options", f"{commit}^{{commit}}", of=commit)
     with tempfile.TemporaryDirectory(prefix="ctr_nlp-") as folder:
         tree = Path(folder) / "tree"

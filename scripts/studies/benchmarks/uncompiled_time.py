@@ -1,4 +1,7 @@
-"""Shares of time that are spent outside compiled code: in Python and numpy, around calls of C."""
+"""Share of time outside compiled code: in Python and numpy, around calls of C.
+
+The whole is timed without the profiler, which slows Python down, and the compiled part with it.
+"""
 
 from __future__ import annotations
 
@@ -14,13 +17,13 @@ from ctr_nlp.planning import Steerer, solve_horizon, solve_per_frame
 from ctr_nlp.typing import Array
 
 CALLERS = (("codegen/batch_evaluator.py", "__call__"), ("frame/run.py", "__call__"), ("motion/loop.py", "iterate"))
-"""Functions whose own time is that of the C or of the LAPACK that they call."""
+"""Functions (end of the file's path, name) whose own time is that of the C code that they call."""
 COMPILED = "casadi", "lapack", "scipy.linalg"
-"""Words in the names of functions that are not Python."""
+"""Words in the names of built-in functions that count as compiled."""
 
 
 def compiled_seconds(work: Callable[[], Any]) -> float:
-    """Return the seconds of the thread within compiled code while work is done: the own time of what calls it."""
+    """Return the processor time, s, of `work` in compiled code: the own time of functions that call it."""
     profile = cProfile.Profile(time.thread_time)
     profile.runcall(work)
     entries: dict[tuple[str, int, str], Any] = pstats.Stats(profile).stats  # type: ignore[attr-defined]
@@ -28,6 +31,7 @@ def compiled_seconds(work: Callable[[], Any]) -> float:
 
 
 def _is_compiled(file: str, line: int, name: str) -> bool:
+    # The profiler files built-in functions under "~".
     if file == "~":
         return any(word in name for word in COMPILED)
     path = file.replace("\\", "/")
@@ -35,14 +39,14 @@ def _is_compiled(file: str, line: int, name: str) -> bool:
 
 
 def uncompiled_share(work: Callable[[], Any], repeats: int = 5) -> float:
-    """Return the part of work's time that is spent outside compiled code, from the least times over repeats."""
+    """Return the share of work's time outside compiled code, from the least times over a number of repeats."""
     whole = min_thread_seconds(work, repeats)
     within = min(compiled_seconds(work) for _ in range(repeats))
     return max(0.0, 1 - within / whole)
 
 
 def measure_uncompiled_shares() -> dict[str, float]:
-    """Return the parts of time outside compiled code, of steps along cos on both models and of its horizon."""
+    """Return the shares of time outside compiled code: of steps along cos on both models, and of its horizon."""
     problem = named_problem("cos")
     found = {}
     for model in ("dominant", "elastic"):

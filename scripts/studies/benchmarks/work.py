@@ -1,7 +1,8 @@
 """One row of the benchmark in a process of its own, for whichever tree of the library is on its path.
 
-It is run as a file, with the name of a row, and imports only what every tree to be compared has. Once it is ready
-it says so; then each line that it reads, a number of turns and a factor, is answered with as many lists of times.
+It is run as a file, with the name of a row, and imports only what every tree to be compared has: the
+same file serves all trees. It writes a line of JSON when it is ready. Each line that it reads, a number of turns
+and a factor, is answered with a line of as many lists of times.
 """
 
 from __future__ import annotations
@@ -21,11 +22,11 @@ import numpy as np
 WorkTimer = Callable[[Callable[[], Any]], float]
 """A function that calls another one and returns the seconds that it took."""
 TurnFunction = Callable[[WorkTimer], list[float]]
-"""One turn of a row: seconds of each piece of its work."""
+"""A function that does one turn of a row and returns the seconds of each piece of its work."""
 BENCHMARK_BATCH_SIZE = 1000
-"""Configurations whose elastic shapes are found in one call."""
+"""Number of configurations whose elastic shapes are computed in one call."""
 BENCHMARK_FORCE_N, BENCHMARK_MODULUS_MPA = 0.1, 60_000.0
-"""N across the robot, and MPa, where it bears a load."""
+"""Tip force across the robot, N, and Young's modulus, MPa, in rows with a load."""
 
 
 def _problem(name: str, frames: int = 100) -> Any:
@@ -35,7 +36,7 @@ def _problem(name: str, frames: int = 100) -> Any:
 
 
 def _loaded_problem(problem: Any) -> tuple[Any, Any]:
-    """A problem whose robot has a modulus, and the model on which it bears a force."""
+    """Return the problem with a Young's modulus for its robot, and the model that applies the tip force."""
     from ctr_nlp.models.loaded.model import Loaded
     from ctr_nlp.models.loads import Load, with_modulus
 
@@ -44,7 +45,10 @@ def _loaded_problem(problem: Any) -> tuple[Any, Any]:
 
 
 def step(model: str, loaded: bool = False) -> TurnFunction:
-    """Steerer.step for each frame's target of cos, there and back."""
+    """Make the row of Steerer.step, for each frame's target of cos, forward and back.
+
+    model: name of the kinematic model. loaded: whether a force acts on the tip, on the model with loads.
+    """
     from ctr_nlp.planning import Steerer, solve_per_frame
 
     problem, model = _loaded_problem(_problem("cos")) if loaded else (_problem("cos"), model)
@@ -56,7 +60,10 @@ def step(model: str, loaded: bool = False) -> TurnFunction:
 
 
 def march(name: str, model: str = "dominant") -> TurnFunction:
-    """A frame of solve_per_frame: all frames of a problem from a known start, over their number."""
+    """Make the row of solve_per_frame: the time of all frames from a known start, over their number.
+
+    name: of the problem. model: name of the kinematic model.
+    """
     from ctr_nlp.planning import solve_per_frame
 
     problem = _problem(name)
@@ -67,7 +74,7 @@ def march(name: str, model: str = "dominant") -> TurnFunction:
 
 
 def _poses(robot: Any) -> Any:
-    """Random configurations (BENCHMARK_BATCH_SIZE, 2d + 2) of a robot that is not tilted."""
+    """Sample configurations (BENCHMARK_BATCH_SIZE, 2d + 2) of a robot without tilt."""
     d = robot.d
     unit = np.random.default_rng(0).random((BENCHMARK_BATCH_SIZE, len(robot.lower)))
     beta = np.sort(unit[:, d : 2 * d], axis=1) * robot.upper[d : 2 * d]
@@ -75,7 +82,10 @@ def _poses(robot: Any) -> Any:
 
 
 def shape(count: int) -> TurnFunction:
-    """Elastic shapes with margins on the way through random configurations, count in a call; the time of one."""
+    """Make the row of elastic shapes with margins along a motion through random configurations.
+
+    count: configurations in a call. The time is that of one.
+    """
     from ctr_nlp.plan.simulation import simulate_motion
     from ctr_nlp.robot import table_i_robot
 
@@ -86,8 +96,9 @@ def shape(count: int) -> TurnFunction:
 
 
 def rest() -> TurnFunction:
-    """Elastic shapes with margins at rest at random configurations, BENCHMARK_BATCH_SIZE in a call; the time of
-    one.
+    """Make the row of elastic shapes with margins at rest, BENCHMARK_BATCH_SIZE configurations in a call.
+
+    The time is that of one.
     """
     from ctr_nlp.models import model_named
     from ctr_nlp.paths.target import SIGMA_GRID
@@ -100,7 +111,11 @@ def rest() -> TurnFunction:
 
 
 def horizon(*names: str, model: str = "dominant", frames: int = 100, loaded: bool = False) -> TurnFunction:
-    """solve_horizon with all that belongs to it."""
+    """Make the row of solve_horizon, including its start motions.
+
+    names: of the problems. model: name of the kinematic model. frames: number of frames. loaded: whether a force
+    acts on the tip.
+    """
     from ctr_nlp.planning import solve_horizon
 
     problems = [_problem(name, frames) for name in names]
@@ -109,13 +124,17 @@ def horizon(*names: str, model: str = "dominant", frames: int = 100, loaded: boo
 
 
 def program(*options: str) -> TurnFunction:
-    """`ctr-nlp plan arc` as a process, with what it starts; options that a tree does not have are left out."""
+    """Make the row of `ctr-nlp plan arc` as a process, including the processes that it starts.
+
+    options: of the command line; those that a tree does not have are left out.
+    """
     folder = tempfile.TemporaryDirectory()
     plan = [sys.executable, "-m", "ctr_nlp", "plan"]
     told = subprocess.run([*plan, "--help"], capture_output=True, text=True, check=True).stdout
     command = [*plan, "arc", "--out", f"{folder.name}/out", *(option for option in options if option in told)]
 
     def run(timed: WorkTimer) -> list[float]:
+        # Processor time of the children, since the work is not in this thread.
         before = os.times()
         done = subprocess.run(
             command, cwd=folder.name, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True
@@ -147,11 +166,14 @@ BENCHMARK_ROWS: dict[str, Callable[[], TurnFunction]] = {
     "program": lambda: program("--model", "dominant", "--no-figures"),
     "program-figures": lambda: program("--model", "dominant"),
 }
-"""What is timed: by the name of its row, what makes it."""
+"""The rows: name -> function that prepares the row and returns its turn."""
 
 
 def timer(factor: float) -> WorkTimer:
-    """Seconds of the thread; a factor above 1 makes all work take so many times as long, to try the benchmark."""
+    """Return a timer that measures processor time of the thread, s.
+
+    factor: above 1, all work is made to take so many times as long, to test that the benchmark notices.
+    """
 
     def timed(work: Callable[[], Any]) -> float:
         begin = time.thread_time()
@@ -166,8 +188,9 @@ def timer(factor: float) -> WorkTimer:
 
 
 def serve_row(row: str, lines: Iterator[str]) -> Iterator[str]:
-    """Answers to lines, after a first one that says that the row is ready; each a line of JSON."""
+    """Yield a line of JSON when the row is ready, and then the answer to each of `lines`."""
     work = BENCHMARK_ROWS[row]()
+    # One turn that does not count: it fills caches and loads what is imported late.
     work(timer(1.0))
     yield json.dumps("ready")
     for line in lines:

@@ -1,1 +1,1 @@
-"""What a network that was trained for a robot is worth on shapes that it has not seen, and its learning curve."""
+"""Errors of a trained network on held-out shapes, and its learning curve."""

@@ -1,4 +1,4 @@
-"""Errors of a trained network on shapes that it has not seen."""
+"""Errors of a trained network on shapes that were not trained on."""
 
 from __future__ import annotations
 
@@ -15,8 +15,11 @@ from ctr_nlp.typing import Array
 
 
 class NetworkErrors(NamedTuple):
-    """Results on n shapes that were asked for: root mean square and tip distances (n,) mm of the robot that stands
-    at the answers, the shapes' lengths (n,) mm, and which answers (n,) had kept the limits unprojected.
+    """Errors of a network on n shapes.
+
+    rms, tip: (n,), root mean square and tip distance of the robot at the predicted configurations, mm. length:
+    (n,) of the shapes, mm. unprojected_within_limits: (n,), whether the predictions needed no clipping to the
+    limits.
     """
 
     rms: Array
@@ -28,13 +31,14 @@ class NetworkErrors(NamedTuple):
 def evaluate_network(
     network: InverseKinematicsNetwork, robot: Robot, model: Model, unknowns: Array
 ) -> NetworkErrors:
-    """Measure how well a network gives back the shapes of unknowns `unknowns` (n, 2d + 2), which have no tilt.
+    """Measure how well a network reproduces known shapes of a robot on a model.
 
-    Robots come to rest at its answers without a history.
+    unknowns: (n, 2d + 2), at which the shapes are; they must have no tilt.
     """
     targets = model.points(robot, unknowns, SIGMA_GRID)
     straight = np.zeros(2 * robot.d + 2)
     answers = [predict_configuration(network, robot, model, target, straight) for target in targets]
+    # Judged by where the robot comes to rest at q, without a history: that may be another equilibrium than x.
     found = model.rest_states(robot, np.array([each.q for each in answers]), SIGMA_GRID)
     distance = np.linalg.norm(found.points - targets, axis=2)
     return NetworkErrors(

@@ -1,4 +1,4 @@
-"""The learning curve as a picture, apart from the numbers, which need no matplotlib."""
+"""Figure of the learning curve; in a file of its own, since the numbers need no matplotlib."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from ctr_nlp.view.figures.parts.palette import BLUE, VERMILLION
 
 @rc_context(STYLE)
 def learning_curve(network: InverseKinematicsNetwork) -> Figure:
-    """The error over steps of training, on what is trained and on what is not."""
+    """Draw the error over the training steps of `network`, on training batches and on held-out shapes, in mm."""
     figure = Figure(figsize=(7.0, 4.2), layout="constrained")
     axes = figure.subplots()
     step, trained, held = network.curve.T

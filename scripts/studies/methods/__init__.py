@@ -1,1 +1,1 @@
-"""Methods beside each other, ours and others': what is measured of their plans, and the page that shows it."""
+"""Comparison of all methods, ours and published ones: figures of their plans, and the page that shows them."""

@@ -1,4 +1,4 @@
-"""Many plans side by side: every variant on every problem, from one run."""
+"""Comparison of planning methods: every variant on every problem, in one run."""
 
 from __future__ import annotations
 
@@ -29,28 +29,28 @@ from ctr_nlp.typing import Array
 from methods.rrt_connect import rrt_connect
 
 OBJECTIVE_AGREEMENT_TOLERANCES = 1e-4, 1e-6
-"""Two objectives are the same where they differ by this part, or by so many mm^2."""
+"""Relative and absolute (mm^2) difference up to which two objectives count as equal."""
 ACTIVE_LIMIT_TOLERANCE, INACTIVE_LIMIT_DISTANCE = 1e-5, 1e-2
-"""A limit is touched within the first and missed by more than the second, rad or mm."""
+"""A limit is active within the first distance and inactive beyond the second, rad or mm."""
 
 
 VARIANTS = (
     *SOLVER_VARIANTS,
     *(name for name, method in REFERENCE_METHODS.items() if method.serves_every_problem),
 )
-"""Every variant on the dominant model, and the reference methods that serve every problem."""
+"""Every variant on the dominant model, and the reference methods that apply to every problem."""
 ROBUST_VARIANTS: Mapping[str, Callable[..., Plan]] = {
     "robust-horizon": solve_robust,
     "robust-joint": solve_robust_per_frame,
 }
-"""Variants that plan for the robot's tolerances, on the elastic model; they take long: by name only."""
+"""Variants that plan for the robot's tolerances, on the elastic model; by name only, since they take long."""
 LUMEN_PATH_VARIANTS: Mapping[str, Callable[..., Plan]] = {"rrt-connect": rrt_connect}
-"""Methods that lead through a lumen to the last frame, whatever lies between; by name only."""
+"""Methods that find a path through a lumen to the pose of the last frame and ignore the others; by name only."""
 WARM_STARTED_VARIANTS: Mapping[str, str] = {
     "s2j-horizon": "s2j-projected",
     "s2j-horizon-elastic": "s2j-projected-elastic",
 }
-"""Our own horizons that start from nothing but the motion of a trained method; by name only, as these are."""
+"""Our horizons with the motion of a trained method as their only initial guess; by name only, as these are."""
 VARIANTS_BY_NAME_ONLY = (
     *ROBUST_VARIANTS,
     *(name for name, method in REFERENCE_METHODS.items() if not method.serves_every_problem),
@@ -61,8 +61,9 @@ VARIANTS_BY_NAME_ONLY = (
 
 
 def available_variants() -> list[str]:
-    """Return the variants that work here: without a C compiler, IPOPT's and the reference methods; also on the
-    elastic model.
+    """Return the names of the variants that work on this machine, including two on the elastic model.
+
+    Without a C compiler these are IPOPT's and the reference methods.
     """
     compiled = {"banded", "sqp"} if cache.unavailable_reason() else set()
     elastic = f"horizon:{default_chain_solver()}:elastic", f"joint:{default_solver()}:elastic"
@@ -70,9 +71,9 @@ def available_variants() -> list[str]:
 
 
 def parse_variant(name: str) -> Variant:
-    """Return the variant of a name; raises OptionError with the valid ones.
+    """Return the variant called `name`; raises OptionError, which lists the valid names.
 
-    Reference methods go forward, as published; frame formulations in the better direction.
+    Reference methods solve frames forward, as published; frame formulations in the better direction.
     """
 
     def reference(problem: Problem, settings: Settings, _: Sequence[Array], progress: Progress | None) -> Plan:
@@ -106,7 +107,7 @@ def parse_variant(name: str) -> Variant:
 
 
 class Refusal(NamedTuple):
-    """A variant that does not serve a problem, and why, in one line."""
+    """A variant that does not apply to a problem, and why, in one line."""
 
     problem: str
     variant: str
@@ -114,10 +115,10 @@ class Refusal(NamedTuple):
 
 
 class Comparison(NamedTuple):
-    """Results of variants on problems. rows: one a problem and variant that serves it. refusals: one a problem and
-    variant that does not.
+    """Results of variants on problems.
 
-    agreements: one a problem on which several solvers solved the horizon.
+    rows: one for each problem and variant that applies to it. refusals: one for each that does not. agreements:
+    one for each problem and further solver where several solved the horizon.
     """
 
     rows: list[dict[str, Any]]
@@ -132,11 +133,13 @@ def compare(
     progress: Callable[[str, str], Progress] | None = None,
     measure: Callable[[str, str, Plan], dict[str, Any]] | None = None,
 ) -> Comparison:
-    """Solve every problem by every variant, one at a time. All horizons of a problem start from the same motions.
+    """Solve every problem by every variant, one at a time; all horizons of a problem start from the same motions.
 
-    progress: (problem, variant) -> what is told how many frames are done. measure: (problem, variant, plan) -> a
-    row, `row` by default. Ctrl-C leaves the rows that were begun. A variant that does not serve a problem is a
-    refusal; the first one is raised where none serves any.
+    problems, variants: what is solved, and how. settings: of all variants; by default without walls and arrival,
+    which the paper's methods do not know. progress: (problem, variant) -> callback for the frames of that plan.
+    measure: (problem, variant, plan) -> a row; `comparison_row` by default. After Ctrl-C the rows so far are
+    returned. A variant that does not apply to a problem is a refusal; OptionError is raised where none applies to
+    any.
     """
     chosen = settings or Settings(contact_weight=0.0, arrival_weight=0.0)
     measure = measure or comparison_row
@@ -150,6 +153,7 @@ def compare(
                 ours = variant.formulation == "horizon" and variant.model == PAPER_MODEL
                 try:
                     model_named(variant.model, f"model of variant {variant.name}").check(problem.robot)
+                    # Once for all horizon solvers: with equal starts, they should find the same solution.
                     if ours and not initial:
                         initial = per_frame_motions(
                             problem, EndConfigurations(), chosen, report, KINEMATIC_MODELS[PAPER_MODEL]
@@ -169,8 +173,10 @@ def compare(
 
 
 def agreement(problem: Problem, first: Plan, second: Plan) -> dict[str, Any]:
-    """Tell whether two horizons of a problem are one solution: objectives within OBJECTIVE_AGREEMENT_TOLERANCES,
-    the same active limits.
+    """Compare two horizon plans of a problem, and return a row that says whether they are the same solution.
+
+    first, second: plans by different solvers. They agree where objectives are within
+    OBJECTIVE_AGREEMENT_TOLERANCES and the same limits are active.
     """
     robot = problem.robot
     weight = first.meta["options"]["motion_weight"]
@@ -182,6 +188,7 @@ def agreement(problem: Problem, first: Plan, second: Plan) -> dict[str, Any]:
     values = [chain.evaluate(plan.q.ravel())[1] for plan in (first, second)]
     low, high = chain.bounds
     one, other = (np.minimum(value - low, high - value) for value in values)  # from the nearer bound, rad or mm
+    # Limits between the two distances count for neither: solvers stop at different distances from active limits.
     differing = int(
         (
             ((one < ACTIVE_LIMIT_TOLERANCE) & (other > INACTIVE_LIMIT_DISTANCE))
@@ -207,14 +214,14 @@ def agreement(problem: Problem, first: Plan, second: Plan) -> dict[str, Any]:
 
 
 def comparison_row(problem: str, variant: str, plan: Plan) -> dict[str, Any]:
-    """Return the figures of a plan: errors in mm, steps in rad and mm, times in ms and s.
+    """Return the figures of a plan as a row: errors in mm, steps in rad and mm, times in ms and s.
 
-    seed_*: Table II's figures for the same method. e3 and others are of the model planned on; dominant_*,
-    elastic_* of the same motion on both, None where the robot's tubes are balanced and the dominant model does not
-    describe it; *_no the verdicts there that are no. verdict_*: words of the verdicts on the elastic model and
-    over samples of the robot's tolerances, whatever model the plan was made on; no: those that are no; tip_last:
-    mm by which the tip misses the target's end there. draws_e3, draws_lost: mean of e3 over these samples, and the
-    share of them that is lost.
+    problem, variant: names, for the row. seed_*: the paper's Table II for the same method. e3 and others are of
+    the model planned on; dominant_*, elastic_* of the same motion on both, None where the robot's tubes are
+    balanced and the dominant model does not describe it; *_no the verdicts there that are no. verdict_*: words of
+    the verdicts on the elastic model and over samples of the robot's tolerances, whatever model the plan was made
+    on; no: those that are no; tip_last: distance of the tip from the target's end there, mm. draws, draws_e3,
+    draws_lost: number of these samples, mean of e3 over them, and the share of them that fails.
     """
     checked = _check_on_samples(plan)
     end = arrival(checked)
@@ -265,5 +272,5 @@ def comparison_row(problem: str, variant: str, plan: Plan) -> dict[str, Any]:
 
 
 def _check_on_samples(plan: Plan) -> Plan:
-    """Return a plan as it is judged: on the elastic model, with simulated robots."""
+    """Return a plan evaluated on the elastic model, with sampled robots; as it is, where it has been already."""
     return plan if plan.drawn is not None and plan.can_snap else plan.check()

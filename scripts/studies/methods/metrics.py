@@ -1,4 +1,4 @@
-"""What is measured of every method's plan alike: on the elastic model, and over draws of its robot."""
+"""Figures of every method's plan, measured alike: on the elastic model, and over samples of its robot."""
 
 from __future__ import annotations
 
@@ -16,24 +16,25 @@ from ctr_nlp.typing import Array
 from methods.comparison import LUMEN_PATH_VARIANTS, ROBUST_VARIANTS, WARM_STARTED_VARIANTS, available_variants
 
 ERROR_KEYS_ON_BOTH_MODELS = "e3", "e_max", "tip_max"
-"""Keys of errors in mm that are told on the model planned on and on the elastic one."""
+"""Keys of errors in mm that are reported on the model planned on and on the elastic one."""
 
 
 def every_method() -> list[str]:
-    """Each method once: ours by the solvers that are taken by default, robust ones, and all those of others."""
+    """Return the name of each method once: ours with default solvers, robust ones, and reference methods."""
     solvers = {default_chain_solver(), default_solver()}
     ours = [name for name in available_variants() if ":" in name and name.split(":")[1] in solvers]
     return [*ours, *ROBUST_VARIANTS, *REFERENCE_METHODS, *LUMEN_PATH_VARIANTS, *WARM_STARTED_VARIANTS]
 
 
 def measure_plan(problem: str, variant: str, plan: Plan, samples: int = DEFAULT_PLAN_SAMPLES) -> dict[str, Any]:
-    """Errors in mm, times in ms; planned_*: on the model planned on, all else of the motion on the elastic one.
+    """Measure a plan, and return the figures as a row: errors in mm, times in ms.
 
-    own_path: how far the robot is off its own last shape at most, mm, which follow-the-leader motion keeps at 0.
-    depth: the deepest contact with the wall, mm, None where no wall is known. lost: the share of draws of the
-    robot, within its tolerances, that snap or end on another branch; draws_e3: the mean of e3 over them; both are
-    None where no frame has a shape. frame_ms: search and solution divided by frames, without the construction of
-    programs.
+    problem, variant: names, for the row. plan: any method's. samples: number of sampled robots. planned_*: on the
+    model planned on; all else is of the motion on the elastic model. own_path: largest distance of the robot from
+    its own last shape, which is 0 in follow-the-leader motion. depth: deepest contact with the wall, None where no
+    wall is known. lost: share of the sampled robots that snap or end on another branch; draws_e3: mean of e3 over
+    them; both are None where no frame has a shape. frame_ms: time of search and solution divided by frames,
+    without the construction of programs.
     """
     moved = plan.check(samples)
     planned = summary(plan)

@@ -1,4 +1,4 @@
-"""The page that shows every method on every problem: an overview, and a table a problem."""
+"""Page of Markdown with every method on every problem: an overview, and a table for each problem."""
 
 from __future__ import annotations
 
@@ -25,11 +25,14 @@ OUR_VARIANT_PREFIXES: Mapping[str, Callable[..., Any]] = {
     **FORMULATIONS,
     **ROBUST_VARIANTS,
 }
-"""Our own methods by the beginnings of their names."""
+"""Our own methods: the part of their name before a colon, and the function that implements it."""
 
 
 class Column(NamedTuple):
-    """A number of a row, the less the better; planned: the key of the same on the model planned on."""
+    """A column of the tables, in which less is better.
+
+    title: of the column. key: of a row. show: writes the value. planned: key of the value on the model planned on.
+    """
 
     title: str
     key: str
@@ -93,7 +96,7 @@ machine to machine and with what else runs there.
 
 
 def page(found: Comparison, command: str) -> str:
-    """Write the page, without methods that were interrupted; `command` is the one that makes it."""
+    """Write the page from the results `found`, without interrupted ones; `command`: which makes the page."""
     found = found._replace(rows=[row for row in found.rows if not row["interrupted"]])
     asked = [(row["problem"], row["variant"]) for row in found.rows]
     asked += [(refusal.problem, refusal.variant) for refusal in found.refusals]
@@ -110,8 +113,9 @@ def page(found: Comparison, command: str) -> str:
 
 
 def table(found: Comparison, problem: str) -> str:
-    """Write the table of a problem, a row a method, and a line for each method that does not serve it, with the
-    reason.
+    """Write the table of a problem from the results `found`, a row for each method.
+
+    Below it stands a line for each method that does not apply to the problem, with the reason.
     """
     rows = [row for row in found.rows if row["problem"] == problem]
     body = [
@@ -123,17 +127,21 @@ def table(found: Comparison, problem: str) -> str:
 
 
 def method_description(kind: str) -> str:
-    """Return the first line of the file that implements a method; empty where the method is in no registry."""
+    """Return the first line of the docstring of the file that implements a method.
+
+    kind: the method's name before a colon. Empty where no registry has it.
+    """
     others = {**LUMEN_PATH_VARIANTS, **{name: reference.method for name, reference in REFERENCE_METHODS.items()}}
     made = {**OUR_VARIANT_PREFIXES, **others}.get(kind)
     if made is None:
         return ""
-    file = sys.modules[getattr(made, "func", made).__module__]  # a part of a function is as its whole
+    # docs/comparison.md is made of these lines: a method's file must open with a line that can be read alone.
+    file = sys.modules[getattr(made, "func", made).__module__]  # functools.partial is in functools
     return (file.__doc__ or "").partition("\n")[0]
 
 
 def machine() -> str:
-    """Return the number of cores and the kind of the processor, without the machine's name."""
+    """Describe the machine: number of cores and kind of the processor, without its name."""
     try:
         lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
     except OSError:
@@ -147,7 +155,7 @@ def _titles() -> list[str]:
 
 
 def _overview(found: Comparison, problems: Sequence[str], column: Column) -> str:
-    """Write the table of a number, with a row a method and a column a problem; empty where it was refused."""
+    """Write the table of one number, a row for each method and a column for each problem; empty where refused."""
     known = {(row["variant"], row["problem"]): row for row in found.rows}
     columns = {problem: [row for row in found.rows if row["problem"] == problem] for problem in problems}
     alone = column._replace(planned=None)
@@ -171,7 +179,10 @@ def _cell(row: Row, rows: Sequence[Row], column: Column) -> str:
 
 
 def _is_best(row: Row, rows: Sequence[Row], key: str) -> bool:
-    """Whether no other method has less, or none of ours has as little; of those that solved all frames."""
+    """Return whether a value is printed in bold: the least of all methods, or less than the least of ours.
+
+    Only methods that solved all frames count: one that gives up on hard frames has small errors on the others.
+    """
     whole = [each for each in rows if each["solved"] == each["frames"] and each[key] is not None]
     least = min((each[key] for each in whole), default=math.inf)
     ours = min((each[key] for each in whole if _is_ours(each["variant"])), default=math.inf)

@@ -1,11 +1,11 @@
 """Sampling-based planning within a lumen: RRT-Connect on the elastic model, by the library OMPL.
 
 Kuffner, LaValle, RRT-Connect: An Efficient Approach to Single-Query Path Planning, ICRA 2000; Sucan, Moll,
-Kavraki, The Open Motion Planning Library, IEEE Robotics & Automation Magazine 19(4), 2012. The trees grow in the
-unknowns of the model, of which each is an equilibrium: a path along which the margin is held is one that the robot
-really takes. Valid is what keeps the limits and the margin and is nowhere further beyond the wall than is allowed.
-The path leads from an answer for the target's first frame to one for its last, and is made shorter afterwards; it
-knows nothing of the frames between.
+Kavraki, The Open Motion Planning Library, IEEE Robotics & Automation Magazine 19(4), 2012. Two trees grow, from
+start and goal, in the unknowns x of the model, of which each is an equilibrium: the robot can really execute a
+path along which the stability margin is positive. A state is valid where it satisfies the limits and the margin,
+and is nowhere further beyond the wall than allowed. The path leads from a solution of the target's first frame to
+one of its last, and is shortened afterwards; frames between are ignored.
 """
 
 from __future__ import annotations
@@ -31,23 +31,35 @@ from ctr_nlp.support.value_checks import floats, number
 from ctr_nlp.typing import Array
 
 RRT_SEARCH_S, RRT_SHORTENING_S = 60.0, 10.0
-"""s for the search, and for making its path shorter."""
+"""Time for the search, and for shortening its path, s."""
 RRT_RANGE_MM, RRT_RESOLUTION = 20.0, 0.005
-"""mm of a branch of the tree at most, and the part of the space's extent between two looks along it."""
+"""Largest length of a branch of a tree, mm, and the spacing of states that are checked along it, relative to the
+extent of the space.
+"""
 MAX_TILT_DEVIATION_RAD = 0.5
-"""rad by which tilts may differ from the first frame's."""
+"""Largest difference of tilts from the first frame's, rad."""
 WALL_CHECK_SIGMA, LUMEN_SAMPLE_SPACING_MM, WALL_CHECK_MARGIN_MM = SIGMA_GRID[::2], 0.1, 0.01
-"""Where of the robot the wall is looked for, at what mm of the lumen's path, and mm that stay free for that."""
+"""Normalised arc lengths of the robot that are checked against the wall; spacing of samples of the lumen's
+centreline, mm; and a margin for what lies between both, mm.
+"""
 RRT_STATE_SCALE_MM = 20.0, 40.0, 50.0
-"""What a radian of a tube, the whole room of an outer tube and a radian of tilt count as, mm."""
+"""Scales of the search space, mm: of a radian of a tube, of the whole range of an outer tube's extension, and of a
+radian of tilt.
+"""
 ELASTIC_MODEL = KINEMATIC_MODELS["elastic"]
 
 
 class SearchSpace:
-    """Space in which the tree grows, in mm: unknowns with fractions for extensions; and what is valid there."""
+    """Search space of the trees, and the validity of its states.
+
+    A point is (the unknowns' d angles, fractions of the d - 1 outer extensions, beta_d, theta), scaled to mm.
+    """
 
     def __init__(self, problem: Problem, settings: Settings) -> None:
-        """Prepare the space of a problem; raises OptionError where the problem has no wall."""
+        """Prepare the space of a problem; settings: margin and allowed contact.
+
+        Raises OptionError where the problem has no wall.
+        """
         lumen = problem.lumen
         if lumen is None or lumen.radius is None:
             name = problem.name or "the problem"
@@ -63,43 +75,48 @@ class SearchSpace:
         self._scale = np.concatenate([np.full(d, turn), np.full(d - 1, room), [1.0], np.full(2, tilt)])
 
     def to_point(self, x: Array) -> Array:
-        """Return the point (2d + 2,) of unknowns x (2d + 2,)."""
+        """Return the point (2d + 2,), mm, of unknowns x (2d + 2,)."""
         d = self.robot.d
         parts = fractions(self.robot, x[d : 2 * d])[:-1]
         return np.asarray(self._scale * np.concatenate([x[:d], parts, x[2 * d - 1 :]]))
 
     def unknowns(self, place: Array) -> Array:
-        """Return the unknowns x (2d + 2,) of a point."""
+        """Return the unknowns x (2d + 2,) of a point `place` (2d + 2,), mm."""
         d = self.robot.d
         values = place / self._scale
         beta = extensions(self.robot, values[d : 2 * d - 1], values[2 * d - 1])
         return np.concatenate([values[:d], beta, values[2 * d :]])
 
     def bounds(self, known: Array) -> tuple[Array, Array]:
-        """Return lower and upper bounds (2d + 2,) of points, which include those `known` (n, 2d + 2), the first of
-        them the start.
+        """Return lower and upper bounds (2d + 2,) of points, mm.
+
+        They include the points `known` (n, 2d + 2), of which the first is the start.
         """
         d, (low, high) = self.robot.d, (self.robot.lower, self.robot.upper)
         beta = slice(d, 2 * d - 1)
         theta = slice(2 * d, None)
         low, high = (np.where(np.isfinite(each), each, sign * np.pi) for each, sign in ((low, -1), (high, 1)))
+        # RRT samples a bounded box: one turn for tubes, whose limits _within_angle_limits checks, fractions in
+        # [0, 1], and tilts near the start's.
         low[:d], high[:d], low[beta], high[beta] = -np.pi, np.pi, 0.0, 1.0
         middle = known[0, theta] / self._scale[theta]
         low[theta] = np.maximum(low[theta], middle - MAX_TILT_DEVIATION_RAD)
         high[theta] = np.minimum(high[theta], middle + MAX_TILT_DEVIATION_RAD)
+        # Start and goal may have turned by more than pi; OMPL refuses states out of bounds.
         return np.minimum(low * self._scale, known.min(axis=0)), np.maximum(high * self._scale, known.max(axis=0))
 
     def is_valid_point(self, place: Array) -> bool:
-        """Whether the robot is within the lumen, stable and within its limits at a point."""
+        """Return whether the robot is within lumen, margin and limits at a point `place` (2d + 2,), mm."""
         self.checked_points += 1
         return self.is_valid_robot(self.unknowns(place))
 
     def is_valid_robot(self, x: Array) -> bool:
-        """Whether the robot with unknowns x (2d + 2,) is within the lumen, stable and within its limits."""
+        """Return whether the robot with unknowns x (2d + 2,) is within the lumen, stable and within its limits."""
         d = self.robot.d
         robot = self.robot
         points = ELASTIC_MODEL.points(robot, x[None], WALL_CHECK_SIGMA)[0]
         distance, nearest = self._tree.query(points)
+        # The distance to a sample of the centreline is never less than that to the centreline: on the safe side.
         over = (
             distance + outermost_tube_radii(robot, x[None, d : 2 * d], WALL_CHECK_SIGMA)[0] - self._radius[nearest]
         )
@@ -110,7 +127,7 @@ class SearchSpace:
         return bool(stable and self._within_angle_limits(x))
 
     def _within_angle_limits(self, x: Array) -> bool:
-        """Whether motors are within limits that the space does not know: those of tubes' angles."""
+        """Return whether motors keep limits that the box of the space does not have: those of alpha, at x."""
         robot = self.robot
         d = self.robot.d
         if not np.isfinite([robot.lower[:d], robot.upper[:d]]).any():
@@ -130,10 +147,11 @@ def rrt_connect(
 ) -> Plan:
     """Find a path through the lumen to the pose of the last frame, as a plan with frames evenly along it.
 
-    start, end: configurations (2d + 2,) to lead from and to, at rest; those of frames planned alone by default.
-    settings: stability_margin and contact_allowed say what is valid. seconds: of the search at most. Where nothing
-    is found no frame counts as solved, and the robot stands still. Raises OptionError where the problem has no
-    wall, an end is not valid, or OMPL is not installed.
+    problem: robot, target and lumen. settings: of these, stability_margin and contact_allowed define valid states.
+    start, end: configurations (2d + 2,) of start and goal, at rest; by default those of the first and last frame
+    planned alone. seconds: time limit of the search. seed: of OMPL's random numbers. Where no path is found, no
+    frame counts as solved, and the robot stands still. Raises OptionError where the problem has no wall, start or
+    goal is not valid, or OMPL is not installed.
     """
     number(OptionError, "seconds", seconds, lambda value: 0.1 <= value <= 1e5, "lie in [0.1, 1e5]", " s")
     ompl = import_extra("ompl")
@@ -171,8 +189,9 @@ def rrt_connect(
 def _valid_end(
     problem: Problem, room: SearchSpace, settings: Settings, q: npt.ArrayLike | None, frame: int
 ) -> Array:
-    """Return unknowns (2d + 2,) of a robot at rest at q, or as planned for a frame alone; raises OptionError where
-    that is not valid.
+    """Return the unknowns (2d + 2,) of a robot at rest at q (2d + 2,), or as planned for a frame alone.
+
+    frame: from 0; counts where q is None. Raises OptionError where the state is not valid.
     """
     if q is None:
         q = solve_per_frame(problem[frame : frame + 1], model=ELASTIC_MODEL, settings=settings).q[0]
@@ -187,11 +206,16 @@ def _valid_end(
 
 
 def _search_path(ompl: Any, room: SearchSpace, ends: Array, seconds: float, seed: int) -> Array | None:
-    """Search a path between two points and shorten it, (n, 2d + 2); None where none is found in time."""
+    """Search a path between the points `ends` (2, 2d + 2), and shorten it; None where none is found in time.
+
+    The path has points (n, 2d + 2), mm. seconds: time limit.
+    """
     base = ompl.base
     geometric = ompl.geometric
     util = ompl.util
     util.noOutputHandler()
+    # Before anything of OMPL is created: generators take their seeds when they are made. The limits are times, so
+    # that equal seeds need not give equal paths.
     util.RNG.setSeed(seed)
     size = ends.shape[1]
     space = base.RealVectorStateSpace(size)
@@ -213,6 +237,7 @@ def _search_path(ompl: Any, room: SearchSpace, ends: Array, seconds: float, seed
     planner.setRange(RRT_RANGE_MM)
     setup.setPlanner(planner)
     setup.solve(seconds)
+    # An approximate path, which ends near the goal, does not count.
     if not setup.haveExactSolutionPath():
         return None
     setup.simplifySolution(RRT_SHORTENING_S)
@@ -221,7 +246,7 @@ def _search_path(ompl: Any, room: SearchSpace, ends: Array, seconds: float, seed
 
 
 def _resample_path(room: SearchSpace, path: Array, frames: int) -> Array:
-    """Return unknowns (frames, 2d + 2) at places evenly along a path of points (n, 2d + 2)."""
+    """Return unknowns (frames, 2d + 2) at points spaced evenly along a path of points (n, 2d + 2), mm."""
     along = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1)))
     at = np.linspace(0.0, along[-1], frames)
     places = np.column_stack([np.interp(at, along, column) for column in path.T])

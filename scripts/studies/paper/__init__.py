@@ -1,4 +1,4 @@
-"""The paper's figures and its Table II remade from one run, beside what the paper printed."""
+"""Reproduction of the paper's figures and its Table II from one run, compared with the published numbers."""
 
 from paper.parts import SECTIONS
 from paper.runs import PaperResults, run_tasks

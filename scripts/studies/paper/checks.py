@@ -1,4 +1,4 @@
-"""What the paper says, what this run finds, and whether the two agree; decided by numbers alone."""
+"""Checks of the paper's statements against the numbers of a run."""
 
 from __future__ import annotations
 
@@ -12,14 +12,15 @@ import numpy as np
 from ctr_nlp.typing import Array
 
 PUBLISHED_DECIMALS = 2
-"""Decimals of the paper's tables: closer numbers are the same."""
+"""Decimals of the paper's tables; numbers that round to the same value count as equal."""
 
 
 @dataclass(frozen=True)
 class Check:
-    """A statement, what is found here, and in how many of the cases it is about it holds.
+    """A statement and what a run finds about it.
 
-    about = 0: nothing was published that could be compared. own_question: it is not the paper's, but asked here.
+    holds: number of cases in which it holds, of case_count; case_count = 0: nothing was published that could be
+    compared. own_question: the statement is ours, not the paper's.
     """
 
     statement: str
@@ -30,7 +31,7 @@ class Check:
 
     @property
     def verdict(self) -> str:
-        """In a word or two."""
+        """Verdict in a few words."""
         if not self.case_count:
             return "not comparable"
         if not self.holds:
@@ -40,19 +41,19 @@ class Check:
 
     @property
     def source(self) -> str:
-        """Who says so."""
+        """Author of the statement."""
         return "Asked here" if self.own_question else "The paper"
 
 
 def join_names(names: Sequence[str]) -> str:
-    """Names as in a sentence; "none" for none."""
+    """Join names as in a sentence, "a, b and c"; "none" for none."""
     if not names:
         return "none"
     return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
 
 
 def where_it_holds(holds: Mapping[str, bool]) -> str:
-    """On which it holds and on which not, in words."""
+    """Describe on which problems a statement holds and on which not; holds: by the name of the problem."""
     yes, no = ([name for name, value in holds.items() if value is wanted] for wanted in (True, False))
     if not no:
         return "on all"
@@ -60,13 +61,13 @@ def where_it_holds(holds: Mapping[str, bool]) -> str:
 
 
 def compare_with_published(ours: float, published: float) -> str:
-    """Whether a number is lower than, higher than or the same as a published one, as far as that was printed."""
+    """Return "lower", "the same" or "higher": `ours` against the published number, at its printed precision."""
     rounded = round(ours, PUBLISHED_DECIMALS)
     return "the same" if rounded == published else "lower" if rounded < published else "higher"
 
 
 def summarise_comparison(pairs: Mapping[str, tuple[float, float]]) -> str:
-    """By name, which of ours are lower, higher and the same; nothing for what does not occur."""
+    """Describe which of our numbers are lower, the same and higher; pairs: name -> (ours, published)."""
     found = {name: compare_with_published(*pair) for name, pair in pairs.items()}
     parts = [
         f"{word} on {join_names([name for name, its in found.items() if its == word])}"
@@ -77,11 +78,14 @@ def summarise_comparison(pairs: Mapping[str, tuple[float, float]]) -> str:
 
 
 def number(value: Any) -> float:
-    """A number of a row; infinite where none exists since no frame was reached."""
+    """Return the value of a row as a number; infinite for None, where no frame was reached."""
     return math.inf if value is None else float(value)
 
 
 def rms_between(e2: Array, begin: float, end: float) -> float:
-    """RMS in mm of the errors e2 (T,) of frames between two parts, 0 to 1, of a motion; of one frame at least."""
+    """Return the RMS in mm of the errors e2 (T,) of part of a motion; of one frame at least.
+
+    begin, end: of the part, as fractions of the motion in [0, 1].
+    """
     first = min(round(begin * len(e2)), len(e2) - 1)
     return float(np.sqrt(np.mean(e2[first : max(first + 1, round(end * len(e2)))] ** 2)))

@@ -1,4 +1,4 @@
-"""Clips of several motions in one picture and at one scale, as the paper's Figs. 4, 9 (d) and 10."""
+"""Clips (single frames) of several motions in one figure at one scale, as the paper's Figs. 4, 9 (d) and 10."""
 
 from __future__ import annotations
 
@@ -13,22 +13,22 @@ from ctr_nlp.typing import Array
 from ctr_nlp.view.figures.overlay import draw, key
 
 CLIP_MOTION_FRACTIONS = (0.25, 0.5, 0.75, 1.0)
-"""Parts of a motion at which it is shown."""
+"""Fractions of a motion at which it is shown."""
 CLIPS_WIDTH_INCH = 7.2
 """Width of a picture, inches."""
 CLIPS_LEFT_MARGIN_INCH, CLIPS_RIGHT_MARGIN_INCH, CLIP_GROUP_SPACING_INCH, CLIP_SPACING_INCH = 0.55, 0.1, 0.5, 0.08
-"""Inches beside everything, between groups, and between the clips of a group."""
+"""Margins of the figure, and spaces between groups and between the clips of a group, inches."""
 CLIP_ROW_TOP_INCH, CLIP_ROW_BOTTOM_INCH, CLIPS_KEY_HEIGHT_INCH = 0.5, 0.45, 0.4
-"""Inches above and below a row, and for the key."""
+"""Space above and below a row, and height of the key, inches."""
 MIN_CLIP_WIDTH_MM = 34.0
-"""Least width of a clip in mm, for its ticks."""
+"""Least width of a clip, mm, so that its tick labels fit."""
 CLIP_MARGIN_MM = 5.0
-"""mm around what is shown."""
+"""Margin around robot and target, mm."""
 
 
 @dataclass(frozen=True)
 class ClipGroup:
-    """A plan's clips seen from one side; sideways: the horizontal axis, 0 for x and 1 for y."""
+    """Clips of one plan seen from one side; sideways: the horizontal axis, 0 for x and 1 for y."""
 
     title: str
     plan: Plan
@@ -36,11 +36,11 @@ class ClipGroup:
 
     @property
     def frames(self) -> list[int]:
-        """The frames that are shown, from 1."""
+        """Numbers of the frames that are shown, from 1."""
         return clip_frames(len(self.plan.time))
 
     def box(self) -> Array:
-        """Lowest and highest of the horizontal axis and of z, (2, 2) in mm."""
+        """Return the lower and upper limits (2, 2), mm, of the horizontal axis and of z that all clips share."""
         index = np.array(self.frames) - 1
         points = np.concatenate([self.plan.target[index], self.plan.shape[index]]).reshape(-1, 3)
         low, high = (f(points[:, [self.sideways, 2]], axis=0) for f in (np.nanmin, np.nanmax))
@@ -49,16 +49,17 @@ class ClipGroup:
 
 
 def clip_frames(frames: int) -> list[int]:
-    """The frames that are shown of so many, from 1."""
+    """Return the numbers, from 1, of the frames that are shown of a motion of so many frames."""
     return sorted({max(1, round(part * frames)) for part in CLIP_MOTION_FRACTIONS})
 
 
 def draw_clips(rows: Sequence[Sequence[ClipGroup]], room: float = 0.0) -> Figure:
-    """A picture with rows of groups of clips, all to one scale, and a key; z points up.
+    """Draw rows of groups of clips, all at one scale, with a key; z points up.
 
-    room: inches left free at the bottom, above the key, for what else the caller draws there.
+    room: height left free above the key, inches, for what else the caller draws.
     """
     boxes = [[group.box() for group in row] for row in rows]
+    # Inches per mm of the row that needs most space, for all rows: lengths can be compared across the figure.
     scale = min(_scale(row, at) for row, at in zip(rows, boxes, strict=True))
     heights = [scale * max(np.diff(box, axis=0)[0, 1] for box in at) for at in boxes]
     height = CLIPS_KEY_HEIGHT_INCH + room + sum(heights) + len(rows) * (CLIP_ROW_TOP_INCH + CLIP_ROW_BOTTOM_INCH)
@@ -78,7 +79,7 @@ def draw_clips(rows: Sequence[Sequence[ClipGroup]], room: float = 0.0) -> Figure
 
 
 def _scale(row: Sequence[ClipGroup], boxes: Sequence[Array]) -> float:
-    """Inches a mm at which a row takes the picture's width, up to that of the paper's figures."""
+    """Return the scale, inches per mm, at which a row fills the width; at most that of the paper's figures."""
     gaps = (
         CLIPS_LEFT_MARGIN_INCH
         + CLIPS_RIGHT_MARGIN_INCH
@@ -90,7 +91,10 @@ def _scale(row: Sequence[ClipGroup], boxes: Sequence[Array]) -> float:
 
 
 def _draw_group(figure: Figure, group: ClipGroup, box: Array, scale: float, corner: tuple[float, float]) -> float:
-    """Draw a group with its lower left corner, inches, at corner; returns where its right edge is."""
+    """Draw a group with its lower left corner at `corner`, inches; returns the position of its right edge, inches.
+
+    box: limits (2, 2) of the axes, mm. scale: inches per mm.
+    """
     (x, y), (wide, high) = corner, scale * np.diff(box, axis=0)[0]
     across, up = figure.get_size_inches()
     for k, frame in enumerate(group.frames):

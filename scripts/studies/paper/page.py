@@ -1,4 +1,4 @@
-"""The remade paper as a page of Markdown, pictures, and the numbers behind them."""
+"""Page of Markdown of the reproduced paper, with its figures and the numbers behind them."""
 
 from __future__ import annotations
 
@@ -55,9 +55,9 @@ It writes `seed.md` (this page), a picture for each figure, and for each a `.csv
 
 
 def write(found: PaperResults, sections: Sequence[PaperSection], folder: Path) -> Iterator[str]:
-    """Write seed.md, and a PNG and a CSV file for each section, into a folder that exists.
+    """Write seed.md, and a PNG and a CSV file for each of `sections`, into an existing folder.
 
-    Yields the name of each section whose files are written, so that the caller may end it.
+    found: results of the run. Yields the name of each section after its files, so that the caller may stop.
     """
     for section in sections:
         tables.write_csv(folder / f"{section.name}.csv", section.rows(found))
@@ -68,7 +68,7 @@ def write(found: PaperResults, sections: Sequence[PaperSection], folder: Path) -
 
 
 def page(found: PaperResults, sections: Sequence[PaperSection]) -> str:
-    """Write the page in Markdown."""
+    """Return the page in Markdown, made of `sections` and the results `found`."""
     failures = found.failures()
     introduction = INTRODUCTION.format(
         methods="; ".join(f"`{key}`: {PAPER_METHOD_LABELS[key]}" for key in methods(found)),
@@ -86,13 +86,13 @@ def page(found: PaperResults, sections: Sequence[PaperSection]) -> str:
 
 
 def methods(found: PaperResults) -> list[str]:
-    """Return the methods that were run, in the order of PAPER_METHOD_LABELS."""
+    """Return the methods that were run for the results `found`, in the order of PAPER_METHOD_LABELS."""
     used = {task.method for task in found.task_seconds}
     return [name for name in PAPER_METHOD_LABELS if name in used]
 
 
 def verdicts(found: PaperResults, sections: Sequence[PaperSection]) -> str:
-    """Write the table of the paper's statements, with what this run says of each."""
+    """Return the table of the statements of all `sections`, with the verdict of the results `found` on each."""
     body = [
         [f"[{section.name}](#{_anchor(section.title)})", f"{check.source}: {check.statement}", check.verdict]
         for section in sections
@@ -124,7 +124,7 @@ def _anchor(title: str) -> str:
 
 
 def machine() -> str:
-    """The processor and how many of its cores there are, as far as they can be known."""
+    """Describe the machine: number of cores and kind of the processor, as far as they are known."""
     cpuinfo = Path("/proc/cpuinfo")
     lines = cpuinfo.read_text(encoding="utf-8").splitlines() if cpuinfo.is_file() else []
     models = [line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")]
@@ -133,5 +133,5 @@ def machine() -> str:
 
 
 def section_seconds(found: PaperResults, section: PaperSection) -> float:
-    """Return the time of all tasks of a section, s; tasks that sections share count for each."""
+    """Return the time of all tasks of a section in the results `found`, s; shared tasks count for each section."""
     return sum(found.task_seconds[task] for task in section.tasks)

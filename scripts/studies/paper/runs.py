@@ -1,4 +1,4 @@
-"""Runs of methods on the paper's problems, and fits with more and fewer points."""
+"""Runs of methods on the paper's problems, and fits with different numbers of sample points."""
 
 from __future__ import annotations
 
@@ -26,15 +26,15 @@ from ctr_nlp.support.pool import run_in_parallel
 from ctr_nlp.typing import Array
 
 OUR_HORIZON, OUR_JOINT, OUR_ELASTIC_HORIZON = "horizon", "joint", "elastic"
-"""Ours: all frames at once, frame by frame, all frames at once on the elastic model."""
+"""Our methods: all frames at once, frame by frame, all frames at once on the elastic model."""
 PAPER_TWO_STAGE, EUCLIDEAN_BASELINE, TIP_ONLY = "paper-two-stage", "euclidean", "tip-jacobian"
 """Re-implemented: the paper's method, its Euclidean baseline, its control of the tip alone."""
 S2J_PROJECTED = "s2j-projected"
-"""The paper's [7], answers brought within limits; only where scripts/studies/learn.py has trained a network."""
+"""The paper's [7], clipped to the limits; only where `python scripts/studies/learn.py` has trained a network."""
 OUR_METHODS = OUR_HORIZON, OUR_JOINT, OUR_ELASTIC_HORIZON
 """Our own methods."""
 TASK_START_ORDER = {OUR_ELASTIC_HORIZON: 0, OUR_HORIZON: 1}
-"""Methods that come first, since they have to be compiled: nothing long is begun last."""
+"""Order of methods that start first: they are compiled, and a long task that starts last would delay the end."""
 PAPER_METHOD_LABELS = {
     OUR_HORIZON: "ours (all frames at once)",
     OUR_JOINT: "ours (frame by frame)",
@@ -44,17 +44,17 @@ PAPER_METHOD_LABELS = {
     TIP_ONLY: "tip only (re-implemented)",
     S2J_PROJECTED: "S2J-IK (re-implemented)",
 }
-"""Names of methods in pictures and on the page."""
+"""Names of methods in figures and on the page."""
 NO_WALL_SETTINGS = Settings(contact_weight=0.0, arrival_weight=0.0)
-"""Defaults, and no wall: the paper's methods know of none."""
+"""Default settings without wall and arrival, which the paper's methods do not know."""
 
 ProblemLoader = Callable[[str], Problem]
-"""The problem of a name; fit for pickling."""
+"""Function that returns the problem of a name; it must be picklable."""
 
 
 @dataclass(frozen=True)
 class MotionTask:
-    """A method to be run on a problem."""
+    """Task of running a method on a problem."""
 
     problem: str
     method: str
@@ -62,7 +62,7 @@ class MotionTask:
 
 @dataclass(frozen=True)
 class FittingTask:
-    """The frames of a method's motion to be fitted again with more and fewer points, for Fig. 3."""
+    """Task of fitting the frames of a method's motion with different numbers of sample points, for Fig. 3."""
 
     problem: str
     method: str
@@ -72,7 +72,7 @@ Task = MotionTask | FittingTask
 
 
 class MotionResult(NamedTuple):
-    """A plan and its row of comparison.row: errors on both models, times, failures, snaps."""
+    """A plan and its comparison_row: errors on both models, times, failures, snaps."""
 
     plan: Plan
     row: dict[str, Any]
@@ -80,7 +80,11 @@ class MotionResult(NamedTuple):
 
 @dataclass(frozen=True)
 class PaperResults:
-    """Results of tasks; frames: T; jobs: processes side by side; seconds: of the whole run, then of each task."""
+    """Results of all tasks.
+
+    frames: number of frames of each motion. jobs: number of parallel processes. seconds: of the whole run;
+    task_seconds: of each task.
+    """
 
     motion_results: Mapping[MotionTask, MotionResult]
     fit_results: Mapping[FittingTask, tuple[PointCountFit, ...]]
@@ -94,11 +98,11 @@ class PaperResults:
         return self.motion_results[MotionTask(problem, method)].plan
 
     def plans_by_label(self, problem: str, methods: Sequence[str]) -> dict[str, Plan]:
-        """Return plans of methods for a problem, by what the methods are called."""
+        """Return plans of methods for a problem, by the methods' labels."""
         return {PAPER_METHOD_LABELS[method]: self.plan(problem, method) for method in methods}
 
     def row(self, problem: str, method: str) -> dict[str, Any]:
-        """Return the row of comparison.row on the plan of a method for a problem."""
+        """Return the comparison_row of the plan of a method for a problem."""
         return self.motion_results[MotionTask(problem, method)].row
 
     def failures(self) -> list[str]:
@@ -124,10 +128,13 @@ def run_tasks(
     jobs: int = 1,
     progress: Callable[[int, int, str], None] | None = None,
 ) -> PaperResults:
-    """Do all tasks, each once, and return their results; progress: (tasks done, all, the last one's name).
+    """Do all tasks, each once, and return their results.
 
-    jobs: in how many processes. Raises OptionError, and after Ctrl-C KeyboardInterrupt: half of a figure is none.
+    load: returns the problem of a name. frames: number of frames, for the results. jobs: number of processes.
+    progress: called with (tasks done, tasks in all, name of the last one). Raises OptionError, and
+    KeyboardInterrupt after Ctrl-C, since half of a figure is of no use.
     """
+    # Sections share tasks: dict.fromkeys drops duplicates and keeps the order.
     wanted = sorted(dict.fromkeys(tasks), key=lambda task: TASK_START_ORDER.get(task.method, 2))
     begin = time.perf_counter()
     results: dict[Task, Any] = {}
@@ -160,7 +167,7 @@ def _time_task(load: ProblemLoader, task: Task) -> tuple[Any, float]:
 
 
 def plan_by_method(problem: Problem, method: str) -> MotionResult:
-    """Plan a problem by a method; raises OptionError."""
+    """Plan a problem by a method, a key of PAPER_METHOD_LABELS; raises OptionError."""
     solver = default_chain_solver()
     variants = {
         OUR_HORIZON: f"horizon:{solver}",
@@ -175,11 +182,11 @@ def plan_by_method(problem: Problem, method: str) -> MotionResult:
 POINTS_ON_SEGMENT = (1, 2, 3, 4, 6, 8, 12)
 """Points on each tube's segment for the paper's method; the last at its end."""
 POINTS_ALONG_ROBOT = (2, 4, 5, 10, 20, 50, 100)
-"""Points along the whole robot for ours, evenly spread, the last at the tip; they divide 100."""
+"""Points along the whole robot for ours, evenly spread, the last at the tip; divisors of 100, the grid's cells."""
 
 
 class PointCountFit(NamedTuple):
-    """Fit with a number of points. e3: over all frames in mm, always at 101 samples; failed: frames not solved."""
+    """Result of a fit with a number of points; e3: mm, always at 101 samples; failed: number of failed frames."""
 
     points: int
     e3: float
@@ -187,10 +194,10 @@ class PointCountFit(NamedTuple):
 
 
 def fit_point_counts(problem: Problem, plan: Plan, method: str) -> tuple[PointCountFit, ...]:
-    """Fit every frame by itself, from where a plan has it, with each number of points.
+    """Fit every frame of a problem by itself, with each number of points.
 
-    method: "joint", or "paper-two-stage" for the paper's. Without a motion term and with the same starts
-    throughout, only the number of points makes a difference.
+    plan: whose configurations are the initial guesses. method: "joint", or "paper-two-stage" for the paper's.
+    Without a motion term and with equal starts, only the number of points makes a difference.
     """
     found = _joint(problem, plan.q) if method == "joint" else _two_stage(problem, plan.q)
     return tuple(PointCountFit(points, _e3(plan, q), failed) for points, q, failed in found)

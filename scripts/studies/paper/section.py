@@ -1,4 +1,4 @@
-"""Parts of every remade figure: its tasks, tables, checks and picture."""
+"""Parts of every reproduced figure or table: its tasks, tables, checks and picture."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ COMPARABLE_PROBLEMS = TABLE_II_PROBLEMS[:-1]
 
 @dataclass(frozen=True)
 class CaptionedTable:
-    """A table with what it shows, in a sentence."""
+    """A table with a caption."""
 
     caption: str
     header: Sequence[str]
@@ -43,10 +43,11 @@ class CaptionedTable:
 
 @dataclass(frozen=True)
 class PaperSection:
-    """A figure or table of the paper: what it takes, its picture, what is said of it.
+    """A reproduced figure or table of the paper.
 
-    name: of its files. about: what is shown and how to read it. unknown: what could not be known. rows: the
-    numbers behind it, for its CSV file.
+    name: of its files. tasks: the runs that it needs. about: what is shown and how to read it. unknown: what the
+    paper leaves open. tables, checks, draw: functions of the results. rows: the numbers behind it, for its CSV
+    file.
     """
 
     name: str
@@ -61,15 +62,16 @@ class PaperSection:
 
 
 def motion_tasks(problems: Sequence[str], methods: Sequence[str]) -> tuple[Task, ...]:
-    """Return tasks for all methods on all problems."""
+    """Return the tasks of running all methods on all problems."""
     return tuple(MotionTask(problem, method) for problem in problems for method in methods)
 
 
 def by_frames(
     problems: Sequence[str], methods: Sequence[str], keys: Sequence[str]
 ) -> Callable[[PaperResults], list[dict[str, Any]]]:
-    """Return a function that makes a line for each problem, method and frame of results, with the columns `keys`
-    of errors.csv, in mm.
+    """Return a function of the results that makes a row for each problem, method and frame.
+
+    problems, methods: which of the results. keys: columns of errors.csv, in mm.
     """
     return lambda found: [
         {"problem": problem, "method": method} | line
@@ -85,14 +87,17 @@ def _by_frame(plan: Plan, keys: Sequence[str]) -> list[dict[str, Any]]:
 
 
 def format_errors(found: PaperResults, problem: str, method: str) -> str:
-    """Write e3 and e4 of a run on the stiffness-dominant model; a star where frames failed."""
+    """Write e3 and e4 in mm of a method on a problem, on the dominant model; with a star where frames failed.
+
+    found: results of the run.
+    """
     row = found.row(problem, method)
     numbers = " / ".join(format_mm(row[f"dominant_{key}"]) for key in ("e3", "e4"))
     return numbers + "*" * (row["failed"] > 0)
 
 
 def format_mm(value: float | None) -> str:
-    """Write a length in mm; one that three decimals would show as nothing is below the last of them."""
+    """Write a value in mm; "<0.001" where three decimals would show 0."""
     text = format_cell(value)
     return "<0.001" if text == "0.000" and value else text
 
@@ -102,7 +107,10 @@ def published_comparison_table(
     problems: Sequence[str],
     methods: Sequence[str] = (OUR_HORIZON, PAPER_TWO_STAGE, EUCLIDEAN_BASELINE),
 ) -> CaptionedTable:
-    """Make a table of what the paper printed for problems, and what methods of this run have."""
+    """Make a table of e3 / e4 on the dominant model: as the paper printed them, and in the results `found`.
+
+    problems: its rows. methods: its columns beside the published ones.
+    """
     published = "the paper (published)", "its baseline (published)"
     header = ["problem", *published, *(PAPER_METHOD_LABELS[method] for method in methods)]
     body = [
@@ -117,5 +125,5 @@ def published_comparison_table(
 
 
 def format_published(table: dict[str, Any], problem: str) -> str:
-    """Write e3 and e4 as the paper printed them; nothing where it did not."""
+    """Write e3 and e4 as printed for a problem in a published table, mm; empty where it does not list it."""
     return " / ".join(f"{value:.2f}" for value in table[problem][:2]) if problem in table else ""

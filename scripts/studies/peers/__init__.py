@@ -1,1 +1,1 @@
-"""Forward models of other laboratories beside ours: how a program of theirs is asked, and how far it agrees."""
+"""Comparison with forward models of other laboratories: interface to their programs, and agreement with ours."""

@@ -1,4 +1,4 @@
-"""How far another laboratory's forward model agrees with the elastic one, over random configurations."""
+"""Agreement of another laboratory's forward model with the elastic one, over random configurations."""
 
 from __future__ import annotations
 
@@ -19,21 +19,23 @@ from peers.program import format_input, run_peer_program
 
 ELASTIC_MODEL = KINEMATIC_MODELS["elastic"]
 DIFFERENT_EQUILIBRIUM_DISTANCE_MM = 5.0
-"""mm between two tips from which on the models are in different equilibria, and are not compared."""
+"""Distance of two tips, mm, beyond which the models are taken to be in different equilibria."""
 EXTENSION_ROUNDING_MM = 0.01
-"""mm that extensions are multiples of, since some models round lengths."""
+"""Extensions are multiples of this length, mm, since some models round lengths."""
 MIN_SAMPLED_EXTENSION_FRACTION, MIN_TUBE_TIP_SPACING_MM = 0.1, 2.0
-"""Part of its room that a tube is out at least, and mm between tips: models differentiate over a millimetre."""
+"""Least extension of a tube relative to its range, and least distance of the tubes' tips, mm: some models
+differentiate over a millimetre.
+"""
 
 
 @dataclass(frozen=True)
 class Agreement:
-    """Comparison of a peer's model with ours over random configurations: those that either did not solve, and
-    distances.
+    """Comparison of a peer's model with ours over random configurations.
 
-    elsewhere: solved by both, in different equilibria. tip_*, shape_*: distances in mm of the others, of tips and
-    of the largest along the shape at equal arc length. unstable: of the same equilibria those that the peer calls
-    unstable, which ours never are, None where it has no measure. ms: median time of a solution.
+    force_N: norm of the tip force. unsolved, unsolved_here: configurations that the peer, or ours, did not solve.
+    elsewhere: solved by both, in different equilibria. tip_*, shape_*: distances of all others, mm: of tips, and
+    the largest along the shape at equal arc length. unstable: of the same equilibria, those that the peer calls
+    unstable, which ours never are; None where it has no measure. peer_ms, ours_ms: median time of a solution.
     """
 
     peer: str
@@ -53,9 +55,10 @@ class Agreement:
 
 
 def sample_configurations(robot: Robot, count: int, seed: int = 0) -> Array:
-    """Sample q (count, 2d + 2) without a tilt: alpha uniform in (-pi, pi), beta in its room and in order.
+    """Sample configurations q (count, 2d + 2) without tilt: alpha uniform in (-pi, pi), beta within its limits.
 
-    Raises OptionError where count is not a whole number of at least 1.
+    robot: whose limits and order of tubes are kept. seed: of numpy's default generator. Raises OptionError where
+    count is not a whole number of at least 1.
     """
     whole_number(OptionError, "configurations", count, 1)
     rng = np.random.default_rng(seed)
@@ -78,15 +81,18 @@ def compare_models(
     q: Array,
     force: Sequence[float] = (0.0, 0.0, 0.0),
 ) -> Agreement:
-    """Compare a peer's program with the elastic model at configurations q (n, 2d + 2), under a tip force (3,), N.
+    """Compare a peer's program with the elastic model at configurations q (n, 2d + 2).
 
-    name: of the peer. Ours is the equilibrium that is reached by turning from where all tubes are aligned. Raises
-    OptionError, and LoadError of a robot without moduli where there is a force.
+    name: of the peer. program: path of its executable, see program.py. robot: of both. force: (3,), at the tip, N,
+    in the base frame. Ours is the equilibrium that is reached by turning the tubes from where all are aligned.
+    Raises OptionError, and LoadError where there is a force and the robot has no moduli.
     """
     model = model_with_load(ELASTIC_MODEL, Load(force=tuple(force))) if np.any(force) else ELASTIC_MODEL
     said = run_peer_program(program, format_input(robot, q, force), len(q))
     ours = [_solve_ours(model, robot, row, answer.arc_length) for row, answer in zip(q, said, strict=True)]
     away = [_distances(answer.points, points) for answer, (points, _) in zip(said, ours, strict=True)]
+    # Several equilibria may exist, and models need not reach the same one: that is no disagreement of the models.
+    # Tips in different ones are far from each other.
     same = [
         k
         for k, distances in enumerate(away)
@@ -115,8 +121,9 @@ def compare_models(
 
 
 def _solve_ours(model: Model, robot: Robot, q: Array, arc_length: Array) -> tuple[Array, float]:
-    """Return points (m, 3) of ours at arc lengths (m,), or of its tip, mm, and the seconds that shape and margin
-    took.
+    """Return points (m, 3) of our model at arc lengths (m,), mm, and the seconds that shape and margin took.
+
+    q: (2d + 2,). Without arc lengths, the point is the tip.
     """
     sigma = np.clip(arc_length / q[2 * robot.d - 1], 0.0, 1.0) if len(arc_length) else np.ones(1)
     begin = time.perf_counter()
@@ -125,6 +132,6 @@ def _solve_ours(model: Model, robot: Robot, q: Array, arc_length: Array) -> tupl
 
 
 def _distances(peer: Array, ours: Array) -> Array:
-    """Return distances (m,) mm between two shapes (m, 3); none where either is not solved."""
+    """Return distances (m,) between two shapes (m, 3), mm; an empty array where either is not solved."""
     both = len(peer) > 0 and np.isfinite(ours).all()
     return np.linalg.norm(peer - ours, axis=1) if both else np.zeros(0)

@@ -1,4 +1,4 @@
-"""How a program that wraps another laboratory's forward model is asked for shapes: numbers in text, both ways.
+"""Interface to a program that wraps another laboratory's forward model: numbers as text, both ways.
 
 It reads from its standard input: the number of tubes d and of configurations n; for each tube, outermost first,
 its length and curved length (mm), curvature (1/mm), outer and inner diameter (mm), Young's modulus (MPa) and
@@ -8,10 +8,10 @@ It writes a line for each configuration: the seconds that the model took; its ow
 where stable, or nan; the number of points m, 0 where the model was not solved; and m times arc length from the
 insertion point, x, y and z, in mm.
 
-All in the convention of this library, to which such a program converts. What differs elsewhere:
+All in the convention of this library, to which such a program converts. Most other models differ:
 
 - Most count tubes from the innermost, in metres and pascals.
-- Most tell where a tube's base is, beta - length, which is negative, instead of how far its tip is out.
+- Most use the position of a tube's base, beta - length, which is negative, instead of the extension of its tip.
 - Most give pre-curvature as a Darboux vector along x, so that a tube at angle 0 bends towards -y. Here it bends
   towards +x: their angle is ours plus a quarter turn, and points and forces stay as they are.
 - None knows a tilt of the base: theta is 0.
@@ -32,11 +32,15 @@ from ctr_nlp.robot import Robot
 from ctr_nlp.typing import Array
 
 PEER_PROGRAM_TIMEOUT_S = 600.0
-"""s that a program may take for all configurations."""
+"""Time limit of a program for all configurations, s."""
 
 
 class PeerSolution(NamedTuple):
-    """A model's answer for a configuration; arc_length (m,), points (m, 3) in mm, empty where it is not solved."""
+    """A peer's solution for one configuration.
+
+    seconds: time of the solution. stability: the peer's own measure, positive where stable, or NaN. arc_length
+    (m,), points (m, 3): mm, empty where it is not solved.
+    """
 
     seconds: float
     stability: float
@@ -45,9 +49,10 @@ class PeerSolution(NamedTuple):
 
 
 def format_input(robot: Robot, q: Array, force: Sequence[float] = (0.0, 0.0, 0.0)) -> str:
-    """Write a program's input for configurations q (n, 2d + 2) without a tilt, under a tip force (3,), N.
+    """Write a program's input for configurations q (n, 2d + 2) of a robot, with a tip force (3,), N.
 
-    Raises OptionError of tubes whose pre-curvature varies or turns, which other models do not know, and of a tilt.
+    Raises OptionError where a tube's pre-curvature varies or turns, or q has a tilt, which other models do not
+    know.
     """
     if not all(isinstance(tube.curvature, float) and not tube.pre_torsion for tube in robot.tubes):
         raise OptionError("a tube's curvature varies or turns along it; models of others know constant ones only")
@@ -66,12 +71,16 @@ def format_input(robot: Robot, q: Array, force: Sequence[float] = (0.0, 0.0, 0.0
         for t in robot.tubes
     ]
     rows: list[Any] = [*tubes, *(np.append(each, force) for each in q[:, : 2 * robot.d])]
+    # 17 significant digits: a double is read back exactly.
     lines = [" ".join(f"{value:.17g}" for value in row) for row in rows]
     return "\n".join([f"{robot.d} {len(q)}", *lines]) + "\n"
 
 
 def run_peer_program(program: str | Path, text: str, count: int) -> list[PeerSolution]:
-    """Run a program on its input `text` of `count` configurations, in one thread; raises OptionError."""
+    """Run a program on its input `text` of `count` configurations, in one thread.
+
+    Raises OptionError where it fails, exceeds PEER_PROGRAM_TIMEOUT_S, or its output has another form.
+    """
     environment = os.environ | {"OMP_NUM_THREADS": "1"}
     try:
         done = subprocess.run(
@@ -92,9 +101,7 @@ def run_peer_program(program: str | Path, text: str, count: int) -> list[PeerSol
 
 
 def _parse_solution(line: str) -> PeerSolution:
-    """Parse a line of a program's output; raises ValueError where it has another form than the module's docstring
-    says.
-    """
+    """Parse a line of a program's output; raises ValueError where it has another form than described above."""
     seconds, stability, count, *numbers = (float(word) for word in line.split())
     rows = np.array(numbers).reshape(int(count), 4)
     return PeerSolution(seconds, stability, rows[:, 0], rows[:, 1:])

@@ -1,6 +1,9 @@
 """The methods to compare with, in vectorised numpy and scipy, as their authors describe them.
 
-None of them knows the robot's speed limits; largest steps are part of every comparison.
+Each file names the publication that it follows and says what differs from it. What differs in all of them: lambda
+of the motion term has the unit s^2 (the paper gives 100 and 500 without one), and a search without a previous
+frame takes the best of 32 starts. None of them knows the robot's speed limits; largest steps are part of every
+comparison.
 """
 
 from __future__ import annotations
@@ -24,10 +27,10 @@ from reference.tip_resolved import tip_resolved
 
 
 class Reference(NamedTuple):
-    """A method of others: made of a problem and lambda / dt^2, and the model that it knows.
+    """A published method: its factory, the model that it plans on, and whether it applies to every problem.
 
-    serves_every_problem: whether it serves every problem; another one says why it does not serve one, and is run
-    by name only.
+    method: called with a problem and lambda / dt^2. serves_every_problem: where False, the factory raises an
+    OptionError that says why it does not apply to a problem, and the method is run by name only.
     """
 
     method: Callable[[Problem, float], Method]
@@ -53,9 +56,15 @@ REFERENCE_METHODS: dict[str, Reference] = {
 
 
 def reference_frames(problem: Problem, name: str, settings: Settings) -> ReferenceFrames:
-    """A reference method as a FrameSolver; raises OptionError of an unknown name or a problem not served."""
+    """Return a reference method as a FrameSolver.
+
+    problem: what is to be followed. name: of REFERENCE_METHODS. settings: of these, motion_weight (lambda, s^2)
+    counts, and all are written into the plan's metadata. Raises OptionError where the name is unknown, or the
+    method does not apply to the problem.
+    """
     check_choice("reference method", name, REFERENCE_METHODS)
     found = REFERENCE_METHODS[name]
+    # The motion term of eq. (9) is lambda |W dq / dt|^2 with dq / dt as a difference quotient, hence 1 / dt^2.
     KINEMATIC_MODELS[found.model].check(problem.robot)
     method = found.method(problem, settings.motion_weight / problem.dt**2)
     return ReferenceFrames(problem, name, found.model, method, settings.options())

@@ -1,17 +1,20 @@
 """Approximate follow-the-leader deployment: the body stays near to the path of the tip at every depth.
 
 Gilbert, Neimat, Webster, Concentric Tube Robots as Steerable Needles: Achieving Follow-the-Leader Deployment, IEEE
-Transactions on Robotics 31(2), 2015, tell by a metric how similar a deployment is to an exact one. Their formula
-is not taken over; what follows is ours. At each depth, tubes are rotated and translated so that the mean square of
-the distance, at equal arc length, between the body and the path that the tip has travelled is least, and with the
-same weight the square of that between the tip and where it is to go. Torsion counts, the base stands still, in the
-direction in which the path leaves the opening, and the innermost tube is out by the depth. The search is L-BFGS-B;
-what the stability margin lacks is penalised.
+Transactions on Robotics 31(2), 2015, measure by a metric how similar a deployment is to an exact one. What
+differs: their metric is not taken over, and the optimisation is ours. At each depth b = beta_d, minimise over
+alpha and the other beta
 
-A depth is answered from the one before. Tubes that lie in the plane of a path are at a saddle, from which descent
-does not find aside: where the body or the tip is far from where they should be, the search begins again with each
-tube turned aside, either way, and the least answer counts. A frame is solved where the search ends at a stable
-minimum, however far the tip is from where it is to go.
+    sum_k w_k |p(sigma_k) - l(sigma_k b)|^2  +  |p(1) - g|^2  +  1e4 mm^2 max(0, 0.1 - mu)^2
+
+with p the body on the torsionally compliant model, l the path that the tip has travelled, continued to g, w_k
+trapezoidal weights, g the end of the frame's target, and mu the stability margin. The base does not move: it
+points in the direction in which the path leaves the opening. The search is L-BFGS-B (descent.py).
+
+The initial guess is the solution at the depth before. Tubes that lie in the plane of a path are at a saddle point,
+which descent does not leave sideways: where the objective is large, the search starts again with each tube turned
+aside, either way, and the best result counts. A frame is solved where the search ends at a stable minimum, however
+far the tip is from the target's end.
 """
 
 from __future__ import annotations
@@ -30,14 +33,14 @@ from reference.follow_the_leader import growing_path
 
 ELASTIC_MODEL = KINEMATIC_MODELS["elastic"]
 LEADER_MIN_UNPENALISED_MARGIN, LEADER_STABILITY_PENALTY_MM2 = 0.1, 1e4
-"""The margin from which on nothing is penalised, and mm^2 that the square of what it lacks costs."""
+"""Stability margin below which a penalty begins, and its factor on the square of what is missing, mm^2."""
 LEADER_RESTART_OBJECTIVE_MM2, LEADER_RESTART_TURN_RAD = 1.0, 0.05
-"""mm^2 of an answer from which on tubes are turned aside, and by how much, rad."""
+"""Objective above which the search starts again with tubes turned aside, mm^2, and by which angle, rad."""
 APPROXIMATE_LEADER_NAME = "follow-the-leader-approximate"
 
 
 def approximate_leader(problem: Problem, motion_weight: float) -> Method:
-    """The method for a problem; motion_weight has no part in it.
+    """Return the method for a problem; `motion_weight` is ignored.
 
     Raises OptionError where the target is not one path that grows, or motors' angles have limits.
     """
@@ -53,7 +56,9 @@ def approximate_leader(problem: Problem, motion_weight: float) -> Method:
 
     def solve(frame: Frame, guess: Array, before: FrameResult | None) -> FrameResult:
         depth = np.array(np.clip(frame.length, robot.lower[2 * d - 1], robot.reach))
+        # Rows are the depth and the tip's position there. The path begins at the opening, which is the origin.
         travelled = np.zeros((1, 4)) if before is None or before.warm is None else before.warm
+        # The leader's path ends where the tip is to be, not where it is: the last part of the body follows that.
         leader = _interpolate_path(np.vstack([travelled, [depth, *frame.points[-1]]]), SIGMA_GRID * depth)
 
         def unknowns(variables: Array) -> Array:
@@ -83,6 +88,7 @@ def approximate_leader(problem: Problem, motion_weight: float) -> Method:
         x = unknowns(found.variables[None])
         stable = bool(ELASTIC_MODEL.margins(robot, x)[0] > 0)
         tip = ELASTIC_MODEL.points(robot, x, np.ones(1))[0, 0]
+        # Rows at this depth or beyond are replaced: depths must increase for the interpolation.
         warm = np.vstack([travelled[travelled[:, 0] < depth], [depth, *tip]])
         q = ELASTIC_MODEL.configuration(robot, x)[0]
         status = found.status if stable else "not stable"
@@ -93,12 +99,13 @@ def approximate_leader(problem: Problem, motion_weight: float) -> Method:
 
 
 def _interpolate_path(travelled: Array, s: Array) -> Array:
-    """Points (n, 3) at depths s (n,) of a path of the tip, told by its depth and place (k, 4), mm."""
+    """Interpolate the tip's path, rows (k, 4) of depth and position, to points (n, 3) at depths s (n,), mm."""
     return np.stack([np.interp(s, travelled[:, 0], travelled[:, k]) for k in (1, 2, 3)], axis=1)
 
 
 def _initial_tilt(robot: Robot, path: Frame) -> Array:
-    """The tilt (2,) in which the base looks along a path at the opening, as far as its limits allow."""
+    """Compute theta (2,), rad, at which the base looks along a path at the opening, clipped to its limits."""
     x, y, z = path.tangents[0]
+    # Ry(theta_y) Rx(theta_x) e_z = (sin ty cos tx, -sin tx, cos ty cos tx), eq. (4).
     tilt = np.array([-np.arcsin(np.clip(y, -1, 1)), np.arctan2(x, z)])
     return np.clip(tilt, robot.lower[-2:], robot.upper[-2:])

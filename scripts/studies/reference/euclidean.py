@@ -1,4 +1,11 @@
-"""The paper's baseline: L-BFGS-B on all of q with the distance (8) under arc length, eq. (9)."""
+"""The paper's baseline: L-BFGS-B on all of q with the distance (8) under arc length, eq. (9).
+
+Source: the paper's section IV.A, "a Jacobian-based optimization framework", which minimises (9) with the distance
+(8) under arc-length parametrisation, by L-BFGS-B. What differs: the integral (8) is a trapezoidal sum over 101
+points at uniform sigma; the gradient is one of finite differences (descent.py), the paper's is not described;
+eqs. (2) and (3) are kept by fractions for extensions; and lambda has a unit, where the paper's weight, 500, has
+none. The shape is that of eqs. (1) and (4).
+"""
 
 from __future__ import annotations
 
@@ -13,9 +20,10 @@ from reference.descent import Method, descend, extensions, fractions, motion_ter
 
 
 def euclidean(problem: Problem, motion_weight: float) -> Method:
-    """The method for a problem; motion_weight: lambda / dt^2."""
+    """Return the method for a problem; motion_weight: lambda / dt^2, without unit."""
     robot = problem.robot
     d = robot.d
+    # Variables are (alpha, fractions, theta): L-BFGS-B bounds the fractions, and so keeps eqs. (2) and (3).
     bounds = np.column_stack([robot.lower, robot.upper])
     bounds[d : 2 * d] = 0.0, 1.0
 

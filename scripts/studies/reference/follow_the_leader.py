@@ -8,9 +8,14 @@ paper, whose curvature changes exponentially, need tubes that are not described 
 
 Tubes do not twist each other where all bend in one direction, or in opposite ones, wherever they overlap: then
 u x e(psi_i) = 0 in the balance of moments (models.elastic.torsion). Thus all helices have the same torsion. Tube
-i goes with the tip as far as a depth b_i and stays there, the outermost first. A helix turns by its torsion for
+i advances with the tip to a depth b_i and stays there, the outermost first. A helix turns by its torsion for
 each mm that it slides, and so passes every place in the same direction. Then the body keeps, between b_{i-1} and
 b_i, the curvature sum EI_j k_j / sum EI_j of the tubes from i to d, with negative k of those turned by pi.
+
+What differs from the publications: they say which paths a robot can follow so; here a path is given, and the
+depths b_i and the rotation about the opening that come nearest to it are found by a grid and least squares. It is
+refused where they do not meet it. Stability is checked in every frame: opposed tubes may be in an unstable
+equilibrium.
 """
 
 from __future__ import annotations
@@ -36,33 +41,40 @@ from reference.descent import Method, extensions
 
 ELASTIC_MODEL = KINEMATIC_MODELS["elastic"]
 MAX_PATH_DEVIATION_MM = 0.02
-"""mm that a path may be away from the one that tubes follow."""
+"""Largest distance between the target and the path that the tubes follow, mm."""
 GRID_POINTS_PER_DEPTH = 11
-"""Parts of the room of a depth b_i that are tried, and as many of every other one."""
+"""Grid points of each depth b_i, from which least squares start."""
 MAX_TORSION_DIFFERENCE_RAD_PER_MM = 1e-9
-"""rad/mm by which torsions may differ."""
+"""Largest difference between the tubes' torsions, rad/mm."""
 
 
 class Deployment(NamedTuple):
-    """Where tubes stop, b (d,) mm; whether each is turned by pi (d,); how all is turned about the opening."""
+    """A follow-the-leader deployment in closed form.
+
+    depths: b (d,), where tubes stop, mm. opposed: (d,), whether a tube is turned by pi. turned: rotation of the
+    whole robot about the opening.
+    """
 
     depths: Array
     opposed: Array
     turned: Rotation
 
     def configuration_at(self, robot: Robot, depth: float) -> Array:
-        """The configuration (2d + 2,) in which the tip is at a depth, mm."""
+        """Return the configuration q (2d + 2,) of a robot whose tip is at a depth, mm."""
+        # R = Ry(theta_y) Rx(theta_x) Rz(turn): the last factor turns all tubes, and so belongs to alpha.
         theta_y, theta_x, turn = self.turned.as_euler("YXZ")
         beta = np.minimum(self.depths, depth)
         spins, curved = (
             np.array([getattr(tube, name) for tube in robot.tube_numbers]) for name in ("spin", "curved_length")
         )
+        # alpha is the direction where the curved part begins, curved_length - beta behind the opening. So a helix
+        # turns by its torsion per mm as it slides, and passes the opening in one direction at all times.
         alpha = turn + np.pi * self.opposed - spins * (curved - beta)
         return np.concatenate([alpha, beta, [theta_x, theta_y]])
 
 
 def follow_the_leader(problem: Problem, motion_weight: float) -> Method:
-    """Return the method for a problem; `motion_weight` is ignored.
+    """Return the method for a problem; `motion_weight` is ignored, as is the frame before.
 
     Raises OptionError, which names the condition that the problem's robot or path does not fulfil.
     """
@@ -115,8 +127,10 @@ def find_deployment(problem: Problem) -> Deployment:
 
 
 def growing_path(problem: Problem, method: str) -> Frame:
-    """Return the last frame's target, of which those of all frames are parts; raises OptionError where they are
-    not.
+    """Return the target of the last frame, of which the targets of all frames are first parts.
+
+    problem: whose target is checked. method: its name in the message. Raises OptionError where the target is not
+    one path that grows.
     """
     curves = problem.target.curves
     lengths = np.array(problem.target.lengths)
@@ -126,8 +140,9 @@ def growing_path(problem: Problem, method: str) -> Frame:
 
 
 def _torsion(robot: Robot) -> float:
-    """Return the torsion of all curved tubes, rad/mm; raises OptionError where they differ or a curvature is not
-    constant.
+    """Return the torsion that all curved tubes have, rad/mm.
+
+    Raises OptionError where torsions differ or a curvature is not constant.
     """
     kinds = robot.structure.kinds
     spins = [tube.pre_torsion for tube in robot.tubes]
@@ -144,7 +159,10 @@ def _torsion(robot: Robot) -> float:
 
 
 def _opposed_choices(robot: Robot) -> Iterator[Array]:
-    """Yield every choice of the tubes (d,) that are turned by pi against the outermost curved one."""
+    """Yield every choice (d,) of tubes that are turned by pi against the outermost curved one.
+
+    That one has no choice: turning all tubes by pi turns the robot, which the rotation about the opening does.
+    """
     free = [i for i, kind in enumerate(robot.structure.kinds) if kind != "straight"][1:]
     for turned in itertools.product((False, True), repeat=len(free)):
         found = np.zeros(robot.d, dtype=bool)
@@ -153,9 +171,11 @@ def _opposed_choices(robot: Robot) -> Iterator[Array]:
 
 
 def _fit_deployment(robot: Robot, torsion: float, opposed: Array, path: Frame) -> tuple[Deployment, float] | None:
-    """Find the deployment whose path is nearest to `path`, and its largest distance, mm; None where tubes are too
-    short.
+    """Find the deployment whose path is nearest to `path`, and its largest distance from it, mm.
+
+    torsion: rad/mm. opposed: (d,), the tubes turned by pi. None where the curved parts are too short.
     """
+    # Straight parts stay inside: a tube is out by its curved length at most.
     beta = [(low, min(high, tube.curved_length)) for tube, low, high in _extension_limits(robot)]
     low, high = beta[-1]
     if not low <= path.length <= high * (1 + MAX_TORSION_DIFFERENCE_RAD_PER_MM):
@@ -166,9 +186,13 @@ def _fit_deployment(robot: Robot, torsion: float, opposed: Array, path: Frame) -
 
     def away(parts: Array) -> tuple[Rotation, Array]:
         shape = _shape(tubes, extensions(within, parts, last))
+        # The best rotation for given depths is known in closed form (Kabsch), so that depths alone are searched.
+        # Shape and path begin at the origin, so there is no translation.
         turned, _ = Rotation.align_vectors(path.points, shape)
         return turned, path.points - turned.apply(shape)
 
+    # The distance may have several minima over the depths: a coarse grid first, then least squares from its best
+    # point.
     tried = itertools.product(np.linspace(0.0, 1.0, GRID_POINTS_PER_DEPTH), repeat=robot.d - 1)
     parts = min((np.array(each) for each in tried), key=lambda each: (away(each)[1] ** 2).sum())
     if robot.d > 1:
@@ -185,9 +209,13 @@ def _extension_limits(robot: Robot) -> Iterator[tuple[Tube, float, float]]:
 
 
 def _combine_tubes(robot: Robot, torsion: float, opposed: Array) -> Tubes:
-    """Return tubes each of which alone has the curvature that it and the tubes within it have together."""
+    """Return tubes each of which alone has the curvature of itself and all tubes within it together.
+
+    torsion: of all, rad/mm. opposed: (d,), the tubes turned by pi, whose curvature counts negative.
+    """
     stiffness = np.array([tube.bending_stiffness for tube in robot.tubes])
     pull = stiffness * [tube.largest_curvature for tube in robot.tubes] * np.where(opposed, -1, 1)
+    # On the dominant model tube i alone shapes the part up to b_i: give it sum EI_j k_j / sum EI_j, j = i..d.
     inwards = slice(None, None, -1)
     curvature = (np.cumsum(pull[inwards]) / np.cumsum(stiffness[inwards]))[inwards].tolist()
     numbers = zip(robot.tube_numbers, curvature, strict=True)
@@ -205,7 +233,7 @@ def _kind(curvature: float, torsion: float) -> Kind:
 
 
 def _shape(tubes: Tubes, beta: Array) -> Array:
-    """Points (101, 3) of tubes that stop at beta (d,) and bend towards x at the opening."""
+    """Compute the points (101, 3) in mm of tubes that stop at beta (d,) mm and bend towards x at the opening."""
     turns = [-tube.spin * (tube.curved_length - out) for tube, out in zip(tubes, beta, strict=True)]
     return np.stack(
         np.broadcast_arrays(*backbone(tubes, [*turns, *beta, 0.0, 0.0], SIGMA_GRID, np).points), axis=-1

@@ -1,1 +1,1 @@
-"""Tube design beside general optimisers of the same robot; knows designs, and neither options nor folders."""
+"""Comparison of tube design with general-purpose optimisers of the same tubes."""

@@ -1,4 +1,4 @@
-"""The best tubes over time as a picture, apart from the numbers, which need no matplotlib."""
+"""Figure of the best tubes over time; in a file of its own, since the numbers need no matplotlib."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ OPTIMISER_COLOURS = dict(zip(DESIGN_OPTIMISERS, (VERMILLION, BLUE, BLACK), stric
 
 @rc_context(STYLE)
 def draw_optimiser_race(runs: Sequence[OptimiserRun], names: Sequence[str]) -> Figure:
-    """Draw the least error so far over process time, one line a run; `names` are those of the problems."""
+    """Draw the least error so far over process time, one line for each of `runs`; `names`: of the problems."""
     figure = Figure(figsize=(7.0, 4.2), layout="constrained")
     axes = figure.subplots()
     last = max((run.seconds[-1] for run in runs if len(run.seconds)), default=1.0)

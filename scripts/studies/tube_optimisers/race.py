@@ -1,7 +1,9 @@
-"""The design of tubes, and general optimisers over the same tubes, as long as each may work.
+"""A race between tube design and general-purpose optimisers over the same tubes, with equal process time.
 
-CMA-ES (N. Hansen's package cma) and Nelder-Mead (scipy) see tubes as numbers: for each they ask what motions, each
-planned for itself, do on these. The design (codesign/) solves for tubes and motions together.
+CMA-ES (N. Hansen's package cma) and Nelder-Mead (scipy) see tubes as numbers: their objective is the root mean
+square over tasks of e3, in mm, of motions planned for each candidate by itself. The design (ctr_nlp.design)
+optimises tubes and motions jointly. The optimisers' variables are the free numbers of the tubes as fractions of
+their ranges, in [0, 1].
 """
 
 from __future__ import annotations
@@ -22,20 +24,22 @@ from ctr_nlp.tube_design.starts import generate_start_tubes as first_tubes
 from ctr_nlp.typing import Array
 
 INITIAL_SEARCH_SPREAD = 0.2
-"""First standard deviation of CMA-ES, and first steps of Nelder-Mead, as parts of the ranges of tubes' numbers."""
+"""First standard deviation of CMA-ES, and first steps of Nelder-Mead, relative to the ranges of tubes' numbers."""
 FAILED_TASK_OBJECTIVE_MM = 100.0
-"""Objective, mm, of tubes on which some task has no motion; for tubes that break rules, by how much they do is
-added to it.
+"""Objective, mm, of tubes on which the motion of some task cannot be planned. For tubes that break rules of
+manufacture, the violation is added to it.
 """
 SIMPLEX_TOLERANCE = 1e-3
-"""A simplex of this size, as a part of the ranges, ends Nelder-Mead, which then begins again elsewhere."""
+"""Size of the simplex, relative to the ranges, at which Nelder-Mead ends and restarts from other tubes."""
 DESIGN_OPTIMISERS = "design", "CMA-ES", "Nelder-Mead"
 
 
 @dataclass(frozen=True)
 class OptimiserRun:
-    """Course of a method: the least root mean square of the tasks' e3, mm, that it had found after so many seconds
-    of process time, (n,) each. evaluations: number of tubes on which motions were planned.
+    """Improvements of one optimiser over process time.
+
+    seconds: (n,), when each improvement was found, s. e3: (n,), the least root mean square of the tasks' e3 by
+    then, mm. evaluations: number of tubes on which motions were planned.
     """
 
     method: str
@@ -55,7 +59,7 @@ class _TimeOver(Exception):
 
 @dataclass
 class _RunRecorder:
-    """A run under way, which ends after `max_seconds` seconds of process time."""
+    """Record of a run under way, which ends after `max_seconds` s of process time, or when stop() is True."""
 
     method: str
     max_seconds: float
@@ -66,9 +70,10 @@ class _RunRecorder:
     begin: float = field(default_factory=time.process_time)
 
     def record_evaluation(self, rms: float) -> None:
-        """Count tubes, and remember their root mean square of e3 where it is the least yet; raises _TimeOver."""
+        """Count a candidate and record `rms`, its objective in mm, if it is the least yet; raises _TimeOver."""
         now = time.process_time() - self.begin
         self.evaluations += 1
+        # A result that comes after the end of the time does not count, though its evaluation began before.
         if now <= self.max_seconds and math.isfinite(rms) and (not self.e3 or rms < self.e3[-1]):
             self.seconds.append(now)
             self.e3.append(rms)
@@ -83,9 +88,11 @@ class _RunRecorder:
 def race_optimisers(search: DesignSearch, starts: int, seed: int, times: float = 1.0) -> list[OptimiserRun]:
     """Run the design from `starts` starts, then CMA-ES and Nelder-Mead, each for `times` times its process time.
 
-    Nominal robots. Ctrl-C ends the run at work; those after it are missing. Raises OptionError where the package
-    cma is not installed.
+    search: tasks and tubes that all of them optimise, for the nominal robot. seed: of starts and optimisers.
+    Ctrl-C ends the current run, and later ones are missing. Raises OptionError where the package cma is not
+    installed.
     """
+    # Before the design, which takes long: a missing package is found at once.
     cma_es = _cma_es()
     with deferred_interrupt() as interrupted:
         course = _RunRecorder("design", math.inf, interrupted)
@@ -151,7 +158,7 @@ def _nelder_mead(search: DesignSearch, seed: int, course: _RunRecorder) -> None:
 
 
 def _objective(search: DesignSearch, course: _RunRecorder) -> Callable[[Array], float]:
-    """Return a function: parts (n,) of the ranges of the tubes' free numbers -> root mean square of e3, mm."""
+    """Return the objective: fractions (n,) of the ranges of the free numbers -> root mean square of e3, mm."""
     lower, upper = search.tubes.box
     free = lower < upper
 
@@ -160,6 +167,8 @@ def _objective(search: DesignSearch, course: _RunRecorder) -> Callable[[Array], 
         p[free] += np.clip(x, 0, 1) * (upper - lower)[free]
         kept = search.tubes.rule_values(p)
         broken = sum(max(rule.lower - rule.value, rule.value - rule.upper, 0.0) for rule in kept)
+        # Tubes that cannot be manufactured cost no planning; worse than any motion, and graded, so that a search
+        # finds its way back.
         if broken:
             return FAILED_TASK_OBJECTIVE_MM + broken
         try:
@@ -167,13 +176,14 @@ def _objective(search: DesignSearch, course: _RunRecorder) -> Callable[[Array], 
         except CtrError:
             rms = math.inf
         course.record_evaluation(rms)
+        # Finite also where nothing could be planned: the optimisers' tests for termination subtract values.
         return min(rms, FAILED_TASK_OBJECTIVE_MM)
 
     return objective
 
 
 def _to_fractions(search: DesignSearch, p: Array) -> Array:
-    """Return the free numbers of tubes p as parts, from 0 to 1, of their ranges."""
+    """Return the free numbers of tubes p (P,) as fractions (n,) of their ranges, in [0, 1]."""
     lower, upper = search.tubes.box
     free = lower < upper
     return np.asarray(((p - lower)[free] / (upper - lower)[free]).clip(0, 1))
@@ -186,7 +196,7 @@ def seconds_to(run: OptimiserRun, e3: float) -> float:
 
 
 def improvement_rows(runs: Sequence[OptimiserRun]) -> list[dict[str, float | str]]:
-    """Return rows for a table: every improvement of every run."""
+    """Return rows for a table: each improvement of each of `runs`, with its process time, s, and e3, mm."""
     return [
         {"method": run.method, "process_s": seconds, "rms_e3_mm": e3}
         for run in runs

@@ -1,4 +1,4 @@
-"""All that is remade, in the paper's order: one figure or table of the paper a file."""
+"""Sections of the reproduction, in the paper's order: one file for each figure or table."""
 
 from __future__ import annotations
 
@@ -19,4 +19,4 @@ SECTIONS: dict[str, PaperSection] = {
         fig10.FIG10,
     )
 }
-"""By the names that options use."""
+"""All sections by the names that options use."""

@@ -1,4 +1,4 @@
-"""Fig. 10: tubes whose curvature varies, along a path whose curvature does."""
+"""Fig. 10: tubes of varying curvature along a path of varying curvature."""
 
 from __future__ import annotations
 
@@ -24,20 +24,20 @@ from paper.section import CaptionedTable, PaperSection, format_errors, motion_ta
 FIG10_PROBLEMS = {"euler": "(a) three Euler curves", "euler_mixed": "(b) a line, an arc and an Euler curve"}
 FIG10_METHODS = OUR_HORIZON, PAPER_TWO_STAGE, EUCLIDEAN_BASELINE
 CURVATURE_PANEL_HEIGHT_INCH = 2.3
-"""Inches for the curvatures and what is around them."""
+"""Height of the panel of curvatures with its labels, inches."""
 FIG10_CURVATURE_SPACING_MM = 1.0
-"""mm along the robot at which curvatures are computed."""
+"""Distance along the robot of the points at which curvatures are computed, mm."""
 
 
 def tables(found: PaperResults) -> list[CaptionedTable]:
-    """Errors of all methods; the paper prints none."""
+    """Return the table of errors of all methods in the results `found`; the paper prints none."""
     header = ["problem", "the paper (published)", *(PAPER_METHOD_LABELS[m] for m in FIG10_METHODS)]
     body = [[f"`{p}`", "none", *(format_errors(found, p, m) for m in FIG10_METHODS)] for p in FIG10_PROBLEMS]
     return [CaptionedTable("e3 / e4 in mm on the stiffness-dominant model", header, body)]
 
 
 def checks(found: PaperResults) -> list[Check]:
-    """How well the path is followed; the paper gives no number to hold it against."""
+    """Return the check on following the path in the results `found`; the paper gives no number to compare with."""
     parts = []
     for problem in FIG10_PROBLEMS:
         plan = found.plan(problem, OUR_HORIZON)
@@ -57,15 +57,17 @@ def checks(found: PaperResults) -> list[Check]:
 
 
 def curvatures(plan: Plan) -> dict[str, Array]:
-    """Along the robot in the last frame: s in mm, and k_1 .. k_d, of the robot and of the target in 1/mm.
+    """Compute curvatures along the robot in the last frame of a plan.
 
-    A tube's is NaN beyond its tip.
+    Returns arrays (n,): "s", arc length in mm; "k_1" .. "k_d" of the tubes, NaN beyond their tips; "robot" and
+    "target"; in 1/mm.
     """
     robot = plan.robot
     beta = plan.beta[-1]
     s = np.arange(0.0, beta[-1], FIG10_CURVATURE_SPACING_MM)
     tubes = {}
     for i, tube in enumerate(robot.tube_numbers):
+        # Pre-curvature is linear in the distance from the tube's own tip, over its curved part.
         from_tip = np.minimum(beta[i] - s, tube.curved_length)
         tubes[f"k_{i + 1}"] = np.where(s <= beta[i], tube.tip_curvature + tube.slope * from_tip, np.nan)
     whole = dominant.curvature(robot.tube_numbers, list(beta), s, lambda x: np.heaviside(x, 0.0), np)
@@ -73,16 +75,21 @@ def curvatures(plan: Plan) -> dict[str, Array]:
 
 
 def target_curvature(points: Array) -> tuple[Array, Array]:
-    """Arc length in mm and curvature in 1/mm at the inner ones of points (n, 3) of a smooth curve."""
+    """Compute arc length, mm, and curvature, 1/mm, (n - 2,) each, at the inner points of a curve (n, 3), mm."""
     chords = np.diff(points, axis=0)
     lengths = np.linalg.norm(chords, axis=1)
     crossed = np.linalg.norm(np.cross(chords[:-1], chords[1:]), axis=1)
+    # The angle between neighbouring chords over their mean length. arctan2 stays accurate at small angles, where
+    # the arc cosine of a dot product does not.
     angle = np.arctan2(crossed, (chords[:-1] * chords[1:]).sum(axis=1))
     return np.cumsum(lengths)[:-1], 2 * angle / (lengths[:-1] + lengths[1:])
 
 
 def rows(found: PaperResults) -> list[dict[str, Any]]:
-    """A line for each problem and mm along the robot in the last frame; 1/mm, nothing beyond a tube's tip."""
+    """Return a row for each problem and mm along the robot in the last frame: curvatures in 1/mm, "" beyond a tip.
+
+    found: results of the run.
+    """
     result: list[dict[str, Any]] = []
     for problem in FIG10_PROBLEMS:
         for line in columns_to_rows(curvatures(found.plan(problem, OUR_HORIZON))):
@@ -93,7 +100,7 @@ def rows(found: PaperResults) -> list[dict[str, Any]]:
 
 @matplotlib.rc_context(STYLE)
 def draw(found: PaperResults) -> Figure:
-    """Clips of both robots, and curvatures along them in the last frame."""
+    """Draw clips of both robots in the results `found`, and curvatures along them in the last frame."""
     plans = {title: found.plan(problem, OUR_HORIZON) for problem, title in FIG10_PROBLEMS.items()}
     figure = draw_clips([[ClipGroup(title, plan) for title, plan in plans.items()]], CURVATURE_PANEL_HEIGHT_INCH)
     height = figure.get_figheight()

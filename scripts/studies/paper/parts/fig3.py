@@ -1,4 +1,4 @@
-"""Fig. 3: the error of the fit over the number of points that it is asked at."""
+"""Fig. 3: error of the fit over the number of sample points."""
 
 from __future__ import annotations
 
@@ -26,11 +26,11 @@ from paper.runs import (
 from paper.section import TABLE_II_PROBLEMS, CaptionedTable, PaperSection, format_mm
 
 DECREASING_E3_TOLERANCE, SUFFICIENT_E3_TOLERANCE = 0.01, 0.1
-"""Parts of e3: more points raise it by less than the first; fewer are enough within the second."""
+"""Relative tolerances of e3: more points may raise it by the first; fewer points suffice within the second."""
 PAPER_POINTS_PER_SEGMENT, OUR_POINT_COUNT = 2, 10
-"""Points on a segment that the paper finds sufficient; points along the robot that are asked for here."""
+"""Points on a segment that the paper finds sufficient; points along the robot that are checked here."""
 MIN_DRAWN_E3_MM = 0.01
-"""mm below which nothing is drawn."""
+"""Least e3 that is drawn, mm."""
 PROBLEM_LINE_STYLES = dict(
     zip(
         TABLE_II_PROBLEMS,
@@ -41,7 +41,7 @@ PROBLEM_LINE_STYLES = dict(
 
 
 def tables(found: PaperResults) -> list[CaptionedTable]:
-    """e3 by problem and number of points, a table for each method."""
+    """Return tables of e3 by problem and number of points, one for each method; found: results of the run."""
     what = {
         PAPER_TWO_STAGE: "on a segment, the paper's method",
         OUR_JOINT: "along the whole robot, ours (`joint`)",
@@ -60,7 +60,7 @@ def tables(found: PaperResults) -> list[CaptionedTable]:
 
 
 def checks(found: PaperResults) -> list[Check]:
-    """Whether the error falls with the number of points, and how few are enough."""
+    """Return checks that the error falls with the number of points, and how few suffice; found: results."""
     seeds = {p: found.fit_results[FittingTask(p, PAPER_TWO_STAGE)] for p in TABLE_II_PROBLEMS}
     ours = {p: found.fit_results[FittingTask(p, OUR_JOINT)] for p in TABLE_II_PROBLEMS}
     falls = {p: is_decreasing(some) for p, some in seeds.items()}
@@ -90,18 +90,22 @@ def checks(found: PaperResults) -> list[Check]:
 
 
 def is_decreasing(some: tuple[PointCountFit, ...]) -> bool:
-    """Whether more points never raise e3 by more than DECREASING_E3_TOLERANCE."""
+    """Return whether more points never raise e3 by more than DECREASING_E3_TOLERANCE; some: fits by points."""
     return all(after.e3 <= before.e3 * (1 + DECREASING_E3_TOLERANCE) for before, after in itertools.pairwise(some))
 
 
 def is_sufficient(some: tuple[PointCountFit, ...], points: int) -> bool:
-    """Whether e3 with so many points is within a share of that with the most; both may be nothing."""
+    """Return whether e3 with so many points is within SUFFICIENT_E3_TOLERANCE of that with the most.
+
+    some: fits, of which the last has the most points.
+    """
     e3 = {fit.points: fit.e3 for fit in some}
+    # Errors too small to be drawn count as zero: their ratio would be that of rounding.
     return e3[points] <= max(e3[some[-1].points] * (1 + SUFFICIENT_E3_TOLERANCE), MIN_DRAWN_E3_MM)
 
 
 def rows(found: PaperResults) -> list[dict[str, Any]]:
-    """A line for each problem, method and number of points."""
+    """Return a row for each problem, method and number of points in the results `found`."""
     return [
         {"problem": task.problem, "method": task.method, **fit._asdict()}
         for method in (PAPER_TWO_STAGE, OUR_JOINT)
@@ -112,7 +116,7 @@ def rows(found: PaperResults) -> list[dict[str, Any]]:
 
 @matplotlib.rc_context(STYLE)
 def draw(found: PaperResults) -> Figure:
-    """e3 over points on a segment for the paper's method, and over points along the robot for ours."""
+    """Draw e3 of the results `found` over points on a segment, the paper's method, and along the robot, ours."""
     figure = Figure(figsize=(7.2, 3.6), layout="constrained")
     left, right = figure.subplots(1, 2, sharey=True)
     for axes, method, points in (

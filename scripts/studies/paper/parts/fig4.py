@@ -25,11 +25,11 @@ from paper.section import (
 )
 
 FIG4_STEP_TOLERANCE = 1e-6
-"""rad or mm by which a step may exceed what speeds allow."""
+"""Tolerance on the speed limits, rad or mm in a step."""
 
 
 def tables(found: PaperResults) -> list[CaptionedTable]:
-    """Errors beside published ones, and what the motion asks of the motors."""
+    """Return tables of errors beside published ones, and of the largest steps; found: results of the run."""
     header = ["problem", "largest e1, mm", "largest step of alpha, rad", "of beta, mm", "of theta, rad"]
     body = []
     for problem in PRIMITIVE_SHAPES:
@@ -41,7 +41,7 @@ def tables(found: PaperResults) -> list[CaptionedTable]:
 
 
 def checks(found: PaperResults) -> list[Check]:
-    """That all frames are reached, and that the line is the hardest."""
+    """Check in the results `found` that all frames are solved, and that the line has the largest error."""
     followed = [
         found.row(p, OUR_HORIZON)["failed"] == 0 and within_speed(found.plan(p, OUR_HORIZON))
         for p in PRIMITIVE_SHAPES
@@ -72,12 +72,12 @@ def checks(found: PaperResults) -> list[Check]:
 
 
 def within_speed(plan: Plan) -> bool:
-    """Whether no step from frame to frame is larger than the robot's speeds allow."""
+    """Return whether every step of a plan from frame to frame keeps the robot's speed limits."""
     return bool((np.abs(np.diff(plan.q, axis=0)) <= plan.robot.speed * plan.dt + FIG4_STEP_TOLERANCE).all())
 
 
 def rows(found: PaperResults) -> list[dict[str, Any]]:
-    """A line for each clip."""
+    """Return a row for each clip, with its errors in the results `found`."""
     result = []
     for problem in PRIMITIVE_SHAPES:
         columns = by_frame(found.plan(problem, OUR_HORIZON))
@@ -89,7 +89,7 @@ def rows(found: PaperResults) -> list[dict[str, Any]]:
 
 @matplotlib.rc_context(STYLE)
 def draw(found: PaperResults) -> Figure:
-    """Four clips of each of the four, to one scale; the arc, which is wide, below the others."""
+    """Draw four clips of each primitive shape in the results `found`; the arc, which is wide, below the others."""
 
     def group(letter: str, problem: str) -> ClipGroup:
         return ClipGroup(f"({letter}) {problem}", found.plan(problem, OUR_HORIZON))
@@ -117,11 +117,11 @@ FIG4 = PaperSection(
 BRONCHUS = "bronchus"
 TIP_METHODS = OUR_HORIZON, PAPER_TWO_STAGE, TIP_ONLY
 CLOSE_TIP_TRACKING_MM = 1.0
-"""mm from its target within which a tip tracks it closely."""
+"""Largest tip error that counts as close tracking, mm."""
 
 
 def tip_tables(found: PaperResults) -> list[CaptionedTable]:
-    """Errors of shape and tip."""
+    """Return the table of errors of shape and tip in the results `found`."""
     header = ["method", "e3, mm", "largest e1, mm", "largest tip error, mm"]
     body = [
         [PAPER_METHOD_LABELS[m], *(format_cell(found.row(BRONCHUS, m)[key]) for key in ("e3", "e_max", "tip_max"))]
@@ -131,7 +131,7 @@ def tip_tables(found: PaperResults) -> list[CaptionedTable]:
 
 
 def tip_checks(found: PaperResults) -> list[Check]:
-    """That a tip alone is well controlled and leaves the shape to itself."""
+    """Check in the results `found` that control of the tip alone tracks the tip and misaligns the shape."""
     tip, e3 = (number(found.row(BRONCHUS, TIP_ONLY)[key]) for key in ("tip_max", "e3"))
     shape = {m: number(found.row(BRONCHUS, m)["e3"]) for m in (PAPER_TWO_STAGE, OUR_HORIZON)}
     better = [value < e3 for value in shape.values()]
@@ -151,7 +151,7 @@ def tip_checks(found: PaperResults) -> list[Check]:
 
 @matplotlib.rc_context(STYLE)
 def draw_tip(found: PaperResults) -> Figure:
-    """Clips of ours above and of the tip alone below, seen from two sides."""
+    """Draw clips of ours above and of the tip alone below, from two sides; found: results of the run."""
     views = ((0, "seen along y"), (1, "seen along x"))
     return draw_clips(
         [

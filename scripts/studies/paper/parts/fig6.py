@@ -1,4 +1,9 @@
-"""Figs. 5 and 6: how e1 spreads over the shape as time passes, and errors by frame."""
+"""Figs. 5 and 6: distribution of e1 over the shape and over time, and errors by frame.
+
+Section IV of the paper: e1 is the distance of points at equal arc length, e2 its root mean square over the shape,
+e3 that of e2 over frames; all in mm. The paper's words about Fig. 6 ("noticeable escalation", "comparable") have
+no numbers: the thresholds here are ours.
+"""
 
 from __future__ import annotations
 
@@ -26,7 +31,7 @@ QUANTILES = {"quarter": 0.25, "median": 0.5, "three_quarters": 0.75, "most": 1.0
 
 
 def spread_tables(found: PaperResults) -> list[CaptionedTable]:
-    """Tabulate published e3 and e4, which are all that the paper prints of it, and medians of e1."""
+    """Tabulate published e3 and e4, all that the paper prints of Fig. 5, and e1 in the results `found`."""
     header = ["problem", *(f"{PAPER_METHOD_LABELS[method]}: median, largest" for method in FIG5_METHODS)]
     body = [
         [
@@ -45,7 +50,7 @@ def spread_tables(found: PaperResults) -> list[CaptionedTable]:
 
 
 def spread_checks(found: PaperResults) -> list[Check]:
-    """Check that targets which the robot can form are followed with the smallest error."""
+    """Check in the results `found` that targets which the robot can form are followed with the smallest error."""
     least = {m: min(TABLE_II_PROBLEMS, key=lambda p: number(found.row(p, m)["e3"])) for m in FIG5_METHODS}
     return [
         Check(
@@ -59,7 +64,7 @@ def spread_checks(found: PaperResults) -> list[Check]:
 
 
 def spread_rows(found: PaperResults) -> list[dict[str, Any]]:
-    """Return a line for each violin."""
+    """Return a row for each violin, with its quantiles in mm; found: results of the run."""
     return [
         {
             "problem": problem,
@@ -94,29 +99,32 @@ FIG5 = PaperSection(
 FIG6_PROBLEMS = "cos", "arc", "synthesis", "bronchus"
 FIG6_METHODS = OUR_HORIZON, PAPER_TWO_STAGE, EUCLIDEAN_BASELINE
 MIN_ESCALATION_FACTOR = 1.5
-"""Factor by which errors grow where they escalate."""
+"""Least growth of an error, as a factor, that counts as escalating."""
 MAX_COMPARABLE_ERROR_DIFFERENCE = 0.25
-"""Largest difference of comparable errors, as a part of the smaller one."""
+"""Largest difference of comparable errors, relative to the smaller one."""
 MIN_INFERIORITY_FACTOR = 1.5
-"""Factor by which an error is at least larger that is significantly so."""
+"""Least ratio of two errors that counts as significant."""
 MIN_CONSISTENT_SHARE = 0.9
-"""Least share of the frames in which something holds that holds consistently."""
+"""Least share of the frames that counts as consistent."""
 
 
 def checks(found: PaperResults) -> list[Check]:
-    """Check the paper's statement on each panel."""
+    """Check the paper's statement on each panel against the results `found`."""
     e2 = {p: {m: finite_errors(by_frame(found.plan(p, m))["e2"]) for m in FIG6_METHODS} for p in FIG6_PROBLEMS}
     verdicts = zip((check_cos, check_arc, check_synthesis, check_bronchus), FIG6_PROBLEMS, strict=True)
     return [verdict(e2[problem]) for verdict, problem in verdicts]
 
 
 def finite_errors(e2: Array) -> Array:
-    """Return the errors of frames that were reached."""
+    """Return the errors e2 (T,) without frames that were not reached, which are NaN."""
     return e2[np.isfinite(e2)]
 
 
 def check_cos(e2: dict[str, Array]) -> Check:
-    """Check the statement on cos, by the RMS of e2 over the last fifth of the frames against those before."""
+    """Check the statement on cos: RMS of e2 over the last fifth of the frames against the frames before.
+
+    e2: (T,) in mm by method.
+    """
     growth = {m: rms_between(e2[m], 0.8, 1.0) / rms_between(e2[m], 0.0, 0.8) for m in FIG6_METHODS}
     parts = " and ".join(
         f"{growth[m]:.2g} times for {PAPER_METHOD_LABELS[m]}"
@@ -133,7 +141,7 @@ def check_cos(e2: dict[str, Array]) -> Check:
 
 
 def check_arc(e2: dict[str, Array]) -> Check:
-    """Check the statement on the arc, by e3."""
+    """Check the statement on the arc by e3; e2: (T,) in mm by method."""
     e3 = {m: rms_between(e2[m], 0.0, 1.0) for m in FIG6_METHODS}
     apart = _relative_difference(e3[PAPER_TWO_STAGE], e3[EUCLIDEAN_BASELINE])
     return Check(
@@ -148,7 +156,7 @@ def check_arc(e2: dict[str, Array]) -> Check:
 
 
 def check_synthesis(e2: dict[str, Array]) -> Check:
-    """Check the statement on synthesis, by e3 and frame by frame."""
+    """Check the statement on synthesis by e3 and frame by frame; e2: (T,) in mm by method."""
     e3 = {m: rms_between(e2[m], 0.0, 1.0) for m in FIG6_METHODS}
     count = min(len(e2[EUCLIDEAN_BASELINE]), len(e2[PAPER_TWO_STAGE]))
     share = float(np.mean(e2[EUCLIDEAN_BASELINE][:count] > e2[PAPER_TWO_STAGE][:count]))
@@ -165,7 +173,10 @@ def check_synthesis(e2: dict[str, Array]) -> Check:
 
 
 def check_bronchus(e2: dict[str, Array]) -> Check:
-    """Check the statement on the bronchus, by the first 20, the last 10 and the other frames of 100."""
+    """Check the statement on the bronchus by the first 20, the last 10 and the other frames of 100.
+
+    e2: (T,) in mm by method.
+    """
     ends = {"first 20": (0.0, 0.2), "middle 70": (0.2, 0.9), "last 10": (0.9, 1.0)}
     rms = {name: {m: rms_between(e2[m], *span) for m in FIG6_METHODS} for name, span in ends.items()}
     similar = [

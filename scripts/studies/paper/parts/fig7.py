@@ -1,4 +1,4 @@
-"""Figs. 7 and 8: the time-varying target, whose configurations are known."""
+"""Figs. 7 and 8: the time-varying target `synthesis`, whose configurations q(t) are known."""
 
 from __future__ import annotations
 
@@ -25,11 +25,11 @@ from paper.section import (
 FIG7_PROBLEM = "synthesis"
 FIG7_METHODS = OUR_HORIZON, PAPER_TWO_STAGE
 NEGLIGIBLE_CONFIGURATION_ERROR = 1e-3
-"""rad or mm: an error of less is none."""
+"""Largest error of the configuration that counts as none, rad or mm."""
 
 
 def checks_of_shapes(found: PaperResults) -> list[Check]:
-    """That targets are reached as well as the paper says, or better."""
+    """Check in the results `found` that shapes are followed as well as published, or better."""
     published = PRINTED[FIG7_PROBLEM]
     ours = {m: number(found.row(FIG7_PROBLEM, m)["e3"]) for m in FIG7_METHODS}
     said = "; ".join(
@@ -48,14 +48,18 @@ def checks_of_shapes(found: PaperResults) -> list[Check]:
 
 
 def largest_configuration_errors(plan: Plan) -> tuple[float, float, float]:
-    """Largest errors of alpha (rad), beta (mm) and theta (rad) over the frames in which they are determined."""
+    """Return the largest errors of a plan's alpha (rad), beta (mm) and theta (rad).
+
+    Only frames in which the shape determines the configuration count.
+    """
+    # At theta_x = pi/2 alpha and theta_y are one rotation (gimbal lock), and their errors mean nothing.
     error = np.abs(error_from_truth(plan))[~gimbal_lock_frames(plan)]
     alpha, beta, theta = (float(np.nanmax(values, initial=0.0)) for values in plan.robot.split(error))
     return alpha, beta, theta
 
 
 def tables_of_errors(found: PaperResults) -> list[CaptionedTable]:
-    """The largest errors of each method."""
+    """Return the table of the largest configuration errors of each method in the results `found`."""
     header = ["method", "alpha, rad", "beta, mm", "theta, rad"]
     body = [
         [
@@ -72,7 +76,7 @@ def tables_of_errors(found: PaperResults) -> list[CaptionedTable]:
 
 
 def checks_of_errors(found: PaperResults) -> list[Check]:
-    """That the motion term leaves some error."""
+    """Check in the results `found` that the motion term leaves some error of the configuration."""
     most = {m: max(largest_configuration_errors(found.plan(FIG7_PROBLEM, m))) for m in FIG7_METHODS}
     weights = {m: found.plan(FIG7_PROBLEM, m).meta["options"]["motion_weight"] for m in FIG7_METHODS}
     parts = "; ".join(
@@ -90,7 +94,7 @@ def checks_of_errors(found: PaperResults) -> list[Check]:
 
 
 def rows_of_errors(found: PaperResults) -> list[dict[str, Any]]:
-    """A line for each method and frame with the error of every coordinate, rad and mm."""
+    """Return a row for each method and frame with the error of every coordinate, rad and mm; found: results."""
     result: list[dict[str, Any]] = []
     for method in FIG7_METHODS:
         plan = found.plan(FIG7_PROBLEM, method)

@@ -1,4 +1,4 @@
-"""Table II: errors on both models and times, published, re-implemented and ours."""
+"""Table II: errors on both models and times; published, re-implemented and ours."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ from paper.section import (
 )
 
 LEARNED_METHODS = (S2J_PROJECTED,) if network_path(table_i_robot(), "dominant").exists() else ()
-"""S2J_PROJECTED-IK where there is a network for the paper's robot when this is loaded; else empty."""
+"""S2J-IK, where a network for the paper's robot exists when this module is loaded; else empty."""
 TABLE_II_METHODS = (
     PAPER_TWO_STAGE,
     EUCLIDEAN_BASELINE,
@@ -43,7 +43,7 @@ TABLE_II_METHODS = (
     OUR_ELASTIC_HORIZON,
 )
 TABLE_II_MODEL_NAMES = {"dominant": "stiffness", "elastic": "compliant"}
-"""What the paper calls the models, by what they are called here."""
+"""The paper's names of the models, by ours."""
 TABLE_II_PUBLISHED: dict[tuple[str, str], Mapping[str, tuple[float, ...]]] = {
     ("dominant", PAPER_TWO_STAGE): published.TABLE_II_PAPER_METHOD,
     ("dominant", EUCLIDEAN_BASELINE): published.TABLE_II_BASELINE,
@@ -55,7 +55,7 @@ PUBLISHED_METHOD_NAMES = {PAPER_TWO_STAGE: "the paper (published)", EUCLIDEAN_BA
 
 
 def tables(found: PaperResults) -> list[CaptionedTable]:
-    """Return the table itself in three parts: errors on each model, and times."""
+    """Return Table II in three parts: errors on each model, and times; found: results of the run."""
     header = ["method", *(f"`{problem}`" for problem in TABLE_II_PROBLEMS)]
     parts = []
     for model, name in TABLE_II_MODEL_NAMES.items():
@@ -90,7 +90,7 @@ def tables(found: PaperResults) -> list[CaptionedTable]:
 
 
 def _cell(found: PaperResults, problem: str, method: str, model: str) -> str:
-    """Write e3 / e4 of a run; those of ours in bold where they are lower than the paper's own, published."""
+    """Write e3 / e4 of a run; ours in bold where they are lower than the published ones of the paper's method."""
     row = found.row(problem, method)
     texts = []
     for key, limit in zip(("e3", "e4"), TABLE_II_PUBLISHED[model, PAPER_TWO_STAGE][problem], strict=False):
@@ -105,8 +105,9 @@ def _cell(found: PaperResults, problem: str, method: str, model: str) -> str:
 
 
 def milliseconds(found: PaperResults, problem: str, method: str) -> float:
-    """Return the mean time a frame in ms: in the solver; where all frames are solved at once, also for the start
-    of that.
+    """Return the mean time per frame in ms of a method on a problem, in the results `found`.
+
+    That of the solver; where all frames are solved at once, the time of the start motions counts, too.
     """
     row = found.row(problem, method)
     start = number(row["search_s"]) if method in (OUR_HORIZON, OUR_ELASTIC_HORIZON) else 0.0
@@ -114,7 +115,7 @@ def milliseconds(found: PaperResults, problem: str, method: str) -> float:
 
 
 def checks(found: PaperResults) -> list[Check]:
-    """Check the paper's conclusions from its table, and compare ours with the published figures."""
+    """Check the paper's conclusions from its table against the results `found`, and compare with its figures."""
     return [
         *(_compare_errors(found, model) for model in TABLE_II_MODEL_NAMES),
         _compare_times(found),
@@ -154,6 +155,7 @@ def _compare_errors(found: PaperResults, model: str) -> Check:
 
 def _compare_times(found: PaperResults) -> Check:
     """Compare times of the paper's method and its baseline as ratios, since machines differ."""
+    # Absolute times are of another machine; ratios of two methods on one machine can be compared.
     times = {m: {p: milliseconds(found, p, m) for p in TABLE_II_PROBLEMS} for m in TABLE_II_METHODS}
     ratios = sorted(times[EUCLIDEAN_BASELINE][p] / times[PAPER_TWO_STAGE][p] for p in TABLE_II_PROBLEMS)
     printed = sorted(
@@ -179,7 +181,7 @@ def _compare_times(found: PaperResults) -> Check:
 
 
 def _compare_published(found: PaperResults, model: str, method: str) -> Check:
-    """Compare e3 and e4 of a method with what is published of the paper's own, or of the same method."""
+    """Compare e3 and e4 of a method with the published ones of the same method, or else of the paper's."""
     same = method if method in PUBLISHED_METHOD_NAMES else PAPER_TWO_STAGE
     pairs = {
         key: {
@@ -205,7 +207,7 @@ def _value(found: PaperResults, problem: str, method: str, model: str, key: str)
 
 
 def rows(found: PaperResults) -> list[dict[str, Any]]:
-    """Return a line for each method and problem, as printed and as found here; mm and ms."""
+    """Return a row for each method and problem, as printed and from the results `found`; mm and ms."""
     result: list[dict[str, Any]] = []
     for method in TABLE_II_METHODS:
         for problem in TABLE_II_PROBLEMS:

@@ -1,4 +1,4 @@
-"""A network that gives the tubes' angles and extensions for a shape: how it is trained, kept and asked.
+"""A network that maps a shape to the tubes' angles and extensions: how it is trained, stored and evaluated.
 
-What is published of it is told in s2j.py, and what had to be guessed.
+It follows Liang et al., S2J-IK, 2022; s2j.py says what is published of it and what had to be guessed.
 """

@@ -1,4 +1,10 @@
-"""A trained network as arrays: what it gives for a shape, and the file that keeps it."""
+"""A trained network as numpy arrays, its evaluation for shapes, and its file.
+
+The network is S2J-IK's (Liang et al. 2022, the paper's [7]) in purpose; its sizes and its layers are ours, since
+the publication was not at hand (s2j.py). Angles are output as cosine and sine, as in Grassmann et al., IROS 2018:
+an angle itself would jump by 2 pi between shapes that are close to each other. PyTorch is needed for training
+only.
+"""
 
 from __future__ import annotations
 
@@ -20,18 +26,19 @@ from ctr_nlp.typing import Array
 from reference.learned.samples import ShapeBatch
 
 FORMAT = 1
-"""Format of the file; others are refused."""
+"""Format number of the file; others are refused."""
 NETWORK_CACHE_FOLDER = "s2j"
-"""Folder of networks within the cache folder."""
+"""Name of the networks' folder within the cache folder."""
 
 
 @dataclass(frozen=True)
 class InverseKinematicsNetwork:
     """A multilayer perceptron: tanh between its layers, none after the last.
 
-    layers: weights (n_out, n_in) and biases (n_out,). mean (61,), whitening (61, 61): what is subtracted from an
-    input, and what it is multiplied by then. curve (k, 3): step of training, mean error of a batch and of held-out
-    shapes there, mm. metadata: the format, the model's name, the robot's identity, and how it was trained.
+    layers: weights (n_out, n_in) and biases (n_out,). mean (61,), whitening (61, 61): subtracted from an input,
+    and multiplied with the difference. curve (k, 3): step of training, mean error of a batch and of held-out
+    shapes there, mm. metadata: the format number, the model's name, the robot's identity, and the training's
+    settings.
     """
 
     layers: tuple[tuple[Array, Array], ...]
@@ -41,10 +48,12 @@ class InverseKinematicsNetwork:
     metadata: dict[str, Any]
 
     def tips(self, shapes: ShapeBatch) -> Array:
-        """Angles of tubes at their tips and extensions, (n, 2d), rad and mm, of n shapes.
+        """Evaluate the network: the tubes' angles at their tips and their extensions, (n, 2d), of n shapes.
 
-        The last extension is the shape's length. Nothing keeps extensions within limits.
+        Angles are in rad, extensions in mm; the last one is the shape's length. Extensions may be beyond their
+        limits.
         """
+        # The network knows shapes that are turned towards +x; all its angles are turned back afterwards.
         turned, angle = shapes.align_with_x()
         value = (turned.network_inputs() - self.mean) @ self.whitening
         for number, (weights, biases) in enumerate(self.layers, start=1):
@@ -56,7 +65,10 @@ class InverseKinematicsNetwork:
         return np.hstack([np.arctan2(sin, cos) + angle[:, None], parts * length, length])
 
     def save(self, path: Path) -> None:
-        """Write to a file, whole or not at all; raises OptionError where it cannot be written."""
+        """Write the network to the file at `path`, whole or not at all.
+
+        Raises OptionError where it cannot be written.
+        """
         arrays = {name: getattr(self, name) for name in ("mean", "whitening", "curve")}
         for number, layer in enumerate(self.layers):
             arrays |= {f"{kind}_{number}": array for kind, array in zip("wb", layer, strict=True)}
@@ -69,7 +81,7 @@ class InverseKinematicsNetwork:
 
 
 def read_network(path: Path) -> InverseKinematicsNetwork:
-    """Read the network of a file; raises OptionError where it cannot be read or is of another format."""
+    """Read the network in the file at `path`; raises OptionError where that fails or the format is another."""
     try:
         with open(path, "rb") as file, np.load(file, allow_pickle=False) as data:
             told = json.loads(str(data["told"]))
@@ -84,8 +96,9 @@ def read_network(path: Path) -> InverseKinematicsNetwork:
 
 
 def robot_identity(robot: Robot) -> dict[str, Any]:
-    """Return the properties of a robot that a network depends on: its tubes' numbers, limits of beta, and carriage
-    gap.
+    """Return the properties of a robot that a network depends on.
+
+    These are its tubes' numbers, limits of beta, and carriage gap.
     """
     d = robot.d
     beta = [robot.lower[d : 2 * d].tolist(), robot.upper[d : 2 * d].tolist()]
@@ -93,13 +106,16 @@ def robot_identity(robot: Robot) -> dict[str, Any]:
 
 
 def network_path(robot: Robot, model: str) -> Path:
-    """Return where the network of a robot and a model is kept: in the folder of compiled code (CTR_NLP_CACHE)."""
+    """Return the path of the network's file for a robot and the name of a model, in the folder CTR_NLP_CACHE."""
     digest = hashlib.sha256(json.dumps(robot_identity(robot)).encode()).hexdigest()[:16]
     return cache.folder() / NETWORK_CACHE_FOLDER / f"{model}-{digest}.npz"
 
 
 def load_trained_network(robot: Robot, model: str) -> InverseKinematicsNetwork:
-    """Return the network for a robot and a model; without one raises OptionError, which says how to train it."""
+    """Return the network for a robot and the name of a model.
+
+    Raises OptionError, which says how to train one, where there is none.
+    """
     path = network_path(robot, model)
     if not path.exists():
         others = _describe_other_networks(path, model)
@@ -109,6 +125,8 @@ def load_trained_network(robot: Robot, model: str) -> InverseKinematicsNetwork:
             "default ones"
         )
     network = read_network(path)
+    # The file's name has 64 bits of the digest: compare in full. The metadata has been through JSON, hence the
+    # round trip.
     if (
         network.metadata["robot"] != json.loads(json.dumps(robot_identity(robot)))
         or network.metadata["model"] != model
@@ -118,7 +136,7 @@ def load_trained_network(robot: Robot, model: str) -> InverseKinematicsNetwork:
 
 
 def _describe_other_networks(path: Path, model: str) -> str:
-    """Say which networks are there in place of the one at `path`; empty where there are none."""
+    """Describe the networks that exist instead of the one at `path`, for a message; empty where there are none."""
     known: Sequence[str] = sorted(other.stem.rpartition("-")[0] for other in path.parent.glob("*-*.npz"))
     same = known.count(model)
     if same:

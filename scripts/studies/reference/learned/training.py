@@ -1,4 +1,9 @@
-"""Training of a network by PyTorch, on shapes that are drawn once."""
+"""Training of the S2J-IK network by PyTorch, on shapes that are sampled once.
+
+Liang et al. 2022 (the paper's [7]) is the source of the idea; what differs, and all of it is ours since the
+publication was not at hand: a perceptron with tanh, whitened inputs, Adam with a cosine schedule, the loss of
+loss.py on simulated shapes (samples.py).
+"""
 
 from __future__ import annotations
 
@@ -20,21 +25,21 @@ from reference.learned.network import FORMAT, InverseKinematicsNetwork, robot_id
 from reference.learned.samples import NETWORK_INPUT_SIGMA, ShapeBatch, sample_stable_unknowns, shapes_of
 
 VALIDATION_SHAPE_COUNT = 1000
-"""Shapes that are not trained on; they are drawn with the seed after the training's."""
+"""Number of held-out shapes; they are sampled with the training's seed plus 1."""
 LEARNING_CURVE_POINTS = 50
-"""How often the error on held-out shapes is looked at, for the learning curve."""
+"""Number of evaluations on held-out shapes during training, for the learning curve."""
 MIN_RELATIVE_INPUT_DEVIATION, INPUT_SCALE_OFFSET = 1e-2, 1e-9
-"""Of the largest standard deviation of the inputs' principal components, below which others are not made larger;
-what is added to that of an input, which may be 0."""
+"""Principal components whose standard deviation is less than this part of the largest are not scaled up to 1; and
+what is added to the standard deviation of each input, which may be 0."""
 INITIAL_LEARNING_RATE = 2e-3
 """Adam's first learning rate, which falls to 0 along half a cosine."""
 
 
 @dataclass(frozen=True)
 class Training:
-    """How much is trained: shapes drawn, steps, shapes in a step, widths of hidden layers, and the random seed.
+    """Size of a training: sampled shapes, steps, shapes in a step, widths of hidden layers, and the random seed.
 
-    Raises OptionError.
+    Raises OptionError where a number is out of its range.
     """
 
     shapes: int = 50_000
@@ -51,7 +56,7 @@ class Training:
 
 
 TrainingProgress = Callable[[int, int, str], None]
-"""Told how many steps are done, of how many, and the error on held-out shapes in words."""
+"""Called with (steps done, steps in all, error on held-out shapes in words)."""
 
 
 def train_network(
@@ -61,10 +66,11 @@ def train_network(
     progress: TrainingProgress | None = None,
     stop: Callable[[], bool] = lambda: False,
 ) -> InverseKinematicsNetwork:
-    """The network of a robot and a model; equal seeds give equal networks on the same machine.
+    """Train the network of a robot on a model; equal seeds give equal networks on the same machine.
 
-    Raises OptionError where the model does not describe the robot or PyTorch is missing, and KeyboardInterrupt
-    when stop() says so: half a training is none.
+    training: its size and seed. progress: called after each step, see TrainingProgress. stop: asked after each
+    step; KeyboardInterrupt is raised when it returns True, since half a training is of no use. Raises OptionError
+    where the model does not describe the robot or PyTorch is missing.
     """
     torch = import_extra("torch")
     model.check(robot)
@@ -99,7 +105,10 @@ def train_network(
 def _train_steps(
     torch: Any, net: Any, loss: ShapeLoss, inputs: Any, shapes: ShapeBatch, training: Training
 ) -> Iterator[tuple[int, float]]:
-    """Train step by step; yields the number of each, from 1, and the loss before it."""
+    """Train net step by step; yields the number of each step, from 1, and the loss before it, mm.
+
+    inputs: whitened inputs (n, 61) of the shapes, a tensor.
+    """
     rng = np.random.default_rng(training.seed)
     optimiser = torch.optim.Adam(net.parameters(), lr=INITIAL_LEARNING_RATE)
     schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, training.steps)
@@ -114,13 +123,15 @@ def _train_steps(
 
 
 def _normalisation(inputs: Array) -> tuple[Array, Array]:
-    """The mean (61,) of inputs (n, 61), and the matrix (61, 61) that makes deviations from it uncorrelated and 1.
+    """Compute the mean (61,) of inputs (n, 61) and the whitening matrix (61, 61).
 
-    Where the tubes end shows in small differences of points, which would hardly count beside the large ones.
-    Those below MIN_RELATIVE_INPUT_DEVIATION are left smaller.
+    Inputs less the mean, times the matrix, are uncorrelated and have the standard deviation 1, or less where
+    MIN_RELATIVE_INPUT_DEVIATION limits it.
     """
     mean = inputs.mean(axis=0)
     scale = inputs.std(axis=0) + INPUT_SCALE_OFFSET
+    # The points where tubes end differ little between shapes; unscaled they would hardly count beside the large
+    # deflections. The floor keeps components that are rounding from being scaled up, too.
     variances, axes = np.linalg.eigh(np.cov((inputs - mean) / scale, rowvar=False))
     deviations = np.sqrt(np.maximum(variances, variances[-1] * MIN_RELATIVE_INPUT_DEVIATION**2))
     return mean, axes / scale[:, None] / deviations
@@ -128,7 +139,10 @@ def _normalisation(inputs: Array) -> tuple[Array, Array]:
 
 @contextmanager
 def _seeded_single_thread(torch: Any, seed: int) -> Iterator[None]:
-    """Torch with a seed and a single thread: sums of several threads differ in their last digits."""
+    """Run torch with a seed and a single thread within the block.
+
+    Sums over several threads differ in their last digits from run to run.
+    """
     threads = torch.get_num_threads()
     torch.set_num_threads(1)
     try:
@@ -140,7 +154,7 @@ def _seeded_single_thread(torch: Any, seed: int) -> Iterator[None]:
 
 
 def _perceptron(torch: Any, widths: tuple[int, ...], d: int) -> Any:
-    """Layers as Network has them, as torch initialises them."""
+    """Build the layers of an InverseKinematicsNetwork of d tubes, initialised by torch's defaults."""
     layers: list[Any] = []
     before = 3 * len(NETWORK_INPUT_SIGMA) + 1
     for width in widths:
