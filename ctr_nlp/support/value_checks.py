@@ -89,7 +89,7 @@ def _of_one_kind(items: list[Any]) -> bool:
 
 
 def build_from_table(cls: type, data: Any, name: str | None = None) -> Any:
-    """Build the dataclass `cls` from `data`, a table of a file that messages call `name`, or by the class.s name.
+    """Build the dataclass `cls` from `data`, a table of a file that messages call `name`, or by the class's name.
 
     Raises RobotError where `data` is no table, or its keys are unknown or missing.
     """
