@@ -17,7 +17,7 @@ def stepped(model, robot, q):
     walker = model.walker(robot.structure, robot.numbers, q[0])
     x, margins, jumps = [walker.x], [walker.margin()], []
     for row in q[1:]:
-        jumps.append(walker.go(row))
+        jumps.append(walker.move_to(row))
         x.append(walker.x)
         margins.append(walker.margin())
     return np.array(x), np.array(margins), jumps

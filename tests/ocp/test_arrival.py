@@ -58,7 +58,7 @@ def test_its_slope_is_continuous():
 
 def test_it_counts_in_the_last_tenth_alone_and_tightens_towards_the_end(bend):
     filled = [ArrivalTerm(weight=50.0, radius=0.3, required=1.7).fill(frame) for frame in bend.target_frames]
-    parts = np.array([frame.part for frame in bend.target_frames])
+    parts = np.array([frame.motion_fraction for frame in bend.target_frames])
     weights = np.array([values["arrival_weight"] for values in filled])
     np.testing.assert_array_equal(weights, np.where(parts > 1 - ARRIVAL_MOTION_FRACTION, 50.0, 0.0))
     radii = [values["arrival_radius"] for values in filled]

@@ -564,18 +564,18 @@ def test_every_row_is_named_after_what_it_limits_and_the_last_frame_it_reaches(c
     for row, kind in enumerate(kinds):
         columns = np.flatnonzero(touches[row])
         name = kind if kind in own else f"{kind} of {robot.axes[columns[-1] % n]}"
-        assert chain.place(row) == (name, columns[-1] // n + 1)
+        assert chain.describe_row(row) == (name, columns[-1] // n + 1)
 
 
 def test_constraints_of_several_values_share_a_name():
-    names = [toy(frames=2).place(row) for row in range(4, 10)]
+    names = [toy(frames=2).describe_row(row) for row in range(4, 10)]
     assert names == [(name, frame) for frame in (1, 2) for name in ("curved", "curved", "straight")]
 
 
 def test_there_is_no_name_beyond_the_last_row():
     chain = toy()
     with pytest.raises(IndexError):
-        chain.place(len(chain.bounds[0]))
+        chain.describe_row(len(chain.bounds[0]))
 
 
 # What is exceeded

@@ -44,7 +44,7 @@ def program(robot, model, walled, terms):
 def numbers_of(nlp, robot, rng):
     """A configuration and parameters: none of them is special, and radii and distances are no less than 1."""
     d, p = robot.d, np.abs(rng.normal(size=nlp.p.numel())) + 1
-    p[nlp.place("tubes")] = robot.numbers.ravel(order="F")
+    p[nlp.parameter_slice("tubes")] = robot.numbers.ravel(order="F")
     beta = np.sort(rng.uniform(0.1, 0.9, d)) * robot.upper[d : 2 * d]
     x = np.concatenate([rng.normal(size=d), np.maximum.accumulate(beta), 0.3 * rng.normal(size=2)])
     return np.append(x, rng.random(nlp.slacks)), p

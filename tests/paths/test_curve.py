@@ -197,7 +197,7 @@ def test_a_byte_order_mark_blanks_and_capitals_are_read(tmp_path):
 @given(rigid_transforms())
 def test_moving_keeps_curvature_and_length(transform):
     curve = cosine()
-    moved, s = curve.moved(transform), np.linspace(0, curve.length, 60)
+    moved, s = curve.apply_transform(transform), np.linspace(0, curve.length, 60)
     steps = (np.linalg.norm(np.diff(c.point(s), axis=0), axis=1) for c in (moved, curve))
     np.testing.assert_allclose(moved.curvature(s), curve.curvature(s), rtol=1e-12)
     np.testing.assert_allclose(*steps, rtol=1e-9)
@@ -206,7 +206,7 @@ def test_moving_keeps_curvature_and_length(transform):
 
 def test_reversed_runs_from_last_to_first():
     curve = cosine()
-    back, s = curve.reversed(), np.linspace(0, curve.length, 40)
+    back, s = curve.reverse_direction(), np.linspace(0, curve.length, 40)
     np.testing.assert_allclose(back.point(s), curve.point(s[::-1]), atol=1e-9)
     np.testing.assert_allclose(back.tangent(s), -curve.tangent(s[::-1]), atol=1e-12)
     np.testing.assert_allclose(back.curvature(s), curve.curvature(s[::-1]), rtol=1e-9)
@@ -248,7 +248,7 @@ def test_trimming_leaves_a_short_curve_alone():
 
 @given(rigid_transforms())
 def test_placed_curve_starts_at_the_origin_with_its_first_10_mm_along_z(transform):
-    curve, _ = move_to_robot_frame(helix().moved(transform))
+    curve, _ = move_to_robot_frame(helix().apply_transform(transform))
     start, ten = curve.point(np.array([0.0, 10.0]))
     np.testing.assert_allclose(start, 0, atol=1e-9)
     np.testing.assert_allclose(ten / np.linalg.norm(ten), [0, 0, 1], atol=1e-9)
@@ -256,7 +256,7 @@ def test_placed_curve_starts_at_the_origin_with_its_first_10_mm_along_z(transfor
 
 @given(rigid_transforms())
 def test_placing_is_the_rigid_transform_that_it_reports(transform):
-    curve = helix().moved(transform)
+    curve = helix().apply_transform(transform)
     moved, to_robot = move_to_robot_frame(curve)
     rotation = to_robot[:3, :3]
     np.testing.assert_allclose(rotation @ rotation.T, np.eye(3), atol=1e-12)
@@ -269,7 +269,7 @@ def test_placing_is_the_rigid_transform_that_it_reports(transform):
 @given(rigid_transforms())
 def test_placing_turns_by_the_smallest_rotation(transform):
     """No rotation takes the heading to z by less than the angle between them."""
-    curve = helix().moved(transform)
+    curve = helix().apply_transform(transform)
     heading = np.diff(curve.point(np.array([0.0, 10.0])), axis=0)[0]
     angle = Rotation.from_matrix(move_to_robot_frame(curve)[1][:3, :3]).magnitude()
     assert angle == pytest.approx(math.acos(np.clip(heading[2] / np.linalg.norm(heading), -1, 1)), abs=1e-7)

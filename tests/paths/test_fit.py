@@ -105,7 +105,7 @@ def test_the_lumen_counts_that_was_given_beside_the_path():
     lumen = straight(narrow((120, 125, 0.9)))
     aside = np.eye(4)
     aside[0, 3] = 0.5
-    made = Problem("made", table_i_robot(), growing(straight(3.0).moved(aside), 3), lumen=lumen)
+    made = Problem("made", table_i_robot(), growing(straight(3.0).apply_transform(aside), 3), lumen=lumen)
     assert [each.tube for each in misfits(made)] == [3]
 
 
@@ -130,7 +130,7 @@ def test_a_jagged_path_asks_for_smoothing():
 def test_a_base_that_cannot_turn_to_the_path_is_told():
     leaning = np.eye(4)
     leaning[:3, :3] = [[np.cos(0.2), 0, np.sin(0.2)], [0, 1, 0], [-np.sin(0.2), 0, np.cos(0.2)]]
-    made = Problem("made", table_i_robot(), growing(straight().moved(leaning), 3))
+    made = Problem("made", table_i_robot(), growing(straight().apply_transform(leaning), 3))
     assert problem_notes(made) == []
     assert problem_notes(replace(made, robot=made.robot.with_limits(theta=(-0.21, 0.21)))) == []
     assert problem_notes(replace(made, robot=made.robot.with_limits(theta=((0, 0), (0, 0.2))))) == []

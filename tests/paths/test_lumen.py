@@ -48,7 +48,7 @@ def test_beside_a_straight_path(z, away, turn):
     assert near.radius == pytest.approx(9 - 0.05 * z, abs=1e-9)
     assert (near.length_before, near.length_after) == pytest.approx((z, LENGTH - z), abs=1e-9)
     assert near.tangent == pytest.approx([0, 0, 1])
-    assert near.bend == pytest.approx(np.zeros(3), abs=1e-9)
+    assert near.curvature_vector == pytest.approx(np.zeros(3), abs=1e-9)
     assert near.taper == pytest.approx(-0.05)
 
 
@@ -63,7 +63,7 @@ def test_beside_a_circle(transform, s, inwards, aside):
     assert near.radius == pytest.approx(9 - 0.05 * s, abs=1e-3)
     np.testing.assert_allclose(near.centre, moved(transform, centre), atol=1e-4)
     np.testing.assert_allclose(near.tangent, turn @ tangent, atol=1e-4)
-    np.testing.assert_allclose(near.bend, turn @ ([R, 0, 0] - centre) / R**2, atol=1e-4)
+    np.testing.assert_allclose(near.curvature_vector, turn @ ([R, 0, 0] - centre) / R**2, atol=1e-4)
     assert near.taper == pytest.approx(-0.05 / (1 - inwards / R), rel=1e-3)
 
 

@@ -32,8 +32,8 @@ def test_what_is_lost_is_counted_and_bounded(plan):
     assert 0 < found.lost_count < 30
     off = draws.offsets[:, 0]
     assert off[found.lost > 0].mean() > off[found.lost == 0].mean()
-    assert sum(loss.draws for loss in found.when) == found.lost_count
-    assert all(loss.length == pytest.approx(80) for loss in found.when)
+    assert sum(loss.draws for loss in found.losses_by_frame) == found.lost_count
+    assert all(loss.length == pytest.approx(80) for loss in found.losses_by_frame)
     away = np.linalg.norm(moved.shape - plan.target, axis=-1)
     np.testing.assert_allclose(found.largest, away.max(axis=(1, 2)))
     for k in (0, 7):
@@ -54,7 +54,7 @@ def test_costs_are_those_of_one_tolerance_alone(plan):
 
 def test_it_is_shown_in_a_line(plan):
     found = plan.robustness(20)
-    assert repr(found) == f"Robustness({found.told[:-1]})"
+    assert repr(found) == f"Robustness({found.summary_sentence[:-1]})"
     assert f"{found.lost_count} of 20 samples" in repr(found)
 
 
@@ -122,7 +122,7 @@ def test_a_file_whose_seed_is_none_is_refused(plan, tmp_path):
 
 def test_the_verdict_and_the_summary_say_so(plan):
     assert plan.verdicts.holds.word == "no"
-    assert plan.verdicts.holds.number <= 1 - plan.drawn.share
+    assert plan.verdicts.holds.number <= 1 - plan.drawn.lost_share
     assert f"{plan.drawn.lost_count} snap or leave the branch" in plan.verdicts.holds.why
     found = json.loads(json.dumps(summary(plan), allow_nan=False))["robustness"]
     assert found["lost"] == plan.drawn.lost_count

@@ -371,7 +371,7 @@ def name(request):
 
 
 def test_failed_are_the_verdicts_whose_word_is_no(name):
-    assert PLANS[name].verdicts.failed == FAILED[name]
+    assert PLANS[name].verdicts.failed_names == FAILED[name]
 
 
 def test_every_verdict_has_a_word_and_a_sentence(name):
@@ -397,7 +397,7 @@ def test_a_failed_verdict_is_exit_status_1_and_an_interruption_130(name):
 
 
 def test_failed_samples_are_exit_status_1(sampled):
-    assert "holds on built robots" in sampled.verdicts.failed
+    assert "holds on built robots" in sampled.verdicts.failed_names
     assert plan_report.exit_status(sampled.with_thresholds(arrival_tolerance=500, error_allowed=500)) == 1
 
 

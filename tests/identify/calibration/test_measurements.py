@@ -123,5 +123,5 @@ def test_measurements_know_their_shapes():
     found = observations(q, np.ones((1, 2, 3)), (0.5, 1.2))
     with pytest.raises(MeasurementError, match="a point lies at sigma"):
         found.check(TWO)
-    assert found.seen.all()
+    assert found.observed_mask.all()
     assert len(found[np.array([0])]) == 1
