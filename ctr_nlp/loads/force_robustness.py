@@ -1,4 +1,8 @@
-"""Robust plans on simulated robots within the tolerances, while a tip force from any side comes and goes."""
+"""Study of robust plans under tip forces: samples of a robot with a force that is applied and taken away.
+
+The force is a dead load: its direction is fixed in the base frame. A plan is made for one size of force, and
+tested under others.
+"""
 
 from __future__ import annotations
 
@@ -24,11 +28,11 @@ from ctr_nlp.robust import solve_robust
 from ctr_nlp.typing import Flags
 
 FORCE_STUDY_SAMPLES, FORCE_STUDY_SEED, FORCE_STUDY_DIRECTIONS = 200, 1, 26
-"""Monte Carlo samples that a plan is tried on, their seed, which is not that of planning, and sides of a force."""
+"""Number of Monte Carlo samples, their seed, which is not that of planning, and number of force directions."""
 KNOWN_FORCE_DIRECTION = (0.0, 1.0, 0.0)
 """Direction of a force that is known when planning."""
 KNOWN_FORCE_SETTINGS = Settings(stability_margin=0.3)
-"""Settings of plans for a known force and of those beside them: about the margin that robust plans have."""
+"""Settings of plans with and without a known force: about the margin that robust plans have."""
 
 
 @dataclass(frozen=True)
@@ -40,17 +44,17 @@ class ForceTrial:
     problem : str
         Name of the problem.
     planned_for, force : float
-        Tip forces that the plan was made for, and under which it is tried, N.
+        Tip forces that the plan was made for, and under which it is simulated, N.
     solved : bool
         Whether all frames were solved.
     certified : bool
         Whether the plan's own samples met the required share.
     e3, e3_drawn : float
-        Error as planned, and its mean over samples that each bear the force from one side, mm.
+        Error as planned, and its mean over samples with the force in a direction of their own, mm.
     draws : int
         Number of samples.
     lost, lost_without : int
-        Samples that snap or end on another branch under the force from any of the sides, and without a force.
+        Samples that snap or end on another branch under the force in any of the directions, and without a force.
     seconds : float
         Process time of planning, s.
     """
@@ -71,12 +75,12 @@ class ForceTrial:
 def failed_from_any_side(
     plan: Plan, force: float, samples: int = FORCE_STUDY_SAMPLES, direction_count: int = FORCE_STUDY_DIRECTIONS
 ) -> Flags:
-    """Find the simulated robots that fail while a force comes in the first frame and goes in the last one.
+    """Find the samples that fail under a force that is applied in the first frame and taken away in the last one.
 
     Parameters
     ----------
     plan : Plan
-        The plan, whose robot's tolerances are sampled, but for its tip force.
+        The plan, whose robot's tolerances are sampled except for the tip force.
     force : float
         Force at the tip, N; 0 for none.
     samples : int
@@ -87,9 +91,9 @@ def failed_from_any_side(
     Returns
     -------
     (n,) array of bool
-        Samples that snap, have no equilibrium or end on another branch from any of these sides.
+        Samples that snap, have no equilibrium or end on another branch in any of these directions.
     """
-    # The force is put on by hand, the same for all samples: theirs would each come from a direction of its own.
+    # The same force for all samples: with a tip force among the tolerances each would have a direction of its own.
     robot = replace(plan.robot, tolerances=replace(plan.robot.tolerances, tip_force=0.0))
     known = sample_robots(robot, samples, FORCE_STUDY_SEED)
     lost = np.zeros(samples, dtype=bool)
@@ -106,7 +110,7 @@ def evaluate_under_forces(
     samples: int = FORCE_STUDY_SAMPLES,
     most_lost: float = MOST_LOST,
 ) -> list[ForceTrial]:
-    """Plan a problem robustly for a tip force, and try the plan under several.
+    """Plan a problem robustly for one tip force, and simulate the plan under several.
 
     Parameters
     ----------
@@ -115,7 +119,7 @@ def evaluate_under_forces(
     planned_for : float
         Tip force that the plan is made for, N.
     forces : sequence of float
-        Tip forces that it is tried under, N.
+        Tip forces under which it is simulated, N.
     samples : int
         Number of Monte Carlo samples.
     most_lost : float
@@ -123,9 +127,10 @@ def evaluate_under_forces(
 
     Returns
     -------
-    list of Withstood
+    list of ForceTrial
         One result a force.
     """
+    # Time of this process alone: other work on the machine does not count.
     tolerances = replace(problem.robot.tolerances, tip_force=planned_for)
     begin = time.process_time()
     tolerant = replace(problem, robot=replace(problem.robot, tolerances=tolerances))
@@ -151,9 +156,9 @@ def evaluate_under_forces(
 
 
 def _sampled_e3(plan: Plan, force: float, samples: int) -> float:
-    """Mean e3, mm, of samples that each bear the force, N, from a side of their own; NaN where it is unknown."""
+    """Return the mean e3, mm, of samples with the force, N, in a direction of their own; NaN where unknown."""
     tolerances = replace(plan.robot.tolerances, tip_force=force)
-    # A plan samples the robot in its meta: with this tip force among the tolerances every sample bears one.
+    # A plan samples the robot in its meta: with this tip force among the tolerances every sample has one.
     told = replace(plan, meta=plan.meta | {"robot": replace(plan.robot, tolerances=tolerances).to_dict()})
     errors = told.robustness(samples, FORCE_STUDY_SEED).errors
     return math.nan if errors is None else errors.mean
@@ -174,7 +179,7 @@ class ForceCompensation:
     solved : bool
         Whether all frames of the plan made for the force were solved.
     snaps : bool
-        Whether that plan snaps while the force comes, stays and goes.
+        Whether that plan snaps while the force is applied, stays, and is taken away.
     """
 
     problem: str
@@ -198,7 +203,7 @@ def plan_with_known_force(problem: Problem, force: float) -> ForceCompensation:
 
     Returns
     -------
-    Compensated
+    ForceCompensation
         Errors of both plans.
     """
     load = Load(tuple(force * part for part in KNOWN_FORCE_DIRECTION))

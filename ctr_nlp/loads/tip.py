@@ -1,4 +1,9 @@
-"""The tip forces that a plan bears in every frame and many directions before it snaps or leaves its lumen."""
+"""Critical tip forces of a plan: in every frame and direction, the force that snaps the robot or moves it out.
+
+Forces are dead loads in the axes of the base, added to the load that the plan is evaluated under. A force is
+critical where the branch of equilibria ends (a fold) or becomes unstable on the way up from zero, or where the
+body leaves its lumen.
+"""
 
 from __future__ import annotations
 
@@ -35,9 +40,9 @@ from ctr_nlp.typing import Array, Flags, Index
 FORCE_DIRECTION_COUNTS = 6, 14, 26
 """Numbers of directions: along the axes; also towards corners of a cube; also towards the middles of its edges."""
 DEFAULT_MAX_TIP_FORCE_N = 5.0
-"""Force up to which is looked, N."""
+"""Default largest force that is tested, N."""
 TIP_FORCE_CLEARANCE_SIGMA = np.linspace(0.0, 1.0, 34)
-"""Places along the robot, as parts of its length, whose clearance from the wall is computed."""
+"""Sample points along the robot, as parts of its length, at which the clearance from the wall is computed."""
 
 
 class WorstForce(NamedTuple):
@@ -46,7 +51,7 @@ class WorstForce(NamedTuple):
     Attributes
     ----------
     force : float
-        Its size, N; infinity where all are larger than was looked at.
+        Its size, N; infinity where all are larger than what was tested.
     frame : int
         The frame, from 1.
     direction : (3,) array
@@ -60,7 +65,7 @@ class WorstForce(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Forces(ReadOnlyValue):
-    """Tip forces that F frames of a plan bear, beside the load that the plan is evaluated under.
+    """Critical tip forces in F frames of a plan, in addition to the load that the plan is evaluated under.
 
     Attributes
     ----------
@@ -76,7 +81,7 @@ class Forces(ReadOnlyValue):
     compliance : (F, 3, 3) array
         Displacements of the tip (rows) per small force (columns), mm/N.
     max_force : float
-        Largest force that was looked at, N.
+        Largest force that was tested, N.
     allowed_depth : float or None
         Depth beyond the wall from which on the robot has left its lumen, mm; None where no wall counts.
     """
@@ -91,7 +96,7 @@ class Forces(ReadOnlyValue):
 
     @property
     def critical_forces(self) -> Array:
-        """Forces that frames bear in every direction, (F, n) N, before the robot snaps or leaves its lumen."""
+        """Forces (F, n) in N at which the robot snaps or leaves its lumen, whichever is first."""
         return np.minimum(self.snapping_forces, self.lumen_exit_forces)
 
     @cached_property
@@ -105,13 +110,13 @@ class Forces(ReadOnlyValue):
         return None if self.allowed_depth is None else self._least(self.lumen_exit_forces)
 
     def _least(self, forces: Array) -> WorstForce:
-        """The least of forces (F, n), N, with its frame and direction."""
+        """Return the least of forces (F, n), N, with its frame and direction."""
         frame, direction = np.unravel_index(forces.argmin(), forces.shape)
         return WorstForce(float(forces[frame, direction]), int(self.frames[frame]), self.directions[direction])
 
     @property
     def largest_compliance(self) -> Array:
-        """Displacement of the tip per small force in the direction in which it gives in most, (F,) mm/N."""
+        """Largest displacement of the tip per small force over all directions, (F,) mm/N."""
         # The spectral norm: the largest displacement of any force of 1 N.
         return np.asarray(np.linalg.norm(self.compliance, 2, axis=(1, 2)))
 
@@ -150,8 +155,8 @@ class Forces(ReadOnlyValue):
         Returns
         -------
         list of dict
-            The least forces over all directions, N, empty where they are more than was looked at; the direction x,
-            y, z of the smaller one; and the largest compliance, mm/N.
+            The least forces over all directions, N, empty where they are more than was tested; the direction x, y,
+            z of the smaller one; and the largest compliance, mm/N.
         """
         found = []
         for k, frame in enumerate(self.frames.tolist()):
@@ -171,28 +176,28 @@ def forces(
     most: float = DEFAULT_MAX_TIP_FORCE_N,
     off: float | None = None,
 ) -> Forces:
-    """Find the tip forces that a plan bears, on the elastic model.
+    """Find the critical tip forces of a plan, on the elastic model.
 
-    In every frame forces are raised along many directions of the base frame, beside the load that the plan is
-    evaluated under, until the branch of equilibria ends or, at Euler's load, gives way in two directions at once.
+    In every frame forces are raised along many directions of the base frame, in addition to the load that the plan
+    is evaluated under, until the branch of equilibria ends or becomes unstable, as at Euler's buckling load.
 
     Parameters
     ----------
     plan : Plan
         The plan; its robot needs Young's moduli in MPa (:meth:`Plan.with_modulus`).
     every : int
-        Only every so many frames are looked at, from the first on.
+        Stride of the frames that are tested, from the first on.
     directions : int
         Number of directions: 6 along the axes, 14 with the corners of a cube, or 26 with the middles of its edges.
     most : float
-        Force up to which is looked, N.
+        Largest force that is tested, N.
     off : float, optional
         Depth beyond the lumen's wall from which on the robot has left its lumen, mm; by default only snaps count.
 
     Returns
     -------
     Forces
-        Without frames in which the robot has no shape or does not bear the plan's own load.
+        Without frames in which the robot has no shape, or no equilibrium under the plan's own load.
 
     Raises
     ------
@@ -203,7 +208,7 @@ def forces(
 
     Examples
     --------
-    A straight rod gives in as a cantilever, L^3 / (3 E I), and buckles under Euler's load, which is
+    A straight rod has the compliance of a cantilever, L^3 / (3 E I), and buckles under Euler's load, which is
     pi^2 E I / (4 L^2) = 2.95 N:
 
     >>> import ctr_nlp as ctr
@@ -211,9 +216,10 @@ def forces(
     >>> line = ctr.curve_from_points([[0, 0, z] for z in range(0, 101, 5)])
     >>> problem = ctr.Problem("rod", rod, ctr.growing(line, 2))
     >>> found = ctr.forces(ctr.plan_through(problem, np.array([[0, 50, 0, 0], [0, 100, 0, 0]])), directions=6)
-    >>> found.softest.round(1).tolist()
+    >>> found.largest_compliance.round(1).tolist()
     [3.5, 27.9]
-    >>> round(found.snap.force, 1), found.snap.frame, found.snap.direction.tolist()
+    >>> least = found.least_snapping_force
+    >>> round(least.force, 1), least.frame, least.direction.tolist()
     (3.0, 2, [0.0, 0.0, -1.0])
     """
     check_instance(OptionError, "plan", plan, Plan)
@@ -237,8 +243,9 @@ def forces(
     snaps, found = find_tip_force_limits(
         equilibria, states, way, most, asked + [instability_condition(equilibria)] * load.conservative
     )
-    # A branch that goes on after two directions have given way at once is followed, but no robot stays on it.
-    # Without an energy there is no such criterion, and only the ends of branches count.
+    # A branch may continue beyond the point where it becomes unstable, as a straight rod does beyond Euler's load:
+    # it is followed, but no robot stays on it. A load without an energy has no such criterion (flutter is
+    # possible), and only the ends of branches count.
     if load.conservative:
         snaps = np.minimum(snaps, found.pop())
     leaves = found[0] if found else np.full(snaps.shape, np.inf)
@@ -247,7 +254,7 @@ def forces(
 
 
 def cube_directions(count: int) -> Array:
-    """Return evenly spread directions: from a cube's middle to its faces, then its corners, then its edges.
+    """Return evenly spread directions: from a cube's centre to its faces, then its vertices, then its edges.
 
     Parameters
     ----------
@@ -270,9 +277,9 @@ def cube_directions(count: int) -> Array:
 def _loaded_states(
     plan: Plan, load: Load | LoadOverTime, equilibria: LoadedEquilibria, every: int
 ) -> tuple[Index, States]:
-    """Find the frames, from 0, in which the robot of a plan bears its load, and its states there.
+    """Return the frames (F,), from 0, in which a plan's robot has an equilibrium under its load, and the states.
 
-    every: only every so many frames are looked at.
+    load: of the plan. equilibria: solver of the loaded robot. every: stride of the frames that are tested.
     """
     # The branch is that of the motion without a load; in each frame the load of its time then grows from zero.
     x = KINEMATIC_MODELS[Loaded.name].follow(plan.robot, plan.q).x
@@ -281,20 +288,21 @@ def _loaded_states(
     which = which[which % every == 0]
     of_robot = np.repeat(plan.robot.numbers[None], len(which), axis=0)
     states = equilibria.solve_unloaded(of_robot, plan.q[which], tip_angles(x[which], d))
-    # Of all frames, so that those that are looked at have the load of their own time.
+    # A load over time is evaluated for all frames and then indexed, so that each frame has the load of its time.
     acting = load.numbers_at(d, np.linspace(0.0, 1.0, len(x)))
     loaded, done = equilibria.follow_branches(states, states.q, acting[which])
     return which[done == 1], loaded.rows(done == 1)
 
 
 def _left_lumen_criterion(plan: Plan, off: float, kind: RodKind) -> StateCondition:
-    """Return the condition that a robot is further beyond the wall of the plan's lumen than off, mm."""
+    """Return the condition that a robot is further than `off`, mm, beyond the wall of the plan's lumen."""
     if plan.lumen is None:
         raise OptionError("off is asked for, and the plan knows no wall of a lumen")
     beside = WallDistance(Lumen(plan.lumen))
     robot = plan.robot
 
     def left(states: States) -> Flags:
+        # Clearance is negative beyond the wall.
         shape = loaded_shapes(robot, states, TIP_FORCE_CLEARANCE_SIGMA, kind)
         return np.asarray(
             beside.clearances(robot, robot.split(states.q)[1], shape, TIP_FORCE_CLEARANCE_SIGMA).min(axis=1) < -off

@@ -1,9 +1,12 @@
-"""How large a force at its tip a robot bears before it snaps or leaves its lumen, and how far the tip gives in.
+"""Continuation of equilibria in a tip force: where a branch ends or a condition becomes true; the compliance.
 
-The force is raised along fixed directions of the base frame, beside the robot's own load, and the branch of
-equilibria is followed until it ends (models/loaded/equilibria.py). All configurations and directions are rows of
-one batch. The force grows through levels each of which is twice the one before, so that whatever happens within a
-level is found to the same part of the force, small or large.
+The force is raised along fixed directions of the base frame, in addition to the robot's own load, and the branch
+of equilibria is followed until it ends (models/loaded/equilibria.py). All configurations and directions are rows
+of one batch. Each force level is twice the one before: a critical force is found to the same relative accuracy
+(MIN_FORCE_LEVEL_STEP of its level), whether it is small or large.
+
+Dead forces are conservative, so that stability follows from the second variation of the energy: an equilibrium is
+stable where all pivots of its response matrices are positive (models/loaded/stability.py).
 """
 
 from __future__ import annotations
@@ -22,9 +25,9 @@ from ctr_nlp.typing import Array, Flags
 TIP_FORCE_LEVELS = 10
 """Doublings of the force from the least level to the largest force."""
 MIN_FORCE_LEVEL_STEP = 2.0**-8
-"""Least step as a part of a level: the end of a branch is found to this part of the force."""
+"""Least step as a part of a level, and so the relative accuracy of the force at which a branch ends: 0.4 %."""
 BISECTIONS = 7
-"""How often the level is halved within which a condition becomes true."""
+"""Bisections of the level within which a condition becomes true."""
 COMPLIANCE_FORCE_N = 1e-4
 """Force at the tip whose displacements give the compliance, N."""
 
@@ -39,18 +42,18 @@ def find_tip_force_limits(
     max_force: float,
     conditions: Sequence[StateCondition],
 ) -> tuple[Array, list[Array]]:
-    """Find the tip forces at which the branches of equilibria end, and from which on conditions hold.
+    """Find the tip forces at which branches of equilibria end, and those from which on conditions are true.
 
     Parameters
     ----------
     equilibria : LoadedEquilibria
         Follows the robot's equilibria.
     states : States
-        Equilibria of T configurations under their own loads.
+        Equilibria in T configurations under the loads of these.
     directions : (n, 3) array
         Unit vectors in the base frame along which forces are raised.
     max_force : float
-        Largest force that is looked at, N.
+        Largest force that is tested, N.
     conditions : sequence of callable
         Conditions: each takes states of m rows and returns for which of them it is true, (m,). It must stay true
         once a force has made it true.
@@ -58,7 +61,7 @@ def find_tip_force_limits(
     Returns
     -------
     ends : (T, n) array
-        Forces beside the rows' loads at which their branches end, N, to about 0.4 %.
+        Forces, in addition to the rows' loads, at which their branches end, N, to about 0.4 %.
     found : list of (T, n) arrays
         For each condition the forces from which on it is true, N: 0 where it is true without a force. In both,
         infinity stands for more than `max_force`, and in `found` for never before the branch ends.
@@ -92,11 +95,12 @@ def find_tip_force_limits(
 
 
 def instability_condition(equilibria: LoadedEquilibria) -> StateCondition:
-    """Return the condition that some direction has given way, for loads that have an energy.
+    """Return the condition that an equilibrium is unstable, for loads that have an energy.
 
-    The branch of equilibria need not end there: at Euler's load two directions give way at once, and the straight
-    rod is an equilibrium of any force. Therefore it is the pivots of the response matrices that are looked at, all
-    of which are positive where the robot is stable (models/loaded/stability.py).
+    The branch of equilibria need not end there: a straight rod is an equilibrium under any axial force, and
+    becomes unstable in two directions at once at Euler's load. The determinant of the response then has a double
+    root and keeps its sign, so that its pivots are tested instead: all are positive where the robot is stable
+    (models/loaded/stability.py).
 
     Parameters
     ----------
@@ -118,9 +122,9 @@ def instability_condition(equilibria: LoadedEquilibria) -> StateCondition:
 def _raise_tip_force(
     equilibria: LoadedEquilibria, states: States, own: Array, force: Array
 ) -> tuple[States, Array]:
-    """Follow the branches of states to tip forces (T, 3), N, beside their own loads (T, l).
+    """Follow the branches of states to tip forces (T, 3), N, in addition to their own loads (T, l).
 
-    Returns the states as far as their branches go, and which part of the way that is, (T,), 1 for all of it.
+    Returns the last states on their branches, and the part of the force that was reached, (T,), 1 for all of it.
     """
     # The first three numbers of a load are the tip force in base directions; see Load.numbers.
     load = own.copy()
@@ -147,7 +151,7 @@ def _crossing(
         middle = (low + high) / 2
         new, _ = _raise_tip_force(equilibria, states, own, middle[:, None] * toward)
         past = true(new)
-        # Where the condition is still false the branch is followed on from there, which is less far each time.
+        # Where the condition is still false the branch is continued from there, over a step that halves each time.
         states = states.replace_rows(~past, new.rows(~past))
         low = np.where(past, low, middle)
         high = np.where(past, middle, high)
@@ -155,7 +159,7 @@ def _crossing(
 
 
 def compliance(robot: Robot, equilibria: LoadedEquilibria, states: States) -> Array:
-    """Compute how far the tips of equilibria give in to small forces.
+    """Compute the compliance of the tips of equilibria: their displacement per small force.
 
     Central differences of equilibria under forces of 1e-4 N along each axis of the base frame, to both sides.
 
@@ -182,6 +186,8 @@ def compliance(robot: Robot, equilibria: LoadedEquilibria, states: States) -> Ar
     tips = np.where(
         done[:, None] == 1, loaded_shapes(robot, found, np.ones(1), equilibria.rods.kind)[:, 0], np.nan
     )
+    # In a central difference the quadratic part cancels, which is large where the robot is about to snap. Rows are
+    # forces and columns coordinates: swapped, so that the matrix times a force is a displacement.
     ahead, behind = np.moveaxis(tips.reshape(rows, 2, 3, 3), 1, 0)
     return np.swapaxes(ahead - behind, 1, 2) / (2 * COMPLIANCE_FORCE_N)
 

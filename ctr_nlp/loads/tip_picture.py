@@ -1,4 +1,4 @@
-"""The tip forces that a plan bears as a figure; apart from the numbers, which need no matplotlib."""
+"""Figure of a plan's critical tip forces; a module of its own, since the numbers need no matplotlib."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ POLAR_PLANES = (0, 1), (2, 0), (2, 1)
 
 @rc_context(STYLE)
 def draw_tip_forces(found: Forces, problem: str) -> Figure:
-    """Draw the tip forces that a plan bears, how soft its tip is, and the worst frame's forces in three planes.
+    """Draw a plan's critical tip forces, the compliance of its tip, and the worst frame's forces in three planes.
 
     Parameters
     ----------
@@ -55,7 +55,7 @@ def draw_tip_forces(found: Forces, problem: str) -> Figure:
 
 
 def _by_frame(axes: Axes, found: Forces) -> None:
-    """Forces over frames, from the worst direction to the best."""
+    """Draw the forces over frames, as a band from the worst direction to the best."""
     shown = np.minimum(found.snapping_forces, found.max_force)
     axes.fill_between(found.frames, shown.min(axis=1), shown.max(axis=1), color=SKY, alpha=0.4, lw=0)
     marker = "." if len(found.frames) < 30 else ""
@@ -80,7 +80,7 @@ def _by_frame(axes: Axes, found: Forces) -> None:
 
 
 def _polar(axes: Any, found: Forces, worst: int, plane: tuple[int, int]) -> None:
-    """Draw the forces that frame number `worst` of those found bears in the directions that lie in a plane."""
+    """Draw the critical forces of the frame with index `worst` in the directions that lie in a plane."""
     x, y = (found.directions[:, k] for k in plane)
     inside = np.flatnonzero(np.hypot(x, y) > 1 - 1e-9)
     angle = np.arctan2(y[inside], x[inside])
@@ -96,5 +96,5 @@ def _polar(axes: Any, found: Forces, worst: int, plane: tuple[int, int]) -> None
 
 
 def _nice(values: Array) -> float:
-    """The least of values, N, from which on a scale is logarithmic."""
+    """Return the least of values, N, from which on the radial scale is logarithmic."""
     return float(max(values.min(), 1e-4))

@@ -1,4 +1,8 @@
-"""Contact forces: how hard a plan's robot is pressed into the wall of its lumen, and which part is avoidable."""
+"""Contact forces between a plan's robot and the wall of its lumen, and which part of them is avoidable.
+
+Where the lumen is wider than the robot, contact is a matter of planning, and its force avoidable; where it is
+narrower, the wall must give.
+"""
 
 from __future__ import annotations
 
@@ -28,16 +32,16 @@ MIN_WALL_STIFFNESS_N_PER_MM2, MAX_WALL_STIFFNESS_N_PER_MM2 = 1e-6, 1e3
 class WallForces(WallContact):
     """Contact forces of a plan's robot with an elastic wall, in T frames and on K pieces of the robot.
 
-    See :class:`~ctr_nlp.loads.wall_contact.Touching` for the forces and where they act.
+    See :class:`~ctr_nlp.loads.wall_contact.WallContact` for the forces and where they act.
 
     Attributes
     ----------
     stiffness : float
-        Of the wall, N/mm for every mm of length.
+        Stiffness of the wall, N/mm for every mm of length.
     depth_alone : (T,) array
-        How deep the robot would be in a wall that does not push, mm.
+        Depth of the robot in the wall if the wall did not push, mm.
     tip : (T,) array
-        How far the wall moves the tip, mm.
+        Displacement of the tip by the wall, mm.
     """
 
     stiffness: float
@@ -56,7 +60,7 @@ class WallForces(WallContact):
 
     @property
     def avoidable(self) -> Array:
-        """Part of the total that acts where the lumen is wider than the robot, and need not act, (T,) N."""
+        """Part of the total that acts where the lumen is wider than the robot, (T,) N."""
         return np.asarray(np.where(self.narrow, 0.0, self.force).sum(axis=1))
 
     @property
@@ -111,18 +115,18 @@ class WallForces(WallContact):
 
 
 def wall_forces(plan: Plan, stiffness: float = AIRWAY_WALL_STIFFNESS_N_PER_MM2) -> WallForces:
-    """Find the forces with which a plan's robot and the wall of its lumen press on each other.
+    """Compute the contact forces between a plan's robot and the wall of its lumen.
 
-    The robot is that of the elastic model. The wall is an elastic foundation: every mm of the robot is pushed with
-    the stiffness times its depth, towards the lumen's path, without friction. This acts beside the load that the
-    plan is evaluated under.
+    The robot is that of the elastic model. The wall is an elastic (Winkler) foundation without friction: every mm
+    of the robot is pushed towards the lumen's path with the stiffness times its depth. This is added to the load
+    that the plan is evaluated under.
 
     Parameters
     ----------
     plan : Plan
         The plan; its robot needs Young's moduli in MPa (:meth:`Plan.with_modulus`).
     stiffness : float
-        Of the wall, N/mm for every mm of the robot; by default that of an airway.
+        Stiffness of the wall, N/mm for every mm of the robot; by default that of an airway.
 
     Returns
     -------
@@ -166,6 +170,7 @@ def wall_forces(plan: Plan, stiffness: float = AIRWAY_WALL_STIFFNESS_N_PER_MM2) 
     load = plan.evaluated_load or Load()
     lumen = Lumen(plan.lumen)
     found = Foundation(plan.robot, lumen, value, load).follow_motion(plan.q)
+    # The same robot and load without the pushes of the wall, for comparison.
     alone = plan.with_load(load)
     assert alone.clearance is not None  # a lumen is known
     return WallForces(

@@ -1,10 +1,15 @@
-"""A robot within a wall that gives: where it touches the wall along a motion, and with what forces.
+"""Contact of a robot with an elastic wall along a motion: where it touches, and with what forces.
 
-The wall is an elastic foundation: it pushes with stiffness times depth on every mm of the robot, towards the
-lumen's path; from both sides where the lumen is narrower than the robot. Forces per length are constant along
-pieces of the robot. Those at which every piece is pressed as deep into the wall as its force says are found by a
-semismooth Newton method (Qi and Sun, A nonsmooth version of Newton's method, Mathematical Programming 58, 1993),
-frame after frame, whose derivatives are differences of equilibria that are followed side by side.
+The wall is an elastic (Winkler) foundation: on every mm of the robot it pushes with k times the depth, towards the
+lumen's path, and from both sides where the lumen is narrower than the robot. Along each piece of the robot the
+force per length f is constant. With w(f) the push of the wall on the robot that is in equilibrium under f, the
+forces satisfy
+
+    f = w(f),   f >= 0,
+
+and are found by a semismooth Newton method (Qi and Sun, A nonsmooth version of Newton's method, Mathematical
+Programming 58, 1993), frame after frame. Its derivatives dw/df are finite differences of equilibria, which are
+followed in one batch. There is no friction.
 """
 
 from __future__ import annotations
@@ -32,23 +37,25 @@ from ctr_nlp.support.value_objects import ReadOnlyValue
 from ctr_nlp.typing import Array, Flags
 
 CONTACT_PIECES_PER_SECTION = 9
-"""Into which every section between ends of tubes is divided: some mm each."""
+"""Number of pieces into which every section between ends of tubes is divided: some mm each."""
 CONTACT_FORCE_TOLERANCE_N = 1e-4
-"""N that the forces of all pieces differ at most from what their depths say."""
+"""Largest difference, N, between the forces on all pieces and the wall's pushes at their depths."""
 MAX_CONTACT_NEWTON_ITERATIONS, MAX_CONTACT_STEP_HALVINGS = 30, 6
-"""Of Newton's method in a frame, and of a step that makes nothing better."""
+"""Largest number of Newton iterations in a sub-step, and of step lengths in a line search."""
 CONTACT_PROBE_N_PER_MM = 1e-4
-"""N/mm by which the force on a piece is changed for a difference."""
+"""N/mm by which the force on a piece is changed for a finite difference."""
 NEGLIGIBLE_CONTACT_MM_OR_N_PER_MM = 1e-9
-"""mm from the path, and N/mm, below which the wall pushes nowhere."""
+"""mm from the path, and N/mm, below which a push has no direction and counts as 0."""
 CONTACT_PIECE_SAMPLE_PARTS = (0.125, 0.375, 0.625, 0.875)
-"""Parts of a piece at which its depth is taken."""
+"""Sample points of a piece, as parts of its length, at which its depth is computed."""
 
 
 class WallReaction(NamedTuple):
-    """Of T robots, pieces (T, K): how deep the deepest place of each is in the wall, mm, 0 where it does not
-    touch; with what the wall pushes on it, N/mm, and towards where (T, K, 3), of length 1 or 0; where the lumen is
-    narrower than the robot.
+    """The wall's pushes on T robots of K pieces.
+
+    depth (T, K): of the deepest point of each piece in the wall, mm, 0 where it does not touch. push (T, K): force
+    per length of the wall on it, N/mm. towards (T, K, 3): direction of that, of length 1 or 0. narrow (T, K):
+    where the lumen is narrower than the robot.
     """
 
     depth: Array
@@ -59,12 +66,12 @@ class WallReaction(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class WallContact(ReadOnlyValue):
-    """A motion through T frames, and K pieces of the robot; NaN from a frame on in which it snaps.
+    """Contact of a robot of K pieces along a motion of T frames; NaN from the frame on in which it snaps.
 
-    along, length (T, K): the middle of every piece and its length, mm. depth (T, K): of its deepest place in the
-    wall, mm; force (T, K): of the wall on it, N; towards (T, K, 3): that force's direction. narrow (T, K): where
-    the lumen is narrower than the robot. shape (T, 101, 3) mm at uniform sigma. missed (T,): N by which the forces
-    of all pieces differ from what depths say.
+    along, length (T, K): middle and length of every piece, mm. depth (T, K): of its deepest point in the wall, mm.
+    force (T, K): of the wall on it, N; towards (T, K, 3): direction of that. narrow (T, K): where the lumen is
+    narrower than the robot. shape (T, 101, 3): in mm at uniform sigma. missed (T,): residual, the sum over pieces
+    of the difference between force and push, N.
     """
 
     along: Array
@@ -79,7 +86,7 @@ class WallContact(ReadOnlyValue):
 
 @dataclass(frozen=True)
 class Foundation:
-    """A robot in a lumen whose wall has a stiffness, N/mm for every mm of length; load: what it bears beside."""
+    """A robot in a lumen with an elastic wall; stiffness: N/mm for every mm of length; load: a further load."""
 
     robot: Robot
     lumen: Lumen
@@ -88,16 +95,17 @@ class Foundation:
 
     @cached_property
     def kind(self) -> RodKind:
-        """Kind of rods: that of the load, with sections divided into pieces that bear forces of their own."""
+        """Kind of rods: that of the load, with sections divided into pieces that have forces of their own."""
         return RodKind.of(self.load)._replace(pieces=CONTACT_PIECES_PER_SECTION)
 
     @cached_property
     def equilibria(self) -> LoadedEquilibria:
-        """Solver of equilibria of rods that bear a force per length of their own on every piece."""
+        """Solver of equilibria of rods with a force per length on every piece."""
         return LoadedEquilibria(self.robot.structure, self.kind)
 
     def piece_positions(self, beta: Array) -> tuple[Array, Array]:
-        """The middles and lengths (T, K) of pieces of robots with extensions beta (T, d), mm."""
+        """Return middles and lengths (T, K), mm, of the pieces of robots with extensions beta (T, d), mm."""
+        # Adding 0 beta broadcasts what does not depend on beta to (T,).
         parts = self.kind.split_sections(sections(self.robot.tube_numbers, list(beta.T), np, planes=False))
         start, length = (
             np.stack([getattr(part, name) + 0 * beta[:, 0] for part in parts], axis=1)
@@ -106,7 +114,7 @@ class Foundation:
         return start + length / 2, length
 
     def wall_reaction(self, states: States) -> WallReaction:
-        """How the wall pushes on robots where they are."""
+        """Return the wall's pushes on T robots in equilibrium; states: these equilibria."""
         beta = self.robot.split(states.q)[1]
         middle, length = self.piece_positions(beta)
         places = middle[..., None] + length[..., None] * (np.array(CONTACT_PIECE_SAMPLE_PARTS) - 0.5)
@@ -115,12 +123,13 @@ class Foundation:
         near = self.lumen.project(points)
         over = outermost_tube_radii(self.robot, beta, sigma)
         over -= near.radius
-        # On the far side, where a lumen is narrower than the robot, the wall pushes back: behind is the depth
-        # there.
+        # over = r_tube - r_lumen. At a distance a from the path the body is over + a deep in the near wall, and
+        # over - a deep in the far one, which only a lumen narrower than the robot makes positive: `behind`.
         depth, behind = (np.maximum(over + side * near.distance, 0.0) for side in (1.0, -1.0))
         away = np.maximum(near.distance, NEGLIGIBLE_CONTACT_MM_OR_N_PER_MM)
+        # Towards the path, hence centre - points; divided by their distance for a unit vector.
         pushes = (self.stiffness * (depth - behind) / away)[..., None] * (near.centre - points)
-        # Mean over the places of a piece: one force per length for all of it.
+        # Mean over the sample points of a piece: one force per length for all of it.
         push = pushes.reshape(*places.shape, 3).mean(axis=2)
         size = np.linalg.norm(push, axis=-1)
         towards = np.where(
@@ -132,22 +141,24 @@ class Foundation:
         return WallReaction(deepest, size, towards, narrow)
 
     def combine_loads(self, load: Array, pushes: Array) -> Array:
-        """Numbers (T, l) of a load (17 + 3d,) and of pushes (T, K, 3) on the pieces, N/mm."""
+        """Return the load numbers (T, l) of a load (17 + 3d,) and pushes (T, K, 3) on the pieces, N/mm."""
         return np.hstack([np.tile(load, (len(pushes), 1)), pushes.reshape(len(pushes), -1)])
 
     def follow_motion(self, q: Array) -> WallContact:
-        """The robot moved through frames q (T, 2d + 2), in the first of which the wall closes around it."""
+        """Simulate the robot within the wall through q (T, 2d + 2); the wall is applied in the first frame."""
         found = self._empty_result(q)
         way = subdivide_motion(np.asarray(q, dtype=float), SAMPLE_SUBSTEPS_PER_FRAME)
         states = self._unloaded_state(q[:1])
         pushes = np.zeros((1, found["along"].shape[1], 3))
         loads = self.load.numbers_at(self.robot.d, way.elapsed_fractions)
+        # Only the last sub-step of a frame is recorded; -1 is no frame, so that the very last one counts.
         last_of = np.diff(way.frames, append=-1) != 0
-        # Pushes are dead loads while the robot moves on; then they are adjusted to the depths at the new place.
+        # Pushes are kept as dead loads during a sub-step; then they are adjusted to the depths at its end.
         for place, load, j, last in zip(way.q[:, None], loads, way.frames, last_of, strict=True):
             states, done = self.equilibria.follow_branches(states, place, self.combine_loads(load, pushes))
             length = self.piece_positions(self.robot.split(place)[1])[1][0]
             settled = self._balance_forces(states, load, pushes, length) if done[0] == 1 else None
+            # Where the robot goes in a snap is unknown: all later frames stay NaN.
             if settled is None:
                 break
             states, pushes, missed = settled
@@ -166,7 +177,7 @@ class Foundation:
         return WallContact(**found)
 
     def _empty_result(self, q: Array) -> dict[str, Any]:
-        """The arrays of Touching of a motion of which nothing is known but where its pieces are."""
+        """Return the arrays of a WallContact for q (T, 2d + 2), NaN but for the pieces' positions and lengths."""
         along, length = self.piece_positions(self.robot.split(q)[1])
         sizes = {"depth": along.shape, "force": along.shape, "towards": (*along.shape, 3)}
         sizes |= {"shape": (len(q), len(SIGMA_GRID), 3), "missed": (len(q),)}
@@ -174,21 +185,25 @@ class Foundation:
         return known | {name: np.full(size, np.nan) for name, size in sizes.items()}
 
     def _unloaded_state(self, q: Array) -> States:
-        """The robot at q (1, 2d + 2) without load and wall."""
+        """Return the equilibrium of the robot at q (1, 2d + 2) without load and wall."""
         x = KINEMATIC_MODELS[Loaded.name].follow(self.robot, q).x
         return self.equilibria.solve_unloaded(self.robot.numbers[None], q, tip_angles(x, self.robot.d))
 
     def _balance_forces(
         self, states: States, load: Array, pushes: Array, length: Array
     ) -> tuple[States, Array, float] | None:
-        """A robot that stands, pushes (1, K, 3) at which it does, and what they miss; None where it is lost."""
+        """Solve for the pushes in one configuration; return the equilibrium, pushes (1, K, 3) and residual.
+
+        states: equilibrium to start from. load: (17 + 3d,), the further load. pushes: (1, K, 3) to start from,
+        N/mm. length: (K,) of the pieces, mm. None where no step lowers the residual, as where the robot snaps.
+        """
         wall = self.wall_reaction(states)
         missed = self._force_residual(wall, pushes, length)
         for _ in range(MAX_CONTACT_NEWTON_ITERATIONS):
             if missed <= CONTACT_FORCE_TOLERANCE_N:
                 return states, pushes, missed
             step = self._newton(states, load, wall, pushes)
-            # Newton's step is halved until it lowers what forces and depths differ by.
+            # Line search: the Newton step is halved until it lowers the residual and the branch does not end.
             for part in 2.0 ** -np.arange(MAX_CONTACT_STEP_HALVINGS):
                 tried = pushes + part * step
                 there, done = self.equilibria.follow_branches(states, states.q, self.combine_loads(load, tried))
@@ -205,11 +220,15 @@ class Foundation:
         return None
 
     def _force_residual(self, wall: WallReaction, pushes: Array, length: Array) -> float:
+        """Return the sum over pieces of |w(f) - f| times their length, N."""
         apart = wall.push[..., None] * wall.towards - pushes
         return float((np.linalg.norm(apart[0], axis=1) * length).sum())
 
     def _newton(self, states: States, load: Array, wall: WallReaction, pushes: Array) -> Array:
-        """The change (1, K, 3) of pushes after which, to first order, they are what depths say."""
+        """Return the Newton step (1, K, 3) of pushes: after it f = w(f) to first order.
+
+        states: the equilibrium. load: (17 + 3d,), the further load. wall: its reaction there. pushes: (1, K, 3).
+        """
         sizes = wall.push[0]
         towards = wall.towards[0]
         kept = (pushes[0] * towards).sum(axis=1)
@@ -220,10 +239,11 @@ class Foundation:
         probes[np.arange(len(busy)), busy] += CONTACT_PROBE_N_PER_MM * towards[busy]
         many = states.rows(np.zeros(len(busy), dtype=int))
         there, _ = self.equilibria.follow_branches(many, many.q, self.combine_loads(load, probes))
-        # How pushes of the wall change with the force on each busy piece: forward differences, all in one batch.
+        # dw/df over the forces on all pieces in contact: forward differences, all in one batch. The directions of
+        # pushes are kept during a step, so that each piece has one unknown.
         slopes = (self.wall_reaction(there).push[:, busy] - sizes[busy]).T / CONTACT_PROBE_N_PER_MM
         changed = np.zeros_like(kept)
-        # Wanted are forces f = w(f), with the wall's pushes w: (I - dw/df) df = w - f. Only pieces that touch, or
-        # are still pushed, are unknowns (semismooth); a force below 0 is cut off, as a wall does not pull.
+        # Newton for f - w(f) = 0: (I - dw/df) df = w - f. Only pieces that touch, or are still pushed, are
+        # unknowns (semismooth); a force below 0 is cut off, as a wall does not pull.
         changed[busy] = np.linalg.solve(np.eye(len(busy)) - slopes, (sizes - kept)[busy])
         return np.asarray((np.maximum(kept + changed, 0.0)[:, None] * towards)[None] - pushes)

@@ -1,4 +1,4 @@
-"""Contact forces as a figure; apart from the numbers, which need no matplotlib."""
+"""Figure of contact forces; a module of its own, since the numbers need no matplotlib."""
 
 from __future__ import annotations
 

@@ -1,15 +1,14 @@
-"""Rotation lag as a state of a motion: play that grows with the overlap of tubes, viscous drag, and a sensor's
-delay.
+"""Backlash of tubes as a state of a motion: play that grows with the overlap, viscous drag, and a sensor's delay.
 
-Tubes rub against those around them: a tube is held back while its motor turns against that of the next one
-outwards, the outermost while it turns in its guide, and tubes that turn together do not lag. With gamma_i, rad, by
-which motor i has turned against motor i - 1, the tube is at alpha_i = motor_i + c_i - gamma_i, where
+Neighbouring tubes rub against each other. Let gamma_i, rad, be the angle by which motor i has turned against motor
+i - 1, the outermost one against its guide. Tube i is then at alpha_i = motor_i + c_i - gamma_i, with
 
     tau_i c_i' = min(max(c_i, gamma_i - w_i), gamma_i + w_i) - c_i,   w_i = w0_i + w1_i overlap_i
 
-with the play w_i, rad, to either side and the time constant tau_i, s, of drag. While motors turn one way at one
-speed, play, drag and delay look the same: a tube that is behind. Play does not depend on the speed, drag is
-proportional to it, and a delay holds back insertions and tilt as well.
+with the play w_i, rad, to either side and the time constant tau_i, s, of drag. Without drag this is the play
+operator (Brokate and Sprekels, Hysteresis and Phase Transitions, 1996). Tubes that turn together do not rub. While
+motors turn one way at one speed, play, drag and delay look the same: the tube is behind its motor. Play does not
+depend on the speed, drag is proportional to it, and a delay also concerns insertion and tilt.
 """
 
 from __future__ import annotations
@@ -31,16 +30,16 @@ BACKLASH_DENOMINATOR_FLOOR = 1e-12
 MIN_REVERSING_TURN_RAD = 1e-4
 """Turn from frame to frame, rad, below which a tube counts as not having turned back."""
 BACKLASH_PARAMETER_NAMES = "play", "play_per_mm", "drag"
-"""Parts of a lag."""
+"""Fields of a BacklashAndDrag."""
 
 
 @dataclass(frozen=True, eq=False)
 class BacklashAndDrag(ReadOnlyValue):
-    """By how much tubes stay behind their motors: of each (d,), of n robots (n, d), or one number for all.
+    """Play and viscous drag of tubes: for each tube (d,), for n robots (n, d), or one number for all.
 
-    play: rad to either side. play_per_mm: by how much that grows for each mm of overlap, rad/mm. drag: the time
-    within which a tube makes up for 1 - 1/e of what it is behind by more than its play, s: at a steady speed it is
-    behind by drag times speed on top of the play. None is negative. Raises RobotError.
+    play: rad to either side. play_per_mm: growth of the play with the overlap, rad/mm. drag: time constant with
+    which a tube approaches the range of its play, s; at a steady speed the tube is behind its motor by drag times
+    speed on top of the play. None is negative. Raises RobotError.
     """
 
     play: Any
@@ -57,7 +56,7 @@ class BacklashAndDrag(ReadOnlyValue):
         super().__post_init__()
 
     def check(self, robot: Robot) -> None:
-        """Raise RobotError unless these are the lags of as many tubes as a robot has."""
+        """Raise RobotError unless there is one number for all tubes of `robot`, or as many as it has tubes."""
         for name in BACKLASH_PARAMETER_NAMES:
             value = getattr(self, name)
             if value.ndim and value.shape[-1] != robot.d:
@@ -67,12 +66,12 @@ class BacklashAndDrag(ReadOnlyValue):
                 )
 
     def apply_to_motion(self, robot: Robot, q: Array, time: Array, fresh: Flags | None = None) -> Array:
-        """Return the configurations (.., T, 2d + 2) of tubes whose motors move through q (T, 2d + 2) at time (T,)
-        s.
+        """Return the configurations (T, 2d + 2) of the tubes, rad and mm, while their motors move through q.
 
-        (n, T, 2d + 2) where the lags are those of n robots. fresh (T,): at which of q tubes stand where their
-        motors do; by default at the first alone. From one q to the next every motor turns at a steady speed, and
-        the play is that of the next: for such motors the result is the exact solution.
+        robot: whose curved lengths and extensions give the overlaps. q: (T, 2d + 2) of the motors. time: (T,) in
+        s. fresh: (T,) of bool, where tubes stand at their motors' angles; by default the first one alone. The
+        result is (n, T, 2d + 2) where these are the lags of n robots. It is exact for motors that turn at a steady
+        speed from one q to the next, with the play of the next.
         """
         q = np.asarray(q, dtype=float)
         time = np.asarray(time, dtype=float)
@@ -92,15 +91,16 @@ class BacklashAndDrag(ReadOnlyValue):
         return found
 
     def play_at(self, robot: Robot, q: Array) -> Array:
-        """The play (.., T, d) rad to either side at motors q (T, 2d + 2)."""
+        """Return the play (.., T, d), rad to either side, of the tubes of `robot` at motors q (T, 2d + 2)."""
         play, slope = (each[..., None, :] if each.ndim else each for each in (self.play, self.play_per_mm))
         return np.asarray(play + slope * overlaps(robot, q))
 
     def advance_offset(self, ahead: Array, turn: Array, play: Array, time: float) -> Array:
-        """Return by how much tubes (.., d) are ahead of their motors, rad, after motors have turned.
+        """Return the angles (.., d), rad, by which tubes are ahead of their motors after a turn of these.
 
-        ahead (.., d): before that. turn (d,): of each motor against the next one outwards, rad, at a steady
-        speed. play (.., d): to either side, rad, at the end. time: that the turn takes, s. Behind is negative.
+        ahead: (.., d) in rad, before the turn; negative where a tube is behind. turn: (d,) in rad, of each motor
+        against the next one outwards, at a steady speed. play: (.., d) in rad to either side, after the turn.
+        time: duration of the turn, s.
         """
         # Without drag: first the play may have shrunk around a tube at rest, then the motor turns and takes it
         # along at the end of the play.
@@ -108,15 +108,15 @@ class BacklashAndDrag(ReadOnlyValue):
         return np.where(self.drag > 0, _offset_with_drag(ahead, turn, play, self.drag, time), at_once)
 
     def compensate_motion(self, robot: Robot, q: Array, time: Array) -> Array:
-        """Return where motors must go (T, 2d + 2) so that tubes come through q (T, 2d + 2) at time (T,) s with
-        this lag.
+        """Return the motors' configurations (T, 2d + 2) with which tubes pass through q (T, 2d + 2) with this lag.
 
-        Motors go past where tubes are to be by the play, which is the inverse of `turned`, and by what drag holds
-        back at the speed at which tubes turn against each other. At the first of q tubes stand where motors do. A
-        tube that is to stay where it is against the motor around it is left as it is.
+        robot: whose curved lengths and extensions give the overlaps. time: (T,) in s. Motors overshoot by the
+        play, which inverts `apply_to_motion`, and by drag times the speed at which tubes turn against each other.
+        At the first of q tubes stand at their motors' angles.
         """
         found = np.array(q, dtype=float)
         d = robot.d
+        # The rate of the first row has no meaning and is not used; -1 s only keeps its divisor from being 0.
         rate = np.diff(against_outer(robot, found), axis=0, prepend=0.0) / np.diff(time, prepend=-1.0)[:, None]
         play = self.play_at(robot, found)
         behind = self.drag * rate
@@ -135,29 +135,30 @@ class BacklashAndDrag(ReadOnlyValue):
 
 
 def against_outer(robot: Robot, q: Array) -> Array:
-    """By what motors are turned against those of the tubes around them, (.., d) rad, at q (.., 2d + 2).
+    """Return the motors' angles (.., d), rad, relative to the next motor outwards, at q (.., 2d + 2) of `robot`.
 
-    The outermost tube turns against what stands still.
+    The outermost tube turns against its guide, which stands still.
     """
     return np.diff(np.asarray(q, dtype=float)[..., : robot.d], prepend=0.0, axis=-1)
 
 
 def _offset_with_drag(ahead: Array, turn: Array, play: Array, drag: Array, time: float) -> Array:
-    """Return by how much tubes are ahead of their motors after these turned by `turn` in `time`, with drag.
+    """Return the angles (.., d), rad, by which tubes are ahead of their motors after a turn of these, with drag.
 
-    ahead (.., d): before that, rad. turn (d,): rad, against the next tube outwards, at a steady speed. play (..,
-    d): rad. drag: time constant, s. time: s. The motion has three phases: a tube that is ahead by more than its
-    play comes back by drag until it is within it; it stands still while the motor takes up the play; and then it
-    follows with drag.
+    ahead: (.., d) in rad, before the turn. turn: (d,) in rad, against the next tube outwards, at a steady speed.
+    play: (.., d) in rad. drag: time constant, s. time: duration of the turn, s. The motion has three phases: a
+    tube that is ahead by more than its play is dragged back into it; it stands still while the motor takes up the
+    play; and then it follows the motor with drag.
     """
-    # Mirrored, so that every motor turns forwards.
+    # The law is odd: e -> -e with turn -> -turn. Mirrored, every motor turns forwards, and one case is enough.
     to = np.where(turn < 0, -1.0, 1.0)
     e = to * ahead
     speed = abs(turn) / max(time, BACKLASH_DENOMINATOR_FLOOR)
     left = np.full(ahead.shape, time)
     steady = np.maximum(drag * speed, BACKLASH_DENOMINATOR_FLOOR)
     excess = np.maximum(e - play, 0.0)
-    # Phase 1: e' = -(e - play) / drag - speed, and the time until e = play.
+    # Phase 1: e' = -(e - play) / drag - speed, whose solution e - play = (excess + steady) exp(-t / drag) - steady
+    # reaches 0 after drag log(1 + excess / steady).
     within = np.minimum(drag * np.log1p(excess / steady), left)
     e = np.minimum(e, play) + np.maximum((excess + steady) * _decay(within, drag) - steady, 0.0)
     left = left - within
@@ -176,23 +177,22 @@ def _decay(time: Array, drag: Array) -> Array:
 
 
 def overlaps(robot: Robot, q: Array) -> Array:
-    """Return the lengths of tubes' curved parts that lie within the tubes around them, (.., d) mm, at q (.., 2d +
-    2).
+    """Return the lengths (.., d), mm, of curved parts within the tube around them, at q (.., 2d + 2) of `robot`.
 
-    For the outermost tube, the length behind the insertion point, where the part presses against what holds it.
+    For the outermost tube it is the length behind the insertion point, where the guide straightens it.
     """
     beta = robot.split(np.asarray(q, dtype=float))[1]
     ends = np.concatenate([np.zeros_like(beta[..., :1]), beta[..., :-1]], axis=-1)
     curved = np.array([tube.curved_length for tube in robot.tubes])
-    # What is out beyond the next tube outwards, at most the curved part, does not overlap.
+    # The length beyond the end of the next tube outwards, at most the curved part, does not overlap.
     return np.asarray(curved - np.clip(beta - ends, 0.0, curved))
 
 
 def delay_configurations(q: Array, time: Array, delay: float, fresh: Flags | None = None) -> Array:
-    """Configurations (T, 2d + 2) as a sensor tells them that is late by delay s, at time (T,) s.
+    """Return the configurations (T, 2d + 2) that a sensor with a delay sees.
 
-    Between those given they change linearly, and before a fresh one (T,) they stand still. A delay may be
-    negative.
+    q: (T, 2d + 2), the actual ones, linear in between. time: (T,) in s. delay: s, may be negative. fresh: (T,) of
+    bool, where a recording begins, before which the robot stood still; by default the first one alone.
     """
     q = np.asarray(q, dtype=float)
     time = np.asarray(time, dtype=float)
@@ -202,6 +202,7 @@ def delay_configurations(q: Array, time: Array, delay: float, fresh: Flags | Non
     for first, last in zip(runs, [*runs[1:], len(q)], strict=True):
         own = q[first:last]
         at = time[first:last]
+        # np.interp holds the end values outside its range: the robot stands still before and after a recording.
         for column in range(q.shape[1]):
             found[first:last, column] = np.interp(at - delay, at, own[:, column])
     return found

@@ -1,4 +1,9 @@
-"""Measures of a motion: its errors, section IV of the paper, its contacts, and the limits that it uses."""
+"""Measures of a motion: its errors, its contacts, and how much of its limits it uses.
+
+Errors are those of section IV of the paper, on 101 uniform sigma: e1(sigma) = |C(sigma) - C_target(sigma)| in a
+frame, e2 = sqrt(mean over sigma of e1^2), the square root of the distance of eq. (8), and e3 the root mean square
+of e2 over frames; all in mm.
+"""
 
 from __future__ import annotations
 
@@ -16,33 +21,33 @@ from ctr_nlp.typing import Array
 
 
 def rms_over_sigma(distance: Array) -> Array:
-    """Root mean square over sigma of (.., 101) distances in mm, with trapezoidal weights."""
+    """Return the root mean square over sigma of `distance` (.., 101) in mm, with trapezoidal weights."""
     return np.sqrt(distance**2 @ QUADRATURE)
 
 
 def e1(plan: PlanData) -> Array:
-    """Distance (T, 101) in mm between shape and target at the same sigma."""
+    """Return the distance (T, 101) in mm between shape and target of a plan at the same sigma."""
     return np.linalg.norm(plan.shape - plan.target, axis=-1)
 
 
 def nearest_target_distances(plan: PlanData) -> Array:
-    """Distance (T, 101) in mm from each point of the shape to the nearest point of its frame's target."""
+    """Return the distance (T, 101) in mm from each point of a plan's shapes to the nearest point of the target."""
     return np.array(
         [_distances_to_polyline(shape, target) for shape, target in zip(plan.shape, plan.target, strict=True)]
     )
 
 
 def _distances_to_polyline(points: Array, line: Array) -> Array:
-    """Distance (n,) from points (n, 3) to the polyline through line (m, 3).
-
-    Which part of the line is nearest is found by products of matrices, whose rounding, some 1e-12 mm^2, may
-    exchange parts that are equally near; the distance to that part is taken without.
-    """
+    """Return the distances (n,) from points (n, 3) to the polyline through line (m, 3), all in mm."""
     start = line[:-1]
     span = np.diff(line, axis=0)
+    # Squared lengths; the floor keeps a segment whose ends coincide from dividing by 0.
     length = np.maximum((span**2).sum(-1), 1e-30)
     through = points @ span.T - (start * span).sum(-1)
     along = np.clip(through / length, 0.0, 1.0)
+    # |p - a - t v|^2 of every pair of point p and segment a + t v, less |p|^2, which all segments share: products
+    # of matrices instead of an (n, m, 3) array. Their rounding may exchange segments that are equally near, so
+    # that the distance itself is computed directly below.
     apart = along * (along * length - 2 * through) - 2 * points @ start.T + (start**2).sum(-1)
     best = apart.argmin(axis=1)
     found = points - start[best] - along[range(len(points)), best, None] * span[best]
@@ -50,10 +55,10 @@ def _distances_to_polyline(points: Array, line: Array) -> Array:
 
 
 def follow_the_leader_deviation(plan: PlanData) -> Array:
-    """Largest distance (T,) in mm from each frame's shape to the nearest point of the last shape that is known.
+    """Return the largest distance (T,) in mm from each shape of a plan to the last known shape.
 
-    It is 0 where the body goes where the tip has been: follow-the-leader motion, whatever the target. NaN where a
-    shape is not known.
+    It is 0 in follow-the-leader motion, where the body passes where the tip has been, whatever the target. NaN
+    where a shape is not known.
     """
     known = np.flatnonzero(plan.reached_frames)
     if not known.size:
@@ -63,18 +68,19 @@ def follow_the_leader_deviation(plan: PlanData) -> Array:
 
 
 def e3(plan: PlanData) -> float | None:
-    """Root mean square of e2 over the frames whose shape is known, mm; None without any."""
+    """Return the root mean square of e2 over the frames of a plan whose shape is known, mm; None without any."""
     return root_mean_square(rms_over_sigma(e1(plan)))
 
 
 def root_mean_square(values: Array) -> float | None:
-    """Root mean square of the values (T,) that are known, not NaN or infinite; None without any."""
+    """Return the root mean square of the finite ones of `values` (T,); None without any."""
     known = values[np.isfinite(values)]
     return float(np.sqrt(np.mean(known**2))) if known.size else None
 
 
 def tip_angle(plan: PlanData) -> Array:
-    """Angle (T,) in rad between the tip's direction and the target's."""
+    """Return the angle (T,) in rad between the tip's direction and the target's in each frame of a plan."""
+    # Not the arccos of the scalar product: near 0 it has only half the digits.
     cross = np.linalg.norm(np.cross(plan.tip_direction, plan.target_direction), axis=-1)
     return np.arctan2(cross, (plan.tip_direction * plan.target_direction).sum(-1))
 
@@ -110,7 +116,7 @@ class LargestError(NamedTuple):
 
 
 def largest_error(plan: PlanData) -> LargestError | None:
-    """Return the frame with the largest e2, of those whose shape is known; None without any."""
+    """Return the frame of a plan with the largest e2, of those whose shape is known; None without any."""
     e2 = rms_over_sigma(e1(plan))
     overall = root_mean_square(e2)
     if overall is None:
@@ -120,10 +126,11 @@ def largest_error(plan: PlanData) -> LargestError | None:
 
 
 class DeepestPoint(NamedTuple):
-    """Where a robot is nearest to the wall, or deepest in it, over a whole motion.
+    """The point of a robot that is nearest to the wall, or deepest in it, over a whole motion.
 
-    depth: mm beyond the wall, negative for what is left to it. when: "in frame" or "on the way to frame"; frame:
-    its number, from 1. tube: from 1, the outermost there. arc_length: mm along the robot from the insertion point.
+    depth: mm beyond the wall; negative is clearance. when: "in frame" or "on the way to frame". frame: its number,
+    from 1. tube: number of the outermost tube there, from 1. arc_length: mm along the robot from the insertion
+    point.
     """
 
     depth: float
@@ -134,10 +141,9 @@ class DeepestPoint(NamedTuple):
 
 
 def find_deepest_point(plan: PlanData) -> DeepestPoint | None:
-    """Return where a plan's robot is deepest in the wall, in its frames or between them; None where nothing is
-    known.
+    """Return the point where a plan's robot is deepest in the wall, in or between frames; None if unknown.
 
-    A place between frames counts only where it is deeper than those in frames by more than rounding.
+    A point between frames counts only where it is deeper than those in frames by more than rounding.
     """
     if plan.clearance is None or not np.isfinite(plan.clearance).any():
         return None
@@ -154,10 +160,10 @@ def find_deepest_point(plan: PlanData) -> DeepestPoint | None:
 
 
 class Contact(NamedTuple):
-    """Frames first to last, from 1, all of them, in which the robot touches the wall, and where it is worst.
+    """A run of frames in which the robot touches the wall, and its deepest point.
 
-    depth: by how much it is there beyond the wall, mm, in which frame; of which tube, from 1; arc_length: mm along
-    the robot; path: mm along the lumen's path; both from the insertion point.
+    first, last: the frames, from 1. depth: of the deepest point beyond the wall, mm; frame, tube: its frame and
+    tube, from 1. arc_length: mm along the robot; path: mm along the lumen's path; both from the insertion point.
     """
 
     first: int
@@ -170,14 +176,14 @@ class Contact(NamedTuple):
 
 
 def contact_depths(plan: PlanData) -> Array:
-    """By how much the robot is beyond the wall at most, (T,) mm; 0 where nothing touches, NaN where unknown."""
+    """Return the deepest contact (T,) in mm in each frame of a plan; 0 where nothing touches, NaN if unknown."""
     if plan.clearance is None:
         return np.full(len(plan.time), np.nan)
     return np.maximum(0.0, -plan.clearance.min(axis=1))
 
 
 def contacts(plan: PlanData) -> list[Contact]:
-    """Return all contacts of a plan with the wall, in order of time; none where no wall is known."""
+    """Return all contacts of a plan with the wall, in order of time; an empty list where no wall is known."""
     if plan.clearance is None or plan.lumen is None:
         return []
     deep = contact_depths(plan)
@@ -187,6 +193,7 @@ def contacts(plan: PlanData) -> list[Contact]:
         frame = first + int(deep[first:stop].argmax())
         sample = int(plan.clearance[frame].argmin())
         tube = outermost_tube_index(plan.beta[frame][None], SIGMA_GRID)[0, sample]
+        # Lengths along the path count from the insertion point, the origin, wherever the lumen begins.
         start, place = lumen.project(np.stack([np.zeros(3), plan.shape[frame, sample]])).length_before
         s = SIGMA_GRID[sample] * plan.beta[frame, -1]
         numbers = float(deep[frame]), frame + 1, int(tube) + 1, float(s), float(place - start)
@@ -199,8 +206,10 @@ PLAN_LIMIT_TOLERANCE_RAD_OR_MM = 1e-5
 
 
 class LimitUse(NamedTuple):
-    """Use of a limit. part: of the limit, 1 for all of it. exceeded: by more than PLAN_LIMIT_TOLERANCE_RAD_OR_MM.
-    what: which limit, and in which frame.
+    """Use of a limit.
+
+    part: used part of the limit, 1 for all of it. exceeded: whether it is exceeded by more than
+    PLAN_LIMIT_TOLERANCE_RAD_OR_MM. what: which limit, and in which frame.
     """
 
     part: float
@@ -209,19 +218,19 @@ class LimitUse(NamedTuple):
 
 
 def find_most_used_limit(plan: PlanData) -> LimitUse | None:
-    """Return the limit that a motion exceeds by most, or else the speed or acceleration that uses most of its
-    limit.
+    """Return the limit that a plan exceeds most, or else the speed or acceleration that uses most of its limit.
 
-    Positions count only where they exceed limits, since tubes are meant to go all the way: as 1 and what is beyond
-    as a part of the robot's reach, or of half a turn. None where the robot does not move.
+    Positions count only where they exceed their limits, since tubes are meant to come out all the way: as 1 plus
+    the excess as a part of the robot's reach, or of half a turn. None where the robot does not move.
     """
     found = [used for used in (*_rates(plan), *_positions(plan)) if used.part > 0]
     return max(found, key=lambda used: (used.exceeded, used.part), default=None)
 
 
 def rate_parts(plan: PlanData, order: int) -> Array:
-    """Speeds (order 1) or accelerations (order 2) between frames as parts of their limits, (T - order, 2d + 2); 0
-    where not known.
+    """Return the speeds or accelerations of a plan as parts of their limits, (T - order, 2d + 2); 0 if unknown.
+
+    order: 1 for speeds, 2 for accelerations.
     """
     limit = (plan.robot.speed, plan.robot.acceleration)[order - 1]
     return np.nan_to_num(np.abs(np.diff(plan.q, n=order, axis=0)) / plan.dt**order / limit)
@@ -240,9 +249,7 @@ def _rates(plan: PlanData) -> Iterator[LimitUse]:
 
 
 def _positions(plan: PlanData) -> Iterator[LimitUse]:
-    """Yield the worst place of each limit of positions, order and carriage gap that is exceeded by more than
-    PLAN_LIMIT_TOLERANCE_RAD_OR_MM.
-    """
+    """Yield the worst excess of each limit of position, order and carriage gap that is exceeded."""
     robot = plan.robot
     d = plan.robot.d
     reach = plan.robot.reach
@@ -255,6 +262,7 @@ def _positions(plan: PlanData) -> Iterator[LimitUse]:
         (-growth, np.full(d - 1, reach), [f"order of tubes {pair}" for pair in between]),
     ]
     if robot.carriage_gap is not None:
+        # Carriages i and i + 1 are (L_{i+1} - beta_{i+1}) - (L_i - beta_i) apart.
         apart = np.diff([tube.length for tube in robot.tubes]) - growth
         gaps = [f"gap between carriages {pair}" for pair in between]
         kinds.append((robot.carriage_gap - apart, np.full(d - 1, reach), gaps))

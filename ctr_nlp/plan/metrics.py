@@ -31,9 +31,9 @@ from ctr_nlp.support.flag_runs import find_flag_runs
 from ctr_nlp.typing import Array
 
 SAMPLE_E2_COLUMNS = "e2_draws_median", "e2_draws_95"
-"""Columns of plans with simulated robots: the median of their e2, and what 95 % of them do not exceed."""
+"""Columns of plans with simulated robots: median and 95 % quantile of their e2."""
 BINDS = 0.005
-"""A frame whose margin exceeds the one asked for by less than this is held back by it."""
+"""The stability constraint counts as active where the margin exceeds the one asked for by less than this."""
 
 
 def by_frame(plan: PlanData) -> dict[str, Array]:
@@ -48,9 +48,10 @@ def by_frame(plan: PlanData) -> dict[str, Array]:
     -------
     dict of str to ndarray
         Columns (T,): ``frame`` (from 1), ``time`` (s), ``e2``, ``max`` and ``tip`` (root mean square, maximum and
-        last of e1, mm), ``nearest`` and ``nearest_max`` (the same of the distance to the target's nearest point,
-        mm), ``tip_angle`` (rad), ``success``; where known ``stability``, ``stability_between``, ``clearance`` (the
-        least over sigma, mm, negative in contact), ``e2_draws_median`` and ``e2_draws_95`` (mm).
+        last of e1, mm), ``nearest`` and ``nearest_max`` (root mean square and maximum of the distance to the
+        nearest point of the target, mm), ``tip_angle`` (rad), ``success``; where known ``stability``,
+        ``stability_between``, ``clearance`` (the least over sigma, mm, negative in contact), ``e2_draws_median``
+        and ``e2_draws_95`` (mm).
 
     Raises
     ------
@@ -91,7 +92,7 @@ def by_frame(plan: PlanData) -> dict[str, Array]:
 
 
 def bound_by_stability(plan: PlanData) -> list[tuple[int, int]]:
-    """Find the parts of a motion that the stability margin asked for holds back.
+    """Find the parts of a motion in which the constraint on the stability margin is active.
 
     Parameters
     ----------
@@ -101,17 +102,19 @@ def bound_by_stability(plan: PlanData) -> list[tuple[int, int]]:
     Returns
     -------
     list of (int, int)
-        First and last frame, from 1; empty where the plan was made on another model than it is judged on.
+        First and last frame of each part, from 1; empty where the plan is evaluated on another model than it was
+        planned on.
     """
     margin = plan.options.get("stability_margin")
     if margin is None or not plan.as_planned or not np.isfinite(plan.stability).any():
         return []
+    # fmin ignores NaN: one of both margins is enough.
     bound = np.fmin(plan.stability, plan.stability_between) < margin + BINDS
     return [(first + 1, stop) for first, stop in find_flag_runs(bound)]
 
 
 def missed_margin(plan: PlanData) -> tuple[int, float] | None:
-    """Find where a plan misses the stability margin asked for by most, on the way from frame to frame.
+    """Find the sub-steps between frames in which a plan violates the stability margin most.
 
     Parameters
     ----------
@@ -121,7 +124,7 @@ def missed_margin(plan: PlanData) -> tuple[int, float] | None:
     Returns
     -------
     tuple of (int, float) or None
-        The frame to which the way leads, from 1, and the margin found; None where the margin is held.
+        The frame after these sub-steps, from 1, and the margin there; None where the margin is satisfied.
     """
     margin = plan.options.get("stability_margin")
     found = plan.stability_between
@@ -134,7 +137,7 @@ def missed_margin(plan: PlanData) -> tuple[int, float] | None:
 
 
 def summary(plan: PlanData) -> dict[str, Any]:
-    """Return the numbers of a plan as summary.json holds them.
+    """Return the numbers of a plan, the content of summary.json.
 
     Parameters
     ----------
@@ -146,7 +149,7 @@ def summary(plan: PlanData) -> dict[str, Any]:
     dict
         Errors in mm over frames whose shape is known (``e3``, ``e4``, ``e_max``, ``tip_last`` and others), the
         motion (``roughness`` in mm^2/s, ``max_step``), margins, contacts, times, failures, ``verdicts``, and how
-        the plan was made. Numbers that do not exist, as where no frame was solved, are None.
+        the plan was made. Numbers that do not exist, as where no frame was solved, are None (JSON has no NaN).
 
     Examples
     --------
@@ -225,7 +228,7 @@ def summary(plan: PlanData) -> dict[str, Any]:
 
 
 def verdict_columns(plan: PlanData) -> dict[str, str]:
-    """Return the words of a plan's verdicts as columns of a table's row, ``verdict_solved`` and so on.
+    """Return the verdicts of a plan as columns of a table, ``verdict_solved`` and so on.
 
     Parameters
     ----------

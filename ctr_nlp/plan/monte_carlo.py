@@ -1,4 +1,8 @@
-"""A plan simulated on robots within the tolerances, and on robots that differ by one tolerance alone."""
+"""Monte Carlo evaluation of a plan: on robots within the tolerances, and on robots that differ by one tolerance.
+
+The share of samples that fail estimates the share of all such robots. What each tolerance costs is found one at a
+time, on two robots that differ by plus and minus one standard deviation of a single parameter.
+"""
 
 from __future__ import annotations
 
@@ -34,12 +38,12 @@ along the robot.
 def robustness(
     plan: PlanData, count: int = DEFAULT_PLAN_SAMPLES, seed: int = DEFAULT_PLAN_SAMPLE_SEED
 ) -> Robustness:
-    """Move `count` robots, sampled within the tolerances with a seed, through a plan, on the model that it is
-    evaluated on.
+    """Simulate a plan on `count` robots sampled within the tolerances, on the model that it is evaluated on.
 
-    Raises RobotError, and OptionError where that model cannot follow such robots.
+    seed: of the samples. Raises RobotError, and OptionError where that model cannot follow such robots.
     """
     draws = sample_robots(plan.robot, count, seed)
+    # The grid begins one frame before the first, which is dropped, so that it is even and ends in the last frame.
     frames = np.unique(np.linspace(-1, len(plan.time) - 1, CLOUD_FRAME_COUNT + 1)[1:].round().astype(int))
     parts = [
         _measure_samples(plan, draws[first : first + PLAN_SAMPLES_PER_BATCH], frames)
@@ -53,8 +57,9 @@ def robustness(
 
 
 def _measure_samples(plan: PlanData, draws: RobotSamples, frames: Index) -> tuple[Any, ...]:
-    """Simulate a group of robots, and return the fields of Robustness from e2 to cloud, in its order; `frames`
-    (from 0) are those of the cloud.
+    """Simulate a batch of robots; return the fields of Robustness from e2 to cloud, in its order.
+
+    draws: the samples. frames: those of the cloud, from 0.
     """
     found = simulate_samples(plan.robot, draws, plan.q, plan.evaluated_model)
     distance = _distance(plan, found)
@@ -64,6 +69,7 @@ def _measure_samples(plan: PlanData, draws: RobotSamples, frames: Index) -> tupl
         least = clearances(plan.robot, Lumen(plan.lumen), plan.beta, found.shape)
         clearance = np.fmin.reduce(least, axis=1)
         contact = np.nansum(np.maximum(-least, 0.0), axis=1)
+    # e2 and the cloud are most of a plan's file: single precision is exact to 1e-5 mm and halves them.
     return (
         *(
             rms_over_sigma(distance).astype(np.float32),
@@ -77,39 +83,38 @@ def _measure_samples(plan: PlanData, draws: RobotSamples, frames: Index) -> tupl
 
 
 def clearances(robot: Robot, lumen: Lumen, beta: Array, shape: Array) -> Array:
-    """Find what robots leave of a lumen in every frame.
+    """Compute the least clearance of several robots from a lumen's wall in every frame.
 
     Parameters
     ----------
     robot : Robot
-        The nominal robot, whose tubes are as wide as theirs.
+        The nominal robot; samples have its diameters.
     lumen : Lumen
-        Around them.
+        Lumen with its wall.
     beta : ndarray
-        Extensions (T, d), mm.
+        Extensions (T, d), mm, which samples share.
     shape : ndarray
-        Their shapes (n, T, 101, 3) at uniform sigma, mm.
+        Shapes (n, T, 101, 3) of the robots at uniform sigma, mm.
 
     Returns
     -------
     ndarray
-        Least distance of each body from the wall in each frame (n, T), mm; negative beyond the wall, NaN where a
-        robot has no shape.
+        Least clearance (n, T) over each body, mm; negative beyond the wall, NaN where a robot has no shape.
     """
     return np.asarray(WallDistance(lumen).clearances(robot, beta, shape, SIGMA_GRID).min(axis=2))
 
 
 def _distance(plan: PlanData, found: SampleMotions) -> Array:
-    """Distances (n, T, 101) mm of simulated shapes from the targets, at equal sigma."""
+    """Return the distances (n, T, 101) in mm of simulated shapes from the plan's targets at equal sigma."""
     away = found.shape - plan.target
     return np.asarray(np.sqrt(np.einsum("ntsk,ntsk->nts", away, away)))
 
 
 def _measure_tolerance_costs(plan: PlanData) -> tuple[Array, Index]:
-    """Return by how much each tolerance alone lets e3 grow, (d, 6) mm, and how many of two robots it loses.
+    """Return the growth of e3 (d, 6) in mm by each tolerance alone, and how many of its two robots fail (d, 6).
 
-    Each is off by its standard deviation to either side, where a mean over two is that over a band as far as
-    errors are quadratic; a lag is as large as its root mean square. NaN where a tolerance is 0.
+    Each robot is off by one standard deviation to either side; a lag, which has one side, is as large as its root
+    mean square. NaN and 0 where a tolerance is 0.
     """
     cases = list(_single_tolerance_cases(plan))
     parts, lags = (np.array(arrays) for arrays in zip(*((part, lag) for _, part, lag in cases), strict=True))
@@ -117,6 +122,8 @@ def _measure_tolerance_costs(plan: PlanData) -> tuple[Array, Index]:
     squares = np.nanmean(rms_over_sigma(_distance(plan, found)) ** 2, axis=1)
     growth = np.full((plan.robot.d, len(COSTLY)), np.nan)
     lost = np.zeros(growth.shape, dtype=int)
+    # Row 0 is the nominal robot. The mean square over the two robots of a tolerance is that over its whole band,
+    # as far as squared errors are quadratic in it.
     for place in {place for place, *_ in cases[1:]}:
         rows = [row for row, (other, *_) in enumerate(cases) if other == place]
         growth[place] = math.sqrt(squares[rows].mean()) - math.sqrt(squares[0])
@@ -125,8 +132,9 @@ def _measure_tolerance_costs(plan: PlanData) -> tuple[Array, Index]:
 
 
 def _single_tolerance_cases(plan: PlanData) -> Iterator[tuple[tuple[int, int] | None, Array, Array]]:
-    """Yield the robot described, and then those that differ by one tolerance: its place (tube, tolerance), parts
-    (d, 5) and lags (d,).
+    """Yield the nominal robot, then those that differ by one tolerance.
+
+    Each is its place (tube, tolerance), None for the nominal one, its deviations (d, 5), and its lags (d,), rad.
     """
     d = plan.robot.d
     tolerances = plan.robot.tolerances

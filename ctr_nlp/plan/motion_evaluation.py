@@ -1,4 +1,8 @@
-"""Results of moving a robot through its motion: shapes, margins, snaps, clearance."""
+"""Evaluation of a motion by simulation: shapes, margins, snaps, clearance, and frames on another branch.
+
+A planner finds equilibria frame by frame. Which of several equilibria a real robot is in depends on its history:
+shapes are therefore taken from a simulation through the whole motion, and not from the planner's solution.
+"""
 
 from __future__ import annotations
 
@@ -22,8 +26,9 @@ PLANNED_BRANCH_TOLERANCE_RAD = 0.05
 
 
 class MotionEvaluation(NamedTuple):
-    """Results of a simulated motion. arrays, metadata: fields of a plan and entries of its meta. simulation: the
-    robot moved through its motion.
+    """Results of a simulated motion.
+
+    arrays: fields of a plan. metadata: entries of its meta. simulation: the robot moved through its motion.
     """
 
     arrays: dict[str, Any]
@@ -34,9 +39,10 @@ class MotionEvaluation(NamedTuple):
 def evaluate_motion(
     simulator: Simulator, q: Array, *, target: Array, lumen: Lumen | None = None, free: Array | None = None
 ) -> MotionEvaluation:
-    """Move the robot through q (T, 2d + 2), towards target (T, 101, 3) mm.
+    """Simulate a motion and compute the fields of a plan that follow from it.
 
-    lumen: the wall, where it is known; free: the motion (T, 2d + 2) that was found without the wall.
+    simulator: of the robot on a model. q: (T, 2d + 2), rad and mm. target: (T, 101, 3) in mm. lumen: the lumen
+    whose wall counts, None if unknown. free: (T, 2d + 2), the motion that was found without the wall, or None.
     """
     robot = simulator.robot
     found = simulator(q)
@@ -62,7 +68,7 @@ def evaluate_motion(
 
 
 def clearance_between(robot: Robot, q: Array, model: str | Model, lumen: Lumen) -> Array:
-    """Return the least clearance from a lumen's wall on the way to each frame, and in it.
+    """Compute the least clearance from a lumen's wall in each frame and on the path to it.
 
     Parameters
     ----------
@@ -73,47 +79,51 @@ def clearance_between(robot: Robot, q: Array, model: str | Model, lumen: Lumen) 
     model : str or Model
         The kinematic model.
     lumen : Lumen
-        Its wall.
+        Lumen with its wall.
 
     Returns
     -------
     (T, 101) array
-        The least clearance in mm of each place sigma over 10 sub-steps to a frame; negative beyond the wall. The
-        first frame has no way to it. NaN where the robot has no shape.
+        The least clearance in mm at each sigma over the 10 sub-steps to a frame; negative beyond the wall. In the
+        first frame it is that of the frame alone. NaN where the robot has no shape.
     """
     found = shapes_between(robot, q, model)
     clearance = WallDistance(lumen).clearances(robot, found.beta, found.shape, SIGMA_GRID)
     least = np.full((len(q), len(SIGMA_GRID)), np.nan)
+    # Several rows belong to one frame: with fmin.at all of them count, with plain indexing only the last would.
     np.fmin.at(least, found.frames, clearance)
     return least
 
 
 def lumen_of(plan: PlanData) -> Lumen | None:
-    """Return the lumen whose table (N, 4) a plan holds; None where none is known."""
+    """Return the lumen of a plan, from its table (N, 4); None where none is known."""
     return None if plan.lumen is None else Lumen(plan.lumen)
 
 
 def free_errors(simulator: Simulator, free: Array | None, target: Array) -> Array | None:
-    """Return e2 (T,) in mm of the motion `free` (T, 2d + 2) that was found without the wall; None without one."""
+    """Return e2 (T,) in mm of the motion that was found without the wall; None without one.
+
+    simulator: of the robot on a model. free: (T, 2d + 2), that motion, or None. target: (T, 101, 3) in mm.
+    """
     if free is None:
         return None
     return rms_over_sigma(np.linalg.norm(simulator(free).shape - target, axis=-1))
 
 
 def e3_of(e2: Array | None, reached: Flags) -> float | None:
-    """e3 in mm of e2 (T,) over the frames that are reached; None where it is not known in all of them."""
+    """Return e3 in mm of e2 (T,) over the frames `reached` (T,); None where e2 is unknown in one of these."""
     if e2 is None or not np.isfinite(e2[reached]).all():
         return None
     return root_mean_square(e2[reached])
 
 
 def find_off_branch_frames(x: Array, planned: Array, snaps: Sequence[Snap], d: int) -> Flags:
-    """Tell in which frames (T,) a robot of d tubes with unknowns x (T, n) is on another branch than planned, or
-    just snapped.
+    """Return the frames (T,) in which a robot is on another branch than planned, or has just snapped.
 
-    Whole turns of the innermost tube with all others, which change nothing, do not count. planned (T, n): unknowns
-    of the plan.
+    x, planned: (T, n), simulated and planned unknowns. snaps: of the simulation. d: number of tubes.
     """
+    # x begins with the tips' angles: the outer ones relative to the innermost tip, whose own angle is absolute.
+    # Whole turns of that one turn all tubes together and change no shape.
     apart = x - planned
     apart[:, d - 1] -= 2 * np.pi * np.round(apart[:, d - 1] / (2 * np.pi))
     # Negated so that NaN, where there is no equilibrium, counts as away.
@@ -123,7 +133,10 @@ def find_off_branch_frames(x: Array, planned: Array, snaps: Sequence[Snap], d: i
 
 
 def describe_branch_failures(away: Flags, snaps: Sequence[Snap]) -> dict[str, str]:
-    """Failures, by frame from 1, of frames (T,) in which a robot is away from where it was planned to be."""
+    """Return the failure messages, by frame number from 1, of frames in which the robot left the planned branch.
+
+    away: (T,) of bool, these frames. snaps: of the simulation.
+    """
     found = {}
     for frame in (np.flatnonzero(away) + 1).tolist():
         before = [snap.frame for snap in snaps if snap.frame <= frame]

@@ -1,4 +1,4 @@
-"""A plan: configurations over time, with the shapes and targets that belong to them, and its file plan.npz."""
+"""A plan: configurations over time with their shapes and targets, and its file plan.npz."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ from ctr_nlp.support.value_checks import check_choice, check_instance, checked_p
 from ctr_nlp.typing import Array, Flags
 
 META_PROBLEM_ATTRIBUTES = "name", "frames", "duration", "deviation", "deviation_share", "space"
-"""Attributes of the problem that meta holds."""
+"""Attributes of the problem that are saved in meta."""
 PHYSICAL_MODEL = "elastic"
 """The model on which every plan is checked: it predicts how tubes twist each other."""
 PLAN_PICTURE_FRAMES = 5
@@ -80,7 +80,8 @@ class Plan(PlanData):
     objective, kkt : ndarray
         Objective (T,), mm^2, and KKT residual (T,).
     stability, stability_between : ndarray
-        Stability margin (T,) at each frame, and the least one on the way to it; NaN where nothing can be unstable.
+        Stability margin (T,) at each frame, and the least one in the sub-steps to it; NaN where nothing can be
+        unstable.
     to_robot : ndarray
         Rigid transform (4, 4) from the axes of the target's file to the robot's frame, mm.
     meta : dict
@@ -92,11 +93,11 @@ class Plan(PlanData):
     lumen : ndarray or None
         Points and radii (N, 4) of the whole lumen, mm.
     clearance, clearance_between : ndarray or None
-        Clearance (T, 101), mm, negative in contact, in each frame, and the least one on the way to it and in it.
+        Clearance (T, 101), mm, negative in contact, in each frame, and the least one in the sub-steps to it.
     free : ndarray or None
         The motion (T, 2d + 2) that was found without the wall.
     drawn : Robustness or None
-        What happens on simulated robots within the tolerances.
+        Results on simulated robots within the tolerances.
 
     Examples
     --------
@@ -111,12 +112,12 @@ class Plan(PlanData):
     def verdicts(self) -> Verdicts:
         """Whether the plan does what a motion is for, one verdict for each check; see :func:`verdicts`.
 
-        Judged from what the plan holds: what nobody has looked at reads NOT CHECKED. :meth:`check` looks.
+        Computed from the data of the plan: what was not evaluated is NOT CHECKED. :meth:`check` evaluates.
         """
         return verdicts(self)
 
     def check(self, samples: int = DEFAULT_PLAN_SAMPLES, seed: int = DEFAULT_PLAN_SAMPLE_SEED) -> Plan:
-        """Look at the plan on the elastic model and on simulated robots within the tolerances.
+        """Evaluate the plan on the elastic model and on simulated robots within the tolerances.
 
         Parameters
         ----------
@@ -137,7 +138,7 @@ class Plan(PlanData):
         RobotError
             `samples` or `seed` is out of range.
         OptionError, LoadError
-            The model cannot follow robots that differ from the nominal one, or bear its load.
+            The model cannot simulate robots that differ from the nominal one, or its load does not fit them.
 
         Examples
         --------
@@ -145,7 +146,7 @@ class Plan(PlanData):
         >>> from ctr_nlp.problems import named_problem
         >>> problem = named_problem("arc", frames=5)
         >>> plan = ctr.solve_per_frame(problem, model="dominant").check(samples=5)
-        >>> plan.evaluated, plan.verdicts.unchecked
+        >>> plan.evaluated_model_name, plan.verdicts.unchecked_names
         ('elastic', ('within the wall',))
         """
         looked = self if self.can_snap else self.evaluate_on(PHYSICAL_MODEL)
@@ -154,7 +155,7 @@ class Plan(PlanData):
         return looked.with_samples(samples, seed)
 
     def with_thresholds(self, **thresholds: float) -> Plan:
-        """Judge the same plan by other thresholds.
+        """Apply other thresholds to the plan.
 
         Parameters
         ----------
@@ -180,8 +181,8 @@ class Plan(PlanData):
     def evaluate_on(self, model: str) -> Plan:
         """Evaluate the same motion on another model.
 
-        The robot is moved through the motion on that model, without a load; shapes, tip directions, margins and
-        clearances are replaced. Results on simulated robots are dropped.
+        The motion is simulated on that model, without a load; shapes, tip directions, margins and clearances are
+        replaced. Results on simulated robots are dropped.
 
         Parameters
         ----------
@@ -203,15 +204,15 @@ class Plan(PlanData):
         >>> import ctr_nlp as ctr
         >>> from ctr_nlp.problems import named_problem
         >>> plan = ctr.solve_per_frame(named_problem("arc", frames=3), model="dominant")
-        >>> plan.on("elastic").evaluated
+        >>> plan.evaluate_on("elastic").evaluated_model_name
         'elastic'
         """
         return self._evaluate_on_model(model_named(model), {"evaluated": model, "load": None})
 
     def with_load(self, load: Load | LoadOverTime) -> Plan:
-        """Evaluate the same motion on the elastic model while the robot bears a load.
+        """Evaluate the same motion on the elastic model with the robot under a load.
 
-        The load comes while the robot stands in the first frame, and is taken away in the last one.
+        The load is applied while the robot stands in the first frame, and taken away in the last one.
 
         Parameters
         ----------
@@ -233,8 +234,8 @@ class Plan(PlanData):
         >>> import ctr_nlp as ctr
         >>> from ctr_nlp.problems import named_problem
         >>> plan = ctr.solve_per_frame(named_problem("arc", frames=3), model="dominant").with_modulus(60_000)
-        >>> loaded = plan.under(ctr.Load(force=(0.05, 0, 0)))  # doctest: +SKIP
-        >>> loaded.evaluated  # doctest: +SKIP
+        >>> loaded = plan.with_load(ctr.Load(force=(0.05, 0, 0)))  # doctest: +SKIP
+        >>> loaded.evaluated_model_name  # doctest: +SKIP
         'elastic'
         """
         check_instance(LoadError, "load", load, Load, LoadOverTime)
@@ -276,22 +277,22 @@ class Plan(PlanData):
         return replace(self, meta=self.meta | {"robot": with_modulus(self.robot, modulus).to_dict()})
 
     def _with_clearance_between(self) -> Plan:
-        """Return the plan with its clearance between frames, which files of older versions do not hold."""
+        """Return the plan with its clearance between frames, which files of older versions do not have."""
         lumen = lumen_of(self)
         if lumen is None or self.clearance is None or self.clearance_between is not None:
             return self
         return replace(self, clearance_between=clearance_between(self.robot, self.q, self.evaluated_model, lumen))
 
     def _evaluate_on_model(self, model: Model, metadata: dict[str, Any]) -> Plan:
-        """Return the plan with its robot moved through the motion on `model`, and with `metadata` in its meta."""
+        """Return the plan with its motion simulated on `model`, and with `metadata` in its meta."""
         simulator = Simulator(self.robot, model)
         lumen = lumen_of(self)
         found = evaluate_motion(simulator, self.q, target=self.target, lumen=lumen, free=self.free)
-        # Results on simulated robots are those of the model before, and are dropped.
+        # Results on samples belong to the model before.
         return replace(self, **found.arrays, meta=self.meta | found.metadata | metadata, drawn=None)
 
     def robustness(self, samples: int = DEFAULT_PLAN_SAMPLES, seed: int = DEFAULT_PLAN_SAMPLE_SEED) -> Robustness:
-        """Try the motion on simulated robots within the tolerances, on the model that the plan is evaluated on.
+        """Simulate the motion on robots within the tolerances, on the model that the plan is evaluated on.
 
         Parameters
         ----------
@@ -317,15 +318,15 @@ class Plan(PlanData):
         --------
         >>> import ctr_nlp as ctr
         >>> from ctr_nlp.problems import named_problem
-        >>> plan = ctr.solve_per_frame(named_problem("arc", frames=3), model="dominant").on("elastic")
-        >>> found = plan.robustness(draws=5)
+        >>> plan = ctr.solve_per_frame(named_problem("arc", frames=3), model="dominant").evaluate_on("elastic")
+        >>> found = plan.robustness(samples=5)
         >>> len(found), found.e2.shape
         (5, (5, 3))
         """
         return robustness(self, samples, seed)
 
     def with_samples(self, samples: int = DEFAULT_PLAN_SAMPLES, seed: int = DEFAULT_PLAN_SAMPLE_SEED) -> Plan:
-        """Return the plan with what happens on simulated robots; see :meth:`robustness`.
+        """Return the plan with results on simulated robots; see :meth:`robustness`.
 
         Parameters
         ----------
@@ -337,7 +338,7 @@ class Plan(PlanData):
         Returns
         -------
         Plan
-            The same plan, with the results in ``plan.drawn``, which verdicts and files then hold.
+            The same plan, with the results in ``plan.drawn``, which verdicts use and files contain.
 
         Raises
         ------
@@ -438,8 +439,8 @@ class Plan(PlanData):
         Raises
         ------
         OutputError
-            The file cannot be read, is not a plan, or was changed after it was saved. What was changed cannot be
-            told in files of versions that kept no digest.
+            The file cannot be read, is not a plan, or was changed after it was saved. Changes are not detected in
+            files of versions without a digest.
         """
         path = checked_path(OutputError, path)
         try:
@@ -474,7 +475,7 @@ def plan_from_configurations(
     free: Array | None = None,
     simulator: Simulator | None = None,
 ) -> Plan:
-    """Build a plan by moving a problem's robot through configurations.
+    """Build a plan by simulating a problem's robot through configurations.
 
     Parameters
     ----------
@@ -498,7 +499,7 @@ def plan_from_configurations(
     free : ndarray, optional
         The motion (T, 2d + 2) that was found without the wall.
     simulator : Simulator, optional
-        One that may have moved the robot through q already.
+        Simulator of the problem's robot, which may have q in its cache.
 
     Returns
     -------
@@ -510,12 +511,12 @@ def plan_from_configurations(
     target = np.array([frame.points for frame in frames])
     radii = [frame.radius for frame in frames]
     simulator = simulator or Simulator(robot, planned_model(meta))
-    # Shapes are those of the robot moved through q, and not those that the solver planned: a stationary point can
-    # be an equilibrium that the motion does not lead to.
+    # Shapes are simulated and not taken from the solver: its stationary point may be an equilibrium that the
+    # motion does not reach.
     found = evaluate_motion(simulator, q, target=target, lumen=problem.sampled_lumen, free=free)
     if planned is not None:
         snaps = found.simulation.snaps
-        # On the elastic model q does not determine the equilibrium. Where the motion leads to another one than was
+        # On the elastic model q does not determine the equilibrium. Where the motion reaches another one than was
         # planned, the frame is not a solution, however small its residual.
         away = success & find_off_branch_frames(found.simulation.x, planned, snaps, robot.d)
         success = success & ~away

@@ -1,4 +1,4 @@
-"""Data of a plan, in memory and in its file: arrays over its frames, and meta, which tells how it was made."""
+"""Data of a plan, in memory and in its file: arrays over its frames, and meta, which records how it was made."""
 
 from __future__ import annotations
 
@@ -33,11 +33,11 @@ class PlanData(Value):
     time (T,) s; alpha (T, d) rad; beta (T, d) mm; theta (T, 2) rad; target, shape (T, 101, 3) mm at uniform
     sigma; target_direction, tip_direction (T, 3) unit tangents at the tip; solve_time (T,) s; success (T,);
     objective (T,) mm^2; kkt (T,); stability, stability_between (T,), NaN on the dominant model; to_robot
-    (4, 4), file to robot frame; where known, truth (T, 2d + 2), lumen_radius (T, 101) mm at the target's points,
-    lumen (N, 4), the path and radius of the whole lumen, mm, clearance (T, 101) mm, what is left between tubes
-    and its wall in each frame, clearance_between (T, 101) mm, the least of it on the way to each frame and in it,
-    free (T, 2d + 2), the motion that was found without the wall, and drawn, the results of
-    robots within the tolerances. Frames that were never reached hold NaN. Arrays and meta are read-only copies.
+    (4, 4), file to robot frame; where known, truth (T, 2d + 2), the configurations that the target was made with;
+    lumen_radius (T, 101) mm at the target's points; lumen (N, 4), path and radius of the whole lumen, mm;
+    clearance (T, 101) mm between tubes and wall in each frame; clearance_between (T, 101) mm, the least in the
+    sub-steps to each frame; free (T, 2d + 2), the motion that was found without the wall; drawn, the results on
+    samples of the robot. Frames that were never reached are NaN. Arrays and meta are read-only copies.
     """
 
     time: Array
@@ -83,7 +83,7 @@ class PlanData(Value):
 
     @property
     def dt(self) -> float:
-        """Time from frame to frame, s."""
+        """Time from frame to frame, s: frame j, from 1, is at time j dt."""
         return float(self.time[0])
 
     @property
@@ -134,12 +134,12 @@ class PlanData(Value):
 
 
 def load_of(meta: Mapping[str, Any], name: str) -> Load | LoadOverTime | None:
-    """Return the load that a plan's meta has under `name`; None without one."""
+    """Return the load under the entry `name` of a plan's meta; None without one."""
     return None if meta.get(name) is None else load_from_dict(meta[name])
 
 
 def planned_model(meta: Mapping[str, Any]) -> Model:
-    """Return the model that a plan was made on, under the load that it was made for."""
+    """Return the model that a plan was made on, with the load that it was made for; meta: of the plan."""
     load = load_of(meta, "planned_load")
     return KINEMATIC_MODELS[meta["model"]] if load is None else Loaded(load)
 
@@ -169,7 +169,7 @@ PLAN_ARRAY_SHAPES: dict[str, tuple[int | str, ...]] = {
     **{SAMPLE_ARRAY_PREFIX + name: ("d", 6) for name in ("growth", "lost_alone")},
     "draws_length": ("T",),
 }
-"""Sizes of the arrays: T frames, d tubes, q = 2d + 2 joints, N points of a lumen, D draws, C frames of a cloud."""
+"""Sizes of the arrays: T frames, d tubes, q = 2d + 2 joints, N points of a lumen, D samples, C cloud frames."""
 SAMPLE_ARRAY_NAMES = tuple(name for name in PLAN_ARRAY_SHAPES if name.startswith(SAMPLE_ARRAY_PREFIX))
 OPTIONAL_PLAN_ARRAYS = (
     "lumen_radius",
@@ -181,7 +181,7 @@ OPTIONAL_PLAN_ARRAYS = (
     *SAMPLE_ARRAY_NAMES,
 )
 SAMPLE_SIZE_ARRAYS = {"D": "parts", "C": "cloud_frames"}
-"""Sizes that arrays of simulated robots have, and the arrays that tell them."""
+"""Sizes of the arrays on samples, and the arrays that define them."""
 REQUIRED_PLAN_ARRAYS = tuple(name for name in PLAN_ARRAY_SHAPES if name not in OPTIONAL_PLAN_ARRAYS)
 REQUIRED_META_TYPES: dict[str, type] = {"robot": dict, "problem": dict, "model": str}
 """Entries that meta must have, and their types."""
@@ -193,9 +193,9 @@ OPTIONAL_META_TYPES: dict[str, type] = {
 }
 """Entries that meta may have, and their types."""
 EVERY_FRAME_PLAN_ARRAYS = "target", "target_direction", "to_robot", "lumen", "lumen_radius", "truth"
-"""Arrays that are known in every frame."""
+"""Arrays that are finite in every frame."""
 REACHED_FRAME_PLAN_ARRAYS = "alpha", "beta", "theta", "tip_direction"
-"""Arrays that are known in every frame in which the robot has a shape."""
+"""Arrays that are finite in every frame in which the robot has a shape."""
 NUMERIC_META_ENTRIES = "build_s", "search_s", "solve_s", "contact_weight", "iterations"
 """Entries of meta that are a number or null."""
 DIGEST = "digest"
@@ -212,8 +212,8 @@ class PlanFileContent(NamedTuple):
     meta : Any
         From its JSON.
     changed : bool
-        Whether these are others than those that the file tells the digest of; False in files of versions that
-        did not keep one.
+        Whether the content differs from what the file's digest was computed of; False in files of versions
+        without a digest.
     """
 
     arrays: dict[str, npt.NDArray[Any]]
@@ -222,7 +222,7 @@ class PlanFileContent(NamedTuple):
 
 
 def digest(arrays: Mapping[str, npt.NDArray[Any]], meta: str) -> str:
-    """Return the SHA-256 of all that a plan's file holds.
+    """Return the SHA-256 of the content of a plan's file.
 
     Parameters
     ----------
@@ -245,8 +245,9 @@ def digest(arrays: Mapping[str, npt.NDArray[Any]], meta: str) -> str:
 
 
 def read_plan_file(path: Path) -> PlanFileContent:
-    """Read the arrays of a plan.npz that belong to a plan, and its meta; raises OSError where it cannot be opened,
-    and OutputError where it holds no plan.
+    """Read the arrays and the meta of a plan from the file plan.npz at `path`.
+
+    Raises OSError where it cannot be opened, and OutputError where it is no plan.
     """
     with open(path, "rb") as file:
         if not zipfile.is_zipfile(file):  # numpy would offer to read it unsafely
@@ -267,12 +268,12 @@ def read_plan_file(path: Path) -> PlanFileContent:
 
 
 def _reject_non_finite(constant: str) -> Any:
-    """Raise OutputError: JSON knows no NaN and no infinity, and what is saved holds none."""
+    """Raise OutputError: JSON has no NaN and no infinity, and plans are saved without them."""
     raise OutputError(f"meta holds {constant}; its numbers must be finite")
 
 
 def check_meta(meta: Any) -> None:
-    """Raise OutputError unless meta tells what every plan tells."""
+    """Raise OutputError unless meta has the entries and types of a plan's meta."""
     if not isinstance(meta, dict):
         raise OutputError(f"meta is {meta!r:.60}; it must be a JSON object")
     if meta.get("format") != FORMAT:
@@ -295,7 +296,7 @@ def check_meta(meta: Any) -> None:
 
 
 def _check_meta_entries(meta: Mapping[str, Any]) -> None:
-    """Raise OutputError where meta tells of frames and numbers in another way than plans do."""
+    """Raise OutputError where an entry of meta on frames or numbers has another form than in plans."""
     for key in NUMERIC_META_ENTRIES:
         if isinstance(meta.get(key), bool) or not isinstance(meta.get(key), int | float | None):
             raise OutputError(f"{key} of meta is {meta[key]!r:.60}; it must be a number or null")
@@ -317,7 +318,7 @@ def _check_meta_entries(meta: Mapping[str, Any]) -> None:
 
 
 def check_arrays(arrays: Mapping[str, npt.NDArray[Any]], tubes: int) -> None:
-    """Raise OutputError unless arrays are numbers of the sizes that a plan for a robot of `tubes` tubes has."""
+    """Raise OutputError unless arrays, by name, have types and sizes of a plan for a robot of `tubes` tubes."""
     missing = [name for name in REQUIRED_PLAN_ARRAYS if name not in arrays]
     if missing:
         raise OutputError(f"it has no {missing[0]}")
@@ -354,7 +355,7 @@ def check_arrays(arrays: Mapping[str, npt.NDArray[Any]], tubes: int) -> None:
 
 
 def _check_values(arrays: Mapping[str, npt.NDArray[Any]]) -> None:
-    """Raise OutputError where a place, a direction or a joint is no number that a motion can have."""
+    """Raise OutputError where a point, a direction or a joint is not finite or out of range."""
     reached = np.isfinite(arrays["shape"]).all(axis=(1, 2))
     for name in (*EVERY_FRAME_PLAN_ARRAYS, *REACHED_FRAME_PLAN_ARRAYS, "shape"):
         array = arrays.get(name)

@@ -1,7 +1,7 @@
-"""Plans made of plans: some of their frames, one after the other, at another pace of frames.
+"""Plans made of plans: slices, reversed, joined and resampled ones.
 
-What is said of a plan stays true of what is made of it: failures and snaps keep their frames under new numbers,
-and where the motion is another one the robot is moved through it anew.
+Failures and snaps are kept under new frame numbers. Where the motion changes, it is simulated again: on the
+elastic model the shape in a frame depends on the motion before it.
 """
 
 from __future__ import annotations
@@ -28,11 +28,11 @@ META_ENTRIES_BY_FRAME = "failures", "fallbacks"
 NON_FRAME_PLAN_FIELDS = "meta", "to_robot", "lumen", "drawn"
 """Fields that are not one row a frame."""
 STRICTEST = {"contact_allowed": min, "contact_weight": max}
-"""Functions that choose, of two values of an option that verdicts judge by, the one for a joined plan."""
+"""Options that verdicts use, and the function that chooses the stricter of two values for a joined plan."""
 JOINED_SHAPE_TOLERANCE_MM = 0.01
-"""mm by which a shape may differ from the one planned before the robot counts as elsewhere."""
+"""mm by which a shape may differ from the one planned before the robot counts as on another branch."""
 WHOLE_FRAME = 1e-9
-"""A place between frames nearer to one of them is that frame."""
+"""Resampled positions, in frames, are rounded to a whole frame that is nearer than this part of the motion."""
 
 
 def per_frame_arrays(plan: PlanData) -> dict[str, Any]:
@@ -42,10 +42,10 @@ def per_frame_arrays(plan: PlanData) -> dict[str, Any]:
 
 
 def slice_plan(plan: AnyPlan, frames: slice) -> AnyPlan:
-    """Return the frames first:stop of a plan, counted from 0, as a plan of the same pace; raises OptionError where
-    there are none.
+    """Return some frames of a plan, a slice first:stop counted from 0, as a plan with the same dt.
 
-    The way to the first frame counts as before, with its margin and its snap.
+    The sub-steps to the first of them count as before, with their margin and snap. Raises OptionError where there
+    are no such frames.
     """
     count = len(plan.time)
     chosen = range(count)[frames] if isinstance(frames, slice) else range(0)
@@ -68,6 +68,7 @@ def slice_plan(plan: AnyPlan, frames: slice) -> AnyPlan:
         for snap in plan.meta.get("snaps", [])
         if first < snap["frame"] <= stop
     ]
+    # Simulated as a whole and then cut: a motion that begins in its middle might be on another branch.
     free = free_errors(Simulator(plan.robot, plan.evaluated_model), plan.free, plan.target)
     meta["e3_free"] = e3_of(None if free is None else free[first:stop], plan.reached_frames[first:stop])
     meta["stretch"] = {"first": first + 1, "last": stop, "of": count}
@@ -76,7 +77,7 @@ def slice_plan(plan: AnyPlan, frames: slice) -> AnyPlan:
 
 
 def reverse_plan(plan: AnyPlan) -> AnyPlan:
-    """Return a plan played backwards, at the same pace; raises LoadError under a load over time."""
+    """Return a plan in the reverse order of frames, with the same dt; raises LoadError under a load over time."""
     require_constant_load(plan.evaluated_load, "a plan that is played backwards")
     back = {name: array[::-1] for name, array in per_frame_arrays(plan).items() if name != "time"}
     count = len(plan.time) + 1  # frame j, from 1, becomes frame count - j
@@ -93,11 +94,11 @@ def reverse_plan(plan: AnyPlan) -> AnyPlan:
 
 
 def join_plans(plan: AnyPlan, other: PlanData) -> AnyPlan:
-    """Join a plan and another one of the same robot, pace, model and lumen; raises OptionError where they differ.
+    """Join a plan and another one of the same robot, dt, model and lumen; raises OptionError where they differ.
 
-    The robot is moved through the whole motion: where it would not get to what the other plan shows, frames are
-    marked as not solved. The step from the last frame of one to the first of the other counts as any other; meta
-    tells how long it is, under joined. Options are those of the first, and the stricter ones for verdicts.
+    The whole motion is simulated: frames in which the robot does not reach the shapes of the other plan are marked
+    as not solved. The step from the last frame of one to the first of the other counts as any other; its size is
+    in meta, under joined. Options are those of the first, and the stricter ones for verdicts.
     """
     if not isinstance(other, PlanData):
         raise OptionError(f"a plan is joined with {other!r:.80}; give another Plan")
@@ -113,6 +114,7 @@ def join_plans(plan: AnyPlan, other: PlanData) -> AnyPlan:
     simulator = Simulator(plan.robot, plan.evaluated_model)
     found = evaluate_motion(simulator, q, target=both["target"], lumen=lumen_of(plan), free=both.get("free"))
     apart = np.linalg.norm(found.arrays["shape"] - both["shape"], axis=-1).max(axis=1)
+    # Negated, so that a simulated shape that is NaN counts as another one.
     away = np.isfinite(both["shape"]).all(axis=(1, 2)) & ~(apart < JOINED_SHAPE_TOLERANCE_MM)
     alpha, beta, theta = plan.robot.split(np.abs(other.q[0] - plan.q[-1]))
     meta: dict[str, Any] = dict(plan.meta) | found.metadata
@@ -141,10 +143,9 @@ def join_plans(plan: AnyPlan, other: PlanData) -> AnyPlan:
 def resample_plan(plan: AnyPlan, frames: int | None = None, dt: float | None = None) -> AnyPlan:
     """Interpolate a plan at `frames` frames, or with `dt` s from frame to frame; its first and last frame stay.
 
-    Between frames configurations are linear, as everywhere; the robot is moved through the new motion, and targets
-    are interpolated too. Nothing that was not solved is called solved: a frame keeps its success, objective, KKT
-    residual and time only where it is one of the plan's own and so are, and were solved, all that were left out
-    before it. meta lists the others under interpolated. Raises OptionError.
+    Configurations and targets are interpolated linearly, and the new motion is simulated. A frame keeps its
+    success, objective, KKT residual and time only where it is a frame of the plan and all frames left out before
+    it were solved; the others are listed in meta under interpolated. Raises OptionError.
     """
     at = _resampled_positions(plan, frames, dt)
     low = np.minimum(np.floor(at).astype(int), len(plan.time) - 2)
@@ -183,8 +184,9 @@ def resample_plan(plan: AnyPlan, frames: int | None = None, dt: float | None = N
 
 
 def _solved_around(plan: PlanData, at: Array) -> Flags:
-    """Tell for each new place (n,) whether all frames beside it, or left out before it, were solved or
-    interpolated.
+    """Return for each new position (n,) whether all frames beside it and left out before it were solved.
+
+    Frames that were interpolated already count as solved. at: (n,), positions in frames of the plan, from 0.
     """
     fine = plan.success.copy()
     fine[[j - 1 for j in plan.meta.get("interpolated", [])]] = True
@@ -194,7 +196,7 @@ def _solved_around(plan: PlanData, at: Array) -> Flags:
 
 
 def _resampled_positions(plan: PlanData, frames: int | None, dt: float | None) -> Array:
-    """Return where new frames lie between those of a plan, from 0; either `frames` or `dt`, s, is given."""
+    """Return positions (n,) of new frames, in frames of a plan from 0; either `frames` or `dt`, s, is given."""
     span = len(plan.time) - 1
     if (frames is None) == (dt is None):
         raise OptionError(f"frames is {frames!r} and dt {dt!r}; give one of them")
@@ -215,9 +217,7 @@ def _resampled_positions(plan: PlanData, frames: int | None, dt: float | None) -
 
 
 def _interpolate_rows(array: Array, low: Any, part: Array) -> Array:
-    """Interpolate the rows of an array (T, ...) at places low + part; rows are exactly the given ones where part
-    is 0 or 1.
-    """
+    """Interpolate the rows of an array (T, ...) at positions low + part (n,); exact where part is 0 or 1."""
     part = part.reshape(-1, *[1] * (array.ndim - 1))
     here = array[low]
     there = array[low + 1]
@@ -242,9 +242,7 @@ def _check_joinable(plan: PlanData, other: PlanData) -> None:
 
 
 def _shift_frame_numbers(entries: Mapping[str, Any], by: int, count: int) -> dict[str, Any]:
-    """Shift the frame numbers of entries of meta by `by`; keep those from 1 to `count`, and the entry of all
-    frames.
-    """
+    """Shift the frame numbers of entries of meta by `by`; keep those from 1 to `count`, and the entry "all"."""
     moved_on = {key if key == "all" else str(int(key) + by): why for key, why in entries.items()}
     return {key: why for key, why in moved_on.items() if key == "all" or 1 <= int(key) <= count}
 

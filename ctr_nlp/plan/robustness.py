@@ -1,4 +1,8 @@
-"""Results of a plan on robots that differ from the one described: how many are lost, and their errors."""
+"""Results of a plan on Monte Carlo samples of its robot: how many fail, their errors, and what tolerances cost.
+
+A sample fails ("lost" in fields and files) where it snaps, has no equilibrium, or is on another branch of
+equilibria than the nominal robot.
+"""
 
 from __future__ import annotations
 
@@ -16,15 +20,15 @@ from ctr_nlp.typing import Array, Flags, Index
 SAMPLE_ARRAY_PREFIX = "draws_"
 """Prefix of the names of these arrays in plan.npz."""
 CONFIDENCE = 0.95
-"""Confidence of the bound on the share of lost robots."""
+"""Confidence of the bound on the share of robots that fail."""
 MOST_LOST = 0.01
-"""The share of all robots within the tolerances that may be lost on a robust plan, unless another is asked for."""
+"""Default share of all robots within the tolerances that may fail on a robust plan."""
 COSTLY = (*DEVIATION_NAMES, "rotation_lag")
-"""Tolerances whose costs are found, one by one."""
+"""Tolerances whose costs are computed, one by one."""
 
 
 class Spread(NamedTuple):
-    """Mean and median over draws of a length in mm, and what 95 % of the draws do not exceed."""
+    """Mean, median and 95 % quantile (`most`) over samples of a length in mm."""
 
     mean: float
     median: float
@@ -32,10 +36,10 @@ class Spread(NamedTuple):
 
 
 class ToleranceCost(NamedTuple):
-    """Cost of one tolerance of a tube, counted from 1: e3 grows by `growth` mm; share: of the growths of all
-    tolerances.
+    """Cost of one tolerance of a tube.
 
-    lost: how many of two robots are lost that differ in it alone, by its standard deviation to either side.
+    tube: from 1. tolerance: its name, of COSTLY. growth: of e3, mm. share: of the growths of all tolerances. lost:
+    how many fail of two robots that differ in it alone, by its standard deviation to either side.
     """
 
     tube: int
@@ -46,7 +50,7 @@ class ToleranceCost(NamedTuple):
 
 
 class FrameLosses(NamedTuple):
-    """Frame, from 1, in which `draws` robots are lost first, and how far the robot is out there, mm."""
+    """Frame, from 1, in which `draws` samples first fail, and the length that the robot is out there, mm."""
 
     frame: int
     draws: int
@@ -55,16 +59,16 @@ class FrameLosses(NamedTuple):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Robustness(ReadOnlyValue):
-    """A plan of T frames on n draws of its robot, moved open loop from where all tubes are aligned.
+    """A plan of T frames on n Monte Carlo samples of its robot, moved open loop from aligned tubes.
 
-    seed: of the draws; parts (n, d, 5), lags (n, d): by how much they differ from the robot described, as in
-    robot.draws. e2 (n, T) and largest (n,), the largest error at equal arc length, mm, NaN where a frame or all
-    frames have no shape. lost, snapped (n,): in which frame, from 1, a draw is lost or snaps first; 0 where not.
+    seed: of the samples. parts (n, d, 5), lags (n, d): their deviations from the nominal robot, as in
+    robot/samples.py. e2 (n, T), mm: NaN in frames without a shape. largest (n,): largest error at equal arc
+    length, mm. lost, snapped (n,): frame, from 1, in which a sample first fails or snaps; 0 where it does not.
     margin (n,): least stability margin at or between frames, NaN where nothing can be unstable. clearance,
-    contact (n,): least clearance from the wall, and the depths of the deepest contacts summed over frames, mm, NaN
-    without a wall. cloud (k, n, 26, 3): every fourth sample of the shapes at cloud_frames (k,), from 1, mm.
-    growth (d, 6): by how much e3 grows, mm, where the robot differs by one tolerance alone, as COSTLY, and
-    lost_alone (d, 6): how many of two such robots are lost. length (T,): how far the robot is out, mm.
+    contact (n,): least clearance from the wall, and the deepest contacts summed over frames, mm, NaN without a
+    wall. cloud (k, n, 26, 3): every fourth point of the shapes in cloud_frames (k,), from 1, mm. growth (d, 6):
+    growth of e3 by one tolerance alone, in the order of COSTLY, mm; lost_alone (d, 6): how many of its two robots
+    fail. length (T,): extension of the innermost tube, mm.
     """
 
     seed: int
@@ -91,22 +95,22 @@ class Robustness(ReadOnlyValue):
 
     @property
     def lost_count(self) -> int:
-        """Number of robots that are lost."""
+        """Number of samples that fail."""
         return int((self.lost > 0).sum())
 
     @property
     def lost_share(self) -> float:
-        """Share of the robots that are lost."""
+        """Share of the samples that fail."""
         return self.lost_count / len(self)
 
     @property
     def lost_share_bound(self) -> float:
-        """Upper bound of the share of all such robots that are lost, with 95 % confidence."""
+        """Upper bound of the share of all such robots that fail, with 95 % confidence."""
         return upper_bound(self.lost_count, len(self))
 
     @property
     def e3(self) -> Array:
-        """Root mean squares (n,) over frames of e2, mm."""
+        """Root mean squares (n,) of e2 over frames, mm."""
         known = np.isfinite(self.e2)
         sums = (np.where(known, self.e2, 0.0).astype(float) ** 2).sum(axis=1)
         counts = known.sum(axis=1)
@@ -124,7 +128,7 @@ class Robustness(ReadOnlyValue):
 
     @property
     def clearances(self) -> Spread | None:
-        """Spread of the least clearances over robots; `most` is what 95 % of them exceed. None without a wall."""
+        """Spread of the least clearances over robots; `most` is their 5 % quantile. None without a wall."""
         found = spread(-self.clearance)
         return None if found is None else Spread(*(-value for value in found))
 
@@ -134,9 +138,7 @@ class Robustness(ReadOnlyValue):
         return spread(self.contact)
 
     def e2_quantiles(self, *shares: float) -> Array:
-        """Quantiles of e2 over robots in every frame, (shares, T) mm, at shares from 0 to 1; NaN in frames without
-        a shape.
-        """
+        """Return quantiles of e2 over robots, (shares, T) in mm, NaN in frames without a shape; shares: 0 to 1."""
         known = np.isfinite(self.e2).any(axis=0)
         found = np.full((len(shares), self.e2.shape[1]), np.nan)
         found[:, known] = np.nanquantile(self.e2[:, known], shares, axis=0)
@@ -144,7 +146,7 @@ class Robustness(ReadOnlyValue):
 
     @property
     def losses_by_frame(self) -> list[FrameLosses]:
-        """Frames in which robots are lost first, in order."""
+        """Frames in which samples first fail, in order."""
         frames, counts = np.unique(self.lost[self.lost > 0], return_counts=True)
         found = zip(frames.tolist(), counts.tolist(), strict=True)
         return [FrameLosses(frame, count, float(self.length[frame - 1])) for frame, count in found]
@@ -152,6 +154,7 @@ class Robustness(ReadOnlyValue):
     @property
     def costs(self) -> list[ToleranceCost]:
         """Costs of the tolerances that are not 0, the most costly first."""
+        # Some deviations make the motion better by chance: negative growth is no cost, and shares leave it out.
         total = max(float(np.nansum(np.maximum(self.growth, 0.0))), 1e-12)
         found = [
             ToleranceCost(
@@ -164,7 +167,7 @@ class Robustness(ReadOnlyValue):
 
     @property
     def summary_sentence(self) -> str:
-        """Say in a sentence how many samples are lost, the bound for all such robots, and their mean error."""
+        """A sentence with the number of samples that fail, the bound for all such robots, and their mean error."""
         lost = self.lost_count
         errors = self.errors
         mean = f"; e3 is {errors.mean:.3g} mm on average over the samples" if errors else ""
@@ -202,23 +205,24 @@ class Robustness(ReadOnlyValue):
 
 
 def robustness_from_arrays(arrays: Mapping[str, Any], seed: int) -> Robustness:
-    """Make a Robustness of the arrays of a plan.npz and the seed of its robots."""
+    """Build a Robustness from the arrays of a plan.npz, by name, and the seed of its samples."""
     return Robustness(
         seed, **{f.name: arrays[SAMPLE_ARRAY_PREFIX + f.name] for f in fields(Robustness) if f.name != "seed"}
     )
 
 
 def upper_bound(lost: int, count: int, confidence: float = CONFIDENCE) -> float:
-    """Return the largest share of lost robots at which so few as `lost` of `count` would be with probability 1 -
-    confidence.
+    """Return the upper confidence bound of the share of robots that fail, where `lost` of `count` samples do.
 
-    Clopper and Pearson, Biometrika 26, 1934: the quantile of a beta distribution, for one side.
+    confidence: of the one-sided bound, from 0 to 1. The exact bound of Clopper and Pearson, Biometrika 26, 1934.
     """
+    # The share p at which so few failures have the probability 1 - c: sum_{j <= k} C(n, j) p^j (1 - p)^(n - j) =
+    # 1 - c, which is the quantile c of the beta distribution of k + 1 and n - k.
     return 1.0 if lost >= count else float(betaincinv(lost + 1, count - lost, confidence))
 
 
 def spread(values: Array) -> Spread | None:
-    """Return the spread of the values (n,) that are known, not NaN or infinite; None without any."""
+    """Return the spread of the finite ones of `values` (n,); None without any."""
     known: Flags = np.isfinite(values)
     if not known.any():
         return None

@@ -1,4 +1,4 @@
-"""What becomes of each simulated robot: whether it keeps its branch, arrives, and keeps off the wall."""
+"""Outcome of each simulated robot: whether it stays on its branch, arrives, and keeps off the wall."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from ctr_nlp.plan.robustness import spread
 from ctr_nlp.typing import Array, Flags
 
 SAMPLE_CONTACT_ALLOWED_MM = 1.0
-"""How far a simulated robot may press into the wall. The nominal robot has less (``contact_allowed``): tolerances
-move a robot by some tenths of a millimetre, and tissue gives by that much."""
+"""Allowed contact depth of a simulated robot. The nominal robot has less (``contact_allowed``): tolerances move a
+robot by some tenths of a millimetre, and tissue gives by that much."""
 
 
 @dataclass(frozen=True, eq=False)
 class SampleOutcomes:
-    """The fate of n simulated robots.
+    """Outcomes of n simulated robots.
 
     Attributes
     ----------
@@ -31,7 +31,7 @@ class SampleOutcomes:
     contact : (n,) float
         Deepest contact with the wall over all frames, mm, 0 where it touches nothing; NaN without a wall.
     arrival_tolerance, contact_allowed : float
-        The limits that the robots are judged by, mm.
+        The limits for the robots, mm.
     wall_known : bool
         Whether a wall is known.
     """
@@ -48,39 +48,40 @@ class SampleOutcomes:
 
     @property
     def missed_target(self) -> Flags:
-        """Robots (n,) whose tip ends too far from the target's end, or nowhere."""
+        """Mask (n,) of the robots whose tip ends too far from the target's end, or that have no tip at all."""
+        # Negated, so that NaN, a robot without an equilibrium, counts as missed; likewise below.
         return np.asarray(~(self.tip_error <= self.arrival_tolerance))
 
     @property
     def exceeded_contact_limit(self) -> Flags:
-        """Robots (n,) that press too deep into the wall; where no wall is known, none."""
+        """Mask (n,) of the robots that press too deep into the wall; all False where no wall is known."""
         return np.asarray(~(self.contact <= self.contact_allowed) & self.wall_known)
 
     @property
     def passed_all_checks(self) -> Flags:
-        """Robots (n,) that fail in nothing."""
+        """Mask (n,) of the robots that pass all three checks."""
         return np.asarray(~(self.lost | self.missed_target | self.exceeded_contact_limit))
 
     @property
     def share(self) -> float:
-        """Share of the robots that fail in nothing."""
+        """Share of the robots that pass all checks."""
         return float(self.passed_all_checks.mean())
 
 
 def sample_contact_allowed(contact_allowed: float) -> float:
-    """Return how far a simulated robot may press into the wall, where the nominal one may by so much; both mm."""
+    """Return the contact depth allowed to simulated robots; contact_allowed: that of the nominal one; both mm."""
     return max(SAMPLE_CONTACT_ALLOWED_MM, contact_allowed)
 
 
 def sample_outcomes(plan: PlanData) -> SampleOutcomes:
-    """Judge the simulated robots that a plan holds, by the thresholds among its options.
+    """Evaluate the simulated robots of a plan by the thresholds among its options.
 
-    The tip of every robot in the last frame is the last point of its last stored shape (``draws_cloud``), so that
-    plans which were saved before arrival was judged can be judged too.
+    The last tip of every robot is the last point of its last stored shape (``draws_cloud``), so that plans which
+    were saved before arrival was checked can be checked, too.
 
     Parameters
     ----------
-    plan : Record
+    plan : PlanData
         A plan with samples (:meth:`Plan.with_samples`).
 
     Returns
@@ -109,19 +110,19 @@ def sample_outcomes(plan: PlanData) -> SampleOutcomes:
 
 
 def sample_summary(plan: PlanData) -> dict[str, Any]:
-    """Count what becomes of a plan's simulated robots, for summary.json.
+    """Count the outcomes of a plan's simulated robots, for summary.json.
 
     Parameters
     ----------
-    plan : Record
+    plan : PlanData
         A plan with samples.
 
     Returns
     -------
     dict
-        ``held``, ``missed`` and ``pressed``: how many robots hold, do not arrive, and press too deep into the wall
-        (one robot may count in several); ``held_share``; ``tip_last`` and ``contact_deepest``: mean, median and
-        95 % quantile over the robots in mm, None where nothing is known.
+        ``held``, ``missed`` and ``pressed``: how many robots pass all checks, do not arrive, and press too deep
+        into the wall (one robot may count in several); ``held_share``; ``tip_last`` and ``contact_deepest``: mean,
+        median and 95 % quantile over the robots in mm, None where nothing is known.
     """
     found = sample_outcomes(plan)
     spreads = {"tip_last": spread(found.tip_error), "contact_deepest": spread(found.contact)}

@@ -1,4 +1,4 @@
-"""Sentences and tables on the robots within the tolerances that a plan was simulated on."""
+"""Sentences and tables on the Monte Carlo samples of a plan."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from ctr_nlp.plan.sample_outcomes import sample_outcomes
 from ctr_nlp.support.flag_runs import find_flag_runs
 
 LOSS_INTERVAL_MAX_GAP_FRAMES = 3
-"""Losses fewer frames apart than this are reported together."""
+"""Failures fewer frames apart than this are reported together."""
 MAX_NAMED_TOLERANCES = 3
-"""Most tolerances that are named in a sentence; the table has them all."""
+"""Largest number of tolerances named in a sentence; the table has them all."""
 
 
 class RobustnessTable(NamedTuple):
@@ -27,7 +27,7 @@ class RobustnessTable(NamedTuple):
 
 
 class LossInterval(NamedTuple):
-    """Frames, as text and from 1, in which `draws` robots are lost first, and how far the robot is out there."""
+    """Frames, as text and from 1, in which `draws` samples first fail, and the length that is out there, mm."""
 
     frames: str
     draws: int
@@ -35,7 +35,7 @@ class LossInterval(NamedTuple):
 
 
 def robustness_sentences(found: Robustness) -> list[str]:
-    """Say where simulated robots are lost, and which tolerance is worth being met better."""
+    """Return sentences on where samples fail and which tolerance costs most; found: results on the samples."""
     told = []
     if found.lost_count:
         parts = [f"{each.frames} ({each.draws}; {each.out} mm out)" for each in find_loss_intervals(found)]
@@ -56,16 +56,16 @@ def robustness_sentences(found: Robustness) -> list[str]:
 
 
 def tables(plan: PlanData) -> list[RobustnessTable]:
-    """Tables of a plan's samples: arrival, contact and errors, where samples are lost, what each tolerance costs.
+    """Build the tables of a plan's samples: arrival, contact and errors; where samples fail; cost of tolerances.
 
     Parameters
     ----------
-    plan : Record
+    plan : PlanData
         A plan with samples.
 
     Returns
     -------
-    list of Table
+    list of RobustnessTable
         Without the empty ones.
     """
     found = plan.drawn
@@ -89,7 +89,10 @@ def tables(plan: PlanData) -> list[RobustnessTable]:
 
 
 def find_loss_intervals(found: Robustness) -> list[LossInterval]:
-    """Find the stretches of frames in which simulated robots are lost first; near losses share one."""
+    """Return the intervals of frames in which samples first fail; failures close in time share one.
+
+    found: results on the samples.
+    """
     counts = np.zeros(found.e2.shape[1] + LOSS_INTERVAL_MAX_GAP_FRAMES, dtype=int)
     for loss in found.losses_by_frame:
         counts[loss.frame - 1] = loss.draws
@@ -106,8 +109,9 @@ def find_loss_intervals(found: Robustness) -> list[LossInterval]:
 
 
 def _spreads(plan: PlanData, found: Robustness) -> list[tuple[Any, ...]]:
-    """Return the rows over samples: the nominal robot's value, then mean, median, and what 95 % of samples do not
-    exceed (clearance: fall below).
+    """Return rows of the nominal robot's value, then mean, median and 95 % quantile over samples.
+
+    Of clearance it is the 5 % quantile.
     """
     outcomes = sample_outcomes(plan)
     end = arrival(plan)

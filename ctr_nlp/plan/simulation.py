@@ -1,4 +1,4 @@
-"""Numeric shapes of a robot on any model, and a shape as a curve to follow."""
+"""Numeric shapes of a robot on any model: of single configurations, along a motion, and as a curve to follow."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ from ctr_nlp.typing import Array, Index
 
 DOMINANT = Dominant()
 MAX_REMEMBERED_SIMULATIONS = 4
-"""Motions whose simulations a Simulator keeps."""
+"""Number of simulations that a Simulator caches."""
 
 
 def shapes(robot: Robot, q: Array, sigma: Array = SIGMA_GRID) -> Array:
     """Compute shapes of a robot on the dominant stiffness model, eqs. (1) and (4).
 
-    For other models, see :func:`simulated`: on these the shape depends on how the robot came there.
+    For other models, see :func:`simulate_motion`: there the shape depends on the motion before.
 
     Parameters
     ----------
@@ -95,21 +95,21 @@ def tangents(robot: Robot, q: Array, sigma: Array = SIGMA_GRID) -> Array:
 
 
 class Simulation(NamedTuple):
-    """A robot moved through T configurations, with the shapes that it would really have.
+    """A robot simulated through T configurations.
 
     Attributes
     ----------
     shape : (T, 101, 3) array
-        Points at uniform sigma in the base frame, mm; NaN where the robot has no equilibrium that is known.
+        Points at uniform sigma in the base frame, mm; NaN where no equilibrium of the robot is known.
     tip_direction : (T, 3) array
         Unit tangents at the tip.
     stability, stability_between : (T,) array
-        Stability margins in the frames, and the least ones on the way to each from the frame before; NaN where
-        nothing can be unstable.
+        Stability margins in the frames, and the least ones over the sub-steps to each; NaN where nothing can be
+        unstable.
     x : (T, n) array
         The model's unknowns at these equilibria.
     snaps : tuple of Snap
-        Where the robot leaves one branch of equilibria for another.
+        Where the robot jumps from one branch of equilibria to another.
     """
 
     shape: Array
@@ -121,10 +121,10 @@ class Simulation(NamedTuple):
 
 
 def simulate_motion(robot: Robot, q: Array, model: str | Model) -> Simulation:
-    """Move a robot through configurations, frame by frame, on a model.
+    """Simulate a robot through configurations, frame by frame, on a model.
 
-    Where a configuration has several equilibria, the robot is in the one that it has been led to. A single
-    configuration has no history: the robot is turned there from where its tubes are aligned.
+    Where a configuration has several equilibria, the robot is in the one on the branch of the frame before. A
+    single configuration has no history: the robot is turned to it from aligned tubes.
 
     Parameters
     ----------
@@ -145,14 +145,14 @@ def simulate_motion(robot: Robot, q: Array, model: str | Model) -> Simulation:
     RobotError
         `robot` is no robot, or `q` is no array of such rows.
     OptionError, LoadError
-        The model is unknown or does not describe the robot, or this cannot bear the model's load.
+        The model is unknown or does not describe the robot, or the model's load does not fit it.
 
     Examples
     --------
     >>> import numpy as np
     >>> import ctr_nlp as ctr
     >>> q = np.array([[0.0, 1.2, 2.4, 40.0, 90.0, 150.0, 0.0, 0.0]])
-    >>> found = simulated(ctr.table_i_robot(), q, "elastic")
+    >>> found = simulate_motion(ctr.table_i_robot(), q, "elastic")
     >>> found.shape[0, -1].round(1).tolist(), found.snaps  # the tip
     ([75.2, 59.4, 82.0], ())
     """
@@ -177,10 +177,10 @@ def simulate_motion(robot: Robot, q: Array, model: str | Model) -> Simulation:
 def shapes_between(
     robot: Robot, q: Array, model: str | Model, substeps: int = STABILITY_SUBSTEPS_PER_FRAME
 ) -> IntermediateShapes:
-    """Shapes of a robot on the way from frame to frame, and in the frames.
+    """Compute the shapes of a robot in its frames and in sub-steps between them.
 
-    Configurations are linear between frames. The robot is moved as :func:`simulated` moves it: one sub-step after
-    the other from the first frame on, so that it is on the same branch of equilibria in every frame.
+    Configurations are linear between frames. The robot is simulated as by :func:`simulate_motion`, one sub-step
+    after the other from the first frame on, so that it is on the same branch of equilibria in every frame.
 
     Parameters
     ----------
@@ -195,14 +195,14 @@ def shapes_between(
 
     Returns
     -------
-    Between
+    IntermediateShapes
         One row for the first frame and `substeps` rows for each further one.
     """
     described = model_named(model)
     q = _check_configurations(robot, q)
     part = np.arange(1, substeps + 1)[:, None] / substeps
     between = q[:-1, None] + part * (q[1:] - q[:-1])[:, None]
-    # The last sub-step is the frame itself, also where rounding or a frame without a configuration says otherwise.
+    # The last sub-step is the frame itself: exactly, and also where the frame before it is NaN.
     between[:, -1] = q[1:]
     every = np.concatenate([q[:1], between.reshape(-1, q.shape[1])])
     frames = np.concatenate([[0], np.repeat(np.arange(1, len(q)), substeps)])
@@ -212,12 +212,12 @@ def shapes_between(
 
 
 class IntermediateShapes(NamedTuple):
-    """Shapes of a robot at M places of a motion, in frames and between them.
+    """Shapes of a robot at M instants of a motion, in frames and between them.
 
     Attributes
     ----------
     frames : (M,) array of int
-        The frame, from 0, that a place belongs to or is on the way to.
+        The frame, from 0, at the end of the sub-steps that an instant belongs to.
     beta : (M, d) array
         Extensions, mm.
     shape : (M, 101, 3) array
@@ -230,8 +230,7 @@ class IntermediateShapes(NamedTuple):
 
 
 class Simulator:
-    """A robot on a model whose motions are simulated once and remembered, the last
-    :data:`MAX_REMEMBERED_SIMULATIONS` of them.
+    """Simulates motions of a robot on a model, and caches the last :data:`MAX_REMEMBERED_SIMULATIONS` of them.
 
     Parameters
     ----------
@@ -244,6 +243,7 @@ class Simulator:
     def __init__(self, robot: Robot, model: str | Model) -> None:
         self.robot = robot
         self.model = model_named(model)
+        # Keyed by the bytes of q: arrays are not hashable, and those with NaN, frames not reached, equal nothing.
         self._through = functools.lru_cache(MAX_REMEMBERED_SIMULATIONS)(self._simulate_bytes)
 
     def __call__(self, q: Array) -> Simulation:
@@ -256,7 +256,7 @@ class Simulator:
 
 
 def _check_configurations(robot: Robot, q: Array) -> Array:
-    """Return q as an array (n, 2d + 2) of floats; raise RobotError where robot or q is something else."""
+    """Return q as an array (n, 2d + 2) of floats; raise RobotError where `robot` or q is something else."""
     check_instance(RobotError, "robot", robot, Robot)
     q = configuration("q", q)
     if q.ndim != 2 or q.shape[1] != len(robot.axes):
@@ -265,7 +265,7 @@ def _check_configurations(robot: Robot, q: Array) -> Array:
 
 
 def equivalent_configurations(robot: Robot, q: Array) -> Array:
-    """Write configurations in the other way that has the same shapes, up to whole turns of any angle.
+    """Return the other configurations that have the same shapes, up to whole turns of any angle.
 
     R(theta_x, theta_y) Rz(alpha) = R(pi - theta_x, theta_y + pi) Rz(alpha + pi), with R of eq. (4).
 
@@ -281,6 +281,7 @@ def equivalent_configurations(robot: Robot, q: Array) -> Array:
     (.., 2d + 2) array
         Configurations of the same shapes.
     """
+    # With R = Ry(theta_y) Rx(theta_x): Ry(pi) Rx(pi) = Rz(pi), and Rz(pi) Rx(-a) = Rx(a) Rz(pi).
     turned = np.array(q, dtype=float)
     turned[..., : robot.d] += np.pi
     turned[..., -2] = np.pi - turned[..., -2]

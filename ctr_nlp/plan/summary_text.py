@@ -1,6 +1,6 @@
-"""A plan's numbers in words: its title, tables, and remarks on what is wrong with it.
+"""A plan's summary in words: its title, tables, and remarks on what is wrong with it.
 
-`found` is everywhere the plan's summary, as in summary.json.
+`found` is the plan's summary throughout, the content of summary.json (plan/metrics.py).
 """
 
 from __future__ import annotations
@@ -15,18 +15,21 @@ from ctr_nlp.robot.tolerances import DEVIATION_NAMES, TOLERANCE_UNITS
 VERDICTS = ("", "verdict", "value", "why")
 """Columns of the table of verdicts."""
 NOT_FOR_PATIENTS = "Not validated for use on patients."
-"""Warning wherever a plan is shown or handed on."""
+"""Warning wherever a plan is shown or exported."""
 Row = tuple[str, Any, str]
 """Row of a table: name, value and unit."""
 
 UNMET_VERDICT_WORDS = NO, NOT_CHECKED
-"""Words of verdicts that speak against a plan."""
+"""Words of the verdicts that are not met."""
 MAX_LISTED_FAILURES = 10
-"""Most failures that are listed one by one; the plan holds them all."""
+"""Largest number of failures listed one by one; the plan has them all."""
 
 
 def title(found: dict[str, Any]) -> str:
-    """Say what was planned and how: problem, formulation, direction, model, solver, and what it is judged on."""
+    """Return a plan's title: problem, formulation, direction, model, solver, and the model of its evaluation.
+
+    found: the plan's summary.
+    """
     direction = "" if found["direction"] is None else f" ({found['direction']})"
     seen = "" if found["evaluated"] == found["model"] else f", judged on the {found['evaluated']} model"
     under = "" if found["load"] is None else f", under {found['load']}"
@@ -35,24 +38,24 @@ def title(found: dict[str, Any]) -> str:
 
 
 def verdict_rows(found: dict[str, Any]) -> list[tuple[str, str, str, str]]:
-    """The table of verdicts of a plan's summary: for each its name, word, figures and reason."""
+    """Return the table of verdicts of a plan's summary `found`: for each its name, word, figures and reason."""
     return [(each["matter"], each["word"], each["value"], each["why"]) for each in found["verdicts"].values()]
 
 
 def describe_unmet_verdicts(found: Mapping[str, Any]) -> str:
-    """Name the verdicts of a summary that are *no* or were not checked; empty where all are *yes*."""
+    """Name the verdicts of a summary `found` that are *no* or were not checked; empty where all are *yes*."""
     return "; ".join(
         f"{word}: {', '.join(matters)}" for word in UNMET_VERDICT_WORDS if (matters := _verdict_names(found, word))
     )
 
 
 def _verdict_names(found: Mapping[str, Any], word: str) -> list[str]:
-    """Names of the verdicts of a summary that have a word."""
+    """Return the names of the verdicts in a summary that have a word."""
     return [each["matter"] for each in found["verdicts"].values() if each["word"] == word]
 
 
 def summarise_verdicts(found: Mapping[str, Any]) -> str:
-    """Sum up all verdicts of a plan's summary in one sentence."""
+    """Sum up all verdicts of a plan's summary `found` in one or two sentences."""
     count = len(found["verdicts"])
     no = _verdict_names(found, NO)
     unchecked = _verdict_names(found, NOT_CHECKED)
@@ -67,7 +70,7 @@ def summarise_verdicts(found: Mapping[str, Any]) -> str:
 
 
 def measure_rows(found: dict[str, Any]) -> list[Row]:
-    """Return the rows of numbers that tell how good a plan is; lengths in mm."""
+    """Return the rows of a table with the errors, margins and times of a plan's summary `found`; lengths in mm."""
     failed = found["failed"]
     steps = " / ".join(map(format_cell, found["max_step"].values()))
     return [
@@ -89,7 +92,10 @@ def measure_rows(found: dict[str, Any]) -> list[Row]:
 
 
 def remarks(plan: Plan, found: dict[str, Any]) -> list[str]:
-    """Return sentences on limits that bind or are exceeded, snaps, contacts, failures; none where all is well."""
+    """Return sentences on active or exceeded limits, snaps, contacts and failures; none where all is well.
+
+    plan: the plan. found: its summary.
+    """
     snaps = [_snap(snap) for snap in found["snaps"]]
     told = [*_limits(plan, found), *snaps, *_contacts(plan, found), *_certificate(plan), *_failures(plan)]
     if "not_shared" in plan.meta:
@@ -134,9 +140,7 @@ def _contacts(plan: Plan, found: dict[str, Any]) -> list[str]:
 
 
 def _certificate(plan: Plan) -> list[str]:
-    """Say how many robots hold by the certificate of a robust plan, and where robots are lost; nothing without
-    one.
-    """
+    """Return sentences on the certificate of a robust plan: how many robots pass, and where robots fail."""
     found = plan.meta.get("certificate")
     if found is None:
         return []
@@ -159,7 +163,7 @@ def _certificate(plan: Plan) -> list[str]:
 
 
 def _tolerances(plan: Plan, part: float) -> str:
-    """Write `part` times the tolerances of a plan's robot in words, each as its largest of any tube."""
+    """Write the tolerances of a plan's robot, multiplied by `part`, in words; of each the largest of any tube."""
     robot = plan.robot
     told = list[str]()
     bands = part * robot.tolerances.bands(robot.tubes).max(axis=0)
@@ -226,7 +230,7 @@ def _robustness(found: dict[str, Any]) -> list[Row]:
 
 
 def _effort(found: dict[str, Any]) -> list[Row]:
-    """Return the rows on the time that solving took and, for a horizon, on the motion's roughness."""
+    """Return the rows on solving time and, for a horizon, on the roughness of the motion."""
     times = found["solve_ms"]
     if times["median"] is not None:
         return [

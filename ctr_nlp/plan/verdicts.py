@@ -1,11 +1,11 @@
-"""Verdicts: whether a plan does what a motion through a lumen is for, judged from what the plan itself holds.
+"""Verdicts: whether a plan does what a motion through a lumen is for, computed from the data of the plan.
 
 A verdict has one of three words. ``yes`` and ``no`` are the result of a check that was made. ``NOT CHECKED`` says
-that nobody looked, or that the model in use cannot tell; it never counts as ``yes``.
+that no check was made, or that the model in use cannot predict the result; it never counts as ``yes``.
 
 Shapes count only on a model that can predict snapping (the elastic one). On any other model a tip that misses its
 target is a ``no``, but a tip that reaches it proves nothing about real tubes, which twist each other.
-:meth:`Plan.check` looks at a plan on the elastic model and on simulated robots within the tolerances.
+:meth:`Plan.check` evaluates a plan on the elastic model and on simulated robots within the tolerances.
 """
 
 from __future__ import annotations
@@ -22,11 +22,11 @@ from ctr_nlp.plan.sample_outcomes import SampleOutcomes, sample_outcomes
 YES, NO, NOT_CHECKED = "yes", "no", "NOT CHECKED"
 """The words of a verdict."""
 BIFURCATION_MARGIN = 1e-3
-"""A stability margin this small between frames belongs to a bifurcation: the margin is 0 at one point of the way,
-and chance decides on which branch the robot goes on."""
+"""A stability margin this small between frames belongs to a bifurcation: the margin is 0 at one point of the path,
+and chance decides which branch the robot takes."""
 MARGIN_SLACK = 0.005
-"""By how much a margin may fall short of the one asked for. Planners raise the margins of frames until what is
-missed between them is less (steer/realised.py)."""
+"""Shortfall of the stability margin that is accepted. Planners raise the margins of frames until the shortfall
+between frames is less (planning/stability_refinement.py)."""
 ROBUSTNESS_VERDICT_NAME = "holds on built robots"
 """The verdict on simulated robots within the tolerances."""
 
@@ -45,7 +45,7 @@ class Verdict(NamedTuple):
     unit : str
         Unit of `number`.
     why : str
-        One or two sentences with the limit and the place.
+        One or two sentences with the limit and the frame.
     value : str
         `number` with its unit, and further figures, as tables show them.
     """
@@ -59,7 +59,7 @@ class Verdict(NamedTuple):
 
     @property
     def with_reason(self) -> str:
-        """The check, its word and the reason, as in "stable: no (The least margin is 0.02.)", without the stop."""
+        """The check, its word and the reason, as in "stable: no (The least margin is 0.02)"."""
         return f"{self.matter}: {self.word} ({self.why.rstrip('.')})"
 
 
@@ -81,8 +81,8 @@ class Verdicts(NamedTuple):
     within_wall : Verdict
         No place is further beyond the wall than ``contact_allowed``, in any frame or between frames. Number: mm.
     holds : Verdict
-        At least ``share`` of the simulated robots neither snap nor leave the branch, arrive, and touch the wall by
-        no more than :data:`~ctr_nlp.plan.sample_outcomes.SAMPLE_CONTACT_ALLOWED_MM`. Number: their share.
+        At least ``share`` of the simulated robots stay on their branch, arrive, and press into the wall by at most
+        :data:`~ctr_nlp.plan.sample_outcomes.SAMPLE_CONTACT_ALLOWED_MM`. Number: their share.
     """
 
     solved: Verdict
@@ -109,12 +109,12 @@ SHORT_NAMES = {name: name.removeprefix("within_").replace("_", " ") for name in 
 
 
 def verdicts(plan: PlanData) -> Verdicts:
-    """Judge a plan by the shapes, margins and samples that it holds.
+    """Compute the verdicts on a plan from its shapes, margins and samples.
 
     Parameters
     ----------
-    plan : Record
-        The plan; its options hold the thresholds (``arrival_tolerance``, ``error_allowed``, ``contact_allowed``,
+    plan : PlanData
+        The plan; its options have the thresholds (``arrival_tolerance``, ``error_allowed``, ``contact_allowed``,
         ``share``, ``stability_margin``), and where they are missing the defaults of :class:`Settings` apply.
 
     Returns
@@ -138,7 +138,7 @@ Judgement = tuple[str, float | None, str, str, str]
 
 
 def _judge_solved(plan: PlanData) -> Judgement:
-    """Whether every frame was solved; frames that were only interpolated were not checked."""
+    """Check that every frame was solved; frames that were only interpolated count as not checked."""
     frames = len(plan.time)
     interpolated = len(plan.meta.get("interpolated", []))
     unsolved = int((~plan.success).sum()) - interpolated
@@ -155,7 +155,7 @@ def _judge_solved(plan: PlanData) -> Judgement:
 
 
 def _cost_of_clearance(plan: PlanData) -> str:
-    """Say in a sentence how much larger e3 is for keeping off the wall; empty where that is not known."""
+    """Return a sentence on how much larger e3 is for keeping off the wall; empty where that is not known."""
     free = plan.meta.get("e3_free")
     found = e3(plan)
     if plan.free is None or not free or found is None or not plan.as_planned:
@@ -164,7 +164,7 @@ def _cost_of_clearance(plan: PlanData) -> str:
 
 
 def _judge_arrival(plan: PlanData) -> Judgement:
-    """Whether the tip ends at the target's end, in mm; degrees and mm short stand beside."""
+    """Check that the tip ends at the target's end; number: distance in mm."""
     tolerance = float(option(plan, "arrival_tolerance"))
     end = arrival(plan)
     if end is None:
@@ -179,7 +179,7 @@ def _judge_arrival(plan: PlanData) -> Judgement:
 
 
 def _judge_shape_error(plan: PlanData) -> Judgement:
-    """Whether e2 stays within what is allowed in every frame; frames without a shape cannot be judged."""
+    """Check that e2 is within its limit in every frame that has a shape; number: the largest e2 in mm."""
     allowed = float(option(plan, "error_allowed"))
     worst = largest_error(plan)
     if worst is None:
@@ -197,7 +197,7 @@ def _judge_shape_error(plan: PlanData) -> Judgement:
 
 
 def _judge_by_shape(plan: PlanData, good: bool, number: float, unit: str, why: str, value: str) -> Judgement:
-    """Judge by shapes, which counts as *yes* only where the model can predict what real tubes do."""
+    """Return a verdict that rests on shapes: *yes* only where the model predicts how real tubes twist."""
     if good and not plan.can_snap:
         why += (
             f" The {plan.evaluated_model_name} model does not tell how real tubes twist; look on the elastic one."
@@ -207,9 +207,10 @@ def _judge_by_shape(plan: PlanData, good: bool, number: float, unit: str, why: s
 
 
 def _judge_stability(plan: PlanData) -> Judgement:
-    """Whether the margin asked for holds at and between frames, without a snap; the least margin."""
+    """Check that the margin asked for holds at and between frames, without a snap; number: the least margin."""
     if not plan.can_snap:
         return NOT_CHECKED, None, "", "This model cannot predict snapping; use --model elastic.", ""
+    # minimum, not fmin: a frame counts as known only where both its margins are.
     margins = np.minimum(plan.stability, plan.stability_between)
     snaps = plan.meta.get("snaps", [])
     asked = option(plan, "stability_margin")
@@ -218,6 +219,7 @@ def _judge_stability(plan: PlanData) -> Judgement:
     frame = int(np.nanargmin(margins)) + 1 if known.any() else None
     value = "" if least is None else f"{least:.3f} at frame {frame}"
     under = "" if plan.evaluated_load is None else f" under {plan.evaluated_load}"
+    # The worst reasons for *no* come first; only then those for which nothing can be said.
     if snaps:
         more = f", and {len(snaps) - 1} times more" if len(snaps) > 1 else ""
         return NO, least, "", f"The robot snaps{under} on the way to frame {snaps[0]['frame']}{more}.", value
@@ -239,7 +241,7 @@ def _judge_stability(plan: PlanData) -> Judgement:
 
 
 def _judge_limits(plan: PlanData) -> Judgement:
-    """Whether positions, order, carriages, speeds and accelerations are allowed; percent of a limit used."""
+    """Check positions, order, carriages, speeds and accelerations; number: percent of the most used limit."""
     unit = "% of the limit"
     if not np.isfinite(plan.q).any():
         return NOT_CHECKED, None, unit, "No frame was reached.", ""
@@ -263,7 +265,7 @@ def _count_unknown_frames(plan: PlanData) -> int:
 
 
 def _judge_wall_contact(plan: PlanData) -> Judgement:
-    """Whether no place is further beyond the wall than allowed, in frames or between; deepest contact."""
+    """Check that no point is deeper in the wall than allowed, in or between frames; number: mm of contact."""
     unit = "mm of contact"
     if plan.clearance is None:
         return NOT_CHECKED, None, unit, "No wall is known: the path has no radii.", ""
@@ -289,7 +291,7 @@ def _judge_wall_contact(plan: PlanData) -> Judgement:
 
 
 def _judge_robustness(plan: PlanData) -> Judgement:
-    """Whether enough simulated robots within the tolerances keep their branch, arrive and keep off the wall."""
+    """Check that enough samples stay on their branch, arrive and keep off the wall; number: their share."""
     unit = "of samples"
     if plan.drawn is None:
         why = "No robots within the tolerances were simulated; `ctr-nlp robust PLAN.npz` does that."
@@ -310,9 +312,10 @@ def _judge_robustness(plan: PlanData) -> Judgement:
 
 
 def outcome_sentence(found: SampleOutcomes) -> str:
-    """Say how many simulated robots hold, and how many fail for which reason.
+    """Return a sentence on how many simulated robots pass, and how many fail for which reason.
 
-    A robot that fails for several reasons counts for the first of them, so that the counts add up.
+    found: outcomes of the robots. One that fails for several reasons counts for the first of them, so that the
+    counts add up.
     """
     reasons = [
         (found.lost, "snap or leave the branch"),
@@ -329,5 +332,5 @@ def outcome_sentence(found: SampleOutcomes) -> str:
 
 
 def option(plan: PlanData, name: str) -> Any:
-    """Return the option `name` of a plan, or its default, where the plan is older than the option."""
+    """Return the option `name` of a plan, or its default where the plan is older than the option."""
     return plan.options.get(name, Settings().options()[name])

@@ -24,7 +24,11 @@ from ctr_nlp.typing import Array
 
 
 def reach_of(robot: Robot, dt: float, several_equilibria: bool) -> ConfigurationLimits:
-    """Limits of q and, where q does not determine the unknowns, of the tips' angles, and how they may change."""
+    """Return limits of q and, where q does not determine the unknowns, of the tips' angles, and of their steps.
+
+    robot: with limits and speeds. dt: time between frames, s. several_equilibria: whether the model has tips as
+    unknowns besides q.
+    """
     # The model's unknowns have no bounds of their own where they are not q. The tips' angles are still limited
     # from frame to frame: a larger turn would be a jump to another branch of equilibria.
     free = np.full(robot.d * several_equilibria, np.inf)
@@ -54,8 +58,10 @@ class CompiledFrames:
     def of(
         cls, stage: Stage, solver: NlpSolver, values: Sequence[Mapping[str, Any]], reach: ConfigurationLimits
     ) -> CompiledFrames:
-        """Pack the values of all parameters, by name, of every frame; names that the program does not have are
-        left out.
+        """Pack the parameters of every frame for the program of a stage.
+
+        stage: with its program. solver: of that program. values: parameters of each frame, by name; names that the
+        program does not have are left out. reach: limits of q and of its steps, from reach_of.
         """
         # A formulation fills parameters of all its stages; the program of one stage has some of them.
         own = [{name: each[name] for name in stage.nlp.parameters} for each in values]
@@ -64,7 +70,7 @@ class CompiledFrames:
     def with_parameters(
         self, values: Mapping[str, Array | float], local_parameters: LocalParameterSource | None = None
     ) -> CompiledFrames:
-        """Return these frames with other values of some parameters, each a number for all frames or (T,) numbers.
+        """Return these frames with other values of some parameters, by name; each is a number or (T,) numbers.
 
         Names that the program does not have are left out. local_parameters: what gives parameters that are valid
         near one configuration only, or None.
@@ -78,25 +84,23 @@ class CompiledFrames:
         return replace(self, p=p, local_parameters=local_parameters)
 
     def search(self, frame: int, x0: Array) -> list[FrameResult]:
-        """Solve a frame that has no frame before it from starts x0 (n, n_x), and return all solutions that are
-        found.
-        """
+        """Solve a frame, from 0, that has no frame before it, from starts x0 (n, n_x); return all solutions."""
         p = self.p[frame].copy()
         # Without a frame before, there is no motion to pay for: the root of its weight is 0.
         p[self.stage.nlp.parameter_slice("motion_root")] = 0.0
         return [self._result(solution) for solution in self.solver.solve_from_starts(x0, p, self.reach)]
 
     def follow(self, frames: Sequence[int], before: FrameResult) -> list[tuple[FrameResult, float]]:
-        """Solve frames one after the other, each from the one before; return results and the seconds that each
-        took.
+        """Solve frames, from 0, each from the one before; return results and the seconds that each took.
 
-        The list ends before the first frame that is not solved: the caller decides how to go on there.
+        before: result of the frame before the first one. The list ends before the first frame that is not solved:
+        the caller decides how to continue there.
         """
         warm = before.warm[0] if before.warm else None
         known = before.q if before.x is None else before.x
         # A slack is the depth by which the clearance is missed, mm; 0 is its value far from the wall.
         x0 = np.append(known, np.zeros(self.stage.nlp.slacks)) if warm is None else warm.x
-        # Limits of speed are told from `here`, which is q, and after it the tips where they are limited too.
+        # Limits of speed are relative to `here`: q, and after it the tips where their steps are limited, too.
         here = np.append(before.q, known[: self.tips])
         found = self.solver.solve_sequence(x0, self.p[list(frames)], self.reach, here, warm, self.local_parameters)
         return [(self._result(each.solution), each.seconds) for each in found]

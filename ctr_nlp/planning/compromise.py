@@ -1,8 +1,8 @@
-"""Motions between arriving and keeping off the wall, for robots that cannot do both, and what stands in their way.
+"""Trade-off between arriving and keeping off the wall, for robots that cannot do both, and its cause.
 
-Costs are priorities (mm^2 for a mm), so that a few weights of arrival trace out the trade-off. The path's
-curvature is compared with the largest one that the tubes present at each place can have, sum_i EI_i k_i / sum_i
-EI_i (Dupont et al., Design and control of concentric-tube robots, IEEE Transactions on Robotics 26(2), 2010).
+Costs are priorities (mm^2 for a mm), so that a few weights of arrival trace out the Pareto front. The path's
+curvature is compared with the largest one of the tubes present at each point, sum_i EI_i k_i / sum_i EI_i (Dupont
+et al., Design and control of concentric-tube robots, IEEE Transactions on Robotics 26(2), 2010).
 """
 
 from __future__ import annotations
@@ -33,20 +33,19 @@ from ctr_nlp.support.interrupt import deferred_interrupt
 from ctr_nlp.typing import Array
 
 COMPROMISE_ARRIVAL_WEIGHTS = 0.0, 5.0, 5000.0
-"""Weights of arrival, mm^2 a mm, of motions beside the plan's own: contact first, between the two, arrival first.
-"""
+"""Weights of arrival, mm^2 a mm, of motions besides the plan's own: contact first, balanced, arrival first."""
 CURVATURE_WINDOW_HALF_WIDTH_MM = 5.0
 """Half width, mm, over which a path's curvature is averaged: sharper bends are noise of its points."""
 
 
 @dataclass(frozen=True)
 class Compromise:
-    """One motion between arriving and keeping off the wall.
+    """One motion of the trade-off between arriving and keeping off the wall.
 
     Attributes
     ----------
     arrival_weight : float
-        What a mm by which the tip misses cost, mm^2 (:class:`Settings`); None for the plan itself.
+        Cost of a mm by which the tip misses, mm^2 (:class:`Settings`); None for the plan itself.
     tip : float
         Distance of the last tip from the target's end, mm.
     contact : float
@@ -68,7 +67,7 @@ class Compromise:
 
     @classmethod
     def of(cls, plan: Plan, arrival_weight: float | None = None) -> Compromise:
-        """Take the figures of a plan within a lumen."""
+        """Take the figures of a plan within a lumen; arrival_weight: that it was made with, None for its own."""
         ends = arrival(plan)
         deepest = find_deepest_point(plan)
         error = e3(plan)
@@ -80,12 +79,12 @@ class Compromise:
 
 
 class PathDemands(NamedTuple):
-    """Where the end of a path demands most of the tubes, in curvature and in room.
+    """The points of a path that demand most of the tubes, in curvature and in room.
 
-    bend: place along the robot, mm, where the path's curvature exceeds what the tubes there can bend to by most,
-    or comes nearest to it; radius: of the path's bend there, mm; least: smallest radius that those tubes bend to,
-    mm. narrow: place along the robot, mm, where the lumen leaves least room; room: the lumen's radius there less
-    the tube's, mm; tube: its number, from 1.
+    bend: arc length, mm, where the path's curvature exceeds the largest one of the tubes there by most, or comes
+    nearest to it. radius: of the path's bend there, mm. least: smallest radius of those tubes, mm. narrow: arc
+    length, mm, where the lumen leaves least room. room: the lumen's radius there less the tube's, mm. tube: its
+    number, from 1.
     """
 
     bend: float
@@ -106,16 +105,16 @@ def compromises(
     weights: Sequence[float] = COMPROMISE_ARRIVAL_WEIGHTS,
     progress: Progress | None = None,
 ) -> list[Compromise]:
-    """Find motions between arriving and keeping off the wall, for the robot as described.
+    """Find motions of the trade-off between arriving and keeping off the wall, for the nominal robot.
 
-    They have the frames of a draft, 25 to 49: what can be had shows there, in a third of the time.
+    They have the frames of a draft, 25 to 49, which show the trade-off in a third of the time.
 
     Parameters
     ----------
     problem : Problem
         Robot and target, within a lumen.
     plan : Plan
-        A plan of it, which all motions start from; they begin and end where it was asked to.
+        A plan of it, the initial guess of all motions, which have its given start and end.
     model, settings, terms
         As :func:`solve_horizon`.
     weights : sequence of float
@@ -165,7 +164,7 @@ def compromises(
 
 
 def find_path_demands(plan: Plan) -> PathDemands:
-    """Tell what the path asks of the tubes in a plan's last frame.
+    """Find the points of the path in a plan's last frame that demand most of the tubes.
 
     Parameters
     ----------
@@ -174,10 +173,10 @@ def find_path_demands(plan: Plan) -> PathDemands:
 
     Returns
     -------
-    Needed
-        Where the path bends most for the tubes that lie there, and where it is narrowest for them. What tubes can
-        bend to at most is the curvature of all tubes present there when they bend to the same side,
-        sum_i EI_i k_i / sum_i EI_i (Dupont et al., 2010).
+    PathDemands
+        Where the path bends most relative to the tubes there, and where it is narrowest for them. The largest
+        curvature is that of all tubes present when they bend to the same side, sum_i EI_i k_i / sum_i EI_i (Dupont
+        et al., 2010).
     """
     assert plan.lumen is not None
     beta = plan.beta[-1]
@@ -200,7 +199,7 @@ def find_path_demands(plan: Plan) -> PathDemands:
 
 
 def compromise_sentences(plan: Plan, found: Sequence[Compromise]) -> list[str]:
-    """Say what can be had, and what stands in the way, in sentences.
+    """Describe the trade-off, and what stands in the way, in sentences.
 
     Parameters
     ----------
@@ -212,8 +211,8 @@ def compromise_sentences(plan: Plan, found: Sequence[Compromise]) -> list[str]:
     Returns
     -------
     list of str
-        The least contact of those that arrive, the least miss of those that keep off the wall, where the robot
-        touches, and what the path asks of the tubes.
+        The least contact of motions that arrive, the least tip error of those that keep off the wall, where the
+        robot touches, and what the path demands of the tubes.
     """
     tolerance = float(option(plan, "arrival_tolerance"))
     allowed = float(option(plan, "contact_allowed"))
@@ -231,7 +230,7 @@ def compromise_sentences(plan: Plan, found: Sequence[Compromise]) -> list[str]:
         )
     else:
         told.append(f"None of them keeps contact to {allowed:g} mm.")
-    # One motion does both: nothing stands in the way, and nothing more is said.
+    # One motion does both: there is nothing to explain.
     if any(one.tip <= tolerance and one.contact <= allowed for one in found):
         return told
     deepest = min(arriving or found, key=lambda one: one.contact).where
@@ -250,7 +249,7 @@ def compromise_sentences(plan: Plan, found: Sequence[Compromise]) -> list[str]:
 
 
 def pareto_front(found: Sequence[Compromise]) -> list[Compromise]:
-    """Leave out motions that another one beats in both the tip's distance and contact.
+    """Return the Pareto front: motions that no other one beats in both the tip's distance and contact.
 
     Parameters
     ----------
@@ -274,14 +273,14 @@ def pareto_front(found: Sequence[Compromise]) -> list[Compromise]:
 
 
 def _moving_average(values: Array, s: Array) -> Array:
-    """Means of values (n,) at arc lengths s (n,), mm, over CURVATURE_WINDOW_HALF_WIDTH_MM to either side."""
+    """Return means of values (n,) at arc lengths s (n,), mm, within CURVATURE_WINDOW_HALF_WIDTH_MM of each."""
     # Means over all samples within the window; near the ends there are fewer of them, and no padding.
     near = abs(s[:, None] - s) <= CURVATURE_WINDOW_HALF_WIDTH_MM
     return np.asarray((near * values).sum(axis=1) / near.sum(axis=1))
 
 
 def _largest_curvature(tubes: Sequence[Tube], beta: Array, s: Array) -> Array:
-    """The largest curvature (n,), 1/mm, that the tubes present at arc lengths s (n,), mm, bend to."""
+    """Return the largest curvature (n,), 1/mm, of tubes with extensions beta (d,) at arc lengths s (n,), mm."""
     bent = np.zeros(len(s))
     stiff = np.zeros(len(s))
     for tube, end in zip(tubes, beta, strict=True):

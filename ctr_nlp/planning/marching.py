@@ -1,8 +1,8 @@
-"""Runs through all frames of a problem, each frame from the one before it, and the progress that is reported.
+"""Passes through all frames of a problem, each frame from the one before it, and their progress.
 
-Each target alone has several good configurations. Which of them leads furthest shows only along the motion, so
-that runs are made from several solutions of the first frame, forwards, and of the last frame, backwards: the best
-configuration of the last frame need not be one that is reached from the first.
+Each target alone has several good configurations, and only the motion shows which of them can be continued to the
+end. Passes therefore start from several solutions of the first frame, forwards, and of the last frame, backwards:
+the best configuration of the last frame need not be reachable from the first.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ Progress = Callable[[int, int, str], None]
 """Called with (steps done, steps in all, what is being done)."""
 
 MAX_FIRST_FRAME_CANDIDATES = 4
-"""Most solutions of the first frame from which a whole motion is run, in each direction."""
+"""Largest number of solutions of the first frame from which a pass is made, in each direction."""
 
 
 FORECAST_WINDOW_ITERATIONS = 12
@@ -40,10 +40,10 @@ FORECAST_WINDOW_ITERATIONS = 12
 
 @dataclass
 class Pass:
-    """One run through all frames.
+    """One pass through all frames.
 
-    direction: "forward" or "backward". order: frame numbers, from 0, as they are solved. before: the given start,
-    which is no frame. results, seconds: by frame number.
+    direction: "forward" or "backward". order: frame numbers, from 0, as they are solved. before: the given start
+    at time 0, which is no frame, or None. results, seconds: by frame number.
     """
 
     direction: str
@@ -53,8 +53,8 @@ class Pass:
     seconds: dict[int, float] = field(default_factory=dict)
 
     def run(self, solver: FrameSolver) -> Iterator[int]:
-        """Solve the frames that have no result yet, in order, after those that have; yields how many have one."""
-        # A run that was interrupted, or begins with a given frame, goes on from the last result that it has.
+        """Solve the frames that have no result yet, in order, with a solver; yield the number of results."""
+        # A pass that was interrupted, or begins with a given frame, continues from its last result.
         known = [frame for frame in self.order if frame in self.results]
         left = [frame for frame in self.order if frame not in self.results]
         before = self.results[known[-1]] if known else self.before
@@ -66,29 +66,28 @@ class Pass:
             yield len(self.results)
 
     def motion(self, problem: Problem) -> Array:
-        """Configurations (T, 2d + 2); NaN where a frame was not reached."""
+        """Return the configurations (T, 2d + 2) of a pass through a problem; NaN where a frame was not reached."""
         # NaN, so that a frame that was not reached shows as such in whatever is computed from it.
         missing = np.full(2 * problem.robot.d + 2, np.nan)
         return np.array([self.results[j].q if j in self.results else missing for j in range(problem.frames)])
 
     def unknowns(self, problem: Problem) -> Array:
-        """Return the model's unknowns (T, n), which are q itself on some models; NaN in frames not reached."""
+        """Return the model's unknowns (T, n) in the frames of a problem, q on some models; NaN if not reached."""
         found = self.motion(problem)
         for j, result in self.results.items():
             found[j] = found[j] if result.x is None else result.x
         return found
 
     def cost(self, problem: Problem) -> tuple[int, float]:
-        """Return the number of frames not solved, and the mean objective of the others in mm^2; the less, the
-        better.
-        """
+        """Return the number of frames of a problem not solved, and the mean objective of the others in mm^2."""
+        # Compared as a tuple: a pass with fewer failed frames is better, whatever its objective.
         solved = [result.objective for result in self.results.values() if result.success]
         return problem.frames - len(solved), float(np.mean(solved)) if solved else np.inf
 
     def planned_error(self, problem: Problem, model: Model) -> tuple[int, float]:
         """Return the number of frames not solved, and the mean square error of the others, mm^2, as planned.
 
-        That is the error where the robot is in the equilibria that the run found.
+        problem: robot and target. model: of the pass; the robot is taken to be in the equilibria that it found.
         """
         solved = self._solved_frames()
         x = np.array([self.results[j].q if self.results[j].x is None else self.results[j].x for j in solved])
@@ -97,14 +96,14 @@ class Pass:
     def simulated_error(self, problem: Problem, simulator: Simulator) -> tuple[int, float]:
         """Return the number of frames not solved, and the mean square error of the others, mm^2, as simulated.
 
-        The simulated robot is moved through the frames, and may come to other equilibria than those planned.
+        problem: robot and target. simulator: of its robot, which may reach other equilibria than those planned.
         """
         solved = self._solved_frames()
         q = np.array([self.results[j].q for j in solved])
         return self._mean_square_error(problem, solved, lambda: simulator(q).shape)
 
     def tip_miss_distance(self, problem: Problem, simulator: Simulator, tolerance: float) -> float:
-        """Return by how much the robot's tip misses the target's last end, beyond a tolerance.
+        """Return the distance of the last tip from the target's end, beyond a tolerance.
 
         Parameters
         ----------
@@ -149,11 +148,11 @@ def run_passes(
     end: npt.ArrayLike | None = None,
     progress: Progress | None = None,
 ) -> tuple[list[Pass], float]:
-    """Run through all frames from every promising first one; return the runs, and the seconds that the search for
-    first frames took.
+    """Make a pass from every promising first frame; return the passes, and the seconds of the search for these.
 
-    start: q (2d + 2,) at time 0, from which a motion leads forward; end: q of the last frame, from which it leads
-    backward. Ctrl-C, deferred by the caller, ends each run after its next frame.
+    problem: robot and target. solver: of single frames. direction: order of frames, "best" for both. start: q (2d
+    + 2,) at time 0, for a forward pass; end: q of the last frame, for a backward one. progress: callback. Ctrl-C,
+    deferred by the caller, ends each pass after its next frame.
     """
     q0, q1 = checked_ends(problem, direction, start, end)
     begin = time.perf_counter()
@@ -171,13 +170,13 @@ def run_passes(
 
 
 def run_again(known: Pass, solver: Restartable, stop: Callable[[], bool]) -> Pass:
-    """Run another solver through the same frames as a known run, beginning near that run's first solution.
+    """Make a pass with another solver, in the order of a known pass and starting near its first solution.
 
-    stop: asked after every frame whether to end.
+    stop: called after every frame, returns whether to end.
     """
     first = known.order[0]
     begin = time.perf_counter()
-    # A run from a given start has no first solution that could be solved anew: its start is no frame.
+    # A pass from a given start has no first solution to be solved again: its start is no frame.
     results = {} if known.before else {first: solver.search_near(first, known.results[first])}
     seconds = dict.fromkeys(results, time.perf_counter() - begin)
     one = Pass(known.direction, known.order, known.before, results, seconds)
@@ -193,7 +192,7 @@ def _first_frames(
     forward = range(problem.frames)
     # A given end is the last frame's result itself; a given start is the configuration before frame 0.
     given = []
-    # With both ends given, both runs are made: each knows only one of them.
+    # With both ends given, both passes are made: each uses only one of them.
     if q0 is not None:
         given.append(Pass("forward", forward, FrameResult(q0)))
     if q1 is not None:
@@ -217,9 +216,9 @@ def _first_frames(
 
 
 class Forecast:
-    """Callback that reports progress: iterations done, and an estimate of all, from the fall of the KKT residual.
+    """Callback that reports progress: iterations done, and their total as estimated from the KKT residual.
 
-    frames: of the chain. number, count: which start this is, and of how many.
+    frames: of the chain. number, count: number of this start, from 1, and of all starts.
     """
 
     def __init__(self, progress: Progress, frames: int, number: int, count: int) -> None:
@@ -229,7 +228,7 @@ class Forecast:
         self._best: list[float] = []
 
     def __call__(self, iterate: Iterate) -> None:
-        """Tell of one more iterate."""
+        """Report one more iterate."""
         # The residual falls about linearly in its logarithm; the best one so far is taken, since it does not fall
         # monotonically.
         error = math.log(max(iterate.error, BANDED_KKT_TOLERANCE))

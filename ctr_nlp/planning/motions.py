@@ -1,8 +1,7 @@
-"""Motions from which a horizon is solved: frame by frame, forwards and backwards, and smooth random changes of
-them.
+"""Initial guesses of a horizon: motions solved frame by frame, and smooth random changes of them.
 
-Frame by frame, eq. (6), each target is met as well as it can be from the frame before. That is fast and gives good
-first motions, which the horizon then makes smooth and rates over all frames.
+Frame by frame, eq. (6), each target is met as well as possible from the frame before. That is fast and gives good
+guesses, which the horizon then smooths and ranks by its own objective.
 """
 
 from __future__ import annotations
@@ -26,8 +25,8 @@ from ctr_nlp.robot import Robot
 from ctr_nlp.typing import Array, Index
 
 MAX_PER_FRAME_START_FRAMES = 200
-"""Most frames that are solved one by one for a start; of longer motions every second, third, ... frame is solved,
-and the others are interpolated.
+"""Largest number of frames that are solved one by one for a start; of longer motions every second, third, ...
+frame is solved, and the others are interpolated.
 """
 SAMPLING_RMS_RELATIVE_DIFFERENCE = 0.2
 """Relative difference between a run's RMS error at the samples of plans (101) and at those of programs (21)."""
@@ -50,12 +49,12 @@ def per_frame_motions(
     terms: Sequence[Term] = (),
     most: int = MAX_PER_FRAME_START_FRAMES,
 ) -> list[Array]:
-    """Solve a motion frame by frame, far from any wall, forwards and backwards; return unknowns (T, 2d + 2), best
-    first.
+    """Solve motions frame by frame without walls, forwards and backwards; return unknowns (T, 2d + 2), best first.
 
-    ends: configurations at time 0 and in the last frame, where given. most: most frames that are solved; the
-    others are interpolated. Where Ctrl-C, deferred by the caller, ended the work early, the robot stands still in
-    frames that were not reached.
+    problem: robot and target. ends: configurations at time 0 and in the last frame, where given. settings, terms:
+    of the objective; walls are ignored. progress: callback, or None. model: kinematic model. most: largest number
+    of frames that are solved; the others are interpolated. Where Ctrl-C, deferred by the caller, ended the work
+    early, the robot stands still in frames that were not reached.
     """
     # Ceiling division: no more than `most` frames are left.
     stride = -(-problem.frames // most)
@@ -63,26 +62,25 @@ def per_frame_motions(
     coarse = problem if stride == 1 else at_frames(problem, picked, stride)
     solver = NlpFrames.of(coarse, model=model, settings=replace(settings, contact_weight=0.0), terms=terms)
     passes, _ = run_passes(coarse, solver, "best", ends.start, ends.end, progress)
-    # Further terms of a user may be of any size, so that objectives say nothing of errors: with an infinite
-    # tolerance no bound excludes a run, and all are measured.
+    # Further terms of a user may have any size, so that objectives are no measure of errors: with an infinite
+    # tolerance no bound excludes a pass, and all are simulated.
     ranked = _best_first(passes, coarse, model, math.inf if terms else SAMPLING_RMS_RELATIVE_DIFFERENCE)
     return [interpolate_frames(one.unknowns(coarse), picked, problem.frames) for one in ranked]
 
 
 def _best_first(passes: Sequence[Pass], problem: Problem, model: Model, relative_difference: float) -> list[Pass]:
-    """Return runs with the one of least simulated error first, and the others in the order of their objectives.
+    """Return passes with the one of least simulated error first, and the others in the order of their objectives.
 
-    relative_difference: relative difference up to which a run's objective stands for its mean square error.
-    Measuring a run means simulating the robot through it, which is slow; lower bounds from the objectives decide
-    which runs need it.
+    relative_difference: between the RMS error of a pass and the root of its objective. Simulating a pass is slow;
+    lower bounds from the objectives decide which passes need it.
     """
     ranked = sorted(passes, key=lambda one: one.cost(problem))
     costs = [one.cost(problem) for one in ranked]
-    # Runs with more failed frames, or with an objective beyond this, are not the best whatever is measured.
+    # Passes with more failed frames, or with an objective beyond this, cannot be the best.
     most = costs[0][0], costs[0][1] * (1 + relative_difference) ** 2 + MOTION_TERM_BOUND_MM2
-    bounds = [  # a robot that is elsewhere than planned is no nearer to its target
-        # Errors as planned are a lower bound for likely runs: a robot on another branch than planned is no nearer
-        # to its target. For the rest the objective is turned into a bound.
+    bounds = [  # each a lower bound of the simulated error
+        # Planned errors are a lower bound for likely passes, since a robot on another branch is farther from its
+        # target. For the rest the objective gives a bound.
         one.planned_error(problem, model)
         if cost <= most
         else (cost[0], cost[1] / (1 + relative_difference) - MOTION_TERM_BOUND_MM2)
@@ -91,10 +89,10 @@ def _best_first(passes: Sequence[Pass], problem: Problem, model: Model, relative
     simulator = Simulator(problem.robot, model)
     best = 0
     least = (problem.frames + 1, math.inf)
-    # Branch and bound: in the order of lower bounds, only runs that might still be better are simulated.
+    # Branch and bound: in the order of lower bounds, only passes that might still be better are simulated.
     for k in sorted(range(len(bounds)), key=bounds.__getitem__):
         if bounds[k] < least:
-            # With one equilibrium for each q, the robot is where it is planned to be: the bound is exact.
+            # With one equilibrium for each q, the robot is always on the planned branch: the bound is exact.
             known = costs[k] <= most and not model.several_equilibria
             badness = bounds[k] if known else ranked[k].simulated_error(problem, simulator)
             best, least = (k, badness) if badness < least else (best, least)
@@ -102,7 +100,7 @@ def _best_first(passes: Sequence[Pass], problem: Problem, model: Model, relative
 
 
 def at_frames(problem: Problem, picked: Index, stride: int) -> Problem:
-    """Return a problem of some frames only: picked, numbers from 0, evenly `stride` apart."""
+    """Return a problem of some frames only: picked, their numbers from 0, evenly spaced by `stride`."""
     curves = problem.target.curves
     lengths = problem.target.lengths
     target = Target(tuple(curves[i] for i in picked), tuple(lengths[i] for i in picked))
@@ -111,7 +109,7 @@ def at_frames(problem: Problem, picked: Index, stride: int) -> Problem:
 
 
 def thin_frames(frames: int, stride: int) -> Index:
-    """Return the numbers, from 0, of every `stride`-th frame, counted from the last one, which is among them."""
+    """Return the numbers, from 0, of every `stride`-th of `frames` frames, counted back from the last one."""
     # The end of a motion is what it is for; a first frame may be skipped, the last may not.
     return np.arange(frames)[::-1][::stride][::-1]
 
@@ -128,7 +126,8 @@ def interpolate_frames(motion: Array, picked: Index, frames: int) -> Array:
 def perturb_motion(robot: Robot, motion: Array, seed: int) -> Iterator[Array]:
     """Yield smooth random changes of a motion (T, 2d + 2) that keep the order of tubes and limits of position.
 
-    Speeds, gaps between carriages, and outer tubes that reach further than inner ones are left to within_limits.
+    robot: with its limits. seed: of the random numbers. Speeds and gaps between carriages are left to
+    multistart.project_to_limits, as are extensions whose order and limits conflict.
     """
     rng = np.random.default_rng(seed)
     frames = len(motion)

@@ -1,9 +1,9 @@
-"""Solving one chain (all frames as one NLP) from one motion, and choosing the best of several solved starts.
+"""Multi-start: solving one chain (all frames as one NLP) from a motion, and choosing the best of several results.
 
-The problem is not convex, so several motions are solved from (multi-start). Every solve promises to be no worse
-than its start: where the solver ends above it, the best feasible iterate that it passed is returned. Near a wall
-the chain is a linearisation, which is renewed around each solution until the slacks z (mm by which the
-clearance is missed) no longer change.
+The problem is not convex, so that several initial guesses are solved. Every solve guarantees a result no worse
+than its start: where the solver ends above it, the best feasible iterate is returned. Near a wall the chain is a
+linearisation, which is renewed around each solution until the slacks z (mm by which the clearance is missed) no
+longer change.
 """
 
 from __future__ import annotations
@@ -39,10 +39,10 @@ IterateCallback = Callable[[Iterate], None]
 OBJECTIVE_TIE_RELATIVE_TOLERANCE = 1e-9
 """Relative difference of objectives up to which they count as equal: that of rounding."""
 SAME_SOLUTION_RELATIVE_TOLERANCE = 1e-6
-"""Relative difference of objectives up to which two starts are taken to have led to the same solution."""
+"""Relative difference of objectives up to which two starts count as having the same solution."""
 MAX_SLACK_RATIO_IN_TWO_ROUNDS = 0.9
-"""Where a chain holds near a motion only, slacks that two rounds bring no nearer than this to what is needed go to
-and fro between two places of the wall, and further rounds do not help."""
+"""Where a chain is a linearisation, errors of the slacks that two rounds reduce by less than this factor alternate
+between two points of the wall, and further rounds do not help."""
 CONSTRAINTS_IN_MM = "order", "carriage gap", "clearance"
 """Constraints in mm."""
 
@@ -52,10 +52,10 @@ class SolvedStart:
     """The result of solving from one motion: a solution or, where success is False, the best feasible iterate,
     else the last one.
 
-    motion (T, n - slacks): the robot's unknowns. parameters: of the chain that was solved. start_objective:
-    objective of the start after it was brought within limits, mm^2; inf where that was not possible. feasible:
-    whether the point keeps all limits. on_planned_branch: whether the robot, simulated through the motion, is
-    where it was planned to be, as far as that was checked.
+    motion (T, n - slacks): the robot's unknowns. parameters: of the chain that was solved. feasible: whether the
+    point satisfies all limits. start_objective: objective of the start after it was projected to its limits, mm^2;
+    inf where that was not possible. seconds: of the solve. on_planned_branch: whether the simulated robot stays on
+    the planned branch, as far as that was checked.
     """
 
     solution: Solution
@@ -73,7 +73,7 @@ class SolvedStart:
         return Iterate(found.iterations, found.objective, violation, found.kkt, found.x)
 
     def to_meta(self, frames: int) -> dict[str, Any]:
-        """Return what a plan's meta reports of this start; objectives are means over frames, in mm^2."""
+        """Return the entry of this start in a plan's meta; objectives are means over `frames` frames, mm^2."""
         # JSON has no infinity: a start without an objective is null there.
         start = None if math.isinf(self.start_objective) else self.start_objective / frames
         return {
@@ -90,25 +90,23 @@ def best_solved_start(attempts: Sequence[SolvedStart]) -> SolvedStart:
     """Return the best of several solved starts.
 
     That is the solution of least objective, unless some start had a lower one: then the best feasible point.
-    Motions that the simulated robot makes come before all others.
+    Motions on whose branch the simulated robot stays come before all others. attempts: the solved starts.
     """
     # A solution above some start's own objective does not count as solved: a plan must never be worse than the
-    # best motion that the search already had in hand.
+    # best initial guess.
     least = min(one.start_objective for one in attempts)
 
     def sort_key(one: SolvedStart) -> tuple[bool, bool, bool, float]:
         found = one.solution
         solved = found.success and no_worse(found.objective, least)
-        # False sorts before True: made, then solved, then feasible, and the objective decides among equals.
+        # False sorts before True: on the branch, then solved, then feasible; the objective decides among equals.
         return not one.on_planned_branch, not solved, not one.feasible, found.objective
 
     return min(attempts, key=sort_key)
 
 
 def distinct(attempts: Sequence[SolvedStart]) -> list[SolvedStart]:
-    """Return the solved starts, best first, without those whose objective is that of one before
-    (SAME_SOLUTION_RELATIVE_TOLERANCE).
-    """
+    """Return the solved starts `attempts`, best first, without those with the objective of one before."""
     # Objectives stand for solutions: two different local optima with equal objectives would be taken for one, and
     # nothing is lost, since either serves.
     ranked = sorted(attempts, key=lambda one: (not one.solution.success, one.solution.objective))
@@ -122,13 +120,14 @@ def distinct(attempts: Sequence[SolvedStart]) -> list[SolvedStart]:
 
 
 def describe_failures(chain: Chain, one: SolvedStart) -> dict[str, str]:
-    """Say why a result is no solution, by frame (from 1) where limits are exceeded, else under "all"; empty where
-    it is one.
+    """Return why a result is no solution, by frame (from 1) where limits are exceeded, else under "all".
+
+    chain: of all frames. one: the result; an empty dict is returned where it is a solution.
     """
     if one.solution.success:
         return {}
-    # Margins may have been raised, and the wall described anew, since the chain was built: limits are those of the
-    # chain that was solved.
+    # Margins may have been raised, and the wall linearised again, since the chain was built: limits are those of
+    # the chain that was solved.
     chain = replace(chain, parameters=one.parameters)
     found: dict[str, str] = {}
     for name, frame, amount in chain.excesses(chain.evaluate(one.solution.x)[1], FEASIBILITY_TOLERANCE):
@@ -138,7 +137,7 @@ def describe_failures(chain: Chain, one: SolvedStart) -> dict[str, str]:
 
 
 def no_worse(objective: float, than: float) -> bool:
-    """Return whether an objective is at most another one, up to rounding (OBJECTIVE_TIE_RELATIVE_TOLERANCE)."""
+    """Return whether an objective is at most `than`, up to rounding (OBJECTIVE_TIE_RELATIVE_TOLERANCE)."""
     return objective <= than + OBJECTIVE_TIE_RELATIVE_TOLERANCE * (1 + abs(objective))
 
 
@@ -162,7 +161,7 @@ class EvaluatedMotion(NamedTuple):
 
 
 def project_to_limits(chain: Chain, x: Array) -> EvaluatedMotion:
-    """Return the motion x (T n,) or, where it violates limits, the nearest one that keeps them.
+    """Return the motion x (T n,) or, where it violates limits of a chain, the nearest one that keeps them.
 
     Where a frame has nonlinear constraints, the nearest feasible motion is as hard to find as the best one: x is
     then only clipped to its bounds, and the rest is left to the solver.
@@ -191,9 +190,9 @@ def solve_from_motion(
 ) -> SolvedStart:
     """Solve a chain from a motion (T, n - slacks), as :meth:`Chain.linearise_at` takes it.
 
-    report: called with every iterate. stop: asked whether to end. barrier: the first barrier parameter, mm^2. A
-    chain that is valid near a motion only, as at a wall, is solved again around its solution until the slacks are
-    those that it needs. The result is never worse than the start.
+    solver: builds a solver for a chain. report: called with every iterate. stop: returns whether to end. barrier:
+    the first barrier parameter, mm^2. A chain that is a linearisation, as at a wall, is solved again around its
+    solution until the slacks agree with the wall there. The result is never worse than the start.
     """
     begin = time.perf_counter()
     tried = list[SolvedStart]()
@@ -211,10 +210,10 @@ def solve_from_motion(
             near, solver(near), x0, LOCAL_START_BARRIER_MM2 if tried else barrier, report, stop, known
         )
         near, x0 = chain.linearise_at(one.motion)
-        # `around` keeps the robot's unknowns and computes only the slacks anew: the difference to the solution's x
-        # is how far the linearised wall was off, mm.
+        # linearise_at keeps the robot's unknowns and recomputes only the slacks: the difference to the solution's
+        # x is the error of the linearised wall, mm.
         missing.append(float(abs(x0 - one.solution.x).max()))
-        # The solution is judged by the wall where it lies, not by the linearisation that it was found with.
+        # The objective is that of the wall at the solution, not of the linearisation that it was found with.
         objective = near.evaluate(x0)[0] if missing[-1] > 0 else one.solution.objective
         tried.append(replace(one, solution=replace(one.solution, objective=objective)))
     best = best_solved_start(tried)
@@ -228,11 +227,11 @@ def solve_from_motion(
 
 
 def wall_rounds_done(missing: Sequence[float]) -> bool:
-    """Return whether rounds around a wall may end.
+    """Return whether the re-linearisation of a wall has ended.
 
-    missing: by how much slacks were off in each round, mm. They may end where the last is within
-    WALL_SLACK_TOLERANCE_MM, or where two rounds have made it no smaller than MAX_SLACK_RATIO_IN_TWO_ROUNDS times
-    what it was: solutions then alternate between two places.
+    missing: error of the slacks in each round, mm. It ends where the last one is within WALL_SLACK_TOLERANCE_MM,
+    or where two rounds have not reduced it below MAX_SLACK_RATIO_IN_TWO_ROUNDS times its value: solutions then
+    alternate between two points.
     """
     # The two inf in front stand for rounds before the first, so that three rounds are needed before slowness
     # counts.
@@ -251,18 +250,18 @@ def _solve_chain(
     stop: Callable[[], bool],
     multipliers: Array | None,
 ) -> SolvedStart:
-    """Solve a chain from x0 (T n,) as it is and, where the result would be worse than x0, once more from the best
-    point passed.
+    """Solve a chain from x0 (T n,) and, where the result is worse than x0, once more from the best iterate.
 
-    multipliers: of all rows, where those of a neighbouring chain are known.
+    solve: the chain's solver. barrier: the first barrier parameter, mm^2. report, stop: callbacks. multipliers: of
+    all rows, where those of a neighbouring chain are known.
     """
     x0, objective, violation = project_to_limits(chain, x0)
     # A start that violates limits is no promise: its objective may be lower than that of any feasible motion.
     start = objective if violation <= FEASIBILITY_TOLERANCE else np.inf
     watch = Watch(report, stop, Iterate(0, objective, violation, np.inf, x0))
     solution = _select_best_point(chain, solve(x0, watch, barrier, multipliers), watch, start)
-    # A solver that lost its way still passed feasible points. The second solve begins at the best of them with a
-    # small barrier, which keeps it in that basin.
+    # A solver that failed still passed feasible points. The second solve starts from the best of them with a small
+    # barrier, which keeps it in that basin.
     if not (solution.success or watch.best is None or stop()):
         again = _select_best_point(chain, solve(watch.best.x, watch, LOCAL_START_BARRIER_MM2), watch, start)
         solution = replace(again, iterations=solution.iterations + again.iterations)
@@ -271,10 +270,10 @@ def _solve_chain(
 
 
 def _select_best_point(chain: Chain, solution: Solution, watch: Watch, start: float) -> Solution:
-    """Return a solution if it is no worse than its start, else the best point that the solver passed.
+    """Return a solution if it is no worse than its start, else the best iterate of the solver.
 
-    start: objective of the start, mm^2. A start that was optimal already is met again only to the solver's
-    tolerance; judged by its own KKT residual, it is then a solution itself.
+    watch: has the best iterate. start: objective of the start, mm^2. A start that was optimal already is reached
+    again only to the solver's tolerance; by its own KKT residual it is then a solution itself.
     """
     if watch.best is None or (solution.success and no_worse(solution.objective, start)):
         return solution

@@ -34,8 +34,8 @@ from ctr_nlp.support.value_checks import check_choice
 from ctr_nlp.typing import Array
 
 FRAME_SEARCH_STARTS, MAX_TUBES_FOR_SEARCH_STARTS = 32, 4
-"""Starts of a search without a frame before, for robots of up to so many tubes; four times as many for each tube
-more.
+"""Number of starts of a search without a frame before, for robots of up to so many tubes; four times as many for
+each further tube.
 """
 RETRY_STARTS = 8
 """Further starts for a frame that the solver could not solve from the frame before."""
@@ -53,10 +53,10 @@ Built = Sequence[tuple[Stage, NlpSolver]]
 class NlpFrames:
     """Solver of single frames (a FrameSolver): the stages of a formulation, built once and solved for any frame.
 
-    free, inside: stages far from any wall, and within one that counts; inside is empty where none does. runs:
-    those of formulations of one stage, for many frames in one call. margins (T,): least stability margins, NaN
+    free, inside: stages without a wall, and within one; inside is empty where no wall counts. runs: compiled
+    programs of formulations of one stage, for many frames in one call. margins (T,): least stability margins, NaN
     where none is asked for. active_wall: the wall that frames are kept within, None for none. wall: that of the
-    lumen, None where it costs nothing. arrival: the term that leads the tip to the target's end, or None.
+    lumen, None where it costs nothing. arrival: the term that pulls the tip to the target's end, or None.
 
     Solvers with other margins or another wall are made by dataclasses.replace and share everything that was built.
     """
@@ -87,8 +87,9 @@ class NlpFrames:
         """Build the programs of a problem.
 
         formulation, solver: names, as in solve_per_frame; None for the default solver. model: None for the default
-        of the formulation (formulations.default_model). terms: further ones of the objective, on formulations that
-        take them. Raises OptionError, and ProblemError where the target is not known in every frame.
+        of the formulation (ocp.default_model). settings: weights and margins. terms: further ones of the
+        objective, on formulations that take them. Raises OptionError, and ProblemError where the target is not
+        known in every frame.
         """
         check_choice("formulation", formulation, FORMULATIONS)
         # Two stages need a curvature that alpha does not change, which the dominant model has.
@@ -131,7 +132,7 @@ class NlpFrames:
         return cls(problem, described, settings, free, inside, runs, *rest)
 
     def search(self, frame: int) -> list[FrameResult]:
-        """Distinct answers for a frame without a past, best first; at least one."""
+        """Return distinct results for a frame that has no frame before it, best first; at least one."""
         robot = self.problem.robot
         sample = self.problem.target_frames[frame]
         # alpha has a dimension for each tube, and a search has to cover all of them: hence 4 to the power of tubes
@@ -164,7 +165,7 @@ class NlpFrames:
         """Yield results for frames, each from the one before, and the seconds that each took.
 
         Compiled code solves up to FRAMES_PER_COMPILED_CALL frames in one call. The frame at which it fails is
-        solved by `step`, which tries further starts, and then the next call goes on from there.
+        solved by `step`, which has further starts, and the next call continues from there.
         """
         left = list(frames)
         while left:
@@ -206,9 +207,7 @@ class NlpFrames:
         )
 
     def _with_unknowns(self, before: FrameResult) -> FrameResult:
-        """Return a result with the model's unknowns; where they are not known, those of the robot at rest at its
-        q.
-        """
+        """Return a result with the model's unknowns; where missing, those of the robot at rest at its q."""
         if before.x is not None or not self.model.several_equilibria:
             return before
         return replace(before, x=self.model.rest(self.problem.robot, before.q))
@@ -249,7 +248,7 @@ class NlpFrames:
         nothing.
 
         theta_x and pi - theta_x give the same shape with all alpha turned by half a turn
-        (equivalent_configurations). From there a motion may lead further before it comes to a limit.
+        (equivalent_configurations). From there a motion may continue longer before it reaches a limit.
         """
         robot = self.problem.robot
         twin = equivalent_configurations(self.problem.robot, q)
@@ -272,7 +271,7 @@ class NlpFrames:
             self.problem.robot, self.problem.target_frames[frame], RETRY_STARTS, self.settings.seed
         )
         tried = [FrameResult(q, x=self._unknowns(q)) for q in np.clip(guesses, low, high)]
-        # The frame before is tried once more without its multipliers: they may belong to other active limits.
+        # The frame before is a start once more, without its multipliers: they may belong to other active limits.
         attempts = self._solve_from_guesses(frame, [replace(before, warm=None), *tried], before)
         best = min(attempts, key=lambda r: r.objective, default=None)
         return best or replace(result, q=before.q)
@@ -310,8 +309,7 @@ class NlpFrames:
         return self._solve(frame, replace(known, warm=None), None)
 
     def _solve(self, index: int, guess: FrameResult, before: FrameResult | None) -> FrameResult:
-        """Solve a frame from a guess; near a wall, again around each solution until the slack is the one needed
-        there.
+        """Solve a frame from a guess; near a wall, re-linearise it around each solution until the slack agrees.
 
         before: the frame before, or None.
         """
@@ -320,10 +318,10 @@ class NlpFrames:
         while self.active_wall is not None and result.success:
             slack = result.warm[0].x[-1]
             x = result.q if result.x is None else result.x
-            # The program knows the wall only to first and second order near its guess. At its solution the wall is
-            # described anew, and the slack that is really needed there is compared with the one found.
+            # The program has the wall only to second order around its guess. At its solution the wall is expanded
+            # again, and the slack that is really needed there is compared with the one found.
             needed = self.active_wall.local_parameters_during([self.problem.target_frames[index]])(x[None])[1][0]
-            # Rounds are compared by the contact that they really have, not by what their programs took it for.
+            # Rounds are compared by their real contact, not by that of their expansion.
             more = float(self.active_wall.cost(needed) - self.active_wall.cost(slack))
             tried.append(replace(result, objective=result.objective + more))
             if abs(needed - slack) <= WALL_SLACK_TOLERANCE_MM or len(tried) == MAX_WALL_RELINEARISATIONS:
@@ -332,9 +330,7 @@ class NlpFrames:
         return min(tried, key=lambda one: one.objective, default=result)
 
     def _solve_stages(self, index: int, guess: FrameResult, before: FrameResult | None) -> FrameResult:
-        """Solve the stages of a frame one after the other from a guess, and return the last one's solution with
-        all of q.
-        """
+        """Solve the stages of a frame one after the other from a guess; return the last solution with all of q."""
         q = guess.q.copy()
         solutions = list[Solution]()
         iterations = 0

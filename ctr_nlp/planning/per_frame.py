@@ -1,8 +1,8 @@
-"""Steering frame by frame, eqs. (6) and (9): a first frame is found by search, then each from the one before it.
+"""Planning frame by frame, eqs. (6) and (9): a first frame is found by search, then each from the one before it.
 
-On the elastic model a run is then simulated: where the stability margin is missed between frames, the frames
-beside it are given more and solved again (realised.py). Within a lumen, the run is solved again with its wall
-(within_wall.py).
+On the elastic model a pass is then simulated: where the stability margin is violated between frames, the frames on
+both sides are solved again with a larger one (stability_refinement.py). Within a lumen, the pass is solved again
+with its wall (within_wall.py).
 """
 
 from __future__ import annotations
@@ -57,26 +57,25 @@ def solve_per_frame(
     formulation : str
         ``"joint"``, ``"two-stage"`` or ``"two-stage-exact"``.
     model : str or Model, optional
-        ``"elastic"`` or ``"dominant"``, or ``Loaded(load)`` for a robot that bears a load. By default elastic
-        for the joint formulation, and dominant for two stages, which need a curvature that alpha does not
-        change.
+        ``"elastic"`` or ``"dominant"``, or ``Loaded(load)`` for a loaded robot. By default elastic for the joint
+        formulation, and dominant for two stages, which need a curvature that alpha does not change.
     solver : str, optional
         ``"sqp"`` or ``"ipopt"``; by default sqp where there is a C compiler.
     direction : str
-        Order in which frames are solved: ``"forward"``, ``"backward"``, or ``"best"``, which tries both.
+        Order in which frames are solved: ``"forward"``, ``"backward"``, or ``"best"`` for the better of both.
     start : array_like, optional
-        Configuration q (2d + 2,) at time 0, from which the motion then leads forward.
+        Configuration q (2d + 2,) at time 0, from which the motion starts forward.
     settings : Settings
         Weights, widths and seeds.
     terms : sequence of Term
-        Further terms of the objective (formulations.terms), on the joint formulation.
+        Further terms of the objective (ctr_nlp.ocp.terms), on the joint formulation.
     progress : callable, optional
         Called as ``progress(done, total, note)``.
 
     Returns
     -------
     Plan
-        Also where frames failed: see ``plan.success`` and ``plan.verdicts``.
+        Returned also where frames failed: see ``plan.success`` and ``plan.verdicts``.
 
     Raises
     ------
@@ -101,21 +100,21 @@ def march(
     start: npt.ArrayLike | None = None,
     progress: Progress | None = None,
 ) -> Plan:
-    """Run any FrameSolver through all frames of a problem and return the plan.
+    """Solve all frames of a problem with any FrameSolver and return the plan.
 
-    problem, direction, start and progress are those of :func:`solve_per_frame`.
+    problem, direction, start and progress are those of :func:`solve_per_frame`. solver: of single frames.
     """
     simulator = Simulator(problem.robot, planned_model(solver.description))
     with deferred_interrupt() as interrupted:
         passes, search_seconds = run_passes(problem, solver, direction, start, progress=progress)
-        # Runs are compared as simulated: a plan on another branch is worth nothing, however small its objective.
+        # Passes are compared as simulated: a plan on another branch is useless, however small its objective.
         best = _least_simulated_error(passes, solver, problem, simulator)
         free: Array | None = None
         wall: Wall | None = None
         # Margins and walls are those of programs; reference methods, which are FrameSolvers too, have neither.
         if isinstance(solver, NlpFrames) and not interrupted():
             best, solver = refine_pass_margins(solver, best, simulator, interrupted)
-            # The plan keeps the motion without the wall, so that it can say what the wall costs.
+            # The plan keeps the motion without the wall, so that the cost of the wall can be reported.
             free = None if solver.wall is None else best.motion(problem)
             best, wall = run_within_wall(solver, best, simulator, interrupted)
         stopped = interrupted()
@@ -132,11 +131,10 @@ def march(
 def _least_simulated_error(
     passes: Sequence[Pass], solver: FrameSolver, problem: Problem, simulator: Simulator
 ) -> Pass:
-    """Return the run on which the simulated robot is nearest to its target; a single one is not looked at.
+    """Return the pass on which the simulated robot is nearest to its target; a single one is not simulated.
 
-    Where the solver leads the tip to the target's end, what a run misses there counts as it does in a plan: each
-    mm beyond the tolerance costs EXCESS_ARRIVAL_FACTOR times the weight in the last tenth
-    (ARRIVAL_MOTION_FRACTION) of the frames.
+    Where the solver has a term of arrival, a tip error counts as it does in a plan: each mm beyond the tolerance
+    costs EXCESS_ARRIVAL_FACTOR times the weight in the last tenth (ARRIVAL_MOTION_FRACTION) of the frames.
     """
     if len(passes) == 1:
         return passes[0]
@@ -147,8 +145,8 @@ def _least_simulated_error(
         if arrival is None:
             return failed, square
         missed = one.tip_miss_distance(problem, simulator, arrival.required)
-        # badness is a mean over all frames, of which only the last ones pay for arrival: hence the factor
-        # ARRIVAL_MOTION_FRACTION.
+        # The error is a mean over all frames, of which only the last ones have the cost of arrival: hence the
+        # factor ARRIVAL_MOTION_FRACTION.
         return failed, square + ARRIVAL_MOTION_FRACTION * EXCESS_ARRIVAL_FACTOR * arrival.weight * missed
 
     return min(passes, key=simulated_cost)
@@ -173,10 +171,11 @@ def plan_from_pass(
     work: dict[str, Any],
     simulator: Simulator | None = None,
 ) -> Plan:
-    """Make a plan of a run through all frames.
+    """Build the plan of a pass through all frames.
 
-    best: the run. free: its motion without the wall, (T, 2d + 2), or None. options, work: entries of the plan's
-    meta. simulator: one that may have simulated the run already, whose result is then used again.
+    problem: robot and target. solver: of single frames, whose description goes into the plan's meta. best: the
+    pass. free: (T, 2d + 2), its motion without the wall, or None. options, work: entries of meta. simulator: of
+    the robot, which may have the motion in its cache.
     """
     # Frames that Ctrl-C left out are failures with a reason of their own.
     missing = FrameResult(np.zeros(0), success=False, status="not reached")

@@ -1,9 +1,9 @@
-"""Motions on the elastic model that a robot really makes: without snaps, and stable between frames too.
+"""Refinement of motions on the elastic model until they can be realised: no snaps, and stable between frames, too.
 
-A program sees frames alone: each is an equilibrium, and its stability margin mu (1 where no tube acts on another,
-0 at the snap) is constrained. Whether a real robot comes there shows only when it is simulated from the first
-frame on, as its motors move. Where mu is missed between frames, the frames beside are given more margin, and the
-motion is solved again; the objective only grows with that.
+A program constrains frames only: each is an equilibrium with a stability margin mu (1 where no tube acts on
+another, 0 at the snap). Whether a robot reaches it shows only in a simulation from the first frame on. Where mu is
+violated between frames, the frames on both sides are given a larger margin, and the motion is solved again; the
+objective can only grow with that.
 """
 
 from __future__ import annotations
@@ -28,23 +28,24 @@ from ctr_nlp.solvers.motion.chain_solution import WARM_START_BARRIER_MM2
 from ctr_nlp.typing import Array
 
 SIMULATED_STARTS = 3
-"""Best solved starts that are simulated; more where the robot makes none of them."""
+"""Number of best solved starts that are simulated; more where none of them can be realised."""
 MAX_MARGIN_ROUNDS = 6
-"""Most times that the margins of frames are raised for what is missing between them."""
+"""Largest number of times that the margins of frames are raised."""
 MAX_MARGIN_SHORTFALL = 0.005
-"""By how much the stability margin may be missed between frames."""
+"""Shortfall of the stability margin between frames that is accepted."""
 BRANCH_LOSS_MARGIN_INCREASE, MAX_FRAME_MARGIN = 0.1, 0.9
-"""Margin that is added where the robot left the planned branch, and the largest margin that frames are given."""
+"""Margin that is added where the robot left the planned branch, and the largest margin of a frame."""
 MAX_WHOLE_TURNS = 2
-"""Whole turns of a tube, to either side, that are tried to find the robot where its motion begins."""
+"""Largest number of whole turns of a tube, to either side, with which a motion's first equilibrium is sought."""
 
 
 T = TypeVar("T")
 
 
 class MarginShortfall(NamedTuple):
-    """By how much the stability margin is missed on the way to each frame, by_frame (T,); left_branch: the robot
-    left the branch.
+    """Shortfall of the stability margin.
+
+    by_frame (T,): in the sub-steps to each frame. left_branch: whether the robot left the planned branch.
     """
 
     by_frame: Array
@@ -52,7 +53,7 @@ class MarginShortfall(NamedTuple):
 
 
 class RealisedStart(NamedTuple):
-    """A solved start whose motion the robot makes, and by how much its margin is missed at most."""
+    """A solved start on whose branch the simulated robot stays, and the largest shortfall of its margin."""
 
     attempt: SolvedStart
     shortfall: float
@@ -66,11 +67,11 @@ def select_realisable_starts(
     margin: float | None,
     stop: Callable[[], bool],
 ) -> list[SolvedStart]:
-    """Return the best of several solved starts whose motion the robot makes, alone in a list; else all, marked as
-    not made.
+    """Return the best solved start on whose branch the robot stays, alone in a list; else all, marked accordingly.
 
-    margin: the least stability margin, None for any. stop: asked whether to end. Where the margin is missed
-    between frames, those beside must hold more: the result then has parameters of its own.
+    simulator: of the robot. chain: of all frames. solver: builds a solver for a chain. attempts: the solved
+    starts. margin: the least stability margin, None for any. stop: returns whether to end. Where the margin is
+    violated between frames, those on both sides get a larger one: the result then has parameters of its own.
     """
     made: list[RealisedStart] = []
     tried: list[float] = []
@@ -81,7 +82,7 @@ def select_realisable_starts(
             tried and objective - tried[-1] <= SAME_SOLUTION_RELATIVE_TOLERANCE * (1 + abs(objective))
         ):
             continue
-        # Objectives of motions whose margin holds between frames: no start with a larger one can be better.
+        # Objectives of motions that satisfy the margin between frames: no start with a larger one can be better.
         kept = [one.attempt.solution.objective for one in made if one.shortfall <= MAX_MARGIN_SHORTFALL]
         if stop() or (made and len(tried) >= SIMULATED_STARTS) or min(kept, default=np.inf) <= objective:
             break  # with higher margins its objective would only grow
@@ -90,7 +91,7 @@ def select_realisable_starts(
         made += [] if found is None else [found]
     if not made:
         return [replace(one, on_planned_branch=False) for one in attempts]
-    # Misses up to MAX_MARGIN_SHORTFALL are as good as none; among these the objective decides.
+    # Shortfalls up to MAX_MARGIN_SHORTFALL are as good as none; among these the objective decides.
     return [
         min(
             made, key=lambda one: (max(one.shortfall, MAX_MARGIN_SHORTFALL), one.attempt.solution.objective)
@@ -107,10 +108,10 @@ def _refine_start_margins(
     stop: Callable[[], bool],
     least: float,
 ) -> RealisedStart | None:
-    """Raise margins of a solved start until the robot makes its motion and keeps the margin between frames.
+    """Raise margins of a solved start until the robot stays on its branch and satisfies the margin between frames.
 
-    Returns the best that was reached, None where the robot makes none. least: an objective from which on changes
-    are not pursued, as it only grows with margins.
+    Returns the best that was reached, None where the robot always leaves the branch. least: objective, mm^2, above
+    which the start is given up, as the objective only grows with margins.
     """
     robot = simulator.robot
 
@@ -138,12 +139,12 @@ def refine_margins(
     solve_with_margins: Callable[[T, Array], T | None],
     stop: Callable[[], bool],
 ) -> tuple[T, float] | None:
-    """Solve a motion again with raised margins until the robot makes it and keeps its margin between frames.
+    """Solve a motion again with raised margins until the robot stays on its branch with its margin between frames.
 
-    first: the motion as solved. margins (T,): of its frames; None where none are asked for. find_shortfall:
-    returns what a motion misses. solve_with_margins: solves a motion with other margins; None where that fails.
-    stop: asked whether to end. Returns the motion that misses least, and by how much; None where the robot makes
-    none.
+    first: the motion as solved. margins: (T,) of its frames; None where none are asked for. find_shortfall:
+    returns the shortfall of a motion. solve_with_margins: solves a motion with other margins; None where that
+    fails. stop: returns whether to end. Returns the motion of least shortfall, and that; None where the robot
+    always leaves the branch.
     """
     tried = first
     best = None
@@ -164,11 +165,11 @@ def refine_margins(
 
 
 def _align_tube_turns(robot: Robot, model: Model, chain: Chain, one: SolvedStart) -> SolvedStart:
-    """Return the motion with tubes turned by whole turns, so that its first frame is where the robot settles.
+    """Return the motion with tubes turned by whole turns, so that its first frame is the robot's rest equilibrium.
 
     robot, model: that are simulated. chain: of the solved start `one`. A tube turned by a whole turn together with
-    its motor leaves the shape as it is, but only one of these configurations is where a robot comes to that is
-    turned there from aligned tubes.
+    its motor leaves the shape as it is, but only one of these configurations has the equilibrium that is reached
+    from aligned tubes.
     """
     chain = replace(chain, parameters=one.parameters)
     x = one.solution.x.reshape(chain.frames, -1).copy()
@@ -186,11 +187,10 @@ def _align_tube_turns(robot: Robot, model: Model, chain: Chain, one: SolvedStart
 def refine_pass_margins(
     frames: NlpFrames, one: Pass, simulator: Simulator, stop: Callable[[], bool]
 ) -> tuple[Pass, NlpFrames]:
-    """Repeat a run through all frames until its margin holds between frames too; return it with a solver of its
-    margins.
+    """Repeat a pass until its margin is satisfied between frames, too; return it with a solver of its margins.
 
-    frames: solver of single frames. one: the run. simulator: of the problem's robot. The run is returned as it is
-    on models that cannot snap, and where no run is found that the robot makes.
+    frames: solver of single frames. one: the pass. simulator: of the problem's robot. stop: returns whether to
+    end. The pass is returned as it is on models that cannot snap, and where the robot always leaves the branch.
     """
     if not frames.model.can_snap:
         return one, frames
@@ -204,8 +204,8 @@ def refine_pass_margins(
         )
 
     def solve_with_margins(tried: _Run, margins: Array) -> _Run | None:
-        # Raised margins change the first solved frame, too: it is solved anew, near what it was, and the run
-        # follows from there. A given start is not a frame, and stays.
+        # Raised margins change the first solved frame, too: it is solved again, near what it was, and the pass
+        # continues from there. A given start is not a frame, and stays.
         made = tried.frame_run
         first = tried.frame_run.order[0]
         within = replace(frames, margins=margins)
@@ -223,30 +223,30 @@ def refine_pass_margins(
 
 
 class _Run(NamedTuple):
-    """A run all of whose frames are solved, with tubes turned so that the robot is found where it begins."""
+    """A pass all of whose frames are solved, with tubes turned so that it starts from the rest equilibrium."""
 
     frames: NlpFrames
     frame_run: Pass
 
     @classmethod
     def through(cls, frames: NlpFrames, one: Pass) -> _Run | None:
-        """Run through all frames now; None where one is not solved."""
+        """Solve all frames of a pass now; None where one is not solved."""
         for _ in one.run(frames):
             pass
         return cls.from_pass(frames, one)
 
     @classmethod
     def from_pass(cls, frames: NlpFrames, one: Pass) -> _Run | None:
-        """Return a run whose tubes are turned to where the robot settles; None where a frame is not solved."""
+        """Return a pass whose tubes are turned to the rest equilibrium; None where a frame is not solved."""
         if any(j not in one.results or not one.results[j].success for j in one.order):
             return None
         return cls(frames, _align_pass_turns(frames, one))
 
 
 def _align_pass_turns(frames: NlpFrames, one: Pass) -> Pass:
-    """Return a run with tubes turned by whole turns, so that its first frame is where the robot settles.
+    """Return a pass with tubes turned by whole turns, so that its first frame is the robot's rest equilibrium.
 
-    A run from a given start is left as it is: the start says how tubes are turned.
+    A pass from a given start is left as it is: the start defines how tubes are turned.
     """
     turns = _find_whole_turns(
         frames.problem.robot, frames.model, one.results[0].q, one.unknowns(frames.problem)[0]
@@ -262,9 +262,9 @@ def _align_pass_turns(frames: NlpFrames, one: Pass) -> Pass:
 
 
 def raise_margins(margins: Array, missing: Array) -> Array:
-    """Return margins of frames (T,), raised by what is missing on the way to each frame and on the way from it.
+    """Return margins of frames (T,), raised by the shortfall in the sub-steps to each frame and from it.
 
-    missing (T,): by how much the margin is missed on the way to each frame.
+    missing: (T,), shortfall in the sub-steps to each frame.
     """
     # The margin between two frames depends on both: both are raised.
     more = np.maximum(missing, np.append(missing[1:], 0.0))
@@ -274,24 +274,24 @@ def raise_margins(margins: Array, missing: Array) -> Array:
 
 
 def find_margin_shortfall(simulation: Simulation, x: Array, margin: float | None, d: int) -> MarginShortfall:
-    """Return what a motion misses as it is simulated.
+    """Return the shortfall of a simulated motion.
 
-    simulation: the simulation. x (T, n): the unknowns that were planned. margin: the least, None for any. d:
-    number of tubes. After a snap to an unknown equilibrium the margin is NaN and counts as kept: that the robot
-    left the branch is what matters.
+    simulation: of the motion. x: (T, n), planned unknowns. margin: the least one, None for any. d: number of
+    tubes. After a snap to an unknown equilibrium the margin is NaN and counts as satisfied: what matters is that
+    the robot left the branch.
     """
     away = find_off_branch_frames(simulation.x, x, simulation.snaps, d)
     by_frame = np.maximum(np.nan_to_num((margin or 0.0) - simulation.stability_between), 0.0)
-    # argmax is the first frame in which the robot is elsewhere: the branch was left on the way to it, and later
-    # frames follow from that. More margin there keeps away from where branches part.
+    # argmax is the first frame on another branch: the planned one was left in the sub-steps to it, and later
+    # frames follow from that. A larger margin there keeps away from the bifurcation.
     by_frame[away.argmax()] += BRANCH_LOSS_MARGIN_INCREASE * away.any()
     return MarginShortfall(by_frame, bool(away.any()))
 
 
 def _find_whole_turns(robot: Robot, model: Model, q: Array, x: Array) -> Array:
-    """Return whole turns (d - 1,), rad, of the outer tubes with which the robot settled at q has the unknowns x.
+    """Return whole turns (d - 1,), rad, of the outer tubes with which x is the robot's rest equilibrium at q.
 
-    Zeros where none of them fits. Fewest turns are tried first.
+    Zeros where none of them fits; fewest turns first.
     """
     d = robot.d
     outer = slice(d - 1)

@@ -1,7 +1,7 @@
 """Steering while the target moves: one configuration for one target after another, eq. (9) frame by frame.
 
-A step minimises the distance (8) from the robot to the target plus the motion term of eq. (9) from where the robot
-stands, subject to the limits (2), (3) and the speeds. Nothing is known of targets to come.
+A step minimises the distance (8) from the robot to the target plus the motion term of eq. (9) from the present
+configuration, subject to the limits (2), (3) and the speeds. Future targets are unknown.
 """
 
 from __future__ import annotations
@@ -64,14 +64,14 @@ class Steerer:
         Path with a radius, within whose wall the robot is kept; no wall by default.
     wait : bool
         Whether to wait until the program is compiled. Otherwise steps are interpreted, and take a millisecond or
-        more, until it was compiled in the background. What describes a wall is always waited for.
+        more, until it was compiled in the background. The parameters of a wall are always waited for.
 
     Raises
     ------
     OptionError, RobotError
         An argument is not what it must be, or nothing can be compiled.
     LoadError
-        The load changes over time, or the robot cannot bear it.
+        The load changes over time, or does not fit the robot.
 
     Examples
     --------
@@ -79,8 +79,8 @@ class Steerer:
     >>> from ctr_nlp.problems import named_problem
     >>> problem = named_problem("arc", frames=5)
     >>> steerer = ctr.Steerer(problem.robot, [0, 0, 0, 20, 40, 60, 0, 0], dt=0.1, wait=False)
-    >>> q = steerer.step(problem.samples[2].points)
-    >>> q.shape, steerer.solved
+    >>> q = steerer.step(problem.target_frames[2].points)
+    >>> q.shape, steerer.is_solved
     ((8,), True)
     """
 
@@ -211,7 +211,7 @@ class Steerer:
         self._run.set_start(np.append(q, x[: len(self._run.here) - len(q)]), x)
 
     def set_shape_weights(self, distance: ShapeDistance) -> None:
-        """Set how distances along the robot count from now on.
+        """Set the weights of distances along the robot for the next steps.
 
         Parameters
         ----------
@@ -229,7 +229,7 @@ class Steerer:
         >>> import ctr_nlp as ctr
         >>> from ctr_nlp.ocp.terms import ShapeDistance
         >>> steerer = ctr.Steerer(ctr.table_i_robot(), [0, 0, 0, 20, 40, 60, 0, 0], dt=0.1, wait=False)
-        >>> steerer.weigh(ShapeDistance(np.linspace(0, 2, 101)))
+        >>> steerer.set_shape_weights(ShapeDistance(np.linspace(0, 2, 101)))
         """
         if distance.stride != TARGET_SAMPLE_STRIDE:
             raise OptionError(
@@ -271,7 +271,7 @@ class Steerer:
             Shape (101, 3) to follow, mm, at uniform sigma.
         part : float
             Part of the motion that has passed, from 0 to 1, where its end is known. In the last tenth of a motion
-            the tip is led to the target's end, as in plans (formulations.terms.arrival), unless there is a load.
+            the tip is pulled to the target's end, as in plans (ocp/terms/arrival.py), unless there is a load.
             0, the default, follows the shape alone.
 
         Returns
@@ -309,9 +309,7 @@ def _stage(robot: Robot, settings: Settings, model: Model, wall: Wall | None) ->
 
 
 def _compile_wall_parameters(wall: Wall) -> LocalParameterSource:
-    """Compile what describes a wall, where it is not compiled yet, and return it; raise OptionError where that
-    fails.
-    """
+    """Return the local parameters of a wall, compiled if needed; raise OptionError where that fails."""
     around = wall.compiled_wall
     if around is None:
         raise OptionError(f"a lumen is given, and nothing can be compiled: {cache.unavailable_reason()}")

@@ -1,4 +1,4 @@
-"""Checks of what is asked of a planner, and of what no motion can do; both raise before anything is solved.
+"""Validation of a planner's arguments, and of problems without a feasible motion, before anything is solved.
 
 Growth of the path and given ends are compared with the robot's speeds and accelerations: a solver would only
 report that it did not converge, and after minutes.
@@ -33,18 +33,17 @@ IMPOSSIBLE_MOTION_RELATIVE_SLACK = 1e-6
 
 
 def check_problem_and_settings(problem: Any, settings: Any) -> None:
-    """Raise ProblemError or OptionError unless these are a problem and settings."""
+    """Raise ProblemError or OptionError unless `problem` is a Problem and `settings` are Settings."""
     check_instance(ProblemError, "problem", problem, Problem)
     check_instance(OptionError, "settings", settings, Settings)
 
 
 def check_model(problem: Problem, model: Model) -> None:
-    """Raise LoadError or RobotError where the robot does not suit the model, and ProblemError where the target
-    leads a loaded robot's base to the pole of its tilt.
+    """Raise LoadError or RobotError where a robot does not suit a model, ProblemError near the pole of the tilt.
 
-    Programs of a single frame, and those within a wall, have a loaded robot's tip's direction as unknown, and tell
-    theta from where the base points. At theta_x = 90 deg theta_y can be anything then, and would have to turn by
-    half a turn in one frame.
+    problem: with the robot and the target. Programs of a single frame, and those within a wall, have the direction
+    of a loaded robot's tip as unknown, and compute theta from the base's direction. At theta_x = 90 deg theta_y is
+    undetermined, and would have to turn by half a turn in one frame.
     """
     model.check(problem.robot)
     if model.applied_load is None:
@@ -67,10 +66,10 @@ def check_model(problem: Problem, model: Model) -> None:
 def checked_ends(
     problem: Problem, direction: Direction, start: npt.ArrayLike | None, end: npt.ArrayLike | None = None
 ) -> tuple[Array | None, Array | None]:
-    """Return given ends of a motion, q (2d + 2,), as arrays, or None.
+    """Return the given start and end of a motion, q (2d + 2,) or None, as arrays.
 
-    direction: order of frames, with which a start must agree. Raises RobotError where an end violates the robot's
-    limits, and OptionError.
+    problem: whose robot's limits they must keep. direction: order of frames, with which a start must agree. Raises
+    RobotError where an end violates the limits, and OptionError.
     """
     check_choice("direction", direction, DIRECTIONS)
     if start is not None and direction == "backward":
@@ -89,7 +88,7 @@ def check_search(motion_weight: float | None, starts: int | None, jobs: int) -> 
 
 
 def checked_motions(problem: Problem, initial: Sequence[npt.ArrayLike]) -> list[Array]:
-    """Return given motions, each (T, 2d + 2), as arrays; raise OptionError where one has another shape."""
+    """Return the motions `initial` of a problem, each (T, 2d + 2), as arrays; raises OptionError."""
     if not isinstance(initial, Sequence | np.ndarray) or isinstance(initial, str):
         raise OptionError(f"initial is {initial!r:.80}; it must be a sequence of motions")
     expected = (problem.frames, len(problem.robot.axes))
@@ -104,9 +103,9 @@ def checked_terms(terms: Sequence[Term]) -> tuple[Term, ...]:
 
 
 def check_growth(problem: Problem) -> None:
-    """Raise ProblemError where the path grows or shrinks faster than the innermost tube may slide.
+    """Raise ProblemError where a problem's path grows or shrinks faster than the innermost tube may slide.
 
-    As for a path that is too long, 0.5 % of the robot's reach is accepted: a tube may run ahead of the path, or
+    As for a path that is too long, 0.5 % of the robot's reach is accepted: a tube may be ahead of the path, or
     behind it, where the path is fast for a moment.
     """
     speed = float(problem.robot.speed[2 * problem.robot.d - 1])
@@ -143,8 +142,8 @@ def _largest_rise(ahead: Array) -> tuple[float, int, int]:
 def check_ends(problem: Problem, chain: Chain) -> None:
     """Raise ProblemError where no motion between two given ends keeps limits, order, speeds and accelerations.
 
-    chain: of all frames. A linear program finds the least factor f by which all bounds on speeds v and
-    accelerations a would have to grow:
+    problem: robot and target. chain: of all frames. A linear program finds the least factor f by which all bounds
+    on speeds v and accelerations a would have to grow:
 
         min f  over x and f  subject to  lower <= x <= upper,  the order of tubes,
         |q_{j+1} - q_j| <= f v dt,  |q_{j+1} - 2 q_j + q_{j-1}| <= f a dt^2

@@ -1,7 +1,7 @@
-"""A motion frame by frame within the lumen's wall, started from the first frame of the motion without the wall.
+"""Planning frame by frame within the lumen's wall, started from the first frame of the motion without the wall.
 
-Contact costs w a mm of slack, an exact penalty (docs/method.md, "The lumen's wall"). The motion without the wall
-stays the plan where fewer of its frames fail.
+Contact costs w for each mm of slack, an exact penalty (docs/method.md, "The lumen's wall"). Where fewer frames of
+the motion without the wall fail, that is the plan.
 """
 
 from __future__ import annotations
@@ -40,31 +40,30 @@ def failed_frames(problem: Problem, simulation: Simulation, x: Array, success: F
     int
         Number of frames.
     """
-    # A frame on another branch counts like one that was not solved: the robot is not where it is meant to be in
-    # either.
+    # A frame on another branch counts as not solved: in neither is the robot where it was planned to be.
     return int((~success | find_off_branch_frames(simulation.x, x, simulation.snaps, problem.robot.d)).sum())
 
 
 def run_within_wall(
     frames: NlpFrames, free: Pass, simulator: Simulator, stop: Callable[[], bool]
 ) -> tuple[Pass, Wall | None]:
-    """Solve all frames again within the wall, starting from the first frame of a run that is free of it.
+    """Solve all frames again within the wall, starting from the first frame of a pass without it.
 
     Parameters
     ----------
     frames : NlpFrames
         Solver of single frames; its `wall` is the one that counts.
     free : Pass
-        Run through all frames without the wall.
+        Pass through all frames without the wall.
     simulator : Simulator
-        Of the problem's robot, on the model of the plan.
+        Simulator of the problem's robot, on the model of the plan.
     stop : callable
-        Asked whether to end the work.
+        Returns whether to end the work.
 
     Returns
     -------
     Pass, Wall or None
-        The run within the wall, and that wall; or `free` and None where more frames fail within the wall.
+        The pass within the wall, and that wall; or `free` and None where more frames fail within the wall.
     """
     problem = frames.problem
     wall = frames.wall
@@ -80,6 +79,6 @@ def run_within_wall(
     within = replace(frames, active_wall=wall)
     found = run_again(free, within, stop)
     if not stop():
-        # Within the wall the motion is another one, whose margins between frames have to be looked at again.
+        # Within the wall the motion is another one, whose margins between frames have to be refined again.
         found = refine_pass_margins(within, found, simulator, stop)[0]
     return (free, None) if count_failed_frames(found) > count_failed_frames(free) else (found, wall)

@@ -1,8 +1,9 @@
-"""Motions on which most simulated robots arrive: those that fail join the scenarios, and it is planned again.
+"""Arrival of most simulated robots: those that fail join the scenarios, and the motion is planned again.
 
-Scenarios have the mean and the covariance of the tolerances, so that what is minimised is a mean over robots. Its
-tails may still miss the target's end or press into the wall. As in a cutting-set method (Mutapcic and Boyd, Optim.
-Methods Softw. 24, 2009), robots that are seen to fail are added until few of them do.
+Scenarios have the mean and the covariance of the tolerances, so that the objective is a mean over robots. Some
+robots may still miss the target's end or press into the wall. As in a cutting-set method (Mutapcic and Boyd,
+Cutting-set methods for robust convex optimization, Optimization Methods and Software 24(3), 2009), samples that
+fail are added as scenarios until few do.
 """
 
 from __future__ import annotations
@@ -24,23 +25,23 @@ from ctr_nlp.robust.trials import CERTIFICATION_SAMPLES, MAX_JOINING_SAMPLES, TR
 from ctr_nlp.typing import Array, Flags
 
 MAX_ARRIVAL_ROUNDS = 3
-"""Times that a motion is planned again for robots that fail."""
+"""Largest number of times that a motion is re-planned for robots that fail."""
 MIN_HOLDING_SHARE = 0.8
-"""Share that has to hold at first. Below, the robot cannot have all that is asked: the trade-off is reported."""
+"""Share of robots that must pass at first. With less, the robot cannot do both: the trade-off is reported."""
 ARRIVAL_FIRST_SAMPLE_SEED = 2**41
-"""From which seeds of the robots count on: others than those that motions are tried for losses with."""
+"""First seed of the samples; trials for lost robots (trials.py) count from 2**40, so that none are shared."""
 
 
 @dataclass(frozen=True)
 class ArrivalJudge:
-    """Judge of what a motion is for: arriving, with a body that keeps off the wall.
+    """Checks on samples whether the tip arrives and the body keeps off the wall.
 
     Attributes
     ----------
     problem : Problem
         Robot with its tolerances, target and lumen.
     model : Model
-        That robots are simulated on.
+        Model on which robots are simulated.
     settings : Settings
         `arrival_tolerance` and `contact_allowed`, mm; the wall counts where `contact_weight` does.
     """
@@ -50,22 +51,22 @@ class ArrivalJudge:
     settings: Settings
 
     def __call__(self, q: Array, number: int) -> FailingSamples:
-        """Simulate robots drawn for a motion.
+        """Simulate fresh samples on a motion and return those that fail.
 
         Parameters
         ----------
         q : ndarray
-            Configurations (T, 2d + 2).
+            Configurations (T, 2d + 2), rad and mm.
         number : int
-            Of the motion; other numbers have other robots.
+            Number of the motion; each has samples of its own.
 
         Returns
         -------
-        Failing
-            Those that miss the target's end or press into the wall, by what they exceed the limit by.
+        FailingSamples
+            Those that miss the target's end or press into the wall, the largest excess over the limit first.
         """
         robot = self.problem.robot
-        # Each motion is judged by robots of its own: the last ones have been planned for, and would flatter it.
+        # Each motion has samples of its own: the last ones have been planned for, and would bias the result.
         draws = sample_robots(robot, CERTIFICATION_SAMPLES, ARRIVAL_FIRST_SAMPLE_SEED + number)
         groups = [
             self._simulate_outcomes(q, draws[first : first + TRIAL_SAMPLES_PER_BATCH])
@@ -82,19 +83,20 @@ class ArrivalJudge:
         )
         # The larger of both, mm; fmax ignores the contact that is NaN without a wall.
         excess = np.fmax(tip_error - fate.arrival_tolerance, contact - fate.contact_allowed)
-        # Robots that are lost are the business of rounds.py; here those count that keep the branch and still fail.
+        # Robots that leave the branch are handled by rounds.py; here those count that stay on it and still fail.
         failing = np.flatnonzero(~fate.passed_all_checks & ~lost & np.isfinite(excess))
         chosen = draws[failing[np.argsort(-excess[failing])]]
         return FailingSamples(chosen.numbers, chosen.offsets, chosen.forces, fate.share)
 
     @property
     def _lumen(self) -> Lumen | None:
-        """Lumen whose wall counts; None where there is none, or contact costs nothing."""
+        """Lumen whose wall counts; None where there is none or contact costs nothing."""
         return self.problem.sampled_lumen if self.settings.contact_weight else None
 
     def _simulate_outcomes(self, q: Array, draws: RobotSamples) -> tuple[Flags, Array, Array]:
-        """Simulate n robots; return whether each is lost, the last distance of its tip from the target's end, and
-        its deepest contact, mm.
+        """Simulate n samples on q (T, 2d + 2); return for each whether it is lost, its tip error and contact, mm.
+
+        The tip error is the distance from the target's end in the last frame, the contact the deepest of all.
         """
         problem = self.problem
         lumen = self._lumen
@@ -110,23 +112,23 @@ class ArrivalJudge:
 
 
 def improve_arrival(best: Round, purpose: ArrivalJudge, lost: FailureJudge, number: int) -> list[Round]:
-    """Plan again for robots that fail, until few of them do.
+    """Re-plan a motion for robots that do not arrive or press into the wall, until few of them do.
 
     Parameters
     ----------
     best : Round
-        A motion over all frames that few robots are lost on, and that `purpose` has looked at.
-    purpose : Purpose
+        A round over all frames with few lost robots, that `purpose` has evaluated.
+    purpose : ArrivalJudge
         Finds the robots that fail.
     lost : callable
-        Asked of every motion.
+        Finds the robots that are lost on a motion; called for every motion.
     number : int
-        Of the first motion that comes; each has its own, and robots of its own.
+        Number of the first new motion; they count on from there.
 
     Returns
     -------
     list of Round
-        What was tried, MAX_ARRIVAL_ROUNDS times at most.
+        The new rounds, from at most MAX_ARRIVAL_ROUNDS re-plannings.
     """
     search = best.search
     last = best
@@ -146,7 +148,7 @@ def improve_arrival(best: Round, purpose: ArrivalJudge, lost: FailureJudge, numb
         tried = solve_with_scenarios(search, last.tried, scenarios)
         if not tried.is_shared:
             break
-        # Robots that were safe before may be lost on the new motion: one more round for these.
+        # Robots that were stable before may be lost on the new motion: one more round for these.
         more = replan_for_failures(search, tried, scenarios, lost, 1, number + len(rounds))
         asked = number + len(rounds) + len(more)
         last = more[-1]._replace(failing=purpose(more[-1].tried.solution.q, asked))

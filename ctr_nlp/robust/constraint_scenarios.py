@@ -1,8 +1,9 @@
-"""The last rounds of a robust plan: corners of the tolerances as guards, in place of robots that joined before.
+"""Constraint scenarios: vertices of the tolerance box that only have to stay stable, in the last rounds.
 
-A guard only needs not to be lost: it has a small stability margin and tips near the nominal robot's branch, and
-its errors do not count. It costs something in few frames only, so that each frame has guards of its own: the
-program does not grow with the number of corners.
+They replace the failed samples that joined before. A constraint scenario (the option `guards`) has a small
+stability margin and tips near the nominal robot's branch, and its errors do not count. Its constraints are active
+in few frames only. Each frame therefore has constraint scenarios of its own, and the program does not grow with
+the number of vertices.
 """
 
 from __future__ import annotations
@@ -21,43 +22,43 @@ from ctr_nlp.solvers.scenarios import SharedSolution
 from ctr_nlp.typing import Array, Index
 
 MAX_CONSTRAINT_SCENARIO_ROUNDS = 4
-"""Most times that corners which are lost join the guards."""
+"""Largest number of rounds in which failing vertices join the constraint scenarios."""
 CONSTRAINT_SCENARIO_MAX_COST_GROWTH = 0.08
-"""Relative growth of the objective that guards may cost."""
+"""Relative growth of the objective that constraint scenarios may cost."""
 ACTIVE_CONSTRAINT_SCENARIO_SHARE = 1e-4
-"""A guard is left out in frames where it costs less than this part of what the dearest guard costs."""
+"""A scenario is dropped in frames where its multipliers are below this part of the largest of all scenarios."""
 CONSTRAINT_SCENARIO_START_SCALE, CONSTRAINT_SCENARIO_SCALE_STEP = 1.0, 0.05
-"""Multiple of its difference that a guard has at first, and what is added where it is lost all the same, between
-frames in which it is constrained.
+"""Multiple of a vertex's difference from the nominal robot that its scenario has at first, and what is added where
+the vertex still fails, between the frames in which it is constrained.
 """
 
 
 class FrameVertices(NamedTuple):
-    """Corners that guard each frame, (T, K), and their tips (T, K, k), rad."""
+    """Vertices that are constraint scenarios in each frame, corners (T, K), and their tips (T, K, k), rad."""
 
     corners: Index
     tips: Array
 
     @classmethod
     def none(cls, phi: Array) -> FrameVertices:
-        """Return no guards, for a motion with tips phi (T, S, k)."""
+        """Return no vertices, for a motion with tips phi (T, S, k), rad."""
         return cls(np.zeros((len(phi), 0), dtype=int), phi[:, :0])
 
     def with_vertices(self, new: Index, first: Array) -> FrameVertices:
-        """Add new corners in all frames, with the tips of the first robot, (T, 1, k)."""
+        """Add vertices in all frames; new: their indices. first: tips (T, 1, k) of the nominal robot, rad."""
         corners = np.concatenate([self.corners, np.tile(new, (len(first), 1))], axis=1)
         return FrameVertices(corners, np.concatenate([self.tips, np.repeat(first, len(new), axis=1)], axis=1))
 
     def keep_active(self, found: SharedSolution) -> FrameVertices:
-        """Keep the guards whose constraints are active at a solution; all frames keep equally many.
+        """Keep the vertices whose constraints are active at a solution; all frames keep equally many.
 
-        found: a solution, whose last robots these guards are.
+        found: a solution, whose last robots are these vertices.
         """
         count = self.corners.shape[1]
         burdens = found.constraint_multipliers[:, -count:]
         tips = found.phi[:, -count:]
-        # Arrays need as many guards in each frame: those of the frame with most active ones. Others are filled up
-        # with the next dearest.
+        # Arrays need the same number in each frame: that of the frame with most active ones. The others are filled
+        # up with the next largest multipliers.
         most = int((burdens > ACTIVE_CONSTRAINT_SCENARIO_SHARE * burdens.max()).sum(axis=1).max())
         kept = np.argsort(-burdens, axis=1, kind="stable")[:, :most]
         frames = np.arange(len(tips))[:, None]
@@ -67,12 +68,12 @@ class FrameVertices(NamedTuple):
 def plan_with_constraint_scenarios(
     held: Round, scenarios: Scenarios, corners: ToleranceVertices, lost: FailureJudge, number: int
 ) -> list[Round]:
-    """Plan a motion again so that fewer corners are lost; an empty list where few are, or where that fails.
+    """Re-plan a motion so that fewer vertices fail; an empty list where few do, or where that is not possible.
 
-    held: a round over all frames on whose motion few robots are lost. scenarios: the first ones of that round,
-    which were planned for from the beginning. corners: of the tolerances. lost: judges the resulting motion, as
-    number `number`. Corners that bear least of their difference are given up, as many as may be lost; the others
-    that are lost, or nearly, become guards, until no more are lost than may be.
+    held: a round over all frames with few lost robots. scenarios: the first ones of that round, which were planned
+    for from the beginning. corners: vertices of the tolerances. lost: finds the robots that are lost on the
+    resulting motion, as motion number `number`. The vertices that fail at the smallest part of their difference
+    are given up, as many as may fail; others that fail, or nearly, become constraint scenarios.
     """
     found = held.tried.solution
     tried = held.tried
@@ -83,16 +84,16 @@ def plan_with_constraint_scenarios(
         return []
     borne = corners.find_failure_scales(found.q)
     placed = FrameVertices.none(found.phi)
-    # Those that are lost at the smallest part of their difference would cost most to keep.
+    # Vertices that fail at the smallest part of their difference would cost most to keep stable.
     spared = np.argsort(borne, kind="stable")[: corners.allowed_failures]
-    # Finite: lost within NEAR times their difference. Corners that are barely kept now would be lost on a slightly
-    # different motion.
+    # Finite: failing within MAX_VERTEX_SCALE times their difference. Vertices that are barely stable now would
+    # fail on a slightly different motion.
     new = np.setdiff1d(np.flatnonzero(np.isfinite(borne)), spared)
     parts = np.full(len(borne), CONSTRAINT_SCENARIO_START_SCALE)
     for _ in range(MAX_CONSTRAINT_SCENARIO_ROUNDS):
         if least <= corners.allowed_failures or not len(new) or held.search.stop():
             break
-        # The tips of a new guard start on the nominal robot's branch, where they are to stay.
+        # The tips of a new scenario start on the nominal robot's branch, where they are to stay.
         placed = placed.with_vertices(new, tried.solution.phi[:, :1])
         search, tried = _solve_with_constraints(held.search, tried, scenarios, corners, placed, parts)
         if not tried.is_shared or tried.solution.objective > dearest:
@@ -100,10 +101,10 @@ def plan_with_constraint_scenarios(
         placed = placed.keep_active(tried.solution)
         gone = np.flatnonzero(corners.find_failing_vertices(tried.solution.q))
         new = np.setdiff1d(gone, spared)
-        # Lost though it is a guard: frames are apart too far to see it. Planned for with a larger difference, it
-        # is kept between them.
+        # A vertex that fails though it is constrained does so between frames. With a larger difference in the
+        # frames it stays stable between them.
         parts[np.intersect1d(new, placed.corners)] += CONSTRAINT_SCENARIO_SCALE_STEP
-        # Only the best round counts, and a round counts only where it loses fewer corners than all before.
+        # Only the best round is returned, and only where fewer vertices fail than in all before.
         if len(gone) < least:
             least = len(gone)
             best = [held._replace(search=search, tried=tried, scenarios=scenarios, corners=least)]
@@ -118,9 +119,10 @@ def _solve_with_constraints(
     placed: FrameVertices,
     parts: Array,
 ) -> tuple[RobustSearch, StartResult]:
-    """Solve a motion again with guards; return the search with these guards, and the result.
+    """Solve a motion again with constraint scenarios; return the search with these, and the result.
 
-    before: the result so far. parts (C,): multiple of its difference that each corner has as a guard.
+    before: the result so far. corners: all vertices. placed: those of each frame. parts: (C,), the multiple of its
+    difference that each vertex has as a scenario.
     """
     robots = corners.with_part(placed.corners, parts[placed.corners])
     found = before.solution

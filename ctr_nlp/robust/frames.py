@@ -1,8 +1,8 @@
-"""Frames of a problem solved one by one for scenarios whose tips are carried along from frame to frame.
+"""Frames of a problem solved one by one for scenarios, each frame from the one before.
 
-Each frame is a program of one q = (alpha, beta, theta), rad and mm, shared by S scenarios, and of tips (S, k),
-rad, of all of them: k is d, or d + 2 under a load. Tips turn by at most tip_step_limits from frame to frame, so
-that no scenario changes its branch.
+Each frame is a program over one q = (alpha, beta, theta), rad and mm, which S scenarios share, and the tips (S,
+k), rad, of each of them: k is d, or d + 2 under a load. Tips turn by at most tip_step_limits from frame to frame,
+so that no scenario changes its branch.
 """
 
 from __future__ import annotations
@@ -35,21 +35,20 @@ from ctr_nlp.solvers.scenarios import SharedSolver
 from ctr_nlp.typing import Array, Index
 
 NOMINAL_FIRST_FRAME_SOLUTIONS, MAX_FIRST_FRAME_RESULTS = 3, 3
-"""Solutions of the nominal robot that are tried in a frame without one before it, and how many results are kept.
+"""Solutions of the nominal robot used as starts in a frame without one before it, and how many results are kept.
 """
 MOTION_WEIGHT_FACTORS = 1.0, 1e2, 1e4
-"""Factors of the motion's weight that are tried in turn where tips would otherwise turn too far in a frame."""
+"""Factors of the motion weight, used in turn where tips would otherwise turn too far in a frame."""
 
 
 @dataclass(frozen=True)
 class ScenarioFrames:
     """Solver of single frames (a FrameSolver) for scenarios that share q.
 
-    nominal: solvers of the nominal robot, which find where frames without one before them begin. margins (T,):
-    least stability margins of every scenario, or None. known: all results of another run, from which each frame is
-    started, too.
+    nominal: solvers of the nominal robot, for frames without one before them. margins (T,): least stability
+    margins of every scenario, or None. known: results of another run, which are further starts of each frame.
 
-    The `warm` of a result holds the tips (S, k) of all scenarios; scenarios that have joined since then begin with
+    The `warm` of a result has the tips (S, k) of all scenarios; scenarios that have joined since then start from
     the nominal robot's.
     """
 
@@ -74,7 +73,12 @@ class ScenarioFrames:
         terms: Sequence[Term],
         margins: Sequence[float],
     ) -> ScenarioFrames:
-        """Build the solver; margins: stability margins of the nominal robot in frames without one before them."""
+        """Build the solver.
+
+        problem: robot and target. scenarios: the robots that share q. model: on which they are planned. settings:
+        weights, and the least stability margin of every scenario. terms: further terms of the objective. margins:
+        stability margins of the nominal robot in frames without one before them, one solver each.
+        """
         begin = time.perf_counter()
         nominal = [
             NlpFrames.of(
@@ -99,7 +103,7 @@ class ScenarioFrames:
         return cls(problem, model, scenarios, settings, tuple(terms), least, nominal, seconds, description)
 
     def search(self, frame: int) -> list[FrameResult]:
-        """Distinct answers for a frame without a past, best first; at least one."""
+        """Return distinct results for a frame that has no frame before it, best first; at least one."""
         # The nominal robot's solutions are quick to find; each is solved again with all scenarios.
         known = [
             self._with_loaded_unknowns(one)
@@ -114,36 +118,38 @@ class ScenarioFrames:
         )
 
     def _with_loaded_unknowns(self, known: FrameResult) -> FrameResult:
-        """Return a result of the nominal robot with unknowns of the scenarios' model, which may bear a load."""
+        """Return a result of the nominal robot with unknowns of the scenarios' model, which may have a load."""
         if known.x is None:
             return known
         return replace(known, x=loaded_unknowns(self.problem.robot, self.model, known.q[None], known.x[None])[0])
 
     def with_failed_samples(self, lost: FailedSamples) -> ScenarioFrames:
-        """Return a solver with lost robots among its scenarios, and the same margins.
-
-        A robust horizon asks for more margin where robots were lost, too; that leads runs frame by frame to worse
-        branches.
-        """
+        """Return a solver with lost robots among its scenarios, and the same margins; lost: these robots."""
+        # A robust horizon also raises margins where robots were lost; frame by frame that leads to worse branches.
         return replace(self, scenarios=add_failed_samples(self.scenarios, lost))
 
     def step(self, frame: int, before: FrameResult) -> FrameResult:
-        """Solve a frame within speed limits of the one before, from there and from a known result.
+        """Solve a frame within speed limits of the one before, starting from there and from a known result.
 
-        A run that is tried beside others is given up where one of its frames failed.
+        frame: its number, from 0. before: result of the frame before. With known results, a run is given up where
+        one of its frames failed, since other runs remain.
         """
         if self.known is not None and not before.success:
             return replace(before, iterations=0, status="a frame before it was not solved")
         starts = [before] if self.known is None else [before, self.known[frame]]
         found = [self._solve_frame(frame, start, before) for start in starts]
+        # Both starts may be solved, on different branches: then the objective decides.
         return min(found, key=lambda one: (not one.success, one.objective))
 
     def run(self, frames: Sequence[int], before: FrameResult) -> Iterator[tuple[FrameResult, float]]:
-        """Answers for frames, each from the one before, and the seconds that each took."""
+        """Yield results for frames, numbers from 0, each from the one before, and the seconds that each took.
+
+        before: result of the frame before the first one.
+        """
         return step_through_frames(self.step, frames, before)
 
     def search_near(self, frame: int, known: FrameResult) -> FrameResult:
-        """Solve a frame that has no frame before it, near a known result."""
+        """Solve a frame, number from 0, that has no frame before it, near a known result."""
         return self._solve_frame(frame, known, None)
 
     def _solve_frame(self, frame: int, start: FrameResult, before: FrameResult | None) -> FrameResult:
@@ -155,14 +161,14 @@ class ScenarioFrames:
         iterations = 0
         ends = EndConfigurations(None if before is None else before.q)
         last, far = (start, np.inf) if before is None else (before, tip_step_limits(robot, self.problem.dt))
-        # A dearer step keeps motors near the frame before, and tips with them. Programs with dearer steps are
-        # built only where they are needed.
+        # A larger motion weight keeps motors near the frame before, and tips with them. The generator builds
+        # programs with larger weights only where they are needed.
         motions = (self._motion(frame, ends, factor) for factor in MOTION_WEIGHT_FACTORS)
         first = next(motions)
         tips, guess = (self._tips(each, first.own) for each in (last, start))
         for solver in map(SharedSolver, itertools.chain([first], motions)):
-            # Near the frame before most active limits are known. Where that fails, the wide barrier lets the
-            # objective decide anew which limits become active.
+            # Near the frame before most active limits are known. Where that fails, the large barrier lets the
+            # objective decide again which limits become active.
             for barrier in (WARM_START_BARRIER_MM2, COLD_START_BARRIER_MM2):
                 found = solver(start.q[None], guess[None], barrier)
                 iterations += found.iterations
@@ -171,6 +177,7 @@ class ScenarioFrames:
                     known = found.objective, found.kkt, iterations, found.status, found.phi[0], found.x[0]
                     return FrameResult(found.q[0], True, *known)
         status = f"scenarios: {found.status}, KKT residual {found.kkt:.1e}"
+        # A failed frame has the configuration before it, so that a pass can continue from there.
         return FrameResult(last.q, False, iterations=iterations, status=status, warm=tips, x=last.x)
 
     def _motion(self, frame: int, ends: EndConfigurations, factor: float) -> SharedMotion:

@@ -1,7 +1,7 @@
 """Robust plans frame by frame: one motion that the nominal robot and perturbed robots (scenarios) all follow.
 
 Each frame's program has one q and the tips of every scenario as unknowns, and starts from the frame before it. The
-motion is then tried on simulated robots; those that snap or leave the branch join the scenarios.
+motion is then simulated on samples; those that snap or leave the branch join the scenarios.
 """
 
 from __future__ import annotations
@@ -34,11 +34,9 @@ from ctr_nlp.support.value_checks import whole_number
 PER_FRAME_START_MARGINS = 0.1, 0.5
 """Stability margins of the nominal robot in the frames from which runs start."""
 MAX_PER_FRAME_REPLANNING_ROUNDS = 3
-"""Most times that a motion is re-planned for robots that were lost."""
+"""Largest number of times that a motion is re-planned for robots that were lost."""
 MAX_REPLANNED_COST_GROWTH = 0.1
-"""Relative growth of the mean objective up to which the first re-planned run is taken, without trying further
-ones.
-"""
+"""Relative growth of the mean objective up to which the first re-planned run is taken without solving others."""
 
 
 def solve_robust_per_frame(
@@ -56,8 +54,8 @@ def solve_robust_per_frame(
 ) -> Plan:
     """Plan one motion frame by frame that all robots within the tolerances follow.
 
-    Robots that stand for the tolerances (scenarios) share the motors' angles and extensions of every frame. The
-    motion is tried on simulated robots; those that snap or leave the branch join the scenarios, and it is planned
+    Robots that represent the tolerances (scenarios) share the motors' angles and extensions of every frame. The
+    motion is simulated on samples; those that snap or leave the branch join the scenarios, and it is planned
     again. Walls do not count. :func:`solve_robust` plans over all frames at once, with walls and arrival.
 
     Parameters
@@ -71,25 +69,25 @@ def solve_robust_per_frame(
     most_lost : float
         Share of all robots within the tolerances that may snap or leave the branch, with 95 % confidence.
     rounds : int
-        Most times that the motion is planned again for robots that were lost, at least 0.
+        Largest number of times that the motion is re-planned for robots that were lost, at least 0.
     model : str or Model
         ``"elastic"``, ``"dominant"`` or ``Loaded(load)``.
     direction : str
-        Order in which frames are solved: ``"forward"``, ``"backward"``, or ``"best"``, which tries both.
+        Order in which frames are solved: ``"forward"``, ``"backward"``, or ``"best"`` for the better of both.
     start : array_like, optional
-        Configuration q (2d + 2,) at time 0, from which the motion then leads forward.
+        Configuration q (2d + 2,) at time 0, from which the motion starts forward.
     settings : Settings
         `stability_margin` is the least one of every scenario.
     terms : sequence of Term
-        Further terms of the objective (formulations.terms).
+        Further terms of the objective (ctr_nlp.ocp.terms).
     progress : callable, optional
         Called as ``progress(done, total, note)``.
 
     Returns
     -------
     Plan
-        Also where frames failed. Its certificate is in ``meta["certificate"]``, unless no frame was reached or
-        Ctrl-C ended the work.
+        Returned also where frames failed. Its certificate is in ``meta["certificate"]``, unless no frame was
+        reached or Ctrl-C ended the work.
 
     Raises
     ------
@@ -109,7 +107,7 @@ def solve_robust_per_frame(
     checked_ends(problem, direction, start)
     whole_number(OptionError, "rounds", rounds, 0)
     model, scenarios = resolve_scenarios(problem.robot, model, scenarios)
-    # The first motion is tried, too, hence one more than rounds: each trial takes its share of the 5 %
+    # The first motion is simulated as well, hence one more than rounds: each trial takes its share of the 5 %
     # (Bonferroni).
     trials = Trials(problem.robot, model, rounds + 1, most_lost)
     with deferred_interrupt() as interrupted:
@@ -129,7 +127,7 @@ def solve_robust_per_frame(
             made.append((solver, best, trial))
         stopped = interrupted()
     # Fewest failed frames first, then the smallest share of lost robots. The objective does not decide: later
-    # rounds cost more because they keep robots that earlier ones lost.
+    # rounds cost more because they keep robots stable that earlier ones lost.
     solver, best, trial = min(made, key=lambda one: (one[1].cost(problem)[0], one[2].share))
     options = {
         "direction": best.direction,
@@ -152,7 +150,10 @@ def solve_robust_per_frame(
 
 
 def _with_reported_unknowns(best: Pass, problem: Problem, model: Model) -> Pass:
-    """Return the run with the unknowns of the model that a plan is reported on."""
+    """Return a run with the unknowns of the model on which the plan is reported.
+
+    best: the run, with unknowns of `model`, on which scenarios are planned. problem: robot and target.
+    """
     q = best.motion(problem)
     robot = problem.robot
     found = {
@@ -163,11 +164,10 @@ def _with_reported_unknowns(best: Pass, problem: Problem, model: Model) -> Pass:
 
 
 def _rerun_best(ranked: Sequence[Pass], solver: ScenarioFrames, stop: Callable[[], bool]) -> Pass:
-    """Re-run motions in the order of their cost, and return the first that costs about as much as the best one
-    did.
+    """Re-run motions in the order of their cost; return the first that costs about as much as the best one did.
 
-    Where none does, the cheapest of the new ones is returned. `ranked` are the runs before, cheapest first, and
-    `stop` is asked between runs.
+    Where none does, the cheapest new one is returned. ranked: the runs before, cheapest first. solver: with the
+    new scenarios. stop: called between runs, returns whether to end.
     """
     problem = solver.problem
     found = list[Pass]()

@@ -4,9 +4,10 @@
     subject to  alpha(phi_sj, q_j; tubes_s) = alpha_j + delta_s
 
 over the shared q_j = (alpha, beta, theta), rad and mm, of every frame j and the tips phi_sj, rad, of every robot
-s, with limits and a least stability margin of each ("Plans for robots that are not quite known" in
-docs/method.md). The scenarios s are few; simulated robots tell whether others within the tolerances do as well,
-and those that do not join the scenarios.
+s, with limits and a least stability margin of each. E_j is the shape error (8), w_s a weight, tubes_s and delta_s
+the tubes and the motors' zeros of robot s ("Plans for robots that are not quite known" in docs/method.md). The
+scenarios s are few. Monte Carlo samples check the motion on other robots within the tolerances; those that fail
+join the scenarios.
 """
 
 from __future__ import annotations
@@ -59,20 +60,20 @@ from ctr_nlp.support.value_checks import whole_number
 from ctr_nlp.typing import Array
 
 ROBUST_START_MARGINS = (0.5,)
-"""Stability margins of the nominal robot in motions frame by frame, the starts beside its plan."""
+"""Stability margins of the nominal robot in motions frame by frame, which are starts besides its plan."""
 EXTRA_SCENARIO_MARGIN = 0.1
-"""Margin beyond the one asked for with which scenarios are planned for: margins are less between frames, and on
-robots that are not among them. Plans need fewer rounds with it, and errors are larger by 1 % at most.
+"""Margin of the scenarios beyond the one asked for: margins are less between frames, and on robots that are no
+scenarios. Plans need fewer rounds with it, and errors are larger by 1 % at most.
 """
 START_FRAMES = 49
-"""Most frames of these motions that are solved: drafts, which begin from them, have 25 to 49 frames."""
+"""Largest number of frames solved in these motions: drafts, which start from them, have 25 to 49 frames."""
 MOTION_PART = 0.1
-"""Share of the lambda of a nominal horizon: robots differ more from the target than smoothness is worth there."""
+"""Factor of the default lambda of a nominal horizon: errors of perturbed robots matter more than smoothness."""
 NOT_SHARED = "no motion was found that all robots within the tolerances share"
 MAX_REFINED_ROUNDS = 2
-"""Most rounds over the frames of a draft, from the last one back, of which all frames are tried."""
+"""Largest number of rounds on a draft, from the last one back, that are refined to all frames."""
 MAX_ROBUST_REPLANNING_ROUNDS = 4
-"""Most times that a motion is planned again for robots that were lost."""
+"""Largest number of times that a motion is re-planned for robots that were lost."""
 
 
 def solve_robust(
@@ -93,12 +94,12 @@ def solve_robust(
     progress: Progress | None = None,
     nominal: Callable[[Plan], None] | None = None,
 ) -> Plan:
-    """Plan one motion that all robots within the tolerances follow, arrive with, and keep off the wall with.
+    """Plan one motion with which all robots within the tolerances follow the target, arrive, and avoid the wall.
 
-    Robots that stand for the tolerances (scenarios) share the motors' angles and extensions of every frame, and
-    each has tips of its own. Minimised is their mean shape error, with what contact and arrival of each cost,
-    subject to a stability margin of each. A motion is then tried on simulated robots; those that snap or leave the
-    branch join the scenarios, and it is planned again.
+    Robots that represent the tolerances (scenarios) share the motors' angles and extensions of every frame, and
+    each has tips of its own. The objective is their mean shape error plus the cost of contact and arrival of each;
+    each has a least stability margin. The motion is then simulated on samples; those that snap or leave the branch
+    join the scenarios, and it is planned again.
 
     Parameters
     ----------
@@ -109,14 +110,15 @@ def solve_robust(
         the tolerances (Plackett and Burman, 1946), and the nominal robot under the forces that may act at its tip,
         whose errors do not count.
     most_lost : float
-        Share of all robots within the tolerances that may snap or leave the branch, known with 95 % confidence.
+        Share of all robots within the tolerances that may snap or leave the branch, with 95 % confidence.
     rounds : int
-        How often a motion is planned again for robots that were lost, at most.
+        Largest number of times that a motion is re-planned for robots that were lost.
     guards : bool
-        Whether robots at the corners of the tolerances are kept as well, which takes several times as long.
+        Whether robots at the vertices of the tolerance box are constraint scenarios, too, which takes several
+        times as long.
     model : str or Model
-        ``"elastic"``, ``"dominant"`` or ``Loaded(load)``. On a model that cannot snap, the plan of the nominal
-        robot is started from.
+        ``"elastic"``, ``"dominant"`` or ``Loaded(load)``. On a model that cannot snap, the only start is the plan
+        of the nominal robot.
     start, end : array_like, optional
         Configurations q (2d + 2,) at time 0 and in the last frame.
     motion_weight : float, optional
@@ -124,26 +126,25 @@ def solve_robust(
     initial : sequence of array_like
         Motions (T, 2d + 2) to start from. By default the plan of the nominal robot (:func:`solve_horizon`).
     margins : sequence of float
-        Stability margins of the nominal robot in motions frame by frame, which are started from where too many
-        robots are lost on what comes of the others.
+        Stability margins of the nominal robot in motions frame by frame, which are further starts where too many
+        robots are lost on the motions from the first ones.
     settings : Settings
-        `stability_margin` is the least one of every scenario, which are planned for with EXTRA_SCENARIO_MARGIN
-        more; weights of contact and arrival count for each.
+        `stability_margin` is the least one of every scenario, to which EXTRA_SCENARIO_MARGIN is added in planning;
+        weights of contact and arrival count for each.
     terms : sequence of Term
         Further terms of the objective.
     progress : callable, optional
         Called as ``progress(done, total, note)``.
     nominal : callable, optional
-        Called with the plan of the nominal robot, seconds before all the others are planned for; not where
-        `initial` motions are given, or the robot bears a load.
+        Called with the plan of the nominal robot as soon as it is known; not where `initial` motions are given, or
+        the robot is loaded.
 
     Returns
     -------
     Plan
-        With its certificate in ``meta["certificate"]`` (:meth:`Trials.certify_plan`) and the robots that it was
-        certified on. Where no motion is found that all scenarios share, the plan of the nominal robot, and
-        ``meta["not_shared"]`` says so; without one, the first motion started from, no frame of which counts as
-        solved.
+        With its certificate in ``meta["certificate"]`` (:meth:`Trials.certify_plan`) and the samples of that.
+        Where no motion is found that all scenarios share, the plan of the nominal robot with
+        ``meta["not_shared"]``; without such a plan, the first start, with no frame marked as solved.
 
     Raises
     ------
@@ -159,7 +160,7 @@ def solve_robust(
         raise OptionError(
             "initial and margins are both empty: give motions to start from, or margins to find them"
         )
-    # Most motions that can be tried: each is judged with its part of the 5 % (Trials), which holds only if none
+    # Largest number of motions tested: each test has its part of the 5 % (Trials), which is valid only if none
     # comes unplanned. For two sets of starts: rounds on a draft and on all frames, relaxations, and improvements
     # with a round each; and once with guards.
     motions = 2 * (2 * (rounds + 1) + MAX_RELAXATIONS + 2 * IMPROVEMENTS) + 1
@@ -184,8 +185,8 @@ def solve_robust(
         made = list[Round]()
         best = None
         open_ = list[StartResult]()
-        # Ways to find starts, one after the other; a later one is used where the drafts of the earlier ones are
-        # not good, or their motions lose too many robots.
+        # Methods to find starts, in turn; a later one is used where the drafts of the earlier ones are poor,
+        # or too many robots are lost on their motions.
         for number, find in enumerate(starts.start_finders):
             begun = time.perf_counter()
             found = find()
@@ -200,17 +201,17 @@ def solve_robust(
             search = RobustSearch(problem, *own, progress, interrupted, wall)
             drafts = search.drafts(found, scenarios)
             tried += drafts
-            # Drafts that no rounds were made from yet; good or not, they are compared with those of the next way.
+            # Drafts without rounds so far; good or not, they are compared with those of the next method.
             open_ = sorted(open_ + drafts, key=lambda one: one.promise)
             last = number + 1 == len(starts.start_finders)
-            # A draft that is poor, though solved, is put aside while there is another way to find starts.
+            # A draft that is poor, though solved, is put aside while there is another method to find starts.
             if not (last or given or interrupted()) and open_ and not _good(open_[0], settings):
                 continue
             made += _rounds(search, open_, scenarios, trials, rounds, len(made))
             best = best_round(made, problem.frames)
             open_ = []
             if best is not None and best.lost.few and not interrupted():
-                # Few robots are lost: only now is it worth asking how many also arrive and keep off the wall.
+                # Only a motion on which few robots are lost is worth checking for arrival and contact.
                 judged = best._replace(failing=purpose(best.tried.solution.q, len(made)))
                 made = [judged if one is best else one for one in made]
                 made += improve_arrival(judged, purpose, trials, len(made))
@@ -256,11 +257,11 @@ def solve_robust(
 
 @dataclass
 class _Starts:
-    """Finds motions to start from: given ones, or the plan of the nominal robot; and others, frame by frame.
+    """Finds initial guesses: given motions, or the plan of the nominal robot; and others, frame by frame.
 
-    planner: of the nominal robot's horizon. model: on which plans are reported. given: motions (T, 2d + 2).
-    margins: of motions frame by frame. on_nominal_plan: called with the nominal plan. plan: that plan, once it is
-    known.
+    planner: horizon of the nominal robot. model: on which plans are reported. given: motions (T, 2d + 2). margins:
+    of motions frame by frame. terms, settings: of the objective. progress: callback. stop: returns whether to end.
+    on_nominal_plan: called with the nominal plan. plan: that plan, once it is known.
     """
 
     planner: Horizon
@@ -276,7 +277,7 @@ class _Starts:
 
     @property
     def start_finders(self) -> list[Callable[[], list[InitialMotion]]]:
-        """Ways to find starts; where the first finds a good one, the others are not needed."""
+        """Methods that find starts; where the first finds a good one, the others are not needed."""
         first = self._follow_given_motions if self.given else self._nominal
         return [first, *([self._frame_by_frame] if self.model.can_snap and self.margins else [])]
 
@@ -292,7 +293,7 @@ class _Starts:
         return found
 
     def _nominal(self) -> list[InitialMotion]:
-        """Return the nominal robot's plan as a start; nothing where that robot snaps, or bears a known load."""
+        """Return the nominal robot's plan as a start; nothing where that robot snaps, or is loaded."""
         if self.model.applied_load is not None:
             return []
         self.plan = self.planner.solve(progress=self.progress)
@@ -316,7 +317,7 @@ class _Starts:
 
 
 def _good(draft: StartResult, settings: Settings) -> bool:
-    """Whether a draft's mean error over robots, with all that its contact and misses cost, is what is allowed."""
+    """Return whether a draft's mean squared error over robots, with costs of contact and arrival, is allowed."""
     # The objective is a sum over frames of mean squared errors, mm^2; error_allowed is in mm.
     return draft.is_shared and draft.solution.objective <= draft.frames * settings.error_allowed**2
 
@@ -329,11 +330,11 @@ def _rounds(
     most: int,
     first: int,
 ) -> list[Round]:
-    """Make rounds over the frames of the best draft, then over all; from the next draft where none leads to a
-    motion.
+    """Re-plan the best draft for lost robots, first on its frames, then on all; the next draft where that fails.
 
-    drafts: the most promising first. scenarios: planned for from the beginning. lost: judges each round's motion;
-    rounds are numbered from `first` on. most: rounds on a draft, and on all frames.
+    search: of the problem. drafts: the most promising first. scenarios: planned for from the beginning. lost:
+    finds the robots that are lost on each round's motion. most: rounds on a draft, and again on all frames. first:
+    number of the first motion.
     """
     for draft in drafts:
         if not draft.is_solved or search.stop():
@@ -341,7 +342,7 @@ def _rounds(
         coarse = list[Round]()
         if draft.on_planned_branch and search.draft_frames is not None:
             coarse = replan_for_failures(search, draft, scenarios, lost, most, first)
-        # The last round of the draft has met most of the lost robots already; an earlier one may be easier to
+        # The last round of the draft has most lost robots among its scenarios; an earlier one may be easier to
         # refine.
         tried = [(one.tried, one.scenarios) for one in reversed(coarse)] or [(draft, scenarios)]
         for one, joined in tried[:MAX_REFINED_ROUNDS]:
@@ -367,13 +368,13 @@ def _start_to_meta(one: StartResult) -> dict[str, Any]:
 
 
 def _plan(problem: Problem, best: Round, meta: dict[str, Any]) -> Plan:
-    """Make a plan of the best round; meta: of the plan."""
+    """Build the plan of the best round; problem: robot and target; meta: of the plan."""
     found = best.tried.solution
     condensed = Condensed(best.search.motion(best.scenarios))
     model = best.search.model
     robot = problem.robot
-    # What depends on where robots are, such as the wall near them, is described at the solution before objectives
-    # are evaluated there.
+    # The wall is known to the program as a linearisation near the robots: it is renewed at the solution before
+    # objectives are evaluated there.
     condensed.update_local_parameters(found.q, found.phi)
     return plan_from_configurations(
         problem,
@@ -389,7 +390,7 @@ def _plan(problem: Problem, best: Round, meta: dict[str, Any]) -> Plan:
 
 
 def _plan_without_solution(problem: Problem, start: Array, meta: dict[str, Any]) -> Plan:
-    """Make a plan of a start, configurations (T, 2d + 2), in which no frame counts as solved."""
+    """Build a plan from a start, configurations (T, 2d + 2), with no frame solved; meta: of the plan."""
     why = "interrupted" if meta["interrupted"] else NOT_SHARED
     unknown = np.full(problem.frames, np.nan)
     return plan_from_configurations(

@@ -1,8 +1,8 @@
-"""Rounds of robust planning: robots that were drawn and lost join the scenarios, and the motion is planned again.
+"""Rounds of robust planning: samples that are lost on a motion join the scenarios, and it is planned again.
 
-Scenarios have the mean and covariance of the tolerances, but they are few. The robots that snap or leave the
-branch on a motion show where its stability is too thin; as scenarios whose errors do not count, they only have to
-stay stable.
+Scenarios have the mean and covariance of the tolerances, but they are few. The samples that snap or leave the
+branch show where the motion has too little stability; as scenarios whose errors do not count (weight 0), they only
+have to stay stable.
 """
 
 from __future__ import annotations
@@ -23,36 +23,36 @@ from ctr_nlp.solvers.scenarios.interior_point import COARSE_LAST_BARRIER_MM2
 from ctr_nlp.typing import Array, Index
 
 JOINING_SCALES = 1.5, 1.2, 1.0
-"""Multiples of its difference from the nominal robot with which a lost one joins; the first that leads to a motion
-is taken. Beyond its own difference it stands for others like it.
+"""Multiples of its difference from the nominal robot with which a lost sample joins; the first that leads to a
+motion is taken. With more than its own difference it represents similar robots as well.
 """
 RELAXATION_FACTOR, MIN_RELAXATION_GAIN, MAX_RELAXATIONS = 0.8, 0.03, 2
-"""Factor by which these differences are made smaller once few robots are lost, where that lowers the objective by
-more than the part MIN_RELAXATION_GAIN; and how often.
+"""Factor by which these differences are reduced once few robots are lost, relative decrease of the objective that
+makes that worthwhile, and largest number of reductions.
 """
 AFFECTED = 0.1
-"""Estimate of how far, in rad and in margin, that moves joined robots away from their limits: times the price of
-these limits, it is what may be gained.
+"""Estimate of how far, in rad and in margin, a reduction moves joined robots away from their limits. Times the
+multipliers of these limits, it estimates the decrease of the objective.
 """
 FAILING_ALLOWED = 2
-"""Number of CERTIFICATION_SAMPLES robots that may fail on a motion: a plan with 4 of 200 fresh ones is just
+"""Number of CERTIFICATION_SAMPLES robots that may fail on a motion: with 4 of 200 fresh ones a plan is just
 certified.
 """
 
 FailureJudge = Callable[[Array, int, bool], FailedSamples]
-"""(q (T, 2d + 2), number of a motion, whether it is a draft) -> the robots lost on it of those drawn for it."""
+"""(q (T, 2d + 2), number of a motion, whether it is a draft) -> the samples that are lost on it."""
 
 
 class FailingSamples(NamedTuple):
-    """Robots that fail on a motion, the worst first, and how many hold.
+    """Samples that stay on the branch but do not arrive or press into the wall, the worst first.
 
     Attributes
     ----------
     numbers, offsets, forces : ndarray
-        Of the F failing robots that keep the branch: (F, d, 8) of the tubes, (F, d) of the motors' zeros in rad,
-        (F, 3) N at the tips.
+        Of these F samples: numbers of the tubes (F, d, 8), motors' zeros (F, d) in rad, forces at the tips (F, 3)
+        in N.
     holding_share : float
-        Share of all robots that keep the branch, arrive, and keep off the wall.
+        Share of all samples that stay on the branch, arrive, and keep off the wall.
     """
 
     numbers: Array
@@ -62,24 +62,24 @@ class FailingSamples(NamedTuple):
 
     @property
     def enough(self) -> bool:
-        """Whether so many hold that the motion will most likely be certified."""
+        """Whether so many samples pass that the motion will most likely be certified."""
         return self.holding_share >= 1 - FAILING_ALLOWED / CERTIFICATION_SAMPLES
 
 
 class Round(NamedTuple):
-    """A motion, the search and the scenarios that it comes from, and what became of the robots drawn then."""
+    """A motion, the search and the scenarios that it comes from, and the samples that are lost on it."""
 
     search: RobustSearch
     tried: StartResult
     scenarios: Scenarios
     lost: FailedSamples
     corners: int | None = None
-    """How many corners of the tolerances are lost; None where that was not looked at."""
+    """Number of vertices of the tolerances that fail; None where that was not checked."""
     failing: FailingSamples | None = None
-    """Robots that do not arrive or press into the wall; None where that was not looked at."""
+    """Samples that do not arrive or press into the wall; None where that was not checked."""
 
     def to_meta(self) -> dict[str, float | None]:
-        """Return what a plan's meta reports of the round; the objective is a mean over frames, mm^2."""
+        """Return the entry of the round in a plan's meta; the objective is a mean over frames, mm^2."""
         found = self.tried.solution
         return {
             "scenarios": len(self.scenarios),
@@ -96,9 +96,7 @@ class Round(NamedTuple):
 
     @property
     def rank(self) -> tuple[bool, bool, float, float]:
-        """Key whose least value is the best round: few lost robots, then guards, then the share that holds or the
-        least objective.
-        """
+        """Sort key of rounds, best first: few lost robots, constraint scenarios, share that passes, objective."""
         # Where too many are lost, the motion that loses fewest is the best compromise, whatever it costs.
         least = self.tried.solution.objective if self.lost.few else self.lost.share
         fails = 1.0 if self.failing is None else 1 - self.failing.holding_share
@@ -106,7 +104,7 @@ class Round(NamedTuple):
 
 
 def best_round(rounds: Sequence[Round], frames: int) -> Round | None:
-    """Return the best of the rounds over all `frames`, the last one of equals; None where there is none."""
+    """Return the best of the rounds that cover all `frames`, the last of equal ones; None where there is none."""
     whole = [one for one in rounds if one.tried.frames == frames]
     return min(reversed(whole), key=lambda one: one.rank, default=None)
 
@@ -119,10 +117,10 @@ def replan_for_failures(
     most: int,
     first: int = 0,
 ) -> list[Round]:
-    """Plan a motion again for robots that are lost on it, in at most so many rounds; return all rounds.
+    """Re-plan a motion for the samples that are lost on it; return all rounds.
 
-    search, tried, scenarios: of the motion so far. lost: judges each round's motion; rounds are numbered from
-    `first` on. most: rounds.
+    search, tried, scenarios: of the motion so far. lost: finds the samples lost on each round's motion. most:
+    largest number of rounds after the first. first: number of the first motion.
     """
     rounds = list[Round]()
     frames = search.problem.frames
@@ -134,8 +132,8 @@ def replan_for_failures(
         rounds.append(Round(search, tried, scenarios, found))
         if found.few or number == most or search.stop():
             break
-        # Where robots are lost though others have joined, frames are too far apart to show how the way between
-        # them is: more margin in the frames beside it helps.
+        # Robots that are lost although others have joined are lost between frames: more margin in the frames on
+        # both sides helps.
         if number:
             search = replace(search, margins=raise_margins_near_failures(search.margins, found.frames, picked))
         # A robot too different may have no stable motion in common with the others: then a smaller difference is
@@ -153,15 +151,16 @@ def replan_for_failures(
 
 
 def relax_scenarios(held: Round, first: int, lost: FailureJudge, number: int) -> list[Round]:
-    """Reduce the differences of robots that joined, scenarios from `first` on, as long as few robots are lost.
+    """Reduce the differences of robots that joined, scenarios from `first` on, while few samples are lost.
 
-    held: a round on whose motion few are. lost: judges each round's motion; rounds are numbered from `number` on.
+    held: a round with few lost samples. lost: finds the samples lost on each round's motion. number: of the first
+    new motion.
     """
     rounds = list[Round]()
     search = held.search
     while len(held.scenarios) > first and held.lost.few and len(rounds) < MAX_RELAXATIONS and not search.stop():
-        # burdens are multipliers: by how much the objective falls for a unit by which the limits of a robot are
-        # eased. Solving again takes long, so that the gain is estimated first.
+        # A multiplier is the decrease of the objective per unit by which a limit is relaxed. Solving again takes
+        # long, so that the gain is estimated first.
         burden = held.tried.solution.constraint_multipliers[:, first : len(held.scenarios)].sum()
         if AFFECTED * burden <= MIN_RELAXATION_GAIN * held.tried.solution.objective:
             break
@@ -180,9 +179,9 @@ def relax_scenarios(held: Round, first: int, lost: FailureJudge, number: int) ->
 def _replan_once(
     search: RobustSearch, before: StartResult, scenarios: Scenarios, picked: Index | None
 ) -> StartResult:
-    """Solve a motion again with scenarios that have joined; on a draft, where that fails, scenarios grow into it.
+    """Solve a motion again with scenarios that have joined; on a draft, where that fails, by homotopy.
 
-    picked: the draft's frames, None for all frames.
+    before: the result so far. picked: the draft's frames, None for all frames.
     """
     tried = solve_with_scenarios(search, before, scenarios, picked)
     if tried.is_shared or picked is None or search.stop():
@@ -198,13 +197,15 @@ def solve_with_scenarios(
     picked: Index | None = None,
     barrier: float = BARRIER,
 ) -> StartResult:
-    """Solve a motion again with scenarios of which the last have joined, from the nominal robot's tips.
+    """Solve a motion again with scenarios of which the last have joined, starting from the nominal robot's tips.
 
-    before: the result so far. picked: frames of a draft, None for all. barrier: the first one, mm^2.
+    search: of the problem. before: the result so far. picked: frames of a draft, None for all. barrier: the first
+    barrier parameter, mm^2.
     """
     known = before.solution
     motion = search.motion(scenarios, picked)
-    # Tips are in the order scenarios, then guards: sizes[1] counts both, so that new scenarios are put in between.
+    # Tips are those of the scenarios, then of constraint scenarios; sizes[1] counts both. New scenarios come in
+    # between.
     old = known.phi.shape[1] - (motion.sizes[1] - len(scenarios))
     joining = np.repeat(known.phi[:, :1], len(scenarios) - old, axis=1)
     tips = np.concatenate([known.phi[:, :old], joining, known.phi[:, old:]], axis=1)
@@ -215,8 +216,9 @@ def solve_with_scenarios(
 
 
 def add_failed_samples(scenarios: Scenarios, lost: FailedSamples, push: float = JOINING_SCALES[0]) -> Scenarios:
-    """Return scenarios with the first MAX_JOINING_SAMPLES lost robots added, each with `push` times its
-    difference; errors of these do not count.
+    """Return scenarios with the first MAX_JOINING_SAMPLES lost samples added, whose errors do not count.
+
+    lost: the samples. push: multiple of its difference from the nominal robot that each has as a scenario.
     """
     numbers, offsets, _, forces = (each[0] for each in scenarios.arrays)
     pairs = (numbers, lost.numbers), (offsets, lost.offsets), (forces, lost.forces)
@@ -224,9 +226,10 @@ def add_failed_samples(scenarios: Scenarios, lost: FailedSamples, push: float = 
 
 
 def raise_margins_near_failures(margins: Array | None, frames: Index, picked: Index | None = None) -> Array | None:
-    """Return margins (T,) raised in frames on the way to which robots were lost, and in the frames before these.
+    """Return margins (T,) raised in the frames in which robots were lost, and in the frames before these.
 
-    frames: numbers from 1. picked: frames of a draft, of which the nearest on both sides are raised; None for all.
+    frames: their numbers, from 1. picked: frames of a draft, of which the nearest on both sides are raised; None
+    for all.
     """
     if margins is None:
         return None

@@ -1,8 +1,8 @@
-"""The search for a motion that scenarios share: from several nominal motions, on some frames first (drafts).
+"""Multi-start search for a motion that scenarios share, from several nominal motions, on some frames first.
 
-Near a fold of its equilibria a robot's tips turn far for little turns of its motors: scenarios may then have no
-equilibrium where the nominal robot's plan leads. Where a draft is not solved, they grow from the nominal robot to
-what they are, by bisection of the part by which they differ from it.
+Near a fold of its equilibria a robot's tips turn far for small turns of its motors: scenarios may then have no
+equilibrium near the nominal robot's plan. Where a draft is not solved, a homotopy is used: scenarios grow from the
+nominal robot to their full differences, with bisection of the step.
 """
 
 from __future__ import annotations
@@ -32,23 +32,25 @@ from ctr_nlp.solvers.scenarios.interior_point import COARSE_LAST_BARRIER_MM2
 from ctr_nlp.typing import Array, Index
 
 BARRIER = 1e-3
-"""First barrier, mm^2, of a motion near one that was solved for: of all frames of a draft, or with robots that
-have joined.
+"""First barrier parameter, mm^2, of a motion near a known solution: a draft refined to all frames, or with robots
+that have joined.
 """
 OFF_BRANCH_DRAFT_PENALTY = 1.02
-"""Factor by which the objective of a draft counts more if the robot does not make its motion on the draft's few
-frames: it may make it on all frames.
+"""Factor of the objective of a draft on whose few frames the simulated robot leaves the planned branch: on all
+frames it may stay on it.
 """
 MAX_SCENARIO_GROWTH_SOLVES, MAX_SCENARIO_GROWTH_STEPS = 4, 100
-"""Most solves while scenarios grow from the nominal robot to what they are, on the frames of a draft, and most
-steps of each. Over all frames that would take minutes, and another draft leads further.
+"""Largest number of solves of a homotopy on a draft, and of steps of each. Over all frames it would take minutes,
+and another draft is more promising.
 """
 
 
 @dataclass(frozen=True)
 class InitialMotion:
-    """A motion to start from: unknowns x (T, 2d + 2) of the nominal robot on the model that plans are reported on
-    (tolerated.told_on); name: where it comes from.
+    """An initial guess of a motion.
+
+    name: where it comes from. x (T, 2d + 2): unknowns of the nominal robot on the model on which plans are
+    reported (tolerance_scenarios.reported_model).
     """
 
     name: str
@@ -57,10 +59,11 @@ class InitialMotion:
 
 @dataclass(frozen=True)
 class StartResult:
-    """The result of a start on so many frames.
+    """The result of solving from one start.
 
-    grown: part of their differences from the nominal robot with which scenarios were solved for.
-    on_planned_branch: whether the nominal robot makes the motion, as far as that was checked.
+    start: its name. frames: number of frames. solution: the result. grown: part of their differences from the
+    nominal robot with which scenarios were solved for. on_planned_branch: whether the simulated nominal robot
+    stays on the planned branch, as far as that was checked.
     """
 
     start: str
@@ -76,14 +79,14 @@ class StartResult:
 
     @property
     def is_shared(self) -> bool:
-        """Whether all scenarios share the motion and the simulated nominal robot is where it is planned to be."""
+        """Whether all scenarios share the motion and the simulated nominal robot stays on the planned branch."""
         return self.is_solved and self.on_planned_branch
 
     @property
     def promise(self) -> tuple[bool, float]:
-        """Key whose least value is the draft to go on with: solved ones first, then by objective."""
-        # What the robot does not make in a draft's long steps, it may make in short ones: that is a handicap, not
-        # a verdict.
+        """Sort key of drafts, best first: solved ones, then by objective."""
+        # A robot that leaves the branch in a draft's long steps may stay on it in short ones: that is a handicap,
+        # no exclusion.
         return not self.is_solved, self.solution.objective * (
             1.0 if self.on_planned_branch else OFF_BRANCH_DRAFT_PENALTY
         )
@@ -91,11 +94,11 @@ class StartResult:
 
 @dataclass(frozen=True)
 class RobustSearch:
-    """Solves for scenarios of one problem.
+    """Solver of one problem for scenarios.
 
-    ends: given configurations. weight: lambda in s^2. margins (T,): least stability margins of all scenarios, or
-    None. progress, stop: callbacks. wall: of the lumen that all robots are kept in, None where it does not count.
-    guards: of all frames, or None.
+    model: on which scenarios are planned. ends: given configurations. terms: of the objective. weight: lambda in
+    s^2. margins (T,): least stability margins of all scenarios, or None. progress, stop: callbacks. wall: of the
+    lumen, None where it does not count. guards: constraint scenarios of all frames, or None.
     """
 
     problem: Problem
@@ -110,14 +113,14 @@ class RobustSearch:
     guards: ConstraintScenarios | None = None
 
     def motion(self, scenarios: Scenarios, picked: Index | None = None) -> SharedMotion:
-        """The program over all frames, or over picked ones, evenly apart."""
+        """Build the program for scenarios over all frames, or over `picked` ones, evenly spaced, from 0."""
         problem = self.problem
         frames = range(problem.frames) if picked is None else picked.tolist()
         # With the time between picked frames as dt, limits of speed mean what they do over all frames.
         dt = problem.dt * (1 if picked is None or len(picked) < 2 else int(picked[-1] - picked[-2]))
         at = problem.robot, [problem.target_frames[k] for k in frames], dt, self.weight, self.ends, self.model
         margins = None if self.margins is None else self.margins[frames]
-        # Guards belong to frames of the whole motion: a draft takes those of its own.
+        # Constraint scenarios belong to frames of the whole motion: a draft takes those of its own frames.
         guards = None if self.guards is None else self.guards.at(list(frames))
         return shared_motion(
             *at, scenarios, fastest_functions, margins, self.terms, wall=self.wall, constraint_scenarios=guards
@@ -130,7 +133,7 @@ class RobustSearch:
         return None if len(found) == self.problem.frames else found
 
     def drafts(self, starts: Sequence[InitialMotion], scenarios: Scenarios) -> list[StartResult]:
-        """Solve starts on the frames of a draft, and return the results, the most promising first."""
+        """Solve starts for scenarios on the frames of a draft; return the results, the most promising first."""
         tried = list[StartResult]()
         for number, start in enumerate(starts):
             if self.progress is not None:
@@ -140,7 +143,7 @@ class RobustSearch:
         return sorted(tried, key=lambda one: one.promise)
 
     def refine_draft(self, draft: StartResult, scenarios: Scenarios) -> StartResult:
-        """Solve all frames from the result of a draft, whose motion and tips are interpolated."""
+        """Solve all frames for scenarios from the result of a draft, whose motion and tips are interpolated."""
         frames, (_, *each) = self.problem.frames, draft.solution.phi.shape
         if self.draft_frames is None:
             return draft
@@ -152,7 +155,7 @@ class RobustSearch:
         return self._solve_from(draft.start, q, tips.reshape(frames, *each), scenarios, None, BARRIER)
 
     def solve(self, start: InitialMotion, scenarios: Scenarios, picked: Index | None = None) -> StartResult:
-        """Solve all frames, or picked ones, from a start."""
+        """Solve all frames, or `picked` ones (from 0), for scenarios from a start."""
         robot = self.problem.robot
         own = self.motion(scenarios, picked).own
         q = reported_model(self.model).configuration(robot, start.x)
@@ -166,14 +169,14 @@ class RobustSearch:
     def _solve_from(
         self, name: str, q: Array, tips: Array, scenarios: Scenarios, picked: Index | None, barrier: float
     ) -> StartResult:
-        """Solve from q (T, 2d + 2) and tips (T, S, k); for a draft, grow the scenarios where that fails.
+        """Solve from q (T, 2d + 2) and tips (T, S, k); on a draft, by homotopy where that fails.
 
-        name: of the start. barrier: the first one, mm^2.
+        name: of the start. picked: frames of a draft, None for all. barrier: the first barrier parameter, mm^2.
         """
         found = SharedSolver(self.motion(scenarios, picked), COARSE_LAST_BARRIER_MM2)(
             q, tips, barrier, self.stop, rough=picked is not None
         )
-        # Growing takes several solves: on a draft these are cheap.
+        # A homotopy takes several solves: on a draft these are cheap.
         if found.success or picked is None or self.stop():
             return self.with_branch_check(StartResult(name, len(q), found))
         return self.grow_scenarios(name, q, tips[:, :1], scenarios, picked)
@@ -181,7 +184,11 @@ class RobustSearch:
     def grow_scenarios(
         self, name: str, q: Array, tips: Array, scenarios: Scenarios, picked: Index | None = None
     ) -> StartResult:
-        """Solve for scenarios that grow from the nominal robot, with its tips (T, 1, k), to what they are."""
+        """Solve by homotopy: scenarios grow from the nominal robot to their full differences.
+
+        name: of the start. q: (T, 2d + 2). tips: (T, 1, k) of the nominal robot, rad. picked: frames of a draft,
+        from 0; None for all.
+        """
         tips = np.repeat(tips, self.motion(scenarios, picked).sizes[1], axis=1)
         # Half of the differences first, then all of them; after a failure, half way between the last success and
         # it. Each solve starts from the last success.
@@ -205,17 +212,19 @@ class RobustSearch:
                 part = (done + part) / 2
             if self.stop():
                 break
-        # The best that was reached is kept, with the part that it stands for: it is not `solved`, and says in the
-        # plan's meta how far it came.
+        # The last success is returned with its part: it does not count as solved, and the plan's meta reports how
+        # far it came.
         tried = StartResult(name, len(q), found if best is None else best, done if best is not None else part)
         return self.with_branch_check(tried)
 
     def with_branch_check(self, tried: StartResult) -> StartResult:
-        """Return a result with `made` set: whether the simulated nominal robot is where it is planned to be."""
+        """Return a result with `on_planned_branch` set by a simulation of the nominal robot; tried: the result."""
         found = tried.solution
         robot = self.problem.robot
         if not found.success:
             return tried
+        # A solution is an equilibrium in every frame. Whether the robot reaches it depends on the motion in
+        # between.
         moved = self.model.follow(robot, found.q)
         return replace(
             tried, on_planned_branch=not find_off_branch_frames(moved.x, found.x, moved.snaps, robot.d).any()

@@ -1,7 +1,7 @@
-"""Scenarios that stand for all the robots within the tolerances, and the models that they are planned on.
+"""Scenarios that represent all robots within the tolerances, and the models on which they are planned.
 
-The numbers that tolerances leave uncertain, z, have mean 0 and covariance R R^T. N robots z = R d with the rows d
-of a two-level orthogonal array have the same mean and covariance, so that the mean over them of errors that are
+The uncertain parameters z of a robot have mean 0 and covariance R R^T. N robots z = R d with the rows d of a
+two-level orthogonal array have the same mean and covariance, so that the mean over them of errors that are
 quadratic in z is the mean over all robots (Plackett and Burman, The design of optimum multifactorial experiments,
 Biometrika 33, 1946).
 """
@@ -27,16 +27,16 @@ from ctr_nlp.typing import Array
 
 
 def scenarios_from_tolerances(robot: Robot, with_tip_force: bool = False) -> Scenarios:
-    """Return the nominal robot, and robots with the mean and the covariance of what tolerances allow.
+    """Return the nominal robot and robots that have the mean and the covariance of the tolerances.
 
-    robot: with its tolerances. with_tip_force: whether each robot but the first bears the largest force that may
-    act at its tip, in directions whose mean is 0; otherwise forces are left out. Lags are left out. Raises
-    OptionError where nothing may differ, and where a tube's curved part may come to end within its range of
-    extensions, which is another structure of programs.
+    robot: with its tolerances. with_tip_force: whether the largest tip force of the tolerances acts on each robot
+    but the first, in directions whose mean is 0; otherwise forces are left out. Lags are left out. Raises
+    OptionError where all tolerances are 0, and where a tube's curved part may end within its range of extensions,
+    which would change the structure of the program.
     """
     force = robot.tolerances.tip_force
     root = robot.tolerances.covariance_root(robot.tubes)
-    # Numbers that are not uncertain would only make the design larger.
+    # Parameters without uncertainty would only make the design larger.
     deviations = root[:, abs(root).max(axis=0) > 0]
     if not (deviations.size or force):
         raise OptionError("all tolerances of the robot are 0; give some, or plan without robustness")
@@ -61,8 +61,7 @@ def scenarios_from_tolerances(robot: Robot, with_tip_force: bool = False) -> Sce
 
 
 def with_forces(scenarios: Scenarios, size: float) -> Scenarios:
-    """Return scenarios with six more: the first one with a force of `size`, N, at its tip along each axis, either
-    way.
+    """Return scenarios with six more: the first robot with a tip force of `size`, N, along +-x, +-y and +-z.
 
     Their shape errors do not count. None are added where the size is 0.
     """
@@ -72,16 +71,17 @@ def with_forces(scenarios: Scenarios, size: float) -> Scenarios:
 
 
 def resolve_scenarios(robot: Robot, model: str | Model, scenarios: Scenarios | None) -> tuple[Model, Scenarios]:
-    """Return the model and the scenarios that are planned for; by default those of the robot's tolerances.
+    """Return the model and the scenarios of a robust plan.
 
-    Where forces may act, the model is one of loaded robots. Raises OptionError, and LoadError where forces act on
-    a robot whose elastic moduli are not known.
+    robot: with its tolerances. model: name or model asked for; where tip forces may act, the loaded one is
+    returned. scenarios: None for those of the robot's tolerances. Raises OptionError, and LoadError where forces
+    act on a robot whose elastic moduli are not known.
     """
     model = model_named(model, "model of scenarios")
     if scenarios is None:
         scenarios = with_forces(scenarios_from_tolerances(robot), robot.tolerances.tip_force)
     check_instance(OptionError, "scenarios", scenarios, Scenarios)
-    # Draws that bear forces join the scenarios in later rounds, even if none of the first bears any.
+    # Samples with tip forces join the scenarios in later rounds, even if none of the first ones has any.
     model = model_for_tip_forces(model, scenarios.has_tip_forces or robot.tolerances.tip_force > 0)
     model.check(robot)
     check_scenarios(robot, model, scenarios)
@@ -89,7 +89,7 @@ def resolve_scenarios(robot: Robot, model: str | Model, scenarios: Scenarios | N
 
 
 def reported_model(model: Model) -> Model:
-    """Return the model on which a plan is reported: that without a load, where the nominal robot bears none.
+    """Return the model on which a plan is reported: without a load where the nominal robot has none.
 
     model: on which scenarios are planned.
     """
@@ -97,9 +97,9 @@ def reported_model(model: Model) -> Model:
 
 
 def reported_unknowns(robot: Robot, model: Model, q: Array, x: Array) -> Array:
-    """Return the unknowns (T, 2d + 2) of the nominal robot on the model that plans are reported on.
+    """Return the unknowns (T, 2d + 2) of the nominal robot on the model on which plans are reported.
 
-    q (T, 2d + 2): its configurations. x: its unknowns on the scenarios' model.
+    model: on which scenarios are planned. q: (T, 2d + 2), configurations. x: (T, n_x), unknowns on `model`.
     """
     told = reported_model(model)
     last = robot.d - 1
@@ -114,10 +114,11 @@ def reported_unknowns(robot: Robot, model: Model, q: Array, x: Array) -> Array:
 
 
 def loaded_unknowns(robot: Robot, model: Model, q: Array, x: Array) -> Array:
-    """Return the unknowns (T, 2d + 2) on the scenarios' model of a nominal robot without a load.
+    """Return the unknowns (T, n_x) of the unloaded nominal robot on the scenarios' model.
 
-    q (T, 2d + 2): its configurations. x: its unknowns on reported_model(model). The innermost tip's angle, which
-    alpha determines up to whole turns, is continuous over the frames.
+    model: on which scenarios are planned. q: (T, 2d + 2), configurations. x: (T, 2d + 2), unknowns on
+    reported_model(model). The innermost tip's angle, which alpha determines up to whole turns, is continuous over
+    the frames.
     """
     if reported_model(model) == model:
         return x
@@ -129,14 +130,20 @@ def loaded_unknowns(robot: Robot, model: Model, q: Array, x: Array) -> Array:
 
 
 def tips_of(model: Model, robot: Robot, x: Array) -> Array:
-    """Return the part of unknowns x (T, n_x) that q does not determine: tips (T, d), under a load (T, d + 2)."""
+    """Return the unknowns that q does not determine: tips (T, d) in rad, under a load (T, d + 2).
+
+    model, robot: that x is of. x: (T, n_x), all unknowns.
+    """
     angles = x[:, : robot.d]
     turns = x[:, 2 * robot.d :]
     return angles if model.applied_load is None else np.hstack([angles, turns])
 
 
 def unknowns_of(model: Model, robot: Robot, tips: Array, q: Array) -> Array:
-    """Return the unknowns (T, n_x) of a robot at q (T, 2d + 2) whose tips are those of tips_of."""
+    """Return the unknowns (T, n_x) of a robot on a model from its tips and configurations; inverse of tips_of.
+
+    tips: (T, d) in rad, under a load (T, d + 2). q: (T, 2d + 2), rad and mm.
+    """
     d = robot.d
     if model.applied_load is None:
         return np.hstack([tips, q[:, d:]])
@@ -144,11 +151,11 @@ def unknowns_of(model: Model, robot: Robot, tips: Array, q: Array) -> Array:
 
 
 def two_level_orthogonal_array(count: int) -> Array:
-    """Return a two-level orthogonal array (N, count): rows are robots, columns independent numbers of mean 0 and
-    variance 1.
+    """Return a two-level orthogonal array (N, count) of +-1: rows are robots, columns are parameters.
 
-    N - 1 is the least prime p >= count with p = 3 (mod 4). Columns are orthogonal, so that a mean over the rows of
-    a function up to its second order is that over all values of the numbers (Plackett and Burman, 1946).
+    Columns have mean 0, variance 1, and are uncorrelated, so that the mean over the rows of a quadratic function
+    is its mean over independent parameters (Plackett and Burman, 1946). N - 1 is the least prime p >= count with p
+    = 3 (mod 4).
     """
     size = count
     # Paley's construction: for such a prime the quadratic residues modulo p give a Hadamard matrix of order p + 1.

@@ -1,7 +1,8 @@
-"""Motions tried on robots drawn within tolerances: is it certain enough that hardly any such robot is lost?
+"""Statistical test of motions on Monte Carlo samples: is the share of robots that are lost small enough?
 
-Of n drawn robots k are lost; the share of all such robots that are lost is then with confidence c at most the
-quantile c of the beta distribution of k + 1 and n - k (Clopper and Pearson, Biometrika 26, 1934).
+Where k of n samples are lost, the share of all such robots that are lost is with confidence c at most the quantile
+c of the beta distribution of k + 1 and n - k (Clopper and Pearson, Biometrika 26, 1934). A sample is lost where it
+snaps, has no equilibrium, or leaves the nominal robot's branch.
 """
 
 from __future__ import annotations
@@ -26,25 +27,25 @@ from ctr_nlp.support.value_checks import number
 from ctr_nlp.typing import Array, Index
 
 MAX_JOINING_SAMPLES = 6
-"""Most lost robots that join the scenarios in one round."""
+"""Largest number of lost samples that join the scenarios in one round."""
 MIN_TRIAL_SAMPLES, DRAFT_TRIAL_SAMPLES, TRIAL_SAMPLES_PER_BATCH = 500, 200, 50
-"""Least number of robots drawn for a whole motion, number for a draft, and how many are simulated at a time."""
+"""Least number of samples for a whole motion, number for a draft, and how many are simulated at a time."""
 TRIAL_FIRST_SAMPLE_SEED = 2**40
-"""Seed of the first motion's robots, from which seeds count on: none that users try plans with."""
+"""Seed of the first motion's samples, from which seeds count on: far from those that users evaluate plans with."""
 CERTIFICATION_SAMPLES = 200
-"""Fresh robots on which the chosen plan is judged for arrival and contact: where at most 4 of them fail, at least
-95 % of all such robots hold with 95 % confidence.
+"""Fresh samples on which the chosen plan is checked for arrival and contact: where at most 4 of them fail, 95 % of
+all such robots or more pass, with 95 % confidence.
 """
 TOLERANCE_PART_BISECTIONS = 6
-"""Bisection steps for the part of the tolerances that a motion bears."""
+"""Bisection steps for the part of the tolerances at which few robots are lost."""
 
 
 class FailedSamples(NamedTuple):
-    """Robots that were lost of those drawn for a motion.
+    """The L samples that are lost on a motion.
 
-    numbers (L, d, 8): of their tubes. offsets (L, d): of their motors' zeros, rad. forces (L, 3): at their tips,
-    N. frames (L,): in which each was lost, from 1. sample_count: number of robots simulated. few: whether so few
-    are lost that hardly any robot within the tolerances is.
+    numbers (L, d, 8): numbers of their tubes. offsets (L, d): their motors' zeros, rad. forces (L, 3): at their
+    tips, N. frames (L,): in which each was lost, from 1. sample_count: number of samples simulated. few: whether
+    so few are lost that the share of all such robots is small enough.
     """
 
     numbers: Array
@@ -56,17 +57,17 @@ class FailedSamples(NamedTuple):
 
     @property
     def share(self) -> float:
-        """Share of the simulated robots that is lost."""
+        """Share of the simulated samples that are lost."""
         return len(self.frames) / self.sample_count
 
 
 @dataclass(frozen=True)
 class Trials:
-    """Judge of motions: robots drawn within a robot's tolerances, other ones for each motion.
+    """Tests motions on samples of a robot, fresh ones for each motion.
 
-    motions: most motions that are tried. most_lost: share of all such robots that may be lost. What is said of the
-    last motion holds with 95 % confidence however many were tried before it, since each has its part of the 5 %
-    (Bonferroni). Raises OptionError.
+    robot: with its tolerances. model: on which samples are simulated. motions: largest number of motions that are
+    tested. most_lost: share of all robots within the tolerances that may be lost. The result for the last motion
+    has 95 % confidence however many were tested before it. Raises OptionError.
     """
 
     robot: Robot
@@ -79,12 +80,14 @@ class Trials:
 
     @property
     def confidence(self) -> float:
-        """Confidence with which a single motion is judged."""
+        """Confidence of the test of a single motion."""
+        # Bonferroni: the best of many tested motions is partly lucky. With 5 % / motions for each test, none of
+        # them is wrong with 95 % confidence.
         return 1 - (1 - CONFIDENCE) / self.motions
 
     @property
     def samples_per_motion(self) -> int:
-        """Number of robots drawn for a motion: enough that none of them being lost proves what is asked for."""
+        """Number of samples for a motion: enough to pass the test where none of them is lost."""
         # None of n lost: (1 - p)^n <= 1 - c, with p the share that may be lost and c the confidence.
         return max(MIN_TRIAL_SAMPLES, math.ceil(math.log(1 - self.confidence) / math.log1p(-self.most_lost)))
 
@@ -96,12 +99,13 @@ class Trials:
         return next(lost for lost, bound in enumerate(bounds) if bound > self.most_lost) - 1
 
     def __call__(self, q: Array, number: int, draft: bool = False) -> FailedSamples:
-        """Simulate the robots drawn for motion q (T, 2d + 2), which is number `number`, and return those that are
-        lost.
+        """Simulate fresh samples on a motion q (T, 2d + 2) and return those that are lost.
 
-        draft: whether it is a draft's motion, for which fewer robots are drawn, and few means none. Simulation
-        ends as soon as more are lost than may be.
+        number: of the motion. draft: whether it is a draft's motion, for which there are fewer samples, and few
+        means none. The simulation ends as soon as the test has failed.
         """
+        # Fresh samples for every motion: those of earlier tests have joined its scenarios, and would bias the
+        # test.
         draws = sample_robots(
             self.robot, DRAFT_TRIAL_SAMPLES if draft else self.samples_per_motion, TRIAL_FIRST_SAMPLE_SEED + number
         )
@@ -118,15 +122,15 @@ class Trials:
         return FailedSamples(*own, frames[gone], len(frames), len(gone) <= allowed)
 
     def tolerated_part(self, q: Array, number: int) -> float:
-        """Return the part of the tolerances, below 1, at which few robots are lost on motion q; 0 where many are
-        at any.
+        """Return the part of the tolerances, from 0 to 1, at which few robots are lost on a motion q (T, 2d + 2).
 
-        number: of the motion, whose robots are drawn again and scaled.
+        number: of the motion, whose samples are taken again and scaled.
         """
         draws, (low, high) = (
             sample_robots(self.robot, self.samples_per_motion, TRIAL_FIRST_SAMPLE_SEED + number),
             (0.0, 1.0),
         )
+        # The same samples at every scale, so that the number lost is nearly monotonic in the part.
         for _ in range(TOLERANCE_PART_BISECTIONS):
             part = (low + high) / 2
             shrunk = perturb_robot(self.robot, part * draws.deviations, part * draws.backlash, part * draws.forces)
@@ -136,30 +140,33 @@ class Trials:
         return low
 
     def certify_plan(self, plan: Plan, lost: FailedSamples, number: int) -> Plan:
-        """Certify a plan by robots that neither planning nor the choice among motions has seen.
+        """Certify a plan on fresh samples, which neither planning nor the choice among motions has used.
 
         Parameters
         ----------
         plan : Plan
-            The plan that was chosen.
-        lost : Lost
-            What the last trial of its motion found.
+            The chosen plan.
+        lost : FailedSamples
+            Result of the last test of its motion.
         number : int
-            Of a motion that was not tried: robots are drawn for it alone.
+            Number of a motion that was not tested, so that its samples are fresh.
 
         Returns
         -------
         Plan
-            The same plan with these robots as its samples, and with ``meta["certificate"]``: ``held``, whether few
-            enough robots are lost; ``draws``, ``lost``, ``lost_in`` and ``borne`` of the last trial; ``samples``,
-            ``outcome``, ``holds`` and ``holds_at_least``: of how many fresh robots how many arrive and keep off
-            the wall as well, and the share of all robots that does so at least with 95 % confidence (Clopper and
-            Pearson); ``certified``: whether few are lost and that share is as large as asked for.
+            The same plan with these samples, and with ``meta["certificate"]``: ``held``, whether few enough robots
+            are lost; ``draws``, ``lost``, ``lost_in`` and ``borne`` of the last test (samples, how many were lost
+            and in which frames, and the part of the tolerances at which few are); ``samples``, ``outcome``,
+            ``holds`` and ``holds_at_least``: the fresh samples, how many also arrive and keep off the wall, and
+            the least share of all robots that does, with 95 % confidence (Clopper and Pearson); ``certified``:
+            whether few are lost and that share is as large as asked for.
         """
         frames, counts = np.unique(lost.frames, return_counts=True)
+        # The seed of a number that no test has used.
         plan = plan.with_samples(CERTIFICATION_SAMPLES, TRIAL_FIRST_SAMPLE_SEED + number)
         outcomes = sample_outcomes(plan)
         holds = int(outcomes.passed_all_checks.sum())
+        # The lower bound of the share that passes is 1 minus the upper bound of the share that fails.
         at_least = 1 - upper_bound(CERTIFICATION_SAMPLES - holds, CERTIFICATION_SAMPLES)
         found = {
             "held": lost.few,

@@ -1,9 +1,9 @@
 """Calibration: from measurements to a robot, its remaining uncertainty, and errors on held-out observations.
 
-Symbols are those of "Tubes from measurements" in docs/method.md: y_k is what was measured in observation k, h_k(p)
-what a robot of parameters p would have shown, and p_0 and C_0 mean and covariance of p before measuring. Residuals
-y_k - h_k(p) are rows of 6 + 3n: the tip (3, mm), the direction at the tip (3, components of unit vectors), and n
-points of the shape (3 each, mm).
+Symbols are those of "Tubes from measurements" in docs/method.md: y_k are the measured values of observation k,
+h_k(p) the values predicted for a robot of parameters p, and p_0 and C_0 mean and covariance of p before measuring
+(the prior). Residuals y_k - h_k(p) are rows of 6 + 3n: the tip (3, mm), the direction at the tip (3, components of
+unit vectors), and n points of the shape (3 each, mm).
 """
 
 from __future__ import annotations
@@ -29,30 +29,30 @@ from ctr_nlp.support.value_objects import ReadOnlyValue
 from ctr_nlp.typing import Array, Index
 
 Progress = Callable[[int, int, str], None]
-"""Called as ``progress(done, total, what)``: fits done, of how many, and which comes next."""
+"""Callback ``progress(done, total, what)``: fits done, their total number, and which comes next."""
 
 
 @dataclass(frozen=True, eq=False)
 class Calibration(ReadOnlyValue):
-    """Result of :func:`calibrate`: a robot, how well the data determine it, and how large its errors are.
+    """Result of :func:`calibrate`: a robot, how well the data identify it, and its errors.
 
-    Residuals are (T, 6 + 3n) arrays of what was measured less what is predicted, NaN where nothing was measured.
+    Residuals are (T, 6 + 3n) arrays, measured less predicted, NaN where nothing was measured.
 
     Attributes
     ----------
     robot : Robot
-        With the tubes that fit best, and the covariance that is left as its tolerances.
+        With the tubes that fit best, and the posterior covariance as its tolerances.
     nominal : Robot
         The nominal robot that was given.
     measured : Measurements
         The T observations that were used, without copies.
     model : str
         Name of the kinematic model.
-    fit : Fit
+    fit : ParameterFit
         Estimated values, their covariance, the noise and the residuals.
     standing : tuple of str
-        For every parameter ``"determined"``, ``"partly"``, or ``"held"``: fixed at its mean before measuring, as
-        the data say next to nothing of it.
+        For every parameter ``"determined"``, ``"partly"``, or ``"held"``: fixed at its prior mean, as the data
+        have next to no information on it.
     unidentified : tuple of str
         Sentences that name the parameters, and combinations of them, that the data cannot identify.
     nominal_residuals : (T, 6 + 3n) array
@@ -64,14 +64,14 @@ class Calibration(ReadOnlyValue):
     repeated_poses : (n, 2) array of int
         Observations, and the first ones that had the same pose before.
     floor : float or None
-        Half the mean distance between places measured at the same pose, mm: an error that no model of the pose
+        Half the mean distance between points measured at the same pose, mm: an error that no model of the pose
         alone can explain. None where no pose was repeated.
     bases : tuple of (rotation, place)
-        For every recording the pose of the robot's base for the sensor: (3, 3), and (3,) mm.
+        For every recording the pose of the robot's base in the sensor's axes: (3, 3), and (3,) mm.
     next_q : (k, 2d + 2) array
-        Poses whose measurement would teach most, rad and mm.
+        Poses whose measurement would lower the uncertainty most, rad and mm.
     next_left : (k,) array
-        Part of the uncertainty that is left after measuring the poses up to each.
+        Part of the uncertainty that remains after measuring the poses up to each.
     """
 
     robot: Robot
@@ -122,27 +122,27 @@ def calibrate(
     measured : Measurements
         The observations.
     estimate : sequence of str, optional
-        Kinds of parameters, of ``calibration.parameters.KINDS``. By default whatever has a tolerance; where the
-        time is known, also the tubes' backlash and drag and the sensor's delay; and under a load, the tubes'
-        Young's modulus.
+        Kinds of parameters, of ``calibration.parameters.PARAMETER_KINDS``. By default whatever has a tolerance;
+        where the time is known, also the tubes' backlash and drag and the sensor's delay; and under a load, the
+        tubes' Young's modulus.
     model : str or Model
         The kinematic model. If it has a load, or `measured` has forces at the tip, every observation is that of
-        the loaded robot, whose tubes must have Young's moduli in MPa: only then do stiffnesses show themselves,
-        and not just their ratios.
+        the loaded robot, whose tubes must have Young's moduli in MPa: only then are stiffnesses identifiable, and
+        not just their ratios.
     registered : bool
         Whether the sensor's axes are those of the robot's base. Otherwise the pose of the base is estimated, one
         for every recording.
     held_out : int
         Number of folds for cross-validation, at least 2; 0 for none.
     block : float
-        Time of a motion that stays together in one fold, s.
+        Length of the blocks of a motion that are in one fold, s.
     next_count : int
-        How many next poses are proposed.
+        Number of next poses that are proposed.
     seed : int
-        Of the folds and of the proposals.
+        Seed of the folds and of the proposals.
     progress : callable, optional
-        Called as ``progress(done, total, what)`` before each fit, with how many are done of how many and what
-        comes next, and once at the end.
+        Called as ``progress(done, total, what)`` before each fit, with the number of fits done, their total number
+        and the next one, and once at the end.
 
     Returns
     -------
@@ -152,9 +152,9 @@ def calibrate(
     Raises
     ------
     MeasurementError
-        The robot cannot have been at these configurations, or the tubes that fit best are none that can be made.
+        The robot cannot have been at these configurations, or the tubes that fit best cannot be made.
     OptionError
-        An option is unknown or out of its range, or a parameter is named that such measurements cannot show.
+        An option is unknown or out of its range, or a parameter is not identifiable from such measurements.
     LoadError
         There is a load and a tube's modulus is not in MPa, or the load changes over time.
 
@@ -185,7 +185,7 @@ def calibrate(
     """
     check_instance(MeasurementError, "robot", robot, Robot)
     check_instance(MeasurementError, "measurements", measured, Measurements)
-    # A copy of an observation is no further evidence, and in another fold it would give the held-out one away.
+    # A copy of an observation is no further information, and in another fold it would leak the held-out one.
     measured = measured.distinct()
     described = model_for_tip_forces(model_named(model), measured.has_tip_force)
     described.check(robot)
@@ -201,7 +201,7 @@ def calibrate(
     out = np.full(before.shape, np.nan)
     for k in range(held_out):
         told(1 + k, total, f"without fold {k + 1}")
-        # The noise is estimated anew, too: nothing of a fit has seen what is held out.
+        # The noise is estimated again, too: nothing in a fit depends on the held-out fold.
         found = recompute_residuals(fit_parameters(prediction, fold != k), prediction)
         out[fold == k] = found.residuals[fold == k]
     told(total, total, "done")
@@ -223,10 +223,10 @@ def calibrate(
 
 
 def build_registered_prediction(parameters: Parameters, measured: Measurements, model: Model) -> Prediction:
-    """Make predictions whose bases are registered to the measurements of each recording.
+    """Build the predictions, with bases registered to the measurements of each recording.
 
-    The base's pose may be anything before measuring. Started from where the nominal robot fits best, a fit has
-    only small rotations to find.
+    The base's pose may be anything before measuring. Starting from the pose in which the nominal robot fits best,
+    a fit has only small rotations to find.
 
     Parameters
     ----------
@@ -256,19 +256,18 @@ def build_registered_prediction(parameters: Parameters, measured: Measurements, 
 
 
 def _floor(before: Array, again: Index) -> float | None:
-    """Half the mean distance between places that were measured at the same pose, mm; None where there are none.
+    """Return half the mean distance between points measured at the same pose, mm; None where there are none.
 
-    before (T, 6 + 3n): residuals, whose differences at one pose are those of the measurements; again (n, 2): pairs
-    of observations of one pose.
+    before: (T, 6 + 3n), residuals. again: (n, 2), pairs of observations of one pose.
     """
-    # What is predicted at one pose cancels. Two places that differ by 2 e are both e off their middle, which is
-    # the best that any model of the pose alone can predict.
+    # Predictions at one pose cancel in the difference. Two points that differ by 2 e are both e off their middle,
+    # which is the best that any model of the pose alone can predict.
     known = errors(before[again[:, 0]] - before[again[:, 1]])
     return float(np.nanmean(known)) / 2 if np.isfinite(known).any() else None
 
 
 def distances(residuals: Array) -> Array:
-    """Compute how far measured places are from predicted ones.
+    """Compute the distances of measured points from predicted ones.
 
     Parameters
     ----------

@@ -1,14 +1,14 @@
 """Values of parameters that fit measurements best, by robust least squares around their prior.
 
-In the symbols of docs/method.md, "Tubes from measurements": minimised is
+In the symbols of docs/method.md, "Tubes from measurements", the objective is
 
     sum_k rho((y_k - h_k(p)) / s) + (p - p_0)^T C_0^-1 (p - p_0),    rho(r) = 2 c^2 (sqrt(1 + r^2 / c^2) - 1),
 
-with c = SOFT_LOSS_DEVIATIONS. The noise s is estimated from the residuals by Huber's proposal 2, the fit is made
-again with it, and so on until s stays. The covariance of p is that of an M-estimator with a normal prior: the
-inverse of C_0^-1 + e J^T J / s^2, where e is the efficiency of rho at these residuals, divided by how many
-observations stand for one where residuals are correlated in time (Huber and Ronchetti, Robust Statistics, 2nd ed.,
-2009).
+with c = SOFT_LOSS_DEVIATIONS. The noise s is estimated from the residuals by Huber's proposal 2, the fit is
+repeated with it, and so on until s converges. The covariance of p is that of an M-estimator with a normal prior,
+the inverse of C_0^-1 + (e / m) J^T J / s^2, where e is the efficiency of rho at these residuals, and m the number
+of observations that count as one where residuals are correlated in time (Huber and Ronchetti, Robust Statistics,
+2nd ed., 2009).
 """
 
 from __future__ import annotations
@@ -30,21 +30,22 @@ NOISE_CLIP_DEVIATIONS = 2.0
 """Standard deviations at which residuals are clipped where the noise is estimated from them (Huber, proposal 2).
 """
 CLIPPED_NORMAL_VARIANCE = 0.9205369256363228
-"""The mean of min(|z|, NOISE_CLIP_DEVIATIONS)^2 over a standard normal z."""
+"""The mean of min(|z|, c)^2 over a standard normal z with c = NOISE_CLIP_DEVIATIONS: 2 Phi(c) - 1 - 2 c phi(c) +
+2 c^2 (1 - Phi(c)). Divided by it, the estimate of s is unbiased for normal residuals."""
 MAX_NOISE_ROUNDS, FIT_STEPS_PER_ROUND = 12, 4
 """Largest number of estimates of the noise, and of steps of the fit between two of them."""
 MOST_ROWS = 400
-"""Observations of a motion that a fit takes, evenly among more."""
+"""Largest number of observations of a motion in a fit, evenly spaced."""
 MOST_STEPS = 40
-"""Largest number of steps of the last fit, whose noise has settled."""
+"""Largest number of steps of the last fit, whose noise has converged."""
 NOISE_TOLERANCE = 0.02
-"""Relative change of the noise below which it has settled."""
+"""Relative change of the noise below which it has converged."""
 NO_EQUILIBRIUM_RESIDUAL = 30.0
-"""Residual, in standard deviations, of what is measured where the predicted robot has no equilibrium."""
+"""Residual, in standard deviations, of measured values where the predicted robot has no equilibrium."""
 LEAST_NOISE = 1e-4, 1e-6
-"""Least noise of positions, mm, and of directions, rad: residuals of exact data are divided by it, too."""
+"""Least noise of positions, mm, and of directions, rad, by which residuals of exact data are divided."""
 MAX_FREE_SIGMA_RATIO = 0.95
-"""A parameter is fixed at its prior mean where more than this part of its standard deviation is left."""
+"""A parameter is fixed at its prior mean where its posterior deviation exceeds this part of the prior's."""
 MIN_BOUND_DISTANCE_SIGMAS = 1e-3
 """Least distance of an initial guess from bounds, in prior standard deviations."""
 
@@ -68,10 +69,9 @@ class Noise(NamedTuple):
 
     @property
     def inflation(self) -> float:
-        """Number of observations that count as one, at least 1.
-
-        That of a series whose residuals, n steps apart, have the correlation alike^n.
-        """
+        """Number of observations that count as one, at least 1."""
+        # Of a first-order autoregressive series, whose values n steps apart have the correlation a^n: the variance
+        # of its mean is (1 + a) / (1 - a) times that of independent values.
         return (1 + self.autocorrelation) / (1 - self.autocorrelation)
 
 
@@ -82,19 +82,19 @@ class ParameterFit:
     Attributes
     ----------
     parameters : Parameters
-        The P parameters, with their means and covariance before measuring.
+        The P parameters, with their prior means and covariance.
     values : (P,) array
         Estimates, in the parameters' units.
     covariance : (P, P) array
-        Of these after measuring.
+        Posterior covariance of the estimates.
     information : (P, P) array
-        What the data alone say: the inverse of a covariance, without the prior.
+        Information matrix of the data alone, without the prior.
     residuals : (T, 6 + 3n) array
         Measured less predicted, NaN where nothing was measured; mm, and components of unit vectors.
     noise : Noise
         Estimated from these residuals.
     fixed : (P,) array of bool
-        Parameters that are fixed at their means before measuring, as the data hardly say anything of them.
+        Parameters that are fixed at their prior means, as the data have hardly any information on them.
     """
 
     parameters: Parameters
@@ -112,7 +112,7 @@ class ParameterFit:
 
     @property
     def sigma_ratio(self) -> Array:
-        """Standard deviations (P,) after measuring as parts of those before."""
+        """Posterior standard deviations (P,) as parts of those of the prior."""
         return self.sigma / self.parameters.sigma
 
 
@@ -120,21 +120,21 @@ def fit_parameters(prediction: Prediction, rows: Flags | None = None, start: Arr
     """Estimate parameters from some of the observations.
 
     Minimises the objective at the top of this module. First all parameters are free, and the noise is estimated
-    again after every few steps until it stays; then those of which the data say next to nothing are fixed at their
-    means, and the rest is solved to the end.
+    again after every few steps until it converges; then those on which the data have next to no information are
+    fixed at their prior means, and the rest is solved to the end.
 
     Parameters
     ----------
     prediction : Prediction
-        What is measured, and what is predicted for values of the parameters.
+        The measurements, and their predictions for values of the parameters.
     rows : (T,) array of bool, optional
         The observations that are used, by default all; of a motion at most MOST_ROWS of them.
     start : (P,) array, optional
-        Initial guess; by default the means before measuring.
+        Initial guess; by default the prior means.
 
     Returns
     -------
-    Fit
+    ParameterFit
         The estimates; residuals are those of all observations.
     """
     measured = prediction.measured
@@ -149,14 +149,14 @@ def fit_parameters(prediction: Prediction, rows: Flags | None = None, start: Arr
     free = np.ones(len(parameters), dtype=bool)
     values = _start_within_bounds(parameters, start)
     noise = problem.noise(values, np.zeros(0, dtype=int))
-    # A few steps for each estimate of the noise: fitting to the end with a noise that is still wrong is in vain.
+    # A few steps for each estimate of the noise: a fit to the end with a noise that is still wrong is wasted.
     for _ in range(MAX_NOISE_ROUNDS):
         values = problem.solve_values(values, free, noise, FIT_STEPS_PER_ROUND)
         before = noise
         noise = problem.noise(values, np.flatnonzero(free))
         if _same(before, noise):
             break
-    # What the data say next to nothing of would only follow rounding and the errors of the model.
+    # Parameters without information in the data would only follow rounding and the errors of the model.
     held = problem.fit(values, free, noise).sigma_ratio > MAX_FREE_SIGMA_RATIO
     free = ~held
     values = np.where(held, parameters.mean, values)
@@ -165,7 +165,7 @@ def fit_parameters(prediction: Prediction, rows: Flags | None = None, start: Arr
 
 
 def thin_rows(rows: Flags) -> Flags:
-    """Return at most MOST_ROWS of the rows (T,) that are true, evenly: neighbours of a motion hardly differ."""
+    """Return at most MOST_ROWS of the rows (T,) that are true, evenly spaced: neighbours in time hardly differ."""
     found = np.zeros(len(rows), dtype=bool)
     chosen = np.flatnonzero(rows)
     found[chosen[:: -(-len(chosen) // MOST_ROWS) or 1]] = True
@@ -173,14 +173,14 @@ def thin_rows(rows: Flags) -> Flags:
 
 
 def posterior(parameters: Parameters, information: Array) -> Array:
-    """Compute the covariance of parameters after measuring: the inverse of C_0^-1 + information.
+    """Compute the posterior covariance of parameters, the inverse of C_0^-1 + information.
 
     Parameters
     ----------
     parameters : Parameters
-        The P parameters, with their covariance C_0 before measuring.
+        The P parameters, with their prior covariance C_0.
     information : (P, P) array
-        What the data say; it may be singular.
+        Information matrix of the data; it may be singular.
 
     Returns
     -------
@@ -228,7 +228,7 @@ class _Problem:
         self._known = np.isfinite(self._measured) & rows[:, None]
 
     def solve_values(self, values: Array, free: Flags, noise: Noise, steps: int) -> Array:
-        """Improve those values (P,) that are free (P,), at a given noise, in at most so many steps."""
+        """Return values (P,) improved in those that are `free` (P,) at a given noise, in at most `steps` steps."""
         chosen = np.flatnonzero(free)
         if not len(chosen):
             return values
@@ -237,8 +237,8 @@ class _Problem:
         whitened = self._parameters.whitening_matrix
         count = int(self._known.sum())
 
-        # The unknowns u are values over their standard deviations before measuring, so that steps in mm, rad and
-        # parts are of one size.
+        # The unknowns u are values over their prior standard deviations, so that steps in mm, rad and parts have
+        # one scale.
         def all_values(u: Array) -> Array:
             found = np.array(values)
             found[chosen] = u * sigma[chosen]
@@ -270,44 +270,44 @@ class _Problem:
         return all_values(done.x)
 
     def _weighted_residuals(self, values: Array, weights: Array) -> Array:
-        """Residuals (T, 6 + 3n) at values (P,), times weights (6 + 3n,); NO_EQUILIBRIUM_RESIDUAL where there is no
-        equilibrium.
-        """
+        """Return residuals (T, 6 + 3n) at values (P,), times weights (6 + 3n,)."""
         found = (self._measured - self._prediction.predict_values(values).flat()) * weights
         # A robot without an equilibrium must cost something finite, and more than one that is merely off.
         return np.where(np.isfinite(found) | ~self._known, found, NO_EQUILIBRIUM_RESIDUAL)
 
     def noise(self, values: Array, free: Index) -> Noise:
-        """Estimate the noise from the residuals at values (P,), of which those at the indices free were fitted."""
+        """Estimate the noise from the residuals at values (P,); free: indices of those that were fitted."""
         residuals = self._measured - self._prediction.predict_values(values).flat()
         residuals[~self._known] = np.nan
         count = np.isfinite(residuals).sum()
-        # Residuals of a fit are smaller than the noise, by the degrees of freedom that it has used up.
+        # Residuals of a fit are smaller than the noise: n - p of n degrees of freedom are left. At least one
+        # counts.
         spent = max(1 - len(free) / max(count, 1), 1 / max(count, 1))
         position = np.delete(residuals, slice(3, 6), axis=1)
         size = _spread(position, spent, LEAST_NOISE[0]), _spread(residuals[:, 3:6], spent, LEAST_NOISE[1])
         return Noise(*size, self._autocorrelation(residuals / _scales(Noise(*size), residuals.shape[1])))
 
     def _autocorrelation(self, residuals: Array) -> float:
-        """Correlation of residuals (T, 6 + 3n), over their noise and clipped, that follow each other in time."""
+        """Return the lag-1 correlation of residuals (T, 6 + 3n), which are over their noise, along motions."""
         measured = self._prediction.measured
         if not measured.has_times:
             return 0.0
         used = np.flatnonzero(self._rows)
         clipped = np.clip(residuals[used], -NOISE_CLIP_DEVIATIONS, NOISE_CLIP_DEVIATIONS)
         pairs = clipped[:-1] * clipped[1:]
+        # The last observation of one recording and the first of the next are no neighbours.
         pairs[np.diff(measured.recording[used]) != 0] = np.nan
         if not np.isfinite(pairs).any():
             return 0.0
         return float(np.clip(np.nanmean(pairs) / np.nanmean(clipped**2), 0.0, 0.99))
 
     def fit(self, values: Array, free: Flags, noise: Noise) -> ParameterFit:
-        """Return the Fit of values (P,), those free (P,) fitted, with their covariance at this noise."""
+        """Return the fit at values (P,), those `free` (P,) fitted, with their covariance at this noise."""
         seen, changes = self._prediction.predict_with_derivatives(values, self._rows)
         residuals = self._measured - seen.flat()
         weighed = (residuals / _scales(noise, residuals.shape[1]))[self._known]
-        # J^T J / s^2 is the information of independent normal residuals under least squares. The soft loss makes
-        # use of a part of it, and of residuals that resemble their neighbours several count as one.
+        # J^T J / s^2 is the information of independent normal residuals under least squares. The soft loss uses a
+        # part of it (its efficiency), and of correlated residuals several count as one.
         factor = _efficiency(weighed[np.isfinite(weighed)]) / noise.inflation
         information = information_of(changes, self._known, noise).sum(axis=0) * factor
         covariance = posterior(self._parameters, information)
@@ -349,9 +349,9 @@ def _efficiency(residuals: Array) -> float:
 
 
 def _spread(residuals: Array, spent: float, least: float) -> float:
-    """The standard deviation of residuals, most of them normal, by Huber's proposal 2; NaN where there are none.
+    """Return the robust standard deviation of residuals by Huber's proposal 2; NaN where there are none.
 
-    spent: the share of degrees of freedom that the fit has left; least: the smallest result.
+    spent: the share of degrees of freedom that the fit has left. least: the smallest result.
     """
     found = residuals[np.isfinite(residuals)]
     if not len(found):
@@ -371,14 +371,14 @@ def _spread(residuals: Array, spent: float, least: float) -> float:
 
 
 def _scales(noise: Noise, width: int) -> Array:
-    """The noise of every entry of Seen.flat, (width,); 1 where there is none."""
+    """Return the noise (width,) of every entry of ObservableValues.flat; 1 where there is none."""
     found = np.full(width, noise.position)
     found[3:6] = noise.direction
     return np.where(np.isfinite(found), found, 1.0)
 
 
 def _same(one: Noise, other: Noise) -> bool:
-    """Whether two estimates of the noise differ by at most NOISE_TOLERANCE; one that is NaN stays so."""
+    """Return whether two estimates of the noise differ by at most NOISE_TOLERANCE; NaN counts as equal."""
     pairs = zip(one[:2], other[:2], strict=True)
     return all(abs(a - b) <= NOISE_TOLERANCE * b or math.isnan(a) for a, b in pairs)
 

@@ -1,4 +1,8 @@
-"""Folds of observations for cross-validation, such that no held-out pose is in another fold."""
+"""Folds of observations for cross-validation, such that no held-out pose is in another fold.
+
+Neighbours in time, and repetitions of a pose, have nearly the same residuals. Spread over folds at random they
+would make held-out errors too small; so a pose, and a block of a motion, is in one fold as a whole.
+"""
 
 from __future__ import annotations
 
@@ -12,16 +16,16 @@ from ctr_nlp.support.value_checks import number, whole_number
 from ctr_nlp.typing import Index
 
 SAME_POSE_DISTANCE_MM = 1.0
-"""mm: poses whose q differ by less, with 10 mm to the rad, are the same."""
+"""Poses whose q differ by less, in mm and with 10 mm to the rad, are the same."""
 FOLD_BLOCK_S = 3.0
-"""Time of a motion that stays together in one fold, s."""
+"""Length of the blocks of a motion that are in one fold, s."""
 
 
 def same_poses(robot: Robot, measured: Measurements, near: float = SAME_POSE_DISTANCE_MM) -> Index:
     """Find for every observation the first one that has its pose.
 
-    Poses are compared only with those that stand for others, not with neighbours of neighbours, so that a slow
-    motion is not one pose from end to end. Recordings share their poses.
+    Poses are compared only with the first ones, not with neighbours of neighbours, so that a slow motion is not
+    one pose from end to end. Recordings share their poses.
 
     Parameters
     ----------
@@ -43,7 +47,7 @@ def same_poses(robot: Robot, measured: Measurements, near: float = SAME_POSE_DIS
     for row, others in enumerate(around):
         if found[row] < 0:
             found[row] = row
-            # One that has its pose from an earlier observation keeps it.
+            # An observation that belongs to an earlier pose already is left there.
             late = [other for other in others if found[other] < 0]
             found[late] = row
     return found
@@ -57,10 +61,10 @@ def assign_folds(
     near: float = SAME_POSE_DISTANCE_MM,
     seed: int = 0,
 ) -> Index:
-    """Deal observations out to folds.
+    """Assign observations to folds.
 
-    Poses that are repeated or retraced are in the fold of the first of them. Motions are dealt out in blocks of
-    time, one fold after the other; poses measured one by one at random.
+    Repeated poses are in the fold of the first of them. Motions are assigned in blocks of time, one fold after the
+    other; poses measured one by one at random.
 
     Parameters
     ----------
@@ -71,11 +75,11 @@ def assign_folds(
     count : int
         Number of folds, at least 2.
     block : float
-        Time of a motion that stays together, s.
+        Length of the blocks of a motion, s.
     near : float
         Distance within which poses count as the same, mm; see :func:`same_poses`.
     seed : int
-        Of the random order.
+        Seed of the random order.
 
     Returns
     -------
@@ -89,7 +93,7 @@ def assign_folds(
     """
     count = whole_number(OptionError, "number of folds", count, 2)
     number(OptionError, "block of a fold", block, lambda s: s > 0, "be positive", " s")
-    # Folds are dealt to the first observations of poses; all others of a pose go with theirs.
+    # Folds are assigned to the first observations of poses; all others of a pose follow theirs.
     first = same_poses(robot, measured, near)
     leaders = np.unique(first)
     if measured.has_times:
@@ -97,6 +101,7 @@ def assign_folds(
         blocks = np.floor((measured.time - begins[measured.recording]) / block).astype(int)
         _, together = np.unique(np.stack([measured.recording, blocks])[:, leaders], axis=1, return_inverse=True)
         groups = together.ravel()
+        # In turn, so that every fold has blocks from all parts of a motion.
         own = groups % count
     else:
         groups = np.random.default_rng(seed).permutation(len(leaders))

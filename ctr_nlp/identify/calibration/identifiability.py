@@ -1,8 +1,8 @@
-"""Which parameters the data identify, and which combinations of them they cannot tell apart, in words.
+"""Identifiable parameters of a calibration, and combinations that the data do not identify, in words.
 
-All is judged in units of the standard deviations sigma before measuring: with the data's information matrix I, the
-scaled matrix is sigma I sigma. Along a unit vector v of these units the data bring v^T (sigma I sigma) v of
-information, where 1 is as much as was known before.
+Parameters are scaled by their prior standard deviations sigma: with the data's information matrix I, the scaled
+one is sigma I sigma. Along a unit vector v of scaled parameters the data have the information v^T (sigma I sigma)
+v, where 1 is as much as the prior has. Eigenvectors with less than that are not identified.
 """
 
 from __future__ import annotations
@@ -16,11 +16,11 @@ from ctr_nlp.identify.calibration.parameters import DELAY, LAGS, MODULUS_KIND, P
 from ctr_nlp.typing import Array
 
 DETERMINED = 0.5
-"""A parameter is determined where at most this part of its standard deviation before measuring is left."""
+"""A parameter is determined where its posterior standard deviation is at most this part of the prior's."""
 MIN_IDENTIFIED_INFORMATION = 1.0
 """Least information along a direction of scaled parameters that the data identify; the prior's is 1."""
 EXCLUDED_INFORMATION = 1e9
-"""Information that is put on directions which are not to be looked at."""
+"""Information that is added along directions which have been named already."""
 MIN_NAMED_WEIGHT = 0.35
 """Parameters with at least this part of the largest entry of an unidentified direction are named."""
 
@@ -30,14 +30,14 @@ def classify_parameters(fit: ParameterFit) -> list[str]:
 
     Parameters
     ----------
-    fit : Fit
+    fit : ParameterFit
         The fit.
 
     Returns
     -------
     list of str
-        ``"held"`` where the fit fixed the parameter at its mean before measuring; ``"determined"`` where at most
-        half of its standard deviation before is left; else ``"partly"``.
+        ``"held"`` where the fit fixed the parameter at its prior mean; ``"determined"`` where its posterior
+        standard deviation is at most half of the prior's; else ``"partly"``.
     """
     names = {True: "determined", False: "partly"}
     return [
@@ -47,24 +47,24 @@ def classify_parameters(fit: ParameterFit) -> list[str]:
 
 
 def describe_unidentified(fit: ParameterFit) -> list[str]:
-    """Say which parameters and combinations of parameters the data cannot identify.
+    """Describe the parameters and combinations of parameters that the data do not identify.
 
     Parameters
     ----------
-    fit : Fit
+    fit : ParameterFit
         The fit.
 
     Returns
     -------
     list of str
-        Sentences: of combinations that no shape can show, of single parameters, and of further combinations.
+        Sentences: on combinations that change no shape, on single parameters, and on further combinations.
     """
     parameters = fit.parameters
     scaled = fit.information * np.outer(parameters.sigma, parameters.sigma)
     sentences = list[str]()
     known = list[Array]()
     for direction, sentence in _invariances(parameters):
-        # Under an arm that tilts, or a load, such a direction may well show itself.
+        # With a tilting arm, or under a load, the data may identify such a direction after all.
         if direction @ scaled @ direction < MIN_IDENTIFIED_INFORMATION:
             known.append(direction)
             sentences.append(sentence)
@@ -72,8 +72,8 @@ def describe_unidentified(fit: ParameterFit) -> list[str]:
     if len(weak):
         sentences.append(f"the data hardly tell {join_words([parameters.each[k].words for k in weak])}")
         known += list(np.eye(len(parameters))[weak])
-    # Eigenvectors within what has been named already would only name it again, mixed: there the information is
-    # raised beyond all others, so that weak eigenvectors lie in the rest.
+    # Deflation: eigenvectors in the span of what has been named would only name it again, in a mixture. There the
+    # information is raised beyond all others, so that weak eigenvectors lie in the complement.
     away = _orthogonal(known, len(parameters))
     sizes, axes = np.linalg.eigh(away @ scaled @ away + EXCLUDED_INFORMATION * (np.eye(len(parameters)) - away))
     sentences += [
@@ -90,9 +90,9 @@ def join_words(words: Sequence[str]) -> str:
 
 
 def _invariances(parameters: Parameters) -> list[tuple[Array, str]]:
-    """Directions of parameters along which no shape changes, and a sentence about each.
+    """Return directions of parameters along which no shape changes, and a sentence on each.
 
-    Directions are unit vectors (P,) of parameters over their standard deviations before measuring.
+    Directions are unit vectors (P,) of parameters over their prior standard deviations.
     """
     found = list[tuple[Array, str]]()
     d = parameters.robot.d
@@ -106,14 +106,14 @@ def _invariances(parameters: Parameters) -> list[tuple[Array, str]]:
     stiffness = parameters.columns("bending_stiffness")
     modulus = parameters.columns(MODULUS_KIND)
     if len(stiffness) == d:
-        # Without a load, moments balance whatever unit stiffnesses are in; with one, the modulus is that unit.
+        # Without a load only ratios of stiffnesses enter the balance of moments; with one, the modulus scales all.
         direction = np.zeros(len(parameters))
         direction[stiffness], direction[modulus] = 1.0, -1.0
         sentence = "only ratios of the tubes' stiffnesses show, not how stiff all are together"
         if modulus:
             sentence = "what is common to the tubes' stiffnesses cannot be told from their modulus"
         found.append((direction, sentence))
-    # In units of the standard deviations before measuring, as information is looked at.
+    # A change of one unit of a parameter is 1 / sigma of its scaled one.
     scaled = [(direction / parameters.sigma, sentence) for direction, sentence in found]
     return [(direction / np.linalg.norm(direction), sentence) for direction, sentence in scaled]
 

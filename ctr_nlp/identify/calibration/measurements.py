@@ -1,4 +1,4 @@
-"""What was measured of a robot: its configurations, and what a sensor saw of its shape at each."""
+"""Measurements of a robot: its configurations, and the values that a sensor measured of its shape at each."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ EXTENSION_TOLERANCE_MM = 1e-3
 
 @dataclass(frozen=True, eq=False)
 class Measurements(ReadOnlyValue):
-    """T observations of a robot: its configurations, and what a sensor measured of its shape at each.
+    """T observations of a robot: its configurations, and the values that a sensor measured of its shape at each.
 
-    Whatever was not measured is NaN. Places and directions are in the sensor's axes, which are those of the
-    robot's base or unknown.
+    Missing values are NaN. Points and directions are in the sensor's axes, which are those of the robot's base or
+    unknown.
 
     Parameters
     ----------
@@ -35,16 +35,16 @@ class Measurements(ReadOnlyValue):
     points : (T, n, 3) array
         Points of the shape, mm; single coordinates may be NaN.
     sigma : (T, n) array
-        Where on the robot these are: arc length over beta_d, in [0, 1].
+        Their positions on the robot: arc length over beta_d, in [0, 1].
     time : (T,) array
         Time, s; NaN where poses were measured one by one.
     recording : (T,) array of int
-        Recordings, from 0. The sensor may stand elsewhere in each, and the time of each grows by itself.
+        Number of the recording, from 0. Each has its own pose of the sensor, and its own time.
     repeated : int
-        How many further copies of these observations were given.
+        Number of further copies of these observations that were given.
     force : (T, 3) or (3,) array
-        Known forces at the tip in the directions of the robot's base, N, such as weights that hang there; one for
-        all observations is repeated. 0 by default.
+        Known forces at the tip in the axes of the robot's base, N, such as weights that hang there; one for all
+        observations is repeated. 0 by default.
 
     Raises
     ------
@@ -115,7 +115,7 @@ class Measurements(ReadOnlyValue):
 
     @property
     def fresh(self) -> Flags:
-        """Mask (T,) of the observations before which nothing is known of the motion.
+        """Mask (T,) of the observations whose motion before is unknown.
 
         These are the first of every recording, and all where no time is known.
         """
@@ -191,6 +191,8 @@ class Measurements(ReadOnlyValue):
 
     def _check_turns(self) -> None:
         """Raise MeasurementError where an angle of a motion jumps by more than half a turn."""
+        # On the elastic model one tube's full turn is not the identity: a wrapped angle is another equilibrium.
+        # The slice is d to 2d, with 2d + 2 columns.
         jumps = abs(np.diff(self.q, axis=0)) > math.pi
         jumps[:, self.q.shape[1] // 2 - 1 : -2] = False  # extensions, mm
         for row, axis in np.argwhere(jumps & ~self.fresh[1:, None])[:1]:

@@ -1,4 +1,9 @@
-"""Poses that teach most when they are measured next: sequential D-optimal design."""
+"""Next poses of a calibration: sequential D-optimal design of experiments.
+
+The information of observations adds up. With J_k the derivatives of observation k and s the noise, the next pose
+is the k that minimises det (C^-1 + J_k^T J_k / s^2)^-1 over the parameters of the robot, C the covariance so far
+(Fedorov, Theory of Optimal Experiments, 1972).
+"""
 
 from __future__ import annotations
 
@@ -23,7 +28,7 @@ CANDIDATE_POSE_COUNT = 300
 MIN_POSE_STABILITY_MARGIN = 0.3
 """Least stability margin of a pose that is proposed, on the robot as calibrated."""
 MOST_TURN = math.pi
-"""Largest angle of tubes to either side where their motors have no limits, rad."""
+"""Largest angle of candidate poses to either side where motors have no limits, rad."""
 
 
 def next_poses(
@@ -32,14 +37,13 @@ def next_poses(
     """Choose poses whose measurement would lower the uncertainty most, one after the other.
 
     Candidates are random poses in which the calibrated robot is stable. Each choice minimises the determinant of
-    the covariance of all parameters but those of the base (D-optimal design, Fedorov, Theory of Optimal
-    Experiments, 1972), given all that was measured and chosen before. Each pose is taken to be measured as the
-    observation with most measured values.
+    the covariance of all parameters but those of the base, given all that was measured and chosen before. Each
+    pose is assumed to be measured like the observation with most measured values.
 
     Parameters
     ----------
-    fit : Fit
-        What is known so far.
+    fit : ParameterFit
+        The fit so far.
     prediction : Prediction
         The measurements of that fit.
     model : Model
@@ -47,17 +51,17 @@ def next_poses(
     robot : Robot
         The calibrated robot.
     count : int
-        How many poses are chosen, at least 1.
+        Number of poses, at least 1.
     seed : int
-        Of the candidates.
+        Seed of the candidates.
 
     Returns
     -------
     q : (k, 2d + 2) array
         The poses, rad, mm and rad; fewer than `count` where so few candidates are stable.
     left : (k,) array
-        Geometric mean of the standard deviations along the axes of the covariance after each pose, as a part of
-        the one before the first.
+        Geometric mean of the standard deviations along the principal axes of the covariance after each pose, as a
+        part of that before the first.
 
     Raises
     ------
@@ -72,7 +76,7 @@ def next_poses(
     there = Prediction(parameters, seen, model, prediction.bases)
     _, changes = there.predict_with_derivatives(fit.values)
     told = information_of(changes, np.isfinite(flat_measured(seen)), Noise(*fit.noise[:2]))
-    # The base's pose is of this setup alone, and no number of the robot.
+    # The base's pose belongs to this setup, and is no parameter of the robot.
     taught = [k for k, one in enumerate(parameters.each) if one.kind not in BASE]
     information = fit.information
     chosen = list[int]()
@@ -95,7 +99,7 @@ def next_poses(
 def stable_poses(
     robot: Robot, model: Model, count: int, seed: int, margin: float = MIN_POSE_STABILITY_MARGIN
 ) -> Array:
-    """Draw random poses in which a robot stands stably.
+    """Sample random poses in which a robot is stable.
 
     Parameters
     ----------
@@ -105,9 +109,9 @@ def stable_poses(
     model : Model
         The kinematic model.
     count : int
-        How many poses at most.
+        Largest number of poses.
     seed : int
-        Of the random numbers.
+        Seed of the random numbers.
     margin : float
         Least stability margin; poses that cannot be unstable count as stable.
 
@@ -116,6 +120,7 @@ def stable_poses(
     (n, 2d + 2) array
         At most `count` poses; rad, mm and rad.
     """
+    # A stream of its own, independent of folds with the same seed.
     random = np.random.default_rng([seed, 2])
     d = robot.d
     low = robot.lower
@@ -124,7 +129,7 @@ def stable_poses(
     low = np.where(bounded, low, -MOST_TURN)
     high = np.where(bounded, high, MOST_TURN)
     q = random.uniform(low, high, (4 * count, len(low)))
-    # beta_1 <= .. <= beta_d, eq. (2): sorted numbers are in order, and drawing until they are would take long.
+    # beta_1 <= .. <= beta_d, eq. (2): sorting keeps every sample, rejection would keep one of d!.
     beta = np.sort(q[:, d : 2 * d], axis=1)
     q[:, d : 2 * d] = np.clip(beta, low[d : 2 * d], high[d : 2 * d])
     growth = np.diff(q[:, d : 2 * d], axis=1)
@@ -137,9 +142,9 @@ def stable_poses(
 
 
 def _observations_at(measured: Measurements, q: Array) -> Measurements:
-    """Make observations at q (n, 2d + 2) whose entries are measured as in the observation that has most of them.
+    """Return observations at q (n, 2d + 2) with the same entries measured as in the one that has most of them.
 
-    Only which entries are known counts; their values mean nothing.
+    Only which entries are finite matters; their values are not used.
     """
     most = int(np.isfinite(flat_measured(measured)).sum(axis=1).argmax())
     like = measured[np.full(len(q), most)]
@@ -147,9 +152,9 @@ def _observations_at(measured: Measurements, q: Array) -> Measurements:
 
 
 def _log_mean_sigma(parameters: Parameters, information: Array, columns: list[int]) -> float:
-    """The logarithm of the geometric mean of standard deviations along the axes of some parameters' covariance.
+    """Return the logarithm of the geometric mean of standard deviations along the axes of a covariance.
 
-    information (P, P): what the data say; columns: indices of these parameters.
+    information: (P, P) of the data. columns: indices of the parameters whose covariance it is.
     """
     # The determinant of a covariance is the product of variances along its axes: their n-th root's root is the
     # geometric mean of standard deviations. Over sigma, so that mm and rad may stand beside each other.

@@ -1,8 +1,9 @@
-"""What a calibration estimates: parameters by name, with mean and covariance before anything is measured.
+"""Parameters of a calibration, by name, with the mean and covariance of their prior.
 
 Parameters of tubes are differences from the nominal robot, as in robot/tolerances.py: parts of its own number for
 curvature, bending stiffness and torsional ratio, mm for the curved length, rad for the zero of a motor. Their
-prior p_0 is 0, and its covariance C_0 comes from the robot's tolerances, or from PRIOR_SIGMAS where it has none.
+prior mean p_0 is 0, and the prior covariance C_0 comes from the robot's tolerances, or from PRIOR_SIGMAS where it
+has none.
 """
 
 from __future__ import annotations
@@ -25,12 +26,12 @@ from ctr_nlp.robot.tube import MAX_PRE_CURVATURE_STRAIN, MAX_TUBE_CURVATURE_PER_
 from ctr_nlp.typing import Array
 
 LAGS = "rotation_lag", "lag_per_overlap", "drag"
-"""Lag of each tube: backlash to either side, its growth with the overlap, the time constant of viscous drag."""
+"""Kinds of lag of each tube: play to either side, its growth with the overlap, time constant of viscous drag."""
 MODULUS_KIND = "youngs_modulus"
-"""Common factor of all tubes' stiffnesses, as a part of their own; only loads show it."""
+"""Common factor of all tubes' stiffnesses, as a part of their own; identifiable only under loads."""
 DELAY, OFFSET = "sensor_delay", "tip_offset"
 BASE = "base_x", "base_y", "base_z", "base_turn_x", "base_turn_y", "base_roll"
-"""Pose of the robot's base for the sensor, one a recording: mm in the sensor's axes, rad about the base's."""
+"""Pose of the robot's base, one a recording: translation, mm, in the sensor's axes; rotation, rad, in its own."""
 PARAMETER_KINDS = (*DEVIATION_NAMES, MODULUS_KIND, *LAGS, DELAY, OFFSET)
 """Kinds of parameters that may be named; the base's pose is estimated wherever it is unknown."""
 PARAMETER_UNITS = {
@@ -75,7 +76,7 @@ PARAMETER_PHRASES = {
 
 @dataclass(frozen=True)
 class Parameter:
-    """One number that is estimated, and what is known of it before measuring.
+    """One number that is estimated, and its prior.
 
     Attributes
     ----------
@@ -84,8 +85,8 @@ class Parameter:
     number : int or None
         The tube or the recording that it belongs to, from 1; None where it belongs to the whole robot.
     sigma, mean, low, high : float
-        Standard deviation, mean, and bounds before measuring, in `unit`. A unit of "part" is a part of the nominal
-        robot's number.
+        Prior standard deviation, mean, and bounds, in `unit`. A unit of "part" is a part of the nominal robot's
+        number.
     """
 
     kind: str
@@ -138,17 +139,19 @@ class Parameters:
 
     @cached_property
     def mean(self) -> Array:
-        """Means p_0 (P,) before measuring."""
+        """Prior means p_0 (P,)."""
         return np.array([one.mean for one in self.each])
 
     @cached_property
     def sigma(self) -> Array:
-        """Standard deviations (P,) before measuring."""
+        """Prior standard deviations (P,)."""
         return np.array([one.sigma for one in self.each])
 
     @cached_property
     def covariance(self) -> Array:
-        """Covariance C_0 (P, P) before measuring, with the correlations that the robot's tolerances may have."""
+        """Prior covariance C_0 (P, P), with the correlations that the robot's tolerances may have."""
+        # Only correlations come from the tolerances: a named kind without a tolerance has its variance from
+        # PRIOR_SIGMAS, and 0 in the robot's covariance.
         found = np.diag(self.sigma**2)
         all_parts = _covariance(self.robot)
         columns = self.columns(*DEVIATION_NAMES)
@@ -162,8 +165,8 @@ class Parameters:
     @cached_property
     def whitening_matrix(self) -> Array:
         """Matrix W (P, P) with W^T W = C_0^-1: W (p - p_0) are independent numbers of variance 1."""
-        # Scaled to correlations first: variances of mm^2 and rad^2 lie far apart. Tubes whose numbers are tied
-        # have a singular matrix, which Cholesky's method takes only with some variance of their own.
+        # Scaled to correlations first: variances in mm^2 and rad^2 differ by many orders of magnitude. The matrix
+        # of tied (fully correlated) numbers is singular; a little variance of their own makes it definite.
         scaled = self.covariance / np.outer(self.sigma, self.sigma)
         root = np.linalg.cholesky(scaled + TIED_VARIANCE_INCREASE * np.eye(len(self)))
         return np.asarray(np.linalg.inv(root) / self.sigma)
@@ -196,7 +199,7 @@ class Parameters:
         return found
 
     def parts(self, values: Array) -> Array:
-        """Compute by how much tubes differ from the nominal ones.
+        """Compute the differences of tubes from the nominal ones.
 
         Parameters
         ----------
@@ -206,7 +209,7 @@ class Parameters:
         Returns
         -------
         (.., d, 5) array
-            Differences in the order of ``robot.tolerances.NAMES``: parts, mm and rad.
+            Differences in the order of ``robot.tolerances.DEVIATION_NAMES``: parts, mm and rad.
         """
         found = np.stack([self.of_tubes(values, name) for name in DEVIATION_NAMES], axis=-1)
         for k in self.columns(MODULUS_KIND):
@@ -230,7 +233,8 @@ class Parameters:
         Returns
         -------
         (d, 8) array
-            Derivatives in the order of ``robot.structure.NUMBERS``, each in its unit per unit of the parameter.
+            Derivatives in the order of ``robot.structure.TUBE_NUMBER_NAMES``, each in its unit per unit of the
+            parameter.
         """
         one = self.each[column]
         found = np.zeros((self.robot.d, len(TUBE_NUMBER_NAMES)))
@@ -247,7 +251,7 @@ class Parameters:
 
     def lag(self, values: Array) -> BacklashAndDrag:
         """Return the backlash and drag of the tubes for values (.., P)."""
-        # A fit keeps values above their bound 0, but for rounding.
+        # Values of a fit may be below their bound 0 by rounding, which BacklashAndDrag refuses.
         return BacklashAndDrag(*(np.maximum(self.of_tubes(values, kind), 0.0) for kind in LAGS))
 
     def delay(self, values: Array) -> float:
@@ -271,7 +275,7 @@ def default_kinds(robot: Robot, measured: Measurements, loaded: bool = False) ->
     measured : Measurements
         The observations: where their time is known, backlash, drag and the sensor's delay are estimated.
     loaded : bool
-        Whether the robot bears a load: then the Young's modulus is estimated.
+        Whether the robot is loaded: then the Young's modulus is estimated.
 
     Returns
     -------
@@ -290,7 +294,7 @@ def parameters_of(
     registered: bool = False,
     loaded: bool = False,
 ) -> Parameters:
-    """Make the parameters of some kinds, with means and covariance from the robot's tolerances.
+    """Build the parameters of some kinds, with prior mean and covariance from the robot's tolerances.
 
     Parameters
     ----------
@@ -305,17 +309,17 @@ def parameters_of(
         Whether the sensor's axes are those of the robot's base; otherwise the base's pose is estimated, too, in
         every recording.
     loaded : bool
-        Whether the robot bears a load.
+        Whether the robot is loaded.
 
     Returns
     -------
     parameters : Parameters
-        Without those that can change no shape, such as the curvature of a straight tube.
+        Without those that change no shape, such as the curvature of a straight tube.
 
     Raises
     ------
     OptionError
-        A kind is unknown, cannot show in such measurements, or nothing is left to be estimated.
+        A kind is unknown, not identifiable from such measurements, or nothing is left to be estimated.
     """
     asked = default_kinds(robot, measured, loaded) if kinds is None else tuple(dict.fromkeys(kinds))
     for kind in asked:
@@ -340,15 +344,15 @@ def parameters_of(
 
 
 def _of_kind(robot: Robot, kind: str, loaded: bool) -> list[Parameter]:
-    """The parameters of one kind, one for each tube or one alone; loaded: whether the robot bears a load."""
+    """Return the parameters of one kind, one for each tube or only one; loaded: whether the robot is loaded."""
     if kind in (DELAY, OFFSET):
         return [Parameter(kind, None, PRIOR_SIGMAS[kind])]
     if kind == MODULUS_KIND:
         return [Parameter(kind, None, PRIOR_SIGMAS[kind], low=MIN_REMAINING_PART - 1)]
     tubes = range(robot.d)
     if kind in LAGS:
-        # A lag that is uniform in [0, L] has the root mean square L / sqrt(3). The mean before measuring is 0:
-        # what is estimated is drawn towards a robot that does not lag.
+        # A lag that is uniform in [0, L] has the root mean square L / sqrt(3). The prior mean is 0, so that
+        # estimates are biased towards a robot without lag.
         known = robot.tolerances.max_backlash(robot.d) / math.sqrt(3) if kind == LAGS[0] else np.zeros(robot.d)
         return [Parameter(kind, i + 1, float(known[i]) or PRIOR_SIGMAS[kind], low=0.0) for i in tubes]
     sigmas = np.sqrt(
@@ -361,15 +365,15 @@ def _of_kind(robot: Robot, kind: str, loaded: bool) -> list[Parameter]:
 
 
 def _covariance(robot: Robot) -> Array:
-    """Covariance (5d, 5d) of the differences of tubes by the robot's tolerances."""
+    """Return the covariance (5d, 5d) of the differences of tubes by the robot's tolerances."""
     root = robot.tolerances.covariance_root(robot.tubes)
     return np.asarray(root @ root.T)
 
 
 def _shows(robot: Robot, kind: str, i: int, loaded: bool) -> bool:
-    """Whether a number of tube i, from 0, can change any shape.
+    """Return whether a number of tube i, from 0, can change any shape.
 
-    A straight tube has no curvature, and of a single tube only a load shows the stiffness: there are no ratios.
+    A straight tube has no curvature, and the stiffness of a single tube matters only under a load.
     """
     if kind in ("curvature", "curved_length"):
         return robot.structure.kinds[i] != "straight"
@@ -377,7 +381,7 @@ def _shows(robot: Robot, kind: str, i: int, loaded: bool) -> bool:
 
 
 def _range(robot: Robot, kind: str, i: int) -> tuple[float, float]:
-    """Least and largest value of a parameter of tube i, from 0: beyond them no tube can be described."""
+    """Return the least and largest value of a parameter of tube i, from 0, for which the tube is valid."""
     tube = robot.tubes[i]
     if kind == "motor_zero":
         return -math.pi, math.pi

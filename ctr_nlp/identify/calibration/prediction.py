@@ -1,10 +1,10 @@
-"""What a sensor would measure of a robot with given values of its parameters, and the derivatives over these.
+"""Prediction of measurements for given values of a robot's parameters, and its derivatives over these.
 
-The prediction h_k(p) of docs/method.md, "Tubes from measurements", is made in four steps: motors lag, are off by
-their zeros, and the sensor is late (configurations); the equilibrium is found that the robot is in (x); places are
-computed in the base's axes; and these are turned and moved to the sensor's axes. Derivatives follow from the
-implicit function theorem for whatever concerns the tubes (simulation/sensitivities.py), in closed form for offsets
-and positions, and by differences for lags, delays and rotations of the base.
+The prediction h_k(p) of docs/method.md, "Tubes from measurements", has four steps: backlash, drag, the sensor's
+delay and the motors' zeros give the configuration of the tubes; the model gives the equilibrium x there; points
+are computed in the base's axes; and these are rotated and translated to the sensor's axes. Derivatives follow from
+the implicit function theorem for the tubes' numbers and the configuration (sensitivities.py), in closed form for
+offsets and positions, and by finite differences for backlash, delay and rotations of the base.
 """
 
 from __future__ import annotations
@@ -33,11 +33,12 @@ from ctr_nlp.robot.samples import perturb_robot
 from ctr_nlp.typing import Array, Flags
 
 TIP_DIFFERENCE_SPACING = 2e-3
-"""Distance of the places at the tip whose differences give its direction, as a part of the robot's length."""
+"""Distance of the points at the tip whose differences give its direction, as a part of the robot's length."""
 STENCIL = np.array([3.0, -4.0, 1.0])
-"""Weights of the tip and of the places one and two steps before it: a one-sided second-order difference."""
+"""Weights of the tip and of the points one and two steps h before it: the one-sided second-order difference
+(3 f_0 - 4 f_1 + f_2) / (2 h), without its divisor, since only the direction is used."""
 NUMERICAL_DERIVATIVE_STEP = 1e-6
-"""Step of numerical derivatives over rotations of the base, rad, and over delays and lags."""
+"""Step of numerical derivatives over rotations of the base, rad, over delays, s, and over parameters of lags."""
 
 
 class ObservableValues(NamedTuple):
@@ -75,13 +76,13 @@ class Prediction:
     parameters : Parameters
         The P parameters.
     measured : Measurements
-        The T observations: configurations, times, places on the robot and forces at the tip.
+        The T observations: configurations, times, positions of points on the robot and forces at the tip.
     model : Model
         The kinematic model. Where a force acts in any observation it must be one of loaded robots; its own load
         acts in all of them.
     bases : list of (rotation, place), optional
-        For every recording the pose of the base for the sensor before measuring: (3, 3), and (3,) mm. By default
-        the sensor's axes are the base's.
+        For every recording the initial pose of the base in the sensor's axes: (3, 3), and (3,) mm. By default the
+        sensor's axes are the base's.
 
     Raises
     ------
@@ -105,12 +106,13 @@ class Prediction:
         load = Load() if model.applied_load is None else require_constant_load(model.applied_load, "a calibration")
         self._loads = np.tile(load.numbers(d), (count, 1))
         self._loads[:, :3] += measured.force
-        # The tip, and two places just before it from which its direction is told, come before the measured points.
+        # The tip and two points just before it, which give its direction, come before the measured points.
         tip = np.broadcast_to([1.0, 1.0 - TIP_DIFFERENCE_SPACING, 1.0 - 2 * TIP_DIFFERENCE_SPACING], (count, 3))
+        # Missing points are evaluated at the tip: arrays stay rectangular, and their residuals are NaN.
         self._sigma = np.hstack([tip, np.where(np.isfinite(measured.sigma), measured.sigma, 1.0)])
 
     def predict_values(self, values: Array) -> ObservableValues:
-        """Predict what the sensor measures.
+        """Predict the measured values.
 
         Parameters
         ----------
@@ -119,13 +121,13 @@ class Prediction:
 
         Returns
         -------
-        Seen
+        ObservableValues
             In the sensor's axes; NaN where the robot has no equilibrium.
         """
         return self._for_sensor(values, self._in_base(values, *self._equilibria(values))[0])
 
     def predict_with_derivatives(self, values: Array, rows: Flags | None = None) -> tuple[ObservableValues, Array]:
-        """Predict what the sensor measures, and the derivatives of that.
+        """Predict the measured values and their derivatives.
 
         Parameters
         ----------
@@ -136,11 +138,11 @@ class Prediction:
 
         Returns
         -------
-        seen : Seen
+        seen : ObservableValues
             In the sensor's axes; NaN where the robot has no equilibrium.
         changes : (T, 6 + 3n, P) array
-            Derivatives over the parameters, in the order of :meth:`Seen.flat`; 0 in other rows, and where the
-            robot has no equilibrium or is at a fold, where derivatives are infinite.
+            Derivatives over the parameters, in the order of :meth:`ObservableValues.flat`; 0 in other rows, and
+            where the robot has no equilibrium or is at a fold, where derivatives are infinite.
         """
         x, numbers = self._equilibria(values)
         inside, ahead = self._in_base(values, x, numbers)
@@ -150,7 +152,7 @@ class Prediction:
         return self._for_sensor(values, inside), changes
 
     def configurations(self, values: Array) -> Array:
-        """Compute where the tubes are when the sensor measures.
+        """Compute the configurations of the tubes at the times of the measurements.
 
         Parameters
         ----------
@@ -160,7 +162,7 @@ class Prediction:
         Returns
         -------
         (T, 2d + 2) array
-            Configurations after lags, the sensor's delay, and the motors' zeros; rad, mm and rad.
+            Configurations with backlash and drag, the sensor's delay, and the motors' zeros; rad, mm and rad.
         """
         parameters = self.parameters
         measured = self.measured
@@ -170,7 +172,7 @@ class Prediction:
         if parameters.columns(DELAY):
             q = delay_configurations(q, measured.time, parameters.delay(values), measured.fresh)
         q = np.array(q)
-        # Last: zeros turn tubes and not motors, so that they do not lag.
+        # Last: zeros are constant turns of tubes against motors, to which backlash and delay do not apply.
         q[:, : parameters.robot.d] += parameters.of_tubes(values, "motor_zero")
         return q
 
@@ -188,16 +190,16 @@ class Prediction:
             found = self._model.follow_batch(at, numbers, way, q[None], False)
         elif measured.has_times:
             found = self._model.follow_with_loads(self._loads[None], at, numbers, way, q[None], False)
-        else:  # robots apart are looked at side by side, which is much faster
+        else:  # poses without a motion between them are one batch of robots, which is much faster
             each = np.repeat(numbers, count, axis=0)
             way = MotionSubsteps(q[:1], way.frames[:1], way.fresh[:1], 1)
             found = self._model.follow_with_loads(self._loads[:, None], at, each, way, q[:, None], False)
         return np.concatenate([one.x for one in found]), numbers[0]
 
     def _in_base(self, values: Array, x: Array, numbers: Array) -> tuple[ObservableValues, Array]:
-        """Compute what is measured in the axes of the base, at unknowns x (T, n_x) and the tubes' numbers (d, 8).
+        """Return the observable values in the base's axes, at unknowns x (T, n_x) and the tubes' numbers (d, 8).
 
-        Also returns the vectors (T, 3) along the tip whose directions are measured; their length has no meaning.
+        Also returns the vectors (T, 3) along the tip before they are normalised.
         """
         at = self.parameters.structure, numbers[None]
         if self._model.applied_load is None:
@@ -212,9 +214,10 @@ class Prediction:
         return ObservableValues(points[:, 0] + offset * direction, direction, points[:, 3:]), ahead
 
     def _in_base_derivatives(self, values: Array, x: Array, numbers: Array, rows: Flags) -> Array:
-        """Derivatives (T, places, 3, P) of all places in the base's axes over the parameters of tubes and motors.
+        """Return derivatives (T, n + 3, 3, P) of points in the base's axes over parameters of tubes and motors.
 
-        0 for the other parameters, and outside rows (T,).
+        values: (P,). x: (T, n_x), unknowns. numbers: (d, 8) of the tubes. 0 for the other parameters, and outside
+        rows (T,).
         """
         parameters, (count, places) = self.parameters, self._sigma.shape
         found = np.zeros((count, places, 3, len(values)))
@@ -228,14 +231,14 @@ class Prediction:
         for row in np.flatnonzero(rows):
             given = x[row], self._sigma[row], numbers, [] if self._model.applied_load is None else self._loads[row]
             of_numbers, of_q = (each.full() for each in function(*given))
-            # Chain rule over the tubes' numbers, and over what lags, delays and zeros make of the configuration.
-            # Near a fold both may be infinite.
+            # Chain rule: over the tubes' numbers, and over the configuration, which backlash, delay and zeros
+            # change. Near a fold both parts may be infinite.
             change = np.nan_to_num(of_numbers @ over + of_q @ moved[row], posinf=0.0, neginf=0.0)
             found[row][..., columns] = change.reshape(3, places, len(columns)).swapaxes(0, 1)
         return found
 
     def _configuration_derivatives(self, values: Array, columns: list[int]) -> Array:
-        """Derivatives (T, 2d + 2, n) of configurations over the parameters at n columns."""
+        """Return derivatives (T, 2d + 2, n) of configurations over the parameters at n columns."""
         parameters = self.parameters
         here = self.configurations(values)
         found = np.zeros((*here.shape, len(columns)))
@@ -250,15 +253,15 @@ class Prediction:
         return found
 
     def _changes(self, values: Array, inside: ObservableValues, ahead: Array, over: Array) -> Array:
-        """Derivatives (T, 6 + 3n, P) of what the sensor measures, from those of places in the base's axes.
+        """Return derivatives (T, 6 + 3n, P) of the measured values from those of points in the base's axes.
 
-        inside: what is measured in the base's axes; ahead (T, 3): vectors along the tip; over (T, places, 3, P):
-        the derivatives of places.
+        values: (P,). inside: observable values in the base's axes. ahead: (T, 3), vectors along the tip. over:
+        (T, n + 3, 3, P), derivatives of points.
         """
         parameters = self.parameters
         turns = self._turns(values)[self.measured.recording]
         along = np.einsum("k,tkap->tap", STENCIL, over[:, :3]) / np.linalg.norm(ahead, axis=1)[:, None, None]
-        # Of a unit vector v / |v| only what is at right angles to it changes: (1 - t t^T) dv / |v|.
+        # A unit vector t = v / |v| changes only perpendicular to itself: dt = (1 - t t^T) dv / |v|.
         along -= inside.direction[..., None] * np.einsum("ta,tap->tp", inside.direction, along)[:, None]
         tip = np.array(over[:, 0])
         offsets = parameters.columns(OFFSET)
@@ -272,7 +275,7 @@ class Prediction:
         return found.flat()
 
     def _add_bases(self, values: Array, inside: ObservableValues, found: ObservableValues) -> None:
-        """Add to derivatives found what the poses of bases change; inside: what is measured in the base's axes."""
+        """Add the derivatives over poses of bases to `found`; inside: observable values in the base's axes."""
         recording = self.measured.recording
         for axis, kind in enumerate(BASE):
             for k in self.parameters.columns(kind):
@@ -292,7 +295,7 @@ class Prediction:
                     part[own, ..., k] += np.einsum("tab,t...b->t...a", turn, vectors[own])
 
     def _for_sensor(self, values: Array, inside: ObservableValues) -> ObservableValues:
-        """Turn and move what is measured from the base's axes to the sensor's."""
+        """Transform observable values from the base's axes to the sensor's; values: (P,) of the parameters."""
         recording = self.measured.recording
         turns = self._turns(values)[recording]
         places = self._places(values)[recording]
@@ -300,11 +303,11 @@ class Prediction:
         return ObservableValues(turned[0] + places, turned[1], turned[2] + places[:, None])
 
     def bases_at(self, values: Array) -> tuple[tuple[Array, Array], ...]:
-        """Return rotation (3, 3) and place (3,), mm, of every recording's base for the sensor, for values (P,)."""
+        """Return rotation (3, 3) and origin (3,), mm, of each recording's base for the sensor; values: (P,)."""
         return tuple(zip(self._turns(values), self._places(values), strict=True))
 
     def _turns(self, values: Array) -> Array:
-        """Rotations (recordings, 3, 3) from the bases' axes to the sensor's."""
+        """Return rotations (recordings, 3, 3) from the bases' axes to the sensor's; values: (P,)."""
         vectors = self._of_bases(values, BASE[3:])
         rotations = Rotation.from_rotvec(vectors).as_matrix()
         # Small rotations about the base's own axes, behind those that registration has found: far from the
@@ -312,11 +315,11 @@ class Prediction:
         return np.stack([turn for turn, _ in self.bases]) @ rotations
 
     def _places(self, values: Array) -> Array:
-        """The bases' origins (recordings, 3) in the sensor's axes, mm."""
+        """Return the bases' origins (recordings, 3) in the sensor's axes, mm; values: (P,)."""
         return np.stack([place for _, place in self.bases]) + self._of_bases(values, BASE[:3])
 
     def _of_bases(self, values: Array, kinds: tuple[str, ...]) -> Array:
-        """Values (recordings, n) of n kinds of parameters of bases, from values (P,)."""
+        """Return the values (recordings, n) of n kinds of parameters of bases, from values (P,)."""
         found = np.zeros((len(self.bases), len(kinds)))
         for axis, kind in enumerate(kinds):
             for k in self.parameters.columns(kind):
@@ -325,7 +328,7 @@ class Prediction:
 
 
 def flat_measured(measured: Measurements) -> Array:
-    """Return measured values as rows (T, 6 + 3n), in the order of :meth:`Seen.flat`."""
+    """Return measured values as rows (T, 6 + 3n), in the order of :meth:`ObservableValues.flat`."""
     return ObservableValues(measured.tip, measured.direction, measured.points).flat()
 
 

@@ -107,7 +107,7 @@ def read_measurements(path: str | Path | Sequence[str | Path], robot: Robot) -> 
 
 
 def _table(path: Path, robot: Robot) -> _Table:
-    """Read a file; raise MeasurementError where it is none of measurements of the robot."""
+    """Read a file; raise MeasurementError where it is no table of measurements of the robot."""
     try:
         with open(path, newline="", encoding="utf-8-sig") as file:
             rows = list(csv.reader(file))
@@ -160,12 +160,12 @@ def _row(path: Path, line: int, names: tuple[str, ...], row: Sequence[str]) -> l
 
 
 def _points(table: _Table) -> list[int]:
-    """The numbers of the points that a table has columns of."""
+    """Return the numbers, from 1, of the points for which a table has columns."""
     return sorted({int(match[1]) for name in table.names if (match := POINT.fullmatch(name))})
 
 
 def _observations(table: _Table, robot: Robot, recording: int, most: int) -> Measurements:
-    """Make the observations of a table; recording: its number, from 0; most: points an observation may have."""
+    """Return the observations of a table; recording: its number, from 0; most: largest number of points in any."""
     q = table.columns(robot.axes)
     absent = [k for k, name in enumerate(robot.axes) if name in THETA and name not in table.names]
     q[:, absent] = 0.0
@@ -185,7 +185,7 @@ def _observations(table: _Table, robot: Robot, recording: int, most: int) -> Mea
 
 
 def _forces(table: _Table) -> Array:
-    """Forces at the tip (T, 3), N; 0 along axes that have no column."""
+    """Return the forces at the tip (T, 3), N, of a table; 0 along axes that have no column."""
     found = table.columns(FORCE_COLUMNS)
     found[:, [name not in table.names for name in FORCE_COLUMNS]] = 0.0
     for row, axis in np.argwhere(~np.isfinite(found)):
@@ -203,9 +203,9 @@ def _forces(table: _Table) -> Array:
 
 
 def _places(table: _Table, number: int, points: Array, reach: Array) -> Array:
-    """Where on the robot a point was measured, as sigma (T,); NaN where it was not measured and no place is given.
+    """Return the position of a measured point on the robot, as sigma (T,); NaN where it is missing.
 
-    number: of the point, from 1; points (T, 3): where it was measured, mm; reach (T,): beta_d, mm.
+    number: of the point, from 1. points: (T, 3), measured positions in mm. reach: (T,), beta_d in mm.
     """
     sigma, s = table.columns([f"p{number}_sigma", f"p{number}_s"]).T
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -224,7 +224,7 @@ def _places(table: _Table, number: int, points: Array, reach: Array) -> Array:
 
 
 def _directions(table: _Table) -> Array:
-    """Unit tangents at the tip, (T, 3): the z axis turned by the measured quaternions."""
+    """Return the unit tangents at the tip, (T, 3): the z axis rotated by the measured quaternions of a table."""
     quaternions = table.columns(QUATERNION)
     size = np.linalg.norm(quaternions, axis=1)
     for row in np.flatnonzero(abs(size - 1) > QUATERNION_LENGTH_TOLERANCE):

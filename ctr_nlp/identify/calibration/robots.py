@@ -1,4 +1,4 @@
-"""The robot that a fit describes: tubes of the values found, and the remaining uncertainty as tolerances."""
+"""The calibrated robot: tubes with the estimated values, and the posterior covariance as tolerances."""
 
 from __future__ import annotations
 
@@ -21,17 +21,17 @@ LARGEST_LAG = math.pi / 2
 
 
 def calibrated_robot(fit: ParameterFit, measured: Measurements) -> Robot:
-    """Make the robot with the tubes that fit best, and the covariance that is left as its tolerances.
+    """Build the robot with the tubes that fit best, and the posterior covariance as its tolerances.
 
     A motor's zero is no number of a tube: its value stays in the fit, and only its covariance is among the
     tolerances. Stiffness becomes the tubes' youngs_modulus.
 
     Parameters
     ----------
-    fit : Fit
+    fit : ParameterFit
         The estimates.
     measured : Measurements
-        The observations, at whose configurations the largest backlash is taken.
+        The observations, over whose configurations the largest backlash is computed.
 
     Returns
     -------
@@ -56,7 +56,7 @@ def calibrated_robot(fit: ParameterFit, measured: Measurements) -> Robot:
 
 
 def _covariance(fit: ParameterFit) -> Array:
-    """Covariance (5d, 5d) that is left of all tubes' differences; as before for those that were not estimated."""
+    """Return the posterior covariance (5d, 5d) of all tubes' differences; the prior's where not estimated."""
     parameters = fit.parameters
     root = parameters.robot.tolerances.covariance_root(parameters.robot.tubes)
     over = parameters.parts_jacobian
@@ -68,7 +68,7 @@ def _covariance(fit: ParameterFit) -> Array:
 
 
 def _lag(fit: ParameterFit, measured: Measurements) -> Any:
-    """Largest backlash of every tube that was found, rad; as before where none was estimated."""
+    """Return the largest backlash of every tube, rad, by a fit; the robot's own where none was estimated."""
     parameters = fit.parameters
     if not parameters.columns(*LAGS):
         return parameters.robot.tolerances.rotation_lag

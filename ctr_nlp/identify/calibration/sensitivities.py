@@ -1,8 +1,9 @@
-"""How shapes, motors' angles and stability margins change with the numbers of tubes, to first order.
+"""Sensitivities of shapes, motors' angles and stability margins to the numbers p of tubes, to first order.
 
-With the configuration q held, the tips phi adapt: d phi / d p = -(d alpha / d phi)^-1 d alpha / d p
-(models/shown.py). With D the determinant that vanishes where its margin mu is the smallest eigenvalue, d mu / d p
-= -(dD / dp) / (dD / dmu). Units: mm, rad, and those of the numbers.
+At a fixed configuration q the tips phi adapt: by the implicit function theorem d phi / d p = -(d alpha / d phi)^-1
+d alpha / d p (models/implicit_derivatives.py). The stability margin mu is implicit, too: D(mu, p) = 0 for the
+determinant D of the second variation shifted by mu, so that d mu / d p = -(dD / dp) / (dD / dmu). Units: mm, rad,
+and those of the numbers.
 """
 
 from __future__ import annotations
@@ -23,12 +24,12 @@ from ctr_nlp.typing import Array
 
 
 class Sensitivities(NamedTuple):
-    """Derivatives over the numbers of tubes, (.., d, 8) in the order of robot.structure.NUMBERS, at T unknowns.
+    """Derivatives over the numbers of tubes, (.., d, 8) in the order of TUBE_NUMBER_NAMES, at T equilibria.
 
-    points (T, n, 3, d, 8): of the shape at uniform sigma, mm per unit, with the model's unknowns held. alpha
-    (T, d, d, 8): of the motors' angles, rad per unit, with the unknowns held; 0 where alpha is an unknown itself.
-    moved (T, n, 3, d, 8): of the shape with the configuration held, as a robot shows it whose motors stand still.
-    margin (T, d, 8): of the stability margin with the unknowns held; NaN where nothing can be unstable.
+    points (T, n, 3, d, 8): of the shape at uniform sigma, mm per unit, at fixed unknowns. alpha (T, d, d, 8): of
+    the motors' angles, rad per unit, at fixed unknowns; 0 where alpha is an unknown itself. points_at_fixed_q
+    (T, n, 3, d, 8): of the shape at a fixed configuration, as observed while motors stand still. margin (T, d, 8):
+    of the stability margin at fixed unknowns; NaN where nothing can be unstable.
     """
 
     points: Array
@@ -40,13 +41,14 @@ class Sensitivities(NamedTuple):
 def sensitivities(robot: Robot, x: Array, model: str | Model, sigma: Array = SIGMA_GRID) -> Sensitivities:
     """Return the derivatives of a robot's shape, motors' angles and margin over the numbers of its tubes.
 
-    x (T, n_x): unknowns of the model. sigma (n,): places of the shape. Near a fold the shape at a held
-    configuration changes without bound, and these are large. Raises OptionError.
+    x: (T, n_x), unknowns of the model. model: kinematic model. sigma: (n,), sample points of the shape. Near a
+    fold derivatives at a fixed configuration grow without bound. Raises OptionError.
     """
     described = model_named(model)
     described.check(robot)
     x = np.atleast_2d(np.asarray(x, dtype=float))
     function = derivatives(described, robot.structure, len(sigma))
+    # Where nothing can be unstable the margin is NaN and is not used: 0 keeps the function's other outputs finite.
     margins = np.nan_to_num(described.margins(robot, x))
     found = [function(row, sigma, robot.numbers, margin) for row, margin in zip(x, margins, strict=True)]
     size = robot.d, len(TUBE_NUMBER_NAMES)
@@ -60,18 +62,19 @@ def sensitivities(robot: Robot, x: Array, model: str | Model, sigma: Array = SIG
 
 
 def _unflatten_derivatives(found: Array, rows: tuple[int, ...], size: tuple[int, int]) -> Array:
-    """Derivatives (T, rows, d 8), whose columns run over tubes first, as (T, *rows, d, 8)."""
+    """Return derivatives (T, rows, 8 d) as (T, *rows, d, 8); size: (d, 8)."""
+    # CasADi stores matrices by columns: all tubes' first number, then all tubes' second number.
     split: Array = found.reshape(len(found), *rows, *size[::-1])
     return split.swapaxes(-1, -2)
 
 
 @functools.lru_cache(maxsize=16)
 def derivatives(model: Model, structure: Structure, count: int) -> ca.Function:
-    """(x, sigma (count,), numbers (d, 8), margin) -> derivatives over numbers, as columns of a matrix each.
+    """Build the function (x, sigma (count,), numbers (d, 8), margin) -> derivatives over numbers.
 
-    Of points (3 count, 8 d) with x held, of alpha (d, 8 d), of points with the configuration held, and of the
-    margin (1, 8 d). With D the determinant that vanishes where its margin is the smallest eigenvalue, the margin's
-    derivative is -D_numbers / D_margin.
+    model, structure: of the robot. count: number of sample points. The outputs are the derivatives of points
+    (3 count, 8 d) and of alpha (d, 8 d) at fixed x, of points (3 count, 8 d) at a fixed configuration, and of the
+    margin (1, 8 d).
     """
     d = structure.d
     sigma = ca.SX.sym("sigma", count)
@@ -84,7 +87,8 @@ def derivatives(model: Model, structure: Structure, count: int) -> ca.Function:
     points = ca.vertcat(*(ca.SX(axis) for axis in shape.to_base_frame(shape.points)))
     written = [points, ca.vertcat(*shape.rows.values()), shape.alpha, stable]
     symbols, values = shape.inner.columns
-    # Derivatives are taken over the tubes' numbers through everything: inner values are written out first.
+    # Inner values are symbols of their own, which depend on the tubes' numbers: substituted before
+    # differentiating.
     points, rows, alpha, determinant = ca.substitute(written, [symbols], [values])
     over = ca.vec(numbers)
     of_points, of_alpha, of_determinant = (ca.jacobian(each, over) for each in (points, alpha, determinant))
@@ -98,11 +102,11 @@ def derivatives(model: Model, structure: Structure, count: int) -> ca.Function:
 
 @functools.lru_cache(maxsize=16)
 def shape_derivatives_at_q(model: Model, structure: Structure, count: int) -> ca.Function:
-    """(x, sigma (count,), numbers (d, 8), load) -> how the shape that a robot shows changes, as columns of a
-    matrix each.
+    """Build the function (x, sigma (count,), numbers (d, 8), load) -> derivatives of the points of the shape.
 
-    Of points (3 count,), x of all before y and z: over numbers with the configuration held (3 count, 8 d), and
-    over the configuration (3 count, 2d + 2). load: its numbers; of a model that bears none, nothing.
+    model, structure: of the robot. count: number of sample points. Points are (3 count,), x of all before y and z.
+    The outputs are their derivatives over numbers at a fixed configuration (3 count, 8 d), and over the
+    configuration (3 count, 2d + 2). load: its numbers, empty on a model without a load.
     """
     d = structure.d
     sigma = ca.SX.sym("sigma", count)

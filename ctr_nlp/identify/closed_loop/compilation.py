@@ -1,4 +1,4 @@
-"""Functions that loops evaluate: compiled and waited for, and interpreted where that cannot be."""
+"""Functions evaluated in closed loops: compiled, which is waited for, or interpreted without a compiler."""
 
 from __future__ import annotations
 
@@ -12,11 +12,10 @@ from ctr_nlp.codegen.vector import SHARED_INPUT_PREFIX
 
 
 def compile_function(function: ca.Function, lanes: int = 1) -> ca.Function:
-    """Return a function of dense numbers as compiled code, built once and cached; interpreted where nothing can be
-    compiled.
+    """Return a function of dense numbers as compiled code, built once and cached; interpreted without a compiler.
 
-    lanes: number of columns that are computed side by side, except of inputs whose names begin with
-    SHARED_INPUT_PREFIX (vector.vector_code).
+    function: the CasADi function. lanes: number of columns that are computed in parallel; inputs whose names begin
+    with SHARED_INPUT_PREFIX are the same in all (codegen/vector.py).
     """
     if cache.unavailable_reason():
         shared = [name for name in function.name_in() if name.startswith(SHARED_INPUT_PREFIX)]

@@ -1,4 +1,13 @@
-"""Where an estimated robot has a planned shape, to first order: near the planned place and within limits."""
+"""Correction of tubes towards a planned shape: a quadratic program around the estimated robot.
+
+With the step s of the configuration, J the slopes of the shape, e what is missing of the planned shape, m the
+stability margin with slopes g, and a slack z >= 0,
+
+    min  |J s - e|^2 + pull |W (q + s - q_planned)|^2 + c z   subject to  m + g . s + z >= m_least,
+
+the limits of q and s, the order of tubes and the distance of carriages. The slack makes it always feasible. W is
+10 mm/rad for angles and 1 for extensions, as in the motion term of eq. (9).
+"""
 
 from __future__ import annotations
 
@@ -15,16 +24,16 @@ from ctr_nlp.solvers.frame.program import Program
 from ctr_nlp.typing import Array
 
 MARGIN_SHORTFALL_COST_MM2 = 30.0
-"""mm^2 that what must hold costs where it is missed by 1: it is held unless limits of speed do not allow it."""
+"""Cost c, mm^2, of a shortfall of the margin by 1: it is satisfied unless limits of speed do not allow it."""
 MAX_CORRECTION_VIOLATION = 1e-3
-"""rad, mm and parts of a margin by which limits may be missed for want of digits, before they are held."""
+"""Largest violation, rad, mm and parts of a margin, of a solution that is used after clipping to its limits."""
 
 
 class LinearisedRobot(NamedTuple):
-    """The estimated robot where its tubes are at q (2d + 2,), and how it changes to first order with them.
+    """The estimated robot with its tubes at q (2d + 2,), linearised in these.
 
-    seen (n, 3): places of its shape, mm, with slopes over (2d + 2, n, 3); margin, NaN where nothing can be
-    unstable, with slopes of_margin (2d + 2,).
+    points (n, 3): of its shape, mm, with point_slopes (2d + 2, n, 3). margin: NaN where nothing can be unstable,
+    with slopes of_margin (2d + 2,).
     """
 
     q: Array
@@ -35,10 +44,10 @@ class LinearisedRobot(NamedTuple):
 
 
 class Correction:
-    """A quadratic program over the configuration of the tubes, whose numbers are given every time."""
+    """The quadratic program over the configuration of the tubes, compiled once and solved with new numbers."""
 
     def __init__(self, robot: Robot, roots: Array) -> None:
-        """Build; roots (n,): square roots of the weights of places of the shape, whose squares sum to 1.
+        """Build the program; roots (n,): square roots of the weights of points, which sum to 1.
 
         Raises OptionError where nothing can be compiled.
         """
@@ -62,11 +71,11 @@ class Correction:
         margin: float,
         pull: float,
     ) -> Array | None:
-        """The configuration of the tubes (2d + 2,) within low and high; None where none is found.
+        """Return the configuration of the tubes (2d + 2,) within low and high (2d + 2,); None where none is found.
 
-        wanted (n, 3): where the places of the shape are to be, mm; planned (2d + 2,): where the tubes were planned
-        to be. margin: the least, which is missed where limits do not allow it. pull: mm^2 that a mm away from the
-        planned configuration costs.
+        at: the linearised robot. wanted: (n, 3), planned points of the shape, mm. planned: (2d + 2,), planned
+        configuration. margin: the least stability margin. pull: cost, mm^2, of a mm away from the planned
+        configuration.
         """
         q = at.q
         size = self._size
@@ -75,12 +84,12 @@ class Correction:
         slopes = at.point_slopes.reshape(size, -1).T * self._roots[:, None]
         away = (wanted - at.points).ravel() * self._roots
         # Shape and pull together, |J s - away|^2 + |scale (s + q - planned)|^2, are |R s - r|^2 but for a
-        # constant, with R'R = J'J + scale^2: a small triangular program in place of a row for each place. The pull
+        # constant, with R'R = J'J + scale^2: a small triangular system instead of a row for each point. The pull
         # makes it positive definite.
         root = np.linalg.cholesky(slopes.T @ slopes + np.diag(scale**2)).T
         towards = slopes.T @ away + scale**2 * (planned - q)
         self._root[:], self._wanted[:] = root.ravel("F"), lapack.dtrtrs(root, towards, trans=1)[0]
-        # 0 s - (-1) + short >= 0 holds always: the row stays, and constrains nothing.
+        # On a model that cannot snap, 0 s - (-1) + short >= 0: the row stays in the program and is never active.
         stable = math.isnan(at.margin)
         self._margin[:] = (
             np.append(np.zeros(size), -1.0) if stable else np.append(at.of_margin, margin - at.margin)
@@ -94,7 +103,7 @@ class Correction:
 
 
 def _nlp(robot: Robot) -> Nlp:
-    """|root step - wanted|^2, with the order of tubes, carriages apart, and a margin missed only at a cost."""
+    """Build the program: |root step - wanted|^2, with the order of tubes, carriages, and a soft margin."""
     size = len(robot.axes)
     d = robot.d
     step = ca.SX.sym("step", size)

@@ -1,4 +1,4 @@
-"""Readings that sensors give of a plant, with noise, delays, and faults of the sensors."""
+"""Simulated readings of a plant by sensors, with noise, latency, and faults of the sensors."""
 
 from __future__ import annotations
 
@@ -22,19 +22,19 @@ class SensorFault:
     end: float = np.inf
 
     def is_active_at(self, time: float) -> bool:
-        """Return whether the fault is there at a time, s."""
+        """Return whether the fault is present at a time, s."""
         return self.begin <= time < self.end
 
     def distort_shape(self, shape: SensedShape) -> SensedShape:
-        """Return the shape that the faulty sensor looks at in place of the real one."""
+        """Return the shape that the faulty sensor measures instead of the real one."""
         return shape
 
     def distort_values(
         self, values: Array, before: Array | None, random: Random, groups: Sequence[Index]
     ) -> Array:
-        """Return what the faulty sensor reports, (m,), in place of its values (m,).
+        """Return the values (m,) that the faulty sensor reports instead of its values (m,).
 
-        before: values that were reported last, or None. random: generator of random numbers. groups: rows of
+        before: (m,), values that were reported last, or None. random: generator of random numbers. groups: rows of
         values that belong together (Sensors.value_groups).
         """
         return values
@@ -47,7 +47,7 @@ class Silence(SensorFault):
     def distort_values(
         self, values: Array, before: Array | None, random: Random, groups: Sequence[Index]
     ) -> Array:
-        """Return NaN for all values (m,)."""
+        """Return NaN for all values (m,); before, random and groups are not used."""
         return np.full_like(values, np.nan)
 
 
@@ -61,7 +61,10 @@ class Outliers(SensorFault):
     def distort_values(
         self, values: Array, before: Array | None, random: Random, groups: Sequence[Index]
     ) -> Array:
-        """Return values (m,) of which a share of the groups is off by size, in a random direction each."""
+        """Return values (m,) of which a share of the groups is off by size, in a random direction each.
+
+        random: generator of random numbers. groups: rows of values that belong together; before is not used.
+        """
         found = values.copy()
         for rows in groups:
             off = random.standard_normal(rows.shape)
@@ -72,7 +75,7 @@ class Outliers(SensorFault):
 
 @dataclass(frozen=True)
 class LateReadings(SensorFault):
-    """Values are those of some time before, s, and are told as if they were of now."""
+    """Values are `delay` s old, and are reported with the present time."""
 
     delay: float = 0.2
 
@@ -90,32 +93,35 @@ class ShiftedPoints(SensorFault):
 
 @dataclass(frozen=True)
 class SwappedAxes(SensorFault):
-    """Axes are taken for each other."""
+    """Axes are exchanged."""
 
     axes: tuple[int, int, int] = (1, 0, 2)
 
     def distort_shape(self, shape: SensedShape) -> SensedShape:
-        """Return the shape with axes exchanged, of points and tangents."""
+        """Return the shape with exchanged axes, of points and tangents."""
         order = list(self.axes)
         return shape._replace(points=shape.points[:, order], tangents=shape.tangents[:, order])
 
 
 @dataclass(frozen=True)
 class StuckReadings(SensorFault):
-    """The last values are told again and again."""
+    """The last values are reported again and again."""
 
     def distort_values(
         self, values: Array, before: Array | None, random: Random, groups: Sequence[Index]
     ) -> Array:
-        """Return the values that were reported last, (m,); the true ones where there are none yet."""
+        """Return `before`, the values (m,) that were reported last; `values` (m,) where there are none yet.
+
+        random and groups are not used.
+        """
         return values if before is None else before
 
 
 class Feed:
     """Readings of a plant, as they arrive; the same seed gives the same noise.
 
-    latency: s by which readings arrive late, with the time at which they were taken. dropped: share of those that
-    never arrive. noise: how much of the sensors' own there is.
+    latency: delay, s, with which readings arrive, stamped with the time at which they were taken. dropped: share
+    of readings that never arrive. faults: of the sensors. noise: factor of the sensors' own noise.
     """
 
     def __init__(
@@ -140,11 +146,12 @@ class Feed:
         self._told: Array | None = None
 
     def take_readings(self, time: float) -> list[Reading]:
-        """Measure at a time, s, and tell what arrives by then."""
+        """Measure at a time, s, and return the readings that arrive by then."""
         faults = [fault for fault in self._faults if fault.is_active_at(time)]
         seen = self._plant.sample_shape(self._sensors.sigma)
         for fault in faults:
             seen = fault.distort_shape(seen)
+        # Faults of the shape come before the noise, those of values after it: a stuck sensor has no noise.
         noise = self._random.standard_normal(len(self._sensors)) * self._sensors.noise
         values = self._sensors.values(seen) + self._noise * noise
         self._taken.append(Reading(time, values))
@@ -161,5 +168,5 @@ class Feed:
         return [each for each in due if np.isfinite(each.values).any()]
 
     def _earlier(self, time: float) -> Array:
-        """The last values taken by a time, s; the first ones where there are none."""
+        """Return the last values taken by a time, s; the first ones where there are none."""
         return next((r.values for r in self._taken[::-1] if r.time <= time + 1e-9), self._taken[0].values)

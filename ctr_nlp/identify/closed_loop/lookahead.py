@@ -1,10 +1,10 @@
-"""Whether an estimated robot may be moved on: its stability margin there and on the way, and that of a likely one.
+"""Look-ahead before a command: the stability margin of the estimated robot, and of a less stable one, on the path.
 
-A snap cannot be taken back, so it must be foreseen. Two robots are moved in LOOKAHEAD_SUBSTEPS parts of the way
-that motors would go: the estimated one, whose margin must not fall below the least margin, and one that is
-SNAP_SAFETY_DEVIATIONS standard deviations of the margin less stable, which must not snap. The second one is moved
-as a robot of its own instead of being extrapolated from slopes: towards a fold the margin falls as the square root
-of the way that is left, so that a straight line through margin and slope promises twice the way that there is.
+A snap cannot be undone, so it must be predicted. Two robots are simulated along the commanded motion in
+LOOKAHEAD_SUBSTEPS steps: the estimated one, whose margin must not fall below the least margin, and one that is
+SNAP_SAFETY_DEVIATIONS standard deviations of the margin less stable, which must not snap. The second one is
+simulated instead of extrapolated: towards a fold the margin mu falls as the square root of the remaining distance
+x, mu ~ sqrt(x), so that the line through margin and slope reaches 0 only after mu / mu' = 2 x.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ SNAP_SAFETY_DEVIATIONS = 3.0
 """Standard deviations of the margin by which a robot may be less stable than the estimated one and must not snap.
 """
 LOOKAHEAD_SUBSTEPS = 4
-"""Parts of the way to a configuration at whose ends the margin is looked at."""
+"""Sub-steps to a configuration after which the margin is computed."""
 
 
 def objection(observer: Observer, weaker: Observer | None, motors: Array, least_margin: float) -> str:
@@ -32,19 +32,19 @@ def objection(observer: Observer, weaker: Observer | None, motors: Array, least_
     Parameters
     ----------
     observer : Observer
-        The estimated robot, where its motors are.
+        The estimated robot at its present configuration.
     weaker : Observer, optional
-        The less stable robot, of :meth:`~ctr_nlp.identify.closed_loop.observer.Observer.weaker`; None where that
-        has snapped already, which speaks against every motion.
+        The less stable robot, of :meth:`~ctr_nlp.identify.closed_loop.observer.Observer.weaker_robot`; None where
+        that has snapped already, which rules out every motion.
     motors : Array
-        Where motors are to go, evenly, (2d + 2,): rad, mm.
+        Commanded configuration (2d + 2,) of the motors, rad and mm, to which they move linearly.
     least_margin : float
-        Of the estimated robot.
+        Least stability margin of the estimated robot.
 
     Returns
     -------
     str
-        The reason in words, empty where nothing speaks against it.
+        The reason in words, empty where the robot may be moved.
     """
     margin = _least_margin(observer, motors)
     if margin == -math.inf:
@@ -61,7 +61,7 @@ def objection(observer: Observer, weaker: Observer | None, motors: Array, least_
 
 
 def _least_margin(observer: Observer, motors: Array) -> float:
-    """The least stability margin on the way to motors (2d + 2,); -inf where the robot snaps."""
+    """Return the least stability margin on the path to motors (2d + 2,); -inf where the robot snaps."""
     there = observer.independent_copy()
     start = observer.q
     least = math.inf

@@ -1,12 +1,13 @@
-"""What measurements say of a robot's tubes, zeros, lags and tip force: an extended Kalman filter over these.
+"""Observer of a robot's tubes, motor zeros, backlash and tip force: an extended Kalman filter over these.
 
 A reading y = h(x, z) + noise of covariance R, with x the equilibrium that the robot is in, changes the estimate z
 (k,) and its covariance P by
 
     S = H P H' + R,   K = P H' S^-1,   z <- z + K (y - h),   P <- (1 - K H) P
 
-with H = dh / dz at held motors. After the estimated robot has fallen from its branch of equilibria there are two
-hypotheses: that the robot has fallen, or that a likely one near to it has not ("Loops" in docs/method.md).
+with H = dh / dz at fixed motors. z is constant, so that there is no prediction step for P. Where the estimated
+robot snaps, there are two hypotheses: the robot has snapped, or a likely one close to it has not ("Loops" in
+docs/method.md).
 """
 
 from __future__ import annotations
@@ -30,30 +31,30 @@ from ctr_nlp.models.walker import Walker
 from ctr_nlp.typing import Array, Flags
 
 MODEL_NOISE_SHARE = 0.1
-"""Part of a sensor's noise that is added for what the model does not know."""
+"""Part of a sensor's variance that is added for errors of the model."""
 MIN_TUBE_TURN_RAD = 1e-4
-"""rad: tubes that are to turn by less are left where they are within their lags."""
+"""rad: tubes that are to turn by less keep their position within their play."""
 UNSNAPPED_SEARCH_DEVIATIONS = 0.5, 1.0, 1.5, 2.0, 3.0
-"""Standard deviations away among which a robot is looked for that has not fallen where the estimated one has."""
+"""Standard deviations of the margin at which a robot is sought that has not snapped when the estimate has."""
 DECISIVE_LOG_ODDS, MAX_COUNTED_INNOVATION_DEVIATIONS = 10.0, 5.0
-"""Logarithm of the odds at which one of two hypotheses is dropped; deviations more than which count no more."""
+"""Log odds at which one of two hypotheses is dropped; innovations are clipped to so many standard deviations."""
 WEAKER_STEPS = 10
-"""Steps in which the numbers of a less stable robot are reached from the estimated ones."""
+"""Continuation steps from the estimated robot to a less stable one."""
 SNAP_FIT_RATIO = 3.0
-"""How many times nearer a reading is to another equilibrium than to the expected one of a snap."""
+"""Factor by which a reading must be nearer to another equilibrium than to the expected one to prove a snap."""
 MIN_SNAP_MISFIT_DEVIATIONS = 6.0
-"""Standard deviations, root mean square over values, beyond which a reading is not far off by chance."""
+"""Standard deviations, root mean square over values, beyond which a misfit is not due to chance."""
 MIN_MARGIN_VARIANCE = 1e-300
-"""What stands for 0 in a denominator."""
+"""Replaces 0 in denominators."""
 
 
 class Innovation(NamedTuple):
-    """A reading compared with what was predicted for its time.
+    """A reading compared with the prediction for its time.
 
-    excess (m,): measured less predicted. expected (m,): standard deviations of that. accepted (m,): which values
-    were used; missing ones were not. size: mean square of accepted innovations over their expected deviations,
-    about 1; NaN without any. groups: number of groups of values measured that are right or wrong together;
-    rejected: how many of these were not used.
+    time: of the reading, s. excess (m,): measured less predicted. expected_deviations (m,): standard deviations of
+    that. accepted (m,): mask of the values that are used; missing ones are not. size: mean square of accepted
+    innovations over their expected deviations, about 1; NaN without any. groups: number of groups measured, whose
+    values are right or wrong together; rejected: number of these that are not used.
     """
 
     time: float
@@ -66,11 +67,12 @@ class Innovation(NamedTuple):
 
 
 class Observer:
-    """One hypothesis of a robot: a mean and a covariance of its differences, and the equilibrium that it is in.
+    """One hypothesis of a robot: mean and covariance of its parameter differences, and its equilibrium.
 
-    q (2d + 2,): where the motors are. margin: of the estimated robot, NaN where nothing can be unstable.
-    predicted: its shape at the predictor's places, of which the sensors' come first. jumps: by what its tips
-    jumped so far; rejected_updates: how many readings were not taken since the estimated robot would have snapped.
+    differences: the k parameters, with their prior. q (2d + 2,): configuration of the motors. margin: of the
+    estimated robot, NaN where nothing can be unstable. predicted: its shape at the predictor's points, of which
+    the sensors' come first. jumps: of its tips so far, rad. rejected_updates: number of readings that were not
+    used because the estimated robot would have snapped. rival: the other hypothesis, None without one.
     """
 
     def __init__(
@@ -112,13 +114,14 @@ class Observer:
 
     @property
     def tubes(self) -> Array:
-        """The configuration (2d + 2,) of the estimated robot's tubes."""
+        """Configuration (2d + 2,) of the estimated robot's tubes."""
         found = self.q.copy()
         found[: self._d] += self._offsets + self._behind
         return found
 
     def motors(self, tubes: Array) -> Array:
-        """Where motors must go to turn tubes to a configuration (2d + 2,): past it by their lags."""
+        """Return the motors' configuration (2d + 2,) that turns tubes to a configuration (2d + 2,)."""
+        # Motors overshoot by the play. A tube that is not to turn stays on the side of its play where it is.
         found = tubes.copy()
         d = self._d
         turn = tubes[:d] - self.tubes[:d]
@@ -128,26 +131,26 @@ class Observer:
         return found
 
     def predict_at(self, walker: Walker) -> tuple[PredictedShape, float]:
-        """Return the prediction for the estimated robot where a walker stands, and the stability margin there."""
+        """Return the predicted shape at the equilibrium of a walker, and the stability margin there."""
         margin = walker.margin()
         return self._predict(walker.x, self._numbers, self._described, margin, self._load), margin
 
     def deviation(self, of_margin: Array) -> float:
-        """Return the standard deviation of the margin by what is unknown; of_margin: slopes as in Predicted."""
+        """Return the standard deviation of the margin; of_margin: (k,), slopes as in PredictedShape."""
         slopes = self._signs_over * of_margin[self.differences.derivative_indices]
         return math.sqrt(max(float(slopes @ self.covariance @ slopes), 0.0))
 
     def uncertainty(self, of_points: Array) -> float:
-        """Return the standard deviation of the shape, mm, as root mean square over n places.
+        """Return the standard deviation of the shape, mm, as root mean square over n points.
 
-        of_points (k, n, 3): slopes of these places, as in Predicted.
+        of_points: (k, n, 3), slopes of these points, as in PredictedShape.
         """
         slopes = self._signs_over[:, None, None] * of_points[self.differences.derivative_indices]
         over = slopes.reshape(len(slopes), -1)
         return math.sqrt(max(float(np.sum((self.covariance @ over) * over)) / of_points.shape[1], 0.0))
 
     def move_motors(self, q: Array, time: float) -> None:
-        """The motors have moved to q (2d + 2,) at a time, s."""
+        """Update the robot for motors that have moved to q (2d + 2,) by a time, s."""
         stood = None if self._walker is None else self._walker.copy()
         fell = self._move_walker(q)
         if fell and stood is not None and self.rival is None:
@@ -159,7 +162,7 @@ class Observer:
         self._predict_readings(time)
 
     def _move_walker(self, q: Array) -> list[Array]:
-        """The motors have moved to q (2d + 2,); by what the tips of the estimated robot jumped."""
+        """Simulate motors that have moved to q (2d + 2,); return the jumps of the estimated robot's tips, rad."""
         d = self._d
         before = np.full(d, q[d - 1]) if self._walker is None else self.q[:d]
         # A tube stays where it is until its motor has taken up the play; then it is dragged along (engaged).
@@ -175,46 +178,47 @@ class Observer:
         )
 
     def _jumps_or_nan(self, fell: list[Array]) -> list[Array]:
-        """By what tips jumped; NaN once where it is not known where they came to, as under a load."""
+        """Return jumps of the tips; NaN, once, where the equilibrium after a snap is unknown, as under a load."""
         gone = np.isnan(self.walker.x).any() and not (fell or self.jumps)
         return [np.full(self._d, np.nan)] if gone else fell
 
     def _update_walker(self, x: Array | None = None) -> list[Array]:
-        """The walker goes on as the robot that is estimated now, about at x (n_x,); by what its tips jumped."""
+        """Move the walker to the robot as estimated now; return jumps of its tips; x: (n_x,), initial guess."""
         fell = self.walker.change_tubes(self._numbers, x)
         if len(self.differences.force_indices):
             fell = [*fell, *self.walker.change_load(self._load)]
         return [*fell, *self.walker.move_to(self.tubes)]
 
     def apply_past_motion(self, configurations: Array) -> None:
-        """The motors pass configurations (n, 2d + 2), of which nothing is predicted."""
+        """Simulate a motion through configurations (n, 2d + 2) without predictions of readings."""
         self._copy_walker()
         for q in configurations:
             self._move_walker(q)
 
     def independent_copy(self) -> Observer:
-        """Return a copy whose robot moves without moving this one's."""
+        """Return a copy that moves independently of this one."""
         found = copy.copy(self)
         found._copy_walker()
         return found
 
     def _copy_walker(self) -> None:
-        """Go on with a walker of its own: copies of an observer share theirs."""
+        """Replace the walker by a copy: copies of an observer share theirs otherwise."""
         self._walker = None if self._walker is None else self._walker.copy()
 
     def move_and_check_snap(self, q: Array) -> bool:
-        """Move the motors to q (2d + 2,), of which nothing is predicted, and return whether the robot snaps.
+        """Move the motors to q (2d + 2,) without predictions of readings; return whether the robot snaps.
 
-        For an observer that is apart: copies that are not share a walker, which moves.
+        For an independent copy only: other copies share their walker, which moves.
         """
         return bool(self._move_walker(q)) or not np.isfinite(self.walker.x).all()
 
     def weaker_robot(self, of_margin: Array, deviations: float) -> Observer | None:
-        """Return the robot whose margin is so many standard deviations less, at the same motors.
+        """Return a copy of the robot whose margin is `deviations` standard deviations less, at the same motors.
 
-        Of all robots at that distance it is the most likely one. of_margin: slopes of the margin, as Predicted has
-        them. None where that robot would have snapped already.
+        of_margin: (k,), slopes of the margin, as in PredictedShape. None where that robot would have snapped.
         """
+        # The most likely one of all robots with that margin: of all dz with s . dz = -n sqrt(s' P s), dz' P^-1 dz
+        # is least for dz = -n P s / sqrt(s' P s).
         slopes = self._signs_over * of_margin[self.differences.derivative_indices]
         spread = math.sqrt(max(float(slopes @ self.covariance @ slopes), MIN_MARGIN_VARIANCE))
         change = -deviations / spread * (self.covariance @ slopes)
@@ -227,11 +231,10 @@ class Observer:
         return found
 
     def find_other_equilibrium(self, reading: Reading) -> Array | None:
-        """Return the shape (n, 3), mm, at the predictor's places, in the equilibrium that a reading shows instead.
+        """Return the shape (n, 3), mm, of another equilibrium that a reading fits better; None without one.
 
-        None where chance may explain how far the reading is from what is expected, or where no other equilibrium
-        at the same motors comes nearer to it by SNAP_FIT_RATIO. The others are found as a tube that has snapped
-        gets there: turned by a whole turn against the rest.
+        None also where the misfit may be due to chance, or where no other equilibrium at the same motors fits
+        better by SNAP_FIT_RATIO. Points are the predictor's.
         """
         innovation = self.compute_innovation(reading)
         d = self._d
@@ -240,6 +243,8 @@ class Observer:
             return None
         found: Array | None = None
         least = away / SNAP_FIT_RATIO
+        # Other equilibria at the same motors are those of a robot with some tubes a whole turn further: a tube
+        # that snaps unwinds by about that much.
         for turns in itertools.product((-1.0, 0.0, 1.0), repeat=d - 1):
             tubes = self.tubes
             tubes[: d - 1] += 2 * np.pi * np.array(turns)
@@ -259,21 +264,18 @@ class Observer:
         return found
 
     def copy_after_motion(self, configurations: Array) -> Observer:
-        """Return a copy of the estimate after its motors have passed configurations (n, 2d + 2), with its jumps,
-        mm.
-        """
+        """Return a copy after its motors have moved through configurations (n, 2d + 2), with its jumps, rad."""
         found = self.independent_copy()
         for q in configurations:
             found._add_jumps(found._move_walker(q))
         return found
 
     def _split_hypotheses(self, stood: Walker, fell: list[Array], time: float) -> None:
-        """The estimated robot has fallen from where it stood: go on as the nearest likely one that has not, if
-        any.
+        """Continue as the most likely robot that has not snapped, if any, with the snapped one as rival.
 
-        The one that has is the rival; measurements tell them apart.
+        stood: walker before the snap. fell: jumps of the tips. time: s. Readings then decide between the two.
         """
-        # The rival is the robot that has fallen; this object goes on as one that has not.
+        # The rival is the robot that has snapped; this object becomes one that has not.
         rival = copy.copy(self)
         slopes = self._signs_over * self.predicted.of_margin[self.differences.derivative_indices]
         # The most likely change of z by which the margin grows by one of its standard deviations.
@@ -292,12 +294,13 @@ class Observer:
         self.jumps = self.jumps + fell
 
     def _add_jumps(self, fell: list[Array]) -> Observer:
-        """Return this hypothesis with the jumps of a fall added."""
+        """Return this hypothesis with the jumps of a snap added."""
         self.jumps = self.jumps + fell
         return self
 
     def _shift_mean(self, change: Array) -> None:
-        """The mean moves by so much (k,), and where tubes are within their lags."""
+        """Change the mean by so much (k,), and the positions of tubes within their play."""
+        # A tube at the end of its play stays there as the estimated play changes.
         rows, tubes = self.differences.lag_indices
         self.mean, self._behind = self.mean + change, self._behind.copy()
         self._behind[tubes] += self._engaged[tubes] * change[rows]
@@ -305,14 +308,14 @@ class Observer:
         self._behind = np.clip(self._behind, -self._lags, self._lags)
 
     def _predict_readings(self, time: float) -> None:
-        """Predict what is measured now."""
+        """Predict the readings at a time, s, and remember them for late ones."""
         self.predicted, self.margin = self.predict_at(self.walker)
         self._of_phi = self.predicted.of_phi.copy()
         values, over = self._sensor_values(self.predicted)
         self._recalled = self._recalled.with_prediction(PastPrediction(time, values, over, self.mean))
 
     def _sensor_values(self, predicted: PredictedShape) -> tuple[Array, Array]:
-        """What sensors would tell of a shape (m,), and its slopes (m, k) over differences."""
+        """Return the values (m,) that sensors would measure, and their slopes (m, k) over differences."""
         rows = self.differences.derivative_indices
         signs = self._signs_over[:, None, None]
         n = len(self._sensors.sigma)
@@ -323,14 +326,12 @@ class Observer:
 
     @property
     def _signs_over(self) -> Array:
-        """Signs (k,) with which differences act on shapes: 1, and for lags the side of its play at which each tube
-        is.
-        """
+        """Signs (k,) of the differences' effect on shapes: 1; for lags the end of its play at which a tube is."""
         ones = np.ones(len(self.differences) - len(self.differences.lag_indices[1]))
         return np.concatenate([ones, self._engaged[self.differences.lag_indices[1]]])
 
     def expected_reading(self, time: float) -> tuple[Array, Array]:
-        """Return what is predicted of a reading at a time, (m,), with slopes (m, k), by the estimate of now."""
+        """Return the predicted values (m,) for a time, s, with slopes (m, k), by the present estimate."""
         return self._recalled.expected_reading(time, self.mean)
 
     def rates(self, time: float) -> Array:
@@ -338,7 +339,7 @@ class Observer:
         return self._recalled.rates(time)
 
     def compute_innovation(self, reading: Reading) -> Innovation:
-        """A reading beside what is expected, of which nothing is taken."""
+        """Return the innovation of a reading, without updating the estimate."""
         return self._innovation_and_gain(reading)[0]
 
     def _innovation_and_gain(self, reading: Reading) -> tuple[Innovation, Array, Array]:
@@ -372,9 +373,9 @@ class Observer:
         return Innovation(reading.time, excess, expected, taken, size, *counts), gain, slopes
 
     def update_estimate(self, reading: Reading) -> Innovation:
-        """Take a reading of a moment that the motors have passed: what is right of it changes the estimate.
+        """Update the estimate with a reading, of a time up to now, and return its innovation.
 
-        A change in which the estimated robot would snap is not taken.
+        An update with which the estimated robot would snap is rejected.
         """
         innovation, gain, slopes = self._innovation_and_gain(reading)
         if self.rival is not None:
@@ -387,7 +388,10 @@ class Observer:
         return innovation
 
     def _decide(self, own: Innovation, other: Innovation) -> None:
-        """Take the rival's place once measurements speak for it, or go on without it."""
+        """Replace this hypothesis by its rival, or drop the rival, once readings decide between them.
+
+        own, other: innovations of this hypothesis and of the rival.
+        """
         # Log-likelihood ratio of both hypotheses; a single outlier counts at most
         # MAX_COUNTED_INNOVATION_DEVIATIONS deviations.
         away = [
@@ -401,11 +405,11 @@ class Observer:
             self.rival = None
 
     def restore_estimate(self, mean: Array, covariance: Array) -> None:
-        """Go back to an earlier mean (k,) and covariance (k, k)."""
+        """Restore an earlier mean (k,) and covariance (k, k)."""
         self._apply_change(mean - self.mean, covariance)
 
     def _apply_change(self, change: Array, covariance: Array) -> None:
-        """The mean moves by so much (k,), and the estimated robot with it."""
+        """Change the mean by so much (k,), set the covariance (k, k), and move the estimated robot accordingly."""
         d = self._d
         freed = len(self.differences.tube_parts)
         before = self.__dict__.copy()
@@ -423,6 +427,6 @@ class Observer:
 
 
 def _misfit(excess: Array, expected: Array) -> float:
-    """Root mean square of excess (m,), NaN where a value is missing, in expected deviations (m,); 0 of none."""
+    """Return the root mean square of excess (m,), NaN where missing, over expected deviations (m,); 0 of none."""
     known = np.isfinite(excess)
     return float(np.sqrt(np.mean((excess[known] / expected[known]) ** 2))) if known.any() else 0.0

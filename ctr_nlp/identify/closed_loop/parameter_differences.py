@@ -1,7 +1,7 @@
-"""By what a robot may differ from its description, as one vector z (k,), with what is known of it beforehand.
+"""Differences of a robot from its nominal parameters, as one vector z (k,) with a prior.
 
 Entries are parts of curvatures and stiffnesses, lengths in mm, motors' zeros in rad, a force at the tip in N, and
-lags in rad. Beforehand z has the mean and the covariance of the robot's tolerances; measurements change both
+lags (play) in rad. The prior has the mean and the covariance of the robot's tolerances; measurements change both
 (observer.py).
 """
 
@@ -24,17 +24,17 @@ from ctr_nlp.typing import Array, Index
 MOTOR_ZERO_NAME, ROTATION_LAG_NAME = DEVIATION_NAMES[-1], "rotation_lag"
 """The names of a motor's zero and of a tube's lag behind it."""
 FORCE_COMPONENT_NAMES = "force_x", "force_y", "force_z"
-"""What pushes at the tip, N, in the directions of the base; of no tube."""
+"""Components of the force at the tip, N, in the axes of the base; they belong to no tube."""
 NO_TUBE = -1
-"""What stands in the place of a tube's number."""
+"""Stands for the number of a tube where there is none."""
 
 
 @dataclass(frozen=True, eq=False)
 class ParameterDifferences:
     """The k differences of a robot whose tolerances are not 0: of tubes, then zeros, a force at the tip, and lags.
 
-    entries: the tube, from 0, and the name of each, as robot.tolerances has them, or one of FORCE_COMPONENT_NAMES.
-    mean (k,), covariance (k, k): what is known before anything is measured, in parts, mm, rad and N.
+    robot: the nominal one. entries: tube, from 0, and name of each, as in robot/tolerances.py, or one of
+    FORCE_COMPONENT_NAMES. mean (k,), covariance (k, k): of the prior, in parts, mm, rad and N.
     """
 
     robot: Robot
@@ -44,10 +44,10 @@ class ParameterDifferences:
 
     @classmethod
     def of(cls, robot: Robot, tolerances: Tolerances | None = None) -> ParameterDifferences:
-        """Make the differences that tolerances allow; None for the robot's own tolerances.
+        """Build the differences that tolerances allow; None for the robot's own tolerances.
 
-        A lag is uniform between 0 and its tolerance; a force at the tip is as large as may be, from any side.
-        Raises RobotError, and OptionError where all tolerances are 0.
+        A lag is uniform between 0 and its tolerance; a force at the tip has the size of its tolerance and any
+        direction. Raises RobotError, and OptionError where all tolerances are 0.
         """
         allowed = robot.tolerances if tolerances is None else tolerances
         d = robot.d
@@ -79,22 +79,22 @@ class ParameterDifferences:
 
     @cached_property
     def tube_parts(self) -> tuple[tuple[int, str], ...]:
-        """Tube (from 0) and name of the differences that change numbers of tubes; first in the vector."""
+        """Tube (from 0) and name of the differences that change numbers of tubes; they are first in the vector."""
         return tuple(place for place in self.entries if place[1] in TUBE_PARTS)
 
     @cached_property
     def zero_indices(self) -> tuple[Index, Index]:
-        """Where motors' zeros stand in the vector, and of which tubes."""
+        """Indices of motors' zeros in the vector, and their tubes, from 0."""
         return self._of(MOTOR_ZERO_NAME)
 
     @cached_property
     def lag_indices(self) -> tuple[Index, Index]:
-        """Where lags stand in the vector, and of which tubes they are."""
+        """Indices of lags in the vector, and their tubes, from 0."""
         return self._of(ROTATION_LAG_NAME)
 
     @cached_property
     def force_indices(self) -> Index:
-        """Where the components of the force stand in the vector, none where none may act."""
+        """Indices of the components of the force in the vector; empty where none may act."""
         return np.array(
             [k for k, (_, name) in enumerate(self.entries) if name in FORCE_COMPONENT_NAMES], dtype=int
         )
@@ -106,7 +106,7 @@ class ParameterDifferences:
 
     @cached_property
     def _effects(self) -> Array:
-        """How numbers (d, 8) of the tubes change with each of those freed, (freed, 8 d)."""
+        """Derivatives (n, 8 d) of the tubes' numbers (d, 8), flat, over the n differences that change them."""
         found = np.zeros((len(self.tube_parts), *self.robot.numbers.shape))
         for k, (tube, name) in enumerate(self.tube_parts):
             for column in NUMBERS_CHANGED_BY_PART[name]:
@@ -115,27 +115,25 @@ class ParameterDifferences:
         return found.reshape(len(self.tube_parts), self.robot.numbers.size)
 
     def numbers(self, values: Array) -> Array:
-        """Return the numbers (d, 8) of the tubes at a vector (k,): linear in it, without the bounds of draws."""
+        """Return the numbers (d, 8) of the tubes at `values` (k,): linear in these, not clipped as in samples."""
         change = values[: len(self.tube_parts)] @ self._effects
         return self.robot.numbers + change.reshape(self.robot.numbers.shape)
 
     def offsets(self, values: Array) -> Array:
-        """Return the motors' zeros (d,) at a vector (k,), rad."""
+        """Return the motors' zeros (d,), rad, at `values` (k,)."""
         found, (rows, tubes) = np.zeros(self.robot.d), self.zero_indices
         found[tubes] = values[rows]
         return found
 
     def lags(self, values: Array) -> Array:
-        """Return the tubes' lags (d,) at a vector (k,), rad, at least 0."""
+        """Return the tubes' lags (d,), rad, at `values` (k,); at least 0."""
         found, (rows, tubes) = np.zeros(self.robot.d), self.lag_indices
         found[tubes] = np.maximum(values[rows], 0.0)
         return found
 
     @cached_property
     def derivative_indices(self) -> Index:
-        """Where derivatives of shapes over each difference stand among those over alpha, beta, theta, the freed
-        parts and the force.
-        """
+        """Indices (k,) of the differences among a PredictedShape's slopes: alpha, beta, theta, parts, force."""
         after = 2 * self.robot.d + 2
         freed = after + np.arange(len(self.tube_parts))
         force = after + len(self.tube_parts) + np.arange(len(self.force_indices))
@@ -143,7 +141,7 @@ class ParameterDifferences:
         return np.concatenate([freed, self.zero_indices[1], force, self.lag_indices[1]])
 
     def perturbed_robots(self, values: Array) -> RobotSamples:
-        """The robots (n,) of vectors (n, k), without forces."""
+        """Return the n robots at `values` (n, k), without forces."""
         parts = np.zeros((len(values), self.robot.d, len(DEVIATION_NAMES)))
         lags = np.zeros((len(values), self.robot.d))
         for k, (tube, name) in enumerate(self.entries):
@@ -154,7 +152,7 @@ class ParameterDifferences:
         return perturb_robot(self.robot, parts, lags)
 
     def robot_at(self, values: Array, covariance: Array) -> Robot:
-        """The robot of a vector (k,), of which a covariance (k, k) is left to doubt; limits are of its tubes.
+        """Return the robot at `values` (k,), with a covariance (k, k) as its tolerances and limits of its tubes.
 
         Raises RobotError where no such tubes can be made.
         """
@@ -169,12 +167,13 @@ class ParameterDifferences:
         parts[places] = values[among]
         left[np.ix_(places, places)] = covariance[np.ix_(among, among)]
         found = build_calibrated_robot(self.robot, parts.reshape(d, -1), left, 0.0)
+        # Its alpha is that of the tubes, which is off the motors' by their zeros: the motors' limits move along.
         zeros = self.offsets(values)
         alpha = zip(self.robot.lower[:d] + zeros, self.robot.upper[:d] + zeros, strict=True)
         return replace(found, limits=replace(found.limits, alpha=tuple(alpha)))
 
     def values_by_name(self, values: Sequence[float]) -> dict[str, float]:
-        """Values (k,) by name, as "curvature of tube 1" or "force_x"."""
+        """Return `values` (k,) by name, as "curvature of tube 1" or "force_x"."""
         names = [
             name if name in FORCE_COMPONENT_NAMES else f"{name} of tube {tube + 1}" for tube, name in self.entries
         ]

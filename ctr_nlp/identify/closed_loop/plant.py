@@ -1,4 +1,4 @@
-"""A robot to experiment on, with tubes, zeros and lags of its own; who steers it sees what sensors tell."""
+"""A simulated plant: a robot with tubes, motor zeros and backlash of its own, observed only through sensors."""
 
 from __future__ import annotations
 
@@ -31,13 +31,13 @@ from ctr_nlp.support.value_checks import floats
 from ctr_nlp.typing import Array
 
 SAMPLES_PER_LANE = -(-len(SIGMA_GRID) // VECTOR_LANES)
-"""Places of the shape in each of the lanes in which it is evaluated."""
+"""Number of points of the shape in each of the lanes in which it is evaluated."""
 
 
 class PlantState(NamedTuple):
-    """Where a robot is at a time, s: motors q (2d + 2,), unknowns x (n_x,), shape (101, 3) mm at uniform sigma.
+    """State of a plant at a time, s: motors q (2d + 2,), unknowns x (n_x,), shape (101, 3) mm at uniform sigma.
 
-    jumps: by what its tips jumped (d,) rad on the way there, an entry a snap.
+    jumps: of its tips (d,), rad, in the motion to it, an entry a snap.
     """
 
     time: float
@@ -48,10 +48,10 @@ class PlantState(NamedTuple):
 
 
 class Plant:
-    """One drawn robot that its motors move; it comes to rest at the first q from where all tubes are aligned.
+    """One sampled robot, moved by its motors; the first q is reached from aligned tubes.
 
-    A tube stays behind its motor within the draw's lag, as in RobotSamples.tube_configurations, or by a lag that
-    is given. The same calls give the same motion.
+    Tubes have the sample's backlash, as in RobotSamples.tube_configurations, or a given backlash with drag. The
+    same calls give the same motion.
     """
 
     def __init__(
@@ -63,12 +63,13 @@ class Plant:
         bending: Sequence[float] = (0.0, 0.0),
         lag: BacklashAndDrag | None = None,
     ) -> None:
-        """sample: of the robot described, one. steps: of the motors, rad and mm, one or (2d + 2,), 0 for none.
+        """Build the plant from one sample of a nominal robot.
 
-        bending: how far along x and y the tip is bent away, mm, where the robot is all out, by what the model does
-        not know; elsewhere in proportion to the square of arc length. lag: of the tubes in place of the draw's,
-        with which tubes stand where motors do at the first q; None for the draw's. A force of the draw acts at its
-        tip all the time, beside what robots on the model bear. Raises LoadError, OptionError, RobotError.
+        model: kinematic model. steps: resolution of the motors, rad and mm, one or (2d + 2,), 0 for none. bending:
+        unmodelled deflection of the tip along x and y, mm, of the fully extended robot; along the robot it grows
+        with the square of arc length. lag: backlash and drag instead of the sample's; tubes then stand at their
+        motors' angles at the first q. A force of the sample acts at its tip all the time, in addition to the
+        model's load. Raises LoadError, OptionError, RobotError.
         """
         if len(sample) != 1:
             raise RobotError(f"a plant is one robot, and {len(sample)} draws are given")
@@ -95,15 +96,15 @@ class Plant:
         self._view = _view(self._model, self._structure)
         self._walker: Walker | None = None
         self.history = list[PlantState]()
-        """Where it was told to go, and came to, in order."""
+        """States after every command, in order."""
 
     @property
     def has_snapped(self) -> bool:
-        """Whether it has ever jumped from one equilibrium into another, or came to none."""
+        """Whether it has ever jumped from one equilibrium into another, or has none."""
         return any(moved.jumps or not np.isfinite(moved.x).all() for moved in self.history)
 
     def move_to(self, q: Array, time: float) -> PlantState:
-        """The robot after its motors have moved to q (2d + 2,), all at once and evenly, at a time, s."""
+        """Move the motors linearly to q (2d + 2,), reached at a time, s; return the state there."""
         q = self._round_to_steps(np.asarray(q, dtype=float))
         jumps = list[Array]()
         if self._walker is None:
@@ -129,12 +130,15 @@ class Plant:
         return found
 
     def _round_to_steps(self, q: Array) -> Array:
-        """Return where motors stop that move in steps: at multiples of their step."""
+        """Return q (2d + 2,) rounded to multiples of the motors' steps."""
         size = np.where(self._steps > 0, self._steps, 1.0)
         return np.where(self._steps > 0, np.round(q / size) * size, q)
 
     def _tube_angles_after(self, before: Array, q: Array, time: float) -> Array:
-        """Where tubes are turned to (d,) rad, zeros apart, by motors that move from before to q in time s."""
+        """Return the tubes' angles (d,), rad, without zeros, after motors have moved from `before` to q.
+
+        before, q: (2d + 2,). time: duration of the motion, s.
+        """
         motors = self._robot.split(q)[0]
         if self._lag is None:
             return apply_backlash(self._alpha, motors, self._lags)
@@ -151,7 +155,7 @@ class Plant:
         return found
 
     def sample_shape(self, sigma: Array) -> SensedShape:
-        """The shape at sigma (n,), at most 101, without slopes."""
+        """Return the shape at sigma (n,), at most 101 points, without slopes."""
         points, tangents = self._at(sigma)
         none = np.zeros((0, len(sigma), 3))
         return SensedShape(points, tangents, none, none, self._length)
@@ -183,9 +187,9 @@ class Plant:
 
 
 def _with_tip_force(model: Model, force: Array) -> Model:
-    """A model of robots that bear a force (3,), N, at the tip beside what they bear on it.
+    """Return a model with a further force (3,), N, at the tip.
 
-    Raises LoadError where that changes over time, turns with the tool, or is told of no modulus.
+    Raises LoadError where the model's load changes over time or turns with the tool, or moduli are not known.
     """
     if not force.any():
         return model
@@ -197,9 +201,7 @@ def _with_tip_force(model: Model, force: Array) -> Model:
 
 
 def _view(model: Model, structure: Structure) -> BatchEvaluator:
-    """(x, sigma (SAMPLES_PER_LANE,), numbers (d, 8) and load) -> points and tangents (SAMPLES_PER_LANE, 3) in
-    columns, in each of several lanes.
-    """
+    """Return the evaluator of (x, sigma, numbers (d, 8) and load) -> points and tangents, in parallel lanes."""
     return BatchEvaluator(_compiled_view(model.program_model, structure), 1)
 
 

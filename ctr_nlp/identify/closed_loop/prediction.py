@@ -1,7 +1,7 @@
-"""The shape of a robot at its own places, and how it changes with motors, tubes and a tip force, in machine code.
+"""Predicted shape of a robot at given points, and its slopes over motors, tubes and a tip force, as compiled code.
 
-Slopes are those of models/shown.py. With D the determinant that vanishes where its margin mu is the smallest
-eigenvalue, mu changes by -D_x / D_mu with unknowns, and by -D_tubes / D_mu.
+Slopes are total derivatives, models/implicit_derivatives.py. The stability margin mu is implicit, D(mu, x, p) = 0
+for the determinant D of the shifted second variation, so that its slopes are -D_x / D_mu and -D_p / D_mu.
 """
 
 from __future__ import annotations
@@ -23,11 +23,11 @@ from ctr_nlp.robot.tolerances import DEVIATION_NAMES
 from ctr_nlp.typing import Array
 
 TUBE_PARTS = DEVIATION_NAMES[:-1]
-"""Of DEVIATION_NAMES, what changes numbers of tubes; the last is the motor's zero, which changes alpha."""
+"""Names in DEVIATION_NAMES that change numbers of tubes; the last one is the motor's zero, which changes alpha."""
 
 MAX_LINEARISATION_MARGIN = 1 - 1e-4
-"""The margin at which slopes are taken where it is larger: at 1, where tubes do not act on each other, the
-determinant has none, and near to it under a load nothing but rounding."""
+"""Largest margin at which slopes are computed: at 1, where tubes do not act on each other, the slope of the
+determinant is 0, and close to it under a load it is mere rounding."""
 
 NUMBERS_CHANGED_BY_PART = {
     "curvature": ("root_curvature", "tip_curvature"),
@@ -35,15 +35,14 @@ NUMBERS_CHANGED_BY_PART = {
     "torsional_ratio": ("torsional_ratio",),
     "curved_length": ("curved_length",),
 }
-"""Which numbers of a tube each part changes: in proportion to what is described, but for the length."""
+"""Numbers of a tube that each part changes: in proportion to the nominal number, except for the length."""
 
 
 class PredictedShape(NamedTuple):
-    """A shape at n places, and its slopes over alpha, beta, theta, the freed parts of tubes and, of robots that a
-    force pushes, its three components in N, k in all.
+    """A shape at n points, and its slopes over alpha, beta, theta, parts of tubes and the tip force (N), k in all.
 
-    points (n, 3) mm; tangents (n, 3), unit vectors. Slopes: of_points, of_tangents (k, n, 3); of_phi (k, d): of
-    the unknown tips' angles; of_margin (k,), NaN where nothing can be unstable.
+    points (n, 3): in mm. tangents (n, 3): unit vectors. of_points, of_tangents (k, n, 3): their slopes. of_phi
+    (k, d): slopes of the tips' angles. of_margin (k,): slopes of the margin, NaN where nothing can be unstable.
     """
 
     points: Array
@@ -55,7 +54,7 @@ class PredictedShape(NamedTuple):
 
 
 class Predictor:
-    """Evaluates Predicted for robots of a structure; what a call returns is overwritten by the next."""
+    """Evaluates PredictedShape for robots of a structure; each call overwrites the arrays of the one before."""
 
     def __init__(
         self,
@@ -65,10 +64,11 @@ class Predictor:
         tube_parts: tuple[tuple[int, str], ...],
         has_tip_force: bool = False,
     ) -> None:
-        """Compile, where that can be done, and wait for it; sigma (n,): the places.
+        """Compile, where that can be done, and wait for it.
 
-        tube_parts: tubes, from 0, and their parts, of TUBE_PARTS, over which slopes are wanted; has_tip_force:
-        whether they are wanted over a force at the tip, too, on a model that knows loads.
+        model, structure: of the robots. sigma: (n,), points of the shape. tube_parts: tubes, from 0, and their
+        parts, of TUBE_PARTS, over which slopes are wanted. has_tip_force: whether slopes over a force at the tip
+        are wanted, too, on a model with loads.
         """
         each = -(-len(sigma) // VECTOR_LANES)
         self._call = BatchEvaluator(_code(model.program_model, structure, each, tube_parts, has_tip_force), 1)
@@ -78,9 +78,10 @@ class Predictor:
         self._k = 2 * structure.d + 2 + len(tube_parts) + 3 * has_tip_force
 
     def __call__(self, x: Array, numbers: Array, described: Array, margin: float, load: Array) -> PredictedShape:
-        """At unknowns x (n_x,) of tubes of numbers (d, 8), with a margin, under a load of so many numbers, if any.
+        """Return the shape and its slopes at an equilibrium x (n_x,).
 
-        described (d, 8): of which parts are.
+        numbers: (d, 8) of the tubes. described: (d, 8) of the nominal tubes, in parts of which slopes are. margin:
+        at the equilibrium. load: its numbers, empty without a load.
         """
         given = np.concatenate(
             [numbers.ravel("F"), described.ravel("F"), [min(margin, MAX_LINEARISATION_MARGIN)], load]
@@ -98,7 +99,7 @@ class Predictor:
         )
 
     def _slopes(self, by_lane: Array) -> Array:
-        """Return the slopes (k, n, 3) at all places, from those that each lane computed."""
+        """Return the slopes (k, n, 3) at all points, from those that each lane computed."""
         found = by_lane.reshape(VECTOR_LANES, self._k, -1, 3).transpose(1, 0, 2, 3)
         return found.reshape(self._k, -1, 3)[:, : self._n]
 
@@ -107,14 +108,14 @@ class Predictor:
 def _code(
     model: Model, structure: Structure, count: int, tube_parts: tuple[tuple[int, str], ...], has_tip_force: bool
 ) -> ca.Function:
-    """The function of a Predictor, for so many places in each of several lanes."""
+    """Return the compiled function of a Predictor, for `count` points in each of several lanes."""
     return compile_function(_symbolic(model, structure, count, tube_parts, has_tip_force), VECTOR_LANES)
 
 
 def _symbolic(
     model: Model, structure: Structure, count: int, tube_parts: tuple[tuple[int, str], ...], has_tip_force: bool
 ) -> ca.Function:
-    """(x, sigma (count,), (numbers (d, 8), described (d, 8), margin, load)) -> Predicted, in columns."""
+    """Build (x, sigma (count,), (numbers (d, 8), described (d, 8), margin, load)) -> PredictedShape's columns."""
     d = structure.d
     sigma = ca.SX.sym("sigma", count)
     margin = ca.SX.sym("margin")
@@ -152,7 +153,7 @@ def _symbolic(
 def _perturbed_numbers(
     numbers: ca.SX, described: ca.SX, parts: ca.SX, tube_parts: tuple[tuple[int, str], ...]
 ) -> ca.SX:
-    """Numbers (d, 8) with parts added of those described, as robot.draws does; lengths in mm."""
+    """Return numbers (d, 8) plus parts of the nominal ones, `described`, as in robot/samples.py; lengths in mm."""
     found = ca.SX(numbers)
     for k, (tube, name) in enumerate(tube_parts):
         for column in (TUBE_NUMBER_NAMES.index(each) for each in NUMBERS_CHANGED_BY_PART[name]):

@@ -1,4 +1,4 @@
-"""Plans played on plants in closed loop, and open loop beside them."""
+"""Runs of plans on simulated plants, in closed and in open loop."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ from ctr_nlp.typing import Array, Flags
 
 @dataclass(frozen=True, eq=False)
 class LoopRun(ReadOnlyValue):
-    """What became of a plan of T frames on a plant.
+    """Result of running a plan of T frames on a plant.
 
-    q (T, 2d + 2): where motors were told to go. shape (T, 101, 3): the plant's, mm; e2 (T,): root mean squares
-    over sigma of its distance from the target, mm. first_failed_frame, first_snap_frame: the frame, from 1, in
-    which it is not in the equilibrium that it was planned to be in, or snaps first; 0 where none. means (T, k),
-    deviations (T, k): of the differences estimated; none of an open loop. seconds (T,): of the process, for a
-    cycle each. notes: what the operator was told; stopped: whether the tracker gave up. replannings: what came of
-    planning the rest anew.
+    q (T, 2d + 2): commanded configurations of the motors. shape (T, 101, 3): of the plant, mm. e2 (T,): root mean
+    square over sigma of its distance from the target, mm. first_failed_frame, first_snap_frame: frame, from 1, in
+    which the plant first leaves the planned branch, or snaps; 0 where none. means, deviations (T, k): of the
+    estimated differences; empty in open loop. seconds (T,): process time of each cycle. innovations: of all
+    readings. notes: messages to the operator. stopped: whether the tracker stopped. replannings: outcomes of
+    re-planning.
     """
 
     q: Array
@@ -51,7 +51,7 @@ class LoopRun(ReadOnlyValue):
 
 
 def open_loop(plan: Plan, plant: Plant) -> LoopRun:
-    """A plan as it is, on a plant."""
+    """Run a plan on a plant without feedback."""
     for q, time in zip(plan.q, plan.time, strict=True):
         plant.move_to(q, float(time))
     nothing = np.zeros((len(plan.q), 0))
@@ -61,9 +61,10 @@ def open_loop(plan: Plan, plant: Plant) -> LoopRun:
 def closed_loop(
     plan: Plan, plant: Plant, feed: Feed, tracker: Tracker, replanning: Replanning | None = None
 ) -> LoopRun:
-    """A plan led by a tracker on a plant, of which a feed tells; each is used once. Raises as Tracker.
+    """Run a plan on a plant with feedback; plant, feed and tracker can be used once.
 
-    replanning: of the plan's motion, which then goes on as that says.
+    feed: readings of the plant. tracker: of the plan. replanning: re-plans the rest of the motion; None for none.
+    Raises as Tracker.
     """
     q = tracker.reference.motors[0]
     means = list[Array]()
@@ -106,10 +107,10 @@ def _run(
 
 
 def _reference_equilibria(tracker: Tracker, plan: Plan) -> Array:
-    """The unknowns (T, n_x) of the equilibria that the robot is meant to be in, frame by frame.
+    """Return the unknowns (T, n_x) of the equilibria in which the robot should be in each frame.
 
-    A robot that was stopped is meant to stay where it stands, and is compared with that from then on: else every
-    robot that is stopped in good time would count as lost as soon as the plan has gone on without it.
+    A stopped robot should stay where it is, and is compared with that from then on: otherwise every robot that is
+    stopped in time would count as failed as soon as the plan has moved on.
     """
     x = tracker.reference.x
     if tracker.state is not TrackerState.STOPPED:
@@ -119,8 +120,10 @@ def _reference_equilibria(tracker: Tracker, plan: Plan) -> Array:
 
 
 def _on_another_branch(plan: Plan, x: Array, meant: Array) -> Flags:
-    """In which frames tips are turned by more than MAX_TIP_DIFFERENCE_FROM_NOMINAL_RAD against each other than
-    they were meant to be, (T,).
+    """Return the frames (T,) in which the plant is on another branch than planned.
+
+    x, meant: (T, n_x), unknowns of the plant and of the planned equilibria. The criterion is that of
+    plan/sample_motions.py.
     """
     if not plan.evaluated_model.several_equilibria:
         return np.zeros(len(x), dtype=bool)

@@ -1,4 +1,9 @@
-"""Whether what sensors tell can be believed, judged by the last half second of it."""
+"""Fault detection for sensors, from the readings of the last half second.
+
+Innovations of a correct filter are white with their expected covariance. Tested are: silence, stuck values, most
+groups rejected by the gate, a delay (a regression of innovations on the predicted rates), and a mean square size
+that is too large: the mean of n squared standard normal values has the deviation sqrt(2 / n).
+"""
 
 from __future__ import annotations
 
@@ -11,23 +16,23 @@ from ctr_nlp.identify.closed_loop.sensors import Reading
 from ctr_nlp.typing import Array
 
 MAX_SENSOR_SILENCE_S = 0.25
-"""s without a reading after which sensors count as silent; the operator knows after twice as long at most."""
+"""Time without a reading, s, after which sensors count as silent; the operator knows after twice that at most."""
 SENSOR_WINDOW_S = 0.45
-"""s over which readings are judged."""
+"""Length of the window of readings, s."""
 STUCK_READING_COUNT = 3
-"""Readings that are equal to the last digit: with noise that does not happen."""
+"""Number of equal readings at which values count as stuck: with noise they never repeat to the last digit."""
 REPORTED_REJECTED_SHARE, MAX_REJECTED_SHARE = 0.1, 0.5
-"""Share of groups of values that are rejected at which that is told, and at which a reading counts as wrong."""
+"""Share of rejected groups of values that is reported, and share at which a reading counts as wrong."""
 MIN_REJECTED_GROUPS = 2
-"""Groups that are rejected before that is told, if chance is not excluded: it rejects one in a thousand."""
+"""Least number of rejected groups that is reported, unless one is far off: chance rejects one in a thousand."""
 CERTAIN_DEVIATIONS = 6.0
 """Standard deviations beyond which chance is excluded."""
 REPORTED_SENSOR_DELAY_S = 0.05
-"""s of delay that are told."""
+"""Least delay that is reported, s."""
 
 
 class SensorMonitor:
-    """Looks at every reading before it is taken, and at the clock."""
+    """Checks every reading before it is used, and the time without readings."""
 
     def __init__(self) -> None:
         self._last: tuple[float, Reading] | None = None
@@ -36,17 +41,17 @@ class SensorMonitor:
         self._seen = deque[tuple[Innovation, Array, float]]()
 
     def silence_reason(self, time: float, start: float) -> str:
-        """Why sensors count as silent at a time, s, or ""; start: when they were first listened to."""
+        """Return why sensors count as silent at a time, s, or ""; start: time at which the loop began, s."""
         since = time - (start if self._last is None else self._last[0])
         return f"no measurement for {since:.2g} s" if since > MAX_SENSOR_SILENCE_S + 1e-9 else ""
 
     def check_reading(
         self, time: float, reading: Reading, innovation: Innovation, rates: Array
     ) -> tuple[str, str]:
-        """Why a reading that has come at a time is not to be believed, and what else is to be told; "" for
-        nothing.
+        """Return why a reading is rejected, and a further message; each "" for none.
 
-        rates (m,): at which what is measured changes, per s.
+        time: of its arrival, s. reading: the values. innovation: of these. rates: (m,), predicted rates of the
+        values, per s.
         """
         same = self._last is not None and np.array_equal(reading.values, self._last[1].values, equal_nan=True)
         self._equal = self._equal + 1 if same else 1
@@ -83,7 +88,9 @@ class SensorMonitor:
         return ""
 
     def _late(self) -> tuple[float, float]:
-        """By how much readings are behind the robot, s, and the deviation of that."""
+        """Return the estimated delay of readings, s, and its standard deviation."""
+        # Late by t, values are off by -t times their rate r: least squares of e = -t r over accepted values, both
+        # in expected deviations, t = -r.e / r.r with the deviation 1 / |r|.
         along = across = 0.0
         for each, rates, _ in self._seen:
             at = each.accepted
@@ -93,12 +100,12 @@ class SensorMonitor:
         return (along / across, across**-0.5) if across > 0 else (0.0, np.inf)
 
     def _size(self) -> tuple[float, int]:
-        """The mean square of accepted innovations in expected deviations, and of how many values."""
+        """Return the mean square of accepted innovations in expected deviations, and the number of values."""
         found = [(each.size, int(each.accepted.sum())) for each, *_ in self._seen if each.accepted.any()]
         count = sum(n for _, n in found)
         return (sum(size * n for size, n in found) / count if count else 0.0), count
 
     @property
     def sound(self) -> bool:
-        """Whether nothing speaks against any reading of the window."""
+        """Whether all readings of the window pass the checks."""
         return not self._why() and not self._outliers()

@@ -1,4 +1,4 @@
-"""Steering along a plan by what sensors tell of the robot: observe, correct, and fall back where sensing fails."""
+"""Closed-loop tracking of a plan: observe, correct, and fall back to the plan where sensing fails."""
 
 from __future__ import annotations
 
@@ -29,33 +29,33 @@ from ctr_nlp.robot import Robot, Tolerances
 from ctr_nlp.typing import Array
 
 MIN_PREDICTION_PLACES = 24
-"""Places for which predictions are compiled at least, so that robots of a kind share them whatever their sensors.
-"""
+"""Least number of points for which predictions are compiled, so that robots of a kind share the compiled code
+whatever their sensors."""
 PLAN_PULL_COST_MM2, MIN_PLAN_PULL_SHARE = 0.03, 0.1
-"""mm^2 that a mm away from the planned configuration costs, W as in the motion term, while the robot is not known;
-and the part of that which is left once it is."""
+"""Cost, mm^2, of a mm away from the planned configuration (W as in the motion term) while the robot is uncertain,
+and the share of it that remains once the robot is identified."""
 FULL_PULL_UNCERTAINTY_MM = 0.5
-"""mm by which the estimated shape is uncertain, as root mean square over places, where the whole pull counts."""
+"""Uncertainty of the estimated shape, mm, root mean square over points, at which the full pull applies."""
 TRACKER_STABILITY_MARGIN = 0.25
-"""The least stability margin of the estimated robot, where nothing is uncertain; not more than was planned."""
+"""Least stability margin of the estimated robot without uncertainty; at most the planned one."""
 MARGIN_RAISE_DEVIATIONS = 2.0
-"""Standard deviations of the margin by which that is raised for what is uncertain, up to the planned one."""
+"""Standard deviations of the margin by which the least one is raised, up to the planned one."""
 THIN_MARGIN_PULL_FACTOR = 1000.0
-"""How many times the pull grows until nothing is left of a margin that is thinner than TRACKER_STABILITY_MARGIN
-and what is uncertain: there the plan decides whether robots survive, which was made for all of them.
+"""Growth of the pull as the margin falls from its safe value to 0: near a snap the plan, which was made for all
+robots within the tolerances, is safer than a correction for the estimated one.
 """
 MAX_CORRECTION_RAD_MM_RAD = 0.3, 3.0, 0.1
-"""How far corrections lead from the planned configuration: alpha and theta in rad, beta in mm."""
+"""Largest corrections of the planned configuration: of alpha in rad, beta in mm, theta in rad."""
 OMITTED_CORRECTION_SHARES = 0.0, 0.5, 0.75, 1.0
-"""Parts of a correction that are left out, one after the other, where the robot might snap with all of it."""
+"""Shares of a correction that are left out, one after the other, where the robot might snap with all of it."""
 STOP_MARGIN_DEVIATIONS = 2.0
-"""Standard deviations of the margin that must be left where sensors cannot be believed, or the robot stops."""
+"""Standard deviations of the margin that must remain where sensors are rejected, or the robot stops."""
 ROLLBACK_READINGS = 6
-"""Readings before a doubtful one from which on nothing is believed."""
+"""Number of readings before a rejected one that are undone, too."""
 
 
 class TrackerState(Enum):
-    """Of a tracker; the value is what a person reads."""
+    """State of a tracker; its value is the text for the operator."""
 
     TRACKING = "tracking"
     UNCORRECTED = "on its plan, not corrected"
@@ -63,7 +63,7 @@ class TrackerState(Enum):
 
 
 class Note(NamedTuple):
-    """What the operator is told at a time, s: in which state the tracker is from then on, and why."""
+    """Message to the operator at a time, s: the state of the tracker from then on, and why."""
 
     time: float
     state: TrackerState
@@ -71,17 +71,19 @@ class Note(NamedTuple):
 
 
 class Tracker:
-    """Leads one robot through a plan. notes: what the operator was told, in order. reference: what tubes are led
-    along, the plan's until it is planned anew.
+    """Closed-loop tracker of one robot along a plan.
 
-    Where sensors cannot be believed, the estimate goes back to what it was before, and is kept, and the motors go
-    back to the plan, which decides whether robots survive. It tracks again after silence alone: a registration
-    that has jumped may seem right again where little can be told apart. It stops where its margin is not safe by
-    then, and after a snap.
+    notes: messages to the operator, in order. reference: trajectory of the tubes, the plan's until it is
+    re-planned.
 
-    Before anything is commanded, the estimated robot and a less stable one that is likely are moved there, as in
-    :func:`~ctr_nlp.identify.closed_loop.lookahead.objection`. Where one would snap, less of the correction is
-    commanded, down to nothing of it. Where that does not help, the robot stops where it is.
+    Where readings are rejected, the estimate is rolled back and frozen, and the motors return to the plan, which
+    is stable for all robots within the tolerances. Tracking resumes after silence only: a registration that has
+    jumped may seem right again where readings have little information. The robot stops where its margin is not
+    safe then, and after a snap.
+
+    Before every command, the estimated robot and a less stable one are simulated
+    (:func:`~ctr_nlp.identify.closed_loop.lookahead.objection`). Where one would snap, less of the correction is
+    commanded, down to nothing. Where that does not help, the robot stops.
     """
 
     def __init__(
@@ -91,11 +93,12 @@ class Tracker:
         tolerances: Tolerances | None = None,
         prior: tuple[Array, Array] | None = None,
     ) -> None:
-        """Compile, and wait for it; tolerances: of the robot, None for the plan's.
+        """Compile, and wait for it.
 
-        prior: mean (k,) and covariance (k, k) of the robot's differences, None for what the tolerances say. Where
-        these let a force act at the tip, it is estimated, too, and the robot must tell its moduli. Raises
-        LoadError, OptionError, RobotError.
+        plan: to track, completely solved. sensors: of the robot. tolerances: of the robot, None for the plan's;
+        with a tip force, that is estimated, too, and the robot must have Young's moduli in MPa. prior: mean (k,)
+        and covariance (k, k) of the robot's differences, None for those of the tolerances. Raises LoadError,
+        OptionError, RobotError.
         """
         if not plan.complete:
             raise OptionError("the plan has frames without a solution, and cannot be tracked")
@@ -139,13 +142,14 @@ class Tracker:
 
     @property
     def is_tracking(self) -> bool:
-        """Whether measurements are believed."""
+        """Whether measurements are used."""
         return self.state is TrackerState.TRACKING
 
     def step(self, frame: int, q: Array, time: float, readings: Sequence[Reading]) -> Array:
-        """Where motors are to be (2d + 2,) in the next frame, within the plan's limits of position and speed.
+        """Return the command for the motors (2d + 2,) in the next frame, within limits of position and speed.
 
-        frame, from 0, was just reached, with the motors at q (2d + 2,) at a time, s; readings: what arrived since.
+        frame: just reached, from 0. q: (2d + 2,), configuration of the motors there. time: s. readings: that have
+        arrived since the last step.
         """
         self._frame = frame
         self.observe(q, time, readings)
@@ -157,10 +161,10 @@ class Tracker:
         return self.compute_command(frame + 1, frame, q[:0].reshape(0, len(q)), least, most)
 
     def replanning_start(self, ahead: Array, frame: int, first: int) -> ReplanningStart:
-        """Where the rest of the motion will begin, from a later frame, first, on, by what is known now.
+        """Return the start of a re-planned rest of the motion, by the present estimate.
 
-        ahead (n, 2d + 2): where the motors will have gone until they are led to a frame; both frames from 0.
-        Raises RobotError where no robot is made of tubes as they are estimated.
+        ahead: (n, 2d + 2), configurations that the motors pass until `frame`. frame: the next one to be commanded.
+        first: the first one of the rest; both from 0. Raises RobotError where the estimated tubes are not valid.
         """
         there = self.observer.copy_after_motion(ahead)
         known = self.estimated_robot
@@ -175,32 +179,32 @@ class Tracker:
 
     @property
     def estimated_robot(self) -> Robot:
-        """The robot as it is estimated, with what is left to doubt as tolerances; raises RobotError as outset."""
+        """The estimated robot, with the remaining uncertainty as tolerances; raises RobotError."""
         return self.observer.differences.robot_at(self.observer.mean, self.observer.covariance)
 
     @property
     def zeros(self) -> Array:
-        """What motors' zeros are estimated to be off by (d,) rad."""
+        """Estimated motors' zeros (d,), rad."""
         return self.observer.differences.offsets(self.observer.mean)
 
     @property
     def motion_start(self) -> ReplanningStart:
-        """The outset of a motion that has not begun; raises RobotError as outset."""
+        """Start of the whole motion, before it has begun; raises RobotError as replanning_start."""
         return ReplanningStart(0, self.estimated_robot, self.zeros, self.reference.q[:0], self.reference)
 
     def switch_reference(self, start: ReplanningStart, rest: ReferenceTrajectory) -> None:
-        """Lead the robot along another way from an outset on."""
+        """Track another trajectory; start: where it begins. rest: the trajectory from there on."""
         self.reference = (
             self.reference.splice_at(start.first, start.passed_configurations[-1], rest) if start.first else rest
         )
 
     def apply_past_motion(self, configurations: Array) -> None:
-        """The motors have come through configurations (n, 2d + 2), where nothing was measured."""
+        """Simulate a past motion through configurations (n, 2d + 2) in which nothing was measured."""
         self._passed += list(configurations)
         self.observer.apply_past_motion(configurations)
 
     def observe(self, q: Array, time: float, readings: Sequence[Reading]) -> None:
-        """The motors are at q (2d + 2,) at a time, s; readings: what arrived since it was last told."""
+        """Update the estimate; q: (2d + 2,), of the motors at a time, s. readings: that have arrived since."""
         self._time = time
         self._begun = time if self._begun is None else self._begun
         self._passed.append(q)
@@ -219,7 +223,7 @@ class Tracker:
         self.notes.append(Note(self._time, state, why))
 
     def _read(self, reading: Reading) -> None:
-        """Believe a reading, or tell why not."""
+        """Use a reading for the estimate, or reject it with a message."""
         time = self._time
         if self.state is not TrackerState.STOPPED:
             self._look_for_snap(reading)
@@ -236,6 +240,7 @@ class Tracker:
             self._silent = False
             self._set_state(TrackerState.UNCORRECTED, why)
         elif why and self.is_tracking:
+            # A fault is noticed late: the estimate before the last ROLLBACK_READINGS readings is free of it.
             if self._known:
                 self.observer.restore_estimate(*self._known[0])
             self._known.clear()
@@ -248,7 +253,7 @@ class Tracker:
             self.observer.update_estimate(reading)
 
     def _look_for_snap(self, reading: Reading) -> None:
-        """Stop where a reading shows the robot in another equilibrium than the estimated one."""
+        """Stop the robot where a reading fits another equilibrium than the estimated one."""
         shape = self.observer.find_other_equilibrium(reading)
         if shape is None:
             return
@@ -262,14 +267,14 @@ class Tracker:
 
     @property
     def _where(self) -> str:
-        """Near which frame the robot is, in words."""
+        """Text with the present frame."""
         return f"about frame {self._frame + 1}"
 
     def compute_command(self, frame: int, last: int, ahead: Array, least: Array, most: Array) -> Array:
-        """Where motors are best (2d + 2,), between least and most, in a frame, from 0, that has not begun.
+        """Return the command for the motors (2d + 2,) in a coming frame; a stopped robot stays.
 
-        ahead (n, 2d + 2): where they will have gone by then, and stay on the way; last: the frame, from 0, that
-        the last of these belongs to, or where they are. A robot that is stopped stays.
+        frame: from 0. last: frame, from 0, of the last configuration ahead, or the present one. ahead: (n, 2d +
+        2), commands that are fixed already. least, most: (2d + 2,), limits of the command.
         """
         there = self.observer.copy_after_motion(ahead)
         self._frame = last
@@ -280,6 +285,7 @@ class Tracker:
                 TrackerState.STOPPED, f"the robot as it is estimated would snap on the way ahead {self._where}"
             )
             return there.q
+        # Limits and commands are of motors, the reference and the correction of tubes: `off` is between them.
         off = there.tubes - there.q
         held = self.state is TrackerState.UNCORRECTED
         planned = self.reference.q[frame]
@@ -304,6 +310,7 @@ class Tracker:
         safe = TRACKER_STABILITY_MARGIN + MARGIN_RAISE_DEVIATIONS * deviation
         least_margin = float(np.nan_to_num(np.fmin(self.reference.stability[frame], safe)))
         thin = 1 - margin / safe if margin < safe else 0.0
+        # The pull to the plan falls with the variance of the shape: what is not identified is left as planned.
         unknown = there.uncertainty(predicted.of_points[:, self._at]) / FULL_PULL_UNCERTAINTY_MM
         pull = PLAN_PULL_COST_MM2 * (
             min(1.0, max(MIN_PLAN_PULL_SHARE, unknown**2)) + THIN_MARGIN_PULL_FACTOR * thin
@@ -319,9 +326,10 @@ class Tracker:
     def _safest(
         self, there: Observer, predicted: PredictedShape, frame: int, candidates: Sequence[Array]
     ) -> Array:
-        """The first of candidates (2d + 2,) that the robot may be moved to; where it is if it has to stop.
+        """Return the first of candidates (2d + 2,) to which the robot may be moved; its present q if none is.
 
-        there: the estimated robot before it is moved to a frame, from 0. predicted: for slopes of its margin.
+        there: the estimated robot before the motion. predicted: its shape, with slopes of its margin. frame: from
+        0.
         """
         if np.isnan(there.margin):  # on this model nothing can snap
             return candidates[0]
@@ -338,13 +346,14 @@ class Tracker:
         return there.q
 
     def _linearise_at(self, q: Array, predicted: PredictedShape, margin: float) -> LinearisedRobot:
-        """The estimated robot with its tubes at q (2d + 2,)."""
+        """Return the estimated robot with its tubes at q (2d + 2,), linearised; margin: of stability there."""
         points = predicted.points[self._at]
         slopes = predicted.of_points[: self._size, self._at]
         return LinearisedRobot(q, points, slopes, margin, predicted.of_margin[: self._size])
 
     def _limits(self, planned: Array, low: Array, high: Array) -> tuple[Array, Array]:
-        """Those of the tubes between low and high that are MAX_CORRECTION_RAD_MM_RAD the planned configuration, or
-        nearest to it.
+        """Return limits of the tubes: within MAX_CORRECTION_RAD_MM_RAD of `planned`, clipped to low and high.
+
+        All are (2d + 2,), rad and mm.
         """
         return np.clip(planned - self._near, low, high), np.clip(planned + self._near, low, high)

@@ -1,7 +1,7 @@
-"""All frames of a problem as one chain (nlp/chain.py), solved from several motions, and the plan that comes of it.
+"""All frames of a problem as one chain (ocp/chain.py), solved by multi-start, and the resulting plan.
 
-The search is far from any wall first. Within a lumen the best motions are then solved again with the wall, at a
-tenth of its weight and then at all of it. lambda (s^2) weighs motion against shape; by default it is such that the
+The search first ignores the wall. Within a lumen the best motions are then solved again with the wall, at a tenth
+of its weight and then at all of it. lambda (s^2) weighs motion against shape; by default it is such that the
 motion of the start costs a tenth of its shape errors.
 """
 
@@ -57,7 +57,7 @@ from ctr_nlp.typing import Array
 
 WALL_PARTS = 0.1, 1.0
 """Parts of the contact weight with which a motion is solved within the wall, one after the other. From a motion
-deep in the wall, the whole weight at once leads the solver astray.
+deep in the wall, the whole weight at once makes the solver fail.
 """
 
 
@@ -74,7 +74,7 @@ class Horizon:
         settings: Settings = DEFAULT_PLANNER_SETTINGS,
         terms: Sequence[Term] = (),
     ) -> None:
-        """Build all programs; arguments as in solve_horizon.
+        """Build all programs; arguments as in :func:`solve_horizon`.
 
         Raises OptionError, RobotError, and ProblemError where no motion can keep the limits.
         """
@@ -106,12 +106,12 @@ class Horizon:
         self.build_seconds = time.perf_counter() - begin
 
     def _build_chain(self, wall: Wall | None) -> Chain:
-        """The chain of all frames, within a wall or free of any, with a motion weight of 1 s^2."""
+        """Build the chain of all frames, within a wall or without one, with a motion weight of 1 s^2."""
         at = self.problem.robot, self.problem.target_frames, self.problem.dt, 1.0, self.ends, self._model
         return horizon(*at, fastest_functions, self._settings.stability_margin, wall, self._terms)
 
     def _linear_chain(self) -> Chain:
-        """A chain of all frames whose links between frames are linear in its unknowns.
+        """Return a chain of all frames whose links between frames are linear in its unknowns.
 
         Limits of position, order, speed and acceleration are those of q, whatever the model. Where the unknowns of
         the model are not q, as on the elastic one, these limits are taken from the chain of the dominant model.
@@ -131,7 +131,13 @@ class Horizon:
         callback: IterateCallback | None = None,
         exhaustive: bool = False,
     ) -> Plan:
-        """Search for the best motion and return its plan; arguments as in :func:`solve_horizon`."""
+        """Search for the best motion and return its plan.
+
+        initial: motions (T, 2d + 2) to start from. motion_weight: lambda in s^2, None for the balanced one.
+        starts: number of motions solved for all frames, None for the most promising. jobs: number of processes.
+        progress, callback: callables. exhaustive: whether every motion found frame by frame is solved for all
+        frames. All are those of :func:`solve_horizon`.
+        """
         check_search(motion_weight, starts, jobs)
         given = checked_motions(self.problem, initial)
         with deferred_interrupt() as interrupted:
@@ -145,16 +151,16 @@ class Horizon:
             wall = None
             free = None
             attempts: Sequence[SolvedStart] = []
-            # Motions that the user chose are all solved to the end; those of the search's own only as far as they
-            # promise something.
+            # Motions that the user chose are all solved to the end; those of the search only as far as they are
+            # promising.
             every = bool(given or starts or exhaustive)
             if not interrupted():
                 ranked = search.rank_motions(found, starts or len(found))
                 attempts = search.solve_from_motions(ranked) if every else search.solve_most_promising(ranked)
             if self._wall is not None and not interrupted():
                 free = self.configurations(best_solved_start(attempts).motion)
-                # Which motion is best without the wall need not be best within it: given motions are all tried
-                # there, as they were given, too.
+                # The motion that is best without the wall need not be best within it: given motions are all solved
+                # there, also as they were given.
                 tried = (
                     [one.motion for one in distinct(attempts)] if every else [best_solved_start(attempts).motion]
                 )
@@ -168,8 +174,9 @@ class Horizon:
         return self._plan(search.chain_for_wall(wall), found[0], attempts, free, meta)
 
     def motions(self, given: Sequence[Array] = (), progress: Progress | None = None) -> list[Array]:
-        """Return unknowns (T, n) to start from: of given motions (T, 2d + 2), or solved frame by frame, best
-        first.
+        """Return unknowns (T, n) of initial motions: given ones (T, 2d + 2), or solved frame by frame, best first.
+
+        progress: called as in :func:`solve_horizon`.
         """
         at = self.problem, self.ends, self._settings, progress, self._model, self._terms
         return [x for motion in given for x in self._unknowns(motion)] or per_frame_motions(*at)
@@ -207,12 +214,12 @@ class Horizon:
         return wall, within
 
     def configurations(self, motion: Array) -> Array:
-        """The configurations (T, 2d + 2) of a motion's unknowns (T, n)."""
+        """Return the configurations (T, 2d + 2) of a motion's unknowns (T, n)."""
         value = self._free.evaluate(motion.ravel())[1]
         return self._free.configurations(value)[:, : len(self.problem.robot.axes)]
 
     def balanced_weight(self, motion: Array) -> float:
-        """The lambda in s^2 at which a motion (T, n) costs a tenth of its shape errors."""
+        """Return the lambda in s^2 at which a motion (T, n) costs a tenth of its shape errors."""
         return self._search.balanced_weight(motion)
 
     def objective(self, motion: Array, weight: float) -> float:
@@ -231,7 +238,11 @@ class Horizon:
         free: Array | None,
         meta: dict[str, Any],
     ) -> Plan:
-        """The best attempt as a plan; without any, the motion (T, n) to start from, not solved."""
+        """Return the best solved start as a plan; without any, the initial motion (T, n) as not solved.
+
+        chain: that was solved. attempts: solved starts. free: (T, 2d + 2), the motion without the wall, or None.
+        meta: of the plan.
+        """
         frames = self.problem.frames
         unknown = np.full(frames, np.nan)
         solved = False

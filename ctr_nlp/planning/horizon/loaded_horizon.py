@@ -1,10 +1,9 @@
-"""A motion under a known load: one of the robot without it, solved over all frames as the robot bears it.
+"""Motions under a known load, over all frames, started from motions of the unloaded robot.
 
-Unknowns of a loaded robot are its tips' angles phi, its extensions beta and the turn w of the tip's frame. Where
-its base points then tells the tilt theta, but for a pole at theta_x = 90 deg. So the robot is solved for as
-scenarios are, of which it is the only one (formulations/shared/scenarios.py): theta is an unknown beside w, two
-equations say that the base points where theta has it, and nothing has a pole. See "Tubes that bear a load" in
-docs/method.md.
+Unknowns of a loaded robot are its tips' angles phi, its extensions beta and the rotation w of the tip's frame. The
+direction of its base then gives the tilt theta, except at a pole, theta_x = 90 deg. Therefore the robot is solved
+as the only one of several scenarios (ocp/shared/scenarios.py): theta is an unknown besides w, two equations equate
+the base's direction with that of theta, and there is no pole. See "Tubes that bear a load" in docs/method.md.
 """
 
 from __future__ import annotations
@@ -52,19 +51,19 @@ from ctr_nlp.support.interrupt import deferred_interrupt
 from ctr_nlp.typing import Array
 
 EXTRA_START_MARGINS = 0.2, 0.0, 0.1
-"""Stability margin beyond the one asked for of the motions frame by frame that the search begins with, in turn.
+"""Stability margins, beyond the one asked for, of the motions frame by frame that are initial guesses, in turn.
 
-A motion that keeps just the margin that is asked may end beside the snap, and from there the search under the load
-comes to a branch of equilibria that the robot does not reach.
+A motion with just the margin asked for may end close to the snap, and from there the search under the load finds a
+branch of equilibria that the robot does not reach.
 """
 MAX_MARGIN_OBJECTIVE_FACTOR = 1.01
-"""Factor up to which the objective may grow where a motion's margin is held between frames, for the motion to be
-taken at once. Where that costs more, another start may avoid the branch beside it.
+"""Factor up to which the objective may grow where a motion's margin is enforced between frames, for the motion to
+be accepted at once. Where that costs more, another start may avoid the other branch.
 """
 
 
 class LoadedHorizon:
-    """All frames of a problem of a robot that bears a load, built once and solved for any weight."""
+    """All frames of a problem with a loaded robot, built once and solved for any weight."""
 
     def __init__(
         self,
@@ -78,7 +77,7 @@ class LoadedHorizon:
     ) -> None:
         """Build; arguments and errors as in Horizon, and LoadError where the load does not fit the robot.
 
-        Within a wall, the target must not lead the base to the pole of its tilt, or ProblemError is raised.
+        Raises ProblemError where, within a wall, the target's base is at the pole of the tilt.
         """
         assert isinstance(model, Loaded)
         model.check(problem.robot)
@@ -111,7 +110,12 @@ class LoadedHorizon:
         callback: IterateCallback | None = None,
         exhaustive: bool = False,
     ) -> Plan:
-        """Search for the best motion and return its plan; arguments as in :func:`solve_horizon`."""
+        """Search for the best motion and return its plan.
+
+        initial: motions (T, 2d + 2) to start from. motion_weight: lambda in s^2, None for the balanced one.
+        starts, jobs, callback, exhaustive: of the search of the unloaded robot. progress: callable. All are those
+        of :func:`solve_horizon`.
+        """
         check_search(motion_weight, starts, jobs)
         without = self._without
         given = checked_motions(self.problem, initial)
@@ -123,8 +127,7 @@ class LoadedHorizon:
             # search. A user who asks for more starts wants the whole search: no motion is below -inf.
             limit = -math.inf if starts or exhaustive else without.objective(first, weight)
             between = time.perf_counter()
-            # Lazily: the unloaded horizon takes longest, and is solved only where motions frame by frame led
-            # nowhere.
+            # Lazily: the unloaded horizon takes longest, and is solved only where motions frame by frame fail.
             search = functools.partial(without.solve, given, weight, starts, jobs, progress, callback, exhaustive)
             motions = itertools.chain(
                 given, self._larger_margin_motions(first, progress), self._unloaded_motion(search)
@@ -177,19 +180,19 @@ class LoadedHorizon:
     def _solve_with_load(
         self, motions: Iterator[Array], weight: float, limit: float, stop: Callable[[], bool]
     ) -> SharedSolution | None:
-        """Solve motions under the load, in turn, with their margins held between frames too; return the best.
+        """Solve motions under the load, in turn, with margins enforced between frames, too; return the best.
 
         motions: (T, 2d + 2), without the load. weight: lambda in s^2. limit: objective, mm^2, at or below which a
-        motion is taken at once if holding its margin costs little (MAX_MARGIN_OBJECTIVE_FACTOR). Without such a
-        motion the best one is returned that the robot makes; else the first that was solved, else the last result;
-        None where none was begun.
+        motion is accepted at once if enforcing its margin costs little (MAX_MARGIN_OBJECTIVE_FACTOR). Without such
+        a motion the best one on whose branch the simulated robot stays is returned; else the first that was
+        solved, else the last result; None where none was started. stop: returns whether to end.
         """
         motion = self._motion(weight, self._margins)
         found: SharedSolution | None = None
         solved: list[SharedSolution] = []
         while not stop() and (q := next(motions, None)) is not None:
             found = self._solve_from(q, motion, stop)
-            # A start that leads to a solution which is known already has nothing to add.
+            # A start with a solution that is known already adds nothing.
             if stop() or not found.success or _is_known_solution(found, solved):
                 continue
             solved.append(found)
@@ -197,7 +200,7 @@ class LoadedHorizon:
             held = self._refine_loaded_margins(found, weight, most, stop)
             if held is not None and held[1] <= MAX_MARGIN_SHORTFALL and held[0].objective <= most:
                 return held[0]
-        # None was cheap enough: now all are held between frames whatever that costs, and compared.
+        # None was cheap enough: now margins of all are enforced between frames at any cost, and compared.
         every = [self._refine_loaded_margins(one, weight, math.inf, stop) for one in solved]
         made = [held for held in every if held is not None]
         if made:
@@ -207,11 +210,10 @@ class LoadedHorizon:
     def _refine_loaded_margins(
         self, first: SharedSolution, weight: float, most: float, stop: Callable[[], bool]
     ) -> tuple[SharedSolution, float] | None:
-        """Raise margins of a motion until it keeps its margin between frames; return it, and by how much that is
-        missed.
+        """Raise the margins of frames until a motion keeps its margin between them; return it and the shortfall.
 
         first: the motion as solved. weight: lambda in s^2. most: objective, mm^2, above which it is given up. None
-        where the robot does not make the motion.
+        where the simulated robot leaves the branch.
         """
         d = self.problem.robot.d
         margin = self._settings.stability_margin
@@ -235,9 +237,7 @@ class LoadedHorizon:
         return shared_motion(*at, fastest_functions, margins, self._terms)
 
     def _solve_from(self, q: Array, motion: SharedMotion, stop: Callable[[], bool]) -> SharedSolution:
-        """Solve under the load from a motion q (T, 2d + 2) without it; the load is raised in every frame by
-        itself.
-        """
+        """Solve under the load from a motion q (T, 2d + 2) without it, the load being raised frame by frame."""
         robot = self.problem.robot
         model = self._model
         tips = tip_angles(KINEMATIC_MODELS[model.name].follow(robot, q).x, robot.d)

@@ -51,10 +51,9 @@ def solve_horizon(
     problem : Problem
         Robot and target.
     model : str or Model
-        ``"elastic"``, the default, or ``"dominant"``, or ``Loaded(load)`` for a robot that bears a load. Under
-        a load, the search begins with motions frame by frame (bearing.py); the robot without the load is
-        solved over all frames only where these lead to no good one, and where `starts` or `exhaustive` are
-        given.
+        ``"elastic"``, the default, or ``"dominant"``, or ``Loaded(load)`` for a loaded robot. Under a load, the
+        search begins with motions frame by frame (loaded_horizon.py); the robot without the load is solved over
+        all frames only where none of these is good, or where `starts` or `exhaustive` are given.
     solver : str, optional
         ``"banded"`` or ``"ipopt"``; by default banded where there is a C compiler.
     start, end : array_like, optional
@@ -62,17 +61,17 @@ def solve_horizon(
     motion_weight : float, optional
         Lambda in s^2; by default the one at which the motion of the start costs a tenth of its shape errors.
     initial : sequence of array_like
-        Motions (T, 2d + 2) to start from. Without any, those of per_frame_motions are solved for some of the
-        frames, and the best of these for all frames.
+        Motions (T, 2d + 2) to start from. By default those of per_frame_motions are solved on some of the frames
+        (drafts), and the best of these on all frames.
     starts : int, optional
-        How many motions are solved for all frames instead: the best ones, then smooth random changes of the
+        Number of motions that are solved on all frames instead: the best ones, then smooth random changes of the
         best (`settings.seed`).
     jobs : int
-        In how many processes.
+        Number of processes.
     settings : Settings
-        Of the wall, the stability margin and the frames that are solved one by one.
+        Weights of the wall and of single frames, and the stability margin.
     terms : sequence of Term
-        Further terms of the objective (formulations.terms).
+        Further terms of the objective (ctr_nlp.ocp.terms).
     progress : callable, optional
         Called as ``progress(done, total, note)``.
     callback : callable, optional
@@ -84,7 +83,7 @@ def solve_horizon(
     Returns
     -------
     Plan
-        Also where frames failed: see ``plan.success`` and ``plan.verdicts``.
+        Returned also where frames failed: see ``plan.success`` and ``plan.verdicts``.
 
     Raises
     ------
@@ -121,7 +120,7 @@ def horizon_planner(
     Returns
     -------
     Horizon or LoadedHorizon
-        The second where the model bears a load: its search begins with the robot without the load.
+        The second where the model has a load: its search begins with the robot without the load.
 
     Raises
     ------

@@ -1,6 +1,7 @@
-"""Starts of a horizon solved side by side in processes.
+"""Starts of a horizon solved in parallel processes.
 
-What is sent to a process is a description of the chain and its solver; each process builds programs of its own.
+A process receives a description of the chain and its solver, and builds programs of its own. Processes and not
+threads, since a CasADi solver that two threads use crashes.
 """
 
 from __future__ import annotations
@@ -27,7 +28,8 @@ from ctr_nlp.typing import Array
 class Task:
     """A chain and its solver, described so that another process can build them.
 
-    dt: time between frames, s. motion_weight: lambda in s^2. ends: given configurations, if any.
+    frames: targets. dt: time between frames, s. motion_weight: lambda in s^2. ends: given configurations, if any.
+    solver: its name. stability_margin: the least one, or None. wall: that counts, or None. terms: further ones.
     """
 
     robot: Robot
@@ -57,8 +59,9 @@ def solve_starts_in_processes(
     progress: Progress | None,
     callback: IterateCallback | None = None,
 ) -> list[SolvedStart]:
-    """Solve from every motion in up to `jobs` processes at once; return results in the order of the motions.
+    """Solve from every motion in up to `jobs` parallel processes; return results in the order of the motions.
 
+    task: the chain and its solver. motions: (T, n) each, to start from. progress: called after each start.
     callback: called with the result of each start that is the best so far. After Ctrl-C some results may be
     missing.
     """

@@ -1,8 +1,8 @@
-"""The search for the best motion over a horizon: which starts are solved, how far, and what comes of them.
+"""Multi-start search for the best motion over a horizon, from coarse to fine.
 
-Coarse to fine: the best starts are solved on a draft, some of the frames evenly apart, and only the best drafts on
-all frames, through grids that are refined step by step. On the elastic model a motion counts only where the
-simulated robot makes it. Objectives are in mm^2, lambda in s^2.
+The best starts are solved on a draft, some evenly spaced frames, and only the best drafts on all frames, through
+grids that are refined step by step. On the elastic model a motion counts only where the simulated robot stays on
+its branch. Objectives are in mm^2, lambda in s^2.
 """
 
 from __future__ import annotations
@@ -134,12 +134,12 @@ class Search:
         return self._keep_realisable(chain, found)
 
     def solve_most_promising(self, motions: Sequence[Array]) -> list[SolvedStart]:
-        """Solve from those motions that promise most; motions are given best first.
+        """Solve from the most promising motions (T, n), given best first.
 
-        The best ones are solved on a draft, and the best of these drafts for all frames: at most
-        MAX_REFINED_DRAFTS distinct ones whose objective is within a part MAX_LIKELY_DRAFT_EXCESS of the best
-        one's. Where none of them leads to a solution that the robot makes, and that is at least as good as the
-        best motion was already, all motions are solved.
+        The best ones are solved on a draft, and the best of these drafts on all frames: at most MAX_REFINED_DRAFTS
+        distinct ones whose objective is within a part MAX_LIKELY_DRAFT_EXCESS of the best one's. Where none of
+        them has a solution on whose branch the robot stays, and that is at least as good as the best initial
+        motion, all motions are solved.
         """
         picked = pick_draft_frames(self.problem.frames)
         if len(picked) == self.problem.frames:
@@ -164,9 +164,7 @@ class Search:
         return self.solve_from_motions(motions)
 
     def _is_good(self, attempts: Sequence[SolvedStart], motion: Array) -> bool:
-        """Return whether the best result is a solution that the robot makes, and no worse than a motion (T, n)
-        was.
-        """
+        """Return whether the best of attempts is a realisable solution, no worse than an initial motion (T, n)."""
         best, (chain, x) = best_solved_start(attempts), self.chain_for_wall(None).linearise_at(motion)
         return (
             best.on_planned_branch
@@ -175,10 +173,9 @@ class Search:
         )
 
     def _refine_draft(self, motion: Array, picked: Index) -> Array:
-        """Return all frames (T, n) of a draft's motion, solved on finer and finer grids until few frames are left
-        out.
+        """Return all frames (T, n) of a draft's motion, solved on finer and finer grids and then interpolated.
 
-        picked: the draft's frames, from 0.
+        motion: (T_draft, n). picked: the draft's frames, from 0.
         """
         frames = self.problem.frames
         # Interpolated over many frames, a motion strays far from its constraints; each grid is at most
@@ -199,7 +196,7 @@ class Search:
         return interpolate_frames(motion, picked, frames)
 
     def _draft_chain(self, picked: Index) -> Chain:
-        """Build the chain of picked frames, evenly apart, far from any wall."""
+        """Build the chain of picked frames, evenly spaced, without a wall."""
         # With the time between picked frames as dt, limits of speed mean what they do over all frames.
         frames = [self.problem.target_frames[k] for k in picked]
         dt = self.problem.dt * int(picked[-1] - picked[-2])
@@ -207,7 +204,7 @@ class Search:
         return horizon(*at, fastest_functions, self.settings.stability_margin, extra=self.terms)
 
     def _drafts(self, motions: Sequence[Array], picked: Index) -> list[SolvedStart]:
-        """Solve the motions that promise most on picked frames; return distinct solutions, best first."""
+        """Solve the most promising motions on picked frames; return distinct solutions, best first."""
         # Motions are compared on the draft's own frames, before any is solved.
         chain = self._draft_chain(picked)
         found = list[SolvedStart]()
@@ -241,8 +238,8 @@ class Search:
         return built
 
     def _keep_realisable(self, chain: Chain, attempts: list[SolvedStart]) -> list[SolvedStart]:
-        """Return results; on models with several equilibria, only the best one whose motion the robot makes."""
-        # With one equilibrium for each q the robot makes every motion.
+        """Return results; on models with several equilibria, only the best one on whose branch the robot stays."""
+        # With one equilibrium for each q there is only one branch.
         if not self.simulator.model.several_equilibria or self.stop():
             return attempts
         margin = self.settings.stability_margin
@@ -251,12 +248,12 @@ class Search:
 
 
 def pick_draft_frames(frames: int) -> Index:
-    """The numbers of the frames of a draft, from 0; the last is one of them."""
+    """Return the numbers of the frames of a draft, from 0, out of `frames` frames; the last is one of them."""
     return thin_frames(frames, max(1, frames // MIN_DRAFT_FRAMES))
 
 
 def with_draft_frames(problem: Problem) -> tuple[Problem, Index]:
-    """Take the frames of a draft alone.
+    """Return a problem with the frames of a draft only.
 
     Parameters
     ----------
@@ -266,7 +263,7 @@ def with_draft_frames(problem: Problem) -> tuple[Problem, Index]:
     Returns
     -------
     Problem
-        The same motion in 25 to 49 frames, evenly apart; the problem itself where it has no more.
+        The same motion in 25 to 49 frames, evenly spaced; the problem itself where it has no more.
     Index
         Numbers of these frames among those of the problem, from 0.
     """

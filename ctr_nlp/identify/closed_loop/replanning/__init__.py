@@ -1,1 +1,1 @@
-"""The rest of a motion planned anew while the robot moves, for what is known of it by then."""
+"""Re-planning of the rest of a motion while the robot moves, for the robot as estimated by then."""

@@ -1,4 +1,4 @@
-"""What a tracker leads a robot's tubes along, and where the rest of that begins."""
+"""Reference trajectory of a tracker, and the start of a re-planned rest of it."""
 
 from __future__ import annotations
 
@@ -13,14 +13,16 @@ from ctr_nlp.robot import Robot
 from ctr_nlp.typing import Array
 
 TRACKED_SHAPE_POINTS = 11
-"""Of the shape, evenly spaced, that are brought to where they were planned to be."""
+"""Number of points of the shape, evenly spaced, that a tracker controls."""
 TRACKED_SHAPE_STRIDE = (len(SIGMA_GRID) - 1) // (TRACKED_SHAPE_POINTS - 1)
 
 
 class ReferenceTrajectory(NamedTuple):
-    """T frames. q (T, 2d + 2): of the tubes; shape (T, TRACKED_SHAPE_POINTS, 3): where they are then, mm;
-    stability (T,): their margins; x (T, n_x): the unknowns of the equilibria meant. zeros (T, d): what motors'
-    zeros were taken to be off by, rad: the motors are planned to be where the tubes are, less these.
+    """Reference trajectory of T frames.
+
+    q (T, 2d + 2): configurations of the tubes. shape (T, TRACKED_SHAPE_POINTS, 3): points of their shape, mm.
+    stability (T,): margins. x (T, n_x): unknowns of the planned equilibria. zeros (T, d): motors' zeros that were
+    assumed, rad: motors are planned at the tubes' angles less these.
     """
 
     q: Array
@@ -31,7 +33,7 @@ class ReferenceTrajectory(NamedTuple):
 
     @classmethod
     def from_plan(cls, plan: Plan, model: Model, zeros: Array) -> ReferenceTrajectory:
-        """A plan's, made for motors whose zeros are off by (d,) rad; model: on which its robot moves."""
+        """Take the trajectory of a plan, made for motors with `zeros` (d,), rad; model: of its robot."""
         x = model.follow(plan.robot, plan.q).x
         return cls(
             plan.q, plan.shape[:, ::TRACKED_SHAPE_STRIDE], plan.stability, x, np.tile(zeros, (len(plan.q), 1))
@@ -39,17 +41,17 @@ class ReferenceTrajectory(NamedTuple):
 
     @property
     def motors(self) -> Array:
-        """Where motors are planned to be (T, 2d + 2)."""
+        """Planned configurations (T, 2d + 2) of the motors."""
         found = self.q.copy()
         d = self.zeros.shape[1]
         found[:, :d] -= self.zeros
         return found
 
     def splice_at(self, first: int, start: Array, rest: ReferenceTrajectory) -> ReferenceTrajectory:
-        """Return this way up to frame `first`, counted from 0, followed by another way from there on.
+        """Return this trajectory up to frame `first`, counted from 0, followed by another one from there on.
 
-        start (2d + 2,): configuration of the tubes from which the other way leads. Up to there tubes are beside
-        this way by what start differs from it.
+        start: (2d + 2,), configuration of the tubes before frame `first`. rest: the other trajectory. Up to there
+        tubes are led in parallel to this trajectory, so that they pass through start.
         """
         beside = self._replace(q=self.q + (start - self.q[first - 1]))
         return ReferenceTrajectory(
@@ -58,10 +60,11 @@ class ReferenceTrajectory(NamedTuple):
 
 
 class ReplanningStart(NamedTuple):
-    """Where the rest of a motion begins. first: its first frame, from 0. robot: as it is known, with what is left
-    to doubt as its tolerances; zeros (d,): what its motors' are off by, rad. before (n, 2d + 2): where its tubes
-    will have come through by then, the last of it where they begin; before the motion has begun n is 0, and it may
-    begin elsewhere. reference: the rest that is in force.
+    """Start of a re-planned rest of a motion.
+
+    first: its first frame, from 0. robot: as estimated, with the remaining uncertainty as its tolerances. zeros
+    (d,): of its motors, rad. passed_configurations (n, 2d + 2): of its tubes up to then, the last one where the
+    rest starts; none before the motion has begun, which may then start anywhere. reference: the present rest.
     """
 
     first: int

@@ -1,4 +1,4 @@
-"""The rest of a motion, planned anew for what is known of the robot by then."""
+"""Re-planning of the rest of a motion, for the robot as estimated and its remaining uncertainty."""
 
 from __future__ import annotations
 
@@ -27,23 +27,20 @@ from ctr_nlp.robust.plan import solve_robust
 from ctr_nlp.typing import Array
 
 CARRIED_OVER_SETTINGS = "stability_margin", "clearance", "contact_weight", "arrival_weight", *THRESHOLDS
-"""Settings of a plan that the rest is planned with, too."""
+"""Settings of a plan that are kept when its rest is re-planned."""
 
 
 def problem_of(plan: Plan, first: int = 0) -> Problem:
-    """Return the problem that a plan solves, from frame `first` on, counted from 0.
-
-    Target and lumen are those that the plan holds.
-    """
+    """Return the problem that a plan solves, from frame `first` on, counted from 0, with its target and lumen."""
     lumen = None if plan.lumen is None else curve_from_points(plan.lumen[:, :3], plan.lumen[:, 3])
     curves, lengths = zip(*map(_curve, plan.target[first:], plan.target_direction[first:]), strict=True)
     return Problem("rest", plan.robot, Target(curves, lengths), plan.dt * len(curves), lumen=lumen)
 
 
 def _curve(points: Array, direction: Array) -> tuple[Curve, float]:
-    """A curve through a frame's target (101, 3) mm that ends in a direction, and the length of that.
+    """Return the curve through a frame's target (101, 3) mm, which ends in a direction (3,), and its length, mm.
 
-    What is too short for a path of its own goes straight on.
+    A target too short for a curve is extended straight; the length is that of the target.
     """
     length = float(cumulative_arc_length(points)[-1])
     if length > 2 * SHORTEST_MM:
@@ -61,10 +58,10 @@ def settings_of(plan: Plan) -> Settings:
 
 
 class Replanner:
-    """Plans the rest of one plan's motion for a robot, and all robots that it may still be."""
+    """Re-plans the rest of one plan's motion, robustly for all robots within the remaining uncertainty."""
 
     def __init__(self, plan: Plan) -> None:
-        """Raises OptionError where the plan's model does not let motions be planned anew on their way."""
+        """Take a plan; raises OptionError where its model does not allow to re-plan a motion that has begun."""
         if type(plan.evaluated_model) is not Elastic:
             load = "" if plan.evaluated_load is None else " under a load"
             raise OptionError(
@@ -75,14 +72,15 @@ class Replanner:
         self._plan = plan
 
     def __call__(self, start: ReplanningStart) -> ReferenceTrajectory | None:
-        """The way from outset.first on; None where none is found that is safe for all these robots.
+        """Return the trajectory from start.first on; None where none is found that is stable for all these robots.
 
-        None, too, where a motion that has begun comes no nearer to the target so. Before it has begun, the search
-        takes as long as for any plan.
+        start: where it starts, and the robot as estimated. None also where a motion that has begun would come no
+        nearer to the target. Before it has begun, the search takes as long as for any plan.
         """
         begun = start.first > 0
         problem = replace(problem_of(self._plan, start.first), robot=start.robot)
         initial = np.clip(start.reference.q, start.robot.lower, start.robot.upper)
+        # Which equilibrium the robot is in depends on its motion so far, not on the alignment of tubes at a start.
         model = ElasticWithHistory(start.passed_configurations) if begun else self._plan.evaluated_model
         settings = settings_of(self._plan)
         asked: dict[str, Any] = {"settings": settings, "model": model, "initial": [initial]}

@@ -1,4 +1,4 @@
-"""Planning again and again while a plan is led."""
+"""Receding re-planning while a plan is tracked."""
 
 from __future__ import annotations
 
@@ -15,15 +15,14 @@ from ctr_nlp.identify.closed_loop.tracker import Tracker
 from ctr_nlp.typing import Array
 
 REPLANNING_LEAD_S = 2.0
-"""s between the moment whose knowledge a replanning uses and the frame that it begins with, which is what it may
-take."""
+"""Time, s, between the estimate that a re-planning uses and its first frame: its time budget."""
 
 
 class ReplanningOutcome(NamedTuple):
-    """The outcome of one replanning.
+    """The outcome of one re-planning.
 
-    first: the frame, from 1, that it was to lead from. seconds: processor time that it took. adopted_plan: whether
-    it leads from there, since it came to something better.
+    first: its first frame, from 1. seconds: processor time that it took. adopted_plan: whether the re-planned
+    trajectory is better and is tracked from there.
     """
 
     first: int
@@ -32,23 +31,23 @@ class ReplanningOutcome(NamedTuple):
 
 
 class Replanning:
-    """Plans again and again what is left of a motion that a tracker leads: each time as soon as the last is over.
+    """Re-plans the rest of a tracked motion, each time as soon as the last re-planning is adopted or dropped.
 
-    outcomes: what came of each so far. It plans in place, as if it had been done beside: what is planned leads
-    from REPLANNING_LEAD_S later on.
+    outcomes: of each so far. It plans in this process, and the result is used REPLANNING_LEAD_S later, as if it
+    had been computed in parallel.
     """
 
     def __init__(self, replanner: Replanner, time: Array) -> None:
-        """For a motion whose frames are at times (T,), s."""
+        """Start for a motion; replanner: plans its rest. time: (T,), times of its frames, s."""
         self._replanner = replanner
         self._time = time
         self._begun: _PendingReplanning | None = None
         self.outcomes = list[ReplanningOutcome]()
 
     def update_plan(self, tracker: Tracker, frame: int, ahead: Array) -> None:
-        """Before motors are led to a frame, from 0: let what is planned lead from there on, and begin what is due.
+        """Switch to a re-planned trajectory that is due at a frame, from 0, and start the next re-planning.
 
-        ahead (n, 2d + 2): where the motors will have gone by then.
+        tracker: of the motion. ahead: (n, 2d + 2), configurations that the motors pass until that frame.
         """
         begun = self._begun
         if begun is not None and frame >= begun.start.first:
@@ -62,9 +61,7 @@ class Replanning:
                 self._begin(tracker, frame, ahead)
 
     def _begin(self, tracker: Tracker, frame: int, ahead: Array) -> None:
-        """Plan what follows REPLANNING_LEAD_S after a frame, from 0; not before so much has been measured, nor a
-        last frame.
-        """
+        """Re-plan the motion from REPLANNING_LEAD_S after a frame, from 0, except near its start and end."""
         now = self._time[min(frame, len(self._time) - 1)]
         first = int(np.searchsorted(self._time, now + REPLANNING_LEAD_S))
         if now < self._time[0] + REPLANNING_LEAD_S or first >= len(self._time) - 1:
@@ -76,7 +73,7 @@ class Replanning:
 
 
 class _PendingReplanning(NamedTuple):
-    """A replanning that does not lead yet: what it was for, what came of it, and the seconds that it took."""
+    """A re-planning that is not tracked yet: its start, its result, and the seconds that it took."""
 
     start: ReplanningStart
     rest: ReferenceTrajectory | None

@@ -1,7 +1,7 @@
-"""Sensors: what each would measure of a shape, and how that changes as the shape does.
+"""Sensors: measurement functions of a shape, and their derivatives.
 
-A sensor looks at places of the robot of its own. Its values come in groups that are right or wrong together, as
-the three coordinates of a point.
+Each sensor measures at points of the robot of its own. Its values come in groups that are right or wrong together,
+such as the three coordinates of a point.
 """
 
 from __future__ import annotations
@@ -16,10 +16,10 @@ from ctr_nlp.typing import Array, Index
 
 
 class SensedShape(NamedTuple):
-    """A robot's shape at n places, and its slopes over k variables.
+    """A robot's shape at n points, and its slopes over k variables.
 
-    points (n, 3) mm, tangents (n, 3); of_points, of_tangents (k, n, 3). length: of the robot, mm, which the
-    variables do not change.
+    points (n, 3): in mm. tangents (n, 3): unit vectors. of_points, of_tangents (k, n, 3): their slopes. length: of
+    the robot, mm, which does not depend on the variables.
     """
 
     points: Array
@@ -30,10 +30,10 @@ class SensedShape(NamedTuple):
 
 
 class Sensor(ABC):
-    """One sensor. sigma (n,): the places it looks at. noise (m,): standard deviations of its values, in their
-    units.
+    """One sensor.
 
-    group: how many of its values, one after the other, are right or wrong together.
+    sigma (n,): points at which it measures. noise (m,): standard deviations of its values, in their units. group:
+    number of consecutive values that are right or wrong together.
     """
 
     group = 3
@@ -41,27 +41,27 @@ class Sensor(ABC):
     @property
     @abstractmethod
     def sigma(self) -> Array:
-        """The places, from 0 at the insertion point to 1 at the tip."""
+        """Points (n,) at which the sensor measures, from 0 at the insertion point to 1 at the tip."""
 
     @property
     @abstractmethod
     def noise(self) -> Array:
-        """Standard deviations (m,)."""
+        """Standard deviations (m,) of the values."""
 
     @abstractmethod
     def values(self, shape: SensedShape) -> Array:
-        """Return the values (m,) that the sensor would measure without noise."""
+        """Return the values (m,) that the sensor would measure of a shape without noise."""
 
     @abstractmethod
     def slopes(self, shape: SensedShape) -> Array:
-        """Return the derivatives (m, k) of these values over the variables."""
+        """Return the derivatives (m, k) of the values over the variables of the shape's slopes."""
 
 
 class Sensors:
-    """Several sensors as one. sigma (n,), noise (m,): of all.
+    """Several sensors as one.
 
-    value_groups: the places (groups, size) of values that are right or wrong together, an array for every size of
-    groups.
+    sigma (n,), noise (m,): of all. value_groups: indices (groups, size) of values that are right or wrong
+    together, an array for every size of groups.
     """
 
     def __init__(self, *sensors: Sensor) -> None:
@@ -81,7 +81,7 @@ class Sensors:
         self.value_groups = [np.concatenate(some) for some in rows.values()]
 
     def __len__(self) -> int:
-        """How many values there are in a reading."""
+        """Number of values in a reading."""
         return len(self.noise)
 
     def _parts(self, shape: SensedShape) -> list[SensedShape]:
@@ -92,18 +92,16 @@ class Sensors:
         ]
 
     def values(self, shape: SensedShape) -> Array:
-        """Return the values (m,) that all sensors would measure without noise."""
+        """Return the values (m,) that all sensors would measure of a shape without noise."""
         return np.concatenate([s.values(part) for s, part in zip(self._sensors, self._parts(shape), strict=True)])
 
     def slopes(self, shape: SensedShape) -> Array:
-        """Return the derivatives (m, k) of these values over the variables."""
+        """Return the derivatives (m, k) of the values over the variables of the shape's slopes."""
         return np.concatenate([s.slopes(part) for s, part in zip(self._sensors, self._parts(shape), strict=True)])
 
 
 class Reading(NamedTuple):
-    """A reading of all sensors: values (m,), NaN where one is missing, of the moment `time`, s, that the sensors
-    state.
-    """
+    """A reading of all sensors: values (m,), NaN where one is missing, with their time stamp, s."""
 
     time: float
     values: Array

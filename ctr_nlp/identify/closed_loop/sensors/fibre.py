@@ -1,4 +1,4 @@
-"""A fibre in the robot that measures its bending."""
+"""Fibre sensor: curvature between points of the robot."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from ctr_nlp.typing import Array
 
 @dataclass(frozen=True, eq=False)
 class FibreSensor(Sensor):
-    """The bending of a fibre in the robot, 1/mm: by how much the tangent turns from place to place, unsigned.
+    """Unsigned curvature, 1/mm, of a fibre in the robot between neighbouring points.
 
-    places: between neighbouring ones of these, the curvature is measured as their tangents' distance over the
-    length between them. deviation: 1/mm.
+    places: the points, sigma from 0 to 1. The curvature between two of them is the distance of their unit tangents
+    over the length between them. deviation: standard deviation, 1/mm.
     """
 
     places: Sequence[float] = field(default_factory=lambda: tuple(np.linspace(0.0, 1.0, 11).tolist()))
@@ -32,7 +32,7 @@ class FibreSensor(Sensor):
 
     @property
     def sigma(self) -> Array:
-        """Places (n,) that the fibre connects, from 0 at the insertion point to 1 at the tip."""
+        """Points (n,) of the fibre, from 0 at the insertion point to 1 at the tip."""
         return checked_places(self.places)
 
     @property
@@ -41,12 +41,12 @@ class FibreSensor(Sensor):
         return np.full(len(self.places) - 1, self.deviation)
 
     def values(self, shape: SensedShape) -> Array:
-        """Return the curvature between each place and the next, 1/mm."""
+        """Return the curvature (n - 1,) of a shape between each point and the next, 1/mm."""
         turned = np.diff(shape.tangents, axis=0)
         return np.linalg.norm(turned, axis=1) / (np.diff(self.sigma) * shape.length)
 
     def slopes(self, shape: SensedShape) -> Array:
-        """Return the derivatives (n - 1, k) of the curvatures."""
+        """Return the derivatives (n - 1, k) of the curvatures of a shape."""
         turned = np.diff(shape.tangents, axis=0)
         of_turned = np.diff(shape.of_tangents, axis=1)
         # d|v| = v . dv / |v|; a straight fibre has no direction in which it bends, and slopes of 0.

@@ -1,4 +1,9 @@
-"""Which values can be believed: those no further from what is expected than chance lets them be."""
+"""Validation gate: values whose innovation is larger than chance allows are rejected.
+
+The squared Mahalanobis distance e' S^-1 e of n normal innovations e with covariance S has the chi-square
+distribution of n degrees of freedom (Bar-Shalom, Li and Kirubarajan, Estimation with Applications to Tracking and
+Navigation, 2001).
+"""
 
 from __future__ import annotations
 
@@ -8,14 +13,14 @@ from ctr_nlp.identify.closed_loop.sensors import Sensors
 from ctr_nlp.typing import Array, Flags
 
 GATE = {1: 10.83, 2: 13.82, 3: 16.27}
-"""Squared distances, in standard deviations, that values which belong together exceed once in a thousand:
-chi-square."""
+"""99.9 % quantiles of the chi-square distribution, by the number of values in a group."""
 
 
 def gate_values(sensors: Sensors, excess: Array, spread: Array) -> Flags:
-    """Which values (m,) are taken: groups no further from what is expected than once in a thousand readings.
+    """Return the mask (m,) of the values that pass the gate, by groups.
 
-    excess (m,): by how much, NaN where one is missing; spread (m, m): the covariance expected of that.
+    sensors: whose groups they are. excess: (m,), innovations, NaN where a value is missing. spread: (m, m), their
+    expected covariance.
     """
     found = np.zeros(len(excess), dtype=bool)
     for rows in sensors.value_groups:
@@ -29,7 +34,10 @@ def gate_values(sensors: Sensors, excess: Array, spread: Array) -> Flags:
 
 
 def count_groups(sensors: Sensors, excess: Array, taken: Flags) -> tuple[int, int]:
-    """How many groups were measured whole, and how many of these were not taken; excess (m,), taken (m,)."""
+    """Return the number of complete groups, and of those that were rejected.
+
+    sensors: whose groups they are. excess: (m,), innovations, NaN where missing. taken: (m,), accepted values.
+    """
     whole = [np.isfinite(excess[rows]).all(axis=1) for rows in sensors.value_groups]
     left = [each & ~taken[rows[:, 0]] for each, rows in zip(whole, sensors.value_groups, strict=True)]
     return sum(int(each.sum()) for each in whole), sum(int(each.sum()) for each in left)

@@ -1,4 +1,4 @@
-"""Points of the shape, and the tip's position and direction."""
+"""Sensors of points of the shape, and of the tip's position and direction."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from ctr_nlp.typing import Array
 
 @dataclass(frozen=True, eq=False)
 class ShapePointSensor(Sensor):
-    """Points of the robot at known sigma, mm; deviation: of each coordinate, mm. Raises OptionError."""
+    """Points of the robot at known sigma, `places`; deviation: of each coordinate, mm. Raises OptionError."""
 
     places: Sequence[float]
     deviation: float = 0.5
@@ -25,7 +25,7 @@ class ShapePointSensor(Sensor):
 
     @property
     def sigma(self) -> Array:
-        """Places (n,) of the points, from 0 at the insertion point to 1 at the tip."""
+        """Points (n,), from 0 at the insertion point to 1 at the tip."""
         return checked_places(self.places)
 
     @property
@@ -34,16 +34,16 @@ class ShapePointSensor(Sensor):
         return np.full(3 * len(self.places), self.deviation)
 
     def values(self, shape: SensedShape) -> Array:
-        """x, y and z of one point after the other."""
+        """Return the coordinates (3n,) of a shape's points, mm: x, y and z of one point after the other."""
         return shape.points.ravel()
 
     def slopes(self, shape: SensedShape) -> Array:
-        """Return the derivatives (3n, k) of the coordinates."""
+        """Return the derivatives (3n, k) of the coordinates of a shape's points."""
         return shape.of_points.reshape(len(shape.of_points), -1).T
 
 
 class TipPositionSensor(ShapePointSensor):
-    """The tip's position, as an electromagnetic tracker tells it; deviation: of each coordinate, mm."""
+    """The tip's position, as of an electromagnetic tracker; deviation: of each coordinate, mm."""
 
     def __init__(self, deviation: float = 0.5) -> None:
         super().__init__((1.0,), deviation)
@@ -51,7 +51,10 @@ class TipPositionSensor(ShapePointSensor):
 
 @dataclass(frozen=True, eq=False)
 class TipPoseSensor(Sensor):
-    """The tip's position, mm, and its direction as a unit vector; turn: deviation of the direction, rad."""
+    """The tip's position, mm, and its direction as a unit vector.
+
+    deviation: of each coordinate, mm. turn: of each component of the direction, rad.
+    """
 
     deviation: float = 0.5
     turn: float = 0.02
@@ -62,7 +65,7 @@ class TipPoseSensor(Sensor):
 
     @property
     def sigma(self) -> Array:
-        """The tip alone: 1."""
+        """Sigma of the tip, 1, as an array (1,)."""
         return np.ones(1)
 
     @property
@@ -71,9 +74,9 @@ class TipPoseSensor(Sensor):
         return np.repeat([self.deviation, self.turn], 3)
 
     def values(self, shape: SensedShape) -> Array:
-        """Position, then direction."""
+        """Return the tip's position, mm, then its direction, (6,), of a shape."""
         return np.concatenate([shape.points[0], shape.tangents[0]])
 
     def slopes(self, shape: SensedShape) -> Array:
-        """Return the derivatives (6, k) of position and direction."""
+        """Return the derivatives (6, k) of position and direction of a shape's tip."""
         return np.concatenate([shape.of_points[:, 0], shape.of_tangents[:, 0]], axis=1).T

@@ -1,4 +1,4 @@
-"""Points of the shape in pictures of known geometry, as of two fluoroscopes."""
+"""Sensor of points of the shape in images of known geometry, as of two fluoroscopes (pinhole cameras)."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from ctr_nlp.typing import Array
 
 @dataclass(frozen=True, eq=False)
 class ViewSensor(Sensor):
-    """Points of the robot at known sigma in pictures of known geometry, as of two fluoroscopes.
+    """Points of the robot at known sigma, `places`, in images of known geometry, as of two fluoroscopes.
 
-    projections (v, 3, 4): of homogeneous points, mm, to homogeneous places in each picture, in its units.
+    projections (v, 3, 4): from homogeneous points, mm, to homogeneous coordinates in each image, in its units.
     deviation: of each coordinate there. Raises OptionError.
     """
 
@@ -34,28 +34,26 @@ class ViewSensor(Sensor):
 
     @property
     def sigma(self) -> Array:
-        """Places (n,) of the points, from 0 at the insertion point to 1 at the tip."""
+        """Points (n,), from 0 at the insertion point to 1 at the tip."""
         return checked_places(self.places)
 
     @property
     def noise(self) -> Array:
-        """Standard deviations (2 v n,) of the coordinates in v pictures, in units of these."""
+        """Standard deviations (2 v n,) of the coordinates in v images, in units of these."""
         return np.full(2 * len(self.projections) * len(self.places), self.deviation)
 
     def _homogeneous(self, points: Array) -> Array:
-        """Return the homogeneous places (v, .., 3) in each picture to which directions (.., 3) are mapped, without
-        the offset of projections.
-        """
+        """Return the homogeneous coordinates (v, .., 3) of directions (.., 3), without the projections' offset."""
         turned: Array = np.einsum("vij,...j->v...i", self.projections[:, :, :3], points)
         return turned
 
     def values(self, shape: SensedShape) -> Array:
-        """Picture by picture, point by point."""
+        """Return the coordinates (2 v n,) of a shape's points, image by image, point by point."""
         found = self._homogeneous(shape.points) + self.projections[:, None, :, 3]
         return (found[..., :2] / found[..., 2:]).ravel()
 
     def slopes(self, shape: SensedShape) -> Array:
-        """Return the derivatives (2 v n, k) of the coordinates in the pictures."""
+        """Return the derivatives (2 v n, k) of the coordinates of a shape's points."""
         found = self._homogeneous(shape.points) + self.projections[:, None, :, 3]
         turned = self._homogeneous(shape.of_points)
         depth = found[:, None, :, 2:]
@@ -66,10 +64,10 @@ class ViewSensor(Sensor):
 
 
 def view(source: Array, centre: Array, up: Array, magnification: float = 1.0) -> Array:
-    """The projection (3, 4) from a source (3,), mm, onto the plane through centre (3,) that faces it.
+    """Return the projection (3, 4) from a source (3,), mm, onto the plane through centre (3,) that faces it.
 
-    up (3,): the picture's second direction, as far as that lies in the plane. A mm at the centre is magnification
-    in the picture. Raises OptionError where these make no picture.
+    up: (3,), second axis of the image, projected onto the plane. magnification: image units per mm at the centre.
+    Raises OptionError where source, centre and up are degenerate.
     """
     away = np.asarray(centre, dtype=float) - source
     distance = float(np.linalg.norm(away))
