@@ -106,7 +106,7 @@ def test_a_loaded_robot_is_described_where_its_load_has_brought_it(load):
     np.testing.assert_allclose(slack, needed, atol=WITHIN["elastic"])
     np.testing.assert_allclose(found, expected, atol=5 * WITHIN["elastic"])
     for k, frame in enumerate(growing(curve, len(x)).sample()):
-        values, _ = wall.local_parameters_during([replace(frame, part=k / (len(x) - 1))])(x[k : k + 1])
+        values, _ = wall.local_parameters_during([replace(frame, motion_fraction=k / (len(x) - 1))])(x[k : k + 1])
         np.testing.assert_array_equal(values["wall"][0], found[k])
     both, _ = wall.compiled_wall(x[[1, 1]], None, loads[[0, -1]])
     assert abs(both[1] - both[0]).max() > 0.1
@@ -162,8 +162,8 @@ def test_frames_within_a_lumen_in_one_call_are_those_of_steps(model, robot):
     problem = Problem("bent", robot, growing(lumen.part(0, 100.0), 8), lumen=lumen)
     frames = NlpFrames.of(problem, model=model)
     assert frames.wall.compiled_wall.ready(wait=True)
-    once, steps = (replace(frames, near=frames.wall) for _ in range(2))
-    steps.__dict__["_at_once"] = None
+    once, steps = (replace(frames, active_wall=frames.wall) for _ in range(2))
+    steps.__dict__["_compiled_frames"] = None
     first = once.search_near(0, frames.search(0)[0])
     found = [[result for result, _ in each.run(range(1, 8), first)] for each in (once, steps)]
     assert once._compiled_frames is not None

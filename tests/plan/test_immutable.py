@@ -17,7 +17,7 @@ from ctr_nlp.paths.lumen import Lumen
 ARRAYS = [f.name for f in fields(plan()) if isinstance(getattr(plan(), f.name), np.ndarray)]
 
 
-@pytest.mark.parametrize("name", [*ARRAYS, "q", "reached"])
+@pytest.mark.parametrize("name", [*ARRAYS, "q", "reached_frames"])
 def test_no_array_of_a_plan_can_be_written(name):
     array = getattr(plan(), name)
     for view in (array, array[..., :1], array.reshape(-1), array.T):
