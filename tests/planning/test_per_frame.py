@@ -249,7 +249,7 @@ def test_what_is_not_solved_in_one_go_is_solved_by_steps(cos_problem, model):
     told = {"model": model, "settings": Settings(arrival_weight=0.0)}
     whole, short = (NlpFrames.of(cos_problem, **told) for _ in range(2))
     one = short._compiled_frames
-    short.__dict__["_at_once"] = replace(one, solver=Short(one.stage.nlp))
+    short.__dict__["_compiled_frames"] = replace(one, solver=Short(one.stage.nlp))
     plans = [march(cos_problem, frames, "forward") for frames in (whole, short)]
     assert all(plan.complete for plan in plans)
     np.testing.assert_allclose(plans[1].q, plans[0].q, atol=1e-5)
