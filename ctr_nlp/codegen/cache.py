@@ -27,6 +27,7 @@ from typing import NamedTuple
 
 import platformdirs
 
+from ctr_nlp.codegen.c_structures import describe_structures
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.support import folder_lock
 
@@ -180,6 +181,7 @@ def _hash_build_inputs(key: str, chosen: Compiler, linked: tuple[tuple[str, ...]
 def load_c_files(package: str, *names: str) -> ctypes.CDLL:
     """Compile and load a package's C files as one; raises OptionError where nothing can be compiled."""
     code = "".join(files(package).joinpath(name).read_text(encoding="utf-8") for name in names)
+    code += describe_structures(code)
     return ctypes.CDLL(str(library(code, lambda: code)))
 
 

@@ -14,6 +14,7 @@ import numpy as np
 
 from ctr_nlp.codegen import cache, vector
 from ctr_nlp.codegen.background import Library
+from ctr_nlp.codegen.c_structures import check_structure
 from ctr_nlp.models import Model
 from ctr_nlp.models.protocol import frame_and_load_symbol, symbolic_tubes
 from ctr_nlp.ocp.local_parameters import LocalParameterSource
@@ -123,6 +124,7 @@ class CompiledWall:
         self._own = self._numbers.copy()
         self._wall = _WallStruct(None, *self._fixed)
         self._library = cache.load_c_files(__package__, "wall.c")
+        check_structure(self._library, "Wall", _WallStruct)
         self._compiled: ctypes.CDLL | None = None
 
     def ready(self, wait: bool = False) -> bool:

@@ -20,7 +20,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule
-from paper import SECTIONS
 
 from ctr_nlp.cli.output import folder as output
 from ctr_nlp.cli.output.file import MAX_PATH_COMPONENT_BYTES, check_file, path_component, write_text
@@ -222,6 +221,8 @@ def test_in_a_folder_of_the_version_before_standard_files_are_ours(tmp_path, mar
 
 
 def test_standard_names_of_the_seed_s_study_are_those_it_writes():
+    from paper import SECTIONS  # not in the programs below, which import this file
+
     pictures = {f"{name}.png" for name, section in SECTIONS.items() if section.draw is not None}
     assert set(STANDARD["seed"]) == {"seed.md"} | {f"{name}.csv" for name in SECTIONS} | pictures
 

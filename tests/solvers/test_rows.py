@@ -491,7 +491,7 @@ def settled(chain, rows, point, x, slack):
     far = (value - rows.low >= 0.01 * (point.slack - rows.low)) & (
         rows.high - value >= 0.01 * (rows.high - point.slack)
     )
-    return np.where(chain.curved & far, value, slack)
+    return np.where(chain.has_nonlinear_constraints & far, value, slack)
 
 
 @given(chains(), seeds, st.sampled_from([0.01, 1.0, 3.0, 1e3]))

@@ -19,6 +19,7 @@ import numpy as np
 
 from ctr_nlp.codegen import cache
 from ctr_nlp.codegen.background import Library
+from ctr_nlp.codegen.c_structures import check_structure
 from ctr_nlp.codegen.vector import SHARED_INPUT_PREFIX, VECTOR_LANES
 from ctr_nlp.models.elastic import energy, shape, torsion
 from ctr_nlp.models.protocol import RestStates, combination, matrix_of, symbolic_tubes
@@ -113,6 +114,8 @@ class CompiledElastic:
         # The C files know no structure: one library serves all robots, through a struct of sizes and function
         # pointers.
         self._run = cache.load_c_files(__package__, *ELASTIC_C_FILES)
+        check_structure(self._run, "State", StateStruct)
+        check_structure(self._run, "Elastic", _Elastic)
         couples = np.ascontiguousarray(made.of.couples, dtype=np.int64)
         addresses = (
             ctypes.cast(library[name], ctypes.c_void_p).value

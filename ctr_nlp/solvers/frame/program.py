@@ -13,6 +13,7 @@ import casadi as ca
 import numpy as np
 
 from ctr_nlp.codegen import cache
+from ctr_nlp.codegen.c_structures import check_structure
 from ctr_nlp.ocp.expressions import FrameFunctions
 from ctr_nlp.ocp.nlp import Nlp
 from ctr_nlp.solvers.compiled_functions import library
@@ -90,7 +91,9 @@ class Program:
         # Kept, as the struct is made again when compiled functions are loaded.
         self._sizes = (n, m)
         self._places = (*given, SQP_KKT_TOLERANCE, max_iterations, *found)
-        self._run = cache.load_c_files(__package__, "sqp.c", "run.c").sqp
+        loaded = cache.load_c_files(__package__, "sqp.c", "run.c")
+        check_structure(loaded, "Program", SqpProgramStruct)
+        self._run = loaded.sqp
         self._keep = list[Any]()
         self._point({})
         self._library = library(nlp, 1)

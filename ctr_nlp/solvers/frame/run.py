@@ -11,6 +11,7 @@ import ctypes
 import numpy as np
 
 from ctr_nlp.codegen import cache
+from ctr_nlp.codegen.c_structures import check_structure
 from ctr_nlp.ocp.local_parameters import LocalParameterSource
 from ctr_nlp.solvers.frame.adapter import FEASIBILITY_TOLERANCE
 from ctr_nlp.solvers.frame.program import Program
@@ -87,7 +88,9 @@ class FrameSequence:
             *(array.ctypes.data for array in (*found, self.iterations, self.status, self.solved)),
         )
         self.set_local_parameters(None)
-        self._run = _RUN_SIGNATURE(("run", cache.load_c_files(__package__, "sqp.c", "run.c")))
+        library = cache.load_c_files(__package__, "sqp.c", "run.c")
+        check_structure(library, "Run", _RunStruct)
+        self._run = _RUN_SIGNATURE(("run", library))
 
     def set_local_parameters(self, local_parameters: LocalParameterSource | None) -> None:
         """Choose how frames are solved from now on: once, or again around their solutions with local parameters.

@@ -12,6 +12,7 @@ import numpy as np
 
 from ctr_nlp.codegen import cache
 from ctr_nlp.codegen.batch_evaluator import BatchStruct
+from ctr_nlp.codegen.c_structures import check_structure
 from ctr_nlp.ocp.chain import Chain
 from ctr_nlp.solvers.motion.rows import ChainRows
 from ctr_nlp.solvers.motion.watch import Iterate
@@ -91,7 +92,10 @@ class Loop:
             *(numbers[name] for name in LOOP_REAL_SETTINGS),
             *(counts[name] for name in LOOP_INTEGER_SETTINGS),
         )
-        self._iterate = cache.load_c_files(__package__, "rows.c", "banded.c").iterate
+        library = cache.load_c_files(__package__, "rows.c", "banded.c")
+        check_structure(library, "Loop", _Loop)
+        check_structure(library, "Mapped", BatchStruct)
+        self._iterate = library.iterate
         self._reference = ctypes.byref(self._loop)
 
     def start(self, x: Array, barrier: float, push: float, multipliers: Array | None = None) -> None:

@@ -18,6 +18,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ctr_nlp.codegen import cache
+from ctr_nlp.codegen.c_structures import check_structure
 from ctr_nlp.ocp.chain import Chain
 from ctr_nlp.typing import Array
 
@@ -98,6 +99,8 @@ class ChainRows:
         """Prepare; raises OptionError where nothing can be compiled."""
         self._chain = chain
         self._loops = cache.load_c_files(__package__, "rows.c", "banded.c")
+        check_structure(self._loops, "Point", _Point)
+        check_structure(self._loops, "Chain", _Chain)
         self._loops.merit.restype = ctypes.c_double
         size = chain.lower.size
         rows = chain.bounds[0].size
