@@ -80,6 +80,12 @@ def reverse_plan(plan: AnyPlan) -> AnyPlan:
     """Return a plan in the reverse order of frames, with the same dt; raises LoadError under a load over time."""
     require_constant_load(plan.evaluated_load, "a plan that is played backwards")
     back = {name: array[::-1] for name, array in per_frame_arrays(plan).items() if name != "time"}
+    for own, between in (("stability", "stability_between"), ("clearance", "clearance_between")):
+        if own in back and between in back:
+            # Entry j of the forward motion is the least on the way from frame j - 1 to j, which the reverse motion
+            # passes on its way from j to j - 1. Nothing leads to its first frame: only the frame itself counts
+            # there.
+            back[between] = np.concatenate([back[own][:1], back[between][:-1]])
     count = len(plan.time) + 1  # frame j, from 1, becomes frame count - j
     meta: dict[str, Any] = {
         name: {key if key == "all" else str(count - int(key)): why for key, why in plan.meta[name].items()}
@@ -88,6 +94,9 @@ def reverse_plan(plan: AnyPlan) -> AnyPlan:
     }
     if "interpolated" in plan.meta:
         meta["interpolated"] = [count - j for j in reversed(plan.meta["interpolated"])]
+    # A snap on the way to frame j is on the way to what is now the frame after; none leads to the first frame.
+    snaps = [{**snap, "frame": count - snap["frame"] + 1} for snap in reversed(plan.meta.get("snaps", []))]
+    meta["snaps"] = [snap for snap in snaps if snap["frame"] <= len(plan.time)]
     return replace(
         plan, meta=plan.meta | meta | {"reversed": not plan.meta.get("reversed", False)}, drawn=None, **back
     )

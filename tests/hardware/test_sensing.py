@@ -327,6 +327,8 @@ def test_transforms_and_points_of_openigtlink() -> None:
     source = igtl(Sensing("igtl://127.0.0.1:18944/Other"), pose)
     assert source.take(NOWHERE, 1.0) == []
     assert source.strange == "a message of 'Tip'"
+    source._client = None  # closed
+    assert source.take(NOWHERE, 1.0) == []
 
 
 @pytest.mark.filterwarnings("ignore::ResourceWarning", "ignore::pytest.PytestUnraisableExceptionWarning")

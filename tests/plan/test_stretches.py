@@ -108,6 +108,15 @@ def test_failures_of_a_joined_plan_have_its_numbers():
     assert both.verdicts.solved.word == NO
 
 
+def test_a_reversed_plan_has_the_margins_and_snaps_of_the_steps_that_it_makes():
+    snap = {"frame": 2, "before": 0.1, "jump": 3.0}
+    margins = {"stability": np.array([0.9, 0.8, 0.7, 0.6]), "stability_between": np.array([0.5, 0.4, 0.3, 0.2])}
+    back = replace(plan(), **margins, meta=dict(plan().meta) | {"snaps": [snap, snap | {"frame": 1}]}).reversed()
+    assert back.stability.tolist() == [0.6, 0.7, 0.8, 0.9]
+    assert back.stability_between.tolist() == [0.6, 0.2, 0.3, 0.4]  # nothing leads to the first frame
+    assert [snap["frame"] for snap in back.meta["snaps"]] == [4]
+
+
 def test_failures_keep_their_frames_on_the_way_back():
     back = failing(2).reversed()
     assert back.meta["failures"] == {"3": "why"}

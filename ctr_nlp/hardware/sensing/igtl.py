@@ -38,6 +38,8 @@ class Igtl(Remote):
             clock.sleep(0.01)
 
     def _receive_messages(self) -> list[Message]:
+        if self._client is None:  # closed, or not opened yet
+            return []
         found = []
         for message in self._client.get_latest_messages():
             if message.device_name == self._sensing.address.rest:

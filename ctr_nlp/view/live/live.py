@@ -82,7 +82,7 @@ class Live:
         self._news = ""
         self._snapped = -SNAP_NOTICE_S
         self._course = 0.0
-        self._writing: threading.Thread | None = None
+        self._writing = list[threading.Thread]()
         self._ending = threading.Event()
         self._failures = list[Exception]()
         self._session = Session(problem, model, settings, load=load)
@@ -117,8 +117,8 @@ class Live:
         self._ending.set()
         self._thread.join()
         # Only now: until it has ended, the steering thread may still begin to save a plan.
-        if self._writing is not None:
-            self._writing.join()
+        for writing in self._writing:
+            writing.join()
         stop_server(self._server)
         if self._failures:
             raise self._failures[0]
@@ -224,8 +224,13 @@ class Live:
             self._session.record()
             self._news = "Everything that the robot does is recorded."
         else:
-            self._writing = threading.Thread(target=self._finish_recording, args=(self._session.end_recording(),))
-            self._writing.start()
+            # Every recording is waited for at the end, also one that is still being saved when the next one ends.
+            # No daemon, as the steering thread is one: Python must not end before the plan is written.
+            self._writing = [writing for writing in self._writing if writing.is_alive()]
+            recording = self._session.end_recording()
+            writing = threading.Thread(target=self._finish_recording, args=(recording,), daemon=False)
+            self._writing.append(writing)
+            writing.start()
             self._news = "The plan is being made of what was recorded."
 
     def _finish_recording(self, recording: Recording) -> None:

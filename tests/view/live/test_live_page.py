@@ -7,6 +7,7 @@ import signal
 import socket
 import subprocess
 import sys
+import threading
 import time
 
 import numpy as np
@@ -56,6 +57,33 @@ def live():
     served = Live(named_problem("arc", 20), model="dominant", port=0, robots={"Table I": table_i_robot()})
     yield served
     served.stop()
+
+
+def test_a_recording_that_is_being_saved_when_the_next_one_ends_is_saved(monkeypatch):
+    served = Live(named_problem("arc", 20), model="dominant", port=0)
+    saved, first_may_end = [], threading.Event()
+
+    def save(recording):
+        if not begun:
+            begun.append(recording)
+            first_may_end.wait(PATIENCE)
+        saved.append(recording)
+
+    begun = []
+    monkeypatch.setattr(served, "_finish_recording", save)
+    for _ in range(2):
+        served.record()
+        until(lambda: asked(served, lambda session: session.moment_count) is not None)
+        served.record()
+        until(lambda: asked(served, lambda session: session.moment_count) is None)
+    until(lambda: len(saved) == 1)
+    stopping = threading.Thread(target=served.stop)
+    stopping.start()
+    stopping.join(0.5)
+    assert stopping.is_alive()  # it waits for the first one
+    first_may_end.set()
+    stopping.join(PATIENCE)
+    assert len(saved) == 2
 
 
 @pytest.mark.real_time
