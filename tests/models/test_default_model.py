@@ -143,7 +143,7 @@ def test_methods_beside_a_front_are_judged_on_its_model(problem, monkeypatch):
     horizon = types.SimpleNamespace(problem=problem, solve=lambda *_, **__: ours)
     variant = types.SimpleNamespace(model="dominant", plan=lambda *_: other)
     monkeypatch.setattr(pareto_front, "COMPARED_VARIANTS", ("other",))
-    monkeypatch.setattr(pareto_front, "parse_variant", lambda _: variant)
+    monkeypatch.setattr(pareto_front, "parse_solver_variant", lambda _: variant)
     monkeypatch.setattr(
         pareto_front, "_point", lambda method, plan: types.SimpleNamespace(method=method, shape=plan.shape)
     )

@@ -8,6 +8,7 @@ their ranges, in [0, 1].
 
 from __future__ import annotations
 
+import contextlib
 import math
 import time
 from collections.abc import Callable, Sequence
@@ -104,10 +105,9 @@ def race_optimisers(search: DesignSearch, starts: int, seed: int, times: float =
         runs = [course.finish_run()]
         for method, run in (("CMA-ES", cma_es), ("Nelder-Mead", _nelder_mead)):
             course = _RunRecorder(method, most, interrupted)
-            try:
+            with contextlib.suppress(_TimeOver):
                 run(search, seed, course)
-            except _TimeOver:
-                runs.append(course.finish_run())
+            runs.append(course.finish_run())
             if interrupted():
                 break
     return runs
@@ -170,6 +170,7 @@ def _objective(search: DesignSearch, course: _RunRecorder) -> Callable[[Array], 
         # Tubes that cannot be manufactured cost no planning; worse than any motion, and graded, so that a search
         # finds its way back.
         if broken:
+            course.record_evaluation(math.inf)  # so that a search among such tubes ends, too
             return FAILED_TASK_OBJECTIVE_MM + broken
         try:
             rms = search.plan_on_tubes(p).rms
