@@ -22,7 +22,7 @@ from ctr_nlp.support.interrupt import deferred_interrupt
 
 DEFAULT_SWEEP_WEIGHTS_S2 = tuple(10.0 ** (k / 2 - 8) for k in range(13))
 """Default lambdas of a sweep, s^2."""
-COMPARED_VARIANTS = ("joint:ipopt", "two-stage:ipopt", "paper-two-stage", "euclidean")
+COMPARED_VARIANTS = ("joint:ipopt", "two-stage:ipopt")
 """Variants whose points are compared with the front."""
 
 

@@ -15,7 +15,7 @@ from common import ROOT, UNJUDGED
 from compare import main as compare_solvers
 
 from ctr_nlp import Plan
-from ctr_nlp.cli.commands.plan import horizon as solve_horizon
+from ctr_nlp.cli.commands.plan import plan as solve_horizon
 from ctr_nlp.cli.commands.plan import steer as solve_per_frame
 from ctr_nlp.cli.output.folder import MARK
 from ctr_nlp.cli.problems import load_all

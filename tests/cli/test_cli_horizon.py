@@ -15,7 +15,7 @@ from compare import main as compare_solvers
 
 from ctr_nlp import Plan
 from ctr_nlp.cli import problems
-from ctr_nlp.cli.commands.plan import horizon as solve_horizon
+from ctr_nlp.cli.commands.plan import plan as solve_horizon
 from ctr_nlp.cli.commands.plan import steer as solve_per_frame
 from ctr_nlp.cli.output.folder import MARK
 from ctr_nlp.planning.nlp_frames import NlpFrames

@@ -14,7 +14,7 @@ from reproduce import main as reproduce_seed
 
 from ctr_nlp.cli.commands.branches import main as list_branches
 from ctr_nlp.cli.commands.export import main as export_commands
-from ctr_nlp.cli.commands.plan import horizon as solve_horizon
+from ctr_nlp.cli.commands.plan import plan as solve_horizon
 from ctr_nlp.cli.commands.plan import steer as solve_per_frame
 from ctr_nlp.cli.commands.play import main as play
 from ctr_nlp.cli.commands.report import main as make_report

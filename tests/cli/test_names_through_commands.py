@@ -11,9 +11,9 @@ import compare
 import pytest
 from bench import sweep
 from common import UNJUDGED
-from exchange.test_peer_robots import INNER, OUTER
 from malformed import ROBOT, plan, table, written
 from scipy.io import loadmat
+from view.exchange.test_peer_robots import INNER, OUTER
 
 from ctr_nlp import Plan, Robot, read_robot
 from ctr_nlp.cli.commands import export, new, play, report, robust, warm

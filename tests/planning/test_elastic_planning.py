@@ -32,7 +32,7 @@ from ctr_nlp import (
     summary,
     table_i_robot,
 )
-from ctr_nlp.cli.commands.plan import horizon as solve_horizon_program
+from ctr_nlp.cli.commands.plan import plan as solve_horizon_program
 from ctr_nlp.cli.commands.plan import steer as solve_per_frame_program
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.models import KINEMATIC_MODELS

@@ -167,9 +167,9 @@ def test_a_file_gives_back_the_network_and_says_what_is_wrong_with_it(tmp_path):
         ROBOT, KINEMATIC_MODELS["dominant"], sample_stable_unknowns(ROBOT, KINEMATIC_MODELS["dominant"], 5, 0)
     )
     np.testing.assert_array_equal(read_network(file).tips(points), network.tips(points))
-    assert read_network(file).metadata == network.told
+    assert read_network(file).metadata == network.metadata
     assert [path.name for path in file.parent.iterdir()] == ["network.npz"]
-    replace(network, told=network.told | {"format": 0}).save(file)
+    replace(network, metadata=network.metadata | {"format": 0}).save(file)
     with pytest.raises(OptionError, match="has the format 0, not 1; train it anew"):
         read_network(file)
     file.write_bytes(file.read_bytes()[:300])
