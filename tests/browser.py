@@ -31,11 +31,11 @@ def opened(browser, file, width, height=900, **options):
     """A page without a network; it must ask for nothing and complain of nothing. options: those of a context."""
     context = browser.new_context(viewport={"width": width, "height": height}, offline=True, **options)
     page, trouble = context.new_page(), []
-    page.evaluate_on(
+    page.on(
         "console", lambda message: trouble.append(message.text) if message.type in ("error", "warning") else None
     )
-    page.evaluate_on("pageerror", lambda error: trouble.append(str(error)))
-    page.evaluate_on(
+    page.on("pageerror", lambda error: trouble.append(str(error)))
+    page.on(
         "request", lambda request: trouble.append(request.url) if request.url.startswith("http") else None
     )
     page.goto(file.as_uri())

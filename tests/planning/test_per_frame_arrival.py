@@ -48,7 +48,7 @@ def test_steps_that_know_how_much_has_passed_lead_the_tip_to_the_end(problem, pl
         lumen = problem.lumen if walled else None
         steerer = Steerer(problem.robot, plan.q[0], problem.dt, lumen=lumen)
         motion = [
-            steerer.step(frame.points, frame.part if known else 0.0)
+            steerer.step(frame.points, frame.motion_fraction if known else 0.0)
             for frame in problem.target_frames
         ]  # fmt: skip
         missed.append(last_tip(problem, np.array(motion)))

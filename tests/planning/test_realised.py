@@ -86,7 +86,7 @@ def moved(one):
 
 def asked(chain, one):
     """The margins (T,) of frames that an attempt holds."""
-    return one.parameters[chain.frame.place("margin")][0]
+    return one.parameters[chain.frame.parameter_slice("margin")][0]
 
 
 @pytest.mark.parametrize("margin", [0.1, 0.3])

@@ -240,7 +240,7 @@ def test_a_target_out_of_reach_is_approached_until_the_limits_hold():
     assert motion[0, 5] == pytest.approx(Q0[5] + robot.speed[5] * DT)
     assert motion[-1, 5] == pytest.approx(robot.reach)
     np.testing.assert_allclose(motion[-1], motion[-2], atol=1e-2)
-    assert steerer.solved
+    assert steerer.is_solved
 
 
 def test_a_robot_at_its_limits_stays_within_them():

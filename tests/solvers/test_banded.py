@@ -312,7 +312,7 @@ def felt(chain, solution):
     """Names of rows that hold against the objective, where something can move."""
     multipliers = np.concatenate([solution.lam_x, solution.lam_g])
     return {
-        chain.place(int(row))[0] for row in np.flatnonzero(chain.changeable_rows & (np.abs(multipliers) > 1e-3))
+        chain.describe_row(int(row))[0] for row in np.flatnonzero(chain.changeable_rows & (np.abs(multipliers) > 1e-3))
     }
 
 
@@ -422,7 +422,7 @@ def test_limits_of_the_cases_are_felt(case, name):
     """At their upper bounds, and rooms between carriages at their lower; else keeping them would say nothing."""
     _, _, chain, _, solution = along_an_arc(case)
     felt = np.concatenate([solution.lam_x, solution.lam_g]) * (-1 if name == "carriage gap" else 1) > 1e-3
-    assert name in [chain.place(int(row))[0] for row in np.flatnonzero(felt)]
+    assert name in [chain.describe_row(int(row))[0] for row in np.flatnonzero(felt)]
 
 
 @EVERY_SOLVER

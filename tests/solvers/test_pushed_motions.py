@@ -77,7 +77,7 @@ def _standing(scenarios, load, q):
 
 def test_a_tip_under_a_load_has_its_axes_as_unknowns_beside_the_tilt(motion):
     np.testing.assert_array_equal(motion.own, [0, 1, 4, 5])
-    np.testing.assert_array_equal(motion.held, [2, 3, 6, 7])
+    np.testing.assert_array_equal(motion.shared_entries, [2, 3, 6, 7])
 
 
 def test_robots_in_equilibrium_miss_nothing(motion, q, load):
@@ -142,7 +142,7 @@ def test_forces_shrink_with_what_robots_differ_by_and_join_with_others():
     scenarios = _scenarios()
     np.testing.assert_allclose(scenarios.shrink_differences(0.5).forces, FORCES / 2)
     np.testing.assert_allclose(scenarios.shrink_differences(0.5, 2).forces, [*FORCES[:2], *FORCES[2:] / 2])
-    joined = scenarios.joined(scenarios.numbers[1:2], scenarios.offsets[1:2], FORCES[2:3])
+    joined = scenarios.append_robots(scenarios.numbers[1:2], scenarios.offsets[1:2], FORCES[2:3])
     np.testing.assert_allclose(joined.forces, [*FORCES, FORCES[2]])
     assert joined.weights[-1] == 0
     with pytest.raises(OptionError, match="forces of scenarios"):

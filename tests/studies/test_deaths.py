@@ -69,7 +69,7 @@ class Killer:
         self.timers, self.found = [], None
 
     def __call__(self, progress):
-        while self.after and self.after[0] <= progress.done - progress.known:
+        while self.after and self.after[0] <= progress.done - progress.done_before:
             self.after.pop(0)
             self.timers.append(threading.Timer(self.random.uniform(0.0, SECONDS), self._kill))
             self.timers[-1].start()

@@ -120,7 +120,7 @@ def test_a_study_is_every_combination(tmp_path):
     assert all(0.1 <= each <= 0.5 for each in margins)
     robots = {case.robot for case in found.cases}
     assert len(robots) == 4
-    drawn = next(case for case in found.cases if case.robot_name == "r 1").loaded().robot
+    drawn = next(case for case in found.cases if case.robot_name == "r 1").load_problem().robot
     assert drawn.tubes[0].curvature != table_i_robot().tubes[0].curvature
     assert drawn.tolerances == table_i_robot().tolerances
 
@@ -143,8 +143,8 @@ def test_each_problem_has_draws_of_its_own_that_all_its_plans_share():
 
 def test_a_study_may_leave_walls_out():
     told = SMALL | {"problems": {"names": ["bronchus"]}}
-    assert study(told).cases[0].loaded().lumen is not None
-    assert study(told | {"walls": False}).cases[0].loaded().lumen is None
+    assert study(told).cases[0].load_problem().lumen is not None
+    assert study(told | {"walls": False}).cases[0].load_problem().lumen is None
 
 
 def test_one_plan_is_made_alone(tmp_path, monkeypatch, capsys):
@@ -180,10 +180,10 @@ def test_robots_bear_loads_of_files(tmp_path):
     free, pushed = study(told, tmp_path).cases
     assert (free.columns["load"], pushed.columns["load"]) == ("none", "push")
     assert free.digest != pushed.digest
-    plan = pushed.planned(pushed.loaded())
+    plan = pushed.plan_motion(pushed.load_problem())
     assert plan.complete
     assert plan.evaluated_load == Load(force=(0.0, 0.05, 0.0))
-    assert free.planned(free.loaded()).evaluated_load is None
+    assert free.plan_motion(free.load_problem()).evaluated_load is None
     assert pushed.row()["status"] == CASE_DONE
 
 

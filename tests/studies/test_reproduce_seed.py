@@ -132,7 +132,7 @@ def test_tables_are_tables(written):
 @pytest.mark.parametrize("name", SECTIONS)
 def test_each_section_asks_for_all_that_it_needs(found, name, tmp_path):
     section = SECTIONS[name]
-    both = found.moved, found.fit_results
+    both = found.motion_results, found.fit_results
     moved, fitted = ({task: some[task] for task in section.tasks if task in some} for some in both)
     alone = replace(found, moved=moved, fitted=fitted)
     assert list(page.write(alone, [section], tmp_path)) == [name]
@@ -212,7 +212,7 @@ def test_verdicts_flip_with_the_numbers(make_found):
 
 def test_failures_and_snaps_are_marked(make_found):
     found = make_found(failed=1)
-    for task, each in found.moved.items():
+    for task, each in found.motion_results.items():
         each.row["snaps"] = 2 if task.problem == "cos" else 0
     stiff, compliant, _ = table2.tables(found)
     (ours,) = [line for line in stiff.body if line[0] == runs.PAPER_METHOD_LABELS[OUR_HORIZON]]
@@ -225,7 +225,7 @@ def test_failures_and_snaps_are_marked(make_found):
 
 def test_failures_of_re_implementations_are_not_ours(make_found):
     found = make_found()
-    each = found.moved[MotionTask("cos", PAPER_TWO_STAGE)]
+    each = found.motion_results[MotionTask("cos", PAPER_TWO_STAGE)]
     each.row["failed"] = 3
     assert not found.failures()
     assert "*" in table2.tables(found)[0].body[1][1]

@@ -35,7 +35,7 @@ def found(plan):
 
 
 def test_forces_grow_as_the_robot_is_pushed_into_the_wall(found, plan):
-    assert found.known.all()
+    assert found.in_equilibrium.all()
     assert found.total[0] == 0
     assert (np.diff(found.total)[1:] > 0).all()
     assert found.worst == FRAMES

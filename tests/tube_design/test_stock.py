@@ -180,7 +180,7 @@ def test_a_design_in_stock_loses_little_and_tells_it(stocked):
     _, found = stocked
     assert all(plan.success.all() for plan in found.plans)
     rms = np.sqrt(np.mean([summary(plan)["e3"] ** 2 for plan in found.plans]))
-    free = np.sqrt(np.mean(found.stock_rounding.free**2))
+    free = np.sqrt(np.mean(found.stock_rounding.free_errors**2))
     assert rms < 1.1 * free
     assert found.stock_rounding.loss == pytest.approx(
         np.sqrt(np.mean(found.stock_rounding.excess_rounding_mm**2)) / free - 1

@@ -94,7 +94,7 @@ def test_a_tip_is_dragged_in_the_browser_and_the_motion_recorded(live):
         browser = launch(SOFTWARE)
         page, fetched = browser.new_page(viewport={"width": 900, "height": 640}), []
         page.set_default_timeout(1e3 * PATIENCE)
-        page.evaluate_on("request", lambda request: fetched.append(request.url))
+        page.on("request", lambda request: fetched.append(request.url))
         page.goto(live.url)
         page.get_by_text("shape error e2").wait_for()
         for close in page.locator(".mantine-Notification-closeButton").all():  # software rendering is told of
