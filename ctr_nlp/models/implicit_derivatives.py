@@ -8,8 +8,8 @@ numbers of tubes. By the implicit function theorem, with A = (c_y)^-1, a shape p
     over c, a part of q:   dp = p_y A dc
     over r at fixed c:     dp = (p_r - p_y A c_r) dr
 
-in mm per rad or mm. This is dphi/dp = -(dalpha/dphi)^-1 dalpha/dp in docs/method.md, "What changes with the tubes'
-numbers". A does not exist at a snap, where c_y = dalpha/dphi is singular.
+in mm per rad or mm. This is dphi/dp = -(dalpha/dphi)^-1 dalpha/dp in docs/method.md, "Derivatives with respect
+to tube parameters". A does not exist at a snap, where c_y = dalpha/dphi is singular.
 """
 
 from __future__ import annotations

@@ -5,7 +5,7 @@
 
 with q_j = (alpha, beta, theta) in frame j, in rad and mm, tips phi_{s,j} of scenario s in rad, weights w_s that
 sum to 1, and the frame's objective f_j (mm^2). These records only describe the program; ocp/shared builds them,
-and solvers/scenarios solves it. See "Plans for robots that are not quite known" in docs/method.md.
+and solvers/scenarios solves it. See "Robust plans" in docs/method.md.
 """
 
 from __future__ import annotations

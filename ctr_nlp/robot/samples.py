@@ -7,7 +7,7 @@ of tube i follows that of its motor, from the aligned pose on, as a play operato
 
     alpha_i <- min(max(alpha_i, motor_i - l_i), motor_i + l_i),  and alpha_i + delta_i turns the tube.
 
-See docs/method.md, "Robots that are not quite known".
+See docs/method.md, "Tolerances and Monte Carlo samples".
 """
 
 from __future__ import annotations

@@ -5,7 +5,7 @@
 
 over the shared q_j = (alpha, beta, theta), rad and mm, of every frame j and the tips phi_sj, rad, of every robot
 s, with limits and a least stability margin of each. E_j is the shape error (8), w_s a weight, tubes_s and delta_s
-the tubes and the motors' zeros of robot s ("Plans for robots that are not quite known" in docs/method.md). The
+the tubes and the motors' zeros of robot s ("Robust plans" in docs/method.md). The
 scenarios s are few. Monte Carlo samples check the motion on other robots within the tolerances; those that fail
 join the scenarios.
 """

@@ -2,7 +2,7 @@
 
 Minimises the shape errors (8) of all frames of all tasks, with the motion terms of eq. (9), over the numbers of
 the tubes and the motions, subject to the rules of manufacture and the limits of the robot. See docs/method.md,
-"Tubes designed with their motions".
+"Tube design".
 """
 
 from __future__ import annotations

@@ -8,7 +8,7 @@ E the mean squared shape error (8), j frames and i tasks, it is
     minimise over p, q   sum_ij ( sum_s w_s E_ijs + lambda_i |W (q_{i,j+1} - q_ij)|^2 / dt_i^2 ) + pull |p - p_0|^2
 
 subject to equilibria, margins, limits and rules of manufacture. The last term, proximal to the start p_0 of a
-round, leaves tubes that matter little where they are. See docs/method.md, "Tubes designed with their motions".
+round, leaves tubes that matter little where they are. See docs/method.md, "Tube design".
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Calibration: from measurements to a robot, its remaining uncertainty, and errors on held-out observations.
 
-Symbols are those of "Tubes from measurements" in docs/method.md: y_k are the measured values of observation k,
+Symbols are those of "Calibration" in docs/method.md: y_k are the measured values of observation k,
 h_k(p) the values predicted for a robot of parameters p, and p_0 and C_0 mean and covariance of p before measuring
 (the prior). Residuals y_k - h_k(p) are rows of 6 + 3n: the tip (3, mm), the direction at the tip (3, components of
 unit vectors), and n points of the shape (3 each, mm).

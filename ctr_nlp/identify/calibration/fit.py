@@ -1,6 +1,6 @@
 """Values of parameters that fit measurements best, by robust least squares around their prior.
 
-In the symbols of docs/method.md, "Tubes from measurements", the objective is
+In the symbols of docs/method.md, "Calibration", the objective is
 
     sum_k rho((y_k - h_k(p)) / s) + (p - p_0)^T C_0^-1 (p - p_0),    rho(r) = 2 c^2 (sqrt(1 + r^2 / c^2) - 1),
 

@@ -1,6 +1,6 @@
 """Prediction of measurements for given values of a robot's parameters, and its derivatives over these.
 
-The prediction h_k(p) of docs/method.md, "Tubes from measurements", has four steps: backlash, drag, the sensor's
+The prediction h_k(p) of docs/method.md, "Calibration", has four steps: backlash, drag, the sensor's
 delay and the motors' zeros give the configuration of the tubes; the model gives the equilibrium x there; points
 are computed in the base's axes; and these are rotated and translated to the sensor's axes. Derivatives follow from
 the implicit function theorem for the tubes' numbers and the configuration (sensitivities.py), in closed form for

@@ -6,8 +6,8 @@ A reading y = h(x, z) + noise of covariance R, with x the equilibrium that the r
     S = H P H' + R,   K = P H' S^-1,   z <- z + K (y - h),   P <- (1 - K H) P
 
 with H = dh / dz at fixed motors. z is constant, so that there is no prediction step for P. Where the estimated
-robot snaps, there are two hypotheses: the robot has snapped, or a likely one close to it has not ("Loops" in
-docs/method.md).
+robot snaps, there are two hypotheses: the robot has snapped, or a likely one close to it has not ("Closed
+loop" in docs/method.md).
 """
 
 from __future__ import annotations

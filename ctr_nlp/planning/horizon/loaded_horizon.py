@@ -3,7 +3,7 @@
 Unknowns of a loaded robot are its tips' angles phi, its extensions beta and the rotation w of the tip's frame. The
 direction of its base then gives the tilt theta, except at a pole, theta_x = 90 deg. Therefore the robot is solved
 as the only one of several scenarios (ocp/shared/scenarios.py): theta is an unknown besides w, two equations equate
-the base's direction with that of theta, and there is no pole. See "Tubes that bear a load" in docs/method.md.
+the base's direction with that of theta, and there is no pole. See "Loads" in docs/method.md.
 """
 
 from __future__ import annotations
