@@ -30,20 +30,20 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--closed-loop",
         action="store_true",
-        help="correct the plan while it is played, by what the sensor in the hardware file ([sensing]) tells of "
-        "the robot, whose tubes may differ from the plan's by its tolerances",
+        help="correct the plan during playback from measurements of the sensor in the hardware file ([sensing]); "
+        "the real robot may differ from the plan's within its tolerances",
     )
     parser.add_argument(
         "--sensor",
         metavar="URL",
-        help=f"who tells, instead of the hardware file's url: {URLS}; where the file has no [sensing], the tip is "
-        "measured, with 0.5 mm of noise, in the robot's base frame",
+        help=f"sensor to use instead of the url in the hardware file: {URLS}; without [sensing] in that file, it "
+        "measures the tip in the robot's base frame, with noise of 0.5 mm",
     )
     parser.add_argument(
         "--replay",
         action="store_true",
-        help="work out again, from the journal, what the last session in a closed loop commanded, and tell "
-        "whether it is the same bit for bit; opens no device",
+        help="compute the commands of the last closed-loop session again from the journal, and check that they "
+        "are the same bit for bit; opens no device",
     )
 
 
@@ -97,8 +97,8 @@ def warn(plan: Plan) -> None:
         return
     told = "; ".join(each.with_reason for each in doubtful)
     print_stderr(
-        f"warning: this plan is not known to keep robots from snapping. {told}. A closed loop does not mend "
-        "that: it stops, with exit status 1, where the robot as it is estimated might snap"
+        f"warning: the robot may snap on this plan. {told}. A closed loop cannot prevent that: it stops, with "
+        "exit status 1, where the estimated robot comes close to a snap"
     )
 
 
@@ -149,8 +149,8 @@ def replay(plan: Plan, hardware: Hardware, records: list[dict[str, Any]]) -> int
     tracker = Tracker(plan, sensing_of(hardware).sensors, prior=initial_estimate(records))
     corrections, commands, differs = replay_session(plan, hardware, records, tracker)
     if differs:
-        console().print(f"not the same as in the journal: {differs}")
+        console().print(f"the replay differs from the journal: {differs}")
         return EXIT_SOME_FAILED
     lines = f" and {commands} lines of motion" if commands else ""
-    console().print(f"{corrections} corrections{lines} worked out again: the same, bit for bit")
+    console().print(f"replayed {corrections} corrections{lines}: the same as in the journal, bit for bit")
     return EXIT_SOLVED

@@ -51,11 +51,11 @@ class Command(NamedTuple):
             add_help=False,
             formatter_class=_Formatter,
         )
-        group = parser.add_argument_group("what is told")
+        group = parser.add_argument_group("output")
         if "--json" not in own._option_string_actions:  # benchmark's names a file
             what = "print tables, lines and the names of files that were written as one JSON object on stdout"
             group.add_argument("--json", action="store_true", dest="as_json", help=what)
-        what = "tell on stderr, line by line, what is being done, how far it is and how long it will still take"
+        what = "report progress on stderr, line by line: the step, how far it is and the time left"
         group.add_argument("-v", "--verbose", action="store_true", help=what)
         return parser
 

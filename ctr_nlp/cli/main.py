@@ -29,9 +29,9 @@ COMMANDS = {
     "steer": Entry("commands.plan", "steer", "plan frame by frame, as a robot must while its target moves"),
     "live": Entry("steering.live", "main", "steer a robot in the browser, and record what it does"),
     "branches": Entry("commands.branches", "main", "list the branches of a centreline file"),
-    "robust": Entry("commands.robust", "main", "try a plan on robots that are not quite the one described"),
-    "under": Entry("loads.under", "main", "move the robot of a plan while it bears a load"),
-    "force": Entry("loads.force", "main", "find the tip forces that a plan bears"),
+    "robust": Entry("commands.robust", "main", "simulate a plan on robots within the tolerances"),
+    "under": Entry("loads.under", "main", "simulate the robot of a plan under a load"),
+    "force": Entry("loads.force", "main", "find the tip forces that a plan withstands"),
     "contact": Entry("loads.contact", "main", "find the forces with which a plan touches the wall of its lumen"),
     "design": Entry("studies.design", "main", "choose tubes together with motions along several targets"),
     "calibrate": Entry("measured.calibrate", "main", "find a robot's tubes from measurements of its shape"),
@@ -41,10 +41,10 @@ COMMANDS = {
     "play": Entry("commands.play", "main", "check a plan for some hardware and play it there"),
     "commission": Entry("commands.commission", "main", "read a controller, try its axes and keep its settings"),
     "study": Entry("studies.study", "main", "make thousands of plans, on this machine or on a cluster"),
-    "trade": Entry("studies.trade", "main", "study what robustness costs and brings"),
+    "trade": Entry("studies.trade", "main", "study error against robustness"),
     "new": Entry("commands.new", "main", "write a problem, robot, hardware, load or study file to start from"),
     "warm": Entry("commands.warm", "main", "compile what problems need before it is needed"),
-    "doctor": Entry("commands.doctor", "main", "tell what is installed, what is missing and how to get it"),
+    "doctor": Entry("commands.doctor", "main", "check what is installed, what is missing and how to install it"),
     "completion": Entry("commands.completion", "main", "print what completes commands in a shell"),
 }
 """Every subcommand by its name, in the order in which --help lists them."""
@@ -82,8 +82,8 @@ def parser(every_option: bool = False) -> argparse.ArgumentParser:
     made = argparse.ArgumentParser(
         prog="ctr-nlp",
         description="Steer concentric tube robots so that their whole shape follows a target.",
-        epilog="`ctr-nlp COMMAND --help` tells the options of a command, with examples. With --json, a command "
-        "prints what it tells as one JSON object; with --verbose, it tells what it is doing. Exit status of every "
+        epilog="`ctr-nlp COMMAND --help` lists the options of a command, with examples. With --json, a command "
+        "prints its results as one JSON object; with --verbose, it reports progress. Exit status of every "
         "command: 0 where all is well, 1 where something is not, 2 where input is bad and nothing is written, 130 "
         "after an interruption.",
     )

@@ -46,7 +46,7 @@ WALL_SETTING_NAMES = ("clearance", "contact_weight")
 """Settings that the options of add_wall_options set."""
 THRESHOLD_HELP = {
     "arrival_tolerance": ("MM", "distance from the target's end within which the tip arrives in the last frame"),
-    "error_allowed": ("MM", "largest e2 of any frame with which the plan follows its target"),
+    "error_allowed": ("MM", "shape error e2 allowed in any frame"),
     "contact_allowed": ("MM", "how far the robot may be beyond the wall anywhere, since tissue gives a little"),
     "share": ("PART", "share of the simulated robots that must keep their branch, arrive and keep off the wall"),
 }
@@ -113,15 +113,15 @@ def add_horizon_options(parser: argparse.ArgumentParser) -> None:
         "--starts",
         metavar="N",
         type=whole,
-        help="motions that are solved to the end (default: those that promise most once some of their frames are)",
+        help="number of candidate motions solved to the end (default: the most promising after a few frames)",
     )
+    group.add_argument("--exhaustive", action="store_true", help="solve every candidate motion to the end")
     group.add_argument(
-        "--exhaustive", action="store_true", help="solve every motion found frame by frame to the end"
+        "--jobs", metavar="N", type=whole, help="parallel processes that solve candidates (default 1)"
     )
-    group.add_argument("--jobs", metavar="N", type=whole, help="processes for them (default 1)")
     end = (
-        "what a mm by which the tip misses the target's end costs, in each frame of the last tenth of the motion, "
-        f"in mm^2; three times as much beyond --arrival-tolerance (default {ARRIVAL_WEIGHT:g}, "
+        "cost in mm^2 of each mm between the tip and the target's end, in each frame of the last tenth of the "
+        f"motion; three times as much beyond --arrival-tolerance (default {ARRIVAL_WEIGHT:g}, "
         "on the dominant model 0)"
     )
     add_numbers(group, ("arrival-weight", "MM", end))
@@ -130,21 +130,20 @@ def add_horizon_options(parser: argparse.ArgumentParser) -> None:
 
 def add_robust_options(parser: argparse.ArgumentParser) -> None:
     """Add the options to `parser` that choose between all robots within the tolerances and the nominal one."""
-    group = parser.add_argument_group("robots that are not quite the one described")
+    group = parser.add_argument_group("robust planning, for robots within the tolerances")
     which = group.add_mutually_exclusive_group()
     which.add_argument(
         "--robust",
         action="store_true",
-        help="plan for all the robots that the tolerances in the robot file allow, over all frames at once or "
-        "with the joint formulation, and certify the plan on simulated ones (default over all frames, on the "
-        "elastic model and without a load)",
+        help="plan for all robots within the tolerances of the robot file, with the horizon or joint formulation, "
+        "and certify the plan on simulated robots (default for horizon on the elastic model without a load)",
     )
     which.add_argument(
         "--nominal",
         action="store_true",
         help="plan for the robot as described alone, which takes a few seconds (default otherwise)",
     )
-    part = "share of them that may be lost: snap, or end on another branch; certain with 95 percent confidence"
+    part = "share of robots that may fail, that is snap or end on another branch; 95 percent confidence"
     add_numbers(group, ("most-lost", "PART", f"{part} (default {MOST_LOST:g})"))
     corners = (
         "also keep the robots at the corners of the tolerances from snapping, as far as that goes; much slower"
@@ -155,9 +154,7 @@ def add_robust_options(parser: argparse.ArgumentParser) -> None:
 
 def add_tip_force(group: argparse._ActionsContainer) -> None:
     """Add the option for the tip force that a robot's tolerances allow to `group`."""
-    force = (
-        "force that may act at the tip, in any direction, and come and go (default: the robot file's tip_force)"
-    )
+    force = "force that may act at the tip at any time, in any direction (default: tip_force of the robot file)"
     add_numbers(group, ("tip-force", "N", force))
 
 
@@ -177,8 +174,8 @@ def add_wall_options(parser: argparse.ArgumentParser) -> None:
         (
             "contact-weight",
             "MM",
-            "what a mm less of it costs in a frame, beside the mean square error in mm^2, and twenty times as "
-            "much beyond --contact-allowed; 0: the wall does not count",
+            "cost in mm^2 of each mm below --clearance in a frame, added to the mean square error; twenty times "
+            "as much beyond --contact-allowed; 0 ignores the wall",
         ),
     ):
         add_numbers(
@@ -188,7 +185,7 @@ def add_wall_options(parser: argparse.ArgumentParser) -> None:
 
 def add_threshold_options(parser: argparse.ArgumentParser) -> None:
     """Add the options for the thresholds of verdicts, settings.THRESHOLDS, to `parser`."""
-    group = parser.add_argument_group("what counts as good")
+    group = parser.add_argument_group("thresholds of the verdicts")
     for name in THRESHOLDS:
         metavar, what = THRESHOLD_HELP[name]
         add_numbers(
@@ -204,12 +201,12 @@ def with_thresholds(plan: Plan, arguments: argparse.Namespace) -> Plan:
 
 def add_check_options(parser: argparse.ArgumentParser) -> None:
     """Add the options for how a finished plan is evaluated to `parser`."""
-    group = parser.add_argument_group("how the plan is looked at")
+    group = parser.add_argument_group("evaluation of the plan")
     group.add_argument(
         "--no-evaluate",
         action="store_true",
-        help="neither move the robot through the plan on the elastic model, where it was planned on another one, "
-        "nor simulate robots within the tolerances; verdicts that need this then say NOT CHECKED",
+        help="skip the simulation on the elastic model, for plans made on another model, and the simulated "
+        "robots; verdicts that need them are NOT CHECKED",
     )
     usual = f"{DEFAULT_PLAN_SAMPLES}; under a load 0, since loaded ones take a minute for every 200"
     told = f"robots within the tolerances that are simulated (default {usual})"
@@ -251,9 +248,11 @@ def add_file_options(parser: argparse.ArgumentParser) -> None:
         "(default 0: through all points)"
     )
     add_numbers(group, ("smoothing", "MM", smoothing))
-    group.add_argument(
-        "--trim", choices=("start", "end"), help="which end to drop where it is longer than the robot reaches"
+    trim = (
+        "cut a path that is longer than the robot reaches: start moves the robot's base inwards, end stops before "
+        "your target"
     )
+    group.add_argument("--trim", choices=("start", "end"), help=trim)
 
 
 def add_term_options(parser: argparse.ArgumentParser) -> None:

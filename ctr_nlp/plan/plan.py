@@ -458,7 +458,9 @@ class Plan(PlanData):
             raise OutputError(f"{path} is not a plan: {error}") from error
         # Last, since a damaged file is changed as well, and other errors say more.
         if changed:
-            raise OutputError(f"plan {path} was changed after it was saved; plan anew, or change it in Python")
+            raise OutputError(
+                f"plan {path} was changed after it was saved; make a new plan, or change it in Python"
+            )
         return plan
 
 

@@ -96,7 +96,7 @@ def sample_outcomes(plan: PlanData) -> SampleOutcomes:
     """
     drawn = plan.drawn
     if drawn is None:
-        raise OptionError("the plan holds no samples; plan.check() simulates some")
+        raise OptionError("the plan has no samples; call plan.check() to simulate some")
     asked = Settings().options() | plan.options
     tips = drawn.cloud[-1, :, -1].astype(float)
     return SampleOutcomes(

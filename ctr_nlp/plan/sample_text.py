@@ -38,18 +38,20 @@ def robustness_sentences(found: Robustness) -> list[str]:
     """Return sentences on where samples fail and which tolerance costs most; found: results on the samples."""
     told = []
     if found.lost_count:
-        parts = [f"{each.frames} ({each.draws}; {each.out} mm out)" for each in find_loss_intervals(found)]
-        told.append(f"Samples are lost first in frames {', '.join(parts)}.")
+        parts = [
+            f"{each.frames} ({each.draws} of them, {each.out} mm extended)" for each in find_loss_intervals(found)
+        ]
+        told.append(f"Samples first fail in frames {', '.join(parts)}.")
     if found.costs and found.costs[0].growth > 0:
         most = found.costs[0]
         told.append(
-            f"The {_tolerance_name(most)} costs most: by itself it lets e3 grow by "
-            f"{most.growth:.2g} mm, {most.share:.0%} of what all tolerances add one by one."
+            f"The {_tolerance_name(most)} costs most: alone it adds {most.growth:.2g} mm to e3, "
+            f"{most.share:.0%} of the sum over all tolerances."
         )
     if fatal := [_tolerance_name(cost) for cost in found.costs if cost.lost]:
         more = f" and {len(fatal) - MAX_NAMED_TOLERANCES} more" if len(fatal) > MAX_NAMED_TOLERANCES else ""
         told.append(
-            f"Each of these loses a robot that differs in it alone: "
+            f"A deviation in any one of these alone makes a robot fail: "
             f"{', '.join(fatal[:MAX_NAMED_TOLERANCES])}{more}."
         )
     return told
@@ -71,17 +73,15 @@ def tables(plan: PlanData) -> list[RobustnessTable]:
     found = plan.drawn
     assert found is not None
     every = [
+        RobustnessTable("samples", ("", "nominal", "mean", "median", "95 %", "unit"), _spreads(plan, found)),
         RobustnessTable(
-            "over the samples", ("", "nominal", "mean", "median", "95 %", "unit"), _spreads(plan, found)
-        ),
-        RobustnessTable(
-            "where samples are lost first",
-            ("frames", "samples", "length out, mm"),
+            "frames in which samples first fail",
+            ("frames", "samples", "extended length, mm"),
             list(find_loss_intervals(found)),
         ),
         RobustnessTable(
-            "what each tolerance costs alone",
-            ("tolerance", "e3 grows by, mm", "share", "lost of two"),
+            "cost of each tolerance alone",
+            ("tolerance", "added e3, mm", "share", "failed of two"),
             _costs(found),
         ),
     ]

@@ -120,7 +120,7 @@ def _limits(plan: Plan, found: dict[str, Any]) -> list[str]:
         told.append(f"stability (margin {plan.meta['options']['stability_margin']:g}) limits frames {parts}")
     if found["stability_missed"]:
         frame, least = found["stability_missed"]
-        told.append(f"the margin is missed between frames: {least:.3f} on the way to frame {frame}")
+        told.append(f"the stability margin is too small between frames: {least:.3f} on the way to frame {frame}")
     return told
 
 
@@ -135,7 +135,7 @@ def _contacts(plan: Plan, found: dict[str, Any]) -> list[str]:
             f"{contact['path']:.0f} mm along the path in frame {contact['frame']}"
         )
     if told and found["weights"]["contact_mm"] is None and plan.free is not None:
-        told.append("this is the motion without the wall: more frames failed within the wall")
+        told.append("this motion ignores the wall, since more frames failed with it")
     return told
 
 
@@ -154,8 +154,8 @@ def _certificate(plan: Plan) -> list[str]:
         return told
     frames = ", ".join(f"{frame} ({count})" for frame, count in found["lost_in"].items())
     told.append(
-        f"too many robots are lost on this plan, the best that was found: {found['lost']} of {found['draws']} "
-        f"drawn after it, first in frames {frames}; at most {found['most_lost']:.2%} of all may be"
+        f"too many robots fail on this plan, the best one found: {found['lost']} of {found['draws']} new samples, "
+        f"first in frames {frames}; at most {found['most_lost']:.2%} of all robots may fail"
     )
     if found["borne"]:
         told.append(f"the plan would hold with tolerances of {_tolerances(plan, found['borne'])}")

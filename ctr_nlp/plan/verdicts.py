@@ -199,9 +199,7 @@ def _judge_shape_error(plan: PlanData) -> Judgement:
 def _judge_by_shape(plan: PlanData, good: bool, number: float, unit: str, why: str, value: str) -> Judgement:
     """Return a verdict that rests on shapes: *yes* only where the model predicts how real tubes twist."""
     if good and not plan.can_snap:
-        why += (
-            f" The {plan.evaluated_model_name} model does not tell how real tubes twist; look on the elastic one."
-        )
+        why += f" The {plan.evaluated_model_name} model cannot predict how real tubes twist; use the elastic one."
         return NOT_CHECKED, number, unit, why, value
     return YES if good else NO, number, unit, why, value
 
@@ -226,7 +224,7 @@ def _judge_stability(plan: PlanData) -> Judgement:
     if least is not None and least <= 0:
         return NO, least, "", f"The robot is unstable{under} in frame {frame} or on the way to it.", value
     if least is not None and least <= BIFURCATION_MARGIN:
-        why = f"The robot passes a bifurcation around frame {frame}; chance decides on which branch it goes on."
+        why = f"The robot passes a bifurcation around frame {frame}; which branch it follows cannot be predicted."
         return NO, least, "", why, value
     if least is not None and asked is not None and least < float(asked) - MARGIN_SLACK:
         why = f"The stability margin falls to {least:.3f} around frame {frame}; {asked:g} was asked for."
@@ -252,7 +250,7 @@ def _judge_limits(plan: PlanData) -> Judgement:
     value = f"{percent:.0f} {unit}"
     if most.exceeded:
         hint = "acceleration" in most.what and "horizon" not in plan.meta.get("formulation", "")
-        only = "; only a horizon keeps accelerations" * hint
+        only = "; only the horizon formulation limits accelerations" * hint
         return NO, percent, unit, f"The {most.what} exceeds its limit{only}.", value
     if not np.isfinite(plan.q).all():
         return NOT_CHECKED, percent, unit, f"{_count_unknown_frames(plan)} frames have no configuration.", value
@@ -286,7 +284,7 @@ def _judge_wall_contact(plan: PlanData) -> Judgement:
         if unknown:
             return NOT_CHECKED, depth, unit, f"{why} {unknown} frames have no shape.", value
         if plan.clearance_between is None:
-            return NOT_CHECKED, depth, unit, f"{why} The way between frames was not looked at.", value
+            return NOT_CHECKED, depth, unit, f"{why} Contact between frames was not checked.", value
     return _judge_by_shape(plan, depth <= allowed, depth, unit, why, value)
 
 
@@ -306,7 +304,7 @@ def _judge_robustness(plan: PlanData) -> Judgement:
     word = YES if found.share >= wanted else NO
     hint = "" if word == YES or "certificate" in plan.meta else " `ctr-nlp plan --robust` plans for such robots."
     force = plan.robot.tolerances.tip_force
-    pushed = f" A force of {force:g} N acts at the tip of each, in a direction of its own." if force else ""
+    pushed = f" Each has a tip force of {force:g} N in a random direction." if force else ""
     why = f"{outcome_sentence(found)} {100 * wanted:g} % must hold.{hint}{pushed}"
     return word, found.share, unit, why, f"{100 * found.share:.3g} % of {len(found)}"
 

@@ -241,9 +241,9 @@ def compromise_sentences(plan: Plan, found: Sequence[Compromise]) -> list[str]:
         )
     at = find_path_demands(plan)
     told.append(
-        f"The path asks most of the tubes {at.bend:.0f} mm along the robot, where it bends with a radius of "
-        f"{at.radius:.0f} mm and the tubes there to {at.least:.0f} mm at most; it is narrowest for them at "
-        f"{at.narrow:.0f} mm, where it leaves tube {at.tube} {at.room:.2f} mm of room on each side."
+        f"The path is hardest to follow {at.bend:.0f} mm along the robot: its radius is {at.radius:.0f} mm, and "
+        f"the smallest radius of the tubes is {at.least:.0f} mm. It is narrowest at {at.narrow:.0f} mm, with "
+        f"{at.room:.2f} mm of room on each side of tube {at.tube}."
     )
     return told
 

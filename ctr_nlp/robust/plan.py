@@ -158,7 +158,7 @@ def solve_robust(
     given = checked_motions(problem, initial)
     if not (given or margins) and reported_model(model).applied_load is not None:
         raise OptionError(
-            "initial and margins are both empty: give motions to start from, or margins to find them"
+            "initial and margins are both empty; give motions as initial guesses, or margins to find some"
         )
     # Largest number of motions tested: each test has its part of the 5 % (Trials), which is valid only if none
     # comes unplanned. For two sets of starts: rounds on a draft and on all frames, relaxations, and improvements
@@ -288,7 +288,8 @@ class _Starts:
         found = [InitialMotion(f"motion {k}", x) for k, x in enumerate(followed, 1) if np.isfinite(x).all()]
         if not (found or self.margins):
             raise OptionError(
-                "no motion of initial leads the robot from equilibrium to equilibrium; give margins too"
+                "none of the motions in initial can be simulated without losing equilibrium; give margins, too, "
+                "so that other start motions are found"
             )
         return found
 

@@ -123,10 +123,10 @@ def choice_sentence(points: Sequence[RobustnessPoint], most_lost: float = MOST_L
     """Say which of the points is chosen, and why; most_lost: largest share of failures that is accepted."""
     best = choose_plan(points, most_lost)
     if best is None:
-        return f"None is chosen: each plan loses more than {most_lost:.3g} of its draws or is not solved."
+        return f"No plan is chosen: on each, more than {most_lost:.1%} of the samples fail, or it is not solved."
     return (
-        f"Chosen: the plan for {plan_label(best.amount, best.margin)}, with the least mean e3 over draws "
-        f"({best.mean:.3g} mm) of those that lose at most {most_lost:.1%}; it loses {best.lost} of {best.draws}."
+        f"Chosen: the plan for {plan_label(best.amount, best.margin)}, with the smallest mean e3 over samples "
+        f"({best.mean:.3g} mm) where at most {most_lost:.1%} may fail; {best.lost} of {best.draws} fail on it."
     )
 
 

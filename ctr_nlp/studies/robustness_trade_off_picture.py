@@ -39,12 +39,12 @@ def draw_robustness_trade_off(
     amounts = [p.amount for p in robust]
     above.plot(amounts, [p.planned or float("nan") for p in robust], "o--", color=BLUE, label="as planned")
     means = [p.amount for p in known], [p.mean or 0.0 for p in known]
-    above.plot(*means, "o-", color=VERMILLION, label="mean over draws")
+    above.plot(*means, "o-", color=VERMILLION, label="mean over samples")
     below.plot(amounts, [p.share for p in robust], "o-", color=VERMILLION, clip_on=False)
     others = [p for p in points if p not in robust and p.mean is not None]
     for p, marker in zip(others, itertools.cycle(MARGIN_MARKERS)):
         look: dict[str, Any] = {"marker": marker, "ls": "", "color": BLACK, "mfc": "none", "clip_on": False}
-        above.plot(0, p.mean or 0.0, label=f"margin {p.margin:g}, mean over draws", **look)
+        above.plot(0, p.mean or 0.0, label=f"margin {p.margin:g}, mean over samples", **look)
         below.plot(0, p.share, **look)
     if (best := choose_plan(points, most_lost)) is not None and best.mean is not None:
         above.plot(best.amount, best.mean, "o", ms=13, mfc="none", color=BLACK, label="chosen")

@@ -226,7 +226,7 @@ def test_the_picture_is_written_and_replaced_whole(narrowing, tmp_path, capsys):
     ("out", "message"),
     [
         ("left.pdf", "must end in .png"),
-        ("notes.png", "is no picture of ours"),
+        ("notes.png", "exists and is not a picture; choose another with --out"),
         ("folder.png", "is a folder or a link"),
     ],
 )

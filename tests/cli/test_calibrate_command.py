@@ -105,5 +105,5 @@ def test_what_is_not_ours_stays(files, tmp_path, capsys):
     (tmp_path / "out").mkdir()
     (tmp_path / "out" / "robot.toml").write_text("mine")
     assert run("calibrate", *files, "--out", "out") == 2
-    assert "not empty and not one of ours" in capsys.readouterr().err
+    assert "not empty and was not written by ctr-nlp" in capsys.readouterr().err
     assert (tmp_path / "out" / "robot.toml").read_text() == "mine"

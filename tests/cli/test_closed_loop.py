@@ -113,7 +113,7 @@ def test_a_tracker_that_tells_by_udp_corrects_a_plan(
         assert "motor_zero of tube 1" in told.out
         assert "estimate.csv" in told.out
         assert main([str(plan), "--replay", *arguments]) == 0
-        assert "worked out again: the same, bit for bit" in capsys.readouterr().out
+        assert ": the same as in the journal, bit for bit" in capsys.readouterr().out
     records = read_journal(tmp_path / "out" / JOURNAL)
     assert sum(len(r["readings"]) for r in records if r["kind"] == "sensed") > 30
     assert sum(r["kind"] == "corrected" for r in records) > 8
@@ -196,7 +196,7 @@ def test_a_plan_that_is_not_known_to_hold_is_warned_of_before_it_starts(
 ) -> None:
     assert main([str(plan), "--dry-run", "--closed-loop", "--sensor", "simulated"]) == 0
     (told,) = [line for line in capsys.readouterr().err.splitlines() if line.startswith("warning: ")]
-    assert "not known to keep robots from snapping" in told
+    assert "the robot may snap on this plan" in told
     assert "holds on built robots: NOT CHECKED" in told
     assert "exit status 1" in told
     assert main([str(plan), "--dry-run"]) == 0

@@ -76,7 +76,7 @@ def test_forces_are_told_and_written(saved, capsys):
     assert run("force", "plan.npz", "--every", "2", "--directions", "6", *NITINOL) == 0
     out = capsys.readouterr().out
     assert "No tip force of up to 5 N, in 6 directions, snaps the robot." in out
-    assert "The tip gives in to a small force by up to" in out
+    assert "A small tip force moves the tip by up to" in out
     folder = saved / "runs/turned-force"
     told = json.loads((folder / "forces.json").read_text())
     assert told["frames"] == [1, 3]

@@ -621,5 +621,5 @@ def test_a_file_is_written_whole_and_beside_nothing_of_the_user_s(tmp_path, monk
             write_text(tmp_path / "table.csv", "c")
     assert contents(tmp_path) == {".table.csv.partial": "mine", "deep/table.csv": "a", "table.csv": "b"}
     check_file(tmp_path / "table.csv", "b")
-    with pytest.raises(OutputError, match="not one of ours"):
+    with pytest.raises(OutputError, match="was not written by ctr-nlp"):
         check_file(tmp_path / "table.csv", "c")

@@ -59,7 +59,7 @@ def test_samples_decide_the_verdict(saved, tmp_path, capsys, name, loses, word):
     assert (len(plan.drawn), plan.drawn.seed) == (20, 4)
     assert plan.verdicts.holds.word == word
     assert plan.verdicts.holds.value in told
-    assert ("where samples are lost first" in told) == loses
+    assert ("frames in which samples first fail" in told) == loses
     assert "motor zero" in told
     numbers = json.loads((tmp_path / "out" / "summary.json").read_text())["robustness"]
     assert numbers["lost"] == plan.drawn.lost_count
@@ -151,7 +151,7 @@ def test_all_robots_within_the_tolerances_are_planned_for_by_default(small, tmp_
     ("more", "why"),
     [
         (["--nominal"], ""),
-        (["--starts", "1"], "planned for the robot as described alone: --starts was given"),
+        (["--starts", "1"], "planned for the robot as described alone: --starts does not go with --robust"),
         (["--model", "dominant"], ""),
         (["--robot", "exact.toml"], "planned for the robot as described alone: all tolerances of the robot are 0"),
     ],
@@ -201,7 +201,7 @@ def test_a_plan_that_loses_too_many_says_what_it_would_bear(saved):
     for borne, more in ((0.5, 1), (0.0, 0)):
         robust_plan = replace(plan, meta=plan.meta | {"certificate": certificate | {"borne": borne}})
         told = remarks(robust_plan, summary(robust_plan))
-        lost = "7 of 50 drawn after it, first in frames 3 (6), 5 (1); at most 1.00% of all may be"
+        lost = "7 of 50 new samples, first in frames 3 (6), 5 (1); at most 1.00% of all robots may fail"
         assert sum(lost in each for each in told) == 1
         assert sum(each.startswith("the plan would hold with tolerances of curvature ") for each in told) == more
         assert not robust_plan.verdicts.holds.why.endswith("plans for such robots.")

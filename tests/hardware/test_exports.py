@@ -494,7 +494,7 @@ def test_an_elastic_plan_tells_its_margin(tmp_path, capsys):
 def test_a_file_that_is_not_ours_is_left_alone(file, capsys):
     before = file.read_bytes()
     assert export(file, "--to", "gcode", "--out", file) == 2
-    assert "not one of ours" in capsys.readouterr().err
+    assert "was not written by ctr-nlp" in capsys.readouterr().err
     assert file.read_bytes() == before
     other = file.with_name("bag")
     other.mkdir()

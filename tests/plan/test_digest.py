@@ -26,7 +26,7 @@ def refused(path, **changes):
     entries = {name: value for name, value in (entries_of(path) | changes).items() if value is not None}
     np.savez_compressed(path, **entries)
     with pytest.raises(
-        OutputError, match=r"^plan .*plan\.npz was changed after it was saved; plan anew"
+        OutputError, match=r"^plan .*plan\.npz was changed after it was saved; make a new plan"
     ) as raised:
         Plan.load(path)
     assert "\n" not in str(raised.value)

@@ -230,7 +230,7 @@ def test_accelerations_count_where_they_are_limited(formulation, hint):
     assert moving(*steps, formulation=formulation).verdicts.within_limits.word == YES
     found = moving(*steps, limits={"alpha_acceleration": 4.0}, formulation=formulation).verdicts.within_limits
     assert (found.word, found.number) == (NO, pytest.approx(250))
-    assert ("only a horizon" in found.why) == hint
+    assert ("only the horizon formulation limits accelerations" in found.why) == hint
 
 
 def test_the_rounding_of_solvers_is_within_limits():

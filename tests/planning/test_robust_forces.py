@@ -135,7 +135,7 @@ def test_its_own_draws_bear_forces(found):
     assert tips.min() > 0.1
     assert drawn_so.lost_count == 0
     told = found.with_samples(20, 3).verdicts.holds.why
-    assert told.endswith("A force of 2 N acts at the tip of each, in a direction of its own.")
+    assert told.endswith("Each has a tip force of 2 N in a random direction.")
 
 
 def test_frame_by_frame_it_is_planned_for_forces_too(problem):
@@ -245,7 +245,7 @@ def test_the_command_plans_for_a_force(tmp_path, monkeypatch, capsys):
     (tmp_path / "path.csv").write_text(f"x_mm,y_mm,z_mm\n{rows}")
     argv = ["plan", "path.csv", "--robot", "two.toml", "--frames", "3", "--no-figures", "--out", "here"]
     assert main([*argv, "--nominal", "--tip-force", "0.1"]) == 2
-    assert "--tip-force is given without --robust" in capsys.readouterr().err
+    assert "--tip-force needs --robust; it sets" in capsys.readouterr().err
     assert main([*argv, "--tip-force", "-1"]) == 2
     assert "tip_force of tolerances is -1" in capsys.readouterr().err
     assert main([*argv, "--tip-force", "0.1"]) in (0, 1)

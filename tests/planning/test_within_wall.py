@@ -58,7 +58,7 @@ def test_frames_that_are_lost_within_the_wall_lose_the_wall(problem, free, monke
     plan = solve_per_frame(problem, model="dominant")
     assert plan.complete
     assert plan.meta["contact_weight"] is None
-    assert "this is the motion without the wall" in " ".join(remarks(plan, summary(plan)))
+    assert "this motion ignores the wall" in " ".join(remarks(plan, summary(plan)))
     np.testing.assert_array_equal(plan.q, free[solve_per_frame].q)
 
 

@@ -134,7 +134,7 @@ def test_without_forces_it_is_what_is_found_without_loads(problem, q):
 
 def test_forces_need_a_model_that_knows_them(problem):
     at = problem.target_frames, problem.dt, 1e-4, EndConfigurations(), KINEMATIC_MODELS["elastic"]
-    with pytest.raises(OptionError, match="scenarios bear forces, which the elastic model without a load"):
+    with pytest.raises(OptionError, match="scenarios have tip forces, which the elastic model without a load"):
         shared_motion(NITINOL, *at, _scenarios())
 
 

@@ -157,7 +157,7 @@ def test_one_plan_is_made_alone(tmp_path, monkeypatch, capsys):
     assert main(["study", "s.toml", "--only", bad.digest]) == 2
     assert "two-stage" in capsys.readouterr().err
     assert main(["study", "s.toml", "--only", "x"]) == 2
-    assert "--only x is the digest of 0 plans" in capsys.readouterr().err
+    assert "--only x matches 0 plans" in capsys.readouterr().err
     assert [path.name for path in tmp_path.iterdir()] == ["s.toml"]
 
 
@@ -450,7 +450,7 @@ def test_the_command_does_a_study_and_tells_it_by_a_column(tmp_path, monkeypatch
         'frames = 4\nmodels = "dominant"\n[problems]\nnames = ["arc"]\n[settings]\nseed = [0, 1]\n'
     )
     assert main(["study", "s.toml", "--workers", "1", "--out", "here"]) == 1
-    assert "rows of all plans; 0 of them were known, and 0 failed" in capsys.readouterr().out
+    assert "rows of all plans; 0 from earlier runs, 0 failed" in capsys.readouterr().out
     assert main(["study", "s.toml", "--by", "set_seed", "--page", "--out", "here"]) == 0
     told = capsys.readouterr().out
     assert "plans by set_seed" in told

@@ -369,7 +369,7 @@ def test_bad_input_is_refused(arguments, said, tmp_path, capsys):
 def test_another_folder_is_left_alone(tmp_path, capsys):
     (tmp_path / "mine.txt").write_text("mine")
     assert main(["--out", str(tmp_path)]) == 2
-    assert "not one of ours" in capsys.readouterr().err
+    assert "was not written by ctr-nlp" in capsys.readouterr().err
     assert [path.name for path in tmp_path.iterdir()] == ["mine.txt"]
 
 

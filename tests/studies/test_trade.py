@@ -36,7 +36,7 @@ def test_the_least_mean_is_chosen_of_plans_that_lose_few():
     assert choose_plan(points, 0.002) is points[3]
     assert choose_plan(points[:2]) is None
     assert "for 1 × the tolerances" in choice_sentence(points)
-    assert choice_sentence(points[:2]).startswith("None is chosen")
+    assert choice_sentence(points[:2]).startswith("No plan is chosen")
 
 
 def test_no_plan_is_asked_for_twice():

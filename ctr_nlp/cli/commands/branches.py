@@ -82,7 +82,7 @@ def _check_out(out: Path) -> None:
         raise OptionError(f"--out is {out}; the picture's name must end in .png")
     check_file(out, "")
     if out.exists() and not out.read_bytes().startswith(PNG):
-        raise OutputError(f"output file {out} exists and is no picture of ours; name another with --out")
+        raise OutputError(f"output file {out} exists and is not a picture; choose another with --out")
 
 
 def _row(file: str, number: int, branches: Branches) -> list[Any]:

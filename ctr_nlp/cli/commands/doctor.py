@@ -44,7 +44,7 @@ class CheckResult(NamedTuple):
 def _parser(prog: str) -> argparse.ArgumentParser:
     return argparse.ArgumentParser(
         prog=prog,
-        description="Tell what is installed and works, what is missing, and the command that brings it.",
+        description="Check what is installed and works, what is missing, and which command installs it.",
         epilog="Exit status: 0 where planning works, 1 where it does not. What is optional may be missing.",
     )
 

@@ -68,9 +68,9 @@ if TYPE_CHECKING:
 OPTIONS_EXCLUDED_BY_ROBUST = "initial", "starts", "exhaustive", "jobs", "sweep_motion_weight", "live", "solver"
 """Options that do not go with --robust."""
 ROBUST_ONLY_OPTIONS = {
-    "most_lost": "how many robots a robust plan may lose",
-    "guards": "that robots at the corners of the tolerances are kept, too",
-    "tip_force": "which force robots may bear that a robust plan is for",
+    "most_lost": "the share of robots that may fail",
+    "guards": "that robots at the corners of the tolerances must not snap",
+    "tip_force": "the tip force that robots must withstand",
 }
 """Options that only robust plans have, and what each says."""
 
@@ -84,8 +84,8 @@ def _parser(formulations: tuple[str, ...], prog: str) -> argparse.ArgumentParser
         prog=prog,
         description=f"Follow a target with the whole shape of the robot, {how}; write plan.npz, errors.csv, "
         "summary.json and pictures.",
-        epilog="Every plan is moved on the elastic model, whatever model it was made on, and robots within "
-        "the tolerances are simulated (--no-evaluate leaves that out). Exit status: 0 where no verdict is `no`, "
+        epilog="Every plan is simulated on the elastic model, whatever model it was made on, and on robots "
+        "sampled within the tolerances (--no-evaluate skips this). Exit status: 0 where no verdict is `no`, "
         "1 where one is, 2 where input is bad, 130 after an interruption (the best motion so far goes into "
         f"DIR/interrupted, and DIR's own files stay). {NOT_FOR_PATIENTS}",
     )
@@ -193,7 +193,7 @@ def _compromises(arguments: argparse.Namespace, problem: Problem, plan: Plan) ->
     with progress_bar() as labelled:
         settings = _settings(arguments, problem, "seed")
         terms = plan_options.terms_from(arguments)
-        shown = labelled(f"{problem.name}, what can be had")
+        shown = labelled(f"{problem.name}, arrival against contact")
         return compromises(problem, plan, settings=settings, terms=terms, progress=shown)
 
 
@@ -213,11 +213,11 @@ def _decide_robust(arguments: argparse.Namespace, problem: Problem) -> tuple[boo
     if robust or arguments.nominal or arguments.formulation != HORIZON_FORMULATION:
         return robust, ""
     if has_load(arguments):
-        return False, "under a load the others take a minute and more; --robust plans for them"
+        return False, "a robust plan under a load takes a minute or more; add --robust to make one"
     if not KINEMATIC_MODELS[plan_options.model_from(arguments)].can_snap:
         return False, ""
     if given := _given_options(arguments, OPTIONS_EXCLUDED_BY_ROBUST):
-        return False, f"{given[0]} was given"
+        return False, f"{given[0]} does not go with --robust"
     try:
         resolve_scenarios(problem.robot, plan_options.model_from(arguments), None)
     except CtrError as error:
@@ -255,7 +255,7 @@ def _check_formulation_options(arguments: argparse.Namespace) -> None:
     robust = _wants_robust(arguments)
     for option, what in ROBUST_ONLY_OPTIONS.items():
         if getattr(arguments, option) is not None and not robust:
-            raise OptionError(f"--{option.replace('_', '-')} is given without --robust; it says {what}")
+            raise OptionError(f"--{option.replace('_', '-')} needs --robust; it sets {what}")
     if robust:
         if arguments.formulation not in (HORIZON_FORMULATION, "joint"):
             raise OptionError(

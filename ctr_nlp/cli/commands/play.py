@@ -67,8 +67,8 @@ def _parser(prog: str) -> argparse.ArgumentParser:
     parser.add_argument(
         "--position-verified",
         action="store_true",
-        help="you have made sure that the axes stand where the controller says; needed where its position is not "
-        "to be trusted, and when it is met for the first time",
+        help="confirm that the axes stand where the controller says; needed where its position may be wrong, and "
+        "the first time that this controller is used",
     )
     parser.add_argument(
         "--retract",
@@ -90,14 +90,14 @@ def _parser(prog: str) -> argparse.ArgumentParser:
     parser.add_argument(
         "--free-space",
         action="store_true",
-        help="nothing surrounds the robot, as on a bench: play a plan without a lumen, whose distance to a wall "
-        "nobody could check",
+        help="confirm that nothing surrounds the robot, as on a bench; needed for a plan without a lumen, whose "
+        "clearance cannot be checked",
     )
     parser.add_argument(
         "--uncertified",
         action="store_true",
-        help="play a plan although a verdict on it is no, or was not checked (ctr-nlp robust checks stability and "
-        "samples); unsolved frames, limits and snaps are refused all the same",
+        help="play a plan with verdicts that are no or NOT CHECKED (ctr-nlp robust checks stability and samples); "
+        "unsolved frames, exceeded limits and snaps are still refused",
     )
     closed_loop.add_options(parser)
     add_live_option(parser, "the robot where its axes are, over where they should be (the tilt as commanded),")

@@ -20,22 +20,22 @@ from ctr_nlp.plan.plan import Plan
 def _parser(prog: str) -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog=prog,
-        description="Move robots that differ from the one described, within its tolerances, open loop through a "
-        "plan. Tell how many of them are lost and where, how large errors are, and which tolerance "
-        "costs most. Write the plan with all of this, errors.csv, summary.json and a picture.",
+        description="Simulate a plan, open loop, on robots sampled within the tolerances of the robot file. "
+        "Report how many fail and where, how large errors are, and which tolerance costs most. Write the plan "
+        "with these results, errors.csv, summary.json and a picture.",
         epilog="Exit status: 0 where no verdict is `no`, 1 where one is, 2 where input is bad and nothing is "
         "written. A plan holds on built robots where enough of them (--share) keep their branch of equilibria, "
         "arrive, and press into the wall by no more than 1 mm.",
     )
     parser.add_argument("plan", metavar="PLAN.npz")
-    what = f"robots drawn within the tolerances of the robot file (default {DEFAULT_PLAN_SAMPLES})"
+    what = f"number of simulated robots (default {DEFAULT_PLAN_SAMPLES})"
     parser.add_argument("--draws", metavar="N", type=whole, default=DEFAULT_PLAN_SAMPLES, help=what)
     parser.add_argument(
         "--seed",
         metavar="N",
         type=whole,
         default=DEFAULT_PLAN_SAMPLE_SEED,
-        help=f"of the draws (default {DEFAULT_PLAN_SAMPLE_SEED})",
+        help=f"random seed of the simulated robots (default {DEFAULT_PLAN_SAMPLE_SEED})",
     )
     add_evaluate_option(parser, "the elastic one")
     add_threshold_options(parser)
@@ -54,7 +54,9 @@ def _run(arguments: argparse.Namespace) -> int:
         plan = look(arguments.draws, arguments.seed)
     if plan.drawn is None:
         why = "was interrupted" if plan.meta.get("interrupted", False) else "has no frame that was reached"
-        raise OptionError(f"plan {arguments.plan} {why}, so that there is nothing to simulate; plan anew")
+        raise OptionError(
+            f"plan {arguments.plan} {why}, so there is nothing to simulate; run `ctr-nlp plan` again"
+        )
     with output_folder(out, "robust") as staging:
         write(plan, staging)
         if not arguments.no_figures:

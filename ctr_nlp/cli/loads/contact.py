@@ -73,7 +73,10 @@ def _print(found: WallForces, name: str) -> None:
     rows = [row for row in found.rows() if row["total_N"] not in ("", 0.0)]
     rows.sort(key=lambda row: -float(row["total_N"]))
     if rows:
-        columns = "frame", "force N", "avoidable N", "on a piece N", "depth mm", "unpushed mm", "tip moved mm"
+        columns = (
+            *("frame", "force N", "avoidable N", "on one piece N", "depth mm", "depth without force mm"),
+            "tip moved mm",
+        )
         cells = [[str(row["frame"]), *list(row.values())[1:]] for row in rows[:MAX_CONTACT_TABLE_FRAMES]]
         title = f"{name}, forces of the wall, the largest of {len(rows)} frames in contact"
         print_table(title, columns, cells)

@@ -28,9 +28,9 @@ MAX_FORCE_TABLE_FRAMES = 5
 def _parser(prog: str) -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog=prog,
-        description="Find the largest force at its tip that every frame of a plan bears before the robot snaps, "
-        "or leaves its lumen, in many directions of the base frame, on the elastic model; and tell "
-        "by how much the tip gives in to a small force. Write forces.json, forces.csv and a "
+        description="Find the largest tip force that each frame of a plan withstands before the robot snaps or "
+        "leaves its lumen, in many directions of the base frame, on the elastic model, and the compliance of the "
+        "tip to a small force. Write forces.json, forces.csv and a "
         "picture.",
         epilog="Exit status: 0 where forces were found, 2 where input is bad and nothing is written. Forces act "
         "beside the load that the plan is evaluated under (`ctr-nlp under`).",
@@ -55,7 +55,7 @@ def _run(arguments: argparse.Namespace) -> int:
     out = Path(arguments.out or f"runs/{path_component(name)}-force")
     check_folder(out, "force")
     asked = {key: getattr(arguments, key) for key in ("every", "directions", "most", "off")}
-    with busy(f"{name}: tip forces that each frame bears"):
+    with busy(f"{name}: tip forces that each frame withstands"):
         found = forces(plan, **asked)
     draws = None if arguments.no_figures else partial(_picture, found, name)
     files = write_forces(found, out, "force", "forces", draws)
@@ -76,10 +76,10 @@ def _print(found: Forces, plan: Plan) -> None:
     every = found.rows()
     columns = (
         "frame",
-        "snaps N",
-        *(["leaves N"] if found.allowed_depth is not None else []),
+        "snaps at N",
+        *(["leaves lumen at N"] if found.allowed_depth is not None else []),
         "towards",
-        "gives in mm/N",
+        "compliance mm/N",
     )
     rows = []
     for row in (every[k] for k in order):
@@ -87,7 +87,7 @@ def _print(found: Forces, plan: Plan) -> None:
         towards = " ".join(f"{row[axis]:.2f}" for axis in "xyz")
         rows.append([str(row["frame"]), row["snaps_N"], *leaves, towards, row["softest_mm_per_N"]])
     beside = "" if plan.evaluated_load is None else f", beside {plan.evaluated_load}"
-    title = f"{plan.meta['problem']['name']}, tip forces borne, the weakest of {len(every)} frames{beside}"
+    title = f"{plan.meta['problem']['name']}, largest tip forces, the weakest of {len(every)} frames{beside}"
     print_table(title, columns, rows)
     console().print(_describe_worst_force(found.least_snapping_force, "snaps the robot", found))
     if found.least_lumen_exit_force is not None:
@@ -98,16 +98,16 @@ def _print(found: Forces, plan: Plan) -> None:
                 found,
             )
         )
-    console().print(f"The tip gives in to a small force by up to {found.largest_compliance.max():.3g} mm per N.")
+    console().print(f"A small tip force moves the tip by up to {found.largest_compliance.max():.3g} mm per N.")
 
 
 def _describe_worst_force(worst: WorstForce, does: str, found: Forces) -> str:
     if math.isinf(worst.force):
         return f"No tip force of up to {found.max_force:g} N, in {len(found.directions)} directions, {does}."
     towards = ", ".join(f"{part:.2f}" for part in worst.direction)
-    looked = f"none of the {len(found.directions)} directions and {len(found.frames)} frames"
+    looked = f"any of the {len(found.directions)} directions and {len(found.frames)} frames"
     told = f"A tip force of {worst.force:.3g} N towards ({towards}) {does} in frame {worst.frame}"
-    return f"{told}; a smaller one does so in {looked}."
+    return f"{told}; no smaller one does so in {looked}."
 
 
 main = Command("ctr-nlp force", _parser, _run)

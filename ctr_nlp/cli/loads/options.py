@@ -28,7 +28,7 @@ def add_load_options(parser: argparse.ArgumentParser, required: bool = True) -> 
     given.
     """
     group = parser.add_mutually_exclusive_group(required=required)
-    told = "what the robot bears, all the time or changing (`ctr-nlp new load FILE.toml` writes one to start from)"
+    told = "load on the robot, constant or changing over time (`ctr-nlp new load FILE.toml` writes a template)"
     group.add_argument("--load", metavar="FILE.toml", help=told)
     add_triple(group, "force", "a force at the tip alone, in N, in the directions of the base")
 

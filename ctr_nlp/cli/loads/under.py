@@ -23,11 +23,10 @@ SAME_TARGET_TOLERANCE_MM = 1e-3
 def _parser(prog: str) -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog=prog,
-        description="Move the robot of a plan through its motion while it bears a load, and tell its shapes, "
-        "errors, stability margins and snaps on the elastic model. The load comes in the first "
-        "frame and is taken away in the last one. Write the plan under its load, errors.csv, "
-        "summary.json and pictures; `ctr-nlp robust` and `ctr-nlp report` take that plan as any "
-        "other.",
+        description="Simulate the motion of a plan under a load, on the elastic model: shapes, errors, stability "
+        "margins and snaps. The load is applied in the first frame and removed in the last one. Write the plan "
+        "under its load, errors.csv, summary.json and pictures; `ctr-nlp robust` and `ctr-nlp report` take that "
+        "plan like any other.",
         epilog="Exit status: 0 where no verdict is `no`, 1 where one is, 2 where input is bad and nothing is "
         "written.",
     )

@@ -32,8 +32,8 @@ FOLDS = 5
 CALIBRATION_TABLE_COLUMNS = "parameter", "unit", "before", "+-", "after", "+-", "the data"
 STANDING_PHRASES = {
     "determined": "determine it",
-    "partly": "tell a part",
-    "held": "hardly tell it: kept as before",
+    "partly": "determine it in part",
+    "held": "hardly determine it: as before",
 }
 CALIBRATION_ERROR_LABELS = {"described": "as described", "fitted": "fitted", "held_out": "held out"}
 
@@ -45,7 +45,7 @@ def _parser(prog: str) -> argparse.ArgumentParser:
         "shape; with time, also the lag of its rotations and the delay of the sensor; with known weights at its "
         "tip, also how stiff it is. Write robot.toml, whose tolerances are the covariance of what is left to "
         "doubt (`ctr-nlp plan --robot DIR/robot.toml --robust` plans for it), calibration.json, residuals.csv and "
-        "pictures. What the data cannot tell is said, and stays as it was before.",
+        "pictures. Parameters that the data cannot identify are reported and keep their values.",
         epilog="Columns: alpha_1.., beta_1.. (theta_x, theta_y), time_s of a motion; force_x, force_y, force_z, "
         "what pulls at the tip, N, in the axes of the base; tip_x, tip_y, tip_z; the "
         "rotation of axes at the tip, z along the robot, as tip_qw, tip_qx, tip_qy, tip_qz; points p1_x, p1_y, "
@@ -145,14 +145,15 @@ def _print(found: Calibration) -> None:
         told.print(f"- {len(found.repeated_poses)} observations have the pose of another; they share its fold")
     if found.floor is not None:
         told.print(
-            f"- at the same pose, measurements differ by {2 * found.floor:.2g} mm on average: without a memory of "
-            f"the motion, no model comes below {found.floor:.2g} mm"
+            f"- at the same pose, measurements differ by {2 * found.floor:.2g} mm on average: no model without "
+            f"hysteresis can have errors below {found.floor:.2g} mm"
         )
     for sentence in found.unidentified:
         told.print(f"- {sentence}")
     if len(found.next_q):
         told.print(
-            f"- measured next, the {len(found.next_q)} proposed poses leave {found.next_left[-1]:.0%} of the doubt"
+            f"- measuring the {len(found.next_q)} proposed poses leaves {found.next_left[-1]:.0%} of the "
+            "uncertainty"
         )
 
 

@@ -21,13 +21,17 @@ def check_file(file: Path, opening: str, at: int = 0) -> None:
     """
     try:
         if file.is_symlink() or (file.exists() and not file.is_file()):
-            raise OutputError(f"output file {file} is a folder or a link; it must be new or one of ours")
+            raise OutputError(
+                f"output file {file} is a folder or a link; choose a new file, or one that ctr-nlp wrote"
+            )
         if file.exists():
             with open(file, "rb") as known:
                 held = known.read(at + len(opening))
                 # A file of ours that was cut short within its opening still counts as ours.
                 if held and (len(held) <= at or not opening.encode().startswith(held[at:])):
-                    raise OutputError(f"output file {file} exists and is not one of ours; name another with --out")
+                    raise OutputError(
+                        f"output file {file} exists and was not written by ctr-nlp; choose another with --out"
+                    )
         check_writable(file)
     except OSError as error:
         raise OutputError(f"output file {file} cannot be written: {error}") from error

@@ -101,15 +101,17 @@ def _check(folder: Path, names: Sequence[str]) -> None:
     in it.
     """
     if folder.is_symlink() or (folder.exists() and not folder.is_dir()):
-        raise OutputError(f"output folder {folder} is a file or a link; it must be new, empty or one of ours")
+        raise OutputError(f"output folder {folder} is a file or a link; choose a folder with --out")
     manifest = read_manifest(folder)
     if manifest is None and folder.exists() and any(map(_foreign, folder.iterdir())):
-        raise OutputError(f"output folder {folder} is not empty and not one of ours; name another with --out")
+        raise OutputError(
+            f"output folder {folder} is not empty and was not written by ctr-nlp; choose another with --out"
+        )
     occupied = ((manifest or Manifest({})).find_conflict(folder, name) for name in names)
     if (users := next(filter(None, occupied), None)) is not None:
         raise OutputError(
-            f"{users} is in the way: it is not as a run of this program has written it; move it, or name another "
-            "folder with --out"
+            f"{users} is in the way: ctr-nlp did not write it, or it was changed since; move it, or choose "
+            "another folder with --out"
         )
 
 

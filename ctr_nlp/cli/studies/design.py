@@ -95,7 +95,7 @@ def _parser(prog: str) -> argparse.ArgumentParser:
     what = "robots that are designed, each for the problems that it follows best (default 1); a problem that is "
     what += "held out takes the one that follows it best"
     parser.add_argument("--robots", metavar="K", type=whole, default=1, help=what)
-    what = f"tubes that are started from, the robot's own and random ones (default {STARTS})"
+    what = f"number of initial designs, the robot's own tubes and random ones (default {STARTS})"
     parser.add_argument("--starts", metavar="N", type=whole, default=STARTS, help=what)
     what = "model that is designed on; on the dominant one stiffness does not count, and no tube can snap "
     what += "(default elastic)"
@@ -120,7 +120,7 @@ def _parser(prog: str) -> argparse.ArgumentParser:
 def add_rules(parser: argparse.ArgumentParser) -> None:
     """Add the options for the rules of manufacture, `RULES`, to `parser`."""
     defaults = Manufacture()
-    group = parser.add_argument_group("what can be made")
+    group = parser.add_argument_group("rules of manufacture")
     for name, what in RULES.items():
         option = name.replace("_", "-"), "X" if name.startswith("strain") else "MM"
         add_numbers(group, (*option, f"{what} (default {getattr(defaults, name):g})"))

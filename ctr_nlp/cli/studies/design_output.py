@@ -21,8 +21,8 @@ from ctr_nlp.tube_design.co_design import Design
 from ctr_nlp.tube_design.rounding import StockRounding
 
 DESIGN_TABLE_COLUMNS = (
-    *("problem", "with the first tubes", "planned", "mean over draws", "lost", "mean with diameters as sold"),
-    *("lost", "designed for"),
+    *("problem", "with the first tubes", "planned", "mean over samples", "failed", "mean with diameters as sold"),
+    *("failed", "designed for"),
 )
 
 

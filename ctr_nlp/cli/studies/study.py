@@ -115,7 +115,7 @@ def _run(arguments: argparse.Namespace) -> int:
     done = "all" if progress.done == progress.total else f"{progress.done} of {progress.total}"
     report_written_files(
         out,
-        more=f": rows of {done} plans; {progress.done_before} of them were known, and {progress.failed} failed",
+        more=f": rows of {done} plans; {progress.done_before} from earlier runs, {progress.failed} failed",
     )
     if stopped:
         return EXIT_INTERRUPTED
@@ -155,7 +155,9 @@ def _report_by_column(study: Study, out: Path, arguments: argparse.Namespace) ->
 def _page(study: Study, out: Path, found: Groups) -> str:
     """Return the plans of the largest error as one HTML page."""
     if not found.worst:
-        raise OptionError("--page shows the plans of the largest e3, and no plan of the study is known")
+        raise OptionError(
+            "--page shows the plans with the largest e3, but the study has no plans yet; run it first"
+        )
     cases = {case.digest: case for case in study.cases}
     plans = [_load_or_make_plan(cases[bad.digest], out / "plans") for bad in found.worst]
     return page(plans, [f"{bad.problem}, {bad.robot}, {bad.digest[:SHORT_DIGEST_LETTERS]}" for bad in found.worst])
@@ -186,7 +188,9 @@ def _make_single_plan(study: Study, digest: str, keep: Path | None) -> int:
     """
     cases = [case for case in study.cases if case.digest.startswith(digest)]
     if len(cases) != 1:
-        raise OptionError(f"--only {digest} is the digest of {len(cases)} plans of the study; it must be of one")
+        raise OptionError(
+            f"--only {digest} matches {len(cases)} plans of the study; give a digest that matches one"
+        )
     plan = cases[0].plan_motion(cases[0].load_problem())
     if keep is not None:
         cases[0].save_plan(plan, keep)

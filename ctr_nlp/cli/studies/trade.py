@@ -31,16 +31,16 @@ from ctr_nlp.studies.robustness_trade_off import (
 from ctr_nlp.support.interrupt import end_if_interrupted
 from ctr_nlp.support.tables import markdown, write_csv
 
-TRADE_TABLE_COLUMNS = "planned for", "as planned mm", "mean over draws mm", "lost", "solved", ""
+TRADE_TABLE_COLUMNS = "planned for", "as planned mm", "mean over samples mm", "failed", "solved", ""
 
 
 def _parser(prog: str) -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog=prog,
-        description="Plan motions for more and less of the robot's tolerances, and judge them on the same draws "
-        "of all of these, which planning does not see: tell e3 as planned, its mean over draws, and "
-        "how many draws are lost. Of plans that lose few, the one with the least mean is chosen. "
-        "Walls do not count. Write trade.md, .csv, .json, and for every problem a picture (.png, "
+        description="Plan motions for several fractions of the robot's tolerances, and evaluate all of them on "
+        "the same simulated robots with the full tolerances, which planning does not see. Report e3 as planned, "
+        "its mean over these robots, and how many fail. Of plans on which few fail, the one with the smallest "
+        "mean is chosen. Walls are ignored. Write trade.md, .csv, .json, and for every problem a picture (.png, "
         ".pdf). A problem takes some minutes.",
         epilog="Exit status: 0 where a plan is chosen for every problem, 1 where none is for one of them, 2 "
         "where input is bad, 130 after an interruption.",
@@ -49,25 +49,25 @@ def _parser(prog: str) -> argparse.ArgumentParser:
         "problems", metavar="PROBLEM", nargs="*", help=f"{problems.PROBLEM_ARGUMENT_HELP} (default all names)"
     )
     shown = ", ".join(f"{amount:g}" for amount in TOLERANCE_SCALES)
-    what = f"what tolerances are scaled by in planning; 0: a plan for the robot described alone (default {shown})"
+    what = f"factors on the tolerances in planning; 0 plans for the nominal robot (default {shown})"
     parser.add_argument("--amounts", metavar="X", nargs="+", type=float, default=TOLERANCE_SCALES, help=what)
     what = (
-        f"margins of plans for the robot described alone beside (default "
+        f"stability margins of nominal plans to compare with (default "
         f"{', '.join(map(str, COMPARED_STABILITY_MARGINS))})"
     )
     parser.add_argument(
         "--margins", metavar="MU", nargs="*", type=float, default=COMPARED_STABILITY_MARGINS, help=what
     )
-    what = f"robots that plans are judged on (default {ROBUSTNESS_STUDY_SAMPLES})"
+    what = f"number of simulated robots (default {ROBUSTNESS_STUDY_SAMPLES})"
     parser.add_argument("--draws", metavar="N", type=whole, default=ROBUSTNESS_STUDY_SAMPLES, help=what)
     parser.add_argument(
         "--seed",
         metavar="N",
         type=whole,
         default=ROBUSTNESS_STUDY_SEED,
-        help=f"of the draws (default {ROBUSTNESS_STUDY_SEED})",
+        help=f"random seed of the simulated robots (default {ROBUSTNESS_STUDY_SEED})",
     )
-    what = f"share of the draws that a chosen plan may lose (default {MOST_LOST})"
+    what = f"share of simulated robots that may fail on the chosen plan (default {MOST_LOST})"
     parser.add_argument("--most-lost", metavar="P", type=float, default=MOST_LOST, help=what)
     parser.add_argument("--no-figures", action="store_true", help="write no picture")
     add_out_option(parser, "runs/trade")

@@ -59,7 +59,9 @@ frame.
 def check_scenarios(robot: Robot, model: Model, scenarios: Scenarios) -> None:
     """Raise OptionError unless scenarios fit the robot, and have forces only on a model with loads."""
     if model.applied_load is None and scenarios.has_tip_forces:
-        raise OptionError(f"scenarios bear forces, which the {model.name} model without a load does not know")
+        raise OptionError(
+            f"scenarios have tip forces, which the {model.name} model without a load cannot represent"
+        )
     if scenarios.offsets.shape[1] != robot.d:
         raise OptionError(f"scenarios have {scenarios.offsets.shape[1]} tubes and the robot has {robot.d}")
 

@@ -415,7 +415,7 @@ def test_a_file_of_the_user_is_not_replaced(to, file, capsys):
     out = file.with_name(f"mine{FILE_FORMATS[to].suffix}")
     out.write_bytes(b"glTF and MATLAB 5.0 MAT-file and frame")
     assert export(file, "--to", to, "--out", out) == 2
-    assert "is not one of ours" in capsys.readouterr().err
+    assert "was not written by ctr-nlp" in capsys.readouterr().err
     assert out.read_bytes() == b"glTF and MATLAB 5.0 MAT-file and frame"
 
 

@@ -74,7 +74,7 @@ def test_sentences_name_the_worst_tolerance_and_where_draws_are_lost(plan):
     most = plan.drawn.costs[0]
     assert f"The {most.tolerance.replace('_', ' ')} of tube {most.tube} costs most" in told
     for stretch in sample_text.find_loss_intervals(plan.drawn):
-        assert f"{stretch.frames} ({stretch.draws}; {stretch.out} mm out)" in told
+        assert f"{stretch.frames} ({stretch.draws} of them, {stretch.out} mm extended)" in told
 
 
 def test_errors_of_draws_have_their_band_and_marks_where_draws_are_lost(plan):
