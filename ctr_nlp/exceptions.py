@@ -27,7 +27,7 @@ def escape_control_characters(text: str) -> str:
 
     Examples
     --------
-    >>> print(escaped("left [lung]\x1b[2J\n"))
+    >>> print(escape_control_characters("left [lung]\x1b[2J\n"))
     left [lung]\x1b[2J\n
     """
     return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)

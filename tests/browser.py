@@ -35,9 +35,7 @@ def opened(browser, file, width, height=900, **options):
         "console", lambda message: trouble.append(message.text) if message.type in ("error", "warning") else None
     )
     page.on("pageerror", lambda error: trouble.append(str(error)))
-    page.on(
-        "request", lambda request: trouble.append(request.url) if request.url.startswith("http") else None
-    )
+    page.on("request", lambda request: trouble.append(request.url) if request.url.startswith("http") else None)
     page.goto(file.as_uri())
     yield page
     assert trouble == []

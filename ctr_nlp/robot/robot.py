@@ -87,7 +87,7 @@ class Robot:
     >>> robot = ctr.Robot((outer, inner), ctr.Limits(theta=(0, 0)))
     >>> robot.axes
     ('alpha_1', 'alpha_2', 'beta_1', 'beta_2', 'theta_x', 'theta_y')
-    >>> robot.deployed
+    >>> robot.max_extensions
     array([ 50., 107.])
     """
 

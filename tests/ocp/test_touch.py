@@ -137,5 +137,5 @@ def test_lighter_programs_find_the_same(lumen):
     pulls = rng.normal(size=(FRAMES, 3, 2)), rng.normal(size=motion.row_bounds[0].shape)
     found, wanted = (each.expand(q, phi, *pulls) for each in (lighter, whole))
     assert found.at.objective == pytest.approx(wanted.at.objective, abs=0.02)
-    for name in ("gradient", "hessian", "own", "jacobian", "turns", "repair"):
+    for name in ("gradient", "hessian", "own", "jacobian", "unknowns_jacobian", "repair"):
         np.testing.assert_allclose(getattr(found, name), getattr(wanted, name), rtol=1e-3, atol=0.05, err_msg=name)

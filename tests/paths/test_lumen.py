@@ -92,7 +92,7 @@ def test_points_that_are_not_known_are_near_to_nothing():
     near = straight().project(points)
     np.testing.assert_allclose(near.distance, [[1, np.nan], [np.nan, 2]], atol=1e-9)
     assert near.centre.shape == (2, 2, 3)
-    for name in ("distance", "centre", "tangent", "bend"):
+    for name in ("distance", "centre", "tangent", "curvature_vector"):
         assert np.isnan(getattr(near, name)[0, 1]).all()
 
 

@@ -36,7 +36,7 @@ OWN = np.arange(2)
 class _Bearing(ToleranceVertices):
     """Corners of which each bears a part of its difference that is known."""
 
-    def _lost(self, chosen, q, part):
+    def _first_failure_frames(self, chosen, q, part):
         return np.where(np.ravel(part) > q[chosen], 1, 0)
 
 

@@ -185,7 +185,7 @@ def test_more_motion_weight_makes_a_smoother_motion(cos_problem):
 class Failing(NlpFrames):
     """Fails on one frame, whatever the start."""
 
-    _at_once = None
+    _compiled_frames = None
 
     def _solve(self, index, guess, before):
         if index == 2:
@@ -204,7 +204,7 @@ def test_a_frame_that_fails_is_marked_and_the_motion_goes_on(cos_problem):
 class Flaky(NlpFrames):
     """Fails on frame 2 from the frame before it, but not from other starts."""
 
-    _at_once = None
+    _compiled_frames = None
 
     def _solve(self, index, guess, before):
         if index == 2 and guess.warm is not None:
@@ -220,7 +220,7 @@ def test_a_frame_that_fails_is_tried_from_other_starts(cos_problem):
 class Interrupted(NlpFrames):
     """Ctrl-C on frame 3."""
 
-    _at_once = None
+    _compiled_frames = None
 
     def step(self, frame, before):
         if frame == 3:
@@ -240,7 +240,7 @@ class Short(Sqp):
     """Solves no more than two frames in one go."""
 
     def solve_sequence(self, x0, p, reach, here, warm, local_parameters=None):
-        return super().follow(x0, p[:2], reach, here, warm, local_parameters)
+        return super().solve_sequence(x0, p[:2], reach, here, warm, local_parameters)
 
 
 @pytest.mark.parametrize("model", ["dominant", "elastic"])

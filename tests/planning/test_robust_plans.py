@@ -53,7 +53,7 @@ class _Losing:
         numbers, offsets = np.repeat(TWO.numbers[None], count, 0), np.full((count, 2), 0.15)
         return FailedSamples(numbers, offsets, np.zeros((count, 3)), np.full(count, 3), 500, not count)
 
-    def certified(self, plan, lost, number):
+    def certify_plan(self, plan, lost, number):
         return replace(plan, meta=plan.meta | {"certificate": {"held": lost.few, "number": number}})
 
 

@@ -51,7 +51,7 @@ def test_frames_that_are_lost_within_the_wall_lose_the_wall(problem, free, monke
 
     def run(self, frames, before):
         for frame, (result, seconds) in zip(frames, solved(self, frames, before), strict=True):
-            lost = self.chain_for_wall is not None and frame == 3
+            lost = self.active_wall is not None and frame == 3
             yield replace(result, success=result.success and not lost), seconds
 
     monkeypatch.setattr(NlpFrames, "run", run)

@@ -312,7 +312,8 @@ def felt(chain, solution):
     """Names of rows that hold against the objective, where something can move."""
     multipliers = np.concatenate([solution.lam_x, solution.lam_g])
     return {
-        chain.describe_row(int(row))[0] for row in np.flatnonzero(chain.changeable_rows & (np.abs(multipliers) > 1e-3))
+        chain.describe_row(int(row))[0]
+        for row in np.flatnonzero(chain.changeable_rows & (np.abs(multipliers) > 1e-3))
     }
 
 

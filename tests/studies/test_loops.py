@@ -35,7 +35,9 @@ def test_a_robot_that_was_measured_in_free_space_is_known_as_well_as_is_said():
     for k in range(4):
         draw = robots(4)[k : k + 1]
         mean, covariance = identify_robot(ROBOT, tolerances, draw, KINEMATIC_MODELS["elastic"], places, 0.5, k)
-        truth = np.array([draw.deviations[0, tube, DEVIATION_NAMES.index(name)] for tube, name in differences.entries])
+        truth = np.array(
+            [draw.deviations[0, tube, DEVIATION_NAMES.index(name)] for tube, name in differences.entries]
+        )
         deviations = (mean - truth) / np.sqrt(covariance.diagonal())
         assert abs(deviations).max() < 4.0
         learnt = np.sqrt(covariance.diagonal() / differences.covariance.diagonal())

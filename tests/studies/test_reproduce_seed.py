@@ -134,7 +134,7 @@ def test_each_section_asks_for_all_that_it_needs(found, name, tmp_path):
     section = SECTIONS[name]
     both = found.motion_results, found.fit_results
     moved, fitted = ({task: some[task] for task in section.tasks if task in some} for some in both)
-    alone = replace(found, moved=moved, fitted=fitted)
+    alone = replace(found, motion_results=moved, fit_results=fitted)
     assert list(page.write(alone, [section], tmp_path)) == [name]
 
 

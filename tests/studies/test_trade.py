@@ -50,7 +50,7 @@ def test_what_cannot_be_drawn_is_refused_before_anything_is_planned(problem, mon
     monkeypatch.setattr(
         "ctr_nlp.studies.robustness_trade_off.solve_horizon", lambda *a, **k: pytest.fail("planned")
     )
-    for wrong in ({"draws": 0}, {"amounts": (0, -1.0)}, {"amounts": (0, 1e9)}):
+    for wrong in ({"samples": 0}, {"amounts": (0, -1.0)}, {"amounts": (0, 1e9)}):
         with pytest.raises((OptionError, RobotError)):
             plan_for_tolerances(problem, **wrong)
 

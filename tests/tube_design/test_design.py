@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
 from dataclasses import replace
 
 import casadi as ca
@@ -235,14 +233,6 @@ def test_problems_of_one_name_are_refused_before_anything_is_solved(tmp_path, ca
     assert main(["design", "cos", "--hold-out", "cos", "--out", str(tmp_path / "out")]) == 2
     assert "two problems are called cos" in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
-
-
-def test_the_script_is_the_command():
-    done = subprocess.run(
-        [sys.executable, "scripts/design_tubes.py", "--help"], capture_output=True, text=True, check=True
-    )
-    assert "choose" in done.stdout.lower()
-    assert "--hold-out" in done.stdout
 
 
 def test_plans_on_designed_tubes_are_where_equations_say(nominal):

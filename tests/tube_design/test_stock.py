@@ -183,7 +183,7 @@ def test_a_design_in_stock_loses_little_and_tells_it(stocked):
     free = np.sqrt(np.mean(found.stock_rounding.free_errors**2))
     assert rms < 1.1 * free
     assert found.stock_rounding.loss == pytest.approx(
-        np.sqrt(np.mean(found.stock_rounding.excess_rounding_mm**2)) / free - 1
+        np.sqrt(np.mean(found.stock_rounding.rounded_errors**2)) / free - 1
     )
     assert "e3 by" in str(found.stock_rounding)
 
