@@ -1,7 +1,7 @@
-"""Do a study on a SLURM cluster: `python slurm_study.py STUDY.toml FOLDER [JOBS]` on a node that can submit jobs.
+"""Run a study on a SLURM cluster: `python slurm_study.py STUDY.toml FOLDER [JOBS]` on a node that can submit jobs.
 
 It needs `pip install "ctr_nlp[study]" dask-jobqueue cryptography`, in an environment that the nodes see, too.
-Started again with the same folder it goes on where it was.
+Start it again with the same folder to resume it.
 """
 
 import sys
@@ -14,7 +14,7 @@ import ctr_nlp as ctr
 
 
 def slurm_cluster() -> SLURMCluster:
-    """Jobs of one process on one core; none is submitted yet. Change partition, memory and time."""
+    """Return a cluster of one-process jobs, none submitted yet. Change partition, memory and time."""
     return SLURMCluster(
         queue="normal",  # the partition
         cores=1,
@@ -24,7 +24,7 @@ def slurm_cluster() -> SLURMCluster:
         worker_extra_args=["--lifetime", "220m", "--lifetime-stagger", "10m"],  # leave before SLURM ends the job
         job_script_prologue=[
             *("export OMP_NUM_THREADS=1", "export OPENBLAS_NUM_THREADS=1"),
-            # without these Dask has workers give memory back after every step, which costs them much time
+            # otherwise workers return memory to the system after every step, which takes much time
             *("export MALLOC_TRIM_THRESHOLD_=268435456", "export MALLOC_MMAP_THRESHOLD_=33554432"),
         ],
         protocol="tls",  # nodes are shared: without TLS, whoever reaches the scheduler's port runs code as you
@@ -38,7 +38,7 @@ if __name__ == "__main__":
     study, folder = ctr.Study.from_toml(sys.argv[1]), Path(sys.argv[2])
     with slurm_cluster() as cluster, Client(cluster) as client:
         jobs = int(sys.argv[3]) if len(sys.argv) > 3 else 8
-        cluster.adapt(minimum_jobs=jobs, maximum_jobs=jobs)  # what ends is submitted again
+        cluster.adapt(minimum_jobs=jobs, maximum_jobs=jobs)  # jobs that end are submitted again
         ctr.run_study(
             study,
             folder,

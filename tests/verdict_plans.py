@@ -189,22 +189,23 @@ def rows(folder: Path, data: Path, chosen: Iterable[Case]) -> Iterator[dict[str,
 
 HEAD = """# Verdicts beside an independent judge
 
-Each row is a plan of 100 frames. In each cell stand the library's word and number and, after a `/`, those of an
-independent judge; where the words are the same, the word stands once. The judge shares no code with the library:
-it reads the motion from `plan.npz`, moves the tubes by shooting from the base, and finds the wall by brute force
-on a fine sampling of body and path. Every plan was checked with `plan.check()`: on the elastic model, and on 200
-simulated robots within the tolerances. The judge moves the same robots.
+This page compares the library's verdicts on 40 plans of 100 frames with those of an independent judge. Each row
+is a plan. Each cell gives the library's word and number and, after a `/`, those of the judge; if both words are
+the same, the word stands once. The judge shares no code with the library: it reads the motion from `plan.npz`,
+solves the tubes' equilibria by shooting from the base, and measures distances to the wall by brute force on
+densely sampled points of body and path. `plan.check()` checked every plan on the elastic model and on 200
+simulated robots within the tolerances. The judge simulates the same robots.
 
 The columns are the [verdicts](concepts/verdicts.md): *arrives*, the tip's distance from the target's end in mm;
-*follows*, the worst e2 in mm; *stable*, the least stability margin; *limits*, the largest part of a speed or
-acceleration; *wall*, the deepest contact in mm; *holds*, the share of simulated robots that hold. The judge cannot
-tell whether a frame is solved: it counts the frames that the plan marks as solved and whose residuals are small.
-The library reports a margin of 0 where a robot snaps, the judge the least margin of the equilibria on the way.
-Once a robot has snapped, where it comes to rest depends on how its energy is led downhill, and at a bifurcation
-chance decides for one side: numbers after that may differ, words may not.
+*follows*, the worst e2 in mm; *stable*, the least stability margin; *limits*, the largest share of a speed or
+acceleration limit; *wall*, the deepest contact in mm; *holds*, the share of simulated robots that hold. The
+judge cannot solve frames: it counts the frames that the plan marks as solved and whose residuals are small.
+Where a robot snaps, the library reports a margin of 0, and the judge the least margin of the equilibria before
+and after. The equilibrium after a snap depends on how the energy is minimised, and at a bifurcation on
+rounding: numbers after a snap may differ, words may not.
 
-Words may differ only where the judge's number is very near the threshold: 0.05 mm, 0.001 of a margin, or one
-sample in 200. Such cells are marked *borderline*. `tests/test_verdict_table.py` allows no other difference.
+Words may differ only if the judge's number is very near the threshold: within 0.05 mm, 0.001 of a margin, or
+one sample in 200. Such cells are marked *borderline*. `tests/test_verdict_table.py` allows no other difference.
 """
 
 
@@ -255,8 +256,8 @@ def _summary(found: list[dict[str, Any]]) -> str:
         f"Of {len(marks)} verdicts on {len(found)} plans {marks.count('agree')} agree, "
         f"{marks.count('borderline')} are borderline and {marks.count('DISAGREE')} disagree. "
         f"Shapes differ by {apart:.2g} mm at most, up to the first snap or bifurcation. "
-        f"Of {count} simulated robots {differ} hold by one of the two and not by the other; "
-        f"{lost} are lost by one of the two alone."
+        f"Of {count} simulated robots {differ} hold in the view of one of the two only; "
+        f"{lost} snap or leave the branch in the view of one of the two only."
     )
 
 

@@ -96,7 +96,7 @@ def test_what_is_least_is_bold_and_so_is_all_of_others_that_beats_ours():
     assert [bold[name][e3] for name in bold] == [True, False, False, False, False]
     assert [bold[name][tip] for name in bold] == [False, False, True, True, False]
     assert cells(text, "tip-jacobian")[-1] == "8 of 9"
-    assert text.splitlines()[-1] == "- `rrt-connect` does not serve it: it needs a lumen"
+    assert text.splitlines()[-1] == "- `rrt-connect` does not apply: it needs a lumen"
     assert cells(text, "euclidean")[e3].startswith("1 / 2.5") or "1.00 / 2.50" in cells(text, "euclidean")[e3]
 
 

@@ -46,52 +46,56 @@ METHOD_PAGE_COLUMNS = (
     Column("tip mm", "tip_max", planned="planned_tip_max"),
     Column("off own path mm", "own_path"),
     Column("roughness mm²/s", "roughness"),
-    Column("draws lost", "lost", lambda value: f"{value:.1%}"),
-    Column("e3 over draws mm", "draws_e3"),
+    Column("failed samples", "lost", lambda value: f"{value:.1%}"),
+    Column("e3 over samples mm", "draws_e3"),
     Column("contact mm", "depth", planned="planned_depth"),
     Column("ms a frame", "frame_ms"),
 )
 OVERVIEWS = {
     "e3 in mm on the elastic model": METHOD_PAGE_COLUMNS[0],
-    "Share of draws that is lost": METHOD_PAGE_COLUMNS[5],
+    "Share of failed samples": METHOD_PAGE_COLUMNS[5],
 }
 METHOD_PAGE_EXPLANATION = """\
 # Methods beside each other
 
-Every method on every problem that it serves, with the paper's robot. Each was made for something: **judge it by
-that**. Methods of the tip by the tip, those that follow their own leader by the distance off their own path, those
-that lead through a lumen by the contact, robust ones by the draws. `:elastic` is the model that a method plans on,
-otherwise it is the dominant one.
+This page compares our methods with the paper's and with methods of other groups. Every method plans every
+problem that it can solve, with the paper's robot. **Judge each method by its purpose**: methods for the tip
+by the tip error, follow-the-leader methods by the distance from their own path, methods for a lumen by the
+contact, and robust methods by the failed samples. `:elastic` after a name means that the method plans on the
+elastic model; the others use the dominant model.
 
 {methods}
 
-**What is measured.** All motions are judged on the elastic model, which stands for the real robot, whatever they
-were planned on; where two numbers stand in a cell, the first is on the model planned on.
+**What is measured.** All motions are evaluated on the elastic model, which stands for the real robot,
+whatever model they were planned on. If a cell has two numbers, the first is on the model of the plan.
 
-- *e3*: root mean square over frames and arc length of the distance from the target. *Largest* and *tip*: the
-  largest distance at any place, and at the tip, in any frame.
-- *Off own path*: how far any frame's shape is off the last frame's at most, which is 0 where a robot follows its
-  leader, whatever its target.
-- *Roughness*: squared steps of all motors over time.
-- *Draws lost*: of {draws} robots that differ by their tolerances (the paper's robot: 2 % of curvature and
-  stiffness, 0.02 rad of each motor's zero), those that snap or end on another branch of equilibria; then the mean
-  of e3 over all draws. All methods meet the same robots.
-- *Contact*: how deep the robot is beyond the lumen's wall at most. `horizon`, `joint`, the robust ones and
-  `rrt-connect` know of the wall, the others do not. For clearance e3 may grow by a tenth (robust: by 70 %).
-- *ms a frame*: search and solution divided by frames, without what is built or compiled once.
-- *Solved*: frames that are solved in the method's own sense; for methods of the tip that it is within 1 mm.
+- *e3*: root mean square distance from the target over frames and arc length. *Largest* and *tip*: the largest
+  distance at any point of the shape, and at the tip, in any frame.
+- *Off own path*: the largest distance of any frame's shape from the last frame's shape. It is 0 where the
+  body follows the path of the tip exactly, whatever the target.
+- *Roughness*: sum of the squared steps of all motors, divided by the time step.
+- *Failed samples*: share of {draws} simulated robots within the tolerances (the paper's robot: 2 % of
+  curvature and stiffness, 0.02 rad of each motor's zero) that snap or end on another branch of equilibria.
+  *e3 over samples*: mean of e3 over all samples. All methods are tested on the same samples.
+- *Contact*: largest depth of the robot beyond the lumen's wall. `horizon`, `joint`, the robust methods and
+  `rrt-connect` regard the wall, the others do not. e3 may grow by a tenth for clearance (robust methods: by
+  70 %).
+- *ms a frame*: time of search and solution divided by the number of frames, without what is built or compiled
+  once.
+- *Solved*: frames that are solved by the method's own criterion; for tip methods, a tip error within 1 mm.
 
-**Bold** is the least of a column among methods that solved all frames, and, of others, all that is less than the
-least of ours. Below each table stand the methods that do not serve its problem, and why.
+**Bold** marks the least value of a column among methods that solved all frames, and also values of the other
+methods that are less than the least of ours. Below each table stand the methods that do not apply to the
+problem, and the reason.
 """
 METHOD_PAGE_REPRODUCTION = """
-## How to remake it
+## How to make this page again
 
     {command}
 
-This command writes this page as `comparison.md` into its folder, with all rows as `comparison.csv` and `.json`.
-It was made with {frames} frames on {machine}, one method after the other; times differ from
-machine to machine and with what else runs there.
+This command writes the page as `comparison.md` into its folder, and all rows as `comparison.csv` and `.json`.
+The page was made with {frames} frames on {machine}, one method after the other. Times depend on
+the machine and on what else runs there.
 """
 
 
@@ -122,7 +126,7 @@ def table(found: Comparison, problem: str) -> str:
         [f"`{row['variant']}`", *(_cell(row, rows, column) for column in METHOD_PAGE_COLUMNS), _format_solved(row)]
         for row in rows
     ]
-    refused = [f"- `{r.variant}` does not serve it: {r.why}" for r in found.refusals if r.problem == problem]
+    refused = [f"- `{r.variant}` does not apply: {r.why}" for r in found.refusals if r.problem == problem]
     return "\n".join([markdown(["method", *_titles(), "solved"], body), *refused, *([""] if refused else [])])
 
 
