@@ -114,7 +114,7 @@ def test_robots_that_joined_differ_less_while_that_helps_and_few_are_lost(proble
         robust.options["motion_weight"],
         np.full(FRAMES, 0.1),
     )
-    joined = _scenarios().joined(TWO.numbers[None], np.array([[0.3, -0.3]]), np.zeros((1, 3)))
+    joined = _scenarios().append_robots(TWO.numbers[None], np.array([[0.3, -0.3]]), np.zeros((1, 3)))
     tried = search.solve(InitialMotion("a plan", follow(TWO, robust.q).x), joined)
     held = Round(search, tried, joined, _Losing(0)(robust.q, 0, False))
     nearer = relax_scenarios(held, 3, _Losing(0), 1)
@@ -217,7 +217,7 @@ def test_over_all_frames_scenarios_do_not_grow(problem, found, monkeypatch):
     monkeypatch.setattr(SharedSolver, "__call__", failing)
     search = _search(problem, robust.options["motion_weight"])
     tried = search.solve(InitialMotion("a plan", follow(TWO, robust.q).x), _scenarios())
-    assert not tried.shared
+    assert not tried.is_shared
     assert len(solved) == 1
 
 
