@@ -39,6 +39,8 @@ ROOT = Path(__file__).resolve().parents[1]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
 LANGUAGES = {"bash", "python", "toml", "text", "mermaid", "math"}
 SCRIPTS = sorted(path.name for path in (ROOT / "scripts").glob("*.py"))
+STUDIES = ("compare", "learn", "baselines", "reproduce", "benchmark")
+"""Programs in scripts/studies/ that took the place of subcommands."""
 ENVIRONMENT = "python3 -m venv"
 """What commands begin with that make an environment: .ci/run runs these."""
 THIN = {
@@ -90,6 +92,7 @@ def clone_of(folder: Path, thin: bool) -> Path:
     """What programs need, copied, with an environment whose programs are those of this one; thin: as THIN says."""
     for part in ("scripts", "examples", "docs"):
         shutil.copytree(ROOT / part, folder / part, ignore=shutil.ignore_patterns("__pycache__"))
+    shutil.copytree(ROOT / "tests" / "emulator", folder / "tests" / "emulator")
     shutil.copy(ROOT / "pyproject.toml", folder)
     (folder / "two.toml").write_text(Robot(table_i_robot().tubes[1:]).to_toml(), encoding="utf-8")
     (folder / ".venv" / "bin").mkdir(parents=True)
@@ -299,6 +302,10 @@ def helps() -> dict[str, str]:
     """The --help of every program."""
     programs = {name: partial(runpy.run_path, str(ROOT / "scripts" / name)) for name in SCRIPTS}
     programs |= {f"ctr-nlp {name}": partial(runpy.run_module, "ctr_nlp") for name in COMMANDS}
+    programs |= {
+        f"studies/{name}.py": partial(runpy.run_path, str(ROOT / "scripts" / "studies" / f"{name}.py"))
+        for name in STUDIES
+    }
     programs |= {"emulator": partial(runpy.run_module, "emulator")}
     return {name: help_of(name.split(), run) for name, run in programs.items()}
 

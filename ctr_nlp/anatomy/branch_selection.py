@@ -112,9 +112,8 @@ def select_branch(
         found = min(branches.branches, key=lambda each: _distance(each, lps["target"])[0])
     else:
         raise CurveError(
-            f"there are {len(branches.branches)} branches, {describe_branches(branches)}; say which to follow, "
-            f"by its number "
-            "or its name, or by a target point in the file's coordinates that it passes"
+            f"there are {len(branches.branches)} branches, {describe_branches(branches)}; choose one by number "
+            "or name (--branch), or by a target point on it in the file's coordinates (--target)"
         )
     for name, at in lps.items():
         distance, lumen = _distance(found, at)

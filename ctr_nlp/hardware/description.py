@@ -115,7 +115,8 @@ def read_commissioned(hardware_file: str | Path) -> Commissioned | None:
         return Commissioned(settings, untried)
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as exception:
         raise HardwareError(
-            f"{path} is no record of a commissioning ({exception}): delete it, and commission the rig anew"
+            f"commissioning record {path} cannot be read ({exception}); delete it and run "
+            "`ctr-nlp commission` again"
         ) from exception
 
 

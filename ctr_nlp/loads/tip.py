@@ -238,7 +238,7 @@ def forces(
     equilibria = LoadedEquilibria(plan.robot.structure, RodKind.of(load))
     which, states = _loaded_states(plan, load, equilibria, whole_number(OptionError, "every", every))
     if not len(which):
-        raise LoadError("the plan has no frame in which its robot stands under its load; no more can be borne")
+        raise LoadError("under its load, the robot has no equilibrium in any frame of the plan; reduce the load")
     asked = [] if off is None else [_left_lumen_criterion(plan, off, equilibria.rods.kind)]
     snaps, found = find_tip_force_limits(
         equilibria, states, way, most, asked + [instability_condition(equilibria)] * load.conservative
@@ -297,7 +297,7 @@ def _loaded_states(
 def _left_lumen_criterion(plan: Plan, off: float, kind: RodKind) -> StateCondition:
     """Return the condition that a robot is further than `off`, mm, beyond the wall of the plan's lumen."""
     if plan.lumen is None:
-        raise OptionError("off is asked for, and the plan knows no wall of a lumen")
+        raise OptionError("off needs the wall of a lumen, and the plan has none; leave off out")
     beside = WallDistance(Lumen(plan.lumen))
     robot = plan.robot
 

@@ -43,14 +43,14 @@ def draw_tip_forces(found: Forces, problem: str) -> Figure:
     forces, soft = above.subplots(2, sharex=True, height_ratios=(2, 1))
     _by_frame(forces, found)
     soft.plot(found.frames, found.largest_compliance, color=BLUE)
-    soft.set_ylabel("tip gives in\n(mm/N)")
+    soft.set_ylabel("tip compliance\n(mm/N)")
     soft.set_xlabel("frame")
     worst = int(np.flatnonzero(found.critical_forces.min(axis=1) == found.critical_forces.min())[0])
     grid = below.subplots(1, len(POLAR_PLANES), subplot_kw={"projection": "polar"})
     for axes, plane in zip(grid, POLAR_PLANES, strict=True):
         _polar(axes, found, worst, plane)
-    below.suptitle(f"frame {found.frames[worst]}: force borne (N), by direction", fontsize=9)
-    figure.suptitle(printable(f"Tip forces that the plan bears: {problem}"), fontsize=10, parse_math=False)
+    below.suptitle(f"frame {found.frames[worst]}: largest force (N), by direction", fontsize=9)
+    figure.suptitle(printable(f"Largest tip forces: {problem}"), fontsize=10, parse_math=False)
     return figure
 
 

@@ -164,7 +164,7 @@ def wall_forces(plan: Plan, stiffness: float = AIRWAY_WALL_STIFFNESS_N_PER_MM2) 
     )
     check_moduli(plan.robot)
     if plan.lumen is None:
-        raise OptionError("the plan knows no wall of a lumen, so that nothing can touch it")
+        raise OptionError("wall forces need a lumen, and the plan has none")
     if not np.isfinite(plan.q).all():
         raise OptionError("the plan has frames that were not reached; forces of contact need all of them")
     load = plan.evaluated_load or Load()

@@ -37,14 +37,14 @@ def draw_wall_forces(found: WallForces, problem: str) -> Figure:
     total.plot(frames, found.avoidable, color=BLACK, ls="--", label="where the lumen is wider than the robot")
     total.set_ylabel("force (N)")
     total.legend()
-    depth.plot(frames, found.depth_alone, color=BLACK, ls=":", label="if the wall did not push")
-    depth.plot(frames, found.depth.max(axis=1), color=BLUE, label="as the wall pushes")
+    depth.plot(frames, found.depth_alone, color=BLACK, ls=":", label="without the wall's forces")
+    depth.plot(frames, found.depth.max(axis=1), color=BLUE, label="with the wall's forces")
     depth.set_ylabel("depth in the\nwall (mm)")
     depth.set_xlabel("frame")
     depth.legend()
     for axes in (total, depth):
         axes.set_ylim(bottom=0)
-    title = f"The wall's forces on the plan: {problem} ({found.stiffness:g} N/mm for every mm)"
+    title = f"The wall's forces on the plan: {problem} ({found.stiffness:g} N/mm per mm)"
     figure.suptitle(printable(title), fontsize=10, parse_math=False)
     return figure
 

@@ -237,7 +237,7 @@ class Model(ABC):
         load: these symbols. structure, tubes, sample_lengths, margin, tangents: as in `frame`. tilted: whether x
         contains the tilt, too, after unknowns that determine it. Raises OptionError on models without loads.
         """
-        raise OptionError(f"model is {self.name!r}, which bears no load")
+        raise OptionError(f"model is {self.name!r}, which does not support loads")
 
     def points(self, robot: Robot, x: Array, sigma: Array) -> Array:
         """Return points (T, n, 3) in mm of a robot at unknowns x (T, n_x) and sigma (n,) or (T, n)."""
@@ -279,7 +279,7 @@ class Model(ABC):
         loads (T, 17 + 3d). structure: what the robots share. numbers (T or 1, d, 8): of the tubes. sigma: (m,) or
         (T, m). Raises OptionError on models without loads.
         """
-        raise OptionError(f"model is {self.name!r}, which bears no load")
+        raise OptionError(f"model is {self.name!r}, which does not support loads")
 
     def margins(self, robot: Robot, x: Array) -> Array:
         """Return the stability margins (T,) of a robot at unknowns x (T, n_x), from 1 down to 0 at the snap.
@@ -339,7 +339,7 @@ class Model(ABC):
         structure, numbers, motion, q, margins and the result: as in follow_batch. Raises OptionError on models
         without loads.
         """
-        raise OptionError(f"model is {self.name!r}, which bears no load")
+        raise OptionError(f"model is {self.name!r}, which does not support loads")
 
     def walker(self, structure: Structure, numbers: Array, q: Array) -> Walker:
         """Return a robot at rest at q (2d + 2,) without a history, to be moved step by step.

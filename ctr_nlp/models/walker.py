@@ -42,7 +42,7 @@ class Walker(ABC):
         Returns the tips' jumps (d,) in rad, an entry for each snap. Raises OptionError where the model has no
         loads.
         """
-        raise OptionError("the model of the robot that moves step by step bears no load")
+        raise OptionError("this model does not support loads in step-by-step motion")
 
     @abstractmethod
     def margin(self) -> float:

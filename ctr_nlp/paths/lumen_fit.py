@@ -198,8 +198,8 @@ def _note_entry_direction(problem: Problem) -> Iterator[str]:
     away, left = np.degrees(np.arccos(np.clip([z, tangent @ base], -1, 1)))
     if left > MAX_ENTRY_ANGLE_DEG:
         yield (
-            f"the path sets out {away:.1f} degrees away from the insertion direction; with the tilt that it may "
-            f"have, the base stays {left:.1f} degrees away"
+            f"the path starts {away:.1f} degrees off the insertion direction; tilting the base as far as its "
+            f"limits allow leaves {left:.1f} degrees"
         )
 
 

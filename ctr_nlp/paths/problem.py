@@ -102,7 +102,8 @@ class Problem(Value):
         if longest > reach * MAX_TARGET_LENGTH_RATIO:
             raise ProblemError(
                 f"the target of {self.name} is {longest:.2f} mm long and the robot reaches {reach:.2f} mm "
-                f"(0.5 % more is accepted); say which end to drop, --trim start or --trim end"
+                f"(0.5 % more is accepted); --trim start moves the robot's base {longest - reach:.1f} mm inwards, "
+                f"--trim end stops {longest - reach:.1f} mm before the target"
             )
         first = self.target.curves[0]
         if self.lumen is OF_TARGET:

@@ -43,8 +43,8 @@ def check_extensions(
         longer = tube.length - tubes[i - 1].length if i and gap is not None else math.inf
         if gap is not None and gap > longer:
             raise RobotError(
-                f"carriage_gap is {gap:g} mm and tube {i + 1} only {longer:g} mm longer than tube {i}: with "
-                f"beta_{i} <= {name}, it must be at most that"
+                f"carriage_gap is {gap:g} mm; it must be at most {longer:g} mm, by which tube {i + 1} is longer "
+                f"than tube {i}"
             )
         # Greedy from the outermost tube inwards: what is left of the interval is exactly what some extensions of
         # the tubes outside allow, so that it is empty only if no extensions exist.

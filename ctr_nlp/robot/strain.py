@@ -71,7 +71,7 @@ def check_deployed(tubes: Sequence[Tube], beta: Sequence[float]) -> None:
     if worst is not None and worst.strain > MAX_DEPLOYED_STRAIN * (1 + 1e-9):
         raise RobotError(
             f"tube {worst.tube} is strained by {100 * worst.strain:.3g} % at {worst.place:.1f} mm of the aligned, "
-            f"deployed robot, and nitinol bears {100 * MAX_DEPLOYED_STRAIN:g} % there: its own curvature is "
+            f"deployed robot, and nitinol allows {100 * MAX_DEPLOYED_STRAIN:g} % there: its own curvature is "
             f"{worst.own:.4g} per mm, that of all tubes together {worst.common:.4g}, its outer_diameter "
             f"{tubes[worst.tube - 1].outer_diameter:g} mm. The curvatures must be closer to each other"
         )

@@ -186,8 +186,7 @@ class Tolerances:
             wall = (tube.outer_diameter - tube.inner_diameter) / 2
             if off > 0 and off >= wall:
                 raise RobotError(
-                    f"{_of('diameter')} is {off:g} mm and the wall of tube {i} {wall:.3g} mm thick; of a robot "
-                    "within such tolerances it may be gone"
+                    f"{_of('diameter')} is {off:g} mm; it must be less than the wall of tube {i}, {wall:.3g} mm"
                 )
 
     def bands_without_diameters(self, d: int) -> Array:

@@ -145,8 +145,8 @@ class Tube:
         if strain > MAX_PRE_CURVATURE_STRAIN * (1 + 1e-9):
             raise RobotError(
                 f"tube curvature is {largest:g} per mm, a radius of {1 / largest:.3g} mm, and outer_diameter "
-                f"{self.outer_diameter:g} mm: made so, the tube is strained by {100 * strain:.3g} %, and nitinol "
-                f"bears {100 * MAX_PRE_CURVATURE_STRAIN:g} %; the curvature must be at most {most:.3g} per mm"
+                f"{self.outer_diameter:g} mm: the tube is strained by {100 * strain:.3g} %, and nitinol "
+                f"allows {100 * MAX_PRE_CURVATURE_STRAIN:g} %; the curvature must be at most {most:.3g} per mm"
             )
 
     def _check_torsion(self) -> None:

@@ -76,7 +76,7 @@ class Remark:
         rule = self.rule
         bound = min(rule.lower, rule.upper, key=lambda bound: abs(bound - rule.value))
         told = f"{rule.name} is at its bound, {abs(bound):.4g}"
-        return f"{told}; a tenth of that more room would lower e3 by {self.gain:.1%}"
+        return f"{told}; easing the bound by 10 % would lower e3 by {self.gain:.1%}"
 
 
 @dataclass(frozen=True)
@@ -217,7 +217,7 @@ def design(
         begun, found = _solve_starts(search, count, settings.seed, jobs, progress)
         tried = [one for one in (begun, *found) if one is not None]
         if not tried:
-            raise ProblemError("no tubes were found on which all problems can be followed; give more starts")
+            raise ProblemError("no tubes were found that solve all problems; give more starts")
         plan = partial(_plans, whole, settings, nominal, model, walls, jobs, progress)
         if nominal:
             best, planned = choose_best_planned(tried, whole, plan)

@@ -47,14 +47,13 @@ def _unused_tube_warnings(robot: Robot, beta: Array) -> Iterator[str]:
     for i in range(robot.d):
         if out[i] <= MIN_USEFUL_LENGTH_MM:
             yield (
-                f"Tube {i + 1} is never pushed out by more than {out[i]:.1f} mm: these tasks need a robot of "
-                f"{robot.d - 1} tubes"
+                f"Tube {i + 1} never extends by more than {out[i]:.1f} mm: {robot.d - 1} tubes suffice for these "
+                "tasks"
             )
         elif felt[i] <= MIN_USEFUL_LENGTH_MM:
             yield (
-                f"Tube {i + 1} is hardly felt: where it lies, other tubes have more than "
-                f"{1 - MIN_STIFFNESS_SHARE:.0%} of the "
-                f"stiffness, but for {felt[i]:.1f} mm at most"
+                f"Tube {i + 1} has little effect: it has at least {MIN_STIFFNESS_SHARE:.0%} of the stiffness on "
+                f"{felt[i]:.1f} mm at most"
             )
 
 
@@ -81,6 +80,6 @@ def _unsold_tube_warnings(robot: Robot) -> Iterator[str]:
         ratio = tube.outer_diameter / tube.inner_diameter
         if not low <= ratio <= high:
             yield (
-                f"Tube {i} is {ratio:.2f} times as thick outside as inside; Nitinol tubing is usually sold from "
-                f"{low:g} to {high:g} times. Round to a stock, or ask a supplier"
+                f"The outer diameter of tube {i} is {ratio:.2f} times the inner; Nitinol tubing is usually sold "
+                f"with ratios of {low:g} to {high:g}. Round to a stock, or ask a supplier"
             )

@@ -140,7 +140,7 @@ def round_to_stock(
     if not ended:
         if search.stop():
             return None
-        raise ProblemError("no tubes of the stock were found on which all problems can be followed")
+        raise ProblemError("no tubes of the stock were found that solve all problems")
     found, tubes = min(ended, key=lambda one: error_of(one[0]))
     return found, StockRounding(tubes, best.motions.e3, found.motions.e3, len(chosen))
 

@@ -63,7 +63,7 @@ def test_a_choice_that_does_not_exist_lists_those_that_do(choice):
 
 def test_several_branches_without_a_choice_are_listed():
     with pytest.raises(
-        CurveError, match=r"there are 2 branches, 1 'left' .*, 2 'right' .*number or its name, or by"
+        CurveError, match=r"there are 2 branches, 1 'left' .*, 2 'right' .*number or name .*, or by"
     ):
         select_branch(airway(), entry=(0, 0, 100))
 

@@ -309,7 +309,7 @@ def test_images_without_three_axes(tmp_path, shape):
 
 
 VALUES = {
-    "several": (TUBE.voxels * (1 + (np.arange(TUBE.voxels.shape[2]) > 20)), r"labels 1, 2; .* one besides 0"),
+    "several": (TUBE.voxels * (1 + (np.arange(TUBE.voxels.shape[2]) > 20)), r"labels 1, 2; set all but the"),
     "grey": (np.arange(TUBE.voxels.size).reshape(TUBE.voxels.shape).astype(np.int32), r"1, 2, 3, .* more; "),
     "empty": (0 * TUBE.voxels, "all 0"),
     "full": (0 * TUBE.voxels + 3, "all 3; those outside the lumen must be 0"),

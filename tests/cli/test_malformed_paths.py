@@ -57,7 +57,7 @@ TABLES = [
     ("a byte order mark", b"\xef\xbb\xbf" + table().encode(), None),
     ("empty lines", table().replace("\n", "\n\n"), None),
     ("longer than the robot", table(helix() * 3),
-     r"mm long and the robot reaches 150.00 mm.*--trim start or --trim end"),
+     r"mm long and the robot reaches 150.00 mm.*--trim start moves .* mm inwards, --trim end stops"),
 ]  # fmt: skip
 
 MARKUPS = [

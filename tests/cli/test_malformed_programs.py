@@ -83,8 +83,8 @@ BOTH = [
     ("{path} --tilt 500", "tilt is 8.7.* rad, 500 degrees"),
     ("{path} --smoothing -1", "smoothing is -1.0 mm"),
     ("{path} --smoothing nan", "smoothing is nan mm"),
-    ("{long}", "--trim start or --trim end"),
-    ("{curves}", "there are 2 branches, .*say which to follow"),
+    ("{long}", "--trim start moves .* mm inwards, --trim end stops"),
+    ("{curves}", "there are 2 branches, .*choose one by number or name"),
     ("{broken}", "is not a centreline"),
 ]
 PER_FRAME = [
@@ -155,8 +155,8 @@ ALONE = [
     (export_commands, "{plan} --to csv --storage mcap", "--storage goes with --to rosbag2"),
     (export_commands, "{plan} --to rosbag2 --out {folder}/bag.mcap", "but a bag is a folder"),
     (export_commands, "{plan} --to csv --out {notes}", "exists and was not written by ctr-nlp"),
-    (export_commands, "{jumping} --to csv", "steps by"),
-    (export_commands, "{unsolved} --to csv", "the plan has no solution there"),
+    (export_commands, "{jumping} --to csv", "changes by"),
+    (export_commands, "{unsolved} --to csv", "the plan has no solution; all frames must be solved"),
     (export_commands, "{lying} --to csv", "shape is .* mm from that of its configuration"),
     (play, "nowhere.npz", "plan nowhere.npz cannot be read"),
     (play, "{path}", "path.csv is not a plan"),
@@ -168,8 +168,8 @@ ALONE = [
     (play, "{plan} --resume --dry-run", "--dry-run does not go with --resume"),
     (play, "{plan} --live --dry-run", "--live does not go with --dry-run"),
     (play, "{plan} --resume --out {folder}/nothing", "journal"),
-    (play, "{jumping} --dry-run", "steps by"),
-    (play, "{unsolved} --dry-run", "the plan has no solution there"),
+    (play, "{jumping} --dry-run", "changes by"),
+    (play, "{unsolved} --dry-run", "the plan has no solution; all frames must be solved"),
     (play, "{one} --dry-run", "a plan of 1 frames is no motion"),
 ]  # fmt: skip
 ACCEPTED = [

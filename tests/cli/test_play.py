@@ -229,7 +229,7 @@ def test_a_plan_that_nobody_checked_is_refused(
         assert play([*arguments, "--dry-run"]) == 2
         assert capsys.readouterr().err.splitlines() == [first, error]
     assert first == NOT_FOR_PATIENTS
-    assert error.startswith("error: the plan is not played")
+    assert error.startswith("error: the plan was not played")
     for verdict in PLAN.verdicts:
         assert (f"{verdict.matter}: {verdict.word} ({verdict.why.rstrip('.')})" in error) == (verdict.word != YES)
     for remedy in (f"`ctr-nlp robust {plan}`", "--free-space", "--uncertified plays it anyway"):
@@ -321,7 +321,7 @@ def test_a_controller_that_was_not_homed_is_sent_no_motion(
     with serving(Firmware({20: 1, 22: 1})) as url:
         arguments = [str(plan), "--hardware", str(rig(tmp_path, url)), "--out", str(tmp_path / "out")]
         assert main(arguments) == 1
-    assert "let it home first" in capsys.readouterr().err
+    assert "home it first (--home)" in capsys.readouterr().err
     assert moves(tmp_path / "out") == []
 
 
@@ -434,7 +434,7 @@ def test_killed_in_motion_it_is_not_trusted_under_another_spelling_of_its_addres
         assert "since a motion had begun, and its end was never told" in capsys.readouterr().err
         monkeypatch.setenv("CTR_NLP_STATE", str(tmp_path / "state of another user"))
         assert main(arguments) == 1
-        assert "nothing is remembered of this device" in capsys.readouterr().err
+        assert "there is no record of this device" in capsys.readouterr().err
         assert (firmware.position == stood).all()
 
 
@@ -665,7 +665,7 @@ def test_a_position_that_cannot_be_remembered_is_not_all_well(
             assert main([*arguments, LOOKED]) == 1
         told = capsys.readouterr()
         assert "trusted, but not remembered" in told.out
-        assert f"can be trusted cannot be remembered in {os.environ['CTR_NLP_STATE']}" in told.err
+        assert f"cannot be saved in {os.environ['CTR_NLP_STATE']}" in told.err
         assert NO_SPACE in told.err
         assert main(arguments) == 1
     assert "its end was never told" in capsys.readouterr().err

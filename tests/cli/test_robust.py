@@ -250,7 +250,7 @@ def test_a_robust_plan_is_asked_for_clearance(tmp_path, monkeypatch):
 def test_the_page_shows_errors_of_draws(saved):
     plan = Plan.load(saved / "far.npz").with_samples(5, 4)
     text = page([plan])
-    assert "e2 of draws (mm)" in text
+    assert "e2 of sampled robots (mm)" in text
     assert "holds on built robots" in text
-    assert "e2 of draws (mm)" not in page([Plan.load(saved / "far.npz")])
+    assert "e2 of sampled robots (mm)" not in page([Plan.load(saved / "far.npz")])
     assert np.isfinite(plan.drawn.e2).all()

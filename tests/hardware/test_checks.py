@@ -49,7 +49,7 @@ def test_a_good_plan_passes():
         ("time", np.nan, "frame 5: time is nan; it must be finite"),
         ("time", 0.4, "frame 5: time is 0.4 s, not after the frame before"),
         ("time", 0.1, "frame 5: time is 0.1 s, not after the frame before"),
-        ("success", False, r"frame 5: the plan has no solution there, so that it is not played$"),
+        ("success", False, r"frame 5: the plan has no solution; all frames must be solved before it is played$"),
         ("shape", 1.0, r"frame 5: the plan's shape is .* mm from that of its configuration; .* within 0.05 mm"),
         ("shape", np.nan, "frame 5: the plan's shape is inf mm"),
     ],
@@ -77,7 +77,9 @@ def test_a_single_frame_is_no_motion(frames):
 def test_an_unsolved_frame_tells_its_reason_also_where_it_was_never_reached():
     plan = changed("success", 5, False)
     plan = replace(plan, alpha=changed("alpha", 5, np.nan).alpha, meta=plan.meta | {"failures": {"5": "too far"}})
-    complaint(plan, r"frame 5: the plan has no solution there, so that it is not played \(too far\)")
+    complaint(
+        plan, r"frame 5: the plan has no solution; all frames must be solved before it is played \(too far\)"
+    )
 
 
 @pytest.mark.parametrize(
@@ -88,8 +90,13 @@ def test_an_unsolved_frame_tells_its_reason_also_where_it_was_never_reached():
         ("beta", 1, 35.0, "beta_2 of frame 20 is 35 mm and exceeds beta_3, 30 mm on this hardware"),
         ("alpha", 0, 7.0, r"alpha_1 of frame 20 is 7; it must lie in \[-6.28319, 6.28319\] on this hardware"),
         ("theta", 1, 0.1, r"theta_y of frame 20 is 0.1; .* \[0, 0\] on this hardware; it has no arm .* --lock"),
-        ("alpha", 1, 1.0, r"frame 20: alpha_2 steps by .*, .* times what the plan's own robot may \(2/s\)"),
-        ("beta", 2, 39.5, r"frame 20: beta_3 steps by 10.* from the frame before, 1\.\d* times .*\(90/s\)"),
+        (
+            "alpha",
+            1,
+            1.0,
+            r"frame 20: alpha_2 changes by .*, .* times the speed limit of the plan's own robot \(2/s\)",
+        ),
+        ("beta", 2, 39.5, r"frame 20: beta_3 changes by 10.* from the frame before, 1\.\d* times .*\(90/s\)"),
         ("alpha", 2, 0.55, "frame 20: the plan's shape is .* mm from that of its configuration"),
         ("beta", 2, 30.3, "frame 20: the plan's shape is .* mm from that of its configuration"),
     ],

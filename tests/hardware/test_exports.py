@@ -543,8 +543,8 @@ def test_plans_that_must_not_be_played_are_not_written(plan, tmp_path, capsys, t
     (tmp_path / "rig.toml").write_text(described(simulated_hardware(plan.robot)))
     assert Hardware.from_toml(tmp_path / "rig.toml").arm is None
     for bad, options, message in (
-        (replace(plan, success=unsolved), [], "frame 4: the plan has no solution there"),
-        (replace(plan, alpha=turned), [], "frame 5: alpha_1 steps by"),
+        (replace(plan, success=unsolved), [], "frame 4: the plan has no solution; all frames must be solved"),
+        (replace(plan, alpha=turned), [], "frame 5: alpha_1 changes by"),
         (plan, ["--hardware", tmp_path / "rig.toml"], r"theta_x of frame 2 .* must lie in \[0, 0\]"),
     ):
         bad.save(tmp_path / "plan.npz")

@@ -113,9 +113,9 @@ def world(tmp_path: Path, firmware: Firmware | None = None, **changes: Any) -> W
         ({32: 2}, r"a laser cutter or a lathe.*: set \$32=0"),
         ({39: 0}, r"a hold is not obeyed .*: set \$39=1"),
         ({62: 1}, r"goes to sleep by itself.*: set \$62=0"),
-        ({162: 0.05}, r"backlash of Z; .*: set \$162=0"),
+        ({162: 0.05}, r"backlash of Z, which must be left .*: set \$162=0"),
         ({1: 25, 13: 1}, r"1 more: `ctr-nlp commission` lists all"),
-        ({11: 0.01}, r"\$11 is 0\.01.*quick turns would be late.*: set \$11=0\.1"),
+        ({11: 0.01}, r"\$11 is 0\.01.*quick rotations would be late.*: set \$11=0\.1"),
         ({11: 2.0}, r"\$11 is 2\.0.*steppers lose steps: set \$11=1"),
     ],
 )

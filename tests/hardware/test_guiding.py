@@ -192,7 +192,7 @@ def test_a_closed_loop_is_not_gone_on_with_as_an_open_one(tmp_path: Path) -> Non
     loops = Loops(tmp_path, PLAN)
     loops.begin(callback=at(3.0, lambda: loops.world.latest.abort()))
     loops.world.latest.close()
-    with pytest.raises(TrajectoryError, match="closed loop: go on as it was begun"):
+    with pytest.raises(TrajectoryError, match="was played with --closed-loop: resume it with"):
         loops.world.resume()
 
 

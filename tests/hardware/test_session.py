@@ -125,7 +125,7 @@ def test_nothing_is_gone_to_where_the_robot_is_there_already(tmp_path: Path) -> 
 
 def test_a_device_that_does_not_know_where_it_stands_is_homed_or_refused(tmp_path: Path) -> None:
     world = World(tmp_path, SHORT, firmware=Firmware({20: 1, 22: 1}))
-    with pytest.raises(DeviceFault, match="let it home first"):
+    with pytest.raises(DeviceFault, match="home it first"):
         world.begin()
     assert world.firmware.executed_blocks == []
     assert world.latest.state is PlayerState.IDLE
@@ -190,7 +190,7 @@ def test_killed_on_the_way_to_the_first_frame(tmp_path: Path) -> None:
     world = rig(tmp_path, approach=0.1)
     killed(world, motion_start(world) - 0.3)
     world.clock.sleep(5.0)
-    with pytest.raises(TrajectoryError, match="did not reach its first frame: begin anew"):
+    with pytest.raises(TrajectoryError, match="ended before its first frame: play the plan from its start"):
         world.resume()
     assert world.begin().outcome is PlaybackOutcome.SUCCESS
     assert world.frames_played() == ALL
@@ -221,7 +221,7 @@ def refused(world: World, message: str, **options: Any) -> None:
 def test_a_robot_that_was_moved_by_hand_is_not_played_until_it_is_back(tmp_path: Path) -> None:
     world = stopped(tmp_path)
     jog(world, "Y-1.5")
-    refused(world, "tolerances from the path after frame")
+    refused(world, "tolerances off the path after frame")
     jog(world, "Y1.5")
     finish(world)
 

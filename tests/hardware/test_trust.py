@@ -116,7 +116,9 @@ def test_a_power_cycle_is_seen_by_the_controllers_own_count(world: World) -> Non
     world.firmware.reboot(loses_position=True)
     world.firmware.homed.update({0, 1, 2})  # as with switches at zero: it says that it is homed
     world.firmware.take()
-    with pytest.raises(DeviceFault, match=r"the device counts .* and was left at .*: it was switched off"):
+    with pytest.raises(
+        DeviceFault, match=r"the device reports the position .* but was left at .*: it was switched off"
+    ):
         world.begin()
     assert (before != world.firmware.position).any()
 
@@ -124,14 +126,14 @@ def test_a_power_cycle_is_seen_by_the_controllers_own_count(world: World) -> Non
 def test_nothing_is_played_where_nothing_can_be_remembered(tmp_path: Path) -> None:
     (tmp_path / "state").write_text("a file where a folder should be")
     world = World(tmp_path, sweep(12), state=tmp_path / "state")
-    with pytest.raises(DeviceFault, match=r"cannot be remembered in .*CTR_NLP_STATE names another folder"):
+    with pytest.raises(DeviceFault, match=r"cannot be saved in .*set CTR_NLP_STATE to a folder"):
         world.begin()
     assert world.firmware.executed_blocks == []
 
 
 @pytest.mark.parametrize("homes", [True, False])
 def test_a_device_never_met_is_asked_about_once(homes: bool, world: World) -> None:
-    with pytest.raises(DeviceFault, match=r"nothing is remembered of this device.*--position-verified"):
+    with pytest.raises(DeviceFault, match=r"there is no record of this device.*--position-verified"):
         world.begin()
     assert world.firmware.executed_blocks == []
     world.latest.close()
@@ -143,7 +145,7 @@ def test_a_device_never_met_is_asked_about_once(homes: bool, world: World) -> No
 def test_another_user_who_never_met_the_device_is_asked(world: World) -> None:
     killed(world)
     world.state = world.folder / "state of another user"
-    with pytest.raises(DeviceFault, match="nothing is remembered of this device"):
+    with pytest.raises(DeviceFault, match="there is no record of this device"):
         world.begin()
     world.latest.close()
     assert world.begin(verified=True).outcome is PlaybackOutcome.SUCCESS
@@ -202,12 +204,12 @@ def test_what_cannot_be_read_is_no_reason_for_trust(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("left", "reason"),
     [
-        (None, "nothing is remembered of this device"),
+        (None, "there is no record of this device"),
         (Remembered(True, "", (1.0, 2.005)), ""),
         (Remembered(True, "", None), ""),
-        (Remembered(True, "", (1.0, 2.02)), "it was switched off or moved by somebody else"),
+        (Remembered(True, "", (1.0, 2.02)), "it was switched off, or moved by other means"),
         (Remembered(True, "", (1.0, 2.0, 3.0)), "it was switched off"),
-        (Remembered(False, "it fell", (1.0, 2.0)), "since it fell: home, or make sure"),
+        (Remembered(False, "it fell", (1.0, 2.0)), "since it fell: home the device, or check"),
         (Remembered(False, "it fell", None, "this"), ""),
         (Remembered(False, "it fell", None, "other"), "since it fell"),
     ],

@@ -435,7 +435,7 @@ def test_what_cannot_be_loaded_is_refused():
         FREE.check(table_i_robot())
     with pytest.raises(OptionError, match="does not go with the dominant model; it goes with elastic"):
         model_with_load("dominant", Load())
-    with pytest.raises(OptionError, match="'dominant', which bears no load"):
+    with pytest.raises(OptionError, match="'dominant', which does not support loads"):
         KINEMATIC_MODELS["dominant"].frame_with_load(
             ca.SX(16, 1), NITINOL.structure, NITINOL.tube_numbers, lambda beta: beta[-1]
         )

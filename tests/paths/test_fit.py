@@ -136,8 +136,8 @@ def test_a_base_that_cannot_turn_to_the_path_is_told():
     assert problem_notes(replace(made, robot=made.robot.with_limits(theta=((0, 0), (0, 0.2))))) == []
     (note,) = problem_notes(replace(made, robot=made.robot.with_limits(theta=(-0.1, 0.1))))
     assert note == (
-        "the path sets out 11.5 degrees away from the insertion direction; with the tilt that it may have, the "
-        "base stays 5.7 degrees away"
+        "the path starts 11.5 degrees off the insertion direction; tilting the base as far as its limits allow "
+        "leaves 5.7 degrees"
     )
 
 

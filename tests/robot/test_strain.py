@@ -26,7 +26,7 @@ def test_a_tube_is_made_up_to_8_percent_strain_and_no_further(diameter, part):
     if part / 2 <= 0.08 and curvature <= 0.5:
         assert Tube(100, 50, curvature, diameter, 0.0).curvature == curvature
     else:
-        with pytest.raises(RobotError, match=r"nitinol bears 8 %|per mm is a radius"):
+        with pytest.raises(RobotError, match=r"nitinol allows 8 %|per mm is a radius"):
             Tube(100, 50, curvature, diameter, 0.0)
 
 
@@ -63,7 +63,7 @@ def test_the_deployed_strain_of_a_pair_by_hand():
 def test_a_pair_that_bends_its_inner_tube_straight_by_more_than_6_percent_is_refused():
     """Against a rigid outer tube nothing is left of its own curvature but its strain, 2 / 2 * k."""
     pair(0.059, modulus=100.0)
-    with pytest.raises(RobotError, match=r"tube 2 is strained by (6\.99|7) % at .*nitinol bears 6 %"):
+    with pytest.raises(RobotError, match=r"tube 2 is strained by (6\.99|7) % at .*nitinol allows 6 %"):
         pair(0.07, modulus=100.0)
 
 

@@ -155,7 +155,7 @@ def test_all_of_it_is_told(near_a_fork):
     assert found.rows()[0]["snaps_N"] == pytest.approx(found.snapping_forces[0].min(), abs=1e-5)
     assert found.rows()[0]["leaves_N"] == ""
     titles = [part.get_suptitle() for part in draw_tip_forces(found, "fork").subfigs]
-    assert titles[1] == f"frame {found.least_snapping_force.frame}: force borne (N), by direction"
+    assert titles[1] == f"frame {found.least_snapping_force.frame}: largest force (N), by direction"
 
 
 @pytest.mark.parametrize(
@@ -178,5 +178,5 @@ def test_what_has_no_forces_is_refused():
         forces(turned())
     with pytest.raises(OptionError, match="plan is None; it must be a Plan"):
         forces(None)
-    with pytest.raises(OptionError, match="the plan knows no wall of a lumen"):
+    with pytest.raises(OptionError, match="off needs the wall of a lumen, and the plan has none"):
         forces(turned().with_modulus(60_000), off=1.0)

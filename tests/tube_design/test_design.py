@@ -106,7 +106,7 @@ def test_rules_that_bind_are_remarked_with_their_price(tasks, nominal):
     bound = [remark for remark in tight.remarks if "when made" in remark.rule.name]
     assert bound
     assert bound[0].gain > 0.001
-    assert "is at its bound, 0.008; a tenth of that more room would lower e3 by" in str(bound[0])
+    assert "is at its bound, 0.008; easing the bound by 10 % would lower e3 by" in str(bound[0])
 
 
 def test_fixed_numbers_stay(tasks):

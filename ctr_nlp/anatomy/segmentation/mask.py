@@ -62,7 +62,7 @@ def _lumen(voxels: npt.NDArray[Any]) -> Flags:
         labels = np.unique(inside)
         more = f" and {len(labels) - MAX_LISTED_LABELS} more" if len(labels) > MAX_LISTED_LABELS else ""
         listed = ", ".join(f"{label:g}" for label in labels[:MAX_LISTED_LABELS])
-        raise CurveError(f"it has the labels {listed}{more}; a mask has one besides 0, that of the lumen")
+        raise CurveError(f"it has the labels {listed}{more}; set all but the lumen's to 0")
     if lumen.all():
         raise CurveError(f"its voxels are all {inside[0]:g}; those outside the lumen must be 0")
     return lumen

@@ -43,7 +43,7 @@ def replay_session(plan: Plan, hardware: Hardware, records: list[dict[str, Any]]
     """
     told = find_program_record(records)
     if not is_closed_loop(told):
-        raise TrajectoryError("the journal's session was not of a closed loop: nothing was measured")
+        raise TrajectoryError("the journal's session was played without --closed-loop, so it has no measurements")
     trajectory = rebuild_planned_trajectory(plan, hardware, told)
     for patch in told["patches"]:
         trajectory = trajectory.apply_patch(Patch.from_record(patch))

@@ -53,7 +53,7 @@ def check_plan(plan: Plan, robot: Robot) -> None:
     if unsolved.size:
         why = plan.meta.get("failures", {}).get(str(unsolved[0] + 1), "")
         raise TrajectoryError(
-            f"frame {unsolved[0] + 1}: the plan has no solution there, so that it is not played"
+            f"frame {unsolved[0] + 1}: the plan has no solution; all frames must be solved before it is played"
             + f" ({why})" * bool(why)
         )
     for name in ("time", "alpha", "beta", "theta"):
@@ -110,8 +110,8 @@ def _check_steps(plan: Plan) -> None:
     j, i = np.unravel_index(excess.argmax(), excess.shape)
     if excess[j, i] > 1 + 1e-4:
         raise TrajectoryError(
-            f"frame {j + 2}: {made.axes[i]} steps by {plan.q[j + 1, i] - plan.q[j, i]:.4g} from the frame before, "
-            f"{excess[j, i]:.3g} times what the plan's own robot may ({made.speed[i]:g}/s)"
+            f"frame {j + 2}: {made.axes[i]} changes by {plan.q[j + 1, i] - plan.q[j, i]:.4g} from the frame "
+            f"before, {excess[j, i]:.3g} times the speed limit of the plan's own robot ({made.speed[i]:g}/s)"
         )
 
 

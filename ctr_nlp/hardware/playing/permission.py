@@ -62,8 +62,10 @@ def check_permission(
     reasons = "; ".join(verdict.with_reason for verdict in refused)
     remedies = []
     if any(verdict.word != NO for verdict in refused if verdict is not wall):
-        remedies.append(f"`ctr-nlp robust {name}` checks stability and samples")
+        remedies.append(f"`ctr-nlp robust {name}` checks stability and simulated robots")
     if wall in refused and wall.word != NO and not lumen_known:
         remedies.append("--free-space says that nothing surrounds the robot")
     remedies.append("--uncertified plays it anyway")
-    raise TrajectoryError(f"the plan is not played: not every verdict is yes. {reasons}. {'; '.join(remedies)}")
+    raise TrajectoryError(
+        f"the plan was not played, since not all of its verdicts are yes. {reasons}. " + "; ".join(remedies)
+    )

@@ -108,7 +108,7 @@ def connect_player(
     if verified:
         player.trust()
     if player.state is not PlayerState.HOMED:
-        unhomed = "" if standing.homed else "the device does not know where it stands: let it home first"
+        unhomed = "" if standing.homed else "the device does not know its position: home it first (--home)"
         raise DeviceFault("; ".join(filter(None, (unhomed, player.doubt))))
     return standing
 
@@ -132,17 +132,18 @@ def resume(
     TrajectoryError where the plan or the position is another, or nothing is left.
     """
     if any(record["kind"] == RETRACTED for record in records):
-        raise TrajectoryError("the tubes have been retracted since that session: begin anew")
+        raise TrajectoryError("the tubes were retracted after that session: play the plan from its start")
     told = find_program_record(records)
     if (loop is not None) != is_closed_loop(told):
         raise TrajectoryError(
-            f"the journal's session was {'of' if is_closed_loop(told) else 'not of'} a closed loop: go on as "
-            f"it was begun"
+            "the journal's session was played with --closed-loop: resume it with --closed-loop, too"
+            if is_closed_loop(told)
+            else "the journal's session was played without --closed-loop: resume it without, too"
         )
     trajectory = rebuild_corrected_trajectory(plan, hardware, records)
     frame = last_passed(records)
     if frame < 1:
-        raise TrajectoryError("the journal's session did not reach its first frame: begin anew")
+        raise TrajectoryError("the journal's session ended before its first frame: play the plan from its start")
     if frame == trajectory.frames[-1]:
         raise TrajectoryError(f"the journal's session reached frame {frame}, the last one: nothing is left")
     check_trusted(records, verified)
@@ -191,7 +192,7 @@ def find_program_record(records: list[dict[str, Any]]) -> dict[str, Any]:
     """
     told = next((record for record in records if record["kind"] == "program"), None)
     if told is None:
-        raise TrajectoryError("the journal's session played no trajectory: begin anew")
+        raise TrajectoryError("the journal's session played no trajectory: play the plan from its start")
     return told
 
 
@@ -300,7 +301,7 @@ def rebuild_planned_trajectory(plan: Plan, hardware: Hardware, program: dict[str
             name = f"this {what} ({plan.meta['problem']['name']})" if what == "plan" else "this hardware file"
             raise TrajectoryError(
                 f"the journal is of another {what}: its digest is {str(program.get(what))[:12]}, that of {name} "
-                f"{digest[:12]}; the robot cannot go on with what was changed since"
+                f"{digest[:12]}; give the {what} that was played, unchanged"
             )
     return trajectory
 
@@ -323,8 +324,8 @@ def locate_on_path(trajectory: Trajectory, standing: Standing, resolution: Array
     away = np.array([place.away for place in found])
     if away.min() > 1.0:
         raise TrajectoryError(
-            f"the axes stand {away.min():.3g} tolerances from the path after frame {frame}: nothing jumps; bring "
-            "them back, or begin anew"
+            f"the axes are {away.min():.3g} tolerances off the path after frame {frame}, and 1 is allowed: move "
+            "them back, or play the plan from its start"
         )
     alike = np.append(away <= away.min() + 2 * (resolution / tolerance).max(), False)
     first = int(alike.argmax())

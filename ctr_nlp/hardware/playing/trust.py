@@ -30,7 +30,7 @@ STATE_FOLDER_VARIABLE = "CTR_NLP_STATE"
 SHARED_FOLDER = Path("/tmp") if os.name == "posix" else Path(tempfile.gettempdir())
 """Where all users of this machine lock devices; TMPDIR, which each may set, does not move it."""
 
-DISTRUST_REMEDY = "home, or make sure that the axes stand where the device says, and say so (--position-verified)"
+DISTRUST_REMEDY = "home the device, or check that its axes are where it reports and give --position-verified"
 
 
 def state_folder() -> Path:
@@ -137,8 +137,8 @@ class Memory:
 
     def _unwritten(self, exception: OSError) -> DeviceFault:
         return DeviceFault(
-            f"whether {self._url} can be trusted cannot be remembered in {self._folder} ({exception}); "
-            f"{STATE_FOLDER_VARIABLE} names another folder"
+            f"the state of {self._url} cannot be saved in {self._folder} ({exception}); set "
+            f"{STATE_FOLDER_VARIABLE} to a folder that can be written"
         )
 
 
@@ -256,8 +256,7 @@ def doubt(left: Remembered | None, position: Array, resolution: Array, session: 
     """
     if left is None:
         return (
-            "nothing is remembered of this device, so that nobody knows whether its axes stand where it says: "
-            f"{DISTRUST_REMEDY}"
+            f"there is no record of this device, so that its reported position is unconfirmed: {DISTRUST_REMEDY}"
         )
     # A motion of this session was interrupted: its position cannot be the one it was left at, but must lie on the
     # path, which resume checks.
@@ -270,7 +269,7 @@ def doubt(left: Remembered | None, position: Array, resolution: Array, session: 
         there = ", ".join(f"{value:.4g}" for value in position)
         was = ", ".join(f"{value:.4g}" for value in known)
         return (
-            f"the device counts {there}, and was left at {was}: it was switched off or moved by somebody else, "
-            f"and its position is not to be trusted: {DISTRUST_REMEDY}"
+            f"the device reports the position {there}, but was left at {was}: it was switched off, or moved "
+            f"by other means, and its position is not to be trusted: {DISTRUST_REMEDY}"
         )
     return ""

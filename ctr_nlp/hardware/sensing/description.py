@@ -80,7 +80,7 @@ class Sensing:
             )
         if (self.measures == "points") != bool(len(self.places)):
             raise HardwareError(
-                f'places of the sensor are {list(self.places)}; they go with measures = "points", and only with it'
+                f'places of the sensor are {list(self.places)}; give them with measures = "points", and only then'
             )
         for name in ("translation", "rotation_deg"):
             object.__setattr__(self, name, all_numbers(f"{name} of the sensor", getattr(self, name), 3))

@@ -70,7 +70,7 @@ def describe_unidentified(fit: ParameterFit) -> list[str]:
             sentences.append(sentence)
     weak = np.flatnonzero(np.diag(scaled) < MIN_IDENTIFIED_INFORMATION)
     if len(weak):
-        sentences.append(f"the data hardly tell {join_words([parameters.each[k].words for k in weak])}")
+        sentences.append(f"the data barely determine {join_words([parameters.each[k].words for k in weak])}")
         known += list(np.eye(len(parameters))[weak])
     # Deflation: eigenvectors in the span of what has been named would only name it again, in a mixture. There the
     # information is raised beyond all others, so that weak eigenvectors lie in the complement.
@@ -102,16 +102,16 @@ def _invariances(parameters: Parameters) -> list[tuple[Array, str]]:
         # All tubes turned by an angle, and the base turned back by it, are the same shape for the sensor.
         direction = np.zeros(len(parameters))
         direction[zeros], direction[rolls] = 1.0, -1.0
-        found.append((direction, "the common zero of all tubes cannot be told from the base's roll"))
+        found.append((direction, "a common zero of all tubes cannot be distinguished from the base's roll"))
     stiffness = parameters.columns("bending_stiffness")
     modulus = parameters.columns(MODULUS_KIND)
     if len(stiffness) == d:
         # Without a load only ratios of stiffnesses enter the balance of moments; with one, the modulus scales all.
         direction = np.zeros(len(parameters))
         direction[stiffness], direction[modulus] = 1.0, -1.0
-        sentence = "only ratios of the tubes' stiffnesses show, not how stiff all are together"
+        sentence = "the data determine only the ratios of the tubes' stiffnesses, not a common factor"
         if modulus:
-            sentence = "what is common to the tubes' stiffnesses cannot be told from their modulus"
+            sentence = "a common factor of the tubes' stiffnesses cannot be distinguished from their modulus"
         found.append((direction, sentence))
     # A change of one unit of a parameter is 1 / sigma of its scaled one.
     scaled = [(direction / parameters.sigma, sentence) for direction, sentence in found]
@@ -133,5 +133,5 @@ def _describe_direction(parameters: Parameters, direction: Array) -> str:
     each = [parameters.each[k] for k in chosen]
     names = join_words([one.words for one in each])
     if {one.kind for one in each} <= {*LAGS, DELAY} and len(each) > 1:
-        return f"the data hardly tell {names} apart: at one speed these look alike"
-    return f"the data hardly tell {names}{' apart' * (len(each) > 1)}"
+        return f"the data barely distinguish {names}: at one speed their effects look alike"
+    return f"the data barely {'distinguish' if len(each) > 1 else 'determine'} {names}"

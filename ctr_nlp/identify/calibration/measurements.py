@@ -200,7 +200,7 @@ class Measurements(ReadOnlyValue):
             name = f"alpha_{axis + 1}" if axis < self.q.shape[1] - 2 else "theta"
             raise MeasurementError(
                 f"{name} goes from {before:.4g} to {after:.4g} rad between {begin:g} and {end:g} s: is it "
-                "wrapped? An angle must count on past a turn: tubes a turn apart are not where they were"
+                "wrapped? Unwrap angles: a full turn of a tube changes the robot's shape"
             )
 
 

@@ -326,11 +326,11 @@ def parameters_of(
         if kind not in PARAMETER_KINDS:
             raise OptionError(f"{kind!r} cannot be estimated; choose from {', '.join(PARAMETER_KINDS)}")
         if kind in (*LAGS, DELAY) and not measured.has_times:
-            raise OptionError(f"{kind} shows in motions alone; the measurements have no time_s")
+            raise OptionError(f"{kind} can be estimated from motions only, and the measurements have no time_s")
         if kind == MODULUS_KIND and not loaded:
             raise OptionError(
-                f"{kind} shows under loads alone; give the force at the tip in every observation, in N, as "
-                "force_x, force_y and force_z, or a load that the robot bears in all"
+                f"{kind} can be estimated under a load only; give the tip force of every observation in N "
+                "(columns force_x, force_y, force_z), or a load that acts in all of them"
             )
         if kind == OFFSET and not np.isfinite(measured.tip).any():
             raise OptionError(f"{OFFSET} needs measured tips; there are none")
@@ -339,7 +339,7 @@ def parameters_of(
         numbers = [None] if measured.recordings == 1 else list(range(1, measured.recordings + 1))
         found += [Parameter(kind, number, PRIOR_SIGMAS[kind]) for number in numbers for kind in BASE]
     if not found:
-        raise OptionError("nothing is to be estimated: the robot has no tolerances; name what is to be estimated")
+        raise OptionError("nothing to estimate: the robot has no tolerances; name the parameters to estimate")
     return Parameters(robot, tuple(found))
 
 

@@ -105,7 +105,7 @@ def parameters(found: Calibration) -> Figure:
     axes.errorbar(off, rows, xerr=2 * found.fit.sigma[chosen] / sigma, fmt="o", ms=3, color=BLUE, label="after")
     held = [place for place, k in enumerate(chosen) if found.standing[k] == "held"]
     if held:
-        axes.plot(off[held], rows[held], "o", ms=3, color=VERMILLION, label="hardly told by the data")
+        axes.plot(off[held], rows[held], "o", ms=3, color=VERMILLION, label="barely determined by the data")
     axes.set_yticks(rows, [found.parameters.names[k] for k in chosen])
     axes.set_xlabel("difference from before, in its standard deviations (bars: two)")
     figure.legend(loc="outside upper right", ncols=3)

@@ -50,8 +50,8 @@ def calibrated_robot(fit: ParameterFit, measured: Measurements) -> Robot:
         return build_calibrated_robot(robot, parts, _covariance(fit), _lag(fit, measured))
     except RobotError as error:
         raise MeasurementError(
-            f"the tubes that fit the measurements best are none that can be made: {error}. Are columns, units and "
-            "the robot's file right?"
+            f"the tubes that fit the measurements best are not possible: {error}. Check columns and units of the "
+            "measurements, and the robot's file"
         ) from error
 
 

@@ -65,7 +65,7 @@ class ParameterDifferences:
             *((int(i), ROTATION_LAG_NAME) for i in late),
         )
         if not places:
-            raise OptionError("tolerances of the robot are all 0: there is nothing that measurements could tell")
+            raise OptionError("tolerances of the robot are all 0; give at least one, so that it can be estimated")
         covariance = np.zeros((len(places), len(places)))
         covariance[: len(rows), : len(rows)] = (root @ root.T)[np.ix_(rows, rows)]
         # F^2 / 3 along each axis is the covariance of forces of size F from all sides; l^2 / 12 the variance of a

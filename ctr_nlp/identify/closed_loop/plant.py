@@ -72,7 +72,7 @@ class Plant:
         model's load. Raises LoadError, OptionError, RobotError.
         """
         if len(sample) != 1:
-            raise RobotError(f"a plant is one robot, and {len(sample)} draws are given")
+            raise RobotError(f"a plant simulates one robot; sample has {len(sample)}")
         self._model = _with_tip_force(model_named(model), sample.forces[0])
         self._model.check(robot)
         if lag is not None:
@@ -195,7 +195,7 @@ def _with_tip_force(model: Model, force: Array) -> Model:
         return model
     load = require_constant_load(model.applied_load, "a plant")
     if load.axes == "tool" and any((*load.force, *load.moment)):
-        raise LoadError("a force that a draw bears at its tip does not go beside a load in the axes of the tool")
+        raise LoadError("the sample has a tip force, which cannot be combined with a load in the axes of the tool")
     pushed = replace(load, axes="base", force=tuple(np.add(load.force, force)))
     return model_with_load(model, pushed)
 

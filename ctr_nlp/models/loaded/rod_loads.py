@@ -52,7 +52,7 @@ def check_kinds(kinds: Sequence[Kind]) -> None:
     for i, kind in enumerate(kinds, start=1):
         if kind == "helix":
             raise LoadError(
-                f"tube {i} is a helix, which bears no load here; plan for it without one, or without pre_torsion"
+                f"tube {i} is a helix, for which loads are not supported; leave out the load or pre_torsion"
             )
 
 

@@ -117,7 +117,7 @@ class Load:
         """Raise LoadError unless distributed_force and between are both given and sound, or neither is."""
         if (self.distributed_force is None) != (self.between is None):
             given, missing = ("between", "distributed_force")[:: 1 if self.between is not None else -1]
-            raise LoadError(f"{given} of a load needs {missing}: a force along the body is told by both")
+            raise LoadError(f"{given} of a load needs {missing}; a force along the body needs both")
         if self.distributed_force is None:
             return
         vector = floats(LoadError, "distributed_force of a load", self.distributed_force, (3,))
@@ -134,7 +134,7 @@ class Load:
         """Raise LoadError unless densities and down are both given and sound, or neither is."""
         if (self.densities is None) != (self.down is None):
             given, missing = ("down", "densities") if self.densities is None else ("densities", "down")
-            raise LoadError(f"{given} of a load needs {missing}: gravity is told by both")
+            raise LoadError(f"{given} of a load needs {missing}; gravity needs both")
         if self.densities is None:
             return
         down = floats(LoadError, "down of a load", self.down, (3,))

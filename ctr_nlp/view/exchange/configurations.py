@@ -272,7 +272,7 @@ def _check(q: Array, robot: Robot, frames: int) -> None:
         for i in (np.flatnonzero(np.diff(beta) < -CONFIGURATION_LENGTH_TOLERANCE_MM) + 1).tolist():
             raise OptionError(
                 f"beta_{i} in frame {frame} is {beta[i - 1]:g} mm and exceeds beta_{i + 1}, {beta[i]:g} mm; "
-                "tube 1 is the outermost, and no tube is further out than one within it"
+                "tube 1 is the outermost, and no tube may extend beyond one inside it"
             )
         if not beta[-1] > 0:
             raise OptionError(f"beta_{robot.d} in frame {frame} is 0 mm; something of the robot must be out")

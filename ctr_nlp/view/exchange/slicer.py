@@ -92,8 +92,8 @@ def to_scan(plan: Plan, space: str | None = None) -> Array:
         stated = "LPS"
     else:
         raise OptionError(
-            "the plan does not tell whether its path is in LPS or in RAS coordinates of the scan: its file does "
-            "not say so, or an earlier version made the plan; give --space LPS or --space RAS"
+            "the plan does not say whether its path is in LPS or RAS coordinates of the scan (neither does its "
+            "file, or an earlier version made the plan); give --space LPS or --space RAS"
         )
     # to_robot takes the file's coordinates to the base frame; its inverse leads back to the file, whose axes are
     # then turned to LPS. From LAS, a left-handed system, that is a reflection.

@@ -40,11 +40,11 @@ def robustness(plan: Plan) -> Figure:
     )
     _clouds([axes[f"cloud {k}"] for k in range(count)], plan, plan.drawn)
     _errors(axes["errors"], plan, plan.drawn)
-    names = {"a draw": (BLUE, "-"), "a draw that is lost": (VERMILLION, "-"), "the plan": (BLACK, "-")}
+    names = {"simulated robot": (BLUE, "-"), "after it failed": (VERMILLION, "-"), "the plan": (BLACK, "-")}
     handles = {label: Line2D([], [], color=colour, ls=ls, lw=1.2) for label, (colour, ls) in names.items()}
     handles |= {"target": Line2D([], [], **TARGET_LINE_STYLE)} | legend_of(axes["errors"])
     figure.legend(handles.values(), handles.keys(), loc="outside lower center", ncols=4)
-    add_heading(figure, plan, f"Robustness, {plan.drawn.lost_count} of {len(plan.drawn)} draws lost")
+    add_heading(figure, plan, f"Robustness, {plan.drawn.lost_count} of {len(plan.drawn)} simulated robots fail")
     return figure
 
 
@@ -79,8 +79,8 @@ def _errors(axes: Axes, plan: Plan, found: Robustness) -> None:
     """Draw e2 of the plan and its distribution over the simulated robots, mm."""
     frames = by_frames(axes, plan)
     low, middle, high = found.e2_quantiles(0.05, 0.5, 0.95)
-    axes.fill_between(frames, low, high, color=SKY, alpha=0.5, lw=0, label="5 % to 95 % of draws")
-    curve(axes, frames, middle, color=BLUE, lw=1.6, label="median of draws")
+    axes.fill_between(frames, low, high, color=SKY, alpha=0.5, lw=0, label="5 % to 95 % of simulated robots")
+    curve(axes, frames, middle, color=BLUE, lw=1.6, label="median of simulated robots")
     curve(axes, frames, rms_over_sigma(e1(plan)), color=BLACK, lw=1.2)
     axes.set_ylabel("e2 (mm)")
     root_scale(axes)
@@ -93,4 +93,4 @@ def _errors(axes: Axes, plan: Plan, found: Robustness) -> None:
             "zorder": 5,
             "clip_on": False,
         }
-        axes.scatter(at, 0.0 * at, s=14 + 4 * counts, marker="^", label="draws are lost here", **look)
+        axes.scatter(at, 0.0 * at, s=14 + 4 * counts, marker="^", label="robots fail here", **look)

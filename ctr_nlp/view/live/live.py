@@ -209,7 +209,7 @@ class Live:
         load = self._session.load
         models = suitable_models(problem, load)
         if not models:
-            borne = "" if load is None else ", which would have to bear a load"
+            borne = "" if load is None else " under a load"
             raise OptionError(f"no model describes the robot {name!r}{borne}")
         before = self._session
         self._course = 0.0

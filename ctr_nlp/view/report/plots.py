@@ -19,7 +19,7 @@ from ctr_nlp.view.figures.parts.palette import BLACK, BLUE, ORANGE, SKY, TILT_CO
 
 ERROR_PANEL_NAME, SAMPLE_ERROR_PANEL_NAME, CLEARANCE_PANEL_NAME, STABILITY_PANEL_NAME = (
     "error (mm)",
-    "e2 of draws (mm)",
+    "e2 of sampled robots (mm)",
     "clearance (mm)",
     "stability margin",
 )

@@ -54,8 +54,10 @@ def test_what_no_shape_shows_is_told_and_stays_as_it_was():
     """Without an arm the common zero is the base's roll; of stiffnesses only ratios show."""
     robot = wide(TWO)
     found = calibrate(robot, measured_shapes(robot, parts_within(robot, 1), 1), held_out=0)
-    assert "the common zero of all tubes cannot be told from the base's roll" in found.unidentified
-    assert "only ratios of the tubes' stiffnesses show, not how stiff all are together" in found.unidentified
+    assert "a common zero of all tubes cannot be distinguished from the base's roll" in found.unidentified
+    assert (
+        "the data determine only the ratios of the tubes' stiffnesses, not a common factor" in found.unidentified
+    )
     zeros = found.fit.covariance[np.ix_(*2 * [found.parameters.columns("motor_zero")])]
     assert zeros.sum() / 4 == pytest.approx(0.05**2 / 3 / 2, rel=0.02)
     known = calibrate(robot, measured_shapes(robot, parts_within(robot, 1), 1), held_out=0, registered=True)
@@ -81,7 +83,10 @@ def test_known_weights_at_the_tip_determine_the_modulus():
     sigma = np.sqrt(np.diag(root @ root.T)).reshape(2, -1)[:, DEVIATION_NAMES.index("bending_stiffness")]
     assert (sigma < 0.03).all()
     np.testing.assert_array_less(abs(np.array(moduli) / [74_000, 70_000] - 1), 3 * sigma)
-    assert "what is common to the tubes' stiffnesses cannot be told from their modulus" in found.unidentified
+    assert (
+        "a common factor of the tubes' stiffnesses cannot be distinguished from their modulus"
+        in found.unidentified
+    )
     assert not any("only ratios" in sentence for sentence in found.unidentified)
 
 
@@ -100,7 +105,7 @@ def test_what_forces_need_is_asked_for():
     seen = weighed(with_modulus(TWO, 60_000), with_modulus(TWO, 60_000), 6)
     with pytest.raises(LoadError, match="modul"):
         calibrate(TWO, seen)
-    with pytest.raises(OptionError, match="youngs_modulus shows under loads alone"):
+    with pytest.raises(OptionError, match="youngs_modulus can be estimated under a load only"):
         calibrate(with_modulus(TWO, 60_000), replace(seen, force=np.zeros(3)), ["youngs_modulus"])
     with pytest.raises(OptionError, match="dominant"):
         calibrate(with_modulus(TWO, 60_000), seen, model="dominant")
@@ -117,7 +122,7 @@ def test_lengths_that_never_come_out_are_held_and_named():
     found = calibrate(robot, measured_shapes(robot, np.zeros((2, 5)), 2), held_out=0, registered=True)
     standing = dict(zip(found.parameters.names, found.standing, strict=True))
     assert standing == {"curvature_1": "determined", "curvature_2": "determined", "curved_length_2": "held"}
-    assert found.unidentified == ("the data hardly tell curved length of tube 2",)
+    assert found.unidentified == ("the data barely determine curved length of tube 2",)
     assert found.robot.tubes[1].curved_length == 110
 
 
@@ -243,7 +248,7 @@ def test_at_one_speed_lag_drag_and_delay_look_alike_and_that_is_said():
     tip += 0.2 * np.random.default_rng(4).standard_normal(tip.shape)
     seen = observations(q, tip=tip, time=time)
     found = calibrate(TWO, seen, ["rotation_lag", "drag", "sensor_delay"], registered=True, held_out=0)
-    assert any("at one speed these look alike" in sentence for sentence in found.unidentified)
+    assert any("at one speed their effects look alike" in sentence for sentence in found.unidentified)
 
 
 def test_the_next_poses_teach_more_than_those_at_random():
@@ -272,9 +277,9 @@ def test_the_dominant_model_is_calibrated_too():
     ("options", "message"),
     [
         ({"estimate": ["length"]}, "'length' cannot be estimated; choose from curvature, bending_stiffness"),
-        ({"estimate": ["drag"]}, "drag shows in motions alone; the measurements have no time_s"),
+        ({"estimate": ["drag"]}, "drag can be estimated from motions only, and the measurements have no time_s"),
         ({"estimate": ["tip_offset"]}, "tip_offset needs measured tips"),
-        ({"estimate": [], "registered": True}, "nothing is to be estimated"),
+        ({"estimate": [], "registered": True}, "nothing to estimate: the robot has no tolerances"),
         ({"held_out": 1}, "number of folds is 1"),
         ({"next_count": -1}, "number of next poses is -1"),
         ({"model": "rigid"}, "model"),
@@ -291,5 +296,5 @@ def test_tubes_that_cannot_be_made_are_told():
     robot = replace(TWO, tubes=(stiff, replace(TWO.tubes[1], curvature=0.0585)))
     parts = np.zeros((2, 5))
     parts[1, 0] = 0.08
-    with pytest.raises(MeasurementError, match="none that can be made: tube 2 is strained by 6"):
+    with pytest.raises(MeasurementError, match="not possible: tube 2 is strained by 6"):
         calibrate(robot, measured_shapes(robot, parts, 0), ["curvature"], registered=True, held_out=0)

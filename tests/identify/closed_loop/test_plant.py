@@ -72,7 +72,7 @@ def test_sensors_see_what_the_shape_shows(plan):
 
 
 def test_a_plant_is_one_robot():
-    with pytest.raises(RobotError, match="2 draws"):
+    with pytest.raises(RobotError, match="one robot; sample has 2"):
         Plant(ROBOT, robots(2))
 
 

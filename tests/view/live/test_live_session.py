@@ -210,7 +210,7 @@ def test_draws_stand_beside_the_robot_and_their_number_is_limited(session):
     away = np.linalg.norm(seen.ghosts - seen.shape[None, ::4], axis=2).max(axis=1)
     assert (away > 1e-3).all()
     assert (away < 30.0).all()
-    with pytest.raises(OptionError, match=f"there can be {MAX_SAMPLED_ROBOTS} at most"):
+    with pytest.raises(OptionError, match=f"it must be at most {MAX_SAMPLED_ROBOTS}"):
         session.draw(MAX_SAMPLED_ROBOTS + 1)
 
 
@@ -224,8 +224,8 @@ def test_the_simplest_model_steers_until_another_one_is_compiled(monkeypatch):
     assert (session.model, session.requested_model) == ("dominant", "elastic")
     assert seen.e2 < 3.0
     words = status_message(session, False, "")
-    assert "elastic model within the wall are being compiled" in words
-    assert "steered on the dominant model" in words
+    assert "Compiling the code for the elastic model within the wall in the background" in words
+    assert "steering uses the dominant model" in words
 
 
 @pytest.mark.slow
@@ -244,7 +244,7 @@ def test_a_robot_that_bears_a_load_is_seen_and_steered_under_it():
         session.step()
         time.sleep(0.1)
     assert session.active_load == load
-    assert "The robot bears a tip force of (0, 0.1, 0) N." in status_message(session, False, "")
+    assert "The load on the robot is a tip force of (0, 0.1, 0) N." in status_message(session, False, "")
     session.record()
     seen = settled(session, 0.5)
     np.testing.assert_array_equal(seen.force, load.force)

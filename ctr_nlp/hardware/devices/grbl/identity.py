@@ -67,7 +67,7 @@ class Identity:
         try:
             return float(self.settings[str(number)])
         except (KeyError, ValueError) as exception:
-            raise DeviceFault(f"the controller does not tell its setting ${number}") from exception
+            raise DeviceFault(f"the controller does not report its setting ${number}") from exception
 
     def columns(self, hardware: Hardware) -> list[int]:
         """Return which of the controller's axes the hardware's axes are; raises DeviceFault."""
@@ -153,7 +153,7 @@ def find_loose_settings(
         for number, most, what in bounds:
             name = str(number)
             if float(settings.get(name, "0")) > most * (1 + 1e-6):
-                why = f"lets a line that was changed on the way move {axis.letter} {what} in the hardware file"
+                why = f"lets a corrupted line move {axis.letter} {what} in the hardware file"
                 found.append(SettingFinding(name, settings[name], f"{most:g}", why))
     return found
 
@@ -166,7 +166,7 @@ def find_changed_settings(identity: Identity, hardware: Hardware) -> list[Settin
     before = hardware.commissioned or {}
     return [
         SettingFinding(
-            name, identity.settings.get(name, "not told"), value, f"was {value} when the rig was commissioned"
+            name, identity.settings.get(name, "not reported"), value, f"was {value} when the rig was commissioned"
         )
         for name, value in sorted(before.items())
         if identity.settings.get(name) != value and not _wrong_before(name, value, identity, hardware)
@@ -212,7 +212,7 @@ def _positions(identity: Identity, hardware: Hardware) -> Iterator[Wrong]:
         62: "it goes to sleep by itself, and its motors go limp",
     }
     for letter, column in axes:
-        harmful[160 + column] = f"it makes up for backlash of {letter}; that is the hardware file's business"
+        harmful[160 + column] = f"it compensates backlash of {letter}, which must be left to the hardware file"
     for number, why in harmful.items():
         if float(identity.settings.get(str(number), "0")):
             yield number, "0", why
@@ -228,7 +228,7 @@ def _corners(identity: Identity) -> Iterator[Wrong]:
         yield (
             11,
             f"{MIN_JUNCTION_DEVIATION:g}",
-            "is so small that quick turns would be late: it counts degrees as mm",
+            "is so small that quick rotations would be late: it counts degrees as mm",
         )
     elif deviation > MAX_JUNCTION_DEVIATION:
         why = "is so large that motors may be asked for leaps in speed, in which steppers lose steps"

@@ -253,7 +253,7 @@ class Talk:
             override = self.report().override
             if override is not None:
                 return override
-        raise DeviceFault("the controller does not tell its feed override: set $10=511")
+        raise DeviceFault("the controller does not report its feed override: set $10=511")
 
     def offsets(self) -> dict[str, tuple[float, ...]]:
         """Return offsets between G-code and machine, and what is homed, by name ($#); raises DeviceFault."""

@@ -65,9 +65,8 @@ class Replanner:
         if type(plan.evaluated_model) is not Elastic:
             load = "" if plan.evaluated_load is None else " under a load"
             raise OptionError(
-                f"the plan is evaluated on the model {plan.evaluated_model_name}{load}; the rest of a motion "
-                f"can be planned "
-                "anew on the elastic model without a load"
+                f"the plan is evaluated on the model {plan.evaluated_model_name}{load}; re-planning needs the "
+                "elastic model without a load"
             )
         self._plan = plan
 

@@ -110,8 +110,8 @@ def rate_numbers(seen: SessionState, required_margin: float | None) -> list[Rate
         found.append(RatedNumber("least clearance", f"{least:.2f} mm", *room))
     if len(seen.lost):
         lost = int(seen.lost.sum())
-        all_kept = ("none lost", GOOD_COLOUR) if not lost else ("some lost", BAD_COLOUR)
-        found.append(RatedNumber("sampled robots lost", f"{lost} of {len(seen.lost)}", *all_kept))
+        all_kept = ("none failed", GOOD_COLOUR) if not lost else ("some failed", BAD_COLOUR)
+        found.append(RatedNumber("sampled robots that failed", f"{lost} of {len(seen.lost)}", *all_kept))
     return found
 
 

@@ -7,7 +7,7 @@ from ctr_nlp.plan.plan import Plan
 from ctr_nlp.plan.summary_text import NOT_FOR_PATIENTS, summarise_verdicts
 from ctr_nlp.view.live.steered.session import HAND_METHOD, Session
 
-HINT = "Drag a ball to pull the target, or a slider to move a joint. The mouse turns the view elsewhere."
+HINT = "Drag a ball to pull the target, or a slider to move a joint. Drag the background to turn the view."
 
 
 def status_message(session: Session, snapped: bool, news: str) -> str:
@@ -17,11 +17,11 @@ def status_message(session: Session, snapped: bool, news: str) -> str:
     """
     found = [*_compilation_messages(session)]
     if session.problem.lumen is not None and session.method == HAND_METHOD:
-        found.append("By hand, the robot goes where the sliders say, also into the wall.")
+        found.append("By hand, the sliders move the robot, also into the wall.")
     if session.active_load is not None:
-        found.append(f"The robot bears {session.active_load}.")
+        found.append(f"The load on the robot is {session.active_load}.")
     if snapped:
-        found.append("**The robot snapped.** It goes on from where it came to rest.")
+        found.append("**The robot snapped.** It continues from its new equilibrium.")
     return "\n\n".join([*found, news or HINT])
 
 
@@ -39,11 +39,11 @@ def _compilation_messages(session: Session) -> list[str]:
     borne = f" under {session.load}" if session.load is not None else ""
     wanted = f"the {awaited.model.name} model{borne}{' within the wall' if awaited.within_lumen else ''}"
     if awaited.error is not None:
-        return [f"The programs of {wanted} cannot be made: {awaited.error}."]
+        return [f"The code for {wanted} cannot be compiled: {awaited.error}."]
     if awaited.drive is not None:
-        return [f"The programs of {wanted} are ready, and are taken when the recording ends."]
+        return [f"The code for {wanted} is ready, and will be used when the recording ends."]
     return [
-        f"The programs of {wanted} are being compiled in the background, once for all robots of this kind. That "
-        f"takes up to some minutes. Until then the robot is steered on the {session.model} model, without regard "
-        "to a wall or a load; the change comes by itself."
+        f"Compiling the code for {wanted} in the background, once for all robots of this kind. This takes up to "
+        f"some minutes. Until then steering uses the {session.model} model and ignores a wall or a load; it "
+        "changes by itself."
     ]

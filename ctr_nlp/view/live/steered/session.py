@@ -179,7 +179,7 @@ class Session:
     def set_sample_count(self, count: int) -> None:
         """Move `count` simulated robots beside the nominal one, from rest where it is; raises OptionError."""
         if whole_number(OptionError, "draws", count, 0) > MAX_SAMPLED_ROBOTS:
-            raise OptionError(f"draws are {count}; there can be {MAX_SAMPLED_ROBOTS} at most")
+            raise OptionError(f"draws is {count}; it must be at most {MAX_SAMPLED_ROBOTS}")
         self._count = count
         self._ghosts = Ghosts(self.problem.robot, self._drive.model, self.q, count) if count else None
 
