@@ -13,7 +13,9 @@ from ctr_nlp.studies.variants import SOLVER_VARIANTS, parse_solver_variant
 
 def main() -> int:
     """Compare solver variants on the problem that the command line names."""
-    parser = argparse.ArgumentParser(description="Compare formulations and solvers on one problem.")
+    parser = argparse.ArgumentParser(
+        description="Compare formulations and solvers on one problem.", epilog="Exit status: 0."
+    )
     parser.add_argument("problem", metavar="PROBLEM", choices=PROBLEM_NAMES, help=", ".join(PROBLEM_NAMES))
     what = f"FORMULATION:SOLVER[:MODEL] (default: {', '.join(SOLVER_VARIANTS)})"
     parser.add_argument("--variants", nargs="+", default=SOLVER_VARIANTS, metavar="VARIANT", help=what)

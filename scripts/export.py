@@ -15,7 +15,9 @@ from ctr_nlp.problems import PROBLEM_NAMES
 
 def main() -> int:
     """Plan the problem that the command line names, and write its commands."""
-    parser = argparse.ArgumentParser(description="Write the motor commands of a motion.")
+    parser = argparse.ArgumentParser(
+        description="Write the motor commands of a motion.", epilog="Exit status: 0 where the file was written."
+    )
     parser.add_argument("problem", metavar="PROBLEM", choices=PROBLEM_NAMES, help=", ".join(PROBLEM_NAMES))
     parser.add_argument("--to", default="csv", choices=("csv", "gcode"))
     parser.add_argument("--hardware", type=Path, metavar="FILE.toml", help="the rig (default: a simulated one)")

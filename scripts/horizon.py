@@ -12,7 +12,10 @@ from ctr_nlp.problems import PROBLEM_NAMES
 
 def main() -> int:
     """Plan the problem that the command line names; return 0 where every frame was solved."""
-    parser = argparse.ArgumentParser(description="Plan a whole motion in one nonlinear program.")
+    parser = argparse.ArgumentParser(
+        description="Plan a whole motion in one nonlinear program.",
+        epilog="Exit status: 0 where every frame was solved, 1 where some were not.",
+    )
     parser.add_argument("problem", metavar="PROBLEM", choices=PROBLEM_NAMES, help=", ".join(PROBLEM_NAMES))
     parser.add_argument("--model", default="elastic", choices=("elastic", "dominant"))
     parser.add_argument("--frames", type=int, default=100)

@@ -11,7 +11,10 @@ from ctr_nlp.problems import PROBLEM_NAMES
 
 def main() -> int:
     """Plan the problem that the command line names; return 0 where every frame was solved."""
-    parser = argparse.ArgumentParser(description="Plan frame by frame.")
+    parser = argparse.ArgumentParser(
+        description="Plan frame by frame.",
+        epilog="Exit status: 0 where every frame was solved, 1 where some were not.",
+    )
     parser.add_argument("problem", metavar="PROBLEM", choices=PROBLEM_NAMES, help=", ".join(PROBLEM_NAMES))
     parser.add_argument("--formulation", default="joint", choices=("joint", "two-stage", "two-stage-exact"))
     parser.add_argument(

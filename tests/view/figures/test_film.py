@@ -232,7 +232,7 @@ def program(request, monkeypatch):
     """Both programs, which must not get as far as building a solver where unsolved is asked for."""
     main, solver = {
         "steer": (plan_program.steer, "solve_per_frame"),
-        "horizon": (plan_program.horizon, "horizon_planner"),
+        "horizon": (plan_program.plan, "horizon_planner"),
     }[request.param]
 
     def run(*arguments, unsolved=False):

@@ -205,13 +205,13 @@ def test_draws_within_no_tolerance_are_the_robot_itself():
 
 
 def test_draws_stand_beside_the_robot_and_their_number_is_limited(session):
-    session.draw(3)
+    session.set_sample_count(3)
     seen = settled(session)
     away = np.linalg.norm(seen.ghosts - seen.shape[None, ::4], axis=2).max(axis=1)
     assert (away > 1e-3).all()
     assert (away < 30.0).all()
     with pytest.raises(OptionError, match=f"it must be at most {MAX_SAMPLED_ROBOTS}"):
-        session.draw(MAX_SAMPLED_ROBOTS + 1)
+        session.set_sample_count(MAX_SAMPLED_ROBOTS + 1)
 
 
 # Models, and what is being compiled

@@ -82,7 +82,7 @@ def test_errors_of_draws_have_their_band_and_marks_where_draws_are_lost(plan):
     _, low, high = panel.band
     median = panel.lines[0].y
     assert ((low <= median) & (median <= high)).all()
-    assert panel.marks[1].tolist() == [loss.frame for loss in plan.drawn.when]
+    assert panel.marks[1].tolist() == [loss.frame for loss in plan.drawn.losses_by_frame]
 
 
 @pytest.mark.parametrize("width", [1280, 390])

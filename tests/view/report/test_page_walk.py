@@ -434,8 +434,8 @@ def test_verdicts_come_first_in_plain_words_and_two_plans_stand_side_by_side(bro
     with opened(browser, files["both"], 1440) as view:
         shown(view)
         lead = view.locator(".lead").first
-        failed = ", ".join(plan.verdicts.failed)
-        assert lead.inner_text().startswith(f"This plan fails {len(plan.verdicts.failed)} of 7 checks")
+        failed = ", ".join(plan.verdicts.failed_names)
+        assert lead.inner_text().startswith(f"This plan fails {len(plan.verdicts.failed_names)} of 7 checks")
         assert failed in lead.inner_text()
         tops = [view.locator(part).first.bounding_box()["y"] for part in (".lead", ".verdicts", ".draws", ".view")]
         assert tops == sorted(tops)

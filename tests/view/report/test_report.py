@@ -328,7 +328,7 @@ def test_planning_needs_none_of_the_pages_libraries(tmp_path):
         "assert plan.complete\n"
         "plan.save('plan.npz')\n"
         "assert 'matplotlib' not in sys.modules, 'solving loads pictures'\n"
-        "from ctr_nlp import figures\n"
+        "from ctr_nlp.view import figures\n"
         "figures.shapes(plan)\n"
         "from ctr_nlp.cli.commands import report\n"
         "sys.exit(report.main(['plan.npz']))\n"
