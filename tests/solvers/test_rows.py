@@ -19,7 +19,8 @@ from ctr_nlp.codegen import cache
 from ctr_nlp.ocp.chain import Chain
 from ctr_nlp.ocp.links import FrameLink, differences
 from ctr_nlp.ocp.nlp import Constraint, Nlp, Residual
-from ctr_nlp.solvers.motion.rows import CHAIN_BOUND_RELAXATION, CHAIN_INFINITE_BOUND, ChainRows
+from ctr_nlp.solvers.barrier import BOUND_RELAXATION, INFINITE_BOUND
+from ctr_nlp.solvers.motion.rows import ChainRows
 
 INF = np.inf
 ORDERS = st.sampled_from([(1,), (2,), (1, 2)])
@@ -93,7 +94,7 @@ class Point(NamedTuple):
 
 def finite(rows):
     """Which rows have a lower, and which an upper bound."""
-    return rows.low > -CHAIN_INFINITE_BOUND, rows.high < CHAIN_INFINITE_BOUND
+    return rows.low > -INFINITE_BOUND, rows.high < INFINITE_BOUND
 
 
 def put(rows, chain, rng, barrier):
@@ -469,8 +470,8 @@ def test_bounds_are_relaxed_and_absent_where_nothing_can_move():
     of_second[[2, 3, 9, 10, 11]] = True
     for found, given_, outwards in ((rows.low, low, -1), (rows.high, high, 1)):
         absent = of_second | np.isinf(given_)
-        assert (found[absent] == outwards * CHAIN_INFINITE_BOUND).all()
-        np.testing.assert_allclose(found[~absent] - given_[~absent], outwards * CHAIN_BOUND_RELAXATION, rtol=1e-5)
+        assert (found[absent] == outwards * INFINITE_BOUND).all()
+        np.testing.assert_allclose(found[~absent] - given_[~absent], outwards * BOUND_RELAXATION, rtol=1e-5)
 
 
 # Trials

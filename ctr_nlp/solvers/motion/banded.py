@@ -21,6 +21,12 @@ import numpy as np
 
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.ocp.chain import Chain
+from ctr_nlp.solvers.barrier import (
+    BARRIER_RESIDUAL_FACTOR,
+    BARRIER_SHRINK_FACTOR,
+    MAX_STEP_HALVINGS,
+    STALL_ITERATIONS,
+)
 from ctr_nlp.solvers.frame.adapter import FEASIBILITY_TOLERANCE, Solution
 from ctr_nlp.solvers.motion.chain_solution import COLD_START_BARRIER_MM2, evaluate_chain_solution
 from ctr_nlp.solvers.motion.loop import Loop
@@ -31,10 +37,6 @@ BANDED_KKT_TOLERANCE = 1e-6
 """Largest stationarity (mm^2 per unit of x) and complementarity (mm^2) at a solution."""
 BANDED_LAST_BARRIER_MM2 = 1e-7
 """Barrier at which the method ends, mm^2."""
-BANDED_BARRIER_RESIDUAL_FACTOR, BANDED_BARRIER_SHRINK_FACTOR = 20.0, 0.05
-"""A barrier problem is solved until its residual is BANDED_BARRIER_RESIDUAL_FACTOR times its barrier; the next
-barrier is BANDED_BARRIER_SHRINK_FACTOR times this one.
-"""
 MAX_BANDED_ITERATIONS = 500
 """Iterations after which a solve ends without a solution."""
 BANDED_SLACK_PUSH = 1e-3
@@ -43,8 +45,6 @@ BANDED_FIRST_DAMPING = 1e-6
 """Added to the diagonal of the Newton matrix, mm^2 per squared unit of x; more where rounding calls for it."""
 MAX_BANDED_DAMPING = 1e6
 """Largest damping that is tried, mm^2 per squared unit of x."""
-MAX_BANDED_HALVINGS = 25
-"""Halvings of a step after which it counts as too small."""
 LOOSE_PENALTY_FACTOR = 2.0
 """A penalty this many times larger than the multipliers need is lowered: beside curved constraints it shortens
 steps.
@@ -62,9 +62,9 @@ BANDED_STATUS_TEXTS = (
     "Maximum_Iterations_Exceeded",
 )
 """Status texts, in the order in which banded.c numbers them; the first means that the solve has not ended."""
-BANDED_STALL_ITERATIONS, BANDED_STALL_DECREASE = 6, 1e-8
+BANDED_STALL_DECREASE = 1e-8
 """Where samples cross from tube to tube second derivatives jump, and near such a point Newton steps oscillate:
-a barrier problem is left when so many iterations lower the merit by less than this part."""
+a barrier problem is left when STALL_ITERATIONS iterations lower the merit by less than this part."""
 
 
 class BandedSolver:
@@ -73,7 +73,7 @@ class BandedSolver:
     def __init__(self, chain: Chain) -> None:
         """Prepare for a chain; raises OptionError where a frame has equations, or nothing can be compiled."""
         low, high = chain.frame.g_bounds
-        # A slack between bounds that meet has hardly any interior (CHAIN_BOUND_RELAXATION). Bounds of x that meet
+        # A slack between bounds that meet has hardly any interior (BOUND_RELAXATION). Bounds of x that meet
         # are no such case: ChainRows takes those unknowns out of the system.
         if (low == high).any():
             raise OptionError(
@@ -111,8 +111,8 @@ def _real_settings() -> dict[str, float]:
         "tolerance": BANDED_KKT_TOLERANCE,
         "feasible": FEASIBILITY_TOLERANCE,
         "last_barrier": BANDED_LAST_BARRIER_MM2,
-        "close": BANDED_BARRIER_RESIDUAL_FACTOR,
-        "shrink": BANDED_BARRIER_SHRINK_FACTOR,
+        "close": BARRIER_RESIDUAL_FACTOR,
+        "shrink": BARRIER_SHRINK_FACTOR,
         "damping": BANDED_FIRST_DAMPING,
         "most_damping": MAX_BANDED_DAMPING,
         "diverged": DIVERGED_MULTIPLIER_SIZE,
@@ -125,6 +125,6 @@ def _integer_settings() -> dict[str, int]:
     """Return the integer settings by the names of LOOP_INTEGER_SETTINGS."""
     return {
         "most_iterations": MAX_BANDED_ITERATIONS,
-        "most_halvings": MAX_BANDED_HALVINGS,
-        "stall": BANDED_STALL_ITERATIONS,
+        "most_halvings": MAX_STEP_HALVINGS,
+        "stall": STALL_ITERATIONS,
     }

@@ -20,14 +20,11 @@ import numpy as np
 from ctr_nlp.codegen import cache
 from ctr_nlp.codegen.c_structures import check_structure
 from ctr_nlp.ocp.chain import Chain
+from ctr_nlp.solvers.barrier import BOUND_RELAXATION, INFINITE_BOUND
 from ctr_nlp.typing import Array
 
-CHAIN_BOUND_RELAXATION = 1e-9
-"""How far bounds are moved outwards, so that bounds that meet still have an interior, rad or mm."""
 CHAIN_MIN_DENOMINATOR = 1e-30
 """Replaces 0 in a denominator."""
-CHAIN_INFINITE_BOUND = 1e20
-"""Stands for an infinite bound: its distance enters denominators as a number, so that no case is needed."""
 
 
 class _Point(ctypes.Structure):
@@ -108,9 +105,9 @@ class ChainRows:
         # Rows that no free unknown changes are constants. They may break their bounds by rounding, and then
         # no interior point exists; without bounds they do no harm.
         still = ~chain.changeable_rows
-        # Relaxed by CHAIN_BOUND_RELAXATION, so that bounds that meet have an interior, too.
-        self.low = np.where(still | np.isinf(lower), -CHAIN_INFINITE_BOUND, lower - CHAIN_BOUND_RELAXATION)
-        self.high = np.where(still | np.isinf(upper), CHAIN_INFINITE_BOUND, upper + CHAIN_BOUND_RELAXATION)
+        # Relaxed by BOUND_RELAXATION, so that bounds that meet have an interior, too.
+        self.low = np.where(still | np.isinf(lower), -INFINITE_BOUND, lower - BOUND_RELAXATION)
+        self.high = np.where(still | np.isinf(upper), INFINITE_BOUND, upper + BOUND_RELAXATION)
         # The lower half of a symmetric band: width + 1 numbers for each of the T n unknowns.
         links = chain.linking
         width = _width(chain)

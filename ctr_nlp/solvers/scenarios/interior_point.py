@@ -15,6 +15,12 @@ from typing import NamedTuple
 import numpy as np
 
 from ctr_nlp.ocp.scenarios import SharedMotion
+from ctr_nlp.solvers.barrier import (
+    BARRIER_RESIDUAL_FACTOR,
+    BARRIER_SHRINK_FACTOR,
+    MAX_STEP_HALVINGS,
+    STALL_ITERATIONS,
+)
 from ctr_nlp.solvers.motion.chain_solution import COLD_START_BARRIER_MM2
 from ctr_nlp.solvers.scenarios.bordered import solve_bordered_system
 from ctr_nlp.solvers.scenarios.common import NO_COMMON_UNKNOWNS
@@ -32,12 +38,8 @@ SHARED_RESIDUAL_PER_BARRIER, SHARED_MIN_RESIDUAL_TOLERANCE = 3.0, 1e-5
 """Largest residual at a solution in last barriers, and in any case, mm^2 per unit of q and mm^2."""
 SHARED_INFEASIBILITY_TOLERANCE = 1e-7
 """Largest residual of equations and rows at a solution, rad and mm."""
-SHARED_BARRIER_RESIDUAL_FACTOR, SHARED_BARRIER_SHRINK_FACTOR = 20.0, 0.05
-"""A barrier problem is solved until its residual is SHARED_BARRIER_RESIDUAL_FACTOR times its barrier; the next
-barrier is SHARED_BARRIER_SHRINK_FACTOR times this one.
-"""
-MAX_SHARED_ITERATIONS, MAX_SHARED_HALVINGS, MAX_TIP_CORRECTIONS = 200, 25, 4
-"""Limits: Newton steps in a solve, halvings of a step, and corrections of tips at a whole step."""
+MAX_SHARED_ITERATIONS, MAX_TIP_CORRECTIONS = 200, 4
+"""Limits: Newton steps in a solve, and corrections of tips at a whole step."""
 (
     SHARED_FIRST_DAMPING,
     DAMPING_GROWTH_FACTOR,
@@ -51,8 +53,9 @@ MAX_OBJECTIVE_RISE_FACTOR = 3.0
 """Times the objective by which a step may raise it. Contact is steep: steps that bring robots nearer to their
 equilibria may throw them far through the wall, from where the way back takes long.
 """
-SHARED_STALL_ITERATIONS, SHARED_STALL_DECREASE = 6, 1e-9
-"""A barrier problem is left when so many iterations at feasible points lower it by less than this part."""
+SHARED_STALL_DECREASE = 1e-9
+"""A barrier problem is left when STALL_ITERATIONS iterations at feasible points lower it by less than this part.
+"""
 MAX_STEP_RETRIES, RETRY_DAMPING_FACTOR = 4, 100.0
 """Times that a step of which no part is accepted is computed again, with RETRY_DAMPING_FACTOR times the damping.
 """
@@ -170,20 +173,18 @@ class _InteriorPointSolve:
         ):
             return "" if self._update_local_parameters() else "Solve_Succeeded"
         # A barrier problem whose objective no longer falls at feasible points counts as solved, though its
-        # residual may be larger: Newton steps can go to and fro (motion/banded.py, SHARED_STALL_ITERATIONS).
-        stalled = errors.infeasibility <= SHARED_INFEASIBILITY_TOLERANCE and len(known) > SHARED_STALL_ITERATIONS
-        stalled = stalled and known[-SHARED_STALL_ITERATIONS] - known[-1] < SHARED_STALL_DECREASE * (
-            1 + abs(known[-1])
-        )
+        # residual may be larger: Newton steps can go to and fro (motion/banded.py, STALL_ITERATIONS).
+        stalled = errors.infeasibility <= SHARED_INFEASIBILITY_TOLERANCE and len(known) > STALL_ITERATIONS
+        stalled = stalled and known[-STALL_ITERATIONS] - known[-1] < SHARED_STALL_DECREASE * (1 + abs(known[-1]))
         if stalled and self._barrier == self._last:
             return "" if self._update_local_parameters() else "Solved_To_Acceptable_Level"
         stalled = stalled or slow
         # Several barriers may be passed in one go; after each the filter is cleared, since its objectives
         # contain the barrier.
         while self._barrier > self._last and (
-            stalled or errors.residual(self._barrier) < SHARED_BARRIER_RESIDUAL_FACTOR * self._barrier
+            stalled or errors.residual(self._barrier) < BARRIER_RESIDUAL_FACTOR * self._barrier
         ):
-            self._barrier = max(self._last, SHARED_BARRIER_SHRINK_FACTOR * self._barrier)
+            self._barrier = max(self._last, BARRIER_SHRINK_FACTOR * self._barrier)
             stalled = False
             self._filter.clear()
             known.clear()
@@ -295,7 +296,7 @@ class _InteriorPointSolve:
         about = self._about
         here = rows.merit(about.at, point.slack, self._barrier)
         part, dual = self._fraction_to_boundary(step)
-        for halving in range(MAX_SHARED_HALVINGS):
+        for halving in range(MAX_STEP_HALVINGS):
             q = point.q + part * step.du[: point.q.size].reshape(point.q.shape)
             phi = point.phi + part * step.dx[..., about.tips]
             p = point.p + part * step.du[point.q.size :]

@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ctr_nlp.ocp.scenarios import SharedMotion, assemble_robot_unknowns
+from ctr_nlp.solvers.barrier import BOUND_RELAXATION, INFINITE_BOUND
 from ctr_nlp.solvers.frame.adapter import FEASIBILITY_TOLERANCE, KKT_TOLERANCE
 from ctr_nlp.solvers.scenarios.common import NO_COMMON_UNKNOWNS
 from ctr_nlp.solvers.scenarios.condensed import Condensed, Expansion, Values
@@ -19,15 +20,10 @@ from ctr_nlp.solvers.scenarios.filter import Merit
 from ctr_nlp.solvers.scenarios.links import LinkBand
 from ctr_nlp.typing import Array, Flags, Index
 
-SHARED_SLACK_PUSH, SHARED_BOUND_RELAXATION, SHARED_INFINITE_BOUND, MIN_BOUND_DISTANCE_FRACTION = (
-    1e-2,
-    1e-9,
-    1e20,
-    0.005,
-)
-"""Four numbers: how far slacks start within bounds and how far bounds are moved outwards (rad or mm), what stands
-for an infinite bound, and the part of its distance from a bound that a step leaves.
-"""
+SHARED_SLACK_PUSH = 1e-2
+"""How far slacks start within their bounds, rad or mm."""
+MIN_BOUND_DISTANCE_FRACTION = 0.005
+"""Part of its distance from a bound that a step leaves."""
 
 
 @dataclass(frozen=True)
@@ -147,9 +143,9 @@ class SharedRows:
         sizes = of_q.size, motion.row_bounds[0].size, len(self.links.weight), self.twists.bounds[0].size, of_p.size
         self._ends = np.cumsum(sizes)
         still = self._constant_rows(motion, of_q, of_p)
-        # As in motion/rows.py: constant rows get no bounds, the others are relaxed by SHARED_BOUND_RELAXATION.
-        self.low = np.where(still | np.isinf(lower), -SHARED_INFINITE_BOUND, lower - SHARED_BOUND_RELAXATION)
-        self.high = np.where(still | np.isinf(upper), SHARED_INFINITE_BOUND, upper + SHARED_BOUND_RELAXATION)
+        # As in motion/rows.py: constant rows get no bounds, the others are relaxed by BOUND_RELAXATION.
+        self.low = np.where(still | np.isinf(lower), -INFINITE_BOUND, lower - BOUND_RELAXATION)
+        self.high = np.where(still | np.isinf(upper), INFINITE_BOUND, upper + BOUND_RELAXATION)
         self._bounds = np.where(still, -np.inf, lower), np.where(still, np.inf, upper)
         self._box = (motion.lower, motion.upper)
         self._common_box = (common.lower, common.upper)
