@@ -1,4 +1,4 @@
-"""solve_horizon.py as a user meets it: files, exit codes, messages, Ctrl-C at any moment."""
+"""`ctr-nlp plan` over a horizon as a user meets it: files, exit codes, messages, Ctrl-C at any moment."""
 
 import csv
 import json
@@ -10,7 +10,7 @@ import time
 
 import numpy as np
 import pytest
-from common import ROOT, UNJUDGED
+from common import UNJUDGED
 from compare import main as compare_solvers
 
 from ctr_nlp import Plan
@@ -97,7 +97,7 @@ def test_a_sweep_draws_and_lists_the_trade_off(tmp_path, capsys):
     assert {path.name for path in out.iterdir()} == FILES | {"pareto.csv", "pareto.png"}
     with open(out / "pareto.csv", newline="") as file:
         rows = list(csv.DictReader(file))
-    methods = ["horizon", "horizon", "joint:ipopt", "two-stage:ipopt", "paper-two-stage", "euclidean"]
+    methods = ["horizon", "horizon", "joint:ipopt", "two-stage:ipopt"]
     assert [row["method"] for row in rows] == methods
     exact, smooth = rows[:2]
     assert (float(exact["motion_weight"]), float(smooth["motion_weight"])) == (1e-5, 1e-2)
@@ -160,7 +160,7 @@ def test_an_unsolved_horizon_is_exit_status_1_and_says_why(tmp_path, capsys, mon
 
 
 def command(out, frames=600):
-    program = [sys.executable, ROOT / "scripts" / "solve_horizon.py", "cos", "--model", "dominant"]
+    program = [sys.executable, "-m", "ctr_nlp", "plan", "cos", "--model", "dominant"]
     return [*program, *UNJUDGED, "--frames", str(frames), "--out", out]
 
 

@@ -1,4 +1,4 @@
-"""The program scripts/play.py as a user runs it: in real time, on simulated and emulated devices, interrupted."""
+"""The command `ctr-nlp play` as a user runs it: in real time, on simulated and emulated devices, interrupted."""
 
 from __future__ import annotations
 
@@ -39,7 +39,6 @@ from ctr_nlp.plan.verdicts import NO, YES, Verdict
 
 pytestmark = pytest.mark.real_time
 
-SCRIPT = Path(__file__).resolve().parents[2] / "scripts" / "play.py"
 PLAN = sweep(10)
 """Nobody has checked its stability, a wall or samples: where a test is about something else, it is waived."""
 ANYWAY = "--uncertified"
@@ -97,7 +96,7 @@ def rig(tmp_path: Path, url: str) -> Path:
 def playing(*arguments: Any) -> Iterator[subprocess.Popen[str]]:
     """The program in a process of its own."""
     process = subprocess.Popen(
-        [sys.executable, "-u", str(SCRIPT), *map(str, arguments), ANYWAY],
+        [sys.executable, "-u", "-m", "ctr_nlp", "play", *map(str, arguments), ANYWAY],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,

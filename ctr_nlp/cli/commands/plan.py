@@ -1,4 +1,4 @@
-"""`ctr-nlp plan`, and its two halves: `ctr-nlp steer`, frame by frame, and scripts/solve_horizon.py, all at once.
+"""`ctr-nlp plan`, and its two halves: `ctr-nlp steer`, frame by frame, and over a horizon, all frames at once.
 
 By default a plan is found over a horizon, for all robots within the tolerances. It starts from the plan of the
 nominal robot, which is written after a few seconds.
