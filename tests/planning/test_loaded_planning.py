@@ -89,7 +89,7 @@ def test_points_of_programs_are_those_of_motions(kind):
         return
     nlp, p = frame_of(model.load)
     residual = ca.Function("residual", [nlp.x, nlp.p], [nlp.residual])
-    roots, target = p[nlp.parameter_slice("shape_roots")], p[nlp.place("target")].reshape(3, -1).T
+    roots, target = p[nlp.parameter_slice("shape_roots")], p[nlp.parameter_slice("target")].reshape(3, -1).T
     for _ in range(8):
         x = model.guess(NITINOL, drawn_q(rng))
         points = target + residual(x, p).full().reshape(3, -1).T / roots[:, None]
