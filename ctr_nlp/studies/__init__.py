@@ -1,1 +1,1 @@
-"""Studies of many plans: comparisons, trade-offs, benchmarks, clearance, and reproduction of the paper."""
+"""Many plans side by side: trade-offs, survival of perturbed robots, ends that are reached, and Dask workers."""

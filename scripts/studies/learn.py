@@ -36,9 +36,9 @@ def _parser(prog: str) -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog=prog,
         description="Train a network that gives a robot's configuration for the points of a shape (S2J-IK), and "
-        "keep it in the folder of compiled code, where the methods s2j, s2j-projected and s2j-horizon of `ctr-nlp "
-        f"compare` find it. Tell its errors on {VALIDATION_SHAPE_COUNT} shapes that were not trained on. Write "
-        f"learn.csv and "
+        "keep it in the folder of compiled code, where the methods s2j, s2j-projected and s2j-horizon of "
+        f"scripts/studies/compare.py find it. Print its errors on {VALIDATION_SHAPE_COUNT} shapes that were not "
+        "trained on. Write learn.csv and "
         "the learning curve, learn.png. Training needs PyTorch (pip install ctr_nlp[learning]); what is trained "
         "is used without.",
         epilog="Exit status: 0 where the network was trained, 2 where input is bad, 130 after an interruption "

@@ -15,7 +15,7 @@
    around: where some parameters hold near a robot only, what gives these from x and the load's numbers, which begin at
    place load in p: described entries from place in p on, and then the slack that they need, x's last entry; null where
    all hold everywhere. A mm of it costs p[weight] mm^2, and hard times as much beyond p[allowed] mm, where that sets in over rounded mm;
-   a mm^2 costs firm mm^2 (formulations/terms/lumen.py, contact). Rounds around solutions end where the slack needed
+   a mm^2 costs firm mm^2 (ocp/terms/lumen.py, contact). Rounds around solutions end where the slack needed
    changes by no more than settled mm. */
 typedef struct {
     void (*around)(void *, const double *, const double *, double *);
