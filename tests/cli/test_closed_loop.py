@@ -141,7 +141,7 @@ def test_an_open_loop_has_nothing_to_be_worked_out_again(
         assert main([str(plan), "--position-verified", *arguments]) == 0
         capsys.readouterr()
         assert main([str(plan), "--replay", *arguments]) == 2
-        assert "not of a closed loop" in capsys.readouterr().err
+        assert "played without --closed-loop" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
