@@ -556,7 +556,8 @@ def test_a_cut_reaches_a_served_host():
 
 def test_program_prints_its_url_and_ends_on_sigterm():
     command = [sys.executable, "-m", "emulator", "--tcp", "0", "--homed", "--settings", "$20=1"]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+    tests = Path(__file__).parents[1]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, cwd=tests) as process:
         assert re.fullmatch(r"socket://127\.0\.0\.1:\d+\n", process.stdout.readline())
         process.send_signal(signal.SIGTERM)
         assert process.wait(timeout=10) == 0

@@ -35,7 +35,7 @@ from ctr_nlp.view.figures.parts.palette import TUBE_COLOURS
 pytestmark = pytest.mark.real_time
 
 PLAN = sweep(10)
-TESTS = Path(__file__).parents[1]
+TESTS = Path(__file__).parents[2]
 SECONDS = 60
 """After which something that has not happened never will."""
 
@@ -115,9 +115,9 @@ def program(written, *work):
         "import os, signal, time",
         "from pathlib import Path",
         "from window_backend import Written",
-        "from ctr_nlp.view.figures.live import View",
+        "from ctr_nlp.view.figures.live import LiveWindow",
         f"path = Path({str(written.path)!r})",
-        "with View(Written(path)) as view:",
+        "with LiveWindow(Written(path)) as view:",
         *(f"    {line}" for line in work),
         "print('done')",
     ]
@@ -171,7 +171,7 @@ def test_programs_refuse_before_anything_moves_or_is_solved(monkeypatch, tmp_pat
     monkeypatch.setattr(play, "device_of", lambda *_: pytest.fail("a device was opened"))
     PLAN.save(tmp_path / "plan.npz")
     out = ["--live", "--out", str(tmp_path / "out")]
-    assert horizon_program.horizon(["arc", *out]) == 2
+    assert horizon_program.plan(["arc", *out]) == 2
     assert play.main([str(tmp_path / "plan.npz"), "--uncertified", *out]) == 2
     assert capsys.readouterr().err.count("error: live needs a window") == 2
     assert not (tmp_path / "out").exists()
