@@ -102,6 +102,10 @@ def build_from_table(cls: type, data: Any, name: str | None = None) -> Any:
         raise RobotError(f"{of}: {error}; keys are {', '.join(allowed)}") from error
 
 
+MAX_SHOWN_KEY_LENGTH = 80
+"""Characters of an unknown key that a message shows."""
+
+
 def check_keys(error: type[CtrError], of: str, given: Iterable[Any], allowed: Sequence[str]) -> None:
     """Raise `error` where a key of a table is not allowed; the message offers what was probably meant.
 
@@ -110,7 +114,10 @@ def check_keys(error: type[CtrError], of: str, given: Iterable[Any], allowed: Se
     unknown = sorted(set(map(str, given)) - set(allowed))
     if unknown:
         near = suggest_names(unknown[0], allowed)
-        raise error(f"key {unknown[0]!r} is unknown in {of}; allowed are {', '.join(allowed)}{near}")
+        # A damaged file may have a key of thousands of characters.
+        key = unknown[0]
+        shown = repr(key) if len(key) <= MAX_SHOWN_KEY_LENGTH else f"{key[:MAX_SHOWN_KEY_LENGTH]!r}.."
+        raise error(f"key {shown} is unknown in {of}; allowed are {', '.join(allowed)}{near}")
 
 
 def number(
