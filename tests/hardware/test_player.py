@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import random
 from collections.abc import Callable
 from dataclasses import replace
@@ -87,6 +88,14 @@ def test_states_from_connecting_to_closing(tmp_path: Path) -> None:
     assert (result.outcome, result.frame, result.trusted) == (PlaybackOutcome.SUCCESS, 10, True)
     rig.player.close()
     assert rig.states() == ["homed", "running", "homed", "disconnected"]
+
+
+def test_garbage_collections_are_short_while_a_robot_moves(tmp_path: Path) -> None:
+    """What existed before the motion is not searched in it; afterwards it is."""
+    rig, moving = Rig(tmp_path), list[int]()
+    rig.play(lambda trajectory, progress: moving.append(gc.get_freeze_count()))
+    assert min(moving) > 10_000
+    assert gc.get_freeze_count() == 0
 
 
 @pytest.mark.parametrize(

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import gc
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 
 import numpy as np
@@ -142,10 +145,13 @@ class Player:
             trajectory, self._arm, self.journal, self._clock, self._wishes, self._set_state, corrector
         )
         try:
-            played = self._start_device(playback, trajectory)
-            ending = (
-                played if isinstance(played, Ending) else playback.run(played, self.device.resolution, callback)
-            )
+            with _short_garbage_collections():
+                played = self._start_device(playback, trajectory)
+                ending = (
+                    played
+                    if isinstance(played, Ending)
+                    else playback.run(played, self.device.resolution, callback)
+                )
             return (
                 self._stop_all(ending, playback)
                 if ending.standing is None
@@ -240,3 +246,19 @@ class Player:
         """Change and record the state."""
         self.state = state
         self.journal.record("state", state=state.value)
+
+
+@contextmanager
+def _short_garbage_collections() -> Iterator[None]:
+    """Exempt everything that exists by now from garbage collection while a robot moves.
+
+    A full collection of a large process (a notebook with many plans, say) takes longer than supervision may be
+    away, and would stop the motion.
+    """
+    frozen_by_caller = gc.get_freeze_count() > 0
+    gc.freeze()
+    try:
+        yield
+    finally:
+        if not frozen_by_caller:
+            gc.unfreeze()
