@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
+from ctr_nlp.anatomy.reading import NO_FACTS, FileFacts
 from ctr_nlp.exceptions import CurveError
 from ctr_nlp.paths.points import LEAST_POINTS, LONGEST_MM, SHORTEST_MM, check_coordinates
 from ctr_nlp.typing import Array
@@ -40,11 +41,16 @@ class Branch:
 
 @dataclass(frozen=True)
 class Branches:
-    """The branches of a file. space: coordinate system of the file; to_lps (4, 4): transform from it to LPS."""
+    """The branches of a file.
+
+    space: coordinate system of the file. to_lps (4, 4): rigid transform from it to LPS, both in mm.
+    facts: what its reader found out about the file.
+    """
 
     branches: tuple[Branch, ...]
     space: str
     to_lps: Array
+    facts: FileFacts = NO_FACTS
 
     @property
     def from_lps(self) -> Array:

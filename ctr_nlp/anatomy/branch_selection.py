@@ -18,6 +18,7 @@ from ctr_nlp.anatomy.branch import (
     transform_points,
 )
 from ctr_nlp.anatomy.files import is_mask, read_branches
+from ctr_nlp.anatomy.reading import AS_THE_FILE_SAYS, NO_FACTS, FileFacts, ReadOptions
 from ctr_nlp.exceptions import CurveError, OptionError
 from ctr_nlp.paths.curve import Curve, curve_from_points
 from ctr_nlp.paths.points import SHORTEST_MM
@@ -35,7 +36,8 @@ class BranchSegment:
     """A branch and the part of it that is followed.
 
     branch: the whole branch, in LPS. start, stop: arc lengths between which it is followed, mm. to_lps: transform
-    (4, 4) from the file's coordinates to LPS. space: name of the file's coordinates, as in Branches.
+    (4, 4) from the file's coordinates to LPS. space: name of the file's coordinates, as in Branches. facts: what
+    its reader found out about the file.
     """
 
     branch: Curve
@@ -43,6 +45,7 @@ class BranchSegment:
     stop: float
     to_lps: Array
     space: str
+    facts: FileFacts = NO_FACTS
 
     @property
     def followed_path(self) -> Curve:
@@ -56,12 +59,14 @@ def read_branch_segment(
     entry: npt.ArrayLike | None = None,
     target: npt.ArrayLike | None = None,
     reverse: bool = False,
+    options: ReadOptions = AS_THE_FILE_SAYS,
 ) -> BranchSegment:
     """Read the part of a branch of a file from entry to target.
 
     path: the file. branch: name of the branch, or its number from 1. entry, target: (3,) mm in the file's own
     coordinates, by default the ends of the branch. reverse: whether the file's lines run from the tip to the root.
-    A mask has one branch, between the two points. Raises CurveError and OptionError.
+    options: what a person states about the file. A mask has one branch, between the two points. Raises CurveError
+    and OptionError.
     """
     if is_mask(path):
         for option, value in (("branch", branch), ("reverse", reverse or None)):
@@ -69,11 +74,11 @@ def read_branch_segment(
                 raise OptionError(
                     f"{option} does not go with a mask, as {path} is one: its path leads from entry to target"
                 )
-        branches = read_branches(path, entry, target)
+        branches = read_branches(path, entry, target, options)
         entry = target = None
     else:
         # In a file whose lines run towards the root, the target is where its trees start.
-        branches = read_branches(path, target if reverse else entry)
+        branches = read_branches(path, target if reverse else entry, options=options)
     if reverse:
         branches = branches.reverse_direction()
     with name_source_in_errors(path):
@@ -85,7 +90,7 @@ def read_branch_segment(
                 f"from entry to target the path is {stop - start:.3g} mm long; it must be at least "
                 f"{SHORTEST_MM:g} mm"
             )
-    return BranchSegment(curve, start, stop, branches.to_lps, branches.space)
+    return BranchSegment(curve, start, stop, branches.to_lps, branches.space, branches.facts)
 
 
 def select_branch(

@@ -11,6 +11,7 @@ from ctr_nlp.anatomy.branch import Branch, Branches, check_branches, checked_poi
 from ctr_nlp.anatomy.formats.images import NIFTI_SUFFIXES, NRRD_SUFFIXES
 from ctr_nlp.anatomy.formats.slicer import read_slicer
 from ctr_nlp.anatomy.formats.vtk import read_vtk
+from ctr_nlp.anatomy.reading import AS_THE_FILE_SAYS, ReadOptions
 from ctr_nlp.exceptions import CurveError, OptionError
 
 CSV_SUFFIXES, MARKUPS_SUFFIXES, VTK_SUFFIXES = (".csv",), (".mrk.json", ".json"), (".vtp", ".vtk", ".vtu")
@@ -30,13 +31,16 @@ def centrelines_in(folder: str | Path) -> list[Path]:
 
 
 def read_branches(
-    path: str | Path, entry: npt.ArrayLike | None = None, target: npt.ArrayLike | None = None
+    path: str | Path,
+    entry: npt.ArrayLike | None = None,
+    target: npt.ArrayLike | None = None,
+    options: ReadOptions = AS_THE_FILE_SAYS,
 ) -> Branches:
     """Read the branches of a centreline file, or the path between two points of a mask, each fit to be a curve.
 
     path: the file. entry: (3,) mm in the file's coordinates, where the robot enters; it settles where a tree in a
-    VTK file starts, if the file does not. A mask needs it and target, (3,) mm too. Raises CurveError, and
-    OptionError where a mask lacks one of them or an extra is missing.
+    VTK file starts, if the file does not. A mask needs it and target, (3,) mm too. options: what a person states
+    about the file. Raises CurveError, and OptionError where a mask lacks one of them or an extra is missing.
     """
     for what, point in (("entry", entry), ("target", target)):
         if point is not None:
@@ -50,13 +54,13 @@ def read_branches(
             )
         from ctr_nlp.anatomy.segmentation.mask import read_mask  # and with it scipy.ndimage: only where it is used
 
-        return check_branches(path, read_mask(path, entry, target))
+        return check_branches(path, read_mask(path, entry, target, options))
     if name.endswith(VTK_SUFFIXES):
-        return check_branches(path, read_vtk(path, entry))
+        return check_branches(path, read_vtk(path, entry, options))
     if name.endswith(MARKUPS_SUFFIXES):
-        return check_branches(path, read_slicer(path))
+        return check_branches(path, read_slicer(path, options))
     if name.endswith(CSV_SUFFIXES):
-        return check_branches(path, read_table(path))
+        return check_branches(path, read_table(path, options))
     raise CurveError(f"{path} is not a known kind of file; its name must end in {', '.join(ANATOMY_SUFFIXES)}")
 
 
@@ -76,10 +80,11 @@ CENTRELINE_CSV_COLUMNS = ("x_mm", "y_mm", "z_mm")
 EXPECTED = "expected a header x_mm,y_mm,z_mm and optionally radius_mm, then one point a line"
 
 
-def read_table(path: str | Path) -> Branches:
+def read_table(path: str | Path, options: ReadOptions = AS_THE_FILE_SAYS) -> Branches:
     """Read the path of a CSV file with columns x_mm, y_mm, z_mm and optionally radius_mm.
 
-    Such a file does not name the patient's axes: its coordinates stay as they are. Raises CurveError.
+    Such a file does not name the patient's axes: its coordinates stay as they are. options: what a person states
+    about the file. Raises CurveError.
     """
     try:
         lines = [line for line in Path(path).read_text(encoding="utf-8-sig").splitlines() if line.strip()]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Literal
 
@@ -12,6 +13,7 @@ import numpy.typing as npt
 from ctr_nlp.anatomy.branch import check_branches, name_source_in_errors
 from ctr_nlp.anatomy.branch_selection import read_branch_segment
 from ctr_nlp.anatomy.files import read_table, title
+from ctr_nlp.anatomy.reading import ReadOptions
 from ctr_nlp.exceptions import CurveError, OptionError, RobotError
 from ctr_nlp.paths.curve import Curve, curve_from_points
 from ctr_nlp.paths.placement import move_to_robot_frame, normalise_direction, trim_curve
@@ -36,6 +38,13 @@ def problem_from_file(
     trim: Literal["start", "end"] | None = None,
     insertion: npt.ArrayLike | None = None,
     tilt: float | None = None,
+    units: str | None = None,
+    space: str | None = None,
+    label: Sequence[int] = (),
+    segment: str | None = None,
+    threshold: float | None = None,
+    form: str | None = None,
+    accept: Sequence[str] = (),
 ) -> Problem:
     r"""Make the problem of advancing along a path in a file: a centreline file or a mask of the lumen.
 
@@ -67,12 +76,28 @@ def problem_from_file(
         mean direction of the first 10 mm of what is followed.
     tilt : float, optional
         Largest angle by which the base may turn about each of its axes, rad, where the robot's limits allow more.
+    units : {"mm", "cm", "m", "um"}, optional
+        Unit of the lengths in the file, where it does not state one.
+    space : {"LPS", "RAS"}, optional
+        Patient coordinates of the file, where it does not state them.
+    label : sequence of int
+        Labels of a mask that are the lumen, where it has several.
+    segment : str, optional
+        Name of the segment that is the lumen, in a segmentation of several.
+    threshold : float, optional
+        Value from which a voxel belongs to the lumen, in a probability map.
+    form : {"qform", "sform"}, optional
+        Which transform of a NIfTI header counts, where they differ.
+    accept : sequence of {"leak", "ends", "steps"}
+        Findings that are refused unless they are accepted here: a path through a leak of the segmentation, entry
+        and target that seem exchanged, steps between points that are much longer than their neighbours.
 
     Returns
     -------
     Problem
         Its ``lumen`` is the whole branch where the file has radii, also what lies beyond `entry` and `target`; its
-        ``to_robot`` takes the file's coordinates to the robot's frame.
+        ``to_robot`` takes the file's coordinates to the robot's frame; its ``notes`` say what was assumed,
+        repaired or left out when the file was read.
 
     Raises
     ------
@@ -107,7 +132,8 @@ def problem_from_file(
         check_instance(RobotError, "robot", robot, Robot)
     robot = _limit_tilt(robot or table_i_robot(), tilt)
     along = None if insertion is None else normalise_direction(insertion)
-    found = read_branch_segment(path, branch, entry, target, reverse)
+    options = ReadOptions(units, space, tuple(label), segment, threshold, form, tuple(accept))
+    found = read_branch_segment(path, branch, entry, target, reverse, options)
     with name_source_in_errors(path):
         # Smoothed before it is trimmed: smoothing changes the length, and what is left must be within reach.
         followed = found.followed_path.smooth(smoothing)
@@ -126,6 +152,7 @@ def problem_from_file(
         to_robot=to_robot @ found.to_lps,
         lumen=lumen,
         space=found.space,
+        notes=found.facts.notes,
     )
 
 

@@ -7,6 +7,7 @@ import math
 from dataclasses import replace
 
 from ctr_nlp.anatomy.files import CENTRELINE_SUFFIXES, MASK_SUFFIXES
+from ctr_nlp.anatomy.reading import ACCEPTABLE, FORMS, MM_PER_UNIT, SPACES, ReadOptions
 from ctr_nlp.cli.arguments import (
     DEFAULT_SETTINGS,
     add_entry_option,
@@ -253,6 +254,43 @@ def add_file_options(parser: argparse.ArgumentParser) -> None:
         "your target"
     )
     group.add_argument("--trim", choices=("start", "end"), help=trim)
+    add_reading_options(group)
+
+
+def add_reading_options(group: argparse._ActionsContainer) -> None:
+    """Add the options for what a person states about a file, those of ReadOptions, to `group`.
+
+    Each is None where it is not given.
+    """
+    choices = [
+        ("units", tuple(MM_PER_UNIT), "unit of the file's lengths, where it states none"),
+        ("space", SPACES, "patient coordinates of the file, where it states none"),
+        ("form", FORMS, "which transform of a NIfTI header counts, where they differ"),
+    ]
+    for name, allowed, what in choices:
+        group.add_argument(f"--{name}", choices=allowed, help=what)
+    labels = "labels of a mask that are the lumen, where it has several"
+    group.add_argument("--label", metavar="N", type=whole, nargs="+", help=labels)
+    group.add_argument("--segment", metavar="NAME", help="segment that is the lumen, in a segmentation of several")
+    add_numbers(group, ("threshold", "X", "value from which a voxel is lumen, in a probability map"))
+    accepted = (
+        "accept what is refused otherwise: a path through a leak, entry and target that seem exchanged, steps "
+        "between points that are much longer than their neighbours"
+    )
+    group.add_argument("--accept", choices=ACCEPTABLE, nargs="+", help=accepted)
+
+
+def read_options_from(arguments: argparse.Namespace) -> ReadOptions:
+    """Return what add_reading_options' options in `arguments` state about a file; raises OptionError."""
+    return ReadOptions(
+        arguments.units,
+        arguments.space,
+        tuple(arguments.label or ()),
+        arguments.segment,
+        arguments.threshold,
+        arguments.form,
+        tuple(arguments.accept or ()),
+    )
 
 
 def add_term_options(parser: argparse.ArgumentParser) -> None:

@@ -25,7 +25,10 @@ PROBLEM_FILE_SUFFIXES = (*CENTRELINE_SUFFIXES, *MASK_SUFFIXES, ".py")
 """Suffixes of the files that problems are read from."""
 
 PACKAGE = Path(__file__).parents[1]
-FILE_OPTIONS = ("branch", "entry", "target", "insertion", "tilt", "reverse", "smoothing", "trim")
+FILE_OPTIONS = (
+    *("branch", "entry", "target", "insertion", "tilt", "reverse", "smoothing", "trim"),
+    *("units", "space", "label", "segment", "threshold", "form", "accept"),
+)
 """Options that go with a centreline file or a mask alone."""
 PROBLEM_ARGUMENT_HELP = (
     f"{', '.join(PROBLEM_NAMES)}, a problem file (.py), a centreline file "

@@ -93,9 +93,11 @@ def problem_notes(problem: Problem) -> list[str]:
     Returns
     -------
     list of str
-        On smoothing, jagged paths, the direction at the entry, and tubes that do not fit; empty where all is well.
+        On how a file was read, smoothing, jagged paths, the direction at the entry, and tubes that do not fit;
+        empty where all is well.
     """
     return [
+        *problem.notes,
         *_note_smoothing(problem),
         *_note_jagged_path(problem),
         *_note_entry_direction(problem),

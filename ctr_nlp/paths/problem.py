@@ -61,6 +61,8 @@ class Problem(Value):
         None: no wall. By default the target's own curve, where all frames share one that has a radius.
     space : str or None
         Patient coordinates of the target's file, LPS, RAS or LAS, or xyz where it does not say.
+    notes : tuple of str
+        What was assumed, repaired or left out when the target's file was read, a sentence each.
 
     Raises
     ------
@@ -86,6 +88,7 @@ class Problem(Value):
     truth: Array | None = None
     lumen: Curve | None = OF_TARGET
     space: str | None = None
+    notes: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         for name, kind in (("name", str), ("robot", Robot), ("target", Target)):

@@ -18,6 +18,7 @@ from ctr_nlp.anatomy.branch import (
     name_source_in_errors,
     transform_points,
 )
+from ctr_nlp.anatomy.reading import AS_THE_FILE_SAYS, ReadOptions
 from ctr_nlp.exceptions import CurveError
 from ctr_nlp.typing import Array
 
@@ -34,10 +35,11 @@ UNPLACED = ("undefined", "preview", "missing")
 """Statuses of control points without a position: they are left out."""
 
 
-def read_slicer(path: str | Path) -> Branches:
+def read_slicer(path: str | Path, options: ReadOptions = AS_THE_FILE_SAYS) -> Branches:
     """Read the open curves of the markups file `path`, each from its first control point to its last.
 
-    The lumen's radius is taken from a measurement with a value for each control point. Raises CurveError.
+    The lumen's radius is taken from a measurement with a value for each control point. options: what a person
+    states about the file. Raises CurveError.
     """
     try:
         found = json.loads(Path(path).read_text(encoding="utf-8-sig"))

@@ -25,6 +25,7 @@ from ctr_nlp.anatomy.branch import (
     transform_points,
 )
 from ctr_nlp.anatomy.formats.network import SAME_MM, CentrelineNetwork
+from ctr_nlp.anatomy.reading import AS_THE_FILE_SAYS, ReadOptions
 from ctr_nlp.exceptions import CurveError
 from ctr_nlp.support.extras import import_extra
 from ctr_nlp.typing import Array
@@ -46,12 +47,14 @@ VTK_LINE, VTK_POLY_LINE = 3, 4
 """VTK's cell types that are read; other cells are ignored."""
 
 
-def read_vtk(path: str | Path, entry: npt.ArrayLike | None = None) -> Branches:
+def read_vtk(
+    path: str | Path, entry: npt.ArrayLike | None = None, options: ReadOptions = AS_THE_FILE_SAYS
+) -> Branches:
     """Read the paths from root to tips of the lines in a .vtp, .vtu or legacy .vtk file.
 
     path: the file. entry: (3,) mm in the file's coordinates, which settles where a tree starts when the file does
-    not; see formats/network.py. Points that repeat the one before them are left out. Raises CurveError, and
-    OptionError where pyvista is missing.
+    not; see formats/network.py. options: what a person states about the file. Points that repeat the
+    one before them are left out. Raises CurveError, and OptionError where pyvista is missing.
     """
     mesh, stated = _read(path)
     space = stated or "LPS"

@@ -21,6 +21,7 @@ from scipy.sparse.csgraph import dijkstra
 
 from ctr_nlp.anatomy.branch import Branch, Branches, checked_point, name_source_in_errors, transform_points
 from ctr_nlp.anatomy.formats.images import IMAGE_SPACE_TO_LPS, Image, read_image
+from ctr_nlp.anatomy.reading import AS_THE_FILE_SAYS, ReadOptions
 from ctr_nlp.anatomy.segmentation.centring import centre_route, lie_in_lumen
 from ctr_nlp.exceptions import CurveError
 from ctr_nlp.typing import Array, Flags
@@ -30,14 +31,17 @@ LEAST_VOXELS = 3.0
 MAX_LISTED_LABELS = 10
 
 
-def read_mask(path: str | Path, entry: npt.ArrayLike, target: npt.ArrayLike) -> Branches:
+def read_mask(
+    path: str | Path, entry: npt.ArrayLike, target: npt.ArrayLike, options: ReadOptions = AS_THE_FILE_SAYS
+) -> Branches:
     """Find the path from entry to target along the middle of a lumen, with its radius, in a mask.
 
     path: NIfTI-1 or NRRD, 0 outside the lumen and one other value within it. entry, target: (3,) mm in the file's
     own coordinates (RAS in NIfTI), in the lumen or at most a voxel's diagonal from it; the path begins and stops
     where it is nearest to them. Its points are about 1 mm apart; its radius is the distance to the wall in the
     cross-section, so that a lumen that ends or is cut open is not narrow there. The border of the image is no
-    wall. Raises CurveError, and OptionError where nibabel or pynrrd is missing.
+    wall. options: what a person states about the file. Raises CurveError, and OptionError where nibabel or pynrrd
+    is missing.
 
     The route is found by Dijkstra's algorithm at a cost that grows towards the wall, then centred in its
     cross-sections and smoothed.

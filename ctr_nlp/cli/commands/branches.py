@@ -13,6 +13,7 @@ from ctr_nlp.anatomy.files import CENTRELINE_SUFFIXES, read_branches
 from ctr_nlp.cli.arguments import add_entry_option
 from ctr_nlp.cli.console import EXIT_SOLVED, Command
 from ctr_nlp.cli.output.file import check_file, output_file
+from ctr_nlp.cli.plan_options import add_reading_options, read_options_from
 from ctr_nlp.cli.terminal_output import print_table, progress_bar, report_written_files
 from ctr_nlp.exceptions import OptionError, OutputError, escape_control_characters
 from ctr_nlp.paths.curve import curve_from_points
@@ -52,6 +53,7 @@ def _parser(prog: str) -> argparse.ArgumentParser:
     parser.add_argument("file", metavar="FILE", help=f"centreline file ({', '.join(CENTRELINE_SUFFIXES)})")
     parser.add_argument("--reverse", action="store_true", help="take each branch from its last point to its first")
     add_entry_option(parser, "as the file tells it")
+    add_reading_options(parser)
     parser.add_argument("--out", metavar="FILE.png", help="draw the branches; a picture of that name is replaced")
     return parser
 
@@ -59,7 +61,7 @@ def _parser(prog: str) -> argparse.ArgumentParser:
 def _run(arguments: argparse.Namespace) -> int:
     if arguments.out:
         _check_out(Path(arguments.out))
-    branches = read_branches(arguments.file, arguments.entry)
+    branches = read_branches(arguments.file, arguments.entry, options=read_options_from(arguments))
     if arguments.reverse:
         branches = branches.reverse_direction()
     rows = []
