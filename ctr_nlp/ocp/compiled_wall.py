@@ -8,9 +8,11 @@ from __future__ import annotations
 
 import ctypes
 import functools
+from typing import Any
 
 import casadi as ca
 import numpy as np
+import numpy.typing as npt
 
 from ctr_nlp.codegen import cache, vector
 from ctr_nlp.codegen.background import Library
@@ -27,7 +29,15 @@ from ctr_nlp.ocp.terms.lumen import (
     WALL_COLUMN_COUNT,
     WALL_SAMPLES_PER_TUBE,
 )
-from ctr_nlp.paths.lumen import LUMEN_TABLE_SPACING_MM, Lumen, outermost_tube_radii, tube_outer_radii
+from ctr_nlp.paths.distance_field import FAR_MM, FLATTEST_RADIUS_MM, DistanceGrid
+from ctr_nlp.paths.lumen import (
+    LEAST_CURVATURE_PER_MM,
+    LUMEN_TABLE_SPACING_MM,
+    Lumen,
+    outermost_tube_radii,
+    tube_outer_radii,
+)
+from ctr_nlp.paths.walls import WallGeometry, Walls
 from ctr_nlp.robot import Robot
 from ctr_nlp.robot.structure import TUBE_NUMBER_NAMES, Structure
 from ctr_nlp.typing import Array
@@ -56,6 +66,8 @@ class _WallStruct(ctypes.Structure):
         *((name, ctypes.c_double) for name in _WALL_NUMBER_FIELDS),
         *((name, ctypes.c_void_p) for name in _WALL_WORK_FIELDS),
         ("known", ctypes.c_long),
+        ("fields", ctypes.c_long),
+        ("field", ctypes.c_void_p),
     ]
 
     def forget_points(self) -> None:
@@ -63,15 +75,81 @@ class _WallStruct(ctypes.Structure):
         self.known = 0
 
 
+class _GridStruct(ctypes.Structure):
+    """The struct Grid of wall.c, field by field."""
+
+    _fields_ = [
+        ("to_grid", ctypes.c_double * 12),
+        ("to_mm", ctypes.c_double * 12),
+        ("shape", ctypes.c_long * 3),
+        ("index", ctypes.c_void_p),
+        ("coefficients", ctypes.c_void_p),
+    ]
+
+
+class _FieldStruct(ctypes.Structure):
+    """The struct Field of wall.c, field by field."""
+
+    _fields_ = [
+        ("grid", ctypes.c_void_p),
+        ("grids", ctypes.c_long),
+        *((name, ctypes.c_double) for name in ("sign", "margin", "sharpest", "flattest", "far")),
+    ]
+
+
+class _WallTables:
+    """The tables of a wall as C reads them; they must live as long as the struct that has their addresses."""
+
+    def __init__(self, geometry: WallGeometry) -> None:
+        lumen = (
+            geometry if isinstance(geometry, Lumen) else geometry.lumen if isinstance(geometry, Walls) else None
+        )
+        bodies = geometry.bodies if isinstance(geometry, Walls) else ()
+        if lumen is None:
+            tables, self.nodes, self.widest = [np.zeros(0)] * 4, 0, 0.0
+        else:
+            tables = [lumen.table[:, :3], lumen.arc_lengths, *lumen.spline_coefficients]
+            self.nodes, self.widest = len(lumen.arc_lengths), float(np.diff(lumen.arc_lengths).max())
+        self.arrays: list[npt.NDArray[Any]] = [np.ascontiguousarray(each) for each in tables]
+        self._grids = [
+            (_GridStruct * len(body.field.grids))(*map(self._grid, body.field.grids)) for body in bodies
+        ]
+        self._fields = (_FieldStruct * len(bodies))(
+            *(
+                _FieldStruct(
+                    ctypes.addressof(grids),
+                    len(grids),
+                    body.sign,
+                    body.margin,
+                    body.field.sharpest_radius,
+                    FLATTEST_RADIUS_MM,
+                    FAR_MM,
+                )
+                for body, grids in zip(bodies, self._grids, strict=True)
+            )
+        )
+        self.fields, self.field = len(bodies), ctypes.addressof(self._fields)
+
+    def _grid(self, grid: DistanceGrid) -> _GridStruct:
+        """Return the struct of a grid, and keep its arrays."""
+        kept = np.ascontiguousarray(grid.index, np.int32), np.ascontiguousarray(grid.coefficients, np.float32)
+        self.arrays += kept
+        to_mm = np.linalg.inv(grid.to_grid)
+        found = _GridStruct(index=kept[0].ctypes.data, coefficients=kept[1].ctypes.data)
+        found.to_grid[:], found.to_mm[:] = grid.to_grid[:3].ravel().tolist(), to_mm[:3].ravel().tolist()
+        found.shape[:] = list(grid.index.shape)
+        return found
+
+
 class CompiledWall:
-    """A lumen's wall around a robot on a model, in C; not from two threads at once.
+    """The walls around a robot on a model, in C; not from two threads at once.
 
     clearance: least distance from the wall, mm. subsamples: for each sample point. tiny: replaces 0 in a
     denominator.
     """
 
     def __init__(
-        self, robot: Robot, lumen: Lumen, model: Model, clearance: float, subsamples: int, tiny: float
+        self, robot: Robot, geometry: WallGeometry, model: Model, clearance: float, subsamples: int, tiny: float
     ) -> None:
         """Prepare; raises OptionError where nothing can be compiled."""
         count = robot.d * WALL_SAMPLES_PER_TUBE * subsamples
@@ -82,14 +160,12 @@ class CompiledWall:
         unknowns = self._points.numel_in(0)
         self._loaded = 0 if model.applied_load is None else self._points.numel_in(3)
         rows = d * WALL_SAMPLES_PER_TUBE
+        self._tables = _WallTables(geometry)
         given = (
             _arc_length_coefficients(d, WALL_SAMPLES_PER_TUBE * subsamples, samples),
             # Every lane needs the numbers of the tubes, as its own column.
             np.tile(robot.numbers.ravel(order="F"), WALL_SAMPLE_LANES),
-            *(
-                np.ascontiguousarray(each)
-                for each in (lumen.table[:, :3], lumen.arc_lengths, *lumen.spline_coefficients)
-            ),
+            *self._tables.arrays[:4],
             tube_outer_radii(robot),
         )
         sizes = [WALL_SAMPLE_LANES * unknowns, WALL_SAMPLE_LANES * self._loaded, WALL_SAMPLE_LANES * samples * 3]
@@ -106,7 +182,7 @@ class CompiledWall:
                 subsamples,
                 samples,
                 WALL_SAMPLE_LANES,
-                len(lumen.arc_lengths),
+                self._tables.nodes,
             ),
             *addresses[: len(given)],
             *(
@@ -114,9 +190,12 @@ class CompiledWall:
                 CENTRELINE_SMOOTHING_MM,
                 tiny,
                 LUMEN_TABLE_SPACING_MM,
-                float(np.diff(lumen.arc_lengths).max()),
+                self._tables.widest,
             ),
             *addresses[len(given) :],
+            0,
+            self._tables.fields,
+            self._tables.field,
         )
         self._rows = rows
         self._numbers = self._arrays[_WALL_INPUT_FIELDS.index("numbers")]
@@ -124,7 +203,8 @@ class CompiledWall:
         self._own = self._numbers.copy()
         self._wall = _WallStruct(None, *self._fixed)
         self._library = cache.load_c_files(__package__, "wall.c")
-        check_structure(self._library, "Wall", _WallStruct)
+        for name, mirror in (("Wall", _WallStruct), ("Field", _FieldStruct), ("Grid", _GridStruct)):
+            check_structure(self._library, name, mirror)
         self._compiled: ctypes.CDLL | None = None
 
     def ready(self, wait: bool = False) -> bool:
@@ -175,26 +255,27 @@ class CompiledWall:
 
 
 class WallDistance:
-    """Room in a lumen beside points: its radius less the distance to its path; in C where possible."""
+    """Signed distance of points to the nearest wall; in C where possible."""
 
-    def __init__(self, lumen: Lumen) -> None:
-        """Prepare the tables of a lumen for C."""
-        self._lumen = lumen
-        pieces = (
-            np.ascontiguousarray(each)
-            for each in (lumen.table[:, :3], lumen.arc_lengths, *lumen.spline_coefficients)
-        )
-        self._kept = dict(zip(("table", "along", "path", "radius"), pieces, strict=True))
-        addresses = {name: array.ctypes.data for name, array in self._kept.items()}
-        widest = float(np.diff(lumen.arc_lengths).max())
+    def __init__(self, geometry: WallGeometry) -> None:
+        """Prepare the tables of a wall for C."""
+        self._geometry = geometry
+        self._tables = tables = _WallTables(geometry)
+        named = zip(("table", "along", "path", "radius"), tables.arrays, strict=False)
         self._wall = _WallStruct(
-            nodes=len(lumen.arc_lengths), spacing=LUMEN_TABLE_SPACING_MM, widest=widest, **addresses
+            nodes=tables.nodes,
+            spacing=LUMEN_TABLE_SPACING_MM,
+            widest=tables.widest,
+            tiny=LEAST_CURVATURE_PER_MM,
+            fields=tables.fields,
+            field=tables.field,
+            **{name: array.ctypes.data for name, array in named},
         )
 
     def __call__(self, points: Array) -> Array:
         """Return the room at points (.., 3) in mm, (..,) mm; NaN at points that are NaN."""
         if cache.unavailable_reason():
-            near = self._lumen.project(points)
+            near = self._geometry.project(points)
             return np.asarray(near.radius - near.distance)
         # C reads and writes plain rows of doubles.
         points, found = np.ascontiguousarray(points, dtype=float), np.empty(points.shape[:-1])

@@ -7,12 +7,32 @@
 #define CLOSE 1e-6   /* mm: a step to the nearest of the path that is as good as none */
 #define SPARE 4      /* mm beyond the nearest of the table that is kept in mind for the next point */
 #define COLUMNS 13   /* of what describes a place, as in terms/lumen.py */
+#define BLOCK 8      /* cells along each side of a block, as in paths/distance_field.py */
+#define SIDE 11      /* coefficients along each side of a block */
 
 typedef int (*Function)(const double **, double **, long long *, double *, int);
+
+/* A grid of a distance field (paths/distance_field.py): to_grid (3, 4) by rows, from mm to units of the grid; index: of
+   the block at each place of the grid of blocks, of this shape; coefficients: (blocks, 11, 11, 11), mm. */
+typedef struct {
+    double to_grid[12], to_mm[12];
+    long shape[3];
+    const int *index;
+    const float *coefficients;
+} Grid;
+
+/* A wall that is a distance field, on grids from the finest to the coarsest. A robot keeps inside of it (sign 1) or
+   outside (sign -1), margin mm further away than from other walls. sharpest, flattest: limits of radii of curvature. */
+typedef struct {
+    const Grid *grid;
+    long grids;
+    double sign, margin, sharpest, flattest, far;
+} Field;
 
 /* points: of so many samples a lane, from x, shares of the extensions, the tubes' numbers and those of a load, of which
    there are so many as loaded, in every lane.
    table: points (nodes, 3), mm; along: their arc lengths; path, radius: cubic pieces between them, by falling powers.
+   Without nodes there is no such path. field: so many fields besides, the nearest of which counts.
    widest: the longest step of the table. known: whether what is kept was found, at x and under the load kept. */
 typedef struct {
     Function points;
@@ -20,7 +40,8 @@ typedef struct {
     const double *shares, *numbers, *table, *along, *path, *radius, *outer;
     double clearance, centred, tiny, spacing, widest;
     double *x, *load, *at, *kept_x, *kept_load, *kept;
-    long known;
+    long known, fields;
+    const Field *field;
 } Wall;
 
 /* What of the path is nearest to a point, and the wall there. */
@@ -85,7 +106,7 @@ static void path(const Wall *w, long i, double t, double *at, double *tangent, d
     }
 }
 
-static void look(const Wall *w, const double *p, Seen *seen, Near *near) {
+static void look_at_path(const Wall *w, const double *p, Seen *seen, Near *near) {
     double *at = near->centre, *tangent = near->tangent, *bend = near->bend, away[3];
     long i = nearest(w, p, seen), power = w->nodes - 1;
     double s = w->along[i], end = w->along[w->nodes - 1];
@@ -104,6 +125,151 @@ static void look(const Wall *w, const double *p, Seen *seen, Near *near) {
     near->radius = ((c[0] * t + c[power]) * t + c[2 * power]) * t + c[3 * power];
     near->taper = ((3 * c[0] * t + 2 * c[power]) * t + c[2 * power]) / most(1 - dot(away, bend), 0.1);
     near->distance = sqrt(dot(away, away)), near->behind = s, near->ahead = end - s;
+    /* Bends sharper than the lumen is wide are noise of the path's points. */
+    double size = sqrt(dot(bend, bend)), sharpest = 1 / near->radius / most(size, w->tiny);
+    for (int k = 0; k < 3 && sharpest < 1; ++k) bend[k] *= sharpest;
+}
+
+/* The cubic B-splines of the four nodes around a place t in [0, 1] of a cell, and their derivatives. */
+static void basis(double t, double values[3][4]) {
+    double s = 1 - t;
+    values[0][0] = s * s * s / 6, values[0][3] = t * t * t / 6;
+    values[0][1] = (3 * t * t * t - 6 * t * t + 4) / 6, values[0][2] = (-3 * t * t * t + 3 * t * t + 3 * t + 1) / 6;
+    values[1][0] = -s * s / 2, values[1][3] = t * t / 2;
+    values[1][1] = (3 * t * t - 4 * t) / 2, values[1][2] = (-3 * t * t + 2 * t + 1) / 2;
+    values[2][0] = s, values[2][1] = 3 * t - 2, values[2][2] = 1 - 3 * t, values[2][3] = t;
+}
+
+static void to_units(const double *affine, const double *p, double *to) {
+    for (int k = 0; k < 3; ++k) to[k] = dot(affine + 4 * k, p) + affine[4 * k + 3];
+}
+
+/* The coefficients of the block that has a place, or none. */
+static const float *block_at(const Grid *g, const double *place) {
+    long at[3];
+    for (int k = 0; k < 3; ++k) {
+        at[k] = (long)floor(place[k] / BLOCK);
+        if (at[k] < 0 || at[k] >= g->shape[k]) return 0;
+    }
+    int block = g->index[(at[0] * g->shape[1] + at[1]) * g->shape[2] + at[2]];
+    return block < 0 ? 0 : g->coefficients + (long)block * SIDE * SIDE * SIDE;
+}
+
+/* Distance at a place of a grid, its slope and its second derivatives (3, 3), by units of the grid. */
+static double evaluate_block(const float *block, const double *place, double *slope, double *bend) {
+    double along[3][3][4], found[3][3][3] = {{{0}}};
+    long first[3];
+    for (int k = 0; k < 3; ++k) {
+        long cell = (long)floor(place[k]);
+        basis(place[k] - cell, along[k]);
+        first[k] = cell % BLOCK;
+    }
+    for (int i = 0; i < 4; ++i) {
+        double plane[3][3] = {{0}}; /* by the orders of the derivatives along the second and the third axis */
+        for (int j = 0; j < 4; ++j) {
+            const float *c = block + ((first[0] + i) * SIDE + first[1] + j) * SIDE + first[2];
+            for (int third = 0; third < 3; ++third) {
+                const double *b = along[2][third];
+                double row = c[0] * b[0] + c[1] * b[1] + c[2] * b[2] + c[3] * b[3];
+                for (int second = 0; second + third < 3; ++second) plane[second][third] += along[1][second][j] * row;
+            }
+        }
+        for (int second = 0; second < 3; ++second)
+            for (int third = 0; second + third < 3; ++third)
+                for (int order = 0; order + second + third < 3; ++order)
+                    found[order][second][third] += along[0][order][i] * plane[second][third];
+    }
+    slope[0] = found[1][0][0], slope[1] = found[0][1][0], slope[2] = found[0][0][1];
+    bend[0] = found[2][0][0], bend[4] = found[0][2][0], bend[8] = found[0][0][2];
+    bend[1] = bend[3] = found[1][1][0], bend[2] = bend[6] = found[1][0][1], bend[5] = bend[7] = found[0][1][1];
+    return found[0][0][0];
+}
+
+/* Signed distance at a point, mm, its slope and its second derivatives (3, 3) by mm. Beyond the coarsest grid the
+   distance is that of the nearest place in it, less the distance from there. */
+static double evaluate_field(const Field *f, const double *p, double *slope, double *bend) {
+    const Grid *coarsest = f->grid + f->grids - 1;
+    double place[3], inside[3] = {p[0], p[1], p[2]}, away = 0, within_units[3], units_slope[3], units_bend[9];
+    if (!(isfinite(p[0]) && isfinite(p[1]) && isfinite(p[2]))) {
+        for (int i = 0; i < 9; ++i) slope[i % 3] = bend[i] = NAN;
+        return NAN;
+    }
+    to_units(coarsest->to_grid, p, place);
+    for (int k = 0; k < 3; ++k) within_units[k] = within(place[k], 0, coarsest->shape[k] * BLOCK - 1e-9);
+    if (memcmp(place, within_units, sizeof place)) {
+        to_units(coarsest->to_mm, within_units, inside);
+        for (int k = 0; k < 3; ++k) away += (p[k] - inside[k]) * (p[k] - inside[k]);
+        away = sqrt(away);
+    }
+    const Grid *g = f->grid;
+    const float *block = 0;
+    for (; g <= coarsest; ++g) {
+        to_units(g->to_grid, inside, place);
+        if (g == coarsest) /* rounding must not take a place at its border out of it */
+            for (int k = 0; k < 3; ++k) place[k] = within(place[k], 0, g->shape[k] * BLOCK - 1e-9);
+        if ((block = block_at(g, place))) break;
+    }
+    double distance = evaluate_block(block, place, units_slope, units_bend) - away;
+    for (int i = 0; i < 3; ++i) {
+        slope[i] = 0;
+        for (int k = 0; k < 3; ++k) slope[i] += units_slope[k] * g->to_grid[4 * k + i];
+        for (int j = 0; j < 3; ++j) {
+            bend[3 * i + j] = 0;
+            for (int k = 0; k < 3; ++k)
+                for (int l = 0; l < 3; ++l)
+                    bend[3 * i + j] += g->to_grid[4 * k + i] * units_bend[3 * k + l] * g->to_grid[4 * l + j];
+        }
+    }
+    for (int i = 0; i < 3 && away > 0; ++i) slope[i] = (inside[i] - p[i]) / away;
+    for (int i = 0; i < 9; ++i) bend[i] = f->sign * (away > 0 ? 0 : bend[i]);
+    for (int i = 0; i < 3; ++i) slope[i] *= f->sign;
+    return f->sign * distance;
+}
+
+static double form(const double *matrix, const double *left, const double *right) {
+    double image[3];
+    for (int k = 0; k < 3; ++k) image[k] = dot(matrix + 3 * k, right);
+    return dot(left, image);
+}
+
+/* The path and radius whose lumen has the wall of a field near a point: osculating_path of paths/distance_field.py. */
+static void osculate(const Field *f, const double *p, double distance, const double *slope, const double *bend, Near *near) {
+    double length = sqrt(dot(slope, slope)), normal[3] = {0, 0, 1}, first[3] = {0}, other[3];
+    for (int k = 0; k < 3 && length > 1e-6; ++k) normal[k] = slope[k] / length;
+    int least = fabs(normal[1]) < fabs(normal[0]) ? 1 : 0;
+    least = fabs(normal[2]) < fabs(normal[least]) ? 2 : least;
+    first[(least + 1) % 3] = normal[(least + 2) % 3], first[(least + 2) % 3] = -normal[(least + 1) % 3];
+    double size = sqrt(dot(first, first));
+    for (int k = 0; k < 3; ++k) first[k] /= size;
+    for (int k = 0; k < 3; ++k)
+        other[k] = normal[(k + 1) % 3] * first[(k + 2) % 3] - normal[(k + 2) % 3] * first[(k + 1) % 3];
+    double both = form(bend, first, other), one = form(bend, first, first), two = form(bend, other, other);
+    double mean = (one + two) / 2, half = (one - two) / 2 + 0.0, spread = hypot(half, both), angle = atan2(both, half) / 2;
+    double along = within(mean + spread, -1 / f->sharpest, 1 / f->sharpest);
+    double across = 1 / within(spread - mean, 1 / f->flattest, 1 / f->sharpest);
+    for (int k = 0; k < 3; ++k) {
+        near->tangent[k] = cos(angle) * first[k] + sin(angle) * other[k];
+        near->centre[k] = p[k] + across * normal[k], near->bend[k] = -along * normal[k];
+    }
+    near->distance = across, near->radius = distance - f->margin + across;
+    near->taper = 0, near->behind = near->ahead = f->far;
+}
+
+/* The nearest of all walls. */
+static void look(const Wall *w, const double *p, Seen *seen, Near *near) {
+    double least = INFINITY, slope[3], bend[9];
+    if (w->nodes) {
+        look_at_path(w, p, seen, near);
+        least = near->radius - near->distance;
+    }
+    for (long i = 0; i < w->fields; ++i) {
+        const Field *f = w->field + i;
+        double distance = evaluate_field(f, p, slope, bend);
+        if (distance - f->margin < least || (!w->nodes && !i)) {
+            least = distance - f->margin;
+            osculate(f, p, distance, slope, bend, near);
+        }
+    }
 }
 
 /* The samples' points in base axes, lane after lane. */
@@ -118,12 +284,9 @@ static void sample(Wall *w, const double *x, const double *load) {
 }
 
 /* One row of what describes the wall, (rows, COLUMNS) by columns. */
-static void write_row(const Wall *w, const Near *near, double room, long rows, double *to) {
-    double size = sqrt(dot(near->bend, near->bend)), sharpest = 1 / near->radius / most(size, w->tiny);
-    double bent = sharpest < 1 ? sharpest : 1;
+static void write_row(const Near *near, double room, long rows, double *to) {
     for (int k = 0; k < 3; ++k) {
-        to[k * rows] = near->centre[k], to[(3 + k) * rows] = near->tangent[k];
-        to[(6 + k) * rows] = near->bend[k] * bent;
+        to[k * rows] = near->centre[k], to[(3 + k) * rows] = near->tangent[k], to[(6 + k) * rows] = near->bend[k];
     }
     to[9 * rows] = room, to[10 * rows] = near->taper, to[11 * rows] = near->behind, to[12 * rows] = near->ahead;
 }
@@ -149,7 +312,7 @@ void around(Wall *w, const double *x, const double *load, double *found) {
                 narrow = left < narrow || left != left ? left : narrow;
             }
             least = narrow < least || narrow != narrow ? narrow : least;
-            write_row(w, &near, room - (left - narrow), rows, w->kept + row);
+            write_row(&near, room - (left - narrow), rows, w->kept + row);
         }
         w->kept[rows * COLUMNS] = most(-least, 0), w->known = 1;
     }
@@ -162,7 +325,7 @@ void around_all(Wall *w, long frames, const double *x, const double *loads, doub
     for (long j = 0; j < frames; ++j) around(w, x + j * w->unknowns, loads + j * w->loaded, found + j * size);
 }
 
-/* What is left of the lumen beside so many points, rows of three: its radius less the distance to its path, mm. */
+/* What is left of the lumen beside so many points, rows of three: the signed distance to the nearest wall, mm. */
 void left_beside(const Wall *w, long count, const double *points, double *found) {
     Seen seen = {.beyond = -1};
     for (long i = 0; i < count; ++i) {

@@ -25,8 +25,9 @@ from ctr_nlp.models.dominant.shape import columns_of
 from ctr_nlp.ocp.compiled_wall import CompiledWall
 from ctr_nlp.ocp.settings import Settings
 from ctr_nlp.ocp.terms.lumen import CENTRELINE_SMOOTHING_MM, WALL_SAMPLES_PER_TUBE, arc_lengths, contact_penalty
-from ctr_nlp.paths.lumen import Lumen, tube_outer_radii
+from ctr_nlp.paths.lumen import tube_outer_radii
 from ctr_nlp.paths.target import Frame
+from ctr_nlp.paths.walls import WallGeometry
 from ctr_nlp.robot import Robot
 from ctr_nlp.typing import Array
 
@@ -45,16 +46,20 @@ WALL_MIN_DENOMINATOR = 1e-9
 
 
 def make_wall(
-    robot: Robot, lumen: Lumen | None, model: Model, settings: Settings, subsamples: int = WALL_SUBSAMPLES
+    robot: Robot,
+    geometry: WallGeometry | None,
+    model: Model,
+    settings: Settings,
+    subsamples: int = WALL_SUBSAMPLES,
 ) -> Wall | None:
-    """Return the wall of a lumen around a robot on a model; None without a lumen, or where contact costs nothing.
+    """Return the wall around a robot on a model; None without a geometry, or where contact costs nothing.
 
     settings: weight, clearance and allowed contact. subsamples: for each sample point, see Wall.
     """
-    if lumen is None or not settings.contact_weight:
+    if geometry is None or not settings.contact_weight:
         return None
     return Wall(
-        robot, lumen, model, settings.contact_weight, settings.clearance, settings.contact_allowed, subsamples
+        robot, geometry, model, settings.contact_weight, settings.clearance, settings.contact_allowed, subsamples
     )
 
 
@@ -67,7 +72,7 @@ class Wall:
     """
 
     robot: Robot
-    lumen: Lumen
+    geometry: WallGeometry
     model: Model
     weight: float
     clearance: float
@@ -93,7 +98,7 @@ class Wall:
         if cache.unavailable_reason():
             return None
         return CompiledWall(
-            self.robot, self.lumen, self.model, self.clearance, self.subsamples, WALL_MIN_DENOMINATOR
+            self.robot, self.geometry, self.model, self.clearance, self.subsamples, WALL_MIN_DENOMINATOR
         )
 
     def __getstate__(self) -> dict[str, Any]:
@@ -146,14 +151,14 @@ class Wall:
         """Return the wall's numbers near x (T, n), and the slacks (T,) needed, without compiled code.
 
         The first are (T, d WALL_SAMPLES_PER_TUBE, WALL_COLUMN_COUNT). numbers (d, 8), loads (T, 17 + 3d): as in
-        local_parameters. Bends sharper than the lumen is wide are noise of the path's points.
+        local_parameters.
         """
         beta = columns_of(self.model.extensions(self.robot, x))
         # Arc lengths over beta_d; a robot that is not out at all has samples at 0.
         sigma = np.hstack(arc_lengths(beta, WALL_SAMPLES_PER_TUBE * self.subsamples)) / np.maximum(
             beta[-1], WALL_MIN_DENOMINATOR
         )
-        near = self.lumen.project(self._points(x, sigma, numbers, loads))
+        near = self.geometry.project(self._points(x, sigma, numbers, loads))
         room = (
             near.radius
             - np.repeat(tube_outer_radii(self.robot), WALL_SAMPLES_PER_TUBE * self.subsamples)
@@ -166,13 +171,8 @@ class Wall:
         # not missed.
         room -= left - np.repeat(left.reshape(len(x), -1, self.subsamples).min(axis=-1), self.subsamples, axis=-1)
         numbers = np.stack([room, near.taper, near.length_before, near.length_after], axis=-1)
-        # Curvature of the path at most 1 / r.
-        sharpest = (
-            1.0 / near.radius / np.maximum(np.linalg.norm(near.curvature_vector, axis=-1), WALL_MIN_DENOMINATOR)
-        )
-        bend = near.curvature_vector * np.minimum(sharpest, 1.0)[..., None]
         # In the order of terms.lumen.WALL_COLUMN_COUNT: three vectors, then four numbers.
-        wall = np.concatenate([near.centre, near.tangent, bend, numbers], axis=-1)
+        wall = np.concatenate([near.centre, near.tangent, near.bend, numbers], axis=-1)
         # The last subsample of each sample point is the point itself.
         return wall[:, self.subsamples - 1 :: self.subsamples], np.maximum(-left.min(axis=1), 0.0)
 

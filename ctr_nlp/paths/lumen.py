@@ -24,6 +24,8 @@ from ctr_nlp.typing import Array, Index
 
 LUMEN_TABLE_SPACING_MM = 0.5
 """Distance between the points of a lumen's table, mm."""
+LEAST_CURVATURE_PER_MM = 1e-9
+"""Replaces a curvature of 0 in denominators, 1/mm."""
 PROJECTION_NEWTON_STEPS = 4
 """Newton steps from the nearest point of the table to the nearest point of the path."""
 
@@ -41,6 +43,9 @@ class LumenProjection(NamedTuple):
         The nearest point of the path (.., 3), mm.
     tangent, curvature_vector : ndarray
         First and second derivative of the path there by arc length (.., 3); the second in 1/mm.
+    bend : ndarray
+        The second derivative again, limited to a bend as sharp as the lumen is wide (.., 3), 1/mm: sharper ones
+        are noise of the path's points.
     taper : ndarray
         Growth of the radius per mm that the point moves along the tangent (..,).
     length_before, length_after : ndarray
@@ -52,6 +57,7 @@ class LumenProjection(NamedTuple):
     centre: Array
     tangent: Array
     curvature_vector: Array
+    bend: Array
     taper: Array
     length_before: Array
     length_after: Array
@@ -158,12 +164,15 @@ class Lumen:
             stretch = (tangent**2).sum(axis=-1) - (away * self._path(s, 2)).sum(axis=-1)
             step = (away * tangent).sum(axis=-1) / np.maximum(stretch, 0.1)
             s = np.clip(s + np.clip(step, -LUMEN_TABLE_SPACING_MM, LUMEN_TABLE_SPACING_MM), 0.0, self._along[-1])
-        centre, tangent, bend = (np.where(known, self._path(s, order), np.nan) for order in range(3))
+        centre, tangent, curvature = (np.where(known, self._path(s, order), np.nan) for order in range(3))
         away = points - centre
         # A point that moves along the tangent by 1 mm moves the nearest place by 1 / (1 - (p - x) x'') mm.
-        taper = self._radius(s, 1) / np.maximum(1.0 - (away * bend).sum(axis=-1), 0.1)
+        taper = self._radius(s, 1) / np.maximum(1.0 - (away * curvature).sum(axis=-1), 0.1)
         distance = np.linalg.norm(away, axis=-1)
-        return LumenProjection(distance, self._radius(s), centre, tangent, bend, taper, s, self._along[-1] - s)
+        radius = self._radius(s)
+        sharpest = 1.0 / radius / np.maximum(np.linalg.norm(curvature, axis=-1), LEAST_CURVATURE_PER_MM)
+        bend = curvature * np.minimum(sharpest, 1.0)[..., None]
+        return LumenProjection(distance, radius, centre, tangent, curvature, bend, taper, s, self._along[-1] - s)
 
     def clearance(self, robot: Robot, beta: Array, sigma: Array, shape: Array) -> Array:
         """Return the clearance between tubes and the wall.
