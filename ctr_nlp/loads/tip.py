@@ -31,7 +31,6 @@ from ctr_nlp.models.loaded.tips import tip_angles
 from ctr_nlp.models.loads import Load, LoadOverTime
 from ctr_nlp.models.loads.load import MAX_LOAD_FORCE_N
 from ctr_nlp.ocp.compiled_wall import WallDistance
-from ctr_nlp.paths.lumen import Lumen
 from ctr_nlp.plan.plan import Plan
 from ctr_nlp.support.value_checks import check_instance, number, whole_number
 from ctr_nlp.support.value_objects import ReadOnlyValue
@@ -296,9 +295,9 @@ def _loaded_states(
 
 def _left_lumen_criterion(plan: Plan, off: float, kind: RodKind) -> StateCondition:
     """Return the condition that a robot is further than `off`, mm, beyond the wall of the plan's lumen."""
-    if plan.lumen is None:
-        raise OptionError("off needs the wall of a lumen, and the plan has none; leave off out")
-    beside = WallDistance(Lumen(plan.lumen))
+    if plan.wall is None:
+        raise OptionError("off needs a wall, and the plan has none; leave off out")
+    beside = WallDistance(plan.wall)
     robot = plan.robot
 
     def left(states: States) -> Flags:

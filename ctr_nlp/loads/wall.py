@@ -15,7 +15,6 @@ import numpy as np
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.loads.wall_contact import Foundation, WallContact
 from ctr_nlp.models.loads import Load, check_moduli
-from ctr_nlp.paths.lumen import Lumen
 from ctr_nlp.plan.plan import Plan
 from ctr_nlp.support.value_checks import check_instance, number
 from ctr_nlp.typing import Array, Flags
@@ -163,13 +162,12 @@ def wall_forces(plan: Plan, stiffness: float = AIRWAY_WALL_STIFFNESS_N_PER_MM2) 
         " N/mm²",
     )
     check_moduli(plan.robot)
-    if plan.lumen is None:
-        raise OptionError("wall forces need a lumen, and the plan has none")
+    if plan.wall is None:
+        raise OptionError("wall forces need a lumen or another wall, and the plan has none")
     if not np.isfinite(plan.q).all():
         raise OptionError("the plan has frames that were not reached; forces of contact need all of them")
     load = plan.evaluated_load or Load()
-    lumen = Lumen(plan.lumen)
-    found = Foundation(plan.robot, lumen, value, load).follow_motion(plan.q)
+    found = Foundation(plan.robot, plan.wall, value, load).follow_motion(plan.q)
     # The same robot and load without the pushes of the wall, for comparison.
     alone = plan.with_load(load)
     assert alone.clearance is not None  # a lumen is known

@@ -29,8 +29,9 @@ from ctr_nlp.models.loaded.rod_loads import RodKind
 from ctr_nlp.models.loaded.tips import tip_angles
 from ctr_nlp.models.loads import Load, LoadOverTime
 from ctr_nlp.models.protocol import subdivide_motion
-from ctr_nlp.paths.lumen import Lumen, outermost_tube_radii
+from ctr_nlp.paths.lumen import outermost_tube_radii
 from ctr_nlp.paths.target import SIGMA_GRID
+from ctr_nlp.paths.walls import WallGeometry
 from ctr_nlp.plan.sample_motions import SAMPLE_SUBSTEPS_PER_FRAME
 from ctr_nlp.robot import Robot
 from ctr_nlp.support.value_objects import ReadOnlyValue
@@ -86,10 +87,10 @@ class WallContact(ReadOnlyValue):
 
 @dataclass(frozen=True)
 class Foundation:
-    """A robot in a lumen with an elastic wall; stiffness: N/mm for every mm of length; load: a further load."""
+    """A robot within an elastic wall; stiffness: N/mm for every mm of length; load: a further load."""
 
     robot: Robot
-    lumen: Lumen
+    wall: WallGeometry
     stiffness: float
     load: Load | LoadOverTime
 
@@ -120,7 +121,7 @@ class Foundation:
         places = middle[..., None] + length[..., None] * (np.array(CONTACT_PIECE_SAMPLE_PARTS) - 0.5)
         sigma = places.reshape(len(beta), -1) / beta[:, -1:]
         points = loaded_shapes(self.robot, states, sigma, self.kind)
-        near = self.lumen.project(points)
+        near = self.wall.project(points)
         over = outermost_tube_radii(self.robot, beta, sigma)
         over -= near.radius
         # over = r_tube - r_lumen. At a distance a from the path the body is over + a deep in the near wall, and

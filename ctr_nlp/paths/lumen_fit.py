@@ -107,7 +107,7 @@ def problem_notes(problem: Problem) -> list[str]:
 
 def check_radii(problem: Problem) -> None:
     """Raise ProblemError where a problem has no lumen radii, without which there is no clearance."""
-    if problem.lumen is None:
+    if problem.wall is None:
         raise ProblemError(
             f"clearance is asked for, and {problem.name} has no lumen radii; give them in mm as the column "
             "radius_mm of a CSV file, the point array MaximumInscribedSphereRadius or Radius of a VTK file, the "

@@ -16,6 +16,7 @@ from ctr_nlp.paths.curve import Curve
 from ctr_nlp.paths.lumen import Lumen
 from ctr_nlp.paths.points import LONGEST_S
 from ctr_nlp.paths.target import Frame, Target
+from ctr_nlp.paths.walls import Body, WallGeometry, nearest_of
 from ctr_nlp.robot import Robot
 from ctr_nlp.support.atomic_write import write_atomically
 from ctr_nlp.support.notebook_card import CardLine, notebook_card_html
@@ -61,6 +62,9 @@ class Problem(Value):
         None: no wall. By default the target's own curve, where all frames share one that has a radius.
     space : str or None
         Patient coordinates of the target's file, LPS, RAS or LAS, or xyz where it does not say.
+    walls : tuple of Body
+        Surfaces that the robot stays inside of, or keeps away from, in the robot's frame. Where it stays inside of
+        one of them, the lumen's radius is no wall: it describes the path alone.
     notes : tuple of str
         What was assumed, repaired or left out when the target's file was read, a sentence each.
 
@@ -88,6 +92,7 @@ class Problem(Value):
     truth: Array | None = None
     lumen: Curve | None = OF_TARGET
     space: str | None = None
+    walls: tuple[Body, ...] = ()
     notes: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
@@ -115,6 +120,9 @@ class Problem(Value):
         # None is a choice of its own, no wall, so that the default needs another mark (OF_TARGET).
         elif self.lumen is not None and (not isinstance(self.lumen, Curve) or self.lumen.radius is None):
             raise ProblemError("lumen is a curve without a radius; give one, or None where no wall is known")
+        object.__setattr__(self, "walls", tuple(self.walls))
+        for body in self.walls:
+            check_instance(ProblemError, "a wall of a problem", body, Body)
 
     @property
     def frames(self) -> int:
@@ -154,6 +162,11 @@ class Problem(Value):
         """The lumen sampled every half mm, as clearances are computed with it; None where none is known."""
         return None if self.lumen is None else Lumen.from_curve(self.lumen)
 
+    @cached_property
+    def wall(self) -> WallGeometry | None:
+        """The wall that counts at every point: that of the lumen, or the nearest of several; None for none."""
+        return nearest_of(self.sampled_lumen, self.walls)
+
     def __getitem__(self, frames: slice) -> Problem:
         """Return some of the frames, as ``problem[first:stop]``, at the same pace."""
         if not isinstance(frames, slice) or frames.step not in (None, 1) or not range(self.frames)[frames]:
@@ -164,6 +177,7 @@ class Problem(Value):
 
     def __repr__(self) -> str:
         walled = ", within a lumen" if self.lumen is not None else ""
+        walled += "".join(f", {'outside of' if body.keep_out else 'inside'} {body.name}" for body in self.walls)
         return (
             f"Problem({self.name}: {self.frames} frames in {self.duration:g} s, up to "
             f"{max(self.target.lengths):.1f} mm, {self.robot.d} tubes{walled})"

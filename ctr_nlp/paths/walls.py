@@ -117,3 +117,14 @@ def _pick(parts: Array, nearest: Index) -> Array:
     """Return parts (walls, .., *rest) at the nearest (..,) wall of each point."""
     index = nearest.reshape(nearest.shape + (1,) * (parts.ndim - 1 - nearest.ndim))
     return np.asarray(np.take_along_axis(parts, index[None], axis=0)[0])
+
+
+def nearest_of(lumen: Lumen | None, bodies: tuple[Body, ...]) -> WallGeometry | None:
+    """Return the wall of a lumen and bodies; None where there is none.
+
+    lumen: around the path. It is no wall where the robot stays inside of one of the bodies: airways are not round,
+    and the body is what they are.
+    """
+    if not bodies:
+        return lumen
+    return Walls(lumen if all(body.keep_out for body in bodies) else None, bodies)

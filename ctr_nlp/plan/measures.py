@@ -163,7 +163,8 @@ class Contact(NamedTuple):
     """A run of frames in which the robot touches the wall, and its deepest point.
 
     first, last: the frames, from 1. depth: of the deepest point beyond the wall, mm; frame, tube: its frame and
-    tube, from 1. arc_length: mm along the robot; path: mm along the lumen's path; both from the insertion point.
+    tube, from 1. arc_length: mm along the robot; path: mm along the lumen's path, NaN where there is none; both
+    from the insertion point.
     """
 
     first: int
@@ -184,17 +185,18 @@ def contact_depths(plan: PlanData) -> Array:
 
 def contacts(plan: PlanData) -> list[Contact]:
     """Return all contacts of a plan with the wall, in order of time; an empty list where no wall is known."""
-    if plan.clearance is None or plan.lumen is None:
+    if plan.clearance is None:
         return []
     deep = contact_depths(plan)
-    lumen = Lumen(plan.lumen)
+    lumen = None if plan.lumen is None else Lumen(plan.lumen)
     found = []
     for first, stop in find_flag_runs(deep > 0):
         frame = first + int(deep[first:stop].argmax())
         sample = int(plan.clearance[frame].argmin())
         tube = outermost_tube_index(plan.beta[frame][None], SIGMA_GRID)[0, sample]
         # Lengths along the path count from the insertion point, the origin, wherever the lumen begins.
-        start, place = lumen.project(np.stack([np.zeros(3), plan.shape[frame, sample]])).length_before
+        ends = np.stack([np.zeros(3), plan.shape[frame, sample]])
+        start, place = (np.nan, np.nan) if lumen is None else lumen.project(ends).length_before
         s = SIGMA_GRID[sample] * plan.beta[frame, -1]
         numbers = float(deep[frame]), frame + 1, int(tube) + 1, float(s), float(place - start)
         found.append(Contact(first + 1, stop, *numbers))

@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 
 from ctr_nlp.ocp.compiled_wall import WallDistance
-from ctr_nlp.paths.lumen import Lumen
 from ctr_nlp.paths.target import SIGMA_GRID
+from ctr_nlp.paths.walls import WallGeometry
 from ctr_nlp.plan.measures import rms_over_sigma
 from ctr_nlp.plan.plan_data import PlanData
 from ctr_nlp.plan.robustness import COSTLY, Robustness
@@ -65,8 +65,8 @@ def _measure_samples(plan: PlanData, draws: RobotSamples, frames: Index) -> tupl
     distance = _distance(plan, found)
     margins = np.fmin(found.stability, found.stability_between)
     clearance = contact = np.full(len(draws), np.nan)
-    if plan.lumen is not None:
-        least = clearances(plan.robot, Lumen(plan.lumen), plan.beta, found.shape)
+    if plan.wall is not None:
+        least = clearances(plan.robot, plan.wall, plan.beta, found.shape)
         clearance = np.fmin.reduce(least, axis=1)
         contact = np.nansum(np.maximum(-least, 0.0), axis=1)
     # e2 and the cloud are most of a plan's file: single precision is exact to 1e-5 mm and halves them.
@@ -82,15 +82,15 @@ def _measure_samples(plan: PlanData, draws: RobotSamples, frames: Index) -> tupl
     )
 
 
-def clearances(robot: Robot, lumen: Lumen, beta: Array, shape: Array) -> Array:
-    """Compute the least clearance of several robots from a lumen's wall in every frame.
+def clearances(robot: Robot, wall: WallGeometry, beta: Array, shape: Array) -> Array:
+    """Compute the least clearance of several robots from the wall in every frame.
 
     Parameters
     ----------
     robot : Robot
         The nominal robot; samples have its diameters.
-    lumen : Lumen
-        Lumen with its wall.
+    wall : WallGeometry
+        A lumen, or the nearest of several walls.
     beta : ndarray
         Extensions (T, d), mm, which samples share.
     shape : ndarray
@@ -101,7 +101,7 @@ def clearances(robot: Robot, lumen: Lumen, beta: Array, shape: Array) -> Array:
     ndarray
         Least clearance (n, T) over each body, mm; negative beyond the wall, NaN where a robot has no shape.
     """
-    return np.asarray(WallDistance(lumen).clearances(robot, beta, shape, SIGMA_GRID).min(axis=2))
+    return np.asarray(WallDistance(wall).clearances(robot, beta, shape, SIGMA_GRID).min(axis=2))
 
 
 def _distance(plan: PlanData, found: SampleMotions) -> Array:

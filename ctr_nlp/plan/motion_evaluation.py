@@ -13,10 +13,9 @@ import numpy as np
 
 from ctr_nlp.models import Model, Snap
 from ctr_nlp.ocp.compiled_wall import WallDistance
-from ctr_nlp.paths.lumen import Lumen
 from ctr_nlp.paths.target import SIGMA_GRID
+from ctr_nlp.paths.walls import WallGeometry
 from ctr_nlp.plan.measures import rms_over_sigma, root_mean_square
-from ctr_nlp.plan.plan_data import PlanData
 from ctr_nlp.plan.simulation import Simulation, Simulator, shapes_between
 from ctr_nlp.robot import Robot
 from ctr_nlp.typing import Array, Flags
@@ -37,20 +36,20 @@ class MotionEvaluation(NamedTuple):
 
 
 def evaluate_motion(
-    simulator: Simulator, q: Array, *, target: Array, lumen: Lumen | None = None, free: Array | None = None
+    simulator: Simulator, q: Array, *, target: Array, wall: WallGeometry | None = None, free: Array | None = None
 ) -> MotionEvaluation:
     """Simulate a motion and compute the fields of a plan that follow from it.
 
-    simulator: of the robot on a model. q: (T, 2d + 2), rad and mm. target: (T, 101, 3) in mm. lumen: the lumen
-    whose wall counts, None if unknown. free: (T, 2d + 2), the motion that was found without the wall, or None.
+    simulator: of the robot on a model. q: (T, 2d + 2), rad and mm. target: (T, 101, 3) in mm. wall: the
+    wall that counts, None if unknown. free: (T, 2d + 2), the motion that was found without the wall, or None.
     """
     robot = simulator.robot
     found = simulator(q)
     clearance = None
     between = None
-    if lumen is not None:
-        clearance = WallDistance(lumen).clearances(robot, robot.split(q)[1], found.shape, SIGMA_GRID)
-        between = clearance_between(robot, q, simulator.model, lumen)
+    if wall is not None:
+        clearance = WallDistance(wall).clearances(robot, robot.split(q)[1], found.shape, SIGMA_GRID)
+        between = clearance_between(robot, q, simulator.model, wall)
     arrays = {
         "shape": found.shape,
         "tip_direction": found.tip_direction,
@@ -67,8 +66,8 @@ def evaluate_motion(
     return MotionEvaluation(arrays, told, found)
 
 
-def clearance_between(robot: Robot, q: Array, model: str | Model, lumen: Lumen) -> Array:
-    """Compute the least clearance from a lumen's wall in each frame and on the path to it.
+def clearance_between(robot: Robot, q: Array, model: str | Model, wall: WallGeometry) -> Array:
+    """Compute the least clearance from the wall in each frame and on the path to it.
 
     Parameters
     ----------
@@ -78,8 +77,8 @@ def clearance_between(robot: Robot, q: Array, model: str | Model, lumen: Lumen) 
         Configurations of the frames; rad, mm and rad.
     model : str or Model
         The kinematic model.
-    lumen : Lumen
-        Lumen with its wall.
+    wall : WallGeometry
+        A lumen, or the nearest of several walls.
 
     Returns
     -------
@@ -88,16 +87,11 @@ def clearance_between(robot: Robot, q: Array, model: str | Model, lumen: Lumen) 
         first frame it is that of the frame alone. NaN where the robot has no shape.
     """
     found = shapes_between(robot, q, model)
-    clearance = WallDistance(lumen).clearances(robot, found.beta, found.shape, SIGMA_GRID)
+    clearance = WallDistance(wall).clearances(robot, found.beta, found.shape, SIGMA_GRID)
     least = np.full((len(q), len(SIGMA_GRID)), np.nan)
     # Several rows belong to one frame: with fmin.at all of them count, with plain indexing only the last would.
     np.fmin.at(least, found.frames, clearance)
     return least
-
-
-def lumen_of(plan: PlanData) -> Lumen | None:
-    """Return the lumen of a plan, from its table (N, 4); None where none is known."""
-    return None if plan.lumen is None else Lumen(plan.lumen)
 
 
 def free_errors(simulator: Simulator, free: Array | None, target: Array) -> Array | None:

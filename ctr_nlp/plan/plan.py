@@ -26,7 +26,6 @@ from ctr_nlp.plan.motion_evaluation import (
     describe_branch_failures,
     evaluate_motion,
     find_off_branch_frames,
-    lumen_of,
 )
 from ctr_nlp.plan.plan_data import (
     DIGEST,
@@ -36,8 +35,10 @@ from ctr_nlp.plan.plan_data import (
     check_arrays,
     check_meta,
     digest,
+    pack_walls,
     planned_model,
     read_plan_file,
+    take_walls,
 )
 from ctr_nlp.plan.plan_transforms import join_plans, per_frame_arrays, resample_plan, reverse_plan, slice_plan
 from ctr_nlp.plan.robustness import Robustness, robustness_from_arrays
@@ -278,16 +279,15 @@ class Plan(PlanData):
 
     def _with_clearance_between(self) -> Plan:
         """Return the plan with its clearance between frames, which files of older versions do not have."""
-        lumen = lumen_of(self)
-        if lumen is None or self.clearance is None or self.clearance_between is not None:
+        wall = self.wall
+        if wall is None or self.clearance is None or self.clearance_between is not None:
             return self
-        return replace(self, clearance_between=clearance_between(self.robot, self.q, self.evaluated_model, lumen))
+        return replace(self, clearance_between=clearance_between(self.robot, self.q, self.evaluated_model, wall))
 
     def _evaluate_on_model(self, model: Model, metadata: dict[str, Any]) -> Plan:
         """Return the plan with its motion simulated on `model`, and with `metadata` in its meta."""
         simulator = Simulator(self.robot, model)
-        lumen = lumen_of(self)
-        found = evaluate_motion(simulator, self.q, target=self.target, lumen=lumen, free=self.free)
+        found = evaluate_motion(simulator, self.q, target=self.target, wall=self.wall, free=self.free)
         # Results on samples belong to the model before.
         return replace(self, **found.arrays, meta=self.meta | found.metadata | metadata, drawn=None)
 
@@ -403,8 +403,10 @@ class Plan(PlanData):
             | ({} if self.lumen is None else {"lumen": self.lumen})
         )
         present |= {} if self.drawn is None else self.drawn.arrays()
+        walls, wall_arrays = pack_walls(self.walls)
+        present |= wall_arrays
         target = checked_path(OutputError, path)
-        told = self._meta_as_json()
+        told = self._meta_as_json(walls)
         saved: dict[str, Any] = {DIGEST: np.array(digest(present, told)), "meta": np.array(told), **present}
         try:
             with write_atomically(target) as partial, open(partial, "wb") as file:
@@ -412,13 +414,13 @@ class Plan(PlanData):
         except OSError as error:
             raise OutputError(f"plan cannot be written to {target}: {error}") from error
 
-    def _meta_as_json(self) -> str:
-        """Return meta as strict JSON, with the seed of simulated robots; raise OutputError where that is
-        impossible.
+    def _meta_as_json(self, walls: dict[str, Any]) -> str:
+        """Return meta as strict JSON, with the seed of simulated robots and the entry for walls; raise OutputError
+        where that is impossible.
         """
         try:
             seed = {} if self.drawn is None else {"draws": {"seed": self.drawn.seed}}
-            return json.dumps(self.meta | seed, allow_nan=False)
+            return json.dumps(self.meta | seed | walls, allow_nan=False)
         except (TypeError, ValueError) as error:
             raise OutputError(f"meta of the plan cannot be written as JSON: {error}") from error
 
@@ -446,12 +448,13 @@ class Plan(PlanData):
         try:
             arrays, meta, changed = read_plan_file(path)
             check_meta(meta)
+            walls = take_walls(meta, arrays)
             check_arrays(arrays, Robot.from_dict(meta["robot"]).d)
             drawn = None
             if set(SAMPLE_ARRAY_NAMES) <= set(arrays):
                 seed = whole_number(OutputError, "seed of meta's draws", meta.pop("draws", {}).get("seed"), 0)
                 drawn = robustness_from_arrays({name: arrays.pop(name) for name in SAMPLE_ARRAY_NAMES}, seed)
-            plan = cls(meta=meta, drawn=drawn, **arrays)._with_clearance_between()
+            plan = cls(meta=meta, drawn=drawn, walls=walls, **arrays)._with_clearance_between()
         except OSError as error:
             raise OutputError(f"plan {path} cannot be read: {error.strerror}") from error
         except CtrError as error:
@@ -515,7 +518,7 @@ def plan_from_configurations(
     simulator = simulator or Simulator(robot, planned_model(meta))
     # Shapes are simulated and not taken from the solver: its stationary point may be an equilibrium that the
     # motion does not reach.
-    found = evaluate_motion(simulator, q, target=target, lumen=problem.sampled_lumen, free=free)
+    found = evaluate_motion(simulator, q, target=target, wall=problem.wall, free=free)
     if planned is not None:
         snaps = found.simulation.snaps
         # On the elastic model q does not determine the equilibrium. Where the motion reaches another one than was
@@ -548,6 +551,7 @@ def plan_from_configurations(
         truth=problem.truth,
         lumen=None if problem.sampled_lumen is None else problem.sampled_lumen.table,
         free=free,
+        walls=problem.walls,
         **found.arrays,
     )
 

@@ -18,9 +18,12 @@ from ctr_nlp.exceptions import OutputError
 from ctr_nlp.models import KINEMATIC_MODELS, Model
 from ctr_nlp.models.loaded.model import Loaded
 from ctr_nlp.models.loads import Load, LoadOverTime, load_from_dict
+from ctr_nlp.paths.lumen import Lumen
 from ctr_nlp.paths.points import FARTHEST_MM, LONGEST_S
+from ctr_nlp.paths.walls import Body, WallGeometry, nearest_of
 from ctr_nlp.plan.robustness import SAMPLE_ARRAY_PREFIX, Robustness
 from ctr_nlp.robot import Robot
+from ctr_nlp.support.packing import Packed, unpack_value
 from ctr_nlp.support.value_checks import frozen
 from ctr_nlp.support.value_objects import Value, read_only
 from ctr_nlp.typing import Array, Flags
@@ -30,14 +33,15 @@ from ctr_nlp.typing import Array, Flags
 class PlanData(Value):
     """Data of a plan: T frames of motion for a robot of d tubes; the arrays of plan.npz under their names.
 
-    time (T,) s; alpha (T, d) rad; beta (T, d) mm; theta (T, 2) rad; target, shape (T, 101, 3) mm at uniform
-    sigma; target_direction, tip_direction (T, 3) unit tangents at the tip; solve_time (T,) s; success (T,);
-    objective (T,) mm^2; kkt (T,); stability, stability_between (T,), NaN on the dominant model; to_robot
-    (4, 4), file to robot frame; where known, truth (T, 2d + 2), the configurations that the target was made with;
-    lumen_radius (T, 101) mm at the target's points; lumen (N, 4), path and radius of the whole lumen, mm;
-    clearance (T, 101) mm between tubes and wall in each frame; clearance_between (T, 101) mm, the least in the
-    sub-steps to each frame; free (T, 2d + 2), the motion that was found without the wall; drawn, the results on
-    samples of the robot. Frames that were never reached are NaN. Arrays and meta are read-only copies.
+    time (T,) s; alpha (T, d) rad; beta (T, d) mm; theta (T, 2) rad; target, shape (T, 101, 3) mm at uniform sigma;
+    target_direction, tip_direction (T, 3) unit tangents at the tip; solve_time (T,) s; success (T,); objective
+    (T,) mm^2; kkt (T,); stability, stability_between (T,), NaN on the dominant model; to_robot (4, 4), file to
+    robot frame; where known, truth (T, 2d + 2), the configurations that the target was made with; lumen_radius (T,
+    101) mm at the target's points; lumen (N, 4), path and radius of the whole lumen, mm; clearance (T, 101) mm
+    between tubes and wall in each frame; clearance_between (T, 101) mm, the least in the sub-steps to each frame;
+    free (T, 2d + 2), the motion that was found without the wall; drawn, the results on samples of the robot;
+    walls, the bodies that the robot stays inside of or keeps away from. Frames that were never reached are NaN.
+    Arrays and meta are read-only copies.
     """
 
     time: Array
@@ -63,6 +67,7 @@ class PlanData(Value):
     clearance_between: Array | None = None
     free: Array | None = None
     drawn: Robustness | None = None
+    walls: tuple[Body, ...] = ()
 
     def __post_init__(self) -> None:
         for f in fields(self):
@@ -80,6 +85,11 @@ class PlanData(Value):
     def q(self) -> Array:
         """Configurations (T, 2d + 2), eq. (5)."""
         return frozen(np.concatenate([self.alpha, self.beta, self.theta], axis=1))
+
+    @cached_property
+    def wall(self) -> WallGeometry | None:
+        """The wall that counts at every point: that of the lumen, or the nearest of several; None for none."""
+        return nearest_of(None if self.lumen is None else Lumen(self.lumen), self.walls)
 
     @property
     def dt(self) -> float:
@@ -198,6 +208,8 @@ REACHED_FRAME_PLAN_ARRAYS = "alpha", "beta", "theta", "tip_direction"
 """Arrays that are finite in every frame in which the robot has a shape."""
 NUMERIC_META_ENTRIES = "build_s", "search_s", "solve_s", "contact_weight", "iterations"
 """Entries of meta that are a number or null."""
+WALL_ARRAY_PREFIX = "walls_"
+"""Begin of the names of the arrays of walls in plan.npz; meta has the table that refers to them."""
 DIGEST = "digest"
 """Name of the entry of plan.npz with the digest of all others."""
 
@@ -257,7 +269,10 @@ def read_plan_file(path: Path) -> PlanFileContent:
             with np.load(file, allow_pickle=False) as data:
                 if "meta" not in data.files:
                     raise OutputError("it has no meta")
-                arrays = {name: data[name] for name in data.files if name in PLAN_ARRAY_SHAPES}
+                known = [
+                    name for name in data.files if name in PLAN_ARRAY_SHAPES or name.startswith(WALL_ARRAY_PREFIX)
+                ]
+                arrays = {name: data[name] for name in known}
                 meta = str(data["meta"])
                 changed = DIGEST in data.files and str(data[DIGEST]) != digest(arrays, meta)
                 return PlanFileContent(arrays, json.loads(meta, parse_constant=_reject_non_finite), changed)
@@ -265,6 +280,32 @@ def read_plan_file(path: Path) -> PlanFileContent:
             raise
         except Exception as error:  # whatever the readers of zip archives, arrays and JSON meet in a damaged file
             raise OutputError(f"it is damaged, or another file: {error}") from error
+
+
+def pack_walls(walls: tuple[Body, ...]) -> tuple[dict[str, Any], dict[str, npt.NDArray[Any]]]:
+    """Return the entries of meta and the arrays of a plan's file that hold walls; both are empty without any."""
+    if not walls:
+        return {}, {}
+    packed = Packed()
+    listed = packed.add(walls)
+    arrays = {WALL_ARRAY_PREFIX + name: array for name, array in packed.arrays.items()}
+    return {"walls": {"bodies": listed, "table": packed.table}}, arrays
+
+
+def take_walls(meta: dict[str, Any], arrays: dict[str, npt.NDArray[Any]]) -> tuple[Body, ...]:
+    """Take the walls out of the meta and the arrays of a plan's file; raise OutputError where they are damaged."""
+    names = [name for name in arrays if name.startswith(WALL_ARRAY_PREFIX)]
+    own = {name.removeprefix(WALL_ARRAY_PREFIX): arrays.pop(name) for name in names}
+    entry = meta.pop("walls", None)
+    if entry is None:
+        return ()
+    try:
+        walls = unpack_value(entry["bodies"], entry["table"], own)
+    except Exception as error:  # whatever a damaged table leads to
+        raise OutputError(f"its walls are damaged: {error}") from error
+    if not (isinstance(walls, tuple) and all(isinstance(body, Body) for body in walls)):
+        raise OutputError(f"its walls are {walls!r:.60}; they must be bodies")
+    return walls
 
 
 def _reject_non_finite(constant: str) -> Any:

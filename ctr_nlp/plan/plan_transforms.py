@@ -14,7 +14,7 @@ import numpy as np
 
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.models.loads import require_constant_load
-from ctr_nlp.plan.motion_evaluation import describe_branch_failures, e3_of, evaluate_motion, free_errors, lumen_of
+from ctr_nlp.plan.motion_evaluation import describe_branch_failures, e3_of, evaluate_motion, free_errors
 from ctr_nlp.plan.plan_data import PlanData
 from ctr_nlp.plan.simulation import Simulator
 from ctr_nlp.support.value_checks import number, whole_number
@@ -25,7 +25,7 @@ AnyPlan = TypeVar("AnyPlan", bound=PlanData)
 
 META_ENTRIES_BY_FRAME = "failures", "fallbacks"
 """Entries of meta whose keys are numbers of frames, from 1."""
-NON_FRAME_PLAN_FIELDS = "meta", "to_robot", "lumen", "drawn"
+NON_FRAME_PLAN_FIELDS = "meta", "to_robot", "lumen", "walls", "drawn"
 """Fields that are not one row a frame."""
 STRICTEST = {"contact_allowed": min, "contact_weight": max}
 """Options that verdicts use, and the function that chooses the stricter of two values for a joined plan."""
@@ -121,7 +121,7 @@ def join_plans(plan: AnyPlan, other: PlanData) -> AnyPlan:
     absent = {name: None for name in (*first, *second) if name not in both}
     q = np.concatenate([plan.q, other.q])
     simulator = Simulator(plan.robot, plan.evaluated_model)
-    found = evaluate_motion(simulator, q, target=both["target"], lumen=lumen_of(plan), free=both.get("free"))
+    found = evaluate_motion(simulator, q, target=both["target"], wall=plan.wall, free=both.get("free"))
     apart = np.linalg.norm(found.arrays["shape"] - both["shape"], axis=-1).max(axis=1)
     # Negated, so that a simulated shape that is NaN counts as another one.
     away = np.isfinite(both["shape"]).all(axis=(1, 2)) & ~(apart < JOINED_SHAPE_TOLERANCE_MM)
@@ -174,7 +174,7 @@ def resample_plan(plan: AnyPlan, frames: int | None = None, dt: float | None = N
     target = between["target"]
     free = between.get("free")
     found = evaluate_motion(
-        Simulator(plan.robot, plan.evaluated_model), q, target=target, lumen=lumen_of(plan), free=free
+        Simulator(plan.robot, plan.evaluated_model), q, target=target, wall=plan.wall, free=free
     )
     fine = _solved_around(plan, at)
     success = own & fine & plan.success[at.astype(int)]
@@ -241,6 +241,7 @@ def _check_joinable(plan: PlanData, other: PlanData) -> None:
         ("model that they are evaluated on", plan.evaluated_model_name, other.evaluated_model_name),
         ("load", plan.evaluated_load, other.evaluated_load),
         ("lumen", plan.lumen, other.lumen),
+        ("walls", plan.walls, other.walls),
     ):
         if not equal(one, two):
             raise OptionError(f"the {name} of two plans to be joined differs; it must be the same")

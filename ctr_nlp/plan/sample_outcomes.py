@@ -105,7 +105,7 @@ def sample_outcomes(plan: PlanData) -> SampleOutcomes:
         contact=np.maximum(-drawn.clearance, 0.0),
         arrival_tolerance=float(asked["arrival_tolerance"]),
         contact_allowed=sample_contact_allowed(float(asked["contact_allowed"])),
-        wall_known=plan.lumen is not None,
+        wall_known=plan.wall is not None,
     )
 
 

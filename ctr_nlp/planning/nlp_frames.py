@@ -103,8 +103,8 @@ class NlpFrames:
         samples = problem.target_frames
         begin = time.perf_counter()
         # Only the program over all of q can trade contact against shape; two stages have no wall.
-        lumen = problem.sampled_lumen if formulation == "joint" else None
-        wall = make_wall(problem.robot, lumen, described, settings)
+        geometry = problem.wall if formulation == "joint" else None
+        wall = make_wall(problem.robot, geometry, described, settings)
         at = problem.robot, settings, described, terms
         walled = () if wall is None else joint(*at, walled=True)
         free, inside = (

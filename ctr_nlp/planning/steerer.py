@@ -7,6 +7,7 @@ configuration, subject to the limits (2), (3) and the speeds. Future targets are
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 import numpy.typing as npt
@@ -25,6 +26,7 @@ from ctr_nlp.ocp.wall import MAX_WALL_RELINEARISATIONS, WALL_SLACK_TOLERANCE_MM,
 from ctr_nlp.paths.curve import Curve, curve_from_formula
 from ctr_nlp.paths.lumen import Lumen
 from ctr_nlp.paths.target import SIGMA_GRID, growing
+from ctr_nlp.paths.walls import Body, WallGeometry, nearest_of
 from ctr_nlp.planning.compiled_frames import reach_of
 from ctr_nlp.planning.nlp_frames import DEFAULT_PLANNER_SETTINGS
 from ctr_nlp.robot import Robot
@@ -62,6 +64,9 @@ class Steerer:
         Kinematic model: ``"elastic"``, ``"dominant"`` or ``Loaded(load)`` with a load that stays the same.
     lumen : Curve, optional
         Path with a radius, within whose wall the robot is kept; no wall by default.
+    walls : sequence of Body
+        Surfaces that the robot stays inside of, or keeps away from. Where it stays inside of one, the lumen's
+        radius is no wall.
     wait : bool
         Whether to wait until the program is compiled. Otherwise steps are interpreted, and take a millisecond or
         more, until it was compiled in the background. The parameters of a wall are always waited for.
@@ -92,6 +97,7 @@ class Steerer:
         settings: Settings = DEFAULT_PLANNER_SETTINGS,
         model: str | Model = DEFAULT_MODEL,
         lumen: Curve | None = None,
+        walls: Sequence[Body] = (),
         wait: bool = True,
     ) -> None:
         check_instance(RobotError, "robot", robot, Robot)
@@ -101,9 +107,7 @@ class Steerer:
         described.check(robot)
         require_constant_load(described.applied_load, "a Steerer")
         q = robot.check(q)
-        if lumen is not None and (not isinstance(lumen, Curve) or lumen.radius is None):
-            raise OptionError(f"lumen is {lumen!r:.80}; it must be a curve with a radius, or None for no wall")
-        self._wall = make_wall(robot, None if lumen is None else Lumen.from_curve(lumen), described, settings)
+        self._wall = make_wall(robot, _geometry(lumen, walls), described, settings)
         stage, arrival = _stage(robot, settings, described, self._wall)
         reach = reach_of(robot, dt, described.several_equilibria)
         # Parameters that never change are filled once, with any target; the real one is written in place by every
@@ -148,6 +152,7 @@ class Steerer:
         settings: Settings = DEFAULT_PLANNER_SETTINGS,
         model: str | Model = DEFAULT_MODEL,
         lumen: Curve | None = None,
+        walls: Sequence[Body] = (),
     ) -> Steerer | None:
         """Return a steerer once everything is compiled, and None before.
 
@@ -167,6 +172,8 @@ class Steerer:
             Kinematic model.
         lumen : Curve, optional
             Path with a radius, within whose wall the robot is kept.
+        walls : sequence of Body
+            Other walls.
 
         Returns
         -------
@@ -179,14 +186,14 @@ class Steerer:
             As :class:`Steerer` itself.
         """
         described = model_named(model)
-        wall = make_wall(robot, None if lumen is None else Lumen.from_curve(lumen), described, settings)
+        wall = make_wall(robot, _geometry(lumen, walls), described, settings)
         stage, _ = _stage(robot, settings, described, wall)
         # Each of these starts a compilation and says whether it is done: all are started, before any is waited
         # for.
         begun = [described.fast(robot.structure), library(stage.nlp, 1).path_if_ready() is not None]
         if wall is not None and wall.compiled_wall is not None:
             begun.append(wall.compiled_wall.ready())
-        return cls(robot, q, dt, settings, model, lumen) if all(begun) else None
+        return cls(robot, q, dt, settings, model, lumen, walls) if all(begun) else None
 
     def set_configuration(self, q: npt.ArrayLike, x: Array | None = None) -> None:
         """Set the configuration in which the robot stands, wherever it was before.
@@ -315,3 +322,12 @@ def _compile_wall_parameters(wall: Wall) -> LocalParameterSource:
         raise OptionError(f"a lumen is given, and nothing can be compiled: {cache.unavailable_reason()}")
     around.ready(wait=True)
     return around.local_parameter_source(WALL_SLACK_TOLERANCE_MM, MAX_WALL_RELINEARISATIONS)
+
+
+def _geometry(lumen: Curve | None, walls: Sequence[Body]) -> WallGeometry | None:
+    """Return the wall of a lumen and bodies, None for none; raise OptionError where they are something else."""
+    if lumen is not None and (not isinstance(lumen, Curve) or lumen.radius is None):
+        raise OptionError(f"lumen is {lumen!r:.80}; it must be a curve with a radius, or None for no wall")
+    for body in walls:
+        check_instance(OptionError, "a wall", body, Body)
+    return nearest_of(None if lumen is None else Lumen.from_curve(lumen), tuple(walls))

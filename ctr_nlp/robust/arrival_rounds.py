@@ -14,8 +14,8 @@ import numpy as np
 
 from ctr_nlp.models import Model
 from ctr_nlp.ocp.settings import Settings
-from ctr_nlp.paths.lumen import Lumen
 from ctr_nlp.paths.problem import Problem
+from ctr_nlp.paths.walls import WallGeometry
 from ctr_nlp.plan.monte_carlo import clearances
 from ctr_nlp.plan.sample_motions import simulate_samples
 from ctr_nlp.plan.sample_outcomes import SampleOutcomes, sample_contact_allowed
@@ -79,7 +79,7 @@ class ArrivalJudge:
             contact,
             self.settings.arrival_tolerance,
             sample_contact_allowed(self.settings.contact_allowed),
-            self._lumen is not None,
+            self._wall is not None,
         )
         # The larger of both, mm; fmax ignores the contact that is NaN without a wall.
         excess = np.fmax(tip_error - fate.arrival_tolerance, contact - fate.contact_allowed)
@@ -89,9 +89,9 @@ class ArrivalJudge:
         return FailingSamples(chosen.numbers, chosen.offsets, chosen.forces, fate.share)
 
     @property
-    def _lumen(self) -> Lumen | None:
-        """Lumen whose wall counts; None where there is none or contact costs nothing."""
-        return self.problem.sampled_lumen if self.settings.contact_weight else None
+    def _wall(self) -> WallGeometry | None:
+        """The wall that counts; None where there is none or contact costs nothing."""
+        return self.problem.wall if self.settings.contact_weight else None
 
     def _simulate_outcomes(self, q: Array, draws: RobotSamples) -> tuple[Flags, Array, Array]:
         """Simulate n samples on q (T, 2d + 2); return for each whether it is lost, its tip error and contact, mm.
@@ -99,15 +99,15 @@ class ArrivalJudge:
         The tip error is the distance from the target's end in the last frame, the contact the deepest of all.
         """
         problem = self.problem
-        lumen = self._lumen
+        wall = self._wall
         found = simulate_samples(problem.robot, draws, q, self.model)
         # Only the last tip counts as arrival; its place is that of the shape's last sample.
         tip_error = np.linalg.norm(found.shape[:, -1, -1] - problem.target_frames[-1].points[-1], axis=-1)
         contact = np.full(len(draws), np.nan)
-        if lumen is not None:
+        if wall is not None:
             beta = q[:, problem.robot.d : 2 * problem.robot.d]
             # Least clearance over all frames; fmin ignores frames that are NaN. Negative clearance is depth.
-            contact = np.maximum(-np.fmin.reduce(clearances(problem.robot, lumen, beta, found.shape), axis=1), 0.0)
+            contact = np.maximum(-np.fmin.reduce(clearances(problem.robot, wall, beta, found.shape), axis=1), 0.0)
         return found.lost > 0, tip_error, contact
 
 

@@ -179,7 +179,7 @@ def solve_robust(
             least = np.full(
                 problem.frames, min(settings.stability_margin + EXTRA_SCENARIO_MARGIN, MAX_FRAME_MARGIN)
             )
-        wall = make_wall(problem.robot, problem.sampled_lumen, model, settings, subsamples=1)
+        wall = make_wall(problem.robot, problem.wall, model, settings, subsamples=1)
         starts = _Starts(planner, told, given, margins, terms, settings, progress, interrupted, nominal)
         tried = list[StartResult]()
         made = list[Round]()

@@ -51,7 +51,7 @@ def check_permission(
     >>> "stable" in [verdict.matter for verdict in check_permission(plan, uncertified=True)]
     True
     """
-    lumen_known = any(each is not None for each in (plan.lumen, plan.lumen_radius, plan.clearance))
+    lumen_known = any(each is not None for each in (plan.wall, plan.lumen_radius, plan.clearance))
     if free_space and lumen_known:
         raise OptionError("--free-space says that nothing surrounds the robot, but the plan has a lumen")
     wall = plan.verdicts.within_wall

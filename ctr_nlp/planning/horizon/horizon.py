@@ -93,7 +93,7 @@ class Horizon:
             require_constant_load(self._model.applied_load, "a motion to an end that is given")
         self._names = {"formulation": "horizon", **self._model.metadata, "solver": solver}
         self._settings, self._terms = settings, with_arrival(checked_terms(terms), settings, self._model)
-        self._wall = make_wall(problem.robot, problem.sampled_lumen, self._model, settings)
+        self._wall = make_wall(problem.robot, problem.wall, self._model, settings)
         # Built with a weight of 1 s^2: a chain's motion term is scaled afterwards (with_cost), so that one chain
         # serves all weights.
         self._free = self._build_chain(None)

@@ -87,7 +87,7 @@ class LoadedHorizon:
         self._model = model
         self._settings = settings
         self._terms = with_arrival(checked_terms(terms), settings, model)
-        wall = make_wall(problem.robot, problem.sampled_lumen, model, settings)
+        wall = make_wall(problem.robot, problem.wall, model, settings)
         # The program of the one scenario is built without the wall. A motion that it finds is solved again within
         # the wall by the usual chain, whose theta follows from x and has the pole.
         self._inside = None if wall is None else Horizon(problem, model, *asked, settings, terms)

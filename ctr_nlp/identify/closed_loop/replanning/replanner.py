@@ -31,10 +31,12 @@ CARRIED_OVER_SETTINGS = "stability_margin", "clearance", "contact_weight", "arri
 
 
 def problem_of(plan: Plan, first: int = 0) -> Problem:
-    """Return the problem that a plan solves, from frame `first` on, counted from 0, with its target and lumen."""
+    """Return the problem that a plan solves, from frame `first` on, counted from 0, with its target and walls."""
     lumen = None if plan.lumen is None else curve_from_points(plan.lumen[:, :3], plan.lumen[:, 3])
     curves, lengths = zip(*map(_curve, plan.target[first:], plan.target_direction[first:]), strict=True)
-    return Problem("rest", plan.robot, Target(curves, lengths), plan.dt * len(curves), lumen=lumen)
+    return Problem(
+        "rest", plan.robot, Target(curves, lengths), plan.dt * len(curves), lumen=lumen, walls=plan.walls
+    )
 
 
 def _curve(points: Array, direction: Array) -> tuple[Curve, float]:

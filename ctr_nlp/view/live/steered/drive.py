@@ -59,7 +59,7 @@ class PendingDrive:
         s. settings: weights of steering.
         """
         self.model = model
-        self.within_lumen = problem.lumen is not None and settings.contact_weight > 0
+        self.within_lumen = problem.wall is not None and settings.contact_weight > 0
         self.drive: Drive | None = None
         self.error: CtrError | None = None
         self._asked = (problem, q, dt, settings)
@@ -75,7 +75,8 @@ class PendingDrive:
         problem, q, dt, settings = self._asked
         try:
             while not self._dropped.is_set():
-                steerer = Steerer.create_if_compiled(problem.robot, q, dt, settings, self.model, problem.lumen)
+                at = problem.robot, q, dt, settings, self.model, problem.lumen, problem.walls
+                steerer = Steerer.create_if_compiled(*at)
                 if steerer is not None:
                     # The last step of this thread. The session, in another one, looks at `drive` between its
                     # steps, and sees all of it or None.

@@ -96,7 +96,7 @@ class Session:
         self.goal = Goal(problem.target_frames, problem.robot.reach)
         self.method = SHAPE_METHOD
         self.hand = retracted_configuration(problem.robot, problem.target_frames[-1].points)
-        self._beside = None if problem.sampled_lumen is None else WallDistance(problem.sampled_lumen)
+        self._beside = None if problem.wall is None else WallDistance(problem.wall)
         self._count = 0
         self._ghosts: Ghosts | None = None
         self._recording: Recording | None = None
