@@ -13,9 +13,9 @@ from typing import Any
 
 from ctr_nlp.anatomy.files import CENTRELINE_SUFFIXES, MASK_SUFFIXES, centrelines_in
 from ctr_nlp.anatomy.problem_files import problem_from_file
-from ctr_nlp.cli.terminal_output import print_stderr
+from ctr_nlp.cli.terminal_output import announce, print_stderr
 from ctr_nlp.exceptions import CtrError, OptionError, ProblemError, suggest_names
-from ctr_nlp.models import model_named
+from ctr_nlp.models import Model, model_named
 from ctr_nlp.paths.lumen_fit import problem_notes
 from ctr_nlp.paths.named_problems import PROBLEM_NAMES, named_problem
 from ctr_nlp.paths.problem import Problem
@@ -58,11 +58,23 @@ def load_all(names: Sequence[str], arguments: argparse.Namespace) -> list[Proble
         kind = "problem file" if names[0].endswith(".py") else "named problem"
         raise OptionError(f"--{next(iter(options))} goes with a centreline file or a mask; {names[0]} is a {kind}")
     found = [_problem(name, arguments, options if _is_anatomy(name) else {}) for name in names]
-    for asked in (getattr(arguments, option, None) for option in ("model", "evaluate")):
-        if asked is not None:
-            for problem in found:
-                model_named(asked).check(problem.robot)
+    planned_on = getattr(arguments, "model", None)
+    evaluated_on = getattr(arguments, "evaluate", None)
+    for problem in found:
+        if planned_on is not None:
+            model_named(planned_on).check_planning(problem.robot)
+        if evaluated_on is not None:
+            _check_evaluation(model_named(evaluated_on), problem)
     return found
+
+
+def _check_evaluation(model: Model, problem: Problem) -> None:
+    """Raise OptionError where a model does not describe a problem's robot; print where it is inaccurate for it."""
+    model.check(problem.robot)
+    try:
+        model.check_planning(problem.robot)
+    except OptionError as error:
+        announce(f"errors on the {model.name} model are inaccurate: {error}")
 
 
 def _is_anatomy(name: str) -> bool:

@@ -178,6 +178,14 @@ class Model(ABC):
     def check(self, robot: Robot) -> None:  # noqa: B027 - most models describe any robot
         """Raise OptionError unless the model can describe the robot."""
 
+    def check_planning(self, robot: Robot) -> None:
+        """Raise OptionError unless the model is accurate enough for the robot to be planned on it.
+
+        By default this is `check`. A stricter model overrides it: shapes of a given configuration are computed
+        wherever `check` passes.
+        """
+        self.check(robot)
+
     def fast(self, structure: Structure) -> bool:
         """Return whether shapes and margins are computed by fast code by now: in microseconds, not milliseconds.
 

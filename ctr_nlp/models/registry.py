@@ -105,9 +105,9 @@ def model_with_tip_forces(model: str | Model, forces: Array) -> Model:
 
 
 def suits(robot: Robot, model: str | Model) -> bool:
-    """Return whether a model can describe a robot."""
+    """Return whether a robot can be planned on a model."""
     try:
-        model_named(model).check(robot)
+        model_named(model).check_planning(robot)
     except OptionError:
         return False
     return True

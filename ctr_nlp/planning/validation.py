@@ -45,7 +45,7 @@ def check_model(problem: Problem, model: Model) -> None:
     of a loaded robot's tip as unknown, and compute theta from the base's direction. At theta_x = 90 deg theta_y is
     undetermined, and would have to turn by half a turn in one frame.
     """
-    model.check(problem.robot)
+    model.check_planning(problem.robot)
     if model.applied_load is None:
         return
     base = np.array([sample.tangents[0] for sample in problem.target_frames])

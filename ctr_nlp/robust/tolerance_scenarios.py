@@ -83,7 +83,7 @@ def resolve_scenarios(robot: Robot, model: str | Model, scenarios: Scenarios | N
     check_instance(OptionError, "scenarios", scenarios, Scenarios)
     # Samples with tip forces join the scenarios in later rounds, even if none of the first ones has any.
     model = model_for_tip_forces(model, scenarios.has_tip_forces or robot.tolerances.tip_force > 0)
-    model.check(robot)
+    model.check_planning(robot)
     check_scenarios(robot, model, scenarios)
     return model, scenarios
 

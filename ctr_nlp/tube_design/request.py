@@ -55,7 +55,7 @@ def search_for(
     """
     tasks = _check_problems(problems, settings)
     described = model_named(model, "model of a design")
-    described.check(tasks[0].robot)
+    described.check_planning(tasks[0].robot)
     weighs = described.applied_load is not None and described.applied_load.has_weight
     # Arcs become parts with a linear curvature that is all but constant: root and tip are then two unknowns.
     robot = tasks[0].robot if constant_curvature else with_linear_curvatures(tasks[0].robot)

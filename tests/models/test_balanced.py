@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import dataclasses
+from pathlib import Path
+
 import casadi as ca
 import numpy as np
 import pytest
@@ -10,6 +13,7 @@ from methods.comparison import compare, parse_variant
 from reference import REFERENCE_METHODS, reference_frames
 
 from ctr_nlp import (
+    Limits,
     Plan,
     Problem,
     Robot,
@@ -22,9 +26,12 @@ from ctr_nlp import (
     solve_horizon,
     solve_per_frame,
     summary,
+    table_i_robot,
 )
+from ctr_nlp.cli.main import main
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.models import suits
+from ctr_nlp.view.exchange.configurations import plan_through
 
 OUTER = Tube(90, 60, 0.008, outer_diameter=2.4, inner_diameter=2.2)
 STIFFER = Robot((OUTER, Tube(150, 100, 0.012, 2.0, 1.0)))
@@ -92,3 +99,52 @@ def test_the_seed_and_a_lone_tube_suit_both_models(robot):
         assert suits(each, "elastic")
     assert not suits(STIFFER, "dominant")
     assert not suits(STIFFER, "rigid")
+
+
+def pair(ratio, curvatures=(0.008, 0.012), beta=None):
+    """Two nested tubes of which the outer one is `ratio` times as stiff as the inner one."""
+    inner = Tube(150, 100, curvatures[1], 1.9, 1.4)
+    outer = Tube(90, 60, curvatures[0], 2.4, 2.0)
+    modulus = ratio * inner.bending_stiffness / outer.bending_stiffness
+    return Robot((dataclasses.replace(outer, youngs_modulus=modulus), inner), Limits(beta=beta))
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_plans_on_the_dominant_model_need_a_stiffness_ratio_of_three(seed):
+    ratio = float(np.random.default_rng(seed).uniform(1.01, 5))
+    robot = pair(ratio)
+    shapes(robot, np.zeros((1, 6)))  # a given configuration is evaluated all the same
+    assert suits(robot, "dominant") == (ratio >= 3)
+    if ratio < 3:
+        for plan in (solve_per_frame, solve_horizon):
+            with pytest.raises(OptionError, match=r"only [\d.]+ times as stiff as tube 2.*--model elastic"):
+                plan(problem(robot), model="dominant")
+        with pytest.raises(OptionError, match="only"):
+            solve_per_frame(problem(robot), "two-stage")
+        with pytest.raises(OptionError, match="only"):
+            plan_through(problem(robot), np.zeros((4, 6)), model="dominant")
+
+
+@pytest.mark.parametrize("ratio", [0.5, 1.75])
+def test_tubes_that_cannot_bend_each_other_need_no_stiffness_ratio(ratio):
+    assert suits(pair(ratio, curvatures=(0, 0)), "dominant")
+    assert suits(pair(ratio, beta=[(0, 0), (0, 100)]), "dominant")
+    assert not suits(pair(ratio, curvatures=(0, 0.01)), "dominant")
+    assert not suits(pair(ratio, curvatures=(0.01, 0)), "dominant")
+
+
+def test_shipped_robots_suit_the_dominant_model():
+    examples = Path(__file__).parents[2] / "examples"
+    for literal in (False, True):
+        assert suits(table_i_robot(literal), "dominant")
+    for file in ("robot", "airway_tubes", "bronchus_tubes"):
+        assert suits(Robot.from_toml(examples / f"{file}.toml"), "dominant")
+
+
+def test_a_balanced_pair_from_a_file_is_refused_on_the_dominant_model(shared_data, tmp_path, capsys):
+    cases = shared_data / "cases"
+    options = ["--robot", str(cases / "robots/balanced_pair.toml"), "--model", "dominant", "--frames", "5"]
+    out = tmp_path / "plan"
+    assert main(["plan", str(cases / "half_curvature.csv"), *options, "--out", str(out)]) == 2
+    assert "only 1.02 times as stiff as tube 2" in " ".join(capsys.readouterr().err.split())
+    assert not out.exists()

@@ -137,7 +137,7 @@ def _run(arguments: argparse.Namespace) -> int:
     problem = plan_options.with_motion_options(problems.load(arguments.problem, arguments), arguments)
     problem = plan_options.with_tip_force_option(problem_with_modulus(problem, arguments), arguments)
     model = plan_options.model_from(arguments)
-    model_from_options(model, arguments).check(problem.robot)
+    model_from_options(model, arguments).check_planning(problem.robot)
     robust, alone = _decide_robust(arguments, problem)
     out = Path(arguments.out or f"runs/{_folder(problem, model, arguments, robust)}")
     film = film_file(arguments)

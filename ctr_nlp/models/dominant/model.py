@@ -7,6 +7,7 @@ and directions, which depend on q alone. q = (alpha, beta, theta) in rad and mm.
 from __future__ import annotations
 
 import itertools
+from collections.abc import Iterator
 
 import casadi as ca
 import numpy as np
@@ -28,8 +29,11 @@ from ctr_nlp.robot.structure import Structure, Tubes, tubes_of_batch
 from ctr_nlp.typing import Array, Vector
 
 MIN_STIFFNESS_RATIO = 1 + 1e-9
-"""Least ratio of the bending stiffnesses of a tube and of the next one within it: equal but for rounding is not
-stiffer.
+"""Least ratio of the bending stiffnesses of a tube and of one within it: equal but for rounding is not stiffer."""
+
+MIN_PLANNING_STIFFNESS_RATIO = 3.0
+"""Least ratio of the bending stiffnesses of a tube and of one within it, for plans. A tube within another takes
+1 / (1 + ratio) of the bending, a quarter at a ratio of 3, which the model leaves out.
 """
 
 
@@ -44,16 +48,30 @@ class Dominant(Model):
     bends_by_extension = True
 
     def check(self, robot: Robot) -> None:
-        """Raise OptionError unless every tube of the robot is stiffer than the one within it.
+        """Raise OptionError unless every tube of the robot is stiffer than each one within it.
 
         Only then does it set the curvature alone.
         """
-        for i, (outer, inner) in enumerate(itertools.pairwise(robot.tubes), start=1):
-            if outer.bending_stiffness <= inner.bending_stiffness * MIN_STIFFNESS_RATIO:
+        for i, j in _overlapping_pairs(robot):
+            outer, inner = (robot.tubes[k].bending_stiffness for k in (i, j))
+            if outer <= inner * MIN_STIFFNESS_RATIO:
                 raise OptionError(
-                    f"model is 'dominant', and tube {i} is not stiffer than tube {i + 1} within it: their EI are "
-                    f"{outer.bending_stiffness:.4g} and {inner.bending_stiffness:.4g}. Balanced tubes bend each "
-                    "other: use the elastic model, --model elastic"
+                    f"model is 'dominant', and tube {i + 1} is not stiffer than tube {j + 1} within it: their EI "
+                    f"are {outer:.4g} and {inner:.4g}. Balanced tubes bend each other: use the elastic model, "
+                    "--model elastic"
+                )
+
+    def check_planning(self, robot: Robot) -> None:
+        """Raise OptionError unless every tube of the robot is at least 3 times as stiff as each one within it."""
+        self.check(robot)
+        for i, j in _overlapping_pairs(robot):
+            outer, inner = (robot.tubes[k].bending_stiffness for k in (i, j))
+            if outer < inner * MIN_PLANNING_STIFFNESS_RATIO * (1 - 1e-9):
+                raise OptionError(
+                    f"model is 'dominant', and tube {i + 1} is only {outer / inner:.3g} times as stiff as tube "
+                    f"{j + 1} within it (EI {outer:.4g} and {inner:.4g}); plans need a ratio of at least "
+                    f"{MIN_PLANNING_STIFFNESS_RATIO:g}. Below it the tubes bend each other, and the tip may be "
+                    "centimetres off: use the elastic model, --model elastic"
                 )
 
     def frame(
@@ -115,6 +133,17 @@ class Dominant(Model):
     def tangents(self, robot: Robot, x: Array, sigma: Array) -> Array:
         """Return unit tangents (T, n, 3) of a robot at x (T, 2d + 2), which is q, and sigma (n,) or (T, n)."""
         return _stack_components(shape.backbone(robot.tube_numbers, shape.columns_of(x), sigma, np).tangents)
+
+
+def _overlapping_pairs(robot: Robot) -> Iterator[tuple[int, int]]:
+    """Yield the numbers, from 0, of an outer and an inner tube that can be out together, unless both are straight.
+
+    Tubes that are both straight have one shape, whichever of them is stiffer.
+    """
+    for i, j in itertools.combinations(range(robot.d), 2):
+        curved = any(robot.tubes[k].largest_curvature > 0 for k in (i, j))
+        if curved and robot.max_extensions[i] > 0:
+            yield i, j
 
 
 def _points(tubes: Tubes, q: Array, sigma: Array) -> Array:

@@ -80,7 +80,7 @@ class LoadedHorizon:
         Raises ProblemError where, within a wall, the target's base is at the pole of the tilt.
         """
         assert isinstance(model, Loaded)
-        model.check(problem.robot)
+        model.check_planning(problem.robot)
         begin = time.perf_counter()
         asked = solver, start, end
         self.problem = problem

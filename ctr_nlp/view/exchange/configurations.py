@@ -139,7 +139,7 @@ def plan_through(problem: Problem, q: Array, model: str | Model = DEFAULT_MODEL,
     """
     described = model_named(model)
     robot = problem.robot
-    described.check(robot)
+    described.check_planning(robot)
     q = _numbers("q", q)
     _check(q, robot, problem.frames)
     simulator = Simulator(robot, described)
