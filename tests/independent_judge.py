@@ -120,7 +120,7 @@ def judge(path: str | Path) -> Judgement:
     e2 = np.sqrt(((shape - target) ** 2).sum(axis=-1) @ weights / weights.sum())
     findings = {
         "solved": _solved(file, meta),
-        "arrives": _at_most(tip, ARRIVAL_MM),
+        "arrives": _arrives(tip, degrees, shape[-1], target[-1], float(e2[-1])),
         "follows": _at_most(float(e2.max()), ERROR_MM),
         "stable": _stable(margin, nominal.snaps, options.get("stability_margin")),
         "within_limits": _within_limits(robot, q, float(file["time"][0])),
@@ -167,6 +167,15 @@ def _arrival(tip, tangent, end, direction) -> tuple[float, float]:
     """Distance of the tip from the target's end, mm, and the angle between their directions, degrees."""
     sine = np.linalg.norm(np.cross(tangent, direction))
     return float(np.linalg.norm(tip - end)), float(np.degrees(np.arctan2(sine, tangent @ direction)))
+
+
+def _arrives(tip: float, degrees: float, body, target, e2: float) -> Finding:
+    """Whether the tip is at the target's end, and the body lies along the target, not across a detour."""
+    length, own = (np.linalg.norm(np.diff(points, axis=0), axis=1).sum() for points in (target, body))
+    allowed = max(0.1 * length, 5.0)
+    if tip <= ARRIVAL_MM and (degrees > 90 or length - own > allowed or e2 > allowed):
+        return Finding(NO, tip, ARRIVAL_MM - tip)
+    return _at_most(tip, ARRIVAL_MM)
 
 
 def _at_most(number: float, allowed: float) -> Finding:

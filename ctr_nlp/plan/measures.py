@@ -19,6 +19,13 @@ from ctr_nlp.plan.plan_data import PlanData
 from ctr_nlp.support.flag_runs import find_flag_runs
 from ctr_nlp.typing import Array
 
+MAX_ARRIVAL_ANGLE_DEG = 90.0
+"""Largest angle, degrees, between the tip and the target's end at which a robot may have come along the path."""
+MAX_SHORTCUT_PART, MIN_SHORTCUT_MM = 0.1, 5.0
+"""Part of the path's length by which a robot that came along it may be shorter, or away from it in the root mean
+square, and the length, mm, that short paths allow instead.
+"""
+
 
 def rms_over_sigma(distance: Array) -> Array:
     """Return the root mean square over sigma of `distance` (.., 101) in mm, with trapezoidal weights."""
@@ -105,6 +112,26 @@ def arrival(plan: PlanData) -> TipArrival | None:
     length = float(np.linalg.norm(np.diff(target, axis=0), axis=-1).sum())
     distance = float(np.linalg.norm(plan.shape[-1, -1] - target[-1]))
     return TipArrival(distance, float(np.degrees(tip_angle(plan)[-1])), length - float(plan.beta[-1, -1]))
+
+
+def describe_shortcut(plan: PlanData) -> str | None:
+    """Return how a robot whose tip is at the target's end got there by another way than along the path.
+
+    plan: whose last frame counts. None where the robot lies along the path, or its last shape is not known.
+    """
+    end = arrival(plan)
+    if end is None:
+        return None
+    length = float(np.linalg.norm(np.diff(plan.target[-1], axis=0), axis=-1).sum())
+    allowed = max(MAX_SHORTCUT_PART * length, MIN_SHORTCUT_MM)
+    away = float(rms_over_sigma(e1(plan))[-1])
+    if end.angle_deg > MAX_ARRIVAL_ANGLE_DEG:
+        return f"it points {end.angle_deg:.0f}° away from the direction of the path"
+    if end.short > allowed:
+        return f"the robot is {end.short:.0f} mm shorter than the path of {length:.0f} mm"
+    if away > allowed:
+        return f"the robot's body is {away:.0f} mm away from the path (e2)"
+    return None
 
 
 class LargestError(NamedTuple):

@@ -9,6 +9,7 @@ import numpy as np
 
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.ocp.settings import Settings
+from ctr_nlp.plan.measures import describe_shortcut
 from ctr_nlp.plan.plan_data import PlanData
 from ctr_nlp.plan.robustness import spread
 from ctr_nlp.typing import Array, Flags
@@ -34,6 +35,8 @@ class SampleOutcomes:
         The limits for the robots, mm.
     wall_known : bool
         Whether a wall is known.
+    shortcut : str or None
+        How the nominal robot reaches the target's end by another way than along the path; then no robot arrives.
     """
 
     lost: Flags
@@ -42,15 +45,16 @@ class SampleOutcomes:
     arrival_tolerance: float
     contact_allowed: float
     wall_known: bool
+    shortcut: str | None = None
 
     def __len__(self) -> int:
         return len(self.lost)
 
     @property
     def missed_target(self) -> Flags:
-        """Mask (n,) of the robots whose tip ends too far from the target's end, or that have no tip at all."""
+        """Mask (n,) of the robots that do not arrive: too far from the target's end, or not along the path."""
         # Negated, so that NaN, a robot without an equilibrium, counts as missed; likewise below.
-        return np.asarray(~(self.tip_error <= self.arrival_tolerance))
+        return np.asarray(~(self.tip_error <= self.arrival_tolerance) | (self.shortcut is not None))
 
     @property
     def exceeded_contact_limit(self) -> Flags:
@@ -106,6 +110,7 @@ def sample_outcomes(plan: PlanData) -> SampleOutcomes:
         arrival_tolerance=float(asked["arrival_tolerance"]),
         contact_allowed=sample_contact_allowed(float(asked["contact_allowed"])),
         wall_known=plan.wall is not None,
+        shortcut=describe_shortcut(plan),
     )
 
 

@@ -15,7 +15,14 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ctr_nlp.ocp.settings import Settings
-from ctr_nlp.plan.measures import arrival, e3, find_deepest_point, find_most_used_limit, largest_error
+from ctr_nlp.plan.measures import (
+    arrival,
+    describe_shortcut,
+    e3,
+    find_deepest_point,
+    find_most_used_limit,
+    largest_error,
+)
 from ctr_nlp.plan.plan_data import PlanData, load_of
 from ctr_nlp.plan.sample_outcomes import SampleOutcomes, sample_outcomes
 
@@ -71,7 +78,8 @@ class Verdicts(NamedTuple):
     solved : Verdict
         Every frame is a solution of its optimisation problem. Number: frames solved.
     arrives : Verdict
-        In the last frame the tip is within ``arrival_tolerance`` of the target's end. Number: mm.
+        In the last frame the tip is within ``arrival_tolerance`` of the target's end, and the robot lies along
+        the path. Number: mm.
     follows : Verdict
         In the worst frame the error e2 is at most ``error_allowed``. Number: mm.
     stable : Verdict
@@ -164,7 +172,7 @@ def _cost_of_clearance(plan: PlanData) -> str:
 
 
 def _judge_arrival(plan: PlanData) -> Judgement:
-    """Check that the tip ends at the target's end; number: distance in mm."""
+    """Check that the tip ends at the target's end, and comes there along the path; number: distance in mm."""
     tolerance = float(option(plan, "arrival_tolerance"))
     end = arrival(plan)
     if end is None:
@@ -175,6 +183,10 @@ def _judge_arrival(plan: PlanData) -> Judgement:
         f"The tip ends {end.distance:.2f} mm and {end.angle_deg:.1f}° from the target's end{short}; "
         f"{tolerance:g} mm is allowed."
     )
+    shortcut = describe_shortcut(plan)
+    if end.distance <= tolerance and shortcut is not None:
+        why += f" It does not come along the path: {shortcut}. The robot cannot follow this path."
+        return NO, end.distance, "mm", why, value
     return _judge_by_shape(plan, end.distance <= tolerance, end.distance, "mm", why, value)
 
 
@@ -315,9 +327,12 @@ def outcome_sentence(found: SampleOutcomes) -> str:
     found: outcomes of the robots. One that fails for several reasons counts for the first of them, so that the
     counts add up.
     """
+    missed = f"do not arrive within {found.arrival_tolerance:g} mm"
+    if found.shortcut is not None:
+        missed = "do not arrive along the path"
     reasons = [
         (found.lost, "snap or leave the branch"),
-        (found.missed_target & ~found.lost, f"do not arrive within {found.arrival_tolerance:g} mm"),
+        (found.missed_target & ~found.lost, missed),
         (
             found.exceeded_contact_limit & ~found.lost & ~found.missed_target,
             f"touch the wall by more than {found.contact_allowed:g} mm",
