@@ -71,10 +71,12 @@ def check_pair(i: int, outer: Tube, inner: Tube) -> None:
             "an inner tube must be at least as long as the one around it"
         )
     off = unit_mismatch_factor(outer.youngs_modulus, inner.youngs_modulus)
-    if off is not None:
+    # A strain limit of its own says that a tube is of another material.
+    if off is not None and outer.max_strain == inner.max_strain:
         raise RobotError(
             f"youngs_modulus of tubes {i} and {i + 1} are {outer.youngs_modulus:g} and {inner.youngs_modulus:g}, "
-            f"about {off:.0e} apart; they must be in the same unit: is one in GPa and the other in MPa?"
+            f"about {off:.0e} apart; they must be in the same unit: is one in GPa and the other in MPa? "
+            "Where their materials are that different, give the max_strain of the softer one"
         )
 
 

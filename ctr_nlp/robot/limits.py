@@ -28,7 +28,7 @@ class Limits:
         Rotation of the tubes, rad; no limit by default.
     beta : pair or sequence of pairs or None
         Extension of the tubes beyond the insertion point, mm, the gamma of eq. (3); by default [0, curved_length]
-        of each tube.
+        of each tube, and [0, length] of a straight one.
     theta : pair or sequence of pairs
         Tilt of the base about x and y, rad.
     alpha_speed, beta_speed, theta_speed : float or sequence of float

@@ -7,6 +7,7 @@ Tube 1 is the outermost.
 
 from __future__ import annotations
 
+import itertools
 import math
 from dataclasses import asdict, dataclass, field, fields, replace
 from functools import cached_property
@@ -21,7 +22,7 @@ from ctr_nlp.robot.checks import MAX_MOTOR_ANGLES_RAD, check_angle, check_pair, 
 from ctr_nlp.robot.extensions import check_extensions, compute_max_extensions
 from ctr_nlp.robot.limits import Limits
 from ctr_nlp.robot.strain import check_deployed
-from ctr_nlp.robot.structure import Structure, TubeNumbers, kind_of, numbers_of, tubes_of
+from ctr_nlp.robot.structure import Structure, TubeNumbers, helix_pieces, kind_of, numbers_of, tubes_of
 from ctr_nlp.robot.tolerances import Tolerances
 from ctr_nlp.robot.tube import Tube
 from ctr_nlp.robot.units import between, did_you_mean, suggest_angle
@@ -52,6 +53,7 @@ TUBE_UNIT_COMMENTS = {
     "outer_diameter": "mm",
     "inner_diameter": "mm",
     "pre_torsion": "rad/mm, by how much the direction of a helix's curvature turns along it",
+    "max_strain": "largest strain of the material, as a part: 0.17 is 17 %",
 }
 """Comments that a robot file has beside the numbers of its tubes."""
 
@@ -77,7 +79,7 @@ class Robot:
     ------
     RobotError
         Tubes do not nest, limits leave no configuration, a tube of the deployed robot would be strained by more
-        than 6 %, or tolerances do not fit the tubes.
+        than 6 %, or by more than its own max_strain, or tolerances do not fit the tubes.
 
     Examples
     --------
@@ -108,7 +110,7 @@ class Robot:
         self._check_limits()
         low, high = (self.split(ends)[1].tolist() for ends in (self.lower, self.upper))
         check_extensions(self.tubes, low, high, self.carriage_gap)
-        check_deployed(self.tubes, self.max_extensions.tolist())
+        check_deployed(self.tubes, self._strained_extensions())
 
     def __reduce__(self) -> Any:
         # Rebuilt from its fields, so that cached arrays are not pickled and stay read-only.
@@ -131,6 +133,18 @@ class Robot:
                 if not value > 0:
                     raise RobotError(f"{name} of {axis} is {value:g}; it must be positive")
 
+    def _strained_extensions(self) -> list[float]:
+        """Return the extensions beta (d,), mm, at which the strain of the deployed robot is checked.
+
+        Where no limits are given, straight tubes around all curved ones cover the others by their curved_length at
+        most: a tube held straight throughout has the strain of its pre-curvature, which each tube checks.
+        """
+        beta = self.max_extensions.tolist()
+        if self.limits.beta is None:
+            for i, _ in itertools.takewhile(lambda each: each[1].is_straight, enumerate(self.tubes)):
+                beta[i] = min(beta[i], self.tubes[i].curved_length)
+        return beta
+
     @cached_property
     def max_extensions(self) -> Array:
         """Largest beta (d,), mm, that limits, order and carriage gap allow together."""
@@ -152,9 +166,14 @@ class Robot:
         low = self.d
         high = 2 * self.d
         ends = zip(self.tubes, self.upper[low:high], strict=True)
+        kinds = tuple(map(kind_of, self.tubes))
         # A tube extended beyond its curved part shows its straight transmission: one section more in every model.
-        shown = tuple(bool(end > tube.curved_length) for tube, end in ends)
-        return Structure(tuple(map(kind_of, self.tubes)), shown, self.carriage_gap is not None)
+        # A straight tube is alike along its whole length.
+        shown = tuple(
+            bool(end > tube.curved_length) and kind != "straight"
+            for kind, (tube, end) in zip(kinds, ends, strict=True)
+        )
+        return Structure(kinds, shown, self.carriage_gap is not None, helix_pieces(self.tubes))
 
     @cached_property
     def numbers(self) -> Array:
@@ -200,7 +219,7 @@ class Robot:
         """Lower and upper limits of q, (2d + 2, 2), rad and mm."""
         beta = self.limits.beta
         if beta is None:
-            beta = [(0.0, tube.curved_length) for tube in self.tubes]
+            beta = [(0.0, tube.usual_extension) for tube in self.tubes]
         rows = [
             pairs("alpha", self.limits.alpha, self.d),
             pairs("beta", beta, self.d),
@@ -368,7 +387,9 @@ class Robot:
             ``tubes``, ``limits`` and ``tolerances``, fit for strict JSON: no limit is written as ``"inf"``.
         """
         plain = asdict(self)
-        return {"tubes": list(plain["tubes"])} | {k: strict_json(plain[k]) for k in ("limits", "tolerances")}
+        # Only what is given: files of robots without a strain limit stay as they were.
+        tubes = [{key: value for key, value in tube.items() if value is not None} for tube in plain["tubes"]]
+        return {"tubes": tubes} | {k: strict_json(plain[k]) for k in ("limits", "tolerances")}
 
     def to_toml(self, head: str = "") -> str:
         """Return the text of a robot file.

@@ -272,7 +272,9 @@ def perturb_robot(robot: Robot, deviations: Array, backlash: Array, forces: Arra
     # Where a perturbed curved part is shorter than the tube's largest extension, the straight transmission comes
     # out of the insertion point. That is another structure, which then holds for the whole batch.
     reach = robot.upper[robot.d : 2 * robot.d]
-    shown = tuple((numbers[..., curved] < reach).any(axis=0) | np.array(robot.structure.transmission_emerges))
+    bent = np.array([kind != "straight" for kind in robot.structure.kinds])
+    emerges = (numbers[..., curved] < reach).any(axis=0) & bent
+    shown = tuple(emerges | np.array(robot.structure.transmission_emerges))
     structure = replace(robot.structure, transmission_emerges=tuple(map(bool, shown)))
     return RobotSamples(structure, numbers, deviations[..., 4], backlash, forces, deviations)
 

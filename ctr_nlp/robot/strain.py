@@ -50,7 +50,7 @@ class Strain(NamedTuple):
 
 
 def check_deployed(tubes: Sequence[Tube], beta: Sequence[float]) -> None:
-    """Check that no tube of the aligned robot is strained by more than 6 %.
+    """Check that no tube of the aligned robot is strained by more than 6 %, or its own max_strain.
 
     In the standard test of superelastic nitinol (ASTM F2516) specimens are loaded to a strain of 6 %, from which
     they must recover.
@@ -67,13 +67,17 @@ def check_deployed(tubes: Sequence[Tube], beta: Sequence[float]) -> None:
     RobotError
         A tube is strained by more.
     """
-    worst = largest_strain(tubes, beta)
-    if worst is not None and worst.strain > MAX_DEPLOYED_STRAIN * (1 + 1e-9):
+    allowed = [MAX_DEPLOYED_STRAIN if tube.max_strain is None else tube.max_strain for tube in tubes]
+    found = strains(tubes, beta)
+    worst = max(found, key=lambda one: one.strain / allowed[one.tube - 1], default=None)
+    if worst is not None and worst.strain > allowed[worst.tube - 1] * (1 + 1e-9):
+        tube = tubes[worst.tube - 1]
+        material = "nitinol" if tube.max_strain is None else "its max_strain"
         raise RobotError(
             f"tube {worst.tube} is strained by {100 * worst.strain:.3g} % at {worst.place:.1f} mm of the aligned, "
-            f"deployed robot, and nitinol allows {100 * MAX_DEPLOYED_STRAIN:g} % there: its own curvature is "
-            f"{worst.own:.4g} per mm, that of all tubes together {worst.common:.4g}, its outer_diameter "
-            f"{tubes[worst.tube - 1].outer_diameter:g} mm. The curvatures must be closer to each other"
+            f"deployed robot, and {material} allows {100 * allowed[worst.tube - 1]:g} % there: its own curvature "
+            f"is {worst.own:.4g} per mm, that of all tubes together {worst.common:.4g}, its outer_diameter "
+            f"{tube.outer_diameter:g} mm. The curvatures must be closer to each other{tube.other_material_hint}"
         )
 
 
@@ -92,6 +96,24 @@ def largest_strain(tubes: Sequence[Tube], beta: Sequence[float]) -> Strain | Non
     Strain or None
         The largest strain; None where nothing is deployed.
     """
+    return max(strains(tubes, beta), key=lambda one: one.strain, default=None)
+
+
+def strains(tubes: Sequence[Tube], beta: Sequence[float]) -> list[Strain]:
+    """Return the strains of all tubes of the aligned robot where they can be largest.
+
+    Parameters
+    ----------
+    tubes : sequence of Tube
+        The d tubes, outermost first.
+    beta : sequence of float
+        Their extensions (d,), mm.
+
+    Returns
+    -------
+    list of Strain
+        From the insertion point to the tip; empty where nothing is deployed.
+    """
     # Between these edges the same tubes are present, and pre-curvatures are linear in arc length. The strain is
     # then the absolute value of a linear function, which is largest at an end of the piece.
     starts = [max(b - tube.curved_length, 0.0) for tube, b in zip(tubes, beta, strict=True)]
@@ -99,8 +121,7 @@ def largest_strain(tubes: Sequence[Tube], beta: Sequence[float]) -> Strain | Non
     pieces = [(a, b) for a, b in itertools.pairwise(edges) if b - a > MIN_STRAIN_PIECE_MM]
     places = [place for a, b in pieces for place in (a + STRAIN_EDGE_OFFSET_MM, b - STRAIN_EDGE_OFFSET_MM)]
     # Just inside of each piece, where it is clear which tubes are present.
-    found = [strain for place in places for strain in _strains(tubes, beta, place)]
-    return max(found, key=lambda one: one.strain, default=None)
+    return [strain for place in places for strain in _strains(tubes, beta, place)]
 
 
 def _strains(tubes: Sequence[Tube], beta: Sequence[float], s: float) -> list[Strain]:

@@ -6,6 +6,7 @@ alone (perturbed robots, designed tubes) share every compiled program.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal, NamedTuple
@@ -16,6 +17,8 @@ Kind = Literal["straight", "arc", "linear", "helix"]
 """Kind of a tube's curved part: without curvature, of one curvature, with a curvature that is linear in arc
 length, or of one curvature whose direction turns.
 """
+HELIX_TURN_PER_PIECE_RAD = 2.0
+"""Largest angle, rad, by which a helix's curvature turns along a piece that is integrated in a few steps."""
 
 
 @dataclass(frozen=True)
@@ -31,11 +34,14 @@ class Structure:
         Which tubes can be extended so far that their straight transmissions come out of the insertion point.
     gap : bool
         Whether a least distance between carriages is a constraint.
+    pieces : tuple of int
+        In how many pieces sections with each tube are integrated; empty where every one is a single piece.
     """
 
     kinds: tuple[Kind, ...]
     transmission_emerges: tuple[bool, ...]
     gap: bool = False
+    pieces: tuple[int, ...] = ()
 
     @property
     def d(self) -> int:
@@ -52,6 +58,8 @@ class TubeNumbers(NamedTuple):
         Kind of its curved part.
     transmission_emerges : bool
         Whether its straight transmission can come out.
+    pieces : int
+        In how many pieces a section with this tube is integrated: more than one for a helix of several turns.
     length, curved_length : Any
         Lengths, mm.
     root_curvature, tip_curvature : Any
@@ -68,6 +76,7 @@ class TubeNumbers(NamedTuple):
 
     kind: Kind
     transmission_emerges: bool
+    pieces: int
     length: Any
     curved_length: Any
     root_curvature: Any
@@ -91,7 +100,7 @@ class TubeNumbers(NamedTuple):
 Tubes = Sequence[TubeNumbers]
 """The tubes of a robot, outermost first."""
 
-TUBE_NUMBER_NAMES = TubeNumbers._fields[2:]
+TUBE_NUMBER_NAMES = TubeNumbers._fields[3:]
 """Names of a tube's numbers, in the order in which programs take them as parameters."""
 
 
@@ -110,8 +119,19 @@ def tubes_of(structure: Structure, numbers: Sequence[Sequence[Any]]) -> tuple[Tu
     tuple of TubeNumbers
         Outermost first.
     """
-    rows = zip(structure.kinds, structure.transmission_emerges, numbers, strict=True)
-    return tuple(TubeNumbers(kind, shown, *row) for kind, shown, row in rows)
+    pieces = structure.pieces or (1,) * structure.d
+    rows = zip(structure.kinds, structure.transmission_emerges, pieces, numbers, strict=True)
+    return tuple(TubeNumbers(kind, shown, count, *row) for kind, shown, count, row in rows)
+
+
+def structure_of(tubes: Tubes) -> Structure:
+    """Return the structure of tubes, without a least distance between carriages."""
+    pieces = tuple(tube.pieces for tube in tubes)
+    return Structure(
+        tuple(tube.kind for tube in tubes),
+        tuple(tube.transmission_emerges for tube in tubes),
+        pieces=pieces if any(count > 1 for count in pieces) else (),
+    )
 
 
 def tubes_of_batch(structure: Structure, numbers: Any) -> tuple[TubeNumbers, ...]:
@@ -188,3 +208,15 @@ def kind_of(tube: Tube) -> Kind:
         return "helix"
     # Without a curved part there is nothing along which the curvature could change.
     return "linear" if tube.root_curvature != tube.tip_curvature and tube.curved_length else "arc"
+
+
+def helix_pieces(tubes: Iterable[Tube]) -> tuple[int, ...]:
+    """Return in how many pieces sections with each of `tubes` are integrated; empty where each is one piece."""
+    found = tuple(_count_pieces(abs(tube.pre_torsion) * tube.curved_length) for tube in tubes)
+    return found if any(count > 1 for count in found) else ()
+
+
+def _count_pieces(turn: float) -> int:
+    """Return the number of pieces of a curved part along which the direction of curvature turns by `turn` rad."""
+    # The tolerance keeps a helix of exactly 2 rad, computed as a product, in one piece.
+    return max(1, math.ceil(turn / HELIX_TURN_PER_PIECE_RAD - 1e-9))

@@ -1,4 +1,4 @@
-"""One tube: its numbers, checked against the strain of nitinol and against mistakes of units."""
+"""One tube: its numbers, checked against the strain of its material and against mistakes of units."""
 
 from __future__ import annotations
 
@@ -16,10 +16,12 @@ MAX_TUBE_CURVATURE_PER_MM = 0.5
 """Largest curvature of any tube, 1/mm: a radius of 2 mm, to which nitinol can be bent up to 0.32 mm thick."""
 TUBE_LENGTH_RANGE_MM = (1.0, 10_000.0)
 """Shortest and longest tube, mm. What is shorter was likely written in metres, what is longer in micrometres."""
-MAX_HELIX_TURN_RAD = 2.0
-"""Largest angle by which the direction of a helix's curvature turns along its curved part, rad: sections are
-integrated in a few steps.
+MAX_HELIX_TURN_RAD = 40.0
+"""Largest angle by which the direction of a helix's curvature turns along its curved part, rad: six turns.
+Programs grow with every turn, and a number beyond it was likely written in degrees.
 """
+MAX_STRAIN_LIMIT = 0.5
+"""Largest strain limit of a material: what is larger was likely written in percent."""
 TUBE_DIAMETER_RANGE_MM = (0.1, 100.0)
 """Least and largest outer diameter, mm."""
 
@@ -32,9 +34,9 @@ class Tube:
     Bent into its pre-curvature, a straight tube is strained by curvature * outer_diameter / 2 at its outer fibre,
     and again wherever the tubes around it or its own carriage hold it straight. More than 8 % is refused, the
     strain up to which nitinol recovers (Duerig, Pelton, Stoeckel, An overview of nitinol medical applications,
-    Materials Science and Engineering A 273-275, 1999). However thin the tube, its curvature is at most 0.5 per mm,
-    its outer diameter 0.1 to 100 mm and its length 1 to 10,000 mm: beyond these a number was likely written in
-    another unit, which the message names.
+    Materials Science and Engineering A 273-275, 1999), unless the tube has a `max_strain` of its own. However thin
+    the tube, its curvature is at most 0.5 per mm, its outer diameter 0.1 to 100 mm and its length 1 to 10,000 mm:
+    beyond these a number was likely written in another unit, which the message names.
 
     Attributes
     ----------
@@ -55,6 +57,9 @@ class Tube:
     pre_torsion : float
         Angle by which the direction in which the curved part bends turns along it, rad/mm. One curvature and a
         torsion make a helix, right-handed where the torsion is positive.
+    max_strain : float or None
+        Largest strain of a material other than nitinol, as a part (0.17 is 17 %), by the pre-curvature and by the
+        other tubes of a deployed robot; None for those of nitinol, 8 % and 6 %.
 
     Raises
     ------
@@ -81,6 +86,7 @@ class Tube:
     poisson_ratio: float = 0.3
     youngs_modulus: float = 1.0
     pre_torsion: float = 0.0
+    max_strain: float | None = None
 
     def __post_init__(self) -> None:
         for f in fields(self):
@@ -89,10 +95,11 @@ class Tube:
                 pair = tuple(numbers(f.name, value, 2).tolist())
                 # Equal ends are one number: an arc is another structure than a curved part of linear curvature.
                 object.__setattr__(self, "curvature", pair[0] if pair[0] == pair[1] else pair)
-            else:
+            elif f.name != "max_strain" or value is not None:
                 object.__setattr__(self, f.name, float(numbers(f.name, value, 1)[0]))
         self._check_lengths()
         self._check_diameters()
+        self._check_max_strain()
         self._check_curvature()
         self._check_torsion()
         if not -1 < self.poisson_ratio <= 0.5:
@@ -124,8 +131,19 @@ class Tube:
             )
         _check_unit("outer_diameter", self.outer_diameter, TUBE_DIAMETER_RANGE_MM)
 
+    def _check_max_strain(self) -> None:
+        """Raise RobotError unless the strain limit, if any, is one that a material can have."""
+        limit = self.max_strain
+        if limit is not None and not 0 < limit <= MAX_STRAIN_LIMIT:
+            percent = limit / 100
+            meant = [f"{percent:g} ({limit:g} %)"] if 0 < percent <= MAX_STRAIN_LIMIT else []
+            raise RobotError(
+                f"tube max_strain is {limit:g}; it must lie in (0, {MAX_STRAIN_LIMIT:g}], as a part"
+                f"{did_you_mean(meant)}"
+            )
+
     def _check_curvature(self) -> None:
-        """Raise RobotError unless the curvature has a valid sign and strains the tube by at most 8 %."""
+        """Raise RobotError unless the curvature has a valid sign and strains the tube by at most what it bears."""
         # A sign would say the same as a turn by pi. Only an S has two sides, and it is described with the tip's
         # side positive.
         if self.tip_curvature < 0 or self.root_curvature < 0 == self.tip_curvature:
@@ -134,7 +152,8 @@ class Tube:
             raise RobotError(f"tube curvature is {self.curvature}; {what}")
         # The strain k D / 2, solved for k.
         largest = self.largest_curvature
-        most = min(MAX_TUBE_CURVATURE_PER_MM, 2 * MAX_PRE_CURVATURE_STRAIN / self.outer_diameter)
+        limit = self.pre_curvature_strain_limit
+        most = min(MAX_TUBE_CURVATURE_PER_MM, 2 * limit / self.outer_diameter)
         if largest > MAX_TUBE_CURVATURE_PER_MM:
             meant = suggest_curvature(largest, between(0, most))
             raise RobotError(
@@ -142,17 +161,17 @@ class Tube:
                 f"{most:.3g} per mm{did_you_mean(meant)}"
             )
         strain = largest * self.outer_diameter / 2
-        if strain > MAX_PRE_CURVATURE_STRAIN * (1 + 1e-9):
+        if strain > limit * (1 + 1e-9):
+            material = "nitinol" if self.max_strain is None else "its max_strain"
             raise RobotError(
                 f"tube curvature is {largest:g} per mm, a radius of {1 / largest:.3g} mm, and outer_diameter "
-                f"{self.outer_diameter:g} mm: the tube is strained by {100 * strain:.3g} %, and nitinol "
-                f"allows {100 * MAX_PRE_CURVATURE_STRAIN:g} %; the curvature must be at most {most:.3g} per mm"
+                f"{self.outer_diameter:g} mm: the tube is strained by {100 * strain:.3g} %, and {material} "
+                f"allows {100 * limit:g} %; the curvature must be at most {most:.3g} per mm"
+                f"{self.other_material_hint}"
             )
 
     def _check_torsion(self) -> None:
-        """Raise RobotError unless a torsion belongs to a curved part of one curvature and turns it by at most 2
-        rad.
-        """
+        """Raise RobotError unless a torsion belongs to a curved part of one curvature and is likely in rad/mm."""
         if self.pre_torsion == 0:
             return
         if isinstance(self.curvature, tuple) or self.curvature == 0 or self.curved_length == 0:
@@ -162,10 +181,12 @@ class Tube:
             )
         most = MAX_HELIX_TURN_RAD / self.curved_length
         if not abs(self.pre_torsion) <= most:
+            radians = math.radians(self.pre_torsion)
+            meant = [f"{radians:.3g} rad/mm ({self.pre_torsion:g} degrees)"] if abs(radians) <= most else []
             raise RobotError(
                 f"tube pre_torsion is {self.pre_torsion:g} rad/mm, and the curved part is "
                 f"{self.curved_length:g} mm long; it must lie in [{-most:.3g}, {most:.3g}] rad/mm, so that the "
-                f"curvature turns by {MAX_HELIX_TURN_RAD:g} rad along it at most"
+                f"curvature turns by {MAX_HELIX_TURN_RAD:g} rad along it at most{did_you_mean(meant)}"
             )
 
     @property
@@ -182,6 +203,26 @@ class Tube:
     def largest_curvature(self) -> float:
         """Larger absolute curvature of root and tip, 1/mm."""
         return max(abs(self.root_curvature), self.tip_curvature)
+
+    @property
+    def is_straight(self) -> bool:
+        """Whether the tube has no pre-curvature."""
+        return self.largest_curvature == 0
+
+    @property
+    def usual_extension(self) -> float:
+        """Upper limit of beta where none is given, mm: the curved part, or the whole length of a straight tube."""
+        return self.length if self.is_straight else self.curved_length
+
+    @property
+    def pre_curvature_strain_limit(self) -> float:
+        """Largest strain of the outer fibre by the tube's pre-curvature, as a part."""
+        return MAX_PRE_CURVATURE_STRAIN if self.max_strain is None else self.max_strain
+
+    @property
+    def other_material_hint(self) -> str:
+        """End of a message on the strain of nitinol: how to describe another material; empty where one is."""
+        return "; for a tube of another material give max_strain" if self.max_strain is None else ""
 
     @property
     def area(self) -> float:

@@ -4,13 +4,17 @@ import dataclasses
 
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 from truth import Shot
 
 from ctr_nlp import Limits, Load, Loaded, Robot, Tube
 from ctr_nlp.exceptions import CtrError, RobotError
 from ctr_nlp.models import KINEMATIC_MODELS
+from ctr_nlp.models.dominant.shape import columns_of
 from ctr_nlp.models.elastic.equilibria import Equilibria
+from ctr_nlp.models.elastic.shape import backbone
+from ctr_nlp.models.elastic.torsion import motors, sections, twist
 
 pytestmark = pytest.mark.interpreted
 SIGMA = np.linspace(0.0, 1.0, 31)
@@ -106,7 +110,8 @@ def test_a_helix_that_snaps_falls_to_where_it_would_be_settled_from_the_other_si
     [
         ({"curvature": (0.01, 0.02)}, "one curvature"),
         ({"curvature": 0.0}, "neither is 0"),
-        ({"pre_torsion": 0.1}, r"must lie in \[-0.0182, 0.0182\] rad/mm"),
+        ({"pre_torsion": 0.4}, r"must lie in \[-0.364, 0.364\] rad/mm, .* turns by 40 rad"),
+        ({"pre_torsion": 3.0}, r"did you mean 0.0524 rad/mm \(3 degrees\)"),
         ({"pre_torsion": float("nan")}, "pre_torsion"),
     ],
 )
@@ -123,3 +128,85 @@ def test_a_robot_file_holds_the_torsion(tmp_path):
 def test_a_load_on_a_helix_is_refused():
     with pytest.raises(CtrError, match="helix"):
         Loaded(Load((0.1, 0, 0))).check(LONE)
+
+
+def helix(turn, curvature, length, curved, outer, inner):
+    return Tube(length, curved, curvature, outer, inner, pre_torsion=turn / curved)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_helices_of_many_turns_are_integrated_finely(seed):
+    """Elastic shapes, and angles of motors, are those of eight times as many pieces."""
+    rng = np.random.default_rng(seed)
+    turns = rng.uniform(2, 20, 2) * rng.choice([-1, 1], 2)
+    robot = Robot((helix(turns[0], 0.02, 200, 120, 2.0, 1.6), helix(turns[1], 0.015, 400, 150, 1.4, 1.0)))
+    assert max(robot.structure.pieces) == np.ceil(abs(turns).max() / 2)
+    x = np.array([*rng.uniform(-3, 3, 2), *np.sort(rng.uniform(20, 120, 2)), 0.1, -0.2])
+    finer = [tube._replace(pieces=8 * tube.pieces) for tube in robot.tube_numbers]
+    curve = backbone(finer, columns_of(x[None]), SIGMA, np)
+    expected = np.stack([np.broadcast_to(each, (1, len(SIGMA)))[0] for each in curve.points], axis=-1)
+    elastic = KINEMATIC_MODELS["elastic"]
+    np.testing.assert_allclose(elastic.points(robot, x[None], SIGMA)[0], expected, atol=1e-3)
+    found, fine = (
+        motors(tubes, x, twist(tubes, x, sections(tubes, x[2:4], np), np)) for tubes in (robot.tube_numbers, finer)
+    )
+    np.testing.assert_allclose(found, fine, atol=1e-5)
+
+
+def integrated(robot, q):
+    """The shape (n, 3) on the dominant model, by a general integrator of its curvature vector."""
+    (first, second), beta = robot.tubes, q[2:4]
+
+    def rates(s, state):
+        i, tube = (0, first) if s < beta[0] else (1, second)
+        # The direction of the curvature at s, of a tube that is untwisted, from where its curved part begins.
+        angle = q[i] + tube.pre_torsion * (tube.curved_length - beta[i] + s)
+        d1, d2, t = state[3:].reshape(3, 3)
+        u = tube.tip_curvature * np.array([np.cos(angle), np.sin(angle)])
+        return np.concatenate([t, -u[0] * t, -u[1] * t, u[0] * d1 + u[1] * d2])
+
+    state, found = np.concatenate([np.zeros(3), np.eye(3).ravel()]), []
+    for low, high in ((0.0, beta[0]), (beta[0], beta[1])):
+        s = np.unique(np.append(SIGMA * beta[1], (low, high)))
+        s = s[(s >= low) & (s <= high)]
+        # Just within the piece, since the curvature jumps at its ends.
+        part = solve_ivp(
+            lambda s, y, a=low, b=high: rates(min(max(s, a), b - 1e-9), y),
+            (low, high),
+            state,
+            t_eval=s,
+            rtol=1e-10,
+            atol=1e-10,
+        )
+        state, found = part.y[:, -1], found + [(a, *p) for a, p in zip(part.t, part.y[:3].T, strict=True)]
+    table = np.array(found)
+    rows = [np.abs(table[:, 0] - s).argmin() for s in SIGMA * beta[1]]
+    return table[rows, 1:]
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_helices_of_many_turns_on_the_dominant_model_are_those_integrated(seed):
+    rng = np.random.default_rng(seed)
+    turns = rng.uniform(3, 20, 2) * rng.choice([-1, 1], 2)
+    robot = Robot((helix(turns[0], 0.02, 200, 120, 2.6, 2.0), helix(turns[1], 0.015, 400, 150, 1.4, 1.0)))
+    q = np.array([*rng.uniform(-3, 3, 2), *np.sort(rng.uniform(20, 120, 2)), 0.0, 0.0])
+    expected = integrated(robot, q)
+    np.testing.assert_allclose(KINEMATIC_MODELS["dominant"].points(robot, q[None], SIGMA)[0], expected, atol=1e-3)
+
+
+def test_a_helix_of_several_turns_from_a_file_is_planned_on(shared_data):
+    robot = Robot.from_toml(shared_data / "cases/robots/helix.toml")
+    assert robot.structure.pieces == (3, 4)
+    q = np.array([0.3, 0.0, 100.0, 140.0, 0.0, 0.0])
+    elastic = KINEMATIC_MODELS["elastic"]
+    x = elastic.rest(robot, q)
+    # Several equilibria belong to q. Shot from the rates of this one, which it counts without the helices' own.
+    rates = twist(robot.tube_numbers, x, sections(robot.tube_numbers, x[2:4], np), np).rates
+    shot = Shot(robot, q, tuple(rate - tube.pre_torsion for rate, tube in zip(rates, robot.tubes, strict=True)))
+    np.testing.assert_allclose(x, shot.x, atol=1e-4)
+    np.testing.assert_allclose(elastic.points(robot, x[None], SIGMA)[0], shot.points(SIGMA), atol=1e-3)
+
+
+def test_helices_of_two_rad_keep_their_programs():
+    assert PAIR.structure.pieces == ()
+    assert Robot((helix(2.0, 0.01, 200, 110, 2.0, 1.5),)).structure.pieces == ()

@@ -87,7 +87,7 @@ def test_a_structure_says_what_must_be_compiled():
     bent = Tube(first.length, first.curved_length, (0.004, 0.009), first.outer_diameter, first.inner_diameter)
     straight = Tube(second.length, second.curved_length, 0.0, second.outer_diameter, second.inner_diameter)
     robot = Robot((bent, straight, third), Limits(beta=[(0, 50), (0, 150), (0, 150)], carriage_gap=3.0))
-    assert robot.structure == Structure(("linear", "straight", "arc"), (False, True, False), True)
+    assert robot.structure == Structure(("linear", "straight", "arc"), (False, False, False), True)
     assert table_i_robot().structure == Structure(("arc",) * 3, (False,) * 3, False)
 
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -22,7 +22,7 @@ from ctr_nlp.robot import Robot
 from ctr_nlp.robot.samples import MIN_REMAINING_PART
 from ctr_nlp.robot.structure import TUBE_NUMBER_NAMES, Structure
 from ctr_nlp.robot.tolerances import DEVIATION_NAMES
-from ctr_nlp.robot.tube import MAX_PRE_CURVATURE_STRAIN, MAX_TUBE_CURVATURE_PER_MM
+from ctr_nlp.robot.tube import MAX_TUBE_CURVATURE_PER_MM
 from ctr_nlp.typing import Array
 
 LAGS = "rotation_lag", "lag_per_overlap", "drag"
@@ -184,7 +184,7 @@ class Parameters:
         """
         found = self.robot.structure
         if any(one.kind == "curved_length" for one in self.each):
-            return Structure(found.kinds, (True,) * found.d, found.gap)
+            return replace(found, transmission_emerges=(True,) * found.d)
         return found
 
     def columns(self, *kinds: str) -> list[int]:
@@ -390,7 +390,7 @@ def _range(robot: Robot, kind: str, i: int) -> tuple[float, float]:
     most = math.inf
     if kind == "curvature":
         most = (
-            min(MAX_TUBE_CURVATURE_PER_MM, 2 * MAX_PRE_CURVATURE_STRAIN / tube.outer_diameter)
+            min(MAX_TUBE_CURVATURE_PER_MM, 2 * tube.pre_curvature_strain_limit / tube.outer_diameter)
             / tube.largest_curvature
             - 1
         )

@@ -345,5 +345,5 @@ def numbers_of(tubes: Tubes) -> Array:
     """Return the numbers of tubes in the layout of `CompiledElastic`: (T or 1, 8d), number by number, then tube by
     tube.
     """
-    numbers = [tube[2 + k] for k in range(len(TUBE_NUMBER_NAMES)) for tube in tubes]
+    numbers = [getattr(tube, name) for name in TUBE_NUMBER_NAMES for tube in tubes]
     return np.stack(np.broadcast_arrays(*map(np.ravel, numbers)), axis=1)

@@ -20,7 +20,7 @@ import numpy as np
 from ctr_nlp.models.elastic.compiled import get_compiled_elastic, numbers_of
 from ctr_nlp.models.elastic.energy import differences, energies
 from ctr_nlp.models.elastic.torsion import Node, RobotSection, add_scaled_changes
-from ctr_nlp.robot.structure import Structure, Tubes
+from ctr_nlp.robot.structure import Tubes, structure_of
 from ctr_nlp.typing import Array
 
 
@@ -142,9 +142,7 @@ def determinant(matrix: Sequence[Sequence[Any]]) -> Any:
 
 def margins(tubes: Tubes, x: Array) -> Array:
     """Return the stability margin (T,) of tubes at every x (T, 2d + 2), by Galerkin's method; NaN where x is."""
-    code = get_compiled_elastic(
-        Structure(tuple(tube.kind for tube in tubes), tuple(tube.transmission_emerges for tube in tubes))
-    )
+    code = get_compiled_elastic(structure_of(tubes))
     if code is not None:
         return code.margins(numbers_of(tubes), x)
     found = np.full(len(x), np.nan)

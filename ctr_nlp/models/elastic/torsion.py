@@ -114,7 +114,9 @@ def sections(tubes: Tubes, beta: Sequence[Any], xp: Any, planes: bool = True) ->
                 for here, start in zip(present, starts, strict=True)
             ]
             section = _section(tubes, a, b, present, curved)
-            found.append(section if planes else section._replace(plane=False))
+            # Several pieces where a helix turns too far for the steps of one section.
+            pieces = section.split_evenly(max((tubes[k].pieces for k in section.active), default=1))
+            found += pieces if planes else [piece._replace(plane=False) for piece in pieces]
     return found
 
 

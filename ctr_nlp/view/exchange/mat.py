@@ -40,7 +40,7 @@ README = {
     "space": "coordinates of that file: LPS, RAS or LAS, xyz where it does not say, empty where there is no file",
     "robot": "a struct array, a tube an element, the outermost first: length, curved_length mm; curvature 1/mm, "
     "one number or [root tip]; outer_diameter, inner_diameter mm; poisson_ratio; youngs_modulus in MPa, or "
-    "relative; pre_torsion rad/mm",
+    "relative; pre_torsion rad/mm; max_strain, a part, NaN of nitinol",
     "q_limits": "(2 x 2d+2) least and largest q",
     "problem": "name of the problem",
     "model": "name of the model that shapes and stability are those of",
