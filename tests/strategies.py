@@ -53,7 +53,7 @@ def configurations(draw: st.DrawFn, robot: Robot, shortest: float = 1.0) -> np.n
     reached = 0.0
     for i in range(d, 2 * d):
         hidden = draw(st.booleans()) and i < 2 * d - 1
-        reached = reached if hidden else max(reached, robot.upper[i] * draw(numbers(0, 1)))
+        reached = reached if hidden else max(reached, robot.max_extensions[i - d] * draw(numbers(0, 1)))
         q[i] = reached
     q[2 * d - 1] = max(reached, shortest)
     q[2 * d :] = [draw(numbers(-3.1, 3.1)) for _ in range(2)]

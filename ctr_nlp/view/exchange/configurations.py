@@ -17,9 +17,9 @@ from ctr_nlp.paths.problem import Problem
 from ctr_nlp.plan.plan import Plan, plan_from_configurations
 from ctr_nlp.plan.simulation import Simulator
 from ctr_nlp.robot import Robot
-from ctr_nlp.robot.units import between, did_you_mean, suggest_angle, suggest_length
 from ctr_nlp.support.value_checks import checked_path, plain_floats
 from ctr_nlp.typing import Array
+from ctr_nlp.view.exchange.configuration_checks import check_configurations
 from ctr_nlp.view.exchange.mat import read_mat_variables
 
 CONFIGURATION_SUFFIXES = (".mat", ".csv")
@@ -29,9 +29,6 @@ MAX_RELATIVE_STEP_DEVIATION = 1e-6
 CONFIGURATION_ROWS_TEXT = (
     "(T, 2d + 2), a row a frame: alpha_1..d in rad, beta_1..d in mm, theta_x and theta_y in rad"
 )
-CONFIGURATION_LENGTH_TOLERANCE_MM = 1e-6
-"""Rounding error, mm, by which lengths beta may leave their range or order."""
-
 NO_SHAPE = "the model finds no shape for the configuration"
 
 
@@ -110,7 +107,8 @@ def plan_through(problem: Problem, q: Array, model: str | Model = DEFAULT_MODEL,
         Robot and target.
     q : (T, 2d + 2) array
         One row for each frame of the problem; rad, mm and rad. The tubes must be able to have these lengths;
-        limits of the robot's drives are not checked here but by the plan's verdicts.
+        limits of the robot's drives are not checked here but by the plan's verdicts. Numbers far beyond them that
+        fit in another unit or order of columns are refused, and so are lengths that fit the target only then.
     model : str or Model
         The kinematic model on which the robot is moved.
     source : str
@@ -124,8 +122,8 @@ def plan_through(problem: Problem, q: Array, model: str | Model = DEFAULT_MODEL,
     Raises
     ------
     OptionError
-        `q` has another shape, the tubes cannot take a configuration (the message names its frame), or the model
-        does not describe the robot.
+        `q` has another shape, the tubes cannot take a configuration (the message names its frame, and the unit or
+        order of columns in which they could), or the model does not describe the robot.
     LoadError
         The model's load cannot be applied to the robot.
 
@@ -141,7 +139,8 @@ def plan_through(problem: Problem, q: Array, model: str | Model = DEFAULT_MODEL,
     robot = problem.robot
     described.check_planning(robot)
     q = _numbers("q", q)
-    _check(q, robot, problem.frames)
+    _check_shape(q, robot, problem.frames)
+    check_configurations(q, problem)
     simulator = Simulator(robot, described)
     unknown = np.full(problem.frames, np.nan)
     known = np.asarray(np.isfinite(simulator(q).shape).all(axis=(1, 2)))
@@ -242,10 +241,8 @@ def _numbers(name: str, value: Any) -> Array:
         raise OptionError(f"{name} holds {getattr(value, 'dtype', type(value))}; it must be numbers") from error
 
 
-def _check(q: Array, robot: Robot, frames: int) -> None:
-    """Raise OptionError where q is not (frames, 2d + 2), or the robot's tubes cannot take one of its
-    configurations.
-    """
+def _check_shape(q: Array, robot: Robot, frames: int) -> None:
+    """Raise OptionError where q is not (frames, 2d + 2)."""
     width = len(robot.axes)
     if q.shape != (frames, width):
         turned = "; it seems to be transposed" if q.ndim == 2 and q.shape[0] == width != q.shape[1] else ""
@@ -253,47 +250,6 @@ def _check(q: Array, robot: Robot, frames: int) -> None:
             f"q has shape {q.shape}; for {frames} frames of a robot of {robot.d} tubes it must be "
             f"({frames}, {width}), {', '.join(_columns(robot.d))}{turned}"
         )
-    lengths = np.array([tube.length for tube in robot.tubes])
-    for frame, row in enumerate(q, start=1):
-        bad = np.flatnonzero(~np.isfinite(row))
-        if bad.size:
-            raise OptionError(f"{robot.axes[bad[0]]} in frame {frame} is {row[bad[0]]}; it must be finite")
-        _check_angles(row, frame, robot)
-        beta = robot.split(row)[1]
-        for i, (value, most) in enumerate(zip(beta, lengths, strict=True), start=1):
-            if not -CONFIGURATION_LENGTH_TOLERANCE_MM <= value <= most + CONFIGURATION_LENGTH_TOLERANCE_MM:
-                # Papers often give the position of a tube's base, beta - L <= 0, instead of beta.
-                based = -most <= value < 0
-                meant = "; is it the position of the tube's base, beta - length?" if based else ""
-                meant = meant or did_you_mean(suggest_length(value, between(1e-9, most)))
-                raise OptionError(
-                    f"beta_{i} in frame {frame} is {value:g} mm; it must lie in [0, {most:g}]{meant}"
-                )
-        for i in (np.flatnonzero(np.diff(beta) < -CONFIGURATION_LENGTH_TOLERANCE_MM) + 1).tolist():
-            raise OptionError(
-                f"beta_{i} in frame {frame} is {beta[i - 1]:g} mm and exceeds beta_{i + 1}, {beta[i]:g} mm; "
-                "tube 1 is the outermost, and no tube may extend beyond one inside it"
-            )
-        if not beta[-1] > 0:
-            raise OptionError(f"beta_{robot.d} in frame {frame} is 0 mm; something of the robot must be out")
-    # All lengths below 1 mm make no motion of a longer robot, but are usual lengths in metres.
-    if (longest := robot.split(q)[1].max()) < 1.0 < robot.reach:
-        raise OptionError(
-            f"beta is at most {longest:g} mm in all frames; lengths must be in mm: are these in metres?"
-        )
-
-
-def _check_angles(row: Array, frame: int, robot: Robot) -> None:
-    """Raise OptionError where an angle was likely written in degrees: no base tilts by more than a turn."""
-    # Only the tilt is checked: alpha is never wrapped, since a full turn of one tube is not the identity on the
-    # elastic model.
-    most = 2 * math.pi
-    for axis, value in zip(robot.axes[-2:], row[-2:], strict=True):
-        if abs(value) > most:
-            meant = did_you_mean(suggest_angle(value, between(-most, most)))
-            raise OptionError(
-                f"{axis} in frame {frame} is {value:g} rad; it must lie in [-{most:.4g}, {most:.4g}] rad{meant}"
-            )
 
 
 def _duration(time: Array, frames: int) -> float:
