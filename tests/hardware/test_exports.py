@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import io
-import json
 import re
 import signal
 import sqlite3
@@ -14,6 +13,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.interpolate import BPoly, CubicHermiteSpline
+from urscript import play
 
 from ctr_nlp import Plan, Problem, curve_from_formula, growing, table_i_robot
 from ctr_nlp.cli.commands import export as export_commands
@@ -230,6 +230,60 @@ def test_gcodeparser_reads_the_same_and_no_command_in_the_comments(trajectory):
     assert number[-1] == lines
 
 
+def per_minute_seconds(text, letters, linear, feed):
+    """Seconds of every numbered line from N1 on, also of those that wait, read by gcodeparser."""
+    gcodeparser = pytest.importorskip("gcodeparser")
+    with pytest.warns(DeprecationWarning, match="parse_gcode_lines"):
+        read = gcodeparser.GcodeParser(text).lines
+    numbered = text[: text.index("N1 ")].count("N0 ")
+    there, found = {}, []
+    for line in read:
+        if line.command_str == "G4":
+            found.append(line.get_param("P"))
+        if line.command_str != "G1":
+            continue
+        place = {letter: line.get_param(letter) for letter in letters if line.get_param(letter) is not None}
+        change = np.array([place[letter] - there.get(letter, np.nan) for letter in place])
+        counted = [letter in linear for letter in place]
+        if feed == "per-minute-linear" and np.any(change[counted]):
+            change = change[counted]
+        there |= place
+        found.append(60 * np.linalg.norm(change) / line.get_param("F"))
+    return np.array(found[numbered:]), read
+
+
+@pytest.mark.parametrize("feed", ["per-minute", "per-minute-linear"])
+def test_feeds_per_minute_take_the_time_of_inverse_time(plan, odd, feed):
+    """Counted as Grbl does, along all axes, or as LinuxCNC and Marlin do, along the axes in mm."""
+    for rig in (simulated_hardware(plan.robot), odd):
+        trajectory = trajectory_of(plan, rig)
+        letters = trajectory.hardware.letters
+        linear = [axis.letter for axis in rig.axes if axis.unit == "mm"]
+        text = gcode_text(trajectory, "a", feed)
+        seconds, read = per_minute_seconds(text, letters, linear, feed)
+        _, _, expected = moves(gcode_text(trajectory, "a"))
+        assert seconds == pytest.approx(expected[1:], rel=1e-3, abs=1e-4)
+        assert seconds.sum() == pytest.approx(trajectory.commands().time[-1], rel=1e-4)
+        modes = [line.command_str for line in read if line.command_str in ("G93", "G94")]
+        assert modes == ["G94", "G94"]
+
+
+@pytest.mark.parametrize("feed", ["per-minute", "per-minute-linear"])
+def test_the_approach_with_feeds_per_minute_is_slow_for_every_axis(trajectory, feed):
+    text = gcode_text(trajectory, "a", feed)
+    rows = [row for row in text.splitlines() if row.startswith("N0 ")]
+    feeds = [float(row.rpartition("F")[2]) for row in rows]
+    units = {axis.letter: axis.unit for axis in trajectory.hardware.axes}
+    assert [{units[letter] for letter in re.findall(r"[XYZABC]", row)} for row in rows] == [{"mm"}, {"deg"}]
+    assert feeds == pytest.approx([60 * 0.2 * 50.0, 60 * 0.2 * np.degrees(2.0)], rel=1e-3)
+
+
+def test_the_file_says_what_its_feeds_mean(trajectory):
+    assert "--feed per-minute" in gcode_text(trajectory, "a")
+    assert "degrees counted like mm" in gcode_text(trajectory, "a", "per-minute")
+    assert "axes in mm alone" in gcode_text(trajectory, "a", "per-minute-linear")
+
+
 def test_standing_still_takes_its_time(plan, trajectory):
     """Grbl drops a line in which nothing moves: only a dwell takes as long as it should."""
     text = gcode_text(trajectory, "a")
@@ -279,9 +333,9 @@ def test_a_title_cannot_command_a_controller(trajectory):
 def test_the_arm_program_tilts_as_the_plan_does(plan, trajectory):
     text = MACHINE_TEXT_FORMATS["urscript"].of(trajectory, "a b")
     assert text.startswith("def ctr_nlp_a_b():")
-    body = text[: text.index("while")]
-    joints = np.array([json.loads(found) for found in re.findall(r"servoj\((\[.*?\])", body)])
-    assert len(joints) == int(np.ceil(trajectory.duration / 0.008)) + 1
+    count = int(np.ceil(trajectory.duration / 0.008)) + 1
+    joints = play(text).samples[:count]
+    assert len(joints) == count
     theta = tilt_of_joints(trajectory.hardware.arm, joints)
     time = 0.008 * np.arange(len(joints))
     for k in range(2):
@@ -515,6 +569,7 @@ def test_a_file_that_is_not_ours_is_left_alone(file, capsys):
         (["--to", "csv", "--hardware", "none.toml"], "none.toml"),
         (["--to", "csv", "--out", "plan.npz/motion.csv"], "cannot be written"),
         (["--to", "rosbag2", "--out", "plan.npz/motion"], "cannot be written"),
+        (["--to", "csv", "--feed", "per-minute"], "--feed goes with --to gcode; a csv file has no feeds"),
         (["--to", "gcode", "--out", "."], "folder or a link"),
     ],
     ids=lambda value: " ".join(value) if isinstance(value, list) else "",

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 import re
 import sys
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from urscript import play
 
 from ctr_nlp.exceptions import DeviceFault, HardwareError, OptionError
 from ctr_nlp.hardware.arm.description import Arm
@@ -401,28 +403,17 @@ class TestUr:
             UrArm(Arm(device="ur"), clock=clock).connect()
 
 
-NUMBERS = r"\[([^\]]*)\]"
-
-
-def played(program: str) -> tuple[np.ndarray, np.ndarray, set[float]]:
-    """Where movej goes, what servoj plays (N, 6), and the periods in use."""
-    to = [np.array(m.split(","), dtype=float) for m in re.findall(r"^  movej\(" + NUMBERS, program, re.M)]
-    assert len(to) == 1
-    lines = re.findall(r"^  servoj\(" + NUMBERS + r", t=([\d.]+), ", program, re.M)
-    return to[0], np.array([m[0].split(",") for m in lines], dtype=float), {float(m[1]) for m in lines}
-
-
 class TestUrScript:
     TIME = 0.008 * np.arange(40)
     JOINTS = inverse_kinematics(Arm(), np.linspace((0, 0), (0.05, -0.1), 40))
 
     def test_plays_the_samples_at_their_time(self):
-        program = write_urscript(self.TIME + 3.0, self.JOINTS)
-        to, samples, periods = played(program)
-        assert to == pytest.approx(self.JOINTS[0], abs=1e-7)
-        assert samples == pytest.approx(self.JOINTS, abs=1e-7)
-        assert periods == {0.008}
-        assert insertion_error(Arm(), samples).max() < 1e-3
+        found = play(write_urscript(self.TIME + 3.0, self.JOINTS))
+        assert found.movej == [pytest.approx(self.JOINTS[0], abs=1e-7)]
+        samples = found.samples[:40]
+        assert samples == pytest.approx(self.JOINTS, abs=3e-6)
+        assert set(found.periods) == {0.008}
+        assert insertion_error(Arm(), samples).max() < 0.01
 
     def test_moves_slowly_asks_plays_settles_and_stops_in_this_order(self):
         program = write_urscript(self.TIME, self.JOINTS)
@@ -430,24 +421,51 @@ class TestUrScript:
         body = program.splitlines()
         assert body[0] == "def ctr_nlp_arm():"
         assert body[-1] == "end"
-        kinds = [m.group(1) for m in re.finditer(r"^ +(movej|popup|servoj|while|stopj)\b", program, re.M)]
-        assert kinds == ["movej", "popup", *["servoj"] * 40, "while", "servoj", "stopj"]
+        found = play(program)
+        held = math.ceil(UR_LAST_SAMPLE_HOLD_S / 0.008)
+        assert found.calls == ["movej", "popup", *["servoj"] * (40 + held), "stopj"]
         assert re.search(r"^  movej\(.*, v=0\.1\)$", program, re.M)
         assert re.search(r"^  popup\(.*blocking=True\)$", program, re.M)
-        opened = len(re.findall(r"^\s*(?:def|while) .*:$", program, re.M))
-        assert opened == len(re.findall(r"^\s*end$", program, re.M))
 
     def test_the_last_sample_is_kept_until_the_arm_is_there(self):
-        program = write_urscript(self.TIME, self.JOINTS)
-        kept = re.search(r"while i < (\d+):\n    servoj\(" + NUMBERS, program)
-        assert kept is not None
-        assert int(kept.group(1)) * 0.008 >= UR_LAST_SAMPLE_HOLD_S
-        assert np.array(kept.group(2).split(","), dtype=float) == pytest.approx(self.JOINTS[-1], abs=1e-7)
+        found = play(write_urscript(self.TIME, self.JOINTS))
+        kept = found.samples[40:]
+        assert len(kept) * 0.008 >= UR_LAST_SAMPLE_HOLD_S
+        assert kept == pytest.approx(np.tile(self.JOINTS[-1], (len(kept), 1)), abs=1e-7)
 
     def test_other_periods(self):
         program = write_urscript(0.002 * np.arange(40), self.JOINTS, period=0.002, lookahead_time=0.05, gain=500)
-        assert played(program)[2] == {0.002}
+        assert set(play(program).periods) == {0.002}
         assert "lookahead_time=0.05, gain=500)" in program
+
+    @pytest.mark.parametrize("seed", range(6))
+    def test_a_minute_of_any_motion_has_few_targets(self, seed):
+        """Smooth motions with stops: within the tolerance at every sample, in a tenth of the lines."""
+        rng = np.random.default_rng(seed)
+        time = 0.008 * np.arange(7501)
+        knots = np.sort(rng.uniform(0, 60, 12))
+        parts = [np.clip((time - at) / rng.uniform(2, 6), 0, 1) for at in knots]
+        steps = np.array([part**3 * (10 - 15 * part + 6 * part**2) for part in parts])
+        joints = rng.uniform(-0.3, 0.3, (6, 12)) @ steps
+        program = write_urscript(time, joints.T)
+        assert len(program.splitlines()) < 1000
+        found = play(program)
+        assert len(found.servoj) == 7501 + math.ceil(UR_LAST_SAMPLE_HOLD_S / 0.008)
+        assert found.seconds == pytest.approx(60 + 0.008 + UR_LAST_SAMPLE_HOLD_S, abs=0.009)
+        assert found.samples[:7501] == pytest.approx(joints.T, abs=1e-5)
+        assert max(len(row) for row in program.splitlines()) < 500
+
+    @pytest.mark.parametrize("count", [1, 2, 3, 5])
+    def test_short_motions(self, count):
+        found = play(write_urscript(self.TIME[:count], self.JOINTS[:count]))
+        assert found.samples[:count] == pytest.approx(self.JOINTS[:count], abs=3e-6)
+
+    def test_more_targets_than_controllers_take_are_refused(self):
+        time = 0.008 * np.arange(20_000)
+        joints = 0.2 * np.sin(40 * time[:, None] + np.arange(6))
+        with pytest.raises(HardwareError, match=r"would have more than 1000 targets for 160.0 s"):
+            write_urscript(time, joints)
+        assert write_urscript(time[:1000], joints[:1000]).count("ctr_nlp_spline([") <= 1000
 
     @pytest.mark.parametrize(
         ("options", "message"),

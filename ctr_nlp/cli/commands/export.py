@@ -15,6 +15,7 @@ from ctr_nlp.exceptions import OptionError, escape_control_characters
 from ctr_nlp.hardware.description import Hardware, simulated_hardware
 from ctr_nlp.hardware.exports import BAG, MACHINE_FORMATS, MACHINE_TEXT_FORMATS
 from ctr_nlp.hardware.exports.rosbag2 import STORAGES, write_bag
+from ctr_nlp.hardware.motion.gcode import GCODE_FEEDS, INVERSE_TIME
 from ctr_nlp.hardware.motion.trajectory import Trajectory
 from ctr_nlp.hardware.playing.session import prepare_trajectory
 from ctr_nlp.plan.plan import Plan
@@ -40,6 +41,13 @@ def _parser(prog: str) -> argparse.ArgumentParser:
     parser.add_argument("--hardware", metavar="FILE.toml", help="what commands are for (default: a bench rig)")
     parser.add_argument(
         "--tempo", metavar="X", type=float, help="of commands: part of the plan's own pace, in (0, 1] (default 1)"
+    )
+    parser.add_argument(
+        "--feed",
+        choices=GCODE_FEEDS,
+        help=f"with --to gcode, what F means (default {INVERSE_TIME}, G93, which Grbl and LinuxCNC know): "
+        "per-minute, G94 along all axes, with degrees counted like mm, as Grbl does; per-minute-linear, G94 along "
+        "the axes in mm alone, as LinuxCNC and Marlin do",
     )
     parser.add_argument(
         "--storage",
@@ -84,7 +92,8 @@ def _run(arguments: argparse.Namespace) -> int:
     if to == BAG:
         _write_bag(trajectory, title, out, arguments.storage or STORAGES[0])
     else:
-        write_text(out, MACHINE_TEXT_FORMATS[to].of(trajectory, title))
+        options = {"feed": arguments.feed} if arguments.feed else {}
+        write_text(out, MACHINE_TEXT_FORMATS[to].of(trajectory, title, **options))
     print_trajectory(f"{title} for {len(trajectory.hardware.axes)} axes", trajectory, found)
     report_written_files(out)
     return EXIT_SOLVED
@@ -95,6 +104,8 @@ def _check_format_options(arguments: argparse.Namespace) -> None:
     to = arguments.to
     if arguments.storage and to != BAG:
         raise OptionError(f"--storage goes with --to {BAG}; a {to} file has none")
+    if arguments.feed and to != "gcode":
+        raise OptionError(f"--feed goes with --to gcode; a {to} file has no feeds")
     if arguments.space and to != SLICER_FORMAT:
         raise OptionError(f"--space goes with --to {SLICER_FORMAT}; a {to} file is in the robot's base frame")
     for option in ("hardware", "tempo"):

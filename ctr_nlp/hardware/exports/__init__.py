@@ -62,11 +62,11 @@ def _urscript(trajectory: Trajectory, title: str) -> str:
 class TextFormat:
     """A format of one file.
 
-    of: function of (trajectory, title) that returns the text. suffix: of the file's name. opening: how every file
-    of the format begins.
+    of: function of (trajectory, title), and of its own options, that returns the text. suffix: of the file's name.
+    opening: how every file of the format begins.
     """
 
-    of: Callable[[Trajectory, str], str]
+    of: Callable[..., str]
     suffix: str
     opening: str
 

@@ -1,6 +1,7 @@
 """A motion as G-code: lines to be streamed to a controller, and a file for one that plays alone.
 
-Inverse time (G93), absolute millimetres and degrees, one straight piece a numbered line.
+Inverse time (G93), absolute millimetres and degrees, one straight piece a numbered line. Files for controllers
+without G93 have feeds per minute (G94) instead, with which every line takes the same time.
 """
 
 from __future__ import annotations
@@ -11,7 +12,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from ctr_nlp.hardware.motion.trajectory import Trajectory
-from ctr_nlp.typing import Array
+from ctr_nlp.typing import Array, Flags
 
 MEANING = "G21 G90 G93"
 """Millimetres, absolute positions, and F as 1 / (minutes that a line takes)."""
@@ -20,6 +21,16 @@ MODES = f"{MEANING} G54"
 """Modes that a program begins with: MEANING, and the first work offset, which is 0."""
 
 GCODE_DECIMALS = 4
+
+INVERSE_TIME, PER_MINUTE, PER_MINUTE_LINEAR = "inverse-time", "per-minute", "per-minute-linear"
+GCODE_FEEDS = {
+    INVERSE_TIME: "F is 1 / minutes that a line takes, G93; a controller without it needs --feed per-minute",
+    PER_MINUTE: "F is in units per minute, G94, along all axes together, with degrees counted like mm, as "
+    "Grbl does",
+    PER_MINUTE_LINEAR: "F is in mm per minute, G94, along the axes in mm alone, and in degrees per minute where "
+    "only others move, as LinuxCNC and Marlin do",
+}
+"""What F means in a file, by the name of the option --feed."""
 
 GCODE_FILE_OPENING = "(ctr_nlp"
 """First characters of a file."""
@@ -90,23 +101,32 @@ def lines(letters: Sequence[str], start: Array, positions: Array, time: Array, m
     ]
 
 
-def gcode_text(trajectory: Trajectory, title: str) -> str:
+def gcode_text(trajectory: Trajectory, title: str, feed: str = INVERSE_TIME) -> str:
     """Return the file: a pause, the slow approach to the first frame, another pause, and the motion's lines.
 
-    trajectory: as played. title: of the plan.
+    trajectory: as played. title: of the plan. feed: what F means, one of GCODE_FEEDS.
     """
     letters = trajectory.hardware.letters
     commands = trajectory.commands()
     start = trajectory.positions(0.0)
     seconds = approach_time(trajectory)
+    if feed == INVERSE_TIME:
+        approach = [line(0, letters, start, seconds)]
+        motion = lines(letters, start, commands.positions, commands.time)
+    else:
+        approach = _per_minute_approach(trajectory)
+        motion = _per_minute_lines(trajectory, feed)
     head = [
         f"ctr_nlp: {title[:60]}",
         f"digest {trajectory.digests.plan}",
         f"{len(trajectory.frames)} frames in {trajectory.duration:.3f} s from the second pause on",
         *(f"{axis.letter} in {axis.unit} moves {axis.joint}" for axis in trajectory.hardware.axes),
+        GCODE_FEEDS[feed],
         "positions are those of the machine: no work offset may be active",
         "rates and accelerations of the controller: at least those of the hardware",
-        f"after the first pause: to the first frame in {seconds:.1f} s, all axes at once",
+        f"after the first pause: to the first frame in {seconds:.1f} s, all axes at once"
+        if feed == INVERSE_TIME
+        else "after the first pause: to the first frame, first the axes in mm, then the others",
         "after the second pause: the motion",
     ]
     if np.any(trajectory.tilt(trajectory.frame_time)):
@@ -117,16 +137,81 @@ def gcode_text(trajectory: Trajectory, title: str) -> str:
     return "\n".join(
         [
             *map(_comment, head),
-            MODES,
+            MODES if feed == INVERSE_TIME else MODES.replace("G93", "G94"),
             "M0",
-            line(0, letters, start, seconds),
+            *approach,
             "M0",
-            *lines(letters, start, commands.positions, commands.time),
+            *motion,
             "G94",
             "M2",
             "",
         ]
     )
+
+
+def _per_minute(line_length: float, seconds: float) -> str:
+    """Return the word F, units per minute, of a line of a length in units that takes so many seconds."""
+    return f"F{60.0 * line_length / seconds:.{GCODE_DECIMALS}f}"
+
+
+def _line_length(change: Array, linear: Flags, feed: str) -> float:
+    """Return the length that F refers to, of a line along which axes change by change (m,), mm or degrees.
+
+    linear: (m,), which axes are in mm. feed: PER_MINUTE or PER_MINUTE_LINEAR.
+    """
+    if feed == PER_MINUTE_LINEAR and np.any(change[linear]):
+        change = change[linear]
+    return float(np.linalg.norm(change))
+
+
+def _per_minute_lines(trajectory: Trajectory, feed: str) -> list[str]:
+    """Return the lines of a trajectory's motion, with F per minute such that each takes the time that it should.
+
+    feed: PER_MINUTE or PER_MINUTE_LINEAR.
+    """
+    letters = trajectory.hardware.letters
+    linear = np.array([axis.unit == "mm" for axis in trajectory.hardware.axes])
+    commands = trajectory.commands()
+    inverse = lines(letters, trajectory.positions(0.0), commands.positions, commands.time)
+    # As the controller reads it: lengths are those between rounded positions.
+    there = np.round(trajectory.positions(0.0), GCODE_DECIMALS)
+    found = []
+    steps = zip(inverse, commands.positions, np.diff(commands.time, prepend=0.0), strict=True)
+    for text, position, seconds in steps:
+        if f" {WAITS} " in text:
+            found.append(text)
+            continue
+        place = np.round(position, GCODE_DECIMALS)
+        length = _line_length(place - there, linear, feed)
+        there = place
+        if length == 0:
+            # The last line may move nothing.
+            found.append(f"{text.partition(' ')[0]} {WAITS} P{seconds:.{GCODE_DECIMALS}f}")
+            continue
+        found.append(f"{text.rpartition(' ')[0]} {_per_minute(length, seconds)}")
+    return found
+
+
+def _per_minute_approach(trajectory: Trajectory) -> list[str]:
+    """Return the lines of the slow approach to the first frame from any place, with F per minute.
+
+    First the axes in mm move, then the others, so that F means the same to all controllers. No axis is then faster
+    than F, which is hardware.approach of the lowest speed among those that move.
+    """
+    robot = trajectory.robot
+    hardware = trajectory.hardware
+    start = np.round(trajectory.positions(0.0), GCODE_DECIMALS) + 0.0
+    found = []
+    for is_linear in (True, False):
+        moved = [
+            (axis, at) for axis, at in zip(hardware.axes, start, strict=True) if (axis.unit == "mm") == is_linear
+        ]
+        if not moved:
+            continue
+        words = " ".join(f"{axis.letter}{at:.{GCODE_DECIMALS}f}" for axis, at in moved)
+        speeds = [abs(axis.scale) * robot.speed[robot.axes.index(axis.joint)] for axis, _ in moved]
+        found.append(f"N0 G1 {words} {_per_minute(min(speeds) * hardware.approach, 1.0)}")
+    return found
 
 
 def approach_time(trajectory: Trajectory) -> float:
