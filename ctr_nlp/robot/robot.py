@@ -44,6 +44,8 @@ MM_PER_RAD = 10.0
 """Length in mm that one radian equals in the motion term of eq. (9) and in the roughness: the weights W of
 docs/method.md. A tube turned by 1 rad is as costly as one pushed by 10 mm.
 """
+MAX_SUMMARY_LENGTH = 120
+"""Largest number of characters of a robot's summary, its repr."""
 ROBOT_FILE_KEYS = ("name", "tubes", "limits", "tolerances")
 """Keys of a robot file."""
 TUBE_UNIT_COMMENTS = {
@@ -91,6 +93,8 @@ class Robot:
     ('alpha_1', 'alpha_2', 'beta_1', 'beta_2', 'theta_x', 'theta_y')
     >>> robot.max_extensions
     array([ 50., 107.])
+    >>> robot
+    Robot(2 tubes: diameters 5.7, 3.7 mm, bend radii 130, 60 mm, reach 107 mm)
     """
 
     tubes: tuple[Tube, ...]
@@ -111,6 +115,13 @@ class Robot:
         low, high = (self.split(ends)[1].tolist() for ends in (self.lower, self.upper))
         check_extensions(self.tubes, low, high, self.carriage_gap)
         check_deployed(self.tubes, self._strained_extensions())
+
+    def __repr__(self) -> str:
+        diameters = ", ".join(f"{tube.outer_diameter:g}" for tube in self.tubes)
+        bends = ", ".join("straight" if t.is_straight else f"{1 / t.largest_curvature:.0f}" for t in self.tubes)
+        tubes = f"{self.d} tube{'s' if self.d > 1 else ''}"
+        full = f"Robot({tubes}: diameters {diameters} mm, bend radii {bends} mm, reach {self.reach:g} mm)"
+        return full if len(full) <= MAX_SUMMARY_LENGTH else f"Robot({tubes}, reach {self.reach:g} mm)"
 
     def __reduce__(self) -> Any:
         # Rebuilt from its fields, so that cached arrays are not pickled and stay read-only.

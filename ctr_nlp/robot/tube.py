@@ -88,6 +88,11 @@ class Tube:
     pre_torsion: float = 0.0
     max_strain: float | None = None
 
+    def __repr__(self) -> str:
+        # Without a strain limit as before there was one: digests of hardware are made of this text.
+        entries = [f"{f.name}={getattr(self, f.name)!r}" for f in fields(self)]
+        return f"Tube({', '.join(entry for entry in entries if entry != 'max_strain=None')})"
+
     def __post_init__(self) -> None:
         for f in fields(self):
             value = getattr(self, f.name)

@@ -11,6 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from strategies import numbers
 
+from ctr_nlp import table_i_robot
 from ctr_nlp.exceptions import OptionError, TrajectoryError
 from ctr_nlp.hardware.description import simulated_hardware
 from ctr_nlp.hardware.devices import MotionProgress
@@ -308,3 +309,20 @@ def test_a_recorder_tells_what_was_late_but_not_what_was_paused(trajectory):
     np.testing.assert_array_equal(found.time, trajectory.frame_time)
     np.testing.assert_allclose(found.late, 0.5 * (trajectory.frame_time > 1.0), atol=0.01)
     np.testing.assert_allclose(found.error[trajectory.frame_time < 1.0], 0.1, atol=1e-3)
+
+
+def test_the_digest_of_hardware_has_every_number_of_the_mounted_robot():
+    """It is that of versions before tubes had a strain limit and robots a short summary."""
+    robot = table_i_robot()
+    rig = replace(simulated_hardware(robot), robot=robot)
+    known = digests(sweep(), rig).hardware
+    assert known == "99e533e506c1ee3fd0ec6f9d84743a03133de6dacc2ff3850c48101cc03166e8"
+    first, *others = robot.tubes
+    changed = [
+        replace(robot, tubes=(replace(first, poisson_ratio=0.31), *others)),
+        replace(robot, tubes=(replace(first, max_strain=0.1), *others)),
+        robot.with_limits(theta_speed=0.79),
+        replace(robot, tolerances=replace(robot.tolerances, motor_zero=0.021)),
+    ]
+    found = {digests(sweep(), replace(rig, robot=each)).hardware for each in changed}
+    assert len(found | {known}) == 1 + len(changed)

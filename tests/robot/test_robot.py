@@ -303,3 +303,17 @@ def test_a_missing_robot_file_is_named(tmp_path):
 def test_limits_that_are_no_pairs_are_refused(limits):
     with pytest.raises(RobotError, match=r"give \(lower, upper\)"):
         Robot(table_i_robot().tubes, Limits(**limits))
+
+
+@pytest.mark.parametrize("count", [1, 2, 3, 6, 12])
+def test_the_summary_of_a_robot_is_short(count):
+    diameters = 20 - 1.5 * np.arange(count)
+    tubes = [Tube(100 + 10 * i, 50, 0.001 * (i % 3), d, d - 1.2) for i, d in enumerate(diameters)]
+    text = repr(Robot(tuple(tubes)))
+    assert len(text) <= 120
+    assert "\n" not in text
+    assert text.startswith(f"Robot({count} tube")
+
+
+def test_the_summary_of_table_i_names_what_tells_robots_apart(robot):
+    assert repr(robot) == "Robot(3 tubes: diameters 5.7, 3.7, 2.1 mm, bend radii 130, 60, 80 mm, reach 150 mm)"

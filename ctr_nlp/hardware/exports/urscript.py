@@ -68,8 +68,8 @@ def write_urscript(
     else:
         raise HardwareError(
             f"the arm's program would have more than {max_targets} targets for "
-            f"{(len(samples) - 1) * period:.1f} s; controllers fail above some 1,000 to 2,500. Export a shorter plan, "
-            "or let `ctr-nlp play` move the arm"
+            f"{(len(samples) - 1) * period:.1f} s; controllers fail above some 1,000 to 2,500. Export a shorter "
+            "plan, or let `ctr-nlp play` move the arm"
         )
     first = _format_joints(samples[0])
     last = _format_joints(samples[-1])

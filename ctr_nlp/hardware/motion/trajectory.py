@@ -275,6 +275,11 @@ def digests(plan: Plan, hardware: Hardware) -> Digests:
             )
     # Without the commissioned settings, which are compared with the controller's whenever it is connected.
     described = repr(replace(hardware, commissioned=None))
+    if hardware.robot is not None:
+        # A robot's repr is a summary; its parts have every number.
+        robot = hardware.robot
+        every = f"Robot(tubes={robot.tubes!r}, limits={robot.limits!r}, tolerances={robot.tolerances!r})"
+        described = described.replace(repr(robot), every)
     if hardware.lag is not None:
         described += repr([getattr(hardware.lag, name).tolist() for name in LAG_PARTS])
     return Digests(known.hexdigest(), hashlib.sha256(described.encode()).hexdigest())
