@@ -10,7 +10,7 @@ import pytest
 
 from ctr_nlp import Limits, Robot, Tube, solve_per_frame, table_i_robot
 from ctr_nlp.anatomy.problem_files import problem_from_file
-from ctr_nlp.exceptions import RobotError
+from ctr_nlp.exceptions import ProblemError, RobotError
 from ctr_nlp.models import KINEMATIC_MODELS
 
 CURVED = Tube(200, 60, 0.02, 2.0, 1.4)
@@ -140,3 +140,10 @@ def test_shapes_with_straight_tubes_are_those_of_sections_that_are_divided(seed)
             for robot in (whole, none)
         ]
         np.testing.assert_allclose(*shapes, atol=1e-9)
+
+
+def test_a_path_that_limits_make_too_long_names_them(shared_data):
+    robot = Robot.from_toml(shared_data / "cases/robots/straight_wire.toml")
+    limited = robot.with_limits(beta=[(0, 30), (0, 30), (0, 40)])
+    with pytest.raises(ProblemError, match=r"--trim end.*limits of the robot let beta_3 go to 40 of 200 mm"):
+        problem_from_file(shared_data / "cases/line60.csv", limited)
