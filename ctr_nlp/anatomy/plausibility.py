@@ -1,0 +1,302 @@
+"""Checks of whether the points and radii of a file can be what they are taken for, shared by all its readers.
+
+What can be repaired without guessing is repaired, with a note: points given twice, and a radius that is missing at
+an end. Order and units cannot be read off the points with certainty; where they are unlikely the file is refused,
+and a person states what is right (`ReadOptions`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ctr_nlp.anatomy.branch import Branch, check_points, format_point
+from ctr_nlp.anatomy.reading import ASSUMED, GIVEN, MM_PER_UNIT, STATED, ReadOptions
+from ctr_nlp.exceptions import CurveError
+from ctr_nlp.paths.points import LEAST_POINTS, check_coordinates
+from ctr_nlp.typing import Array, Flags, Index
+
+REPEATED_POINT_MM = 1e-3
+"""Neighbouring points closer than this are one point that was saved twice."""
+STEP_NEIGHBOURS = 3
+"""Steps on either side with which a step is compared, by their median."""
+MAX_STEP_RATIO, MIN_LONG_STEP_MM = 10.0, 4.0
+"""A step is refused from this many times its neighbours on, unless it is shorter than the second number."""
+NOTED_STEP_RATIO = 4.0
+"""Ratio from which a note says that a step is long."""
+MAX_TURN_DEG, MIN_REVERSED_MM = 120.0, 0.5
+"""A path that turns by more between two steps runs back, unless one of them is shorter than the second number:
+the noise of points that are close together."""
+PLAUSIBLE_SPAN_MM = (20.0, 600.0)
+"""Extents of centrelines in the body, from a short vessel to a tree of airways or arteries."""
+LIKELY_SPAN_MM = (30.0, 400.0)
+"""Extents from which the unit of an implausible file is inferred."""
+MIN_REACH_PART = 0.1
+"""Part of a robot's reach below which a path is more likely in another unit."""
+MAX_RADIUS_GAP_PART = 0.05
+"""Part of a path at an end over which a missing radius is the neighbour's; one point is always allowed."""
+MAX_LUMEN_RADIUS_MM, MIN_LUMEN_RADIUS_MM = 40.0, 0.2
+"""Radii of lumens outside of these are noted."""
+
+
+@dataclass(frozen=True)
+class FoundUnits:
+    """The unit of a file's lengths.
+
+    units: one of MM_PER_UNIT. known: STATED, GIVEN or ASSUMED. notes: sentences on how it was settled.
+    """
+
+    units: str
+    known: str
+    notes: tuple[str, ...] = ()
+
+    @property
+    def mm_per_unit(self) -> float:
+        """Factor from the file's lengths to mm."""
+        return MM_PER_UNIT[self.units]
+
+
+def find_units(points: Array, options: ReadOptions, stated: str | None = None) -> FoundUnits:
+    """Return the unit of a file's lengths; raise CurveError where it is implausible and nobody has confirmed it.
+
+    points: all points (n, 3) of the file, in its own unit. options: what a person states; their unit counts before
+    the file's. stated: unit that the file states, one of MM_PER_UNIT, or None, which is taken as mm. A stated unit
+    is checked like an assumed one: tools write mm whatever the data were in.
+    """
+    check_coordinates(points)
+    if options.units is not None:
+        differs = stated not in (None, options.units)
+        note = f"units are {options.units}, as given; the file says {stated}"
+        return FoundUnits(options.units, GIVEN, (note,) if differs else ())
+    units = stated or "mm"
+    known = ASSUMED if stated is None else STATED
+    span = _extent(points)
+    if len(points) < LEAST_POINTS or PLAUSIBLE_SPAN_MM[0] <= span * MM_PER_UNIT[units] <= PLAUSIBLE_SPAN_MM[1]:
+        return FoundUnits(units, known)
+    fit = _fitting_unit(span, LIKELY_SPAN_MM)
+    if span * MM_PER_UNIT[units] > PLAUSIBLE_SPAN_MM[1] and fit in (None, units):
+        check_points(points * MM_PER_UNIT[units])
+        note = (
+            f"points span {span * MM_PER_UNIT[units]:.0f} mm, which is long for a lumen; check the unit (--units)"
+        )
+        return FoundUnits(units, known, (note,))
+    raise CurveError(_unit_message(f"its points span {span:.3g}", span, units, fit, known))
+
+
+def check_reach(length: float, reach: float, options: ReadOptions, found: FoundUnits | None = None) -> None:
+    """Raise CurveError where a whole branch is so short beside the robot that another unit is far likelier.
+
+    length: of the branch, mm. reach: of the robot, mm. options: nothing is refused where they give the unit.
+    found: unit in which the file was read, mm by default.
+    """
+    if options.units is not None or length >= MIN_REACH_PART * reach:
+        return
+    units = "mm" if found is None else found.units
+    known = ASSUMED if found is None else found.known
+    own = length / MM_PER_UNIT[units]
+    fit = _fitting_unit(own, (2 * MIN_REACH_PART * reach, 2 * reach))
+    if fit is not None and fit != units:
+        subject = f"the path is {own:.3g} long, and the robot reaches {reach:.0f} mm"
+        raise CurveError(_unit_message(subject, own, units, fit, known))
+
+
+@dataclass(frozen=True)
+class DistinctPoints:
+    """Points of a path of which none repeats the one before it.
+
+    points: (n, 3) mm. radius: (n,) mm or None. numbers: (n,) of the points in the file, from 1. notes: sentences.
+    """
+
+    points: Array
+    radius: Array | None
+    numbers: Index
+    notes: tuple[str, ...] = ()
+
+
+def drop_repeated_points(points: Array, radius: Array | None = None) -> DistinctPoints:
+    """Leave out points that repeat the one before them.
+
+    points: (n, 3) mm. radius: (n,) mm or None.
+    """
+    steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
+    keep = np.append(True, ~(steps < REPEATED_POINT_MM))[: len(points)]
+    numbers = np.flatnonzero(keep) + 1
+    dropped = np.flatnonzero(~keep) + 1
+    notes: tuple[str, ...] = ()
+    if dropped.size:
+        what = "a point that repeats" if dropped.size == 1 else f"{dropped.size} points that repeat"
+        notes = (f"left out {what} the one before it ({list_numbers(dropped)})",)
+    return DistinctPoints(points[keep], None if radius is None else radius[keep], numbers, notes)
+
+
+def check_steps(points: Array, options: ReadOptions, numbers: Index | None = None) -> tuple[str, ...]:
+    """Check that points follow each other along a path; return notes, raise CurveError where they do not.
+
+    points: (n, 3) mm, none repeated. options: nothing is refused where they accept "steps". numbers: (n,) of the
+    points in the file, by default from 1. Refused are steps much longer than those beside them, wherever they
+    stand, and points at which the path runs back.
+    """
+    if len(points) < LEAST_POINTS:
+        return ()
+    numbers = np.arange(1, len(points) + 1) if numbers is None else numbers
+    moves = np.diff(points, axis=0)
+    steps = np.linalg.norm(moves, axis=1)
+    beside = _neighbouring_steps(steps)
+    # A step that is short in itself does no harm beside shorter ones, which files have where lines were joined.
+    ratios = np.where(steps >= MIN_LONG_STEP_MM, steps / np.maximum(beside, REPEATED_POINT_MM), 0.0)
+    k = int(ratios.argmax())
+    if ratios[k] >= MAX_STEP_RATIO:
+        message = _step_message(points, numbers, k, float(steps[k]), float(beside[k]))
+        if "steps" not in options.accept:
+            raise CurveError(f"{message}; check the order of the points, or accept it with --accept steps")
+        return (f"{message}; accepted",)
+    back = _find_reversal(moves, steps)
+    if back is not None:
+        i, turn = back
+        at = f"point {numbers[i]} {format_point(points[i].round(3))}"
+        message = f"the path turns by {turn:.0f} degrees at {at}, so that it runs back along itself"
+        if "steps" not in options.accept:
+            raise CurveError(
+                f"{message}; points must follow each other from the entry to the tip: check their order, or "
+                "accept it with --accept steps"
+            )
+        return (f"{message}; accepted",)
+    if ratios[k] >= NOTED_STEP_RATIO:
+        return (
+            f"points {numbers[k]} and {numbers[k + 1]} are {steps[k]:.1f} mm apart, their neighbours "
+            f"{beside[k]:.2g}; the path between them is interpolated",
+        )
+    return ()
+
+
+def repair_radii(radius: Array | None, numbers: Index | None = None) -> tuple[Array | None, tuple[str, ...]]:
+    """Return radii fit for use, None where they are unknown, and notes on what was repaired.
+
+    radius: (n,) mm along one path, or None. numbers: (n,) of its points in the file, by default from 1. Zeros or
+    NaN alone mean that it is unknown; at an end they take the neighbour's value. Raises CurveError for others.
+    """
+    if radius is None:
+        return None, ()
+    numbers = np.arange(1, len(radius) + 1) if numbers is None else numbers
+    missing = np.isnan(radius) | (radius == 0)
+    if missing.all():
+        what = "zero" if not np.isnan(radius).any() else "missing"
+        return None, (f"the lumen's radius is {what} at all points: it is taken as unknown",)
+    known = np.flatnonzero(~missing)
+    before, after = int(known[0]), len(radius) - 1 - int(known[-1])
+    allowed = max(1, int(MAX_RADIUS_GAP_PART * len(radius)))
+    bad: Flags = missing | ~np.isfinite(radius) | (radius < 0)
+    notes = list[str]()
+    repaired = radius.copy()
+    for count, filled, source in (
+        (before, slice(0, before), known[0]),
+        (after, slice(known[-1] + 1, None), known[-1]),
+    ):
+        if 0 < count <= allowed:
+            bad[filled] = False
+            repaired[filled] = radius[source]
+            where = list_numbers(numbers[filled])
+            notes.append(
+                f"the lumen's radius is missing at an end (point {where}): that of point {numbers[source]} is "
+                "taken"
+            )
+    if bad.any():
+        k = int(bad.argmax())
+        raise CurveError(
+            f"the lumen radius at point {numbers[k]} is {radius[k]:g}; radii must be positive finite numbers in mm"
+        )
+    if repaired.max() > MAX_LUMEN_RADIUS_MM or repaired.max() < MIN_LUMEN_RADIUS_MM:
+        notes.append(
+            f"the lumen's radius is {repaired.min():.3g} to {repaired.max():.3g} mm; check its unit, which must "
+            "be that of the points"
+        )
+    return repaired, tuple(notes)
+
+
+def tidy_branch(branch: Branch, options: ReadOptions) -> tuple[Branch, tuple[str, ...]]:
+    """Return a branch without repeated points and with repaired radii, and notes; raise CurveError for bad steps.
+
+    branch: as it stands in the file, in mm. options: what a person states about the file.
+    """
+    check_coordinates(branch.points)
+    distinct = drop_repeated_points(branch.points, branch.radius)
+    steps = check_steps(distinct.points, options, distinct.numbers)
+    radius, repaired = repair_radii(distinct.radius, distinct.numbers)
+    notes = (*distinct.notes, *steps, *repaired)
+    return replace(branch, points=distinct.points, radius=radius), notes
+
+
+def list_numbers(numbers: Index) -> str:
+    """Return numbers as text, at most five of them."""
+    listed = ", ".join(str(number) for number in numbers[:5].tolist())
+    return listed + (f" and {len(numbers) - 5} more" if len(numbers) > 5 else "")
+
+
+def _extent(points: Array) -> float:
+    """Return the diagonal of the box around points (n, 3)."""
+    return float(np.linalg.norm(np.ptp(points, axis=0))) if len(points) else 0.0
+
+
+def _fitting_unit(length: float, likely: tuple[float, float]) -> str | None:
+    """Return the unit in which a length lies within bounds (2,) in mm, None where there is none."""
+    fits = [unit for unit, factor in MM_PER_UNIT.items() if likely[0] <= length * factor <= likely[1]]
+    return fits[0] if fits else None
+
+
+def _unit_message(subject: str, length: float, units: str, fit: str | None, known: str) -> str:
+    """Return the message on an implausible unit.
+
+    subject: what was measured. length: in the file's unit. units: taken so far. fit: unit that fits better, or
+    None. known: how `units` is known.
+    """
+    source = "which the file states" if known == STATED else "which is assumed where a file states no unit"
+    factor = MM_PER_UNIT[units]
+    message = f"{subject}, {length * factor:.3g} mm in {units}, {source}"
+    if fit is None:
+        choices = "|".join(MM_PER_UNIT)
+        return f"{message}; that is no size of a path in the body. State the unit with --units {choices}"
+    meant = f"in {fit} it would be {length * MM_PER_UNIT[fit]:.3g} mm"
+    return f"{message}; {meant}. State the unit with --units {fit}, or --units {units} where that is right"
+
+
+def _neighbouring_steps(steps: Array) -> Array:
+    """Return for each of `steps` (n,) the larger of the medians of those just before and just after it."""
+    found = np.zeros(len(steps))
+    for k in range(len(steps)):
+        sides = (steps[max(k - STEP_NEIGHBOURS, 0) : k], steps[k + 1 : k + 1 + STEP_NEIGHBOURS])
+        found[k] = max(float(np.median(side)) for side in sides if side.size)
+    return found
+
+
+def _find_reversal(moves: Array, steps: Array) -> tuple[int, float] | None:
+    """Return the index of the point at which a path runs back and its turn in degrees, None where there is none.
+
+    moves: (n, 3) from point to point, mm. steps: their lengths (n,), mm.
+    """
+    cosines = (moves[:-1] * moves[1:]).sum(axis=1) / (steps[:-1] * steps[1:])
+    back = (cosines < np.cos(np.radians(MAX_TURN_DEG))) & (np.minimum(steps[:-1], steps[1:]) > MIN_REVERSED_MM)
+    if not back.any():
+        return None
+    k = int(np.where(back, cosines, 1.0).argmin())
+    return k + 1, float(np.degrees(np.arccos(np.clip(cosines[k], -1.0, 1.0))))
+
+
+def _step_message(points: Array, numbers: Index, k: int, step: float, beside: float) -> str:
+    """Return the message on a step that is too long.
+
+    points: (n, 3) mm. numbers: (n,) in the file. k: index of the point before the step. step, beside: its length
+    and that of its neighbours, mm.
+    """
+    ends = [f"{numbers[i]} {format_point(points[i].round(3))}" for i in (k, k + 1)]
+    message = f"points {ends[0]} and {ends[1]} are {step:.1f} mm apart, but their neighbours {beside:.2g} mm"
+    returns = np.linalg.norm(points[-1] - points[0]) < MAX_STEP_RATIO * beside
+    if not returns:
+        cause = "points are missing or in another order, or several lines stand one after another"
+    elif k == len(points) - 2:
+        cause = "the last point lies before the first one: SlicerVMTK before 2024 saved the first point last"
+    elif k == 0:
+        cause = "the first point lies behind the last one, as if the last point had been saved first"
+    else:
+        cause = "the first point lies behind the last one: the points seem to begin in the middle of the path"
+    return f"{message}: {cause}"
