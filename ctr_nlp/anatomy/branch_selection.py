@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +18,8 @@ from ctr_nlp.anatomy.branch import (
     name_source_in_errors,
     transform_points,
 )
-from ctr_nlp.anatomy.files import is_mask, read_branches
+from ctr_nlp.anatomy.files import is_markups, is_mask, list_files, read_branches
+from ctr_nlp.anatomy.formats.slicer import find_pieces_beside
 from ctr_nlp.anatomy.reading import AS_THE_FILE_SAYS, NO_FACTS, FileFacts, ReadOptions
 from ctr_nlp.exceptions import CurveError, OptionError
 from ctr_nlp.paths.curve import Curve, curve_from_points
@@ -29,6 +31,10 @@ UNKNOWN_LUMEN_MM = 5.0
 NEAREST_SEARCH_SPACING_MM = 0.25
 """Places along a curve among which the nearest one is looked for, before it is refined."""
 MAX_LISTED_BRANCHES = 20
+END_PART = 0.1
+"""Length of the first and the last part of a branch, whose mean radii are compared, as a part of it."""
+WIDENS = 1.2
+"""Ratio of mean radii at end and start from which on a branch seems to run from tip to root: a lumen narrows."""
 
 
 @dataclass(frozen=True)
@@ -60,16 +66,17 @@ def read_branch_segment(
     target: npt.ArrayLike | None = None,
     reverse: bool = False,
     options: ReadOptions = AS_THE_FILE_SAYS,
+    pieces: Sequence[str | Path] = (),
 ) -> BranchSegment:
     """Read the part of a branch of a file from entry to target.
 
     path: the file. branch: name of the branch, or its number from 1. entry, target: (3,) mm in the file's own
     coordinates, by default the ends of the branch. reverse: whether the file's lines run from the tip to the root.
-    options: what a person states about the file. A mask has one branch, between the two points. Raises CurveError
-    and OptionError.
+    options: what a person states about the file. pieces: further files with pieces of the same tree. A mask has
+    one branch, between the two points. Raises CurveError and OptionError.
     """
     if is_mask(path):
-        for option, value in (("branch", branch), ("reverse", reverse or None)):
+        for option, value in (("branch", branch), ("reverse", reverse or None), ("pieces", pieces or None)):
             if value is not None:
                 raise OptionError(
                     f"{option} does not go with a mask, as {path} is one: its path leads from entry to target"
@@ -78,7 +85,9 @@ def read_branch_segment(
         entry = target = None
     else:
         # In a file whose lines run towards the root, the target is where its trees start.
-        branches = read_branches(path, target if reverse else entry, options=options)
+        branches = read_branches(path, target if reverse else entry, options=options, pieces=pieces)
+        if entry is None and not reverse and is_markups(path):
+            _refuse_lone_piece(path, branches)
     if reverse:
         branches = branches.reverse_direction()
     with name_source_in_errors(path):
@@ -90,7 +99,36 @@ def read_branch_segment(
                 f"from entry to target the path is {stop - start:.3g} mm long; it must be at least "
                 f"{SHORTEST_MM:g} mm"
             )
-    return BranchSegment(curve, start, stop, branches.to_lps, branches.space, branches.facts)
+    facts = branches.facts
+    if widens(found) and not reverse and (entry is None or target is None) and not is_mask(path):
+        note = "the lumen widens along the path, as if it ran from a tip to the root; --reverse exchanges its ends"
+        facts = replace(facts, notes=(*facts.notes, note))
+    return BranchSegment(curve, start, stop, branches.to_lps, branches.space, facts)
+
+
+def widens(branch: Branch) -> bool:
+    """Return whether the lumen of a branch is clearly wider at its end than at its beginning."""
+    if branch.radius is None:
+        return False
+    count = max(1, round(END_PART * len(branch.radius)))
+    return bool(branch.radius[-count:].mean() > WIDENS * branch.radius[:count].mean())
+
+
+def _refuse_lone_piece(path: str | Path, branches: Branches) -> None:
+    """Raise CurveError where a file beside `path` ends where its only branch begins: a piece of a tree.
+
+    branches: of the file at `path`.
+    """
+    if len(branches.branches) > 1:
+        return
+    before, _ = find_pieces_beside(path, branches)
+    if before:
+        start = format_point(transform_points(branches.branches[0].points[0], branches.from_lps).round(2))
+        raise CurveError(
+            f"{path} is a piece of a tree: it begins at {start}, on the curve of {list_files(before)}, so that "
+            "the robot would enter in the middle of the tree. Give the other pieces too (--pieces FILE ...), or "
+            "the point where the robot enters (--entry X Y Z) if it is this one"
+        )
 
 
 def select_branch(

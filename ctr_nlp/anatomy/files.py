@@ -2,29 +2,84 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TypeAlias
 
 import numpy as np
 import numpy.typing as npt
 
-from ctr_nlp.anatomy.branch import Branch, Branches, check_branches, checked_point
+from ctr_nlp.anatomy.branch import (
+    Branches,
+    check_branches,
+    checked_point,
+    name_source_in_errors,
+    transform_points,
+)
 from ctr_nlp.anatomy.formats.images import NIFTI_SUFFIXES, NRRD_SUFFIXES
-from ctr_nlp.anatomy.formats.slicer import read_slicer
+from ctr_nlp.anatomy.formats.slicer import find_pieces_beside, read_pieces, read_slicer
+from ctr_nlp.anatomy.formats.table import read_table
 from ctr_nlp.anatomy.formats.vtk import read_vtk
+from ctr_nlp.anatomy.pieces import join_pieces
 from ctr_nlp.anatomy.reading import AS_THE_FILE_SAYS, ReadOptions
 from ctr_nlp.exceptions import CurveError, OptionError
+from ctr_nlp.typing import Array
 
-CSV_SUFFIXES, MARKUPS_SUFFIXES, VTK_SUFFIXES = (".csv",), (".mrk.json", ".json"), (".vtp", ".vtk", ".vtu")
-CENTRELINE_SUFFIXES, MASK_SUFFIXES = (
-    (*CSV_SUFFIXES, *MARKUPS_SUFFIXES, *VTK_SUFFIXES),
-    (*NIFTI_SUFFIXES, *NRRD_SUFFIXES),
+TABLE_SUFFIXES = (".csv", ".tsv", ".txt", ".fcsv", ".dat")
+MARKUPS_SUFFIXES = (".mrk.json", ".json")
+Point: TypeAlias = npt.ArrayLike | None
+
+
+def _read_mask(path: str | Path, entry: Point, target: Point, options: ReadOptions) -> Branches:
+    if entry is None or target is None:
+        raise OptionError(
+            f"{path} is a mask, which has no branches: its path is found between two points in the lumen, to "
+            "be given with --entry X Y Z and --target X Y Z where it is followed"
+        )
+    from ctr_nlp.anatomy.segmentation.mask import read_mask  # and with it scipy.ndimage: only where it is used
+
+    return read_mask(path, entry, target, options)
+
+
+@dataclass(frozen=True)
+class FileReader:
+    """A kind of file of anatomy.
+
+    suffixes: ends of the names of such files, in lower case. read: called with a path, entry and target, (3,) mm
+    in the file's coordinates or None, and ReadOptions. mask: whether it is a mask rather than centrelines. bare:
+    reads the lines of a file as they stand in it, for pieces of a tree in several files; None where `read` does.
+    """
+
+    suffixes: tuple[str, ...]
+    read: Callable[[str | Path, Point, Point, ReadOptions], Branches]
+    mask: bool = False
+    bare: Callable[[str | Path, ReadOptions], Branches] | None = None
+
+
+READERS = (
+    FileReader(TABLE_SUFFIXES, lambda path, _entry, _target, options: read_table(path, options)),
+    FileReader(
+        MARKUPS_SUFFIXES, lambda path, entry, _, options: read_slicer(path, options, entry), bare=read_pieces
+    ),
+    FileReader((".vtp", ".vtk", ".vtu"), lambda path, entry, _, options: read_vtk(path, entry, options)),
+    FileReader((*NIFTI_SUFFIXES, *NRRD_SUFFIXES), _read_mask, mask=True),
 )
+"""Every kind of file that is read. A new format is a line here."""
+CENTRELINE_SUFFIXES = tuple(suffix for reader in READERS if not reader.mask for suffix in reader.suffixes)
+MASK_SUFFIXES = tuple(suffix for reader in READERS if reader.mask for suffix in reader.suffixes)
 ANATOMY_SUFFIXES = (*CENTRELINE_SUFFIXES, *MASK_SUFFIXES)
 
 
 def centrelines_in(folder: str | Path) -> list[Path]:
-    """Return the sorted centreline files in a folder; raise OptionError where it has none."""
-    found = sorted(path for path in Path(folder).glob("*") if path.name.endswith(CENTRELINE_SUFFIXES))
+    """Return the sorted centreline files in a folder, without .txt files, which mostly are something else; raise
+    OptionError where it has none.
+    """
+    found = sorted(
+        path
+        for path in Path(folder).glob("*")
+        if path.name.endswith(CENTRELINE_SUFFIXES) and path.suffix != ".txt"
+    )
     if not found:
         raise OptionError(f"folder {folder} has no centreline files ({', '.join(CENTRELINE_SUFFIXES)})")
     return found
@@ -35,38 +90,34 @@ def read_branches(
     entry: npt.ArrayLike | None = None,
     target: npt.ArrayLike | None = None,
     options: ReadOptions = AS_THE_FILE_SAYS,
+    pieces: Sequence[str | Path] = (),
 ) -> Branches:
     """Read the branches of a centreline file, or the path between two points of a mask, each fit to be a curve.
 
-    path: the file. entry: (3,) mm in the file's coordinates, where the robot enters; it settles where a tree in a
-    VTK file starts, if the file does not. A mask needs it and target, (3,) mm too. options: what a person states
-    about the file. Raises CurveError, and OptionError where a mask lacks one of them or an extra is missing.
+    path: the file. entry: (3,) mm in the file's coordinates, where the robot enters; it settles where a tree
+    starts, if the file does not. A mask needs it and target, (3,) mm too. options: what a person states about the
+    file. pieces: further files with pieces of the same tree. Raises CurveError, and OptionError where a mask lacks
+    one of them or an extra is missing.
     """
     for what, point in (("entry", entry), ("target", target)):
         if point is not None:
             checked_point(what, point)
-    name = Path(path).name.lower()
-    if name.endswith(MASK_SUFFIXES):
-        if entry is None or target is None:
-            raise OptionError(
-                f"{path} is a mask, which has no branches: its path is found between two points in the lumen, to "
-                "be given with --entry X Y Z and --target X Y Z where it is followed"
-            )
-        from ctr_nlp.anatomy.segmentation.mask import read_mask  # and with it scipy.ndimage: only where it is used
-
-        return check_branches(path, read_mask(path, entry, target, options))
-    if name.endswith(VTK_SUFFIXES):
-        return check_branches(path, read_vtk(path, entry, options))
-    if name.endswith(MARKUPS_SUFFIXES):
-        return check_branches(path, read_slicer(path, options))
-    if name.endswith(CSV_SUFFIXES):
-        return check_branches(path, read_table(path, options))
-    raise CurveError(f"{path} is not a known kind of file; its name must end in {', '.join(ANATOMY_SUFFIXES)}")
+    others = [piece for piece in pieces if Path(piece).resolve() != Path(path).resolve()]
+    if others:
+        return check_branches(path, _read_tree([path, *others], entry, options))
+    reader = _reader_of(path)
+    found = check_branches(path, reader.read(path, entry, target, options))
+    return _note_pieces_beside(path, found) if reader.suffixes == MARKUPS_SUFFIXES else found
 
 
 def is_mask(path: str | Path) -> bool:
     """Return whether the file `path` contains a mask rather than centrelines, by its name."""
     return Path(path).name.lower().endswith(MASK_SUFFIXES)
+
+
+def is_markups(path: str | Path) -> bool:
+    """Return whether the file `path` is a markups file of 3D Slicer, by its name."""
+    return Path(path).name.lower().endswith(MARKUPS_SUFFIXES)
 
 
 def title(path: str | Path) -> str:
@@ -76,35 +127,61 @@ def title(path: str | Path) -> str:
     return name[: -max(map(len, known))] if known else name
 
 
-CENTRELINE_CSV_COLUMNS = ("x_mm", "y_mm", "z_mm")
-EXPECTED = "expected a header x_mm,y_mm,z_mm and optionally radius_mm, then one point a line"
+def _reader_of(path: str | Path) -> FileReader:
+    """Return the reader of a file by its name; raise CurveError where there is none."""
+    for reader in READERS:
+        if Path(path).name.lower().endswith(reader.suffixes):
+            return reader
+    raise CurveError(f"{path} is not a known kind of file; its name must end in {', '.join(ANATOMY_SUFFIXES)}")
 
 
-def read_table(path: str | Path, options: ReadOptions = AS_THE_FILE_SAYS) -> Branches:
-    """Read the path of a CSV file with columns x_mm, y_mm, z_mm and optionally radius_mm.
+def _read_tree(paths: Sequence[str | Path], entry: Point, options: ReadOptions) -> Branches:
+    """Read pieces of one tree in several files, in the coordinates of the first.
 
-    Such a file does not name the patient's axes: its coordinates stay as they are. options: what a person states
-    about the file. Raises CurveError.
+    paths: the files. entry: (3,) mm in these coordinates, or None. options: what a person states about the files.
     """
-    try:
-        lines = [line for line in Path(path).read_text(encoding="utf-8-sig").splitlines() if line.strip()]
-    except (OSError, UnicodeDecodeError) as error:
-        raise CurveError(f"centreline {path} cannot be read: {error}") from error
-    names = [name.strip().lower() for name in lines[0].split(",")] if lines else []
-    if not set(CENTRELINE_CSV_COLUMNS) <= set(names) or len(set(names)) != len(names):
-        raise CurveError(f"{path} is not a centreline: its first line is {(lines or [''])[0][:60]!r}; {EXPECTED}")
-    rows = [_row(path, number, line, len(names)) for number, line in enumerate(lines[1:], start=2)]
-    table = np.array(rows).reshape(len(rows), len(names))
-    points = table[:, [names.index(name) for name in CENTRELINE_CSV_COLUMNS]]
-    radius = table[:, names.index("radius_mm")] if "radius_mm" in names else None
-    return Branches((Branch(Path(path).stem, points, radius),), "xyz", np.eye(4))
+    read = list[Branches]()
+    for path in paths:
+        reader = _reader_of(path)
+        if reader.mask:
+            raise OptionError(f"{path} is a mask; pieces of a tree must be centreline files")
+        read.append(reader.bare(path, options) if reader.bare else reader.read(path, entry, None, options))
+    first = read[0]
+    at: Array | None = None
+    if entry is not None:
+        at = transform_points(np.asarray(entry, dtype=float), first.to_lps)
+    for path, branches in zip(paths, read, strict=True):
+        if branches.space != first.space:
+            raise CurveError(
+                f"{path} is in {branches.space}, but {paths[0]} in {first.space}; pieces of a tree must be in one "
+                "coordinate system"
+            )
+    with name_source_in_errors(paths[0]):
+        joined, notes = join_pieces([piece for branches in read for piece in branches.branches], options, at)
+    own = [
+        f"{Path(path).name}: {note}"
+        for path, branches in zip(paths, read, strict=True)
+        for note in branches.facts.notes
+    ]
+    facts = replace(first.facts, kind=f"{first.facts.kind}, {len(paths)} files", notes=(*own, *notes))
+    return Branches(tuple(joined), first.space, first.to_lps, facts)
 
 
-def _row(path: str | Path, number: int, line: str, width: int) -> list[float]:
-    try:
-        row = [float(cell) for cell in line.split(",")]
-    except ValueError as error:
-        raise CurveError(f"{path} is not a centreline: row {number} is {line[:60]!r}; {EXPECTED}") from error
-    if len(row) != width:
-        raise CurveError(f"{path}: row {number} has {len(row)} cells, but the header has {width}")
-    return row
+def _note_pieces_beside(path: str | Path, branches: Branches) -> Branches:
+    """Return the branches of a markups file with a note on files beside it that hold pieces of the same tree."""
+    before, after = find_pieces_beside(path, branches)
+    notes = list(branches.facts.notes)
+    if before:
+        notes.append(f"it begins on the curve of {list_files(before)}, as a piece of a tree: give both (--pieces)")
+    if after:
+        notes.append(f"the tree goes on in {list_files(after)}: give both (--pieces)")
+    return replace(branches, facts=replace(branches.facts, notes=tuple(notes)))
+
+
+MAX_LISTED_FILES = 3
+
+
+def list_files(names: Sequence[str]) -> str:
+    """Return names of files as text, at most three of them."""
+    others = f" and {len(names) - MAX_LISTED_FILES} more" if len(names) > MAX_LISTED_FILES else ""
+    return ", ".join(names[:MAX_LISTED_FILES]) + others

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ctr_nlp.anatomy.branch import Branch, check_points, format_point
-from ctr_nlp.anatomy.reading import ASSUMED, GIVEN, MM_PER_UNIT, STATED, ReadOptions
+from ctr_nlp.anatomy.reading import ASSUMED, GIVEN, MM_PER_UNIT, STATED, FileFacts, ReadOptions
 from ctr_nlp.exceptions import CurveError
 from ctr_nlp.paths.points import LEAST_POINTS, check_coordinates
 from ctr_nlp.typing import Array, Flags, Index
@@ -81,24 +81,22 @@ def find_units(points: Array, options: ReadOptions, stated: str | None = None) -
             f"points span {span * MM_PER_UNIT[units]:.0f} mm, which is long for a lumen; check the unit (--units)"
         )
         return FoundUnits(units, known, (note,))
-    raise CurveError(_unit_message(f"its points span {span:.3g}", span, units, fit, known))
+    raise CurveError(_unit_message("its points span", span, units, fit, known))
 
 
-def check_reach(length: float, reach: float, options: ReadOptions, found: FoundUnits | None = None) -> None:
+def check_reach(length: float, reach: float, facts: FileFacts) -> None:
     """Raise CurveError where a whole branch is so short beside the robot that another unit is far likelier.
 
-    length: of the branch, mm. reach: of the robot, mm. options: nothing is refused where they give the unit.
-    found: unit in which the file was read, mm by default.
+    length: of the branch, mm. reach: of the robot, mm. facts: of the file; nothing is refused where a person gave
+    its unit.
     """
-    if options.units is not None or length >= MIN_REACH_PART * reach:
+    if facts.units_known == GIVEN or length >= MIN_REACH_PART * reach:
         return
-    units = "mm" if found is None else found.units
-    known = ASSUMED if found is None else found.known
-    own = length / MM_PER_UNIT[units]
+    own = length / MM_PER_UNIT[facts.units]
     fit = _fitting_unit(own, (2 * MIN_REACH_PART * reach, 2 * reach))
-    if fit is not None and fit != units:
-        subject = f"the path is {own:.3g} long, and the robot reaches {reach:.0f} mm"
-        raise CurveError(_unit_message(subject, own, units, fit, known))
+    if fit is not None and fit != facts.units:
+        subject = f"the robot reaches {reach:.0f} mm, but the length of the path is"
+        raise CurveError(_unit_message(subject, own, facts.units, fit, facts.units_known))
 
 
 @dataclass(frozen=True)
@@ -250,14 +248,15 @@ def _unit_message(subject: str, length: float, units: str, fit: str | None, know
     subject: what was measured. length: in the file's unit. units: taken so far. fit: unit that fits better, or
     None. known: how `units` is known.
     """
-    source = "which the file states" if known == STATED else "which is assumed where a file states no unit"
-    factor = MM_PER_UNIT[units]
-    message = f"{subject}, {length * factor:.3g} mm in {units}, {source}"
+    source = "the unit that the file states" if known == STATED else "assumed, since the file states no unit"
+    message = f"{subject} {length:.3g} {units} ({source})"
     if fit is None:
         choices = "|".join(MM_PER_UNIT)
-        return f"{message}; that is no size of a path in the body. State the unit with --units {choices}"
-    meant = f"in {fit} it would be {length * MM_PER_UNIT[fit]:.3g} mm"
-    return f"{message}; {meant}. State the unit with --units {fit}, or --units {units} where that is right"
+        return f"{message}, which is no size of a path in the body; state the unit with --units {choices}"
+    return (
+        f"{message}; in {fit} that would be {length * MM_PER_UNIT[fit]:.3g} mm, which fits better. State the unit "
+        f"with --units {fit}, or --units {units} where that is right"
+    )
 
 
 def _neighbouring_steps(steps: Array) -> Array:

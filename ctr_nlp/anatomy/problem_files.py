@@ -12,7 +12,9 @@ import numpy.typing as npt
 
 from ctr_nlp.anatomy.branch import check_branches, name_source_in_errors
 from ctr_nlp.anatomy.branch_selection import read_branch_segment
-from ctr_nlp.anatomy.files import read_table, title
+from ctr_nlp.anatomy.files import is_mask, title
+from ctr_nlp.anatomy.formats.table import read_table
+from ctr_nlp.anatomy.plausibility import check_reach
 from ctr_nlp.anatomy.reading import ReadOptions
 from ctr_nlp.exceptions import CurveError, OptionError, RobotError
 from ctr_nlp.paths.curve import Curve, curve_from_points
@@ -45,6 +47,7 @@ def problem_from_file(
     threshold: float | None = None,
     form: str | None = None,
     accept: Sequence[str] = (),
+    pieces: Sequence[str | Path] = (),
 ) -> Problem:
     r"""Make the problem of advancing along a path in a file: a centreline file or a mask of the lumen.
 
@@ -54,7 +57,7 @@ def problem_from_file(
     Parameters
     ----------
     path : str or Path
-        The file; its suffix identifies the kind. Tables are in mm.
+        The file; its suffix identifies the kind.
     robot : Robot, optional
         The robot; by default that of Table I of the paper.
     frames : int
@@ -91,6 +94,9 @@ def problem_from_file(
     accept : sequence of {"leak", "ends", "steps"}
         Findings that are refused unless they are accepted here: a path through a leak of the segmentation, entry
         and target that seem exchanged, steps between points that are much longer than their neighbours.
+    pieces : sequence of str or Path
+        Further files with pieces of the same tree, as 3D Slicer saves one curve for each; those that meet are
+        joined.
 
     Returns
     -------
@@ -133,12 +139,17 @@ def problem_from_file(
     robot = _limit_tilt(robot or table_i_robot(), tilt)
     along = None if insertion is None else normalise_direction(insertion)
     options = ReadOptions(units, space, tuple(label), segment, threshold, form, tuple(accept))
-    found = read_branch_segment(path, branch, entry, target, reverse, options)
+    found = read_branch_segment(path, branch, entry, target, reverse, options, pieces)
+    notes = list(found.facts.notes)
     with name_source_in_errors(path):
+        if not is_mask(path):
+            check_reach(found.branch.length, robot.reach, found.facts)
         # Smoothed before it is trimmed: smoothing changes the length, and what is left must be within reach.
         followed = found.followed_path.smooth(smoothing)
         if trim is not None:
+            whole = followed.length
             followed = trim_curve(followed, robot.reach, trim)
+            notes += _trim_notes(whole - followed.length, trim, entry is not None, target is not None)
         # Paths are in LPS, the direction in the file's own axes.
         followed, to_robot = move_to_robot_frame(followed, None if along is None else found.to_lps[:3, :3] @ along)
     # The lumen of the whole branch, in the same frame: tubes touch walls before the entry and beyond the target,
@@ -152,11 +163,25 @@ def problem_from_file(
         to_robot=to_robot @ found.to_lps,
         lumen=lumen,
         space=found.space,
-        notes=found.facts.notes,
+        notes=tuple(notes),
     )
 
 
-def read_csv(path: str | Path, smoothing: float = 0.0) -> Curve:
+def _trim_notes(dropped: float, trim: str, entry_given: bool, target_given: bool) -> list[str]:
+    """Return a note on the part of a path that was cut off.
+
+    dropped: its length, mm. trim: "start" or "end". entry_given, target_given: whether a person gave these points.
+    """
+    if dropped <= 0:
+        return []
+    if trim == "start":
+        where = "the entry that was given" if entry_given else "the first point of the path"
+        return [f"--trim start leaves out {dropped:.1f} mm: the robot's base is moved so far inwards from {where}"]
+    where = "the target that was given" if target_given else "the last point of the path"
+    return [f"--trim end leaves out {dropped:.1f} mm: the plan stops so far before {where}"]
+
+
+def read_csv(path: str | Path, smoothing: float = 0.0, *, units: str | None = None) -> Curve:
     r"""Read the curve of a CSV file.
 
     Parameters
@@ -166,6 +191,8 @@ def read_csv(path: str | Path, smoothing: float = 0.0) -> Curve:
         known; each further line is a point of the curve.
     smoothing : float
         How far the curve may be from the spline through these points, mm; see :meth:`Curve.smooth`.
+    units : {"mm", "cm", "m", "um"}, optional
+        Unit of the lengths in the file, where it is not the one that the file states.
 
     Returns
     -------
@@ -176,6 +203,8 @@ def read_csv(path: str | Path, smoothing: float = 0.0) -> Curve:
     ------
     CurveError
         The file cannot be read, or its points are no curve; the message names the file.
+    OptionError
+        `units` is none of these.
 
     Examples
     --------
@@ -188,7 +217,10 @@ def read_csv(path: str | Path, smoothing: float = 0.0) -> Curve:
     Curve(100.00 mm)
     """
     path = checked_path(CurveError, path)
-    (branch,) = check_branches(path, read_table(path)).branches
+    branches = check_branches(path, read_table(path, ReadOptions(units=units))).branches
+    if len(branches) > 1:
+        raise CurveError(f"{path} has {len(branches)} branches; use problem_from_file to choose one")
+    branch = branches[0]
     with name_source_in_errors(path):
         return curve_from_points(branch.points, branch.radius, smoothing)
 

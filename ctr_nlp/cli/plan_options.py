@@ -260,7 +260,7 @@ def add_file_options(parser: argparse.ArgumentParser) -> None:
 def add_reading_options(group: argparse._ActionsContainer) -> None:
     """Add the options for what a person states about a file, those of ReadOptions, to `group`.
 
-    Each is None where it is not given.
+    Each is None where it is not given. --pieces is not one of ReadOptions: it names files.
     """
     choices = [
         ("units", tuple(MM_PER_UNIT), "unit of the file's lengths, where it states none"),
@@ -270,6 +270,7 @@ def add_reading_options(group: argparse._ActionsContainer) -> None:
     for name, allowed, what in choices:
         group.add_argument(f"--{name}", choices=allowed, help=what)
     labels = "labels of a mask that are the lumen, where it has several"
+    group.add_argument("--pieces", metavar="FILE", nargs="+", help="further files with pieces of the same tree")
     group.add_argument("--label", metavar="N", type=whole, nargs="+", help=labels)
     group.add_argument("--segment", metavar="NAME", help="segment that is the lumen, in a segmentation of several")
     add_numbers(group, ("threshold", "X", "value from which a voxel is lumen, in a probability map"))

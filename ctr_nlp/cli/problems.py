@@ -27,7 +27,7 @@ PROBLEM_FILE_SUFFIXES = (*CENTRELINE_SUFFIXES, *MASK_SUFFIXES, ".py")
 PACKAGE = Path(__file__).parents[1]
 FILE_OPTIONS = (
     *("branch", "entry", "target", "insertion", "tilt", "reverse", "smoothing", "trim"),
-    *("units", "space", "label", "segment", "threshold", "form", "accept"),
+    *("units", "space", "pieces", "label", "segment", "threshold", "form", "accept"),
 )
 """Options that go with a centreline file or a mask alone."""
 PROBLEM_ARGUMENT_HELP = (

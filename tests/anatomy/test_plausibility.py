@@ -10,7 +10,7 @@ from ctr_nlp.anatomy.plausibility import (
     find_units,
     repair_radii,
 )
-from ctr_nlp.anatomy.reading import AS_THE_FILE_SAYS, ASSUMED, GIVEN, STATED, ReadOptions
+from ctr_nlp.anatomy.reading import AS_THE_FILE_SAYS, ASSUMED, GIVEN, STATED, FileFacts, ReadOptions
 from ctr_nlp.exceptions import CurveError
 
 ANGLE = np.linspace(0, 1.2, 61)
@@ -85,10 +85,10 @@ def test_stated_and_assumed_units_are_told_apart():
 
 
 def test_a_path_is_held_against_the_reach_of_the_robot():
-    check_reach(40.0, 150.0, AS_THE_FILE_SAYS)
-    check_reach(30.0, 400.0, ReadOptions(units="mm"))
+    check_reach(40.0, 150.0, FileFacts())
+    check_reach(30.0, 400.0, FileFacts(units_known=GIVEN))
     with pytest.raises(CurveError, match=r"robot reaches 400 mm.* --units cm"):
-        check_reach(30.0, 400.0, AS_THE_FILE_SAYS)
+        check_reach(30.0, 400.0, FileFacts())
 
 
 @pytest.mark.parametrize("absent", [0.0, np.nan])

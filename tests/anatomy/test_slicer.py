@@ -102,6 +102,14 @@ def test_units_may_be_a_coded_entry(written):
     assert read_branches(written(curve(coordinateUnits=["mm", "UCUM", "millimeter"])))
 
 
+@pytest.mark.parametrize(("unit", "factor"), [("cm", 10), ("m", 1000), (["um", "UCUM", "micrometer"], 0.001)])
+def test_units_of_the_file_are_converted_to_mm(written, unit, factor):
+    radius = {"name": "Radius", "units": "cm", "controlPointValues": [0.3] * 9}
+    (branch,) = read_branches(written(curve(ARC / factor, coordinateUnits=unit, measurements=[radius]))).branches
+    assert branch.points == pytest.approx(ARC)
+    assert branch.radius == pytest.approx(3.0)
+
+
 @pytest.mark.parametrize("status", ["undefined", "preview", "missing"])
 def test_points_that_were_not_placed_are_left_out_with_their_radius(written, status):
     markup = curve(radius=range(1, 10))
@@ -125,16 +133,24 @@ REFUSED = {
     "no coordinate system": (without("coordinateSystem"), r"coordinateSystem of 'airway' is missing; .*LPS, RAS"),
     "a number for one": (curve(coordinateSystem="1"), r"coordinateSystem of 'airway' is '1'; .*LPS, RAS"),
     "voxels": (curve(coordinateSystem="IJK"), r"is 'IJK'; it must be one of LPS, RAS"),
-    "metres by name": (curve(coordinateUnits="m"), r"coordinateUnits of 'airway' is 'm'; it must be 'mm'"),
-    "micrometres": (curve(coordinateUnits=["um", "UCUM", "micrometer"]), r"is 'um'; it must be 'mm'"),
-    "metres": (curve(ARC / 1000), r"span 0\.0\d+; coordinates must be in millimetres"),
+    "metres by name": (curve(coordinateUnits="m"), r"its points span .* m \(the unit that the file states\)"),
+    "another unit": (
+        curve(coordinateUnits=["[in_i]", "UCUM", "inch"]),
+        r"is '\[in_i\]'; it must be one of mm, cm",
+    ),
+    "metres": (curve(ARC / 1000), r"span 0\.0\d+ mm .* in m that would be .* State the unit with --units m,"),
     "fiducials": (curve(type="Fiducial"), r"of type 'Fiducial'; it must be an open curve"),
-    "a closed curve": (curve(type="ClosedCurve"), r"of type 'ClosedCurve'; it must be an open curve"),
+    "a closed curve": (curve(type="ClosedCurve"), r"of type 'ClosedCurve'; it must be an open curve.* no first"),
+    "a region": (curve(type="ROI"), r"of type 'ROI'; it must be an open curve"),
     "too few radii": (curve(radius=[1.0] * 8), r"'Radius' of 'airway' has 8 values for 9 control points"),
-    "a radius of zero": (curve(radius=[0.0] + [1.0] * 8), r"radius at point 1 is 0; radii must be positive"),
-    "radii in cm": (
-        curve(measurements=[{"name": "radius", "units": "cm", "controlPointValues": [1.0] * 9}]),
-        r"the unit of measurement 'radius' of 'airway' is 'cm'; it must be 'mm'",
+    "a radius of zero": (curve(radius=[1.0, 0.0] + [1.0] * 7), r"radius at point 2 is 0; radii must be positive"),
+    "radii in feet": (
+        curve(measurements=[{"name": "radius", "units": "ft", "controlPointValues": [1.0] * 9}]),
+        r"the unit of measurement 'radius' of 'airway' is 'ft'; it must be one of mm, cm",
+    ),
+    "a measurement that may be the radius": (
+        curve(measurements=[{"name": "Mean radius", "units": "mm", "controlPointValues": [1.0] * 9}]),
+        r"not certain what measurement 'Mean radius' of 'airway' means; .* name it Radius",
     ),
     "radii in words": (
         curve(measurements=[{"name": "radius", "controlPointValues": ["wide"] * 9}]),

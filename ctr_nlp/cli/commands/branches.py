@@ -9,12 +9,13 @@ from typing import Any
 import numpy as np
 
 from ctr_nlp.anatomy.branch import Branch, Branches, name_source_in_errors, transform_points
+from ctr_nlp.anatomy.branch_selection import widens
 from ctr_nlp.anatomy.files import CENTRELINE_SUFFIXES, read_branches
 from ctr_nlp.cli.arguments import add_entry_option
 from ctr_nlp.cli.console import EXIT_SOLVED, Command
 from ctr_nlp.cli.output.file import check_file, output_file
 from ctr_nlp.cli.plan_options import add_reading_options, read_options_from
-from ctr_nlp.cli.terminal_output import print_table, progress_bar, report_written_files
+from ctr_nlp.cli.terminal_output import print_stderr, print_table, progress_bar, report_written_files
 from ctr_nlp.exceptions import OptionError, OutputError, escape_control_characters
 from ctr_nlp.paths.curve import curve_from_points
 from ctr_nlp.paths.lumen_fit import JAGGED_CURVATURE_PER_MM, sharpest_bend
@@ -37,10 +38,6 @@ BRANCH_CHECK_SPACING_MM = 0.1
 """Spacing of the points along a branch at which its bends and its lumen are measured."""
 MIN_BEND_CURVATURE_PER_MM = 1e-4
 """Curvature below which a branch has no bend worth a number."""
-END_PART = 0.1
-"""Length of the first and the last part of a branch, whose mean radii are compared, as a part of it."""
-WIDENS = 1.2
-"""Ratio of mean radii at end and start from which on a branch seems to run from tip to root: a lumen narrows."""
 
 
 def _parser(prog: str) -> argparse.ArgumentParser:
@@ -61,7 +58,14 @@ def _parser(prog: str) -> argparse.ArgumentParser:
 def _run(arguments: argparse.Namespace) -> int:
     if arguments.out:
         _check_out(Path(arguments.out))
-    branches = read_branches(arguments.file, arguments.entry, options=read_options_from(arguments))
+    branches = read_branches(
+        arguments.file,
+        arguments.entry,
+        options=read_options_from(arguments),
+        pieces=arguments.pieces or (),
+    )
+    for note in branches.facts.notes:
+        print_stderr(f"note: {note}")
     if arguments.reverse:
         branches = branches.reverse_direction()
     rows = []
@@ -106,8 +110,7 @@ def _remark(branch: Branch, sharpest: float) -> str:
     remarks = ["jagged: --smoothing helps"] if sharpest > JAGGED_CURVATURE_PER_MM else []
     if branch.radius is None:
         return ", ".join([*remarks, "radius unknown"])
-    count = max(1, round(END_PART * len(branch.radius)))
-    if branch.radius[-count:].mean() > WIDENS * branch.radius[:count].mean():
+    if widens(branch):
         remarks.append("widens, as if from tip to root")
     return ", ".join(remarks)
 
