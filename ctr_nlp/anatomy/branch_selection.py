@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -31,6 +31,23 @@ UNKNOWN_LUMEN_MM = 5.0
 NEAREST_SEARCH_SPACING_MM = 0.25
 """Places along a curve among which the nearest one is looked for, before it is refined."""
 MAX_LISTED_BRANCHES = 20
+MISTAKEN_COORDINATES: dict[str, tuple[float, float, float]] = {
+    "With the signs of x and y exchanged it would: points and file seem to be one in RAS and one in LPS": (
+        -1,
+        -1,
+        1,
+    ),
+    "With the sign of x exchanged it would: the file seems to be mirrored in x": (-1, 1, 1),
+    "With the sign of y exchanged it would: the file seems to be mirrored in y": (1, -1, 1),
+    "With the sign of z exchanged it would: the file seems to be mirrored in z": (1, 1, -1),
+    "Ten times as large it would: points seem to be in cm": (10, 10, 10),
+    "A thousand times as large it would: points seem to be in m": (1000, 1000, 1000),
+    "Ten times smaller it would: the file seems to be in cm; see --units": (0.1, 0.1, 0.1),
+    "A thousand times smaller it would: the file seems to be in m; see --units": (0.001, 0.001, 0.001),
+}
+"""Likely mistakes in the coordinates of points, and the factors on x, y and z that undo them."""
+NOTED_END_GAP_MM = 0.5
+"""A path is noted that ends farther before the target, or begins farther after the entry."""
 END_PART = 0.1
 """Length of the first and the last part of a branch, whose mean radii are compared, as a part of it."""
 WIDENS = 1.2
@@ -99,7 +116,7 @@ def read_branch_segment(
                 f"from entry to target the path is {stop - start:.3g} mm long; it must be at least "
                 f"{SHORTEST_MM:g} mm"
             )
-    facts = branches.facts
+    facts = replace(branches.facts, notes=(*branches.facts.notes, *_end_notes(curve, branches, entry, target)))
     if widens(found) and not reverse and (entry is None or target is None) and not is_mask(path):
         note = "the lumen widens along the path, as if it ran from a tip to the root; --reverse exchanges its ends"
         facts = replace(facts, notes=(*facts.notes, note))
@@ -112,6 +129,27 @@ def widens(branch: Branch) -> bool:
         return False
     count = max(1, round(END_PART * len(branch.radius)))
     return bool(branch.radius[-count:].mean() > WIDENS * branch.radius[:count].mean())
+
+
+def _end_notes(
+    curve: Curve, branches: Branches, entry: npt.ArrayLike | None, target: npt.ArrayLike | None
+) -> list[str]:
+    """Return notes where a branch begins after the entry or ends before the target, as in a file cut short.
+
+    curve: the branch, in LPS. branches: those of its file. entry, target: (3,) mm in the file's coordinates.
+    """
+    notes = []
+    ends = (("entry", entry, 0.0, "begins {} mm after"), ("target", target, curve.length, "ends {} mm before"))
+    for name, point, end, phrase in ends:
+        if point is None:
+            continue
+        at = transform_points(checked_point(name, point), branches.to_lps)
+        away = at - curve.point(np.array([end]))[0]
+        tangent = curve.tangent(np.array([end]))[0]
+        beyond = float(away @ tangent) * (1 if name == "target" else -1)
+        if beyond > NOTED_END_GAP_MM:
+            notes.append(f"the path {phrase.format(f'{beyond:.1f}')} the {name} that was given")
+    return notes
 
 
 def _refuse_lone_piece(path: str | Path, branches: Branches) -> None:
@@ -163,9 +201,8 @@ def select_branch(
         if distance > lumen:
             raise CurveError(
                 f"{name} {format_point(points[name])} is {distance:.1f} mm away from branch {found.name!r}; it "
-                f"must "
-                f"lie in its lumen, within {lumen:.1f} mm, and be given in mm in the file's coordinates, "
-                f"{branches.space}"
+                f"must lie in its lumen, within {lumen:.1f} mm, and be given in mm in the file's coordinates, "
+                f"{branches.space}{_suggest_coordinates(found, branches, points)}"
             )
     return found
 
@@ -221,6 +258,18 @@ def _distance(branch: Branch, point: Array) -> tuple[float, float]:
     if branch.radius is None:
         return float(distances[k]), UNKNOWN_LUMEN_MM
     return float(distances[k]), float(branch.radius[k] + part[k] * (branch.radius[k + 1] - branch.radius[k]))
+
+
+def _suggest_coordinates(branch: Branch, branches: Branches, points: Mapping[str, Array]) -> str:
+    """Return what to do to points so that all of them lie in the lumen of a branch, empty where nothing helps.
+
+    branch: that was chosen. branches: those of its file. points: entry and target (3,), as they were given.
+    """
+    for what, factors in MISTAKEN_COORDINATES.items():
+        tried = [transform_points(point * np.array(factors), branches.to_lps) for point in points.values()]
+        if all(distance <= lumen for distance, lumen in (_distance(branch, point) for point in tried)):
+            return f". {what}"
+    return ""
 
 
 def _nearest(curve: Curve, point: Array) -> float:

@@ -23,6 +23,9 @@ STEP_NEIGHBOURS = 3
 """Steps on either side with which a step is compared, by their median."""
 MAX_STEP_RATIO, MIN_LONG_STEP_MM = 10.0, 4.0
 """A step is refused from this many times its neighbours on, unless it is shorter than the second number."""
+NOTED_OFFSET_MM, NOTED_OFFSET_STEPS, NOTED_OFFSET_RATIO = 0.4, 0.3, 6.0
+"""A point is noted that lies farther beside its neighbours than this, in mm, in steps between them, and in
+medians of all points: noise is everywhere, a wrong point alone."""
 NOTED_STEP_RATIO = 4.0
 """Ratio from which a note says that a step is long."""
 MAX_TURN_DEG, MIN_REVERSED_MM = 120.0, 0.5
@@ -160,12 +163,21 @@ def check_steps(points: Array, options: ReadOptions, numbers: Index | None = Non
                 "accept it with --accept steps"
             )
         return (f"{message}; accepted",)
+    notes = list[str]()
     if ratios[k] >= NOTED_STEP_RATIO:
-        return (
+        notes.append(
             f"points {numbers[k]} and {numbers[k + 1]} are {steps[k]:.1f} mm apart, their neighbours "
-            f"{beside[k]:.2g}; the path between them is interpolated",
+            f"{beside[k]:.2g}; the path between them is interpolated"
         )
-    return ()
+    offsets = _offsets(points)
+    i = int(offsets.argmax())
+    step = float(np.median(steps))
+    if offsets[i] > max(
+        NOTED_OFFSET_MM, NOTED_OFFSET_STEPS * step, NOTED_OFFSET_RATIO * float(np.median(offsets))
+    ):
+        place = f"point {numbers[i]} {format_point(points[i].round(3))}"
+        notes.append(f"{place} lies {offsets[i]:.1f} mm beside its neighbours, the others much less; check it")
+    return tuple(notes)
 
 
 def repair_radii(radius: Array | None, numbers: Index | None = None) -> tuple[Array | None, tuple[str, ...]]:
@@ -266,6 +278,49 @@ def _neighbouring_steps(steps: Array) -> Array:
         sides = (steps[max(k - STEP_NEIGHBOURS, 0) : k], steps[k + 1 : k + 1 + STEP_NEIGHBOURS])
         found[k] = max(float(np.median(side)) for side in sides if side.size)
     return found
+
+
+def _offsets(points: Array) -> Array:
+    """Return how far each of points (n, 3), n >= 4, is from the cubic through two points on either side, (n,) mm.
+
+    Beyond an end there are none: the first and last two points have 0, but for a parabola through the next three.
+    """
+    count = len(points)
+    found = np.zeros(count)
+    if count >= 5:
+        k = np.arange(2, count - 2)
+        steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
+        # Places along the path with the point itself left out, whose detour would lengthen it.
+        across = np.linalg.norm(points[k + 1] - points[k - 1], axis=1)
+        here = across * steps[k - 1] / (steps[k - 1] + steps[k])
+        places = np.column_stack([-steps[k - 2], 0 * across, across, across + steps[k + 1]])
+        found[k] = np.linalg.norm(
+            _interpolate(places, points[k[:, None] + [-2, -1, 1, 2]], here) - points[k], axis=1
+        )
+    for order in (slice(None), slice(None, None, -1)):
+        ends = points[order]
+        gaps = np.linalg.norm(np.diff(ends[1:4], axis=0), axis=1)
+        here = np.array([-np.linalg.norm(ends[1] - ends[0])])
+        guess = _interpolate(np.array([[0.0, gaps[0], gaps.sum()]]), ends[None, 1:4], here)[0]
+        # An extrapolated place is less certain than one between neighbours.
+        found[order][0] = float(np.linalg.norm(guess - ends[0])) / 2
+    return found
+
+
+def _interpolate(places: Array, values: Array, at: Array) -> Array:
+    """Return Lagrange's polynomials through values (n, m, 3) at places (n, m), evaluated at `at` (n,): (n, 3)."""
+    total = np.zeros((len(values), 3))
+    for i in range(places.shape[1]):
+        weight = np.ones(len(values))
+        for j in range(places.shape[1]):
+            if j != i:
+                weight = (
+                    weight
+                    * (at - places[:, j])
+                    / np.where(places[:, i] == places[:, j], 1, places[:, i] - places[:, j])
+                )
+        total += weight[:, None] * values[:, i]
+    return total
 
 
 def _find_reversal(moves: Array, steps: Array) -> tuple[int, float] | None:

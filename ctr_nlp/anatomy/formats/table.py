@@ -24,7 +24,7 @@ from ctr_nlp.anatomy.branch import (
     transform_points,
 )
 from ctr_nlp.anatomy.pieces import join_pieces
-from ctr_nlp.anatomy.plausibility import FoundUnits, find_units, tidy_branch
+from ctr_nlp.anatomy.plausibility import MIN_LONG_STEP_MM, REPEATED_POINT_MM, FoundUnits, find_units
 from ctr_nlp.anatomy.reading import AS_THE_FILE_SAYS, ASSUMED, GIVEN, MM_PER_UNIT, STATED, FileFacts, ReadOptions
 from ctr_nlp.anatomy.width_names import WIDTH_NAMES, may_be_width
 from ctr_nlp.exceptions import CurveError
@@ -85,7 +85,7 @@ class Table:
 
 
 def read_table(path: str | Path, options: ReadOptions = AS_THE_FILE_SAYS) -> Branches:
-    """Read the path of a table with a header, or the pieces of a network in a table of VMTK.
+    """Read the path of a table with a header, or the lines of a table of VMTK.
 
     A table that does not name the patient's axes keeps its coordinates as they are. path: the file. options: what
     a person states about it. Raises CurveError.
@@ -93,32 +93,27 @@ def read_table(path: str | Path, options: ReadOptions = AS_THE_FILE_SAYS) -> Bra
     fiducials = Path(path).name.lower().endswith(".fcsv")
     with name_source_in_errors(path):
         table = _parse(_decode(path), fiducials)
-        axes, stated_space = _find_axes(table.columns)
+        axes, named_space = _find_axes(table.columns)
         width = _find_width(table.columns, axes)
         points = np.column_stack([_values(table, k) for k in axes])
-        if len(points):
-            _check_finite(points, table)
+        _check_finite(points, table)
         stated_unit = _stated_unit(table, axes)
         found = find_units(points, options, stated_unit)
         radius = None
         if width is not None:
-            radius = _values(table, width, empty_is_nan=True) * _width_factor(
-                table.columns[width], found, stated_unit
-            )
-        space, space_known = _find_space(table, stated_space, options, fiducials)
+            factor = _width_factor(table.columns[width], found, stated_unit)
+            radius = _values(table, width, empty_is_nan=True) * factor
+        space, space_known = _find_space(table, named_space, options, fiducials)
         to_lps = CENTRELINE_SPACE_TO_LPS.get(space, np.eye(4))
-        lps = transform_points(points * found.mm_per_unit, to_lps)
-        whole = Branch(Path(path).stem, lps, radius)
-        edges = _edges(table)
-        notes = [*found.notes, *_unused_note(table, axes, width, fiducials), *_cut_note(table)]
-        if edges is None:
-            branch, more = tidy_branch(whole, options)
-            branches: Sequence[Branch] = (branch,)
-        else:
-            branches, more = join_pieces(_split(whole, edges), options)
+        whole = Branch(Path(path).stem, transform_points(points * found.mm_per_unit, to_lps), radius)
+        branches, repairs = join_pieces(_split(whole, table), options)
+    notes = list(found.notes)
     if fiducials:
         notes.append("a list of points is taken as a path in their order")
-    facts = FileFacts(_kind(path), found.units, found.known, space_known, (*notes, *more))
+    elif found.known == ASSUMED:
+        notes.append("the file states no unit: mm is assumed; --units says another")
+    notes += [*_unused_note(table, axes, width, fiducials), *_cut_note(table), *repairs]
+    facts = FileFacts(_kind(path), found.units, found.known, space_known, tuple(notes))
     return Branches(tuple(branches), space, to_lps, facts)
 
 
@@ -401,24 +396,28 @@ def _cut_note(table: Table) -> list[str]:
     return []
 
 
-def _edges(table: Table) -> list[tuple[str, str]] | None:
-    """Return the two nodes of each row's piece of a network of VMTK; None where there is but one piece."""
+def _split(whole: Branch, table: Table) -> list[Branch]:
+    """Return the lines whose points follow each other in a table, the path itself where there is but one.
+
+    VMTK numbers the two nodes of the edge of a network that each point belongs to. Whole lines of a tree are told
+    by the point at which all of them begin. whole: the points of all rows, in mm. table: the table.
+    """
     names = [column.name for column in table.columns]
-    if not set(EDGE_COLUMNS) <= set(names):
-        return None
-    first, second = (names.index(name) for name in EDGE_COLUMNS)
-    edges = [(row[first], row[second]) for row in table.rows]
-    return edges if len(set(edges)) > 1 else None
-
-
-def _split(whole: Branch, edges: Sequence[tuple[str, str]]) -> list[Branch]:
-    """Return the pieces of a path whose points (n,) have the given edges."""
-    cuts = [0, *(k for k, (one, other) in enumerate(pairwise(edges), start=1) if one != other), len(edges)]
+    points = whole.points
+    titles: list[str]
+    if set(EDGE_COLUMNS) <= set(names):
+        first, second = (names.index(name) for name in EDGE_COLUMNS)
+        edges = [(row[first], row[second]) for row in table.rows]
+        cuts = [k for k, (one, other) in enumerate(pairwise(edges), start=1) if one != other]
+        titles = [f"edge {edges[k][0]}-{edges[k][1]}" for k in [0, *cuts] if edges]
+    else:
+        steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
+        back = np.linalg.norm(points[1:] - points[:1], axis=1) < REPEATED_POINT_MM
+        cuts = (np.flatnonzero(back & (steps >= MIN_LONG_STEP_MM)) + 1).tolist()
+        titles = [f"line {k}" for k in range(1, len(cuts) + 2)]
+    if not cuts:
+        return [whole]
     return [
-        Branch(
-            f"edge {edges[start][0]}-{edges[start][1]}",
-            whole.points[start:stop],
-            None if whole.radius is None else whole.radius[start:stop],
-        )
-        for start, stop in pairwise(cuts)
+        Branch(title, points[start:stop], None if whole.radius is None else whole.radius[start:stop])
+        for title, (start, stop) in zip(titles, pairwise([0, *cuts, len(points)]), strict=True)
     ]
