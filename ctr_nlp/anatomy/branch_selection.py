@@ -20,6 +20,7 @@ from ctr_nlp.anatomy.branch import (
 )
 from ctr_nlp.anatomy.files import is_markups, is_mask, list_files, read_branches
 from ctr_nlp.anatomy.formats.slicer import find_pieces_beside
+from ctr_nlp.anatomy.plausibility import widens
 from ctr_nlp.anatomy.reading import AS_THE_FILE_SAYS, NO_FACTS, FileFacts, ReadOptions
 from ctr_nlp.exceptions import CurveError, OptionError
 from ctr_nlp.paths.curve import Curve, curve_from_points
@@ -42,16 +43,10 @@ MISTAKEN_COORDINATES: dict[str, tuple[float, float, float]] = {
     "With the sign of z exchanged it would: the file seems to be mirrored in z": (1, 1, -1),
     "Ten times as large it would: points seem to be in cm": (10, 10, 10),
     "A thousand times as large it would: points seem to be in m": (1000, 1000, 1000),
-    "Ten times smaller it would: the file seems to be in cm; see --units": (0.1, 0.1, 0.1),
-    "A thousand times smaller it would: the file seems to be in m; see --units": (0.001, 0.001, 0.001),
 }
 """Likely mistakes in the coordinates of points, and the factors on x, y and z that undo them."""
 NOTED_END_GAP_MM = 0.5
 """A path is noted that ends farther before the target, or begins farther after the entry."""
-END_PART = 0.1
-"""Length of the first and the last part of a branch, whose mean radii are compared, as a part of it."""
-WIDENS = 1.2
-"""Ratio of mean radii at end and start from which on a branch seems to run from tip to root: a lumen narrows."""
 
 
 @dataclass(frozen=True)
@@ -108,7 +103,11 @@ def read_branch_segment(
     if reverse:
         branches = branches.reverse_direction()
     with name_source_in_errors(path):
-        found = select_branch(branches, None if branch is None else str(branch), entry, target)
+        try:
+            found = select_branch(branches, None if branch is None else str(branch), entry, target)
+        except CurveError as error:
+            hints = [note for note in branches.facts.notes if "--pieces" in note]
+            raise CurveError("; ".join([str(error), *hints])) from error
         curve = curve_from_points(found.points, found.radius)
         start, stop = find_extent(curve, branches, entry, target)
         if stop - start < SHORTEST_MM:
@@ -121,14 +120,6 @@ def read_branch_segment(
         note = "the lumen widens along the path, as if it ran from a tip to the root; --reverse exchanges its ends"
         facts = replace(facts, notes=(*facts.notes, note))
     return BranchSegment(curve, start, stop, branches.to_lps, branches.space, facts)
-
-
-def widens(branch: Branch) -> bool:
-    """Return whether the lumen of a branch is clearly wider at its end than at its beginning."""
-    if branch.radius is None:
-        return False
-    count = max(1, round(END_PART * len(branch.radius)))
-    return bool(branch.radius[-count:].mean() > WIDENS * branch.radius[:count].mean())
 
 
 def _end_notes(

@@ -172,9 +172,11 @@ def _note_pieces_beside(path: str | Path, branches: Branches) -> Branches:
     before, after = find_pieces_beside(path, branches)
     notes = list(branches.facts.notes)
     if before:
-        notes.append(f"it begins on the curve of {list_files(before)}, as a piece of a tree: give both (--pieces)")
+        notes.append(
+            f"it begins on the curve of {list_files(before)}, as a piece of a tree: give both files, or --pieces"
+        )
     if after:
-        notes.append(f"the tree goes on in {list_files(after)}: give both (--pieces)")
+        notes.append(f"the tree goes on in {list_files(after)}: give both files, or --pieces")
     return replace(branches, facts=replace(branches.facts, notes=tuple(notes)))
 
 

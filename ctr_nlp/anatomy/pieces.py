@@ -8,13 +8,14 @@ directions, only the rules of formats/network.py find the root.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
 
 from ctr_nlp.anatomy.branch import Branch, check_points
 from ctr_nlp.anatomy.formats.network import CentrelineNetwork
-from ctr_nlp.anatomy.plausibility import tidy_branch
+from ctr_nlp.anatomy.plausibility import tidy_branch, widens
 from ctr_nlp.anatomy.reading import ReadOptions
 from ctr_nlp.exceptions import CurveError
 from ctr_nlp.typing import Array
@@ -26,6 +27,12 @@ SAME_ENTRY_MM = 10.0
 NEAR_MISS_MM = 10.0
 """A piece that begins so near to the end of another, but does not meet it, is noted."""
 MAX_LISTED_PIECES = 6
+
+
+UNDIRECTED_NOTE = (
+    "{} pieces that meet in different directions were joined to {} branches, from the end that is the widest or "
+    "the nearest to the entry"
+)
 
 
 @dataclass(frozen=True)
@@ -63,15 +70,16 @@ def join_pieces(
     meetings = [find_meeting(tidy, k) for k in range(len(tidy))]
     if _directions_differ(tidy, meetings):
         branches = _join_undirected(tidy, entry)
-        notes.append(
-            f"{len(tidy)} pieces that meet in different directions were joined to {len(branches)} branches, from "
-            "the root that is the widest or nearest to the entry"
-        )
-        return branches, tuple(notes)
+        return branches, (*notes, UNDIRECTED_NOTE.format(len(tidy), len(branches)))
     routes = [_route(meetings, k) for k in range(len(tidy))]
     continued = {at.parent for at in meetings if at is not None and at.point >= len(tidy[at.parent].points) - 1}
     branches = [_joined(tidy, meetings, route) for k, route in enumerate(routes) if k not in continued]
     if any(at is not None for at in meetings):
+        if any(widens(branch) for branch in branches):
+            # A path that widens seems to run towards the root, although its pieces follow each other.
+            with suppress(CurveError):
+                turned = _join_undirected(tidy, entry)
+                return turned, (*notes, UNDIRECTED_NOTE.format(len(tidy), len(turned)))
         tips = [route for route in routes if len(route) > 1 and route[-1] not in continued]
         listed = "; ".join(" + ".join(tidy[k].name for k in route) for route in tips[:MAX_LISTED_PIECES])
         others = f" and {len(tips) - MAX_LISTED_PIECES} more" if len(tips) > MAX_LISTED_PIECES else ""
@@ -93,7 +101,7 @@ def find_meeting(pieces: Sequence[Branch], number: int) -> Meeting | None:
             continue
         limit = meeting_distance(pieces[number], other)
         away = np.linalg.norm(other.points - start, axis=1)
-        if away[0] <= limit or away.min() > limit:
+        if away.min() > limit or away[0] <= min(limit, away[-1]):
             continue
         # An end counts before the points beside it, which are as near where points are dense.
         point = len(away) - 1 if away[-1] <= max(away.min(), MEETING_MM[0]) else int(away.argmin())
@@ -110,7 +118,7 @@ def meeting_distance(one: Branch, other: Branch) -> float:
 
 def _directions_differ(pieces: Sequence[Branch], meetings: Sequence[Meeting | None]) -> bool:
     """Return whether some pieces run against the others: one ends where another ends or on its side, or three
-    begin at one place and lead to different sides.
+    begin at one place and lead to different sides. Two that do so may be branches, but not if one of them widens.
 
     pieces: all of them. meetings: of each one, where it begins.
     """
@@ -125,7 +133,7 @@ def _directions_differ(pieces: Sequence[Branch], meetings: Sequence[Meeting | No
                 return True
             if np.linalg.norm(one.points[0] - other.points[0]) <= limit:
                 beside.append(other)
-        if len(beside) > 2 and meetings[k] is None:
+        if meetings[k] is None and (len(beside) > 2 or len({widens(each) for each in beside}) > 1):
             headings = np.array([each.points[min(len(each.points) - 1, 4)] - each.points[0] for each in beside])
             if (headings @ headings.T < 0).any():
                 return True

@@ -26,8 +26,11 @@ MAX_STEP_RATIO, MIN_LONG_STEP_MM = 10.0, 4.0
 NOTED_OFFSET_MM, NOTED_OFFSET_STEPS, NOTED_OFFSET_RATIO = 0.4, 0.3, 6.0
 """A point is noted that lies farther beside its neighbours than this, in mm, in steps between them, and in
 medians of all points: noise is everywhere, a wrong point alone."""
-NOTED_STEP_RATIO = 4.0
-"""Ratio from which a note says that a step is long."""
+NOTED_STEP_RATIO, NOTED_EVEN_STEP_RATIO, NOTED_STEP_EXCESS_MM = 4.0, 1.5, 1.0
+"""Ratios from which a note says that a step is long, the second where points are evenly spaced, and by how much it
+must be longer at least."""
+EVEN_STEPS = 1.1
+"""Points are evenly spaced where the 90th percentile of their steps is at most so many times the 10th."""
 MAX_TURN_DEG, MIN_REVERSED_MM = 120.0, 0.5
 """A path that turns by more between two steps runs back, unless one of them is shorter than the second number:
 the noise of points that are close together."""
@@ -39,6 +42,10 @@ MIN_REACH_PART = 0.1
 """Part of a robot's reach below which a path is more likely in another unit."""
 MAX_RADIUS_GAP_PART = 0.05
 """Part of a path at an end over which a missing radius is the neighbour's; one point is always allowed."""
+END_PART = 0.1
+"""Length of the first and the last part of a branch, whose mean radii are compared, as a part of it."""
+WIDENS = 1.2
+"""Ratio of mean radii at end and start from which on a branch seems to run from tip to root: a lumen narrows."""
 MAX_LUMEN_RADIUS_MM, MIN_LUMEN_RADIUS_MM = 40.0, 0.2
 """Radii of lumens outside of these are noted."""
 
@@ -164,7 +171,11 @@ def check_steps(points: Array, options: ReadOptions, numbers: Index | None = Non
             )
         return (f"{message}; accepted",)
     notes = list[str]()
-    if ratios[k] >= NOTED_STEP_RATIO:
+    shortest, longest = np.percentile(steps, [10, 90])
+    noted = NOTED_EVEN_STEP_RATIO if longest <= EVEN_STEPS * shortest else NOTED_STEP_RATIO
+    ratios = np.where(steps >= beside + NOTED_STEP_EXCESS_MM, steps / np.maximum(beside, REPEATED_POINT_MM), 0.0)
+    k = int(ratios.argmax())
+    if ratios[k] >= noted:
         notes.append(
             f"points {numbers[k]} and {numbers[k + 1]} are {steps[k]:.1f} mm apart, their neighbours "
             f"{beside[k]:.2g}; the path between them is interpolated"
@@ -235,6 +246,14 @@ def tidy_branch(branch: Branch, options: ReadOptions) -> tuple[Branch, tuple[str
     radius, repaired = repair_radii(distinct.radius, distinct.numbers)
     notes = (*distinct.notes, *steps, *repaired)
     return replace(branch, points=distinct.points, radius=radius), notes
+
+
+def widens(branch: Branch) -> bool:
+    """Return whether the lumen of a branch is clearly wider at its end than at its beginning."""
+    if branch.radius is None:
+        return False
+    count = max(1, round(END_PART * len(branch.radius)))
+    return bool(branch.radius[-count:].mean() > WIDENS * branch.radius[:count].mean())
 
 
 def list_numbers(numbers: Index) -> str:

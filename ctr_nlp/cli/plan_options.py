@@ -281,6 +281,18 @@ def add_reading_options(group: argparse._ActionsContainer) -> None:
     group.add_argument("--accept", choices=ACCEPTABLE, nargs="+", help=accepted)
 
 
+def add_piece_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments behind the first file to `parser`, which mean the same as --pieces."""
+    parser.add_argument(
+        "more_files", metavar="PIECE", nargs="*", help="further files with pieces of the same tree"
+    )
+
+
+def pieces_from(arguments: argparse.Namespace) -> list[str]:
+    """Return the files in `arguments` that hold further pieces of a tree."""
+    return [*getattr(arguments, "more_files", ()), *(arguments.pieces or ())]
+
+
 def read_options_from(arguments: argparse.Namespace) -> ReadOptions:
     """Return what add_reading_options' options in `arguments` state about a file; raises OptionError."""
     return ReadOptions(

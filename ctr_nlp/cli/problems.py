@@ -54,6 +54,8 @@ def load_all(names: Sequence[str], arguments: argparse.Namespace) -> list[Proble
     one where such an option is given.
     """
     options = {key: value for key in FILE_OPTIONS if (value := getattr(arguments, key, None)) is not None}
+    if more := getattr(arguments, "more_files", None):
+        options["pieces"] = [*more, *options.get("pieces", ())]
     if options and not any(_is_anatomy(name) for name in names):
         kind = "problem file" if names[0].endswith(".py") else "named problem"
         raise OptionError(f"--{next(iter(options))} goes with a centreline file or a mask; {names[0]} is a {kind}")

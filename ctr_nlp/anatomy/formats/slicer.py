@@ -149,7 +149,7 @@ def _name_notes(pieces: Sequence[Branch]) -> list[str]:
         return []
     return [
         f"the curve's name, {pieces[0].name!r}, is that of a piece of a tree: check that it begins where the "
-        "robot enters, or give the other pieces too (--pieces)"
+        "robot enters, or give the other pieces too (--pieces FILE ..)"
     ]
 
 

@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 
 from ctr_nlp.anatomy.branch import Branch, Branches, name_source_in_errors, transform_points
-from ctr_nlp.anatomy.branch_selection import widens
 from ctr_nlp.anatomy.files import CENTRELINE_SUFFIXES, read_branches
+from ctr_nlp.anatomy.plausibility import widens
 from ctr_nlp.cli.arguments import add_entry_option
 from ctr_nlp.cli.console import EXIT_SOLVED, Command
 from ctr_nlp.cli.output.file import check_file, output_file
-from ctr_nlp.cli.plan_options import add_reading_options, read_options_from
+from ctr_nlp.cli.plan_options import add_piece_arguments, add_reading_options, pieces_from, read_options_from
 from ctr_nlp.cli.terminal_output import print_stderr, print_table, progress_bar, report_written_files
 from ctr_nlp.exceptions import OptionError, OutputError, escape_control_characters
 from ctr_nlp.paths.curve import curve_from_points
@@ -48,6 +48,7 @@ def _parser(prog: str) -> argparse.ArgumentParser:
         epilog="Exit status: 0 where branches were listed, 2 where input is bad and nothing is written.",
     )
     parser.add_argument("file", metavar="FILE", help=f"centreline file ({', '.join(CENTRELINE_SUFFIXES)})")
+    add_piece_arguments(parser)
     parser.add_argument("--reverse", action="store_true", help="take each branch from its last point to its first")
     add_entry_option(parser, "as the file tells it")
     add_reading_options(parser)
@@ -62,7 +63,7 @@ def _run(arguments: argparse.Namespace) -> int:
         arguments.file,
         arguments.entry,
         options=read_options_from(arguments),
-        pieces=arguments.pieces or (),
+        pieces=pieces_from(arguments),
     )
     for note in branches.facts.notes:
         print_stderr(f"note: {note}")

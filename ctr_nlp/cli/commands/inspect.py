@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 
 from ctr_nlp.anatomy.branch import Branch, Branches, format_point, transform_points
-from ctr_nlp.anatomy.branch_selection import widens
 from ctr_nlp.anatomy.files import ANATOMY_SUFFIXES, is_mask, read_branches
 from ctr_nlp.anatomy.formats.images import read_image
+from ctr_nlp.anatomy.plausibility import widens
 from ctr_nlp.cli.arguments import add_entry_option, add_triple
 from ctr_nlp.cli.console import EXIT_SOLVED, Command
-from ctr_nlp.cli.plan_options import add_reading_options, read_options_from
+from ctr_nlp.cli.plan_options import add_piece_arguments, add_reading_options, pieces_from, read_options_from
 from ctr_nlp.cli.terminal_output import announce, print_table
 
 BRANCH_COLUMNS = ("branch", "name", "points", "length", "first point", "last point", "radius", "remark")
@@ -28,6 +28,7 @@ def _parser(prog: str) -> argparse.ArgumentParser:
         epilog="Exit status: 0 where the file was read, 2 where it is refused; the message says why.",
     )
     parser.add_argument("file", metavar="FILE", help=f"file of anatomy ({', '.join(ANATOMY_SUFFIXES)})")
+    add_piece_arguments(parser)
     add_entry_option(parser, "as the file tells it")
     add_triple(parser, "target", "point at which a path in a mask ends, to inspect the path between both")
     add_reading_options(parser)
@@ -43,7 +44,7 @@ def _run(arguments: argparse.Namespace) -> int:
         arguments.entry,
         arguments.target,
         read_options_from(arguments),
-        arguments.pieces or (),
+        pieces_from(arguments),
     )
     facts = branches.facts
     default = "mask of a lumen" if is_mask(arguments.file) else "centrelines"

@@ -90,6 +90,7 @@ def _parser(formulations: tuple[str, ...], prog: str) -> argparse.ArgumentParser
         f"DIR/interrupted, and DIR's own files stay). {NOT_FOR_PATIENTS}",
     )
     parser.add_argument("problem", metavar="PROBLEM", help=problems.PROBLEM_ARGUMENT_HELP)
+    plan_options.add_piece_arguments(parser)
     options.add_problem_options(parser)
     parser.set_defaults(formulation=formulations[0])
     if len(formulations) > 1:
