@@ -82,6 +82,8 @@ def find_units(points: Array, options: ReadOptions, stated: str | None = None) -
     units = stated or "mm"
     known = ASSUMED if stated is None else STATED
     span = _extent(points)
+    if span == 0 and len(points) >= LEAST_POINTS:
+        raise CurveError(f"its {len(points)} points are all the same, {format_point(points[0])}")
     if len(points) < LEAST_POINTS or PLAUSIBLE_SPAN_MM[0] <= span * MM_PER_UNIT[units] <= PLAUSIBLE_SPAN_MM[1]:
         return FoundUnits(units, known)
     fit = _fitting_unit(span, LIKELY_SPAN_MM)
