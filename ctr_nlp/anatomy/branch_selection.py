@@ -54,8 +54,8 @@ class BranchSegment:
     """A branch and the part of it that is followed.
 
     branch: the whole branch, in LPS. start, stop: arc lengths between which it is followed, mm. to_lps: transform
-    (4, 4) from the file's coordinates to LPS. space: name of the file's coordinates, as in Branches. facts: what
-    its reader found out about the file.
+    (4, 4) from the file's coordinates to LPS. space: name of the file's coordinates, as in Branches. whole: the
+    points and radii of the branch. facts: what its reader found out about the file.
     """
 
     branch: Curve
@@ -63,6 +63,7 @@ class BranchSegment:
     stop: float
     to_lps: Array
     space: str
+    whole: Branch
     facts: FileFacts = NO_FACTS
 
     @property
@@ -119,7 +120,7 @@ def read_branch_segment(
     if widens(found) and not reverse and (entry is None or target is None) and not is_mask(path):
         note = "the lumen widens along the path, as if it ran from a tip to the root; --reverse exchanges its ends"
         facts = replace(facts, notes=(*facts.notes, note))
-    return BranchSegment(curve, start, stop, branches.to_lps, branches.space, facts)
+    return BranchSegment(curve, start, stop, branches.to_lps, branches.space, found, facts)
 
 
 def _end_notes(

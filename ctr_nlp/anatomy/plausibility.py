@@ -23,6 +23,9 @@ STEP_NEIGHBOURS = 3
 """Steps on either side with which a step is compared, by their median."""
 MAX_STEP_RATIO, MIN_LONG_STEP_MM = 10.0, 4.0
 """A step is refused from this many times its neighbours on, unless it is shorter than the second number."""
+MAX_RING_STEPS, MIN_RING_STEP_RATIO = 2.5, 2.5
+"""Points are in a ring whose last one is so many usual steps from the first; such a ring is cut at a step that is
+so many times as long as those beside it."""
 NOTED_OFFSET_MM, NOTED_OFFSET_STEPS, NOTED_OFFSET_RATIO = 0.4, 0.3, 6.0
 """A point is noted that lies farther beside its neighbours than this, in mm, in steps between them, and in
 medians of all points: noise is everywhere, a wrong point alone."""
@@ -38,8 +41,9 @@ PLAUSIBLE_SPAN_MM = (20.0, 600.0)
 """Extents of centrelines in the body, from a short vessel to a tree of airways or arteries."""
 LIKELY_SPAN_MM = (30.0, 400.0)
 """Extents from which the unit of an implausible file is inferred."""
-MIN_REACH_PART = 0.1
-"""Part of a robot's reach below which a path is more likely in another unit."""
+MIN_REACH_PART, NOTED_REACH_PART, MAX_REACHES = 0.1, 0.35, 4.0
+"""Parts of a robot's reach below which a path is more likely in another unit, and may be, which is noted; the
+last bounds its length in that unit."""
 MAX_RADIUS_GAP_PART = 0.05
 """Part of a path at an end over which a missing radius is the neighbour's; one point is always allowed."""
 END_PART = 0.1
@@ -86,8 +90,8 @@ def find_units(points: Array, options: ReadOptions, stated: str | None = None) -
         raise CurveError(f"its {len(points)} points are all the same, {format_point(points[0])}")
     if len(points) < LEAST_POINTS or PLAUSIBLE_SPAN_MM[0] <= span * MM_PER_UNIT[units] <= PLAUSIBLE_SPAN_MM[1]:
         return FoundUnits(units, known)
-    fit = _fitting_unit(span, LIKELY_SPAN_MM)
-    if span * MM_PER_UNIT[units] > PLAUSIBLE_SPAN_MM[1] and fit in (None, units):
+    fit = _fitting_unit(span, LIKELY_SPAN_MM, units)
+    if span * MM_PER_UNIT[units] > PLAUSIBLE_SPAN_MM[1] and fit is None:
         check_points(points * MM_PER_UNIT[units])
         note = (
             f"points span {span * MM_PER_UNIT[units]:.0f} mm, which is long for a lumen; check the unit (--units)"
@@ -96,19 +100,35 @@ def find_units(points: Array, options: ReadOptions, stated: str | None = None) -
     raise CurveError(_unit_message("its points span", span, units, fit, known))
 
 
-def check_reach(length: float, reach: float, facts: FileFacts) -> None:
-    """Raise CurveError where a whole branch is so short beside the robot that another unit is far likelier.
+def check_reach(branch: Branch, reach: float, thinnest: float, facts: FileFacts) -> list[str]:
+    """Check the size of a whole branch against the robot; return notes.
 
-    length: of the branch, mm. reach: of the robot, mm. facts: of the file; nothing is refused where a person gave
-    its unit.
+    branch: in mm. reach: of the robot, mm. thinnest: outer radius of its thinnest tube, mm. facts: of the file;
+    nothing is doubted where a person gave its unit. Raises CurveError where another unit is far likelier: the path
+    is tiny beside the robot, or the thinnest tube fits nowhere, and in the other unit neither is so.
     """
-    if facts.units_known == GIVEN or length >= MIN_REACH_PART * reach:
-        return
-    own = length / MM_PER_UNIT[facts.units]
-    fit = _fitting_unit(own, (2 * MIN_REACH_PART * reach, 2 * reach))
-    if fit is not None and fit != facts.units:
-        subject = f"the robot reaches {reach:.0f} mm, but the length of the path is"
+    if facts.units_known == GIVEN:
+        return []
+    own = branch.length / MM_PER_UNIT[facts.units]
+    fit = _fitting_unit(own, (2 * MIN_REACH_PART * reach, MAX_REACHES * reach), facts.units)
+    if fit is None or branch.length >= NOTED_REACH_PART * reach:
+        return []
+    too_thin = False
+    if branch.radius is not None:
+        widest = float(branch.radius.max())
+        too_thin = widest < thinnest <= widest * MM_PER_UNIT[fit] / MM_PER_UNIT[facts.units]
+    if branch.length < MIN_REACH_PART * reach or too_thin:
+        thin = (
+            f", whose thinnest tube has a radius of {thinnest:.3g} mm and the lumen {widest:.3g}"
+            if too_thin
+            else ""
+        )
+        subject = f"the robot reaches {reach:.0f} mm{thin}, but the length of the path is"
         raise CurveError(_unit_message(subject, own, facts.units, fit, facts.units_known))
+    return [
+        f"the path is {branch.length:.1f} mm long, and the robot reaches {reach:.0f} mm; if the file is in {fit}, "
+        f"the path is {own * MM_PER_UNIT[fit]:.0f} mm long: say so with --units {fit}"
+    ]
 
 
 @dataclass(frozen=True)
@@ -153,44 +173,15 @@ def check_steps(points: Array, options: ReadOptions, numbers: Index | None = Non
     moves = np.diff(points, axis=0)
     steps = np.linalg.norm(moves, axis=1)
     beside = _neighbouring_steps(steps)
-    # A step that is short in itself does no harm beside shorter ones, which files have where lines were joined.
-    ratios = np.where(steps >= MIN_LONG_STEP_MM, steps / np.maximum(beside, REPEATED_POINT_MM), 0.0)
-    k = int(ratios.argmax())
-    if ratios[k] >= MAX_STEP_RATIO:
-        message = _step_message(points, numbers, k, float(steps[k]), float(beside[k]))
-        if "steps" not in options.accept:
-            raise CurveError(f"{message}; check the order of the points, or accept it with --accept steps")
-        return (f"{message}; accepted",)
-    back = _find_reversal(moves, steps)
-    if back is not None:
-        i, turn = back
-        at = f"point {numbers[i]} {format_point(points[i].round(3))}"
-        message = f"the path turns by {turn:.0f} degrees at {at}, so that it runs back along itself"
-        if "steps" not in options.accept:
-            raise CurveError(
-                f"{message}; points must follow each other from the entry to the tip: check their order, or "
-                "accept it with --accept steps"
-            )
-        return (f"{message}; accepted",)
-    notes = list[str]()
-    shortest, longest = np.percentile(steps, [10, 90])
-    noted = NOTED_EVEN_STEP_RATIO if longest <= EVEN_STEPS * shortest else NOTED_STEP_RATIO
-    ratios = np.where(steps >= beside + NOTED_STEP_EXCESS_MM, steps / np.maximum(beside, REPEATED_POINT_MM), 0.0)
-    k = int(ratios.argmax())
-    if ratios[k] >= noted:
-        notes.append(
-            f"points {numbers[k]} and {numbers[k + 1]} are {steps[k]:.1f} mm apart, their neighbours "
-            f"{beside[k]:.2g}; the path between them is interpolated"
-        )
-    offsets = _offsets(points)
-    i = int(offsets.argmax())
-    step = float(np.median(steps))
-    if offsets[i] > max(
-        NOTED_OFFSET_MM, NOTED_OFFSET_STEPS * step, NOTED_OFFSET_RATIO * float(np.median(offsets))
-    ):
-        place = f"point {numbers[i]} {format_point(points[i].round(3))}"
-        notes.append(f"{place} lies {offsets[i]:.1f} mm beside its neighbours, the others much less; check it")
-    return tuple(notes)
+    disorder = _describe_disorder(points, numbers, moves, steps, beside)
+    if disorder is None:
+        return tuple(_note_steps(points, numbers, steps, beside))
+    if "steps" in options.accept:
+        return (f"{disorder}; accepted",)
+    raise CurveError(
+        f"{disorder}. Points must follow each other from the entry to the tip: check their order, or accept it "
+        "with --accept steps"
+    )
 
 
 def repair_radii(radius: Array | None, numbers: Index | None = None) -> tuple[Array | None, tuple[str, ...]]:
@@ -269,9 +260,13 @@ def _extent(points: Array) -> float:
     return float(np.linalg.norm(np.ptp(points, axis=0))) if len(points) else 0.0
 
 
-def _fitting_unit(length: float, likely: tuple[float, float]) -> str | None:
-    """Return the unit in which a length lies within bounds (2,) in mm, None where there is none."""
-    fits = [unit for unit, factor in MM_PER_UNIT.items() if likely[0] <= length * factor <= likely[1]]
+def _fitting_unit(length: float, likely: tuple[float, float], doubted: str) -> str | None:
+    """Return the unit other than `doubted` in which a length lies within bounds in mm, None where there is none.
+
+    length: in the unit to be found. likely: the bounds.
+    """
+    others = ((unit, factor) for unit, factor in MM_PER_UNIT.items() if unit != doubted)
+    fits = [unit for unit, factor in others if likely[0] <= length * factor <= likely[1]]
     return fits[0] if fits else None
 
 
@@ -357,21 +352,59 @@ def _find_reversal(moves: Array, steps: Array) -> tuple[int, float] | None:
     return k + 1, float(np.degrees(np.arccos(np.clip(cosines[k], -1.0, 1.0))))
 
 
-def _step_message(points: Array, numbers: Index, k: int, step: float, beside: float) -> str:
-    """Return the message on a step that is too long.
+def _describe_disorder(points: Array, numbers: Index, moves: Array, steps: Array, beside: Array) -> str | None:
+    """Return what shows that points do not follow each other, None where nothing does.
 
-    points: (n, 3) mm. numbers: (n,) in the file. k: index of the point before the step. step, beside: its length
-    and that of its neighbours, mm.
+    points: (n, 3) mm. numbers: (n,) in the file. moves: (n - 1, 3) from point to point. steps: their lengths.
+    beside: lengths of the steps beside each.
     """
-    ends = [f"{numbers[i]} {format_point(points[i].round(3))}" for i in (k, k + 1)]
-    message = f"points {ends[0]} and {ends[1]} are {step:.1f} mm apart, but their neighbours {beside:.2g} mm"
-    returns = np.linalg.norm(points[-1] - points[0]) < MAX_STEP_RATIO * beside
-    if not returns:
-        cause = "points are missing or in another order, or several lines stand one after another"
-    elif k == len(points) - 2:
-        cause = "the last point lies before the first one: SlicerVMTK before 2024 saved the first point last"
-    elif k == 0:
-        cause = "the first point lies behind the last one, as if the last point had been saved first"
-    else:
-        cause = "the first point lies behind the last one: the points seem to begin in the middle of the path"
-    return f"{message}: {cause}"
+    usual = float(np.median(steps))
+    # Where the last point is beside the first one, the points are in a ring, which is cut at its longest step.
+    ring = float(np.linalg.norm(points[-1] - points[0])) <= MAX_RING_STEPS * usual
+    # A step that is short in itself does no harm beside shorter ones, which files have where lines were joined.
+    ratios = np.where(steps >= MIN_LONG_STEP_MM, steps / np.maximum(beside, REPEATED_POINT_MM), 0.0)
+    k = int(ratios.argmax())
+    if ratios[k] >= (MIN_RING_STEP_RATIO if ring else MAX_STEP_RATIO):
+        ends = [f"{numbers[i]} {format_point(points[i].round(3))}" for i in (k, k + 1)]
+        found = (
+            f"points {ends[0]} and {ends[1]} are {steps[k]:.1f} mm apart, but their neighbours {beside[k]:.2g} mm"
+        )
+        if not ring:
+            return f"{found}: points are missing or in another order, or several lines stand one after another"
+        if k == len(steps) - 1:
+            cause = "the last point lies before the first one: SlicerVMTK before 2024 saved the first point last"
+        elif k == 0:
+            cause = "the first point lies behind the last one, as if the last point had been saved first"
+        else:
+            cause = "the first point lies behind the last one: the points seem to begin in the middle of the path"
+        return f"{found}: {cause}"
+    back = _find_reversal(moves, steps)
+    if back is None:
+        return None
+    at = f"point {numbers[back[0]]} {format_point(points[back[0]].round(3))}"
+    return f"the path turns by {back[1]:.0f} degrees at {at}, so that it runs back along itself"
+
+
+def _note_steps(points: Array, numbers: Index, steps: Array, beside: Array) -> list[str]:
+    """Return notes on a step that is somewhat long, and on a point that lies beside the others.
+
+    points: (n, 3) mm. numbers: (n,) in the file. steps: (n - 1,) from point to point, mm. beside: lengths of the
+    steps beside each.
+    """
+    notes = list[str]()
+    shortest, longest = np.percentile(steps, [10, 90])
+    noted = NOTED_EVEN_STEP_RATIO if longest <= EVEN_STEPS * shortest else NOTED_STEP_RATIO
+    ratios = np.where(steps >= beside + NOTED_STEP_EXCESS_MM, steps / np.maximum(beside, REPEATED_POINT_MM), 0.0)
+    k = int(ratios.argmax())
+    if ratios[k] >= noted:
+        notes.append(
+            f"points {numbers[k]} and {numbers[k + 1]} are {steps[k]:.1f} mm apart, their neighbours "
+            f"{beside[k]:.2g}; the path between them is interpolated"
+        )
+    offsets = _offsets(points)
+    i = int(offsets.argmax())
+    around = NOTED_OFFSET_STEPS * float(np.median(steps)), NOTED_OFFSET_RATIO * float(np.median(offsets))
+    if offsets[i] > max(NOTED_OFFSET_MM, *around):
+        place = f"point {numbers[i]} {format_point(points[i].round(3))}"
+        notes.append(f"{place} lies {offsets[i]:.1f} mm beside its neighbours, the others much less; check it")
+    return notes

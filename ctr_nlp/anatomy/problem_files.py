@@ -143,7 +143,8 @@ def problem_from_file(
     notes = list(found.facts.notes)
     with name_source_in_errors(path):
         if not is_mask(path):
-            check_reach(found.branch.length, robot.reach, found.facts)
+            thinnest = min(tube.outer_diameter for tube in robot.tubes) / 2
+            notes += check_reach(found.whole, robot.reach, thinnest, found.facts)
         # Smoothed before it is trimmed: smoothing changes the length, and what is left must be within reach.
         followed = found.followed_path.smooth(smoothing)
         if trim is not None:

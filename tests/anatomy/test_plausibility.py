@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from ctr_nlp.anatomy.branch import Branch
 from ctr_nlp.anatomy.plausibility import (
     check_reach,
     check_steps,
@@ -85,10 +86,24 @@ def test_stated_and_assumed_units_are_told_apart():
 
 
 def test_a_path_is_held_against_the_reach_of_the_robot():
-    check_reach(40.0, 150.0, FileFacts())
-    check_reach(30.0, 400.0, FileFacts(units_known=GIVEN))
-    with pytest.raises(CurveError, match=r"robot reaches 400 mm.* --units cm"):
-        check_reach(30.0, 400.0, FileFacts())
+    long = Branch("", ARC)
+    short = Branch("", ARC * 0.3, np.full(61, 2.0))
+    thin = Branch("", ARC * 0.3, np.full(61, 0.3))
+    assert check_reach(long, 150.0, 1.0, FileFacts()) == []
+    assert check_reach(short, 150.0, 1.0, FileFacts(units_known=GIVEN)) == []
+    assert "if the file is in cm, the path is 324 mm long" in check_reach(short, 150.0, 1.0, FileFacts())[0]
+    with pytest.raises(CurveError, match=r"robot reaches 400 mm, but .* --units cm"):
+        check_reach(short, 400.0, 1.0, FileFacts())
+    with pytest.raises(CurveError, match=r"thinnest tube has a radius of 1 mm and the lumen 0\.3, .* --units cm"):
+        check_reach(thin, 150.0, 1.0, FileFacts())
+    check_reach(thin, 150.0, 0.2, FileFacts())
+
+
+@pytest.mark.parametrize(("count", "shift"), [(7, 1), (7, 3), (12, 11), (20, 1)])
+def test_few_points_that_begin_elsewhere_are_refused_with_the_cause(count, shift):
+    few = ARC[np.linspace(0, 60, count).astype(int)]
+    with pytest.raises(CurveError, match=r"mm apart.*: the (first|last) point lies"):
+        check_steps(np.roll(few, -shift, axis=0), AS_THE_FILE_SAYS)
 
 
 @pytest.mark.parametrize("absent", [0.0, np.nan])
