@@ -73,7 +73,7 @@ def join_pieces(
         return branches, (*notes, UNDIRECTED_NOTE.format(len(tidy), len(branches)))
     routes = [_route(meetings, k) for k in range(len(tidy))]
     continued = {at.parent for at in meetings if at is not None and at.point >= len(tidy[at.parent].points) - 1}
-    branches = [_joined(tidy, meetings, route) for k, route in enumerate(routes) if k not in continued]
+    branches = [_join_route(tidy, meetings, route) for k, route in enumerate(routes) if k not in continued]
     if any(at is not None for at in meetings):
         if any(widens(branch) for branch in branches):
             # A path that widens seems to run towards the root, although its pieces follow each other.
@@ -181,7 +181,7 @@ def _route(meetings: Sequence[Meeting | None], number: int) -> list[int]:
     return route
 
 
-def _joined(pieces: Sequence[Branch], meetings: Sequence[Meeting | None], route: Sequence[int]) -> Branch:
+def _join_route(pieces: Sequence[Branch], meetings: Sequence[Meeting | None], route: Sequence[int]) -> Branch:
     """Return one path along the pieces of a route, with the name of the last one.
 
     pieces: all of them. meetings: where each begins. route: numbers of pieces, from the root's on.

@@ -42,7 +42,7 @@ OTHER_TYPES = {
 """Types of markups that are taken for centrelines, and what to do instead."""
 PIECE_NAME = re.compile(r"\((\d+)\)$")
 """End of the name of a piece: Slicer numbers the pieces of a tree, the first from 0."""
-MAX_FILES_BESIDE, MAX_BYTES_BESIDE = 200, 20_000_000
+MAX_FILES_BESIDE, MAX_BYTES_BESIDE = 60, 20_000_000
 """Files beside a piece that are looked at for pieces it continues, and their largest size."""
 
 
