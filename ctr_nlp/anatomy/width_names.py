@@ -9,7 +9,9 @@ WIDTH_NAMES = {
     **dict.fromkeys(("diameter", "lumendiameter", "maximuminscribedspherediameter"), 0.5),
 }
 """Names without punctuation in lower case, and the factor from each to the radius."""
-PERHAPS_WIDTH = re.compile(r"rad|diam|width|caliber|calibre|thick|bore")
+PERHAPS_WIDTH = re.compile(
+    r"rad|diam|width|caliber|calibre|thick|bore|size|^[rd](?:min|max|mean|avg|med|fit|hyd|eq|inscribed|lumen)?[0-9]?$"
+)
 NO_WIDTH = re.compile(r"curv|radian|bend|grad")
 
 

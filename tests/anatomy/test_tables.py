@@ -84,7 +84,9 @@ def test_names_of_the_radius(write, title, factor):
     assert turned.radius == pytest.approx(RADIUS, abs=0.06)
 
 
-@pytest.mark.parametrize("title", ["min_radius", "width", "mean diameter", "calibre", "thickness"])
+@pytest.mark.parametrize(
+    "title", ["min_radius", "width", "Rmax", "Dmean", "d", "mean diameter", "calibre", "thickness"]
+)
 def test_a_column_that_may_be_the_radius_is_refused_by_name(write, title):
     with pytest.raises(CurveError, match=rf"not certain what column '{title}' means"):
         read_branches(write(f"x,y,z,{title}", np.column_stack([POINTS, RADIUS])))
@@ -256,3 +258,20 @@ def _long_robot():
 def test_units_that_nobody_knows_are_refused():
     with pytest.raises(OptionError, match="units is 'inch'"):
         ReadOptions(units="inch")
+
+
+@pytest.mark.parametrize(
+    "header", ["Xmm,Ymm,Zmm", "x,y,z\nmm,mm,mm", "sep=,\nx_mm,y_mm,z_mm", "% MATLAB\nx (mm),y (mm),z (mm)"]
+)
+def test_other_ways_to_state_mm(write, header):
+    branch, found = only(write(header))
+    assert branch.points == pytest.approx(POINTS, abs=1e-4)
+    assert (found.facts.units_known, found.facts.notes) == (STATED, ())
+
+
+def test_columns_without_a_name_are_noted_unless_they_are_empty(write):
+    numbered = np.column_stack([np.arange(51), POINTS])
+    assert only(write(",x_mm,y_mm,z_mm", numbered))[1].facts.notes == ("column not used: number 1",)
+    path = write("x_mm,y_mm,z_mm")
+    path.write_text(path.read_text().replace("\n", ",\n"))
+    assert only(path)[1].facts.notes == ()

@@ -10,7 +10,7 @@ import codecs
 import csv
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
 
@@ -46,6 +46,11 @@ WIDTH_COLUMNS = WIDTH_NAMES | {"r": 1.0}
 """Names of the lumen's size without punctuation, in lower case, and the factor from each to the radius."""
 UNIT_PATTERN = re.compile(r"^(?P<name>.*?)[\s_:/]*[\[(]?(?P<unit>(?<![A-Za-z])(?:mm|cm|m|um|µm|μm))[\])]?$", re.I)
 """A column's name with a unit at its end: x_mm, x (mm), radius [cm]."""
+BARE_AXIS_PATTERN = re.compile(r"^(?P<name>[xyz])(?P<unit>mm|cm|um|µm|μm)$", re.I)
+"""A coordinate with its unit right behind it: Xmm."""
+COMMENT_MARKS = ("#", "%")
+SEPARATOR_LINE = re.compile(r"sep=.?", re.I)
+"""A first line that tells Excel what separates the cells."""
 NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:e[+-]?\d+)?|[+-]?(?:nan|inf(?:inity)?)", re.I)
 STATED_UNIT = re.compile(r"\bunits?\b\s*[:=]?\s*(mm|cm|m|um|µm|μm)\b", re.I)
 STATED_SPACE = re.compile(r"\b(?:coordinate\s*system|space)\b\s*[:=]?\s*(LPS|RAS|[01])\b", re.I)
@@ -151,8 +156,10 @@ def _parse(text: str, fiducials: bool) -> Table:
     fiducials: whether it is a fiducial list, whose columns are named in a comment, and whose rows may be longer.
     """
     numbered = [(k, line.strip(" ")) for k, line in enumerate(text.splitlines(), start=1) if line.strip()]
-    comments = [line.lstrip("# ").strip() for _, line in numbered if line.startswith("#")]
-    body = [(k, line) for k, line in numbered if not line.startswith("#")]
+    comments = [line.lstrip("#% ").strip() for _, line in numbered if line.startswith(COMMENT_MARKS)]
+    body = [(k, line) for k, line in numbered if not line.startswith(COMMENT_MARKS)]
+    if body and SEPARATOR_LINE.fullmatch(body[0][1]):
+        body = body[1:]
     if fiducials:
         listed = [c.partition("=")[2].strip() for c in comments if c.lower().startswith("columns")]
         titles = listed[-1].split(",") if listed else list(FIDUCIAL_COLUMNS)
@@ -170,6 +177,9 @@ def _parse(text: str, fiducials: bool) -> Table:
         else:
             body = body[1:]
     columns = _columns(titles)
+    if body and not fiducials and (units := _unit_row(_cells(body[0][1], delimiter), columns)):
+        columns = units
+        body = body[1:]
     if not _names_axes(columns):
         shown = ",".join(titles)[:60]
         raise CurveError(f"it is not a centreline: its first line is {shown!r}; {EXPECTED}")
@@ -180,6 +190,20 @@ def _parse(text: str, fiducials: bool) -> Table:
         lines = [number for number, there in zip(lines, placed, strict=True) if there]
         rows = [row for row, there in zip(rows, placed, strict=True) if there]
     return Table(columns, rows, lines, tuple(comments), not text.endswith(("\n", "\r")))
+
+
+def _unit_row(cells: Sequence[str], columns: Sequence[Column]) -> tuple[Column, ...]:
+    """Return the columns with the units that a row below the header states, none where it states no unit.
+
+    cells: of the row. columns: of the header.
+    """
+    units = [cell.strip("[]() ").lower().replace("µ", "u").replace("μ", "u") for cell in cells]
+    if len(cells) != len(columns) or not set(units) & set(MM_PER_UNIT) or any(_is_number(cell) for cell in cells):
+        return ()
+    return tuple(
+        replace(column, unit=column.unit or unit) if unit in MM_PER_UNIT else column
+        for column, unit in zip(columns, units, strict=True)
+    )
 
 
 def _delimiter(line: str) -> str | None:
@@ -222,7 +246,7 @@ def _columns(titles: Sequence[str]) -> tuple[Column, ...]:
     """Return the columns with the given titles."""
     found = []
     for title in titles:
-        match = UNIT_PATTERN.match(title)
+        match = UNIT_PATTERN.match(title) or BARE_AXIS_PATTERN.match(title)
         unit = None
         name = title
         # x_m is x in metres, but "m" alone is a name.
@@ -379,7 +403,11 @@ def _find_space(table: Table, named: str | None, options: ReadOptions, fiducials
 def _unused_note(table: Table, axes: tuple[int, ...], width: int | None, fiducials: bool) -> list[str]:
     """Return a note that names the columns that are not used; none for the known ones of a fiducial list."""
     used = {*axes, width}
-    titles = [column.title or f"number {k + 1}" for k, column in enumerate(table.columns) if k not in used]
+    titles = [
+        column.title or f"number {k + 1}"
+        for k, column in enumerate(table.columns)
+        if k not in used and any(row[k] for row in table.rows)
+    ]
     if fiducials or not titles:
         return []
     return [f"column{'s' * (len(titles) > 1)} not used: {', '.join(titles)}"]
