@@ -18,7 +18,7 @@ from ctr_nlp.anatomy.branch import (
     transform_points,
 )
 from ctr_nlp.anatomy.formats.images import NIFTI_SUFFIXES, NRRD_SUFFIXES
-from ctr_nlp.anatomy.formats.slicer import find_pieces_beside, read_pieces, read_slicer
+from ctr_nlp.anatomy.formats.slicer import find_pieces_beside, list_types, read_pieces, read_slicer
 from ctr_nlp.anatomy.formats.table import read_table
 from ctr_nlp.anatomy.formats.vtk import read_vtk
 from ctr_nlp.anatomy.pieces import join_pieces
@@ -141,6 +141,14 @@ def _read_tree(paths: Sequence[str | Path], entry: Point, options: ReadOptions) 
     paths: the files. entry: (3,) mm in these coordinates, or None. options: what a person states about the files.
     """
     read = list[Branches]()
+    # A scene of Slicer has the end points of a tree beside its pieces, so that *.mrk.json names them too.
+    others = [path for path in paths if is_markups(path) and "Curve" not in list_types(path)]
+    paths = [path for path in paths if path not in others]
+    if not paths:
+        raise CurveError(f"{list_files([str(path) for path in others])} hold no open curve")
+    left_out = [
+        f"{Path(path).name}: left out, it holds no open curve but {list_types(path)[0]}" for path in others
+    ]
     for path in paths:
         reader = _reader_of(path)
         if reader.mask:
@@ -163,7 +171,7 @@ def _read_tree(paths: Sequence[str | Path], entry: Point, options: ReadOptions) 
         for path, branches in zip(paths, read, strict=True)
         for note in branches.facts.notes
     ]
-    facts = replace(first.facts, kind=f"{first.facts.kind}, {len(paths)} files", notes=(*own, *notes))
+    facts = replace(first.facts, kind=f"{first.facts.kind}, {len(paths)} files", notes=(*left_out, *own, *notes))
     return Branches(tuple(joined), first.space, first.to_lps, facts)
 
 

@@ -82,6 +82,16 @@ def test_pieces_in_several_files_are_joined(write):
     assert problem.target.lengths[-1] == pytest.approx(125, abs=0.1)
 
 
+def test_end_points_beside_the_pieces_are_left_out(write):
+    ends = write("Endpoints", markup("Endpoints", TRUNK[[0, -1]], type="Fiducial"))
+    paths = [write(name, markup(name, points)) for name, points in PIECES.items()]
+    found = read_branches(ends, pieces=paths)
+    assert_tree(found)
+    assert "Endpoints.mrk.json: left out, it holds no open curve but Fiducial" in found.facts.notes
+    with pytest.raises(CurveError, match="hold no open curve"):
+        read_branches(ends, pieces=[write("more", markup("more", TRUNK[[0, -1]], type="Fiducial"))])
+
+
 def test_pieces_that_begin_one_step_further_on_are_joined(write):
     pieces = [markup(name, points if name == "tree (0)" else points[1:]) for name, points in PIECES.items()]
     assert_tree(read_branches(write("tree", *pieces)), tolerance=0.1)

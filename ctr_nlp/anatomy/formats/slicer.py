@@ -68,18 +68,7 @@ def read_pieces(path: str | Path, options: ReadOptions = AS_THE_FILE_SAYS) -> Br
 
     options: what a person states about the file.
     """
-    try:
-        raw = Path(path).read_bytes()
-        try:
-            found = json.loads(raw)
-        except UnicodeDecodeError:
-            # Only names have letters beyond ASCII, and a file in another encoding still has its numbers.
-            found = json.loads(raw.decode("latin-1"))
-    except (OSError, ValueError, RecursionError) as error:
-        raise CurveError(f"centreline {path} cannot be read: {error}") from error
-    markups = found.get("markups") if isinstance(found, dict) else None
-    if not (isinstance(markups, list) and markups and all(isinstance(markup, dict) for markup in markups)):
-        raise CurveError(f'{path} is not a markups file of 3D Slicer: it must have a list "markups" of curves')
+    markups = _markups(path)
     stem = Path(path).name.partition(".")[0] or Path(path).stem
     names = [
         str(markup.get("name") or (stem if len(markups) == 1 else f"curve {k}"))
@@ -107,6 +96,28 @@ def read_pieces(path: str | Path, options: ReadOptions = AS_THE_FILE_SAYS) -> Br
     notes = (*unit.notes, *(note for _, more in read for note in more))
     facts = FileFacts("markups of 3D Slicer", unit.units, unit.known, STATED, notes)
     return Branches(tuple(scaled), spaces[0], to_lps, facts)
+
+
+def list_types(path: str | Path) -> list[str]:
+    """Return the types of the markups of the file `path`, such as "Curve" or "Fiducial"; raise CurveError."""
+    return [str(markup.get("type")) for markup in _markups(path)]
+
+
+def _markups(path: str | Path) -> list[dict[str, Any]]:
+    """Return the markups of the file `path` as they stand in it; raise CurveError where it holds none."""
+    try:
+        raw = Path(path).read_bytes()
+        try:
+            found = json.loads(raw)
+        except UnicodeDecodeError:
+            # Only names have letters beyond ASCII, and a file in another encoding still has its numbers.
+            found = json.loads(raw.decode("latin-1"))
+    except (OSError, ValueError, RecursionError) as error:
+        raise CurveError(f"centreline {path} cannot be read: {error}") from error
+    markups = found.get("markups") if isinstance(found, dict) else None
+    if not (isinstance(markups, list) and markups and all(isinstance(markup, dict) for markup in markups)):
+        raise CurveError(f'{path} is not a markups file of 3D Slicer: it must have a list "markups" of curves')
+    return markups
 
 
 def find_pieces_beside(path: str | Path, branches: Branches) -> tuple[list[str], list[str]]:
