@@ -96,8 +96,9 @@ def read_table(path: str | Path, options: ReadOptions = AS_THE_FILE_SAYS) -> Bra
     a person states about it. Raises CurveError.
     """
     fiducials = Path(path).name.lower().endswith(".fcsv")
+    text = _decode(path)
     with name_source_in_errors(path):
-        table = _parse(_decode(path), fiducials)
+        table = _parse(text, fiducials)
         axes, named_space = _find_axes(table.columns)
         width = _find_width(table.columns, axes)
         points = np.column_stack([_values(table, k) for k in axes])
@@ -132,7 +133,7 @@ def _decode(path: str | Path) -> str:
     try:
         raw = Path(path).read_bytes()
     except OSError as error:
-        raise CurveError(f"centreline cannot be read: {error}") from error
+        raise CurveError(f"centreline {path} cannot be read: {error}") from error
     if raw.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
         encodings = ["utf-16"]
     elif b"\x00" in raw[:100]:
@@ -147,7 +148,7 @@ def _decode(path: str | Path) -> str:
             continue
         if "\x00" not in text:
             return text
-    raise CurveError("it cannot be read: it is no text (UTF-8, UTF-16 or Latin-1)")
+    raise CurveError(f"centreline {path} cannot be read: it is no text (UTF-8, UTF-16 or Latin-1)")
 
 
 def _parse(text: str, fiducials: bool) -> Table:
