@@ -23,6 +23,7 @@ import numpy.typing as npt
 from ctr_nlp.exceptions import CurveError
 from ctr_nlp.paths.lumen import LumenProjection
 from ctr_nlp.support.packing import packable
+from ctr_nlp.support.value_objects import Value
 from ctr_nlp.typing import Array, Flags
 
 BLOCK_NODES = 8
@@ -41,7 +42,7 @@ FAR_MM = 1e4
 
 @packable("distance-grid")
 @dataclass(frozen=True, eq=False)
-class DistanceGrid:
+class DistanceGrid(Value):
     """Blocks of coefficients of one grid.
 
     to_grid: affine transform (4, 4) from mm to units of the grid. index: number of the block at each place
@@ -53,9 +54,19 @@ class DistanceGrid:
     index: npt.NDArray[np.int32]
     coefficients: npt.NDArray[np.float32]
 
-    def locate(self, points: Array) -> tuple[Array, npt.NDArray[np.intp]]:
-        """Return the places (n, 3) of points (n, 3) in units of the grid, and their blocks (n,), -1 outside."""
+    @property
+    def last_place(self) -> Array:
+        """Largest place (3,) within the grid."""
+        return np.array(self.index.shape) * BLOCK_NODES - 1e-9
+
+    def locate(self, points: Array, clip: bool = False) -> tuple[Array, npt.NDArray[np.intp]]:
+        """Return the places (n, 3) of points (n, 3) in units of the grid, and their blocks (n,), -1 outside.
+
+        clip: whether points outside are taken for those at the grid's border.
+        """
         places = points @ self.to_grid[:3, :3].T + self.to_grid[:3, 3]
+        if clip:
+            places = np.clip(places, 0.0, self.last_place)
         blocks = np.floor(places / BLOCK_NODES).astype(np.intp)
         inside = ((blocks >= 0) & (blocks < self.index.shape)).all(axis=1)
         found = np.full(len(points), -1, np.intp)
@@ -97,7 +108,7 @@ class DistanceGrid:
 
 @packable("distance-field")
 @dataclass(frozen=True, eq=False)
-class DistanceField:
+class DistanceField(Value):
     """Signed distance to a wall: positive inside the lumen, mm.
 
     grids: from the finest to the coarsest; the coarsest has every block. A place belongs to the first grid that
@@ -149,7 +160,8 @@ class DistanceField:
         for grid in self.grids:
             if not left.any():
                 break
-            places, blocks = grid.locate(inside)
+            # Rounding must not take a point at the border of the coarsest grid out of it.
+            places, blocks = grid.locate(inside, clip=grid is self.grids[-1])
             here = np.flatnonzero(left & (blocks >= 0))
             distance[here], gradient[here], hessian[here] = grid.evaluate(places[here], blocks[here])
             left[here] = False
@@ -165,7 +177,7 @@ class DistanceField:
         """Return the nearest places (n, 3) within the coarsest grid, and by how much (n, 3) points are beyond."""
         grid = self.grids[-1]
         places = points @ grid.to_grid[:3, :3].T + grid.to_grid[:3, 3]
-        most = np.array(grid.index.shape) * BLOCK_NODES - 1e-9
+        most = grid.last_place
         back = np.linalg.inv(grid.to_grid)
         inside = np.clip(places, 0.0, most) @ back[:3, :3].T + back[:3, 3]
         outside: Flags = np.asarray(((places < 0) | (places > most)).any(axis=1))

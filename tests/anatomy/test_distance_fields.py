@@ -1,0 +1,76 @@
+"""Walls made from masks, beside the formulas of the bodies that the masks were made from."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from ctr_nlp.anatomy.distance_fields import field_of_mask
+from ctr_nlp.exceptions import CurveError
+
+pytest.importorskip("pyvista", reason='needs pyvista: pip install -e ".[anatomy]"')
+
+TURN = Rotation.from_rotvec([0.3, -0.2, 0.5]).as_matrix()
+
+
+def cylinder(points, radius=3.0):
+    return radius - np.linalg.norm((points @ TURN)[..., :2], axis=-1)
+
+
+def bent_tube(points, radius=2.5):
+    x, y, z = np.moveaxis(points @ TURN, -1, 0)
+    return radius - np.hypot(np.hypot(x + 25.0, z) - 25.0, y)
+
+
+def ball(points, radius=4.0):
+    return radius - np.linalg.norm(points, axis=-1)
+
+
+def two_that_meet(points, crease_mm=0.0):
+    """A cylinder through a ball; NaN within crease_mm of where they meet, an edge that voxels cannot show."""
+    one, other = cylinder(points), ball(points + np.array([0.0, 0.0, 1.0]), 5.0)
+    return np.where(abs(one - other) < crease_mm, np.nan, np.maximum(one, other))
+
+
+def away_from_creases(points):
+    return two_that_meet(points, 2.0)
+
+
+def made(distance, spacing, seed):
+    """The field of a body's mask, whose voxels lie anywhere and whose axes are turned."""
+    rng = np.random.default_rng(seed)
+    axes = Rotation.from_rotvec(rng.normal(size=3)).as_matrix()
+    count = np.ceil(22.0 / np.array(spacing)).astype(int)
+    affine = np.eye(4)
+    affine[:3, :3] = axes * spacing
+    affine[:3, 3] = affine[:3, :3] @ (rng.uniform(-0.5, 0.5, 3) - count / 2)
+    index = np.stack(np.meshgrid(*map(np.arange, count), indexing="ij"), axis=-1)
+    return field_of_mask(distance(index @ affine[:3, :3].T + affine[:3, 3]) > 0, affine), rng
+
+
+@pytest.mark.parametrize("spacing", [(0.4, 0.4, 0.4), (0.6, 0.6, 0.6), (0.4, 0.4, 1.6)], ids=str)
+@pytest.mark.parametrize(
+    ("body", "formula"),
+    [(cylinder, cylinder), (bent_tube, bent_tube), (ball, ball), (two_that_meet, away_from_creases)],
+)
+def test_distances_are_within_a_third_of_a_voxel_and_unbiased(body, formula, spacing):
+    field, rng = made(body, spacing, 1)
+    points = rng.uniform(-6, 6, (40000, 3))
+    # Within a mm of the wall, and away from the axes, where the distance itself has an edge.
+    points = points[abs(formula(points)) < 1.0]
+    error = (field.evaluate(points)[0] - formula(points)) / max(spacing)
+    middle, most = np.percentile(abs(error), [50, 99])
+    assert middle < 0.1
+    assert most < 0.3
+    assert abs(error.mean()) < 0.05
+
+
+def test_far_from_the_wall_the_field_is_still_the_distance():
+    field, rng = made(ball, (0.6, 0.6, 0.6), 2)
+    points = rng.normal(size=(2000, 3))
+    points *= rng.uniform(6, 22, (2000, 1)) / np.linalg.norm(points, axis=1, keepdims=True)
+    np.testing.assert_allclose(field.evaluate(points)[0], ball(points), atol=0.9)
+
+
+def test_a_mask_without_a_wall_is_refused():
+    with pytest.raises(CurveError, match="no voxel"):
+        field_of_mask(np.zeros((5, 5, 5), bool), np.eye(4))
