@@ -32,7 +32,7 @@ def two_that_meet(points, crease_mm=0.0):
 
 
 def away_from_creases(points):
-    return two_that_meet(points, 2.0)
+    return two_that_meet(points, 3.0)
 
 
 def made(distance, spacing, seed):
