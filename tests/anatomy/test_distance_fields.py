@@ -33,7 +33,7 @@ def two_that_meet(points):
 def outside_of_two(points):
     """The distance from two_that_meet where it is one, and NaN near the edge that voxels cannot show."""
     one, other = cylinder(points), ball(points + np.array([0.0, 0.0, 1.0]), 5.0)
-    return np.where((np.maximum(one, other) > 0) | (abs(one - other) < 2.0), np.nan, np.maximum(one, other))
+    return np.where((np.maximum(one, other) > 0) | (abs(one - other) < 3.0), np.nan, np.maximum(one, other))
 
 
 def made(distance, spacing, seed):
