@@ -30,12 +30,6 @@ def two_that_meet(points):
     return np.maximum(cylinder(points), ball(points + np.array([0.0, 0.0, 1.0]), 5.0))
 
 
-def outside_of_two(points):
-    """The distance from two_that_meet where it is one, and NaN near the edge that voxels cannot show."""
-    one, other = cylinder(points), ball(points + np.array([0.0, 0.0, 1.0]), 5.0)
-    return np.where((np.maximum(one, other) > 0) | (abs(one - other) < 3.0), np.nan, np.maximum(one, other))
-
-
 def made(distance, spacing, seed):
     """The field of a body's mask, whose voxels lie anywhere and whose axes are turned."""
     rng = np.random.default_rng(seed)
@@ -49,20 +43,27 @@ def made(distance, spacing, seed):
 
 
 @pytest.mark.parametrize("spacing", [(0.4, 0.4, 0.4), (0.6, 0.6, 0.6), (0.4, 0.4, 1.6)], ids=str)
-@pytest.mark.parametrize(
-    ("body", "formula"),
-    [(cylinder, cylinder), (bent_tube, bent_tube), (ball, ball), (two_that_meet, outside_of_two)],
-)
-def test_distances_are_within_a_third_of_a_voxel_and_unbiased(body, formula, spacing):
+@pytest.mark.parametrize("body", [cylinder, bent_tube, ball])
+def test_distances_are_within_a_third_of_a_voxel_and_unbiased(body, spacing):
     field, rng = made(body, spacing, 1)
     points = rng.uniform(-6, 6, (40000, 3))
     # Within a mm of the wall, and away from the axes, where the distance itself has an edge.
-    points = points[abs(formula(points)) < 1.0]
-    error = (field.evaluate(points)[0] - formula(points)) / max(spacing)
+    points = points[abs(body(points)) < 1.0]
+    error = (field.evaluate(points)[0] - body(points)) / max(spacing)
     middle, most = np.percentile(abs(error), [50, 99])
     assert middle < 0.1
     assert most < 0.3
     assert abs(error.mean()) < 0.05
+
+
+def test_lumens_that_meet_open_into_each_other():
+    field, rng = made(two_that_meet, (0.5, 0.5, 0.5), 3)
+    points = rng.uniform(-6, 6, (20000, 3))
+    truth = two_that_meet(points)
+    found = field.evaluate(points)[0]
+    # Half a millimetre, a voxel, from the surface nothing is on the wrong side of it.
+    assert (found[truth > 0.5] > 0).all()
+    assert (found[truth < -0.5] < 0).all()
 
 
 def test_far_from_the_wall_the_field_is_still_the_distance():
