@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from ctr_nlp import Calibration, Limits, Measurements, Robot, Tolerances, Tube, calibrate
-from ctr_nlp.identify.calibration.calibration import errors, summary_of
+from ctr_nlp.identify.calibration.residuals import errors, summary_of
 from ctr_nlp.typing import Array, Index
 
 KINDS = "curvature", "bending_stiffness", "torsional_ratio", "curved_length", "motor_zero"

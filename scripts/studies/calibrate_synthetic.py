@@ -18,9 +18,9 @@ from identification import measure_random_poses
 from scipy.spatial.transform import Rotation
 
 from ctr_nlp import Calibration, Measurements, Robot, Tolerances, calibrate, table_i_robot
-from ctr_nlp.identify.calibration.calibration import errors
 from ctr_nlp.identify.calibration.parameters import BASE
 from ctr_nlp.identify.calibration.prediction import Prediction, flat_measured
+from ctr_nlp.identify.calibration.residuals import errors
 from ctr_nlp.models import model_named
 from ctr_nlp.robot.samples import RobotSamples, sample_robots
 from ctr_nlp.robot.tolerances import DEVIATION_NAMES

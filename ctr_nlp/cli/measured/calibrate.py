@@ -21,6 +21,7 @@ from ctr_nlp.cli.measured.calibration_files import (
 from ctr_nlp.cli.output.folder import check_folder, output_folder
 from ctr_nlp.cli.terminal_output import console, print_table, progress_bar, report_written_files
 from ctr_nlp.identify.calibration.calibration import Calibration, calibrate
+from ctr_nlp.identify.calibration.consistency import ASSUMED_NOISE_MM, CALIBRATION_FINDINGS
 from ctr_nlp.identify.calibration.folds import FOLD_BLOCK_S
 from ctr_nlp.identify.calibration.parameters import BASE, PARAMETER_KINDS
 from ctr_nlp.identify.calibration.reading import read_measurements
@@ -35,7 +36,13 @@ STANDING_PHRASES = {
     "partly": "determine it in part",
     "held": "hardly determine it: as before",
 }
-CALIBRATION_ERROR_LABELS = {"described": "as described", "fitted": "fitted", "held_out": "held out"}
+CALIBRATION_ERROR_LABELS = {
+    "described": "as described",
+    "fitted": "fitted",
+    "held_out": "held out",
+    "fitted_without_outliers": "fitted, without outliers",
+    "held_out_without_outliers": "held out, without outliers",
+}
 
 
 def _parser(prog: str) -> argparse.ArgumentParser:
@@ -49,8 +56,9 @@ def _parser(prog: str) -> argparse.ArgumentParser:
         epilog="Columns: alpha_1.., beta_1.. (theta_x, theta_y), time_s of a motion; force_x, force_y, force_z, "
         "what pulls at the tip, N, in the axes of the base; tip_x, tip_y, tip_z; the "
         "rotation of axes at the tip, z along the robot, as tip_qw, tip_qx, tip_qy, tip_qz; points p1_x, p1_y, "
-        "p1_z with p1_sigma or arc length p1_s, p2_x ..; mm, rad and s. An empty cell was not measured. Exit "
-        "status: 0 written, 2 bad input, nothing written, 130 interrupted, nothing written.",
+        "p1_z with p1_sigma or arc length p1_s, p2_x ..; mm, rad and s, or another unit at the end of a name, as "
+        "tip_x_m and alpha_1_deg. An empty cell was not measured. Exit status: 0 written, 2 bad input, or "
+        "measurements that contradict the robot, nothing written, 130 interrupted, nothing written.",
     )
     what = "what was measured; each file is a recording of its own, with the sensor anywhere"
     parser.add_argument("measured", metavar="MEASURED.csv", nargs="+", help=what)
@@ -73,6 +81,12 @@ def _parser(prog: str) -> argparse.ArgumentParser:
     parser.add_argument("--block", metavar="S", type=float, default=FOLD_BLOCK_S, help=what)
     parser.add_argument("--next", metavar="N", type=whole, default=0, help="propose N poses that would teach most")
     parser.add_argument("--seed", metavar="N", type=whole, default=0, help="of folds and proposals (default 0)")
+    what = f"standard deviation of the sensor in each coordinate, mm (default {ASSUMED_NOISE_MM:g})"
+    parser.add_argument("--noise", metavar="MM", type=float, help=what)
+    what = (
+        "calibrate although this was found: a mistake in the file, a base pose, more left over than noise allows"
+    )
+    parser.add_argument("--accept", choices=CALIBRATION_FINDINGS, nargs="+", default=[], help=what)
     add_out_option(parser, "runs/calibration")
     add_figures_option(parser)
     return parser
@@ -97,6 +111,8 @@ def _run(arguments: argparse.Namespace) -> int:
             next_count=arguments.next,
             seed=arguments.seed,
             progress=labelled("fits"),
+            noise=arguments.noise,
+            accept=arguments.accept,
         )
     with output_folder(out, "calibration") as staging:
         _write(found, staging, not arguments.no_figures)
@@ -148,7 +164,7 @@ def _print(found: Calibration) -> None:
             f"- at the same pose, measurements differ by {2 * found.floor:.2g} mm on average: no model without "
             f"hysteresis can have errors below {found.floor:.2g} mm"
         )
-    for sentence in found.unidentified:
+    for sentence in (*found.notes, *found.unidentified):
         told.print(f"- {sentence}")
     if len(found.next_q):
         told.print(

@@ -8,25 +8,36 @@ unit vectors), and n points of the shape (3 each, mm).
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 
-from ctr_nlp.exceptions import MeasurementError
+from ctr_nlp.exceptions import MeasurementError, OptionError
+from ctr_nlp.identify.calibration.consistency import (
+    CALIBRATION_FINDINGS,
+    FittedMeasurements,
+    check_agreement,
+    describe_distant_parameters,
+    describe_outliers,
+    largest_agreeing_noise,
+)
 from ctr_nlp.identify.calibration.fit import ParameterFit, fit_parameters, recompute_residuals
 from ctr_nlp.identify.calibration.folds import FOLD_BLOCK_S, assign_folds, find_repeated_poses
 from ctr_nlp.identify.calibration.identifiability import classify_parameters, describe_unidentified
 from ctr_nlp.identify.calibration.measurements import Measurements
 from ctr_nlp.identify.calibration.next_poses import next_poses
-from ctr_nlp.identify.calibration.parameters import BASE, Parameters, parameters_of
-from ctr_nlp.identify.calibration.prediction import Prediction, flat_measured, register_points
+from ctr_nlp.identify.calibration.outliers import fit_weights, fit_without_outliers, leave_out
+from ctr_nlp.identify.calibration.parameters import Parameters, parameters_of
+from ctr_nlp.identify.calibration.prediction import build_registered_prediction, flat_measured
+from ctr_nlp.identify.calibration.residuals import errors
 from ctr_nlp.identify.calibration.robots import calibrated_robot
 from ctr_nlp.models import Model, model_for_tip_forces, model_named
 from ctr_nlp.robot import Robot
-from ctr_nlp.support.value_checks import check_instance
+from ctr_nlp.support.value_checks import check_choice, check_instance
 from ctr_nlp.support.value_objects import ReadOnlyValue
-from ctr_nlp.typing import Array, Index
+from ctr_nlp.typing import Array, Flags, Index
 
 Progress = Callable[[int, int, str], None]
 """Callback ``progress(done, total, what)``: fits done, their total number, and which comes next."""
@@ -68,6 +79,12 @@ class Calibration(ReadOnlyValue):
         alone can explain. None where no pose was repeated.
     bases : tuple of (rotation, place)
         For every recording the pose of the robot's base in the sensor's axes: (3, 3), and (3,) mm.
+    weights : (T, 2 + n) array
+        Weights of the tip, of its direction and of the points in the fit: 0 for outliers, which were left out; NaN
+        where nothing was measured.
+    notes : tuple of str
+        Outliers by their line, parameters beyond their tolerances, and findings that were accepted; a sentence
+        each.
     next_q : (k, 2d + 2) array
         Poses whose measurement would lower the uncertainty most, rad and mm.
     next_left : (k,) array
@@ -87,8 +104,15 @@ class Calibration(ReadOnlyValue):
     repeated_poses: Index
     floor: float | None
     bases: tuple[tuple[Array, Array], ...]
+    weights: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    notes: tuple[str, ...] = ()
     next_q: Array = field(default_factory=lambda: np.zeros((0, 0)))
     next_left: Array = field(default_factory=lambda: np.zeros(0))
+
+    @property
+    def outliers(self) -> Flags:
+        """Mask (T, 2 + n) of the tip, its direction and the points that were left out of the fit."""
+        return np.asarray(self.weights == 0)
 
     @property
     def parameters(self) -> Parameters:
@@ -108,6 +132,8 @@ def calibrate(
     next_count: int = 0,
     seed: int = 0,
     progress: Progress | None = None,
+    noise: float | None = None,
+    accept: Sequence[str] = (),
 ) -> Calibration:
     """Estimate the parameters of a robot from measured shapes, by robust least squares around its tolerances.
 
@@ -143,6 +169,12 @@ def calibrate(
     progress : callable, optional
         Called as ``progress(done, total, what)`` before each fit, with the number of fits done, their total number
         and the next one, and once at the end.
+    noise : float, optional
+        Standard deviation of the sensor in each coordinate, mm, from which it follows how much may be left over; 1
+        mm if it is not stated.
+    accept : sequence of str
+        Findings that are confirmed and do not raise, of ``calibration.consistency.CALIBRATION_FINDINGS``:
+        ``"cause"``, ``"base"`` and ``"residual"``.
 
     Returns
     -------
@@ -152,7 +184,8 @@ def calibrate(
     Raises
     ------
     MeasurementError
-        The robot cannot have been at these configurations, or the tubes that fit best cannot be made.
+        The robot cannot have been at these configurations, the measurements contradict it, or the tubes that fit
+        best cannot be made.
     OptionError
         An option is unknown or out of its range, or a parameter is not identifiable from such measurements.
     LoadError
@@ -185,6 +218,10 @@ def calibrate(
     """
     check_instance(MeasurementError, "robot", robot, Robot)
     check_instance(MeasurementError, "measurements", measured, Measurements)
+    for finding in accept:
+        check_choice("accept", finding, CALIBRATION_FINDINGS)
+    if noise is not None and not 0 < noise < math.inf:
+        raise OptionError(f"noise is {noise!r}; it must be a positive number, in mm")
     # A copy of an observation is no further information, and in another fold it would leak the held-out one.
     measured = measured.distinct()
     described = model_for_tip_forces(model_named(model), measured.has_tip_force)
@@ -194,20 +231,25 @@ def calibrate(
     fold = assign_folds(robot, measured, held_out, block, seed=seed) if held_out else np.full(len(measured), -1)
     prediction = build_registered_prediction(parameters, measured, described)
     before = flat_measured(measured) - prediction.predict_values(parameters.mean).flat()
-    told = progress or (lambda *_: None)
+    report = progress or (lambda *_: None)
     total = 1 + held_out
-    told(0, total, "all observations")
-    fit = fit_parameters(prediction)
+    report(0, total, "all observations")
+    fit, outliers = fit_without_outliers(prediction, largest_agreeing_noise(measured, robot.d, noise))
+    fitted = FittedMeasurements(prediction, described, fit, outliers, registered, noise)
+    accepted = check_agreement(fitted, accept)
+    kept = leave_out(prediction, outliers)
     out = np.full(before.shape, np.nan)
     for k in range(held_out):
-        told(1 + k, total, f"without fold {k + 1}")
+        report(1 + k, total, f"without fold {k + 1}")
         # The noise is estimated again, too: nothing in a fit depends on the held-out fold.
-        found = recompute_residuals(fit_parameters(prediction, fold != k), prediction)
+        found = recompute_residuals(fit_parameters(kept, fold != k), prediction)
         out[fold == k] = found.residuals[fold == k]
-    told(total, total, "done")
+    report(total, total, "done")
     made = calibrated_robot(fit, measured)
     again = find_repeated_poses(robot, measured, block)
     proposed = next_poses(fit, prediction, described, made, next_count, seed) if next_count else ()
+    notes = (*describe_outliers(fitted), *describe_distant_parameters(fitted), *accepted)
+    weights = fit_weights(fit.residuals, fit.noise, outliers)
     return Calibration(
         *(
             made,
@@ -218,41 +260,9 @@ def calibrate(
             tuple(classify_parameters(fit)),
             tuple(describe_unidentified(fit)),
         ),
-        *(before, out, fold, again, _floor(before, again), prediction.bases_at(fit.values), *proposed),
+        *(before, out, fold, again, _floor(before, again), prediction.bases_at(fit.values)),
+        *(weights, notes, *proposed),
     )
-
-
-def build_registered_prediction(parameters: Parameters, measured: Measurements, model: Model) -> Prediction:
-    """Build the predictions, with bases registered to the measurements of each recording.
-
-    The base's pose may be anything before measuring. Starting from the pose in which the nominal robot fits best,
-    a fit has only small rotations to find.
-
-    Parameters
-    ----------
-    parameters : Parameters
-        What is estimated; where the base's pose is not among it, the sensor's axes are the base's.
-    measured : Measurements
-        The observations.
-    model : Model
-        The kinematic model, under a load where one acts.
-
-    Returns
-    -------
-    Prediction
-        The predictions.
-    """
-    prediction = Prediction(parameters, measured, model)
-    if not parameters.columns(*BASE):
-        return prediction
-    seen = prediction.predict_values(parameters.mean)
-    bases = []
-    for recording in range(measured.recordings):
-        own = measured.recording == recording
-        pairs = ((seen.tip, measured.tip), (seen.points, measured.points))
-        predicted, there = (np.concatenate([pair[k][own].reshape(-1, 3) for pair in pairs]) for k in range(2))
-        bases.append(register_points(predicted, there))
-    return Prediction(parameters, measured, model, bases)
 
 
 def _floor(before: Array, again: Index) -> float | None:
@@ -264,49 +274,3 @@ def _floor(before: Array, again: Index) -> float | None:
     # which is the best that any model of the pose alone can predict.
     known = errors(before[again[:, 0]] - before[again[:, 1]])
     return float(np.nanmean(known)) / 2 if np.isfinite(known).any() else None
-
-
-def distances(residuals: Array) -> Array:
-    """Compute the distances of measured points from predicted ones.
-
-    Parameters
-    ----------
-    residuals : (T, 6 + 3n) array
-        Measured less predicted; see :class:`Calibration`.
-
-    Returns
-    -------
-    (T, 1 + n) array
-        Distances of the tip and of the points, mm, over those coordinates that were measured; NaN where none was.
-    """
-    places = np.delete(residuals, slice(3, 6), axis=1)
-    places = places.reshape(len(places), places.shape[1] // 3, 3)
-    seen = np.isfinite(places).any(axis=2)
-    return np.asarray(np.where(seen, np.sqrt(np.nansum(places**2, axis=2)), np.nan))
-
-
-def errors(residuals: Array) -> Array:
-    """Compute the root mean square distance of every observation.
-
-    Parameters
-    ----------
-    residuals : (T, 6 + 3n) array
-        Measured less predicted; see :class:`Calibration`.
-
-    Returns
-    -------
-    (T,) array
-        Over its tip and points, mm; NaN where no place was measured.
-    """
-    found = distances(residuals)
-    known = np.isfinite(found)
-    with np.errstate(invalid="ignore"):
-        return np.asarray(np.sqrt(np.nansum(found**2, axis=1) / known.sum(axis=1)))
-
-
-def summary_of(found: Array) -> dict[str, float] | None:
-    """Summarise errors found (T,), mm, by their mean, 95 % quantile and maximum; None where none is finite."""
-    known = found[np.isfinite(found)]
-    if not len(known):
-        return None
-    return {"mean": float(known.mean()), "q95": float(np.quantile(known, 0.95)), "max": float(known.max())}

@@ -213,7 +213,7 @@ def information_of(changes: Array, known: Flags, noise: Noise) -> Array:
     (T, P, P) array
         Information of every observation.
     """
-    weighed = np.where(known[..., None], changes, 0.0) / _scales(noise, changes.shape[1])[:, None]
+    weighed = np.where(known[..., None], changes, 0.0) / noise_of_columns(noise, changes.shape[1])[:, None]
     return np.asarray(np.einsum("tkp,tkq->tpq", weighed, weighed))
 
 
@@ -233,7 +233,7 @@ class _Problem:
         if not len(chosen):
             return values
         sigma, (low, high) = self._parameters.sigma, self._parameters.bounds
-        weights = 1 / _scales(noise, self._measured.shape[1])
+        weights = 1 / noise_of_columns(noise, self._measured.shape[1])
         whitened = self._parameters.whitening_matrix
         count = int(self._known.sum())
 
@@ -285,7 +285,7 @@ class _Problem:
         spent = max(1 - len(free) / max(count, 1), 1 / max(count, 1))
         position = np.delete(residuals, slice(3, 6), axis=1)
         size = _spread(position, spent, LEAST_NOISE[0]), _spread(residuals[:, 3:6], spent, LEAST_NOISE[1])
-        return Noise(*size, self._autocorrelation(residuals / _scales(Noise(*size), residuals.shape[1])))
+        return Noise(*size, self._autocorrelation(residuals / noise_of_columns(Noise(*size), residuals.shape[1])))
 
     def _autocorrelation(self, residuals: Array) -> float:
         """Return the lag-1 correlation of residuals (T, 6 + 3n), which are over their noise, along motions."""
@@ -305,7 +305,7 @@ class _Problem:
         """Return the fit at values (P,), those `free` (P,) fitted, with their covariance at this noise."""
         seen, changes = self._prediction.predict_with_derivatives(values, self._rows)
         residuals = self._measured - seen.flat()
-        weighed = (residuals / _scales(noise, residuals.shape[1]))[self._known]
+        weighed = (residuals / noise_of_columns(noise, residuals.shape[1]))[self._known]
         # J^T J / s^2 is the information of independent normal residuals under least squares. The soft loss uses a
         # part of it (its efficiency), and of correlated residuals several count as one.
         factor = _efficiency(weighed[np.isfinite(weighed)]) / noise.inflation
@@ -370,8 +370,8 @@ def _spread(residuals: Array, spent: float, least: float) -> float:
     return size
 
 
-def _scales(noise: Noise, width: int) -> Array:
-    """Return the noise (width,) of every entry of ObservableValues.flat; 1 where there is none."""
+def noise_of_columns(noise: Noise, width: int) -> Array:
+    """Return the noise of every entry of ``ObservableValues.flat``, which has `width` of them; 1 where none is."""
     found = np.full(width, noise.position)
     found[3:6] = noise.direction
     return np.where(np.isfinite(found), found, 1.0)

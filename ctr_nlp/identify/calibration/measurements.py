@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass, field, fields, replace
 
 import numpy as np
@@ -13,6 +14,10 @@ from ctr_nlp.robot.checks import check_angle
 from ctr_nlp.support.value_objects import ReadOnlyValue
 from ctr_nlp.typing import Array, Flags, Index
 
+MAX_NAMED_MISTAKES = 3
+"""Largest number of possible mistakes that a message names."""
+MIN_REACH_PART = 0.01
+"""Part of the robot's length below which even the largest extension of all measurements is rather in metres."""
 EXTENSION_TOLERANCE_MM = 1e-3
 """mm by which recorded extensions may miss their order and the tubes' lengths: rounding."""
 
@@ -45,6 +50,10 @@ class Measurements(ReadOnlyValue):
     force : (T, 3) or (3,) array
         Known forces at the tip in the axes of the robot's base, N, such as weights that hang there; one for all
         observations is repeated. 0 by default.
+    line : (T,) array of int
+        Line of the file that an observation was read from, from 1; 0, the default, where it is from no file.
+    files : tuple of str
+        Name of the file of every recording; empty where they are from no files.
 
     Raises
     ------
@@ -61,14 +70,18 @@ class Measurements(ReadOnlyValue):
     recording: Index
     repeated: int = 0
     force: Array = field(default_factory=lambda: np.zeros(3))
+    line: Index = field(default_factory=lambda: np.zeros(0, dtype=int))
+    files: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         count = len(self.q)
+        if not len(self.line):
+            object.__setattr__(self, "line", np.zeros(count, dtype=int))
         if self.force.shape == (3,):
             object.__setattr__(self, "force", np.tile(self.force, (count, 1)))
         wanted = {
             **dict.fromkeys(("tip", "direction", "force"), (count, 3)),
-            **dict.fromkeys(("time", "recording"), (count,)),
+            **dict.fromkeys(("time", "recording", "line"), (count,)),
             "points": (*self.sigma.shape, 3),
             "sigma": (count, self.sigma.shape[-1]),
         }
@@ -94,7 +107,9 @@ class Measurements(ReadOnlyValue):
 
     def __getitem__(self, chosen: Flags | Index | slice) -> Measurements:
         """Return the chosen observations: an index array, a mask (T,) or a slice."""
-        arrays = {f.name: getattr(self, f.name)[chosen] for f in fields(self) if f.name != "repeated"}
+        arrays = {
+            f.name: getattr(self, f.name)[chosen] for f in fields(self) if f.name not in ("repeated", "files")
+        }
         return replace(self, **arrays)
 
     @property
@@ -128,6 +143,24 @@ class Measurements(ReadOnlyValue):
         """Number of recordings."""
         return int(self.recording.max()) + 1
 
+    def place_of(self, row: int) -> str:
+        """Name an observation for messages.
+
+        Parameters
+        ----------
+        row : int
+            Index of the observation, from 0.
+
+        Returns
+        -------
+        str
+            Its line in the file, with the file's name if there are several, or its number, from 1.
+        """
+        if not self.line[row]:
+            return f"observation {row + 1}"
+        of_file = f" of {self.files[int(self.recording[row])]}" if len(self.files) > 1 else ""
+        return f"line {self.line[row]}{of_file}"
+
     def check(self, robot: Robot) -> None:
         """Check that a robot can have been at all configurations.
 
@@ -148,15 +181,39 @@ class Measurements(ReadOnlyValue):
                 f"q of measurements has {self.q.shape[1]} columns; it must have {len(robot.axes)}: "
                 f"{', '.join(robot.axes)}"
             )
-        lengths = np.array([tube.length for tube in robot.tubes])
-        for row, q in enumerate(self.q, start=1):
-            _check_configuration(robot, row, q, lengths)
+        for row in range(len(self)):
+            if wrong := _find_wrong_value(robot, self.q[row], self._where(row)):
+                raise MeasurementError(_join_explanation(wrong, _explain_configurations(robot, self.q)))
+        self._check_extension_unit(robot)
         for row, (sigma, points) in enumerate(zip(self.sigma, self.points, strict=True), start=1):
             known = np.isfinite(points).any(axis=1)
             if known.any() and not ((sigma[known] >= 0) & (sigma[known] <= 1 + 1e-9)).all():
                 raise MeasurementError(
                     f"observation {row}: a point lies at sigma {sigma[known].tolist()}; it must lie in [0, 1]"
                 )
+
+    def _where(self, row: int) -> str:
+        """Return the end of "beta_1 ..": in which line of the file, or of which observation, from 0."""
+        return f"in {self.place_of(row)}" if self.line[row] else f"of {self.place_of(row)}"
+
+    def _check_extension_unit(self, robot: Robot) -> None:
+        """Raise MeasurementError where even the largest extension is so small that it must be in another unit."""
+        reach = float(self.q[:, 2 * robot.d - 1].max())
+        length = robot.tubes[-1].length
+        if reach >= MIN_REACH_PART * length or len(self) < 2:
+            return
+        millimetres = np.array(self.q)
+        millimetres[:, robot.d : 2 * robot.d] *= 1000
+        if all(_find_wrong_value(robot, row) is None for row in millimetres):
+            places = np.vstack([self.tip, self.points.reshape(-1, 3)])
+            known = places[np.isfinite(places).all(axis=1)]
+            # The distance of any two points, in whatever axes, is at most twice what lies outside of the base.
+            also = len(known) > 1 and float(np.ptp(known, axis=0).max()) <= 2 * reach
+            raise MeasurementError(
+                f"beta_{robot.d} is at most {reach:.3g} mm in {len(self)} rows, and the robot is {length:g} mm "
+                f"long: are extensions{' and measured points' if also else ''} in m? Give all lengths in mm, or "
+                "name the unit in the columns, as in beta_1_m"
+            )
 
     def distinct(self) -> Measurements:
         """Return the observations without copies, each recording in the order of time.
@@ -204,29 +261,93 @@ class Measurements(ReadOnlyValue):
             )
 
 
-def _check_configuration(robot: Robot, row: int, q: Array, lengths: Array) -> None:
-    """Raise MeasurementError unless a robot of tubes of lengths (d,), mm, can be at q (2d + 2,).
+def _find_wrong_value(robot: Robot, q: Array, where: str = "") -> str | None:
+    """Return a message on the first entry of q (2d + 2,) that a robot cannot have; None where it can be there.
 
-    row: the observation's number, from 1, for messages.
+    where: names the observation, for the message.
     """
-    where = f"of observation {row}"
     for axis, value in zip(robot.axes, q, strict=True):
         if not math.isfinite(value):
-            raise MeasurementError(f"{axis} {where} is {value}; it must be a number, in rad or mm")
+            return f"{axis} {where} is {value}; it must be a number, in rad or mm"
         if not axis.startswith("beta"):
             try:
                 check_angle(f"{axis} {where} is {value:g} rad, and it", axis, value)
             except RobotError as error:
-                raise MeasurementError(str(error)) from error
+                return str(error)
     beta = robot.split(q)[1]
     before = 0.0
-    for i, (value, length) in enumerate(zip(beta, lengths, strict=True), start=1):
-        if not before - EXTENSION_TOLERANCE_MM <= value <= length + EXTENSION_TOLERANCE_MM:
+    for i, (value, tube) in enumerate(zip(beta, robot.tubes, strict=True), start=1):
+        if not before - EXTENSION_TOLERANCE_MM <= value <= tube.length + EXTENSION_TOLERANCE_MM:
             least = f"beta_{i - 1}, {before:g}" if i > 1 else "0"
-            raise MeasurementError(
+            return (
                 f"beta_{i} {where} is {value:g} mm; it must lie between {least} mm and the tube's length, "
-                f"{length:g} mm"
+                f"{tube.length:g} mm"
             )
         before = value
     if beta[-1] <= 0:
-        raise MeasurementError(f"beta_{robot.d} {where} is {beta[-1]:g} mm; it must be positive")
+        return f"beta_{robot.d} {where} is {beta[-1]:g} mm; it must be positive"
+    return None
+
+
+def _explain_configurations(robot: Robot, q: Array) -> str:
+    """Return the end of a message: mistakes without which a robot can be at all q (T, 2d + 2); "" if none."""
+    if len(q) < 2:
+        return ""  # any wrong value of a single row can be made right by some change
+    likely = [
+        words
+        for words, changed in _possible_mistakes(robot, q)
+        if all(_find_wrong_value(robot, row) is None for row in changed)
+    ]
+    if not likely:
+        return ""
+    return f"all {len(q)} rows would be possible if {', or if '.join(likely[:MAX_NAMED_MISTAKES])}"
+
+
+def _join_explanation(message: str, explanation: str) -> str:
+    """Return a message with an explanation after it; explanation: a clause, or "" for none."""
+    if not explanation:
+        return message
+    return f"{message} A{explanation[1:]}" if message.endswith("?") else f"{message}; {explanation}"
+
+
+def _possible_mistakes(robot: Robot, q: Array) -> Iterator[tuple[str, Array]]:
+    """Yield usual mistakes in q (T, 2d + 2): in words, and q without it."""
+    d = robot.d
+    turns = np.r_[0:d, 2 * d : q.shape[1]]
+    slides = slice(d, 2 * d)
+    for words, columns, factor in (
+        ("angles were in degrees", turns, math.pi / 180),
+        ("extensions were in micrometres", slides, 0.001),
+        ("extensions were counted as negative numbers", slides, -1.0),
+    ):
+        changed = np.array(q)
+        changed[:, columns] *= factor
+        yield words, changed
+    for words, order in (
+        ("the columns alpha and beta were exchanged", [*range(d, 2 * d), *range(d)]),
+        ("tubes were numbered from the innermost one", [*range(d)[::-1], *range(d, 2 * d)[::-1]]),
+        *(
+            (f"the columns of tubes {i + 1} and {j + 1} were exchanged", _exchange_tubes(d, i, j))
+            for i in range(d)
+            for j in range(i + 1, d)
+        ),
+        *(
+            (f"the columns beta_{i + 1} and beta_{j + 1} were exchanged", _exchange_tubes(d, i, j, False))
+            for i in range(d)
+            for j in range(i + 1, d)
+        ),
+    ):
+        changed = np.array(q)
+        changed[:, : 2 * d] = q[:, order]
+        yield words, changed
+    changed = np.array(q)
+    changed[:, slides] = np.cumsum(q[:, slides], axis=1)
+    yield "each beta was how far a tube comes out of the one around it", changed
+
+
+def _exchange_tubes(d: int, i: int, j: int, angles: bool = True) -> list[int]:
+    """Return the order of the 2d columns alpha, beta with tubes i and j exchanged; angles: alpha, too."""
+    order = list(range(2 * d))
+    for first in (0, d) if angles else (d,):
+        order[first + i], order[first + j] = first + j, first + i
+    return order

@@ -8,8 +8,9 @@ import matplotlib
 import numpy as np
 from matplotlib.figure import Figure
 
-from ctr_nlp.identify.calibration.calibration import Calibration, errors
+from ctr_nlp.identify.calibration.calibration import Calibration
 from ctr_nlp.identify.calibration.prediction import flat_measured
+from ctr_nlp.identify.calibration.residuals import errors
 from ctr_nlp.typing import Array
 from ctr_nlp.view.figures import save
 from ctr_nlp.view.figures.parts.page import STYLE, panels, root_scale

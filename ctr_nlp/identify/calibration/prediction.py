@@ -111,6 +111,21 @@ class Prediction:
         # Missing points are evaluated at the tip: arrays stay rectangular, and their residuals are NaN.
         self._sigma = np.hstack([tip, np.where(np.isfinite(measured.sigma), measured.sigma, 1.0)])
 
+    def with_measurements(self, measured: Measurements) -> Prediction:
+        """Return predictions of other measurements, with the same parameters, model and initial bases.
+
+        Parameters
+        ----------
+        measured : Measurements
+            The observations.
+
+        Returns
+        -------
+        Prediction
+            Their predictions.
+        """
+        return Prediction(self.parameters, measured, self._model, self.bases)
+
     def predict_values(self, values: Array) -> ObservableValues:
         """Predict the measured values.
 
@@ -325,6 +340,39 @@ class Prediction:
             for k in self.parameters.columns(kind):
                 found[(self.parameters.each[k].number or 1) - 1, axis] = values[k]
         return found
+
+
+def build_registered_prediction(parameters: Parameters, measured: Measurements, model: Model) -> Prediction:
+    """Build the predictions, with bases registered to the measurements of each recording.
+
+    The base's pose may be anything before measuring. Starting from the pose in which the nominal robot fits best,
+    a fit has only small rotations to find.
+
+    Parameters
+    ----------
+    parameters : Parameters
+        What is estimated; where the base's pose is not among it, the sensor's axes are the base's.
+    measured : Measurements
+        The observations.
+    model : Model
+        The kinematic model, under a load where one acts.
+
+    Returns
+    -------
+    Prediction
+        The predictions.
+    """
+    prediction = Prediction(parameters, measured, model)
+    if not parameters.columns(*BASE):
+        return prediction
+    seen = prediction.predict_values(parameters.mean)
+    bases = []
+    for recording in range(measured.recordings):
+        own = measured.recording == recording
+        pairs = ((seen.tip, measured.tip), (seen.points, measured.points))
+        predicted, there = (np.concatenate([pair[k][own].reshape(-1, 3) for pair in pairs]) for k in range(2))
+        bases.append(register_points(predicted, there))
+    return Prediction(parameters, measured, model, bases)
 
 
 def flat_measured(measured: Measurements) -> Array:

@@ -1,6 +1,7 @@
 """Measurements from CSV files.
 
-Columns, in any order; angles in rad, lengths in mm; empty cells and nan mean that a value was not measured:
+Columns, in any order; angles in rad, lengths in mm, unless the name ends with another unit, as in alpha_1_deg and
+tip_x_m (measurement_columns.py); empty cells and nan mean that a value was not measured:
 
     alpha_1 ..  beta_1 ..       the configuration, of every tube; theta_x, theta_y: 0 where there is no such column
     time_s                      of a motion; without it poses were measured one by one
@@ -13,7 +14,6 @@ Columns, in any order; angles in rad, lengths in mm; empty cells and nan mean th
 
 from __future__ import annotations
 
-import csv
 import math
 import re
 from collections.abc import Sequence
@@ -22,7 +22,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ctr_nlp.exceptions import MeasurementError
+from ctr_nlp.exceptions import MeasurementError, suggest_names
+from ctr_nlp.identify.calibration.measurement_columns import (
+    Column,
+    TextTable,
+    parse_column,
+    parse_number,
+    read_text_table,
+)
 from ctr_nlp.identify.calibration.measurements import Measurements
 from ctr_nlp.models.loads.load import MAX_LOAD_FORCE_N as MOST_FORCE
 from ctr_nlp.robot import Robot
@@ -96,9 +103,9 @@ def read_measurements(path: str | Path | Sequence[str | Path], robot: Robot) -> 
     tables = [_table(checked_path(MeasurementError, each), robot) for each in paths]
     most = max(max(_points(table), default=0) for table in tables)
     found = [_observations(table, robot, number, most) for number, table in enumerate(tables)]
-    names = ("q", "tip", "direction", "points", "sigma", "time", "recording", "force")
+    names = ("q", "tip", "direction", "points", "sigma", "time", "recording", "force", "line")
     arrays: dict[str, Any] = {name: np.concatenate([getattr(one, name) for one in found]) for name in names}
-    together = Measurements(**arrays)
+    together = Measurements(**arrays, files=tuple(table.path.name for table in tables))
     if np.isfinite(together.time).any() and not together.has_times:
         without = next(t.path for t, one in zip(tables, found, strict=True) if not one.has_times)
         raise MeasurementError(f"{without} has no {TIME} in some rows, and others have it; give it everywhere")
@@ -108,49 +115,56 @@ def read_measurements(path: str | Path | Sequence[str | Path], robot: Robot) -> 
 
 def _table(path: Path, robot: Robot) -> _Table:
     """Read a file; raise MeasurementError where it is no table of measurements of the robot."""
-    try:
-        with open(path, newline="", encoding="utf-8-sig") as file:
-            rows = list(csv.reader(file))
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise MeasurementError(f"measurements {path} cannot be read: {error}") from error
-    lines = [(n, row) for n, row in enumerate(rows, 1) if any(map(str.strip, row)) and row[0][:1] != "#"]
-    if len(lines) < 2:
-        raise MeasurementError(
-            f"measurements {path} hold no rows; they must have a line of names and one of values"
-        )
-    names = tuple(name.strip().lower() for name in lines[0][1])
-    _check_names(path, names, robot)
-    values = np.array([_row(path, n, names, row) for n, row in lines[1:]])
-    return _Table(path, names, values, tuple(n for n, _ in lines[1:]))
+    text = read_text_table(path)
+    columns = _columns(path, text.header, robot)
+    factors = np.array([column.factor for column in columns])
+    values = np.array([_row(path, n, text, row) for n, row in text.rows]) * factors
+    return _Table(path, tuple(column.name for column in columns), values, tuple(n for n, _ in text.rows))
 
 
-def _check_names(path: Path, names: tuple[str, ...], robot: Robot) -> None:
-    """Raise MeasurementError for a column that is missing, unknown or there twice."""
+def _columns(path: Path, header: Sequence[str], robot: Robot) -> list[Column]:
+    """Return the columns of a header; raise MeasurementError for one that is missing, unknown or there twice."""
     needed = robot.axes[: 2 * robot.d]
-    known = {*robot.axes, TIME, *FORCE_COLUMNS, *TIP_COLUMNS, *QUATERNION}
-    for name in needed:
-        if name not in names:
-            raise MeasurementError(f"{path} has no column {name}; it must have {', '.join(needed)}")
-    for name in names:
-        if names.count(name) > 1:
-            raise MeasurementError(f"{path} has the column {name!r} twice")
-        if name not in known and not POINT.fullmatch(name):
+    known = (*robot.axes, TIME, *FORCE_COLUMNS, *TIP_COLUMNS, *QUATERNION)
+    found = list[Column]()
+    unknown = list[str]()
+    for number, text in enumerate(header, 1):
+        if not text:
             raise MeasurementError(
-                f"{path} has a column {name!r}, which is unknown; known are {', '.join(robot.axes)}, {TIME}, "
-                f"{', '.join((*FORCE_COLUMNS, *TIP_COLUMNS, *QUATERNION))} and, for points of the shape, p1_x, "
-                f"p1_y, p1_z with "
-                "p1_sigma or p1_s, p2_x .."
+                f"column {number} of {path} has no name; name it, or leave it out (row numbers of pandas: "
+                "index=False)"
             )
+        column = parse_column(text, known)
+        if column is None:
+            unknown.append(text)
+            continue
+        if any(column.name == other.name for other in found):
+            raise MeasurementError(f"{path} has the column {column.name!r} twice")
+        found.append(column)
+    names = [column.name for column in found]
+    missing = [name for name in needed if name not in names]
+    if missing and not unknown:
+        raise MeasurementError(f"{path} has no column {missing[0]}; it must have {', '.join(needed)}")
+    if unknown:
+        without = f", and no column {missing[0]}" if missing else ""
+        raise MeasurementError(
+            f"{path} has a column {unknown[0]!r}, which is unknown{without}; known are "
+            f"{', '.join(known)} and, for points of the shape, p1_x, p1_y, p1_z with p1_sigma or p1_s, "
+            "p2_x ..; names may end with a unit, as "
+            f"tip_x_mm{suggest_names(unknown[0].lower(), known)}"
+        )
+    return found
 
 
-def _row(path: Path, line: int, names: tuple[str, ...], row: Sequence[str]) -> list[float]:
+def _row(path: Path, line: int, text: TextTable, row: Sequence[str]) -> list[float]:
     """Return the numbers of a row, NaN where a cell is empty; line: its number in the file, for messages."""
-    if len(row) != len(names):
-        raise MeasurementError(f"line {line} of {path} has {len(row)} cells; the first line names {len(names)}")
+    if len(row) != len(text.header):
+        count = len(text.header)
+        raise MeasurementError(f"line {line} of {path} has {len(row)} cells; the first line names {count}")
     found = []
-    for name, cell in zip(names, row, strict=True):
+    for name, cell in zip(text.header, row, strict=True):
         try:
-            value = float(cell) if cell.strip() else math.nan
+            value = parse_number(cell, text.has_decimal_comma)
         except ValueError:
             value = math.inf
         if math.isinf(value):
@@ -181,7 +195,8 @@ def _observations(table: _Table, robot: Robot, recording: int, most: int) -> Mea
         sigma[:, number - 1] = _places(table, number, points[:, number - 1], robot.split(q)[1][:, -1])
     time = table.columns([TIME])[:, 0]
     seen = (table.columns(TIP_COLUMNS), _directions(table), points, sigma)
-    return Measurements(q, *seen, time, np.full(len(q), recording), force=_forces(table))
+    line = np.array(table.lines, dtype=int)
+    return Measurements(q, *seen, time, np.full(len(q), recording), force=_forces(table), line=line)
 
 
 def _forces(table: _Table) -> Array:
@@ -218,9 +233,23 @@ def _places(table: _Table, number: int, points: Array, reach: Array) -> Array:
             told = f"sigma is {sigma[row]:g}" if np.isfinite(sigma[row]) else f"s is {s[row]:g} mm"
             raise MeasurementError(
                 f"p{number}_{told} {where}; the point must lie on the robot, sigma in [0, 1] and s in "
-                f"[0, {reach[row]:g}] mm"
+                f"[0, {reach[row]:g}] mm{_explain_places(sigma, s, reach)}"
             )
     return np.asarray(found)
+
+
+def _explain_places(sigma: Array, s: Array, reach: Array) -> str:
+    """Return the end of a message: a unit with which all places (T,) of a point lie on the robot; "" if none.
+
+    sigma, s: as given, mm. reach: (T,), beta_d in mm.
+    """
+    for unit, factor in (("percent", 0.01), ("mm from the base", 1 / reach)):
+        if np.isfinite(sigma).any() and np.nanmax(sigma * factor) <= 1:
+            return f"; is sigma in {unit}?"
+    for unit, factor in (("cm", 10.0), ("m", 1000.0)):
+        if np.isfinite(s).any() and np.nanmax(s / (reach * factor)) <= 1:
+            return f"; are extensions beta in {unit}?"
+    return ""
 
 
 def _directions(table: _Table) -> Array:

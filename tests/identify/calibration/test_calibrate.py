@@ -10,8 +10,8 @@ from sensed import TWO, measured_shapes, observations, parts_within, shapes_of, 
 from ctr_nlp import Load, LoadOverTime, Robot, Tolerances, Tube, calibrate, table_i_robot
 from ctr_nlp.cli.measured.calibration_files import robot_file_comment
 from ctr_nlp.exceptions import LoadError, MeasurementError, OptionError
-from ctr_nlp.identify.calibration.calibration import errors, summary_of
 from ctr_nlp.identify.calibration.parameters import parameters_of
+from ctr_nlp.identify.calibration.residuals import errors, summary_of
 from ctr_nlp.models import KINEMATIC_MODELS, model_with_load
 from ctr_nlp.models.loads import with_modulus
 from ctr_nlp.plan.backlash import BacklashAndDrag, delay_configurations

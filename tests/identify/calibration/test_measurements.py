@@ -84,7 +84,7 @@ def test_several_files_are_recordings(tmp_path):
         ([f"{AXES},tip_x", "0.1,,30,80,1"], "alpha_2 in line 2 of .* is empty"),
         (
             [f"{AXES},tip_x", "0.1,0,90,80,1"],
-            "beta_2 of observation 1 is 80 mm; it must lie between beta_1, 90 mm",
+            "beta_2 in line 2 is 80 mm; it must lie between beta_1, 90 mm",
         ),
         ([f"{AXES},tip_x", "0.1,0,30,180,1"], "beta_2 .* is 180 mm; .* the tube's length, 160 mm"),
         ([f"{AXES},tip_x", "720,0,30,80,1"], r"alpha_1 .* is 720 rad.*did you mean 12.57 rad \(720 degrees\)"),
