@@ -151,7 +151,7 @@ def _inside(lumen: Flags, nodes: npt.NDArray[np.integer[Any]]) -> Flags:
     return found
 
 
-def _signed(
+def _measure_signed_distances(
     lumen: Flags, affine: Array, vertices: Array, normals: Array, nodes: npt.NDArray[np.integer[Any]]
 ) -> Array:
     """Return signed distances (n,), mm, at nodes (n, 3) in voxels."""
@@ -217,7 +217,7 @@ def _fine_values(
     far = np.argwhere(needed & ~band)
     values[tuple(far.T)] = map_coordinates(coarse, ((far - pad - start) / COARSE_STRIDE).T, order=1)
     near = np.argwhere(band & needed)
-    values[tuple(near.T)] = _signed(lumen, affine, vertices, normals, near - pad)
+    values[tuple(near.T)] = _measure_signed_distances(lumen, affine, vertices, normals, near - pad)
     return values, wanted
 
 

@@ -28,7 +28,7 @@ STATED, GIVEN, ASSUMED = "stated in the file", "given", "assumed"
 
 @dataclass(frozen=True)
 class ReadOptions:
-    """What a person states about a file; None and empty tuples leave it to the file.
+    """Statements of a person about a file of anatomy; None and empty tuples leave the matter to the file.
 
     Attributes
     ----------
@@ -80,7 +80,7 @@ class ReadOptions:
 
 @dataclass(frozen=True)
 class FileFacts:
-    """What a reader found out about a file, for `ctr-nlp inspect` and for the notes of a plan.
+    """Findings of a reader about a file of anatomy, for `ctr-nlp inspect` and for the notes of a plan.
 
     Attributes
     ----------

@@ -25,7 +25,7 @@ MAX_MARGIN_MM = 100.0
 
 
 class WallGeometry(Protocol):
-    """What programs and verdicts need to know about a wall: a Lumen or Walls."""
+    """Protocol of walls as programs and verdicts use them; Lumen and Walls have it."""
 
     def project(self, points: Array) -> LumenProjection:
         """Describe the wall near points (.., 3), mm, as a path with a radius."""

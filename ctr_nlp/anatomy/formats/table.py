@@ -48,14 +48,14 @@ UNIT_PATTERN = re.compile(r"^(?P<name>.*?)[\s_:/]*[\[(]?(?P<unit>(?<![A-Za-z])(?
 """A column's name with a unit at its end: x_mm, x (mm), radius [cm]."""
 BARE_AXIS_PATTERN = re.compile(r"^(?P<name>[xyz])(?P<unit>mm|cm|um|µm|μm)$", re.I)
 """A coordinate with its unit right behind it: Xmm."""
-COMMENT_MARKS = ("#", "%")
+TABLE_COMMENT_MARKS = ("#", "%")
 SEPARATOR_LINE = re.compile(r"sep=.?", re.I)
 """A first line that tells Excel what separates the cells."""
 NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:e[+-]?\d+)?|[+-]?(?:nan|inf(?:inity)?)", re.I)
 STATED_UNIT = re.compile(r"\bunits?\b\s*[:=]?\s*(mm|cm|m|um|µm|μm)\b", re.I)
 STATED_SPACE = re.compile(r"\b(?:coordinate\s*system|space)\b\s*[:=]?\s*(LPS|RAS|[01])\b", re.I)
 """Statements in lines that begin with #. Slicer wrote 0 for RAS and 1 for LPS before version 4.11."""
-SLICER_SPACES = {"0": "RAS", "1": "LPS"}
+FCSV_SPACE_CODES = {"0": "RAS", "1": "LPS"}
 FIDUCIAL_COLUMNS = ("label", "x", "y", "z", "sel", "vis")
 """Columns of a fiducial list without a list of columns, as Slicer 3 wrote them."""
 FIDUCIAL_STATUS = 2
@@ -157,8 +157,8 @@ def _parse(text: str, fiducials: bool) -> Table:
     fiducials: whether it is a fiducial list, whose columns are named in a comment, and whose rows may be longer.
     """
     numbered = [(k, line.strip(" ")) for k, line in enumerate(text.splitlines(), start=1) if line.strip()]
-    comments = [line.lstrip("#% ").strip() for _, line in numbered if line.startswith(COMMENT_MARKS)]
-    body = [(k, line) for k, line in numbered if not line.startswith(COMMENT_MARKS)]
+    comments = [line.lstrip("#% ").strip() for _, line in numbered if line.startswith(TABLE_COMMENT_MARKS)]
+    body = [(k, line) for k, line in numbered if not line.startswith(TABLE_COMMENT_MARKS)]
     if body and SEPARATOR_LINE.fullmatch(body[0][1]):
         body = body[1:]
     if fiducials:
@@ -390,7 +390,7 @@ def _find_space(table: Table, named: str | None, options: ReadOptions, fiducials
     for comment in table.comments:
         match = STATED_SPACE.search(comment)
         if match and stated is None:
-            stated = SLICER_SPACES.get(match[1], match[1].upper())
+            stated = FCSV_SPACE_CODES.get(match[1], match[1].upper())
     if stated is not None and options.space not in (None, stated):
         raise CurveError(f"space is {options.space}, but the file states {stated}; leave out --space")
     if stated is not None:

@@ -37,7 +37,7 @@ VTK_RADIUS_ARRAYS = ("MaximumInscribedSphereRadius", "Radius", "radius")
 TRACTS = ("CenterlineIds", "TractIds")
 """Cell arrays of VMTK's branch extractor: of which centreline a line is a piece, and its place along it."""
 LEGACY = "vtkGenericDataObjectReader"
-READERS = {
+VTK_READERS = {
     ".vtk": ("vtkIOLegacy", LEGACY),
     ".vtp": ("vtkIOXML", "vtkXMLPolyDataReader"),
     ".vtu": ("vtkIOXML", "vtkXMLUnstructuredGridReader"),
@@ -83,7 +83,7 @@ def _read(path: str | Path) -> tuple[Any, str]:
     if not Path(path).is_file():
         raise CurveError(f"centreline {path} cannot be read: there is no such file")
     pyvista = import_extra("pyvista")
-    room, kind = READERS[Path(path).suffix.lower()]
+    room, kind = VTK_READERS[Path(path).suffix.lower()]
     reader = getattr(import_extra(f"vtkmodules.{room}"), kind)()
     reader.SetFileName(str(path))
     legacy = kind == LEGACY

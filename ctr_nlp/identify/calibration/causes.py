@@ -69,7 +69,7 @@ class Cause:
 
 @dataclass(frozen=True, eq=False)
 class CauseSearch:
-    """What causes are looked for in.
+    """Measurements, robot and prediction among which the cause of a contradiction is searched.
 
     Attributes
     ----------
@@ -294,7 +294,7 @@ def _axis_causes(search: CauseSearch) -> Iterator[Cause]:
     measured = search.measured
     if not search.registered:
         # A rotation of the sensor's axes is part of its unknown pose, so that only handedness shows.
-        yield _turned(
+        yield _turn_measurements(
             measured, np.diag([1.0, 1.0, -1.0]), "one axis of the sensor is mirrored, or two are exchanged"
         )
         return
@@ -304,7 +304,7 @@ def _axis_causes(search: CauseSearch) -> Iterator[Cause]:
             matrix[range(3), order] = signs
             if (matrix == np.eye(3)).all():
                 continue
-            yield _turned(measured, matrix, _axis_words(order, signs))
+            yield _turn_measurements(measured, matrix, _axis_words(order, signs))
 
 
 def _axis_words(order: tuple[int, ...], signs: tuple[float, ...]) -> str:
@@ -321,7 +321,7 @@ def _axis_words(order: tuple[int, ...], signs: tuple[float, ...]) -> str:
     return f"x, y, z of the robot are {names} of what was measured"
 
 
-def _turned(measured: Measurements, matrix: Array, words: str) -> Cause:
+def _turn_measurements(measured: Measurements, matrix: Array, words: str) -> Cause:
     """Return a cause in which measured vectors are multiplied by a matrix (3, 3)."""
     tip, direction, points = (
         _multiply(vectors, matrix) for vectors in (measured.tip, measured.direction, measured.points)
@@ -339,7 +339,7 @@ def _base_causes(search: CauseSearch) -> Iterator[Cause]:
     """Yield the cause that the base's pose is unknown, where it was said to be known."""
     if search.registered:
         yield Cause("", search.measured, has_base=True)
-        mirrored = _turned(search.measured, np.diag([1.0, 1.0, -1.0]), "")
+        mirrored = _turn_measurements(search.measured, np.diag([1.0, 1.0, -1.0]), "")
         words = "the base has a pose in the sensor's axes, and one axis of the sensor is mirrored"
         yield replace(mirrored, words=words, has_base=True)
 

@@ -99,7 +99,7 @@ class FittedMeasurements:
     noise: float | None
 
     @property
-    def measured(self) -> Measurements:
+    def measurements(self) -> Measurements:
         """The measurements."""
         return self.prediction.measured
 
@@ -163,14 +163,14 @@ def largest_agreeing_noise(measured: Measurements, d: int, noise: float | None) 
 
 def find_excess(fitted: FittedMeasurements) -> str | None:
     """Return a message on residuals beyond what noise allows; None where there are none."""
-    measured = without_places(fitted.measured, fitted.outliers)
+    measured = without_places(fitted.measurements, fitted.outliers)
     known = np.isfinite(flat_measured(measured))
-    share = fitted.outliers.sum() / max(int((np.isfinite(distances(flat_measured(fitted.measured)))).sum()), 1)
+    share = fitted.outliers.sum() / max(int((np.isfinite(distances(flat_measured(fitted.measurements)))).sum()), 1)
     if share > MAX_OUTLIER_SHARE:
         rows = np.flatnonzero(fitted.outliers.any(axis=1))
         return (
             f"{share:.0%} of what was measured contradicts the rest and the robot, and at most "
-            f"{MAX_OUTLIER_SHARE:.0%} may: {name_lines(fitted.measured, rows)}"
+            f"{MAX_OUTLIER_SHARE:.0%} may: {name_lines(fitted.measurements, rows)}"
         )
     sigmas = _allowed_sigmas(measured, fitted.parameters.robot.d, fitted.noise)
     residuals = np.where(known, fitted.fit.residuals, 0.0)
@@ -208,7 +208,7 @@ def find_excess(fitted: FittedMeasurements) -> str | None:
 
 def find_contradiction(fitted: FittedMeasurements) -> str | None:
     """Return a message that names the mistake without which measurements fit many times better; None without."""
-    compared = fitted.measured[: min(len(fitted.measured), MAX_COMPARED_ROWS)]
+    compared = fitted.measurements[: min(len(fitted.measurements), MAX_COMPARED_ROWS)]
     causes = _screen_causes(fitted, compared)
     if not causes:
         return describe_row_mistake(fitted.prediction, fitted.fit, fitted.outliers)
@@ -254,7 +254,7 @@ def _screen_causes(fitted: FittedMeasurements, compared: Measurements) -> list[C
         as_it_is = search.mismatch(Cause("", poses))
         if as_it_is < LEAST_RELATIVE_MISMATCH * _size(poses):
             return []
-        ranked = compare_causes(search, suspect, fitted.measured.has_times)
+        ranked = compare_causes(search, suspect, fitted.measurements.has_times)
         better = [cause for mismatch, cause in ranked if as_it_is > MIN_SCREENED_GAIN * mismatch]
         found += [cause for cause in better if not _names(found, cause)][:MAX_FITTED_CAUSES]
     return found
@@ -293,10 +293,10 @@ def find_base(fitted: FittedMeasurements) -> str | None:
     """Return a message that a pose of the base explains measurements which were said to be registered, or None."""
     if not fitted.registered:
         return None
-    recordings = fitted.measured.recordings
+    recordings = fitted.measurements.recordings
     parameters = _with_base(fitted)
     added = len(parameters) - len(fitted.parameters)
-    measured = without_places(fitted.measured, fitted.outliers)
+    measured = without_places(fitted.measurements, fitted.outliers)
     known = np.isfinite(flat_measured(measured))
     known[:, 3:6] = False
     count = known.sum() / fitted.fit.noise.inflation
@@ -329,7 +329,7 @@ def find_base(fitted: FittedMeasurements) -> str | None:
 
 def _with_base(fitted: FittedMeasurements) -> Parameters:
     """Return the parameters of a fit to registered measurements, and those of the base of each recording."""
-    recordings = fitted.measured.recordings
+    recordings = fitted.measurements.recordings
     numbers = [None] if recordings == 1 else list(range(1, recordings + 1))
     base = tuple(Parameter(kind, number, PRIOR_SIGMAS[kind]) for number in numbers for kind in BASE)
     return Parameters(fitted.parameters.robot, (*fitted.parameters.each, *base))
@@ -348,7 +348,7 @@ def describe_outliers(fitted: FittedMeasurements) -> tuple[str, ...]:
     tuple of str
         A sentence for each place.
     """
-    measured = fitted.measured
+    measured = fitted.measurements
     count = measured.sigma.shape[1]
     names = ["tip", "direction at the tip", *(f"p{k + 1}" for k in range(count))]
     found = []
