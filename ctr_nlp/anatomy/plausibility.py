@@ -289,11 +289,14 @@ def _unit_message(subject: str, length: float, units: str, fit: str | None, know
 
 def _neighbouring_steps(steps: Array) -> Array:
     """Return for each of `steps` (n,) the larger of the medians of those just before and just after it."""
-    found = np.zeros(len(steps))
-    for k in range(len(steps)):
-        sides = (steps[max(k - STEP_NEIGHBOURS, 0) : k], steps[k + 1 : k + 1 + STEP_NEIGHBOURS])
-        found[k] = max(float(np.median(side)) for side in sides if side.size)
-    return found
+    # Row k has the steps just before step k, row k + STEP_NEIGHBOURS + 1 those just after it; NaN beyond an end.
+    padded = np.pad(steps, STEP_NEIGHBOURS, constant_values=np.nan)
+    windows = np.sort(np.lib.stride_tricks.sliding_window_view(padded, STEP_NEIGHBOURS), axis=1)
+    count = np.maximum(np.isfinite(windows).sum(axis=1, keepdims=True), 1)
+    # NaN is sorted to the end: the median is in the middle of the `count` values before it.
+    middle = np.concatenate([(count - 1) // 2, count // 2], axis=1)
+    medians = np.take_along_axis(windows, middle, axis=1).mean(axis=1)
+    return np.asarray(np.fmax(medians[: len(steps)], medians[STEP_NEIGHBOURS + 1 :]))
 
 
 def _offsets(points: Array) -> Array:

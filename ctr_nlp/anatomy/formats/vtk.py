@@ -1,7 +1,8 @@
 """Centrelines that VMTK, SlicerVMTK and other tools save as lines in VTK files.
 
 VTK files do not say what their coordinates are. 3D Slicer adds SPACE=LPS or SPACE=RAS, to the second line of a
-legacy .vtk file and to the field data of the others; without it they are taken as LPS, as Slicer does.
+legacy .vtk file and to the field data of the others; without it LPS is assumed, as Slicer does, unless a person
+states another. Units are stated nowhere.
 """
 
 from __future__ import annotations
@@ -20,20 +21,30 @@ from ctr_nlp.anatomy.branch import (
     CENTRELINE_SPACE_TO_LPS,
     Branch,
     Branches,
-    check_points,
     name_source_in_errors,
     transform_points,
 )
 from ctr_nlp.anatomy.formats.network import SAME_MM, CentrelineNetwork
-from ctr_nlp.anatomy.reading import AS_THE_FILE_SAYS, ReadOptions
+from ctr_nlp.anatomy.plausibility import find_units, tidy_branch
+from ctr_nlp.anatomy.reading import (
+    AS_THE_FILE_SAYS,
+    ASSUMED,
+    GIVEN,
+    MM_PER_UNIT,
+    STATED,
+    FileFacts,
+    ReadOptions,
+)
+from ctr_nlp.anatomy.width_names import WIDTH_NAMES, may_be_width
 from ctr_nlp.exceptions import CurveError
 from ctr_nlp.support.extras import import_extra
 from ctr_nlp.typing import Array
 
 Indices = npt.NDArray[np.intp]
 
-VTK_RADIUS_ARRAYS = ("MaximumInscribedSphereRadius", "Radius", "radius")
-"""Point arrays with the lumen's radius in mm: of VMTK, of SlicerVMTK, of others."""
+UNIT_SUFFIX = re.compile(r"[\s_.:/\[(]+(mm|cm|m|um)[\])]?$")
+"""A unit at the end of an array's name, in lower case."""
+VTK_KIND = "centrelines in a VTK file"
 TRACTS = ("CenterlineIds", "TractIds")
 """Cell arrays of VMTK's branch extractor: of which centreline a line is a piece, and its place along it."""
 LEGACY = "vtkGenericDataObjectReader"
@@ -57,25 +68,56 @@ def read_vtk(
     one before them are left out. Raises CurveError, and OptionError where pyvista is missing.
     """
     mesh, stated = _read(path)
-    space = stated or "LPS"
-    points = _numbers(mesh.points)
     with name_source_in_errors(path):
-        if space not in CENTRELINE_SPACE_TO_LPS:
-            raise CurveError(f"SPACE is {space!r}; it must be one of {', '.join(CENTRELINE_SPACE_TO_LPS)}")
+        space, space_known = _space(stated, options)
         lines = _lines(mesh)  # first of all: a file cut short has none, and its points may be anything
-        check_points(points)
-        radius = _radius(mesh, len(points))
+        used = np.unique(np.concatenate(lines))
+        points = _numbers(mesh.points)[used]
+        lines = [np.searchsorted(used, line) for line in lines]
+        units = find_units(points, options)
+        points *= units.mm_per_unit
+        radius, radius_notes = _radius(mesh, units.mm_per_unit)
+        radius = None if radius is None else radius[used]
         network = CentrelineNetwork(points, radius, tuple(_join_tracts(mesh, lines, points)))
-        paths = network.paths(None if entry is None else np.asarray(entry, dtype=float))
-    branches = [
-        Branch(
-            f"branch {k}",
-            transform_points(points[line], CENTRELINE_SPACE_TO_LPS[space]),
-            None if radius is None else radius[line],
-        )
-        for k, line in enumerate(paths, start=1)
+        found = network.find_paths(None if entry is None else np.asarray(entry, dtype=float))
+    notes = [*units.notes, *radius_notes, *found.notes]
+    if space_known == ASSUMED:
+        notes.append(f"the file states no coordinate system: {space} is assumed, as in Slicer; see --space")
+    branches = []
+    repairs: dict[str, list[str]] = {}
+    for k, line in enumerate(found.paths, start=1):
+        name = f"branch {k}"
+        place = f"{path}, {name}" if len(found.paths) > 1 else str(path)
+        lps = transform_points(points[line], CENTRELINE_SPACE_TO_LPS[space])
+        with name_source_in_errors(place):
+            branch, repaired = tidy_branch(Branch(name, lps, None if radius is None else radius[line]), options)
+        branches.append(branch)
+        for note in repaired:
+            repairs.setdefault(note, []).append(name)
+    notes += [
+        note if len(found.paths) == 1 else f"{_list_names(names)}: {note}" for note, names in repairs.items()
     ]
-    return Branches(tuple(branches), space, CENTRELINE_SPACE_TO_LPS[space])
+    facts = FileFacts(VTK_KIND, units.units, units.known, space_known, tuple(notes))
+    return Branches(tuple(branches), space, CENTRELINE_SPACE_TO_LPS[space], facts)
+
+
+def _space(stated: str, options: ReadOptions) -> tuple[str, str]:
+    """Return the coordinate system of a file, and how it is known; raise CurveError where it is not one of ours.
+
+    stated: by the file, or an empty string. options: what a person states.
+    """
+    if not stated:
+        return (options.space, GIVEN) if options.space else ("LPS", ASSUMED)
+    if stated not in CENTRELINE_SPACE_TO_LPS:
+        raise CurveError(f"SPACE is {stated!r}; it must be one of {', '.join(CENTRELINE_SPACE_TO_LPS)}")
+    if options.space not in (None, stated):
+        raise CurveError(f"space is {options.space}, but the file states {stated}; leave out --space")
+    return stated, STATED
+
+
+def _list_names(names: list[str]) -> str:
+    """Return the names of branches as text, at most three of them."""
+    return ", ".join(names[:3]) + (f" and {len(names) - 3} more" if len(names) > 3 else "")
 
 
 def _read(path: str | Path) -> tuple[Any, str]:
@@ -133,17 +175,48 @@ def _numbers(values: Any) -> Array:
         return np.array(values, dtype=float)
 
 
-def _radius(mesh: Any, count: int) -> Array | None:
-    """Return the lumen's radius (count,) mm at the points of a mesh; None where no array of `VTK_RADIUS_ARRAYS` is
-    there.
+def _radius(mesh: Any, mm_per_unit: float) -> tuple[Array | None, list[str]]:
+    """Return the lumen's radius at the points of a mesh, mm, None where it is unknown, and notes on its arrays.
+
+    mm_per_unit: of the file's lengths. The first array whose name says for certain what it is, in the order of
+    WIDTH_NAMES, is read; others that may be the lumen's size are named. Raises CurveError where one is no array of
+    a number a point.
     """
-    for name in VTK_RADIUS_ARRAYS:
-        if name in mesh.point_data:
-            values = _numbers(mesh.point_data[name])
-            if values.size != count:
-                raise CurveError(f"{name} has shape {values.shape}; it must be one radius in mm a point")
-            return values.reshape(count)
-    return None
+    plain = {}
+    for title in mesh.point_data:
+        unit = UNIT_SUFFIX.search(title.lower())
+        stem = title[: unit.start()] if unit else title
+        plain[title] = re.sub(r"[^a-z0-9]", "", stem.lower()), unit[1] if unit else None
+    certain = sorted(
+        (title for title in plain if plain[title][0] in WIDTH_NAMES), key=lambda t: _rank(plain[t][0])
+    )
+    unread = [title for title in plain if title not in certain and may_be_width(plain[title][0])]
+    unread += [f"{title} (of lines)" for title in mesh.cell_data if may_be_width(title.lower())]
+    notes = []
+    if unread:
+        notes.append(
+            f"not read: {', '.join(unread)}, which may be the lumen's size; if so, name the point array Radius or "
+            "Diameter"
+        )
+    if not certain:
+        return None, [*notes, "the file has no radius of the lumen: its wall is unknown"]
+    title = certain[0]
+    values = _numbers(mesh.point_data[title])
+    count = len(mesh.points)
+    if values.size != count:
+        raise CurveError(f"{title} has shape {values.shape}; it must be one radius in mm a point")
+    name, unit = plain[title]
+    values = values.reshape(count) * WIDTH_NAMES[name] * (mm_per_unit if unit is None else MM_PER_UNIT[unit])
+    if len(certain) > 1:
+        notes.append(f"of {', '.join(certain)} the first is read as the size of the lumen")
+    if not (np.isnan(values) | (values == 0)).all():
+        return values, notes
+    return None, [*notes, f"{title} is zero at all points: the lumen's radius is taken as unknown"]
+
+
+def _rank(name: str) -> tuple[bool, int]:
+    """Return where a name of the lumen's size stands among several; VMTK's own, the surest, comes first."""
+    return name != "maximuminscribedsphereradius", list(WIDTH_NAMES).index(name)
 
 
 def _lines(mesh: Any) -> list[Indices]:

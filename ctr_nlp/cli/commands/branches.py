@@ -6,9 +6,8 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from ctr_nlp.anatomy.branch import Branch, Branches, name_source_in_errors, transform_points
+from ctr_nlp.anatomy.branch_measures import BranchMeasures, measure_branches
 from ctr_nlp.anatomy.files import CENTRELINE_SUFFIXES, read_branches
 from ctr_nlp.anatomy.plausibility import widens
 from ctr_nlp.cli.arguments import add_entry_option
@@ -17,8 +16,7 @@ from ctr_nlp.cli.output.file import check_file, output_file
 from ctr_nlp.cli.plan_options import add_piece_arguments, add_reading_options, pieces_from, read_options_from
 from ctr_nlp.cli.terminal_output import print_stderr, print_table, progress_bar, report_written_files
 from ctr_nlp.exceptions import OptionError, OutputError, escape_control_characters
-from ctr_nlp.paths.curve import curve_from_points
-from ctr_nlp.paths.lumen_fit import JAGGED_CURVATURE_PER_MM, sharpest_bend
+from ctr_nlp.paths.lumen_fit import JAGGED_CURVATURE_PER_MM
 from ctr_nlp.view.figures import save
 from ctr_nlp.view.figures.branches import tree
 
@@ -34,8 +32,6 @@ BRANCH_TABLE_COLUMNS = (
     "tip",
     "remark",
 )
-BRANCH_CHECK_SPACING_MM = 0.1
-"""Spacing of the points along a branch at which its bends and its lumen are measured."""
 MIN_BEND_CURVATURE_PER_MM = 1e-4
 """Curvature below which a branch has no bend worth a number."""
 
@@ -69,13 +65,13 @@ def _run(arguments: argparse.Namespace) -> int:
         print_stderr(f"note: {note}")
     if arguments.reverse:
         branches = branches.reverse_direction()
-    rows = []
+    rows = list[list[Any]]()
     count = len(branches.branches)
-    with progress_bar() as bar:
+    with progress_bar() as bar, name_source_in_errors(arguments.file):
         report = bar("branches")
-        for number in range(1, count + 1):
-            rows.append(_row(arguments.file, number, branches))
-            report(number, count, branches.branches[number - 1].name)
+        for measures in measure_branches(branches.branches):
+            rows.append(_row(len(rows) + 1, branches, measures))
+            report(len(rows), count, branches.branches[len(rows) - 1].name)
     if arguments.out:
         _draw(branches, Path(arguments.file).name, Path(arguments.out))
     print_table(f"{arguments.file}, in mm; coordinates {branches.space}", BRANCH_TABLE_COLUMNS, rows)
@@ -92,19 +88,18 @@ def _check_out(out: Path) -> None:
         raise OutputError(f"output file {out} exists and is not a picture; choose another with --out")
 
 
-def _row(file: str, number: int, branches: Branches) -> list[Any]:
+def _row(number: int, branches: Branches, measures: BranchMeasures) -> list[Any]:
+    """Return the table's row of a branch.
+
+    number: of the branch, from 1. branches: those of the file. measures: of the branch.
+    """
     branch = branches.branches[number - 1]
-    with name_source_in_errors(f"{file}, {branch.name}"):
-        curve = curve_from_points(branch.points, branch.radius)
-    s = np.linspace(0, curve.length, max(2, round(curve.length / BRANCH_CHECK_SPACING_MM)))
-    sharpest = float(curve.curvature(s).max())
-    bend = 1 / sharpest if sharpest > MIN_BEND_CURVATURE_PER_MM else None
-    radius = None if curve.radius is None else curve.radius(s)
+    bend = 1 / measures.curvature if measures.curvature > MIN_BEND_CURVATURE_PER_MM else None
+    radius = branch.radius
     radii = [None] * 3 if radius is None else [float(radius[0]), float(radius.min()), float(radius[-1])]
     tip = transform_points(branch.points[-1], branches.from_lps)
     at = " ".join(f"{coordinate:.1f}" for coordinate in tip)
-    remark = _remark(branch, sharpest_bend(curve, curve.length)[0])
-    return [number, branch.name, float(curve.length), bend, *radii, at, remark]
+    return [number, branch.name, measures.length, bend, *radii, at, _remark(branch, measures.sharpest)]
 
 
 def _remark(branch: Branch, sharpest: float) -> str:
