@@ -15,7 +15,7 @@ from ctr_nlp.anatomy.branch_selection import read_branch_segment
 from ctr_nlp.anatomy.files import is_mask, title
 from ctr_nlp.anatomy.formats.table import read_table
 from ctr_nlp.anatomy.plausibility import check_reach
-from ctr_nlp.anatomy.reading import ReadOptions
+from ctr_nlp.anatomy.reading import ASSUMED, SPACES, ReadOptions
 from ctr_nlp.exceptions import CurveError, OptionError, RobotError
 from ctr_nlp.paths.curve import Curve, curve_from_points
 from ctr_nlp.paths.placement import move_to_robot_frame, normalise_direction, trim_curve
@@ -164,6 +164,7 @@ def problem_from_file(
         to_robot=to_robot @ found.to_lps,
         lumen=lumen,
         space=found.space,
+        space_assumed=found.space in SPACES and found.facts.space_known == ASSUMED,
         notes=tuple(notes),
     )
 

@@ -65,6 +65,8 @@ class Problem(Value):
     walls : tuple of Body
         Surfaces that the robot stays inside of, or keeps away from, in the robot's frame. Where it stays inside of
         one of them, the lumen's radius is no wall: it describes the path alone.
+    space_assumed : bool
+        Whether these coordinates were assumed: neither did the file state them, nor did a person.
     notes : tuple of str
         What was assumed, repaired or left out when the target's file was read, a sentence each.
 
@@ -93,6 +95,7 @@ class Problem(Value):
     lumen: Curve | None = OF_TARGET
     space: str | None = None
     walls: tuple[Body, ...] = ()
+    space_assumed: bool = False
     notes: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:

@@ -4,9 +4,9 @@ For points y at knots t_0 < ... < t_{n-1}, h_i = t_{i+1} - t_i, the spline that 
 |y - f(t)|^2 + lambda int |f''|^2 has the values f = y - lambda Q g, where (R + lambda Q^T Q) g = Q^T y and g are
 its second derivatives at the inner knots; Q (n, n - 2) takes second divided differences, R (n - 2, n - 2) is the
 Gram matrix of the hat functions (Green and Silverman, Nonparametric Regression and Generalized Linear Models,
-1994, section 2.3). Generalised cross-validation minimises |y - f|^2 / tr(I - A)^2 over lambda, A the map from y to f
-(Woltring, Advances in Engineering Software 8(2), 1986). All coordinates share one lambda, so that the result does
-not depend on the axes.
+1994, section 2.3). Generalised cross-validation minimises |y - f|^2 / tr(I - A)^2 over lambda, A the map from y
+to f (Woltring, Advances in Engineering Software 8(2), 1986). All coordinates share one lambda, so that the result
+does not depend on the axes.
 """
 
 from __future__ import annotations

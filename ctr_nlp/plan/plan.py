@@ -50,7 +50,7 @@ from ctr_nlp.support.notebook_card import CardLine, notebook_card_html
 from ctr_nlp.support.value_checks import check_choice, check_instance, checked_path, whole_number
 from ctr_nlp.typing import Array, Flags
 
-META_PROBLEM_ATTRIBUTES = "name", "frames", "duration", "deviation", "deviation_share", "space"
+META_PROBLEM_ATTRIBUTES = "name", "frames", "duration", "deviation", "deviation_share", "space", "space_assumed"
 """Attributes of the problem that are saved in meta."""
 PHYSICAL_MODEL = "elastic"
 """The model on which every plan is checked: it predicts how tubes twist each other."""

@@ -184,9 +184,9 @@ def _radius(mesh: Any, mm_per_unit: float) -> tuple[Array | None, list[str]]:
     """
     plain = {}
     for title in mesh.point_data:
-        unit = UNIT_SUFFIX.search(title.lower())
-        stem = title[: unit.start()] if unit else title
-        plain[title] = re.sub(r"[^a-z0-9]", "", stem.lower()), unit[1] if unit else None
+        suffix = UNIT_SUFFIX.search(title.lower())
+        stem = title[: suffix.start()] if suffix else title
+        plain[title] = re.sub(r"[^a-z0-9]", "", stem.lower()), suffix[1] if suffix else None
     certain = sorted(
         (title for title in plain if plain[title][0] in WIDTH_NAMES), key=lambda t: _rank(plain[t][0])
     )

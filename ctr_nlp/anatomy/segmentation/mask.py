@@ -23,12 +23,13 @@ from ctr_nlp.anatomy.branch import Branch, Branches, checked_point, name_source_
 from ctr_nlp.anatomy.formats.images import IMAGE_SPACE_TO_LPS, Image, read_image
 from ctr_nlp.anatomy.reading import AS_THE_FILE_SAYS, ReadOptions
 from ctr_nlp.anatomy.segmentation.centring import centre_route, lie_in_lumen
+from ctr_nlp.anatomy.segmentation.lumen_voxels import select_lumen
+from ctr_nlp.anatomy.segmentation.widths import check_widths
 from ctr_nlp.exceptions import CurveError
 from ctr_nlp.typing import Array, Flags
 
 LEAST_VOXELS = 3.0
 """Least distance between entry and target, in diagonals of a voxel."""
-MAX_LISTED_LABELS = 10
 
 
 def read_mask(
@@ -36,7 +37,8 @@ def read_mask(
 ) -> Branches:
     """Find the path from entry to target along the middle of a lumen, with its radius, in a mask.
 
-    path: NIfTI-1 or NRRD, 0 outside the lumen and one other value within it. entry, target: (3,) mm in the file's
+    path: NIfTI-1 or NRRD, 0 outside the lumen and one other value within it; of several labels, of segments and of
+    a probability map `options` say what is lumen. entry, target: (3,) mm in the file's
     own coordinates (RAS in NIfTI), in the lumen or at most a voxel's diagonal from it; the path begins and stops
     where it is nearest to them. Its points are about 1 mm apart; its radius is the distance to the wall in the
     cross-section, so that a lumen that ends or is cut open is not narrow there. The border of the image is no
@@ -46,43 +48,30 @@ def read_mask(
     The route is found by Dijkstra's algorithm at a cost that grows towards the wall, then centred in its
     cross-sections and smoothed.
     """
-    image = read_image(path)
+    image = read_image(path, options)
     to_lps = IMAGE_SPACE_TO_LPS[image.space]
     with name_source_in_errors(path):
-        lumen = _crop_to_lumen(image)
+        selected, selected_notes = select_lumen(image, options)
+        lumen = _crop_to_lumen(replace(image, voxels=selected))
         ends = np.array([_end(lumen, "entry", entry), _end(lumen, "target", target)])
         tube = _tube(lumen.voxels, image.spacing, ends)
-    points = transform_points(transform_points(tube[:, :3] / image.spacing, lumen.affine), to_lps)
-    return Branches((Branch(Path(path).name.partition(".")[0], points, tube[:, 3]),), image.space, to_lps)
-
-
-def _lumen(voxels: npt.NDArray[Any]) -> Flags:
-    """Return where a mask (l, m, n) is not 0; raise CurveError where it has several labels, or one only."""
-    lumen = voxels != 0
-    if not lumen.any():
-        raise CurveError("its voxels are all 0; those of the lumen must have another value")
-    inside = voxels[lumen]
-    if (inside != inside[0]).any():
-        labels = np.unique(inside)
-        more = f" and {len(labels) - MAX_LISTED_LABELS} more" if len(labels) > MAX_LISTED_LABELS else ""
-        listed = ", ".join(f"{label:g}" for label in labels[:MAX_LISTED_LABELS])
-        raise CurveError(f"it has the labels {listed}{more}; set all but the lumen's to 0")
-    if lumen.all():
-        raise CurveError(f"its voxels are all {inside[0]:g}; those outside the lumen must be 0")
-    return lumen
+        own = transform_points(tube[:, :3] / image.spacing, lumen.affine)
+        width_notes = check_widths(own, tube[:, 3], options)
+    branch = Branch(Path(path).name.partition(".")[0], transform_points(own, to_lps), tube[:, 3])
+    facts = replace(image.facts, notes=(*image.facts.notes, *selected_notes, *width_notes))
+    return Branches((branch,), image.space, to_lps, facts)
 
 
 def _crop_to_lumen(image: Image) -> Image:
-    """Return the part of a mask that contains the lumen, with a voxel of wall around it where the
-    image has one.
+    """Return the part of an image of a lumen that contains it, with a voxel of wall around it where the image has
+    one.
     """
-    lumen = _lumen(image.voxels)
     affine = image.affine.copy()
-    (tight,) = find_objects(lumen.view(np.uint8))
+    (tight,) = find_objects(image.voxels.view(np.uint8))
     box = tuple(slice(max(0, part.start - 1), part.stop + 1) for part in tight)
     # Index 0 of the cropped image is index `start` of the whole one.
     affine[:3, 3] = transform_points([part.start for part in box], image.affine)
-    return replace(image, voxels=np.ascontiguousarray(lumen[box]), affine=affine)
+    return replace(image, voxels=np.ascontiguousarray(image.voxels[box]), affine=affine)
 
 
 def _end(mask: Image, name: str, given: npt.ArrayLike) -> Array:

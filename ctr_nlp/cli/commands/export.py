@@ -57,7 +57,7 @@ def _parser(prog: str) -> argparse.ArgumentParser:
     parser.add_argument(
         "--space",
         choices=SLICER_SPACES,
-        help=f"with --to {SLICER_FORMAT}, for a plan whose path comes from a file that does not tell its "
+        help=f"with --to {SLICER_FORMAT}, for a plan whose path comes from a file that does not state its "
         "patient coordinates: those of that file",
     )
     parser.add_argument(

@@ -76,14 +76,18 @@ def to_scan(plan: Plan, space: str | None = None) -> Array:
     """Return the transform (4, 4), mm, from the robot's base frame to LPS coordinates of the scan that the plan's
     path was found in.
 
-    plan: the plan. space: LPS or RAS, where the file of the path does not state its patient coordinates. A plan
-    whose path comes from no file is written in the coordinates of its path. Raises OptionError where the
-    coordinates are not known, or the file states others.
+    plan: the plan. space: LPS or RAS, where the file of the path does not state its patient coordinates. It counts
+    before those that were assumed when the file was read. A plan whose path comes from no file is written in the
+    coordinates of its path. Raises OptionError where the coordinates are not known, or the file states others.
     """
     stated = plan.meta["problem"].get("space", UNSTATED)
-    if stated in IMAGE_SPACE_TO_LPS:
+    # Plans of earlier versions do not say whether their space was assumed.
+    assumed = plan.meta["problem"].get("space_assumed", False)
+    if stated in IMAGE_SPACE_TO_LPS and not (assumed and space):
         if space not in (None, stated):
-            raise OptionError(f"space is {space}, but the file of the plan's path tells that it is in {stated}")
+            raise OptionError(
+                f"space is {space}, but the file of the plan's path, or the one who planned, states {stated}"
+            )
     elif space is not None:
         if space not in SLICER_SPACES:
             raise OptionError(f"space is {space!r}; it must be one of {', '.join(SLICER_SPACES)}")
