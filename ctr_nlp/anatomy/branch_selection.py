@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 from scipy.optimize import minimize_scalar
+from scipy.spatial import cKDTree
 
 from ctr_nlp.anatomy.branch import (
     Branch,
@@ -29,6 +30,8 @@ from ctr_nlp.typing import Array
 
 UNKNOWN_LUMEN_MM = 5.0
 """How far from a branch without a radius a point may lie."""
+SAME_TARGET_MM = 0.5
+"""Branches lead to the same target that pass it as near as the nearest one, or so much farther."""
 NEAREST_SEARCH_SPACING_MM = 0.25
 """Places along a curve among which the nearest one is looked for, before it is refined."""
 MAX_LISTED_BRANCHES = 20
@@ -183,6 +186,7 @@ def select_branch(
         found = branches.branches[0]
     elif target is not None:
         found = min(branches.branches, key=lambda each: _distance(each, lps["target"])[0])
+        _check_one_way(branches, found, lps)
     else:
         raise CurveError(
             f"there are {len(branches.branches)} branches, {describe_branches(branches)}; choose one by number "
@@ -197,6 +201,37 @@ def select_branch(
                 f"{branches.space}{_suggest_coordinates(found, branches, points)}"
             )
     return found
+
+
+def _check_one_way(branches: Branches, found: Branch, ends: dict[str, Array]) -> None:
+    """Raise CurveError where another branch leads to the target, too, and by another way, as round a loop.
+
+    branches: those of the file. found: the one nearest to the target. ends: "target" and perhaps "entry", (3,) mm
+    in LPS.
+    """
+    away, _ = _distance(found, ends["target"])
+    tree = cKDTree(found.points)
+    for number, other in enumerate(branches.branches, start=1):
+        if other is found or _distance(other, ends["target"])[0] > away + SAME_TARGET_MM:
+            continue
+        last = int(np.linalg.norm(other.points - ends["target"], axis=1).argmin())
+        first = 0
+        if "entry" in ends:
+            first = int(np.linalg.norm(other.points - ends["entry"], axis=1).argmin())
+        way = other.points[min(first, last) : last + 1]
+        apart, nearest = tree.query(way)
+        lumen = UNKNOWN_LUMEN_MM if found.radius is None else found.radius[nearest]
+        if (apart > lumen).any():
+            numbers = " and ".join(
+                f"{k} {each.name!r} ({each.length:.1f} mm)"
+                for k, each in enumerate(branches.branches, start=1)
+                if each is found or k == number
+            )
+            raise CurveError(
+                f"branches {numbers} both lead to the target, by ways up to {apart.max():.1f} mm apart: one of "
+                "them takes a false connection; look at them (ctr-nlp branches FILE --out FILE.png) and choose "
+                "with --branch"
+            )
 
 
 def find_extent(

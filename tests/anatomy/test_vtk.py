@@ -307,16 +307,16 @@ LINE = fork()[0][0]
 WHOLE = [np.arange(37)]
 LOOP = np.append(np.arange(37), 0)
 BAD = {
-    "metres": ((LINE / 1000, WHOLE), {}, r"span 0\.\d+; coordinates must be in millimetres"),
+    "metres": ((LINE / 1000, WHOLE), {}, r"span 0\.\d+ .* State the unit with --units m"),
     "kilometres": ((LINE * 1e6, WHOLE), {}, r"at most 100000 mm"),
     "not finite": ((LINE * [1, np.nan, 1], WHOLE), {}, r"point 1 is .*must be finite"),
     "no lines": ((LINE, []), {}, r"holds no lines"),
     "a line of one point": ((LINE, [np.arange(1)]), {}, r"no line of two or more points"),
     "three points": ((LINE[:3], [np.arange(3)]), {}, r"points of a centreline is 3; it must be at least 4"),
     "a loop": ((LINE, [LOOP]), {}, r"lines form a loop"),
-    "a loop on a line": ((LINE, [np.arange(37), np.array([5, 20])]), {}, r"lines form a loop"),
+    "a loop on a line": ((LINE, [np.arange(37), np.array([5, 20])]), {}, r"lines start is not clear"),
     "a line beyond": ((LINE, [np.arange(38)]), {}, r"passes point 38 of 37"),
-    "a radius of zero": ((LINE, WHOLE), {"radius": np.zeros(37)}, r"radius at point 1 is 0"),
+    "a radius of zero": ((LINE, WHOLE), {"radius": 1.0 * (np.arange(37) % 5 > 0)}, r"radius at point 6 is 0"),
     "an unknown space": ((LINE, WHOLE), {"space": "scanner"}, r"SPACE is 'scanner'; it must be one of LPS, RAS"),
 }
 

@@ -133,6 +133,8 @@ def _nifti(path: Path, options: ReadOptions) -> Image:
     bytes_meant = float(header["vox_offset"]) + math.prod(shape[:3]) * int(header["bitpix"]) / 8
     if not bytes_held >= bytes_meant:
         raise CurveError(f"it was cut short: it holds {bytes_held} bytes of {bytes_meant:.0f}")
+    if float(header["vox_offset"]) % 16 != 0:
+        raise CurveError(f"its voxels begin at byte {header['vox_offset']:g}, which is no multiple of 16")
     # The three lowest bits are the unit of length; higher ones are that of time.
     units, units_known = _units(NIFTI_UNITS.get(int(header["xyzt_units"]) & 7), options)
     sides = header["pixdim"][1:4].astype(float)
@@ -141,6 +143,10 @@ def _nifti(path: Path, options: ReadOptions) -> Image:
     affine, space, known, notes = _nifti_affine(header, shape[:3], sides, options)
     affine[:3] *= MM_PER_UNIT[units]
     notes += _check(affine)
+    if bytes_held > bytes_meant:
+        notes.append(
+            f"the file holds {bytes_held - bytes_meant:.0f} bytes more than its header says; is it damaged?"
+        )
     header["pixdim"][4:] = 1.0
     voxels = np.asarray(arrayproxy.ArrayProxy(str(path), header, mmap=False))
     facts = FileFacts("mask in a NIfTI file", units, units_known, known, tuple(notes))

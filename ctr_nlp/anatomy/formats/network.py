@@ -245,7 +245,7 @@ class Tree:
                 lengths = " and ".join(f"{self._length(way):.1f}" for way in ways)
                 notes.append(
                     f"the lines form a loop between {ends}, {lengths} mm long: one side of it is a false "
-                    "connection; tips beyond it are listed once by each way"
+                    "connection; both ways lead to tips beyond it"
                 )
             stretches.append([way[:-1] for way in ways])
             done = last

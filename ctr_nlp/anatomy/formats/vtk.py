@@ -8,6 +8,7 @@ states another. Units are stated nowhere.
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager
 from itertools import pairwise
@@ -21,6 +22,7 @@ from ctr_nlp.anatomy.branch import (
     CENTRELINE_SPACE_TO_LPS,
     Branch,
     Branches,
+    format_point,
     name_source_in_errors,
     transform_points,
 )
@@ -83,20 +85,31 @@ def read_vtk(
     notes = [*units.notes, *radius_notes, *found.notes]
     if space_known == ASSUMED:
         notes.append(f"the file states no coordinate system: {space} is assumed, as in Slicer; see --space")
-    branches = []
+    branches = list[Branch]()
     repairs: dict[str, list[str]] = {}
-    for k, line in enumerate(found.paths, start=1):
-        name = f"branch {k}"
+    ways = Counter((int(line[0]), int(line[-1])) for line in found.paths)
+    for line in found.paths:
+        name = f"branch {len(branches) + 1}"
         place = f"{path}, {name}" if len(found.paths) > 1 else str(path)
         lps = transform_points(points[line], CENTRELINE_SPACE_TO_LPS[space])
-        with name_source_in_errors(place):
-            branch, repaired = tidy_branch(Branch(name, lps, None if radius is None else radius[line]), options)
+        given = Branch(name, lps, None if radius is None else radius[line])
+        try:
+            with name_source_in_errors(place):
+                branch, repaired = tidy_branch(given, options)
+        except CurveError as error:
+            ends = (int(line[0]), int(line[-1]))
+            if ways[ends] == 1:
+                raise
+            # Round a loop one way often runs back, which settles that the other one is right.
+            ways[ends] -= 1
+            tip = format_point(points[line[-1]].round(2))
+            notes.append(f"left out one of the ways to {tip}: {str(error.__cause__).partition(';')[0]}")
+            continue
         branches.append(branch)
         for note in repaired:
             repairs.setdefault(note, []).append(name)
-    notes += [
-        note if len(found.paths) == 1 else f"{_list_names(names)}: {note}" for note, names in repairs.items()
-    ]
+    several = len(branches) > 1
+    notes += [f"{_list_names(names)}: {note}" if several else note for note, names in repairs.items()]
     facts = FileFacts(VTK_KIND, units.units, units.known, space_known, tuple(notes))
     return Branches(tuple(branches), space, CENTRELINE_SPACE_TO_LPS[space], facts)
 

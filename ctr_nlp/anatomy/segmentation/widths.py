@@ -17,9 +17,9 @@ from ctr_nlp.typing import Array
 
 END_PART = 0.15
 """Length of the first and the last part of a path, whose median radii are compared, as a part of it."""
-MAX_WIDENING = 1.5
-"""Ratio of these from target to entry from which on the points seem exchanged."""
-MAX_LEAK_RATIO, MIN_LEAK_MM = 2.0, 2.0
+MAX_WIDENING, NOTED_WIDENING = 1.25, 1.1
+"""Ratio of these from target to entry from which on the points seem exchanged, and that which is noted."""
+MAX_LEAK_RATIO, MIN_LEAK_MM = 1.8, 2.0
 """Factor, and difference in mm, by which a lumen is wider than at its narrowest place before in a leak."""
 SMOOTHED_MM = 3.0
 """Length over which radii are averaged: single cross-sections are wide at bifurcations."""
@@ -38,7 +38,23 @@ def check_widths(points: Array, radius: Array, options: ReadOptions) -> tuple[st
         if finding not in options.accept:
             raise CurveError(f"{message}, or --accept {finding} if it is right")
         notes.append(f"{message.partition(';')[0]}; accepted")
+    widening = _widening(points, radius)
+    if not notes and widening >= NOTED_WIDENING:
+        notes.append(
+            f"the lumen is {widening:.2f} times as wide at the target as at the entry: check that they are not "
+            "exchanged"
+        )
     return tuple(notes)
+
+
+def _widening(points: Array, radius: Array) -> float:
+    """Return the ratio of the median radii of the last and the first part of a path.
+
+    points: (n, 3) mm. radius: (n,) mm.
+    """
+    along = cumulative_arc_length(points)
+    first = np.median(radius[along <= END_PART * along[-1]])
+    return float(np.median(radius[along >= (1 - END_PART) * along[-1]]) / first)
 
 
 def _find_exchange(points: Array, radius: Array) -> str | None:
@@ -46,13 +62,11 @@ def _find_exchange(points: Array, radius: Array) -> str | None:
 
     points: (n, 3) mm. radius: (n,) mm.
     """
-    along = cumulative_arc_length(points)
-    first = float(np.median(radius[along <= END_PART * along[-1]]))
-    last = float(np.median(radius[along >= (1 - END_PART) * along[-1]]))
-    if last < MAX_WIDENING * first:
+    if _widening(points, radius) < MAX_WIDENING:
         return None
     return (
-        f"the lumen's radius is {first:.1f} mm at the entry and {last:.1f} mm at the target: they seem exchanged, "
+        f"the lumen's radius is {radius[0]:.1f} mm at the entry and {radius[-1]:.1f} mm at the target, and it "
+        "widens from one to the other: they seem exchanged, "
         "a robot enters where a lumen is wide; exchange --entry and --target"
     )
 

@@ -229,7 +229,7 @@ def test_a_plan_that_does_not_tell_its_coordinates_is_asked_for_them(scanned):
         slicer_files(older)
     assert slicer_files(older, space) == slicer_files(plan)
     other = {"LPS": "RAS", "RAS": "LPS"}[space]
-    with pytest.raises(OptionError, match=f"space is {other}, but the file of the plan's path tells .* {space}"):
+    with pytest.raises(OptionError, match=f"space is {other}, but the file of the plan's path, .* states {space}"):
         slicer_files(plan, other)
 
 
