@@ -130,7 +130,7 @@ def test_overlapping_segments_are_read_by_name(tmp_path, tube, layer_axis):
 
 def test_segments_are_not_chosen_by_more_than_one_option(tmp_path, tube):
     path = layered(tmp_path / "two.seg.nrrd", tube, ["a", "b"])
-    with pytest.raises(CurveError, match="--segment and --label exclude each other"):
+    with pytest.raises(CurveError, match=r"--segment and --label exclude each other"):
         read_mask(path, *tube.points[[0, -1]], ReadOptions(segment="a", labels=(1,)))
     path = layered(tmp_path / "same.seg.nrrd", tube, ["a", "a"])
     with pytest.raises(CurveError, match="2 segments are named 'a'"):
@@ -140,7 +140,7 @@ def test_segments_are_not_chosen_by_more_than_one_option(tmp_path, tube):
 def test_a_probability_map_needs_a_threshold_within_its_values(tmp_path, tube, ends):
     smooth = tube.voxels * np.float32(0.9) + np.float32(0.02)
     path = write_nifti(tmp_path / "map.nii", smooth, LPS @ tube.affine)
-    with pytest.raises(CurveError, match="--threshold 0.5"):
+    with pytest.raises(CurveError, match=r"--threshold 0\.5"):
         read_mask(path, *ends)
     with pytest.raises(CurveError, match=r"threshold is 50, but the voxels lie between 0\.02 and 0\.92"):
         read_mask(path, *ends, ReadOptions(threshold=50))

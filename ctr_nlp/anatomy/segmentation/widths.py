@@ -17,10 +17,14 @@ from ctr_nlp.typing import Array
 
 END_PART = 0.15
 """Length of the first and the last part of a path, whose median radii are compared, as a part of it."""
-MAX_WIDENING, NOTED_WIDENING = 1.25, 1.1
+MAX_WIDENING, NOTED_WIDENING = 1.35, 1.1
 """Ratio of these from target to entry from which on the points seem exchanged, and that which is noted."""
+MIN_NARROWING = 1.25
+"""Factor by which a lumen that narrows is wider at the entry than at its narrowest place."""
 MAX_LEAK_RATIO, MIN_LEAK_MM = 1.8, 2.0
 """Factor, and difference in mm, by which a lumen is wider than at its narrowest place before in a leak."""
+SUDDEN_MM = 10.0
+"""Length over which a lumen widens at once: this, or its diameter where that is longer."""
 SMOOTHED_MM = 3.0
 """Length over which radii are averaged: single cross-sections are wide at bifurcations."""
 
@@ -80,16 +84,20 @@ def _find_leak(points: Array, radius: Array) -> str | None:
     near = np.abs(along[:, None] - along) <= SMOOTHED_MM / 2
     mean = near @ radius / near.sum(axis=1)
     narrowest = np.minimum.accumulate(mean)
-    wide = (mean > MAX_LEAK_RATIO * narrowest) & (mean > narrowest + MIN_LEAK_MM)
-    # A path from a tip to the root widens all the way: there it is the ends that are wrong.
-    wide &= mean[0] > MAX_WIDENING * narrowest
+    # A path from a tip to the root widens all the way, and there it is the ends that are wrong: what counts is a
+    # lumen that narrows first, or widens at once.
+    narrowed = mean[0] > MIN_NARROWING * narrowest
+    behind = (along <= along[:, None]) & (along >= along[:, None] - np.maximum(SUDDEN_MM, 2 * mean)[:, None])
+    sudden = np.where(behind, mean, np.inf).min(axis=1)
+    lowest = np.where(narrowed, narrowest, sudden)
+    wide = (mean > MAX_LEAK_RATIO * lowest) & (mean > lowest + MIN_LEAK_MM)
     if not wide.any():
         return None
     k = int(np.where(wide, mean, 0).argmax())
-    i = int(mean[: k + 1].argmin())
+    i = int(np.flatnonzero(mean[: k + 1] <= lowest[k])[-1])
     places = [format_point(points[at].round(1)) for at in (i, k)]
     return (
         f"the lumen's radius grows from {mean[i]:.1f} mm at {places[0]} to {mean[k]:.1f} mm at "
         f"{places[1]}, {along[k] - along[i]:.0f} mm further on: the path seems to run through a leak of the "
-        "segmentation there; mend the mask"
+        f"segmentation there{'' if narrowed[k] else ' (or entry and target are exchanged)'}; mend the mask"
     )
