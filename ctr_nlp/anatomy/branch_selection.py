@@ -23,6 +23,7 @@ from ctr_nlp.anatomy.files import is_markups, is_mask, list_files, read_branches
 from ctr_nlp.anatomy.formats.slicer import find_pieces_beside
 from ctr_nlp.anatomy.plausibility import widens
 from ctr_nlp.anatomy.reading import AS_THE_FILE_SAYS, NO_FACTS, FileFacts, ReadOptions
+from ctr_nlp.anatomy.segmentation.widths import find_leak
 from ctr_nlp.exceptions import CurveError, OptionError
 from ctr_nlp.paths.curve import Curve, curve_from_points
 from ctr_nlp.paths.points import SHORTEST_MM
@@ -123,6 +124,12 @@ def read_branch_segment(
     if widens(found) and not reverse and (entry is None or target is None) and not is_mask(path):
         note = "the lumen widens along the path, as if it ran from a tip to the root; --reverse exchanges its ends"
         facts = replace(facts, notes=(*facts.notes, note))
+    if not is_mask(path) and curve.radius is not None:
+        # Masks are checked, and leaks refused, where their path is found.
+        s = np.linspace(start, stop, max(2, int(stop - start) + 1))
+        leak = find_leak(transform_points(curve.point(s), branches.from_lps), curve.radius(s))
+        if leak is not None:
+            facts = replace(facts, notes=(*facts.notes, leak.partition(";")[0]))
     return BranchSegment(curve, start, stop, branches.to_lps, branches.space, found, facts)
 
 

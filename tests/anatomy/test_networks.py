@@ -230,6 +230,14 @@ def test_an_assumed_space_may_be_stated_later(tmp_path):
         to_scan(older, "RAS")
 
 
+def test_a_lumen_that_is_wide_beyond_a_narrow_part_is_noted(tmp_path):
+    lines, radius = fork()
+    radius[0, -4:] = 9
+    path = write_xml(tmp_path / "line.vtp", lines[0], [np.arange(37)], radius[0])
+    notes = read_branch_segment(path).facts.notes
+    assert any("radius grows from 3.0 mm at" in note and "leak" in note for note in notes)
+
+
 def bifurcating(depth, per_piece, seed=0):
     """A tree of 2**depth tips: whole lines (n, 3) and their radii, and pieces of both."""
     random = np.random.default_rng(seed)

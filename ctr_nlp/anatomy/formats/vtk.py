@@ -84,7 +84,7 @@ def read_vtk(
         found = network.find_paths(None if entry is None else np.asarray(entry, dtype=float))
     notes = [*units.notes, *radius_notes, *found.notes]
     if space_known == ASSUMED:
-        notes.append(f"the file states no coordinate system: {space} is assumed, as in Slicer; see --space")
+        notes.append(f"the file states no coordinate system: {space} is assumed; --space RAS says otherwise")
     branches = list[Branch]()
     repairs: dict[str, list[str]] = {}
     ways = Counter((int(line[0]), int(line[-1])) for line in found.paths)

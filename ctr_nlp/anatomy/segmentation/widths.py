@@ -36,7 +36,7 @@ def check_widths(points: Array, radius: Array, options: ReadOptions) -> tuple[st
     "ends" and "leak" count.
     """
     notes = []
-    for finding, message in (("leak", _find_leak(points, radius)), ("ends", _find_exchange(points, radius))):
+    for finding, message in (("leak", find_leak(points, radius)), ("ends", _find_exchange(points, radius))):
         if message is None:
             continue
         if finding not in options.accept:
@@ -75,7 +75,7 @@ def _find_exchange(points: Array, radius: Array) -> str | None:
     )
 
 
-def _find_leak(points: Array, radius: Array) -> str | None:
+def find_leak(points: Array, radius: Array) -> str | None:
     """Return the message on a path through a leak, None where there is none.
 
     points: (n, 3) mm. radius: (n,) mm.

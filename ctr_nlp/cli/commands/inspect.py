@@ -11,6 +11,7 @@ from ctr_nlp.anatomy.branch import Branch, Branches, format_point, transform_poi
 from ctr_nlp.anatomy.files import ANATOMY_SUFFIXES, is_mask, read_branches
 from ctr_nlp.anatomy.formats.images import read_image
 from ctr_nlp.anatomy.plausibility import widens
+from ctr_nlp.anatomy.reading import ReadOptions
 from ctr_nlp.cli.arguments import add_entry_option, add_triple
 from ctr_nlp.cli.console import EXIT_SOLVED, Command
 from ctr_nlp.cli.plan_options import add_piece_arguments, add_reading_options, pieces_from, read_options_from
@@ -37,7 +38,7 @@ def _parser(prog: str) -> argparse.ArgumentParser:
 
 def _run(arguments: argparse.Namespace) -> int:
     if is_mask(arguments.file) and arguments.entry is None and arguments.target is None:
-        _inspect_voxels(arguments.file)
+        _inspect_voxels(arguments.file, read_options_from(arguments))
         return EXIT_SOLVED
     branches = read_branches(
         arguments.file,
@@ -73,23 +74,30 @@ def _branch_row(number: int, branch: Branch, branches: Branches) -> list[Any]:
     return [number, branch.name, len(branch.points), branch.length, first, last, radius, remark]
 
 
-def _inspect_voxels(file: str) -> None:
-    """Print the size, spacing and values of the voxels of the mask `file`."""
-    image = read_image(file)
+def _inspect_voxels(file: str, options: ReadOptions) -> None:
+    """Print the size, spacing, values and segments of the voxels of the mask `file`.
+
+    options: what a person states about the file.
+    """
+    image = read_image(file, options)
     values, counts = np.unique(image.voxels, return_counts=True)
     # A reader has the axes of its arrays in the order of memory, a person the first axis first.
     spacing = " x ".join(f"{side:.3g}" for side in image.spacing[::-1])
     rows = [
-        ["kind", "mask of a lumen"],
+        ["kind", image.facts.kind],
         ["voxels", " x ".join(str(size) for size in image.voxels.shape[::-1])],
         ["spacing, mm", spacing],
-        ["coordinates", image.space],
+        ["coordinates", f"{image.space}, {image.facts.space_known}"],
+        ["unit", f"{image.facts.units}, {image.facts.units_known}"],
+        *(["segment", f"{each.name}: value {each.label} in layer {each.layer}"] for each in image.segments),
     ]
     print_table(file, ("what", "value"), rows, text=("value",))
     listed = [[f"{value:g}", int(count)] for value, count in zip(values, counts, strict=True)]
     print_table("values", ("value", "voxels"), listed[:MAX_LISTED_VALUES])
     if len(listed) > MAX_LISTED_VALUES:
         announce(f"note: {len(listed) - MAX_LISTED_VALUES} more values are not listed")
+    for note in image.facts.notes:
+        announce(f"note: {note}")
     announce(
         "note: the path in it is found between two points; give --entry X Y Z and --target X Y Z to inspect it"
     )
