@@ -29,7 +29,7 @@ so many times as long as those beside it."""
 NOTED_OFFSET_MM, NOTED_OFFSET_STEPS, NOTED_OFFSET_RATIO = 0.4, 0.3, 6.0
 """A point is noted that lies farther beside its neighbours than this, in mm, in steps between them, and in
 medians of all points: noise is everywhere, a wrong point alone."""
-NOTED_STEP_RATIO, NOTED_EVEN_STEP_RATIO, NOTED_STEP_EXCESS_MM = 4.0, 1.5, 1.0
+NOTED_STEP_RATIO, NOTED_EVEN_STEP_RATIO, NOTED_STEP_EXCESS_MM = 2.5, 1.5, 1.0
 """Ratios from which a note says that a step is long, the second where points are evenly spaced, and by how much it
 must be longer at least."""
 EVEN_STEPS = 1.1

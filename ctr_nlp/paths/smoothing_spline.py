@@ -20,7 +20,7 @@ from ctr_nlp.typing import Array
 
 LOG_LAMBDA_RANGE = (-9.0, 4.0)
 """Powers of ten of lambda, mm^3, among which the least score is looked for."""
-LOG_LAMBDA_TOLERANCE = 0.05
+LOG_LAMBDA_TOLERANCE = 0.2
 
 
 def smooth_values(knots: Array, points: Array) -> Array:

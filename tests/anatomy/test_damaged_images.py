@@ -26,7 +26,7 @@ class Lines:
     """A VTK file before it is damaged: parts, pairs of points (n, 3) and radii (n,); what else stands in it."""
 
     def __init__(self, random):
-        whole, cut = bifurcating(2, 20, int(random.integers(1000)))
+        whole, cut = bifurcating(2, 30, int(random.integers(1000)))
         turn = Rotation.random(random_state=int(random.integers(1000))).as_matrix()
         parts = [whole, cut][random.integers(2)]
         self.parts = [((points @ turn).copy(), radius.copy()) for points, radius in parts]

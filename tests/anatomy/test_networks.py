@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from test_vtk import RADIUS, assert_same, fork, pieces, unshared, write_xml
 
-from ctr_nlp import problem_from_file
-from ctr_nlp.anatomy.branch import transform_points
+from ctr_nlp import curve_from_points, problem_from_file
+from ctr_nlp.anatomy.branch import Branch, transform_points
+from ctr_nlp.anatomy.branch_measures import measure_branches
 from ctr_nlp.anatomy.branch_selection import read_branch_segment
 from ctr_nlp.anatomy.files import read_branches
 from ctr_nlp.anatomy.reading import ASSUMED, GIVEN, STATED, ReadOptions
@@ -281,3 +282,24 @@ def test_a_tree_of_many_tips_is_listed_the_same_in_both_forms(tmp_path, form):
     assert lengths == pytest.approx(
         sorted(np.linalg.norm(np.diff(line, axis=0), axis=1).sum() for line, _ in whole), abs=1e-3
     )
+
+
+def test_branches_that_share_points_are_measured_as_they_are_alone():
+    whole, _ = bifurcating(4, 30)
+    branches = [Branch(f"branch {k}", points, radius) for k, (points, radius) in enumerate(whole)]
+    for branch, measures in zip(branches, measure_branches(branches), strict=True):
+        (alone,) = measure_branches([branch])
+        assert measures.length == pytest.approx(alone.length, abs=1e-3)
+        assert measures.length == pytest.approx(curve_from_points(branch.points).length, abs=0.05)
+        assert measures.curvature == pytest.approx(alone.curvature, rel=0.2)
+        assert measures.sharpest == pytest.approx(alone.sharpest, rel=0.02)
+
+
+def test_the_bend_of_a_noisy_circle_is_that_of_the_circle():
+    angle = np.linspace(0, 2, 120)
+    circle = 40 * np.column_stack([np.cos(angle), np.sin(angle), 0 * angle])
+    noise = np.random.default_rng(0).normal(scale=0.01, size=circle.shape)
+    (measures,) = measure_branches([Branch("circle", circle + noise)])
+    # The largest curvature is one of noise; that of the spline through all points is many times as large.
+    assert measures.curvature == pytest.approx(1 / 40, rel=0.5)
+    assert measures.sharpest > 2 * measures.curvature
