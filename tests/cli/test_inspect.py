@@ -60,7 +60,14 @@ def test_voxels_of_a_mask_are_listed_by_value(tmp_path, capsys):
     nibabel.save(image, tmp_path / "mask.nii.gz")
     assert main([str(tmp_path / "mask.nii.gz")]) == 0
     shown = " ".join(capsys.readouterr().out.split())
-    for text in ("mask in a NIfTI file", "voxels 4 x 5 x 6", "1 x 1 x 2", "coordinates RAS", "7 8", "--entry X Y Z"):
+    for text in (
+        "mask in a NIfTI file",
+        "voxels 4 x 5 x 6",
+        "1 x 1 x 2",
+        "coordinates RAS",
+        "7 8",
+        "--entry X Y Z",
+    ):
         assert text in shown
 
 

@@ -113,7 +113,7 @@ VTKS = [
     (spoilt(VTK, "SPACE=LPS", "SPACE=XYZ"), "SPACE is 'XYZ'; it must be one of LPS, RAS"),
     (spoilt(VTK, "DATASET POLYDATA", "DATASET STRUCTURED_POINTS"), "cannot be read"),
     (spoilt(VTK, "0.000000 0.000000 0.000000", "nan 0.000000 0.000000"), "point 1 is .nan.*finite|cannot be read"),
-    (spoilt(VTK, "5.0 5.0", "0.0 5.0"), "lumen radius at point 1 is 0"),
+    (spoilt(VTK, "5.0 5.0", "-5.0 5.0"), "lumen radius at point 1 is -5"),
     (VTK[: len(VTK) // 2], "it holds no lines"),
     (spoilt(VTK, "ASCII", "BINARY"), "cannot be read|damaged|finite|span|no lines|repeated|same"),
     (spoilt(VTK, "LINES 1 17\n16 0", "LINES 1 2\n1 0"), "cannot be read"),
@@ -143,7 +143,7 @@ MASKS = [
     ("another encoding", mask(spoilt(NRRD_HEADER, "raw", "morse")), "voxels cannot be read"),
     ("sizes of words", mask(spoilt(NRRD_HEADER, "16 16 60", "a b c")), "its sizes is a b c: "),
     ("other units", mask(spoilt(NRRD_HEADER, "kinds", 'space units: "cm" "cm" "cm"\nkinds')),
-     "its space units are cm"),
+     "lengths are in cm; .* --units cm"),
 ]  # fmt: skip
 POINTS = [
     ((8, 8, 2), (8, 8, 4), "entry and target are 2 mm apart"),
