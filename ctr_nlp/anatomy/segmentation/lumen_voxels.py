@@ -53,7 +53,7 @@ def select_lumen(image: Image, options: ReadOptions) -> tuple[Flags, tuple[str, 
     elif options.threshold is not None:
         lumen = _above_threshold(image_voxels, options.threshold)
     elif options.labels:
-        lumen = _labelled(image_voxels, options.labels)
+        lumen = _pick_labels(image_voxels, options.labels)
     else:
         lumen = _only_value(image_voxels, image.segments)
     if not lumen.any():
@@ -100,7 +100,7 @@ def _above_threshold(voxels: Voxels, threshold: float) -> Flags:
     )
 
 
-def _labelled(voxels: Voxels, labels: tuple[int, ...]) -> Flags:
+def _pick_labels(voxels: Voxels, labels: tuple[int, ...]) -> Flags:
     """Return where voxels (l, m, n) have one of some labels; raise CurveError where one of these is nowhere."""
     if 0 in labels:
         raise CurveError("label is 0, which is the background; labels of a lumen are other numbers")

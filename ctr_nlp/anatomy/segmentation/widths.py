@@ -15,7 +15,7 @@ from ctr_nlp.exceptions import CurveError
 from ctr_nlp.paths.points import cumulative_arc_length
 from ctr_nlp.typing import Array
 
-END_PART = 0.15
+MASK_END_PART = 0.15
 """Length of the first and the last part of a path, whose median radii are compared, as a part of it."""
 MAX_WIDENING, NOTED_WIDENING = 1.35, 1.1
 """Ratio of these from target to entry from which on the points seem exchanged, and that which is noted."""
@@ -57,8 +57,8 @@ def _widening(points: Array, radius: Array) -> float:
     points: (n, 3) mm. radius: (n,) mm.
     """
     along = cumulative_arc_length(points)
-    first = np.median(radius[along <= END_PART * along[-1]])
-    return float(np.median(radius[along >= (1 - END_PART) * along[-1]]) / first)
+    first = np.median(radius[along <= MASK_END_PART * along[-1]])
+    return float(np.median(radius[along >= (1 - MASK_END_PART) * along[-1]]) / first)
 
 
 def _find_exchange(points: Array, radius: Array) -> str | None:
