@@ -17,8 +17,6 @@ from ctr_nlp.cli.plan_options import add_piece_arguments, add_reading_options, p
 from ctr_nlp.cli.terminal_output import print_stderr, print_table, progress_bar, report_written_files
 from ctr_nlp.exceptions import OptionError, OutputError, escape_control_characters
 from ctr_nlp.paths.lumen_fit import JAGGED_CURVATURE_PER_MM
-from ctr_nlp.view.figures import save
-from ctr_nlp.view.figures.branches import tree
 
 PNG = b"\x89PNG"
 BRANCH_TABLE_COLUMNS = (
@@ -113,6 +111,9 @@ def _remark(branch: Branch, sharpest: float) -> str:
 
 def _draw(branches: Branches, name: str, out: Path) -> None:
     """Write the picture, whole or not at all."""
+    from ctr_nlp.view.figures import save  # brings matplotlib, which takes long to load
+    from ctr_nlp.view.figures.branches import tree
+
     every = branches.branches
     title = (
         f"{escape_control_characters(name)}\n{len(every)} {'branches' if len(every) > 1 else 'branch'}, in "

@@ -7,8 +7,6 @@ from pathlib import Path
 import numpy as np
 from matplotlib import rc_context
 from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.backends.backend_pdf import FigureCanvasPdf
-from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 
 from ctr_nlp.exceptions import OutputError
@@ -50,8 +48,12 @@ def save(figure: Figure, path: Path) -> Path:
         # Dates in PDF and SVG, and random names within SVG, would change the bytes of every run.
         figure.set_dpi(FIGURE_DPI)
         if path.suffix == ".pdf":
+            from matplotlib.backends.backend_pdf import FigureCanvasPdf  # brings fontTools, which is seldom needed
+
             FigureCanvasPdf(figure).print_pdf(path, metadata={"CreationDate": None})
         elif path.suffix == ".svg":
+            from matplotlib.backends.backend_svg import FigureCanvasSVG
+
             with rc_context({"svg.hashsalt": "ctr-nlp"}):
                 FigureCanvasSVG(figure).print_svg(path, metadata={"Date": None})
         else:
