@@ -114,16 +114,20 @@ def arrival(plan: PlanData) -> TipArrival | None:
     return TipArrival(distance, float(np.degrees(tip_angle(plan)[-1])), length - float(plan.beta[-1, -1]))
 
 
-def describe_shortcut(plan: PlanData) -> str | None:
+def describe_shortcut(plan: PlanData, tolerance: float) -> str | None:
     """Return how a robot whose tip is at the target's end got there by another way than along the path.
 
-    plan: whose last frame counts. None where the robot lies along the path, or its last shape is not known.
+    plan: whose last frame counts. tolerance: distance from the target's end that is allowed, mm; who allows more
+    than a shortcut is long is not told of it. None where the robot lies along the path, or its last shape is not
+    known.
     """
     end = arrival(plan)
     if end is None:
         return None
     length = float(np.linalg.norm(np.diff(plan.target[-1], axis=0), axis=-1).sum())
     allowed = max(MAX_SHORTCUT_PART * length, MIN_SHORTCUT_MM)
+    if tolerance > allowed:
+        return None
     away = float(rms_over_sigma(e1(plan))[-1])
     if end.angle_deg > MAX_ARRIVAL_ANGLE_DEG:
         return f"it points {end.angle_deg:.0f}° away from the direction of the path"

@@ -110,7 +110,7 @@ def sample_outcomes(plan: PlanData) -> SampleOutcomes:
         arrival_tolerance=float(asked["arrival_tolerance"]),
         contact_allowed=sample_contact_allowed(float(asked["contact_allowed"])),
         wall_known=plan.wall is not None,
-        shortcut=describe_shortcut(plan),
+        shortcut=describe_shortcut(plan, float(asked["arrival_tolerance"])),
     )
 
 

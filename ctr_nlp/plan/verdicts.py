@@ -183,7 +183,7 @@ def _judge_arrival(plan: PlanData) -> Judgement:
         f"The tip ends {end.distance:.2f} mm and {end.angle_deg:.1f}° from the target's end{short}; "
         f"{tolerance:g} mm is allowed."
     )
-    shortcut = describe_shortcut(plan)
+    shortcut = describe_shortcut(plan, tolerance)
     if end.distance <= tolerance and shortcut is not None:
         why += f" It does not come along the path: {shortcut}. The robot cannot follow this path."
         return NO, end.distance, "mm", why, value

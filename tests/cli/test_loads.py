@@ -96,7 +96,7 @@ def test_forces_are_told_and_written(saved, capsys):
         (["force", "plan.npz", "--youngs-modulus", "60"], "did you mean 60000 MPa (60 GPa)"),
         (["force", "plan.npz", "--youngs-modulus", "6e10"], "did you mean 60000 MPa (6e+10 Pa)"),
         (["force", "plan.npz", "--youngs-modulus", "nan"], "youngs_modulus of a robot is nan"),
-        (["force", "plan.npz", "--off", "1", *NITINOL], "off needs the wall of a lumen, and the plan has none"),
+        (["force", "plan.npz", "--off", "1", *NITINOL], "off needs a wall, and the plan has none"),
         (["force", "plan.npz", "--most", "1e9", *NITINOL], "most is 1000000000.0 N; it must lie in (0, 100]"),
         (["force", "mine.toml"], "mine.toml is not a plan"),
         (["under", "plan.npz", "--force", "0", "0", "1e9", *NITINOL], "force of a load is 1e+09 N; it must be at"),

@@ -30,7 +30,7 @@ def plan_to(detour):
 
 def test_a_robot_on_its_path_arrives():
     plan = plan_to(lambda shape: shape)
-    assert describe_shortcut(plan) is None
+    assert describe_shortcut(plan, 2.0) is None
     assert plan.verdicts.arrives.word == YES
 
 
@@ -41,7 +41,8 @@ def test_a_tip_that_arrives_across_a_detour_has_not_arrived(seed):
     side *= rng.uniform(40, 120) / np.linalg.norm(side)
     turns = rng.integers(1, 4)
     plan = plan_to(lambda shape: shape + np.sin(np.pi * turns * SAMPLES) * side)
-    assert describe_shortcut(plan)
+    assert describe_shortcut(plan, 2.0)
+    assert describe_shortcut(plan, 1000.0) is None
     assert plan.verdicts.arrives.word == plan.verdicts.follows.word == NO
     assert "along the path" in plan.verdicts.arrives.why
 
