@@ -47,6 +47,7 @@ THIN = {
     ("plan * --robust*",): "--robot two.toml --frames 12 --samples 20",
     ("plan *--model dominant*",): "--frames 40 --samples 20",
     ("plan bronchus*",): "--frames 12 --samples 20",
+    ("plan *slicer_tree*",): "--nominal --frames 12 --samples 20",
     ("plan *airway*", "steer *airway*"): "--frames 40 --stability-margin 0.2 --samples 20",
     ("plan *", "steer *"): "--frames 40 --samples 20",
     ("force *",): "--every 20 --directions 14",

@@ -58,6 +58,11 @@ def load_all(names: Sequence[str], arguments: argparse.Namespace) -> list[Proble
         options["pieces"] = [*more, *options.get("pieces", ())]
     if options and not any(_is_anatomy(name) for name in names):
         kind = "problem file" if names[0].endswith(".py") else "named problem"
+        if more:
+            raise OptionError(
+                f"{names[0]} is a {kind}, and {more[0]} is given after it; only a centreline file goes with "
+                "further files, which hold pieces of the same tree"
+            )
         raise OptionError(f"--{next(iter(options))} goes with a centreline file or a mask; {names[0]} is a {kind}")
     found = [_problem(name, arguments, options if _is_anatomy(name) else {}) for name in names]
     planned_on = getattr(arguments, "model", None)

@@ -140,13 +140,16 @@ def perturb_motion(robot: Robot, motion: Array, seed: int) -> Iterator[Array]:
             np.full(2, PERTURBATION_STD_RAD_MM_RAD[2]),
         ]
     )
+    most = robot.upper.copy()
+    # A tube may have a longer limit than one within it, which it must not pass.
+    most[d : 2 * d] = robot.max_extensions
     while True:
         # Amplitudes fall as 1 / (1 + k): most of a change is a slow drift, so that the motion stays smooth.
         # Uncorrelated noise would be taken out by the motion term at once.
         waves = (
             rng.normal(size=motion.shape[1]) * np.cos(np.pi * k * t) / (1 + k) for k in range(PERTURBATION_WAVES)
         )
-        q = np.clip(motion + spread * sum(waves), robot.lower, robot.upper)
+        q = np.clip(motion + spread * sum(waves), robot.lower, most)
         # Eq. (2): an inner tube is out at least as far as the tube around it.
         q[:, d : 2 * d] = np.maximum.accumulate(q[:, d : 2 * d], axis=1)
-        yield np.clip(q, robot.lower, robot.upper)
+        yield np.clip(q, robot.lower, most)

@@ -1,7 +1,6 @@
 """Malformed command lines of every program: exit status 2 and one clear line, and nothing is solved or written."""
 
-from __future__ import annotations
-
+import copy
 import functools
 import json
 
@@ -32,7 +31,7 @@ BOTH = [
     (".", "problem is '.'"),
     ("../arc", "problem is '../arc'"),
     ("", "the following arguments are required: PROBLEM"),
-    ("arc cos", "unrecognized arguments: cos"),
+    ("arc cos", "arc is a named problem, and cos is given after it"),
     ("arc --speling 3", "unrecognized arguments: --speling"),
     ("arc --fraems=5", r"unrecognized arguments: --fraems=5\. Did you mean '--frames'\?"),
     ("bronchsu", r"problem file \(\.py\)\. Did you mean 'bronchus'\?"),
@@ -197,7 +196,10 @@ inner_diameter = 1.0
 def scene(folder):
     """Files to name on command lines, by what they are."""
     twice = markups()
-    twice["markups"] *= 2
+    beside = copy.deepcopy(twice["markups"][0])
+    for control in beside["controlPoints"]:
+        control["position"][0] += 40.0
+    twice["markups"].append(beside)
     texts = {
         "path.csv": table(), "long.csv": table(helix() * 3), "broken.csv": "x,y\n1,2\n",
         "notes.csv": "my own notes\n",

@@ -259,7 +259,7 @@ TUBES = table_i_robot().tubes
 ROBOTS = {
     "one tube": Robot(TUBES[2:]),
     "two tubes": Robot(TUBES[:2]),
-    "four tubes": Robot((Tube(80, 40, 1 / 150, 7.5, 6.2), *TUBES)),
+    "four tubes": Robot((Tube(80, 40, 1 / 150, 8.0, 6.2), *TUBES)),
     "straight outermost tube": Robot((replace(TUBES[0], curvature=0.0), *TUBES[1:])),
     "transmissions deployed": Robot(TUBES, Limits(beta=[(0, 80), (0, 150), (0, 300)])),
     "carriages kept apart": Robot(TUBES, Limits(carriage_gap=60.0)),
