@@ -28,7 +28,9 @@ def drawn(seed, frames=100):
     d = int(rng.integers(2, 5))
     outer, curved = 3.0 - 0.6 * np.arange(d), np.cumsum(rng.uniform(25, 60, d))
     lengths = np.cumsum(rng.uniform(10, 60, d)) + curved
-    tubes = [Tube(lengths[i], curved[i], rng.uniform(0.004, 0.02), outer[i], outer[i] - 0.2) for i in range(d)]
+    # Each tube is at least three times as stiff as the one within it, as the dominant model needs it.
+    inner = outer - np.array([0.5, 0.3, 0.2, 0.1])[:d]
+    tubes = [Tube(lengths[i], curved[i], rng.uniform(0.004, 0.02), outer[i], inner[i]) for i in range(d)]
     robot = Robot(tuple(tubes), Limits())
     length, bend, s = robot.reach * rng.uniform(0.7, 1.0), rng.uniform(0.3, 1.6), np.linspace(0, 1, 41)
     waves = [
