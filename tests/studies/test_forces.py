@@ -178,5 +178,5 @@ def test_what_has_no_forces_is_refused():
         forces(turned())
     with pytest.raises(OptionError, match="plan is None; it must be a Plan"):
         forces(None)
-    with pytest.raises(OptionError, match="off needs the wall of a lumen, and the plan has none"):
+    with pytest.raises(OptionError, match="off needs a wall, and the plan has none"):
         forces(turned().with_modulus(60_000), off=1.0)

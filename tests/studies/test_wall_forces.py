@@ -100,7 +100,7 @@ def test_the_command_writes_all_and_refuses_what_cannot_be(plan, tmp_path, monke
 
 
 def test_what_has_no_wall_or_no_moduli_is_refused(plan):
-    with pytest.raises(OptionError, match="wall forces need a lumen, and the plan has none"):
+    with pytest.raises(OptionError, match="wall forces need a lumen or another wall"):
         wall_forces(replace(plan, lumen=None, clearance=None, lumen_radius=None))
     ratios = made(TWO, plan.q, straight(4.0, 88.0))
     with pytest.raises(LoadError, match="looks like a ratio"):
