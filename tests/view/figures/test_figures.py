@@ -24,7 +24,7 @@ FRAMES = 6
 
 def four_tubes():
     tubes = [
-        Tube(100.0 * (i + 1), 40.0 * (i + 1), 1 / 80, outer_diameter=6.0 - i, inner_diameter=5.2 - i)
+        Tube(100.0 * (i + 1), 40.0 * (i + 1), 1 / 80, outer_diameter=6.0 * 0.65**i, inner_diameter=4.8 * 0.65**i)
         for i in range(4)
     ]
     return Robot(tuple(tubes))
@@ -71,7 +71,9 @@ def with_frames(plan, count):
     """A plan of count frames that repeats those of a shorter one."""
     index = np.arange(count) % len(plan.time)
     arrays = {
-        f.name: getattr(plan, f.name) for f in dataclasses.fields(plan) if f.name not in ("meta", "to_robot")
+        f.name: getattr(plan, f.name)
+        for f in dataclasses.fields(plan)
+        if f.name not in ("meta", "to_robot", "walls")
     }
     repeated = {name: array[index] for name, array in arrays.items() if array is not None}
     return dataclasses.replace(plan, **repeated | {"time": np.arange(1, count + 1) * 0.1})
