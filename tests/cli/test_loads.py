@@ -125,7 +125,9 @@ def test_bad_input_is_one_line_and_nothing_is_written(saved, capsys, argv, line)
     assert set(saved.rglob("*")) == before
 
 
-@pytest.mark.parametrize(("command", "problem"), [("plan", "synthesis"), ("steer", "cos")])
+@pytest.mark.parametrize(
+    ("command", "problem"), [("plan", "synthesis"), pytest.param("steer", "cos", marks=pytest.mark.slow)]
+)
 def test_a_loaded_plan_is_made_to_its_end(command, problem, tmp_path, monkeypatch):
     """Over the horizon the command once built a planner of its own, which found no motion where Python did."""
     monkeypatch.chdir(tmp_path)

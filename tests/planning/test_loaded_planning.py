@@ -158,7 +158,11 @@ CHANGING = LoadOverTime([CONSTANT, LEANING, Load()], [0.0, 0.5, 1.0])
 
 
 @pytest.mark.parametrize("solve", [solve_per_frame, solve_horizon])
-@pytest.mark.parametrize("load", [CONSTANT, LEANING, CHANGING], ids=["constant", "along the body", "over time"])
+@pytest.mark.parametrize(
+    "load",
+    [CONSTANT, pytest.param(LEANING, marks=pytest.mark.slow), CHANGING],
+    ids=["constant", "along the body", "over time"],
+)
 def test_a_plan_that_knows_the_load_makes_up_for_it(reachable, solve, load):
     """At most a tenth of the error that is left without; and its file tells the load."""
     problem, free = reachable

@@ -77,7 +77,7 @@ def test_all_good_measurements_are_accepted(robot, seed):
         calibrate(ROBOTS[robot], good, registered=registered, held_out=0)
 
 
-@pytest.mark.parametrize("registered", [True, False])
+@pytest.mark.parametrize("registered", [True, pytest.param(False, marks=pytest.mark.slow)])
 @pytest.mark.parametrize(
     ("name", "message"),
     [
