@@ -192,4 +192,4 @@ def test_plan_takes_several_files(write, tmp_path, capsys):
     assert plan([*paths, "--frames", "3", "--out", str(tmp_path / "out")]) == 2
     assert "there are 2 branches, 1 'tree (2)' (85.0 mm), 2 'tree (3)' (125.0 mm)" in capsys.readouterr().err
     assert plan(["arc", paths[0], "--out", str(tmp_path / "out")]) == 2
-    assert "--pieces goes with a centreline file" in capsys.readouterr().err
+    assert "only a centreline file goes with further files" in capsys.readouterr().err
