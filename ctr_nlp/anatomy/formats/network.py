@@ -16,7 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cache, cached_property
+from functools import cached_property
 from itertools import product
 from typing import Any
 
@@ -254,13 +254,24 @@ class Tree:
             return [], notes
         return [np.concatenate(parts) for parts in product(*stretches)], notes
 
-    @cache  # noqa: B019, a tree lives as long as one file is read
+    @cached_property
+    def _found_arcs(self) -> dict[tuple[int, int, int], list[Indices]]:
+        """Ways that were found, by number of the loop, start and stop: many routes pass the same loop."""
+        return {}
+
     def _arcs(self, number: int, start: int, stop: int) -> list[Indices]:
         """Return the ways from one point of a loop to another, the shorter one first; one where they hardly
         differ, none where the loop is no simple one.
 
         number: of the loop. start, stop: points of it.
         """
+        asked = number, start, stop
+        if asked not in self._found_arcs:
+            self._found_arcs[asked] = self._find_arcs(*asked)
+        return self._found_arcs[asked]
+
+    def _find_arcs(self, number: int, start: int, stop: int) -> list[Indices]:
+        """Find what `_arcs` returns; number: of the loop. start, stop: points of it."""
         loop = self._loops[number]
         if loop.number_of_edges() != loop.number_of_nodes():
             return []
