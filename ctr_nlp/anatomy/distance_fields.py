@@ -66,13 +66,12 @@ def surface_of_mask(lumen: Flags, affine: Array) -> tuple[Array, Array]:
     return vertices, -np.asarray(found.point_data["Normals"], dtype=float) @ axes.T
 
 
-def distances_to_surface(points: Array, vertices: Array, normals: Array, cell: float, workers: int = -1) -> Array:
+def distances_to_surface(points: Array, vertices: Array, normals: Array, cell: float) -> Array:
     """Return distances (n,), mm, of points (n, 3) from a surface, without a sign.
 
-    vertices, normals (m, 3): of the surface. cell: distance of neighbouring vertices, at most, mm. workers:
-    processor cores that are used, -1 for all.
+    vertices, normals (m, 3): of the surface. cell: distance of neighbouring vertices, at most, mm.
     """
-    away, nearest = cKDTree(vertices).query(points, workers=workers)
+    away, nearest = cKDTree(vertices).query(points, workers=-1)
     offset = points - vertices[nearest]
     height = np.abs((offset * normals[nearest]).sum(axis=1))
     aside = np.sqrt(np.maximum(away**2 - height**2, 0.0))
@@ -112,7 +111,7 @@ def field_of_mask(lumen: Flags, affine: Array) -> DistanceField:
     start = -edge
     coarse = _coarse_values(lumen, affine, vertices, normals, start, shape)
     coarse_to_mm = affine @ _scaling(float(COARSE_STRIDE), start)
-    fine, wanted = _fine_values(lumen, affine, vertices, normals, coarse, start, spacing)
+    fine, wanted = _fine_values(lumen, affine, vertices, normals, coarse, start)
     fine_to_mm = affine @ _scaling(1.0, np.array(_FINE_PAD))
     return DistanceField(
         (
@@ -195,7 +194,6 @@ def _fine_values(
     normals: Array,
     coarse: Array,
     start: npt.NDArray[np.integer[Any]],
-    spacing: Array,
 ) -> tuple[Array, Flags]:
     """Return signed distances, mm, at the nodes of the fine grid, and the blocks (a, b, c) that touch the band."""
     pad = -np.array(_FINE_PAD)

@@ -72,11 +72,6 @@ class ReadOptions:
             if not isinstance(label, int) or isinstance(label, bool):
                 raise OptionError(f"label is {label!r}; labels of a mask are whole numbers")
 
-    @property
-    def mm_per_unit(self) -> float:
-        """Factor from the file's lengths to mm; 1 where no unit is given."""
-        return 1.0 if self.units is None else MM_PER_UNIT[self.units]
-
 
 @dataclass(frozen=True)
 class FileFacts:

@@ -95,22 +95,13 @@ class Walls:
         self.lumen = lumen
         self.bodies = bodies
 
-    def _projections(self, points: Array) -> list[LumenProjection]:
-        lumen = [] if self.lumen is None else [self.lumen.project(points)]
-        return [*lumen, *(body.project(points) for body in self.bodies)]
-
     def project(self, points: Array) -> LumenProjection:
         """Describe the nearest wall near points (.., 3), mm, as a path with a radius."""
-        each = self._projections(points)
+        walls: list[WallGeometry] = [*([] if self.lumen is None else [self.lumen]), *self.bodies]
+        each = [wall.project(points) for wall in walls]
         nearest = np.argmin([near.radius - near.distance for near in each], axis=0)
         stacked = (np.stack(parts) for parts in zip(*each, strict=True))
         return LumenProjection(*(_pick(parts, nearest) for parts in stacked))
-
-    def nearest_wall(self, points: Array) -> Index:
-        """Return the number (..,) of the nearest wall at points (.., 3), mm: the lumen, if any, is 0."""
-        return np.asarray(
-            np.argmin([near.radius - near.distance for near in self._projections(points)], axis=0), dtype=np.int_
-        )
 
 
 def _pick(parts: Array, nearest: Index) -> Array:
