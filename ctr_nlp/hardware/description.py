@@ -291,6 +291,8 @@ def simulated_hardware(robot: Robot) -> Hardware:
     if robot.d > 3:
         raise HardwareError(f"a robot of {robot.d} tubes needs a hardware file; there is a default for up to 3")
     numbers_of = range(1, robot.d + 1)
-    slides = [Axis(f"beta_{i}", "XYZ"[i - 1], "mm", (0.0, robot.reach), 50.0, 200.0) for i in numbers_of]
+    # A straight outer tube may have a larger limit than the innermost one, which alone gives the reach.
+    travel = float(robot.split(robot.upper)[1].max())
+    slides = [Axis(f"beta_{i}", "XYZ"[i - 1], "mm", (0.0, travel), 50.0, 200.0) for i in numbers_of]
     turns = [Axis(f"alpha_{i}", "ABC"[i - 1], "deg", (-1080.0, 1080.0), 600.0, 2000.0) for i in numbers_of]
     return Hardware((*slides, *turns), Arm())

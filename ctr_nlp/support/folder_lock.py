@@ -23,6 +23,9 @@ NEW_FOLDER_LOCK_TIMEOUT_S = 1.0
 may hold for a moment.
 """
 
+REMOVAL_ATTEMPTS = 5
+"""How often the removal of a folder is tried into which another process may still write."""
+
 
 @contextmanager
 def lock_folder(folder: Path, timeout_s: float = 0.0) -> Iterator[bool]:
@@ -193,9 +196,28 @@ def remove_abandoned(place: Path, pattern: str, uncertain_s: float) -> None:
                 # A lock that can be had means that its owner is dead. Without locks only the folder's age can
                 # tell.
                 if held.is_exclusive or time.time() - folder.stat().st_mtime > uncertain_s:
-                    shutil.rmtree(folder)
+                    _remove_tree(folder)
             finally:
                 held.release()
+
+
+def _remove_tree(folder: Path) -> None:
+    """Free the folder's name at once, then remove its contents; raise OSError where that is impossible.
+
+    A process that the dead owner had started, such as a compiler, may still write into the folder, so that it is
+    not empty when it is removed. The new name keeps the old one's beginning: whatever is left is found next time.
+    """
+    renamed = Path(tempfile.mkdtemp(prefix=f"{folder.name}-", dir=folder.parent))
+    folder.rename(renamed / folder.name)
+    for attempt in range(REMOVAL_ATTEMPTS):
+        try:
+            shutil.rmtree(renamed)
+        except OSError:
+            if attempt == REMOVAL_ATTEMPTS - 1:
+                raise
+            time.sleep(FOLDER_LOCK_POLL_S)
+        else:
+            return
 
 
 def _acquire_flock(door: int, folder: Path, deadline: float) -> bool:

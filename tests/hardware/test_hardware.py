@@ -13,7 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from strategies import numbers, robots, robots_with_q
 
-from ctr_nlp import Limits, Robot, table_i_robot
+from ctr_nlp import Limits, Robot, Tube, table_i_robot
 from ctr_nlp.exceptions import HardwareError
 from ctr_nlp.hardware.axis import Axis
 from ctr_nlp.hardware.description import Connection, Hardware, simulated_hardware
@@ -258,6 +258,13 @@ def test_axes_must_move_every_joint_and_no_other(robot, change, message):
 def test_the_bench_moves_every_robot_of_up_to_three_tubes_as_far_as_it_goes(robot):
     tight = simulated_hardware(robot).apply_limits(robot)
     np.testing.assert_array_equal(tight.lower[robot.d :], robot.lower[robot.d :])
+    np.testing.assert_array_equal(tight.upper[robot.d :], robot.upper[robot.d :])
+
+
+def test_the_bench_moves_a_straight_outer_tube_that_may_move_farther_than_the_inner_ones_reach():
+    robot = Robot((Tube(21, 10, 0.0, 2, 1.8), Tube(21, 20, 1 / 32, 1.6, 1.4)))
+    assert robot.upper[robot.d] > robot.reach
+    tight = simulated_hardware(robot).apply_limits(robot)
     np.testing.assert_array_equal(tight.upper[robot.d :], robot.upper[robot.d :])
 
 
