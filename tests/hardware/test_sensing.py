@@ -19,6 +19,7 @@ from scipy.spatial.transform import Rotation
 
 from ctr_nlp.exceptions import DeviceFault, HardwareError
 from ctr_nlp.hardware.description import Hardware
+from ctr_nlp.hardware.sensing.arrival import receive_bytes, stamp_arrivals
 from ctr_nlp.hardware.sensing.description import Sensing, parse_sensor_url
 from ctr_nlp.hardware.sensing.igtl import Igtl
 from ctr_nlp.hardware.sensing.lines import JsonLineSource, message_of
@@ -148,8 +149,24 @@ def test_without_a_time_a_message_is_as_old_as_it_is_described() -> None:
 LINUX = pytest.mark.skipif(sys.platform != "linux", reason="only Linux tells when packets arrive")
 
 
+@pytest.fixture
+def kernel_that_stamps():
+    """Linux begins to note times of arrival some moments after the first socket asks for them; wait for that."""
+    with closing(socket.socket(socket.AF_INET, socket.SOCK_DGRAM)) as asking:
+        stamp_arrivals(asking)
+        asking.bind(("127.0.0.1", 0))
+        waited = 0.0
+        while waited < 0.01:
+            asking.sendto(b"1", asking.getsockname())
+            time.sleep(0.02)
+            _, waited = receive_bytes(asking, 1)
+        yield
+
+
 @LINUX
-def test_packets_without_a_time_are_of_when_they_came_and_not_of_when_they_are_looked_at() -> None:
+def test_packets_without_a_time_are_of_when_they_came_and_not_of_when_they_are_read(
+    kernel_that_stamps,
+) -> None:
     port, sent = free_port(socket.SOCK_DGRAM), list[float]()
     with (
         listening(JsonLineSource(Sensing(f"udp://127.0.0.1:{port}"))) as source,
@@ -167,7 +184,7 @@ def test_packets_without_a_time_are_of_when_they_came_and_not_of_when_they_are_l
 
 
 @LINUX
-def test_so_is_a_line_of_a_stream() -> None:
+def test_so_is_a_line_of_a_stream(kernel_that_stamps) -> None:
     with (
         closing(socket.create_server(("127.0.0.1", 0))) as server,
         listening(JsonLineSource(Sensing(f"tcp://127.0.0.1:{server.getsockname()[1]}"))) as source,
