@@ -58,6 +58,19 @@ def test_a_robot_is_written_with_what_is_left_to_doubt(files, tmp_path, capsys):
         assert [float(row["left"]) < 1 for row in csv.DictReader(file)] == [True, True]
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["m [left] [red] 'a\"b $x$", "m\x1b[2J\n\u202e {0} %s"])
+def test_files_of_any_name_are_read_and_named_as_text(name, files, tmp_path, capsys):
+    (tmp_path / "measured.csv").rename(tmp_path / f"{name}.csv")
+    (tmp_path / "robot.toml").rename(tmp_path / f"{name}.toml")
+    asked = f"{name}.csv", "--robot", f"{name}.toml", "--registered", "--folds", 0
+    assert run("calibrate", *asked, "--out", "out") == 0
+    told = capsys.readouterr()
+    assert all(line.isprintable() for line in (told.out + told.err).splitlines())
+    assert Robot.from_toml(tmp_path / "out" / "robot.toml").d == TWO.d
+    assert {path.name for path in tmp_path.iterdir()} == {f"{name}.csv", f"{name}.toml", "out"}
+
+
 def test_weights_at_the_tip_tell_of_the_modulus(tmp_path, monkeypatch, capsys):
     """The robot file tells only ratios of moduli, so that a first value is asked for."""
     monkeypatch.chdir(tmp_path)

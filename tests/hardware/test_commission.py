@@ -29,8 +29,8 @@ AXIS = '[[axes]]\njoint = "{}"\nletter = "{}"\nunit = "{}"\nrange = {}\nspeed = 
 class Rig:
     """A controller that is served, and its hardware file."""
 
-    def __init__(self, url: str, firmware: Firmware, folder: Path) -> None:
-        self.firmware, self.folder, self.file = firmware, folder, folder / "rig.toml"
+    def __init__(self, url: str, firmware: Firmware, folder: Path, name: str = "rig.toml") -> None:
+        self.firmware, self.folder, self.file = firmware, folder, folder / name
         axes = [AXIS.format(f"beta_{i + 1}", "XYZ"[i], "mm", "[0, 150]", 50.0, 200.0) for i in range(3)]
         axes += [AXIS.format(f"alpha_{i + 1}", "ABC"[i], "deg", "[-360, 360]", 600.0, 2000.0) for i in range(3)]
         self.file.write_text(f'[connection]\ndevice = "grbl"\nurl = "{url}"\n' + "".join(axes))
@@ -93,6 +93,20 @@ def test_settings_are_kept_once_every_axis_moved_both_ways(
     capsys.readouterr()
     assert rig.play() == 0
     assert "tried" not in capsys.readouterr().err
+
+
+def test_a_hardware_file_of_any_name_is_commissioned(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    firmware = Firmware()
+    with serving(firmware, "tcp") as url:
+        rig = Rig(url, firmware, tmp_path, "rig [left] [red]\x1b[2J\n'a\"b $x$ (G28) \u202e.toml")
+        assert rig.commission(ALL, monkeypatch) == 0
+        assert rig.play() == 0
+    told = capsys.readouterr()
+    assert "Traceback" not in told.err
+    assert all(line.isprintable() for line in (told.out + told.err).splitlines())
+    assert read_commissioned(rig.file) is not None
 
 
 def test_axes_that_are_skipped_are_recorded_and_noted(

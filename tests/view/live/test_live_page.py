@@ -9,6 +9,7 @@ import subprocess
 import sys
 import threading
 import time
+import urllib.request
 
 import numpy as np
 import pytest
@@ -148,6 +149,31 @@ def test_a_port_in_use_is_one_clear_line(capsys, tmp_path):
     lines = capsys.readouterr().err.splitlines()
     assert [line.startswith(f"error: port {port} of 127.0.0.1") for line in lines] == [True]
     assert not (tmp_path / "out").exists()
+
+
+def test_a_problem_of_any_name_is_shown_as_text(tmp_path):
+    name = "airway [/left] [red]\x1b[2J\n../../x </script> $\\frac{$ 'a\"b\u202e"
+    (tmp_path / "mine.py").write_text(
+        "from dataclasses import replace\n\nfrom ctr_nlp.problems import named_problem\n\n\n"
+        "def problem(frames, duration, robot):\n"
+        f"    return replace(named_problem('arc', frames, duration, robot), name={name!a})\n"
+    )
+    command = [sys.executable, "-m", "ctr_nlp", "live", "mine.py", "--port", "0", "--out", "out"]
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+    environment = os.environ | {"PYTHONUNBUFFERED": "1", "PYTHONPATH": str(ROOT)}
+    process = subprocess.Popen(command, cwd=tmp_path, env=environment, **pipes)
+    told = process.stdout.readline()
+    address = re.search(r"http://127\.0\.0\.1:\d+", told)[0]
+    with urllib.request.urlopen(address, timeout=PATIENCE) as answer:
+        page = answer.read().decode()
+    process.send_signal(signal.SIGINT)
+    out, error = process.communicate(timeout=PATIENCE)
+    assert process.returncode == 130
+    assert "[red]" in told
+    assert all(line.isprintable() for line in (told + out + error).splitlines())
+    assert "Traceback" not in error
+    assert "x </script>" not in page
+    assert {path.name for path in tmp_path.iterdir()} <= {"mine.py", "__pycache__"}
 
 
 def test_ctrl_c_ends_the_command_with_130(tmp_path):
