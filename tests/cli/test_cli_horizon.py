@@ -197,6 +197,7 @@ def contents(folder):
 
 
 @pytest.mark.parametrize(("count", "frames"), [(2, 20), pytest.param(20, 100, marks=pytest.mark.slow)])
+@pytest.mark.slow
 def test_reruns_and_interruptions_touch_nothing_of_the_user_s_and_the_best_plan_stays(
     tmp_path, count, frames, capsys
 ):

@@ -48,6 +48,7 @@ def check_comparison(folder, given: str, plain_problem: Problem, frames: int, so
     assert line.count("%") == 4
 
 
+@pytest.mark.slow
 def test_elastic_variants_are_tried_on_draws_and_robust_ones_lose_few(tmp_path, capsys):
     file = tmp_path / "bend.py"
     file.write_text(BEND)

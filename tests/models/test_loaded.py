@@ -116,7 +116,7 @@ def test_shapes_that_something_leans_on_match_shooting_from_the_base(seed):
     assert error < 0.001
 
 
-@pytest.mark.parametrize("seed", [0, 1, 2, 3, 7])
+@pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (1, 2, 3, 7))])
 def test_shapes_under_a_moment_at_the_tip_match_shooting_from_the_base(seed):
     error = compared(seed, turned)
     assert error is not None

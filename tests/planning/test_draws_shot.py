@@ -54,6 +54,7 @@ def test_draws_of_a_robust_plan_of_two_tubes_are_where_equations_say():
     agreed(plan, 3)
 
 
+@pytest.mark.slow
 def test_draws_of_a_plain_plan_snap_where_equations_say():
     """Also that a snap is seen at all: of these some snap and some do not."""
     lost, shot = agreed(solve_horizon(named_problem("cos"), model="elastic"), 4)

@@ -160,7 +160,7 @@ CHANGING = LoadOverTime([CONSTANT, LEANING, Load()], [0.0, 0.5, 1.0])
 @pytest.mark.parametrize("solve", [solve_per_frame, solve_horizon])
 @pytest.mark.parametrize(
     "load",
-    [CONSTANT, pytest.param(LEANING, marks=pytest.mark.slow), CHANGING],
+    [CONSTANT, *(pytest.param(load, marks=pytest.mark.slow) for load in (LEANING, CHANGING))],
     ids=["constant", "along the body", "over time"],
 )
 def test_a_plan_that_knows_the_load_makes_up_for_it(reachable, solve, load):
@@ -296,6 +296,7 @@ def test_a_motion_that_is_interrupted_under_the_load_is_no_solution(reachable, m
     assert found.evaluated_load == CONSTANT
 
 
+@pytest.mark.slow
 def test_a_motion_that_is_given_is_where_the_search_under_a_load_begins(reachable, monkeypatch):
     problem, _ = reachable
     first = solve_horizon(problem, model=Loaded(CONSTANT))

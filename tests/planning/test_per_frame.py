@@ -61,7 +61,7 @@ def test_joint_follows_the_seeds_targets(name):
 
 
 @pytest.mark.parametrize("name", TWO_STAGE_E3)
-@pytest.mark.parametrize("formulation", ["two-stage", "two-stage-exact"])
+@pytest.mark.parametrize("formulation", ["two-stage", pytest.param("two-stage-exact", marks=pytest.mark.slow)])
 def test_two_stage_is_no_worse_than_the_seed(name, formulation):
     plan = solve_per_frame(named_problem(name), formulation, direction="backward")
     assert summary(plan)["e3"] <= TWO_STAGE_E3[name]

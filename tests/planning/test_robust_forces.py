@@ -85,7 +85,9 @@ WEIGHT = Load(densities=21.0, down=(1, 0, 0))
 LOADS = [WEIGHT, LoadOverTime([Load(), replace(WEIGHT, force=(0.0, 0.03, 0.0))], [0.0, 1.0])]
 
 
-@pytest.mark.parametrize("load", LOADS, ids=["weight", "over time"])
+@pytest.mark.parametrize(
+    "load", [pytest.param(LOADS[0], marks=pytest.mark.slow), LOADS[1]], ids=["weight", "over time"]
+)
 def test_robots_within_tolerances_bear_a_known_load_together(problem, load):
     """Tubes are soft, so that their weight counts; a draw without a deviation moves as the robot described."""
     robot = replace(with_modulus(TWO, 200), tolerances=Tolerances(**ONE))
@@ -161,6 +163,7 @@ def test_a_robust_plan_may_bear_a_load_all_the_time():
     assert e3(found) < 0.1 * e3(found.evaluate_on("elastic"))
 
 
+@pytest.mark.slow
 def test_a_base_may_be_led_through_the_pole_of_its_tilt():
     """At theta_x = 90 deg theta_y does not follow from where the base points."""
     robot = tolerant(0.05, **ONE)

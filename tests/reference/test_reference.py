@@ -58,6 +58,7 @@ def test_tip_control_moves_the_tip_and_not_the_shape():
     assert found["e3"] > 2
 
 
+@pytest.mark.slow
 def test_every_variant_keeps_position_limits():
     problem = named_problem("arc", 4)
     for row_variant in VARIANTS:

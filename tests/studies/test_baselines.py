@@ -50,6 +50,7 @@ def runs(search):
     return race_optimisers(search, 1, 0)
 
 
+@pytest.mark.slow
 def test_every_method_finds_tubes_and_is_never_worse_than_before(runs):
     assert tuple(run.method for run in runs) == DESIGN_OPTIMISERS
     for run in runs:
@@ -58,6 +59,7 @@ def test_every_method_finds_tubes_and_is_never_worse_than_before(runs):
         assert (np.diff(run.seconds) >= 0).all()
 
 
+@pytest.mark.slow
 def test_the_design_is_ahead_of_others_that_work_as_long(search, runs):
     design, *others = runs
     assert design.best <= min(run.best for run in others)

@@ -52,7 +52,9 @@ def trial(factor):
         return compare_row("step", before, after, MANY, factor=factor)
 
 
-@pytest.mark.parametrize(("factor", "verdict"), [(1.5, "slower"), (1.0, "same")])
+@pytest.mark.parametrize(
+    ("factor", "verdict"), [(1.5, "slower"), pytest.param(1.0, "same", marks=pytest.mark.slow)]
+)
 def test_a_slowdown_by_half_is_found_under_load_and_none_where_nothing_changed(factor, verdict):
     found = trial(factor)
     assert found.verdict == verdict, found

@@ -63,6 +63,7 @@ def asked(path, out, address, env=None):
     return done.returncode, done.stdout + done.stderr
 
 
+@pytest.mark.slow
 def test_a_cluster_with_tls_does_a_study_and_answers_nobody_without(path, tmp_path):
     if shutil.which("openssl") is None:
         pytest.skip("openssl, which makes certificates, is not installed")

@@ -144,7 +144,7 @@ def test_cases_of_lost_workers_and_of_less_patience_are_tried_again(tmp_path):
     assert results.read_digests() == {third.digest, fourth.digest}
 
 
-@pytest.mark.parametrize(("plans", "kills"), [(60, 3), pytest.param(1500, 20, marks=pytest.mark.slow)])
+@pytest.mark.parametrize(("plans", "kills"), [(24, 2), pytest.param(1500, 20, marks=pytest.mark.slow)])
 def test_whatever_dies_no_plan_is_lost_or_made_twice(tmp_path, monkeypatch, plans, kills):
     path = written(tmp_path / "s.toml", plans)
     study, out, calm = Study.from_toml(path), tmp_path / "out", tmp_path / "calm"

@@ -339,6 +339,7 @@ def test_a_failure_is_a_row_with_its_reason(client, tmp_path):
     assert failed["reason"].str.len().min() > 10
 
 
+@pytest.mark.slow
 def test_what_kills_its_worker_or_never_ends_is_a_row_and_the_rest_is_done(client, tmp_path):
     cases = study().cases
     deadly, endless = made(Deadly, cases[0]), made(Endless, cases[1])
@@ -413,6 +414,7 @@ def test_the_clusters_page_answers_no_other_page(client, headers, expected):
     link.close()
 
 
+@pytest.mark.slow
 def test_plans_wait_for_compiled_programs_and_are_not_late_for_it(cold, tmp_path):
     (case,) = study(SMALL | {"settings": {"seed": [0]}}).cases
     compiling = replace(study(), cases=(made(Compiling, case),))

@@ -45,7 +45,9 @@ def test_a_robot_that_was_measured_in_free_space_is_known_as_well_as_is_said():
         assert learnt[:2].max() < 0.5  # curvatures
 
 
-@pytest.mark.parametrize("how", REPLANNING_MODES)
+@pytest.mark.parametrize(
+    "how", [pytest.param(how, marks=pytest.mark.slow) if how == REPLANNED else how for how in REPLANNING_MODES]
+)
 def test_every_way_of_leading_a_plan_is_told_beside_open_loop(how):
     found = run_closed_loops("made", made_plan(), "tip and 5 points", 2, seed=1, replanning_mode=how)
     assert found.draws == 2

@@ -333,6 +333,7 @@ def test_curvature_of_points_on_a_circle():
     np.testing.assert_allclose(np.diff(s), 1.2, rtol=1e-4)
 
 
+@pytest.mark.slow
 def test_one_figure_alone(tmp_path, capsys):
     """With real runs: the largest errors on the page are those of the file."""
     out = tmp_path / "seed"

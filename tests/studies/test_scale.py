@@ -59,6 +59,7 @@ def test_a_simulated_study_gives_the_batches_that_are_projected():
     assert math.isnan(found.client_share)
 
 
+@pytest.mark.slow
 def test_a_study_is_compared_with_a_pool_that_makes_the_same_plans():
     pytest.importorskip("distributed", reason="the extra `study` is not installed")
     found = compare_with_pool(sleeper_study([0.01] * 8), 2, pairs=2)

@@ -60,6 +60,7 @@ def test_jobs_of_the_slurm_example_ask_for_what_it_says(tmp_path, monkeypatch):
         assert {each.ip for each in open_at if each.port == encrypted} != {LOOPBACK}
 
 
+@pytest.mark.slow
 def test_a_job_that_dies_is_submitted_again_and_the_study_ends(tmp_path):
     for name, text in (("sbatch", SBATCH), ("scancel", SCANCEL)):
         (tmp_path / name).write_text(text)

@@ -80,6 +80,7 @@ def test_all_files_are_written(tmp_path):
         assert [line["airway"] for line in csv.DictReader(file)] == ["synthetic 0"] * 5 + ["synthetic 1"] * 5
 
 
+@pytest.mark.slow
 def test_plans_of_an_airway_are_those_of_the_trade(tmp_path, capsys):
     text = template("survival.toml").replace("frames = 100", "frames = 6").replace("draws = 100", "draws = 10")
     (tmp_path / "s.toml").write_text(text.replace("synthetic = 100", "synthetic = 1"), encoding="utf-8")

@@ -59,6 +59,7 @@ def test_designed_tubes_are_better_than_those_they_began_as(tasks, nominal):
     assert all(plan.robot == nominal.robot for plan in nominal.plans)
 
 
+@pytest.mark.slow
 def test_tubes_are_designed_on_the_dominant_model_too(tasks):
     own = [solve_horizon(task, model="dominant", settings=Settings(contact_weight=0.0)) for task in tasks]
     found = design(tasks, nominal=True, model="dominant", rules=RULES, starts=1)
@@ -81,6 +82,7 @@ def test_designed_tubes_can_be_made(nominal):
         assert tube.largest_curvature * tube.outer_diameter / 2 <= 0.04
 
 
+@pytest.mark.slow
 def test_no_tubes_nearby_are_better(tasks):
     """A minimum: tubes that differ a little have no smaller errors, but for what motion costs.
 
@@ -100,6 +102,7 @@ def test_no_tubes_nearby_are_better(tasks):
                 assert found > 0.98 * least, name
 
 
+@pytest.mark.slow
 def test_rules_that_bind_are_remarked_with_their_price(tasks, nominal):
     tight = design(tasks, nominal=True, rules=replace(RULES, strain_made=0.008), starts=1)
     assert _rms(tight.plans) > _rms(nominal.plans)
@@ -109,6 +112,7 @@ def test_rules_that_bind_are_remarked_with_their_price(tasks, nominal):
     assert "is at its bound, 0.008; easing the bound by 10 % would lower e3 by" in str(bound[0])
 
 
+@pytest.mark.slow
 def test_fixed_numbers_stay(tasks):
     found = design(tasks[:1], nominal=True, rules=RULES, fixed=["outer_diameter_1"], starts=1)
     assert found.robot.tubes[0].outer_diameter == PAIR.tubes[0].outer_diameter
@@ -152,6 +156,7 @@ def test_two_processes_find_what_one_alone_finds(tasks):
     ("kind", "asked"),
     [("nominal", {"nominal": True, "starts": 2}), pytest.param("tolerant", {"starts": 1}, marks=pytest.mark.slow)],
 )
+@pytest.mark.slow
 def test_a_cluster_finds_what_one_process_finds(tasks, kind, asked, request):
     pytest.importorskip("distributed", reason="the extra `study` is not installed")
     alone = request.getfixturevalue(kind)
@@ -244,6 +249,7 @@ def test_plans_on_designed_tubes_are_where_equations_say(nominal):
         assert away.max() < 0.01
 
 
+@pytest.mark.slow
 def test_tubes_shaped_like_an_s_are_found_unless_they_are_ruled_out(tasks, nominal):
     one_sided = design(tasks, nominal=True, rules=replace(RULES, one_sided=True), starts=2)
     assert min(tube.root_curvature for tube in nominal.robot.tubes) < 0

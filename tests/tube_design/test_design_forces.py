@@ -81,6 +81,7 @@ def test_tubes_are_designed_for_their_own_weight():
 @pytest.mark.parametrize(
     "load", [pytest.param(ACROSS, marks=pytest.mark.slow), TURNING], ids=["constant", "over time"]
 )
+@pytest.mark.slow
 def test_a_design_for_tolerances_may_bear_a_load_as_well(load):
     (plan,) = design([_task(NITINOL)], model=Loaded(load), rules=RULES, starts=1).plans
     assert plan.evaluated_load == load

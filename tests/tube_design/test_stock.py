@@ -195,6 +195,7 @@ def problem(frames, duration, robot):
 """
 
 
+@pytest.mark.slow
 def test_the_command_rounds_to_a_list_and_says_what_is_lost(tmp_path, capsys):
     pair = tmp_path / "two.toml"
     pair.write_text(PAIR.to_toml(), encoding="utf-8")

@@ -122,6 +122,7 @@ def test_a_plan_for_a_known_load_is_tracked_under_it(plan):
         )
 
 
+@pytest.mark.slow
 def test_a_robot_that_snaps_under_a_load_is_stopped():
     """Where it comes to rest is not known."""
     q = np.vstack([near_the_fold(), near_the_fold()[-1:]])
