@@ -15,6 +15,7 @@ import numpy as np
 
 from ctr_nlp.paths.lumen import Lumen, outermost_tube_index
 from ctr_nlp.paths.target import QUADRATURE, SIGMA_GRID
+from ctr_nlp.paths.walls import LUMEN_NAME, Walls
 from ctr_nlp.plan.plan_data import PlanData
 from ctr_nlp.support.flag_runs import find_flag_runs
 from ctr_nlp.typing import Array
@@ -157,11 +158,12 @@ def largest_error(plan: PlanData) -> LargestError | None:
 
 
 class DeepestPoint(NamedTuple):
-    """The point of a robot that is nearest to the wall, or deepest in it, over a whole motion.
+    """The point of a robot that is nearest to a wall, or deepest in it, over a whole motion.
 
     depth: mm beyond the wall; negative is clearance. when: "in frame" or "on the way to frame". frame: its number,
     from 1. tube: number of the outermost tube there, from 1. arc_length: mm along the robot from the insertion
-    point.
+    point. point: (3,) mm of the body in that frame, in the coordinates of the target's file; on the way to a frame
+    the body is near it.
     """
 
     depth: float
@@ -169,25 +171,48 @@ class DeepestPoint(NamedTuple):
     frame: int
     tube: int
     arc_length: float
+    point: Array
+
+
+def find_deepest_points(plan: PlanData) -> dict[str, DeepestPoint]:
+    """Return the point where a plan's robot is deepest in each of its walls, by the wall's name.
+
+    Walls from which no clearance is known are left out.
+    """
+    if plan.wall_clearance is None:
+        (name,) = plan.wall.names if isinstance(plan.wall, Walls) else [LUMEN_NAME]
+        each = {name: _find_deepest_point(plan, plan.clearance, plan.clearance_between)}
+    else:
+        assert isinstance(plan.wall, Walls) and plan.wall_clearance_between is not None
+        each = {
+            name: _find_deepest_point(plan, plan.wall_clearance[:, k], plan.wall_clearance_between[:, k])
+            for k, name in enumerate(plan.wall.names)
+        }
+    return {name: place for name, place in each.items() if place is not None}
 
 
 def find_deepest_point(plan: PlanData) -> DeepestPoint | None:
-    """Return the point where a plan's robot is deepest in the wall, in or between frames; None if unknown.
+    """Return the point where a plan's robot is deepest in any wall, in or between frames; None if unknown."""
+    return _find_deepest_point(plan, plan.clearance, plan.clearance_between)
+
+
+def _find_deepest_point(plan: PlanData, least: Array | None, between: Array | None) -> DeepestPoint | None:
+    """Return the point where a robot is deepest in a wall; least, between: its clearance (T, 101) from it, mm.
 
     A point between frames counts only where it is deeper than those in frames by more than rounding.
     """
-    if plan.clearance is None or not np.isfinite(plan.clearance).any():
+    if least is None or not np.isfinite(least).any():
         return None
-    least = plan.clearance
     when = "in frame"
-    between = plan.clearance_between
     if between is not None and np.nanmin(between) < np.nanmin(least) - 1e-6:
         least = between
         when = "on the way to frame"
     frame, sample = np.unravel_index(np.nanargmin(least), least.shape)
     tube = outermost_tube_index(plan.beta[frame][None], SIGMA_GRID)[0, sample]
     arc_length = float(SIGMA_GRID[sample] * plan.beta[frame, -1])
-    return DeepestPoint(-float(least[frame, sample]), when, int(frame) + 1, int(tube) + 1, arc_length)
+    back = np.linalg.inv(plan.to_robot)
+    point = plan.shape[frame, sample] @ back[:3, :3].T + back[:3, 3]
+    return DeepestPoint(-float(least[frame, sample]), when, int(frame) + 1, int(tube) + 1, arc_length, point)
 
 
 class Contact(NamedTuple):

@@ -13,8 +13,9 @@ import numpy as np
 
 from ctr_nlp.models import Model, Snap
 from ctr_nlp.ocp.compiled_wall import WallDistance
+from ctr_nlp.paths.lumen import outermost_tube_radii
 from ctr_nlp.paths.target import SIGMA_GRID
-from ctr_nlp.paths.walls import WallGeometry
+from ctr_nlp.paths.walls import Body, WallGeometry, Walls
 from ctr_nlp.plan.measures import rms_over_sigma, root_mean_square
 from ctr_nlp.plan.simulation import Simulation, Simulator, shapes_between
 from ctr_nlp.robot import Robot
@@ -22,6 +23,11 @@ from ctr_nlp.typing import Array, Flags
 
 PLANNED_BRANCH_TOLERANCE_RAD = 0.05
 """rad: a robot whose tubes are turned by more from what was planned is in another equilibrium."""
+FIELD_ERROR_MM = 0.4
+"""mm by which a distance field may be off near a wall, with cells of up to 0.8 mm: half a cell in the middle of a
+lumen as narrow as the robot, and less elsewhere."""
+MEASURED_CLEARANCE_MM = 1.0
+"""Clearances below this, mm, are measured at the triangles of a wall."""
 
 
 class MotionEvaluation(NamedTuple):
@@ -45,18 +51,16 @@ def evaluate_motion(
     """
     robot = simulator.robot
     found = simulator(q)
-    clearance = None
-    between = None
+    of_walls = between = None
     if wall is not None:
-        clearance = WallDistance(wall).clearances(robot, robot.split(q)[1], found.shape, SIGMA_GRID)
-        between = clearance_between(robot, q, simulator.model, wall)
+        of_walls = wall_clearances(robot, wall, robot.split(q)[1], found.shape)
+        between = clearances_between(robot, q, simulator.model, wall)
     arrays = {
         "shape": found.shape,
         "tip_direction": found.tip_direction,
         "stability": found.stability,
         "stability_between": found.stability_between,
-        "clearance": clearance,
-        "clearance_between": between,
+        **name_clearances(of_walls, between),
     }
     reached = np.asarray(np.isfinite(found.shape).all(axis=(1, 2)))
     told = {
@@ -66,8 +70,58 @@ def evaluate_motion(
     return MotionEvaluation(arrays, told, found)
 
 
-def clearance_between(robot: Robot, q: Array, model: str | Model, wall: WallGeometry) -> Array:
-    """Compute the least clearance from the wall in each frame and on the path to it.
+def name_clearances(of_walls: Array | None, between: Array | None) -> dict[str, Array | None]:
+    """Return the fields of a plan on clearance; of_walls, between: (T, W, 101) mm, in frames and on the way there.
+
+    Each wall has clearances of its own where there are several.
+    """
+    if of_walls is None or between is None:
+        return dict.fromkeys(("clearance", "clearance_between", "wall_clearance", "wall_clearance_between"))
+    several = of_walls.shape[1] > 1
+    return {
+        # fmin, since it is not known only where no wall's is.
+        "clearance": np.fmin.reduce(of_walls, axis=1),
+        "clearance_between": np.fmin.reduce(between, axis=1),
+        "wall_clearance": of_walls if several else None,
+        "wall_clearance_between": between if several else None,
+    }
+
+
+def wall_clearances(robot: Robot, wall: WallGeometry, beta: Array, shape: Array) -> Array:
+    """Compute the clearance between a robot and each of its walls.
+
+    Parameters
+    ----------
+    robot : Robot
+        The robot.
+    wall : WallGeometry
+        A lumen, or several walls.
+    beta : ndarray
+        Extensions (T, d), mm.
+    shape : ndarray
+        Shapes (T, 101, 3), mm, at uniform sigma; NaN where the robot has none.
+
+    Returns
+    -------
+    ndarray
+        Clearance (T, W, 101), mm, of W walls; negative beyond a wall or its margin. Where a body's triangles are
+        known, the least of each row is exact: points that may be it are measured at the triangles.
+    """
+    parts = wall.each if isinstance(wall, Walls) else [wall]
+    found = np.empty((len(shape), len(parts), len(SIGMA_GRID)))
+    radii = outermost_tube_radii(robot, beta, SIGMA_GRID)
+    for k, part in enumerate(parts):
+        alone = Walls(None, (part,)) if isinstance(part, Body) else part
+        found[:, k] = clear = WallDistance(alone).clearances(robot, beta, shape, SIGMA_GRID)
+        if isinstance(part, Body) and part.surface is not None:
+            least = np.fmin.reduce(clear, axis=1, keepdims=True)
+            small = clear < np.minimum(least + FIELD_ERROR_MM, MEASURED_CLEARANCE_MM)
+            found[:, k][small] = part.room(shape[small]) - radii[small]
+    return found
+
+
+def clearances_between(robot: Robot, q: Array, model: str | Model, wall: WallGeometry) -> Array:
+    """Compute the least clearance from each wall in each frame and on the path to it.
 
     Parameters
     ----------
@@ -78,17 +132,17 @@ def clearance_between(robot: Robot, q: Array, model: str | Model, wall: WallGeom
     model : str or Model
         The kinematic model.
     wall : WallGeometry
-        A lumen, or the nearest of several walls.
+        A lumen, or several walls.
 
     Returns
     -------
-    (T, 101) array
+    (T, W, 101) array
         The least clearance in mm at each sigma over the 10 sub-steps to a frame; negative beyond the wall. In the
         first frame it is that of the frame alone. NaN where the robot has no shape.
     """
     found = shapes_between(robot, q, model)
-    clearance = WallDistance(wall).clearances(robot, found.beta, found.shape, SIGMA_GRID)
-    least = np.full((len(q), len(SIGMA_GRID)), np.nan)
+    clearance = wall_clearances(robot, wall, found.beta, found.shape)
+    least = np.full((len(q), *clearance.shape[1:]), np.nan)
     # Several rows belong to one frame: with fmin.at all of them count, with plain indexing only the last would.
     np.fmin.at(least, found.frames, clearance)
     return least

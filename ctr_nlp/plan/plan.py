@@ -22,10 +22,12 @@ from ctr_nlp.paths.problem import Problem
 from ctr_nlp.plan.measures import e3
 from ctr_nlp.plan.monte_carlo import DEFAULT_PLAN_SAMPLE_SEED, DEFAULT_PLAN_SAMPLES, robustness
 from ctr_nlp.plan.motion_evaluation import (
-    clearance_between,
+    clearances_between,
     describe_branch_failures,
     evaluate_motion,
     find_off_branch_frames,
+    name_clearances,
+    wall_clearances,
 )
 from ctr_nlp.plan.plan_data import (
     DIGEST,
@@ -34,6 +36,7 @@ from ctr_nlp.plan.plan_data import (
     PlanData,
     check_arrays,
     check_meta,
+    count_walls,
     digest,
     pack_walls,
     planned_model,
@@ -95,6 +98,9 @@ class Plan(PlanData):
         Points and radii (N, 4) of the whole lumen, mm.
     clearance, clearance_between : ndarray or None
         Clearance (T, 101), mm, negative in contact, in each frame, and the least one in the sub-steps to it.
+    wall_clearance, wall_clearance_between : ndarray or None
+        The same for each of W walls (T, W, 101), mm, where there are several: the lumen, if it is one, and
+        :attr:`walls`.
     free : ndarray or None
         The motion (T, 2d + 2) that was found without the wall.
     drawn : Robustness or None
@@ -282,7 +288,9 @@ class Plan(PlanData):
         wall = self.wall
         if wall is None or self.clearance is None or self.clearance_between is not None:
             return self
-        return replace(self, clearance_between=clearance_between(self.robot, self.q, self.evaluated_model, wall))
+        of_walls = wall_clearances(self.robot, wall, self.beta, self.shape)
+        between = clearances_between(self.robot, self.q, self.evaluated_model, wall)
+        return replace(self, **name_clearances(of_walls, between) | {"clearance": self.clearance})
 
     def _evaluate_on_model(self, model: Model, metadata: dict[str, Any]) -> Plan:
         """Return the plan with its motion simulated on `model`, and with `metadata` in its meta."""
@@ -449,7 +457,7 @@ class Plan(PlanData):
             arrays, meta, changed = read_plan_file(path)
             check_meta(meta)
             walls = take_walls(meta, arrays)
-            check_arrays(arrays, Robot.from_dict(meta["robot"]).d)
+            check_arrays(arrays, Robot.from_dict(meta["robot"]).d, count_walls("lumen" in arrays, walls))
             drawn = None
             if set(SAMPLE_ARRAY_NAMES) <= set(arrays):
                 seed = whole_number(OutputError, "seed of meta's draws", meta.pop("draws", {}).get("seed"), 0)

@@ -39,6 +39,7 @@ class PlanData(Value):
     robot frame; where known, truth (T, 2d + 2), the configurations that the target was made with; lumen_radius (T,
     101) mm at the target's points; lumen (N, 4), path and radius of the whole lumen, mm; clearance (T, 101) mm
     between tubes and wall in each frame; clearance_between (T, 101) mm, the least in the sub-steps to each frame;
+    wall_clearance, wall_clearance_between (T, W, 101) mm, those of each wall where there are several;
     free (T, 2d + 2), the motion that was found without the wall; drawn, the results on samples of the robot;
     walls, the bodies that the robot stays inside of or keeps away from. Frames that were never reached are NaN.
     Arrays and meta are read-only copies.
@@ -65,6 +66,8 @@ class PlanData(Value):
     lumen: Array | None = None
     clearance: Array | None = None
     clearance_between: Array | None = None
+    wall_clearance: Array | None = None
+    wall_clearance_between: Array | None = None
     free: Array | None = None
     drawn: Robustness | None = None
     walls: tuple[Body, ...] = ()
@@ -164,6 +167,7 @@ PLAN_ARRAY_SHAPES: dict[str, tuple[int | str, ...]] = {
     **dict.fromkeys(("target", "shape"), ("T", 101, 3)),
     **dict.fromkeys(("target_direction", "tip_direction"), ("T", 3)),
     **dict.fromkeys(("lumen_radius", "clearance", "clearance_between"), ("T", 101)),
+    **dict.fromkeys(("wall_clearance", "wall_clearance_between"), ("T", "W", 101)),
     **dict.fromkeys(("truth", "free"), ("T", "q")),
     "to_robot": (4, 4),
     "lumen": ("N", 4),
@@ -179,12 +183,15 @@ PLAN_ARRAY_SHAPES: dict[str, tuple[int | str, ...]] = {
     **{SAMPLE_ARRAY_PREFIX + name: ("d", 6) for name in ("growth", "lost_alone")},
     "draws_length": ("T",),
 }
-"""Sizes of the arrays: T frames, d tubes, q = 2d + 2 joints, N points of a lumen, D samples, C cloud frames."""
+"""Sizes of the arrays: T frames, d tubes, q = 2d + 2 joints, N points of a lumen, W walls, D samples, C cloud
+frames."""
 SAMPLE_ARRAY_NAMES = tuple(name for name in PLAN_ARRAY_SHAPES if name.startswith(SAMPLE_ARRAY_PREFIX))
 OPTIONAL_PLAN_ARRAYS = (
     "lumen_radius",
     "clearance",
     "clearance_between",
+    "wall_clearance",
+    "wall_clearance_between",
     "truth",
     "free",
     "lumen",
@@ -308,6 +315,11 @@ def take_walls(meta: dict[str, Any], arrays: dict[str, npt.NDArray[Any]]) -> tup
     return walls
 
 
+def count_walls(lumen_known: bool, walls: tuple[Body, ...]) -> int:
+    """Return the number of walls that count; lumen_known: whether there is a path with radii. walls: the bodies."""
+    return len(walls) + (lumen_known and all(body.keep_out for body in walls))
+
+
 def _reject_non_finite(constant: str) -> Any:
     """Raise OutputError: JSON has no NaN and no infinity, and plans are saved without them."""
     raise OutputError(f"meta holds {constant}; its numbers must be finite")
@@ -358,14 +370,17 @@ def _check_meta_entries(meta: Mapping[str, Any]) -> None:
             raise OutputError(f"interpolated of meta holds {frame!r:.40}; it must be a list of frames")
 
 
-def check_arrays(arrays: Mapping[str, npt.NDArray[Any]], tubes: int) -> None:
-    """Raise OutputError unless arrays, by name, have types and sizes of a plan for a robot of `tubes` tubes."""
+def check_arrays(arrays: Mapping[str, npt.NDArray[Any]], tubes: int, walls: int) -> None:
+    """Raise OutputError unless arrays, by name, have types and sizes of a plan.
+
+    tubes: number of tubes of its robot. walls: number of its walls, the lumen's included where it is one.
+    """
     missing = [name for name in REQUIRED_PLAN_ARRAYS if name not in arrays]
     if missing:
         raise OutputError(f"it has no {missing[0]}")
     frames = arrays["time"].size
     points = len(np.atleast_1d(arrays.get("lumen", np.empty(0))))
-    sizes = {"T": frames, "d": tubes, "q": 2 * tubes + 2, "N": points}
+    sizes = {"T": frames, "d": tubes, "q": 2 * tubes + 2, "N": points, "W": walls}
     sizes |= {
         size: len(np.atleast_1d(arrays.get(SAMPLE_ARRAY_PREFIX + name, ())))
         for size, name in SAMPLE_SIZE_ARRAYS.items()

@@ -80,7 +80,8 @@ def reverse_plan(plan: AnyPlan) -> AnyPlan:
     """Return a plan in the reverse order of frames, with the same dt; raises LoadError under a load over time."""
     require_constant_load(plan.evaluated_load, "a plan that is played backwards")
     back = {name: array[::-1] for name, array in per_frame_arrays(plan).items() if name != "time"}
-    for own, between in (("stability", "stability_between"), ("clearance", "clearance_between")):
+    for own in ("stability", "clearance", "wall_clearance"):
+        between = f"{own}_between"
         if own in back and between in back:
             # Entry j of the forward motion is the least on the way from frame j - 1 to j, which the reverse motion
             # passes on its way from j to j - 1. Nothing leads to its first frame: only the frame itself counts

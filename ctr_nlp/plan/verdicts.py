@@ -16,10 +16,11 @@ import numpy as np
 
 from ctr_nlp.ocp.settings import Settings
 from ctr_nlp.plan.measures import (
+    DeepestPoint,
     arrival,
     describe_shortcut,
     e3,
-    find_deepest_point,
+    find_deepest_points,
     find_most_used_limit,
     largest_error,
 )
@@ -87,7 +88,9 @@ class Verdicts(NamedTuple):
     within_limits : Verdict
         Positions, order, carriages, speeds and accelerations are allowed. Number: percent of the limit.
     within_wall : Verdict
-        No place is further beyond the wall than ``contact_allowed``, in any frame or between frames. Number: mm.
+        No place is further beyond a wall than ``contact_allowed``, in any frame or between frames, and none is
+        nearer to a body that the robot keeps out of than its margin. Number: mm beyond the wall that is missed by
+        most.
     holds : Verdict
         At least ``share`` of the simulated robots stay on their branch, arrive, and press into the wall by at most
         :data:`~ctr_nlp.plan.sample_outcomes.SAMPLE_CONTACT_ALLOWED_MM`. Number: their share.
@@ -275,29 +278,56 @@ def _count_unknown_frames(plan: PlanData) -> int:
 
 
 def _judge_wall_contact(plan: PlanData) -> Judgement:
-    """Check that no point is deeper in the wall than allowed, in or between frames; number: mm of contact."""
+    """Check that no point is deeper in a wall than allowed, in or between frames; number: mm of contact.
+
+    Tissue around a lumen gives a little, so that contact up to ``contact_allowed`` counts as within it. The margin
+    of a body that the robot keeps out of is not to be touched at all.
+    """
     unit = "mm of contact"
     if plan.clearance is None:
         return NOT_CHECKED, None, unit, "No wall is known: the path has no radii.", ""
-    allowed = float(option(plan, "contact_allowed"))
-    place = find_deepest_point(plan)
-    if place is None:
+    places = find_deepest_points(plan)
+    if not places:
         return NOT_CHECKED, None, unit, "No frame was reached.", ""
-    where = f"{place.when} {place.frame}, at tube {place.tube}, {place.arc_length:.0f} mm along the robot"
-    if place.depth > 0:
-        value = f"{place.depth:.2f} mm deep, frame {place.frame}"
-        why = f"The deepest contact is {place.depth:.2f} mm {where}; {allowed:g} mm is allowed."
-    else:
-        value = f"{-place.depth:.2f} mm clear"
-        why = f"The least clearance is {-place.depth:.2f} mm {where}."
-    depth = max(place.depth, 0.0)
-    if depth <= allowed:
+    allowed = dict.fromkeys(places, float(option(plan, "contact_allowed")))
+    allowed |= {body.name: 0.0 for body in plan.walls if body.keep_out}
+    # The wall that is missed by most comes first; without one, the nearest.
+    order = sorted(places, key=lambda name: allowed[name] - places[name].depth)
+    several = len(order) > 1
+    why = " ".join(_describe_deepest_point(plan, places[name], allowed[name], name * several) for name in order)
+    worst = places[order[0]]
+    of = f" ({order[0]})" * several
+    value = f"{-worst.depth:.2f} mm clear{of}"
+    if worst.depth > 0:
+        value = f"{worst.depth:.2f} mm deep, frame {worst.frame}{of}"
+    depth = max(worst.depth, 0.0)
+    kept = all(place.depth <= allowed[name] for name, place in places.items())
+    if kept:
         unknown = int((~plan.reached_frames).sum())
         if unknown:
             return NOT_CHECKED, depth, unit, f"{why} {unknown} frames have no shape.", value
         if plan.clearance_between is None:
             return NOT_CHECKED, depth, unit, f"{why} Contact between frames was not checked.", value
-    return _judge_by_shape(plan, depth <= allowed, depth, unit, why, value)
+    return _judge_by_shape(plan, kept, depth, unit, why, value)
+
+
+def _describe_deepest_point(plan: PlanData, place: DeepestPoint, allowed: float, name: str) -> str:
+    """Return a sentence on the point where a robot is deepest in a wall, or nearest to it.
+
+    allowed: depth that is allowed, mm. name: of the wall; empty where it is the only one.
+    """
+    where = f"{place.when} {place.frame}, at tube {place.tube}, {place.arc_length:.0f} mm along the robot"
+    space = plan.meta["problem"].get("space")
+    if space is not None and (plan.walls or space != "xyz"):
+        where += f", at ({', '.join(f'{x:.1f}' for x in place.point + 0.0)}) mm, {space}"
+    body = next((body for body in plan.walls if body.name == name), None)
+    margin = "" if body is None or not body.margin else f" within the margin of {body.margin:g} mm"
+    begin = f"{name}: the" if name else "The"
+    if place.depth > 0:
+        limit = f"{allowed:g} mm is allowed" if allowed else "none is allowed"
+        return f"{begin} deepest contact{margin} is {place.depth:.2f} mm {where}; {limit}."
+    beyond = margin.replace("within", "beyond")
+    return f"{begin} least clearance{beyond} is {-place.depth:.2f} mm {where}."
 
 
 def _judge_robustness(plan: PlanData) -> Judgement:
