@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from ctr_nlp.anatomy.problem_files import problem_from_file, read_csv
+    from ctr_nlp.anatomy.wall_files import WallFile, read_wall
     from ctr_nlp.exceptions import CtrError
     from ctr_nlp.identify.calibration.calibration import Calibration, calibrate
     from ctr_nlp.identify.calibration.measurements import Measurements
@@ -24,6 +25,7 @@ if TYPE_CHECKING:
     from ctr_nlp.paths.named_problems import named_problem
     from ctr_nlp.paths.problem import Problem
     from ctr_nlp.paths.target import Target, growing, sequence
+    from ctr_nlp.paths.walls import Body
     from ctr_nlp.plan.metrics import by_frame, summary
     from ctr_nlp.plan.plan import Plan
     from ctr_nlp.plan.simulation import shape_curve, shapes
@@ -42,6 +44,7 @@ if TYPE_CHECKING:
 __version__ = "0.1.0"
 
 __all__ = [
+    "Body",
     "Calibration",
     "CtrError",
     "Curve",
@@ -64,6 +67,7 @@ __all__ = [
     "Target",
     "Tolerances",
     "Tube",
+    "WallFile",
     "WallForces",
     "__version__",
     "assign_to_robots",
@@ -84,6 +88,7 @@ __all__ = [
     "read_measurements",
     "read_robot",
     "read_stock",
+    "read_wall",
     "run_study",
     "sequence",
     "shape_curve",
@@ -99,6 +104,7 @@ __all__ = [
 
 _HOMES = {
     "anatomy.problem_files": ("problem_from_file", "read_csv"),
+    "anatomy.wall_files": ("WallFile", "read_wall"),
     "identify.calibration.calibration": ("Calibration", "calibrate"),
     "identify.calibration.measurements": ("Measurements",),
     "identify.calibration.reading": ("read_measurements",),
@@ -127,6 +133,7 @@ _HOMES = {
     "paths.named_problems": ("named_problem",),
     "paths.problem": ("Problem",),
     "paths.target": ("Target", "growing", "sequence"),
+    "paths.walls": ("Body",),
 }
 """Module -> the public names that it holds."""
 

@@ -13,7 +13,7 @@ import numpy.typing as npt
 from ctr_nlp.anatomy.reading import NO_FACTS, FileFacts
 from ctr_nlp.exceptions import CurveError
 from ctr_nlp.paths.points import LEAST_POINTS, LONGEST_MM, SHORTEST_MM, check_coordinates
-from ctr_nlp.typing import Array
+from ctr_nlp.typing import Array, Flags
 
 CENTRELINE_SPACE_TO_LPS = {"LPS": np.eye(4), "RAS": np.diag([-1.0, -1.0, 1.0, 1.0])}
 """Patient coordinates by the directions in which x, y, z grow (left, posterior, superior or right, anterior,
@@ -40,17 +40,26 @@ class Branch:
 
 
 @dataclass(frozen=True)
+class LumenMask:
+    """Voxels of a lumen (l, m, n), and the transform (4, 4) from their indices to mm in LPS."""
+
+    voxels: Flags
+    affine: Array
+
+
+@dataclass(frozen=True)
 class Branches:
     """The branches of a file.
 
     space: coordinate system of the file. to_lps (4, 4): rigid transform from it to LPS, both in mm.
-    facts: what its reader found out about the file.
+    facts: what its reader found out about the file. mask: the lumen's voxels, where the file is a mask.
     """
 
     branches: tuple[Branch, ...]
     space: str
     to_lps: Array
     facts: FileFacts = NO_FACTS
+    mask: LumenMask | None = None
 
     @property
     def from_lps(self) -> Array:

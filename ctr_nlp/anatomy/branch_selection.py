@@ -14,6 +14,7 @@ from scipy.spatial import cKDTree
 from ctr_nlp.anatomy.branch import (
     Branch,
     Branches,
+    LumenMask,
     checked_point,
     format_point,
     name_source_in_errors,
@@ -59,7 +60,8 @@ class BranchSegment:
 
     branch: the whole branch, in LPS. start, stop: arc lengths between which it is followed, mm. to_lps: transform
     (4, 4) from the file's coordinates to LPS. space: name of the file's coordinates, as in Branches. whole: the
-    points and radii of the branch. facts: what its reader found out about the file.
+    points and radii of the branch. facts: what its reader found out about the file. mask: the lumen's voxels,
+    where the file is a mask.
     """
 
     branch: Curve
@@ -69,6 +71,7 @@ class BranchSegment:
     space: str
     whole: Branch
     facts: FileFacts = NO_FACTS
+    mask: LumenMask | None = None
 
     @property
     def followed_path(self) -> Curve:
@@ -130,7 +133,9 @@ def read_branch_segment(
         leak = find_leak(transform_points(curve.point(s), branches.from_lps), curve.radius(s))
         if leak is not None:
             facts = replace(facts, notes=(*facts.notes, leak.partition(";")[0]))
-    return BranchSegment(curve, start, stop, branches.to_lps, branches.space, found, facts)
+    return BranchSegment(
+        curve, start, stop, branches.to_lps, branches.space, found, facts=facts, mask=branches.mask
+    )
 
 
 def _end_notes(

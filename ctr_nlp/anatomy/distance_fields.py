@@ -2,7 +2,8 @@
 
 The wall of a mask is the surface at half of the mask's value, smoothed by half a voxel: unbiased on cylinders,
 where the nearest voxel centre lies 0.15 to 0.2 mm inside. Where the border of the image cuts the lumen, the surface
-is open. Distances are those to the nearest triangle.
+is open. Its steps from voxel to voxel are flattened before a field is made of it: programs follow the field's
+curvatures, and verdicts measure at the surface itself. Distances are those to the nearest triangle.
 """
 
 from __future__ import annotations
@@ -80,12 +81,30 @@ def surface_of_mask(lumen: Flags, affine: Array, near: Array | None = None) -> S
     found = image.contour([MASK_WALL_VALUE], scalars="mask", method="flying_edges", compute_normals=False)
     if not found.n_points:
         raise CurveError("its lumen is thinner than a voxel: no wall can be made of it")
-    # Taubin's filter flattens the steps of the voxels without shrinking the surface.
-    found = found.smooth_taubin(n_iter=STEP_SMOOTHING_ROUNDS, pass_band=STEP_PASS_BAND)
     # flying_edges orders corners so that normals point to smaller values, out of the lumen.
     to_mm = affine @ np.diag([*(1 / spacing), 1.0])
     to_mm[:3, 3] -= 2 * affine[:3, :3].sum(axis=1)
-    return Surface(found.points, found.faces.reshape(-1, 4)[:, 1:]).apply_transform(to_mm)
+    whole = Surface(found.points, found.faces.reshape(-1, 4)[:, 1:]).apply_transform(to_mm)
+    return whole if near is None else crop_surface(whole, near)
+
+
+def flatten_steps(surface: Surface) -> Surface:
+    """Flatten the steps from voxel to voxel in the surface of a mask, by Taubin's filter, which does not shrink it.
+
+    Parameters
+    ----------
+    surface : Surface
+        As `surface_of_mask` makes it.
+
+    Returns
+    -------
+    Surface
+        The same triangles between moved vertices.
+    """
+    pyvista = import_extra("pyvista")
+    mesh = pyvista.PolyData.from_regular_faces(surface.vertices, surface.triangles)
+    flat = mesh.smooth_taubin(n_iter=STEP_SMOOTHING_ROUNDS, pass_band=STEP_PASS_BAND)
+    return Surface(flat.points, surface.triangles)
 
 
 def field_of_mask(lumen: Flags, affine: Array, near: Array | None = None) -> DistanceField:
@@ -112,7 +131,7 @@ def field_of_mask(lumen: Flags, affine: Array, near: Array | None = None) -> Dis
     OptionError
         pyvista is not installed.
     """
-    return field_of_surface(surface_of_mask(lumen, affine, near), near, cells=affine)
+    return field_of_surface(flatten_steps(surface_of_mask(lumen, affine, near)), near, cells=affine)
 
 
 def field_of_surface(surface: Surface, near: Array | None = None, cells: Array | None = None) -> DistanceField:
@@ -159,7 +178,7 @@ def field_of_surface(surface: Surface, near: Array | None = None, cells: Array |
 
 
 def crop_surface(surface: Surface, near: Array, within: float = NEAR_MM) -> Surface:
-    """Return the triangles of a surface in the box of points and a margin.
+    """Keep the triangles of a surface that are near points.
 
     Parameters
     ----------
@@ -168,26 +187,26 @@ def crop_surface(surface: Surface, near: Array, within: float = NEAR_MM) -> Surf
     near : ndarray
         Points (n, 3), mm.
     within : float
-        Margin of the box, mm.
+        Distance from the nearest of them, mm.
 
     Returns
     -------
     Surface
-        The triangles that reach into the box.
+        The triangles of which a part is so near.
 
     Raises
     ------
     CurveError
-        No triangle is there.
+        No triangle is so near.
     """
-    low, high = near.min(axis=0) - within, near.max(axis=0) + within
-    corners = surface.corners
-    kept = ((corners.max(axis=1) >= low) & (corners.min(axis=1) <= high)).all(axis=1)
+    away, _ = cKDTree(near).query(surface.piece_centres, distance_upper_bound=within)
+    kept = np.zeros(len(surface.triangles), bool)
+    kept[surface.piece_triangles[np.isfinite(away)]] = True
     if not kept.any():
-        gap = np.linalg.norm(np.maximum(0, np.maximum(low - corners.max((0, 1)), corners.min((0, 1)) - high)))
+        gap = cKDTree(near).query(surface.piece_centres)[0].min()
         raise CurveError(
-            f"its surface is nowhere within {within:g} mm of the path, but {gap + within:.0f} mm away: are both in "
-            "the same coordinates (--space) and units (--units)?"
+            f"its surface is {gap:.0f} mm away from the path; it must come within {within:g} mm: are both in the "
+            "same coordinates (--space) and units (--units)?"
         )
     return surface.keep_triangles(kept)
 

@@ -12,18 +12,34 @@ import numpy.typing as npt
 
 from ctr_nlp.anatomy.branch import check_branches, name_source_in_errors
 from ctr_nlp.anatomy.branch_selection import read_branch_segment
+from ctr_nlp.anatomy.distance_fields import NEAR_MM
 from ctr_nlp.anatomy.files import is_mask, title
 from ctr_nlp.anatomy.formats.table import read_table
 from ctr_nlp.anatomy.plausibility import check_reach
 from ctr_nlp.anatomy.reading import ASSUMED, SPACES, ReadOptions
+from ctr_nlp.anatomy.wall_files import WallFile, body_of_mask, place_walls
 from ctr_nlp.exceptions import CurveError, OptionError, RobotError
 from ctr_nlp.paths.curve import Curve, curve_from_points
 from ctr_nlp.paths.placement import move_to_robot_frame, normalise_direction, trim_curve
 from ctr_nlp.paths.problem import Problem
 from ctr_nlp.paths.target import check_frames, growing
+from ctr_nlp.paths.walls import Body
 from ctr_nlp.robot import Robot, table_i_robot
 from ctr_nlp.robot.units import between, did_you_mean, suggest_angle
-from ctr_nlp.support.value_checks import check_instance, checked_path, number
+from ctr_nlp.support.value_checks import check_choice, check_instance, checked_path, number
+from ctr_nlp.typing import Array
+
+WALLS = ("surface", "lumen")
+"""What the wall of a mask may be: its surface, or a round lumen around the path."""
+SURFACE_NOTE = (
+    f"the wall is the surface of the mask, up to {NEAR_MM:g} mm from the path; --wall lumen takes a round lumen with "
+    "the path's radius instead"
+)
+LUMEN_NOTE = (
+    "the wall is a round lumen with the path's radius, which lumens are not: contact may be off by a millimetre"
+)
+PATH_SPACING_MM = 1.0
+"""Distance between the points of a path around which walls are read, mm."""
 
 
 def problem_from_file(
@@ -48,6 +64,8 @@ def problem_from_file(
     form: str | None = None,
     accept: Sequence[str] = (),
     pieces: Sequence[str | Path] = (),
+    wall: Literal["surface", "lumen"] | None = None,
+    walls: Sequence[Body | WallFile] = (),
 ) -> Problem:
     r"""Make the problem of advancing along a path in a file: a centreline file or a mask of the lumen.
 
@@ -97,11 +115,16 @@ def problem_from_file(
     pieces : sequence of str or Path
         Further files with pieces of the same tree, as 3D Slicer saves one curve for each; those that meet are
         joined.
+    wall : {"surface", "lumen"}, optional
+        What the wall of a mask is: its surface, the default, or a round lumen with the path's radius.
+    walls : sequence of Body or WallFile
+        Further walls, mm in LPS: bodies to keep out of or to stay inside of. Files are read near the path; see
+        :func:`read_wall` and :class:`WallFile`.
 
     Returns
     -------
     Problem
-        Its ``lumen`` is the whole branch where the file has radii, also what lies beyond `entry` and `target`; its
+        Its ``walls`` are the surface of a mask, named like the file, and those given. Its ``lumen`` is the whole branch where the file has radii, also what lies beyond `entry` and `target`; its
         ``to_robot`` takes the file's coordinates to the robot's frame; its ``notes`` say what was assumed,
         repaired or left out when the file was read.
 
@@ -138,6 +161,10 @@ def problem_from_file(
         check_instance(RobotError, "robot", robot, Robot)
     robot = _limit_tilt(robot or table_i_robot(), tilt)
     along = None if insertion is None else normalise_direction(insertion)
+    if wall is not None:
+        check_choice("wall", wall, WALLS)
+        if not is_mask(path):
+            raise OptionError(f"wall goes with a mask; {path} holds a path, whose radii are its lumen")
     options = ReadOptions(units, space, tuple(label), segment, threshold, form, tuple(accept))
     found = read_branch_segment(path, branch, entry, target, reverse, options, pieces)
     notes = list(found.facts.notes)
@@ -151,8 +178,20 @@ def problem_from_file(
             whole = followed.length
             followed = trim_curve(followed, robot.reach, trim)
             notes += _trim_notes(whole - followed.length, trim, entry is not None, target is not None)
+        near = _sample_path(followed)
         # Paths are in LPS, the direction in the file's own axes.
         followed, to_robot = move_to_robot_frame(followed, None if along is None else found.to_lps[:3, :3] @ along)
+    own = list[Body]()
+    if is_mask(path) and wall != "lumen":
+        assert found.mask is not None
+        with name_source_in_errors(path):
+            placed = body_of_mask(title(path), found.mask, near)
+        own.append(placed.body.apply_transform(to_robot))
+        notes += [SURFACE_NOTE, *placed.notes]
+    elif is_mask(path):
+        notes.append(LUMEN_NOTE)
+    others, wall_notes = place_walls(walls, near, to_robot, options)
+    notes += wall_notes
     # The lumen of the whole branch, in the same frame: tubes touch walls before the entry and beyond the target,
     # too.
     lumen = None if found.branch.radius is None else found.branch.apply_transform(to_robot)
@@ -163,10 +202,16 @@ def problem_from_file(
         duration,
         to_robot=to_robot @ found.to_lps,
         lumen=lumen,
+        walls=(*own, *others),
         space=found.space,
         space_assumed=found.space in SPACES and found.facts.space_known == ASSUMED,
         notes=tuple(notes),
     )
+
+
+def _sample_path(curve: Curve) -> Array:
+    """Return points (n, 3) of a curve, PATH_SPACING_MM apart, mm."""
+    return curve.point(np.linspace(0.0, curve.length, max(2, round(curve.length / PATH_SPACING_MM) + 1)))
 
 
 def _trim_notes(dropped: float, trim: str, entry_given: bool, target_given: bool) -> list[str]:

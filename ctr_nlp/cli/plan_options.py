@@ -7,6 +7,8 @@ import math
 from dataclasses import replace
 
 from ctr_nlp.anatomy.files import CENTRELINE_SUFFIXES, MASK_SUFFIXES
+from ctr_nlp.anatomy.formats.mesh import MESH_SUFFIXES
+from ctr_nlp.anatomy.problem_files import WALLS
 from ctr_nlp.anatomy.reading import ACCEPTABLE, FORMS, MM_PER_UNIT, SPACES, ReadOptions
 from ctr_nlp.cli.arguments import (
     DEFAULT_SETTINGS,
@@ -254,7 +256,24 @@ def add_file_options(parser: argparse.ArgumentParser) -> None:
         "your target"
     )
     group.add_argument("--trim", choices=("start", "end"), help=trim)
+    _add_wall_files(group)
     add_reading_options(group)
+
+
+def _add_wall_files(group: argparse._ActionsContainer) -> None:
+    """Add the options for walls besides the radii of a path to `group`."""
+    surface = "what the wall of a mask is: its surface (default), or a round lumen with the path's radius"
+    group.add_argument("--wall", choices=WALLS, help=surface)
+    kinds = f"a mask or a mesh ({', '.join(MESH_SUFFIXES)}) in the coordinates of PROBLEM's patient"
+    group.add_argument(
+        "--keep-out",
+        metavar="FILE[:LABEL][=MM]",
+        nargs="+",
+        help=f"bodies to keep out of, each with a margin in mm (default 0): {kinds}; LABEL chooses in a mask of several",
+    )
+    group.add_argument(
+        "--inside", metavar="FILE[:LABEL][=MM]", nargs="+", help="surfaces to stay inside of, instead of the radii"
+    )
 
 
 def add_reading_options(group: argparse._ActionsContainer) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import math
+import re
 import runpy
 import sys
 import traceback
@@ -13,6 +14,8 @@ from typing import Any
 
 from ctr_nlp.anatomy.files import CENTRELINE_SUFFIXES, MASK_SUFFIXES, centrelines_in
 from ctr_nlp.anatomy.problem_files import problem_from_file
+from ctr_nlp.anatomy.reading import ReadOptions
+from ctr_nlp.anatomy.wall_files import WallFile, name_of_wall
 from ctr_nlp.cli.terminal_output import announce, print_stderr
 from ctr_nlp.exceptions import CtrError, OptionError, ProblemError, suggest_names
 from ctr_nlp.models import Model, model_named
@@ -24,10 +27,13 @@ from ctr_nlp.robot import Robot
 PROBLEM_FILE_SUFFIXES = (*CENTRELINE_SUFFIXES, *MASK_SUFFIXES, ".py")
 """Suffixes of the files that problems are read from."""
 
+WALL_TEXT = re.compile(r"(?P<file>.*?)(:(?P<labels>\d+(,\d+)*))?(=(?P<margin>[^=/\\]*))?")
+"""FILE[:LABEL[,LABEL]][=MM], as the options for walls take it."""
 PACKAGE = Path(__file__).parents[1]
 FILE_OPTIONS = (
     *("branch", "entry", "target", "insertion", "tilt", "reverse", "smoothing", "trim"),
     *("units", "space", "pieces", "label", "segment", "threshold", "form", "accept"),
+    *("wall", "keep_out", "inside"),
 )
 """Options that go with a centreline file or a mask alone."""
 PROBLEM_ARGUMENT_HELP = (
@@ -63,7 +69,8 @@ def load_all(names: Sequence[str], arguments: argparse.Namespace) -> list[Proble
                 f"{names[0]} is a {kind}, and {more[0]} is given after it; only a centreline file goes with "
                 "further files, which hold pieces of the same tree"
             )
-        raise OptionError(f"--{next(iter(options))} goes with a centreline file or a mask; {names[0]} is a {kind}")
+        option = next(iter(options)).replace("_", "-")
+        raise OptionError(f"--{option} goes with a centreline file or a mask; {names[0]} is a {kind}")
     found = [_problem(name, arguments, options if _is_anatomy(name) else {}) for name in names]
     planned_on = getattr(arguments, "model", None)
     evaluated_on = getattr(arguments, "evaluate", None)
@@ -115,7 +122,31 @@ def _problem(name: str, arguments: argparse.Namespace, options: Mapping[str, Any
     if name.endswith(".py"):
         return from_python(name, arguments.frames, arguments.duration, robot)
     tilt = {"tilt": math.radians(options["tilt"])} if "tilt" in options else {}
-    return problem_from_file(name, robot, arguments.frames, arguments.duration, **{**options, **tilt})
+    walls = [
+        _wall_file(text, key == "keep_out") for key in ("inside", "keep_out") for text in options.get(key, ())
+    ]
+    others = {key: value for key, value in options.items() if key not in ("inside", "keep_out")}
+    return problem_from_file(name, robot, arguments.frames, arguments.duration, walls=walls, **{**others, **tilt})
+
+
+def _wall_file(text: str, keep_out: bool) -> WallFile:
+    """Return the wall that FILE[:LABEL[,LABEL]][=MM] stands for; raises OptionError where it has no such file.
+
+    keep_out: whether the robot keeps out of it.
+    """
+    found = WALL_TEXT.fullmatch(text)
+    assert found is not None
+    file, labels, margin = found["file"], found["labels"], found["margin"]
+    option = "--keep-out" if keep_out else "--inside"
+    if not Path(file).is_file():
+        raise OptionError(f"{option} is {text!r}; there is no file {file!r}. Write FILE, FILE=MM or FILE:LABEL=MM")
+    try:
+        distance = float(margin or 0)
+    except ValueError as error:
+        raise OptionError(f"{option} is {text!r}; its margin is {margin!r}, which is no number of mm") from error
+    chosen = tuple(int(label) for label in labels.split(",")) if labels else ()
+    name = f"{name_of_wall(file)}:{labels}" if labels else None
+    return WallFile(file, keep_out, margin=distance, name=name, options=ReadOptions(labels=chosen))
 
 
 def from_python(file: str, frames: int, duration: float, robot: Robot | None) -> Problem:

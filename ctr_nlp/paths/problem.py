@@ -128,6 +128,7 @@ class Problem(Value):
         object.__setattr__(self, "walls", tuple(self.walls))
         for body in self.walls:
             check_instance(ProblemError, "a wall of a problem", body, Body)
+        nearest_of(None, self.walls)  # each must have a name of its own
 
     @property
     def frames(self) -> int:

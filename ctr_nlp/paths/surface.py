@@ -144,6 +144,11 @@ class Surface(Value):
         """Points (p, 3) of the surface, mm, at most PIECE_MM apart."""
         return self._pieces[0]
 
+    @property
+    def piece_triangles(self) -> npt.NDArray[np.intp]:
+        """The triangle (p,) of each of `piece_centres`."""
+        return self._pieces[1]
+
     def apply_transform(self, transform: Array) -> Surface:
         """Return the surface moved by a rigid transform (4, 4)."""
         moved = self.vertices @ transform[:3, :3].T + transform[:3, 3]

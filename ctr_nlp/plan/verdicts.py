@@ -317,9 +317,9 @@ def _describe_deepest_point(plan: PlanData, place: DeepestPoint, allowed: float,
     allowed: depth that is allowed, mm. name: of the wall; empty where it is the only one.
     """
     where = f"{place.when} {place.frame}, at tube {place.tube}, {place.arc_length:.0f} mm along the robot"
-    space = plan.meta["problem"].get("space")
-    if space is not None and (plan.walls or space != "xyz"):
-        where += f", at ({', '.join(f'{x:.1f}' for x in place.point + 0.0)}) mm, {space}"
+    if (space := plan.meta["problem"].get("space")) is not None:
+        named = "the file's axes" if space == "xyz" else space
+        where += f", at ({', '.join(f'{x:.1f}' for x in place.point + 0.0)}) mm in {named}"
     body = next((body for body in plan.walls if body.name == name), None)
     margin = "" if body is None or not body.margin else f" within the margin of {body.margin:g} mm"
     begin = f"{name}: the" if name else "The"

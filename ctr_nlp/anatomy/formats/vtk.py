@@ -146,7 +146,7 @@ def _read(path: str | Path) -> tuple[Any, str]:
         # By default the legacy reader reads only the first array of each kind.
         reader.ReadAllScalarsOn()
         reader.ReadAllFieldsOn()
-    with pyvista.vtk_verbosity("off"), _capture_vtk_errors() as errors:
+    with pyvista.vtk_verbosity("off"), capture_vtk_errors() as errors:
         reader.Update()
     if errors or not reader.GetOutput().IsA("vtkPointSet"):
         reason = f" ({errors[0]})" if errors else ""
@@ -158,7 +158,7 @@ def _read(path: str | Path) -> tuple[Any, str]:
 
 
 @contextmanager
-def _capture_vtk_errors() -> Iterator[list[str]]:
+def capture_vtk_errors() -> Iterator[list[str]]:
     """Capture VTK's messages on a bad file, which would go to stderr; after the block, the list that is yielded
     holds the first error.
     """

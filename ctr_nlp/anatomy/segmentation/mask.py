@@ -19,7 +19,7 @@ from scipy.ndimage import binary_erosion, distance_transform_edt, find_objects
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import dijkstra
 
-from ctr_nlp.anatomy.branch import Branch, Branches, checked_point, name_source_in_errors, transform_points
+from ctr_nlp.anatomy.branch import Branch, Branches, LumenMask, checked_point, name_source_in_errors, transform_points
 from ctr_nlp.anatomy.formats.images import IMAGE_SPACE_TO_LPS, Image, read_image
 from ctr_nlp.anatomy.reading import AS_THE_FILE_SAYS, ReadOptions
 from ctr_nlp.anatomy.segmentation.centring import centre_route, lie_in_lumen
@@ -48,18 +48,28 @@ def read_mask(
     The route is found by Dijkstra's algorithm at a cost that grows towards the wall, then centred in its
     cross-sections and smoothed.
     """
-    image = read_image(path, options)
-    to_lps = IMAGE_SPACE_TO_LPS[image.space]
+    lumen, selected_notes = read_lumen(path, options)
+    to_lps = IMAGE_SPACE_TO_LPS[lumen.space]
     with name_source_in_errors(path):
-        selected, selected_notes = select_lumen(image, options)
-        lumen = _crop_to_lumen(replace(image, voxels=selected))
         ends = np.array([_end(lumen, "entry", entry), _end(lumen, "target", target)])
-        tube = _tube(lumen.voxels, image.spacing, ends)
-        own = transform_points(tube[:, :3] / image.spacing, lumen.affine)
+        tube = _tube(lumen.voxels, lumen.spacing, ends)
+        own = transform_points(tube[:, :3] / lumen.spacing, lumen.affine)
         width_notes = check_widths(own, tube[:, 3], options)
     branch = Branch(Path(path).name.partition(".")[0], transform_points(own, to_lps), tube[:, 3])
-    facts = replace(image.facts, notes=(*image.facts.notes, *selected_notes, *width_notes))
-    return Branches((branch,), image.space, to_lps, facts)
+    facts = replace(lumen.facts, notes=(*lumen.facts.notes, *selected_notes, *width_notes))
+    mask = LumenMask(lumen.voxels, to_lps @ lumen.affine)
+    return Branches((branch,), lumen.space, to_lps, facts, mask)
+
+
+def read_lumen(path: str | Path, options: ReadOptions = AS_THE_FILE_SAYS) -> tuple[Image, tuple[str, ...]]:
+    """Read the voxels of the lumen in a mask, cropped to them, and notes on how they were chosen.
+
+    path, options: as `read_mask`. Raises CurveError, and OptionError where nibabel or pynrrd is missing.
+    """
+    image = read_image(path, options)
+    with name_source_in_errors(path):
+        selected, notes = select_lumen(image, options)
+        return _crop_to_lumen(replace(image, voxels=selected)), notes
 
 
 def _crop_to_lumen(image: Image) -> Image:

@@ -11,6 +11,7 @@ from ctr_nlp.anatomy.branch import Branch, Branches, format_point, transform_poi
 from ctr_nlp.anatomy.files import ANATOMY_SUFFIXES, is_mask, read_branches
 from ctr_nlp.anatomy.formats.images import read_image
 from ctr_nlp.anatomy.plausibility import widens
+from ctr_nlp.anatomy.problem_files import SURFACE_NOTE
 from ctr_nlp.anatomy.reading import ReadOptions
 from ctr_nlp.cli.arguments import add_entry_option, add_triple
 from ctr_nlp.cli.console import EXIT_SOLVED, Command
@@ -58,7 +59,7 @@ def _run(arguments: argparse.Namespace) -> int:
     every = [_branch_row(k, branch, branches) for k, branch in enumerate(branches.branches, start=1)]
     text = ("name", "first point", "last point", "radius", "remark")
     print_table(f"branches, in mm; coordinates {branches.space}", BRANCH_COLUMNS, every, text=text)
-    for note in facts.notes:
+    for note in (*facts.notes, *([SURFACE_NOTE] if is_mask(arguments.file) else [])):
         announce(f"note: {note}")
     return EXIT_SOLVED
 
