@@ -1,9 +1,9 @@
 """Walls from masks and surfaces: signed distances at the nodes of grids (paths/distance_field.py).
 
 The wall of a mask is the surface at half of the mask's value, smoothed by half a voxel: unbiased on cylinders,
-where the nearest voxel centre lies 0.15 to 0.2 mm inside. Where the border of the image cuts the lumen, the surface
-is open. Its steps from voxel to voxel are flattened before a field is made of it: programs follow the field's
-curvatures, and verdicts measure at the surface itself. Distances are those to the nearest triangle.
+where the nearest voxel centre lies 0.15 to 0.2 mm inside. Where the border of the image cuts the lumen, the
+surface is open. Its steps from voxel to voxel are flattened before a field is made of it: programs follow the
+field's curvatures, and verdicts measure at the surface itself. Distances are those to the nearest triangle.
 """
 
 from __future__ import annotations
@@ -89,7 +89,7 @@ def surface_of_mask(lumen: Flags, affine: Array, near: Array | None = None) -> S
 
 
 def flatten_steps(surface: Surface) -> Surface:
-    """Flatten the steps from voxel to voxel in the surface of a mask, by Taubin's filter, which does not shrink it.
+    """Flatten the steps from voxel to voxel in the surface of a mask, by Taubin's filter.
 
     Parameters
     ----------
@@ -212,9 +212,10 @@ def crop_surface(surface: Surface, near: Array, within: float = NEAR_MM) -> Surf
 
 
 def _crop(lumen: Flags, affine: Array, near: Array | None) -> tuple[Flags, Array]:
-    """Return the box of a mask that holds its lumen, near points (n, 3) mm, and the transform (4, 4) of its indices.
+    """Return the box of a mask that holds its lumen near points, and the transform (4, 4) from its indices to mm.
 
-    A voxel around the lumen is kept, where the image has one: it is wall.
+    near: points (n, 3), mm, or None for the whole lumen. A voxel around the lumen is kept, where the image has
+    one: it is wall.
     """
     start, stop = np.zeros(3, int), np.array(lumen.shape)
     if near is not None:
@@ -275,7 +276,7 @@ def _coarse_values(surface: Surface, to_mm: Array, size: Index) -> Array:
 
 
 def _fine_values(surface: Surface, to_mm: Array, coarse: Array, size: Index) -> tuple[Array, Flags, Index]:
-    """Return signed distances, mm, at the nodes of the fine grid, the blocks that touch the band, and its first node.
+    """Return signed distances, mm, at the nodes of the fine grid, the blocks in the band, and its first node.
 
     to_mm: transform (4, 4) from nodes to mm. coarse: values of the coarse grid, whose first node is the same.
     size: nodes (3,) of the box.

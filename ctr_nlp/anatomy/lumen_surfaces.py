@@ -1,9 +1,10 @@
 """The surface of a lumen around a path, out of meshes that are open, thick-walled, or made of several parts.
 
-A segmentation ends where the robot enters, and often where it arrives. There the surface is opened: an end that was
-only cut is no wall. A mesh may also have openings, an outer surface, and walls inside of the lumen where its parts
-meet. The lumen is then what is connected to the path: it is flooded on a grid, between the voxels that triangles
-pass and lids on the openings. Triangles with the lumen on one side are its wall, whatever way they were turned.
+A segmentation ends where the robot enters, and often where it arrives. There the surface is opened: an end that
+was only cut is no wall. A mesh may also have openings, an outer surface, and walls inside of the lumen where its
+parts meet. The lumen is then what is connected to the path: it is flooded on a grid, between the voxels that
+triangles pass and lids on the openings. Triangles with the lumen on one side are its wall, whatever way they were
+turned.
 """
 
 from __future__ import annotations
@@ -35,7 +36,7 @@ FLOOD_AROUND_MM = 20.0
 LID_RADII = 3.0
 """Radius of the lid across a path's end, in radii of the lumen."""
 SIDE_CELLS = (1.1, 1.6, 2.2)
-"""Distances from a triangle, in voxels, at which both of its sides are looked at: its own voxels are not flooded."""
+"""Distances from a triangle, in voxels, at which its two sides are looked at: its own voxels are not flooded."""
 LEAST_REGION_PART = 0.05
 """Part of a path that must lie in a connected region for it to be lumen."""
 ACROSS = 0.5
@@ -136,14 +137,16 @@ def wall_around_path(surface: Surface, path: Array) -> tuple[Surface, int]:
     tangent = np.gradient(path, axis=0)
     tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
     beyond = np.where(in_front, behind, before)
-    leads_on = np.isin(beyond, there[own]).any(axis=0) & (np.abs((surface.normals * tangent[near]).sum(1)) > ACROSS)
+    leads_on = np.isin(beyond, there[own]).any(axis=0) & (
+        np.abs((surface.normals * tangent[near]).sum(1)) > ACROSS
+    )
     inner = (in_front & at_back) | ((in_front ^ at_back) & leads_on)
     wall = (in_front ^ at_back) & ~inner
     if not wall.any() or inner.sum() > wall.sum():
         raise CurveError("its surface does not close around the path: what is inside of it cannot be told")
-    triangles = surface.triangles.copy()
-    triangles[in_front] = triangles[in_front][:, ::-1]
-    return Surface(surface.vertices, triangles).keep_triangles(wall), int(inner.sum())
+    turned = surface.triangles.copy()
+    turned[in_front] = turned[in_front][:, ::-1]
+    return Surface(surface.vertices, turned).keep_triangles(wall), int(inner.sum())
 
 
 def _describe_end(surface: Surface, path: Array) -> tuple[Array, Array, float]:
@@ -205,7 +208,7 @@ def _voxels(places: Array, shape: Index) -> tuple[Index, Flags]:
     """Return the voxels (n, 3) that places (n, 3) are in, clipped to a grid of this shape, and which are in it."""
     at = np.floor(places).astype(int)
     inside = ((at >= 0) & (at < shape)).all(axis=1)
-    return np.clip(at, 0, np.array(shape) - 1), inside
+    return np.clip(at, 0, np.array(shape) - 1), np.asarray(inside)
 
 
 def _mark(voxels: Flags, places: Array) -> None:

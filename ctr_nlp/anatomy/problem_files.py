@@ -29,11 +29,11 @@ from ctr_nlp.robot.units import between, did_you_mean, suggest_angle
 from ctr_nlp.support.value_checks import check_choice, check_instance, checked_path, number
 from ctr_nlp.typing import Array
 
-WALLS = ("surface", "lumen")
+WALLS_OF_MASKS = ("surface", "lumen")
 """What the wall of a mask may be: its surface, or a round lumen around the path."""
 SURFACE_NOTE = (
-    f"the wall is the surface of the mask, up to {NEAR_MM:g} mm from the path; --wall lumen takes a round lumen with "
-    "the path's radius instead"
+    f"the wall is the surface of the mask, up to {NEAR_MM:g} mm from the path; --wall-of-mask lumen takes a round "
+    "lumen with the path's radius instead"
 )
 LUMEN_NOTE = (
     "the wall is a round lumen with the path's radius, which lumens are not: contact may be off by a millimetre"
@@ -64,7 +64,7 @@ def problem_from_file(
     form: str | None = None,
     accept: Sequence[str] = (),
     pieces: Sequence[str | Path] = (),
-    wall: Literal["surface", "lumen"] | None = None,
+    wall_of_mask: Literal["surface", "lumen"] | None = None,
     walls: Sequence[Body | WallFile] = (),
 ) -> Problem:
     r"""Make the problem of advancing along a path in a file: a centreline file or a mask of the lumen.
@@ -115,7 +115,7 @@ def problem_from_file(
     pieces : sequence of str or Path
         Further files with pieces of the same tree, as 3D Slicer saves one curve for each; those that meet are
         joined.
-    wall : {"surface", "lumen"}, optional
+    wall_of_mask : {"surface", "lumen"}, optional
         What the wall of a mask is: its surface, the default, or a round lumen with the path's radius.
     walls : sequence of Body or WallFile
         Further walls, mm in LPS: bodies to keep out of or to stay inside of. Files are read near the path; see
@@ -124,9 +124,10 @@ def problem_from_file(
     Returns
     -------
     Problem
-        Its ``walls`` are the surface of a mask, named like the file, and those given. Its ``lumen`` is the whole branch where the file has radii, also what lies beyond `entry` and `target`; its
-        ``to_robot`` takes the file's coordinates to the robot's frame; its ``notes`` say what was assumed,
-        repaired or left out when the file was read.
+        Its ``walls`` are the surface of a mask, named like the file, and those given. Its ``lumen`` is the whole
+        branch where the file has radii, also what lies beyond `entry` and `target`; its ``to_robot`` takes the
+        file's coordinates to the robot's frame; its ``notes`` say what was assumed, repaired or left out when the
+        files were read.
 
     Raises
     ------
@@ -161,10 +162,10 @@ def problem_from_file(
         check_instance(RobotError, "robot", robot, Robot)
     robot = _limit_tilt(robot or table_i_robot(), tilt)
     along = None if insertion is None else normalise_direction(insertion)
-    if wall is not None:
-        check_choice("wall", wall, WALLS)
+    if wall_of_mask is not None:
+        check_choice("wall_of_mask", wall_of_mask, WALLS_OF_MASKS)
         if not is_mask(path):
-            raise OptionError(f"wall goes with a mask; {path} holds a path, whose radii are its lumen")
+            raise OptionError(f"wall_of_mask goes with a mask; {path} holds a path, whose radii are its lumen")
     options = ReadOptions(units, space, tuple(label), segment, threshold, form, tuple(accept))
     found = read_branch_segment(path, branch, entry, target, reverse, options, pieces)
     notes = list(found.facts.notes)
@@ -182,7 +183,7 @@ def problem_from_file(
         # Paths are in LPS, the direction in the file's own axes.
         followed, to_robot = move_to_robot_frame(followed, None if along is None else found.to_lps[:3, :3] @ along)
     own = list[Body]()
-    if is_mask(path) and wall != "lumen":
+    if is_mask(path) and wall_of_mask != "lumen":
         assert found.mask is not None
         with name_source_in_errors(path):
             placed = body_of_mask(title(path), found.mask, near)

@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import NamedTuple
 
-import numpy as np
 import numpy.typing as npt
 
 from ctr_nlp.anatomy.branch import LumenMask, name_source_in_errors
@@ -16,7 +15,7 @@ from ctr_nlp.anatomy.files import is_mask, title
 from ctr_nlp.anatomy.formats.images import IMAGE_SPACE_TO_LPS
 from ctr_nlp.anatomy.formats.mesh import MESH_SUFFIXES, read_mesh
 from ctr_nlp.anatomy.lumen_surfaces import LEAST_INSIDE, open_ends, part_inside, wall_around_path
-from ctr_nlp.anatomy.reading import ReadOptions
+from ctr_nlp.anatomy.reading import AS_THE_FILE_SAYS, ReadOptions
 from ctr_nlp.exceptions import CurveError, OptionError
 from ctr_nlp.paths.surface import Surface
 from ctr_nlp.paths.walls import MAX_MARGIN_MM, Body
@@ -61,12 +60,14 @@ class WallFile:
     keep_out: bool = True
     margin: float = 0.0
     name: str | None = None
-    options: ReadOptions = ReadOptions()
+    options: ReadOptions = AS_THE_FILE_SAYS
 
     def __post_init__(self) -> None:
         checked_path(CurveError, self.path)
         allowed = f"lie in [0, {MAX_MARGIN_MM:g}] mm"
-        number(OptionError, f"margin of {self.path}", self.margin, lambda x: 0 <= x <= MAX_MARGIN_MM, allowed, " mm")
+        number(
+            OptionError, f"margin of {self.path}", self.margin, lambda x: 0 <= x <= MAX_MARGIN_MM, allowed, " mm"
+        )
         given = [name for name in MASK_OPTIONS if getattr(self.options, name) not in (None, ())]
         if given and not is_mask(self.path):
             raise OptionError(f"{given[0].removesuffix('s')} goes with a mask; {self.path} is a mesh")
@@ -168,16 +169,16 @@ def read_wall(
 
     Examples
     --------
-    >>> import tempfile, pyvista
+    >>> import tempfile
+    >>> import numpy as np
+    >>> import pyvista
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     pyvista.Sphere(radius=5).save(Path(folder, "node.stl"))
     ...     body = read_wall(Path(folder, "node.stl"), margin=2)
     >>> body.name, body.room(np.array([[9.0, 0.0, 0.0]])).round(1).tolist()
     ('node', [2.0])
     """
-    options = ReadOptions(
-        units, space, labels=tuple(label), segment=segment, threshold=threshold, form=form
-    )
+    options = ReadOptions(units, space, labels=tuple(label), segment=segment, threshold=threshold, form=form)
     line = None if near is None else floats(CurveError, "near", near, (None, 3))
     return WallFile(path, keep_out, margin, name, options).read(line).body
 
@@ -286,4 +287,3 @@ def place_walls(
         else:
             raise OptionError(f"a wall is {wall!r:.60}; give a Body, or a WallFile")
     return tuple(found), notes
-

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 from ctr_nlp.anatomy.files import CENTRELINE_SUFFIXES, MASK_SUFFIXES
 from ctr_nlp.anatomy.formats.mesh import MESH_SUFFIXES
-from ctr_nlp.anatomy.problem_files import WALLS
+from ctr_nlp.anatomy.problem_files import WALLS_OF_MASKS
 from ctr_nlp.anatomy.reading import ACCEPTABLE, FORMS, MM_PER_UNIT, SPACES, ReadOptions
 from ctr_nlp.cli.arguments import (
     DEFAULT_SETTINGS,
@@ -263,16 +263,21 @@ def add_file_options(parser: argparse.ArgumentParser) -> None:
 def _add_wall_files(group: argparse._ActionsContainer) -> None:
     """Add the options for walls besides the radii of a path to `group`."""
     surface = "what the wall of a mask is: its surface (default), or a round lumen with the path's radius"
-    group.add_argument("--wall", choices=WALLS, help=surface)
+    group.add_argument("--wall-of-mask", choices=WALLS_OF_MASKS, help=surface)
     kinds = f"a mask or a mesh ({', '.join(MESH_SUFFIXES)}) in the coordinates of PROBLEM's patient"
     group.add_argument(
         "--keep-out",
         metavar="FILE[:LABEL][=MM]",
         nargs="+",
-        help=f"bodies to keep out of, each with a margin in mm (default 0): {kinds}; LABEL chooses in a mask of several",
+        action="extend",
+        help=f"bodies to keep out of, each with a margin in mm (default 0): {kinds}; LABEL is that of a mask",
     )
     group.add_argument(
-        "--inside", metavar="FILE[:LABEL][=MM]", nargs="+", help="surfaces to stay inside of, instead of the radii"
+        "--inside",
+        metavar="FILE[:LABEL][=MM]",
+        nargs="+",
+        action="extend",
+        help="surfaces to stay inside of, instead of the path's radii",
     )
 
 

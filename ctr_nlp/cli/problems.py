@@ -33,7 +33,7 @@ PACKAGE = Path(__file__).parents[1]
 FILE_OPTIONS = (
     *("branch", "entry", "target", "insertion", "tilt", "reverse", "smoothing", "trim"),
     *("units", "space", "pieces", "label", "segment", "threshold", "form", "accept"),
-    *("wall", "keep_out", "inside"),
+    *("wall_of_mask", "keep_out", "inside"),
 )
 """Options that go with a centreline file or a mask alone."""
 PROBLEM_ARGUMENT_HELP = (

@@ -11,7 +11,6 @@ from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
-
 from scipy.spatial import cKDTree
 
 from ctr_nlp.exceptions import ProblemError
@@ -114,7 +113,9 @@ class Body(Value):
             Distances (n,), mm, less the margin, negative on the other side; from the triangles where they are
             known, elsewhere from the field.
         """
-        distance = self.field.evaluate(points)[0] if self.surface is None else self.surface.signed_distances(points)
+        distance = (
+            self.field.evaluate(points)[0] if self.surface is None else self.surface.signed_distances(points)
+        )
         return self.sign * distance - self.margin
 
     def surface_near(self, points: Array, within: float = 15.0) -> Surface:

@@ -183,7 +183,8 @@ def find_deepest_points(plan: PlanData) -> dict[str, DeepestPoint]:
         (name,) = plan.wall.names if isinstance(plan.wall, Walls) else [LUMEN_NAME]
         each = {name: _find_deepest_point(plan, plan.clearance, plan.clearance_between)}
     else:
-        assert isinstance(plan.wall, Walls) and plan.wall_clearance_between is not None
+        assert isinstance(plan.wall, Walls)
+        assert plan.wall_clearance_between is not None
         each = {
             name: _find_deepest_point(plan, plan.wall_clearance[:, k], plan.wall_clearance_between[:, k])
             for k, name in enumerate(plan.wall.names)

@@ -316,7 +316,10 @@ def take_walls(meta: dict[str, Any], arrays: dict[str, npt.NDArray[Any]]) -> tup
 
 
 def count_walls(lumen_known: bool, walls: tuple[Body, ...]) -> int:
-    """Return the number of walls that count; lumen_known: whether there is a path with radii. walls: the bodies."""
+    """Return the number of walls that count.
+
+    lumen_known: whether there is a path with radii. walls: the bodies.
+    """
     return len(walls) + (lumen_known and all(body.keep_out for body in walls))
 
 

@@ -8,9 +8,10 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
 from ctr_nlp.anatomy.branch import CENTRELINE_SPACE_TO_LPS
 from ctr_nlp.anatomy.formats.vtk import capture_vtk_errors
@@ -37,8 +38,8 @@ class Mesh(NamedTuple):
 def read_mesh(path: str | Path, options: ReadOptions = AS_THE_FILE_SAYS) -> Mesh:
     """Read the triangles of a mesh.
 
-    path: the file. options: what a person states about it. Triangles of each part are ordered alike, so that normals
-    point away from the middle of the part. Raises CurveError, and OptionError where pyvista is missing.
+    path: the file. options: what a person states about it. Triangles of each part are ordered alike, so that
+    normals point away from the middle of the part. Raises CurveError, and OptionError where pyvista is missing.
     """
     pyvista = import_extra("pyvista")
     if not Path(path).is_file():
@@ -70,7 +71,8 @@ def read_mesh(path: str | Path, options: ReadOptions = AS_THE_FILE_SAYS) -> Mesh
     )
     triangles = mesh.faces.reshape(-1, 4)[:, 1:]
     part = mesh.connectivity().cell_data["RegionId"]
-    surface = _orient_parts(Surface(np.asarray(mesh.points) * units.mm_per_unit, triangles), np.asarray(part))
+    vertices = np.asarray(mesh.points * units.mm_per_unit, np.float32)
+    surface = _orient_parts(Surface(vertices, triangles), np.asarray(part))
     return Mesh(surface.apply_transform(CENTRELINE_SPACE_TO_LPS[space]), mesh.n_open_edges, tuple(notes))
 
 
@@ -81,7 +83,7 @@ def _stated_space(path: Path) -> str:
     return found[1].decode(errors="replace") if found else ""
 
 
-def _orient_parts(surface: Surface, part: np.ndarray) -> Surface:  # type: ignore[type-arg]
+def _orient_parts(surface: Surface, part: npt.NDArray[Any]) -> Surface:
     """Return a surface whose parts have normals that point away from their middle; part (m,): of each triangle."""
     triangles = surface.triangles.copy()
     middle = surface.corners.mean(axis=1)

@@ -19,7 +19,14 @@ from scipy.ndimage import binary_erosion, distance_transform_edt, find_objects
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import dijkstra
 
-from ctr_nlp.anatomy.branch import Branch, Branches, LumenMask, checked_point, name_source_in_errors, transform_points
+from ctr_nlp.anatomy.branch import (
+    Branch,
+    Branches,
+    LumenMask,
+    checked_point,
+    name_source_in_errors,
+    transform_points,
+)
 from ctr_nlp.anatomy.formats.images import IMAGE_SPACE_TO_LPS, Image, read_image
 from ctr_nlp.anatomy.reading import AS_THE_FILE_SAYS, ReadOptions
 from ctr_nlp.anatomy.segmentation.centring import centre_route, lie_in_lumen
