@@ -19,7 +19,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from ctr_nlp.exceptions import CurveError
-from ctr_nlp.paths.surface import Surface
+from ctr_nlp.paths.surface import Surface, cut_triangles
 from ctr_nlp.typing import Array, Flags
 
 END_HEADING_MM = 3.0
@@ -41,6 +41,8 @@ LEAST_REGION_PART = 0.05
 """Part of a path that must lie in a connected region for it to be lumen."""
 ACROSS = 0.5
 """Cosine of the angle between a triangle's normal and the path above which it lies across the path."""
+MAX_RIM_PART = 0.5
+"""Part of the border of what is flooded that a lumen may reach; what is outside of all surfaces reaches most of it."""
 LEAST_INSIDE = 0.9
 """Part of a path that must lie inside of a surface that the robot stays inside of."""
 
@@ -111,7 +113,7 @@ def wall_around_path(surface: Surface, path: Array) -> tuple[Surface, int]:
     blocked = np.zeros(shape, bool)
     lids = [_disc(*_describe_end(surface, line)) for line in (path, path[::-1])]
     for triangles in (surface.corners, _cover_openings(surface), *lids):
-        _mark(blocked, (_sample(triangles, FLOOD_CELL_MM / 4) - origin) / FLOOD_CELL_MM)
+        _mark(blocked, (_sample(triangles, FLOOD_CELL_MM / 2) - origin) / FLOOD_CELL_MM)
     regions, _ = label(~blocked)
     at = _voxels((path - origin) / FLOOD_CELL_MM, shape)[0]
     there = regions[tuple(at.T)]
@@ -119,7 +121,15 @@ def wall_around_path(surface: Surface, path: Array) -> tuple[Surface, int]:
         raise CurveError("its surface leaves no room around the path")
     # A path may leave the surface at its end, into what is outside: such a region is none of the lumen.
     number, count = np.unique(there[there > 0], return_counts=True)
-    own = np.flatnonzero(np.isin(there, number[count >= LEAST_REGION_PART * count.sum()]))
+    chosen = number[count >= LEAST_REGION_PART * count.sum()]
+    rim = np.ones(shape, bool)
+    rim[1:-1, 1:-1, 1:-1] = False
+    if np.isin(regions[rim], chosen).mean() > MAX_RIM_PART:
+        raise CurveError(
+            "the path lies outside of its surface, or the surface has gaps: are both in the same coordinates "
+            "(--space)?"
+        )
+    own = np.flatnonzero(np.isin(there, chosen))
     middle = surface.corners.mean(axis=1)
     near = own[cKDTree(path[own]).query(middle)[1]]
     before, behind = (
@@ -191,17 +201,8 @@ def _cover_openings(surface: Surface) -> Array:
 
 def _sample(corners: Array, apart: float) -> Array:
     """Return points (n, 3) of triangles (m, 3, 3), at most `apart` mm from each other."""
-    sides = corners - np.roll(corners, 1, axis=1)
-    cuts = np.maximum(1, np.ceil(np.linalg.norm(sides, axis=2).max(axis=1, initial=0) / apart).astype(int))
-    found = [np.zeros((0, 3))]
-    for count in np.unique(cuts):
-        own = corners[cuts == count]
-        i, j = np.meshgrid(np.arange(count + 1), np.arange(count + 1), indexing="ij")
-        kept = i + j <= count
-        v, w = i[kept] / count, j[kept] / count
-        weights = np.stack([1 - v - w, v, w], axis=1)
-        found.append(np.einsum("pk,mkx->mpx", weights, own).reshape(-1, 3))
-    return np.concatenate(found)
+    pieces, _ = cut_triangles(corners, apart)
+    return np.concatenate([pieces.reshape(-1, 3), pieces.mean(axis=1)])
 
 
 def _voxels(places: Array, shape: Index) -> tuple[Index, Flags]:

@@ -120,19 +120,10 @@ class Surface(Value):
     @cached_property
     def _pieces(self) -> tuple[Array, npt.NDArray[np.intp], float]:
         """Centres (p, 3) of pieces of the triangles, the triangle of each (p,), and their largest radius, mm."""
-        a, ab, ac, *_ = self._sides
-        longest = np.sqrt(np.max([(ab**2).sum(1), (ac**2).sum(1), ((ac - ab) ** 2).sum(1)], axis=0))
-        cuts = np.maximum(1, np.ceil(longest / PIECE_MM).astype(int))
-        centres, owners, radius = [], [], 0.0
-        for count in np.unique(cuts):
-            own = np.flatnonzero(cuts == count)
-            v, w = _piece_centres(int(count))
-            at = a[own, None] + v[None, :, None] * ab[own, None] + w[None, :, None] * ac[own, None]
-            centres.append(at.reshape(-1, 3))
-            owners.append(np.repeat(own, len(v)))
-            # A piece is similar to its triangle: its centre is at most two thirds of the longest side from it.
-            radius = max(radius, 2 / 3 * float(longest[own].max()) / int(count))
-        return np.concatenate(centres), np.concatenate(owners), radius
+        pieces, owners = cut_triangles(self.corners, PIECE_MM)
+        centres = pieces.mean(axis=1)
+        radius = np.sqrt(((pieces - centres[:, None]) ** 2).sum(axis=2).max())
+        return centres, owners, float(radius)
 
     @cached_property
     def _tree(self) -> cKDTree:
@@ -252,10 +243,34 @@ def _unit(vectors: Array) -> Array:
     return np.asarray(vectors / np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), SMALLEST))
 
 
-def _piece_centres(count: int) -> tuple[Array, Array]:
-    """Return coordinates v, w (count^2,) of the centres of the pieces that a triangle is cut into."""
-    i, j = np.meshgrid(np.arange(count), np.arange(count), indexing="ij")
-    upright, turned = i + j < count, i + j < count - 1
-    v = np.concatenate([i[upright] + 1 / 3, i[turned] + 2 / 3]) / count
-    w = np.concatenate([j[upright] + 1 / 3, j[turned] + 2 / 3]) / count
-    return v, w
+def cut_triangles(corners: Array, longest: float) -> tuple[Array, npt.NDArray[np.intp]]:
+    """Cut triangles into pieces.
+
+    Parameters
+    ----------
+    corners : ndarray
+        Corners (m, 3, 3), mm.
+    longest : float
+        Longest side of a piece, mm.
+
+    Returns
+    -------
+    corners : ndarray
+        Those of the pieces (p, 3, 3), mm.
+    owners : ndarray
+        The triangle (p,) of each.
+    """
+    owners = np.arange(len(corners))
+    done = [(np.zeros((0, 3, 3)), owners[:0])]
+    while len(corners):
+        # The longest side is halved, so that slivers make few pieces.
+        sides = np.linalg.norm(np.roll(corners, -1, axis=1) - corners, axis=2)
+        small = sides.max(axis=1) <= longest
+        done.append((corners[small], owners[small]))
+        first = sides[~small].argmax(axis=1)
+        rows = np.arange(len(first))
+        one, two, three = (corners[~small][rows, (first + k) % 3] for k in range(3))
+        middle = (one + two) / 2
+        corners = np.concatenate([np.stack([one, middle, three], 1), np.stack([middle, two, three], 1)])
+        owners = np.tile(owners[~small], 2)
+    return np.concatenate([each for each, _ in done]), np.concatenate([each for _, each in done])

@@ -24,8 +24,8 @@ from ctr_nlp.typing import Array, Flags
 PLANNED_BRANCH_TOLERANCE_RAD = 0.05
 """rad: a robot whose tubes are turned by more from what was planned is in another equilibrium."""
 FIELD_ERROR_MM = 0.6
-"""mm by which a distance field may be off near a wall, with cells of up to 0.8 mm: less than a cell, in the middle of
-a lumen as narrow as the robot, and far less elsewhere. On 42 plans in an airway of 0.6 mm voxels it is 0.45 mm."""
+"""mm by which a distance field may be off near a wall, with cells of up to 0.8 mm: less than a cell, in the middle
+of a lumen as narrow as the robot, and far less elsewhere. On 42 plans in an airway of 0.6 mm voxels it is 0.45."""
 MEASURED_CLEARANCE_MM = 1.0
 """Clearances below this, mm, are measured at the triangles of a wall."""
 

@@ -1,4 +1,4 @@
-"""What plans say of their contact with true walls, beside meshes and distances of VTK that share no code with them."""
+"""What plans say of their contact with true walls, beside meshes and distances of VTK."""
 
 import numpy as np
 import pytest
@@ -97,7 +97,7 @@ def deepest_contacts(shared_data, airways, entry, target, frames=20):
 
 @pytest.mark.interpreted
 def test_reported_contact_is_the_true_one(shared_data, airways, ends):
-    reported, true, _ = deepest_contacts(shared_data, airways, *ends[2], frames=6)
+    reported, true, _ = deepest_contacts(shared_data, airways, *ends[2], frames=4)
     assert reported == pytest.approx(true, abs=0.15)
 
 
@@ -173,7 +173,7 @@ def assert_margins_are_kept(plan, walls):
 @pytest.mark.interpreted
 @pytest.mark.parametrize("seed", [0, 1, 2])
 def test_margins_are_kept_where_the_verdict_says_so(shared_data, tmp_path, seed):
-    assert_margins_are_kept(*plan_beside_bodies(shared_data, tmp_path, seed, frames=6))
+    assert_margins_are_kept(*plan_beside_bodies(shared_data, tmp_path, seed, frames=4))
 
 
 @pytest.mark.slow

@@ -15,14 +15,15 @@ import numpy.typing as npt
 
 from ctr_nlp.anatomy.branch import CENTRELINE_SPACE_TO_LPS
 from ctr_nlp.anatomy.formats.vtk import capture_vtk_errors
-from ctr_nlp.anatomy.plausibility import find_units
-from ctr_nlp.anatomy.reading import AS_THE_FILE_SAYS, ReadOptions
+from ctr_nlp.anatomy.reading import AS_THE_FILE_SAYS, MM_PER_UNIT, ReadOptions
 from ctr_nlp.exceptions import CurveError
 from ctr_nlp.paths.surface import Surface
 from ctr_nlp.support.extras import import_extra
 
 MESH_SUFFIXES = (".stl", ".vtp", ".vtk", ".ply", ".obj")
 """Ends of the names of the files that are read."""
+LEAST_SPAN_MM, LARGEST_SPAN_MM = 1.0, 3000.0
+"""Diagonals of the box of a body: outside of these it is in another unit."""
 HEADER_BYTES = 2000
 """Bytes at the begin of a file in which its coordinate system may be stated."""
 
@@ -64,14 +65,19 @@ def read_mesh(path: str | Path, options: ReadOptions = AS_THE_FILE_SAYS) -> Mesh
         notes.append("the file states no coordinate system: LPS is assumed; --space RAS says otherwise")
     # Corners of neighbouring triangles are the same point: STL files have each three times.
     mesh = mesh.triangulate().clean(lines_to_points=False, polys_to_lines=False)
-    units = find_units(np.asarray(mesh.points, dtype=float), options)
-    notes += units.notes
+    scale = MM_PER_UNIT[options.units or "mm"]
+    span = scale * mesh.length
+    if not LEAST_SPAN_MM <= span <= LARGEST_SPAN_MM:
+        raise CurveError(
+            f"its surface is {span:.3g} mm across; it must be {LEAST_SPAN_MM:g} to {LARGEST_SPAN_MM:g} mm. State "
+            f"the unit with --units {'m' if span < LEAST_SPAN_MM else 'um'}, if it is another one"
+        )
     mesh = mesh.compute_normals(
         cell_normals=True, point_normals=False, split_vertices=False, consistent_normals=True
     )
     triangles = mesh.faces.reshape(-1, 4)[:, 1:]
     part = mesh.connectivity().cell_data["RegionId"]
-    vertices = np.asarray(mesh.points * units.mm_per_unit, np.float32)
+    vertices = np.asarray(mesh.points * scale, np.float32)
     surface = _orient_parts(Surface(vertices, triangles), np.asarray(part))
     return Mesh(surface.apply_transform(CENTRELINE_SPACE_TO_LPS[space]), mesh.n_open_edges, tuple(notes))
 
