@@ -42,7 +42,7 @@ LEAST_REGION_PART = 0.05
 ACROSS = 0.5
 """Cosine of the angle between a triangle's normal and the path above which it lies across the path."""
 MAX_RIM_PART = 0.5
-"""Part of the border of what is flooded that a lumen may reach; what is outside of all surfaces reaches most of it."""
+"""Part of the border of the flooded box that a lumen may reach; what is outside of all surfaces reaches most."""
 LEAST_INSIDE = 0.9
 """Part of a path that must lie inside of a surface that the robot stays inside of."""
 

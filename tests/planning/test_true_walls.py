@@ -1,5 +1,7 @@
 """What plans say of their contact with true walls, beside meshes and distances of VTK."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
@@ -149,7 +151,8 @@ def plan_beside_bodies(shared_data, folder, seed, frames=15):
             continue
         if not through:
             walls.append(wall)
-    problem = problem_from_file(file, frames=frames, walls=walls)
+    # Without the radii: with them contact with the lumen settles nearly every verdict.
+    problem = replace(problem_from_file(file, frames=frames, walls=walls), lumen=None)
     return solve_per_frame(problem, model="dominant").evaluate_on("elastic"), walls
 
 
