@@ -91,12 +91,24 @@ class Body(Value):
         return -1.0 if self.keep_out else 1.0
 
     def apply_transform(self, transform: Array) -> Body:
-        """Return the body moved by a rigid transform (4, 4)."""
+        """Return the body moved by a rigid transform.
+
+        Parameters
+        ----------
+        transform : ndarray
+            Homogeneous matrix (4, 4), translation in mm.
+        """
         surface = None if self.surface is None else self.surface.apply_transform(transform)
         return replace(self, field=self.field.apply_transform(transform), surface=surface)
 
     def project(self, points: Array) -> LumenProjection:
-        """Describe the surface near points (.., 3), mm, as a path with a radius; the margin is taken off."""
+        """Describe the surface near points as a path with a radius; the margin is taken off.
+
+        Parameters
+        ----------
+        points : ndarray
+            Points (.., 3), mm.
+        """
         return self.field.project(points, self.sign, self.margin)
 
     def room(self, points: Array) -> Array:
