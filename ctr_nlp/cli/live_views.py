@@ -74,9 +74,10 @@ def open_solver_view(problem: Problem, model: str) -> Iterator[SolverView]:
     """Open a window for the motion of a problem on the model called `model`; raises OptionError where it
     cannot.
     """
-    lumen = None if problem.sampled_lumen is None else problem.sampled_lumen.table
+    lumen = None if problem.lumen_wall is None else problem.lumen_wall.table
     target = np.array([frame.points for frame in problem.target_frames])
-    with LiveWindow(SolverPicture(problem.name, problem.robot, model, target, lumen)) as view:
+    picture = SolverPicture(problem.name, problem.robot, model, target, lumen, problem.drawn_walls)
+    with LiveWindow(picture) as view:
         yield SolverView(view, problem)
 
 

@@ -16,6 +16,7 @@ from ctr_nlp.paths.curve import Curve
 from ctr_nlp.paths.lumen import Lumen
 from ctr_nlp.paths.points import LONGEST_S
 from ctr_nlp.paths.target import Frame, Target
+from ctr_nlp.paths.wall_surfaces import DrawnWall, walls_to_draw
 from ctr_nlp.paths.walls import Body, WallGeometry, nearest_of
 from ctr_nlp.robot import Robot
 from ctr_nlp.support.atomic_write import write_atomically
@@ -167,6 +168,16 @@ class Problem(Value):
     def sampled_lumen(self) -> Lumen | None:
         """The lumen sampled every half mm, as clearances are computed with it; None where none is known."""
         return None if self.lumen is None else Lumen.from_curve(self.lumen)
+
+    @property
+    def lumen_wall(self) -> Lumen | None:
+        """The lumen where the tube around the path is a wall; None where a body is what the robot is in."""
+        return self.sampled_lumen if all(body.keep_out for body in self.walls) else None
+
+    @property
+    def drawn_walls(self) -> list[DrawnWall]:
+        """Surfaces of the walls other than the lumen around the target, for pictures."""
+        return walls_to_draw(self.walls, np.concatenate([frame.points for frame in self.target_frames]))
 
     @cached_property
     def wall(self) -> WallGeometry | None:

@@ -20,6 +20,7 @@ from ctr_nlp.models.loaded.model import Loaded
 from ctr_nlp.models.loads import Load, LoadOverTime, load_from_dict
 from ctr_nlp.paths.lumen import Lumen
 from ctr_nlp.paths.points import FARTHEST_MM, LONGEST_S
+from ctr_nlp.paths.wall_surfaces import DrawnWall, walls_to_draw
 from ctr_nlp.paths.walls import Body, WallGeometry, nearest_of
 from ctr_nlp.plan.robustness import SAMPLE_ARRAY_PREFIX, Robustness
 from ctr_nlp.robot import Robot
@@ -93,6 +94,17 @@ class PlanData(Value):
     def wall(self) -> WallGeometry | None:
         """The wall that counts at every point: that of the lumen, or the nearest of several; None for none."""
         return nearest_of(None if self.lumen is None else Lumen(self.lumen), self.walls)
+
+    @cached_property
+    def lumen_wall(self) -> Array | None:
+        """Lumen (N, 4) where the tube around the path is a wall; None where a body is what the robot is in."""
+        return None if any(not body.keep_out for body in self.walls) else self.lumen
+
+    @cached_property
+    def drawn_walls(self) -> list[DrawnWall]:
+        """Surfaces of the walls other than the lumen around target and robot, for pictures."""
+        points = np.concatenate([self.target.reshape(-1, 3), self.shape.reshape(-1, 3)])
+        return walls_to_draw(self.walls, points[np.isfinite(points).all(axis=1)])
 
     @property
     def dt(self) -> float:

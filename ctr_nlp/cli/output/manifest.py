@@ -40,7 +40,7 @@ STANDARD: Mapping[str, tuple[str, ...]] = {
     "contact": ("contact.json", "contact.csv", "contact.png"),
     "play": ("tracking.csv", "tracking.png"),
     "report": ("report.html",),
-    "slicer": ("load_in_slicer.py", "tubes.pvd", "wall.vtp"),
+    "slicer": ("load_in_slicer.py", "tubes.pvd", "inscribed_tube.vtp", "wall.vtp", "keep_out.vtp"),
     "import": (
         *("plan.npz", "errors.csv", "summary.json", "shapes.png", "errors.png", "by_frame.png"),
         *("configuration.png", "stability.png", "clearance.png"),

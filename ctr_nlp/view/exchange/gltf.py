@@ -17,8 +17,14 @@ import numpy as np
 from ctr_nlp.exceptions import escape_control_characters
 from ctr_nlp.plan.plan import Plan
 from ctr_nlp.typing import Array
-from ctr_nlp.view.exchange.surface import Surface, frames_with_shape, tube_surfaces, wall_surface
-from ctr_nlp.view.figures.parts.palette import BLACK, tube_colour
+from ctr_nlp.view.exchange.plan_surfaces import (
+    INSCRIBED_TUBE_NAME,
+    ShadedSurface,
+    frames_with_shape,
+    tube_surfaces,
+    wall_surfaces,
+)
+from ctr_nlp.view.figures.parts.palette import BLACK, KEEP_OUT_COLOUR, WALL_GLASS_COLOUR, tube_colour
 
 # A rotation by -90 degrees about x, (x, y, z) -> (x, z, -y). Its determinant is +1, so that triangles keep their
 # outside, and normals turn as points do.
@@ -64,10 +70,11 @@ def encode_gltf(plan: Plan) -> bytes:
         shown = {"scale": [0.0, 0.0, 0.0]} if j != frames[-1] else {}
         told = {"extras": {"frame": j + 1, "time_s": float(plan.time[j])}}
         roots.append(scene.add("nodes", {"name": f"frame {j + 1}", "children": parts} | shown | told))
-    wall = wall_surface(plan)
-    if wall is not None:
-        glass = scene.material("wall", "#999999", 0.25)
-        roots.append(scene.node("wall", scene.solid({glass: wall})))
+    kept_out = {body.name for body in plan.walls if body.keep_out}
+    for name, wall in wall_surfaces(plan).items():
+        label = "wall" if name == INSCRIBED_TUBE_NAME else escape_control_characters(name)
+        glass = scene.material(label, KEEP_OUT_COLOUR if name in kept_out else WALL_GLASS_COLOUR, 0.25)
+        roots.append(scene.node(label, scene.solid({glass: wall})))
     if len(frames) > 1:
         scene.animate(roots[: len(frames)], plan.time[frames] - plan.time[frames[0]], plan.dt)
     return scene.file(escape_control_characters(plan.meta["problem"]["name"]), roots)
@@ -101,7 +108,7 @@ class _Scene:
             "nodes", {"name": name, "mesh": self.add("meshes", {"name": name, "primitives": primitives})}
         )
 
-    def solid(self, surfaces: dict[int, Surface]) -> list[dict[str, Any]]:
+    def solid(self, surfaces: dict[int, ShadedSurface]) -> list[dict[str, Any]]:
         """Return the primitives of surfaces in the robot's base frame, mm; their keys are the numbers of their
         materials.
         """

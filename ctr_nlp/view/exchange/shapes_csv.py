@@ -9,7 +9,7 @@ import numpy as np
 
 from ctr_nlp.paths.target import SIGMA_GRID
 from ctr_nlp.plan.plan import Plan
-from ctr_nlp.view.exchange.surface import frames_with_shape
+from ctr_nlp.view.exchange.plan_surfaces import frames_with_shape
 
 SHAPES_CSV_COLUMNS = (
     "frame",

@@ -24,7 +24,13 @@ from ctr_nlp.plan.plan import Plan
 from ctr_nlp.plan.summary_text import NOT_FOR_PATIENTS
 from ctr_nlp.support.extras import import_extra
 from ctr_nlp.typing import Array
-from ctr_nlp.view.exchange.surface import Surface, frames_with_shape, tube_surfaces, wall_surface
+from ctr_nlp.view.exchange.plan_surfaces import (
+    INSCRIBED_TUBE_NAME,
+    ShadedSurface,
+    frames_with_shape,
+    tube_surfaces,
+    wall_surfaces,
+)
 from ctr_nlp.view.figures.parts.palette import BLACK, BLUE
 
 SCHEMA = (
@@ -35,8 +41,12 @@ SLICER_SPACES = ("LPS", "RAS")
 """Coordinates that a caller may state for a path whose file does not."""
 UNSTATED = "xyz"
 """Space of a file that does not state its coordinates; see Problem."""
-SLICER_SCRIPT_FILE, SLICER_TUBES_FILE, SLICER_WALL_FILE = "load_in_slicer.py", "tubes.pvd", "wall.vtp"
-"""Names of the files that exist once: the script for Slicer, the list of tubes over time, the lumen's wall."""
+SLICER_SCRIPT_FILE, SLICER_TUBES_FILE = "load_in_slicer.py", "tubes.pvd"
+"""Names of the files that exist once: the script for Slicer, and the list of tubes over time."""
+SLICER_TUBE_WALL_FILE, SLICER_INSIDE_FILE, SLICER_KEEP_OUT_FILE = "inscribed_tube.vtp", "wall.vtp", "keep_out.vtp"
+"""Names of the files of walls: the tube around the path, the surfaces of what the robot stays inside of, and those
+of what it keeps away from.
+"""
 TEMPLATE = Path(__file__).parent / "templates" / SLICER_SCRIPT_FILE
 SLICER_DECIMALS = 6
 """Decimals of coordinates in mm."""
@@ -50,7 +60,9 @@ def slicer_files(plan: Plan, space: str | None = None) -> dict[str, str]:
     For every frame that has a shape, numbered from 1: frames/robot_001.mrk.json and frames/target_001.mrk.json,
     the 101 points at uniform sigma of the robot's centreline and of its target as open curves, and
     frames/tubes_001.vtp, the tubes as surfaces with their outer diameters. tubes.pvd lists those with their times
-    in s; wall.vtp is the lumen's wall where it is known; load_in_slicer.py loads and films all of it in Slicer.
+    in s. wall.vtp is the surface that the robot stays inside of, or, where only a centreline with radii is known,
+    inscribed_tube.vtp the tube around it; keep_out.vtp is what the robot keeps away from. load_in_slicer.py loads
+    and films all of it in Slicer.
     The script, and the first point of every curve, say that nothing here is validated for use on patients.
 
     plan: the plan. space: as in to_scan. Raises OptionError, also where pyvista is missing, and OutputError where
@@ -68,8 +80,17 @@ def slicer_files(plan: Plan, space: str | None = None) -> dict[str, str]:
         for name, points, colour in (("robot", plan.shape[j], BLUE), ("target", plan.target[j], BLACK)):
             found[f"frames/{name}_{number}.mrk.json"] = _curve(name, transform_points(points, to_lps), colour)
         found[tubes_file(number)] = _model(tube_surfaces(plan, j), to_lps, float(plan.time[j]))
-    wall = wall_surface(plan)
-    return found if wall is None else found | {SLICER_WALL_FILE: _model({0: wall}, to_lps)}
+    return found | _wall_files(plan, to_lps)
+
+
+def _wall_files(plan: Plan, to_lps: Array) -> dict[str, str]:
+    """Return the files of a plan's walls, by name; to_lps (4, 4): from the robot's base frame to LPS, mm."""
+    kept_out = {body.name for body in plan.walls if body.keep_out}
+    by_file: dict[str, list[ShadedSurface]] = {}
+    for name, surface in wall_surfaces(plan).items():
+        file = SLICER_KEEP_OUT_FILE if name in kept_out else SLICER_INSIDE_FILE
+        by_file.setdefault(SLICER_TUBE_WALL_FILE if name == INSCRIBED_TUBE_NAME else file, []).append(surface)
+    return {file: _model(dict(enumerate(surfaces)), to_lps) for file, surfaces in by_file.items()}
 
 
 def to_scan(plan: Plan, space: str | None = None) -> Array:
@@ -140,9 +161,9 @@ def _curve(name: str, points: Array, colour: str) -> str:
     return json.dumps({"@schema": SCHEMA, "markups": [markup]}, allow_nan=False) + "\n"
 
 
-def _model(surfaces: dict[int, Surface], to_lps: Array, time: float | None = None) -> str:
+def _model(surfaces: dict[int, ShadedSurface], to_lps: Array, time: float | None = None) -> str:
     """Return a .vtp file of surfaces by tube number, moved from the robot's base frame to LPS; each cell has the
-    number of its tube.
+    number of its tube, or of its wall, from 0.
 
     to_lps: transform (4, 4), mm. time: in s, kept in the field TimeValue.
     """

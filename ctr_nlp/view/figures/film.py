@@ -22,7 +22,15 @@ from ctr_nlp.view.figures.errors import CURVES
 from ctr_nlp.view.figures.overlay import TARGET_LINE_STYLE
 from ctr_nlp.view.figures.parts.page import STYLE, by_frames, curve, legend_of, outcome, printable
 from ctr_nlp.view.figures.parts.palette import BLACK
-from ctr_nlp.view.figures.parts.space import RobotLines, add_space_axes, fit_box, key, points_of_all, span
+from ctr_nlp.view.figures.parts.space import (
+    RobotLines,
+    add_space_axes,
+    add_wall_sections,
+    fit_box,
+    key,
+    points_of_all,
+    span,
+)
 
 WRITERS: dict[str, Any] = {".gif": PillowWriter, ".mp4": FFMpegWriter}
 """Class that writes a film, by the suffix of its file."""
@@ -86,7 +94,7 @@ def _stage(plans: Sequence[Plan]) -> tuple[Figure, list[_Column]]:
     plans.
     """
     figure = Figure(figsize=(FILM_COLUMN_WIDTH_IN * len(plans), FILM_HEIGHT_IN), dpi=FILM_DPI)
-    shown = [points_of_all([plan.shape, plan.target], plan.lumen) for plan in plans]
+    shown = [points_of_all([plan.shape, plan.target], plan.lumen_wall) for plan in plans]
     side = np.max([span(points) for points in shown], axis=0)
     columns = [
         _Column(figure, k / len(plans), 1 / len(plans), plan, points, side)
@@ -95,7 +103,7 @@ def _stage(plans: Sequence[Plan]) -> tuple[Figure, list[_Column]]:
     highest = max(column.errors.get_ylim()[1] for column in columns)
     for column in columns:
         column.errors.set_ylim(0.0, highest)
-    handles = key(max(plan.robot.d for plan in plans), any(plan.lumen is not None for plan in plans))
+    handles = key(max(plan.robot.d for plan in plans), any(plan.wall is not None for plan in plans))
     curves = legend_of(*(column.errors for column in columns))
     figure.legend(handles=[*handles, *curves.values()], loc="lower center", ncols=4 * len(plans))
     return figure, columns
@@ -107,7 +115,8 @@ class _Column:
     def __init__(self, figure: Figure, left: float, width: float, plan: Plan, points: Array, side: Array) -> None:
         self._plan = plan
         numbers = metrics.summary(plan)
-        space = add_space_axes(figure, (left, 0.31, width, 0.605), plan.lumen)
+        space = add_space_axes(figure, (left, 0.31, width, 0.605), plan.lumen_wall)
+        add_wall_sections(space, plan.drawn_walls, plan.target[-1])
         self._target = space.plot([], [], [], zorder=5, **TARGET_LINE_STYLE)[0]
         self._body = RobotLines(space, plan.robot.d)
         fit_box(space, points, side)

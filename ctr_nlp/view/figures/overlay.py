@@ -19,12 +19,14 @@ from scipy.spatial import ConvexHull
 
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.paths.lumen import wall_rings
+from ctr_nlp.paths.surface import Surface
 from ctr_nlp.paths.target import SIGMA_GRID
+from ctr_nlp.paths.wall_surfaces import DrawnWall, merge_vertices
 from ctr_nlp.plan.measures import e1, rms_over_sigma
 from ctr_nlp.plan.plan import Plan
 from ctr_nlp.typing import Array
 from ctr_nlp.view.figures.parts.page import STYLE, add_heading
-from ctr_nlp.view.figures.parts.palette import BLACK, LUMEN_COLOUR, WALL_COLOUR, tube_colour, tube_width
+from ctr_nlp.view.figures.parts.palette import BLACK, KEEP_OUT_COLOUR, LUMEN_COLOUR, WALL_COLOUR, tube_colour, tube_width
 
 DEFAULT_SHAPE_FRAMES = 6
 """Number of frames that are drawn where the caller names none."""
@@ -46,6 +48,10 @@ TARGET_LINE_STYLE: dict[str, Any] = {"color": BLACK, "lw": 0.8, "ls": (0, (4, 2)
 """Line style of targets."""
 SHAPES_COLUMN_GAP_IN, SHAPES_VIEW_GAP_IN, SHAPES_ROW_GAP_IN = 0.2, 0.55, 1.05
 """Inches between columns, between the views of a frame, and between rows of frames."""
+SILHOUETTE_CELL_MM = 1.6
+"""Side of the cells whose vertices are drawn as one in outlines of walls, mm."""
+KEEP_OUT_OPACITY = 0.25
+"""Opacity of each triangle of a body that the robot keeps away from."""
 LUMEN_RING_ANGLES_RAD = np.linspace(0.0, 2 * np.pi, 32)
 """Angles of the points of a ring of the lumen's wall."""
 
@@ -88,8 +94,8 @@ def shapes(plan: Plan, frames: Sequence[int] | None = None) -> Figure:
     shown = sorted({*frames_shown(plan, frames), *(worst if frames is None else ())})
     index = np.array(shown) - 1
     points = np.concatenate([plan.target[index], plan.shape[index]]).reshape(-1, 3)
-    if plan.lumen is not None:
-        points = np.concatenate([points, wall_rings(plan.lumen, LUMEN_RING_ANGLES_RAD).reshape(-1, 3)])
+    if plan.lumen_wall is not None:
+        points = np.concatenate([points, wall_rings(plan.lumen_wall, LUMEN_RING_ANGLES_RAD).reshape(-1, 3)])
     low = np.nanmin(points, axis=0)
     high = np.nanmax(points, axis=0)
     extent = high - low
@@ -110,8 +116,10 @@ def shapes(plan: Plan, frames: Sequence[int] | None = None) -> Figure:
     for axes in grid[:, 0]:
         axes.set_ylabel("z (mm)")
     entries: list[Artist] = [*key(plan.robot.d)]
-    if plan.lumen is not None:
+    if plan.lumen_wall is not None or any(not wall.keep_out for wall in plan.drawn_walls):
         entries.append(Patch(facecolor=LUMEN_COLOUR, edgecolor=WALL_COLOUR, label="lumen"))
+    if any(wall.keep_out for wall in plan.drawn_walls):
+        entries.append(Patch(facecolor=KEEP_OUT_COLOUR, alpha=KEEP_OUT_OPACITY, label="keep out"))
     figure.legend(
         handles=entries, loc="lower center", ncols=int(figure.get_figwidth() / SHAPES_LEGEND_ENTRY_WIDTH_IN)
     )
@@ -194,14 +202,16 @@ def draw(axes: Axes, plan: Plan, frame: int, sideways: int) -> None:
     axes : Axes
         Where to draw, in mm.
     plan : Plan
-        The plan; its lumen is drawn below, where it has one.
+        The plan; its walls are drawn below.
     frame : int
         Number of the frame, from 0.
     sideways : int
         Horizontal axis: 0 for x, 1 for y.
     """
-    if plan.lumen is not None:
-        _draw_lumen(axes, plan.lumen, sideways)
+    if plan.lumen_wall is not None:
+        _draw_lumen(axes, plan.lumen_wall, sideways)
+    for wall in plan.drawn_walls:
+        _draw_wall(axes, wall, sideways)
     for i, part in enumerate(parts(plan.shape[frame], plan.beta[frame])):
         width = tube_width(i, plan.robot.d)
         axes.plot(part[:, sideways], part[:, 2], color=tube_colour(i), lw=width, solid_capstyle="butt")
@@ -220,6 +230,20 @@ def _draw_lumen(axes: Axes, lumen: Array, sideways: int) -> None:
     axes.add_collection(PolyCollection(hulls, color=WALL_COLOUR, linewidth=2.0, zorder=0.6), autolim=False)
     axes.add_collection(
         PolyCollection(hulls, color=LUMEN_COLOUR, linewidth=0.3, antialiased=False, zorder=0.7), autolim=False
+    )
+
+
+def _draw_wall(axes: Axes, wall: DrawnWall, sideways: int) -> None:
+    """Draw the outline of a surface, filled; `sideways` is 0 for x and 1 for y."""
+    vertices, triangles = merge_vertices(Surface(wall.vertices, wall.triangles), SILHOUETTE_CELL_MM)
+    seen = vertices[:, [sideways, 2]][triangles]
+    if wall.keep_out:
+        one = {"color": KEEP_OUT_COLOUR, "linewidth": 0.0, "alpha": KEEP_OUT_OPACITY, "antialiased": False}
+        axes.add_collection(PolyCollection(seen, zorder=0.8, **one), autolim=False)
+        return
+    axes.add_collection(PolyCollection(seen, color=WALL_COLOUR, linewidth=2.0, zorder=0.6), autolim=False)
+    axes.add_collection(
+        PolyCollection(seen, color=LUMEN_COLOUR, linewidth=0.3, antialiased=False, zorder=0.7), autolim=False
     )
 
 

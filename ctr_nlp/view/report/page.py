@@ -75,7 +75,7 @@ def page(plans: Sequence[Plan], names: Sequence[str] | None = None) -> str:
     }
     parts = [
         SCENE_ROBOT_PART,
-        *([SCENE_WALL_PART] if any(plan.lumen is not None for plan in plans) else []),
+        *([SCENE_WALL_PART] if any(plan.wall is not None for plan in plans) else []),
         SCENE_TARGET_PART,
     ]
     drawn = any(plan.drawn for plan in plans)

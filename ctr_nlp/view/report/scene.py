@@ -14,15 +14,17 @@ from matplotlib import colormaps
 from matplotlib.colors import to_hex, to_rgb
 from scipy.spatial.transform import Rotation
 
+from ctr_nlp.exceptions import escape_control_characters
 from ctr_nlp.paths.lumen import tube_outer_radii, wall_mesh, wall_rings
 from ctr_nlp.paths.points import cumulative_arc_length
 from ctr_nlp.paths.target import SIGMA_GRID
+from ctr_nlp.paths.wall_surfaces import wall_sections
 from ctr_nlp.plan.metrics import e1
 from ctr_nlp.plan.plan import Plan
 from ctr_nlp.support.extras import import_extra
 from ctr_nlp.typing import Array
 from ctr_nlp.view.figures.overlay import tube_ends
-from ctr_nlp.view.figures.parts.palette import BLACK, CONTACT, ERROR_COLOUR_MAP, tube_colour
+from ctr_nlp.view.figures.parts.palette import BLACK, CONTACT, ERROR_COLOUR_MAP, KEEP_OUT_COLOUR, tube_colour
 from ctr_nlp.view.figures.parts.space import points_of_all
 from ctr_nlp.view.report.camera import OUTSIDE_FIELD_OF_VIEW_DEG, cameras
 from ctr_nlp.view.report.ghosts import ghosts
@@ -186,13 +188,30 @@ def _environment_objects(k3d: Any, plan: Plan) -> list[Any]:
         line(axis, color=SCENE_AXIS_COLOUR, width=AXIS_RADIUS, name="insertion axis"),
         line(_over_time(holder), color=SCENE_HOLDER_COLOUR, width=1.5 * radius, **held),
     ]
-    if plan.lumen is not None:
-        look = {"color": SCENE_WALL_COLOUR, "opacity": SCENE_WALL_OPACITY, "flat_shading": False, "side": "double"}
-        part = {"custom_data": {"part": SCENE_WALL_PART}}
-        vertices, triangles = wall_mesh(plan.lumen, SCENE_WALL_RING_POINTS)
-        found.append(k3d.mesh(vertices.astype(np.float32), triangles, name="lumen", **part, **look))
-        hoops = {"indices_type": "segment", "color": SCENE_WALL_COLOUR, "width": AXIS_RADIUS, "shader": "thick"}
-        found.append(k3d.lines(*_hoops(plan.lumen), name="lumen, rings", **part, **hoops))
+    return found + _wall_objects(k3d, plan)
+
+
+def _wall_objects(k3d: Any, plan: Plan) -> list[Any]:
+    """Return the walls: the tube around the path with rings, or the surfaces of bodies with their sections."""
+    look = {"opacity": SCENE_WALL_OPACITY, "flat_shading": False, "side": "double"}
+    part = {"custom_data": {"part": SCENE_WALL_PART}}
+    rings = {"indices_type": "segment", "width": AXIS_RADIUS, "shader": "thick"}
+    found = []
+    if plan.lumen_wall is not None:
+        vertices, triangles = wall_mesh(plan.lumen_wall, SCENE_WALL_RING_POINTS)
+        colour = {"color": SCENE_WALL_COLOUR} | part
+        found.append(k3d.mesh(vertices.astype(np.float32), triangles, name="lumen", **colour, **look))
+        found.append(k3d.lines(*_hoops(plan.lumen_wall), name="lumen, rings", **colour, **rings))
+    for wall in plan.drawn_walls:
+        colour = {"color": _pack_colour(KEEP_OUT_COLOUR) if wall.keep_out else SCENE_WALL_COLOUR} | part
+        name = escape_control_characters(wall.name)
+        vertices, triangles = wall.vertices.astype(np.float32), wall.triangles.astype(np.uint32)
+        found.append(k3d.mesh(vertices, triangles, name=name, **colour, **look))
+        pieces = wall_sections(wall, plan.target[-1], SCENE_WALL_RING_SPACING_MM)
+        if len(pieces) and not wall.keep_out:
+            pairs = np.arange(2 * len(pieces), dtype=np.uint32).reshape(-1, 2)
+            points = pieces.reshape(-1, 3).astype(np.float32)
+            found.append(k3d.lines(points, pairs, name=f"{name}, rings", **colour, **rings))
     return found
 
 
@@ -231,7 +250,7 @@ def _over_time(frames: Any) -> dict[str, npt.NDArray[np.float32]]:
 
 def box(plans: Sequence[Plan]) -> tuple[Array, Array]:
     """Return the corners (3,), mm, of a box around everything that `plans` ever show."""
-    seen = [points_of_all([plan.target, plan.shape], plan.lumen) for plan in plans]
+    seen = [points_of_all([plan.target, plan.shape], plan.lumen_wall) for plan in plans]
     points = np.concatenate([[[0.0, 0.0, -HOLDER_LENGTH_MM], [0.0, 0.0, HOLDER_LENGTH_MM]], *seen])
     return np.nanmin(points, axis=0), np.nanmax(points, axis=0)
 

@@ -27,7 +27,7 @@ from ctr_nlp.view.exchange.gltf import encode_gltf
 from ctr_nlp.view.exchange.mat import encode_mat
 from ctr_nlp.view.exchange.shapes_csv import encode_shapes_csv
 from ctr_nlp.view.exchange.slicer import slicer_files
-from ctr_nlp.view.exchange.surface import tube_surfaces, wall_surface
+from ctr_nlp.view.exchange.plan_surfaces import tube_surfaces, wall_surfaces
 
 FRAMES = 5
 CLOSE = 0.01
@@ -153,7 +153,7 @@ def test_slicer_says_that_nothing_is_validated(scanned, folder, monkeypatch, cap
     shown = [given for way, given in calls if way.endswith(".cornerAnnotation.SetText")]
     assert [given[-1] for given in shown] == [NOT_FOR_PATIENTS]
     described = [given for way, given in calls if way.endswith(".SetDescription")]
-    wall = (folder / "wall.vtp").exists()
+    wall = (folder / "inscribed_tube.vtp").exists()
     assert described == [(NOT_FOR_PATIENTS,)] * (7 + wall)  # the browser, three sequences and what they show
     for file in sorted((folder / "frames").glob("*.mrk.json")):
         (markup,) = json.loads(file.read_text())["markups"]
@@ -201,7 +201,7 @@ def test_the_collection_lists_every_frame_with_its_time(scanned, folder):
 
 def test_the_wall_is_as_far_from_the_path_as_its_radius(scanned, folder):
     pyvista = pytest.importorskip("pyvista")
-    wall = pyvista.read(folder / "wall.vtp")
+    wall = pyvista.read(folder / "inscribed_tube.vtp")
     s = np.linspace(0.0, 130.0, 20001)
     away = np.linalg.norm(wall.points[::97, None, :] - path(s)[None], axis=-1).min(axis=1)
     assert np.abs(away - 6.0).max() < 0.02
@@ -389,7 +389,7 @@ def test_frames_without_a_shape_are_left_out(plan, of):
 
 def test_surfaces_turn_left_seen_from_outside(scanned):
     plan, _ = scanned
-    for surface in (*tube_surfaces(plan, 4).values(), wall_surface(plan)):
+    for surface in (*tube_surfaces(plan, 4).values(), *wall_surfaces(plan).values()):
         a, b, c = surface.points[surface.triangles].transpose(1, 0, 2)
         across = np.cross(b - a, c - a)
         assert ((across * surface.normals[surface.triangles[:, 0]]).sum(axis=1) > 0).mean() > 0.999

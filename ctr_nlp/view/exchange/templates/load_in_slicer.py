@@ -33,6 +33,8 @@ LINE_MM = 0.6
 """How thick they are."""
 COLOURS = "vtkMRMLColorTableNodeFileMediumChartColors.txt"
 """The colours of tubes, by their numbers."""
+KEEP_OUT_COLOUR = (0.8, 0.47, 0.65)
+"""Colour of what the robot keeps away from."""
 
 
 def frames(folder: Path = HERE) -> list[tuple[str, str]]:
@@ -42,7 +44,7 @@ def frames(folder: Path = HERE) -> list[tuple[str, str]]:
 
 
 def load(folder: Path = HERE) -> Any:
-    """Load all frames as sequences over time, and the wall where there is one; the sequence browser."""
+    """Load all frames as sequences over time, and the walls that there are; the sequence browser."""
     print(NOT_FOR_PATIENTS)
     browser = slicer.mrmlScene.AddNewNodeByClass("vtkMRMLSequenceBrowserNode", "plan")
     sequences = [sequence_of(kind, suffix, folder) for kind, suffix in KINDS.items()]
@@ -54,10 +56,12 @@ def load(folder: Path = HERE) -> Any:
         show(browser.GetProxyNode(sequence))
     browser.SetSelectedItemNumber(browser.GetNumberOfItems() - 1)
     shown = [browser, *sequences, *(browser.GetProxyNode(sequence) for sequence in sequences)]
-    wall = folder / "wall.vtp"
-    if wall.exists():
-        shown.append(slicer.util.loadModel(str(wall)))
-        shown[-1].GetDisplayNode().SetOpacity(0.2)
+    for name in ("inscribed_tube.vtp", "wall.vtp", "keep_out.vtp"):
+        if (folder / name).exists():
+            shown.append(slicer.util.loadModel(str(folder / name)))
+            shown[-1].GetDisplayNode().SetOpacity(0.2)
+            if name == "keep_out.vtp":
+                shown[-1].GetDisplayNode().SetColor(*KEEP_OUT_COLOUR)
     for node in shown:
         node.SetDescription(NOT_FOR_PATIENTS)
     annotate()

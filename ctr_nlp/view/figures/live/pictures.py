@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -13,6 +14,7 @@ from matplotlib.ticker import MaxNLocator
 
 from ctr_nlp.models import KINEMATIC_MODELS
 from ctr_nlp.paths.target import SIGMA_GRID
+from ctr_nlp.paths.wall_surfaces import DrawnWall
 from ctr_nlp.plan.metrics import summary
 from ctr_nlp.plan.plan import Plan
 from ctr_nlp.robot import Robot
@@ -20,7 +22,14 @@ from ctr_nlp.typing import Array
 from ctr_nlp.view.figures.overlay import TARGET_LINE_STYLE
 from ctr_nlp.view.figures.parts.page import outcome, printable
 from ctr_nlp.view.figures.parts.palette import BLACK, BLUE, FAILED_FRAME_COLOUR
-from ctr_nlp.view.figures.parts.space import RobotLines, add_space_axes, fit_box, key, points_of_all
+from ctr_nlp.view.figures.parts.space import (
+    RobotLines,
+    add_space_axes,
+    add_wall_sections,
+    fit_box,
+    key,
+    points_of_all,
+)
 
 LIVE_SHAPE_FRAMES = 5
 """Number of frames whose shapes are drawn."""
@@ -42,7 +51,8 @@ class SolverState(NamedTuple):
 class SolverPicture:
     """Picture of a motion while it is solved for; its states are SolverState, and at last a Plan.
 
-    name: of the problem. model: name of the kinematic model. target (T, 101, 3) mm; lumen (N, 4) mm, where known.
+    name: of the problem. model: name of the kinematic model. target (T, 101, 3) mm; lumen (N, 4) mm, where it is
+    a wall; walls: other walls.
     """
 
     name: str
@@ -50,11 +60,13 @@ class SolverPicture:
     model: str
     target: Array
     lumen: Array | None
+    walls: Sequence[DrawnWall] = ()
     size = (9.6, 7.0)
 
     def begin(self, figure: Figure) -> None:
         """Draw what stays into `figure`: box, wall, insertion point and targets."""
         axes = add_space_axes(figure, (0.0, 0.08, 0.5, 0.84), self.lumen)
+        add_wall_sections(axes, self.walls, self.target[-1])
         count = len(self.target)
         self._frames = np.unique(
             np.ceil(np.arange(1, LIVE_SHAPE_FRAMES + 1) * count / LIVE_SHAPE_FRAMES).astype(int) - 1
@@ -74,7 +86,8 @@ class SolverPicture:
         title = printable(f"{self.name}: the motion while it is solved for")
         figure.suptitle(title, fontsize=10, parse_math=False)
         self._now = figure.text(0.25, 0.925, "looking for motions to start from", ha="center", va="center")
-        figure.legend(handles=key(self.robot.d, self.lumen is not None), loc="lower center", ncols=6)
+        walled = self.lumen is not None or bool(self.walls)
+        figure.legend(handles=key(self.robot.d, walled), loc="lower center", ncols=6)
 
     def show(self, state: SolverState | Plan) -> None:
         """Show the newest motion and all iterates of `state`; or a plan, in their place."""
@@ -129,18 +142,19 @@ class PlaybackPicture:
     def begin(self, figure: Figure) -> None:
         """Draw what stays into `figure`: box, wall and insertion point."""
         plan = self.plan
-        axes = add_space_axes(figure, (0.0, 0.08, 1.0, 0.84), plan.lumen)
+        axes = add_space_axes(figure, (0.0, 0.08, 1.0, 0.84), plan.lumen_wall)
+        add_wall_sections(axes, plan.drawn_walls, plan.target[-1])
         self._commanded = (
             RobotLines(axes, plan.robot.d, **COMMANDED),
             ShapeContinuation(plan.robot, plan.evaluated_model_name),
         )
         self._measured = RobotLines(axes, plan.robot.d), ShapeContinuation(plan.robot, plan.evaluated_model_name)
         self._target = axes.plot([], [], [], zorder=5, **TARGET_LINE_STYLE)[0]
-        fit_box(axes, points_of_all([plan.shape, plan.target], plan.lumen))
+        fit_box(axes, points_of_all([plan.shape, plan.target], plan.lumen_wall))
         figure.suptitle(printable(f"{plan.meta['problem']['name']}, played"), fontsize=10, parse_math=False)
         self._now = figure.text(0.5, 0.925, "waiting", ha="center", va="center")
         commanded = Line2D([], [], label="commanded", **{name: COMMANDED[name] for name in ("color", "lw")})
-        figure.legend(handles=[*key(plan.robot.d, plan.lumen is not None), commanded], loc="lower center", ncols=4)
+        figure.legend(handles=[*key(plan.robot.d, plan.wall is not None), commanded], loc="lower center", ncols=4)
 
     def show(self, state: PlaybackState) -> None:
         """Show the moment `state`; a robot without an equilibrium is not drawn."""

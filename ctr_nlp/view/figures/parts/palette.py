@@ -19,6 +19,8 @@ FAILED_FRAME_COLOUR, UNREACHED_FRAME_COLOUR = "0.80", "0.93"
 AMBIGUOUS = "#CBE6F6"
 LUMEN_COLOUR, WALL_COLOUR = "#F3E4DC", "0.55"
 """The inside of a lumen, light enough for all tubes to stand out from it, and its wall."""
+KEEP_OUT_COLOUR, WALL_GLASS_COLOUR = PURPLE, "#999999"
+"""Bodies that a robot keeps away from, and walls that are looked through, in three dimensions."""
 
 CONTACT = "#A33400"
 """A darker vermillion, which stands out from the blues in grey too."""

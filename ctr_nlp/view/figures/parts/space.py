@@ -11,10 +11,11 @@ from matplotlib.lines import Line2D
 
 from ctr_nlp.paths.lumen import wall_rings
 from ctr_nlp.paths.points import cumulative_arc_length
+from ctr_nlp.paths.wall_surfaces import DrawnWall, wall_sections
 from ctr_nlp.typing import Array
 from ctr_nlp.view.figures import overlay
 from ctr_nlp.view.figures.overlay import parts
-from ctr_nlp.view.figures.parts.palette import BLACK, tube_colour, tube_width
+from ctr_nlp.view.figures.parts.palette import BLACK, KEEP_OUT_COLOUR, tube_colour, tube_width
 
 MIN_BOX_SIDE_FRACTION = 0.3
 """Least side of the box as a part of its longest one."""
@@ -99,6 +100,16 @@ def wall(axes: Any, lumen: Array) -> None:
     # One line with gaps of NaN instead of an artist for each: a film draws them hundreds of times.
     apart = np.full((1, 3), np.nan)
     axes.plot(*np.concatenate([part for line in lines for part in (line, apart)]).T, zorder=1, **FIGURE_WALL_STYLE)
+
+
+def add_wall_sections(axes: Any, walls: Sequence[DrawnWall], path: Array) -> None:
+    """Draw the sections of walls at right angles to a path (n, 3), mm: what a round tube would hide."""
+    for wall in walls:
+        pieces = wall_sections(wall, path, FIGURE_WALL_RING_SPACING_MM)
+        # One line with gaps of NaN, as in `wall`.
+        gaps = np.full((len(pieces), 1, 3), np.nan)
+        style = FIGURE_WALL_STYLE | ({"color": KEEP_OUT_COLOUR} if wall.keep_out else {})
+        axes.plot(*np.concatenate([pieces, gaps], axis=1).reshape(-1, 3).T, zorder=1, **style)
 
 
 class RobotLines:

@@ -185,7 +185,7 @@ class ControlPanel:
         session = self._session
         known = (
             (COLOUR_BY_ERROR, COLOUR_BY_TUBE)
-            if session.problem.sampled_lumen is None
+            if session.problem.wall is None
             else (COLOUR_BY_ERROR, COLOUR_BY_CLEARANCE, COLOUR_BY_TUBE)
         )
         self._by = gui.add_dropdown("robot coloured by", known, initial_value=COLOUR_BY_ERROR)

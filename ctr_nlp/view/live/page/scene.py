@@ -28,6 +28,7 @@ TUBE_POLYGON_SIDES, LUMEN_POLYGON_SIDES, RING_MM = 12, 20, 3.0
 OVERLAP = 1.08
 """Length of a robot's piece over its share, so that no gaps open where the robot bends."""
 LUMEN_SURFACE_COLOUR, LUMEN_OPACITY = (140, 140, 140), 0.22
+KEEP_OUT_SURFACE_COLOUR = (204, 121, 167)
 TARGET_MM, GHOST_MM, HANDLE_EXTRA_RADIUS_MM, TIP_HANDLE_EXTRA_RADIUS_MM = 0.6, 0.35, 0.8, 1.6
 """Widths of lines, and how much the radius of handles, and that of the tip, exceeds the outermost tube's."""
 SEEN_THROUGH = 0.5
@@ -59,18 +60,16 @@ class Scene:
         scene.add_light_ambient("/light/all around", intensity=1.1)
         scene.add_light_directional("/light/above", intensity=1.8, cast_shadow=False, position=(0.3, -1.0, 0.8))
         scene.add_frame("/base", axes_length=AXES_MM, axes_radius=0.3)
-        lumen = problem.sampled_lumen
-        if lumen is not None:
-            look = {
-                "color": LUMEN_SURFACE_COLOUR,
-                "opacity": LUMEN_OPACITY,
-                # Of the wall only the far side, so that it never covers the robot.
-                "side": "back",
-                "cast_shadow": False,
-                "receive_shadow": False,
-            }
-            vertices, triangles = wall_mesh(_coarse(lumen), LUMEN_POLYGON_SIDES)
-            scene.add_mesh_simple("/lumen", vertices.astype(np.float32), triangles, **look)
+        look = {"opacity": LUMEN_OPACITY, "cast_shadow": False, "receive_shadow": False}
+        # Of a wall around the robot only the far side, so that it never covers the robot.
+        around = {"color": LUMEN_SURFACE_COLOUR, "side": "back"} | look
+        if problem.lumen_wall is not None:
+            vertices, triangles = wall_mesh(_coarse(problem.lumen_wall), LUMEN_POLYGON_SIDES)
+            scene.add_mesh_simple("/lumen", vertices.astype(np.float32), triangles, **around)
+        kept_out = {"color": KEEP_OUT_SURFACE_COLOUR, "side": "front"} | look
+        for k, wall in enumerate(problem.drawn_walls):
+            drawn = wall.vertices.astype(np.float32), wall.triangles.astype(np.uint32)
+            scene.add_mesh_simple(f"/wall {k + 1}", *drawn, **(kept_out if wall.keep_out else around))
         place = np.zeros((len(MIDDLES), 3))
         self._body = scene.add_batched_meshes_simple(
             "/robot",

@@ -17,11 +17,13 @@ from ctr_nlp.typing import Array
 TUBE_SURFACE_SIDES = 16
 """Sides of the polygon that approximates a tube's cross-section."""
 WALL_SURFACE_SIDES = 24
+INSCRIBED_TUBE_NAME = "inscribed tube"
+"""Name of the tube around the path, of the radius of the lumen, among walls."""
 MIN_VISIBLE_TUBE_MM = 1e-3
 """Visible length, mm, below which a tube is left out."""
 
 
-class Surface(NamedTuple):
+class ShadedSurface(NamedTuple):
     """Triangle mesh: points (n, 3) mm, outward unit normals (n, 3), triangles (m, 3) anticlockwise seen from
     outside.
     """
@@ -39,7 +41,7 @@ def frames_with_shape(plan: Plan) -> list[int]:
     return found
 
 
-def tube_surfaces(plan: Plan, frame: int) -> dict[int, Surface]:
+def tube_surfaces(plan: Plan, frame: int) -> dict[int, ShadedSurface]:
     """Return the visible part of every tube in a frame, by the tube's number from 1, in the robot's base frame.
 
     plan: the plan. frame: index from 0. Each surface has the tube's outer diameter, and flat ends. Tubes that
@@ -60,21 +62,28 @@ def tube_surfaces(plan: Plan, frame: int) -> dict[int, Surface]:
     return found
 
 
-def wall_surface(plan: Plan) -> Surface | None:
-    """Return the wall of the plan's lumen in the robot's base frame, open at both ends; None where no lumen is
-    known.
+def wall_surfaces(plan: Plan) -> dict[str, ShadedSurface]:
+    """Return the plan's walls in the robot's base frame, by name.
+
+    plan: the plan. The tube around the path (INSCRIBED_TUBE_NAME), open at both ends, is among them where it is a
+    wall; of the surfaces of bodies, the part around target and robot.
     """
-    return None if plan.lumen is None else _sweep_surface(plan.lumen, WALL_SURFACE_SIDES)
+    found = {}
+    if plan.lumen_wall is not None:
+        found[INSCRIBED_TUBE_NAME] = _sweep_surface(plan.lumen_wall, WALL_SURFACE_SIDES)
+    for wall in plan.drawn_walls:
+        found[wall.name] = ShadedSurface(wall.vertices, wall.normals, wall.triangles)
+    return found
 
 
-def _sweep_surface(table: Array, sides: int) -> Surface:
+def _sweep_surface(table: Array, sides: int) -> ShadedSurface:
     """Return the surface around a path (n, 4) of x, y, z and radius in mm; sides: of its cross-section."""
     points, triangles = wall_mesh(table, sides)
     outwards = points - np.repeat(table[:, :3], sides, axis=0)
-    return Surface(points, outwards / np.linalg.norm(outwards, axis=-1, keepdims=True), triangles)
+    return ShadedSurface(points, outwards / np.linalg.norm(outwards, axis=-1, keepdims=True), triangles)
 
 
-def _sweep_capped_surface(table: Array) -> Surface:
+def _sweep_capped_surface(table: Array) -> ShadedSurface:
     """Return the surface around a path, a table (n, 4) of x, y, z and radius in mm, with a disc at either end."""
     body = _sweep_surface(table, TUBE_SURFACE_SIDES)
     # Each disc has rim points of its own: shared ones would share normals, and edges would look round.
@@ -92,4 +101,4 @@ def _sweep_capped_surface(table: Array) -> Surface:
         points.append(np.vstack([table[end, :3], ring]))
         normals.append(np.tile(outwards / np.linalg.norm(outwards), (TUBE_SURFACE_SIDES + 1, 1)))
         triangles.append(disc[:, ::-1] if end == 0 else disc)
-    return Surface(np.vstack(points), np.vstack(normals), np.vstack(triangles))
+    return ShadedSurface(np.vstack(points), np.vstack(normals), np.vstack(triangles))
