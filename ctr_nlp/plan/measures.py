@@ -220,8 +220,8 @@ class Contact(NamedTuple):
     """A run of frames in which the robot touches the wall, and its deepest point.
 
     first, last: the frames, from 1. depth: of the deepest point beyond the wall, mm; frame, tube: its frame and
-    tube, from 1. arc_length: mm along the robot; path: mm along the lumen's path, NaN where there is none; both
-    from the insertion point.
+    tube, from 1. arc_length: mm along the robot; path: mm along the lumen's path, or the last target where there is
+    none; both from the insertion point.
     """
 
     first: int
@@ -245,7 +245,7 @@ def contacts(plan: PlanData) -> list[Contact]:
     if plan.clearance is None:
         return []
     deep = contact_depths(plan)
-    lumen = None if plan.lumen is None else Lumen(plan.lumen)
+    path = Lumen(np.column_stack([plan.target[-1], np.ones(101)]) if plan.lumen is None else plan.lumen)
     found = []
     for first, stop in find_flag_runs(deep > 0):
         frame = first + int(deep[first:stop].argmax())
@@ -253,7 +253,7 @@ def contacts(plan: PlanData) -> list[Contact]:
         tube = outermost_tube_index(plan.beta[frame][None], SIGMA_GRID)[0, sample]
         # Lengths along the path count from the insertion point, the origin, wherever the lumen begins.
         ends = np.stack([np.zeros(3), plan.shape[frame, sample]])
-        start, place = (np.nan, np.nan) if lumen is None else lumen.project(ends).length_before
+        start, place = path.project(ends).length_before
         s = SIGMA_GRID[sample] * plan.beta[frame, -1]
         numbers = float(deep[frame]), frame + 1, int(tube) + 1, float(s), float(place - start)
         found.append(Contact(first + 1, stop, *numbers))
