@@ -11,9 +11,8 @@ import numpy as np
 
 from ctr_nlp.exceptions import ProblemError
 from ctr_nlp.paths.points import cumulative_arc_length
-from ctr_nlp.paths.surface import Surface
 from ctr_nlp.paths.walls import Body
-from ctr_nlp.typing import Array
+from ctr_nlp.typing import Array, Index
 
 DRAWN_WITHIN_MM = 15.0
 """Distance from a path within which walls are drawn, mm."""
@@ -34,7 +33,7 @@ class DrawnWall(NamedTuple):
     keep_out: bool
     vertices: Array
     normals: Array
-    triangles: Array
+    triangles: Index
 
 
 def walls_to_draw(
@@ -64,20 +63,24 @@ def walls_to_draw(
             surface = body.surface_near(points, within)
         except ProblemError:
             continue
-        vertices, triangles = merge_vertices(surface, cell)
+        vertices, triangles = merge_vertices(
+            np.asarray(surface.vertices, float), surface.triangles.astype(np.intp), cell
+        )
         if len(triangles):
             normals = vertex_normals(vertices, triangles)
             found.append(DrawnWall(body.name, body.keep_out, vertices, normals, triangles))
     return found
 
 
-def merge_vertices(surface: Surface, cell: float) -> tuple[Array, Array]:
+def merge_vertices(vertices: Array, triangles: Index, cell: float) -> tuple[Array, Index]:
     """Merge all vertices of a surface that lie in one cell of a grid.
 
     Parameters
     ----------
-    surface : Surface
-        Triangles.
+    vertices : ndarray
+        Points (n, 3), mm.
+    triangles : ndarray
+        Indices (m, 3) of their corners.
     cell : float
         Side of the cells, mm.
 
@@ -95,20 +98,19 @@ def merge_vertices(surface: Surface, cell: float) -> tuple[Array, Array]:
     Examples
     --------
     >>> corners = [[0, 0, 0], [4, 0, 0], [4, 4, 0], [0, 4, 0], [4, 0.1, 0]]
-    >>> square = Surface(corners, [[0, 1, 2], [0, 4, 2], [0, 2, 3]])
-    >>> vertices, triangles = merge_vertices(square, 1.0)
+    >>> square = np.array([[0, 1, 2], [0, 4, 2], [0, 2, 3]])
+    >>> vertices, triangles = merge_vertices(np.array(corners), square, 1.0)
     >>> len(vertices), len(triangles)
     (4, 2)
     """
-    corners = np.asarray(surface.vertices, float)
-    used, triangles = np.unique(surface.triangles, return_inverse=True)
-    corners, triangles = corners[used], triangles.reshape(-1, 3)
+    used, renumbered = np.unique(triangles, return_inverse=True)
+    corners = np.asarray(vertices[used], float)
     _, group = np.unique(np.floor(corners / cell).astype(int), axis=0, return_inverse=True)
     group = group.reshape(-1)
     vertices = (
         np.stack([np.bincount(group, corners[:, k]) for k in range(3)], axis=1) / np.bincount(group)[:, None]
     )
-    triangles = group[triangles]
+    triangles = group[renumbered.reshape(-1, 3)]
     first, second, third = triangles.T
     triangles = triangles[(first != second) & (second != third) & (third != first)]
     # Two triangles with the same three corners are one, whichever corner comes first.
@@ -116,7 +118,7 @@ def merge_vertices(surface: Surface, cell: float) -> tuple[Array, Array]:
     return vertices, triangles[np.sort(kept)]
 
 
-def vertex_normals(vertices: Array, triangles: Array) -> Array:
+def vertex_normals(vertices: Array, triangles: Index) -> Array:
     """Return unit normals (n, 3) at vertices (n, 3): means of the triangles' (m, 3), weighted by their areas."""
     corners = vertices[triangles]
     normals = np.zeros_like(vertices)

@@ -30,7 +30,7 @@ def body(name="airways", keep_out=False, surface=None):
 
 
 def test_a_surface_of_merged_vertices_lies_on_the_surface_and_faces_outwards():
-    vertices, triangles = merge_vertices(tube(), 0.8)
+    vertices, triangles = merge_vertices(tube().vertices, tube().triangles, 0.8)
     assert len(triangles) < 0.6 * len(tube().triangles)
     assert np.abs(np.linalg.norm(vertices[:, :2], axis=1) - RADIUS).max() < 0.05
     normals = vertex_normals(vertices, triangles)

@@ -19,14 +19,20 @@ from scipy.spatial import ConvexHull
 
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.paths.lumen import wall_rings
-from ctr_nlp.paths.surface import Surface
 from ctr_nlp.paths.target import SIGMA_GRID
 from ctr_nlp.paths.wall_surfaces import DrawnWall, merge_vertices
 from ctr_nlp.plan.measures import e1, rms_over_sigma
 from ctr_nlp.plan.plan import Plan
 from ctr_nlp.typing import Array
 from ctr_nlp.view.figures.parts.page import STYLE, add_heading
-from ctr_nlp.view.figures.parts.palette import BLACK, KEEP_OUT_COLOUR, LUMEN_COLOUR, WALL_COLOUR, tube_colour, tube_width
+from ctr_nlp.view.figures.parts.palette import (
+    BLACK,
+    KEEP_OUT_COLOUR,
+    LUMEN_COLOUR,
+    WALL_COLOUR,
+    tube_colour,
+    tube_width,
+)
 
 DEFAULT_SHAPE_FRAMES = 6
 """Number of frames that are drawn where the caller names none."""
@@ -235,10 +241,15 @@ def _draw_lumen(axes: Axes, lumen: Array, sideways: int) -> None:
 
 def _draw_wall(axes: Axes, wall: DrawnWall, sideways: int) -> None:
     """Draw the outline of a surface, filled; `sideways` is 0 for x and 1 for y."""
-    vertices, triangles = merge_vertices(Surface(wall.vertices, wall.triangles), SILHOUETTE_CELL_MM)
-    seen = vertices[:, [sideways, 2]][triangles]
+    vertices, triangles = merge_vertices(wall.vertices, wall.triangles, SILHOUETTE_CELL_MM)
+    seen = list(vertices[:, [sideways, 2]][triangles])
     if wall.keep_out:
-        one = {"color": KEEP_OUT_COLOUR, "linewidth": 0.0, "alpha": KEEP_OUT_OPACITY, "antialiased": False}
+        one: dict[str, Any] = {
+            "color": KEEP_OUT_COLOUR,
+            "linewidth": 0.0,
+            "alpha": KEEP_OUT_OPACITY,
+            "antialiased": False,
+        }
         axes.add_collection(PolyCollection(seen, zorder=0.8, **one), autolim=False)
         return
     axes.add_collection(PolyCollection(seen, color=WALL_COLOUR, linewidth=2.0, zorder=0.6), autolim=False)

@@ -25,9 +25,9 @@ from ctr_nlp.view.exchange.configurations import plan_through
 from ctr_nlp.view.exchange.formats import EXCHANGE_FORMATS, FILE_FORMATS
 from ctr_nlp.view.exchange.gltf import encode_gltf
 from ctr_nlp.view.exchange.mat import encode_mat
+from ctr_nlp.view.exchange.plan_surfaces import tube_surfaces, wall_surfaces
 from ctr_nlp.view.exchange.shapes_csv import encode_shapes_csv
 from ctr_nlp.view.exchange.slicer import slicer_files
-from ctr_nlp.view.exchange.plan_surfaces import tube_surfaces, wall_surfaces
 
 FRAMES = 5
 CLOSE = 0.01
