@@ -178,6 +178,13 @@ def whole(text: str) -> int:
         raise argparse.ArgumentTypeError(f"{text!r} is not a whole number") from error
 
 
+def count(text: str) -> int:
+    """Return the whole number, at least 0, in `text`; raises argparse's own error."""
+    if (found := whole(text)) < 0:
+        raise argparse.ArgumentTypeError(f"{found} is negative; it must be 0 or more")
+    return found
+
+
 def read_start(path: str) -> Array:
     """Read a configuration (2d + 2,), rad and mm, from a JSON file; raises OptionError.
 

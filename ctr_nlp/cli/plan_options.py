@@ -16,6 +16,7 @@ from ctr_nlp.cli.arguments import (
     add_live_option,
     add_numbers,
     add_triple,
+    count,
     whole,
 )
 from ctr_nlp.exceptions import OptionError
@@ -212,8 +213,8 @@ def add_check_options(parser: argparse.ArgumentParser) -> None:
         "robots; verdicts that need them are NOT CHECKED",
     )
     usual = f"{DEFAULT_PLAN_SAMPLES}; under a load 0, since loaded ones take a minute for every 200"
-    told = f"robots within the tolerances that are simulated (default {usual})"
-    group.add_argument("--samples", metavar="N", type=whole, help=told)
+    told = f"robots within the tolerances that are simulated, 0 for none (default {usual})"
+    group.add_argument("--samples", metavar="N", type=count, help=told)
 
 
 def evaluate_plan(plan: Plan, arguments: argparse.Namespace) -> Plan:
@@ -226,8 +227,7 @@ def evaluate_plan(plan: Plan, arguments: argparse.Namespace) -> Plan:
     if arguments.samples is None and plan.drawn is not None and plan.can_snap:
         return plan  # a robust plan holds the robots that it was certified on
     usual = 0 if loaded else DEFAULT_PLAN_SAMPLES
-    count = usual if arguments.samples is None else arguments.samples
-    return plan if loaded and not count else plan.check(count)
+    return plan.check(usual if arguments.samples is None else arguments.samples)
 
 
 def add_file_options(parser: argparse.ArgumentParser) -> None:

@@ -13,7 +13,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from ctr_nlp.exceptions import CtrError, LoadError, OutputError
+from ctr_nlp.exceptions import CtrError, LoadError, OutputError, RobotError
 from ctr_nlp.models import Model, model_named
 from ctr_nlp.models.loaded.model import Loaded
 from ctr_nlp.models.loads import Load, LoadOverTime, with_modulus
@@ -129,7 +129,7 @@ class Plan(PlanData):
         Parameters
         ----------
         samples : int
-            How many robots are simulated, at least 1.
+            How many robots are simulated; none with 0, and verdicts that need them are then not checked.
         seed : int
             Of these robots; the same seed gives the same robots.
 
@@ -156,8 +156,9 @@ class Plan(PlanData):
         >>> plan.evaluated_model_name, plan.verdicts.unchecked_names
         ('elastic', ('within the wall',))
         """
+        samples = whole_number(RobotError, "samples", samples, 0)
         looked = self if self.can_snap else self.evaluate_on(PHYSICAL_MODEL)
-        if self.meta.get("interrupted", False) or not looked.reached_frames.any():
+        if samples == 0 or self.meta.get("interrupted", False) or not looked.reached_frames.any():
             return looked
         return looked.with_samples(samples, seed)
 

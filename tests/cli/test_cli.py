@@ -379,3 +379,13 @@ def test_the_example_files_go_together(tmp_path):
     fitting = "--frames", 10, "--trim", "start", "--no-figures"
     assert solve(*files, *fitting, "--out", tmp_path / "out") == 0
     assert solve(*files, "--frames", 10, "--out", tmp_path / "other") == 2
+
+
+def test_plans_need_not_be_simulated_and_a_negative_number_is_refused_before_anything_is_solved(tmp_path, capsys):
+    asked = ["arc", "--model", "dominant", "--formulation", "joint", "--frames", "3", "--no-figures"]
+    assert solve_horizon([*asked, "--samples", "0", "--out", str(tmp_path / "out")]) in (0, 1)
+    assert Plan.load(tmp_path / "out" / "plan.npz").verdicts.holds.word == "NOT CHECKED"
+    with pytest.raises(SystemExit, match="2"):
+        solve_horizon([*asked, "--samples", "-1", "--out", str(tmp_path / "other")])
+    assert "--samples: -1 is negative; it must be 0 or more" in capsys.readouterr().err
+    assert not (tmp_path / "other").exists()
