@@ -220,8 +220,8 @@ class Contact(NamedTuple):
     """A run of frames in which the robot touches the wall, and its deepest point.
 
     first, last: the frames, from 1. depth: of the deepest point beyond the wall, mm; frame, tube: its frame and
-    tube, from 1. arc_length: mm along the robot; path: mm along the lumen's path, or, where there is none, along the
-    last target; both from the insertion point.
+    tube, from 1. arc_length: mm along the robot; path: mm along the path of the lumen, or else of the last target;
+    both from the insertion point.
     """
 
     first: int
