@@ -1,0 +1,67 @@
+"""The checker's opinions on a plan's file beside the plan's own verdicts, cached by the file's content."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from dataclasses import fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import ctr_nlp.check
+from ctr_nlp.check.checker import CheckResult, Finding
+from ctr_nlp.check.comparison import Opinion, compare_verdicts
+from ctr_nlp.check.plan_file import PlanFile, read_plan_file
+from ctr_nlp.check.records import check_plan
+from ctr_nlp.codegen.cache import folder
+from ctr_nlp.exceptions import OutputError
+from ctr_nlp.plan.plan import Plan
+from ctr_nlp.support.atomic_write import write_atomically
+
+
+def form_opinions(path: str | Path, samples: int = 0, centreline: str | None = None) -> list[Opinion]:
+    """Check a plan's file, and set what is found beside the plan's own verdicts.
+
+    path: of a plan.npz. samples: how many simulated robots are moved. centreline: file that the plan was made for,
+    to check its axes. A file that the package refuses to read is checked all the same, without own verdicts.
+    Raises CheckError where a file cannot be read at all.
+    """
+    found = check_plan(path, samples, centreline) if centreline else _check_once(Path(path), samples)
+    try:
+        own = Plan.load(path).verdicts._asdict()
+    except OutputError as error:
+        refused = Opinion("readable", "no", None, "yes", None, False, f"The package refuses the file: {error}")
+        return [*compare_verdicts(found, {}), refused]
+    return compare_verdicts(found, own)
+
+
+def _check_once(path: Path, samples: int) -> CheckResult:
+    """Check a plan's file, or take the findings that an earlier check of the same content left in the cache."""
+    file = read_plan_file(path)
+    place = folder() / "checked" / f"{_cache_key(file, samples)}.json"
+    try:
+        kept = json.loads(place.read_text(encoding="utf-8"))
+        findings = {name: Finding(*finding) for name, finding in kept["findings"].items()}
+        nothing: dict[str, Any] = dict.fromkeys((each.name for each in fields(CheckResult)), np.empty(0))
+        lost = np.array(kept["lost"], dtype=bool)
+        return CheckResult(**nothing | {"file": file, "findings": findings, "snaps": kept["snaps"], "lost": lost})
+    except (OSError, LookupError, TypeError, ValueError):
+        found = check_plan(path, samples)
+    try:
+        place.parent.mkdir(parents=True, exist_ok=True)
+        with write_atomically(place) as partial:
+            kept = {"findings": found.findings, "snaps": found.snaps, "lost": found.lost.tolist()}
+            partial.write_text(json.dumps(kept), encoding="utf-8")
+    except OSError:  # a folder that cannot be written costs time, and nothing else
+        pass
+    return found
+
+
+def _cache_key(file: PlanFile, samples: int) -> str:
+    """Return what findings depend on, as one name: the file's content, the samples, and the checker's own code."""
+    key = hashlib.sha256(f"{file.content_digest} {file.digest} {samples}".encode())
+    for source in sorted(Path(ctr_nlp.check.__file__).parent.glob("*.py")):
+        key.update(source.read_bytes())
+    return key.hexdigest()
