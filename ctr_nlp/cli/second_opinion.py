@@ -13,10 +13,10 @@ import numpy as np
 import ctr_nlp.check
 from ctr_nlp.check.checker import CheckResult, Finding
 from ctr_nlp.check.comparison import Opinion, compare_verdicts
-from ctr_nlp.check.plan_file import PlanFile, read_plan_file
+from ctr_nlp.check.plan_file import CheckError, PlanFile, read_plan_file
 from ctr_nlp.check.records import check_plan
 from ctr_nlp.codegen.cache import folder
-from ctr_nlp.exceptions import OutputError
+from ctr_nlp.exceptions import OutputError, TrajectoryError
 from ctr_nlp.plan.plan import Plan
 from ctr_nlp.support.atomic_write import write_atomically
 
@@ -65,3 +65,33 @@ def _cache_key(file: PlanFile, samples: int) -> str:
     for source in sorted(Path(ctr_nlp.check.__file__).parent.glob("*.py")):
         key.update(source.read_bytes())
     return key.hexdigest()
+
+
+def require_agreement(path: str | Path) -> list[Opinion]:
+    """Return the checker's opinions on the file of a plan that is to be played.
+
+    Raises TrajectoryError where the checker disagrees with the plan, or cannot read it.
+    """
+    try:
+        opinions = form_opinions(path)
+    except CheckError as error:
+        raise TrajectoryError(f"the plan was not played, since the checker cannot read it: {error}") from error
+    apart = [each for each in opinions if not each.agrees]
+    if apart:
+        raise TrajectoryError(
+            f"the plan was not played, since an independent check disagrees. {' '.join(map(_in_words, apart))} "
+            f"`ctr-nlp check {path}` shows both; make the plan again, or report the difference"
+        )
+    return opinions
+
+
+def _in_words(opinion: Opinion) -> str:
+    """Return a sentence on what a plan and the checker say of one matter."""
+    name = opinion.name.replace("_", " ")
+    if opinion.own_word is None:
+        return f"Record of {name}: {opinion.why}"
+    own, found = (
+        word if number is None else f"{word} ({number:.4g})"
+        for word, number in ((opinion.own_word, opinion.own_number), (opinion.word, opinion.number))
+    )
+    return f"{name}: the plan says {own}, the checker {found}. {opinion.why.rstrip('.')}."
