@@ -60,7 +60,7 @@ GROUP = 250
 
 
 class Finding(NamedTuple):
-    """What the checker finds of one matter.
+    """Finding of the checker on one matter.
 
     Attributes
     ----------

@@ -335,9 +335,9 @@ def compute_body(twist: Twist, theta: Array) -> Body:
             u = [piece.bending((k + 0.5 + c) / piece.steps) for c in (-gauss, gauss)]
             first, second = (np.stack([-each.imag, each.real, np.zeros(n)], axis=-1) for each in u)
             turn = h[:, None] / 2 * (first + second) + np.sqrt(3) / 12 * h[:, None] ** 2 * np.cross(first, second)
-            bent = _bent(frame, piece.bending(k / piece.steps))
+            bent = _bending_in_space(frame, piece.bending(k / piece.steps))
             after = frame @ _rotation(turn)
-            bent_after = _bent(after, piece.bending((k + 1) / piece.steps))
+            bent_after = _bending_in_space(after, piece.bending((k + 1) / piece.steps))
             step = h[:, None]
             point = point + step / 2 * (frame[:, :, 2] + after[:, :, 2]) + step**2 / 12 * (bent - bent_after)
             frame, s = after, s + h
@@ -347,7 +347,7 @@ def compute_body(twist: Twist, theta: Array) -> Body:
     return Body(places, points, tangents, np.array(radius))
 
 
-def _bent(frame: Array, u: Array) -> Array:
+def _bending_in_space(frame: Array, u: Array) -> Array:
     """Derivative of the tangent (n, 3) in frames (n, 3, 3) with bending vectors u (n,)."""
     return frame[:, :, 0] * u.real[:, None] + frame[:, :, 1] * u.imag[:, None]
 
@@ -473,7 +473,7 @@ class Follower:
         for _ in range(MAX_NEWTON_ITERATIONS):
             found = integrate(tubes[busy], alpha[:, busy], beta[:, busy], rates[:, busy])
             slopes = np.moveaxis(found.sensitivity, -1, 0)
-            change = -_solved(slopes, found.tip_rates.T).T
+            change = -_solve_systems(slopes, found.tip_rates.T).T
             size = abs(change).max(axis=0)
             rates[:, busy] += np.clip(change, -MAX_RATE_CHANGE, MAX_RATE_CHANGE)
             angles[:, busy] = found.tip_angles
@@ -494,7 +494,7 @@ class Follower:
         return reached
 
 
-def _solved(matrices: Array, right: Array) -> Array:
+def _solve_systems(matrices: Array, right: Array) -> Array:
     """Solutions (n, d) of n systems; where one is singular, NaN."""
     good = np.isfinite(matrices).all(axis=(1, 2)) & (abs(np.linalg.det(matrices)) > 1e-300)
     found = np.full_like(right, np.nan)
@@ -546,7 +546,7 @@ class Modes:
 
     @property
     def phases(self) -> Array:
-        """What is added to psi for the direction in which tubes bend, (places, d, n)."""
+        """Angles (places, d, n) that are added to psi for the direction in which tubes bend, rad."""
         pieces = self.twist.pieces
         return np.array([p.phase + p.helix * f * (p.high - p.low) for p in pieces for f in self.fractions])
 

@@ -47,12 +47,14 @@ def words(path, samples=0, **options):
     return {name: finding.word for name, finding in check_plan(path, samples, **options).findings.items()}
 
 
+@pytest.mark.hazard("mistake of the planner")
 def test_checker_runs_without_rest_of_package(saved):
     run = subprocess.run([sys.executable, "-c", ALONE, str(saved[1])], capture_output=True, text=True, check=False)
     assert run.returncode == 0, run.stderr
     assert "'shapes': 'yes'" in run.stdout
 
 
+@pytest.mark.hazard("robot differs from its description")
 def test_checker_agrees_with_plan_on_elastic_model(saved):
     plan, path = saved
     found = check_plan(path, samples=SAMPLES)
@@ -79,6 +81,7 @@ def test_dominant_plan_is_checked_on_both_models(tmp_path):
     np.testing.assert_allclose(found.shape, elastic, atol=1e-3)
 
 
+@pytest.mark.hazard("what was not checked reads as passed")
 def test_loaded_plan_is_not_covered(tmp_path):
     path = tmp_path / "plan.npz"
     plan = random_plan(3)
@@ -99,6 +102,7 @@ def test_samples_without_results_are_drawn_from_tolerances(saved, tmp_path):
     assert found.findings["samples"].word == NOT_COVERED
 
 
+@pytest.mark.hazard("wrong frame of reference")
 def test_axes_of_centreline_are_compared(shared_data, tmp_path):
     source = shared_data / "airways" / "chaste_ts002_RLL.csv"
     problem = problem_from_file(source, robot=table_i_robot(), frames=2, trim="start")

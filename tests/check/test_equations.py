@@ -114,6 +114,7 @@ def test_margin_of_opposed_pair_has_closed_form(curvature):
     assert compute_stability_margins(twist)[0] == pytest.approx(wanted, abs=1e-5)
 
 
+@pytest.mark.hazard("snap")
 def test_turning_a_tube_snaps_where_opposed_pair_is_unstable():
     snaps = {}
     for curvature in (0.005, 0.015):
@@ -183,6 +184,7 @@ def test_clearance_in_a_cone_and_a_torus():
     np.testing.assert_allclose(LumenWall(ring).left(points), 4 - np.hypot(2, 1.5), atol=5e-3)
 
 
+@pytest.mark.hazard("contact with the wall")
 def test_deepest_contact_sees_the_end_of_the_wider_tube():
     """A straight body leaves the axis of a cylinder; it is wide up to 40 mm, and thin from there to its tip."""
     slope = 0.05
@@ -199,6 +201,7 @@ def test_deepest_contact_sees_the_end_of_the_wider_tube():
     )
 
 
+@pytest.mark.hazard("limit exceeded")
 def test_limits_are_seen_to_be_exceeded():
     limits = {"alpha": [["-inf", "inf"]], "beta": None, "theta": [-3.0, 3.0], "carriage_gap": None}
     limits |= {f"{axis}_acceleration": "inf" for axis in ("alpha", "beta", "theta")}

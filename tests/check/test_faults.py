@@ -57,6 +57,7 @@ def judge_faults(seed, folder, samples):
     return tried, missed
 
 
+@pytest.mark.hazard("wrong tube order", "wrong robot", "wrong frame of reference", "stale or mirrored wall")
 def test_every_kind_of_fault_is_named(tmp_path):
     tried, missed = judge_faults(QUICK_SEED, tmp_path, samples=True)
     assert missed == []
@@ -76,6 +77,7 @@ def false_alarms(seed, folder, samples):
 
 
 @pytest.mark.slow
+@pytest.mark.hazard("mistake of the planner")
 def test_thousand_faults_are_all_named(tmp_path):
     tried = 0
     missed = []

@@ -58,13 +58,13 @@ def _rows(opinions: list[Opinion]) -> list[tuple[object, ...]]:
     return [
         (
             *(each.name.replace("_", " "), each.own_word or "", each.own_number),
-            *(each.word, each.number, "" if not _compared(each) else "yes" if each.agrees else "no", each.why),
+            *(each.word, each.number, "" if not _is_compared(each) else "yes" if each.agrees else "no", each.why),
         )
         for each in opinions
     ]
 
 
-def _compared(opinion: Opinion) -> bool:
+def _is_compared(opinion: Opinion) -> bool:
     """Return whether both sides say something, or the checker compared the record."""
     return not opinion.agrees or (opinion.word in STYLES and opinion.own_word in (None, "yes", "no"))
 
