@@ -1,6 +1,6 @@
 """Change single operators of a module, one at a time, and count how many changes its tests notice.
 
-    python scripts/mutation.py ctr_nlp/plan/verdicts.py --count 20
+    python scripts/assurance/mutation.py ctr_nlp/plan/verdicts.py --count 20
 
 Changes ("mutants") are those of cosmic-ray. Each runs in a process of its own, in which the changed module takes
 the place of the one on disk; no file is changed. Exit status 1 where fewer than 95 % are noticed,
@@ -23,10 +23,12 @@ from pathlib import Path
 from types import CodeType, ModuleType
 from typing import Any, NamedTuple
 
-ROOT = Path(__file__).resolve().parents[1]
+ROOT = Path(__file__).resolve().parents[2]
 TESTS = {
     "ctr_nlp/plan/verdicts.py": ["tests/plan/test_verdicts.py"],
-    "ctr_nlp/check": ["tests/check"],
+    "ctr_nlp/check": [
+        f"tests/check/test_{name}.py" for name in ("records", "equations", "checker", "faults", "second_opinion")
+    ],
 }
 """Tests that look at a module or a folder of modules."""
 CHANGES = (
