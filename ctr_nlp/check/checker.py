@@ -163,6 +163,8 @@ def examine_motion(file: PlanFile, samples: int = 0, settle: Settle | None = Non
         why = "Tubes are further out than they are long, or out of order."
     elif meta.get("load", meta.get("planned_load")) is not None:
         why = "The robot is under a load, which the checker's equations do not have."
+    elif meta.get("reversed") or meta.get("stretch", {}).get("first", 1) > 1:
+        why = "The motion does not begin where the robot enters: its equilibrium there depends on what was before."
     if why:
         uncovered = Finding(NOT_COVERED, why=why)
         found.findings.update(dict.fromkeys(("arrives", "follows", "stable", "within_wall", "holds"), uncovered))
@@ -170,7 +172,9 @@ def examine_motion(file: PlanFile, samples: int = 0, settle: Settle | None = Non
     wall = read_wall(arrays, meta)
     nominal = move_nominal(read_tubes(meta["robot"]), q, SUBSTEPS, settle)
     found.findings.update(_judge_shapes(found, _measure(found, nominal, wall), wall))
-    if drawn is None:
+    if drawn is not None and not np.isfinite(nominal.tip_angles).all():
+        found.findings["holds"] = Finding(NOT_COVERED, why="Samples are compared with the robot, which snaps.")
+    elif drawn is None:
         why = "Samples under a tip force or of other tolerances than uniform ones." if samples else "No samples."
         found.findings["holds"] = Finding(NOT_COVERED, why=why)
     else:

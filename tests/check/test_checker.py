@@ -15,6 +15,7 @@ from ctr_nlp.check.comparison import compare_verdicts
 from ctr_nlp.check.plan_file import CheckError, read_plan_file
 from ctr_nlp.check.records import RECORDS, check_plan
 from ctr_nlp.cli.main import main
+from ctr_nlp.problems import named_problem
 
 pytestmark = pytest.mark.interpreted
 
@@ -91,6 +92,31 @@ def test_loaded_plan_is_not_covered(tmp_path):
     uncovered = {name for name, word in found.items() if word == NOT_COVERED}
     assert {"arrives", "follows", "stable", "within_wall", "holds", "shapes", "margins"} <= uncovered
     assert found["within_limits"] == found["digest"] == YES
+
+
+def test_motion_that_begins_deployed_is_not_covered(saved, tmp_path):
+    path = tmp_path / "plan.npz"
+    for part in (saved[0].reversed(), saved[0][3:]):
+        part.save(path)
+        found = check_plan(path, samples=2)
+        assert all(each.agrees for each in compare_verdicts(found, part.verdicts._asdict()))
+        assert {found.findings[name].word for name in ("stable", "arrives", "shapes", "holds")} == {NOT_COVERED}
+        assert found.findings["times"].word == YES
+    saved[0][:6].save(path)
+    assert words(path)["shapes"] == YES
+
+
+def test_samples_are_not_covered_where_the_robot_snaps(tmp_path):
+    path = tmp_path / "plan.npz"
+    problem = named_problem("arc", frames=6)
+    turn = np.linspace(0.1, 1, 6)[:, None] * np.array([0, 6, 0, 45, 100, 140, 0, 0])
+    plan = plan_through(problem, turn, model="elastic")
+    assert plan.meta["snaps"]
+    plan.save(path)
+    found = check_plan(path, samples=2)
+    assert found.findings["stable"].word == NO
+    assert found.findings["holds"].word == found.findings["arrives"].word == NOT_COVERED
+    assert all(each.agrees for each in compare_verdicts(found, plan.verdicts._asdict()))
 
 
 def test_samples_without_results_are_drawn_from_tolerances(saved, tmp_path):
