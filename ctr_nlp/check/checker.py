@@ -315,7 +315,7 @@ def _judge_limits(robot: dict[str, Any], q: Array, dt: float) -> Finding:
     tubes, limits = robot["tubes"], robot["limits"]
     d = len(tubes)
     beta, step = q[:, d : 2 * d], np.diff(q, axis=0)
-    beta_limits = limits["beta"]
+    beta_limits = limits.get("beta")
     if beta_limits is None:
         straight = [not np.any(tube["curvature"]) for tube in tubes]
         ends = [t["length"] if s else t["curved_length"] for t, s in zip(tubes, straight, strict=True)]
@@ -330,13 +330,13 @@ def _judge_limits(robot: dict[str, Any], q: Array, dt: float) -> Finding:
         "range": np.min([q - lower, upper - q]),
         "order of tubes": np.min(np.diff(beta, axis=1), initial=np.inf),
     }
-    if limits["carriage_gap"] is not None:
+    if limits.get("carriage_gap") is not None:
         gaps = np.diff([tube["length"] for tube in tubes]) - np.diff(beta, axis=1)
-        left["gap between carriages"] = np.min(gaps, initial=np.inf) - limits["carriage_gap"]
+        left["gap between carriages"] = np.min(gaps, initial=np.inf) - limits.get("carriage_gap")
     used = 0.0
     for order, name in ((1, "speed"), (2, "acceleration")):
         sizes = (("alpha", d), ("beta", d), ("theta", 2))
-        most = [np.broadcast_to(_read_numbers(limits[f"{axis}_{name}"]), size) for axis, size in sizes]
+        most = [np.broadcast_to(_read_numbers(limits.get(f"{axis}_{name}", np.inf)), size) for axis, size in sizes]
         bound = np.concatenate(most) * dt**order
         change = abs(np.diff(step, n=order - 1, axis=0))
         if change.size:
@@ -360,8 +360,8 @@ def _take_samples(file: PlanFile, count: int) -> tuple[Array, Array] | None:
     None without samples, or where they are under a force or not uniform within their tolerances.
     """
     robot = file.meta["robot"]
-    tolerances, d = robot["tolerances"], len(robot["tubes"])
-    if not count or tolerances["tip_force"]:
+    tolerances, d = robot.get("tolerances"), len(robot["tubes"])
+    if not count or tolerances is None or tolerances["tip_force"]:
         return None
     if "draws_parts" in file.arrays:
         return file.arrays["draws_parts"][:count], file.arrays["draws_lags"][:count].astype(float)

@@ -84,6 +84,11 @@ def read_plan_file(path: str | Path) -> PlanFile:
         raise CheckError(
             f"{path} is no plan: it has no {', '.join(missing) or 'robot, problem and model in meta'}"
         )
+    frames = {len(np.atleast_1d(arrays[name])) for name in NEEDED_ARRAYS if name != "to_robot"}
+    if len(frames) > 1 or 0 in frames:
+        raise CheckError(
+            f"{path} is damaged: its arrays have {sorted(frames)} frames; all must have the same number"
+        )
     found = hashlib.sha256(text.encode(errors="backslashreplace"))
     for name in sorted(arrays):
         if name in DIGESTED_ARRAYS or name.startswith(DIGESTED_PREFIXES):

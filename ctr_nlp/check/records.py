@@ -89,7 +89,7 @@ def check_plan(
             _check_samples(found),
             _check_tolerances(file),
         )
-    except (LookupError, TypeError, ValueError, ZeroDivisionError) as error:
+    except (AttributeError, LookupError, TypeError, ValueError, ZeroDivisionError) as error:
         if isinstance(error, CheckError):
             raise
         raise CheckError(f"{path} is damaged, or no plan: {type(error).__name__}, {error}") from error
@@ -249,8 +249,8 @@ def _check_samples(found: CheckResult) -> Finding:
 
 def _check_tolerances(file: PlanFile) -> Finding:
     """Return whether the samples' differences from the robot are those of its tolerances."""
-    tolerances, d = file.meta["robot"]["tolerances"], len(file.meta["robot"]["tubes"])
-    if "draws_parts" not in file.arrays:
+    tolerances, d = file.meta["robot"].get("tolerances"), len(file.meta["robot"]["tubes"])
+    if "draws_parts" not in file.arrays or tolerances is None:
         return Finding(NOT_COVERED, why="The file has no samples.")
     parts, lags = file.arrays["draws_parts"], file.arrays["draws_lags"]
     bands = np.stack([np.broadcast_to(tolerances[name], d) for name in DEVIATIONS], axis=1)

@@ -108,7 +108,8 @@ def read_tubes(robot: dict, parts: Array | None = None) -> Tubes:
         tip=ends[:, 1:] * (1 + curvature),
         bending=bending,
         torsional=bending / ((1 + column("poisson_ratio")) * (1 + ratio)),
-        helix=column("pre_torsion"),
+        # Older files have no helices.
+        helix=column("pre_torsion") if "pre_torsion" in rows[0] else np.zeros_like(zero),
         zero=zero,
         radius=outer / 2,
     )

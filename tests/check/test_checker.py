@@ -4,6 +4,7 @@ import json
 import subprocess
 import sys
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -154,6 +155,33 @@ def test_files_that_are_no_plans_are_refused(content, tmp_path):
     with pytest.raises(CheckError, match="plan"):
         read_plan_file(path)
     assert main(["check", str(path)]) == 2
+
+
+def test_file_of_an_older_version_is_checked():
+    path = Path(__file__).parents[1] / "data" / "before" / "plan.npz"
+    found = check_plan(path, samples=2)
+    assert found.findings["within_limits"].word == YES
+    assert found.findings["digest"].word == NOT_COVERED
+    assert all(each.agrees for each in compare_verdicts(found, Plan.load(path).verdicts._asdict()))
+
+
+@pytest.mark.parametrize("part", ["tubes", "limits", "length", "duration", "time", "alpha", "target"])
+def test_damaged_file_is_refused(part, saved, tmp_path):
+    with np.load(saved[1]) as data:
+        arrays = {name: data[name] for name in data.files}
+    meta = json.loads(str(arrays["meta"]))
+    if part in arrays:
+        arrays[part] = arrays[part][:-1]
+    elif part == "duration":
+        meta["problem"][part] = "long"
+    elif part == "length":
+        meta["robot"]["tubes"][0][part] = "long"
+    else:
+        meta["robot"][part] = []
+    path = tmp_path / "plan.npz"
+    np.savez(path, **arrays | {"meta": np.array(json.dumps(meta))})
+    with pytest.raises(CheckError, match="damaged"):
+        check_plan(path)
 
 
 def test_command_shows_both_opinions(saved, capsys):
