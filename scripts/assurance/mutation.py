@@ -39,7 +39,9 @@ CHANGES = (
 )
 """Names of cosmic-ray's operators, or their ends: one change of each binary, comparing and unary operator."""
 LEAST_NOTICED = 0.95
-TIMEOUT_S = 300
+TIMEOUT_S = 600
+POLL_S = 0.1
+"""Between looks at whether tests have ended."""
 
 
 class Mutant(NamedTuple):
@@ -124,7 +126,7 @@ def run_tests(module: str, path: Path, text: str, tests: Sequence[str]) -> int |
         done, status = os.waitpid(child, os.WNOHANG)
         if done:
             return os.waitstatus_to_exitcode(status)
-        time.sleep(0.02)
+        time.sleep(POLL_S)
     os.kill(child, signal.SIGKILL)
     os.waitpid(child, 0)
     return None
@@ -154,10 +156,11 @@ def main(argv: list[str] | None = None) -> int:
         every if asked.count is None else random.Random(asked.seed).sample(every, min(asked.count, len(every)))
     )
     # Tests that fail anyhow would seem to notice every mutant.
-    for file in asked.files:
+    with_same_tests = {tuple(asked.tests or tests_of(file)): file for file in asked.files}
+    for tests, file in with_same_tests.items():
         text = (ROOT / file).read_text(encoding="utf-8")
-        if run_tests(module_name(file), ROOT / file, text, asked.tests or tests_of(file)) != 0:
-            print(f"the tests of {file} fail without a change; nothing was counted", file=sys.stderr)
+        if run_tests(module_name(file), ROOT / file, text, tests) != 0:
+            print(f"{', '.join(tests)} fail without a change; nothing was counted", file=sys.stderr)
             return 2
     missed = 0
     late = 0
