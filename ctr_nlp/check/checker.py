@@ -89,7 +89,7 @@ class CheckResult:
     file : PlanFile
         What was checked.
     findings : dict of str to Finding
-        Seven verdicts under the names of ``plan.verdicts``, and the findings on the record; see docs.
+        Seven verdicts under the names of ``plan.verdicts``, and findings on the record (``records.RECORDS``).
     shape, e2 : ndarray
         Shapes (T, 101, 3) and errors (T,) on the elastic model, mm; NaN where the robot has no equilibrium.
     margin, clearance : ndarray
@@ -159,7 +159,7 @@ def examine_motion(file: PlanFile, samples: int = 0, settle: Settle | None = Non
     beta, length = arrays["beta"], np.array([tube["length"] for tube in meta["robot"]["tubes"]])
     if not np.isfinite(q).all():
         why = "Frames have no configuration."
-    elif ((beta < 0) | (beta > length)).any() or (np.diff(beta, axis=1) < -LIMIT_SLACK).any():
+    elif max((-beta).max(), (beta - length).max(), -np.diff(beta, axis=1).min(initial=0.0)) > LIMIT_SLACK:
         why = "Tubes are further out than they are long, or out of order."
     elif meta.get("load", meta.get("planned_load")) is not None:
         why = "The robot is under a load, which the checker's equations do not have."

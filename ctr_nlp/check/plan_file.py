@@ -37,7 +37,7 @@ class PlanFile(NamedTuple):
     arrays : dict of str to array
         By their names.
     meta : dict
-        How the plan was made; see docs/concepts/plans.md.
+        How the plan was made.
     digest : str or None
         SHA-256 in the file; None in files without one.
     content_digest : str

@@ -27,7 +27,8 @@ ROOT = Path(__file__).resolve().parents[2]
 TESTS = {
     "ctr_nlp/plan/verdicts.py": ["tests/plan/test_verdicts.py"],
     "ctr_nlp/check": [
-        f"tests/check/test_{name}.py" for name in ("records", "equations", "checker", "faults", "second_opinion")
+        f"tests/check/test_{name}.py"
+        for name in ("records", "walls", "equations", "checker", "faults", "second_opinion")
     ],
 }
 """Tests that look at a module or a folder of modules."""
