@@ -165,7 +165,8 @@ def main(argv: list[str] | None = None) -> int:
             return 2
     missed = 0
     late = 0
-    for file, mutant in chosen:
+    for done, (file, mutant) in enumerate(chosen):
+        print(f"{done} of {len(chosen)} done, {missed} not noticed", file=sys.stderr)
         status = run_tests(module_name(file), ROOT / file, mutant.text, asked.tests or tests_of(file))
         late += status is None
         if status == 0:
