@@ -4,6 +4,7 @@ attributes of somebody else."""
 from __future__ import annotations
 
 import ast
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -22,6 +23,7 @@ FEATURES = (
     "reference",
     "robust",
     "anatomy",
+    "check",
 )
 """From top to bottom: each may import those after it, and the core. A feature can be deleted without the core
 noticing.
@@ -206,6 +208,20 @@ def violations() -> set[str]:
 
 def test_nothing_is_wrong_with_the_house():
     assert sorted(violations()) == []
+
+
+def test_the_checker_imports_no_other_room():
+    for path in sorted((ROOT / "ctr_nlp" / "check").rglob("*.py")):
+        for name in _imported_names(ast.parse(path.read_text(encoding="utf-8"))):
+            package = name.split(".")[0]
+            own = name == "ctr_nlp.check" or name.startswith("ctr_nlp.check.")
+            assert own or package in {"numpy", "scipy"} | sys.stdlib_module_names, f"{path.name} imports {name}"
+
+
+def _imported_names(tree: ast.Module) -> set[str]:
+    """Modules that a file imports."""
+    found = {alias.name for node in ast.walk(tree) if isinstance(node, ast.Import) for alias in node.names}
+    return found | {node.module or "" for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)}
 
 
 def test_circles_are_seen_wherever_the_import_stands():

@@ -94,7 +94,7 @@ def row_of(case: Case, raw: ctr_nlp.Plan, checked: ctr_nlp.Plan, path: Path) -> 
         "raw": {name: getattr(raw.verdicts, name).word for name in VERDICTS},
         "library": {name: [verdict.word, verdict.number] for name, verdict in library.items()},
         "judge": {name: list(found.findings[name]) for name in VERDICTS},
-        "snaps": found.snaps,
+        "snaps": found.result.snaps,
         "differ_mm": _largest_difference(checked, found),
         "samples": _samples(checked, found),
     }
@@ -104,7 +104,7 @@ def row_of(case: Case, raw: ctr_nlp.Plan, checked: ctr_nlp.Plan, path: Path) -> 
 def _largest_difference(plan: ctr_nlp.Plan, found: Judgement) -> float | None:
     """Between shapes in the frames before the first snap or bifurcation, mm: beyond one, chance decides."""
     near = np.flatnonzero(~(found.margin > NEAR_BIFURCATION).all(axis=1))
-    frames = min([len(plan.time), *near[:1], *(frame - 1 for frame in found.snaps)])
+    frames = min([len(plan.time), *near[:1], *(frame - 1 for frame in found.result.snaps)])
     away = np.linalg.norm(plan.shape[:frames] - found.shape[:frames], axis=-1)
     return float(away.max()) if away.size else None
 
@@ -122,14 +122,14 @@ def _samples(plan: ctr_nlp.Plan, found: Judgement) -> dict[str, float]:
         "missed": outcomes.missed_target & ~outcomes.lost,
         "pressed": outcomes.exceeded_contact_limit & ~outcomes.lost,
     }
-    theirs = {"lost": found.lost, "missed": found.missed, "pressed": found.pressed}
-    counts = {"count": len(found.lost)}
+    theirs = {"lost": found.result.lost, "missed": found.result.missed, "pressed": found.result.pressed}
+    counts = {"count": len(found.result.lost)}
     for name, flags in ours.items():
         counts |= {f"{name}_library": int(flags.sum()), f"{name}_judge": int(theirs[name].sum())}
         counts[f"{name}_differ"] = int((flags != theirs[name]).sum())
-    held = ~(found.lost | found.missed | found.pressed)
-    kept = ~(outcomes.lost | found.lost)
-    tips = abs(outcomes.tip_error - found.sample_tip)[kept]
+    held = ~(found.result.lost | found.result.missed | found.result.pressed)
+    kept = ~(outcomes.lost | found.result.lost)
+    tips = abs(outcomes.tip_error - found.result.sample_tip)[kept]
     counts["tip_differ_mm"] = float(tips.max()) if kept.any() else 0.0
     return counts | {"differ": int((outcomes.passed_all_checks != held).sum())}
 

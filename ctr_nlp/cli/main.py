@@ -31,6 +31,7 @@ COMMANDS = {
     "branches": Entry("commands.branches", "main", "list the branches of a centreline file"),
     "inspect": Entry("commands.inspect", "main", "say what is read from a file of anatomy, and what was assumed"),
     "robust": Entry("commands.robust", "main", "simulate a plan on robots within the tolerances"),
+    "check": Entry("commands.check", "main", "check a plan with code that shares nothing with the planners"),
     "under": Entry("loads.under", "main", "simulate the robot of a plan under a load"),
     "force": Entry("loads.force", "main", "find the tip forces that a plan withstands"),
     "contact": Entry("loads.contact", "main", "find the forces with which a plan touches the wall of its lumen"),

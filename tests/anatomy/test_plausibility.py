@@ -71,6 +71,7 @@ def test_noise_of_dense_points_is_no_reversal():
 
 @pytest.mark.parametrize(("factor", "unit"), [(0.1, "cm"), (0.001, "m"), (1000, "um")])
 @pytest.mark.parametrize("stated", [None, "mm"])
+@pytest.mark.hazard("wrong unit")
 def test_an_implausible_unit_is_refused_with_the_one_that_fits(factor, unit, stated):
     with pytest.raises(CurveError, match=rf"--units {unit}, or --units mm"):
         find_units(ARC * factor, AS_THE_FILE_SAYS, stated)

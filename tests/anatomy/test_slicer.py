@@ -199,6 +199,7 @@ def test_whatever_stands_in_a_file_it_is_read_or_refused(tmp_path, place, value)
         assert all(np.isfinite(branch.points).all() for branch in read_branches(path).branches)
 
 
+@pytest.mark.hazard("wrong frame of reference")
 def test_two_systems_in_one_file_are_refused(written):
     with pytest.raises(CurveError, match="different coordinate systems"):
         read_branches(written(curve(), curve(coordinateSystem="RAS")))

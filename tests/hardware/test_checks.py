@@ -113,6 +113,7 @@ def test_a_carriage_gap_is_kept():
     complaint(plan, "carriages 1 and 2 of frame .* mm apart; carriage_gap is 105 mm on this hardware")
 
 
+@pytest.mark.hazard("wrong robot")
 def test_a_plan_for_another_number_of_tubes_is_refused_by_the_hardware():
     rig = simulated_hardware(sweep().robot)
     with pytest.raises(HardwareError, match="no axis moves alpha_3"):
@@ -133,6 +134,7 @@ def test_what_is_reported_is_what_finite_differences_find():
 
 
 @pytest.mark.parametrize("name", ["speed", "acceleration"])
+@pytest.mark.hazard("limit exceeded")
 def test_a_program_beyond_a_limit_is_refused(name):
     """The same motion under a robot that may do half as much."""
     trajectory, found = prepare_trajectory(sweep(), homing_hardware())
@@ -210,6 +212,7 @@ def test_an_elastic_plan_that_is_stable_passes_with_its_margin():
 
 
 @pytest.mark.usefixtures("_interpreted")
+@pytest.mark.hazard("snap")
 def test_an_elastic_plan_whose_way_snaps_is_refused():
     """Also where only the timed trajectory is looked at."""
     plan, known = elastic_plan(2 * np.pi - 0.1)

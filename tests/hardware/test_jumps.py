@@ -61,6 +61,7 @@ def distrusted(world: World) -> None:
         world.begin()
 
 
+@pytest.mark.hazard("position unknown")
 def test_a_jump_on_the_way_is_not_trusted(world: World) -> None:
     result = world.begin(callback=once(lambda _, progress: progress.time > 0.8, lambda: jump(world, 5.0)))
     assert (result.outcome, result.trusted) == (PlaybackOutcome.PATH_TOLERANCE_VIOLATED, False)

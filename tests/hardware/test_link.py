@@ -84,6 +84,7 @@ def test_what_cannot_be_opened_is_a_fault(url: str) -> None:
 
 
 @pytest.mark.skipif(os.name != "posix" or os.geteuid() == 0, reason="only others than root are kept out of a port")
+@pytest.mark.hazard("two programs move one device")
 def test_a_port_has_one_owner() -> None:
     with serving(Firmware(), "pty") as url:
         link = SerialLink(url, 115200)

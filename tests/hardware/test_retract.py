@@ -34,6 +34,7 @@ def stopped(folder: Path, at: float = 1.0, **hardware: Any) -> World:
 
 
 @pytest.mark.parametrize("at", [0.05, 0.6, 1.4])
+@pytest.mark.hazard("robot cannot be withdrawn")
 def test_the_way_back_is_the_way_there(at: float, tmp_path: Path) -> None:
     world = stopped(tmp_path, at)
     trajectory, start = world.trajectory(), World(tmp_path).firmware.position
@@ -121,6 +122,7 @@ def test_a_position_that_is_not_to_be_trusted_needs_a_person(tmp_path: Path) -> 
     assert world.retract(verified=True).outcome is PlaybackOutcome.SUCCESS
 
 
+@pytest.mark.hazard("robot cannot be withdrawn")
 def test_without_a_journal_the_innermost_tube_comes_first(tmp_path: Path) -> None:
     world = stopped(tmp_path)
     places = []

@@ -120,6 +120,7 @@ CAUSES = ("kill", "suspend", "cut", "half_open", "silent", "reset")
 
 
 @pytest.mark.parametrize("cause", CAUSES)
+@pytest.mark.hazard("late or missing stop")
 def test_motion_ends_at_once_whatever_becomes_of_host_or_link(cause: str, tmp_path: Path) -> None:
     """At moments drawn at random; fifty of each in the slow tests."""
     check_cause(cause, 5, tmp_path)
@@ -221,6 +222,7 @@ def test_an_override_from_before_stops_the_motion_too(tmp_path: Path) -> None:
 # how much may be in the controller's hands
 
 
+@pytest.mark.hazard("late or missing stop")
 def test_never_more_than_allowed_is_in_the_controllers_hands(tmp_path: Path) -> None:
     """By time and by the travel of every slide, from where the motors are; also where reports lie."""
     world, most = World(tmp_path, fast()), [0.0, 0.0]

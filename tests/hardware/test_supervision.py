@@ -145,6 +145,7 @@ def test_what_moves_in_a_hold_is_a_fault() -> None:
     assert "an axis has moved by 0.03 in a hold" in said
 
 
+@pytest.mark.hazard("late or missing stop")
 def test_a_hold_must_come_to_rest() -> None:
     moments = np.arange(0.0, HOLDING + 0.5, 0.1)
     said = watched([(now, progress(0.5, now, "holding")) for now in moments])

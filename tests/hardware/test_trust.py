@@ -41,6 +41,7 @@ def killed(world: World, frame: int = 6) -> None:
     world.latest.close()
 
 
+@pytest.mark.hazard("position unknown")
 def test_distrust_lasts_until_a_person_has_looked(world: World) -> None:
     """A reset in motion loses the position; the next session, in another process, does not play on."""
 
@@ -109,6 +110,7 @@ def test_a_crash_is_gone_on_from_only_with_its_own_journal(world: World) -> None
     assert world.begin().outcome is PlaybackOutcome.SUCCESS
 
 
+@pytest.mark.hazard("position unknown")
 def test_a_power_cycle_is_seen_by_the_controllers_own_count(world: World) -> None:
     assert world.begin(verified=True).outcome is PlaybackOutcome.SUCCESS
     world.latest.close()
@@ -175,6 +177,7 @@ def test_a_lock_that_cannot_be_taken_is_said(tmp_path: Path) -> None:
         memory.claim()
 
 
+@pytest.mark.hazard("two programs move one device")
 def test_a_device_has_one_player(world: World) -> None:
     first = world.player()
     first.connect()

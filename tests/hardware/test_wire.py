@@ -34,6 +34,7 @@ def prepared_once() -> Iterator[None]:
 
 
 @pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.hazard("corrupted commands")
 def test_a_fault_of_each_kind_is_bounded_and_named(kind: str, tmp_path: Path) -> None:
     run = wire_faults.run(2000 + list(KINDS).index(kind), tmp_path, kind)
     assert run.note != "never struck"
@@ -64,6 +65,7 @@ def struck(folder: Path, change: Callable[[bytes], bytes | None]) -> tuple[World
     ("word", "changed"),
     [(b"Z-", b"Z-1"), (b"Z-2", b"Z-"), (b"A2", b"A"), (b"G90", b"G91"), (b"G21", b"G20"), (b"A", b"A-")],
 )
+@pytest.mark.hazard("corrupted commands")
 def test_a_changed_line_is_noticed_before_it_is_played(word: bytes, changed: bytes, tmp_path: Path) -> None:
     """However far it leads: no axis leaves the path, and the position is trusted."""
     world, result, injector = struck(

@@ -38,6 +38,7 @@ SAVED += ["lumen", "lumen_radius", "clearance", "clearance_between"]
 
 
 @pytest.mark.parametrize("name", SAVED)
+@pytest.mark.hazard("plan changed after planning")
 def test_the_least_change_of_a_number_is_refused(name, path):
     array = entries_of(path)[name].copy()
     array.flat[-1] = np.nextafter(array.flat[-1], np.inf) if np.isfinite(array.flat[-1]) else 1.0
@@ -57,6 +58,7 @@ def test_a_frame_that_is_called_solved_is_refused(path):
         {"mine": 1},
     ],
 )
+@pytest.mark.hazard("plan changed after planning")
 def test_a_change_of_meta_is_refused(change, path):
     meta = json.loads(str(entries_of(path)["meta"])) | change
     refused(path, meta=np.array(json.dumps(meta)))

@@ -173,6 +173,7 @@ def test_the_dominant_model_cannot_check_stability():
         ([np.nan], [np.nan], (), NOT_CHECKED, None),
     ],
 )
+@pytest.mark.hazard("snap")
 def test_stability_needs_the_margin_everywhere_and_no_snap(margins, between, snaps, word, least):
     found = twisted(margins, between, snaps).verdicts.stable
     assert (found.word, found.number) == (word, least)
@@ -208,6 +209,7 @@ def one(axis, size):
         ([one(4, -8.0)] * 4, NO, 1 + 2 / 150, "order of tubes 1 and 2 in frame 5"),
     ],
 )
+@pytest.mark.hazard("wrong tube order", "limit exceeded")
 def test_limits_of_position_order_and_speed(steps, word, part, where):
     found = moving(*steps).verdicts.within_limits
     assert (found.word, found.number) == (word, pytest.approx(100 * part))
@@ -255,12 +257,14 @@ def test_the_rounding_of_solvers_is_within_limits():
         ((np.nan, np.nan), {}, NOT_CHECKED, None),
     ],
 )
+@pytest.mark.hazard("contact with the wall")
 def test_contact_beyond_what_is_allowed_reads_no(least, options, word, deepest):
     found = walled(*least, options=options).verdicts.within_wall
     assert (found.word, found.unit) == (word, "mm of contact")
     assert found.number == (None if deepest is None else pytest.approx(deepest))
 
 
+@pytest.mark.hazard("contact with the wall")
 def test_contact_between_frames_counts():
     found = walled(0.2, 0.3, between=(0.2, -0.7)).verdicts.within_wall
     assert (found.word, found.number) == (NO, pytest.approx(0.7))
@@ -318,6 +322,7 @@ def judged_by_hand(plan, arrival=2.0, contact=1.0):
 
 
 @pytest.mark.parametrize(("arrival", "share"), [(0.5, 0.95), (2.0, 0.95), (6.0, 0.5), (60.0, 0.2), (200.0, 1.0)])
+@pytest.mark.hazard("robot differs from its description")
 def test_samples_are_judged_by_branch_arrival_and_contact(sampled, arrival, share):
     plan = sampled.with_thresholds(arrival_tolerance=arrival, share=share, contact_allowed=60.0)
     lost, missed, pressed = judged_by_hand(plan, arrival, 60.0)
@@ -425,6 +430,7 @@ def test_summary_terminal_and_python_have_the_same_words_and_numbers(name, capsy
         ("good", "This plan is not known to be good. Not checked: within the wall, holds on built robots."),
     ],
 )
+@pytest.mark.hazard("what was not checked reads as passed")
 def test_what_was_not_checked_is_never_summed_up_as_passed(plan, text, capsys):
     plan_report.print_verdicts(summary(PLANS[plan]))
     assert text in capsys.readouterr().out

@@ -105,6 +105,7 @@ def test_a_tube_that_cannot_be_is_refused(changes, message):
         ({"carriage_gap": "wide"}, "carriage_gap is .*wide"),
     ],
 )  # fmt: skip
+@pytest.mark.hazard("wrong tube order")
 def test_tubes_and_limits_that_do_not_go_together_are_refused(changes, message):
     with pytest.raises(RobotError, match=message):
         pair(**changes)

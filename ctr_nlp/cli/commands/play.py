@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from ctr_nlp.check.checker import NOT_COVERED, YES
+from ctr_nlp.check.comparison import Opinion
 from ctr_nlp.cli import closed_loop, live_views
 from ctr_nlp.cli.arguments import add_live_option
 from ctr_nlp.cli.commands.commission import commission
@@ -17,6 +19,7 @@ from ctr_nlp.cli.console import EXIT_BAD_INPUT, EXIT_SOLVED, EXIT_SOME_FAILED, C
 from ctr_nlp.cli.operator_control import SIGNAL_EXIT_BASE, obey_operator
 from ctr_nlp.cli.output.file import path_component
 from ctr_nlp.cli.play_report import JOURNAL, claim, print_trajectory, report
+from ctr_nlp.cli.second_opinion import require_agreement
 from ctr_nlp.cli.terminal_output import print_stderr, progress_bar
 from ctr_nlp.exceptions import DeviceFault, OptionError
 from ctr_nlp.hardware.axis import LETTERS
@@ -45,9 +48,9 @@ from ctr_nlp.support.interrupt import deferred_interrupt
 def _parser(prog: str) -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog=prog,
-        description="Check a plan for some hardware, go slowly to its first frame, and play it. While it plays, "
-        "lines on standard input are obeyed: p pauses, r resumes, a aborts; Ctrl-C, Ctrl-\\ and the signals "
-        "SIGTERM and SIGHUP abort too.",
+        description="Check a plan for some hardware, and again by an independent checker, go slowly to its "
+        "first frame, and play it. While it plays, lines on standard input are obeyed: p pauses, r resumes, a "
+        "aborts; Ctrl-C, Ctrl-\\ and the signals SIGTERM and SIGHUP abort too.",
         epilog="Exit status: 0 where the plan was played to the end, 1 where it was not, as after a, or where "
         "something could not be written, 2 where input is bad and nothing was sent, 128 + N where signal N "
         "stopped it: 130 after Ctrl-C, 131 after Ctrl-\\, 143 after SIGTERM, 129 after SIGHUP.",
@@ -150,6 +153,7 @@ def _run(arguments: argparse.Namespace) -> int:
     print_stderr(NOT_FOR_PATIENTS)
     if asked:
         _ask_permission(arguments, plan)
+        _note_uncovered(require_agreement(arguments.plan))
     _note_untried(hardware)
     _note_loose(hardware)
     if arguments.dry_run:
@@ -180,6 +184,13 @@ def _ask_permission(arguments: argparse.Namespace, plan: Plan) -> None:
         closed_loop.warn(plan)
     for verdict in waived:
         print_stderr(f"note: {verdict.matter}: {verdict.word}. {verdict.why}")
+
+
+def _note_uncovered(opinions: Sequence[Opinion]) -> None:
+    """Name on stderr the verdicts of the plan that the independent check does not cover."""
+    names = [each.name.replace("_", " ") for each in opinions if each.word == NOT_COVERED and each.own_word == YES]
+    if names:
+        print_stderr(f"note: an independent check does not cover: {', '.join(names)}; see `ctr-nlp check`")
 
 
 def _note_untried(hardware: Hardware) -> None:

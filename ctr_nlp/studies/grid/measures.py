@@ -2,10 +2,16 @@
 
 from __future__ import annotations
 
+import tempfile
 from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
+from ctr_nlp.check.checker import NOT_COVERED
+from ctr_nlp.check.comparison import compare_verdicts
+from ctr_nlp.check.records import check_plan
 from ctr_nlp.paths.problem import Problem
 from ctr_nlp.plan.measures import contact_depths
 from ctr_nlp.plan.plan import Plan
@@ -39,5 +45,37 @@ def contact(plan: Plan, problem: Problem) -> dict[str, float]:
     }
 
 
-MEASURES: Mapping[str, Callable[[Plan, Problem], dict[str, float]]] = {"contact": contact}
+def check(plan: Plan, problem: Problem) -> dict[str, Any]:
+    """Check a plan a second time, with all its simulated robots, by code that shares nothing with planners.
+
+    Parameters
+    ----------
+    plan : Plan
+        The plan.
+    problem : Problem
+        The problem that it was planned for; not used.
+
+    Returns
+    -------
+    dict
+        ``check_agrees``: whether the checker agrees with the plan; ``check_disagrees`` and ``check_not_covered``:
+        names of verdicts and parts of the record, joined by commas.
+    """
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "plan.npz"
+        plan.save(path)
+        found = check_plan(path, samples=0 if plan.drawn is None else len(plan.drawn))
+    opinions = compare_verdicts(found, plan.verdicts._asdict())
+    apart = [each.name for each in opinions if not each.agrees]
+    uncovered = [each.name for each in opinions if each.word == NOT_COVERED]
+    return {
+        "check_agrees": not apart,
+        "check_disagrees": ",".join(apart),
+        "check_not_covered": ",".join(uncovered),
+    }
+
+
+CHECK_MEASURE = "check"
+"""Name of the measure that checks a plan a second time."""
+MEASURES: Mapping[str, Callable[[Plan, Problem], dict[str, Any]]] = {"contact": contact, CHECK_MEASURE: check}
 """Name of a measure -> function that returns its columns of a plan's row."""

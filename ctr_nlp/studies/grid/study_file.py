@@ -20,6 +20,7 @@ from ctr_nlp.robot import Robot, table_i_robot
 from ctr_nlp.robot.samples import build_calibrated_robot, sample_robots
 from ctr_nlp.studies.airways import SYNTHETIC
 from ctr_nlp.studies.grid.case import Case, file_digest
+from ctr_nlp.studies.grid.measures import CHECK_MEASURE
 from ctr_nlp.studies.grid.reports import REPORTS
 from ctr_nlp.studies.grid.setups import SETUP_KEYS, check_table, planner_setups
 from ctr_nlp.support.value_checks import (
@@ -35,7 +36,7 @@ from ctr_nlp.support.value_checks import (
 
 STUDY_KEYS = (
     *("name", "problems", "robots", "youngs_modulus", *SETUP_KEYS, "ways"),
-    *("frames", "walls", "draws", "seed", "report"),
+    *("frames", "walls", "draws", "seed", "check", "report"),
 )
 STUDY_PROBLEM_KEYS = ("names", "files", "folder", "synthetic", "options")
 STUDY_ROBOT_KEYS = ("files", "drawn")
@@ -150,6 +151,8 @@ class Study:
         if modulus is not None:
             with_modulus(table_i_robot(), modulus)  # a number that is none is refused here, not in every row
         check_instance(OptionError, "walls of a study", walled, bool)
+        checked = data.get("check", False)
+        check_instance(OptionError, "check of a study", checked, bool)
         if report is not None:
             check_choice("report of a study", report, REPORTS)
         options = _options(data.get("problems", {}).get("options", {}))
@@ -172,7 +175,7 @@ class Study:
                 seed + place if draws else 0,
                 options if content else (),
                 walled,
-                way.measures,
+                (*way.measures, *([CHECK_MEASURE] if checked and CHECK_MEASURE not in way.measures else [])),
                 way.load_name,
                 way.load,
                 modulus,

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from ctr_nlp.check.comparison import Opinion
 from ctr_nlp.exceptions import OptionError, escape_control_characters
 from ctr_nlp.plan import sample_text, summary_text
 from ctr_nlp.plan.metrics import by_frame, summary
@@ -49,19 +50,26 @@ PAGE_PLAYBACK_SPEEDS = ("0.25", "0.5", "1", "2", "4")
 """Playback speeds, as multiples of the plan's own."""
 
 
-def page(plans: Sequence[Plan], names: Sequence[str] | None = None) -> str:
+def page(
+    plans: Sequence[Plan],
+    names: Sequence[str] | None = None,
+    opinions: Sequence[Sequence[Opinion]] | None = None,
+) -> str:
     """Return a page for one plan, or for several side by side in step, as HTML that needs no other file and no
     network.
 
-    plans: at least one. names: what to call each plan besides its title, such as its file. Raises OptionError
-    without plans, or where the extra `report` is not installed.
+    plans: at least one. names: what to call each plan besides its title, such as its file. opinions: of the
+    independent checker on each plan, where it was checked. Raises OptionError without plans, or where the extra
+    `report` is not installed.
     """
     if not plans:
         raise OptionError("plans is empty; give at least one")
     coloured, (low, high), plotted = scales(plans), box(plans), plots(plans)
     told = [
-        _plan_texts(plan, name) | {"plots": some.items()}
-        for plan, name, some in zip(plans, names or [""] * len(plans), plotted, strict=True)
+        _plan_texts(plan, name) | {"plots": some.items(), "checked": _checker_rows(each)}
+        for plan, name, some, each in zip(
+            plans, names or [""] * len(plans), plotted, opinions or [()] * len(plans), strict=True
+        )
     ]
     data = {
         "template": scene_template(),
@@ -134,6 +142,26 @@ def _plan_texts(plan: Plan, name: str) -> dict[str, Any]:
         "drawn": _simulated_robot_texts(plan),
         "summary": json.dumps(found, indent=2, allow_nan=False, ensure_ascii=False).split("\n"),
     }
+
+
+def _checker_rows(opinions: Sequence[Opinion]) -> list[dict[str, Any]]:
+    """Return rows on an independent check: matter, what the checker and the plan say, whether they disagree."""
+    return [
+        {
+            "matter": each.name.replace("_", " "),
+            "found": _word_with_number(each.word, each.number),
+            "own": "DISAGREES" * (not each.agrees)
+            + (f" the plan says {_word_with_number(each.own_word, each.own_number)}" if each.own_word else ""),
+            "why": each.why,
+            "disagrees": not each.agrees,
+        }
+        for each in opinions
+    ]
+
+
+def _word_with_number(word: str, value: float | None) -> str:
+    """Return the word of a verdict, with its number where it has one."""
+    return word if value is None else f"{word} ({summary_text.format_cell(value)})"
 
 
 def _comparison_rows(texts: Sequence[dict[str, Any]]) -> list[tuple[str, list[str], str]]:

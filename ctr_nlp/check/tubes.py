@@ -1,6 +1,6 @@
-"""Concentric tubes on the elastic model, solved by shooting from the base; shares no code with the library.
+"""Concentric tubes on the elastic model, solved by shooting from the base.
 
-Equations: DESIGN, "Models" (Dupont 2010, Rucker 2010), unloaded and frictionless. psi_i(s) is the angle of tube i,
+Equations of Dupont 2010 and Rucker 2010, unloaded and frictionless. psi_i(s) is the angle of tube i,
 EI_i its bending stiffness, GJ_i = EI_i / (1 + nu_i), k_i(s) its pre-curvature, which points along
 e_i = (cos psi_i, sin psi_i) (of a helix: psi_i + tau_i times the distance from where its curved part begins):
 
@@ -21,10 +21,19 @@ from __future__ import annotations
 import copy
 import itertools
 from collections.abc import Callable
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
+from typing import Any
 
 import numpy as np
-from scipy.interpolate import BarycentricInterpolator, CubicHermiteSpline
+import numpy.typing as npt
+from scipy.interpolate import BarycentricInterpolator
+
+Array = npt.NDArray[Any]
+Configuration = Callable[..., tuple[Array, Array]]
+"""Gives alpha and beta (d, m) of robots (m,) at parts (m,) of the way from one frame to the next."""
+Settle = Callable[..., Any]
+"""Finds where a robot comes to rest after its equilibrium has ended: (tubes, rates, before, after, most turn)
+-> rates at the base, or None where that is not known."""
 
 STEP_MM = 7.0
 """Longest step of integration along the body."""
@@ -41,9 +50,6 @@ SNAP_RAD = 0.1
 """By how much a tip turns, at least, where a robot leaves its branch and has snapped: less is a slip."""
 MODE_DEGREE = 5
 """Highest degree of the polynomials, on each piece, that variations of the twist are made of."""
-DESCENT_STEP_RAD = 0.1
-"""By how much a step down the energy may turn a tube, after a robot has lost its equilibrium."""
-MAX_DESCENT_STEPS = 400
 GAUSS_POINTS = 10
 """Per piece, where the energy's second variation is integrated."""
 
@@ -55,26 +61,26 @@ class Tubes:
     zero: the angle in rad by which a tube's base is ahead of its motor.
     """
 
-    length: np.ndarray
-    curved: np.ndarray
-    root: np.ndarray
-    tip: np.ndarray
-    bending: np.ndarray
-    torsional: np.ndarray
-    helix: np.ndarray
-    zero: np.ndarray
-    radius: np.ndarray
+    length: Array
+    curved: Array
+    root: Array
+    tip: Array
+    bending: Array
+    torsional: Array
+    helix: Array
+    zero: Array
+    radius: Array
 
-    def __getitem__(self, rows) -> Tubes:
+    def __getitem__(self, rows: Any) -> Tubes:
         """Some of the robots."""
         return Tubes(*(getattr(self, f.name)[:, rows] for f in fields(self)))
 
-    def repeated(self, count: int) -> Tubes:
+    def repeat(self, count: int) -> Tubes:
         """The first robot so many times."""
         return self[np.zeros(count, dtype=int)]
 
 
-def tubes_of(robot: dict, parts: np.ndarray | None = None) -> Tubes:
+def read_tubes(robot: dict, parts: Array | None = None) -> Tubes:
     """Tubes of a robot as a plan's meta describes it.
 
     Parameters
@@ -89,7 +95,7 @@ def tubes_of(robot: dict, parts: np.ndarray | None = None) -> Tubes:
     parts = np.zeros((1, len(rows), 5)) if parts is None else np.asarray(parts, dtype=float)
     curvature, stiffness, ratio, longer, zero = np.moveaxis(parts, (2, 1), (0, 1))
 
-    def column(name: str) -> np.ndarray:
+    def column(name: str) -> Array:
         return np.array([float(row[name]) for row in rows])[:, None] + np.zeros_like(zero)
 
     ends = np.array([np.broadcast_to(row["curvature"], 2) for row in rows], dtype=float)
@@ -102,7 +108,8 @@ def tubes_of(robot: dict, parts: np.ndarray | None = None) -> Tubes:
         tip=ends[:, 1:] * (1 + curvature),
         bending=bending,
         torsional=bending / ((1 + column("poisson_ratio")) * (1 + ratio)),
-        helix=column("pre_torsion"),
+        # Older files have no helices.
+        helix=column("pre_torsion") if "pre_torsion" in rows[0] else np.zeros_like(zero),
         zero=zero,
         radius=outer / 2,
     )
@@ -116,28 +123,29 @@ class Piece:
     psi, rate, turn (steps + 1, d, n): psi_i, its first and second derivative at the ends of steps.
     """
 
-    low: np.ndarray
-    high: np.ndarray
-    present: np.ndarray
-    strength: np.ndarray
-    slope: np.ndarray
-    total: np.ndarray
-    phase: np.ndarray
-    helix: np.ndarray
-    psi: np.ndarray
-    rate: np.ndarray
-    turn: np.ndarray
+    low: Array
+    high: Array
+    present: Array
+    strength: Array
+    slope: Array
+    total: Array
+    phase: Array
+    helix: Array
+    psi: Array
+    rate: Array
+    turn: Array
 
     @property
     def steps(self) -> int:
+        """Number of steps."""
         return len(self.psi) - 1
 
     @property
-    def h(self) -> np.ndarray:
+    def h(self) -> Array:
         """Length of a step (n,), mm."""
         return (self.high - self.low) / self.steps
 
-    def angles(self, fraction: float) -> np.ndarray:
+    def angles(self, fraction: float) -> Array:
         """Directions (d, n), rad, in which tubes bend at a fraction of the piece, by Hermite's cubics."""
         k = min(int(fraction * self.steps), self.steps - 1)
         z, h = fraction * self.steps - k, self.h
@@ -149,11 +157,11 @@ class Piece:
         )
         return psi + self.phase + self.helix * fraction * (self.high - self.low)
 
-    def strengths(self, fraction: float) -> np.ndarray:
+    def strengths(self, fraction: float) -> Array:
         """EI_i k_i (d, n) at a fraction of the piece."""
         return self.strength + self.slope * fraction * (self.high - self.low)
 
-    def bending(self, fraction: float) -> np.ndarray:
+    def bending(self, fraction: float) -> Array:
         """The bending vector u (n,), 1/mm, as complex numbers."""
         return (self.strengths(fraction) * np.exp(1j * self.angles(fraction))).sum(axis=0) / self.total
 
@@ -163,19 +171,21 @@ class Twist:
     """Tubes that are integrated from the base: rates at the tips (d, n), their sensitivities (d, d, n) or None."""
 
     tubes: Tubes
-    beta: np.ndarray
+    beta: Array
     pieces: list[Piece]
-    tip_rates: np.ndarray
-    sensitivity: np.ndarray | None
+    tip_rates: Array
+    sensitivity: Any
 
     @property
-    def tip_angles(self) -> np.ndarray:
+    def tip_angles(self) -> Array:
         """Angles psi_i at the tubes' own tips (d, n), rad."""
         last = self.pieces[-1]
         return last.psi[-1] - last.rate[-1] * (last.high - self.beta)
 
 
-def integrate(tubes: Tubes, alpha, beta, rates, sensitivities: bool = True, step: float = STEP_MM) -> Twist:
+def integrate(
+    tubes: Tubes, alpha: Array, beta: Array, rates: Array, sensitivities: bool = True, step: float = STEP_MM
+) -> Twist:
     """Integrate psi from the base, where its derivatives are `rates`; all (d, n).
 
     Nystrom's method of order 4 (three evaluations a step), since psi' does not appear on the right-hand side.
@@ -205,8 +215,16 @@ def integrate(tubes: Tubes, alpha, beta, rates, sensitivities: bool = True, step
         steps = int(np.ceil(longest / step))
         h = (high - low) / steps
 
-        def moments(psi, by, s, strength=strength, slope=slope, total=total, phase=phase):
-            """psi'' (d, n), and its sensitivities."""
+        def moments(  # the defaults bind what belongs to this piece
+            psi: Array,
+            by: Array | None,
+            s: Any,
+            strength: Array = strength,
+            slope: Array = slope,
+            total: Array = total,
+            phase: Array = phase,
+        ) -> tuple[Array, Any]:
+            """Return psi'' (d, n), and its sensitivities (d, d, n) where `by` is given."""
             force = strength + slope * s
             e = np.exp(1j * (psi + phase + tubes.helix * s))
             u = (force * e).sum(axis=0) / total
@@ -241,6 +259,29 @@ def integrate(tubes: Tubes, alpha, beta, rates, sensitivities: bool = True, step
     return Twist(tubes, beta, pieces, rate, by_rate if sensitivities else None)
 
 
+def replace_by_dominant(twist: Twist, alpha: Array) -> Twist:
+    """Return the tubes on the dominant stiffness model: the outermost tube at a place bends by itself.
+
+    alpha (d, n): angles of the tubes, which do not twist, rad.
+    """
+    pieces = []
+    for piece in twist.pieces:
+        outermost = np.arange(len(alpha))[:, None] == piece.present.argmax(axis=0)
+        total = np.where(outermost & piece.present, twist.tubes.bending, 0.0).sum(axis=0)
+        pieces.append(
+            replace(
+                piece,
+                strength=piece.strength * outermost,
+                slope=piece.slope * outermost,
+                total=np.where(total > 0, total, 1.0),
+                psi=np.broadcast_to(alpha, piece.psi.shape),
+                rate=np.zeros_like(piece.rate),
+                turn=np.zeros_like(piece.turn),
+            )
+        )
+    return replace(twist, pieces=pieces)
+
+
 # --- shapes ------------------------------------------------------------------------------------------------------
 
 
@@ -251,35 +292,33 @@ class Body:
     radius (N - 1, n): of the outermost tube on each step, mm. Between ends a shape is a cubic in s.
     """
 
-    s: np.ndarray
-    points: np.ndarray
-    tangents: np.ndarray
-    radius: np.ndarray
+    s: Array
+    points: Array
+    tangents: Array
+    radius: Array
 
-    def at(self, s: np.ndarray) -> np.ndarray:
-        """Points (n, m, 3) mm at arc lengths s (n, m) mm."""
-        found = np.empty((*s.shape, 3))
-        for row, wanted in enumerate(s):
-            places, first = np.unique(self.s[:, row], return_index=True)
-            curve = CubicHermiteSpline(places, self.points[first, row], self.tangents[first, row])
-            found[row] = curve(np.clip(wanted, 0.0, places[-1]))
-        return found
+    def interpolate(self, s: Array) -> Array:
+        """Return points (n, m, 3) mm at arc lengths s (n, m) mm."""
+        # The last end at or before s; steps of length 0, where two tubes end together, are passed over.
+        step = np.clip((self.s[:, :, None] <= s[None]).sum(axis=0) - 1, 0, len(self.s) - 2)
+        rows = np.arange(len(s))[:, None]
+        h = self.s[step + 1, rows] - self.s[step, rows]
+        z = np.clip((s - self.s[step, rows]) / np.maximum(h, 1e-12), 0.0, 1.0)
+        return self.points_in_steps(step, rows, z)
 
-    def within_steps(self, fractions: np.ndarray) -> np.ndarray:
-        """Points (N - 1, m, n, 3) mm at m fractions of every step."""
-        z = fractions[None, :, None, None]
-        h = np.diff(self.s, axis=0)[:, None, :, None]
-        low, high = self.points[:-1, None], self.points[1:, None]
-        before, after = self.tangents[:-1, None], self.tangents[1:, None]
-        return (
-            (1 + 2 * z) * (1 - z) ** 2 * low
-            + z * (1 - z) ** 2 * h * before
-            + z**2 * (3 - 2 * z) * high
-            + z**2 * (z - 1) * h * after
+    def points_in_steps(self, step: Array, row: Array, fraction: Array) -> Array:
+        """Return points (.., 3) mm at fractions (..,) of steps (..,) of robots (..,), by Hermite's cubics."""
+        z = fraction[..., None]
+        h = (self.s[step + 1, row] - self.s[step, row])[..., None]
+        return np.asarray(
+            (1 + 2 * z) * (1 - z) ** 2 * self.points[step, row]
+            + z * (1 - z) ** 2 * h * self.tangents[step, row]
+            + z**2 * (3 - 2 * z) * self.points[step + 1, row]
+            + z**2 * (z - 1) * h * self.tangents[step + 1, row]
         )
 
 
-def body_of(twist: Twist, theta: np.ndarray) -> Body:
+def compute_body(twist: Twist, theta: Array) -> Body:
     """Shapes of robots at base tilts theta (2, n), rad: R = Ry(theta_y) Rx(theta_x).
 
     The frame turns by R' = R hat(w), w = (-u_y, u_x, 0): Magnus' method of order 4 on Gauss's two points of every
@@ -297,9 +336,9 @@ def body_of(twist: Twist, theta: np.ndarray) -> Body:
             u = [piece.bending((k + 0.5 + c) / piece.steps) for c in (-gauss, gauss)]
             first, second = (np.stack([-each.imag, each.real, np.zeros(n)], axis=-1) for each in u)
             turn = h[:, None] / 2 * (first + second) + np.sqrt(3) / 12 * h[:, None] ** 2 * np.cross(first, second)
-            bent = _bent(frame, piece.bending(k / piece.steps))
+            bent = _bending_in_space(frame, piece.bending(k / piece.steps))
             after = frame @ _rotation(turn)
-            bent_after = _bent(after, piece.bending((k + 1) / piece.steps))
+            bent_after = _bending_in_space(after, piece.bending((k + 1) / piece.steps))
             step = h[:, None]
             point = point + step / 2 * (frame[:, :, 2] + after[:, :, 2]) + step**2 / 12 * (bent - bent_after)
             frame, s = after, s + h
@@ -309,12 +348,12 @@ def body_of(twist: Twist, theta: np.ndarray) -> Body:
     return Body(places, points, tangents, np.array(radius))
 
 
-def _bent(frame: np.ndarray, u: np.ndarray) -> np.ndarray:
+def _bending_in_space(frame: Array, u: Array) -> Array:
     """Derivative of the tangent (n, 3) in frames (n, 3, 3) with bending vectors u (n,)."""
     return frame[:, :, 0] * u.real[:, None] + frame[:, :, 1] * u.imag[:, None]
 
 
-def _rotation(turn: np.ndarray) -> np.ndarray:
+def _rotation(turn: Array) -> Array:
     """Rodrigues' formula for rotation vectors (n, 3): matrices (n, 3, 3)."""
     angle = np.linalg.norm(turn, axis=1)[:, None, None]
     x, y, z = turn.T
@@ -323,7 +362,7 @@ def _rotation(turn: np.ndarray) -> np.ndarray:
     return np.eye(3) + np.sinc(angle / np.pi) * hat + np.sinc(angle / (2 * np.pi)) ** 2 / 2 * (hat @ hat)
 
 
-def _tilt(theta: np.ndarray) -> np.ndarray:
+def _tilt(theta: Array) -> Array:
     """Ry(theta_y) Rx(theta_x), (n, 3, 3)."""
     zero = np.zeros(theta.shape[1])
     about_x = _rotation(np.stack([theta[0], zero, zero], axis=-1))
@@ -338,13 +377,16 @@ class Follower:
 
     rates, angles (d, n): at the base, rad/mm, and at the tips, rad. snapped (n,): the frame, from 1, on the way to
     which a robot first snapped; 0 where it has not. part (n,): of the way from frame to frame that they have come.
-    Where an equilibrium ends, the robot comes to rest in another one. It has snapped if a tip turns by more than
-    SNAP_RAD; if not, it goes on from there.
+    Where an equilibrium ends, the robot comes to rest in another one, which `settle` finds. It has snapped if a
+    tip turns by more than SNAP_RAD; if not, it goes on from there.
     """
 
-    def __init__(self, tubes: Tubes, innermost: float, after_snaps: bool = False) -> None:
+    def __init__(
+        self, tubes: Tubes, innermost: float, settle: Settle | None = None, after_snaps: bool = False
+    ) -> None:
         """Untwisted robots whose tubes are all turned to one angle, that of the innermost tube, rad.
 
+        settle: finds where a robot comes to rest; without it a robot whose equilibrium ends is not moved on.
         after_snaps: whether robots are moved on after they have snapped.
         """
         d, n = tubes.zero.shape
@@ -356,10 +398,11 @@ class Follower:
         self.snaps: list[int] = []
         self.gone = np.zeros(n, dtype=bool)
         self.departures = 0
+        self._settle = settle
         self._after_snaps = after_snaps
         self._trend = np.zeros((d, n))
 
-    def advance(self, configuration: Callable, frame: int, start: float, end: float, longest: float) -> None:
+    def advance(self, configuration: Configuration, frame: int, start: float, end: float, longest: float) -> None:
         """Move all robots that are not gone from one part of the way to a frame, from 1, to another.
 
         configuration(part (m,), rows (m,)) gives alpha and beta (d, m) of these robots. Where Newton's method does
@@ -370,7 +413,8 @@ class Follower:
         step = np.full(len(self.part), longest)
         while len(rows):
             goal = np.minimum(self.part[rows] + step[rows], end)
-            reached = self._step(rows, *configuration(goal, rows), goal - self.part[rows])
+            alpha, beta = configuration(goal, rows)
+            reached = self._step(rows, alpha, beta, goal - self.part[rows])
             done, failed = rows[reached], rows[~reached]
             self.part[done] = goal[reached]
             step[done] = np.minimum(2 * step[done], longest)
@@ -382,30 +426,30 @@ class Follower:
                 step[row] = longest / 16
             rows = rows[~self.gone[rows] & (self.part[rows] < end)]
 
-    def copy(self) -> Follower:
-        """Robots in the same place, which move apart from these."""
-        found = copy.copy(self)
-        for name in ("rates", "angles", "snapped", "part", "gone", "_trend"):
-            setattr(found, name, getattr(self, name).copy())
-        found.snaps = list(self.snaps)
-        return found
+    def place(self, rates: Array, angles: Array) -> None:
+        """Put the robots where their rates at the base and their tips' angles are about these (d, n)."""
+        self.rates = rates.copy()
+        self.angles = angles.copy()
 
-    def solve(self, alpha: np.ndarray, beta: np.ndarray) -> np.ndarray:
+    def solve(self, alpha: Array, beta: Array) -> Array:
         """Put robots into the equilibria at alpha and beta (d, n) nearby; which (n,) are found."""
         self._trend[:] = 0.0
         return self._step(np.arange(len(self.snapped)), alpha, beta, np.ones(len(self.snapped)))
 
-    def _leave_branch(self, row: np.ndarray, configuration: Callable, frame: int, goal: float) -> None:
+    def _leave_branch(self, row: Array, configuration: Configuration, frame: int, goal: float) -> None:
         """Let one robot, rows (1,), whose equilibrium ends come to rest at another part of the way."""
         self.departures += 1
         before, after = (configuration(np.array([part]), row) for part in (self.part[row[0]], goal))
         most = np.inf if self._after_snaps else SNAP_RAD
-        rates = settled(self.tubes[row], self.rates[:, row], before, after, most)
+        rates = None
+        if self._settle is not None:
+            rates = self._settle(self.tubes[row], self.rates[:, row], before, after, most)
         if rates is None:
             self.gone[row] = True
             self._snap(row, frame)
             return
-        angles = integrate(self.tubes[row], *after, rates, sensitivities=False).tip_angles
+        alpha, beta = after
+        angles = integrate(self.tubes[row], alpha, beta, rates, sensitivities=False).tip_angles
         if abs(angles - self.angles[:, row]).max() > SNAP_RAD:
             self._snap(row, frame)
             self.gone[row] = not self._after_snaps
@@ -413,11 +457,11 @@ class Follower:
         self.part[row] = goal
         self._trend[:, row] = 0.0
 
-    def _snap(self, row: np.ndarray, frame: int) -> None:
+    def _snap(self, row: Array, frame: int) -> None:
         self.snaps.append(frame)
         self.snapped[row] = np.where(self.snapped[row] > 0, self.snapped[row], frame)
 
-    def _step(self, rows, alpha, beta, part) -> np.ndarray:
+    def _step(self, rows: Array, alpha: Array, beta: Array, part: Array) -> Array:
         """Which robots (m,) Newton's method leads to a stable equilibrium nearby; these are moved there."""
         tubes = self.tubes[rows]
         old = self.rates[:, rows]
@@ -430,7 +474,7 @@ class Follower:
         for _ in range(MAX_NEWTON_ITERATIONS):
             found = integrate(tubes[busy], alpha[:, busy], beta[:, busy], rates[:, busy])
             slopes = np.moveaxis(found.sensitivity, -1, 0)
-            change = -_solved(slopes, found.tip_rates.T).T
+            change = -_solve_systems(slopes, found.tip_rates.T).T
             size = abs(change).max(axis=0)
             rates[:, busy] += np.clip(change, -MAX_RATE_CHANGE, MAX_RATE_CHANGE)
             angles[:, busy] = found.tip_angles
@@ -451,7 +495,7 @@ class Follower:
         return reached
 
 
-def _solved(matrices: np.ndarray, right: np.ndarray) -> np.ndarray:
+def _solve_systems(matrices: Array, right: Array) -> Array:
     """Solutions (n, d) of n systems; where one is singular, NaN."""
     good = np.isfinite(matrices).all(axis=(1, 2)) & (abs(np.linalg.det(matrices)) > 1e-300)
     found = np.full_like(right, np.nan)
@@ -459,7 +503,7 @@ def _solved(matrices: np.ndarray, right: np.ndarray) -> np.ndarray:
     return found
 
 
-def dragged(tube: np.ndarray, motor: np.ndarray, lag: np.ndarray) -> np.ndarray:
+def apply_play(tube: Array, motor: Array, lag: Array) -> Array:
     """Angles of tubes after motors have turned to `motor`, with play `lag` to either side; rad."""
     return np.clip(tube, motor - lag, motor + lag)
 
@@ -484,9 +528,8 @@ class Modes:
         values, wholes = _integrated_legendre(self.fractions)
         count = 1 + degree * len(pieces)
         places = len(pieces) * GAUSS_POINTS
-        # shape[i, q, m, r]: angle of tube i at place q in its mode m, of robot r; rate is its derivative.
+        # shape[i, q, m, r]: angle of tube i at place q in its mode m, of robot r.
         self.shape = np.zeros((d, places, count, n))
-        self.rate = np.zeros((d, places, count, n))
         self.weight = np.zeros((places, n))
         self.shape[:, :, 0] = np.sqrt((tubes.length - beta) / tubes.torsional)[:, None]
         for k, piece in enumerate(pieces):
@@ -499,18 +542,16 @@ class Modes:
                 scale = np.where(piece.present, np.sqrt((2 * m + 1) * h / tubes.torsional), 0.0)
                 self.shape[:, own, column] = scale[:, None] * values[m][None, :, None]
                 self.shape[:, own.stop :, column] = (scale * wholes[m])[:, None]
-                slope = np.polynomial.legendre.Legendre.basis(m)(nodes)
-                self.rate[:, own, column] = scale[:, None] / np.maximum(h, 1e-12) * slope[None, :, None]
         self.strength = np.array([p.strengths(f) for p in pieces for f in self.fractions])
         self.total = np.repeat(np.array([p.total for p in pieces]), GAUSS_POINTS, axis=0)
 
     @property
-    def phases(self) -> np.ndarray:
-        """What is added to psi for the direction in which tubes bend, (places, d, n)."""
+    def phases(self) -> Array:
+        """Angles (places, d, n) that are added to psi for the direction in which tubes bend, rad."""
         pieces = self.twist.pieces
         return np.array([p.phase + p.helix * f * (p.high - p.low) for p in pieces for f in self.fractions])
 
-    def second_variation(self, bends: np.ndarray) -> np.ndarray:
+    def second_variation(self, bends: Array) -> Array:
         """V'' (n, d count, d count) of tubes that bend in directions (places, d, n), rad."""
         d, _, count, n = self.shape.shape
         pull = self.strength * np.exp(1j * bends)
@@ -528,15 +569,8 @@ class Modes:
                 found[:, j, :, i] = np.swapaxes(found[:, i, :, j], 1, 2)
         return found.reshape(n, d * count, d * count)
 
-    def gradient(self, bends: np.ndarray) -> np.ndarray:
-        """Derivatives (d, count, n) of the bending energy by the modes."""
-        pull = self.strength * np.exp(1j * bends)
-        whole = pull.sum(axis=1)
-        torque = (np.conj(whole)[:, None] * pull).imag / self.total[:, None]
-        return np.einsum("iqmn,qin,qn->imn", self.shape, torque, self.weight)
 
-
-def _integrated_legendre(fractions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _integrated_legendre(fractions: Array) -> tuple[Array, Array]:
     """Integrals of the polynomials of Legendre over a piece of length 1, up to fractions, and to the end."""
     values, wholes = [], []
     for m in range(MODE_DEGREE + 1):
@@ -546,98 +580,11 @@ def _integrated_legendre(fractions: np.ndarray) -> tuple[np.ndarray, np.ndarray]
     return np.array(values), np.array(wholes)
 
 
-def stability_margins(twist: Twist) -> np.ndarray:
+def compute_stability_margins(twist: Twist) -> Array:
     """Smallest eigenvalues mu (n,) of (K + V'') x = mu K x at equilibria: 1 uncoupled, 0 where a robot snaps."""
     modes = Modes(twist)
     bends = np.array([piece.angles(f) for piece in twist.pieces for f in modes.fractions])
     return 1 + np.linalg.eigvalsh(modes.second_variation(bends))[:, 0]
-
-
-def settled(tubes: Tubes, rates, before, after, most_turn: float) -> np.ndarray | None:
-    """Rates (d, 1) at the base of the stable equilibrium that a robot comes to rest in once its own has ended.
-
-    before, after: alpha and beta (d, 1) of the last equilibrium, with these rates (d, 1), and of the place beyond,
-    to which the robot is moved; from there its energy falls, in steps that turn no tube by more than
-    DESCENT_STEP_RAD, and Newton's method on the equations finds the rates. None where that fails, or where a tube
-    turns by much more than most_turn rad on the way.
-    """
-    (alpha_before, beta_before), (alpha, beta) = before, after
-    old = integrate(tubes, alpha_before, beta_before, rates, sensitivities=False)
-    new = integrate(tubes, alpha, beta, rates, sensitivities=False)
-    if len(new.pieces) != len(old.pieces):
-        return None
-    # The coefficients of the old twist: the transmission's, and projections of psi' on the modes.
-    modes = Modes(old)
-    speed = np.array([_rate_at(p, f) for p in old.pieces for f in modes.fractions])
-    found = np.einsum("iqmn,qin,qn->imn", modes.rate, speed, modes.weight) * tubes.torsional[:, None]
-    found[:, 0] = rates * np.sqrt((tubes.length - beta_before) * tubes.torsional)
-    energy = Energy(Modes(new), alpha)
-    begun = energy.angles(found)
-    for _ in range(MAX_DESCENT_STEPS):
-        value, slope, curvature = energy.at(found)
-        # A Newton step in which negative curvatures count as positive ones: it goes down everywhere.
-        values, vectors = np.linalg.eigh(curvature)
-        step = -vectors @ ((vectors.T @ slope) / np.maximum(abs(values), 1e-6))
-        step = step.reshape(found.shape)
-        step *= min(1.0, DESCENT_STEP_RAD / max(abs(energy.turned(step)).max(), 1e-12))
-        if abs(energy.turned(step)).max() < 1e-8:
-            if values[0] > 0:
-                break
-            # At rest on a saddle, as planar robots are beyond a bifurcation: chance decides for one side.
-            step = vectors[:, 0].reshape(found.shape)
-            step *= DESCENT_STEP_RAD / 2 / abs(energy.turned(step)).max()
-        while energy.value(found + step) > value and abs(energy.turned(step)).max() > 1e-9:
-            step = step / 2
-        found = found + step
-        if abs(energy.angles(found) - begun).max() > 3 * most_turn + DESCENT_STEP_RAD:
-            return None
-    guess = found[:, 0] / np.sqrt((tubes.length - beta) * tubes.torsional)
-    for _ in range(20):
-        shot = integrate(tubes, alpha, beta, guess)
-        change = -_solved(np.moveaxis(shot.sensitivity, -1, 0), shot.tip_rates.T).T
-        guess = guess + np.clip(change, -MAX_RATE_CHANGE, MAX_RATE_CHANGE)
-        if abs(change).max() < CONVERGED_RATE:
-            return guess
-    return None
-
-
-class Energy:
-    """The energy of one robot at alpha (d, 1), less a constant, over coefficients (d, count, 1) of its modes."""
-
-    def __init__(self, modes: Modes, alpha: np.ndarray) -> None:
-        self._modes = modes
-        self._base = alpha + modes.phases
-
-    def turned(self, found: np.ndarray) -> np.ndarray:
-        """Angles (places, d, 1) of variations alone, rad."""
-        return np.einsum("iqmn,imn->qin", self._modes.shape, found)
-
-    def angles(self, found: np.ndarray) -> np.ndarray:
-        """Directions (places, d, 1) in which tubes bend, rad."""
-        return self._base + self.turned(found)
-
-    def value(self, found: np.ndarray) -> float:
-        modes = self._modes
-        pull = (modes.strength * np.exp(1j * self.angles(found))).sum(axis=1)
-        return float((found**2).sum() / 2 - (abs(pull) ** 2 / (2 * modes.total) * modes.weight).sum())
-
-    def at(self, found: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
-        """Value, gradient (d count,) and Hessian (d count, d count)."""
-        bends = self.angles(found)
-        slope = (found + self._modes.gradient(bends)).ravel()
-        return self.value(found), slope, np.eye(found.size) + self._modes.second_variation(bends)[0]
-
-
-def _rate_at(piece: Piece, fraction: float) -> np.ndarray:
-    """psi' (d, n) at a fraction of a piece, from the cubic through psi' and psi'' at the ends of its step."""
-    k = min(int(fraction * piece.steps), piece.steps - 1)
-    z, h = fraction * piece.steps - k, piece.h
-    return (
-        (1 + 2 * z) * (1 - z) ** 2 * piece.rate[k]
-        + z * (1 - z) ** 2 * h * piece.turn[k]
-        + z**2 * (3 - 2 * z) * piece.rate[k + 1]
-        + z**2 * (z - 1) * h * piece.turn[k + 1]
-    )
 
 
 # --- one robot, and samples, moved through a plan ---
@@ -653,26 +600,26 @@ class NominalMotion:
     """
 
     tubes: Tubes
-    q: np.ndarray
-    rates: np.ndarray
-    tip_angles: np.ndarray
+    q: Array
+    rates: Array
+    tip_angles: Array
     snaps: list[int]
 
-    def twists(self, chosen: np.ndarray) -> tuple[Twist, np.ndarray]:
+    def twists(self, chosen: Array) -> tuple[Twist, Array]:
         """The tubes integrated anew where a mask (T, substeps) says, and theta (2, n) there."""
         d = self.rates.shape[-1]
         q, rates = self.q[chosen].T, self.rates[chosen].T
-        twist = integrate(self.tubes.repeated(q.shape[1]), q[:d], q[d : 2 * d], rates, sensitivities=False)
+        twist = integrate(self.tubes.repeat(q.shape[1]), q[:d], q[d : 2 * d], rates, sensitivities=False)
         return twist, q[2 * d :]
 
 
-def move_nominal(tubes: Tubes, q: np.ndarray, substeps: int = 10) -> NominalMotion:
+def move_nominal(tubes: Tubes, q: Array, substeps: int = 10, settle: Settle | None = None) -> NominalMotion:
     """Move a robot through q (T, 2d + 2), linear between frames, by continuation from aligned tubes.
 
     The robot is moved in quarters of a frame's way. Equilibria at sub-steps of all frames are then found in one
     batch, from polynomials through the quarters. Frames on whose way the robot leaves a branch, or where that
     does not lead to equilibria nearby, are gone through again in sub-steps. After a snap the robot goes on from
-    where it comes to rest; where that is not found, it has no shape any more (NaN).
+    where it comes to rest, which `settle` finds; where that is not found, it has no shape any more (NaN).
     """
     d = len(tubes.zero)
     start = q[0].copy()
@@ -684,10 +631,10 @@ def move_nominal(tubes: Tubes, q: np.ndarray, substeps: int = 10) -> NominalMoti
     rates = np.full((len(q), substeps, d), np.nan)
     angles = np.full((len(q), substeps, d), np.nan)
     smooth = np.zeros(len(q), dtype=bool)
-    follower = Follower(tubes, start[d - 1], after_snaps=True)
+    follower = Follower(tubes, start[d - 1], settle, after_snaps=True)
     snaps: list[int] = []
     for frame, (before, after) in enumerate(ways):
-        begun = follower.copy()
+        begun = copy.deepcopy(follower)
         known = [(follower.rates[:, 0].copy(), follower.angles[:, 0].copy())]
         for low, high in itertools.pairwise(quarters):
             follower.advance(_along(before, after, d), frame + 1, low, high, 0.25)
@@ -700,38 +647,38 @@ def move_nominal(tubes: Tubes, q: np.ndarray, substeps: int = 10) -> NominalMoti
             continue
         follower = begun
         if not _in_substeps(follower, before, after, frame, rates, angles):
-            return NominalMotion(tubes, path, rates, angles, follower.snaps)
+            break
     snaps += follower.snaps
     places = np.repeat(smooth[:, None], substeps, axis=1)
     if places.any():
-        many = Follower(tubes.repeated(int(places.sum())), 0.0)
-        many.rates, many.angles = rates[places].T.copy(), angles[places].T.copy()
+        many = Follower(tubes.repeat(int(places.sum())), 0.0)
+        many.place(rates[places].T, angles[places].T)
         at = path[places].T
         reached = many.solve(at[:d], at[d : 2 * d])
         rates[places], angles[places] = many.rates.T, many.angles.T
         missed = np.zeros_like(places)
         missed[places] = ~reached
-        for frame in np.flatnonzero(missed.any(axis=1)):
-            follower = Follower(tubes, 0.0, after_snaps=True)
-            follower.rates = rates[frame - 1, -1][:, None].copy()
-            follower.angles = angles[frame - 1, -1][:, None].copy()
+        for frame in np.flatnonzero(missed.any(axis=1)).tolist():
+            rates[frame] = np.nan
+            follower = Follower(tubes, 0.0, settle, after_snaps=True)
+            follower.place(rates[frame - 1, -1][:, None], angles[frame - 1, -1][:, None])
             _in_substeps(follower, *ways[frame], frame, rates, angles)
             snaps += follower.snaps
     path[0], rates[0], angles[0] = q[0], rates[0, -1], angles[0, -1]
     return NominalMotion(tubes, path, rates, angles, sorted(snaps))
 
 
-def _along(before: np.ndarray, after: np.ndarray, d: int) -> Callable:
-    """alpha and beta (d, m) of the nominal robot at parts (m,) of the way from one frame to the next."""
+def _along(before: Array, after: Array, d: int) -> Configuration:
+    """Return the configuration (2d + 2,) of frames before and after as a function of the part of the way."""
 
-    def configuration(part, rows):
+    def configuration(part: Array, rows: Array) -> tuple[Array, Array]:
         at = before[:, None] + (after - before)[:, None] * part
         return at[:d], at[d : 2 * d]
 
     return configuration
 
 
-def _in_substeps(follower: Follower, before, after, frame: int, rates, angles) -> bool:
+def _in_substeps(follower: Follower, before: Array, after: Array, frame: int, rates: Array, angles: Array) -> bool:
     """Move one robot on to a frame, from 0, in as many steps as rates and angles (T, substeps, d) have columns."""
     substeps, d = rates.shape[1:]
     parts = np.linspace(0.0, 1.0, substeps + 1)
@@ -744,17 +691,30 @@ def _in_substeps(follower: Follower, before, after, frame: int, rates, angles) -
 
 
 def move_samples(
-    tubes: Tubes, lags: np.ndarray, q: np.ndarray, each_frame: Callable, substeps: int = 4
-) -> np.ndarray:
+    tubes: Tubes,
+    lags: Array,
+    q: Array,
+    each_frame: Callable[..., None],
+    substeps: int = 4,
+    settle: Settle | None = None,
+) -> Array:
     """Move n robots, whose motors' offsets are those of the tubes, through q (T, 2d + 2).
 
     Parameters
     ----------
+    tubes : Tubes
+        Of the n robots.
     lags : (d, n) array
         Play of tubes behind their motors to either side, rad.
+    q : (T, 2d + 2) array
+        Motion of the motors, linear between frames; rad and mm.
     each_frame : callable
         Called as ``each_frame(frame, rows, twist, tip_angles)`` at every frame, from 0, with the robots that have
         not snapped, and their tubes there.
+    substeps : int
+        Steps from frame to frame.
+    settle : callable, optional
+        Finds where a robot comes to rest whose equilibrium has ended.
 
     Returns
     -------
@@ -764,17 +724,19 @@ def move_samples(
     d, n = tubes.zero.shape
     start = q[0].copy()
     start[:d] = start[d - 1]
-    follower = Follower(tubes, start[d - 1])
+    follower = Follower(tubes, start[d - 1], settle)
     tube = start[:d, None] + np.zeros((d, n))
     for frame, (before, after) in enumerate(itertools.pairwise(np.concatenate([start[None], q]))):
 
-        def configuration(part, rows, before=before, after=after, tube=tube):
+        def configuration(
+            part: Array, rows: Array, before: Array = before, after: Array = after, tube: Array = tube
+        ) -> tuple[Array, Array]:
             # Every motor turns one way between frames, so that play depends on where it is now alone.
             at = before[:, None] + (after - before)[:, None] * part
-            return dragged(tube[:, rows], at[:d], lags[:, rows]) + tubes.zero[:, rows], at[d : 2 * d]
+            return apply_play(tube[:, rows], at[:d], lags[:, rows]) + tubes.zero[:, rows], at[d : 2 * d]
 
         follower.advance(configuration, frame + 1, 0.0, 1.0, 1 / substeps)
-        tube = dragged(tube, after[:d, None], lags)
+        tube = apply_play(tube, after[:d, None], lags)
         rows = np.flatnonzero(~follower.gone)
         if len(rows):
             alpha, beta = configuration(np.ones(len(rows)), rows)

@@ -4,18 +4,21 @@ import json
 
 import numpy as np
 import pytest
-from independent_judge import NO, YES, Wall, _within_limits
-from independent_tubes import (
+from after_snaps import settle
+from scipy.optimize import brentq
+
+from ctr_nlp.check.checker import NO, YES, _judge_limits
+from ctr_nlp.check.tubes import (
     CONVERGED_RATE,
     Body,
-    body_of,
+    compute_body,
+    compute_stability_margins,
     integrate,
     move_nominal,
     move_samples,
-    stability_margins,
-    tubes_of,
+    read_tubes,
 )
-from scipy.optimize import brentq
+from ctr_nlp.check.walls import LumenWall, find_deepest_contact
 
 TIP_RAD = 150 * CONVERGED_RATE
 """To which angles at the tips are known: the last correction of rates at the base, over a tube's length."""
@@ -63,12 +66,12 @@ def test_shapes_and_margins_agree_with_reference(shared_data):
         alpha, beta, theta, rates = (
             np.array(case[key])[:, None] for key in ("alpha_rad", "beta_mm", "theta_rad", "uz0_per_mm")
         )
-        twist = integrate(tubes_of({"tubes": robot}), alpha, beta, rates)
-        body = body_of(twist, theta)
+        twist = integrate(read_tubes({"tubes": robot}), alpha, beta, rates)
+        body = compute_body(twist, theta)
         points = np.array(case["points_mm"])
-        away = np.linalg.norm(body.at(np.linspace(0, 1, len(points))[None] * beta[-1]) - points, axis=-1)
+        away = np.linalg.norm(body.interpolate(np.linspace(0, 1, len(points))[None] * beta[-1]) - points, axis=-1)
         assert away.max() < 1e-3
-        assert stability_margins(twist)[0] == pytest.approx(case["stability_margin"], abs=2e-4)
+        assert compute_stability_margins(twist)[0] == pytest.approx(case["stability_margin"], abs=2e-4)
         assert np.linalg.det(twist.sensitivity[..., 0]) == pytest.approx(case["stability_det"], rel=5e-3)
         if "opposed" not in case.get("kind", "") and number % 3 == 0:
             moved = move_nominal(twist.tubes, np.concatenate([alpha, beta, theta])[:, 0][None], substeps=2)
@@ -76,12 +79,12 @@ def test_shapes_and_margins_agree_with_reference(shared_data):
 
 
 def test_aligned_tubes_are_a_circle():
-    tubes = tubes_of({"tubes": [TUBE, TUBE | {"curvature": 0.02, "outer_diameter": 1.8, "inner_diameter": 1.0}]})
+    tubes = read_tubes({"tubes": [TUBE, TUBE | {"curvature": 0.02, "outer_diameter": 1.8, "inner_diameter": 1.0}]})
     angle, beta = 0.7, np.full((2, 1), 50.0)
     twist = integrate(tubes, np.full((2, 1), angle), beta, np.zeros((2, 1)))
     np.testing.assert_allclose(twist.tip_rates, 0, atol=1e-15)
     s = np.linspace(0, 50, 11)
-    points = body_of(twist, np.zeros((2, 1))).at(s[None])[0]
+    points = compute_body(twist, np.zeros((2, 1))).interpolate(s[None])[0]
     k = float((tubes.bending * tubes.root).sum() / tubes.bending.sum())
     away = (1 - np.cos(k * s)) / k
     wanted = np.stack([away * np.cos(angle), away * np.sin(angle), np.sin(k * s) / k], axis=-1)
@@ -92,7 +95,7 @@ def test_lone_helix_is_a_helix():
     k, torsion = 0.015, 0.02
     robot = {"tubes": [TUBE | {"curvature": k, "pre_torsion": torsion}]}
     beta = np.full((1, 1), 50.0)
-    body = body_of(integrate(tubes_of(robot), np.zeros((1, 1)), beta, np.zeros((1, 1))), np.zeros((2, 1)))
+    body = compute_body(integrate(read_tubes(robot), np.zeros((1, 1)), beta, np.zeros((1, 1))), np.zeros((2, 1)))
     w = np.hypot(k, torsion)
     # The chord of a helix of curvature k and torsion tau after arc length s, from Frenet's formulas.
     turn = w * 50.0
@@ -103,21 +106,22 @@ def test_lone_helix_is_a_helix():
 @pytest.mark.parametrize("curvature", [0.005, 0.01, 0.02, 0.03])
 def test_margin_of_opposed_pair_has_closed_form(curvature):
     """Untwisted opposed tubes: with c / (1 - mu) for c, sqrt(c) R tan(sqrt(c) L) = 1, R the transmissions."""
-    tubes = tubes_of(pair_of_tubes(curvature))
+    tubes = read_tubes(pair_of_tubes(curvature))
     reach, curved = 100.0, 50.0
     twist = integrate(tubes, np.array([[np.pi], [0.0]]), np.full((2, 1), 50.0), np.zeros((2, 1)))
     root = brentq(lambda x: x * reach * np.tan(x * curved) - 1, 1e-6, np.pi / 2 / curved - 1e-9)
     wanted = 1 - pendulum_constant(tubes) / root**2
-    assert stability_margins(twist)[0] == pytest.approx(wanted, abs=1e-5)
+    assert compute_stability_margins(twist)[0] == pytest.approx(wanted, abs=1e-5)
 
 
+@pytest.mark.hazard("snap")
 def test_turning_a_tube_snaps_where_opposed_pair_is_unstable():
     snaps = {}
     for curvature in (0.005, 0.015):
-        tubes = tubes_of(pair_of_tubes(curvature))
+        tubes = read_tubes(pair_of_tubes(curvature))
         opposed = integrate(tubes, np.array([[np.pi], [0.0]]), np.full((2, 1), 50.0), np.zeros((2, 1)))
-        motion = move_nominal(tubes, turning(40, 2 * np.pi, 50.0), substeps=4)
-        snaps[bool(stability_margins(opposed)[0] > 0)] = len(motion.snaps)
+        motion = move_nominal(tubes, turning(40, 2 * np.pi, 50.0), substeps=4, settle=settle)
+        snaps[bool(compute_stability_margins(opposed)[0] > 0)] = len(motion.snaps)
         assert np.isfinite(motion.rates).all()
         # After a whole turn the tubes are aligned again, whichever way they went.
         apart = motion.tip_angles[-1, -1] @ [1, -1]
@@ -128,14 +132,14 @@ def test_turning_a_tube_snaps_where_opposed_pair_is_unstable():
 def test_samples_move_as_the_nominal_robot():
     robot = pair_of_tubes(0.01)
     q = turning(12, 2.0, 40.0)
-    motion = move_nominal(tubes_of(robot), q)
+    motion = move_nominal(read_tubes(robot), q)
     found = np.empty((len(q), 2, 3))
 
     def each_frame(frame, rows, twist, angles):
         np.testing.assert_array_equal(rows, range(3))
         found[frame] = angles
 
-    snapped = move_samples(tubes_of(robot, np.zeros((3, 2, 5))), np.zeros((2, 3)), q, each_frame)
+    snapped = move_samples(read_tubes(robot, np.zeros((3, 2, 5))), np.zeros((2, 3)), q, each_frame)
     assert not snapped.any()
     np.testing.assert_allclose(found, motion.tip_angles[:, -1, :, None] + np.zeros(3), atol=TIP_RAD)
 
@@ -150,7 +154,7 @@ def test_play_is_an_offset_while_motors_turn_one_way():
     def each_frame(frame, rows, twist, angles):
         last[frame] = angles
 
-    move_samples(tubes_of(robot, parts), lags, turning(12, 2.0, 40.0), each_frame)
+    move_samples(read_tubes(robot, parts), lags, turning(12, 2.0, 40.0), each_frame)
     np.testing.assert_allclose(last[11][:, 0], last[11][:, 1], atol=TIP_RAD)
     assert abs(last[0][0, 0] - last[0][0, 1]) > lag / 2  # at first the play is not taken up
 
@@ -163,7 +167,7 @@ def cylinder(radius, spacing=0.5):
 def test_clearance_in_a_cylinder():
     rng = np.random.default_rng(0)
     points = rng.uniform([-4, -4, 0], [4, 4, 100], (500, 3))
-    left = Wall(cylinder(5.0)).left(points)
+    left = LumenWall(cylinder(5.0)).left(points)
     np.testing.assert_allclose(left, 5.0 - np.hypot(points[:, 0], points[:, 1]), atol=1e-9)
 
 
@@ -172,14 +176,15 @@ def test_clearance_in_a_cone_and_a_torus():
     cone[:, 3] = 5 - 0.02 * cone[:, 2]
     points = np.array([[1.0, 2.0, 30.0], [0.0, 0.0, 71.3]])
     wanted = 5 - 0.02 * points[:, 2] - np.hypot(points[:, 0], points[:, 1])
-    np.testing.assert_allclose(Wall(cone).left(points), wanted, atol=1e-9)
+    np.testing.assert_allclose(LumenWall(cone).left(points), wanted, atol=1e-9)
     angle = np.arange(0, 1.5, 0.01)
     ring = np.stack([50 * np.cos(angle) - 50, 0 * angle, 50 * np.sin(angle), 4 + 0 * angle], axis=-1)
     at = np.array([0.3, 0.7, 1.2])
     points = np.stack([52 * np.cos(at) - 50, np.full(3, 1.5), 52 * np.sin(at)], axis=-1)
-    np.testing.assert_allclose(Wall(ring).left(points), 4 - np.hypot(2, 1.5), atol=5e-3)
+    np.testing.assert_allclose(LumenWall(ring).left(points), 4 - np.hypot(2, 1.5), atol=5e-3)
 
 
+@pytest.mark.hazard("contact with the wall")
 def test_deepest_contact_sees_the_end_of_the_wider_tube():
     """A straight body leaves the axis of a cylinder; it is wide up to 40 mm, and thin from there to its tip."""
     slope = 0.05
@@ -187,18 +192,23 @@ def test_deepest_contact_sees_the_end_of_the_wider_tube():
     direction = np.array([slope, 0.0, np.sqrt(1 - slope**2)])
     body = Body(s, s[..., None] * direction, np.tile(direction, (3, 1, 1)), np.array([[2.5], [0.5]]))
     wide, thin = slope * 40 + 2.5, slope * 90 + 0.5
-    assert Wall(cylinder(4.0)).deepest(body)[0] == pytest.approx(max(wide, thin) - 4.0, abs=1e-9)
+    assert find_deepest_contact(LumenWall(cylinder(4.0)), body)[0] == pytest.approx(
+        max(wide, thin) - 4.0, abs=1e-9
+    )
     thick_first = Body(body.s, body.points, body.tangents, np.array([[3.9], [0.5]]))
-    assert Wall(cylinder(4.0)).deepest(thick_first)[0] == pytest.approx(slope * 40 + 3.9 - 4.0, abs=1e-9)
+    assert find_deepest_contact(LumenWall(cylinder(4.0)), thick_first)[0] == pytest.approx(
+        slope * 40 + 3.9 - 4.0, abs=1e-9
+    )
 
 
+@pytest.mark.hazard("limit exceeded")
 def test_limits_are_seen_to_be_exceeded():
     limits = {"alpha": [["-inf", "inf"]], "beta": None, "theta": [-3.0, 3.0], "carriage_gap": None}
     limits |= {f"{axis}_acceleration": "inf" for axis in ("alpha", "beta", "theta")}
     limits |= {"alpha_speed": 1.0, "beta_speed": [20.0, 30.0], "theta_speed": 0.5}
     robot = pair_of_tubes(0.01) | {"limits": limits}
     q = turning(11, 1.0, (30.0, 40.0))
-    allowed = _within_limits(robot, q, 0.1)
+    allowed = _judge_limits(robot, q, 0.1)
     assert allowed.word == YES
     assert allowed.number == pytest.approx(100)
     cases = {
@@ -206,11 +216,11 @@ def test_limits_are_seen_to_be_exceeded():
         "order": (q + np.array([0, 0, 10.1, 0, 0, 0]), 0.1),
         "position": (q + np.array([0, 0, 0, 10.1, 0, 0]), 0.1),
     }
-    words = {name: _within_limits(robot, *case).word for name, case in cases.items()}
+    words = {name: _judge_limits(robot, *case).word for name, case in cases.items()}
     assert words == dict.fromkeys(cases, NO)
     gap = {"tubes": [TUBE, TUBE | {"length": 180.0}], "limits": limits | {"carriage_gap": 21.0}}
-    assert _within_limits(gap, q, 0.1).word == NO  # 30 mm longer, 10 mm further out: 20 mm apart
+    assert _judge_limits(gap, q, 0.1).word == NO  # 30 mm longer, 10 mm further out: 20 mm apart
     slow = robot | {"limits": limits | {"alpha_acceleration": 5.0}}
     jerky = q.copy()
     jerky[6:, 0] = jerky[5, 0]
-    assert _within_limits(slow, jerky, 0.1).word == NO
+    assert _judge_limits(slow, jerky, 0.1).word == NO

@@ -1,0 +1,275 @@
+"""Whether what a plan's file records fits its motion: digest, times, axes, shapes, margins, samples."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+
+from ctr_nlp.check.checker import (
+    DEVIATIONS,
+    NO,
+    NOT_COVERED,
+    YES,
+    CheckResult,
+    Finding,
+    compute_dominant_shapes,
+    examine_motion,
+    measure_clearance,
+)
+from ctr_nlp.check.plan_file import CheckError, PlanFile, read_plan_file
+from ctr_nlp.check.tubes import Array, Settle, read_tubes
+from ctr_nlp.check.walls import LumenWall, read_wall
+
+SHAPE_TOLERANCE_MM = 0.05
+"""By how much recorded shapes may differ from those found."""
+MARGIN_TOLERANCE = 0.005
+"""By how much recorded margins may differ from those found."""
+CLEARANCE_TOLERANCE_MM = 0.1
+"""By how much recorded clearances may differ from those found, and points of the source from the lumen's path."""
+SAMPLE_TOLERANCE_MM = 0.15
+"""By how much tips, errors and contacts of samples may differ: samples are moved in coarser steps."""
+SAMPLE_SHARE = 0.02
+"""Part of the samples, at least one, whose outcome may differ: near a fold it depends on the size of the steps."""
+DEEP_MM = 5.0
+"""Contact in mm beyond which clearances are not compared: the nearest place of the path is not unique there."""
+NEAR_BIFURCATION = 0.01
+"""A stability margin: from the first frame below it, the size of steps may decide on the branch."""
+FALSE_ALARM = 1e-6
+"""Probability that samples of the recorded tolerances fill their bands as little as they are found to."""
+RECORDS = "digest", "times", "frames_of_reference", "shapes", "margins", "clearances", "samples", "tolerances"
+"""Names of the findings on the record."""
+
+
+def check_plan(
+    path: str | Path, samples: int = 0, source: str | Path | None = None, settle: Settle | None = None
+) -> CheckResult:
+    """Check a plan's file: seven verdicts on its motion, and whether its record fits it.
+
+    Parameters
+    ----------
+    path : str or Path
+        A plan.npz.
+    samples : int
+        How many simulated robots are moved; 0 for none.
+    source : str or Path, optional
+        The centreline that the plan was made for, a table with the columns x_mm, y_mm and z_mm or a markups file
+        of 3D Slicer, in the axes that ``to_robot`` maps from. Without it, these axes cannot be checked.
+    settle : callable, optional
+        Finds where a robot comes to rest after a snap. Without it, what follows a snap is not covered.
+
+    Returns
+    -------
+    CheckResult
+        Findings under the names of the seven verdicts and of `RECORDS`.
+
+    Raises
+    ------
+    CheckError
+        A file cannot be read, or is no plan.
+
+    Examples
+    --------
+    >>> from ctr_nlp.check.records import CheckError, check_plan
+    >>> try:
+    ...     check_plan("missing.npz")
+    ... except CheckError as error:
+    ...     print("cannot be read" in str(error))
+    True
+    """
+    file = read_plan_file(path)
+    try:
+        found = examine_motion(file, samples, settle)
+        recorded = (
+            _check_digest(file),
+            _check_times(file),
+            _check_frames_of_reference(file, source),
+            *_check_motion(found),
+            _check_samples(found),
+            _check_tolerances(file),
+        )
+    except (AttributeError, LookupError, TypeError, ValueError, ZeroDivisionError) as error:
+        if isinstance(error, CheckError):
+            raise
+        raise CheckError(f"{path} is damaged, or no plan: {type(error).__name__}, {error}") from error
+    found.findings.update(zip(RECORDS, recorded, strict=True))
+    return found
+
+
+def _check_digest(file: PlanFile) -> Finding:
+    """Return whether the file's content is what its digest was computed of."""
+    if file.digest is None:
+        return Finding(NOT_COVERED, why="The file has no digest.")
+    return Finding(YES if file.digest == file.content_digest else NO, why=f"SHA-256 {file.content_digest[:12]}")
+
+
+def _check_times(file: PlanFile) -> Finding:
+    """Return whether frames are evenly spaced in time, and end after the duration of the problem."""
+    time, problem = file.arrays["time"], file.meta["problem"]
+    uneven = abs(np.diff(time, prepend=0.0) - time[0]).max()
+    if not uneven <= 1e-6 * time[-1]:
+        return Finding(NO, float(uneven), why="Frames are not evenly spaced in time.")
+    duration = problem.get("duration")
+    if duration is None:
+        return Finding(NOT_COVERED, why="The file has no duration of the problem.")
+    late = float(time[-1] - duration)
+    word = YES if abs(late) <= 1e-6 * time[-1] and problem.get("frames", len(time)) == len(time) else NO
+    return Finding(word, late, why=f"{len(time)} frames end at {time[-1]:g} s; the problem takes {duration:g} s.")
+
+
+def _check_frames_of_reference(file: PlanFile, source: str | Path | None) -> Finding:
+    """Return whether targets, wall and source are in one frame of reference, and it is a rigid one."""
+    arrays, problem = file.arrays, file.meta["problem"]
+    # Earlier targets of a resampled plan are interpolated, and leave the path by a little.
+    turn, target = arrays["to_robot"][:3, :3], arrays["target"][-1]
+    mirrored = problem.get("space") == "LAS"  # axes of images that turn the other way round
+    if abs(turn @ turn.T - np.eye(3)).max() > 1e-6 or (np.linalg.det(turn) < 0) != mirrored:
+        return Finding(NO, float(np.linalg.det(turn)), why="to_robot scales or mirrors the axes of the file.")
+    allowed = max(CLEARANCE_TOLERANCE_MM, 2 * float(problem.get("deviation") or 0.0))
+    if "lumen" in arrays and "lumen_radius" in arrays:
+        # On the path, the distance to the wall is the radius.
+        off = float(abs(LumenWall(arrays["lumen"]).left(target) - arrays["lumen_radius"][-1]).max())
+        if off > allowed:
+            return Finding(NO, off, why=f"Targets are off the lumen's path, or radii differ, by {off:.2f} mm.")
+    wall = read_wall(arrays, file.meta)
+    outside = 0.0 if wall is None else -float(wall.left(target).min())
+    if outside > allowed:
+        return Finding(NO, outside, why=f"Targets are {outside:.2f} mm outside of the wall.")
+    if source is None:
+        return Finding(NOT_COVERED, why="Axes of the centreline's file; give it to have them checked.")
+    points = _read_source(Path(source)) @ turn.T + arrays["to_robot"][:3, 3]
+    spacing = float(np.linalg.norm(np.diff(points, axis=0), axis=1).max())
+    off = float(-LumenWall(np.pad(points, ((0, 0), (0, 1)))).left(target).min())
+    # Targets are curves through the points, which leave the lines between them by h^2 / (8 R), R at least 12 mm.
+    word = YES if off <= allowed + spacing**2 / 96 else NO
+    return Finding(word, off, why=f"The target is {off:.2f} mm from the points of {Path(source).name}.")
+
+
+def _read_source(path: Path) -> Array:
+    """Return the points (N, 3), mm, of a table with a header or a markups file of 3D Slicer, in its axes."""
+    try:
+        if path.suffix == ".json":
+            points = json.loads(path.read_text(encoding="utf-8"))["markups"][0]["controlPoints"]
+            return np.array([point["position"] for point in points], dtype=float)
+        table = np.genfromtxt(path, delimiter=",", names=True)
+        return np.column_stack([table[name] for name in ("x_mm", "y_mm", "z_mm")])
+    except (OSError, LookupError, TypeError, ValueError) as error:
+        raise CheckError(
+            f"{path} cannot be read as a centreline: {error}; give a table with x_mm, y_mm, z_mm, or a .mrk.json"
+        ) from error
+
+
+def _compare(name: str, recorded: Array, found: Array, tolerance: float, unit: str) -> Finding:
+    """Return whether recorded values differ from found ones by at most a tolerance; frames are the first axis."""
+    known = np.isfinite(found)
+    if not known.any():
+        return Finding(NOT_COVERED, why=f"No {name} were found to compare with.")
+    # A recorded value that is missing where one was found is as far off as can be.
+    away = np.where(known, np.nan_to_num(abs(recorded - found), nan=np.inf), 0.0)
+    largest = float(away.max())
+    frame = int(away.reshape(len(away), -1).max(axis=1).argmax()) + 1
+    why = (
+        f"Recorded {name} differ by {largest:.3g}{unit} at most, in frame {frame}; {tolerance:g}{unit} is allowed."
+    )
+    return Finding(YES if largest <= tolerance else NO, largest, tolerance - largest, why)
+
+
+def _check_motion(found: CheckResult) -> tuple[Finding, Finding, Finding]:
+    """Return whether recorded shapes, margins and clearances are those of the motion."""
+    arrays, meta = found.file.arrays, found.file.meta
+    on_model = {"elastic": lambda: found.shape, "dominant": lambda: compute_dominant_shapes(found.file)}
+    evaluated = str(meta.get("evaluated", meta["model"]))
+    why = found.findings["stable"].why if np.isnan(found.margin).all() else ""
+    if evaluated not in on_model:
+        why = f"The checker does not know the model {evaluated}."
+    if why:
+        return (Finding(NOT_COVERED, why=why),) * 3
+    shape = on_model[evaluated]()
+    margins = Finding(NOT_COVERED, why="The plan was evaluated on a model without margins.")
+    if np.isfinite(arrays["stability"]).any():
+        # Beyond the first bifurcation, chance decides where the robot goes on.
+        near = np.flatnonzero(~(found.margin > NEAR_BIFURCATION).all(axis=1))
+        first = min([len(shape), *near[:1], *(frame - 1 for frame in found.snaps)])
+        shape = np.where(np.arange(len(shape))[:, None, None] < first, shape, np.nan)
+        own = np.stack([found.margin[:first, -1], found.margin[:first].min(axis=1)], axis=1)
+        recorded = np.stack([arrays[name][:first] for name in ("stability", "stability_between")], axis=1)
+        margins = _compare("margins", recorded, own, MARGIN_TOLERANCE, "")
+    shapes = _compare("shapes", arrays["shape"], shape, SHAPE_TOLERANCE_MM, " mm")
+    return shapes, margins, _check_clearances(found, shape)
+
+
+def _check_clearances(found: CheckResult, shape: Array) -> Finding:
+    """Return whether recorded clearances are those of shapes (T, 101, 3), mm, and of the way between frames."""
+    arrays = found.file.arrays
+    wall = read_wall(arrays, found.file.meta)
+    if wall is None or "clearance" not in arrays:
+        why = "The file has no wall." if wall is None else "The file has a wall, and no clearances."
+        return Finding(NOT_COVERED if wall is None and "clearance" not in arrays else NO, why=why)
+    radius = read_tubes(found.file.meta["robot"]).repeat(len(shape)).radius
+    known = np.isfinite(shape).all(axis=(1, 2))
+    own = np.full((len(shape), 2, shape.shape[1]), np.nan)
+    own[known, 0] = measure_clearance(wall, shape[known], arrays["beta"][known].T, radius[:, known])
+    recorded = np.stack([arrays["clearance"], arrays.get("clearance_between", arrays["clearance"])], axis=1)
+    if np.isfinite(arrays["stability"]).any() and "clearance_between" in arrays:
+        own[known, 1] = found.clearance[known].min(axis=1)
+    # Deep in the wall the nearest place of the path may be another one.
+    own[own < -DEEP_MM] = np.nan
+    return _compare("clearances", recorded, own, CLEARANCE_TOLERANCE_MM, " mm")
+
+
+def _check_samples(found: CheckResult) -> Finding:
+    """Return whether the recorded results of samples are those found."""
+    arrays = found.file.arrays
+    count = len(found.lost)
+    if not count or "draws_parts" not in arrays or found.findings["holds"].word == NOT_COVERED:
+        return Finding(
+            NOT_COVERED, why="No recorded samples were moved." if count else found.findings["holds"].why
+        )
+    lost = arrays["draws_lost"][:count] > 0
+    both = ~(lost | found.lost)
+    contact = np.maximum(-arrays["draws_clearance"][:count], 0.0)
+    tips = arrays["draws_cloud"][-1, :count, -1].astype(float)
+    apart = {
+        "tips": np.linalg.norm(tips - found.sample_tips, axis=-1),
+        "contacts": abs(contact - np.maximum(found.sample_contact, 0.0)),
+        "errors": abs(arrays["draws_e2"][:count] - found.sample_e2).max(axis=1),
+    }
+    off = lost != found.lost
+    reasons = [f"{off.sum()} are lost in one view only"] * bool(off.any())
+    for name, values in apart.items():
+        # Contacts without a wall are NaN on both sides; other values must be known.
+        wrong = both & ~(values <= SAMPLE_TOLERANCE_MM) & ~((name == "contacts") & np.isnan(values))
+        reasons += [f"{name} of {wrong.sum()} differ"] * bool(wrong.any())
+        off = off | wrong
+    word = YES if off.sum() <= max(1, int(SAMPLE_SHARE * count)) else NO
+    why = f"{off.sum()} of {count} samples differ" + (f": {', '.join(reasons)}." if reasons else ".")
+    return Finding(word, float(off.sum()), why=why)
+
+
+def _check_tolerances(file: PlanFile) -> Finding:
+    """Return whether the samples' differences from the robot are those of its tolerances."""
+    tolerances, d = file.meta["robot"].get("tolerances"), len(file.meta["robot"]["tubes"])
+    if "draws_parts" not in file.arrays or tolerances is None:
+        return Finding(NOT_COVERED, why="The file has no samples.")
+    parts, lags = file.arrays["draws_parts"], file.arrays["draws_lags"]
+    bands = np.stack([np.broadcast_to(tolerances[name], d) for name in DEVIATIONS], axis=1)
+    least = FALSE_ALARM ** (1 / len(parts))  # of a band's half width, that the largest difference reaches
+    if tolerances["covariance"] is not None or tolerances["distribution"] == "normal":
+        variance = bands**2 / 3
+        if tolerances["covariance"] is not None:
+            variance = np.diag(np.array(tolerances["covariance"])).reshape(d, -1)
+        ratio = (parts**2).mean(axis=0) / np.where(variance > 0, variance, np.nan)
+        spread = 6 * np.sqrt(2 / len(parts))
+        wrong = (abs(ratio - 1) > spread) | ((variance <= 0) & (abs(parts).max(axis=0) > 0))
+    else:
+        largest = abs(parts).max(axis=0)
+        wrong = (largest > bands * (1 + 1e-9)) | (largest < bands * least)
+        # Diameters change the stiffness, too.
+        wrong[:, 1] &= ~(np.broadcast_to(tolerances["diameter"], d) > 0)
+    plays = np.broadcast_to(tolerances["rotation_lag"], d)
+    lagged = (lags.max(axis=0) > plays * (1 + 1e-9)) | (lags.max(axis=0) < plays * least)
+    names = [name for name, bad in zip(DEVIATIONS, wrong.any(axis=0), strict=True) if bad]
+    names += ["rotation_lag"] * bool(lagged.any())
+    why = f"Samples do not have the tolerances of {', '.join(names)}." if names else "Samples fill the tolerances."
+    return Finding(NO if names else YES, float(len(names)), why=why)

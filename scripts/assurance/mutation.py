@@ -1,0 +1,182 @@
+"""Change single operators of a module, one at a time, and count how many changes its tests notice.
+
+    python scripts/assurance/mutation.py ctr_nlp/plan/verdicts.py --count 20
+
+Changes ("mutants") are those of cosmic-ray. Each runs in a process of its own, in which the changed module takes
+the place of the one on disk; no file is changed. Exit status 1 where fewer than 95 % are noticed,
+2 where tests fail without a change.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import importlib.abc
+import importlib.util
+import os
+import random
+import signal
+import sys
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from types import CodeType, ModuleType
+from typing import Any, NamedTuple
+
+ROOT = Path(__file__).resolve().parents[2]
+TESTS = {
+    "ctr_nlp/plan/verdicts.py": ["tests/plan/test_verdicts.py"],
+    "ctr_nlp/check": [
+        f"tests/check/test_{name}.py"
+        for name in ("records", "walls", "equations", "checker", "faults", "second_opinion")
+    ],
+}
+"""Tests that look at a module or a folder of modules."""
+CHANGES = (
+    *("AddNot", "ReplaceTrueWithFalse", "ReplaceFalseWithTrue", "ReplaceAndWithOr", "ReplaceOrWithAnd"),
+    *("Add_Sub", "Sub_Add", "Mul_Div", "Div_Mul", "BitAnd_BitOr"),
+    *("Lt_GtE", "LtE_Gt", "Gt_LtE", "GtE_Lt", "Eq_NotEq", "NotEq_Eq", "Is_IsNot", "IsNot_Is"),
+    *("USub_UAdd", "Delete_Not", "Delete_Invert"),
+)
+"""Names of cosmic-ray's operators, or their ends: one change of each binary, comparing and unary operator."""
+LEAST_NOTICED = 0.95
+TIMEOUT_S = 600
+POLL_S = 0.1
+"""Between looks at whether tests have ended."""
+
+
+class Mutant(NamedTuple):
+    """A changed module: the operator's name, its line, both versions of that line, and the whole text."""
+
+    operator: str
+    line: int
+    before: str
+    after: str
+    text: str
+
+
+class Replaced(importlib.abc.MetaPathFinder, importlib.abc.InspectLoader):
+    """Import system that gives a module another text.
+
+    Parameters
+    ----------
+    name : str
+        Of the module.
+    path : Path
+        Its file.
+    text : str
+        The text that is run instead of the file's.
+    """
+
+    def __init__(self, name: str, path: Path, text: str) -> None:
+        self._name = name
+        self._path = path
+        self._text = text
+
+    def find_spec(self, fullname: str, path: Any = None, target: ModuleType | None = None) -> Any:
+        """Return how the module is loaded; None for all others."""
+        if fullname != self._name:
+            return None
+        return importlib.util.spec_from_loader(fullname, self, origin=str(self._path))
+
+    def get_source(self, fullname: str) -> str:
+        """Return the other text."""
+        return self._text
+
+    def get_code(self, fullname: str) -> CodeType:
+        """Return the compiled text."""
+        return compile(self._text, str(self._path), "exec")
+
+
+def find_mutants(path: Path) -> list[Mutant]:
+    """Return all mutants of a file."""
+    from cosmic_ray.mutating import mutate_code
+    from cosmic_ray.plugins import get_operator, operator_names
+
+    text = path.read_text(encoding="utf-8")
+    names = [name for name in operator_names() if {*name.split("Operator_"), *name.split("/")} & {*CHANGES}]
+    found = []
+    for name in names:
+        occurrence = 0
+        while (changed := mutate_code(text, get_operator(name)(), occurrence)) is not None:
+            pairs = zip(text.splitlines(), changed.splitlines(), strict=False)
+            line, (before, after) = next((i, pair) for i, pair in enumerate(pairs, 1) if pair[0] != pair[1])
+            found.append(Mutant(name.split("/")[-1], line, before.strip(), after.strip(), changed))
+            occurrence += 1
+    return found
+
+
+def run_tests(module: str, path: Path, text: str, tests: Sequence[str]) -> int | None:
+    """Return pytest's exit status with a text in place of a module's; None where tests take too long."""
+    child = os.fork()
+    if child == 0:
+        status = 1
+        try:
+            with open(os.devnull, "w") as nothing, contextlib.redirect_stdout(nothing):
+                os.dup2(nothing.fileno(), 1)
+                os.dup2(nothing.fileno(), 2)
+                sys.meta_path.insert(0, Replaced(module, path, text))
+                import pytest
+
+                options = ["-x", "-q", "--numprocesses", "0", "-p", "no:cacheprovider", "-p", "no:rerunfailures"]
+                status = int(pytest.main([*options, "-o", "addopts=", "-m", "not slow", *tests]))
+        finally:
+            os._exit(status)
+    end = time.monotonic() + TIMEOUT_S
+    while time.monotonic() < end:
+        done, status = os.waitpid(child, os.WNOHANG)
+        if done:
+            return os.waitstatus_to_exitcode(status)
+        time.sleep(POLL_S)
+    os.kill(child, signal.SIGKILL)
+    os.waitpid(child, 0)
+    return None
+
+
+def module_name(file: str) -> str:
+    """Return the name of the module in a file of the repository."""
+    return file.removesuffix(".py").replace("/", ".")
+
+
+def tests_of(path: str) -> list[str]:
+    """Return the tests that look at a module."""
+    return next(tests for part, tests in TESTS.items() if path.startswith(part))
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Run mutants, print those that nobody notices, and return the exit status."""
+    parser = argparse.ArgumentParser(description="Count the changes of a module that its tests notice.")
+    parser.add_argument("files", metavar="FILE.py", nargs="+", help="files of plan/verdicts or check")
+    parser.add_argument("--count", metavar="N", type=int, help="so many mutants, chosen at random (default: all)")
+    parser.add_argument("--seed", metavar="N", type=int, default=0, help="of that choice (default 0)")
+    parser.add_argument("--tests", metavar="TEST", nargs="+", help="tests to run instead of those of the module")
+    asked = parser.parse_args(argv)
+    os.chdir(ROOT)
+    every = [(file, mutant) for file in asked.files for mutant in find_mutants(ROOT / file)]
+    chosen = (
+        every if asked.count is None else random.Random(asked.seed).sample(every, min(asked.count, len(every)))
+    )
+    # Tests that fail anyhow would seem to notice every mutant.
+    with_same_tests = {tuple(asked.tests or tests_of(file)): file for file in asked.files}
+    for tests, file in with_same_tests.items():
+        text = (ROOT / file).read_text(encoding="utf-8")
+        if run_tests(module_name(file), ROOT / file, text, tests) != 0:
+            print(f"{', '.join(tests)} fail without a change; nothing was counted", file=sys.stderr)
+            return 2
+    missed = 0
+    late = 0
+    for done, (file, mutant) in enumerate(chosen):
+        print(f"{done} of {len(chosen)} done, {missed} not noticed", file=sys.stderr)
+        status = run_tests(module_name(file), ROOT / file, mutant.text, asked.tests or tests_of(file))
+        late += status is None
+        if status == 0:
+            missed += 1
+            print(f"{file}:{mutant.line}: {mutant.operator}\n  - {mutant.before}\n  + {mutant.after}", flush=True)
+    noticed = len(chosen) - missed
+    slow = f", {late} of them since tests took over {TIMEOUT_S} s" if late else ""
+    print(f"{noticed} of {len(chosen)} mutants are noticed{slow}; there are {len(every)} in all")
+    return 0 if noticed >= LEAST_NOTICED * len(chosen) else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())

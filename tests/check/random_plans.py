@@ -1,0 +1,125 @@
+"""Random plans for tests of the checker: robots, motions, walls, loads and samples of all kinds.
+
+Made with the public interface of the package alone: nothing here knows the checker.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from ctr_nlp import Limits, Load, Plan, Problem, Robot, Tolerances, Tube, curve_from_points, growing, plan_through
+from ctr_nlp.paths.distance_field import BLOCK_NODES, DistanceField, make_grid
+from ctr_nlp.paths.walls import Body
+from ctr_nlp.plan.simulation import simulate_motion
+
+FRAMES = 10
+DURATION_S = 10.0
+DIAMETERS = (6.0, 5.0), (4.4, 3.6), (3.0, 2.2), (1.6, 1.0)
+"""Outer and inner, mm: every tube more than three times as stiff as the next, as the dominant model needs."""
+WALLS = "none", "lumen", "body", "keep-out", "lumen and keep-out"
+MODELS = "elastic", "dominant"
+SAMPLES = 40
+CELL_MM = 3.0
+
+
+def random_plan(seed: int, samples: bool = False) -> Plan:
+    """A plan that differs with the seed in robot, motion, model, wall, and whether the robot is under a load."""
+    random = np.random.default_rng(seed)
+    model = MODELS[seed % 2]
+    robot = _robot(random)
+    q = _motion(random, robot)
+    path = _path(random, robot, q, model)
+    kind = WALLS[seed % len(WALLS)]
+    radius = random.uniform(4.0, 9.0) + random.uniform(0, 1.0) * np.cos(np.linspace(0, 6, len(path)))
+    in_lumen = kind.startswith("lumen")
+    curve = curve_from_points(path, radius if in_lumen else None)
+    walls = {
+        "body": lambda: (Body("lumen", _field(path, radius)),),
+        "keep-out": lambda: (_ball(random, path),),
+        "lumen and keep-out": lambda: (_ball(random, path),),
+    }.get(kind, tuple)()
+    target = growing(curve, FRAMES)
+    problem = Problem("random", robot, target, duration=DURATION_S, lumen=curve if in_lumen else None, walls=walls)
+    plan = plan_through(problem, q, model=model)
+    solved = {name: np.zeros(FRAMES) for name in ("kkt", "objective", "solve_time")}
+    plan = replace(plan, **solved)
+    if samples and not (seed % 2 or plan.meta["snaps"]):
+        plan = plan.with_samples(SAMPLES, seed)
+    if seed % 10 == 3:
+        plan = plan.with_modulus(60_000).with_load(Load(force=(0.01, 0.0, 0.0)))
+    return plan
+
+
+def _robot(random: np.random.Generator) -> Robot:
+    d = int(random.integers(1, 5))
+    curved = np.sort(random.uniform(25, 130, d))
+    lengths = curved + np.sort(random.uniform(20, 120, d))
+    tubes = []
+    for i, (outer, inner) in enumerate(DIAMETERS[-d:]):
+        ends = random.uniform(0.0, 0.012, 2)
+        curvature = [0.0, float(ends[0]), tuple(ends.tolist())][int(random.integers(3)) if i else 1]
+        tubes.append(
+            Tube(float(lengths[i]), float(curved[i]), curvature, outer, inner, float(random.uniform(0.2, 0.4)))
+        )
+    tolerances = Tolerances(
+        curvature=0.02, bending_stiffness=0.02, motor_zero=0.02, rotation_lag=float(random.choice([0.0, 0.03]))
+    )
+    limits = Limits(alpha_acceleration=50.0) if random.random() < 0.3 else Limits()
+    return Robot(tuple(tubes), limits, tolerances)
+
+
+def _motion(random: np.random.Generator, robot: Robot) -> np.ndarray:
+    """Tubes that come out while they turn, within limits."""
+    d = robot.d
+    reach = np.array([tube.curved_length for tube in robot.tubes])
+    t = np.linspace(0, 1, FRAMES)[:, None]
+    beta = reach * (0.3 + 0.65 * t ** random.uniform(0.7, 1.3))
+    turn = random.uniform(-1.2, 1.2, d)
+    alpha = random.uniform(-3, 3) + random.uniform(-0.8, 0.8, d) + turn * t
+    theta = random.uniform(-0.15, 0.15, 2) * t
+    return np.hstack([alpha, beta, theta])
+
+
+def _path(random: np.random.Generator, robot: Robot, q: np.ndarray, model: str) -> np.ndarray:
+    """Points of a path near the robot's last shape; of another shape in half of all cases."""
+    shape = simulate_motion(robot, q, model).shape[-1][::5]
+    if not np.isfinite(shape).all():
+        shape = np.linspace(0, 1, 21)[:, None] * np.array([0, 0, q[-1, 2 * robot.d - 1]])
+    if random.random() < 0.5:
+        shape = shape + np.linspace(0, 1, len(shape))[:, None] ** 2 * random.uniform(-4, 4, 3) * [1, 1, 0]
+    return shape
+
+
+def _field(path: np.ndarray, radius: np.ndarray) -> DistanceField:
+    """The inside of a lumen as a distance field with one grid."""
+    fine = np.linspace(0, len(path) - 1, 400)
+    points = np.stack([np.interp(fine, np.arange(len(path)), path[:, k]) for k in range(3)], axis=1)
+    along = np.interp(fine, np.arange(len(path)), radius)
+    tree = cKDTree(points)
+
+    def distance(places: np.ndarray) -> np.ndarray:
+        away, nearest = tree.query(places)
+        return along[nearest] - away
+
+    return _sampled(distance, path)
+
+
+def _ball(random: np.random.Generator, path: np.ndarray) -> Body:
+    """A ball beside the path."""
+    radius = random.uniform(3, 6)
+    centre = path[int(random.integers(8, len(path)))] + random.choice([-1, 1]) * (radius + random.uniform(3, 6))
+    field = _sampled(lambda places: radius - np.linalg.norm(places - centre, axis=-1), path)
+    return Body("ball", field, keep_out=True, margin=float(random.choice([0.0, 0.3])))
+
+
+def _sampled(distance, path: np.ndarray) -> DistanceField:
+    low = path.min(axis=0) - 12
+    blocks = np.ceil((path.max(axis=0) + 12 - low) / CELL_MM / BLOCK_NODES).astype(int)
+    count = BLOCK_NODES * blocks + 5
+    to_grid = np.diag([1 / CELL_MM] * 3 + [1.0])
+    to_grid[:3, 3] = 2 - low / CELL_MM
+    nodes = np.stack(np.meshgrid(*map(np.arange, count), indexing="ij"), axis=-1)
+    return DistanceField((make_grid(distance((nodes - 2) * CELL_MM + low), to_grid),))

@@ -1,0 +1,267 @@
+"""Parts of the record, each beside small made-up files; and how a plan's verdicts are compared with findings."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from ctr_nlp.check import checker, comparison, records
+from ctr_nlp.check.checker import NO, NOT_COVERED, VERDICTS, YES, Finding
+from ctr_nlp.check.plan_file import PlanFile
+from ctr_nlp.check.records import RECORDS
+
+TOLERANCES = {
+    "curvature": 0.02,
+    "bending_stiffness": 0.02,
+    "torsional_ratio": 0.0,
+    "curved_length": 0.0,
+    "motor_zero": [0.02, 0.0],
+    "rotation_lag": 0.03,
+    "diameter": 0.0,
+    "tip_force": 0.0,
+    "distribution": "uniform",
+    "covariance": None,
+}
+
+
+def file_of(arrays=None, digest=None, content="abc", **meta):
+    return PlanFile(arrays or {}, {"problem": {}, "model": "elastic"} | meta, digest, content)
+
+
+def test_digest_is_that_of_the_content():
+    assert records._check_digest(file_of()).word == NOT_COVERED
+    assert records._check_digest(file_of(digest="abc")).word == YES
+    assert records._check_digest(file_of(digest="abd")).word == NO
+
+
+@pytest.mark.parametrize(
+    ("time", "problem", "word"),
+    [
+        ([1, 2, 3], {"duration": 3.0, "frames": 3}, YES),
+        ([1, 2, 3], {"duration": 3.0}, YES),
+        ([1, 2, 3], {}, NOT_COVERED),
+        ([1, 2, 3], {"duration": 4.0, "frames": 3}, NO),
+        ([1, 2, 3], {"duration": 2.0, "frames": 3}, NO),
+        ([1, 2, 3], {"duration": 3.0, "frames": 4}, NO),
+        ([1, 2, 3.1], {"duration": 3.1, "frames": 3}, NO),
+        ([1, 2, 2.9], {"duration": 2.9, "frames": 3}, NO),
+    ],
+)
+def test_times_are_even_and_end_with_the_problem(time, problem, word):
+    found = records._check_times(file_of({"time": np.array(time, dtype=float)}, problem=problem))
+    assert found.word == word
+
+
+def axes(problem=None, source=None, **arrays):
+    z = np.linspace(0, 30, 101)
+    target = np.stack([0 * z, 0 * z, z], axis=-1)[None]
+    given = {"to_robot": np.eye(4), "target": target} | arrays
+    return records._check_frames_of_reference(file_of(given, problem=problem or {}), source)
+
+
+def lumen(radius=5.0, shift=0.0):
+    z = np.linspace(-5, 40, 91)
+    return np.stack([0 * z + shift, 0 * z, z, 0 * z + radius], axis=-1)
+
+
+def test_axes_are_rigid_and_target_lies_on_lumen(tmp_path):
+    assert axes().word == NOT_COVERED
+    mirrored = np.diag([1.0, -1, 1, 1])
+    assert axes(to_robot=mirrored).word == NO
+    assert axes({"space": "LAS"}, to_robot=mirrored).word == NOT_COVERED
+    assert axes({"space": "LAS"}).word == NO
+    assert axes(to_robot=np.diag([1.01, 1, 1, 1])).word == NO
+    radius = np.full((1, 101), 5.0)
+    assert axes(lumen=lumen(), lumen_radius=radius).word == NOT_COVERED
+    assert axes(lumen=lumen(), lumen_radius=radius + 0.2).word == NO
+    assert axes(lumen=lumen(), lumen_radius=radius - 0.2).word == NO
+    assert axes({"deviation": 0.2}, lumen=lumen(), lumen_radius=radius + 0.2).word == NOT_COVERED
+    assert axes(lumen=lumen(shift=5.5)).word == NO
+    source = tmp_path / "path.csv"
+    source.write_text("x_mm,y_mm,z_mm\n0,0,0\n0,0,15\n0,0,30\n")
+    assert axes(source=source).word == YES
+    source.write_text("x_mm,y_mm,z_mm\n0,0,0\n0,3,15\n0,6,30\n")
+    assert axes(source=source).word == NO
+    markups = tmp_path / "path.mrk.json"
+    points = ", ".join(f'{{"position": [0, 0, {z}]}}' for z in (0, 15, 30))
+    markups.write_text(f'{{"markups": [{{"controlPoints": [{points}]}}]}}')
+    assert axes(source=markups).word == YES
+
+
+def samples(scale=1.0, count=400, **changes):
+    random = np.random.default_rng(1)
+    bands = np.zeros((2, 5))
+    bands[:, :2] = 0.02
+    bands[0, 4] = 0.02
+    parts = random.uniform(-1, 1, (count, 2, 5)) * bands * scale
+    lags = random.uniform(0, 1, (count, 2)) * 0.03
+    robot = {"tubes": [{}, {}], "tolerances": TOLERANCES | changes}
+    return file_of({"draws_parts": parts, "draws_lags": lags}, robot=robot)
+
+
+@pytest.mark.parametrize(
+    ("changes", "names"),
+    [
+        ({}, ""),
+        ({"curvature": 0.01}, "curvature"),
+        ({"curvature": 0.03}, "curvature"),
+        ({"motor_zero": 0.02}, "motor_zero"),
+        ({"curved_length": 0.1}, "curved_length"),
+        ({"rotation_lag": 0.01}, "rotation_lag"),
+        ({"rotation_lag": 0.06}, "rotation_lag"),
+        ({"bending_stiffness": 0.01, "diameter": 0.05}, ""),
+    ],
+)
+def test_samples_must_fill_their_tolerances(changes, names):
+    found = records._check_tolerances(samples(**changes))
+    assert found.word == (NO if names else YES)
+    assert names in found.why
+    assert records._check_tolerances(file_of(robot=samples().meta["robot"])).word == NOT_COVERED
+
+
+def test_normal_samples_must_have_their_variance():
+    assert records._check_tolerances(samples(distribution="normal")).word == YES
+    wide = records._check_tolerances(samples(scale=1.5, distribution="normal"))
+    narrow = records._check_tolerances(samples(scale=0.6, distribution="normal"))
+    assert wide.word == narrow.word == NO
+    variance = np.zeros(10)
+    variance[[0, 1, 4, 5, 6]] = 0.02**2 / 3
+    covariance = np.diag(variance).tolist()
+    assert records._check_tolerances(samples(distribution="normal", covariance=covariance)).word == YES
+    assert records._check_tolerances(samples(scale=1.5, distribution="normal", covariance=covariance)).word == NO
+
+
+def result(lost=(False, False, False), holds=YES, **changes):
+    """Three samples that are found as they are recorded."""
+    arrays = {
+        "draws_parts": np.zeros((3, 1, 5)),
+        "draws_lost": np.array([0, 0, 0]),
+        "draws_clearance": np.array([1.0, -0.3, 0.2]),
+        "draws_cloud": np.zeros((1, 3, 26, 3)),
+        "draws_e2": np.full((3, 2), 0.5),
+    } | changes
+    return SimpleNamespace(
+        file=file_of(arrays),
+        findings={"holds": Finding(holds, why="Because.")},
+        lost=np.array(lost),
+        sample_tips=np.zeros((3, 3)),
+        sample_contact=np.array([-1.0, 0.3, -0.2]),
+        sample_e2=np.full((3, 2), 0.5),
+    )
+
+
+def test_results_of_samples_are_compared_one_by_one():
+    assert records._check_samples(result()).word == YES
+    assert records._check_samples(result(holds=NOT_COVERED)).word == NOT_COVERED
+    assert records._check_samples(result(draws_lost=np.array([1, 0, 0]))).word == YES  # one may differ
+    assert records._check_samples(result(draws_lost=np.array([1, 2, 0]))).word == NO
+    assert records._check_samples(result(draws_clearance=np.array([1.0, 0.0, -0.4]))).word == NO
+    assert records._check_samples(result(draws_clearance=np.full(3, np.nan))).word == YES
+    assert records._check_samples(result(draws_cloud=np.full((1, 3, 26, 3), 0.2))).word == NO
+    assert records._check_samples(result(draws_cloud=np.full((1, 3, 26, 3), np.nan))).word == NO
+    assert records._check_samples(result(draws_e2=np.full((3, 2), 0.7))).word == NO
+    assert records._check_samples(result(draws_e2=np.full((3, 2), 0.3))).word == NO
+
+
+def test_recorded_values_are_compared_where_others_were_found():
+    own = np.array([[1.0, 2.0], [np.nan, 4.0]])
+    assert records._compare("x", own, own, 0.1, "").word == YES
+    assert records._compare("x", own + 0.09, own, 0.1, "").word == YES
+    far = records._compare("x", own - [[0.0, 0.0], [0.0, 0.3]], own, 0.1, " mm")
+    assert far.word == NO
+    assert far.number == pytest.approx(0.3)
+    assert far.distance == pytest.approx(-0.2)
+    assert "in frame 2" in far.why
+    assert records._compare("x", np.full((2, 2), np.nan), own, 0.1, "").word == NO
+    assert records._compare("x", own, np.full((2, 2), np.nan), 0.1, "").word == NOT_COVERED
+
+
+def compared(name, word, number, finding, **changes):
+    findings = dict.fromkeys((*VERDICTS, *RECORDS), Finding(YES, 1.0, 1.0)) | {name: finding}
+    arrays = {"stability": np.array(changes.get("stability", [0.5])), "draws_parts": np.zeros((40, 1, 5))}
+    found = SimpleNamespace(
+        file=file_of(arrays),
+        findings=findings,
+        snaps=changes.get("snaps", []),
+        lost=np.zeros(changes.get("moved", 40)),
+    )
+    own = {name: SimpleNamespace(word=word, number=number)}
+    opinions = {each.name: each for each in comparison.compare_verdicts(found, own)}
+    assert list(opinions) == [*VERDICTS, *RECORDS]
+    assert opinions[name].own_word == word
+    return opinions[name].agrees
+
+
+def test_words_may_differ_near_the_threshold_alone():
+    assert compared("arrives", YES, 1.0, Finding(YES, 1.0, 1.0))
+    assert not compared("arrives", YES, 1.9, Finding(NO, 2.1, -0.1))
+    assert compared("arrives", YES, 1.99, Finding(NO, 2.01, -0.01))
+    assert not compared("arrives", NO, 2.3, Finding(YES, 1.9, 0.1))
+    assert not compared("within_limits", YES, 99.0, Finding(NO, 101.0, -1e-7))
+    assert not compared("solved", YES, 10, Finding(NO, 9.0))
+    assert compared("arrives", "NOT CHECKED", 9.0, Finding(NO, 9.0, -7.0))
+    assert compared("arrives", YES, 1.0, Finding(NOT_COVERED))
+
+
+def test_numbers_may_differ_by_their_tolerance():
+    assert compared("follows", YES, 1.0, Finding(YES, 1.04, 0.96))
+    assert not compared("follows", YES, 1.0, Finding(YES, 1.1, 0.9))
+    assert not compared("stable", YES, 0.20, Finding(YES, 0.21, 0.1))
+    assert compared("stable", NO, 0.0, Finding(NO, 0.21), snaps=[3])
+    assert compared("within_limits", YES, 50.0, Finding(YES, 60.0, 1.0))
+    assert compared("within_wall", YES, 0.0, Finding(YES, -3.0, 3.5))
+    assert not compared("within_wall", NO, 1.0, Finding(NO, 1.3, -0.8))
+    assert compared("within_wall", NO, 20.0, Finding(NO, 25.0, -24.5))
+    assert not compared("within_wall", NO, 1.0, Finding(NO, 25.0, -24.5))
+    assert compared("holds", NO, 0.5, Finding(NO, 0.525, -0.425))  # one of 40 samples
+    assert not compared("holds", NO, 0.5, Finding(NO, 0.55, -0.4))
+    assert compared("holds", YES, 0.95, Finding(NO, 0.925, -0.025))
+    assert not compared("holds", YES, 0.95, Finding(NO, 0.9, -0.05))
+    assert compared("holds", NO, 0.5, Finding(NO, 0.75, -0.2), moved=4)
+
+
+def test_numbers_on_another_model_are_not_compared():
+    nan = [np.nan]
+    assert compared("arrives", NO, 9.0, Finding(YES, 1.0, 1.0), stability=nan)
+    assert not compared("solved", NO, 9, Finding(YES, 10.0), stability=nan)
+
+
+def test_record_that_does_not_fit_is_a_disagreement():
+    findings = dict.fromkeys((*VERDICTS, *RECORDS), Finding(NOT_COVERED)) | {
+        "shapes": Finding(NO),
+        "holds": Finding(NO),
+    }
+    found = SimpleNamespace(file=file_of({"stability": np.zeros(1)}), findings=findings, snaps=[], lost=())
+    assert [each.name for each in comparison.compare_verdicts(found, {}) if not each.agrees] == ["shapes"]
+
+
+@pytest.mark.parametrize(
+    ("success", "kkt", "interpolated", "word"),
+    [
+        ([True, True], [0.0, 1e-3], [], YES),
+        ([True, True], [0.0, 0.1], [], NO),
+        ([True, False], [0.0, 0.0], [], NO),
+        ([True, False], [0.0, np.nan], [2], NOT_COVERED),
+        ([True, True], [0.0, np.nan], [], NOT_COVERED),
+    ],
+)
+def test_frames_must_be_solved_with_small_residuals(success, kkt, interpolated, word):
+    file = file_of({"success": np.array(success), "kkt": np.array(kkt)}, interpolated=interpolated)
+    assert checker._judge_solved(file).word == word
+
+
+@pytest.mark.parametrize(
+    ("margin", "snaps", "asked", "word"),
+    [
+        ([[0.5, 0.2]], [], None, YES),
+        ([[0.5, 0.2]], [], 0.2, YES),
+        ([[0.5, 0.2]], [], 0.203, YES),
+        ([[0.5, 0.2]], [], 0.21, NO),
+        ([[0.5, 0.0005]], [], None, NO),
+        ([[0.5, np.nan]], [], None, NOT_COVERED),
+        ([[0.5, 0.4]], [7], None, NO),
+        ([[np.nan, np.nan]], [], None, NOT_COVERED),
+    ],
+)
+def test_stability_needs_the_margin_everywhere(margin, snaps, asked, word):
+    assert checker._judge_stability(np.array(margin), snaps, asked).word == word
