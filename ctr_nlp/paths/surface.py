@@ -30,7 +30,7 @@ FIRST_PIECES = 8
 """Pieces whose triangles are looked at first; twice as many where these do not settle which one is nearest."""
 MAX_PIECES = 2048
 """Most pieces of a point that are looked at: further away all triangles are nearly as near."""
-CHUNK_PAIRS = 400_000
+CHUNK_PAIRS = 150_000
 """Pairs of points and pieces that are looked at together, which bounds the memory."""
 SMALLEST = float(np.finfo(float).tiny)
 
