@@ -72,6 +72,32 @@ def test_the_nearest_of_two_bodies_counts(problem):
     assert (plan.clearance <= expected + 0.06).all()
 
 
+def test_every_wall_is_judged_and_a_body_admits_no_contact(problem):
+    plan = solved(problem, Body("lung", field(tube)), Body("vessel", field(ball), keep_out=True, margin=0.5))
+    assert plan.wall_clearance.shape == (12, 2, 101)
+    np.testing.assert_array_equal(plan.clearance, plan.wall_clearance.min(axis=1))
+    least = np.fmin(plan.wall_clearance, plan.wall_clearance_between).min(axis=(0, 2))
+
+    def judged(*depths):
+        """The verdict where the robot is so deep in the two walls, mm."""
+        moved = {
+            name: getattr(plan, name) - (least + np.array(depths))[:, None]
+            for name in ("wall_clearance", "wall_clearance_between")
+        }
+        return replace(plan, **moved).verdicts.within_wall
+
+    # Tissue gives a little, a margin does not.
+    assert judged(0.4, -0.1).word != "no"
+    assert judged(0.6, -0.1).word == "no"
+    touched = judged(-1.0, 0.2)
+    assert touched.word == "no"
+    assert touched.why.startswith("vessel: the deepest contact within the margin of 0.5 mm is 0.20 mm")
+    assert "lung: the least clearance is 1.00 mm" in touched.why
+    back = plan.reversed()
+    np.testing.assert_array_equal(back.wall_clearance, plan.wall_clearance[::-1])
+    np.testing.assert_array_equal(back.wall_clearance_between[1:], plan.wall_clearance_between[::-1][:-1])
+
+
 def test_walls_are_saved_with_a_plan(problem, tmp_path):
     plan = solved(problem, Body("tumour", field(ball), keep_out=True))
     plan.save(tmp_path / "plan.npz")
