@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from scipy.ndimage import binary_erosion, distance_transform_edt, find_objects
+from scipy.ndimage import distance_transform_edt, find_objects
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import dijkstra
 
@@ -52,8 +52,8 @@ def read_mask(
     to_lps = IMAGE_SPACE_TO_LPS[image.space]
     with name_source_in_errors(path):
         selected, selected_notes = select_lumen(image, options)
-        lumen = _crop_to_lumen(replace(image, voxels=selected))
-        ends = np.array([_end(lumen, "entry", entry), _end(lumen, "target", target)])
+        lumen = crop_to_lumen(replace(image, voxels=selected))
+        ends = np.array([find_lumen_index(lumen, "entry", entry), find_lumen_index(lumen, "target", target)])
         tube = _tube(lumen.voxels, image.spacing, ends)
         own = transform_points(tube[:, :3] / image.spacing, lumen.affine)
         width_notes = check_widths(own, tube[:, 3], options)
@@ -62,7 +62,7 @@ def read_mask(
     return Branches((branch,), image.space, to_lps, facts)
 
 
-def _crop_to_lumen(image: Image) -> Image:
+def crop_to_lumen(image: Image) -> Image:
     """Return the part of an image of a lumen that contains it, with a voxel of wall around it where the image has
     one.
     """
@@ -74,7 +74,7 @@ def _crop_to_lumen(image: Image) -> Image:
     return replace(image, voxels=np.ascontiguousarray(image.voxels[box]), affine=affine)
 
 
-def _end(mask: Image, name: str, given: npt.ArrayLike) -> Array:
+def find_lumen_index(mask: Image, name: str, given: npt.ArrayLike) -> Array:
     """Return the index (3,), not whole, of the lumen's point nearest to a given one; raise CurveError if that is
     far.
     """
@@ -155,13 +155,13 @@ VOXEL_NEIGHBOUR_STEPS = np.array([step for step in product((-1, 0, 1), repeat=3)
 def depths(lumen: Flags, spacing: Array) -> npt.NDArray[np.float32]:
     """Return the approximate distance in mm from the voxels (l, m, n) of a lumen to the wall; 0 outside of it.
 
-    spacing: sides of a voxel (3,), mm. The Euclidean distance transform to the voxels that touch the wall. The
-    border of the image is no wall.
+    spacing: sides of a voxel (3,), mm. The Euclidean distance transform to the voxels outside. The border of the
+    image is no wall.
     """
-    edge = lumen & ~binary_erosion(lumen, np.ones((3, 3, 3)), border_value=1)
-    to_edge = distance_transform_edt(~edge, sampling=spacing)
-    # The wall runs half a voxel outside of the centres of the voxels that touch it.
-    return np.where(lumen, to_edge + spacing.min() / 2, 0.0).astype(np.float32)
+    # The border of the image is no wall: beyond it the lumen goes on.
+    to_wall = distance_transform_edt(np.pad(lumen, 1, mode="edge"), sampling=spacing)[1:-1, 1:-1, 1:-1]
+    # The wall runs half a voxel before the centres of the voxels outside.
+    return np.where(lumen, to_wall - spacing.min() / 2, 0.0).astype(np.float32)
 
 
 def cheapest_route(depth: npt.NDArray[np.float32], spacing: Array, ends: Index) -> Index | None:
@@ -210,7 +210,7 @@ def _dijkstra(
     # Distance of neighbours along each axis in the flattened image, in entries.
     pitch = np.array(depth.strides) // depth.itemsize
     links = [
-        _links(nodes, number, cost, step @ pitch, float(np.linalg.norm(step * spacing)))
+        link_voxels(nodes, number, cost, step @ pitch, float(np.linalg.norm(step * spacing)))
         for nodes, stride in levels
         for step in VOXEL_NEIGHBOUR_STEPS * stride
     ]
@@ -228,7 +228,7 @@ def _dijkstra(
     return np.column_stack(np.unravel_index(member[walked[::-1]], depth.shape))
 
 
-def _links(nodes: Flags, number: Index, cost: Array, step: int, length: float) -> tuple[Index, Index, Array]:
+def link_voxels(nodes: Flags, number: Index, cost: Array, step: int, length: float) -> tuple[Index, Index, Array]:
     """Return the pairs of nodes that are `step` entries apart in the flattened image, and the cost of each pair.
 
     nodes: (l, m, n). number: of each voxel's node. cost: per mm at every node. length: of the step, mm.
