@@ -34,6 +34,8 @@ SAMPLES_PER_RAY = 64
 """Along each ray, up to twice the radius."""
 TREE_PASSES, TREE_RAYS, TREE_SAMPLES = 4, 24, 32
 """The same for trees, which have many more cross-sections."""
+ROUTE_WEIGHT = 0.3
+"""Weight of the route through the voxels in the caps of a lumen, where that of a cross-section is 1."""
 LEAST_STEP_MM = 1e-3
 """Between points of a tree, so that nothing is divided by 0."""
 HARMONIC_REGULARISATION = (1e-3, 1e-3, 1e-3, 0.1, 0.1)
@@ -77,7 +79,7 @@ def centre_tree(lumen: Flags, spacing: Array, tube: Array, before: Index) -> Arr
 
     lumen: (l, m, n), its voxels spacing (3,) mm apart. tube: (n, 4) points about 1 mm apart with the radius, mm.
     before: (n,) number of the point before each, less than its own; negative at the root. Branches share the points
-    up to where they part. Points in the caps of the lumen are extrapolated.
+    up to where they part.
     """
     voxel = float(np.linalg.norm(spacing))
     number = np.arange(len(tube))
@@ -89,17 +91,21 @@ def centre_tree(lumen: Flags, spacing: Array, tube: Array, before: Index) -> Arr
     tips = np.setdiff1d(number, before)
     length = SMOOTHING_LENGTH_VOXELS * float(spacing.max())
     from_end = _distances_to_ends(tube[:, :3], before, tips)
+    # In a cap the section says nothing: there, and where a path has left the lumen, the route through the voxels counts.
     trusted = from_end > voxel + END_CAP_RADII * tube[:, 3]
+    weight = np.where(trusted, 1.0, ROUTE_WEIGHT)
+    route = tube
     for left in range(TREE_PASSES, -1, -1):
         steps = np.maximum(np.linalg.norm(tube[:, :3] - tube[parent, :3], axis=1), LEAST_STEP_MM)
-        points = _smooth_tree(tube[:, :3], trusted.astype(float), before, steps, length, 3)
-        radius = _smooth_tree(tube[:, 3:], trusted.astype(float), before, steps, length, 2)
-        tube = np.column_stack([points, np.maximum(radius[:, 0], spacing.min() / 2)])
+        points = _smooth_tree(tube[:, :3], weight, before, steps, length, 3)
+        radius = _smooth_tree(tube[:, 3:], weight, before, steps, length, 2)
+        tube = np.column_stack([points, np.maximum(radius, spacing.min() / 2)])
         if left:
             tangent = tube[ahead, :3] - tube[parent, :3]
             tangent /= np.maximum(np.linalg.norm(tangent, axis=1, keepdims=True), LEAST_STEP_MM)
             moved = recentre_points(lumen, spacing, tube, tangent, rays=TREE_RAYS, samples=TREE_SAMPLES)
-            tube = np.where(trusted[:, None], moved, tube)
+            inside = lie_in_lumen(lumen, spacing, tube[:, :3]) & lie_in_lumen(lumen, spacing, moved[:, :3])
+            tube = np.where((trusted & inside)[:, None], moved, route)
     return tube
 
 
