@@ -36,6 +36,9 @@ TREE_PASSES, TREE_RAYS, TREE_SAMPLES = 4, 24, 32
 """The same for trees, which have many more cross-sections."""
 ROUTE_WEIGHT = 0.3
 """Weight of the route through the voxels in the caps of a lumen, where that of a cross-section is 1."""
+BIFURCATION_WEIGHT, BIFURCATION_RADII = 0.01, 1.0
+"""Weight of cross-sections behind a bifurcation, in which two branches meet, and how far they are from it, in radii of
+the wide branch."""
 LEAST_STEP_MM = 1e-3
 """Between points of a tree, so that nothing is divided by 0."""
 HARMONIC_REGULARISATION = (1e-3, 1e-3, 1e-3, 0.1, 0.1)
@@ -94,6 +97,7 @@ def centre_tree(lumen: Flags, spacing: Array, tube: Array, before: Index) -> Arr
     # In a cap the section says nothing: there, and where a path has left the lumen, the route through the voxels counts.
     trusted = from_end > voxel + END_CAP_RADII * tube[:, 3]
     weight = np.where(trusted, 1.0, ROUTE_WEIGHT)
+    weight[trusted & _lie_at_bifurcations(tube, before)] = BIFURCATION_WEIGHT
     route = tube
     for left in range(TREE_PASSES, -1, -1):
         steps = np.maximum(np.linalg.norm(tube[:, :3] - tube[parent, :3], axis=1), LEAST_STEP_MM)
@@ -107,6 +111,21 @@ def centre_tree(lumen: Flags, spacing: Array, tube: Array, before: Index) -> Arr
             inside = lie_in_lumen(lumen, spacing, tube[:, :3]) & lie_in_lumen(lumen, spacing, moved[:, :3])
             tube = np.where((trusted & inside)[:, None], moved, route)
     return tube
+
+
+def _lie_at_bifurcations(tube: Array, before: Index) -> Flags:
+    """Return which points (n, 4) of a tree are in the lumen of the branch that their own one leaves.
+
+    before: (n,) number of the point before each.
+    """
+    children = np.bincount(before[1:], minlength=len(tube))
+    steps = np.linalg.norm(tube[:, :3] - tube[before, :3], axis=1)
+    left = np.zeros(len(tube))
+    for k in range(1, len(tube)):
+        behind = before[k]
+        radius = BIFURCATION_RADII * tube[behind, 3] if children[behind] > 1 else 0.0
+        left[k] = max(left[behind], radius) - steps[k]
+    return left > 0
 
 
 def _distances_to_ends(points: Array, before: Index, tips: Index) -> Array:
