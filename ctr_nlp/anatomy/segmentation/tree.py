@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 from scipy.ndimage import label
+from scipy.spatial import cKDTree
 
 from ctr_nlp.anatomy.branch import Branch, Branches, format_point, name_source_in_errors, transform_points
 from ctr_nlp.anatomy.formats.images import IMAGE_SPACE_TO_LPS, Image, read_image
@@ -89,6 +90,7 @@ def read_mask_tree(
         notes = (*notes, *_note_loops(loops, lumen), *_note_separate_parts(graph, root, lumen.spacing))
         nodes = _sample_routes(tree)
         tube = centre_tree(lumen.voxels, lumen.spacing, nodes.tube, nodes.before)
+        notes = (*notes, _note_offsets(tree, tube))
         lps = transform_points(transform_points(tube[:, :3] / lumen.spacing, lumen.affine), to_lps)
     branches = list[Branch]()
     for way in _walk_to_tips(nodes):
@@ -172,6 +174,16 @@ def _note_separate_parts(graph: VoxelGraph, root: int, spacing: Array) -> list[s
     largest = f"{sizes.max() * float(np.prod(spacing)):.3g} mm^3"
     what = "a part is" if sizes.size == 1 else f"{sizes.size} parts are"
     return [f"{what} not connected with the entry and left out; the largest one has {largest}"]
+
+
+def _note_offsets(tree: VoxelTree, tube: Array) -> str:
+    """Return a note on how far the points (n, 4) of the paths are from the widest routes through the voxels."""
+    route = np.unique(np.concatenate(tree.routes))
+    away, _ = cKDTree(tree.graph.points[route]).query(tube[:, :3])
+    return (
+        f"paths are {np.median(away):.1f} mm from the widest way through the voxels in the median, "
+        f"{away.max():.1f} mm at most"
+    )
 
 
 def _sample_routes(tree: VoxelTree) -> _Nodes:

@@ -342,7 +342,10 @@ def find_loops(tree: VoxelTree) -> list[Loop]:
             if ways[nearest] <= LOOP_RADII * widest + LOOP_MM:
                 continue
             contact = voxels[group]
-            loops.append(Loop(graph.points[contact].mean(axis=(0, 1)), float(ways[nearest])))
+            place = graph.points[contact].mean(axis=(0, 1))
+            # Where three branches meet, each pair of them touches there.
+            if all(np.linalg.norm(place - loop.point) > CONTACT_GAP_MM for loop in loops):
+                loops.append(Loop(place, float(ways[nearest])))
             room = float(graph.depth[contact].max())
             for number in pair.tolist():
                 tip = tree.routes[number][-1]

@@ -6,11 +6,14 @@ import argparse
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from ctr_nlp.anatomy.branch import Branch, Branches, name_source_in_errors, transform_points
 from ctr_nlp.anatomy.branch_measures import BranchMeasures, count_bifurcations, measure_branches
 from ctr_nlp.anatomy.files import ANATOMY_SUFFIXES, read_branches
 from ctr_nlp.anatomy.formats.vtk import write_vtk
 from ctr_nlp.anatomy.plausibility import widens
+from ctr_nlp.anatomy.segmentation.widths import find_leak
 from ctr_nlp.cli.arguments import add_entry_option
 from ctr_nlp.cli.console import EXIT_SOLVED, Command
 from ctr_nlp.cli.output.file import check_file, output_file
@@ -18,6 +21,7 @@ from ctr_nlp.cli.plan_options import add_piece_arguments, add_reading_options, p
 from ctr_nlp.cli.terminal_output import print_stderr, print_table, progress_bar, report_written_files
 from ctr_nlp.exceptions import OptionError, OutputError, escape_control_characters
 from ctr_nlp.paths.lumen_fit import JAGGED_CURVATURE_PER_MM
+from ctr_nlp.paths.points import cumulative_arc_length
 
 PNG = b"\x89PNG"
 VTP = b"<?xml"
@@ -34,6 +38,7 @@ BRANCH_TABLE_COLUMNS = (
     "tip",
     "remark",
 )
+LEAK_SEARCH_SPACING_MM = 1.0
 MIN_BEND_CURVATURE_PER_MM = 1e-4
 """Curvature below which a branch has no bend worth a number."""
 
@@ -124,6 +129,11 @@ def _remark(branch: Branch, sharpest: float) -> str:
         return ", ".join([*remarks, "radius unknown"])
     if widens(branch):
         remarks.append("widens, as if from tip to root")
+    along = cumulative_arc_length(branch.points)
+    # About a point a millimetre: the search for leaks compares all of them.
+    some = np.unique(np.searchsorted(along, np.arange(0.0, along[-1], LEAK_SEARCH_SPACING_MM)))
+    if find_leak(branch.points[some], branch.radius[some]) is not None:
+        remarks.append("widens suddenly: a leak?")
     return ", ".join(remarks)
 
 
