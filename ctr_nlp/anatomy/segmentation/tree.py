@@ -26,8 +26,8 @@ from ctr_nlp.anatomy.segmentation.tree_tracing import (
     VoxelGraph,
     VoxelTree,
     build_graph,
+    cut_loops,
     find_farthest,
-    find_loops,
     trace_tree,
 )
 from ctr_nlp.exceptions import CurveError
@@ -86,7 +86,7 @@ def read_mask_tree(
         tree = trace_tree(graph, root)
         if not tree.routes:
             raise CurveError("its lumen has no end away from the entry: no part of it is longer than it is wide")
-        loops = find_loops(tree)
+        tree, loops = cut_loops(tree)
         notes = (*notes, *_note_loops(loops, lumen), *_note_separate_parts(graph, root, lumen.spacing))
         nodes = _sample_routes(tree)
         tube = centre_tree(lumen.voxels, lumen.spacing, nodes.tube, nodes.before)
@@ -124,8 +124,12 @@ def _guess_entry(graph: VoxelGraph, lumen: Image) -> tuple[int, str]:
     cut = [(voxel, width) for voxel, width in likely if _is_at_border(graph, voxel)]
     height = transform_points(graph.points / graph.spacing, lumen.affine)[:, 2]
     entry, width = max(cut or likely, key=lambda end: float(height[end[0]]))
-    reason = f"the widest end, radius {width:.1f} mm" if len(likely) == 1 else (
-        f"of {len(likely)} wide ends the uppermost{' that the image cuts' if cut else ''}, radius {width:.1f} mm"
+    reason = (
+        f"the widest end, radius {width:.1f} mm"
+        if len(likely) == 1
+        else (
+            f"of {len(likely)} wide ends the uppermost{' that the image cuts' if cut else ''}, radius {width:.1f} mm"
+        )
     )
     place = format_point(_round_place(graph.points[entry], lumen))
     return entry, f"the entry is guessed: {place}, {reason}; --entry X Y Z says where it is"

@@ -7,12 +7,12 @@ cross-sections and not that of the inscribed ball: an uneven wall has lobes far 
 an end only where it sticks out farther than a lobe of the wall does; see _is_branch and _find_stub.
 
 Routes of one tree of shortest routes form no loop. Where two of them touch, far from where they part, the lumen has
-one: find_loops says where.
+one: cut_loops says where.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -76,7 +76,7 @@ class Loop:
     length: float
 
 
-@dataclass
+@dataclass(frozen=True)
 class VoxelTree:
     """Routes from a root to the ends of a lumen.
 
@@ -90,21 +90,23 @@ class VoxelTree:
     root: int
     before: Index
     along: Array
-    routes: list[Index] = field(default_factory=list)
-    radius: Array = field(default_factory=lambda: np.zeros(0))
-    owner: Index = field(default_factory=lambda: np.zeros(0, int))
+    routes: list[Index]
+    radius: Array
+    owner: Index
 
 
 def build_graph(lumen: Flags, spacing: Array) -> VoxelGraph:
     """Return the graph of the voxels of a lumen (l, m, n), 26 neighbours each; spacing: (3,) mm."""
     depth = np.pad(depths(lumen, spacing), 1)
     member = np.flatnonzero(depth)
-    number = np.full(depth.size, -1, np.int32)
+    number: Index = np.full(depth.size, -1, np.int32)
     number[member] = np.arange(len(member), dtype=np.int32)
     room = depth.ravel()[member].astype(float)
     pitch = np.array(depth.strides) // depth.itemsize
     links = [
-        link_voxels(depth > 0, number, room**-WALL_COST_POWER, int(step @ pitch), float(np.linalg.norm(step * spacing)))
+        link_voxels(
+            depth > 0, number, room**-WALL_COST_POWER, int(step @ pitch), float(np.linalg.norm(step * spacing))
+        )
         for step in VOXEL_NEIGHBOUR_STEPS
     ]
     tails, heads, costs = (np.concatenate(parts) for parts in zip(*links, strict=True))
@@ -123,7 +125,9 @@ def trace_tree(graph: VoxelGraph, root: int) -> VoxelTree:
     """Return the routes from a voxel to all ends of its part of a lumen; none where nothing sticks out of it."""
     search = _Search(graph, root)
     search.trace()
-    return VoxelTree(graph, root, search.before, search.along, search.routes, search.radius, search.owner[search.place])
+    return VoxelTree(
+        graph, root, search.before, search.along, search.routes, search.radius, search.owner[search.place]
+    )
 
 
 class _Search:
@@ -311,10 +315,10 @@ def _measure_sections(graph: VoxelGraph, route: Index) -> tuple[Array, Array]:
     return centres, np.maximum(widths, _mean_around(widths, around))
 
 
-def find_loops(tree: VoxelTree) -> list[Loop]:
-    """Find the places where branches touch far from where they part; drop from the tree ends that are no ends.
+def cut_loops(tree: VoxelTree) -> tuple[VoxelTree, list[Loop]]:
+    """Return a tree without the ends that are no ends, and the places where branches touch far from where they part.
 
-    Where a contact is about as wide as a branch that ends there, the lumen goes on: the end is dropped.
+    Where a contact is about as wide as a branch that ends there, the lumen goes on: this is no end.
     """
     graph = tree.graph
     route_of = np.full(len(graph.depth), -1)
@@ -322,7 +326,9 @@ def find_loops(tree: VoxelTree) -> list[Loop]:
         route_of[route[1:] if number else route] = number
     links = graph.links.tocoo()
     ends = np.column_stack([links.row, links.col])
-    ends = ends[(tree.radius[tree.owner[ends]] > 0).all(axis=1) & (graph.part[ends[:, 0]] == graph.part[tree.root])]
+    ends = ends[
+        (tree.radius[tree.owner[ends]] > 0).all(axis=1) & (graph.part[ends[:, 0]] == graph.part[tree.root])
+    ]
     owners = tree.owner[ends]
     numbers = route_of[owners]
     apart = numbers[:, 0] != numbers[:, 1]
@@ -355,8 +361,8 @@ def find_loops(tree: VoxelTree) -> list[Loop]:
                     dropped.add(number)
     parents = {int(route_of[route[0]]) for route in tree.routes[1:]}
     # A route that others leave stays: its tail is short, and its beginning leads to them.
-    tree.routes = [route for number, route in enumerate(tree.routes) if number not in dropped - parents]
-    return loops
+    routes = [route for number, route in enumerate(tree.routes) if number not in dropped - parents]
+    return replace(tree, routes=routes), loops
 
 
 def _find_parting(tree: VoxelTree, route_of: Index, one: int, other: int) -> float:
