@@ -18,6 +18,7 @@ from ctr_nlp.cli.commands.branches import main as list_branches
 from ctr_nlp.exceptions import CurveError
 
 FINE = np.full(3, 0.7)
+STRAIGHT = np.eye(3)
 TRUNK = ([0, 0, 0], [0, 0, -28], 4.0)
 TREE = (
     TRUNK,
@@ -42,7 +43,7 @@ def points_of(tree):
     return np.vstack(points), np.concatenate(radii)
 
 
-def draw(tree, spacing=FINE, axes=np.eye(3), margin=4.0, unevenness=0.0, seed=0):
+def draw(tree, spacing=FINE, axes=STRAIGHT, margin=4.0, unevenness=0.0, seed=0):
     """The voxels in balls around pieces of a tree, and the transform from their indices to RAS."""
     points, radii = points_of(tree)
     local = points @ axes
@@ -138,7 +139,7 @@ def test_noise_is_not_listed(tmp_path):
     lumen, affine = draw(TREE)
     noisy = lumen ^ (np.random.default_rng(3).random(lumen.shape) < 0.01)
     found = read_branches(save(tmp_path / "noisy.nii", noisy, affine))
-    assert_ends(found, ENDS)
+    assert_ends(found, ENDS, within=3.0)
     assert any("parts are not connected with the entry" in note for note in found.facts.notes)
     assert any("within the lumen are not of it" in note for note in found.facts.notes)
 
@@ -176,7 +177,7 @@ def test_number_and_target_choose_the_same_path(mask, tree):
         break
     part = read_branch_segment(mask, target=[0, 0, -20])
     assert part.stop == pytest.approx(20, abs=4)
-    with pytest.raises(CurveError, match="there are 3 branches, .*--branch.*--target"):
+    with pytest.raises(CurveError, match=r"there are 3 branches, .*--branch.*--target"):
         read_branch_segment(mask)
 
 
@@ -205,7 +206,7 @@ def test_a_leak_is_refused_unless_accepted(tmp_path):
 
 def test_a_ball_has_no_branches(tmp_path):
     path = save(tmp_path / "ball.nii", *draw([([0, 0, 0], [0, 0, 0.1], 6.0)]))
-    with pytest.raises(CurveError, match="longer than it is wide|shorter than"):
+    with pytest.raises(CurveError, match=r"longer than it is wide"):
         read_branches(path)
 
 
@@ -222,7 +223,7 @@ def test_the_command_lists_draws_and_saves(mask, tmp_path, capsys):
 
 
 def assert_real_ends(found, truth):
-    """Every end of the true tree as wide as the mask's voxels show is found, and every end found lies on the tree."""
+    """Every end of the true tree that is wide all along is found, and every end found lies on the tree."""
     tips = np.array([branch.points[-1] for branch in found.branches])
     wide = np.array([branch.points[-1] for branch in truth.branches if branch.radius.min() > 0.9])
     assert len(wide) == 5

@@ -26,14 +26,16 @@ from ctr_nlp.typing import Array, Flags, Index
 COVER_VOXELS = 0.75
 """Voxels by which the ball around a point of a route is larger than the cross-section there."""
 NEAR_SECTIONS = 2.5
-"""A ball covers voxels alone whose own route leaves the tree so near to its centre, in radii: a neighbouring branch
-that only passes is not covered."""
+"""A ball covers voxels alone that are nearly as far from the root as its centre, to so many radii: a branch that only
+passes it is not covered."""
 MIN_BRANCH_VOXELS, MIN_BRANCH_BASE_RADII, MIN_BRANCH_PARENT_RADII = 2.0, 2.0, 1.25
 """Least length of a branch beyond the balls: in voxels, in radii of its widest place, and in radii of its parent."""
 MIN_STUB_VOXELS, MIN_STUB_PARENT_RADII = 2.5, 1.0
 """Least height of a stub above the wall of its parent: in voxels, and in radii of the parent."""
 MIN_STUB_WIDTH = 1.02
 """A stub is wider than a chain of single voxels by at least this factor."""
+MIN_LUMEN_RADII = 3.0
+"""Least length of a lumen, in radii of its widest place; a shorter one has no direction."""
 SECTION_RAYS, SECTION_SAMPLES = 24, 32
 """Rays of a cross-section, and samples along each."""
 MAX_RAY_RATIO, MAX_SHIFT = 1.35, 0.5
@@ -42,8 +44,9 @@ LOOP_RADII, LOOP_MM = 4.0, 5.0
 """Branches that touch form a loop where the way round from one to the other is longer than the sum of both."""
 CONTACT_GAP_MM = 3.0
 """Contacts between two branches that are so far apart are two contacts."""
-OPEN_CONTACT_PART = 0.5
-"""An end at a contact that is so wide, as a part of the branch's radius, is no end: the lumen goes on."""
+OPEN_CONTACT_PART, END_CONTACT_VOXELS = 0.5, 2.0
+"""An end at a contact that is so wide, as a part of the branch's own depth, is no end: the lumen goes on. It is at the
+contact where it is nearer than its radius and so many voxels."""
 
 
 @dataclass(frozen=True)
@@ -82,8 +85,8 @@ class VoxelTree:
 
     graph: its voxels. before: (k,) number of the voxel before each on its way from the root, negative at the root.
     along: (k,) mm from the root. routes: numbers of voxels, each from a voxel of an earlier route to an end. radius:
-    (k,) mm of the cross-section at voxels of routes, 0 at others. owner: (k,) voxel at which a voxel's own way
-    leaves the routes.
+    (k,) mm of the cross-section at voxels of routes, 0 at others. beside: (k,) voxel of a route in whose
+    ball a voxel lies, -1 where there is none.
     """
 
     graph: VoxelGraph
@@ -92,7 +95,7 @@ class VoxelTree:
     along: Array
     routes: list[Index]
     radius: Array
-    owner: Index
+    beside: Index
 
 
 def build_graph(lumen: Flags, spacing: Array) -> VoxelGraph:
@@ -125,9 +128,7 @@ def trace_tree(graph: VoxelGraph, root: int) -> VoxelTree:
     """Return the routes from a voxel to all ends of its part of a lumen; none where nothing sticks out of it."""
     search = _Search(graph, root)
     search.trace()
-    return VoxelTree(
-        graph, root, search.before, search.along, search.routes, search.radius, search.owner[search.place]
-    )
+    return VoxelTree(graph, root, search.before, search.along, search.routes, search.radius, search.beside)
 
 
 class _Search:
@@ -151,7 +152,7 @@ class _Search:
         self.order_by_length = order[np.argsort(-self.along[order], kind="stable")]
         self.routes: list[Index] = []
         self.radius = np.zeros(len(before))
-        self.owner = np.full(len(order), root)
+        self.beside = np.full(len(before), -1)
         self._on_route = np.zeros(len(before), bool)
         self._on_route[root] = True
         self._covered = np.zeros(len(before), bool)
@@ -167,6 +168,8 @@ class _Search:
                 continue
             route = self._route(voxel)
             if not self.routes:
+                if self.along[voxel] < MIN_LUMEN_RADII * self.graph.depth[route].max():
+                    return
                 self._add(route)
                 continue
             outside = int((~self._covered[route]).argmax())
@@ -229,13 +232,13 @@ class _Search:
         self._centres.append(centres)
         self._widths.append(widths)
         self._on_route[route] = True
-        for voxel in route.tolist():
-            self.owner[self.place[voxel] : self.place[voxel] + self.size[voxel]] = voxel
         for voxel, centre, width in zip(route.tolist(), centres, widths, strict=True):
             ball = width + COVER_VOXELS * self._voxel
             inside = self._voxels_in_ball(centre, ball)
-            leaves = self.along[self.owner[self.place[inside]]]
-            self._covered[inside[np.abs(leaves - self.along[voxel]) <= NEAR_SECTIONS * ball]] = True
+            apart = np.abs(self.along[inside] - self.along[voxel])
+            inside = inside[apart <= NEAR_SECTIONS * ball]
+            self._covered[inside] = True
+            self.beside[inside] = voxel
 
     def _voxels_in_ball(self, centre: Array, radius: float) -> Index:
         """Return the voxels, not yet covered, in a ball around a centre (3,); all in mm."""
@@ -326,25 +329,23 @@ def cut_loops(tree: VoxelTree) -> tuple[VoxelTree, list[Loop]]:
         route_of[route[1:] if number else route] = number
     links = graph.links.tocoo()
     ends = np.column_stack([links.row, links.col])
-    ends = ends[
-        (tree.radius[tree.owner[ends]] > 0).all(axis=1) & (graph.part[ends[:, 0]] == graph.part[tree.root])
-    ]
-    owners = tree.owner[ends]
-    numbers = route_of[owners]
+    ends = ends[(tree.beside[ends] >= 0).all(axis=1)]
+    beside = tree.beside[ends]
+    numbers = route_of[beside]
     apart = numbers[:, 0] != numbers[:, 1]
-    ends, owners, numbers = ends[apart], owners[apart], numbers[apart]
+    ends, beside, numbers = ends[apart], beside[apart], numbers[apart]
     loops = list[Loop]()
     dropped = set[int]()
     for pair in np.unique(np.sort(numbers, axis=1), axis=0):
         touching = (np.sort(numbers, axis=1) == pair).all(axis=1)
         voxels = ends[touching]
-        places = np.sort(tree.along[owners[touching]], axis=1)
+        places = np.sort(tree.along[beside[touching]], axis=1)
         parting = _find_parting(tree, route_of, int(pair[0]), int(pair[1]))
-        ways = tree.along[owners[touching]].sum(axis=1) - 2 * np.minimum(places[:, 0], parting)
+        ways = tree.along[beside[touching]].sum(axis=1) - 2 * np.minimum(places[:, 0], parting)
         order = places[:, 0].argsort(kind="stable")
         for group in np.split(order, np.flatnonzero(np.diff(places[order, 0]) > CONTACT_GAP_MM) + 1):
             nearest = int(group[ways[group].argmin()])
-            widest = float(tree.radius[owners[touching][nearest]].max())
+            widest = float(tree.radius[beside[touching][nearest]].max())
             if ways[nearest] <= LOOP_RADII * widest + LOOP_MM:
                 continue
             contact = voxels[group]
@@ -354,10 +355,13 @@ def cut_loops(tree: VoxelTree) -> tuple[VoxelTree, list[Loop]]:
                 loops.append(Loop(place, float(ways[nearest])))
             room = float(graph.depth[contact].max())
             for number in pair.tolist():
-                tip = tree.routes[number][-1]
+                route = tree.routes[number]
+                tip = route[-1]
                 radius = float(tree.radius[tip])
+                width = float(np.median(graph.depth[route[len(route) // 2 :]]))
                 near = np.linalg.norm(graph.points[contact].reshape(-1, 3) - graph.points[tip], axis=1).min()
-                if near <= radius and room >= OPEN_CONTACT_PART * radius:
+                at_contact = near <= radius + END_CONTACT_VOXELS * graph.spacing.max()
+                if at_contact and room >= OPEN_CONTACT_PART * width:
                     dropped.add(number)
     parents = {int(route_of[route[0]]) for route in tree.routes[1:]}
     # A route that others leave stays: its tail is short, and its beginning leads to them.
