@@ -98,7 +98,7 @@ def read_branch_segment(
         for option, value in (("reverse", reverse or None), ("pieces", pieces or None)):
             if value is not None:
                 raise OptionError(
-                    f"{option} does not go with a mask, as {path} is one: its paths lead from the entry to its ends"
+                    f"{option} does not go with a mask, as {path} is one: its paths lead from the entry to ends"
                 )
         branches = read_branches(path, entry, target if branch is None else None, options)
         # Paths in a mask begin where the robot enters; that between two points ends at the target, too.

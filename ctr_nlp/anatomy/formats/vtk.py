@@ -122,8 +122,8 @@ def write_vtk(path: str | Path, branches: Branches) -> None:
     """Write branches as whole centrelines of a .vtp file, as VMTK and 3D Slicer read them.
 
     path: the file, which is replaced. branches: their lines are written in LPS, which the file states, with the
-    radius of the inscribed sphere in the array that VMTK calls MaximumInscribedSphereRadius. Raises OptionError where
-    pyvista is missing.
+    radius of the inscribed sphere in the array that VMTK calls MaximumInscribedSphereRadius. Raises OptionError
+    where pyvista is missing.
     """
     pyvista = import_extra("pyvista")
     every = branches.branches

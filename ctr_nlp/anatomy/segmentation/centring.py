@@ -37,8 +37,8 @@ TREE_PASSES, TREE_RAYS, TREE_SAMPLES = 4, 24, 32
 ROUTE_WEIGHT = 0.3
 """Weight of the route through the voxels in the caps of a lumen, where that of a cross-section is 1."""
 BIFURCATION_WEIGHT, BIFURCATION_RADII = 0.01, 1.0
-"""Weight of cross-sections behind a bifurcation, in which two branches meet, and how far they are from it, in radii of
-the wide branch."""
+"""Weight of cross-sections behind a bifurcation, in which two branches meet, and how far they are from it, in
+radii of the wide branch."""
 LEAST_STEP_MM = 1e-3
 """Between points of a tree, so that nothing is divided by 0."""
 HARMONIC_REGULARISATION = (1e-3, 1e-3, 1e-3, 0.1, 0.1)
@@ -81,8 +81,8 @@ def centre_tree(lumen: Flags, spacing: Array, tube: Array, before: Index) -> Arr
     """Return the points and radii (n, 4) of a tree, each moved to the middle of its cross-section and smoothed.
 
     lumen: (l, m, n), its voxels spacing (3,) mm apart. tube: (n, 4) points about 1 mm apart with the radius, mm.
-    before: (n,) number of the point before each, less than its own; negative at the root. Branches share the points
-    up to where they part.
+    before: (n,) number of the point before each, less than its own; negative at the root. Branches share the
+    points up to where they part.
     """
     voxel = float(np.linalg.norm(spacing))
     number = np.arange(len(tube))
@@ -94,7 +94,8 @@ def centre_tree(lumen: Flags, spacing: Array, tube: Array, before: Index) -> Arr
     tips = np.setdiff1d(number, before)
     length = SMOOTHING_LENGTH_VOXELS * float(spacing.max())
     from_end = _distances_to_ends(tube[:, :3], before, tips)
-    # In a cap the section says nothing: there, and where a path has left the lumen, the route through the voxels counts.
+    # In a cap the section says nothing: there, and where a path has left the lumen, the route through the voxels
+    # counts.
     trusted = from_end > voxel + END_CAP_RADII * tube[:, 3]
     weight = np.where(trusted, 1.0, ROUTE_WEIGHT)
     weight[trusted & _lie_at_bifurcations(tube, before)] = BIFURCATION_WEIGHT
@@ -129,7 +130,8 @@ def _lie_at_bifurcations(tube: Array, before: Index) -> Flags:
 
 
 def _distances_to_ends(points: Array, before: Index, tips: Index) -> Array:
-    """Return the distance (n,) in mm along a tree from each of its points to the nearest end beyond, or to its root.
+    """Return the distance (n,) in mm along a tree from each of its points to the nearest end beyond, or to its
+    root.
 
     points: (n, 3) mm. before: (n,) number of the point before each. tips: numbers of the ends.
     """
@@ -198,8 +200,8 @@ def _smooth_tree(values: Array, weight: Array, before: Index, steps: Array, leng
     from there. order: of the differences along branches that are small.
     """
     # Minimises sum_k w_k |x_k - p_k|^2 + (length / step)^(2 m) |D^m x|^2, with D^m the differences of order m. A
-    # wave of wavelength L keeps about the part 1 / (1 + (2 pi length / L)^(2 m)) of its amplitude: half at L = 2 pi
-    # length.
+    # wave of wavelength L keeps about the part 1 / (1 + (2 pi length / L)^(2 m)) of its amplitude: half at L = 2
+    # pi length.
     chain = [np.arange(len(values))]
     place = [np.zeros(len(values))]
     for _ in range(order):
@@ -271,11 +273,11 @@ def _tangents(tube: Array) -> Array:
 def cast_rays(
     lumen: Flags, spacing: Array, tube: Array, tangent: Array, *, rays: int, samples: int
 ) -> tuple[Array, Array, Array, Array]:
-    """Return distances (n, rays) in mm to the wall across a tube, the angles of the rays, and the vectors from which
-    these count: the first and the second axis (n, 3) of each cross-section.
+    """Return distances (n, rays) in mm to the wall across a tube, the angles of the rays, and the vectors from
+    which these count: the first and the second axis (n, 3) of each cross-section.
 
-    lumen: (l, m, n), its voxels spacing (3,) mm apart. tube: (n, 4). tangent: (n, 3) unit vectors along it. samples:
-    along each ray. A ray that leaves the image is NaN.
+    lumen: (l, m, n), its voxels spacing (3,) mm apart. tube: (n, 4). tangent: (n, 3) unit vectors along it.
+    samples: along each ray. A ray that leaves the image is NaN.
     """
     # The axis that the tangent is least parallel to: the product with it is never near 0.
     first = np.cross(tangent, np.eye(3)[np.abs(tangent).argmin(axis=1)])

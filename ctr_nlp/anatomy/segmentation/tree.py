@@ -1,8 +1,8 @@
 """The tree of a segmented lumen: paths from an entry to all ends of a mask, as a centreline file has them.
 
 The routes through the voxels (tree_tracing.py) are cut into pieces where branches part, sampled about every
-millimetre, and moved to the middle of the cross-sections together, so that branches share the points up to where they
-part (centring.py).
+millimetre, and moved to the middle of the cross-sections together, so that branches share the points up to where
+they part (centring.py).
 """
 
 from __future__ import annotations
@@ -61,11 +61,11 @@ def read_mask_tree(
 ) -> Branches:
     """Find the paths from the entry to all ends of the lumen in a mask, with its radius along them.
 
-    path: NIfTI-1 or NRRD, as for `read_mask`. entry: (3,) mm in the file's own coordinates, in the lumen or at most a
-    voxel's diagonal from it; by default the widest end, where several are about as wide one at the border of the
-    image, and of these the uppermost. options: what a person states about the file. Branches share the points up to
-    where they part. What is not connected with the entry, and cavities within the lumen, are noted. Raises
-    CurveError, and OptionError where nibabel or pynrrd is missing.
+    path: NIfTI-1 or NRRD, as for `read_mask`. entry: (3,) mm in the file's own coordinates, in the lumen or at
+    most a voxel's diagonal from it; by default the widest end, where several are about as wide one at the border
+    of the image, and of these the uppermost. options: what a person states about the file. Branches share the
+    points up to where they part. What is not connected with the entry, and cavities within the lumen, are noted.
+    Raises CurveError, and OptionError where nibabel or pynrrd is missing.
     """
     image = read_image(path, options)
     to_lps = IMAGE_SPACE_TO_LPS[image.space]
@@ -128,7 +128,8 @@ def _guess_entry(graph: VoxelGraph, lumen: Image) -> tuple[int, str]:
         f"the widest end, radius {width:.1f} mm"
         if len(likely) == 1
         else (
-            f"of {len(likely)} wide ends the uppermost{' that the image cuts' if cut else ''}, radius {width:.1f} mm"
+            f"of {len(likely)} wide ends the uppermost{' that the image cuts' if cut else ''}, radius "
+            f"{width:.1f} mm"
         )
     )
     place = format_point(_round_place(graph.points[entry], lumen))
@@ -136,7 +137,9 @@ def _guess_entry(graph: VoxelGraph, lumen: Image) -> tuple[int, str]:
 
 
 def _width_before(tree: VoxelTree, number: int, at_root: bool = False) -> float:
-    """Return the median radius, mm, of a tree between the end of route `number`, or the root, and where it parts."""
+    """Return the median radius, mm, of a tree between the end of route `number`, or the root, and where it
+    parts.
+    """
     route = tree.routes[number]
     starts = {int(other[0]) for other in tree.routes[1:]}
     parts = [k for k, voxel in enumerate(route.tolist()) if voxel in starts and k > 0]
@@ -259,5 +262,6 @@ def _walk_to_tips(nodes: _Nodes) -> list[Index]:
         while nodes.before[way[-1]] >= 0:
             way.append(int(nodes.before[way[-1]]))
         ways.append(np.array(way[::-1]))
-    # Points are numbered along the longest routes first: at a bifurcation the one with the longest way comes first.
+    # Points are numbered along the longest routes first: at a bifurcation the one with the longest way comes
+    # first.
     return sorted(ways, key=lambda way: way.tolist())

@@ -1,13 +1,13 @@
 """The ends of a lumen and the routes to them, found on the graph of its voxels.
 
-A tree of cheapest routes (Dijkstra) leads from the entry to every voxel. Its farthest voxel is an end, the route to
-it the first one; from then on, the farthest voxel that no route explains is the next candidate, as in TEASAR (Sato
-et al., Pacific Graphics 2000). A route explains the voxels in the balls around it, whose radius is that of its
-cross-sections and not that of the inscribed ball: an uneven wall has lobes far outside of the latter. What remains is
-an end only where it sticks out farther than a lobe of the wall does; see _is_branch and _find_stub.
+A tree of cheapest routes (Dijkstra) leads from the entry to every voxel. Its farthest voxel is an end, the route
+to it the first one; from then on, the farthest voxel that no route explains is the next candidate, as in TEASAR
+(Sato et al., Pacific Graphics 2000). A route explains the voxels in the balls around it, whose radius is that of
+its cross-sections and not that of the inscribed ball: an uneven wall has lobes far outside of the latter. What
+remains is an end only where it sticks out farther than a lobe of the wall does; see _is_branch and _find_stub.
 
-Routes of one tree of shortest routes form no loop. Where two of them touch, far from where they part, the lumen has
-one: cut_loops says where.
+Routes of one tree of shortest routes form no loop. Where two of them touch, far from where they part, the lumen
+has one: cut_loops says where.
 """
 
 from __future__ import annotations
@@ -26,10 +26,11 @@ from ctr_nlp.typing import Array, Flags, Index
 COVER_VOXELS = 0.75
 """Voxels by which the ball around a point of a route is larger than the cross-section there."""
 NEAR_SECTIONS = 2.5
-"""A ball covers voxels alone that are nearly as far from the root as its centre, to so many radii: a branch that only
-passes it is not covered."""
+"""A ball covers voxels alone that are nearly as far from the root as its centre, to so many radii: a branch that
+only passes it is not covered."""
 MIN_BRANCH_VOXELS, MIN_BRANCH_BASE_RADII, MIN_BRANCH_PARENT_RADII = 2.0, 2.0, 1.25
-"""Least length of a branch beyond the balls: in voxels, in radii of its widest place, and in radii of its parent."""
+"""Least length of a branch beyond the balls: in voxels, in radii of its widest place, and in radii of its
+parent."""
 MIN_STUB_VOXELS, MIN_STUB_PARENT_RADII = 2.5, 1.0
 """Least height of a stub above the wall of its parent: in voxels, and in radii of the parent."""
 MIN_STUB_WIDTH = 1.02
@@ -45,17 +46,17 @@ LOOP_RADII, LOOP_MM = 4.0, 5.0
 CONTACT_GAP_MM = 3.0
 """Contacts between two branches that are so far apart are two contacts."""
 OPEN_CONTACT_PART, END_CONTACT_VOXELS = 0.5, 2.0
-"""An end at a contact that is so wide, as a part of the branch's own depth, is no end: the lumen goes on. It is at the
-contact where it is nearer than its radius and so many voxels."""
+"""An end at a contact that is so wide, as a part of the branch's own depth, is no end: the lumen goes on. It is at
+the contact where it is nearer than its radius and so many voxels."""
 
 
 @dataclass(frozen=True)
 class VoxelGraph:
     """The voxels of a lumen and the cost of the steps between neighbours.
 
-    lumen: (l, m, n). spacing: (3,) mm. points: (k, 3) mm of each voxel, along the axes of the image. depth: (k,) mm
-    from the wall. number: (l + 2, m + 2, n + 2), of each voxel, -1 outside. links: sparse (k, k), each pair once.
-    part: (k,) number of the connected part that a voxel belongs to.
+    lumen: (l, m, n). spacing: (3,) mm. points: (k, 3) mm of each voxel, along the axes of the image. depth: (k,)
+    mm from the wall. number: (l + 2, m + 2, n + 2), of each voxel, -1 outside. links: sparse (k, k), each pair
+    once. part: (k,) number of the connected part that a voxel belongs to.
     """
 
     lumen: Flags
@@ -84,8 +85,8 @@ class VoxelTree:
     """Routes from a root to the ends of a lumen.
 
     graph: its voxels. before: (k,) number of the voxel before each on its way from the root, negative at the root.
-    along: (k,) mm from the root. routes: numbers of voxels, each from a voxel of an earlier route to an end. radius:
-    (k,) mm of the cross-section at voxels of routes, 0 at others. beside: (k,) voxel of a route in whose
+    along: (k,) mm from the root. routes: numbers of voxels, each from a voxel of an earlier route to an end.
+    radius: (k,) mm of the cross-section at voxels of routes, 0 at others. beside: (k,) voxel of a route in whose
     ball a voxel lies, -1 where there is none.
     """
 
@@ -201,7 +202,8 @@ class _Search:
     def _find_stub(self, route: Index, outside: int) -> int | None:
         """Return the voxel beyond the voxel `outside` of a route that is highest above the walls, if high enough.
 
-        A stub that leaves its parent at an acute angle is short beyond the balls, but high above the parent's wall.
+        A stub that leaves its parent at an acute angle is short beyond the balls, but high above the parent's
+        wall.
         """
         graph = self.graph
         if graph.depth[route[outside:]].max() < MIN_STUB_WIDTH * graph.spacing.min() / 2:
@@ -319,7 +321,8 @@ def _measure_sections(graph: VoxelGraph, route: Index) -> tuple[Array, Array]:
 
 
 def cut_loops(tree: VoxelTree) -> tuple[VoxelTree, list[Loop]]:
-    """Return a tree without the ends that are no ends, and the places where branches touch far from where they part.
+    """Return a tree without the ends that are no ends, and the places where branches touch far from where they
+    part.
 
     Where a contact is about as wide as a branch that ends there, the lumen goes on: this is no end.
     """

@@ -99,8 +99,8 @@ def _inspect_voxels(file: str, options: ReadOptions) -> None:
     for note in image.facts.notes:
         announce(f"note: {note}")
     announce(
-        "note: ctr-nlp branches lists the branches of the lumen; --entry X Y Z and --target X Y Z inspect the path "
-        "between two points"
+        "note: ctr-nlp branches lists the branches of the lumen; --entry X Y Z and --target X Y Z inspect the "
+        "path between two points"
     )
 
 
