@@ -168,13 +168,10 @@ def test_a_wide_loop_has_no_end(tmp_path):
 
 
 def test_number_and_target_choose_the_same_path(mask, tree):
-    tips = tips_of(tree)
-    for number, tip in enumerate(tips, start=1):
-        by_number = read_branch_segment(mask, branch=number)
-        by_target = read_branch_segment(mask, target=tip)
-        assert by_number.whole.points == pytest.approx(by_target.whole.points)
-        assert (by_number.start, by_number.stop) == pytest.approx((by_target.start, by_target.stop), abs=0.1)
-        break
+    by_number = read_branch_segment(mask, branch=2)
+    by_target = read_branch_segment(mask, target=tips_of(tree)[1])
+    assert by_number.whole.points == pytest.approx(by_target.whole.points)
+    assert (by_number.start, by_number.stop) == pytest.approx((by_target.start, by_target.stop), abs=0.1)
     part = read_branch_segment(mask, target=[0, 0, -20])
     assert part.stop == pytest.approx(20, abs=4)
     with pytest.raises(CurveError, match=r"there are 3 branches, .*--branch.*--target"):
