@@ -15,9 +15,10 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from scipy.ndimage import distance_transform_edt, find_objects
+from scipy.ndimage import find_objects
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import dijkstra
+from scipy.spatial import cKDTree
 
 from ctr_nlp.anatomy.branch import Branch, Branches, checked_point, name_source_in_errors, transform_points
 from ctr_nlp.anatomy.formats.images import IMAGE_SPACE_TO_LPS, Image, read_image
@@ -155,13 +156,24 @@ VOXEL_NEIGHBOUR_STEPS = np.array([step for step in product((-1, 0, 1), repeat=3)
 def depths(lumen: Flags, spacing: Array) -> npt.NDArray[np.float32]:
     """Return the approximate distance in mm from the voxels (l, m, n) of a lumen to the wall; 0 outside of it.
 
-    spacing: sides of a voxel (3,), mm. The Euclidean distance transform to the voxels outside. The border of the
-    image is no wall.
+    spacing: sides of a voxel (3,), mm. The distance to the nearest voxel outside, but for half a voxel. The border
+    of the image is no wall.
     """
-    # The border of the image is no wall: beyond it the lumen goes on.
-    to_wall = distance_transform_edt(np.pad(lumen, 1, mode="edge"), sampling=spacing)[1:-1, 1:-1, 1:-1]
+    # The wall's voxels nearest to the lumen are among its neighbours. Those beyond the border of the image are none.
+    room = np.pad(lumen, 1)
+    member = np.flatnonzero(room)
+    pitch = np.array(room.strides)
+    wall = np.zeros(room.size, bool)
+    for step in VOXEL_NEIGHBOUR_STEPS @ pitch:
+        wall[member + step] = True
+        wall[member - step] = True
+    wall &= ~room.ravel()
+    around = np.argwhere(wall.reshape(room.shape)[1:-1, 1:-1, 1:-1]) * spacing
+    to_wall, _ = cKDTree(around, balanced_tree=False, compact_nodes=False).query(np.argwhere(lumen) * spacing)
+    found = np.zeros(lumen.shape, np.float32)
     # The wall runs half a voxel before the centres of the voxels outside.
-    return np.where(lumen, to_wall - spacing.min() / 2, 0.0).astype(np.float32)
+    found[lumen] = to_wall - spacing.min() / 2
+    return found
 
 
 def cheapest_route(depth: npt.NDArray[np.float32], spacing: Array, ends: Index) -> Index | None:
