@@ -135,6 +135,16 @@ def test_of_two_wide_ends_the_upper_one_is_the_entry(tmp_path):
     assert_ends(found, np.array([[0, 0, 0]]), within=3.0)
 
 
+def test_the_entry_is_where_the_image_cuts_the_lumen(tmp_path):
+    # The trunk is cut so near to where it parts that it is no end of its own.
+    lumen, affine = draw(TREE)
+    height = affine[2, 3] + 0.7 * np.arange(lumen.shape[2])
+    found = read_branches(save(tmp_path / "cut.nii", lumen[:, :, height < -25], affine))
+    assert_ends(found, ENDS)
+    assert np.linalg.norm(transform_points(found.branches[0].points[0], found.from_lps) - [0, 0, -25]) < 1.5
+    assert any("where the image cuts the lumen" in note for note in found.facts.notes)
+
+
 def test_noise_is_not_listed(tmp_path):
     lumen, affine = draw(TREE)
     noisy = lumen ^ (np.random.default_rng(3).random(lumen.shape) < 0.01)

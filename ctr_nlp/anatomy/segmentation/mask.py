@@ -159,7 +159,7 @@ def depths(lumen: Flags, spacing: Array) -> npt.NDArray[np.float32]:
     spacing: sides of a voxel (3,), mm. The distance to the nearest voxel outside, but for half a voxel. The border
     of the image is no wall.
     """
-    # The wall's voxels nearest to the lumen are among its neighbours. Those beyond the border of the image are none.
+    # The nearest voxels of the wall are neighbours of the lumen. Beyond the border of the image there are none.
     room = np.pad(lumen, 1)
     member = np.flatnonzero(room)
     pitch = np.array(room.strides)

@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 from scipy.ndimage import label
+from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from ctr_nlp.anatomy.branch import Branch, Branches, format_point, name_source_in_errors, transform_points
@@ -36,6 +37,8 @@ from ctr_nlp.typing import Array, Flags, Index
 
 ENTRY_WIDTH_PART = 0.75
 """Ends at least so wide, as a part of the widest one, may be the entry."""
+MAX_CUT_AREA = 2.5
+"""Largest area of a lumen that the border of the image cuts across, in areas of the inscribed circle."""
 END_CLEARANCE_RADII = 0.5
 """A path stops so many radii before the cap of the lumen, and at the border of the image at no distance."""
 MIN_PIECE_MM = 0.5
@@ -62,8 +65,8 @@ def read_mask_tree(
     """Find the paths from the entry to all ends of the lumen in a mask, with its radius along them.
 
     path: NIfTI-1 or NRRD, as for `read_mask`. entry: (3,) mm in the file's own coordinates, in the lumen or at
-    most a voxel's diagonal from it; by default the widest end, where several are about as wide one at the border
-    of the image, and of these the uppermost. options: what a person states about the file. Branches share the
+    most a voxel's diagonal from it; by default the uppermost of the wide places where the border of the image
+    cuts the lumen, or else of its wide ends. options: what a person states about the file. Branches share the
     points up to where they part. What is not connected with the entry, and cavities within the lumen, are noted.
     Raises CurveError, and OptionError where nibabel or pynrrd is missing.
     """
@@ -119,21 +122,38 @@ def _guess_entry(graph: VoxelGraph, lumen: Image) -> tuple[int, str]:
         raise CurveError("its lumen has no end: no part of it is longer than it is wide; give --entry X Y Z")
     ends = [(first, _width_before(tree, 0, at_root=True))]
     ends += [(int(route[-1]), _width_before(tree, number)) for number, route in enumerate(tree.routes)]
-    widest = max(width for _, width in ends)
-    likely = [(voxel, width) for voxel, width in ends if width >= ENTRY_WIDTH_PART * widest]
-    cut = [(voxel, width) for voxel, width in likely if _is_at_border(graph, voxel)]
+    cuts = _find_cut_ends(graph, largest)
+    least = ENTRY_WIDTH_PART * max(width for _, width in (*ends, *cuts))
+    wide_cuts = [end for end in cuts if end[1] >= least]
+    likely = wide_cuts or [end for end in ends if end[1] >= least]
     height = transform_points(graph.points / graph.spacing, lumen.affine)[:, 2]
-    entry, width = max(cut or likely, key=lambda end: float(height[end[0]]))
-    reason = (
-        f"the widest end, radius {width:.1f} mm"
-        if len(likely) == 1
-        else (
-            f"of {len(likely)} wide ends the uppermost{' that the image cuts' if cut else ''}, radius "
-            f"{width:.1f} mm"
-        )
-    )
+    entry, width = max(likely, key=lambda end: float(height[end[0]]))
+    where = "where the image cuts the lumen" if wide_cuts else "an end"
+    choice = "the widest" if len(likely) == 1 else f"the uppermost of {len(likely)} wide ones"
     place = format_point(_round_place(graph.points[entry], lumen))
-    return entry, f"the entry is guessed: {place}, {reason}; --entry X Y Z says where it is"
+    return entry, (
+        f"the entry is guessed: {place}, {where}, {choice}, radius {width:.1f} mm; --entry X Y Z says where it is"
+    )
+
+
+def _find_cut_ends(graph: VoxelGraph, member: Flags) -> list[tuple[int, float]]:
+    """Return the middle voxel and the radius, mm, of each place where the border of the image cuts a lumen across.
+
+    member: (k,) voxels among which they are looked for. A lumen along the border is not cut across.
+    """
+    index = np.rint(graph.points / graph.spacing).astype(int)
+    at_border = ((index == 0) | (index == np.array(graph.lumen.shape) - 1)).any(axis=1)
+    border = np.flatnonzero(at_border & member)
+    count, patch = connected_components(graph.links[border][:, border], directed=False)
+    face = float(np.prod(graph.spacing)) ** (2 / 3)
+    found = list[tuple[int, float]]()
+    for number in range(count):
+        voxels = border[patch == number]
+        middle = int(voxels[graph.depth[voxels].argmax()])
+        radius = float(graph.depth[middle])
+        if len(voxels) * face <= MAX_CUT_AREA * np.pi * (radius + graph.spacing.max()) ** 2:
+            found.append((middle, radius))
+    return found
 
 
 def _width_before(tree: VoxelTree, number: int, at_root: bool = False) -> float:
@@ -148,12 +168,6 @@ def _width_before(tree: VoxelTree, number: int, at_root: bool = False) -> float:
     else:
         stretch = route[parts[-1] :] if parts else route[len(route) // 2 if number == 0 else 1 :]
     return float(np.median(tree.radius[stretch])) if len(stretch) else 0.0
-
-
-def _is_at_border(graph: VoxelGraph, voxel: int) -> bool:
-    """Return whether a voxel is at the border of the image."""
-    index = np.rint(graph.points[voxel] / graph.spacing).astype(int)
-    return bool(((index == 0) | (index == np.array(graph.lumen.shape) - 1)).any())
 
 
 def _round_place(point: Array, lumen: Image) -> Array:
