@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from scipy.ndimage import find_objects
+from scipy.ndimage import distance_transform_edt, find_objects
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import dijkstra
 from scipy.spatial import cKDTree
@@ -145,6 +145,10 @@ Index = npt.NDArray[np.integer[Any]]
 
 WALL_COST_POWER = 3.0
 """A millimetre at distance d from the wall costs d^-WALL_COST_POWER: enough to keep to the middle in a bend."""
+SPARSE_PART = 0.02
+"""Part of its box that a lumen fills, below which the distance to the wall is searched for from its own voxels.
+For airways, 1 % of a box, that takes a fifth of the time of a distance transform; for a wide tube, many times as
+long."""
 COARSE_NODE_STRIDE_VOXELS = 2
 """Distance of neighbouring nodes where the lumen is wide, in finest voxels."""
 FINE_REGION_STRIDES = 4
@@ -159,6 +163,20 @@ def depths(lumen: Flags, spacing: Array) -> npt.NDArray[np.float32]:
     spacing: sides of a voxel (3,), mm. The distance to the nearest voxel outside, but for half a voxel. The border
     of the image is no wall.
     """
+    if lumen.mean() > SPARSE_PART:
+        # Padded with its own border: beyond that of the image the lumen goes on.
+        to_wall = distance_transform_edt(np.pad(lumen, 1, mode="edge"), sampling=spacing)[1:-1, 1:-1, 1:-1][lumen]
+    else:
+        to_wall = _distances_to_wall(lumen, spacing)
+    found = np.zeros(lumen.shape, np.float32)
+    # The wall runs half a voxel before the centres of the voxels outside.
+    found[lumen] = to_wall - spacing.min() / 2
+    return found
+
+
+def _distances_to_wall(lumen: Flags, spacing: Array) -> Array:
+    """Return the distance in mm from each voxel of a lumen (l, m, n) to the nearest one outside; spacing: (3,)
+    mm."""
     # The nearest voxels of the wall are neighbours of the lumen. Beyond the border of the image there are none.
     room = np.pad(lumen, 1)
     member = np.flatnonzero(room)
@@ -169,11 +187,8 @@ def depths(lumen: Flags, spacing: Array) -> npt.NDArray[np.float32]:
         wall[member - step] = True
     wall &= ~room.ravel()
     around = np.argwhere(wall.reshape(room.shape)[1:-1, 1:-1, 1:-1]) * spacing
-    to_wall, _ = cKDTree(around, balanced_tree=False, compact_nodes=False).query(np.argwhere(lumen) * spacing)
-    found = np.zeros(lumen.shape, np.float32)
-    # The wall runs half a voxel before the centres of the voxels outside.
-    found[lumen] = to_wall - spacing.min() / 2
-    return found
+    tree = cKDTree(around, balanced_tree=False, compact_nodes=False)
+    return np.asarray(tree.query(np.argwhere(lumen) * spacing)[0])
 
 
 def cheapest_route(depth: npt.NDArray[np.float32], spacing: Array, ends: Index) -> Index | None:
