@@ -176,7 +176,8 @@ def depths(lumen: Flags, spacing: Array) -> npt.NDArray[np.float32]:
 
 def _distances_to_wall(lumen: Flags, spacing: Array) -> Array:
     """Return the distance in mm from each voxel of a lumen (l, m, n) to the nearest one outside; spacing: (3,)
-    mm."""
+    mm.
+    """
     # The nearest voxels of the wall are neighbours of the lumen. Beyond the border of the image there are none.
     room = np.pad(lumen, 1)
     member = np.flatnonzero(room)
