@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -70,6 +71,23 @@ def measure_branches(branches: Sequence[Branch]) -> Iterator[BranchMeasures]:
         yield BranchMeasures(
             float(profile.length.sum()), float(profile.curvature.max()), float(profile.sharpest.max())
         )
+
+
+def count_bifurcations(branches: Sequence[Branch]) -> list[int | None]:
+    """Return how many bifurcations each branch passes, its generation; None where branches share no points.
+
+    branches: of one tree. A bifurcation is a point from which branches lead to different points.
+    """
+    if len(branches) == 1:
+        return [0]
+    keys = [[point.tobytes() for point in branch.points] for branch in branches]
+    ahead: dict[bytes, set[bytes]] = {}
+    for places in keys:
+        for place, after in pairwise(places):
+            ahead.setdefault(place, set()).add(after)
+    parts = [[k for k, place in enumerate(places[:-1]) if len(ahead[place]) > 1] for places in keys]
+    # Whole centrelines, as VMTK writes them, part at their first point alone: what they share is not known.
+    return [len(found) if max(found, default=0) else None for found in parts]
 
 
 def _find_shared(points: Array, owners: list[int], profiles: list[_Profile]) -> tuple[int, int]:

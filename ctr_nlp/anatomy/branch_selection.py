@@ -24,7 +24,7 @@ from ctr_nlp.anatomy.files import is_markups, is_mask, list_files, read_branches
 from ctr_nlp.anatomy.formats.slicer import find_pieces_beside
 from ctr_nlp.anatomy.plausibility import widens
 from ctr_nlp.anatomy.reading import AS_THE_FILE_SAYS, NO_FACTS, FileFacts, ReadOptions
-from ctr_nlp.anatomy.segmentation.widths import find_leak
+from ctr_nlp.anatomy.segmentation.widths import check_widths, find_leak
 from ctr_nlp.exceptions import CurveError, OptionError
 from ctr_nlp.paths.curve import Curve, curve_from_points
 from ctr_nlp.paths.points import SHORTEST_MM
@@ -92,17 +92,21 @@ def read_branch_segment(
 
     path: the file. branch: name of the branch, or its number from 1. entry, target: (3,) mm in the file's own
     coordinates, by default the ends of the branch. reverse: whether the file's lines run from the tip to the root.
-    options: what a person states about the file. pieces: further files with pieces of the same tree. A mask has
-    one branch, between the two points. Raises CurveError and OptionError.
+    options: what a person states about the file. pieces: further files with pieces of the same tree. Between entry
+    and target a mask has one branch, without `branch`; otherwise its branches are those of its tree. Raises
+    CurveError and OptionError.
     """
+    between = False
     if is_mask(path):
-        for option, value in (("branch", branch), ("reverse", reverse or None), ("pieces", pieces or None)):
+        for option, value in (("reverse", reverse or None), ("pieces", pieces or None)):
             if value is not None:
                 raise OptionError(
-                    f"{option} does not go with a mask, as {path} is one: its path leads from entry to target"
+                    f"{option} does not go with a mask, as {path} is one: its paths lead from the entry to ends"
                 )
-        branches = read_branches(path, entry, target, options)
-        entry = target = None
+        branches = read_branches(path, entry, target if branch is None else None, options)
+        # Paths in a mask begin where the robot enters; that between two points ends at the target, too.
+        between = branch is None and entry is not None and target is not None
+        entry, target = None, None if between else target
     else:
         # In a file whose lines run towards the root, the target is where its trees start.
         branches = read_branches(path, target if reverse else entry, options=options, pieces=pieces)
@@ -127,12 +131,16 @@ def read_branch_segment(
     if widens(found) and not reverse and (entry is None or target is None) and not is_mask(path):
         note = "the lumen widens along the path, as if it ran from a tip to the root; --reverse exchanges its ends"
         facts = replace(facts, notes=(*facts.notes, note))
-    if not is_mask(path) and curve.radius is not None:
-        # Masks are checked, and leaks refused, where their path is found.
+    if curve.radius is not None:
         s = np.linspace(start, stop, max(2, int(stop - start) + 1))
-        leak = find_leak(transform_points(curve.point(s), branches.from_lps), curve.radius(s))
-        if leak is not None:
-            facts = replace(facts, notes=(*facts.notes, leak.partition(";")[0]))
+        points = transform_points(curve.point(s), branches.from_lps)
+        if not is_mask(path):
+            leak = find_leak(points, curve.radius(s))
+            facts = replace(facts, notes=(*facts.notes, *([] if leak is None else [leak.partition(";")[0]])))
+        elif not between:
+            # That between two points is checked where it is found.
+            with name_source_in_errors(path):
+                facts = replace(facts, notes=(*facts.notes, *check_widths(points, curve.radius(s), options)))
     return BranchSegment(
         curve, start, stop, branches.to_lps, branches.space, found, facts=facts, mask=branches.mask
     )

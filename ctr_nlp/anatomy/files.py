@@ -32,12 +32,12 @@ Point: TypeAlias = npt.ArrayLike | None
 
 
 def _read_mask(path: str | Path, entry: Point, target: Point, options: ReadOptions) -> Branches:
+    # Imported where they are used, since they bring scipy.ndimage.
     if entry is None or target is None:
-        raise OptionError(
-            f"{path} is a mask, which has no branches: its path is found between two points in the lumen, to "
-            "be given with --entry X Y Z and --target X Y Z where it is followed"
-        )
-    from ctr_nlp.anatomy.segmentation.mask import read_mask  # and with it scipy.ndimage: only where it is used
+        from ctr_nlp.anatomy.segmentation.tree import read_mask_tree
+
+        return read_mask_tree(path, entry, options)
+    from ctr_nlp.anatomy.segmentation.mask import read_mask
 
     return read_mask(path, entry, target, options)
 
@@ -92,12 +92,12 @@ def read_branches(
     options: ReadOptions = AS_THE_FILE_SAYS,
     pieces: Sequence[str | Path] = (),
 ) -> Branches:
-    """Read the branches of a centreline file, or the path between two points of a mask, each fit to be a curve.
+    """Read the branches of a centreline file or of a mask, each fit to be a curve.
 
     path: the file. entry: (3,) mm in the file's coordinates, where the robot enters; it settles where a tree
-    starts, if the file does not. A mask needs it and target, (3,) mm too. options: what a person states about the
-    file. pieces: further files with pieces of the same tree. Raises CurveError, and OptionError where a mask lacks
-    one of them or an extra is missing.
+    starts, if the file does not; in a mask it is guessed. target: (3,) mm; a mask with both has one branch, from
+    one to the other. options: what a person states about the file. pieces: further files with pieces of the same
+    tree. Raises CurveError, and OptionError where an extra is missing.
     """
     for what, point in (("entry", entry), ("target", target)):
         if point is not None:

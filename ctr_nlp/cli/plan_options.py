@@ -239,8 +239,8 @@ def add_file_options(parser: argparse.ArgumentParser) -> None:
     group.add_argument(
         "--branch", metavar="NAME|NUMBER", help="which branch of several; `ctr-nlp branches` lists them"
     )
-    add_entry_option(group, "the branch's first")
-    add_triple(group, "target", "point where it is to arrive (default: the branch's last); a mask needs both")
+    add_entry_option(group, "the branch's first; in a mask the widest end")
+    add_triple(group, "target", "point where it is to arrive (default: the branch's last)")
     add_triple(group, "insertion", "direction in which it is inserted (default: that of the path's first 10 mm)")
     add_numbers(group, ("tilt", "DEG", "how far the base may tilt about each axis (default: the robot's)"))
     group.add_argument(

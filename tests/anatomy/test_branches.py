@@ -195,8 +195,8 @@ def narrowing(tmp_path):
 def test_the_list_tells_what_there_is_to_choose_from(narrowing, capsys):
     assert list_branches([str(narrowing)]) == 0
     row = capsys.readouterr().out.splitlines()[-2].split()
-    assert row[:2] == ["1", "left"]
-    assert [float(cell) for cell in row[2:]] == pytest.approx([90, 100, 9, 3, 3, 37.8, 0, 78.3], rel=2e-3)
+    assert row[:3] == ["1", "left", "0"]
+    assert [float(cell) for cell in row[3:]] == pytest.approx([90, 100, 9, 3, 3, 37.8, 0, 78.3], rel=2e-3)
 
 
 def test_a_lumen_that_widens_is_remarked_on(narrowing, capsys):

@@ -281,8 +281,7 @@ CASES = {
         ["--entry", 6, 6, 5, "--target", 6, 6, 54],
         "entry and target lie in separate parts of the mask",
     ),
-    "a mask without points": ("lumen.nrrd", ["--entry", 6, 6, 5], "lumen.nrrd is a mask, which has no branches"),
-    "a branch of a mask": ("lumen.nrrd", ["--branch", 1], "branch does not go with a mask"),
+    "no such branch of a mask": ("lumen.nrrd", ["--branch", 7], "there is none of that name or number: 1 'branch"),
     "a mask reversed": ("lumen.nrrd", ["--reverse"], "reverse does not go with a mask"),
     "entry outside a mask": ("lumen.nrrd", ["--entry", 0, 0, 5, "--target", 6, 6, 54], "outside the mask"),
     "entry outside": ("path.csv", ["--entry", 30, -40, 80], "entry (30, -40, 80) is 10.0 mm away from branch"),
@@ -355,11 +354,11 @@ def test_named_problems_refuse_what_goes_with_a_file(tmp_path, capsys, option):
     assert not list(tmp_path.iterdir())
 
 
-def test_a_mask_has_no_branches_to_list(files, capsys):
-    assert list_branches([str(files / "lumen.nrrd")]) == 2
-    err = capsys.readouterr().err
-    assert "is a mask, which has no branches" in err
-    assert "--entry X Y Z and --target X Y Z" in err
+def test_the_branches_of_a_mask_are_listed(files, capsys):
+    assert list_branches([str(files / "lumen.nrrd")]) == 0
+    seen = capsys.readouterr()
+    assert "the entry is guessed" in seen.err
+    assert seen.out.splitlines()[-2].split()[:4] == ["1", "branch", "1", "0"]
 
 
 def test_a_file_is_solved_with_all_its_options(tmp_path, capsys):

@@ -152,8 +152,8 @@ POINTS = [
     ((math.nan, 8, 2), (8, 8, 57), "entry is .nan, 8, 2.; it must be three finite numbers"),
     ((8, 8), (8, 8, 57), "entry is .8, 8.; it must be three finite numbers"),
     ("here", (8, 8, 57), "entry is 'here'; it must be three finite numbers"),
-    (None, (8, 8, 57), "is a mask, which has no branches.*--entry X Y Z and --target X Y Z"),
-    ((8, 8, 2), None, "is a mask, which has no branches"),
+    (None, (30, 8, 57), "target .30, 8, 57. is .* mm away from branch 'branch 1'"),
+    ((1, 1, 2), None, "entry .* is .* mm outside the mask"),
 ]
 
 

@@ -49,6 +49,10 @@ UNIT_SUFFIX = re.compile(r"[\s_.:/\[(]+(mm|cm|m|um)[\])]?$")
 VTK_KIND = "centrelines in a VTK file"
 TRACTS = ("CenterlineIds", "TractIds")
 """Cell arrays of VMTK's branch extractor: of which centreline a line is a piece, and its place along it."""
+VMTK_RADIUS = "MaximumInscribedSphereRadius"
+"""Point array of VMTK with the radius of the lumen."""
+IMAGE_SPACES = (*CENTRELINE_SPACE_TO_LPS, "LAS")
+"""Coordinates that are known to be those of a patient, in files of centrelines and of images."""
 LEGACY = "vtkGenericDataObjectReader"
 VTK_READERS = {
     ".vtk": ("vtkIOLegacy", LEGACY),
@@ -112,6 +116,27 @@ def read_vtk(
     notes += [f"{_list_names(names)}: {note}" if several else note for note, names in repairs.items()]
     facts = FileFacts(VTK_KIND, units.units, units.known, space_known, tuple(notes))
     return Branches(tuple(branches), space, CENTRELINE_SPACE_TO_LPS[space], facts)
+
+
+def write_vtk(path: str | Path, branches: Branches) -> None:
+    """Write branches as whole centrelines of a .vtp file, as VMTK and 3D Slicer read them.
+
+    path: the file, which is replaced. branches: their lines are written in LPS, which the file states, with the
+    radius of the inscribed sphere in the array that VMTK calls MaximumInscribedSphereRadius. Raises OptionError
+    where pyvista is missing.
+    """
+    pyvista = import_extra("pyvista")
+    every = branches.branches
+    counts = [len(branch.points) for branch in every]
+    starts = np.cumsum([0, *counts[:-1]])
+    lines = [np.append(count, start + np.arange(count)) for start, count in zip(starts, counts, strict=True)]
+    mesh = pyvista.PolyData(np.concatenate([branch.points for branch in every]), lines=np.concatenate(lines))
+    radii = [branch.radius for branch in every if branch.radius is not None]
+    if len(radii) == len(every):
+        mesh.point_data[VMTK_RADIUS] = np.concatenate(radii)
+    if branches.space in IMAGE_SPACES:
+        mesh.add_field_data(["LPS"], "SPACE")
+    mesh.save(str(path))
 
 
 def _space(stated: str, options: ReadOptions) -> tuple[str, str]:

@@ -15,9 +15,10 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from scipy.ndimage import binary_erosion, distance_transform_edt, find_objects
+from scipy.ndimage import distance_transform_edt, find_objects
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import dijkstra
+from scipy.spatial import cKDTree
 
 from ctr_nlp.anatomy.branch import (
     Branch,
@@ -58,7 +59,7 @@ def read_mask(
     lumen, selected_notes = read_lumen(path, options)
     to_lps = IMAGE_SPACE_TO_LPS[lumen.space]
     with name_source_in_errors(path):
-        ends = np.array([_end(lumen, "entry", entry), _end(lumen, "target", target)])
+        ends = np.array([find_lumen_index(lumen, "entry", entry), find_lumen_index(lumen, "target", target)])
         tube = _tube(lumen.voxels, lumen.spacing, ends)
         own = transform_points(tube[:, :3] / lumen.spacing, lumen.affine)
         width_notes = check_widths(own, tube[:, 3], options)
@@ -76,10 +77,10 @@ def read_lumen(path: str | Path, options: ReadOptions = AS_THE_FILE_SAYS) -> tup
     image = read_image(path, options)
     with name_source_in_errors(path):
         selected, notes = select_lumen(image, options)
-        return _crop_to_lumen(replace(image, voxels=selected)), notes
+        return crop_to_lumen(replace(image, voxels=selected)), notes
 
 
-def _crop_to_lumen(image: Image) -> Image:
+def crop_to_lumen(image: Image) -> Image:
     """Return the part of an image of a lumen that contains it, with a voxel of wall around it where the image has
     one.
     """
@@ -91,7 +92,7 @@ def _crop_to_lumen(image: Image) -> Image:
     return replace(image, voxels=np.ascontiguousarray(image.voxels[box]), affine=affine)
 
 
-def _end(mask: Image, name: str, given: npt.ArrayLike) -> Array:
+def find_lumen_index(mask: Image, name: str, given: npt.ArrayLike) -> Array:
     """Return the index (3,), not whole, of the lumen's point nearest to a given one; raise CurveError if that is
     far.
     """
@@ -161,6 +162,10 @@ Index = npt.NDArray[np.integer[Any]]
 
 WALL_COST_POWER = 3.0
 """A millimetre at distance d from the wall costs d^-WALL_COST_POWER: enough to keep to the middle in a bend."""
+SPARSE_PART = 0.02
+"""Part of its box that a lumen fills, below which the distance to the wall is searched for from its own voxels.
+For airways, 1 % of a box, that takes a fifth of the time of a distance transform; for a wide tube, many times as
+long."""
 COARSE_NODE_STRIDE_VOXELS = 2
 """Distance of neighbouring nodes where the lumen is wide, in finest voxels."""
 FINE_REGION_STRIDES = 4
@@ -172,13 +177,36 @@ VOXEL_NEIGHBOUR_STEPS = np.array([step for step in product((-1, 0, 1), repeat=3)
 def depths(lumen: Flags, spacing: Array) -> npt.NDArray[np.float32]:
     """Return the approximate distance in mm from the voxels (l, m, n) of a lumen to the wall; 0 outside of it.
 
-    spacing: sides of a voxel (3,), mm. The Euclidean distance transform to the voxels that touch the wall. The
-    border of the image is no wall.
+    spacing: sides of a voxel (3,), mm. The distance to the nearest voxel outside, but for half a voxel. The border
+    of the image is no wall.
     """
-    edge = lumen & ~binary_erosion(lumen, np.ones((3, 3, 3)), border_value=1)
-    to_edge = distance_transform_edt(~edge, sampling=spacing)
-    # The wall runs half a voxel outside of the centres of the voxels that touch it.
-    return np.where(lumen, to_edge + spacing.min() / 2, 0.0).astype(np.float32)
+    if lumen.mean() > SPARSE_PART:
+        # Padded with its own border: beyond that of the image the lumen goes on.
+        to_wall = distance_transform_edt(np.pad(lumen, 1, mode="edge"), sampling=spacing)[1:-1, 1:-1, 1:-1][lumen]
+    else:
+        to_wall = _distances_to_wall(lumen, spacing)
+    found = np.zeros(lumen.shape, np.float32)
+    # The wall runs half a voxel before the centres of the voxels outside.
+    found[lumen] = to_wall - spacing.min() / 2
+    return found
+
+
+def _distances_to_wall(lumen: Flags, spacing: Array) -> Array:
+    """Return the distance in mm from each voxel of a lumen (l, m, n) to the nearest one outside; spacing: (3,)
+    mm.
+    """
+    # The nearest voxels of the wall are neighbours of the lumen. Beyond the border of the image there are none.
+    room = np.pad(lumen, 1)
+    member = np.flatnonzero(room)
+    pitch = np.array(room.strides)
+    wall = np.zeros(room.size, bool)
+    for step in VOXEL_NEIGHBOUR_STEPS @ pitch:
+        wall[member + step] = True
+        wall[member - step] = True
+    wall &= ~room.ravel()
+    around = np.argwhere(wall.reshape(room.shape)[1:-1, 1:-1, 1:-1]) * spacing
+    tree = cKDTree(around, balanced_tree=False, compact_nodes=False)
+    return np.asarray(tree.query(np.argwhere(lumen) * spacing)[0])
 
 
 def cheapest_route(depth: npt.NDArray[np.float32], spacing: Array, ends: Index) -> Index | None:
@@ -227,7 +255,7 @@ def _dijkstra(
     # Distance of neighbours along each axis in the flattened image, in entries.
     pitch = np.array(depth.strides) // depth.itemsize
     links = [
-        _links(nodes, number, cost, step @ pitch, float(np.linalg.norm(step * spacing)))
+        link_voxels(nodes, number, cost, step @ pitch, float(np.linalg.norm(step * spacing)))
         for nodes, stride in levels
         for step in VOXEL_NEIGHBOUR_STEPS * stride
     ]
@@ -245,7 +273,7 @@ def _dijkstra(
     return np.column_stack(np.unravel_index(member[walked[::-1]], depth.shape))
 
 
-def _links(nodes: Flags, number: Index, cost: Array, step: int, length: float) -> tuple[Index, Index, Array]:
+def link_voxels(nodes: Flags, number: Index, cost: Array, step: int, length: float) -> tuple[Index, Index, Array]:
     """Return the pairs of nodes that are `step` entries apart in the flattened image, and the cost of each pair.
 
     nodes: (l, m, n). number: of each voxel's node. cost: per mm at every node. length: of the step, mm.

@@ -1,4 +1,4 @@
-"""`ctr-nlp branches`: the branches of a centreline file, listed and drawn."""
+"""`ctr-nlp branches`: the branches of a centreline file or a mask, listed, drawn and saved."""
 
 from __future__ import annotations
 
@@ -6,10 +6,14 @@ import argparse
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from ctr_nlp.anatomy.branch import Branch, Branches, name_source_in_errors, transform_points
-from ctr_nlp.anatomy.branch_measures import BranchMeasures, measure_branches
-from ctr_nlp.anatomy.files import CENTRELINE_SUFFIXES, read_branches
+from ctr_nlp.anatomy.branch_measures import BranchMeasures, count_bifurcations, measure_branches
+from ctr_nlp.anatomy.files import ANATOMY_SUFFIXES, read_branches
+from ctr_nlp.anatomy.formats.vtk import write_vtk
 from ctr_nlp.anatomy.plausibility import widens
+from ctr_nlp.anatomy.segmentation.widths import find_leak
 from ctr_nlp.cli.arguments import add_entry_option
 from ctr_nlp.cli.console import EXIT_SOLVED, Command
 from ctr_nlp.cli.output.file import check_file, output_file
@@ -17,11 +21,15 @@ from ctr_nlp.cli.plan_options import add_piece_arguments, add_reading_options, p
 from ctr_nlp.cli.terminal_output import print_stderr, print_table, progress_bar, report_written_files
 from ctr_nlp.exceptions import OptionError, OutputError, escape_control_characters
 from ctr_nlp.paths.lumen_fit import JAGGED_CURVATURE_PER_MM
+from ctr_nlp.paths.points import cumulative_arc_length
 
 PNG = b"\x89PNG"
+VTP = b"<?xml"
+"""First bytes of an XML file of VTK."""
 BRANCH_TABLE_COLUMNS = (
     "branch",
     "name",
+    "generation",
     "length",
     "tightest bend",
     "radius at start",
@@ -30,6 +38,7 @@ BRANCH_TABLE_COLUMNS = (
     "tip",
     "remark",
 )
+LEAK_SEARCH_SPACING_MM = 1.0
 MIN_BEND_CURVATURE_PER_MM = 1e-4
 """Curvature below which a branch has no bend worth a number."""
 
@@ -37,22 +46,27 @@ MIN_BEND_CURVATURE_PER_MM = 1e-4
 def _parser(prog: str) -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog=prog,
-        description="List the branches of a centreline file, in mm, so that one can be chosen by its number, "
-        "its name or a point that it passes; and draw them.",
+        description="List the branches of a centreline file or of the lumen in a mask, in mm, so that one can be "
+        "chosen by its number, its name or a point that it passes; draw them, and save them.",
         epilog="Exit status: 0 where branches were listed, 2 where input is bad and nothing is written.",
     )
-    parser.add_argument("file", metavar="FILE", help=f"centreline file ({', '.join(CENTRELINE_SUFFIXES)})")
+    parser.add_argument("file", metavar="FILE", help=f"file of anatomy ({', '.join(ANATOMY_SUFFIXES)})")
     add_piece_arguments(parser)
     parser.add_argument("--reverse", action="store_true", help="take each branch from its last point to its first")
-    add_entry_option(parser, "as the file tells it")
+    add_entry_option(parser, "as the file tells it; in a mask the widest end")
     add_reading_options(parser)
     parser.add_argument("--out", metavar="FILE.png", help="draw the branches; a picture of that name is replaced")
+    parser.add_argument(
+        "--save", metavar="FILE.vtp", help="save the branches as centrelines in LPS; such a file is replaced"
+    )
     return parser
 
 
 def _run(arguments: argparse.Namespace) -> int:
     if arguments.out:
-        _check_out(Path(arguments.out))
+        _check_out("--out", Path(arguments.out), ".png", PNG, "picture")
+    if arguments.save:
+        _check_out("--save", Path(arguments.save), ".vtp", VTP, "VTK file")
     branches = read_branches(
         arguments.file,
         arguments.entry,
@@ -65,31 +79,40 @@ def _run(arguments: argparse.Namespace) -> int:
         branches = branches.reverse_direction()
     rows = list[list[Any]]()
     count = len(branches.branches)
+    generations = count_bifurcations(branches.branches)
     with progress_bar() as bar, name_source_in_errors(arguments.file):
         report = bar("branches")
         for measures in measure_branches(branches.branches):
-            rows.append(_row(len(rows) + 1, branches, measures))
+            rows.append(_row(len(rows) + 1, branches, measures, generations[len(rows)]))
             report(len(rows), count, branches.branches[len(rows) - 1].name)
     if arguments.out:
         _draw(branches, Path(arguments.file).name, Path(arguments.out))
     print_table(f"{arguments.file}, in mm; coordinates {branches.space}", BRANCH_TABLE_COLUMNS, rows)
-    if arguments.out:
-        report_written_files(arguments.out)
+    if arguments.save:
+        with output_file(Path(arguments.save)) as partial:
+            write_vtk(partial, branches)
+    for file in filter(None, (arguments.out, arguments.save)):
+        report_written_files(file)
     return EXIT_SOLVED
 
 
-def _check_out(out: Path) -> None:
-    if out.suffix.lower() != ".png":
-        raise OptionError(f"--out is {out}; the picture's name must end in .png")
+def _check_out(option: str, out: Path, suffix: str, start: bytes, kind: str) -> None:
+    """Raise OptionError or OutputError where an output file has another suffix, or is not of the kind to replace.
+
+    option: that names it. start: first bytes of such files. kind: in words.
+    """
+    if out.suffix.lower() != suffix:
+        raise OptionError(f"{option} is {out}; the {kind}'s name must end in {suffix}")
     check_file(out, "")
-    if out.exists() and not out.read_bytes().startswith(PNG):
-        raise OutputError(f"output file {out} exists and is not a picture; choose another with --out")
+    if out.exists() and not out.read_bytes().startswith(start):
+        raise OutputError(f"output file {out} exists and is not a {kind}; choose another with {option}")
 
 
-def _row(number: int, branches: Branches, measures: BranchMeasures) -> list[Any]:
+def _row(number: int, branches: Branches, measures: BranchMeasures, generation: int | None) -> list[Any]:
     """Return the table's row of a branch.
 
-    number: of the branch, from 1. branches: those of the file. measures: of the branch.
+    number: of the branch, from 1. branches: those of the file. measures: of the branch. generation: number of
+    bifurcations that it passes, None where that is unknown.
     """
     branch = branches.branches[number - 1]
     bend = 1 / measures.curvature if measures.curvature > MIN_BEND_CURVATURE_PER_MM else None
@@ -97,7 +120,7 @@ def _row(number: int, branches: Branches, measures: BranchMeasures) -> list[Any]
     radii = [None] * 3 if radius is None else [float(radius[0]), float(radius.min()), float(radius[-1])]
     tip = transform_points(branch.points[-1], branches.from_lps)
     at = " ".join(f"{coordinate:.1f}" for coordinate in tip)
-    return [number, branch.name, measures.length, bend, *radii, at, _remark(branch, measures.sharpest)]
+    return [number, branch.name, generation, measures.length, bend, *radii, at, _remark(branch, measures.sharpest)]
 
 
 def _remark(branch: Branch, sharpest: float) -> str:
@@ -106,6 +129,11 @@ def _remark(branch: Branch, sharpest: float) -> str:
         return ", ".join([*remarks, "radius unknown"])
     if widens(branch):
         remarks.append("widens, as if from tip to root")
+    along = cumulative_arc_length(branch.points)
+    # About a point a millimetre: the search for leaks compares all of them.
+    some = np.unique(np.searchsorted(along, np.arange(0.0, along[-1], LEAK_SEARCH_SPACING_MM)))
+    if find_leak(branch.points[some], branch.radius[some]) is not None:
+        remarks.append("widens suddenly: a leak?")
     return ", ".join(remarks)
 
 

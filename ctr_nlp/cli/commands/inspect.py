@@ -100,7 +100,8 @@ def _inspect_voxels(file: str, options: ReadOptions) -> None:
     for note in image.facts.notes:
         announce(f"note: {note}")
     announce(
-        "note: the path in it is found between two points; give --entry X Y Z and --target X Y Z to inspect it"
+        "note: ctr-nlp branches lists the branches of the lumen; --entry X Y Z and --target X Y Z inspect the "
+        "path between two points"
     )
 
 
