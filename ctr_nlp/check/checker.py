@@ -11,6 +11,7 @@ their residuals are small enough. A robot under a load is not covered.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -30,7 +31,7 @@ from ctr_nlp.check.tubes import (
     read_tubes,
     replace_by_dominant,
 )
-from ctr_nlp.check.walls import Wall, find_deepest_contact, read_wall
+from ctr_nlp.check.walls import FIELD_ERROR_MM, Wall, find_deepest_contact, measure_left, read_walls
 
 YES, NO, NOT_COVERED = "yes", "no", "not covered"
 VERDICTS = "solved", "arrives", "follows", "stable", "within_limits", "within_wall", "holds"
@@ -169,16 +170,16 @@ def examine_motion(file: PlanFile, samples: int = 0, settle: Settle | None = Non
         uncovered = Finding(NOT_COVERED, why=why)
         found.findings.update(dict.fromkeys(("arrives", "follows", "stable", "within_wall", "holds"), uncovered))
         return found
-    wall = read_wall(arrays, meta)
+    walls = read_walls(arrays, meta)
     nominal = move_nominal(read_tubes(meta["robot"]), q, SUBSTEPS, settle)
-    found.findings.update(_judge_shapes(found, _measure(found, nominal, wall), wall))
+    found.findings.update(_judge_shapes(found, _measure(found, nominal, walls), walls))
     if drawn is not None and not np.isfinite(nominal.tip_angles).all():
         found.findings["holds"] = Finding(NOT_COVERED, why="Samples are compared with the robot, which snaps.")
     elif drawn is None:
         why = "Samples under a tip force or of other tolerances than uniform ones." if samples else "No samples."
         found.findings["holds"] = Finding(NOT_COVERED, why=why)
     else:
-        found.findings["holds"] = _judge_samples(found, q, nominal.tip_angles[:, -1], wall, drawn, settle)
+        found.findings["holds"] = _judge_samples(found, q, nominal.tip_angles[:, -1], walls, drawn, settle)
     return found
 
 
@@ -202,38 +203,50 @@ def _make_empty_result(file: PlanFile, frames: int, samples: int) -> CheckResult
     )
 
 
-def _measure(found: CheckResult, nominal: NominalMotion, wall: Wall | None) -> Array:
-    """Fill in shapes, margins and clearances of a motion, and return the deepest contacts (T, 10), mm."""
+def _measure(found: CheckResult, nominal: NominalMotion, walls: list[Wall]) -> Array:
+    """Fill in shapes, margins and clearances of a motion, and return the deepest contacts (T, 10, W), mm."""
     known = np.isfinite(nominal.rates).all(axis=-1)
-    depth = np.full(known.shape, np.nan)
+    depth = np.full((*known.shape, len(walls)), np.nan)
     found.snaps.extend(nominal.snaps)
-    places = np.argwhere(known)
-    for first in range(0, places.shape[0], GROUP):
-        group = places[first : first + GROUP]
-        chosen = np.zeros_like(known)
-        chosen[tuple(group.T)] = True
-        twist, theta = nominal.twists(chosen)
-        body = compute_body(twist, theta)
+    for chosen, twist, body in _compute_bodies(nominal, known):
         points = body.interpolate(SIGMA * body.s[-1][:, None])
         found.margin[chosen] = compute_stability_margins(twist)
-        if wall is not None:
-            depth[chosen] = find_deepest_contact(wall, body)
-            found.clearance[chosen] = measure_clearance(wall, points, twist.beta, twist.tubes.radius)
-        at_frame = group[:, 1] == SUBSTEPS - 1
-        found.shape[group[at_frame, 0]] = points[at_frame]
-        found.tip_direction[group[at_frame, 0]] = body.tangents[-1, at_frame]
+        if walls:
+            depth[chosen] = np.stack([find_deepest_contact(wall, body, exactly=False) for wall in walls], axis=1)
+            found.clearance[chosen] = measure_clearance(walls, points, twist.beta, twist.tubes.radius)
+        frames, substeps = np.nonzero(chosen)
+        at_frame = substeps == SUBSTEPS - 1
+        found.shape[frames[at_frame]] = points[at_frame]
+        found.tip_direction[frames[at_frame]] = body.tangents[-1, at_frame]
+    # The deepest place is measured at the triangles, among those that the smooth surface leaves in question.
+    for k, wall in enumerate(walls):
+        question = np.asarray(
+            known & (depth[..., k] >= np.nanmax(depth[..., k], initial=-np.inf) - FIELD_ERROR_MM)
+        )
+        for chosen, _, body in _compute_bodies(nominal, question):
+            depth[chosen, k] = find_deepest_contact(wall, body)
     found.e2[:] = measure_errors(found.shape, found.file.arrays["target"])
     return depth
 
 
-def measure_clearance(wall: Wall, points: Array, beta: Array, radius: Array) -> Array:
+def _compute_bodies(nominal: NominalMotion, known: Any) -> Iterator[tuple[Array, Any, Body]]:
+    """Yield groups of places (T, 10) of a motion among those that are `known`, with their twists and bodies."""
+    places = np.argwhere(known)
+    for first in range(0, places.shape[0], GROUP):
+        chosen = np.zeros_like(known)
+        chosen[tuple(places[first : first + GROUP].T)] = True
+        twist, theta = nominal.twists(chosen)
+        yield chosen, twist, compute_body(twist, theta)
+
+
+def measure_clearance(walls: list[Wall], points: Array, beta: Array, radius: Array) -> Array:
     """Return the clearance (n, 101), mm, of points (n, 101, 3) at uniform sigma.
 
     beta (d, n), radius (d, n): extensions and radii of tubes, mm. The outermost tube at a place counts.
     """
     ends = beta[:-1, :, None] + 1e-9
     outermost = (SIGMA * beta[-1][:, None] > ends).sum(axis=0)
-    return np.asarray(wall.left(points) - np.take_along_axis(radius.T, outermost, axis=1))
+    return measure_left(walls, points, np.take_along_axis(radius.T, outermost, axis=1))
 
 
 def measure_errors(shape: Array, target: Array) -> Array:
@@ -248,24 +261,28 @@ def threshold(file: PlanFile, name: str) -> float:
     return float(file.meta.get("options", {}).get(name, THRESHOLDS[name]))
 
 
-def _judge_shapes(found: CheckResult, depth: Array, wall: Wall | None) -> dict[str, Finding]:
-    """Return the verdicts on shapes and margins; depth (T, 10): deepest contacts, mm."""
+def _judge_shapes(found: CheckResult, depth: Array, walls: list[Wall]) -> dict[str, Finding]:
+    """Return the verdicts on shapes and margins; depth (T, 10, W): deepest contacts with the walls, mm."""
     file = found.file
     asked = file.meta.get("options", {}).get("stability_margin")
     target = file.arrays["target"]
     tip = float(np.linalg.norm(found.shape[-1, -1] - target[-1, -1]))
     arrives = _judge_at_most(tip, threshold(file, "arrival_tolerance"), "mm from the target's end")
     length = float(np.linalg.norm(np.diff(target[-1], axis=0), axis=1).sum())
-    allowed = max(0.1 * length, 5.0)
+    detour_mm = max(0.1 * length, 5.0)
     short = length - float(file.arrays["beta"][-1, -1])
-    detour = found.tip_degrees > 90 or short > allowed or found.e2[-1] > allowed
-    if arrives.word == YES and detour and threshold(file, "arrival_tolerance") <= allowed:
+    detour = found.tip_degrees > 90 or short > detour_mm or found.e2[-1] > detour_mm
+    if arrives.word == YES and detour and threshold(file, "arrival_tolerance") <= detour_mm:
         arrives = arrives._replace(word=NO, why=DETOUR)
     worst = _judge_at_most(float(found.e2.max()), threshold(file, "error_allowed"), "mm e2")
     frame = "" if worst.number is None else f" in frame {int(found.e2.argmax()) + 1}"
     within_wall = Finding(NOT_COVERED, why="The file has no wall.")
-    if wall is not None:
-        within_wall = _judge_at_most(float(depth.max()), threshold(file, "contact_allowed"), "mm of contact")
+    if walls:
+        # Tissue around a lumen gives a little; what is to be kept out of is not to be touched.
+        allowed = [0.0 if wall.kept_out else threshold(file, "contact_allowed") for wall in walls]
+        deepest = np.asarray(depth.max(axis=(0, 1)))
+        first = int(np.argmax(np.nan_to_num(deepest - np.array(allowed), nan=np.inf)))
+        within_wall = _judge_at_most(float(deepest[first]), allowed[first], "mm of contact")
     return {
         "arrives": arrives,
         "follows": worst._replace(why=worst.why + frame),
@@ -378,7 +395,7 @@ def _judge_samples(
     found: CheckResult,
     q: Array,
     nominal_tips: Array,
-    wall: Wall | None,
+    walls: list[Wall],
     drawn: tuple[Array, Array],
     settle: Settle | None,
 ) -> Finding:
@@ -387,7 +404,7 @@ def _judge_samples(
     nominal_tips (T, d): angles of the nominal robot's tips, rad. drawn: differences and plays of the samples.
     """
     file, contact = found.file, found.sample_contact
-    contact[:] = np.nan if wall is None else -np.inf
+    contact[:] = -np.inf if walls else np.nan
 
     def measure(frame: int, rows: Array, twist: Any, tips: Array) -> None:
         own = nominal_tips[frame] - nominal_tips[frame, -1]
@@ -397,8 +414,9 @@ def _judge_samples(
         points = body.interpolate(SIGMA * body.s[-1][:, None])
         found.sample_e2[rows, frame] = measure_errors(points, file.arrays["target"][frame])
         found.sample_tips[rows] = points[:, -1]
-        if wall is not None:
-            contact[rows] = np.maximum(contact[rows], find_deepest_contact(wall, body))
+        # For samples, plans record contact with the smooth surfaces.
+        for wall in walls:
+            contact[rows] = np.maximum(contact[rows], find_deepest_contact(wall, body, exactly=False))
 
     tubes = read_tubes(file.meta["robot"], drawn[0])
     found.lost[:] |= move_samples(tubes, drawn[1].T, q, measure, SAMPLE_SUBSTEPS, settle) > 0

@@ -15,7 +15,7 @@ from ctr_nlp.check.tubes import Array
 DIGESTED_ARRAYS = (
     *("time", "solve_time", "success", "objective", "kkt", "stability", "stability_between", "alpha", "beta"),
     *("theta", "target", "shape", "target_direction", "tip_direction", "lumen_radius", "clearance"),
-    *("clearance_between", "truth", "free", "to_robot", "lumen"),
+    *("clearance_between", "wall_clearance", "wall_clearance_between", "truth", "free", "to_robot", "lumen"),
 )
 """Arrays that the digest covers, besides those of samples and of walls; a file may hold others."""
 DIGESTED_PREFIXES = "draws_", "walls_"

@@ -20,7 +20,7 @@ from ctr_nlp.check.checker import (
 )
 from ctr_nlp.check.plan_file import CheckError, PlanFile, read_plan_file
 from ctr_nlp.check.tubes import Array, Settle, read_tubes
-from ctr_nlp.check.walls import LumenWall, read_wall
+from ctr_nlp.check.walls import FIELD_ERROR_MM, FieldWall, LumenWall, read_walls
 
 SHAPE_TOLERANCE_MM = 0.05
 """By how much recorded shapes may differ from those found."""
@@ -32,6 +32,8 @@ SAMPLE_TOLERANCE_MM = 0.15
 """By how much tips, errors and contacts of samples may differ: samples are moved in coarser steps."""
 SAMPLE_SHARE = 0.02
 """Part of the samples, at least one, whose outcome may differ: near a fold it depends on the size of the steps."""
+BODY_TOLERANCE_MM = 1.0
+"""By how much a path may leave the surface of a mask, whose voxels are about so large."""
 DEEP_MM = 5.0
 """Contact in mm beyond which clearances are not compared: the nearest place of the path is not unique there."""
 NEAR_BIFURCATION = 0.01
@@ -132,9 +134,9 @@ def _check_frames_of_reference(file: PlanFile, source: str | Path | None) -> Fin
         off = float(abs(LumenWall(arrays["lumen"]).left(target) - arrays["lumen_radius"][-1]).max())
         if off > allowed:
             return Finding(NO, off, why=f"Targets are off the lumen's path, or radii differ, by {off:.2f} mm.")
-    wall = read_wall(arrays, file.meta)
-    outside = 0.0 if wall is None else -float(wall.left(target).min())
-    if outside > allowed:
+    inside = [wall for wall in read_walls(arrays, file.meta) if not wall.kept_out]
+    outside = max([-float(wall.left_exactly(target).min()) for wall in inside], default=0.0)
+    if outside > max(allowed, BODY_TOLERANCE_MM if any(isinstance(wall, FieldWall) for wall in inside) else 0.0):
         return Finding(NO, outside, why=f"Targets are {outside:.2f} mm outside of the wall.")
     if source is None:
         return Finding(NOT_COVERED, why="Axes of the centreline's file; give it to have them checked.")
@@ -202,19 +204,23 @@ def _check_motion(found: CheckResult) -> tuple[Finding, Finding, Finding]:
 def _check_clearances(found: CheckResult, shape: Array) -> Finding:
     """Return whether recorded clearances are those of shapes (T, 101, 3), mm, and of the way between frames."""
     arrays = found.file.arrays
-    wall = read_wall(arrays, found.file.meta)
-    if wall is None or "clearance" not in arrays:
-        why = "The file has no wall." if wall is None else "The file has a wall, and no clearances."
-        return Finding(NOT_COVERED if wall is None and "clearance" not in arrays else NO, why=why)
+    walls = read_walls(arrays, found.file.meta)
+    if not walls or "clearance" not in arrays:
+        why = "The file has a wall, and no clearances." if walls else "The file has no wall."
+        return Finding(NO if walls or "clearance" in arrays else NOT_COVERED, why=why)
     radius = read_tubes(found.file.meta["robot"]).repeat(len(shape)).radius
     known = np.isfinite(shape).all(axis=(1, 2))
     own = np.full((len(shape), 2, shape.shape[1]), np.nan)
-    own[known, 0] = measure_clearance(wall, shape[known], arrays["beta"][known].T, radius[:, known])
+    own[known, 0] = measure_clearance(walls, shape[known], arrays["beta"][known].T, radius[:, known])
     recorded = np.stack([arrays["clearance"], arrays.get("clearance_between", arrays["clearance"])], axis=1)
     if np.isfinite(arrays["stability"]).any() and "clearance_between" in arrays:
         own[known, 1] = found.clearance[known].min(axis=1)
     # Deep in the wall the nearest place of the path may be another one.
     own[own < -DEEP_MM] = np.nan
+    # Plans measure at the triangles where a point may be the nearest of its frame, elsewhere in the smooth field.
+    least = np.nanmin(np.where(np.isnan(own), np.inf, own), axis=2, keepdims=True)
+    aside = (own > least + CLEARANCE_TOLERANCE_MM) & (abs(own - recorded) < FIELD_ERROR_MM)
+    own = np.where(aside & (recorded > least), recorded, own)
     return _compare("clearances", recorded, own, CLEARANCE_TOLERANCE_MM, " mm")
 
 
