@@ -254,8 +254,8 @@ def test_a_controller_that_moves_is_left_alone_but_stopped_to_resume(rig: Rig, p
     player = rig.player()
     player.device.abort = lambda: (_ for _ in ()).throw(DeviceFault("the process is gone"))  # type: ignore[method-assign]
     with pytest.raises(Gone):
-        ended = play_plan(player, plan, rig.hardware, callback=at_frame(8, gone))
-        pytest.fail(ended.message)  # as where the machine stalled before
+        # The message tells why the motion ended before, as where the machine stalled.
+        pytest.fail(play_plan(player, plan, rig.hardware, callback=at_frame(8, gone)).message)
     rig.let_go(player)
     records = [r for r in read_journal(rig.path) if r["kind"] != "result"]
     rig.clock.sleep(1.0)
