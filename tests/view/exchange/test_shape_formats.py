@@ -18,6 +18,7 @@ from ctr_nlp import Problem, curve_from_formula, growing, table_i_robot
 from ctr_nlp.anatomy.files import read_branches
 from ctr_nlp.anatomy.problem_files import problem_from_file
 from ctr_nlp.cli.commands.export import main
+from ctr_nlp.cli.main import COMMANDS, load
 from ctr_nlp.exceptions import OptionError, OutputError
 from ctr_nlp.hardware.exports import MACHINE_FORMATS
 from ctr_nlp.plan.metrics import by_frame, summary
@@ -397,6 +398,11 @@ def test_surfaces_turn_left_seen_from_outside(scanned):
 
 
 # `ctr-nlp export`
+
+
+def test_the_help_describes_every_format():
+    text = load(COMMANDS["export"]).parser("ctr-nlp export").description
+    assert [name for name in (*MACHINE_FORMATS, *EXCHANGE_FORMATS) if f" {name}," not in text] == []
 
 
 @pytest.mark.parametrize("to", EXCHANGE_FORMATS)
