@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,12 +12,18 @@ import numpy as np
 import pytest
 from bench import sweep
 from common import named_problem
+from emulator.wire import VirtualClock
 from pages import Page
 
 from ctr_nlp import Limits, Robot, Tube
 from ctr_nlp.anatomy.branch import check_branches
 from ctr_nlp.anatomy.reading import AS_THE_FILE_SAYS
 from ctr_nlp.exceptions import CurveError
+from ctr_nlp.hardware.description import simulated_hardware
+from ctr_nlp.hardware.journal import Journal
+from ctr_nlp.hardware.playing.player import Player
+from ctr_nlp.hardware.playing.results import PlaybackOutcome
+from ctr_nlp.hardware.playing.session import play_plan, prepare_trajectory
 from ctr_nlp.hardware.sensing.description import Sensing
 from ctr_nlp.models import KINEMATIC_MODELS
 from ctr_nlp.ocp.frame import fill_parameters, program
@@ -58,6 +65,22 @@ def test_the_model_is_the_dominant_one_for_a_single_tube(examples):
     dominant = KINEMATIC_MODELS["dominant"]
     np.testing.assert_allclose(model.points(robot, q, sigma), dominant.points(robot, q, sigma), atol=1e-9)
     np.testing.assert_allclose(model.tangents(robot, q, sigma), dominant.tangents(robot, q, sigma), atol=1e-9)
+
+
+def test_the_device_writes_every_command_once_in_order(examples, tmp_path):
+    clock = VirtualClock()
+    plan = sweep(10)
+    hardware = replace(simulated_hardware(plan.robot), arm=None)
+    position = prepare_trajectory(plan, hardware)[0].positions(np.zeros(1))[0]
+    lines = list[str]()
+    device = examples["Lines"](lines.append, position, clock)
+    player = Player(device, None, Journal(tmp_path / "journal.jsonl", clock), clock)
+    assert play_plan(player, plan, hardware).outcome is PlaybackOutcome.SUCCESS
+    times = [float(line.split()[0]) for line in lines]
+    assert len(times) > 10
+    assert times == sorted(set(times))
+    last = json.loads(lines[-1].partition(" ")[2])
+    np.testing.assert_allclose(last, hardware.positions(plan.robot, plan.q[-1]), atol=1e-6)
 
 
 def test_the_sender_gives_each_message_once(examples):
