@@ -52,7 +52,7 @@ class Connection:
         for name, allowed in (("device", MOTOR_DEVICES), ("homing", HOMING_METHODS), ("flow", FLOW)):
             if getattr(self, name) not in allowed:
                 raise HardwareError(
-                    f"{name} of the connection is {getattr(self, name)!r}; it must be {', '.join(allowed)}"
+                    f"{name} of the connection is {getattr(self, name)!r}; it must be one of {', '.join(allowed)}"
                 )
         if self.device != "simulated" and not (isinstance(self.url, str) and self.url):
             raise HardwareError(f"url of the connection is {self.url!r}; a {self.device} device needs one")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 
+from ctr_nlp.exceptions import HardwareError
 from ctr_nlp.hardware.address import canonical_address
 from ctr_nlp.hardware.arm.description import Arm
 from ctr_nlp.hardware.clock import Clock
@@ -25,14 +26,17 @@ def device_of(hardware: Hardware, journal: Journal, clock: Clock, position: Arra
     """Return the device that a hardware file names, not connected yet.
 
     hardware: its connection says which. journal: records every byte or message. clock: of the player. position:
-    (m,) where the axes of a simulated device stand, in their units.
+    (m,) where the axes of a simulated device stand, in their units. Raises HardwareError.
     """
     connection = hardware.connection
+    if connection.device == "simulated":
+        return Simulated(position, clock)
     if connection.device == "grbl":
         return Grbl(hardware, lambda: recorded_link(connection, journal), clock)
     if connection.device == "ros2":
         return Ros2(hardware, journal, clock)
-    return Simulated(position, clock)
+    # Not a simulated device instead: it would report that a motion was played which no motor has made.
+    raise HardwareError(f"device of the connection is {connection.device!r}, which device_of does not build")
 
 
 def recorded_link(connection: Connection, journal: Journal) -> ByteLink:

@@ -38,13 +38,32 @@ SampleArcLengths = Callable[[Sequence[ca.SX]], ca.SX]
 class SymbolicShape:
     """The shape of a robot at some samples, in symbols; everything but x is written in the symbols of inner.
 
-    x (n, 1): the unknowns. alpha (d, 1): the motors' angles; beta: d extensions. points: x, y, z of the samples,
-    mm, and tangents there, if requested, in axes whose directions are base (None: the base frame itself).
-    stability: determinants (k, 1) that are positive where the stability margin is at least the one required, or
-    None. picks: positions of alpha, beta and theta among the entries of x followed by `rows`, and after them of
-    further entries that identify the equilibrium branch; None where x is q. theta (2, 1): the tilt, where x does
-    not contain it. aside (2, 1): where x contains the tilt beside unknowns that determine it, the angles in rad
-    between the base's direction and that tilt; they must be 0.
+    Attributes
+    ----------
+    x : ca.SX
+        The unknowns (n, 1).
+    alpha : ca.SX
+        The motors' angles (d, 1), rad.
+    beta : tuple of ca.SX
+        The d extensions, mm.
+    points : tuple of ca.SX
+        x, y, z of the samples, each (n, 1) mm, in axes whose directions are `base`.
+    inner : Inner
+        Quantities between x and the shape; an empty one, ``Inner()``, where the shape is written in x.
+    tangents : tuple of ca.SX, optional
+        x, y, z of the unit tangents at the samples, in the axes of `points`; None where not requested.
+    base : tuple, optional
+        The three axes in which points and tangents are written; None for the base frame itself.
+    stability : ca.SX, optional
+        Determinants (k, 1) that are positive where the stability margin is at least the one required.
+    picks : tuple of int, optional
+        Positions of alpha, beta and theta among the entries of x followed by `rows`, and after them of further
+        entries that identify the equilibrium branch; None where x is q.
+    theta : ca.SX, optional
+        The tilt (2, 1), rad, where x does not contain it.
+    aside : ca.SX, optional
+        Where x contains the tilt beside unknowns that determine it, the angles (2, 1) in rad between the base's
+        direction and that tilt; they must be 0.
     """
 
     x: ca.SX
@@ -164,10 +183,29 @@ class Model(ABC):
     """A map from configuration to backbone.
 
     A new model defines name and frame; `register` makes it available by name. The defaults suit a model whose
-    unknowns are the configuration q (2d + 2,) itself, with one shape for each. several_equilibria: whether q alone
-    does not determine the unknowns x; then x has d tip angles first, and rest, guess, configuration and follow
-    must be defined. can_snap: whether an equilibrium can become unstable. bends_by_extension: whether curvatures
-    depend on beta alone, which two-stage formulations need.
+    unknowns are the configuration q (2d + 2,) itself, with one shape for each.
+
+    Attributes
+    ----------
+    name : str
+        Name by which options and files call the model. It must differ from every string that code
+        compares with, such as the kinds of tubes.
+    several_equilibria : bool
+        Whether q alone does not determine the unknowns x; then x has d tip angles first, and `rest`, `guess`,
+        `configuration` and `follow` must be defined.
+    can_snap : bool
+        Whether an equilibrium can become unstable.
+    bends_by_extension : bool
+        Whether curvatures depend on beta alone, which two-stage formulations need.
+
+    Examples
+    --------
+    >>> from ctr_nlp import table_i_robot
+    >>> from ctr_nlp.models import model_named
+    >>> robot = table_i_robot()
+    >>> q = np.array([[0.0, 0.0, 0.0, 20.0, 50.0, 90.0, 0.0, 0.0]])
+    >>> model_named("dominant").points(robot, q, np.array([0.0, 1.0])).shape
+    (1, 2, 3)
     """
 
     name: str
@@ -205,10 +243,23 @@ class Model(ABC):
     ) -> SymbolicShape:
         """Build the shape of one frame in symbols.
 
-        structure: kinds of the tubes. tubes: their numbers, as symbols. sample_lengths: maps the extensions beta
-        to the arc lengths (n, 1) of the samples, mm. margin: least stability margin for which
-        SymbolicShape.stability is built, a symbol; None for none. tangents: whether tangents at the samples are
-        needed, too.
+        Parameters
+        ----------
+        structure : Structure
+            Kinds of the tubes.
+        tubes : Tubes
+            Their numbers, as symbols, outermost first.
+        sample_lengths : callable
+            Maps the d extensions beta to the arc lengths (n, 1) of the samples, mm.
+        margin : ca.SX, optional
+            Least stability margin for which `SymbolicShape.stability` is built; None for none.
+        tangents : bool
+            Whether tangents at the samples are needed, too.
+
+        Returns
+        -------
+        SymbolicShape
+            Its `x` are new symbols.
         """
 
     @property

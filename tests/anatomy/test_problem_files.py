@@ -11,6 +11,7 @@ from common import UNJUDGED, named_problem
 
 from ctr_nlp import problem_from_file, table_i_robot
 from ctr_nlp.anatomy.branch import transform_points
+from ctr_nlp.anatomy.files import ANATOMY_SUFFIXES
 from ctr_nlp.cli.commands.branches import main as list_branches
 from ctr_nlp.cli.commands.plan import plan as solve_horizon
 from ctr_nlp.cli.commands.plan import steer as solve_per_frame
@@ -289,7 +290,7 @@ CASES = {
     "too short": ("path.csv", ["--target", *(GENTLE[0] + [0, 0, 0.4])], "path is 0.4 mm long; it must be at"),
     "metres": ("metres.csv", [], "in m that would be"),
     "too long": ("long.csv", [], "240.00 mm long and the robot reaches 150.00"),
-    "unknown kind": ("path.stl", [], ".mrk.json, .json, .vtp, .vtk, .vtu, .nii, .nii.gz, .nrrd, .nhdr"),
+    "unknown kind": ("path.stl", [], f"its name must end in {', '.join(ANATOMY_SUFFIXES)}"),
     "no file": ("nowhere.vtp", [], "an existing centreline file (.csv, .tsv"),
     "no insertion": ("path.csv", ["--insertion", 0, 0, 0], "insertion direction is [0.0, 0.0, 0.0];"),
     "insertion backwards": ("path.csv", ["--insertion", 0, 0, -1], "is 179 degrees away from where the path"),

@@ -134,7 +134,7 @@ RIG_FILES = [
     (
         'device = "simulated"  ',
         'device = "lpt1"',
-        "device of the connection is 'lpt1'; it must be simulated, grbl, ros2",
+        "device of the connection is 'lpt1'; it must be one of simulated, grbl, ros2",
     ),
     ('device = "simulated"  ', 'device = "grbl"', "url of the connection is ''; a grbl device needs one"),
     ("[arm]", "[arm]\nspeed = 3", "key 'speed' is unknown in arm"),

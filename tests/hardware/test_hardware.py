@@ -91,10 +91,10 @@ def test_an_axis_that_cannot_be_is_refused(changes, message):
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"device": "lpt"}, "device of the connection is 'lpt'; it must be simulated, grbl, ros2"),
+        ({"device": "lpt"}, "device of the connection is 'lpt'; it must be one of simulated, grbl, ros2"),
         ({"device": ["grbl"]}, "device of the connection"),
-        ({"homing": "never"}, "homing of the connection is 'never'; it must be manual, cycle"),
-        ({"flow": "fast"}, "flow of the connection is 'fast'; it must be count, wait"),
+        ({"homing": "never"}, "homing of the connection is 'never'; it must be one of manual, cycle"),
+        ({"flow": "fast"}, "flow of the connection is 'fast'; it must be one of count, wait"),
         ({"device": "grbl"}, "url of the connection is ''; a grbl device needs one"),
         ({"device": "ros2", "url": 5}, "url of the connection is 5; a ros2 device needs one"),
         ({"baud": 0}, "baud of the connection is 0; it must be a positive whole number"),

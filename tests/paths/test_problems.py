@@ -10,8 +10,8 @@ from ctr_nlp import Plan, curve_from_points
 from ctr_nlp.paths.target import SIGMA_GRID
 
 
-def test_there_are_eight():
-    assert NAMES == ["arc", "bronchus", "cos", "euler", "euler_mixed", "line", "line_arc", "synthesis"]
+def test_the_problems_of_the_pages_are_there():
+    assert {"arc", "bronchus", "cos", "euler", "euler_mixed", "line", "line_arc", "synthesis"} <= set(NAMES)
 
 
 @pytest.mark.parametrize("name", NAMES)

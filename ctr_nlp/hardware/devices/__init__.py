@@ -10,9 +10,14 @@ from ctr_nlp.typing import Array
 
 
 class Standing(NamedTuple):
-    """Position (m,) of the axes of a device at rest, in their units.
+    """Position of the axes of a device at rest.
 
-    homed: whether the device knows that the motors are there.
+    Attributes
+    ----------
+    position : ndarray
+        Position (m,) of the axes, in their units.
+    homed : bool
+        Whether the device knows that the motors are there.
     """
 
     position: Array
@@ -22,10 +27,18 @@ class Standing(NamedTuple):
 class Signs(NamedTuple):
     """Signs of trouble that a device shows beside its position; the supervision judges them.
 
-    anomaly: a sentence on what it reported or did and no sound device does, "" for nothing. override: factor on
-    all speeds, in %, None where it is not reported. stalled: s for which the device has done nothing although it
-    was given something to do. cause: why, as far as that can be known, "" where it cannot. off_path_cause: why the
-    axes are further from the path than such a device can be, "" where they are not.
+    Attributes
+    ----------
+    anomaly : str
+        A sentence on what it reported or did and no sound device does; empty for nothing.
+    override : float, optional
+        Factor on all speeds, in %; None where it is not reported.
+    stalled : float
+        Time, s, for which the device has done nothing although it was given something to do.
+    cause : str
+        Why it stalled; empty where that cannot be known.
+    off_path_cause : str
+        Why the axes are further from the path than such a device can be; empty where they are not.
     """
 
     anomaly: str = ""
@@ -38,9 +51,20 @@ class Signs(NamedTuple):
 class MotionProgress(NamedTuple):
     """How far a device has come.
 
-    state: "running", "holding" (slowing down), "held" or "done". time: s of the trajectory that have been played.
-    position (m,): of the axes, in their units; stamp: when it was measured, s of the clock. away: distance from
-    the path, in parts of the axes' tolerances. signs: of trouble.
+    Attributes
+    ----------
+    state : str
+        ``"running"``, ``"holding"`` (slowing down), ``"held"`` or ``"done"``.
+    time : float
+        Time of the trajectory that has been played, s.
+    position : ndarray
+        Position (m,) of the axes, in their units.
+    stamp : float
+        When the position was measured, s of the clock.
+    away : float
+        Distance from the path, in parts of the axes' tolerances.
+    signs : Signs
+        Signs of trouble.
     """
 
     state: str
@@ -52,7 +76,7 @@ class MotionProgress(NamedTuple):
 
 
 Asked = Callable[[], bool]
-"""Returns whether a stop has been requested."""
+"""Function that returns whether a stop has been requested."""
 
 
 class RunningMotion(Protocol):

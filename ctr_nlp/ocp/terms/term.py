@@ -29,8 +29,16 @@ Symbols = Mapping[str, ca.SX]
 class Body:
     """The robot as a term sees it, in symbols: its configuration, and its shape at the term's own sample points.
 
-    q (2d + 2, 1). tubes: with symbols for numbers. shape: at the sample points of all terms; span: which of them
-    are this term's.
+    Attributes
+    ----------
+    q : ca.SX
+        Configuration (2d + 2, 1): alpha in rad, beta in mm, theta in rad, eq. (5).
+    tubes : Tubes
+        The tubes, with symbols for numbers.
+    shape : SymbolicShape
+        The shape at the sample points of all terms; `points` and `tangents` are those of this term.
+    span : slice
+        Which sample points of `shape` are this term's.
     """
 
     q: ca.SX
@@ -77,7 +85,18 @@ class Body:
 class Parts:
     """Contributions of a term to a program.
 
-    inner: layers of quantities between shape and term. slack: one more unknown, >= 0.
+    Attributes
+    ----------
+    residuals : tuple of Residual
+        Values in mm; the objective gains their squares.
+    costs : tuple of CostTerm
+        Values in mm^2, which the objective gains as they are.
+    constraints : tuple of Constraint
+        Values between bounds.
+    inner : tuple of Inner
+        Layers of quantities between the shape and the term.
+    slack : ca.SX, optional
+        One more unknown, >= 0.
     """
 
     residuals: tuple[Residual, ...] = ()
@@ -91,9 +110,36 @@ class Term(ABC):
     """A residual, cost or constraint on a frame's shape. Numbers that vary from frame to frame are parameters.
 
     A new term is a frozen dataclass with a name, and with build; the other methods have defaults. Its fields are
-    part of what is compiled, unless key omits them and they enter as parameters. tangents: whether build needs the
-    tangents at its sample points. of_settings: whether the planner adds it because of its settings.
-    objective_only: whether build adds no constraint.
+    part of what is compiled, unless key omits them and they enter as parameters.
+
+    Attributes
+    ----------
+    name : str
+        Name in messages and of its residuals.
+    tangents : bool
+        Whether `build` needs the tangents at its sample points.
+    of_settings : bool
+        Whether the planner adds it because of its settings.
+    objective_only : bool
+        Whether `build` adds no constraint.
+
+    Examples
+    --------
+    The cost 4 x^2, mm^2, where x is the tip's first coordinate, mm:
+
+    >>> from ctr_nlp.ocp.nlp import Residual
+    >>> @dataclass(frozen=True)
+    ... class TipSide(Term):
+    ...     name = "tip_side"
+    ...     objective_only = True
+    ...
+    ...     def sample_arc_lengths(self, beta):
+    ...         return beta[-1]
+    ...
+    ...     def build(self, body, parameters):
+    ...         return Parts(residuals=(Residual(self.name, 2 * body.points[0]),))
+    >>> str(TipSide())
+    'TipSide()'
     """
 
     name: str
@@ -118,9 +164,17 @@ class Term(ABC):
         return self
 
     def sample_arc_lengths(self, beta: Sequence[ca.SX]) -> ca.SX:
-        """Return the arc lengths (n, 1), mm, at which the term samples a robot of extensions beta, mm.
+        """Return the arc lengths at which the term samples the robot; by default it needs none.
 
-        By default a term needs none.
+        Parameters
+        ----------
+        beta : sequence of ca.SX
+            The d extensions, mm; the last one is the arc length of the tip.
+
+        Returns
+        -------
+        ca.SX
+            Arc lengths (n, 1), mm.
         """
         return ca.SX(0, 1)
 
@@ -132,8 +186,17 @@ class Term(ABC):
     def build(self, body: Body, parameters: Symbols) -> Parts:
         """Return the term's contributions, as symbols.
 
-        body: the robot at the term's sample points. parameters: symbols of this and other terms' parameters, by
-        name.
+        Parameters
+        ----------
+        body : Body
+            The robot at the term's sample points.
+        parameters : mapping
+            Symbols of this and other terms' parameters, by name.
+
+        Returns
+        -------
+        Parts
+            Residuals in mm, costs in mm^2, constraints.
         """
 
     def fill(self, frame: Frame) -> Mapping[str, Any]:

@@ -18,7 +18,9 @@ from ctr_nlp import Problem, curve_from_formula, growing, table_i_robot
 from ctr_nlp.anatomy.files import read_branches
 from ctr_nlp.anatomy.problem_files import problem_from_file
 from ctr_nlp.cli.commands.export import main
+from ctr_nlp.cli.main import COMMANDS, load
 from ctr_nlp.exceptions import OptionError, OutputError
+from ctr_nlp.hardware.exports import MACHINE_FORMATS
 from ctr_nlp.plan.metrics import by_frame, summary
 from ctr_nlp.plan.summary_text import NOT_FOR_PATIENTS
 from ctr_nlp.view.exchange.configurations import plan_through
@@ -398,6 +400,11 @@ def test_surfaces_turn_left_seen_from_outside(scanned):
 # `ctr-nlp export`
 
 
+def test_the_help_describes_every_format():
+    text = load(COMMANDS["export"]).parser("ctr-nlp export").description
+    assert [name for name in (*MACHINE_FORMATS, *EXCHANGE_FORMATS) if f" {name}," not in text] == []
+
+
 @pytest.mark.parametrize("to", EXCHANGE_FORMATS)
 def test_files_are_written_beside_the_plan_and_replaced(to, file, capsys):
     if to == "slicer":
@@ -422,7 +429,7 @@ def test_a_file_of_the_user_is_not_replaced(to, file, capsys):
 @pytest.mark.parametrize(
     ("arguments", "told"),
     [
-        ("--to gltf --tempo 0.5", "--tempo goes with commands of machines (csv, gcode, urscript, rosbag2)"),
+        ("--to gltf --tempo 0.5", f"--tempo goes with commands of machines ({', '.join(MACHINE_FORMATS)})"),
         ("--to mat --hardware rig.toml", "--hardware goes with commands of machines"),
         ("--to slicer --storage mcap", "--storage goes with --to rosbag2; a slicer file has none"),
         ("--to mat --space LPS", "--space goes with --to slicer; a mat file is in the robot's base frame"),
