@@ -20,13 +20,22 @@ FAILS: Mapping[str, str] = {
     "within_limits": "exceeds limits",
     "arrives": "does not arrive",
     "within_wall": "touches the wall",
-    "holds": "not held when built",
+    "holds": "does not hold on built robots",
 }
 """Check of CHECKS -> label, in words, of plans that fail it first."""
+FAIL_VERBS: Mapping[str, tuple[str, str]] = {
+    "solved": ("is not solved", "are not solved"),
+    "stable": ("snaps", "snap"),
+    "within_limits": ("exceeds limits", "exceed limits"),
+    "arrives": ("does not arrive", "do not arrive"),
+    "within_wall": ("touches the wall", "touch the wall"),
+    "holds": ("does not hold on built robots", "do not hold on built robots"),
+}
+"""The same in sentences, of one plan and of several."""
 QUARTILES = {"least": 0.0, "quarter": 0.25, "median": 0.5, "three quarters": 0.75, "most": 1.0}
 REACHED_PAGE_EXPLANATION = """\
 
-![What becomes of plans](reached.png)
+![Outcomes of the plans of each kind](reached.png)
 
 An end is **reached** where the plan is solved and stable on the elastic model, keeps the limits, brings the tip
 within the tolerance of the target's end, presses no deeper into the wall than is allowed, in frames and between
@@ -57,7 +66,8 @@ def _failure_reasons(way: MethodOutcomes) -> str:
     """Describe why ends are not reached, the most frequent reason first; empty where all are."""
     counts = {check: sum(outcome.failed == check for outcome in way.outcomes) for check in CHECKS}
     failed = sorted((check for check in CHECKS if counts[check]), key=lambda check: -counts[check])
-    return "".join(f"; {counts[check]} {FAILS[check]}" for check in failed)
+    told = [f"{counts[check]} {FAIL_VERBS[check][counts[check] > 1]}" for check in failed]
+    return f"; of the other plans, {', '.join(told)}" if told else ""
 
 
 def page(ways: Sequence[MethodOutcomes]) -> str:
