@@ -31,7 +31,7 @@ from ctr_nlp.check.tubes import (
     read_tubes,
     replace_by_dominant,
 )
-from ctr_nlp.check.walls import FIELD_ERROR_MM, Wall, find_deepest_contact, measure_left, read_walls
+from ctr_nlp.check.walls import FIELD_ERROR_MM, MEASURED_MM, Wall, find_deepest_contact, measure_left, read_walls
 
 YES, NO, NOT_COVERED = "yes", "no", "not covered"
 VERDICTS = "solved", "arrives", "follows", "stable", "within_limits", "within_wall", "holds"
@@ -414,9 +414,13 @@ def _judge_samples(
         points = body.interpolate(SIGMA * body.s[-1][:, None])
         found.sample_e2[rows, frame] = measure_errors(points, file.arrays["target"][frame])
         found.sample_tips[rows] = points[:, -1]
-        # For samples, plans record contact with the smooth surfaces.
         for wall in walls:
-            contact[rows] = np.maximum(contact[rows], find_deepest_contact(wall, body, exactly=False))
+            depth = find_deepest_contact(wall, body, exactly=False)
+            # Only where it may be the deepest of a robot's motion, contact is measured at the triangles.
+            question = depth > np.maximum(contact[rows], -MEASURED_MM) - FIELD_ERROR_MM
+            if question.any():
+                depth[question] = find_deepest_contact(wall, body.select(np.flatnonzero(question)))
+            contact[rows] = np.maximum(contact[rows], np.where(question, depth, -MEASURED_MM))
 
     tubes = read_tubes(file.meta["robot"], drawn[0])
     found.lost[:] |= move_samples(tubes, drawn[1].T, q, measure, SAMPLE_SUBSTEPS, settle) > 0

@@ -297,6 +297,10 @@ class Body:
     tangents: Array
     radius: Array
 
+    def select(self, rows: Array) -> Body:
+        """Return the shapes of some of the robots; rows: their numbers."""
+        return Body(self.s[:, rows], self.points[:, rows], self.tangents[:, rows], self.radius[:, rows])
+
     def interpolate(self, s: Array) -> Array:
         """Return points (n, m, 3) mm at arc lengths s (n, m) mm."""
         # The last end at or before s; steps of length 0, where two tubes end together, are passed over.

@@ -13,10 +13,9 @@ from typing import Any
 
 import numpy as np
 
-from ctr_nlp.ocp.compiled_wall import WallDistance
-from ctr_nlp.paths.target import SIGMA_GRID
 from ctr_nlp.paths.walls import WallGeometry
 from ctr_nlp.plan.measures import rms_over_sigma
+from ctr_nlp.plan.motion_evaluation import clearance_from_wall, parts_of
 from ctr_nlp.plan.plan_data import PlanData
 from ctr_nlp.plan.robustness import COSTLY, Robustness
 from ctr_nlp.plan.sample_motions import SampleMotions, simulate_samples
@@ -99,9 +98,11 @@ def clearances(robot: Robot, wall: WallGeometry, beta: Array, shape: Array) -> A
     Returns
     -------
     ndarray
-        Least clearance (n, T) over each body, mm; negative beyond the wall, NaN where a robot has no shape.
+        Least clearance (n, T) over each body, mm; negative beyond the wall, NaN where a robot has no shape. The
+        least of each robot is exact: it is measured at the triangles of walls that have some.
     """
-    return np.asarray(WallDistance(wall).clearances(robot, beta, shape, SIGMA_GRID).min(axis=2))
+    each = [clearance_from_wall(robot, part, beta, shape, axes=(1, 2)).min(axis=2) for part in parts_of(wall)]
+    return np.asarray(np.min(each, axis=0))
 
 
 def _distance(plan: PlanData, found: SampleMotions) -> Array:

@@ -107,17 +107,46 @@ def wall_clearances(robot: Robot, wall: WallGeometry, beta: Array, shape: Array)
         Clearance (T, W, 101), mm, of W walls; negative beyond a wall or its margin. Where a body's triangles are
         known, the least of each row is exact: points that may be it are measured at the triangles.
     """
-    parts = wall.each if isinstance(wall, Walls) else [wall]
-    found = np.empty((len(shape), len(parts), len(SIGMA_GRID)))
-    radii = outermost_tube_radii(robot, beta, SIGMA_GRID)
-    for k, part in enumerate(parts):
-        alone = Walls(None, (part,)) if isinstance(part, Body) else part
-        found[:, k] = clear = WallDistance(alone).clearances(robot, beta, shape, SIGMA_GRID)
-        if isinstance(part, Body) and part.surface is not None:
-            least = np.fmin.reduce(clear, axis=1, keepdims=True)
-            small = clear < np.minimum(least + FIELD_ERROR_MM, MEASURED_CLEARANCE_MM)
-            found[:, k][small] = part.room(shape[small]) - radii[small]
-    return found
+    return np.stack([clearance_from_wall(robot, part, beta, shape, axes=(1,)) for part in parts_of(wall)], axis=1)
+
+
+def parts_of(wall: WallGeometry) -> list[WallGeometry]:
+    """Return the walls that a wall consists of, one by one."""
+    return wall.each if isinstance(wall, Walls) else [wall]
+
+
+def clearance_from_wall(
+    robot: Robot, part: WallGeometry, beta: Array, shape: Array, axes: tuple[int, ...]
+) -> Array:
+    """Compute the clearance between robots and one wall.
+
+    Parameters
+    ----------
+    robot : Robot
+        The robot.
+    part : WallGeometry
+        A lumen or a body.
+    beta : ndarray
+        Extensions (T, d), mm.
+    shape : ndarray
+        Shapes (.., T, 101, 3), mm, at uniform sigma; NaN where a robot has none.
+    axes : tuple of int
+        Axes of the result over which the least must be exact.
+
+    Returns
+    -------
+    ndarray
+        Clearance (.., T, 101), mm; negative beyond the wall or its margin. Where a body's triangles are known,
+        points that may be the least over `axes` are measured at these.
+    """
+    alone = Walls(None, (part,)) if isinstance(part, Body) else part
+    clear = WallDistance(alone).clearances(robot, beta, shape, SIGMA_GRID)
+    if isinstance(part, Body) and part.surface is not None:
+        least = np.fmin.reduce(clear, axis=axes, keepdims=True)
+        small = clear < np.minimum(least + FIELD_ERROR_MM, MEASURED_CLEARANCE_MM)
+        radii = np.broadcast_to(outermost_tube_radii(robot, beta, SIGMA_GRID), clear.shape)
+        clear[small] = part.room(shape[small]) - radii[small]
+    return clear
 
 
 def clearances_between(robot: Robot, q: Array, model: str | Model, wall: WallGeometry) -> Array:
