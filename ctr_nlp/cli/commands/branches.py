@@ -87,7 +87,12 @@ def _run(arguments: argparse.Namespace) -> int:
             report(len(rows), count, branches.branches[len(rows) - 1].name)
     if arguments.out:
         _draw(branches, Path(arguments.file).name, Path(arguments.out))
-    print_table(f"{arguments.file}, in mm; coordinates {branches.space}", BRANCH_TABLE_COLUMNS, rows)
+    columns = list(BRANCH_TABLE_COLUMNS)
+    if all(generation is None for generation in generations):  # known in trees alone
+        place = columns.index("generation")
+        for row in (columns, *rows):
+            del row[place]
+    print_table(f"{arguments.file}, in mm; coordinates {branches.space}", columns, rows)
     if arguments.save:
         with output_file(Path(arguments.save)) as partial:
             write_vtk(partial, branches)

@@ -15,6 +15,7 @@ from ctr_nlp.cli.terminal_output import busy, report_written_files
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.plan.monte_carlo import DEFAULT_PLAN_SAMPLE_SEED, DEFAULT_PLAN_SAMPLES
 from ctr_nlp.plan.plan import Plan
+from ctr_nlp.support.value_checks import whole_number
 
 
 def _parser(prog: str) -> argparse.ArgumentParser:
@@ -46,6 +47,7 @@ def _parser(prog: str) -> argparse.ArgumentParser:
 
 def _run(arguments: argparse.Namespace) -> int:
     plan = Plan.load(arguments.plan)
+    whole_number(OptionError, "draws", arguments.draws)
     out = Path(arguments.out or f"runs/{path_component(str(plan.meta['problem']['name']))}-robust")
     check_folder(out, "robust")
     plan = with_thresholds(plan if arguments.evaluate is None else plan.evaluate_on(arguments.evaluate), arguments)
