@@ -20,8 +20,8 @@ import numpy as np
 from ctr_nlp.check.plan_file import PlanFile
 from ctr_nlp.check.tubes import (
     Array,
-    Body,
     NominalMotion,
+    RobotShape,
     Settle,
     compute_body,
     compute_stability_margins,
@@ -229,7 +229,7 @@ def _measure(found: CheckResult, nominal: NominalMotion, walls: list[Wall]) -> A
     return depth
 
 
-def _compute_bodies(nominal: NominalMotion, known: Any) -> Iterator[tuple[Array, Any, Body]]:
+def _compute_bodies(nominal: NominalMotion, known: Any) -> Iterator[tuple[Array, Any, RobotShape]]:
     """Yield groups of places (T, 10) of a motion among those that are `known`, with their twists and bodies."""
     places = np.argwhere(known)
     for first in range(0, places.shape[0], GROUP):
@@ -439,5 +439,5 @@ def compute_dominant_shapes(file: PlanFile) -> Array:
     alpha, beta, theta = (file.arrays[name].T for name in ("alpha", "beta", "theta"))
     tubes = read_tubes(file.meta["robot"]).repeat(alpha.shape[1])
     twist = integrate(tubes, alpha, beta, np.zeros_like(alpha), sensitivities=False)
-    body: Body = compute_body(replace_by_dominant(twist, alpha), theta)
+    body: RobotShape = compute_body(replace_by_dominant(twist, alpha), theta)
     return body.interpolate(SIGMA * beta[-1][:, None])

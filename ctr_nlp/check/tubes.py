@@ -286,7 +286,7 @@ def replace_by_dominant(twist: Twist, alpha: Array) -> Twist:
 
 
 @dataclass(frozen=True, eq=False)
-class Body:
+class RobotShape:
     """Shapes of n robots at the ends of N steps: s (N, n) mm, points and unit tangents (N, n, 3).
 
     radius (N - 1, n): of the outermost tube on each step, mm. Between ends a shape is a cubic in s.
@@ -297,9 +297,9 @@ class Body:
     tangents: Array
     radius: Array
 
-    def select(self, rows: Array) -> Body:
+    def select(self, rows: Array) -> RobotShape:
         """Return the shapes of some of the robots; rows: their numbers."""
-        return Body(self.s[:, rows], self.points[:, rows], self.tangents[:, rows], self.radius[:, rows])
+        return RobotShape(self.s[:, rows], self.points[:, rows], self.tangents[:, rows], self.radius[:, rows])
 
     def interpolate(self, s: Array) -> Array:
         """Return points (n, m, 3) mm at arc lengths s (n, m) mm."""
@@ -322,7 +322,7 @@ class Body:
         )
 
 
-def compute_body(twist: Twist, theta: Array) -> Body:
+def compute_body(twist: Twist, theta: Array) -> RobotShape:
     """Shapes of robots at base tilts theta (2, n), rad: R = Ry(theta_y) Rx(theta_x).
 
     The frame turns by R' = R hat(w), w = (-u_y, u_x, 0): Magnus' method of order 4 on Gauss's two points of every
@@ -349,7 +349,7 @@ def compute_body(twist: Twist, theta: Array) -> Body:
             nodes.append((s, point, frame[:, :, 2]))
             radius.append(outermost)
     places, points, tangents = (np.array(each) for each in zip(*nodes, strict=True))
-    return Body(places, points, tangents, np.array(radius))
+    return RobotShape(places, points, tangents, np.array(radius))
 
 
 def _bending_in_space(frame: Array, u: Array) -> Array:

@@ -16,7 +16,7 @@ import numpy as np
 from scipy.ndimage import map_coordinates
 from scipy.spatial import cKDTree
 
-from ctr_nlp.check.tubes import Array, Body
+from ctr_nlp.check.tubes import Array, RobotShape
 
 WALL_SPACING_MM = 0.1
 """Between the points of a lumen's path."""
@@ -255,7 +255,7 @@ def _read_bodies(arrays: dict[str, Array], packed: dict[str, Any] | None) -> lis
     return list(resolve(packed["bodies"]))
 
 
-def find_deepest_contact(wall: Wall, body: Body, exactly: bool = True) -> Array:
+def find_deepest_contact(wall: Wall, body: RobotShape, exactly: bool = True) -> Array:
     """Return the deepest contact (n,) of robots, mm; negative where a robot is clear of the wall, by that much.
 
     exactly: whether the places that decide are measured at the triangles of the wall.

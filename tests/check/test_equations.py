@@ -10,7 +10,7 @@ from scipy.optimize import brentq
 from ctr_nlp.check.checker import NO, YES, _judge_limits
 from ctr_nlp.check.tubes import (
     CONVERGED_RATE,
-    Body,
+    RobotShape,
     compute_body,
     compute_stability_margins,
     integrate,
@@ -190,12 +190,12 @@ def test_deepest_contact_sees_the_end_of_the_wider_tube():
     slope = 0.05
     s = np.array([[0.0], [40.0], [90.0]])
     direction = np.array([slope, 0.0, np.sqrt(1 - slope**2)])
-    body = Body(s, s[..., None] * direction, np.tile(direction, (3, 1, 1)), np.array([[2.5], [0.5]]))
+    body = RobotShape(s, s[..., None] * direction, np.tile(direction, (3, 1, 1)), np.array([[2.5], [0.5]]))
     wide, thin = slope * 40 + 2.5, slope * 90 + 0.5
     assert find_deepest_contact(LumenWall(cylinder(4.0)), body)[0] == pytest.approx(
         max(wide, thin) - 4.0, abs=1e-9
     )
-    thick_first = Body(body.s, body.points, body.tangents, np.array([[3.9], [0.5]]))
+    thick_first = RobotShape(body.s, body.points, body.tangents, np.array([[3.9], [0.5]]))
     assert find_deepest_contact(LumenWall(cylinder(4.0)), thick_first)[0] == pytest.approx(
         slope * 40 + 3.9 - 4.0, abs=1e-9
     )
