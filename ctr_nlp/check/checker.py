@@ -31,7 +31,14 @@ from ctr_nlp.check.tubes import (
     read_tubes,
     replace_by_dominant,
 )
-from ctr_nlp.check.walls import FIELD_ERROR_MM, MEASURED_MM, Wall, find_deepest_contact, measure_left, read_walls
+from ctr_nlp.check.walls import (
+    FIELD_ERROR_MM,
+    MEASURED_MM,
+    MeasuredWall,
+    find_deepest_contact,
+    measure_left,
+    read_walls,
+)
 
 YES, NO, NOT_COVERED = "yes", "no", "not covered"
 VERDICTS = "solved", "arrives", "follows", "stable", "within_limits", "within_wall", "holds"
@@ -203,7 +210,7 @@ def _make_empty_result(file: PlanFile, frames: int, samples: int) -> CheckResult
     )
 
 
-def _measure(found: CheckResult, nominal: NominalMotion, walls: list[Wall]) -> Array:
+def _measure(found: CheckResult, nominal: NominalMotion, walls: list[MeasuredWall]) -> Array:
     """Fill in shapes, margins and clearances of a motion, and return the deepest contacts (T, 10, W), mm."""
     known = np.isfinite(nominal.rates).all(axis=-1)
     depth = np.full((*known.shape, len(walls)), np.nan)
@@ -239,7 +246,7 @@ def _compute_bodies(nominal: NominalMotion, known: Any) -> Iterator[tuple[Array,
         yield chosen, twist, compute_body(twist, theta)
 
 
-def measure_clearance(walls: list[Wall], points: Array, beta: Array, radius: Array) -> Array:
+def measure_clearance(walls: list[MeasuredWall], points: Array, beta: Array, radius: Array) -> Array:
     """Return the clearance (n, 101), mm, of points (n, 101, 3) at uniform sigma.
 
     beta (d, n), radius (d, n): extensions and radii of tubes, mm. The outermost tube at a place counts.
@@ -261,7 +268,7 @@ def threshold(file: PlanFile, name: str) -> float:
     return float(file.meta.get("options", {}).get(name, THRESHOLDS[name]))
 
 
-def _judge_shapes(found: CheckResult, depth: Array, walls: list[Wall]) -> dict[str, Finding]:
+def _judge_shapes(found: CheckResult, depth: Array, walls: list[MeasuredWall]) -> dict[str, Finding]:
     """Return the verdicts on shapes and margins; depth (T, 10, W): deepest contacts with the walls, mm."""
     file = found.file
     asked = file.meta.get("options", {}).get("stability_margin")
@@ -395,7 +402,7 @@ def _judge_samples(
     found: CheckResult,
     q: Array,
     nominal_tips: Array,
-    walls: list[Wall],
+    walls: list[MeasuredWall],
     drawn: tuple[Array, Array],
     settle: Settle | None,
 ) -> Finding:

@@ -34,7 +34,7 @@ BLOCK_CELLS = 8
 """Cells along each side of a block of a grid, as the format of the file has it."""
 
 
-class Wall(Protocol):
+class MeasuredWall(Protocol):
     """Protocol of walls; kept_out: whether it is a body that the robot keeps out of."""
 
     kept_out: bool
@@ -208,17 +208,17 @@ class FieldWall:
         return (self._sign * found - self._margin).reshape(points.shape[:-1])
 
 
-def read_walls(arrays: dict[str, Array], meta: dict[str, Any]) -> list[Wall]:
+def read_walls(arrays: dict[str, Array], meta: dict[str, Any]) -> list[MeasuredWall]:
     """Return the walls in a plan's arrays and meta, an empty list without any."""
     bodies = _read_bodies(arrays, meta.get("walls"))
-    walls: list[Wall] = [FieldWall(body) for body in bodies]
+    walls: list[MeasuredWall] = [FieldWall(body) for body in bodies]
     # The lumen around the path is no wall where the robot stays inside of a body.
     if "lumen" in arrays and all(body["keep_out"] for body in bodies):
         walls.append(LumenWall(arrays["lumen"]))
     return walls
 
 
-def measure_left(walls: list[Wall], points: Array, radius: Array, exactly: bool = True) -> Array:
+def measure_left(walls: list[MeasuredWall], points: Array, radius: Array, exactly: bool = True) -> Array:
     """Return the clearance (n, m), mm, of points (n, m, 3) from the nearest of some walls.
 
     radius (n, m): of the robot there, mm. exactly: whether points that may be the least of their row are measured
@@ -255,7 +255,7 @@ def _read_bodies(arrays: dict[str, Array], packed: dict[str, Any] | None) -> lis
     return list(resolve(packed["bodies"]))
 
 
-def find_deepest_contact(wall: Wall, body: RobotShape, exactly: bool = True) -> Array:
+def find_deepest_contact(wall: MeasuredWall, body: RobotShape, exactly: bool = True) -> Array:
     """Return the deepest contact (n,) of robots, mm; negative where a robot is clear of the wall, by that much.
 
     exactly: whether the places that decide are measured at the triangles of the wall.
