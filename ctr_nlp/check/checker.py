@@ -268,6 +268,11 @@ def threshold(file: PlanFile, name: str) -> float:
     return float(file.meta.get("options", {}).get(name, THRESHOLDS[name]))
 
 
+def sample_contact_allowed(file: PlanFile) -> float:
+    """Return how deep a sample may be in a wall, mm."""
+    return max(SAMPLE_CONTACT_MM, threshold(file, "contact_allowed"))
+
+
 def _judge_shapes(found: CheckResult, depth: Array, walls: list[MeasuredWall]) -> dict[str, Finding]:
     """Return the verdicts on shapes and margins; depth (T, 10, W): deepest contacts with the walls, mm."""
     file = found.file
@@ -434,7 +439,7 @@ def _judge_samples(
     found.sample_tips[found.lost] = contact[found.lost] = found.sample_e2[found.lost] = np.nan
     arrived = found.sample_tip <= threshold(file, "arrival_tolerance")
     found.missed[:] = ~found.lost & ~(arrived & (found.findings["arrives"].why != DETOUR))
-    found.pressed[:] = ~found.lost & (contact > max(SAMPLE_CONTACT_MM, threshold(file, "contact_allowed")))
+    found.pressed[:] = ~found.lost & (contact > sample_contact_allowed(file))
     share = float((~(found.lost | found.missed | found.pressed)).mean())
     needed = threshold(file, "share")
     why = f"{found.lost.sum()} of {len(contact)} are lost, {found.missed.sum()} miss, {found.pressed.sum()} press."

@@ -179,11 +179,14 @@ def test_recorded_values_are_compared_where_others_were_found():
 def compared(name, word, number, finding, **changes):
     findings = dict.fromkeys((*VERDICTS, *RECORDS), Finding(YES, 1.0, 1.0)) | {name: finding}
     arrays = {"stability": np.array(changes.get("stability", [0.5])), "draws_parts": np.zeros((40, 1, 5))}
+    moved = changes.get("moved", 40)
     found = SimpleNamespace(
         file=file_of(arrays),
         findings=findings,
         snaps=changes.get("snaps", []),
-        lost=np.zeros(changes.get("moved", 40)),
+        lost=np.zeros(moved, bool),
+        sample_contact=np.resize(changes.get("contact", [-5.0]), moved),
+        sample_tip=np.resize(changes.get("tip", [0.3]), moved),
     )
     own = {name: SimpleNamespace(word=word, number=number)}
     opinions = {each.name: each for each in comparison.compare_verdicts(found, own)}
@@ -218,6 +221,10 @@ def test_numbers_may_differ_by_their_tolerance():
     assert compared("holds", YES, 0.95, Finding(NO, 0.925, -0.025))
     assert not compared("holds", YES, 0.95, Finding(NO, 0.9, -0.05))
     assert compared("holds", NO, 0.5, Finding(NO, 0.75, -0.2), moved=4)
+    # Samples whose contact or tip lies at the limit may count in one view alone.
+    assert compared("holds", NO, 0.5, Finding(NO, 0.6, -0.35), contact=[1.05, -3.0, -3.0, -3.0])
+    assert compared("holds", NO, 0.5, Finding(NO, 0.6, -0.35), tip=[1.9, 0.3, 0.3, 0.3])
+    assert not compared("holds", NO, 0.5, Finding(NO, 0.6, -0.35), contact=[1.25, -3.0, -3.0, -3.0])
 
 
 def test_numbers_on_another_model_are_not_compared():
