@@ -98,6 +98,14 @@ def test_a_diameter_is_halved(written):
     assert read_branches(written(curve(measurements=[diameters]))).branches[0].radius == pytest.approx(3.0)
 
 
+@pytest.mark.parametrize("key", ["coordinateUnits", "coordinateSystem", "type"])
+def test_a_message_shows_the_beginning_of_a_long_text(key, written):
+    with pytest.raises(CurveError) as refused:
+        read_branches(written(curve(**{key: "9" * 5000})))
+    assert "9" * 40 in str(refused.value)
+    assert "9" * 80 not in str(refused.value)
+
+
 def test_units_may_be_a_coded_entry(written):
     assert read_branches(written(curve(coordinateUnits=["mm", "UCUM", "millimeter"])))
 

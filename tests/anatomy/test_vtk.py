@@ -394,3 +394,14 @@ def test_bytes_that_are_no_number_are_refused_without_a_warning_of_another_libra
     path.write_bytes(content.replace(mark, SIGNALLING))
     with pytest.raises(CurveError, match=r"lines\.vtk"):
         read_branches(path)
+
+
+def test_lines_through_points_before_the_first_are_refused(tmp_path):
+    """As in a file of which bytes were changed."""
+    text = "# vtk DataFile Version 3.0\nlines\nASCII\nDATASET POLYDATA\nPOINTS 20 float\n"
+    text += "".join(f"{k} 0 {3 * k}\n" for k in range(20))
+    numbers = [*range(10), -7, *range(11, 20)]
+    text += f"LINES 1 21\n20 {' '.join(map(str, numbers))}\n"
+    (tmp_path / "line.vtk").write_text(text)
+    with pytest.raises(CurveError, match=r"line\.vtk: it is damaged: a line passes point -6 of 20"):
+        read_branches(tmp_path / "line.vtk")

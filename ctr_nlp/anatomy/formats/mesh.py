@@ -60,7 +60,7 @@ def read_mesh(path: str | Path, options: ReadOptions = AS_THE_FILE_SAYS) -> Mesh
     notes = []
     space = stated or options.space or "LPS"
     if space not in CENTRELINE_SPACE_TO_LPS:
-        raise CurveError(f"SPACE is {space!r}; it must be one of {', '.join(CENTRELINE_SPACE_TO_LPS)}")
+        raise CurveError(f"SPACE is {space!r:.60}; it must be one of {', '.join(CENTRELINE_SPACE_TO_LPS)}")
     if not stated and options.space is None:
         notes.append("the file states no coordinate system: LPS is assumed; --space RAS says otherwise")
     # Corners of neighbouring triangles are the same point: STL files have each three times.

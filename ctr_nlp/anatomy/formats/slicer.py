@@ -183,10 +183,11 @@ def _space(name: str, markup: dict[str, Any]) -> str:
     if kind != "Curve":
         hint = OTHER_TYPES.get(str(kind), "")
         raise CurveError(
-            f"markup {name!r} is of type {kind!r}; it must be an open curve, type 'Curve'{hint and f'; {hint}'}"
+            f"markup {name!r} is of type {kind!r:.60}; it must be an open curve, type 'Curve'"
+            f"{hint and f'; {hint}'}"
         )
     if space not in tuple(CENTRELINE_SPACE_TO_LPS):
-        stated = "missing" if space is None else repr(space)
+        stated = "missing" if space is None else f"{space!r:.60}"
         raise CurveError(
             f"coordinateSystem of {name!r} is {stated}; it must be one of {', '.join(CENTRELINE_SPACE_TO_LPS)}"
         )
@@ -202,7 +203,7 @@ def _unit(what: str, unit: Any) -> str | None:
     if code is None:
         return None
     if not isinstance(code, str) or code not in MM_PER_UNIT:
-        raise CurveError(f"{what} is {code!r}; it must be one of {', '.join(MM_PER_UNIT)}")
+        raise CurveError(f"{what} is {code!r:.60}; it must be one of {', '.join(MM_PER_UNIT)}")
     return code
 
 

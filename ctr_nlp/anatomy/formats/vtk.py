@@ -147,7 +147,7 @@ def _space(stated: str, options: ReadOptions) -> tuple[str, str]:
     if not stated:
         return (options.space, GIVEN) if options.space else ("LPS", ASSUMED)
     if stated not in CENTRELINE_SPACE_TO_LPS:
-        raise CurveError(f"SPACE is {stated!r}; it must be one of {', '.join(CENTRELINE_SPACE_TO_LPS)}")
+        raise CurveError(f"SPACE is {stated!r:.60}; it must be one of {', '.join(CENTRELINE_SPACE_TO_LPS)}")
     if options.space not in (None, stated):
         raise CurveError(f"space is {options.space}, but the file states {stated}; leave out --space")
     return stated, STATED
@@ -267,9 +267,10 @@ def _lines(mesh: Any) -> list[Indices]:
     ends = import_extra("pyvista").convert_array(mesh.GetCells().GetOffsetsArray())[1:-1]
     every = np.split(mesh.cell_connectivity, ends)
     lines = [every[i] for i in cells]
-    last = max(line.max(initial=0) for line in lines) + 1
-    if last > mesh.n_points:
-        raise CurveError(f"it is damaged: a line passes point {last} of {mesh.n_points}")
+    first, last = (int(pick([pick(line, initial=0) for line in lines])) + 1 for pick in (np.min, np.max))
+    if first < 1 or last > mesh.n_points:
+        wrong = first if first < 1 else last
+        raise CurveError(f"it is damaged: a line passes point {wrong} of {mesh.n_points}")
     return lines
 
 
