@@ -246,7 +246,7 @@ def test_a_problem_of_any_name_is_steered(tmp_path, monkeypatch, shown):
 
 LONG = {
     "design": (design.main, ("--nominal", "--model", "dominant", "--frames", "3", "--starts", "1")),
-    "compare": (compare.main, ("--frames", "3", "--variants", "joint")),
+    "compare": (compare.main, ("--frames", "3", "--variants", "joint:sqp")),
     "trade": (trade.main, ("--frames", "3", "--draws", "2", "--amounts", "0.5", "--margins", "0.3")),
     "baselines": (baselines.main, ("--starts", "1", "--times", "0.1", "--frames", "3")),
     "warm": (warm.main, ("--models", "dominant")),

@@ -13,6 +13,7 @@ from ctr_nlp.cli.console import EXIT_INTERRUPTED, EXIT_SOLVED, EXIT_SOME_FAILED,
 from ctr_nlp.cli.output.file import path_component
 from ctr_nlp.cli.output.folder import check_folder, output_folder, results_folder
 from ctr_nlp.cli.terminal_output import console, print_table, progress_bar, report_written_files
+from ctr_nlp.exceptions import escape_control_characters
 from ctr_nlp.paths.named_problems import PROBLEM_NAMES
 from ctr_nlp.plan.robustness import MOST_LOST
 from ctr_nlp.plan.summary_text import format_cell
@@ -126,9 +127,8 @@ def _write(found: list[list[RobustnessPoint]], folder: Path, arguments: argparse
     ]
     for points in filter(None, found):
         name = points[0].problem
-        page.append(
-            f"{name}\n\n{markdown(TRADE_TABLE_COLUMNS, _rows(points, most))}\n{choice_sentence(points, most)}\n"
-        )
+        table = markdown(TRADE_TABLE_COLUMNS, _rows(points, most))
+        page.append(f"{escape_control_characters(name)}\n\n{table}\n{choice_sentence(points, most)}\n")
         if not arguments.no_figures:
             from ctr_nlp.studies.robustness_trade_off_picture import draw_robustness_trade_off
             from ctr_nlp.view.figures import save  # brings matplotlib, which takes long to load
