@@ -26,9 +26,12 @@ def form_opinions(path: str | Path, samples: int = 0, centreline: str | None = N
 
     path: of a plan.npz. samples: how many simulated robots are moved. centreline: file that the plan was made for,
     to check its axes. A file that the package refuses to read is checked all the same, without own verdicts.
-    Raises CheckError where a file cannot be read at all.
+    Raises OutputError where a file cannot be read at all.
     """
-    found = check_plan(path, samples, centreline) if centreline else _check_once(Path(path), samples)
+    try:
+        found = check_plan(path, samples, centreline) if centreline else _check_once(Path(path), samples)
+    except CheckError as error:
+        raise OutputError(str(error)) from error
     try:
         own = Plan.load(path).verdicts._asdict()
     except OutputError as error:
@@ -74,7 +77,7 @@ def require_agreement(path: str | Path) -> list[Opinion]:
     """
     try:
         opinions = form_opinions(path)
-    except CheckError as error:
+    except OutputError as error:
         raise TrajectoryError(f"the plan was not played, since the checker cannot read it: {error}") from error
     apart = [each for each in opinions if not each.agrees]
     if apart:

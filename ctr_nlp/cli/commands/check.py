@@ -5,13 +5,11 @@ from __future__ import annotations
 import argparse
 
 from ctr_nlp.check.comparison import Opinion
-from ctr_nlp.check.plan_file import CheckError
-from ctr_nlp.cli.arguments import whole
+from ctr_nlp.cli.arguments import count
 from ctr_nlp.cli.console import EXIT_SOLVED, EXIT_SOME_FAILED, Command
 from ctr_nlp.cli.plan_report import STYLES
 from ctr_nlp.cli.second_opinion import form_opinions
 from ctr_nlp.cli.terminal_output import busy, console, print_table
-from ctr_nlp.exceptions import OutputError
 from ctr_nlp.plan.summary_text import NOT_FOR_PATIENTS
 
 COLUMNS = "matter", "plan", "number", "checker", "number ", "agree", "why"
@@ -28,7 +26,7 @@ def _parser(prog: str) -> argparse.ArgumentParser:
     )
     parser.add_argument("plan", metavar="PLAN.npz")
     what = "simulated robots that are moved, too: the first ones in the file, or new ones (default none)"
-    parser.add_argument("--samples", metavar="N", type=whole, default=0, help=what)
+    parser.add_argument("--samples", metavar="N", type=count, default=0, help=what)
     what = "centreline that the plan was made for (.csv with x_mm, y_mm, z_mm, or .mrk.json); checks its axes"
     parser.add_argument("--centreline", metavar="FILE", help=what)
     return parser
@@ -36,10 +34,7 @@ def _parser(prog: str) -> argparse.ArgumentParser:
 
 def _run(arguments: argparse.Namespace) -> int:
     with busy(f"{arguments.plan} is checked"):
-        try:
-            opinions = form_opinions(arguments.plan, arguments.samples, arguments.centreline)
-        except CheckError as error:
-            raise OutputError(str(error)) from error
+        opinions = form_opinions(arguments.plan, arguments.samples, arguments.centreline)
     print_table(
         f"{arguments.plan}: the plan's verdicts beside the checker's", COLUMNS, _rows(opinions), styles=STYLES
     )

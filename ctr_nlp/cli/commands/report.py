@@ -5,8 +5,6 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from ctr_nlp.check.comparison import Opinion
-from ctr_nlp.check.plan_file import CheckError
 from ctr_nlp.cli.arguments import add_film_option, add_out_option, film_file
 from ctr_nlp.cli.console import EXIT_SOLVED, Command
 from ctr_nlp.cli.output.file import write_text
@@ -14,7 +12,6 @@ from ctr_nlp.cli.output.folder import check_folder, output_folder
 from ctr_nlp.cli.plan_report import write_film
 from ctr_nlp.cli.second_opinion import form_opinions
 from ctr_nlp.cli.terminal_output import busy, report_written_files
-from ctr_nlp.exceptions import OutputError
 from ctr_nlp.plan.plan import Plan
 from ctr_nlp.view.report import page
 
@@ -40,7 +37,7 @@ def _run(arguments: argparse.Namespace) -> int:
     check_folder(out, "report", film)
     plans = [Plan.load(path) for path in arguments.plans]
     with busy("plans are checked a second time"):
-        opinions = [_check(path) for path in arguments.plans]
+        opinions = [form_opinions(path) for path in arguments.plans]
     text = page(plans, arguments.plans, opinions)
     with output_folder(out, "report") as staging:
         write_text(staging / PAGE, text)
@@ -50,14 +47,6 @@ def _run(arguments: argparse.Namespace) -> int:
     if film is not None:
         report_written_files(film)
     return EXIT_SOLVED
-
-
-def _check(path: str) -> list[Opinion]:
-    """Return the independent checker's opinions on a plan's file; raise OutputError where it cannot read it."""
-    try:
-        return form_opinions(path)
-    except CheckError as error:
-        raise OutputError(str(error)) from error
 
 
 main = Command("ctr-nlp report", _parser, _run)
