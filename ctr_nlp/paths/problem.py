@@ -17,7 +17,7 @@ from ctr_nlp.paths.lumen import Lumen
 from ctr_nlp.paths.points import LONGEST_S
 from ctr_nlp.paths.target import Frame, Target
 from ctr_nlp.paths.wall_surfaces import DrawnWall, walls_to_draw
-from ctr_nlp.paths.walls import Body, WallGeometry, nearest_of
+from ctr_nlp.paths.walls import Body, WallGeometry, is_lumen_wall, nearest_of
 from ctr_nlp.robot import Robot
 from ctr_nlp.support.atomic_write import write_atomically
 from ctr_nlp.support.notebook_card import CardLine, notebook_card_html
@@ -172,7 +172,7 @@ class Problem(Value):
     @property
     def lumen_wall(self) -> Lumen | None:
         """The lumen where the tube around the path is a wall; None where a body is what the robot is in."""
-        return self.sampled_lumen if all(body.keep_out for body in self.walls) else None
+        return self.sampled_lumen if is_lumen_wall(self.walls) else None
 
     @property
     def drawn_walls(self) -> list[DrawnWall]:

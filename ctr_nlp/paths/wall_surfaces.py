@@ -11,6 +11,7 @@ import numpy as np
 
 from ctr_nlp.exceptions import ProblemError
 from ctr_nlp.paths.points import cumulative_arc_length
+from ctr_nlp.paths.surface import Surface
 from ctr_nlp.paths.walls import Body
 from ctr_nlp.typing import Array, Index
 
@@ -67,7 +68,7 @@ def walls_to_draw(
             np.asarray(surface.vertices, float), surface.triangles.astype(np.intp), cell
         )
         if len(triangles):
-            normals = vertex_normals(vertices, triangles)
+            normals = Surface(vertices.astype(np.float32), triangles.astype(np.int32)).vertex_normals
             found.append(DrawnWall(body.name, body.keep_out, vertices, normals, triangles))
     return found
 
@@ -116,17 +117,6 @@ def merge_vertices(vertices: Array, triangles: Index, cell: float) -> tuple[Arra
     # Two triangles with the same three corners are one, whichever corner comes first.
     _, kept = np.unique(np.sort(triangles, axis=1), axis=0, return_index=True)
     return vertices, triangles[np.sort(kept)]
-
-
-def vertex_normals(vertices: Array, triangles: Index) -> Array:
-    """Return unit normals (n, 3) at vertices (n, 3): means of the triangles' (m, 3), weighted by their areas."""
-    corners = vertices[triangles]
-    normals = np.zeros_like(vertices)
-    weighted = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    for k in range(3):
-        np.add.at(normals, triangles[:, k], weighted)
-    length = np.linalg.norm(normals, axis=1, keepdims=True)
-    return np.asarray(normals / np.where(length > 0, length, 1.0))
 
 
 def section_lines(wall: DrawnWall, points: Array, tangents: Array, within: float) -> Array:

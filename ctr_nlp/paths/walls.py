@@ -199,15 +199,22 @@ def _pick(parts: Array, nearest: Index) -> Array:
     return np.asarray(np.take_along_axis(parts, index[None], axis=0)[0])
 
 
+def is_lumen_wall(bodies: tuple[Body, ...]) -> bool:
+    """Return whether the lumen around a path is a wall beside bodies.
+
+    It is none where the robot stays inside of one of them: airways are not round, and the body is what they are.
+    """
+    return all(body.keep_out for body in bodies)
+
+
 def nearest_of(lumen: Lumen | None, bodies: tuple[Body, ...]) -> WallGeometry | None:
     """Return the wall of a lumen and bodies; None where there is none.
 
-    lumen: around the path. It is no wall where the robot stays inside of one of the bodies: airways are not round,
-    and the body is what they are.
+    lumen: around the path; see is_lumen_wall.
     """
     if not bodies:
         return lumen
-    walls = Walls(lumen if all(body.keep_out for body in bodies) else None, bodies)
+    walls = Walls(lumen if is_lumen_wall(bodies) else None, bodies)
     if len(set(walls.names)) < len(walls.names):
         raise ProblemError(f"walls are named {', '.join(walls.names)}; each must have a name of its own")
     return walls

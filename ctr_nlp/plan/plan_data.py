@@ -21,7 +21,7 @@ from ctr_nlp.models.loads import Load, LoadOverTime, load_from_dict
 from ctr_nlp.paths.lumen import Lumen
 from ctr_nlp.paths.points import FARTHEST_MM, LONGEST_S
 from ctr_nlp.paths.wall_surfaces import DrawnWall, walls_to_draw
-from ctr_nlp.paths.walls import Body, WallGeometry, nearest_of
+from ctr_nlp.paths.walls import Body, WallGeometry, is_lumen_wall, nearest_of
 from ctr_nlp.plan.robustness import SAMPLE_ARRAY_PREFIX, Robustness
 from ctr_nlp.robot import Robot
 from ctr_nlp.support.packing import Packed, unpack_value
@@ -98,7 +98,7 @@ class PlanData(Value):
     @cached_property
     def lumen_wall(self) -> Array | None:
         """Lumen (N, 4) where the tube around the path is a wall; None where a body is what the robot is in."""
-        return None if any(not body.keep_out for body in self.walls) else self.lumen
+        return self.lumen if is_lumen_wall(self.walls) else None
 
     @cached_property
     def drawn_walls(self) -> list[DrawnWall]:
@@ -332,7 +332,7 @@ def count_walls(lumen_known: bool, walls: tuple[Body, ...]) -> int:
 
     lumen_known: whether there is a path with radii. walls: the bodies.
     """
-    return len(walls) + (lumen_known and all(body.keep_out for body in walls))
+    return len(walls) + (lumen_known and is_lumen_wall(walls))
 
 
 def _reject_non_finite(constant: str) -> Any:

@@ -5,7 +5,7 @@ import pytest
 
 from ctr_nlp.paths.distance_field import DistanceField, make_grid
 from ctr_nlp.paths.surface import Surface
-from ctr_nlp.paths.wall_surfaces import merge_vertices, section_lines, vertex_normals, wall_sections, walls_to_draw
+from ctr_nlp.paths.wall_surfaces import merge_vertices, section_lines, wall_sections, walls_to_draw
 from ctr_nlp.paths.walls import Body
 
 RADIUS, LENGTH = 5.0, 60.0
@@ -33,7 +33,8 @@ def test_a_surface_of_merged_vertices_lies_on_the_surface_and_faces_outwards():
     vertices, triangles = merge_vertices(tube().vertices, tube().triangles, 0.8)
     assert len(triangles) < 0.6 * len(tube().triangles)
     assert np.abs(np.linalg.norm(vertices[:, :2], axis=1) - RADIUS).max() < 0.05
-    normals = vertex_normals(vertices, triangles)
+    (wall,) = walls_to_draw((body(),), AXIS)
+    normals, vertices = wall.normals, wall.vertices
     np.testing.assert_allclose(np.linalg.norm(normals, axis=1), 1.0)
     assert ((normals[:, :2] * vertices[:, :2]).sum(axis=1) > 0.9 * RADIUS).all()
     edges = np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
