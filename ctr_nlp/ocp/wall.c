@@ -185,43 +185,86 @@ static double evaluate_block(const float *block, const double *place, double *sl
     return found[0][0][0];
 }
 
-/* Signed distance at a point, mm, its slope and its second derivatives (3, 3) by mm. Beyond the coarsest grid the
-   distance is that of the nearest place in it, less the distance from there. */
-static double evaluate_field(const Field *f, const double *p, double *slope, double *bend) {
+/* The distance alone at a place of a grid: a quarter of the work of evaluate_block. */
+static double evaluate_block_distance(const float *block, const double *place) {
+    double along[3][3][4], found = 0;
+    long first[3];
+    for (int k = 0; k < 3; ++k) {
+        long cell = (long)floor(place[k]);
+        basis(place[k] - cell, along[k]);
+        first[k] = cell % BLOCK;
+    }
+    for (int i = 0; i < 4; ++i) {
+        double plane = 0;
+        for (int j = 0; j < 4; ++j) {
+            const float *c = block + ((first[0] + i) * SIDE + first[1] + j) * SIDE + first[2];
+            const double *b = along[2][0];
+            plane += along[1][0][j] * (c[0] * b[0] + c[1] * b[1] + c[2] * b[2] + c[3] * b[3]);
+        }
+        found += along[0][0][i] * plane;
+    }
+    return found;
+}
+
+/* Where a field is evaluated for a point: the finest grid that has it, the block there and the place in units of that
+   grid. Beyond the coarsest grid, `inside` is the nearest point in it, and `away` how far that is, mm. */
+typedef struct {
+    const Grid *grid;
+    const float *block;
+    double place[3], inside[3], away;
+} Located;
+
+static Located locate(const Field *f, const double *p) {
     const Grid *coarsest = f->grid + f->grids - 1;
-    double place[3], inside[3] = {p[0], p[1], p[2]}, away = 0, within_units[3], units_slope[3], units_bend[9];
-    if (!(isfinite(p[0]) && isfinite(p[1]) && isfinite(p[2]))) {
+    double within_units[3];
+    Located at = {.grid = f->grid, .inside = {p[0], p[1], p[2]}};
+    to_units(coarsest->to_grid, p, at.place);
+    for (int k = 0; k < 3; ++k) within_units[k] = within(at.place[k], 0, coarsest->shape[k] * BLOCK - 1e-9);
+    if (memcmp(at.place, within_units, sizeof at.place)) {
+        to_units(coarsest->to_mm, within_units, at.inside);
+        for (int k = 0; k < 3; ++k) at.away += (p[k] - at.inside[k]) * (p[k] - at.inside[k]);
+        at.away = sqrt(at.away);
+    }
+    for (;; ++at.grid) {
+        to_units(at.grid->to_grid, at.inside, at.place);
+        if (at.grid == coarsest) /* rounding must not take a place at its border out of it */
+            for (int k = 0; k < 3; ++k) at.place[k] = within(at.place[k], 0, coarsest->shape[k] * BLOCK - 1e-9);
+        if ((at.block = block_at(at.grid, at.place)) || at.grid == coarsest) return at;
+    }
+}
+
+static int all_finite(const double *p) { return isfinite(p[0]) && isfinite(p[1]) && isfinite(p[2]); }
+
+/* Signed distance at a point, mm. Beyond the coarsest grid it is that of the nearest place in it, less the distance
+   from there. */
+static double field_distance(const Field *f, const double *p) {
+    if (!all_finite(p)) return NAN;
+    Located at = locate(f, p);
+    return f->sign * (evaluate_block_distance(at.block, at.place) - at.away);
+}
+
+/* The same, with its slope and its second derivatives (3, 3) by mm. */
+static double evaluate_field(const Field *f, const double *p, double *slope, double *bend) {
+    double units_slope[3], units_bend[9];
+    if (!all_finite(p)) {
         for (int i = 0; i < 9; ++i) slope[i % 3] = bend[i] = NAN;
         return NAN;
     }
-    to_units(coarsest->to_grid, p, place);
-    for (int k = 0; k < 3; ++k) within_units[k] = within(place[k], 0, coarsest->shape[k] * BLOCK - 1e-9);
-    if (memcmp(place, within_units, sizeof place)) {
-        to_units(coarsest->to_mm, within_units, inside);
-        for (int k = 0; k < 3; ++k) away += (p[k] - inside[k]) * (p[k] - inside[k]);
-        away = sqrt(away);
-    }
-    const Grid *g = f->grid;
-    const float *block = 0;
-    for (; g <= coarsest; ++g) {
-        to_units(g->to_grid, inside, place);
-        if (g == coarsest) /* rounding must not take a place at its border out of it */
-            for (int k = 0; k < 3; ++k) place[k] = within(place[k], 0, g->shape[k] * BLOCK - 1e-9);
-        if ((block = block_at(g, place))) break;
-    }
-    double distance = evaluate_block(block, place, units_slope, units_bend) - away;
+    Located at = locate(f, p);
+    const double *to_grid = at.grid->to_grid;
+    double distance = evaluate_block(at.block, at.place, units_slope, units_bend) - at.away;
     for (int i = 0; i < 3; ++i) {
         slope[i] = 0;
-        for (int k = 0; k < 3; ++k) slope[i] += units_slope[k] * g->to_grid[4 * k + i];
+        for (int k = 0; k < 3; ++k) slope[i] += units_slope[k] * to_grid[4 * k + i];
         for (int j = 0; j < 3; ++j) {
             bend[3 * i + j] = 0;
             for (int k = 0; k < 3; ++k)
                 for (int l = 0; l < 3; ++l)
-                    bend[3 * i + j] += g->to_grid[4 * k + i] * units_bend[3 * k + l] * g->to_grid[4 * l + j];
+                    bend[3 * i + j] += to_grid[4 * k + i] * units_bend[3 * k + l] * to_grid[4 * l + j];
         }
     }
-    for (int i = 0; i < 3 && away > 0; ++i) slope[i] = (inside[i] - p[i]) / away;
-    for (int i = 0; i < 9; ++i) bend[i] = f->sign * (away > 0 ? 0 : bend[i]);
+    for (int i = 0; i < 3 && at.away > 0; ++i) slope[i] = (at.inside[i] - p[i]) / at.away;
+    for (int i = 0; i < 9; ++i) bend[i] = f->sign * (at.away > 0 ? 0 : bend[i]);
     for (int i = 0; i < 3; ++i) slope[i] *= f->sign;
     return f->sign * distance;
 }
@@ -255,21 +298,31 @@ static void osculate(const Field *f, const double *p, double distance, const dou
     near->taper = 0, near->behind = near->ahead = f->far;
 }
 
-/* The nearest of all walls. */
-static void look(const Wall *w, const double *p, Seen *seen, Near *near) {
-    double least = INFINITY, slope[3], bend[9];
+/* What is left of the lumen at a point: the signed distance to the nearest of all walls, mm. Which wall that is, goes
+   to `which`: the number of its field, or -1 for the path, which `near` then describes. */
+static double left_at(const Wall *w, const double *p, Seen *seen, Near *near, long *which) {
+    double least = NAN;
+    *which = -1;
     if (w->nodes) {
         look_at_path(w, p, seen, near);
         least = near->radius - near->distance;
     }
     for (long i = 0; i < w->fields; ++i) {
-        const Field *f = w->field + i;
-        double distance = evaluate_field(f, p, slope, bend);
-        if (distance - f->margin < least || (!w->nodes && !i)) {
-            least = distance - f->margin;
-            osculate(f, p, distance, slope, bend, near);
-        }
+        double left = field_distance(w->field + i, p) - w->field[i].margin;
+        if (left < least || (!w->nodes && !i)) least = left, *which = i;
     }
+    return least;
+}
+
+/* The nearest of all walls. */
+static void look(const Wall *w, const double *p, Seen *seen, Near *near) {
+    double slope[3], bend[9];
+    long which;
+    left_at(w, p, seen, near, &which);
+    if (which < 0) return;
+    const Field *f = w->field + which;
+    double distance = evaluate_field(f, p, slope, bend);
+    osculate(f, p, distance, slope, bend, near);
 }
 
 /* The samples' points in base axes, lane after lane. */
@@ -306,9 +359,14 @@ void around(Wall *w, const double *x, const double *load, double *found) {
             for (long k = row * w->finer; k < (row + 1) * w->finer; ++k) {
                 const double *at = w->at + k / w->samples * 3 * w->samples + k % w->samples;
                 double p[] = {at[0], at[w->samples], at[2 * w->samples]};
-                look(w, p, &seen, &near);
-                room = near.radius - w->outer[row / w->places] - w->clearance;
-                left = room - sqrt(near.distance * near.distance + w->centred * w->centred);
+                if (k < (row + 1) * w->finer - 1) {
+                    long which; /* between two places only the room counts */
+                    left = left_at(w, p, &seen, &near, &which) - w->outer[row / w->places] - w->clearance;
+                } else {
+                    look(w, p, &seen, &near);
+                    room = near.radius - w->outer[row / w->places] - w->clearance;
+                    left = room - sqrt(near.distance * near.distance + w->centred * w->centred);
+                }
                 narrow = left < narrow || left != left ? left : narrow;
             }
             least = narrow < least || narrow != narrow ? narrow : least;
@@ -330,11 +388,8 @@ void left_beside(const Wall *w, long count, const double *points, double *found)
     Seen seen = {.beyond = -1};
     for (long i = 0; i < count; ++i) {
         const double *p = points + 3 * i;
+        long which;
         Near near;
-        if (isfinite(p[0]) && isfinite(p[1]) && isfinite(p[2])) {
-            look(w, p, &seen, &near);
-            found[i] = near.radius - near.distance;
-        } else
-            found[i] = NAN;
+        found[i] = all_finite(p) ? left_at(w, p, &seen, &near, &which) : NAN;
     }
 }

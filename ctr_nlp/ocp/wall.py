@@ -164,9 +164,11 @@ class Wall:
             - np.repeat(tube_outer_radii(self.robot), WALL_SAMPLES_PER_TUBE * self.subsamples)
             - self.clearance
         )
-        # The same rounded distance as in the program (terms.lumen.room_beside_path), so that both agree on the
-        # slack.
-        left = room - np.hypot(near.distance, CENTRELINE_SMOOTHING_MM)
+        # At sample points the same rounded distance as in the program (terms.lumen.room_beside_path), so that both
+        # agree on the slack; between them the distance itself, for which C needs no derivatives of the wall.
+        left = room - near.distance
+        at_samples = np.s_[..., self.subsamples - 1 :: self.subsamples]
+        left[at_samples] = room[at_samples] - np.hypot(near.distance[at_samples], CENTRELINE_SMOOTHING_MM)
         # The room at a sample point is reduced to the least between the one before and it: contact in between is
         # not missed.
         room -= left - np.repeat(left.reshape(len(x), -1, self.subsamples).min(axis=-1), self.subsamples, axis=-1)
