@@ -37,7 +37,7 @@ from ctr_nlp.support.value_checks import build_from_table, read_toml
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
-LANGUAGES = {"bash", "python", "toml", "text", "mermaid", "math"}
+LANGUAGES = {"bash", "python", "toml", "text", "math"}
 SCRIPTS = sorted(path.name for path in (ROOT / "scripts").glob("*.py"))
 STUDIES = ("compare", "learn", "baselines", "reproduce", "benchmark")
 """Programs in scripts/studies/ that took the place of subcommands."""
@@ -376,16 +376,6 @@ def test_a_part_of_a_hardware_file_fits_into_the_example(name, block, tmp_path, 
         column = [each.joint for each in hardware.axes].index(axis["joint"])
         reached = np.sort(hardware.positions(robot, ends)[:, column])
         assert reached == pytest.approx(axis["range"])
-
-
-def test_diagrams_are_of_a_kind_that_github_draws():
-    diagrams = [block for page in PAGES for block in Page.read(page).blocks if block.language == "mermaid"]
-    assert diagrams
-    for diagram in diagrams:
-        head, *lines = diagram.text.splitlines()
-        assert re.fullmatch("flowchart (LR|TD)", head)
-        assert all(re.search(r"^ +\w+(\[.*\])? -.*-?> ?", line) for line in lines)
-        assert all(line.count('"') % 2 == 0 and line.count("[") == line.count("]") for line in lines)
 
 
 def test_the_wiring_is_that_of_the_example_hardware():

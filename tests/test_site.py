@@ -6,12 +6,24 @@ import os
 import re
 import subprocess
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from functools import partial
 from html.parser import HTMLParser
+from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
+from threading import Thread
+from typing import TYPE_CHECKING
 from urllib.parse import unquote, urlsplit
 
 import pytest
+from browser import NO_GRAPHICS, launcher
 from pages import Page
+
+from ctr_nlp.cli.main import COMMANDS, load
+
+if TYPE_CHECKING:
+    from playwright.sync_api import ConsoleMessage, Request
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -81,3 +93,72 @@ def test_pictures_of_concepts_are_drawn_by_their_script_and_shown(tmp_path):
     assert drawn == kept
     text = "".join(path.read_text() for path in (ROOT / "docs" / "concepts").glob("*.md"))
     assert [name for name in sorted(drawn) if f"]({name})" not in text] == []
+
+
+class QuietHandler(SimpleHTTPRequestHandler):
+    def log_message(self, *_: object) -> None:
+        """Print nothing."""
+
+
+@contextmanager
+def served(folder: Path) -> Iterator[str]:
+    """Yield the address of a server of a folder, on loopback."""
+    with ThreadingHTTPServer(("127.0.0.1", 0), partial(QuietHandler, directory=str(folder))) as server:
+        Thread(target=server.serve_forever, daemon=True).start()
+        yield f"http://127.0.0.1:{server.server_port}"
+        server.shutdown()
+
+
+def troubles(site: Path, pages: list[str], widths: tuple[int, ...]) -> list[str]:
+    """What Chromium and axe-core find wrong with pages: overflow, script errors, requests to others, findings."""
+    axe_playwright = pytest.importorskip("axe_playwright_python.sync_playwright", reason="needs axe-core")
+    found = list[str]()
+
+    def note(message: ConsoleMessage) -> None:
+        if message.type in ("error", "warning"):
+            found.append(message.text)
+
+    with launcher() as launch, served(site) as home:
+
+        def note_foreign(request: Request) -> None:
+            if not request.url.startswith(home):
+                found.append(request.url)
+
+        browser = launch(NO_GRAPHICS)
+        page = browser.new_page()
+        page.on("console", note)
+        page.on("pageerror", lambda error: found.append(str(error)))
+        page.on("request", note_foreign)
+        for width in widths:
+            page.set_viewport_size({"width": width, "height": 900})
+            for name in pages:
+                page.goto(f"{home}/{name}")
+                page.wait_for_function("document.querySelector('.md-search')?.hasAttribute('aria-label')")
+                beyond = page.evaluate("document.documentElement.scrollWidth - window.innerWidth")
+                found += [f"{name} is {beyond} px wider than {width}"] * (beyond > 0)
+                violations = axe_playwright.Axe().run(page).response["violations"]
+                found += [f"{name} at {width}: {each['id']} {each['nodes'][0]['html']}" for each in violations]
+        browser.close()
+    return found
+
+
+def test_pages_fit_a_phone_ask_no_other_server_and_have_no_axe_findings(site: Path) -> None:
+    assert troubles(site, ["index.html", "method.html", "commands/plan.html"], (390,)) == []
+
+
+@pytest.mark.slow
+def test_every_page_fits_every_screen_and_has_no_axe_findings(site: Path) -> None:
+    pages = [str(page.relative_to(site)) for page in site.rglob("*.html") if page.name != "404.html"]
+    assert troubles(site, sorted(pages), (390, 768, 1440)) == []
+
+
+def test_inline_formulas_stay_within_their_sentences(site: Path) -> None:
+    text = (site / "method.html").read_text(encoding="utf-8")
+    assert re.findall(r"</p>\s*<math", text) == []
+
+
+def test_every_command_has_a_page_that_lists_its_options(site: Path) -> None:
+    for name, entry in COMMANDS.items():
+        text = (site / "commands" / f"{name}.html").read_text(encoding="utf-8")
+        options = load(entry).parser(name)._option_string_actions
+        assert [option for option in options if option.startswith("--") and option not in text] == []

@@ -2,7 +2,7 @@
 
 README.md becomes the first page, and a notebook a page with what it shows. Formulas become MathML, which browsers
 draw without a script. A link to another file leads to a page which shows that file. The pages of the Python
-interface are made from docstrings.
+interface are made from docstrings, and those of the commands from their parsers.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ import inspect
 import json
 import posixpath
 import re
+import sys
 from collections import defaultdict
 from pathlib import Path
 from typing import Any
@@ -24,6 +25,9 @@ from mkdocs.structure.pages import Page
 import ctr_nlp
 
 ROOT = Path(__file__).parents[2]
+sys.path.append(str(Path(__file__).parent))  # MkDocs loads a hook alone, without its neighbours
+from commands import command_pages  # noqa: E402
+
 ADDRESSES = {"README.md": "index.md", "CONTRIBUTING.md": "contributing.md", "CHANGELOG.md": "changes.md"}
 """Pages that stand beside docs/ -> where they are on the site."""
 LANGUAGES = {".py": "python", ".toml": "toml", ".json": "json"}
@@ -40,7 +44,10 @@ PARTS = re.compile(
 def on_config(config: MkDocsConfig) -> MkDocsConfig:
     """Add the pages of the interface to the contents."""
     assert config.nav is not None
+    config.nav.insert(-1, {"Commands": list(command_pages())})
     config.nav.insert(-1, {"Python": [{Path(address).stem.capitalize(): address} for address in _interface()]})
+    config.extra_css.append("site.css")
+    config.extra_javascript.append("site.js")
     return config
 
 
@@ -54,8 +61,10 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
             files.append(File.generated(config, _address(target), content=_shown(target)))
     for path in ADDRESSES:
         files.append(File.generated(config, _address(path), content=pages[path]))
-    for address, text in _interface().items():
+    for address, text in (_interface() | command_pages()).items():
         files.append(File.generated(config, address, content=text))
+    for name in ("site.css", "site.js"):
+        files.append(File.generated(config, name, abs_src_path=str(Path(__file__).with_name(name))))
     return files
 
 
@@ -68,7 +77,8 @@ def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Fil
         if found["language"] == "math":
             return f'<div class="formula">{convert(found["block"].strip(), display="block")}</div>'
         if found["formula"]:
-            return convert(" ".join(found["formula"].split()))
+            # Markdown takes a line that begins with <math> for a block of its own, and breaks the sentence there.
+            return f"<span>{convert(' '.join(found['formula'].split()))}</span>"
         if found["link"]:
             target = _address(_from_root(path, found["link"]))
             return f"]({posixpath.relpath(target, posixpath.dirname(address) or '.')}{found['anchor'] or ''})"
