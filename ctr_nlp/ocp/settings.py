@@ -96,7 +96,13 @@ class Settings:
         number(OptionError, "share", self.share, lambda x: 0 < x <= 1, "lie in (0, 1]")
 
     def options(self) -> dict[str, Any]:
-        """Return the settings in the form of a plan's metadata."""
+        """Return the settings in the form of a plan's metadata.
+
+        Returns
+        -------
+        dict
+            Weights, margins and numbers of samples by name, fit for strict JSON.
+        """
         found: dict[str, Any] = strict_json(asdict(self))
         return found
 

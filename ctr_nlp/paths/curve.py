@@ -149,7 +149,13 @@ class Curve(Value):
         return self._curve_from_piece(Piece(self, start, 1.0), stop - start)
 
     def reverse_direction(self) -> Curve:
-        """Return the curve that leads from the last point of this one to its first."""
+        """Return the curve that leads from the last point of this one to its first.
+
+        Returns
+        -------
+        Curve
+            The same points, lumen and deviation.
+        """
         return self._curve_from_piece(Piece(self, self.length, -1.0), self.length)
 
     def _curve_from_piece(self, piece: Piece, length: float) -> Curve:

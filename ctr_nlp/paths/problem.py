@@ -154,7 +154,13 @@ class Problem(Value):
         return max(curve.deviation_share for curve in self.target.curves)
 
     def retraction(self) -> Problem:
-        """Return the problem with its frames in the opposite order, named ``NAME-retraction``."""
+        """Return the problem with its frames in the opposite order, named ``NAME-retraction``.
+
+        Returns
+        -------
+        Problem
+            The robot follows the path back out of the lumen.
+        """
         target = Target(self.target.curves[::-1], self.target.lengths[::-1])
         truth = None if self.truth is None else self.truth[::-1]
         return replace(self, name=f"{self.name}-retraction", target=target, truth=truth)

@@ -97,6 +97,11 @@ class Body(Value):
         ----------
         transform : ndarray
             Homogeneous matrix (4, 4), translation in mm.
+
+        Returns
+        -------
+        Body
+            The moved body; its name and margin stay.
         """
         surface = None if self.surface is None else self.surface.apply_transform(transform)
         return replace(self, field=self.field.apply_transform(transform), surface=surface)
@@ -108,6 +113,11 @@ class Body(Value):
         ----------
         points : ndarray
             Points (.., 3), mm.
+
+        Returns
+        -------
+        LumenProjection
+            A path and a radius for each point, whose lumen has the wall of the body there to second order.
         """
         return self.field.project(points, self.sign, self.margin)
 

@@ -77,7 +77,23 @@ def slice_plan(plan: AnyPlan, frames: slice) -> AnyPlan:
 
 
 def reverse_plan(plan: AnyPlan) -> AnyPlan:
-    """Return a plan in the reverse order of frames, with the same dt; raises LoadError under a load over time."""
+    """Return a plan in the reverse order of frames, with the same dt.
+
+    Parameters
+    ----------
+    plan : Plan
+        The plan to play backwards.
+
+    Returns
+    -------
+    Plan
+        The retraction; simulated robots are left out, since theirs is another motion.
+
+    Raises
+    ------
+    LoadError
+        The plan was evaluated under a load that changes over time.
+    """
     require_constant_load(plan.evaluated_load, "a plan that is played backwards")
     back = {name: array[::-1] for name, array in per_frame_arrays(plan).items() if name != "time"}
     for own in ("stability", "clearance", "wall_clearance"):
@@ -104,11 +120,30 @@ def reverse_plan(plan: AnyPlan) -> AnyPlan:
 
 
 def join_plans(plan: AnyPlan, other: PlanData) -> AnyPlan:
-    """Join a plan and another one of the same robot, dt, model and lumen; raises OptionError where they differ.
+    """Join a plan and another one of the same robot, dt, model and lumen.
 
     The whole motion is simulated: frames in which the robot does not reach the shapes of the other plan are marked
     as not solved. The step from the last frame of one to the first of the other counts as any other; its size is
     in meta, under joined. Options are those of the first, and the stricter ones for verdicts.
+
+    Parameters
+    ----------
+    plan : Plan
+        The first part of the motion.
+    other : Plan
+        The second part.
+
+    Returns
+    -------
+    Plan
+        Both parts, with the frames of each.
+
+    Raises
+    ------
+    OptionError
+        `other` is no plan, or its robot, dt, model or lumen differs.
+    LoadError
+        The first plan was evaluated under a load that changes over time.
     """
     if not isinstance(other, PlanData):
         raise OptionError(f"a plan is joined with {other!r:.80}; give another Plan")
@@ -151,11 +186,30 @@ def join_plans(plan: AnyPlan, other: PlanData) -> AnyPlan:
 
 
 def resample_plan(plan: AnyPlan, frames: int | None = None, dt: float | None = None) -> AnyPlan:
-    """Interpolate a plan at `frames` frames, or with `dt` s from frame to frame; its first and last frame stay.
+    """Interpolate a plan between its first and last frame, which stay.
 
     Configurations and targets are interpolated linearly, and the new motion is simulated. A frame keeps its
     success, objective, KKT residual and time only where it is a frame of the plan and all frames left out before
-    it were solved; the others are listed in meta under interpolated. Raises OptionError.
+    it were solved; the others are listed in meta under interpolated.
+
+    Parameters
+    ----------
+    plan : Plan
+        The plan to interpolate.
+    frames : int, optional
+        Number of frames.
+    dt : float, optional
+        Time from frame to frame in s, in place of `frames`.
+
+    Returns
+    -------
+    Plan
+        The interpolated motion, simulated anew.
+
+    Raises
+    ------
+    OptionError
+        Neither or both of `frames` and `dt` are given, or one is not what it must be.
     """
     at = _resampled_positions(plan, frames, dt)
     low = np.minimum(np.floor(at).astype(int), len(plan.time) - 2)

@@ -326,7 +326,13 @@ class Robot:
         return replace(self, limits=replace(self.limits, **limits))
 
     def with_locked_tilt(self) -> Robot:
-        """Return a copy of the robot whose base cannot tilt (theta stays 0), as one that no arm carries."""
+        """Return a copy of the robot whose base cannot tilt (theta stays 0), as one that no arm carries.
+
+        Returns
+        -------
+        Robot
+            The same tubes and limits, with both limits of theta 0.
+        """
         return self.with_limits(theta=(0.0, 0.0))
 
     def check(self, q: npt.ArrayLike, name: str = "q", tolerance: float = 1e-6) -> Array:

@@ -269,7 +269,13 @@ class Load:
         return np.outer(np.broadcast_to(self.densities, d) * PER_MM3 * GRAVITY, down / np.linalg.norm(down))
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the load as a dict of numbers, strings and lists, fit for strict JSON."""
+        """Return the load as a dict of numbers, strings and lists, fit for strict JSON.
+
+        Returns
+        -------
+        dict
+            Fields of the load by name; forces in N, moments in N mm, places in mm.
+        """
         plain: dict[str, Any] = strict_json(asdict(self))
         return plain
 

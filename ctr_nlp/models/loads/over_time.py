@@ -133,7 +133,13 @@ class LoadOverTime:
         return np.stack([np.interp(motion_fractions, self.at, column) for column in known.T], axis=1)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the load as a dict of numbers, strings and lists, fit for strict JSON."""
+        """Return the load as a dict of numbers, strings and lists, fit for strict JSON.
+
+        Returns
+        -------
+        dict
+            Times as parts of the motion, and the load at each of them.
+        """
         return {
             LOADS_OVER_TIME_KEY: [
                 {LOAD_TIME_KEY: at} | load.to_dict() for at, load in zip(self.at, self.loads, strict=True)

@@ -58,6 +58,11 @@ class Results:
 
         The lock belongs to the process: a program that dies releases it at once.
 
+        Yields
+        ------
+        None
+            Once the lock is held.
+
         Raises
         ------
         OutputError
