@@ -1,4 +1,4 @@
-"""`ctr-nlp force`: find the tip forces under which a plan does not snap."""
+"""`ctr-nlp force`: find the tip forces that a plan withstands, or the forces that measured shapes show."""
 
 from __future__ import annotations
 
@@ -11,10 +11,12 @@ from typing import TYPE_CHECKING
 from ctr_nlp.cli.arguments import add_figures_option, add_out_option, whole
 from ctr_nlp.cli.console import EXIT_SOLVED, Command
 from ctr_nlp.cli.loads.force_files import write_forces
+from ctr_nlp.cli.loads.measured_forces import add_measured_options, estimate_measured_forces
 from ctr_nlp.cli.loads.options import add_modulus_option, read_plan
 from ctr_nlp.cli.output.file import path_component
 from ctr_nlp.cli.output.folder import check_folder
 from ctr_nlp.cli.terminal_output import busy, console, print_table, report_written_files
+from ctr_nlp.exceptions import OptionError
 from ctr_nlp.loads.tip import DEFAULT_MAX_TIP_FORCE_N, FORCE_DIRECTION_COUNTS, Forces, WorstForce, forces
 from ctr_nlp.plan.plan import Plan
 
@@ -28,14 +30,17 @@ MAX_FORCE_TABLE_FRAMES = 5
 def _parser(prog: str) -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog=prog,
-        description="Find the largest tip force that each frame of a plan withstands before the robot snaps or "
+        description="Of a plan, find the largest tip force that each frame withstands before the robot snaps or "
         "leaves its lumen, in many directions of the base frame, on the elastic model, and the compliance of the "
-        "tip to a small force. Write forces.json, forces.csv and a "
-        "picture.",
-        epilog="Exit status: 0 where forces were found, 2 where input is bad and nothing is written. Forces act "
-        "beside the load that the plan is evaluated under (`ctr-nlp under`).",
+        "tip to a small force. Of measured shapes, find the forces that act: at the tip, at a place along the "
+        "body or both, with standard deviations. Write forces.json and forces.csv, and a picture of a plan's.",
+        epilog="Exit status: 0 where forces were found, 1 where no force explains a measured shape, 2 where input "
+        "is bad and nothing is written. Forces act beside the load that the plan is evaluated under "
+        "(`ctr-nlp under`). Columns of measured shapes are those of `ctr-nlp calibrate`, in the axes of the "
+        "robot's base; forces that are known (force_x, force_y, force_z) are taken off.",
     )
-    parser.add_argument("plan", metavar="PLAN.npz")
+    parser.add_argument("plan", metavar="PLAN.npz|MEASURED.csv", help="a plan, or measured shapes of a robot")
+    add_measured_options(parser)
     parser.add_argument("--every", metavar="N", type=whole, default=1, help="look at every Nth frame (default 1)")
     told = "6: along the axes; 14: also to the corners of a cube; 26: also to its edges (default 26)"
     parser.add_argument("--directions", type=int, choices=FORCE_DIRECTION_COUNTS, default=26, help=told)
@@ -50,6 +55,10 @@ def _parser(prog: str) -> argparse.ArgumentParser:
 
 
 def _run(arguments: argparse.Namespace) -> int:
+    if Path(arguments.plan).suffix.lower() != ".npz":
+        return estimate_measured_forces(arguments)
+    if arguments.robot is not None:
+        raise OptionError("--robot is for measured shapes; a plan has its robot")
     plan = read_plan(arguments)
     name = str(plan.meta["problem"]["name"])
     out = Path(arguments.out or f"runs/{path_component(name)}-force")
