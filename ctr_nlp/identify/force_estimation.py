@@ -495,8 +495,8 @@ class _Fit:
     """A fit of forces of one kind to an observation; `run` makes it.
 
     tip, body (3,): forces, N; 0 where there is none. place_or_zero: arc length of the force along the body, mm.
-    u (r,): deviations of the tubes. states: the equilibrium. values (m,): predicted values. residual (m + r,), slopes
-    (k, m + r): weighted residuals, and their derivatives over the k unknowns. misfit: the sum of squares.
+    u (r,): deviations of the tubes. states: the equilibrium. values (m,): predicted values. residual (m + r,),
+    slopes (k, m + r): weighted residuals, and their derivatives over the k unknowns. misfit: the sum of squares.
     """
 
     tip: Array
