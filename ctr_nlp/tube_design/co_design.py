@@ -39,6 +39,7 @@ from ctr_nlp.tube_design.search import Candidate, DesignSearch, Robots, error_of
 from ctr_nlp.tube_design.selection import (
     choose_best_planned,
     choose_certified,
+    choose_reaching,
     solve_all_frames,
     tolerance_scenarios,
     tolerant_candidates,
@@ -205,7 +206,7 @@ def design(
     """
     count = whole_number(OptionError, "starts", starts)
     with deferred_interrupt() as interrupted:
-        whole = search_for(problems, model, rules, fixed, constant_curvature, settings)
+        whole = search_for(problems, model, rules, fixed, constant_curvature, settings, walls)
         whole, first = replace(whole, stop=interrupted, jobs=jobs), whole.tasks[0].robot
         if not nominal:
             model_for_tip_forces(whole.model, first.tolerances.tip_force > 0).check(first)
@@ -214,13 +215,18 @@ def design(
         # Starts are compared on the frames of drafts, at a fraction of the cost; the best nominal tubes are then
         # solved for all frames.
         search = replace(whole, tasks=tuple(draft(task) for task in whole.tasks))
-        begun, found = _solve_starts(search, count, settings.seed, jobs, progress)
-        tried = [one for one in (begun, *found) if one is not None]
+        robots = tolerance_scenarios if walls and not nominal else nominal_scenario
+        begun, found = _solve_starts(search, robots, count, settings.seed, jobs, progress)
+        tried = found
+        if begun is not None and not search.counts_more_than_shape:
+            tried = [begun, *found]
         if not tried:
             raise ProblemError("no tubes were found that solve all problems; give more starts")
         plan = partial(_plans, whole, settings, nominal, model, walls, jobs, progress)
         if nominal:
             best, planned = choose_best_planned(tried, whole, plan)
+        elif walls:
+            best, planned = choose_reaching(tried, search, plan)
         else:
             best, planned = choose_certified(tried, search, plan)
         stocked = None
@@ -238,7 +244,7 @@ def design(
         robot=robot,
         names=tuple(task.name for task in whole.tasks),
         plans=tuple(planned),
-        before=(None,) * len(whole.tasks) if begun is None else _finite_or_none(begun.motions.e3),
+        before=(None,) * len(whole.tasks) if begun is None else _finite_or_none(begun.motions.error),
         rules=kept,
         remarks=_remarks(best, kept),
         start_results=tuple(_candidate_report(one) for one in tried),
@@ -249,12 +255,12 @@ def design(
 
 
 def _solve_starts(
-    search: DesignSearch, count: int, seed: int, jobs: Jobs, progress: Progress | None
+    search: DesignSearch, robots: Robots, count: int, seed: int, jobs: Jobs, progress: Progress | None
 ) -> tuple[Candidate | None, list[Candidate]]:
     """Return the robot's own tubes with motions, and the candidates of all starts that led to motions.
 
-    Starts are distributed over processes where there are at least as many starts as processes; otherwise the tasks
-    of each start are.
+    robots: maps the robot to the scenarios for which the tubes are solved. Starts are distributed over processes
+    where there are at least as many starts as processes; otherwise the tasks of each start are.
     """
     begun = dict[int, Candidate | None]()
     found = dict[int, Candidate]()
@@ -262,7 +268,7 @@ def _solve_starts(
     # Never both: processes that start processes of their own would be more than there are cores.
     apart, within = (jobs, 1) if isinstance(jobs, int) and len(starts) >= jobs else (1, jobs)
     alike = replace(search.portable, jobs=within)
-    for number, (before, after) in run_in_parallel(partial(_solve_start, alike), starts, apart):
+    for number, (before, after) in run_in_parallel(partial(_solve_start, alike, robots), starts, apart):
         begun[number] = before
         if after is not None:
             found[number] = after
@@ -272,14 +278,22 @@ def _solve_starts(
     return begun.get(0), [found[number] for number in sorted(found)]
 
 
-def _solve_start(search: DesignSearch, start: tuple[str, Array]) -> tuple[Candidate | None, Candidate | None]:
+def _solve_start(
+    search: DesignSearch, robots: Robots, start: tuple[str, Array]
+) -> tuple[Candidate | None, Candidate | None]:
     """Return the tubes of a start with motions, and the best candidate of the rounds from them; None for what has
     none.
+
+    robots: maps the robot to the scenarios for which the candidate is solved once more, where it can be.
     """
     with deferred_interrupt() as interrupted:
         search = replace(search, stop=interrupted)
-        begun = search.start(*start)
-        return begun, None if begun is None or interrupted() else search.run_rounds(begun)
+        begun = search.shape_alone.start(*start)
+        found = None if begun is None or interrupted() else search.run_from_start(begun)
+        if found is None or robots is nominal_scenario or interrupted():
+            return begun, found
+        # Tubes that are solved for the nominal robot alone are kept where no motion is shared.
+        return begun, search.solve_for(robots, found) or found
 
 
 def _finish_tubes(
@@ -334,7 +348,7 @@ def _candidate_report(one: Candidate) -> dict[str, Any]:
     """Return a candidate as numbers and strings, for reports."""
     return {
         "start": one.start,
-        "e3": _finite_or_none(one.motions.e3),
+        "e3": _finite_or_none(one.motions.error),
         "rms": one.motions.rms,
         "p": one.p.tolist(),
         "iterations": 0 if one.solution is None else one.solution.iterations,

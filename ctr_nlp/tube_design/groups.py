@@ -261,7 +261,7 @@ def _design_for_group(search: DesignSearch, group: tuple[Group, Array]) -> tuple
         settled = None if begun is None or interrupted() else own.run_rounds(begun)
         p = p if settled is None else settled.p
         try:
-            return p, search.plan_on_tubes(p).e3
+            return p, search.plan_on_tubes(p).error
         except CtrError:
             return p, np.full(len(search.tasks), np.nan)
 

@@ -142,7 +142,7 @@ def round_to_stock(
             return None
         raise ProblemError("no tubes of the stock were found that solve all problems")
     found, tubes = min(ended, key=lambda one: error_of(one[0]))
-    return found, StockRounding(tubes, best.motions.e3, found.motions.e3, len(chosen))
+    return found, StockRounding(tubes, best.motions.error, found.motions.error, len(chosen))
 
 
 def _relax_diameter_rules(search: DesignSearch) -> DesignSearch:
@@ -186,9 +186,9 @@ def _round_tubes(candidate: Candidate, search: DesignSearch, robots: Robots) -> 
 def _redesign_rest(
     candidate: Candidate, search: DesignSearch, p: Array, names: Sequence[str], robots: Robots
 ) -> tuple[Candidate, DesignSearch]:
-    """Design what is not fixed again, with the entries `names` fixed at p (P,); e3 is NaN where that fails."""
+    """Design what is not fixed again, entries `names` being fixed at p (P,); errors are NaN where that fails."""
     search = _fix_entries(search, p, names)
-    unknown = replace(candidate.motions, e3=np.full_like(candidate.motions.e3, np.nan))
+    unknown = replace(candidate.motions, error=np.full_like(candidate.motions.error, np.nan))
     start = replace(candidate, p=search.tubes.nominal_unknowns, motions=unknown)
     found = (
         search.run_round(start, robots, INITIAL_STEP_COST_MM2, barrier)

@@ -83,7 +83,8 @@ def _parser(prog: str) -> argparse.ArgumentParser:
     what = "problems that are planned on the designed robot, which is not designed for them, or a folder of them"
     parser.add_argument("--hold-out", metavar="PROBLEM", nargs="+", default=[], help=what)
     parser.add_argument("--nominal", action="store_true", help="leave tolerances out")
-    what = "keep the plans within the lumens; the tubes are chosen as if there were no walls"
+    what = "choose the tubes within the walls, so that most ends are reached; by default as if there were no "
+    what += "walls, for the least mean error"
     parser.add_argument("--walls", action="store_true", help=what)
     parser.add_argument("--constant-curvature", action="store_true", help="all curved parts are arcs")
     what = "numbers that stay as they are, such as outer_diameter_1 or curved_length_3"
