@@ -13,7 +13,7 @@ round, leaves tubes that matter little where they are. See docs/method.md, "Tube
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 
@@ -60,8 +60,10 @@ REPLANNED_BARRIER_MM2, CONTINUED_BARRIER_MM2 = 0.1, 1e-3
 """First barriers, mm^2, of rounds after the first: for motions that were re-planned since, and for those of the
 round before, which a larger barrier would move away from their solution.
 """
-MAX_ROUNDS_BEFORE_WALLS = 2
-"""Most rounds without walls before those in which they count."""
+MAX_ROUNDS_BEFORE_WALLS, MAX_ERROR_NEAR_WALLS_MM = 2, 2.0
+"""Most rounds without walls before those in which they count, and the error, mm, with the costs of contact and
+arrival, up to which tubes to start from need no such rounds.
+"""
 SHAPE_ALONE = Settings(contact_weight=0.0, arrival_weight=0.0)
 """Priorities with which only the shape's error counts."""
 
@@ -195,8 +197,8 @@ class DesignSearch:
         """Return the tasks with another robot."""
         return [replace(task, robot=robot) for task in self.tasks]
 
-    def plan_on_tubes(self, p: Array) -> Motions:
-        """Plan every task separately on given tubes p.
+    def plan_on_tubes(self, p: Array) -> list[Plan]:
+        """Plan every task separately on given tubes p, for the nominal robot.
 
         Parameters
         ----------
@@ -205,8 +207,8 @@ class DesignSearch:
 
         Returns
         -------
-        Motions
-            Of the nominal robot (S = 1). After Ctrl-C some are no solutions.
+        list of Plan
+            In the order of the tasks. After Ctrl-C some are no solutions.
 
         Raises
         ------
@@ -215,18 +217,32 @@ class DesignSearch:
         """
         robot = self.tubes.robot_of(p)
         plan = partial(solve_horizon, model=self.model, settings=self.settings)
-        plans = (
-            [plan(task) for task in self.tasks_on(robot)]
-            if self.jobs == 1
-            else self._plan_in_processes(plan, robot)
-        )
+        if self.jobs == 1:
+            return [plan(task) for task in self.tasks_on(robot)]
+        return self._plan_in_processes(plan, robot)
+
+    def motions_of(self, p: Array, plans: Sequence[Plan]) -> Motions:
+        """Return the motions of plans of all tasks on tubes p.
+
+        Parameters
+        ----------
+        p : ndarray
+            Unknowns (P,) of the tubes.
+        plans : sequence of Plan
+            From `plan_on_tubes`.
+
+        Returns
+        -------
+        Motions
+            Of the nominal robot (S = 1).
+        """
+        robot = self.tubes.robot_of(p)
         q = np.concatenate([plan.q for plan in plans])
         tips = [tips_of(self.model, robot, self.model.follow(robot, plan.q).x) for plan in plans]
         # Tips (T, k) of one robot become those of S = 1 scenarios, (T, 1, k).
         phi = np.concatenate(tips)[:, None]
-        unknown = np.full(len(plans), np.nan)
         if not np.isfinite(phi).all():
-            return Motions(q, phi, unknown)
+            return Motions(q, phi, np.full(len(plans), np.nan))
         error = self._errors(self.motion(p, q, nominal_scenario, 0.0), q, phi, p)
         return Motions(q, phi, np.where([plan.success.all() for plan in plans], error, np.nan))
 
@@ -264,7 +280,7 @@ class DesignSearch:
             None where no robot has these tubes, or it cannot be moved as the tasks ask.
         """
         try:
-            motions = self.plan_on_tubes(p)
+            motions = self.motions_of(p, self.plan_on_tubes(p))
         except CtrError:
             return None
         return Candidate(name, p, motions) if np.isfinite(motions.phi).all() else None
@@ -476,10 +492,13 @@ class DesignSearch:
         """
         if not self.counts_more_than_shape:
             return self.run_rounds(start)
-        found = self.shape_alone.run_rounds(start, most=MAX_ROUNDS_BEFORE_WALLS)
-        if found is None:
-            return None
-        found = self.with_own_error(found)
+        found = self.with_own_error(start)
+        # Negated, so that tubes without a known error count as far.
+        if not found.motions.rms <= MAX_ERROR_NEAR_WALLS_MM or not self.tubes.satisfies_rules(start.p):
+            shaped = self.shape_alone.run_rounds(start, most=MAX_ROUNDS_BEFORE_WALLS)
+            if shaped is None:
+                return None
+            found = self.with_own_error(shaped)
         for part, barrier in zip(WALL_PARTS, (REPLANNED_BARRIER_MM2, CONTINUED_BARRIER_MM2), strict=True):
             weight = part * self.priorities.contact_weight
             near = replace(self, priorities=replace(self.priorities, contact_weight=weight))

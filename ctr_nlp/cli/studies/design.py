@@ -168,8 +168,9 @@ def _run(arguments: argparse.Namespace) -> int:
     }
     with _workers(arguments) as jobs, progress_bar() as labelled:
         alike["jobs"] = jobs
+        alike["walls"] = arguments.walls
         groups = divide_problems(tasks, arguments.robots, progress=labelled("groups"), **alike)
-        only: dict[str, Any] = {name: getattr(arguments, name) for name in ("nominal", "starts", "walls")}
+        only: dict[str, Any] = {name: getattr(arguments, name) for name in ("nominal", "starts")}
         made = list[DesignWithPlans]()
         for number, group in enumerate(groups, start=1):
             label = f"design {number} of {len(groups)}" if len(groups) > 1 else "design"
@@ -214,7 +215,7 @@ def _plan_held_out(
     """
     robots = [one.design.robot for one in designs]
     choice = (
-        assign_to_robots(held_out, robots, settings, jobs, model)
+        assign_to_robots(held_out, robots, settings, jobs, model, arguments.walls)
         if held_out and len(robots) > 1
         else [0] * len(held_out)
     )
