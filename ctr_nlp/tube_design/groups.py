@@ -132,7 +132,9 @@ def divide_problems(
     best = groups, begun
     for number in range(MAX_GROUPING_ROUNDS):
         found = dict(
-            run_in_parallel(partial(_design_for_group, search), list(zip(groups, begun, strict=True)), jobs)
+            run_in_parallel(
+                partial(_design_for_group, search.portable), list(zip(groups, begun, strict=True)), jobs
+            )
         )
         end_if_interrupted()
         # Groups change little from round to round: their last tubes are good starts for the next ones.
