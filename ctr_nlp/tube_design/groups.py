@@ -22,6 +22,8 @@ from ctr_nlp.ocp.shared.design import DesignedTubes
 from ctr_nlp.ocp.shared.manufacture import Manufacture
 from ctr_nlp.paths.problem import Problem
 from ctr_nlp.plan.measures import e3
+from ctr_nlp.plan.plan import Plan
+from ctr_nlp.plan.verdicts import YES, option
 from ctr_nlp.planning.horizon import solve_horizon
 from ctr_nlp.planning.marching import Progress
 from ctr_nlp.planning.nlp_frames import DEFAULT_PLANNER_SETTINGS
@@ -236,6 +238,17 @@ def assign_by_errors(errors: Array) -> Index:
     return choice
 
 
+def reaches_end_in_frames(plan: Plan) -> bool:
+    """Return whether a nominal plan on few frames arrives and keeps off the wall in these frames.
+
+    What happens between frames is left out: in the long steps of a draft a robot cuts corners that it keeps clear
+    of when it moves through all frames.
+    """
+    if not plan.success.all() or plan.verdicts.arrives.word != YES:
+        return False
+    return bool(plan.clearance is None or plan.clearance.min() >= -float(option(plan, "contact_allowed")))
+
+
 def _summarise_errors(errors: Array, followed: Flags) -> tuple[int, float]:
     """Return how many tasks no robot follows, by flags (k, n), and the RMS in mm of the best errors (k, n) of the
     others.
@@ -304,7 +317,7 @@ def _design_for_group(search: DesignSearch, group: tuple[Group, Array]) -> _Grou
             return _GroupDesign(p, np.full(len(search.tasks), np.nan), np.zeros(len(search.tasks), dtype=bool))
         followed = np.isfinite(errors)
         if search.counts_more_than_shape:
-            followed &= [plan.verdicts.end_reached_nominally for plan in plans]
+            followed &= [reaches_end_in_frames(plan) for plan in plans]
         return _GroupDesign(p, errors, followed)
 
 
