@@ -60,7 +60,7 @@ REPLANNED_BARRIER_MM2, CONTINUED_BARRIER_MM2 = 0.1, 1e-3
 """First barriers, mm^2, of rounds after the first: for motions that were re-planned since, and for those of the
 round before, which a larger barrier would move away from their solution.
 """
-MAX_ROUNDS_BEFORE_WALLS, MAX_ERROR_NEAR_WALLS_MM = 2, 2.0
+MAX_ROUNDS_BEFORE_WALLS, MAX_ERROR_NEAR_WALLS_MM = 2, 3.0
 """Most rounds without walls before those in which they count, and the error, mm, with the costs of contact and
 arrival, up to which tubes to start from need no such rounds.
 """
@@ -492,9 +492,9 @@ class DesignSearch:
         """
         if not self.counts_more_than_shape:
             return self.run_rounds(start)
-        found = self.with_own_error(start)
-        # Negated, so that tubes without a known error count as far.
-        if not found.motions.rms <= MAX_ERROR_NEAR_WALLS_MM or not self.tubes.satisfies_rules(start.p):
+        # Tubes that were designed within walls before are near already; others are not, and break rules at first.
+        found = self.start(start.start, start.p) if self.tubes.satisfies_rules(start.p) else None
+        if found is None or found.motions.rms > MAX_ERROR_NEAR_WALLS_MM:
             shaped = self.shape_alone.run_rounds(start, most=MAX_ROUNDS_BEFORE_WALLS)
             if shaped is None:
                 return None
