@@ -67,17 +67,20 @@ class Remark:
     gain : float
         Part by which the root mean square error of the tasks would fall, to first order, if the bound were eased
         by a tenth.
+    error : str
+        What the error is called.
     """
 
     rule: RuleValue
     gain: float
+    error: str = "e3"
 
     def __str__(self) -> str:
         """Return the remark as a sentence."""
         rule = self.rule
         bound = min(rule.lower, rule.upper, key=lambda bound: abs(bound - rule.value))
         told = f"{rule.name} is at its bound, {abs(bound):.4g}"
-        return f"{told}; easing the bound by 10 % would lower e3 by {self.gain:.1%}"
+        return f"{told}; easing the bound by 10 % would lower {self.error} by {self.gain:.1%}"
 
 
 @dataclass(frozen=True)
@@ -93,8 +96,8 @@ class Design:
     plans : tuple of Plan
         One a task, on the robot; some may be missing where Ctrl-C came first.
     before : tuple of (float or None)
-        e3 of each task's motion on the robot that the design started from, mm, over the frames of a draft; None
-        where it has none.
+        e3 of each task's motion on the robot that the design started from, without walls, mm, over the frames of
+        a draft; None where it has none.
     rules : tuple of RuleValue
         Rules of manufacture, with the values that the tubes have.
     remarks : tuple of Remark
@@ -141,7 +144,8 @@ def design(
 
     The root mean square of the problems' e3 is minimised over tubes and motions jointly: pre-curvatures, lengths
     of curved parts and diameters are shared by all problems, q of every frame belongs to its own
-    (ocp/shared/design.py). Walls do not count while tubes are solved for.
+    (ocp/shared/design.py). With `walls`, the costs of contact and arrival count beside the shape errors, as in
+    plans, and tubes are tried until the ends of all problems are reached (:attr:`Verdicts.end_reached`).
 
     Without `nominal`, motions are shared by scenarios that represent all robots within the tolerances, and each
     plan is certified on simulated robots (:func:`solve_robust`). With a load, all robots of the design are loaded;
@@ -165,7 +169,7 @@ def design(
     starts : int
         Number of tubes to start from: the robot's own and random ones (`settings.seed`).
     walls : bool
-        Whether the plans on the designed tubes are kept within the lumens.
+        Whether walls and the tip's arrival count, for tubes and plans; every problem then needs a wall.
     jobs : int or distributed.Client
         Number of processes, or the cluster, for starts, tasks and plans. With fewer starts than processes, the
         joint program of all problems is solved in this process.
@@ -246,7 +250,7 @@ def design(
         plans=tuple(planned),
         before=(None,) * len(whole.tasks) if begun is None else _finite_or_none(begun.motions.error),
         rules=kept,
-        remarks=_remarks(best, kept),
+        remarks=_remarks(best, kept, search.error_name),
         start_results=tuple(_candidate_report(one) for one in tried),
         interrupted=stopped,
         stock_rounding=stocked,
@@ -356,8 +360,8 @@ def _candidate_report(one: Candidate) -> dict[str, Any]:
     }
 
 
-def _remarks(best: Candidate, kept: Sequence[RuleValue]) -> tuple[Remark, ...]:
-    """Return the rules that bind, those first that cost most."""
+def _remarks(best: Candidate, kept: Sequence[RuleValue], error: str) -> tuple[Remark, ...]:
+    """Return the rules that bind, those first that cost most; error: what the errors of motions are called."""
     if best.solution is None:
         return ()
     found = list[Remark]()
@@ -370,5 +374,5 @@ def _remarks(best: Candidate, kept: Sequence[RuleValue]) -> tuple[Remark, ...]:
             # The price is the derivative of the objective by the bound, so that a tenth of the bound changes the
             # objective by price * bound / 10. e3 is its square root: its relative change is half that of the
             # objective.
-            found.append(Remark(rule, abs(price) * abs(bound) / 10 / whole / 2))
+            found.append(Remark(rule, abs(price) * abs(bound) / 10 / whole / 2, error))
     return tuple(sorted((one for one in found if one.gain >= MIN_REMARKED_GAIN), key=lambda one: -one.gain))

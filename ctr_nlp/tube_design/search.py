@@ -470,6 +470,11 @@ class DesignSearch:
         return replace(self, priorities=SHAPE_ALONE)
 
     @property
+    def error_name(self) -> str:
+        """What the errors of motions are called in reports."""
+        return "the error with the costs of contact and arrival" if self.counts_more_than_shape else "e3"
+
+    @property
     def counts_more_than_shape(self) -> bool:
         """Whether walls or the tip's arrival count."""
         return self.priorities != SHAPE_ALONE
