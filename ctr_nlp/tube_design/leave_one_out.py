@@ -85,7 +85,7 @@ def leave_one_out(
         others = [problem for k, each in enumerate(anatomies) if k != number for problem in each]
         groups = divide_problems(others, robots, walls=True, **options)
         # With one group no tubes were found yet; with several, designs start from the tubes of their groups.
-        starts = {"starts": 1} if robots > 1 else {}
+        starts: dict[str, Any] = {"starts": 1} if robots > 1 else {}
         made = {
             f"robot {k}": design(group, nominal=nominal, walls=True, **starts, **options).robot
             for k, group in enumerate(groups, start=1)

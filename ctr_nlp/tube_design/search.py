@@ -471,7 +471,7 @@ class DesignSearch:
 
     @property
     def error_name(self) -> str:
-        """What the errors of motions are called in reports."""
+        """Name of the quantity in the tasks' errors, as reports write it."""
         return "the error with the costs of contact and arrival" if self.counts_more_than_shape else "e3"
 
     @property

@@ -16,7 +16,16 @@ from ctr_nlp.ocp.shared.manufacture import Manufacture
 from ctr_nlp.robot.shipped import SHIPPED_ROBOTS_FOLDER
 
 PAIR = Robot(TWO.tubes)
-FRAMES = 8
+FRAMES = 5
+
+# A robot for one test each: compiling would take longer than the tests.
+pytestmark = pytest.mark.interpreted
+
+
+def _printed(capsys):
+    """All that was printed since the last call."""
+    found = capsys.readouterr()
+    return found.out + found.err
 
 
 def _bent(radius):
@@ -117,7 +126,7 @@ def test_choose_command_needs_a_wall(tmp_path, capsys):
 def test_a_path_within_a_lumen_is_planned_for_a_shipped_robot(lumen_file, tmp_path, capsys):
     asked = ["plan", str(lumen_file), "--nominal", "--frames", "4", "--no-figures", "--no-evaluate"]
     main([*asked, "--out", str(tmp_path / "out")])
-    assert "robot: stock_" in capsys.readouterr().err
+    assert "robot: stock_" in _printed(capsys)
     (tmp_path / "mine.toml").write_text(ROBOTS["bent"].to_toml(), encoding="utf-8")
     main([*asked, "--out", str(tmp_path / "mine"), "--robot", str(tmp_path / "mine.toml")])
-    assert "robot: " not in capsys.readouterr().err
+    assert "robot: " not in _printed(capsys)

@@ -20,8 +20,11 @@ from ctr_nlp.tube_design.request import search_for
 from ctr_nlp.tube_design.search import SHAPE_ALONE, nominal_scenario
 
 PAIR = Robot(TWO.tubes)
-RULES = Manufacture(channel=0.3, wall=0.1, outer=2.0)
-FRAMES = 10
+RULES = Manufacture(channel=0.3, wall=0.1, outer=4.0)
+FRAMES = 6
+
+# Programs of these tests alone: compiling them would take longer than the tests.
+pytestmark = pytest.mark.interpreted
 
 
 def _task(name, bend, radius=None):
@@ -34,12 +37,12 @@ def _task(name, bend, radius=None):
 
 @pytest.fixture(scope="module")
 def task():
-    return _task("bend", 14.0, 2.0)
+    return _task("bend", 14.0, 2.8)
 
 
 @pytest.fixture(scope="module")
 def walled(task):
-    return design([task], nominal=True, walls=True, rules=RULES, starts=2)
+    return design([task], nominal=True, walls=True, rules=RULES, starts=1)
 
 
 def test_end_is_reached_on_tubes_designed_within_walls(task, walled):
@@ -51,7 +54,7 @@ def test_end_is_reached_on_tubes_designed_within_walls(task, walled):
 
 def test_tubes_designed_within_walls_satisfy_the_rules(walled):
     assert all(rule.lower <= rule.value <= rule.upper for rule in walled.rules)
-    assert walled.robot.tubes[0].outer_diameter <= 2.0
+    assert walled.robot.tubes[0].outer_diameter <= 4.0
 
 
 def test_an_end_is_not_reached_before_samples_were_simulated(walled):
@@ -115,7 +118,7 @@ def test_ends_hold_on_built_robots_after_a_design_for_tolerances(task):
 
 @pytest.mark.slow
 def test_groups_within_walls_come_with_their_tubes():
-    tasks = [replace(_task(f"bend {bend:g}", bend, 2.5), robot=PAIR) for bend in (6.0, 14.0)]
+    tasks = [replace(_task(f"bend {bend:g}", bend, 3.0), robot=PAIR) for bend in (6.0, 14.0)]
     groups = divide_problems(tasks, 2, rules=RULES, walls=True)
     assert sorted(task.name for group in groups for task in group) == ["bend 14", "bend 6"]
     assert all(task.robot != PAIR for group in groups for task in group)
@@ -128,7 +131,7 @@ def test_leave_one_out_needs_two_anatomies(task):
 
 @pytest.mark.slow
 def test_an_alike_anatomy_is_reached_by_robots_for_the_others():
-    anatomies = [[_task("one", 10.0, 2.5)], [_task("two", 11.0, 2.5)]]
+    anatomies = [[_task("one", 10.0, 3.0)], [_task("two", 11.0, 3.0)]]
     found = leave_one_out(anatomies, 1, nominal=True, rules=RULES, settings=Settings())
     assert [(end.anatomy, end.name) for end in found] == [(0, "one"), (1, "two")]
     assert all(end.choice.reaches for end in found)
