@@ -31,10 +31,12 @@ if TYPE_CHECKING:
     from ctr_nlp.plan.simulation import shape_curve, shapes
     from ctr_nlp.planning import Steerer, solve_horizon, solve_per_frame
     from ctr_nlp.robot import Limits, Robot, Tolerances, Tube, table_i_robot
+    from ctr_nlp.robot.shipped import read_robot_files
     from ctr_nlp.robust import solve_robust, solve_robust_per_frame
     from ctr_nlp.studies.grid.results import Results
     from ctr_nlp.studies.grid.study_file import Study
     from ctr_nlp.studies.workers.running import run_study
+    from ctr_nlp.tube_design.choice import RobotChoice, choose_robot, compare_robots
     from ctr_nlp.tube_design.co_design import Design, design
     from ctr_nlp.tube_design.groups import assign_to_robots, divide_problems
     from ctr_nlp.tube_design.stock import StockTube, read_stock
@@ -60,6 +62,7 @@ __all__ = [
     "Problem",
     "Results",
     "Robot",
+    "RobotChoice",
     "Settings",
     "Steerer",
     "StockTube",
@@ -73,6 +76,8 @@ __all__ = [
     "assign_to_robots",
     "by_frame",
     "calibrate",
+    "choose_robot",
+    "compare_robots",
     "curve_from_formula",
     "curve_from_points",
     "design",
@@ -87,6 +92,7 @@ __all__ = [
     "read_load",
     "read_measurements",
     "read_robot",
+    "read_robot_files",
     "read_stock",
     "read_wall",
     "run_study",
@@ -108,6 +114,7 @@ _HOMES = {
     "identify.calibration.calibration": ("Calibration", "calibrate"),
     "identify.calibration.measurements": ("Measurements",),
     "identify.calibration.reading": ("read_measurements",),
+    "tube_design.choice": ("RobotChoice", "choose_robot", "compare_robots"),
     "tube_design.groups": ("assign_to_robots", "divide_problems"),
     "tube_design.stock": ("StockTube", "read_stock"),
     "tube_design.co_design": ("Design", "design"),
@@ -121,6 +128,7 @@ _HOMES = {
     "plan.metrics": ("by_frame", "summary"),
     "plan.plan": ("Plan",),
     "robot": ("Limits", "Robot", "Tolerances", "Tube", "table_i_robot"),
+    "robot.shipped": ("read_robot_files",),
     "plan.simulation": ("shape_curve", "shapes"),
     "planning": ("Steerer", "solve_horizon", "solve_per_frame"),
     "robust": ("solve_robust", "solve_robust_per_frame"),

@@ -24,6 +24,11 @@ def add_problem_options(parser: argparse.ArgumentParser) -> None:
     """Add the options for robot, number of frames and duration to `parser`."""
     parser.add_argument("--robot", metavar="FILE.toml", help="robot file (default: the problem's own robot)")
     add_frames_option(parser)
+    add_duration_option(parser)
+
+
+def add_duration_option(parser: argparse.ArgumentParser) -> None:
+    """Add the option for the duration of a motion to `parser`."""
     parser.add_argument(
         "--duration", metavar="S", type=float, default=10.0, help="of the motion, in seconds (default 10)"
     )

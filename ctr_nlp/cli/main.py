@@ -36,6 +36,7 @@ COMMANDS = {
     "force": Entry("loads.force", "main", "find the tip forces that a plan withstands"),
     "contact": Entry("loads.contact", "main", "find the forces with which a plan touches the wall of its lumen"),
     "design": Entry("studies.design", "main", "choose tubes together with motions along several targets"),
+    "choose": Entry("studies.choose", "main", "compare robots on one path: which reaches its end"),
     "calibrate": Entry("measured.calibrate", "main", "find a robot's tubes from measurements of its shape"),
     "report": Entry("commands.report", "main", "write plans as one page for a browser"),
     "export": Entry("commands.export", "main", "write a plan as commands of machines or files of other programs"),

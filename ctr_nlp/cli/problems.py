@@ -62,7 +62,7 @@ def load_all(names: Sequence[str], arguments: argparse.Namespace) -> list[Proble
     options = {key: value for key in FILE_OPTIONS if (value := getattr(arguments, key, None)) is not None}
     if more := getattr(arguments, "more_files", None):
         options["pieces"] = [*more, *options.get("pieces", ())]
-    if options and not any(_is_anatomy(name) for name in names):
+    if options and not any(is_anatomy(name) for name in names):
         kind = "problem file" if names[0].endswith(".py") else "named problem"
         if more:
             raise OptionError(
@@ -71,7 +71,7 @@ def load_all(names: Sequence[str], arguments: argparse.Namespace) -> list[Proble
             )
         option = next(iter(options)).replace("_", "-")
         raise OptionError(f"--{option} goes with a centreline file or a mask; {names[0]} is a {kind}")
-    found = [_problem(name, arguments, options if _is_anatomy(name) else {}) for name in names]
+    found = [_problem(name, arguments, options if is_anatomy(name) else {}) for name in names]
     planned_on = getattr(arguments, "model", None)
     evaluated_on = getattr(arguments, "evaluate", None)
     for problem in found:
@@ -91,7 +91,8 @@ def _check_evaluation(model: Model, problem: Problem) -> None:
         announce(f"errors on the {model.name} model are inaccurate: {error}")
 
 
-def _is_anatomy(name: str) -> bool:
+def is_anatomy(name: str) -> bool:
+    """Tell whether a PROBLEM is a file of anatomy: no named problem and no problem file."""
     return name not in PROBLEM_NAMES and not name.endswith(".py")
 
 

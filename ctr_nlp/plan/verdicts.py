@@ -37,6 +37,8 @@ MARGIN_SLACK = 0.005
 between frames is less (planning/stability_refinement.py)."""
 ROBUSTNESS_VERDICT_NAME = "holds on built robots"
 """The verdict on simulated robots within the tolerances."""
+REACHED_VERDICT_NAMES = "solved", "arrives", "stable", "within_limits", "within_wall", "holds"
+"""Verdicts that are all *yes* where the end of a path is reached (docs/reached.md)."""
 
 
 class Verdict(NamedTuple):
@@ -113,6 +115,17 @@ class Verdicts(NamedTuple):
     def unchecked_names(self) -> tuple[str, ...]:
         """Names of the verdicts that are *NOT CHECKED*."""
         return tuple(verdict.matter for verdict in self if verdict.word == NOT_CHECKED)
+
+    @property
+    def end_reached(self) -> bool:
+        """Whether the end of the path is reached: all REACHED_VERDICT_NAMES are *yes*."""
+        return all(getattr(self, name).word == YES for name in REACHED_VERDICT_NAMES)
+
+    @property
+    def end_reached_nominally(self) -> bool:
+        """Whether the nominal robot reaches the end of the path: as `end_reached`, without simulated robots."""
+        names = [name for name in REACHED_VERDICT_NAMES if name != "holds"]
+        return all(getattr(self, name).word == YES for name in names)
 
 
 SHORT_NAMES = {name: name.removeprefix("within_").replace("_", " ") for name in Verdicts._fields}

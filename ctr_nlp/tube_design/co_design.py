@@ -39,6 +39,7 @@ from ctr_nlp.tube_design.search import Candidate, DesignSearch, Robots, error_of
 from ctr_nlp.tube_design.selection import (
     choose_best_planned,
     choose_certified,
+    choose_reaching,
     solve_all_frames,
     tolerance_scenarios,
     tolerant_candidates,
@@ -66,17 +67,20 @@ class Remark:
     gain : float
         Part by which the root mean square error of the tasks would fall, to first order, if the bound were eased
         by a tenth.
+    error : str
+        What the error is called.
     """
 
     rule: RuleValue
     gain: float
+    error: str = "e3"
 
     def __str__(self) -> str:
         """Return the remark as a sentence."""
         rule = self.rule
         bound = min(rule.lower, rule.upper, key=lambda bound: abs(bound - rule.value))
         told = f"{rule.name} is at its bound, {abs(bound):.4g}"
-        return f"{told}; easing the bound by 10 % would lower e3 by {self.gain:.1%}"
+        return f"{told}; easing the bound by 10 % would lower {self.error} by {self.gain:.1%}"
 
 
 @dataclass(frozen=True)
@@ -92,8 +96,8 @@ class Design:
     plans : tuple of Plan
         One a task, on the robot; some may be missing where Ctrl-C came first.
     before : tuple of (float or None)
-        e3 of each task's motion on the robot that the design started from, mm, over the frames of a draft; None
-        where it has none.
+        e3 of each task's motion on the robot that the design started from, without walls, mm, over the frames of
+        a draft; None where it has none.
     rules : tuple of RuleValue
         Rules of manufacture, with the values that the tubes have.
     remarks : tuple of Remark
@@ -140,7 +144,8 @@ def design(
 
     The root mean square of the problems' e3 is minimised over tubes and motions jointly: pre-curvatures, lengths
     of curved parts and diameters are shared by all problems, q of every frame belongs to its own
-    (ocp/shared/design.py). Walls do not count while tubes are solved for.
+    (ocp/shared/design.py). With `walls`, the costs of contact and arrival count beside the shape errors, as in
+    plans, and tubes are tried until the ends of all problems are reached (:attr:`Verdicts.end_reached`).
 
     Without `nominal`, motions are shared by scenarios that represent all robots within the tolerances, and each
     plan is certified on simulated robots (:func:`solve_robust`). With a load, all robots of the design are loaded;
@@ -164,7 +169,7 @@ def design(
     starts : int
         Number of tubes to start from: the robot's own and random ones (`settings.seed`).
     walls : bool
-        Whether the plans on the designed tubes are kept within the lumens.
+        Whether walls and the tip's arrival count, for tubes and plans; every problem then needs a wall.
     jobs : int or distributed.Client
         Number of processes, or the cluster, for starts, tasks and plans. With fewer starts than processes, the
         joint program of all problems is solved in this process.
@@ -205,7 +210,7 @@ def design(
     """
     count = whole_number(OptionError, "starts", starts)
     with deferred_interrupt() as interrupted:
-        whole = search_for(problems, model, rules, fixed, constant_curvature, settings)
+        whole = search_for(problems, model, rules, fixed, constant_curvature, settings, walls)
         whole, first = replace(whole, stop=interrupted, jobs=jobs), whole.tasks[0].robot
         if not nominal:
             model_for_tip_forces(whole.model, first.tolerances.tip_force > 0).check(first)
@@ -214,13 +219,18 @@ def design(
         # Starts are compared on the frames of drafts, at a fraction of the cost; the best nominal tubes are then
         # solved for all frames.
         search = replace(whole, tasks=tuple(draft(task) for task in whole.tasks))
-        begun, found = _solve_starts(search, count, settings.seed, jobs, progress)
-        tried = [one for one in (begun, *found) if one is not None]
+        robots = tolerance_scenarios if walls and not nominal else nominal_scenario
+        begun, found = _solve_starts(search, robots, count, settings.seed, jobs, progress)
+        tried = found
+        if begun is not None and not search.counts_more_than_shape:
+            tried = [begun, *found]
         if not tried:
             raise ProblemError("no tubes were found that solve all problems; give more starts")
         plan = partial(_plans, whole, settings, nominal, model, walls, jobs, progress)
         if nominal:
             best, planned = choose_best_planned(tried, whole, plan)
+        elif walls:
+            best, planned = choose_reaching(tried, search, plan)
         else:
             best, planned = choose_certified(tried, search, plan)
         stocked = None
@@ -238,9 +248,9 @@ def design(
         robot=robot,
         names=tuple(task.name for task in whole.tasks),
         plans=tuple(planned),
-        before=(None,) * len(whole.tasks) if begun is None else _finite_or_none(begun.motions.e3),
+        before=(None,) * len(whole.tasks) if begun is None else _finite_or_none(begun.motions.error),
         rules=kept,
-        remarks=_remarks(best, kept),
+        remarks=_remarks(best, kept, search.error_name),
         start_results=tuple(_candidate_report(one) for one in tried),
         interrupted=stopped,
         stock_rounding=stocked,
@@ -249,12 +259,12 @@ def design(
 
 
 def _solve_starts(
-    search: DesignSearch, count: int, seed: int, jobs: Jobs, progress: Progress | None
+    search: DesignSearch, robots: Robots, count: int, seed: int, jobs: Jobs, progress: Progress | None
 ) -> tuple[Candidate | None, list[Candidate]]:
     """Return the robot's own tubes with motions, and the candidates of all starts that led to motions.
 
-    Starts are distributed over processes where there are at least as many starts as processes; otherwise the tasks
-    of each start are.
+    robots: maps the robot to the scenarios for which the tubes are solved. Starts are distributed over processes
+    where there are at least as many starts as processes; otherwise the tasks of each start are.
     """
     begun = dict[int, Candidate | None]()
     found = dict[int, Candidate]()
@@ -262,7 +272,7 @@ def _solve_starts(
     # Never both: processes that start processes of their own would be more than there are cores.
     apart, within = (jobs, 1) if isinstance(jobs, int) and len(starts) >= jobs else (1, jobs)
     alike = replace(search.portable, jobs=within)
-    for number, (before, after) in run_in_parallel(partial(_solve_start, alike), starts, apart):
+    for number, (before, after) in run_in_parallel(partial(_solve_start, alike, robots), starts, apart):
         begun[number] = before
         if after is not None:
             found[number] = after
@@ -272,14 +282,22 @@ def _solve_starts(
     return begun.get(0), [found[number] for number in sorted(found)]
 
 
-def _solve_start(search: DesignSearch, start: tuple[str, Array]) -> tuple[Candidate | None, Candidate | None]:
+def _solve_start(
+    search: DesignSearch, robots: Robots, start: tuple[str, Array]
+) -> tuple[Candidate | None, Candidate | None]:
     """Return the tubes of a start with motions, and the best candidate of the rounds from them; None for what has
     none.
+
+    robots: maps the robot to the scenarios for which the candidate is solved once more, where it can be.
     """
     with deferred_interrupt() as interrupted:
         search = replace(search, stop=interrupted)
-        begun = search.start(*start)
-        return begun, None if begun is None or interrupted() else search.run_rounds(begun)
+        begun = search.shape_alone.start(*start)
+        found = None if begun is None or interrupted() else search.run_from_start(begun)
+        if found is None or robots is nominal_scenario or interrupted():
+            return begun, found
+        # Tubes that are solved for the nominal robot alone are kept where no motion is shared.
+        return begun, search.solve_for(robots, found) or found
 
 
 def _finish_tubes(
@@ -334,7 +352,7 @@ def _candidate_report(one: Candidate) -> dict[str, Any]:
     """Return a candidate as numbers and strings, for reports."""
     return {
         "start": one.start,
-        "e3": _finite_or_none(one.motions.e3),
+        "e3": _finite_or_none(one.motions.error),
         "rms": one.motions.rms,
         "p": one.p.tolist(),
         "iterations": 0 if one.solution is None else one.solution.iterations,
@@ -342,8 +360,8 @@ def _candidate_report(one: Candidate) -> dict[str, Any]:
     }
 
 
-def _remarks(best: Candidate, kept: Sequence[RuleValue]) -> tuple[Remark, ...]:
-    """Return the rules that bind, those first that cost most."""
+def _remarks(best: Candidate, kept: Sequence[RuleValue], error: str) -> tuple[Remark, ...]:
+    """Return the rules that bind, those first that cost most; error: what the errors of motions are called."""
     if best.solution is None:
         return ()
     found = list[Remark]()
@@ -356,5 +374,5 @@ def _remarks(best: Candidate, kept: Sequence[RuleValue]) -> tuple[Remark, ...]:
             # The price is the derivative of the objective by the bound, so that a tenth of the bound changes the
             # objective by price * bound / 10. e3 is its square root: its relative change is half that of the
             # objective.
-            found.append(Remark(rule, abs(price) * abs(bound) / 10 / whole / 2))
+            found.append(Remark(rule, abs(price) * abs(bound) / 10 / whole / 2, error))
     return tuple(sorted((one for one in found if one.gain >= MIN_REMARKED_GAIN), key=lambda one: -one.gain))

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 from scipy.cluster.vq import kmeans2
@@ -17,9 +18,12 @@ from scipy.cluster.vq import kmeans2
 from ctr_nlp.exceptions import CtrError, OptionError
 from ctr_nlp.models import Model
 from ctr_nlp.ocp.settings import Settings
+from ctr_nlp.ocp.shared.design import DesignedTubes
 from ctr_nlp.ocp.shared.manufacture import Manufacture
 from ctr_nlp.paths.problem import Problem
 from ctr_nlp.plan.measures import e3
+from ctr_nlp.plan.plan import Plan
+from ctr_nlp.plan.verdicts import YES, option
 from ctr_nlp.planning.horizon import solve_horizon
 from ctr_nlp.planning.marching import Progress
 from ctr_nlp.planning.nlp_frames import DEFAULT_PLANNER_SETTINGS
@@ -29,7 +33,8 @@ from ctr_nlp.support.pool import Jobs, run_in_parallel
 from ctr_nlp.support.value_checks import whole_number
 from ctr_nlp.tube_design.request import draft, search_for
 from ctr_nlp.tube_design.search import DesignSearch
-from ctr_nlp.typing import Array, Index
+from ctr_nlp.tube_design.starts import generate_start_tubes
+from ctr_nlp.typing import Array, Flags, Index
 
 MAX_GROUPING_ROUNDS, MIN_GROUPING_IMPROVEMENT = 6, 5e-3
 """Largest number of rounds, and the relative improvement of the error below which they end."""
@@ -48,6 +53,7 @@ def divide_problems(
     rules: Manufacture | None = None,
     fixed: Sequence[str] = (),
     constant_curvature: bool = False,
+    walls: bool = False,
     jobs: Jobs = 1,
     settings: Settings = DEFAULT_PLANNER_SETTINGS,
     progress: Progress | None = None,
@@ -56,7 +62,10 @@ def divide_problems(
 
     The first groups are those of similar paths (k-means). Then tubes are designed for each group, on the frames of
     drafts and for the nominal robot, and every problem is assigned to the tubes that follow it best. These two
-    steps are repeated while the root mean square of the errors falls.
+    steps are repeated while more problems are followed, or the root mean square of the errors falls. Within walls
+    a problem is followed where its end is reached by the nominal robot, and errors include the costs of contact
+    and arrival. These grow linearly, so that an end that cannot be reached does not draw the tubes away from all
+    others.
 
     Parameters
     ----------
@@ -72,6 +81,8 @@ def divide_problems(
         Names of numbers that stay as they are, such as ``"outer_diameter_1"``.
     constant_curvature : bool
         Whether curved parts are arcs; otherwise their curvature is linear in arc length.
+    walls : bool
+        Whether the problems' walls and the tip's arrival count.
     jobs : int or distributed.Client
         Number of processes, or the cluster, for the designs of groups.
     settings : Settings
@@ -82,7 +93,8 @@ def divide_problems(
     Returns
     -------
     list of list of Problem
-        One list a robot; none is empty.
+        One list a robot; none is empty. Within walls the problems of a group come with the tubes that were found
+        for it, from which :func:`design` then starts.
 
     Raises
     ------
@@ -112,34 +124,44 @@ def divide_problems(
         raise OptionError(
             f"robots is {count} and there are {len(tasks)} problems; give at most one robot a problem"
         )
-    search = search_for(tasks, model, rules, fixed, constant_curvature, settings)
+    search = search_for(tasks, model, rules, fixed, constant_curvature, settings, walls)
     if count == 1:
         return [tasks]
     search = replace(search, tasks=tuple(draft(task) for task in search.tasks))
     groups = _groups(_cluster_paths(search.tasks, count, settings.seed), count)
-    begun = [search.tubes.nominal_unknowns] * count
+    begun = [_first_tubes(search.tubes, settings.seed)] * count
     least = (len(tasks), np.inf)
+    best = groups, begun
     for number in range(MAX_GROUPING_ROUNDS):
         found = dict(
-            run_in_parallel(partial(_design_for_group, search), list(zip(groups, begun, strict=True)), jobs)
+            run_in_parallel(
+                partial(_design_for_group, search.portable), list(zip(groups, begun, strict=True)), jobs
+            )
         )
         end_if_interrupted()
         # Groups change little from round to round: their last tubes are good starts for the next ones.
-        begun = [found[k][0] for k in range(count)]
-        errors = np.array([found[k][1] for k in range(count)])
-        unserved, rms = _summarise_errors(errors)
+        begun = [found[k].p for k in range(count)]
+        errors = np.array([found[k].errors for k in range(count)])
+        unserved, rms = _summarise_errors(errors, np.array([found[k].followed for k in range(count)]))
         if progress is not None:
-            progress(number + 1, MAX_GROUPING_ROUNDS, f"groups of problems, e3 {rms:.3f} mm")
+            left = f", {unserved} not followed" if unserved else ""
+            progress(number + 1, MAX_GROUPING_ROUNDS, f"groups of problems, error {rms:.3f} mm{left}")
         # Fewest tasks that no robot follows first, then the error: an error over fewer tasks is no progress.
         if (unserved, rms) >= (least[0], (1 - MIN_GROUPING_IMPROVEMENT) * least[1]):
             break
         least = (unserved, rms)
         before = groups
         groups = _groups(assign_by_errors(errors), count)
+        best = groups, begun
         # Nothing moved: tubes would be designed for the same groups again.
         if groups == before:
             break
-    return [[tasks[i] for i in group] for group in groups]
+    if not walls:
+        return [[tasks[i] for i in group] for group in groups]
+    found_robots = [search.tubes.robot_of(p) for p in best[1]]
+    return [
+        [replace(tasks[i], robot=one) for i in group] for group, one in zip(best[0], found_robots, strict=True)
+    ]
 
 
 def assign_to_robots(
@@ -148,6 +170,7 @@ def assign_to_robots(
     settings: Settings = DEFAULT_PLANNER_SETTINGS,
     jobs: Jobs = 1,
     model: str | Model = "elastic",
+    walls: bool = False,
 ) -> Index:
     """Assign each problem to the robot that follows it best, on some of its frames and without tolerances.
 
@@ -158,11 +181,13 @@ def assign_to_robots(
     robots : sequence of Robot
         Robots to choose from.
     settings : Settings
-        Options of the plans; walls and the tip's arrival do not count.
+        Options of the plans.
     jobs : int or distributed.Client
         Number of processes, or the cluster, on which plans are made.
     model : str or Model
         ``"elastic"``, ``"dominant"`` or ``Loaded(load)``.
+    walls : bool
+        Whether walls and the tip's arrival count.
 
     Returns
     -------
@@ -185,7 +210,7 @@ def assign_to_robots(
     array([0, 1])
     """
     pairs = [replace(draft(task), robot=robot) for robot in robots for task in problems]
-    found = dict(run_in_parallel(partial(_plan_error, settings, model), pairs, jobs))
+    found = dict(run_in_parallel(partial(_plan_error, settings, model, walls), pairs, jobs))
     end_if_interrupted()
     return assign_by_errors(np.array([found[k] for k in range(len(pairs))]).reshape(len(robots), len(problems)))
 
@@ -213,12 +238,23 @@ def assign_by_errors(errors: Array) -> Index:
     return choice
 
 
-def _summarise_errors(errors: Array) -> tuple[int, float]:
-    """Return how many tasks no robot follows, by errors (k, n), and the RMS in mm of the best errors of the
+def reaches_end_in_frames(plan: Plan) -> bool:
+    """Return whether a nominal plan on few frames arrives and keeps off the wall in these frames.
+
+    What happens between frames is left out: in the long steps of a draft a robot cuts corners that it keeps clear
+    of when it moves through all frames.
+    """
+    if not plan.success.all() or plan.verdicts.arrives.word != YES:
+        return False
+    return bool(plan.clearance is None or plan.clearance.min() >= -float(option(plan, "contact_allowed")))
+
+
+def _summarise_errors(errors: Array, followed: Flags) -> tuple[int, float]:
+    """Return how many tasks no robot follows, by flags (k, n), and the RMS in mm of the best errors (k, n) of the
     others.
     """
-    known = np.isfinite(errors).any(axis=0)
-    best = np.nanmin(errors[:, known], axis=0) if known.any() else np.array([np.inf])
+    known = followed.any(axis=0)
+    best = np.where(followed, errors, np.inf)[:, known].min(axis=0) if known.any() else np.array([np.inf])
     return int((~known).sum()), float(np.sqrt(np.mean(best**2)))
 
 
@@ -251,27 +287,48 @@ def _groups(choice: Index, count: int) -> tuple[Group, ...]:
     return tuple(tuple(np.flatnonzero(choice == robot).tolist()) for robot in range(count))
 
 
-def _design_for_group(search: DesignSearch, group: tuple[Group, Array]) -> tuple[Array, Array]:
-    """Return tubes p for the tasks of a group, from given ones, and e3 (n,), mm, of all tasks on them."""
+def _first_tubes(tubes: DesignedTubes, seed: int) -> Array:
+    """Return unknowns (P,) of tubes to start from: the robot's own, or random ones where those break a rule."""
+    starts = (p for _, p in generate_start_tubes(tubes, seed))
+    return next((p for p in starts if tubes.satisfies_rules(p)), tubes.nominal_unknowns)
+
+
+class _GroupDesign(NamedTuple):
+    """Tubes p (P,) for a group of tasks, errors (n,) of all tasks on them, mm, and which are followed (n,)."""
+
+    p: Array
+    errors: Array
+    followed: Flags
+
+
+def _design_for_group(search: DesignSearch, group: tuple[Group, Array]) -> _GroupDesign:
+    """Return tubes for the tasks of a group, from given ones, and how well all tasks are followed on them."""
     numbers, p = group
     with deferred_interrupt() as interrupted:
         # Tubes are solved for the tasks of the group alone, and then tried on all tasks.
         own = replace(search, tasks=tuple(search.tasks[i] for i in numbers), stop=interrupted)
-        begun = own.start("tubes of the group", p)
-        settled = None if begun is None or interrupted() else own.run_rounds(begun)
+        begun = own.shape_alone.start("tubes of the group", p)
+        settled = None if begun is None or interrupted() else own.run_from_start(begun)
         p = p if settled is None else settled.p
         try:
-            return p, search.plan_on_tubes(p).e3
+            plans = search.plan_on_tubes(p)
+            errors = search.motions_of(p, plans).error
         except CtrError:
-            return p, np.full(len(search.tasks), np.nan)
+            return _GroupDesign(p, np.full(len(search.tasks), np.nan), np.zeros(len(search.tasks), dtype=bool))
+        followed = np.isfinite(errors)
+        if search.counts_more_than_shape:
+            followed &= [reaches_end_in_frames(plan) for plan in plans]
+        return _GroupDesign(p, errors, followed)
 
 
-def _plan_error(settings: Settings, model: str | Model, task: Problem) -> float:
-    """Return e3 of a problem's plan, mm; NaN where there is none or a frame of it was not solved."""
+def _plan_error(settings: Settings, model: str | Model, walls: bool, task: Problem) -> float:
+    """Return the error of a problem's plan, mm: e3 or, with walls, the root of its mean objective; NaN where there
+    is none or a frame of it was not solved.
+    """
     try:
-        plain = replace(settings, contact_weight=0.0, arrival_weight=0.0)
+        plain = settings if walls else replace(settings, contact_weight=0.0, arrival_weight=0.0)
         plan = solve_horizon(task, model=model, settings=plain)
     except CtrError:
         return np.nan
-    found = e3(plan)
+    found = float(np.sqrt(plan.objective.mean())) if walls else e3(plan)
     return found if plan.success.all() and found is not None else np.nan

@@ -15,7 +15,7 @@ from ctr_nlp.planning.motions import at_frames
 from ctr_nlp.planning.nlp_frames import DEFAULT_PLANNER_SETTINGS
 from ctr_nlp.planning.starts.search import pick_draft_frames
 from ctr_nlp.support.value_checks import check_instance
-from ctr_nlp.tube_design.search import DesignSearch
+from ctr_nlp.tube_design.search import SHAPE_ALONE, DesignSearch
 
 
 def search_for(
@@ -25,6 +25,7 @@ def search_for(
     fixed: Sequence[str] = (),
     constant_curvature: bool = False,
     settings: Settings = DEFAULT_PLANNER_SETTINGS,
+    walls: bool = False,
 ) -> DesignSearch:
     """Build the search for tubes over all frames of problems.
 
@@ -41,7 +42,10 @@ def search_for(
     constant_curvature : bool
         Whether curved parts are arcs; otherwise their curvature is linear in arc length.
     settings : Settings
-        `stability_margin` is the least of every robot.
+        `stability_margin` is the least of every robot; costs and tolerances of contact and arrival count where
+        `walls` do.
+    walls : bool
+        Whether tubes are chosen for the tasks within their walls, and so that the tip arrives.
 
     Returns
     -------
@@ -61,7 +65,14 @@ def search_for(
     robot = tasks[0].robot if constant_curvature else with_linear_curvatures(tasks[0].robot)
     tubes = DesignedTubes(robot, rules or Manufacture(), tuple(fixed), weighs)
     margin = 0.0 if settings.stability_margin is None else settings.stability_margin
-    return DesignSearch(tuple(replace(task, robot=robot) for task in tasks), tubes, described, margin)
+    if walls and (without := next((task for task in tasks if task.wall is None), None)):
+        raise ProblemError(
+            f"walls count in this design, and none is known around {without.name}; give a path with radii or a "
+            "mask, or leave walls out"
+        )
+    priorities = settings if walls else SHAPE_ALONE
+    tasks = tuple(replace(task, robot=robot) for task in tasks)
+    return DesignSearch(tasks, tubes, described, margin, priorities)
 
 
 def _check_problems(problems: Sequence[Problem], settings: Settings) -> tuple[Problem, ...]:

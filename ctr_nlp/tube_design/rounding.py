@@ -59,25 +59,28 @@ class StockRounding:
     tubes : tuple of StockTube
         Tubing to buy, outermost first.
     free_errors, rounded_errors : ndarray
-        e3 (n,) of the tasks' motions with free tubes and with these, mm, over the same frames and scenarios.
+        Errors (n,) of the tasks' motions with free tubes and with these, mm, over the same frames and scenarios.
     combination_count : int
         Number of combinations of which they are the best.
+    error : str
+        What these errors are called.
     """
 
     tubes: tuple[StockTube, ...]
     free_errors: Array
     rounded_errors: Array
     combination_count: int
+    error: str = "e3"
 
     @property
     def loss(self) -> float:
-        """Increase of the root mean square of e3 over that of the free tubes, relative to the latter."""
+        """Increase of the root mean square of the errors over that of the free tubes, relative to the latter."""
         return float(np.sqrt(np.mean(self.rounded_errors**2) / np.mean(self.free_errors**2)) - 1)
 
     def __str__(self) -> str:
         """Return the result as a sentence."""
         parts = "; ".join(f"tube {i}: {one.part}" for i, one in enumerate(self.tubes, 1))
-        change = f"raise e3 by {self.loss:.1%}" if self.loss >= 0 else f"lower e3 by {-self.loss:.1%}"
+        change = f"{'raise' if self.loss >= 0 else 'lower'} {self.error} by {abs(self.loss):.1%}"
         return f"Tubes of stock ({parts}) {change}"
 
 
@@ -142,7 +145,7 @@ def round_to_stock(
             return None
         raise ProblemError("no tubes of the stock were found that solve all problems")
     found, tubes = min(ended, key=lambda one: error_of(one[0]))
-    return found, StockRounding(tubes, best.motions.e3, found.motions.e3, len(chosen))
+    return found, StockRounding(tubes, best.motions.error, found.motions.error, len(chosen), search.error_name)
 
 
 def _relax_diameter_rules(search: DesignSearch) -> DesignSearch:
@@ -186,9 +189,9 @@ def _round_tubes(candidate: Candidate, search: DesignSearch, robots: Robots) -> 
 def _redesign_rest(
     candidate: Candidate, search: DesignSearch, p: Array, names: Sequence[str], robots: Robots
 ) -> tuple[Candidate, DesignSearch]:
-    """Design what is not fixed again, with the entries `names` fixed at p (P,); e3 is NaN where that fails."""
+    """Design what is not fixed again, entries `names` being fixed at p (P,); errors are NaN where that fails."""
     search = _fix_entries(search, p, names)
-    unknown = replace(candidate.motions, e3=np.full_like(candidate.motions.e3, np.nan))
+    unknown = replace(candidate.motions, error=np.full_like(candidate.motions.error, np.nan))
     start = replace(candidate, p=search.tubes.nominal_unknowns, motions=unknown)
     found = (
         search.run_round(start, robots, INITIAL_STEP_COST_MM2, barrier)

@@ -13,7 +13,7 @@ round, leaves tubes that matter little where they are. See docs/method.md, "Tube
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 
@@ -27,10 +27,13 @@ from ctr_nlp.ocp.settings import Settings
 from ctr_nlp.ocp.shared.design import DesignedTubes
 from ctr_nlp.ocp.shared.scenarios import shared_motion
 from ctr_nlp.ocp.shared.tasks import CurvedPartLimit, join_task_motions
+from ctr_nlp.ocp.terms import Term
+from ctr_nlp.ocp.terms.arrival import with_arrival
+from ctr_nlp.ocp.wall import Wall, make_wall
 from ctr_nlp.paths.problem import Problem
-from ctr_nlp.plan.metrics import summary
 from ctr_nlp.plan.plan import Plan
 from ctr_nlp.planning.horizon import Horizon, solve_horizon
+from ctr_nlp.planning.horizon.horizon import WALL_PARTS
 from ctr_nlp.robot import Robot
 from ctr_nlp.robust.plan import MOTION_PART
 from ctr_nlp.robust.search import InitialMotion, RobustSearch, StartResult
@@ -57,6 +60,12 @@ REPLANNED_BARRIER_MM2, CONTINUED_BARRIER_MM2 = 0.1, 1e-3
 """First barriers, mm^2, of rounds after the first: for motions that were re-planned since, and for those of the
 round before, which a larger barrier would move away from their solution.
 """
+MAX_ROUNDS_BEFORE_WALLS, MAX_ERROR_NEAR_WALLS_MM = 2, 3.0
+"""Most rounds without walls before those in which they count, and the error, mm, with the costs of contact and
+arrival, up to which tubes to start from need no such rounds.
+"""
+SHAPE_ALONE = Settings(contact_weight=0.0, arrival_weight=0.0)
+"""Priorities with which only the shape's error counts."""
 
 
 @dataclass(frozen=True)
@@ -69,19 +78,21 @@ class Motions:
         Configurations (T, 2d + 2) of all frames of all tasks, rad and mm.
     phi : ndarray
         Angles (T, S, k) of the tubes' tips in S scenarios, rad.
-    e3 : ndarray
-        Error (n,) of each task over its frames and scenarios, mm; NaN where its motion is no solution.
+    error : ndarray
+        Error (n,) of each task over its frames and scenarios, mm: the root of the mean objective of a robot in a
+        frame, which is e3 where walls do not count, and has the costs of contact and arrival beside it where they
+        do. NaN where the task's motion is no solution.
     """
 
     q: Array
     phi: Array
-    e3: Array
+    error: Array
 
     @property
     def rms(self) -> float:
-        """Root mean square of the tasks' e3, mm; infinite where one is not known."""
-        known = np.isfinite(self.e3).all()
-        return float(np.sqrt(np.mean(self.e3**2))) if known else np.inf
+        """Root mean square of the tasks' errors, mm; infinite where one is not known."""
+        known = np.isfinite(self.error).all()
+        return float(np.sqrt(np.mean(self.error**2))) if known else np.inf
 
 
 @dataclass(frozen=True)
@@ -104,6 +115,11 @@ class Candidate:
     p: Array
     motions: Motions
     solution: SharedSolution | None = None
+
+    @property
+    def has_scenarios(self) -> bool:
+        """Whether the motions are shared by several robots, not those of the nominal one."""
+        return self.motions.phi.shape[1] > 1
 
     @property
     def is_solution(self) -> bool:
@@ -139,6 +155,8 @@ class DesignSearch:
         Kinematic model.
     margin : float
         Least stability margin of every robot.
+    priorities : Settings
+        Costs of contact and arrival, with their tolerances; by default neither counts.
     stop : callable
         Returns whether to stop; asked between steps.
     on_candidate : callable or None
@@ -151,6 +169,7 @@ class DesignSearch:
     tubes: DesignedTubes
     model: Model
     margin: float
+    priorities: Settings = SHAPE_ALONE
     stop: Callable[[], bool] = never
     on_candidate: Callable[[Candidate], None] | None = None
     jobs: Jobs = 1
@@ -162,8 +181,13 @@ class DesignSearch:
 
     @cached_property
     def settings(self) -> Settings:
-        """Settings of the tasks' motions, without walls or arrival."""
-        return Settings(stability_margin=self.margin, contact_weight=0.0, arrival_weight=0.0)
+        """Settings of the tasks' motions."""
+        return replace(self.priorities, stability_margin=self.margin)
+
+    @cached_property
+    def _terms(self) -> tuple[Term, ...]:
+        """Terms of the tasks' motions besides the shape error and the wall."""
+        return with_arrival((), self.settings, self.model)
 
     def split_by_task(self, of_all: Array) -> list[Array]:
         """Split rows `of_all` (T, ...) of all tasks' frames, task by task."""
@@ -173,8 +197,8 @@ class DesignSearch:
         """Return the tasks with another robot."""
         return [replace(task, robot=robot) for task in self.tasks]
 
-    def plan_on_tubes(self, p: Array) -> Motions:
-        """Plan every task separately on given tubes p.
+    def plan_on_tubes(self, p: Array) -> list[Plan]:
+        """Plan every task separately on given tubes p, for the nominal robot.
 
         Parameters
         ----------
@@ -183,8 +207,8 @@ class DesignSearch:
 
         Returns
         -------
-        Motions
-            Of the nominal robot (S = 1). After Ctrl-C some are no solutions.
+        list of Plan
+            In the order of the tasks. After Ctrl-C some are no solutions.
 
         Raises
         ------
@@ -193,16 +217,45 @@ class DesignSearch:
         """
         robot = self.tubes.robot_of(p)
         plan = partial(solve_horizon, model=self.model, settings=self.settings)
-        plans = (
-            [plan(task) for task in self.tasks_on(robot)]
-            if self.jobs == 1
-            else self._plan_in_processes(plan, robot)
-        )
+        if self.jobs == 1:
+            return [plan(task) for task in self.tasks_on(robot)]
+        return self._plan_in_processes(plan, robot)
+
+    def motions_of(self, p: Array, plans: Sequence[Plan]) -> Motions:
+        """Return the motions of plans of all tasks on tubes p.
+
+        Parameters
+        ----------
+        p : ndarray
+            Unknowns (P,) of the tubes.
+        plans : sequence of Plan
+            From `plan_on_tubes`.
+
+        Returns
+        -------
+        Motions
+            Of the nominal robot (S = 1).
+        """
+        robot = self.tubes.robot_of(p)
         q = np.concatenate([plan.q for plan in plans])
         tips = [tips_of(self.model, robot, self.model.follow(robot, plan.q).x) for plan in plans]
-        e3 = [summary(plan)["e3"] if plan.success.all() else np.nan for plan in plans]
         # Tips (T, k) of one robot become those of S = 1 scenarios, (T, 1, k).
-        return Motions(q, np.concatenate(tips)[:, None], np.array(e3, dtype=float))
+        phi = np.concatenate(tips)[:, None]
+        if not np.isfinite(phi).all():
+            return Motions(q, phi, np.full(len(plans), np.nan))
+        error = self._errors(self.motion(p, q, nominal_scenario, 0.0), q, phi, p)
+        return Motions(q, phi, np.where([plan.success.all() for plan in plans], error, np.nan))
+
+    def _errors(self, motion: SharedMotion, q: Array, phi: Array, p: Array) -> Array:
+        """Return the errors (n,), mm, of the tasks at q (T, 2d + 2), tips phi (T, S, k) and tubes p (P,), see
+        Motions.
+        """
+        condensed = Condensed(motion)
+        condensed.update_local_parameters(q, phi, p)
+        # The objective itself has the motion term and the pull on p, which are no errors. Squares (T, S) of robots
+        # in frames are averaged over scenarios, then over the frames of each task.
+        squares = condensed.by_robot(q, phi, p) @ motion.weights
+        return np.sqrt([part.mean() for part in self.split_by_task(squares)])
 
     def _plan_in_processes(self, plan: Callable[[Problem], Plan], robot: Robot) -> list[Plan]:
         """Return the plans of the tasks on a robot, made in processes or on a cluster."""
@@ -227,20 +280,20 @@ class DesignSearch:
             None where no robot has these tubes, or it cannot be moved as the tasks ask.
         """
         try:
-            motions = self.plan_on_tubes(p)
+            motions = self.motions_of(p, self.plan_on_tubes(p))
         except CtrError:
             return None
         return Candidate(name, p, motions) if np.isfinite(motions.phi).all() else None
 
-    def motion(self, p: Array, motions: Motions, robots: Robots, pull: float) -> SharedMotion:
+    def motion(self, p: Array, q: Array, robots: Robots, pull: float) -> SharedMotion:
         """Build the joint program of tubes and motions.
 
         Parameters
         ----------
         p : ndarray
             Unknowns (P,) of the tubes from which it is solved, p_0.
-        motions : Motions
-            Motions from which it is solved.
+        q : ndarray
+            Configurations (T, 2d + 2) of all tasks' frames from which it is solved, rad and mm.
         robots : callable
             Maps the robot to the scenarios that share its motions.
         pull : float
@@ -254,8 +307,8 @@ class DesignSearch:
         robot = self.tubes.robot_of(p)
         made = list[SharedMotion]()
         scenarios = robots(robot)
-        for task, q in zip(self.tasks_on(robot), self.split_by_task(motions.q), strict=True):
-            weight = MOTION_PART * self._motion_weight(task, q)
+        for task, of_task in zip(self.tasks_on(robot), self.split_by_task(q), strict=True):
+            weight = MOTION_PART * self._motion_weight(task, of_task)
             margins = np.full(task.frames, self.margin)
             at = (
                 robot,
@@ -267,7 +320,12 @@ class DesignSearch:
                 scenarios,
             )
             one = shared_motion(
-                *at, fastest_functions, margins, (CurvedPartLimit(),), free_numbers=self.tubes.free_number_names
+                *at,
+                fastest_functions,
+                margins,
+                (CurvedPartLimit(), *self._terms),
+                self._wall(task),
+                self.tubes.free_number_names,
             )
             # Upper limits of beta are the curved lengths of the start; these are unknowns now, and CurvedPartLimit
             # bounds beta.
@@ -276,7 +334,12 @@ class DesignSearch:
             made.append(replace(one, upper=upper))
         # The errors are summed over frames: the pull grows with their number, and so keeps its weight against
         # them.
-        return join_task_motions(made, self.tubes.common(scenarios, p, pull * len(motions.q)))
+        return join_task_motions(made, self.tubes.common(scenarios, p, pull * len(q)))
+
+    def _wall(self, task: Problem) -> Wall | None:
+        """Return the wall of a task as all its scenarios see it; None where walls do not count."""
+        # One subsample, as robust plans have it: the wall is updated several times in every solve.
+        return make_wall(task.robot, task.wall, self.model, self.settings, subsamples=1)
 
     def _motion_weight(self, task: Problem, q: Array) -> float:
         """Return lambda in s^2, as a horizon without walls balances it, from a motion of robots without a load."""
@@ -313,9 +376,9 @@ class DesignSearch:
         found = [tried[number].solution for number in range(len(tasks))]
         # The objective is the sum over frames of the weighted mean squared error; its motion term is small beside
         # it.
-        e3 = np.sqrt([one.objective / len(one.q) for one in found])
+        error = np.sqrt([one.objective / len(one.q) for one in found])
         q, phi = (np.concatenate([getattr(one, name) for one in found]) for name in ("q", "phi"))
-        return replace(candidate, motions=Motions(q, phi, e3))
+        return replace(candidate, motions=Motions(q, phi, error))
 
     def share_task_motion(
         self, start: str, scenarios: Scenarios, task_and_motion: tuple[Problem, Array, Array]
@@ -344,11 +407,11 @@ class DesignSearch:
             own = (
                 model_for_tip_forces(self.model, scenarios.has_tip_forces),
                 EndConfigurations(),
-                (),
+                self._terms,
                 weight,
                 margins,
             )
-            search = RobustSearch(task, *own, stop=interrupted)
+            search = RobustSearch(task, *own, stop=interrupted, wall=self._wall(task))
             return search.solve(InitialMotion(start, x), scenarios)
 
     @property
@@ -375,19 +438,17 @@ class DesignSearch:
         Candidate or None
             None where the result violates equations or constraints by more than MAX_CANDIDATE_VIOLATION.
         """
-        motion = self.motion(candidate.p, candidate.motions, robots, pull)
+        motion = self.motion(candidate.p, candidate.motions.q, robots, pull)
         steps = MAX_DESIGN_STEPS + DESIGN_STEPS_PER_TASK * len(self.tasks)
         found = SharedSolver(motion)(
             candidate.motions.q, candidate.motions.phi, barrier, self.stop, steps, candidate.p
         )
         if max(found.violation, found.equation_violation) > MAX_CANDIDATE_VIOLATION:
             return None
-        # The objective itself has the motion term and the pull on p, which are no errors.
-        # Mean squared errors (T, S) of robots in frames, averaged over scenarios, then over the frames of each
-        # task: e3^2.
-        squares = Condensed(motion).by_robot(found.q, found.phi, found.p) @ motion.weights
-        e3 = np.sqrt([part.mean() for part in self.split_by_task(squares)])
-        return Candidate(candidate.start, found.p, Motions(found.q, found.phi, e3), found)
+        # Evaluated in a program of the tubes found, whose diameters are those that the wall has to leave room for.
+        there = self.motion(found.p, found.q, robots, pull) if motion.local_parameters else motion
+        error = self._errors(there, found.q, found.phi, found.p)
+        return Candidate(candidate.start, found.p, Motions(found.q, found.phi, error), found)
 
     def best_of_both(self, candidate: Candidate) -> Candidate:
         """Re-plan every task on the tubes of a candidate, and keep the better of its two motions."""
@@ -395,16 +456,100 @@ class DesignSearch:
         if again is None:
             return candidate
         # NaN compares false: a task without a new plan keeps the motion that it has.
-        better = again.motions.e3 < candidate.motions.e3
+        better = again.motions.error < candidate.motions.error
         # One choice a task, repeated for each of its frames.
         rows = np.repeat(better, [task.frames for task in self.tasks])
         q = np.where(rows[:, None], again.motions.q, candidate.motions.q)
         phi = np.where(rows[:, None, None], again.motions.phi, candidate.motions.phi[:, :1])
-        e3 = np.where(better, again.motions.e3, candidate.motions.e3)
-        return replace(candidate, motions=Motions(q, phi, e3))
+        error = np.where(better, again.motions.error, candidate.motions.error)
+        return replace(candidate, motions=Motions(q, phi, error))
+
+    @property
+    def shape_alone(self) -> DesignSearch:
+        """The search in which neither walls nor arrival count."""
+        return replace(self, priorities=SHAPE_ALONE)
+
+    @property
+    def error_name(self) -> str:
+        """Name of the quantity in the tasks' errors, as reports write it."""
+        return "the error with the costs of contact and arrival" if self.counts_more_than_shape else "e3"
+
+    @property
+    def counts_more_than_shape(self) -> bool:
+        """Whether walls or the tip's arrival count."""
+        return self.priorities != SHAPE_ALONE
+
+    def run_from_start(self, start: Candidate) -> Candidate | None:
+        """Run rounds from tubes to start from; where walls count, first without them.
+
+        Tubes to start from are far from any that keep off the wall, and a round that begins deep within it fails.
+        The rounds without walls end near them; the wall then counts with a part of its weight, and with all of it.
+
+        Parameters
+        ----------
+        start : Candidate
+            Tubes and motions to start from, found without walls.
+
+        Returns
+        -------
+        Candidate or None
+            The best result; None where the first round already failed.
+        """
+        if not self.counts_more_than_shape:
+            return self.run_rounds(start)
+        # Tubes that were designed within walls before are near already; others are not, and break rules at first.
+        found = self.start(start.start, start.p) if self.tubes.satisfies_rules(start.p) else None
+        if found is None or found.motions.rms > MAX_ERROR_NEAR_WALLS_MM:
+            shaped = self.shape_alone.run_rounds(start, most=MAX_ROUNDS_BEFORE_WALLS)
+            if shaped is None:
+                return None
+            found = self.with_own_error(shaped)
+        for part, barrier in zip(WALL_PARTS, (REPLANNED_BARRIER_MM2, CONTINUED_BARRIER_MM2), strict=True):
+            weight = part * self.priorities.contact_weight
+            near = replace(self, priorities=replace(self.priorities, contact_weight=weight))
+            if self.stop():
+                break
+            again = near.run_round(found, nominal_scenario, INITIAL_STEP_COST_MM2, barrier)
+            if again is not None:
+                found = self.with_own_error(again)
+                if self.on_candidate is not None:
+                    self.on_candidate(found)
+        return found
+
+    def solve_for(self, robots: Robots, candidate: Candidate) -> Candidate | None:
+        """Solve tubes of the nominal robot once more for all scenarios, from their own motions.
+
+        Parameters
+        ----------
+        robots : callable
+            Maps the robot to the scenarios that share its motions.
+        candidate : Candidate
+            Tubes with motions of the nominal robot.
+
+        Returns
+        -------
+        Candidate or None
+            Tubes and motions for the scenarios; None where they share no motions from there, or Ctrl-C came.
+        """
+        begun = self.share_motions(candidate, robots)
+        if begun is None or self.stop():
+            return None
+        found = self.run_round(begun, robots, INITIAL_STEP_COST_MM2, CONTINUED_BARRIER_MM2)
+        return found if found is not None and found.is_solution else None
+
+    def with_own_error(self, candidate: Candidate) -> Candidate:
+        """Return a candidate for the nominal robot with the errors that its motions have in this search."""
+        p = candidate.p
+        own = candidate.motions
+        error = self._errors(self.motion(p, own.q, nominal_scenario, 0.0), own.q, own.phi, p)
+        return replace(candidate, motions=replace(own, error=error))
 
     def run_rounds(
-        self, start: Candidate, robots: Robots = nominal_scenario, first: float = COLD_START_BARRIER_MM2
+        self,
+        start: Candidate,
+        robots: Robots = nominal_scenario,
+        first: float = COLD_START_BARRIER_MM2,
+        most: int = MAX_DESIGN_ROUNDS,
     ) -> Candidate | None:
         """Run rounds from a start and return the best result.
 
@@ -417,6 +562,8 @@ class DesignSearch:
             between rounds.
         first : float
             Barrier of the first round, mm^2.
+        most : int
+            Largest number of rounds.
 
         Returns
         -------
@@ -427,7 +574,7 @@ class DesignSearch:
         known = start
         pull = INITIAL_STEP_COST_MM2
         barrier = first
-        for _ in range(MAX_DESIGN_ROUNDS):
+        for _ in range(most):
             again = self.run_round(known, robots, pull, barrier)
             if again is None or self.stop():
                 break
@@ -453,5 +600,5 @@ class DesignSearch:
 
 
 def error_of(candidate: Candidate) -> float:
-    """Return the root mean square of e3 over the tasks of a candidate, mm, by which candidates are compared."""
+    """Return the root mean square of the tasks' errors, mm, by which candidates are compared."""
     return candidate.motions.rms

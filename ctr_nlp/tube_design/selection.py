@@ -32,6 +32,8 @@ TOLERANT_DESIGN_MARGIN = 0.3
 """Stability margin of all robots within the tolerances while tubes are designed for them, where it can be
 satisfied. It hardly costs any error, and is a reserve for the plans, whose margin is smaller.
 """
+SELECTION_SAMPLES, SELECTION_SAMPLE_SEED = 200, 71
+"""Number and seed of the simulated robots by which tubes are chosen within walls."""
 MAX_TOLERANT_CANDIDATES = 4
 """Largest number of tubes for tolerances that are tried until all plans on them are certified."""
 
@@ -91,7 +93,8 @@ def solve_all_frames(best: Candidate, search: DesignSearch) -> Candidate:
         The tubes for all frames; those of the draft where there are more than MAX_DESIGNED_FRAMES, no motions on
         them, or Ctrl-C came.
     """
-    if sum(task.frames for task in search.tasks) > MAX_DESIGNED_FRAMES:
+    # With walls the frames of the draft decide: the last ones, which count most, are among them.
+    if search.counts_more_than_shape or sum(task.frames for task in search.tasks) > MAX_DESIGNED_FRAMES:
         return best
     begun = search.start(best.start, best.p)
     if begun is None or search.stop():
@@ -161,6 +164,52 @@ def choose_certified(
     # Most certified plans first; the error decides among equals.
     best, plans, _ = min(tried, key=lambda one: (-one[2], error_of(one[0])))
     return best, plans
+
+
+def choose_reaching(
+    found: Sequence[Candidate], search: DesignSearch, plan: Callable[[Candidate], list[Plan]]
+) -> tuple[Candidate, list[Plan]]:
+    """Choose the tubes with which most ends are reached, for the robots within the tolerances and within walls.
+
+    An end is reached where the verdicts of its plan say so (:attr:`Verdicts.end_reached`), on simulated robots
+    that neither planning nor the evaluation of the design sees. Tubes are tried until all ends are reached, first
+    those that were solved for the tolerances.
+
+    Parameters
+    ----------
+    found : sequence of Candidate
+        Designed tubes, at least one.
+    search : DesignSearch
+        The search that found them, on the frames of a draft, in which walls count.
+    plan : callable
+        Maps tubes to the plans of all tasks on them.
+
+    Returns
+    -------
+    best : Candidate
+        The tubes with most ends reached; among equals those whose plans hold on most simulated robots.
+    plans : list of Plan
+        The plans on them, with samples.
+    """
+    tried = list[tuple[int, float, Candidate, list[Plan]]]()
+    # Errors of motions for one robot and for many cannot be compared.
+    ranked = sorted(found, key=lambda one: (not one.has_scenarios, error_of(one)))
+    for best in ranked[:MAX_TOLERANT_CANDIDATES]:
+        plans = [_with_selection_samples(one) for one in plan(best)]
+        reached = sum(one.verdicts.end_reached for one in plans)
+        held = sum(one.verdicts.holds.number or 0.0 for one in plans)
+        tried.append((reached, held, best, plans))
+        if reached == len(search.tasks) or search.stop():
+            break
+    _, _, best, plans = max(tried, key=lambda one: one[:2])
+    return best, plans
+
+
+def _with_selection_samples(plan: Plan) -> Plan:
+    """Return a plan with the samples by which tubes are chosen; itself where no frame of it was reached."""
+    if not plan.reached_frames.any():
+        return plan
+    return plan.with_samples(SELECTION_SAMPLES, SELECTION_SAMPLE_SEED)
 
 
 def tolerant_candidates(found: Sequence[Candidate], search: DesignSearch) -> Iterator[Candidate]:

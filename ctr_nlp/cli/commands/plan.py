@@ -9,6 +9,7 @@ from __future__ import annotations
 import argparse
 from collections.abc import Sequence
 from contextlib import AbstractContextManager, nullcontext
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -54,12 +55,14 @@ from ctr_nlp.plan.verdicts import NO
 from ctr_nlp.planning import DIRECTIONS, horizon_planner, solve_per_frame
 from ctr_nlp.planning.compromise import Compromise, compromises
 from ctr_nlp.planning.validation import Direction, check_search, checked_motions
+from ctr_nlp.robot.shipped import read_robot_files
 from ctr_nlp.robust import solve_robust, solve_robust_per_frame
 from ctr_nlp.robust.tolerance_scenarios import resolve_scenarios
 from ctr_nlp.solvers import CHAIN_SOLVERS, SOLVERS
 from ctr_nlp.studies.pareto_front import DEFAULT_SWEEP_WEIGHTS_S2, ParetoPoint, compute_pareto_front
 from ctr_nlp.support.interrupt import deferred_interrupt, end_if_interrupted
 from ctr_nlp.support.value_checks import check_choice
+from ctr_nlp.tube_design.choice import choose_robot
 
 if TYPE_CHECKING:
     from ctr_nlp.cli.live_views import SolverView
@@ -135,9 +138,10 @@ def _run(arguments: argparse.Namespace) -> int:
     _check_formulation_options(arguments)
     for weight in swept or ():
         check_motion_weight(weight)
-    problem = plan_options.with_motion_options(problems.load(arguments.problem, arguments), arguments)
-    problem = plan_options.with_tip_force_option(problem_with_modulus(problem, arguments), arguments)
     model = plan_options.model_from(arguments)
+    problem = _with_fitting_robot(problems.load(arguments.problem, arguments), arguments, model)
+    problem = plan_options.with_motion_options(problem, arguments)
+    problem = plan_options.with_tip_force_option(problem_with_modulus(problem, arguments), arguments)
     model_from_options(model, arguments).check_planning(problem.robot)
     robust, alone = _decide_robust(arguments, problem)
     out = Path(arguments.out or f"runs/{_folder(problem, model, arguments, robust)}")
@@ -176,6 +180,28 @@ def _run(arguments: argparse.Namespace) -> int:
     if film is not None:
         report_written_files(film)
     return EXIT_INTERRUPTED if interrupted else exit_status(plan)
+
+
+def _with_fitting_robot(problem: Problem, arguments: argparse.Namespace, model: str) -> Problem:
+    """Return a problem within walls with the shipped robot that fits its path best, where no robot was given.
+
+    Named problems and problem files have robots of their own. The robots are compared on the elastic model: on the
+    dominant one `model` the problem stays as it is.
+    """
+    own = arguments.robot is not None or not problems.is_anatomy(arguments.problem)
+    if own or problem.wall is None or not KINEMATIC_MODELS[model].can_snap:
+        return problem
+    # The limits of the tilt are the problem's: an option narrows them.
+    tilt = list(zip(problem.robot.lower[-2:].tolist(), problem.robot.upper[-2:].tolist(), strict=True))
+    robots = {name: robot.with_limits(theta=tilt) for name, robot in read_robot_files().items()}
+    best = choose_robot(problem, robots)
+    if best is None:
+        return problem
+    announce(
+        f"robot: {best.name}, which fits this path best of the {len(robots)} that come with the package; "
+        "`ctr-nlp choose` compares them, --robot FILE.toml takes another"
+    )
+    return replace(problem, robot=best.robot)
 
 
 def _compromises(arguments: argparse.Namespace, problem: Problem, plan: Plan) -> list[Compromise]:

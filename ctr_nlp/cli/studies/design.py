@@ -33,7 +33,13 @@ from ctr_nlp.cli.output.file import path_component
 from ctr_nlp.cli.output.folder import check_folder, output_folder, results_folder
 from ctr_nlp.cli.plan_options import with_tip_force_option
 from ctr_nlp.cli.plan_report import exit_status
-from ctr_nlp.cli.studies.design_output import DesignWithPlans, EvaluatedPlan, print_designs, write_designs
+from ctr_nlp.cli.studies.design_output import (
+    DesignWithPlans,
+    EvaluatedPlan,
+    print_designs,
+    print_left_out,
+    write_designs,
+)
 from ctr_nlp.cli.terminal_output import progress_bar, report_written_files
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.models import KINEMATIC_MODELS, Model
@@ -47,6 +53,7 @@ from ctr_nlp.support.interrupt import end_if_interrupted
 from ctr_nlp.support.pool import Jobs, run_in_parallel
 from ctr_nlp.tube_design.co_design import STARTS, design
 from ctr_nlp.tube_design.groups import assign_to_robots, divide_problems
+from ctr_nlp.tube_design.leave_one_out import HeldOutEnd, leave_one_out
 from ctr_nlp.tube_design.plans import on_tubing_as_sold, plan_tasks
 from ctr_nlp.tube_design.stock import read_stock
 
@@ -83,7 +90,8 @@ def _parser(prog: str) -> argparse.ArgumentParser:
     what = "problems that are planned on the designed robot, which is not designed for them, or a folder of them"
     parser.add_argument("--hold-out", metavar="PROBLEM", nargs="+", default=[], help=what)
     parser.add_argument("--nominal", action="store_true", help="leave tolerances out")
-    what = "keep the plans within the lumens; the tubes are chosen as if there were no walls"
+    what = "choose the tubes within the walls, so that most ends are reached; by default as if there were no "
+    what += "walls, for the least mean error"
     parser.add_argument("--walls", action="store_true", help=what)
     parser.add_argument("--constant-curvature", action="store_true", help="all curved parts are arcs")
     what = "numbers that stay as they are, such as outer_diameter_1 or curved_length_3"
@@ -100,6 +108,11 @@ def _parser(prog: str) -> argparse.ArgumentParser:
     what = "model that is designed on; on the dominant one stiffness does not count, and no tube can snap "
     what += "(default elastic)"
     parser.add_argument("--model", choices=KINEMATIC_MODELS, default="elastic", help=what)
+    what = "several branches of each file of anatomy, each a problem of its own; `ctr-nlp branches` lists them"
+    parser.add_argument("--branches", metavar="NAME|NUMBER", nargs="+", help=what)
+    what = "also design for all files but one, in turn, and report how many ends of that one are reached; goes "
+    what += "with --walls, and takes as many times longer as there are files"
+    parser.add_argument("--leave-one-out", action="store_true", help=what)
     add_rules(parser)
     add_load_options(parser, required=False)
     plan_options.add_tip_force(parser)
@@ -138,14 +151,11 @@ def _run(arguments: argparse.Namespace) -> int:
     out = Path(arguments.out)
     designed_for = problems.expand_folders(arguments.problems)
     held_out = problems.expand_folders(arguments.hold_out)
-    names = designed_for + held_out
-    read = zip(names, problems.load_all(names, arguments), strict=True)
-    asked = [
-        _with_file_name(name, with_tip_force_option(problem_with_modulus(problem, arguments), arguments))
-        for name, problem in read
-    ]
-    tasks = asked[: len(designed_for)]
-    held = asked[len(designed_for) :]
+    if arguments.leave_one_out and not arguments.walls:
+        raise OptionError("--leave-one-out goes with --walls: an end counts as reached within walls alone")
+    anatomies = [_load(name, arguments) for name in designed_for]
+    tasks = [task for each in anatomies for task in each]
+    held = [task for name in held_out for task in _load(name, arguments)]
     model = model_from_options(arguments.model, arguments)
     if twice := [name for name, count in Counter(task.name for task in (*tasks, *held)).items() if count > 1]:
         raise OptionError(
@@ -167,8 +177,9 @@ def _run(arguments: argparse.Namespace) -> int:
     }
     with _workers(arguments) as jobs, progress_bar() as labelled:
         alike["jobs"] = jobs
+        alike["walls"] = arguments.walls
         groups = divide_problems(tasks, arguments.robots, progress=labelled("groups"), **alike)
-        only: dict[str, Any] = {name: getattr(arguments, name) for name in ("nominal", "starts", "walls")}
+        only: dict[str, Any] = {name: getattr(arguments, name) for name in ("nominal", "starts")}
         made = list[DesignWithPlans]()
         for number, group in enumerate(groups, start=1):
             label = f"design {number} of {len(groups)}" if len(groups) > 1 else "design"
@@ -177,12 +188,21 @@ def _run(arguments: argparse.Namespace) -> int:
             if found.interrupted:
                 break
         interrupted = made[-1].design.interrupted
+        left_out = list[HeldOutEnd]()
+        if arguments.leave_one_out and not interrupted:
+            asked = {name: value for name, value in alike.items() if name != "walls"}
+            shown = labelled("leave one out")
+            left_out = leave_one_out(
+                anatomies, arguments.robots, nominal=arguments.nominal, progress=shown, **asked
+            )
         if not interrupted:
             made = _plan_held_out(made, held, settings, model, arguments, jobs, labelled)
     place = results_folder(out, interrupted)
     with output_folder(place, "design") as staging:
         write_designs(made, staging, nominal=arguments.nominal, figures=not arguments.no_figures)
     print_designs(made)
+    if left_out:
+        print_left_out(designed_for, left_out, arguments.nominal)
     report_written_files(place)
     if interrupted:
         return EXIT_INTERRUPTED
@@ -213,7 +233,7 @@ def _plan_held_out(
     """
     robots = [one.design.robot for one in designs]
     choice = (
-        assign_to_robots(held_out, robots, settings, jobs, model)
+        assign_to_robots(held_out, robots, settings, jobs, model, arguments.walls)
         if held_out and len(robots) > 1
         else [0] * len(held_out)
     )
@@ -238,6 +258,20 @@ def _evaluate_on_samples(plan: Plan) -> EvaluatedPlan:
         plan.with_samples(DESIGN_CHECK_SAMPLES, DESIGN_CHECK_SEED),
         on_tubing_as_sold(plan, DESIGN_CHECK_SAMPLES, DESIGN_CHECK_SEED),
     )
+
+
+def _load(name: str, arguments: argparse.Namespace) -> list[Problem]:
+    """Return the problems of one name or file: one, or one for each of --branches."""
+    branches = arguments.branches if problems.is_anatomy(name) else None
+    if branches is not None and arguments.branch is not None:
+        raise OptionError("--branches does not go with --branch; leave one of them out")
+    found = list[Problem]()
+    for branch in branches or [arguments.branch]:
+        asked = argparse.Namespace(**(vars(arguments) | {"branch": branch}))
+        problem = problem_with_modulus(problems.load(name, asked), arguments)
+        problem = _with_file_name(name, with_tip_force_option(problem, arguments))
+        found.append(replace(problem, name=f"{problem.name}-{path_component(branch)}") if branches else problem)
+    return found
 
 
 def _with_file_name(name: str, problem: Problem) -> Problem:

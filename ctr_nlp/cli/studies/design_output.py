@@ -18,6 +18,7 @@ from ctr_nlp.plan.summary_text import format_cell
 from ctr_nlp.plan.verdicts import SHORT_NAMES
 from ctr_nlp.support.value_checks import strict_json
 from ctr_nlp.tube_design.co_design import Design
+from ctr_nlp.tube_design.leave_one_out import HeldOutEnd
 from ctr_nlp.tube_design.rounding import StockRounding
 
 DESIGN_TABLE_COLUMNS = (
@@ -123,6 +124,21 @@ def print_designs(designs: Sequence[DesignWithPlans]) -> None:
     """Print tables and remarks for each of `designs`."""
     for number, one in enumerate(designs, start=1):
         _print_design(one, f"robot {number}: " if len(designs) > 1 else "")
+
+
+def print_left_out(files: Sequence[str], ends: Sequence[HeldOutEnd], nominal: bool) -> None:
+    """Print how many ends of each file are reached by robots that were designed for the other files.
+
+    files: names of the files, in the order in which `ends` count them. nominal: whether tolerances were left out.
+    """
+    rows = []
+    for number, file in enumerate(files):
+        reached = [end.choice.reaches for end in ends if end.anatomy == number]
+        rows.append([file, len(reached), sum(reached)])
+    print_table("left out of the design", ["file", "ends", "reached"], rows)
+    share = sum(end.choice.reaches for end in ends) / len(ends)
+    robots = "robots as described" if nominal else "robots within the tolerances"
+    console().print(f"Robots designed for all other files reach {share:.0%} of {len(ends)} ends, as {robots}.")
 
 
 def _print_design(design: DesignWithPlans, label: str) -> None:

@@ -37,6 +37,7 @@ from ctr_nlp.ocp.terms import ArrivalTerm, LoadTerm, SmoothContact, Term
 from ctr_nlp.ocp.wall import Wall
 from ctr_nlp.paths.target import Frame
 from ctr_nlp.robot import Robot
+from ctr_nlp.robot.structure import locate_free_numbers
 from ctr_nlp.typing import Array, Index
 
 SCENARIO_TIP_LIMIT_RAD, CONSTRAINT_SCENARIO_TIP_LIMIT_RAD = 0.7, 0.9
@@ -127,7 +128,8 @@ def shared_motion(
         if model.applied_load is None
         else parameters[:, : len(scenarios), frame.parameter_slice(LoadTerm.name)]
     )
-    near = None if wall is None else partial(_local_wall_parameters, wall, scenarios.numbers, loads)
+    places = locate_free_numbers(robot.structure, free_numbers)
+    near = None if wall is None else partial(_local_wall_parameters, wall, scenarios.numbers, loads, places)
     apart = np.where(eased, CONSTRAINT_SCENARIO_TIP_LIMIT_RAD, SCENARIO_TIP_LIMIT_RAD)
     # No frame before the first: no limit.
     twists = np.append(np.inf, np.full(len(frames) - 1, NOMINAL_TWIST_STEP_LIMIT_RAD))
@@ -175,9 +177,25 @@ def _shared_entries(frame: Nlp, robot: Robot) -> Index:
     return frame.configuration[robot.d : len(robot.axes)]
 
 
-def _local_wall_parameters(wall: Wall, numbers: Array, loads: Array | None, x: Array) -> dict[str, Array]:
-    """Return parameters of the wall near robots x (T, S, m); robots whose cost is 0 get the first one's."""
+def _local_wall_parameters(
+    wall: Wall,
+    numbers: Array,
+    loads: Array | None,
+    places: Sequence[tuple[int, tuple[int, ...]]],
+    x: Array,
+) -> dict[str, Array]:
+    """Return parameters of the wall near robots x (T, S, m); robots whose cost is 0 get the first one's.
+
+    numbers (S, d, 8): of the scenarios' tubes. places: the tube, from 0, and the columns of those among them that
+    are unknowns, whose values are the last entries of x.
+    """
     n = 2 * numbers.shape[1] + 2  # a tilt that is stored beside the model's unknowns comes after them
+    if places:
+        # All frames share one set of tubes, so that the first frame has their numbers.
+        given = x[0, : len(numbers), x.shape[2] - len(places) :]
+        numbers = numbers.copy()
+        for k, (i, columns) in enumerate(places):
+            numbers[:, i, list(columns)] = given[:, [k]]
     found = wall.scenario_local_parameters(x[:, : len(numbers), :n], numbers, loads)
     # The nominal robot keeps its own limit; perturbed ones may press deeper.
     found["contact_allowed"][:, 1:] = np.maximum(found["contact_allowed"][:, 1:], PERTURBED_CONTACT_LIMIT_MM)

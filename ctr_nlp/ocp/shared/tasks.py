@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import casadi as ca
@@ -18,10 +19,14 @@ from ctr_nlp.ocp.links import FrameLink
 from ctr_nlp.ocp.nlp import Constraint
 from ctr_nlp.ocp.scenarios import CommonUnknowns, SharedMotion
 from ctr_nlp.ocp.terms.term import Body, Parts, Symbols, Term
+from ctr_nlp.typing import Array, Index
 
 
 def join_task_motions(motions: Sequence[SharedMotion], common: CommonUnknowns) -> SharedMotion:
-    """Join motions of the same scenarios, each of a task of its own, as one with common unknowns."""
+    """Join motions of the same scenarios, each of a task of its own, as one with common unknowns.
+
+    Either all tasks have a wall, or none.
+    """
     sizes = [motion.lower.size for motion in motions]
     begins = np.cumsum([0, *sizes])
     frames = np.cumsum([0, *(len(motion.lower) for motion in motions)])
@@ -35,9 +40,21 @@ def join_task_motions(motions: Sequence[SharedMotion], common: CommonUnknowns) -
         name: np.concatenate([getattr(motion, name) for motion in motions])
         for name in ("parameters", "lower", "upper", "twist_steps")
     }
-    # Everything but frames, links and common unknowns is the same for all tasks: tubes, scenarios and the
+    near = None
+    if motions[0].local_parameters is not None:
+        near = partial(_local_parameters_by_task, [motion.local_parameters for motion in motions], frames[1:-1])
+    # Everything but frames, links, walls and common unknowns is the same for all tasks: tubes, scenarios and the
     # program.
-    return replace(motions[0], **of_frames, links=tuple(links), common=common)
+    return replace(motions[0], **of_frames, links=tuple(links), common=common, local_parameters=near)
+
+
+def _local_parameters_by_task(sources: Sequence[Any], begins: Index, x: Array) -> dict[str, Array]:
+    """Return local parameters (T, S, ..) by name at unknowns x (T, S, m), each task's from its own source.
+
+    begins: number of the first frame of each task but the first.
+    """
+    found = [source(part) for source, part in zip(sources, np.split(x, begins), strict=True)]
+    return {name: np.concatenate([each[name] for each in found]) for name in found[0]}
 
 
 @dataclass(frozen=True)

@@ -173,7 +173,7 @@ def _objective(search: DesignSearch, course: _RunRecorder) -> Callable[[Array], 
             course.record_evaluation(math.inf)  # so that a search among such tubes ends, too
             return FAILED_TASK_OBJECTIVE_MM + broken
         try:
-            rms = search.plan_on_tubes(p).rms
+            rms = search.motions_of(p, search.plan_on_tubes(p)).rms
         except CtrError:
             rms = math.inf
         course.record_evaluation(rms)

@@ -1,0 +1,132 @@
+"""The choice among robots: the one that fits a path best, why others do not, and the robots of the package."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from truth import TWO
+
+from ctr_nlp import Problem, Robot, choose_robot, compare_robots, curve_from_points, growing, read_robot_files
+from ctr_nlp.cli.main import main
+from ctr_nlp.exceptions import RobotError
+from ctr_nlp.ocp.shared.design import DesignedTubes
+from ctr_nlp.ocp.shared.manufacture import Manufacture
+from ctr_nlp.robot.shipped import SHIPPED_ROBOTS_FOLDER
+
+PAIR = Robot(TWO.tubes)
+FRAMES = 5
+
+# A robot for one test each: compiling would take longer than the tests.
+pytestmark = pytest.mark.interpreted
+
+
+def _printed(capsys):
+    """All that was printed since the last call."""
+    found = capsys.readouterr()
+    return found.out + found.err
+
+
+def _bent(radius):
+    """The pair with both curved parts bent to this radius, mm."""
+    return replace(PAIR, tubes=tuple(replace(tube, curvature=1 / radius) for tube in PAIR.tubes))
+
+
+def _points(radius):
+    """Points of an arc of 60 mm."""
+    u = np.linspace(0.0, 60.0, 31)
+    return np.stack([radius * (1 - np.cos(u / radius)), 0 * u, radius * np.sin(u / radius)], axis=-1)
+
+
+@pytest.fixture(scope="module")
+def sharp():
+    curve = curve_from_points(_points(50.0), np.full(31, 3.0))
+    return Problem("sharp", PAIR, growing(curve, FRAMES), duration=4.0)
+
+
+ROBOTS = {"straight": _bent(2000.0), "bent": _bent(50.0)}
+
+
+def test_the_robot_that_fits_the_path_is_chosen(sharp):
+    assert choose_robot(sharp, ROBOTS).name == "bent"
+
+
+def test_robots_are_listed_with_what_keeps_them_from_the_end(sharp):
+    best, other = compare_robots(sharp, ROBOTS)
+    assert (best.name, best.reaches, best.binding) == ("bent", True, None)
+    assert (other.name, other.reaches) == ("straight", False)
+    assert other.binding.word == "no"
+    assert other.binding.matter in ("arrives", "within the wall")
+
+
+def test_a_robot_that_is_too_short_is_listed_with_the_reason(sharp):
+    outer, inner = PAIR.tubes
+    short = replace(PAIR, tubes=(replace(outer, curved_length=20.0), replace(inner, curved_length=30.0)))
+    found = compare_robots(sharp, {"short": short, "bent": ROBOTS["bent"]})
+    assert [one.name for one in found] == ["bent", "short"]
+    assert found[1].plan is None
+    assert "reach" in found[1].reason
+    assert choose_robot(sharp, {"short": short}) is None
+
+
+def test_shipped_robots_can_be_made_and_are_slim():
+    robots = read_robot_files()
+    assert len(robots) >= 3
+    for name, robot in robots.items():
+        assert name.startswith("stock_")
+        assert max(tube.outer_diameter for tube in robot.tubes) <= 2.8
+        tubes = DesignedTubes(robot, Manufacture(outer=2.8))
+        assert tubes.satisfies_rules(tubes.nominal_unknowns), name
+
+
+def test_shipped_robot_files_say_how_they_were_designed():
+    for path in SHIPPED_ROBOTS_FOLDER.glob("*.toml"):
+        head = path.read_text(encoding="utf-8").partition("[[tubes]]")[0]
+        assert "ctr-nlp design" in head, path.name
+        assert "--walls" in head, path.name
+
+
+def test_a_folder_without_robot_files_is_refused(tmp_path):
+    with pytest.raises(RobotError, match="has no robot file"):
+        read_robot_files(tmp_path)
+    with pytest.raises(RobotError, match="is no folder"):
+        read_robot_files(tmp_path / "none")
+
+
+@pytest.fixture
+def lumen_file(tmp_path):
+    path = tmp_path / "sharp.csv"
+    rows = np.column_stack([_points(50.0), np.full(31, 3.0)])
+    np.savetxt(path, rows, delimiter=",", header="x_mm,y_mm,z_mm,radius_mm", comments="")
+    return path
+
+
+def test_choose_command_compares_a_folder_of_robots(lumen_file, tmp_path, capsys):
+    folder = tmp_path / "robots"
+    folder.mkdir()
+    for name, robot in ROBOTS.items():
+        (folder / f"{name}.toml").write_text(robot.to_toml(), encoding="utf-8")
+    asked = ["choose", str(lumen_file), "--robots", str(folder), "--frames", str(FRAMES), "--jobs", "1"]
+    assert main(asked) == 0
+    printed = capsys.readouterr().out
+    assert "bent reaches the end as described" in printed
+    (folder / "bent.toml").unlink()
+    assert main(asked) == 1
+    assert "None of the robots reaches the end; straight comes nearest" in capsys.readouterr().out
+
+
+def test_choose_command_needs_a_wall(tmp_path, capsys):
+    path = tmp_path / "bare.csv"
+    np.savetxt(path, _points(50.0), delimiter=",", header="x_mm,y_mm,z_mm", comments="")
+    assert main(["choose", str(path)]) == 2
+    assert "no wall is known around bare" in capsys.readouterr().err
+
+
+def test_a_path_within_a_lumen_is_planned_for_a_shipped_robot(lumen_file, tmp_path, capsys):
+    asked = ["plan", str(lumen_file), "--nominal", "--frames", "4", "--no-figures", "--no-evaluate"]
+    main([*asked, "--out", str(tmp_path / "out")])
+    assert "robot: stock_" in _printed(capsys)
+    (tmp_path / "mine.toml").write_text(ROBOTS["bent"].to_toml(), encoding="utf-8")
+    main([*asked, "--out", str(tmp_path / "mine"), "--robot", str(tmp_path / "mine.toml")])
+    assert "robot: " not in _printed(capsys)
