@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from ctr_nlp.identify.calibration.calibration import Calibration, calibrate
     from ctr_nlp.identify.calibration.measurements import Measurements
     from ctr_nlp.identify.calibration.reading import read_measurements
+    from ctr_nlp.identify.force_estimation import ForceEstimate, estimate_forces
     from ctr_nlp.loads.tip import Forces, forces
     from ctr_nlp.loads.wall import WallForces, wall_forces
     from ctr_nlp.models.loaded.model import Loaded
@@ -51,6 +52,7 @@ __all__ = [
     "CtrError",
     "Curve",
     "Design",
+    "ForceEstimate",
     "Forces",
     "Limits",
     "Load",
@@ -82,6 +84,7 @@ __all__ = [
     "curve_from_points",
     "design",
     "divide_problems",
+    "estimate_forces",
     "forces",
     "growing",
     "named_problem",
@@ -114,6 +117,7 @@ _HOMES = {
     "identify.calibration.calibration": ("Calibration", "calibrate"),
     "identify.calibration.measurements": ("Measurements",),
     "identify.calibration.reading": ("read_measurements",),
+    "identify.force_estimation": ("ForceEstimate", "estimate_forces"),
     "tube_design.choice": ("RobotChoice", "choose_robot", "compare_robots"),
     "tube_design.groups": ("assign_to_robots", "divide_problems"),
     "tube_design.stock": ("StockTube", "read_stock"),
