@@ -7,7 +7,16 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ctr_nlp.check.checker import NO, NOT_COVERED, VERDICTS, YES, CheckResult, sample_contact_allowed, threshold
+from ctr_nlp.check.checker import (
+    NO,
+    NOT_COVERED,
+    VERDICTS,
+    YES,
+    CheckResult,
+    is_later_part,
+    sample_contact_allowed,
+    threshold,
+)
 from ctr_nlp.check.records import RECORDS, SAMPLE_SHARE, SAMPLE_TOLERANCE_MM
 
 VERDICT_TOLERANCES = {"arrives": 0.05, "follows": 0.05, "stable": 0.005, "within_wall": 0.1, "holds": SAMPLE_SHARE}
@@ -91,6 +100,8 @@ def _agree(name: str, found: CheckResult, word: str | None, number: float | None
         tolerance = max(tolerance, (1 + count_borderline_samples(found)) / len(found.lost)) + 1e-9
     if finding.word == NOT_COVERED or word not in (YES, NO):
         return True
+    if name in ("stable", "within_wall") and word == NO and is_later_part(found.file):
+        return True  # the plan counts the way to its first frame as well
     if word != finding.word:
         return finding.distance is not None and abs(finding.distance) <= tolerance
     if name not in VERDICT_TOLERANCES or number is None or finding.number is None or found.snaps:

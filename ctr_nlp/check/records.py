@@ -11,15 +11,18 @@ from ctr_nlp.check.checker import (
     DEVIATIONS,
     NO,
     NOT_COVERED,
-    YES,
     CheckResult,
     Finding,
     compute_dominant_shapes,
     examine_motion,
+    is_later_part,
+    judge,
     measure_clearance,
+    read_bands,
 )
+from ctr_nlp.check.motions import Settle
 from ctr_nlp.check.plan_file import CheckError, PlanFile, read_plan_file
-from ctr_nlp.check.tubes import Array, Settle, read_tubes
+from ctr_nlp.check.tubes import Array, read_tubes
 from ctr_nlp.check.walls import FIELD_ERROR_MM, FieldWall, LumenWall, read_walls
 
 SHAPE_TOLERANCE_MM = 0.05
@@ -103,7 +106,7 @@ def _check_digest(file: PlanFile) -> Finding:
     """Return whether the file's content is what its digest was computed of."""
     if file.digest is None:
         return Finding(NOT_COVERED, why="The file has no digest.")
-    return Finding(YES if file.digest == file.content_digest else NO, why=f"SHA-256 {file.content_digest[:12]}")
+    return judge(file.digest == file.content_digest, why=f"SHA-256 {file.content_digest[:12]}")
 
 
 def _check_times(file: PlanFile) -> Finding:
@@ -116,8 +119,8 @@ def _check_times(file: PlanFile) -> Finding:
     if duration is None:
         return Finding(NOT_COVERED, why="The file has no duration of the problem.")
     late = float(time[-1] - duration)
-    word = YES if abs(late) <= 1e-6 * time[-1] and problem.get("frames", len(time)) == len(time) else NO
-    return Finding(word, late, why=f"{len(time)} frames end at {time[-1]:g} s; the problem takes {duration:g} s.")
+    in_time = abs(late) <= 1e-6 * time[-1] and problem.get("frames", len(time)) == len(time)
+    return judge(in_time, late, why=f"{len(time)} frames end at {time[-1]:g} s; the problem takes {duration:g} s.")
 
 
 def _check_frames_of_reference(file: PlanFile, source: str | Path | None) -> Finding:
@@ -144,8 +147,8 @@ def _check_frames_of_reference(file: PlanFile, source: str | Path | None) -> Fin
     spacing = float(np.linalg.norm(np.diff(points, axis=0), axis=1).max())
     off = float(-LumenWall(np.pad(points, ((0, 0), (0, 1)))).left(target).min())
     # Targets are curves through the points, which leave the lines between them by h^2 / (8 R), R at least 12 mm.
-    word = YES if off <= allowed + spacing**2 / 96 else NO
-    return Finding(word, off, why=f"The target is {off:.2f} mm from the points of {Path(source).name}.")
+    why = f"The target is {off:.2f} mm from the points of {Path(source).name}."
+    return judge(off <= allowed + spacing**2 / 96, off, why=why)
 
 
 def _read_source(path: Path) -> Array:
@@ -174,31 +177,41 @@ def _compare(name: str, recorded: Array, found: Array, tolerance: float, unit: s
     why = (
         f"Recorded {name} differ by {largest:.3g}{unit} at most, in frame {frame}; {tolerance:g}{unit} is allowed."
     )
-    return Finding(YES if largest <= tolerance else NO, largest, tolerance - largest, why)
+    return judge(largest <= tolerance, largest, tolerance - largest, why)
 
 
 def _check_motion(found: CheckResult) -> tuple[Finding, Finding, Finding]:
     """Return whether recorded shapes, margins and clearances are those of the motion."""
-    arrays, meta = found.file.arrays, found.file.meta
-    on_model = {"elastic": lambda: found.shape, "dominant": lambda: compute_dominant_shapes(found.file)}
-    evaluated = str(meta.get("evaluated", meta["model"]))
-    why = found.findings["stable"].why if np.isnan(found.margin).all() else ""
-    if evaluated not in on_model:
+    arrays, evaluated = found.file.arrays, str(found.file.meta.get("evaluated", found.file.meta["model"]))
+    why = "" if np.isfinite(found.margin).any() else found.findings["stable"].why
+    if evaluated not in ("elastic", "dominant"):
         why = f"The checker does not know the model {evaluated}."
     if why:
         return (Finding(NOT_COVERED, why=why),) * 3
-    shape = on_model[evaluated]()
+    shape = found.shape if evaluated == "elastic" else compute_dominant_shapes(found.file)
     margins = Finding(NOT_COVERED, why="The plan was evaluated on a model without margins.")
     if np.isfinite(arrays["stability"]).any():
         # Beyond the first bifurcation, chance decides where the robot goes on.
         near = np.flatnonzero(~(found.margin > NEAR_BIFURCATION).all(axis=1))
         first = min([len(shape), *near[:1], *(frame - 1 for frame in found.snaps)])
         shape = np.where(np.arange(len(shape))[:, None, None] < first, shape, np.nan)
-        own = np.stack([found.margin[:first, -1], found.margin[:first].min(axis=1)], axis=1)
-        recorded = np.stack([arrays[name][:first] for name in ("stability", "stability_between")], axis=1)
-        margins = _compare("margins", recorded, own, MARGIN_TOLERANCE, "")
+        own = np.stack([found.margin[:, -1], find_least_on_way(found.file, found.margin)], axis=1)
+        recorded = np.stack([arrays[name] for name in ("stability", "stability_between")], axis=1)
+        margins = _compare("margins", recorded[:first], own[:first], MARGIN_TOLERANCE, "")
     shapes = _compare("shapes", arrays["shape"], shape, SHAPE_TOLERANCE_MM, " mm")
     return shapes, margins, _check_clearances(found, shape)
+
+
+def find_least_on_way(file: PlanFile, values: Array) -> Array:
+    """Return the least (T, ..) of values (T, 10, ..) at sub-steps of the way to each frame, as plans record it."""
+    if file.meta.get("reversed"):
+        # The motion was planned forwards: the sub-steps between two frames include the later one, here the first.
+        flat = values.reshape(-1, *values.shape[2:])
+        values = np.concatenate([flat[:1], flat[:-1]]).reshape(values.shape)
+    least = values.min(axis=1)
+    if is_later_part(file):
+        least[0] = np.nan
+    return least
 
 
 def _check_clearances(found: CheckResult, shape: Array) -> Finding:
@@ -214,7 +227,7 @@ def _check_clearances(found: CheckResult, shape: Array) -> Finding:
     own[known, 0] = measure_clearance(walls, shape[known], arrays["beta"][known].T, radius[:, known])
     recorded = np.stack([arrays["clearance"], arrays.get("clearance_between", arrays["clearance"])], axis=1)
     if np.isfinite(arrays["stability"]).any() and "clearance_between" in arrays:
-        own[known, 1] = found.clearance[known].min(axis=1)
+        own[known, 1] = find_least_on_way(found.file, found.clearance)[known]
     # Deep in the wall the nearest place of the path may be another one.
     own[own < -DEEP_MM] = np.nan
     # Plans measure at the triangles where a point may be the nearest of its frame, elsewhere in the smooth field.
@@ -229,9 +242,7 @@ def _check_samples(found: CheckResult) -> Finding:
     arrays = found.file.arrays
     count = len(found.lost)
     if not count or "draws_parts" not in arrays or found.findings["holds"].word == NOT_COVERED:
-        return Finding(
-            NOT_COVERED, why="No recorded samples were moved." if count else found.findings["holds"].why
-        )
+        return Finding(NOT_COVERED, why=found.findings["holds"].why or "No recorded samples were moved.")
     lost = arrays["draws_lost"][:count] > 0
     both = ~(lost | found.lost)
     contact = np.maximum(-arrays["draws_clearance"][:count], 0.0)
@@ -248,9 +259,8 @@ def _check_samples(found: CheckResult) -> Finding:
         wrong = both & ~(values <= SAMPLE_TOLERANCE_MM) & ~((name == "contacts") & np.isnan(values))
         reasons += [f"{name} of {wrong.sum()} differ"] * bool(wrong.any())
         off = off | wrong
-    word = YES if off.sum() <= max(1, int(SAMPLE_SHARE * count)) else NO
     why = f"{off.sum()} of {count} samples differ" + (f": {', '.join(reasons)}." if reasons else ".")
-    return Finding(word, float(off.sum()), why=why)
+    return judge(off.sum() <= max(1, int(SAMPLE_SHARE * count)), float(off.sum()), why=why)
 
 
 def _check_tolerances(file: PlanFile) -> Finding:
@@ -259,7 +269,7 @@ def _check_tolerances(file: PlanFile) -> Finding:
     if "draws_parts" not in file.arrays or tolerances is None:
         return Finding(NOT_COVERED, why="The file has no samples.")
     parts, lags = file.arrays["draws_parts"], file.arrays["draws_lags"]
-    bands = np.stack([np.broadcast_to(tolerances[name], d) for name in DEVIATIONS], axis=1)
+    bands = read_bands(tolerances, d)
     least = FALSE_ALARM ** (1 / len(parts))  # of a band's half width, that the largest difference reaches
     if tolerances["covariance"] is not None or tolerances["distribution"] == "normal":
         variance = bands**2 / 3
@@ -278,4 +288,4 @@ def _check_tolerances(file: PlanFile) -> Finding:
     names = [name for name, bad in zip(DEVIATIONS, wrong.any(axis=0), strict=True) if bad]
     names += ["rotation_lag"] * bool(lagged.any())
     why = f"Samples do not have the tolerances of {', '.join(names)}." if names else "Samples fill the tolerances."
-    return Finding(NO if names else YES, float(len(names)), why=why)
+    return judge(not names, float(len(names)), why=why)
