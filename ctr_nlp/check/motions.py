@@ -184,8 +184,8 @@ def move_nominal(
 
     The robot is first moved from frame to frame. The sub-steps of all frames are then passed by one batch of
     robots, each from one frame to the next. Where one of these does not arrive in the state that the next began
-    in, the steps of the first were too long, and are made as short. After a snap the robot goes on from where it comes
-    to rest, which `settle` finds; where that is not found, it has no shape any more (NaN).
+    in, the steps of the first were too long, and are made as short. After a snap the robot goes on from where it
+    comes to rest, which `settle` finds; where that is not found, it has no shape any more (NaN).
     """
     aligned = q[0, len(tubes.zero) - 1]
     follower, many = (
@@ -197,7 +197,7 @@ def move_nominal(
         states.append(np.where(follower.gone, np.nan, np.stack([follower.rates, follower.angles])))
     frames = np.concatenate(states, axis=2)
     many.rates, many.angles = frames[..., :-1].copy()
-    many.gone = np.isnan(many.rates).any(axis=0)
+    many.gone[:] = np.isnan(many.rates).any(axis=0)
     ways, parts = _find_ways(q).T, np.linspace(0.0, 1.0, substeps + 1)
     found = []
     for start, end in itertools.pairwise(parts):

@@ -7,19 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from ctr_nlp.check.checker import (
-    DEVIATIONS,
-    NO,
-    NOT_COVERED,
-    CheckResult,
-    Finding,
-    compute_dominant_shapes,
-    examine_motion,
-    is_later_part,
-    judge,
-    measure_clearance,
-    read_bands,
-)
+from ctr_nlp.check import checker
+from ctr_nlp.check.checker import NO, NOT_COVERED, CheckResult, Finding, judge
 from ctr_nlp.check.motions import Settle
 from ctr_nlp.check.plan_file import CheckError, PlanFile, read_plan_file
 from ctr_nlp.check.tubes import Array, read_tubes
@@ -85,15 +74,9 @@ def check_plan(
     """
     file = read_plan_file(path)
     try:
-        found = examine_motion(file, samples, settle)
-        recorded = (
-            _check_digest(file),
-            _check_times(file),
-            _check_frames_of_reference(file, source),
-            *_check_motion(found),
-            _check_samples(found),
-            _check_tolerances(file),
-        )
+        found = checker.examine_motion(file, samples, settle)
+        recorded = [_check_digest(file), _check_times(file), _check_frames_of_reference(file, source)]
+        recorded += [*_check_motion(found), _check_samples(found), _check_tolerances(file)]
     except (AttributeError, LookupError, TypeError, ValueError, ZeroDivisionError) as error:
         if isinstance(error, CheckError):
             raise
@@ -160,9 +143,8 @@ def _read_source(path: Path) -> Array:
         table = np.genfromtxt(path, delimiter=",", names=True)
         return np.column_stack([table[name] for name in ("x_mm", "y_mm", "z_mm")])
     except (OSError, LookupError, TypeError, ValueError) as error:
-        raise CheckError(
-            f"{path} cannot be read as a centreline: {error}; give a table with x_mm, y_mm, z_mm, or a .mrk.json"
-        ) from error
+        wanted = "give a table with the columns x_mm, y_mm and z_mm, or a .mrk.json"
+        raise CheckError(f"{path} cannot be read as a centreline: {error}; {wanted}") from error
 
 
 def _compare(name: str, recorded: Array, found: Array, tolerance: float, unit: str) -> Finding:
@@ -174,9 +156,7 @@ def _compare(name: str, recorded: Array, found: Array, tolerance: float, unit: s
     away = np.where(known, np.nan_to_num(abs(recorded - found), nan=np.inf), 0.0)
     largest = float(away.max())
     frame = int(away.reshape(len(away), -1).max(axis=1).argmax()) + 1
-    why = (
-        f"Recorded {name} differ by {largest:.3g}{unit} at most, in frame {frame}; {tolerance:g}{unit} is allowed."
-    )
+    why = f"Recorded {name} differ by {largest:.3g}{unit}, most in frame {frame}; {tolerance:g}{unit} is allowed."
     return judge(largest <= tolerance, largest, tolerance - largest, why)
 
 
@@ -188,7 +168,7 @@ def _check_motion(found: CheckResult) -> tuple[Finding, Finding, Finding]:
         why = f"The checker does not know the model {evaluated}."
     if why:
         return (Finding(NOT_COVERED, why=why),) * 3
-    shape = found.shape if evaluated == "elastic" else compute_dominant_shapes(found.file)
+    shape = found.shape if evaluated == "elastic" else checker.compute_dominant_shapes(found.file)
     margins = Finding(NOT_COVERED, why="The plan was evaluated on a model without margins.")
     if np.isfinite(arrays["stability"]).any():
         # Beyond the first bifurcation, chance decides where the robot goes on.
@@ -209,7 +189,7 @@ def find_least_on_way(file: PlanFile, values: Array) -> Array:
         flat = values.reshape(-1, *values.shape[2:])
         values = np.concatenate([flat[:1], flat[:-1]]).reshape(values.shape)
     least = values.min(axis=1)
-    if is_later_part(file):
+    if checker.is_later_part(file):
         least[0] = np.nan
     return least
 
@@ -224,7 +204,7 @@ def _check_clearances(found: CheckResult, shape: Array) -> Finding:
     radius = read_tubes(found.file.meta["robot"]).repeat(len(shape)).radius
     known = np.isfinite(shape).all(axis=(1, 2))
     own = np.full((len(shape), 2, shape.shape[1]), np.nan)
-    own[known, 0] = measure_clearance(walls, shape[known], arrays["beta"][known].T, radius[:, known])
+    own[known, 0] = checker.measure_clearance(walls, shape[known], arrays["beta"][known].T, radius[:, known])
     recorded = np.stack([arrays["clearance"], arrays.get("clearance_between", arrays["clearance"])], axis=1)
     if np.isfinite(arrays["stability"]).any() and "clearance_between" in arrays:
         own[known, 1] = find_least_on_way(found.file, found.clearance)[known]
@@ -269,7 +249,7 @@ def _check_tolerances(file: PlanFile) -> Finding:
     if "draws_parts" not in file.arrays or tolerances is None:
         return Finding(NOT_COVERED, why="The file has no samples.")
     parts, lags = file.arrays["draws_parts"], file.arrays["draws_lags"]
-    bands = read_bands(tolerances, d)
+    bands = checker.read_bands(tolerances, d)
     least = FALSE_ALARM ** (1 / len(parts))  # of a band's half width, that the largest difference reaches
     if tolerances["covariance"] is not None or tolerances["distribution"] == "normal":
         variance = bands**2 / 3
@@ -285,7 +265,7 @@ def _check_tolerances(file: PlanFile) -> Finding:
         wrong[:, 1] &= ~(np.broadcast_to(tolerances["diameter"], d) > 0)
     plays = np.broadcast_to(tolerances["rotation_lag"], d)
     lagged = (lags.max(axis=0) > plays * (1 + 1e-9)) | (lags.max(axis=0) < plays * least)
-    names = [name for name, bad in zip(DEVIATIONS, wrong.any(axis=0), strict=True) if bad]
+    names = [name for name, bad in zip(checker.DEVIATIONS, wrong.any(axis=0), strict=True) if bad]
     names += ["rotation_lag"] * bool(lagged.any())
     why = f"Samples do not have the tolerances of {', '.join(names)}." if names else "Samples fill the tolerances."
     return judge(not names, float(len(names)), why=why)

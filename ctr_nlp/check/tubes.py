@@ -115,8 +115,8 @@ class Twist:
 
     bounds (P + 1, n): ends of the pieces of the body, mm. s (N + 1, n): ends of the steps. outermost (N, n):
     number of the outermost tube on each step. bends (N, d, n): whether tube i is curved there. total (N, n): sum
-    of the EI of the tubes that are there. psi, rate (N + 1, d, n): psi_i and psi_i' at the ends of steps. sensitivity
-    (n, d, d): derivatives of psi_i'(beta_i) by psi_j'(0), (n, d, 0) where they were not asked for.
+    of the EI of the tubes that are there. psi, rate (N + 1, d, n): psi_i and psi_i' at the ends of steps.
+    sensitivity (n, d, d): derivatives of psi_i'(beta_i) by psi_j'(0), (n, d, 0) where they were not asked for.
     """
 
     tubes: Tubes

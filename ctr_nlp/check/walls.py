@@ -28,7 +28,7 @@ MEASURED_MM = 1.0
 """Clearance beyond which plans record that from the splines."""
 SAME_DISTANCE_MM = 1e-6
 """Difference of the distances of two triangles that meet at the nearest point."""
-ROWS = 2000
+ROWS = 200
 """Points whose nearest triangles are looked for together."""
 BLOCK_CELLS = 8
 """Cells along each side of a block of a grid, as the format of the file has it."""

@@ -123,7 +123,7 @@ def test_motion_that_begins_deployed_is_checked(saved, tmp_path):
 
 
 def test_deployed_start_is_on_the_branch_of_the_record(tmp_path):
-    """Tubes that were turned while retracted are on a branch that turning them where they are now does not reach."""
+    """Tubes turned while retracted are on a branch that turning them where they are now does not reach."""
     tubes = Tube(150, 50, 0.03, 3.0, 2.0, 0.3), Tube(150, 50, 0.03, 1.9, 0.5, 0.3)
     out = np.interp(np.arange(12), [0, 5, 11], [2.0, 2.0, 48.0])
     turn = np.interp(np.arange(12), [0, 5, 11], [0.0, 5.0, 5.0])
