@@ -28,7 +28,7 @@ MEASURED_MM = 1.0
 """Clearance beyond which plans record that from the splines."""
 SAME_DISTANCE_MM = 1e-6
 """Difference of the distances of two triangles that meet at the nearest point."""
-ROWS = 200
+ROWS = 400
 """Points whose nearest triangles are looked for together."""
 BLOCK_CELLS = 8
 """Cells along each side of a block of a grid, as the format of the file has it."""
@@ -67,19 +67,27 @@ class LumenWall:
 
 
 class Triangles:
-    """Triangles (m, 3) of points (n, 3), mm, whose corners turn left seen from outside."""
+    """Triangles (m, 3) of points (n, 3), mm, whose corners turn left seen from outside.
+
+    With a a corner, p = a + s ab + t ac is a point of a triangle where s, t >= 0 and s + t <= 1. A point's nearest
+    place is the foot of its perpendicular where that is inside, else on one of the three edges; all distances
+    follow from products of ab, ac and the vector from a to the point.
+    """
 
     def __init__(self, points: Array, triangles: Array) -> None:
-        self._corners = np.asarray(points, dtype=float)[triangles]
-        middle = self._corners.mean(axis=1)
-        reach = np.linalg.norm(self._corners - middle[:, None], axis=2).max(axis=1)
+        corners = np.asarray(points, dtype=float)[triangles]
+        middle = corners.mean(axis=1)
+        reach = np.linalg.norm(corners - middle[:, None], axis=2).max(axis=1)
         # The few large triangles are looked at for every point; the others are found by their middles.
         self._large = np.flatnonzero(reach > 3 * np.median(reach))
         self._small = np.flatnonzero(reach <= 3 * np.median(reach))
         self._reach = float(reach[self._small].max())
         self._tree = cKDTree(middle[self._small])
-        across = np.cross(self._corners[:, 1] - self._corners[:, 0], self._corners[:, 2] - self._corners[:, 0])
-        self._normals = across / np.maximum(np.linalg.norm(across, axis=1), 1e-30)[:, None]
+        self._corner, ab, ac = corners[:, 0], corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+        across = np.cross(ab, ac)
+        normal = across / np.maximum(np.linalg.norm(across, axis=1), 1e-30)[:, None]
+        self._axes = np.stack([ab, ac, normal], axis=1)
+        self._products = np.stack([(ab**2).sum(axis=1), (ac**2).sum(axis=1), (ab * ac).sum(axis=1)])
 
     def signed_distance(self, points: Array) -> Array:
         """Return the distance (n,) mm of points (n, 3), positive inside."""
@@ -89,42 +97,37 @@ class Triangles:
             # A triangle's middle is no further from its nearest point than the triangle reaches.
             away = self._tree.query(own)[0] + self._reach + SAME_DISTANCE_MM
             near = self._tree.query_ball_point(own, away)
-            found[row : row + ROWS] = self._measure(
-                own, [np.concatenate([self._small[each], self._large]) for each in near]
-            )
+            members = [np.concatenate([self._small[each], self._large]) for each in near]
+            found[row : row + ROWS] = self._measure(own, members)
         return found
 
     def _measure(self, points: Array, members: list[Array]) -> Array:
         """Return signed distances (n,) of points (n, 3) from the nearest of the triangles `members` of each."""
-        owner = np.repeat(np.arange(len(points)), [len(each) for each in members])
-        chosen = np.concatenate(members)
-        offset = points[owner] - find_nearest(points[owner], self._corners[chosen])
-        distance = np.linalg.norm(offset, axis=1)
-        starts = np.concatenate([[0], np.cumsum([len(each) for each in members])[:-1]])
+        counts = np.array([len(each) for each in members])
+        owner, chosen = np.repeat(np.arange(len(points)), counts), np.concatenate(members)
+        from_corner = points[owner] - self._corner[chosen]
+        square = (from_corner**2).sum(axis=1)
+        along_ab, along_ac, height = np.einsum("nki,ni->kn", self._axes[chosen], from_corner)
+        ab2, ac2, ab_ac = self._products[:, chosen]
+        area = np.maximum(ab2 * ac2 - ab_ac**2, 1e-30)
+        s, t = (ac2 * along_ab - ab_ac * along_ac) / area, (ab2 * along_ac - ab_ac * along_ab) / area
+
+        def to_edge(start: Array, along: Array, length: Array) -> Array:
+            """Squares of distances from edges, from those of their starts, projections and squared lengths."""
+            part = np.clip(along / np.maximum(length, 1e-30), 0.0, 1.0)
+            return start - 2 * part * along + part**2 * length
+
+        bc2, along_bc = ab2 + ac2 - 2 * ab_ac, along_ac - along_ab - ab_ac + ab2
+        on_bc = to_edge(square - 2 * along_ab + ab2, along_bc, bc2)
+        edges = np.minimum.reduce([to_edge(square, along_ab, ab2), to_edge(square, along_ac, ac2), on_bc])
+        inside = (s >= 0) & (t >= 0) & (s + t <= 1)
+        distance = np.sqrt(np.where(inside, height**2, np.maximum(edges, 0.0)))
+        starts = np.cumsum(counts) - counts
         least = np.minimum.reduceat(distance, starts)
-        # At an edge or a corner, the normals of all triangles that meet there decide on the side.
+        # At an edge or a corner, the heights over all triangles that meet there decide on the side.
         tied = distance <= least[owner] + SAME_DISTANCE_MM
-        side = np.add.reduceat(np.where(tied, (offset * self._normals[chosen]).sum(axis=1), 0.0), starts)
+        side = np.add.reduceat(np.where(tied, height, 0.0), starts)
         return np.where(side > 0, -least, least)
-
-
-def find_nearest(points: Array, corners: Array) -> Array:
-    """Return the nearest point (n, 3) of one triangle (n, 3, 3) to each point (n, 3).
-
-    The foot of the perpendicular, where it is inside; else the nearest of the three edges.
-    """
-    after = np.roll(corners, -1, axis=1)
-    span = after - corners
-    z = ((points[:, None] - corners) * span).sum(axis=2) / np.maximum((span**2).sum(axis=2), 1e-30)
-    on_edges = corners + np.clip(z, 0.0, 1.0)[..., None] * span
-    nearest = ((points[:, None] - on_edges) ** 2).sum(axis=2).argmin(axis=1)
-    across = np.cross(span[:, 0], span[:, 1])
-    area = (across**2).sum(axis=1)
-    height = ((points - corners[:, 0]) * across).sum(axis=1) / np.maximum(area, 1e-30)
-    foot = points - height[:, None] * across
-    turns = (np.cross(span, foot[:, None] - corners) * across[:, None]).sum(axis=2)
-    inside = (turns.min(axis=1) >= 0) & (area > 0)
-    return np.where(inside[:, None], foot, on_edges[np.arange(len(points)), nearest])
 
 
 class FieldWall:

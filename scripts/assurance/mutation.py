@@ -27,7 +27,7 @@ ROOT = Path(__file__).resolve().parents[2]
 TESTS = {
     "ctr_nlp/plan/verdicts.py": ["tests/plan/test_verdicts.py"],
     "ctr_nlp/check": [
-        f"tests/check/test_{name}.py" for name in ("records", "check_walls", "equations", "checker", "plan_faults")
+        f"tests/check/test_{name}.py" for name in ("records", "check_walls", "equations", "plan_faults", "checker")
     ],
 }
 """Tests that look at a module or a folder of modules."""
@@ -107,7 +107,7 @@ def find_mutants(path: Path) -> list[Mutant]:
     return found
 
 
-def run_tests(module: str, path: Path, text: str, tests: Sequence[str]) -> int | None:
+def run_tests(module: str, path: Path, text: str, tests: Sequence[str], timeout: float = TIMEOUT_S) -> int | None:
     """Return pytest's exit status with a text in place of a module's; None where tests take too long."""
     child = os.fork()
     if child == 0:
@@ -123,7 +123,7 @@ def run_tests(module: str, path: Path, text: str, tests: Sequence[str]) -> int |
                 status = int(pytest.main([*options, "-o", "addopts=", "-m", "not slow", *tests]))
         finally:
             os._exit(status)
-    end = time.monotonic() + TIMEOUT_S
+    end = time.monotonic() + timeout
     while time.monotonic() < end:
         done, status = os.waitpid(child, os.WNOHANG)
         if done:
@@ -150,6 +150,7 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("files", metavar="FILE.py", nargs="+", help="files of plan/verdicts or check")
     parser.add_argument("--count", metavar="N", type=int, help="so many mutants, chosen at random (default: all)")
     parser.add_argument("--seed", metavar="N", type=int, default=0, help="of that choice (default 0)")
+    parser.add_argument("--timeout", metavar="S", type=float, default=TIMEOUT_S, help="longest run of tests, s")
     parser.add_argument("--tests", metavar="TEST", nargs="+", help="tests to run instead of those of the module")
     asked = parser.parse_args(argv)
     os.chdir(ROOT)
@@ -170,13 +171,14 @@ def main(argv: list[str] | None = None) -> int:
     late = 0
     for done, (file, mutant) in enumerate(chosen):
         print(f"{done} of {len(chosen)} done, {missed} not noticed", file=sys.stderr)
-        status = run_tests(module_name(file), ROOT / file, mutant.text, asked.tests or tests_of(file))
+        own = asked.tests or tests_of(file)
+        status = run_tests(module_name(file), ROOT / file, mutant.text, own, asked.timeout)
         late += status is None
         if status == 0:
             missed += 1
             print(f"{file}:{mutant.line}: {mutant.operator}\n  - {mutant.before}\n  + {mutant.after}", flush=True)
     noticed = len(chosen) - missed
-    slow = f", {late} of them since tests took over {TIMEOUT_S} s" if late else ""
+    slow = f", {late} of them since tests took over {asked.timeout:g} s" if late else ""
     print(f"{noticed} of {len(chosen)} mutants are noticed{slow}; there are {len(every)} in all")
     return 0 if noticed >= LEAST_NOTICED * len(chosen) else 1
 
