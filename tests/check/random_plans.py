@@ -29,6 +29,10 @@ WALLS = "none", "lumen", "body", "keep-out", "lumen and keep-out"
 SOURCES = "distance", "mesh", "mask"
 """What the surfaces of bodies are made from."""
 VOXEL_MM = 1.5
+MAX_CURVATURE = 0.012
+"""Of most robots, 1/mm."""
+STRONG = 2.2
+"""How much more other robots are curved: they come near to bifurcations, and some snap."""
 MODELS = "elastic", "dominant"
 SAMPLES = 40
 CELL_MM = 3.0
@@ -38,7 +42,7 @@ def random_plan(seed: int, samples: bool = False) -> Plan:
     """A plan that differs with the seed in robot, motion, model, wall, load, and in where the robot begins."""
     random = np.random.default_rng(seed)
     model = MODELS[seed % 2]
-    robot = _robot(random)
+    robot = _robot(random, MAX_CURVATURE * (STRONG if seed % 7 == 5 else 1))
     q = _motion(random, robot)
     path = _path(random, robot, q, model)
     kind = WALLS[seed % len(WALLS)]
@@ -65,16 +69,17 @@ def random_plan(seed: int, samples: bool = False) -> Plan:
     return plan
 
 
-def _robot(random: np.random.Generator) -> Robot:
+def _robot(random: np.random.Generator, curvature: float) -> Robot:
+    """A robot of one to four tubes, none curved by more than `curvature`, 1/mm."""
     d = int(random.integers(1, 5))
     curved = np.sort(random.uniform(25, 130, d))
     lengths = curved + np.sort(random.uniform(20, 120, d))
     tubes = []
     for i, (outer, inner) in enumerate(DIAMETERS[-d:]):
-        ends = random.uniform(0.0, 0.012, 2)
-        curvature = [0.0, float(ends[0]), tuple(ends.tolist())][int(random.integers(3)) if i else 1]
+        ends = random.uniform(0.0, curvature, 2)
+        bend = [0.0, float(ends[0]), tuple(ends.tolist())][int(random.integers(3)) if i else 1]
         tubes.append(
-            Tube(float(lengths[i]), float(curved[i]), curvature, outer, inner, float(random.uniform(0.2, 0.4)))
+            Tube(float(lengths[i]), float(curved[i]), bend, outer, inner, float(random.uniform(0.2, 0.4)))
         )
     tolerances = Tolerances(
         curvature=0.02, bending_stiffness=0.02, motor_zero=0.02, rotation_lag=float(random.choice([0.0, 0.03]))
