@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -170,7 +170,8 @@ def examine_motion(file: PlanFile, samples: int = 0, settle: Settle | None = Non
         q = q + turns
     walls = measured.read_walls(arrays, meta)
     nominal = move_nominal(read_tubes(meta["robot"]), q, SUBSTEPS, settle)
-    found.findings.update(_judge_shapes(found, _measure(found, nominal, walls), walls))
+    found, depth = _measure(found, nominal, walls)
+    found.findings.update(_judge_shapes(found, depth, walls))
     if drawn is None:
         why = "Samples under a tip force or of other tolerances than uniform ones." if samples else "No samples."
     elif not np.isfinite(nominal.tip_angles).all():
@@ -179,7 +180,8 @@ def examine_motion(file: PlanFile, samples: int = 0, settle: Settle | None = Non
         why = "The robot begins on another branch than the one that samples are turned to."
     found.findings["holds"] = Finding(NOT_COVERED, why=why)
     if drawn is not None and not why:
-        found.findings["holds"] = _judge_samples(found, q, nominal.tip_angles[:, -1], walls, drawn)
+        found = _move_samples(found, q, nominal.tip_angles[:, -1], walls, drawn)
+        found.findings["holds"] = _judge_samples(found)
     return found
 
 
@@ -221,28 +223,29 @@ def _find_whole_turns(file: PlanFile, q: Array) -> Array:
     return np.concatenate([turns[:, rows[nearest]], np.zeros(d + 2)])
 
 
-def _measure(found: CheckResult, nominal: NominalMotion, walls: list[measured.MeasuredWall]) -> Array:
-    """Fill in shapes, margins and clearances of a motion, and return the deepest contacts (T, 10, W), mm."""
+def _measure(
+    found: CheckResult, nominal: NominalMotion, walls: list[measured.MeasuredWall]
+) -> tuple[CheckResult, Array]:
+    """Return a result with shapes, margins and clearances of a motion, and the deepest contacts (T, 10, W), mm."""
     known = np.isfinite(nominal.rates).all(axis=-1)
-    found.snaps, found.margin = nominal.snaps, np.full(known.shape, np.nan)
     points, tips = np.full((*known.shape, len(SIGMA), 3), np.nan), np.full((*known.shape, 3), np.nan)
-    found.clearance = np.full(points.shape[:-1], np.nan)
+    margin, clearance = np.full(known.shape, np.nan), np.full(points.shape[:-1], np.nan)
     depth = np.full((*known.shape, len(walls)), np.nan)
     for chosen, twist, body in _compute_bodies(nominal, known):
         points[chosen], tips[chosen] = body.interpolate(SIGMA), body.tangents[-1]
-        found.margin[chosen] = compute_stability_margins(twist)
+        margin[chosen] = compute_stability_margins(twist)
         for k, wall in enumerate(walls):
             depth[chosen, k] = measured.find_deepest_contact(wall, body, exactly=False)
         if walls:
-            found.clearance[chosen] = measure_clearance(walls, points[chosen], twist.beta, twist.tubes.radius)
+            clearance[chosen] = measure_clearance(walls, points[chosen], twist.beta, twist.tubes.radius)
     # The deepest place is measured at the triangles, among those that the smooth surface leaves in question.
     for k, wall in enumerate(walls):
         question = depth[..., k] >= np.nanmax(depth[..., k], initial=-np.inf) - measured.FIELD_ERROR_MM
         for chosen, _, body in _compute_bodies(nominal, known & question):
             depth[chosen, k] = measured.find_deepest_contact(wall, body)
-    found.shape, found.tip_direction = points[:, -1], tips[:, -1]
-    found.e2 = measure_errors(found.shape, found.file.arrays["target"])
-    return depth
+    shape, e2 = points[:, -1], measure_errors(points[:, -1], found.file.arrays["target"])
+    motion = {"shape": shape, "e2": e2, "margin": margin, "clearance": clearance, "tip_direction": tips[:, -1]}
+    return replace(found, snaps=nominal.snaps, **motion), depth
 
 
 def _compute_bodies(nominal: NominalMotion, known: Any) -> Iterator[tuple[Array, Twist, RobotShape]]:
@@ -365,6 +368,8 @@ def _judge_limits(robot: dict[str, Any], q: Array, dt: float) -> Finding:
     lower, upper = read_limits("", 2).T
     growth = np.diff(q[:, d : 2 * d], axis=1)
     left = {"range": np.min([q - lower, upper - q]), "order of tubes": np.min(growth, initial=np.inf)}
+    outer, inner = ([tube[f"{side}_diameter"] for tube in tubes] for side in ("outer", "inner"))
+    left["fit of tubes in each other"] = np.min(np.subtract(inner[:-1], outer[1:]), initial=np.inf)
     if limits.get("carriage_gap") is not None:
         gaps = np.diff([tube["length"] for tube in tubes]) - growth
         left["gap between carriages"] = np.min(gaps, initial=np.inf) - limits["carriage_gap"]
@@ -402,32 +407,30 @@ def read_bands(tolerances: dict[str, Any], d: int) -> Array:
     return np.stack([np.broadcast_to(tolerances[name], d) for name in DEVIATIONS], axis=1)
 
 
-def _judge_samples(
+def _move_samples(
     found: CheckResult,
     q: Array,
     nominal_tips: Array,
     walls: list[measured.MeasuredWall],
     drawn: tuple[Array, Array],
-) -> Finding:
-    """Move samples through q (T, 2d + 2), fill in how they fare, and return whether enough of them hold.
+) -> CheckResult:
+    """Return a result with how samples fare that are moved through q (T, 2d + 2).
 
     nominal_tips (T, d): angles of the nominal robot's tips, rad. drawn: differences and plays of the samples.
     """
     file, count = found.file, len(drawn[0])
-    found.lost, found.sample_tips = np.zeros(count, dtype=bool), np.full((count, 3), np.nan)
-    found.sample_e2 = np.full((count, len(q)), np.nan)
-    found.sample_contact = contact = np.full(count, -np.inf if walls else np.nan)
+    lost, contact = np.zeros(count, dtype=bool), np.full(count, -np.inf if walls else np.nan)
+    tips, e2 = np.full((count, 3), np.nan), np.full((count, len(q)), np.nan)
     follower = Follower(read_tubes(file.meta["robot"], drawn[0]), q[0, nominal_tips.shape[1] - 1], drawn[1].T)
     for frame in move_through(follower, q, SAMPLE_PART):
         rows = np.flatnonzero(~follower.gone)
         if not len(rows):
             break
-        tips = follower.angles[:, rows] - nominal_tips[frame][:, None]
-        found.lost[rows] |= (abs(tips - tips[-1:]) > OTHER_BRANCH_RAD).any(axis=0)
+        apart = follower.angles[:, rows] - nominal_tips[frame][:, None]
+        lost[rows] |= (abs(apart - apart[-1:]) > OTHER_BRANCH_RAD).any(axis=0)
         body = compute_body(follower.twist(rows), np.repeat(q[frame, -2:, None], len(rows), axis=1))
         points = body.interpolate(SIGMA)
-        found.sample_e2[rows, frame] = measure_errors(points, file.arrays["target"][frame])
-        found.sample_tips[rows] = points[:, -1]
+        e2[rows, frame], tips[rows] = measure_errors(points, file.arrays["target"][frame]), points[:, -1]
         for wall in walls:
             depth = measured.find_deepest_contact(wall, body, exactly=False)
             # Only where it may be the deepest of a robot's motion, contact is measured at the triangles.
@@ -435,15 +438,26 @@ def _judge_samples(
             if question.any():
                 depth[question] = measured.find_deepest_contact(wall, body.select(np.flatnonzero(question)))
             contact[rows] = np.maximum(contact[rows], np.where(question, depth, -measured.MEASURED_MM))
-    found.lost |= follower.snapped
-    found.sample_tips[found.lost] = contact[found.lost] = found.sample_e2[found.lost] = np.nan
-    arrived = found.sample_tip <= threshold(file, "arrival_tolerance")
-    found.missed = ~found.lost & ~(arrived & (found.findings["arrives"].why != DETOUR))
-    found.pressed = ~found.lost & (contact > sample_contact_allowed(file))
+    lost |= follower.snapped
+    tips[lost] = contact[lost] = e2[lost] = np.nan
+    missed = ~(
+        np.linalg.norm(tips - file.arrays["target"][-1, -1], axis=-1) <= threshold(file, "arrival_tolerance")
+    )
+    missed |= found.findings["arrives"].why == DETOUR
+    outcomes = {
+        "lost": lost,
+        "missed": ~lost & missed,
+        "pressed": ~lost & (contact > sample_contact_allowed(file)),
+    }
+    return replace(found, sample_tips=tips, sample_contact=contact, sample_e2=e2, **outcomes)
+
+
+def _judge_samples(found: CheckResult) -> Finding:
+    """Return whether enough of the samples that were moved hold."""
     share = float((~(found.lost | found.missed | found.pressed)).mean())
-    needed = threshold(file, "share")
-    why = f"{found.lost.sum()} of {len(contact)} are lost, {found.missed.sum()} miss, {found.pressed.sum()} press."
-    return judge(share >= needed, share, share - needed, why)
+    needed = threshold(found.file, "share")
+    counts = f"{found.lost.sum()} of {len(found.lost)} are lost, {found.missed.sum()} miss, {found.pressed.sum()} press."
+    return judge(share >= needed, share, share - needed, counts)
 
 
 def compute_dominant_shapes(file: PlanFile) -> Array:

@@ -196,7 +196,7 @@ def move_nominal(
     for _ in move_through(follower, q, longest):
         states.append(np.where(follower.gone, np.nan, np.stack([follower.rates, follower.angles])))
     frames = np.concatenate(states, axis=2)
-    many.rates, many.angles = frames[..., :-1].copy()
+    many.rates[:], many.angles[:] = frames[..., :-1]
     many.gone[:] = np.isnan(many.rates).any(axis=0)
     ways, parts = _find_ways(q).T, np.linspace(0.0, 1.0, substeps + 1)
     found = []

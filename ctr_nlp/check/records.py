@@ -164,11 +164,12 @@ def _check_motion(found: CheckResult) -> tuple[Finding, Finding, Finding]:
     """Return whether recorded shapes, margins and clearances are those of the motion."""
     arrays, evaluated = found.file.arrays, str(found.file.meta.get("evaluated", found.file.meta["model"]))
     why = "" if np.isfinite(found.margin).any() else found.findings["stable"].why
-    if evaluated not in ("elastic", "dominant"):
+    shapes_on = {"elastic": lambda: found.shape, "dominant": lambda: checker.compute_dominant_shapes(found.file)}
+    if evaluated not in shapes_on:
         why = f"The checker does not know the model {evaluated}."
     if why:
         return (Finding(NOT_COVERED, why=why),) * 3
-    shape = found.shape if evaluated == "elastic" else checker.compute_dominant_shapes(found.file)
+    shape = shapes_on[evaluated]()
     margins = Finding(NOT_COVERED, why="The plan was evaluated on a model without margins.")
     if np.isfinite(arrays["stability"]).any():
         # Beyond the first bifurcation, chance decides where the robot goes on.

@@ -191,7 +191,8 @@ def test_limits_are_seen_to_be_exceeded():
     limits = {"alpha": [["-inf", "inf"]], "beta": None, "theta": [-3.0, 3.0], "carriage_gap": None}
     limits |= {f"{axis}_acceleration": "inf" for axis in ("alpha", "beta", "theta")}
     limits |= {"alpha_speed": 1.0, "beta_speed": [20.0, 30.0], "theta_speed": 0.5}
-    robot = pair_of_tubes(0.01) | {"limits": limits}
+    thin = {"outer_diameter": 1.8, "inner_diameter": 1.0}
+    robot = {"tubes": [TUBE, TUBE | thin], "limits": limits}
     q = turning(11, 1.0, (30.0, 40.0))
     allowed = _judge_limits(robot, q, 0.1)
     assert allowed.word == YES
@@ -203,7 +204,8 @@ def test_limits_are_seen_to_be_exceeded():
     }
     words = {name: _judge_limits(robot, *case).word for name, case in cases.items()}
     assert words == dict.fromkeys(cases, NO)
-    gap = {"tubes": [TUBE, TUBE | {"length": 180.0}], "limits": limits | {"carriage_gap": 21.0}}
+    assert _judge_limits(robot | {"tubes": robot["tubes"][::-1]}, q, 0.1).word == NO  # they do not fit
+    gap = {"tubes": [TUBE, TUBE | thin | {"length": 180.0}], "limits": limits | {"carriage_gap": 21.0}}
     assert _judge_limits(gap, q, 0.1).word == NO  # 30 mm longer, 10 mm further out: 20 mm apart
     slow = robot | {"limits": limits | {"alpha_acceleration": 5.0}}
     jerky = q.copy()
