@@ -243,9 +243,9 @@ def _measure(
         question = depth[..., k] >= np.nanmax(depth[..., k], initial=-np.inf) - measured.FIELD_ERROR_MM
         for chosen, _, body in _compute_bodies(nominal, known & question):
             depth[chosen, k] = measured.find_deepest_contact(wall, body)
-    shape, e2 = points[:, -1], measure_errors(points[:, -1], found.file.arrays["target"])
-    motion = {"shape": shape, "e2": e2, "margin": margin, "clearance": clearance, "tip_direction": tips[:, -1]}
-    return replace(found, snaps=nominal.snaps, **motion), depth
+    found = replace(found, snaps=nominal.snaps, margin=margin, clearance=clearance, shape=points[:, -1])
+    e2 = measure_errors(found.shape, found.file.arrays["target"])
+    return replace(found, e2=e2, tip_direction=tips[:, -1]), depth
 
 
 def _compute_bodies(nominal: NominalMotion, known: Any) -> Iterator[tuple[Array, Twist, RobotShape]]:
@@ -444,20 +444,18 @@ def _move_samples(
         np.linalg.norm(tips - file.arrays["target"][-1, -1], axis=-1) <= threshold(file, "arrival_tolerance")
     )
     missed |= found.findings["arrives"].why == DETOUR
-    outcomes = {
-        "lost": lost,
-        "missed": ~lost & missed,
-        "pressed": ~lost & (contact > sample_contact_allowed(file)),
-    }
-    return replace(found, sample_tips=tips, sample_contact=contact, sample_e2=e2, **outcomes)
+    pressed = ~lost & (contact > sample_contact_allowed(file))
+    found = replace(found, lost=lost, missed=~lost & missed, pressed=pressed)
+    return replace(found, sample_tips=tips, sample_contact=contact, sample_e2=e2)
 
 
 def _judge_samples(found: CheckResult) -> Finding:
     """Return whether enough of the samples that were moved hold."""
     share = float((~(found.lost | found.missed | found.pressed)).mean())
     needed = threshold(found.file, "share")
-    counts = f"{found.lost.sum()} of {len(found.lost)} are lost, {found.missed.sum()} miss, {found.pressed.sum()} press."
-    return judge(share >= needed, share, share - needed, counts)
+    lost, missed, pressed = (each.sum() for each in (found.lost, found.missed, found.pressed))
+    why = f"{lost} of {len(found.lost)} are lost, {missed} miss, {pressed} press."
+    return judge(share >= needed, share, share - needed, why)
 
 
 def compute_dominant_shapes(file: PlanFile) -> Array:
