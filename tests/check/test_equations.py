@@ -144,6 +144,16 @@ def test_play_is_an_offset_while_motors_turn_one_way():
     assert abs(found[0][0, 0] - found[0][0, 1]) > lag / 2  # at first the play is not taken up
 
 
+def test_robots_begin_aligned_with_the_innermost_tube():
+    tubes = read_tubes(pair_of_tubes(0.01))
+    q = turning(2, 1.0, 40.0) + np.array([0.0, 0.4, 0, 0, 0, 0])
+    motion = move_nominal(tubes, q)
+    follower = Follower(tubes, 0.4)
+    *_, last = (follower.angles.copy() for _ in move_through(follower, q))
+    np.testing.assert_allclose(last[:, 0], motion.tip_angles[-1, -1], atol=TIP_RAD)
+    assert follower.tube[:, 0] == pytest.approx([1.0, 0.4])
+
+
 def cylinder(radius, spacing=0.5):
     z = np.arange(0, 100 + spacing, spacing)
     return np.stack([0 * z, 0 * z, z, radius + 0 * z], axis=-1)
