@@ -79,8 +79,8 @@ class Triangles:
         middle = corners.mean(axis=1)
         reach = np.linalg.norm(corners - middle[:, None], axis=2).max(axis=1)
         # The few large triangles are looked at for every point; the others are found by their middles.
-        self._large = np.flatnonzero(reach > 3 * np.median(reach))
-        self._small = np.flatnonzero(reach <= 3 * np.median(reach))
+        large = reach > 3 * np.median(reach)
+        self._large, self._small = np.flatnonzero(large), np.flatnonzero(~large)
         self._reach = float(reach[self._small].max())
         self._tree = cKDTree(middle[self._small])
         self._corner, ab, ac = corners[:, 0], corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
