@@ -31,8 +31,9 @@ SOURCES = "distance", "mesh", "mask"
 VOXEL_MM = 1.5
 MAX_CURVATURE = 0.012
 """Of most robots, 1/mm."""
-STRONG = 2.2
-"""How much more other robots are curved: they come near to bifurcations, and some snap."""
+STRONG_CURVATURE = 0.03
+SIMILAR_DIAMETERS = (3.0, 2.6), (2.4, 2.0), (1.8, 1.2), (1.0, 0.4)
+"""Of strongly curved robots on the elastic model, whose tubes are nearly as stiff as each other."""
 MODELS = "elastic", "dominant"
 SAMPLES = 40
 CELL_MM = 3.0
@@ -42,7 +43,8 @@ def random_plan(seed: int, samples: bool = False) -> Plan:
     """A plan that differs with the seed in robot, motion, model, wall, load, and in where the robot begins."""
     random = np.random.default_rng(seed)
     model = MODELS[seed % 2]
-    robot = _robot(random, MAX_CURVATURE * (STRONG if seed % 7 == 5 else 1))
+    similar = model == "elastic" and seed % 7 == 5
+    robot = _robot(random, *((SIMILAR_DIAMETERS, STRONG_CURVATURE) if similar else (DIAMETERS, MAX_CURVATURE)))
     q = _motion(random, robot)
     path = _path(random, robot, q, model)
     kind = WALLS[seed % len(WALLS)]
@@ -69,13 +71,13 @@ def random_plan(seed: int, samples: bool = False) -> Plan:
     return plan
 
 
-def _robot(random: np.random.Generator, curvature: float) -> Robot:
-    """A robot of one to four tubes, none curved by more than `curvature`, 1/mm."""
+def _robot(random: np.random.Generator, diameters: tuple[tuple[float, float], ...], curvature: float) -> Robot:
+    """A robot of one to four of the tubes, none curved by more than `curvature`, 1/mm."""
     d = int(random.integers(1, 5))
     curved = np.sort(random.uniform(25, 130, d))
     lengths = curved + np.sort(random.uniform(20, 120, d))
     tubes = []
-    for i, (outer, inner) in enumerate(DIAMETERS[-d:]):
+    for i, (outer, inner) in enumerate(diameters[-d:]):
         ends = random.uniform(0.0, curvature, 2)
         bend = [0.0, float(ends[0]), tuple(ends.tolist())][int(random.integers(3)) if i else 1]
         tubes.append(
