@@ -2,8 +2,12 @@
 
 From the file the checker takes data alone: the motion (time, alpha, beta, theta), the targets, the wall, the
 numbers of the robot, the samples' differences from it, and which frames were solved. Shapes, margins, clearances
-and lost samples it finds by itself: tubes by shooting (tubes.py), the wall by nearest points (walls.py). What the
-file records of the same quantities is then compared with what was found (records.py).
+and lost samples it finds by itself: tubes by shooting (tubes.py) and continuation (motions.py), margins from the
+energy (stability.py), the wall by nearest points (walls.py). What the file records of the same quantities is then
+compared with what was found (records.py).
+
+A motion that begins deployed (a reversed plan, a later part of a plan) begins on the branch, among those that
+turning from aligned tubes leads to, whose shape is nearest to the recorded one.
 
 What it cannot check: whether a frame is a KKT point. It counts the frames that are marked as solved, and asks that
 their residuals are small enough. A robot under a load is not covered.
@@ -11,34 +15,19 @@ their residuals are small enough. A robot under a load is not covered.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from ctr_nlp.check import walls as measured
+from ctr_nlp.check.motions import Follower, NominalMotion, Settle, move_nominal, move_through
 from ctr_nlp.check.plan_file import PlanFile
-from ctr_nlp.check.tubes import (
-    Array,
-    NominalMotion,
-    RobotShape,
-    Settle,
-    compute_body,
-    compute_stability_margins,
-    integrate,
-    move_nominal,
-    move_samples,
-    read_tubes,
-    replace_by_dominant,
-)
-from ctr_nlp.check.walls import (
-    FIELD_ERROR_MM,
-    MEASURED_MM,
-    MeasuredWall,
-    find_deepest_contact,
-    measure_left,
-    read_walls,
-)
+from ctr_nlp.check.shapes import RobotShape, compute_body
+from ctr_nlp.check.stability import compute_stability_margins
+from ctr_nlp.check.tubes import Array, Twist, integrate, make_dominant, read_tubes
 
 YES, NO, NOT_COVERED = "yes", "no", "not covered"
 VERDICTS = "solved", "arrives", "follows", "stable", "within_limits", "within_wall", "holds"
@@ -60,9 +49,12 @@ MAX_KKT_MM2 = 1e-2
 LIMIT_SLACK = 1e-5
 """rad or mm by which positions and steps from frame to frame may exceed a limit."""
 SUBSTEPS = 10
-SAMPLE_SUBSTEPS = 4
+SAMPLE_PART = 0.25
+"""Of the way from frame to frame, that samples are moved in one step."""
 SIGMA = np.linspace(0, 1, 101)
 DETOUR = "The robot arrives, but not along the path."
+SAME_SHAPE_MM = 0.01
+"""Root mean square distance of shapes on one branch, at most."""
 GROUP = 250
 """Shapes whose clearances are found at once."""
 
@@ -88,9 +80,14 @@ class Finding(NamedTuple):
     why: str = ""
 
 
+def judge(allowed: Any, number: float | None = None, distance: float | None = None, why: str = "") -> Finding:
+    """Return the finding yes where something is allowed, and no where it is not."""
+    return Finding(YES if allowed else NO, number, distance, why)
+
+
 @dataclass(eq=False)
 class CheckResult:
-    """Result of a check: findings by name, and the figures behind them.
+    """Result of a check: findings by name, and the figures behind them, empty where nothing was found.
 
     Attributes
     ----------
@@ -114,18 +111,18 @@ class CheckResult:
 
     file: PlanFile
     findings: dict[str, Finding]
-    shape: Array
-    e2: Array
-    margin: Array
-    clearance: Array
-    tip_direction: Array
-    snaps: list[int]
-    lost: Array
-    missed: Array
-    pressed: Array
-    sample_tips: Array
-    sample_contact: Array
-    sample_e2: Array
+    snaps: list[int] = field(default_factory=list)
+    shape: Array = field(default_factory=lambda: np.empty(0))
+    e2: Array = field(default_factory=lambda: np.empty(0))
+    margin: Array = field(default_factory=lambda: np.empty(0))
+    clearance: Array = field(default_factory=lambda: np.empty(0))
+    tip_direction: Array = field(default_factory=lambda: np.empty(0))
+    lost: Array = field(default_factory=lambda: np.empty(0))
+    missed: Array = field(default_factory=lambda: np.empty(0))
+    pressed: Array = field(default_factory=lambda: np.empty(0))
+    sample_tips: Array = field(default_factory=lambda: np.empty(0))
+    sample_contact: Array = field(default_factory=lambda: np.empty(0))
+    sample_e2: Array = field(default_factory=lambda: np.empty(0))
 
     @property
     def tip_degrees(self) -> float:
@@ -159,101 +156,116 @@ def examine_motion(file: PlanFile, samples: int = 0, settle: Settle | None = Non
     """
     arrays, meta = file.arrays, file.meta
     q: Array = np.concatenate([arrays["alpha"], arrays["beta"], arrays["theta"]], axis=1)
-    limits = _judge_limits(meta["robot"], q, float(arrays["time"][0]))
+    found = CheckResult(file, {"solved": _judge_solved(file)})
+    found.findings["within_limits"] = _judge_limits(meta["robot"], q, float(arrays["time"][0]))
     drawn = _take_samples(file, samples)
-    found = _make_empty_result(file, len(q), 0 if drawn is None else len(drawn[0]))
-    found.findings.update(solved=_judge_solved(file), within_limits=limits)
-    why = ""
-    beta, length = arrays["beta"], np.array([tube["length"] for tube in meta["robot"]["tubes"]])
-    if not np.isfinite(q).all():
-        why = "Frames have no configuration."
-    elif max((-beta).max(), (beta - length).max(), -np.diff(beta, axis=1).min(initial=0.0)) > LIMIT_SLACK:
-        why = "Tubes are further out than they are long, or out of order."
-    elif meta.get("load", meta.get("planned_load")) is not None:
-        why = "The robot is under a load, which the checker's equations do not have."
-    elif meta.get("reversed") or meta.get("stretch", {}).get("first", 1) > 1:
-        why = "The motion does not begin where the robot enters: its equilibrium there depends on what was before."
+    why = _find_reason_not_covered(file, q)
+    of_shapes = "arrives", "follows", "stable", "within_wall", "holds"
+    found.findings.update(dict.fromkeys(of_shapes, Finding(NOT_COVERED, why=why)))
     if why:
-        uncovered = Finding(NOT_COVERED, why=why)
-        found.findings.update(dict.fromkeys(("arrives", "follows", "stable", "within_wall", "holds"), uncovered))
         return found
-    walls = read_walls(arrays, meta)
+    turns = np.zeros_like(q[0])
+    if meta.get("reversed") or is_later_part(file):
+        turns = _find_whole_turns(file, q[0])
+        q = q + turns
+    walls = measured.read_walls(arrays, meta)
     nominal = move_nominal(read_tubes(meta["robot"]), q, SUBSTEPS, settle)
-    found.findings.update(_judge_shapes(found, _measure(found, nominal, walls), walls))
-    if drawn is not None and not np.isfinite(nominal.tip_angles).all():
-        found.findings["holds"] = Finding(NOT_COVERED, why="Samples are compared with the robot, which snaps.")
-    elif drawn is None:
+    found, depth = _measure(found, nominal, walls)
+    found.findings.update(_judge_shapes(found, depth, walls))
+    if drawn is None:
         why = "Samples under a tip force or of other tolerances than uniform ones." if samples else "No samples."
-        found.findings["holds"] = Finding(NOT_COVERED, why=why)
-    else:
-        found.findings["holds"] = _judge_samples(found, q, nominal.tip_angles[:, -1], walls, drawn, settle)
+    elif not np.isfinite(nominal.tip_angles).all():
+        why = "Samples are compared with the robot, which snaps."
+    elif turns.any():
+        why = "The robot begins on another branch than the one that samples are turned to."
+    found.findings["holds"] = Finding(NOT_COVERED, why=why)
+    if drawn is not None and not why:
+        found = _move_samples(found, q, nominal.tip_angles[:, -1], walls, drawn)
+        found.findings["holds"] = _judge_samples(found)
     return found
 
 
-def _make_empty_result(file: PlanFile, frames: int, samples: int) -> CheckResult:
-    """Return a result in which nothing is known yet, for so many frames and samples."""
-    return CheckResult(
-        file,
-        findings={},
-        shape=np.full((frames, len(SIGMA), 3), np.nan),
-        e2=np.full(frames, np.nan),
-        margin=np.full((frames, SUBSTEPS), np.nan),
-        clearance=np.full((frames, SUBSTEPS, len(SIGMA)), np.nan),
-        tip_direction=np.full((frames, 3), np.nan),
-        snaps=[],
-        lost=np.zeros(samples, dtype=bool),
-        missed=np.zeros(samples, dtype=bool),
-        pressed=np.zeros(samples, dtype=bool),
-        sample_tips=np.full((samples, 3), np.nan),
-        sample_contact=np.full(samples, np.nan),
-        sample_e2=np.full((samples, frames), np.nan),
-    )
+def is_later_part(file: PlanFile) -> bool:
+    """Return whether a plan is a later part of another one, so that the way to its first frame is not known."""
+    return bool(file.meta.get("stretch", {}).get("first", 1) > 1)
 
 
-def _measure(found: CheckResult, nominal: NominalMotion, walls: list[MeasuredWall]) -> Array:
-    """Fill in shapes, margins and clearances of a motion, and return the deepest contacts (T, 10, W), mm."""
+def _find_reason_not_covered(file: PlanFile, q: Array) -> str:
+    """Return why the equations do not describe the motion q (T, 2d + 2) of a plan; empty where they do."""
+    beta, length = file.arrays["beta"], np.array([tube["length"] for tube in file.meta["robot"]["tubes"]])
+    if not np.isfinite(q).all():
+        return "Frames have no configuration."
+    if max((-beta).max(), (beta - length).max(), -np.diff(beta, axis=1).min(initial=0.0)) > LIMIT_SLACK:
+        return "Tubes are further out than they are long, or out of order."
+    if file.meta.get("load", file.meta.get("planned_load")) is not None:
+        return "The robot is under a load, which the checker's equations do not have."
+    return ""
+
+
+def _find_whole_turns(file: PlanFile, q: Array) -> Array:
+    """Return the whole turns (2d + 2,), rad, added to q (2d + 2,) by which a robot is turned to a recorded shape.
+
+    Tubes that are turned there from alignment by a whole turn more or less may be on another branch. Of those that
+    do not snap on the way, the one counts whose shape is nearest to that of the first frame.
+    """
+    tubes = read_tubes(file.meta["robot"])
+    d = len(tubes.zero)
+    turns = 2 * np.pi * np.array([(*each, 0) for each in itertools.product((0, -1, 1), repeat=d - 1)]).T
+    follower = Follower(tubes.repeat(turns.shape[1]), q[d - 1])
+    begin = np.concatenate([follower.tube, q[d : 2 * d, None] + 0 * turns])
+    follower.advance(begin, q[: 2 * d, None] + np.concatenate([turns, 0 * turns]), 0.0, 1.0, longest=0.05)
+    rows = np.flatnonzero(~follower.gone)
+    if not len(rows):
+        return np.zeros_like(q)
+    body = compute_body(follower.twist(rows), np.repeat(q[-2:, None], len(rows), axis=1))
+    away = np.nan_to_num(measure_errors(body.interpolate(SIGMA), file.arrays["shape"][0]))
+    nearest = np.flatnonzero(away <= away.min() + SAME_SHAPE_MM)[0]  # no turns where these lead there as well
+    return np.concatenate([turns[:, rows[nearest]], np.zeros(d + 2)])
+
+
+def _measure(
+    found: CheckResult, nominal: NominalMotion, walls: list[measured.MeasuredWall]
+) -> tuple[CheckResult, Array]:
+    """Return a result with shapes, margins and clearances of a motion, and the deepest contacts (T, 10, W), mm."""
     known = np.isfinite(nominal.rates).all(axis=-1)
+    points, tips = np.full((*known.shape, len(SIGMA), 3), np.nan), np.full((*known.shape, 3), np.nan)
+    margin, clearance = np.full(known.shape, np.nan), np.full(points.shape[:-1], np.nan)
     depth = np.full((*known.shape, len(walls)), np.nan)
-    found.snaps.extend(nominal.snaps)
     for chosen, twist, body in _compute_bodies(nominal, known):
-        points = body.interpolate(SIGMA * body.s[-1][:, None])
-        found.margin[chosen] = compute_stability_margins(twist)
+        points[chosen], tips[chosen] = body.interpolate(SIGMA), body.tangents[-1]
+        margin[chosen] = compute_stability_margins(twist)
+        for k, wall in enumerate(walls):
+            depth[chosen, k] = measured.find_deepest_contact(wall, body, exactly=False)
         if walls:
-            depth[chosen] = np.stack([find_deepest_contact(wall, body, exactly=False) for wall in walls], axis=1)
-            found.clearance[chosen] = measure_clearance(walls, points, twist.beta, twist.tubes.radius)
-        frames, substeps = np.nonzero(chosen)
-        at_frame = substeps == SUBSTEPS - 1
-        found.shape[frames[at_frame]] = points[at_frame]
-        found.tip_direction[frames[at_frame]] = body.tangents[-1, at_frame]
+            clearance[chosen] = measure_clearance(walls, points[chosen], twist.beta, twist.tubes.radius)
     # The deepest place is measured at the triangles, among those that the smooth surface leaves in question.
     for k, wall in enumerate(walls):
-        question = np.asarray(
-            known & (depth[..., k] >= np.nanmax(depth[..., k], initial=-np.inf) - FIELD_ERROR_MM)
-        )
-        for chosen, _, body in _compute_bodies(nominal, question):
-            depth[chosen, k] = find_deepest_contact(wall, body)
-    found.e2[:] = measure_errors(found.shape, found.file.arrays["target"])
-    return depth
+        question = depth[..., k] >= np.nanmax(depth[..., k], initial=-np.inf) - measured.FIELD_ERROR_MM
+        for chosen, _, body in _compute_bodies(nominal, known & question):
+            depth[chosen, k] = measured.find_deepest_contact(wall, body)
+    found = replace(found, snaps=nominal.snaps, margin=margin, clearance=clearance, shape=points[:, -1])
+    e2 = measure_errors(found.shape, found.file.arrays["target"])
+    return replace(found, e2=e2, tip_direction=tips[:, -1]), depth
 
 
-def _compute_bodies(nominal: NominalMotion, known: Any) -> Iterator[tuple[Array, Any, RobotShape]]:
+def _compute_bodies(nominal: NominalMotion, known: Any) -> Iterator[tuple[Array, Twist, RobotShape]]:
     """Yield groups of places (T, 10) of a motion among those that are `known`, with their twists and bodies."""
     places = np.argwhere(known)
-    for first in range(0, places.shape[0], GROUP):
+    for first in range(0, len(places), GROUP):
         chosen = np.zeros_like(known)
         chosen[tuple(places[first : first + GROUP].T)] = True
         twist, theta = nominal.twists(chosen)
         yield chosen, twist, compute_body(twist, theta)
 
 
-def measure_clearance(walls: list[MeasuredWall], points: Array, beta: Array, radius: Array) -> Array:
+def measure_clearance(walls: list[measured.MeasuredWall], points: Array, beta: Array, radius: Array) -> Array:
     """Return the clearance (n, 101), mm, of points (n, 101, 3) at uniform sigma.
 
     beta (d, n), radius (d, n): extensions and radii of tubes, mm. The outermost tube at a place counts.
     """
     ends = beta[:-1, :, None] + 1e-9
     outermost = (SIGMA * beta[-1][:, None] > ends).sum(axis=0)
-    return measure_left(walls, points, np.take_along_axis(radius.T, outermost, axis=1))
+    return measured.measure_left(walls, points, np.take_along_axis(radius.T, outermost, axis=1))
 
 
 def measure_errors(shape: Array, target: Array) -> Array:
@@ -273,31 +285,29 @@ def sample_contact_allowed(file: PlanFile) -> float:
     return max(SAMPLE_CONTACT_MM, threshold(file, "contact_allowed"))
 
 
-def _judge_shapes(found: CheckResult, depth: Array, walls: list[MeasuredWall]) -> dict[str, Finding]:
+def _judge_shapes(found: CheckResult, depth: Array, walls: list[measured.MeasuredWall]) -> dict[str, Finding]:
     """Return the verdicts on shapes and margins; depth (T, 10, W): deepest contacts with the walls, mm."""
-    file = found.file
-    asked = file.meta.get("options", {}).get("stability_margin")
-    target = file.arrays["target"]
-    tip = float(np.linalg.norm(found.shape[-1, -1] - target[-1, -1]))
+    file, target = found.file, found.file.arrays["target"][-1]
+    tip = float(np.linalg.norm(found.shape[-1, -1] - target[-1]))
     arrives = _judge_at_most(tip, threshold(file, "arrival_tolerance"), "mm from the target's end")
-    length = float(np.linalg.norm(np.diff(target[-1], axis=0), axis=1).sum())
+    length = float(np.linalg.norm(np.diff(target, axis=0), axis=1).sum())
     detour_mm = max(0.1 * length, 5.0)
     short = length - float(file.arrays["beta"][-1, -1])
     detour = found.tip_degrees > 90 or short > detour_mm or found.e2[-1] > detour_mm
     if arrives.word == YES and detour and threshold(file, "arrival_tolerance") <= detour_mm:
         arrives = arrives._replace(word=NO, why=DETOUR)
-    worst = _judge_at_most(float(found.e2.max()), threshold(file, "error_allowed"), "mm e2")
-    frame = "" if worst.number is None else f" in frame {int(found.e2.argmax()) + 1}"
+    unit = "mm e2" + (f" in frame {int(found.e2.argmax()) + 1}" if np.isfinite(found.e2).all() else "")
+    asked = file.meta.get("options", {}).get("stability_margin")
     within_wall = Finding(NOT_COVERED, why="The file has no wall.")
     if walls:
         # Tissue around a lumen gives a little; what is to be kept out of is not to be touched.
-        allowed = [0.0 if wall.kept_out else threshold(file, "contact_allowed") for wall in walls]
-        deepest = np.asarray(depth.max(axis=(0, 1)))
-        first = int(np.argmax(np.nan_to_num(deepest - np.array(allowed), nan=np.inf)))
-        within_wall = _judge_at_most(float(deepest[first]), allowed[first], "mm of contact")
+        allowed = np.array([0.0 if wall.kept_out else threshold(file, "contact_allowed") for wall in walls])
+        deepest = depth.max(axis=(0, 1))
+        first = np.nan_to_num(deepest - allowed, nan=np.inf).argmax()
+        within_wall = _judge_at_most(float(deepest[first]), float(allowed[first]), "mm of contact")
     return {
         "arrives": arrives,
-        "follows": worst._replace(why=worst.why + frame),
+        "follows": _judge_at_most(float(found.e2.max()), threshold(file, "error_allowed"), unit),
         "stable": _judge_stability(found.margin, found.snaps, asked),
         "within_wall": within_wall,
     }
@@ -307,7 +317,7 @@ def _judge_at_most(number: float, allowed: float, unit: str) -> Finding:
     """Return yes where a number is at most what is allowed; a NaN is not covered."""
     if not np.isfinite(number):
         return Finding(NOT_COVERED, why="The robot snaps before, or has no equilibrium.")
-    return Finding(YES if number <= allowed else NO, number, allowed - number, f"{allowed:g} {unit} allowed")
+    return judge(number <= allowed, number, allowed - number, f"{unit}; {allowed:g} mm is allowed")
 
 
 def _judge_solved(file: PlanFile) -> Finding:
@@ -332,8 +342,8 @@ def _judge_stability(margin: Array, snaps: list[int], asked: float | None) -> Fi
     if least is None or not np.isfinite(margin).all():
         return Finding(NOT_COVERED, least, why="The robot has no equilibrium somewhere.")
     frame = int(margin.min(axis=1).argmin()) + 1
-    word = YES if least >= least_allowed else NO
-    return Finding(word, least, least - least_allowed, f"The least margin is around frame {frame}.")
+    left = least - least_allowed
+    return judge(left >= 0, least, left, f"The least margin is around frame {frame}.")
 
 
 def _judge_limits(robot: dict[str, Any], q: Array, dt: float) -> Finding:
@@ -342,45 +352,36 @@ def _judge_limits(robot: dict[str, Any], q: Array, dt: float) -> Finding:
     distance: how much is left to the limit that a motion exceeds by most, or comes nearest to, rad or mm a frame.
     """
     tubes, limits = robot["tubes"], robot["limits"]
-    d = len(tubes)
-    beta, step = q[:, d : 2 * d], np.diff(q, axis=0)
-    beta_limits = limits.get("beta")
-    if beta_limits is None:
-        straight = [not np.any(tube["curvature"]) for tube in tubes]
-        ends = [t["length"] if s else t["curved_length"] for t, s in zip(tubes, straight, strict=True)]
-        beta_limits = [(0.0, end) for end in ends]
-    pairs = [
-        *np.broadcast_to(_read_numbers(limits["alpha"]), (d, 2)),
-        *np.broadcast_to(_read_numbers(beta_limits), (d, 2)),
-        *np.broadcast_to(_read_numbers(limits["theta"]), (2, 2)),
-    ]
-    lower, upper = np.array(pairs).T
-    left = {
-        "range": np.min([q - lower, upper - q]),
-        "order of tubes": np.min(np.diff(beta, axis=1), initial=np.inf),
-    }
-    if limits.get("carriage_gap") is not None:
-        gaps = np.diff([tube["length"] for tube in tubes]) - np.diff(beta, axis=1)
-        left["gap between carriages"] = np.min(gaps, initial=np.inf) - limits.get("carriage_gap")
-    used = 0.0
-    for order, name in ((1, "speed"), (2, "acceleration")):
-        sizes = (("alpha", d), ("beta", d), ("theta", 2))
-        most = [np.broadcast_to(_read_numbers(limits.get(f"{axis}_{name}", np.inf)), size) for axis, size in sizes]
-        bound = np.concatenate(most) * dt**order
-        change = abs(np.diff(step, n=order - 1, axis=0))
-        if change.size:
-            left[name] = np.min(bound - change)
-            used = max(used, float((change / bound).max()))
-    tightest = min(left, key=lambda name: left[name])
-    least = float(left[tightest]) + LIMIT_SLACK
     if not np.isfinite(q).all():
         return Finding(NOT_COVERED, why="Frames have no configuration.")
-    return Finding(YES if least >= 0 else NO, 100 * used, least, f"The {tightest} comes nearest to its limit.")
+    d = len(tubes)
 
+    def read_limits(name: str, *columns: int) -> Array:
+        """Limits of alpha, beta and theta (2d + 2, ..); what is unlimited is written as text."""
+        axes = ("alpha", d), ("beta", d), ("theta", 2)
+        given = [(np.array(limits.get(axis + name, "inf"), dtype=object), count) for axis, count in axes]
+        return np.concatenate([np.broadcast_to(x, (n, *columns)) for x, n in given]).astype(float)
 
-def _read_numbers(value: Any) -> Array:
-    """Return limits as arrays; files write what is unlimited as text."""
-    return np.array(value, dtype=object).astype(float)
+    if limits.get("beta") is None:
+        ends = [tube["curved_length" if np.any(tube["curvature"]) else "length"] for tube in tubes]
+        limits = limits | {"beta": [(0.0, end) for end in ends]}
+    lower, upper = read_limits("", 2).T
+    growth = np.diff(q[:, d : 2 * d], axis=1)
+    left = {"range": np.min([q - lower, upper - q]), "order of tubes": np.min(growth, initial=np.inf)}
+    outer, inner = ([tube[f"{side}_diameter"] for tube in tubes] for side in ("outer", "inner"))
+    left["fit of tubes in each other"] = np.min(np.subtract(inner[:-1], outer[1:]), initial=np.inf)
+    if limits.get("carriage_gap") is not None:
+        gaps = np.diff([tube["length"] for tube in tubes]) - growth
+        left["gap between carriages"] = np.min(gaps, initial=np.inf) - limits["carriage_gap"]
+    used = 0.0
+    for order, name in enumerate(("speed", "acceleration"), 1):
+        bound = read_limits(f"_{name}") * dt**order
+        change = abs(np.diff(q, n=order, axis=0))
+        left[name] = np.min(bound - change, initial=np.inf)
+        used = max(used, float((change / bound).max(initial=0.0)))
+    tightest = min(left, key=lambda name: left[name])
+    least = float(left[tightest]) + LIMIT_SLACK
+    return judge(least >= 0, 100 * used, least, f"The {tightest} comes nearest to its limit.")
 
 
 def _take_samples(file: PlanFile, count: int) -> tuple[Array, Array] | None:
@@ -388,68 +389,78 @@ def _take_samples(file: PlanFile, count: int) -> tuple[Array, Array] | None:
 
     None without samples, or where they are under a force or not uniform within their tolerances.
     """
-    robot = file.meta["robot"]
-    tolerances, d = robot.get("tolerances"), len(robot["tubes"])
+    tolerances, d = file.meta["robot"].get("tolerances"), len(file.meta["robot"]["tubes"])
     if not count or tolerances is None or tolerances["tip_force"]:
         return None
     if "draws_parts" in file.arrays:
         return file.arrays["draws_parts"][:count], file.arrays["draws_lags"][:count].astype(float)
-    others = (tolerances["distribution"] == "normal", tolerances["covariance"] is not None)
-    if any(others) or np.any(tolerances["diameter"]):
+    uniform = tolerances["distribution"] != "normal" and tolerances["covariance"] is None
+    if not uniform or np.any(tolerances["diameter"]):
         return None
     random = np.random.default_rng(0)
-    bands = np.stack([np.broadcast_to(tolerances[name], d) for name in DEVIATIONS], axis=1)
-    parts = random.uniform(-1, 1, (count, *bands.shape)) * bands
+    parts = random.uniform(-1, 1, (count, d, len(DEVIATIONS))) * read_bands(tolerances, d)
     return parts, random.uniform(0, 1, (count, d)) * tolerances["rotation_lag"]
 
 
-def _judge_samples(
+def read_bands(tolerances: dict[str, Any], d: int) -> Array:
+    """Return half the widths (d, 5) of the bands of tolerances, in the order of `DEVIATIONS`."""
+    return np.stack([np.broadcast_to(tolerances[name], d) for name in DEVIATIONS], axis=1)
+
+
+def _move_samples(
     found: CheckResult,
     q: Array,
     nominal_tips: Array,
-    walls: list[MeasuredWall],
+    walls: list[measured.MeasuredWall],
     drawn: tuple[Array, Array],
-    settle: Settle | None,
-) -> Finding:
-    """Move samples through q (T, 2d + 2), fill in how they fare, and return whether enough of them hold.
+) -> CheckResult:
+    """Return a result with how samples fare that are moved through q (T, 2d + 2).
 
     nominal_tips (T, d): angles of the nominal robot's tips, rad. drawn: differences and plays of the samples.
     """
-    file, contact = found.file, found.sample_contact
-    contact[:] = -np.inf if walls else np.nan
-
-    def measure(frame: int, rows: Array, twist: Any, tips: Array) -> None:
-        own = nominal_tips[frame] - nominal_tips[frame, -1]
-        # Not "more than", so that robots count as lost where the nominal one has no shape to compare with.
-        found.lost[rows] |= ~(abs(tips - tips[-1:] - own[:, None]) <= OTHER_BRANCH_RAD).all(axis=0)
-        body = compute_body(twist, np.repeat(q[frame, -2:, None], len(rows), axis=1))
-        points = body.interpolate(SIGMA * body.s[-1][:, None])
-        found.sample_e2[rows, frame] = measure_errors(points, file.arrays["target"][frame])
-        found.sample_tips[rows] = points[:, -1]
+    file, count = found.file, len(drawn[0])
+    lost, contact = np.zeros(count, dtype=bool), np.full(count, -np.inf if walls else np.nan)
+    tips, e2 = np.full((count, 3), np.nan), np.full((count, len(q)), np.nan)
+    follower = Follower(read_tubes(file.meta["robot"], drawn[0]), q[0, nominal_tips.shape[1] - 1], drawn[1].T)
+    for frame in move_through(follower, q, SAMPLE_PART):
+        rows = np.flatnonzero(~follower.gone)
+        if not len(rows):
+            break
+        apart = follower.angles[:, rows] - nominal_tips[frame][:, None]
+        lost[rows] |= (abs(apart - apart[-1:]) > OTHER_BRANCH_RAD).any(axis=0)
+        body = compute_body(follower.twist(rows), np.repeat(q[frame, -2:, None], len(rows), axis=1))
+        points = body.interpolate(SIGMA)
+        e2[rows, frame], tips[rows] = measure_errors(points, file.arrays["target"][frame]), points[:, -1]
         for wall in walls:
-            depth = find_deepest_contact(wall, body, exactly=False)
+            depth = measured.find_deepest_contact(wall, body, exactly=False)
             # Only where it may be the deepest of a robot's motion, contact is measured at the triangles.
-            question = depth > np.maximum(contact[rows], -MEASURED_MM) - FIELD_ERROR_MM
+            question = depth > np.maximum(contact[rows], -measured.MEASURED_MM) - measured.FIELD_ERROR_MM
             if question.any():
-                depth[question] = find_deepest_contact(wall, body.select(np.flatnonzero(question)))
-            contact[rows] = np.maximum(contact[rows], np.where(question, depth, -MEASURED_MM))
+                depth[question] = measured.find_deepest_contact(wall, body.select(np.flatnonzero(question)))
+            contact[rows] = np.maximum(contact[rows], np.where(question, depth, -measured.MEASURED_MM))
+    lost |= follower.snapped
+    tips[lost] = contact[lost] = e2[lost] = np.nan
+    missed = ~(
+        np.linalg.norm(tips - file.arrays["target"][-1, -1], axis=-1) <= threshold(file, "arrival_tolerance")
+    )
+    missed |= found.findings["arrives"].why == DETOUR
+    pressed = ~lost & (contact > sample_contact_allowed(file))
+    found = replace(found, lost=lost, missed=~lost & missed, pressed=pressed)
+    return replace(found, sample_tips=tips, sample_contact=contact, sample_e2=e2)
 
-    tubes = read_tubes(file.meta["robot"], drawn[0])
-    found.lost[:] |= move_samples(tubes, drawn[1].T, q, measure, SAMPLE_SUBSTEPS, settle) > 0
-    found.sample_tips[found.lost] = contact[found.lost] = found.sample_e2[found.lost] = np.nan
-    arrived = found.sample_tip <= threshold(file, "arrival_tolerance")
-    found.missed[:] = ~found.lost & ~(arrived & (found.findings["arrives"].why != DETOUR))
-    found.pressed[:] = ~found.lost & (contact > sample_contact_allowed(file))
+
+def _judge_samples(found: CheckResult) -> Finding:
+    """Return whether enough of the samples that were moved hold."""
     share = float((~(found.lost | found.missed | found.pressed)).mean())
-    needed = threshold(file, "share")
-    why = f"{found.lost.sum()} of {len(contact)} are lost, {found.missed.sum()} miss, {found.pressed.sum()} press."
-    return Finding(YES if share >= needed else NO, share, share - needed, why)
+    needed = threshold(found.file, "share")
+    lost, missed, pressed = (each.sum() for each in (found.lost, found.missed, found.pressed))
+    why = f"{lost} of {len(found.lost)} are lost, {missed} miss, {pressed} press."
+    return judge(share >= needed, share, share - needed, why)
 
 
 def compute_dominant_shapes(file: PlanFile) -> Array:
     """Return the shapes (T, 101, 3), mm, of a plan's motion on the dominant stiffness model."""
     alpha, beta, theta = (file.arrays[name].T for name in ("alpha", "beta", "theta"))
-    tubes = read_tubes(file.meta["robot"]).repeat(alpha.shape[1])
+    tubes = make_dominant(read_tubes(file.meta["robot"])).repeat(alpha.shape[1])
     twist = integrate(tubes, alpha, beta, np.zeros_like(alpha), sensitivities=False)
-    body: RobotShape = compute_body(replace_by_dominant(twist, alpha), theta)
-    return body.interpolate(SIGMA * beta[-1][:, None])
+    return compute_body(twist, theta).interpolate(SIGMA)

@@ -7,7 +7,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ctr_nlp.check.checker import NO, NOT_COVERED, VERDICTS, YES, CheckResult, sample_contact_allowed, threshold
+from ctr_nlp.check import checker
+from ctr_nlp.check.checker import NO, NOT_COVERED, VERDICTS, YES, CheckResult
 from ctr_nlp.check.records import RECORDS, SAMPLE_SHARE, SAMPLE_TOLERANCE_MM
 
 VERDICT_TOLERANCES = {"arrives": 0.05, "follows": 0.05, "stable": 0.005, "within_wall": 0.1, "holds": SAMPLE_SHARE}
@@ -78,8 +79,8 @@ def compare_verdicts(found: CheckResult, own: Mapping[str, Any]) -> list[Opinion
 
 def count_borderline_samples(found: CheckResult) -> int:
     """Return how many samples miss or keep a limit by no more than recorded results may differ."""
-    pressing = abs(found.sample_contact - sample_contact_allowed(found.file)) <= SAMPLE_TOLERANCE_MM
-    arriving = abs(found.sample_tip - threshold(found.file, "arrival_tolerance")) <= SAMPLE_TOLERANCE_MM
+    pressing = abs(found.sample_contact - checker.sample_contact_allowed(found.file)) <= SAMPLE_TOLERANCE_MM
+    arriving = abs(found.sample_tip - checker.threshold(found.file, "arrival_tolerance")) <= SAMPLE_TOLERANCE_MM
     return int((~found.lost & (pressing | arriving)).sum())
 
 
@@ -91,6 +92,9 @@ def _agree(name: str, found: CheckResult, word: str | None, number: float | None
         tolerance = max(tolerance, (1 + count_borderline_samples(found)) / len(found.lost)) + 1e-9
     if finding.word == NOT_COVERED or word not in (YES, NO):
         return True
+    worse = {"stable": -1, "within_wall": 1}.get(name, 0)
+    if checker.is_later_part(found.file) and number is not None and worse * (number - (finding.number or 0.0)) > 0:
+        return True  # the plan counts the way to its first frame as well
     if word != finding.word:
         return finding.distance is not None and abs(finding.distance) <= tolerance
     if name not in VERDICT_TOLERANCES or number is None or finding.number is None or found.snaps:

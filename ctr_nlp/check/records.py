@@ -7,19 +7,11 @@ from pathlib import Path
 
 import numpy as np
 
-from ctr_nlp.check.checker import (
-    DEVIATIONS,
-    NO,
-    NOT_COVERED,
-    YES,
-    CheckResult,
-    Finding,
-    compute_dominant_shapes,
-    examine_motion,
-    measure_clearance,
-)
+from ctr_nlp.check import checker
+from ctr_nlp.check.checker import NO, NOT_COVERED, CheckResult, Finding, judge
+from ctr_nlp.check.motions import Settle
 from ctr_nlp.check.plan_file import CheckError, PlanFile, read_plan_file
-from ctr_nlp.check.tubes import Array, Settle, read_tubes
+from ctr_nlp.check.tubes import Array, read_tubes
 from ctr_nlp.check.walls import FIELD_ERROR_MM, FieldWall, LumenWall, read_walls
 
 SHAPE_TOLERANCE_MM = 0.05
@@ -82,15 +74,9 @@ def check_plan(
     """
     file = read_plan_file(path)
     try:
-        found = examine_motion(file, samples, settle)
-        recorded = (
-            _check_digest(file),
-            _check_times(file),
-            _check_frames_of_reference(file, source),
-            *_check_motion(found),
-            _check_samples(found),
-            _check_tolerances(file),
-        )
+        found = checker.examine_motion(file, samples, settle)
+        recorded = [_check_digest(file), _check_times(file), _check_frames_of_reference(file, source)]
+        recorded += [*_check_motion(found), _check_samples(found), _check_tolerances(file)]
     except (AttributeError, LookupError, TypeError, ValueError, ZeroDivisionError) as error:
         if isinstance(error, CheckError):
             raise
@@ -103,7 +89,7 @@ def _check_digest(file: PlanFile) -> Finding:
     """Return whether the file's content is what its digest was computed of."""
     if file.digest is None:
         return Finding(NOT_COVERED, why="The file has no digest.")
-    return Finding(YES if file.digest == file.content_digest else NO, why=f"SHA-256 {file.content_digest[:12]}")
+    return judge(file.digest == file.content_digest, why=f"SHA-256 {file.content_digest[:12]}")
 
 
 def _check_times(file: PlanFile) -> Finding:
@@ -116,8 +102,8 @@ def _check_times(file: PlanFile) -> Finding:
     if duration is None:
         return Finding(NOT_COVERED, why="The file has no duration of the problem.")
     late = float(time[-1] - duration)
-    word = YES if abs(late) <= 1e-6 * time[-1] and problem.get("frames", len(time)) == len(time) else NO
-    return Finding(word, late, why=f"{len(time)} frames end at {time[-1]:g} s; the problem takes {duration:g} s.")
+    in_time = abs(late) <= 1e-6 * time[-1] and problem.get("frames", len(time)) == len(time)
+    return judge(in_time, late, why=f"{len(time)} frames end at {time[-1]:g} s; the problem takes {duration:g} s.")
 
 
 def _check_frames_of_reference(file: PlanFile, source: str | Path | None) -> Finding:
@@ -144,8 +130,8 @@ def _check_frames_of_reference(file: PlanFile, source: str | Path | None) -> Fin
     spacing = float(np.linalg.norm(np.diff(points, axis=0), axis=1).max())
     off = float(-LumenWall(np.pad(points, ((0, 0), (0, 1)))).left(target).min())
     # Targets are curves through the points, which leave the lines between them by h^2 / (8 R), R at least 12 mm.
-    word = YES if off <= allowed + spacing**2 / 96 else NO
-    return Finding(word, off, why=f"The target is {off:.2f} mm from the points of {Path(source).name}.")
+    why = f"The target is {off:.2f} mm from the points of {Path(source).name}."
+    return judge(off <= allowed + spacing**2 / 96, off, why=why)
 
 
 def _read_source(path: Path) -> Array:
@@ -157,9 +143,8 @@ def _read_source(path: Path) -> Array:
         table = np.genfromtxt(path, delimiter=",", names=True)
         return np.column_stack([table[name] for name in ("x_mm", "y_mm", "z_mm")])
     except (OSError, LookupError, TypeError, ValueError) as error:
-        raise CheckError(
-            f"{path} cannot be read as a centreline: {error}; give a table with x_mm, y_mm, z_mm, or a .mrk.json"
-        ) from error
+        wanted = "give a table with the columns x_mm, y_mm and z_mm, or a .mrk.json"
+        raise CheckError(f"{path} cannot be read as a centreline: {error}; {wanted}") from error
 
 
 def _compare(name: str, recorded: Array, found: Array, tolerance: float, unit: str) -> Finding:
@@ -171,34 +156,43 @@ def _compare(name: str, recorded: Array, found: Array, tolerance: float, unit: s
     away = np.where(known, np.nan_to_num(abs(recorded - found), nan=np.inf), 0.0)
     largest = float(away.max())
     frame = int(away.reshape(len(away), -1).max(axis=1).argmax()) + 1
-    why = (
-        f"Recorded {name} differ by {largest:.3g}{unit} at most, in frame {frame}; {tolerance:g}{unit} is allowed."
-    )
-    return Finding(YES if largest <= tolerance else NO, largest, tolerance - largest, why)
+    why = f"Recorded {name} differ by {largest:.3g}{unit}, most in frame {frame}; {tolerance:g}{unit} is allowed."
+    return judge(largest <= tolerance, largest, tolerance - largest, why)
 
 
 def _check_motion(found: CheckResult) -> tuple[Finding, Finding, Finding]:
     """Return whether recorded shapes, margins and clearances are those of the motion."""
-    arrays, meta = found.file.arrays, found.file.meta
-    on_model = {"elastic": lambda: found.shape, "dominant": lambda: compute_dominant_shapes(found.file)}
-    evaluated = str(meta.get("evaluated", meta["model"]))
-    why = found.findings["stable"].why if np.isnan(found.margin).all() else ""
-    if evaluated not in on_model:
+    arrays, evaluated = found.file.arrays, str(found.file.meta.get("evaluated", found.file.meta["model"]))
+    why = "" if np.isfinite(found.margin).any() else found.findings["stable"].why
+    shapes_on = {"elastic": lambda: found.shape, "dominant": lambda: checker.compute_dominant_shapes(found.file)}
+    if evaluated not in shapes_on:
         why = f"The checker does not know the model {evaluated}."
     if why:
         return (Finding(NOT_COVERED, why=why),) * 3
-    shape = on_model[evaluated]()
+    shape = shapes_on[evaluated]()
     margins = Finding(NOT_COVERED, why="The plan was evaluated on a model without margins.")
     if np.isfinite(arrays["stability"]).any():
         # Beyond the first bifurcation, chance decides where the robot goes on.
         near = np.flatnonzero(~(found.margin > NEAR_BIFURCATION).all(axis=1))
         first = min([len(shape), *near[:1], *(frame - 1 for frame in found.snaps)])
         shape = np.where(np.arange(len(shape))[:, None, None] < first, shape, np.nan)
-        own = np.stack([found.margin[:first, -1], found.margin[:first].min(axis=1)], axis=1)
-        recorded = np.stack([arrays[name][:first] for name in ("stability", "stability_between")], axis=1)
-        margins = _compare("margins", recorded, own, MARGIN_TOLERANCE, "")
+        own = np.stack([found.margin[:, -1], find_least_on_way(found.file, found.margin)], axis=1)
+        recorded = np.stack([arrays[name] for name in ("stability", "stability_between")], axis=1)
+        margins = _compare("margins", recorded[:first], own[:first], MARGIN_TOLERANCE, "")
     shapes = _compare("shapes", arrays["shape"], shape, SHAPE_TOLERANCE_MM, " mm")
     return shapes, margins, _check_clearances(found, shape)
+
+
+def find_least_on_way(file: PlanFile, values: Array) -> Array:
+    """Return the least (T, ..) of values (T, 10, ..) at sub-steps of the way to each frame, as plans record it."""
+    if file.meta.get("reversed"):
+        # The motion was planned forwards: the sub-steps between two frames include the later one, here the first.
+        flat = values.reshape(-1, *values.shape[2:])
+        values = np.concatenate([flat[:1], flat[:-1]]).reshape(values.shape)
+    least = values.min(axis=1)
+    if checker.is_later_part(file):
+        least[0] = np.nan
+    return least
 
 
 def _check_clearances(found: CheckResult, shape: Array) -> Finding:
@@ -211,10 +205,10 @@ def _check_clearances(found: CheckResult, shape: Array) -> Finding:
     radius = read_tubes(found.file.meta["robot"]).repeat(len(shape)).radius
     known = np.isfinite(shape).all(axis=(1, 2))
     own = np.full((len(shape), 2, shape.shape[1]), np.nan)
-    own[known, 0] = measure_clearance(walls, shape[known], arrays["beta"][known].T, radius[:, known])
+    own[known, 0] = checker.measure_clearance(walls, shape[known], arrays["beta"][known].T, radius[:, known])
     recorded = np.stack([arrays["clearance"], arrays.get("clearance_between", arrays["clearance"])], axis=1)
     if np.isfinite(arrays["stability"]).any() and "clearance_between" in arrays:
-        own[known, 1] = found.clearance[known].min(axis=1)
+        own[known, 1] = find_least_on_way(found.file, found.clearance)[known]
     # Deep in the wall the nearest place of the path may be another one.
     own[own < -DEEP_MM] = np.nan
     # Plans measure at the triangles where a point may be the nearest of its frame, elsewhere in the smooth field.
@@ -229,9 +223,7 @@ def _check_samples(found: CheckResult) -> Finding:
     arrays = found.file.arrays
     count = len(found.lost)
     if not count or "draws_parts" not in arrays or found.findings["holds"].word == NOT_COVERED:
-        return Finding(
-            NOT_COVERED, why="No recorded samples were moved." if count else found.findings["holds"].why
-        )
+        return Finding(NOT_COVERED, why=found.findings["holds"].why or "No recorded samples were moved.")
     lost = arrays["draws_lost"][:count] > 0
     both = ~(lost | found.lost)
     contact = np.maximum(-arrays["draws_clearance"][:count], 0.0)
@@ -248,9 +240,8 @@ def _check_samples(found: CheckResult) -> Finding:
         wrong = both & ~(values <= SAMPLE_TOLERANCE_MM) & ~((name == "contacts") & np.isnan(values))
         reasons += [f"{name} of {wrong.sum()} differ"] * bool(wrong.any())
         off = off | wrong
-    word = YES if off.sum() <= max(1, int(SAMPLE_SHARE * count)) else NO
     why = f"{off.sum()} of {count} samples differ" + (f": {', '.join(reasons)}." if reasons else ".")
-    return Finding(word, float(off.sum()), why=why)
+    return judge(off.sum() <= max(1, int(SAMPLE_SHARE * count)), float(off.sum()), why=why)
 
 
 def _check_tolerances(file: PlanFile) -> Finding:
@@ -259,7 +250,7 @@ def _check_tolerances(file: PlanFile) -> Finding:
     if "draws_parts" not in file.arrays or tolerances is None:
         return Finding(NOT_COVERED, why="The file has no samples.")
     parts, lags = file.arrays["draws_parts"], file.arrays["draws_lags"]
-    bands = np.stack([np.broadcast_to(tolerances[name], d) for name in DEVIATIONS], axis=1)
+    bands = checker.read_bands(tolerances, d)
     least = FALSE_ALARM ** (1 / len(parts))  # of a band's half width, that the largest difference reaches
     if tolerances["covariance"] is not None or tolerances["distribution"] == "normal":
         variance = bands**2 / 3
@@ -275,7 +266,7 @@ def _check_tolerances(file: PlanFile) -> Finding:
         wrong[:, 1] &= ~(np.broadcast_to(tolerances["diameter"], d) > 0)
     plays = np.broadcast_to(tolerances["rotation_lag"], d)
     lagged = (lags.max(axis=0) > plays * (1 + 1e-9)) | (lags.max(axis=0) < plays * least)
-    names = [name for name, bad in zip(DEVIATIONS, wrong.any(axis=0), strict=True) if bad]
+    names = [name for name, bad in zip(checker.DEVIATIONS, wrong.any(axis=0), strict=True) if bad]
     names += ["rotation_lag"] * bool(lagged.any())
     why = f"Samples do not have the tolerances of {', '.join(names)}." if names else "Samples fill the tolerances."
-    return Finding(NO if names else YES, float(len(names)), why=why)
+    return judge(not names, float(len(names)), why=why)

@@ -8,15 +8,15 @@ triangles of the surface, the clearances that decide are measured at these.
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Callable
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from scipy.ndimage import map_coordinates
 from scipy.spatial import cKDTree
 
-from ctr_nlp.check.tubes import Array, RobotShape
+from ctr_nlp.check.shapes import RobotShape
+from ctr_nlp.check.tubes import Array
 
 WALL_SPACING_MM = 0.1
 """Between the points of a lumen's path."""
@@ -28,22 +28,10 @@ MEASURED_MM = 1.0
 """Clearance beyond which plans record that from the splines."""
 SAME_DISTANCE_MM = 1e-6
 """Difference of the distances of two triangles that meet at the nearest point."""
-PAIRS = 200_000
-"""Points and triangles that are looked at together."""
+ROWS = 400
+"""Points whose nearest triangles are looked for together."""
 BLOCK_CELLS = 8
 """Cells along each side of a block of a grid, as the format of the file has it."""
-
-
-class MeasuredWall(Protocol):
-    """Protocol of walls; kept_out: whether it is a body that the robot keeps out of."""
-
-    kept_out: bool
-
-    def left(self, points: Array) -> Array:
-        """Return the distance (..,) mm from points (.., 3) to the wall, negative beyond it."""
-
-    def left_exactly(self, points: Array) -> Array:
-        """Return the same (n,) of points (n, 3) from the triangles, where the wall has any."""
 
 
 class LumenWall:
@@ -57,105 +45,89 @@ class LumenWall:
 
     def __init__(self, table: Array) -> None:
         along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(table[:, :3], axis=0), axis=1))])
-        keep = np.concatenate([[True], np.diff(along) > 1e-9])
-        along = along[keep]
-        table = table[keep]
-        between = [
-            np.linspace(a, b, max(2, int(np.ceil((b - a) / WALL_SPACING_MM)) + 1))[:-1]
-            for a, b in itertools.pairwise(along)
-        ]
-        fine = np.concatenate([*between, along[-1:]])
-        self._points = np.stack([np.interp(fine, along, table[:, k]) for k in range(3)], axis=-1)
-        self._radius = np.interp(fine, along, table[:, 3])
-        self._tree = cKDTree(self._points)
+        even = np.linspace(0, along[-1], int(np.ceil(along[-1] / WALL_SPACING_MM)) + 1)
+        fine = np.unique(np.concatenate([along, even]))
+        fine = fine[np.concatenate([[True], np.diff(fine) > 1e-9])]
+        self._table = np.stack([np.interp(fine, along, column) for column in table.T], axis=-1)
+        self._tree = cKDTree(self._table[:, :3])
 
     def left(self, points: Array) -> Array:
         """Return the distance (..,) mm from points (.., 3) to the wall, negative beyond it."""
         nearest = self._tree.query(points)[1]
-        best = np.full(nearest.shape, np.inf)
-        radius = np.zeros(nearest.shape)
-        for shift in (-1, 0):
-            k = np.clip(nearest + shift, 0, len(self._points) - 2)
-            start = self._points[k]
-            span = self._points[k + 1] - start
-            z = np.clip(((points - start) * span).sum(-1) / (span**2).sum(-1), 0.0, 1.0)
-            distance = np.linalg.norm(points - start - z[..., None] * span, axis=-1)
-            closer = distance < best
-            best = np.where(closer, distance, best)
-            radius = np.where(closer, self._radius[k] + z * (self._radius[k + 1] - self._radius[k]), radius)
-        return radius - best
+        k = np.clip(nearest[..., None] + [-1, 0], 0, len(self._table) - 2)
+        start, points = self._table[k], points[..., None, :]
+        span = self._table[k + 1] - start
+        z = ((points - start[..., :3]) * span[..., :3]).sum(axis=-1) / (span[..., :3] ** 2).sum(axis=-1)
+        foot = start + np.clip(z, 0.0, 1.0)[..., None] * span
+        distance = np.linalg.norm(points - foot[..., :3], axis=-1)
+        best = distance.argmin(axis=-1)[..., None]
+        return np.take_along_axis(foot[..., 3] - distance, best, axis=-1)[..., 0]
 
     left_exactly = left
 
 
 class Triangles:
-    """Triangles (m, 3) of points (n, 3), mm, whose corners turn left seen from outside."""
+    """Triangles (m, 3) of points (n, 3), mm, whose corners turn left seen from outside.
+
+    With a a corner, p = a + s ab + t ac is a point of a triangle where s, t >= 0 and s + t <= 1. A point's nearest
+    place is the foot of its perpendicular where that is inside, else on one of the three edges; all distances
+    follow from products of ab, ac and the vector from a to the point.
+    """
 
     def __init__(self, points: Array, triangles: Array) -> None:
-        self._corners = np.asarray(points, dtype=float)[triangles]
-        middle = self._corners.mean(axis=1)
-        self._reach = np.linalg.norm(self._corners - middle[:, None], axis=2).max(axis=1)
+        corners = np.asarray(points, dtype=float)[triangles]
+        middle = corners.mean(axis=1)
+        reach = np.linalg.norm(corners - middle[:, None], axis=2).max(axis=1)
         # The few large triangles are looked at for every point; the others are found by their middles.
-        self._large = np.flatnonzero(self._reach > 3 * np.median(self._reach))
-        self._small = np.flatnonzero(self._reach <= 3 * np.median(self._reach))
+        large = reach > 3 * np.median(reach)
+        self._large, self._small = np.flatnonzero(large), np.flatnonzero(~large)
+        self._reach = float(reach[self._small].max())
         self._tree = cKDTree(middle[self._small])
-        first, second, third = np.moveaxis(self._corners, 1, 0)
-        self._across = np.cross(second - first, third - first)
+        self._corner, ab, ac = corners[:, 0], corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+        across = np.cross(ab, ac)
+        normal = across / np.maximum(np.linalg.norm(across, axis=1), 1e-30)[:, None]
+        self._axes = np.stack([ab, ac, normal], axis=1)
+        self._products = np.stack([(ab**2).sum(axis=1), (ac**2).sum(axis=1), (ab * ac).sum(axis=1)])
 
     def signed_distance(self, points: Array) -> Array:
         """Return the distance (n,) mm of points (n, 3), positive inside."""
-        away, _ = self._tree.query(points)
-        # A triangle's middle is no further from its nearest point than the triangle reaches.
-        reach = float(self._reach[self._small].max())
-        near = self._tree.query_ball_point(points, away + reach + SAME_DISTANCE_MM)
-        found, row = np.empty(len(points)), 0
-        while row < len(points):
-            sizes = np.cumsum([len(each) + len(self._large) for each in near[row : row + PAIRS]])
-            count = max(1, int(np.searchsorted(sizes, PAIRS)))
-            members = [np.concatenate([self._small[each], self._large]) for each in near[row : row + count]]
-            found[row : row + count] = self._measure(points[row : row + count], members)
-            row += count
+        found = np.empty(len(points))
+        for row in range(0, len(points), ROWS):
+            own = points[row : row + ROWS]
+            # A triangle's middle is no further from its nearest point than the triangle reaches.
+            away = self._tree.query(own)[0] + self._reach + SAME_DISTANCE_MM
+            near = self._tree.query_ball_point(own, away)
+            members = [np.concatenate([self._small[each], self._large]) for each in near]
+            found[row : row + ROWS] = self._measure(own, members)
         return found
 
     def _measure(self, points: Array, members: list[Array]) -> Array:
         """Return signed distances (n,) of points (n, 3) from the nearest of the triangles `members` of each."""
-        owner = np.repeat(np.arange(len(points)), [len(each) for each in members])
-        chosen = np.concatenate(members)
-        offset = points[owner] - find_nearest(points[owner], self._corners[chosen])
-        distance = np.linalg.norm(offset, axis=1)
-        starts = np.concatenate([[0], np.cumsum([len(each) for each in members])[:-1]])
+        counts = np.array([len(each) for each in members])
+        owner, chosen = np.repeat(np.arange(len(points)), counts), np.concatenate(members)
+        from_corner = points[owner] - self._corner[chosen]
+        square = (from_corner**2).sum(axis=1)
+        along_ab, along_ac, height = np.einsum("nki,ni->kn", self._axes[chosen], from_corner)
+        ab2, ac2, ab_ac = self._products[:, chosen]
+        area = np.maximum(ab2 * ac2 - ab_ac**2, 1e-30)
+        s, t = (ac2 * along_ab - ab_ac * along_ac) / area, (ab2 * along_ac - ab_ac * along_ab) / area
+
+        def to_edge(start: Array, along: Array, length: Array) -> Array:
+            """Squares of distances from edges, from those of their starts, projections and squared lengths."""
+            part = np.clip(along / np.maximum(length, 1e-30), 0.0, 1.0)
+            return start - 2 * part * along + part**2 * length
+
+        bc2, along_bc = ab2 + ac2 - 2 * ab_ac, along_ac - along_ab - ab_ac + ab2
+        on_bc = to_edge(square - 2 * along_ab + ab2, along_bc, bc2)
+        edges = np.minimum.reduce([to_edge(square, along_ab, ab2), to_edge(square, along_ac, ac2), on_bc])
+        inside = (s >= 0) & (t >= 0) & (s + t <= 1)
+        distance = np.sqrt(np.where(inside, height**2, np.maximum(edges, 0.0)))
+        starts = np.cumsum(counts) - counts
         least = np.minimum.reduceat(distance, starts)
-        # At an edge or a corner, the normals of all triangles that meet there decide on the side.
+        # At an edge or a corner, the heights over all triangles that meet there decide on the side.
         tied = distance <= least[owner] + SAME_DISTANCE_MM
-        normal = self._across[chosen] / np.maximum(np.linalg.norm(self._across[chosen], axis=1), 1e-30)[:, None]
-        side = np.add.reduceat(np.where(tied, (offset * normal).sum(axis=1), 0.0), starts)
+        side = np.add.reduceat(np.where(tied, height, 0.0), starts)
         return np.where(side > 0, -least, least)
-
-
-def find_nearest(points: Array, corners: Array) -> Array:
-    """Return the nearest point (n, 3) of one triangle (n, 3, 3) to each point (n, 3).
-
-    The foot of the perpendicular, where it is inside; else the nearest of the three edges.
-    """
-    found, best = np.empty_like(points), np.full(len(points), np.inf)
-    for k in range(3):
-        start, span = corners[:, k], corners[:, (k + 1) % 3] - corners[:, k]
-        z = np.clip(((points - start) * span).sum(1) / np.maximum((span**2).sum(1), 1e-30), 0.0, 1.0)
-        at = start + z[:, None] * span
-        distance = ((points - at) ** 2).sum(axis=1)
-        closer = distance < best
-        found[closer], best[closer] = at[closer], distance[closer]
-    across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    area = (across**2).sum(axis=1)
-    height = ((points - corners[:, 0]) * across).sum(axis=1) / np.maximum(area, 1e-30)
-    foot = points - height[:, None] * across
-    turns = [
-        (np.cross(corners[:, (k + 1) % 3] - corners[:, k], foot - corners[:, k]) * across).sum(axis=1)
-        for k in range(3)
-    ]
-    inside = (np.min(turns, axis=0) >= 0) & (area > 0)
-    found[inside] = foot[inside]
-    return found
 
 
 class FieldWall:
@@ -182,30 +154,33 @@ class FieldWall:
     def left(self, points: Array) -> Array:
         """Return the distance (..,) mm from points (.., 3) to the surface, negative beyond it."""
         flat = points.reshape(-1, 3)
+        # Beyond the coarsest grid the distance is that of the nearest place in it, less a mm for each mm.
+        nearest = flat - _locate(self._grids[-1], flat)[1]
         found = np.full(len(flat), np.nan)
-        for number, grid in enumerate(self._grids):
+        for grid in self._grids:
             todo = np.flatnonzero(np.isnan(found))
-            to_grid = np.asarray(grid["to_grid"], dtype=float)
-            places = flat[todo] @ to_grid[:3, :3].T + to_grid[:3, 3]
-            cells = np.array(grid["index"].shape) * BLOCK_CELLS
-            within = ((places >= 0) & (places < cells)).all(axis=1)
-            beyond = np.zeros(len(todo))
-            if number == len(self._grids) - 1:
-                # Outside the coarsest grid the distance falls by a mm for each mm.
-                inside = np.clip(places, 0.0, cells - 1e-9)
-                beyond = np.linalg.norm((places - inside) @ np.linalg.inv(to_grid[:3, :3]).T, axis=1)
-                places = inside
-                within[:] = True
-            blocks = np.full(len(todo), -1)
-            blocks[within] = grid["index"][tuple((places[within] // BLOCK_CELLS).astype(int).T)]
+            places, beyond = _locate(grid, nearest[todo])
+            blocks = grid["index"][tuple((places // BLOCK_CELLS).astype(int).T)]
+            blocks = np.where(abs(beyond).max(axis=1) > SAME_DISTANCE_MM, -1, blocks)
             for block in np.unique(blocks[blocks >= 0]):
                 own = np.flatnonzero(blocks == block)
                 # A block's first coefficient belongs to the node before its first cell.
-                local = places[own] % BLOCK_CELLS + 1
+                local = (places[own] % BLOCK_CELLS + 1).T
                 values = grid["coefficients"][block].astype(float)
-                found[todo[own]] = map_coordinates(values, local.T, order=3, prefilter=False, mode="nearest")
-            found[todo] -= beyond
+                found[todo[own]] = map_coordinates(values, local, order=3, prefilter=False, mode="nearest")
+        found -= np.linalg.norm(flat - nearest, axis=1)
         return (self._sign * found - self._margin).reshape(points.shape[:-1])
+
+
+def _locate(grid: dict[str, Any], points: Array) -> tuple[Array, Array]:
+    """Return the nearest places in a grid (n, 3), in its cells, and how far points (n, 3) are from there, mm."""
+    to_grid = np.asarray(grid["to_grid"], dtype=float)
+    places = points @ to_grid[:3, :3].T + to_grid[:3, 3]
+    inside = np.clip(places, 0.0, np.array(grid["index"].shape) * BLOCK_CELLS - 1e-9)
+    return inside, (places - inside) @ np.linalg.inv(to_grid[:3, :3]).T
+
+
+MeasuredWall = LumenWall | FieldWall
 
 
 def read_walls(arrays: dict[str, Array], meta: dict[str, Any]) -> list[MeasuredWall]:
@@ -236,8 +211,6 @@ def measure_left(walls: list[MeasuredWall], points: Array, radius: Array, exactl
 
 def _read_bodies(arrays: dict[str, Array], packed: dict[str, Any] | None) -> list[Any]:
     """Resolve the table of rows in which a plan's meta describes its bodies, into nested dictionaries."""
-    if packed is None:
-        return []
     rows: list[Any] = []
 
     def resolve(part: Any) -> Any:
@@ -247,12 +220,10 @@ def _read_bodies(arrays: dict[str, Array], packed: dict[str, Any] | None) -> lis
             return rows[part["row"]] if "row" in part else float(part["number"])
         return part
 
-    for row in packed["table"]:
-        if "array" in row:
-            rows.append(arrays["walls_" + row["array"]])
-        else:
-            rows.append({name: resolve(part) for name, part in row["fields"].items()})
-    return list(resolve(packed["bodies"]))
+    for row in packed["table"] if packed else ():
+        fields = {name: resolve(part) for name, part in row.get("fields", {}).items()}
+        rows.append(arrays["walls_" + row["array"]] if "array" in row else fields)
+    return list(resolve(packed["bodies"])) if packed else []
 
 
 def find_deepest_contact(wall: MeasuredWall, body: RobotShape, exactly: bool = True) -> Array:
@@ -261,27 +232,20 @@ def find_deepest_contact(wall: MeasuredWall, body: RobotShape, exactly: bool = T
     exactly: whether the places that decide are measured at the triangles of the wall.
     """
     lengths = np.diff(body.s, axis=0)
-    steps, count = lengths.shape
-    step, row = (each.ravel() for each in np.indices((steps, count)))
+    least = np.full(lengths.shape, np.inf)
 
-    def clearances(chosen: Array, parts: int, left: Callable[[Array], Array]) -> Array:
-        """Return the least clearance of steps (m,) at parts + 1 places of each."""
-        z = np.linspace(0, 1, parts + 1)
-        points = body.points_in_steps(step[chosen, None], row[chosen, None], z[None])
+    def measure(chosen: Array, parts: int, left: Callable[[Array], Array]) -> None:
+        """Measure the least clearance of chosen steps (N, n) at parts + 1 places of each."""
+        step, row = np.nonzero(chosen & (lengths > 0))
         # Both ends of every step count: where a tube ends, the place belongs to the wider tube as well.
+        points = body.points_in_steps(step[:, None], row[:, None], np.linspace(0, 1, parts + 1)[None])
         away = left(points.reshape(-1, 3)).reshape(points.shape[:-1])
-        return away.min(axis=1) - body.radius[step[chosen], row[chosen]]
+        least[step, row] = away.min(axis=1) - body.radius[step, row]
 
-    present = np.flatnonzero(lengths.ravel() > 0)
-    least = np.full(steps * count, np.inf)
-    least[present] = clearances(present, 2, wall.left)
+    measure(lengths > 0, 2, wall.left)
     # Between these places, which are half a step apart, a clearance falls by less than half a step.
-    bound = least.reshape(steps, count).min(axis=0) + lengths.max(axis=0) / 2
-    fine = present[least[present] <= bound[row[present]]]
     parts = int(np.ceil(lengths.max() / BODY_SPACING_MM))
-    least[fine] = clearances(fine, parts, wall.left)
+    measure(least <= least.min(axis=0) + lengths.max(axis=0) / 2, parts, wall.left)
     if exactly:
-        bound = least.reshape(steps, count).min(axis=0) + FIELD_ERROR_MM
-        decisive = fine[least[fine] <= bound[row[fine]]]
-        least[decisive] = clearances(decisive, parts, wall.left_exactly)
-    return -least.reshape(steps, count).min(axis=0)
+        measure(least <= least.min(axis=0) + FIELD_ERROR_MM, parts, wall.left_exactly)
+    return -least.min(axis=0)

@@ -64,6 +64,10 @@ def test_nearest_wall_counts_and_lumen_only_beside_bodies_to_avoid(field):
         near = nearest_of(Lumen(table), bodies).project(points)
         arrays, meta = arrays_of(bodies)
         walls = read_walls(arrays | {"lumen": table}, meta)
+        # The lumen, which comes last, is no body to keep out of.
+        assert [wall.kept_out for wall in walls] == [body.keep_out for body in bodies] + [False] * (
+            inside not in bodies
+        )
         found = measure_left(walls, points[:, None], np.zeros((len(points), 1)), exactly=False)[:, 0]
         np.testing.assert_allclose(found, near.radius - near.distance, atol=5e-3)
     assert read_walls({}, {}) == []

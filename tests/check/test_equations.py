@@ -8,16 +8,10 @@ from after_snaps import settle
 from scipy.optimize import brentq
 
 from ctr_nlp.check.checker import NO, YES, _judge_limits
-from ctr_nlp.check.tubes import (
-    CONVERGED_RATE,
-    RobotShape,
-    compute_body,
-    compute_stability_margins,
-    integrate,
-    move_nominal,
-    move_samples,
-    read_tubes,
-)
+from ctr_nlp.check.motions import CONVERGED_RATE, Follower, move_nominal, move_through
+from ctr_nlp.check.shapes import RobotShape, compute_body
+from ctr_nlp.check.stability import compute_stability_margins
+from ctr_nlp.check.tubes import integrate, read_tubes
 from ctr_nlp.check.walls import LumenWall, find_deepest_contact
 
 TIP_RAD = 150 * CONVERGED_RATE
@@ -69,10 +63,10 @@ def test_shapes_and_margins_agree_with_reference(shared_data):
         twist = integrate(read_tubes({"tubes": robot}), alpha, beta, rates)
         body = compute_body(twist, theta)
         points = np.array(case["points_mm"])
-        away = np.linalg.norm(body.interpolate(np.linspace(0, 1, len(points))[None] * beta[-1]) - points, axis=-1)
+        away = np.linalg.norm(body.interpolate(np.linspace(0, 1, len(points))) - points, axis=-1)
         assert away.max() < 1e-3
         assert compute_stability_margins(twist)[0] == pytest.approx(case["stability_margin"], abs=2e-4)
-        assert np.linalg.det(twist.sensitivity[..., 0]) == pytest.approx(case["stability_det"], rel=5e-3)
+        assert np.linalg.det(twist.sensitivity[0]) == pytest.approx(case["stability_det"], rel=5e-3)
         if "opposed" not in case.get("kind", "") and number % 3 == 0:
             moved = move_nominal(twist.tubes, np.concatenate([alpha, beta, theta])[:, 0][None], substeps=2)
             np.testing.assert_allclose(moved.rates[0, -1], rates[:, 0], atol=1e-7)
@@ -82,9 +76,9 @@ def test_aligned_tubes_are_a_circle():
     tubes = read_tubes({"tubes": [TUBE, TUBE | {"curvature": 0.02, "outer_diameter": 1.8, "inner_diameter": 1.0}]})
     angle, beta = 0.7, np.full((2, 1), 50.0)
     twist = integrate(tubes, np.full((2, 1), angle), beta, np.zeros((2, 1)))
-    np.testing.assert_allclose(twist.tip_rates, 0, atol=1e-15)
+    np.testing.assert_allclose(twist.rate[-1], 0, atol=1e-15)
     s = np.linspace(0, 50, 11)
-    points = compute_body(twist, np.zeros((2, 1))).interpolate(s[None])[0]
+    points = compute_body(twist, np.zeros((2, 1))).interpolate(s / 50)[0]
     k = float((tubes.bending * tubes.root).sum() / tubes.bending.sum())
     away = (1 - np.cos(k * s)) / k
     wanted = np.stack([away * np.cos(angle), away * np.sin(angle), np.sin(k * s) / k], axis=-1)
@@ -133,14 +127,9 @@ def test_samples_move_as_the_nominal_robot():
     robot = pair_of_tubes(0.01)
     q = turning(12, 2.0, 40.0)
     motion = move_nominal(read_tubes(robot), q)
-    found = np.empty((len(q), 2, 3))
-
-    def each_frame(frame, rows, twist, angles):
-        np.testing.assert_array_equal(rows, range(3))
-        found[frame] = angles
-
-    snapped = move_samples(read_tubes(robot, np.zeros((3, 2, 5))), np.zeros((2, 3)), q, each_frame)
-    assert not snapped.any()
+    follower = Follower(read_tubes(robot, np.zeros((3, 2, 5))), 0.0)
+    found = np.array([follower.angles.copy() for _ in move_through(follower, q)])
+    assert not follower.snapped.any()
     np.testing.assert_allclose(found, motion.tip_angles[:, -1, :, None] + np.zeros(3), atol=TIP_RAD)
 
 
@@ -149,14 +138,20 @@ def test_play_is_an_offset_while_motors_turn_one_way():
     parts = np.zeros((2, 2, 5))
     parts[1, 0, 4] = -lag
     lags = np.array([[lag, 0.0], [0.0, 0.0]])
-    last = {}
+    follower = Follower(read_tubes(robot, parts), 0.0, lags)
+    found = [follower.angles.copy() for _ in move_through(follower, turning(12, 2.0, 40.0))]
+    np.testing.assert_allclose(found[-1][:, 0], found[-1][:, 1], atol=TIP_RAD)
+    assert abs(found[0][0, 0] - found[0][0, 1]) > lag / 2  # at first the play is not taken up
 
-    def each_frame(frame, rows, twist, angles):
-        last[frame] = angles
 
-    move_samples(read_tubes(robot, parts), lags, turning(12, 2.0, 40.0), each_frame)
-    np.testing.assert_allclose(last[11][:, 0], last[11][:, 1], atol=TIP_RAD)
-    assert abs(last[0][0, 0] - last[0][0, 1]) > lag / 2  # at first the play is not taken up
+def test_robots_begin_aligned_with_the_innermost_tube():
+    tubes = read_tubes(pair_of_tubes(0.01))
+    q = turning(2, 1.0, 40.0) + np.array([0.0, 0.4, 0, 0, 0, 0])
+    motion = move_nominal(tubes, q)
+    follower = Follower(tubes, 0.4)
+    *_, last = (follower.angles.copy() for _ in move_through(follower, q))
+    np.testing.assert_allclose(last[:, 0], motion.tip_angles[-1, -1], atol=TIP_RAD)
+    assert follower.tube[:, 0] == pytest.approx([1.0, 0.4])
 
 
 def cylinder(radius, spacing=0.5):
@@ -206,7 +201,8 @@ def test_limits_are_seen_to_be_exceeded():
     limits = {"alpha": [["-inf", "inf"]], "beta": None, "theta": [-3.0, 3.0], "carriage_gap": None}
     limits |= {f"{axis}_acceleration": "inf" for axis in ("alpha", "beta", "theta")}
     limits |= {"alpha_speed": 1.0, "beta_speed": [20.0, 30.0], "theta_speed": 0.5}
-    robot = pair_of_tubes(0.01) | {"limits": limits}
+    thin = {"outer_diameter": 1.8, "inner_diameter": 1.0}
+    robot = {"tubes": [TUBE, TUBE | thin], "limits": limits}
     q = turning(11, 1.0, (30.0, 40.0))
     allowed = _judge_limits(robot, q, 0.1)
     assert allowed.word == YES
@@ -218,7 +214,8 @@ def test_limits_are_seen_to_be_exceeded():
     }
     words = {name: _judge_limits(robot, *case).word for name, case in cases.items()}
     assert words == dict.fromkeys(cases, NO)
-    gap = {"tubes": [TUBE, TUBE | {"length": 180.0}], "limits": limits | {"carriage_gap": 21.0}}
+    assert _judge_limits(robot | {"tubes": robot["tubes"][::-1]}, q, 0.1).word == NO  # they do not fit
+    gap = {"tubes": [TUBE, TUBE | thin | {"length": 180.0}], "limits": limits | {"carriage_gap": 21.0}}
     assert _judge_limits(gap, q, 0.1).word == NO  # 30 mm longer, 10 mm further out: 20 mm apart
     slow = robot | {"limits": limits | {"alpha_acceleration": 5.0}}
     jerky = q.copy()

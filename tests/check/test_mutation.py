@@ -32,6 +32,11 @@ def test_a_change_is_noticed_by_a_test_of_it_alone(mutation, tmp_path):
     assert mutation.run_tests("toy_sum", source, source.read_text(), [str(test)]) == 0
 
 
+def test_tests_notice_a_slice_of_changes(mutation):
+    files = ["ctr_nlp/check/records.py", "ctr_nlp/check/comparison.py"]
+    assert mutation.main([*files, "--count", "10", "--tests", "tests/check/test_records.py"]) == 0
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("files", [["ctr_nlp/plan/verdicts.py"], CHECKER], ids=["verdicts", "checker"])
 def test_tests_notice_nearly_all_changes(mutation, files):

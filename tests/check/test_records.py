@@ -176,12 +176,124 @@ def test_recorded_values_are_compared_where_others_were_found():
     assert records._compare("x", own, np.full((2, 2), np.nan), 0.1, "").word == NOT_COVERED
 
 
+TUBE = {"length": 90.0, "curved_length": 50.0, "curvature": 0.0, "outer_diameter": 2.0, "inner_diameter": 1.0}
+TUBE |= {"poisson_ratio": 0.3, "youngs_modulus": 1.0}
+
+
+def motion(meta=None, snaps=(), margin=None, **changes):
+    """A straight robot of one tube that goes along a lumen of 5 mm in four frames, found as it is recorded.
+
+    Margins fall within each frame; on the way to the third frame the robot is nearer to the wall.
+    """
+    sigma = np.linspace(0, 1, 101)
+    beta = np.array([10.0, 20.0, 30.0, 40.0])
+    shape = np.zeros((4, 101, 3))
+    shape[..., 2] = beta[:, None] * sigma
+    margins = np.linspace(0.9, 0.6, 10) + np.zeros((4, 1)) if margin is None else np.array(margin)
+    clearance = np.full((4, 10, 101), 4.0)
+    clearance[2, 4] = 3.0
+    arrays = {
+        "beta": beta[:, None],
+        "shape": shape.copy(),
+        "stability": margins[:, -1].copy(),
+        "stability_between": margins.min(axis=1),
+        "lumen": lumen(),
+        "clearance": clearance[:, -1].copy(),
+        "clearance_between": clearance.min(axis=1),
+    }
+    return SimpleNamespace(
+        file=file_of(arrays | changes, robot={"tubes": [TUBE]}, **(meta or {})),
+        findings={"stable": Finding(YES, why="Because.")},
+        shape=shape,
+        margin=margins,
+        clearance=clearance,
+        snaps=list(snaps),
+    )
+
+
+def words_of_motion(*given, **changes):
+    return [finding.word for finding in records._check_motion(motion(*given, **changes))]
+
+
+def test_shapes_margins_and_clearances_are_compared():
+    assert words_of_motion() == [YES, YES, YES]
+    own = motion().file.arrays
+    moved = own["shape"] + [0.0, 0.0, 0.06]
+    assert words_of_motion(shape=moved) == [NO, YES, YES]
+    assert words_of_motion(shape=own["shape"] + [0.0, 0.0, 0.04]) == [YES, YES, YES]
+    for name in ("stability", "stability_between"):
+        assert words_of_motion(**{name: own[name] + 0.01}) == [YES, NO, YES]
+        assert words_of_motion(**{name: own[name] - 0.004}) == [YES, YES, YES]
+    for name in ("clearance", "clearance_between"):
+        assert words_of_motion(**{name: own[name] + 0.2}) == [YES, YES, NO]
+        assert words_of_motion(**{name: own[name] - 0.05}) == [YES, YES, YES]
+    assert words_of_motion(clearance=own["clearance"] * np.nan) == [YES, YES, NO]
+
+
+def test_a_wall_and_its_clearances_belong_together():
+    for missing, word in ((("lumen",), NO), (("clearance",), NO), (("lumen", "clearance"), NOT_COVERED)):
+        found = motion()
+        for name in missing:
+            del found.file.arrays[name]
+        assert records._check_motion(found)[2].word == word
+    without_between = motion()
+    del without_between.file.arrays["clearance_between"]
+    assert records._check_motion(without_between)[2].word == YES
+
+
+def test_clearances_away_from_the_nearest_place_may_be_smoothed():
+    clearance = motion().file.arrays["clearance"]
+    away, near = clearance.copy(), clearance.copy()
+    found = motion()
+    found.shape[:, 50:, 0] = -0.5  # half of the robot is nearer to the wall than the other half
+    away[:, :50] += 0.4
+    away[:, 50:] -= 0.5
+    near[:, 50:] -= 0.1
+    for recorded, word in ((away, YES), (near, NO)):
+        found.file.arrays["clearance"] = recorded
+        assert records._check_clearances(found, found.shape).word == word
+
+
+def test_frames_after_a_bifurcation_are_not_compared():
+    margin = np.full((4, 10), 0.5)
+    margin[2, 3] = 0.005
+    wrong = motion().file.arrays["shape"].copy()
+    wrong[2:] += 1.0
+    assert words_of_motion(margin=margin, shape=wrong)[:2] == [YES, YES]
+    wrong[1] += 1.0
+    assert words_of_motion(margin=margin, shape=wrong)[0] == NO
+    assert words_of_motion(snaps=[2], shape=wrong)[:2] == [YES, YES]
+    assert words_of_motion(snaps=[3], shape=wrong)[0] == NO
+    assert words_of_motion(snaps=[1], shape=wrong)[:2] == [NOT_COVERED, NOT_COVERED]
+
+
+def test_other_models_have_no_margins():
+    nan = np.full(4, np.nan)
+    assert words_of_motion({"evaluated": "mine"}) == [NOT_COVERED] * 3
+    found = motion()
+    found.margin = found.margin * np.nan
+    assert [each.why for each in records._check_motion(found)] == ["Because."] * 3
+    on_elastic = records._check_motion(motion(stability=nan))
+    assert [each.word for each in on_elastic[:2]] == [YES, NOT_COVERED]
+
+
+def test_way_to_a_frame_is_the_one_that_was_planned():
+    values = np.arange(30.0, 0.0, -1.0).reshape(3, 10)
+    ways = {"reversed": False}, {"reversed": True}, {"stretch": {"first": 2}}, {"stretch": {"first": 1}}
+    least = [records.find_least_on_way(file_of(**meta), values).tolist() for meta in ways]
+    # Backwards, the sub-steps between two frames begin with the first of them, and end before the second.
+    assert least[0] == least[3] == [21.0, 11.0, 1.0]
+    assert least[1] == [22.0, 12.0, 2.0]
+    assert np.isnan(least[2][0])
+    assert least[2][1:] == [11.0, 1.0]
+
+
 def compared(name, word, number, finding, **changes):
     findings = dict.fromkeys((*VERDICTS, *RECORDS), Finding(YES, 1.0, 1.0)) | {name: finding}
     arrays = {"stability": np.array(changes.get("stability", [0.5])), "draws_parts": np.zeros((40, 1, 5))}
     moved = changes.get("moved", 40)
     found = SimpleNamespace(
-        file=file_of(arrays),
+        file=file_of(arrays, **changes.get("meta", {})),
         findings=findings,
         snaps=changes.get("snaps", []),
         lost=np.zeros(moved, bool),
@@ -221,10 +333,21 @@ def test_numbers_may_differ_by_their_tolerance():
     assert compared("holds", YES, 0.95, Finding(NO, 0.925, -0.025))
     assert not compared("holds", YES, 0.95, Finding(NO, 0.9, -0.05))
     assert compared("holds", NO, 0.5, Finding(NO, 0.75, -0.2), moved=4)
+    assert not compared("follows", YES, 1.0, Finding(YES, 1.1, 0.9), moved=4)
     # Samples whose contact or tip lies at the limit may count in one view alone.
     assert compared("holds", NO, 0.5, Finding(NO, 0.6, -0.35), contact=[1.05, -3.0, -3.0, -3.0])
     assert compared("holds", NO, 0.5, Finding(NO, 0.6, -0.35), tip=[1.9, 0.3, 0.3, 0.3])
     assert not compared("holds", NO, 0.5, Finding(NO, 0.6, -0.35), contact=[1.25, -3.0, -3.0, -3.0])
+
+
+def test_later_part_may_count_the_way_to_its_first_frame():
+    later = {"stretch": {"first": 3}}
+    assert compared("stable", YES, 0.2, Finding(YES, 0.3, 0.2), meta=later)
+    assert not compared("stable", YES, 0.3, Finding(YES, 0.2, 0.1), meta=later)
+    assert not compared("stable", YES, 0.2, Finding(YES, 0.3, 0.2), meta={"stretch": {"first": 1}})
+    assert compared("within_wall", NO, 1.0, Finding(YES, 0.3, 0.2), meta=later)
+    assert not compared("within_wall", YES, 0.3, Finding(NO, 1.0, -0.5), meta=later)
+    assert not compared("follows", YES, 1.2, Finding(YES, 1.0, 1.0), meta=later)
 
 
 def test_numbers_on_another_model_are_not_compared():

@@ -16,9 +16,9 @@ from ctr_nlp import Plan, Problem, Settings, growing, solve_per_frame, summary, 
 from ctr_nlp.cli import plan_report
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.ocp.settings import THRESHOLDS
-from ctr_nlp.plan.sample_outcomes import sample_outcomes
+from ctr_nlp.plan.sample_outcomes import SampleOutcomes, sample_outcomes
 from ctr_nlp.plan.summary_text import NOT_FOR_PATIENTS
-from ctr_nlp.plan.verdicts import NO, NOT_CHECKED, YES, Verdicts
+from ctr_nlp.plan.verdicts import NO, NOT_CHECKED, YES, Verdicts, outcome_sentence
 from ctr_nlp.problems import named_problem
 from ctr_nlp.view.figures.parts.page import outcome
 
@@ -82,9 +82,9 @@ def test_interpolated_frames_are_not_checked():
 
 
 def test_the_cost_of_clearance_is_reported_in_percent():
-    known = {"free": np.tile(OUT, (1, 1)), "meta": {"e3_free": 1.0}}
+    known = {"free": np.tile(OUT, (1, 1)), "meta": {"e3_free": 1.25}}
     why = shifted(1.75, **known).verdicts.solved.why
-    assert "Keeping off the wall costs 75.0 % of e3." in why
+    assert "Keeping off the wall costs 40.0 % of e3." in why
 
 
 # Arrives
@@ -235,6 +235,15 @@ def test_accelerations_count_where_they_are_limited(formulation, hint):
     assert ("only the horizon formulation limits accelerations" in found.why) == hint
 
 
+def test_frames_without_a_configuration_are_counted():
+    plan = moving(one(0, 0.01), one(0, 0.01), one(0, 0.01))
+    q = plan.q.copy()
+    q[3] = np.nan
+    found = replace(plan, alpha=q[:, :3], beta=q[:, 3:6], theta=q[:, 6:]).verdicts.within_limits
+    assert found.word == NOT_CHECKED
+    assert "1 frames have no configuration" in found.why
+
+
 def test_the_rounding_of_solvers_is_within_limits():
     assert moving(one(0, 0.2 + 1e-6)).verdicts.within_limits.word == YES
     assert moving(one(0, 0.2 + 1e-4)).verdicts.within_limits.word == NO
@@ -270,6 +279,15 @@ def test_contact_between_frames_counts():
     assert (found.word, found.number) == (NO, pytest.approx(0.7))
     assert "on the way to frame 2" in found.why
     assert "tube 3, 60 mm along the robot" in found.why
+
+
+def test_the_place_of_contact_is_given_in_the_coordinates_of_the_file():
+    plan = walled(0.2, 0.3)
+    assert "mm in LPS" not in plan.verdicts.within_wall.why
+    for space, named in (("LPS", "mm in LPS"), ("xyz", "mm in the file's axes")):
+        problem = plan.meta["problem"] | {"space": space}
+        known = replace(plan, meta=plan.meta | {"problem": problem}, to_robot=np.eye(4))
+        assert named in known.verdicts.within_wall.why
 
 
 def test_what_was_not_looked_at_between_frames_does_not_read_yes():
@@ -337,6 +355,16 @@ def test_reasons_of_failed_samples_add_up(sampled):
     assert f"{(~(lost | missed | pressed)).sum()} of 20 simulated robots hold" in why
     for flags, words in ((lost, "leave the branch"), (missed & ~lost, "do not arrive")):
         assert (f"{flags.sum()} " in why and words in why) or not flags.any()
+
+
+def test_samples_of_a_plan_that_takes_a_detour_miss_by_their_path():
+    far, none = np.full(20, 5.0), np.zeros(20)
+    for shortcut, words in (
+        ("15 mm short", "20 do not arrive along the path"),
+        (None, "20 do not arrive within 2 mm"),
+    ):
+        found = SampleOutcomes(none > 0, far, none, 2.0, 1.0, wall_known=True, shortcut=shortcut)
+        assert words in outcome_sentence(found)
 
 
 def test_a_sample_may_touch_by_a_millimetre_or_as_much_as_the_plan(sampled):
