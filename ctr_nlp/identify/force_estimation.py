@@ -209,17 +209,39 @@ def estimate_forces(
     check_moduli(robot)
     for name, value, unit in ("noise", noise, " mm"), ("direction_noise", direction_noise, " rad"):
         number(MeasurementError, name, value, lambda x: 0 < x < math.inf, "be a finite number > 0", unit)
+    described = _RobotInDoubt(robot)
     return [
-        _Observation(robot, measured, j, float(noise), float(direction_noise)).explain()
+        _Observation(described, measured, j, float(noise), float(direction_noise)).explain()
         for j in range(len(measured))
     ]
+
+
+class _RobotInDoubt:
+    """A robot whose tubes deviate by R u within its tolerances, and the solver of its loaded equilibria."""
+
+    def __init__(self, robot: Robot) -> None:
+        self.robot = robot
+        root = robot.tolerances.covariance_root(robot.tubes)
+        self.root = root[:, abs(root).max(axis=0) > 0]
+        # The structure of all robots within the tolerances: where a curved part may be shorter, the straight part
+        # behind it may come out.
+        extreme = np.zeros((1, robot.d, len(DEVIATION_NAMES)))
+        curved = DEVIATION_NAMES.index("curved_length")
+        extreme[..., curved] = -3 * np.sqrt((root**2).sum(axis=1).reshape(robot.d, -1)[:, curved])
+        self.structure = perturb_robot(robot, extreme, np.zeros((1, robot.d))).structure
+        self.kind = RodKind.of(Load())._replace(pieces=PIECES_PER_SECTION)
+        self.equilibria = LoadedEquilibria(self.structure, self.kind)
 
 
 class _Observation:
     """One measured shape, and the robot that it is compared with."""
 
-    def __init__(self, robot: Robot, measured: Measurements, j: int, noise: float, direction_noise: float) -> None:
-        self.robot = robot
+    def __init__(
+        self, described: _RobotInDoubt, measured: Measurements, j: int, noise: float, direction_noise: float
+    ) -> None:
+        robot = self.robot = described.robot
+        self.root, self.structure = described.root, described.structure
+        self.kind, self.equilibria = described.kind, described.equilibria
         self.q = measured.q[j].astype(float)
         points = np.isfinite(measured.points[j]) & np.isfinite(measured.sigma[j])[:, None]
         tip, direction = (np.isfinite(each[j]).all() for each in (measured.tip, measured.direction))
@@ -231,21 +253,10 @@ class _Observation:
         scale = np.full(len(values), noise)
         scale[-3:] = direction_noise
         self.values, self.scale = values[self.used], scale[self.used]
-        root = robot.tolerances.covariance_root(robot.tubes)
-        self.root = root[:, abs(root).max(axis=0) > 0]
         if len(self.values) < 3:
             raise MeasurementError(
                 f"observation {j + 1} has {len(self.values)} measured values; a force needs at least 3"
             )
-        # The structure of all robots within the tolerances: where a curved part may be shorter, the straight part
-        # behind it may come out.
-        extreme = np.zeros((1, robot.d, len(DEVIATION_NAMES)))
-        extreme[..., DEVIATION_NAMES.index("curved_length")] = -3 * np.sqrt(
-            (root**2).sum(axis=1).reshape(robot.d, -1)[:, DEVIATION_NAMES.index("curved_length")]
-        )
-        self.structure = perturb_robot(robot, extreme, np.zeros((1, robot.d))).structure
-        self.kind = RodKind.of(Load())._replace(pieces=PIECES_PER_SECTION)
-        self.equilibria = LoadedEquilibria(self.structure, self.kind)
         self.known_force = measured.force[j]
         beta = robot.split(self.q[None])[1]
         parts = self.kind.split_sections(sections(robot.tube_numbers, list(beta.T), np, planes=False))
