@@ -8,7 +8,7 @@ from ctr_nlp.exceptions import OptionError
 from ctr_nlp.paths.problem import Problem
 from ctr_nlp.plan.plan import Plan
 from ctr_nlp.plan.plan_data import planned_model
-from ctr_nlp.planning import solve_per_frame
+from ctr_nlp.planning.per_frame import solve_per_frame
 from ctr_nlp.support.value_checks import whole_number
 
 
