@@ -175,7 +175,7 @@ def evaluate_frame_solution(
     """
     n = len(x)
     low, high = nlp.row_bounds(*bounds)
-    objective, g = (value.full().ravel() for value in nlp.functions.value(x, p))
+    objective, g = (value.full().ravel() for value in nlp.value_function(x, p))
     rows = np.concatenate([x, g])
     # Before x is clipped: clipping hides what a solver's relaxed bounds let through.
     violation = np.maximum(low - rows, rows - high).max()
