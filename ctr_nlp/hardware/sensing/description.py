@@ -23,8 +23,8 @@ URLS = "simulated, simulated:SEED, udp://HOST:PORT, tcp://HOST:PORT, igtl://HOST
 class SensorAddress(NamedTuple):
     """Address of a source of measurements.
 
-    kind: the url's scheme, or "simulated". host, port: for udp, tcp and igtl. rest: TOPIC and more for ros2, DEVICE for igtl, SEED;
-    or "".
+    kind: the url's scheme, or "simulated". host, port: for udp, tcp and igtl. rest: TOPIC and more for ros2,
+    DEVICE for igtl, SEED; or "".
     """
 
     kind: str
