@@ -30,8 +30,7 @@ def pytest_configure(config: pytest.Config) -> None:
         return
     folder = tempfile.TemporaryDirectory(prefix="ctr_nlp-tests-", ignore_cleanup_errors=True)
     config.add_cleanup(folder.cleanup)
-    # Libraries are found by their content: those of earlier sessions may be used again, where a folder is given.
-    os.environ["CTR_NLP_CACHE"] = os.environ.get("CTR_NLP_TEST_CACHE", str(Path(folder.name, "cache")))
+    os.environ["CTR_NLP_CACHE"] = str(Path(folder.name, "cache"))
     os.environ["CTR_NLP_STATE"] = str(Path(folder.name, "state"))
     os.environ.setdefault("CTR_NLP_COMPILE", "now")
     os.environ.setdefault(QUICK_COMPILE_VARIABLE, "1")
@@ -53,7 +52,7 @@ def pytest_runtest_protocol(item: pytest.Item) -> Generator[None, object, object
     """
     kinds = ["work", "real_time"]
     own = item.get_closest_marker("real_time") is not None
-    folder = Path(os.environ["CTR_NLP_STATE"]).parent
+    folder = Path(os.environ["CTR_NLP_CACHE"]).parent
     with open(folder / "door", "w") as door, open(folder / kinds[own], "w") as room:
         fcntl.flock(door, fcntl.LOCK_EX)  # who waits until the other kind has left lets nobody else in
         with open(folder / kinds[not own], "w") as other:
