@@ -30,7 +30,9 @@ if TYPE_CHECKING:
     from ctr_nlp.plan.metrics import by_frame, summary
     from ctr_nlp.plan.plan import Plan
     from ctr_nlp.plan.simulation import shape_curve, shapes
-    from ctr_nlp.planning import Steerer, solve_horizon, solve_per_frame
+    from ctr_nlp.planning.horizon import solve_horizon
+    from ctr_nlp.planning.per_frame import solve_per_frame
+    from ctr_nlp.planning.steerer import Steerer
     from ctr_nlp.robot import Limits, Robot, Tolerances, Tube, table_i_robot
     from ctr_nlp.robot.shipped import read_robot_files
     from ctr_nlp.robust import solve_robust, solve_robust_per_frame
@@ -134,7 +136,9 @@ _HOMES = {
     "robot": ("Limits", "Robot", "Tolerances", "Tube", "table_i_robot"),
     "robot.shipped": ("read_robot_files",),
     "plan.simulation": ("shape_curve", "shapes"),
-    "planning": ("Steerer", "solve_horizon", "solve_per_frame"),
+    "planning.horizon": ("solve_horizon",),
+    "planning.per_frame": ("solve_per_frame",),
+    "planning.steerer": ("Steerer",),
     "robust": ("solve_robust", "solve_robust_per_frame"),
     "loads.tip": ("Forces", "forces"),
     "loads.wall": ("WallForces", "wall_forces"),

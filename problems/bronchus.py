@@ -1,7 +1,7 @@
 """From the trachea into the right lower lobe, as the paper's Fig. 9 (d), on a synthetic airway."""
 
 from ctr_nlp import Problem, Robot, growing, table_i_robot
-from ctr_nlp.anatomy import synthetic_airway
+from ctr_nlp.anatomy.airway import synthetic_airway
 from ctr_nlp.paths.placement import move_to_robot_frame
 
 

@@ -27,6 +27,7 @@ from ctr_nlp.hardware.playing.session import play_plan, prepare_trajectory
 from ctr_nlp.hardware.sensing.description import Sensing
 from ctr_nlp.models import KINEMATIC_MODELS
 from ctr_nlp.ocp.frame import fill_parameters, program
+from ctr_nlp.ocp.nlp import Constraint, Nlp, Residual
 from ctr_nlp.ocp.terms import Order
 
 PAGE = Path(__file__).parents[1] / "CONTRIBUTING.md"
@@ -81,6 +82,26 @@ def test_the_device_writes_every_command_once_in_order(examples, tmp_path):
     assert times == sorted(set(times))
     last = json.loads(lines[-1].partition(" ")[2])
     np.testing.assert_allclose(last, hardware.positions(plan.robot, plan.q[-1]), atol=1e-6)
+
+
+def test_the_solver_finds_what_ipopt_finds(examples):
+    x = ca.SX.sym("x", 2)
+    to = ca.SX.sym("to", 2)
+    disc = Constraint("disc", ca.sumsqr(x), np.array([-np.inf]), np.array([1.0]))
+    wide = np.full(2, 10.0)
+    nlp = Nlp("nearest", x, -wide, wide, {"to": to}, (Residual("distance", x - to),), (), (disc,))
+    found = examples["LimitedMemory"](nlp)(np.zeros(2), nlp.pack({"to": (3.0, 4.0)}))
+    assert found.success
+    np.testing.assert_allclose(found.x, [0.6, 0.8], atol=1e-5)
+
+
+def test_the_machine_format_has_a_line_for_each_command(examples):
+    plan = sweep(10)
+    trajectory = prepare_trajectory(plan, replace(simulated_hardware(plan.robot), arm=None))[0]
+    title, *lines = map(json.loads, examples["json_lines"](trajectory, "sweep").splitlines())
+    assert title == {"plan": "sweep"}
+    assert [line["time_s"] for line in lines] == trajectory.commands().time.tolist()
+    assert [*lines[0]][1:] == [axis.letter for axis in trajectory.hardware.axes]
 
 
 def test_the_sender_gives_each_message_once(examples):

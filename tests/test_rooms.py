@@ -4,6 +4,7 @@ attributes of somebody else."""
 from __future__ import annotations
 
 import ast
+import functools
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -70,6 +71,7 @@ FOREIGN = {
 """Attributes of other libraries' objects that may be set from outside, and why."""
 
 
+@functools.cache
 def _sources() -> dict[str, ast.Module]:
     """The syntax of every file of the library, by path."""
     paths = sorted((ROOT / "ctr_nlp").rglob("*.py"))

@@ -17,17 +17,22 @@ from ctr_nlp.anatomy.branch import (
     name_source_in_errors,
     transform_points,
 )
-from ctr_nlp.anatomy.formats.images import NIFTI_SUFFIXES, NRRD_SUFFIXES
 from ctr_nlp.anatomy.formats.slicer import find_pieces_beside, list_types, read_pieces, read_slicer
 from ctr_nlp.anatomy.formats.table import read_table
 from ctr_nlp.anatomy.formats.vtk import read_vtk
 from ctr_nlp.anatomy.pieces import join_pieces
 from ctr_nlp.anatomy.reading import AS_THE_FILE_SAYS, ReadOptions
+from ctr_nlp.anatomy.suffixes import (
+    ANATOMY_SUFFIXES,
+    CENTRELINE_SUFFIXES,
+    MARKUPS_SUFFIXES,
+    MASK_SUFFIXES,
+    POLYLINE_SUFFIXES,
+    TABLE_SUFFIXES,
+)
 from ctr_nlp.exceptions import CurveError, OptionError
 from ctr_nlp.typing import Array
 
-TABLE_SUFFIXES = (".csv", ".tsv", ".txt", ".fcsv", ".dat")
-MARKUPS_SUFFIXES = (".mrk.json", ".json")
 Point: TypeAlias = npt.ArrayLike | None
 
 
@@ -62,13 +67,10 @@ READERS = (
     FileReader(
         MARKUPS_SUFFIXES, lambda path, entry, _, options: read_slicer(path, options, entry), bare=read_pieces
     ),
-    FileReader((".vtp", ".vtk", ".vtu"), lambda path, entry, _, options: read_vtk(path, entry, options)),
-    FileReader((*NIFTI_SUFFIXES, *NRRD_SUFFIXES), _read_mask, mask=True),
+    FileReader(POLYLINE_SUFFIXES, lambda path, entry, _, options: read_vtk(path, entry, options)),
+    FileReader(MASK_SUFFIXES, _read_mask, mask=True),
 )
 """Every kind of file that is read. A new format is a line here."""
-CENTRELINE_SUFFIXES = tuple(suffix for reader in READERS if not reader.mask for suffix in reader.suffixes)
-MASK_SUFFIXES = tuple(suffix for reader in READERS if reader.mask for suffix in reader.suffixes)
-ANATOMY_SUFFIXES = (*CENTRELINE_SUFFIXES, *MASK_SUFFIXES)
 
 
 def centrelines_in(folder: str | Path) -> list[Path]:

@@ -16,7 +16,7 @@ from ctr_nlp.anatomy.distance_fields import NEAR_MM
 from ctr_nlp.anatomy.files import is_mask, title
 from ctr_nlp.anatomy.formats.table import read_table
 from ctr_nlp.anatomy.plausibility import check_reach
-from ctr_nlp.anatomy.reading import ASSUMED, SPACES, ReadOptions
+from ctr_nlp.anatomy.reading import ASSUMED, SPACES, WALLS_OF_MASKS, ReadOptions
 from ctr_nlp.anatomy.wall_files import WallFile, body_of_mask, place_walls
 from ctr_nlp.exceptions import CurveError, OptionError, RobotError
 from ctr_nlp.paths.curve import Curve, curve_from_points
@@ -29,8 +29,6 @@ from ctr_nlp.robot.units import between, did_you_mean, suggest_angle
 from ctr_nlp.support.value_checks import check_choice, check_instance, checked_path, number
 from ctr_nlp.typing import Array
 
-WALLS_OF_MASKS = ("surface", "lumen")
-"""What the wall of a mask may be: its surface, or a round lumen around the path."""
 SURFACE_NOTE = (
     f"the wall is the surface of the mask, up to {NEAR_MM:g} mm from the path; --wall-of-mask lumen takes a round "
     "lumen with the path's radius instead"

@@ -21,6 +21,8 @@ FORMS = ("qform", "sform")
 ACCEPTABLE = ("leak", "ends", "steps")
 """Findings that are refused unless a person has looked at them: a path through a leak of the segmentation, entry
 and target that seem exchanged, and steps between points that are much longer than their neighbours."""
+WALLS_OF_MASKS = ("surface", "lumen")
+"""What the wall of a mask may be: its surface, or a round lumen around the path."""
 
 STATED, GIVEN, ASSUMED = "stated in the file", "given", "assumed"
 """How a unit or a coordinate system is known."""

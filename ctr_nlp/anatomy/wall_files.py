@@ -13,9 +13,10 @@ from ctr_nlp.anatomy.branch import LumenMask, name_source_in_errors
 from ctr_nlp.anatomy.distance_fields import crop_surface, field_of_surface, flatten_steps, surface_of_mask
 from ctr_nlp.anatomy.files import is_mask, title
 from ctr_nlp.anatomy.formats.images import IMAGE_SPACE_TO_LPS
-from ctr_nlp.anatomy.formats.mesh import MESH_SUFFIXES, read_mesh
+from ctr_nlp.anatomy.formats.mesh import read_mesh
 from ctr_nlp.anatomy.lumen_surfaces import LEAST_INSIDE, open_ends, part_inside, wall_around_path
 from ctr_nlp.anatomy.reading import AS_THE_FILE_SAYS, ReadOptions
+from ctr_nlp.anatomy.suffixes import MESH_SUFFIXES
 from ctr_nlp.exceptions import CurveError, OptionError
 from ctr_nlp.paths.surface import Surface
 from ctr_nlp.paths.walls import MAX_MARGIN_MM, Body

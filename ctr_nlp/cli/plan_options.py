@@ -6,10 +6,8 @@ import argparse
 import math
 from dataclasses import replace
 
-from ctr_nlp.anatomy.files import CENTRELINE_SUFFIXES, MASK_SUFFIXES
-from ctr_nlp.anatomy.formats.mesh import MESH_SUFFIXES
-from ctr_nlp.anatomy.problem_files import WALLS_OF_MASKS
-from ctr_nlp.anatomy.reading import ACCEPTABLE, FORMS, MM_PER_UNIT, SPACES, ReadOptions
+from ctr_nlp.anatomy.reading import ACCEPTABLE, FORMS, MM_PER_UNIT, SPACES, WALLS_OF_MASKS, ReadOptions
+from ctr_nlp.anatomy.suffixes import CENTRELINE_SUFFIXES, MASK_SUFFIXES, MESH_SUFFIXES
 from ctr_nlp.cli.arguments import (
     DEFAULT_SETTINGS,
     add_entry_option,
@@ -29,10 +27,11 @@ from ctr_nlp.paths.target import SIGMA_GRID
 from ctr_nlp.plan.monte_carlo import DEFAULT_PLAN_SAMPLES
 from ctr_nlp.plan.plan import Plan
 from ctr_nlp.plan.robustness import MOST_LOST
-from ctr_nlp.studies.pareto_front import DEFAULT_SWEEP_WEIGHTS_S2
 
 HORIZON_FORMULATION = "horizon"
 """The formulation that solves all frames in one program."""
+DEFAULT_SWEEP_WEIGHTS_S2 = tuple(10.0 ** (k / 2 - 8) for k in range(13))
+"""Lambdas of a sweep for which none are given, s^2."""
 PER_FRAME_ONLY_OPTIONS = ("direction", "jump_width")
 """Options that only frame-by-frame formulations have."""
 HORIZON_ONLY_OPTIONS = (

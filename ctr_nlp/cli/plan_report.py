@@ -9,7 +9,7 @@ import json
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from ctr_nlp.cli.console import EXIT_INTERRUPTED, EXIT_SOLVED, EXIT_SOME_FAILED
 from ctr_nlp.cli.output.folder import name_within
@@ -18,9 +18,11 @@ from ctr_nlp.plan import sample_text, summary_text
 from ctr_nlp.plan.metrics import by_frame, summary
 from ctr_nlp.plan.plan import Plan
 from ctr_nlp.plan.verdicts import NO, NOT_CHECKED, YES
-from ctr_nlp.planning.compromise import Compromise, compromise_sentences
-from ctr_nlp.studies.pareto_front import ParetoPoint
 from ctr_nlp.support.tables import columns_to_rows, write_csv
+
+if TYPE_CHECKING:
+    from ctr_nlp.planning.compromise import Compromise
+    from ctr_nlp.studies.pareto_front import ParetoPoint
 
 STYLES = {YES: "green", NO: "bold red", NOT_CHECKED: "dark_orange"}
 """Colours of a verdict's word in a terminal; amber is not the colour of *yes*."""
@@ -131,6 +133,9 @@ def _row(one: Compromise) -> dict[str, Any]:
 
 def print_compromises(plan: Plan, found: Sequence[Compromise]) -> None:
     """Print the compromises `found` between arriving and keeping off the wall, and what limits `plan`."""
+    # Most plans need no compromise.
+    from ctr_nlp.planning.compromise import compromise_sentences
+
     columns = "motion", "tip off mm", "deepest contact mm", "e3 mm", "at"
     rows = [
         (

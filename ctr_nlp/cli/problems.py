@@ -10,12 +10,9 @@ import sys
 import traceback
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from ctr_nlp.anatomy.files import CENTRELINE_SUFFIXES, MASK_SUFFIXES, centrelines_in
-from ctr_nlp.anatomy.problem_files import problem_from_file
-from ctr_nlp.anatomy.reading import ReadOptions
-from ctr_nlp.anatomy.wall_files import WallFile, name_of_wall
+from ctr_nlp.anatomy.suffixes import CENTRELINE_SUFFIXES, MASK_SUFFIXES
 from ctr_nlp.cli.terminal_output import announce, print_stderr
 from ctr_nlp.exceptions import CtrError, OptionError, ProblemError, suggest_names
 from ctr_nlp.models import Model, model_named
@@ -23,6 +20,9 @@ from ctr_nlp.paths.lumen_fit import problem_notes
 from ctr_nlp.paths.named_problems import PROBLEM_NAMES, named_problem
 from ctr_nlp.paths.problem import Problem
 from ctr_nlp.robot import Robot
+
+if TYPE_CHECKING:
+    from ctr_nlp.anatomy.wall_files import WallFile
 
 PROBLEM_FILE_SUFFIXES = (*CENTRELINE_SUFFIXES, *MASK_SUFFIXES, ".py")
 """Suffixes of the files that problems are read from."""
@@ -100,6 +100,9 @@ def expand_folders(names: Sequence[str]) -> list[str]:
     """Return `names`, each folder replaced by its centreline files in order; raises OptionError where it
     has none.
     """
+    # Readers of anatomy are loaded where a file of anatomy is named, and not for a named problem.
+    from ctr_nlp.anatomy.files import centrelines_in
+
     found = list[str]()
     for name in names:
         found += map(str, centrelines_in(name)) if Path(name).is_dir() else [name]
@@ -122,6 +125,9 @@ def _problem(name: str, arguments: argparse.Namespace, options: Mapping[str, Any
         )
     if name.endswith(".py"):
         return from_python(name, arguments.frames, arguments.duration, robot)
+    # Readers of anatomy are loaded where a file of anatomy is named, and not for a named problem.
+    from ctr_nlp.anatomy.problem_files import problem_from_file
+
     tilt = {"tilt": math.radians(options["tilt"])} if "tilt" in options else {}
     walls = [
         _wall_file(text, key == "keep_out") for key in ("inside", "keep_out") for text in options.get(key, ())
@@ -135,6 +141,10 @@ def _wall_file(text: str, keep_out: bool) -> WallFile:
 
     keep_out: whether the robot keeps out of it.
     """
+    # Readers of anatomy are loaded where a file of anatomy is named, and not for a named problem.
+    from ctr_nlp.anatomy.reading import ReadOptions
+    from ctr_nlp.anatomy.wall_files import WallFile, name_of_wall
+
     found = WALL_TEXT.fullmatch(text)
     assert found is not None
     file, labels, margin = found["file"], found["labels"], found["margin"]

@@ -8,7 +8,6 @@ from collections.abc import Iterator, Mapping
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.models.dominant import Dominant
 from ctr_nlp.models.elastic import Elastic
-from ctr_nlp.models.loaded.model import Loaded, TipForceModel
 from ctr_nlp.models.loads import Load, LoadOverTime
 from ctr_nlp.models.protocol import Model
 from ctr_nlp.robot import Robot
@@ -76,6 +75,9 @@ def model_named(model: str | Model, name: str = "model") -> Model:
 
 def model_with_load(model: str | Model, load: Load | LoadOverTime) -> Model:
     """Return a model of robots under a load; raises OptionError where `model` has no loaded counterpart."""
+    # The loaded rod has modules of its own, which no robot without a load needs.
+    from ctr_nlp.models.loaded.model import Loaded
+
     described = model_named(model)
     # Loaded has the name of the elastic model, the only one with a loaded counterpart.
     if described.name != Loaded.name:
@@ -101,6 +103,9 @@ def model_with_tip_forces(model: str | Model, forces: Array) -> Model:
         return described
     load = described.applied_load or Load()
     model_with_load(described, load)
+    # Loaded rods are imported only where there is a load, as in model_with_load.
+    from ctr_nlp.models.loaded.model import TipForceModel
+
     return TipForceModel(load, forces)
 
 

@@ -174,6 +174,11 @@ class Nlp:
         return self.expressions.functions
 
     @cached_property
+    def value_function(self) -> ca.Function:
+        """(x, p) -> (objective, g), without the derivatives that `functions` takes longer to build."""
+        return ca.Function("value", [self.x, self.p], [self.objective, self.g])
+
+    @cached_property
     def kkt_function(self) -> ca.Function:
         """(x, p, lam_x, lam_g) -> (gradient of the Lagrangian, g)."""
         lam_x = ca.SX.sym("lam_x", self.x.numel())

@@ -14,8 +14,7 @@ import casadi as ca
 import numpy as np
 
 from ctr_nlp.exceptions import CtrError, LoadError, OutputError, RobotError
-from ctr_nlp.models import Model, model_named
-from ctr_nlp.models.loaded.model import Loaded
+from ctr_nlp.models import Model, model_named, model_with_load
 from ctr_nlp.models.loads import Load, LoadOverTime, with_modulus
 from ctr_nlp.ocp.settings import THRESHOLDS, Settings
 from ctr_nlp.paths.problem import Problem
@@ -247,7 +246,7 @@ class Plan(PlanData):
         'elastic'
         """
         check_instance(LoadError, "load", load, Load, LoadOverTime)
-        model = Loaded(load)
+        model = model_with_load(PHYSICAL_MODEL, load)
         return self._evaluate_on_model(model, {"evaluated": model.name, "load": load.to_dict()})
 
     def with_modulus(self, modulus: float) -> Plan:

@@ -15,8 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ctr_nlp.exceptions import OutputError
-from ctr_nlp.models import KINEMATIC_MODELS, Model
-from ctr_nlp.models.loaded.model import Loaded
+from ctr_nlp.models import KINEMATIC_MODELS, Model, model_with_load
 from ctr_nlp.models.loads import Load, LoadOverTime, load_from_dict
 from ctr_nlp.paths.lumen import Lumen
 from ctr_nlp.paths.points import FARTHEST_MM, LONGEST_S
@@ -124,11 +123,7 @@ class PlanData(Value):
     @cached_property
     def evaluated_model(self) -> Model:
         """Model on which shapes and margins were computed, under the load."""
-        return (
-            KINEMATIC_MODELS[self.evaluated_model_name]
-            if self.evaluated_load is None
-            else Loaded(self.evaluated_load)
-        )
+        return _model_under_load(self.evaluated_model_name, self.evaluated_load)
 
     @property
     def as_planned(self) -> bool:
@@ -165,8 +160,12 @@ def load_of(meta: Mapping[str, Any], name: str) -> Load | LoadOverTime | None:
 
 def planned_model(meta: Mapping[str, Any]) -> Model:
     """Return the model that a plan was made on, with the load that it was made for; meta: of the plan."""
-    load = load_of(meta, "planned_load")
-    return KINEMATIC_MODELS[meta["model"]] if load is None else Loaded(load)
+    return _model_under_load(meta["model"], load_of(meta, "planned_load"))
+
+
+def _model_under_load(name: str, load: Load | LoadOverTime | None) -> Model:
+    """Return the model called `name`, under `load` if there is one."""
+    return KINEMATIC_MODELS[name] if load is None else model_with_load(name, load)
 
 
 FORMAT = 1

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from ctr_nlp.anatomy import synthetic_airway
+from ctr_nlp.anatomy.airway import synthetic_airway
 from ctr_nlp.paths.placement import move_to_robot_frame
 from ctr_nlp.paths.problem import Problem
 from ctr_nlp.paths.target import growing

@@ -14,14 +14,12 @@ from ctr_nlp.models import suits
 from ctr_nlp.ocp.settings import Settings
 from ctr_nlp.plan.metrics import summary
 from ctr_nlp.plan.plan import Plan
-from ctr_nlp.planning import Horizon
+from ctr_nlp.planning.horizon import Horizon
 from ctr_nlp.planning.horizon.loaded_horizon import LoadedHorizon
 from ctr_nlp.planning.marching import Progress
 from ctr_nlp.studies.variants import parse_solver_variant
 from ctr_nlp.support.interrupt import deferred_interrupt
 
-DEFAULT_SWEEP_WEIGHTS_S2 = tuple(10.0 ** (k / 2 - 8) for k in range(13))
-"""Default lambdas of a sweep, s^2."""
 COMPARED_VARIANTS = ("joint:ipopt", "two-stage:ipopt")
 """Variants whose points are compared with the front."""
 

@@ -17,7 +17,7 @@ from ctr_nlp.paths.problem import Problem
 from ctr_nlp.plan.measures import e3
 from ctr_nlp.plan.plan import Plan
 from ctr_nlp.plan.robustness import MOST_LOST
-from ctr_nlp.planning import solve_horizon
+from ctr_nlp.planning.horizon import solve_horizon
 from ctr_nlp.planning.marching import Progress
 from ctr_nlp.robot import Robot
 from ctr_nlp.robot.samples import sample_robots

@@ -12,8 +12,9 @@ from ctr_nlp.ocp import FORMULATIONS
 from ctr_nlp.ocp.settings import Settings
 from ctr_nlp.paths.problem import Problem
 from ctr_nlp.plan.plan import Plan
-from ctr_nlp.planning import solve_horizon, solve_per_frame
+from ctr_nlp.planning.horizon import solve_horizon
 from ctr_nlp.planning.marching import Progress
+from ctr_nlp.planning.per_frame import solve_per_frame
 from ctr_nlp.solvers import CHAIN_SOLVERS, SOLVERS
 from ctr_nlp.support.value_checks import check_choice
 from ctr_nlp.typing import Array

@@ -12,11 +12,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from study_costs.pool_comparison import compare_with_pool, rows_of
+from study_costs.scale import measure_study_cost, project_study, simulate_study
 
 from ctr_nlp.studies.grid.results import Results
 from ctr_nlp.studies.grid.study_file import Study
-from ctr_nlp.studies.workers.pool_comparison import compare_with_pool, rows_of
-from ctr_nlp.studies.workers.scale import measure_study_cost, project_study, simulate_study
 from ctr_nlp.support.tables import markdown
 
 ROBUST_FRAMES = 4

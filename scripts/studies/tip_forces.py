@@ -11,8 +11,9 @@ from collections.abc import Sequence
 from dataclasses import asdict, replace
 from typing import Any
 
+from force_robustness import FORCE_STUDY_SAMPLES, evaluate_under_forces, plan_with_known_force
+
 from ctr_nlp import CtrError, Problem, Robot, problem_from_file
-from ctr_nlp.loads.force_robustness import FORCE_STUDY_SAMPLES, evaluate_under_forces, plan_with_known_force
 from ctr_nlp.models.loads import with_modulus
 from ctr_nlp.paths.named_problems import PROBLEM_NAMES, named_problem
 from ctr_nlp.plan.robustness import MOST_LOST

@@ -6,8 +6,7 @@ import itertools
 import numpy as np
 import pytest
 
-from ctr_nlp.anatomy import synthetic_airway
-from ctr_nlp.anatomy.airway import GENERATIONS
+from ctr_nlp.anatomy.airway import GENERATIONS, synthetic_airway
 from ctr_nlp.exceptions import OptionError
 
 SEEDS = range(100)

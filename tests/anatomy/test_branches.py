@@ -12,7 +12,8 @@ from matplotlib.image import imread
 from ctr_nlp import curve_from_points, read_csv
 from ctr_nlp.anatomy.branch import CENTRELINE_SPACE_TO_LPS, Branch, Branches, transform_points
 from ctr_nlp.anatomy.branch_selection import find_extent, select_branch
-from ctr_nlp.anatomy.files import ANATOMY_SUFFIXES, read_branches
+from ctr_nlp.anatomy.files import READERS, read_branches
+from ctr_nlp.anatomy.suffixes import ANATOMY_SUFFIXES
 from ctr_nlp.cli.commands.branches import main as list_branches
 from ctr_nlp.exceptions import CurveError
 from ctr_nlp.view.figures.branches import tree
@@ -180,6 +181,7 @@ def test_bad_tables_are_refused(tmp_path, text, message):
 @pytest.mark.parametrize("name", ["airway.stl", "airway", "airway.mha"])
 def test_unknown_kinds_of_files_are_refused_with_the_known_ones(name):
     assert {".csv", ".mrk.json", ".vtu", ".nii", ".nhdr"} <= set(ANATOMY_SUFFIXES)
+    assert sorted(suffix for reader in READERS for suffix in reader.suffixes) == sorted(ANATOMY_SUFFIXES)
     known = re.escape(", ".join(ANATOMY_SUFFIXES))
     with pytest.raises(CurveError, match=rf"{name} is not a known kind of file; its name must end in {known}$"):
         read_branches(name)

@@ -10,7 +10,7 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from ctr_nlp import curve_from_points, read_csv
-from ctr_nlp.anatomy import synthetic_airway
+from ctr_nlp.anatomy.airway import synthetic_airway
 from ctr_nlp.anatomy.segmentation.mask import read_mask
 from ctr_nlp.exceptions import CurveError
 

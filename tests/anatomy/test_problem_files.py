@@ -11,7 +11,7 @@ from common import UNJUDGED, named_problem
 
 from ctr_nlp import problem_from_file, table_i_robot
 from ctr_nlp.anatomy.branch import transform_points
-from ctr_nlp.anatomy.files import ANATOMY_SUFFIXES
+from ctr_nlp.anatomy.suffixes import ANATOMY_SUFFIXES
 from ctr_nlp.cli.commands.branches import main as list_branches
 from ctr_nlp.cli.commands.plan import plan as solve_horizon
 from ctr_nlp.cli.commands.plan import steer as solve_per_frame

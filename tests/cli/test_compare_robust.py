@@ -9,7 +9,7 @@ from methods.comparison import ROBUST_VARIANTS, available_variants
 from ctr_nlp import Problem
 from ctr_nlp.cli.problems import from_python
 from ctr_nlp.ocp.settings import Settings
-from ctr_nlp.planning import solve_horizon
+from ctr_nlp.planning.horizon import solve_horizon
 from ctr_nlp.problems import named_problem
 
 BEND = '''"""A bend in space that two tubes cannot follow exactly; many draws snap on the best plan for it."""

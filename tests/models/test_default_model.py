@@ -32,7 +32,7 @@ from ctr_nlp.exceptions import OptionError, ProblemError
 from ctr_nlp.models import DEFAULT_MODEL
 from ctr_nlp.ocp import FORMULATIONS, default_model
 from ctr_nlp.paths.curve import curve_from_points
-from ctr_nlp.planning import Horizon
+from ctr_nlp.planning.horizon import Horizon
 from ctr_nlp.planning.nlp_frames import NlpFrames
 from ctr_nlp.studies import pareto_front
 from ctr_nlp.tube_design.co_design import design

@@ -9,7 +9,6 @@ from ctr_nlp import Settings, solve_horizon, table_i_robot
 from ctr_nlp.exceptions import ProblemError
 from ctr_nlp.plan.measures import Contact
 from ctr_nlp.planning import compromise as module
-from ctr_nlp.planning import horizon_planner
 from ctr_nlp.planning.compromise import (
     Compromise,
     compromise_sentences,
@@ -17,6 +16,7 @@ from ctr_nlp.planning.compromise import (
     find_path_demands,
     pareto_front,
 )
+from ctr_nlp.planning.horizon import horizon_planner
 from ctr_nlp.problems import named_problem
 from ctr_nlp.view.figures.compromise import compromise
 

@@ -16,7 +16,7 @@ from ctr_nlp import problem_from_file, solve_horizon, solve_per_frame, summary
 from ctr_nlp.exceptions import OptionError, ProblemError, RobotError
 from ctr_nlp.ocp.horizon import EndConfigurations
 from ctr_nlp.ocp.settings import Settings
-from ctr_nlp.planning import Horizon
+from ctr_nlp.planning.horizon import Horizon
 from ctr_nlp.planning.multistart import SolvedStart, describe_failures
 from ctr_nlp.solvers import CHAIN_SOLVERS
 from ctr_nlp.solvers.motion.chain_solution import evaluate_chain_solution

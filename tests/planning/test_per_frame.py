@@ -24,8 +24,8 @@ from ctr_nlp import (
 )
 from ctr_nlp.exceptions import OptionError, RobotError
 from ctr_nlp.ocp.frame_solver import FrameResult
-from ctr_nlp.planning import march
 from ctr_nlp.planning.nlp_frames import NlpFrames
+from ctr_nlp.planning.per_frame import march
 from ctr_nlp.solvers.frame import program
 from ctr_nlp.solvers.frame.sqp import Sqp
 

@@ -10,7 +10,7 @@ from ctr_nlp import Limits, Problem, Robot, Tube, curve_from_points, growing, so
 from ctr_nlp.models import KINEMATIC_MODELS
 from ctr_nlp.ocp.horizon import EndConfigurations
 from ctr_nlp.ocp.settings import Settings
-from ctr_nlp.planning import Horizon
+from ctr_nlp.planning.horizon import Horizon
 from ctr_nlp.planning.marching import Pass
 from ctr_nlp.planning.motions import per_frame_motions
 from ctr_nlp.planning.starts.search import MIN_DRAFT_FRAMES, pick_draft_frames

@@ -15,7 +15,7 @@ from scipy.spatial import cKDTree
 
 from ctr_nlp import Limits, Problem, Robot, Settings, Tube, curve_from_points, growing, solve_per_frame, summary
 from ctr_nlp.exceptions import OptionError
-from ctr_nlp.planning import march
+from ctr_nlp.planning.per_frame import march
 
 pytestmark = pytest.mark.interpreted
 EXACT = 0.02

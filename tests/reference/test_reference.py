@@ -12,7 +12,7 @@ from strategies import configurations, robots
 
 from ctr_nlp import Settings, summary
 from ctr_nlp.exceptions import OptionError
-from ctr_nlp.planning import march
+from ctr_nlp.planning.per_frame import march
 
 
 def run(name, method):

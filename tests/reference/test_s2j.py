@@ -31,7 +31,7 @@ from ctr_nlp import Robot, Settings, summary, table_i_robot
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.models import KINEMATIC_MODELS
 from ctr_nlp.paths.target import QUADRATURE, SIGMA_GRID
-from ctr_nlp.planning import march
+from ctr_nlp.planning.per_frame import march
 
 pytestmark = pytest.mark.interpreted
 ROBOT = table_i_robot()

@@ -8,7 +8,7 @@ from reference.tip_resolved import TipSteering
 
 from ctr_nlp import Robot, Settings, Tube, table_i_robot
 from ctr_nlp.models import KINEMATIC_MODELS
-from ctr_nlp.planning import march
+from ctr_nlp.planning.per_frame import march
 
 pytestmark = pytest.mark.interpreted
 ROBOT, ELASTIC = table_i_robot(), KINEMATIC_MODELS["elastic"]

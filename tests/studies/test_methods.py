@@ -16,7 +16,7 @@ from reference import REFERENCE_METHODS
 from ctr_nlp import Problem, Robot, Settings, curve_from_points, growing, table_i_robot
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.plan.measures import follow_the_leader_deviation
-from ctr_nlp.planning import solve_per_frame
+from ctr_nlp.planning.per_frame import solve_per_frame
 from ctr_nlp.problems import named_problem
 
 ROBOT = table_i_robot()

@@ -6,6 +6,8 @@ import math
 import os
 
 import pytest
+from study_costs.pool_comparison import PoolComparison, Turn, compare_with_pool, rows_of
+from study_costs.scale import Sleeper, StudyCost, project_study, simulate_study, sleeper_study
 
 from ctr_nlp.exceptions import BenchmarkError
 from ctr_nlp.studies.grid.case import Case
@@ -16,9 +18,7 @@ from ctr_nlp.studies.workers.batches import (
     MIN_BATCH_SPACING_S,
     target_batch_seconds,
 )
-from ctr_nlp.studies.workers.pool_comparison import PoolComparison, Turn, compare_with_pool, rows_of
 from ctr_nlp.studies.workers.running import BATCHES_PER_WORKER
-from ctr_nlp.studies.workers.scale import Sleeper, StudyCost, project_study, simulate_study, sleeper_study
 
 COST = StudyCost(0.002, 0.0001, 0.004, 0.0002, 0.00001, 1000.0, 500.0, 2000.0)
 

@@ -5,11 +5,11 @@ import pytest
 from common import NAMES, named_problem
 
 from ctr_nlp import problem_from_file
+from ctr_nlp.cli.plan_options import DEFAULT_SWEEP_WEIGHTS_S2
 from ctr_nlp.ocp.settings import Settings
-from ctr_nlp.planning import Horizon
+from ctr_nlp.planning.horizon import Horizon
 from ctr_nlp.studies.pareto_front import (
     COMPARED_VARIANTS,
-    DEFAULT_SWEEP_WEIGHTS_S2,
     compute_pareto_front,
     sweep_motion_weights,
 )

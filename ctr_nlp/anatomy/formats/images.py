@@ -30,13 +30,13 @@ from ctr_nlp.anatomy.reading import (
     FileFacts,
     ReadOptions,
 )
+from ctr_nlp.anatomy.suffixes import MASK_SUFFIXES, NIFTI_SUFFIXES
 from ctr_nlp.exceptions import CtrError, CurveError
 from ctr_nlp.support.extras import import_extra
 from ctr_nlp.typing import Array
 
 IMAGE_SPACE_TO_LPS = CENTRELINE_SPACE_TO_LPS | {"LAS": np.diag([1.0, -1.0, 1.0, 1.0])}
 """Coordinate systems in which an image may be written, and the transform (4, 4) from each to LPS."""
-NIFTI_SUFFIXES, NRRD_SUFFIXES = (".nii", ".nii.gz"), (".nrrd", ".nhdr")
 FINEST_MM, COARSEST_MM = 0.005, 20.0
 """Spacings outside of these were almost surely written in another unit."""
 MAX_VOXEL_RATIO, NOTED_VOXEL_RATIO = 10.0, 3.0
@@ -93,8 +93,8 @@ def read_image(path: str | Path, options: ReadOptions = AS_THE_FILE_SAYS) -> Ima
     and OptionError where the reader is not installed.
     """
     name = Path(path).name.lower()
-    if not name.endswith((*NIFTI_SUFFIXES, *NRRD_SUFFIXES)):
-        allowed = ", ".join((*NIFTI_SUFFIXES, *NRRD_SUFFIXES))
+    if not name.endswith(MASK_SUFFIXES):
+        allowed = ", ".join(MASK_SUFFIXES)
         raise CurveError(f"{path} is not a known kind of image; its name must end in {allowed}")
     read = _nifti if name.endswith(NIFTI_SUFFIXES) else _nrrd
     try:

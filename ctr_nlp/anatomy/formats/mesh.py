@@ -16,12 +16,11 @@ import numpy.typing as npt
 from ctr_nlp.anatomy.branch import CENTRELINE_SPACE_TO_LPS
 from ctr_nlp.anatomy.formats.vtk import capture_vtk_errors
 from ctr_nlp.anatomy.reading import AS_THE_FILE_SAYS, MM_PER_UNIT, ReadOptions
+from ctr_nlp.anatomy.suffixes import MESH_SUFFIXES
 from ctr_nlp.exceptions import CurveError
 from ctr_nlp.paths.surface import Surface
 from ctr_nlp.support.extras import import_extra
 
-MESH_SUFFIXES = (".stl", ".vtp", ".vtk", ".ply", ".obj")
-"""Ends of the names of the files that are read."""
 LEAST_SPAN_MM, LARGEST_SPAN_MM = 1.0, 3000.0
 """Diagonals of the box of a body: outside of these it is in another unit."""
 HEADER_BYTES = 2000

@@ -10,10 +10,11 @@ import numpy as np
 
 from ctr_nlp.anatomy.branch import Branch, Branches, name_source_in_errors, transform_points
 from ctr_nlp.anatomy.branch_measures import BranchMeasures, count_bifurcations, measure_branches
-from ctr_nlp.anatomy.files import ANATOMY_SUFFIXES, read_branches
+from ctr_nlp.anatomy.files import read_branches
 from ctr_nlp.anatomy.formats.vtk import write_vtk
 from ctr_nlp.anatomy.plausibility import widens
 from ctr_nlp.anatomy.segmentation.widths import find_leak
+from ctr_nlp.anatomy.suffixes import ANATOMY_SUFFIXES
 from ctr_nlp.cli.arguments import add_entry_option
 from ctr_nlp.cli.console import EXIT_SOLVED, Command
 from ctr_nlp.cli.output.file import check_file, output_file

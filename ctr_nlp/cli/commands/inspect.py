@@ -8,11 +8,12 @@ from typing import Any
 import numpy as np
 
 from ctr_nlp.anatomy.branch import Branch, Branches, format_point, transform_points
-from ctr_nlp.anatomy.files import ANATOMY_SUFFIXES, is_mask, read_branches
+from ctr_nlp.anatomy.files import is_mask, read_branches
 from ctr_nlp.anatomy.formats.images import read_image
 from ctr_nlp.anatomy.plausibility import widens
 from ctr_nlp.anatomy.problem_files import SURFACE_NOTE
 from ctr_nlp.anatomy.reading import ReadOptions
+from ctr_nlp.anatomy.suffixes import ANATOMY_SUFFIXES
 from ctr_nlp.cli.arguments import add_entry_option, add_triple
 from ctr_nlp.cli.console import EXIT_SOLVED, Command
 from ctr_nlp.cli.plan_options import add_piece_arguments, add_reading_options, pieces_from, read_options_from

@@ -27,7 +27,7 @@ from ctr_nlp.cli.loads.options import (
 )
 from ctr_nlp.cli.output.file import path_component
 from ctr_nlp.cli.output.folder import NOMINAL_FOLDER_NAME, check_folder, output_folder, results_folder
-from ctr_nlp.cli.plan_options import HORIZON_FORMULATION
+from ctr_nlp.cli.plan_options import DEFAULT_SWEEP_WEIGHTS_S2, HORIZON_FORMULATION
 from ctr_nlp.cli.plan_report import (
     draw,
     draw_shapes_only,
@@ -52,20 +52,15 @@ from ctr_nlp.plan.metrics import summary
 from ctr_nlp.plan.plan import PHYSICAL_MODEL, Plan
 from ctr_nlp.plan.summary_text import NOT_FOR_PATIENTS
 from ctr_nlp.plan.verdicts import NO
-from ctr_nlp.planning import DIRECTIONS, horizon_planner, solve_per_frame
-from ctr_nlp.planning.compromise import Compromise, compromises
-from ctr_nlp.planning.validation import Direction, check_search, checked_motions
-from ctr_nlp.robot.shipped import read_robot_files
-from ctr_nlp.robust import solve_robust, solve_robust_per_frame
-from ctr_nlp.robust.tolerance_scenarios import resolve_scenarios
+from ctr_nlp.planning.validation import DIRECTIONS, Direction, check_search, checked_motions
 from ctr_nlp.solvers import CHAIN_SOLVERS, SOLVERS
-from ctr_nlp.studies.pareto_front import DEFAULT_SWEEP_WEIGHTS_S2, ParetoPoint, compute_pareto_front
 from ctr_nlp.support.interrupt import deferred_interrupt, end_if_interrupted
 from ctr_nlp.support.value_checks import check_choice
-from ctr_nlp.tube_design.choice import choose_robot
 
 if TYPE_CHECKING:
     from ctr_nlp.cli.live_views import SolverView
+    from ctr_nlp.planning.compromise import Compromise
+    from ctr_nlp.studies.pareto_front import ParetoPoint
 
 
 OPTIONS_EXCLUDED_BY_ROBUST = "initial", "starts", "exhaustive", "jobs", "sweep_motion_weight", "live", "solver"
@@ -151,7 +146,7 @@ def _run(arguments: argparse.Namespace) -> int:
         announce(f"planned for the robot as described alone: {alone}")
     if robust:
         plan = _plan_robust(arguments, problem, out)
-        points = list[ParetoPoint]()
+        points: list[ParetoPoint] = []
     else:
         plan, points = _plan_horizon(arguments, problem) if whole else (_plan_per_frame(arguments, problem), [])
     with deferred_interrupt() as pressed:
@@ -191,6 +186,9 @@ def _with_fitting_robot(problem: Problem, arguments: argparse.Namespace, model: 
     own = arguments.robot is not None or not problems.is_anatomy(arguments.problem)
     if own or problem.wall is None or not KINEMATIC_MODELS[model].can_snap:
         return problem
+    from ctr_nlp.robot.shipped import read_robot_files
+    from ctr_nlp.tube_design.choice import choose_robot  # brings the whole of tube design
+
     # The limits of the tilt are the problem's: an option narrows them.
     tilt = list(zip(problem.robot.lower[-2:].tolist(), problem.robot.upper[-2:].tolist(), strict=True))
     robots = {name: robot.with_limits(theta=tilt) for name, robot in read_robot_files().items()}
@@ -217,6 +215,8 @@ def _compromises(arguments: argparse.Namespace, problem: Problem, plan: Plan) ->
         return []
     if arguments.contact_weight == 0.0:
         return []
+    from ctr_nlp.planning.compromise import compromises
+
     with progress_bar() as labelled:
         settings = _settings(arguments, problem, "seed")
         terms = plan_options.terms_from(arguments)
@@ -245,6 +245,8 @@ def _decide_robust(arguments: argparse.Namespace, problem: Problem) -> tuple[boo
         return False, ""
     if given := _given_options(arguments, OPTIONS_EXCLUDED_BY_ROBUST):
         return False, f"{given[0]} does not go with --robust"
+    from ctr_nlp.robust.tolerance_scenarios import resolve_scenarios
+
     try:
         resolve_scenarios(problem.robot, plan_options.model_from(arguments), None)
     except CtrError as error:
@@ -319,6 +321,8 @@ def _settings(arguments: argparse.Namespace, problem: Problem, *names: str) -> S
 
 def _plan_per_frame(arguments: argparse.Namespace, problem: Problem) -> Plan:
     """Plan frame by frame with the formulation that was chosen."""
+    from ctr_nlp.planning.per_frame import solve_per_frame
+
     direction: Direction = arguments.direction or "best"
     asked: dict[str, Any] = {
         "settings": _settings(arguments, problem, *FRAME_SETTINGS),
@@ -341,6 +345,8 @@ def _plan_horizon(arguments: argparse.Namespace, problem: Problem) -> tuple[Plan
     """Plan all frames at once; return the plan, and the points of a sweep of motion weights where one is asked
     for.
     """
+    from ctr_nlp.planning.horizon import horizon_planner
+
     settings = _settings(arguments, problem, "seed")
     jobs = 1 if arguments.jobs is None else arguments.jobs
     start, end = (None if path is None else read_start(path) for path in (arguments.start, arguments.end))
@@ -360,6 +366,8 @@ def _plan_horizon(arguments: argparse.Namespace, problem: Problem) -> tuple[Plan
             if seen is not None:
                 seen.show_plan(plan)
             if arguments.sweep_motion_weight is not None:
+                from ctr_nlp.studies.pareto_front import compute_pareto_front
+
                 weights = arguments.sweep_motion_weight or DEFAULT_SWEEP_WEIGHTS_S2
                 points = compute_pareto_front(horizon, plan, weights, settings, labelled)
     return plan, points
@@ -370,6 +378,8 @@ def _plan_robust(arguments: argparse.Namespace, problem: Problem, out: Path) -> 
 
     out: the output folder; a folder within it takes the nominal robot's plan as soon as that is found.
     """
+    from ctr_nlp.robust import solve_robust, solve_robust_per_frame
+
     whole = arguments.formulation == HORIZON_FORMULATION
     asked: dict[str, Any] = {
         "model": model_from_options(plan_options.model_from(arguments), arguments),

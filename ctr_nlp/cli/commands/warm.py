@@ -20,7 +20,8 @@ from ctr_nlp.codegen import cache
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.models import KINEMATIC_MODELS, suits
 from ctr_nlp.paths.named_problems import PROBLEM_NAMES
-from ctr_nlp.planning import solve_horizon, solve_per_frame
+from ctr_nlp.planning.horizon import solve_horizon
+from ctr_nlp.planning.per_frame import solve_per_frame
 from ctr_nlp.support.interrupt import deferred_interrupt
 
 WARM_FRAME_COUNT = 3

@@ -15,7 +15,6 @@ from ctr_nlp.identify.closed_loop.sensors import Sensors
 from ctr_nlp.identify.closed_loop.sensors.points import ShapePointSensor, TipPoseSensor, TipPositionSensor
 from ctr_nlp.typing import Array
 
-SENSOR_KINDS = ("simulated", "udp", "tcp", "igtl", "ros2")
 SENSOR_MEASURES = ("tip", "pose", "points")
 
 URLS = "simulated, simulated:SEED, udp://HOST:PORT, tcp://HOST:PORT, igtl://HOST:PORT/DEVICE or ros2://TOPIC"
@@ -24,8 +23,8 @@ URLS = "simulated, simulated:SEED, udp://HOST:PORT, tcp://HOST:PORT, igtl://HOST
 class SensorAddress(NamedTuple):
     """Address of a source of measurements.
 
-    kind: of SENSOR_KINDS. host, port: for udp, tcp and igtl. rest: TOPIC and more for ros2, DEVICE for igtl, SEED;
-    or "".
+    kind: the url's scheme, or "simulated". host, port: for udp, tcp and igtl. rest: TOPIC and more for ros2,
+    DEVICE for igtl, SEED; or "".
     """
 
     kind: str

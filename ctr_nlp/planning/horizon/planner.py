@@ -8,6 +8,7 @@ d_j, mm^2, is the distance (8) in frame j; lambda is in s^2, and W scales rad to
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy.typing as npt
 
@@ -17,11 +18,13 @@ from ctr_nlp.ocp.terms import Term
 from ctr_nlp.paths.problem import Problem
 from ctr_nlp.plan.plan import Plan
 from ctr_nlp.planning.horizon.horizon import Horizon
-from ctr_nlp.planning.horizon.loaded_horizon import LoadedHorizon
 from ctr_nlp.planning.marching import Progress
 from ctr_nlp.planning.multistart import IterateCallback
 from ctr_nlp.planning.nlp_frames import DEFAULT_PLANNER_SETTINGS
 from ctr_nlp.planning.validation import check_problem_and_settings, check_search, checked_motions
+
+if TYPE_CHECKING:
+    from ctr_nlp.planning.horizon.loaded_horizon import LoadedHorizon
 
 
 def solve_horizon(
@@ -129,5 +132,9 @@ def horizon_planner(
     """
     chosen = model_named(model, "model of a horizon")
     # Both have the same method `solve`: callers need not know which of them they have.
-    kind = Horizon if chosen.applied_load is None else LoadedHorizon
-    return kind(problem, chosen, solver, start, end, settings, terms)
+    if chosen.applied_load is None:
+        return Horizon(problem, chosen, solver, start, end, settings, terms)
+    # Brings the loaded rod and the solver of several scenarios, which no robot without a load needs.
+    from ctr_nlp.planning.horizon.loaded_horizon import LoadedHorizon
+
+    return LoadedHorizon(problem, chosen, solver, start, end, settings, terms)

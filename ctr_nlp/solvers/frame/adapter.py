@@ -151,19 +151,43 @@ class Ipopt(NlpSolver):
         # The nearest point within the bounds, where FRAME_IPOPT_OPTIONS let IPOPT leave it.
         result = self._solve(x0=np.clip(x0, low[:n], high[:n]), **arguments)
         status, iterations = status_and_iterations(self._solve)
-        x, lam_x, lam_g = (result[key].full().ravel() for key in ("x", "lam_x", "lam_g"))
-        g = result["g"].full().ravel()
-        rows = np.concatenate([x, g])
-        # Before x is clipped: clipping hides what IPOPT's relaxed bounds let through.
-        violation = np.maximum(low - rows, rows - high).max()
-        # What is left after IPOPT's relaxed bounds, so that motors' limits are kept exactly.
-        x = np.clip(x, low[:n], high[:n])
-        # From the problem alone: IPOPT's own tolerances refer to a scaled problem.
-        kkt = kkt_residual(self.nlp, x, p, lower, upper, lam_x, lam_g)
-        success = bool(violation <= FEASIBILITY_TOLERANCE) and kkt <= KKT_TOLERANCE
-        # On models whose unknowns are not q, some of q's entries are values of constraints.
-        q = np.concatenate([x, g])[self.nlp.configuration]
-        return Solution(x, float(result["f"]), kkt, success, status, iterations, lam_x, lam_g, q)
+        x, *multipliers = (result[key].full().ravel() for key in ("x", "lam_x", "lam_g"))
+        return evaluate_frame_solution(
+            self.nlp, x, p, np.concatenate(multipliers), (lower, upper), status=status, iterations=iterations
+        )
+
+
+def evaluate_frame_solution(
+    nlp: Nlp,
+    x: Array,
+    p: Array,
+    multipliers: Array,
+    bounds: tuple[Array | None, Array | None] = (None, None),
+    *,
+    status: str,
+    iterations: int,
+) -> Solution:
+    """Return a point x (n,) as a Solution; success depends on the program itself, whatever the solver reports.
+
+    p (n_p,): packed parameters. multipliers (n + m,): of the bounds of x and then of the constraints, positive at
+    upper bounds. bounds: lower and upper ones (k,) of the configuration, where they are not the program's own.
+    status, iterations: the solver's.
+    """
+    n = len(x)
+    low, high = nlp.row_bounds(*bounds)
+    objective, g = (value.full().ravel() for value in nlp.value_function(x, p))
+    rows = np.concatenate([x, g])
+    # Before x is clipped: clipping hides what a solver's relaxed bounds let through.
+    violation = np.maximum(low - rows, rows - high).max()
+    # What is left after relaxed bounds, so that motors' limits are kept exactly.
+    x = np.clip(x, low[:n], high[:n])
+    lam_x, lam_g = np.split(multipliers, [n])
+    # From the problem alone: a solver's own tolerances may refer to a scaled problem.
+    kkt = kkt_residual(nlp, x, p, *bounds, lam_x, lam_g)
+    success = bool(violation <= FEASIBILITY_TOLERANCE) and kkt <= KKT_TOLERANCE
+    # On models whose unknowns are not q, some of q's entries are values of constraints.
+    q = np.concatenate([x, g])[nlp.configuration]
+    return Solution(x, float(objective[0]), kkt, success, status, iterations, lam_x, lam_g, q)
 
 
 @functools.lru_cache(maxsize=MAX_CACHED_IPOPT_INSTANCES)

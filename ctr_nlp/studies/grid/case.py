@@ -20,7 +20,8 @@ from ctr_nlp.paths.named_problems import PROBLEM_NAMES, named_problem
 from ctr_nlp.paths.problem import Problem
 from ctr_nlp.plan.metrics import summary, verdict_columns
 from ctr_nlp.plan.plan import Plan, versions
-from ctr_nlp.planning import solve_horizon, solve_per_frame
+from ctr_nlp.planning.horizon import solve_horizon
+from ctr_nlp.planning.per_frame import solve_per_frame
 from ctr_nlp.robot import Robot
 from ctr_nlp.robust import solve_robust, solve_robust_per_frame
 from ctr_nlp.studies.airways import SYNTHETIC, synthetic_problem

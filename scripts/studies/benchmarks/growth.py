@@ -18,7 +18,8 @@ from ctr_nlp.models import KINEMATIC_MODELS
 from ctr_nlp.ocp.frame import program
 from ctr_nlp.ocp.terms import Order, ShapeDistance
 from ctr_nlp.paths.named_problems import named_problem
-from ctr_nlp.planning import solve_horizon, solve_per_frame
+from ctr_nlp.planning.horizon import solve_horizon
+from ctr_nlp.planning.per_frame import solve_per_frame
 from ctr_nlp.robot import Robot, Tube, table_i_robot
 from ctr_nlp.solvers.frame.program import Program
 from ctr_nlp.typing import Array

@@ -13,7 +13,9 @@ from typing import Any
 
 from benchmarks.growth import min_thread_seconds
 from ctr_nlp.paths.named_problems import named_problem
-from ctr_nlp.planning import Steerer, solve_horizon, solve_per_frame
+from ctr_nlp.planning.horizon import solve_horizon
+from ctr_nlp.planning.per_frame import solve_per_frame
+from ctr_nlp.planning.steerer import Steerer
 from ctr_nlp.typing import Array
 
 CALLERS = (("codegen/batch_evaluator.py", "__call__"), ("frame/run.py", "__call__"), ("motion/loop.py", "iterate"))

@@ -49,7 +49,8 @@ def step(model: str, loaded: bool = False) -> TurnFunction:
 
     model: name of the kinematic model. loaded: whether a force acts on the tip, on the model with loads.
     """
-    from ctr_nlp.planning import Steerer, solve_per_frame
+    from ctr_nlp.planning.per_frame import solve_per_frame
+    from ctr_nlp.planning.steerer import Steerer
 
     problem, model = _loaded_problem(_problem("cos")) if loaded else (_problem("cos"), model)
     plan = solve_per_frame(problem, model=model, direction="forward")
@@ -64,7 +65,7 @@ def march(name: str, model: str = "dominant") -> TurnFunction:
 
     name: of the problem. model: name of the kinematic model.
     """
-    from ctr_nlp.planning import solve_per_frame
+    from ctr_nlp.planning.per_frame import solve_per_frame
 
     problem = _problem(name)
     start = solve_per_frame(problem, model=model, direction="forward").q[0]
@@ -116,7 +117,7 @@ def horizon(*names: str, model: str = "dominant", frames: int = 100, loaded: boo
     names: of the problems. model: name of the kinematic model. frames: number of frames. loaded: whether a force
     acts on the tip.
     """
-    from ctr_nlp.planning import solve_horizon
+    from ctr_nlp.planning.horizon import solve_horizon
 
     problems = [_problem(name, frames) for name in names]
     asked = [_loaded_problem(problem) if loaded else (problem, model) for problem in problems]

@@ -18,9 +18,10 @@ from ctr_nlp.paths.problem import Problem
 from ctr_nlp.plan.measures import arrival
 from ctr_nlp.plan.metrics import summary, verdict_columns
 from ctr_nlp.plan.plan import Plan
-from ctr_nlp.planning import march, solve_horizon
+from ctr_nlp.planning.horizon import solve_horizon
 from ctr_nlp.planning.marching import Progress
 from ctr_nlp.planning.motions import per_frame_motions
+from ctr_nlp.planning.per_frame import march
 from ctr_nlp.robust import solve_robust, solve_robust_per_frame
 from ctr_nlp.solvers import default_chain_solver, default_solver
 from ctr_nlp.studies.variants import PAPER_MODEL, SOLVER_VARIANTS, Variant, parse_solver_variant

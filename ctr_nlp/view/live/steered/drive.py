@@ -14,7 +14,7 @@ from ctr_nlp.models.loaded.model import Loaded
 from ctr_nlp.models.loads import Load
 from ctr_nlp.ocp.settings import Settings
 from ctr_nlp.paths.problem import Problem
-from ctr_nlp.planning import Steerer
+from ctr_nlp.planning.steerer import Steerer
 from ctr_nlp.typing import Array
 
 INTERIM_MODEL = "dominant"

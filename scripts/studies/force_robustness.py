@@ -22,7 +22,7 @@ from ctr_nlp.plan.metrics import summary
 from ctr_nlp.plan.plan import Plan
 from ctr_nlp.plan.robustness import MOST_LOST
 from ctr_nlp.plan.sample_motions import find_failure_frames
-from ctr_nlp.planning import solve_horizon
+from ctr_nlp.planning.horizon import solve_horizon
 from ctr_nlp.robot.samples import sample_robots
 from ctr_nlp.robust import solve_robust
 from ctr_nlp.typing import Flags

@@ -9,8 +9,6 @@ import numpy as np
 import pytest
 
 from ctr_nlp import Curve, Problem, Target, curve_from_formula, growing, solve_per_frame, table_i_robot
-from ctr_nlp.exceptions import OptionError
-from ctr_nlp.studies.replanning import replan_from_frame
 
 
 def arc(radius: float) -> Curve:
@@ -32,12 +30,13 @@ def plan(problem):
     return solve_per_frame(problem, model="dominant", direction="forward")
 
 
-def test_the_rest_is_planned_anew_from_where_the_robot_is(plan, problem):
+def test_later_frames_are_replanned_from_the_last_kept_one(plan, problem):
     other = growing(OTHER, 6)
     changed = replace(
         problem, target=Target((FIRST,) * 3 + (OTHER,) * 3, problem.target.lengths[:3] + other.lengths[3:])
     )
-    found = replan_from_frame(plan, changed, 4)
+    rest = solve_per_frame(changed[3:], start=plan.q[2], model="dominant", direction="forward")
+    found = plan[:3] + rest
     np.testing.assert_array_equal(found.q[:3], plan.q[:3])
     np.testing.assert_array_equal(found.target, [frame.points for frame in changed.target_frames])
     assert found.complete
@@ -45,11 +44,3 @@ def test_the_rest_is_planned_anew_from_where_the_robot_is(plan, problem):
     steps = np.abs(np.diff(found.q, axis=0))
     assert (steps <= plan.robot.speed * plan.dt + 1e-6).all()
     assert found.meta["joined"]["frames"] == [3, 3]
-
-
-@pytest.mark.parametrize("frame", [1, 7, 2.5, "last"])
-def test_frames_that_are_none_are_refused(plan, problem, frame):
-    with pytest.raises(OptionError, match="from_frame is"):
-        replan_from_frame(plan, problem, frame)
-    with pytest.raises(OptionError, match="as many frames"):
-        replan_from_frame(plan, problem[:3], 3)
