@@ -84,7 +84,7 @@ def test_faces_of_a_box_are_unbiased_and_its_edges_are_rounded_to_the_safe_side(
     points = rng.uniform(-6, 6, (40000, 3))
     points = points[abs(box(points)) < 1.0]
     error = (field.evaluate(points)[0] - box(points)) / max(spacing)
-    # A mask cannot tell a sharp edge from a rounded one. So faces are compared two voxels away from the edges, where
+    # A mask cannot tell a sharp edge from a rounded one. So faces are compared two voxels away from edges, where
     # the second largest coordinate is well within the box; at the edges the lumen may only become narrower.
     second = np.sort(abs(points @ TURN) - HALF_SIDES, axis=1)[:, 1]
     faces = abs(error[second < -2 * max(spacing)])
