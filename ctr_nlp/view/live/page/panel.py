@@ -56,7 +56,7 @@ class SteeringRequests(Protocol):
 
 
 class RecordedMotion(NamedTuple):
-    """What there is of the last recording: whether it can be played, and a link to its report in HTML."""
+    """The last recording: whether it can be played, and a link to its report in HTML."""
 
     can_be_played: bool
     report_link: str
@@ -147,7 +147,7 @@ class ControlPanel:
         """Show the numbers of a state, at most every PANEL_UPDATE_PERIOD_S.
 
         seen: state of the session. playing: whether the path is followed. news: sentences. busy: share of the time
-        that steps take. recorded: what there is of the last recording.
+        that steps take. recorded: the last recording.
         """
         if time.monotonic() - self._last < PANEL_UPDATE_PERIOD_S:
             return

@@ -14,7 +14,7 @@ MAX_REMEMBERED_MOVES = 100
 
 
 class SteeringState(NamedTuple):
-    """What a move changes: progress of the goal, displacement of its handles (HANDLES, 3) mm, method, and hand.
+    """State of steering: progress of the goal, displacement of its handles (HANDLES, 3) mm, method, and hand.
 
     hand: configuration (2d + 2,) to which sliders move the robot.
     """
