@@ -166,7 +166,7 @@ FIGURES = "text-align:right;white-space:nowrap;font-variant-numeric:tabular-nums
 def table(rows: list[RatedNumber]) -> str:
     """Return the rated numbers `rows` as an HTML table."""
     lines = [f"<tr><td>{row.name}</td>{_cells(row)}</tr>" for row in rows]
-    return f'<table style="width:100%;font-size:0.85em">{"".join(lines)}</table>'
+    return f'<table style="width:96%;font-size:0.85em">{"".join(lines)}</table>'
 
 
 def _cells(row: RatedNumber) -> str:

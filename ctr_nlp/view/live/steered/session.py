@@ -80,6 +80,22 @@ class PlayedMotion:
     target: Array
     frame: int = 0
 
+    @property
+    def ended(self) -> bool:
+        """Whether the last frame was reached."""
+        return self.frame == len(self.q)
+
+    @property
+    def next_configuration(self) -> Array:
+        """Configuration (2d + 2,) that the robot goes to next; the last one at the end."""
+        return np.asarray(self.q[min(self.frame, len(self.q) - 1)])
+
+    def next_target(self, q: Array) -> Array:
+        """Go to the next frame once a robot at q (2d + 2,) has reached this one; return its target (101, 3) mm."""
+        # Steps as fast as the motors are end at their goal but for rounding.
+        self.frame += bool(np.allclose(q, self.q[self.frame], rtol=0.0, atol=PLAYBACK_TOLERANCE))
+        return np.asarray(self.target[min(self.frame, len(self.q) - 1)])
+
 
 class Session:
     """A robot that is steered step by step. Only one thread may use it."""
@@ -305,17 +321,13 @@ class Session:
 
     def _next_target(self) -> Array:
         """Return the target (101, 3) mm of this step; while a recording is played, take the joints along it."""
-        played = self._played
-        if played is None:
+        if self._played is None:
             return self.goal.points
-        # Steps as fast as the motors are end at their goal but for rounding.
-        if np.allclose(self.q, played.q[played.frame], rtol=0.0, atol=PLAYBACK_TOLERANCE):
-            played.frame += 1
-            if played.frame == len(played.q):
-                self._played = None
-                return np.asarray(played.target[-1])
-        self.hand = played.q[played.frame]
-        return np.asarray(played.target[played.frame])
+        target = self._played.next_target(self.q)
+        self.hand = self._played.next_configuration
+        if self._played.ended:
+            self._played = None
+        return target
 
     def _switch_drive(self, drive: Drive) -> None:
         """Continue on another drive from where the robot stands."""
