@@ -81,7 +81,7 @@ class PlayedMotion:
     frame: int = 0
 
     @property
-    def ended(self) -> bool:
+    def is_finished(self) -> bool:
         """Whether the last frame was reached."""
         return self.frame == len(self.q)
 
@@ -325,7 +325,7 @@ class Session:
             return self.goal.points
         target = self._played.next_target(self.q)
         self.hand = self._played.next_configuration
-        if self._played.ended:
+        if self._played.is_finished:
             self._played = None
         return target
 
