@@ -6,11 +6,13 @@ report-1440.png.
 
 from __future__ import annotations
 
+import io
 import sys
 import tempfile
 from pathlib import Path
 
 from browser import SOFTWARE, launcher, opened
+from PIL import Image
 
 from ctr_nlp import Plan
 from ctr_nlp.view.report import page
@@ -29,7 +31,7 @@ def pictures(plan: Plan, name: str, folder: Path) -> list[Path]:
                 view.set_default_timeout(120_000)
                 view.wait_for_function("scenes.every((scene) => scene)")
                 view.evaluate("() => new Promise((done) => setTimeout(done, 2000))")
-                path.write_bytes(view.screenshot())
+                Image.open(io.BytesIO(view.screenshot())).convert("RGB").save(path, optimize=True)
     return written
 
 
