@@ -17,6 +17,8 @@ from PIL import Image
 from ctr_nlp import Plan
 from ctr_nlp.view.report import page
 
+PICTURE_COLOURS = 256
+"""Colours of a picture: a palette makes its file small."""
 SIZES = ((390, 844), (768, 1024), (1440, 900))
 
 
@@ -31,7 +33,8 @@ def pictures(plan: Plan, name: str, folder: Path) -> list[Path]:
                 view.set_default_timeout(120_000)
                 view.wait_for_function("scenes.every((scene) => scene)")
                 view.evaluate("() => new Promise((done) => setTimeout(done, 2000))")
-                Image.open(io.BytesIO(view.screenshot())).convert("RGB").save(path, optimize=True)
+                shot = Image.open(io.BytesIO(view.screenshot())).convert("RGB")
+                shot.quantize(PICTURE_COLOURS).save(path, optimize=True)
     return written
 
 
