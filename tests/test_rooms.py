@@ -63,7 +63,8 @@ FOREIGN = {
         (
             *("visible", "opacity", "position", "points", "colors", "value", "content", "label"),
             *("batched_positions", "batched_wxyzs", "batched_scales", "batched_colors"),
-            *("up", "fov", "look_at"),
+            *("up", "up_direction", "fov", "look_at"),
+            *("color", "side", "wxyz", "disabled"),
         ),
         "viser's handles are changed by their attributes alone",
     ),

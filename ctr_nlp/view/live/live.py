@@ -25,12 +25,13 @@ from ctr_nlp.planning.nlp_frames import DEFAULT_PLANNER_SETTINGS
 from ctr_nlp.robot import Robot
 from ctr_nlp.support.value_checks import check_choice, check_instance
 from ctr_nlp.view.live.page.messages import status_message, verdict_list
-from ctr_nlp.view.live.page.panel import ControlPanel
+from ctr_nlp.view.live.page.panel import ControlPanel, RecordedMotion
 from ctr_nlp.view.live.page.scene import Scene
 from ctr_nlp.view.live.page.server import HOST, PORT, start_server, stop_server
 from ctr_nlp.view.live.steered.drive import suitable_models
 from ctr_nlp.view.live.steered.recording import Recording
 from ctr_nlp.view.live.steered.session import Session, SessionState
+from ctr_nlp.view.report import page
 
 PROBLEM_ROBOT_LABEL = "the problem's own"
 """Name of the robot that the problem comes with."""
@@ -38,6 +39,9 @@ NOTEBOOK_FRAME_HEIGHT_PX = 640
 """Height of the frame in a notebook."""
 WAIT_POLL_S = 0.05
 """Time between two checks whether waiting has ended."""
+REPORT_PATH = "/report"
+REPORT_LINK = f'<a href="{REPORT_PATH}" target="_blank">Open the report of the recording</a>'
+"""Address of the report of the last recording, and a link to it."""
 TIMED_STEP_COUNT = 60
 """Number of steps over which the share of time that they take is averaged."""
 SNAP_NOTICE_S = 4.0
@@ -80,13 +84,14 @@ class Live:
         self._inbox: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
         self._spent: deque[float] = deque(maxlen=TIMED_STEP_COUNT)
         self._news = ""
+        self._report: str | None = None
         self._snapped = -SNAP_NOTICE_S
         self._course = 0.0
         self._writing = list[threading.Thread]()
         self._ending = threading.Event()
         self._failures = list[Exception]()
         self._session = Session(problem, model, settings, load=load)
-        self._server = start_server(host, port)
+        self._server = start_server(host, port, {REPORT_PATH: lambda: self._report})
         self.url = f"http://{host}:{self._server.get_port()}"
         self._build_page(PROBLEM_ROBOT_LABEL)
         self._thread = threading.Thread(target=self._run, daemon=True)
@@ -142,6 +147,10 @@ class Live:
         """Begin to record, or end it and save the plan."""
         self._inbox.put(self._record)
 
+    def play_recording(self) -> None:
+        """Move the robot as it was recorded last."""
+        self._inbox.put(self._play_recording)
+
     # The loop
 
     def _run(self) -> None:
@@ -187,7 +196,10 @@ class Live:
         # Browsers get the changes of a step together, so that robot and target are of the same moment.
         with self._server.atomic():
             self._scene.show(seen, session.goal.handles, self._panel.colour_quantity)
-            self._panel.show(seen, bool(self._course), status_message(session, snapped, self._news), busy)
+            self._scene.look_from_tip(self._panel.looks_from_tip, seen.shape)
+            news = status_message(session, float(seen.error[-1]), snapped, self._news)
+            recorded = RecordedMotion(self.plan is not None, "" if self._report is None else REPORT_LINK)
+            self._panel.show(seen, bool(self._course), news, busy, recorded)
         self._server.flush()
 
     def _build_page(self, robot: str) -> None:
@@ -219,6 +231,12 @@ class Live:
         self._server.scene.reset()
         self._build_page(name)
 
+    def _play_recording(self) -> None:
+        if self.plan is None:
+            raise OptionError("nothing was recorded yet; press Record, and steer")
+        self._course = 0.0
+        self._session.play_back(self.plan)
+
     def _record(self) -> None:
         if self._session.moment_count is None:
             self._session.record()
@@ -242,3 +260,8 @@ class Live:
             self._news = f"The plan of {len(plan.time)} frames was made. {told}.\n\n{verdict_list(plan)}"
         except CtrError as error:
             self._news = f"{error}."
+            return
+        try:
+            self._report = page([plan], ["recorded live"])
+        except CtrError as error:
+            self._news += f"\n\nThere is no report of the recording: {error}."

@@ -31,7 +31,7 @@ function look(name) {
     scene.getWorld().setupCamera(null, field);
     if (name !== "eye") scene.setCamera(fitted(report.cameras[name], aspectOf(scene)));
   });
-  show(shown);
+  colour();
 }
 
 function aspectOf(scene) {
@@ -60,12 +60,11 @@ function cross(a, b) {
 
 /** A vector turned about an axis by an angle in rad (Rodrigues). */
 function rotated(vector, axis, angle) {
-  const length = Math.hypot(...axis);
-  const unit = axis.map((number) => number / length);
-  const along = unit.reduce((sum, number, i) => sum + number * vector[i], 0);
-  const side = cross(unit, vector);
+  const around = unit(axis);
+  const along = around.reduce((sum, number, i) => sum + number * vector[i], 0);
+  const side = cross(around, vector);
   return vector.map((number, i) =>
-    number * Math.cos(angle) + side[i] * Math.sin(angle) + unit[i] * along * (1 - Math.cos(angle)));
+    number * Math.cos(angle) + side[i] * Math.sin(angle) + around[i] * along * (1 - Math.cos(angle)));
 }
 
 /** Turn all scenes by steps of 10 degrees. */
@@ -75,9 +74,32 @@ function turn(across, up) {
   for (const scene of scenes) if (scene) scene.setCamera(turned(cameraOf(scene), across * step, up * step));
 }
 
+/** Point the letters of a scene's axes where these lie on the screen. */
+function pointCompass(k) {
+  const compass = views[k].querySelector(".compass");
+  const numbers = cameraOf(scenes[k]);
+  const away = [0, 1, 2].map((i) => numbers[i] - numbers[i + 3]);
+  const right = unit(cross(numbers.slice(6), away));
+  const up = unit(cross(away, right));
+  compass.removeAttribute("hidden");
+  compass.innerHTML = report.plans[k].coordinates.axes.map(({ letters, direction }) => {
+    const [x, y] = [right, up].map((side, i) => (i ? -1 : 1) * side.reduce((sum, part, j) => sum + part * direction[j], 0));
+    const line = `<path d="M${-30 * x} ${-30 * y}L${30 * x} ${30 * y}"/>`;
+    // An axis that points at the viewer has no room for its letters.
+    if (Math.hypot(x, y) < 0.3) return line;
+    const [first, second] = [1, -1].map((end) => `x="${40 * end * x}" y="${40 * end * y}"`);
+    return `${line}<text ${first}>${letters[0]}</text><text ${second}>${letters[1]}</text>`;
+  }).join("");
+}
+
+function unit(vector) {
+  const length = Math.hypot(...vector);
+  return vector.map((number) => number / length);
+}
+
 /** How long 90 pixels are at the point looked at, as the nearest round number of mm. */
 function tellLength(k) {
-  const [scene, bar] = [scenes[k], sections[k].querySelector(".length")];
+  const [scene, bar] = [scenes[k], views[k].querySelector(".length")];
   const numbers = cameraOf(scene);
   const far = Math.hypot(...[0, 1, 2].map((i) => numbers[i] - numbers[i + 3]));
   const height = scene.getWorld().targetDOMNode.offsetHeight;

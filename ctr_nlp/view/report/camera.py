@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 from scipy.spatial.transform import Rotation
 
@@ -12,6 +14,8 @@ OUTSIDE_FIELD_OF_VIEW_DEG, EYE_FIELD_OF_VIEW_DEG = 30.0, 80.0
 """Vertical fields of view: from outside, and from the tip, as an endoscope's."""
 EYE_DISTANCE_AHEAD_MM = 1.0
 """Distance of the eye ahead of the tip, mm, so that it looks past the tip's own rim."""
+CAMERA_MARGIN = 1.04
+"""Distance of a camera over the one from which a scene just fits its window."""
 MIN_TIP_DIRECTION_SINE = 1e-9
 """Sine of the angle between tip and z axis below which the axis of rotation is not defined."""
 
@@ -33,10 +37,15 @@ def cameras(low: Array, high: Array) -> dict[str, list[float]]:
 def _from(away: Array, up: list[float], low: Array, high: Array) -> list[float]:
     """Return the camera that looks at a box of corners low, high (3,), mm, from the direction `away` (3,)."""
     middle = (low + high) / 2
-    # A sphere around the box has half the diagonal as radius; 0.6 instead of 0.5 leaves a margin, also for what
-    # perspective enlarges.
-    far = 0.6 * np.linalg.norm(high - low) / np.tan(np.radians(OUTSIDE_FIELD_OF_VIEW_DEG / 2))
-    return [*(middle + far * away / np.linalg.norm(away)).tolist(), *middle.tolist(), *up]
+    ahead = -away / np.linalg.norm(away)
+    right = np.cross(ahead, up) / np.linalg.norm(np.cross(ahead, up))
+    corners = np.array(list(itertools.product(*zip(low, high, strict=True)))) - middle
+    # A corner is seen at the edge of the window where its distance from the line of sight is the tangent of half
+    # the field of view times its depth before the camera.
+    aside = np.abs(np.stack([corners @ right, corners @ np.cross(right, ahead)])).max(axis=0)
+    tangent = np.tan(np.radians(OUTSIDE_FIELD_OF_VIEW_DEG / 2))
+    far = CAMERA_MARGIN * float((aside / tangent - corners @ ahead).max())
+    return [*(middle - far * ahead).tolist(), *middle.tolist(), *up]
 
 
 def eyes(plan: Plan) -> list[list[float] | None]:
@@ -53,11 +62,11 @@ def eyes(plan: Plan) -> list[list[float] | None]:
 def _eye(tip: Array, along: Array) -> list[float]:
     """Return the camera at a tip (3,), mm, that looks along a unit vector (3,)."""
     place = tip + EYE_DISTANCE_AHEAD_MM * along
-    numbers: list[float] = np.round([*place, *(place + 10 * along), *_upward(along)], 4).tolist()
+    numbers: list[float] = np.round([*place, *(place + 10 * along), *upward_at_tip(along)], 4).tolist()
     return numbers
 
 
-def _upward(along: Array) -> Array:
+def upward_at_tip(along: Array) -> Array:
     """Return the y axis turned by the smallest rotation that turns z into a unit vector `along` (3,)."""
     axis = np.cross([0.0, 0.0, 1.0], along)
     sine = np.linalg.norm(axis)

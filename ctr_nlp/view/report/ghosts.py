@@ -12,12 +12,13 @@ from ctr_nlp.plan.sample_motions import simulate_samples
 from ctr_nlp.robot.samples import perturb_robot
 from ctr_nlp.typing import Array
 from ctr_nlp.view.figures.parts.palette import SKY, VERMILLION
+from ctr_nlp.view.report.legible import darken_for_white
 
 MAX_REPORT_GHOSTS, REPORT_GHOST_SAMPLE_STRIDE = 20, 5
 """Number of simulated robots that are shown, and stride of the 101 samples of their shapes: some 0.3 MB of
 a page.
 """
-REPORT_GHOST_COLOUR, REPORT_FAILED_GHOST_COLOUR = SKY, VERMILLION
+REPORT_GHOST_COLOUR, REPORT_FAILED_GHOST_COLOUR = darken_for_white(SKY), VERMILLION
 """Colours of simulated robots, and of failed ones from the frame on in which they fail."""
 REPORT_GHOST_LINE_WIDTH_MM = 0.35
 """Width of their lines."""

@@ -15,7 +15,10 @@ function showPlan(plan, k, frame, exact) {
     if (eye) scene.setCamera(eye);
   }
   plan.plots.forEach((plot, p) => mark(plots[k][p], plot, plan.time[frame], frame));
-  sections[k].querySelector(".readout").textContent = readout(plan, frame);
+  told[k].querySelector(".readout").textContent = readout(plan, frame);
+  told[k].querySelector(".places").textContent = places(plan, frame);
+  arrivals[k].textContent = arrivalText(plan, frame);
+  arrivals[k].classList.toggle("near", (plan.toGo.distance[frame] ?? Infinity) <= plan.toGo.allowed);
 }
 
 /** Move a plot's cursor to a frame, and tell its values there. */
@@ -27,14 +30,36 @@ function mark(place, plot, time, frame) {
   });
 }
 
+/** How far the tip is from the target's end in a frame. */
+function arrivalText(plan, j) {
+  const [distance, angle] = [plan.toGo.distance[j], plan.toGo.angle[j]];
+  if (distance === null) return "tip not known";
+  return `tip ${distance.toFixed(1)} mm, ${angle.toFixed(0)}° to go`;
+}
+
+/** Where tip and deepest contact are in a frame, in the coordinates of the scan. */
+function places(plan, j) {
+  const { name, tip, nearest, depth } = plan.coordinates;
+  if (!tip[j]) return "";
+  const found = [`Tip at ${point(tip[j])} mm in ${name}`];
+  if (!nearest[j]) found.push("contact: NOT CHECKED, no wall is known");
+  else if (depth[j] > 0) found.push(`deepest contact ${depth[j].toFixed(2)} mm at ${point(nearest[j])}`);
+  else found.push(`no contact, ${(-depth[j]).toFixed(2)} mm clear at ${point(nearest[j])}`);
+  return `${found.join("; ")}.`;
+}
+
+function point(numbers) {
+  return `(${numbers.map((number) => number.toFixed(1).replace("-", "−")).join(", ")})`;
+}
+
 /** The numbers of a frame in words. */
 function readout(plan, j) {
-  const told = [`frame ${j + 1} of ${plan.time.length}`, `${plan.time[j].toFixed(2)} s`];
-  if (!plan.reached[j]) return [...told, "not reached"].join(", ");
+  const found = [`frame ${j + 1} of ${plan.time.length}`, `${plan.time[j].toFixed(2)} s`];
+  if (!plan.reached[j]) return [...found, "not reached"].join(", ");
   for (const [name, { unit, values }] of Object.entries(plan.readout)) {
-    if (values[j] !== null) told.push(`${name} ${values[j].toPrecision(3)} ${unit}`.trim());
+    if (values[j] !== null) found.push(`${name} ${values[j].toPrecision(3)} ${unit}`.trim());
   }
-  return [...told, ...(plan.solved[j] ? [] : ["not solved"])].join(", ");
+  return [...found, ...(plan.solved[j] ? [] : ["not solved"])].join(", ");
 }
 
 /** A pointer on a plot goes to the moment that it points at, and takes it along while it is held down. */
@@ -51,7 +76,13 @@ function listen(plan, place, plot) {
   axes.addEventListener("pointermove", (event) => axes.hasPointerCapture(event.pointerId) && go(event));
 }
 
-const plots = sections.map((section) => [...section.querySelectorAll(".plot")]);
+const plots = [...document.querySelectorAll(".plots")].map((place) => [...place.querySelectorAll(".plot")]);
+const told = [...document.querySelectorAll(".told")];
+const arrivals = [...document.querySelectorAll(".arrival")];
+views.forEach((place, k) => {
+  const words = report.plans[k].coordinates.axes.map((axis) => `${axis.letters[0]} is ${axis.word}`);
+  place.querySelector(".compass").setAttribute("aria-label", `Directions in ${report.plans[k].coordinates.name}: ${words.join(", ")}`);
+});
 report.plans.forEach((plan, k) => plan.plots.forEach((plot, p) => listen(plan, plots[k][p], plot)));
 slider.addEventListener("input", () => seek(slider.value / slider.max));
 button.addEventListener("click", toggle);
@@ -64,8 +95,12 @@ for (const control of [colouring, glass, ...document.querySelectorAll("[data-par
 for (const choice of document.querySelectorAll("[data-camera]")) {
   choice.addEventListener("click", () => look(choice.dataset.camera));
 }
-addEventListener("beforeprint", picture);
-document.getElementById("looks").open = matchMedia("(min-width: 700px)").matches;
+document.getElementById("print").addEventListener("click", printPage);
+addEventListener("beforeprint", drawShown);
+const room = matchMedia("(min-width: 700px)");
+const openLooks = () => (document.getElementById("looks").open = room.matches);
+room.addEventListener("change", openLooks);
+openLooks();
 stop();
 show(shown);
 const graphics = document.createElement("canvas").getContext("webgl2") !== null;

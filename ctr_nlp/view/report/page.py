@@ -14,7 +14,7 @@ from ctr_nlp.exceptions import OptionError, escape_control_characters
 from ctr_nlp.plan import sample_text, summary_text
 from ctr_nlp.plan.metrics import by_frame, summary
 from ctr_nlp.plan.plan import Plan
-from ctr_nlp.plan.verdicts import NO, NOT_CHECKED, YES
+from ctr_nlp.plan.verdicts import NO, NOT_CHECKED, ROBUSTNESS_VERDICT_NAME, YES, Verdict
 from ctr_nlp.support.extras import import_extra
 from ctr_nlp.typing import Array
 from ctr_nlp.view.figures.parts.palette import tube_colour
@@ -25,10 +25,13 @@ from ctr_nlp.view.report.ghosts import (
     REPORT_GHOST_COLOUR,
     SAMPLED_ROBOTS_PART,
 )
+from ctr_nlp.view.report.places import arrival_tolerance, coordinates, printed_frames, way_to_go
 from ctr_nlp.view.report.plots import EXTENT, Plot, plots
 from ctr_nlp.view.report.scene import (
     SCENE_DATA_PLACEHOLDER,
     SCENE_ROBOT_PART,
+    SCENE_TARGET_END_COLOUR,
+    SCENE_TARGET_END_PART,
     SCENE_TARGET_PART,
     SCENE_WALL_PART,
     TUBE_COLOURING,
@@ -46,6 +49,10 @@ PAGE_SCRIPT_FILES = ("scenes.js", "camera.js", "player.js", "page.js")
 """Parts of the page's script, each after those that it needs."""
 VERDICT_SIGNS = {YES: "\N{CHECK MARK}", NO: "\N{BALLOT X}", NOT_CHECKED: "?"}
 """Signs beside the word of a verdict: not everyone can tell the colours."""
+ENDOSCOPE_WALL_COLOUR, ENDOSCOPE_DARK_DISTANCE_MM = 0xE79A8C, 60.0
+"""Colour of the wall as the tip sees it, and the distance from the tip at which its light no longer reaches."""
+ENDOSCOPE_LIGHT_INTENSITY, ENDOSCOPE_GLOW_INTENSITY = 2.5, 2.0
+"""Intensities of the tip's light on walls ahead, and on all walls; with pi, a wall has its own colour."""
 PAGE_PLAYBACK_SPEEDS = ("0.25", "0.5", "1", "2", "4")
 """Playback speeds, as multiples of the plan's own."""
 
@@ -76,6 +83,13 @@ def page(
         "placeholder": SCENE_DATA_PLACEHOLDER,
         "cameras": cameras(low, high),
         "fields": {"outside": OUTSIDE_FIELD_OF_VIEW_DEG, "eye": EYE_FIELD_OF_VIEW_DEG},
+        "endoscope": {
+            "wall": ENDOSCOPE_WALL_COLOUR,
+            "dark": ENDOSCOPE_DARK_DISTANCE_MM,
+            "light": ENDOSCOPE_LIGHT_INTENSITY,
+            "glow": ENDOSCOPE_GLOW_INTENSITY,
+            "part": SCENE_WALL_PART,
+        },
         "plans": [
             _animation_data(plan, scene(plan, coloured, low, high), [plot for plot in some.values() if plot])
             for plan, some in zip(plans, plotted, strict=True)
@@ -85,6 +99,7 @@ def page(
         SCENE_ROBOT_PART,
         *([SCENE_WALL_PART] if any(plan.wall is not None for plan in plans) else []),
         SCENE_TARGET_PART,
+        SCENE_TARGET_END_PART,
     ]
     drawn = any(plan.drawn for plan in plans)
     return _render_page(
@@ -99,6 +114,11 @@ def page(
         if drawn
         else None,
         by_tube=TUBE_COLOURING,
+        target_end={
+            "part": SCENE_TARGET_END_PART,
+            "colour": SCENE_TARGET_END_COLOUR,
+            "radius": " or ".join(dict.fromkeys(f"{arrival_tolerance(plan):g}" for plan in plans)),
+        },
     )
 
 
@@ -135,6 +155,8 @@ def _plan_texts(plan: Plan, name: str) -> dict[str, Any]:
         "name": name,
         "lead": summary_text.summarise_verdicts(found),
         "verdicts": summary_text.verdict_rows(found),
+        "chips": [_chip(verdict) for verdict in plan.verdicts],
+        "sample_contact": _sample_contact(plan),
         "rows": [
             (row, summary_text.format_cell(value), unit) for row, value, unit in summary_text.measure_rows(found)
         ],
@@ -142,6 +164,30 @@ def _plan_texts(plan: Plan, name: str) -> dict[str, Any]:
         "drawn": _simulated_robot_texts(plan),
         "summary": json.dumps(found, indent=2, allow_nan=False, ensure_ascii=False).split("\n"),
     }
+
+
+def _chip(verdict: Verdict) -> dict[str, str]:
+    """Return a verdict as a chip of the page: matter, word, the number that decides with its unit, and why."""
+    number = "" if verdict.number is None else " ".join([f"{verdict.number:.3g}", *verdict.unit.split()[:1]])
+    if verdict.matter == ROBUSTNESS_VERDICT_NAME and verdict.number is not None:
+        number = f"{100 * verdict.number:.0f} %"
+    return {"matter": verdict.matter, "word": verdict.word, "number": number, "why": verdict.why}
+
+
+def _sample_contact(plan: Plan) -> str:
+    """Say how deep simulated robots press into the wall, and what is not known of it; empty without any."""
+    if plan.drawn is None or plan.wall is None:
+        return ""
+    least = plan.drawn.clearances
+    if least is None:
+        return f"Contact of sampled robots: {NOT_CHECKED}."
+    known = f"{_clear_or_deep(least.median)} in the median, {_clear_or_deep(least.most)} or worse in 5 % of them"
+    return f"Sampled robots over the whole motion: {known}. Their contact frame by frame is not kept in a plan."
+
+
+def _clear_or_deep(clearance: float) -> str:
+    """Return a clearance in mm in words: contact where it is negative."""
+    return f"{-clearance:.2f} mm of contact" if clearance < 0 else f"{clearance:.2f} mm clear"
 
 
 def _checker_rows(opinions: Sequence[Opinion]) -> list[dict[str, Any]]:
@@ -208,12 +254,20 @@ def _simulated_robot_texts(plan: Plan) -> dict[str, Any] | None:
 def _animation_data(plan: Plan, packed: str, shown: Sequence[Plot]) -> dict[str, Any]:
     """Return the data for the script to show a plan's frames; `packed` is its scene, `shown` are its plots."""
     columns = by_frame(plan)
+    to_go = way_to_go(plan)
     return {
         "scene": packed,
         "time": plan.time.tolist(),
         "reached": plan.reached_frames.tolist(),
         "solved": plan.success.tolist(),
         "eyes": eyes(plan),
+        "toGo": {
+            "distance": _round_values(to_go.distance),
+            "angle": _round_values(to_go.angle_deg),
+            "allowed": arrival_tolerance(plan),
+        },
+        "coordinates": coordinates(plan),
+        "prints": [each._asdict() for each in printed_frames(plan, columns["e2"])],
         "colourings": [TUBE_COLOURING, *quantities(plan)],
         "plots": [{"end": plot.end, "lines": [_round_values(values) for values in plot.values]} for plot in shown],
         "readout": {

@@ -76,6 +76,11 @@ const TURNS = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, 1], ArrowDo
 
 /** Keys play, go to frames and, with shift, turn the view, except where the focused control needs them itself. */
 function onKey(event) {
+  if ((event.ctrlKey || event.metaKey) && event.key === "p") {
+    event.preventDefault();
+    return void printPage();
+  }
+  if (event.key === "Escape") document.activeElement.blur();
   if (event.ctrlKey || event.metaKey || event.altKey) return;
   if (event.target.closest?.(NATIVE[event.key === " " ? "space" : "arrows"])) return;
   const turning = event.shiftKey && TURNS[event.key];

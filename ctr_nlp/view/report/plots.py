@@ -16,7 +16,10 @@ from ctr_nlp.plan.robustness import Robustness
 from ctr_nlp.support.flag_runs import find_flag_runs
 from ctr_nlp.typing import Array, Index
 from ctr_nlp.view.figures.parts.palette import BLACK, BLUE, ORANGE, SKY, TILT_COLOURS, VERMILLION, tube_colour
+from ctr_nlp.view.report.legible import darken_for_white
+from ctr_nlp.view.report.places import arrival_tolerance, way_to_go
 
+TIP_PANEL_NAME, ANGLE_PANEL_NAME = "tip to the target's end (mm)", "tip to the target's end (degrees)"
 ERROR_PANEL_NAME, SAMPLE_ERROR_PANEL_NAME, CLEARANCE_PANEL_NAME, STABILITY_PANEL_NAME = (
     "error (mm)",
     "e2 of sampled robots (mm)",
@@ -26,6 +29,8 @@ ERROR_PANEL_NAME, SAMPLE_ERROR_PANEL_NAME, CLEARANCE_PANEL_NAME, STABILITY_PANEL
 CONFIGURATION_PANEL_NAMES = ("α (rad)", "β (mm)", "θ (rad)")
 SPEED_PANEL_NAMES = ("dα/dt (rad/s)", "dβ/dt (mm/s)", "dθ/dt (rad/s)")
 PANEL_NAME_ORDER = (
+    TIP_PANEL_NAME,
+    ANGLE_PANEL_NAME,
     ERROR_PANEL_NAME,
     SAMPLE_ERROR_PANEL_NAME,
     CLEARANCE_PANEL_NAME,
@@ -78,6 +83,10 @@ class PlotPanel:
 def panels(plan: Plan) -> Iterator[PlotPanel]:
     """Yield the panels of a plan's plots, from top to bottom."""
     columns = by_frame(plan)
+    to_go = way_to_go(plan)
+    limits = (arrival_tolerance(plan),)
+    yield PlotPanel(TIP_PANEL_NAME, (PlotLine("distance", to_go.distance, BLUE),), (0.0,), limits=limits)
+    yield PlotPanel(ANGLE_PANEL_NAME, (PlotLine("angle", to_go.angle_deg, BLUE),), (0.0,))
     errors = (
         PlotLine("RMSE e2", columns["e2"], BLUE),
         PlotLine("maximum of e1", columns["max"], VERMILLION, DASHES[1]),
@@ -86,7 +95,7 @@ def panels(plan: Plan) -> Iterator[PlotPanel]:
     if plan.drawn is not None:
         yield _sample_error_panel(plan, plan.drawn, columns)
     if "clearance" in columns:
-        yield PlotPanel(CLEARANCE_PANEL_NAME, (PlotLine("least clearance", columns["clearance"], BLUE),), (0.0,))
+        yield _clearance_panel(plan, columns["clearance"])
     if "stability" in columns:
         margins = (
             PlotLine("at the frame", columns["stability"], BLUE),
@@ -97,6 +106,17 @@ def panels(plan: Plan) -> Iterator[PlotPanel]:
     yield from _motion(plan, plan.q, CONFIGURATION_PANEL_NAMES, (robot.lower, robot.upper))
     speed = np.diff(plan.q, axis=0, prepend=np.nan) / plan.dt
     yield from _motion(plan, speed, SPEED_PANEL_NAMES, (-robot.speed, robot.speed))
+
+
+def _clearance_panel(plan: Plan, clearance: Array) -> PlotPanel:
+    """Plot the least clearance (T,) of a plan, mm, and beside it what is known of its simulated robots."""
+    lines = [PlotLine("least clearance", clearance, BLUE)]
+    samples = None if plan.drawn is None else plan.drawn.clearances
+    if samples is not None:
+        # A plan keeps the least clearance of a simulated robot over its whole motion only, hence a level line.
+        level = np.full(len(plan.time), samples.most)
+        lines.append(PlotLine("95 % of samples, whole motion", level, VERMILLION, DASHES[1]))
+    return PlotPanel(CLEARANCE_PANEL_NAME, tuple(lines), (0.0,))
 
 
 def _sample_error_panel(plan: Plan, found: Robustness, columns: Mapping[str, Array]) -> PlotPanel:
@@ -205,7 +225,10 @@ def _plot(plan: Plan, panel: PlotPanel, low: float, high: float) -> Plot:
     both = np.array([0.0, end])
     limits = [path(both, np.full(2, limit)) for limit in panel.limits if low < limit < high]
     marks += [Mark("limit", "".join(limits), LIMIT, "limit", DASHES[3])] if limits else []
-    lines = [Mark(line.name, path(plan.time, line.y), line.colour, dash=line.dash) for line in panel.lines]
+    lines = [
+        Mark(line.name, path(plan.time, line.y), darken_for_white(line.colour), dash=line.dash)
+        for line in panel.lines
+    ]
     marks += lines
     if panel.marks is not None:
         name, at = panel.marks

@@ -28,6 +28,7 @@ from ctr_nlp.view.figures.parts.palette import BLACK, CONTACT, ERROR_COLOUR_MAP,
 from ctr_nlp.view.figures.parts.space import points_of_all
 from ctr_nlp.view.report.camera import OUTSIDE_FIELD_OF_VIEW_DEG, cameras
 from ctr_nlp.view.report.ghosts import ghosts
+from ctr_nlp.view.report.places import arrival_tolerance
 
 SHADES = np.linspace(0.0, 1.0, 17)
 SCALE_FRACTION_BELOW_ZERO = 1 / 8
@@ -105,6 +106,10 @@ SCENE_WALL_COLOUR, SCENE_WALL_OPACITY = 0x8A8A8A, 0.2
 SCENE_HOLDER_COLOUR, SCENE_AXIS_COLOUR = 0x777777, 0x888888
 SCENE_ROBOT_PART, SCENE_WALL_PART, SCENE_TARGET_PART = "robot", "wall", "target"
 """Parts of a scene that are switched on and off, in the custom_data of its objects."""
+SCENE_TARGET_END_PART, SCENE_TARGET_END_COLOUR = "target's end", "#6A00A8"
+"""The marker at the target's end: its part, and a violet that stands out from tubes, white and a pink wall."""
+TARGET_END_LINE_MM, TARGET_END_OPACITY = 0.3, 0.25
+"""Width of the cross at the target's end, mm, and opacity of the sphere around it."""
 SCENE_DATA_PLACEHOLDER = "@DATA@"
 """Stands in k3d's page for the data."""
 READY = (
@@ -188,7 +193,30 @@ def _environment_objects(k3d: Any, plan: Plan) -> list[Any]:
         line(axis, color=SCENE_AXIS_COLOUR, width=AXIS_RADIUS, name="insertion axis"),
         line(_over_time(holder), color=SCENE_HOLDER_COLOUR, width=1.5 * radius, **held),
     ]
-    return found + _wall_objects(k3d, plan)
+    return found + _target_end_objects(k3d, plan) + _wall_objects(k3d, plan)
+
+
+def _target_end_objects(k3d: Any, plan: Plan) -> list[Any]:
+    """Return the marker at the target's last end: a sphere in which the tip has arrived, and a cross in it."""
+    radius = arrival_tolerance(plan)
+    end = plan.target[-1, -1]
+    look = {"color": _pack_colour(SCENE_TARGET_END_COLOUR), "custom_data": {"part": SCENE_TARGET_END_PART}}
+    arms = np.concatenate([end + radius * np.eye(3), end - radius * np.eye(3)]).astype(np.float32)
+    pairs = np.array([[0, 3], [1, 4], [2, 5]], dtype=np.uint32)
+    return [
+        k3d.points(
+            end[None].astype(np.float32),
+            point_size=2 * radius,
+            shader="mesh",
+            mesh_detail=3,
+            opacity=TARGET_END_OPACITY,
+            name=SCENE_TARGET_END_PART,
+            **look,
+        ),
+        k3d.lines(
+            arms, pairs, indices_type="segment", width=TARGET_END_LINE_MM, shader="mesh", name="cross", **look
+        ),
+    ]
 
 
 def _wall_objects(k3d: Any, plan: Plan) -> list[Any]:
@@ -251,6 +279,7 @@ def _over_time(frames: Any) -> dict[str, npt.NDArray[np.float32]]:
 def box(plans: Sequence[Plan]) -> tuple[Array, Array]:
     """Return the corners (3,), mm, of a box around everything that `plans` ever show."""
     seen = [points_of_all([plan.target, plan.shape], plan.lumen_wall) for plan in plans]
+    seen += [wall.vertices for plan in plans for wall in plan.drawn_walls if not wall.keep_out]
     points = np.concatenate([[[0.0, 0.0, -HOLDER_LENGTH_MM], [0.0, 0.0, HOLDER_LENGTH_MM]], *seen])
     return np.nanmin(points, axis=0), np.nanmax(points, axis=0)
 

@@ -9,6 +9,7 @@ import subprocess
 import sys
 import threading
 import time
+import urllib.error
 import urllib.request
 
 import numpy as np
@@ -100,7 +101,7 @@ def test_a_tip_is_dragged_in_the_browser_and_the_motion_recorded(live):
         page.get_by_text("shape error e2").wait_for()
         for close in page.locator(".mantine-Notification-closeButton").all():  # software rendering is told of
             close.click()
-        page.get_by_role("button", name="Record").click()
+        page.get_by_role("button", name="Record", exact=True).click()
         box = page.locator("canvas").first.bounding_box()
         x, y = pixel(live._server.initial_camera, box, before)
         page.mouse.move(x, y)
@@ -115,6 +116,12 @@ def test_a_tip_is_dragged_in_the_browser_and_the_motion_recorded(live):
         page.get_by_role("button", name=re.compile("Stop, and keep")).click()
         page.get_by_text(re.compile("The plan of .* frames was made")).wait_for()
         browser.close()
+    until(lambda: live._report)
+    with urllib.request.urlopen(f"{live.url}/report", timeout=PATIENCE) as answer:
+        assert answer.headers.get_content_type() == "text/html"
+        assert "recorded live" in answer.read().decode()
+    live.play_recording()
+    until(lambda: asked(live, lambda session: session.is_playing_back))
     assert isinstance(live.plan, Plan)
     assert np.linalg.norm(live.plan.target[-1, -1] - before) > 5.0
     assert fetched
@@ -132,6 +139,13 @@ def test_another_robot_begins_anew_and_what_cannot_be_done_is_told(live):
     until(lambda: asked(live, lambda session: session.problem.robot) == table_i_robot())
     assert asked(live, lambda session: session.goal.progress) == 0.0
     assert "progress is 2" in live._news
+
+
+def test_before_a_recording_there_is_neither_report_nor_playback(live):
+    with pytest.raises(urllib.error.HTTPError, match="404"):
+        urllib.request.urlopen(f"{live.url}/report", timeout=PATIENCE)
+    live.play_recording()
+    until(lambda: "nothing was recorded yet" in live._news)
 
 
 def test_a_page_within_a_notebook_is_that_of_the_server(live):

@@ -20,7 +20,9 @@ from ctr_nlp.ocp.terms import ShapeDistance
 from ctr_nlp.paths.target import QUADRATURE, SIGMA_GRID
 from ctr_nlp.robot.tolerances import Tolerances
 from ctr_nlp.view.live import Session
+from ctr_nlp.view.live.page.colours import rate_numbers
 from ctr_nlp.view.live.page.messages import status_message
+from ctr_nlp.view.live.page.panel import PathScale
 from ctr_nlp.view.live.steered.free import free_problem
 from ctr_nlp.view.live.steered.goal import HANDLES, Goal
 from ctr_nlp.view.live.steered.joints import slide_joint, slider_ranges, step_towards
@@ -190,6 +192,53 @@ def test_nothing_recorded_is_no_plan(session):
             session.plan()
 
 
+def test_a_recording_is_played_back_as_it_was_steered(session):
+    settled(session, 0.2)
+    session.record()
+    session.advance(0.4)
+    recorded = [one.q for one in steps(session, 20)]
+    plan = session.plan()
+    settled(session, 0.0)
+    session.play_back(plan)
+    assert session.is_playing_back
+    seen = steps(session, STEPS)
+    assert not session.is_playing_back
+    first = next(k for k, one in enumerate(seen) if np.allclose(one.q, recorded[0], atol=1e-9))
+    np.testing.assert_allclose([one.q for one in seen[first : first + len(recorded)]], recorded, atol=1e-8)
+    np.testing.assert_array_equal(seen[first + 1].target, plan.target[1])
+
+
+def test_a_hand_on_a_slider_ends_the_playback(session):
+    session.record()
+    steps(session, 2)
+    session.play_back(session.plan())
+    session.slide(0, 1.0)
+    assert not session.is_playing_back
+    other = Session(replace(session.problem, robot=GAP), model="dominant")
+    session.record()
+    steps(session, 1)
+    with pytest.raises(OptionError, match="of another robot"):
+        other.play_back(session.plan())
+
+
+def test_moves_are_undone_one_by_one(session):
+    session.advance(0.5)
+    start = session.goal.handles.copy()
+    for part in (0.5, 1.0):  # one drag is many changes
+        session.pull(1, start[1] + [4.0 * part, 0.0, 0.0])
+    session.slide(0, 1.0)
+    assert session.method == HAND_METHOD
+    session.undo()
+    assert session.method == SHAPE_METHOD
+    np.testing.assert_allclose(session.goal.handles[1], start[1] + [4.0, 0.0, 0.0])
+    session.undo()
+    np.testing.assert_allclose(session.goal.handles, start)
+    session.undo()
+    assert session.goal.progress == 0.0
+    with pytest.raises(OptionError, match="no move to undo"):
+        session.undo()
+
+
 # Draws
 
 
@@ -223,7 +272,7 @@ def test_the_simplest_model_steers_until_another_one_is_compiled(monkeypatch):
     seen = settled(session, 0.2)
     assert (session.model, session.requested_model) == ("dominant", "elastic")
     assert seen.e2 < 3.0
-    words = status_message(session, False, "")
+    words = status_message(session, 0.0, False, "")
     assert "Compiling the code for the elastic model within the wall in the background" in words
     assert "steering uses the dominant model" in words
 
@@ -244,7 +293,7 @@ def test_a_robot_that_bears_a_load_is_seen_and_steered_under_it():
         session.step()
         time.sleep(0.1)
     assert session.active_load == load
-    assert "The load on the robot is a tip force of (0, 0.1, 0) N." in status_message(session, False, "")
+    assert "The load on the robot is a tip force of (0, 0.1, 0) N." in status_message(session, 0.0, False, "")
     session.record()
     seen = settled(session, 0.5)
     np.testing.assert_array_equal(seen.force, load.force)
@@ -290,6 +339,40 @@ def test_a_robot_file_alone_is_a_problem():
 def test_what_cannot_be_asked_is_refused(session, act, match):
     with pytest.raises(OptionError, match=match):
         act(session)
+
+
+# Words and scales
+
+
+def test_a_tip_that_misses_its_goal_is_warned_of(session):
+    allowed = session.settings.arrival_tolerance
+    assert "misses its goal" not in status_message(session, allowed, False, "")
+    assert f"misses its goal by {allowed + 1:.1f} mm" in status_message(session, allowed + 1, False, "")
+    seen = settled(session)
+    rows = {row.name: row for row in rate_numbers(seen, session.problem, session.settings)}
+    assert rows["tip error"].word == "at its goal"
+    assert rows["tip, base frame"].number == ", ".join(f"{x:.1f}" for x in seen.shape[-1].round(1) + 0.0) + " mm"
+
+
+def test_coordinates_are_those_of_the_scan_where_it_is_known(session):
+    to_robot = np.eye(4)
+    to_robot[:3, 3] = [10.0, 20.0, 30.0]
+    problem = replace(session.problem, to_robot=to_robot, space="RAS")
+    seen = session.step()
+    rows = {row.name: row.number for row in rate_numbers(seen, problem, session.settings)}
+    numbers = [float(x) for x in rows["goal, RAS"].removesuffix(" mm").split(", ")]
+    np.testing.assert_allclose(numbers, seen.target[-1] - to_robot[:3, 3], atol=0.051)
+
+
+def test_the_slider_along_the_path_is_in_mm(session):
+    target = session.problem.target
+    scale = PathScale.of_target(target, session.problem.duration)
+    assert scale.name == "along the path, mm"
+    assert scale.to_value(0.0) == pytest.approx(target.lengths[0])
+    assert scale.to_value(1.0) == pytest.approx(target.lengths[-1])
+    assert scale.to_progress(scale.to_value(0.37)) == pytest.approx(0.37)
+    still = PathScale.of_target(replace(target, lengths=target.lengths[:1] * len(target.lengths)), 5.0)
+    assert (still.name, still.to_value(0.5)) == ("time along the motion, s", 2.5)
 
 
 # What sessions ask of a Steerer

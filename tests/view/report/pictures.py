@@ -6,24 +6,24 @@ report-1440.png.
 
 from __future__ import annotations
 
+import io
 import sys
 import tempfile
 from pathlib import Path
 
 from browser import SOFTWARE, launcher, opened
+from PIL import Image
 
 from ctr_nlp import Plan
 from ctr_nlp.view.report import page
 
+PICTURE_COLOURS = 256
+"""Colours of a picture: a palette makes its file small."""
 SIZES = ((390, 844), (768, 1024), (1440, 900))
-MOMENT = 0.9
-"""Of the motion, as a part of it."""
-ABOVE = 250
-"""Pixels above the remarks in narrow pictures, so that they show verdicts and the robot."""
 
 
 def pictures(plan: Plan, name: str, folder: Path) -> list[Path]:
-    """Write a picture of the page at each width, as it is seen at MOMENT; the paths of the files."""
+    """Write a picture of the page at each width, as it opens; the paths of the files."""
     written = [folder / f"report-{width}.png" for width, _ in SIZES]
     with tempfile.TemporaryDirectory() as place, launcher() as launch:
         file, browser = Path(place) / "report.html", launch(SOFTWARE)
@@ -32,11 +32,9 @@ def pictures(plan: Plan, name: str, folder: Path) -> list[Path]:
             with opened(browser, file, width, height) as view:
                 view.set_default_timeout(120_000)
                 view.wait_for_function("scenes.every((scene) => scene)")
-                view.evaluate(f"seek({MOMENT})")
-                if width < SIZES[-1][0]:
-                    view.evaluate(f"document.querySelector('.remarks').scrollIntoView(); scrollBy(0, -{ABOVE})")
                 view.evaluate("() => new Promise((done) => setTimeout(done, 2000))")
-                path.write_bytes(view.screenshot())
+                shot = Image.open(io.BytesIO(view.screenshot())).convert("RGB")
+                shot.quantize(PICTURE_COLOURS).save(path, optimize=True)
     return written
 
 

@@ -99,7 +99,7 @@ def test_drawn_robots_are_shown_until_they_are_switched_off(plan, tmp_path, widt
             shares.append(
                 share_of_hue(pixels(view.locator(".scene").screenshot()), to_rgb(REPORT_FAILED_GHOST_COLOUR), 0.01)
             )
-            assert view.locator(".legend[data-of]").is_visible() == (len(shares) == 1)
+            assert view.locator(".legend[data-of='sampled robots']").is_visible() == (len(shares) == 1)
             box = view.get_by_role("checkbox", name="sampled robots")
             box.focus()
             box.press("Space")

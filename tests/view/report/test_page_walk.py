@@ -1,5 +1,7 @@
 """A walk through the page in a real browser: every control by mouse, keys and touch; axe-core at three widths."""
 
+import re
+
 import numpy as np
 import pytest
 from browser import SOFTWARE, changed, launcher, opened, pixels, share_of_hue
@@ -10,7 +12,7 @@ from ctr_nlp.plan.metrics import by_frame
 from ctr_nlp.view.figures.parts.palette import TUBE_COLOURS
 from ctr_nlp.view.report import page
 
-FRAMES = 12
+FRAMES, PLOTS = 12, 11
 WIDTHS = (390, 768, 1440)
 
 BOXES = """() => {
@@ -21,13 +23,13 @@ BOXES = """() => {
   const walker = document.createTreeWalker(document.body, NodeFilter.SHOW_TEXT);
   for (let node = walker.nextNode(); node; node = walker.nextNode()) {
     const parent = node.parentElement;
-    const apart = parent.closest("script, noscript, select, svg, .length");
+    const apart = parent.closest("script, noscript, select, svg, .length, .why");
     if (!node.data.trim() || apart || !parent.checkVisibility()) continue;
     const range = document.createRange();
     range.selectNodeContents(node);
     for (const box of range.getClientRects()) add(parent, node.data.trim(), box);
   }
-  for (const element of document.querySelectorAll("button, input, select, iframe, svg")) {
+  for (const element of document.querySelectorAll("button, input, select, iframe, svg:not(.compass)")) {
     add(element, element.outerHTML.slice(0, 60), element.getBoundingClientRect());
   }
   const pairs = [];
@@ -42,7 +44,7 @@ BOXES = """() => {
 }"""
 """How many boxes of text and of controls there are, and which of them lie upon each other by more than a pixel.
 
-The bar that tells lengths lies upon its scene on purpose.
+The bar that tells lengths and the axes lie upon their scene on purpose.
 """
 NAMES = """() => {
   const world = scenes[0].getWorld();
@@ -225,15 +227,57 @@ def test_buttons_step_and_every_control_shows_its_focus(wide):
     wide.get_by_role("button", name="Next frame").click()
     wide.get_by_role("button", name="Previous frame").click()
     assert frame_of(wide) == 2
-    wide.evaluate("document.activeElement.blur()")
     seen = []
-    for _ in range(14):
-        wide.keyboard.press("Tab")
-        look = "getComputedStyle(document.activeElement)"
-        assert wide.evaluate(f"{look}.outlineStyle") == "solid"
-        assert float(wide.evaluate(f"{look}.outlineWidth").removesuffix("px")) >= 2
-        seen.append(wide.evaluate("document.activeElement.outerHTML"))
-    assert len(set(seen)) == 14
+    for first, count in ((".chip", 16), ("#frame", 6)):  # until the scene, and from it until the plots
+        wide.locator(first).first.focus()
+        for _ in range(count):
+            wide.keyboard.press("Tab")
+            look = "getComputedStyle(document.activeElement)"
+            assert wide.evaluate(f"{look}.outlineStyle") == "solid"
+            assert float(wide.evaluate(f"{look}.outlineWidth").removesuffix("px")) >= 2
+            seen.append(wide.evaluate("document.activeElement.outerHTML"))
+    assert len(set(seen)) == 22
+    assert 'id="print"' in seen[-1]
+
+
+def test_chips_tell_why_on_focus_hover_and_touch(wide, plan):
+    chips = wide.locator(".chip")
+    assert chips.count() == len(plan.verdicts)
+    for k, verdict in enumerate(plan.verdicts):
+        text = chips.nth(k).inner_text()
+        assert verdict.matter in text
+        assert verdict.word in text
+        why = wide.locator(".why").nth(k)
+        assert why.is_hidden()
+        chips.nth(k).focus()
+        assert why.inner_text() == verdict.why
+        wide.keyboard.press("Escape")
+        assert why.is_hidden()
+    chips.nth(2).hover()
+    assert wide.locator(".why").nth(2).is_visible()
+    wide.mouse.move(5, 800)
+    grounds = {
+        verdict.word: chips.nth(k).evaluate("(chip) => getComputedStyle(chip).backgroundColor")
+        for k, verdict in enumerate(plan.verdicts)
+    }
+    assert len(set(grounds.values())) == len(grounds) == 3
+
+
+def test_the_way_to_go_and_places_are_those_of_the_plan(wide, plan):
+    for frame in (3, FRAMES):
+        wide.evaluate(f"show({frame} / slider.max)")
+        tip, end = plan.shape[frame - 1, -1], plan.target[-1, -1]
+        angle = np.degrees(np.arccos(plan.tip_direction[frame - 1] @ plan.target_direction[-1]))
+        text = wide.locator(".arrival").inner_text()
+        assert text == f"tip {np.linalg.norm(tip - end):.1f} mm, {angle:.0f}° to go"
+        told = wide.locator(".places").inner_text().replace("−", "-")
+        numbers = [float(x) for x in re.findall(r"-?\d+\.\d+", told)]
+        np.testing.assert_allclose(numbers[:3], tip, atol=0.06)
+        worst = plan.clearance[frame - 1].argmin()
+        assert numbers[3] == pytest.approx(abs(plan.clearance[frame - 1, worst]), abs=0.006)
+        np.testing.assert_allclose(numbers[4:], plan.shape[frame - 1, worst], atol=0.06)
+        assert "base frame" in told
+    assert "frame by frame is not kept" in wide.locator(".samples").inner_text()
 
 
 def test_speed_and_loop_say_how_it_is_played(wide, plan):
@@ -324,7 +368,8 @@ def test_the_bar_is_as_long_as_it_says(wide):
 def test_parts_are_switched_on_and_off(wide):
     wide.keyboard.press("End")
     before = scene_of(wide)
-    names = {"robot": "tube 1", "wall": "lumen", "target": "target", "sampled robots": "sampled robots"}
+    names = {part: part for part in ("target", "target's end", "sampled robots")}
+    names |= {"robot": "tube 1", "wall": "lumen"}
     for part, name in names.items():
         assert name in wide.evaluate(NAMES)
         wide.get_by_label(part, exact=True).uncheck()
@@ -346,7 +391,7 @@ def test_parts_are_switched_on_and_off(wide):
 
 def test_a_click_on_any_plot_goes_to_its_frame_and_all_plots_follow(wide, plan):
     plots = wide.locator(".axes")
-    assert plots.count() == 9
+    assert plots.count() == PLOTS
     errors = by_frame(plan)["e2"]
     for k in range(plots.count()):
         frame = 2 + k
@@ -355,9 +400,9 @@ def test_a_click_on_any_plot_goes_to_its_frame_and_all_plots_follow(wide, plan):
         part = plan.time[frame - 1] / wide.evaluate(f"report.plans[0].plots[{k}].end")
         wide.mouse.click(box["x"] + part * box["width"], box["y"] + box["height"] / 2)
         assert frame_of(wide) == frame
-        assert number(told_values(wide, 0)[0]) == pytest.approx(errors[frame - 1], rel=5e-3)
+        assert number(told_values(wide, 2)[0]) == pytest.approx(errors[frame - 1], rel=5e-3)
         assert f"frame {frame} of {FRAMES}" in wide.locator(".readout").inner_text()
-        lefts = {wide.locator(".cursor").nth(p).evaluate("(cursor) => cursor.style.left") for p in range(9)}
+        lefts = {wide.locator(".cursor").nth(p).evaluate("(cursor) => cursor.style.left") for p in range(PLOTS)}
         assert len(lefts) == 1
         assert float(lefts.pop().removesuffix("%")) == pytest.approx(100 * part)
 
@@ -419,17 +464,25 @@ def test_touch_plays_taps_and_scrubs(browser, files, plan):
         assert min(sizes) >= 24
 
 
-def test_the_print_shows_the_robot_without_controls(wide):
+def test_the_print_shows_chosen_frames_without_controls(wide, plan):
     wide.keyboard.press("End")
     settle(wide)
-    wide.evaluate("dispatchEvent(new Event('beforeprint'))")
+    wide.evaluate("drawPrints()")
+    assert frame_of(wide) == FRAMES
     wide.emulate_media(media="print")
     settle(wide)
     for control in ("#play", "#frame", "[data-camera=side]", "iframe"):
         assert wide.locator(control).first.is_hidden()
-    printed = pixels(wide.locator(".printed").screenshot())
-    assert share_of_hue(printed, to_rgb(TUBE_COLOURS[0])) > 3e-4
-    assert wide.locator("#moment").inner_text() == f"frame {FRAMES} of {FRAMES}"
+    captions = wide.locator(".prints figcaption").all_inner_texts()
+    worst = int(by_frame(plan)["e2"].argmax()) + 1
+    frames = {"first frame": 1, "middle frame": FRAMES // 2 + 1, "largest error e2": worst, "last frame": FRAMES}
+    assert [text.split(":")[0] for text in captions] == [
+        f"{name}, {frame} of {FRAMES}" for name, frame in frames.items()
+    ]
+    shots = [pixels(picture.screenshot()) for picture in wide.locator(".prints img").all()]
+    assert share_of_hue(shots[-1], to_rgb(TUBE_COLOURS[0])) > 3e-4
+    assert changed(shots[0], shots[-1]) > 1e-3
+    assert min(shot.shape[1] for shot in shots) > 400
     wide.emulate_media(media="screen")
 
 
@@ -440,7 +493,7 @@ def test_verdicts_come_first_in_plain_words_and_two_plans_stand_side_by_side(bro
         failed = ", ".join(plan.verdicts.failed_names)
         assert lead.inner_text().startswith(f"This plan fails {len(plan.verdicts.failed_names)} of 7 checks")
         assert failed in lead.inner_text()
-        tops = [view.locator(part).first.bounding_box()["y"] for part in (".lead", ".verdicts", ".draws", ".view")]
+        tops = [view.locator(part).first.bounding_box()["y"] for part in (".lead", ".chips", ".view", ".verdicts")]
         assert tops == sorted(tops)
         rows = view.locator(".compared tbody tr")
         cells = {

@@ -22,6 +22,8 @@ from ctr_nlp.view.report import page
 from ctr_nlp.view.report.scene import quantities, scales
 
 FRAMES = 8
+PLOTS = 11
+"""Of a plan whose wall and margin are known."""
 WIDTHS = (1280, 390)
 
 
@@ -124,7 +126,7 @@ def go_to(view, frame):
 def cursors(view):
     """Times at which the cursors of every plan stand, by where they are drawn."""
     return view.evaluate(
-        "sections.map((section, k) => [...section.querySelectorAll('.axes')].map((axes, p) => {"
+        "plots.map((places, k) => places.map((place) => place.querySelector('.axes')).map((axes, p) => {"
         "  const [box, cursor] = [axes.querySelector('svg'), axes.querySelector('.cursor')].map("
         "    (part) => part.getBoundingClientRect());"
         "  const part = (cursor.x + cursor.width / 2 - box.x) / box.width;"
@@ -182,10 +184,10 @@ def test_the_scene_shows_the_tubes_and_moves_with_the_slider(browser, file, wall
         go_to(view, 2)
         before, plots = scene_of(view), view.locator(".plots").screenshot()
         readout = view.locator(".readout").inner_text()
-        assert cursors(view) == [at(walled.time[1], 9)]
+        assert cursors(view) == [at(walled.time[1], PLOTS)]
         go_to(view, FRAMES)
         after = scene_of(view)
-        assert cursors(view) == [at(walled.time[-1], 9)]
+        assert cursors(view) == [at(walled.time[-1], PLOTS)]
         assert changed(after, before) > 0.005
         assert view.locator(".plots").screenshot() != plots
         for colour in TUBE_COLOURS[:3]:
@@ -217,6 +219,24 @@ def test_colours_show_where_the_wall_is_touched(wide):
     assert len(set(looks.values())) == 3
 
 
+def test_the_tip_sees_a_pink_wall_that_darkens_with_depth(wide):
+    view = wide
+    view.select_option("#colouring", "tube")
+    go_to(view, 3)
+    outside = scene_of(view)
+    view.get_by_role("button", name="Tip's eye").click()
+    settle(view)
+    inside = scene_of(view)[20:-60, 20:-20]
+    red, green = inside[..., 0], inside[..., 1]
+    lit = red > 0.3
+    assert lit.mean() > 0.1
+    assert (red[lit] > 1.2 * green[lit]).mean() > 0.9
+    assert inside.max(axis=-1).min() < 0.2
+    view.get_by_role("button", name="Side").click()
+    settle(view)
+    assert changed(scene_of(view), outside) < 1e-3
+
+
 def test_playing_runs_to_the_end_and_stops_on_demand(wide, walled):
     view = wide
     go_to(view, 1)
@@ -231,7 +251,7 @@ def test_playing_runs_to_the_end_and_stops_on_demand(wide, walled):
     go_to(view, FRAMES - 1)
     play.click()
     view.wait_for_function("playing === null")
-    assert cursors(view) == [at(walled.time[-1], 9)]
+    assert cursors(view) == [at(walled.time[-1], PLOTS)]
 
 
 def test_a_tap_on_a_plot_moves_the_frame(wide, walled):
@@ -241,7 +261,7 @@ def test_a_tap_on_a_plot_moves_the_frame(wide, walled):
     view.mouse.click(box["x"] + 0.55 * box["width"], box["y"] + 0.6 * box["height"])
     settle(view)
     assert 2 < int(view.input_value("#frame")) < FRAMES
-    assert cursors(view) == [at(walled.time[int(view.input_value("#frame")) - 1], 9)]
+    assert cursors(view) == [at(walled.time[int(view.input_value("#frame")) - 1], PLOTS)]
 
 
 def test_several_plans_move_in_step_whatever_their_frames(browser, both, walled, plain):
@@ -296,7 +316,7 @@ def test_without_webgl_the_page_says_so_and_plots_work(launch, file, walled):
         view.locator(".missing").wait_for()
         assert "WebGL" in view.locator(".scene").inner_text()
         view.locator("#frame").fill("5")
-        assert cursors(view) == [at(walled.time[4], 9)]
+        assert cursors(view) == [at(walled.time[4], PLOTS)]
         assert "frame 5" in view.locator(".readout").inner_text()
 
 

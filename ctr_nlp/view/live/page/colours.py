@@ -9,7 +9,9 @@ import numpy.typing as npt
 from matplotlib import colormaps
 from matplotlib.colors import to_hex, to_rgb
 
+from ctr_nlp.ocp.settings import Settings
 from ctr_nlp.paths.lumen import outermost_tube_index
+from ctr_nlp.paths.problem import Problem
 from ctr_nlp.paths.target import SIGMA_GRID
 from ctr_nlp.plan.verdicts import NOT_CHECKED
 from ctr_nlp.robot import Robot
@@ -27,6 +29,13 @@ COLOUR_BY_ERROR, COLOUR_BY_CLEARANCE, COLOUR_BY_TUBE = "error", "clearance", "tu
 """Quantities that the robot may be coloured by."""
 LEGEND_COLOUR_COUNT = 9
 """Number of colours of a legend's gradient."""
+
+
+def linear_light(colours: Colours) -> Colours:
+    """Return colours (n, 3) of sRGB in linear light, in which viser takes the colours of batched meshes."""
+    parts = colours / 255
+    linear = np.where(parts <= 0.04045, parts / 12.92, ((parts + 0.055) / 1.055) ** 2.4)
+    return np.round(255 * linear).astype(np.uint8)
 
 
 def piece_colours(robot: Robot, seen: SessionState, by: str) -> Colours:
@@ -78,9 +87,9 @@ TIGHT_CLEARANCE_MM = 0.5
 """Clearance below which it is called tight."""
 
 
-def rate_numbers(seen: SessionState, required_margin: float | None) -> list[RatedNumber]:
-    """Return the numbers of the state `seen` with ratings; required_margin: least stability margin of steering,
-    None for any.
+def rate_numbers(seen: SessionState, problem: Problem, settings: Settings) -> list[RatedNumber]:
+    """Return the numbers of the state `seen` with ratings by the limits of `settings`; coordinates are those of
+    the file of `problem`, if it has one.
     """
     e2 = seen.e2
     tip = float(seen.error[-1])
@@ -91,13 +100,17 @@ def rate_numbers(seen: SessionState, required_margin: float | None) -> list[Rate
         if e2 <= FAR_ERROR_MM
         else ("far", BAD_COLOUR)
     )
+    arrived = (
+        ("at its goal", GOOD_COLOUR) if tip <= settings.arrival_tolerance else ("misses its goal", BAD_COLOUR)
+    )
     found = [
         RatedNumber("shape error e2", f"{e2:.2f} mm", *how),
-        RatedNumber("tip error", f"{tip:.2f} mm", "", ""),
+        RatedNumber("tip error", f"{tip:.2f} mm", *arrived),
+        *_places(seen, problem),
     ]
     if np.isfinite(seen.e3):
         found.append(RatedNumber("recorded, e3", f"{seen.e3:.2f} mm", "", ""))
-    found.append(_margin(seen, required_margin or 0.0))
+    found.append(_margin(seen, settings.stability_margin or 0.0))
     if seen.clearance is not None:
         least = float(seen.clearance.min())
         room = (
@@ -112,6 +125,21 @@ def rate_numbers(seen: SessionState, required_margin: float | None) -> list[Rate
         lost = int(seen.lost.sum())
         all_kept = ("none failed", GOOD_COLOUR) if not lost else ("some failed", BAD_COLOUR)
         found.append(RatedNumber("sampled robots that failed", f"{lost} of {len(seen.lost)}", *all_kept))
+    return found
+
+
+def _places(seen: SessionState, problem: Problem) -> list[RatedNumber]:
+    """Return the coordinates of tip and goal, mm, in those of the problem's file or else of the robot's base."""
+    back: Array = np.eye(4)
+    name = "base frame"
+    if problem.space is not None and problem.to_robot is not None:
+        back = np.asarray(np.linalg.inv(problem.to_robot))
+        name = "file" if problem.space == "xyz" else problem.space
+    found = []
+    for what, point in (("tip", seen.shape[-1]), ("goal", seen.target[-1])):
+        numbers = np.round(back[:3, :3] @ point + back[:3, 3], 1) + 0.0  # no "-0.0"
+        text = ", ".join(f"{value:.1f}" for value in numbers) if np.isfinite(numbers).all() else "not known"
+        found.append(RatedNumber(f"{what}, {name}", f"{text} mm", "", ""))
     return found
 
 
@@ -131,18 +159,22 @@ def _margin(seen: SessionState, required_margin: float) -> RatedNumber:
     return RatedNumber("stability margin", f"{seen.margin:.3f}", *how)
 
 
-FIGURES = "text-align:right;font-variant-numeric:tabular-nums"
+FIGURES = "text-align:right;white-space:nowrap;font-variant-numeric:tabular-nums"
 """Style of a column of numbers."""
 
 
 def table(rows: list[RatedNumber]) -> str:
     """Return the rated numbers `rows` as an HTML table."""
-    lines = [
-        f'<tr><td>{row.name}</td><td style="{FIGURES}"><b>{row.number}</b></td>'
-        f"<td>{_patch(row.colour, row.word) if row.colour else row.word}</td></tr>"
-        for row in rows
-    ]
-    return f'<table style="width:100%;font-size:0.85em">{"".join(lines)}</table>'
+    lines = [f"<tr><td>{row.name}</td>{_cells(row)}</tr>" for row in rows]
+    return f'<table style="width:96%;font-size:0.85em">{"".join(lines)}</table>'
+
+
+def _cells(row: RatedNumber) -> str:
+    """Return the number of a row with its word, or over both columns where it has no word, as cells in HTML."""
+    if not row.word:
+        return f'<td colspan="2" style="{FIGURES}"><b>{row.number}</b></td>'
+    word = _patch(row.colour, row.word) if row.colour else row.word
+    return f'<td style="{FIGURES}"><b>{row.number}</b></td><td>{word}</td>'
 
 
 def _patch(colour: str, word: str) -> str:

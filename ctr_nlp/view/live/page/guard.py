@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import logging
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from functools import cache
 from http import HTTPStatus
@@ -18,7 +18,9 @@ UNREADABLE = "a message to the live page could not be read: %s"
 
 
 @contextmanager
-def guard_websocket_server(host: str) -> Iterator[Callable[[], bool]]:
+def guard_websocket_server(
+    host: str, pages: Mapping[str, Callable[[], str | None]]
+) -> Iterator[Callable[[], bool]]:
     """Guard the WebSocket server that viser starts within the block.
 
     Viser has no option for this. Its server is therefore made with a check before viser's own: requests of other
@@ -28,6 +30,8 @@ def guard_websocket_server(host: str) -> Iterator[Callable[[], bool]]:
     ----------
     host : str
         The host that the server listens on.
+    pages : mapping of str to callable
+        Further pages by their path, such as ``/report``: each returns its HTML, or None where there is none yet.
 
     Yields
     ------
@@ -44,6 +48,9 @@ def guard_websocket_server(host: str) -> Iterator[Callable[[], bool]]:
             hosts, origins = (request.headers.get_all(name) for name in ("Host", "Origin"))
             if not is_same_origin_request(hosts, origins, host, connection.local_address[:2]):
                 return connection.respond(HTTPStatus.FORBIDDEN, REFUSED)
+            page = pages.get(request.path)
+            if page is not None:
+                return _answer_with(connection, page())
             return None if process_request is None else process_request(connection, request)
 
         asyncio.get_running_loop().set_exception_handler(_log_failure)
@@ -57,6 +64,16 @@ def guard_websocket_server(host: str) -> Iterator[Callable[[], bool]]:
         yield lambda: bool(started)
     finally:
         module.serve = serve
+
+
+def _answer_with(connection: Any, html: str | None) -> Any:
+    """Return the response with a page in HTML, or 404 where there is none yet."""
+    if html is None:
+        return connection.respond(HTTPStatus.NOT_FOUND, "There is no such page yet.\n")
+    response = connection.respond(HTTPStatus.OK, html)
+    del response.headers["Content-Type"]  # text/plain
+    response.headers["Content-Type"] = "text/html; charset=utf-8"
+    return response
 
 
 def log_unreadable(error: object) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 from ctr_nlp.plan.metrics import summary
 from ctr_nlp.plan.plan import Plan
 from ctr_nlp.plan.summary_text import NOT_FOR_PATIENTS, summarise_verdicts
@@ -10,12 +12,20 @@ from ctr_nlp.view.live.steered.session import HAND_METHOD, Session
 HINT = "Drag a ball to pull the target, or a slider to move a joint. Drag the background to turn the view."
 
 
-def status_message(session: Session, snapped: bool, news: str) -> str:
-    """Say what is being compiled, how wall and load count, whether the robot snapped, and the latest news.
+def status_message(session: Session, tip_error: float, snapped: bool, news: str) -> str:
+    """Say how far a tip that is not there is from its goal, what is compiled, how wall and load count, and news.
 
-    session: what is steered. snapped: whether the robot snapped a moment ago. news: sentences, "" for none.
+    session: what is steered. tip_error: distance of the tip from the target's end, mm. snapped: whether the robot
+    snapped a moment ago. news: sentences, "" for none.
     """
     found = [*_compilation_messages(session)]
+    if not tip_error <= session.settings.arrival_tolerance:
+        away = "" if math.isnan(tip_error) else f" by {tip_error:.1f} mm"
+        found.insert(
+            0, f"**The tip misses its goal{away}**; {session.settings.arrival_tolerance:g} mm is allowed."
+        )
+    if session.is_playing_back:
+        found.append("The recording is played. Drag a ball or a slider to take over.")
     if session.problem.lumen is not None and session.method == HAND_METHOD:
         found.append("By hand, the sliders move the robot, also into the wall.")
     if session.active_load is not None:

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from typing import Any, Protocol
+from dataclasses import dataclass
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
+from ctr_nlp.paths.target import Target
 from ctr_nlp.typing import Array
 from ctr_nlp.view.live.page.colours import (
     COLOUR_BY_CLEARANCE,
@@ -30,8 +32,8 @@ from ctr_nlp.view.live.steered.session import (
 
 PANEL_UPDATE_PERIOD_S = 0.15
 """Time between two changes of numbers and sliders: faster ones cannot be read."""
-SLIDER_STEP = 1e-3
-"""Step of the sliders, rad and mm."""
+SLIDER_STEP, SLIDER_DECIMALS = 1e-3, 3
+"""Step of the sliders, rad and mm, and decimals of their values."""
 
 
 class SteeringRequests(Protocol):
@@ -48,6 +50,40 @@ class SteeringRequests(Protocol):
 
     def record(self) -> None:
         """Begin to record, or end it and save the plan."""
+
+    def play_recording(self) -> None:
+        """Move the robot as it was recorded last."""
+
+
+class RecordedMotion(NamedTuple):
+    """The last recording: whether it can be played, and a link to its report in HTML."""
+
+    can_be_played: bool
+    report_link: str
+
+
+@dataclass(frozen=True)
+class PathScale:
+    """Scale of the slider along the path: its name, and the values (n,) at equal steps of progress from 0 to 1."""
+
+    name: str
+    values: tuple[float, ...]
+
+    @classmethod
+    def of_target(cls, target: Target, duration: float) -> PathScale:
+        """Return the scale of a target: mm of the path where frames are ever longer, else s of `duration`."""
+        lengths = target.lengths
+        if len(lengths) > 1 and (np.diff(lengths) > 0).all():
+            return cls("along the path, mm", tuple(lengths))
+        return cls("time along the motion, s", (0.0, float(duration)))
+
+    def to_value(self, progress: float) -> float:
+        """Return the value of the slider at a progress from 0 to 1."""
+        return float(np.interp(progress, np.linspace(0.0, 1.0, len(self.values)), self.values))
+
+    def to_progress(self, value: float) -> float:
+        """Return the progress, from 0 to 1, at a value of the slider."""
+        return float(np.interp(value, self.values, np.linspace(0.0, 1.0, len(self.values))))
 
 
 class ControlPanel:
@@ -84,40 +120,51 @@ class ControlPanel:
             self._joints = [self._joint(gui, j, span) for j, span in enumerate(offered)]
         with self._register_folder(gui.add_folder("What is seen")):
             self._colouring(gui)
+            self._tip_view = gui.add_checkbox("look from the tip", initial_value=False)
         with self._register_folder(gui.add_folder("Recording")):
             self._record = gui.add_button("Record")
             self._record.on_click(lambda _: requests.record())
+            self._playback = gui.add_button("Play the recording", disabled=True)
+            self._playback.on_click(lambda _: requests.play_recording())
+            self._report = gui.add_html("")
 
     @property
     def colour_quantity(self) -> str:
         """Quantity by which the robot is to be coloured."""
         return str(self._by.value)
 
+    @property
+    def looks_from_tip(self) -> bool:
+        """Whether the scene is to be seen from the tip."""
+        return bool(self._tip_view.value)
+
     def remove(self) -> None:
         """Remove all controls from the page."""
         for each in self._all:
             each.remove()
 
-    def show(self, seen: SessionState, playing: bool, news: str, busy: float) -> None:
+    def show(self, seen: SessionState, playing: bool, news: str, busy: float, recorded: RecordedMotion) -> None:
         """Show the numbers of a state, at most every PANEL_UPDATE_PERIOD_S.
 
         seen: state of the session. playing: whether the path is followed. news: sentences. busy: share of the time
-        that steps take.
+        that steps take. recorded: the last recording.
         """
         if time.monotonic() - self._last < PANEL_UPDATE_PERIOD_S:
             return
         self._last = time.monotonic()
         session = self._session
-        rows = rate_numbers(seen, session.settings.stability_margin)
+        rows = rate_numbers(seen, session.problem, session.settings)
         work = RatedNumber("time for a step", f"{1e3 * seen.seconds:.1f} ms", f"busy {busy:.0%}", "")
         self._numbers.content = table([*rows, work])
         self._news.content = news
         self._method.value = session.method
-        self._progress.value = round(session.goal.progress, 3)
+        self._progress.value = round(self._scale.to_value(session.goal.progress), SLIDER_DECIMALS)
         self._play.label = "Stop following" if playing else "Follow the path"
         self._draws.value = session.sample_count
-        recorded = session.moment_count
-        told = "Record" if recorded is None else f"Stop, and keep {recorded * session.dt:.1f} s as a plan"
+        self._playback.disabled = not recorded.can_be_played
+        self._report.content = recorded.report_link
+        count = session.moment_count
+        told = "Record" if count is None else f"Stop, and keep {count * session.dt:.1f} s as a plan"
         self._record.label = told
         # By hand the sliders are where a person has put them: they may be ahead of the motors.
         if session.method != HAND_METHOD:
@@ -150,18 +197,23 @@ class ControlPanel:
     def _target(self, gui: Any) -> None:
         session = self._session
         ask = self._asked.ask
-        self._progress = gui.add_slider("progress", 0.0, 1.0, SLIDER_STEP, session.goal.progress)
+        scale = self._scale = PathScale.of_target(session.problem.target, session.problem.duration)
+        low, high = round(scale.values[0], SLIDER_DECIMALS), round(scale.values[-1], SLIDER_DECIMALS)
+        now = round(scale.to_value(session.goal.progress), SLIDER_DECIMALS)
+        self._progress = gui.add_slider(scale.name, low, high + SLIDER_STEP * (low == high), SLIDER_STEP, now)
         self._play = gui.add_button("Follow the path")
         release = gui.add_button("Let go of all handles")
+        undo = gui.add_button("Undo the last move")
         self._play.on_click(lambda _: self._asked.play(self._play.label == "Follow the path"))
-        release.on_click(lambda _: ask(lambda session: session.goal.release()))
+        release.on_click(lambda _: ask(lambda session: session.release()))
+        undo.on_click(lambda _: ask(lambda session: session.undo()))
 
         @self._progress.on_update
         def _(event: Any) -> None:
             if event.client_id is not None:
                 value = float(self._progress.value)
                 self._asked.play(False)
-                ask(lambda session: session.goal.advance(value))
+                ask(lambda session: session.advance(scale.to_progress(value)))
 
     def _joint(self, gui: Any, joint: int, span: Array) -> Any:
         """Add the slider of a joint, from 0, with a range (2,), rad or mm."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import io
 import socket
+from collections.abc import Callable, Mapping
 from typing import Any
 
 from ctr_nlp.exceptions import OptionError
@@ -17,7 +18,7 @@ HOST, PORT = "127.0.0.1", 8080
 LABEL = "ctr-nlp live"
 
 
-def start_server(host: str, port: int) -> Any:
+def start_server(host: str, port: int, pages: Mapping[str, Callable[[], str | None]]) -> Any:
     """Start a viser server that answers only its own page.
 
     Viser would take the next port that is free, print messages on standard output, answer whatever page is open
@@ -30,6 +31,8 @@ def start_server(host: str, port: int) -> Any:
         Host or address to listen on.
     port : int
         Port to listen on; 0 takes any that is free.
+    pages : mapping of str to callable
+        Further pages by their path: each returns its HTML, or None where there is none yet.
 
     Returns
     -------
@@ -58,7 +61,7 @@ def start_server(host: str, port: int) -> Any:
         def request_share_url(self, verbose: bool = True) -> None:
             """Do nothing: nobody is let in from outside."""
 
-    with contextlib.redirect_stdout(io.StringIO()), guard_websocket_server(host) as is_guarded:
+    with contextlib.redirect_stdout(io.StringIO()), guard_websocket_server(host, pages) as is_guarded:
         server = Unshared(host, port, LABEL, verbose=False)
     if not is_guarded():
         stop_server(server)

@@ -60,6 +60,16 @@ class Goal:
         self._forget()
 
     @property
+    def displacement(self) -> Array:
+        """Displacement of the handles from the path, (HANDLES, 3) mm; a copy."""
+        return self._pulled.copy()
+
+    def restore(self, progress: float, displacement: Array) -> None:
+        """Return to an earlier progress, from 0 to 1, and displacement of the handles (HANDLES, 3) mm."""
+        self._pulled = displacement.copy()
+        self.advance(progress)
+
+    @property
     def is_displaced(self) -> bool:
         """Whether the target differs from the path."""
         return bool(self._pulled.any())

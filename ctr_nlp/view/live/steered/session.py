@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -24,6 +25,7 @@ from ctr_nlp.typing import Array, Flags
 from ctr_nlp.view.live.steered.drive import Drive, PendingDrive, suitable_models
 from ctr_nlp.view.live.steered.ghosts import GHOST_SHAPE_STRIDE, Ghosts
 from ctr_nlp.view.live.steered.goal import Goal
+from ctr_nlp.view.live.steered.history import MoveHistory, SteeringState
 from ctr_nlp.view.live.steered.joints import retracted_configuration, slide_joint, step_towards
 from ctr_nlp.view.live.steered.recording import Moment, Recording
 
@@ -32,6 +34,8 @@ STEP_RATE_HZ = 30.0
 MAX_SAMPLED_ROBOTS = 20
 """Largest number of simulated robots that are moved beside the nominal one."""
 NOBODY = np.zeros((0, len(SIGMA_GRID[::GHOST_SHAPE_STRIDE]), 3))
+PLAYBACK_TOLERANCE = 1e-9
+"""Distance of each joint, rad or mm, from a recorded configuration at which the robot is there."""
 EMPTY = "nothing has been recorded; begin to record, and steer"
 SHAPE_METHOD, TIP_METHOD, HAND_METHOD = "whole shape", "tip alone", "by hand"
 """Methods: the whole shape follows the target, or the tip alone, or joints go where the sliders are."""
@@ -68,6 +72,31 @@ class SessionState(NamedTuple):
     seconds: float
 
 
+@dataclass
+class PlayedMotion:
+    """Recorded motion: q (T, 2d + 2), targets (T, 101, 3) mm, and the frame, from 0, that is played next."""
+
+    q: Array
+    target: Array
+    frame: int = 0
+
+    @property
+    def is_finished(self) -> bool:
+        """Whether the last frame was reached."""
+        return self.frame == len(self.q)
+
+    @property
+    def next_configuration(self) -> Array:
+        """Configuration (2d + 2,) that the robot goes to next; the last one at the end."""
+        return np.asarray(self.q[min(self.frame, len(self.q) - 1)])
+
+    def next_target(self, q: Array) -> Array:
+        """Go to the next frame once a robot at q (2d + 2,) has reached this one; return its target (101, 3) mm."""
+        # Steps as fast as the motors are end at their goal but for rounding.
+        self.frame += bool(np.allclose(q, self.q[self.frame], rtol=0.0, atol=PLAYBACK_TOLERANCE))
+        return np.asarray(self.target[min(self.frame, len(self.q) - 1)])
+
+
 class Session:
     """A robot that is steered step by step. Only one thread may use it."""
 
@@ -100,6 +129,8 @@ class Session:
         self._count = 0
         self._ghosts: Ghosts | None = None
         self._recording: Recording | None = None
+        self._moves = MoveHistory()
+        self._played: PlayedMotion | None = None
         self._drive = Drive.interim(problem, self.hand, self.dt, settings)
         self._robot = self._resting(self.hand)
         self._awaited: PendingDrive | None = None
@@ -151,6 +182,7 @@ class Session:
     def follow(self, method: str) -> None:
         """Steer by another method, one of STEERING_METHODS; raises OptionError."""
         check_choice("method", method, STEERING_METHODS)
+        self._played = None
         if self.method == HAND_METHOD and method != HAND_METHOD:
             # The steerer did not see how a hand has moved the joints since.
             self._drive.steerer.set_configuration(self.q, self._robot.x)
@@ -163,7 +195,10 @@ class Session:
         """Take a handle of the target, from 0, to a point (3,) mm, and end steering by hand; raises
         OptionError.
         """
+        before = self._state()
         self.goal.pull(handle, point)
+        self._moves.note(f"handle {handle}", before)
+        self._played = None
         if self.method == HAND_METHOD:
             self.follow(SHAPE_METHOD)
 
@@ -172,9 +207,53 @@ class Session:
         if whole_number(OptionError, "joint", joint, 0) >= len(self.q):
             raise OptionError(f"joint is {joint}; it must be a whole number from 0 to {len(self.q) - 1}")
         number(OptionError, f"the value of joint {joint}", value, np.isfinite, "be a finite number")
+        self._moves.note(f"joint {joint}", self._state())
+        self._played = None
         if self.method != HAND_METHOD:
             self.follow(HAND_METHOD)
         self.hand = slide_joint(self.problem.robot, self.hand, joint, value)
+
+    def advance(self, progress: float) -> None:
+        """Let the target be that of another place along the path, from 0 to 1; raises OptionError."""
+        before = self._state()
+        self.goal.advance(progress)
+        self._moves.note("progress", before)
+        self._played = None
+
+    def release(self) -> None:
+        """Let the target be the path itself."""
+        self._moves.note("release", self._state())
+        self.goal.release()
+        self._played = None
+
+    def undo(self) -> None:
+        """Return target, method and sliders to where they were before the last move; raises OptionError."""
+        before = self._moves.pop()
+        if before is None:
+            raise OptionError("there is no move to undo: nothing was dragged or slid yet")
+        self.goal.restore(before.progress, before.displacement)
+        self.follow(before.method)
+        self.hand = before.hand.copy()
+
+    def play_back(self, plan: Plan) -> None:
+        """Move the robot to the first configuration of a recorded plan, and then as it was recorded.
+
+        plan: a recording of this session's robot. Whatever a person moves ends the playback. Raises OptionError
+        where the plan is of another robot.
+        """
+        if plan.robot != self.problem.robot:
+            raise OptionError("the recording is of another robot; choose that robot, or record again")
+        self.follow(HAND_METHOD)
+        self._played = PlayedMotion(plan.q, plan.target)
+
+    @property
+    def is_playing_back(self) -> bool:
+        """Whether a recording is being played."""
+        return self._played is not None
+
+    def _state(self) -> SteeringState:
+        """Return what a move may change."""
+        return SteeringState(self.goal.progress, self.goal.displacement, self.method, self.hand.copy())
 
     def set_sample_count(self, count: int) -> None:
         """Move `count` simulated robots beside the nominal one, from rest where it is; raises OptionError."""
@@ -210,7 +289,7 @@ class Session:
         # Never within a recording, whose frames must all be of one model.
         if self._awaited is not None and self._awaited.drive is not None and self._recording is None:
             self._switch_drive(self._awaited.drive)
-        moment = self._move_robot(self.goal.points)
+        moment = self._move_robot(self._next_target())
         robot = self.problem.robot
         q = self.q
         shape = self._drive.model.points(robot, self._robot.x[None], SIGMA_GRID)[0]
@@ -239,6 +318,16 @@ class Session:
             force=np.zeros(3) if self.active_load is None else self.active_load.numbers(robot.d)[:3],
             seconds=time.perf_counter() - begin,
         )
+
+    def _next_target(self) -> Array:
+        """Return the target (101, 3) mm of this step; while a recording is played, take the joints along it."""
+        if self._played is None:
+            return self.goal.points
+        target = self._played.next_target(self.q)
+        self.hand = self._played.next_configuration
+        if self._played.is_finished:
+            self._played = None
+        return target
 
     def _switch_drive(self, drive: Drive) -> None:
         """Continue on another drive from where the robot stands."""
