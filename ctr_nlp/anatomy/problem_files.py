@@ -38,6 +38,8 @@ LUMEN_NOTE = (
 )
 PATH_SPACING_MM = 1.0
 """Distance between the points of a path around which walls are read, mm."""
+MASK_PATH_SMOOTHING_MM = 2.0
+"""How far the followed curve may be from the middle of a mask's lumen, mm, and never more than half its radius."""
 
 
 def problem_from_file(
@@ -50,7 +52,7 @@ def problem_from_file(
     entry: npt.ArrayLike | None = None,
     target: npt.ArrayLike | None = None,
     reverse: bool = False,
-    smoothing: float = 0.0,
+    smoothing: float | None = None,
     trim: Literal["start", "end"] | None = None,
     insertion: npt.ArrayLike | None = None,
     tilt: float | None = None,
@@ -86,8 +88,9 @@ def problem_from_file(
         Points in the file's own coordinates, mm, between which the branch is followed; by default its ends.
     reverse : bool
         Whether the file's lines run from tip to root.
-    smoothing : float
-        How far the followed curve may be from the path in the file, mm; see :meth:`Curve.smooth`.
+    smoothing : float, optional
+        How far the followed curve may be from the path in the file, mm; see :meth:`Curve.smooth`. By default 0 for
+        a centreline, which is followed as it is, and 2 mm for a mask, whose path has the steps of its voxels.
     trim : {"start", "end"}, optional
         Which end to drop where the path is longer than the robot reaches.
     insertion : (3,) array_like, optional
@@ -172,7 +175,13 @@ def problem_from_file(
             thinnest = min(tube.outer_diameter for tube in robot.tubes) / 2
             notes += check_reach(found.whole, robot.reach, thinnest, found.facts)
         # Smoothed before it is trimmed: smoothing changes the length, and what is left must be within reach.
-        followed = found.followed_path.smooth(smoothing)
+        allowed = path_smoothing(smoothing, path)
+        followed = found.followed_path.smooth(allowed)
+        if smoothing is None and allowed:
+            notes.append(
+                f"the path is the one that bends least within {allowed:g} mm of the middle of the lumen; --smoothing "
+                "0 follows the middle itself"
+            )
         if trim is not None:
             whole = followed.length
             followed = trim_curve(followed, robot.reach, trim)
@@ -206,6 +215,15 @@ def problem_from_file(
         space_assumed=found.space in SPACES and found.facts.space_known == ASSUMED,
         notes=tuple(notes),
     )
+
+
+def path_smoothing(asked: float | None, path: Path) -> float:
+    """Return how far the followed curve may be from the path in a file, mm, where `asked` leaves it open.
+
+    A person chose the points of a centreline. The path through a mask is made here, from voxel to voxel: followed as
+    it is, its bends are sharper than any robot's, and plans miss ends that the same robot reaches on a smooth path.
+    """
+    return asked if asked is not None else MASK_PATH_SMOOTHING_MM if is_mask(path) else 0.0
 
 
 def _sample_path(curve: Curve) -> Array:
