@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from ctr_nlp.robust import solve_robust, solve_robust_per_frame
     from ctr_nlp.studies.grid.results import Results
     from ctr_nlp.studies.grid.study_file import Study
+    from ctr_nlp.studies.reach.reach import Reach, reach_tree
     from ctr_nlp.studies.workers.running import run_study
     from ctr_nlp.tube_design.co_design import Design, design
     from ctr_nlp.tube_design.groups import assign_to_robots, divide_problems
@@ -58,6 +59,7 @@ __all__ = [
     "Measurements",
     "Plan",
     "Problem",
+    "Reach",
     "Results",
     "Robot",
     "Settings",
@@ -82,6 +84,7 @@ __all__ = [
     "named_problem",
     "plan_through",
     "problem_from_file",
+    "reach_tree",
     "read_configurations",
     "read_csv",
     "read_load",
@@ -128,6 +131,7 @@ _HOMES = {
     "loads.wall": ("WallForces", "wall_forces"),
     "studies.grid.results": ("Results",),
     "studies.grid.study_file": ("Study",),
+    "studies.reach.reach": ("Reach", "reach_tree"),
     "studies.workers.running": ("run_study",),
     "paths.curve": ("Curve", "curve_from_formula", "curve_from_points"),
     "paths.named_problems": ("named_problem",),

@@ -72,7 +72,7 @@ def from_rows(rows: Sequence[Mapping[str, Any]]) -> list[MethodOutcomes]:
     found = dict[str, list[PlanOutcome]]()
     several = len({row["robot_name"] for row in rows}) > 1
     for row in rows:
-        found.setdefault(_name(row, several), []).append(_outcome(row))
+        found.setdefault(_name(row, several), []).append(outcome_of(row))
     return [MethodOutcomes(name, tuple(outcomes)) for name, outcomes in found.items()]
 
 
@@ -86,7 +86,19 @@ def _name(row: Mapping[str, Any], several: bool) -> str:
     return ", ".join([*told, row["robot_name"]] if several else told)
 
 
-def _outcome(row: Mapping[str, Any]) -> PlanOutcome:
+def outcome_of(row: Mapping[str, Any]) -> PlanOutcome:
+    """Read the outcome of a plan from the row of a study.
+
+    Parameters
+    ----------
+    row : mapping
+        As `Case.row` makes it. Without a plan, the outcome is that it is not solved.
+
+    Returns
+    -------
+    PlanOutcome
+        The first check that fails, and the figures that decide.
+    """
     failed = next((check for check in CHECKS if row.get(f"verdict_{check}") != YES), REACHED)
     tip, held, e3 = (_number(row.get(key)) for key in ("tip_last", "robustness_held_share", "e3"))
     # `contact_depth` of a row sums the depths of all frames; the verdict is on the deepest one.
