@@ -25,7 +25,7 @@ from ctr_nlp.plan.monte_carlo import DEFAULT_PLAN_SAMPLES
 from ctr_nlp.plan.summary_text import NOT_FOR_PATIENTS
 from ctr_nlp.robot import Robot
 from ctr_nlp.studies.grid.results import Results
-from ctr_nlp.studies.reach.reach import Reach, reach_tree
+from ctr_nlp.studies.reach.reach import DEFAULT_BOUND_S, Reach, reach_tree
 from ctr_nlp.studies.reached.cases import REACHED
 from ctr_nlp.studies.workers.running import StudyProgress
 from ctr_nlp.support.interrupt import deferred_interrupt
@@ -77,6 +77,11 @@ def _parser(prog: str) -> argparse.ArgumentParser:
     )
     told += "no end counts as reached"
     parser.add_argument("--samples", metavar="N", type=count, default=DEFAULT_PLAN_SAMPLES, help=told)
+    told = (
+        "processor time, in seconds, of the search for a proof that the robot cannot arrive, at each end that is "
+    )
+    told += f"missed; 0: none (default {DEFAULT_BOUND_S:g})"
+    parser.add_argument("--bound", metavar="S", type=float, default=DEFAULT_BOUND_S, help=told)
     add_worker_options(parser)
     add_reading_options(parser)
     add_out_option(parser, "runs/PROBLEM-reach")
@@ -108,6 +113,7 @@ def _run(arguments: argparse.Namespace) -> int:
             robust=not arguments.nominal,
             frames=arguments.frames,
             samples=arguments.samples,
+            bound_s=arguments.bound,
             trim=arguments.trim is not None,
             smoothing=arguments.smoothing or 0.0,
             options=read_options_from(arguments),

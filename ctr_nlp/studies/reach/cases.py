@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 import json
+import time
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
 from typing import Any
 
 from ctr_nlp.anatomy.lumen_tree import LumenTree, read_lumen_tree
 from ctr_nlp.anatomy.reading import AS_THE_FILE_SAYS, ReadOptions
+from ctr_nlp.exceptions import CtrError
 from ctr_nlp.paths.problem import Problem
+from ctr_nlp.planning.miss_bound import bound_miss
 from ctr_nlp.robot import Robot
-from ctr_nlp.studies.grid.case import Case
+from ctr_nlp.studies.grid.case import CASE_DONE, CASE_FAILED, Case, row_without_plan
 
 END_COLUMN = "end"
 """Column with the number of the end that a plan leads to."""
@@ -82,6 +86,59 @@ class EndCase(Case):
         assert self.robot is not None
         robot = Robot.from_dict(json.loads(self.robot))
         return tree.problem(options.pop("end"), robot, self.frames, **options)
+
+
+@dataclass(frozen=True)
+class BoundCase(EndCase):
+    """The inputs of a bound on how near a robot comes to an end; options as of EndCase, and ``time_limit``, s."""
+
+    def row(self, keep: Path | None = None) -> dict[str, Any]:
+        """Compute the bound, and describe it, or why there is none, in a row; keep: not used."""
+        begin = time.process_time()
+        try:
+            limit = dict(self.options)["time_limit"]
+            found = bound_miss(
+                replace(self, options=_without(self.options, "time_limit")).load_problem(), time_limit=limit
+            )
+        except CtrError as error:
+            return row_without_plan(self, CASE_FAILED, str(error), time.process_time() - begin)
+        described = {"bound": found.miss, "bound_cells": found.cells, "status": CASE_DONE, "reason": ""}
+        return self.columns | described | {"process_s": time.process_time() - begin}
+
+
+def bound_cases(plans: Sequence[EndCase], time_limit: float) -> tuple[BoundCase, ...]:
+    """Make a case of a bound for each of some plans.
+
+    Parameters
+    ----------
+    plans : sequence of EndCase
+        The plans.
+    time_limit : float
+        Processor time of each search, s.
+
+    Returns
+    -------
+    tuple of BoundCase
+        In the order of the plans.
+    """
+    return tuple(
+        BoundCase(
+            plan.problem,
+            plan.content,
+            plan.robot_name,
+            plan.robot,
+            plan.model,
+            "bound",
+            1,
+            options=tuple(sorted([*plan.options, ("time_limit", time_limit)])),
+        )
+        for plan in plans
+    )
+
+
+def _without(options: tuple[tuple[str, Any], ...], name: str) -> tuple[tuple[str, Any], ...]:
+    """Return options without that of a name."""
+    return tuple(pair for pair in options if pair[0] != name)
 
 
 def end_cases(

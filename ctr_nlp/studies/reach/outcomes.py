@@ -185,6 +185,13 @@ def outcome_of_plan(before: EndOutcome, row: Mapping[str, Any]) -> EndOutcome:
     )
 
 
+def with_bound(one: EndOutcome, row: Mapping[str, Any] | None) -> EndOutcome:
+    """Return an outcome with the bound in the row of a search, where there is one."""
+    if row is None or row["status"] != CASE_DONE:
+        return one
+    return replace(one, bound=_known(row.get("bound")))
+
+
 def best_outcome(outcomes: Sequence[EndOutcome]) -> EndOutcome:
     """Return the best of the outcomes of several robots at one end: by kind, then by tip and contact."""
 

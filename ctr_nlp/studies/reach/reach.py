@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -21,7 +22,7 @@ from ctr_nlp.robot import Robot
 from ctr_nlp.studies.grid.case import file_digest
 from ctr_nlp.studies.grid.results import Results
 from ctr_nlp.studies.grid.study_file import Study
-from ctr_nlp.studies.reach.cases import END_COLUMN, TreeSource, end_cases
+from ctr_nlp.studies.reach.cases import END_COLUMN, EndCase, TreeSource, bound_cases, end_cases
 from ctr_nlp.studies.reach.outcomes import (
     UNPLANNED,
     EndOutcome,
@@ -29,12 +30,16 @@ from ctr_nlp.studies.reach.outcomes import (
     count_outcomes,
     outcome_before_planning,
     outcome_of_plan,
+    with_bound,
 )
 from ctr_nlp.studies.workers.running import DEFAULT_CASE_TIMEOUT_S, StudyCallback, run_study
-from ctr_nlp.support.value_checks import check_instance, whole_number
+from ctr_nlp.support.value_checks import check_instance, number, whole_number
 
 REACH_SAMPLE_SEED = 20_550_000
 """Seed of the simulated robots; planning takes others, so that none was seen."""
+
+DEFAULT_BOUND_S = 5.0
+"""Processor time of the search for a bound at an end, s."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,6 +105,7 @@ def reach_tree(
     robust: bool = True,
     frames: int = 100,
     samples: int = DEFAULT_PLAN_SAMPLES,
+    bound_s: float = DEFAULT_BOUND_S,
     trim: bool = False,
     smoothing: float = 0.0,
     options: ReadOptions | None = None,
@@ -133,6 +139,9 @@ def reach_tree(
         Number of frames of each plan.
     samples : int
         Number of robots within the tolerances on which each plan is simulated; with 0, no end counts as reached.
+    bound_s : float
+        Processor time, s, of the search for a lower bound on the miss at each end that a plan does not arrive at,
+        or only with too much contact; see :func:`ctr_nlp.planning.miss_bound.bound_miss`. None with 0.
     trim : bool
         Whether the robot's base is moved inwards where a path is longer than the robot reaches; otherwise such an
         end is missed.
@@ -186,6 +195,7 @@ def reach_tree(
     """
     check_frames(frames)
     whole_number(OptionError, "samples", samples, 0)
+    number(OptionError, "bound_s", bound_s, lambda x: 0 <= x < math.inf, "be at least 0 s", " s")
     if not robots:
         raise RobotError("robots are empty; give at least one")
     for name, robot in robots.items():
@@ -201,6 +211,7 @@ def reach_tree(
     ]
     wanted = [(one.end, one.robot) for one in before if one.outcome == UNPLANNED]
     rows = dict[tuple[int, str], dict[str, Any]]()
+    cases: tuple[EndCase, ...] = ()
     if wanted:
         content = "".join(map(file_digest, (source.path, *others)))
         cases = end_cases(
@@ -216,11 +227,23 @@ def reach_tree(
             smoothing=smoothing,
         )
         run_study(Study("reach", cases), folder, client, patience=patience, callback=callback, stop=stop)
-        known = {case.digest for case in cases}
-        found = Results(Path(folder))
-        every = found.frame().to_dict("records") if found.read_digests() else []
-        rows = {(int(row[END_COLUMN]), row["robot_name"]): row for row in every if row["digest"] in known}
+        rows = _rows_of(cases, folder)
     outcomes = [
         outcome_of_plan(one, row) if (row := rows.get((one.end, one.robot))) is not None else one for one in before
     ]
+    failed = {(one.end, one.robot) for one in outcomes if one.failed in ("arrives", "within_wall")}
+    bounded = [case for case, key in zip(cases, wanted, strict=True) if key in failed]
+    if bound_s and bounded and not stop():
+        searches = bound_cases(bounded, bound_s)
+        run_study(Study("bounds", searches), folder, client, patience=patience, callback=callback, stop=stop)
+        bounds = _rows_of(searches, folder)
+        outcomes = [with_bound(one, bounds.get((one.end, one.robot))) for one in outcomes]
     return Reach(tree, tuple(robots), tuple(outcomes), robust)
+
+
+def _rows_of(cases: Sequence[EndCase], folder: str | Path) -> dict[tuple[int, str], dict[str, Any]]:
+    """Return the rows of some cases in a folder, by end and robot."""
+    found = Results(Path(folder))
+    known = {case.digest for case in cases}
+    every = found.frame().to_dict("records") if found.read_digests() else []
+    return {(int(row[END_COLUMN]), row["robot_name"]): row for row in every if row["digest"] in known}
