@@ -76,7 +76,10 @@ def test_file_is_read_again_only_when_it_changes(tmp_path):
 
 
 def test_branch_that_does_not_pass_the_carina_is_not_entered(tmp_path):
-    sides = [line((0, 0, 0), (0, 0, -40), (30 * side, 3 * k, -90)) for side in (-1, 1) for k in (-8, 0, 8)]
+    main = [(20 * side, 0, -60) for side in (-1, 1)]
+    sides = [
+        line((0, 0, 0), (0, 0, -40), middle, (2 * middle[0], 3 * k, -90)) for middle in main for k in (-8, 0, 8)
+    ]
     spur = line((0, 0, 0), (0, 0, -20), (0, 15, -30))
     write_vtk(tmp_path / "spur.vtp", Branches((spur, *sides), "LPS", np.eye(4)))
     tree = read_lumen_tree(tmp_path / "spur.vtp", from_carina=True)
@@ -109,21 +112,20 @@ def test_problem_is_that_of_the_file(tree_file):
 
 def test_path_that_is_too_long_is_refused_without_trimming(tree_file):
     short = replace(THIN, limits=Limits(beta=((0, 20), (0, 60))))
-    with pytest.raises(ProblemError, match="longer"):
+    with pytest.raises(ProblemError, match="robot reaches"):
         read_lumen_tree(tree_file).problem(1, short)
 
 
 def test_wall_of_a_mask_is_that_of_single_paths(tmp_path):
     pytest.importorskip("nibabel", reason='needs nibabel: pip install -e ".[anatomy]"')
-    write_mask(tmp_path / "tree.nii.gz", draw_mask(synthetic_tree(0, 3), spacing=1.2))
-    tree = read_lumen_tree(tmp_path / "tree.nii.gz")
-    for end in tree.ends:
-        ours = tree.problem(end.number, THIN, frames=2, trim=True)
-        theirs = problem_from_file(tmp_path / "tree.nii.gz", THIN, 2, branch=end.number, trim="start")
-        points = theirs.target_frames[-1].points + np.array([1.0, 0.5, 0.0])
-        assert ours.walls[0].room(points) == pytest.approx(theirs.walls[0].room(points), abs=1e-6)
-        fields = [problem.walls[0].field.evaluate(points)[0] for problem in (ours, theirs)]
-        assert np.abs(fields[0] - fields[1]).max() < 0.1
+    write_mask(tmp_path / "tree.nii.gz", draw_mask(synthetic_tree(0, 2), spacing=1.5))
+    ours = read_lumen_tree(tmp_path / "tree.nii.gz").problem(2, THIN, frames=2)
+    theirs = problem_from_file(tmp_path / "tree.nii.gz", THIN, 2, branch=2)
+    # Beside the path, and away from its ends, at which the rims of the openings differ by a triangle.
+    points = theirs.target_frames[-1].points[10:-10] + np.array([1.0, 0.5, 0.0])
+    assert ours.walls[0].room(points) == pytest.approx(theirs.walls[0].room(points), abs=1e-4)
+    fields = [problem.walls[0].field.evaluate(points)[0] for problem in (ours, theirs)]
+    assert fields[0] == pytest.approx(fields[1], abs=0.05)
 
 
 def test_entry_outside_of_all_branches_is_refused(tree_file):
