@@ -110,7 +110,7 @@ def synthetic_tree(seed: int = 0, ends: int = 20) -> Branches:
         for child in _divide(pieces, last_end, random):
             pieces.append(child)
             heapq.heappush(open_ends, (-2 * float(child.radius[-1]), len(pieces) - 1))
-    branches = []
+    branches = list[Branch]()
     for tip in sorted(place for _, place in open_ends):
         way = [tip]
         while pieces[way[-1]].before >= 0:

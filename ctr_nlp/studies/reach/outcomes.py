@@ -14,7 +14,7 @@ from ctr_nlp.ocp.settings import Settings
 from ctr_nlp.plan.verdicts import NOT_CHECKED
 from ctr_nlp.robot import Robot
 from ctr_nlp.studies.grid.case import CASE_DONE
-from ctr_nlp.studies.reached.cases import REACHED, outcome_of
+from ctr_nlp.studies.reached.cases import REACHED, outcome_of, read_number
 
 NEARLY, MISSED, NARROW, UNENTERED, UNPLANNED = "nearly", "missed", "too narrow", "not entered", "not planned"
 """Outcomes beside REACHED: missed by little, missed, without room for the robot, on a branch that does not pass
@@ -175,13 +175,13 @@ def outcome_of_plan(before: EndOutcome, row: Mapping[str, Any]) -> EndOutcome:
         nominal=found.failed in (REACHED, "holds"),
         tip=found.tip,
         contact=found.contact,
-        contact_x=_known(row.get("contact_x")),
-        contact_y=_known(row.get("contact_y")),
-        contact_z=_known(row.get("contact_z")),
-        contact_along=_known(row.get("contact_along")),
+        contact_x=read_number(row.get("contact_x")),
+        contact_y=read_number(row.get("contact_y")),
+        contact_z=read_number(row.get("contact_z")),
+        contact_along=read_number(row.get("contact_along")),
         held=math.nan if row.get("verdict_holds") == NOT_CHECKED else found.held,
         binds="" if reached else str(row.get("binds") or ""),
-        process_s=_known(row.get("process_s")),
+        process_s=read_number(row.get("process_s")),
     )
 
 
@@ -189,7 +189,7 @@ def with_bound(one: EndOutcome, row: Mapping[str, Any] | None) -> EndOutcome:
     """Return an outcome with the bound in the row of a search, where there is one."""
     if row is None or row["status"] != CASE_DONE:
         return one
-    return replace(one, bound=_known(row.get("bound")))
+    return replace(one, bound=read_number(row.get("bound")))
 
 
 def best_outcome(outcomes: Sequence[EndOutcome]) -> EndOutcome:
@@ -200,11 +200,6 @@ def best_outcome(outcomes: Sequence[EndOutcome]) -> EndOutcome:
         return OUTCOMES.index(one.outcome), float(excess)
 
     return min(outcomes, key=order)
-
-
-def _known(value: Any) -> float:
-    """Return a number, or NaN for anything else."""
-    return float(value) if isinstance(value, int | float) else math.nan
 
 
 def count_outcomes(outcomes: Sequence[EndOutcome]) -> dict[str, int]:

@@ -80,7 +80,7 @@ def _name(row: Mapping[str, Any], several: bool) -> str:
     """Name how a row was planned: the method, its settings, and the robot where there are several."""
     told = [row["method"].replace("horizon", "over all frames").replace("robust-", "robust ")]
     settings = {
-        key: row[key] for key in sorted(row) if key.startswith("set_") and not math.isnan(_number(row[key]))
+        key: row[key] for key in sorted(row) if key.startswith("set_") and not math.isnan(read_number(row[key]))
     }
     told += [f"{key.removeprefix('set_')} {value:g}" for key, value in settings.items()]
     return ", ".join([*told, row["robot_name"]] if several else told)
@@ -100,13 +100,24 @@ def outcome_of(row: Mapping[str, Any]) -> PlanOutcome:
         The first check that fails, and the figures that decide.
     """
     failed = next((check for check in CHECKS if row.get(f"verdict_{check}") != YES), REACHED)
-    tip, held, e3 = (_number(row.get(key)) for key in ("tip_last", "robustness_held_share", "e3"))
+    tip, held, e3 = (read_number(row.get(key)) for key in ("tip_last", "robustness_held_share", "e3"))
     # `contact_depth` of a row sums the depths of all frames; the verdict is on the deepest one.
     clearances = (row.get(key) for key in ("clearance_min", "clearance_between_min"))
-    least = min((value for each in clearances if not math.isnan(value := _number(each))), default=math.nan)
+    least = min((value for each in clearances if not math.isnan(value := read_number(each))), default=math.nan)
     return PlanOutcome(shown_name(row["problem"]), failed, tip, max(-least, 0.0), held, e3)
 
 
-def _number(value: Any) -> float:
-    """Return a number, or NaN where it is not known: tables write NaN for what a row does not have."""
+def read_number(value: Any) -> float:
+    """Read a number of a row.
+
+    Parameters
+    ----------
+    value : object
+        The entry of a column.
+
+    Returns
+    -------
+    float
+        NaN where it is no number: tables write NaN for what a row does not have.
+    """
     return float(value) if isinstance(value, int | float) else math.nan
