@@ -100,7 +100,8 @@ def synthetic_tree(seed: int = 0, ends: int = 20) -> Branches:
         raise OptionError(f"ends is {ends}; it must be from 2 to {MAX_SYNTHETIC_ENDS}")
     random = np.random.default_rng(seed)
     diameter, length = TRACHEA_MM
-    down = np.arange(0.0, length + TREE_SPACING_MM / 2, TREE_SPACING_MM)[:, None] * [0.0, 0.0, -1.0]
+    # Adding 0 makes a negative zero a positive one.
+    down = np.arange(0.0, length + TREE_SPACING_MM / 2, TREE_SPACING_MM)[:, None] * [0.0, 0.0, -1.0] + 0.0
     # The carina parts to the sides: its plane is that of x and z, whose normal is y.
     pieces = [_Piece(down, np.full(len(down), diameter / 2), -1, np.array([1.0, 0.0, 0.0]))]
     # The widest end first; its number settles ties.

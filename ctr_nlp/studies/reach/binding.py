@@ -39,10 +39,10 @@ def find_binding(plan: Plan) -> list[str]:
     if plan.clearance is not None and np.nanmin(plan.clearance[-1]) < TOUCHING_MM:
         found.append("wall")
     margin = plan.options.get("stability_margin")
-    least = np.nanmin(np.append(plan.stability, np.inf))
-    if margin is not None and least < margin + BINDS:
+    # NaN, where the model knows no margins, is not below.
+    if margin is not None and plan.stability[-1] < margin + BINDS:
         found.append("stability")
-    upper = np.append(plan.robot.split(robot.upper)[1][:-1], robot.reach)
+    upper = np.append(robot.split(robot.upper)[1][:-1], robot.reach)
     beta = plan.beta[-1]
     found += [f"length of tube {k + 1}" for k in np.flatnonzero(beta > upper - AT_LIMIT_RAD_OR_MM)]
     drawn_back = beta < robot.split(robot.lower)[1] + AT_LIMIT_RAD_OR_MM
@@ -52,7 +52,7 @@ def find_binding(plan: Plan) -> list[str]:
     ends = np.minimum(q - robot.lower, robot.upper - q)[-2:]
     if ((ends < AT_LIMIT_RAD_OR_MM) & (robot.lower[-2:] < robot.upper[-2:])).any():
         found.append("tilt")
-    if len(plan.time) > 1 and rate_parts(plan, 1).max() > USED_SPEED:
+    if len(plan.time) > 1 and rate_parts(plan, 1)[-1].max() > USED_SPEED:
         found.append("speed")
     return found or ["curvature"]
 

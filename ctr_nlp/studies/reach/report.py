@@ -58,12 +58,12 @@ def legends() -> dict[str, str]:
     return {
         REACHED: "reached: all checks are yes",
         NEARLY: (
-            f"nearly: tip at most {allowed.arrival_tolerance + NEARLY_MM:g} mm off, contact at most "
-            f"{allowed.contact_allowed + NEARLY_MM:g} mm"
+            f"nearly: tip {allowed.arrival_tolerance + NEARLY_MM:g} mm off\nand contact "
+            f"{allowed.contact_allowed + NEARLY_MM:g} mm at most"
         ),
         MISSED: "not reached",
         UNPLANNED: "not planned yet",
-        NARROW: f"too narrow: less than {WIDTH_MARGIN_MM:g} mm around the robot",
+        NARROW: f"too narrow: less than {WIDTH_MARGIN_MM:g} mm\naround the robot",
         UNENTERED: "not beyond the entry",
     }
 

@@ -197,10 +197,11 @@ def _places(axes: Axes, view: Projection, paths: Sequence[Array], dpi: float) ->
 def _group_key(figure: Figure, panels: list[Axes], groups: Sequence[BranchGroup]) -> None:
     """Draw the key of the groups, with the number of branches in each, in the free corner."""
     corner = panels[1].get_position().x0, panels[2].get_position().y1
-    entries = [
-        Line2D([], [], color=group.colour, lw=2.5, label=label_text(f"{len(group.members)}  {group.label}"))
-        for group in groups
-    ]
+    entries = []
+    for group in groups:
+        # printable() would show line breaks as text.
+        label = "\n".join(map(label_text, f"{len(group.members)}  {group.label}".splitlines()))
+        entries.append(Line2D([], [], color=group.colour, lw=2.5, label=label))
     entries.append(Line2D([], [], ls="", marker="o", mfc="white", mec=BLACK, ms=5, label="start of the tree"))
     figure.legend(handles=entries, loc="upper left", bbox_to_anchor=corner, borderaxespad=0)
 
