@@ -51,3 +51,16 @@ def test_robots_of_one_name_are_refused(tree, tmp_path, capsys):
     assert main([str(tree), *robots, "--out", str(tmp_path / "out")]) == 2
     assert "named wide" in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
+
+
+def test_ends_out_of_reach_are_bounded_without_a_plan(tree, capsys):
+    thin = Robot((Tube(300, 40, 1 / 400, outer_diameter=1.6, inner_diameter=1.2),))
+    (tree.parent / "thin.toml").write_text(thin.to_toml(), encoding="utf-8")
+    out = tree.parent / "far"
+    call = [str(tree), "--robot", str(tree.parent / "thin.toml"), "--workers", "1", "--out", str(out)]
+    assert main(call) == 1
+    printed = capsys.readouterr()
+    assert "--from-carina or --trim start" in printed.err
+    assert "path too long" in printed.out
+    with open(out / "reach.csv", encoding="utf-8") as file:
+        assert all(float(row["bound"]) > 20 for row in csv.DictReader(file))

@@ -25,6 +25,7 @@ from ctr_nlp.plan.monte_carlo import DEFAULT_PLAN_SAMPLES
 from ctr_nlp.plan.summary_text import NOT_FOR_PATIENTS
 from ctr_nlp.robot import Robot
 from ctr_nlp.studies.grid.results import Results
+from ctr_nlp.studies.reach.outcomes import LENGTH_CHECK
 from ctr_nlp.studies.reach.reach import DEFAULT_BOUND_S, Reach, reach_tree
 from ctr_nlp.studies.reached.cases import REACHED
 from ctr_nlp.studies.workers.running import StudyProgress
@@ -161,6 +162,12 @@ def _print(found: Reach) -> None:
         rows,
         text=("robot", "outcome", "binds"),
     )
+    far = sum(one.failed == LENGTH_CHECK for one in found.best)
+    if far:
+        print_stderr(
+            f"note: {far} ends are farther from the entry than the robots reach; --from-carina or --trim start "
+            "inserts them further in"
+        )
     for sentence in totals(found):
         console().print(f"- {sentence}", soft_wrap=True)
 
