@@ -102,7 +102,9 @@ def _run(arguments: argparse.Namespace) -> int:
         report = labelled("reach")
 
         def seen(progress: StudyProgress) -> None:
-            told = f"{progress.failed} failed" + ("" if progress.workers else ", no worker is there")
+            told = f"{progress.failed} failed"
+            if not progress.workers and progress.done < progress.total:
+                told += ", no worker is there"
             report(progress.done, progress.total, told)
 
         found = reach_tree(
