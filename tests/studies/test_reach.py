@@ -11,6 +11,7 @@ from ctr_nlp.anatomy.formats.vtk import write_vtk
 from ctr_nlp.anatomy.lumen_tree import read_lumen_tree
 from ctr_nlp.anatomy.reading import ReadOptions
 from ctr_nlp.anatomy.synthetic_tree import synthetic_tree
+from ctr_nlp.cli.terminal_output import print_table
 from ctr_nlp.exceptions import OptionError, RobotError
 from ctr_nlp.studies.reach.binding import find_binding
 from ctr_nlp.studies.reach.cases import EndCase, TreeSource, bound_cases, end_cases
@@ -26,6 +27,7 @@ from ctr_nlp.studies.reach.outcomes import (
     outcome_before_planning,
     outcome_of_plan,
 )
+from ctr_nlp.studies.reach.report import TABLE_COLUMNS, table_row
 from ctr_nlp.studies.reached.cases import REACHED
 
 pytest.importorskip("pyvista", reason='needs pyvista: pip install -e ".[anatomy]"')
@@ -177,3 +179,12 @@ def test_second_call_plans_only_what_is_missing(tree_file, tmp_path):
     again = ctr.reach_tree(tree_file, {"thin": THIN}, tmp_path, callback=seen.append, **asked)
     assert seen[-1].done_before == seen[-1].total
     assert [one.outcome for one in again.outcomes] == [one.outcome for one in first.outcomes]
+
+
+def test_table_is_at_most_100_columns_wide(capsys):
+    long = replace(
+        BEFORE, robot="a" * 40, tip=12.34, contact=12.34, held=1.0, binds="b" * 90, end=100, depth=123.0
+    )
+    rows = [replace(long, outcome=NEARLY, failed=failed) for failed in CHECKED] + [replace(long, outcome=NARROW)]
+    print_table("ends", TABLE_COLUMNS, [table_row(one) for one in rows], text=("robot", "outcome", "binds"))
+    assert max(len(line.rstrip()) for line in capsys.readouterr().out.splitlines()) <= 100

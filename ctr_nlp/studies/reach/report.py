@@ -44,7 +44,7 @@ OUTCOME_COLOURS: Mapping[str, str] = {
 CSV_NAME, MAP_NAME, PAGE_NAME, SUMMARY_NAME = "reach.csv", "tree.png", "reach.html", "summary.json"
 TABLE_COLUMNS = ("end", "depth", "room", "robot", "outcome", "tip", "contact", "hold", "binds")
 """Columns of the table of ends; depth, room, tip and contact in mm."""
-ROBOT_LETTERS, BINDS_LETTERS = 14, 24
+ROBOT_LETTERS, BINDS_LETTERS = 12, 16
 """Letters of a robot's name and of what binds that the table shows, so that it is at most 100 columns wide."""
 PAGE_STYLE = """body { font: 15px/1.45 system-ui, sans-serif; margin: 2rem auto; max-width: 72rem }
 img { max-width: 100% } table { border-collapse: collapse; margin: 1rem 0 } caption { text-align: left }
@@ -150,7 +150,7 @@ def say_outcome(one: EndOutcome) -> str:
     if one.outcome not in (NEARLY, MISSED):
         return one.outcome
     why = FAILS.get(one.failed, "path too long")
-    why = "not on built robots" if one.failed == "holds" else why
+    why = "not when built" if one.failed == "holds" else why
     return f"nearly: {why}" if one.outcome == NEARLY else why
 
 
