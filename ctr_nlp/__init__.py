@@ -38,6 +38,7 @@ if TYPE_CHECKING:
     from ctr_nlp.robust import solve_robust, solve_robust_per_frame
     from ctr_nlp.studies.grid.results import Results
     from ctr_nlp.studies.grid.study_file import Study
+    from ctr_nlp.studies.reach.reach import Reach, reach_tree
     from ctr_nlp.studies.workers.running import run_study
     from ctr_nlp.tube_design.choice import RobotChoice, choose_robot, compare_robots
     from ctr_nlp.tube_design.co_design import Design, design
@@ -64,6 +65,7 @@ __all__ = [
     "Measurements",
     "Plan",
     "Problem",
+    "Reach",
     "Results",
     "Robot",
     "RobotChoice",
@@ -92,6 +94,7 @@ __all__ = [
     "named_problem",
     "plan_through",
     "problem_from_file",
+    "reach_tree",
     "read_configurations",
     "read_csv",
     "read_load",
@@ -144,6 +147,7 @@ _HOMES = {
     "loads.wall": ("WallForces", "wall_forces"),
     "studies.grid.results": ("Results",),
     "studies.grid.study_file": ("Study",),
+    "studies.reach.reach": ("Reach", "reach_tree"),
     "studies.workers.running": ("run_study",),
     "paths.curve": ("Curve", "curve_from_formula", "curve_from_points"),
     "paths.named_problems": ("named_problem",),

@@ -9,6 +9,7 @@ turned.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -72,18 +73,47 @@ def open_ends(surface: Surface, path: Array) -> tuple[Surface, list[str]]:
         Which ends these are, "entry" and "target".
     """
     kept = np.ones(len(surface.triangles), bool)
-    middle = surface.corners.mean(axis=1)
     names = []
     for name, line in (("entry", path), ("target", path[::-1])):
-        end, outward, radius = _describe_end(surface, line)
-        if surface.signed_distances(end + radius * outward[None])[0] > END_ROOM_PART * radius:
-            continue
-        offset = middle - end
-        lid = (offset @ outward > 0) & (np.linalg.norm(offset, axis=1) < END_REACH_RADII * radius + END_HEADING_MM)
-        if lid.any() and not lid.all():
+        lid = _find_lid(surface, line)
+        if lid.any():
             kept &= ~lid
             names.append(name)
     return surface.keep_triangles(kept), names
+
+
+def open_tree_ends(surface: Surface, paths: Sequence[Array]) -> Surface:
+    """Open the surface of a tree where it ends at its entry and at the ends of its branches.
+
+    Parameters
+    ----------
+    surface : Surface
+        Around the tree.
+    paths : sequence of ndarray
+        Points (n, 3) of each branch, mm, from the entry of all of them to its end.
+
+    Returns
+    -------
+    Surface
+        Without the triangles beyond these ends.
+    """
+    lids = [_find_lid(surface, line) for line in (paths[0], *(path[::-1] for path in paths))]
+    return surface.keep_triangles(~np.any(lids, axis=0))
+
+
+def _find_lid(surface: Surface, line: Array) -> Flags:
+    """Find the triangles (m,) beyond the first point of a path where the lumen ends; none where it goes on.
+
+    line: points (n, 3), mm, from that point on.
+    """
+    end, outward, radius = _describe_end(surface, line)
+    if surface.signed_distances(end + radius * outward[None])[0] > END_ROOM_PART * radius:
+        return np.zeros(len(surface.triangles), bool)
+    offset = surface.corners.mean(axis=1) - end
+    reach = END_REACH_RADII * radius + END_HEADING_MM
+    lid: Flags = (offset @ outward > 0) & (np.linalg.norm(offset, axis=1) < reach)
+    # A plane that has the whole surface beyond it would leave no wall.
+    return np.zeros_like(lid) if lid.all() else lid
 
 
 def wall_around_path(surface: Surface, path: Array) -> tuple[Surface, int]:

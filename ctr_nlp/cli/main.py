@@ -29,6 +29,7 @@ COMMANDS = {
     "steer": Entry("commands.plan", "steer", "plan frame by frame, as a robot must while its target moves"),
     "live": Entry("steering.live", "main", "steer a robot in the browser, and record what it does"),
     "branches": Entry("commands.branches", "main", "list the branches of a centreline file"),
+    "reach": Entry("studies.reach", "main", "find which ends of a tree which robots reach"),
     "inspect": Entry("commands.inspect", "main", "say what is read from a file of anatomy, and what was assumed"),
     "robust": Entry("commands.robust", "main", "simulate a plan on robots within the tolerances"),
     "check": Entry("commands.check", "main", "check a plan with code that shares nothing with the planners"),

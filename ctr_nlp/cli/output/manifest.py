@@ -60,6 +60,7 @@ STANDARD: Mapping[str, tuple[str, ...]] = {
     "by": ("by.png", "worst.html"),
     "survival": ("survival.md", "survival.csv", "survival.png", "survival.pdf"),
     "reached": ("reached.md", "reached.csv", "reached.png", "reached.pdf"),
+    "reach": ("reach.csv", "summary.json", "tree.png", "reach.html"),
     "seed": (
         *("seed.md", "table2.csv", "fig9d.csv", "fig9d.png"),
         *(f"fig{number}.{suffix}" for number in (3, 4, 5, 6, 7, 8, 10) for suffix in ("csv", "png")),

@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 import argparse
-import os
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
-from ctr_nlp.cli.arguments import add_out_option, whole
+from ctr_nlp.cli.arguments import add_out_option
 from ctr_nlp.cli.console import EXIT_INTERRUPTED, EXIT_SOLVED, EXIT_SOME_FAILED, Command
 from ctr_nlp.cli.output.file import path_component, write_text
 from ctr_nlp.cli.output.folder import check_folder, output_folder
 from ctr_nlp.cli.plan_report import exit_status
+from ctr_nlp.cli.studies.workers import add_worker_options, open_client
 from ctr_nlp.cli.terminal_output import console, print_table, progress_bar, report_written_files
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.plan.metrics import summary
@@ -24,8 +22,7 @@ from ctr_nlp.studies.grid.groups import STUDY_RANKING_COLUMN, Groups, group_rows
 from ctr_nlp.studies.grid.reports import write_report
 from ctr_nlp.studies.grid.results import Results
 from ctr_nlp.studies.grid.study_file import Study
-from ctr_nlp.studies.workers.clients import cluster_client, local_client
-from ctr_nlp.studies.workers.running import DEFAULT_CASE_TIMEOUT_S, StudyProgress, run_study
+from ctr_nlp.studies.workers.running import StudyProgress, run_study
 from ctr_nlp.support.interrupt import deferred_interrupt
 from ctr_nlp.view.report import page
 
@@ -51,14 +48,7 @@ def _parser(prog: str) -> argparse.ArgumentParser:
         'and 130 after an interruption. The extra `study` is needed: pip install "ctr_nlp[study]".',
     )
     parser.add_argument("study", metavar="STUDY.toml")
-    told = "scheduler of a Dask cluster to work on, as tcp://HOST:PORT or tls://HOST:PORT (default: processes of "
-    told += "this machine)"
-    parser.add_argument("--address", metavar="URL", help=told)
-    cores = os.cpu_count() or 1
-    parser.add_argument("--workers", metavar="N", type=whole, help=f"processes of this machine (default {cores})")
-    told = "seconds that a plan may take before it is given up; begun again with more, the study tries it again "
-    told += f"(default {DEFAULT_CASE_TIMEOUT_S:g})"
-    parser.add_argument("--patience", metavar="S", type=float, default=DEFAULT_CASE_TIMEOUT_S, help=told)
+    add_worker_options(parser)
     parser.add_argument("--plans", action="store_true", help="keep the plans themselves, too, in DIR/plans")
     told = (
         "make only the plan whose row has this digest, or one that begins so: here, without a cluster, and with "
@@ -92,7 +82,7 @@ def _run(arguments: argparse.Namespace) -> int:
     for kind in ("study", *([] if study.report is None else [study.report])):
         check_folder(out, kind)
     Results(out).check_free()
-    with _client(arguments) as client, progress_bar() as labelled, deferred_interrupt() as interrupted:
+    with open_client(arguments) as client, progress_bar() as labelled, deferred_interrupt() as interrupted:
         console(stderr=True).print(f"The cluster's own page is {client.dashboard_link}.")
         with output_folder(out, "study") as staging:
             (staging / STUDY_COPY_NAME).write_bytes(Path(arguments.study).read_bytes())
@@ -198,17 +188,6 @@ def _make_single_plan(study: Study, digest: str, keep: Path | None) -> int:
     for name, value in (cases[0].columns | summary(plan)).items():
         console().print(f"{name}: {value}", soft_wrap=True)
     return exit_status(plan)
-
-
-@contextmanager
-def _client(arguments: argparse.Namespace) -> Iterator[Any]:
-    """Yield a Dask client of the cluster that was asked for, or of processes on this machine."""
-    if arguments.address is None:
-        with local_client(arguments.workers or os.cpu_count() or 1) as client:
-            yield client
-        return
-    with cluster_client(arguments.address) as client:
-        yield client
 
 
 def _print(found: Groups, study: str) -> None:

@@ -15,6 +15,7 @@ from ctr_nlp.check.records import check_plan
 from ctr_nlp.paths.problem import Problem
 from ctr_nlp.plan.measures import contact_depths
 from ctr_nlp.plan.plan import Plan
+from ctr_nlp.studies.reach.binding import describe_end
 
 
 def contact(plan: Plan, problem: Problem) -> dict[str, float]:
@@ -77,5 +78,16 @@ def check(plan: Plan, problem: Problem) -> dict[str, Any]:
 
 CHECK_MEASURE = "check"
 """Name of the measure that checks a plan a second time."""
-MEASURES: Mapping[str, Callable[[Plan, Problem], dict[str, Any]]] = {"contact": contact, CHECK_MEASURE: check}
+
+
+def binding(plan: Plan, _: Problem) -> dict[str, Any]:
+    """Describe where a plan touches the wall, and which constraints are active at its end; see describe_end."""
+    return describe_end(plan)
+
+
+MEASURES: Mapping[str, Callable[[Plan, Problem], dict[str, Any]]] = {
+    "contact": contact,
+    CHECK_MEASURE: check,
+    "binding": binding,
+}
 """Name of a measure -> function that returns its columns of a plan's row."""

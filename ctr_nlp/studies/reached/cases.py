@@ -72,7 +72,7 @@ def from_rows(rows: Sequence[Mapping[str, Any]]) -> list[MethodOutcomes]:
     found = dict[str, list[PlanOutcome]]()
     several = len({row["robot_name"] for row in rows}) > 1
     for row in rows:
-        found.setdefault(_name(row, several), []).append(_outcome(row))
+        found.setdefault(_name(row, several), []).append(outcome_of(row))
     return [MethodOutcomes(name, tuple(outcomes)) for name, outcomes in found.items()]
 
 
@@ -80,21 +80,44 @@ def _name(row: Mapping[str, Any], several: bool) -> str:
     """Name how a row was planned: the method, its settings, and the robot where there are several."""
     told = [row["method"].replace("horizon", "over all frames").replace("robust-", "robust ")]
     settings = {
-        key: row[key] for key in sorted(row) if key.startswith("set_") and not math.isnan(_number(row[key]))
+        key: row[key] for key in sorted(row) if key.startswith("set_") and not math.isnan(read_number(row[key]))
     }
     told += [f"{key.removeprefix('set_')} {value:g}" for key, value in settings.items()]
     return ", ".join([*told, row["robot_name"]] if several else told)
 
 
-def _outcome(row: Mapping[str, Any]) -> PlanOutcome:
+def outcome_of(row: Mapping[str, Any]) -> PlanOutcome:
+    """Read the outcome of a plan from the row of a study.
+
+    Parameters
+    ----------
+    row : mapping
+        As `Case.row` makes it. Without a plan, the outcome is that it is not solved.
+
+    Returns
+    -------
+    PlanOutcome
+        The first check that fails, and the figures that decide.
+    """
     failed = next((check for check in CHECKS if row.get(f"verdict_{check}") != YES), REACHED)
-    tip, held, e3 = (_number(row.get(key)) for key in ("tip_last", "robustness_held_share", "e3"))
+    tip, held, e3 = (read_number(row.get(key)) for key in ("tip_last", "robustness_held_share", "e3"))
     # `contact_depth` of a row sums the depths of all frames; the verdict is on the deepest one.
     clearances = (row.get(key) for key in ("clearance_min", "clearance_between_min"))
-    least = min((value for each in clearances if not math.isnan(value := _number(each))), default=math.nan)
+    least = min((value for each in clearances if not math.isnan(value := read_number(each))), default=math.nan)
     return PlanOutcome(shown_name(row["problem"]), failed, tip, max(-least, 0.0), held, e3)
 
 
-def _number(value: Any) -> float:
-    """Return a number, or NaN where it is not known: tables write NaN for what a row does not have."""
+def read_number(value: Any) -> float:
+    """Read a number of a row.
+
+    Parameters
+    ----------
+    value : object
+        The entry of a column.
+
+    Returns
+    -------
+    float
+        NaN where it is no number: tables write NaN for what a row does not have.
+    """
     return float(value) if isinstance(value, int | float) else math.nan

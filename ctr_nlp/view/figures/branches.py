@@ -55,13 +55,29 @@ VIEW_FROM_FRONT, VIEW_FROM_LEFT, VIEW_FROM_BELOW = (
 )
 
 
+class BranchGroup(NamedTuple):
+    """Branches drawn in one colour: their label in the key, the colour, and their indices from 0."""
+
+    label: str
+    colour: str
+    members: Sequence[int]
+
+
 @matplotlib.rc_context(STYLE)
-def tree(paths: Sequence[Array], names: Sequence[str], title: str, directions: str = "xyz") -> Figure:
+def tree(
+    paths: Sequence[Array],
+    names: Sequence[str],
+    title: str,
+    directions: str = "xyz",
+    groups: Sequence[BranchGroup] = (),
+) -> Figure:
     """Draw branches to scale in three views, numbered at their tips.
 
     paths: points (n, 3) of each branch, mm. names: of the branches, for the key. title: may have several lines.
     directions: letters in which x, y, z grow, such as LPS or RAS; they name the axes, and these are reversed as
     radiologists have them, with the patient's left on the right of the picture. Other letters reverse none.
+    groups: where given, branches have the colours of their groups, and the key lists these; what branches share is
+    drawn in the colour of the first group.
     """
     every = np.concatenate(paths)
     low = every.min(axis=0)
@@ -70,8 +86,15 @@ def tree(paths: Sequence[Array], names: Sequence[str], title: str, directions: s
     figure, panels = _panels(side)
     for view, axes in zip((VIEW_FROM_FRONT, VIEW_FROM_LEFT, VIEW_FROM_BELOW), panels, strict=True):
         _frame(axes, view, (low + high) / 2, side, directions)
-        _draw(axes, view, paths, figure.dpi)
-    _key(figure, panels, paths, names)
+        if groups:
+            _draw_groups(axes, view, paths, groups)
+        else:
+            _draw(axes, view, paths)
+        _draw_numbers(axes, view, paths, figure.dpi)
+    if groups:
+        _group_key(figure, panels, groups)
+    else:
+        _key(figure, panels, paths, names)
     figure.suptitle("\n".join(map(printable, title.splitlines())), fontsize=10, parse_math=False)
     return figure
 
@@ -121,11 +144,25 @@ def _frame(axes: Axes, view: Projection, middle: Array, side: Array, directions:
     axes.locator_params(nbins=5)
 
 
-def _draw(axes: Axes, view: Projection, paths: Sequence[Array], dpi: float) -> None:
-    """Draw the branches, later ones thinner, so that all are seen where they share a trunk; then their numbers."""
+def _draw(axes: Axes, view: Projection, paths: Sequence[Array]) -> None:
+    """Draw the branches, later ones thinner, so that all are seen where they share a trunk."""
     for k, path in enumerate(paths):
         across, up = path[:, [view.across, view.up]].T
         axes.plot(across, up, color=tube_colour(k), lw=tube_width(k, len(paths)), solid_capstyle="round")
+
+
+def _draw_groups(axes: Axes, view: Projection, paths: Sequence[Array], groups: Sequence[BranchGroup]) -> None:
+    """Draw the branches in the colours of their groups, those of the first group on top, and mark their ends."""
+    for order, group in enumerate(reversed(groups)):
+        for k in group.members:
+            across, up = paths[k][:, [view.across, view.up]].T
+            look: dict[str, Any] = {"color": group.colour, "zorder": 2 + 0.1 * order}
+            axes.plot(across, up, lw=2.0, solid_capstyle="round", **look)
+            axes.plot(across[-1], up[-1], "o", ms=3.5, **look)
+
+
+def _draw_numbers(axes: Axes, view: Projection, paths: Sequence[Array], dpi: float) -> None:
+    """Draw the numbers of the branches at their tips, and the points where trees begin."""
     for root in {tuple(np.round(path[0], 3)) for path in paths}:
         axes.plot(root[view.across], root[view.up], "o", ms=5, mfc="white", mec=BLACK, zorder=5)
     edge = [withStroke(linewidth=2, foreground="white")]
@@ -155,6 +192,18 @@ def _places(axes: Axes, view: Projection, paths: Sequence[Array], dpi: float) ->
         gaps = [min((float(np.linalg.norm(place - other)) for other in places), default=np.inf) for place in tried]
         places.append(tried[int(np.argmax(np.minimum(gaps, TREE_LABEL_DISTANCES_PT[0])))])
     return places
+
+
+def _group_key(figure: Figure, panels: list[Axes], groups: Sequence[BranchGroup]) -> None:
+    """Draw the key of the groups, with the number of branches in each, in the free corner."""
+    corner = panels[1].get_position().x0, panels[2].get_position().y1
+    entries = []
+    for group in groups:
+        # printable() would show line breaks as text.
+        label = "\n".join(map(label_text, f"{len(group.members)}  {group.label}".splitlines()))
+        entries.append(Line2D([], [], color=group.colour, lw=2.5, label=label))
+    entries.append(Line2D([], [], ls="", marker="o", mfc="white", mec=BLACK, ms=5, label="start of the tree"))
+    figure.legend(handles=entries, loc="upper left", bbox_to_anchor=corner, borderaxespad=0)
 
 
 def _key(figure: Figure, panels: list[Axes], paths: Sequence[Array], names: Sequence[str]) -> None:
