@@ -35,6 +35,9 @@ from ctr_nlp.typing import Array
 
 Point: TypeAlias = npt.ArrayLike | None
 
+MASK_PATH_SMOOTHING_MM = 2.0
+"""How far the followed curve may be from the middle of a mask's lumen by default, mm."""
+
 
 def _read_mask(path: str | Path, entry: Point, target: Point, options: ReadOptions) -> Branches:
     # Imported where they are used, since they bring scipy.ndimage.
@@ -115,6 +118,16 @@ def read_branches(
 def is_mask(path: str | Path) -> bool:
     """Return whether the file `path` contains a mask rather than centrelines, by its name."""
     return Path(path).name.lower().endswith(MASK_SUFFIXES)
+
+
+def path_smoothing(asked: float | None, of_mask: bool) -> float:
+    """Return how far a followed curve may be from the path in a file, mm; where `asked` is None, a default.
+
+    A person chose the points of a centreline. The path through a mask is made here, from voxel to voxel: followed
+    as it is, its bends are sharper than any robot's, and plans miss ends that the same robot reaches on a smooth
+    path. The curve keeps within half of the lumen's radius in any case.
+    """
+    return asked if asked is not None else MASK_PATH_SMOOTHING_MM if of_mask else 0.0
 
 
 def is_markups(path: str | Path) -> bool:

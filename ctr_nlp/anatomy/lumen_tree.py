@@ -24,7 +24,7 @@ from ctr_nlp.anatomy.branch import (
 from ctr_nlp.anatomy.branch_measures import count_bifurcations
 from ctr_nlp.anatomy.branch_selection import find_extent
 from ctr_nlp.anatomy.distance_fields import crop_surface, field_of_surface, flatten_steps, surface_of_mask
-from ctr_nlp.anatomy.files import read_branches, title
+from ctr_nlp.anatomy.files import path_smoothing, read_branches, title
 from ctr_nlp.anatomy.lumen_surfaces import open_tree_ends
 from ctr_nlp.anatomy.reading import ASSUMED, SPACES, ReadOptions
 from ctr_nlp.exceptions import CurveError
@@ -165,7 +165,7 @@ class LumenTree:
         duration: float = 10.0,
         *,
         trim: bool = False,
-        smoothing: float = 0.0,
+        smoothing: float | None = None,
     ) -> Problem:
         """Make the problem of advancing from the entry to an end.
 
@@ -184,8 +184,9 @@ class LumenTree:
             Time for all of them, s.
         trim : bool
             Whether the robot's base is moved inwards where the path is longer than the robot reaches.
-        smoothing : float
-            How far the followed curve may be from the path, mm; see :meth:`Curve.smooth`.
+        smoothing : float, optional
+            How far the followed curve may be from the path, mm; see :meth:`Curve.smooth`. By default 2 mm in a
+            mask, and 0 otherwise.
 
         Returns
         -------
@@ -198,7 +199,7 @@ class LumenTree:
             The path is longer than the robot reaches, and `trim` is False.
         """
         end = self.ends[number - 1]
-        followed = end.path.smooth(smoothing)
+        followed = end.path.smooth(path_smoothing(smoothing, self.wall is not None))
         if trim:
             followed = trim_curve(followed, robot.reach, "start")
         followed, to_robot = move_to_robot_frame(followed)

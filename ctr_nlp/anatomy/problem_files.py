@@ -13,7 +13,7 @@ import numpy.typing as npt
 from ctr_nlp.anatomy.branch import check_branches, name_source_in_errors
 from ctr_nlp.anatomy.branch_selection import read_branch_segment
 from ctr_nlp.anatomy.distance_fields import NEAR_MM
-from ctr_nlp.anatomy.files import is_mask, title
+from ctr_nlp.anatomy.files import is_mask, path_smoothing, title
 from ctr_nlp.anatomy.formats.table import read_table
 from ctr_nlp.anatomy.plausibility import check_reach
 from ctr_nlp.anatomy.reading import ASSUMED, SPACES, WALLS_OF_MASKS, ReadOptions
@@ -38,8 +38,6 @@ LUMEN_NOTE = (
 )
 PATH_SPACING_MM = 1.0
 """Distance between the points of a path around which walls are read, mm."""
-MASK_PATH_SMOOTHING_MM = 2.0
-"""How far the followed curve may be from the middle of a mask's lumen, mm, and never more than half its radius."""
 
 
 def problem_from_file(
@@ -175,12 +173,12 @@ def problem_from_file(
             thinnest = min(tube.outer_diameter for tube in robot.tubes) / 2
             notes += check_reach(found.whole, robot.reach, thinnest, found.facts)
         # Smoothed before it is trimmed: smoothing changes the length, and what is left must be within reach.
-        allowed = path_smoothing(smoothing, path)
+        allowed = path_smoothing(smoothing, is_mask(path))
         followed = found.followed_path.smooth(allowed)
         if smoothing is None and allowed:
             notes.append(
-                f"the path is the one that bends least within {allowed:g} mm of the middle of the lumen; --smoothing "
-                "0 follows the middle itself"
+                f"the path is the one that bends least within {allowed:g} mm of the middle of the lumen; "
+                "--smoothing 0 follows the middle itself"
             )
         if trim is not None:
             whole = followed.length
@@ -215,15 +213,6 @@ def problem_from_file(
         space_assumed=found.space in SPACES and found.facts.space_known == ASSUMED,
         notes=tuple(notes),
     )
-
-
-def path_smoothing(asked: float | None, path: Path) -> float:
-    """Return how far the followed curve may be from the path in a file, mm, where `asked` leaves it open.
-
-    A person chose the points of a centreline. The path through a mask is made here, from voxel to voxel: followed as
-    it is, its bends are sharper than any robot's, and plans miss ends that the same robot reaches on a smooth path.
-    """
-    return asked if asked is not None else MASK_PATH_SMOOTHING_MM if is_mask(path) else 0.0
 
 
 def _sample_path(curve: Curve) -> Array:

@@ -246,8 +246,8 @@ def add_file_options(parser: argparse.ArgumentParser) -> None:
         "--reverse", action="store_true", default=None, help="the file's lines run from the tip to the root"
     )
     smoothing = (
-        "how far the followed curve may keep from the path, never more than half of the lumen's radius (default: 0, "
-        "through all points, and 2 in a mask)"
+        "how far the followed curve may keep from the path, never more than half of the lumen's radius "
+        "(default: 0, through all points, and 2 in a mask)"
     )
     add_numbers(group, ("smoothing", "MM", smoothing))
     trim = (

@@ -71,7 +71,10 @@ def _parser(prog: str) -> argparse.ArgumentParser:
         help="move the robot's base inwards where a path is longer than it reaches; without it, such ends are "
         "missed",
     )
-    add_numbers(parser, ("smoothing", "MM", "how far the followed curves may keep from the paths (default 0)"))
+    add_numbers(
+        parser,
+        ("smoothing", "MM", "how far the followed curves may keep from the paths (default 0, and 2 in a mask)"),
+    )
     add_frames_option(parser)
     told = (
         f"robots within the tolerances on which each plan is simulated (default {DEFAULT_PLAN_SAMPLES}); with 0 "
@@ -118,7 +121,7 @@ def _run(arguments: argparse.Namespace) -> int:
             samples=arguments.samples,
             bound_s=arguments.bound,
             trim=arguments.trim is not None,
-            smoothing=arguments.smoothing or 0.0,
+            smoothing=arguments.smoothing,
             options=read_options_from(arguments),
             pieces=pieces_from(arguments),
             client=client,

@@ -152,7 +152,7 @@ def end_cases(
     samples: int,
     seed: int,
     trim: bool,
-    smoothing: float,
+    smoothing: float | None,
 ) -> tuple[EndCase, ...]:
     """Make a case for each of some ends and robots.
 
@@ -170,7 +170,7 @@ def end_cases(
         Whether plans are for all robots within the tolerances.
     frames, samples, seed : int
         Number of frames, of simulated robots, and their seed.
-    trim, smoothing : bool and float
+    trim, smoothing : bool, and float or None
         As in :meth:`LumenTree.problem`.
 
     Returns

@@ -107,7 +107,7 @@ def reach_tree(
     samples: int = DEFAULT_PLAN_SAMPLES,
     bound_s: float = DEFAULT_BOUND_S,
     trim: bool = False,
-    smoothing: float = 0.0,
+    smoothing: float | None = None,
     options: ReadOptions | None = None,
     pieces: Sequence[str | Path] = (),
     client: Any = None,
@@ -145,8 +145,9 @@ def reach_tree(
     trim : bool
         Whether the robot's base is moved inwards where a path is longer than the robot reaches; otherwise such an
         end is missed.
-    smoothing : float
-        How far the followed curves may be from the paths, mm; see :meth:`Curve.smooth`.
+    smoothing : float, optional
+        How far the followed curves may be from the paths, mm; see :meth:`Curve.smooth`. By default 2 mm in a mask,
+        and 0 otherwise.
     options : ReadOptions, optional
         What a person states about the file.
     pieces : sequence of str or Path
