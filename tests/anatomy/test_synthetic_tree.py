@@ -48,7 +48,12 @@ def test_sections_of_a_mask_are_uneven():
     assert 0.9 < uneven.voxels.sum() / round_one.voxels.sum() < 1.3
 
 
-@pytest.mark.parametrize("seed", [0, pytest.param(2, marks=pytest.mark.slow)])
+MERGED = pytest.mark.xfail(
+    strict=True, reason="one of 20 ends of this tree runs into another bronchus of its mask"
+)
+
+
+@pytest.mark.parametrize("seed", [0, pytest.param(2, marks=[pytest.mark.slow, MERGED])])
 def test_all_ends_are_found_again_in_the_mask(tmp_path, seed):
     pytest.importorskip("nibabel", reason='needs nibabel: pip install -e ".[anatomy]"')
     tree = synthetic_tree(seed, 6 if seed == 0 else 20)
