@@ -130,6 +130,7 @@ class Wall:
         found = self.compiled_wall
         wall, slack = (self.compute_local_wall if found is None or not found.ready() else found)(x, numbers, loads)
         # A row a frame, as Chain.with_parameters and the scenarios take them.
+        # The weight is a parameter of programs, too: it is raised without compiling anew.
         weight = np.full(len(x), self.weight)
         allowed = np.full(len(x), self.contact_threshold)
         return {"wall": wall, "contact_weight": weight, "contact_allowed": allowed}, slack
@@ -172,6 +173,7 @@ class Wall:
         # The room at a sample point is reduced to the least between the one before and it: contact in between is
         # not missed.
         room -= left - np.repeat(left.reshape(len(x), -1, self.subsamples).min(axis=-1), self.subsamples, axis=-1)
+        # What the program sees of a wall: the path to second order, the radius to first.
         numbers = np.stack([room, near.taper, near.length_before, near.length_after], axis=-1)
         # In the order of terms.lumen.WALL_COLUMN_COUNT: three vectors, then four numbers.
         wall = np.concatenate([near.centre, near.tangent, near.bend, numbers], axis=-1)

@@ -62,7 +62,7 @@ def estimate_measured_forces(arguments: argparse.Namespace) -> int:
         write_text(staging / "forces.json", json.dumps(rows, indent=2, allow_nan=False) + "\n")
         write_csv(staging / "forces.csv", [_flat(row) for row in rows])
         files = sorted(path.name for path in staging.iterdir())
-    print_table(f"forces of {len(found)} shapes", COLUMNS, [_printed(j, each) for j, each in enumerate(found)])
+    print_table(f"forces of {len(found)} shapes", COLUMNS, [_table_row(j, each) for j, each in enumerate(found)])
     for j, each in enumerate(found):
         if each.kind == UNEXPLAINED:
             console().print(f"shape {j + 1}: {each}")
@@ -100,7 +100,7 @@ def _flat(row: dict[str, Any]) -> dict[str, Any]:
     return found
 
 
-def _printed(j: int, found: ForceEstimate) -> list[str]:
+def _table_row(j: int, found: ForceEstimate) -> list[str]:
     """Return the row of the printed table of a shape."""
     place = f"{found.place:.0f} ± {found.place_deviation:.0f}" if np.isfinite(found.place) else ""
     return [

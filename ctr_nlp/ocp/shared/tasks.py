@@ -53,6 +53,7 @@ def _local_parameters_by_task(sources: Sequence[Any], begins: Index, x: Array) -
 
     begins: number of the first frame of each task but the first.
     """
+    # Each task has a path and a wall of its own, linearised near its own frames.
     found = [source(part) for source, part in zip(sources, np.split(x, begins), strict=True)]
     return {name: np.concatenate([each[name] for each in found]) for name in found[0]}
 
