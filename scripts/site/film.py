@@ -1,4 +1,7 @@
-"""Film the scene of a report: `python scripts/site/film.py REPORT.html FILM.gif`. Needs Chromium and playwright."""
+"""Film the scene of a report: `python scripts/site/film.py REPORT.html FILM.gif`.
+
+Needs Chromium and playwright, which the extra `dev` brings.
+"""
 
 from __future__ import annotations
 

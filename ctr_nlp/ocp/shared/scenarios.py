@@ -192,7 +192,7 @@ def _local_wall_parameters(
     n = 2 * numbers.shape[1] + 2  # a tilt that is stored beside the model's unknowns comes after them
     if places:
         # The wall is linearised around the tubes of this iteration, not around those that the design began with:
-        # their shapes are other ones. All frames share one set of tubes, so that the first frame has their numbers.
+        # their shapes are other ones. All frames share one set of tubes: the first frame has their numbers.
         given = x[0, : len(numbers), x.shape[2] - len(places) :]
         numbers = numbers.copy()
         for k, (i, columns) in enumerate(places):
