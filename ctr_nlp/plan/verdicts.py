@@ -37,8 +37,10 @@ MARGIN_SLACK = 0.005
 between frames is less (planning/stability_refinement.py)."""
 ROBUSTNESS_VERDICT_NAME = "holds on built robots"
 """The verdict on simulated robots within the tolerances."""
-REACHED_VERDICT_NAMES = "solved", "arrives", "stable", "within_limits", "within_wall", "holds"
-"""Verdicts that are all *yes* where the end of a path is reached (docs/reached.md)."""
+REACHED_VERDICT_NAMES = "solved", "stable", "within_limits", "arrives", "within_wall", "holds"
+"""Verdicts that are all *yes* where the end of a path is reached, in the order in which they are checked
+(docs/reached.md).
+"""
 
 
 class Verdict(NamedTuple):

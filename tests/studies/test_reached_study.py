@@ -5,10 +5,10 @@ import math
 
 import pytest
 
-from ctr_nlp.plan.verdicts import NO, NOT_CHECKED, YES
+from ctr_nlp.plan.verdicts import NO, NOT_CHECKED, REACHED_VERDICT_NAMES, YES
 from ctr_nlp.studies.grid.case import CASE_DONE, CASE_FAILED
 from ctr_nlp.studies.grid.reports import write_report
-from ctr_nlp.studies.reached.cases import CHECKS, REACHED, from_rows
+from ctr_nlp.studies.reached.cases import REACHED, from_rows
 from ctr_nlp.studies.reached.report import findings, page
 
 
@@ -27,7 +27,7 @@ def row(seed, method="horizon", words=(), **more):
         "e3": 0.8,
         "verdict_follows": NO,  # an end is reached however well the way there is followed
     }
-    return found | {f"verdict_{check}": YES for check in CHECKS} | dict(words) | more
+    return found | {f"verdict_{check}": YES for check in REACHED_VERDICT_NAMES} | dict(words) | more
 
 
 NOT_PLANNED = {"problem": "synthetic:3", "robot_name": "tubes", "method": "horizon", "status": CASE_FAILED}

@@ -42,7 +42,8 @@ class EndOutcome:
     outcome : str
         Of OUTCOMES.
     failed : str
-        First check that is not *yes*: one of :data:`ctr_nlp.studies.reached.cases.CHECKS`, LENGTH_CHECK, or empty.
+        First check that is not *yes*: one of :data:`ctr_nlp.plan.verdicts.REACHED_VERDICT_NAMES`, LENGTH_CHECK, or
+        empty.
     nominal : bool
         Whether all checks but that on built robots are *yes*.
     x, y, z : float

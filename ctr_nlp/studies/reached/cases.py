@@ -7,11 +7,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from ctr_nlp.plan.verdicts import YES
+from ctr_nlp.plan.verdicts import REACHED_VERDICT_NAMES, YES
 from ctr_nlp.studies.airways import shown_name
 
-CHECKS = "solved", "stable", "within_limits", "arrives", "within_wall", "holds"
-"""Verdicts that must be yes where an end is reached, in the order in which they are checked."""
 REACHED = "reached"
 
 
@@ -24,7 +22,7 @@ class PlanOutcome:
     problem : str
         Name of the problem.
     failed : str
-        First of CHECKS that is not yes, or REACHED.
+        First of REACHED_VERDICT_NAMES that is not yes, or REACHED.
     tip : float
         Distance of the tip from the target's end in the last frame, mm.
     contact : float
@@ -99,7 +97,7 @@ def outcome_of(row: Mapping[str, Any]) -> PlanOutcome:
     PlanOutcome
         The first check that fails, and the figures that decide.
     """
-    failed = next((check for check in CHECKS if row.get(f"verdict_{check}") != YES), REACHED)
+    failed = next((check for check in REACHED_VERDICT_NAMES if row.get(f"verdict_{check}") != YES), REACHED)
     tip, held, e3 = (read_number(row.get(key)) for key in ("tip_last", "robustness_held_share", "e3"))
     # `contact_depth` of a row sums the depths of all frames; the verdict is on the deepest one.
     clearances = (row.get(key) for key in ("clearance_min", "clearance_between_min"))

@@ -10,12 +10,13 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
 from ctr_nlp.ocp.settings import Settings
-from ctr_nlp.studies.reached.cases import CHECKS, REACHED, MethodOutcomes
+from ctr_nlp.plan.verdicts import REACHED_VERDICT_NAMES
+from ctr_nlp.studies.reached.cases import REACHED, MethodOutcomes
 from ctr_nlp.view.figures.parts.page import STYLE
 from ctr_nlp.view.figures.parts.palette import BLACK, BLUE, GREEN, ORANGE, PURPLE, SKY, VERMILLION
 
 OUTCOME_COLOURS = dict(
-    zip((REACHED, *CHECKS), (GREEN, BLACK, VERMILLION, PURPLE, ORANGE, SKY, "0.75"), strict=True)
+    zip((REACHED, *REACHED_VERDICT_NAMES), (GREEN, BLACK, VERMILLION, PURPLE, ORANGE, SKY, "0.75"), strict=True)
 )
 """Colours of reached ends, and of plans by their first failed check."""
 OUTCOME_MARKERS = "osD^v"
@@ -31,7 +32,7 @@ def draw_outcomes(ways: Sequence[MethodOutcomes], fails: Mapping[str, str]) -> F
     ways : sequence of MethodOutcomes
         At least one.
     fails : mapping
-        Label in words for each of CHECKS that a plan may fail.
+        Label in words for each of REACHED_VERDICT_NAMES that a plan may fail.
 
     Returns
     -------

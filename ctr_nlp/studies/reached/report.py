@@ -9,7 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from ctr_nlp.plan.summary_text import format_cell
-from ctr_nlp.studies.reached.cases import CHECKS, REACHED, MethodOutcomes
+from ctr_nlp.plan.verdicts import REACHED_VERDICT_NAMES
+from ctr_nlp.studies.reached.cases import REACHED, MethodOutcomes
 from ctr_nlp.studies.reached.picture import draw_outcomes
 from ctr_nlp.support.tables import markdown, write_csv
 from ctr_nlp.view.figures import save
@@ -22,7 +23,7 @@ FAILS: Mapping[str, str] = {
     "within_wall": "touches the wall",
     "holds": "does not hold on built robots",
 }
-"""Check of CHECKS -> label, in words, of plans that fail it first."""
+"""Check of REACHED_VERDICT_NAMES -> label, in words, of plans that fail it first."""
 FAIL_VERBS: Mapping[str, tuple[str, str]] = {
     "solved": ("is not solved", "are not solved"),
     "stable": ("snaps", "snap"),
@@ -64,8 +65,8 @@ def findings(ways: Sequence[MethodOutcomes]) -> list[str]:
 
 def _failure_reasons(way: MethodOutcomes) -> str:
     """Describe why ends are not reached, the most frequent reason first; empty where all are."""
-    counts = {check: sum(outcome.failed == check for outcome in way.outcomes) for check in CHECKS}
-    failed = sorted((check for check in CHECKS if counts[check]), key=lambda check: -counts[check])
+    counts = {check: sum(outcome.failed == check for outcome in way.outcomes) for check in REACHED_VERDICT_NAMES}
+    failed = sorted((check for check in REACHED_VERDICT_NAMES if counts[check]), key=lambda check: -counts[check])
     told = [f"{counts[check]} {FAIL_VERBS[check][counts[check] > 1]}" for check in failed]
     return f"; of the other plans, {', '.join(told)}" if told else ""
 
@@ -75,7 +76,13 @@ def page(ways: Sequence[MethodOutcomes]) -> str:
     title = f"# Which of {max(len(way.outcomes) for way in ways)} ends are reached\n\n"
     sentences = [f"{k}. {told[0].upper()}{told[1:]}.\n" for k, told in enumerate(findings(ways), 1)]
     body = [
-        [way.name, *(str(sum(one.failed == check for one in way.outcomes)) for check in (REACHED, *CHECKS))]
+        [
+            way.name,
+            *(
+                str(sum(one.failed == check for one in way.outcomes))
+                for check in (REACHED, *REACHED_VERDICT_NAMES)
+            ),
+        ]
         for way in ways
     ]
     table = f"\n## First check that fails\n\n{markdown(['', REACHED, *FAILS.values()], body)}"
