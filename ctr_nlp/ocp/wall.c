@@ -155,15 +155,20 @@ static const float *block_at(const Grid *g, const double *place) {
     return block < 0 ? 0 : g->coefficients + (long)block * SIDE * SIDE * SIDE;
 }
 
-/* Distance at a place of a grid, its slope and its second derivatives (3, 3), by units of the grid. */
-static double evaluate_block(const float *block, const double *place, double *slope, double *bend) {
-    double along[3][3][4], found[3][3][3] = {{{0}}};
-    long first[3];
+/* The splines along each axis at a place of a grid, and the first coefficient of its block that they multiply. */
+static void place_in_block(const double *place, double along[3][3][4], long *first) {
     for (int k = 0; k < 3; ++k) {
         long cell = (long)floor(place[k]);
         basis(place[k] - cell, along[k]);
         first[k] = cell % BLOCK;
     }
+}
+
+/* Distance at a place of a grid, its slope and its second derivatives (3, 3), by units of the grid. */
+static double evaluate_block(const float *block, const double *place, double *slope, double *bend) {
+    double along[3][3][4], found[3][3][3] = {{{0}}};
+    long first[3];
+    place_in_block(place, along, first);
     for (int i = 0; i < 4; ++i) {
         double plane[3][3] = {{0}}; /* by the orders of the derivatives along the second and the third axis */
         for (int j = 0; j < 4; ++j) {
@@ -189,11 +194,7 @@ static double evaluate_block(const float *block, const double *place, double *sl
 static double evaluate_block_distance(const float *block, const double *place) {
     double along[3][3][4], found = 0;
     long first[3];
-    for (int k = 0; k < 3; ++k) {
-        long cell = (long)floor(place[k]);
-        basis(place[k] - cell, along[k]);
-        first[k] = cell % BLOCK;
-    }
+    place_in_block(place, along, first);
     for (int i = 0; i < 4; ++i) {
         double plane = 0;
         for (int j = 0; j < 4; ++j) {
