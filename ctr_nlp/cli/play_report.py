@@ -113,7 +113,8 @@ def report(
             missing.append(str(exception))
         for unit in dict.fromkeys(axis.unit for axis in hardware.axes):
             some = [k for k, axis in enumerate(hardware.axes) if axis.unit == unit]
-            rows.append(("largest error when a frame was due", float(abs(seen.error[:, some]).max()), unit))
+            largest = float(abs(seen.error[:, some]).max())
+            rows.append((f"largest error of axes in {unit} when a frame was due", largest, unit))
         rows.append(("last of these frames was due after", f"{seen.time[-1]:.2f}", "s"))
         rows.append(("and passed after, without pauses", f"{seen.time[-1] + seen.late[-1]:.2f}", "s"))
     print_table(f"{name} on the {device} device", ("", "value", "unit"), rows)

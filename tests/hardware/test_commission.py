@@ -109,6 +109,11 @@ def test_a_hardware_file_of_any_name_is_commissioned(
     assert read_commissioned(rig.file) is not None
 
 
+def test_a_rig_that_was_never_commissioned_is_noted(rig: Rig, capsys: pytest.CaptureFixture[str]) -> None:
+    assert rig.play() == 0
+    assert "note: this rig was never commissioned" in capsys.readouterr().err
+
+
 def test_axes_that_are_skipped_are_recorded_and_noted(
     rig: Rig, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -194,10 +194,15 @@ def _note_uncovered(opinions: Sequence[Opinion]) -> None:
 
 
 def _note_untried(hardware: Hardware) -> None:
-    """Name on stderr the axes that were not moved when the rig was commissioned."""
-    if hardware.commissioned is None or hardware.untried == ():
+    """Name on stderr the axes that were not moved when the rig was commissioned, all where it never was."""
+    if hardware.commissioned is None:
+        # Only Grbl's controllers are commissioned: the others have no settings to keep.
+        if hardware.connection.device != "grbl":
+            return
+        told = "this rig was never commissioned: scale and direction of no axis were tried"
+    elif hardware.untried == ():
         return
-    if hardware.untried is None:
+    elif hardware.untried is None:
         told = "the record of the rig's commissioning does not tell which axes were tried"
     else:
         told = f"when the rig was commissioned, axes were not tried: {', '.join(hardware.untried)}"

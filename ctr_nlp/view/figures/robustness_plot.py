@@ -44,7 +44,7 @@ def robustness(plan: Plan) -> Figure:
     handles = {label: Line2D([], [], color=colour, ls=ls, lw=1.2) for label, (colour, ls) in names.items()}
     handles |= {"target": Line2D([], [], **TARGET_LINE_STYLE)} | legend_of(axes["errors"])
     figure.legend(handles.values(), handles.keys(), loc="outside lower center", ncols=4)
-    add_heading(figure, plan, f"Robustness, {plan.drawn.lost_count} of {len(plan.drawn)} simulated robots fail")
+    add_heading(figure, plan, f"Robustness, {plan.drawn.lost_count} of {len(plan.drawn)} simulated robots snap")
     return figure
 
 
@@ -93,4 +93,4 @@ def _errors(axes: Axes, plan: Plan, found: Robustness) -> None:
             "zorder": 5,
             "clip_on": False,
         }
-        axes.scatter(at, 0.0 * at, s=14 + 4 * counts, marker="^", label="robots fail here", **look)
+        axes.scatter(at, 0.0 * at, s=14 + 4 * counts, marker="^", label="robots snap here", **look)
