@@ -201,7 +201,7 @@ def estimate_forces(
     >>> measured = Measurements(np.array([[0, 100, 0, 0]]), np.full((1, 3), np.nan), np.full((1, 3), np.nan),
     ...     bent[None], sigma[None], np.full(1, np.nan), np.zeros(1, dtype=int))
     >>> found, = estimate_forces(rod, measured, noise=0.05)
-    >>> found.kind, found.force.round(2).tolist()[0]
+    >>> found.kind, found.force.round(1).tolist()[0]
     ('tip', 0.1)
     """
     check_instance(MeasurementError, "robot", robot, Robot)

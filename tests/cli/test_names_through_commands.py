@@ -125,7 +125,7 @@ def test_the_page_of_plans_of_any_name_shows_it(kind, tmp_path, shown):
     assert report.main([str(path), str(path), "--out", str(tmp_path / "out")]) == 0
     shown()
     text = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
-    title = re.search(r"<h1>(.*)</h1>", text)
+    title = re.search(r"<h1[^>]*>(.*)</h1>", text)
     assert html.unescape(title[1]).startswith(f"{escape_control_characters(NAMES[kind])}: ")
     assert len(re.findall("<script", text)) == 2
     assert text.rstrip().endswith("</html>")

@@ -235,7 +235,7 @@ def test_a_robust_plan_is_asked_for_clearance(tmp_path, monkeypatch):
         asked.append(named["settings"])
         raise OptionError("that is all")
 
-    monkeypatch.setattr(plan_command, "solve_robust", planned)
+    monkeypatch.setattr("ctr_nlp.robust.solve_robust", planned)
     given = ["--clearance", "0.2", "--arrival-weight", "9", "--contact-weight", "7", "--contact-allowed", "0.3"]
     whole = ["plan", "bronchus", "--frames", "4", "--model", "elastic", "--robust", "--out", str(tmp_path)]
     assert command([*whole, *given]) == 2

@@ -61,7 +61,8 @@ def test_a_force_at_the_tip_is_found_within_its_deviations():
     (found,) = estimate_forces(slim(), measured(shape_under(ctr.Load(force=tuple(force)))), NOISE)
     assert found.kind == "tip"
     assert np.sqrt(np.mean(((found.force - force) / found.deviations) ** 2)) < 2.5
-    assert found.deviations.min() < 0.02
+    assert found.weights["tip"] > 0.5
+    assert found.deviations.max() < 0.15
     assert 0 < found.least_tip_force < 0.1
 
 
@@ -70,7 +71,7 @@ def test_a_contact_at_mid_body_is_no_force_at_the_tip():
     load = ctr.Load(distributed_force=tuple(push / 4), between=(83.0, 87.0))
     (found,) = estimate_forces(slim(), measured(shape_under(load)), NOISE)
     assert found.kind == "body"
-    assert not found.force.any()
+    assert (abs(found.force) < 0.02).all()
     assert abs(found.place - 85.0) < 4 * found.place_deviation
     assert abs(found.body_force[1] - 0.25) < 4 * found.body_deviations[1]
     assert "along the body" in str(found)

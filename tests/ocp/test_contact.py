@@ -72,7 +72,9 @@ def rooms(curve, model, x, count):
     points = SHAPES[model](ROBOT, x[None], places(x, count).ravel()[None] / x[5])[0]
     distance, along = brute(curve, points)
     radii = np.array([tube.outer_diameter / 2 for tube in ROBOT.tubes])[:, None]
-    left = curve.radius(along) - np.hypot(distance, CENTRELINE_SMOOTHING_MM)
+    # At every WALL_SUBSAMPLES-th place, a sample point of the program, the distance is rounded as it is there.
+    rounding = np.where(np.arange(1, 3 * count + 1) % WALL_SUBSAMPLES, 0.0, CENTRELINE_SMOOTHING_MM)
+    left = curve.radius(along) - np.hypot(distance, rounding)
     return left.reshape(3, count) - radii
 
 

@@ -47,7 +47,7 @@ def estimate_measured_forces(arguments: argparse.Namespace) -> int:
     """Estimate the forces of measured shapes, write and print them, and return the exit status."""
     if arguments.robot is None:
         raise OptionError(
-            f"{arguments.plan} is no plan (.npz); forces from measured shapes need --robot ROBOT.toml"
+            f"{arguments.plan} is not a plan (.npz); forces from measured shapes need --robot ROBOT.toml"
         )
     robot = Robot.from_toml(arguments.robot)
     if arguments.youngs_modulus is not None:

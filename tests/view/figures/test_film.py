@@ -231,13 +231,13 @@ def test_a_film_that_ffmpeg_cannot_make_is_an_error_of_ours(plan, tmp_path):
 def program(request, monkeypatch):
     """Both programs, which must not get as far as building a solver where unsolved is asked for."""
     main, solver = {
-        "steer": (plan_program.steer, "solve_per_frame"),
-        "horizon": (plan_program.plan, "horizon_planner"),
+        "steer": (plan_program.steer, "ctr_nlp.planning.per_frame.solve_per_frame"),
+        "horizon": (plan_program.plan, "ctr_nlp.planning.horizon.horizon_planner"),
     }[request.param]
 
     def run(*arguments, unsolved=False):
         if unsolved:
-            monkeypatch.setattr(plan_program, solver, lambda *_, **__: pytest.fail("solving was begun"))
+            monkeypatch.setattr(solver, lambda *_, **__: pytest.fail("solving was begun"))
         return main([*UNJUDGED, "arc", "--model", "dominant", "--frames", "4", *map(str, arguments)])
 
     return run

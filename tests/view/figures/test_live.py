@@ -167,7 +167,8 @@ def test_without_a_display_there_is_one_clear_error(monkeypatch):
 
 def test_programs_refuse_before_anything_moves_or_is_solved(monkeypatch, tmp_path, capsys):
     monkeypatch.setenv("MPLBACKEND", "agg")
-    monkeypatch.setattr(horizon_program, "horizon_planner", lambda *_, **__: pytest.fail("solving was begun"))
+    begun = "ctr_nlp.planning.horizon.horizon_planner"
+    monkeypatch.setattr(begun, lambda *_, **__: pytest.fail("solving was begun"))
     monkeypatch.setattr(play, "device_of", lambda *_: pytest.fail("a device was opened"))
     PLAN.save(tmp_path / "plan.npz")
     out = ["--live", "--out", str(tmp_path / "out")]
