@@ -10,7 +10,6 @@ import pytest
 from near_fold import near_the_fold, plan_through
 
 from ctr_nlp import Plan, Tolerances
-from ctr_nlp.cli.commands import plan as plan_command
 from ctr_nlp.cli.commands.play import main as play
 from ctr_nlp.cli.commands.robust import main as robust
 from ctr_nlp.cli.main import main as command
