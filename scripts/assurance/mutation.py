@@ -117,6 +117,7 @@ def run_tests(module: str, path: Path, text: str, tests: Sequence[str], timeout:
                 os.dup2(nothing.fileno(), 1)
                 os.dup2(nothing.fileno(), 2)
                 sys.meta_path.insert(0, Replaced(module, path, text))
+                _forget_imports(module.partition(".")[0])
                 import pytest
 
                 options = ["-x", "-q", "--numprocesses", "0", "-p", "no:cacheprovider", "-p", "no:rerunfailures"]
@@ -132,6 +133,17 @@ def run_tests(module: str, path: Path, text: str, tests: Sequence[str], timeout:
     os.kill(child, signal.SIGKILL)
     os.waitpid(child, 0)
     return None
+
+
+def _forget_imports(package: str) -> None:
+    """Forget what was imported of a package and of the tests.
+
+    Where this runs within the tests, both are there already, and the changed text would never be imported.
+    """
+    for name, module in list(sys.modules.items()):
+        file = getattr(module, "__file__", None)
+        if name.partition(".")[0] == package or (file and Path(file).is_relative_to(ROOT / "tests")):
+            del sys.modules[name]
 
 
 def module_name(file: str) -> str:
