@@ -77,6 +77,7 @@ def test_a_contact_at_mid_body_is_no_force_at_the_tip():
     assert "along the body" in str(found)
 
 
+@pytest.mark.slow
 def test_without_a_force_none_is_reported():
     (found,) = estimate_forces(slim(), measured(shape_under(None), seed=3), NOISE)
     assert found.kind == "none"
@@ -89,12 +90,14 @@ def test_a_sensor_that_was_moved_is_not_explained_by_a_force():
     assert "not as described" in str(found)
 
 
+@pytest.mark.slow
 def test_a_known_weight_is_taken_off():
     weight = (0.0, 0.08, 0.0)
     (found,) = estimate_forces(slim(), measured(shape_under(ctr.Load(force=weight)), seed=1, force=weight), NOISE)
     assert found.kind == "none"
 
 
+@pytest.mark.slow
 def test_doubt_about_the_tubes_makes_forces_less_certain():
     taken = measured(shape_under(ctr.Load(force=(0.1, 0.0, 0.0))))
     (exact,), (rough,) = (estimate_forces(slim(each), taken, NOISE) for each in (EXACT, ROUGH))
