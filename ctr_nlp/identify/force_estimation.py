@@ -27,12 +27,9 @@ from scipy.stats import chi2, ncx2
 
 from ctr_nlp.exceptions import MeasurementError
 from ctr_nlp.identify.calibration.measurements import Measurements
-from ctr_nlp.models import KINEMATIC_MODELS
-from ctr_nlp.models.elastic.torsion import sections
+from ctr_nlp.loads.rod_pieces import kind_with_pieces, piece_positions, unloaded_state
 from ctr_nlp.models.loaded.equilibria import LoadedEquilibria, States
-from ctr_nlp.models.loaded.model import Loaded, curves
-from ctr_nlp.models.loaded.rod_loads import RodKind
-from ctr_nlp.models.loaded.tips import tip_angles
+from ctr_nlp.models.loaded.model import curves
 from ctr_nlp.models.loads import Load, check_moduli
 from ctr_nlp.robot import Robot
 from ctr_nlp.robot.samples import perturb_robot
@@ -51,8 +48,6 @@ DETECTION_RATE = 0.95
 """Probability with which the least detectable force is noticed."""
 UNEXPLAINED_RATE = 1e-3
 """Probability of a misfit as large as the one found, below which no explanation is accepted."""
-PIECES_PER_SECTION = 9
-"""Pieces into which every section between ends of tubes is divided; a force along the body acts on two of them."""
 MAX_FIT_ITERATIONS, FIT_TOLERANCE = 30, 1e-4
 """Most Levenberg-Marquardt steps, and the decrease of the sum of squares below which they end."""
 FIRST_DAMPING, MAX_DAMPING = 1e-3, 1e8
@@ -229,7 +224,7 @@ class _RobotInDoubt:
         curved = DEVIATION_NAMES.index("curved_length")
         extreme[..., curved] = -3 * np.sqrt((root**2).sum(axis=1).reshape(robot.d, -1)[:, curved])
         self.structure = perturb_robot(robot, extreme, np.zeros((1, robot.d))).structure
-        self.kind = RodKind.of(Load())._replace(pieces=PIECES_PER_SECTION)
+        self.kind = kind_with_pieces(Load())
         self.equilibria = LoadedEquilibria(self.structure, self.kind)
 
 
@@ -258,17 +253,10 @@ class _Observation:
                 f"observation {j + 1} has {len(self.values)} measured values; a force needs at least 3"
             )
         self.known_force = measured.force[j]
-        beta = robot.split(self.q[None])[1]
-        parts = self.kind.split_sections(sections(robot.tube_numbers, list(beta.T), np, planes=False))
-        start, self.lengths = (
-            np.array([float(np.ravel(getattr(part, name))[0]) for part in parts]) for name in ("start", "length")
-        )
-        self.middles = start + self.lengths / 2
-        x = KINEMATIC_MODELS[Loaded.name].follow(robot, self.q[None]).x
-        unloaded = self.equilibria.solve_unloaded(robot.numbers[None], self.q[None], tip_angles(x, robot.d))
-        if not np.isfinite(unloaded.determinant).all():
+        (self.middles,), (self.lengths,) = piece_positions(robot, self.kind, robot.split(self.q[None])[1])
+        self.start = unloaded_state(self.equilibria, robot, self.q[None])
+        if not np.isfinite(self.start.determinant).all():
             raise MeasurementError(f"the robot has no equilibrium at the configuration of observation {j + 1}")
-        self.start = unloaded
 
     @cached_property
     def place_range(self) -> Array:
@@ -283,18 +271,25 @@ class _Observation:
     def loads(self, tip: Array, body: Array, place: Array) -> Array:
         """Return load numbers (n, l) of forces tip, body (n, 3), N, the latter at place (n,), mm.
 
-        A force at a place acts on the two pieces around it, shared so that its centroid is there.
+        What is known to act is added to them.
         """
-        d, rows = self.robot.d, len(tip)
-        fixed = np.zeros((rows, Load().numbers(d).size))
+        fixed = np.zeros((len(tip), Load().numbers(self.robot.d).size))
         fixed[:, :3] = tip + self.known_force
+        return np.hstack([fixed, self.pushes(body, place)])
+
+    def pushes(self, body: Array, place: Array) -> Array:
+        """Return the forces per length (n, 3K), N/mm, on the pieces, of forces body (n, 3), N, at place (n,), mm.
+
+        A force acts on the two pieces around its place, shared so that its centroid is there.
+        """
+        rows = len(body)
         pushes = np.zeros((rows, len(self.lengths), 3))
         middles, lengths = self.middles[self.useful], self.lengths[self.useful]
         right = np.clip(np.searchsorted(middles, place), 1, len(middles) - 1)
         part = np.clip((place - middles[right - 1]) / (middles[right] - middles[right - 1]), 0.0, 1.0)
         for at, share in ((right - 1, 1 - part), (right, part)):
             pushes[np.arange(rows), self.useful[at]] += (share / lengths[at])[:, None] * body
-        return np.hstack([fixed, pushes.reshape(rows, -1)])
+        return pushes.reshape(rows, -1)
 
     def predict(self, states: States, tip: Array, body: Array, place: Array, u: Array) -> tuple[Array, States]:
         """Return the measured values (n, m) that forces and deviations u (n, r) lead to, and the equilibria.
@@ -308,10 +303,16 @@ class _Observation:
         there, done = self.equilibria.follow_branches(
             states, q, self.loads(tip, body, place), numbers=samples.numbers
         )
-        points, tangents = curves(self.structure, there.numbers, there.load, there.unknowns, self.sigma, self.kind)
-        values = np.concatenate([points.reshape(len(u), -1), tangents[:, -1]], axis=1)
-        values = np.where(done[:, None] == 1, values, np.nan)
-        return values[:, self.used], there
+        return np.where(done[:, None] == 1, self.values_of(there), np.nan), there
+
+    def values_of(self, states: States) -> Array:
+        """Return the values (n, m) that the sensor would measure, without noise, of n equilibria."""
+        points, tangents = self.curves_of(states, self.sigma)
+        return np.concatenate([points.reshape(len(points), -1), tangents[:, -1]], axis=1)[:, self.used]
+
+    def curves_of(self, states: States, sigma: Array) -> tuple[Array, Array]:
+        """Return points, mm, and unit tangents (n, k, 3) of n equilibria at sigma (k,)."""
+        return curves(self.structure, states.numbers, states.load, states.unknowns, sigma, self.kind)
 
     def residuals(self, values: Array, u: Array) -> Array:
         """Return weighted residuals (n, m + r) of predicted values (n, m), with those of the deviations."""
@@ -411,19 +412,14 @@ class _Observation:
         count = len(self.useful)
         rows = 3 * count
         place = np.repeat(self.middles[self.useful], 3)
-        extra = np.tile(np.eye(3), (count, 1)) * STEPS["force"]
-        # A fit without a force along the body, or with one elsewhere, keeps what it has; the probe is added.
-        at = self.loads(
-            np.tile(base.tip, (rows, 1)), np.tile(base.body, (rows, 1)), np.full(rows, base.place_or_zero)
-        )
-        at += self.loads(np.zeros((rows, 3)), extra, place) - self.loads(
-            np.zeros((rows, 3)), np.zeros((rows, 3)), place
-        )
+        probes = np.tile(np.eye(3), (count, 1)) * STEPS["force"]
         many = base.states.rows(np.zeros(rows, dtype=int))
+        # The fit keeps the forces that it has; the probe is added.
+        at = many.load.copy()
+        at[:, at.shape[1] - 3 * len(self.lengths) :] += self.pushes(probes, place)
         there, done = self.equilibria.follow_branches(many, many.q, at)
-        points, tangents = curves(self.structure, there.numbers, there.load, there.unknowns, self.sigma, self.kind)
-        values = np.concatenate([points.reshape(rows, -1), tangents[:, -1]], axis=1)[:, self.used]
-        slopes = np.where(done[:, None] == 1, (values - base.values) / STEPS["force"], 0.0) / self.scale
+        change = (self.values_of(there) - base.values) / STEPS["force"]
+        slopes = np.where(done[:, None] == 1, change, 0.0) / self.scale
         return np.hstack([slopes, np.zeros((rows, self.root.shape[1]))]).reshape(count, 3, -1)
 
     def gains(self, base: _Fit, has_tip: bool) -> Array:
@@ -433,7 +429,7 @@ class _Observation:
             kept = np.vstack([self.tip_slopes(base), kept])
         inside = _projector(kept)
         gains = []
-        for slope in self.body_slopes(base):
+        for slope in base.body_slopes:
             free = slope - slope @ inside
             gains.append(base.residual @ free.T @ np.linalg.pinv(free @ free.T) @ free @ base.residual)
         return np.array(gains)
@@ -465,19 +461,19 @@ class _Observation:
         least = np.linalg.eigvalsh(across @ free @ free.T @ across.T)[0]
         at_tip = math.sqrt(_noncentrality(3, FALSE_ALARM_RATE) / max(least, 1e-300))
         inside = _projector(tip.slopes)
+        needed = _noncentrality(3, FALSE_ALARM_RATE / places)
         found = []
-        for slope, tangent in zip(self.body_slopes(tip), tangents, strict=True):
+        for slope, tangent in zip(tip.body_slopes, tangents, strict=True):
             free = slope - slope @ inside
             across = np.linalg.svd(tangent[None])[2][1:]
             least = np.linalg.eigvalsh(across @ free @ free.T @ across.T)[0]
-            found.append(math.sqrt(_noncentrality(3, FALSE_ALARM_RATE / places) / max(least, 1e-300)))
+            found.append(math.sqrt(needed / max(least, 1e-300)))
         return at_tip, np.array(found)
 
     def tangents_at(self, fit: _Fit) -> Array:
         """Return the unit tangents (K, 3) of a fitted robot at the middles of its pieces."""
         sigma = self.middles[self.useful] / self.robot.split(self.q[None])[1][0, -1]
-        states = fit.states
-        return curves(self.structure, states.numbers, states.load, states.unknowns, sigma, self.kind)[1][0]
+        return self.curves_of(fit.states, sigma)[1][0]
 
 
 def _projector(rows: Array) -> Array:
@@ -606,13 +602,21 @@ class _Fit:
         return self.place_or_zero if self.has_body else math.nan
 
     @property
+    def present(self) -> Index:
+        """Indices of what the fit has among tip, body and place, 7 in all."""
+        return np.flatnonzero([self.has_tip] * 3 + [self.has_body] * 4)
+
+    @cached_property
+    def body_slopes(self) -> Array:
+        """Derivatives (K, 3, m + r) of the residuals over a force on each piece."""
+        return self.of.body_slopes(self)
+
+    @cached_property
     def force_covariance(self) -> Array:
         """Covariance (7, 7) of tip, body and place; 0 for what the fit does not have."""
         every = np.linalg.pinv(self.slopes @ self.slopes.T)[: self.force_count, : self.force_count]
-        rows = np.concatenate([np.arange(3) if self.has_tip else [], np.arange(3, 7) if self.has_body else []])
-        rows = rows.astype(int)
         found = np.zeros((7, 7))
-        found[np.ix_(rows, rows)] = every
+        found[np.ix_(self.present, self.present)] = every
         return found
 
     def evidence(self, scale: float) -> tuple[float, Array, Array]:
@@ -622,10 +626,9 @@ class _Fit:
         fit (Laplace's approximation), so that with a normal prior of the same mean and variance as that of places
         the integral is one of normal distributions.
         """
-        rows = np.concatenate([np.arange(3) if self.has_tip else [], np.arange(3, 7) if self.has_body else []])
+        rows = self.present
         if not len(rows):
             return -self.misfit / 2, np.zeros(3), np.zeros((3, 3))
-        rows = rows.astype(int)
         low, high = self.of.place_range
         before = np.diag([*[scale**2] * 6, (high - low) ** 2 / 12])[np.ix_(rows, rows)]
         middle = np.array([*[0.0] * 6, (low + high) / 2])[rows]

@@ -20,13 +20,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from ctr_nlp.loads.rod_pieces import kind_with_pieces, piece_positions, unloaded_state
 from ctr_nlp.loads.tip_force_limits import loaded_shapes
-from ctr_nlp.models import KINEMATIC_MODELS
-from ctr_nlp.models.elastic.torsion import sections
 from ctr_nlp.models.loaded.equilibria import LoadedEquilibria, States
-from ctr_nlp.models.loaded.model import Loaded
 from ctr_nlp.models.loaded.rod_loads import RodKind
-from ctr_nlp.models.loaded.tips import tip_angles
 from ctr_nlp.models.loads import Load, LoadOverTime
 from ctr_nlp.models.protocol import subdivide_motion
 from ctr_nlp.paths.lumen import outermost_tube_radii
@@ -37,8 +34,6 @@ from ctr_nlp.robot import Robot
 from ctr_nlp.support.value_objects import ReadOnlyValue
 from ctr_nlp.typing import Array, Flags
 
-CONTACT_PIECES_PER_SECTION = 9
-"""Number of pieces into which every section between ends of tubes is divided: some mm each."""
 CONTACT_FORCE_TOLERANCE_N = 1e-4
 """Largest difference, N, between the forces on all pieces and the wall's pushes at their depths."""
 MAX_CONTACT_NEWTON_ITERATIONS, MAX_CONTACT_STEP_HALVINGS = 30, 6
@@ -97,27 +92,17 @@ class Foundation:
     @cached_property
     def kind(self) -> RodKind:
         """Kind of rods: that of the load, with sections divided into pieces that have forces of their own."""
-        return RodKind.of(self.load)._replace(pieces=CONTACT_PIECES_PER_SECTION)
+        return kind_with_pieces(self.load)
 
     @cached_property
     def equilibria(self) -> LoadedEquilibria:
         """Solver of equilibria of rods with a force per length on every piece."""
         return LoadedEquilibria(self.robot.structure, self.kind)
 
-    def piece_positions(self, beta: Array) -> tuple[Array, Array]:
-        """Return middles and lengths (T, K), mm, of the pieces of robots with extensions beta (T, d), mm."""
-        # Adding 0 beta broadcasts what does not depend on beta to (T,).
-        parts = self.kind.split_sections(sections(self.robot.tube_numbers, list(beta.T), np, planes=False))
-        start, length = (
-            np.stack([getattr(part, name) + 0 * beta[:, 0] for part in parts], axis=1)
-            for name in ("start", "length")
-        )
-        return start + length / 2, length
-
     def wall_reaction(self, states: States) -> WallReaction:
         """Return the wall's pushes on T robots in equilibrium; states: these equilibria."""
         beta = self.robot.split(states.q)[1]
-        middle, length = self.piece_positions(beta)
+        middle, length = piece_positions(self.robot, self.kind, beta)
         places = middle[..., None] + length[..., None] * (np.array(CONTACT_PIECE_SAMPLE_PARTS) - 0.5)
         sigma = places.reshape(len(beta), -1) / beta[:, -1:]
         points = loaded_shapes(self.robot, states, sigma, self.kind)
@@ -149,7 +134,7 @@ class Foundation:
         """Simulate the robot within the wall through q (T, 2d + 2); the wall is applied in the first frame."""
         found = self._empty_result(q)
         way = subdivide_motion(np.asarray(q, dtype=float), SAMPLE_SUBSTEPS_PER_FRAME)
-        states = self._unloaded_state(q[:1])
+        states = unloaded_state(self.equilibria, self.robot, q[:1])
         pushes = np.zeros((1, found["along"].shape[1], 3))
         loads = self.load.numbers_at(self.robot.d, way.elapsed_fractions)
         # Only the last sub-step of a frame is recorded; -1 is no frame, so that the very last one counts.
@@ -157,7 +142,7 @@ class Foundation:
         # Pushes are kept as dead loads during a sub-step; then they are adjusted to the depths at its end.
         for place, load, j, last in zip(way.q[:, None], loads, way.frames, last_of, strict=True):
             states, done = self.equilibria.follow_branches(states, place, self.combine_loads(load, pushes))
-            length = self.piece_positions(self.robot.split(place)[1])[1][0]
+            length = piece_positions(self.robot, self.kind, self.robot.split(place)[1])[1][0]
             settled = self._balance_forces(states, load, pushes, length) if done[0] == 1 else None
             # Where the robot goes in a snap is unknown: all later frames stay NaN.
             if settled is None:
@@ -179,16 +164,11 @@ class Foundation:
 
     def _empty_result(self, q: Array) -> dict[str, Any]:
         """Return the arrays of a WallContact for q (T, 2d + 2), NaN but for the pieces' positions and lengths."""
-        along, length = self.piece_positions(self.robot.split(q)[1])
+        along, length = piece_positions(self.robot, self.kind, self.robot.split(q)[1])
         sizes = {"depth": along.shape, "force": along.shape, "towards": (*along.shape, 3)}
         sizes |= {"shape": (len(q), len(SIGMA_GRID), 3), "missed": (len(q),)}
         known = {"along": along, "length": length, "narrow": np.zeros(along.shape, dtype=bool)}
         return known | {name: np.full(size, np.nan) for name, size in sizes.items()}
-
-    def _unloaded_state(self, q: Array) -> States:
-        """Return the equilibrium of the robot at q (1, 2d + 2) without load and wall."""
-        x = KINEMATIC_MODELS[Loaded.name].follow(self.robot, q).x
-        return self.equilibria.solve_unloaded(self.robot.numbers[None], q, tip_angles(x, self.robot.d))
 
     def _balance_forces(
         self, states: States, load: Array, pushes: Array, length: Array
