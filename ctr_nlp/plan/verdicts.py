@@ -123,12 +123,6 @@ class Verdicts(NamedTuple):
         """Whether the end of the path is reached: all REACHED_VERDICT_NAMES are *yes*."""
         return all(getattr(self, name).word == YES for name in REACHED_VERDICT_NAMES)
 
-    @property
-    def end_reached_nominally(self) -> bool:
-        """Whether the nominal robot reaches the end of the path: as `end_reached`, without simulated robots."""
-        names = [name for name in REACHED_VERDICT_NAMES if name != "holds"]
-        return all(getattr(self, name).word == YES for name in names)
-
 
 SHORT_NAMES = {name: name.removeprefix("within_").replace("_", " ") for name in Verdicts._fields}
 """Names of the verdicts for the heads of narrow columns."""

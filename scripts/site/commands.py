@@ -4,6 +4,10 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Iterator
+from functools import cache
+
+from mkdocs.config.defaults import MkDocsConfig
+from mkdocs.structure.files import File, Files
 
 from ctr_nlp.cli import main as cli
 from ctr_nlp.cli.console import examples
@@ -12,6 +16,21 @@ WIDTH = 72
 """Characters of a line in a usage message."""
 
 
+def on_config(config: MkDocsConfig) -> MkDocsConfig:
+    """Add the pages of the commands to the contents."""
+    assert config.nav is not None
+    config.nav.insert(-1, {"Commands": list(command_pages())})
+    return config
+
+
+def on_files(files: Files, config: MkDocsConfig) -> Files:
+    """Add the texts of these pages."""
+    for address, text in command_pages().items():
+        files.append(File.generated(config, address, content=text))
+    return files
+
+
+@cache
 def command_pages() -> dict[str, str]:
     """Make the reference pages, Markdown text by address: an overview, and a page for each command."""
     overview = [

@@ -2,7 +2,7 @@
 
 README.md becomes the first page, and a notebook a page with what it shows. Formulas become MathML, which browsers
 draw without a script. A link to another file leads to a page which shows that file. The pages of the Python
-interface are made from docstrings, and those of the commands from their parsers.
+interface are made from docstrings; commands.py makes those of the commands from their parsers.
 """
 
 from __future__ import annotations
@@ -12,7 +12,6 @@ import inspect
 import json
 import posixpath
 import re
-import sys
 from collections import defaultdict
 from pathlib import Path
 from typing import Any
@@ -25,9 +24,6 @@ from mkdocs.structure.pages import Page
 import ctr_nlp
 
 ROOT = Path(__file__).parents[2]
-sys.path.append(str(Path(__file__).parent))  # MkDocs loads a hook alone, without its neighbours
-from commands import command_pages  # noqa: E402
-
 ADDRESSES = {"README.md": "index.md", "CONTRIBUTING.md": "contributing.md", "CHANGELOG.md": "changes.md"}
 """Pages that stand beside docs/ -> where they are on the site."""
 LANGUAGES = {".py": "python", ".toml": "toml", ".json": "json"}
@@ -44,7 +40,6 @@ PARTS = re.compile(
 def on_config(config: MkDocsConfig) -> MkDocsConfig:
     """Add the pages of the interface to the contents."""
     assert config.nav is not None
-    config.nav.insert(-1, {"Commands": list(command_pages())})
     config.nav.insert(-1, {"Python": [{Path(address).stem.capitalize(): address} for address in _interface()]})
     config.extra_css.append("site.css")
     config.extra_javascript.append("site.js")
@@ -61,7 +56,7 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
             files.append(File.generated(config, _address(target), content=_shown(target)))
     for path in ADDRESSES:
         files.append(File.generated(config, _address(path), content=pages[path]))
-    for address, text in (_interface() | command_pages()).items():
+    for address, text in _interface().items():
         files.append(File.generated(config, address, content=text))
     for name in ("site.css", "site.js"):
         files.append(File.generated(config, name, abs_src_path=str(Path(__file__).with_name(name))))

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from ctr_nlp.cli.console import EXIT_SOLVED, EXIT_SOME_FAILED
+from ctr_nlp.cli.loads.options import robot_with_modulus
 from ctr_nlp.cli.output.file import write_text
 from ctr_nlp.cli.output.folder import check_folder, output_folder
 from ctr_nlp.cli.terminal_output import busy, console, print_table, report_written_files
@@ -24,7 +25,6 @@ from ctr_nlp.identify.force_estimation import (
     ForceEstimate,
     estimate_forces,
 )
-from ctr_nlp.models.loads import with_modulus
 from ctr_nlp.robot import Robot
 from ctr_nlp.support.tables import write_csv
 
@@ -49,9 +49,7 @@ def estimate_measured_forces(arguments: argparse.Namespace) -> int:
         raise OptionError(
             f"{arguments.plan} is not a plan (.npz); forces from measured shapes need --robot ROBOT.toml"
         )
-    robot = Robot.from_toml(arguments.robot)
-    if arguments.youngs_modulus is not None:
-        robot = with_modulus(robot, arguments.youngs_modulus)
+    robot = robot_with_modulus(Robot.from_toml(arguments.robot), arguments)
     measured = read_measurements(arguments.plan, robot)
     out = Path(arguments.out or "runs/measured-force")
     check_folder(out, "force")

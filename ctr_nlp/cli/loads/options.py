@@ -10,6 +10,7 @@ from ctr_nlp.models import Model, model_named, model_with_load
 from ctr_nlp.models.loads import Load, LoadOverTime, read_load, with_modulus
 from ctr_nlp.paths.problem import Problem
 from ctr_nlp.plan.plan import Plan
+from ctr_nlp.robot import Robot
 
 
 def add_modulus_option(parser: argparse.ArgumentParser) -> None:
@@ -47,11 +48,14 @@ def load_from(arguments: argparse.Namespace) -> Load | LoadOverTime:
     return Load(force=arguments.force) if arguments.load is None else read_load(arguments.load)
 
 
+def robot_with_modulus(robot: Robot, arguments: argparse.Namespace) -> Robot:
+    """Return the robot with the Young's modulus in `arguments`, if any; raises LoadError."""
+    return robot if arguments.youngs_modulus is None else with_modulus(robot, arguments.youngs_modulus)
+
+
 def problem_with_modulus(problem: Problem, arguments: argparse.Namespace) -> Problem:
     """Return the problem, its robot with the Young's modulus in `arguments`, if any; raises LoadError."""
-    if arguments.youngs_modulus is None:
-        return problem
-    return replace(problem, robot=with_modulus(problem.robot, arguments.youngs_modulus))
+    return replace(problem, robot=robot_with_modulus(problem.robot, arguments))
 
 
 def has_load(arguments: argparse.Namespace) -> bool:

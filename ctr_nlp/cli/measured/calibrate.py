@@ -9,7 +9,7 @@ from typing import Any
 
 from ctr_nlp.cli.arguments import add_figures_option, add_out_option, whole
 from ctr_nlp.cli.console import EXIT_SOLVED, Command
-from ctr_nlp.cli.loads.options import add_load_options, add_modulus_option, model_from_options
+from ctr_nlp.cli.loads.options import add_load_options, add_modulus_option, model_from_options, robot_with_modulus
 from ctr_nlp.cli.measured.calibration_files import (
     as_json,
     error_summaries,
@@ -26,7 +26,6 @@ from ctr_nlp.identify.calibration.folds import FOLD_BLOCK_S
 from ctr_nlp.identify.calibration.parameters import BASE, PARAMETER_KINDS
 from ctr_nlp.identify.calibration.reading import read_measurements
 from ctr_nlp.models import KINEMATIC_MODELS
-from ctr_nlp.models.loads import with_modulus
 from ctr_nlp.robot import Robot
 
 FOLDS = 5
@@ -94,9 +93,7 @@ def _parser(prog: str) -> argparse.ArgumentParser:
 
 def _run(arguments: argparse.Namespace) -> int:
     out = Path(arguments.out)
-    robot = Robot.from_toml(arguments.robot)
-    if arguments.youngs_modulus is not None:
-        robot = with_modulus(robot, arguments.youngs_modulus)
+    robot = robot_with_modulus(Robot.from_toml(arguments.robot), arguments)
     measured = read_measurements(arguments.measured, robot)
     check_folder(out, "calibration")
     with progress_bar() as labelled:

@@ -11,6 +11,7 @@ import numpy as np
 
 from ctr_nlp.anatomy.lumen_tree import WIDTH_MARGIN_MM, LumenTree, TreeEnd
 from ctr_nlp.ocp.settings import Settings
+from ctr_nlp.paths.problem import MAX_TARGET_LENGTH_RATIO
 from ctr_nlp.plan.verdicts import NOT_CHECKED
 from ctr_nlp.robot import Robot
 from ctr_nlp.studies.grid.case import CASE_DONE
@@ -23,8 +24,6 @@ OUTCOMES = (REACHED, NEARLY, MISSED, UNPLANNED, NARROW, UNENTERED)
 """All outcomes, the best first."""
 NEARLY_MM = 1.0
 """By how much tip and contact may exceed what is allowed where an end is nearly reached, mm."""
-TOO_LONG_PART = 1.005
-"""Length of a path over the robot's reach above which it cannot be planned without trimming."""
 LENGTH_CHECK = "length"
 """Check that a path fails that is longer than the robot reaches."""
 
@@ -131,7 +130,7 @@ def outcome_before_planning(tree: LumenTree, end: TreeEnd, name: str, robot: Rob
             at = ", ".join(f"{value:.1f}" for value in narrowest.point)
             why = f"radius {narrowest.radius:.2f} mm at a depth of {narrowest.depth:.0f} mm, at ({at})"
             return replace(found, outcome=NARROW, reason=why)
-    if end.depth > TOO_LONG_PART * robot.reach and not trim:
+    if end.depth > MAX_TARGET_LENGTH_RATIO * robot.reach and not trim:
         why = f"the path of {end.depth:.0f} mm is longer than the robot reaches, {robot.reach:.0f} mm"
         # The tip cannot be farther from the entry than the robot is long.
         path = end.path.point(np.array([0.0, end.path.length]))

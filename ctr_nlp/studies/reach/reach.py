@@ -68,11 +68,15 @@ class Reach:
     robust: bool
 
     @cached_property
+    def by_end(self) -> tuple[tuple[EndOutcome, ...], ...]:
+        """The outcomes of each end, a robot each."""
+        count = len(self.robots)
+        return tuple(self.outcomes[k : k + count] for k in range(0, len(self.outcomes), count))
+
+    @cached_property
     def best(self) -> tuple[EndOutcome, ...]:
         """The best outcome of each end, over all robots."""
-        count = len(self.robots)
-        each = [self.outcomes[k : k + count] for k in range(0, len(self.outcomes), count)]
-        return tuple(best_outcome(one) for one in each)
+        return tuple(map(best_outcome, self.by_end))
 
     @property
     def complete(self) -> bool:
@@ -89,9 +93,7 @@ class Reach:
         """
         found = {name: count_outcomes([one for one in self.outcomes if one.robot == name]) for name in self.robots}
         any_robot = count_outcomes(self.best)
-        ends = range(0, len(self.outcomes), len(self.robots))
-        each = [self.outcomes[k : k + len(self.robots)] for k in ends]
-        any_robot["as_described"] = sum(any(one.nominal for one in end) for end in each)
+        any_robot["as_described"] = sum(any(one.nominal for one in end) for end in self.by_end)
         return found | {"any": any_robot}
 
 
