@@ -6,6 +6,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from ctr_nlp.anatomy.branch import transform_points
 from ctr_nlp.plan.plan import Plan
 from ctr_nlp.plan.verdicts import option
 from ctr_nlp.typing import Array
@@ -82,8 +83,7 @@ def _nearest_to_wall(plan: Plan) -> tuple[Array, Array]:
 
 def _written(to_robot: Array, points: Array) -> list[list[float] | None]:
     """Return points (n, 3) of the robot's frame in the coordinates of the file, mm with one decimal."""
-    back = np.linalg.inv(to_robot)
-    found = points @ back[:3, :3].T + back[:3, 3]
+    found = transform_points(points, np.asarray(np.linalg.inv(to_robot)))
     return [np.round(point, 1).tolist() if np.isfinite(point).all() else None for point in found]
 
 

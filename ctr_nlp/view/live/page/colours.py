@@ -9,6 +9,7 @@ import numpy.typing as npt
 from matplotlib import colormaps
 from matplotlib.colors import to_hex, to_rgb
 
+from ctr_nlp.anatomy.branch import transform_points
 from ctr_nlp.ocp.settings import Settings
 from ctr_nlp.paths.lumen import outermost_tube_index
 from ctr_nlp.paths.problem import Problem
@@ -137,7 +138,7 @@ def _places(seen: SessionState, problem: Problem) -> list[RatedNumber]:
         name = "file" if problem.space == "xyz" else problem.space
     found = []
     for what, point in (("tip", seen.shape[-1]), ("goal", seen.target[-1])):
-        numbers = np.round(back[:3, :3] @ point + back[:3, 3], 1) + 0.0  # no "-0.0"
+        numbers = np.round(transform_points(point, back), 1) + 0.0  # no "-0.0"
         text = ", ".join(f"{value:.1f}" for value in numbers) if np.isfinite(numbers).all() else "not known"
         found.append(RatedNumber(f"{what}, {name}", f"{text} mm", "", ""))
     return found
