@@ -278,17 +278,18 @@ class _Observation:
         return np.hstack([fixed, self.pushes(body, place)])
 
     def pushes(self, body: Array, place: Array) -> Array:
-        """Return the forces per length (n, 3K), N/mm, on the pieces, of forces body (n, 3), N, at place (n,), mm.
+        """Return the numbers (n, 6K), N/mm, of forces on the pieces, of forces body (n, 3), N, at place (n,), mm.
 
-        A force acts on the two pieces around its place, shared so that its centroid is there.
+        Each is constant along its piece. A force acts on the two pieces around its place, shared so that its
+        centroid is there.
         """
         rows = len(body)
-        pushes = np.zeros((rows, len(self.lengths), 3))
+        pushes = np.zeros((rows, len(self.lengths), 2, 3))
         middles, lengths = self.middles[self.useful], self.lengths[self.useful]
         right = np.clip(np.searchsorted(middles, place), 1, len(middles) - 1)
         part = np.clip((place - middles[right - 1]) / (middles[right] - middles[right - 1]), 0.0, 1.0)
         for at, share in ((right - 1, 1 - part), (right, part)):
-            pushes[np.arange(rows), self.useful[at]] += (share / lengths[at])[:, None] * body
+            pushes[np.arange(rows), self.useful[at], 0] += (share / lengths[at])[:, None] * body
         return pushes.reshape(rows, -1)
 
     def predict(self, states: States, tip: Array, body: Array, place: Array, u: Array) -> tuple[Array, States]:
@@ -416,7 +417,7 @@ class _Observation:
         many = base.states.rows(np.zeros(rows, dtype=int))
         # The fit keeps the forces that it has; the probe is added.
         at = many.load.copy()
-        at[:, at.shape[1] - 3 * len(self.lengths) :] += self.pushes(probes, place)
+        at[:, at.shape[1] - 6 * len(self.lengths) :] += self.pushes(probes, place)
         there, done = self.equilibria.follow_branches(many, many.q, at)
         change = (self.values_of(there) - base.values) / STEPS["force"]
         slopes = np.where(done[:, None] == 1, change, 0.0) / self.scale

@@ -8,7 +8,8 @@ from loaded_plans import TWO
 from scipy.integrate import solve_bvp
 
 from ctr_nlp import Load, Robot, Tube
-from ctr_nlp.loads.wall_contact import CONTACT_FORCE_TOLERANCE_N, Foundation
+from ctr_nlp.loads.contact_equilibria import CONTACT_FORCE_TOLERANCE_N
+from ctr_nlp.loads.wall_contact import Foundation
 from ctr_nlp.models import KINEMATIC_MODELS
 from ctr_nlp.models.loads import with_modulus
 from ctr_nlp.paths.lumen import Lumen
@@ -90,9 +91,9 @@ def test_it_is_the_rod_on_a_foundation(stiffness):
     found = touched(stiffness)
     for j, beta in enumerate(aligned()[:, 2:4]):
         expected, force = rod(NITINOL, beta, RADIUS, stiffness)
-        np.testing.assert_allclose(found.shape[j][:, [0, 2]].T, expected, atol=0.02)
+        np.testing.assert_allclose(found.shape[j][:, [0, 2]].T, expected, atol=0.01)
         np.testing.assert_allclose(found.shape[j][:, 1], 0, atol=1e-6)
-        assert found.force[j].sum() == pytest.approx(force, rel=0.03, abs=1e-4)
+        assert found.force[j].sum() == pytest.approx(force, rel=0.01, abs=1e-4)
     assert found.force[-1].sum() > 0.05
 
 

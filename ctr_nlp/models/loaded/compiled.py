@@ -20,7 +20,7 @@ from ctr_nlp.codegen.language import VECTOR_LANES
 from ctr_nlp.models.elastic.torsion import sections
 from ctr_nlp.models.loaded.equations import Softness
 from ctr_nlp.models.loaded.rod import Tip, integrate_rod
-from ctr_nlp.models.loaded.rod_loads import RodKind, loading
+from ctr_nlp.models.loaded.rod_loads import PieceForce, RodKind, loading
 from ctr_nlp.models.loaded.vectors import vectors
 from ctr_nlp.models.loads.load import FIRST_WEIGHT_COLUMN
 from ctr_nlp.models.protocol import symbolic_tubes
@@ -35,7 +35,8 @@ class RodBases(NamedTuple):
     """T rods at their bases, as integrated from their tips.
 
     angles (T, d): of the tubes at their motors, relative to the frame at the base, rad. axes (T, 3, 3): that
-    frame, row by row d_1, d_2 and t. responses (T, k, d + 2, d + 2): of rod.Rod, from tip to base. tangents (T, k,
+    frame, row by row d_1, d_2 and t. responses (T, k, d + 2, d + 2): of rod.Rod, from tip to base; on a foundation
+    with d + 5 rows and columns. tangents (T, k,
     n, 3): of k sections or their pieces, at n nodes from base to tip.
     """
 
@@ -68,6 +69,9 @@ def symbolic(structure: Structure, kind: RodKind) -> ca.Function:
     entries = ca.vertsplit(tip)
     extensions = ca.vertsplit(beta)
     d1, d2, t = vectors(entries[d:])
+    # Empty where sections are not divided into pieces.
+    each = kind.numbers_per_piece // 3
+    forces = vectors(ca.vertsplit(load)[FIRST_WEIGHT_COLUMN + 3 * d :])
     rod = integrate_rod(
         tubes,
         Tip(entries[:d], (d1, d2, t)),
@@ -78,7 +82,9 @@ def symbolic(structure: Structure, kind: RodKind) -> ca.Function:
         ca,
         kind.steps,
         soft=Softness(*ca.vertsplit(soft)),
-        section_forces=vectors(ca.vertsplit(load)[FIRST_WEIGHT_COLUMN + 3 * d :]),
+        section_forces=[
+            PieceForce(forces[k], forces[k + 1], forces[k + 2 : k + each]) for k in range(0, len(forces), each)
+        ],
     )
     reach = zip(rod.angles, rod.rates, tubes, extensions, strict=True)
     # Behind the opening a transmission is straight and unloaded: its rate of twist is constant over the L_i -
@@ -143,10 +149,11 @@ class Rods:
         each = (self._block(given[block], of_tubes[block]) for block in blocks)
         ends, responses, tangents = map(np.concatenate, zip(*each, strict=True))
         pieces = tangents.shape[1] // (3 * (self.kind.steps + 1))
+        side = d + self.kind.place_changes
         return RodBases(
             ends[:, :d],
             ends[:, d:].reshape(rows, 3, 3),
-            responses.reshape(rows, responses.shape[1] // (d + 2) ** 2, d + 2, d + 2),
+            responses.reshape(rows, responses.shape[1] // side**2, side, side),
             tangents.reshape(rows, pieces, self.kind.steps + 1, 3),
         )
 

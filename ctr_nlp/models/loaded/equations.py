@@ -9,7 +9,8 @@ spin along the robot; the tubes' angles psi_i, rad, in it; a weight and a force 
 
 (Rucker, Jones, Webster, IEEE Transactions on Robotics 26(5), 2010.) A state is a list of angles psi, of their
 rates psi', and of the entries of d_1, d_2, t and m. A response is the first-order effect of a change at the tip:
-on angles and rates, turns (a, b, c) of the frame about d_1, d_2 and t, and on moment and force. Changes over a
+on angles and rates, turns (a, b, c) of the frame about d_1, d_2 and t, and on moment and force; on a foundation,
+whose w changes with the place, on the place as well. Changes over a
 step are slopes times a length h, which is negative towards the base: curvatures, rates and forces are multiplied
 by h once, and the rest follows without further products.
 """
@@ -62,7 +63,9 @@ class Equations:
     """The equations along one section (part) of a rod.
 
     tubes: with their numbers. beta: extensions, mm. force: internal force at the section's end towards the tip, N,
-    without the force along the body. weight: per length, N/mm. along: the force between two places along the body,
+    without the force along the body. weight: per length, N/mm. growth: half the change of a further force per
+    length along the section, whose mean is 0, N/mm, or None. foundation: how the force per length changes with the
+    place, or empty; both of rod_loads.PieceForce. along: the force between two places along the body,
     or None. soft: softness of the responses. xp: casadi or numpy. steps: number of steps of integration.
     """
 
@@ -71,6 +74,8 @@ class Equations:
     part: RobotSection
     force: Vector
     weight: Vector
+    growth: Vector | None
+    foundation: Sequence[Vector]
     along: DistributedForce | None
     soft: Softness
     xp: Any
@@ -118,6 +123,9 @@ class Equations:
         u = about[1] + sum(pull[i] * cos[i] for i in active), sum(pull[i] * sin[i] for i in active) - about[0]
         # n at a place is all that acts beyond it: at the end of the section, and the weight between.
         n = plus(scale_vector(h, self.force), fraction, scale_vector(h * part.length, self.weight))
+        if self.growth is not None:
+            # growth (2 x - 1), integrated over x from 1 - fraction to 1.
+            n = plus(n, fraction * (1 - fraction), scale_vector(h * part.length, self.growth))
         if self.along is not None:
             n = plus(n, h * self.along.beyond(s), self.along.force)
         return _Here(twist, sin, cos, pull, flexible, about, u, n)
@@ -127,7 +135,7 @@ class Equations:
         state.
         """
         d, (u1, u2), (d1, d2, t, _) = len(self.tubes), here.u, vectors(y[2 * len(self.tubes) :])
-        dpsi, drates, ((a, b, c), dm, dn) = by[:d], by[d : 2 * d], vectors(by[2 * d :])
+        dpsi, drates, ((a, b, c), dm, dn) = by[:d], by[d : 2 * d], vectors(by[2 * d : 2 * d + 9])
         # A softer rod bends more under the same moments: bending is multiplied here, and twisting below.
         soft = self.soft.bending
         sin = here.sin
@@ -153,4 +161,11 @@ class Equations:
         moments = plus(leaning, h, cross(dn, t))
         # Dead loads do not turn with the rod: a change of force at the tip (of a follower force) stays the same to
         # the base.
-        return [*(h * rate for rate in drates), *sway, *turning, *moments, *[0.0 * a] * 3]
+        forces = [0.0 * a] * 3
+        moved = list[Any]()
+        if self.foundation:
+            # n' = -w - .., p' = t, and w changes with the place.
+            displacement = (by[2 * d + 9], by[2 * d + 10], by[2 * d + 11])
+            forces = [-h * dot(row, displacement) for row in self.foundation]
+            moved = list(scale_vector(h, plus(scale_vector(b, d1), -1.0 * a, d2)))
+        return [*(h * rate for rate in drates), *sway, *turning, *moments, *forces, *moved]

@@ -23,7 +23,7 @@ import numpy as np
 
 from ctr_nlp.models.elastic.torsion import Node, RobotSection, curvatures_at
 from ctr_nlp.models.loaded.equations import Equations, Softness, Values
-from ctr_nlp.models.loaded.rod_loads import DistributedForce, Loading, RodKind, check_kinds
+from ctr_nlp.models.loaded.rod_loads import DistributedForce, Loading, PieceForce, RodKind, check_kinds
 from ctr_nlp.models.loaded.vectors import cross, dot, plus, scale_vector, total, vectors
 from ctr_nlp.robot.structure import Tubes
 from ctr_nlp.typing import Vector
@@ -32,6 +32,9 @@ RESPONSE_RESTART_STEPS = 3
 """Steps after which responses restart. Over longer pieces, directions that are soft in torsion turn so far that
 pivots become negative where no direction has lost its stability.
 """
+
+RIGID_LENGTH_MM = 1e-3
+"""Length of a rigid part that is added to every part in the test of stability on a foundation, mm."""
 
 
 class Tip(NamedTuple):
@@ -91,14 +94,14 @@ def integrate_rod(
     steps: int,
     *,
     soft: Softness | None = None,
-    section_forces: Sequence[Vector] = (),
+    section_forces: Sequence[PieceForce] = (),
 ) -> Rod:
     """Integrate the rod of a tip to the base, with the classical method of Runge and Kutta of order 4.
 
     tubes, beta, parts: of the robot, extensions in mm, sections from base to tip. load: what acts, of which kind
     selects the terms that count. xp: casadi or numpy. steps: in each section. soft: softness of the responses;
-    None for no responses. section_forces: forces per length, N/mm, that act along each of the parts beside the
-    tubes' weights. Raises LoadError for a helix.
+    None for no responses. section_forces: forces that act along each of the parts beside the tubes' weights.
+    Raises LoadError for a helix.
     """
     check_kinds([tube.kind for tube in tubes])
     d = len(tubes)
@@ -125,8 +128,15 @@ def integrate_rod(
     for k, part in reversed(list(enumerate(parts))):
         # Weight per volume times cross-section, N/mm, of the tubes that are present in this section.
         weights = [scale_vector(tubes[i].area, load.weights[i]) for i in part.present] if kind.weighs else []
-        weight = total([*weights, *section_forces[k : k + 1]])
-        section = Equations(tubes, beta, part, force, weight, along, soft or Softness(), xp, steps)
+        growth: Vector | None = None
+        foundation: Sequence[Vector] = ()
+        if section_forces:
+            mean, growth, foundation = section_forces[k]
+            weights.append(mean)
+        weight = total(weights)
+        section = Equations(
+            tubes, beta, part, force, weight, growth, foundation, along, soft or Softness(), xp, steps
+        )
         nodes = [y]
         for step in range(steps):
             y, by = _runge_kutta_step(section, step, y, by)
@@ -134,7 +144,8 @@ def integrate_rod(
             # Also at each section's end, so that places of responses do not depend on RESPONSE_RESTART_STEPS
             # dividing the steps.
             if by and (step + 1 == steps or (step + 1) % RESPONSE_RESTART_STEPS == 0):
-                by = _restart_responses(by, responses, d, xp)
+                lengths = part.length * ((step % RESPONSE_RESTART_STEPS + 1) / steps)
+                by = _restart_responses(by, responses, y, lengths if kind.founded else None, d, xp)
         states.append(nodes[::-1])
         # Weights are dead loads in the base's directions: the internal force grows by that of the section.
         force = plus(force, part.length, weight)
@@ -143,7 +154,7 @@ def integrate_rod(
             # From the opening to its motor each tube turns by its rate over L_i - beta_i. One transmission after
             # the other, so that one direction at a time can lose its stability.
             by[i] = by[i] - by[d + i] * (tube.length - beta[i])
-            by = _restart_responses(by, responses, d, xp)
+            by = _restart_responses(by, responses, y, 0.0 if kind.founded else None, d, xp)
     d1, d2, t, _ = vectors(y[2 * d :])
     return Rod(states[::-1], y[:d], y[d : 2 * d], (d1, d2, t), responses)
 
@@ -174,12 +185,13 @@ def _plus(begin: tuple[Values, Values], changes: tuple[Values, Values]) -> tuple
 
 
 def _changes(tip: Tip, load: Loading, kind: RodKind, twistable: Any, xp: Any) -> Values:
-    """Return the initial responses at the tip, to turns about d_1 and d_2 and to changes of angles.
+    """Return the initial responses at the tip, to turns about d_1 and d_2, changes of angles, and displacements.
 
-    twistable: 1 / GJ_d, of the innermost tube. xp: casadi or numpy.
+    The last ones are there on a foundation alone. twistable: 1 / GJ_d, of the innermost tube. xp: casadi or numpy.
     """
     d, (d1, d2, t) = len(tip.angles), tip.axes
-    a, b, *angles = _units(d + 2, xp)
+    a, b, *others = _units(d + kind.place_changes, xp)
+    angles = others[:d]
     none = 0.0 * a
     # A turn (a, b) changes t by b d_1 - a d_2. A tool that is turned by `about` takes its force and moment along;
     # the axial moment is along t.
@@ -193,26 +205,54 @@ def _changes(tip: Tip, load: Loading, kind: RodKind, twistable: Any, xp: Any) ->
         axial = dot(load.moment, turned)
     if kind.follows:
         force = cross(about, _tool_to_base(tip, load.tool_force, xp))
-    return [*angles, *[none] * (d - 1), axial * twistable, a, b, none, *moment, *force]
+    return [*angles, *[none] * (d - 1), axial * twistable, a, b, none, *moment, *force, *others[d:]]
 
 
-def _restart_responses(by: Values, responses: list[list[Any]], d: int, xp: Any) -> Values:
-    """Restart responses at this place: return `by` as responses to changes of this place.
+def _restart_responses(
+    by: Values, responses: list[list[Any]], y: Values, founded: Any | None, d: int, xp: Any
+) -> Values:
+    """Restart responses at this place, of state y: return `by` as responses to changes of this place.
 
     The responses of this place over the place before are appended to `responses`. They are inverted by elimination
-    without a choice of pivots, which are positive where a robot is stable (stability.py).
+    without a choice of pivots, which are positive where a robot is stable (stability.py). founded: on a
+    foundation, the length since the place before, mm; else None.
     """
     a, b, c = by[2 * d : 2 * d + 3]
     # An angle in space is psi plus the spin c of its frame. Only such sums matter, so that d + 2 numbers describe
-    # a place.
+    # a place. On a foundation its displacement matters, too, here in the place's own axes.
     rows = [a, b, *(c + psi for psi in by[:d])]
-    responses.append(rows)
-    for k, unit in enumerate(_units(d + 2, xp)):
+    if founded is None:
+        responses.append(rows)
+    else:
+        moved = vectors(by[2 * d + 9 :])[0]
+        rows += [dot(axis, moved) for axis in vectors(y[2 * d :])[:3]]
+        responses.append(_weigh_displacements(rows, founded, d))
+    for k, unit in enumerate(_units(len(rows), xp)):
         # Gauss and Jordan's elimination on columns: column k becomes a unit vector, and all responses are changed
         # alike.
         change = (unit - rows[k]) / rows[k][:, k : k + 1]
         rows, by = ([row + row[:, k : k + 1] * change for row in some] for some in (rows, by))
     return by
+
+
+def _weigh_displacements(rows: list[Any], length: Any, d: int) -> list[Any]:
+    """Return the rows of a place's response on a foundation, multiplied by the stiffness that couples it.
+
+    rows: turns, angles and displacements in the place's axes. length: from the place before, mm. With S the
+    stiffness of all beyond that one, and K_jj, K_jn those of the part between, the response is -K_jn^-1 (K_jj +
+    S), and the robot is stable where the pivots of K_jj + S are positive. Where only turns count, K_jn is diagonal
+    and negative. Displacements couple with turns: of a beam, -K_jn = [[-2 h^2, 6 h], [-6 h, 12]] EI / h^3 for a
+    turn and a displacement in one plane. Positive factors of rows are left out.
+    """
+    # Sections may be empty, and transmissions have no beam: a short rigid one stands for them.
+    h = length + RIGID_LENGTH_MM
+    found = list(rows)
+    # Towards the base, a turn about d_2 moves the axis by -d_1, and one about d_1 by d_2.
+    for turn, side, sign in ((1, d + 2, -1.0), (0, d + 3, 1.0)):
+        moved = rows[side] + RIGID_LENGTH_MM * sign * rows[turn]
+        found[turn] = 3 * sign * moved - h * rows[turn]
+        found[side] = 2 * moved - h * sign * rows[turn]
+    return found
 
 
 def _units(size: int, xp: Any) -> list[Any]:

@@ -44,6 +44,19 @@ class Loading(NamedTuple):
     weights: Sequence[Vector]
 
 
+class PieceForce(NamedTuple):
+    """A force per length along a piece, N/mm, linear in the place: mean + growth (2 x - 1), x from 0 to 1 along
+    it.
+
+    Its resultant is the mean times the length; growth moves the place at which the resultant acts. foundation: the
+    rows of the derivative of the force per length by the place's displacement, N/mm per mm, or empty.
+    """
+
+    mean: Vector
+    growth: Vector
+    foundation: Sequence[Vector] = ()
+
+
 def check_kinds(kinds: Sequence[Kind]) -> None:
     """Raise LoadError if the kinds of a robot's tubes include a helix.
 
@@ -115,8 +128,9 @@ class RodKind(NamedTuple):
 
     follows: a force at the tip turns with the tool. bends: a moment acts at the tip that is not about its
     direction. distributed: a force acts between two places along the body. weighs: tubes have a weight. pieces:
-    number of pieces into which every section is divided, each with a force per length of its own, or 0 where there
-    are none. Numbers of a load whose term a kind does not contain are ignored.
+    number of pieces into which every section is divided, each with a force per length of its own that is linear
+    along it, or 0 where there are none. founded: whether that force changes as the piece moves, by a stiffness of
+    its own, which counts in responses alone. Numbers of a load whose term a kind does not contain are ignored.
     """
 
     follows: bool = False
@@ -124,6 +138,7 @@ class RodKind(NamedTuple):
     distributed: bool = False
     weighs: bool = False
     pieces: int = 0
+    founded: bool = False
 
     @classmethod
     def of(cls, load: Load | LoadOverTime) -> RodKind:
@@ -144,8 +159,8 @@ class RodKind(NamedTuple):
         return LOADED_STEPS_PER_SECTION * (2 if self.distributed else 1) // max(self.pieces, 1)
 
     def numbers(self, structure: Structure) -> int:
-        """Return how many numbers a load of a robot has: of loads.Load.numbers, and three for every piece, N/mm,
-        if any.
+        """Return how many numbers a load of a robot has: of loads.Load.numbers, and six for every piece, N/mm, if
+        any (PieceForce), with nine more of its foundation.
 
         structure: of the robot, whose tubes determine the number of sections.
         """
@@ -154,7 +169,20 @@ class RodKind(NamedTuple):
         # Sections lie between neighbouring tips; each is divided once more for every tube present whose straight
         # part may show (torsion.sections).
         parts = sum(1 + sum(shown[i:]) for i in range(d))
-        return FIRST_WEIGHT_COLUMN + 3 * d + 3 * self.pieces * parts
+        return FIRST_WEIGHT_COLUMN + 3 * d + self.numbers_per_piece * self.pieces * parts
+
+    @property
+    def numbers_per_piece(self) -> int:
+        """How many numbers of a load belong to each piece."""
+        return 15 if self.founded else 6
+
+    @property
+    def place_changes(self) -> int:
+        """How many numbers, apart from the tubes' angles, describe a change of a place.
+
+        Two turns of the tangent; on a foundation the displacement, too.
+        """
+        return 5 if self.founded else 2
 
 
 TIP_FORCE_ROD_KIND = RodKind()

@@ -1,0 +1,77 @@
+"""A wall as an elastic (Winkler) foundation: the force per length that it exerts on points of a robot, and its
+slope.
+
+At a depth D of the robot's surface beyond the wall, mm, the wall presses with k D per mm of the robot, N/mm,
+towards the lumen's path; the energy stored in it is k D^2 / 2 per mm. Where the lumen is narrower than the robot,
+the far side presses, too, with k B. With a = p - c the vector from the path's nearest point c to the point p of
+the robot's axis, e = a / |a|, t the path's tangent, kappa its curvature vector and r' the growth of the lumen's
+radius along the tangent,
+
+    w = -k (D - B) e,   dD/dp = e - r' t,   dB/dp = -e - r' t,   dc/dp = t t^T / (1 - a . kappa).
+
+The last one holds between the path's ends; beyond them c stays.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from ctr_nlp.paths.walls import WallGeometry
+from ctr_nlp.typing import Array, Flags
+
+NEGLIGIBLE_DISTANCE_MM = 1e-9
+"""Distance from the path below which a push has no direction and counts as 0, mm."""
+MIN_PATH_STRETCH = 0.1
+"""Least 1 - a . kappa: at 0 the point is the path's centre of curvature, and has no nearest point."""
+
+
+class WallPush(NamedTuple):
+    """What a wall does to points (..,) of a robot's axis.
+
+    beyond (..,): how far the robot's surface is beyond the wall, mm, negative where it does not touch. push (..,
+    3): force per length on the robot, N/mm. slope (.., 3, 3): its derivative by the point, N/mm per mm. narrow
+    (..,): where the lumen is narrower than the robot.
+    """
+
+    beyond: Array
+    push: Array
+    slope: Array
+    narrow: Flags
+
+
+@dataclass(frozen=True)
+class WinklerWall:
+    """A wall that gives; stiffness: k, N/mm for every mm of depth and every mm of length along the robot."""
+
+    geometry: WallGeometry
+    stiffness: float
+
+    def push(self, points: Array, radius: Array) -> WallPush:
+        """Return what the wall does to points (.., 3), mm, of a robot of these radii (..,), mm."""
+        near = self.geometry.project(points)
+        over = radius - near.radius
+        depth = np.maximum(over + near.distance, 0.0)
+        behind = np.maximum(over - near.distance, 0.0)
+        away = np.maximum(near.distance, NEGLIGIBLE_DISTANCE_MM)
+        e = (points - near.centre) / away[..., None]
+        amount = depth - behind
+        # 1 where the surface touches on this side: the derivative of max(0, .).
+        touching, touching_behind = (np.where(each > 0, 1.0, 0.0)[..., None] for each in (depth, behind))
+        widening = near.taper[..., None] * near.tangent
+        growth = touching * (e - widening) + touching_behind * (e + widening)
+        # The path's nearest point moves along the tangent, unless it is an end of the path.
+        inside = (near.length_before > 0) & (near.length_after > 0)
+        stretch = np.maximum(1.0 - ((points - near.centre) * near.curvature_vector).sum(axis=-1), MIN_PATH_STRETCH)
+        follows = np.where(inside, 1.0 / stretch, 0.0)[..., None, None]
+        turning = np.eye(3) - _outer(e, e) - follows * _outer(near.tangent, near.tangent)
+        # e turns by (I - e e^T)(da) / |a|; t is perpendicular to e, so that the product has three terms.
+        slope = -self.stiffness * (_outer(e, growth) + (amount / away)[..., None, None] * turning)
+        return WallPush(over + near.distance, -self.stiffness * amount[..., None] * e, slope, over > 0)
+
+
+def _outer(a: Array, b: Array) -> Array:
+    """Return the products a b^T (.., 3, 3) of vectors (.., 3)."""
+    return np.asarray(a[..., :, None] * b[..., None, :])

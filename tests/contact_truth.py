@@ -1,0 +1,131 @@
+"""Robots on a wall that gives, by collocation from base to tip: nothing of the library's rods is used here."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.integrate import solve_bvp
+
+from ctr_nlp import Robot
+
+
+class Cylinder:
+    """A straight lumen of a radius, mm, around the line through a point along a direction."""
+
+    def __init__(self, point, direction, radius, stiffness):
+        self.point = np.asarray(point, dtype=float)[:, None]
+        self.direction = (np.asarray(direction, dtype=float) / np.linalg.norm(direction))[:, None]
+        self.radius, self.stiffness = radius, stiffness
+
+    def push(self, points, tube_radius):
+        """Force per length (3, n), N/mm, on a robot's axis at points (3, n), mm."""
+        away = points - self.point
+        away = away - self.direction * (away * self.direction).sum(axis=0)
+        return self._push(away, tube_radius)
+
+    def _push(self, away, tube_radius):
+        distance = np.maximum(np.linalg.norm(away, axis=0), 1e-12)
+        over = tube_radius - self.radius
+        amount = np.maximum(over + distance, 0) - np.maximum(over - distance, 0)
+        return -self.stiffness * amount * away / distance
+
+
+class Bend(Cylinder):
+    """A lumen of a radius, mm, around the circle that leaves the origin along z and bends towards a direction."""
+
+    def __init__(self, bend_radius, towards, radius, stiffness):
+        x = np.array([np.cos(towards), np.sin(towards), 0.0])[:, None]
+        self.x, self.bend_radius = x, bend_radius
+        self.radius, self.stiffness = radius, stiffness
+
+    def push(self, points, tube_radius):
+        from_centre = points - self.bend_radius * self.x
+        z = np.array([0.0, 0.0, 1.0])[:, None]
+        in_plane = self.x * (from_centre * self.x).sum(axis=0) + z * (from_centre * z).sum(axis=0)
+        circle = self.bend_radius * (self.x + in_plane / np.linalg.norm(in_plane, axis=0))
+        return self._push(points - circle, tube_radius)
+
+
+def solve_contact(robot: Robot, q, wall, start, tolerance=1e-6):
+    """Solve for a robot on a wall, from a shape to start from.
+
+    start: returns points and tangents (n, 3) at arc lengths (n,), mm. Returns a function from arc lengths to
+    points, and the sum of the wall's forces' sizes, N. Tubes have one curvature each and are extended by no
+    straight part. The unknowns of every section between ends of tubes are, side by side, p, d_1, t, m, n, psi and
+    psi'.
+    """
+    d = robot.d
+    alpha, beta, theta = q[:d], q[d : 2 * d], q[2 * d :]
+    edges = np.concatenate([[0.0], beta])
+    lengths = np.diff(edges)
+    bending = np.array([tube.bending_stiffness for tube in robot.tubes])
+    twisting = np.array([tube.bending_stiffness / (1 + tube.poisson_ratio) for tube in robot.tubes])
+    curvature = np.array([tube.tip_curvature for tube in robot.tubes])
+    radii = [tube.outer_diameter / 2 for tube in robot.tubes]
+    size = 15 + 2 * d
+    cx, sx, cy, sy = np.cos(theta[0]), np.sin(theta[0]), np.cos(theta[1]), np.sin(theta[1])
+    base = np.array([[cy, 0, sy], [0, 1, 0], [-sy, 0, cy]]) @ np.array([[1, 0, 0], [0, cx, -sx], [0, sx, cx]])
+
+    def slopes(x, y):
+        found = np.zeros_like(y)
+        for k in range(d):
+            here = y[k * size : (k + 1) * size]
+            p, d1, t, m, n = (here[3 * j : 3 * j + 3] for j in range(5))
+            psi, rate = here[15 : 15 + d], here[15 + d :]
+            d2 = np.cross(t, d1, axis=0)
+            present = slice(k, d)
+            pull = bending[present, None] * curvature[present, None]
+            cos, sin = np.cos(psi[present]), np.sin(psi[present])
+            stiff = bending[present].sum()
+            u1 = ((m * d2).sum(axis=0) + (pull * cos).sum(axis=0)) / stiff
+            u2 = (-(m * d1).sum(axis=0) + (pull * sin).sum(axis=0)) / stiff
+            turning = np.zeros_like(psi)
+            turning[present] = pull / twisting[present, None] * (u1 * sin - u2 * cos)
+            moving = rate.copy()
+            moving[:k] = 0.0
+            pushed = wall.push(p, radii[k])
+            parts = [t, -u1 * t, u1 * d1 + u2 * d2, -np.cross(t, n, axis=0), -pushed, moving, turning]
+            found[k * size : (k + 1) * size] = lengths[k] * np.vstack(parts)
+        return found
+
+    def ends(a, b):
+        first = a[:size]
+        found = [first[:3], first[3:6] - base[:, 0], first[6:9] - base[:, 2]]
+        free = [tube.length - out for tube, out in zip(robot.tubes, beta, strict=True)]
+        found.append(first[15 : 15 + d] - alpha - first[15 + d :] * free)
+        for k in range(d):
+            last = b[k * size : (k + 1) * size]
+            if k + 1 < d:
+                # A tube that ends here has no rate of twist; all else goes on. Beyond its end it is constant.
+                following = a[(k + 1) * size : (k + 2) * size]
+                jump = following - last
+                jump[15 + d + k] = last[15 + d + k]
+                found.append(jump)
+            else:
+                found += [last[9:12], last[12:15], last[15 + d :]]
+        return np.concatenate(found)
+
+    x = np.linspace(0, 1, 21)
+    y = np.zeros((d * size, len(x)))
+    for k in range(d):
+        points, tangents = start(edges[k] + lengths[k] * x)
+        # A frame that does not spin, to start from: the base's, turned with the tangent.
+        d1 = base[:, 0] - tangents * (tangents @ base[:, 0])[:, None]
+        d1 /= np.linalg.norm(d1, axis=1, keepdims=True)
+        y[k * size : k * size + 9] = np.hstack([points, d1, tangents]).T
+        y[k * size + 15 : k * size + 15 + d] = alpha[:, None]
+    solved = solve_bvp(slopes, ends, x, y, tol=tolerance, max_nodes=20_000)
+    assert solved.success, solved.message
+    fine = np.linspace(0, 1, 4001)
+    values = solved.sol(fine)
+    force = sum(
+        lengths[k]
+        * np.trapezoid(np.linalg.norm(wall.push(values[k * size : k * size + 3], radii[k]), axis=0), fine)
+        for k in range(d)
+    )
+
+    def points(s):
+        k = np.minimum((s[:, None] > beta[None]).sum(axis=1), d - 1)
+        at = solved.sol((s - edges[k]) / lengths[k])
+        return np.array([at[size * k[j] : size * k[j] + 3, j] for j in range(len(s))])
+
+    return points, float(force)

@@ -1,0 +1,182 @@
+"""Equilibria on a wall that gives: against textbooks, collocation from base to tip, and differences."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import scipy.linalg
+from contact_truth import Bend, Cylinder, solve_contact
+from loaded_plans import TWO
+
+from ctr_nlp import Load, Robot, Tube
+from ctr_nlp.loads.contact_equilibria import ContactEquilibria, ContactState
+from ctr_nlp.loads.winkler_wall import WinklerWall
+from ctr_nlp.models.loaded.equilibria import States
+from ctr_nlp.models.loaded.stability import margins
+from ctr_nlp.models.loads import with_modulus
+from ctr_nlp.paths.lumen import Lumen
+from ctr_nlp.paths.target import SIGMA_GRID
+
+RIGID_N_PER_MM2 = 1e3
+NITINOL = with_modulus(TWO, 60_000)
+ROD = with_modulus(Robot((Tube(200, 150, 0.0, 1.5, 1.0),)), 60_000)
+
+
+def lumen_along(point, direction, radius, length=200.0):
+    s = np.linspace(-20.0, length, 441)
+    points = np.asarray(point) + s[:, None] * np.asarray(direction) / np.linalg.norm(direction)
+    return Lumen(np.column_stack([points, np.full(len(s), radius)]))
+
+
+def placed(robot, wall, stiffness, q, load=None):
+    load = load or Load()
+    equilibria = ContactEquilibria(robot, WinklerWall(wall, stiffness), load)
+    state = equilibria.place(np.asarray(q, dtype=float), load.numbers(robot.d))
+    assert state is not None
+    return equilibria, state
+
+
+def random_scene(seed):
+    """A robot of one to three tubes in a straight or bent lumen that it touches, and both descriptions of the
+    wall."""
+    rng = np.random.default_rng(seed)
+    d = int(rng.integers(1, 4))
+    outer = np.array([2.4, 1.6, 1.0])[-d:] * rng.uniform(0.9, 1.1)
+    tubes = tuple(
+        Tube(300.0, 140.0, float(rng.uniform(0.004, 0.014)), float(each), float(each - 0.45)) for each in outer
+    )
+    robot = with_modulus(Robot(tubes), 60_000)
+    beta = np.sort(rng.uniform(25, 110, d))
+    beta = beta + 8 * np.arange(d)
+    q = np.concatenate([rng.uniform(-1.0, 1.0, d), beta, rng.uniform(-0.1, 0.1, 2)])
+    stiffness = float(10 ** rng.uniform(-2, 0))
+    radius = float(rng.uniform(2.5, 6.0))
+    s = np.linspace(-10.0, 160.0, 681)
+    if rng.random() < 0.5:
+        direction = np.array([*rng.uniform(-0.15, 0.15, 2), 1.0])
+        points = s[:, None] * direction / np.linalg.norm(direction)
+        wall = Cylinder(np.zeros(3), direction, radius, stiffness)
+    else:
+        bend, towards = float(rng.uniform(60, 150)), float(rng.uniform(0, 2 * np.pi))
+        x = np.array([np.cos(towards), np.sin(towards), 0.0])
+        z = np.array([0.0, 0.0, 1.0])
+        points = bend * ((1 - np.cos(s / bend))[:, None] * x + np.sin(s / bend)[:, None] * z)
+        wall = Bend(bend, towards, radius, stiffness)
+    return robot, q, wall, Lumen(np.column_stack([points, np.full(len(s), radius)])), stiffness
+
+
+def check_scene(scene):
+    """Compare with collocation: shape within 0.01 mm, total force within 1 %; return whether the robot touches."""
+    robot, q, wall, lumen, stiffness = scene
+    equilibria, state = placed(robot, lumen, stiffness, q)
+    length = q[2 * robot.d - 1]
+
+    def start(s):
+        """Shape alone: collocation finds moments and forces by itself."""
+        points = equilibria.shape(state, s / length)
+        tangents = np.gradient(points, s, axis=0)
+        return points, tangents / np.linalg.norm(tangents, axis=1, keepdims=True)
+
+    points, force = solve_contact(robot, q, wall, start)
+    found = equilibria.slopes(state, SIGMA_GRID)
+    assert np.linalg.norm(found.points - points(SIGMA_GRID * length), axis=1).max() < 0.01
+    assert found.force.sum() == pytest.approx(force, rel=0.01, abs=2e-4)
+    return force > 1e-3
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_random_scenes_are_those_of_collocation(seed):
+    check_scene(random_scene(seed))
+
+
+@pytest.mark.slow
+def test_many_random_scenes_are_those_of_collocation():
+    touching = [check_scene(random_scene(seed)) for seed in range(200)]
+    assert sum(touching) > 100
+
+
+@pytest.mark.parametrize("overlap", [0.2, 1.0])
+def test_cantilever_on_a_rigid_plane_has_the_textbook_force(overlap):
+    """Its tip alone touches: F = 3 E I delta / L^3 (Gere and Goodno, Mechanics of Materials, appendix on
+    beams)."""
+    length, plane, wide = 100.0, 3.0, 1e5
+    # A lumen so wide is a plane. The rod leans towards it, so that its tip is first to touch.
+    wall = lumen_along([plane + ROD.tubes[0].outer_diameter / 2 - wide, 0.0, 0.0], [0.0, 0.0, 1.0], wide)
+    lean = np.arcsin((plane + overlap) / length)
+    equilibria, state = placed(ROD, wall, RIGID_N_PER_MM2, [0.0, length, 0.0, lean])
+    found = equilibria.slopes(state, np.ones(1))
+    assert found.points[0, 0] == pytest.approx(plane, abs=0.005)
+    expected = 3 * ROD.tubes[0].bending_stiffness * overlap / length**3
+    assert found.force.sum() == pytest.approx(expected, rel=0.01)
+
+
+def test_slopes_are_those_of_equilibria_nearby():
+    q = np.array([0.2, 0.5, 45.0, 70.0, 0.02, 0.1])
+    equilibria, state = placed(NITINOL, lumen_along([0, 0, 0], [0, 0.05, 1.0], 4.0), 0.032, q)
+    found = equilibria.slopes(state, SIGMA_GRID)
+    assert found.force.sum() > 0.1
+    for column in range(len(q)):
+        step = np.zeros(len(q))
+        step[column] = 1e-4
+        both = []
+        for way in (1, -1):
+            there, done = equilibria.follow(state, q + way * step, state.load)
+            assert done == 1
+            both.append(equilibria.slopes(there, SIGMA_GRID))
+        ahead, behind = both
+        slope = (ahead.points - behind.points) / 2e-4
+        np.testing.assert_allclose(found.points_by_q[..., column], slope, atol=1e-3 * max(1.0, abs(slope).max()))
+        slope = (ahead.force - behind.force) / 2e-4
+        np.testing.assert_allclose(found.force_by_q[:, column], slope, atol=1e-3 * max(0.01, abs(slope).max()))
+
+
+def column_on_a_foundation(length, force, stiffness, count=100):
+    """Least eigenvalue mu of (B - P G + k M) x = mu B x of a cantilever, by cubic finite elements."""
+    h = length / count
+    parts = {
+        "B": np.array([[12, 6, -12, 6], [6, 4, -6, 2], [-12, -6, 12, -6], [6, 2, -6, 4]])
+        * ROD.tubes[0].bending_stiffness
+        / h**3,
+        "G": np.array([[36, 3, -36, 3], [3, 4, -3, -1], [-36, -3, 36, -3], [3, -1, -3, 4]]) * force / (30 * h),
+        "M": np.array([[156, 22, 54, -13], [22, 4, 13, -3], [54, 13, 156, -22], [-13, -3, -22, 4]])
+        * stiffness
+        * h
+        / 420,
+    }
+    scale = np.array([1, h, 1, h])
+    whole = {name: np.zeros((2 * count + 2, 2 * count + 2)) for name in parts}
+    for k in range(count):
+        here = slice(2 * k, 2 * k + 4)
+        for name, matrix in parts.items():
+            whole[name][here, here] += scale[:, None] * matrix * scale
+    bending, moved, founded = (matrix[2:, 2:] for matrix in whole.values())
+    return scipy.linalg.eigh(bending - moved + founded, bending, eigvals_only=True)[0]
+
+
+@pytest.mark.parametrize(("force", "stiffness"), [(1.0, 0.002), (6.0, 0.002), (12.0, 0.01), (12.0, 0.002)])
+def test_margin_to_buckling_is_that_of_a_column_on_a_foundation(force, stiffness):
+    """A rod in a lumen that is too narrow has the wall on both sides, wherever it bends to."""
+    load = Load(force=(0.0, 0.0, -force))
+    # Beside the axis by so little that the rod stays straight, but the wall has a direction.
+    wall = lumen_along([1e-7, 0.0, 0.0], [0.0, 0.0, 1.0], 0.5)
+    equilibria = ContactEquilibria(ROD, WinklerWall(wall, stiffness / 2), load)
+    q = np.array([0.0, 100.0, 0.0, 0.0])
+    straight = ContactState(q, load.numbers(1), np.zeros(1), np.eye(3), np.zeros((9, 2, 3)), 1.0)
+    expected = column_on_a_foundation(100.0, force, stiffness)
+    assert equilibria.margins([straight], bending=True)[0] == pytest.approx(expected, abs=1e-4)
+
+
+def test_margin_vanishes_where_the_robot_snaps_on_the_wall():
+    """As dead loads, the same forces would have snapped it long before."""
+    long = with_modulus(Robot((Tube(390, 70, 0.01, 4.0, 3.2), Tube(550, 90, 0.01, 2.6, 1.6))), 60_000)
+    q = np.array([0.0, 0.0, 60.0, 80.0, 0.0, 0.0])
+    equilibria, state = placed(long, lumen_along([0, 0, 0], [0, 0, 1.0], 4.0), 0.05, q)
+    q[0] = 6.0
+    last, done = equilibria.follow(state, q, state.load)
+    assert 0 < done < 1
+    assert equilibria.margins([state, last])[0] > 0.9
+    assert equilibria.margins([last])[0] == pytest.approx(0, abs=0.01)
+    row = np.concatenate([last.load, last.pushes.ravel()])
+    dead = States.unknown_states(long.numbers[None], last.q[None], row[None])
+    dead = dead._replace(angles=last.angles[None], axes=last.axes[None])
+    assert margins(equilibria.equilibria, dead)[0] < -0.1
