@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from ctr_nlp.identify.calibration.measurements import Measurements
     from ctr_nlp.identify.calibration.reading import read_measurements
     from ctr_nlp.identify.force_estimation import ForceEstimate, estimate_forces
+    from ctr_nlp.loads.contact_plan import solve_on_wall
     from ctr_nlp.loads.tip import Forces, forces
     from ctr_nlp.loads.wall import WallForces, wall_forces
     from ctr_nlp.models.loaded.model import Loaded
@@ -108,6 +109,7 @@ __all__ = [
     "shape_curve",
     "shapes",
     "solve_horizon",
+    "solve_on_wall",
     "solve_per_frame",
     "solve_robust",
     "solve_robust_per_frame",
@@ -144,6 +146,7 @@ _HOMES = {
     "planning.steerer": ("Steerer",),
     "robust": ("solve_robust", "solve_robust_per_frame"),
     "loads.tip": ("Forces", "forces"),
+    "loads.contact_plan": ("solve_on_wall",),
     "loads.wall": ("WallForces", "wall_forces"),
     "studies.grid.results": ("Results",),
     "studies.grid.study_file": ("Study",),

@@ -18,6 +18,7 @@ from ctr_nlp.cli.arguments import (
     whole,
 )
 from ctr_nlp.exceptions import OptionError
+from ctr_nlp.loads.tissue import AIRWAY_WALL_STIFFNESS_N_PER_MM2, CONTACT_FORCE_ALLOWED_N
 from ctr_nlp.models import KINEMATIC_MODELS
 from ctr_nlp.ocp import default_model
 from ctr_nlp.ocp.settings import ARRIVAL_WEIGHT, THRESHOLDS
@@ -36,6 +37,8 @@ PER_FRAME_ONLY_OPTIONS = ("direction", "jump_width")
 """Options that only frame-by-frame formulations have."""
 HORIZON_ONLY_OPTIONS = (
     "arrival_weight",
+    "contact_force",
+    "wall_stiffness",
     "end",
     "initial",
     "starts",
@@ -128,6 +131,22 @@ def add_horizon_options(parser: argparse.ArgumentParser) -> None:
         "on the dominant model 0)"
     )
     add_numbers(group, ("arrival-weight", "MM", end))
+    group.add_argument(
+        "--contact-force",
+        metavar="N",
+        nargs="?",
+        const=CONTACT_FORCE_ALLOWED_N,
+        type=float,
+        help="let the robot lean on the wall, with at most this force on any 10 mm of it; forces then count "
+        f"instead of --contact-allowed (without N {CONTACT_FORCE_ALLOWED_N:g})",
+    )
+    group.add_argument(
+        "--wall-stiffness",
+        metavar="N/MM2",
+        type=float,
+        help="of the wall that it leans on, in N/mm for every mm of length (default "
+        f"{AIRWAY_WALL_STIFFNESS_N_PER_MM2:g}, of an airway)",
+    )
     add_live_option(group, "the motion as it is solved for, or with --jobs the best yet,")
 
 

@@ -57,10 +57,14 @@ CONTACT_TIP_TOLERANCE_RAD = 1e-7
 """Largest last Newton step of the tip, rad."""
 MAX_CONTACT_NEWTON_STEPS, MAX_CONTACT_STEP_HALVINGS = 25, 6
 """Most Newton steps for one equilibrium, and most halvings of each."""
+PLACE_LENGTH_MM = 10.0
+"""Length of the robot on which forces count as those of one place, mm."""
 NEAR_WALL_MM = 2.0
 """Distance from the wall up to which the forces on a piece are unknowns, mm."""
 TIP_PROBE_RAD, PUSH_PROBE_N_PER_MM, EXTENSION_PROBE_MM = 1e-6, 1e-5, 1e-5
 """Changes of tip, forces and extensions for forward differences."""
+EMPTY_PIECE_MM = 1e-9
+"""Length below which a piece counts as empty, mm."""
 TIP_SCALE_MM_PER_RAD, FORCE_SCALE_MM_PER_N = 50.0, 1.0
 """Scales of tip and forces in the size of a Newton step: about the lengths by which they move a robot."""
 MIN_WALL_SHARE_STEP = 2.0**-10
@@ -86,8 +90,9 @@ class ContactState(NamedTuple):
 class ContactSlopes(NamedTuple):
     """Shape and forces of an equilibrium, with their derivatives by q.
 
-    points (n, 3), mm, and points_by_q (n, 3, 2d + 2). force (K,): of the wall on each piece, N, and force_by_q
-    (K, 2d + 2). along (K,): middles of the pieces, mm.
+    points (n, 3), mm, and points_by_q (n, 3, 2d + 2). force (K,): of the wall on each piece, N, and force_by_q (K,
+    2d + 2). along, lengths (K,): middles and lengths of the pieces, mm. near: pieces whose forces are unknowns.
+    unknowns_by_q (n, 2d + 2): derivatives of the tip's changes and of these forces.
     """
 
     points: Array
@@ -95,6 +100,19 @@ class ContactSlopes(NamedTuple):
     force: Array
     force_by_q: Array
     along: Array
+    lengths: Array
+    near: Index
+    unknowns_by_q: Array
+
+    @property
+    def place_matrix(self) -> Array:
+        """Matrix (K, K) from forces on pieces to those at places."""
+        return place_matrix(self.along, self.lengths)
+
+    @property
+    def force_at_places(self) -> Array:
+        """Sum of the forces' sizes on PLACE_LENGTH_MM around the middle of each piece, (K,) N."""
+        return np.asarray(self.place_matrix @ self.force)
 
 
 class _Rods(NamedTuple):
@@ -109,7 +127,8 @@ class _System(NamedTuple):
     """The equations near a state.
 
     residual (n,), jacobian (n, n): F and dF/dz. by_beta (n, d): dF/dbeta. near: pieces whose forces are unknowns.
-    rods: of the state itself, of each changed unknown, and of each changed extension.
+    rods: of the state itself, of each changed unknown, and of each changed extension; probes (d,): these changes,
+    mm.
     """
 
     residual: Array
@@ -117,6 +136,7 @@ class _System(NamedTuple):
     by_beta: Array
     near: Index
     rods: _Rods
+    probes: Array
 
 
 @dataclass(frozen=True)
@@ -174,15 +194,18 @@ class ContactEquilibria:
                 step /= 2
         return state._replace(load=load)
 
-    def follow(self, state: ContactState, q: Array, load: Array) -> tuple[ContactState, float]:
+    def follow(
+        self, state: ContactState, q: Array, load: Array, smallest: float = MIN_PATH_STEP_FRACTION
+    ) -> tuple[ContactState, float]:
         """Follow the branch of an equilibrium towards q (2d + 2,) and a load (17 + 3d,), on a line in both.
 
         Returns the last equilibrium on the branch and the fraction of the line that was covered: 1 for all of it.
+        smallest: least fraction in a step.
         """
         start = state
         done = 0.0
         step = 1.0
-        while done < 1.0 and step >= MIN_PATH_STEP_FRACTION:
+        while done < 1.0 and step >= smallest:
             ahead = min(done + step, 1.0)
             goal = q if ahead == 1.0 else start.q + ahead * (q - start.q)
             pull = load if ahead == 1.0 else start.load + ahead * (load - start.load)
@@ -253,7 +276,7 @@ class ContactEquilibria:
             residual_by_q[: d + 2, column] = (self.equilibria.misfit(q[None], base)[0] - here) / TIP_PROBE_RAD
         z_by_q = -np.linalg.solve(system.jacobian, residual_by_q)
         points = self._points(system.rods, sigma)
-        by_z, by_beta = self._differences(points, count)
+        by_z, by_beta = self._differences(points, system.probes)
         points_by_q = np.tensordot(by_z, z_by_q, axes=(0, 0))
         points_by_q[..., d : 2 * d] += np.moveaxis(by_beta, 0, -1)
         lengths = system.rods.lengths
@@ -264,9 +287,17 @@ class ContactEquilibria:
         by_piece = z_by_q[d + 2 :].reshape(-1, 2, 3, 2 * d + 2)[:, 0]
         force_by_q[system.near] = lengths[0, system.near, None] * np.einsum("kc,kcq->kq", towards, by_piece)
         # Pieces grow with the extensions.
-        force_by_q[:, d : 2 * d] += size[:, None] * self._differences(lengths, count)[1].T
+        force_by_q[:, d : 2 * d] += size[:, None] * self._differences(lengths, system.probes)[1].T
         along = np.cumsum(lengths[0]) - lengths[0] / 2
-        return ContactSlopes(points[0], points_by_q, size * lengths[0], force_by_q, along)
+        force = np.asarray(size * lengths[0])
+        return ContactSlopes(
+            points[0], points_by_q, force, force_by_q, along, lengths[0], system.near, np.asarray(z_by_q)
+        )
+
+    def predict(self, state: ContactState, slopes: ContactSlopes, step: Array) -> ContactState:
+        """Return the equilibrium after a step (2d + 2,) of q to first order; slopes: of the state."""
+        moved = self._moved(state, slopes.unknowns_by_q @ step, slopes.near)
+        return moved._replace(q=state.q + step)
 
     def _solve(self, start: ContactState, share: float = 1.0, turned: Array | None = None) -> ContactState | None:
         """Return the equilibrium at q and load of `start`, near its tip and pushes; None where none is found.
@@ -325,30 +356,30 @@ class ContactEquilibria:
         tips = slice(1, d + 3)
         angles[tips], axes[tips] = turn_tips(angles[tips], axes[tips], TIP_PROBE_RAD * np.eye(d + 2))
         pushes[d + 3 + which, near[which // 6], which // 3 % 2, which % 3] += PUSH_PROBE_N_PER_MM
-        beta[1 + count :] += EXTENSION_PROBE_MM * np.eye(d)
+        probes = _extension_probes(state.q[d : 2 * d])
+        beta[1 + count :] += np.diag(probes)
         rods = self._integrate(angles, axes, beta, pushes, state.load)
         misfits = self.equilibria.misfit(np.repeat(state.q[None], len(beta), axis=0), rods.ends)
         points = self._samples(rods)[:, near]
         jacobian, by_beta = (
             np.vstack([misfit_by.T, -_push_changes(share * contact.slope[near], points_by)])
             for misfit_by, points_by in zip(
-                self._differences(misfits, count), self._differences(points, count), strict=True
+                self._differences(misfits, probes), self._differences(points, probes), strict=True
             )
         )
         jacobian[d + 2 + which, d + 2 + which] += 1.0
-        return _System(self._residual(state, rods, contact, near, share), jacobian, by_beta, near, rods)
+        return _System(self._residual(state, rods, contact, near, share), jacobian, by_beta, near, rods, probes)
 
-    def _differences(self, values: Array, count: int) -> tuple[Array, Array]:
+    def _differences(self, values: Array, probes: Array) -> tuple[Array, Array]:
         """Return derivatives (n, ..) over the unknowns and (d, ..) over the extensions of values (1 + n + d, ..).
 
-        values: of the rods of a system; count: n.
+        values: of the rods of a system. probes (d,): changes of the extensions, mm.
         """
-        d = self.robot.d
-        probes = np.full(count, PUSH_PROBE_N_PER_MM)
-        probes[: d + 2] = TIP_PROBE_RAD
-        changes = values[1:] - values[0]
-        shape = (-1,) + (1,) * (values.ndim - 1)
-        return changes[:count] / probes.reshape(shape), changes[count:] / EXTENSION_PROBE_MM
+        changes = np.full(len(values) - 1, PUSH_PROBE_N_PER_MM)
+        changes[: self.robot.d + 2] = TIP_PROBE_RAD
+        changes[-self.robot.d :] = probes
+        found = (values[1:] - values[0]) / changes.reshape((-1,) + (1,) * (values.ndim - 1))
+        return found[: -self.robot.d], found[-self.robot.d :]
 
     def _residual(self, state: ContactState, rods: _Rods, contact: WallPush, near: Index, share: float) -> Array:
         """Return F (n,) of a state with these rods, of which the first is its own, and what the wall does to
@@ -422,7 +453,7 @@ class ContactEquilibria:
         piece = np.minimum((ends[:, None] < s[..., None] - 1e-12).sum(axis=-1), ends.shape[1] - 1)
         rows = np.arange(len(s))[:, None]
         lengths = rods.lengths[rows, piece]
-        part = (s - ends[rows, piece] + lengths) / np.maximum(lengths, np.finfo(float).tiny)
+        part = (s - ends[rows, piece] + lengths) / np.where(lengths > EMPTY_PIECE_MM, lengths, np.inf)
         weights = _integrals(part, self.kind.steps)
         return starts[rows, piece] + np.einsum("tmn,tmnc->tmc", weights, coefficients[rows, piece])
 
@@ -434,6 +465,23 @@ class ContactEquilibria:
         coefficients *= rods.lengths[..., None, None]
         gains = np.einsum("n,tknc->tkc", _integrals(np.ones(1), self.kind.steps)[0], coefficients)
         return np.cumsum(gains, axis=1) - gains, coefficients
+
+
+def place_matrix(along: Array, lengths: Array) -> Array:
+    """Return the matrix (K, K) from forces on pieces to those on PLACE_LENGTH_MM around the middle of each.
+
+    along, lengths (K,): middles and lengths of the pieces, mm. A piece counts with the part of it that lies there.
+    """
+    half = PLACE_LENGTH_MM / 2
+    low = np.maximum(along[:, None] - half, along - lengths / 2)
+    high = np.minimum(along[:, None] + half, along + lengths / 2)
+    return np.asarray(np.maximum(high - low, 0.0) / np.maximum(lengths, np.finfo(float).tiny))
+
+
+def _extension_probes(beta: Array) -> Array:
+    """Return changes (d,) of extensions beta (d,), mm, that keep the tubes' ends in order where they can."""
+    room = np.append(np.diff(beta), np.inf)
+    return np.where(room > EXTENSION_PROBE_MM, EXTENSION_PROBE_MM, -EXTENSION_PROBE_MM)
 
 
 def _integrals(part: Array, steps: int) -> Array:

@@ -13,18 +13,16 @@ from typing import Any
 import numpy as np
 
 from ctr_nlp.exceptions import OptionError
+from ctr_nlp.loads.tissue import (
+    AIRWAY_WALL_STIFFNESS_N_PER_MM2,
+    MAX_WALL_STIFFNESS_N_PER_MM2,
+    MIN_WALL_STIFFNESS_N_PER_MM2,
+)
 from ctr_nlp.loads.wall_contact import Foundation, WallContact
 from ctr_nlp.models.loads import Load, check_moduli
 from ctr_nlp.plan.plan import Plan
 from ctr_nlp.support.value_checks import check_instance, number
 from ctr_nlp.typing import Array, Flags
-
-AIRWAY_WALL_STIFFNESS_N_PER_MM2 = 0.032
-"""N/mm for every mm of length, of an airway's wall under a long tube: pi/4 E / (1 - 0.5^2) (Popov, Contact
-Mechanics and Friction, 2010: a cylinder's side) with E = 30.5 kPa (Eskandari, Arvayo, Levenston, Mechanical
-properties of the airway tree, J. Appl. Physiol. 125, 2018: of pigs, along the airway, where it is stiffest)."""
-MIN_WALL_STIFFNESS_N_PER_MM2, MAX_WALL_STIFFNESS_N_PER_MM2 = 1e-6, 1e3
-"""Range of stiffnesses of a wall, N/mm^2, from gels to bone."""
 
 
 @dataclass(frozen=True, eq=False)

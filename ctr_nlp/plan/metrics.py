@@ -196,6 +196,7 @@ def summary(plan: PlanData) -> dict[str, Any]:
         "clearance_between_min": None if plan.clearance_between is None else _least(plan.clearance_between),
         "contact_depth": None if plan.clearance is None else float(np.nansum(contact_depths(plan))),
         "contacts": [contact._asdict() for contact in contacts(plan)],
+        "wall_forces": _wall_forces(plan),
         "solve_ms": {
             "median": _number(1e3 * np.median(seconds) if seconds.size else np.nan),
             "p99": _number(1e3 * np.quantile(seconds, 0.99) if seconds.size else np.nan),
@@ -224,6 +225,21 @@ def summary(plan: PlanData) -> dict[str, Any]:
         "direction": plan.options.get("direction"),
         "smoothing_deviation": plan.meta["problem"].get("deviation"),
         "smoothing_share": plan.meta["problem"].get("deviation_share"),
+    }
+
+
+def _wall_forces(plan: PlanData) -> dict[str, Any] | None:
+    """Return the numbers on a plan whose robot leans on a wall; None for others."""
+    if plan.wall_force is None or plan.place_force is None or plan.place_force_between is None:
+        return None
+    assert plan.stability_without_wall is not None
+    return dict(plan.meta["wall_contact"]) | {
+        "largest_at_a_place_N": _number(np.nanmax(np.fmax(plan.place_force, plan.place_force_between))),
+        "largest_total_N": _number(np.nanmax(plan.wall_force.sum(axis=1))),
+        "place_N": [_number(each) for each in plan.place_force],
+        "total_N": [_number(each) for each in plan.wall_force.sum(axis=1)],
+        "stability_without_wall_min": _least(plan.stability_without_wall),
+        "snaps_without_wall": bool(np.isnan(plan.stability_without_wall).any()),
     }
 
 

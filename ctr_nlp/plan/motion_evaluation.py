@@ -17,6 +17,7 @@ from ctr_nlp.paths.lumen import outermost_tube_radii
 from ctr_nlp.paths.target import SIGMA_GRID
 from ctr_nlp.paths.walls import Body, WallGeometry, Walls
 from ctr_nlp.plan.measures import rms_over_sigma, root_mean_square
+from ctr_nlp.plan.plan_data import WALL_FORCE_ARRAYS
 from ctr_nlp.plan.simulation import Simulation, Simulator, shapes_between
 from ctr_nlp.robot import Robot
 from ctr_nlp.typing import Array, Flags
@@ -61,6 +62,8 @@ def evaluate_motion(
         "stability": found.stability,
         "stability_between": found.stability_between,
         **name_clearances(of_walls, between),
+        # Forces of a wall belong to the evaluation before: here the robot passes through walls.
+        **dict.fromkeys(WALL_FORCE_ARRAYS),
     }
     reached = np.asarray(np.isfinite(found.shape).all(axis=(1, 2)))
     told = {

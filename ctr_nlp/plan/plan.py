@@ -102,6 +102,13 @@ class Plan(PlanData):
         :attr:`walls`.
     free : ndarray or None
         The motion (T, 2d + 2) that was found without the wall.
+    wall_force, wall_force_along, wall_force_direction : ndarray or None
+        Where the robot leans on a wall: the wall's force on each of K pieces of the robot (T, K), N, the middle of
+        the piece (T, K), mm, and the force's direction (T, K, 3).
+    place_force, place_force_between : ndarray or None
+        Largest force at one place, 10 mm of the robot, in each frame (T,), N, and in the sub-steps to it.
+    stability_without_wall : ndarray or None
+        Stability margin (T,) of the same motion if the wall gave way; NaN from a snap on.
     drawn : Robustness or None
         Results on simulated robots within the tolerances.
 
@@ -137,7 +144,8 @@ class Plan(PlanData):
         Plan
             The same motion. Its shapes, margins and clearances are those of the elastic model where the model
             that it was on cannot predict snapping; its verdicts are all checked, unless the plan was interrupted
-            or no frame was reached, where there is nothing to simulate.
+            or no frame was reached, where there is nothing to simulate. A plan whose robot leans on a wall stays
+            as it is: simulated robots would pass through the wall.
 
         Raises
         ------
@@ -156,6 +164,9 @@ class Plan(PlanData):
         ('elastic', ('within the wall',))
         """
         samples = whole_number(RobotError, "samples", samples, 0)
+        if self.leans_on_wall:
+            # Simulated robots have no wall to lean on: they would pass through it.
+            return self
         looked = self if self.can_snap else self.evaluate_on(PHYSICAL_MODEL)
         if samples == 0 or self.meta.get("interrupted", False) or not looked.reached_frames.any():
             return looked

@@ -39,10 +39,13 @@ class PlanData(Value):
     robot frame; where known, truth (T, 2d + 2), the configurations that the target was made with; lumen_radius (T,
     101) mm at the target's points; lumen (N, 4), path and radius of the whole lumen, mm; clearance (T, 101) mm
     between tubes and wall in each frame; clearance_between (T, 101) mm, the least in the sub-steps to each frame;
-    wall_clearance, wall_clearance_between (T, W, 101) mm, those of each wall where there are several;
-    free (T, 2d + 2), the motion that was found without the wall; drawn, the results on samples of the robot;
-    walls, the bodies that the robot stays inside of or keeps away from. Frames that were never reached are NaN.
-    Arrays and meta are read-only copies.
+    wall_clearance, wall_clearance_between (T, W, 101) mm, those of each wall where there are several; free (T, 2d
+    + 2), the motion that was found without the wall; where the robot leans on a wall that gives, wall_force,
+    wall_force_along (T, K), the wall's force on each piece of the robot, N, and the middle of the piece, mm;
+    wall_force_direction (T, K, 3); place_force, place_force_between (T,), the largest force at one place in each
+    frame and in the sub-steps to it, N; stability_without_wall (T,), the margin if the wall gave way; drawn, the
+    results on samples of the robot; walls, the bodies that the robot stays inside of or keeps away from. Frames
+    that were never reached are NaN. Arrays and meta are read-only copies.
     """
 
     time: Array
@@ -69,6 +72,12 @@ class PlanData(Value):
     wall_clearance: Array | None = None
     wall_clearance_between: Array | None = None
     free: Array | None = None
+    wall_force: Array | None = None
+    wall_force_along: Array | None = None
+    wall_force_direction: Array | None = None
+    place_force: Array | None = None
+    place_force_between: Array | None = None
+    stability_without_wall: Array | None = None
     drawn: Robustness | None = None
     walls: tuple[Body, ...] = ()
 
@@ -143,6 +152,11 @@ class PlanData(Value):
         return frozen(np.asarray(np.isfinite(self.shape).all(axis=(1, 2))))
 
     @property
+    def leans_on_wall(self) -> bool:
+        """Whether shapes, margins and clearances are those of a robot on which the wall's forces act."""
+        return self.wall_force is not None
+
+    @property
     def complete(self) -> bool:
         """Whether every frame was solved."""
         return bool(self.success.all())
@@ -180,6 +194,9 @@ PLAN_ARRAY_SHAPES: dict[str, tuple[int | str, ...]] = {
     **dict.fromkeys(("lumen_radius", "clearance", "clearance_between"), ("T", 101)),
     **dict.fromkeys(("wall_clearance", "wall_clearance_between"), ("T", "W", 101)),
     **dict.fromkeys(("truth", "free"), ("T", "q")),
+    **dict.fromkeys(("wall_force", "wall_force_along"), ("T", "K")),
+    "wall_force_direction": ("T", "K", 3),
+    **dict.fromkeys(("place_force", "place_force_between", "stability_without_wall"), ("T",)),
     "to_robot": (4, 4),
     "lumen": ("N", 4),
     "draws_parts": ("D", "d", 5),
@@ -194,10 +211,20 @@ PLAN_ARRAY_SHAPES: dict[str, tuple[int | str, ...]] = {
     **{SAMPLE_ARRAY_PREFIX + name: ("d", 6) for name in ("growth", "lost_alone")},
     "draws_length": ("T",),
 }
-"""Sizes of the arrays: T frames, d tubes, q = 2d + 2 joints, N points of a lumen, W walls, D samples, C cloud
-frames."""
+"""Sizes of the arrays: T frames, d tubes, q = 2d + 2 joints, N points of a lumen, W walls, K pieces of the
+robot, D samples, C cloud frames."""
 SAMPLE_ARRAY_NAMES = tuple(name for name in PLAN_ARRAY_SHAPES if name.startswith(SAMPLE_ARRAY_PREFIX))
+WALL_FORCE_ARRAYS = (
+    "wall_force",
+    "wall_force_along",
+    "wall_force_direction",
+    "place_force",
+    "place_force_between",
+    "stability_without_wall",
+)
+"""Arrays of plans whose robot leans on a wall: all of them or none."""
 OPTIONAL_PLAN_ARRAYS = (
+    *WALL_FORCE_ARRAYS,
     "lumen_radius",
     "clearance",
     "clearance_between",
@@ -214,7 +241,7 @@ REQUIRED_PLAN_ARRAYS = tuple(name for name in PLAN_ARRAY_SHAPES if name not in O
 REQUIRED_META_TYPES: dict[str, type] = {"robot": dict, "problem": dict, "model": str}
 """Entries that meta must have, and their types."""
 OPTIONAL_META_TYPES: dict[str, type] = {
-    **dict.fromkeys(("options", "draws", "failures", "fallbacks", "certificate"), dict),
+    **dict.fromkeys(("options", "draws", "failures", "fallbacks", "certificate", "wall_contact"), dict),
     **dict.fromkeys(("formulation", "solver", "not_shared"), str),
     **dict.fromkeys(("snaps", "interpolated"), list),
     **dict.fromkeys(("interrupted", "reversed"), bool),
@@ -399,11 +426,11 @@ def check_arrays(arrays: Mapping[str, npt.NDArray[Any]], tubes: int, walls: int)
         size: len(np.atleast_1d(arrays.get(SAMPLE_ARRAY_PREFIX + name, ())))
         for size, name in SAMPLE_SIZE_ARRAYS.items()
     }
-    drawn = [name for name in SAMPLE_ARRAY_NAMES if name in arrays]
-    if drawn and len(drawn) < len(SAMPLE_ARRAY_NAMES):
-        raise OutputError(
-            f"it has {drawn[0]} and no {next(name for name in SAMPLE_ARRAY_NAMES if name not in drawn)}"
-        )
+    sizes["K"] = np.atleast_2d(arrays.get("wall_force", np.empty((0, 0)))).shape[1]
+    for group in (SAMPLE_ARRAY_NAMES, WALL_FORCE_ARRAYS):
+        present = [name for name in group if name in arrays]
+        if present and len(present) < len(group):
+            raise OutputError(f"it has {present[0]} and no {next(name for name in group if name not in present)}")
     for name, array in arrays.items():
         wanted = tuple(
             sizes.get(size, size) if isinstance(size, str) else size for size in PLAN_ARRAY_SHAPES[name]

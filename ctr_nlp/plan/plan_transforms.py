@@ -96,7 +96,7 @@ def reverse_plan(plan: AnyPlan) -> AnyPlan:
     """
     require_constant_load(plan.evaluated_load, "a plan that is played backwards")
     back = {name: array[::-1] for name, array in per_frame_arrays(plan).items() if name != "time"}
-    for own in ("stability", "clearance", "wall_clearance"):
+    for own in ("stability", "clearance", "wall_clearance", "place_force"):
         between = f"{own}_between"
         if own in back and between in back:
             # Entry j of the forward motion is the least on the way from frame j - 1 to j, which the reverse motion

@@ -35,6 +35,8 @@ and chance decides which branch the robot takes."""
 MARGIN_SLACK = 0.005
 """Shortfall of the stability margin that is accepted. Planners raise the margins of frames until the shortfall
 between frames is less (planning/stability_refinement.py)."""
+FORCE_SLACK_FRACTION = 0.02
+"""Part of the allowed force by which it may be exceeded: forces are computed to 1 %."""
 ROBUSTNESS_VERDICT_NAME = "holds on built robots"
 """The verdict on simulated robots within the tolerances."""
 REACHED_VERDICT_NAMES = "solved", "stable", "within_limits", "arrives", "within_wall", "holds"
@@ -92,9 +94,10 @@ class Verdicts(NamedTuple):
     within_limits : Verdict
         Positions, order, carriages, speeds and accelerations are allowed. Number: percent of the limit.
     within_wall : Verdict
-        No place is further beyond a wall than ``contact_allowed``, in any frame or between frames, and none is
-        nearer to a body that the robot keeps out of than its margin. Number: mm beyond the wall that is missed by
-        most.
+        Where the robot leans on a wall that gives, the wall's force at one place is at most the one allowed in any
+        frame or between frames. Number: N. Otherwise, no place is further beyond a wall than ``contact_allowed``,
+        in any frame or between frames, and none is nearer to a body that the robot keeps out of than its margin.
+        Number: mm beyond the wall that is missed by most.
     holds : Verdict
         At least ``share`` of the simulated robots stay on their branch, arrive, and press into the wall by at most
         :data:`~ctr_nlp.plan.sample_outcomes.SAMPLE_CONTACT_ALLOWED_MM`. Number: their share.
@@ -293,6 +296,8 @@ def _judge_wall_contact(plan: PlanData) -> Judgement:
     of a body that the robot keeps out of is not to be touched at all.
     """
     unit = "mm of contact"
+    if plan.leans_on_wall:
+        return _judge_wall_force(plan)
     if plan.clearance is None:
         return NOT_CHECKED, None, unit, "No wall is known: the path has no radii.", ""
     places = find_deepest_points(plan)
@@ -320,6 +325,58 @@ def _judge_wall_contact(plan: PlanData) -> Judgement:
     return _judge_by_shape(plan, kept, depth, unit, why, value)
 
 
+def _judge_wall_force(plan: PlanData) -> Judgement:
+    """Check that the wall's force at one place is nowhere larger than allowed, in or between frames; number: N."""
+    unit = "N at one place"
+    assert plan.place_force is not None
+    assert plan.place_force_between is not None
+    allowed = float(plan.meta["wall_contact"]["limit_N"])
+    largest = np.fmax(plan.place_force, plan.place_force_between)
+    known = np.isfinite(plan.place_force) & np.isfinite(plan.place_force_between)
+    if not known.any():
+        return NOT_CHECKED, None, unit, "The wall's forces are not known in any frame.", ""
+    worst = int(np.nanargmax(largest))
+    force = float(largest[worst])
+    deepest = max(find_deepest_points(plan).values(), key=lambda place: place.depth)
+    depth = max(deepest.depth, 0.0)
+    value = f"{force:.2f} N, {depth:.2f} mm deep, frame {worst + 1}"
+    why = (
+        f"The wall presses on one place (10 mm of the robot) with {force:.3f} N at most, "
+        f"{_force_place(plan, worst)}; {allowed:g} N is allowed. "
+        f"The deepest contact is {depth:.2f} mm. {_describe_without_wall(plan)}"
+    )
+    if force > allowed * (1 + FORCE_SLACK_FRACTION):
+        return NO, force, unit, why, value
+    if not known.all():
+        why += f" Forces are not known in {(~known).sum()} frames."
+        return NOT_CHECKED, force, unit, why, value
+    return YES, force, unit, why, value
+
+
+def _force_place(plan: PlanData, j: int) -> str:
+    """Return in words where the wall presses most in frame j, from 0."""
+    assert plan.wall_force is not None
+    assert plan.wall_force_along is not None
+    if not np.isfinite(plan.wall_force[j]).any() or not plan.wall_force[j].max():
+        return f"on the way to frame {j + 1}"
+    along = float(plan.wall_force_along[j, plan.wall_force[j].argmax()])
+    tube = min(int((along > plan.beta[j]).sum()), plan.beta.shape[1] - 1) + 1
+    return f"around frame {j + 1}, at tube {tube}, {along:.0f} mm along the robot"
+
+
+def _describe_without_wall(plan: PlanData) -> str:
+    """Return a sentence on the stability of a robot from which the wall that it leans on gives way."""
+    assert plan.stability_without_wall is not None
+    lost = np.flatnonzero(~np.isfinite(plan.stability_without_wall))
+    if lost.size:
+        return f"If the wall gave way, the robot would snap on the way to frame {lost[0] + 1}."
+    least = int(plan.stability_without_wall.argmin())
+    return (
+        f"If the wall gave way, the stability margin would be {plan.stability_without_wall[least]:.3f} at least, "
+        f"in frame {least + 1}."
+    )
+
+
 def _describe_deepest_point(plan: PlanData, place: DeepestPoint, allowed: float, name: str) -> str:
     """Return a sentence on the point where a robot is deepest in a wall, or nearest to it.
 
@@ -342,6 +399,8 @@ def _describe_deepest_point(plan: PlanData, place: DeepestPoint, allowed: float,
 def _judge_robustness(plan: PlanData) -> Judgement:
     """Check that enough samples stay on their branch, arrive and keep off the wall; number: their share."""
     unit = "of samples"
+    if plan.leans_on_wall:
+        return NOT_CHECKED, None, unit, "Robots that differ from the nominal one are not simulated on a wall.", ""
     if plan.drawn is None:
         why = "No robots within the tolerances were simulated; `ctr-nlp robust PLAN.npz` does that."
         return NOT_CHECKED, None, unit, why, ""

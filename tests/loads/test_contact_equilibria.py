@@ -11,6 +11,7 @@ from loaded_plans import TWO
 from ctr_nlp import Load, Robot, Tube
 from ctr_nlp.loads.contact_equilibria import ContactEquilibria, ContactState
 from ctr_nlp.loads.winkler_wall import WinklerWall
+from ctr_nlp.models import KINEMATIC_MODELS
 from ctr_nlp.models.loaded.equilibria import States
 from ctr_nlp.models.loaded.stability import margins
 from ctr_nlp.models.loads import with_modulus
@@ -180,3 +181,12 @@ def test_margin_vanishes_where_the_robot_snaps_on_the_wall():
     dead = States.unknown_states(long.numbers[None], last.q[None], row[None])
     dead = dead._replace(angles=last.angles[None], axes=last.axes[None])
     assert margins(equilibria.equilibria, dead)[0] < -0.1
+
+
+def test_margin_far_from_the_wall_is_that_of_the_elastic_model():
+    q = np.array([0.65, -2.17, 44.6, 72.0, 0.04, -0.03])
+    robot = with_modulus(Robot((Tube(90, 70, 0.006, 1.6, 1.2), Tube(150, 90, 0.006, 1.0, 0.6))), 60_000)
+    equilibria, state = placed(robot, lumen_along([0, 0, 0], [0, 0, 1.0], 60.0), 0.032, q)
+    expected = KINEMATIC_MODELS["elastic"].follow(robot, q[None]).stability[0]
+    assert expected < 0.99
+    assert equilibria.margins([state])[0] == pytest.approx(expected, abs=1e-4)

@@ -14,7 +14,7 @@ from lumens import straight
 from ctr_nlp import Load, Plan, wall_forces
 from ctr_nlp.cli.main import main
 from ctr_nlp.exceptions import LoadError, OptionError
-from ctr_nlp.loads.wall import AIRWAY_WALL_STIFFNESS_N_PER_MM2
+from ctr_nlp.loads.tissue import AIRWAY_WALL_STIFFNESS_N_PER_MM2
 from ctr_nlp.loads.wall_picture import draw_wall_forces
 
 pytestmark = pytest.mark.interpreted

@@ -42,6 +42,7 @@ from ctr_nlp.cli.plan_report import (
 )
 from ctr_nlp.cli.terminal_output import announce, progress_bar, report_written_files
 from ctr_nlp.exceptions import CtrError, OptionError
+from ctr_nlp.loads.tissue import AIRWAY_WALL_STIFFNESS_N_PER_MM2
 from ctr_nlp.models import KINEMATIC_MODELS
 from ctr_nlp.ocp import FORMULATIONS
 from ctr_nlp.ocp.settings import THRESHOLDS, Settings, check_motion_weight
@@ -63,7 +64,10 @@ if TYPE_CHECKING:
     from ctr_nlp.studies.pareto_front import ParetoPoint
 
 
-OPTIONS_EXCLUDED_BY_ROBUST = "initial", "starts", "exhaustive", "jobs", "sweep_motion_weight", "live", "solver"
+OPTIONS_EXCLUDED_BY_ROBUST = (
+    *("initial", "starts", "exhaustive", "jobs", "sweep_motion_weight", "live", "solver"),
+    "contact_force",
+)
 """Options that do not go with --robust."""
 ROBUST_ONLY_OPTIONS = {
     "most_lost": "the share of robots that may fail",
@@ -139,6 +143,7 @@ def _run(arguments: argparse.Namespace) -> int:
     problem = plan_options.with_tip_force_option(problem_with_modulus(problem, arguments), arguments)
     model_from_options(model, arguments).check_planning(problem.robot)
     robust, alone = _decide_robust(arguments, problem)
+    _check_contact_options(arguments, problem)
     out = Path(arguments.out or f"runs/{_folder(problem, model, arguments, robust)}")
     film = film_file(arguments)
     check_folder(out, "plan", film)
@@ -149,6 +154,8 @@ def _run(arguments: argparse.Namespace) -> int:
         points: list[ParetoPoint] = []
     else:
         plan, points = _plan_horizon(arguments, problem) if whole else (_plan_per_frame(arguments, problem), [])
+        if getattr(arguments, "contact_force", None) is not None and not plan.meta["interrupted"]:
+            plan = _plan_on_wall(arguments, problem, plan)
     with deferred_interrupt() as pressed:
         # Ctrl-C waits while the plan is evaluated, which takes seconds: it must not discard what was solved.
         plan = plan_options.evaluate_plan(plan_options.with_thresholds(plan, arguments), arguments)
@@ -209,6 +216,8 @@ def _compromises(arguments: argparse.Namespace, problem: Problem, plan: Plan) ->
     found = plan.verdicts
     failed = plan.clearance is not None and NO in (found.arrives.word, found.within_wall.word)
     looked = not (arguments.no_evaluate or plan.meta["interrupted"] or plan.evaluated_load is not None)
+    if plan.leans_on_wall:
+        return []
     if not (
         failed and looked and arguments.formulation == HORIZON_FORMULATION and plan.meta["model"] == PHYSICAL_MODEL
     ):
@@ -262,6 +271,7 @@ def _folder(problem: Problem, model: str, arguments: argparse.Namespace, robust:
         "nominal": whole and not (robust or loaded) and KINEMATIC_MODELS[model].can_snap,
         "robust": robust and not whole,
         "loaded": loaded,
+        "on-wall": getattr(arguments, "contact_force", None) is not None,
         "locked-tilt": arguments.lock_tilt,
         f"on-{path_component(Path(arguments.robot or '').stem)}": arguments.robot is not None,
     }
@@ -297,6 +307,30 @@ def _check_formulation_options(arguments: argparse.Namespace) -> None:
             else (*OPTIONS_EXCLUDED_BY_ROBUST, *plan_options.WALL_SETTING_NAMES),
         ):
             raise OptionError(f"{option} does not go with --robust; leave one of them out")
+
+
+def _wall_stiffness(arguments: argparse.Namespace) -> float:
+    """Return the stiffness of the wall that was asked for, or that of an airway, N/mm^2."""
+    given: float | None = arguments.wall_stiffness
+    return AIRWAY_WALL_STIFFNESS_N_PER_MM2 if given is None else given
+
+
+def _check_contact_options(arguments: argparse.Namespace, problem: Problem) -> None:
+    """Raise OptionError or LoadError where --contact-force was given and does not go with the rest."""
+    force = getattr(arguments, "contact_force", None)
+    if force is None:
+        if getattr(arguments, "wall_stiffness", None) is not None:
+            raise OptionError("--wall-stiffness needs --contact-force; other plans know no forces of a wall")
+        return
+    if has_load(arguments):
+        raise OptionError("--contact-force does not go with a load; leave one of them out")
+    if not KINEMATIC_MODELS[plan_options.model_from(arguments)].can_snap:
+        raise OptionError("--contact-force needs --model elastic; other models know no forces")
+    if arguments.sweep_motion_weight is not None:
+        raise OptionError("--contact-force does not go with --sweep-motion-weight; leave one of them out")
+    from ctr_nlp.loads.contact_plan import check_contact_request
+
+    check_contact_request(problem, force, _wall_stiffness(arguments))
 
 
 def _given_options(arguments: argparse.Namespace, names: Sequence[str]) -> list[str]:
@@ -371,6 +405,21 @@ def _plan_horizon(arguments: argparse.Namespace, problem: Problem) -> tuple[Plan
                 weights = arguments.sweep_motion_weight or DEFAULT_SWEEP_WEIGHTS_S2
                 points = compute_pareto_front(horizon, plan, weights, settings, labelled)
     return plan, points
+
+
+def _plan_on_wall(arguments: argparse.Namespace, problem: Problem, plan: Plan) -> Plan:
+    """Plan again with the robot leaning on the wall up to a force; plan: the one to begin with."""
+    from ctr_nlp.loads.contact_plan import solve_on_wall
+
+    with progress_bar() as labelled:
+        return solve_on_wall(
+            problem,
+            arguments.contact_force,
+            stiffness=_wall_stiffness(arguments),
+            settings=_settings(arguments, problem, "seed"),
+            initial=plan,
+            progress=labelled(f"{problem.name}, leaning on the wall"),
+        )
 
 
 def _plan_robust(arguments: argparse.Namespace, problem: Problem, out: Path) -> Plan:

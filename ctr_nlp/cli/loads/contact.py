@@ -14,7 +14,8 @@ from ctr_nlp.cli.loads.options import add_modulus_option, read_plan
 from ctr_nlp.cli.output.file import path_component
 from ctr_nlp.cli.output.folder import check_folder
 from ctr_nlp.cli.terminal_output import busy, console, print_table, report_written_files
-from ctr_nlp.loads.wall import AIRWAY_WALL_STIFFNESS_N_PER_MM2, WallForces, wall_forces
+from ctr_nlp.loads.tissue import AIRWAY_WALL_STIFFNESS_N_PER_MM2
+from ctr_nlp.loads.wall import WallForces, wall_forces
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

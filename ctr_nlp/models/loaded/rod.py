@@ -205,7 +205,11 @@ def _changes(tip: Tip, load: Loading, kind: RodKind, twistable: Any, xp: Any) ->
         axial = dot(load.moment, turned)
     if kind.follows:
         force = cross(about, _tool_to_base(tip, load.tool_force, xp))
-    return [*angles, *[none] * (d - 1), axial * twistable, a, b, none, *moment, *force, *others[d:]]
+    # Displacements are counted in the tip's axes, as at every other place, and stored in those of the base.
+    moved = [
+        sum(axis[k] * unit for axis, unit in zip(tip.axes, others[d:], strict=False)) for k in range(3)
+    ] * bool(others[d:])
+    return [*angles, *[none] * (d - 1), axial * twistable, a, b, none, *moment, *force, *moved]
 
 
 def _restart_responses(

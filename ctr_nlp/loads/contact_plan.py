@@ -1,0 +1,365 @@
+"""Plans that lean on a wall: the limit is a force, and no longer a depth.
+
+A plan that keeps off the wall is found first, as usual. On the wall its robot is another one: where it touches,
+the wall holds it back. From the equilibria on the wall along that motion, the motion is improved
+(contact_program.py). The result is replayed in sub-steps on the wall, and judged by the forces, shapes and margins
+found there.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from ctr_nlp.exceptions import OptionError
+from ctr_nlp.loads.contact_equilibria import ContactEquilibria, ContactState
+from ctr_nlp.loads.contact_program import ContactMotion, ContactProgram
+from ctr_nlp.loads.tissue import (
+    AIRWAY_WALL_STIFFNESS_N_PER_MM2,
+    CONTACT_FORCE_ALLOWED_N,
+    MAX_CONTACT_FORCE_N,
+    MAX_WALL_STIFFNESS_N_PER_MM2,
+    MIN_WALL_STIFFNESS_N_PER_MM2,
+)
+from ctr_nlp.loads.winkler_wall import WinklerWall
+from ctr_nlp.models import KINEMATIC_MODELS, Snap
+from ctr_nlp.models.loads import Load, check_moduli
+from ctr_nlp.models.protocol import STABILITY_SUBSTEPS_PER_FRAME, subdivide_motion
+from ctr_nlp.ocp.settings import Settings
+from ctr_nlp.ocp.terms.arrival import find_arrival, with_arrival
+from ctr_nlp.paths.problem import Problem
+from ctr_nlp.paths.target import SIGMA_GRID
+from ctr_nlp.paths.walls import WallGeometry
+from ctr_nlp.plan.motion_evaluation import name_clearances, wall_clearances
+from ctr_nlp.plan.plan import PHYSICAL_MODEL, Plan
+from ctr_nlp.plan.simulation import Simulator
+from ctr_nlp.plan.verdicts import MARGIN_SLACK
+from ctr_nlp.planning.horizon import solve_horizon
+from ctr_nlp.planning.nlp_frames import DEFAULT_PLANNER_SETTINGS
+from ctr_nlp.robot import Robot
+from ctr_nlp.support.value_checks import number
+from ctr_nlp.typing import Array, Flags
+
+PLANNED_FORCE_FRACTION = 0.85
+"""Fraction of the allowed force that planning aims at: penalties yield a little, and so do sub-steps between
+frames."""
+MAX_ROUNDS, FORCE_WEIGHT_GROWTH = 3, 10.0
+"""Most times that a motion is solved again where it fails in or between frames, with more margin or with a larger
+cost of forces; and by how much that cost grows."""
+
+
+@dataclass(frozen=True)
+class ContactReplay:
+    """A robot on a wall, moved through T frames in sub-steps; NaN from the frame on in which it snaps.
+
+    shape (T, 101, 3), mm; tip_direction (T, 3). margin, margin_between (T,): in frames, and the least in the
+    sub-steps to them. clearance, clearance_between (T, W, 101), mm. force, along (T, K) and direction (T, K, 3):
+    of the wall on each piece, N, and where, mm. place, place_between (T,): largest force at one place, N. states:
+    of the frames, as far as they are known.
+    """
+
+    shape: Array
+    tip_direction: Array
+    margin: Array
+    margin_between: Array
+    clearance: Array
+    clearance_between: Array
+    force: Array
+    along: Array
+    direction: Array
+    place: Array
+    place_between: Array
+    states: tuple[ContactState, ...]
+
+    @property
+    def known(self) -> Flags:
+        """Frames (T,) in which the robot has not snapped."""
+        return np.asarray(np.isfinite(self.margin))
+
+
+def replay_on_wall(
+    equilibria: ContactEquilibria, wall: WallGeometry, q: Array, substeps: int = STABILITY_SUBSTEPS_PER_FRAME
+) -> ContactReplay:
+    """Move a robot on a wall through configurations, in sub-steps linear in q.
+
+    Parameters
+    ----------
+    equilibria : ContactEquilibria
+        Of the robot on the wall, without a load.
+    wall : WallGeometry
+        The wall, from which clearances are measured.
+    q : (T, 2d + 2) array
+        Configurations, rad and mm.
+    substeps : int
+        Steps from frame to frame.
+
+    Returns
+    -------
+    ContactReplay
+        Shapes, margins and forces.
+    """
+    robot = equilibria.robot
+    way = subdivide_motion(q, substeps)
+    load = Load().numbers(robot.d)
+    states = list[ContactState]()
+    for place in way.q:
+        if not states:
+            first = equilibria.place(place, load)
+            if first is None:
+                break
+            states.append(first)
+            continue
+        there, done = equilibria.follow(states[-1], place, load)
+        if done < 1:
+            break
+        states.append(there)
+    frames = way.frames[: len(states)]
+    last_of = np.flatnonzero(np.diff(way.frames, append=-1)[: len(states)] != 0)
+    slopes = [equilibria.slopes(state, SIGMA_GRID) for state in states]
+    count = len(q)
+
+    def by_frame(values: Array) -> Array:
+        """Return values (M, ..) of sub-steps in the frames that were reached, (T, ..)."""
+        found = np.full((count, *values.shape[1:]), np.nan)
+        found[frames[last_of]] = values[last_of]
+        return found
+
+    def worst(values: Array, choose: np.ufunc) -> Array:
+        """Return the least or largest values (M, ..) of the sub-steps to each frame, (T, ..)."""
+        found = np.full((count, *values.shape[1:]), np.nan)
+        choose.at(found, frames, values)
+        found[~np.isin(np.arange(count), frames[last_of])] = np.nan
+        return found
+
+    if not states:
+        raise OptionError("in the first frame the robot has no equilibrium on the wall; begin farther outside")
+    shapes = np.stack([each.points for each in slopes])
+    margins = equilibria.margins(states)
+    clearance = wall_clearances(robot, wall, robot.split(np.stack([each.q for each in states]))[1], shapes)
+    place = np.array([each.force_at_places.max(initial=0.0) for each in slopes])
+    means = np.stack([each.pushes[:, 0] for each in states])
+    size = np.linalg.norm(means, axis=2, keepdims=True)
+    return ContactReplay(
+        shape=by_frame(shapes),
+        tip_direction=by_frame(np.stack([each.axes[2] for each in states])),
+        margin=by_frame(margins),
+        margin_between=worst(margins, np.fmin),
+        clearance=by_frame(clearance),
+        clearance_between=worst(clearance, np.fmin),
+        force=by_frame(np.stack([each.force for each in slopes])),
+        along=by_frame(np.stack([each.along for each in slopes])),
+        direction=by_frame(means / np.where(size > 0, size, 1.0)),
+        place=by_frame(place),
+        place_between=worst(place, np.fmax),
+        states=tuple(states[k] for k in last_of),
+    )
+
+
+def solve_on_wall(
+    problem: Problem,
+    limit: float = CONTACT_FORCE_ALLOWED_N,
+    *,
+    stiffness: float = AIRWAY_WALL_STIFFNESS_N_PER_MM2,
+    settings: Settings = DEFAULT_PLANNER_SETTINGS,
+    initial: Plan | None = None,
+    progress: Callable[..., None] | None = None,
+) -> Plan:
+    """Plan a motion whose robot may lean on the wall, up to a force at each place.
+
+    The wall is an elastic (Winkler) foundation without friction; see :func:`wall_forces`. The robot is nominal and
+    bears no other load.
+
+    Parameters
+    ----------
+    problem : Problem
+        Robot and target, with a wall; the robot needs Young's moduli in MPa.
+    limit : float
+        Largest force of the wall on one place, 10 mm of the robot, N.
+    stiffness : float
+        Stiffness of the wall, N/mm for every mm of the robot; by default that of an airway.
+    settings : Settings
+        Weight of the tip's arrival, stability margin and thresholds.
+    initial : Plan, optional
+        Plan of the same problem to begin with; by default :func:`solve_horizon` finds one.
+    progress : callable, optional
+        Called as ``progress(done, total, note)``.
+
+    Returns
+    -------
+    Plan
+        The motion, with shapes and margins of the robot on the wall, and the wall's forces (``plan.wall_force``).
+        Returned also where the limit is exceeded: check ``plan.verdicts.within_wall``.
+
+    Raises
+    ------
+    LoadError
+        A tube has no Young's modulus in MPa.
+    OptionError
+        `limit` or `stiffness` is out of its range, the problem has no wall, or a body to keep out of; or the robot
+        snaps on the wall along the motion to begin with.
+
+    Examples
+    --------
+    >>> import ctr_nlp as ctr
+    >>> from ctr_nlp.problems import named_problem
+    >>> problem = named_problem("bronchus", frames=20)
+    >>> robot = problem.robot.with_modulus(60_000)  # doctest: +SKIP
+    >>> plan = ctr.solve_on_wall(problem, limit=0.2)  # doctest: +SKIP
+    """
+    check_contact_request(problem, limit, stiffness)
+    assert problem.wall is not None
+    begin = time.perf_counter()
+    start = solve_horizon(problem, settings=settings, progress=progress) if initial is None else initial
+    equilibria = ContactEquilibria(problem.robot, WinklerWall(problem.wall, stiffness), Load())
+    model = KINEMATIC_MODELS[PHYSICAL_MODEL]
+    count = problem.frames
+    least = 0.0 if settings.stability_margin is None else settings.stability_margin
+    program = ContactProgram(
+        problem,
+        equilibria,
+        tuple(range(count)),
+        PLANNED_FORCE_FRACTION * limit,
+        np.full(count, least),
+        float(start.options["motion_weight"]),
+        find_arrival(with_arrival((), settings, model)),
+    )
+    motion = program.evaluate(_states_along(equilibria, start.q))
+
+    def show(done: int, objective: float) -> None:
+        if progress is not None:
+            progress(done, done, f"on the wall, objective {objective:.4g} mm²")
+
+    motion = program.solve(motion, show)
+    replay = replay_on_wall(equilibria, problem.wall, motion.q)
+    for _ in range(MAX_ROUNDS):
+        missing = np.maximum(least - np.nan_to_num(replay.margin_between, nan=0.0), 0.0)
+        too_strong = np.nanmax(replay.place_between) > limit
+        if missing.max() <= MARGIN_SLACK and not too_strong:
+            break
+        # Both frames around a sub-step with too small a margin get more, as in plans without contact.
+        more = np.maximum(missing, np.append(missing[1:], 0.0))
+        program = replace(
+            program,
+            margin=program.margin + 1.2 * more,
+            force_weight=program.force_weight * (FORCE_WEIGHT_GROWTH if too_strong else 1.0),
+        )
+        motion = program.solve(program.evaluate(motion.states), show)
+        replay = replay_on_wall(equilibria, problem.wall, motion.q)
+    return _plan_of(start, motion, replay, problem, limit, stiffness, time.perf_counter() - begin)
+
+
+def check_contact_request(problem: Problem, limit: float, stiffness: float) -> None:
+    """Raise OptionError or LoadError unless a problem's robot can be planned on its wall."""
+    number(
+        OptionError,
+        "contact_force",
+        limit,
+        lambda x: 0 < x <= MAX_CONTACT_FORCE_N,
+        f"lie in (0, {MAX_CONTACT_FORCE_N:g}]",
+        " N",
+    )
+    number(
+        OptionError,
+        "stiffness of the wall",
+        stiffness,
+        lambda x: MIN_WALL_STIFFNESS_N_PER_MM2 <= x <= MAX_WALL_STIFFNESS_N_PER_MM2,
+        f"lie in [{MIN_WALL_STIFFNESS_N_PER_MM2:g}, {MAX_WALL_STIFFNESS_N_PER_MM2:g}] N/mm²",
+        " N/mm²",
+    )
+    check_moduli(problem.robot)
+    if problem.wall is None:
+        raise OptionError(
+            f"contact_force is {limit:g} N, and {problem.name} has no wall to lean on; give a path with radii, "
+            "a mask or a mesh"
+        )
+    if any(body.keep_out for body in problem.walls):
+        raise OptionError(
+            f"contact_force is {limit:g} N, and {problem.name} has bodies to keep out of; the robot would lean on "
+            "them, too: leave one of them out"
+        )
+
+
+def _states_along(equilibria: ContactEquilibria, q: Array) -> list[ContactState]:
+    """Return the equilibria on the wall along a motion q (T, 2d + 2).
+
+    Where the robot snaps on the way, the frame is reached without a history instead; OptionError where that fails.
+    """
+    load = Load().numbers(equilibria.robot.d)
+    states = list[ContactState]()
+    for j, place in enumerate(q):
+        found: ContactState | None = None
+        if states:
+            there, done = equilibria.follow(states[-1], place, load)
+            found = there if done == 1 else None
+        if found is None:
+            found = equilibria.place(place, load)
+        if found is None:
+            raise OptionError(
+                f"on the wall the robot has no equilibrium in frame {j + 1} of the plan to begin with; give "
+                "`initial`, or a softer wall"
+            )
+        states.append(found)
+    return states
+
+
+def _plan_of(
+    start: Plan,
+    motion: ContactMotion,
+    replay: ContactReplay,
+    problem: Problem,
+    limit: float,
+    stiffness: float,
+    seconds: float,
+) -> Plan:
+    """Return the plan of a motion on the wall that was replayed; start: the plan that it began with."""
+    robot: Robot = problem.robot
+    alpha, beta, theta = robot.split(motion.q)
+    free = Simulator(robot, KINEMATIC_MODELS[PHYSICAL_MODEL])(motion.q)
+    known = replay.known
+    snaps = list[dict[str, Any]]()
+    if not known.all():
+        j = int(known.argmin())
+        # Which tubes jump, and how far, is not known: nobody knows where the robot comes to rest.
+        snaps = [Snap(frame=j + 1, tubes=(), jump=None)._asdict() | {"tubes": []}]
+    # A frame whose equilibrium is not that of the replay was reached by another way.
+    planned = np.array([state.angles - state.angles[-1] for state in motion.states])
+    reached = np.full_like(planned, np.nan)
+    for k, state in zip(np.flatnonzero(known), replay.states, strict=False):
+        reached[k] = state.angles - state.angles[-1]
+    same = known & (abs(reached - planned).max(axis=1) < 1e-3)
+    failures = {str(j + 1): "on the wall, the robot is on another branch" for j in np.flatnonzero(~same)}
+    if not motion.converged:
+        failures |= {"all": "the search on the wall ended before the motion stopped improving"}
+    meta: dict[str, Any] = dict(start.meta) | {
+        "wall_contact": {"limit_N": limit, "stiffness_N_per_mm2": stiffness},
+        "snaps": snaps,
+        "solve_s": seconds,
+        "failures": failures,
+    }
+    return replace(
+        start,
+        alpha=alpha,
+        beta=beta,
+        theta=theta,
+        success=same & motion.converged,
+        objective=motion.costs,
+        kkt=np.full(len(alpha), np.nan),
+        solve_time=np.full(len(alpha), np.nan),
+        shape=replay.shape,
+        tip_direction=replay.tip_direction,
+        stability=replay.margin,
+        stability_between=replay.margin_between,
+        **name_clearances(replay.clearance, replay.clearance_between),
+        wall_force=replay.force,
+        wall_force_along=replay.along,
+        wall_force_direction=replay.direction,
+        place_force=replay.place,
+        place_force_between=replay.place_between,
+        stability_without_wall=free.stability,
+        meta=meta,
+        drawn=None,
+    )
