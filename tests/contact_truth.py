@@ -45,13 +45,14 @@ class Bend(Cylinder):
         return self._push(points - circle, tube_radius)
 
 
-def solve_contact(robot: Robot, q, wall, start, tolerance=1e-6):
+def solve_contact(robot: Robot, q, wall, start, twisted, tolerance=1e-6):
     """Solve for a robot on a wall, from a shape to start from.
 
-    start: returns points and tangents (n, 3) at arc lengths (n,), mm. Returns a function from arc lengths to
-    points, and the sum of the wall's forces' sizes, N. Tubes have one curvature each and are extended by no
-    straight part. The unknowns of every section between ends of tubes are, side by side, p, d_1, t, m, n, psi and
-    psi'.
+    start: returns points and tangents (n, 3) at arc lengths (n,), mm. twisted: whether tubes are twisted to start
+    with, as the moment about the tangent would twist them: robots on a wall may have several equilibria. Returns a
+    function from arc lengths to points, and the sum of the wall's forces' sizes, N. Tubes have one curvature each
+    and are extended by no straight part. The unknowns of every section between ends of tubes are, side by side, p,
+    d_1, t, m, n, psi and psi'.
     """
     d = robot.d
     alpha, beta, theta = q[:d], q[d : 2 * d], q[2 * d :]
@@ -104,15 +105,38 @@ def solve_contact(robot: Robot, q, wall, start, tolerance=1e-6):
                 found += [last[9:12], last[12:15], last[15 + d :]]
         return np.concatenate(found)
 
-    x = np.linspace(0, 1, 21)
+    # Internal force and moment to start from: those of the wall's pushes on the shape beyond each place.
+    along = np.linspace(0.0, beta[-1], 401)
+    shape = start(along)[0]
+    which = np.minimum((along[:, None] > beta[None]).sum(axis=1), d - 1)
+    pushes = np.stack([wall.push(p[:, None], radii[k])[:, 0] for p, k in zip(shape, which, strict=True)])
+
+    def beyond(values):
+        steps = (values[1:] + values[:-1]) / 2 * np.diff(along)[:, None]
+        return np.vstack([np.cumsum(steps[::-1], axis=0)[::-1], np.zeros((1, 3))])
+
+    forces = beyond(pushes)
+    moments = beyond(np.cross(shape, pushes)) - np.cross(shape, forces)
+    # A frame that does not spin, carried along the shape, and twist that bears the moment about the tangent.
+    tangents = start(along)[1]
+    frames = [base[:, 0]]
+    for t in tangents[1:]:
+        carried = frames[-1] - t * (t @ frames[-1])
+        frames.append(carried / np.linalg.norm(carried))
+    stiff = np.array([twisting[k:].sum() for k in which])
+    rates = twisted * (moments * tangents).sum(axis=1) / stiff
+    turned = np.concatenate([[0.0], np.cumsum((rates[1:] + rates[:-1]) / 2 * np.diff(along))])
+    given = np.hstack([shape, np.array(frames), tangents, moments, forces])
+    x = np.linspace(0, 1, 41)
     y = np.zeros((d * size, len(x)))
     for k in range(d):
-        points, tangents = start(edges[k] + lengths[k] * x)
-        # A frame that does not spin, to start from: the base's, turned with the tangent.
-        d1 = base[:, 0] - tangents * (tangents @ base[:, 0])[:, None]
-        d1 /= np.linalg.norm(d1, axis=1, keepdims=True)
-        y[k * size : k * size + 9] = np.hstack([points, d1, tangents]).T
-        y[k * size + 15 : k * size + 15 + d] = alpha[:, None]
+        at = edges[k] + lengths[k] * x
+        here = y[k * size : (k + 1) * size]
+        for j in range(15):
+            here[j] = np.interp(at, along, given[:, j])
+        for i in range(d):
+            here[15 + i] = alpha[i] + rates[0] * (robot.tubes[i].length - beta[i]) + np.interp(at, along, turned)
+            here[15 + d + i] = np.interp(at, along, rates) * (i >= k)
     solved = solve_bvp(slopes, ends, x, y, tol=tolerance, max_nodes=20_000)
     assert solved.success, solved.message
     fine = np.linspace(0, 1, 4001)
