@@ -224,10 +224,10 @@ class ContactEquilibria:
         """Return what the wall does to a state at the sample points (K, 5) of its pieces."""
         return self._contact(self._rods(state))
 
-    def missed(self, state: ContactState) -> float:
+    def force_mismatch(self, state: ContactState) -> float:
         """Return the sum over pieces of the difference between force and push, N."""
         rods = self._rods(state)
-        return self._missed(state, rods, self._contact(rods), 1.0)
+        return self._mismatch(state, rods, self._contact(rods), 1.0)
 
     def margins(self, states: Sequence[ContactState], bending: bool = False) -> Array:
         """Return the stability margins (T,) of equilibria, where the wall's forces change as the robot moves.
@@ -244,10 +244,10 @@ class ContactEquilibria:
         placed = unknown._replace(
             angles=np.stack([state.angles for state in states]), axes=np.stack([state.axes for state in states])
         )
-        return margins(self._founded, placed, bending)
+        return margins(self._foundation_rods, placed, bending)
 
     @cached_property
-    def _founded(self) -> LoadedEquilibria:
+    def _foundation_rods(self) -> LoadedEquilibria:
         """Rods whose responses contain the wall's stiffness."""
         return LoadedEquilibria(self.robot.structure, self.kind._replace(founded=True))
 
@@ -296,7 +296,7 @@ class ContactEquilibria:
 
     def predict(self, state: ContactState, slopes: ContactSlopes, step: Array) -> ContactState:
         """Return the equilibrium after a step (2d + 2,) of q to first order; slopes: of the state."""
-        moved = self._moved(state, slopes.unknowns_by_q @ step, slopes.near)
+        moved = self._apply_step(state, slopes.unknowns_by_q @ step, slopes.near)
         return moved._replace(q=state.q + step)
 
     def _solve(self, start: ContactState, share: float = 1.0, turned: Array | None = None) -> ContactState | None:
@@ -315,13 +315,13 @@ class ContactEquilibria:
             if step is None or abs(step[: d + 2]).max() > MAX_LOADED_NEWTON_TURN_RAD:
                 return None
             if first is None:
-                first = self._moved(state, step, system.near)
+                first = self._apply_step(state, step, system.near)
                 if _turns_too_far(step, turned, d):
                     return None
             size = self._size(step, system)
             part = 1.0
             for _ in range(MAX_CONTACT_STEP_HALVINGS):
-                tried = self._moved(state, part * step, system.near)
+                tried = self._apply_step(state, part * step, system.near)
                 rods = self._rods(tried)
                 contact = self._contact(rods)
                 ahead = _newton_step(system.jacobian, self._residual(tried, rods, contact, system.near, share))
@@ -332,7 +332,7 @@ class ContactEquilibria:
                 return None
             state = tried
             if abs(step[: d + 2]).max() < CONTACT_TIP_TOLERANCE_RAD and (
-                self._missed(state, rods, contact, share) < CONTACT_FORCE_TOLERANCE_N
+                self._mismatch(state, rods, contact, share) < CONTACT_FORCE_TOLERANCE_N
             ):
                 sign = float(np.linalg.slogdet(system.jacobian)[0])
                 away = max(abs(state.angles - first.angles).max(), abs(state.axes - first.axes).max())
@@ -389,7 +389,7 @@ class ContactEquilibria:
         apart = state.pushes[near] - share * PIECE_PROJECTION @ contact.push[near]
         return np.concatenate([misfit, apart.ravel()])
 
-    def _missed(self, state: ContactState, rods: _Rods, contact: WallPush, share: float) -> float:
+    def _mismatch(self, state: ContactState, rods: _Rods, contact: WallPush, share: float) -> float:
         """Return the sum over pieces of the difference between force and push, N."""
         apart = state.pushes - share * PIECE_PROJECTION @ contact.push
         return float((np.linalg.norm(apart, axis=2).sum(axis=1) * rods.lengths[0]).sum())
@@ -404,7 +404,7 @@ class ContactEquilibria:
             )
         )
 
-    def _moved(self, state: ContactState, step: Array, near: Index) -> ContactState:
+    def _apply_step(self, state: ContactState, step: Array, near: Index) -> ContactState:
         """Return a state after a step (n,) of its tip and of the pushes on pieces near the wall."""
         d = self.robot.d
         angles, axes = turn_tips(state.angles[None], state.axes[None], step[None, : d + 2])

@@ -76,7 +76,7 @@ class ContactReplay:
     states: tuple[ContactState, ...]
 
     @property
-    def known(self) -> Flags:
+    def in_equilibrium(self) -> Flags:
         """Frames (T,) in which the robot has not snapped."""
         return np.asarray(np.isfinite(self.margin))
 
@@ -319,7 +319,7 @@ def _plan_of(
     robot: Robot = problem.robot
     alpha, beta, theta = robot.split(motion.q)
     free = Simulator(robot, KINEMATIC_MODELS[PHYSICAL_MODEL])(motion.q)
-    known = replay.known
+    known = replay.in_equilibrium
     snaps = list[dict[str, Any]]()
     if not known.all():
         j = int(known.argmin())

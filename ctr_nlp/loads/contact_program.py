@@ -78,7 +78,7 @@ class FrameCost(NamedTuple):
     margin: float
     margin_by_q: Array
 
-    def expected(self, step: Array) -> float:
+    def value_after(self, step: Array) -> float:
         """Return the quadratic function after a step (n,) of q."""
         return float(self.value + self.slope @ step + 0.5 * step @ self.curvature @ step)
 
@@ -151,12 +151,14 @@ class ContactProgram:
             found = self._step(motion, costs, size)
             if found is None:
                 size = size / 2
+                if size.max() <= MIN_STEP_MM:
+                    break
                 continue
             steps, expected = found
-            gain = motion.objective - self._predicted(motion, expected, steps)
+            gain = motion.objective - self._predict_objective(motion, expected, steps)
             if gain <= DECREASE_TOLERANCE * abs(motion.objective):
                 return motion._replace(converged=bool(size.min() >= CONVERGED_STEP_MM))
-            moved, lost = self._moved(motion, steps)
+            moved, lost = self._take_steps(motion, steps)
             reach = abs(steps * self._scale).max(axis=1)
             # Frames whose branch ended are kept back.
             size[lost] = reach[lost] / 4
@@ -189,7 +191,7 @@ class ContactProgram:
         """W: mm per unit of the entries of q, (2d + 2,)."""
         return self.problem.robot.mm_per_unit
 
-    def _moved(self, motion: ContactMotion, steps: Array) -> tuple[ContactMotion | None, list[int]]:
+    def _take_steps(self, motion: ContactMotion, steps: Array) -> tuple[ContactMotion | None, list[int]]:
         """Return the motion after steps (T, 2d + 2) of q, and the frames whose branch ends before.
 
         None for the motion where there are any.
@@ -201,7 +203,12 @@ class ContactProgram:
             states.append(there)
             if done < 1:
                 lost.append(j)
-        return (None if lost else self.evaluate(states)), lost
+        if lost:
+            return None, lost
+        moved = self.evaluate(states)
+        # Where an equilibrium has no finite slopes, its frame is kept back as well.
+        lost = np.flatnonzero(~np.isfinite(moved.costs)).tolist()
+        return (None if lost else moved), lost
 
     def _shape_cost(self, j: int, found: ContactSlopes) -> tuple[float, Array, Array]:
         """Return value, slope and Gauss and Newton's Hessian over q of distance, arrival and total force."""
@@ -341,7 +348,7 @@ class ContactProgram:
             return None
         taken = np.clip(found.reshape(count, width)[:, :n], lower[:, :n], upper[:, :n])
         expected = [
-            cost.expected(step) + self._penalty(cost.margin_after(step), least)
+            cost.value_after(step) + self._penalty(cost.margin_after(step), least)
             for cost, step, least in zip(costs, taken, self.margin, strict=True)
         ]
         return taken, np.array(expected)
@@ -355,7 +362,7 @@ class ContactProgram:
             least.append(kept - cost.margin)
         return sp.block_diag(blocks, format="csc"), np.array(least), np.full(len(least), np.inf)
 
-    def _predicted(self, motion: ContactMotion, expected: Array, steps: Array) -> float:
+    def _predict_objective(self, motion: ContactMotion, expected: Array, steps: Array) -> float:
         """Return the objective that the quadratic model predicts after steps (T, 2d + 2)."""
         return float(expected.sum()) + self._motion_cost(motion.q + steps)
 
@@ -369,7 +376,7 @@ def _secant(curvature: Array, step: Array, change: Array) -> Array:
     """
     found = float(step @ change)
     known = float(step @ curvature @ step)
-    if found <= known or known <= 0:
+    if not known < found < np.inf or known <= 0:
         return curvature
     bent = curvature @ step
     return np.asarray(curvature - np.outer(bent, bent) / known + np.outer(change, change) / found)
@@ -393,6 +400,5 @@ def _solve_quadratic(
     given = {"h": ca.DM(hessian), "g": ca.DM(gradient), "a": ca.DM(rows)}
     solver = ca.conic("qp", QP_SOLVER, {"h": given["h"].sparsity(), "a": given["a"].sparsity()}, QP_OPTIONS)
     found = solver(**given, lba=low, uba=high, lbx=lower.ravel(), ubx=upper.ravel())
-    if not solver.stats()["success"]:
-        return None
-    return np.asarray(found["x"]).ravel()
+    x = np.asarray(found["x"]).ravel()
+    return x if solver.stats()["success"] and np.isfinite(x).all() else None

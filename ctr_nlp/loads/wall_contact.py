@@ -89,7 +89,7 @@ class Foundation:
         found["towards"][j] = means / np.where(size > 0, size, 1.0)[:, None]
         found["narrow"][j] = wall.narrow.any(axis=1)
         found["shape"][j] = self.equilibria.shape(state, SIGMA_GRID)
-        found["missed"][j] = self.equilibria.missed(state)
+        found["missed"][j] = self.equilibria.force_mismatch(state)
 
     def _empty_result(self, q: Array) -> dict[str, Any]:
         """Return the arrays of a WallContact for q (T, 2d + 2), NaN but for the pieces' positions and lengths."""

@@ -29,7 +29,7 @@ MIN_PATH_STRETCH = 0.1
 
 
 class WallPush(NamedTuple):
-    """What a wall does to points (..,) of a robot's axis.
+    """Depth and push of a wall at points (..,) of a robot's axis, and the push's slope.
 
     beyond (..,): how far the robot's surface is beyond the wall, mm, negative where it does not touch. push (..,
     3): force per length on the robot, N/mm. slope (.., 3, 3): its derivative by the point, N/mm per mm. narrow
