@@ -99,9 +99,16 @@ def test_random_scenes_are_those_of_collocation(seed):
 
 
 @pytest.mark.slow
-def test_many_random_scenes_are_those_of_collocation():
-    touching = [check_scene(random_scene(seed)) for seed in range(200)]
-    assert sum(touching) > 100
+def test_nineteen_of_twenty_random_scenes_are_those_of_collocation():
+    """In the others either search fails, finds another equilibrium, or a long single tube is less exact."""
+    agreeing = 0
+    for seed in range(200):
+        try:
+            check_scene(random_scene(seed))
+        except AssertionError:
+            continue
+        agreeing += 1
+    assert agreeing >= 190
 
 
 @pytest.mark.parametrize("overlap", [0.2, 1.0])
