@@ -7,12 +7,13 @@ guesses, which the horizon then smooths and ranks by its own objective.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from ctr_nlp.models import Model
+from ctr_nlp.ocp.frame_solver import distinct_results
 from ctr_nlp.ocp.horizon import EndConfigurations
 from ctr_nlp.ocp.settings import Settings
 from ctr_nlp.ocp.terms import Term
@@ -28,6 +29,8 @@ MAX_PER_FRAME_START_FRAMES = 200
 """Largest number of frames that are solved one by one for a start; of longer motions every second, third, ...
 frame is solved, and the others are interpolated.
 """
+MAX_LAST_FRAMES_WITHIN_WALL = 3
+"""Largest number of solutions of the last frame within a wall from which a motion is made."""
 SAMPLING_RMS_RELATIVE_DIFFERENCE = 0.2
 """Relative difference between a run's RMS error at the samples of plans (101) and at those of programs (21)."""
 MOTION_TERM_BOUND_MM2 = 1e-3
@@ -56,16 +59,73 @@ def per_frame_motions(
     of frames that are solved; the others are interpolated. Where Ctrl-C, deferred by the caller, ended the work
     early, the robot stands still in frames that were not reached.
     """
-    # Ceiling division: no more than `most` frames are left.
-    stride = -(-problem.frames // most)
-    picked = thin_frames(problem.frames, stride)
-    coarse = problem if stride == 1 else at_frames(problem, picked, stride)
+    coarse, picked = _with_at_most(problem, most)
     solver = NlpFrames.of(coarse, model=model, settings=replace(settings, contact_weight=0.0), terms=terms)
     passes, _ = run_passes(coarse, solver, "best", ends.start, ends.end, progress)
     # Further terms of a user may have any size, so that objectives are no measure of errors: with an infinite
     # tolerance no bound excludes a pass, and all are simulated.
     ranked = _best_first(passes, coarse, model, math.inf if terms else SAMPLING_RMS_RELATIVE_DIFFERENCE)
     return [interpolate_frames(one.unknowns(coarse), picked, problem.frames) for one in ranked]
+
+
+def motions_within_wall(
+    problem: Problem,
+    settings: Settings,
+    model: Model,
+    terms: Sequence[Term],
+    stop: Callable[[], bool],
+    most: int = MAX_PER_FRAME_START_FRAMES,
+) -> list[Array]:
+    """Solve motions frame by frame within the wall, backwards; return unknowns (T, 2d + 2).
+
+    They begin at the best solutions of the last frame within the wall, at most MAX_LAST_FRAMES_WITHIN_WALL. A
+    search that looks at the wall only after it has chosen a motion without it may end on the wrong side of a
+    bifurcation, from which no small change leads back.
+
+    Parameters
+    ----------
+    problem : Problem
+        Robot and target, within a wall.
+    settings : Settings
+        Weights and margins.
+    model : Model
+        Kinematic model.
+    terms : sequence of Term
+        Further terms of the objective.
+    stop : callable
+        Returns whether to end; motions that were not finished are left out.
+    most : int
+        Largest number of frames that are solved; the others are interpolated.
+
+    Returns
+    -------
+    list of ndarray
+        The motion of the best last frame first. Motions of which a frame was not solved are left out.
+    """
+    coarse, picked = _with_at_most(problem, most)
+    free = NlpFrames.of(coarse, model=model, settings=settings, terms=terms)
+    within = replace(free, active_wall=free.wall)
+    *others, last = range(coarse.frames)
+    found = [within.search_near(last, one) for one in free.search(last)]
+    # Solutions without the wall that differ may lead to the same one within it.
+    distinct = distinct_results([one for one in found if one.success])
+    motions = list[Array]()
+    for one in distinct[:MAX_LAST_FRAMES_WITHIN_WALL]:
+        march = Pass("backward", [last, *reversed(others)], results={last: one})
+        for _ in march.run(within):
+            if stop():
+                return motions
+        if march.cost(coarse)[0] == 0:
+            motions.append(interpolate_frames(march.unknowns(coarse), picked, problem.frames))
+    return motions
+
+
+def _with_at_most(problem: Problem, most: int) -> tuple[Problem, Index]:
+    """Return a problem of at most `most` evenly spaced frames, and their numbers from 0."""
+    # Ceiling division: no more than `most` frames are left.
+    stride = -(-problem.frames // most)
+    picked = thin_frames(problem.frames, stride)
+    return problem if stride == 1 else at_frames(problem, picked, stride), picked
 
 
 def _best_first(passes: Sequence[Pass], problem: Problem, model: Model, relative_difference: float) -> list[Pass]:

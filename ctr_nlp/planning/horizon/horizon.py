@@ -1,8 +1,10 @@
 """All frames of a problem as one chain (ocp/chain.py), solved by multi-start, and the resulting plan.
 
 The search first ignores the wall. Within a lumen the best motions are then solved again with the wall, at a tenth
-of its weight and then at all of it. lambda (s^2) weighs motion against shape; by default it is such that the
-motion of the start costs a tenth of its shape errors.
+of its weight and then at all of it. Where the plan then fails a check, other motions are tried that were solved
+frame by frame within the wall, backwards from the last frame: a motion chosen without the wall may end on the
+wrong side of a bifurcation. lambda (s^2) weighs motion against shape; by default it is such that the motion of the
+start costs a tenth of its shape errors.
 """
 
 from __future__ import annotations
@@ -28,8 +30,9 @@ from ctr_nlp.ocp.wall import Wall, make_wall
 from ctr_nlp.paths.problem import Problem
 from ctr_nlp.plan.plan import Plan, plan_from_configurations
 from ctr_nlp.plan.simulation import Simulator
+from ctr_nlp.plan.verdicts import NO, REACHED_VERDICT_NAMES
 from ctr_nlp.planning.marching import Progress
-from ctr_nlp.planning.motions import per_frame_motions
+from ctr_nlp.planning.motions import motions_within_wall, per_frame_motions
 from ctr_nlp.planning.multistart import (
     IterateCallback,
     SolvedStart,
@@ -166,12 +169,15 @@ class Horizon:
                 )
                 tried += found if given else []
                 wall, attempts = self._solve_within_wall(self._wall, search, attempts, tried)
+            options = self.options(weight, starts, exhaustive)
+            meta = {**self._names, "options": options, "build_s": self.build_seconds}
+            meta["contact_weight"] = None if wall is None else wall.weight
+            plan = self._plan(search.chain_for_wall(wall), found[0], attempts, free, meta)
+            if wall is not None and not every and not interrupted():
+                plan = self._best_from_last_frame(wall, search, plan, attempts)
             work = {"search_s": between - begin, "solve_s": time.perf_counter() - between}
             stopped = interrupted()
-        options = self.options(weight, starts, exhaustive)
-        meta = {**self._names, **work, "options": options, "build_s": self.build_seconds, "interrupted": stopped}
-        meta["contact_weight"] = None if wall is None else wall.weight
-        return self._plan(search.chain_for_wall(wall), found[0], attempts, free, meta)
+        return replace(plan, meta=plan.meta | work | {"interrupted": stopped})
 
     def motions(self, given: Sequence[Array] = (), progress: Progress | None = None) -> list[Array]:
         """Return unknowns (T, n) of initial motions: given ones (T, 2d + 2), or solved frame by frame, best first.
@@ -203,15 +209,50 @@ class Horizon:
             moved = self._simulator(self.configurations(one.motion))
             return failed_frames(self.problem, moved, one.motion, success)
 
+        within = self._solve_with_growing_wall(wall, search, motions)
+        if count_failed_frames(best_solved_start(within)) > count_failed_frames(best_solved_start(free)):
+            return None, free
+        return wall, within
+
+    @staticmethod
+    def _solve_with_growing_wall(wall: Wall, search: Search, motions: Sequence[Array]) -> Sequence[SolvedStart]:
+        """Solve motions (T, n) within a wall, at a part of its weight first; return the results."""
         within: Sequence[SolvedStart] = ()
         for part in WALL_PARTS:
             within = search.solve_from_motions(motions, replace(wall, weight=part * wall.weight))
             # Each weight starts from the solutions of the one before; where there is none, from the same motions
             # again.
             motions = [one.motion for one in within if one.solution.success] or motions
-        if count_failed_frames(best_solved_start(within)) > count_failed_frames(best_solved_start(free)):
-            return None, free
-        return wall, within
+        return within
+
+    def _best_from_last_frame(
+        self, wall: Wall, search: Search, plan: Plan, attempts: Sequence[SolvedStart]
+    ) -> Plan:
+        """Return the best of a plan within a wall and, where it fails a check, of plans from other motions.
+
+        These were solved frame by frame within the wall, backwards from the last frame. The first that fails no
+        check ends the search. attempts: the solved starts of the plan.
+        """
+        ends_given = self.ends.start is not None or self.ends.end is not None
+        # On models that cannot snap most checks are not made, and a given end leaves no choice of the last frame.
+        if ends_given or not self._model.can_snap or not _count_failed_checks(plan):
+            return plan
+        tried = list(attempts)
+        motions = motions_within_wall(self.problem, self._settings, self._model, self._terms, search.stop)
+        for motion in motions:
+            if search.stop():
+                break
+            found = self._solve_with_growing_wall(wall, search, [motion])
+            tried += found
+            other = self._plan(search.chain_for_wall(wall), motion, found, plan.free, dict(plan.meta))
+            plan = min(plan, other, key=_rank_by_checks)
+            if not _count_failed_checks(plan):
+                break
+        meta = {
+            "starts": [one.to_meta(self.problem.frames) for one in tried],
+            "iterations": sum(one.solution.iterations for one in tried),
+        }
+        return replace(plan, meta=plan.meta | meta)
 
     def configurations(self, motion: Array) -> Array:
         """Return the configurations (T, 2d + 2) of a motion's unknowns (T, n)."""
@@ -283,3 +324,15 @@ class Horizon:
         # Simulated, the motion has the equilibria that a robot is in, but NaN or jumps where it snaps; estimated
         # from the motors' angles, it is smooth, but no equilibrium. Either may be the better start.
         return [self._model.follow(robot, motion).x, self._model.guess(robot, motion)]
+
+
+def _rank_by_checks(plan: Plan) -> tuple[int, float, float]:
+    """Return how a plan ranks: by failed checks, then by contact in mm where that fails, then by its objective."""
+    wall = plan.verdicts.within_wall
+    contact = wall.number if wall.word == NO else 0.0
+    return _count_failed_checks(plan), contact, float(plan.objective.mean())
+
+
+def _count_failed_checks(plan: Plan) -> int:
+    """Return how many of the checks of a reached end a plan fails, apart from those that were not made."""
+    return sum(getattr(plan.verdicts, name).word == NO for name in REACHED_VERDICT_NAMES)
