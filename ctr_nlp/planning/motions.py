@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from ctr_nlp.models import Model
-from ctr_nlp.ocp.frame_solver import distinct_results
+from ctr_nlp.ocp.frame_solver import FrameResult, distinct_results
 from ctr_nlp.ocp.horizon import EndConfigurations
 from ctr_nlp.ocp.settings import Settings
 from ctr_nlp.ocp.terms import Term
@@ -78,9 +78,10 @@ def motions_within_wall(
 ) -> list[Array]:
     """Solve motions frame by frame within the wall, backwards; return unknowns (T, 2d + 2).
 
-    They begin at the best solutions of the last frame within the wall, at most MAX_LAST_FRAMES_WITHIN_WALL. A
-    search that looks at the wall only after it has chosen a motion without it may end on the wrong side of a
-    bifurcation, from which no small change leads back.
+    They begin at the best solutions of the last frame within the wall, at most MAX_LAST_FRAMES_WITHIN_WALL, in
+    which the tip arrives without more contact than is allowed: from any other no motion ends well. A search that
+    looks at the wall only after it has chosen a motion without it may end on the wrong side of a bifurcation, from
+    which no small change leads back.
 
     Parameters
     ----------
@@ -108,7 +109,7 @@ def motions_within_wall(
     *others, last = range(coarse.frames)
     found = [within.search_near(last, one) for one in free.search(last)]
     # Solutions without the wall that differ may lead to the same one within it.
-    distinct = distinct_results([one for one in found if one.success])
+    distinct = distinct_results([one for one in found if one.success and _ends_well(within, one)])
     motions = list[Array]()
     for one in distinct[:MAX_LAST_FRAMES_WITHIN_WALL]:
         march = Pass("backward", [last, *reversed(others)], results={last: one})
@@ -118,6 +119,19 @@ def motions_within_wall(
         if march.cost(coarse)[0] == 0:
             motions.append(interpolate_frames(march.unknowns(coarse), picked, problem.frames))
     return motions
+
+
+def _ends_well(frames: NlpFrames, one: FrameResult) -> bool:
+    """Return whether the tip arrives in a solution of the last frame, and presses no deeper than is allowed."""
+    assert frames.wall is not None
+    assert one.x is not None
+    robot, last = frames.problem.robot, frames.problem.target_frames[-1]
+    slack = float(frames.wall.local_parameters_during([last])(one.x[None])[1][0])
+    tip = frames.model.points(robot, one.x[None], np.ones(1))[0, -1]
+    missed = float(np.linalg.norm(tip - last.points[-1]))
+    # The slack includes the clearance that is asked for.
+    allowed = frames.settings.clearance + frames.settings.contact_allowed
+    return missed <= frames.settings.arrival_tolerance and slack <= allowed
 
 
 def _with_at_most(problem: Problem, most: int) -> tuple[Problem, Index]:

@@ -6,8 +6,21 @@ import numpy as np
 import pytest
 from lumens import straight
 
-from ctr_nlp import Problem, Settings, growing, solve_horizon, solve_per_frame, summary, table_i_robot
+from ctr_nlp import (
+    Problem,
+    Settings,
+    curve_from_points,
+    growing,
+    solve_horizon,
+    solve_per_frame,
+    summary,
+    table_i_robot,
+)
+from ctr_nlp.models import KINEMATIC_MODELS
+from ctr_nlp.ocp.wall import make_wall
 from ctr_nlp.plan.summary_text import remarks
+from ctr_nlp.planning.horizon import horizon
+from ctr_nlp.planning.motions import motions_within_wall
 from ctr_nlp.planning.nlp_frames import NlpFrames
 from ctr_nlp.planning.starts import search
 
@@ -75,3 +88,65 @@ def test_a_horizon_that_is_not_solved_within_the_wall_loses_the_wall(problem, fr
     assert plan.complete
     assert plan.meta["contact_weight"] is None
     np.testing.assert_array_equal(plan.q, free[solve_horizon].q)
+
+
+def _within_arc(radius, frames=6):
+    """Table I's robot in a lumen along an arc, which its tubes follow well."""
+    angle = np.linspace(0, 1.2, 61)
+    arc = 100 * np.stack([1 - np.cos(angle), 0 * angle, np.sin(angle)], axis=-1)
+    lumen = curve_from_points(arc, np.full(len(arc), radius))
+    return Problem("arc", ROBOT, growing(lumen, frames), lumen=lumen)
+
+
+def test_motions_from_the_last_frame_keep_within_the_wall_and_arrive():
+    problem = _within_arc(6.0)
+    model, settings = KINEMATIC_MODELS["elastic"], Settings()
+    found = motions_within_wall(problem, settings, model, (), lambda: False)
+    assert found
+    wall = make_wall(ROBOT, problem.wall, model, settings)
+    for x in found:
+        assert x.shape == (6, 2 * ROBOT.d + 2)
+        assert wall.local_parameters(x)[1].max() <= settings.clearance + settings.contact_allowed
+        tip = model.points(ROBOT, x[-1:], np.ones(1))[0, -1]
+        assert np.linalg.norm(tip - problem.target_frames[-1].points[-1]) <= settings.arrival_tolerance
+
+
+def test_no_motion_begins_in_a_last_frame_that_touches_too_much():
+    # The tubes are wider than the lumen: every last frame presses into the wall.
+    problem = _within_arc(0.3)
+    assert motions_within_wall(problem, Settings(), KINEMATIC_MODELS["elastic"], (), lambda: False) == []
+
+
+def test_other_motions_are_tried_only_where_a_plan_in_a_wall_fails(monkeypatch):
+    tried = list[Problem]()
+
+    def motions(problem, *rest):
+        tried.append(problem)
+        return []
+
+    monkeypatch.setattr(horizon, "motions_within_wall", motions)
+    wide = solve_horizon(_within_arc(6.0), model="elastic")
+    assert wide.verdicts.within_wall.word == "yes"
+    assert tried == []
+    narrow = solve_horizon(_within_arc(0.3), model="elastic")
+    assert narrow.verdicts.within_wall.word == "no"
+    assert len(tried) == 1
+
+
+def test_the_motion_that_fails_fewest_checks_is_kept(monkeypatch):
+    problem = _within_arc(6.0)
+    good = solve_horizon(problem, model="elastic")
+    made = horizon.Horizon._plan
+    calls = list[int]()
+
+    def plan(self, *arguments):
+        calls.append(1)
+        found = made(self, *arguments)
+        # The first plan counts as not solved.
+        return replace(found, success=np.zeros(problem.frames, dtype=bool)) if len(calls) == 1 else found
+
+    monkeypatch.setattr(horizon.Horizon, "_plan", plan)
+    kept = solve_horizon(problem, model="elastic")
+    assert kept.verdicts.solved.word == "yes"
+    assert len(calls) >= 2
+    assert len(kept.meta["starts"]) > len(good.meta["starts"])

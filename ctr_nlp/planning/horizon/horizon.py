@@ -329,7 +329,7 @@ class Horizon:
 def _rank_by_checks(plan: Plan) -> tuple[int, float, float]:
     """Return how a plan ranks: by failed checks, then by contact in mm where that fails, then by its objective."""
     wall = plan.verdicts.within_wall
-    contact = wall.number if wall.word == NO else 0.0
+    contact = 0.0 if wall.word != NO or wall.number is None else wall.number
     return _count_failed_checks(plan), contact, float(plan.objective.mean())
 
 
