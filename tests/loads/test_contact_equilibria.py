@@ -99,16 +99,15 @@ def test_random_scenes_are_those_of_collocation(seed):
 
 
 @pytest.mark.slow
-def test_nineteen_of_twenty_random_scenes_are_those_of_collocation():
-    """In the others either search fails, finds another equilibrium, or a long single tube is less exact."""
-    agreeing = 0
+@pytest.mark.xfail(strict=True, reason="scenes 31 (another equilibrium), 35, 46 and 60 (0.04 mm) do not agree")
+def test_two_hundred_random_scenes_are_those_of_collocation():
+    disagreeing = []
     for seed in range(200):
         try:
             check_scene(random_scene(seed))
         except AssertionError:
-            continue
-        agreeing += 1
-    assert agreeing >= 190
+            disagreeing.append(seed)
+    assert not disagreeing
 
 
 @pytest.mark.parametrize("overlap", [0.2, 1.0])
