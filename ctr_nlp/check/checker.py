@@ -325,11 +325,11 @@ def _judge_solved(file: PlanFile) -> Finding:
     success, kkt = file.arrays["success"], file.arrays["kkt"]
     large = success & (kkt > MAX_KKT_MM2)
     interpolated = len(file.meta.get("interpolated", []))
-    number = float((success & ~large).sum())
+    number = float((success & (kkt <= MAX_KKT_MM2)).sum())
     if (~success).sum() > interpolated or large.any():
         return Finding(NO, number, why="Frames are not solved, or their KKT residual is large.")
     if interpolated or np.isnan(kkt).any():
-        return Finding(NOT_COVERED, number, why="Frames have no KKT residual.")
+        return Finding(NOT_COVERED, number, why="Frames have no KKT residual: no program solved them.")
     return Finding(YES, number, why="All frames are marked as solved, with small KKT residuals.")
 
 

@@ -16,12 +16,8 @@ from ctr_nlp.check.walls import FIELD_ERROR_MM, FieldWall, LumenWall, read_walls
 
 SHAPE_TOLERANCE_MM = 0.05
 """By how much recorded shapes may differ from those found."""
-MARGIN_TOLERANCE = 0.005
-"""By how much recorded margins may differ from those found."""
-MARGIN_RELATIVE_TOLERANCE = 0.02
-"""Part of a margin by which it may differ besides: planners integrate long sections of tubes whose curvature
-varies in few steps, and a margin of 0.6 was 0.013 off there.
-"""
+MARGIN_TOLERANCE, MARGIN_RELATIVE_TOLERANCE = 0.002, 0.005
+"""By how much recorded margins may differ from those found, and the part of a margin by which they may besides."""
 CLEARANCE_TOLERANCE_MM = 0.1
 """By how much recorded clearances may differ from those found, and points of the source from the lumen's path."""
 SAMPLE_TOLERANCE_MM = 0.15
