@@ -16,22 +16,23 @@ their residuals are small enough. A robot under a load is not covered.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from ctr_nlp.check import walls as measured
 from ctr_nlp.check.motions import Follower, NominalMotion, Settle, move_nominal, move_through
 from ctr_nlp.check.plan_file import PlanFile
-from ctr_nlp.check.shapes import RobotShape, compute_body
+from ctr_nlp.check.shapes import compute_body
 from ctr_nlp.check.stability import compute_stability_margins
-from ctr_nlp.check.tubes import Array, Twist, integrate, make_dominant, read_tubes
+from ctr_nlp.check.tubes import Array, integrate, make_dominant, read_tubes
+from ctr_nlp.check.walls import FIELD_ERROR_MM, Wall, measure_clearance, read_walls
 
 YES, NO, NOT_COVERED = "yes", "no", "not covered"
 VERDICTS = "solved", "arrives", "follows", "stable", "within_limits", "within_wall", "holds"
 """Names of the verdicts, those of ``plan.verdicts``."""
+SHAPE_VERDICTS = "arrives", "follows", "stable", "within_wall", "holds"
+"""Verdicts that depend on the model."""
 DEVIATIONS = "curvature", "bending_stiffness", "torsional_ratio", "curved_length", "motor_zero"
 """What samples differ in, in the order of the file's ``draws_parts``."""
 THRESHOLDS = {"arrival_tolerance": 2.0, "error_allowed": 2.0, "contact_allowed": 0.5, "share": 0.95}
@@ -56,7 +57,11 @@ DETOUR = "The robot arrives, but not along the path."
 SAME_SHAPE_MM = 0.01
 """Root mean square distance of shapes on one branch, at most."""
 GROUP = 250
-"""Shapes whose clearances are found at once."""
+"""Shapes that are found at once."""
+PLACES_MM = 1.0
+"""At most, between the places along the robot whose contact is found."""
+SAMPLE_PLACES_MM = 2.0
+"""The same along simulated robots."""
 
 
 class Finding(NamedTuple):
@@ -160,18 +165,15 @@ def examine_motion(file: PlanFile, samples: int = 0, settle: Settle | None = Non
     found.findings["within_limits"] = _judge_limits(meta["robot"], q, float(arrays["time"][0]))
     drawn = _take_samples(file, samples)
     why = _find_reason_not_covered(file, q)
-    of_shapes = "arrives", "follows", "stable", "within_wall", "holds"
-    found.findings.update(dict.fromkeys(of_shapes, Finding(NOT_COVERED, why=why)))
+    found.findings.update(dict.fromkeys(SHAPE_VERDICTS, Finding(NOT_COVERED, why=why)))
     if why:
         return found
-    turns = np.zeros_like(q[0])
-    if meta.get("reversed") or is_later_part(file):
-        turns = _find_whole_turns(file, q[0])
-        q = q + turns
-    walls = measured.read_walls(arrays, meta)
+    turns = _find_whole_turns(file, q[0]) if meta.get("reversed") or is_later_part(file) else np.zeros_like(q[0])
+    q = q + turns
+    walls = read_walls(arrays, meta)
     nominal = move_nominal(read_tubes(meta["robot"]), q, SUBSTEPS, settle)
-    found, depth = _measure(found, nominal, walls)
-    found.findings.update(_judge_shapes(found, depth, walls))
+    deepest = _measure(found, nominal, walls)
+    found.findings.update(_judge_shapes(found, deepest, walls))
     if drawn is None:
         why = "Samples under a tip force or of other tolerances than uniform ones." if samples else "No samples."
     elif not np.isfinite(nominal.tip_angles).all():
@@ -180,7 +182,7 @@ def examine_motion(file: PlanFile, samples: int = 0, settle: Settle | None = Non
         why = "The robot begins on another branch than the one that samples are turned to."
     found.findings["holds"] = Finding(NOT_COVERED, why=why)
     if drawn is not None and not why:
-        found = _move_samples(found, q, nominal.tip_angles[:, -1], walls, drawn)
+        _move_samples(found, q, nominal.tip_angles[:, -1], walls, drawn, settle)
         found.findings["holds"] = _judge_samples(found)
     return found
 
@@ -223,49 +225,37 @@ def _find_whole_turns(file: PlanFile, q: Array) -> Array:
     return np.concatenate([turns[:, rows[nearest]], np.zeros(d + 2)])
 
 
-def _measure(
-    found: CheckResult, nominal: NominalMotion, walls: list[measured.MeasuredWall]
-) -> tuple[CheckResult, Array]:
-    """Return a result with shapes, margins and clearances of a motion, and the deepest contacts (T, 10, W), mm."""
+def _measure(found: CheckResult, nominal: NominalMotion, walls: list[Wall]) -> Array:
+    """Add shapes, margins and clearances of a motion to a result; return the deepest contacts with the walls, mm."""
     known = np.isfinite(nominal.rates).all(axis=-1)
     points, tips = np.full((*known.shape, len(SIGMA), 3), np.nan), np.full((*known.shape, 3), np.nan)
     margin, clearance = np.full(known.shape, np.nan), np.full(points.shape[:-1], np.nan)
-    depth = np.full((*known.shape, len(walls)), np.nan)
-    for chosen, twist, body in _compute_bodies(nominal, known):
+    deepest = np.full(len(walls), -np.inf)
+    frames, steps = np.nonzero(known)
+    for first in range(0, len(frames), GROUP):
+        chosen = frames[first : first + GROUP], steps[first : first + GROUP]
+        twist, theta = nominal.twists(chosen)
+        body = compute_body(twist, theta)
         points[chosen], tips[chosen] = body.interpolate(SIGMA), body.tangents[-1]
         margin[chosen] = compute_stability_margins(twist)
+        radius = find_radius(twist.beta, twist.tubes.radius)
+        clearance[chosen] = measure_clearance(walls, points[chosen], radius)
         for k, wall in enumerate(walls):
-            depth[chosen, k] = measured.find_deepest_contact(wall, body, exactly=False)
-        if walls:
-            clearance[chosen] = measure_clearance(walls, points[chosen], twist.beta, twist.tubes.radius)
-    # The deepest place is measured at the triangles, among those that the smooth surface leaves in question.
-    for k, wall in enumerate(walls):
-        question = depth[..., k] >= np.nanmax(depth[..., k], initial=-np.inf) - measured.FIELD_ERROR_MM
-        for chosen, _, body in _compute_bodies(nominal, known & question):
-            depth[chosen, k] = measured.find_deepest_contact(wall, body)
-    found = replace(found, snaps=nominal.snaps, margin=margin, clearance=clearance, shape=points[:, -1])
-    e2 = measure_errors(found.shape, found.file.arrays["target"])
-    return replace(found, e2=e2, tip_direction=tips[:, -1]), depth
+            clear = measure_clearance([wall], *body.find_places(PLACES_MM), together=True)
+            deepest[k] = max(deepest[k], -clear.min())
+    found.snaps, found.margin, found.clearance = nominal.snaps, margin, clearance
+    found.shape, found.tip_direction = points[:, -1], tips[:, -1]
+    found.e2 = measure_errors(found.shape, found.file.arrays["target"])
+    return deepest
 
 
-def _compute_bodies(nominal: NominalMotion, known: Any) -> Iterator[tuple[Array, Twist, RobotShape]]:
-    """Yield groups of places (T, 10) of a motion among those that are `known`, with their twists and bodies."""
-    places = np.argwhere(known)
-    for first in range(0, len(places), GROUP):
-        chosen = np.zeros_like(known)
-        chosen[tuple(places[first : first + GROUP].T)] = True
-        twist, theta = nominal.twists(chosen)
-        yield chosen, twist, compute_body(twist, theta)
+def find_radius(beta: Array, radius: Array) -> Array:
+    """Return the radius (n, 101), mm, of the outermost tube at uniform sigma.
 
-
-def measure_clearance(walls: list[measured.MeasuredWall], points: Array, beta: Array, radius: Array) -> Array:
-    """Return the clearance (n, 101), mm, of points (n, 101, 3) at uniform sigma.
-
-    beta (d, n), radius (d, n): extensions and radii of tubes, mm. The outermost tube at a place counts.
+    beta, radius (d, n): extensions and radii of tubes, mm.
     """
-    ends = beta[:-1, :, None] + 1e-9
-    outermost = (SIGMA * beta[-1][:, None] > ends).sum(axis=0)
-    return measured.measure_left(walls, points, np.take_along_axis(radius.T, outermost, axis=1))
+    outermost = (SIGMA * beta[-1][:, None] > beta[:-1, :, None] + 1e-9).sum(axis=0)
+    return np.take_along_axis(radius.T, outermost, axis=1)
 
 
 def measure_errors(shape: Array, target: Array) -> Array:
@@ -285,8 +275,8 @@ def sample_contact_allowed(file: PlanFile) -> float:
     return max(SAMPLE_CONTACT_MM, threshold(file, "contact_allowed"))
 
 
-def _judge_shapes(found: CheckResult, depth: Array, walls: list[measured.MeasuredWall]) -> dict[str, Finding]:
-    """Return the verdicts on shapes and margins; depth (T, 10, W): deepest contacts with the walls, mm."""
+def _judge_shapes(found: CheckResult, deepest: Array, walls: list[Wall]) -> dict[str, Finding]:
+    """Return the verdicts on shapes and margins; deepest (W,): contacts with the walls, mm."""
     file, target = found.file, found.file.arrays["target"][-1]
     tip = float(np.linalg.norm(found.shape[-1, -1] - target[-1]))
     arrives = _judge_at_most(tip, threshold(file, "arrival_tolerance"), "mm from the target's end")
@@ -302,9 +292,9 @@ def _judge_shapes(found: CheckResult, depth: Array, walls: list[measured.Measure
     if walls:
         # Tissue around a lumen gives a little; what is to be kept out of is not to be touched.
         allowed = np.array([0.0 if wall.kept_out else threshold(file, "contact_allowed") for wall in walls])
-        deepest = depth.max(axis=(0, 1))
-        first = np.nan_to_num(deepest - allowed, nan=np.inf).argmax()
-        within_wall = _judge_at_most(float(deepest[first]), float(allowed[first]), "mm of contact")
+        first = (deepest - allowed).argmax()
+        depth = float(deepest[first]) if np.isfinite(found.clearance).all() else np.nan
+        within_wall = _judge_at_most(depth, float(allowed[first]), "mm of contact")
     return {
         "arrives": arrives,
         "follows": _judge_at_most(float(found.e2.max()), threshold(file, "error_allowed"), unit),
@@ -408,20 +398,18 @@ def read_bands(tolerances: dict[str, Any], d: int) -> Array:
 
 
 def _move_samples(
-    found: CheckResult,
-    q: Array,
-    nominal_tips: Array,
-    walls: list[measured.MeasuredWall],
-    drawn: tuple[Array, Array],
-) -> CheckResult:
-    """Return a result with how samples fare that are moved through q (T, 2d + 2).
+    found: CheckResult, q: Array, nominal_tips: Array, walls: list[Wall], drawn: tuple[Array, Array], settle: Any
+) -> None:
+    """Add to a result how samples fare that are moved through q (T, 2d + 2).
 
     nominal_tips (T, d): angles of the nominal robot's tips, rad. drawn: differences and plays of the samples.
     """
     file, count = found.file, len(drawn[0])
+    target, allowed = file.arrays["target"], threshold(file, "arrival_tolerance")
     lost, contact = np.zeros(count, dtype=bool), np.full(count, -np.inf if walls else np.nan)
     tips, e2 = np.full((count, 3), np.nan), np.full((count, len(q)), np.nan)
-    follower = Follower(read_tubes(file.meta["robot"], drawn[0]), q[0, nominal_tips.shape[1] - 1], drawn[1].T)
+    robots = read_tubes(file.meta["robot"], drawn[0])
+    follower = Follower(robots, q[0, len(robots.zero) - 1], drawn[1].T, settle)
     for frame in move_through(follower, q, SAMPLE_PART):
         rows = np.flatnonzero(~follower.gone)
         if not len(rows):
@@ -430,23 +418,21 @@ def _move_samples(
         lost[rows] |= (abs(apart - apart[-1:]) > OTHER_BRANCH_RAD).any(axis=0)
         body = compute_body(follower.twist(rows), np.repeat(q[frame, -2:, None], len(rows), axis=1))
         points = body.interpolate(SIGMA)
-        e2[rows, frame], tips[rows] = measure_errors(points, file.arrays["target"][frame]), points[:, -1]
-        for wall in walls:
-            depth = measured.find_deepest_contact(wall, body, exactly=False)
+        e2[rows, frame], tips[rows] = measure_errors(points, target[frame]), points[:, -1]
+        if walls:
+            points, radius = body.find_places(SAMPLE_PLACES_MM)
+            depth = -measure_clearance(walls, points, radius, exactly=False).min(axis=1)
             # Only where it may be the deepest of a robot's motion, contact is measured at the triangles.
-            question = depth > np.maximum(contact[rows], -measured.MEASURED_MM) - measured.FIELD_ERROR_MM
-            if question.any():
-                depth[question] = measured.find_deepest_contact(wall, body.select(np.flatnonzero(question)))
-            contact[rows] = np.maximum(contact[rows], np.where(question, depth, -measured.MEASURED_MM))
-    lost |= follower.snapped
+            some = depth > np.maximum(contact[rows], 0.0) - FIELD_ERROR_MM
+            if some.any():
+                depth[some] = -measure_clearance(walls, points[some], radius[some]).min(axis=1)
+            contact[rows] = np.maximum(contact[rows], depth)
+    lost |= follower.snapped | follower.gone
     tips[lost] = contact[lost] = e2[lost] = np.nan
-    missed = ~(
-        np.linalg.norm(tips - file.arrays["target"][-1, -1], axis=-1) <= threshold(file, "arrival_tolerance")
-    )
-    missed |= found.findings["arrives"].why == DETOUR
-    pressed = ~lost & (contact > sample_contact_allowed(file))
-    found = replace(found, lost=lost, missed=~lost & missed, pressed=pressed)
-    return replace(found, sample_tips=tips, sample_contact=contact, sample_e2=e2)
+    missed = ~(np.linalg.norm(tips - target[-1, -1], axis=-1) <= allowed)
+    found.lost, found.missed = lost, ~lost & (missed | (found.findings["arrives"].why == DETOUR))
+    found.pressed = ~lost & (contact > sample_contact_allowed(file))
+    found.sample_tips, found.sample_contact, found.sample_e2 = tips, contact, e2
 
 
 def _judge_samples(found: CheckResult) -> Finding:

@@ -169,8 +169,8 @@ class NominalMotion:
     tip_angles: Array
     snaps: list[int]
 
-    def twists(self, chosen: Array) -> tuple[Twist, Array]:
-        """The tubes integrated anew where a mask (T, substeps) says, and theta (2, n) there."""
+    def twists(self, chosen: Any) -> tuple[Twist, Array]:
+        """The tubes integrated anew at chosen frames and sub-steps, an index of both, and theta (2, n) there."""
         d = self.rates.shape[-1]
         q = self.q[chosen].T
         tubes = self.tubes.repeat(q.shape[1])

@@ -12,7 +12,7 @@ from ctr_nlp.check.checker import NO, NOT_COVERED, CheckResult, Finding, judge
 from ctr_nlp.check.motions import Settle
 from ctr_nlp.check.plan_file import CheckError, PlanFile, read_plan_file
 from ctr_nlp.check.tubes import Array, read_tubes
-from ctr_nlp.check.walls import FIELD_ERROR_MM, FieldWall, LumenWall, read_walls
+from ctr_nlp.check.walls import FIELD_ERROR_MM, FieldWall, LumenWall, measure_clearance, read_walls
 
 SHAPE_TOLERANCE_MM = 0.05
 """By how much recorded shapes may differ from those found."""
@@ -211,10 +211,10 @@ def _check_clearances(found: CheckResult, shape: Array) -> Finding:
     if not walls or "clearance" not in arrays:
         why = "The file has a wall, and no clearances." if walls else "The file has no wall."
         return Finding(NO if walls or "clearance" in arrays else NOT_COVERED, why=why)
-    radius = read_tubes(found.file.meta["robot"]).repeat(len(shape)).radius
+    radius = checker.find_radius(arrays["beta"].T, read_tubes(found.file.meta["robot"]).repeat(len(shape)).radius)
     known = np.isfinite(shape).all(axis=(1, 2))
     own = np.full((len(shape), 2, shape.shape[1]), np.nan)
-    own[known, 0] = checker.measure_clearance(walls, shape[known], arrays["beta"][known].T, radius[:, known])
+    own[known, 0] = measure_clearance(walls, shape[known], radius[known])
     recorded = np.stack([arrays["clearance"], arrays.get("clearance_between", arrays["clearance"])], axis=1)
     if np.isfinite(arrays["stability"]).any() and "clearance_between" in arrays:
         own[known, 1] = find_least_on_way(found.file, found.clearance)[known]

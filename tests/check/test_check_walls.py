@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from ctr_nlp.anatomy.distance_fields import field_of_mask
-from ctr_nlp.check.walls import LumenWall, Triangles, measure_left, read_walls
+from ctr_nlp.check.walls import LumenWall, Triangles, measure_clearance, read_walls
 from ctr_nlp.paths.lumen import Lumen
 from ctr_nlp.paths.walls import Body, nearest_of
 from ctr_nlp.plan.plan_data import pack_walls
@@ -68,7 +68,7 @@ def test_nearest_wall_counts_and_lumen_only_beside_bodies_to_avoid(field):
         assert [wall.kept_out for wall in walls] == [body.keep_out for body in bodies] + [False] * (
             inside not in bodies
         )
-        found = measure_left(walls, points[:, None], np.zeros((len(points), 1)), exactly=False)[:, 0]
+        found = measure_clearance(walls, points[:, None], np.zeros((len(points), 1)), exactly=False)[:, 0]
         np.testing.assert_allclose(found, near.radius - near.distance, atol=5e-3)
     assert read_walls({}, {}) == []
 

@@ -12,7 +12,7 @@ from ctr_nlp.check.motions import CONVERGED_RATE, Follower, move_nominal, move_t
 from ctr_nlp.check.shapes import RobotShape, compute_body
 from ctr_nlp.check.stability import compute_stability_margins
 from ctr_nlp.check.tubes import integrate, read_tubes
-from ctr_nlp.check.walls import LumenWall, find_deepest_contact
+from ctr_nlp.check.walls import LumenWall, measure_clearance
 
 TIP_RAD = 150 * CONVERGED_RATE
 """To which angles at the tips are known: the last correction of rates at the base, over a tube's length."""
@@ -179,6 +179,11 @@ def test_clearance_in_a_cone_and_a_torus():
     np.testing.assert_allclose(LumenWall(ring).left(points), 4 - np.hypot(2, 1.5), atol=5e-3)
 
 
+def deepest_contact(body):
+    """Contact with a cylinder of radius 4 mm, at places a millimetre apart."""
+    return -measure_clearance([LumenWall(cylinder(4.0))], *body.find_places(1.0)).min()
+
+
 @pytest.mark.hazard("contact with the wall")
 def test_deepest_contact_sees_the_end_of_the_wider_tube():
     """A straight body leaves the axis of a cylinder; it is wide up to 40 mm, and thin from there to its tip."""
@@ -187,13 +192,9 @@ def test_deepest_contact_sees_the_end_of_the_wider_tube():
     direction = np.array([slope, 0.0, np.sqrt(1 - slope**2)])
     body = RobotShape(s, s[..., None] * direction, np.tile(direction, (3, 1, 1)), np.array([[2.5], [0.5]]))
     wide, thin = slope * 40 + 2.5, slope * 90 + 0.5
-    assert find_deepest_contact(LumenWall(cylinder(4.0)), body)[0] == pytest.approx(
-        max(wide, thin) - 4.0, abs=1e-9
-    )
+    assert deepest_contact(body) == pytest.approx(max(wide, thin) - 4.0, abs=1e-9)
     thick_first = RobotShape(body.s, body.points, body.tangents, np.array([[3.9], [0.5]]))
-    assert find_deepest_contact(LumenWall(cylinder(4.0)), thick_first)[0] == pytest.approx(
-        slope * 40 + 3.9 - 4.0, abs=1e-9
-    )
+    assert deepest_contact(thick_first) == pytest.approx(slope * 40 + 3.9 - 4.0, abs=1e-9)
 
 
 @pytest.mark.hazard("limit exceeded")
