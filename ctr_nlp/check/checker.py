@@ -59,9 +59,9 @@ SAME_SHAPE_MM = 0.01
 GROUP = 250
 """Shapes that are found at once."""
 PLACES_MM = 1.0
-"""At most, between the places along the robot whose contact is found."""
-SAMPLE_PLACES_MM = 2.0
-"""The same along simulated robots."""
+"""At most, between the places along a robot whose contact is found."""
+SAMPLE_TOLERANCE_MM = 0.15
+"""By how much tips, errors and contacts of samples may differ: samples are moved in coarser steps."""
 
 
 class Finding(NamedTuple):
@@ -100,45 +100,33 @@ class CheckResult:
         What was checked.
     findings : dict of str to Finding
         Seven verdicts under the names of ``plan.verdicts``, and findings on the record (``records.RECORDS``).
+    snaps : list of int
+        Frames, from 1, on the way to which the robot snaps.
+    moved, borderline : int
+        Samples that were moved, and those that keep or miss a limit by no more than records may differ.
     shape, e2 : ndarray
         Shapes (T, 101, 3) and errors (T,) on the elastic model, mm; NaN where the robot has no equilibrium.
     margin, clearance : ndarray
         Stability margins (T, 10) and clearance (T, 10, 101), mm, at sub-steps, of which the last is the frame.
-    tip_direction : ndarray
-        Unit tangents (T, 3) at the tip.
-    snaps : list of int
-        Frames, from 1, on the way to which the robot snaps.
-    lost, missed, pressed : ndarray of bool
-        Samples (n,) that snap or are on another branch, do not arrive, or touch the wall by more than they may.
-    sample_tips, sample_contact, sample_e2 : ndarray
-        Last tips (n, 3), deepest contacts (n,) and errors (n, T), mm; NaN where a sample is lost.
+    tip_degrees : float
+        Angle between tip and target in the last frame.
+    samples : dict of str to ndarray
+        Of n simulated robots: ``lost``, ``missed`` and ``pressed`` (n,), whether they snap or are on another branch, do
+        not arrive, or touch the wall by more than they may; last ``tips`` (n, 3), deepest ``contacts`` (n,) and
+        ``errors`` (n, T), mm, NaN where a sample is lost. Empty where none were moved.
     """
 
     file: PlanFile
     findings: dict[str, Finding]
     snaps: list[int] = field(default_factory=list)
+    moved: int = 0
+    borderline: int = 0
     shape: Array = field(default_factory=lambda: np.empty(0))
     e2: Array = field(default_factory=lambda: np.empty(0))
     margin: Array = field(default_factory=lambda: np.empty(0))
     clearance: Array = field(default_factory=lambda: np.empty(0))
-    tip_direction: Array = field(default_factory=lambda: np.empty(0))
-    lost: Array = field(default_factory=lambda: np.empty(0))
-    missed: Array = field(default_factory=lambda: np.empty(0))
-    pressed: Array = field(default_factory=lambda: np.empty(0))
-    sample_tips: Array = field(default_factory=lambda: np.empty(0))
-    sample_contact: Array = field(default_factory=lambda: np.empty(0))
-    sample_e2: Array = field(default_factory=lambda: np.empty(0))
-
-    @property
-    def tip_degrees(self) -> float:
-        """Angle between tip and target in the last frame."""
-        own, wanted = self.tip_direction[-1], self.file.arrays["target_direction"][-1]
-        return float(np.degrees(np.arctan2(np.linalg.norm(np.cross(own, wanted)), own @ wanted)))
-
-    @property
-    def sample_tip(self) -> Array:
-        """Distances (n,) of the samples' last tips from the target's end, mm."""
-        return np.asarray(np.linalg.norm(self.sample_tips - self.file.arrays["target"][-1, -1], axis=-1))
+    tip_degrees: float = np.nan
+    samples: dict[str, Array] = field(default_factory=dict)
 
 
 def examine_motion(file: PlanFile, samples: int = 0, settle: Settle | None = None) -> CheckResult:
@@ -182,7 +170,7 @@ def examine_motion(file: PlanFile, samples: int = 0, settle: Settle | None = Non
         why = "The robot begins on another branch than the one that samples are turned to."
     found.findings["holds"] = Finding(NOT_COVERED, why=why)
     if drawn is not None and not why:
-        _move_samples(found, q, nominal.tip_angles[:, -1], walls, drawn, settle)
+        found.samples = _move_samples(file, q, nominal.tip_angles[:, -1], walls, drawn, settle)
         found.findings["holds"] = _judge_samples(found)
     return found
 
@@ -244,8 +232,9 @@ def _measure(found: CheckResult, nominal: NominalMotion, walls: list[Wall]) -> A
             clear = measure_clearance([wall], *body.find_places(PLACES_MM), together=True)
             deepest[k] = max(deepest[k], -clear.min())
     found.snaps, found.margin, found.clearance = nominal.snaps, margin, clearance
-    found.shape, found.tip_direction = points[:, -1], tips[:, -1]
+    found.shape, tip, wanted = points[:, -1], tips[-1, -1], found.file.arrays["target_direction"][-1]
     found.e2 = measure_errors(found.shape, found.file.arrays["target"])
+    found.tip_degrees = float(np.degrees(np.arctan2(np.linalg.norm(np.cross(tip, wanted)), tip @ wanted)))
     return deepest
 
 
@@ -268,11 +257,6 @@ def measure_errors(shape: Array, target: Array) -> Array:
 def threshold(file: PlanFile, name: str) -> float:
     """Return a threshold among the options of a plan, or its default."""
     return float(file.meta.get("options", {}).get(name, THRESHOLDS[name]))
-
-
-def sample_contact_allowed(file: PlanFile) -> float:
-    """Return how deep a sample may be in a wall, mm."""
-    return max(SAMPLE_CONTACT_MM, threshold(file, "contact_allowed"))
 
 
 def _judge_shapes(found: CheckResult, deepest: Array, walls: list[Wall]) -> dict[str, Finding]:
@@ -398,16 +382,15 @@ def read_bands(tolerances: dict[str, Any], d: int) -> Array:
 
 
 def _move_samples(
-    found: CheckResult, q: Array, nominal_tips: Array, walls: list[Wall], drawn: tuple[Array, Array], settle: Any
-) -> None:
-    """Add to a result how samples fare that are moved through q (T, 2d + 2).
+    file: PlanFile, q: Array, nominal_tips: Array, walls: list[Wall], drawn: tuple[Array, Array], settle: Any
+) -> dict[str, Array]:
+    """Return how samples fare that are moved through q (T, 2d + 2), as in ``CheckResult.samples``: lost, and figures.
 
     nominal_tips (T, d): angles of the nominal robot's tips, rad. drawn: differences and plays of the samples.
     """
-    file, count = found.file, len(drawn[0])
-    target, allowed = file.arrays["target"], threshold(file, "arrival_tolerance")
-    lost, contact = np.zeros(count, dtype=bool), np.full(count, -np.inf if walls else np.nan)
-    tips, e2 = np.full((count, 3), np.nan), np.full((count, len(q)), np.nan)
+    count = len(drawn[0])
+    lost, contacts = np.zeros(count, dtype=bool), np.full(count, -np.inf if walls else np.nan)
+    tips, errors = np.full((count, 3), np.nan), np.full((count, len(q)), np.nan)
     robots = read_tubes(file.meta["robot"], drawn[0])
     follower = Follower(robots, q[0, len(robots.zero) - 1], drawn[1].T, settle)
     for frame in move_through(follower, q, SAMPLE_PART):
@@ -418,29 +401,35 @@ def _move_samples(
         lost[rows] |= (abs(apart - apart[-1:]) > OTHER_BRANCH_RAD).any(axis=0)
         body = compute_body(follower.twist(rows), np.repeat(q[frame, -2:, None], len(rows), axis=1))
         points = body.interpolate(SIGMA)
-        e2[rows, frame], tips[rows] = measure_errors(points, target[frame]), points[:, -1]
+        errors[rows, frame], tips[rows] = measure_errors(points, file.arrays["target"][frame]), points[:, -1]
         if walls:
-            points, radius = body.find_places(SAMPLE_PLACES_MM)
+            points, radius = body.find_places(PLACES_MM)
             depth = -measure_clearance(walls, points, radius, exactly=False).min(axis=1)
             # Only where it may be the deepest of a robot's motion, contact is measured at the triangles.
-            some = depth > np.maximum(contact[rows], 0.0) - FIELD_ERROR_MM
-            if some.any():
-                depth[some] = -measure_clearance(walls, points[some], radius[some]).min(axis=1)
-            contact[rows] = np.maximum(contact[rows], depth)
+            some = depth > np.maximum(contacts[rows], 0.0) - FIELD_ERROR_MM
+            depth[some] = -measure_clearance(walls, points[some], radius[some]).min(axis=1)
+            contacts[rows] = np.maximum(contacts[rows], depth)
     lost |= follower.snapped | follower.gone
-    tips[lost] = contact[lost] = e2[lost] = np.nan
-    missed = ~(np.linalg.norm(tips - target[-1, -1], axis=-1) <= allowed)
-    found.lost, found.missed = lost, ~lost & (missed | (found.findings["arrives"].why == DETOUR))
-    found.pressed = ~lost & (contact > sample_contact_allowed(file))
-    found.sample_tips, found.sample_contact, found.sample_e2 = tips, contact, e2
+    tips[lost] = contacts[lost] = errors[lost] = np.nan
+    return {"lost": lost, "tips": tips, "contacts": contacts, "errors": errors}
 
 
 def _judge_samples(found: CheckResult) -> Finding:
-    """Return whether enough of the samples that were moved hold."""
-    share = float((~(found.lost | found.missed | found.pressed)).mean())
-    needed = threshold(found.file, "share")
-    lost, missed, pressed = (each.sum() for each in (found.lost, found.missed, found.pressed))
-    why = f"{lost} of {len(found.lost)} are lost, {missed} miss, {pressed} press."
+    """Return whether enough of the samples that were moved hold; add to the result which of them do not, and why."""
+    file, samples, kept = found.file, found.samples, ~found.samples["lost"]
+    away = np.linalg.norm(samples["tips"] - file.arrays["target"][-1, -1], axis=-1)
+    arrival, press = (
+        threshold(file, "arrival_tolerance"),
+        max(SAMPLE_CONTACT_MM, threshold(file, "contact_allowed")),
+    )
+    samples["missed"] = kept & (~(away <= arrival) | (found.findings["arrives"].why == DETOUR))
+    samples["pressed"] = kept & (samples["contacts"] > press)
+    near = np.minimum(abs(away - arrival), abs(np.nan_to_num(samples["contacts"]) - press)) <= SAMPLE_TOLERANCE_MM
+    found.moved, found.borderline = len(kept), int((kept & near).sum())
+    failed = [samples[name] for name in ("lost", "missed", "pressed")]
+    share, needed = float((~np.any(failed, axis=0)).mean()), threshold(file, "share")
+    lost, missed, pressed = (each.sum() for each in failed)
+    why = f"{lost} of {len(kept)} are lost, {missed} miss, {pressed} press."
     return judge(share >= needed, share, share - needed, why)
 
 

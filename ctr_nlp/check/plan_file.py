@@ -12,17 +12,27 @@ import numpy as np
 
 from ctr_nlp.check.tubes import Array
 
-DIGESTED_ARRAYS = (
-    *("time", "solve_time", "success", "objective", "kkt", "stability", "stability_between", "alpha", "beta"),
-    *("theta", "target", "shape", "target_direction", "tip_direction", "lumen_radius", "clearance"),
-    *("clearance_between", "wall_clearance", "wall_clearance_between", "truth", "free", "to_robot", "lumen"),
-)
+NEEDED_ARRAYS = [
+    "time",
+    "alpha",
+    "beta",
+    "theta",
+    "target",
+    "target_direction",
+    "shape",
+    "success",
+    "kkt",
+    "stability",
+    "stability_between",
+    "to_robot",
+]
+DIGESTED_ARRAYS = [
+    *NEEDED_ARRAYS,
+    *["solve_time", "objective", "tip_direction", "lumen", "lumen_radius", "clearance", "clearance_between"],
+    *["wall_clearance", "wall_clearance_between", "truth", "free"],
+]
 """Arrays that the digest covers, besides those of samples and of walls; a file may hold others."""
 DIGESTED_PREFIXES = "draws_", "walls_"
-NEEDED_ARRAYS = (
-    *("time", "alpha", "beta", "theta", "target", "target_direction", "shape"),
-    *("success", "kkt", "stability", "stability_between", "to_robot"),
-)
 
 
 class CheckError(ValueError):
@@ -70,28 +80,24 @@ def read_plan_file(path: str | Path) -> PlanFile:
     """
     try:
         if not zipfile.is_zipfile(path):
-            raise CheckError(f"{path} cannot be read as a plan: it is missing, or no archive of arrays (.npz)")
+            raise ValueError("it is missing, or no archive of arrays (.npz)")
         with np.load(path, allow_pickle=False) as data:
             arrays = {name: data[name] for name in data.files}
         text, saved = str(arrays.pop("meta")), arrays.pop("digest", None)
         meta = json.loads(text)
-    except CheckError:
-        raise
     except (OSError, KeyError, TypeError, ValueError, EOFError, zipfile.BadZipFile) as error:
         raise CheckError(f"{path} cannot be read as a plan: {error}") from error
     missing = [name for name in NEEDED_ARRAYS if name not in arrays]
     if missing or not isinstance(meta, dict) or not {"robot", "problem", "model"} <= set(meta):
-        raise CheckError(
-            f"{path} is no plan: it has no {', '.join(missing) or 'robot, problem and model in meta'}"
-        )
+        what = ", ".join(missing) or "robot, problem and model in meta"
+        raise CheckError(f"{path} is no plan: it has no {what}")
     frames = {len(np.atleast_1d(arrays[name])) for name in NEEDED_ARRAYS if name != "to_robot"}
     if len(frames) > 1 or 0 in frames:
         raise CheckError(
             f"{path} is damaged: its arrays have {sorted(frames)} frames; all must have the same number"
         )
     found = hashlib.sha256(text.encode(errors="backslashreplace"))
-    for name in sorted(arrays):
+    for name, array in sorted(arrays.items()):
         if name in DIGESTED_ARRAYS or name.startswith(DIGESTED_PREFIXES):
-            array = np.ascontiguousarray(arrays[name])
-            found.update(f"\n{name} {array.dtype.str} {arrays[name].shape}\n".encode() + array.tobytes())
+            found.update(f"\n{name} {array.dtype.str} {array.shape}\n".encode() + array.tobytes())
     return PlanFile(arrays, meta, None if saved is None else str(saved), found.hexdigest())

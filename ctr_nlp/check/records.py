@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from ctr_nlp.check import checker
-from ctr_nlp.check.checker import NO, NOT_COVERED, CheckResult, Finding, judge
+from ctr_nlp.check.checker import NO, NOT_COVERED, SAMPLE_TOLERANCE_MM, CheckResult, Finding, judge
 from ctr_nlp.check.motions import Settle
 from ctr_nlp.check.plan_file import CheckError, PlanFile, read_plan_file
 from ctr_nlp.check.tubes import Array, read_tubes
@@ -20,14 +20,12 @@ MARGIN_TOLERANCE, MARGIN_RELATIVE_TOLERANCE = 0.002, 0.005
 """By how much recorded margins may differ from those found, and the part of a margin by which they may besides."""
 CLEARANCE_TOLERANCE_MM = 0.1
 """By how much recorded clearances may differ from those found, and points of the source from the lumen's path."""
-SAMPLE_TOLERANCE_MM = 0.15
-"""By how much tips, errors and contacts of samples may differ: samples are moved in coarser steps."""
 SAMPLE_SHARE = 0.02
 """Part of the samples, at least one, whose outcome may differ: near a fold it depends on the size of the steps."""
 BODY_TOLERANCE_MM = 1.0
 """By how much a path may leave the surface of a mask, whose voxels are about so large."""
 DEEP_MM = 5.0
-"""Contact in mm beyond which clearances are not compared: the nearest place of the path is not unique there."""
+"""Contact beyond which clearances are not compared: the nearest place of the path is not unique there."""
 NEAR_BIFURCATION = 0.01
 """A stability margin: from the first frame below it, the size of steps may decide on the branch."""
 FALSE_ALARM = 1e-6
@@ -229,26 +227,21 @@ def _check_clearances(found: CheckResult, shape: Array) -> Finding:
 
 def _check_samples(found: CheckResult) -> Finding:
     """Return whether the recorded results of samples are those found."""
-    arrays = found.file.arrays
-    count = len(found.lost)
-    if not count or "draws_parts" not in arrays or found.findings["holds"].word == NOT_COVERED:
+    arrays, count = found.file.arrays, found.moved
+    if not count or "draws_parts" not in arrays:
         return Finding(NOT_COVERED, why=found.findings["holds"].why or "No recorded samples were moved.")
-    lost = arrays["draws_lost"][:count] > 0
-    both = ~(lost | found.lost)
-    contact = np.maximum(-arrays["draws_clearance"][:count], 0.0)
-    tips = arrays["draws_cloud"][-1, :count, -1].astype(float)
+    lost, recorded = found.samples["lost"], arrays["draws_lost"][:count] > 0
+    contacts = np.maximum(found.samples["contacts"], 0.0) - np.maximum(-arrays["draws_clearance"][:count], 0.0)
     apart = {
-        "tips": np.linalg.norm(tips - found.sample_tips, axis=-1),
-        "contacts": abs(contact - np.maximum(found.sample_contact, 0.0)),
-        "errors": abs(arrays["draws_e2"][:count] - found.sample_e2).max(axis=1),
+        "tips": np.linalg.norm(found.samples["tips"] - arrays["draws_cloud"][-1, :count, -1], axis=-1),
+        # Without a wall, contacts are NaN on both sides.
+        "contacts": np.where(np.isnan(arrays["draws_clearance"][:count]), 0.0, abs(contacts)),
+        "errors": abs(found.samples["errors"] - arrays["draws_e2"][:count]).max(axis=1),
     }
-    off = lost != found.lost
-    reasons = [f"{off.sum()} are lost in one view only"] * bool(off.any())
-    for name, values in apart.items():
-        # Contacts without a wall are NaN on both sides; other values must be known.
-        wrong = both & ~(values <= SAMPLE_TOLERANCE_MM) & ~((name == "contacts") & np.isnan(values))
-        reasons += [f"{name} of {wrong.sum()} differ"] * bool(wrong.any())
-        off = off | wrong
+    wrong = {name: ~(lost | recorded) & ~(values <= SAMPLE_TOLERANCE_MM) for name, values in apart.items()}
+    off = np.any([lost != recorded, *wrong.values()], axis=0)
+    reasons = [f"{(lost != recorded).sum()} are lost in one view only"] * bool((lost != recorded).any())
+    reasons += [f"{name} of {flags.sum()} differ" for name, flags in wrong.items() if flags.any()]
     why = f"{off.sum()} of {count} samples differ" + (f": {', '.join(reasons)}." if reasons else ".")
     return judge(off.sum() <= max(1, int(SAMPLE_SHARE * count)), float(off.sum()), why=why)
 

@@ -89,7 +89,9 @@ class Triangles:
         """Return the signed distances (n,) mm of few points (n, 3)."""
         # A triangle's middle is no further from its nearest point than the triangle reaches.
         away = self._tree.query(points)[0] + self._reach + SAME_DISTANCE_MM
-        members = [np.concatenate([self._small[k], self._large]) for k in self._tree.query_ball_point(points, away)]
+        members = [
+            np.concatenate([self._small[k], self._large]) for k in self._tree.query_ball_point(points, away)
+        ]
         counts, chosen = np.array([len(each) for each in members]), np.concatenate(members)
         owner = np.repeat(np.arange(len(points)), counts)
         from_corners, edges = points[owner][:, None] - self._corners[chosen], self._edges[chosen]

@@ -131,7 +131,7 @@ def test_normal_samples_must_have_their_variance():
     assert records._check_tolerances(samples(scale=1.5, distribution="normal", covariance=covariance)).word == NO
 
 
-def result(lost=(False, False, False), holds=YES, **changes):
+def result(moved=3, **changes):
     """Three samples that are found as they are recorded."""
     arrays = {
         "draws_parts": np.zeros((3, 1, 5)),
@@ -142,17 +142,20 @@ def result(lost=(False, False, False), holds=YES, **changes):
     } | changes
     return SimpleNamespace(
         file=file_of(arrays),
-        findings={"holds": Finding(holds, why="Because.")},
-        lost=np.array(lost),
-        sample_tips=np.zeros((3, 3)),
-        sample_contact=np.array([-1.0, 0.3, -0.2]),
-        sample_e2=np.full((3, 2), 0.5),
+        findings={"holds": Finding(YES, why="Because.")},
+        moved=moved,
+        samples={
+            "lost": np.zeros(3, dtype=bool),
+            "tips": np.zeros((3, 3)),
+            "contacts": np.array([-1.0, 0.3, -0.2]),
+            "errors": np.full((3, 2), 0.5),
+        },
     )
 
 
 def test_results_of_samples_are_compared_one_by_one():
     assert records._check_samples(result()).word == YES
-    assert records._check_samples(result(holds=NOT_COVERED)).word == NOT_COVERED
+    assert records._check_samples(result(moved=0)).word == NOT_COVERED
     assert records._check_samples(result(draws_lost=np.array([1, 0, 0]))).word == YES  # one may differ
     assert records._check_samples(result(draws_lost=np.array([1, 2, 0]))).word == NO
     assert records._check_samples(result(draws_clearance=np.array([1.0, 0.0, -0.4]))).word == NO
@@ -297,9 +300,8 @@ def compared(name, word, number, finding, **changes):
         file=file_of(arrays, **changes.get("meta", {})),
         findings=findings,
         snaps=changes.get("snaps", []),
-        lost=np.zeros(moved, bool),
-        sample_contact=np.resize(changes.get("contact", [-5.0]), moved),
-        sample_tip=np.resize(changes.get("tip", [0.3]), moved),
+        moved=moved,
+        borderline=changes.get("borderline", 0),
     )
     own = {name: SimpleNamespace(word=word, number=number)}
     opinions = {each.name: each for each in comparison.compare_verdicts(found, own)}
@@ -335,10 +337,37 @@ def test_numbers_may_differ_by_their_tolerance():
     assert not compared("holds", YES, 0.95, Finding(NO, 0.9, -0.05))
     assert compared("holds", NO, 0.5, Finding(NO, 0.75, -0.2), moved=4)
     assert not compared("follows", YES, 1.0, Finding(YES, 1.1, 0.9), moved=4)
-    # Samples whose contact or tip lies at the limit may count in one view alone.
-    assert compared("holds", NO, 0.5, Finding(NO, 0.6, -0.35), contact=[1.05, -3.0, -3.0, -3.0])
-    assert compared("holds", NO, 0.5, Finding(NO, 0.6, -0.35), tip=[1.9, 0.3, 0.3, 0.3])
-    assert not compared("holds", NO, 0.5, Finding(NO, 0.6, -0.35), contact=[1.25, -3.0, -3.0, -3.0])
+    # Samples whose contact or tip lies at the limit, and one more, may count in one view alone.
+    assert compared("holds", NO, 0.5, Finding(NO, 0.6, -0.35), borderline=3)
+    assert not compared("holds", NO, 0.5, Finding(NO, 0.6, -0.35), borderline=2)
+
+
+def judged_samples(tips, contacts, lost=None, why="", **options):
+    """The result on samples whose tips end this far from the target's end, with these contacts, mm."""
+    tips = np.array(tips)[:, None] * np.array([1.0, 0.0, 0.0])
+    samples = {"lost": np.array(lost or [False] * len(tips)), "tips": tips, "contacts": np.array(contacts)}
+    file = file_of({"target": np.zeros((1, 101, 3))}, options=options)
+    found = SimpleNamespace(file=file, samples=samples, findings={"arrives": Finding(YES, why=why)})
+    return checker._judge_samples(found), found
+
+
+def test_samples_that_arrive_without_pressing_hold():
+    finding, found = judged_samples(
+        [0.0, 1.9, 2.1, 0.0, np.nan], [0.0, -1.0, 0.0, 1.3, np.nan], [False] * 4 + [True]
+    )
+    assert (finding.word, finding.number, finding.distance) == (NO, pytest.approx(0.4), pytest.approx(-0.55))
+    assert finding.why == "1 of 5 are lost, 1 miss, 1 press."
+    assert found.samples["missed"].tolist() == [False, False, True, False, False]
+    assert found.samples["pressed"].tolist() == [False, False, False, True, False]
+    assert (found.moved, found.borderline) == (5, 2)  # 0.1 mm from the limit of arrival
+    finding, found = judged_samples([0.0] * 4, [0.9, 1.1, 1.2, np.nan], contact_allowed=0.1)
+    assert (finding.number, found.borderline) == (0.5, 2)
+    assert judged_samples([0.0] * 2, [1.2, 0.0], contact_allowed=1.3)[0].word == YES
+    assert judged_samples([0.0, 2.5], [0.0, 0.0], share=0.5)[0] == Finding(
+        YES, 0.5, 0.0, "0 of 2 are lost, 1 miss, 0 press."
+    )
+    assert judged_samples([2.5], [0.0], arrival_tolerance=3.0)[0].word == YES
+    assert judged_samples([0.0], [0.0], why=checker.DETOUR)[0].number == 0.0
 
 
 def test_later_part_may_count_the_way_to_its_first_frame():
@@ -362,7 +391,7 @@ def test_record_that_does_not_fit_is_a_disagreement():
         "shapes": Finding(NO),
         "holds": Finding(NO),
     }
-    found = SimpleNamespace(file=file_of({"stability": np.zeros(1)}), findings=findings, snaps=[], lost=())
+    found = SimpleNamespace(file=file_of({"stability": np.zeros(1)}), findings=findings, snaps=[], moved=0)
     assert [each.name for each in comparison.compare_verdicts(found, {}) if not each.agrees] == ["shapes"]
 
 
