@@ -35,8 +35,9 @@ SHAPE_VERDICTS = "arrives", "follows", "stable", "within_wall", "holds"
 """Verdicts that depend on the model."""
 DEVIATIONS = "curvature", "bending_stiffness", "torsional_ratio", "curved_length", "motor_zero"
 """What samples differ in, in the order of the file's ``draws_parts``."""
-THRESHOLDS = {"arrival_tolerance": 2.0, "error_allowed": 2.0, "contact_allowed": 0.5, "share": 0.95}
-"""Those of a plan whose options do not name them: mm, and the share of samples that must hold."""
+THRESHOLDS = {"arrival_tolerance": 2.0, "error_allowed": 2.0, "contact_allowed": 0.5, "stability_margin": 0.1}
+THRESHOLDS |= {"share": 0.95}
+"""Those of a plan whose options do not name them: mm, the share of samples that must hold, the least margin."""
 SAMPLE_CONTACT_MM = 1.0
 """Contact allowed to samples, unless the nominal robot is allowed more."""
 OTHER_BRANCH_RAD = 1.0
@@ -111,8 +112,8 @@ class CheckResult:
     tip_degrees : float
         Angle between tip and target in the last frame.
     samples : dict of str to ndarray
-        Of n simulated robots: ``lost``, ``missed`` and ``pressed`` (n,), whether they snap or are on another branch, do
-        not arrive, or touch the wall by more than they may; last ``tips`` (n, 3), deepest ``contacts`` (n,) and
+        Of n simulated robots: ``lost``, ``missed`` and ``pressed`` (n,), whether they snap or change their branch,
+        do not arrive, or touch the wall by more than they may; last ``tips`` (n, 3), deepest ``contacts`` (n,) and
         ``errors`` (n, T), mm, NaN where a sample is lost. Empty where none were moved.
     """
 
@@ -214,7 +215,7 @@ def _find_whole_turns(file: PlanFile, q: Array) -> Array:
 
 
 def _measure(found: CheckResult, nominal: NominalMotion, walls: list[Wall]) -> Array:
-    """Add shapes, margins and clearances of a motion to a result; return the deepest contacts with the walls, mm."""
+    """Add shapes, margins and clearances of a motion to a result; return the deepest contacts with walls, mm."""
     known = np.isfinite(nominal.rates).all(axis=-1)
     points, tips = np.full((*known.shape, len(SIGMA), 3), np.nan), np.full((*known.shape, 3), np.nan)
     margin, clearance = np.full(known.shape, np.nan), np.full(points.shape[:-1], np.nan)
@@ -255,8 +256,8 @@ def measure_errors(shape: Array, target: Array) -> Array:
 
 
 def threshold(file: PlanFile, name: str) -> float:
-    """Return a threshold among the options of a plan, or its default."""
-    return float(file.meta.get("options", {}).get(name, THRESHOLDS[name]))
+    """Return a threshold among the options of a plan, or its default; 0 where the option asks for none."""
+    return float(file.meta.get("options", {}).get(name, THRESHOLDS[name]) or 0.0)
 
 
 def _judge_shapes(found: CheckResult, deepest: Array, walls: list[Wall]) -> dict[str, Finding]:
@@ -271,7 +272,6 @@ def _judge_shapes(found: CheckResult, deepest: Array, walls: list[Wall]) -> dict
     if arrives.word == YES and detour and threshold(file, "arrival_tolerance") <= detour_mm:
         arrives = arrives._replace(word=NO, why=DETOUR)
     unit = "mm e2" + (f" in frame {int(found.e2.argmax()) + 1}" if np.isfinite(found.e2).all() else "")
-    asked = file.meta.get("options", {}).get("stability_margin")
     within_wall = Finding(NOT_COVERED, why="The file has no wall.")
     if walls:
         # Tissue around a lumen gives a little; what is to be kept out of is not to be touched.
@@ -282,7 +282,7 @@ def _judge_shapes(found: CheckResult, deepest: Array, walls: list[Wall]) -> dict
     return {
         "arrives": arrives,
         "follows": _judge_at_most(float(found.e2.max()), threshold(file, "error_allowed"), unit),
-        "stable": _judge_stability(found.margin, found.snaps, asked),
+        "stable": _judge_stability(found.margin, found.snaps, threshold(file, "stability_margin")),
         "within_wall": within_wall,
     }
 
@@ -307,10 +307,10 @@ def _judge_solved(file: PlanFile) -> Finding:
     return Finding(YES, number, why="All frames are marked as solved, with small KKT residuals.")
 
 
-def _judge_stability(margin: Array, snaps: list[int], asked: float | None) -> Finding:
+def _judge_stability(margin: Array, snaps: list[int], asked: float) -> Finding:
     """Return whether a robot keeps the margin asked for at (T, 10) places of a motion, and does not snap."""
     least = float(np.nanmin(margin)) if np.isfinite(margin).any() else None
-    least_allowed = max(BIFURCATION_MARGIN, 0.0 if asked is None else float(asked) - MARGIN_SLACK)
+    least_allowed = max(BIFURCATION_MARGIN, asked - MARGIN_SLACK)
     if snaps:
         return Finding(NO, least, why=f"The robot snaps on the way to frame {snaps[0]}.")
     if least is None or not np.isfinite(margin).all():
@@ -384,9 +384,10 @@ def read_bands(tolerances: dict[str, Any], d: int) -> Array:
 def _move_samples(
     file: PlanFile, q: Array, nominal_tips: Array, walls: list[Wall], drawn: tuple[Array, Array], settle: Any
 ) -> dict[str, Array]:
-    """Return how samples fare that are moved through q (T, 2d + 2), as in ``CheckResult.samples``: lost, and figures.
+    """Return how samples fare that are moved through q (T, 2d + 2), and whether they are lost.
 
-    nominal_tips (T, d): angles of the nominal robot's tips, rad. drawn: differences and plays of the samples.
+    As in ``CheckResult.samples``, without what is judged. nominal_tips (T, d): angles of the nominal robot's tips,
+    rad. drawn: differences and plays of the samples.
     """
     count = len(drawn[0])
     lost, contacts = np.zeros(count, dtype=bool), np.full(count, -np.inf if walls else np.nan)
@@ -415,7 +416,7 @@ def _move_samples(
 
 
 def _judge_samples(found: CheckResult) -> Finding:
-    """Return whether enough of the samples that were moved hold; add to the result which of them do not, and why."""
+    """Return whether enough of the samples that were moved hold; add to the result which of them fail, and why."""
     file, samples, kept = found.file, found.samples, ~found.samples["lost"]
     away = np.linalg.norm(samples["tips"] - file.arrays["target"][-1, -1], axis=-1)
     arrival, press = (

@@ -12,25 +12,14 @@ import numpy as np
 
 from ctr_nlp.check.tubes import Array
 
-NEEDED_ARRAYS = [
-    "time",
-    "alpha",
-    "beta",
-    "theta",
-    "target",
-    "target_direction",
-    "shape",
-    "success",
-    "kkt",
-    "stability",
-    "stability_between",
-    "to_robot",
-]
-DIGESTED_ARRAYS = [
-    *NEEDED_ARRAYS,
-    *["solve_time", "objective", "tip_direction", "lumen", "lumen_radius", "clearance", "clearance_between"],
-    *["wall_clearance", "wall_clearance_between", "truth", "free"],
-]
+NEEDED_ARRAYS = (
+    *("time", "alpha", "beta", "theta", "target", "target_direction", "shape"),
+    *("success", "kkt", "stability", "stability_between", "to_robot"),
+)
+DIGESTED_ARRAYS = (
+    *("solve_time", "objective", "tip_direction", "lumen", "lumen_radius", "clearance", "clearance_between"),
+    *("wall_clearance", "wall_clearance_between", "truth", "free", *NEEDED_ARRAYS),
+)
 """Arrays that the digest covers, besides those of samples and of walls; a file may hold others."""
 DIGESTED_PREFIXES = "draws_", "walls_"
 

@@ -20,8 +20,8 @@ GAUSS = 0.5 - np.sqrt(3) / 6, 0.5 + np.sqrt(3) / 6
 class RobotShape:
     """Shapes of n robots at the ends of N steps: s (N + 1, n) mm, points and unit tangents (N + 1, n, 3).
 
-    radius (N, n): of the outermost tube on each step, mm, 0 on steps of no length. Between ends a shape is a cubic in
-    s.
+    radius (N, n): of the outermost tube on each step, mm, 0 on steps of no length. Between ends a shape is a cubic
+    in s.
     """
 
     s: Array

@@ -1,4 +1,4 @@
-"""Walls of a plan's file, and the clearance of robots in them, by nearest-point search and by evaluation of splines.
+"""Walls of a plan's file, and the clearance of robots in them, by nearest-point search and evaluation of splines.
 
 A lumen is a path with a radius; its clearance at a point is the radius at the nearest place of the path less the
 distance to it. A body is a signed distance, positive inside, that the file holds as coefficients of tricubic

@@ -161,8 +161,8 @@ Judgement = tuple[str, float | None, str, str, str]
 def _judge_solved(plan: PlanData) -> Judgement:
     """Check that every frame was solved.
 
-    Frames that were only interpolated count as not checked, and so do those that no program solved: of a motion from
-    another program, or by hand. They have no KKT residual.
+    Frames that were only interpolated count as not checked, and so do those that were given and have no KKT
+    residual: of a motion from another program, or by hand.
     """
     frames = len(plan.time)
     interpolated = len(plan.meta.get("interpolated", []))

@@ -413,15 +413,22 @@ def test_frames_must_be_solved_with_small_residuals(success, kkt, interpolated, 
 @pytest.mark.parametrize(
     ("margin", "snaps", "asked", "word"),
     [
-        ([[0.5, 0.2]], [], None, YES),
+        ([[0.5, 0.2]], [], 0.0, YES),
         ([[0.5, 0.2]], [], 0.2, YES),
         ([[0.5, 0.2]], [], 0.203, YES),
         ([[0.5, 0.2]], [], 0.21, NO),
-        ([[0.5, 0.0005]], [], None, NO),
-        ([[0.5, np.nan]], [], None, NOT_COVERED),
-        ([[0.5, 0.4]], [7], None, NO),
-        ([[np.nan, np.nan]], [], None, NOT_COVERED),
+        ([[0.5, 0.0005]], [], 0.0, NO),
+        ([[0.5, np.nan]], [], 0.0, NOT_COVERED),
+        ([[0.5, 0.4]], [7], 0.0, NO),
+        ([[np.nan, np.nan]], [], 0.0, NOT_COVERED),
     ],
 )
 def test_stability_needs_the_margin_everywhere(margin, snaps, asked, word):
     assert checker._judge_stability(np.array(margin), snaps, asked).word == word
+
+
+@pytest.mark.parametrize(
+    ("options", "least"), [({}, 0.1), ({"stability_margin": None}, 0.0), ({"stability_margin": 0.3}, 0.3)]
+)
+def test_least_margin_is_the_one_asked_for_or_the_default(options, least):
+    assert checker.threshold(file_of(options=options), "stability_margin") == least
