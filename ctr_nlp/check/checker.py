@@ -26,15 +26,15 @@ from ctr_nlp.check.plan_file import PlanFile
 from ctr_nlp.check.shapes import compute_body
 from ctr_nlp.check.stability import compute_stability_margins
 from ctr_nlp.check.tubes import Array, integrate, make_dominant, read_tubes
-from ctr_nlp.check.walls import FIELD_ERROR_MM, Wall, measure_clearance, read_walls
+from ctr_nlp.check.walls import FIELD_ERROR_MM, measure_clearance
 
 YES, NO, NOT_COVERED = "yes", "no", "not covered"
 VERDICTS = "solved", "arrives", "follows", "stable", "within_limits", "within_wall", "holds"
 """Names of the verdicts, those of ``plan.verdicts``."""
 SHAPE_VERDICTS = "arrives", "follows", "stable", "within_wall", "holds"
 """Verdicts that depend on the model."""
-DEVIATIONS = "curvature", "bending_stiffness", "torsional_ratio", "curved_length", "motor_zero"
-"""What samples differ in, in the order of the file's ``draws_parts``."""
+DEVIATIONS = "curvature", "bending_stiffness", "torsional_ratio", "curved_length", "motor_zero", "rotation_lag"
+"""What samples differ in, in the order of the file's ``draws_parts``, and the play of ``draws_lags``."""
 THRESHOLDS = {"arrival_tolerance": 2.0, "error_allowed": 2.0, "contact_allowed": 0.5, "stability_margin": 0.1}
 THRESHOLDS |= {"share": 0.95}
 """Those of a plan whose options do not name them: mm, the share of samples that must hold, the least margin."""
@@ -148,21 +148,18 @@ def examine_motion(file: PlanFile, samples: int = 0, settle: Settle | None = Non
     CheckResult
         With the verdicts alone.
     """
-    arrays, meta = file.arrays, file.meta
-    q: Array = np.concatenate([arrays["alpha"], arrays["beta"], arrays["theta"]], axis=1)
-    found = CheckResult(file, {"solved": _judge_solved(file)})
-    found.findings["within_limits"] = _judge_limits(meta["robot"], q, float(arrays["time"][0]))
+    found = CheckResult(file, {"solved": _judge_solved(file), "within_limits": _judge_limits(file)})
     drawn = _take_samples(file, samples)
-    why = _find_reason_not_covered(file, q)
+    why = _find_reason_not_covered(file)
     found.findings.update(dict.fromkeys(SHAPE_VERDICTS, Finding(NOT_COVERED, why=why)))
     if why:
         return found
-    turns = _find_whole_turns(file, q[0]) if meta.get("reversed") or is_later_part(file) else np.zeros_like(q[0])
-    q = q + turns
-    walls = read_walls(arrays, meta)
-    nominal = move_nominal(read_tubes(meta["robot"]), q, SUBSTEPS, settle)
-    deepest = _measure(found, nominal, walls)
-    found.findings.update(_judge_shapes(found, deepest, walls))
+    deployed = file.meta.get("reversed") or is_later_part(file)
+    turns = _find_whole_turns(file, file.q[0]) if deployed else np.zeros_like(file.q[0])
+    q = file.q + turns
+    nominal = move_nominal(file.tubes, q, SUBSTEPS, settle)
+    deepest = _measure(found, nominal)
+    found.findings.update(_judge_shapes(found, deepest))
     if drawn is None:
         why = "Samples under a tip force or of other tolerances than uniform ones." if samples else "No samples."
     elif not np.isfinite(nominal.tip_angles).all():
@@ -171,7 +168,7 @@ def examine_motion(file: PlanFile, samples: int = 0, settle: Settle | None = Non
         why = "The robot begins on another branch than the one that samples are turned to."
     found.findings["holds"] = Finding(NOT_COVERED, why=why)
     if drawn is not None and not why:
-        found.samples = _move_samples(file, q, nominal.tip_angles[:, -1], walls, drawn, settle)
+        found.samples = _move_samples(file, q, nominal.tip_angles[:, -1], drawn, settle)
         found.findings["holds"] = _judge_samples(found)
     return found
 
@@ -181,12 +178,15 @@ def is_later_part(file: PlanFile) -> bool:
     return bool(file.meta.get("stretch", {}).get("first", 1) > 1)
 
 
-def _find_reason_not_covered(file: PlanFile, q: Array) -> str:
-    """Return why the equations do not describe the motion q (T, 2d + 2) of a plan; empty where they do."""
-    beta, length = file.arrays["beta"], np.array([tube["length"] for tube in file.meta["robot"]["tubes"]])
-    if not np.isfinite(q).all():
+def _find_reason_not_covered(file: PlanFile) -> str:
+    """Return why the equations do not describe the motion of a plan; empty where they do."""
+    beta = file.arrays["beta"]
+    if not np.isfinite(file.q).all():
         return "Frames have no configuration."
-    if max((-beta).max(), (beta - length).max(), -np.diff(beta, axis=1).min(initial=0.0)) > LIMIT_SLACK:
+    if (
+        max((-beta).max(), (beta - file.tubes.length.T).max(), -np.diff(beta, axis=1).min(initial=0.0))
+        > LIMIT_SLACK
+    ):
         return "Tubes are further out than they are long, or out of order."
     if file.meta.get("load", file.meta.get("planned_load")) is not None:
         return "The robot is under a load, which the checker's equations do not have."
@@ -199,10 +199,9 @@ def _find_whole_turns(file: PlanFile, q: Array) -> Array:
     Tubes that are turned there from alignment by a whole turn more or less may be on another branch. Of those that
     do not snap on the way, the one counts whose shape is nearest to that of the first frame.
     """
-    tubes = read_tubes(file.meta["robot"])
-    d = len(tubes.zero)
+    d = len(file.tubes.zero)
     turns = 2 * np.pi * np.array([(*each, 0) for each in itertools.product((0, -1, 1), repeat=d - 1)]).T
-    follower = Follower(tubes.repeat(turns.shape[1]), q[d - 1])
+    follower = Follower(file.tubes.repeat(turns.shape[1]), q[d - 1])
     begin = np.concatenate([follower.tube, q[d : 2 * d, None] + 0 * turns])
     follower.advance(begin, q[: 2 * d, None] + np.concatenate([turns, 0 * turns]), 0.0, 1.0, longest=0.05)
     rows = np.flatnonzero(~follower.gone)
@@ -214,8 +213,9 @@ def _find_whole_turns(file: PlanFile, q: Array) -> Array:
     return np.concatenate([turns[:, rows[nearest]], np.zeros(d + 2)])
 
 
-def _measure(found: CheckResult, nominal: NominalMotion, walls: list[Wall]) -> Array:
+def _measure(found: CheckResult, nominal: NominalMotion) -> Array:
     """Add shapes, margins and clearances of a motion to a result; return the deepest contacts with walls, mm."""
+    file, walls = found.file, found.file.walls
     known = np.isfinite(nominal.rates).all(axis=-1)
     points, tips = np.full((*known.shape, len(SIGMA), 3), np.nan), np.full((*known.shape, 3), np.nan)
     margin, clearance = np.full(known.shape, np.nan), np.full(points.shape[:-1], np.nan)
@@ -233,8 +233,8 @@ def _measure(found: CheckResult, nominal: NominalMotion, walls: list[Wall]) -> A
             clear = measure_clearance([wall], *body.find_places(PLACES_MM), together=True)
             deepest[k] = max(deepest[k], -clear.min())
     found.snaps, found.margin, found.clearance = nominal.snaps, margin, clearance
-    found.shape, tip, wanted = points[:, -1], tips[-1, -1], found.file.arrays["target_direction"][-1]
-    found.e2 = measure_errors(found.shape, found.file.arrays["target"])
+    found.shape, tip, wanted = points[:, -1], tips[-1, -1], file.arrays["target_direction"][-1]
+    found.e2 = measure_errors(found.shape, file.arrays["target"])
     found.tip_degrees = float(np.degrees(np.arctan2(np.linalg.norm(np.cross(tip, wanted)), tip @ wanted)))
     return deepest
 
@@ -260,7 +260,7 @@ def threshold(file: PlanFile, name: str) -> float:
     return float(file.meta.get("options", {}).get(name, THRESHOLDS[name]) or 0.0)
 
 
-def _judge_shapes(found: CheckResult, deepest: Array, walls: list[Wall]) -> dict[str, Finding]:
+def _judge_shapes(found: CheckResult, deepest: Array) -> dict[str, Finding]:
     """Return the verdicts on shapes and margins; deepest (W,): contacts with the walls, mm."""
     file, target = found.file, found.file.arrays["target"][-1]
     tip = float(np.linalg.norm(found.shape[-1, -1] - target[-1]))
@@ -273,9 +273,9 @@ def _judge_shapes(found: CheckResult, deepest: Array, walls: list[Wall]) -> dict
         arrives = arrives._replace(word=NO, why=DETOUR)
     unit = "mm e2" + (f" in frame {int(found.e2.argmax()) + 1}" if np.isfinite(found.e2).all() else "")
     within_wall = Finding(NOT_COVERED, why="The file has no wall.")
-    if walls:
+    if len(deepest):
         # Tissue around a lumen gives a little; what is to be kept out of is not to be touched.
-        allowed = np.array([0.0 if wall.kept_out else threshold(file, "contact_allowed") for wall in walls])
+        allowed = np.array([0.0 if wall.kept_out else threshold(file, "contact_allowed") for wall in file.walls])
         first = (deepest - allowed).argmax()
         depth = float(deepest[first]) if np.isfinite(found.clearance).all() else np.nan
         within_wall = _judge_at_most(depth, float(allowed[first]), "mm of contact")
@@ -320,12 +320,13 @@ def _judge_stability(margin: Array, snaps: list[int], asked: float) -> Finding:
     return judge(left >= 0, least, left, f"The least margin is around frame {frame}.")
 
 
-def _judge_limits(robot: dict[str, Any], q: Array, dt: float) -> Finding:
-    """Return whether all of q (T, 2d + 2) is allowed; the number is the largest part of a rate used, %.
+def _judge_limits(file: PlanFile) -> Finding:
+    """Return whether positions and steps of a motion are allowed; the number is the largest part of a rate, %.
 
     distance: how much is left to the limit that a motion exceeds by most, or comes nearest to, rad or mm a frame.
     """
-    tubes, limits = robot["tubes"], robot["limits"]
+    tubes, limits = (file.meta["robot"][name] for name in ("tubes", "limits"))
+    q, dt = file.q, float(file.arrays["time"][0])
     if not np.isfinite(q).all():
         return Finding(NOT_COVERED, why="Frames have no configuration.")
     d = len(tubes)
@@ -372,24 +373,24 @@ def _take_samples(file: PlanFile, count: int) -> tuple[Array, Array] | None:
     if not uniform or np.any(tolerances["diameter"]):
         return None
     random = np.random.default_rng(0)
-    parts = random.uniform(-1, 1, (count, d, len(DEVIATIONS))) * read_bands(tolerances, d)
-    return parts, random.uniform(0, 1, (count, d)) * tolerances["rotation_lag"]
+    drawn = random.uniform(-1, 1, (count, d, len(DEVIATIONS))) * read_bands(tolerances, d)
+    return drawn[..., :-1], abs(drawn[..., -1])
 
 
 def read_bands(tolerances: dict[str, Any], d: int) -> Array:
-    """Return half the widths (d, 5) of the bands of tolerances, in the order of `DEVIATIONS`."""
+    """Return half the widths (d, 6) of the bands of tolerances, in the order of `DEVIATIONS`."""
     return np.stack([np.broadcast_to(tolerances[name], d) for name in DEVIATIONS], axis=1)
 
 
 def _move_samples(
-    file: PlanFile, q: Array, nominal_tips: Array, walls: list[Wall], drawn: tuple[Array, Array], settle: Any
+    file: PlanFile, q: Array, nominal_tips: Array, drawn: tuple[Array, Array], settle: Settle | None
 ) -> dict[str, Array]:
     """Return how samples fare that are moved through q (T, 2d + 2), and whether they are lost.
 
     As in ``CheckResult.samples``, without what is judged. nominal_tips (T, d): angles of the nominal robot's tips,
     rad. drawn: differences and plays of the samples.
     """
-    count = len(drawn[0])
+    count, walls = len(drawn[0]), file.walls
     lost, contacts = np.zeros(count, dtype=bool), np.full(count, -np.inf if walls else np.nan)
     tips, errors = np.full((count, 3), np.nan), np.full((count, len(q)), np.nan)
     robots = read_tubes(file.meta["robot"], drawn[0])
@@ -437,6 +438,6 @@ def _judge_samples(found: CheckResult) -> Finding:
 def compute_dominant_shapes(file: PlanFile) -> Array:
     """Return the shapes (T, 101, 3), mm, of a plan's motion on the dominant stiffness model."""
     alpha, beta, theta = (file.arrays[name].T for name in ("alpha", "beta", "theta"))
-    tubes = make_dominant(read_tubes(file.meta["robot"])).repeat(alpha.shape[1])
+    tubes = make_dominant(file.tubes).repeat(alpha.shape[1])
     twist = integrate(tubes, alpha, beta, np.zeros_like(alpha), sensitivities=False)
     return compute_body(twist, theta).interpolate(SIGMA)

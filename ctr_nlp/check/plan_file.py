@@ -5,12 +5,15 @@ from __future__ import annotations
 import hashlib
 import json
 import zipfile
+from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
-from ctr_nlp.check.tubes import Array
+from ctr_nlp.check.tubes import Array, Tubes, read_tubes
+from ctr_nlp.check.walls import Wall, read_walls
 
 NEEDED_ARRAYS = (
     *("time", "alpha", "beta", "theta", "target", "target_direction", "shape"),
@@ -28,7 +31,8 @@ class CheckError(ValueError):
     """A file that the checker cannot read as a plan."""
 
 
-class PlanFile(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class PlanFile:
     """Content of a plan.npz.
 
     Attributes
@@ -47,6 +51,21 @@ class PlanFile(NamedTuple):
     meta: dict[str, Any]
     digest: str | None
     content_digest: str
+
+    @cached_property
+    def q(self) -> Array:
+        """Configurations (T, 2d + 2): angles in rad, extensions in mm, tilts in rad."""
+        return np.concatenate([self.arrays[name] for name in ("alpha", "beta", "theta")], axis=1)
+
+    @cached_property
+    def tubes(self) -> Tubes:
+        """The robot as described."""
+        return read_tubes(self.meta["robot"])
+
+    @cached_property
+    def walls(self) -> list[Wall]:
+        """The walls, an empty list without any."""
+        return read_walls(self.arrays, self.meta)
 
 
 def read_plan_file(path: str | Path) -> PlanFile:

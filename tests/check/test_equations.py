@@ -9,6 +9,7 @@ from scipy.optimize import brentq
 
 from ctr_nlp.check.checker import NO, YES, _judge_limits
 from ctr_nlp.check.motions import CONVERGED_RATE, Follower, move_nominal, move_through
+from ctr_nlp.check.plan_file import PlanFile
 from ctr_nlp.check.shapes import RobotShape, compute_body
 from ctr_nlp.check.stability import compute_stability_margins
 from ctr_nlp.check.tubes import integrate, read_tubes
@@ -197,6 +198,12 @@ def test_deepest_contact_sees_the_end_of_the_wider_tube():
     assert deepest_contact(thick_first) == pytest.approx(slope * 40 + 3.9 - 4.0, abs=1e-9)
 
 
+def judge_limits(robot, q, dt=0.1):
+    """The verdict on limits of a motion of two tubes whose frames are dt seconds apart."""
+    arrays = {"alpha": q[:, :2], "beta": q[:, 2:4], "theta": q[:, 4:], "time": dt * np.arange(1, len(q) + 1)}
+    return _judge_limits(PlanFile(arrays, {"robot": robot}, None, ""))
+
+
 @pytest.mark.hazard("limit exceeded")
 def test_limits_are_seen_to_be_exceeded():
     limits = {"alpha": [["-inf", "inf"]], "beta": None, "theta": [-3.0, 3.0], "carriage_gap": None}
@@ -205,7 +212,7 @@ def test_limits_are_seen_to_be_exceeded():
     thin = {"outer_diameter": 1.8, "inner_diameter": 1.0}
     robot = {"tubes": [TUBE, TUBE | thin], "limits": limits}
     q = turning(11, 1.0, (30.0, 40.0))
-    allowed = _judge_limits(robot, q, 0.1)
+    allowed = judge_limits(robot, q)
     assert allowed.word == YES
     assert allowed.number == pytest.approx(100)
     cases = {
@@ -213,12 +220,12 @@ def test_limits_are_seen_to_be_exceeded():
         "order": (q + np.array([0, 0, 10.1, 0, 0, 0]), 0.1),
         "position": (q + np.array([0, 0, 0, 10.1, 0, 0]), 0.1),
     }
-    words = {name: _judge_limits(robot, *case).word for name, case in cases.items()}
+    words = {name: judge_limits(robot, *case).word for name, case in cases.items()}
     assert words == dict.fromkeys(cases, NO)
-    assert _judge_limits(robot | {"tubes": robot["tubes"][::-1]}, q, 0.1).word == NO  # they do not fit
+    assert judge_limits(robot | {"tubes": robot["tubes"][::-1]}, q).word == NO  # they do not fit
     gap = {"tubes": [TUBE, TUBE | thin | {"length": 180.0}], "limits": limits | {"carriage_gap": 21.0}}
-    assert _judge_limits(gap, q, 0.1).word == NO  # 30 mm longer, 10 mm further out: 20 mm apart
+    assert judge_limits(gap, q).word == NO  # 30 mm longer, 10 mm further out: 20 mm apart
     slow = robot | {"limits": limits | {"alpha_acceleration": 5.0}}
     jerky = q.copy()
     jerky[6:, 0] = jerky[5, 0]
-    assert _judge_limits(slow, jerky, 0.1).word == NO
+    assert judge_limits(slow, jerky).word == NO

@@ -168,15 +168,15 @@ def test_results_of_samples_are_compared_one_by_one():
 
 def test_recorded_values_are_compared_where_others_were_found():
     own = np.array([[1.0, 2.0], [np.nan, 4.0]])
-    assert records._compare("x", own, own, 0.1, "").word == YES
-    assert records._compare("x", own + 0.09, own, 0.1, "").word == YES
-    far = records._compare("x", own - [[0.0, 0.0], [0.0, 0.3]], own, 0.1, " mm")
+    assert records._compare("clearances", own, own).word == YES
+    assert records._compare("clearances", own + 0.09, own).word == YES
+    far = records._compare("clearances", own - [[0.0, 0.0], [0.0, 0.3]], own)
     assert far.word == NO
     assert far.number == pytest.approx(0.3)
     assert far.distance == pytest.approx(-0.2)
     assert "in frame 2" in far.why
-    assert records._compare("x", np.full((2, 2), np.nan), own, 0.1, "").word == NO
-    assert records._compare("x", own, np.full((2, 2), np.nan), 0.1, "").word == NOT_COVERED
+    assert records._compare("shapes", np.full((2, 2), np.nan), own).word == NO
+    assert records._compare("shapes", own, np.full((2, 2), np.nan)).word == NOT_COVERED
 
 
 TUBE = {"length": 90.0, "curved_length": 50.0, "curvature": 0.0, "outer_diameter": 2.0, "inner_diameter": 1.0}
