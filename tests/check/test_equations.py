@@ -7,7 +7,7 @@ import pytest
 from after_snaps import settle
 from scipy.optimize import brentq
 
-from ctr_nlp.check.checker import NO, YES, _judge_limits
+from ctr_nlp.check.checker import NO, YES, _judge_limits, examine_motion
 from ctr_nlp.check.motions import CONVERGED_RATE, Follower, move_nominal, move_through
 from ctr_nlp.check.plan_file import PlanFile
 from ctr_nlp.check.shapes import RobotShape, compute_body
@@ -122,6 +122,45 @@ def test_turning_a_tube_snaps_where_opposed_pair_is_unstable():
         apart = motion.tip_angles[-1, -1] @ [1, -1]
         assert apart == pytest.approx(2 * np.pi, abs=TIP_RAD)
     assert snaps == {True: 0, False: 1}
+
+
+def slipping():
+    """A robot of two tubes, and a motion on which it leaves its branch by less than a snap."""
+
+    def opposed_margin(curvature):
+        tubes = read_tubes(pair_of_tubes(curvature))
+        opposed = np.array([[np.pi], [0.0]])
+        return compute_stability_margins(integrate(tubes, opposed, np.full((2, 1), 50.0), np.zeros((2, 1))))[0]
+
+    # Of tubes that are hardly more curved than those that turn all round, the fold is next to nothing.
+    robot = pair_of_tubes(1.0005 * brentq(opposed_margin, 0.005, 0.015))
+    q = turning(26, 0.0, 50.0)
+    q[:, 0] = [*np.linspace(0, 3.1, 6), *np.linspace(3.11, 3.2, 20)]
+    return robot, q
+
+
+def test_a_robot_that_slips_has_not_snapped():
+    robot, q = slipping()
+    follower, unsettled = (Follower(read_tubes(robot), 0.0, settle=rest) for rest in (settle, None))
+    for each in (follower, unsettled):
+        for _ in move_through(each, q):
+            pass
+    assert (follower.snapped[0], follower.gone[0]) == (False, False)
+    assert (unsettled.snapped[0], unsettled.gone[0]) == (True, True)
+
+
+def test_samples_that_slip_are_not_lost():
+    robot, q = slipping()
+    tolerances = {"tip_force": 0.0, "distribution": "uniform", "covariance": None}
+    arrays = {"alpha": q[:, :2], "beta": q[:, 2:4], "theta": q[:, 4:], "time": np.arange(1.0, 27.0)}
+    arrays |= {"success": np.ones(26, dtype=bool), "kkt": np.zeros(26), "target": np.zeros((26, 101, 3))}
+    arrays |= {"target_direction": np.tile([0.0, 0, 1], (26, 1))}
+    arrays |= {"draws_parts": np.zeros((2, 2, 5)), "draws_lags": np.zeros((2, 2))}
+    limits = {"alpha": [["-inf", "inf"]], "theta": [-3.0, 3.0]}
+    meta = {"robot": robot | {"limits": limits, "tolerances": tolerances}, "model": "elastic", "problem": {}}
+    found = examine_motion(PlanFile(arrays, meta, None, ""), 2, settle)
+    assert found.snaps == []
+    assert found.samples["lost"].tolist() == [False, False]
 
 
 def test_samples_move_as_the_nominal_robot():
