@@ -39,6 +39,7 @@ def test_digest_is_that_of_the_content():
     [
         ([1, 2, 3], {"duration": 3.0, "frames": 3}, YES),
         ([1, 2, 3], {"duration": 3.0}, YES),
+        ([2], {"duration": 2.0, "frames": 1}, YES),
         ([1, 2, 3], {}, NOT_COVERED),
         ([1, 2, 3], {"duration": 4.0, "frames": 3}, NO),
         ([1, 2, 3], {"duration": 2.0, "frames": 3}, NO),
@@ -155,7 +156,13 @@ def result(moved=3, **changes):
 
 def test_results_of_samples_are_compared_one_by_one():
     assert records._check_samples(result()).word == YES
-    assert records._check_samples(result(moved=0)).word == NOT_COVERED
+    uncovered = result(moved=0)
+    assert records._check_samples(uncovered) == Finding(NOT_COVERED, why="Because.")
+    uncovered.findings["holds"] = Finding(YES)
+    assert records._check_samples(uncovered) == Finding(NOT_COVERED, why="No recorded samples were moved.")
+    without = result()
+    del without.file.arrays["draws_parts"]
+    assert records._check_samples(without).word == NOT_COVERED
     assert records._check_samples(result(draws_lost=np.array([1, 0, 0]))).word == YES  # one may differ
     assert records._check_samples(result(draws_lost=np.array([1, 2, 0]))).word == NO
     assert records._check_samples(result(draws_clearance=np.array([1.0, 0.0, -0.4]))).word == NO
