@@ -30,11 +30,13 @@ else:
 
 ROOT = Path(__file__).resolve().parents[2]
 EQUIVALENT = Path(__file__).parent / "equivalent.toml"
-WHOLE_CHECKS = "tests/check/test_plan_faults.py", "tests/check/test_checker.py"
+WHOLE_CHECKS = "tests/check/test_checker.py", "tests/check/test_plan_faults.py"
 TESTS = {
     "ctr_nlp/plan/verdicts.py": ["tests/plan/test_verdicts.py"],
-    "ctr_nlp/check/walls.py": ["tests/check/test_check_walls.py", "tests/check/test_equations.py", *WHOLE_CHECKS],
-    "ctr_nlp/check": ["tests/check/test_records.py", "tests/check/test_equations.py", *WHOLE_CHECKS],
+    "ctr_nlp/check": [
+        *("tests/check/test_records.py", "tests/check/test_findings.py", "tests/check/test_check_walls.py"),
+        *("tests/check/test_equations.py", "tests/check/test_margins.py", *WHOLE_CHECKS),
+    ],
 }
 """Tests that look at a module or a folder of modules, the fastest first."""
 CHANGES = (
