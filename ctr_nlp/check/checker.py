@@ -16,7 +16,7 @@ their residuals are small enough. A robot under a load is not covered.
 from __future__ import annotations
 
 import itertools
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -109,6 +109,8 @@ class CheckResult:
         Shapes (T, 101, 3) and errors (T,) on the elastic model, mm; NaN where the robot has no equilibrium.
     margin, clearance : ndarray
         Stability margins (T, 10) and clearance (T, 10, 101), mm, at sub-steps, of which the last is the frame.
+    deepest : ndarray
+        Deepest contacts (W,) with the walls, mm, negative where the robot is clear of one by that much.
     tip_degrees : float
         Angle between tip and target in the last frame.
     samples : dict of str to ndarray
@@ -126,6 +128,7 @@ class CheckResult:
     e2: Array = field(default_factory=lambda: np.empty(0))
     margin: Array = field(default_factory=lambda: np.empty(0))
     clearance: Array = field(default_factory=lambda: np.empty(0))
+    deepest: Array = field(default_factory=lambda: np.empty(0))
     tip_degrees: float = np.nan
     samples: dict[str, Array] = field(default_factory=dict)
 
@@ -158,8 +161,8 @@ def examine_motion(file: PlanFile, samples: int = 0, settle: Settle | None = Non
     turns = _find_whole_turns(file, file.q[0]) if deployed else np.zeros_like(file.q[0])
     q = file.q + turns
     nominal = move_nominal(file.tubes, q, SUBSTEPS, settle)
-    deepest = _measure(found, nominal)
-    found.findings.update(_judge_shapes(found, deepest))
+    found = replace(found, **_measure(file, nominal))
+    found.findings.update(_judge_shapes(found))
     if drawn is None:
         why = "Samples under a tip force or of other tolerances than uniform ones." if samples else "No samples."
     elif not np.isfinite(nominal.tip_angles).all():
@@ -168,8 +171,7 @@ def examine_motion(file: PlanFile, samples: int = 0, settle: Settle | None = Non
         why = "The robot begins on another branch than the one that samples are turned to."
     found.findings["holds"] = Finding(NOT_COVERED, why=why)
     if drawn is not None and not why:
-        found.samples = _move_samples(file, q, nominal.tip_angles[:, -1], drawn, settle)
-        found.findings["holds"] = _judge_samples(found)
+        return _judge_samples(found, _move_samples(file, q, nominal.tip_angles[:, -1], drawn, settle))
     return found
 
 
@@ -213,9 +215,9 @@ def _find_whole_turns(file: PlanFile, q: Array) -> Array:
     return np.concatenate([turns[:, rows[nearest]], np.zeros(d + 2)])
 
 
-def _measure(found: CheckResult, nominal: NominalMotion) -> Array:
-    """Add shapes, margins and clearances of a motion to a result; return the deepest contacts with walls, mm."""
-    file, walls = found.file, found.file.walls
+def _measure(file: PlanFile, nominal: NominalMotion) -> dict[str, Any]:
+    """Return snaps, shapes, errors, margins, clearances and contacts of a motion, as ``CheckResult`` has them."""
+    walls = file.walls
     known = np.isfinite(nominal.rates).all(axis=-1)
     points, tips = np.full((*known.shape, len(SIGMA), 3), np.nan), np.full((*known.shape, 3), np.nan)
     margin, clearance = np.full(known.shape, np.nan), np.full(points.shape[:-1], np.nan)
@@ -232,11 +234,10 @@ def _measure(found: CheckResult, nominal: NominalMotion) -> Array:
         for k, wall in enumerate(walls):
             clear = measure_clearance([wall], *body.find_places(PLACES_MM), together=True)
             deepest[k] = max(deepest[k], -clear.min())
-    found.snaps, found.margin, found.clearance = nominal.snaps, margin, clearance
-    found.shape, tip, wanted = points[:, -1], tips[-1, -1], file.arrays["target_direction"][-1]
-    found.e2 = measure_errors(found.shape, file.arrays["target"])
-    found.tip_degrees = float(np.degrees(np.arctan2(np.linalg.norm(np.cross(tip, wanted)), tip @ wanted)))
-    return deepest
+    shape, tip, wanted = points[:, -1], tips[-1, -1], file.arrays["target_direction"][-1]
+    degrees = float(np.degrees(np.arctan2(np.linalg.norm(np.cross(tip, wanted)), tip @ wanted)))
+    found = {"snaps": nominal.snaps, "shape": shape, "e2": measure_errors(shape, file.arrays["target"])}
+    return found | {"margin": margin, "clearance": clearance, "deepest": deepest, "tip_degrees": degrees}
 
 
 def find_radius(beta: Array, radius: Array) -> Array:
@@ -260,9 +261,9 @@ def threshold(file: PlanFile, name: str) -> float:
     return float(file.meta.get("options", {}).get(name, THRESHOLDS[name]) or 0.0)
 
 
-def _judge_shapes(found: CheckResult, deepest: Array) -> dict[str, Finding]:
-    """Return the verdicts on shapes and margins; deepest (W,): contacts with the walls, mm."""
-    file, target = found.file, found.file.arrays["target"][-1]
+def _judge_shapes(found: CheckResult) -> dict[str, Finding]:
+    """Return the verdicts on shapes and margins."""
+    deepest, file, target = found.deepest, found.file, found.file.arrays["target"][-1]
     tip = float(np.linalg.norm(found.shape[-1, -1] - target[-1]))
     arrives = _judge_at_most(tip, threshold(file, "arrival_tolerance"), "mm from the target's end")
     length = float(np.linalg.norm(np.diff(target, axis=0), axis=1).sum())
@@ -416,23 +417,22 @@ def _move_samples(
     return {"lost": lost, "tips": tips, "contacts": contacts, "errors": errors}
 
 
-def _judge_samples(found: CheckResult) -> Finding:
-    """Return whether enough of the samples that were moved hold; add to the result which of them fail, and why."""
-    file, samples, kept = found.file, found.samples, ~found.samples["lost"]
+def _judge_samples(found: CheckResult, samples: dict[str, Array]) -> CheckResult:
+    """Return a result with samples that were moved: which of them fail, and whether enough of them hold."""
+    file, kept = found.file, ~samples["lost"]
     away = np.linalg.norm(samples["tips"] - file.arrays["target"][-1, -1], axis=-1)
-    arrival, press = (
-        threshold(file, "arrival_tolerance"),
-        max(SAMPLE_CONTACT_MM, threshold(file, "contact_allowed")),
-    )
-    samples["missed"] = kept & (~(away <= arrival) | (found.findings["arrives"].why == DETOUR))
-    samples["pressed"] = kept & (samples["contacts"] > press)
+    arrival = threshold(file, "arrival_tolerance")
+    press = max(SAMPLE_CONTACT_MM, threshold(file, "contact_allowed"))
+    missed = kept & (~(away <= arrival) | (found.findings["arrives"].why == DETOUR))
+    samples = samples | {"missed": missed, "pressed": kept & (samples["contacts"] > press)}
     near = np.minimum(abs(away - arrival), abs(np.nan_to_num(samples["contacts"]) - press)) <= SAMPLE_TOLERANCE_MM
-    found.moved, found.borderline = len(kept), int((kept & near).sum())
     failed = [samples[name] for name in ("lost", "missed", "pressed")]
     share, needed = float((~np.any(failed, axis=0)).mean()), threshold(file, "share")
-    lost, missed, pressed = (each.sum() for each in failed)
-    why = f"{lost} of {len(kept)} are lost, {missed} miss, {pressed} press."
-    return judge(share >= needed, share, share - needed, why)
+    lost, missing, pressing = (flags.sum() for flags in failed)
+    why = f"{lost} of {len(kept)} are lost, {missing} miss, {pressing} press."
+    findings = found.findings | {"holds": judge(share >= needed, share, share - needed, why)}
+    borderline = int((kept & near).sum())
+    return replace(found, findings=findings, moved=len(kept), borderline=borderline, samples=samples)
 
 
 def compute_dominant_shapes(file: PlanFile) -> Array:

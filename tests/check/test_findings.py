@@ -1,5 +1,6 @@
 """The checker's verdicts beside made-up motions, whose figures are known."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -43,7 +44,7 @@ def judged(*aside, beta=LENGTH, degrees=0.0, deepest=(), kept_out=(), known=True
     shape, margin = straight(*aside), np.full((frames, 10), 0.5)
     e2 = checker.measure_errors(shape, arrays["target"])
     found = CheckResult(file, {}, shape=shape, e2=e2, margin=margin, clearance=clearance, tip_degrees=degrees)
-    return checker._judge_shapes(found, np.array(deepest, dtype=float))
+    return checker._judge_shapes(replace(found, deepest=np.array(deepest, dtype=float)))
 
 
 def test_last_tip_decides_whether_a_motion_arrives():
@@ -78,7 +79,7 @@ def test_tip_that_arrives_beside_the_path_does_not_count():
     file = PlanFile(arrays, {}, None, "")
     file.__dict__["walls"] = []
     found = CheckResult(file, {}, shape=aside, e2=e2, margin=np.ones((1, 10)), clearance=np.ones((1, 10, 101)))
-    assert checker._judge_shapes(found, np.empty(0))["arrives"].why == checker.DETOUR
+    assert checker._judge_shapes(found)["arrives"].why == checker.DETOUR
 
 
 def test_errors_are_means_by_trapezoids():

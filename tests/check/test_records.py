@@ -354,8 +354,8 @@ def judged_samples(tips, contacts, lost=None, why="", **options):
     tips = np.array(tips)[:, None] * np.array([1.0, 0.0, 0.0])
     samples = {"lost": np.array(lost or [False] * len(tips)), "tips": tips, "contacts": np.array(contacts)}
     file = file_of({"target": np.zeros((1, 101, 3))}, options=options)
-    found = SimpleNamespace(file=file, samples=samples, findings={"arrives": Finding(YES, why=why)})
-    return checker._judge_samples(found), found
+    found = checker._judge_samples(checker.CheckResult(file, {"arrives": Finding(YES, why=why)}), samples)
+    return found.findings["holds"], found
 
 
 def test_samples_that_arrive_without_pressing_hold():
