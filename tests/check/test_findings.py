@@ -201,14 +201,39 @@ def test_reason_for_missing_samples_is_given(change, why):
     assert found.findings["holds"].why.startswith(why)
 
 
+def with_samples(parts, lags, **arrays):
+    """The result on a robot that stands still, with these samples."""
+    given = {"target": np.zeros((3, 101, 3)), "target_direction": np.tile([0.0, 0, 1], (3, 1))}
+    given |= {"success": np.ones(3, dtype=bool), "kkt": np.zeros(3)}
+    given |= {"draws_parts": np.array(parts), "draws_lags": np.array(lags)}
+    return checker.examine_motion(robot_file(arrays=given | arrays), len(parts))
+
+
+def test_samples_like_the_robot_touch_the_wall_as_it_does():
+    z = np.linspace(-5, 90, 96)
+    table = np.stack([0 * z, 0 * z, z, 0 * z + 4.0], axis=-1)
+    found = with_samples(np.zeros((2, 2, 5)), np.zeros((2, 2)), lumen=table)
+    assert found.deepest[0] > 1.0
+    np.testing.assert_allclose(found.samples["contacts"], found.deepest[0], atol=1e-6)
+    np.testing.assert_allclose(found.samples["tips"], found.shape[-1, -1] + np.zeros((2, 3)), atol=1e-6)
+    np.testing.assert_allclose(found.samples["errors"], found.e2 + np.zeros((2, 1)), atol=1e-6)
+    np.testing.assert_allclose(found.shape[0], found.shape[2], atol=1e-9)
+    assert found.samples["pressed"].all()
+
+
+def test_innermost_tube_begins_where_its_motor_is():
+    alpha = np.tile([0.0, 0.4], (3, 1))
+    lags = [[0.0, 0.1], [0.0, 0.0], [0.1, 0.0]]
+    tips = with_samples(np.zeros((3, 2, 5)), lags, alpha=alpha).samples["tips"]
+    assert np.linalg.norm(tips[0] - tips[1]) < 1e-6  # it does not turn, so that its play is not taken up
+    assert np.linalg.norm(tips[2] - tips[1]) > 0.1
+
+
 def test_samples_on_another_branch_are_lost():
     """Robots that are turned as a whole are on the nominal one's branch; with one tube turned they are not."""
     parts = np.zeros((3, 2, 5))
     parts[0, :, 4], parts[1, 0, 4], parts[2, 0, 4] = 1.5, 1.5, 0.5
-    arrays = {"target": np.zeros((3, 101, 3)), "target_direction": np.tile([0.0, 0, 1], (3, 1))}
-    arrays |= {"success": np.ones(3, dtype=bool), "kkt": np.zeros(3)}
-    arrays |= {"draws_parts": parts, "draws_lags": np.zeros((3, 2))}
-    found = checker.examine_motion(robot_file(arrays=arrays), 3)
+    found = with_samples(parts, np.zeros((3, 2)))
     assert found.samples["lost"].tolist() == [False, True, False]
     assert np.isnan(found.samples["tips"]).all(axis=1).tolist() == [False, True, False]
     assert np.isnan(found.samples["contacts"]).all()

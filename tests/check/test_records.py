@@ -132,13 +132,20 @@ def test_normal_samples_must_have_their_variance():
     assert records._check_tolerances(samples(scale=1.5, distribution="normal", covariance=covariance)).word == NO
 
 
+def cloud(tip=0.0):
+    """Points of three samples in two frames, of which the last tips are compared: (2, 3, 26, 3), mm."""
+    points = np.full((2, 3, 26, 3), 9.0)
+    points[-1, :, -1] = tip
+    return points
+
+
 def result(moved=3, **changes):
     """Three samples that are found as they are recorded."""
     arrays = {
         "draws_parts": np.zeros((3, 1, 5)),
         "draws_lost": np.array([0, 0, 0]),
         "draws_clearance": np.array([1.0, -0.3, 0.2]),
-        "draws_cloud": np.zeros((1, 3, 26, 3)),
+        "draws_cloud": cloud(),
         "draws_e2": np.full((3, 2), 0.5),
     } | changes
     return SimpleNamespace(
@@ -167,8 +174,8 @@ def test_results_of_samples_are_compared_one_by_one():
     assert records._check_samples(result(draws_lost=np.array([1, 2, 0]))).word == NO
     assert records._check_samples(result(draws_clearance=np.array([1.0, 0.0, -0.4]))).word == NO
     assert records._check_samples(result(draws_clearance=np.full(3, np.nan))).word == YES
-    assert records._check_samples(result(draws_cloud=np.full((1, 3, 26, 3), 0.2))).word == NO
-    assert records._check_samples(result(draws_cloud=np.full((1, 3, 26, 3), np.nan))).word == NO
+    assert records._check_samples(result(draws_cloud=cloud(0.2))).word == NO
+    assert records._check_samples(result(draws_cloud=cloud(np.nan))).word == NO
     assert records._check_samples(result(draws_e2=np.full((3, 2), 0.7))).word == NO
     assert records._check_samples(result(draws_e2=np.full((3, 2), 0.3))).word == NO
 
