@@ -8,6 +8,7 @@ import pytest
 from ctr_nlp.anatomy.distance_fields import field_of_mask
 from ctr_nlp.check.walls import LumenWall, Triangles, measure_clearance, read_walls
 from ctr_nlp.paths.lumen import Lumen
+from ctr_nlp.paths.surface import Surface
 from ctr_nlp.paths.walls import Body, nearest_of
 from ctr_nlp.plan.plan_data import pack_walls
 
@@ -109,3 +110,18 @@ def test_small_and_large_triangles_together_are_measured_exactly():
     outside = np.linalg.norm(beyond, axis=1)
     inside = np.minimum(points, 8 - points).min(axis=1)
     np.testing.assert_allclose(surface.signed_distance(points), np.where(outside > 0, -outside, inside), atol=1e-9)
+
+
+@pytest.mark.parametrize("keep_out", [False, True])
+def test_bodies_are_measured_at_their_triangles_where_they_have_some(field, keep_out):
+    corners = np.array([[-9.0, -9, 0], [9, -9, 0], [0, 9, 0], [0, 0, 14]])
+    triangles = np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3]])
+    points = places(40)[:40]
+    inside = Triangles(corners, triangles).signed_distance(points)
+    smooth, sharp = (
+        read_walls(*arrays_of((Body("mask", field, keep_out, margin=0.25, surface=surface),)))[0]
+        for surface in (None, Surface(corners, triangles))
+    )
+    np.testing.assert_array_equal(smooth.left_exactly(points), smooth.left(points))
+    np.testing.assert_array_equal(sharp.left(points), smooth.left(points))
+    np.testing.assert_allclose(sharp.left_exactly(points), (-inside if keep_out else inside) - 0.25, atol=1e-5)

@@ -250,10 +250,11 @@ def test_shapes_margins_and_clearances_are_compared():
 
 def test_a_wall_and_its_clearances_belong_together():
     for missing, word in ((("lumen",), NO), (("clearance",), NO), (("lumen", "clearance"), NOT_COVERED)):
+        why = "The file has no wall." if "lumen" in missing else "The file has a wall, and no clearances."
         found = motion()
         for name in missing:
             del found.file.arrays[name]
-        assert records._check_motion(found)[2].word == word
+        assert records._check_motion(found)[2] == Finding(word, why=why)
     without_between = motion()
     del without_between.file.arrays["clearance_between"]
     assert records._check_motion(without_between)[2].word == YES
