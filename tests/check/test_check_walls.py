@@ -74,6 +74,14 @@ def test_nearest_wall_counts_and_lumen_only_beside_bodies_to_avoid(field):
     assert read_walls({}, {}) == []
 
 
+def test_nearest_place_may_lie_between_points_far_apart():
+    back = np.linspace(100, 0, 101)
+    there = [[0.0, 0, 0, 4], [0, 0, 100, 4]]
+    crossing = np.stack([0 * back + 20, 0 * back, back, 0 * back + 9], axis=-1)
+    left = LumenWall(np.concatenate([there, crossing])).left(np.array([[6.0, 0, 50.0]]))
+    assert left == pytest.approx([4.0 - 6.0])
+
+
 def test_repeated_points_of_a_path_do_no_harm():
     table = np.array([[0.0, 0, 0, 4], [0, 0, 0, 4], [0, 0, 10, 5]])
     assert LumenWall(table).left(np.array([[1.0, 0, 5.0]])) == pytest.approx([3.5])
