@@ -76,7 +76,7 @@ def test_nearest_wall_counts_and_lumen_only_beside_bodies_to_avoid(field):
 
 def test_nearest_place_may_lie_between_points_far_apart():
     back = np.linspace(100, 0, 101)
-    there = [[0.0, 0, 0, 4], [0, 0, 100, 4]]
+    there = [[0.0, 0, -1, 4], [0, 0, 0, 4], [0, 0, 100, 4]]
     crossing = np.stack([0 * back + 20, 0 * back, back, 0 * back + 9], axis=-1)
     left = LumenWall(np.concatenate([there, crossing])).left(np.array([[6.0, 0, 50.0]]))
     assert left == pytest.approx([4.0 - 6.0])

@@ -73,6 +73,37 @@ def test_shapes_and_margins_agree_with_reference(shared_data):
             np.testing.assert_allclose(moved.rates[0, -1], rates[:, 0], atol=1e-7)
 
 
+def test_tip_angle_is_the_angle_at_a_tubes_own_tip():
+    tubes = read_tubes(pair_of_tubes(0.01))
+    twist = integrate(tubes, np.array([[1.0], [0.0]]), np.array([[20.0], [45.0]]), np.array([[0.01], [-0.005]]))
+    at_tip = int(np.flatnonzero(twist.s[:, 0] == 20.0)[0])
+    np.testing.assert_allclose(twist.tip_angles[:, 0], [twist.psi[at_tip, 0, 0], twist.psi[-1, 1, 0]], atol=1e-12)
+
+
+def test_differences_of_samples_change_their_tubes():
+    nominal = read_tubes(pair_of_tubes(0.01))
+    parts = np.zeros((1, 2, 5))
+    parts[0, 1] = 0.1, 0.2, 0.3, 4.0, 0.5
+    tubes = read_tubes(pair_of_tubes(0.01), parts)
+    changes = {"root": 1.1, "tip": 1.1, "bending": 1.2, "torsional": 1.2 / 1.3, "curved": 54 / 50, "length": 1.0}
+    for name, factor in changes.items():
+        assert getattr(tubes, name)[1, 0] == pytest.approx(factor * getattr(nominal, name)[1, 0])
+        assert getattr(tubes, name)[0, 0] == getattr(nominal, name)[0, 0]
+    assert tubes.zero[:, 0].tolist() == [0.0, 0.5]
+
+
+@pytest.mark.parametrize("spacing", [0.5, 2.0])
+def test_places_along_a_robot_are_no_further_apart_than_asked(spacing):
+    tubes = read_tubes(pair_of_tubes(0.01))
+    body = compute_body(
+        integrate(tubes, np.zeros((2, 1)), np.full((2, 1), 50.0), np.zeros((2, 1))), np.zeros((2, 1))
+    )
+    points, radius = body.find_places(spacing)
+    away = np.linalg.norm(np.diff(points[0], axis=0), axis=1)
+    assert spacing / 2 < away.max() <= spacing  # the steps are divided evenly
+    assert radius.shape == points.shape[:2]
+
+
 def test_aligned_tubes_are_a_circle():
     tubes = read_tubes({"tubes": [TUBE, TUBE | {"curvature": 0.02, "outer_diameter": 1.8, "inner_diameter": 1.0}]})
     angle, beta = 0.7, np.full((2, 1), 50.0)

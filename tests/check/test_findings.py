@@ -176,6 +176,7 @@ def test_samples_are_those_of_the_file_or_drawn_from_its_bands():
     assert parts.shape == (500, 2, 5)
     np.testing.assert_allclose(half[0], [0.02, 0.03, 0.0, 0.0, 0.05], rtol=0.05)
     np.testing.assert_allclose(half[1], [0.0, 0.03, 0.0, 0.0, 0.05], rtol=0.05)
+    np.testing.assert_allclose(parts[..., 1].mean(axis=0), 0.0, atol=0.005)
     assert lags.min() >= 0
     np.testing.assert_allclose(lags.max(axis=0), 0.1, rtol=0.05)
     own = {"draws_parts": np.ones((4, 2, 5)), "draws_lags": np.ones((4, 2))}
