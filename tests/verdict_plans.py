@@ -127,15 +127,16 @@ def _samples(plan: ctr_nlp.Plan, found: Judgement) -> dict[str, float]:
         "missed": outcomes.missed_target & ~outcomes.lost,
         "pressed": outcomes.exceeded_contact_limit & ~outcomes.lost,
     }
-    theirs = {"lost": found.result.lost, "missed": found.result.missed, "pressed": found.result.pressed}
-    counts = {"count": len(found.result.lost)}
+    theirs = found.result.samples
+    counts = {"count": found.result.moved}
     for name, flags in ours.items():
         counts |= {f"{name}_library": int(flags.sum()), f"{name}_judge": int(theirs[name].sum())}
         counts[f"{name}_differ"] = int((flags != theirs[name]).sum())
-    held = ~(found.result.lost | found.result.missed | found.result.pressed)
+    held = ~np.any([theirs[name] for name in ours], axis=0)
     one_branch = np.linalg.norm(plan.shape[-1, -1] - found.shape[-1, -1]) < ONE_BRANCH_MM
-    kept = ~(outcomes.lost | found.result.lost) & one_branch
-    tips = abs(outcomes.tip_error - found.result.sample_tip)[kept]
+    kept = ~(outcomes.lost | theirs["lost"]) & one_branch
+    away = np.linalg.norm(theirs["tips"] - plan.target[-1, -1], axis=-1)
+    tips = abs(outcomes.tip_error - away)[kept]
     counts["tip_differ_mm"] = float(tips.max()) if kept.any() else 0.0
     return counts | {"differ": int((outcomes.passed_all_checks != held).sum())}
 

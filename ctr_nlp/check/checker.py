@@ -16,26 +16,28 @@ their residuals are small enough. A robot under a load is not covered.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from ctr_nlp.check import walls as measured
 from ctr_nlp.check.motions import Follower, NominalMotion, Settle, move_nominal, move_through
 from ctr_nlp.check.plan_file import PlanFile
-from ctr_nlp.check.shapes import RobotShape, compute_body
+from ctr_nlp.check.shapes import compute_body
 from ctr_nlp.check.stability import compute_stability_margins
-from ctr_nlp.check.tubes import Array, Twist, integrate, make_dominant, read_tubes
+from ctr_nlp.check.tubes import Array, integrate, make_dominant, read_tubes
+from ctr_nlp.check.walls import FIELD_ERROR_MM, measure_clearance
 
 YES, NO, NOT_COVERED = "yes", "no", "not covered"
 VERDICTS = "solved", "arrives", "follows", "stable", "within_limits", "within_wall", "holds"
 """Names of the verdicts, those of ``plan.verdicts``."""
-DEVIATIONS = "curvature", "bending_stiffness", "torsional_ratio", "curved_length", "motor_zero"
-"""What samples differ in, in the order of the file's ``draws_parts``."""
-THRESHOLDS = {"arrival_tolerance": 2.0, "error_allowed": 2.0, "contact_allowed": 0.5, "share": 0.95}
-"""Those of a plan whose options do not name them: mm, and the share of samples that must hold."""
+SHAPE_VERDICTS = "arrives", "follows", "stable", "within_wall", "holds"
+"""Verdicts that depend on the model."""
+DEVIATIONS = "curvature", "bending_stiffness", "torsional_ratio", "curved_length", "motor_zero", "rotation_lag"
+"""What samples differ in, in the order of the file's ``draws_parts``, and the play of ``draws_lags``."""
+THRESHOLDS = {"arrival_tolerance": 2.0, "error_allowed": 2.0, "contact_allowed": 0.5, "stability_margin": 0.1}
+THRESHOLDS |= {"share": 0.95}
+"""Those of a plan whose options do not name them: mm, the share of samples that must hold, the least margin."""
 SAMPLE_CONTACT_MM = 1.0
 """Contact allowed to samples, unless the nominal robot is allowed more."""
 OTHER_BRANCH_RAD = 1.0
@@ -56,7 +58,11 @@ DETOUR = "The robot arrives, but not along the path."
 SAME_SHAPE_MM = 0.01
 """Root mean square distance of shapes on one branch, at most."""
 GROUP = 250
-"""Shapes whose clearances are found at once."""
+"""Shapes that are found at once."""
+PLACES_MM = 1.0
+"""At most, between the places along a robot whose contact is found."""
+SAMPLE_TOLERANCE_MM = 0.15
+"""By how much tips, errors and contacts of samples may differ: samples are moved in coarser steps."""
 
 
 class Finding(NamedTuple):
@@ -95,45 +101,36 @@ class CheckResult:
         What was checked.
     findings : dict of str to Finding
         Seven verdicts under the names of ``plan.verdicts``, and findings on the record (``records.RECORDS``).
+    snaps : list of int
+        Frames, from 1, on the way to which the robot snaps.
+    moved, borderline : int
+        Samples that were moved, and those that keep or miss a limit by no more than records may differ.
     shape, e2 : ndarray
         Shapes (T, 101, 3) and errors (T,) on the elastic model, mm; NaN where the robot has no equilibrium.
     margin, clearance : ndarray
         Stability margins (T, 10) and clearance (T, 10, 101), mm, at sub-steps, of which the last is the frame.
-    tip_direction : ndarray
-        Unit tangents (T, 3) at the tip.
-    snaps : list of int
-        Frames, from 1, on the way to which the robot snaps.
-    lost, missed, pressed : ndarray of bool
-        Samples (n,) that snap or are on another branch, do not arrive, or touch the wall by more than they may.
-    sample_tips, sample_contact, sample_e2 : ndarray
-        Last tips (n, 3), deepest contacts (n,) and errors (n, T), mm; NaN where a sample is lost.
+    deepest : ndarray
+        Deepest contacts (W,) with the walls, mm, negative where the robot is clear of one by that much.
+    tip_degrees : float
+        Angle between tip and target in the last frame.
+    samples : dict of str to ndarray
+        Of n simulated robots: ``lost``, ``missed`` and ``pressed`` (n,), whether they snap or change their branch,
+        do not arrive, or touch the wall by more than they may; last ``tips`` (n, 3), deepest ``contacts`` (n,) and
+        ``errors`` (n, T), mm, NaN where a sample is lost. Empty where none were moved.
     """
 
     file: PlanFile
     findings: dict[str, Finding]
     snaps: list[int] = field(default_factory=list)
+    moved: int = 0
+    borderline: int = 0
     shape: Array = field(default_factory=lambda: np.empty(0))
     e2: Array = field(default_factory=lambda: np.empty(0))
     margin: Array = field(default_factory=lambda: np.empty(0))
     clearance: Array = field(default_factory=lambda: np.empty(0))
-    tip_direction: Array = field(default_factory=lambda: np.empty(0))
-    lost: Array = field(default_factory=lambda: np.empty(0))
-    missed: Array = field(default_factory=lambda: np.empty(0))
-    pressed: Array = field(default_factory=lambda: np.empty(0))
-    sample_tips: Array = field(default_factory=lambda: np.empty(0))
-    sample_contact: Array = field(default_factory=lambda: np.empty(0))
-    sample_e2: Array = field(default_factory=lambda: np.empty(0))
-
-    @property
-    def tip_degrees(self) -> float:
-        """Angle between tip and target in the last frame."""
-        own, wanted = self.tip_direction[-1], self.file.arrays["target_direction"][-1]
-        return float(np.degrees(np.arctan2(np.linalg.norm(np.cross(own, wanted)), own @ wanted)))
-
-    @property
-    def sample_tip(self) -> Array:
-        """Distances (n,) of the samples' last tips from the target's end, mm."""
-        return np.asarray(np.linalg.norm(self.sample_tips - self.file.arrays["target"][-1, -1], axis=-1))
+    deepest: Array = field(default_factory=lambda: np.empty(0))
+    tip_degrees: float = np.nan
+    samples: dict[str, Array] = field(default_factory=dict)
 
 
 def examine_motion(file: PlanFile, samples: int = 0, settle: Settle | None = None) -> CheckResult:
@@ -154,24 +151,18 @@ def examine_motion(file: PlanFile, samples: int = 0, settle: Settle | None = Non
     CheckResult
         With the verdicts alone.
     """
-    arrays, meta = file.arrays, file.meta
-    q: Array = np.concatenate([arrays["alpha"], arrays["beta"], arrays["theta"]], axis=1)
-    found = CheckResult(file, {"solved": _judge_solved(file)})
-    found.findings["within_limits"] = _judge_limits(meta["robot"], q, float(arrays["time"][0]))
+    found = CheckResult(file, {"solved": _judge_solved(file), "within_limits": _judge_limits(file)})
     drawn = _take_samples(file, samples)
-    why = _find_reason_not_covered(file, q)
-    of_shapes = "arrives", "follows", "stable", "within_wall", "holds"
-    found.findings.update(dict.fromkeys(of_shapes, Finding(NOT_COVERED, why=why)))
+    why = _find_reason_not_covered(file)
+    found.findings.update(dict.fromkeys(SHAPE_VERDICTS, Finding(NOT_COVERED, why=why)))
     if why:
         return found
-    turns = np.zeros_like(q[0])
-    if meta.get("reversed") or is_later_part(file):
-        turns = _find_whole_turns(file, q[0])
-        q = q + turns
-    walls = measured.read_walls(arrays, meta)
-    nominal = move_nominal(read_tubes(meta["robot"]), q, SUBSTEPS, settle)
-    found, depth = _measure(found, nominal, walls)
-    found.findings.update(_judge_shapes(found, depth, walls))
+    deployed = file.meta.get("reversed") or is_later_part(file)
+    turns = _find_whole_turns(file, file.q[0]) if deployed else np.zeros_like(file.q[0])
+    q = file.q + turns
+    nominal = move_nominal(file.tubes, q, SUBSTEPS, settle)
+    found = replace(found, **_measure(file, nominal))
+    found.findings.update(_judge_shapes(found))
     if drawn is None:
         why = "Samples under a tip force or of other tolerances than uniform ones." if samples else "No samples."
     elif not np.isfinite(nominal.tip_angles).all():
@@ -180,8 +171,7 @@ def examine_motion(file: PlanFile, samples: int = 0, settle: Settle | None = Non
         why = "The robot begins on another branch than the one that samples are turned to."
     found.findings["holds"] = Finding(NOT_COVERED, why=why)
     if drawn is not None and not why:
-        found = _move_samples(found, q, nominal.tip_angles[:, -1], walls, drawn)
-        found.findings["holds"] = _judge_samples(found)
+        return _judge_samples(found, _move_samples(file, q, nominal.tip_angles[:, -1], drawn, settle))
     return found
 
 
@@ -190,12 +180,15 @@ def is_later_part(file: PlanFile) -> bool:
     return bool(file.meta.get("stretch", {}).get("first", 1) > 1)
 
 
-def _find_reason_not_covered(file: PlanFile, q: Array) -> str:
-    """Return why the equations do not describe the motion q (T, 2d + 2) of a plan; empty where they do."""
-    beta, length = file.arrays["beta"], np.array([tube["length"] for tube in file.meta["robot"]["tubes"]])
-    if not np.isfinite(q).all():
+def _find_reason_not_covered(file: PlanFile) -> str:
+    """Return why the equations do not describe the motion of a plan; empty where they do."""
+    beta = file.arrays["beta"]
+    if not np.isfinite(file.q).all():
         return "Frames have no configuration."
-    if max((-beta).max(), (beta - length).max(), -np.diff(beta, axis=1).min(initial=0.0)) > LIMIT_SLACK:
+    if (
+        max((-beta).max(), (beta - file.tubes.length.T).max(), -np.diff(beta, axis=1).min(initial=0.0))
+        > LIMIT_SLACK
+    ):
         return "Tubes are further out than they are long, or out of order."
     if file.meta.get("load", file.meta.get("planned_load")) is not None:
         return "The robot is under a load, which the checker's equations do not have."
@@ -208,10 +201,9 @@ def _find_whole_turns(file: PlanFile, q: Array) -> Array:
     Tubes that are turned there from alignment by a whole turn more or less may be on another branch. Of those that
     do not snap on the way, the one counts whose shape is nearest to that of the first frame.
     """
-    tubes = read_tubes(file.meta["robot"])
-    d = len(tubes.zero)
+    d = len(file.tubes.zero)
     turns = 2 * np.pi * np.array([(*each, 0) for each in itertools.product((0, -1, 1), repeat=d - 1)]).T
-    follower = Follower(tubes.repeat(turns.shape[1]), q[d - 1])
+    follower = Follower(file.tubes.repeat(turns.shape[1]), q[d - 1])
     begin = np.concatenate([follower.tube, q[d : 2 * d, None] + 0 * turns])
     follower.advance(begin, q[: 2 * d, None] + np.concatenate([turns, 0 * turns]), 0.0, 1.0, longest=0.05)
     rows = np.flatnonzero(~follower.gone)
@@ -223,49 +215,38 @@ def _find_whole_turns(file: PlanFile, q: Array) -> Array:
     return np.concatenate([turns[:, rows[nearest]], np.zeros(d + 2)])
 
 
-def _measure(
-    found: CheckResult, nominal: NominalMotion, walls: list[measured.MeasuredWall]
-) -> tuple[CheckResult, Array]:
-    """Return a result with shapes, margins and clearances of a motion, and the deepest contacts (T, 10, W), mm."""
+def _measure(file: PlanFile, nominal: NominalMotion) -> dict[str, Any]:
+    """Return snaps, shapes, errors, margins, clearances and contacts of a motion, as ``CheckResult`` has them."""
+    walls = file.walls
     known = np.isfinite(nominal.rates).all(axis=-1)
     points, tips = np.full((*known.shape, len(SIGMA), 3), np.nan), np.full((*known.shape, 3), np.nan)
     margin, clearance = np.full(known.shape, np.nan), np.full(points.shape[:-1], np.nan)
-    depth = np.full((*known.shape, len(walls)), np.nan)
-    for chosen, twist, body in _compute_bodies(nominal, known):
+    deepest = np.full(len(walls), -np.inf)
+    frames, steps = np.nonzero(known)
+    for first in range(0, len(frames), GROUP):
+        chosen = frames[first : first + GROUP], steps[first : first + GROUP]
+        twist, theta = nominal.twists(chosen)
+        body = compute_body(twist, theta)
         points[chosen], tips[chosen] = body.interpolate(SIGMA), body.tangents[-1]
         margin[chosen] = compute_stability_margins(twist)
+        radius = find_radius(twist.beta, twist.tubes.radius)
+        clearance[chosen] = measure_clearance(walls, points[chosen], radius)
         for k, wall in enumerate(walls):
-            depth[chosen, k] = measured.find_deepest_contact(wall, body, exactly=False)
-        if walls:
-            clearance[chosen] = measure_clearance(walls, points[chosen], twist.beta, twist.tubes.radius)
-    # The deepest place is measured at the triangles, among those that the smooth surface leaves in question.
-    for k, wall in enumerate(walls):
-        question = depth[..., k] >= np.nanmax(depth[..., k], initial=-np.inf) - measured.FIELD_ERROR_MM
-        for chosen, _, body in _compute_bodies(nominal, known & question):
-            depth[chosen, k] = measured.find_deepest_contact(wall, body)
-    found = replace(found, snaps=nominal.snaps, margin=margin, clearance=clearance, shape=points[:, -1])
-    e2 = measure_errors(found.shape, found.file.arrays["target"])
-    return replace(found, e2=e2, tip_direction=tips[:, -1]), depth
+            clear = measure_clearance([wall], *body.find_places(PLACES_MM), together=True)
+            deepest[k] = max(deepest[k], -clear.min())
+    shape, tip, wanted = points[:, -1], tips[-1, -1], file.arrays["target_direction"][-1]
+    degrees = float(np.degrees(np.arctan2(np.linalg.norm(np.cross(tip, wanted)), tip @ wanted)))
+    found = {"snaps": nominal.snaps, "shape": shape, "e2": measure_errors(shape, file.arrays["target"])}
+    return found | {"margin": margin, "clearance": clearance, "deepest": deepest, "tip_degrees": degrees}
 
 
-def _compute_bodies(nominal: NominalMotion, known: Any) -> Iterator[tuple[Array, Twist, RobotShape]]:
-    """Yield groups of places (T, 10) of a motion among those that are `known`, with their twists and bodies."""
-    places = np.argwhere(known)
-    for first in range(0, len(places), GROUP):
-        chosen = np.zeros_like(known)
-        chosen[tuple(places[first : first + GROUP].T)] = True
-        twist, theta = nominal.twists(chosen)
-        yield chosen, twist, compute_body(twist, theta)
+def find_radius(beta: Array, radius: Array) -> Array:
+    """Return the radius (n, 101), mm, of the outermost tube at uniform sigma.
 
-
-def measure_clearance(walls: list[measured.MeasuredWall], points: Array, beta: Array, radius: Array) -> Array:
-    """Return the clearance (n, 101), mm, of points (n, 101, 3) at uniform sigma.
-
-    beta (d, n), radius (d, n): extensions and radii of tubes, mm. The outermost tube at a place counts.
+    beta, radius (d, n): extensions and radii of tubes, mm.
     """
-    ends = beta[:-1, :, None] + 1e-9
-    outermost = (SIGMA * beta[-1][:, None] > ends).sum(axis=0)
-    return measured.measure_left(walls, points, np.take_along_axis(radius.T, outermost, axis=1))
+    outermost = (SIGMA * beta[-1][:, None] > beta[:-1, :, None] + 1e-9).sum(axis=0)
+    return np.take_along_axis(radius.T, outermost, axis=1)
 
 
 def measure_errors(shape: Array, target: Array) -> Array:
@@ -276,18 +257,13 @@ def measure_errors(shape: Array, target: Array) -> Array:
 
 
 def threshold(file: PlanFile, name: str) -> float:
-    """Return a threshold among the options of a plan, or its default."""
-    return float(file.meta.get("options", {}).get(name, THRESHOLDS[name]))
+    """Return a threshold among the options of a plan, or its default; 0 where the option asks for none."""
+    return float(file.meta.get("options", {}).get(name, THRESHOLDS[name]) or 0.0)
 
 
-def sample_contact_allowed(file: PlanFile) -> float:
-    """Return how deep a sample may be in a wall, mm."""
-    return max(SAMPLE_CONTACT_MM, threshold(file, "contact_allowed"))
-
-
-def _judge_shapes(found: CheckResult, depth: Array, walls: list[measured.MeasuredWall]) -> dict[str, Finding]:
-    """Return the verdicts on shapes and margins; depth (T, 10, W): deepest contacts with the walls, mm."""
-    file, target = found.file, found.file.arrays["target"][-1]
+def _judge_shapes(found: CheckResult) -> dict[str, Finding]:
+    """Return the verdicts on shapes and margins."""
+    deepest, file, target = found.deepest, found.file, found.file.arrays["target"][-1]
     tip = float(np.linalg.norm(found.shape[-1, -1] - target[-1]))
     arrives = _judge_at_most(tip, threshold(file, "arrival_tolerance"), "mm from the target's end")
     length = float(np.linalg.norm(np.diff(target, axis=0), axis=1).sum())
@@ -297,18 +273,17 @@ def _judge_shapes(found: CheckResult, depth: Array, walls: list[measured.Measure
     if arrives.word == YES and detour and threshold(file, "arrival_tolerance") <= detour_mm:
         arrives = arrives._replace(word=NO, why=DETOUR)
     unit = "mm e2" + (f" in frame {int(found.e2.argmax()) + 1}" if np.isfinite(found.e2).all() else "")
-    asked = file.meta.get("options", {}).get("stability_margin")
     within_wall = Finding(NOT_COVERED, why="The file has no wall.")
-    if walls:
+    if len(deepest):
         # Tissue around a lumen gives a little; what is to be kept out of is not to be touched.
-        allowed = np.array([0.0 if wall.kept_out else threshold(file, "contact_allowed") for wall in walls])
-        deepest = depth.max(axis=(0, 1))
-        first = np.nan_to_num(deepest - allowed, nan=np.inf).argmax()
-        within_wall = _judge_at_most(float(deepest[first]), float(allowed[first]), "mm of contact")
+        allowed = np.array([0.0 if wall.kept_out else threshold(file, "contact_allowed") for wall in file.walls])
+        first = (deepest - allowed).argmax()
+        depth = float(deepest[first]) if np.isfinite(found.clearance).all() else np.nan
+        within_wall = _judge_at_most(depth, float(allowed[first]), "mm of contact")
     return {
         "arrives": arrives,
         "follows": _judge_at_most(float(found.e2.max()), threshold(file, "error_allowed"), unit),
-        "stable": _judge_stability(found.margin, found.snaps, asked),
+        "stable": _judge_stability(found.margin, found.snaps, threshold(file, "stability_margin")),
         "within_wall": within_wall,
     }
 
@@ -325,18 +300,18 @@ def _judge_solved(file: PlanFile) -> Finding:
     success, kkt = file.arrays["success"], file.arrays["kkt"]
     large = success & (kkt > MAX_KKT_MM2)
     interpolated = len(file.meta.get("interpolated", []))
-    number = float((success & ~large).sum())
+    number = float((success & (kkt <= MAX_KKT_MM2)).sum())
     if (~success).sum() > interpolated or large.any():
         return Finding(NO, number, why="Frames are not solved, or their KKT residual is large.")
     if interpolated or np.isnan(kkt).any():
-        return Finding(NOT_COVERED, number, why="Frames have no KKT residual.")
+        return Finding(NOT_COVERED, number, why="Frames have no KKT residual: no program solved them.")
     return Finding(YES, number, why="All frames are marked as solved, with small KKT residuals.")
 
 
-def _judge_stability(margin: Array, snaps: list[int], asked: float | None) -> Finding:
+def _judge_stability(margin: Array, snaps: list[int], asked: float) -> Finding:
     """Return whether a robot keeps the margin asked for at (T, 10) places of a motion, and does not snap."""
     least = float(np.nanmin(margin)) if np.isfinite(margin).any() else None
-    least_allowed = max(BIFURCATION_MARGIN, 0.0 if asked is None else float(asked) - MARGIN_SLACK)
+    least_allowed = max(BIFURCATION_MARGIN, asked - MARGIN_SLACK)
     if snaps:
         return Finding(NO, least, why=f"The robot snaps on the way to frame {snaps[0]}.")
     if least is None or not np.isfinite(margin).all():
@@ -346,12 +321,13 @@ def _judge_stability(margin: Array, snaps: list[int], asked: float | None) -> Fi
     return judge(left >= 0, least, left, f"The least margin is around frame {frame}.")
 
 
-def _judge_limits(robot: dict[str, Any], q: Array, dt: float) -> Finding:
-    """Return whether all of q (T, 2d + 2) is allowed; the number is the largest part of a rate used, %.
+def _judge_limits(file: PlanFile) -> Finding:
+    """Return whether positions and steps of a motion are allowed; the number is the largest part of a rate, %.
 
     distance: how much is left to the limit that a motion exceeds by most, or comes nearest to, rad or mm a frame.
     """
-    tubes, limits = robot["tubes"], robot["limits"]
+    tubes, limits = (file.meta["robot"][name] for name in ("tubes", "limits"))
+    q, dt = file.q, float(file.arrays["time"][0])
     if not np.isfinite(q).all():
         return Finding(NOT_COVERED, why="Frames have no configuration.")
     d = len(tubes)
@@ -398,30 +374,28 @@ def _take_samples(file: PlanFile, count: int) -> tuple[Array, Array] | None:
     if not uniform or np.any(tolerances["diameter"]):
         return None
     random = np.random.default_rng(0)
-    parts = random.uniform(-1, 1, (count, d, len(DEVIATIONS))) * read_bands(tolerances, d)
-    return parts, random.uniform(0, 1, (count, d)) * tolerances["rotation_lag"]
+    drawn = random.uniform(-1, 1, (count, d, len(DEVIATIONS))) * read_bands(tolerances, d)
+    return drawn[..., :-1], abs(drawn[..., -1])
 
 
 def read_bands(tolerances: dict[str, Any], d: int) -> Array:
-    """Return half the widths (d, 5) of the bands of tolerances, in the order of `DEVIATIONS`."""
+    """Return half the widths (d, 6) of the bands of tolerances, in the order of `DEVIATIONS`."""
     return np.stack([np.broadcast_to(tolerances[name], d) for name in DEVIATIONS], axis=1)
 
 
 def _move_samples(
-    found: CheckResult,
-    q: Array,
-    nominal_tips: Array,
-    walls: list[measured.MeasuredWall],
-    drawn: tuple[Array, Array],
-) -> CheckResult:
-    """Return a result with how samples fare that are moved through q (T, 2d + 2).
+    file: PlanFile, q: Array, nominal_tips: Array, drawn: tuple[Array, Array], settle: Settle | None
+) -> dict[str, Array]:
+    """Return how samples fare that are moved through q (T, 2d + 2), and whether they are lost.
 
-    nominal_tips (T, d): angles of the nominal robot's tips, rad. drawn: differences and plays of the samples.
+    As in ``CheckResult.samples``, without what is judged. nominal_tips (T, d): angles of the nominal robot's tips,
+    rad. drawn: differences and plays of the samples.
     """
-    file, count = found.file, len(drawn[0])
-    lost, contact = np.zeros(count, dtype=bool), np.full(count, -np.inf if walls else np.nan)
-    tips, e2 = np.full((count, 3), np.nan), np.full((count, len(q)), np.nan)
-    follower = Follower(read_tubes(file.meta["robot"], drawn[0]), q[0, nominal_tips.shape[1] - 1], drawn[1].T)
+    count, walls = len(drawn[0]), file.walls
+    lost, contacts = np.zeros(count, dtype=bool), np.full(count, -np.inf if walls else np.nan)
+    tips, errors = np.full((count, 3), np.nan), np.full((count, len(q)), np.nan)
+    robots = read_tubes(file.meta["robot"], drawn[0])
+    follower = Follower(robots, q[0, len(robots.zero) - 1], drawn[1].T, settle)
     for frame in move_through(follower, q, SAMPLE_PART):
         rows = np.flatnonzero(~follower.gone)
         if not len(rows):
@@ -430,37 +404,40 @@ def _move_samples(
         lost[rows] |= (abs(apart - apart[-1:]) > OTHER_BRANCH_RAD).any(axis=0)
         body = compute_body(follower.twist(rows), np.repeat(q[frame, -2:, None], len(rows), axis=1))
         points = body.interpolate(SIGMA)
-        e2[rows, frame], tips[rows] = measure_errors(points, file.arrays["target"][frame]), points[:, -1]
-        for wall in walls:
-            depth = measured.find_deepest_contact(wall, body, exactly=False)
+        errors[rows, frame], tips[rows] = measure_errors(points, file.arrays["target"][frame]), points[:, -1]
+        if walls:
+            points, radius = body.find_places(PLACES_MM)
+            depth = -measure_clearance(walls, points, radius, exactly=False).min(axis=1)
             # Only where it may be the deepest of a robot's motion, contact is measured at the triangles.
-            question = depth > np.maximum(contact[rows], -measured.MEASURED_MM) - measured.FIELD_ERROR_MM
-            if question.any():
-                depth[question] = measured.find_deepest_contact(wall, body.select(np.flatnonzero(question)))
-            contact[rows] = np.maximum(contact[rows], np.where(question, depth, -measured.MEASURED_MM))
-    lost |= follower.snapped
-    tips[lost] = contact[lost] = e2[lost] = np.nan
-    missed = ~(
-        np.linalg.norm(tips - file.arrays["target"][-1, -1], axis=-1) <= threshold(file, "arrival_tolerance")
-    )
-    missed |= found.findings["arrives"].why == DETOUR
-    pressed = ~lost & (contact > sample_contact_allowed(file))
-    found = replace(found, lost=lost, missed=~lost & missed, pressed=pressed)
-    return replace(found, sample_tips=tips, sample_contact=contact, sample_e2=e2)
+            some = depth > np.maximum(contacts[rows], 0.0) - FIELD_ERROR_MM
+            depth[some] = -measure_clearance(walls, points[some], radius[some]).min(axis=1)
+            contacts[rows] = np.maximum(contacts[rows], depth)
+    lost |= follower.snapped | follower.gone
+    tips[lost] = contacts[lost] = errors[lost] = np.nan
+    return {"lost": lost, "tips": tips, "contacts": contacts, "errors": errors}
 
 
-def _judge_samples(found: CheckResult) -> Finding:
-    """Return whether enough of the samples that were moved hold."""
-    share = float((~(found.lost | found.missed | found.pressed)).mean())
-    needed = threshold(found.file, "share")
-    lost, missed, pressed = (each.sum() for each in (found.lost, found.missed, found.pressed))
-    why = f"{lost} of {len(found.lost)} are lost, {missed} miss, {pressed} press."
-    return judge(share >= needed, share, share - needed, why)
+def _judge_samples(found: CheckResult, samples: dict[str, Array]) -> CheckResult:
+    """Return a result with samples that were moved: which of them fail, and whether enough of them hold."""
+    file, kept = found.file, ~samples["lost"]
+    away = np.linalg.norm(samples["tips"] - file.arrays["target"][-1, -1], axis=-1)
+    arrival = threshold(file, "arrival_tolerance")
+    press = max(SAMPLE_CONTACT_MM, threshold(file, "contact_allowed"))
+    missed = kept & (~(away <= arrival) | (found.findings["arrives"].why == DETOUR))
+    samples = samples | {"missed": missed, "pressed": kept & (samples["contacts"] > press)}
+    near = np.minimum(abs(away - arrival), abs(np.nan_to_num(samples["contacts"]) - press)) <= SAMPLE_TOLERANCE_MM
+    failed = [samples[name] for name in ("lost", "missed", "pressed")]
+    share, needed = float((~np.any(failed, axis=0)).mean()), threshold(file, "share")
+    lost, missing, pressing = (flags.sum() for flags in failed)
+    why = f"{lost} of {len(kept)} are lost, {missing} miss, {pressing} press."
+    findings = found.findings | {"holds": judge(share >= needed, share, share - needed, why)}
+    borderline = int((kept & near).sum())
+    return replace(found, findings=findings, moved=len(kept), borderline=borderline, samples=samples)
 
 
 def compute_dominant_shapes(file: PlanFile) -> Array:
     """Return the shapes (T, 101, 3), mm, of a plan's motion on the dominant stiffness model."""
     alpha, beta, theta = (file.arrays[name].T for name in ("alpha", "beta", "theta"))
-    tubes = make_dominant(read_tubes(file.meta["robot"])).repeat(alpha.shape[1])
+    tubes = make_dominant(file.tubes).repeat(alpha.shape[1])
     twist = integrate(tubes, alpha, beta, np.zeros_like(alpha), sensitivities=False)
     return compute_body(twist, theta).interpolate(SIGMA)

@@ -8,16 +8,12 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ctr_nlp.check import checker
-from ctr_nlp.check.checker import NO, NOT_COVERED, VERDICTS, YES, CheckResult
-from ctr_nlp.check.records import RECORDS, SAMPLE_SHARE, SAMPLE_TOLERANCE_MM
+from ctr_nlp.check.checker import NO, NOT_COVERED, SHAPE_VERDICTS, VERDICTS, YES, CheckResult
+from ctr_nlp.check.records import DEEP_MM, RECORDS, SAMPLE_SHARE
 
 VERDICT_TOLERANCES = {"arrives": 0.05, "follows": 0.05, "stable": 0.005, "within_wall": 0.1, "holds": SAMPLE_SHARE}
 """By how much numbers of verdicts may differ, and how near to its threshold a number must be where words differ:
 mm, of the margin, and share of the samples. The words *solved* and *within_limits* may not differ."""
-SHAPE_VERDICTS = "arrives", "follows", "stable", "within_wall", "holds"
-"""Verdicts that depend on the model."""
-DEEP_MM = 5.0
-"""Contact beyond which numbers are not compared: the nearest place of the path is not unique there."""
 
 
 class Opinion(NamedTuple):
@@ -69,39 +65,31 @@ def compare_verdicts(found: CheckResult, own: Mapping[str, Any]) -> list[Opinion
     for name in (*VERDICTS, *RECORDS):
         finding, verdict = found.findings[name], own.get(name)
         word, number = (None, None) if verdict is None else (verdict.word, verdict.number)
-        if name in RECORDS or verdict is None:
-            agrees = name not in RECORDS or finding.word != NO
-        else:
-            agrees = _agree(name, found, word, number) or (name in SHAPE_VERDICTS and not same_model)
+        agrees = name in VERDICTS or finding.word != NO
+        if verdict is not None and (same_model or name not in SHAPE_VERDICTS):
+            agrees = _agree(name, found, word, number)
         opinions.append(Opinion(name, word, number, finding.word, finding.number, agrees, finding.why))
     return opinions
-
-
-def count_borderline_samples(found: CheckResult) -> int:
-    """Return how many samples miss or keep a limit by no more than recorded results may differ."""
-    pressing = abs(found.sample_contact - checker.sample_contact_allowed(found.file)) <= SAMPLE_TOLERANCE_MM
-    arriving = abs(found.sample_tip - checker.threshold(found.file, "arrival_tolerance")) <= SAMPLE_TOLERANCE_MM
-    return int((~found.lost & (pressing | arriving)).sum())
 
 
 def _agree(name: str, found: CheckResult, word: str | None, number: float | None) -> bool:
     """Return whether the plan's word and number of a verdict are those found, within its tolerance."""
     finding, tolerance = found.findings[name], VERDICT_TOLERANCES.get(name, 0.0)
-    if name == "holds" and len(found.lost):
-        # Samples that near to their limits may fail in one view alone, and one more; 1e-9 covers rounding.
-        tolerance = max(tolerance, (1 + count_borderline_samples(found)) / len(found.lost)) + 1e-9
     if finding.word == NOT_COVERED or word not in (YES, NO):
         return True
-    worse = {"stable": -1, "within_wall": 1}.get(name, 0)
-    if checker.is_later_part(found.file) and number is not None and worse * (number - (finding.number or 0.0)) > 0:
-        return True  # the plan counts the way to its first frame as well
+    if name == "holds" and found.moved:
+        # Samples that near to their limits may fail in one view alone, and one more; 1e-9 covers rounding.
+        tolerance = max(tolerance, (1 + found.borderline) / found.moved) + 1e-9
+    if checker.is_later_part(found.file) and number is not None and finding.number is not None:
+        worse = {"stable": finding.number - number, "within_wall": number - finding.number}
+        if worse.get(name, 0.0) > 0:
+            return True  # the plan counts the way to its first frame as well
     if word != finding.word:
         return finding.distance is not None and abs(finding.distance) <= tolerance
     if name not in VERDICT_TOLERANCES or number is None or finding.number is None or found.snaps:
         return True
     own, theirs = (max(value, 0.0) if name == "within_wall" else value for value in (number, finding.number))
-    if name == "within_wall" and min(own, theirs) > DEEP_MM:
-        return True
-    if name == "holds" and len(found.lost) < len(found.file.arrays.get("draws_parts", ())):
-        return True  # a share of some of the samples; the record of each is compared
-    return abs(own - theirs) <= tolerance
+    deep = name == "within_wall" and min(own, theirs) > DEEP_MM
+    # Of some of the samples the share may be another one; the record of each is compared.
+    some = name == "holds" and found.moved < len(found.file.arrays.get("draws_parts", ()))
+    return deep or some or abs(own - theirs) <= tolerance

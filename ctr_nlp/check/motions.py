@@ -59,6 +59,7 @@ class Follower:
         self._lags = lags + np.zeros_like(tubes.zero)
         self._settle = settle
         self._trend = np.zeros_like(tubes.zero)
+        self._begun = False
 
     def twist(self, rows: Array) -> Twist:
         """The tubes of some robots as they are now."""
@@ -75,10 +76,12 @@ class Follower:
 
         def place(part: Array, rows: Array) -> tuple[Array, Array]:
             """Alpha and beta (d, m) of tubes of robots (m,) at parts (m,) of the way."""
+            # Motors' zeros grow on the first way, as no equilibrium is known of tubes that begin turned.
             # Every motor turns one way between frames, so that play depends on where it is now alone.
+            zero = self.tubes.zero[:, rows] * (1.0 if self._begun else part)
             alpha, beta = np.split(before[:, rows] + (after - before)[:, rows] * part, 2)
             lag = self._lags[:, rows]
-            return np.clip(self.tube[:, rows], alpha - lag, alpha + lag) + self.tubes.zero[:, rows], beta
+            return np.clip(self.tube[:, rows], alpha - lag, alpha + lag) + zero, beta
 
         part, step = np.full(len(self.gone), start), np.full(len(self.gone), longest)
         rows = np.flatnonzero(~self.gone)
@@ -95,7 +98,7 @@ class Follower:
             rows = rows[~self.gone[rows] & (part[rows] < end)]
         every = np.arange(len(self.gone))
         alpha, self.beta = place(np.full(len(every), end), every)
-        self.tube = alpha - self.tubes.zero
+        self.tube, self._begun = alpha - self.tubes.zero, True
 
     def _leave_branch(self, row: Array, before: tuple[Array, Array], after: tuple[Array, Array]) -> None:
         """Let one robot, row (1,), whose equilibrium ends come to rest at the configuration after it."""
@@ -169,8 +172,8 @@ class NominalMotion:
     tip_angles: Array
     snaps: list[int]
 
-    def twists(self, chosen: Array) -> tuple[Twist, Array]:
-        """The tubes integrated anew where a mask (T, substeps) says, and theta (2, n) there."""
+    def twists(self, chosen: Any) -> tuple[Twist, Array]:
+        """The tubes integrated anew at chosen frames and sub-steps, an index of both, and theta (2, n) there."""
         d = self.rates.shape[-1]
         q = self.q[chosen].T
         tubes = self.tubes.repeat(q.shape[1])

@@ -5,31 +5,34 @@ from __future__ import annotations
 import hashlib
 import json
 import zipfile
+from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
-from ctr_nlp.check.tubes import Array
+from ctr_nlp.check.tubes import Array, Tubes, read_tubes
+from ctr_nlp.check.walls import Wall, read_walls
 
-DIGESTED_ARRAYS = (
-    *("time", "solve_time", "success", "objective", "kkt", "stability", "stability_between", "alpha", "beta"),
-    *("theta", "target", "shape", "target_direction", "tip_direction", "lumen_radius", "clearance"),
-    *("clearance_between", "wall_clearance", "wall_clearance_between", "truth", "free", "to_robot", "lumen"),
-)
-"""Arrays that the digest covers, besides those of samples and of walls; a file may hold others."""
-DIGESTED_PREFIXES = "draws_", "walls_"
 NEEDED_ARRAYS = (
     *("time", "alpha", "beta", "theta", "target", "target_direction", "shape"),
     *("success", "kkt", "stability", "stability_between", "to_robot"),
 )
+DIGESTED_ARRAYS = (
+    *("solve_time", "objective", "tip_direction", "lumen", "lumen_radius", "clearance", "clearance_between"),
+    *("wall_clearance", "wall_clearance_between", "truth", "free", *NEEDED_ARRAYS),
+)
+"""Arrays that the digest covers, besides those of samples and of walls; a file may hold others."""
+DIGESTED_PREFIXES = "draws_", "walls_"
 
 
 class CheckError(ValueError):
     """A file that the checker cannot read as a plan."""
 
 
-class PlanFile(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class PlanFile:
     """Content of a plan.npz.
 
     Attributes
@@ -48,6 +51,21 @@ class PlanFile(NamedTuple):
     meta: dict[str, Any]
     digest: str | None
     content_digest: str
+
+    @cached_property
+    def q(self) -> Array:
+        """Configurations (T, 2d + 2): angles in rad, extensions in mm, tilts in rad."""
+        return np.concatenate([self.arrays[name] for name in ("alpha", "beta", "theta")], axis=1)
+
+    @cached_property
+    def tubes(self) -> Tubes:
+        """The robot as described."""
+        return read_tubes(self.meta["robot"])
+
+    @cached_property
+    def walls(self) -> list[Wall]:
+        """The walls, an empty list without any."""
+        return read_walls(self.arrays, self.meta)
 
 
 def read_plan_file(path: str | Path) -> PlanFile:
@@ -70,28 +88,24 @@ def read_plan_file(path: str | Path) -> PlanFile:
     """
     try:
         if not zipfile.is_zipfile(path):
-            raise CheckError(f"{path} cannot be read as a plan: it is missing, or no archive of arrays (.npz)")
+            raise ValueError("it is missing, or no archive of arrays (.npz)")
         with np.load(path, allow_pickle=False) as data:
             arrays = {name: data[name] for name in data.files}
         text, saved = str(arrays.pop("meta")), arrays.pop("digest", None)
         meta = json.loads(text)
-    except CheckError:
-        raise
     except (OSError, KeyError, TypeError, ValueError, EOFError, zipfile.BadZipFile) as error:
         raise CheckError(f"{path} cannot be read as a plan: {error}") from error
     missing = [name for name in NEEDED_ARRAYS if name not in arrays]
     if missing or not isinstance(meta, dict) or not {"robot", "problem", "model"} <= set(meta):
-        raise CheckError(
-            f"{path} is no plan: it has no {', '.join(missing) or 'robot, problem and model in meta'}"
-        )
+        what = ", ".join(missing) or "robot, problem and model in meta"
+        raise CheckError(f"{path} is no plan: it has no {what}")
     frames = {len(np.atleast_1d(arrays[name])) for name in NEEDED_ARRAYS if name != "to_robot"}
     if len(frames) > 1 or 0 in frames:
         raise CheckError(
             f"{path} is damaged: its arrays have {sorted(frames)} frames; all must have the same number"
         )
     found = hashlib.sha256(text.encode(errors="backslashreplace"))
-    for name in sorted(arrays):
+    for name, array in sorted(arrays.items()):
         if name in DIGESTED_ARRAYS or name.startswith(DIGESTED_PREFIXES):
-            array = np.ascontiguousarray(arrays[name])
-            found.update(f"\n{name} {array.dtype.str} {arrays[name].shape}\n".encode() + array.tobytes())
+            found.update(f"\n{name} {array.dtype.str} {array.shape}\n".encode() + array.tobytes())
     return PlanFile(arrays, meta, None if saved is None else str(saved), found.hexdigest())

@@ -8,30 +8,28 @@ from pathlib import Path
 import numpy as np
 
 from ctr_nlp.check import checker
-from ctr_nlp.check.checker import NO, NOT_COVERED, CheckResult, Finding, judge
+from ctr_nlp.check.checker import NO, NOT_COVERED, SAMPLE_TOLERANCE_MM, CheckResult, Finding, judge
 from ctr_nlp.check.motions import Settle
 from ctr_nlp.check.plan_file import CheckError, PlanFile, read_plan_file
-from ctr_nlp.check.tubes import Array, read_tubes
-from ctr_nlp.check.walls import FIELD_ERROR_MM, FieldWall, LumenWall, read_walls
+from ctr_nlp.check.tubes import Array
+from ctr_nlp.check.walls import FIELD_ERROR_MM, FieldWall, LumenWall, measure_clearance
 
-SHAPE_TOLERANCE_MM = 0.05
-"""By how much recorded shapes may differ from those found."""
-MARGIN_TOLERANCE = 0.005
-"""By how much recorded margins may differ from those found."""
-MARGIN_RELATIVE_TOLERANCE = 0.02
-"""Part of a margin by which it may differ besides: planners integrate long sections of tubes whose curvature
-varies in few steps, and a margin of 0.6 was 0.013 off there.
-"""
 CLEARANCE_TOLERANCE_MM = 0.1
 """By how much recorded clearances may differ from those found, and points of the source from the lumen's path."""
-SAMPLE_TOLERANCE_MM = 0.15
-"""By how much tips, errors and contacts of samples may differ: samples are moved in coarser steps."""
+TOLERANCES = {
+    "shapes": (0.05, 0.0, " mm"),
+    "margins": (0.002, 0.005, ""),
+    "clearances": (CLEARANCE_TOLERANCE_MM, 0.0, " mm"),
+}
+"""By how much recorded values may differ from those found, the part of a value by which they may besides, unit."""
 SAMPLE_SHARE = 0.02
 """Part of the samples, at least one, whose outcome may differ: near a fold it depends on the size of the steps."""
+SAME_TIME = 1e-6
+"""Part of the duration by which times may differ."""
 BODY_TOLERANCE_MM = 1.0
 """By how much a path may leave the surface of a mask, whose voxels are about so large."""
 DEEP_MM = 5.0
-"""Contact in mm beyond which clearances are not compared: the nearest place of the path is not unique there."""
+"""Contact beyond which clearances are not compared: the nearest place of the path is not unique there."""
 NEAR_BIFURCATION = 0.01
 """A stability margin: from the first frame below it, the size of steps may decide on the branch."""
 FALSE_ALARM = 1e-6
@@ -98,15 +96,14 @@ def _check_digest(file: PlanFile) -> Finding:
 
 def _check_times(file: PlanFile) -> Finding:
     """Return whether frames are evenly spaced in time, and end after the duration of the problem."""
-    time, problem = file.arrays["time"], file.meta["problem"]
-    uneven = abs(np.diff(time, prepend=0.0) - time[0]).max()
-    if not uneven <= 1e-6 * time[-1]:
-        return Finding(NO, float(uneven), why="Frames are not evenly spaced in time.")
-    duration = problem.get("duration")
+    time, problem, duration = file.arrays["time"], file.meta["problem"], file.meta["problem"].get("duration")
+    uneven = float(abs(np.diff(time, prepend=0.0) - time[0]).max())
+    if not uneven <= SAME_TIME * time[-1]:
+        return Finding(NO, uneven, why="Frames are not evenly spaced in time.")
     if duration is None:
         return Finding(NOT_COVERED, why="The file has no duration of the problem.")
     late = float(time[-1] - duration)
-    in_time = abs(late) <= 1e-6 * time[-1] and problem.get("frames", len(time)) == len(time)
+    in_time = abs(late) <= SAME_TIME * time[-1] and problem.get("frames", len(time)) == len(time)
     return judge(in_time, late, why=f"{len(time)} frames end at {time[-1]:g} s; the problem takes {duration:g} s.")
 
 
@@ -124,7 +121,7 @@ def _check_frames_of_reference(file: PlanFile, source: str | Path | None) -> Fin
         off = float(abs(LumenWall(arrays["lumen"]).left(target) - arrays["lumen_radius"][-1]).max())
         if off > allowed:
             return Finding(NO, off, why=f"Targets are off the lumen's path, or radii differ, by {off:.2f} mm.")
-    inside = [wall for wall in read_walls(arrays, file.meta) if not wall.kept_out]
+    inside = [wall for wall in file.walls if not wall.kept_out]
     outside = max([-float(wall.left_exactly(target).min()) for wall in inside], default=0.0)
     if outside > max(allowed, BODY_TOLERANCE_MM if any(isinstance(wall, FieldWall) for wall in inside) else 0.0):
         return Finding(NO, outside, why=f"Targets are {outside:.2f} mm outside of the wall.")
@@ -151,13 +148,9 @@ def _read_source(path: Path) -> Array:
         raise CheckError(f"{path} cannot be read as a centreline: {error}; {wanted}") from error
 
 
-def _compare(
-    name: str, recorded: Array, found: Array, tolerance: float, unit: str, relative: float = 0.0
-) -> Finding:
-    """Return whether recorded values differ from found ones by at most a tolerance; frames are the first axis.
-
-    relative: part of a value by which it may differ besides.
-    """
+def _compare(name: str, recorded: Array, found: Array) -> Finding:
+    """Return whether recorded values are those found, within their tolerance; frames are the first axis."""
+    tolerance, relative, unit = TOLERANCES[name]
     known = np.isfinite(found)
     if not known.any():
         return Finding(NOT_COVERED, why=f"No {name} were found to compare with.")
@@ -189,11 +182,8 @@ def _check_motion(found: CheckResult) -> tuple[Finding, Finding, Finding]:
         shape = np.where(np.arange(len(shape))[:, None, None] < first, shape, np.nan)
         own = np.stack([found.margin[:, -1], find_least_on_way(found.file, found.margin)], axis=1)
         recorded = np.stack([arrays[name] for name in ("stability", "stability_between")], axis=1)
-        margins = _compare(
-            "margins", recorded[:first], own[:first], MARGIN_TOLERANCE, "", MARGIN_RELATIVE_TOLERANCE
-        )
-    shapes = _compare("shapes", arrays["shape"], shape, SHAPE_TOLERANCE_MM, " mm")
-    return shapes, margins, _check_clearances(found, shape)
+        margins = _compare("margins", recorded[:first], own[:first])
+    return _compare("shapes", arrays["shape"], shape), margins, _check_clearances(found, shape)
 
 
 def find_least_on_way(file: PlanFile, values: Array) -> Array:
@@ -210,15 +200,14 @@ def find_least_on_way(file: PlanFile, values: Array) -> Array:
 
 def _check_clearances(found: CheckResult, shape: Array) -> Finding:
     """Return whether recorded clearances are those of shapes (T, 101, 3), mm, and of the way between frames."""
-    arrays = found.file.arrays
-    walls = read_walls(arrays, found.file.meta)
+    arrays, walls = found.file.arrays, found.file.walls
     if not walls or "clearance" not in arrays:
         why = "The file has a wall, and no clearances." if walls else "The file has no wall."
         return Finding(NO if walls or "clearance" in arrays else NOT_COVERED, why=why)
-    radius = read_tubes(found.file.meta["robot"]).repeat(len(shape)).radius
+    radius = checker.find_radius(arrays["beta"].T, found.file.tubes.repeat(len(shape)).radius)
     known = np.isfinite(shape).all(axis=(1, 2))
     own = np.full((len(shape), 2, shape.shape[1]), np.nan)
-    own[known, 0] = checker.measure_clearance(walls, shape[known], arrays["beta"][known].T, radius[:, known])
+    own[known, 0] = measure_clearance(walls, shape[known], radius[known])
     recorded = np.stack([arrays["clearance"], arrays.get("clearance_between", arrays["clearance"])], axis=1)
     if np.isfinite(arrays["stability"]).any() and "clearance_between" in arrays:
         own[known, 1] = find_least_on_way(found.file, found.clearance)[known]
@@ -228,31 +217,26 @@ def _check_clearances(found: CheckResult, shape: Array) -> Finding:
     least = np.nanmin(np.where(np.isnan(own), np.inf, own), axis=2, keepdims=True)
     aside = (own > least + CLEARANCE_TOLERANCE_MM) & (abs(own - recorded) < FIELD_ERROR_MM)
     own = np.where(aside & (recorded > least), recorded, own)
-    return _compare("clearances", recorded, own, CLEARANCE_TOLERANCE_MM, " mm")
+    return _compare("clearances", recorded, own)
 
 
 def _check_samples(found: CheckResult) -> Finding:
     """Return whether the recorded results of samples are those found."""
-    arrays = found.file.arrays
-    count = len(found.lost)
-    if not count or "draws_parts" not in arrays or found.findings["holds"].word == NOT_COVERED:
+    arrays, count = found.file.arrays, found.moved
+    if not count or "draws_parts" not in arrays:
         return Finding(NOT_COVERED, why=found.findings["holds"].why or "No recorded samples were moved.")
-    lost = arrays["draws_lost"][:count] > 0
-    both = ~(lost | found.lost)
-    contact = np.maximum(-arrays["draws_clearance"][:count], 0.0)
-    tips = arrays["draws_cloud"][-1, :count, -1].astype(float)
+    lost, recorded = found.samples["lost"], arrays["draws_lost"][:count] > 0
+    contacts = np.maximum(found.samples["contacts"], 0.0) - np.maximum(-arrays["draws_clearance"][:count], 0.0)
     apart = {
-        "tips": np.linalg.norm(tips - found.sample_tips, axis=-1),
-        "contacts": abs(contact - np.maximum(found.sample_contact, 0.0)),
-        "errors": abs(arrays["draws_e2"][:count] - found.sample_e2).max(axis=1),
+        "tips": np.linalg.norm(found.samples["tips"] - arrays["draws_cloud"][-1, :count, -1], axis=-1),
+        # Without a wall, contacts are NaN on both sides.
+        "contacts": np.where(np.isnan(arrays["draws_clearance"][:count]), 0.0, abs(contacts)),
+        "errors": abs(found.samples["errors"] - arrays["draws_e2"][:count]).max(axis=1),
     }
-    off = lost != found.lost
-    reasons = [f"{off.sum()} are lost in one view only"] * bool(off.any())
-    for name, values in apart.items():
-        # Contacts without a wall are NaN on both sides; other values must be known.
-        wrong = both & ~(values <= SAMPLE_TOLERANCE_MM) & ~((name == "contacts") & np.isnan(values))
-        reasons += [f"{name} of {wrong.sum()} differ"] * bool(wrong.any())
-        off = off | wrong
+    wrong = {name: ~(lost | recorded) & ~(values <= SAMPLE_TOLERANCE_MM) for name, values in apart.items()}
+    off = np.any([lost != recorded, *wrong.values()], axis=0)
+    reasons = [f"{(lost != recorded).sum()} are lost in one view only"] * bool((lost != recorded).any())
+    reasons += [f"{name} of {flags.sum()} differ" for name, flags in wrong.items() if flags.any()]
     why = f"{off.sum()} of {count} samples differ" + (f": {', '.join(reasons)}." if reasons else ".")
     return judge(off.sum() <= max(1, int(SAMPLE_SHARE * count)), float(off.sum()), why=why)
 
@@ -262,24 +246,20 @@ def _check_tolerances(file: PlanFile) -> Finding:
     tolerances, d = file.meta["robot"].get("tolerances"), len(file.meta["robot"]["tubes"])
     if "draws_parts" not in file.arrays or tolerances is None:
         return Finding(NOT_COVERED, why="The file has no samples.")
-    parts, lags = file.arrays["draws_parts"], file.arrays["draws_lags"]
-    bands = checker.read_bands(tolerances, d)
-    least = FALSE_ALARM ** (1 / len(parts))  # of a band's half width, that the largest difference reaches
+    parts = np.concatenate([file.arrays["draws_parts"], file.arrays["draws_lags"][..., None]], axis=2)
+    bands, largest = checker.read_bands(tolerances, d), abs(parts).max(axis=0)
+    # Uniform samples stay within their bands, and the largest of n is less than a part x of a band with
+    # probability x^n.
+    wrong = (largest > bands * (1 + 1e-9)) | (largest < bands * FALSE_ALARM ** (1 / len(parts)))
+    # Diameters change the stiffness, too.
+    wrong[:, 1] &= ~(np.broadcast_to(tolerances["diameter"], d) > 0)
     if tolerances["covariance"] is not None or tolerances["distribution"] == "normal":
-        variance = bands**2 / 3
+        variance = bands[:, :-1] ** 2 / 3
         if tolerances["covariance"] is not None:
             variance = np.diag(np.array(tolerances["covariance"])).reshape(d, -1)
-        ratio = (parts**2).mean(axis=0) / np.where(variance > 0, variance, np.nan)
+        ratio = (parts[..., :-1] ** 2).mean(axis=0) / np.where(variance > 0, variance, np.nan)
         spread = 6 * np.sqrt(2 / len(parts))
-        wrong = (abs(ratio - 1) > spread) | ((variance <= 0) & (abs(parts).max(axis=0) > 0))
-    else:
-        largest = abs(parts).max(axis=0)
-        wrong = (largest > bands * (1 + 1e-9)) | (largest < bands * least)
-        # Diameters change the stiffness, too.
-        wrong[:, 1] &= ~(np.broadcast_to(tolerances["diameter"], d) > 0)
-    plays = np.broadcast_to(tolerances["rotation_lag"], d)
-    lagged = (lags.max(axis=0) > plays * (1 + 1e-9)) | (lags.max(axis=0) < plays * least)
+        wrong[:, :-1] = (abs(ratio - 1) > spread) | ((variance <= 0) & (largest[:, :-1] > 0))
     names = [name for name, bad in zip(checker.DEVIATIONS, wrong.any(axis=0), strict=True) if bad]
-    names += ["rotation_lag"] * bool(lagged.any())
     why = f"Samples do not have the tolerances of {', '.join(names)}." if names else "Samples fill the tolerances."
     return judge(not names, float(len(names)), why=why)

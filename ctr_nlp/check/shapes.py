@@ -20,17 +20,14 @@ GAUSS = 0.5 - np.sqrt(3) / 6, 0.5 + np.sqrt(3) / 6
 class RobotShape:
     """Shapes of n robots at the ends of N steps: s (N + 1, n) mm, points and unit tangents (N + 1, n, 3).
 
-    radius (N, n): of the outermost tube on each step, mm. Between ends a shape is a cubic in s.
+    radius (N, n): of the outermost tube on each step, mm, 0 on steps of no length. Between ends a shape is a cubic
+    in s.
     """
 
     s: Array
     points: Array
     tangents: Array
     radius: Array
-
-    def select(self, rows: Array) -> RobotShape:
-        """Return the shapes of some of the robots; rows: their numbers."""
-        return RobotShape(self.s[:, rows], self.points[:, rows], self.tangents[:, rows], self.radius[:, rows])
 
     def interpolate(self, sigma: Array) -> Array:
         """Return points (n, m, 3) mm at parts sigma (m,) of the whole length."""
@@ -41,6 +38,16 @@ class RobotShape:
         h = self.s[step + 1, rows] - self.s[step, rows]
         z = np.clip((s - self.s[step, rows]) / np.maximum(h, 1e-12), 0.0, 1.0)
         return self.points_in_steps(step, rows, z)
+
+    def find_places(self, spacing: float) -> tuple[Array, Array]:
+        """Return points (n, m, 3), mm, at most `spacing` apart, and the radii (n, m) of the robots there.
+
+        Both ends of every step count: where a tube ends, the place belongs to the wider tube as well.
+        """
+        parts = int(np.ceil(np.diff(self.s, axis=0).max() / spacing))
+        step = np.repeat(np.arange(len(self.radius)), parts + 1)
+        fraction = np.tile(np.linspace(0, 1, parts + 1), len(self.radius))
+        return self.points_in_steps(step, np.arange(self.s.shape[1])[:, None], fraction), self.radius[step].T
 
     def points_in_steps(self, step: Array, row: Array, fraction: Array) -> Array:
         """Return points (.., 3) mm at fractions (..,) of steps (..,) of robots (..,)."""
@@ -67,4 +74,5 @@ def compute_body(twist: Twist, theta: Array) -> RobotShape:
     bent = d1[:-1] * start.real + d2[:-1] * start.imag - d1[1:] * end.real - d2[1:] * end.imag
     steps = h / 2 * (t[:-1] + t[1:]) + h**2 / 12 * bent
     points = np.cumsum(np.concatenate([np.zeros_like(steps[:1]), steps]), axis=0)
-    return RobotShape(twist.s, points, t, np.take_along_axis(twist.tubes.radius, twist.outermost, axis=0))
+    radius = np.where(twist.h > 0, np.take_along_axis(twist.tubes.radius, twist.outermost, axis=0), 0.0)
+    return RobotShape(twist.s, points, t, radius)

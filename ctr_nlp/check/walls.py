@@ -1,4 +1,4 @@
-"""Walls of a plan's file, and the depth of robots in them, by nearest-point search and by evaluation of splines.
+"""Walls of a plan's file, and the clearance of robots in them, by nearest-point search and evaluation of splines.
 
 A lumen is a path with a radius; its clearance at a point is the radius at the nearest place of the path less the
 distance to it. A body is a signed distance, positive inside, that the file holds as coefficients of tricubic
@@ -8,20 +8,16 @@ triangles of the surface, the clearances that decide are measured at these.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 from scipy.ndimage import map_coordinates
 from scipy.spatial import cKDTree
 
-from ctr_nlp.check.shapes import RobotShape
 from ctr_nlp.check.tubes import Array
 
 WALL_SPACING_MM = 0.1
 """Between the points of a lumen's path."""
-BODY_SPACING_MM = 0.5
-"""At most, between the places along the body whose clearance is found."""
 FIELD_ERROR_MM = 0.6
 """By which the splines may be off near a surface."""
 MEASURED_MM = 1.0
@@ -47,19 +43,17 @@ class LumenWall:
         along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(table[:, :3], axis=0), axis=1))])
         even = np.linspace(0, along[-1], int(np.ceil(along[-1] / WALL_SPACING_MM)) + 1)
         fine = np.unique(np.concatenate([along, even]))
-        fine = fine[np.concatenate([[True], np.diff(fine) > 1e-9])]
+        fine = fine[np.diff(fine, prepend=-1.0) > 1e-9]
         self._table = np.stack([np.interp(fine, along, column) for column in table.T], axis=-1)
         self._tree = cKDTree(self._table[:, :3])
 
     def left(self, points: Array) -> Array:
         """Return the distance (..,) mm from points (.., 3) to the wall, negative beyond it."""
-        nearest = self._tree.query(points)[1]
-        k = np.clip(nearest[..., None] + [-1, 0], 0, len(self._table) - 2)
-        start, points = self._table[k], points[..., None, :]
-        span = self._table[k + 1] - start
-        z = ((points - start[..., :3]) * span[..., :3]).sum(axis=-1) / (span[..., :3] ** 2).sum(axis=-1)
-        foot = start + np.clip(z, 0.0, 1.0)[..., None] * span
-        distance = np.linalg.norm(points - foot[..., :3], axis=-1)
+        k = np.clip(self._tree.query(points)[1][..., None] + [-1, 0], 0, len(self._table) - 2)
+        start, span = self._table[k], self._table[k + 1] - self._table[k]
+        along = ((points[..., None, :] - start[..., :3]) * span[..., :3]).sum(axis=-1)
+        foot = start + np.clip(along / (span[..., :3] ** 2).sum(axis=-1), 0.0, 1.0)[..., None] * span
+        distance = np.linalg.norm(points[..., None, :] - foot[..., :3], axis=-1)
         best = distance.argmin(axis=-1)[..., None]
         return np.take_along_axis(foot[..., 3] - distance, best, axis=-1)[..., 0]
 
@@ -69,59 +63,44 @@ class LumenWall:
 class Triangles:
     """Triangles (m, 3) of points (n, 3), mm, whose corners turn left seen from outside.
 
-    With a a corner, p = a + s ab + t ac is a point of a triangle where s, t >= 0 and s + t <= 1. A point's nearest
-    place is the foot of its perpendicular where that is inside, else on one of the three edges; all distances
-    follow from products of ab, ac and the vector from a to the point.
+    A point's nearest place is the foot of its perpendicular on the triangle's plane where that is inside, which is
+    to the left of all three edges; else it is on one of the edges.
     """
 
     def __init__(self, points: Array, triangles: Array) -> None:
-        corners = np.asarray(points, dtype=float)[triangles]
-        middle = corners.mean(axis=1)
-        reach = np.linalg.norm(corners - middle[:, None], axis=2).max(axis=1)
+        self._corners = np.asarray(points, dtype=float)[triangles]
+        self._edges = np.roll(self._corners, -1, axis=1) - self._corners
+        across = np.cross(self._edges[:, 0], self._edges[:, 1])
+        self._normals = across / np.maximum(np.linalg.norm(across, axis=1), 1e-30)[:, None]
+        middle = self._corners.mean(axis=1)
+        reach = np.linalg.norm(self._corners - middle[:, None], axis=2).max(axis=1)
         # The few large triangles are looked at for every point; the others are found by their middles.
         large = reach > 3 * np.median(reach)
         self._large, self._small = np.flatnonzero(large), np.flatnonzero(~large)
         self._reach = float(reach[self._small].max())
         self._tree = cKDTree(middle[self._small])
-        self._corner, ab, ac = corners[:, 0], corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
-        across = np.cross(ab, ac)
-        normal = across / np.maximum(np.linalg.norm(across, axis=1), 1e-30)[:, None]
-        self._axes = np.stack([ab, ac, normal], axis=1)
-        self._products = np.stack([(ab**2).sum(axis=1), (ac**2).sum(axis=1), (ab * ac).sum(axis=1)])
 
     def signed_distance(self, points: Array) -> Array:
         """Return the distance (n,) mm of points (n, 3), positive inside."""
-        found = np.empty(len(points))
-        for row in range(0, len(points), ROWS):
-            own = points[row : row + ROWS]
-            # A triangle's middle is no further from its nearest point than the triangle reaches.
-            away = self._tree.query(own)[0] + self._reach + SAME_DISTANCE_MM
-            near = self._tree.query_ball_point(own, away)
-            members = [np.concatenate([self._small[each], self._large]) for each in near]
-            found[row : row + ROWS] = self._measure(own, members)
-        return found
+        found = [self._measure(points[k : k + ROWS]) for k in range(0, len(points), ROWS)]
+        return np.concatenate([np.empty(0), *found])
 
-    def _measure(self, points: Array, members: list[Array]) -> Array:
-        """Return signed distances (n,) of points (n, 3) from the nearest of the triangles `members` of each."""
-        counts = np.array([len(each) for each in members])
-        owner, chosen = np.repeat(np.arange(len(points)), counts), np.concatenate(members)
-        from_corner = points[owner] - self._corner[chosen]
-        square = (from_corner**2).sum(axis=1)
-        along_ab, along_ac, height = np.einsum("nki,ni->kn", self._axes[chosen], from_corner)
-        ab2, ac2, ab_ac = self._products[:, chosen]
-        area = np.maximum(ab2 * ac2 - ab_ac**2, 1e-30)
-        s, t = (ac2 * along_ab - ab_ac * along_ac) / area, (ab2 * along_ac - ab_ac * along_ab) / area
-
-        def to_edge(start: Array, along: Array, length: Array) -> Array:
-            """Squares of distances from edges, from those of their starts, projections and squared lengths."""
-            part = np.clip(along / np.maximum(length, 1e-30), 0.0, 1.0)
-            return start - 2 * part * along + part**2 * length
-
-        bc2, along_bc = ab2 + ac2 - 2 * ab_ac, along_ac - along_ab - ab_ac + ab2
-        on_bc = to_edge(square - 2 * along_ab + ab2, along_bc, bc2)
-        edges = np.minimum.reduce([to_edge(square, along_ab, ab2), to_edge(square, along_ac, ac2), on_bc])
-        inside = (s >= 0) & (t >= 0) & (s + t <= 1)
-        distance = np.sqrt(np.where(inside, height**2, np.maximum(edges, 0.0)))
+    def _measure(self, points: Array) -> Array:
+        """Return the signed distances (n,) mm of few points (n, 3)."""
+        # A triangle's middle is no further from its nearest point than the triangle reaches.
+        away = self._tree.query(points)[0] + self._reach + SAME_DISTANCE_MM
+        members = [
+            np.concatenate([self._small[k], self._large]) for k in self._tree.query_ball_point(points, away)
+        ]
+        counts, chosen = np.array([len(each) for each in members]), np.concatenate(members)
+        owner = np.repeat(np.arange(len(points)), counts)
+        from_corners, edges = points[owner][:, None] - self._corners[chosen], self._edges[chosen]
+        normals = self._normals[chosen]
+        height = (from_corners[:, 0] * normals).sum(axis=1)
+        part = (from_corners * edges).sum(axis=2) / np.maximum((edges**2).sum(axis=2), 1e-30)
+        beside = from_corners - np.clip(part, 0.0, 1.0)[..., None] * edges
+        inside = ((np.cross(edges, from_corners) * normals[:, None]).sum(axis=2) > 0).all(axis=1)
+        distance = np.where(inside, abs(height), np.sqrt((beside**2).sum(axis=2)).min(axis=1))
         starts = np.cumsum(counts) - counts
         least = np.minimum.reduceat(distance, starts)
         # At an edge or a corner, the heights over all triangles that meet there decide on the side.
@@ -138,10 +117,9 @@ class FieldWall:
     """
 
     def __init__(self, body: dict[str, Any]) -> None:
-        self._sign = -1.0 if body["keep_out"] else 1.0
-        self._margin = float(body["margin"])
-        self._grids = body["field"]["grids"]
         self.kept_out = bool(body["keep_out"])
+        self._sign, self._margin = -1.0 if self.kept_out else 1.0, float(body["margin"])
+        self._grids = body["field"]["grids"]
         surface = body.get("surface")
         self._triangles = None if surface is None else Triangles(surface["vertices"], surface["triangles"])
 
@@ -180,33 +158,17 @@ def _locate(grid: dict[str, Any], points: Array) -> tuple[Array, Array]:
     return inside, (places - inside) @ np.linalg.inv(to_grid[:3, :3]).T
 
 
-MeasuredWall = LumenWall | FieldWall
+Wall = LumenWall | FieldWall
 
 
-def read_walls(arrays: dict[str, Array], meta: dict[str, Any]) -> list[MeasuredWall]:
+def read_walls(arrays: dict[str, Array], meta: dict[str, Any]) -> list[Wall]:
     """Return the walls in a plan's arrays and meta, an empty list without any."""
     bodies = _read_bodies(arrays, meta.get("walls"))
-    walls: list[MeasuredWall] = [FieldWall(body) for body in bodies]
+    walls: list[Wall] = [FieldWall(body) for body in bodies]
     # The lumen around the path is no wall where the robot stays inside of a body.
     if "lumen" in arrays and all(body["keep_out"] for body in bodies):
         walls.append(LumenWall(arrays["lumen"]))
     return walls
-
-
-def measure_left(walls: list[MeasuredWall], points: Array, radius: Array, exactly: bool = True) -> Array:
-    """Return the clearance (n, m), mm, of points (n, m, 3) from the nearest of some walls.
-
-    radius (n, m): of the robot there, mm. exactly: whether points that may be the least of their row are measured
-    at the triangles of the walls.
-    """
-    found = np.full(radius.shape, np.inf)
-    for wall in walls:
-        clear = wall.left(points) - radius
-        if exactly:
-            small = clear <= np.minimum(clear.min(axis=1, keepdims=True) + FIELD_ERROR_MM, MEASURED_MM)
-            clear[small] = wall.left_exactly(points[small]) - radius[small]
-        found = np.minimum(found, clear)
-    return found
 
 
 def _read_bodies(arrays: dict[str, Array], packed: dict[str, Any] | None) -> list[Any]:
@@ -226,26 +188,20 @@ def _read_bodies(arrays: dict[str, Array], packed: dict[str, Any] | None) -> lis
     return list(resolve(packed["bodies"])) if packed else []
 
 
-def find_deepest_contact(wall: MeasuredWall, body: RobotShape, exactly: bool = True) -> Array:
-    """Return the deepest contact (n,) of robots, mm; negative where a robot is clear of the wall, by that much.
+def measure_clearance(
+    walls: list[Wall], points: Array, radius: Array, exactly: bool = True, together: bool = False
+) -> Array:
+    """Return the clearance (n, m), mm, of points (n, m, 3) of n robots from the nearest of some walls.
 
-    exactly: whether the places that decide are measured at the triangles of the wall.
+    radius (n, m): of the robots there, mm. exactly: whether places that may be the least of their robot are
+    measured at the triangles of the walls. together: only those that may be the least of all robots.
     """
-    lengths = np.diff(body.s, axis=0)
-    least = np.full(lengths.shape, np.inf)
-
-    def measure(chosen: Array, parts: int, left: Callable[[Array], Array]) -> None:
-        """Measure the least clearance of chosen steps (N, n) at parts + 1 places of each."""
-        step, row = np.nonzero(chosen & (lengths > 0))
-        # Both ends of every step count: where a tube ends, the place belongs to the wider tube as well.
-        points = body.points_in_steps(step[:, None], row[:, None], np.linspace(0, 1, parts + 1)[None])
-        away = left(points.reshape(-1, 3)).reshape(points.shape[:-1])
-        least[step, row] = away.min(axis=1) - body.radius[step, row]
-
-    measure(lengths > 0, 2, wall.left)
-    # Between these places, which are half a step apart, a clearance falls by less than half a step.
-    parts = int(np.ceil(lengths.max() / BODY_SPACING_MM))
-    measure(least <= least.min(axis=0) + lengths.max(axis=0) / 2, parts, wall.left)
-    if exactly:
-        measure(least <= least.min(axis=0) + FIELD_ERROR_MM, parts, wall.left_exactly)
-    return -least.min(axis=0)
+    found = np.full(radius.shape, np.inf)
+    for wall in walls:
+        clear = wall.left(points) - radius
+        if exactly:
+            least = clear.min(axis=None if together else 1, keepdims=True)
+            small = clear <= np.minimum(least + FIELD_ERROR_MM, MEASURED_MM)
+            clear[small] = wall.left_exactly(points[small]) - radius[small]
+        found = np.minimum(found, clear)
+    return found

@@ -4,11 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from dataclasses import fields
 from pathlib import Path
-from typing import Any
-
-import numpy as np
 
 import ctr_nlp.check
 from ctr_nlp.check.checker import CheckResult, Finding
@@ -47,15 +43,13 @@ def _check_once(path: Path, samples: int) -> CheckResult:
     try:
         kept = json.loads(place.read_text(encoding="utf-8"))
         findings = {name: Finding(*finding) for name, finding in kept["findings"].items()}
-        nothing: dict[str, Any] = dict.fromkeys((each.name for each in fields(CheckResult)), np.empty(0))
-        lost = np.array(kept["lost"], dtype=bool)
-        return CheckResult(**nothing | {"file": file, "findings": findings, "snaps": kept["snaps"], "lost": lost})
+        return CheckResult(file, findings, kept["snaps"], kept["moved"], kept["borderline"])
     except (OSError, LookupError, TypeError, ValueError):
         found = check_plan(path, samples)
     try:
         place.parent.mkdir(parents=True, exist_ok=True)
         with write_atomically(place) as partial:
-            kept = {"findings": found.findings, "snaps": found.snaps, "lost": found.lost.tolist()}
+            kept = {name: getattr(found, name) for name in ("findings", "snaps", "moved", "borderline")}
             partial.write_text(json.dumps(kept), encoding="utf-8")
     except OSError:  # a folder that cannot be written costs time, and nothing else
         pass

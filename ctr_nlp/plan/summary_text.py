@@ -72,6 +72,7 @@ def summarise_verdicts(found: Mapping[str, Any]) -> str:
 def measure_rows(found: dict[str, Any]) -> list[Row]:
     """Return the rows of a table with the errors, margins and times of a plan's summary `found`; lengths in mm."""
     failed = found["failed"]
+    solved = "given, not solved" if "solved" in _verdict_names(found, NOT_CHECKED) else "all solved"
     steps = " / ".join(map(format_cell, found["max_step"].values()))
     return [
         ("e3, RMS over frames of e2", found["e3"], "mm"),
@@ -87,7 +88,7 @@ def measure_rows(found: dict[str, Any]) -> list[Row]:
         *_clearance(found),
         *_robustness(found),
         *_effort(found),
-        ("frames", f"{found['frames']}, {f'{failed} not solved' if failed else 'all solved'}", ""),
+        ("frames", f"{found['frames']}, {f'{failed} not solved' if failed else solved}", ""),
     ]
 
 

@@ -83,7 +83,8 @@ class Verdicts(NamedTuple):
     Attributes
     ----------
     solved : Verdict
-        Every frame is a solution of its optimisation problem. Number: frames solved.
+        Every frame is a solution of its optimisation problem; NOT CHECKED for motions that were given, not solved.
+        Number: frames solved.
     arrives : Verdict
         In the last frame the tip is within ``arrival_tolerance`` of the target's end, and the robot lies along
         the path. Number: mm.
@@ -161,16 +162,24 @@ Judgement = tuple[str, float | None, str, str, str]
 
 
 def _judge_solved(plan: PlanData) -> Judgement:
-    """Check that every frame was solved; frames that were only interpolated count as not checked."""
+    """Check that every frame was solved.
+
+    Frames that were only interpolated count as not checked, and so do those that were given and have no KKT
+    residual: of a motion from another program, or by hand.
+    """
     frames = len(plan.time)
     interpolated = len(plan.meta.get("interpolated", []))
     unsolved = int((~plan.success).sum()) - interpolated
-    solved = frames - unsolved - interpolated
+    given = int((plan.success & np.isnan(plan.kkt)).sum())
+    solved = frames - unsolved - interpolated - given
     value = f"{solved} of {frames} frames"
     if unsolved:
         return NO, solved, "frames", f"{unsolved} of {frames} frames were not solved.", value
     if interpolated:
         return NOT_CHECKED, solved, "frames", f"{interpolated} of {frames} frames are interpolated.", value
+    if given:
+        why = f"{given} of {frames} frames were given, not solved: they have no KKT residual."
+        return NOT_CHECKED, solved, "frames", why, value
     planned = load_of(plan.meta, "planned_load")
     under = "" if planned is None else f" under {planned}"
     why = f"All {frames} frames were solved on the {plan.meta['model']} model{under}.{_cost_of_clearance(plan)}"

@@ -192,8 +192,7 @@ def edited_margin(random, arrays, meta):
     if not np.isfinite(arrays["stability"]).any():
         return False
     name = ("stability", "stability_between")[int(random.integers(2))]
-    # Beyond what the checker allows: 0.005 and 2 %.
-    arrays[name][_frame(random, arrays)] += random.uniform(0.03, 0.3)
+    arrays[name][_frame(random, arrays)] += random.uniform(0.01, 0.3)
     return True
 
 

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from ctr_nlp.anatomy.distance_fields import field_of_mask
-from ctr_nlp.check.walls import LumenWall, Triangles, measure_left, read_walls
+from ctr_nlp.check.walls import LumenWall, Triangles, measure_clearance, read_walls
 from ctr_nlp.paths.lumen import Lumen
+from ctr_nlp.paths.surface import Surface
 from ctr_nlp.paths.walls import Body, nearest_of
 from ctr_nlp.plan.plan_data import pack_walls
 
@@ -68,9 +69,17 @@ def test_nearest_wall_counts_and_lumen_only_beside_bodies_to_avoid(field):
         assert [wall.kept_out for wall in walls] == [body.keep_out for body in bodies] + [False] * (
             inside not in bodies
         )
-        found = measure_left(walls, points[:, None], np.zeros((len(points), 1)), exactly=False)[:, 0]
+        found = measure_clearance(walls, points[:, None], np.zeros((len(points), 1)), exactly=False)[:, 0]
         np.testing.assert_allclose(found, near.radius - near.distance, atol=5e-3)
     assert read_walls({}, {}) == []
+
+
+def test_nearest_place_may_lie_between_points_far_apart():
+    back = np.linspace(100, 0, 101)
+    there = [[0.0, 0, -1, 4], [0, 0, 0, 4], [0, 0, 100, 4]]
+    crossing = np.stack([0 * back + 20, 0 * back, back, 0 * back + 9], axis=-1)
+    left = LumenWall(np.concatenate([there, crossing])).left(np.array([[6.0, 0, 50.0]]))
+    assert left == pytest.approx([4.0 - 6.0])
 
 
 def test_repeated_points_of_a_path_do_no_harm():
@@ -109,3 +118,18 @@ def test_small_and_large_triangles_together_are_measured_exactly():
     outside = np.linalg.norm(beyond, axis=1)
     inside = np.minimum(points, 8 - points).min(axis=1)
     np.testing.assert_allclose(surface.signed_distance(points), np.where(outside > 0, -outside, inside), atol=1e-9)
+
+
+@pytest.mark.parametrize("keep_out", [False, True])
+def test_bodies_are_measured_at_their_triangles_where_they_have_some(field, keep_out):
+    corners = np.array([[-9.0, -9, 0], [9, -9, 0], [0, 9, 0], [0, 0, 14]])
+    triangles = np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3]])
+    points = places(40)[:40]
+    inside = Triangles(corners, triangles).signed_distance(points)
+    smooth, sharp = (
+        read_walls(*arrays_of((Body("mask", field, keep_out, margin=0.25, surface=surface),)))[0]
+        for surface in (None, Surface(corners, triangles))
+    )
+    np.testing.assert_array_equal(smooth.left_exactly(points), smooth.left(points))
+    np.testing.assert_array_equal(sharp.left(points), smooth.left(points))
+    np.testing.assert_allclose(sharp.left_exactly(points), (-inside if keep_out else inside) - 0.25, atol=1e-5)

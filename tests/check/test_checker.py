@@ -160,7 +160,7 @@ def test_samples_without_results_are_drawn_from_tolerances(saved, tmp_path):
     path = tmp_path / "plan.npz"
     replace(saved[0], drawn=None).save(path)
     found = check_plan(path, samples=4)
-    assert len(found.lost) == 4
+    assert found.moved == 4
     assert found.findings["holds"].word in (YES, NO)
     assert found.findings["samples"].word == NOT_COVERED
 
@@ -228,6 +228,15 @@ def test_command_shows_both_opinions(saved, capsys):
     assert rows["arrives"][1] == rows["arrives"][3]
     assert rows["holds"][3] == NOT_COVERED
     assert rows["shapes"][3] == YES
+
+
+def test_second_check_of_samples_comes_from_the_cache(saved, tmp_path, monkeypatch, capsys):
+    monkeypatch.setenv("CTR_NLP_CACHE", str(tmp_path))
+    shown = []
+    for _ in range(2):
+        assert main(["check", str(saved[1]), "--samples", "5", "--json"]) == 0
+        shown.append(json.loads(capsys.readouterr().out)["tables"])
+    assert shown[0] == shown[1]
 
 
 def test_command_fails_where_record_does_not_fit(saved, tmp_path, capsys):

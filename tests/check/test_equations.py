@@ -7,12 +7,13 @@ import pytest
 from after_snaps import settle
 from scipy.optimize import brentq
 
-from ctr_nlp.check.checker import NO, YES, _judge_limits
+from ctr_nlp.check.checker import NO, YES, _judge_limits, examine_motion
 from ctr_nlp.check.motions import CONVERGED_RATE, Follower, move_nominal, move_through
+from ctr_nlp.check.plan_file import PlanFile
 from ctr_nlp.check.shapes import RobotShape, compute_body
 from ctr_nlp.check.stability import compute_stability_margins
 from ctr_nlp.check.tubes import integrate, read_tubes
-from ctr_nlp.check.walls import LumenWall, find_deepest_contact
+from ctr_nlp.check.walls import LumenWall, measure_clearance
 
 TIP_RAD = 150 * CONVERGED_RATE
 """To which angles at the tips are known: the last correction of rates at the base, over a tube's length."""
@@ -72,6 +73,37 @@ def test_shapes_and_margins_agree_with_reference(shared_data):
             np.testing.assert_allclose(moved.rates[0, -1], rates[:, 0], atol=1e-7)
 
 
+def test_tip_angle_is_the_angle_at_a_tubes_own_tip():
+    tubes = read_tubes(pair_of_tubes(0.01))
+    twist = integrate(tubes, np.array([[1.0], [0.0]]), np.array([[20.0], [45.0]]), np.array([[0.01], [-0.005]]))
+    at_tip = int(np.flatnonzero(twist.s[:, 0] == 20.0)[0])
+    np.testing.assert_allclose(twist.tip_angles[:, 0], [twist.psi[at_tip, 0, 0], twist.psi[-1, 1, 0]], atol=1e-12)
+
+
+def test_differences_of_samples_change_their_tubes():
+    nominal = read_tubes(pair_of_tubes(0.01))
+    parts = np.zeros((1, 2, 5))
+    parts[0, 1] = 0.1, 0.2, 0.3, 4.0, 0.5
+    tubes = read_tubes(pair_of_tubes(0.01), parts)
+    changes = {"root": 1.1, "tip": 1.1, "bending": 1.2, "torsional": 1.2 / 1.3, "curved": 54 / 50, "length": 1.0}
+    for name, factor in changes.items():
+        assert getattr(tubes, name)[1, 0] == pytest.approx(factor * getattr(nominal, name)[1, 0])
+        assert getattr(tubes, name)[0, 0] == getattr(nominal, name)[0, 0]
+    assert tubes.zero[:, 0].tolist() == [0.0, 0.5]
+
+
+@pytest.mark.parametrize("spacing", [0.5, 2.0])
+def test_places_along_a_robot_are_no_further_apart_than_asked(spacing):
+    tubes = read_tubes(pair_of_tubes(0.01))
+    body = compute_body(
+        integrate(tubes, np.zeros((2, 1)), np.full((2, 1), 50.0), np.zeros((2, 1))), np.zeros((2, 1))
+    )
+    points, radius = body.find_places(spacing)
+    away = np.linalg.norm(np.diff(points[0], axis=0), axis=1)
+    assert spacing / 2 < away.max() <= spacing  # the steps are divided evenly
+    assert radius.shape == points.shape[:2]
+
+
 def test_aligned_tubes_are_a_circle():
     tubes = read_tubes({"tubes": [TUBE, TUBE | {"curvature": 0.02, "outer_diameter": 1.8, "inner_diameter": 1.0}]})
     angle, beta = 0.7, np.full((2, 1), 50.0)
@@ -121,6 +153,45 @@ def test_turning_a_tube_snaps_where_opposed_pair_is_unstable():
         apart = motion.tip_angles[-1, -1] @ [1, -1]
         assert apart == pytest.approx(2 * np.pi, abs=TIP_RAD)
     assert snaps == {True: 0, False: 1}
+
+
+def slipping():
+    """A robot of two tubes, and a motion on which it leaves its branch by less than a snap."""
+
+    def opposed_margin(curvature):
+        tubes = read_tubes(pair_of_tubes(curvature))
+        opposed = np.array([[np.pi], [0.0]])
+        return compute_stability_margins(integrate(tubes, opposed, np.full((2, 1), 50.0), np.zeros((2, 1))))[0]
+
+    # Of tubes that are hardly more curved than those that turn all round, the fold is next to nothing.
+    robot = pair_of_tubes(1.0005 * brentq(opposed_margin, 0.005, 0.015))
+    q = turning(26, 0.0, 50.0)
+    q[:, 0] = [*np.linspace(0, 3.1, 6), *np.linspace(3.11, 3.2, 20)]
+    return robot, q
+
+
+def test_a_robot_that_slips_has_not_snapped():
+    robot, q = slipping()
+    follower, unsettled = (Follower(read_tubes(robot), 0.0, settle=rest) for rest in (settle, None))
+    for each in (follower, unsettled):
+        for _ in move_through(each, q):
+            pass
+    assert (follower.snapped[0], follower.gone[0]) == (False, False)
+    assert (unsettled.snapped[0], unsettled.gone[0]) == (True, True)
+
+
+def test_samples_that_slip_are_not_lost():
+    robot, q = slipping()
+    tolerances = {"tip_force": 0.0, "distribution": "uniform", "covariance": None}
+    arrays = {"alpha": q[:, :2], "beta": q[:, 2:4], "theta": q[:, 4:], "time": np.arange(1.0, 27.0)}
+    arrays |= {"success": np.ones(26, dtype=bool), "kkt": np.zeros(26), "target": np.zeros((26, 101, 3))}
+    arrays |= {"target_direction": np.tile([0.0, 0, 1], (26, 1))}
+    arrays |= {"draws_parts": np.zeros((2, 2, 5)), "draws_lags": np.zeros((2, 2))}
+    limits = {"alpha": [["-inf", "inf"]], "theta": [-3.0, 3.0]}
+    meta = {"robot": robot | {"limits": limits, "tolerances": tolerances}, "model": "elastic", "problem": {}}
+    found = examine_motion(PlanFile(arrays, meta, None, ""), 2, settle)
+    assert found.snaps == []
+    assert found.samples["lost"].tolist() == [False, False]
 
 
 def test_samples_move_as_the_nominal_robot():
@@ -179,6 +250,11 @@ def test_clearance_in_a_cone_and_a_torus():
     np.testing.assert_allclose(LumenWall(ring).left(points), 4 - np.hypot(2, 1.5), atol=5e-3)
 
 
+def deepest_contact(body):
+    """Contact with a cylinder of radius 4 mm, at places a millimetre apart."""
+    return -measure_clearance([LumenWall(cylinder(4.0))], *body.find_places(1.0)).min()
+
+
 @pytest.mark.hazard("contact with the wall")
 def test_deepest_contact_sees_the_end_of_the_wider_tube():
     """A straight body leaves the axis of a cylinder; it is wide up to 40 mm, and thin from there to its tip."""
@@ -187,13 +263,15 @@ def test_deepest_contact_sees_the_end_of_the_wider_tube():
     direction = np.array([slope, 0.0, np.sqrt(1 - slope**2)])
     body = RobotShape(s, s[..., None] * direction, np.tile(direction, (3, 1, 1)), np.array([[2.5], [0.5]]))
     wide, thin = slope * 40 + 2.5, slope * 90 + 0.5
-    assert find_deepest_contact(LumenWall(cylinder(4.0)), body)[0] == pytest.approx(
-        max(wide, thin) - 4.0, abs=1e-9
-    )
+    assert deepest_contact(body) == pytest.approx(max(wide, thin) - 4.0, abs=1e-9)
     thick_first = RobotShape(body.s, body.points, body.tangents, np.array([[3.9], [0.5]]))
-    assert find_deepest_contact(LumenWall(cylinder(4.0)), thick_first)[0] == pytest.approx(
-        slope * 40 + 3.9 - 4.0, abs=1e-9
-    )
+    assert deepest_contact(thick_first) == pytest.approx(slope * 40 + 3.9 - 4.0, abs=1e-9)
+
+
+def judge_limits(robot, q, dt=0.1):
+    """The verdict on limits of a motion of two tubes whose frames are dt seconds apart."""
+    arrays = {"alpha": q[:, :2], "beta": q[:, 2:4], "theta": q[:, 4:], "time": dt * np.arange(1, len(q) + 1)}
+    return _judge_limits(PlanFile(arrays, {"robot": robot}, None, ""))
 
 
 @pytest.mark.hazard("limit exceeded")
@@ -204,7 +282,7 @@ def test_limits_are_seen_to_be_exceeded():
     thin = {"outer_diameter": 1.8, "inner_diameter": 1.0}
     robot = {"tubes": [TUBE, TUBE | thin], "limits": limits}
     q = turning(11, 1.0, (30.0, 40.0))
-    allowed = _judge_limits(robot, q, 0.1)
+    allowed = judge_limits(robot, q)
     assert allowed.word == YES
     assert allowed.number == pytest.approx(100)
     cases = {
@@ -212,12 +290,12 @@ def test_limits_are_seen_to_be_exceeded():
         "order": (q + np.array([0, 0, 10.1, 0, 0, 0]), 0.1),
         "position": (q + np.array([0, 0, 0, 10.1, 0, 0]), 0.1),
     }
-    words = {name: _judge_limits(robot, *case).word for name, case in cases.items()}
+    words = {name: judge_limits(robot, *case).word for name, case in cases.items()}
     assert words == dict.fromkeys(cases, NO)
-    assert _judge_limits(robot | {"tubes": robot["tubes"][::-1]}, q, 0.1).word == NO  # they do not fit
+    assert judge_limits(robot | {"tubes": robot["tubes"][::-1]}, q).word == NO  # they do not fit
     gap = {"tubes": [TUBE, TUBE | thin | {"length": 180.0}], "limits": limits | {"carriage_gap": 21.0}}
-    assert _judge_limits(gap, q, 0.1).word == NO  # 30 mm longer, 10 mm further out: 20 mm apart
+    assert judge_limits(gap, q).word == NO  # 30 mm longer, 10 mm further out: 20 mm apart
     slow = robot | {"limits": limits | {"alpha_acceleration": 5.0}}
     jerky = q.copy()
     jerky[6:, 0] = jerky[5, 0]
-    assert _judge_limits(slow, jerky, 0.1).word == NO
+    assert judge_limits(slow, jerky).word == NO

@@ -32,6 +32,23 @@ def test_a_change_is_noticed_by_a_test_of_it_alone(mutation, tmp_path):
     assert mutation.run_tests("toy_sum", source, source.read_text(), [str(test)]) == 0
 
 
+def test_changes_without_effect_need_a_reason(mutation, tmp_path):
+    path = tmp_path / "equivalent.toml"
+    path.write_text('[[changes]]\nfile = "a.py"\nbefore = "x + 0"\nafter = "x - 0"\nreason = "It adds nothing."\n')
+    assert mutation.read_equivalent(path) == {("a.py", "x + 0", "x - 0"): "It adds nothing."}
+    path.write_text('[[changes]]\nfile = "a.py"\nbefore = "x + 0"\nafter = "x - 0"\n')
+    with pytest.raises(ValueError, match="has no reason"):
+        mutation.read_equivalent(path)
+
+
+def test_changes_without_effect_are_changes_of_the_code(mutation):
+    """A line that was written anew leaves the list."""
+    known = mutation.read_equivalent()
+    files = {file for file, _, _ in known}
+    found = {(file, each.before, each.after) for file in files for each in mutation.find_mutants(ROOT / file)}
+    assert set(known) <= found
+
+
 def test_tests_notice_a_slice_of_changes(mutation):
     files = ["ctr_nlp/check/records.py", "ctr_nlp/check/comparison.py"]
     assert mutation.main([*files, "--count", "10", "--tests", "tests/check/test_records.py"]) == 0

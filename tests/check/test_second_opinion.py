@@ -1,8 +1,10 @@
 """Where the checker is asked: before motors move, in reports and in studies."""
 
+import json
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 from random_plans import random_plan
 
@@ -50,6 +52,23 @@ def test_play_names_verdicts_that_are_not_covered(tmp_path, capsys):
     told = capsys.readouterr().err
     assert "independent check disagrees" not in told
     assert "an independent check does not cover: " in told
+
+
+@pytest.mark.hazard("what was not checked reads as passed")
+def test_imported_motions_are_never_called_solved(plan, tmp_path, capsys):
+    path = tmp_path / "plan.npz"
+    replace(plan, kkt=np.full(len(plan.time), np.nan)).save(path)
+    assert main(["check", str(path), "--json"]) == 0
+    (table,) = json.loads(capsys.readouterr().out)["tables"]
+    (row,) = (row for row in table["rows"] if row[0] == "solved")
+    assert row[1:5] == ["NOT CHECKED", 0, "not covered", 0.0]
+    assert main(["play", str(path), "--dry-run"]) == 2
+    assert "solved: NOT CHECKED" in capsys.readouterr().err
+    assert main(["play", str(path), *DRY_RUN]) == 0
+    assert "solved: NOT CHECKED. 10 of 10 frames were given" in capsys.readouterr().err
+    main(["report", str(path), "--out", str(tmp_path / "report")])
+    text = (tmp_path / "report" / "report.html").read_text(encoding="utf-8")
+    assert "10 of 10 frames were given, not solved" in text
 
 
 def test_report_shows_the_check(plan, tmp_path):

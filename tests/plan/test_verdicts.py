@@ -81,6 +81,14 @@ def test_interpolated_frames_are_not_checked():
     assert (found.word, found.number) == (NOT_CHECKED, 1)
 
 
+def test_frames_without_a_residual_are_not_checked():
+    found = shifted(0, 0, kkt=np.array([0.0, np.nan])).verdicts.solved
+    assert (found.word, found.number, found.value) == (NOT_CHECKED, 1, "1 of 2 frames")
+    assert found.why == "1 of 2 frames were given, not solved: they have no KKT residual."
+    unsolved = shifted(0, 0, kkt=np.array([0.0, np.nan]), success=np.array([True, False])).verdicts.solved
+    assert (unsolved.word, unsolved.number) == (NO, 1)
+
+
 def test_the_cost_of_clearance_is_reported_in_percent():
     known = {"free": np.tile(OUT, (1, 1)), "meta": {"e3_free": 1.25}}
     why = shifted(1.75, **known).verdicts.solved.why

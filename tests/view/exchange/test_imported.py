@@ -62,6 +62,7 @@ def test_a_plan_is_that_of_the_robot_moved_through_them(problem, q, model, tmp_p
     )
     assert np.abs(plan_through(problem, q, model="dominant").shape - shapes(problem.robot, q)).max() < 1e-9
     assert np.isfinite(plan.stability).all() == (model == "elastic")
+    assert plan.verdicts.solved.word == "NOT CHECKED"
     plan.save(tmp_path / "plan.npz")
     assert Plan.load(tmp_path / "plan.npz").verdicts == plan.verdicts
 
