@@ -158,7 +158,7 @@ def _run(arguments: argparse.Namespace) -> int:
     with output_folder(place, "plan") as staging:
         write(plan, staging)
         if found:
-            write_compromises(found, staging)
+            write_compromises(plan, found, staging)
         if points:
             write_front(points, staging)
         if not arguments.no_figures:
