@@ -63,6 +63,13 @@ def draw_shapes_only(plan: Plan, folder: Path) -> None:
     save(shapes(plan), folder / "shapes.png")
 
 
+def draw_film(plan: Plan, file: Path) -> None:
+    """Draw a plan as a film into `file`, without a progress bar: one on the next step may be running."""
+    from ctr_nlp.view.figures.film import film
+
+    film([plan], file)
+
+
 def print_report(plan: Plan) -> None:
     """Print the verdicts on a plan, its numbers, and remarks on what is wrong with it."""
     found = summary(plan)

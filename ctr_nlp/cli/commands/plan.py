@@ -30,6 +30,7 @@ from ctr_nlp.cli.output.folder import NOMINAL_FOLDER_NAME, check_folder, output_
 from ctr_nlp.cli.plan_options import DEFAULT_SWEEP_WEIGHTS_S2, HORIZON_FORMULATION
 from ctr_nlp.cli.plan_report import (
     draw,
+    draw_film,
     draw_shapes_only,
     exit_status,
     print_compromises,
@@ -393,7 +394,9 @@ def _plan_robust(arguments: argparse.Namespace, problem: Problem, out: Path) -> 
     if whole:
         asked |= {"settings": _settings(arguments, problem, "seed"), "motion_weight": arguments.motion_weight}
         asked["guards"] = bool(arguments.guards)
-        asked["nominal"] = partial(_write_nominal_plan, out=out, figures=not arguments.no_figures)
+        asked["nominal"] = partial(
+            _write_nominal_plan, out=out, figures=not arguments.no_figures, film=film_file(arguments)
+        )
     else:
         asked |= {"settings": _settings(arguments, problem, *FRAME_SETTINGS)}
         asked |= {"direction": arguments.direction or "best"}
@@ -404,8 +407,12 @@ def _plan_robust(arguments: argparse.Namespace, problem: Problem, out: Path) -> 
         return solve(problem, progress=labelled(problem.name), **asked)
 
 
-def _write_nominal_plan(plan: Plan, out: Path, figures: bool) -> None:
-    """Write the plan of the nominal robot into a folder within `out`; figures: whether to draw its shapes."""
+def _write_nominal_plan(plan: Plan, out: Path, figures: bool, film: Path | None) -> None:
+    """Write the plan of the nominal robot into a folder within `out`.
+
+    figures: whether to draw its shapes. film: of the plan to come, None where none was asked for; one of this plan
+    gets the same name.
+    """
     if plan.meta["interrupted"]:
         return
     # A folder of its own: the robust plan may be interrupted, and must not be taken for this one.
@@ -414,13 +421,17 @@ def _write_nominal_plan(plan: Plan, out: Path, figures: bool) -> None:
         write(plan, staging)
         if figures:
             draw_shapes_only(plan, staging)
+        if film is not None:
+            draw_film(plan, staging / film.name)
+        files = sorted(path.name for path in staging.iterdir())
     found = summary(plan)
     tip = found["tip_last"]
     announce(
         f"plan for the robot as described: {summary_text.summarise_verdicts(found)} The tip ends {tip:.2f} mm off "
-        f"the target. "
-        f"Wrote {place}; now planning for all robots within the tolerances"
+        f"the target."
     )
+    report_written_files(place, files)
+    announce("now planning for all robots within the tolerances, which takes longer")
 
 
 def _open_live_view(problem: Problem, arguments: argparse.Namespace) -> AbstractContextManager[SolverView | None]:
