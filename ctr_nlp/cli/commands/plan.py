@@ -41,7 +41,7 @@ from ctr_nlp.cli.plan_report import (
     write_film,
     write_front,
 )
-from ctr_nlp.cli.terminal_output import announce, progress_bar, report_written_files
+from ctr_nlp.cli.terminal_output import announce, progress_bar, report_written_files, suggest_next
 from ctr_nlp.exceptions import CtrError, OptionError
 from ctr_nlp.models import KINEMATIC_MODELS
 from ctr_nlp.ocp import FORMULATIONS
@@ -175,7 +175,21 @@ def _run(arguments: argparse.Namespace) -> int:
     report_written_files(place, files)
     if film is not None:
         report_written_files(film)
+    if not interrupted:
+        suggest_next(*_next_commands(plan, place / "plan.npz"))
     return EXIT_INTERRUPTED if interrupted else exit_status(plan)
+
+
+def _next_commands(plan: Plan, file: Path) -> list[tuple[str, list[object]]]:
+    """Return what a person may want to do with a plan in a file, and the commands; only a good plan is played."""
+    commands: list[tuple[str, list[object]]] = [
+        ("a page on which the robot moves", ["report", file]),
+        ("an independent check", ["check", file]),
+    ]
+    if not (plan.verdicts.failed_names or plan.verdicts.unchecked_names):
+        words = ["play", file, "--hardware", "FILE.toml", "--dry-run"]
+        commands.append(("a trial with your rig's limits, without motion", words))
+    return commands
 
 
 def _with_fitting_robot(problem: Problem, arguments: argparse.Namespace, model: str) -> Problem:

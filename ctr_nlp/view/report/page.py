@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Sequence
 from importlib import resources
 from typing import Any
@@ -181,7 +182,7 @@ def _plan_texts(plan: Plan, name: str) -> dict[str, Any]:
 def _chip(verdict: Verdict) -> dict[str, str]:
     """Return a verdict as a chip of the page: matter, word, the figure that decides in words, and why."""
     # "0.31 mm deep, frame 5" is short enough for a chip without the frame, which the reason has.
-    figure = verdict.value.split(",")[0]
+    figure = re.split(",| (?:in|at) frame", verdict.value)[0]
     return {"matter": verdict.matter, "word": verdict.word, "figure": figure, "why": verdict.why}
 
 
