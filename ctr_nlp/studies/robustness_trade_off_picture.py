@@ -56,7 +56,7 @@ def draw_robustness_trade_off(
     above.grid(which="minor", lw=0.3)
     above.set_ylabel("e3 (mm)")
     below.set_ylim(bottom=0, top=max(1.1 * max(p.share for p in points), 2 * most_lost))
-    below.set_ylabel("draws lost")
+    below.set_ylabel("samples that fail")
     below.yaxis.set_major_formatter(PercentFormatter(1.0))
     below.set_xlabel("tolerances planned for, as part of the robot's")
     above.legend()

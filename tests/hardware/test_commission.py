@@ -132,7 +132,7 @@ def test_a_record_of_before_does_not_tell_which_axes_were_tried(
     del kept["untried"]
     commissioned_file(rig.file).write_text(json.dumps(kept))
     assert rig.play() == 0
-    assert "commissioning does not tell which axes were tried" in capsys.readouterr().err
+    assert "commissioning does not say which axes were tried" in capsys.readouterr().err
 
 
 def test_a_folder_that_is_named_like_a_file_is_refused(rig: Rig, capsys: pytest.CaptureFixture[str]) -> None:

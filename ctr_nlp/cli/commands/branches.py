@@ -54,7 +54,7 @@ def _parser(prog: str) -> argparse.ArgumentParser:
     parser.add_argument("file", metavar="FILE", help=f"file of anatomy ({', '.join(ANATOMY_SUFFIXES)})")
     add_piece_arguments(parser)
     parser.add_argument("--reverse", action="store_true", help="take each branch from its last point to its first")
-    add_entry_option(parser, "as the file tells it; in a mask the widest end")
+    add_entry_option(parser, "as the file has it; in a mask the widest end")
     add_reading_options(parser)
     parser.add_argument("--out", metavar="FILE.png", help="draw the branches; a picture of that name is replaced")
     parser.add_argument(

@@ -176,7 +176,7 @@ def _step_axis(letter: str, direction: int, rig: Commissioning, interrupted: Ask
 def _parser(prog: str) -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog=prog,
-        description="Read a Grbl controller, tell which settings are wrong and what to set, move single axes "
+        description="Read a Grbl controller, report which settings are wrong and what to set, move single axes "
         "by a small step where asked to, and keep its settings beside the hardware file, to be compared at every "
         "start, once every axis has moved both ways. Where largest rates or soft limits are looser than the "
         "hardware file needs, typing set writes the tighter values to the controller.",

@@ -39,7 +39,7 @@ def _parser(prog: str) -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog=prog,
         description="Plan to every end of a tree that is wide enough, for every robot, on all cores of this "
-        "machine or on a Dask cluster, and tell which ends are reached and what binds at the others. Rows of the "
+        "machine or on a Dask cluster, and list which ends are reached and what binds at the others. Rows of the "
         "plans are kept in DIR/rows as they come: called again with the same folder, the command goes on where "
         "it was.",
         epilog="Writes reach.csv (a row for each end and robot), tree.png (the tree, coloured by the best robot), "

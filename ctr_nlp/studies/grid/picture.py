@@ -20,8 +20,8 @@ GROUP_QUANTILES = 0.05, 0.25, 0.5, 0.75, 0.95
 """Quantiles of a group that its bars show."""
 COLUMN_AXIS_LABELS = {
     STUDY_RANKING_COLUMN: "e3 (mm)",
-    "robustness_e3_mean": "mean e3 over draws (mm)",
-    "robustness_lost_share": "share of draws lost",
+    "robustness_e3_mean": "mean e3 over samples (mm)",
+    "robustness_lost_share": "share of samples that fail",
 }
 """Labels of columns on axes; other columns have their names."""
 

@@ -130,7 +130,7 @@ def _sample_error_panel(plan: Plan, found: Robustness, columns: Mapping[str, Arr
         PlotLine("the plan", columns["e2"], BLACK, DASHES[3]),
     )
     lost = np.array([loss.frame for loss in found.losses_by_frame], dtype=int)
-    marks = ("lost here", lost) if len(lost) else None
+    marks = ("fails here", lost) if len(lost) else None
     return PlotPanel(SAMPLE_ERROR_PANEL_NAME, lines, (0.0,), band=("5 % to 95 %", low, high), marks=marks)
 
 
