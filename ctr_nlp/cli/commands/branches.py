@@ -19,7 +19,14 @@ from ctr_nlp.cli.arguments import add_entry_option
 from ctr_nlp.cli.console import EXIT_SOLVED, Command
 from ctr_nlp.cli.output.file import check_file, output_file
 from ctr_nlp.cli.plan_options import add_piece_arguments, add_reading_options, pieces_from, read_options_from
-from ctr_nlp.cli.terminal_output import print_stderr, print_table, progress_bar, report_written_files, suggest_next
+from ctr_nlp.cli.terminal_output import (
+    busy,
+    print_stderr,
+    print_table,
+    progress_bar,
+    report_written_files,
+    suggest_next,
+)
 from ctr_nlp.exceptions import OptionError, OutputError, escape_control_characters
 from ctr_nlp.paths.lumen_fit import JAGGED_CURVATURE_PER_MM
 from ctr_nlp.paths.points import cumulative_arc_length
@@ -68,12 +75,13 @@ def _run(arguments: argparse.Namespace) -> int:
         _check_out("--out", Path(arguments.out), ".png", PNG, "picture")
     if arguments.save:
         _check_out("--save", Path(arguments.save), ".vtp", VTP, "VTK file")
-    branches = read_branches(
-        arguments.file,
-        arguments.entry,
-        options=read_options_from(arguments),
-        pieces=pieces_from(arguments),
-    )
+    with busy(f"{arguments.file} is read"):
+        branches = read_branches(
+            arguments.file,
+            arguments.entry,
+            options=read_options_from(arguments),
+            pieces=pieces_from(arguments),
+        )
     for note in branches.facts.notes:
         print_stderr(f"note: {note}")
     if arguments.reverse:

@@ -41,7 +41,7 @@ from ctr_nlp.cli.plan_report import (
     write_film,
     write_front,
 )
-from ctr_nlp.cli.terminal_output import announce, progress_bar, report_written_files, suggest_next
+from ctr_nlp.cli.terminal_output import announce, busy, progress_bar, report_written_files, suggest_next
 from ctr_nlp.exceptions import CtrError, OptionError
 from ctr_nlp.models import KINEMATIC_MODELS
 from ctr_nlp.ocp import FORMULATIONS
@@ -152,7 +152,8 @@ def _run(arguments: argparse.Namespace) -> int:
         plan, points = _plan_horizon(arguments, problem) if whole else (_plan_per_frame(arguments, problem), [])
     with deferred_interrupt() as pressed:
         # Ctrl-C waits while the plan is evaluated, which takes seconds: it must not discard what was solved.
-        plan = plan_options.evaluate_plan(plan_options.with_thresholds(plan, arguments), arguments)
+        with busy("the plan is evaluated"):
+            plan = plan_options.evaluate_plan(plan_options.with_thresholds(plan, arguments), arguments)
         found = _compromises(arguments, problem, plan)
         interrupted = plan.meta["interrupted"] or pressed()
     place = results_folder(out, interrupted)
@@ -163,7 +164,8 @@ def _run(arguments: argparse.Namespace) -> int:
         if points:
             write_front(points, staging)
         if not arguments.no_figures:
-            draw(plan, points, staging, found)
+            with busy("pictures are drawn"):
+                draw(plan, points, staging, found)
         files = sorted(path.name for path in staging.iterdir())
         if film is not None:
             film = write_film([plan], film, out, place, staging)
@@ -207,7 +209,8 @@ def _with_fitting_robot(problem: Problem, arguments: argparse.Namespace, model: 
     # The limits of the tilt are the problem's: an option narrows them.
     tilt = list(zip(problem.robot.lower[-2:].tolist(), problem.robot.upper[-2:].tolist(), strict=True))
     robots = {name: robot.with_limits(theta=tilt) for name, robot in read_robot_files().items()}
-    best = choose_robot(problem, robots)
+    with busy("robots of the package are compared"):
+        best = choose_robot(problem, robots)
     if best is None:
         return problem
     announce(

@@ -7,6 +7,7 @@ import gzip
 import logging
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import replace
 from functools import cache
 from http import HTTPStatus
 from importlib import resources
@@ -88,10 +89,11 @@ def _with_names(response: Any) -> Any:
     html = gzip.decompress(response.body) if packed else response.body
     script = resources.files("ctr_nlp.view.live.page").joinpath(NAMES_SCRIPT_FILE).read_bytes()
     html = html.replace(b"</body>", b"<script>" + script + b"</script></body>")
-    response.body = gzip.compress(html) if packed else html
-    del response.headers["Content-Length"]
-    response.headers["Content-Length"] = str(len(response.body))
-    return response
+    body = gzip.compress(html) if packed else html
+    headers = response.headers.copy()
+    del headers["Content-Length"]  # a header that is given anew is added
+    headers["Content-Length"] = str(len(body))
+    return replace(response, headers=headers, body=body)
 
 
 def log_unreadable(error: object) -> None:
