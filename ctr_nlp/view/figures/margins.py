@@ -127,9 +127,9 @@ def _least(axes: Axes, frames: npt.NDArray[np.int_], plan: Plan) -> None:
     columns = metrics.by_frame(plan)
     least = columns["clearance"]
     between = columns.get("clearance_between")
+    curve(axes, frames, least, color=BLUE, lw=1.8, label=AT_FRAME)
     if between is not None:
         curve(axes, frames, between, color=ORANGE, lw=1.2, ls="--", label=BETWEEN_FRAMES)
-    curve(axes, frames, least, color=BLUE, lw=1.8, label=AT_FRAME)
     touching = least < 0
     if touching.any():
         axes.plot(frames[touching], least[touching], color=CONTACT, ls="", marker="s", ms=3.5, label="contact")

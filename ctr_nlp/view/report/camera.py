@@ -24,12 +24,15 @@ def cameras(low: Array, high: Array, axes: Array) -> dict[str, list[float]]:
     """Return position, point looked at and upward direction of each preset camera, 9 numbers in mm.
 
     low, high: corners (3,), mm, of the box that is seen. axes: rotation (3, 3) of picture_axes. The side is the
-    one from which most is seen, a little from above. In both, the box fits a square window.
+    one from which most is seen, or the front of a patient, a little from above. In both, the box fits a square
+    window.
     """
-    size = np.abs(axes) @ (high - low)
-    side = [0.25, -1.0, 0.2] if size[0] >= size[1] else [1.0, 0.25, 0.2]
+    size = high - low
+    # A patient is looked at from in front, whatever the lesion's side: these axes are then not the robot's own.
+    in_front = size[0] >= size[1] or not np.array_equal(axes, np.eye(3))
+    side = axes.T @ ([0.25, -1.0, 0.2] if in_front else [1.0, 0.25, 0.2])
     return {
-        "side": _from(np.asarray(axes.T @ side), axes[2], low, high),
+        "side": _from(np.asarray(side), axes[2], low, high),
         "top": _from(axes[2], axes[1], low, high),
     }
 

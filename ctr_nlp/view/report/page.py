@@ -50,11 +50,12 @@ READOUT = {
     "e2": ("error e2", "mm"),
     "max": ("largest error", "mm"),
     "clearance": (f"clearance {AT_FRAME}", "mm"),
-    "clearance_between": (f"clearance {BETWEEN_FRAMES}", "mm"),
+    "clearance_between": (BETWEEN_FRAMES, "mm"),
     "stability": (f"stability margin {AT_FRAME}", ""),
-    "stability_between": (f"stability margin {BETWEEN_FRAMES}", ""),
+    "stability_between": (BETWEEN_FRAMES, ""),
 }
-"""Columns of errors.csv that are shown for the frame on display, with their names and units."""
+"""Columns of errors.csv that are shown for the frame on display, with their names, which may go on from the one
+before, and units."""
 PAGE_SCRIPT_FILES = ("scenes.js", "camera.js", "player.js", "page.js")
 """Parts of the page's script, each after those that it needs."""
 VERDICT_SIGNS = {YES: "\N{CHECK MARK}", NO: "\N{BALLOT X}", NOT_CHECKED: "?"}
@@ -181,8 +182,8 @@ def _plan_texts(plan: Plan, name: str) -> dict[str, Any]:
 
 def _chip(verdict: Verdict) -> dict[str, str]:
     """Return a verdict as a chip of the page: matter, word, the figure that decides in words, and why."""
-    # "0.31 mm deep, frame 5" is short enough for a chip without the frame, which the reason has.
-    figure = re.split(",| (?:in|at) frame", verdict.value)[0]
+    # The reason has the frame, the limit and the number of robots, for which a chip has no room.
+    figure = re.split(r",| (?:in|at) frame| of the limit| of \d+$", verdict.value)[0]
     return {"matter": verdict.matter, "word": verdict.word, "figure": figure, "why": verdict.why}
 
 
