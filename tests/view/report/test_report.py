@@ -161,7 +161,6 @@ def test_the_readout_is_that_of_errors_csv(file, walled):
         "e2",
         "max",
         "clearance",
-        "clearance_between",
         "stability",
         "stability_between",
     ]
