@@ -4,11 +4,12 @@ import json
 
 import numpy as np
 import pytest
-from common import UNJUDGED
+from common import UNJUDGED, named_problem
+from PIL import Image
 
-from ctr_nlp import Problem, curve_from_points, growing, problem_from_file, table_i_robot
+from ctr_nlp import Problem, curve_from_points, growing, problem_from_file, solve_per_frame, table_i_robot
 from ctr_nlp.cli.commands import branches, report
-from ctr_nlp.cli.commands.plan import steer
+from ctr_nlp.cli.commands.plan import _write_nominal_plan, steer
 from ctr_nlp.cli.studies.reach import _read_robots
 from ctr_nlp.exceptions import ProblemError
 
@@ -28,6 +29,18 @@ def test_a_plan_is_followed_by_its_page_and_its_check(made):
     assert f"next, a page on which the robot moves: ctr-nlp report '{out / 'plan.npz'}'\n" in printed
     assert f"next, an independent check: ctr-nlp check '{out / 'plan.npz'}'\n" in printed
     assert "ctr-nlp play" not in printed  # this plan was not judged
+
+
+def test_the_nominal_plan_is_filmed_while_the_robust_one_is_sought(tmp_path, capsys):
+    plan = solve_per_frame(named_problem("arc", frames=3), model="dominant")
+    _write_nominal_plan(plan, tmp_path / "out", figures=False, film=tmp_path / "motion.gif")
+    place = tmp_path / "out" / "nominal"
+    with Image.open(place / "motion.gif") as film:
+        assert film.n_frames == 3
+    printed = capsys.readouterr().out
+    assert f"wrote {place}: errors.csv, motion.gif, plan.npz, summary.json" in printed
+    assert "now planning for all robots within the tolerances" in printed
+    assert not (tmp_path / "motion.gif").exists()  # that of the robust plan
 
 
 def test_json_has_no_suggestions(tmp_path, capsys):
