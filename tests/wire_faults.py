@@ -380,8 +380,8 @@ KINDS: dict[str, Kind] = {
     "report lost": Kind(report_lost, "lost on the way|came late"),
     "reply garbled": Kind(reply_garbled, LINK),
     "report's digit changed": Kind(report_digit_changed, LINK),
-    "replies late": Kind(replies_late, "came late|told no position"),
-    "replies silent": Kind(replies_silent, "told no position"),
+    "replies late": Kind(replies_late, "came late|reported no position"),
+    "replies silent": Kind(replies_silent, "reported no position"),
     "reports jump": Kind(reports_jump, JUMPS),
     "one report jumps": Kind(report_jumps_once, JUMPS),
     "other console": Kind(
@@ -389,8 +389,8 @@ KINDS: dict[str, Kind] = {
     ),
     "killed": Kind(killed, "the end was never told"),
     "link cut": Kind(of_emulator("cut"), "link"),
-    "controller silent": Kind(of_emulator("silent", (0.6, 5.0)), "told no position"),
-    "controller busy": Kind(of_emulator("busy", (0.6, 3.0)), "told no position"),
+    "controller silent": Kind(of_emulator("silent", (0.6, 5.0)), "reported no position"),
+    "controller busy": Kind(of_emulator("busy", (0.6, 3.0)), "reported no position"),
     "power fails": Kind(of_emulator("power_cycle"), "the controller says|said"),
 }
 """Name -> how it strikes, and the words (a pattern) of which a message must have some."""

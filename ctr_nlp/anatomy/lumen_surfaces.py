@@ -183,7 +183,7 @@ def wall_around_path(surface: Surface, path: Array) -> tuple[Surface, int]:
     inner = (in_front & at_back) | ((in_front ^ at_back) & leads_on)
     wall = (in_front ^ at_back) & ~inner
     if not wall.any() or inner.sum() > wall.sum():
-        raise CurveError("its surface does not close around the path: what is inside of it cannot be told")
+        raise CurveError("its surface does not close around the path: what is inside of it is not known")
     turned = surface.triangles.copy()
     turned[in_front] = turned[in_front][:, ::-1]
     return Surface(surface.vertices, turned).keep_triangles(wall), int(inner.sum())

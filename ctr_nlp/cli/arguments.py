@@ -114,13 +114,13 @@ def add_compile_option(parser: argparse.ArgumentParser) -> None:
 
 
 def add_out_option(parser: argparse.ArgumentParser, default: str) -> None:
-    """Add the option for the output folder to `parser`; a `default` that contains PROBLEM or NAME is for the help
-    alone, else it is used.
+    """Add the option for the output folder to `parser`; a `default` that contains PROBLEM, PLAN or NAME is for
+    the help alone, else it is used.
     """
     parser.add_argument(
         "--out",
         metavar="DIR",
-        default=None if "PROBLEM" in default or "NAME" in default else default,
+        default=None if any(word in default for word in ("PROBLEM", "PLAN", "NAME")) else default,
         help="folder for the results: new, empty, or with those of an earlier run, which are replaced; files of "
         f"yours in it stay (default {default})",
     )

@@ -116,7 +116,7 @@ def print_estimates(loop: ClosedLoop) -> None:
     columns = last.mean, last.deviation, np.sqrt(of.covariance.diagonal())
     named = zip(of.values_by_name(last.mean.tolist()), *(column.tolist() for column in columns), strict=True)
     print_table(
-        "what measurements tell of the robot, in parts of what is described, mm, rad and N",
+        "estimated parameters of the robot, in parts of the described value, mm, rad and N",
         ("", "estimate", "deviation", "before"),
         [(name, *(f"{value:.4f}" for value in values)) for name, *values in named],
     )

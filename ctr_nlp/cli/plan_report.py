@@ -63,6 +63,13 @@ def draw_shapes_only(plan: Plan, folder: Path) -> None:
     save(shapes(plan), folder / "shapes.png")
 
 
+def draw_film(plan: Plan, file: Path) -> None:
+    """Draw a plan as a film into `file`, without a progress bar: one on the next step may be running."""
+    from ctr_nlp.view.figures.film import film
+
+    film([plan], file)
+
+
 def print_report(plan: Plan) -> None:
     """Print the verdicts on a plan, its numbers, and remarks on what is wrong with it."""
     found = summary(plan)
@@ -113,15 +120,20 @@ def print_front(points: Sequence[ParetoPoint]) -> None:
     print_table(title, ("", "weight s²", "e3 mm", "roughness mm²/s"), rows)
 
 
-def write_compromises(found: Sequence[Compromise], folder: Path) -> None:
-    """Write trade_off.csv, arrival against contact, with a row for each of `found` into `folder`."""
-    write_csv(folder / "trade_off.csv", [_row(one) for one in found])
+def write_compromises(plan: Plan, found: Sequence[Compromise], folder: Path) -> None:
+    """Write trade_off.csv, arrival against contact, with a row for each of `found` of a plan into `folder`."""
+    write_csv(folder / "trade_off.csv", [_row(plan, one) for one in found])
 
 
-def _row(one: Compromise) -> dict[str, Any]:
+def _row(plan: Plan, one: Compromise) -> dict[str, Any]:
+    """Return a motion of the trade-off of a plan as a row of trade_off.csv."""
+    # Most plans need no compromise.
+    from ctr_nlp.planning.compromise import planned_for
+
     touched = one.where
     return {
         "arrival_weight": "plan" if one.arrival_weight is None else one.arrival_weight,
+        "planned_for": planned_for(plan, one),
         "tip_mm": one.tip,
         "contact_mm": one.contact,
         "e3_mm": one.e3,
@@ -134,18 +146,19 @@ def _row(one: Compromise) -> dict[str, Any]:
 def print_compromises(plan: Plan, found: Sequence[Compromise]) -> None:
     """Print the compromises `found` between arriving and keeping off the wall, and what limits `plan`."""
     # Most plans need no compromise.
-    from ctr_nlp.planning.compromise import compromise_sentences
+    from ctr_nlp.planning.compromise import compromise_sentences, planned_for
 
-    columns = "motion", "tip off mm", "deepest contact mm", "e3 mm", "at"
+    columns = "motion", "tip off mm", "deepest contact mm", "e3 mm", "at", "planned for"
     rows = [
         (
             "this plan" if one.arrival_weight is None else f"--arrival-weight {one.arrival_weight:g}",
             *(one.tip, one.contact, one.e3),
             "" if one.where is None else f"tube {one.where.tube}, {one.where.arc_length:.0f} mm",
+            planned_for(plan, one),
         )
         for one in found
     ]
-    print_table("arrival against contact, for the robot as described", columns, rows)
+    print_table("arrival against contact, of the robot as described", columns, rows, text=("at", "planned for"))
     for sentence in compromise_sentences(plan, found):
         console().print(sentence)
 

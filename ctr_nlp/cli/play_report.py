@@ -18,7 +18,7 @@ from ctr_nlp.hardware.journal import Journal
 from ctr_nlp.hardware.motion.trajectory import Trajectory
 from ctr_nlp.hardware.playing.checks import TrajectoryCheck
 from ctr_nlp.hardware.playing.record import Tracking
-from ctr_nlp.hardware.playing.results import Result
+from ctr_nlp.hardware.playing.results import PlaybackOutcome, Result
 from ctr_nlp.plan.plan import Plan
 from ctr_nlp.support.tables import columns_to_rows, write_csv
 from ctr_nlp.typing import Array
@@ -100,9 +100,11 @@ def report(
         where += ", but not remembered"
     rows: list[tuple[str, Any, str]] = [
         ("result", result.outcome.value, ""),
-        ("last frame passed", f"{result.frame} of {len(plan.time)}", ""),
         ("position of the axes", where, ""),
     ]
+    # A retraction that succeeds passes no frame of the plan.
+    if result.frame or result.outcome is not PlaybackOutcome.SUCCESS:
+        rows.insert(1, ("last frame passed", f"{result.frame} of {len(plan.time)}", ""))
     files = [] if journal.unwritten else [JOURNAL]
     missing = [why for why in (result.memory_error, journal.unwritten) if why]
     if seen is not None and len(seen.frame):

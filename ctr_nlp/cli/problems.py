@@ -9,11 +9,12 @@ import runpy
 import sys
 import traceback
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ctr_nlp.anatomy.suffixes import CENTRELINE_SUFFIXES, MASK_SUFFIXES
-from ctr_nlp.cli.terminal_output import announce, print_stderr
+from ctr_nlp.cli.terminal_output import announce, busy, print_stderr
 from ctr_nlp.exceptions import CtrError, OptionError, ProblemError, suggest_names
 from ctr_nlp.models import Model, model_named
 from ctr_nlp.paths.lumen_fit import problem_notes
@@ -71,7 +72,11 @@ def load_all(names: Sequence[str], arguments: argparse.Namespace) -> list[Proble
             )
         option = next(iter(options)).replace("_", "-")
         raise OptionError(f"--{option} goes with a centreline file or a mask; {names[0]} is a {kind}")
-    found = [_problem(name, arguments, options if is_anatomy(name) else {}) for name in names]
+    found = []
+    for name in names:
+        # Only files of anatomy take long to read.
+        with busy(f"{name} is read") if is_anatomy(name) else nullcontext():
+            found.append(_problem(name, arguments, options if is_anatomy(name) else {}))
     planned_on = getattr(arguments, "model", None)
     evaluated_on = getattr(arguments, "evaluate", None)
     for problem in found:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import json
 import math
+import shlex
 import sys
 import time
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
@@ -24,6 +25,8 @@ from ctr_nlp.exceptions import escape_control_characters
 
 PIPED_WIDTH = 160
 """Columns assumed where output does not go to a terminal."""
+MAX_UNBROKEN_WORD = 20
+"""Longest word that a table does not break, such as a file's name."""
 PROGRESS_LINE_INTERVAL_S = 1.0
 """Seconds between lines of progress with --verbose."""
 Labelled = Callable[[str], Callable[[int, int, str], None]]
@@ -139,14 +142,27 @@ def report_written_files(place: str | Path, files: Sequence[str] = (), more: str
         console().print(f"wrote {place}{named}{more}", soft_wrap=True)
 
 
+def suggest_next(*commands: tuple[str, Sequence[object]]) -> None:
+    """Print commands that a person may want next; with --json nothing.
+
+    commands: what each does, and its words after ``ctr-nlp``.
+    """
+    if _json_output.get() is not None:
+        return
+    for purpose, words in commands:
+        line = " ".join(["ctr-nlp", *(shlex.quote(str(word)) for word in words)])
+        console().print(f"next, {purpose}: {line}", soft_wrap=True)
+
+
 def print_table(
     title: str,
     columns: Sequence[str],
     rows: Sequence[Sequence[Any]],
     text: Collection[str] = (),
     styles: Mapping[str, str] | None = None,
+    unbroken: Collection[str] = (),
 ) -> None:
-    """Print a table with a left-aligned first column.
+    """Print a table with a left-aligned first column, which breaks lines between words.
 
     Parameters
     ----------
@@ -160,6 +176,8 @@ def print_table(
         Further columns that are left-aligned.
     styles : mapping, optional
         Colours of cells that are just such a word.
+    unbroken : collection of str
+        Columns whose cells stay on one line, such as coordinates, which are copied.
     """
     told = _json_output.get()
     if told is not None:
@@ -171,14 +189,47 @@ def print_table(
         box=box.SIMPLE_HEAD,
         padding=(0, 1, 0, 0),
     )
+    written = [[cell if isinstance(cell, str) else _text(cell) for cell in row] for row in rows]
+    terminal = console()
+    widths = _column_widths(columns, written, unbroken, terminal.width)
     for i, column in enumerate(columns):
         table.add_column(
-            column, justify="left" if i == 0 or column in text else "right", no_wrap=i == 0, overflow="fold"
+            column,
+            justify="left" if i == 0 or column in text else "right",
+            no_wrap=i == 0,
+            overflow="fold",
+            width=None if widths is None else widths[i],
         )
-    for row in rows:
-        cells = (cell if isinstance(cell, str) else _text(cell) for cell in row)
+    for cells in written:
         table.add_row(*(Text(escape_control_characters(cell), (styles or {}).get(cell, "")) for cell in cells))
-    console().print(table)
+    terminal.print(table)
+
+
+def _column_widths(
+    columns: Sequence[str], rows: Sequence[Sequence[str]], unbroken: Collection[str], width: int
+) -> list[int] | None:
+    """Return widths of a table's columns that break no short word and together fill at most `width`; None where
+    there are none.
+
+    Left to itself, rich breaks words of narrow columns although wide ones could wrap between words.
+    """
+    cells = [[column, *(row[i] for row in rows)] for i, column in enumerate(columns)]
+    whole = [i == 0 or column in unbroken for i, column in enumerate(columns)]
+    found = [max(map(len, some)) for some in cells]
+    least = [
+        max(map(len, [*some[0].split(), *some[1:]]))
+        if keep
+        else min(max((len(word) for cell in some for word in cell.split()), default=0), MAX_UNBROKEN_WORD)
+        for some, keep in zip(cells, whole, strict=True)
+    ]
+    # Two spaces follow each column, and one begins the line.
+    room = width - 2 * len(columns) - 1
+    if sum(least) > room:
+        return None
+    while sum(found) > room:
+        widest = max(range(len(found)), key=lambda i: found[i] - least[i])
+        found[widest] -= 1
+    return found
 
 
 @contextmanager

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 
 from ctr_nlp.loads.tip import Forces
 from ctr_nlp.typing import Array
-from ctr_nlp.view.figures.parts.page import STYLE, printable
+from ctr_nlp.view.figures.parts.page import STYLE, add_title
 from ctr_nlp.view.figures.parts.palette import BLACK, BLUE, SKY, VERMILLION
 
 FORCE_TICK_DIGITS = "125"
@@ -50,7 +50,7 @@ def draw_tip_forces(found: Forces, problem: str) -> Figure:
     for axes, plane in zip(grid, POLAR_PLANES, strict=True):
         _polar(axes, found, worst, plane)
     below.suptitle(f"frame {found.frames[worst]}: largest force (N), by direction", fontsize=9)
-    figure.suptitle(printable(f"Largest tip forces: {problem}"), fontsize=10, parse_math=False)
+    add_title(figure, f"Largest tip forces: {problem}")
     return figure
 
 

@@ -8,7 +8,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from ctr_nlp.loads.wall import WallForces
-from ctr_nlp.view.figures.parts.page import STYLE, printable
+from ctr_nlp.view.figures.parts.page import STYLE, add_title
 from ctr_nlp.view.figures.parts.palette import BLACK, BLUE, SKY, VERMILLION
 
 
@@ -45,7 +45,7 @@ def draw_wall_forces(found: WallForces, problem: str) -> Figure:
     for axes in (total, depth):
         axes.set_ylim(bottom=0)
     title = f"The wall's forces on the plan: {problem} ({found.stiffness:g} N/mm per mm)"
-    figure.suptitle(printable(title), fontsize=10, parse_math=False)
+    add_title(figure, title)
     return figure
 
 

@@ -114,10 +114,16 @@ class Problem(Value):
         if longest > reach * MAX_TARGET_LENGTH_RATIO:
             usual = self.robot.tubes[-1].usual_extension
             limited = f"; the limits of the robot let beta_{self.robot.d} go to {reach:g} of {usual:g} mm"
+            # Only paths that are read from files can be trimmed; they have the name of their coordinates.
+            remedy = "choose a longer robot or a shorter path"
+            if self.space is not None:
+                remedy = (
+                    f"--trim start moves the robot's base {longest - reach:.1f} mm inwards, --trim end stops "
+                    f"{longest - reach:.1f} mm before the target"
+                )
             raise ProblemError(
                 f"the target of {self.name} is {longest:.2f} mm long and the robot reaches {reach:.2f} mm "
-                f"(0.5 % more is accepted); --trim start moves the robot's base {longest - reach:.1f} mm inwards, "
-                f"--trim end stops {longest - reach:.1f} mm before the target{limited if reach < usual else ''}"
+                f"(0.5 % more is accepted); {remedy}{limited if reach < usual else ''}"
             )
         first = self.target.curves[0]
         if self.lumen is OF_TARGET:

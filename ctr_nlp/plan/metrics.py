@@ -50,8 +50,8 @@ def by_frame(plan: PlanData) -> dict[str, Array]:
         Columns (T,): ``frame`` (from 1), ``time`` (s), ``e2``, ``max`` and ``tip`` (root mean square, maximum and
         last of e1, mm), ``nearest`` and ``nearest_max`` (root mean square and maximum of the distance to the
         nearest point of the target, mm), ``tip_angle`` (rad), ``success``; where known ``stability``,
-        ``stability_between``, ``clearance`` (the least over sigma, mm, negative in contact), ``e2_draws_median``
-        and ``e2_draws_95`` (mm).
+        ``stability_between``, ``clearance`` and ``clearance_between`` (the least over sigma, at the frame and on
+        the way to it, mm, negative in contact), ``e2_draws_median`` and ``e2_draws_95`` (mm).
 
     Raises
     ------
@@ -82,6 +82,7 @@ def by_frame(plan: PlanData) -> dict[str, Array]:
         "tip_angle": tip_angle(plan),
         **({"stability": plan.stability, "stability_between": plan.stability_between} if has_margins else {}),
         **({} if plan.clearance is None else {"clearance": plan.clearance.min(axis=1)}),
+        **({} if plan.clearance_between is None else {"clearance_between": plan.clearance_between.min(axis=1)}),
         **(
             {}
             if plan.drawn is None

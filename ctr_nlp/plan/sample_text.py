@@ -126,7 +126,7 @@ def _spreads(plan: PlanData, found: Robustness) -> list[tuple[Any, ...]]:
         ("deepest contact with the wall", None if least is None else max(-least, 0.0), depths),
         ("e3, RMS over frames of e2", e3(plan), found.errors),
         ("largest error, at equal arc length", float(np.nanmax(errors)) if known else None, found.largest_errors),
-        ("least clearance from the lumen's wall", least, found.clearances),
+        ("least clearance from the wall, at or between frames", least, found.clearances),
         ("depths of contact summed over frames", summed, found.contacts),
     ]
     return [(name, nominal, *values, "mm") for name, nominal, values in named if values is not None]

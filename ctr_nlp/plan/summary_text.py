@@ -197,10 +197,12 @@ def _stability(found: dict[str, Any]) -> list[Row]:
 
 
 def _clearance(found: dict[str, Any]) -> list[Row]:
-    """Return the rows on clearance from the lumen's wall and contact; none where no wall is known."""
+    """Return the rows on clearance from the wall and contact; none where no wall is known."""
     if found["clearance_min"] is None:
         return []
-    rows: list[Row] = [("least clearance from the lumen's wall", found["clearance_min"], "mm")]
+    between = found["clearance_between_min"]
+    both = f"{format_cell(found['clearance_min'])} / {NOT_CHECKED if between is None else format_cell(between)}"
+    rows: list[Row] = [("least clearance from the wall, at and between frames", both, "mm")]
     if found["contacts"]:
         frames = sum(contact["last"] - contact["first"] + 1 for contact in found["contacts"])
         rows.append(

@@ -78,6 +78,25 @@ class Compromise:
         return cls(arrival_weight, tip, contact, math.nan if error is None else error, solved, touched)
 
 
+def planned_for(plan: Plan, one: Compromise) -> str:
+    """Say which robots a motion of the trade-off was planned for: only a robust plan itself is made for many.
+
+    Parameters
+    ----------
+    plan : Plan
+        The plan.
+    one : Compromise
+        The plan's own motion, or another one of :func:`compromises`.
+
+    Returns
+    -------
+    str
+        Words for a table or legend.
+    """
+    own = one.arrival_weight is None
+    return "all robots within the tolerances" if own and "certificate" in plan.meta else "the robot as described"
+
+
 class PathDemands(NamedTuple):
     """The points of a path that demand most of the tubes, in curvature and in room.
 

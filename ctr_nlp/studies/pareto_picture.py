@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 
 from ctr_nlp.studies.pareto_front import ParetoPoint
 from ctr_nlp.view.figures import save
-from ctr_nlp.view.figures.parts.page import STYLE, printable
+from ctr_nlp.view.figures.parts.page import STYLE, add_title
 from ctr_nlp.view.figures.parts.palette import BLACK, BLUE, GREEN, ORANGE, PURPLE, SKY, VERMILLION
 
 PARETO_METHOD_MARKERS = (("s", VERMILLION), ("D", ORANGE), ("^", GREEN), ("v", PURPLE), ("P", SKY), ("X", BLACK))
@@ -38,7 +38,7 @@ def draw_pareto_front(points: Sequence[ParetoPoint], problem: str) -> Figure:
         axes.plot(point.roughness, point.e3, marker=marker, color=colour, mec=BLACK, ms=8, ls="", label=label)
     _scales(axes)
     axes.margins(0.1)
-    figure.suptitle(printable(f"Error against roughness: {problem}"), fontsize=10, parse_math=False)
+    add_title(figure, f"Error against roughness: {problem}")
     axes.legend(loc="center left", bbox_to_anchor=(1.01, 0.5))
     return figure
 

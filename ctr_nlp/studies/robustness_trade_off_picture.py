@@ -13,7 +13,7 @@ from matplotlib.ticker import PercentFormatter
 from ctr_nlp.ocp.settings import Settings
 from ctr_nlp.plan.robustness import MOST_LOST
 from ctr_nlp.studies.robustness_trade_off import RobustnessPoint, choose_plan
-from ctr_nlp.view.figures.parts.page import STYLE, printable
+from ctr_nlp.view.figures.parts.page import STYLE, add_title
 from ctr_nlp.view.figures.parts.palette import BLACK, BLUE, VERMILLION
 
 MARGIN_MARKERS = "x+sd^v"
@@ -56,9 +56,9 @@ def draw_robustness_trade_off(
     above.grid(which="minor", lw=0.3)
     above.set_ylabel("e3 (mm)")
     below.set_ylim(bottom=0, top=max(1.1 * max(p.share for p in points), 2 * most_lost))
-    below.set_ylabel("draws lost")
+    below.set_ylabel("samples that fail")
     below.yaxis.set_major_formatter(PercentFormatter(1.0))
     below.set_xlabel("tolerances planned for, as part of the robot's")
     above.legend()
-    figure.suptitle(printable(f"What robustness costs and brings: {problem}"), fontsize=10, parse_math=False)
+    add_title(figure, f"What robustness costs and brings: {problem}")
     return figure

@@ -197,7 +197,7 @@ def narrowing(tmp_path):
 
 def test_the_list_tells_what_there_is_to_choose_from(narrowing, capsys):
     assert list_branches([str(narrowing)]) == 0
-    row = capsys.readouterr().out.splitlines()[-2].split()
+    (row,) = [line.split() for line in capsys.readouterr().out.splitlines() if line.startswith(" 1 ")]
     assert row[:3] == ["1", "left", "0"]
     assert [float(cell) for cell in row[3:]] == pytest.approx([90, 100, 9, 3, 3, 37.8, 0, 78.3], rel=2e-3)
 

@@ -423,7 +423,9 @@ def test_a_point_outside_the_mask(tmp_path, which):
     path = TUBE.nifti(tmp_path / "mask.nii")
     ends = RAS_ENDS.copy()
     ends[which, 0] += 8.0
-    with refused(path, rf"{('entry', 'target')[which]} .* is 4\.75 mm outside the mask; .* RAS$"):
+    near = ", ".join(rf"-?{abs(x):.1f}".replace(".", r"\.") for x in ends[which] - [4.75, 0.0, 0.0])
+    message = rf"{('entry', 'target')[which]} .* is 4\.75 mm outside the mask; .* lumen is \({near}\), .* RAS$"
+    with refused(path, message):
         read_mask(path, *ends)
 
 

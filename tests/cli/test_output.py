@@ -118,8 +118,16 @@ def test_runs_of_other_kinds_keep_to_their_own_files(tmp_path):
     run(tmp_path, {"report.html": "page"}, kind="report")
     run(tmp_path, {}, kind="play")
     assert contents(tmp_path) == PLAN | {"report.html": "page"}
+    run(tmp_path, {"tracking.csv": "played"}, kind="play")
+    run(tmp_path, {}, kind="force")
+    assert contents(tmp_path) == PLAN | {"report.html": "page", "tracking.csv": "played"}
+
+
+def test_a_new_plan_deletes_the_page_of_the_old_one(tmp_path):
+    run(tmp_path, PLAN)
+    run(tmp_path, {"report.html": "page"}, kind="report")
     run(tmp_path, {"plan.npz": "second"})
-    assert contents(tmp_path) == {"plan.npz": "second", "report.html": "page"}
+    assert contents(tmp_path) == {"plan.npz": "second"}
 
 
 def test_the_manifest_tells_what_was_written(tmp_path):

@@ -408,7 +408,7 @@ def test_killed_in_motion_it_is_not_played_anew_until_the_tubes_are_back_or_some
         for _ in range(2):
             assert main(arguments) == 1
             said = capsys.readouterr().err
-            assert "not to be trusted, since a motion had begun, and its end was never told" in said
+            assert "not to be trusted, since a motion had begun, and its end was never recorded" in said
             assert "--position-verified" in said
         assert (firmware.position == stood).all()
         assert main([*arguments, "--retract"]) == 0
@@ -432,7 +432,7 @@ def test_killed_in_motion_it_is_not_trusted_under_another_spelling_of_its_addres
         respelled = rig(tmp_path, url.replace("127.0.0.1", "localhost"))
         arguments = [str(plan), "--hardware", str(respelled), "--out", str(tmp_path / "again")]
         assert main(arguments) == 1
-        assert "since a motion had begun, and its end was never told" in capsys.readouterr().err
+        assert "since a motion had begun, and its end was never recorded" in capsys.readouterr().err
         monkeypatch.setenv("CTR_NLP_STATE", str(tmp_path / "state of another user"))
         assert main(arguments) == 1
         assert "there is no record of this device" in capsys.readouterr().err
@@ -669,7 +669,7 @@ def test_a_position_that_cannot_be_remembered_is_not_all_well(
         assert f"cannot be saved in {os.environ['CTR_NLP_STATE']}" in told.err
         assert NO_SPACE in told.err
         assert main(arguments) == 1
-    assert "its end was never told" in capsys.readouterr().err
+    assert "its end was never recorded" in capsys.readouterr().err
 
 
 def test_it_refuses_a_folder_that_is_not_ours(plan: Path, tmp_path: Path) -> None:

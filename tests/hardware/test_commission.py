@@ -75,8 +75,8 @@ def test_axes_move_as_asked(rig: Rig, monkeypatch: pytest.MonkeyPatch, capsys: p
     out = capsys.readouterr().out
     assert "Z went from 0.000 to 1.000" in out
     assert "A went from 0.000 to -1.000" in out
-    assert "'Q+' is no axis and direction" in out
-    assert "'SKIP Q' is no axis and direction" in out
+    assert "'Q+' is no command" in out
+    assert "'SKIP Q' is no command" in out
     assert "axis Y (beta_2) stands at 0 mm and would go to -1; it must stay in [0, 150]" in out
     assert rig.firmware.position.tolist() == [0.0, 0.0, 1.0, -1.0, 0.0, 0.0]
 
@@ -132,7 +132,7 @@ def test_a_record_of_before_does_not_tell_which_axes_were_tried(
     del kept["untried"]
     commissioned_file(rig.file).write_text(json.dumps(kept))
     assert rig.play() == 0
-    assert "commissioning does not tell which axes were tried" in capsys.readouterr().err
+    assert "commissioning does not say which axes were tried" in capsys.readouterr().err
 
 
 def test_a_folder_that_is_named_like_a_file_is_refused(rig: Rig, capsys: pytest.CaptureFixture[str]) -> None:
@@ -213,8 +213,8 @@ def test_what_is_looser_than_plans_need_is_named_and_set(
     assert "note: the controller's $112 is 6000.000, and lets a corrupted line move Z" in said
     assert rig.commission("set\nset\n" + NONE, monkeypatch) == 0
     out = capsys.readouterr().out
-    assert "set $112=3000" in out
-    assert "nothing is looser than it need be" in out
+    assert "written to the controller: $112=3000" in out
+    assert "No setting is looser than it need be" in out
     assert rig.firmware.settings[112] == 3000.0
     assert json.loads(commissioned_file(rig.file).read_text())["settings"]["112"] == "3000.000"
     assert rig.play() == 0

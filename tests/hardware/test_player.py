@@ -539,7 +539,7 @@ def test_late_reports_are_not_called_a_fault_of_the_arm(silence: float, late: bo
     rig = Rig(tmp_path, tilting(), device=Unheard, lag=0.0)
     result = rig.play(At((0.5, lambda: setattr(rig.device, "until", rig.clock.now() + silence))))
     assert result.outcome is (PlaybackOutcome.DEVICE_FAULT if late else PlaybackOutcome.SUCCESS), result.message
-    assert result.message.startswith("the device told no position for 0.4") is late, result.message
+    assert result.message.startswith("the device reported no position for 0.4") is late, result.message
     assert ("its reports are late, and the arm" in result.message) is late
 
 

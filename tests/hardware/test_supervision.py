@@ -55,7 +55,7 @@ def test_a_motion_in_time_is_left_alone() -> None:
         ({"signs": Signs("it said so")}, "DEVICE_FAULT: it said so"),
         ({"signs": Signs(override=110.0)}, "DEVICE_FAULT: the feed override is 110 %, and must be 100 %"),
         ({"signs": Signs(stalled=MAX_STALL_TIME_S + 0.1)}, "DEVICE_FAULT: nothing has moved for 1.1 s"),
-        ({"stamp": -MAX_DEVICE_SILENCE_S - 0.1}, "DEVICE_FAULT: the device has told no position for 0.6 s"),
+        ({"stamp": -MAX_DEVICE_SILENCE_S - 0.1}, "DEVICE_FAULT: the device has reported no position for 0.6 s"),
     ],
 )
 def test_what_is_seen_at_once(changes: dict[str, Any], message: str) -> None:

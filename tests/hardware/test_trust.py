@@ -70,7 +70,7 @@ def test_a_stop_while_it_connects_changes_nothing_of_what_is_remembered(world: W
         player.connect()
     assert (stop.value.result.outcome, stop.value.result.trusted) == (PlaybackOutcome.CANCELLED, False)
     player.close()
-    with pytest.raises(DeviceFault, match="a motion had begun, and its end was never told"):
+    with pytest.raises(DeviceFault, match="a motion had begun, and its end was never recorded"):
         world.begin()
     world.latest.close()
     assert world.begin(verified=True).outcome is PlaybackOutcome.SUCCESS
@@ -93,7 +93,7 @@ def test_homing_by_hand_cannot_be_asked_of_a_controller(world: World) -> None:
 
 def test_homing_ends_distrust(world: World) -> None:
     killed(world)
-    with pytest.raises(DeviceFault, match="a motion had begun, and its end was never told"):
+    with pytest.raises(DeviceFault, match="a motion had begun, and its end was never recorded"):
         world.begin()
     world.latest.close()
     assert world.begin(home=True).outcome is PlaybackOutcome.SUCCESS

@@ -382,7 +382,7 @@ class TestUr:
     def test_a_stop_that_cannot_be_told_says_so(self, robot, follower, clock):
         follower.connect()
         robot.raises = "RTDE: connection lost"
-        with pytest.raises(DeviceFault, match=r"could not be told to stop; use the emergency stop"):
+        with pytest.raises(DeviceFault, match=r"did not take the order to stop; use the emergency stop"):
             follower.stop()
         robot.raises = ""
         with pytest.raises(DeviceFault, match="stopped"):

@@ -199,7 +199,11 @@ def test_the_picture_marks_contacts_and_tubes_ends():
 
 
 def test_a_picture_without_contact_names_none():
-    assert labels(picture(touching(2, 1))) == ["beyond the wall", *(f"end of tube {i}" for i in (1, 2, 3))]
+    assert labels(picture(touching(2, 1))) == [
+        "at the frame",
+        "beyond the wall",
+        *(f"end of tube {i}" for i in (1, 2, 3)),
+    ]
 
 
 def test_failed_frames_and_those_not_reached_are_named():
@@ -219,7 +223,7 @@ def test_any_plan_has_a_picture(tmp_path, least, scale):
 def test_axes_carry_units():
     axes = picture(touching(2, -1)).axes
     names = [each.get_ylabel() for each in axes] + [axes[1].get_xlabel()]
-    assert names == ["along the robot (mm)", "least of a frame (mm)", "clearance (mm), contact below 0", "frame"]
+    assert names == ["along the robot (mm)", "least clearance (mm)", "clearance (mm), contact below 0", "frame"]
 
 
 def test_where_no_wall_is_known_there_is_no_picture(tmp_path):

@@ -116,9 +116,11 @@ def find_lumen_index(mask: Image, name: str, given: npt.ArrayLike) -> Array:
     turned = transform_points(point * [-1, -1, 1], to_index)
     mixed = lie_in_lumen(mask.voxels, one, turned[None])[0]
     hint = "; with x and y negated it does: is it in LPS instead of RAS, or the other way round?" if mixed else ""
+    near = ", ".join(f"{x:.1f}" for x in transform_points(nearest, mask.affine) + 0.0)
     raise CurveError(
         f"{name} {point.tolist()} is {away:.3g} mm outside the mask; it must lie in it or within {allowed:.2g} mm "
-        f"of it, in mm in the file's coordinates, {mask.space}{hint}"
+        f"of it, and the nearest point of the lumen is ({near}), in mm in the file's coordinates, "
+        f"{mask.space}{hint}"
     )
 
 

@@ -19,7 +19,14 @@ from ctr_nlp.cli.arguments import add_entry_option
 from ctr_nlp.cli.console import EXIT_SOLVED, Command
 from ctr_nlp.cli.output.file import check_file, output_file
 from ctr_nlp.cli.plan_options import add_piece_arguments, add_reading_options, pieces_from, read_options_from
-from ctr_nlp.cli.terminal_output import print_stderr, print_table, progress_bar, report_written_files
+from ctr_nlp.cli.terminal_output import (
+    busy,
+    print_stderr,
+    print_table,
+    progress_bar,
+    report_written_files,
+    suggest_next,
+)
 from ctr_nlp.exceptions import OptionError, OutputError, escape_control_characters
 from ctr_nlp.paths.lumen_fit import JAGGED_CURVATURE_PER_MM
 from ctr_nlp.paths.points import cumulative_arc_length
@@ -54,7 +61,7 @@ def _parser(prog: str) -> argparse.ArgumentParser:
     parser.add_argument("file", metavar="FILE", help=f"file of anatomy ({', '.join(ANATOMY_SUFFIXES)})")
     add_piece_arguments(parser)
     parser.add_argument("--reverse", action="store_true", help="take each branch from its last point to its first")
-    add_entry_option(parser, "as the file tells it; in a mask the widest end")
+    add_entry_option(parser, "as the file has it; in a mask the widest end")
     add_reading_options(parser)
     parser.add_argument("--out", metavar="FILE.png", help="draw the branches; a picture of that name is replaced")
     parser.add_argument(
@@ -68,12 +75,13 @@ def _run(arguments: argparse.Namespace) -> int:
         _check_out("--out", Path(arguments.out), ".png", PNG, "picture")
     if arguments.save:
         _check_out("--save", Path(arguments.save), ".vtp", VTP, "VTK file")
-    branches = read_branches(
-        arguments.file,
-        arguments.entry,
-        options=read_options_from(arguments),
-        pieces=pieces_from(arguments),
-    )
+    with busy(f"{arguments.file} is read"):
+        branches = read_branches(
+            arguments.file,
+            arguments.entry,
+            options=read_options_from(arguments),
+            pieces=pieces_from(arguments),
+        )
     for note in branches.facts.notes:
         print_stderr(f"note: {note}")
     if arguments.reverse:
@@ -93,13 +101,30 @@ def _run(arguments: argparse.Namespace) -> int:
         place = columns.index("generation")
         for row in (columns, *rows):
             del row[place]
-    print_table(f"{arguments.file}, in mm; coordinates {branches.space}", columns, rows)
+    if all(name == f"branch {number}" for number, name, *_ in rows):  # names that masks give repeat the number
+        place = columns.index("name")
+        for row in (columns, *rows):
+            del row[place]
+    if not any(row[-1] for row in rows):
+        for row in (columns, *rows):
+            del row[-1]
+    title = f"{arguments.file}, in mm; coordinates {branches.space}"
+    print_table(title, columns, rows, text=("name", "remark"), unbroken=("tip",))
     if arguments.save:
         with output_file(Path(arguments.save)) as partial:
             write_vtk(partial, branches)
     for file in filter(None, (arguments.out, arguments.save)):
         report_written_files(file)
+    suggest_next(("a plan to the tip of a branch", _plan_words(arguments, count)))
     return EXIT_SOLVED
+
+
+def _plan_words(arguments: argparse.Namespace, count: int) -> list[object]:
+    """Return the words of a command that plans along one of `count` branches of the file."""
+    words: list[object] = ["plan", arguments.file, *pieces_from(arguments)]
+    if arguments.entry is not None:
+        words += ["--entry", *arguments.entry]
+    return words if count == 1 else [*words, "--branch", "NUMBER"]
 
 
 def _check_out(option: str, out: Path, suffix: str, start: bytes, kind: str) -> None:

@@ -36,7 +36,11 @@ def _run(arguments: argparse.Namespace) -> int:
     with busy(f"{arguments.plan} is checked"):
         opinions = form_opinions(arguments.plan, arguments.samples, arguments.centreline)
     print_table(
-        f"{arguments.plan}: the plan's verdicts beside the checker's", COLUMNS, _rows(opinions), styles=STYLES
+        f"{arguments.plan}: the plan's verdicts beside the checker's",
+        COLUMNS,
+        _rows(opinions),
+        text=("why",),
+        styles=STYLES,
     )
     apart = [each.name.replace("_", " ") for each in opinions if not each.agrees]
     missing = [each.name.replace("_", " ") for each in opinions if each.word not in STYLES]

@@ -96,11 +96,12 @@ def _show(hardware: Hardware, controller: ControllerReadout) -> None:
     ):
         table = [(f"${one.name}", one.value, f"${one.name}={one.wanted}", one.why) for one in settings]
         if table:
-            print_table(title, ("setting", "is", "set", "why"), table)
+            print_table(title, ("setting", "value", "command", "why"), table)
     if not controller.wrong:
         console().print("No setting goes against safe playing.")
     if controller.loose:
-        console().print("Type set, and what is looser than it need be is set on the controller.")
+        tighter = " ".join(f"${one.name}={one.wanted}" for one in controller.loose)
+        console().print(f"Type set to write the tighter values to the controller: {tighter}.")
 
 
 def _steps(rig: Commissioning, hardware: Hardware) -> int:
@@ -140,12 +141,15 @@ def _obey(typed: str, rig: Commissioning, hardware: Hardware, interrupted: Asked
     if typed == TIGHTEN:
         done = rig.tighten()
         said = " ".join(f"${one.name}={one.wanted}" for one in done)
-        console().print(f"set {said}" if done else "nothing is looser than it need be")
+        console().print(f"written to the controller: {said}" if done else "No setting is looser than it need be.")
     elif typed.startswith(SKIP) and letter in hardware.letters:
         rig.skip(letter)
         console().print(f"{letter} is left untried")
     elif len(typed) != 2 or typed[0] not in hardware.letters or typed[1] not in STEP_DIRECTION_SIGNS:
-        message = f"{typed!r} is no axis and direction; type one of {letters} and + or -, or skip and one of them"
+        message = (
+            f"{typed!r} is no command; type an axis ({letters}) and + or - to move it, skip and an axis to leave "
+            "it untried, or set to write settings that are looser than they need be"
+        )
         console().print(message)
     else:
         return _step_axis(typed[0], STEP_DIRECTION_SIGNS[typed[1]], rig, interrupted)
@@ -172,10 +176,10 @@ def _step_axis(letter: str, direction: int, rig: Commissioning, interrupted: Ask
 def _parser(prog: str) -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog=prog,
-        description="Read a Grbl controller, tell which settings are wrong and what to set, move single axes "
+        description="Read a Grbl controller, report which settings are wrong and what to set, move single axes "
         "by a small step where asked to, and keep its settings beside the hardware file, to be compared at every "
         "start, once every axis has moved both ways. Where largest rates or soft limits are looser than the "
-        "hardware file needs, typing set sets them.",
+        "hardware file needs, typing set writes the tighter values to the controller.",
         epilog="Exit status: 0 where settings were kept, 1 where a setting is wrong, an axis was not tried or the "
         "controller fails, 2 where input is bad, 128 + N where signal N stopped a step: 130 after Ctrl-C, 131 "
         "after Ctrl-\\, 143 after SIGTERM.",

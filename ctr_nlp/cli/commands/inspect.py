@@ -32,7 +32,7 @@ def _parser(prog: str) -> argparse.ArgumentParser:
     )
     parser.add_argument("file", metavar="FILE", help=f"file of anatomy ({', '.join(ANATOMY_SUFFIXES)})")
     add_piece_arguments(parser)
-    add_entry_option(parser, "as the file tells it")
+    add_entry_option(parser, "as the file has it")
     add_triple(parser, "target", "point at which a path in a mask ends, to inspect the path between both")
     add_reading_options(parser)
     return parser

@@ -30,6 +30,7 @@ from ctr_nlp.cli.output.folder import NOMINAL_FOLDER_NAME, check_folder, output_
 from ctr_nlp.cli.plan_options import DEFAULT_SWEEP_WEIGHTS_S2, HORIZON_FORMULATION
 from ctr_nlp.cli.plan_report import (
     draw,
+    draw_film,
     draw_shapes_only,
     exit_status,
     print_compromises,
@@ -40,7 +41,7 @@ from ctr_nlp.cli.plan_report import (
     write_film,
     write_front,
 )
-from ctr_nlp.cli.terminal_output import announce, progress_bar, report_written_files
+from ctr_nlp.cli.terminal_output import announce, busy, progress_bar, report_written_files, suggest_next
 from ctr_nlp.exceptions import CtrError, OptionError
 from ctr_nlp.loads.tissue import AIRWAY_WALL_STIFFNESS_N_PER_MM2
 from ctr_nlp.models import KINEMATIC_MODELS
@@ -158,18 +159,20 @@ def _run(arguments: argparse.Namespace) -> int:
             plan = _plan_on_wall(arguments, problem, plan)
     with deferred_interrupt() as pressed:
         # Ctrl-C waits while the plan is evaluated, which takes seconds: it must not discard what was solved.
-        plan = plan_options.evaluate_plan(plan_options.with_thresholds(plan, arguments), arguments)
+        with busy("the plan is evaluated"):
+            plan = plan_options.evaluate_plan(plan_options.with_thresholds(plan, arguments), arguments)
         found = _compromises(arguments, problem, plan)
         interrupted = plan.meta["interrupted"] or pressed()
     place = results_folder(out, interrupted)
     with output_folder(place, "plan") as staging:
         write(plan, staging)
         if found:
-            write_compromises(found, staging)
+            write_compromises(plan, found, staging)
         if points:
             write_front(points, staging)
         if not arguments.no_figures:
-            draw(plan, points, staging, found)
+            with busy("pictures are drawn"):
+                draw(plan, points, staging, found)
         files = sorted(path.name for path in staging.iterdir())
         if film is not None:
             film = write_film([plan], film, out, place, staging)
@@ -181,7 +184,21 @@ def _run(arguments: argparse.Namespace) -> int:
     report_written_files(place, files)
     if film is not None:
         report_written_files(film)
+    if not interrupted:
+        suggest_next(*_next_commands(plan, place / "plan.npz"))
     return EXIT_INTERRUPTED if interrupted else exit_status(plan)
+
+
+def _next_commands(plan: Plan, file: Path) -> list[tuple[str, list[object]]]:
+    """Return what a person may want to do with a plan in a file, and the commands; only a good plan is played."""
+    commands: list[tuple[str, list[object]]] = [
+        ("a page on which the robot moves", ["report", file]),
+        ("an independent check", ["check", file]),
+    ]
+    if not (plan.verdicts.failed_names or plan.verdicts.unchecked_names):
+        words = ["play", file, "--hardware", "FILE.toml", "--dry-run"]
+        commands.append(("a trial with your rig's limits, without motion", words))
+    return commands
 
 
 def _with_fitting_robot(problem: Problem, arguments: argparse.Namespace, model: str) -> Problem:
@@ -199,7 +216,8 @@ def _with_fitting_robot(problem: Problem, arguments: argparse.Namespace, model: 
     # The limits of the tilt are the problem's: an option narrows them.
     tilt = list(zip(problem.robot.lower[-2:].tolist(), problem.robot.upper[-2:].tolist(), strict=True))
     robots = {name: robot.with_limits(theta=tilt) for name, robot in read_robot_files().items()}
-    best = choose_robot(problem, robots)
+    with busy("robots of the package are compared"):
+        best = choose_robot(problem, robots)
     if best is None:
         return problem
     announce(
@@ -442,7 +460,9 @@ def _plan_robust(arguments: argparse.Namespace, problem: Problem, out: Path) -> 
     if whole:
         asked |= {"settings": _settings(arguments, problem, "seed"), "motion_weight": arguments.motion_weight}
         asked["guards"] = bool(arguments.guards)
-        asked["nominal"] = partial(_write_nominal_plan, out=out, figures=not arguments.no_figures)
+        asked["nominal"] = partial(
+            _write_nominal_plan, out=out, figures=not arguments.no_figures, film=film_file(arguments)
+        )
     else:
         asked |= {"settings": _settings(arguments, problem, *FRAME_SETTINGS)}
         asked |= {"direction": arguments.direction or "best"}
@@ -453,8 +473,12 @@ def _plan_robust(arguments: argparse.Namespace, problem: Problem, out: Path) -> 
         return solve(problem, progress=labelled(problem.name), **asked)
 
 
-def _write_nominal_plan(plan: Plan, out: Path, figures: bool) -> None:
-    """Write the plan of the nominal robot into a folder within `out`; figures: whether to draw its shapes."""
+def _write_nominal_plan(plan: Plan, out: Path, figures: bool, film: Path | None) -> None:
+    """Write the plan of the nominal robot into a folder within `out`.
+
+    figures: whether to draw its shapes. film: of the plan to come, None where none was asked for; one of this plan
+    gets the same name.
+    """
     if plan.meta["interrupted"]:
         return
     # A folder of its own: the robust plan may be interrupted, and must not be taken for this one.
@@ -463,13 +487,17 @@ def _write_nominal_plan(plan: Plan, out: Path, figures: bool) -> None:
         write(plan, staging)
         if figures:
             draw_shapes_only(plan, staging)
+        if film is not None:
+            draw_film(plan, staging / film.name)
+        files = sorted(path.name for path in staging.iterdir())
     found = summary(plan)
     tip = found["tip_last"]
     announce(
         f"plan for the robot as described: {summary_text.summarise_verdicts(found)} The tip ends {tip:.2f} mm off "
-        f"the target. "
-        f"Wrote {place}; now planning for all robots within the tolerances"
+        f"the target."
     )
+    report_written_files(place, files)
+    announce("now planning for all robots within the tolerances, which takes longer")
 
 
 def _open_live_view(problem: Problem, arguments: argparse.Namespace) -> AbstractContextManager[SolverView | None]:

@@ -82,8 +82,8 @@ def _parser(prog: str) -> argparse.ArgumentParser:
     parser.add_argument(
         "--commission",
         action="store_true",
-        help="read a Grbl controller, tell which settings are wrong and what to set, move single axes by a small "
-        "step where asked to, and keep its settings beside the hardware file, to be compared at every start",
+        help="read a Grbl controller, report which settings are wrong and what to set, move single axes by a "
+        "small step where asked to, and keep its settings beside the hardware file, to be compared at every start",
     )
     parser.add_argument(
         "--out",
@@ -203,7 +203,7 @@ def _note_untried(hardware: Hardware) -> None:
     elif hardware.untried == ():
         return
     elif hardware.untried is None:
-        told = "the record of the rig's commissioning does not tell which axes were tried"
+        told = "the record of the rig's commissioning does not say which axes were tried"
     else:
         told = f"when the rig was commissioned, axes were not tried: {', '.join(hardware.untried)}"
     print_stderr(f"note: {told}; `ctr-nlp commission` tries them")

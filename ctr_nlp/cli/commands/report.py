@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Sequence
 from pathlib import Path
 
 from ctr_nlp.cli.arguments import add_film_option, add_out_option, film_file
 from ctr_nlp.cli.console import EXIT_SOLVED, Command
 from ctr_nlp.cli.output.file import write_text
 from ctr_nlp.cli.output.folder import check_folder, output_folder
+from ctr_nlp.cli.output.manifest import read_manifest
 from ctr_nlp.cli.plan_report import write_film
 from ctr_nlp.cli.second_opinion import form_opinions
 from ctr_nlp.cli.terminal_output import busy, report_written_files
@@ -16,23 +18,26 @@ from ctr_nlp.plan.plan import Plan
 from ctr_nlp.view.report import page
 
 PAGE = "report.html"
+OTHER_FOLDER = "runs/report"
+"""Folder of pages that have no plan's folder of their own."""
 
 
 def _parser(prog: str) -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog=prog,
         description=f"Write {PAGE}: the moving robot in three dimensions, plots and numbers of a plan, or of "
-        "several side by side in step. It is one file, which opens in a browser without a network.",
+        "several side by side in step. It is one file, which opens in a browser without a network. The page of "
+        "one plan lies beside it if ctr-nlp wrote its folder, and is deleted when a new plan is written there.",
         epilog="Exit status: 0 where the page was written, 2 where input is bad and nothing is written.",
     )
     parser.add_argument("plans", metavar="PLAN.npz", nargs="+")
-    add_out_option(parser, "runs/report")
+    add_out_option(parser, f"the folder of PLAN.npz, or {OTHER_FOLDER}")
     add_film_option(parser)
     return parser
 
 
 def _run(arguments: argparse.Namespace) -> int:
-    out = Path(arguments.out)
+    out = Path(arguments.out) if arguments.out else _default_folder(arguments.plans)
     film = film_file(arguments)
     check_folder(out, "report", film)
     plans = [Plan.load(path) for path in arguments.plans]
@@ -47,6 +52,12 @@ def _run(arguments: argparse.Namespace) -> int:
     if film is not None:
         report_written_files(film)
     return EXIT_SOLVED
+
+
+def _default_folder(plans: Sequence[str]) -> Path:
+    """Return the folder of the only plan where a run wrote it; else one that no plan of another run is in."""
+    beside = Path(plans[0]).parent
+    return beside if len(plans) == 1 and read_manifest(beside) is not None else Path(OTHER_FOLDER)
 
 
 main = Command("ctr-nlp report", _parser, _run)

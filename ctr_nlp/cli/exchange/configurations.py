@@ -47,7 +47,7 @@ def _parser(prog: str) -> argparse.ArgumentParser:
     parser.add_argument("--robot", metavar="FILE.toml", help="robot file (default: the problem's own robot)")
     what = f"model on which shapes and margins are found (default: {DEFAULT_MODEL})"
     parser.add_argument("--model", choices=sorted(KINEMATIC_MODELS), default=DEFAULT_MODEL, help=what)
-    what = f"of the motion, in seconds (default: as the file's times tell, else {DURATION:g})"
+    what = f"of the motion, in seconds (default: from the file's times, else {DURATION:g})"
     parser.add_argument("--duration", metavar="S", type=float, help=what)
     add_out_option(parser, "runs/PROBLEM-import")
     add_figures_option(parser)

@@ -19,8 +19,8 @@ def add_modulus_option(parser: argparse.ArgumentParser) -> None:
         "--youngs-modulus",
         metavar="MPA",
         type=float,
-        help="of the tubes, in MPa (nitinol has about 60000), where the robot tells only their ratio, as that of "
-        "Table I does (default: the robot's own)",
+        help="of the tubes, in MPa (nitinol has about 60000), where the robot file has only their ratio, as that "
+        "of Table I does (default: the robot's own)",
     )
 
 

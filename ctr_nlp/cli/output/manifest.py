@@ -67,6 +67,8 @@ STANDARD: Mapping[str, tuple[str, ...]] = {
     ),
 }
 """Files that each kind of run may write; {folder} stands for the name of their folder."""
+MADE_FROM: Mapping[str, tuple[str, ...]] = dict.fromkeys(("plan", "robust", "under", "import"), ("report",))
+"""Kinds of runs whose files show what a run of another kind wrote: a new run of that kind makes them wrong."""
 
 
 @dataclass(frozen=True)
@@ -108,11 +110,13 @@ class Manifest:
     pending: Publication | None = None
 
     def with_pending(self, staging: str, kind: str, new: Mapping[str, WrittenFile]) -> Manifest:
-        """Return this manifest with new files of a run pending, which supersede those of the same kind.
+        """Return this manifest with new files of a run pending, which supersede those of the same kind and those
+        made from them.
 
         staging: name of the folder that they are moved from. kind: of the run. new: the files by name.
         """
-        old = (name for name, one in self.files.items() if one.kind == kind and name not in new)
+        kinds = (kind, *MADE_FROM.get(kind, ()))
+        old = (name for name, one in self.files.items() if one.kind in kinds and name not in new)
         return Manifest(self.files, Publication(staging, new, tuple(old)))
 
     def without_pending(self, folder: Path) -> Manifest:

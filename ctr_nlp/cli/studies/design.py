@@ -40,7 +40,7 @@ from ctr_nlp.cli.studies.design_output import (
     print_left_out,
     write_designs,
 )
-from ctr_nlp.cli.terminal_output import progress_bar, report_written_files
+from ctr_nlp.cli.terminal_output import progress_bar, report_written_files, suggest_next
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.models import KINEMATIC_MODELS, Model
 from ctr_nlp.ocp.settings import Settings
@@ -206,6 +206,8 @@ def _run(arguments: argparse.Namespace) -> int:
     report_written_files(place)
     if interrupted:
         return EXIT_INTERRUPTED
+    if len(made) == 1 and len(arguments.problems) == 1:
+        suggest_next(("a plan for these tubes", ["plan", arguments.problems[0], "--robot", place / "robot.toml"]))
     plans = [tried.plan for one in made for tried in one.evaluated_plans]
     return max((exit_status(plan) for plan in plans), default=EXIT_SOLVED)
 

@@ -14,18 +14,21 @@ from ctr_nlp.cli.output.folder import check_folder, output_folder
 from ctr_nlp.cli.plan_options import add_piece_arguments, add_reading_options, pieces_from, read_options_from
 from ctr_nlp.cli.studies.workers import add_worker_options, open_client
 from ctr_nlp.cli.terminal_output import (
+    announce,
     console,
     print_stderr,
     print_table,
     progress_bar,
     report_written_files,
+    suggest_next,
 )
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.plan.monte_carlo import DEFAULT_PLAN_SAMPLES
 from ctr_nlp.plan.summary_text import NOT_FOR_PATIENTS
 from ctr_nlp.robot import Robot
+from ctr_nlp.robot.shipped import read_robot_files
 from ctr_nlp.studies.grid.results import Results
-from ctr_nlp.studies.reach.outcomes import LENGTH_CHECK
+from ctr_nlp.studies.reach.outcomes import LENGTH_CHECK, MISSED, NEARLY, EndOutcome
 from ctr_nlp.studies.reach.reach import DEFAULT_BOUND_S, Reach, reach_tree
 from ctr_nlp.studies.reached.cases import REACHED
 from ctr_nlp.studies.workers.running import StudyProgress
@@ -36,7 +39,7 @@ def _parser(prog: str) -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog=prog,
         description="Plan to every end of a tree that is wide enough, for every robot, on all cores of this "
-        "machine or on a Dask cluster, and tell which ends are reached and what binds at the others. Rows of the "
+        "machine or on a Dask cluster, and list which ends are reached and what binds at the others. Rows of the "
         "plans are kept in DIR/rows as they come: called again with the same folder, the command goes on where "
         "it was.",
         epilog="Writes reach.csv (a row for each end and robot), tree.png (the tree, coloured by the best robot), "
@@ -52,8 +55,7 @@ def _parser(prog: str) -> argparse.ArgumentParser:
         "--robot",
         metavar="FILE.toml",
         action="append",
-        required=True,
-        help="robot file; give it once for each robot",
+        help="robot file; give it once for each robot (default: the robots that come with the package)",
     )
     add_entry_option(parser, "where the tree begins; in a mask the widest end")
     parser.add_argument(
@@ -140,12 +142,33 @@ def _run(arguments: argparse.Namespace) -> int:
     report_written_files(out, files)
     if not found.complete:
         return EXIT_INTERRUPTED
+    missed = next((one for one in found.best if one.outcome in (MISSED, NEARLY)), None)
+    if missed is not None:
+        suggest_next(("a plan to the first end that is missed", _plan_words(arguments, found, missed)))
     best = found.counts()["any"]
     return EXIT_SOLVED if best[REACHED] == best["wide_enough"] else EXIT_SOME_FAILED
 
 
-def _read_robots(files: Sequence[str]) -> dict[str, Robot]:
-    """Read robots, by the names of their files; raise OptionError where two have the same name."""
+def _plan_words(arguments: argparse.Namespace, found: Reach, missed: EndOutcome) -> list[object]:
+    """Return the words of a command that plans to an end as `ctr-nlp reach` did."""
+    words: list[object] = ["plan", arguments.file, *pieces_from(arguments)]
+    words += ["--target", *(f"{x:.1f}" for x in (missed.x, missed.y, missed.z))]
+    if arguments.entry is not None or arguments.from_carina:
+        words += ["--entry", *(f"{x:.1f}" for x in found.tree.entry)]
+    if arguments.robot is not None:
+        words += ["--robot", next(file for file in arguments.robot if Path(file).stem == missed.robot)]
+    words += ["--trim", arguments.trim] if arguments.trim else []
+    return [*words, "--nominal"] if arguments.nominal else words
+
+
+def _read_robots(files: Sequence[str] | None) -> dict[str, Robot]:
+    """Read robots, by the names of their files, those of the package without any; raise OptionError where two have
+    the same name.
+    """
+    if files is None:
+        robots = read_robot_files()
+        announce(f"robots: {', '.join(robots)}, which come with the package; --robot FILE.toml takes another")
+        return robots
     robots = dict[str, Robot]()
     for file in files:
         name = Path(file).stem

@@ -55,10 +55,8 @@ def _parser(prog: str) -> argparse.ArgumentParser:
     )
     told += "nothing written but, with --plans, the plan"
     parser.add_argument("--only", metavar="DIGEST", help=told)
-    told = (
-        "do nothing new; tell what is known by a column such as problem, robot_name or set_stability_margin, and "
-    )
-    told += "draw it (DIR/by.png)"
+    told = "do nothing new; report what is known by a column such as problem, robot_name or set_stability_margin, "
+    told += "and draw it (DIR/by.png)"
     parser.add_argument("--by", metavar="COLUMN", help=told)
     told = "with --by: another column, over whose medians those of e3 are drawn, such as robustness_lost_share"
     parser.add_argument("--against", metavar="COLUMN", help=told)

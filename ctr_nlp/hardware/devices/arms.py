@@ -75,7 +75,7 @@ class ArmFollower(ABC):
         since the command before, or where the path there leaves the joint solution.
         """
         if self._last is None:
-            raise DeviceFault("the arm was told to follow, but is not connected or was stopped")
+            raise DeviceFault("the arm was ordered to follow, but is not connected or was stopped")
         self._look()
         now = self._clock()
         wanted = self._step(*self._last, theta, now)

@@ -75,7 +75,7 @@ class UrArm(ArmFollower):
             )
 
     def _halt(self) -> None:
-        with self._faults("could not be told to hold"):
+        with self._faults("did not take the order to hold"):
             self._control.servoStop()
 
     def stop(self) -> None:
@@ -86,7 +86,7 @@ class UrArm(ArmFollower):
         if control is None:
             return
         try:
-            with self._faults("could not be told to stop; use the emergency stop"):
+            with self._faults("did not take the order to stop; use the emergency stop"):
                 try:
                     control.servoStop()
                 finally:

@@ -212,8 +212,8 @@ class Playback:
             if gap <= MAX_ARM_EXTRAPOLATION_S:
                 raise
             raise DeviceFault(
-                f"the device told no position for {gap:.2g} s: its reports are late, and the arm, which goes on "
-                f"for {MAX_ARM_EXTRAPOLATION_S:g} s without them, cannot make up for that ({exception})"
+                f"the device reported no position for {gap:.2g} s: its reports are late, and the arm, which goes "
+                f"on for {MAX_ARM_EXTRAPOLATION_S:g} s without them, cannot make up for that ({exception})"
             ) from exception
 
     def _follow(self, arm: ArmFollower, progress: MotionProgress) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -67,8 +68,12 @@ def retract(
     for part in returns:
         result = player.play(part, callback)
         if result.outcome is not PlaybackOutcome.SUCCESS:
-            break
-    return result
+            return result
+    # The player counts the frames of the last part, which are none of the plan's.
+    where = (
+        "all tubes are retracted" if records is None else "the tubes are back where they stood before the session"
+    )
+    return replace(result, frame=0, message=where)
 
 
 def return_path(

@@ -147,7 +147,9 @@ class Supervisor:
             return f"the player itself was held up for {away:.2g} s; {HELD_UP:g} s are allowed"
         silent = now - progress.stamp
         if silent > MAX_DEVICE_SILENCE_S:
-            return f"the device has told no position for {silent:.2g} s; {MAX_DEVICE_SILENCE_S:g} s are allowed"
+            return (
+                f"the device has reported no position for {silent:.2g} s; {MAX_DEVICE_SILENCE_S:g} s are allowed"
+            )
         return ""
 
     def _check_pace(self, progress: MotionProgress, now: float) -> str:

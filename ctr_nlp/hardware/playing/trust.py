@@ -232,7 +232,9 @@ class Trust:
 
         session: name of the one that begins. Raises DeviceFault.
         """
-        self._write(device, Remembered(False, "a motion had begun, and its end was never told", session=session))
+        self._write(
+            device, Remembered(False, "a motion had begun, and its end was never recorded", session=session)
+        )
 
     def note_motion_end(self, device: Device, result: Result) -> None:
         """Remember how a session left the device, unless nobody confirms what it reports; raises DeviceFault.

@@ -262,7 +262,7 @@ class Tracker:
         self._set_state(
             TrackerState.STOPPED,
             f"the robot has snapped {self._where}: what is measured fits another equilibrium, whose tip is "
-            f"{jump:.0f} mm from where commands should have led it",
+            f"{jump:.0f} mm from where commands should have moved it",
         )
 
     @property

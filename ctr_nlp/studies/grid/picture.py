@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 
 from ctr_nlp.studies.grid.groups import STUDY_RANKING_COLUMN, Group, Groups
 from ctr_nlp.typing import Array, Flags
-from ctr_nlp.view.figures.parts.page import STYLE, printable
+from ctr_nlp.view.figures.parts.page import STYLE, add_title, printable
 from ctr_nlp.view.figures.parts.palette import BLUE, VERMILLION
 
 MAX_LABELLED_GROUPS = 30
@@ -20,8 +20,8 @@ GROUP_QUANTILES = 0.05, 0.25, 0.5, 0.75, 0.95
 """Quantiles of a group that its bars show."""
 COLUMN_AXIS_LABELS = {
     STUDY_RANKING_COLUMN: "e3 (mm)",
-    "robustness_e3_mean": "mean e3 over draws (mm)",
-    "robustness_lost_share": "share of draws lost",
+    "robustness_e3_mean": "mean e3 over samples (mm)",
+    "robustness_lost_share": "share of samples that fail",
 }
 """Labels of columns on axes; other columns have their names."""
 
@@ -55,7 +55,7 @@ def draw_groups(found: Groups, column: str, against: str | None = None) -> Figur
     if against is not None:
         _draw_trade_off(right[0], groups, column, against)
     count = sum(group.plans for group in groups)
-    figure.suptitle(printable(f"{count} plans by {found.column}"), fontsize=10, parse_math=False)
+    add_title(figure, f"{count} plans by {found.column}")
     return figure
 
 

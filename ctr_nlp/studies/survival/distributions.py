@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import PercentFormatter
 
 from ctr_nlp.studies.survival.cases import Airway
-from ctr_nlp.view.figures.parts.page import STYLE, plain_ticks
+from ctr_nlp.view.figures.parts.page import STYLE, add_title, plain_ticks
 from ctr_nlp.view.figures.parts.palette import BLUE, ORANGE, VERMILLION
 
 
@@ -39,5 +39,5 @@ def distributions(airways: Sequence[Airway]) -> Figure:
     right.xaxis.set_major_formatter(PercentFormatter(1.0))
     right.legend(loc="lower right")
     draws = airways[0].plain.draws
-    figure.suptitle(f"{len(airways)} airways, {draws} draws of the tolerances each", fontsize=10)
+    add_title(figure, f"{len(airways)} airways, {draws} draws of the tolerances each")
     return figure

@@ -13,7 +13,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patheffects import withStroke
 
 from ctr_nlp.typing import Array
-from ctr_nlp.view.figures.parts.page import STYLE, label_text, printable
+from ctr_nlp.view.figures.parts.page import STYLE, add_title, label_text
 from ctr_nlp.view.figures.parts.palette import BLACK, tube_colour, tube_width
 
 TREE_PANELS_SIZE_IN = 6.5
@@ -95,7 +95,7 @@ def tree(
         _group_key(figure, panels, groups)
     else:
         _key(figure, panels, paths, names)
-    figure.suptitle("\n".join(map(printable, title.splitlines())), fontsize=10, parse_math=False)
+    add_title(figure, *title.splitlines())
     return figure
 
 

@@ -11,8 +11,8 @@ from matplotlib.patches import Rectangle
 
 from ctr_nlp.plan.plan import Plan
 from ctr_nlp.plan.verdicts import option
-from ctr_nlp.planning.compromise import Compromise, pareto_front
-from ctr_nlp.view.figures.parts.page import STYLE, printable
+from ctr_nlp.planning.compromise import Compromise, pareto_front, planned_for
+from ctr_nlp.view.figures.parts.page import STYLE, add_title, legend_of
 from ctr_nlp.view.figures.parts.palette import BLACK, BLUE, GREEN, VERMILLION
 
 
@@ -48,11 +48,17 @@ def compromise(plan: Plan, found: Sequence[Compromise]) -> Figure:
         look: dict[str, Any] = {"marker": "o", "color": colour, "ms": 5}
         if own:
             look = {"marker": "D", "color": VERMILLION, "ms": 8}
-        axes.plot(one.contact, one.tip, ls="", mec=BLACK, label="this plan" if own else None, **look)
+        axes.plot(one.contact, one.tip, ls="", mec=BLACK, label=_label(plan, one), **look)
     axes.set_xlim(left=left)
     axes.set_ylim(bottom=0.0)
     axes.set_xlabel("deepest contact (mm; negative: clear of the wall)")
     axes.set_ylabel("tip to the target's end (mm)")
-    figure.suptitle(printable(f"Arrival against contact: {plan.meta['problem']['name']}"), parse_math=False)
-    axes.legend(loc="best")
+    add_title(figure, f"Arrival against contact: {plan.meta['problem']['name']}")
+    named = legend_of(axes)
+    axes.legend(named.values(), named.keys(), loc="best")
     return figure
+
+
+def _label(plan: Plan, one: Compromise) -> str:
+    """Return the name of a motion in the legend: whether it is the plan, and which robots it was planned for."""
+    return f"{'this plan' if one.arrival_weight is None else 'other motions'}, for {planned_for(plan, one)}"

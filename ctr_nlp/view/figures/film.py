@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import subprocess
-import textwrap
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -17,10 +16,10 @@ from ctr_nlp.exceptions import OptionError, OutputError
 from ctr_nlp.plan import metrics, summary_text
 from ctr_nlp.plan.plan import Plan
 from ctr_nlp.support.atomic_write import write_atomically
-from ctr_nlp.typing import Array
 from ctr_nlp.view.figures.errors import CURVES
 from ctr_nlp.view.figures.overlay import TARGET_LINE_STYLE
-from ctr_nlp.view.figures.parts.page import STYLE, by_frames, curve, legend_of, outcome, printable
+from ctr_nlp.view.figures.parts.orientation import picture_axes
+from ctr_nlp.view.figures.parts.page import STYLE, TITLE_MARGIN_IN, by_frames, curve, legend_of, outcome, wrap_line
 from ctr_nlp.view.figures.parts.palette import BLACK
 from ctr_nlp.view.figures.parts.space import (
     RobotLines,
@@ -36,8 +35,12 @@ WRITERS: dict[str, Any] = {".gif": PillowWriter, ".mp4": FFMpegWriter}
 """Class that writes a film, by the suffix of its file."""
 FILM_COLUMN_WIDTH_IN, FILM_HEIGHT_IN, FILM_DPI = 4.8, 7.2, 100
 """Size of a plan's column, inches; whole and even numbers of pixels, as H.264 needs them."""
-FILM_TITLE_LINE_CHARACTERS = 64
-"""Characters of a line of a title that fits into a column."""
+FILM_FONT_SIZE = STYLE["font.size"]
+"""Size of a film's words, points."""
+FILM_LINE_HEIGHT = 1.25 * FILM_FONT_SIZE / 72 / FILM_HEIGHT_IN
+"""Distance of lines as a part of the height."""
+FILM_TITLE_TOP, FILM_SPACE_BOTTOM = 0.985, 0.31
+"""Top of the title, and bottom of the robots, as parts of the height."""
 MIN_FILM_DURATION_S, MAX_FILM_DURATION_S = 2.0, 60.0
 """Bounds of a film's duration, however short or long its plans are."""
 MAX_FILM_PICTURES_PER_S, MAX_FILM_PICTURES = 25, 300
@@ -96,10 +99,15 @@ def _stage(plans: Sequence[Plan]) -> tuple[Figure, list[_Column]]:
     figure = Figure(figsize=(FILM_COLUMN_WIDTH_IN * len(plans), FILM_HEIGHT_IN), dpi=FILM_DPI)
     shown = [points_of_all([plan.shape, plan.target], plan.lumen_wall) for plan in plans]
     side = np.max([span(points) for points in shown], axis=0)
+    titles = [_title(plan) for plan in plans]
+    top = FILM_TITLE_TOP - FILM_LINE_HEIGHT * max(title.count("\n") + 1 for title in titles)
+    upright = picture_axes(plans)
     columns = [
-        _Column(figure, k / len(plans), 1 / len(plans), plan, points, side)
-        for k, (plan, points) in enumerate(zip(plans, shown, strict=True))
+        _Column(figure, (k / len(plans), 1 / len(plans), top), plan, title)
+        for k, (plan, title) in enumerate(zip(plans, titles, strict=True))
     ]
+    for column, points in zip(columns, shown, strict=True):
+        fit_box(column.space, points, side, upright)
     highest = max(column.errors.get_ylim()[1] for column in columns)
     for column in columns:
         column.errors.set_ylim(0.0, highest)
@@ -109,21 +117,33 @@ def _stage(plans: Sequence[Plan]) -> tuple[Figure, list[_Column]]:
     return figure, columns
 
 
-class _Column:
-    """A plan's column of a film: its robot above, its errors below."""
+def _title(plan: Plan) -> str:
+    """Return the lines above the column of a plan: what it is, and how good."""
+    numbers = metrics.summary(plan)
+    width = FILM_COLUMN_WIDTH_IN - 2 * TITLE_MARGIN_IN
+    lines = summary_text.title(numbers), outcome(numbers)
+    return "\n".join(wrap_line(line, width, FILM_FONT_SIZE) for line in lines)
 
-    def __init__(self, figure: Figure, left: float, width: float, plan: Plan, points: Array, side: Array) -> None:
+
+class _Column:
+    """A plan's column of a film: its robot above, its errors below.
+
+    place: left side, width and lower end of the title, as parts of the figure.
+    """
+
+    def __init__(self, figure: Figure, place: tuple[float, float, float], plan: Plan, title: str) -> None:
         self._plan = plan
-        numbers = metrics.summary(plan)
-        space = add_space_axes(figure, (left, 0.31, width, 0.605), plan.lumen_wall)
+        left, width, top = place
+        below = top - FILM_LINE_HEIGHT
+        space = add_space_axes(
+            figure, (left, FILM_SPACE_BOTTOM, width, below - FILM_SPACE_BOTTOM), plan.lumen_wall
+        )
+        self.space = space
         add_wall_sections(space, plan.drawn_walls, plan.target[-1])
         self._target = space.plot([], [], [], zorder=5, **TARGET_LINE_STYLE)[0]
         self._body = RobotLines(space, plan.robot.d)
-        fit_box(space, points, side)
-        title = textwrap.fill(printable(summary_text.title(numbers)), FILM_TITLE_LINE_CHARACTERS)
-        told = f"{title}\n{outcome(numbers)}"
-        figure.text(left + width / 2, 0.985, told, ha="center", va="top", parse_math=False)
-        self._now = figure.text(left + width / 2, 0.91, "", ha="center", va="center")
+        figure.text(left + width / 2, FILM_TITLE_TOP, title, ha="center", va="top", parse_math=False)
+        self._now = figure.text(left + width / 2, below, "", ha="center", va="bottom")
         self.errors = figure.add_axes((left + 0.13 * width, 0.125, 0.82 * width, 0.125))
         distance = metrics.e1(plan)
         frames = by_frames(self.errors, plan)

@@ -10,10 +10,20 @@ from matplotlib.colors import PowerNorm
 from matplotlib.figure import Figure
 
 from ctr_nlp.paths.target import SIGMA_GRID
+from ctr_nlp.plan import metrics
 from ctr_nlp.plan.measures import contacts
 from ctr_nlp.plan.plan import Plan
 from ctr_nlp.typing import Array
-from ctr_nlp.view.figures.parts.page import STYLE, add_heading, by_frames, curve, legend_of, shade_failures
+from ctr_nlp.view.figures.parts.page import (
+    AT_FRAME,
+    BETWEEN_FRAMES,
+    STYLE,
+    add_heading,
+    by_frames,
+    curve,
+    legend_of,
+    shade_failures,
+)
 from ctr_nlp.view.figures.parts.palette import (
     BLUE,
     CLEARANCE_COLOUR_MAP,
@@ -31,8 +41,8 @@ def stability(plan: Plan) -> Figure:
     figure = Figure(figsize=(7.0, 3.2), layout="constrained")
     axes = figure.subplots()
     frames = by_frames(axes, plan)
-    curve(axes, frames, plan.stability_between, color=ORANGE, lw=1.2, ls="--", label="on the way to a frame")
-    curve(axes, frames, plan.stability, color=BLUE, lw=2.0, ls="-", label="at a frame")
+    curve(axes, frames, plan.stability_between, color=ORANGE, lw=1.2, ls="--", label=BETWEEN_FRAMES)
+    curve(axes, frames, plan.stability, color=BLUE, lw=2.0, ls="-", label=AT_FRAME)
     asked = plan.meta["options"].get("stability_margin")
     if asked is not None:
         axes.axhline(asked, color="0.3", lw=0.9, ls=":", label=f"asked for, {asked:g}")
@@ -57,8 +67,8 @@ MIN_CLEARANCE_SPAN_MM = 0.1
 
 @matplotlib.rc_context(STYLE)
 def clearance(plan: Plan) -> Figure:
-    """Draw clearance along the robot by frame, tubes' ends and contacts of `plan`; below, the least clearance of
-    each frame; mm.
+    """Draw clearance along the robot by frame, tubes' ends and contacts of `plan`; below, the least clearance at
+    each frame and on the way to it; mm.
     """
     assert plan.clearance is not None
     figure = Figure(figsize=(7.0, 5.8), layout="constrained")
@@ -67,10 +77,10 @@ def clearance(plan: Plan) -> Figure:
     shade_failures(upper, plan, frames, 1.0)
     _map(figure, upper, plan, plan.clearance)
     _ends(upper, plan)
-    _least(lower, frames, plan.clearance.min(axis=1))
+    _least(lower, frames, plan)
     handles = legend_of(lower, upper)
     figure.legend(handles.values(), handles.keys(), loc="outside lower center", ncols=4)
-    add_heading(figure, plan, "Clearance from the lumen's wall")
+    add_heading(figure, plan, "Clearance from the wall")
     return figure
 
 
@@ -110,17 +120,25 @@ def _ends(axes: Axes, plan: Plan) -> None:
         axes.plot(*deepest.T, color="black", mfc="white", ls="", marker="o", ms=5, label="deepest in contact")
 
 
-def _least(axes: Axes, frames: npt.NDArray[np.int_], least: Array) -> None:
-    """Draw the least clearance (T,) mm of every frame, and shade what is beyond the wall."""
-    curve(axes, frames, least, color=BLUE, lw=1.8)
+def _least(axes: Axes, frames: npt.NDArray[np.int_], plan: Plan) -> None:
+    """Draw the least clearance of a plan, mm, at every frame and on the way to it, and shade what is beyond the
+    wall.
+    """
+    columns = metrics.by_frame(plan)
+    least = columns["clearance"]
+    between = columns.get("clearance_between")
+    curve(axes, frames, least, color=BLUE, lw=1.8, label=AT_FRAME)
+    if between is not None:
+        curve(axes, frames, between, color=ORANGE, lw=1.2, ls="--", label=BETWEEN_FRAMES)
     touching = least < 0
     if touching.any():
         axes.plot(frames[touching], least[touching], color=CONTACT, ls="", marker="s", ms=3.5, label="contact")
-    known = least[np.isfinite(least)]
+    known = least if between is None else np.concatenate([least, between])
+    known = known[np.isfinite(known)]
     low = known.min(initial=0.0)
     high = known.max(initial=0.0)
     margin = max(0.08 * (high - low), MIN_CLEARANCE_SPAN_MM)
     axes.set_ylim(low - margin, high + margin)
     axes.axhspan(low - 2 * margin, 0.0, color=VERMILLION, alpha=0.15, lw=0, zorder=0, label="beyond the wall")
     axes.axhline(0.0, color="0.2", lw=0.9)
-    axes.set_ylabel("least of a frame (mm)")
+    axes.set_ylabel("least clearance (mm)")

@@ -19,11 +19,11 @@ from ctr_nlp.typing import Array, Flags
 from ctr_nlp.view.figures.parts.page import (
     STYLE,
     add_heading,
+    add_title,
     at_least,
     curve,
     frame_axis,
     legend_of,
-    printable,
     shade,
     shade_failures,
 )
@@ -180,5 +180,5 @@ def tracking(
     at_least(rows[2], 20.0)
     rows[2].set_ylabel("late (ms)")
     frame_axis(rows[2], int(frame[-1]))
-    figure.suptitle(printable(title), fontsize=10, parse_math=False)
+    add_title(figure, title)
     return figure

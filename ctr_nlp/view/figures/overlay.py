@@ -24,7 +24,7 @@ from ctr_nlp.paths.wall_surfaces import DrawnWall, merge_vertices
 from ctr_nlp.plan.measures import e1, rms_over_sigma
 from ctr_nlp.plan.plan import Plan
 from ctr_nlp.typing import Array
-from ctr_nlp.view.figures.parts.page import STYLE, add_heading
+from ctr_nlp.view.figures.parts.page import STYLE, TITLE_LINE_HEIGHT_IN, add_heading
 from ctr_nlp.view.figures.parts.palette import (
     BLACK,
     KEEP_OUT_COLOUR,
@@ -48,6 +48,8 @@ MIN_SHAPE_PANEL_WIDTH_IN = 0.5
 """Least width of a panel, inches."""
 SHAPES_LEFT_MARGIN_IN, SHAPES_RIGHT_MARGIN_IN, SHAPES_TOP_MARGIN_IN, SHAPES_BOTTOM_MARGIN_IN = 0.65, 0.15, 1.1, 0.9
 """Inches around the panels, for labels, title and key."""
+SHAPES_TITLE_LINES = 2
+"""Lines of the title for which the upper margin has room."""
 MIN_SHAPES_FIGURE_WIDTH_IN, SHAPES_LEGEND_ENTRY_WIDTH_IN = 5.0, 0.95
 """Least width of the picture, inches, which the title needs, and the width of an entry of the legend."""
 TARGET_LINE_STYLE: dict[str, Any] = {"color": BLACK, "lw": 0.8, "ls": (0, (4, 2))}
@@ -130,7 +132,17 @@ def shapes(plan: Plan, frames: Sequence[int] | None = None) -> Figure:
         handles=entries, loc="lower center", ncols=int(figure.get_figwidth() / SHAPES_LEGEND_ENTRY_WIDTH_IN)
     )
     add_heading(figure, plan, "Shapes and targets")
+    _make_room_for_title(figure)
     return figure
+
+
+def _make_room_for_title(figure: Figure) -> None:
+    """Make a figure of _grid higher by the lines of its title beyond those for which its margin is made."""
+    lines = max(figure.get_suptitle().count("\n") + 1 - SHAPES_TITLE_LINES, 0)
+    top = SHAPES_TOP_MARGIN_IN + lines * TITLE_LINE_HEIGHT_IN
+    height = figure.get_figheight() + lines * TITLE_LINE_HEIGHT_IN
+    figure.set_figheight(height)
+    figure.subplots_adjust(bottom=SHAPES_BOTTOM_MARGIN_IN / height, top=1 - top / height)
 
 
 def frames_shown(plan: Plan, frames: Sequence[int] | None, most: int = DEFAULT_SHAPE_FRAMES) -> list[int]:

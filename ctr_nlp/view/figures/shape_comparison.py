@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from ctr_nlp.plan.measures import rms_over_sigma
 from ctr_nlp.plan.plan import Plan
 from ctr_nlp.view.figures.overlay import draw, frames_shown, key, to_scale
-from ctr_nlp.view.figures.parts.page import STYLE, printable
+from ctr_nlp.view.figures.parts.page import STYLE, add_title, printable
 from ctr_nlp.view.figures.parts.palette import VERMILLION
 
 DEFAULT_COMPARED_FRAMES = 4
@@ -54,7 +54,7 @@ def shapes_compared(plans: Mapping[str, Plan], title: str, frames: Sequence[int]
             axes.set_title(_frame_title(plan, number))
         row[0].set_ylabel(f"{printable(name)}\nz (mm)", parse_math=False)
     figure.legend(handles=key(first.robot.d), loc="outside lower center", ncols=first.robot.d + 1)
-    figure.suptitle(printable(title), fontsize=10, parse_math=False)
+    add_title(figure, title)
     return figure
 
 

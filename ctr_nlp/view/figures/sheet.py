@@ -21,7 +21,7 @@ from ctr_nlp.robot import Robot, Tube
 from ctr_nlp.robot.strain import pre_curvature
 from ctr_nlp.typing import Array
 from ctr_nlp.view.figures.overlay import draw, key
-from ctr_nlp.view.figures.parts.page import STYLE, printable
+from ctr_nlp.view.figures.parts.page import STYLE, add_title, printable
 from ctr_nlp.view.figures.parts.palette import BLACK, tube_colour
 
 SHEET = 11.7, 8.3
@@ -74,7 +74,7 @@ def sheet(robot: Robot, title: str, plans: Sequence[Plan] = ()) -> Figure:
     if rows:
         _tasks(parts[1], plans)
     _table(below.subplots(), robot)
-    figure.suptitle(printable(title), fontsize=11, parse_math=False)
+    add_title(figure, title, fontsize=11)
     return figure
 
 

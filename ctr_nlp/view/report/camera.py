@@ -20,22 +20,28 @@ MIN_TIP_DIRECTION_SINE = 1e-9
 """Sine of the angle between tip and z axis below which the axis of rotation is not defined."""
 
 
-def cameras(low: Array, high: Array) -> dict[str, list[float]]:
+def cameras(low: Array, high: Array, axes: Array) -> dict[str, list[float]]:
     """Return position, point looked at and upward direction of each preset camera, 9 numbers in mm.
 
-    low, high: corners (3,), mm, of the box that is seen. The side is the one from which most is seen, a little
-    from above. In both, the box fits a square window.
+    low, high: corners (3,), mm, of the box that is seen. axes: rotation (3, 3) of picture_axes. The side is the
+    one from which most is seen, or the front of a patient, a little from above. In both, the box fits a square
+    window.
     """
     size = high - low
-    side = [0.25, -1.0, 0.2] if size[0] >= size[1] else [1.0, 0.25, 0.2]
+    # A patient is looked at from in front, whatever the lesion's side: these axes are then not the robot's own.
+    in_front = size[0] >= size[1] or not np.array_equal(axes, np.eye(3))
+    side = axes.T @ ([0.25, -1.0, 0.2] if in_front else [1.0, 0.25, 0.2])
     return {
-        "side": _from(np.array(side), [0.0, 0.0, 1.0], low, high),
-        "top": _from(np.array([0.0, 0.0, 1.0]), [0.0, 1.0, 0.0], low, high),
+        "side": _from(np.asarray(side), axes[2], low, high),
+        "top": _from(axes[2], axes[1], low, high),
     }
 
 
-def _from(away: Array, up: list[float], low: Array, high: Array) -> list[float]:
-    """Return the camera that looks at a box of corners low, high (3,), mm, from the direction `away` (3,)."""
+def _from(away: Array, up: Array, low: Array, high: Array) -> list[float]:
+    """Return the camera that looks at a box from the direction `away` (3,), with `up` (3,) upwards.
+
+    low, high: corners (3,) of the box, mm.
+    """
     middle = (low + high) / 2
     ahead = -away / np.linalg.norm(away)
     right = np.cross(ahead, up) / np.linalg.norm(np.cross(ahead, up))
@@ -45,7 +51,7 @@ def _from(away: Array, up: list[float], low: Array, high: Array) -> list[float]:
     aside = np.abs(np.stack([corners @ right, corners @ np.cross(right, ahead)])).max(axis=0)
     tangent = np.tan(np.radians(OUTSIDE_FIELD_OF_VIEW_DEG / 2))
     far = CAMERA_MARGIN * float((aside / tangent - corners @ ahead).max())
-    return [*(middle - far * ahead).tolist(), *middle.tolist(), *up]
+    return [*(middle - far * ahead).tolist(), *middle.tolist(), *up.tolist()]
 
 
 def eyes(plan: Plan) -> list[list[float] | None]:

@@ -41,7 +41,7 @@ function arrivalText(plan, j) {
 function places(plan, j) {
   const { name, tip, nearest, depth } = plan.coordinates;
   if (!tip[j]) return "";
-  const found = [`Tip at ${point(tip[j])} mm in ${name}`];
+  const found = [`At the frame: tip at ${point(tip[j])} mm in ${name}`];
   if (!nearest[j]) found.push("contact: NOT CHECKED, no wall is known");
   else if (depth[j] > 0) found.push(`deepest contact ${depth[j].toFixed(2)} mm at ${point(nearest[j])}`);
   else found.push(`no contact, ${(-depth[j]).toFixed(2)} mm clear at ${point(nearest[j])}`);
@@ -56,8 +56,8 @@ function point(numbers) {
 function readout(plan, j) {
   const found = [`frame ${j + 1} of ${plan.time.length}`, `${plan.time[j].toFixed(2)} s`];
   if (!plan.reached[j]) return [...found, "not reached"].join(", ");
-  for (const [name, { unit, values }] of Object.entries(plan.readout)) {
-    if (values[j] !== null) found.push(`${name} ${values[j].toPrecision(3)} ${unit}`.trim());
+  for (const { label, unit, values } of Object.values(plan.readout)) {
+    if (values[j] !== null) found.push(`${label} ${values[j].toPrecision(3)} ${unit}`.trim());
   }
   return [...found, ...(plan.solved[j] ? [] : ["not solved"])].join(", ");
 }

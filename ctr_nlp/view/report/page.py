@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Sequence
 from importlib import resources
 from typing import Any
@@ -14,9 +15,11 @@ from ctr_nlp.exceptions import OptionError, escape_control_characters
 from ctr_nlp.plan import sample_text, summary_text
 from ctr_nlp.plan.metrics import by_frame, summary
 from ctr_nlp.plan.plan import Plan
-from ctr_nlp.plan.verdicts import NO, NOT_CHECKED, ROBUSTNESS_VERDICT_NAME, YES, Verdict
+from ctr_nlp.plan.verdicts import NO, NOT_CHECKED, YES, Verdict
 from ctr_nlp.support.extras import import_extra
 from ctr_nlp.typing import Array
+from ctr_nlp.view.figures.parts.orientation import picture_axes
+from ctr_nlp.view.figures.parts.page import AT_FRAME, BETWEEN_FRAMES
 from ctr_nlp.view.figures.parts.palette import tube_colour
 from ctr_nlp.view.report.camera import EYE_FIELD_OF_VIEW_DEG, OUTSIDE_FIELD_OF_VIEW_DEG, cameras, eyes
 from ctr_nlp.view.report.ghosts import (
@@ -43,8 +46,16 @@ from ctr_nlp.view.report.scene import (
     scene_template,
 )
 
-READOUT = {"e2": "mm", "max": "mm", "clearance": "mm", "stability": ""}
-"""Columns of errors.csv that are shown for the frame on display, with their units."""
+READOUT = {
+    "e2": ("error e2", "mm"),
+    "max": ("largest error", "mm"),
+    "clearance": (f"clearance {AT_FRAME}", "mm"),
+    "clearance_between": (BETWEEN_FRAMES, "mm"),
+    "stability": (f"stability margin {AT_FRAME}", ""),
+    "stability_between": (BETWEEN_FRAMES, ""),
+}
+"""Columns of errors.csv that are shown for the frame on display, with their names, which may go on from the one
+before, and units."""
 PAGE_SCRIPT_FILES = ("scenes.js", "camera.js", "player.js", "page.js")
 """Parts of the page's script, each after those that it needs."""
 VERDICT_SIGNS = {YES: "\N{CHECK MARK}", NO: "\N{BALLOT X}", NOT_CHECKED: "?"}
@@ -72,6 +83,7 @@ def page(
     if not plans:
         raise OptionError("plans is empty; give at least one")
     coloured, (low, high), plotted = scales(plans), box(plans), plots(plans)
+    axes = picture_axes(plans)
     told = [
         _plan_texts(plan, name) | {"plots": some.items(), "checked": _checker_rows(each)}
         for plan, name, some, each in zip(
@@ -81,7 +93,7 @@ def page(
     data = {
         "template": scene_template(),
         "placeholder": SCENE_DATA_PLACEHOLDER,
-        "cameras": cameras(low, high),
+        "cameras": cameras(low, high, axes),
         "fields": {"outside": OUTSIDE_FIELD_OF_VIEW_DEG, "eye": EYE_FIELD_OF_VIEW_DEG},
         "endoscope": {
             "wall": ENDOSCOPE_WALL_COLOUR,
@@ -91,7 +103,9 @@ def page(
             "part": SCENE_WALL_PART,
         },
         "plans": [
-            _animation_data(plan, scene(plan, coloured, low, high), [plot for plot in some.values() if plot])
+            _animation_data(
+                plan, scene(plan, coloured, (low, high), axes), [plot for plot in some.values() if plot]
+            )
             for plan, some in zip(plans, plotted, strict=True)
         ],
     }
@@ -167,11 +181,10 @@ def _plan_texts(plan: Plan, name: str) -> dict[str, Any]:
 
 
 def _chip(verdict: Verdict) -> dict[str, str]:
-    """Return a verdict as a chip of the page: matter, word, the number that decides with its unit, and why."""
-    number = "" if verdict.number is None else " ".join([f"{verdict.number:.3g}", *verdict.unit.split()[:1]])
-    if verdict.matter == ROBUSTNESS_VERDICT_NAME and verdict.number is not None:
-        number = f"{100 * verdict.number:.0f} %"
-    return {"matter": verdict.matter, "word": verdict.word, "number": number, "why": verdict.why}
+    """Return a verdict as a chip of the page: matter, word, the figure that decides in words, and why."""
+    # The reason has the frame, the limit and the number of robots, for which a chip has no room.
+    figure = re.split(r",| (?:in|at) frame| of the limit| of \d+$", verdict.value)[0]
+    return {"matter": verdict.matter, "word": verdict.word, "figure": figure, "why": verdict.why}
 
 
 def _sample_contact(plan: Plan) -> str:
@@ -271,8 +284,8 @@ def _animation_data(plan: Plan, packed: str, shown: Sequence[Plot]) -> dict[str,
         "colourings": [TUBE_COLOURING, *quantities(plan)],
         "plots": [{"end": plot.end, "lines": [_round_values(values) for values in plot.values]} for plot in shown],
         "readout": {
-            name: {"unit": unit, "values": _round_values(columns[name])}
-            for name, unit in READOUT.items()
+            name: {"label": label, "unit": unit, "values": _round_values(columns[name])}
+            for name, (label, unit) in READOUT.items()
             if name in columns
         },
     }

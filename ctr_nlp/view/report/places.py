@@ -10,9 +10,8 @@ from ctr_nlp.anatomy.branch import transform_points
 from ctr_nlp.plan.plan import Plan
 from ctr_nlp.plan.verdicts import option
 from ctr_nlp.typing import Array
+from ctr_nlp.view.figures.parts.orientation import OPPOSITE_DIRECTIONS, axis_directions, has_patient_directions
 
-OPPOSITE_DIRECTIONS = {"R": "L", "L": "R", "A": "P", "P": "A", "S": "I", "I": "S"}
-"""Opposite of each direction of a patient: right, left, anterior, posterior, superior, inferior."""
 DIRECTION_WORDS = {
     "R": "right",
     "L": "left",
@@ -51,11 +50,10 @@ def coordinates(plan: Plan) -> dict[str, Any]:
     the wall or deepest in it, mm, None where it is not known; ``depth`` its contact, mm, negative for clearance.
     """
     space = plan.meta["problem"].get("space") or ""
-    patient = bool(space) and set(space) <= set(OPPOSITE_DIRECTIONS)
+    patient = has_patient_directions(space)
     letters = [(letter, OPPOSITE_DIRECTIONS[letter]) for letter in space] if patient else [(x, "") for x in "xyz"]
     # Without a file the plan's own frame is the only one there is.
     to_robot = plan.to_robot if space else np.eye(4)
-    directions = to_robot[:3, :3].T / np.linalg.norm(to_robot[:3, :3], axis=0)[:, None]
     assumed = ", assumed" if plan.meta["problem"].get("space_assumed") else ""
     name = f"{space}{assumed}" if patient else "the file's axes" if space else "the robot's base frame"
     depth, nearest = _nearest_to_wall(plan)
@@ -63,7 +61,7 @@ def coordinates(plan: Plan) -> dict[str, Any]:
         "name": name,
         "axes": [
             {"letters": ends, "word": DIRECTION_WORDS.get(ends[0], ends[0]), "direction": along}
-            for ends, along in zip(letters, np.round(directions, 5).tolist(), strict=True)
+            for ends, along in zip(letters, np.round(axis_directions(to_robot), 5).tolist(), strict=True)
         ],
         "tip": _written(to_robot, plan.shape[:, -1]),
         "nearest": _written(to_robot, nearest),

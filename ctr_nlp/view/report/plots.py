@@ -15,6 +15,7 @@ from ctr_nlp.plan.plan import Plan
 from ctr_nlp.plan.robustness import Robustness
 from ctr_nlp.support.flag_runs import find_flag_runs
 from ctr_nlp.typing import Array, Index
+from ctr_nlp.view.figures.parts.page import AT_FRAME, BETWEEN_FRAMES
 from ctr_nlp.view.figures.parts.palette import BLACK, BLUE, ORANGE, SKY, TILT_COLOURS, VERMILLION, tube_colour
 from ctr_nlp.view.report.legible import darken_for_white
 from ctr_nlp.view.report.places import arrival_tolerance, way_to_go
@@ -23,7 +24,7 @@ TIP_PANEL_NAME, ANGLE_PANEL_NAME = "tip to the target's end (mm)", "tip to the t
 ERROR_PANEL_NAME, SAMPLE_ERROR_PANEL_NAME, CLEARANCE_PANEL_NAME, STABILITY_PANEL_NAME = (
     "error (mm)",
     "e2 of sampled robots (mm)",
-    "clearance (mm)",
+    "least clearance from the wall (mm)",
     "stability margin",
 )
 CONFIGURATION_PANEL_NAMES = ("α (rad)", "β (mm)", "θ (rad)")
@@ -95,11 +96,11 @@ def panels(plan: Plan) -> Iterator[PlotPanel]:
     if plan.drawn is not None:
         yield _sample_error_panel(plan, plan.drawn, columns)
     if "clearance" in columns:
-        yield _clearance_panel(plan, columns["clearance"])
+        yield _clearance_panel(plan, columns)
     if "stability" in columns:
         margins = (
-            PlotLine("at the frame", columns["stability"], BLUE),
-            PlotLine("on the way to it", columns["stability_between"], ORANGE, DASHES[1]),
+            PlotLine(AT_FRAME, columns["stability"], BLUE),
+            PlotLine(BETWEEN_FRAMES, columns["stability_between"], ORANGE, DASHES[1]),
         )
         yield PlotPanel(STABILITY_PANEL_NAME, margins, (0.0, 1.0))
     robot = plan.robot
@@ -108,14 +109,16 @@ def panels(plan: Plan) -> Iterator[PlotPanel]:
     yield from _motion(plan, speed, SPEED_PANEL_NAMES, (-robot.speed, robot.speed))
 
 
-def _clearance_panel(plan: Plan, clearance: Array) -> PlotPanel:
-    """Plot the least clearance (T,) of a plan, mm, and beside it what is known of its simulated robots."""
-    lines = [PlotLine("least clearance", clearance, BLUE)]
+def _clearance_panel(plan: Plan, columns: Mapping[str, Array]) -> PlotPanel:
+    """Plot the least clearances of a plan, mm, and beside them what is known of its simulated robots."""
+    lines = [PlotLine(AT_FRAME, columns["clearance"], BLUE)]
+    if "clearance_between" in columns:
+        lines.append(PlotLine(BETWEEN_FRAMES, columns["clearance_between"], ORANGE, DASHES[1]))
     samples = None if plan.drawn is None else plan.drawn.clearances
     if samples is not None:
         # A plan keeps the least clearance of a simulated robot over its whole motion only, hence a level line.
         level = np.full(len(plan.time), samples.most)
-        lines.append(PlotLine("95 % of samples, whole motion", level, VERMILLION, DASHES[1]))
+        lines.append(PlotLine("95 % of samples, whole motion", level, VERMILLION, DASHES[2]))
     return PlotPanel(CLEARANCE_PANEL_NAME, tuple(lines), (0.0,))
 
 
@@ -127,7 +130,7 @@ def _sample_error_panel(plan: Plan, found: Robustness, columns: Mapping[str, Arr
         PlotLine("the plan", columns["e2"], BLACK, DASHES[3]),
     )
     lost = np.array([loss.frame for loss in found.losses_by_frame], dtype=int)
-    marks = ("lost here", lost) if len(lost) else None
+    marks = ("fails here", lost) if len(lost) else None
     return PlotPanel(SAMPLE_ERROR_PANEL_NAME, lines, (0.0,), band=("5 % to 95 %", low, high), marks=marks)
 
 

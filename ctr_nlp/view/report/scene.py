@@ -127,13 +127,14 @@ def scene_template() -> str:
     return str(empty.get_snapshot(additional_js_code=READY)).replace(data, SCENE_DATA_PLACEHOLDER)
 
 
-def scene(plan: Plan, scales: Sequence[ColourScale], low: Array, high: Array) -> str:
+def scene(plan: Plan, scales: Sequence[ColourScale], corners: tuple[Array, Array], axes: Array) -> str:
     """Return the data of a plan's scene in base64.
 
-    plan: the plan. scales: colour scales that the robot can be coloured by. low, high: corners (3,), mm, of the
-    box that is seen at first. The scene's time is the index of the frame. Objects name their part in their
-    custom_data, and their colouring where they show under one only.
+    plan: the plan. scales: colour scales that the robot can be coloured by. corners: lowest and highest (3,), mm,
+    of the box that is seen at first. axes: rotation (3, 3) of picture_axes. The scene's time is the index of the
+    frame. Objects name their part in their custom_data, and their colouring where they show under one only.
     """
+    low, high = corners
     k3d = import_extra("k3d")
     plot = k3d.plot(
         menu_visibility=False,
@@ -145,7 +146,7 @@ def scene(plan: Plan, scales: Sequence[ColourScale], low: Array, high: Array) ->
         camera_fov=OUTSIDE_FIELD_OF_VIEW_DEG,
         colorbar_object_id=0,
     )
-    plot.camera = cameras(low, high)["side"]
+    plot.camera = cameras(low, high, axes)["side"]
     for drawn in [*_tubes(k3d, plan, scales), *_environment_objects(k3d, plan), *ghosts(k3d, plan)]:
         plot += drawn
     return base64.b64encode(plot.get_binary_snapshot()).decode()

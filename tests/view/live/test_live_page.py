@@ -221,3 +221,17 @@ def test_with_json_the_address_is_told_at_once_and_the_object_at_the_end(tmp_pat
     process.send_signal(signal.SIGINT)
     told, _ = process.communicate(timeout=PATIENCE)
     assert line.strip() in json.loads(told)["lines"]
+
+
+@pytest.mark.parametrize("width", [390, *(pytest.param(width, marks=pytest.mark.slow) for width in (768, 1440))])
+def test_the_page_fits_the_screen_and_axe_finds_no_fault(live, width):
+    axe = pytest.importorskip("axe_playwright_python.sync_playwright", reason="needs axe-core")
+    with launcher() as launch:
+        page = launch(SOFTWARE).new_page(viewport={"width": width, "height": 900})
+        page.set_default_timeout(1e3 * PATIENCE)
+        page.goto(live.url)
+        page.get_by_text("shape error e2").first.wait_for(state="attached")
+        page.locator("h1").wait_for(state="attached")
+        assert page.evaluate("document.documentElement.scrollWidth") <= width
+        violations = axe.Axe().run(page).response["violations"]
+    assert [f"{each['id']}: {each['nodes'][0]['html'][:200]}" for each in violations] == []

@@ -157,7 +157,13 @@ def test_a_page_is_one_small_file_that_asks_for_nothing(file, walled):
 
 def test_the_readout_is_that_of_errors_csv(file, walled):
     shown, columns = data_of(file.read_text(encoding="utf-8"))["plans"][0], by_frame(walled)
-    assert list(shown["readout"]) == ["e2", "max", "clearance", "stability"]
+    assert list(shown["readout"]) == [
+        "e2",
+        "max",
+        "clearance",
+        "stability",
+        "stability_between",
+    ]
     for name, told in shown["readout"].items():
         np.testing.assert_allclose(told["values"], columns[name], rtol=1e-3)
     np.testing.assert_array_equal(shown["time"], walled.time)

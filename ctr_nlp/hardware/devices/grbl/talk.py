@@ -235,7 +235,7 @@ class Talk:
                 if found is not None:
                     return found
         if stop():
-            raise DeviceFault("a stop was asked for while the controller was to tell its status")
+            raise DeviceFault("a stop was asked for while the controller was to report its status")
         raise DeviceFault(f"the controller sends no status within {seconds:g} s")
 
     def round_trip(self) -> float:
@@ -294,4 +294,4 @@ class Talk:
             known = {name: value for name, _, value in settings}
             return Identity(letters, int(receive), int(blocks), known, "; ".join(map(":".join, told.items())))
         except (KeyError, ValueError) as exception:
-            raise DeviceFault(f"the controller is no grblHAL that can be used: it tells {told}") from exception
+            raise DeviceFault(f"the controller is no grblHAL that can be used: it reports {told}") from exception

@@ -20,7 +20,7 @@ from ctr_nlp.plan.plan import Plan
 from ctr_nlp.robot import Robot
 from ctr_nlp.typing import Array
 from ctr_nlp.view.figures.overlay import TARGET_LINE_STYLE
-from ctr_nlp.view.figures.parts.page import outcome, printable
+from ctr_nlp.view.figures.parts.page import add_title, outcome
 from ctr_nlp.view.figures.parts.palette import BLACK, BLUE, FAILED_FRAME_COLOUR
 from ctr_nlp.view.figures.parts.space import (
     RobotLines,
@@ -83,8 +83,7 @@ class SolverPicture:
             self._curves.append((panel, panel.plot([], [], color=colour, lw=0.8, marker=".", ms=2)[0]))
             panel.xaxis.set_major_locator(MaxNLocator(integer=True))
         panel.set_xlabel("iterate, of all starts")
-        title = printable(f"{self.name}: the motion while it is solved for")
-        figure.suptitle(title, fontsize=10, parse_math=False)
+        add_title(figure, f"{self.name}: the motion while it is solved for")
         self._now = figure.text(0.25, 0.925, "looking for motions to start from", ha="center", va="center")
         walled = self.lumen is not None or bool(self.walls)
         figure.legend(handles=key(self.robot.d, walled), loc="lower center", ncols=6)
@@ -151,7 +150,7 @@ class PlaybackPicture:
         self._measured = RobotLines(axes, plan.robot.d), ShapeContinuation(plan.robot, plan.evaluated_model_name)
         self._target = axes.plot([], [], [], zorder=5, **TARGET_LINE_STYLE)[0]
         fit_box(axes, points_of_all([plan.shape, plan.target], plan.lumen_wall))
-        figure.suptitle(printable(f"{plan.meta['problem']['name']}, played"), fontsize=10, parse_math=False)
+        add_title(figure, f"{plan.meta['problem']['name']}, played")
         self._now = figure.text(0.5, 0.925, "waiting", ha="center", va="center")
         commanded = Line2D([], [], label="commanded", **{name: COMMANDED[name] for name in ("color", "lw")})
         figure.legend(handles=[*key(plan.robot.d, plan.wall is not None), commanded], loc="lower center", ncols=4)

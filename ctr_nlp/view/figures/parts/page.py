@@ -40,6 +40,16 @@ STYLE: Any = {
 """Settings with which every figure is drawn, whatever the caller's own are."""
 
 
+AT_FRAME, BETWEEN_FRAMES = "at the frame", "on the way to it"
+"""Names of two lines: values of the frames, and the least ones of the sub-steps from the frame before."""
+
+
+TITLE_FONT_SIZE, TITLE_MARGIN_IN = 10.0, 0.1
+"""Size of a figure's title, points, and the least distance of its lines from the sides, inches."""
+TITLE_LINE_HEIGHT_IN = 1.2 * TITLE_FONT_SIZE / 72
+"""Distance of a title's lines, inches."""
+
+
 def add_heading(figure: Figure, plan: Plan, title: str) -> None:
     """Add a heading to `figure`: title, problem, how `plan` was solved, and its error over all frames."""
     numbers = summary(plan)
@@ -50,8 +60,30 @@ def add_heading(figure: Figure, plan: Plan, title: str) -> None:
     )
     on += " model" + ("" if numbers["load"] is None else f" under {numbers['load']}")
     how = f"{numbers['formulation']}, {on}, {numbers['solver']}; {outcome(numbers)}"
-    text = "\n".join(map(printable, (f"{title}: {numbers['problem']}", how)))
-    figure.suptitle(text, fontsize=10, parse_math=False)
+    add_title(figure, f"{title}: {numbers['problem']}", how)
+
+
+def add_title(figure: Figure, *lines: str, fontsize: float = TITLE_FONT_SIZE) -> None:
+    """Add a title of lines to a figure; those that are wider than it are wrapped."""
+    width = figure.get_figwidth() - 2 * TITLE_MARGIN_IN
+    text = "\n".join(wrap_line(line, width, fontsize) for line in lines)
+    figure.suptitle(text, fontsize=fontsize, parse_math=False)
+
+
+def wrap_line(line: str, width: float, fontsize: float) -> str:
+    """Break a line between words so that none is wider than `width`, inches, in a font of some points."""
+    font = get_font(findfont(FontProperties()))
+    font.set_size(fontsize, 72)
+    wrapped = [""]
+    for word in printable(line).split(" "):
+        longer = f"{wrapped[-1]} {word}" if wrapped[-1] else word
+        font.set_text(longer)
+        # FreeType has 64 units in a pixel, and there are 72 pixels in an inch at 72 dots an inch.
+        if wrapped[-1] and font.get_width_height()[0] / 64 / 72 > width:
+            wrapped.append(word)
+        else:
+            wrapped[-1] = longer
+    return "\n".join(wrapped)
 
 
 def outcome(numbers: Mapping[str, Any]) -> str:

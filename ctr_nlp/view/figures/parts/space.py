@@ -15,6 +15,7 @@ from ctr_nlp.paths.wall_surfaces import DrawnWall, wall_sections
 from ctr_nlp.typing import Array
 from ctr_nlp.view.figures import overlay
 from ctr_nlp.view.figures.overlay import parts
+from ctr_nlp.view.figures.parts.orientation import matplotlib_view
 from ctr_nlp.view.figures.parts.palette import BLACK, KEEP_OUT_COLOUR, tube_colour, tube_width
 
 MIN_BOX_SIDE_FRACTION = 0.3
@@ -59,11 +60,12 @@ def _corners(points: Array) -> tuple[Array, Array]:
     return known.min(axis=0), known.max(axis=0)
 
 
-def fit_box(axes: Any, points: Array, side: Array | None = None) -> None:
+def fit_box(axes: Any, points: Array, side: Array | None = None, upright: Array | None = None) -> None:
     """Set the limits of `axes` to a box around points (.., 3) mm, to scale, seen so that a planar motion faces the
     reader.
 
-    side: (3,) mm, by default what contains the points. Call it when everything that changes limits has been drawn.
+    side: (3,) mm, by default what contains the points. upright: rotation (3, 3) of picture_axes; by default z is
+    up. Call it when everything that changes limits has been drawn.
     """
     (low, high), side = _corners(points), span(points) if side is None else side
     for name, middle, extent in zip("xyz", (low + high) / 2, side, strict=True):
@@ -75,7 +77,9 @@ def fit_box(axes: Any, points: Array, side: Array | None = None) -> None:
     axes.set_proj_type("ortho")
     # matplotlib would order artists by their mean depth, and hide thin tubes behind the wall.
     axes.computed_zorder = False
-    axes.view_init(BOX_VIEW_ELEVATION_DEG, _facing(points) + BOX_VIEW_AZIMUTH_OFFSET_DEG)
+    rotation = np.eye(3) if upright is None else upright
+    azimuth = _facing(points.reshape(-1, 3) @ rotation.T) + BOX_VIEW_AZIMUTH_OFFSET_DEG
+    axes.view_init(*matplotlib_view(rotation, BOX_VIEW_ELEVATION_DEG, azimuth))
 
 
 def _facing(points: Array) -> float:

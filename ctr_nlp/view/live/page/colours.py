@@ -67,7 +67,7 @@ def legend(robot: Robot, by: str) -> str:
         "distance from the target at equal arc length" if by == COLOUR_BY_ERROR else "room between tubes and wall"
     )
     contact = f" {_patch(CONTACT, 'contact')}" if by == COLOUR_BY_CLEARANCE else ""
-    return f"{bar}<small>0 to {most:g} mm: {told}{contact}</small>"
+    return f'{bar}<div style="padding:0 0.6em"><small>0 to {most:g} mm: {told}{contact}</small></div>'
 
 
 class RatedNumber(NamedTuple):
@@ -167,7 +167,7 @@ FIGURES = "text-align:right;white-space:nowrap;font-variant-numeric:tabular-nums
 def table(rows: list[RatedNumber]) -> str:
     """Return the rated numbers `rows` as an HTML table."""
     lines = [f"<tr><td>{row.name}</td>{_cells(row)}</tr>" for row in rows]
-    return f'<table style="width:96%;font-size:0.85em">{"".join(lines)}</table>'
+    return f'<table style="width:96%;padding-left:0.6em;font-size:0.85em">{"".join(lines)}</table>'
 
 
 def _cells(row: RatedNumber) -> str:

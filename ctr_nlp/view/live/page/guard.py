@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 import asyncio
+import gzip
 import logging
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import replace
 from functools import cache
 from http import HTTPStatus
+from importlib import resources
 from typing import Any
 
 from ctr_nlp.support.extras import import_extra
 from ctr_nlp.support.same_origin import is_same_origin_request
 
 REFUSED = "This server answers only its own page.\n"
+NAMES_SCRIPT_FILE = "names.js"
 UNREADABLE = "a message to the live page could not be read: %s"
 
 
@@ -51,7 +55,8 @@ def guard_websocket_server(
             page = pages.get(request.path)
             if page is not None:
                 return _answer_with(connection, page())
-            return None if process_request is None else process_request(connection, request)
+            answer = None if process_request is None else process_request(connection, request)
+            return _with_names(answer) if request.path.partition("?")[0] == "/" else answer
 
         asyncio.get_running_loop().set_exception_handler(_log_failure)
         started.append(host)
@@ -74,6 +79,21 @@ def _answer_with(connection: Any, html: str | None) -> Any:
     del response.headers["Content-Type"]  # text/plain
     response.headers["Content-Type"] = "text/html; charset=utf-8"
     return response
+
+
+def _with_names(response: Any) -> Any:
+    """Return the response with viser's own page, with the script that names its controls at its end."""
+    if response is None or not response.body or "text/html" not in response.headers.get("Content-Type", ""):
+        return response  # a WebSocket, or an error
+    packed = response.headers.get("Content-Encoding") == "gzip"
+    html = gzip.decompress(response.body) if packed else response.body
+    script = resources.files("ctr_nlp.view.live.page").joinpath(NAMES_SCRIPT_FILE).read_bytes()
+    html = html.replace(b"</body>", b"<script>" + script + b"</script></body>")
+    body = gzip.compress(html) if packed else html
+    headers = response.headers.copy()
+    del headers["Content-Length"]  # a header that is given anew is added
+    headers["Content-Length"] = str(len(body))
+    return replace(response, headers=headers, body=body)
 
 
 def log_unreadable(error: object) -> None:

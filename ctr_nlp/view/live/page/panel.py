@@ -32,8 +32,10 @@ from ctr_nlp.view.live.steered.session import (
 
 PANEL_UPDATE_PERIOD_S = 0.15
 """Time between two changes of numbers and sliders: faster ones cannot be read."""
-SLIDER_STEP, SLIDER_DECIMALS = 1e-3, 3
-"""Step of the sliders, rad and mm, and decimals of their values."""
+SLIDER_STEP = 1e-3
+"""Step of the sliders of joints, rad and mm."""
+PATH_STEP, PATH_DECIMALS = 0.1, 1
+"""Step of the slider along the path, mm or s, and decimals of its value, for which its field has room."""
 
 
 class SteeringRequests(Protocol):
@@ -158,7 +160,7 @@ class ControlPanel:
         self._numbers.content = table([*rows, work])
         self._news.content = news
         self._method.value = session.method
-        self._progress.value = round(self._scale.to_value(session.goal.progress), SLIDER_DECIMALS)
+        self._progress.value = round(self._scale.to_value(session.goal.progress), PATH_DECIMALS)
         self._play.label = "Stop following" if playing else "Follow the path"
         self._draws.value = session.sample_count
         self._playback.disabled = not recorded.can_be_played
@@ -198,9 +200,9 @@ class ControlPanel:
         session = self._session
         ask = self._asked.ask
         scale = self._scale = PathScale.of_target(session.problem.target, session.problem.duration)
-        low, high = round(scale.values[0], SLIDER_DECIMALS), round(scale.values[-1], SLIDER_DECIMALS)
-        now = round(scale.to_value(session.goal.progress), SLIDER_DECIMALS)
-        self._progress = gui.add_slider(scale.name, low, high + SLIDER_STEP * (low == high), SLIDER_STEP, now)
+        low, high = round(scale.values[0], PATH_DECIMALS), round(scale.values[-1], PATH_DECIMALS)
+        now = float(np.clip(round(scale.to_value(session.goal.progress), PATH_DECIMALS), low, high))
+        self._progress = gui.add_slider(scale.name, low, high + PATH_STEP * (low == high), PATH_STEP, now)
         self._play = gui.add_button("Follow the path")
         release = gui.add_button("Let go of all handles")
         undo = gui.add_button("Undo the last move")
