@@ -37,7 +37,7 @@ MAX_WALL_RELINEARISATIONS = 12
 """Most times that a program is solved around its own solution."""
 WALL_SLACK_TOLERANCE_MM = 0.01
 """Difference in mm up to which the slack of a solution agrees with the slack needed there."""
-PLANNED_CONTACT_FRACTION = 0.8
+PLANNED_CONTACT_FRACTION = 0.6
 """Fraction of the allowed contact beyond which it costs more in planning: penalties yield a little, and programs
 check the wall at fewer points than the verdict does.
 """

@@ -29,7 +29,7 @@ MAX_PER_FRAME_START_FRAMES = 200
 """Largest number of frames that are solved one by one for a start; of longer motions every second, third, ...
 frame is solved, and the others are interpolated.
 """
-MAX_LAST_FRAMES_WITHIN_WALL = 3
+MAX_LAST_FRAMES_WITHIN_WALL = 2
 """Largest number of solutions of the last frame within a wall from which a motion is made."""
 SAMPLING_RMS_RELATIVE_DIFFERENCE = 0.2
 """Relative difference between a run's RMS error at the samples of plans (101) and at those of programs (21)."""
