@@ -10,7 +10,7 @@ A motion that begins deployed (a reversed plan, a later part of a plan) begins o
 turning from aligned tubes leads to, whose shape is nearest to the recorded one.
 
 What it cannot check: whether a frame is a KKT point. It counts the frames that are marked as solved, and asks that
-their residuals are small enough. A robot under a load is not covered.
+their residuals are small enough. A robot under a load, or one that leans on a wall, is not covered.
 """
 
 from __future__ import annotations
@@ -192,6 +192,8 @@ def _find_reason_not_covered(file: PlanFile) -> str:
         return "Tubes are further out than they are long, or out of order."
     if file.meta.get("load", file.meta.get("planned_load")) is not None:
         return "The robot is under a load, which the checker's equations do not have."
+    if "wall_contact" in file.meta:
+        return "The robot leans on a wall that gives, whose forces the checker's equations do not have."
     return ""
 
 

@@ -106,6 +106,15 @@ def test_loaded_plan_is_not_covered(tmp_path):
     assert found["within_limits"] == found["digest"] == YES
 
 
+@pytest.mark.hazard("what was not checked reads as passed")
+def test_plan_that_leans_on_a_wall_is_not_covered(saved, tmp_path):
+    path = tmp_path / "plan.npz"
+    replace(saved[0], meta={**saved[0].meta, "wall_contact": {"limit_N": 0.2}}).save(path)
+    found = words(path)
+    uncovered = {name for name, word in found.items() if word == NOT_COVERED}
+    assert {"arrives", "follows", "stable", "within_wall", "holds", "shapes", "margins"} <= uncovered
+
+
 def test_motion_that_begins_deployed_is_checked(saved, tmp_path):
     path = tmp_path / "plan.npz"
     for part in (saved[0].reversed(), saved[0][3:]):

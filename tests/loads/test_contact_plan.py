@@ -48,6 +48,7 @@ def test_the_force_at_a_place_is_kept_to_its_limit(plan, start):
     assert np.fmax(plan.place_force, plan.place_force_between).max() <= LIMIT_N * 1.02
     assert plan.verdicts.within_wall.word == "yes"
     assert plan.verdicts.within_wall.unit == "N at one place"
+    assert plan.verdicts.solved.word == "yes"
     assert plan.verdicts.holds.word == "NOT CHECKED"
 
 
