@@ -190,8 +190,10 @@ def print_table(
         padding=(0, 1, 0, 0),
     )
     written = [[cell if isinstance(cell, str) else _text(cell) for cell in row] for row in rows]
+    # Escaped characters are longer than those that they stand for.
+    shown = [[escape_control_characters(cell) for cell in cells] for cells in written]
     terminal = console()
-    widths = _column_widths(columns, written, unbroken, terminal.width)
+    widths = _column_widths(list(map(escape_control_characters, columns)), shown, unbroken, terminal.width)
     for i, column in enumerate(columns):
         table.add_column(
             column,
@@ -200,8 +202,9 @@ def print_table(
             overflow="fold",
             width=None if widths is None else widths[i],
         )
-    for cells in written:
-        table.add_row(*(Text(escape_control_characters(cell), (styles or {}).get(cell, "")) for cell in cells))
+    for cells, texts in zip(written, shown, strict=True):
+        styled = (Text(text, (styles or {}).get(cell, "")) for cell, text in zip(cells, texts, strict=True))
+        table.add_row(*styled)
     terminal.print(table)
 
 
@@ -271,7 +274,12 @@ def progress_bar() -> Iterator[Labelled]:
 
 @contextmanager
 def busy(label: str) -> Iterator[None]:
-    """Show a bar with `label` while a step runs whose progress is not known."""
+    """Show a bar with `label` while a step runs whose progress is not known; elsewhere than on a terminal a line
+    with --verbose, and nothing without.
+    """
+    if not (console(stderr=True).is_terminal or _verbose.get()):
+        yield
+        return
     with progress_bar() as labelled:
         labelled(label)
         yield

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from common import NAMES, named_problem
 from frames import horizon
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from ctr_nlp import problem_from_file, solve_horizon, solve_per_frame, summary
@@ -332,6 +332,7 @@ def test_a_path_faster_than_the_tube_is_refused_with_numbers(problem):
 
 
 @settings(max_examples=5)
+@example(seed=265, weight=1e-7)  # its third tube is turned by 24 turns on the way to the solution
 @given(seed=st.integers(0, 1000), weight=st.sampled_from([1e-7, 1e-5, 1e-3]))
 def test_from_any_motion_the_result_is_feasible_and_solved(seed, weight):
     problem = named_problem("line_arc", 6)

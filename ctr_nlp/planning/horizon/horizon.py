@@ -52,6 +52,7 @@ from ctr_nlp.planning.validation import (
     checked_terms,
 )
 from ctr_nlp.planning.within_wall import failed_frames
+from ctr_nlp.robot.checks import MAX_MOTOR_ANGLES_RAD
 from ctr_nlp.solvers import CHAIN_SOLVERS, default_chain_solver
 from ctr_nlp.solvers.compiled_functions import fastest_functions
 from ctr_nlp.support.interrupt import deferred_interrupt
@@ -294,7 +295,7 @@ class Horizon:
             found = best.solution
             solved = best.solution.success
             why = describe_failures(chain, best)
-            motion = best.motion
+            motion = self._without_excess_turns(best.motion)
             # Multipliers of a point that is no solution say nothing: its KKT residual is left unknown.
             if solved:
                 multipliers = np.concatenate([found.lam_x, found.lam_g])
@@ -315,6 +316,19 @@ class Horizon:
             free=free,
             simulator=self._simulator,
         )
+
+    def _without_excess_turns(self, motion: Array) -> Array:
+        """Return a motion (T, n) in which tubes beyond what any drive allows are turned back by whole turns.
+
+        A start far from its solution may take a tube of a model without torsion through many turns, none of which
+        changes the shape.
+        """
+        d = self.problem.robot.d
+        if self._model.several_equilibria or self.ends.start is not None or self.ends.end is not None:
+            return motion
+        beyond = abs(motion[:, :d]).max(axis=0) > MAX_MOTOR_ANGLES_RAD["alpha"]
+        turns = 2 * np.pi * np.round(motion[:, :d].mean(axis=0) / (2 * np.pi))
+        return motion - np.pad(np.where(beyond, turns, 0.0), (0, motion.shape[1] - d))
 
     def _unknowns(self, motion: Array) -> list[Array]:
         """Return unknowns (T, n) to start from for a given motion (T, 2d + 2), one or two of them."""
