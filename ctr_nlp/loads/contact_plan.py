@@ -221,7 +221,6 @@ def solve_on_wall(
     program = ContactProgram(
         problem,
         equilibria,
-        tuple(range(count)),
         PLANNED_FORCE_FRACTION * limit,
         np.full(count, least),
         float(start.options["motion_weight"]),

@@ -111,21 +111,18 @@ class ContactMotion(NamedTuple):
 class ContactProgram:
     """Frames of a problem on a wall.
 
-    problem: robot and target. equilibria: of its robot. frames: numbers of the frames that are unknowns, from 0.
-    limit: largest force at a place, N. margin: least stability margins (T,) of these frames; -inf for any.
-    motion_weight: lambda, s^2. arrival: the term of the tip's arrival, or None. force_weight: cost of the square
-    of a force beyond the limit, mm^2/N^2. before: configuration (2d + 2,) one frame before the first, or None.
+    problem: robot and target. equilibria: of its robot. limit: largest force at a place, N. margin: least
+    stability margins (T,) of the frames. motion_weight: lambda, s^2. arrival: the term of the tip's arrival, or
+    None. force_weight: cost of the square of a force beyond the limit, mm^2/N^2.
     """
 
     problem: Problem
     equilibria: ContactEquilibria
-    frames: tuple[int, ...]
     limit: float
     margin: Array
     motion_weight: float
     arrival: ArrivalTerm | None
     force_weight: float = FORCE_EXCESS_COST_MM2_PER_N2
-    before: Array | None = None
 
     def evaluate(self, states: Sequence[ContactState]) -> ContactMotion:
         """Return the motion of given equilibria of the frames."""
@@ -134,7 +131,7 @@ class ContactProgram:
         costs = np.array(
             [
                 self._shape_cost(j, found)[0] + self._penalty(margin, least)
-                for j, found, margin, least in zip(self.frames, slopes, margins, self.margin, strict=True)
+                for j, (found, margin, least) in enumerate(zip(slopes, margins, self.margin, strict=True))
             ]
         )
         moving = self._motion_cost(np.stack([state.q for state in states]))
@@ -145,7 +142,7 @@ class ContactProgram:
 
         progress: called with the number of iterations and the objective after each.
         """
-        size = np.full(len(self.frames), FIRST_STEP_MM)
+        size = np.full(len(motion.states), FIRST_STEP_MM)
         costs = self._costs(motion)
         for iteration in range(MAX_CONTACT_ITERATIONS):
             found = self._step(motion, costs, size)
@@ -261,25 +258,18 @@ class ContactProgram:
 
     def _motion_cost(self, q: Array) -> float:
         """Return the cost of the steps between frames q (T, 2d + 2), mm^2."""
-        every = q if self.before is None else np.vstack([self.before, q])
-        return float(self.motion_weight * (((np.diff(every, axis=0) * self._scale) / self.problem.dt) ** 2).sum())
+        return float(self.motion_weight * (((np.diff(q, axis=0) * self._scale) / self.problem.dt) ** 2).sum())
 
     def _costs(self, motion: ContactMotion) -> list[FrameCost]:
         """Return the quadratic costs of all frames of a motion."""
         found = []
-        for j, state, slopes, margin in zip(
-            self.frames, motion.states, motion.slopes, motion.margins, strict=True
+        for j, (state, slopes, margin) in enumerate(
+            zip(motion.states, motion.slopes, motion.margins, strict=True)
         ):
             by_q = np.zeros(len(state.q))
             if margin < MARGIN_WITHOUT_SLOPE:
                 by_q = self._margin_slope(state, slopes, float(margin))
-            found.append(
-                FrameCost(
-                    *self._shape_cost(j, slopes),
-                    float(margin),
-                    by_q,
-                )
-            )
+            found.append(FrameCost(*self._shape_cost(j, slopes), float(margin), by_q))
         return found
 
     def _margin_slope(self, state: ContactState, slopes: ContactSlopes, margin: float) -> Array:
@@ -298,14 +288,13 @@ class ContactProgram:
         n = len(self._scale)
         width = n + 1
         count = len(costs)
-        first = [] if self.before is None else [self.before]
         hessian = sp.block_diag([sp.block_diag([cost.curvature, [[1e-8]]]) for cost in costs], format="csc")
         gradient = np.concatenate([np.append(cost.slope, MARGIN_EXCESS_COST_MM2) for cost in costs])
         pick = sp.kron(sp.eye(count), sp.eye(n, width), format="csc")
-        # Differences of neighbouring frames, and of the first one and the given configuration before.
-        steps = sp.diags([np.ones(count), -np.ones(count - 1)], [0, -1]).tocsr()[0 if first else 1 :]
+        # Differences of neighbouring frames.
+        steps = sp.diags([-1.0, 1.0], [0, 1], shape=(count - 1, count))
         over = sp.kron(steps, sp.eye(n)) @ pick
-        differences = np.diff(np.stack([*first, *motion.q]), axis=0).ravel()
+        differences = np.diff(motion.q, axis=0).ravel()
         weights = np.tile(2 * self.motion_weight * (self._scale / self.problem.dt) ** 2, steps.shape[0])
         hessian = hessian + over.T @ sp.diags(weights) @ over
         gradient = gradient + over.T @ (weights * differences)

@@ -39,6 +39,11 @@ class EndConfigurations:
     end: Array | None = None
 
     @property
+    def any_given(self) -> bool:
+        """Whether one of the ends is given."""
+        return self.start is not None or self.end is not None
+
+    @property
     def options(self) -> dict[str, list[float] | None]:
         """Both ends in the form of a plan's options, by name."""
         ends = (("start", self.start), ("end", self.end))

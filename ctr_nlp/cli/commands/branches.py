@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -98,16 +99,11 @@ def _run(arguments: argparse.Namespace) -> int:
         _draw(branches, Path(arguments.file).name, Path(arguments.out))
     columns = list(BRANCH_TABLE_COLUMNS)
     if all(generation is None for generation in generations):  # known in trees alone
-        place = columns.index("generation")
-        for row in (columns, *rows):
-            del row[place]
+        _drop_column(columns, rows, "generation")
     if all(name == f"branch {number}" for number, name, *_ in rows):  # names that masks give repeat the number
-        place = columns.index("name")
-        for row in (columns, *rows):
-            del row[place]
+        _drop_column(columns, rows, "name")
     if not any(row[-1] for row in rows):
-        for row in (columns, *rows):
-            del row[-1]
+        _drop_column(columns, rows, "remark")
     title = f"{arguments.file}, in mm; coordinates {branches.space}"
     print_table(title, columns, rows, text=("name", "remark"), unbroken=("tip",))
     if arguments.save:
@@ -117,6 +113,13 @@ def _run(arguments: argparse.Namespace) -> int:
         report_written_files(file)
     suggest_next(("a plan to the tip of a branch", _plan_words(arguments, count)))
     return EXIT_SOLVED
+
+
+def _drop_column(columns: list[str], rows: Sequence[list[Any]], name: str) -> None:
+    """Delete a column from the names and the rows of a table, in place."""
+    place = columns.index(name)
+    for row in (columns, *rows):
+        del row[place]
 
 
 def _plan_words(arguments: argparse.Namespace, count: int) -> list[object]:

@@ -234,9 +234,8 @@ class Horizon:
         These were solved frame by frame within the wall, backwards from the last frame. The first that fails no
         check ends the search. attempts: the solved starts of the plan.
         """
-        ends_given = self.ends.start is not None or self.ends.end is not None
         # On models that cannot snap most checks are not made, and a given end leaves no choice of the last frame.
-        if ends_given or not self._model.can_snap or not _count_failed_checks(plan):
+        if self.ends.any_given or not self._model.can_snap or not _count_failed_checks(plan):
             return plan
         tried = list(attempts)
         motions = motions_within_wall(self.problem, self._settings, self._model, self._terms, search.stop)
@@ -324,7 +323,7 @@ class Horizon:
         changes the shape.
         """
         d = self.problem.robot.d
-        if self._model.several_equilibria or self.ends.start is not None or self.ends.end is not None:
+        if self._model.several_equilibria or self.ends.any_given:
             return motion
         beyond = abs(motion[:, :d]).max(axis=0) > MAX_MOTOR_ANGLES_RAD["alpha"]
         turns = 2 * np.pi * np.round(motion[:, :d].mean(axis=0) / (2 * np.pi))
