@@ -412,6 +412,27 @@ def test_runs_side_by_side_never_mix(tmp_path):
     assert set(found) == {*PLAN, found["plan.npz"]}
 
 
+def test_a_run_that_publishes_while_another_looks_at_the_folder_is_not_in_its_way(tmp_path, monkeypatch):
+    other = threading.Thread(target=publish, args=(tmp_path, PLAN))
+    check = output._check
+
+    def check_slowly(*arguments):
+        monkeypatch.setattr(output, "read_manifest", read_slowly)
+        check(*arguments)
+
+    def read_slowly(folder, read=output.read_manifest):
+        found = read(folder)
+        if other.ident is None:
+            other.start()
+            other.join(0.5)
+        return found
+
+    monkeypatch.setattr(output, "_check", check_slowly)
+    check_folder(tmp_path, "plan")
+    other.join()
+    assert contents(tmp_path) == PLAN
+
+
 def test_what_a_run_tries_a_folder_with_may_be_tidied_away_by_another(tmp_path, monkeypatch):
     make = Path.mkdir
 

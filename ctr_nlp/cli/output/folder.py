@@ -62,10 +62,13 @@ def check_folder(folder: Path, kind: str, other: Path | None = None) -> None:
     inner = None if other is None else name_within(folder, other)
     names = [*standard_file_names(kind, target), *([] if inner is None else [inner])]
     try:
-        if target.is_dir() and not target.is_symlink():
+        _check_no_file(target)
+        if target.exists():
+            # Locked while checking, too: files that another run is moving would look as if the user had changed
+            # them.
             with lock_folder(target, PUBLISH_LOCK_TIMEOUT_S):
                 _tidy(target)
-        _check(target, names)
+                _check(target, names)
         check_writable(target / MARK)
     except OSError as error:
         raise OutputError(f"output folder {folder} cannot be written: {error}") from error
@@ -96,12 +99,17 @@ def output_folder(folder: Path, kind: str) -> Iterator[Path]:
         raise OutputError(f"output folder {folder} cannot be written: {error}") from error
 
 
+def _check_no_file(folder: Path) -> None:
+    """Raise OutputError where `folder` is a file or a link."""
+    if folder.is_symlink() or (folder.exists() and not folder.is_dir()):
+        raise OutputError(f"output folder {folder} is a file or a link; choose a folder with --out")
+
+
 def _check(folder: Path, names: Sequence[str]) -> None:
     """Raise OutputError unless `folder` is new, empty or ours and nothing of the user's has one of `names`
     in it.
     """
-    if folder.is_symlink() or (folder.exists() and not folder.is_dir()):
-        raise OutputError(f"output folder {folder} is a file or a link; choose a folder with --out")
+    _check_no_file(folder)
     manifest = read_manifest(folder)
     if manifest is None and folder.exists() and any(map(_foreign, folder.iterdir())):
         raise OutputError(
