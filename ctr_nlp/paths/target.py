@@ -268,9 +268,11 @@ def _sample_frames(curve: Curve, lengths: Array, first: int, total: int) -> list
     _check_direction(np.array(points), lengths, frames)
     radii = [None] * len(lengths) if curve.radius is None else known("radius", curve.radius)
     each = zip(points, tangents, lengths.tolist(), radii, frames, strict=True)
-    last = max(total - 1, 1)
+    # A motion of one frame is at its end: the arrival counts.
+    part = np.linspace(0.0, 1.0, total) if total > 1 else np.ones(1)
     return [
-        Frame(point, tangent, length, radius, curve, k, k / last) for point, tangent, length, radius, k in each
+        Frame(point, tangent, length, radius, curve, k, float(part[k]))
+        for point, tangent, length, radius, k in each
     ]
 
 

@@ -127,6 +127,11 @@ class Verdicts(NamedTuple):
         """Whether the end of the path is reached: all REACHED_VERDICT_NAMES are *yes*."""
         return all(getattr(self, name).word == YES for name in REACHED_VERDICT_NAMES)
 
+    @property
+    def end_reached_as_described(self) -> bool:
+        """Whether the robot as described reaches the end: all REACHED_VERDICT_NAMES but *holds* are *yes*."""
+        return all(getattr(self, name).word == YES for name in REACHED_VERDICT_NAMES if name != "holds")
+
 
 SHORT_NAMES = {name: name.removeprefix("within_").replace("_", " ") for name in Verdicts._fields}
 """Names of the verdicts for the heads of narrow columns."""

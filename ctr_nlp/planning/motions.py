@@ -13,13 +13,13 @@ from dataclasses import replace
 import numpy as np
 
 from ctr_nlp.models import Model
-from ctr_nlp.ocp.frame_solver import FrameResult, distinct_results
 from ctr_nlp.ocp.horizon import EndConfigurations
 from ctr_nlp.ocp.settings import Settings
 from ctr_nlp.ocp.terms import Term
 from ctr_nlp.paths.problem import Problem
 from ctr_nlp.paths.target import Target
 from ctr_nlp.plan.simulation import Simulator
+from ctr_nlp.planning.last_frame import solve_last_frame
 from ctr_nlp.planning.marching import Pass, Progress, run_passes
 from ctr_nlp.planning.nlp_frames import NlpFrames
 from ctr_nlp.robot import Robot
@@ -104,14 +104,12 @@ def motions_within_wall(
         The motion of the best last frame first. Motions of which a frame was not solved are left out.
     """
     coarse, picked = _with_at_most(problem, most)
-    free = NlpFrames.of(coarse, model=model, settings=settings, terms=terms)
-    within = replace(free, active_wall=free.wall)
+    frames = NlpFrames.of(coarse, model=model, settings=settings, terms=terms)
+    within = replace(frames, active_wall=frames.wall)
     *others, last = range(coarse.frames)
-    found = [within.search_near(last, one) for one in free.search(last)]
-    # Solutions without the wall that differ may lead to the same one within it.
-    distinct = distinct_results([one for one in found if one.success and _ends_well(within, one)])
+    arriving = [one.result for one in solve_last_frame(frames) if one.excess == 0]
     motions = list[Array]()
-    for one in distinct[:MAX_LAST_FRAMES_WITHIN_WALL]:
+    for one in arriving[:MAX_LAST_FRAMES_WITHIN_WALL]:
         march = Pass("backward", [last, *reversed(others)], results={last: one})
         for _ in march.run(within):
             if stop():
@@ -119,19 +117,6 @@ def motions_within_wall(
         if march.cost(coarse)[0] == 0:
             motions.append(interpolate_frames(march.unknowns(coarse), picked, problem.frames))
     return motions
-
-
-def _ends_well(frames: NlpFrames, one: FrameResult) -> bool:
-    """Return whether the tip arrives in a solution of the last frame, and presses no deeper than is allowed."""
-    assert frames.wall is not None
-    assert one.x is not None
-    robot, last = frames.problem.robot, frames.problem.target_frames[-1]
-    slack = float(frames.wall.local_parameters_during([last])(one.x[None])[1][0])
-    tip = frames.model.points(robot, one.x[None], np.ones(1))[0, -1]
-    missed = float(np.linalg.norm(tip - last.points[-1]))
-    # The slack includes the clearance that is asked for.
-    allowed = frames.settings.clearance + frames.settings.contact_allowed
-    return missed <= frames.settings.arrival_tolerance and slack <= allowed
 
 
 def _with_at_most(problem: Problem, most: int) -> tuple[Problem, Index]:

@@ -33,8 +33,9 @@ from ctr_nlp.support.pool import Jobs, run_in_parallel
 from ctr_nlp.support.value_checks import whole_number
 from ctr_nlp.tube_design.design_warnings import find_design_warnings
 from ctr_nlp.tube_design.plans import plan_tasks
+from ctr_nlp.tube_design.reaching_tubes import at_last_frames, grow_from_starts, search_of_reached
 from ctr_nlp.tube_design.request import draft, search_for
-from ctr_nlp.tube_design.rounding import FINALISTS, StockRounding, round_to_stock
+from ctr_nlp.tube_design.rounding import FINALISTS, Finish, StockRounding, round_to_stock
 from ctr_nlp.tube_design.search import Candidate, DesignSearch, Robots, error_of, nominal_scenario
 from ctr_nlp.tube_design.selection import (
     choose_best_planned,
@@ -50,6 +51,10 @@ from ctr_nlp.typing import Array
 
 STARTS = 4
 """Tubes that a design starts from."""
+MAX_TASKS_WITH_MOTIONS = 4
+"""Largest number of tasks within walls for which tubes are designed on motions; for more, on last frames alone,
+and for those ends only that come within reach.
+"""
 BINDING = 1e-3
 """Distance from its bound, relative to it, within which a rule counts as binding."""
 MIN_REMARKED_GAIN = 5e-4
@@ -216,27 +221,41 @@ def design(
             model_for_tip_forces(whole.model, first.tolerances.tip_force > 0).check(first)
         if stock is not None:  # what cannot nest is refused before anything is solved
             nearest_stock(stock, whole.tubes, whole.tubes.nominal_unknowns, whole.has_load)
-        # Starts are compared on the frames of drafts, at a fraction of the cost; the best nominal tubes are then
-        # solved for all frames.
-        search = replace(whole, tasks=tuple(draft(task) for task in whole.tasks))
-        robots = tolerance_scenarios if walls and not nominal else nominal_scenario
-        begun, found = _solve_starts(search, robots, count, settings.seed, jobs, progress)
-        tried = found
-        if begun is not None and not search.counts_more_than_shape:
-            tried = [begun, *found]
-        if not tried:
-            raise ProblemError("no tubes were found that solve all problems; give more starts")
         plan = partial(_plans, whole, settings, nominal, model, walls, jobs, progress)
-        if nominal:
-            best, planned = choose_best_planned(tried, whole, plan)
-        elif walls:
-            best, planned = choose_reaching(tried, search, plan)
+        if walls and len(whole.tasks) > MAX_TASKS_WITH_MOTIONS:
+            search, begun = at_last_frames(whole), None
+            grown = grow_from_starts(search, count, settings.seed, jobs, progress)
+            tried = [one.as_candidate(search) for one in grown]
+            _check_any(tried)
+            within_reach = [int(one.reached.sum()) for one in grown]
+            best, planned = choose_reaching(tried, search, plan, nominal=nominal, within_reach=within_reach)
+            chosen = grown[tried.index(best)]
+            rounding = search_of_reached(search, chosen), chosen.as_candidate(search, only_reached=True)
         else:
-            best, planned = choose_certified(tried, search, plan)
+            # Starts are compared on the frames of drafts, at a fraction of the cost; the best nominal tubes are
+            # then solved for all frames.
+            search = replace(whole, tasks=tuple(draft(task) for task in whole.tasks))
+            robots = tolerance_scenarios if walls and not nominal else nominal_scenario
+            begun, tried = _solve_starts(search, robots, count, settings.seed, jobs, progress)
+            if begun is not None and not search.counts_more_than_shape:
+                tried = [begun, *tried]
+            _check_any(tried)
+            # Errors of motions for one robot and for many cannot be compared: tubes that were solved for the
+            # tolerances come first.
+            ranked = sorted(tried, key=lambda one: (not one.has_scenarios, error_of(one)))
+            if walls:
+                best, planned = choose_reaching(ranked, search, plan, nominal=nominal)
+            elif nominal:
+                best, planned = choose_best_planned(tried, whole, plan)
+            else:
+                best, planned = choose_certified(tried, search, plan)
+            rounding = search, best
         stocked = None
         if stock is not None and not interrupted():
-            finish = partial(_finish_tubes, tasks=whole.tasks if nominal else None)
-            rounded = round_to_stock(best, search, stock, finish, FINALISTS if nominal else 1)
+            finish: Finish = partial(_finish_tubes, tasks=whole.tasks if nominal else None)
+            if walls and (nominal or len(whole.tasks) > MAX_TASKS_WITH_MOTIONS):
+                finish = _keep_frames
+            rounded = round_to_stock(rounding[1], rounding[0], stock, finish, FINALISTS if nominal else 1)
             if rounded is not None:
                 # Plans on the free tubes are none on the rounded ones.
                 (best, stocked), planned = rounded, []
@@ -256,6 +275,12 @@ def design(
         stock_rounding=stocked,
         warnings=find_design_warnings(robot, planned, stocked is not None),
     )
+
+
+def _check_any(tried: Sequence[Candidate]) -> None:
+    """Raise ProblemError where no tubes were found."""
+    if not tried:
+        raise ProblemError("no tubes were found that solve all problems; give more starts")
 
 
 def _solve_starts(
@@ -317,6 +342,13 @@ def _finish_tubes(
     return solve_all_frames(min(tried, key=error_of), search), search, nominal_scenario
 
 
+def _keep_frames(tried: Sequence[Candidate], search: DesignSearch) -> tuple[Candidate, DesignSearch, Robots]:
+    """Return the best tubes on the frames for which they were found, for the nominal robot: within walls no tubes
+    are solved for all frames.
+    """
+    return min(tried, key=error_of), search, nominal_scenario
+
+
 def _plans(
     whole: DesignSearch,
     settings: Settings,
@@ -336,6 +368,8 @@ def _motions(best: Candidate, whole: DesignSearch) -> list[Array]:
     """Return a candidate's motions (T, 2d + 2), task by task over all frames; those of a draft are filled in
     between.
     """
+    if len(best.motions.q) == len(whole.tasks):
+        return []  # last frames alone
     picked = [pick_draft_frames(task.frames) for task in whole.tasks]
     if len(best.motions.q) == sum(task.frames for task in whole.tasks):
         return whole.split_by_task(best.motions.q)

@@ -1,8 +1,9 @@
-"""Several robots for many tasks: which tasks share a robot, by Lloyd's algorithm on the tasks' errors.
+"""Several robots for many tasks: which tasks share a robot.
 
-Lloyd's algorithm (Least squares quantization in PCM, IEEE Transactions on Information Theory 28(2), 1982)
-alternates two steps: design tubes for every group, then assign every task to the tubes that follow it best. Up to
-local minima of the designs, neither step raises the sum of squared errors.
+Within walls, tubes are chosen by the ends that they reach (reaching_tubes.py). Without, tasks are divided by
+Lloyd's algorithm on their errors (Least squares quantization in PCM, IEEE Transactions on Information Theory
+28(2), 1982). It alternates two steps: design tubes for every group, then assign every task to the tubes that
+follow it best. Up to local minima of the designs, neither step raises the sum of squared errors.
 """
 
 from __future__ import annotations
@@ -22,8 +23,6 @@ from ctr_nlp.ocp.shared.design import DesignedTubes
 from ctr_nlp.ocp.shared.manufacture import Manufacture
 from ctr_nlp.paths.problem import Problem
 from ctr_nlp.plan.measures import e3
-from ctr_nlp.plan.plan import Plan
-from ctr_nlp.plan.verdicts import YES, option
 from ctr_nlp.planning.horizon import solve_horizon
 from ctr_nlp.planning.marching import Progress
 from ctr_nlp.planning.nlp_frames import DEFAULT_PLANNER_SETTINGS
@@ -31,15 +30,19 @@ from ctr_nlp.robot import Robot
 from ctr_nlp.support.interrupt import deferred_interrupt, end_if_interrupted
 from ctr_nlp.support.pool import Jobs, run_in_parallel
 from ctr_nlp.support.value_checks import whole_number
+from ctr_nlp.tube_design.reaching_tubes import ReachingTubes, choose_reaching_tubes
 from ctr_nlp.tube_design.request import draft, search_for
 from ctr_nlp.tube_design.search import DesignSearch
 from ctr_nlp.tube_design.starts import generate_start_tubes
-from ctr_nlp.typing import Array, Flags, Index
+from ctr_nlp.typing import Array, Index
 
 MAX_GROUPING_ROUNDS, MIN_GROUPING_IMPROVEMENT = 6, 5e-3
 """Largest number of rounds, and the relative improvement of the error below which they end."""
 PATH_FEATURE_STRIDE = 5
 """Stride with which the 101 points of a target's last frame are taken for the first comparison of paths."""
+
+REACH_BEFORE_SHAPE = 1e6
+"""Error, mm, beyond any of a shape, of a task whose end is out of reach."""
 
 Group = tuple[int, ...]
 """Numbers of the tasks that share a robot, from 0."""
@@ -60,12 +63,14 @@ def divide_problems(
 ) -> list[list[Problem]]:
     """Divide problems into groups, each to be given a robot of its own by :func:`design`.
 
-    The first groups are those of similar paths (k-means). Then tubes are designed for each group, on the frames of
-    drafts and for the nominal robot, and every problem is assigned to the tubes that follow it best. These two
-    steps are repeated while more problems are followed, or the root mean square of the errors falls. Within walls
-    a problem is followed where its end is reached by the nominal robot, and errors include the costs of contact
-    and arrival. These grow linearly, so that an end that cannot be reached does not draw the tubes away from all
-    others.
+    Without walls, the first groups are those of similar paths (k-means). Then tubes are designed for each group,
+    on the frames of drafts and for the nominal robot, and every problem is assigned to the tubes that follow it
+    best. These two steps are repeated while more problems are followed, or the root mean square of the errors
+    falls.
+
+    Within walls, tubes are designed for the last frames of problems, for one robot after the other, so that as
+    many ends as possible come within reach of the nominal robots. Every problem is then assigned to the robot that
+    reaches its end best, or misses it by least.
 
     Parameters
     ----------
@@ -127,11 +132,16 @@ def divide_problems(
     search = search_for(tasks, model, rules, fixed, constant_curvature, settings, walls)
     if count == 1:
         return [tasks]
+    if walls:
+        found_tubes = choose_reaching_tubes(search, count, settings.seed, jobs, progress)
+        return [
+            [replace(tasks[i], robot=search.tubes.robot_of(one.p)) for i in group]
+            for one, group in zip(found_tubes, _groups(_assign_by_reach(found_tubes), count), strict=True)
+        ]
     search = replace(search, tasks=tuple(draft(task) for task in search.tasks))
     groups = _groups(_cluster_paths(search.tasks, count, settings.seed), count)
     begun = [_first_tubes(search.tubes, settings.seed)] * count
     least = (len(tasks), np.inf)
-    best = groups, begun
     for number in range(MAX_GROUPING_ROUNDS):
         found = dict(
             run_in_parallel(
@@ -142,7 +152,7 @@ def divide_problems(
         # Groups change little from round to round: their last tubes are good starts for the next ones.
         begun = [found[k].p for k in range(count)]
         errors = np.array([found[k].errors for k in range(count)])
-        unserved, rms = _summarise_errors(errors, np.array([found[k].followed for k in range(count)]))
+        unserved, rms = _summarise_errors(errors)
         if progress is not None:
             left = f", {unserved} not followed" if unserved else ""
             progress(number + 1, MAX_GROUPING_ROUNDS, f"groups of problems, error {rms:.3f} mm{left}")
@@ -152,16 +162,10 @@ def divide_problems(
         least = (unserved, rms)
         before = groups
         groups = _groups(assign_by_errors(errors), count)
-        best = groups, begun
         # Nothing moved: tubes would be designed for the same groups again.
         if groups == before:
             break
-    if not walls:
-        return [[tasks[i] for i in group] for group in groups]
-    found_robots = [search.tubes.robot_of(p) for p in best[1]]
-    return [
-        [replace(tasks[i], robot=one) for i in group] for group, one in zip(best[0], found_robots, strict=True)
-    ]
+    return [[tasks[i] for i in group] for group in groups]
 
 
 def assign_to_robots(
@@ -238,24 +242,23 @@ def assign_by_errors(errors: Array) -> Index:
     return choice
 
 
-def reaches_end_in_frames(plan: Plan) -> bool:
-    """Return whether a nominal plan on few frames arrives and keeps off the wall in these frames.
+def _assign_by_reach(robots: Sequence[ReachingTubes]) -> Index:
+    """Assign each task to the tubes that miss its end by least or, among equals, follow it best there."""
+    out_of_reach = np.stack([one.excess for one in robots])
+    shape = np.array(
+        [[np.inf if one is None else one.result.objective for one in each.last_frames] for each in robots]
+    )
+    # Objectives, mm^2, decide among the ends within reach alone.
+    return assign_by_errors(np.where(out_of_reach > 0, REACH_BEFORE_SHAPE * (1 + out_of_reach), np.sqrt(shape)))
 
-    What happens between frames is left out: in the long steps of a draft a robot cuts corners that it keeps clear
-    of when it moves through all frames.
+
+def _summarise_errors(errors: Array) -> tuple[int, float]:
+    """Return how many tasks no robot follows and the RMS, mm, of the best errors of the others, from errors (k, n)
+    in mm with NaN where a robot cannot follow a task.
     """
-    if not plan.success.all() or plan.verdicts.arrives.word != YES:
-        return False
-    return bool(plan.clearance is None or plan.clearance.min() >= -float(option(plan, "contact_allowed")))
-
-
-def _summarise_errors(errors: Array, followed: Flags) -> tuple[int, float]:
-    """Return how many tasks no robot follows, by flags (k, n), and the RMS in mm of the best errors (k, n) of the
-    others.
-    """
-    known = followed.any(axis=0)
-    best = np.where(followed, errors, np.inf)[:, known].min(axis=0) if known.any() else np.array([np.inf])
-    return int((~known).sum()), float(np.sqrt(np.mean(best**2)))
+    best = np.nan_to_num(errors, nan=np.inf).min(axis=0)
+    known = np.isfinite(best)
+    return int((~known).sum()), float(np.sqrt(np.mean(best[known] ** 2))) if known.any() else np.inf
 
 
 def _cluster_paths(tasks: Sequence[Problem], count: int, seed: int) -> Index:
@@ -294,11 +297,10 @@ def _first_tubes(tubes: DesignedTubes, seed: int) -> Array:
 
 
 class _GroupDesign(NamedTuple):
-    """Tubes p (P,) for a group of tasks, errors (n,) of all tasks on them, mm, and which are followed (n,)."""
+    """Tubes p (P,) for a group of tasks, and errors (n,) of all tasks on them, mm; NaN for those not followed."""
 
     p: Array
     errors: Array
-    followed: Flags
 
 
 def _design_for_group(search: DesignSearch, group: tuple[Group, Array]) -> _GroupDesign:
@@ -314,11 +316,8 @@ def _design_for_group(search: DesignSearch, group: tuple[Group, Array]) -> _Grou
             plans = search.plan_on_tubes(p)
             errors = search.motions_of(p, plans).error
         except CtrError:
-            return _GroupDesign(p, np.full(len(search.tasks), np.nan), np.zeros(len(search.tasks), dtype=bool))
-        followed = np.isfinite(errors)
-        if search.counts_more_than_shape:
-            followed &= [reaches_end_in_frames(plan) for plan in plans]
-        return _GroupDesign(p, errors, followed)
+            return _GroupDesign(p, np.full(len(search.tasks), np.nan))
+        return _GroupDesign(p, errors)
 
 
 def _plan_error(settings: Settings, model: str | Model, walls: bool, task: Problem) -> float:

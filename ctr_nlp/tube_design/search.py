@@ -342,7 +342,11 @@ class DesignSearch:
         return make_wall(task.robot, task.wall, self.model, self.settings, subsamples=1)
 
     def _motion_weight(self, task: Problem, q: Array) -> float:
-        """Return lambda in s^2, as a horizon without walls balances it, from a motion of robots without a load."""
+        """Return lambda in s^2, as a horizon without walls balances it, from a motion of robots without a load; 0
+        for a single frame, in which nothing moves.
+        """
+        if task.frames == 1:
+            return 0.0
         free = self.model if self.model.applied_load is None else KINEMATIC_MODELS[self.model.name]
         horizon = Horizon(task, free, settings=self.settings)
         return horizon.balanced_weight(np.nan_to_num(free.follow(task.robot, q).x))

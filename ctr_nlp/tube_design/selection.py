@@ -167,22 +167,32 @@ def choose_certified(
 
 
 def choose_reaching(
-    found: Sequence[Candidate], search: DesignSearch, plan: Callable[[Candidate], list[Plan]]
+    found: Sequence[Candidate],
+    search: DesignSearch,
+    plan: Callable[[Candidate], list[Plan]],
+    *,
+    nominal: bool = False,
+    within_reach: Sequence[int] | None = None,
 ) -> tuple[Candidate, list[Plan]]:
-    """Choose the tubes with which most ends are reached, for the robots within the tolerances and within walls.
+    """Choose the tubes with which most ends are reached within walls.
 
     An end is reached where the verdicts of its plan say so (:attr:`Verdicts.end_reached`), on simulated robots
-    that neither planning nor the evaluation of the design sees. Tubes are tried until all ends are reached, first
-    those that were solved for the tolerances.
+    that neither planning nor the evaluation of the design sees; for the nominal robot without these
+    (:attr:`Verdicts.end_reached_as_described`). Tubes are tried until all ends are reached.
 
     Parameters
     ----------
     found : sequence of Candidate
-        Designed tubes, at least one.
+        Designed tubes, at least one, in the order in which they are tried.
     search : DesignSearch
-        The search that found them, on the frames of a draft, in which walls count.
+        The search that found them, in which walls count.
     plan : callable
         Maps tubes to the plans of all tasks on them.
+    nominal : bool
+        Whether ends are reached by the nominal robot alone.
+    within_reach : sequence of int, optional
+        Upper bounds, one for each tubes, of the ends that can be reached; tubes that cannot reach more than those
+        tried are left out.
 
     Returns
     -------
@@ -191,13 +201,15 @@ def choose_reaching(
     plans : list of Plan
         The plans on them, with samples.
     """
+    most = within_reach if within_reach is not None else [len(search.tasks)] * len(found)
     tried = list[tuple[int, float, Candidate, list[Plan]]]()
-    # Errors of motions for one robot and for many cannot be compared.
-    ranked = sorted(found, key=lambda one: (not one.has_scenarios, error_of(one)))
-    for best in ranked[:MAX_TOLERANT_CANDIDATES]:
-        plans = [_with_selection_samples(one) for one in plan(best)]
-        reached = sum(one.verdicts.end_reached for one in plans)
-        held = sum(one.verdicts.holds.number or 0.0 for one in plans)
+    for best, at_most in itertools.islice(zip(found, most, strict=True), MAX_TOLERANT_CANDIDATES):
+        if tried and at_most <= max(one[0] for one in tried):
+            continue
+        plans = plan(best) if nominal else [_with_selection_samples(one) for one in plan(best)]
+        told = [one.verdicts for one in plans]
+        reached = sum(one.end_reached_as_described if nominal else one.end_reached for one in told)
+        held = sum(one.holds.number or 0.0 for one in told)
         tried.append((reached, held, best, plans))
         if reached == len(search.tasks) or search.stop():
             break

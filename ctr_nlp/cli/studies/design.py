@@ -31,7 +31,7 @@ from ctr_nlp.cli.loads.options import (
 )
 from ctr_nlp.cli.output.file import path_component
 from ctr_nlp.cli.output.folder import check_folder, output_folder, results_folder
-from ctr_nlp.cli.plan_options import with_tip_force_option
+from ctr_nlp.cli.plan_options import pieces_from, read_options_from, with_tip_force_option
 from ctr_nlp.cli.plan_report import exit_status
 from ctr_nlp.cli.studies.design_output import (
     DesignWithPlans,
@@ -40,7 +40,7 @@ from ctr_nlp.cli.studies.design_output import (
     print_left_out,
     write_designs,
 )
-from ctr_nlp.cli.terminal_output import progress_bar, report_written_files, suggest_next
+from ctr_nlp.cli.terminal_output import busy, progress_bar, report_written_files, suggest_next
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.models import KINEMATIC_MODELS, Model
 from ctr_nlp.ocp.settings import Settings
@@ -48,6 +48,8 @@ from ctr_nlp.ocp.shared.manufacture import Manufacture
 from ctr_nlp.paths.problem import Problem
 from ctr_nlp.plan.plan import Plan
 from ctr_nlp.planning.marching import Progress
+from ctr_nlp.robot import Robot
+from ctr_nlp.robot.shipped import read_robot_files
 from ctr_nlp.studies.workers.clients import cluster_client
 from ctr_nlp.support.interrupt import end_if_interrupted
 from ctr_nlp.support.pool import Jobs, run_in_parallel
@@ -61,6 +63,11 @@ DESIGN_CHECK_SAMPLES, DESIGN_CHECK_SEED = 500, 0
 """Number and seed of the simulated robots on which every plan is evaluated; design and planning do not see
 them.
 """
+NOT_WITH_EVERY_END = (
+    *("branch", "branches", "target", "insertion", "tilt", "reverse"),
+    *("wall_of_mask", "keep_out", "inside"),
+)
+"""Options for single paths, which do not go with all ends of a tree."""
 RULES = {
     "wall": "least thickness of a tube's wall, mm",
     "channel": "least inner diameter of the innermost tube, mm",
@@ -110,6 +117,11 @@ def _parser(prog: str) -> argparse.ArgumentParser:
     parser.add_argument("--model", choices=KINEMATIC_MODELS, default="elastic", help=what)
     what = "several branches of each file of anatomy, each a problem of its own; `ctr-nlp branches` lists them"
     parser.add_argument("--branches", metavar="NAME|NUMBER", nargs="+", help=what)
+    what = "every end of each file's tree that is wide enough for the robot, each a problem of its own; without "
+    what += "--robot for the first one of the package, instead of the paper's"
+    parser.add_argument("--every-end", action="store_true", help=what)
+    what = "goes with --every-end: insert robots at the main bifurcation, up to which a rigid tube guides them"
+    parser.add_argument("--from-carina", action="store_true", help=what)
     what = "also design for all files but one, in turn, and report how many ends of that one are reached; goes "
     what += "with --walls, and takes as many times longer as there are files"
     parser.add_argument("--leave-one-out", action="store_true", help=what)
@@ -153,6 +165,7 @@ def _run(arguments: argparse.Namespace) -> int:
     held_out = problems.expand_folders(arguments.hold_out)
     if arguments.leave_one_out and not arguments.walls:
         raise OptionError("--leave-one-out goes with --walls: an end counts as reached within walls alone")
+    _check_every_end(arguments)
     anatomies = [_load(name, arguments) for name in designed_for]
     tasks = [task for each in anatomies for task in each]
     held = [task for name in held_out for task in _load(name, arguments)]
@@ -180,6 +193,9 @@ def _run(arguments: argparse.Namespace) -> int:
         alike["walls"] = arguments.walls
         groups = divide_problems(tasks, arguments.robots, progress=labelled("groups"), **alike)
         only: dict[str, Any] = {name: getattr(arguments, name) for name in ("nominal", "starts")}
+        if arguments.walls and len(groups) > 1:
+            # Groups within walls come with tubes that were found from several starts.
+            only["starts"] = 1
         made = list[DesignWithPlans]()
         for number, group in enumerate(groups, start=1):
             label = f"design {number} of {len(groups)}" if len(groups) > 1 else "design"
@@ -264,6 +280,8 @@ def _evaluate_on_samples(plan: Plan) -> EvaluatedPlan:
 
 def _load(name: str, arguments: argparse.Namespace) -> list[Problem]:
     """Return the problems of one name or file: one, or one for each of --branches."""
+    if arguments.every_end and problems.is_anatomy(name):
+        return _load_every_end(name, arguments)
     branches = arguments.branches if problems.is_anatomy(name) else None
     if branches is not None and arguments.branch is not None:
         raise OptionError("--branches does not go with --branch; leave one of them out")
@@ -274,6 +292,52 @@ def _load(name: str, arguments: argparse.Namespace) -> list[Problem]:
         problem = _with_file_name(name, with_tip_force_option(problem, arguments))
         found.append(replace(problem, name=f"{problem.name}-{path_component(branch)}") if branches else problem)
     return found
+
+
+def _load_every_end(name: str, arguments: argparse.Namespace) -> list[Problem]:
+    """Return the problem of every end of a file's tree that is wide enough for the robot."""
+    # Readers of anatomy are loaded where a file of anatomy is named, and not for a named problem.
+    from ctr_nlp.anatomy.lumen_tree import read_lumen_tree
+    from ctr_nlp.studies.reach.end_problems import end_problems
+
+    with busy(f"{name} is read"):
+        tree = read_lumen_tree(
+            name,
+            arguments.entry,
+            from_carina=arguments.from_carina,
+            options=read_options_from(arguments),
+            pieces=pieces_from(arguments),
+        )
+    # The paper's robot is too thick for most ends of an airway tree.
+    robot = (
+        next(iter(read_robot_files().values())) if arguments.robot is None else Robot.from_toml(arguments.robot)
+    )
+    trim, smoothing = arguments.trim is not None, arguments.smoothing
+    found = end_problems(tree, robot, arguments.frames, arguments.duration, trim=trim, smoothing=smoothing)
+    return [
+        replace(each, name=path_component("-".join(each.name.rsplit(" ", 1))))
+        for each in (problem_with_modulus(with_tip_force_option(one, arguments), arguments) for one in found)
+    ]
+
+
+def _check_every_end(arguments: argparse.Namespace) -> None:
+    """Raise OptionError where options contradict --every-end, or go with it and it is missing."""
+    if not arguments.every_end:
+        if arguments.from_carina:
+            raise OptionError("--from-carina goes with --every-end; add it, or give --entry X Y Z")
+        return
+    if not any(map(problems.is_anatomy, arguments.problems)):
+        raise OptionError(f"--every-end goes with a mask or a centreline file; {arguments.problems[0]} is none")
+    if arguments.from_carina and arguments.entry is not None:
+        raise OptionError("--from-carina does not go with --entry; leave one of them out")
+    if arguments.trim == "end":
+        raise OptionError("--trim end does not go with --every-end, whose ends would not be reached; use start")
+    given = next((name for name in NOT_WITH_EVERY_END if getattr(arguments, name) is not None), None)
+    if given is not None:
+        raise OptionError(
+            f"--{given.replace('_', '-')} does not go with --every-end, for which each end has its own path and "
+            "the tree its wall; leave one of them out"
+        )
 
 
 def _with_file_name(name: str, problem: Problem) -> Problem:
