@@ -56,7 +56,7 @@ MIN_EXCESS_GAIN_MM = 0.2
 """Reduction of the sum of all excesses, mm, each up to MAX_ADDED_EXCESS_MM, for which tubes that reach no further
 end are kept.
 """
-REACHING_STARTS = 3
+REACHING_STARTS = 2
 """Tubes from which those of each robot grow."""
 ROUNDS_FROM_SHAPES = tuple(zip(WALL_PARTS, (REPLANNED_BARRIER_MM2, CONTINUED_BARRIER_MM2), strict=True))
 """Parts of the wall's weight, and first barriers in mm^2, of the rounds from tubes found without walls."""
@@ -99,6 +99,11 @@ class ReachingTubes:
     def reached(self) -> Flags:
         """Whether each task is within reach, (n,)."""
         return self.excess == 0
+
+    @property
+    def results(self) -> list[FrameResult | None]:
+        """The configurations of the last frames."""
+        return [None if one is None else one.result for one in self.last_frames]
 
     def score(self, wanted: Flags) -> tuple[int, float]:
         """Return how many of the wanted tasks are within reach, and less the excess of the others, mm."""
@@ -169,7 +174,12 @@ def search_of_reached(search: DesignSearch, tubes: ReachingTubes) -> DesignSearc
     )
 
 
-def find_last_frames(search: DesignSearch, p: Array, known: Sequence[FrameResult | None] = ()) -> ReachingTubes:
+def find_last_frames(
+    search: DesignSearch,
+    p: Array,
+    known: Sequence[FrameResult | None] | None = None,
+    searched: Flags | None = None,
+) -> ReachingTubes:
     """Find the last frame of every task on given tubes.
 
     Parameters
@@ -178,30 +188,42 @@ def find_last_frames(search: DesignSearch, p: Array, known: Sequence[FrameResult
         From `at_last_frames`.
     p : ndarray
         Unknowns (P,) of the tubes.
-    known : sequence of (FrameResult or None)
-        Configurations near which a last frame is looked for first, task by task; a search follows where there is
-        none, or it does not end well.
+    known : sequence of (FrameResult or None), optional
+        Configurations near which a last frame is looked for first, task by task.
+    searched : ndarray of bool, optional
+        Tasks (n,) for which a search follows where this does not end well; by default all.
 
     Returns
     -------
     ReachingTubes
         The tubes with the best last frames.
     """
+    count = len(search.tasks)
     robot = search.tubes.robot_of(p)
-    found = list[LastFrame | None]()
-    for task, near in itertools.zip_longest(search.tasks_on(robot), known):
-        if search.stop():
-            found.append(None)
-            continue
-        try:
-            frames = NlpFrames.of(task, model=search.model, settings=search.settings)
-            one = None if near is None else solve_last_frame_near(frames, near)
-            others = solve_last_frame(frames) if one is None or one.excess > 0 else []
-        except CtrError:
-            found.append(None)
-            continue
-        found.append(min((each for each in (one, *others) if each is not None), key=_rank, default=None))
+    near = [None] * count if known is None else known
+    wide = np.ones(count, dtype=bool) if searched is None else searched
+    found = [
+        _find_last_frame(search, task, one, bool(more))
+        for task, one, more in zip(search.tasks_on(robot), near, wide, strict=True)
+    ]
     return ReachingTubes("these tubes", p, tuple(found))
+
+
+def _find_last_frame(
+    search: DesignSearch, task: Problem, near: FrameResult | None, more: bool
+) -> LastFrame | None:
+    """Return the best last frame of a task: near a known one or, with `more` and where that does not end well,
+    of a search; None where none is solved, or after Ctrl-C.
+    """
+    if search.stop() or (near is None and not more):
+        return None
+    try:
+        frames = NlpFrames.of(task, model=search.model, settings=search.settings)
+        one = None if near is None else solve_last_frame_near(frames, near)
+        others = solve_last_frame(frames) if more and (one is None or one.excess > 0) else []
+    except CtrError:  # on these tubes, the model does not apply or the path is too long
+        return None
+    return min((each for each in (one, *others) if each is not None), key=_rank, default=None)
 
 
 def grow_tubes(search: DesignSearch, wanted: Flags, start: Start) -> ReachingTubes | None:
@@ -229,21 +251,32 @@ def grow_tubes(search: DesignSearch, wanted: Flags, start: Start) -> ReachingTub
             if alone is None:
                 return None
             p = alone
-        found = replace(find_last_frames(search, p), start=name)
+        found = find_last_frames(search, p)
         tried = np.zeros(len(search.tasks), dtype=bool)
+        fresh = True
         for _ in range(MAX_GROWTH_ROUNDS):
             near = wanted & ~found.reached & ~tried & (found.excess < MAX_ADDED_EXCESS_MM)
             added = [k for k in np.argsort(found.excess, kind="stable").tolist() if near[k]][:ADDED_TASKS]
-            if not added or interrupted():
+            if interrupted() or (fresh and not added):
                 break
+            if not added:
+                # Far ends were left out in between, and some may have come near.
+                found = _search_again(search, found)
+                fresh, tried[:] = True, False
+                continue
             group = [*np.flatnonzero(wanted & found.reached).tolist(), *added]
-            grown = _design_for_last_frames(search, group, found)
+            grown = _design_for_last_frames(search, group, found, wanted)
             if grown is not None and grown.improves_on(found, wanted):
-                found = replace(grown, start=name)
+                found, fresh = grown, False
                 tried[:] = False
             else:
                 tried[added] = True
-        return found
+        return replace(found if fresh else _search_again(search, found), start=name)
+
+
+def _search_again(search: DesignSearch, found: ReachingTubes) -> ReachingTubes:
+    """Return the same tubes with the last frames of all tasks, searched for where they do not end well."""
+    return replace(find_last_frames(search, found.p, found.results), solution=found.solution)
 
 
 def choose_reaching_tubes(
@@ -371,10 +404,12 @@ def _design_for_one(search: DesignSearch, number: int, p: Array) -> Array | None
 
 
 def _design_for_last_frames(
-    search: DesignSearch, group: Sequence[int], found: ReachingTubes
+    search: DesignSearch, group: Sequence[int], found: ReachingTubes, wanted: Flags
 ) -> ReachingTubes | None:
-    """Return tubes designed for the last frames of some tasks, from known ones, with those of all tasks; None
-    where the joint program fails.
+    """Return tubes designed for the last frames of some tasks, from known ones; None where the joint program
+    fails.
+
+    Last frames are searched for where wanted ends were near before; all others are only followed.
     """
     known = [one for k in group if (one := found.last_frames[k]) is not None]
     single = _at_single_frames(replace(search, tasks=tuple(search.tasks[k] for k in group)))
@@ -382,12 +417,13 @@ def _design_for_last_frames(
     designed = _run_rounds(single, begun, ROUNDS_WITHIN_WALLS)
     if designed is begun:
         return None
-    near = [None if one is None else one.result for one in found.last_frames]
+    near = found.results
     robot = search.tubes.robot_of(designed.p)
     x = unknowns_of(search.model, robot, designed.motions.phi[:, 0], designed.motions.q)
     for k, q, unknowns in zip(group, designed.motions.q, x, strict=True):
         near[k] = FrameResult(q, x=unknowns if search.model.several_equilibria else None)
-    return replace(find_last_frames(search, designed.p, near), solution=designed.solution)
+    searched = wanted & (found.excess < MAX_ADDED_EXCESS_MM)
+    return replace(find_last_frames(search, designed.p, near, searched), solution=designed.solution)
 
 
 def _run_rounds(search: DesignSearch, begun: Candidate, rounds: Sequence[tuple[float, float]]) -> Candidate:
