@@ -227,7 +227,7 @@ def design(
             grown = grow_from_starts(search, count, settings.seed, jobs, progress)
             tried = [one.as_candidate(search) for one in grown]
             _check_any(tried)
-            within_reach = [int(one.reached.sum()) for one in grown]
+            within_reach = [int(one.within_reach.sum()) for one in grown]
             best, planned = choose_reaching(tried, search, plan, nominal=nominal, within_reach=within_reach)
             chosen = grown[tried.index(best)]
             rounding = search_of_reached(search, chosen), chosen.as_candidate(search, only_reached=True)

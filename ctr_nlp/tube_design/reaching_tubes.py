@@ -96,7 +96,7 @@ class ReachingTubes:
         return np.array([np.inf if one is None else one.excess for one in self.last_frames])
 
     @property
-    def reached(self) -> Flags:
+    def within_reach(self) -> Flags:
         """Whether each task is within reach, (n,)."""
         return self.excess == 0
 
@@ -107,7 +107,7 @@ class ReachingTubes:
 
     def score(self, wanted: Flags) -> tuple[int, float]:
         """Return how many of the wanted tasks are within reach, and less the excess of the others, mm."""
-        return int((self.reached & wanted).sum()), -float(
+        return int((self.within_reach & wanted).sum()), -float(
             np.minimum(self.excess, MAX_ADDED_EXCESS_MM)[wanted].sum()
         )
 
@@ -119,7 +119,7 @@ class ReachingTubes:
         rest = FrameResult(np.zeros(2 * search.tubes.robot.d + 2), success=False)
         results = [
             rest if one is None else one.result
-            for one, near in zip(self.last_frames, self.reached, strict=True)
+            for one, near in zip(self.last_frames, self.within_reach, strict=True)
             if near or not only_reached
         ]
         found = _candidate(search, self.p, results)
@@ -170,7 +170,7 @@ def search_of_reached(search: DesignSearch, tubes: ReachingTubes) -> DesignSearc
         With fewer tasks.
     """
     return replace(
-        search, tasks=tuple(task for task, near in zip(search.tasks, tubes.reached, strict=True) if near)
+        search, tasks=tuple(task for task, near in zip(search.tasks, tubes.within_reach, strict=True) if near)
     )
 
 
@@ -255,7 +255,7 @@ def grow_tubes(search: DesignSearch, wanted: Flags, start: Start) -> ReachingTub
         tried = np.zeros(len(search.tasks), dtype=bool)
         fresh = True
         for _ in range(MAX_GROWTH_ROUNDS):
-            near = wanted & ~found.reached & ~tried & (found.excess < MAX_ADDED_EXCESS_MM)
+            near = wanted & ~found.within_reach & ~tried & (found.excess < MAX_ADDED_EXCESS_MM)
             added = [k for k in np.argsort(found.excess, kind="stable").tolist() if near[k]][:ADDED_TASKS]
             if interrupted() or (fresh and not added):
                 break
@@ -264,7 +264,7 @@ def grow_tubes(search: DesignSearch, wanted: Flags, start: Start) -> ReachingTub
                 found = _search_again(search, found)
                 fresh, tried[:] = True, False
                 continue
-            group = [*np.flatnonzero(wanted & found.reached).tolist(), *added]
+            group = [*np.flatnonzero(wanted & found.within_reach).tolist(), *added]
             grown = _design_for_last_frames(search, group, found, wanted)
             if grown is not None and grown.improves_on(found, wanted):
                 found, fresh = grown, False
@@ -320,7 +320,7 @@ def choose_reaching_tubes(
         # Tubes chosen before are there as well, so that a robot is never worse than one of these.
         best = max([*grown, *chosen] or [find_last_frames(last, starts[0][1])], key=lambda one: one.score(wanted))
         chosen.append(best)
-        left = left & ~best.reached
+        left = left & ~best.within_reach
         if progress is not None:
             note = f"tubes of robot {number + 1}, {int((~left).sum())} of {len(left)} ends within reach"
             progress(number + 1, count, note)
@@ -364,7 +364,7 @@ def _grow_all(
     for number, one in run_in_parallel(partial(grow_tubes, search.portable, wanted), starts, jobs):
         found[number] = one
         if progress is not None:
-            within = "none" if one is None else int(one.reached.sum())
+            within = "none" if one is None else int(one.within_reach.sum())
             note = f"tubes from {starts[number][0]}, {within} of {len(wanted)} ends within reach"
             progress(len(found), len(starts), note)
     return [one for number in sorted(found) if (one := found[number]) is not None]

@@ -111,17 +111,17 @@ def test_tubes_grow_until_all_ends_are_within_reach():
     wanted = np.ones(len(BENDS_MM), dtype=bool)
     before = find_last_frames(search, own)
     grown = grow_tubes(search, wanted, ("own", own, None))
-    assert before.reached.sum() < grown.reached.sum() == len(BENDS_MM)
+    assert before.within_reach.sum() < grown.within_reach.sum() == len(BENDS_MM)
     assert search.tubes.satisfies_rules(grown.p)
     # Found anew on the tubes, without a hint where to look, all ends are still within reach.
     again = find_last_frames(search, grown.p)
-    assert again.reached.all()
+    assert again.within_reach.all()
 
 
 def test_tubes_grow_for_wanted_ends_alone():
     search = _search()
     own = search.tubes.nominal_unknowns
-    wanted = find_last_frames(search, own).reached
+    wanted = find_last_frames(search, own).within_reach
     assert wanted.any()
     assert not wanted.all()
     assert np.array_equal(grow_tubes(search, wanted, ("own", own, None)).p, own)
