@@ -150,3 +150,27 @@ def test_the_motion_that_fails_fewest_checks_is_kept(monkeypatch):
     assert kept.verdicts.solved.word == "yes"
     assert len(calls) >= 2
     assert len(kept.meta["starts"]) > len(good.meta["starts"])
+
+
+@pytest.mark.parametrize(("depth", "aims"), [(0.6, [0.3, 0.1]), (1.2, [])])
+def test_a_plan_that_presses_a_little_too_deep_is_solved_again_with_less_contact(monkeypatch, depth, aims):
+    """Twice the excess of 0.1 mm is taken off the 0.5 mm that planning allows, and once more where it stays."""
+    problem = _within_arc(6.0)
+    made = horizon.Horizon._plan
+    solve = search.Search.solve_from_motions
+    aimed = list[float]()
+
+    def plan(self, *arguments):
+        found = made(self, *arguments)
+        return replace(found, clearance=np.full_like(found.clearance, -depth))
+
+    def solve_from_motions(self, motions, wall=None, **options):
+        if wall is not None and wall.contact_allowed < 0.5:
+            aimed.append(wall.contact_allowed)
+        return solve(self, motions, wall, **options)
+
+    monkeypatch.setattr(horizon, "motions_within_wall", lambda *_: [])
+    monkeypatch.setattr(horizon.Horizon, "_plan", plan)
+    monkeypatch.setattr(search.Search, "solve_from_motions", solve_from_motions)
+    solve_horizon(problem, model="elastic")
+    assert aimed == pytest.approx(aims)

@@ -63,6 +63,12 @@ WALL_PARTS = 0.1, 1.0
 """Parts of the contact weight with which a motion is solved within the wall, one after the other. From a motion
 deep in the wall, the whole weight at once makes the solver fail.
 """
+MAX_LESS_CONTACT_ROUNDS = 2
+"""Largest number of times that a motion which presses a little too deep is solved again with less contact."""
+MAX_SMALL_EXCESS_MM = 0.5
+"""Depth beyond the allowed contact, mm, up to which that is worth trying."""
+CONTACT_RESERVE = 2.0
+"""How many times that depth is taken off the contact that planning allows: penalties yield."""
 
 
 class Horizon:
@@ -238,14 +244,35 @@ class Horizon:
         if self.ends.any_given or not self._model.can_snap or not _count_failed_checks(plan):
             return plan
         tried = list(attempts)
-        motions = motions_within_wall(self.problem, self._settings, self._model, self._terms, search.stop)
+
+        def keep_farther_off(one: Plan, solved: Sequence[SolvedStart]) -> Plan:
+            """Return a plan that only touches, solved again with less contact allowed, where that is better."""
+            aim = wall
+            for _ in range(MAX_LESS_CONTACT_ROUNDS):
+                excess = _find_contact_excess(one, wall.contact_allowed)
+                if search.stop() or not solved or not 0 < excess <= MAX_SMALL_EXCESS_MM:
+                    break
+                aim = replace(aim, contact_allowed=max(0.0, aim.contact_allowed - CONTACT_RESERVE * excess))
+                motion = best_solved_start(solved).motion
+                solved = search.solve_from_motions([motion], aim)
+                tried.extend(solved)
+                # Costs are those of the wall as it was asked for, so that plans can be compared.
+                other = self._plan(search.chain_for_wall(wall), motion, solved, one.free, dict(one.meta))
+                one = min(one, other, key=_rank_by_checks)
+            return one
+
+        plan = keep_farther_off(plan, attempts)
+        if not _count_failed_checks(plan):
+            motions = []
+        else:
+            motions = motions_within_wall(self.problem, self._settings, self._model, self._terms, search.stop)
         for motion in motions:
             if search.stop():
                 break
             found = self._solve_with_growing_wall(wall, search, [motion])
             tried += found
             other = self._plan(search.chain_for_wall(wall), motion, found, plan.free, dict(plan.meta))
-            plan = min(plan, other, key=_rank_by_checks)
+            plan = min(plan, keep_farther_off(other, found), key=_rank_by_checks)
             if not _count_failed_checks(plan):
                 break
         meta = {
@@ -344,6 +371,13 @@ def _rank_by_checks(plan: Plan) -> tuple[int, float, float]:
     wall = plan.verdicts.within_wall
     contact = 0.0 if wall.word != NO or wall.number is None else wall.number
     return _count_failed_checks(plan), contact, float(plan.objective.mean())
+
+
+def _find_contact_excess(plan: Plan, allowed: float) -> float:
+    """Return the depth, mm, by which a plan presses beyond what is allowed; 0 where it fails another check."""
+    wall = plan.verdicts.within_wall
+    alone = wall.word == NO and _count_failed_checks(plan) == 1
+    return wall.number - allowed if alone and wall.number is not None else 0.0
 
 
 def _count_failed_checks(plan: Plan) -> int:
