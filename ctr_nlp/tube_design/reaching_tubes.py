@@ -56,7 +56,7 @@ MIN_EXCESS_GAIN_MM = 0.2
 """Reduction of the sum of all excesses, mm, each up to MAX_ADDED_EXCESS_MM, for which tubes that reach no further
 end are kept.
 """
-REACHING_STARTS = 2
+REACHING_STARTS = 3
 """Tubes from which those of each robot grow."""
 ROUNDS_FROM_SHAPES = tuple(zip(WALL_PARTS, (REPLANNED_BARRIER_MM2, CONTINUED_BARRIER_MM2), strict=True))
 """Parts of the wall's weight, and first barriers in mm^2, of the rounds from tubes found without walls."""
@@ -308,13 +308,17 @@ def choose_reaching_tubes(
         Ctrl-C was pressed.
     """
     last = at_last_frames(search)
-    random = np.random.default_rng(seed)
     chosen = list[ReachingTubes]()
     left = np.ones(len(last.tasks), dtype=bool)
     for number in range(count):
         # Where nothing is left, one more robot is for those that reach everything with more room.
         wanted = left if left.any() else np.ones_like(left)
-        starts = _starts(last, wanted, random, REACHING_STARTS, with_own=number == 0)
+        # Each robot has random tubes of its own.
+        own_seed = int(np.random.default_rng([seed, number]).integers(2**31))
+        if chosen:
+            starts = _next_starts(last, own_seed, chosen[-1], wanted)
+        else:
+            starts = _first_starts(last, own_seed, REACHING_STARTS)
         grown = _grow_all(last, wanted, starts, jobs)
         end_if_interrupted()
         # Tubes chosen before are there as well, so that a robot is never worse than one of these.
@@ -351,7 +355,7 @@ def grow_from_starts(
         Those that reach most ends first; none where no start led to any, and after Ctrl-C some may be missing.
     """
     wanted = np.ones(len(search.tasks), dtype=bool)
-    starts = _starts(search, wanted, np.random.default_rng(seed), count, with_own=True)
+    starts = _first_starts(search, seed, count)
     grown = _grow_all(search, wanted, starts, jobs, progress)
     return sorted(grown, key=lambda one: one.score(wanted), reverse=True)
 
@@ -370,18 +374,27 @@ def _grow_all(
     return [one for number in sorted(found) if (one := found[number]) is not None]
 
 
-def _starts(
-    search: DesignSearch, wanted: Flags, random: np.random.Generator, count: int, *, with_own: bool
-) -> list[Start]:
-    """Return tubes to grow from: with_own the given robot's own, where they satisfy the rules, and random ones,
-    each for one of the wanted tasks to begin with.
+def _first_starts(search: DesignSearch, seed: int, count: int) -> list[Start]:
+    """Return tubes that those of a first robot grow from: the given robot's own, where they satisfy the rules, and
+    random ones, each for a random task to begin with.
     """
-    tubes = generate_start_tubes(search.tubes, int(random.integers(2**31)))
-    own_name, own = next(tubes)
-    tasks = random.permutation(np.flatnonzero(wanted))
-    found: list[Start] = [(own_name, own, None)] if with_own and search.tubes.satisfies_rules(own) else []
+    tubes = generate_start_tubes(search.tubes, seed)
+    name, own = next(tubes)
+    found: list[Start] = [(name, own, None)] if search.tubes.satisfies_rules(own) else []
+    tasks = itertools.cycle(np.random.default_rng(seed).permutation(len(search.tasks)).tolist())
     others = itertools.islice(tubes, count - len(found))
-    return [*found, *((name, p, int(task)) for (name, p), task in zip(others, itertools.cycle(tasks)))]
+    return [*found, *((name, p, task) for (name, p), task in zip(others, tasks, strict=False))]
+
+
+def _next_starts(search: DesignSearch, seed: int, before: ReachingTubes, left: Flags) -> list[Start]:
+    """Return tubes that those of a further robot grow from: those of the robot before and random ones, each for
+    one of the tasks that are left to begin with, the nearest first.
+    """
+    tubes = generate_start_tubes(search.tubes, seed)
+    next(tubes)
+    nearest = [k for k in np.argsort(before.excess, kind="stable").tolist() if left[k]]
+    starts = [(before.start, before.p), *itertools.islice(tubes, REACHING_STARTS - 1)]
+    return [(name, p, task) for (name, p), task in zip(starts, itertools.cycle(nearest), strict=False)]
 
 
 def _design_for_one(search: DesignSearch, number: int, p: Array) -> Array | None:

@@ -216,7 +216,7 @@ def _run(arguments: argparse.Namespace) -> int:
     place = results_folder(out, interrupted)
     with output_folder(place, "design") as staging:
         write_designs(made, staging, nominal=arguments.nominal, figures=not arguments.no_figures)
-    print_designs(made)
+    print_designs(made, arguments.nominal, arguments.walls)
     if left_out:
         print_left_out(designed_for, left_out, arguments.nominal)
     report_written_files(place)

@@ -22,8 +22,7 @@ from ctr_nlp.tube_design.leave_one_out import HeldOutEnd
 from ctr_nlp.tube_design.rounding import StockRounding
 
 DESIGN_TABLE_COLUMNS = (
-    *("problem", "with the first tubes", "planned", "mean over samples", "failed", "mean with diameters as sold"),
-    *("failed", "designed for"),
+    *("problem", "first tubes", "planned", "samples", "failed", "as sold", "failed", "designed for"),
 )
 
 
@@ -120,10 +119,18 @@ def _sample_statistics(drawn: Robustness | None) -> dict[str, Any]:
     }
 
 
-def print_designs(designs: Sequence[DesignWithPlans]) -> None:
-    """Print tables and remarks for each of `designs`."""
+def print_designs(designs: Sequence[DesignWithPlans], nominal: bool, walls: bool) -> None:
+    """Print tables and remarks for each of `designs`, and within walls how many ends are reached.
+
+    nominal: whether tolerances were left out.
+    """
     for number, one in enumerate(designs, start=1):
         _print_design(one, f"robot {number}: " if len(designs) > 1 else "")
+    if walls:
+        told = [each.plan.verdicts for one in designs for each in one.evaluated_plans]
+        reached = sum(one.end_reached_as_described if nominal else one.end_reached for one in told)
+        robots = "robots as described" if nominal else "robots within the tolerances"
+        console().print(f"{reached} of {len(told)} ends reached, as {robots}.")
 
 
 def print_left_out(files: Sequence[str], ends: Sequence[HeldOutEnd], nominal: bool) -> None:
@@ -152,7 +159,8 @@ def _print_design(design: DesignWithPlans, label: str) -> None:
         ]
         for row in (_row(found, one) for one in design.evaluated_plans)
     ]
-    print_table(f"{label}e3 in mm", list(DESIGN_TABLE_COLUMNS), cells)
+    title = f"{label}e3 in mm, of first tubes, as planned, and its mean over samples, also of tubes as sold"
+    print_table(title, list(DESIGN_TABLE_COLUMNS), cells)
     words = [
         [str(one.plan.meta["problem"]["name"]), *(each.word for each in one.plan.verdicts)]
         for one in design.evaluated_plans
