@@ -178,11 +178,19 @@ def _hash_build_inputs(key: str, chosen: Compiler, linked: tuple[tuple[str, ...]
 
 
 @functools.cache
-def load_c_files(package: str, *names: str) -> ctypes.CDLL:
-    """Compile and load a package's C files as one; raises OptionError where nothing can be compiled."""
-    code = "".join(files(package).joinpath(name).read_text(encoding="utf-8") for name in names)
+def load_c_files(package: str, *names: str, before: str = "") -> ctypes.CDLL:
+    """Compile and load a package's C files as one; raises OptionError where nothing can be compiled.
+
+    before: C that comes before them.
+    """
+    code = before + read_c_files(package, *names)
     code += describe_structures(code)
     return ctypes.CDLL(str(library(code, lambda: code)))
+
+
+def read_c_files(package: str, *names: str) -> str:
+    """Return the text of a package's C files, one after the other."""
+    return "".join(files(package).joinpath(name).read_text(encoding="utf-8") for name in names)
 
 
 _waits: list[float] = []

@@ -16,7 +16,11 @@ VECTOR_LANES = 8
 QUICK_COMPILE_VARIABLE = "CTR_NLP_QUICK"
 """Environment variable: 1 compiles long straight code of numbers as that of vectors, in half of the time."""
 _QUICK_PRAGMA = '#pragma GCC optimize("Og")\n'
-"""Long straight code of vectors gains a tenth at most from more, that of numbers a fifth."""
+"""Long straight code of numbers compiles fastest so, and is a fifth slower than with more."""
+_VECTOR_OPTIMISATION_PRAGMA = '#pragma GCC optimize("O1", "expensive-optimizations")\n'
+"""Long straight code of vectors gains nothing from more. With less there are no instructions that multiply and add
+with one rounding.
+"""
 _FULL_OPTIMISATION_PRAGMA = '#pragma GCC optimize("O3")\n'
 """Short loops over frames gain from every optimisation."""
 _LEAN_OPTIMISATION_PRAGMAS = "".join(
@@ -31,6 +35,8 @@ typedef double V;
 typedef int M;
 static inline V gathered(const double *a, long step) { return a[0]; }
 static inline void scattered(V a, double *to, long step) { to[0] = a; }
+static inline V taken(const double *a) { return a[0]; }
+static inline void put(V a, double *to) { to[0] = a; }
 static inline V all(double a) { return a; }
 static inline V masked(M m, V a) { return m ? a : 0.0; }
 static inline V choose(M m, V a, V b) { return m ? a : b; }
@@ -117,7 +123,7 @@ C_LIBRARY_FUNCTIONS = {
 TWO_ARGUMENT_FUNCTIONS = "atan2", "pow", "copysign"
 """The functions of C_LIBRARY_FUNCTIONS with two arguments."""
 SHARED_C_NAMES = (
-    *("V", "M", "gathered", "scattered", "all", "masked", "choose", "one_where"),
+    *("V", "M", "gathered", "scattered", "taken", "put", "all", "masked", "choose", "one_where"),
     *(f"by_lane_{called}" for called in sorted(set(C_LIBRARY_FUNCTIONS.values()))),
 )
 """Names that code for numbers and code for vectors both define; renamed where both are in one file."""
@@ -127,6 +133,14 @@ def file_header(operations: Iterable[int], lanes: int | None) -> str:
     """Return the beginning of a file with these operations.
 
     lanes: frames in a vector; 1 for numbers; None for loops over any number of frames, which take numbers.
+    """
+    return optimisation_pragmas(lanes) + definitions(operations, lanes)
+
+
+def definitions(operations: Iterable[int], lanes: int | None) -> str:
+    """Return C that defines the names of the language and these operations.
+
+    lanes: as in file_header.
     """
     width = lanes or 1
     helpers = {
@@ -139,7 +153,7 @@ def file_header(operations: Iterable[int], lanes: int | None) -> str:
     # Code for one frame calls the C library itself; loops over frames need VECTOR_LANES, too.
     sines = "" if lanes == 1 else f"#define LANES {lanes or VECTOR_LANES}\n{_SINES}"
     begin = _SCALAR if width == 1 else _VECTOR % _unroll_lanes(width)
-    return "".join([optimisation_pragmas(lanes), sines, begin, *sorted(helpers)])
+    return "".join([sines, begin, *sorted(helpers)])
 
 
 def _unroll_lanes(lanes: int) -> dict[str, str]:
@@ -160,11 +174,9 @@ def optimisation_pragmas(lanes: int | None) -> str:
     """Return the pragmas of optimisation; lanes: None for loops over any number of frames."""
     if lanes is None:
         return _FULL_OPTIMISATION_PRAGMA
-    return (
-        _LEAN_OPTIMISATION_PRAGMAS
-        if lanes == 1 and os.environ.get(QUICK_COMPILE_VARIABLE) != "1"
-        else _QUICK_PRAGMA
-    )
+    if lanes > 1:
+        return _VECTOR_OPTIMISATION_PRAGMA
+    return _QUICK_PRAGMA if os.environ.get(QUICK_COMPILE_VARIABLE) == "1" else _LEAN_OPTIMISATION_PRAGMAS
 
 
 def _by_lane(called: str, lanes: int) -> str:

@@ -20,7 +20,8 @@ import numpy as np
 from ctr_nlp.codegen import cache
 from ctr_nlp.codegen.background import Library
 from ctr_nlp.codegen.c_structures import check_structure
-from ctr_nlp.codegen.vector import SHARED_INPUT_PREFIX, VECTOR_LANES
+from ctr_nlp.codegen.language import definitions
+from ctr_nlp.codegen.vector import ADJACENT_LANES_PREFIX, SHARED_INPUT_PREFIX, VECTOR_LANES
 from ctr_nlp.models.elastic import energy, shape, torsion
 from ctr_nlp.models.protocol import RestStates, combination, matrix_of, symbolic_tubes
 from ctr_nlp.robot.structure import TUBE_NUMBER_NAMES, Structure, Tubes
@@ -29,13 +30,15 @@ from ctr_nlp.typing import Array, Flags, Index
 MOST_TUBES = 8
 """Largest number of tubes that branch.c has room for."""
 ELASTIC_C_FILES = tuple(
-    f"c/{name}.c" for name in ("branch", "margin", "energy", "fall", "rest", "abreast", "shape")
+    f"c/{name}.c" for name in ("lanes", "branch", "margin", "energy", "fall", "abreast", "shape", "rest")
 )
 """The files of C, in the order in which they are compiled as one."""
 FUNCTIONS = "motors", "energy", "second", "shape", "points", "motors_beside"
-"""Functions that the struct Elastic of branch.c points to; the last two evaluate VECTOR_LANES arc lengths or
-robots in one call.
+"""Functions that the struct Elastic of branch.c points to; all but the first evaluate VECTOR_LANES robots or arc
+lengths in one call.
 """
+KERNEL_OPERATIONS = ca.OP_SIN, ca.OP_COS, ca.OP_SQRT
+"""Operations of whole vectors that the C files call."""
 
 MAX_ALIGNED_TURN_STEP_RAD = 1.0
 """Angle in rad that tubes are turned by in one step from the aligned robot."""
@@ -84,7 +87,7 @@ class _Elastic(ctypes.Structure):
 
     _fields_ = [
         *((name, ctypes.c_long) for name in ("d", "rows", "against", "vectors")),
-        *((name, ctypes.c_void_p) for name in ("first", "other")),
+        *((name, ctypes.c_void_p) for name in ("first", "other", "starts", "columns")),
         *((name, ctypes.c_void_p) for name in FUNCTIONS),
         *(
             (name, ctypes.c_double)
@@ -113,17 +116,21 @@ class CompiledElastic:
         ]
         # The C files know no structure: one library serves all robots, through a struct of sizes and function
         # pointers.
-        self._run = cache.load_c_files(__package__, *ELASTIC_C_FILES)
+        language = definitions(KERNEL_OPERATIONS, VECTOR_LANES)
+        self._run = cache.load_c_files(__package__, *ELASTIC_C_FILES, before=language)
         check_structure(self._run, "State", StateStruct)
         check_structure(self._run, "Elastic", _Elastic)
         couples = np.ascontiguousarray(made.of.couples, dtype=np.int64)
+        # By columns of the transpose: row by row, as C reads the entries of turns.
+        pattern = made.of.turns.T.sparsity()
+        places_of_turns = [np.array(each, dtype=np.int64) for each in (pattern.colind(), pattern.row())]
         addresses = (
             ctypes.cast(library[name], ctypes.c_void_p).value
             for library, name in zip(libraries, FUNCTIONS, strict=True)
         )
         # C has addresses only: without this reference Python would free what they point to.
-        self._keep = libraries, couples
-        places = *(each.ctypes.data for each in couples), *addresses
+        self._keep = libraries, couples, places_of_turns
+        places = *(each.ctypes.data for each in (*couples, *places_of_turns)), *addresses
         steps = (
             ELASTIC_NEWTON_TOLERANCE_RAD,
             INTERMEDIATE_NEWTON_TOLERANCE_RAD,
@@ -229,13 +236,13 @@ class CompiledElastic:
         """
         q = np.ascontiguousarray(q, dtype=float)
         sigma = np.ascontiguousarray(sigma, dtype=float)
-        rows, n, m = *q.shape, len(sigma)
-        found = np.empty((rows, n + 4 + 3 * m))
-        at = _address(numbers), _address(q), ctypes.c_long(rows), _address(sigma), ctypes.c_long(m)
-        self._run.rests(self._reference, *at, _address(found))
-        # C writes for each row: the unknowns, the tip's direction (3), the margin, and the points.
-        points = found[:, n + 4 :].reshape(rows, m, 3)
-        return RestStates(found[:, :n], points, found[:, n : n + 3], found[:, n + 3])
+        rows, m = len(q), len(sigma)
+        x, tips, margins, points = (np.empty((rows, *size)) for size in (q.shape[1:], (3,), (), (m, 3)))
+        at = _address(q), ctypes.c_long(rows), _address(sigma), ctypes.c_long(m)
+        self._run.rests(
+            self._reference, *_address_and_stride(numbers), *at, *map(_address, (x, tips, margins, points))
+        )
+        return RestStates(x, points, tips, margins)
 
 
 def _address(array: np.ndarray[Any, Any]) -> ctypes.c_void_p:
@@ -253,9 +260,10 @@ def _address_and_stride(numbers: Array) -> tuple[ctypes.c_void_p, ctypes.c_long]
 class Symbolic(NamedTuple):
     """Functions of a structure, in the order of FUNCTIONS, and the energy in symbols.
 
-    scalar_functions: for one robot; vector_functions: the last two, for VECTOR_LANES in one call. motors: (x,
+    scalar_functions: the first, for one robot; vector_functions: for VECTOR_LANES in one call. motors: (x,
     numbers (d, 8)) -> alpha and its derivatives over phi but the last. energy: -> strength, angles, turns, ends
-    and helix_angles of energy.Symbols, turns and ends transposed. second: -> second of energy.Symbols. shape: ->
+    and helix_angles of energy.Symbols, the entries of turns row by row, and ends transposed. second: -> second of
+    energy.Symbols. shape: ->
     vectors (3, n) and the direction of the tip. points: (arc length, vectors, extensions (d,), numbers) -> the
     point there (3,), mm.
     """
@@ -267,7 +275,7 @@ class Symbolic(NamedTuple):
     @property
     def vectors(self) -> int:
         """Number of vectors that a shape is the sum of."""
-        return int(self.vector_functions[0].size_in(1)[1])
+        return int(self.vector_functions[3].size_in(1)[1])
 
 
 @functools.lru_cache(maxsize=64)
@@ -294,18 +302,36 @@ def symbolic(structure: Structure) -> Symbolic:
     motors = [alpha, ca.densify(ca.jacobian(alpha, x[: d - 1]))]
     placing = [matrix_of(placed), ca.vertcat(*tip)]
     # Transposed, as CasADi writes by columns and C reads turns and ends row by row.
-    energies = [of.strength, of.angles, of.turns.T, of.ends.T, of.helix_angles]
-    made: list[list[Any]] = [motors, energies, [of.second], placing]
-    alone = [
-        ca.Function(name, [x, numbers], [ca.densify(value) for value in values])
-        for name, values in zip(FUNCTIONS, made, strict=False)
+    energies = [
+        of.strength,
+        of.angles,
+        of.turns.T.nz[:],
+        of.ends.T,
+        of.helix_angles,
     ]
-    given = s, ca.SX.sym("vectors", 3, len(placed)), ca.SX.sym("beta", d), numbers
+    given = ["x", "numbers"]
+    alone = ca.Function(FUNCTIONS[0], [x, numbers], motors)
+    abreast = [
+        ca.Function(
+            name,
+            [x, numbers],
+            [ca.densify(value) for value in values],
+            given,
+            [f"{prefix}{name}_{k}" for k in range(len(values))],
+        )
+        for name, values, prefix in (
+            # C takes the lanes of energies together, and those of shapes one after the other.
+            (FUNCTIONS[1], energies, ADJACENT_LANES_PREFIX),
+            (FUNCTIONS[2], [of.second], ADJACENT_LANES_PREFIX),
+            (FUNCTIONS[3], placing, ""),
+        )
+    ]
+    of_sample = s, ca.SX.sym("vectors", 3, len(placed)), ca.SX.sym("beta", d), numbers
     # As a function of given vectors: they are computed once a shape, points once a sample.
-    (point,) = ca.substitute([given[1] @ ca.vertcat(*travels)], [ca.vertcat(*beta)], [given[2]])
+    (point,) = ca.substitute([of_sample[1] @ ca.vertcat(*travels)], [ca.vertcat(*beta)], [of_sample[2]])
     names = "s", f"{SHARED_INPUT_PREFIX}vectors", f"{SHARED_INPUT_PREFIX}beta", f"{SHARED_INPUT_PREFIX}numbers"
-    points = ca.Function("points", given, [ca.densify(point)], names, ["point"])
-    return Symbolic(tuple(alone), (points, ca.Function(FUNCTIONS[-1], [x, numbers], motors)), of)
+    points = ca.Function(FUNCTIONS[4], of_sample, [ca.densify(point)], names, ["point"])
+    return Symbolic((alone,), (*abreast, points, ca.Function(FUNCTIONS[5], [x, numbers], motors)), of)
 
 
 def get_compiled_elastic(structure: Structure) -> CompiledElastic | None:

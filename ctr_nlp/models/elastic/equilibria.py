@@ -34,7 +34,7 @@ from ctr_nlp.models.elastic.compiled import (
     symbolic,
 )
 from ctr_nlp.models.elastic.energy import Energy
-from ctr_nlp.robot.structure import Structure, tubes_of
+from ctr_nlp.robot.structure import Structure, TubeNumbers, tubes_of
 from ctr_nlp.typing import Array
 
 MIN_TURN_DENOMINATOR = 1e-300
@@ -68,10 +68,21 @@ class Equilibria:
     def __init__(self, structure: Structure, numbers: Array) -> None:
         """Prepare for tubes of numbers (d, 8), in the order of structure.TUBE_NUMBER_NAMES."""
         self._d = structure.d
-        self._tubes = tubes_of(structure, numbers.tolist())
+        self._by_tube = numbers
         self._numbers = numbers.ravel(order="F")[None]
         self._compiled = get_compiled_elastic(structure)
         self._structure = structure
+
+    @cached_property
+    def _tubes(self) -> tuple[TubeNumbers, ...]:
+        """The tubes of the robot."""
+        return tubes_of(self._structure, self._by_tube.tolist())
+
+    def margins(self, x: Array) -> Array:
+        """Return the stability margin (T,) at every x (T, 2d + 2); NaN where x is."""
+        if self._compiled is None:
+            return stability.margins(self._tubes, x)
+        return self._compiled.margins(self._numbers, x)
 
     @cached_property
     def _motors(self) -> BatchEvaluator:
@@ -250,7 +261,7 @@ class Equilibria:
 
     def _is_stable(self, state: EquilibriumState) -> bool:
         """Return whether a state is stable, by its margin."""
-        return bool(stability.margins(self._tubes, state.x[None])[0] > 0)
+        return bool(self.margins(state.x[None])[0] > 0)
 
     def _fall_off_branch(self, state: EquilibriumState, goal: Array) -> EquilibriumState | None:
         """Return the stable equilibrium that a robot snaps into where its branch ends on the way to goal, just

@@ -6,6 +6,8 @@ x are unknowns (rad, mm), q configurations (rad, mm), margins have no unit.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from ctr_nlp.codegen.vector import VECTOR_LANES
@@ -20,7 +22,7 @@ from ctr_nlp.models.protocol import (
     subdivide_motion,
 )
 from ctr_nlp.robot import Robot
-from ctr_nlp.robot.structure import TUBE_NUMBER_NAMES, Structure, tubes_of, tubes_of_batch
+from ctr_nlp.robot.structure import TUBE_NUMBER_NAMES, Structure, tubes_of_batch
 from ctr_nlp.typing import Array
 
 MIN_ELASTIC_SNAP_JUMP_RAD = 0.1
@@ -81,13 +83,18 @@ def follow_robot_batch(
     as whole steps suffice, and continue one by one from there.
     """
     # In a batch only up to the first fresh start, since robots settle one by one.
-    found, (stop, *_) = list[EquilibriumPath](), [*np.flatnonzero(motion.fresh[1:]) + 1, len(motion.fresh)]
+    stop, *_ = [*np.flatnonzero(motion.fresh[1:]) + 1, len(motion.fresh)]
+    x, stable = np.full(places.shape, np.nan), np.full(places.shape[:2], np.nan)
+    snaps = [list[Snap]() for _ in numbers]
     for first in range(0, len(numbers), VECTOR_LANES):
         group = slice(first, first + VECTOR_LANES)
         begun = walk_robot_batch(structure, numbers[group], places[group, :stop])
-        each = zip(numbers[group], places[group], begun, strict=True)
-        found += [follow_substeps(structure, own, motion, at, None, margins, known) for own, at, known in each]
-    return found
+        for k, known in enumerate(begun, first):
+            equilibria = Equilibria(structure, numbers[k])
+            _follow_places(equilibria, motion, places[k], None, known, x[k], snaps[k])
+            if margins:
+                stable[k] = equilibria.margins(x[k])
+    return _at_frames(motion, x, stable, snaps)
 
 
 def follow_substeps(
@@ -97,21 +104,38 @@ def follow_substeps(
     places: Array,
     x0: Array | None = None,
     margins: bool = True,
-    solved_start: tuple[Array, EquilibriumState] | None = None,
 ) -> EquilibriumPath:
     """Return the equilibria of a robot of numbers (d, 8) at its own q at the sub-steps of a motion.
 
     structure: kinds of its tubes. motion: which frames the M sub-steps belong to. places (M, 2d + 2): these q. x0:
     its equilibrium in the first frame, None to let it settle. margins: whether stability margins are computed.
-    solved_start: equilibria (k, 2d + 2) at the first sub-steps, k > 0, and the last state; None where none is
-    known.
     """
     equilibria = Equilibria(structure, numbers)
+    x = np.full(places.shape, np.nan)
+    snaps = list[Snap]()
+    _follow_places(equilibria, motion, places, x0, None, x, snaps)
+    stable = equilibria.margins(x) if margins else np.full(len(x), np.nan)
+    (found,) = _at_frames(motion, x[None], stable[None], [snaps])
+    return found
+
+
+def _follow_places(
+    equilibria: Equilibria,
+    motion: MotionSubsteps,
+    places: Array,
+    x0: Array | None,
+    solved_start: tuple[Array, EquilibriumState] | None,
+    x: Array,
+    snaps: list[Snap],
+) -> None:
+    """Write the equilibria at the sub-steps of a motion, places (M, 2d + 2), to x, and append to snaps.
+
+    x0: the equilibrium in the first frame, None to let the robot settle. solved_start: equilibria (k, 2d + 2) at
+    the first sub-steps, k > 0, and the last state; None where none is known.
+    """
     # The last sub-step of each sub-step's frame: a robot that failed settles again at a whole frame, not within
     # one.
     last = np.searchsorted(motion.frames, motion.frames, side="right") - 1
-    x = np.full(places.shape, np.nan)
-    snaps = list[Snap]()
     at = 0
     state = None
     if solved_start is not None:
@@ -129,10 +153,6 @@ def follow_substeps(
             after = last[min(at, len(last) - 1)] + 1
             at = len(last) if after == len(last) else last[after]
         state = None
-    stable = np.full(len(x), np.nan)
-    if margins:
-        stable = stability.margins(tubes_of(structure, numbers.tolist()), x)
-    return _at_frames(motion, x, stable, tuple(snaps))
 
 
 def _branches(
@@ -179,15 +199,23 @@ def _snap(frame: int, jump: Array) -> Snap:
     )
 
 
-def _at_frames(way: MotionSubsteps, x: Array, margins: Array, snaps: tuple[Snap, ...]) -> EquilibriumPath:
-    """Return equilibria and margins at frames, from x (M, 2d + 2) and margins (M,) at all sub-steps."""
+def _at_frames(
+    way: MotionSubsteps, x: Array, margins: Array, snaps: Sequence[Sequence[Snap]]
+) -> list[EquilibriumPath]:
+    """Return equilibria and margins at frames, from x (n, M, 2d + 2), margins (n, M) and snaps of n robots at all
+    sub-steps.
+    """
     ends = np.flatnonzero(np.diff(way.frames, append=-1))
-    at, between = np.full((2, way.total), np.nan)
-    here = np.full((way.total, x.shape[1]), np.nan)
-    here[way.frames[ends]], at[way.frames[ends]] = x[ends], margins[ends]
+    reached = way.frames[ends]
+    at, between = np.full((2, len(x), way.total), np.nan)
+    here = np.full((len(x), way.total, x.shape[2]), np.nan)
+    here[:, reached], at[:, reached] = x[:, ends], margins[:, ends]
     # np.fmin ignores NaN margins (not computed, or no equilibrium) at sub-steps between frames.
-    between[way.frames[ends]] = np.inf
-    np.fmin.at(between, way.frames, margins)
+    between[:, reached] = (
+        np.fmin.reduceat(margins, np.concatenate([[0], ends[:-1] + 1]), axis=1) if len(ends) else np.inf
+    )
     # A snap lies between two sub-steps, where no margin was looked at: there it was 0.
-    np.minimum.at(between, [snap.frame - 1 for snap in snaps], 0.0)
-    return EquilibriumPath(here, at, np.where(np.isfinite(at), between, np.nan), snaps)
+    for own, least in zip(snaps, between, strict=True):
+        np.fmin.at(least, [snap.frame - 1 for snap in own], 0.0)
+    between[~np.isfinite(at)] = np.nan
+    return [EquilibriumPath(here[k], at[k], between[k], tuple(own)) for k, own in enumerate(snaps)]
