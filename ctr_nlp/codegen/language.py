@@ -21,7 +21,7 @@ _VECTOR_OPTIMISATION_PRAGMA = '#pragma GCC optimize("O1", "expensive-optimizatio
 """Long straight code of vectors gains nothing from more. With less there are no instructions that multiply and add
 with one rounding.
 """
-_FULL_OPTIMISATION_PRAGMA = '#pragma GCC optimize("O3")\n'
+FULL_OPTIMISATION_PRAGMA = '#pragma GCC optimize("O3")\n'
 """Short loops over frames gain from every optimisation."""
 _LEAN_OPTIMISATION_PRAGMAS = "".join(
     f'#pragma GCC optimize("no-tree-{name}")\n' for name in ("slp-vectorize", "slsr", "pre", "dse")
@@ -173,7 +173,7 @@ def number_in_c(number: float) -> str:
 def optimisation_pragmas(lanes: int | None) -> str:
     """Return the pragmas of optimisation; lanes: None for loops over any number of frames."""
     if lanes is None:
-        return _FULL_OPTIMISATION_PRAGMA
+        return FULL_OPTIMISATION_PRAGMA
     if lanes > 1:
         return _VECTOR_OPTIMISATION_PRAGMA
     return _QUICK_PRAGMA if os.environ.get(QUICK_COMPILE_VARIABLE) == "1" else _LEAN_OPTIMISATION_PRAGMAS

@@ -20,11 +20,12 @@ import numpy as np
 from ctr_nlp.codegen import cache
 from ctr_nlp.codegen.background import Library
 from ctr_nlp.codegen.c_structures import check_structure
-from ctr_nlp.codegen.language import definitions
+from ctr_nlp.codegen.language import FULL_OPTIMISATION_PRAGMA, definitions
 from ctr_nlp.codegen.vector import ADJACENT_LANES_PREFIX, SHARED_INPUT_PREFIX, VECTOR_LANES
 from ctr_nlp.models.elastic import energy, shape, torsion
 from ctr_nlp.models.protocol import RestStates, combination, matrix_of, symbolic_tubes
 from ctr_nlp.robot.structure import TUBE_NUMBER_NAMES, Structure, Tubes
+from ctr_nlp.support.threads import map_in_threads, split_rows
 from ctr_nlp.typing import Array, Flags, Index
 
 MOST_TUBES = 8
@@ -62,6 +63,10 @@ MAX_FALL_STEP_RAD, MAX_FALLS_PER_STEP = 0.2, 20
 """Largest angle in rad by which tubes turn against each other in one step of a snap down the energy; and most
 snaps in one step of a motion (MAX_FALLS_PER_STEP).
 """
+
+
+RESTS_PER_CALL = 4096
+"""Rows that one call of compiled code finds at rest: some 50 ms, after which Ctrl-C is noticed."""
 
 
 class StateStruct(ctypes.Structure):
@@ -114,9 +119,11 @@ class CompiledElastic:
             *([ctypes.CDLL(str(alone))] * len(made.scalar_functions)),
             *([ctypes.CDLL(str(beside))] * len(made.vector_functions)),
         ]
-        # The C files know no structure: one library serves all robots, through a struct of sizes and function
-        # pointers.
-        language = definitions(KERNEL_OPERATIONS, VECTOR_LANES)
+        # The C files know no structure: one library serves all robots of so many tubes, through a struct of sizes
+        # and function pointers.
+        language = f"{FULL_OPTIMISATION_PRAGMA}#define TUBES(e) {structure.d}\n" + definitions(
+            KERNEL_OPERATIONS, VECTOR_LANES
+        )
         self._run = cache.load_c_files(__package__, *ELASTIC_C_FILES, before=language)
         check_structure(self._run, "State", StateStruct)
         check_structure(self._run, "Elastic", _Elastic)
@@ -229,19 +236,26 @@ class CompiledElastic:
         )
         return points, tips
 
-    def rest_states(self, numbers: Array, q: Array, sigma: Array) -> RestStates:
-        """Return the equilibria of one robot of numbers (1, 8d) at rest at each q (T, 2d + 2) without a history.
+    def rest_states(self, numbers: Array, q: Array, sigma: Array, threads: int = 1) -> RestStates:
+        """Return the equilibria at rest at each q (T, 2d + 2) without a history.
 
-        sigma (m,): where points are computed.
+        numbers (T or 1, 8d): of the tubes. sigma (m,): where points are computed. threads: number of threads that
+        share the rows.
         """
         q = np.ascontiguousarray(q, dtype=float)
         sigma = np.ascontiguousarray(sigma, dtype=float)
         rows, m = len(q), len(sigma)
         x, tips, margins, points = (np.empty((rows, *size)) for size in (q.shape[1:], (3,), (), (m, 3)))
-        at = _address(q), ctypes.c_long(rows), _address(sigma), ctypes.c_long(m)
-        self._run.rests(
-            self._reference, *_address_and_stride(numbers), *at, *map(_address, (x, tips, margins, points))
-        )
+
+        def find(part: slice) -> None:
+            """Write the results of some rows in place."""
+            own = numbers[part] if len(numbers) > 1 else numbers
+            step = ctypes.c_long(numbers.shape[1] if len(numbers) > 1 else 0)
+            at = _address(q[part]), ctypes.c_long(part.stop - part.start), _address(sigma), ctypes.c_long(m)
+            found = (_address(array[part]) for array in (x, tips, margins, points))
+            self._run.rests(self._reference, _address(own), step, *at, *found)
+
+        map_in_threads(find, split_rows(rows, RESTS_PER_CALL), threads)
         return RestStates(x, points, tips, margins)
 
 
@@ -302,12 +316,12 @@ def symbolic(structure: Structure) -> Symbolic:
     motors = [alpha, ca.densify(ca.jacobian(alpha, x[: d - 1]))]
     placing = [matrix_of(placed), ca.vertcat(*tip)]
     # Transposed, as CasADi writes by columns and C reads turns and ends row by row.
-    energies = [
-        of.strength,
-        of.angles,
-        of.turns.T.nz[:],
-        of.ends.T,
-        of.helix_angles,
+    energies = [of.strength, of.angles, of.turns.T.nz[:], of.ends.T, of.helix_angles]
+    outputs: list[tuple[str, list[Any], str]] = [
+        # C takes the lanes of energies together, and those of shapes one after the other.
+        (FUNCTIONS[1], energies, ADJACENT_LANES_PREFIX),
+        (FUNCTIONS[2], [of.second], ADJACENT_LANES_PREFIX),
+        (FUNCTIONS[3], placing, ""),
     ]
     given = ["x", "numbers"]
     alone = ca.Function(FUNCTIONS[0], [x, numbers], motors)
@@ -319,12 +333,7 @@ def symbolic(structure: Structure) -> Symbolic:
             given,
             [f"{prefix}{name}_{k}" for k in range(len(values))],
         )
-        for name, values, prefix in (
-            # C takes the lanes of energies together, and those of shapes one after the other.
-            (FUNCTIONS[1], energies, ADJACENT_LANES_PREFIX),
-            (FUNCTIONS[2], [of.second], ADJACENT_LANES_PREFIX),
-            (FUNCTIONS[3], placing, ""),
-        )
+        for name, values, prefix in outputs
     ]
     of_sample = s, ca.SX.sym("vectors", 3, len(placed)), ca.SX.sym("beta", d), numbers
     # As a function of given vectors: they are computed once a shape, points once a sample.

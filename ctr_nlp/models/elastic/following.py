@@ -11,8 +11,6 @@ from collections.abc import Sequence
 import numpy as np
 
 from ctr_nlp.codegen.vector import VECTOR_LANES
-from ctr_nlp.models.elastic import stability
-from ctr_nlp.models.elastic.compiled import get_compiled_elastic
 from ctr_nlp.models.elastic.equilibria import Equilibria, EquilibriumState, walk_robot_batch
 from ctr_nlp.models.protocol import (
     STABILITY_SUBSTEPS_PER_FRAME,
@@ -22,7 +20,7 @@ from ctr_nlp.models.protocol import (
     subdivide_motion,
 )
 from ctr_nlp.robot import Robot
-from ctr_nlp.robot.structure import TUBE_NUMBER_NAMES, Structure, tubes_of_batch
+from ctr_nlp.robot.structure import Structure
 from ctr_nlp.typing import Array
 
 MIN_ELASTIC_SNAP_JUMP_RAD = 0.1
@@ -38,26 +36,17 @@ def solve_rest_unknowns(robot: Robot, q: Array) -> Array:
     return np.full(len(q), np.nan) if state is None else state.x
 
 
-def solve_rest_batch(structure: Structure, numbers: Array, q: Array) -> tuple[Array, Array]:
-    """Return equilibria x (T, 2d + 2) at rest, of robots that differ in numbers (T, d, 8), and margins (T,).
+def solve_rest_batch(structure: Structure, numbers: Array, q: Array) -> Array:
+    """Return equilibria x (T, 2d + 2) at rest, of robots that differ in numbers (T or 1, d, 8), one by one.
 
     structure: what the robots share. q (T, 2d + 2): a configuration for each. NaN where none is found.
     """
     x = np.full(q.shape, np.nan)
-    code = get_compiled_elastic(structure)
-    known = np.flatnonzero(np.isfinite(q).all(axis=1))
-    if code is None:
-        for row in known:
-            state = Equilibria(structure, numbers[row]).find_rest_state(q[row])
+    for row, at in enumerate(q):
+        if np.isfinite(at).all():
+            state = Equilibria(structure, numbers[row if len(numbers) > 1 else 0]).find_rest_state(at)
             x[row] = np.nan if state is None else state.x
-    else:
-        # C takes numbers as CasADi does, by columns of (d, 8): number by number.
-        flat = np.ascontiguousarray(numbers.swapaxes(1, 2)[known]).reshape(
-            len(known), structure.d * len(TUBE_NUMBER_NAMES)
-        )
-        states, found = code.settle(flat, q[known])
-        x[known[found]] = np.ctypeslib.as_array(states)["x"][found, : q.shape[1]]
-    return x, stability.margins(tubes_of_batch(structure, numbers), x)
+    return x
 
 
 def follow(

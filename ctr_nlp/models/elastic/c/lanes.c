@@ -6,9 +6,9 @@
 #include <string.h>
 
 /* Sizes of a structure and calls of its functions. Text for one structure alone (one_structure.py) defines constants and
-   names before this file: graphics cards have no arrays of variable length, and are slow with pointers to functions. */
+   names before this file: graphics cards have no arrays of variable length, and are slow with pointers to functions. The
+   number of tubes, TUBES(e), is a constant in both: short loops over tubes are unrolled. */
 #ifndef ONE_STRUCTURE
-#define TUBES(e) ((e)->d)
 #define ROWS(e) ((e)->rows)
 #define AGAINST(e) ((e)->against)
 #define VECTORS(e) ((e)->vectors)
