@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import ctypes
 import ctypes.util
-import importlib.util
 
 import numpy as np
 
@@ -18,6 +17,7 @@ from ctr_nlp.paths.target import SIGMA_GRID
 from ctr_nlp.robot import Robot
 from ctr_nlp.robot.robot import configuration
 from ctr_nlp.robot.samples import RobotSamples
+from ctr_nlp.support.extras import import_extra
 from ctr_nlp.support.threads import count_threads
 from ctr_nlp.support.value_checks import check_choice, check_instance
 from ctr_nlp.typing import Array
@@ -114,10 +114,7 @@ def check_device(device: str) -> None:
     check_choice("device", device, DEVICES)
     if device == "cpu":
         return
-    if importlib.util.find_spec("nvidia") is None:
-        raise OptionError(
-            "device is 'cuda', and its compiler is not installed; pip install \"ctr_nlp[gpu]\" brings it"
-        )
+    import_extra("nvidia.cuda_nvrtc")
     if ctypes.util.find_library(CUDA_DRIVER_LIBRARY) is None:
         raise OptionError("device is 'cuda', and this machine has no driver of an NVIDIA graphics card; use 'cpu'")
     raise OptionError(

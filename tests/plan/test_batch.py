@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import importlib.util
+import sys
 
 import numpy as np
 import pytest
@@ -89,10 +89,10 @@ def test_bad_input_is_named(change, error, message):
 
 
 def test_a_card_that_is_not_there_is_named(monkeypatch):
-    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
+    monkeypatch.setitem(sys.modules, "nvidia.cuda_nvrtc", None)
     with pytest.raises(OptionError, match=r"pip install \"ctr_nlp\[gpu\]\""):
         ctr.batch(ROBOT, poses(2), device="cuda")
-    monkeypatch.setattr(importlib.util, "find_spec", lambda name: name)
+    monkeypatch.setitem(sys.modules, "nvidia.cuda_nvrtc", ctr)
     monkeypatch.setattr(door.ctypes.util, "find_library", lambda name: None)
     with pytest.raises(OptionError, match="no driver"):
         ctr.simulate_samples(ROBOT, ctr.sample_robots(ROBOT, 2, seed=0), poses(2), device="cuda")

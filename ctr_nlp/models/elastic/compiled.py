@@ -154,6 +154,11 @@ class CompiledElastic:
         self._reference = ctypes.byref(self._elastic)
         self.motors = ca.external("motors", str(alone))
 
+    @property
+    def parameters(self) -> ctypes.Structure:
+        """The struct Elastic: sizes, functions and tolerances of Newton's method."""
+        return self._elastic
+
     def walk(self, numbers: Array, state: StateStruct, goals: Array) -> Array:
         """Return equilibria (k, 2d + 2) at the first k of goals (T, 2d + 2), which the branch reaches.
 

@@ -34,7 +34,7 @@ typedef struct {
 } State;
 
 /* Solve slopes turn = turn in place; the determinant, 0 where they are singular. */
-static double solved_for(long d, const double *slopes, double *turn) {
+APART double solved_for(long d, const double *slopes, double *turn) {
     double a[MOST_TUBES * MOST_TUBES], found = 1;
     memcpy(a, slopes, d * d * sizeof *a);
     for (long k = 0; k < d; ++k) {
@@ -104,7 +104,7 @@ static double improved(const Elastic *e, const double *q, const double *alpha, S
 }
 
 /* Newton's method at q from to->x; whether it ends, with the last step below `converged`. */
-static int newton(const Elastic *e, const double *numbers, const double *q, State *to, double converged) {
+APART int newton(const Elastic *e, const double *numbers, const double *q, State *to, double converged) {
     long d = TUBES(e);
     double size = 1, alpha[MOST_TUBES];
     memcpy(to->x + d, q + d, (d + 2) * sizeof *q);
@@ -226,7 +226,7 @@ static int stepped(const Elastic *e, const double *numbers, const Way *way, Stat
 }
 
 /* Follow a branch towards goal, in steps of at most `most` of the way; whether it goes so far. */
-static int along(const Elastic *e, const double *numbers, State *state, const double *goal, double most) {
+APART int along(const Elastic *e, const double *numbers, State *state, const double *goal, double most) {
     Way way;
     State to;
     int there = 0;

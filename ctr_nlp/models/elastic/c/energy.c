@@ -33,7 +33,7 @@ static void described(const Elastic *e, const double *numbers, const double *x, 
 }
 
 /* What rows are turned by, by the twists a. */
-static void turned(const Elastic *e, const Energy *of, const V *a, V *angles) {
+APART void turned(const Elastic *e, const Energy *of, const V *a, V *angles) {
     for (long r = 0; r < of->rows; ++r) {
         V sum = all(0);
         for (long k = STARTS(e)[r]; k < STARTS(e)[r + 1]; ++k) sum += of->turns[k] * a[COLUMNS(e)[k]];
@@ -42,7 +42,7 @@ static void turned(const Elastic *e, const Energy *of, const V *a, V *angles) {
 }
 
 /* The energy at twists a and angles; its gradient too, unless that is 0. */
-static V energy_at(const Elastic *e, Energy *of, const V *a, const V *angles, V *gradient) {
+APART V energy_at(const Elastic *e, Energy *of, const V *a, const V *angles, V *gradient) {
     V found = product(a, a, of->n) / 2;
     for (long r = 0; r < of->rows; ++r) {
         of->cosines[r] = of->strengths[r] * by_lane_cos(angles[r]);
@@ -58,7 +58,7 @@ static V energy_at(const Elastic *e, Energy *of, const V *a, const V *angles, V 
 }
 
 /* The second variation K + V, in which K is the identity, where the energy was evaluated last: from the diagonal on. */
-static void bent(const Elastic *e, Energy *of) {
+APART void bent(const Elastic *e, Energy *of) {
     long n = of->n;
     memset(of->matrix, 0, n * n * sizeof *of->matrix);
     for (long i = 0; i < n; ++i) of->matrix[i + n * i] = all(1);

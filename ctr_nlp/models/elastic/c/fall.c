@@ -5,7 +5,7 @@ enum { MOST_STEPS = 2000, MOST_TRIALS = 8000, MOST_FALLS = 20, PLACES = 11 };
 
 /* Whether symmetric matrices plus `shift` on their diagonals have positive pivots only; a: their rows from the diagonal
    on, eliminated, with the inverses of pivots in place of these. */
-static M definite(const V *matrix, long n, V shift, V *a) {
+APART M definite(const V *matrix, long n, V shift, V *a) {
     M found = every(1);
     memcpy(a, matrix, n * n * sizeof *a);
     for (long i = 0; i < n; ++i) a[n * i + i] += shift;
@@ -19,7 +19,7 @@ static M definite(const V *matrix, long n, V shift, V *a) {
 }
 
 /* Solve for v in place, with what `definite` leaves of matrices. */
-static void solved_by(const V *a, long n, V *v) {
+APART void solved_by(const V *a, long n, V *v) {
     for (long k = 0; k < n; ++k) added(-v[k] * a[n * k + k], a + n * k + k + 1, n - k - 1, v + k + 1);
     for (long k = n - 1; k >= 0; --k)
         v[k] = (v[k] - product(a + n * k + k + 1, v + k + 1, n - k - 1)) * a[n * k + k];
@@ -48,7 +48,7 @@ static void softest(const Energy *of, V *l, V *v) {
    last changed to; which of them come there. By Rosenbrock's method of second order that is L-stable (ROS2; Verwer,
    Spee, Blom, Hundsdorfer, SIAM J. Sci. Comput. 20, 1999), down the gradient in steps of at most `fall` rad, and never
    uphill. falling: which of them are asked for. */
-static M fall(const Elastic *e, Energy *of, const V *motors, const V *from, const V *towards, M falling, V *a) {
+APART M fall(const Elastic *e, Energy *of, const V *motors, const V *from, const V *towards, M falling, V *a) {
     const double gamma = 1 - sqrt(0.5);
     long n = of->n, rows = of->rows;
     V *l = of->work, *slope = l + n * n, *first = slope + n, *second = first + n, *ahead = second + n;
@@ -102,7 +102,7 @@ static M fall(const Elastic *e, Energy *of, const V *motors, const V *from, cons
 
 /* About the equilibria at past (LANES, ..) that robots fall into from states nearby: x (LANES, ..); for which there is
    one. asked: for which it is looked for. */
-static M settling(const Elastic *e, const double *numbers, const State *const *from, const double *past, M asked,
+APART M settling(const Elastic *e, const double *numbers, const State *const *from, const double *past, M asked,
                   Energy *of, V *room, double *x) {
     long d = TUBES(e), side = 2 * d + 2, rows = of->rows;
     V *towards = room, *motors = room + rows, *angles = motors + rows, *a = angles + rows;
@@ -144,7 +144,7 @@ static M settling(const Elastic *e, const double *numbers, const State *const *f
 
 /* Let up to LANES robots, numbers (LANES, ..), fall from where their branches end on the way to their goals into stable
    equilibria just past these; found: whether there is one. */
-static void fallen(const Elastic *e, const double *numbers, State *const *states, const double *const *goals,
+APART void fallen(const Elastic *e, const double *numbers, State *const *states, const double *const *goals,
                    long count, int *found) {
     long d = TUBES(e), side = 2 * d + 2, left = count;
     double past[LANES * SIDE], x[LANES * SIDE];

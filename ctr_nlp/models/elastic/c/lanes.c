@@ -36,6 +36,9 @@ static inline M unless(M mask) { return ~mask; }
 static inline M every(int yes) { return (M){0} - yes; }
 #endif
 
+/* Long functions that several call: compilers take long where they put copies into each. */
+#define APART static __attribute__((noinline))
+
 static inline double lane(const V *a, long l) { return ((const double *)a)[l]; }
 static inline void set_lane(V *a, long l, double value) { ((double *)a)[l] = value; }
 static inline V size_of_each(V a) { return choose(a < 0, -a, a); }

@@ -50,7 +50,7 @@ static void multiplied(const V *a, const V *v, long n, long from, V *to) {
 
 /* The smallest eigenvalue of a symmetric matrix (n, n), which is lost: it is made tridiagonal by Householder's
    reflections. room: 4 n. */
-static V smallest_eigenvalues(V *a, long n, V *room) {
+APART V smallest_eigenvalues(V *a, long n, V *room) {
     V *diagonal = room, *beside = room + n, *v = beside + n, *pulled = v + n;
     for (long k = 0; k < n; ++k) {
         V *row = a + n * k;
@@ -77,7 +77,7 @@ static V smallest_eigenvalues(V *a, long n, V *room) {
 }
 
 /* The margins of LANES robots at x (LANES, ..), numbers (LANES, ..). */
-static V margins_beside(const Elastic *e, const double *numbers, const double *x) {
+APART V margins_beside(const Elastic *e, const double *numbers, const double *x) {
     if (!AGAINST(e)) return all(1);
     RESERVE(second, AGAINST(e) * AGAINST(e) + 4 * AGAINST(e));
     const double *arg[] = {x, numbers};
