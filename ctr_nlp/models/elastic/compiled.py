@@ -263,6 +263,37 @@ class CompiledElastic:
         map_in_threads(find, split_rows(rows, RESTS_PER_CALL), threads)
         return RestStates(x, points, tips, margins)
 
+    def count_calls(self, numbers: Array, q: Array) -> dict[str, int]:
+        """Count how often each generated function is called to find robots at rest at q (T, 2d + 2).
+
+        numbers (T or 1, 8d): of the tubes. A call evaluates VECTOR_LANES robots, or arc lengths in `points`, and
+        one robot in `motors`. Shapes have VECTOR_LANES points here.
+        """
+        kind = ctypes.CFUNCTYPE(ctypes.c_int, *[ctypes.c_void_p] * 4, ctypes.c_int)
+        counts = dict.fromkeys(FUNCTIONS, 0)
+        counting = _Elastic.from_buffer_copy(self._elastic)
+
+        def count(name: str, function: Any) -> Any:
+            """Return a function for C that counts its calls and calls another."""
+
+            def call(*given: Any) -> int:
+                counts[name] += 1
+                return int(function(*given))
+
+            return kind(call)
+
+        # C has addresses only: the list keeps what they point to.
+        kept = [count(name, kind(getattr(counting, name))) for name in FUNCTIONS]
+        for name, function in zip(FUNCTIONS, kept, strict=True):
+            setattr(counting, name, ctypes.cast(function, ctypes.c_void_p).value)
+        q, sigma = np.ascontiguousarray(q, dtype=float), np.linspace(0.0, 1.0, VECTOR_LANES)
+        sizes = q.shape[1:], (3,), (), (VECTOR_LANES, 3)
+        found = [np.empty((len(q), *size)) for size in sizes]
+        at = _address(q), ctypes.c_long(len(q)), _address(sigma), ctypes.c_long(VECTOR_LANES)
+        given = *_address_and_stride(numbers), *at, *map(_address, found)
+        self._run.rests(ctypes.byref(counting), *given)
+        return counts
+
 
 def _address(array: np.ndarray[Any, Any]) -> ctypes.c_void_p:
     """Return the address of an array's first entry."""
