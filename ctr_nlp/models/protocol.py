@@ -141,7 +141,7 @@ class RestStates(NamedTuple):
     margins: Array
 
     @property
-    def solved(self) -> Flags:
+    def is_solved(self) -> Flags:
         """Whether an equilibrium was found, (T,)."""
         return np.asarray(np.isfinite(self.x).all(axis=1))
 

@@ -62,7 +62,7 @@ def batch(
     -------
     RestStates
         Points (n, m, 3) in mm, stability margins (n,), directions of the tips (n, 3), unknowns of the model, and
-        ``solved`` (n,); NaN where no equilibrium is found.
+        ``is_solved`` (n,); NaN where no equilibrium is found.
 
     Raises
     ------
@@ -77,7 +77,7 @@ def batch(
     >>> import ctr_nlp as ctr
     >>> q = np.array([[0.0, 0.0, 0.0, 40.0, 90.0, 150.0, 0.0, 0.0], [0.0, 2.5, 0.0, 40.0, 90.0, 150.0, 0.0, 0.0]])
     >>> found = ctr.batch(ctr.table_i_robot(), q)
-    >>> found.points.shape, found.solved.tolist(), found.margins.round(2).tolist()
+    >>> found.points.shape, found.is_solved.tolist(), found.margins.round(2).tolist()
     ((2, 101, 3), [True, True], [1.0, 0.99])
     """
     check_instance(RobotError, "robot", robot, Robot, RobotSamples)

@@ -27,7 +27,7 @@ def poses(count, seed=0):
 def test_a_batch_has_what_single_configurations_have():
     q = poses(12)
     found = ctr.batch(ROBOT, q)
-    assert found.solved.all()
+    assert found.is_solved.all()
     for k, row in enumerate(q):
         alone = simulate_motion(ROBOT, row[None], "elastic")
         np.testing.assert_allclose(found.points[k], alone.shape[0], atol=1e-9)
@@ -58,7 +58,7 @@ def test_what_is_not_known_is_not_solved():
     q = poses(5)
     q[2, 0] = np.nan
     found = ctr.batch(ROBOT, q, np.ones(1))
-    assert found.solved.tolist() == [True, True, False, True, True]
+    assert found.is_solved.tolist() == [True, True, False, True, True]
     assert np.isnan(found.points[2]).all()
     assert np.isnan(found.margins[2])
 

@@ -43,16 +43,13 @@ APART void turned(const Elastic *e, const Energy *of, const V *a, V *angles) {
 
 /* The energy at twists a and angles; its gradient too, unless that is 0. */
 APART V energy_at(const Elastic *e, Energy *of, const V *a, const V *angles, V *gradient) {
-    V found = product(a, a, of->n) / 2;
+    V found = product(a, a, of->n) / 2, cosine;
+    if (gradient) memcpy(gradient, a, of->n * sizeof *a);
     for (long r = 0; r < of->rows; ++r) {
-        of->cosines[r] = of->strengths[r] * by_lane_cos(angles[r]);
+        V pull = of->strengths[r] * sine_and_cosine(angles[r], &cosine);
+        of->cosines[r] = of->strengths[r] * cosine;
         found -= of->cosines[r];
-    }
-    if (!gradient) return found;
-    memcpy(gradient, a, of->n * sizeof *a);
-    for (long r = 0; r < of->rows; ++r) {
-        V pull = of->strengths[r] * by_lane_sin(angles[r]);
-        for (long k = STARTS(e)[r]; k < STARTS(e)[r + 1]; ++k) gradient[COLUMNS(e)[k]] += pull * of->turns[k];
+        for (long k = STARTS(e)[r]; gradient && k < STARTS(e)[r + 1]; ++k) gradient[COLUMNS(e)[k]] += pull * of->turns[k];
     }
     return found;
 }

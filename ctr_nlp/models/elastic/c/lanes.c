@@ -26,6 +26,10 @@
 static inline int some(M mask) { return mask; }
 static inline M unless(M mask) { return !mask; }
 static inline M every(int yes) { return yes; }
+static inline V sine_and_cosine(V a, V *cosine) {
+    *cosine = cos(a);
+    return sin(a);
+}
 #else
 static inline int some(M mask) {
     long long found = 0;
