@@ -27,7 +27,7 @@ MAX_TIP_DIFFERENCE_FROM_NOMINAL_RAD = 1.0
 """Difference of relative tip angles from the nominal robot's, rad, beyond which a robot is on another branch."""
 
 
-SAMPLES_PER_THREAD = 64
+SAMPLES_PER_THREAD = 32
 """Samples that a thread follows together: a multiple of the lanes of vectors, so that results are the same."""
 
 

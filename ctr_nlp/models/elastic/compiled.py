@@ -85,6 +85,10 @@ class StateStruct(ctypes.Structure):
     ]
 
 
+STATE_DTYPE = np.dtype(StateStruct)
+"""The struct as numpy's type, made once: numpy takes longer to derive it than C to follow a robot for a frame."""
+
+
 # Order and types of the fields must be those of the struct in C: nothing checks them, and a mismatch reads other
 # memory.
 class _Elastic(ctypes.Structure):

@@ -386,7 +386,7 @@ def walk_robot_batch(
     flat = np.ascontiguousarray(numbers.swapaxes(1, 2)).reshape(count, -1)[every]
     states, settled = code.settle(flat, goals[every, 0])
     # A copy: walking changes the states in place.
-    begin = np.ctypeslib.as_array(states)["x"][:, : goals.shape[2]].copy()
+    begin = np.frombuffer(memoryview(states), compiled_code.STATE_DTYPE)["x"][:, : goals.shape[2]].copy()
     x, reached = code.walk_batch(flat, states, goals[:, 1:])
     known = [np.concatenate([begin[k : k + 1], x[k, :far]]) for k, far in enumerate(reached.tolist())]
     ends = [_from_struct(states[k], structure.d, goals[k, reached[k]]) for k in range(count)]
