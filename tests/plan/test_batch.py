@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import os
+import platform
+import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -22,6 +26,11 @@ def poses(count, seed=0):
     alpha = rng.uniform(0, 2 * np.pi, (count, 3))
     beta = np.sort(rng.random((count, 3)), axis=1) * ROBOT.upper[3:6]
     return np.hstack([alpha, beta, rng.uniform(-0.5, 0.5, (count, 2))])
+
+
+def at_rest():
+    """What a batch of poses has, at five points of each."""
+    return ctr.batch(ROBOT, poses(300), np.linspace(0, 1, 5))
 
 
 def test_a_batch_has_what_single_configurations_have():
@@ -70,6 +79,21 @@ def test_motions_are_the_same_in_several_threads():
     two = ctr.simulate_samples(ROBOT, samples, q, threads=2)
     for some, others in zip(one, two, strict=True):
         np.testing.assert_array_equal(some, others)
+
+
+@pytest.mark.skipif(platform.machine() != "x86_64", reason="the option is one of compilers for x86-64")
+def test_vectors_of_four_find_the_same(tmp_path):
+    """A process whose compiler knows no AVX-512 has four robots side by side."""
+    to = tmp_path / "found.npz"
+    code = (
+        f"import ctr_nlp as ctr, numpy as np, test_batch; np.savez({str(to)!r}, **test_batch.at_rest()._asdict())"
+    )
+    compiler = {"CC": "gcc -mno-avx512f", "CTR_NLP_COMPILE": "now"}
+    paths = os.pathsep.join([str(Path(ctr.__file__).parents[1]), str(Path(__file__).parent)])
+    subprocess.run([sys.executable, "-c", code], env=os.environ | compiler | {"PYTHONPATH": paths}, check=True)
+    with np.load(to) as found:
+        for name, expected in at_rest()._asdict().items():
+            np.testing.assert_allclose(found[name], expected, atol=1e-9)
 
 
 @pytest.mark.parametrize(

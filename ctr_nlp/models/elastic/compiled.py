@@ -21,7 +21,7 @@ from ctr_nlp.codegen import cache
 from ctr_nlp.codegen.background import Library
 from ctr_nlp.codegen.c_structures import check_structure
 from ctr_nlp.codegen.language import FULL_OPTIMISATION_PRAGMA, definitions
-from ctr_nlp.codegen.vector import ADJACENT_LANES_PREFIX, SHARED_INPUT_PREFIX, VECTOR_LANES
+from ctr_nlp.codegen.vector import ADJACENT_LANES_PREFIX, SHARED_INPUT_PREFIX
 from ctr_nlp.models.elastic import energy, shape, torsion
 from ctr_nlp.models.protocol import RestStates, combination, matrix_of, symbolic_tubes
 from ctr_nlp.robot.structure import TUBE_NUMBER_NAMES, Structure, Tubes
@@ -35,8 +35,8 @@ ELASTIC_C_FILES = tuple(
 )
 """The files of C, in the order in which they are compiled as one."""
 FUNCTIONS = "motors", "energy", "second", "shape", "points", "motors_beside"
-"""Functions that the struct Elastic of branch.c points to; all but the first evaluate VECTOR_LANES robots or arc
-lengths in one call.
+"""Functions that the struct Elastic of branch.c points to; all but the first evaluate a vector of robots or arc
+lengths, in one call.
 """
 KERNEL_OPERATIONS = ca.OP_SIN, ca.OP_COS, ca.OP_SQRT
 """Operations of whole vectors that the C files call."""
@@ -109,15 +109,16 @@ class _Elastic(ctypes.Structure):
 class CompiledElastic:
     """Solver in C of equilibria of one structure.
 
-    Any thread may call. numbers (T or 1, 8d): of the tubes, a row a robot.
+    Any thread may call. numbers (T or 1, 8d): of the tubes, a row a robot. lanes: numbers in a vector.
     """
 
     def __init__(self, structure: Structure, alone: Path, beside: Path) -> None:
         """Load the functions of a structure from their libraries.
 
         Raises OptionError where nothing can be compiled. alone: the library of functions for one robot; beside: of
-        those for VECTOR_LANES arc lengths or robots.
+        those for a vector of arc lengths or robots.
         """
+        self.lanes = cache.vector_lanes()
         made = symbolic(structure)
         libraries = [
             *([ctypes.CDLL(str(alone))] * len(made.scalar_functions)),
@@ -126,7 +127,7 @@ class CompiledElastic:
         # The C files know no structure: one library serves all robots of so many tubes, through a struct of sizes
         # and function pointers.
         language = f"{FULL_OPTIMISATION_PRAGMA}#define TUBES(e) {structure.d}\n" + definitions(
-            KERNEL_OPERATIONS, VECTOR_LANES
+            KERNEL_OPERATIONS, self.lanes
         )
         self._run = cache.load_c_files(__package__, *ELASTIC_C_FILES, before=language)
         check_structure(self._run, "State", StateStruct)
@@ -174,18 +175,18 @@ class CompiledElastic:
         return x[: self._run.walk(self._reference, *given, ctypes.c_long(len(goals)), _address(x))]
 
     def walk_batch(self, numbers: Array, states: ctypes.Array[StateStruct], goals: Array) -> tuple[Array, Index]:
-        """Return equilibria (n, T, 2d + 2) of up to VECTOR_LANES robots at goals (n, T, 2d + 2).
+        """Return equilibria (n, T, 2d + 2) of up to `lanes` robots at goals (n, T, 2d + 2).
 
         A robot in each lane. numbers (n, 8d): of the tubes. The second result (n,) counts the goals that each
         reached in whole steps; states (n,) move that far.
         """
         count, places, size = goals.shape
         # Lanes without a robot of their own repeat the first ones; their results are dropped.
-        every = np.ascontiguousarray(numbers[np.arange(VECTOR_LANES) % count])
+        every = np.ascontiguousarray(numbers[np.arange(self.lanes) % count])
         goals, x, reached = (
             np.ascontiguousarray(goals),
             np.empty(goals.shape),
-            np.zeros(VECTOR_LANES, dtype=np.int64),
+            np.zeros(self.lanes, dtype=np.int64),
         )
         sizes = (ctypes.c_long(each) for each in (places * size, places))
         given = _address(every), states, ctypes.c_long(count), _address(goals), *sizes
@@ -270,8 +271,8 @@ class CompiledElastic:
     def count_calls(self, numbers: Array, q: Array) -> dict[str, int]:
         """Count how often each generated function is called to find robots at rest at q (T, 2d + 2).
 
-        numbers (T or 1, 8d): of the tubes. A call evaluates VECTOR_LANES robots, or arc lengths in `points`, and
-        one robot in `motors`. Shapes have VECTOR_LANES points here.
+        numbers (T or 1, 8d): of the tubes. A call evaluates `lanes` robots, or arc lengths in `points`, and one
+        robot in `motors`. Shapes have `lanes` points here.
         """
         kind = ctypes.CFUNCTYPE(ctypes.c_int, *[ctypes.c_void_p] * 4, ctypes.c_int)
         counts = dict.fromkeys(FUNCTIONS, 0)
@@ -290,10 +291,10 @@ class CompiledElastic:
         kept = [count(name, kind(getattr(counting, name))) for name in FUNCTIONS]
         for name, function in zip(FUNCTIONS, kept, strict=True):
             setattr(counting, name, ctypes.cast(function, ctypes.c_void_p).value)
-        q, sigma = np.ascontiguousarray(q, dtype=float), np.linspace(0.0, 1.0, VECTOR_LANES)
-        sizes = q.shape[1:], (3,), (), (VECTOR_LANES, 3)
+        q, sigma = np.ascontiguousarray(q, dtype=float), np.linspace(0.0, 1.0, self.lanes)
+        sizes = q.shape[1:], (3,), (), (self.lanes, 3)
         found = [np.empty((len(q), *size)) for size in sizes]
-        at = _address(q), ctypes.c_long(len(q)), _address(sigma), ctypes.c_long(VECTOR_LANES)
+        at = _address(q), ctypes.c_long(len(q)), _address(sigma), ctypes.c_long(self.lanes)
         given = *_address_and_stride(numbers), *at, *map(_address, found)
         self._run.rests(ctypes.byref(counting), *given)
         return counts
@@ -314,7 +315,7 @@ def _address_and_stride(numbers: Array) -> tuple[ctypes.c_void_p, ctypes.c_long]
 class Symbolic(NamedTuple):
     """Functions of a structure, in the order of FUNCTIONS, and the energy in symbols.
 
-    scalar_functions: the first, for one robot; vector_functions: for VECTOR_LANES in one call. motors: (x,
+    scalar_functions: the first, for one robot; vector_functions: for a vector of them in one call. motors: (x,
     numbers (d, 8)) -> alpha and its derivatives over phi but the last. energy: -> strength, angles, turns, ends
     and helix_angles of energy.Symbols, the entries of turns row by row, and ends transposed. second: -> second of
     energy.Symbols. shape: ->
@@ -400,7 +401,7 @@ class _PendingCode:
         made = symbolic(self._structure)
         self._alone, self._beside = (
             Library("\n".join(each.serialize() for each in those), functools.partial(tuple, those), lanes)
-            for those, lanes in ((made.scalar_functions, 1), (made.vector_functions, VECTOR_LANES))
+            for those, lanes in ((made.scalar_functions, 1), (made.vector_functions, cache.vector_lanes()))
         )
         self._found: CompiledElastic | None = None
 

@@ -17,7 +17,6 @@ import numpy as np
 from scipy.linalg import lapack
 
 from ctr_nlp.codegen.batch_evaluator import BatchEvaluator
-from ctr_nlp.codegen.vector import VECTOR_LANES
 from ctr_nlp.models.elastic import compiled as compiled_code
 from ctr_nlp.models.elastic import energy, stability
 from ctr_nlp.models.elastic.compiled import (
@@ -371,7 +370,7 @@ def _step_down(energy: Energy, motors: Array, a: Array, time: float) -> tuple[Ar
 def walk_robot_batch(
     structure: Structure, numbers: Array, goals: Array
 ) -> list[tuple[Array, EquilibriumState] | None]:
-    """Return equilibria of up to VECTOR_LANES robots of numbers (n, d, 8) along goals (n, T, 2d + 2).
+    """Return equilibria of up to vector_lanes() robots of numbers (n, d, 8) along goals (n, T, 2d + 2).
 
     structure: what the robots share. Each robot settles at its first goal and follows its branch in whole steps.
     Returns for each the equilibria (k, 2d + 2) at the goals that it reached, and the last state; None for one that
@@ -382,7 +381,7 @@ def walk_robot_batch(
     count = len(numbers)
     if code is None:
         return [None] * count
-    every = np.arange(VECTOR_LANES) % count
+    every = np.arange(code.lanes) % count
     flat = np.ascontiguousarray(numbers.swapaxes(1, 2)).reshape(count, -1)[every]
     states, settled = code.settle(flat, goals[every, 0])
     # A copy: walking changes the states in place.

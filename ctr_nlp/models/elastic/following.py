@@ -10,7 +10,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ctr_nlp.codegen.vector import VECTOR_LANES
+from ctr_nlp.codegen.cache import vector_lanes
 from ctr_nlp.models.elastic.equilibria import Equilibria, EquilibriumState, walk_robot_batch
 from ctr_nlp.models.protocol import (
     STABILITY_SUBSTEPS_PER_FRAME,
@@ -68,15 +68,15 @@ def follow_robot_batch(
     """Return the equilibria of robots of numbers (n, d, 8), each at its own q at the sub-steps of a motion.
 
     structure: what the robots share. motion: which frames the M sub-steps belong to. places (n, M, 2d + 2): these
-    q. margins: whether stability margins are computed. Up to VECTOR_LANES robots are followed in one batch as far
-    as whole steps suffice, and continue one by one from there.
+    q. margins: whether stability margins are computed. As many robots as a vector has lanes are followed in one
+    batch as far as whole steps suffice, and continue one by one from there.
     """
     # In a batch only up to the first fresh start, since robots settle one by one.
     stop, *_ = [*np.flatnonzero(motion.fresh[1:]) + 1, len(motion.fresh)]
     x, stable = np.full(places.shape, np.nan), np.full(places.shape[:2], np.nan)
     snaps = [list[Snap]() for _ in numbers]
-    for first in range(0, len(numbers), VECTOR_LANES):
-        group = slice(first, first + VECTOR_LANES)
+    for first in range(0, len(numbers), vector_lanes()):
+        group = slice(first, first + vector_lanes())
         begun = walk_robot_batch(structure, numbers[group], places[group, :stop])
         for k, known in enumerate(begun, first):
             equilibria = Equilibria(structure, numbers[k])

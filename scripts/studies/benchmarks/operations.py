@@ -15,7 +15,7 @@ from benchmarks.growth import min_thread_seconds
 from benchmarks.work import random_poses
 from ctr_nlp.codegen import cache
 from ctr_nlp.codegen.language import C_LIBRARY_FUNCTIONS, OPERATIONS
-from ctr_nlp.codegen.vector import VECTOR_LANES, eliminate_common_subexpressions
+from ctr_nlp.codegen.vector import eliminate_common_subexpressions
 from ctr_nlp.models import model_named
 from ctr_nlp.models.elastic.compiled import FUNCTIONS, get_compiled_elastic, symbolic
 from ctr_nlp.paths.target import SIGMA_GRID
@@ -25,21 +25,21 @@ LIBRARY_FUNCTION_OPERATIONS = 20
 """Operations that a sine, cosine or root counts for: about the terms of its polynomial, twice."""
 PEAK_LOOPS = 200_000
 """Loops of the measurement of the peak, of 32 fused operations on vectors each."""
-PEAK_C = f"""\
-typedef double V __attribute__((vector_size({8 * VECTOR_LANES})));
-void peak(long loops, double *to) {{
-    V a[16], factor = {{0}};
+PEAK_C = """\
+typedef double V __attribute__((vector_size(8 * LANES)));
+void peak(long loops, double *to) {
+    V a[16], factor = {0};
     for (int k = 0; k < 16; ++k) a[k] = factor + 1.0 + 1e-9 * k;
     factor += 0.999;
-    for (long i = 0; i < loops; ++i) {{
+    for (long i = 0; i < loops; ++i) {
 #pragma GCC unroll 16
         for (int k = 0; k < 16; ++k) a[k] = a[k] * factor + 1e-3;
 #pragma GCC unroll 16
         for (int k = 0; k < 16; ++k) a[k] = a[k] * factor + 1e-3;
-    }}
+    }
     for (int k = 1; k < 16; ++k) a[0] += a[k];
     *to = a[0][0];
-}}
+}
 """
 """A loop of fused multiplications and additions that depend on each other only from loop to loop."""
 
@@ -79,10 +79,12 @@ def count_eigenvalue_operations(size: int) -> int:
 
 def measure_peak() -> float:
     """Return the floating-point operations that one core does in a second at most."""
-    run = ctypes.CDLL(str(cache.library(PEAK_C, lambda: PEAK_C))).peak
+    lanes = cache.vector_lanes()
+    code = f"#define LANES {lanes}\n{PEAK_C}"
+    run = ctypes.CDLL(str(cache.library(code, lambda: code))).peak
     to = ctypes.c_double()
     seconds = min_thread_seconds(lambda: run(ctypes.c_long(PEAK_LOOPS), ctypes.byref(to)))
-    return 2 * 32 * VECTOR_LANES * PEAK_LOOPS / seconds
+    return 2 * 32 * lanes * PEAK_LOOPS / seconds
 
 
 def measure_roof(robot: Robot | None = None) -> Roof:
@@ -93,17 +95,17 @@ def measure_roof(robot: Robot | None = None) -> Roof:
     assert code is not None
     calls = code.count_calls(robot.numbers.ravel(order="F")[None], q)
     # Counted with one call of `points` a shape; the grid takes more.
-    calls["points"] *= -(-len(SIGMA_GRID) // VECTOR_LANES)
+    calls["points"] *= -(-len(SIGMA_GRID) // code.lanes)
     made = symbolic(robot.structure)
     each = {
         function.name(): count_operations(function)
         for function in (*made.scalar_functions, *made.vector_functions)
     }
     # Lanes without a robot are not counted as work.
-    lanes = {name: 1 if name == FUNCTIONS[0] else VECTOR_LANES for name in FUNCTIONS}
+    lanes = {name: 1 if name == FUNCTIONS[0] else code.lanes for name in FUNCTIONS}
     operations = sum(calls[name] * lanes[name] * each[name] for name in FUNCTIONS)
     size = made.of.second.shape[0]
-    operations += calls["second"] * VECTOR_LANES * count_eigenvalue_operations(size)
+    operations += calls["second"] * code.lanes * count_eigenvalue_operations(size)
     elastic = model_named("elastic")
     seconds = min_thread_seconds(lambda: elastic.rest_states(robot, q, SIGMA_GRID))
     # q and x, the tip's direction and the margin, and the points, which are written to memory and read before.
