@@ -276,7 +276,7 @@ class CompiledElastic:
         """
         kind = ctypes.CFUNCTYPE(ctypes.c_int, *[ctypes.c_void_p] * 4, ctypes.c_int)
         counts = dict.fromkeys(FUNCTIONS, 0)
-        counting = _Elastic.from_buffer_copy(self._elastic)
+        fields = {field[0]: getattr(self._elastic, field[0]) for field in _Elastic._fields_}
 
         def count(name: str, function: Any) -> Any:
             """Return a function for C that counts its calls and calls another."""
@@ -287,10 +287,10 @@ class CompiledElastic:
 
             return kind(call)
 
-        # C has addresses only: the list keeps what they point to.
-        kept = [count(name, kind(getattr(counting, name))) for name in FUNCTIONS]
-        for name, function in zip(FUNCTIONS, kept, strict=True):
-            setattr(counting, name, ctypes.cast(function, ctypes.c_void_p).value)
+        # C has addresses only: the dict keeps what they point to.
+        kept = {name: count(name, kind(fields[name])) for name in FUNCTIONS}
+        addresses = {name: ctypes.cast(function, ctypes.c_void_p).value for name, function in kept.items()}
+        counting = _Elastic(**fields | addresses)
         q, sigma = np.ascontiguousarray(q, dtype=float), np.linspace(0.0, 1.0, self.lanes)
         sizes = q.shape[1:], (3,), (), (self.lanes, 3)
         found = [np.empty((len(q), *size)) for size in sizes]
