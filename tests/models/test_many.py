@@ -75,15 +75,16 @@ def test_without_a_compiler_the_same_are_found(monkeypatch):
         assert np.isnan(one[3]).all()
 
 
-def test_falls_without_a_compiler_end_where_those_in_c_do(monkeypatch):
+@pytest.mark.parametrize("count", [40, pytest.param(3000, marks=pytest.mark.slow)])
+def test_falls_without_a_compiler_end_where_those_in_c_do(count, monkeypatch):
     """Of the paper's robot, whose branches end under every seventh of these configurations."""
     robot, rng = table_i_robot(), np.random.default_rng(5)
-    q = np.zeros((40, 8))
-    q[:, :3] = rng.uniform(-np.pi, np.pi, (40, 3))
-    q[:, 3:6] = np.sort(rng.random((40, 3)), axis=1) * robot.upper[3:6]
+    q = np.zeros((count, 8))
+    q[:, :3] = rng.uniform(-np.pi, np.pi, (count, 3))
+    q[:, 3:6] = np.sort(rng.random((count, 3)), axis=1) * robot.upper[3:6]
     falls = list[EquilibriumState]()
     fallen = Equilibria._fall_off_branch
-    numbers = np.repeat(robot.numbers[None], 40, axis=0)
+    numbers = np.repeat(robot.numbers[None], count, axis=0)
     fast, margins = at_rest(robot.structure, numbers, q)
     monkeypatch.setenv("CTR_NLP_COMPILE", "0")
     monkeypatch.setattr(Equilibria, "_fall_off_branch", lambda *given: falls.append(given[1]) or fallen(*given))
