@@ -28,13 +28,16 @@ if TYPE_CHECKING:
     from ctr_nlp.paths.problem import Problem
     from ctr_nlp.paths.target import Target, growing, sequence
     from ctr_nlp.paths.walls import Body
+    from ctr_nlp.plan.batch import batch
     from ctr_nlp.plan.metrics import by_frame, summary
     from ctr_nlp.plan.plan import Plan
+    from ctr_nlp.plan.sample_motions import simulate_samples
     from ctr_nlp.plan.simulation import shape_curve, shapes
     from ctr_nlp.planning.horizon import solve_horizon
     from ctr_nlp.planning.per_frame import solve_per_frame
     from ctr_nlp.planning.steerer import Steerer
     from ctr_nlp.robot import Limits, Robot, Tolerances, Tube, table_i_robot
+    from ctr_nlp.robot.samples import sample_robots
     from ctr_nlp.robot.shipped import read_robot_files
     from ctr_nlp.robust import solve_robust, solve_robust_per_frame
     from ctr_nlp.studies.grid.results import Results
@@ -81,6 +84,7 @@ __all__ = [
     "WallForces",
     "__version__",
     "assign_to_robots",
+    "batch",
     "by_frame",
     "calibrate",
     "choose_robot",
@@ -105,9 +109,11 @@ __all__ = [
     "read_stock",
     "read_wall",
     "run_study",
+    "sample_robots",
     "sequence",
     "shape_curve",
     "shapes",
+    "simulate_samples",
     "solve_horizon",
     "solve_on_wall",
     "solve_per_frame",
@@ -136,10 +142,13 @@ _HOMES = {
     "ocp.shared.manufacture": ("Manufacture",),
     "models.loads": ("Load", "LoadOverTime", "read_load"),
     "models.loaded.model": ("Loaded",),
+    "plan.batch": ("batch",),
     "plan.metrics": ("by_frame", "summary"),
     "plan.plan": ("Plan",),
     "robot": ("Limits", "Robot", "Tolerances", "Tube", "table_i_robot"),
+    "robot.samples": ("sample_robots",),
     "robot.shipped": ("read_robot_files",),
+    "plan.sample_motions": ("simulate_samples",),
     "plan.simulation": ("shape_curve", "shapes"),
     "planning.horizon": ("solve_horizon",),
     "planning.per_frame": ("solve_per_frame",),

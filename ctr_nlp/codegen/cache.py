@@ -50,6 +50,8 @@ LINK_LIBRARY_CHOICES = (
 """Libraries to link, in order of preference: glibc has sines of whole vectors (libmvec)."""
 TRIAL_C_CODE = "#include <math.h>\ndouble trial(double x) { return sin(x); }\n"
 """Smallest program that shows whether compiling and linking work."""
+WIDEST_VECTOR_LANES = 8
+"""Numbers in the longest vectors that processors have, those of AVX-512."""
 BUILD_FOLDER_PREFIX, PROCESS_FOLDER_PREFIX = "building-", "ctr_nlp-libraries-"
 """Prefixes of the working folders of processes: in the cache, and in the temporary folder."""
 BUILD_FOLDER_ABANDONED_AFTER_S = 900.0
@@ -78,6 +80,19 @@ def compiler() -> Compiler | None:
                 if said.returncode == 0:
                     return Compiler(command, said.stderr)
     return None
+
+
+@functools.cache
+def vector_lanes() -> int:
+    """Return how many numbers fit into a vector of the processor that the compiler writes code for: 8 or 4.
+
+    Straight code of longer vectors than the processor has would keep its numbers in memory.
+    """
+    chosen = compiler()
+    if chosen is None:
+        return WIDEST_VECTOR_LANES
+    said = _run([*chosen.command, "-E", "-dM", "-x", "c", os.devnull])
+    return WIDEST_VECTOR_LANES if "__AVX512F__" in said.stdout else WIDEST_VECTOR_LANES // 2
 
 
 def _run(command: list[str], folder: Path | None = None) -> subprocess.CompletedProcess[str]:
@@ -178,11 +193,19 @@ def _hash_build_inputs(key: str, chosen: Compiler, linked: tuple[tuple[str, ...]
 
 
 @functools.cache
-def load_c_files(package: str, *names: str) -> ctypes.CDLL:
-    """Compile and load a package's C files as one; raises OptionError where nothing can be compiled."""
-    code = "".join(files(package).joinpath(name).read_text(encoding="utf-8") for name in names)
+def load_c_files(package: str, *names: str, before: str = "") -> ctypes.CDLL:
+    """Compile and load a package's C files as one; raises OptionError where nothing can be compiled.
+
+    before: C that comes before them.
+    """
+    code = before + read_c_files(package, *names)
     code += describe_structures(code)
     return ctypes.CDLL(str(library(code, lambda: code)))
+
+
+def read_c_files(package: str, *names: str) -> str:
+    """Return the text of a package's C files, one after the other."""
+    return "".join(files(package).joinpath(name).read_text(encoding="utf-8") for name in names)
 
 
 _waits: list[float] = []

@@ -16,8 +16,12 @@ VECTOR_LANES = 8
 QUICK_COMPILE_VARIABLE = "CTR_NLP_QUICK"
 """Environment variable: 1 compiles long straight code of numbers as that of vectors, in half of the time."""
 _QUICK_PRAGMA = '#pragma GCC optimize("Og")\n'
-"""Long straight code of vectors gains a tenth at most from more, that of numbers a fifth."""
-_FULL_OPTIMISATION_PRAGMA = '#pragma GCC optimize("O3")\n'
+"""Long straight code of numbers compiles fastest so, and is a fifth slower than with more."""
+_VECTOR_OPTIMISATION_PRAGMA = '#pragma GCC optimize("O1", "expensive-optimizations")\n'
+"""Long straight code of vectors gains nothing from more. With less there are no instructions that multiply and add
+with one rounding.
+"""
+FULL_OPTIMISATION_PRAGMA = '#pragma GCC optimize("O3")\n'
 """Short loops over frames gain from every optimisation."""
 _LEAN_OPTIMISATION_PRAGMAS = "".join(
     f'#pragma GCC optimize("no-tree-{name}")\n' for name in ("slp-vectorize", "slsr", "pre", "dse")
@@ -31,6 +35,8 @@ typedef double V;
 typedef int M;
 static inline V gathered(const double *a, long step) { return a[0]; }
 static inline void scattered(V a, double *to, long step) { to[0] = a; }
+static inline V taken(const double *a) { return a[0]; }
+static inline void put(V a, double *to) { to[0] = a; }
 static inline V all(double a) { return a; }
 static inline V masked(M m, V a) { return m ? a : 0.0; }
 static inline V choose(M m, V a, V b) { return m ? a : b; }
@@ -64,6 +70,48 @@ static inline V one_where(M m) { return masked(m, all(1.0)); }
 """
 """Names of the language for vectors: V has a double for each lane, M an integer mask, and `gathered`, `scattered`
 read and write entries of different frames, whose numbers lie `step` apart.
+"""
+
+_WAVES = """\
+#pragma GCC push_options
+#pragma GCC optimize("O2")
+static __attribute__((noinline)) V far_sine_and_cosine(V a, V *cosine) {
+    V sine;
+    EACH sine[l] = sin(a[l]), (*cosine)[l] = cos(a[l]);
+    return sine;
+}
+static __attribute__((noinline)) V sine_and_cosine(V a, V *cosine) {
+    const double shift = 0x1.8p52;
+    M far = ~((a < 1e6) & (a > -1e6));
+    long long any = 0;
+    EACH any |= far[l];
+    if (__builtin_expect(any != 0, 0)) return far_sine_and_cosine(a, cosine);
+    V turns = a * 0x1.45f306dc9c883p-1 + shift;
+    M quarter = (M)turns;
+    turns -= shift;
+    V r = a - turns * 0x1.921fb544p+0 - turns * 0x1.0b4611a6p-34, rest = turns * 0x1.3198a2e037073p-69;
+    V x = r - rest, low = (r - x) - rest, z = x * x;
+    V s = x + (low + x * z * (-1.66666666666666324348e-01 + z * (8.33333333332248946124e-03 +
+        z * (-1.98412698298579493134e-04 + z * (2.75573137070700676789e-06 +
+        z * (-2.50507602534068634195e-08 + z * 1.58969099521155010221e-10))))));
+    V half = 0.5 * z, one = 1.0 - half;
+    V c = one + (((1.0 - one) - half) + (z * z * (4.16666666666666019037e-02 +
+        z * (-1.38888888888741095749e-03 + z * (2.48015872894767294178e-05 +
+        z * (-2.75573143513906633035e-07 + z * (2.08757232129817482790e-09 +
+        z * -1.13596475577881948265e-11))))) - x * low));
+    M odd = -(quarter & 1), sign = (M)all(-0.0);
+    *cosine = (V)((M)choose(odd, s, c) ^ (((quarter + 1) << 62) & sign));
+    return (V)((M)choose(odd, c, s) ^ ((quarter << 62) & sign));
+}
+static inline V by_lane_sin(V a) { V cosine; return sine_and_cosine(a, &cosine); }
+static inline V by_lane_cos(V a) { V cosine; sine_and_cosine(a, &cosine); return cosine; }
+#pragma GCC pop_options
+"""
+"""Sines and cosines of vectors, both at once, within 2 units in the last place.
+
+The argument is reduced by the nearest multiple of pi/2, in three parts (Cody and Waite), the first two with so few
+digits that products are exact; polynomials and the order of sums are those of Sun's fdlibm, k_sin.c and k_cos.c.
+Beyond 1e6 the C library is called lane by lane.
 """
 
 OPERATIONS = {
@@ -116,8 +164,10 @@ C_LIBRARY_FUNCTIONS = {
 """Operations that are functions of the C library, called lane by lane."""
 TWO_ARGUMENT_FUNCTIONS = "atan2", "pow", "copysign"
 """The functions of C_LIBRARY_FUNCTIONS with two arguments."""
+WAVES = {"sin", "cos"}
+"""The functions of C_LIBRARY_FUNCTIONS that vectors compute together."""
 SHARED_C_NAMES = (
-    *("V", "M", "gathered", "scattered", "all", "masked", "choose", "one_where"),
+    *("V", "M", "gathered", "scattered", "taken", "put", "all", "masked", "choose", "one_where"),
     *(f"by_lane_{called}" for called in sorted(set(C_LIBRARY_FUNCTIONS.values()))),
 )
 """Names that code for numbers and code for vectors both define; renamed where both are in one file."""
@@ -128,18 +178,25 @@ def file_header(operations: Iterable[int], lanes: int | None) -> str:
 
     lanes: frames in a vector; 1 for numbers; None for loops over any number of frames, which take numbers.
     """
+    return optimisation_pragmas(lanes) + definitions(operations, lanes)
+
+
+def definitions(operations: Iterable[int], lanes: int | None) -> str:
+    """Return C that defines the names of the language and these operations.
+
+    lanes: as in file_header.
+    """
     width = lanes or 1
-    helpers = {
-        _by_lane(C_LIBRARY_FUNCTIONS[operation], width)
-        for operation in set(operations) & C_LIBRARY_FUNCTIONS.keys()
-    }
+    called = {C_LIBRARY_FUNCTIONS[operation] for operation in set(operations) & C_LIBRARY_FUNCTIONS.keys()}
+    waves = _WAVES if width > 1 and called & WAVES else ""
+    helpers = {_by_lane(name, width) for name in (called - WAVES if waves else called)}
     # Files of long vector code are compiled with little effort; the short loops over lanes gain from more.
     if width > 1:
         helpers = {_HELPER_OPTIMISATION_PRAGMAS.format(helper) for helper in helpers}
     # Code for one frame calls the C library itself; loops over frames need VECTOR_LANES, too.
     sines = "" if lanes == 1 else f"#define LANES {lanes or VECTOR_LANES}\n{_SINES}"
     begin = _SCALAR if width == 1 else _VECTOR % _unroll_lanes(width)
-    return "".join([optimisation_pragmas(lanes), sines, begin, *sorted(helpers)])
+    return "".join([sines, begin, waves, *sorted(helpers)])
 
 
 def _unroll_lanes(lanes: int) -> dict[str, str]:
@@ -159,12 +216,10 @@ def number_in_c(number: float) -> str:
 def optimisation_pragmas(lanes: int | None) -> str:
     """Return the pragmas of optimisation; lanes: None for loops over any number of frames."""
     if lanes is None:
-        return _FULL_OPTIMISATION_PRAGMA
-    return (
-        _LEAN_OPTIMISATION_PRAGMAS
-        if lanes == 1 and os.environ.get(QUICK_COMPILE_VARIABLE) != "1"
-        else _QUICK_PRAGMA
-    )
+        return FULL_OPTIMISATION_PRAGMA
+    if lanes > 1:
+        return _VECTOR_OPTIMISATION_PRAGMA
+    return _QUICK_PRAGMA if os.environ.get(QUICK_COMPILE_VARIABLE) == "1" else _LEAN_OPTIMISATION_PRAGMAS
 
 
 def _by_lane(called: str, lanes: int) -> str:

@@ -62,7 +62,7 @@ def _function(function: ca.Function, lanes: int) -> str:
     """Return C of one function: its parts, and the function that calls them."""
     name = function.name()
     pause = pause_after(function)
-    parts = _parts(function, pause)
+    parts = _parts(function, pause, lanes)
     bodies = "".join(
         # Not inlined: one large body would take the compiler's time again.
         f"static __attribute__((noinline)) void {name}_{k}"
@@ -93,10 +93,11 @@ def part_starts(function: ca.Function, pause: int, part: int) -> list[int]:
     return [*range(0, pause, part), *range(pause, function.n_instructions(), part)]
 
 
-def _parts(function: ca.Function, pause: int) -> list[list[str]]:
+def _parts(function: ca.Function, pause: int, lanes: int) -> list[list[str]]:
     """Return the body, part by part: numbers have names of their own; later parts read them from w."""
     starts = part_starts(function, pause, VECTOR_PART_INSTRUCTIONS)
     needed = needed_later(function, starts)
+    pairs = _wave_pairs(function, starts) if lanes > 1 else {}
     # Named numbers let the compiler keep them in registers. Only those that a later part needs are stored
     # in w: each part is a C function, and sees nothing else of the others.
     parts: list[list[str]] = []
@@ -111,9 +112,30 @@ def _parts(function: ca.Function, pause: int) -> list[list[str]]:
         else:
             kept = f" w[{to[0]}] = t{k};" if k in needed else ""
             line = f"V t{k} = {result_in_c(function, k, here)};{kept}\n"
+            if k in pairs:
+                # The first of a sine and a cosine of one angle computes both.
+                sine, cosine = pairs[k]
+                both = f"V t{sine}, t{cosine}; t{sine} = sine_and_cosine({name_in_c(of[0], here)}, &t{cosine});"
+                line = f"{both if k == min(sine, cosine) else ''}{kept}\n"
             here[to[0]] = f"t{k}"
         parts[-1].append(line)
     return parts
+
+
+def _wave_pairs(function: ca.Function, starts: list[int]) -> dict[int, tuple[int, int]]:
+    """Return the sines and cosines of one angle in one part of `function`: for both, the numbers of their
+    instructions.
+    """
+    made: dict[int, int] = {}
+    found: dict[tuple[int, int], dict[int, int]] = {}
+    for k in range(function.n_instructions()):
+        operation, to, of = instruction_of(function, k)
+        if operation in (ca.OP_SIN, ca.OP_COS):
+            found.setdefault((made[of[0]], bisect.bisect(starts, k)), {})[operation] = k
+        if operation != ca.OP_OUTPUT:
+            made[to[0]] = k
+    pairs = [(each[ca.OP_SIN], each[ca.OP_COS]) for each in found.values() if len(each) == 2]
+    return {k: pair for pair in pairs for k in pair}
 
 
 def store_output(function: ca.Function, to: list[int], value: str) -> str:

@@ -140,6 +140,11 @@ class RestStates(NamedTuple):
     tips: Array
     margins: Array
 
+    @property
+    def is_solved(self) -> Flags:
+        """Whether an equilibrium was found, (T,)."""
+        return np.asarray(np.isfinite(self.x).all(axis=1))
+
 
 class MotionSubsteps(NamedTuple):
     """Sub-steps q (M, 2d + 2) of a motion through `total` frames; frames that are NaN have none.
@@ -231,6 +236,10 @@ class Model(ABC):
         background.
         """
         return True
+
+    def batches_in_threads(self, structure: Structure) -> bool:
+        """Return whether several threads may follow robots of a structure, each with robots of its own."""
+        return False
 
     @abstractmethod
     def frame(
@@ -360,6 +369,19 @@ class Model(ABC):
         # sigma = 1 is the tip.
         tips = self.tangents(robot, x, np.ones(1))[:, 0]
         return RestStates(x, self.points(robot, x, sigma), tips, self.margins(robot, x))
+
+    def rest_batch(
+        self, structure: Structure, numbers: Array, q: Array, sigma: Array, threads: int = 1
+    ) -> RestStates:
+        """Return the equilibria at rest without a history, of robots that differ in numbers (T or 1, d, 8).
+
+        structure: what the robots share. q (T, 2d + 2): a configuration for each. sigma (m,): where points are
+        computed. threads: number of threads that may share the rows. Raises OptionError where the model does not
+        find perturbed robots at rest.
+        """
+        raise OptionError(
+            f"model is {self.name!r}, and does not find robots at rest in a batch; give 'elastic', without a load"
+        )
 
     def guess(self, robot: Robot, q: Array) -> Array:
         """Estimate the unknowns (.., n_x) of a robot at q (.., 2d + 2) quickly, as a solver's initial guess."""

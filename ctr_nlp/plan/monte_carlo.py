@@ -26,7 +26,7 @@ from ctr_nlp.typing import Array, Index
 
 DEFAULT_PLAN_SAMPLES, DEFAULT_PLAN_SAMPLE_SEED = 200, 0
 """Number and seed of the simulated robots where none are given."""
-PLAN_SAMPLES_PER_BATCH = 50
+PLAN_SAMPLES_PER_BATCH = 64
 """Simulated robots whose whole shapes are in memory at once."""
 CLOUD_FRAME_COUNT, CLOUD_POINT_STRIDE = 5, 4
 """Number of frames whose shapes are kept, evenly spaced up to the last one, and the stride of the kept samples

@@ -29,7 +29,9 @@ from ctr_nlp.typing import Array, Index
 MAX_JOINING_SAMPLES = 6
 """Largest number of lost samples that join the scenarios in one round."""
 MIN_TRIAL_SAMPLES, DRAFT_TRIAL_SAMPLES, TRIAL_SAMPLES_PER_BATCH = 500, 200, 50
-"""Least number of samples for a whole motion, number for a draft, and how many are simulated at a time."""
+"""Least number of samples for a whole motion, number for a draft, and after how many a test may end."""
+MAX_TRIAL_SAMPLES_PER_CALL = 1000
+"""Largest number of samples that are simulated in one call, for the memory that their motions take."""
 TRIAL_FIRST_SAMPLE_SEED = 2**40
 """Seed of the first motion's samples, from which seeds count on: far from those that users evaluate plans with."""
 CERTIFICATION_SAMPLES = 200
@@ -113,12 +115,19 @@ class Trials:
         frames = np.zeros(0, dtype=int)
         # The verdict is no once more than `allowed` are lost; but MAX_JOINING_SAMPLES of them are wanted as
         # scenarios.
-        while len(frames) < len(draws) and (frames > 0).sum() < max(MAX_JOINING_SAMPLES, allowed + 1):
-            group = draws[len(frames) : len(frames) + TRIAL_SAMPLES_PER_BATCH]
-            frames = np.append(frames, find_failure_frames(self.robot, group, q, self.model))
+        wanted = max(MAX_JOINING_SAMPLES, allowed + 1)
+        while len(frames) < len(draws) and (frames > 0).sum() < wanted:
+            # As many as are known already: a motion that fails soon costs little, and a long test has few calls.
+            size = min(max(TRIAL_SAMPLES_PER_BATCH, len(frames)), MAX_TRIAL_SAMPLES_PER_CALL)
+            group = draws[len(frames) : len(frames) + size]
+            found = find_failure_frames(self.robot, group, q, self.model)
+            for first in range(0, len(found), TRIAL_SAMPLES_PER_BATCH):
+                # Samples after the end of the test do not count, whatever the size of a call.
+                if (frames > 0).sum() < wanted:
+                    frames = np.append(frames, found[first : first + TRIAL_SAMPLES_PER_BATCH])
         gone = np.flatnonzero(frames)
-        found = draws[gone]
-        own = found.numbers, found.offsets, found.forces
+        lost = draws[gone]
+        own = lost.numbers, lost.offsets, lost.forces
         return FailedSamples(*own, frames[gone], len(frames), len(gone) <= allowed)
 
     def tolerated_part(self, q: Array, number: int) -> float:

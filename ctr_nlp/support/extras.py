@@ -18,6 +18,7 @@ EXTRAS = {
     "completion": ("shtab",),
     "sampling": ("ompl",),
     "learning": ("torch",),
+    "gpu": ("nvidia",),
     "study": ("dask", "distributed", "tornado", "pyarrow", "pandas"),
 }
 """The modules that each extra of this package brings."""

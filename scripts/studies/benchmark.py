@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 from benchmarks.growth import draw_growths, measure_growths
+from benchmarks.operations import measure_roof
 from benchmarks.peers import race_solvers
 from benchmarks.tree_comparison import (
     LEAST_BLOCKS,
@@ -196,11 +197,30 @@ def _shares(arguments: argparse.Namespace, picture: Path | None) -> Entries:
     return [{"row": name, "part": part} for name, part in found.items()]
 
 
+def _roof(arguments: argparse.Namespace, picture: Path | None) -> Entries:
+    found = measure_roof()
+    rows = [
+        ("floating-point operations", f"{found.operations:,.0f}"),
+        ("time on one core", _format_seconds(found.seconds)),
+        ("operations a second", f"{found.operations / found.seconds / 1e9:.1f} billion"),
+        ("the core's peak", f"{found.peak / 1e9:.1f} billion"),
+        ("share of the peak", f"{found.share:.0%}"),
+        (
+            "memory read and written",
+            f"{found.bytes / 1e3:.1f} kB, {found.bytes / found.seconds / 1e9:.2f} GB a second",
+        ),
+        *((f"calls of {name}", f"{count:.2f}") for name, count in found.calls.items()),
+    ]
+    print_table("an elastic shape with its margin, at rest", ("", "a shape"), rows)
+    return [vars(found) | {"share": found.share}]
+
+
 PARTS: dict[str, Callable[[argparse.Namespace, Path | None], Entries]] = {
     "rows": _rows,
     "peers": _peers,
     "growth": _growth,
     "shares": _shares,
+    "roof": _roof,
 }
 
 

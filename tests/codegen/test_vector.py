@@ -136,10 +136,18 @@ def test_signs_of_zeros_are_those_of_casadi(value):
 def test_without_sines_of_whole_vectors_functions_are_the_same(tmp_path, monkeypatch):
     monkeypatch.setenv("CTR_NLP_CACHE", str(tmp_path))
     monkeypatch.setattr(cache, "LINK_LIBRARY_CHOICES", cache.LINK_LIBRARY_CHOICES[1:])
-    function = ca.Function("waves", [X, Y], [ca.sin(X) + ca.cos(Y), ca.atan2(X, Y)])
+    # Each on its own: a sum of both may cancel, and has the error of its terms.
+    function = ca.Function("waves", [X, Y], [ca.sin(X), ca.cos(Y), ca.atan2(X, Y)])
     library, rng = loaded(function)["waves"], np.random.default_rng(8)
     for _ in range(20):
         assert_the_same(function, library, rng.normal(size=(2, 1, VECTOR_LANES)), 4)
+
+
+def test_sines_and_cosines_of_one_angle_are_found_together():
+    function = ca.Function("pair", [X, Y], [ca.sin(X), ca.cos(X), ca.cos(Y) * ca.sin(X * Y)])
+    assert vector_code((function,)).count("= sine_and_cosine(") == 1
+    x = np.concatenate([np.pi / 4 * np.arange(-40, 40), [1e-300, 999_999.5, 1e6, -3e7]])
+    assert_the_same(function, loaded(function)["pair"], np.stack([x, np.cos(x)])[:, None, : len(x) // 8 * 8], 4)
 
 
 @pytest.mark.parametrize("code", [vector_code, tape_code])

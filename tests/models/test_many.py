@@ -11,7 +11,7 @@ from ctr_nlp import Limits, Robot, Tube, table_i_robot
 from ctr_nlp.models import KINEMATIC_MODELS
 from ctr_nlp.models.elastic import stability
 from ctr_nlp.models.elastic.equilibria import Equilibria, EquilibriumState
-from ctr_nlp.models.elastic.following import solve_rest_batch, solve_rest_unknowns
+from ctr_nlp.models.elastic.following import solve_rest_unknowns
 from ctr_nlp.paths.target import SIGMA_GRID
 
 COMPARED = 8
@@ -32,9 +32,15 @@ def draws(d, count):
     return robots, q
 
 
+def at_rest(structure, numbers, q):
+    """Unknowns and margins of robots at rest, in one call."""
+    found = KINEMATIC_MODELS["elastic"].rest_batch(structure, numbers, q, np.ones(1))
+    return found.x, found.margins
+
+
 def _holds(d, count, monkeypatch):
     robots, q = draws(d, count)
-    x, margins = solve_rest_batch(robots[0].structure, np.array([robot.numbers for robot in robots]), q)
+    x, margins = at_rest(robots[0].structure, np.array([robot.numbers for robot in robots]), q)
     found = np.vstack([configuration(robot, row[None]) for robot, row in zip(robots, x, strict=True)])
     np.testing.assert_allclose(found, q, atol=1e-9)
     assert margins.min() > 0
@@ -61,27 +67,28 @@ def test_without_a_compiler_the_same_are_found(monkeypatch):
     robots, q = draws(2, 5)
     numbers = np.array([robot.numbers for robot in robots])
     q[3] = np.nan
-    fast = solve_rest_batch(robots[0].structure, numbers, q)
+    fast = at_rest(robots[0].structure, numbers, q)
     monkeypatch.setenv("CTR_NLP_COMPILE", "0")
-    slow = solve_rest_batch(robots[0].structure, numbers, q)
+    slow = at_rest(robots[0].structure, numbers, q)
     for one, other in zip(fast, slow, strict=True):
         np.testing.assert_allclose(one, other, atol=1e-8)
         assert np.isnan(one[3]).all()
 
 
-def test_falls_without_a_compiler_end_where_those_in_c_do(monkeypatch):
+@pytest.mark.parametrize("count", [40, pytest.param(3000, marks=pytest.mark.slow)])
+def test_falls_without_a_compiler_end_where_those_in_c_do(count, monkeypatch):
     """Of the paper's robot, whose branches end under every seventh of these configurations."""
     robot, rng = table_i_robot(), np.random.default_rng(5)
-    q = np.zeros((40, 8))
-    q[:, :3] = rng.uniform(-np.pi, np.pi, (40, 3))
-    q[:, 3:6] = np.sort(rng.random((40, 3)), axis=1) * robot.upper[3:6]
+    q = np.zeros((count, 8))
+    q[:, :3] = rng.uniform(-np.pi, np.pi, (count, 3))
+    q[:, 3:6] = np.sort(rng.random((count, 3)), axis=1) * robot.upper[3:6]
     falls = list[EquilibriumState]()
     fallen = Equilibria._fall_off_branch
-    numbers = np.repeat(robot.numbers[None], 40, axis=0)
-    fast, margins = solve_rest_batch(robot.structure, numbers, q)
+    numbers = np.repeat(robot.numbers[None], count, axis=0)
+    fast, margins = at_rest(robot.structure, numbers, q)
     monkeypatch.setenv("CTR_NLP_COMPILE", "0")
     monkeypatch.setattr(Equilibria, "_fall_off_branch", lambda *given: falls.append(given[1]) or fallen(*given))
-    slow, others = solve_rest_batch(robot.structure, numbers, q)
+    slow, others = at_rest(robot.structure, numbers, q)
     assert len(falls) > 2
     np.testing.assert_allclose(fast, slow, atol=1e-8)
     np.testing.assert_allclose(margins, others, atol=1e-8)
@@ -89,7 +96,7 @@ def test_falls_without_a_compiler_end_where_those_in_c_do(monkeypatch):
 
 def test_the_base_to_tip_shooting_of_the_tests_finds_the_same():
     shot = truth.shot("two tubes, both within their curved parts")
-    x, margins = solve_rest_batch(shot.robot.structure, shot.robot.numbers[None], shot.q[None])
+    x, margins = at_rest(shot.robot.structure, shot.robot.numbers[None], shot.q[None])
     assert margins[0] == pytest.approx(shot.margin(), abs=0.001)
     np.testing.assert_allclose(configuration(shot.robot, x)[0], shot.q, atol=1e-9)
 

@@ -24,6 +24,7 @@ from ctr_nlp.plan.sample_motions import find_failure_frames
 from ctr_nlp.robot.samples import perturb_robot, sample_robots
 from ctr_nlp.robot.structure import TUBE_NUMBER_NAMES
 from ctr_nlp.robust import solve_robust
+from ctr_nlp.robust import trials as trials_module
 from ctr_nlp.robust.tolerance_scenarios import scenarios_from_tolerances, two_level_orthogonal_array
 from ctr_nlp.robust.trials import CERTIFICATION_SAMPLES, TRIAL_FIRST_SAMPLE_SEED, Trials
 
@@ -112,6 +113,23 @@ def test_as_many_robots_are_drawn_as_it_takes_to_be_certain(most_lost, motions, 
     for lost, holds in ((trials.allowed_failures, True), (trials.allowed_failures + 1, False)):
         bound = binomtest(lost, draws, alternative="less").proportion_ci(1 - 0.05 / motions, "exact").high
         assert (bound <= most_lost) == holds
+
+
+@pytest.mark.parametrize("share", [0.002, 0.05, 0.3])
+def test_samples_that_count_do_not_depend_on_calls(share, monkeypatch):
+    """Robots whose first motor is far off are lost; calls of at most 50 samples or of 1,000."""
+    robot = table_i_robot()
+    monkeypatch.setattr(
+        trials_module,
+        "find_failure_frames",
+        lambda _, group, *given: (group.offsets[:, 0] > 0.02 - 0.04 * share) * 3,
+    )
+    found = []
+    for most in (50, 1000):
+        monkeypatch.setattr(trials_module, "MAX_TRIAL_SAMPLES_PER_CALL", most)
+        found.append(Trials(robot, KINEMATIC_MODELS["elastic"], 1, 0.001)(np.zeros((2, 8)), 0))
+    for one, other in zip(*found, strict=True):
+        np.testing.assert_array_equal(one, other)
 
 
 def test_a_motion_on_which_many_are_lost_bears_a_part_of_the_tolerances(problem, plain):

@@ -8,11 +8,13 @@ import sys
 from contextlib import contextmanager
 
 import benchmark
+import casadi as ca
 import numpy as np
 import pytest
 from benchmark import main, unexplained_rows
 from benchmarks import tree_comparison, uncompiled_time, work
 from benchmarks.growth import draw_growths, fit_growth
+from benchmarks.operations import LIBRARY_FUNCTION_OPERATIONS, count_operations, measure_roof
 from benchmarks.peers import PEER_RACE_ROUNDS, REFERENCE_FRAME_STRIDE, REFERENCES, race_solvers
 from benchmarks.tree_comparison import (
     LEAST_BLOCKS,
@@ -26,6 +28,7 @@ from benchmarks.tree_comparison import (
 from benchmarks.trees import tree_of
 from common import ROOT, named_problem
 
+from ctr_nlp.codegen.cache import vector_lanes
 from ctr_nlp.exceptions import BenchmarkError
 
 BUSY = "while True: sum(range(10000))"
@@ -261,3 +264,19 @@ def test_without_a_compiler_nothing_is_measured(monkeypatch, capsys):
 
 def test_every_row_of_work_can_be_asked_for():
     assert {"step", "step-elastic", "horizon-5000", "program", "program-figures"} <= set(work.BENCHMARK_ROWS)
+
+
+def test_operations_are_those_of_the_instructions_without_repetitions():
+    x = ca.SX.sym("x", 2)
+    function = ca.Function("f", [x], [ca.vertcat(x[0] * x[1] + ca.sin(x[0]), x[0] * x[1])])
+    assert count_operations(function) == 2 + LIBRARY_FUNCTION_OPERATIONS
+
+
+def test_the_roof_of_a_shape_has_its_counted_calls():
+    roof = measure_roof()
+    # Vectors cover the hundred and one points of a shape, the last one in part.
+    assert roof.calls["points"] == -(-101 // vector_lanes())
+    assert 1 / vector_lanes() <= roof.calls["shape"] < 1.1 / vector_lanes()
+    assert roof.calls["motors_beside"] > 1
+    assert roof.operations > 1e5
+    assert 0 < roof.share < 1

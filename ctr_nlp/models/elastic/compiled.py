@@ -20,22 +20,26 @@ import numpy as np
 from ctr_nlp.codegen import cache
 from ctr_nlp.codegen.background import Library
 from ctr_nlp.codegen.c_structures import check_structure
-from ctr_nlp.codegen.vector import SHARED_INPUT_PREFIX, VECTOR_LANES
+from ctr_nlp.codegen.language import FULL_OPTIMISATION_PRAGMA, definitions
+from ctr_nlp.codegen.vector import ADJACENT_LANES_PREFIX, SHARED_INPUT_PREFIX
 from ctr_nlp.models.elastic import energy, shape, torsion
 from ctr_nlp.models.protocol import RestStates, combination, matrix_of, symbolic_tubes
 from ctr_nlp.robot.structure import TUBE_NUMBER_NAMES, Structure, Tubes
+from ctr_nlp.support.threads import map_in_threads, split_rows
 from ctr_nlp.typing import Array, Flags, Index
 
 MOST_TUBES = 8
 """Largest number of tubes that branch.c has room for."""
 ELASTIC_C_FILES = tuple(
-    f"c/{name}.c" for name in ("branch", "margin", "energy", "fall", "rest", "abreast", "shape")
+    f"c/{name}.c" for name in ("lanes", "branch", "margin", "energy", "fall", "abreast", "shape", "rest")
 )
 """The files of C, in the order in which they are compiled as one."""
 FUNCTIONS = "motors", "energy", "second", "shape", "points", "motors_beside"
-"""Functions that the struct Elastic of branch.c points to; the last two evaluate VECTOR_LANES arc lengths or
-robots in one call.
+"""Functions that the struct Elastic of branch.c points to; all but the first evaluate a vector of robots or arc
+lengths, in one call.
 """
+KERNEL_OPERATIONS = ca.OP_SIN, ca.OP_COS, ca.OP_SQRT
+"""Operations of whole vectors that the C files call."""
 
 MAX_ALIGNED_TURN_STEP_RAD = 1.0
 """Angle in rad that tubes are turned by in one step from the aligned robot."""
@@ -61,6 +65,10 @@ snaps in one step of a motion (MAX_FALLS_PER_STEP).
 """
 
 
+RESTS_PER_CALL = 4096
+"""Rows that one call of compiled code finds at rest: some 50 ms, after which Ctrl-C is noticed."""
+
+
 class StateStruct(ctypes.Structure):
     """An equilibrium: the struct State of branch.c."""
 
@@ -77,6 +85,10 @@ class StateStruct(ctypes.Structure):
     ]
 
 
+STATE_DTYPE = np.dtype(StateStruct)
+"""The struct as numpy's type, made once: numpy takes longer to derive it than C to follow a robot for a frame."""
+
+
 # Order and types of the fields must be those of the struct in C: nothing checks them, and a mismatch reads other
 # memory.
 class _Elastic(ctypes.Structure):
@@ -84,7 +96,7 @@ class _Elastic(ctypes.Structure):
 
     _fields_ = [
         *((name, ctypes.c_long) for name in ("d", "rows", "against", "vectors")),
-        *((name, ctypes.c_void_p) for name in ("first", "other")),
+        *((name, ctypes.c_void_p) for name in ("first", "other", "starts", "columns")),
         *((name, ctypes.c_void_p) for name in FUNCTIONS),
         *(
             (name, ctypes.c_double)
@@ -97,33 +109,40 @@ class _Elastic(ctypes.Structure):
 class CompiledElastic:
     """Solver in C of equilibria of one structure.
 
-    Any thread may call. numbers (T or 1, 8d): of the tubes, a row a robot.
+    Any thread may call. numbers (T or 1, 8d): of the tubes, a row a robot. lanes: numbers in a vector.
     """
 
     def __init__(self, structure: Structure, alone: Path, beside: Path) -> None:
         """Load the functions of a structure from their libraries.
 
         Raises OptionError where nothing can be compiled. alone: the library of functions for one robot; beside: of
-        those for VECTOR_LANES arc lengths or robots.
+        those for a vector of arc lengths or robots.
         """
+        self.lanes = cache.vector_lanes()
         made = symbolic(structure)
         libraries = [
             *([ctypes.CDLL(str(alone))] * len(made.scalar_functions)),
             *([ctypes.CDLL(str(beside))] * len(made.vector_functions)),
         ]
-        # The C files know no structure: one library serves all robots, through a struct of sizes and function
-        # pointers.
-        self._run = cache.load_c_files(__package__, *ELASTIC_C_FILES)
+        # The C files know no structure: one library serves all robots of so many tubes, through a struct of sizes
+        # and function pointers.
+        language = f"{FULL_OPTIMISATION_PRAGMA}#define TUBES(e) {structure.d}\n" + definitions(
+            KERNEL_OPERATIONS, self.lanes
+        )
+        self._run = cache.load_c_files(__package__, *ELASTIC_C_FILES, before=language)
         check_structure(self._run, "State", StateStruct)
         check_structure(self._run, "Elastic", _Elastic)
         couples = np.ascontiguousarray(made.of.couples, dtype=np.int64)
+        # By columns of the transpose: row by row, as C reads the entries of turns.
+        pattern = made.of.turns.T.sparsity()
+        places_of_turns = [np.array(each, dtype=np.int64) for each in (pattern.colind(), pattern.row())]
         addresses = (
             ctypes.cast(library[name], ctypes.c_void_p).value
             for library, name in zip(libraries, FUNCTIONS, strict=True)
         )
         # C has addresses only: without this reference Python would free what they point to.
-        self._keep = libraries, couples
-        places = *(each.ctypes.data for each in couples), *addresses
+        self._keep = libraries, couples, places_of_turns
+        places = *(each.ctypes.data for each in (*couples, *places_of_turns)), *addresses
         steps = (
             ELASTIC_NEWTON_TOLERANCE_RAD,
             INTERMEDIATE_NEWTON_TOLERANCE_RAD,
@@ -140,6 +159,11 @@ class CompiledElastic:
         self._reference = ctypes.byref(self._elastic)
         self.motors = ca.external("motors", str(alone))
 
+    @property
+    def parameters(self) -> ctypes.Structure:
+        """The struct Elastic: sizes, functions and tolerances of Newton's method."""
+        return self._elastic
+
     def walk(self, numbers: Array, state: StateStruct, goals: Array) -> Array:
         """Return equilibria (k, 2d + 2) at the first k of goals (T, 2d + 2), which the branch reaches.
 
@@ -151,18 +175,18 @@ class CompiledElastic:
         return x[: self._run.walk(self._reference, *given, ctypes.c_long(len(goals)), _address(x))]
 
     def walk_batch(self, numbers: Array, states: ctypes.Array[StateStruct], goals: Array) -> tuple[Array, Index]:
-        """Return equilibria (n, T, 2d + 2) of up to VECTOR_LANES robots at goals (n, T, 2d + 2).
+        """Return equilibria (n, T, 2d + 2) of up to `lanes` robots at goals (n, T, 2d + 2).
 
         A robot in each lane. numbers (n, 8d): of the tubes. The second result (n,) counts the goals that each
         reached in whole steps; states (n,) move that far.
         """
         count, places, size = goals.shape
         # Lanes without a robot of their own repeat the first ones; their results are dropped.
-        every = np.ascontiguousarray(numbers[np.arange(VECTOR_LANES) % count])
+        every = np.ascontiguousarray(numbers[np.arange(self.lanes) % count])
         goals, x, reached = (
             np.ascontiguousarray(goals),
             np.empty(goals.shape),
-            np.zeros(VECTOR_LANES, dtype=np.int64),
+            np.zeros(self.lanes, dtype=np.int64),
         )
         sizes = (ctypes.c_long(each) for each in (places * size, places))
         given = _address(every), states, ctypes.c_long(count), _address(goals), *sizes
@@ -222,20 +246,58 @@ class CompiledElastic:
         )
         return points, tips
 
-    def rest_states(self, numbers: Array, q: Array, sigma: Array) -> RestStates:
-        """Return the equilibria of one robot of numbers (1, 8d) at rest at each q (T, 2d + 2) without a history.
+    def rest_states(self, numbers: Array, q: Array, sigma: Array, threads: int = 1) -> RestStates:
+        """Return the equilibria at rest at each q (T, 2d + 2) without a history.
 
-        sigma (m,): where points are computed.
+        numbers (T or 1, 8d): of the tubes. sigma (m,): where points are computed. threads: number of threads that
+        share the rows.
         """
         q = np.ascontiguousarray(q, dtype=float)
         sigma = np.ascontiguousarray(sigma, dtype=float)
-        rows, n, m = *q.shape, len(sigma)
-        found = np.empty((rows, n + 4 + 3 * m))
-        at = _address(numbers), _address(q), ctypes.c_long(rows), _address(sigma), ctypes.c_long(m)
-        self._run.rests(self._reference, *at, _address(found))
-        # C writes for each row: the unknowns, the tip's direction (3), the margin, and the points.
-        points = found[:, n + 4 :].reshape(rows, m, 3)
-        return RestStates(found[:, :n], points, found[:, n : n + 3], found[:, n + 3])
+        rows, m = len(q), len(sigma)
+        x, tips, margins, points = (np.empty((rows, *size)) for size in (q.shape[1:], (3,), (), (m, 3)))
+
+        def find(part: slice) -> None:
+            """Write the results of some rows in place."""
+            own = numbers[part] if len(numbers) > 1 else numbers
+            step = ctypes.c_long(numbers.shape[1] if len(numbers) > 1 else 0)
+            at = _address(q[part]), ctypes.c_long(part.stop - part.start), _address(sigma), ctypes.c_long(m)
+            found = (_address(array[part]) for array in (x, tips, margins, points))
+            self._run.rests(self._reference, _address(own), step, *at, *found)
+
+        map_in_threads(find, split_rows(rows, RESTS_PER_CALL), threads)
+        return RestStates(x, points, tips, margins)
+
+    def count_calls(self, numbers: Array, q: Array) -> dict[str, int]:
+        """Count how often each generated function is called to find robots at rest at q (T, 2d + 2).
+
+        numbers (T or 1, 8d): of the tubes. A call evaluates `lanes` robots, or arc lengths in `points`, and one
+        robot in `motors`. Shapes have `lanes` points here.
+        """
+        kind = ctypes.CFUNCTYPE(ctypes.c_int, *[ctypes.c_void_p] * 4, ctypes.c_int)
+        counts = dict.fromkeys(FUNCTIONS, 0)
+        fields = {field[0]: getattr(self._elastic, field[0]) for field in _Elastic._fields_}
+
+        def count(name: str, function: Any) -> Any:
+            """Return a function for C that counts its calls and calls another."""
+
+            def call(*given: Any) -> int:
+                counts[name] += 1
+                return int(function(*given))
+
+            return kind(call)
+
+        # C has addresses only: the dict keeps what they point to.
+        kept = {name: count(name, kind(fields[name])) for name in FUNCTIONS}
+        addresses = {name: ctypes.cast(function, ctypes.c_void_p).value for name, function in kept.items()}
+        counting = _Elastic(**fields | addresses)
+        q, sigma = np.ascontiguousarray(q, dtype=float), np.linspace(0.0, 1.0, self.lanes)
+        sizes = q.shape[1:], (3,), (), (self.lanes, 3)
+        found = [np.empty((len(q), *size)) for size in sizes]
+        at = _address(q), ctypes.c_long(len(q)), _address(sigma), ctypes.c_long(self.lanes)
+        given = *_address_and_stride(numbers), *at, *map(_address, found)
+        self._run.rests(ctypes.byref(counting), *given)
+        return counts
 
 
 def _address(array: np.ndarray[Any, Any]) -> ctypes.c_void_p:
@@ -253,9 +315,10 @@ def _address_and_stride(numbers: Array) -> tuple[ctypes.c_void_p, ctypes.c_long]
 class Symbolic(NamedTuple):
     """Functions of a structure, in the order of FUNCTIONS, and the energy in symbols.
 
-    scalar_functions: for one robot; vector_functions: the last two, for VECTOR_LANES in one call. motors: (x,
+    scalar_functions: the first, for one robot; vector_functions: for a vector of them in one call. motors: (x,
     numbers (d, 8)) -> alpha and its derivatives over phi but the last. energy: -> strength, angles, turns, ends
-    and helix_angles of energy.Symbols, turns and ends transposed. second: -> second of energy.Symbols. shape: ->
+    and helix_angles of energy.Symbols, the entries of turns row by row, and ends transposed. second: -> second of
+    energy.Symbols. shape: ->
     vectors (3, n) and the direction of the tip. points: (arc length, vectors, extensions (d,), numbers) -> the
     point there (3,), mm.
     """
@@ -267,7 +330,7 @@ class Symbolic(NamedTuple):
     @property
     def vectors(self) -> int:
         """Number of vectors that a shape is the sum of."""
-        return int(self.vector_functions[0].size_in(1)[1])
+        return int(self.vector_functions[3].size_in(1)[1])
 
 
 @functools.lru_cache(maxsize=64)
@@ -294,18 +357,31 @@ def symbolic(structure: Structure) -> Symbolic:
     motors = [alpha, ca.densify(ca.jacobian(alpha, x[: d - 1]))]
     placing = [matrix_of(placed), ca.vertcat(*tip)]
     # Transposed, as CasADi writes by columns and C reads turns and ends row by row.
-    energies = [of.strength, of.angles, of.turns.T, of.ends.T, of.helix_angles]
-    made: list[list[Any]] = [motors, energies, [of.second], placing]
-    alone = [
-        ca.Function(name, [x, numbers], [ca.densify(value) for value in values])
-        for name, values in zip(FUNCTIONS, made, strict=False)
+    energies = [of.strength, of.angles, of.turns.T.nz[:], of.ends.T, of.helix_angles]
+    outputs: list[tuple[str, list[Any], str]] = [
+        # C takes the lanes of energies together, and those of shapes one after the other.
+        (FUNCTIONS[1], energies, ADJACENT_LANES_PREFIX),
+        (FUNCTIONS[2], [of.second], ADJACENT_LANES_PREFIX),
+        (FUNCTIONS[3], placing, ""),
     ]
-    given = s, ca.SX.sym("vectors", 3, len(placed)), ca.SX.sym("beta", d), numbers
+    given = ["x", "numbers"]
+    alone = ca.Function(FUNCTIONS[0], [x, numbers], motors)
+    abreast = [
+        ca.Function(
+            name,
+            [x, numbers],
+            [ca.densify(value) for value in values],
+            given,
+            [f"{prefix}{name}_{k}" for k in range(len(values))],
+        )
+        for name, values, prefix in outputs
+    ]
+    of_sample = s, ca.SX.sym("vectors", 3, len(placed)), ca.SX.sym("beta", d), numbers
     # As a function of given vectors: they are computed once a shape, points once a sample.
-    (point,) = ca.substitute([given[1] @ ca.vertcat(*travels)], [ca.vertcat(*beta)], [given[2]])
+    (point,) = ca.substitute([of_sample[1] @ ca.vertcat(*travels)], [ca.vertcat(*beta)], [of_sample[2]])
     names = "s", f"{SHARED_INPUT_PREFIX}vectors", f"{SHARED_INPUT_PREFIX}beta", f"{SHARED_INPUT_PREFIX}numbers"
-    points = ca.Function("points", given, [ca.densify(point)], names, ["point"])
-    return Symbolic(tuple(alone), (points, ca.Function(FUNCTIONS[-1], [x, numbers], motors)), of)
+    points = ca.Function(FUNCTIONS[4], of_sample, [ca.densify(point)], names, ["point"])
+    return Symbolic((alone,), (*abreast, points, ca.Function(FUNCTIONS[5], [x, numbers], motors)), of)
 
 
 def get_compiled_elastic(structure: Structure) -> CompiledElastic | None:
@@ -325,7 +401,7 @@ class _PendingCode:
         made = symbolic(self._structure)
         self._alone, self._beside = (
             Library("\n".join(each.serialize() for each in those), functools.partial(tuple, those), lanes)
-            for those, lanes in ((made.scalar_functions, 1), (made.vector_functions, VECTOR_LANES))
+            for those, lanes in ((made.scalar_functions, 1), (made.vector_functions, cache.vector_lanes()))
         )
         self._found: CompiledElastic | None = None
 

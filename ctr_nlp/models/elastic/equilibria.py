@@ -17,7 +17,6 @@ import numpy as np
 from scipy.linalg import lapack
 
 from ctr_nlp.codegen.batch_evaluator import BatchEvaluator
-from ctr_nlp.codegen.vector import VECTOR_LANES
 from ctr_nlp.models.elastic import compiled as compiled_code
 from ctr_nlp.models.elastic import energy, stability
 from ctr_nlp.models.elastic.compiled import (
@@ -34,7 +33,7 @@ from ctr_nlp.models.elastic.compiled import (
     symbolic,
 )
 from ctr_nlp.models.elastic.energy import Energy
-from ctr_nlp.robot.structure import Structure, tubes_of
+from ctr_nlp.robot.structure import Structure, TubeNumbers, tubes_of
 from ctr_nlp.typing import Array
 
 MIN_TURN_DENOMINATOR = 1e-300
@@ -68,10 +67,21 @@ class Equilibria:
     def __init__(self, structure: Structure, numbers: Array) -> None:
         """Prepare for tubes of numbers (d, 8), in the order of structure.TUBE_NUMBER_NAMES."""
         self._d = structure.d
-        self._tubes = tubes_of(structure, numbers.tolist())
+        self._by_tube = numbers
         self._numbers = numbers.ravel(order="F")[None]
         self._compiled = get_compiled_elastic(structure)
         self._structure = structure
+
+    @cached_property
+    def _tubes(self) -> tuple[TubeNumbers, ...]:
+        """The tubes of the robot."""
+        return tubes_of(self._structure, self._by_tube.tolist())
+
+    def margins(self, x: Array) -> Array:
+        """Return the stability margin (T,) at every x (T, 2d + 2); NaN where x is."""
+        if self._compiled is None:
+            return stability.margins(self._tubes, x)
+        return self._compiled.margins(self._numbers, x)
 
     @cached_property
     def _motors(self) -> BatchEvaluator:
@@ -250,7 +260,7 @@ class Equilibria:
 
     def _is_stable(self, state: EquilibriumState) -> bool:
         """Return whether a state is stable, by its margin."""
-        return bool(stability.margins(self._tubes, state.x[None])[0] > 0)
+        return bool(self.margins(state.x[None])[0] > 0)
 
     def _fall_off_branch(self, state: EquilibriumState, goal: Array) -> EquilibriumState | None:
         """Return the stable equilibrium that a robot snaps into where its branch ends on the way to goal, just
@@ -360,7 +370,7 @@ def _step_down(energy: Energy, motors: Array, a: Array, time: float) -> tuple[Ar
 def walk_robot_batch(
     structure: Structure, numbers: Array, goals: Array
 ) -> list[tuple[Array, EquilibriumState] | None]:
-    """Return equilibria of up to VECTOR_LANES robots of numbers (n, d, 8) along goals (n, T, 2d + 2).
+    """Return equilibria of up to vector_lanes() robots of numbers (n, d, 8) along goals (n, T, 2d + 2).
 
     structure: what the robots share. Each robot settles at its first goal and follows its branch in whole steps.
     Returns for each the equilibria (k, 2d + 2) at the goals that it reached, and the last state; None for one that
@@ -371,11 +381,11 @@ def walk_robot_batch(
     count = len(numbers)
     if code is None:
         return [None] * count
-    every = np.arange(VECTOR_LANES) % count
+    every = np.arange(code.lanes) % count
     flat = np.ascontiguousarray(numbers.swapaxes(1, 2)).reshape(count, -1)[every]
     states, settled = code.settle(flat, goals[every, 0])
     # A copy: walking changes the states in place.
-    begin = np.ctypeslib.as_array(states)["x"][:, : goals.shape[2]].copy()
+    begin = np.frombuffer(memoryview(states), compiled_code.STATE_DTYPE)["x"][:, : goals.shape[2]].copy()
     x, reached = code.walk_batch(flat, states, goals[:, 1:])
     known = [np.concatenate([begin[k : k + 1], x[k, :far]]) for k, far in enumerate(reached.tolist())]
     ends = [_from_struct(states[k], structure.d, goals[k, reached[k]]) for k in range(count)]

@@ -6,11 +6,11 @@ x are unknowns (rad, mm), q configurations (rad, mm), margins have no unit.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
-from ctr_nlp.codegen.vector import VECTOR_LANES
-from ctr_nlp.models.elastic import stability
-from ctr_nlp.models.elastic.compiled import get_compiled_elastic
+from ctr_nlp.codegen.cache import vector_lanes
 from ctr_nlp.models.elastic.equilibria import Equilibria, EquilibriumState, walk_robot_batch
 from ctr_nlp.models.protocol import (
     STABILITY_SUBSTEPS_PER_FRAME,
@@ -20,7 +20,7 @@ from ctr_nlp.models.protocol import (
     subdivide_motion,
 )
 from ctr_nlp.robot import Robot
-from ctr_nlp.robot.structure import TUBE_NUMBER_NAMES, Structure, tubes_of, tubes_of_batch
+from ctr_nlp.robot.structure import Structure
 from ctr_nlp.typing import Array
 
 MIN_ELASTIC_SNAP_JUMP_RAD = 0.1
@@ -36,26 +36,17 @@ def solve_rest_unknowns(robot: Robot, q: Array) -> Array:
     return np.full(len(q), np.nan) if state is None else state.x
 
 
-def solve_rest_batch(structure: Structure, numbers: Array, q: Array) -> tuple[Array, Array]:
-    """Return equilibria x (T, 2d + 2) at rest, of robots that differ in numbers (T, d, 8), and margins (T,).
+def solve_rest_batch(structure: Structure, numbers: Array, q: Array) -> Array:
+    """Return equilibria x (T, 2d + 2) at rest, of robots that differ in numbers (T or 1, d, 8), one by one.
 
     structure: what the robots share. q (T, 2d + 2): a configuration for each. NaN where none is found.
     """
     x = np.full(q.shape, np.nan)
-    code = get_compiled_elastic(structure)
-    known = np.flatnonzero(np.isfinite(q).all(axis=1))
-    if code is None:
-        for row in known:
-            state = Equilibria(structure, numbers[row]).find_rest_state(q[row])
+    for row, at in enumerate(q):
+        if np.isfinite(at).all():
+            state = Equilibria(structure, numbers[row if len(numbers) > 1 else 0]).find_rest_state(at)
             x[row] = np.nan if state is None else state.x
-    else:
-        # C takes numbers as CasADi does, by columns of (d, 8): number by number.
-        flat = np.ascontiguousarray(numbers.swapaxes(1, 2)[known]).reshape(
-            len(known), structure.d * len(TUBE_NUMBER_NAMES)
-        )
-        states, found = code.settle(flat, q[known])
-        x[known[found]] = np.ctypeslib.as_array(states)["x"][found, : q.shape[1]]
-    return x, stability.margins(tubes_of_batch(structure, numbers), x)
+    return x
 
 
 def follow(
@@ -77,17 +68,22 @@ def follow_robot_batch(
     """Return the equilibria of robots of numbers (n, d, 8), each at its own q at the sub-steps of a motion.
 
     structure: what the robots share. motion: which frames the M sub-steps belong to. places (n, M, 2d + 2): these
-    q. margins: whether stability margins are computed. Up to VECTOR_LANES robots are followed in one batch as far
-    as whole steps suffice, and continue one by one from there.
+    q. margins: whether stability margins are computed. As many robots as a vector has lanes are followed in one
+    batch as far as whole steps suffice, and continue one by one from there.
     """
     # In a batch only up to the first fresh start, since robots settle one by one.
-    found, (stop, *_) = list[EquilibriumPath](), [*np.flatnonzero(motion.fresh[1:]) + 1, len(motion.fresh)]
-    for first in range(0, len(numbers), VECTOR_LANES):
-        group = slice(first, first + VECTOR_LANES)
+    stop, *_ = [*np.flatnonzero(motion.fresh[1:]) + 1, len(motion.fresh)]
+    x, stable = np.full(places.shape, np.nan), np.full(places.shape[:2], np.nan)
+    snaps = [list[Snap]() for _ in numbers]
+    for first in range(0, len(numbers), vector_lanes()):
+        group = slice(first, first + vector_lanes())
         begun = walk_robot_batch(structure, numbers[group], places[group, :stop])
-        each = zip(numbers[group], places[group], begun, strict=True)
-        found += [follow_substeps(structure, own, motion, at, None, margins, known) for own, at, known in each]
-    return found
+        for k, known in enumerate(begun, first):
+            equilibria = Equilibria(structure, numbers[k])
+            _follow_places(equilibria, motion, places[k], None, known, x[k], snaps[k])
+            if margins:
+                stable[k] = equilibria.margins(x[k])
+    return _at_frames(motion, x, stable, snaps)
 
 
 def follow_substeps(
@@ -97,21 +93,38 @@ def follow_substeps(
     places: Array,
     x0: Array | None = None,
     margins: bool = True,
-    solved_start: tuple[Array, EquilibriumState] | None = None,
 ) -> EquilibriumPath:
     """Return the equilibria of a robot of numbers (d, 8) at its own q at the sub-steps of a motion.
 
     structure: kinds of its tubes. motion: which frames the M sub-steps belong to. places (M, 2d + 2): these q. x0:
     its equilibrium in the first frame, None to let it settle. margins: whether stability margins are computed.
-    solved_start: equilibria (k, 2d + 2) at the first sub-steps, k > 0, and the last state; None where none is
-    known.
     """
     equilibria = Equilibria(structure, numbers)
+    x = np.full(places.shape, np.nan)
+    snaps = list[Snap]()
+    _follow_places(equilibria, motion, places, x0, None, x, snaps)
+    stable = equilibria.margins(x) if margins else np.full(len(x), np.nan)
+    (found,) = _at_frames(motion, x[None], stable[None], [snaps])
+    return found
+
+
+def _follow_places(
+    equilibria: Equilibria,
+    motion: MotionSubsteps,
+    places: Array,
+    x0: Array | None,
+    solved_start: tuple[Array, EquilibriumState] | None,
+    x: Array,
+    snaps: list[Snap],
+) -> None:
+    """Write the equilibria at the sub-steps of a motion, places (M, 2d + 2), to x, and append to snaps.
+
+    x0: the equilibrium in the first frame, None to let the robot settle. solved_start: equilibria (k, 2d + 2) at
+    the first sub-steps, k > 0, and the last state; None where none is known.
+    """
     # The last sub-step of each sub-step's frame: a robot that failed settles again at a whole frame, not within
     # one.
     last = np.searchsorted(motion.frames, motion.frames, side="right") - 1
-    x = np.full(places.shape, np.nan)
-    snaps = list[Snap]()
     at = 0
     state = None
     if solved_start is not None:
@@ -129,10 +142,6 @@ def follow_substeps(
             after = last[min(at, len(last) - 1)] + 1
             at = len(last) if after == len(last) else last[after]
         state = None
-    stable = np.full(len(x), np.nan)
-    if margins:
-        stable = stability.margins(tubes_of(structure, numbers.tolist()), x)
-    return _at_frames(motion, x, stable, tuple(snaps))
 
 
 def _branches(
@@ -179,15 +188,23 @@ def _snap(frame: int, jump: Array) -> Snap:
     )
 
 
-def _at_frames(way: MotionSubsteps, x: Array, margins: Array, snaps: tuple[Snap, ...]) -> EquilibriumPath:
-    """Return equilibria and margins at frames, from x (M, 2d + 2) and margins (M,) at all sub-steps."""
+def _at_frames(
+    way: MotionSubsteps, x: Array, margins: Array, snaps: Sequence[Sequence[Snap]]
+) -> list[EquilibriumPath]:
+    """Return equilibria and margins at frames, from x (n, M, 2d + 2), margins (n, M) and snaps of n robots at all
+    sub-steps.
+    """
     ends = np.flatnonzero(np.diff(way.frames, append=-1))
-    at, between = np.full((2, way.total), np.nan)
-    here = np.full((way.total, x.shape[1]), np.nan)
-    here[way.frames[ends]], at[way.frames[ends]] = x[ends], margins[ends]
+    reached = way.frames[ends]
+    at, between = np.full((2, len(x), way.total), np.nan)
+    here = np.full((len(x), way.total, x.shape[2]), np.nan)
+    here[:, reached], at[:, reached] = x[:, ends], margins[:, ends]
     # np.fmin ignores NaN margins (not computed, or no equilibrium) at sub-steps between frames.
-    between[way.frames[ends]] = np.inf
-    np.fmin.at(between, way.frames, margins)
+    between[:, reached] = (
+        np.fmin.reduceat(margins, np.concatenate([[0], ends[:-1] + 1]), axis=1) if len(ends) else np.inf
+    )
     # A snap lies between two sub-steps, where no margin was looked at: there it was 0.
-    np.minimum.at(between, [snap.frame - 1 for snap in snaps], 0.0)
-    return EquilibriumPath(here, at, np.where(np.isfinite(at), between, np.nan), snaps)
+    for own, least in zip(snaps, between, strict=True):
+        np.fmin.at(least, [snap.frame - 1 for snap in own], 0.0)
+    between[~np.isfinite(at)] = np.nan
+    return [EquilibriumPath(here[k], at[k], between[k], tuple(own)) for k, own in enumerate(snaps)]

@@ -12,7 +12,12 @@ import numpy as np
 from ctr_nlp.models.dominant.shape import columns_of
 from ctr_nlp.models.elastic import shape, stability, torsion
 from ctr_nlp.models.elastic.compiled import get_compiled_elastic
-from ctr_nlp.models.elastic.following import follow, follow_robot_batch, solve_rest_unknowns
+from ctr_nlp.models.elastic.following import (
+    follow,
+    follow_robot_batch,
+    solve_rest_batch,
+    solve_rest_unknowns,
+)
 from ctr_nlp.models.elastic.walking import ElasticWalker
 from ctr_nlp.models.inner import Inner
 from ctr_nlp.models.protocol import (
@@ -54,6 +59,10 @@ class Elastic(Model):
         The first call begins to compile it in the background.
         """
         return get_compiled_elastic(structure) is not None
+
+    def batches_in_threads(self, structure: Structure) -> bool:
+        """Return whether threads may follow robots of a structure: compiled code shares nothing between calls."""
+        return self.fast(structure)
 
     def frame(
         self,
@@ -121,11 +130,25 @@ class Elastic(Model):
 
         sigma (m,): where points are computed.
         """
-        code = get_compiled_elastic(robot.structure)
-        if code is None:
-            return super().rest_states(robot, q, sigma)
-        # By columns of (d, 8), number by number, as CasADi and so C lay out a matrix.
-        return code.rest_states(robot.numbers.ravel(order="F")[None], q, sigma)
+        return self.rest_batch(robot.structure, robot.numbers[None], q, sigma)
+
+    def rest_batch(
+        self, structure: Structure, numbers: Array, q: Array, sigma: Array, threads: int = 1
+    ) -> RestStates:
+        """Return the equilibria at rest without a history, of robots that differ in numbers (T or 1, d, 8).
+
+        structure: what the robots share. q (T, 2d + 2): a configuration for each. sigma (m,): where points are
+        computed. threads: number of threads that share the rows, where code is compiled.
+        """
+        flat = _flatten_numbers(numbers)
+        code = get_compiled_elastic(structure)
+        if code is not None:
+            return code.rest_states(flat, q, sigma, threads)
+        x = solve_rest_batch(structure, numbers, q)
+        tubes = tubes_of_batch(structure, numbers)
+        ends = shape.backbone(tubes, columns_of(x), np.ones(1), np).tangents
+        points = _points(structure, numbers, x, sigma)
+        return RestStates(x, points, _stack_components(ends, len(x), 1)[:, 0], stability.margins(tubes, x))
 
     def tangents(self, robot: Robot, x: Array, sigma: Array) -> Array:
         """Return unit tangents (T, n, 3) of a robot at x (T, 2d + 2) and sigma (n,) or (T, n)."""
@@ -191,12 +214,17 @@ class Elastic(Model):
         return follow_robot_batch(structure, numbers, motion, q, margins)
 
 
+def _flatten_numbers(numbers: Array) -> Array:
+    """Return numbers (T, d, 8) as rows (T, 8d), number by number, as CasADi and so C lay out a matrix."""
+    return np.ascontiguousarray(numbers.swapaxes(1, 2)).reshape(len(numbers), -1)
+
+
 def _points(structure: Structure, numbers: Array, x: Array, sigma: Array) -> Array:
     """Return points (T, n, 3) in mm of robots of numbers (T or 1, d, 8) at x (T, 2d + 2) and sigma (n,) or
     (T, n).
     """
     if (code := get_compiled_elastic(structure)) is not None:
-        return code.shapes(numbers.swapaxes(1, 2).reshape(len(numbers), -1), x, sigma)[0]
+        return code.shapes(_flatten_numbers(numbers), x, sigma)[0]
     tubes = tubes_of_batch(structure, numbers)
     columns = columns_of(x)
     d = structure.d

@@ -74,7 +74,7 @@ def march(name: str, model: str = "dominant") -> TurnFunction:
     ]
 
 
-def _poses(robot: Any) -> Any:
+def random_poses(robot: Any) -> Any:
     """Sample configurations (BENCHMARK_BATCH_SIZE, 2d + 2) of a robot without tilt."""
     d = robot.d
     unit = np.random.default_rng(0).random((BENCHMARK_BATCH_SIZE, len(robot.lower)))
@@ -91,7 +91,7 @@ def shape(count: int) -> TurnFunction:
     from ctr_nlp.robot import table_i_robot
 
     robot = table_i_robot()
-    q = _poses(robot)
+    q = random_poses(robot)
     given = [q] if count == BENCHMARK_BATCH_SIZE else [q[k : k + count] for k in range(0, 10 * count, count)]
     return lambda timed: [timed(lambda one=one: simulate_motion(robot, one, "elastic")) / count for one in given]  # type: ignore[misc]
 
@@ -107,7 +107,7 @@ def rest() -> TurnFunction:
 
     robot = table_i_robot()
     elastic = model_named("elastic")
-    q = _poses(robot)
+    q = random_poses(robot)
     return lambda timed: [timed(lambda: elastic.rest_states(robot, q, SIGMA_GRID)) / BENCHMARK_BATCH_SIZE]
 
 

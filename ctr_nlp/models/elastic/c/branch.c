@@ -1,18 +1,17 @@
-/* Equilibria of the elastic model: Newton's method along a branch.
+/* Equilibria of the elastic model: Newton's method along a branch; lanes.c comes before this file.
 
    The model's equations are in the two functions, which are generated. Rows may differ in the numbers of their tubes. */
 
-#include <math.h>
-#include <string.h>
-
 typedef int (*Function)(const double **, double **, long long *, double *, int);
 
-/* d tubes of NUMBERS numbers each; motors: (x, numbers) -> alpha, slopes (d, d - 1) over phi, column by column. energy: (x, numbers) -> the
-   strengths and angles of rows, between the tubes `first` and `other`, and what unit twists of tubes against each other
-   turn these angles (rows, against) and tips (d, against) by, row by row, and what helices turn both by of themselves. second: (x, numbers) -> the energy's second
-   variation (against, against) for these twists.
-   shape: -> vectors (3, vectors) and the tip's direction; points: (arc lengths, vectors, extensions, numbers) -> the
-   points there, for LANES arc lengths at once. motors_beside: motors, of LANES robots at once.
+/* d tubes of NUMBERS numbers each; motors: (x, numbers) -> alpha, slopes (d, d - 1) over phi, column by column, of one
+   robot. The others are of LANES robots at once. motors_beside: motors. energy: (x, numbers) -> as vectors, the strengths
+   and angles of rows, between the tubes `first` and `other`, what unit twists of tubes against each other turn these
+   angles (rows, against) and tips (d, against) by, row by row, and what helices turn both by of themselves; of the first
+   of these those that are not always 0, at `columns`, which begin at `starts` (rows + 1) row by row. second:
+   (x, numbers) -> as vectors, the energy's second variation (against, against) for these twists. shape: -> vectors (3,
+   vectors) and the tips' directions; points: (arc lengths, vectors, extensions, numbers) -> the points there, for LANES
+   arc lengths of one robot.
 
    converged: the last step of Newton's method, near: on the way, rad; stray: how far an equilibrium may be from its
    prediction; leap: rad that tips may be predicted to turn against each other in a step, beyond their motors;
@@ -20,13 +19,13 @@ typedef int (*Function)(const double **, double **, long long *, double *, int);
    each other where a branch ends, and at most in a step of a fall; iterations: at most. */
 typedef struct {
     long d, rows, against, vectors;
-    const long *first, *other;
+    const long *first, *other, *starts, *columns;
     Function motors, energy, second, shape, points, motors_beside;
     double converged, near, stray, leap, smallest, stride, push, fall;
     long iterations;
 } Elastic;
 
-enum { MOST_TUBES = 8, NUMBERS = 8, SIDE = 2 * MOST_TUBES + 2, LANES = 8 };
+enum { MOST_TUBES = 8, NUMBERS = 8, SIDE = 2 * MOST_TUBES + 2 };
 
 /* An equilibrium x at q, with d alpha / d phi, column by column, and its determinant; stable: whether it is. */
 typedef struct {
@@ -35,7 +34,7 @@ typedef struct {
 } State;
 
 /* Solve slopes turn = turn in place; the determinant, 0 where they are singular. */
-static double solved_for(long d, const double *slopes, double *turn) {
+APART double solved_for(long d, const double *slopes, double *turn) {
     double a[MOST_TUBES * MOST_TUBES], found = 1;
     memcpy(a, slopes, d * d * sizeof *a);
     for (long k = 0; k < d; ++k) {
@@ -65,18 +64,24 @@ static double solved_for(long d, const double *slopes, double *turn) {
     return found;
 }
 
-static void motors(const Elastic *e, const double *x, const double *numbers, double *alpha, double *slopes) {
+static void motors_at(const Elastic *e, const double *x, const double *numbers, double *alpha, double *slopes) {
     const double *arg[] = {x, numbers};
     double *res[] = {alpha, slopes};
-    e->motors(arg, res, 0, 0, 0);
-    for (long i = 0; i < e->d; ++i) slopes[i + e->d * (e->d - 1)] = 1;
+    CALL(e, motors)(arg, res, 0, 0, 0);
+    for (long i = 0; i < TUBES(e); ++i) slopes[i + TUBES(e) * (TUBES(e) - 1)] = 1;
 }
 
 /* Take the slopes of one of LANES robots, which are without the last column. */
 static void take_slopes(const Elastic *e, const double *slopes, long lane, State *to) {
-    long d = e->d;
+    long d = TUBES(e);
     memcpy(to->slopes, slopes + d * (d - 1) * lane, d * (d - 1) * sizeof *slopes);
     for (long i = 0; i < d; ++i) to->slopes[i + d * (d - 1)] = 1;
+}
+
+static int equal(const double *a, const double *b, long n) {
+    long i = 0;
+    while (i < n && a[i] == b[i]) ++i;
+    return i == n;
 }
 
 static double largest(const double *a, long n) {
@@ -90,22 +95,22 @@ static double largest(const double *a, long n) {
    where it leads nowhere. */
 static double improved(const Elastic *e, const double *q, const double *alpha, State *to) {
     double turn[MOST_TUBES];
-    for (long i = 0; i < e->d; ++i) turn[i] = q[i] - alpha[i];
-    to->determinant = solved_for(e->d, to->slopes, turn);
-    double size = largest(turn, e->d);
+    for (long i = 0; i < TUBES(e); ++i) turn[i] = q[i] - alpha[i];
+    to->determinant = solved_for(TUBES(e), to->slopes, turn);
+    double size = largest(turn, TUBES(e));
     if (to->determinant == 0 || !(size < 1)) return HUGE_VAL;
-    for (long i = 0; i < e->d; ++i) to->x[i] += turn[i];
+    for (long i = 0; i < TUBES(e); ++i) to->x[i] += turn[i];
     return size;
 }
 
 /* Newton's method at q from to->x; whether it ends, with the last step below `converged`. */
-static int newton(const Elastic *e, const double *numbers, const double *q, State *to, double converged) {
-    long d = e->d;
+APART int newton(const Elastic *e, const double *numbers, const double *q, State *to, double converged) {
+    long d = TUBES(e);
     double size = 1, alpha[MOST_TUBES];
     memcpy(to->x + d, q + d, (d + 2) * sizeof *q);
     memcpy(to->q, q, (2 * d + 2) * sizeof *q);
     for (long k = 0; k < e->iterations && size >= converged && size <= 1; ++k) {
-        motors(e, to->x, numbers, alpha, to->slopes);
+        motors_at(e, to->x, numbers, alpha, to->slopes);
         size = improved(e, q, alpha, to);
     }
     return size < converged;
@@ -113,12 +118,12 @@ static int newton(const Elastic *e, const double *numbers, const double *q, Stat
 
 /* Where the tangent of a branch leads to at goal: x. */
 static void predicted(const Elastic *e, const double *numbers, const State *from, const double *goal, double *x) {
-    long d = e->d;
+    long d = TUBES(e);
     double turn[MOST_TUBES], slopes[MOST_TUBES * MOST_TUBES];
     memcpy(x, from->x, d * sizeof *x);
     memcpy(x + d, goal + d, (d + 2) * sizeof *x);
-    if (memcmp(goal + d, from->q + d, d * sizeof *x)) {
-        motors(e, x, numbers, turn, slopes);
+    if (!equal(goal + d, from->q + d, d)) {
+        motors_at(e, x, numbers, turn, slopes);
         for (long i = 0; i < d; ++i) turn[i] = goal[i] - turn[i];
     } else
         for (long i = 0; i < d; ++i) turn[i] = goal[i] - from->q[i];
@@ -130,9 +135,9 @@ static void predicted(const Elastic *e, const double *numbers, const State *from
    with their tangents, a ratio of their distance ahead. */
 static void extrapolated(const Elastic *e, const State *before, const State *from, double ratio, double *x) {
     double slow[MOST_TUBES], fast[MOST_TUBES], s = 1 + ratio;
-    for (long i = 0; i < e->d; ++i) slow[i] = fast[i] = from->q[i] - before->q[i];
-    if (solved_for(e->d, before->slopes, slow) == 0 || solved_for(e->d, from->slopes, fast) == 0) return;
-    for (long i = 0; i < e->d; ++i)
+    for (long i = 0; i < TUBES(e); ++i) slow[i] = fast[i] = from->q[i] - before->q[i];
+    if (solved_for(TUBES(e), before->slopes, slow) == 0 || solved_for(TUBES(e), from->slopes, fast) == 0) return;
+    for (long i = 0; i < TUBES(e); ++i)
         x[i] = from->x[i] + (from->x[i] - before->x[i]) * (3 - 2 * s) * s * s - (from->x[i] - before->x[i]) +
                s * (s - 1) * ((s - 1) * slow[i] + s * fast[i]);
 }
@@ -142,18 +147,18 @@ static double margin_at(const Elastic *e, const double *numbers, const double *x
 /* Whether tips may turn to where they are predicted, ahead, in one step. */
 static int near_enough(const Elastic *e, const State *from, const double *goal, const double *ahead) {
     double turn[MOST_TUBES], by_motors[MOST_TUBES];
-    for (long i = 0; i + 1 < e->d; ++i) {
+    for (long i = 0; i + 1 < TUBES(e); ++i) {
         turn[i] = ahead[i] - from->x[i];
-        by_motors[i] = (goal[i] - goal[e->d - 1]) - (from->q[i] - from->q[e->d - 1]);
+        by_motors[i] = (goal[i] - goal[TUBES(e) - 1]) - (from->q[i] - from->q[TUBES(e) - 1]);
     }
-    return largest(turn, e->d - 1) < e->leap + largest(by_motors, e->d - 1);
+    return largest(turn, TUBES(e) - 1) < e->leap + largest(by_motors, TUBES(e) - 1);
 }
 
 /* Whether an equilibrium is where it was predicted, ahead. */
 static int as_predicted(const Elastic *e, const double *ahead, const State *to) {
     double apart[MOST_TUBES];
-    for (long i = 0; i < e->d; ++i) apart[i] = ahead[i] - to->x[i];
-    return largest(apart, e->d) < e->stray;
+    for (long i = 0; i < TUBES(e); ++i) apart[i] = ahead[i] - to->x[i];
+    return largest(apart, TUBES(e)) < e->stray;
 }
 
 /* Whether no fold lies between two neighbouring equilibria of a branch. */
@@ -168,11 +173,11 @@ typedef struct {
 } Way;
 
 static void set_off(const Elastic *e, Way *way, const State *from, const double *goal, double most) {
-    long n = 2 * e->d + 2;
+    long n = 2 * TUBES(e) + 2;
     way->at = *from;
     memcpy(way->start, from->q, n * sizeof *goal);
     memcpy(way->goal, goal, n * sizeof *goal);
-    way->turns = !memcmp(goal + e->d, from->q + e->d, e->d * sizeof *goal);
+    way->turns = equal(goal + TUBES(e), from->q + TUBES(e), TUBES(e));
     way->done = way->last = 0, way->part = way->most = fmin(most, 1);
 }
 
@@ -181,7 +186,7 @@ static int at_end(const Way *way) { return way->done + way->part >= 1; }
 /* The place after the next part, and what is predicted there; whether that is near enough. */
 static int foreseen(const Elastic *e, const double *numbers, const Way *way, double *place, double *ahead) {
     double done = way->done + way->part;
-    for (long i = 0; i < 2 * e->d + 2; ++i)
+    for (long i = 0; i < 2 * TUBES(e) + 2; ++i)
         place[i] = at_end(way) ? way->goal[i] : way->start[i] + done * (way->goal[i] - way->start[i]);
     predicted(e, numbers, &way->at, place, ahead);
     if (way->turns && way->last > 0) extrapolated(e, &way->before, &way->at, way->part / way->last, ahead);
@@ -211,7 +216,7 @@ static int gone_on(Way *way, const State *to) {
 static int stepped(const Elastic *e, const double *numbers, const Way *way, State *to) {
     double place[SIDE], ahead[SIDE];
     if (!foreseen(e, numbers, way, place, ahead)) return 0;
-    memcpy(to->x, ahead, e->d * sizeof *ahead);
+    memcpy(to->x, ahead, TUBES(e) * sizeof *ahead);
     to->stable = way->at.stable;
     if (!newton(e, numbers, place, to, at_end(way) ? e->converged : e->near)) return 0;
     if (!as_predicted(e, ahead, to)) return 0;
@@ -221,7 +226,7 @@ static int stepped(const Elastic *e, const double *numbers, const Way *way, Stat
 }
 
 /* Follow a branch towards goal, in steps of at most `most` of the way; whether it goes so far. */
-static int along(const Elastic *e, const double *numbers, State *state, const double *goal, double most) {
+APART int along(const Elastic *e, const double *numbers, State *state, const double *goal, double most) {
     Way way;
     State to;
     int there = 0;
@@ -237,7 +242,7 @@ static int along(const Elastic *e, const double *numbers, State *state, const do
 
 /* Follow a branch through goals, one after the other, and write the equilibria; how many were reached. */
 long walk(const Elastic *e, const double *numbers, State *state, const double *goals, long count, double *x) {
-    long n = 2 * e->d + 2, k = 0;
+    long n = 2 * TUBES(e) + 2, k = 0;
     while (k < count && along(e, numbers, state, goals + k * n, 1)) memcpy(x + n * k++, state->x, n * sizeof *x);
     return k;
 }

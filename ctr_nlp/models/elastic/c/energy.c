@@ -1,85 +1,67 @@
-/* The elastic model's energy, its gradient and second variation; branch.c and margin.c come before this file. */
+/* The elastic model's energy, its gradient and second variation, of LANES robots at once; lanes.c and branch.c come
+   before this file. */
 
-#include <stdlib.h>
-
-#ifdef LIBMVEC
-__attribute__((simd("notinbranch"))) double sin(double);
-__attribute__((simd("notinbranch"))) double cos(double);
-#endif
-
-/* What processors take side by side. */
-typedef double Four __attribute__((vector_size(4 * sizeof(double)), aligned(sizeof(double)), may_alias));
-
-/* Of two vectors. */
-static inline double product(const double *a, const double *b, long n) {
-    Four sums = {0};
-    double rest = 0;
-    long i = 0;
-    for (; i + 4 <= n; i += 4) sums += *(const Four *)(a + i) * *(const Four *)(b + i);
-    for (; i < n; ++i) rest += a[i] * b[i];
-    return rest + sums[0] + sums[1] + sums[2] + sums[3];
-}
-
-static inline void added(double part, const double *restrict row, long n, double *restrict to) {
-    long i = 0;
-    for (; i + 4 <= n; i += 4) *(Four *)(to + i) += part * *(const Four *)(row + i);
-    for (; i < n; ++i) to[i] += part * row[i];
-}
-
-/* The energy at one beta, of a robot whose twists of tubes against each other are a (n,): |a|^2 / 2 less the strengths
-   times the cosines of angles, which a turns by turns (rows, n); tips are turned by ends (d, n). made (rows + d,): what helices turn rows and tips by of themselves. sines, cosines
-   (rows,), matrix (n, n) and work: room. */
+/* The energies of robots, each at one beta, whose twists of tubes against each other are a (n,): |a|^2 / 2 less the
+   strengths times the cosines of angles (rows,), which a turns by turns (rows, n), of which the entries are stored that
+   are not always 0; tips are turned by ends (d, n). made (rows + d,): what helices turn rows and tips by of
+   themselves. cosines (rows,): strengths times cosines of angles; matrix (n, n); work: room. */
 typedef struct {
     long n, rows;
-    double *strengths, *angles, *turns, *ends, *made, *sines, *cosines, *matrix, *work;
+    V *strengths, *angles, *turns, *ends, *made, *cosines, *matrix, *work;
 } Energy;
 
-static Energy energy_for(const Elastic *e) {
-    long rows = e->rows, n = e->against, work = n * n + 4 * n + 5 * rows, made = rows + e->d;
-    Energy of = {n, rows};
-    of.strengths = malloc((4 * rows + made + (rows + e->d) * n + n * n + work) * sizeof(double));
-    of.angles = of.strengths + rows, of.sines = of.angles + rows, of.cosines = of.sines + rows;
-    of.turns = of.cosines + rows, of.ends = of.turns + rows * n, of.matrix = of.ends + e->d * n;
-    of.work = of.matrix + n * n, of.made = of.work + work;
+/* Vectors that the parts of an Energy take. */
+#define ENERGY_ROOM(e)                                                                                              \
+    (9 * ROWS(e) + TURNS(e) + TUBES(e) * AGAINST(e) + TUBES(e) + 2 * AGAINST(e) * AGAINST(e) + 8 * AGAINST(e))
+
+static Energy energy_in(const Elastic *e, V *room) {
+    long rows = ROWS(e), n = AGAINST(e);
+    Energy of;
+    of.n = n, of.rows = rows;
+    of.strengths = room, of.angles = room + rows, of.cosines = of.angles + rows, of.turns = of.cosines + rows;
+    of.ends = of.turns + TURNS(e), of.made = of.ends + TUBES(e) * n, of.matrix = of.made + rows + TUBES(e);
+    of.work = of.matrix + n * n;
     return of;
 }
 
-/* The strengths and turns at the beta of x, and the angles there. */
+/* The strengths and turns at the beta of x (LANES, ..), and the angles there. */
 static void described(const Elastic *e, const double *numbers, const double *x, Energy *of) {
     const double *arg[] = {x, numbers};
-    double *res[] = {of->strengths, of->angles, of->turns, of->ends, of->made};
-    e->energy(arg, res, 0, 0, 0);
+    double *res[] = {(double *)of->strengths, (double *)of->angles, (double *)of->turns, (double *)of->ends,
+                     (double *)of->made};
+    CALL(e, energy)(arg, res, 0, 0, 0);
 }
 
 /* What rows are turned by, by the twists a. */
-static void turned(const Energy *of, const double *a, double *angles) {
-    for (long r = 0; r < of->rows; ++r) angles[r] = product(of->turns + of->n * r, a, of->n);
+APART void turned(const Elastic *e, const Energy *of, const V *a, V *angles) {
+    for (long r = 0; r < of->rows; ++r) {
+        V sum = all(0);
+        for (long k = STARTS(e)[r]; k < STARTS(e)[r + 1]; ++k) sum += of->turns[k] * a[COLUMNS(e)[k]];
+        angles[r] = sum;
+    }
 }
 
-/* The energy at twists a and angles, and its gradient. */
-static double energy_at(Energy *of, const double *a, const double *angles, double *gradient) {
-    memcpy(gradient, a, of->n * sizeof *a);
-#pragma omp simd
-    for (long r = 0; r < of->rows; ++r) of->sines[r] = of->strengths[r] * sin(angles[r]);
-#pragma omp simd
-    for (long r = 0; r < of->rows; ++r) of->cosines[r] = of->strengths[r] * cos(angles[r]);
-    double found = product(a, a, of->n) / 2;
+/* The energy at twists a and angles; its gradient too, unless that is 0. */
+APART V energy_at(const Elastic *e, Energy *of, const V *a, const V *angles, V *gradient) {
+    V found = product(a, a, of->n) / 2, cosine;
+    if (gradient) memcpy(gradient, a, of->n * sizeof *a);
     for (long r = 0; r < of->rows; ++r) {
-        added(of->sines[r], of->turns + of->n * r, of->n, gradient);
+        V pull = of->strengths[r] * sine_and_cosine(angles[r], &cosine);
+        of->cosines[r] = of->strengths[r] * cosine;
         found -= of->cosines[r];
+        for (long k = STARTS(e)[r]; gradient && k < STARTS(e)[r + 1]; ++k) gradient[COLUMNS(e)[k]] += pull * of->turns[k];
     }
     return found;
 }
 
-/* The second variation K + V, in which K is the identity, where the energy was evaluated last: from the diagonal on and some more. */
-static void bent(Energy *of) {
+/* The second variation K + V, in which K is the identity, where the energy was evaluated last: from the diagonal on. */
+APART void bent(const Elastic *e, Energy *of) {
     long n = of->n;
     memset(of->matrix, 0, n * n * sizeof *of->matrix);
-    for (long i = 0; i < n; ++i) of->matrix[i + n * i] = 1;
+    for (long i = 0; i < n; ++i) of->matrix[i + n * i] = all(1);
     for (long r = 0; r < of->rows; ++r)
-        for (long i = 0; i < n; ++i) {
-            const double *row = of->turns + n * r;
-            long from = i - i % 4;
-            added(of->cosines[r] * row[i], row + from, n - from, of->matrix + n * i + from);
+        for (long i = STARTS(e)[r]; i < STARTS(e)[r + 1]; ++i) {
+            V part = of->cosines[r] * of->turns[i], *row = of->matrix + n * COLUMNS(e)[i];
+            for (long j = i; j < STARTS(e)[r + 1]; ++j) row[COLUMNS(e)[j]] += part * of->turns[j];
         }
 }

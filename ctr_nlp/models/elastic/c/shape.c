@@ -1,43 +1,38 @@
-/* Shapes of the elastic model; the other files come before this one. */
+/* Shapes of the elastic model; lanes.c, branch.c and margin.c come before this file. */
 
-enum { CHUNK = 256 };
-
-/* Points (samples, 3) at sigma (samples,), mm, and the tip's direction (3,). */
-static void shape_at(const Elastic *e, const double *numbers, const double *x, const double *sigma, long samples,
-                     double *points, double *tip) {
-    double vectors[3 * e->vectors], s[LANES], found[3 * LANES];
-    const double *at[] = {x, numbers}, *arg[] = {s, vectors, x + e->d, numbers};
-    double *whole[] = {vectors, tip}, *res[] = {found};
-    e->shape(at, whole, 0, 0, 0);
-    for (long first = 0; first < samples; first += LANES) {
-        long here = samples - first < LANES ? samples - first : LANES;
-        for (long l = 0; l < LANES; ++l) s[l] = sigma[first + (l < here ? l : 0)] * x[2 * e->d - 1];
-        e->points(arg, res, 0, 0, 0);
-        memcpy(points + 3 * first, found, 3 * here * sizeof *found);
-    }
-}
-
-/* The same at every x, with steps in numbers and sigma from row to row. */
-void shapes(const Elastic *e, const double *numbers, long step, const double *x, long rows, const double *sigma,
-            long samples, long sigma_step, double *points, double *tips) {
-    for (long row = 0; row < rows; ++row, x += 2 * e->d + 2, numbers += step, sigma += sigma_step)
-        shape_at(e, numbers, x, sigma, samples, points + 3 * samples * row, tips + 3 * row);
-}
-
-/* Robots at rest at every q without a history: x, the tip's direction, the margin and points, row by row; NaN where no
-   equilibrium is found. */
-void rests(const Elastic *e, const double *numbers, const double *q, long rows, const double *sigma, long samples,
-           double *to) {
-    long n = 2 * e->d + 2, found[CHUNK], most = rows < CHUNK ? rows : CHUNK;
-    State *states = malloc(most * sizeof *states);
-    for (long first = 0; first < rows; first += most) {
-        long here = rows - first < most ? rows - first : most;
-        settle(e, numbers, 0, q + n * first, here, states, found);
-        for (long row = 0; row < here; ++row, to += n + 4 + 3 * samples) {
-            for (long i = 0; i < n; ++i) to[i] = found[row] ? states[row].x[i] : NAN;
-            shape_at(e, numbers, to, sigma, samples, to + n + 4, to + n);
-            to[n + 3] = margin_at(e, numbers, to);
+/* Points (rows, samples, 3) at sigma, mm, and the tips' directions (rows, 3), of up to LANES robots; steps in numbers and
+   sigma from row to row. */
+static void shapes_beside(const Elastic *e, const double *numbers, long step, const double *x, long rows,
+                          const double *sigma, long samples, long sigma_step, double *points, double *tips) {
+    long d = TUBES(e), n = 2 * d + 2;
+    double own[LANES * MOST_TUBES * NUMBERS], at[LANES * SIDE], found[3 * LANES], s[LANES], ends[3 * LANES];
+    RESERVE(vectors, 3 * VECTORS(e));
+    fill_lanes(numbers, step, d * NUMBERS, rows, own);
+    fill_lanes(x, n, n, rows, at);
+    const double *whole[] = {at, own};
+    double *res[] = {(double *)vectors, ends}, *one[] = {found};
+    CALL(e, shape)(whole, res, 0, 0, 0);
+    memcpy(tips, ends, 3 * rows * sizeof *tips);
+    for (long l = 0; l < rows; ++l, sigma += sigma_step, points += 3 * samples) {
+        const double *arg[] = {s, (const double *)vectors + 3 * VECTORS(e) * l, at + n * l + d, own + d * NUMBERS * l};
+        for (long first = 0; first < samples; first += LANES) {
+            long here = samples - first < LANES ? samples - first : LANES;
+            for (long k = 0; k < LANES; ++k) s[k] = sigma[first + (k < here ? k : 0)] * at[n * l + 2 * d - 1];
+            *one = here == LANES ? points + 3 * first : found;
+            CALL(e, points)(arg, one, 0, 0, 0);
+            if (here < LANES) memcpy(points + 3 * first, found, 3 * here * sizeof *found);
         }
     }
-    free(states);
+    RELEASE(vectors);
+}
+
+/* Points (rows, samples, 3) and tips (rows, 3) at every x, with steps in numbers and sigma from row to row. */
+void shapes(const Elastic *e, const double *numbers, long step, const double *x, long rows, const double *sigma,
+            long samples, long sigma_step, double *points, double *tips) {
+    for (long first = 0; first < rows; first += LANES) {
+        long here = rows - first < LANES ? rows - first : LANES;
+        shapes_beside(e, numbers + step * first, step, x + (2 * TUBES(e) + 2) * first, here,
+                      sigma + sigma_step * first, samples, sigma_step, points + 3 * samples * first,
+                      tips + 3 * first);
+    }
 }
