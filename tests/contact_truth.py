@@ -11,8 +11,8 @@ from ctr_nlp.loads.winkler_wall import TOE_DEPTH_MM
 
 def compressed(depth):
     """Push over stiffness at depths, mm: an integral of the stiffness, which grows along a smooth step."""
-    part = np.clip(depth / TOE_DEPTH_MM, 0, 1)
-    return TOE_DEPTH_MM * (part**3 - part**4 / 2) + np.maximum(depth - TOE_DEPTH_MM, 0)
+    part = np.clip(0.5 + depth / TOE_DEPTH_MM, 0, 1)
+    return TOE_DEPTH_MM * (part**3 - part**4 / 2) + np.maximum(depth - TOE_DEPTH_MM / 2, 0)
 
 
 class Cylinder:

@@ -68,24 +68,6 @@ class BatchEvaluator:
             else self._make_tape_call(self._tape)
         )
 
-    @classmethod
-    def from_python(
-        cls,
-        inputs: Sequence[tuple[int, int]],
-        outputs: Sequence[tuple[int, int]],
-        function: Callable[[list[Array], list[Array]], None],
-    ) -> BatchEvaluator:
-        """Return an evaluator of a function of Python, which is given all inputs and the outputs to write.
-
-        inputs, outputs: shapes of the arrays, all of them with a row a frame.
-        """
-        found = cls.__new__(cls)
-        found._tape = None
-        found.inputs, found.outputs = ([np.zeros(shape) for shape in each] for each in (inputs, outputs))
-        found._rows = ctypes.c_long(len(found.inputs[0]))
-        found._run = lambda: function(found.inputs, found.outputs)
-        return found
-
     @property
     def _arrays(self) -> tuple[list[Array], list[Array]]:
         return self.inputs, self.outputs
@@ -139,6 +121,23 @@ class BatchEvaluator:
             into,
             out,
         )
+
+
+class PythonBatchEvaluator(BatchEvaluator):
+    """A function of Python in the place of one of CasADi, evaluated for all frames."""
+
+    def __init__(
+        self,
+        inputs: Sequence[tuple[int, int]],
+        outputs: Sequence[tuple[int, int]],
+        function: Callable[[list[Array], list[Array]], None],
+    ) -> None:
+        """Allocate inputs and outputs of these shapes, a row a frame, which the function reads and writes."""
+        self._tape = None
+        self.inputs = [np.zeros(shape) for shape in inputs]
+        self.outputs = [np.zeros(shape) for shape in outputs]
+        self._rows = ctypes.c_long(len(self.inputs[0]))
+        self._run = lambda: function(self.inputs, self.outputs)
 
 
 def _address(array: Array) -> int:

@@ -231,6 +231,8 @@ def solve_on_wall(
     solution, replay = solve()
     for _ in range(MAX_ROUNDS):
         missing = np.maximum(least - np.nan_to_num(replay.margin_between, nan=0.0), 0.0)
+        # Beyond the first snap nothing is known, and nothing more can be asked for.
+        missing[np.cumsum(~replay.in_equilibrium) > 1] = 0.0
         strongest = float(np.nanmax(replay.place_between))
         if missing.max() <= MARGIN_SLACK and strongest <= limit:
             break

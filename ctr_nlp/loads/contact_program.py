@@ -17,7 +17,7 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
-from ctr_nlp.codegen.batch_evaluator import BatchEvaluator
+from ctr_nlp.codegen.batch_evaluator import BatchEvaluator, PythonBatchEvaluator
 from ctr_nlp.loads.contact_equilibria import ContactState
 from ctr_nlp.loads.contact_frames import (
     FORCE_EXCESS_COST_MM2_PER_N,
@@ -29,6 +29,7 @@ from ctr_nlp.loads.contact_frames import (
 )
 from ctr_nlp.ocp.chain import Chain
 from ctr_nlp.ocp.horizon import motion_links
+from ctr_nlp.ocp.joint import tip_step_limits
 from ctr_nlp.ocp.nlp import Constraint, Nlp
 from ctr_nlp.solvers.frame.adapter import FEASIBILITY_TOLERANCE
 from ctr_nlp.solvers.motion.banded import BandedSolver
@@ -77,9 +78,9 @@ class _Evaluators:
         x, none, weight, of_g = (count, n), (count, 0), (count, 1), (count, m)
         results = (count, 1), (count, n), of_g, (count, n * m), (count, n * n)
         self._batches = (
-            BatchEvaluator.from_python([x, none], [results[0], results[2]], self._values),
-            BatchEvaluator.from_python([x, none], [*results[:4]], self._slopes),
-            BatchEvaluator.from_python([x, none, weight, of_g], [*results], self._expand),
+            PythonBatchEvaluator([x, none], [results[0], results[2]], self._values),
+            PythonBatchEvaluator([x, none], [*results[:4]], self._slopes),
+            PythonBatchEvaluator([x, none, weight, of_g], [*results], self._expand),
         )
 
     def __getitem__(self, which: int) -> BatchEvaluator:
@@ -187,19 +188,21 @@ def contact_chain(frames: ContactFrames, limit: float, motion_weight: float) -> 
             Constraint("stability margin", any_function, np.zeros(1), np.full(1, np.inf)),
             Constraint("force at a place", ca.repmat(any_function, pieces, 1), -infinite, np.full(pieces, limit)),
         ),
-        picks=(*range(2 * d + 4, 3 * d + 3), *range(inner, 2 * d + 2)),
+        # Angles at the tip are picked along with q: links limit their steps, so that no frame is on another
+        # branch.
+        picks=(*range(2 * d + 4, 3 * d + 3), *range(inner, 2 * d + 2), *range(inner)),
         slacks=2,
     )
     low, high = (np.tile(bound, (count, 1)) for bound in frame.g_bounds)
     low[:, 2 * d - 2] = frames.margin
     return ContactChain(
         frame,
-        robot.axes,
-        robot.mm_per_unit,
+        (*robot.axes, *names[:inner]),
+        np.append(robot.mm_per_unit, robot.mm_per_unit[:inner]),
         np.zeros((0, count)),
         np.tile(frame.lower, (count, 1)),
         np.tile(frame.upper, (count, 1)),
-        motion_links(robot, count, problem.dt, motion_weight, [], [], np.zeros(0)),
+        motion_links(robot, count, problem.dt, motion_weight, [], [], tip_step_limits(robot, problem.dt)[:inner]),
         lambda: frame.functions,
         constraint_bounds=(low, high),
         on_wall=frames,

@@ -10,10 +10,11 @@ tangent, kappa its curvature vector and r' the growth of the lumen's radius alon
 
 The last one holds between the path's ends; beyond them c stays.
 
-Winkler's P(D) is max(0, D). Here its slope grows smoothly from 0 to 1 over a toe of h mm, as that of tissue does,
+Winkler's P(D) is max(0, D). Here its slope grows smoothly from 0 to 1 over a toe of h mm around depth 0,
 
-    P'(D) = 3 x^2 - 2 x^3,   P(D) = h (x^3 - x^4 / 2),   x = D / h in [0, 1],   and beyond   P(D) = D - h / 2.
+    P'(D) = 3 x^2 - 2 x^3,   P(D) = h (x^3 - x^4 / 2),   x = 1 / 2 + D / h in [0, 1],   and beyond   P(D) = D,
 
+so that forces are Winkler's from h / 2 on, and larger by at most 0.1 k h before, never smaller.
 With a corner at 0, shapes and forces would have corners as functions of q, stability margins jumps, and searches
 over q would end at these.
 """
@@ -35,8 +36,9 @@ MIN_PATH_STRETCH = 0.1
 
 
 TOE_DEPTH_MM = 1.0
-"""Depth over which the stiffness of a wall grows from 0, mm. Chosen by trial: with 0.1 mm searches over motions take
-several times as long to converge, since a robot's tip moves by tens of mm for a rad of its motors."""
+"""Depth over which the stiffness of a wall grows from 0, half of it before the surface, mm. Chosen by trial: with
+0.1 mm searches over motions take several times as long to converge, since a robot's tip moves by tens of mm for a
+rad of its motors. Surfaces that come from masks are known to 0.3 mm."""
 
 
 class WallPush(NamedTuple):
@@ -58,7 +60,7 @@ class WinklerWall:
     """A wall that gives.
 
     stiffness: k, N/mm for every mm of depth and every mm of length along the robot. toe: depth h over which it
-    grows from 0, mm.
+    grows from 0, half of it before the surface, mm.
     """
 
     geometry: WallGeometry
@@ -87,9 +89,9 @@ class WinklerWall:
 
 
 def _compress(depth: Array, toe: float) -> tuple[Array, Array]:
-    """Return P, mm, and its slope at depths (..,), mm, negative where nothing touches; toe: h, mm."""
-    part = np.clip(depth / toe, 0.0, 1.0)
-    beyond = np.maximum(depth - toe, 0.0)
+    """Return P, mm, and its slope at depths (..,), mm, negative outside of the wall; toe: h, mm."""
+    part = np.clip(0.5 + depth / toe, 0.0, 1.0)
+    beyond = np.maximum(depth - toe / 2, 0.0)
     return toe * part**3 * (1 - part / 2) + beyond, part**2 * (3 - 2 * part)
 
 

@@ -165,16 +165,19 @@ def test_slopes_of_margins_are_those_of_equilibria_nearby():
         assert found[column] == pytest.approx((ahead - behind) / 2e-3, abs=1e-3 * max(0.1, abs(found).max()))
 
 
-def test_the_wall_gets_stiff_over_its_toe():
-    """Its stiffness is that of a straight foundation beyond the toe, and half of the toe is lost in depth."""
+def test_the_wall_gets_stiff_around_its_surface():
+    """Beyond half of the toe it is a straight foundation; nowhere is it softer than that."""
     radius, stiffness, toe = 4.0, 0.05, 0.4
     wall = WinklerWall(lumen_along([0, 0, 0], [0, 0, 1.0], radius), stiffness, toe)
-    depth = np.array([-0.1, 0.0, 0.1, 0.2, 0.4, 0.7])
+    depth = np.array([-0.2, -0.1, 0.0, 0.1, 0.2, 0.7])
     points = np.column_stack([radius - 1.0 + depth, 0 * depth, 0 * depth + 50.0])
     push = wall.push(points, np.ones(6))
-    expected = [0.0, 0.0, 0.4 * (0.25**3 - 0.25**4 / 2), 0.4 * (0.5**3 - 0.5**4 / 2), 0.2, 0.5]
-    np.testing.assert_allclose(-push.push[:, 0], stiffness * np.array(expected), atol=1e-9)
-    np.testing.assert_allclose(-push.slope[[0, 1, 4, 5], 0, 0], [0, 0, stiffness, stiffness], atol=1e-9)
+    expected = [0.0, 0.4 * (0.25**3 - 0.25**4 / 2), 0.4 * (0.5**3 - 0.5**4 / 2)]
+    np.testing.assert_allclose(
+        -push.push[[0, 1, 2, 4, 5], 0], stiffness * np.array([*expected, 0.2, 0.7]), atol=1e-9
+    )
+    assert (-push.push[:, 0] >= stiffness * depth - 1e-12).all()
+    np.testing.assert_allclose(-push.slope[[0, 4, 5], 0, 0], [0, stiffness, stiffness], atol=1e-9)
 
 
 def column_on_a_foundation(length, force, stiffness, count=100):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from contact_truth import compressed
 from loaded_plans import TWO
 from scipy.integrate import solve_bvp
 
@@ -52,7 +53,7 @@ def rod(robot, beta, lumen_radius, stiffness):
 
     def push(x, radius):
         over = radius - lumen_radius
-        return -stiffness * np.sign(x) * (np.maximum(over + abs(x), 0) - np.maximum(over - abs(x), 0))
+        return -stiffness * np.sign(x) * (compressed(over + abs(x)) - compressed(over - abs(x)))
 
     def slopes(t, y):
         found = []
