@@ -49,7 +49,9 @@ from ctr_nlp.typing import Array, Flags
 PLANNED_FORCE_FRACTION = 0.85
 """Fraction of the allowed force that planning aims at: penalties yield a little, and so do sub-steps between
 frames."""
-MAX_ROUNDS = 3
+MARGIN_ADDED_AT_SNAP = 0.3
+"""Stability margin that the two frames between which the robot snaps are asked for in addition."""
+MAX_ROUNDS = 5
 """Most times that a motion is solved again where it fails between frames, with more margin or a lower limit of
 forces."""
 
@@ -231,8 +233,10 @@ def solve_on_wall(
     solution, replay = solve()
     for _ in range(MAX_ROUNDS):
         missing = np.maximum(least - np.nan_to_num(replay.margin_between, nan=0.0), 0.0)
-        # Beyond the first snap nothing is known, and nothing more can be asked for.
-        missing[np.cumsum(~replay.in_equilibrium) > 1] = 0.0
+        # Beyond the first snap nothing is known, and nothing more can be asked for. There the branch turns far.
+        lost = np.cumsum(~replay.in_equilibrium)
+        missing[lost == 1] = MARGIN_ADDED_AT_SNAP
+        missing[lost > 1] = 0.0
         strongest = float(np.nanmax(replay.place_between))
         if missing.max() <= MARGIN_SLACK and strongest <= limit:
             break
