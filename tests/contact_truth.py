@@ -6,6 +6,13 @@ import numpy as np
 from scipy.integrate import solve_bvp
 
 from ctr_nlp import Robot
+from ctr_nlp.loads.winkler_wall import TOE_DEPTH_MM
+
+
+def compressed(depth):
+    """Push over stiffness at depths, mm: an integral of the stiffness, which grows along a smooth step."""
+    part = np.clip(0.5 + depth / TOE_DEPTH_MM, 0, 1)
+    return TOE_DEPTH_MM * (part**3 - part**4 / 2) + np.maximum(depth - TOE_DEPTH_MM / 2, 0)
 
 
 class Cylinder:
@@ -25,7 +32,7 @@ class Cylinder:
     def _push(self, away, tube_radius):
         distance = np.maximum(np.linalg.norm(away, axis=0), 1e-12)
         over = tube_radius - self.radius
-        amount = np.maximum(over + distance, 0) - np.maximum(over - distance, 0)
+        amount = compressed(over + distance) - compressed(over - distance)
         return -self.stiffness * amount * away / distance
 
 

@@ -8,7 +8,7 @@ memory as a row-major array (T, entries).
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import casadi as ca
 import numpy as np
@@ -121,6 +121,23 @@ class BatchEvaluator:
             into,
             out,
         )
+
+
+class PythonBatchEvaluator(BatchEvaluator):
+    """A function of Python in the place of one of CasADi, evaluated for all frames."""
+
+    def __init__(
+        self,
+        inputs: Sequence[tuple[int, int]],
+        outputs: Sequence[tuple[int, int]],
+        function: Callable[[list[Array], list[Array]], None],
+    ) -> None:
+        """Allocate inputs and outputs of these shapes, a row a frame, which the function reads and writes."""
+        self._tape = None
+        self.inputs = [np.zeros(shape) for shape in inputs]
+        self.outputs = [np.zeros(shape) for shape in outputs]
+        self._rows = ctypes.c_long(len(self.inputs[0]))
+        self._run = lambda: function(self.inputs, self.outputs)
 
 
 def _address(array: Array) -> int:

@@ -37,7 +37,7 @@ from ctr_nlp.models.elastic.compiled import (
 from ctr_nlp.models.loaded.compiled import RodBases
 from ctr_nlp.models.loaded.equilibria import MAX_LOADED_NEWTON_TURN_RAD, LoadedEquilibria, States
 from ctr_nlp.models.loaded.rod_loads import RodKind
-from ctr_nlp.models.loaded.stability import margins
+from ctr_nlp.models.loaded.stability import MAX_COMPUTED_MARGIN, margin_determinants, margins
 from ctr_nlp.models.loaded.tips import turn_tips
 from ctr_nlp.models.loads import Load, LoadOverTime
 from ctr_nlp.paths.lumen import outermost_tube_radii
@@ -65,6 +65,10 @@ TIP_PROBE_RAD, PUSH_PROBE_N_PER_MM, EXTENSION_PROBE_MM = 1e-6, 1e-5, 1e-5
 """Changes of tip, forces and extensions for forward differences."""
 EMPTY_PIECE_MM = 1e-9
 """Length below which a piece counts as empty, mm."""
+SETTLED_PUSH_N_PER_MM = 1e-9
+"""Largest last Newton step of the pushes at given coordinates, N/mm."""
+MARGIN_PROBE = 1e-6
+"""Change of a coordinate, rad or mm, and of a margin, for the slopes of margins."""
 TIP_SCALE_MM_PER_RAD, FORCE_SCALE_MM_PER_N = 50.0, 1.0
 """Scales of tip and forces in the size of a Newton step: about the lengths by which they move a robot."""
 MIN_WALL_SHARE_STEP = 2.0**-10
@@ -88,31 +92,35 @@ class ContactState(NamedTuple):
 
 
 class ContactSlopes(NamedTuple):
-    """Shape and forces of an equilibrium, with their derivatives by q.
+    """Shape and forces of an equilibrium, with their derivatives by coordinates y (tip_coordinates).
 
-    points (n, 3), mm, and points_by_q (n, 3, 2d + 2). force (K,): of the wall on each piece, N, and force_by_q (K,
-    2d + 2). along, lengths (K,): middles and lengths of the pieces, mm. near: pieces whose forces are unknowns.
-    unknowns_by_q (n, 2d + 2): derivatives of the tip's changes and of these forces.
+    points (n, 3), mm, and points_by (n, 3, 2d + 2). force (K,): of the wall on each piece, N, and force_by (K, 2d
+    + 2). force_at_places (K,): sum of the forces' sizes on PLACE_LENGTH_MM around the middle of each piece, N, and
+    places_by (K, 2d + 2). q_by (2d + 2, 2d + 2): of the configuration. near: pieces whose forces are unknowns.
+    unknowns_by (n, 2d + 2): derivatives of the tip's changes and of these forces.
     """
 
     points: Array
-    points_by_q: Array
+    points_by: Array
     force: Array
-    force_by_q: Array
-    along: Array
-    lengths: Array
+    force_by: Array
+    force_at_places: Array
+    places_by: Array
+    q_by: Array
     near: Index
-    unknowns_by_q: Array
+    unknowns_by: Array
 
-    @property
-    def place_matrix(self) -> Array:
-        """Matrix (K, K) from forces on pieces to those at places."""
-        return place_matrix(self.along, self.lengths)
 
-    @property
-    def force_at_places(self) -> Array:
-        """Sum of the forces' sizes on PLACE_LENGTH_MM around the middle of each piece, (K,) N."""
-        return np.asarray(self.place_matrix @ self.force)
+class PieceForces(NamedTuple):
+    """The wall's forces on K pieces of a robot.
+
+    along (K,): middles of the pieces, mm. force (K,): on each, N. at_places (K,): sums on PLACE_LENGTH_MM around
+    these middles, N.
+    """
+
+    along: Array
+    force: Array
+    at_places: Array
 
 
 class _Rods(NamedTuple):
@@ -123,12 +131,12 @@ class _Rods(NamedTuple):
     lengths: Array
 
 
-class _System(NamedTuple):
-    """The equations near a state.
+class _Systems(NamedTuple):
+    """The equations near N states.
 
-    residual (n,), jacobian (n, n): F and dF/dz. by_beta (n, d): dF/dbeta. near: pieces whose forces are unknowns.
-    rods: of the state itself, of each changed unknown, and of each changed extension; probes (d,): these changes,
-    mm.
+    residual (N, n), jacobian (N, n, n): F and dF/dz. by_beta (N, n, d): dF/dbeta. near: pieces whose forces are
+    unknowns. rods: for each state, that of the state itself, of each changed unknown, and of each changed
+    extension; probes (N, d): these changes, mm.
     """
 
     residual: Array
@@ -216,18 +224,46 @@ class ContactEquilibria:
                 state, done, step = found, ahead, 2 * step
         return state, done
 
+    def follow_motion(self, q: Array, loads: Array) -> list[ContactState]:
+        """Return the equilibria along a motion q (M, 2d + 2) under loads (M, 17 + 3d), as far as its branch leads.
+
+        The first is reached without a history; none where that fails.
+        """
+        states = list[ContactState]()
+        for place, load in zip(q, loads, strict=True):
+            if not states:
+                first = self.place(place, load)
+                if first is None:
+                    break
+                states.append(first)
+                continue
+            there, done = self.follow(states[-1], place, load)
+            if done < 1:
+                break
+            states.append(there)
+        return states
+
     def shape(self, state: ContactState, sigma: Array) -> Array:
         """Return points (n, 3), mm, of a state at sigma (n,), parts of the robot's length."""
-        return self._points(self._rods(state), sigma)[0]
+        return self._points(self._rods([state]), sigma)[0]
 
     def contact(self, state: ContactState) -> WallPush:
         """Return what the wall does to a state at the sample points (K, 5) of its pieces."""
-        return self._contact(self._rods(state))
+        found = self._contacts(self._rods([state]))
+        return WallPush(found.beyond[0], found.push[0], found.slope[0], found.narrow[0])
+
+    def forces(self, state: ContactState) -> PieceForces:
+        """Return the wall's forces on the pieces of a state."""
+        along, lengths = (
+            each[0] for each in piece_positions(self.robot, self.kind, self.robot.split(state.q[None])[1])
+        )
+        force = np.linalg.norm(state.pushes[:, 0], axis=1) * lengths
+        return PieceForces(along, force, place_matrix(along, lengths) @ force)
 
     def force_mismatch(self, state: ContactState) -> float:
         """Return the sum over pieces of the difference between force and push, N."""
-        rods = self._rods(state)
-        return self._mismatch(state, rods, self._contact(rods), 1.0)
+        rods = self._rods([state])
+        return self._mismatch(state, rods, self._contacts(rods), 1.0)
 
     def margins(self, states: Sequence[ContactState], bending: bool = False) -> Array:
         """Return the stability margins (T,) of equilibria, where the wall's forces change as the robot moves.
@@ -238,66 +274,199 @@ class ContactEquilibria:
         """
         if not self.load.conservative:
             return np.full(len(states), np.nan)
-        rows = [self._founded_row(state) for state in states]
-        numbers = np.repeat(self.robot.numbers[None], len(states), axis=0)
-        unknown = States.unknown_states(numbers, np.stack([state.q for state in states]), np.stack(rows))
-        placed = unknown._replace(
-            angles=np.stack([state.angles for state in states]), axes=np.stack([state.axes for state in states])
-        )
-        return margins(self._foundation_rods, placed, bending)
+        return margins(self._foundation_rods, self._founded_states(states), bending)
+
+    def margin_slopes(
+        self, states: Sequence[ContactState], slopes: Sequence[ContactSlopes], margins: Array
+    ) -> Array:
+        """Return the derivatives (T, 2d + 2) of stability margins (T,) by y; 0 where a margin counts as 1.
+
+        slopes: of the states.
+        """
+        n = len(states[0].q)
+        d = self.robot.d
+        steps = np.full((len(states), n), MARGIN_PROBE)
+        steps[:, d : 2 * d] *= np.sign(_extension_probes(np.stack([state.q[d : 2 * d] for state in states])))
+        near = [
+            self.predict(state, slope, step)
+            for state, slope, own in zip(states, slopes, steps, strict=True)
+            for step in (*np.diag(own), np.zeros(n), np.zeros(n))
+        ]
+        at = np.repeat(margins[:, None], n + 2, axis=1)
+        at[:, n + 1] += MARGIN_PROBE
+        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+            found = margin_determinants(self._foundation_rods, self._founded_states(near), at.ravel())
+            found = found.reshape(at.shape)
+            by_margin = (found[:, n + 1] - found[:, n]) / MARGIN_PROBE
+            by_q = -(found[:, :n] - found[:, n, None]) / steps / by_margin[:, None]
+        return np.where((margins < MAX_COMPUTED_MARGIN)[:, None], by_q, 0.0)
 
     @cached_property
     def _foundation_rods(self) -> LoadedEquilibria:
         """Rods whose responses contain the wall's stiffness."""
         return LoadedEquilibria(self.robot.structure, self.kind._replace(founded=True))
 
-    def _founded_row(self, state: ContactState) -> Array:
-        """Return the load numbers of a state with the wall's stiffness on every piece."""
-        slope = np.einsum("m,kmij->kij", CONTACT_PIECE_WEIGHTS, self.contact(state).slope)
+    def _founded_states(self, states: Sequence[ContactState]) -> States:
+        """Return states whose load numbers have the wall's stiffness on every piece."""
+        rods = self._rods(states)
+        slope = np.einsum("m,tkmij->tkij", CONTACT_PIECE_WEIGHTS, self._contacts(rods).slope)
         # An energy has a symmetric second derivative; a lumen that tapers presses towards its path all the same.
-        slope = (slope + np.swapaxes(slope, 1, 2)) / 2
-        pieces = len(slope)
-        forces = np.hstack([state.pushes.reshape(pieces, 6), slope.reshape(pieces, 9)])
-        return np.concatenate([state.load, forces.ravel()])
-
-    def slopes(self, state: ContactState, sigma: Array) -> ContactSlopes:
-        """Return shape at sigma (n,) and forces of an equilibrium, with their derivatives by q."""
-        d = self.robot.d
-        system = self._system(state, self.contact(state), 1.0)
-        count = len(system.residual)
-        residual_by_q = np.zeros((count, 2 * d + 2))
-        residual_by_q[:, d : 2 * d] = system.by_beta
-        # Motors and tilt change the misfit alone, and that without another integration of the rod.
-        base = _pick(system.rods.ends, slice(0, 1))
-        here = self.equilibria.misfit(state.q[None], base)[0]
-        for column in (*range(d), 2 * d, 2 * d + 1):
-            q = state.q.copy()
-            q[column] += TIP_PROBE_RAD
-            residual_by_q[: d + 2, column] = (self.equilibria.misfit(q[None], base)[0] - here) / TIP_PROBE_RAD
-        z_by_q = -np.linalg.solve(system.jacobian, residual_by_q)
-        points = self._points(system.rods, sigma)
-        by_z, by_beta = self._differences(points, system.probes)
-        points_by_q = np.tensordot(by_z, z_by_q, axes=(0, 0))
-        points_by_q[..., d : 2 * d] += np.moveaxis(by_beta, 0, -1)
-        lengths = system.rods.lengths
-        means = state.pushes[:, 0]
-        size = np.linalg.norm(means, axis=1)
-        force_by_q = np.zeros((len(size), 2 * d + 2))
-        towards = means[system.near] / np.maximum(size[system.near], np.finfo(float).tiny)[:, None]
-        by_piece = z_by_q[d + 2 :].reshape(-1, 2, 3, 2 * d + 2)[:, 0]
-        force_by_q[system.near] = lengths[0, system.near, None] * np.einsum("kc,kcq->kq", towards, by_piece)
-        # Pieces grow with the extensions.
-        force_by_q[:, d : 2 * d] += size[:, None] * self._differences(lengths, system.probes)[1].T
-        along = np.cumsum(lengths[0]) - lengths[0] / 2
-        force = np.asarray(size * lengths[0])
-        return ContactSlopes(
-            points[0], points_by_q, force, force_by_q, along, lengths[0], system.near, np.asarray(z_by_q)
+        slope = (slope + np.swapaxes(slope, 2, 3)) / 2
+        count, pieces = slope.shape[:2]
+        pushes = np.stack([state.pushes for state in states])
+        forces = np.concatenate([pushes.reshape(count, pieces, 6), slope.reshape(count, pieces, 9)], axis=2)
+        load = np.hstack([np.stack([state.load for state in states]), forces.reshape(count, -1)])
+        numbers = np.repeat(self.robot.numbers[None], count, axis=0)
+        unknown = States.unknown_states(numbers, np.stack([state.q for state in states]), load)
+        return unknown._replace(
+            angles=np.stack([state.angles for state in states]), axes=np.stack([state.axes for state in states])
         )
 
+    def tip_coordinates(self, state: ContactState) -> Array:
+        """Return coordinates y (2d + 2,) of an equilibrium: q, but for d - 1 angles of tubes at the tip.
+
+        They are the angles of tubes 1 .. d - 1 against the innermost one, rad, and take the place of their motors'
+        angles. Where a robot is about to snap, its tip turns like the square root of its motors; over y everything
+        is smooth.
+        """
+        d = self.robot.d
+        y = state.q.copy()
+        y[: d - 1] = state.angles[:-1] - state.angles[-1]
+        return y
+
+    def slopes(self, states: Sequence[ContactState], sigma: Array) -> list[ContactSlopes]:
+        """Return shapes at sigma (n,) and forces of equilibria near each other, with their derivatives by y."""
+        d = self.robot.d
+        count = len(states)
+        systems = self._systems(states, self._contacts(self._rods(states)), 1.0)
+        rows = len(systems.rods.beta) // count
+        by_q = self._residual_by_q(states, systems)
+        unknowns_by, q_by = self._solve_for(systems, by_q, _known_columns(systems, by_q, d))
+        points = self._points(systems.rods, sigma)
+        by_z, by_beta = self._differences(points, systems.probes)
+        points_by = np.einsum("tznc,tzy->tncy", by_z, unknowns_by, optimize=True)
+        points_by[..., d : 2 * d] += np.moveaxis(by_beta, 1, -1)
+        lengths = systems.rods.lengths.reshape(count, rows, -1)
+        found = []
+        for k, state in enumerate(states):
+            force, force_by = self._force_slopes(
+                state, lengths[k], unknowns_by[k], systems.near, systems.probes[k]
+            )
+            along = np.cumsum(lengths[k], axis=1) - lengths[k] / 2
+            at_places = place_matrix(along[0], lengths[k, 0])
+            places_by = at_places @ force_by
+            for i in range(d):
+                # Pieces move along the robot with the extensions, and so do the parts of them at a place.
+                moved = place_matrix(along[rows - d + i], lengths[k, rows - d + i])
+                places_by[:, d + i] += (moved - at_places) @ force / systems.probes[k, i]
+            found.append(
+                ContactSlopes(
+                    points=points[k * rows],
+                    points_by=points_by[k],
+                    force=force,
+                    force_by=force_by,
+                    force_at_places=at_places @ force,
+                    places_by=places_by,
+                    q_by=q_by[k],
+                    near=systems.near,
+                    unknowns_by=unknowns_by[k],
+                )
+            )
+        return found
+
+    def _residual_by_q(self, states: Sequence[ContactState], systems: _Systems) -> Array:
+        """Return dF/dq (N, n, 2d + 2) of systems near states."""
+        d = self.robot.d
+        count = len(states)
+        found = np.zeros((count, systems.residual.shape[1], 2 * d + 2))
+        found[..., d : 2 * d] = systems.by_beta
+        # Motors and tilt change the misfit alone, and that without another integration of the rod.
+        columns = [*range(d), 2 * d, 2 * d + 1]
+        changed = np.repeat(np.stack([state.q for state in states])[:, None], 1 + len(columns), axis=1)
+        changed[:, 1 + np.arange(len(columns)), columns] += TIP_PROBE_RAD
+        own = np.arange(count) * (len(systems.rods.beta) // count)
+        which = np.repeat(own, 1 + len(columns))
+        bases = RodBases(*(each[which] for each in systems.rods.ends))
+        misfits = self.equilibria.misfit(changed.reshape(-1, 2 * d + 2), bases).reshape(*changed.shape[:2], -1)
+        found[:, : d + 2, columns] = np.swapaxes((misfits[:, 1:] - misfits[:, :1]) / TIP_PROBE_RAD, 1, 2)
+        return found
+
+    def _solve_for(self, systems: _Systems, by_q: Array, right: Array) -> tuple[Array, Array]:
+        """Return changes of the unknowns (N, n, k) and of q (N, 2d + 2, k) that make up for changes `right` of F.
+
+        by_q (N, n, 2d + 2): dF/dq. right (N, n, k). At fixed y the tip turns, all tubes' angles change alike, and
+        the motors of tubes 1 .. d - 1 follow. As many columns as there are entries of y are those of y itself,
+        whose own changes are added.
+        """
+        d = self.robot.d
+        jacobian = systems.jacobian
+        matrix = np.concatenate(
+            [
+                jacobian[..., :2],
+                jacobian[..., 2 : d + 2].sum(axis=2, keepdims=True),
+                by_q[..., : d - 1],
+                jacobian[..., d + 2 :],
+            ],
+            axis=2,
+        )
+        solved = -np.linalg.solve(matrix, right)
+        unknowns = np.concatenate(
+            [solved[:, :2], np.repeat(solved[:, 2:3], d, axis=1), solved[:, d + 2 :]], axis=1
+        )
+        q = np.zeros((len(solved), 2 * d + 2, solved.shape[2]))
+        q[:, : d - 1] = solved[:, 3 : d + 2]
+        if right.shape[2] == 2 * d + 2:
+            inner = np.arange(d - 1)
+            unknowns[:, 2 + inner, inner] += 1.0
+            others = np.arange(d - 1, 2 * d + 2)
+            q[:, others, others] = 1.0
+        return unknowns, q
+
+    def _force_slopes(
+        self, state: ContactState, lengths: Array, unknowns_by: Array, near: Index, probes: Array
+    ) -> tuple[Array, Array]:
+        """Return the wall's force on each piece, (K,) N, and its derivatives (K, 2d + 2) by y.
+
+        lengths (1 + n + d, K): of the pieces of the state's rods, mm. unknowns_by (n, 2d + 2): derivatives of the
+        unknowns, of which those of the pieces `near` are forces. probes (d,): changes of the extensions, mm.
+        """
+        d = self.robot.d
+        means = state.pushes[:, 0]
+        size = np.linalg.norm(means, axis=1)
+        force_by = np.zeros((len(size), 2 * d + 2))
+        towards = means[near] / np.maximum(size[near], np.finfo(float).tiny)[:, None]
+        by_piece = unknowns_by[d + 2 :].reshape(len(near), 2, 3, 2 * d + 2)[:, 0]
+        force_by[near] = lengths[0, near, None] * np.einsum("kc,kcy->ky", towards, by_piece)
+        # Pieces grow with the extensions.
+        force_by[:, d : 2 * d] += (size * (lengths[-d:] - lengths[0]) / probes[:, None]).T
+        return np.asarray(size * lengths[0]), force_by
+
     def predict(self, state: ContactState, slopes: ContactSlopes, step: Array) -> ContactState:
-        """Return the equilibrium after a step (2d + 2,) of q to first order; slopes: of the state."""
-        moved = self._apply_step(state, slopes.unknowns_by_q @ step, slopes.near)
-        return moved._replace(q=state.q + step)
+        """Return the equilibrium after a step (2d + 2,) of y to first order; slopes: of the state."""
+        moved = self._apply_step(state, slopes.unknowns_by @ step, slopes.near)
+        return moved._replace(q=state.q + slopes.q_by @ step)
+
+    def settle(self, state: ContactState) -> ContactState | None:
+        """Return the equilibrium with the y of a state that is near one; None where there is none."""
+        d = self.robot.d
+        for _ in range(MAX_CONTACT_NEWTON_STEPS):
+            systems = self._systems([state], self._contacts(self._rods([state])), 1.0)
+            if not (np.isfinite(systems.residual).all() and np.isfinite(systems.jacobian).all()):
+                return None
+            by_q = self._residual_by_q([state], systems)
+            try:
+                unknowns, q = (
+                    each[0, :, 0] for each in self._solve_for(systems, by_q, systems.residual[..., None])
+                )
+            except np.linalg.LinAlgError:
+                return None
+            if not max(abs(unknowns[: d + 2]).max(), abs(q).max()) <= MAX_LOADED_NEWTON_TURN_RAD:
+                return None
+            state = self._apply_step(state, unknowns, systems.near)._replace(q=state.q + q)
+            settled = abs(unknowns[d + 2 :]).max(initial=0.0) < SETTLED_PUSH_N_PER_MM
+            if settled and abs(unknowns[: d + 2]).max() < CONTACT_TIP_TOLERANCE_RAD:
+                return state
+        return None
 
     def _solve(self, start: ContactState, share: float = 1.0, turned: Array | None = None) -> ContactState | None:
         """Return the equilibrium at q and load of `start`, near its tip and pushes; None where none is found.
@@ -308,10 +477,11 @@ class ContactEquilibria:
         state = start
         first: ContactState | None = None
         d = self.robot.d
-        contact = self.contact(state)
+        contact = self._contacts(self._rods([state]))
         for _ in range(MAX_CONTACT_NEWTON_STEPS):
-            system = self._system(state, contact, share)
-            step = _newton_step(system.jacobian, system.residual)
+            system = self._systems([state], contact, share)
+            jacobian = system.jacobian[0]
+            step = _newton_step(jacobian, system.residual[0])
             if step is None or abs(step[: d + 2]).max() > MAX_LOADED_NEWTON_TURN_RAD:
                 return None
             if first is None:
@@ -322,9 +492,9 @@ class ContactEquilibria:
             part = 1.0
             for _ in range(MAX_CONTACT_STEP_HALVINGS):
                 tried = self._apply_step(state, part * step, system.near)
-                rods = self._rods(tried)
-                contact = self._contact(rods)
-                ahead = _newton_step(system.jacobian, self._residual(tried, rods, contact, system.near, share))
+                rods = self._rods([tried])
+                contact = self._contacts(rods)
+                ahead = _newton_step(jacobian, self._residual(tried, rods, contact, system.near, share))
                 if ahead is not None and self._size(ahead, system) <= (1 - part / 4) * size + 1e-9:
                     break
                 part /= 2
@@ -334,67 +504,86 @@ class ContactEquilibria:
             if abs(step[: d + 2]).max() < CONTACT_TIP_TOLERANCE_RAD and (
                 self._mismatch(state, rods, contact, share) < CONTACT_FORCE_TOLERANCE_N
             ):
-                sign = float(np.linalg.slogdet(system.jacobian)[0])
+                sign = float(np.linalg.slogdet(jacobian)[0])
                 away = max(abs(state.angles - first.angles).max(), abs(state.axes - first.axes).max())
                 # Another sign: another branch, or past the end of this one.
                 same_branch = sign == start.sign and away < MAX_PREDICTION_ERROR_RAD
                 return state._replace(sign=sign) if same_branch else None
         return None
 
-    def _system(self, state: ContactState, contact: WallPush, share: float) -> _System:
-        """Return the equations near a state; contact: what the wall does to it; share: part of its stiffness."""
+    def _systems(self, states: Sequence[ContactState], contact: WallPush, share: float) -> _Systems:
+        """Return the equations near states, of which the same pieces are near the wall.
+
+        contact: what the wall does to each (N, K, ..); share: part of its stiffness.
+        """
         d = self.robot.d
-        pushed = abs(state.pushes).max(axis=(1, 2)) > 0
-        near = np.flatnonzero(pushed | (contact.beyond > -NEAR_WALL_MM).any(axis=1))
+        pushes = np.stack([state.pushes for state in states])
+        pushed = abs(pushes).max(axis=(2, 3)) > 0
+        near = np.flatnonzero((pushed | (contact.beyond > -NEAR_WALL_MM).any(axis=2)).any(axis=0))
         count = d + 2 + 6 * len(near)
         which = np.arange(6 * len(near))
-        # A row for the state, one for each unknown and one for each extension, changed by its probe.
+        # Rows for each state: the state itself, one for each unknown and one for each extension, changed by its
+        # probe.
+        rows = 1 + count + d
         angles, axes, beta, pushes = (
-            np.repeat(each[None], 1 + count + d, axis=0)
-            for each in (state.angles, state.axes, state.q[d : 2 * d], state.pushes)
+            np.repeat(each[:, None], rows, axis=1)
+            for each in (
+                np.stack([state.angles for state in states]),
+                np.stack([state.axes for state in states]),
+                np.stack([state.q[d : 2 * d] for state in states]),
+                pushes,
+            )
         )
         tips = slice(1, d + 3)
-        angles[tips], axes[tips] = turn_tips(angles[tips], axes[tips], TIP_PROBE_RAD * np.eye(d + 2))
-        pushes[d + 3 + which, near[which // 6], which // 3 % 2, which % 3] += PUSH_PROBE_N_PER_MM
-        probes = _extension_probes(state.q[d : 2 * d])
-        beta[1 + count :] += np.diag(probes)
-        rods = self._integrate(angles, axes, beta, pushes, state.load)
-        misfits = self.equilibria.misfit(np.repeat(state.q[None], len(beta), axis=0), rods.ends)
+        turns = np.tile(TIP_PROBE_RAD * np.eye(d + 2), (len(states), 1))
+        turned = turn_tips(_join(angles[:, tips]), _join(axes[:, tips]), turns)
+        angles[:, tips], axes[:, tips] = (each.reshape(len(states), d + 2, *each.shape[1:]) for each in turned)
+        pushes[:, d + 3 + which, near[which // 6], which // 3 % 2, which % 3] += PUSH_PROBE_N_PER_MM
+        probes = _extension_probes(beta[:, 0])
+        beta[:, 1 + count + np.arange(d), np.arange(d)] += probes
+        loads = np.repeat(np.stack([state.load for state in states]), rows, axis=0)
+        rods = self._integrate(_join(angles), _join(axes), _join(beta), _join(pushes), loads)
+        q = np.stack([state.q for state in states])
+        misfits = self.equilibria.misfit(np.repeat(q, rows, axis=0), rods.ends)
         points = self._samples(rods)[:, near]
+        slope = share * contact.slope[:, near]
         jacobian, by_beta = (
-            np.vstack([misfit_by.T, -_push_changes(share * contact.slope[near], points_by)])
+            np.concatenate([np.swapaxes(misfit_by, 1, 2), -_push_changes(slope, points_by)], axis=1)
             for misfit_by, points_by in zip(
                 self._differences(misfits, probes), self._differences(points, probes), strict=True
             )
         )
-        jacobian[d + 2 + which, d + 2 + which] += 1.0
-        return _System(self._residual(state, rods, contact, near, share), jacobian, by_beta, near, rods, probes)
+        jacobian[:, d + 2 + which, d + 2 + which] += 1.0
+        apart = pushes[:, 0, near] - share * PIECE_PROJECTION @ contact.push[:, near]
+        own = misfits.reshape(len(states), rows, -1)[:, 0]
+        residual = np.hstack([own, apart.reshape(len(states), 6 * len(near))])
+        return _Systems(residual, jacobian, by_beta, near, rods, probes)
 
     def _differences(self, values: Array, probes: Array) -> tuple[Array, Array]:
-        """Return derivatives (n, ..) over the unknowns and (d, ..) over the extensions of values (1 + n + d, ..).
+        """Return derivatives (N, n, ..) over the unknowns and (N, d, ..) over the extensions of values.
 
-        values: of the rods of a system. probes (d,): changes of the extensions, mm.
+        values (N (1 + n + d), ..): of the rods of N systems. probes (N, d): changes of the extensions, mm.
         """
-        changes = np.full(len(values) - 1, PUSH_PROBE_N_PER_MM)
-        changes[: self.robot.d + 2] = TIP_PROBE_RAD
-        changes[-self.robot.d :] = probes
-        found = (values[1:] - values[0]) / changes.reshape((-1,) + (1,) * (values.ndim - 1))
-        return found[: -self.robot.d], found[-self.robot.d :]
+        d = self.robot.d
+        each = values.reshape(len(probes), len(values) // len(probes), *values.shape[1:])
+        changes = np.full((len(probes), each.shape[1] - 1), PUSH_PROBE_N_PER_MM)
+        changes[:, : d + 2] = TIP_PROBE_RAD
+        changes[:, -d:] = probes
+        found = (each[:, 1:] - each[:, :1]) / changes.reshape(changes.shape + (1,) * (values.ndim - 1))
+        return found[:, :-d], found[:, -d:]
 
     def _residual(self, state: ContactState, rods: _Rods, contact: WallPush, near: Index, share: float) -> Array:
-        """Return F (n,) of a state with these rods, of which the first is its own, and what the wall does to
-        it.
-        """
-        misfit = self.equilibria.misfit(state.q[None], _pick(rods.ends, slice(0, 1)))[0]
-        apart = state.pushes[near] - share * PIECE_PROJECTION @ contact.push[near]
+        """Return F (n,) of a state with this rod, and what the wall does to it (1, K, ..)."""
+        misfit = self.equilibria.misfit(state.q[None], rods.ends)[0]
+        apart = state.pushes[near] - share * PIECE_PROJECTION @ contact.push[0, near]
         return np.concatenate([misfit, apart.ravel()])
 
     def _mismatch(self, state: ContactState, rods: _Rods, contact: WallPush, share: float) -> float:
         """Return the sum over pieces of the difference between force and push, N."""
-        apart = state.pushes - share * PIECE_PROJECTION @ contact.push
+        apart = state.pushes - share * PIECE_PROJECTION @ contact.push[0]
         return float((np.linalg.norm(apart, axis=2).sum(axis=1) * rods.lengths[0]).sum())
 
-    def _size(self, step: Array, system: _System) -> float:
+    def _size(self, step: Array, system: _Systems) -> float:
         """Return the size of a Newton step, mm: how far it moves the robot, and the forces that it adds."""
         d = self.robot.d
         pushes = step[d + 2 :].reshape(-1, 2, 3) * system.rods.lengths[0, system.near, None, None]
@@ -412,31 +601,32 @@ class ContactEquilibria:
         pushes[near] += step[d + 2 :].reshape(-1, 2, 3)
         return state._replace(angles=angles[0], axes=axes[0], pushes=pushes)
 
-    def _rods(self, state: ContactState) -> _Rods:
-        """Return the rod of a state, as a batch of one."""
+    def _rods(self, states: Sequence[ContactState]) -> _Rods:
+        """Return the rods of states."""
         d = self.robot.d
-        beta = state.q[None, d : 2 * d]
-        return self._integrate(state.angles[None], state.axes[None], beta, state.pushes[None], state.load)
+        angles, axes, pushes, load = (
+            np.stack([getattr(state, name) for state in states]) for name in ("angles", "axes", "pushes", "load")
+        )
+        return self._integrate(angles, axes, np.stack([state.q[d : 2 * d] for state in states]), pushes, load)
 
     def _integrate(self, angles: Array, axes: Array, beta: Array, pushes: Array, load: Array) -> _Rods:
         """Integrate T rods from tips with angles (T, d) and axes (T, 3, 3) at extensions (T, d), mm.
 
-        pushes (T, K, 2, 3): forces per length on the pieces, N/mm. load (17 + 3d,): numbers of what else acts.
+        pushes (T, K, 2, 3): forces per length on the pieces, N/mm. load (T, 17 + 3d): numbers of what else acts.
         """
         rows = len(beta)
         numbers = np.repeat(self.robot.numbers[None], rows, axis=0)
-        acting = np.hstack([np.repeat(load[None], rows, axis=0), pushes.reshape(rows, -1)])
+        acting = np.hstack([load, pushes.reshape(rows, -1)])
         ends = self.equilibria.rods(numbers, angles, axes, beta, acting, np.ones((rows, 2)))
         return _Rods(ends, beta, piece_positions(self.robot, self.kind, beta)[1])
 
-    def _contact(self, rods: _Rods) -> WallPush:
-        """Return what the wall does to the sample points (K, 5) of the first of some rods."""
-        places = np.cumsum(rods.lengths[0]) - rods.lengths[0]
-        s = places[:, None] + rods.lengths[0, :, None] * CONTACT_PIECE_SAMPLE_PARTS
-        # The outermost tube at a place follows from the ends of tubes.
-        beta = rods.beta[:1]
-        radius = outermost_tube_radii(self.robot, beta, (s / beta[0, -1]).ravel()[None])
-        return self.wall.push(self._samples(rods)[0], radius.reshape(s.shape))
+    def _contacts(self, rods: _Rods) -> WallPush:
+        """Return what the wall does to the sample points (T, K, 5) of rods."""
+        middles = np.cumsum(rods.lengths, axis=1) - rods.lengths / 2
+        # One tube is the outermost along a whole piece. At its ends, where samples are, rounding would decide.
+        radius = outermost_tube_radii(self.robot, rods.beta, middles / rods.beta[:, -1:])
+        samples = self._samples(rods)
+        return self.wall.push(samples, np.repeat(radius[..., None], samples.shape[2], axis=2))
 
     def _samples(self, rods: _Rods) -> Array:
         """Return the sample points (T, K, 5, 3) of the pieces of rods, mm."""
@@ -479,8 +669,8 @@ def place_matrix(along: Array, lengths: Array) -> Array:
 
 
 def _extension_probes(beta: Array) -> Array:
-    """Return changes (d,) of extensions beta (d,), mm, that keep the tubes' ends in order where they can."""
-    room = np.append(np.diff(beta), np.inf)
+    """Return changes (N, d) of extensions beta (N, d), mm, that keep the tubes' ends in order where they can."""
+    room = np.pad(np.diff(beta, axis=1), ((0, 0), (0, 1)), constant_values=np.inf)
     return np.where(room > EXTENSION_PROBE_MM, EXTENSION_PROBE_MM, -EXTENSION_PROBE_MM)
 
 
@@ -491,12 +681,13 @@ def _integrals(part: Array, steps: int) -> Array:
 
 
 def _push_changes(slope: Array, points_by: Array) -> Array:
-    """Return changes (6 N, n) of the mean and growth of pushes on N pieces.
+    """Return changes (T, 6 N, n) of the mean and growth of pushes on N pieces of T robots.
 
-    slope (N, m, 3, 3): of the push at each sample point. points_by (n, N, m, 3): changes of the points.
+    slope (T, N, m, 3, 3): of the push at each sample point. points_by (T, n, N, m, 3): changes of the points.
     """
-    changes = np.einsum("kmij,zkmj->kmiz", slope, points_by, optimize=True)
-    return np.einsum("gm,kmiz->kgiz", PIECE_PROJECTION, changes).reshape(-1, len(points_by))
+    changes = np.einsum("tkmij,tzkmj->tkmiz", slope, points_by, optimize=True)
+    found = np.einsum("gm,tkmiz->tkgiz", PIECE_PROJECTION, changes)
+    return found.reshape(len(points_by), 6 * points_by.shape[2], points_by.shape[1])
 
 
 def _newton_step(jacobian: Array, residual: Array) -> Array | None:
@@ -518,6 +709,13 @@ def _turns_too_far(step: Array, turned: Array | None, d: int) -> bool:
     return bool(abs(step[2 : d + 1] - step[d + 1]).max() > allowed)
 
 
-def _pick(ends: RodBases, which: slice) -> RodBases:
-    """Return some of several rods."""
-    return RodBases(*(each[which] for each in ends))
+def _known_columns(systems: _Systems, by_q: Array, d: int) -> Array:
+    """Return dF/dy (N, n, 2d + 2) at fixed unknowns; by_q (N, n, 2d + 2): dF/dq. d: number of tubes."""
+    found = by_q.copy()
+    found[..., : d - 1] = systems.jacobian[..., 2 : d + 1]
+    return found
+
+
+def _join(values: Array) -> Array:
+    """Return values (N, n, ..) as (N n, ..)."""
+    return values.reshape(-1, *values.shape[2:])

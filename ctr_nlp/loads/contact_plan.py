@@ -17,7 +17,8 @@ import numpy as np
 
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.loads.contact_equilibria import ContactEquilibria, ContactState
-from ctr_nlp.loads.contact_program import ContactMotion, ContactProgram
+from ctr_nlp.loads.contact_frames import ContactFrames
+from ctr_nlp.loads.contact_program import ContactSolution, contact_chain, solve_contact_chain
 from ctr_nlp.loads.tissue import (
     AIRWAY_WALL_STIFFNESS_N_PER_MM2,
     CONTACT_FORCE_ALLOWED_N,
@@ -41,15 +42,18 @@ from ctr_nlp.plan.verdicts import MARGIN_SLACK
 from ctr_nlp.planning.horizon import solve_horizon
 from ctr_nlp.planning.nlp_frames import DEFAULT_PLANNER_SETTINGS
 from ctr_nlp.robot import Robot
+from ctr_nlp.solvers.frame.adapter import KKT_TOLERANCE
 from ctr_nlp.support.value_checks import number
 from ctr_nlp.typing import Array, Flags
 
 PLANNED_FORCE_FRACTION = 0.85
 """Fraction of the allowed force that planning aims at: penalties yield a little, and so do sub-steps between
 frames."""
-MAX_ROUNDS, FORCE_WEIGHT_GROWTH = 3, 10.0
-"""Most times that a motion is solved again where it fails in or between frames, with more margin or with a larger
-cost of forces; and by how much that cost grows."""
+MARGIN_ADDED_AT_SNAP = 0.3
+"""Stability margin that the two frames between which the robot snaps are asked for in addition."""
+MAX_ROUNDS = 5
+"""Most times that a motion is solved again where it fails between frames, with more margin or a lower limit of
+forces."""
 
 
 @dataclass(frozen=True)
@@ -104,22 +108,10 @@ def replay_on_wall(
     """
     robot = equilibria.robot
     way = subdivide_motion(q, substeps)
-    load = Load().numbers(robot.d)
-    states = list[ContactState]()
-    for place in way.q:
-        if not states:
-            first = equilibria.place(place, load)
-            if first is None:
-                break
-            states.append(first)
-            continue
-        there, done = equilibria.follow(states[-1], place, load)
-        if done < 1:
-            break
-        states.append(there)
+    states = equilibria.follow_motion(way.q, np.tile(Load().numbers(robot.d), (len(way.q), 1)))
     frames = way.frames[: len(states)]
     last_of = np.flatnonzero(np.diff(way.frames, append=-1)[: len(states)] != 0)
-    slopes = [equilibria.slopes(state, SIGMA_GRID) for state in states]
+    pieces = [equilibria.forces(state) for state in states]
     count = len(q)
 
     def by_frame(values: Array) -> Array:
@@ -137,10 +129,10 @@ def replay_on_wall(
 
     if not states:
         raise OptionError("in the first frame the robot has no equilibrium on the wall; begin farther outside")
-    shapes = np.stack([each.points for each in slopes])
+    shapes = np.stack([equilibria.shape(state, SIGMA_GRID) for state in states])
     margins = equilibria.margins(states)
     clearance = wall_clearances(robot, wall, robot.split(np.stack([each.q for each in states]))[1], shapes)
-    place = np.array([each.force_at_places.max(initial=0.0) for each in slopes])
+    place = np.array([each.at_places.max(initial=0.0) for each in pieces])
     means = np.stack([each.pushes[:, 0] for each in states])
     size = np.linalg.norm(means, axis=2, keepdims=True)
     return ContactReplay(
@@ -150,8 +142,8 @@ def replay_on_wall(
         margin_between=worst(margins, np.fmin),
         clearance=by_frame(clearance),
         clearance_between=worst(clearance, np.fmin),
-        force=by_frame(np.stack([each.force for each in slopes])),
-        along=by_frame(np.stack([each.along for each in slopes])),
+        force=by_frame(np.stack([each.force for each in pieces])),
+        along=by_frame(np.stack([each.along for each in pieces])),
         direction=by_frame(means / np.where(size > 0, size, 1.0)),
         place=by_frame(place),
         place_between=worst(place, np.fmax),
@@ -171,7 +163,8 @@ def solve_on_wall(
     """Plan a motion whose robot may lean on the wall, up to a force at each place.
 
     The wall is an elastic (Winkler) foundation without friction; see :func:`wall_forces`. The robot is nominal and
-    bears no other load.
+    bears no other load. All frames are one program, which is solved as one without a wall is
+    (contact_program.py): ``plan.kkt`` has the residual of each frame.
 
     Parameters
     ----------
@@ -211,44 +204,48 @@ def solve_on_wall(
     >>> plan = ctr.solve_on_wall(problem, limit=0.2)  # doctest: +SKIP
     """
     check_contact_request(problem, limit, stiffness)
-    assert problem.wall is not None
+    wall = problem.wall
+    assert wall is not None
     begin = time.perf_counter()
     start = solve_horizon(problem, settings=settings, progress=progress) if initial is None else initial
-    equilibria = ContactEquilibria(problem.robot, WinklerWall(problem.wall, stiffness), Load())
+    equilibria = ContactEquilibria(problem.robot, WinklerWall(wall, stiffness), Load())
     model = KINEMATIC_MODELS[PHYSICAL_MODEL]
     count = problem.frames
     least = 0.0 if settings.stability_margin is None else settings.stability_margin
-    program = ContactProgram(
+    frames = ContactFrames(
         problem,
         equilibria,
-        PLANNED_FORCE_FRACTION * limit,
         np.full(count, least),
-        float(start.options["motion_weight"]),
         find_arrival(with_arrival((), settings, model)),
+        _states_along(equilibria, start.q),
     )
-    motion = program.evaluate(_states_along(equilibria, start.q))
+    planned = PLANNED_FORCE_FRACTION * limit
+
+    def solve() -> tuple[ContactSolution, ContactReplay]:
+        """Solve with the margins and the limit as they are, from the equilibria as they are, and replay."""
+        found = solve_contact_chain(contact_chain(frames, planned, float(start.options["motion_weight"])), show)
+        return found, replay_on_wall(equilibria, wall, np.stack([state.q for state in found.states]))
 
     def show(done: int, objective: float) -> None:
         if progress is not None:
             progress(done, done, f"on the wall, objective {objective:.4g} mm²")
 
-    motion = program.solve(motion, show)
-    replay = replay_on_wall(equilibria, problem.wall, motion.q)
+    solution, replay = solve()
     for _ in range(MAX_ROUNDS):
         missing = np.maximum(least - np.nan_to_num(replay.margin_between, nan=0.0), 0.0)
-        too_strong = np.nanmax(replay.place_between) > limit
-        if missing.max() <= MARGIN_SLACK and not too_strong:
+        # Beyond the first snap nothing is known, and nothing more can be asked for. There the branch turns far.
+        lost = np.cumsum(~replay.in_equilibrium)
+        missing[lost == 1] = MARGIN_ADDED_AT_SNAP
+        missing[lost > 1] = 0.0
+        strongest = float(np.nanmax(replay.place_between))
+        if missing.max() <= MARGIN_SLACK and strongest <= limit:
             break
         # Both frames around a sub-step with too small a margin get more, as in plans without contact.
         more = np.maximum(missing, np.append(missing[1:], 0.0))
-        program = replace(
-            program,
-            margin=program.margin + 1.2 * more,
-            force_weight=program.force_weight * (FORCE_WEIGHT_GROWTH if too_strong else 1.0),
-        )
-        motion = program.solve(program.evaluate(motion.states), show)
-        replay = replay_on_wall(equilibria, problem.wall, motion.q)
-    return _plan_of(start, motion, replay, problem, limit, stiffness, time.perf_counter() - begin)
+        frames = replace(frames, margin=frames.margin + 1.2 * more, states=list(solution.states))
+        planned *= min(limit / strongest, 1.0) if strongest > 0 else 1.0
+        solution, replay = solve()
+    return _plan_of(start, solution, replay, problem, limit, stiffness, time.perf_counter() - begin)
 
 
 def check_contact_request(problem: Problem, limit: float, stiffness: float) -> None:
@@ -287,37 +284,33 @@ def _states_along(equilibria: ContactEquilibria, q: Array) -> list[ContactState]
 
     Where the robot snaps on the way, the frame is reached without a history instead; OptionError where that fails.
     """
-    load = Load().numbers(equilibria.robot.d)
+    loads = np.tile(Load().numbers(equilibria.robot.d), (len(q), 1))
     states = list[ContactState]()
-    for j, place in enumerate(q):
-        found: ContactState | None = None
-        if states:
-            there, done = equilibria.follow(states[-1], place, load)
-            found = there if done == 1 else None
-        if found is None:
-            found = equilibria.place(place, load)
-        if found is None:
+    while len(states) < len(q):
+        found = equilibria.follow_motion(q[len(states) :], loads[len(states) :])
+        if not found:
             raise OptionError(
-                f"on the wall the robot has no equilibrium in frame {j + 1} of the plan to begin with; give "
-                "`initial`, or a softer wall"
+                f"on the wall the robot has no equilibrium in frame {len(states) + 1} of the plan to begin with; "
+                "give `initial`, or a softer wall"
             )
-        states.append(found)
+        states += found
     return states
 
 
 def _plan_of(
     start: Plan,
-    motion: ContactMotion,
+    solution: ContactSolution,
     replay: ContactReplay,
     problem: Problem,
     limit: float,
     stiffness: float,
     seconds: float,
 ) -> Plan:
-    """Return the plan of a motion on the wall that was replayed; start: the plan that it began with."""
+    """Return the plan of a solution that was replayed on the wall; start: the plan that it began with."""
     robot: Robot = problem.robot
-    alpha, beta, theta = robot.split(motion.q)
-    free = Simulator(robot, KINEMATIC_MODELS[PHYSICAL_MODEL])(motion.q)
+    q = np.stack([state.q for state in solution.states])
+    alpha, beta, theta = robot.split(q)
+    free = Simulator(robot, KINEMATIC_MODELS[PHYSICAL_MODEL])(q)
     known = replay.in_equilibrium
     snaps = list[dict[str, Any]]()
     if not known.all():
@@ -325,14 +318,15 @@ def _plan_of(
         # Which tubes jump, and how far, is not known: nobody knows where the robot comes to rest.
         snaps = [Snap(frame=j + 1, tubes=(), jump=None)._asdict() | {"tubes": []}]
     # A frame whose equilibrium is not that of the replay was reached by another way.
-    planned = np.array([state.angles - state.angles[-1] for state in motion.states])
+    planned = np.array([state.angles - state.angles[-1] for state in solution.states])
     reached = np.full_like(planned, np.nan)
     for k, state in zip(np.flatnonzero(known), replay.states, strict=False):
         reached[k] = state.angles - state.angles[-1]
     same = known & (abs(reached - planned).max(axis=1) < 1e-3)
     failures = {str(j + 1): "on the wall, the robot is on another branch" for j in np.flatnonzero(~same)}
-    if not motion.converged:
-        failures |= {"all": "the search on the wall ended before the motion stopped improving"}
+    solved = solution.kkt <= KKT_TOLERANCE
+    if not solved.all():
+        failures |= {"all": f"the search on the wall ended before it had converged ({solution.status})"}
     meta: dict[str, Any] = dict(start.meta) | {
         "wall_contact": {"limit_N": limit, "stiffness_N_per_mm2": stiffness},
         "snaps": snaps,
@@ -344,9 +338,9 @@ def _plan_of(
         alpha=alpha,
         beta=beta,
         theta=theta,
-        success=same & motion.converged,
-        objective=motion.costs,
-        kkt=np.full(len(alpha), np.nan),
+        success=same & solved,
+        objective=solution.costs,
+        kkt=solution.kkt,
         solve_time=np.full(len(alpha), np.nan),
         shape=replay.shape,
         tip_direction=replay.tip_direction,

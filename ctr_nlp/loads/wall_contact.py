@@ -63,20 +63,12 @@ class Foundation:
         found = self._empty_result(q)
         way = subdivide_motion(np.asarray(q, dtype=float), SAMPLE_SUBSTEPS_PER_FRAME)
         loads = self.load.numbers_at(self.robot.d, way.elapsed_fractions)
-        state: ContactState | None = None
-        # Only the last sub-step of a frame is recorded; -1 is no frame, so that the very last one counts.
-        last_of = np.diff(way.frames, append=-1) != 0
-        for place, load, j, last in zip(way.q, loads, way.frames, last_of, strict=True):
-            if state is None:
-                state = self.equilibria.place(place, load)
-            else:
-                state, done = self.equilibria.follow(state, place, load)
-                state = state if done == 1 else None
-            # Where the robot goes in a snap is unknown: all later frames stay NaN.
-            if state is None:
-                break
-            if last:
-                self._record(found, int(j), state)
+        states = self.equilibria.follow_motion(way.q, loads)
+        # Only the last sub-step of a frame is recorded; -1 is no frame, so that the very last one counts. Where
+        # the robot goes in a snap is unknown: all later frames stay NaN.
+        last_of = np.diff(way.frames, append=-1)[: len(states)] != 0
+        for k in np.flatnonzero(last_of):
+            self._record(found, int(way.frames[k]), states[k])
         return WallContact(**found)
 
     def _record(self, found: dict[str, Any], j: int, state: ContactState) -> None:

@@ -1,15 +1,22 @@
 """A wall as an elastic (Winkler) foundation: the force per length that it exerts on points of a robot, and its
 slope.
 
-At a depth D of the robot's surface beyond the wall, mm, the wall presses with k D per mm of the robot, N/mm,
-towards the lumen's path; the energy stored in it is k D^2 / 2 per mm. Where the lumen is narrower than the robot,
-the far side presses, too, with k B. With a = p - c the vector from the path's nearest point c to the point p of
-the robot's axis, e = a / |a|, t the path's tangent, kappa its curvature vector and r' the growth of the lumen's
-radius along the tangent,
+At a depth D of the robot's surface beyond the wall, mm, the wall presses with k P(D) per mm of the robot, N/mm,
+towards the lumen's path. Where the lumen is narrower than the robot, the far side presses, too, with k P(B). With
+a = p - c the vector from the path's nearest point c to the point p of the robot's axis, e = a / |a|, t the path's
+tangent, kappa its curvature vector and r' the growth of the lumen's radius along the tangent,
 
-    w = -k (D - B) e,   dD/dp = e - r' t,   dB/dp = -e - r' t,   dc/dp = t t^T / (1 - a . kappa).
+    w = -k (P(D) - P(B)) e,   dD/dp = e - r' t,   dB/dp = -e - r' t,   dc/dp = t t^T / (1 - a . kappa).
 
 The last one holds between the path's ends; beyond them c stays.
+
+Winkler's P(D) is max(0, D). Here its slope grows smoothly from 0 to 1 over a toe of h mm around depth 0,
+
+    P'(D) = 3 x^2 - 2 x^3,   P(D) = h (x^3 - x^4 / 2),   x = 1 / 2 + D / h in [0, 1],   and beyond   P(D) = D,
+
+so that forces are Winkler's from h / 2 on, and larger by at most 0.1 k h before, never smaller.
+With a corner at 0, shapes and forces would have corners as functions of q, stability margins jumps, and searches
+over q would end at these.
 """
 
 from __future__ import annotations
@@ -28,6 +35,12 @@ MIN_PATH_STRETCH = 0.1
 """Least 1 - a . kappa: at 0 the point is the path's centre of curvature, and has no nearest point."""
 
 
+TOE_DEPTH_MM = 1.0
+"""Depth over which the stiffness of a wall grows from 0, half of it before the surface, mm. Chosen by trial: with
+0.1 mm searches over motions take several times as long to converge, since a robot's tip moves by tens of mm for a
+rad of its motors. Surfaces that come from masks are known to 0.3 mm."""
+
+
 class WallPush(NamedTuple):
     """Depth and push of a wall at points (..,) of a robot's axis, and the push's slope.
 
@@ -44,24 +57,27 @@ class WallPush(NamedTuple):
 
 @dataclass(frozen=True)
 class WinklerWall:
-    """A wall that gives; stiffness: k, N/mm for every mm of depth and every mm of length along the robot."""
+    """A wall that gives.
+
+    stiffness: k, N/mm for every mm of depth and every mm of length along the robot. toe: depth h over which it
+    grows from 0, half of it before the surface, mm.
+    """
 
     geometry: WallGeometry
     stiffness: float
+    toe: float = TOE_DEPTH_MM
 
     def push(self, points: Array, radius: Array) -> WallPush:
         """Return what the wall does to points (.., 3), mm, of a robot of these radii (..,), mm."""
         near = self.geometry.project(points)
         over = radius - near.radius
-        depth = np.maximum(over + near.distance, 0.0)
-        behind = np.maximum(over - near.distance, 0.0)
+        pressed, hardness = _compress(over + near.distance, self.toe)
+        pressed_behind, hardness_behind = _compress(over - near.distance, self.toe)
         away = np.maximum(near.distance, NEGLIGIBLE_DISTANCE_MM)
         e = (points - near.centre) / away[..., None]
-        amount = depth - behind
-        # 1 where the surface touches on this side: the derivative of max(0, .).
-        touching, touching_behind = (np.where(each > 0, 1.0, 0.0)[..., None] for each in (depth, behind))
+        amount = pressed - pressed_behind
         widening = near.taper[..., None] * near.tangent
-        growth = touching * (e - widening) + touching_behind * (e + widening)
+        growth = hardness[..., None] * (e - widening) + hardness_behind[..., None] * (e + widening)
         # The path's nearest point moves along the tangent, unless it is an end of the path.
         inside = (near.length_before > 0) & (near.length_after > 0)
         stretch = np.maximum(1.0 - ((points - near.centre) * near.curvature_vector).sum(axis=-1), MIN_PATH_STRETCH)
@@ -70,6 +86,13 @@ class WinklerWall:
         # e turns by (I - e e^T)(da) / |a|; t is perpendicular to e, so that the product has three terms.
         slope = -self.stiffness * (_outer(e, growth) + (amount / away)[..., None, None] * turning)
         return WallPush(over + near.distance, -self.stiffness * amount[..., None] * e, slope, over > 0)
+
+
+def _compress(depth: Array, toe: float) -> tuple[Array, Array]:
+    """Return P, mm, and its slope at depths (..,), mm, negative outside of the wall; toe: h, mm."""
+    part = np.clip(0.5 + depth / toe, 0.0, 1.0)
+    beyond = np.maximum(depth - toe / 2, 0.0)
+    return toe * part**3 * (1 - part / 2) + beyond, part**2 * (3 - 2 * part)
 
 
 def _outer(a: Array, b: Array) -> Array:

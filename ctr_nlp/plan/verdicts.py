@@ -175,8 +175,7 @@ def _judge_solved(plan: PlanData) -> Judgement:
     frames = len(plan.time)
     interpolated = len(plan.meta.get("interpolated", []))
     unsolved = int((~plan.success).sum()) - interpolated
-    # A motion on a wall is solved where no step promises a further decrease; it has no KKT residual either.
-    given = 0 if plan.leans_on_wall else int((plan.success & np.isnan(plan.kkt)).sum())
+    given = int((plan.success & np.isnan(plan.kkt)).sum())
     solved = frames - unsolved - interpolated - given
     value = f"{solved} of {frames} frames"
     if unsolved:

@@ -10,7 +10,7 @@ from loaded_plans import TWO
 
 from ctr_nlp import Load, Robot, Tube
 from ctr_nlp.loads.contact_equilibria import ContactEquilibria, ContactState
-from ctr_nlp.loads.winkler_wall import WinklerWall
+from ctr_nlp.loads.winkler_wall import TOE_DEPTH_MM, WinklerWall
 from ctr_nlp.models import KINEMATIC_MODELS
 from ctr_nlp.models.loaded.equilibria import States
 from ctr_nlp.models.loaded.stability import margins
@@ -29,9 +29,9 @@ def lumen_along(point, direction, radius, length=200.0):
     return Lumen(np.column_stack([points, np.full(len(s), radius)]))
 
 
-def placed(robot, wall, stiffness, q, load=None):
+def placed(robot, wall, stiffness, q, load=None, toe=TOE_DEPTH_MM):
     load = load or Load()
-    equilibria = ContactEquilibria(robot, WinklerWall(wall, stiffness), load)
+    equilibria = ContactEquilibria(robot, WinklerWall(wall, stiffness, toe), load)
     state = equilibria.place(np.asarray(q, dtype=float), load.numbers(robot.d))
     assert state is not None
     return equilibria, state
@@ -82,7 +82,7 @@ def check_scene(scene):
         tangents = np.gradient(points, s, axis=0)
         return points, tangents / np.linalg.norm(tangents, axis=1, keepdims=True)
 
-    found = equilibria.slopes(state, SIGMA_GRID)
+    (found,) = equilibria.slopes([state], SIGMA_GRID)
     apart = []
     for twisted in (True, False):
         points, force = solve_contact(robot, q, wall, start, twisted)
@@ -118,18 +118,20 @@ def test_cantilever_on_a_rigid_plane_has_the_textbook_force(overlap):
     # A lumen so wide is a plane. The rod leans towards it, so that its tip is first to touch.
     wall = lumen_along([plane + ROD.tubes[0].outer_diameter / 2 - wide, 0.0, 0.0], [0.0, 0.0, 1.0], wide)
     lean = np.arcsin((plane + overlap) / length)
-    equilibria, state = placed(ROD, wall, RIGID_N_PER_MM2, [0.0, length, 0.0, lean])
-    found = equilibria.slopes(state, np.ones(1))
+    equilibria, state = placed(ROD, wall, RIGID_N_PER_MM2, [0.0, length, 0.0, lean], toe=1e-3)
+    (found,) = equilibria.slopes([state], np.ones(1))
     assert found.points[0, 0] == pytest.approx(plane, abs=0.005)
     expected = 3 * ROD.tubes[0].bending_stiffness * overlap / length**3
     assert found.force.sum() == pytest.approx(expected, rel=0.01)
 
 
 def test_slopes_are_those_of_equilibria_nearby():
+    """Over the coordinates of the tip, and, by the chain rule, over the configuration."""
     q = np.array([0.2, 0.5, 45.0, 70.0, 0.02, 0.1])
     equilibria, state = placed(NITINOL, lumen_along([0, 0, 0], [0, 0.05, 1.0], 4.0), 0.032, q)
-    found = equilibria.slopes(state, SIGMA_GRID)
+    (found,) = equilibria.slopes([state], SIGMA_GRID)
     assert found.force.sum() > 0.1
+    over_q = np.linalg.inv(found.q_by)
     for column in range(len(q)):
         step = np.zeros(len(q))
         step[column] = 1e-4
@@ -137,12 +139,45 @@ def test_slopes_are_those_of_equilibria_nearby():
         for way in (1, -1):
             there, done = equilibria.follow(state, q + way * step, state.load)
             assert done == 1
-            both.append(equilibria.slopes(there, SIGMA_GRID))
+            both += equilibria.slopes([there], SIGMA_GRID)
         ahead, behind = both
-        slope = (ahead.points - behind.points) / 2e-4
-        np.testing.assert_allclose(found.points_by_q[..., column], slope, atol=1e-3 * max(1.0, abs(slope).max()))
-        slope = (ahead.force - behind.force) / 2e-4
-        np.testing.assert_allclose(found.force_by_q[:, column], slope, atol=1e-3 * max(0.01, abs(slope).max()))
+        for name, least in (("points", 1.0), ("force", 0.01), ("force_at_places", 0.01)):
+            slope = (getattr(ahead, name) - getattr(behind, name)) / 2e-4
+            by = getattr(found, {"force_at_places": "places_by"}.get(name, f"{name}_by")) @ over_q[:, column]
+            np.testing.assert_allclose(by, slope, atol=1e-3 * max(least, abs(slope).max()))
+
+
+def test_slopes_of_margins_are_those_of_equilibria_nearby():
+    robot = with_modulus(Robot((Tube(90, 70, 0.006, 1.6, 1.2), Tube(150, 90, 0.006, 1.0, 0.6))), 60_000)
+    q = np.array([0.65, -2.17, 44.6, 72.0, 0.04, -0.03])
+    equilibria, state = placed(robot, lumen_along([0, 0, 0], [0, 0, 1.0], 3.0), 0.032, q)
+    assert equilibria.forces(state).force.sum() > 0.01
+    margin = equilibria.margins([state])
+    slopes = equilibria.slopes([state], SIGMA_GRID)
+    (found,) = equilibria.margin_slopes([state], slopes, margin)
+    assert abs(found).max() > 0.01
+    for column in range(len(q)):
+        step = np.zeros(len(q))
+        step[column] = 1e-3
+        near = [equilibria.settle(equilibria.predict(state, slopes[0], way * step)) for way in (1, -1)]
+        assert None not in near
+        ahead, behind = equilibria.margins(near)
+        assert found[column] == pytest.approx((ahead - behind) / 2e-3, abs=1e-3 * max(0.1, abs(found).max()))
+
+
+def test_the_wall_gets_stiff_around_its_surface():
+    """Beyond half of the toe it is a straight foundation; nowhere is it softer than that."""
+    radius, stiffness, toe = 4.0, 0.05, 0.4
+    wall = WinklerWall(lumen_along([0, 0, 0], [0, 0, 1.0], radius), stiffness, toe)
+    depth = np.array([-0.2, -0.1, 0.0, 0.1, 0.2, 0.7])
+    points = np.column_stack([radius - 1.0 + depth, 0 * depth, 0 * depth + 50.0])
+    push = wall.push(points, np.ones(6))
+    expected = [0.0, 0.4 * (0.25**3 - 0.25**4 / 2), 0.4 * (0.5**3 - 0.5**4 / 2)]
+    np.testing.assert_allclose(
+        -push.push[[0, 1, 2, 4, 5], 0], stiffness * np.array([*expected, 0.2, 0.7]), atol=1e-9
+    )
+    assert (-push.push[:, 0] >= stiffness * depth - 1e-12).all()
+    np.testing.assert_allclose(-push.slope[[0, 4, 5], 0, 0], [0, stiffness, stiffness], atol=1e-9)
 
 
 def column_on_a_foundation(length, force, stiffness, count=100):
@@ -174,7 +209,8 @@ def test_margin_to_buckling_is_that_of_a_column_on_a_foundation(force, stiffness
     load = Load(force=(0.0, 0.0, -force))
     # Beside the axis by so little that the rod stays straight, but the wall has a direction.
     wall = lumen_along([1e-7, 0.0, 0.0], [0.0, 0.0, 1.0], 0.5)
-    equilibria = ContactEquilibria(ROD, WinklerWall(wall, stiffness / 2), load)
+    # With so short a toe the wall is straight at this depth, as the textbook's foundation is.
+    equilibria = ContactEquilibria(ROD, WinklerWall(wall, stiffness / 2, toe=0.1), load)
     q = np.array([0.0, 100.0, 0.0, 0.0])
     straight = ContactState(q, load.numbers(1), np.zeros(1), np.eye(3), np.zeros((9, 2, 3)), 1.0)
     expected = column_on_a_foundation(100.0, force, stiffness)

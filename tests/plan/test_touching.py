@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from contact_truth import compressed
 from loaded_plans import TWO
 from scipy.integrate import solve_bvp
 
 from ctr_nlp import Load, Robot, Tube
 from ctr_nlp.loads.contact_equilibria import CONTACT_FORCE_TOLERANCE_N
 from ctr_nlp.loads.wall_contact import Foundation
+from ctr_nlp.loads.winkler_wall import TOE_DEPTH_MM
 from ctr_nlp.models import KINEMATIC_MODELS
 from ctr_nlp.models.loads import with_modulus
 from ctr_nlp.paths.lumen import Lumen
@@ -52,7 +54,7 @@ def rod(robot, beta, lumen_radius, stiffness):
 
     def push(x, radius):
         over = radius - lumen_radius
-        return -stiffness * np.sign(x) * (np.maximum(over + abs(x), 0) - np.maximum(over - abs(x), 0))
+        return -stiffness * np.sign(x) * (compressed(over + abs(x)) - compressed(over - abs(x)))
 
     def slopes(t, y):
         found = []
@@ -102,8 +104,9 @@ def test_forces_are_what_depths_say_and_press_towards_the_path():
     assert found.missed.max() <= CONTACT_FORCE_TOLERANCE_N
     busy = found.force > 1e-3
     assert busy.any()
-    assert (found.depth[busy] > 0).all()
-    assert not found.force[found.depth == 0].any()
+    # Before its surface the wall presses with a tenth of what its toe is deep.
+    soft = 0.1 * 0.05 * TOE_DEPTH_MM * found.length
+    assert (found.force <= soft)[found.depth == 0].all()
     middles = np.stack(
         [
             np.interp(row / beta, SIGMA_GRID, shape[:, 0])

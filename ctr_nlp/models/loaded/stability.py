@@ -66,6 +66,15 @@ def margins(equilibria: LoadedEquilibria, states: States, bending: bool = False)
     return found
 
 
+def margin_determinants(equilibria: LoadedEquilibria, states: States, at: Array) -> Array:
+    """Return the determinants (T,) of states that vanish at their stability margins, at given margins `at` (T,).
+
+    equilibria: solver of the robots' structure and kind of load. They are smooth in margins and states, so that
+    the implicit function theorem gives the slopes of a margin.
+    """
+    return np.asarray(_pivots_at(equilibria, states, at, False).prod(axis=(1, 2)))
+
+
 def least_margins(equilibria: LoadedEquilibria, states: States, groups: Index, known: Array) -> Array:
     """Return the least stability margin (n,) of the states in each of n groups, or the known one if that is less.
 
