@@ -26,7 +26,7 @@ from ctr_nlp.loads.tissue import (
     MAX_WALL_STIFFNESS_N_PER_MM2,
     MIN_WALL_STIFFNESS_N_PER_MM2,
 )
-from ctr_nlp.loads.winkler_wall import WinklerWall
+from ctr_nlp.loads.winkler_wall import PLANNED_TOE_DEPTH_MM, WinklerWall
 from ctr_nlp.models import KINEMATIC_MODELS, Snap
 from ctr_nlp.models.loads import Load, check_moduli
 from ctr_nlp.models.protocol import STABILITY_SUBSTEPS_PER_FRAME, subdivide_motion
@@ -54,6 +54,10 @@ MARGIN_ADDED_AT_SNAP = 0.3
 MAX_ROUNDS = 5
 """Most times that a motion is solved again where it fails between frames, with more margin or a lower limit of
 forces."""
+MAX_REPLAYED_TURN_RAD = 0.3
+"""Angle in rad up to which tubes' tips may turn against each other between the wall of the search, which gets
+stiff gradually, and the wall itself; farther, the robot is on another branch. Branches are a rad and more apart.
+"""
 
 
 @dataclass(frozen=True)
@@ -208,16 +212,18 @@ def solve_on_wall(
     assert wall is not None
     begin = time.perf_counter()
     start = solve_horizon(problem, settings=settings, progress=progress) if initial is None else initial
+    # The search needs a law without corners; the motion that it finds is replayed and recorded on the wall itself.
+    smooth = ContactEquilibria(problem.robot, WinklerWall(wall, stiffness, PLANNED_TOE_DEPTH_MM), Load())
     equilibria = ContactEquilibria(problem.robot, WinklerWall(wall, stiffness), Load())
     model = KINEMATIC_MODELS[PHYSICAL_MODEL]
     count = problem.frames
     least = 0.0 if settings.stability_margin is None else settings.stability_margin
     frames = ContactFrames(
         problem,
-        equilibria,
+        smooth,
         np.full(count, least),
         find_arrival(with_arrival((), settings, model)),
-        _states_along(equilibria, start.q),
+        _states_along(smooth, start.q),
     )
     planned = PLANNED_FORCE_FRACTION * limit
 
@@ -322,7 +328,7 @@ def _plan_of(
     reached = np.full_like(planned, np.nan)
     for k, state in zip(np.flatnonzero(known), replay.states, strict=False):
         reached[k] = state.angles - state.angles[-1]
-    same = known & (abs(reached - planned).max(axis=1) < 1e-3)
+    same = known & (abs(reached - planned).max(axis=1) < MAX_REPLAYED_TURN_RAD)
     failures = {str(j + 1): "on the wall, the robot is on another branch" for j in np.flatnonzero(~same)}
     solved = solution.kkt <= KKT_TOLERANCE
     if not solved.all():

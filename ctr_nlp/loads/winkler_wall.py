@@ -33,12 +33,11 @@ NEGLIGIBLE_DISTANCE_MM = 1e-9
 """Distance from the path below which a push has no direction and counts as 0, mm."""
 MIN_PATH_STRETCH = 0.1
 """Least 1 - a . kappa: at 0 the point is the path's centre of curvature, and has no nearest point."""
-
-
-TOE_DEPTH_MM = 1.0
-"""Depth over which the stiffness of a wall grows from 0, half of it before the surface, mm. Chosen by trial: with
-0.1 mm searches over motions take several times as long to converge, since a robot's tip moves by tens of mm for a
-rad of its motors. Surfaces that come from masks are known to 0.3 mm."""
+TOE_DEPTH_MM, PLANNED_TOE_DEPTH_MM = 0.02, 1.0
+"""Depth over which the stiffness of a wall grows from 0, half of it before the surface, mm: of a robot whose
+equilibrium is asked for, and in searches for plans. The latter was chosen by trial: with 0.1 mm searches over
+motions take several times as long to converge, since a robot's tip moves by tens of mm for a rad of its motors.
+"""
 
 
 class WallPush(NamedTuple):
