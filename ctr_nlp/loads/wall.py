@@ -147,7 +147,7 @@ def wall_forces(plan: Plan, stiffness: float = AIRWAY_WALL_STIFFNESS_N_PER_MM2) 
     >>> problem = ctr.Problem("rod", rod, ctr.growing(bend, 2))
     >>> found = ctr.wall_forces(ctr.plan_through(problem, np.array([[0, 30, 0, 0], [0, 60, 0, 0]])))
     >>> found.total.round(2).tolist(), found.worst
-    ([0.15, 0.82], 2)
+    ([0.14, 0.82], 2)
     """
     check_instance(OptionError, "plan", plan, Plan)
     allowed = f"lie in [{MIN_WALL_STIFFNESS_N_PER_MM2:g}, {MAX_WALL_STIFFNESS_N_PER_MM2:g}] N/mm²"

@@ -12,11 +12,15 @@ from lumens import straight
 from test_contacts import touching
 from test_metrics_plan import LINE, aside, made
 
-from ctr_nlp import Plan, Problem, Settings, growing, solve_per_frame, summary, table_i_robot
+from ctr_nlp import Plan, Problem, Robot, Settings, Tube, growing, solve_per_frame, summary, table_i_robot
 from ctr_nlp.cli import plan_report
 from ctr_nlp.exceptions import OptionError
+from ctr_nlp.models import KINEMATIC_MODELS
 from ctr_nlp.ocp.settings import THRESHOLDS
+from ctr_nlp.paths.lumen import Lumen
+from ctr_nlp.plan.motion_evaluation import evaluate_motion
 from ctr_nlp.plan.sample_outcomes import SampleOutcomes, sample_outcomes
+from ctr_nlp.plan.simulation import Simulator
 from ctr_nlp.plan.summary_text import NOT_FOR_PATIENTS
 from ctr_nlp.plan.verdicts import NO, NOT_CHECKED, YES, Verdicts, outcome_sentence
 from ctr_nlp.problems import named_problem
@@ -309,13 +313,20 @@ def test_without_a_wall_nothing_is_checked():
 
 
 def test_a_robot_that_swings_through_the_wall_between_two_frames_is_found():
-    """A lone tube that turns by half a turn from one frame to the next bends to the side between them: its two
-    frames keep off the wall of a lumen that bends as they do, and the way between them does not.
+    """A lone tube that turns by a whole turn from one frame to the next lies in the middle of a lumen in both, and
+    sweeps through its wall between them.
     """
-    plan = solve_per_frame(named_problem("bronchus", frames=6), model="dominant").evaluate_on("elastic")
-    between, frames = plan.clearance_between.min(axis=1), plan.clearance.min(axis=1)
-    assert (between <= frames + 1e-9).all()
-    assert (between[1:] < frames[1:] - 0.1).any()
+    tube = Robot((Tube(100.0, 60.0, 1 / 60, outer_diameter=2.0, inner_diameter=1.5),))
+    simulator = Simulator(tube, KINEMATIC_MODELS["elastic"])
+    q = np.array([[0.0, 60.0, 0.0, 0.0], [2 * np.pi, 60.0, 0.0, 0.0]])
+    middle = simulator(q).shape[0]
+    lumen = Lumen(np.column_stack([middle, np.full(len(middle), 3.0)]))
+    found = evaluate_motion(simulator, q, target=np.stack([middle, middle]), wall=lumen).arrays
+    assert found["clearance"].min() == pytest.approx(2.0, abs=0.05)
+    # Half a turn away the tip is twice as far aside as in the frames: 2 * 60 mm * (1 - cos 1).
+    aside = 2 * 60 * (1 - np.cos(1.0))
+    assert -aside < found["clearance_between"][1].min() < -20
+    assert found["clearance_between"][0].min() == pytest.approx(2.0, abs=0.05)
 
 
 @pytest.mark.parametrize("value", [-0.1, np.nan, np.inf])
