@@ -39,8 +39,8 @@ ROOT = Path(__file__).resolve().parents[1]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
 LANGUAGES = {"bash", "python", "toml", "text", "math"}
 SCRIPTS = sorted(path.name for path in (ROOT / "scripts").glob("*.py"))
-STUDIES = ("compare", "learn", "baselines", "reproduce", "benchmark")
-"""Programs in scripts/studies/ that took the place of subcommands."""
+STUDIES = ("compare", "learn", "baselines", "reproduce", "benchmark", "cohort")
+"""Programs in scripts/studies/ that pages name with their options."""
 ENVIRONMENT = "python3 -m venv"
 """What commands begin with that make an environment: .ci/run runs these."""
 THIN = {
