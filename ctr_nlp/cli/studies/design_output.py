@@ -130,7 +130,7 @@ def print_designs(designs: Sequence[DesignWithPlans], nominal: bool, walls: bool
         told = [each.plan.verdicts for one in designs for each in one.evaluated_plans]
         reached = sum(one.end_reached_as_described if nominal else one.end_reached for one in told)
         robots = "robots as described" if nominal else "robots within the tolerances"
-        console().print(f"{reached} of {len(told)} ends reached, as {robots}.")
+        console().print(f"{reached} of {len(told)} ends reached by {robots}.")
 
 
 def print_left_out(files: Sequence[str], ends: Sequence[HeldOutEnd], nominal: bool) -> None:
