@@ -104,8 +104,8 @@ def solve_last_frame(frames: NlpFrames) -> list[LastFrame]:
         Distinct solutions, the best first; none where no start was solved.
     """
     free = frames.search(frames.problem.frames - 1)[:MAX_FREE_SOLUTIONS]
-    found = [solve_last_frame_near(frames, one) for one in free if one.success]
-    solved = {id(one.result): one for one in found if one is not None}
+    solved = (solve_last_frame_near(frames, one) for one in free if one.success)
+    found = [one for one in solved if one is not None]
     # Solutions without the wall that differ may lead to the same one within it.
-    distinct = distinct_results([one.result for one in solved.values()])
-    return sorted((solved[id(one)] for one in distinct), key=lambda one: one.rank)
+    distinct = distinct_results([one.result for one in found])
+    return sorted((one for one in found if any(one.result is each for each in distinct)), key=lambda one: one.rank)

@@ -222,7 +222,8 @@ def design(
         if stock is not None:  # what cannot nest is refused before anything is solved
             nearest_stock(stock, whole.tubes, whole.tubes.nominal_unknowns, whole.has_load)
         plan = partial(_plans, whole, settings, nominal, model, walls, jobs, progress)
-        if walls and len(whole.tasks) > MAX_TASKS_WITH_MOTIONS:
+        on_last_frames = walls and len(whole.tasks) > MAX_TASKS_WITH_MOTIONS
+        if on_last_frames:
             search, begun = at_last_frames(whole), None
             grown = grow_from_starts(search, count, settings.seed, jobs, progress)
             tried = [one.as_candidate(search) for one in grown]
@@ -253,7 +254,7 @@ def design(
         stocked = None
         if stock is not None and not interrupted():
             finish: Finish = partial(_finish_tubes, tasks=whole.tasks if nominal else None)
-            if walls and (nominal or len(whole.tasks) > MAX_TASKS_WITH_MOTIONS):
+            if on_last_frames or (walls and nominal):
                 finish = _keep_frames
             rounded = round_to_stock(rounding[1], rounding[0], stock, finish, FINALISTS if nominal else 1)
             if rounded is not None:

@@ -34,10 +34,9 @@ from ctr_nlp.solvers.scenarios import SharedSolution
 from ctr_nlp.support.interrupt import deferred_interrupt, end_if_interrupted
 from ctr_nlp.support.pool import Jobs, run_in_parallel
 from ctr_nlp.tube_design.search import (
-    CONTINUED_BARRIER_MM2,
     INITIAL_STEP_COST_MM2,
     REPLANNED_BARRIER_MM2,
-    WALL_PARTS,
+    WALL_ROUNDS,
     Candidate,
     DesignSearch,
     Motions,
@@ -58,10 +57,8 @@ end are kept.
 """
 REACHING_STARTS = 3
 """Tubes from which those of each robot grow."""
-ROUNDS_FROM_SHAPES = tuple(zip(WALL_PARTS, (REPLANNED_BARRIER_MM2, CONTINUED_BARRIER_MM2), strict=True))
-"""Parts of the wall's weight, and first barriers in mm^2, of the rounds from tubes found without walls."""
 ROUNDS_WITHIN_WALLS = ((1.0, REPLANNED_BARRIER_MM2),)
-"""The same from tubes whose last frames are within walls."""
+"""Like WALL_ROUNDS, from tubes whose last frames are within walls."""
 
 Start = tuple[str, Array, int | None]
 """Name and unknowns (P,) of tubes to start from, and the number of a task for which they are designed alone before
@@ -223,7 +220,7 @@ def _find_last_frame(
         others = solve_last_frame(frames) if more and (one is None or one.excess > 0) else []
     except CtrError:  # on these tubes, the model does not apply or the path is too long
         return None
-    return min((each for each in (one, *others) if each is not None), key=_rank, default=None)
+    return min((each for each in (one, *others) if each is not None), key=lambda each: each.rank, default=None)
 
 
 def grow_tubes(search: DesignSearch, wanted: Flags, start: Start) -> ReachingTubes | None:
@@ -413,7 +410,7 @@ def _design_for_one(search: DesignSearch, number: int, p: Array) -> Array | None
     found = _candidate(single, p, [near])
     # Random tubes are deep within the wall, where the joint program fails: the shape alone leads near it.
     shaped = single.shape_alone.run_round(found, nominal_scenario, INITIAL_STEP_COST_MM2, COLD_START_BARRIER_MM2)
-    return None if shaped is None else _run_rounds(single, shaped, ROUNDS_FROM_SHAPES).p
+    return None if shaped is None else _run_rounds(single, shaped, WALL_ROUNDS).p
 
 
 def _design_for_last_frames(
@@ -445,9 +442,7 @@ def _run_rounds(search: DesignSearch, begun: Candidate, rounds: Sequence[tuple[f
     """
     found = begun
     for part, barrier in rounds:
-        weight = part * search.priorities.contact_weight
-        near = replace(search, priorities=replace(search.priorities, contact_weight=weight))
-        again = near.run_round(found, nominal_scenario, INITIAL_STEP_COST_MM2, barrier)
+        again = search.with_wall_part(part).run_round(found, nominal_scenario, INITIAL_STEP_COST_MM2, barrier)
         if again is not None:
             found = again
     return found
@@ -473,8 +468,3 @@ def _at_single_frames(search: DesignSearch) -> DesignSearch:
     """Return a search on the last frame of each task alone."""
     tasks = (at_frames(task, np.array([task.frames - 1]), 1) for task in search.tasks)
     return replace(search, tasks=tuple(tasks))
-
-
-def _rank(one: LastFrame) -> tuple[float, float]:
-    """Return the order of a last frame, the best first."""
-    return one.rank

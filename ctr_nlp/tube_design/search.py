@@ -64,6 +64,8 @@ MAX_ROUNDS_BEFORE_WALLS, MAX_ERROR_NEAR_WALLS_MM = 2, 3.0
 """Most rounds without walls before those in which they count, and the error, mm, with the costs of contact and
 arrival, up to which tubes to start from need no such rounds.
 """
+WALL_ROUNDS = tuple(zip(WALL_PARTS, (REPLANNED_BARRIER_MM2, CONTINUED_BARRIER_MM2), strict=True))
+"""Parts of the wall's weight, and first barriers in mm^2, of the rounds from tubes found without walls."""
 SHAPE_ALONE = Settings(contact_weight=0.0, arrival_weight=0.0)
 """Priorities with which only the shape's error counts."""
 
@@ -473,6 +475,11 @@ class DesignSearch:
         """The search in which neither walls nor arrival count."""
         return replace(self, priorities=SHAPE_ALONE)
 
+    def with_wall_part(self, part: float) -> DesignSearch:
+        """Return the search in which the wall counts with a part of its weight."""
+        weight = part * self.priorities.contact_weight
+        return replace(self, priorities=replace(self.priorities, contact_weight=weight))
+
     @property
     def error_name(self) -> str:
         """Name of the quantity in the tasks' errors, as reports write it."""
@@ -508,12 +515,10 @@ class DesignSearch:
             if shaped is None:
                 return None
             found = self.with_own_error(shaped)
-        for part, barrier in zip(WALL_PARTS, (REPLANNED_BARRIER_MM2, CONTINUED_BARRIER_MM2), strict=True):
-            weight = part * self.priorities.contact_weight
-            near = replace(self, priorities=replace(self.priorities, contact_weight=weight))
+        for part, barrier in WALL_ROUNDS:
             if self.stop():
                 break
-            again = near.run_round(found, nominal_scenario, INITIAL_STEP_COST_MM2, barrier)
+            again = self.with_wall_part(part).run_round(found, nominal_scenario, INITIAL_STEP_COST_MM2, barrier)
             if again is not None:
                 found = self.with_own_error(again)
                 if self.on_candidate is not None:

@@ -175,7 +175,7 @@ def test_a_design_for_many_ends_reaches_them(monkeypatch):
 
 
 @pytest.mark.slow
-def test_wide_tasks_and_one_start_give_a_round_of_single_frames():
+def test_a_round_on_a_single_frame_improves_it():
     """The joint program of single frames counts the arrival: its solution brings the tip to the end."""
     search = reaching_tubes._at_single_frames(_search((24.0,)))
     known = find_last_frames(_search((24.0,)), search.tubes.nominal_unknowns)

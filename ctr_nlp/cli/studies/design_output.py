@@ -129,8 +129,7 @@ def print_designs(designs: Sequence[DesignWithPlans], nominal: bool, walls: bool
     if walls:
         told = [each.plan.verdicts for one in designs for each in one.evaluated_plans]
         reached = sum(one.end_reached_as_described if nominal else one.end_reached for one in told)
-        robots = "robots as described" if nominal else "robots within the tolerances"
-        console().print(f"{reached} of {len(told)} ends reached by {robots}.")
+        console().print(f"{reached} of {len(told)} ends reached by {_name_robots(nominal)}.")
 
 
 def print_left_out(files: Sequence[str], ends: Sequence[HeldOutEnd], nominal: bool) -> None:
@@ -144,8 +143,13 @@ def print_left_out(files: Sequence[str], ends: Sequence[HeldOutEnd], nominal: bo
         rows.append([file, len(reached), sum(reached)])
     print_table("left out of the design", ["file", "ends", "reached"], rows)
     share = sum(end.choice.reaches for end in ends) / len(ends)
-    robots = "robots as described" if nominal else "robots within the tolerances"
+    robots = _name_robots(nominal)
     console().print(f"Robots designed for all other files reach {share:.0%} of {len(ends)} ends, as {robots}.")
+
+
+def _name_robots(nominal: bool) -> str:
+    """Return what the robots are called for which plans were made."""
+    return "robots as described" if nominal else "robots within the tolerances"
 
 
 def _print_design(design: DesignWithPlans, label: str) -> None:
