@@ -107,9 +107,7 @@ def solve_robust_per_frame(
     checked_ends(problem, direction, start)
     whole_number(OptionError, "rounds", rounds, 0)
     model, scenarios = resolve_scenarios(problem.robot, model, scenarios)
-    # The first motion is simulated as well, hence one more than rounds: each trial takes its share of the 5 %
-    # (Bonferroni).
-    trials = Trials(problem.robot, model, rounds + 1, most_lost)
+    trials = Trials(problem.robot, model, most_lost)
     with deferred_interrupt() as interrupted:
         solver = ScenarioFrames.of(problem, scenarios, model, settings, terms, PER_FRAME_START_MARGINS)
         passes, seconds = run_passes(problem, solver, direction, start, progress=progress)
@@ -146,7 +144,7 @@ def solve_robust_per_frame(
         ],
     }
     plan = plan_from_pass(problem, solver, _with_reported_unknowns(best, problem, model), None, options, work)
-    return plan if stopped or not plan.reached_frames.any() else trials.certify_plan(plan, trial, len(made))
+    return plan if stopped or not plan.reached_frames.any() else trials.certify_plan(plan, len(made))
 
 
 def _with_reported_unknowns(best: Pass, problem: Problem, model: Model) -> Pass:

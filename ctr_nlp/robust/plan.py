@@ -39,11 +39,9 @@ from ctr_nlp.planning.motions import per_frame_motions
 from ctr_nlp.planning.nlp_frames import DEFAULT_PLANNER_SETTINGS
 from ctr_nlp.planning.stability_refinement import MAX_FRAME_MARGIN
 from ctr_nlp.planning.validation import check_problem_and_settings, check_search, checked_motions, checked_terms
-from ctr_nlp.robust.arrival_rounds import MAX_ARRIVAL_ROUNDS as IMPROVEMENTS
 from ctr_nlp.robust.arrival_rounds import ArrivalJudge, improve_arrival
 from ctr_nlp.robust.constraint_scenarios import plan_with_constraint_scenarios
 from ctr_nlp.robust.rounds import (
-    MAX_RELAXATIONS,
     FailureJudge,
     Round,
     best_round,
@@ -160,11 +158,7 @@ def solve_robust(
         raise OptionError(
             "initial and margins are both empty; give motions as initial guesses, or margins to find some"
         )
-    # Largest number of motions tested: each test has its part of the 5 % (Trials), which is valid only if none
-    # comes unplanned. For two sets of starts: rounds on a draft and on all frames, relaxations, and improvements
-    # with a round each; and once with guards.
-    motions = 2 * (2 * (rounds + 1) + MAX_RELAXATIONS + 2 * IMPROVEMENTS) + 1
-    trials = Trials(problem.robot, model, motions, most_lost)
+    trials = Trials(problem.robot, model, most_lost)
     terms = with_arrival(checked_terms(terms), settings, model)
     purpose = ArrivalJudge(problem, model, settings)
     # `weight` stays None until a first start is known from which the default can be found.
@@ -252,7 +246,7 @@ def solve_robust(
     if best is None:
         return _plan_without_solution(problem, told.configuration(problem.robot, found[0].x), meta)
     plan = _plan(problem, best, meta)
-    return plan if stopped else trials.certify_plan(plan, best.lost, len(made))
+    return plan if stopped else trials.certify_plan(plan, len(made))
 
 
 @dataclass

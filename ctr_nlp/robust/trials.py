@@ -30,6 +30,10 @@ MAX_JOINING_SAMPLES = 6
 """Largest number of lost samples that join the scenarios in one round."""
 MIN_TRIAL_SAMPLES, DRAFT_TRIAL_SAMPLES, TRIAL_SAMPLES_PER_BATCH = 500, 200, 50
 """Least number of samples for a whole motion, number for a draft, and after how many a test may end."""
+SEARCH_CONFIDENCE, MAX_SEARCH_SAMPLES = 0.998, 5000
+"""Confidence that few robots are lost on a motion, for planning to go on from it, and most samples for that. The
+best of some 40 motions is partly lucky, so that it has to be clearly better than the certificate asks.
+"""
 MAX_TRIAL_SAMPLES_PER_CALL = 1000
 """Largest number of samples that are simulated in one call, for the memory that their motions take."""
 TRIAL_FIRST_SAMPLE_SEED = 2**40
@@ -65,40 +69,34 @@ class FailedSamples(NamedTuple):
 
 @dataclass(frozen=True)
 class Trials:
-    """Tests motions on samples of a robot, fresh ones for each motion.
+    """Tests motions on samples of a robot: those of a search, and then, once, the chosen one for its certificate.
 
-    robot: with its tolerances. model: on which samples are simulated. motions: largest number of motions that are
-    tested. most_lost: share of all robots within the tolerances that may be lost. The result for the last motion
-    has 95 % confidence however many were tested before it. Raises OptionError.
+    robot: with its tolerances. model: on which samples are simulated. most_lost: share of all robots within the
+    tolerances that may be lost. Raises OptionError.
     """
 
     robot: Robot
     model: Model
-    motions: int
     most_lost: float = MOST_LOST
 
     def __post_init__(self) -> None:
         number(OptionError, "most_lost", self.most_lost, lambda x: 0 < x < 1, "be more than 0 and less than 1")
 
     @property
-    def confidence(self) -> float:
-        """Confidence of the test of a single motion."""
-        # Bonferroni: the best of many tested motions is partly lucky. With 5 % / motions for each test, none of
-        # them is wrong with 95 % confidence.
-        return 1 - (1 - CONFIDENCE) / self.motions
+    def search_samples(self) -> int:
+        """Number of samples for a motion of the search."""
+        return min(self._least_samples(SEARCH_CONFIDENCE), MAX_SEARCH_SAMPLES)
 
     @property
-    def samples_per_motion(self) -> int:
-        """Number of samples for a motion: enough to pass the test where none of them is lost."""
-        # None of n lost: (1 - p)^n <= 1 - c, with p the share that may be lost and c the confidence.
-        return max(MIN_TRIAL_SAMPLES, math.ceil(math.log(1 - self.confidence) / math.log1p(-self.most_lost)))
+    def certificate_samples(self) -> int:
+        """Number of samples for the certificate: enough to show, where none is lost, that few robots are."""
+        return self._least_samples(CONFIDENCE)
 
-    @property
-    def allowed_failures(self) -> int:
-        """Number of these that may be lost."""
+    def allowed_failures(self, samples: int, confidence: float = CONFIDENCE) -> int:
+        """Return how many of so many samples may be lost; none where there are too few for the confidence."""
         # The bound grows with the number lost: the last number below it is wanted.
-        bounds = (upper_bound(lost, self.samples_per_motion, self.confidence) for lost in count())
-        return next(lost for lost, bound in enumerate(bounds) if bound > self.most_lost) - 1
+        bounds = (upper_bound(lost, samples, confidence) for lost in count(1))
+        return next(lost for lost, bound in enumerate(bounds) if bound > self.most_lost)
 
     def __call__(self, q: Array, number: int, draft: bool = False) -> FailedSamples:
         """Simulate fresh samples on a motion q (T, 2d + 2) and return those that are lost.
@@ -106,12 +104,22 @@ class Trials:
         number: of the motion. draft: whether it is a draft's motion, for which there are fewer samples, and few
         means none. The simulation ends as soon as the test has failed.
         """
+        if draft:
+            return self._test(q, number, DRAFT_TRIAL_SAMPLES, 0)
+        return self._test(
+            q, number, self.search_samples, self.allowed_failures(self.search_samples, SEARCH_CONFIDENCE)
+        )
+
+    def _least_samples(self, confidence: float) -> int:
+        """Return the number of samples, at least MIN_TRIAL_SAMPLES, that suffices where none of them is lost."""
+        # None of n lost: (1 - p)^n <= 1 - c, with p the share that may be lost and c the confidence.
+        return max(MIN_TRIAL_SAMPLES, math.ceil(math.log(1 - confidence) / math.log1p(-self.most_lost)))
+
+    def _test(self, q: Array, number: int, samples: int, allowed: int) -> FailedSamples:
+        """Simulate up to so many samples, of which `allowed` may be lost; number: the samples' own."""
         # Fresh samples for every motion: those of earlier tests have joined its scenarios, and would bias the
         # test.
-        draws = sample_robots(
-            self.robot, DRAFT_TRIAL_SAMPLES if draft else self.samples_per_motion, TRIAL_FIRST_SAMPLE_SEED + number
-        )
-        allowed = 0 if draft else self.allowed_failures
+        draws = sample_robots(self.robot, samples, TRIAL_FIRST_SAMPLE_SEED + number)
         frames = np.zeros(0, dtype=int)
         # The verdict is no once more than `allowed` are lost; but MAX_JOINING_SAMPLES of them are wanted as
         # scenarios.
@@ -135,41 +143,43 @@ class Trials:
 
         number: of the motion, whose samples are taken again and scaled.
         """
-        draws, (low, high) = (
-            sample_robots(self.robot, self.samples_per_motion, TRIAL_FIRST_SAMPLE_SEED + number),
-            (0.0, 1.0),
-        )
+        draws = sample_robots(self.robot, self.search_samples, TRIAL_FIRST_SAMPLE_SEED + number)
+        allowed = self.allowed_failures(self.search_samples, SEARCH_CONFIDENCE)
+        low, high = 0.0, 1.0
         # The same samples at every scale, so that the number lost is nearly monotonic in the part.
         for _ in range(TOLERANCE_PART_BISECTIONS):
             part = (low + high) / 2
             shrunk = perturb_robot(self.robot, part * draws.deviations, part * draws.backlash, part * draws.forces)
-            few = (find_failure_frames(self.robot, shrunk, q, self.model) > 0).sum() <= self.allowed_failures
+            few = (find_failure_frames(self.robot, shrunk, q, self.model) > 0).sum() <= allowed
             low, high = (part, high) if few else (low, part)
         # The lower end: few are known to be lost there.
         return low
 
-    def certify_plan(self, plan: Plan, lost: FailedSamples, number: int) -> Plan:
+    def certify_plan(self, plan: Plan, number: int) -> Plan:
         """Certify a plan on fresh samples, which neither planning nor the choice among motions has used.
+
+        It is the only test whose confidence counts, so that the number of motions that were tested before it does
+        not matter.
 
         Parameters
         ----------
         plan : Plan
             The chosen plan.
-        lost : FailedSamples
-            Result of the last test of its motion.
         number : int
-            Number of a motion that was not tested, so that its samples are fresh.
+            Number of a motion that was not tested, so that its samples are fresh; nor was any with a larger one.
 
         Returns
         -------
         Plan
             The same plan with these samples, and with ``meta["certificate"]``: ``held``, whether few enough robots
-            are lost; ``draws``, ``lost``, ``lost_in`` and ``borne`` of the last test (samples, how many were lost
-            and in which frames, and the part of the tolerances at which few are); ``samples``, ``outcome``,
-            ``holds`` and ``holds_at_least``: the fresh samples, how many also arrive and keep off the wall, and
+            are lost; ``draws``, ``lost``, ``lost_in`` and ``borne`` of the test of that (samples, how many were
+            lost and in which frames, and the part of the tolerances at which few are); ``samples``, ``outcome``,
+            ``holds`` and ``holds_at_least``: other fresh samples, how many also arrive and keep off the wall, and
             the least share of all robots that does, with 95 % confidence (Clopper and Pearson); ``certified``:
             whether few are lost and that share is as large as asked for.
         """
+        most = self.certificate_samples
+        lost = self._test(plan.q, number + 1, most, self.allowed_failures(most))
         frames, counts = np.unique(lost.frames, return_counts=True)
         # The seed of a number that no test has used.
         plan = plan.with_samples(CERTIFICATION_SAMPLES, TRIAL_FIRST_SAMPLE_SEED + number)

@@ -51,8 +51,8 @@ class _Losing:
         numbers, offsets = np.repeat(TWO.numbers[None], count, 0), np.full((count, 2), 0.15)
         return FailedSamples(numbers, offsets, np.zeros((count, 3)), np.full(count, 3), 50, not count)
 
-    def certify_plan(self, plan, lost, number):
-        return replace(plan, meta=plan.meta | {"certificate": {"held": lost.few}})
+    def certify_plan(self, plan, number):
+        return replace(plan, meta=plan.meta | {"certificate": {"held": self.asked > self.rounds}})
 
 
 def _planned(problem, scenarios, losing=0, **options):
