@@ -359,7 +359,7 @@ REALTIME = r"in state|the controller says|feed override|not asked for|not resume
 
 
 class Kind(NamedTuple):
-    """How a fault strikes, and what a message must say to name its cause."""
+    """How a fault strikes, and what a message must say to name its cause; "" where no player is left to say it."""
 
     arm: Arm
     cause: str
@@ -387,7 +387,7 @@ KINDS: dict[str, Kind] = {
     "other console": Kind(
         other_console, "another client|somebody|the controller says|in state|acknowledges more lines"
     ),
-    "killed": Kind(killed, "the end was never told"),
+    "killed": Kind(killed, ""),
     "link cut": Kind(of_emulator("cut"), "link"),
     "controller silent": Kind(of_emulator("silent", (0.6, 5.0)), "reported no position"),
     "controller busy": Kind(of_emulator("busy", (0.6, 3.0)), "reported no position"),
