@@ -7,7 +7,7 @@ import pytest
 from after_snaps import settle
 from scipy.optimize import brentq
 
-from ctr_nlp.check.checker import NO, YES, _judge_limits, examine_motion
+from ctr_nlp.check.checker import NO, NOT_COVERED, YES, _judge_limits, examine_motion
 from ctr_nlp.check.motions import CONVERGED_RATE, Follower, move_nominal, move_through
 from ctr_nlp.check.plan_file import PlanFile
 from ctr_nlp.check.shapes import RobotShape, compute_body
@@ -202,6 +202,31 @@ def test_samples_move_as_the_nominal_robot():
     found = np.array([follower.angles.copy() for _ in move_through(follower, q)])
     assert not follower.snapped.any()
     np.testing.assert_allclose(found, motion.tip_angles[:, -1, :, None] + np.zeros(3), atol=TIP_RAD)
+
+
+def test_long_steps_are_cut_until_newton_leads_on():
+    """Tubes that turn by more than a radian from frame to frame reach the same place, and do not snap."""
+    tubes = read_tubes(pair_of_tubes(0.005))
+    followers = [Follower(tubes, 0.0) for _ in range(2)]
+    for follower, frames in zip(followers, (3, 61), strict=True):
+        for _ in move_through(follower, turning(frames, 2.5, 40.0)):
+            pass
+        assert (follower.snapped[0], follower.gone[0]) == (False, False)
+    np.testing.assert_allclose(followers[0].angles, followers[1].angles, atol=TIP_RAD)
+
+
+def test_samples_of_a_robot_that_snaps_are_not_compared_with_it():
+    q = turning(40, 2 * np.pi, 50.0)
+    arrays = {"alpha": q[:, :2], "beta": q[:, 2:4], "theta": q[:, 4:], "time": np.arange(1.0, 41.0)}
+    arrays |= {"success": np.ones(40, dtype=bool), "kkt": np.zeros(40), "target": np.zeros((40, 101, 3))}
+    arrays |= {"target_direction": np.tile([0.0, 0, 1], (40, 1))}
+    arrays |= {"draws_parts": np.zeros((2, 2, 5)), "draws_lags": np.zeros((2, 2))}
+    tolerances = {"tip_force": 0.0, "distribution": "uniform", "covariance": None}
+    robot = pair_of_tubes(0.015) | {"limits": {}, "tolerances": tolerances}
+    found = examine_motion(PlanFile(arrays, {"robot": robot, "model": "elastic", "problem": {}}, None, ""), 2)
+    assert found.findings["holds"].word == NOT_COVERED
+    assert "which snaps" in found.findings["holds"].why
+    assert found.samples == {}
 
 
 def test_play_is_an_offset_while_motors_turn_one_way():
