@@ -11,6 +11,7 @@ import matplotlib
 import numpy as np
 from matplotlib.animation import FFMpegWriter, PillowWriter
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 
 from ctr_nlp.exceptions import OptionError, OutputError
 from ctr_nlp.plan import metrics, summary_text
@@ -30,6 +31,7 @@ from ctr_nlp.view.figures.parts.space import (
     points_of_all,
     span,
 )
+from ctr_nlp.view.figures.parts.wall_forces import WALL_FORCE_COLOUR, wall_force_lines
 
 WRITERS: dict[str, Any] = {".gif": PillowWriter, ".mp4": FFMpegWriter}
 """Class that writes a film, by the suffix of its file."""
@@ -39,6 +41,8 @@ FILM_FONT_SIZE = STYLE["font.size"]
 """Size of a film's words, points."""
 FILM_LINE_HEIGHT = 1.25 * FILM_FONT_SIZE / 72 / FILM_HEIGHT_IN
 """Distance of lines as a part of the height."""
+FILM_FORCE_LINE_WIDTH = 1.2
+"""Width of the lines of a wall's forces, points."""
 FILM_TITLE_TOP, FILM_SPACE_BOTTOM = 0.985, 0.31
 """Top of the title, and bottom of the robots, as parts of the height."""
 MIN_FILM_DURATION_S, MAX_FILM_DURATION_S = 2.0, 60.0
@@ -112,6 +116,8 @@ def _stage(plans: Sequence[Plan]) -> tuple[Figure, list[_Column]]:
     for column in columns:
         column.errors.set_ylim(0.0, highest)
     handles = key(max(plan.robot.d for plan in plans), any(plan.wall is not None for plan in plans))
+    if any(plan.wall_force is not None for plan in plans):
+        handles.append(Line2D([], [], label="wall's force", color=WALL_FORCE_COLOUR, lw=FILM_FORCE_LINE_WIDTH))
     curves = legend_of(*(column.errors for column in columns))
     figure.legend(handles=[*handles, *curves.values()], loc="lower center", ncols=4 * len(plans))
     return figure, columns
@@ -142,6 +148,8 @@ class _Column:
         add_wall_sections(space, plan.drawn_walls, plan.target[-1])
         self._target = space.plot([], [], [], zorder=5, **TARGET_LINE_STYLE)[0]
         self._body = RobotLines(space, plan.robot.d)
+        self._forces = None if plan.wall_force is None else wall_force_lines(plan)
+        self._pressing = space.plot([], [], [], color=WALL_FORCE_COLOUR, lw=FILM_FORCE_LINE_WIDTH, zorder=5)[0]
         figure.text(left + width / 2, FILM_TITLE_TOP, title, ha="center", va="top", parse_math=False)
         self._now = figure.text(left + width / 2, below, "", ha="center", va="bottom")
         self.errors = figure.add_axes((left + 0.13 * width, 0.125, 0.82 * width, 0.125))
@@ -160,5 +168,9 @@ class _Column:
         state = "" if plan.success[j] else ", failed" if plan.reached_frames[j] else ", not reached"
         self._body.show(plan.shape[j], plan.beta[j])
         self._target.set_data_3d(*plan.target[j].T)
+        if self._forces is not None:
+            # One line with gaps of NaN instead of an artist for each.
+            gaps = np.full((self._forces.shape[1], 1, 3), np.nan)
+            self._pressing.set_data_3d(*np.concatenate([self._forces[j], gaps], axis=1).reshape(-1, 3).T)
         self._now.set_text(f"frame {j + 1} of {len(plan.time)}, {plan.time[j]:.2f} s{state}")
         self._cursor.set_xdata([j + 1, j + 1])

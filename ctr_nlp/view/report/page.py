@@ -21,6 +21,7 @@ from ctr_nlp.typing import Array
 from ctr_nlp.view.figures.parts.orientation import picture_axes
 from ctr_nlp.view.figures.parts.page import AT_FRAME, BETWEEN_FRAMES
 from ctr_nlp.view.figures.parts.palette import tube_colour
+from ctr_nlp.view.figures.parts.wall_forces import WALL_FORCE_COLOUR, describe_force_lines
 from ctr_nlp.view.report.camera import EYE_FIELD_OF_VIEW_DEG, OUTSIDE_FIELD_OF_VIEW_DEG, cameras, eyes
 from ctr_nlp.view.report.ghosts import (
     MAX_REPORT_GHOSTS,
@@ -32,6 +33,7 @@ from ctr_nlp.view.report.places import arrival_tolerance, coordinates, printed_f
 from ctr_nlp.view.report.plots import EXTENT, Plot, plots
 from ctr_nlp.view.report.scene import (
     SCENE_DATA_PLACEHOLDER,
+    SCENE_FORCES_PART,
     SCENE_ROBOT_PART,
     SCENE_TARGET_END_COLOUR,
     SCENE_TARGET_END_PART,
@@ -114,6 +116,7 @@ def page(
         *([SCENE_WALL_PART] if any(plan.wall is not None for plan in plans) else []),
         SCENE_TARGET_PART,
         SCENE_TARGET_END_PART,
+        *([SCENE_FORCES_PART] if any(plan.wall_force is not None for plan in plans) else []),
     ]
     drawn = any(plan.drawn for plan in plans)
     return _render_page(
@@ -128,6 +131,13 @@ def page(
         if drawn
         else None,
         by_tube=TUBE_COLOURING,
+        wall_forces={
+            "part": SCENE_FORCES_PART,
+            "colour": WALL_FORCE_COLOUR,
+            "scales": list(
+                dict.fromkeys(describe_force_lines(plan) for plan in plans if plan.wall_force is not None)
+            ),
+        },
         target_end={
             "part": SCENE_TARGET_END_PART,
             "colour": SCENE_TARGET_END_COLOUR,

@@ -26,6 +26,7 @@ from ctr_nlp.typing import Array
 from ctr_nlp.view.figures.overlay import tube_ends
 from ctr_nlp.view.figures.parts.palette import BLACK, CONTACT, ERROR_COLOUR_MAP, KEEP_OUT_COLOUR, tube_colour
 from ctr_nlp.view.figures.parts.space import points_of_all
+from ctr_nlp.view.figures.parts.wall_forces import WALL_FORCE_COLOUR, wall_force_lines
 from ctr_nlp.view.report.camera import OUTSIDE_FIELD_OF_VIEW_DEG, cameras
 from ctr_nlp.view.report.ghosts import ghosts
 from ctr_nlp.view.report.places import arrival_tolerance
@@ -108,6 +109,8 @@ SCENE_ROBOT_PART, SCENE_WALL_PART, SCENE_TARGET_PART = "robot", "wall", "target"
 """Parts of a scene that are switched on and off, in the custom_data of its objects."""
 SCENE_TARGET_END_PART, SCENE_TARGET_END_COLOUR = "target's end", "#6A00A8"
 """The marker at the target's end: its part, and a violet that stands out from tubes, white and a pink wall."""
+SCENE_FORCES_PART, FORCE_LINE_WIDTH_MM = "wall's forces", 0.4
+"""Lines of the wall's forces on the robot: their part, and their width, mm."""
 TARGET_END_LINE_MM, TARGET_END_OPACITY = 0.3, 0.25
 """Width of the cross at the target's end, mm, and opacity of the sphere around it."""
 SCENE_DATA_PLACEHOLDER = "@DATA@"
@@ -194,7 +197,7 @@ def _environment_objects(k3d: Any, plan: Plan) -> list[Any]:
         line(axis, color=SCENE_AXIS_COLOUR, width=AXIS_RADIUS, name="insertion axis"),
         line(_over_time(holder), color=SCENE_HOLDER_COLOUR, width=1.5 * radius, **held),
     ]
-    return found + _target_end_objects(k3d, plan) + _wall_objects(k3d, plan)
+    return found + _target_end_objects(k3d, plan) + _wall_objects(k3d, plan) + _force_objects(k3d, plan)
 
 
 def _target_end_objects(k3d: Any, plan: Plan) -> list[Any]:
@@ -242,6 +245,18 @@ def _wall_objects(k3d: Any, plan: Plan) -> list[Any]:
             points = pieces.reshape(-1, 3).astype(np.float32)
             found.append(k3d.lines(points, pairs, name=f"{name}, rings", **colour, **rings))
     return found
+
+
+def _force_objects(k3d: Any, plan: Plan) -> list[Any]:
+    """Return the lines of the wall's forces on the robot, in one object; an empty list where it leans on none."""
+    if plan.wall_force is None:
+        return []
+    # A frame without a shape has its lines at the insertion point, without length.
+    lines = np.nan_to_num(wall_force_lines(plan)).reshape(len(plan.time), -1, 3)
+    pairs = np.arange(lines.shape[1], dtype=np.uint32).reshape(-1, 2)
+    look = {"indices_type": "segment", "width": FORCE_LINE_WIDTH_MM, "shader": "thick"}
+    named = {"name": SCENE_FORCES_PART, "custom_data": {"part": SCENE_FORCES_PART}}
+    return [k3d.lines(_over_time(lines), pairs, color=_pack_colour(WALL_FORCE_COLOUR), **look, **named)]
 
 
 def _hoops(lumen: Array) -> tuple[Array, npt.NDArray[np.uint32]]:
