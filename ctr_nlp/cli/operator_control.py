@@ -1,4 +1,4 @@
-"""Operator's control of a plan that is played: typed lines and signals become requests to the player.
+"""Operator's control of a plan that is played: keys, lines and signals become requests to the player.
 
 Handlers of signals and the thread that reads lines only ask; the player itself decides between two commands of the
 motion, so that a stop is never cut short.
@@ -6,6 +6,7 @@ motion, so that a stop is never cut short.
 
 from __future__ import annotations
 
+import contextlib
 import os
 import signal
 import sys
@@ -14,9 +15,21 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
+try:
+    import termios
+    import tty
+except ImportError:  # systems without POSIX terminals, where lines are obeyed
+    termios = tty = None  # type: ignore[assignment]
+
+from ctr_nlp.cli.terminal_output import print_stderr
 from ctr_nlp.hardware.playing.player import Player
 
 OPERATOR_COMMANDS = {"p": "pause", "r": "resume", "a": "abort"}
+OPERATOR_KEYS = "keys: p pauses, r resumes, a aborts; so does Ctrl-C"
+"""What an operator at a terminal is told before anything moves."""
+
+NO_TERMINAL_ERRORS = (OSError, ValueError, AttributeError, *([termios.error] if termios else []))
+"""What asking a terminal raises where standard input is none, or is closed."""
 
 STOP_SIGNAL_NAMES = ("SIGTERM", "SIGHUP", "SIGQUIT")
 """Names of the signals that stop the motors, beside that of Ctrl-C; SIGQUIT is Ctrl-\\."""
@@ -27,7 +40,10 @@ SIGNAL_EXIT_BASE = 128
 
 @contextmanager
 def obey_operator(player: Player, interrupted: Callable[[], bool]) -> Iterator[Callable[[], int]]:
-    """Turn typed lines, and signals that end programs, into requests to the player within the block.
+    """Turn keys, typed lines, and signals that end programs, into requests to the player within the block.
+
+    At a terminal a key is obeyed as it is pressed, and the keys are named first. Elsewhere, as in a pipe,
+    lines are obeyed.
 
     Parameters
     ----------
@@ -41,11 +57,11 @@ def obey_operator(player: Player, interrupted: Callable[[], bool]) -> Iterator[C
     callable
         The number of the first signal that has come, 0 for none.
     """
-    threading.Thread(target=_listen, args=(player,), daemon=True).start()
     if hasattr(signal, "SIGTTIN"):  # in the background, reading a terminal must fail and not stop the program
         before = signal.signal(signal.SIGTTIN, signal.SIG_IGN)
     try:
-        with stop_on_signals(player.abort, interrupted) as signalled:
+        with _pass_keys_at_once() as at_once, stop_on_signals(player.abort, interrupted) as signalled:
+            threading.Thread(target=_listen, args=(player, at_once), daemon=True).start()
             yield signalled
     finally:
         if hasattr(signal, "SIGTTIN"):
@@ -91,13 +107,35 @@ def stop_on_signals(stop: Callable[[], None], interrupted: Callable[[], bool]) -
             signal.signal(number, known)
 
 
-def _listen(player: Player) -> None:
-    """Obey lines of standard input until it ends, in a thread of its own."""
+@contextmanager
+def _pass_keys_at_once() -> Iterator[bool]:
+    """Let the terminal pass on every key without Enter within the block; yields False where there is none."""
+    try:
+        descriptor = sys.stdin.fileno()
+        # A program in the background must leave the terminal to the one in front.
+        if termios is None or os.tcgetpgrp(descriptor) != os.getpgrp():
+            raise OSError
+        before = termios.tcgetattr(descriptor)
+        # Unlike a raw terminal, this one still turns Ctrl-C into a signal.
+        tty.setcbreak(descriptor)
+    except NO_TERMINAL_ERRORS:
+        yield False
+        return
+    try:
+        print_stderr(OPERATOR_KEYS)
+        yield True
+    finally:
+        with contextlib.suppress(*NO_TERMINAL_ERRORS):  # a terminal that was closed has nothing to restore
+            termios.tcsetattr(descriptor, termios.TCSADRAIN, before)
+
+
+def _listen(player: Player, at_once: bool) -> None:
+    """Obey standard input until it ends, in a thread of its own: every key, or every line by its first letter."""
     try:
         # Past Python's buffer: this thread would hold its lock when the program ends.
         while typed := os.read(sys.stdin.fileno(), 1024).decode(errors="replace"):
-            for line in typed.splitlines():
-                wish = OPERATOR_COMMANDS.get(line.strip().lower()[:1])
+            for given in typed if at_once else typed.splitlines():
+                wish = OPERATOR_COMMANDS.get(given.strip().lower()[:1])
                 if wish is not None:
                     getattr(player, wish)()
     except (OSError, ValueError, AttributeError):

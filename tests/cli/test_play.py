@@ -27,6 +27,7 @@ from ctr_nlp import Plan, table_i_robot
 from ctr_nlp.cli.commands import play as play_command
 from ctr_nlp.cli.commands.play import JOURNAL
 from ctr_nlp.cli.commands.play import main as play
+from ctr_nlp.cli.operator_control import OPERATOR_KEYS
 from ctr_nlp.cli.output.folder import check_folder, output_folder
 from ctr_nlp.cli.output.manifest import MARK
 from ctr_nlp.hardware import journal as journal_module
@@ -374,6 +375,50 @@ def test_words_pause_resume_and_abort(plan: Path, tmp_path: Path) -> None:
     states = [r["state"] for r in read_journal(out / JOURNAL) if r["kind"] == "state"]
     assert states[-5:] == ["running", "hold", "running", "homed", "disconnected"]
     assert "cancelled" in told
+
+
+@unix
+@pytest.mark.hazard("late or missing stop")
+def test_a_key_at_a_terminal_needs_no_enter(plan: Path, tmp_path: Path) -> None:
+    """The program's terminal is a pseudo-terminal, which passes lines on after Enter unless told otherwise."""
+    import fcntl
+    import pty
+    import termios
+
+    def take_terminal() -> None:
+        fcntl.ioctl(0, termios.TIOCSCTTY, 0)
+
+    out = tmp_path / "out"
+    ours, theirs = pty.openpty()
+    before = termios.tcgetattr(theirs)
+    process = subprocess.Popen(
+        [sys.executable, "-u", "-m", "ctr_nlp", "play", str(plan), "--out", str(out), ANYWAY],
+        stdin=theirs,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+        preexec_fn=take_terminal,
+    )
+    try:
+        for key, kind, count in ((b"p", "state", 3), (b"r", "state", 4)):
+            recorded(out, "frame", 2)
+            os.write(ours, key)
+            recorded(out, kind, count + 1)
+        os.write(ours, b"a")
+        status, told, said = ended(process)
+        assert status == 1
+        assert said == OPERATOR_KEYS
+        assert "cancelled" in told
+        states = [r["state"] for r in read_journal(out / JOURNAL) if r["kind"] == "state"]
+        assert states[-5:] == ["running", "hold", "running", "homed", "disconnected"]
+        # The terminal is left as it was found.
+        assert termios.tcgetattr(theirs) == before
+    finally:
+        process.kill()
+        process.communicate()
+        os.close(ours)
+        os.close(theirs)
 
 
 @unix

@@ -49,8 +49,9 @@ def _parser(prog: str) -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog=prog,
         description="Check a plan for some hardware, and again by an independent checker, go slowly to its "
-        "first frame, and play it. While it plays, lines on standard input are obeyed: p pauses, r resumes, a "
-        "aborts; Ctrl-C, Ctrl-\\ and the signals SIGTERM and SIGHUP abort too.",
+        "first frame, and play it. While it plays, keys are obeyed: p pauses, r resumes, a aborts; where standard "
+        "input is no terminal, lines that begin with these letters. Ctrl-C, Ctrl-\\ and the signals SIGTERM and "
+        "SIGHUP abort too.",
         epilog="Exit status: 0 where the plan was played to the end, 1 where it was not, as after a, or where "
         "something could not be written, 2 where input is bad and nothing was sent, 128 + N where signal N "
         "stopped it: 130 after Ctrl-C, 131 after Ctrl-\\, 143 after SIGTERM, 129 after SIGHUP.",
