@@ -16,13 +16,18 @@ from ctr_nlp.support.value_checks import floats
 from ctr_nlp.typing import Array
 
 DEFAULT_SETTINGS = Settings()
+ROBOT_HELP = (
+    "robot file, or the name of a robot that comes with the package, such as stock_1 (default: the problem's own "
+    "robot, and within an anatomy's wall that of the package which fits the path best)"
+)
+"""Help of the option for the robot."""
 FRAME_SETTINGS = ("motion_weight", "jump_width", "seed")
 """Names of add_settings' options that settings_from takes where frames are solved one by one."""
 
 
 def add_problem_options(parser: argparse.ArgumentParser) -> None:
     """Add the options for robot, number of frames and duration to `parser`."""
-    parser.add_argument("--robot", metavar="FILE.toml", help="robot file (default: the problem's own robot)")
+    parser.add_argument("--robot", metavar="FILE.toml|NAME", help=ROBOT_HELP)
     add_frames_option(parser)
     add_duration_option(parser)
 

@@ -21,6 +21,7 @@ from ctr_nlp.paths.lumen_fit import problem_notes
 from ctr_nlp.paths.named_problems import PROBLEM_NAMES, named_problem
 from ctr_nlp.paths.problem import Problem
 from ctr_nlp.robot import Robot
+from ctr_nlp.robot.shipped import read_robot
 
 if TYPE_CHECKING:
     from ctr_nlp.anatomy.wall_files import WallFile
@@ -118,7 +119,7 @@ def _problem(name: str, arguments: argparse.Namespace, options: Mapping[str, Any
     """Return the problem of a name, a Python file or a file of anatomy; options: those of `FILE_OPTIONS` that were
     given.
     """
-    robot = None if arguments.robot is None else Robot.from_toml(arguments.robot)
+    robot = None if arguments.robot is None else read_robot(arguments.robot)
     if name in PROBLEM_NAMES:
         return named_problem(name, arguments.frames, arguments.duration, robot)
     if not Path(name).is_file():

@@ -1,7 +1,7 @@
 """Choice among robots: which of them reaches the end of a path, which comes nearest, and what binds.
 
-A fast comparison plans each nominal robot on a few frames, with the priorities of every plan: the wall, then the
-tip's arrival, then the shape's error. The full one plans all frames and judges each plan by its verdicts.
+Each robot is planned with the priorities of every plan: the wall, then the tip's arrival, then the shape's error.
+Its plan is judged by its verdicts.
 """
 
 from __future__ import annotations
@@ -20,14 +20,10 @@ from ctr_nlp.plan.plan import Plan
 from ctr_nlp.plan.verdicts import NOT_CHECKED, REACHED_VERDICT_NAMES, YES, Verdict
 from ctr_nlp.planning.horizon import solve_horizon
 from ctr_nlp.planning.marching import Progress
-from ctr_nlp.planning.motions import at_frames, thin_frames
 from ctr_nlp.planning.nlp_frames import DEFAULT_PLANNER_SETTINGS
 from ctr_nlp.robot import Robot
 from ctr_nlp.robust import solve_robust
 from ctr_nlp.support.pool import Jobs, run_in_parallel
-
-FAST_FRAMES = 13
-"""Least number of frames of the plans by which robots are compared in a few seconds."""
 
 
 @dataclass(frozen=True)
@@ -59,6 +55,12 @@ class RobotChoice:
     def reaches(self) -> bool:
         """Whether the end is reached, as far as it was checked: no verdict that counts is *no*."""
         return self.plan is not None and self.binding is None and self.plan.verdicts.solved.word == YES
+
+    @property
+    def rank(self) -> tuple[bool, float, float]:
+        """Order of robots, the best first: whether it reaches the end, its plan's failed verdicts, its cost."""
+        failed = math.inf if self.plan is None else len(self.plan.verdicts.failed_names)
+        return not self.reaches, failed, self.cost
 
     @property
     def binding(self) -> Verdict | None:
@@ -103,7 +105,8 @@ def compare_robots(
     Returns
     -------
     list of RobotChoice
-        Robots that reach the end first, then the least cost. After Ctrl-C some are missing.
+        Robots that reach the end first; then those whose plans fail fewest verdicts; then the least cost. After
+        Ctrl-C some are missing.
 
     Examples
     --------
@@ -120,13 +123,18 @@ def compare_robots(
         found.append(one)
         if progress is not None:
             progress(len(found), len(robots), one.name)
-    return sorted(found, key=lambda one: (not one.reaches, one.cost))
+    return sorted(found, key=lambda one: one.rank)
 
 
 def choose_robot(
-    problem: Problem, robots: Mapping[str, Robot], settings: Settings = DEFAULT_PLANNER_SETTINGS
+    problem: Problem,
+    robots: Mapping[str, Robot],
+    settings: Settings = DEFAULT_PLANNER_SETTINGS,
+    *,
+    jobs: Jobs = 1,
+    progress: Progress | None = None,
 ) -> RobotChoice | None:
-    """Choose the robot that fits a path best, by nominal plans on a few frames, about a second a robot.
+    """Choose the robot that fits a path best, the first one of :func:`compare_robots`.
 
     Parameters
     ----------
@@ -136,11 +144,15 @@ def choose_robot(
         Robots by name.
     settings : Settings
         Options of the plans.
+    jobs : int or distributed.Client
+        Number of processes, or the cluster, on which plans are made.
+    progress : callable, optional
+        Called as ``progress(done, total, note)`` after each robot.
 
     Returns
     -------
     RobotChoice or None
-        The robot of the least cost; None where none of them can be planned for.
+        The best robot; None where none of them can be planned for.
 
     Examples
     --------
@@ -150,13 +162,8 @@ def choose_robot(
     >>> ctr.choose_robot(named_problem("arc", frames=3), robots).name
     'paper'
     """
-    picked = thin_frames(problem.frames, max(1, problem.frames // FAST_FRAMES))
-    few = problem
-    if len(picked) < problem.frames:
-        few = at_frames(problem, picked, int(picked[-1] - picked[-2]))
-    found = [_choice_of(few, settings, None, one) for one in robots.items()]
-    best = min(found, key=lambda one: one.cost, default=None)
-    return None if best is None or math.isinf(best.cost) else best
+    found = compare_robots(problem, robots, settings=settings, jobs=jobs, progress=progress)
+    return next((one for one in found if math.isfinite(one.cost)), None)
 
 
 def _choice_of(problem: Problem, settings: Settings, samples: int | None, named: tuple[str, Robot]) -> RobotChoice:

@@ -14,7 +14,7 @@ from ctr_nlp.cli.main import main
 from ctr_nlp.exceptions import RobotError
 from ctr_nlp.ocp.shared.design import DesignedTubes
 from ctr_nlp.ocp.shared.manufacture import Manufacture
-from ctr_nlp.robot.shipped import SHIPPED_ROBOTS_FOLDER
+from ctr_nlp.robot.shipped import SHIPPED_ROBOTS_FOLDER, read_robot
 from ctr_nlp.tube_design import choice
 
 PAIR = Robot(TWO.tubes)
@@ -156,3 +156,17 @@ def test_a_path_within_a_lumen_is_planned_for_a_shipped_robot(lumen_file, tmp_pa
     (tmp_path / "mine.toml").write_text(ROBOTS["bent"].to_toml(), encoding="utf-8")
     main([*asked, "--out", str(tmp_path / "mine"), "--robot", str(tmp_path / "mine.toml")])
     assert "robot: " not in _printed(capsys)
+
+
+def test_a_robot_of_the_package_is_known_by_its_name(tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert read_robot("stock_2").to_dict() == read_robot_files()["stock_2"].to_dict()
+    with pytest.raises(RobotError, match=r"'stock_22'.*stock_1.*stock_4.*Did you mean 'stock_2'"):
+        read_robot("stock_22")
+    with pytest.raises(RobotError, match=r"none\.toml"):
+        read_robot(tmp_path / "none.toml")
+    # A file of that name counts first.
+    (tmp_path / "stock_2").write_text(PAIR.to_toml())
+    assert read_robot("stock_2").d == 2
+    assert main(["plan", "arc", "--robot", "stock_9", "--frames", "3"]) == 2
+    assert "which come with the package" in _printed(capsys)

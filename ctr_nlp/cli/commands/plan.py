@@ -65,6 +65,8 @@ if TYPE_CHECKING:
     from ctr_nlp.studies.pareto_front import ParetoPoint
 
 
+CHOICE_JOBS = 2
+"""Processes by which the robots of the package are compared, as many as `ctr-nlp choose` has by default."""
 OPTIONS_EXCLUDED_BY_ROBUST = (
     *("initial", "starts", "exhaustive", "jobs", "sweep_motion_weight", "live", "solver"),
     "contact_force",
@@ -216,13 +218,13 @@ def _with_fitting_robot(problem: Problem, arguments: argparse.Namespace, model: 
     # The limits of the tilt are the problem's: an option narrows them.
     tilt = list(zip(problem.robot.lower[-2:].tolist(), problem.robot.upper[-2:].tolist(), strict=True))
     robots = {name: robot.with_limits(theta=tilt) for name, robot in read_robot_files().items()}
-    with busy("robots of the package are compared"):
-        best = choose_robot(problem, robots)
+    with progress_bar() as labelled:
+        best = choose_robot(problem, robots, jobs=CHOICE_JOBS, progress=labelled("robots of the package"))
     if best is None:
         return problem
     announce(
         f"robot: {best.name}, which fits this path best of the {len(robots)} that come with the package; "
-        "`ctr-nlp choose` compares them, --robot FILE.toml takes another"
+        "`ctr-nlp choose` compares them, and --robot NAME or FILE.toml takes another"
     )
     return replace(problem, robot=best.robot)
 

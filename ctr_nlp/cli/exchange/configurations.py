@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 
 from ctr_nlp.cli import problems
-from ctr_nlp.cli.arguments import add_figures_option, add_out_option
+from ctr_nlp.cli.arguments import ROBOT_HELP, add_figures_option, add_out_option
 from ctr_nlp.cli.console import Command
 from ctr_nlp.cli.output.file import path_component
 from ctr_nlp.cli.output.folder import check_folder, output_folder
@@ -44,7 +44,7 @@ def _parser(prog: str) -> argparse.ArgumentParser:
         f"what they are to follow, in as many frames as there are configurations: {problems.PROBLEM_ARGUMENT_HELP}"
     )
     parser.add_argument("--problem", metavar="PROBLEM", required=True, help=what)
-    parser.add_argument("--robot", metavar="FILE.toml", help="robot file (default: the problem's own robot)")
+    parser.add_argument("--robot", metavar="FILE.toml|NAME", help=ROBOT_HELP)
     what = f"model on which shapes and margins are found (default: {DEFAULT_MODEL})"
     parser.add_argument("--model", choices=sorted(KINEMATIC_MODELS), default=DEFAULT_MODEL, help=what)
     what = f"of the motion, in seconds (default: from the file's times, else {DURATION:g})"

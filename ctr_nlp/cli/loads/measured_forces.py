@@ -25,7 +25,7 @@ from ctr_nlp.identify.force_estimation import (
     ForceEstimate,
     estimate_forces,
 )
-from ctr_nlp.robot import Robot
+from ctr_nlp.robot.shipped import read_robot
 from ctr_nlp.support.tables import write_csv
 
 COLUMNS = "shape", "acts", "at the tip N", "along the body N", "at mm", "least at the tip N"
@@ -49,7 +49,7 @@ def estimate_measured_forces(arguments: argparse.Namespace) -> int:
         raise OptionError(
             f"{arguments.plan} is not a plan (.npz); forces from measured shapes need --robot ROBOT.toml"
         )
-    robot = robot_with_modulus(Robot.from_toml(arguments.robot), arguments)
+    robot = robot_with_modulus(read_robot(arguments.robot), arguments)
     measured = read_measurements(arguments.plan, robot)
     out = Path(arguments.out or "runs/measured-force")
     check_folder(out, "force")

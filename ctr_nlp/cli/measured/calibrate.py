@@ -26,7 +26,7 @@ from ctr_nlp.identify.calibration.folds import FOLD_BLOCK_S
 from ctr_nlp.identify.calibration.parameters import BASE, PARAMETER_KINDS
 from ctr_nlp.identify.calibration.reading import read_measurements
 from ctr_nlp.models import KINEMATIC_MODELS
-from ctr_nlp.robot import Robot
+from ctr_nlp.robot.shipped import read_robot
 
 FOLDS = 5
 CALIBRATION_TABLE_COLUMNS = "parameter", "unit", "before", "+-", "after", "+-", "the data"
@@ -93,7 +93,7 @@ def _parser(prog: str) -> argparse.ArgumentParser:
 
 def _run(arguments: argparse.Namespace) -> int:
     out = Path(arguments.out)
-    robot = robot_with_modulus(Robot.from_toml(arguments.robot), arguments)
+    robot = robot_with_modulus(read_robot(arguments.robot), arguments)
     measured = read_measurements(arguments.measured, robot)
     check_folder(out, "calibration")
     with progress_bar() as labelled:

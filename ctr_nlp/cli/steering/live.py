@@ -26,6 +26,7 @@ from ctr_nlp.models.loads import Load, require_constant_load, with_modulus
 from ctr_nlp.paths.problem import Problem
 from ctr_nlp.plan.plan import Plan
 from ctr_nlp.robot import Robot, table_i_robot
+from ctr_nlp.robot.shipped import read_robot
 from ctr_nlp.support.interrupt import deferred_interrupt
 from ctr_nlp.support.same_origin import is_loopback
 from ctr_nlp.view.live import Live
@@ -79,7 +80,7 @@ def _run(arguments: argparse.Namespace) -> int:
     table_i = table_i_robot()
     modulus = arguments.youngs_modulus
     robots = {"Table I": table_i if modulus is None else with_modulus(table_i, modulus)}
-    robots |= {Path(file).stem: Robot.from_toml(file) for file in arguments.more_robots}
+    robots |= {Path(file).stem: read_robot(file) for file in arguments.more_robots}
     problems.print_problem_notes(problem)
     with deferred_interrupt() as interrupted:
         live = Live(

@@ -24,7 +24,17 @@ from ctr_nlp.robot.shipped import read_robot_files
 from ctr_nlp.support.interrupt import end_if_interrupted
 from ctr_nlp.tube_design.choice import RobotChoice, compare_robots
 
-CHOICE_TABLE_COLUMNS = "robot", "outer mm", "reaches", "tip", "wall", "e3", "samples that hold", "what binds"
+CHOICE_TABLE_COLUMNS = (
+    "robot",
+    "outer mm",
+    "reaches",
+    "follows",
+    "tip",
+    "wall",
+    "e3",
+    "samples that hold",
+    "what binds",
+)
 
 
 def _parser(prog: str) -> argparse.ArgumentParser:
@@ -75,12 +85,12 @@ def _row(one: RobotChoice) -> list[Any]:
     """Return the table's row of a robot."""
     outer = max(tube.outer_diameter for tube in one.robot.tubes)
     if one.plan is None:
-        return [one.name, outer, "no", "", "", None, "", one.reason]
+        return [one.name, outer, "no", "", "", "", None, "", one.reason]
     found = one.plan.verdicts
     binding = "" if one.binding is None else one.binding.with_reason
     reaches = "yes" if one.reaches else "no"
     return [
-        *(one.name, outer, reaches, found.arrives.value, found.within_wall.value),
+        *(one.name, outer, reaches, found.follows.word, found.arrives.value, found.within_wall.value),
         *(e3(one.plan), found.holds.value, binding),
     ]
 

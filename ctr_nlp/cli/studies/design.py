@@ -48,8 +48,7 @@ from ctr_nlp.ocp.shared.manufacture import Manufacture
 from ctr_nlp.paths.problem import Problem
 from ctr_nlp.plan.plan import Plan
 from ctr_nlp.planning.marching import Progress
-from ctr_nlp.robot import Robot
-from ctr_nlp.robot.shipped import read_robot_files
+from ctr_nlp.robot.shipped import read_robot, read_robot_files
 from ctr_nlp.studies.workers.clients import cluster_client
 from ctr_nlp.support.interrupt import end_if_interrupted
 from ctr_nlp.support.pool import Jobs, run_in_parallel
@@ -309,9 +308,7 @@ def _load_every_end(name: str, arguments: argparse.Namespace) -> list[Problem]:
             pieces=pieces_from(arguments),
         )
     # The paper's robot is too thick for most ends of an airway tree.
-    robot = (
-        next(iter(read_robot_files().values())) if arguments.robot is None else Robot.from_toml(arguments.robot)
-    )
+    robot = next(iter(read_robot_files().values())) if arguments.robot is None else read_robot(arguments.robot)
     trim, smoothing = arguments.trim is not None, arguments.smoothing
     found = end_problems(tree, robot, arguments.frames, arguments.duration, trim=trim, smoothing=smoothing)
     return [

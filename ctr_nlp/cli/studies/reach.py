@@ -26,7 +26,7 @@ from ctr_nlp.exceptions import OptionError
 from ctr_nlp.plan.monte_carlo import DEFAULT_PLAN_SAMPLES
 from ctr_nlp.plan.summary_text import NOT_FOR_PATIENTS
 from ctr_nlp.robot import Robot
-from ctr_nlp.robot.shipped import read_robot_files
+from ctr_nlp.robot.shipped import read_robot, read_robot_files
 from ctr_nlp.studies.grid.results import Results
 from ctr_nlp.studies.reach.outcomes import LENGTH_CHECK, MISSED, NEARLY, EndOutcome
 from ctr_nlp.studies.reach.reach import DEFAULT_BOUND_S, Reach, reach_tree
@@ -53,9 +53,10 @@ def _parser(prog: str) -> argparse.ArgumentParser:
     add_piece_arguments(parser)
     parser.add_argument(
         "--robot",
-        metavar="FILE.toml",
+        metavar="FILE.toml|NAME",
         action="append",
-        help="robot file; give it once for each robot (default: the robots that come with the package)",
+        help="robot file or name of a robot of the package; give it once for each robot (default: all robots of "
+        "the package)",
     )
     add_entry_option(parser, "where the tree begins; in a mask the widest end")
     parser.add_argument(
@@ -167,14 +168,14 @@ def _read_robots(files: Sequence[str] | None) -> dict[str, Robot]:
     """
     if files is None:
         robots = read_robot_files()
-        announce(f"robots: {', '.join(robots)}, which come with the package; --robot FILE.toml takes another")
+        announce(f"robots: {', '.join(robots)}, which come with the package; --robot takes another")
         return robots
     robots = dict[str, Robot]()
     for file in files:
         name = Path(file).stem
         if name in robots:
             raise OptionError(f"two robot files are named {name}; give each a name of its own, which tables show")
-        robots[name] = Robot.from_toml(file)
+        robots[name] = read_robot(file)
     return robots
 
 
