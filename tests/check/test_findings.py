@@ -222,6 +222,43 @@ def test_samples_like_the_robot_touch_the_wall_as_it_does():
     assert found.samples["pressed"].all()
 
 
+class NearlyRound:
+    """A cylinder whose smooth field leaves 0.2 mm more room than its triangles."""
+
+    kept_out = False
+
+    def left(self, points):
+        return 4.0 - np.hypot(points[..., 0], points[..., 1])
+
+    def left_exactly(self, points):
+        return self.left(points) - 0.2
+
+
+def test_contact_of_samples_is_measured_at_triangles():
+    given = {"target": np.zeros((3, 101, 3)), "target_direction": np.tile([0.0, 0, 1], (3, 1))}
+    given |= {"success": np.ones(3, dtype=bool), "kkt": np.zeros(3)}
+    given |= {"draws_parts": np.zeros((2, 2, 5)), "draws_lags": np.zeros((2, 2))}
+    file = robot_file(arrays=given)
+    file.__dict__["walls"] = [NearlyRound()]
+    found = checker.examine_motion(file, 2)
+    assert found.deepest[0] > 1.0
+    np.testing.assert_allclose(found.samples["contacts"], found.deepest[0], atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("success", "kkt", "word", "number"),
+    [
+        ([True, True, True], [0.0, 0.005, 0.01], YES, 3),
+        ([True, True, True], [0.0, 0.005, 0.02], NO, 2),
+        ([True, True, False], [0.0, 0.005, 0.02], NO, 2),
+        ([True, True, True], [0.0, np.nan, 0.001], NOT_COVERED, 2),
+    ],
+)
+def test_frames_are_solved_where_their_residual_is_small(success, kkt, word, number):
+    found = checker._judge_solved(robot_file(arrays={"success": np.array(success), "kkt": np.array(kkt)}))
+    assert (found.word, found.number) == (word, number)
+
+
 def test_innermost_tube_begins_where_its_motor_is():
     alpha = np.tile([0.0, 0.4], (3, 1))
     lags = [[0.0, 0.1], [0.0, 0.0], [0.1, 0.0]]

@@ -312,6 +312,83 @@ def test_without_a_wall_nothing_is_checked():
     assert (found.word, found.number) == (NOT_CHECKED, None)
 
 
+# The wall's force, of a robot that leans on it
+
+
+def leaning(at, between=None, along=((10.0, 60.0),), margins=(1.0, 0.5), limit=0.2):
+    """A plan of two frames, 0.3 mm deep, on whose body the wall presses at two places with these forces, N.
+
+    at: the largest force at a place in each frame. between: on the way to it.
+    """
+    plan = walled(-0.3, -0.2)
+    at = np.array(at, dtype=float)
+    # The second of two places has the whole force of the frame.
+    pieces = np.stack([0.1 * at, at], axis=1)
+    return replace(
+        plan,
+        wall_force=pieces,
+        wall_force_along=np.broadcast_to(np.array(along), (2, 2)),
+        wall_force_direction=np.broadcast_to([1.0, 0.0, 0.0], (2, 2, 3)),
+        place_force=at,
+        place_force_between=at if between is None else np.array(between, dtype=float),
+        stability_without_wall=np.array(margins, dtype=float),
+        meta=plan.meta | {"wall_contact": {"limit_N": limit}},
+    )
+
+
+@pytest.mark.parametrize(
+    ("at", "between", "word", "number"),
+    [
+        ([0.1, 0.199], None, YES, 0.199),
+        ([0.1, 0.203], None, YES, 0.203),
+        ([0.1, 0.21], None, NO, 0.21),
+        ([0.1, 0.1], [0.1, 0.21], NO, 0.21),
+        ([0.3, 0.1], None, NO, 0.3),
+        ([np.nan, 0.1], None, NOT_CHECKED, 0.1),
+        ([0.1, 0.15], [np.nan, 0.1], NOT_CHECKED, 0.15),
+        ([np.nan, 0.3], None, NO, 0.3),
+    ],
+)
+def test_the_largest_force_at_a_place_decides_in_and_between_frames(at, between, word, number):
+    """Rounding of the search, 2 % of the limit, is within it."""
+    found = leaning(at, between).verdicts.within_wall
+    assert (found.word, found.unit) == (word, "N at one place")
+    assert found.number == pytest.approx(number)
+    assert ("Forces are not known in 1 frames." in found.why) == (word == NOT_CHECKED)
+    assert "0.2 N is allowed" in found.why
+    assert "deepest contact is 0.30 mm" in found.why
+
+
+def test_no_known_force_is_not_checked():
+    found = leaning([np.nan, np.nan]).verdicts.within_wall
+    assert (found.word, found.number) == (NOT_CHECKED, None)
+
+
+def test_the_place_of_the_largest_force_is_told():
+    """Tubes end at 20, 50 and 100 mm."""
+    told = {
+        60.0: "at tube 3, 60 mm",
+        40.0: "at tube 2, 40 mm",
+        15.0: "at tube 1, 15 mm",
+        100.5: "at tube 3, 100 mm",
+    }
+    for along, words in told.items():
+        why = leaning([0.1, 0.15], along=((10.0, along),)).verdicts.within_wall.why
+        assert "around frame 2" in why
+        assert words in why
+    assert "on the way to frame 2" in leaning([0.0, 0.0], between=[0.0, 0.1]).verdicts.within_wall.why
+    assert "frame 2" in leaning([0.1, 0.15]).verdicts.within_wall.value
+
+
+def test_what_the_robot_does_without_the_wall_is_told():
+    assert "would be 0.500 at least, in frame 2." in leaning([0.1, 0.1]).verdicts.within_wall.why
+    assert (
+        "would be 0.250 at least, in frame 1." in leaning([0.1, 0.1], margins=(0.25, 0.5)).verdicts.within_wall.why
+    )
+    why = leaning([0.1, 0.1], margins=(0.5, np.nan)).verdicts.within_wall.why
+    assert "would snap on the way to frame 2." in why
+
+
 def test_a_robot_that_swings_through_the_wall_between_two_frames_is_found():
     """A lone tube that turns by a whole turn from one frame to the next lies in the middle of a lumen in both, and
     sweeps through its wall between them.
