@@ -222,6 +222,15 @@ def test_samples_like_the_robot_touch_the_wall_as_it_does():
     assert found.samples["pressed"].all()
 
 
+def test_the_frame_of_the_least_margin_is_named():
+    margin = np.full((4, 10), 0.5)
+    margin[2, 3] = 0.3
+    found = checker._judge_stability(margin, [], 0.1)
+    assert (found.word, found.number) == (YES, 0.3)
+    assert found.why == "The least margin is around frame 3."
+    assert checker._judge_stability(margin, [2], 0.1).why == "The robot snaps on the way to frame 2."
+
+
 class NearlyRound:
     """A cylinder whose smooth field leaves 0.2 mm more room than its triangles."""
 

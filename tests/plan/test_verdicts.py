@@ -316,22 +316,22 @@ def test_without_a_wall_nothing_is_checked():
 
 
 def leaning(at, between=None, along=((10.0, 60.0),), margins=(1.0, 0.5), limit=0.2):
-    """A plan of two frames, 0.3 mm deep, on whose body the wall presses at two places with these forces, N.
+    """A plan that is 0.3 mm deep, on whose body the wall presses at two places with these forces, N.
 
     at: the largest force at a place in each frame. between: on the way to it.
     """
-    plan = walled(-0.3, -0.2)
+    plan = walled(-0.3, *[-0.2] * (len(at) - 1))
     at = np.array(at, dtype=float)
     # The second of two places has the whole force of the frame.
     pieces = np.stack([0.1 * at, at], axis=1)
     return replace(
         plan,
         wall_force=pieces,
-        wall_force_along=np.broadcast_to(np.array(along), (2, 2)),
-        wall_force_direction=np.broadcast_to([1.0, 0.0, 0.0], (2, 2, 3)),
+        wall_force_along=np.broadcast_to(np.array(along), (len(at), 2)),
+        wall_force_direction=np.broadcast_to([1.0, 0.0, 0.0], (len(at), 2, 3)),
         place_force=at,
         place_force_between=at if between is None else np.array(between, dtype=float),
-        stability_without_wall=np.array(margins, dtype=float),
+        stability_without_wall=np.resize(np.array(margins, dtype=float), len(at)),
         meta=plan.meta | {"wall_contact": {"limit_N": limit}},
     )
 
@@ -357,6 +357,11 @@ def test_the_largest_force_at_a_place_decides_in_and_between_frames(at, between,
     assert ("Forces are not known in 1 frames." in found.why) == (word == NOT_CHECKED)
     assert "0.2 N is allowed" in found.why
     assert "deepest contact is 0.30 mm" in found.why
+
+
+def test_frames_without_known_forces_are_counted():
+    assert "Forces are not known in 1 frames." in leaning([0.1, np.nan, 0.1]).verdicts.within_wall.why
+    assert "Forces are not known in 2 frames." in leaning([np.nan, 0.1, np.nan]).verdicts.within_wall.why
 
 
 def test_no_known_force_is_not_checked():
