@@ -285,6 +285,11 @@ def test_contact_beyond_what_is_allowed_reads_no(least, options, word, deepest):
     assert found.number == (None if deepest is None else pytest.approx(deepest))
 
 
+def test_clearance_and_depth_are_short_values():
+    assert walled(1.25, 2).verdicts.within_wall.value == "1.25 mm clear"
+    assert walled(2, -0.25).verdicts.within_wall.value == "0.25 mm deep, frame 2"
+
+
 @pytest.mark.hazard("contact with the wall")
 def test_contact_between_frames_counts():
     found = walled(0.2, 0.3, between=(0.2, -0.7)).verdicts.within_wall
@@ -640,3 +645,46 @@ def test_verdicts_equal_a_direct_computation_from_shapes_and_thresholds(
         assert verdict.number == pytest.approx(number, abs=1e-6)
         if abs(number - limit) > 1e-6:
             assert verdict.word == (NO if number > limit else YES if on == "elastic" else NOT_CHECKED)
+
+
+# Exact counts and places in what is said
+
+
+def with_solver_results(success, kkt, interpolated=()):
+    """A plan that stands still, with these marks and residuals of its frames."""
+    plan = shifted(*[0.0] * len(success), meta={"interpolated": list(interpolated)})
+    return replace(plan, success=np.array(success), kkt=np.array(kkt, dtype=float))
+
+
+@pytest.mark.parametrize(
+    ("success", "kkt", "interpolated", "word", "number", "why", "value"),
+    [
+        ([True, False, False], [0, 0, 0], (), NO, 1, "2 of 3 frames were not solved.", "1 of 3 frames"),
+        ([True, False, False], [0, 0, 0], [3], NO, 1, "1 of 3 frames were not solved.", "1 of 3 frames"),
+        ([True, False, True], [0, 0, 0], [2], NOT_CHECKED, 2, "1 of 3 frames are interpolated.", "2 of 3 frames"),
+        ([True, True, True], [0, np.nan, np.nan], (), NOT_CHECKED, 1, "2 of 3 frames were given", "1 of 3 frames"),
+        ([True, True, True], [0, 0, 0], (), YES, 3, "All 3 frames were solved on the elastic model.", "3 frames"),
+    ],
+)
+def test_frames_are_counted_by_how_they_came_about(success, kkt, interpolated, word, number, why, value):
+    found = with_solver_results(success, kkt, interpolated).verdicts.solved
+    assert (found.word, found.number, found.value) == (word, number, value)
+    assert why in found.why
+
+
+def test_unknown_shapes_and_margins_are_counted():
+    shape = [aside(0.5), np.full((101, 3), np.nan), aside(0.25)]
+    plan = shifted(0.5, 0.0, 0.25)
+    follows = replace(plan, shape=np.array(shape)).verdicts.follows
+    assert (follows.word, follows.value) == (NOT_CHECKED, "0.50 mm in frame 1")
+    assert "The shape is not known in 1 of 3 frames." in follows.why
+    stable = twisted([0.5, np.nan, 0.4, 0.3]).verdicts.stable
+    assert (stable.word, stable.value) == (NOT_CHECKED, "0.300 at frame 4")
+    assert stable.why == "The stability margin is not known in 1 frames."
+
+
+def test_snaps_are_counted_and_the_first_is_named():
+    assert "on the way to frame 2." in twisted([0.5, 0.5, 0.5], snaps=[2]).verdicts.stable.why
+    assert "on the way to frame 2, and 2 times more." in twisted([0.5] * 3, snaps=[2, 3, 3]).verdicts.stable.why
+    assert "unstable in frame 3 or on the way" in twisted([0.5, 0.5, -0.1]).verdicts.stable.why
+    assert "bifurcation around frame 2;" in twisted([0.5, 0.0005, 0.1]).verdicts.stable.why
