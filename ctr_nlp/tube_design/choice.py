@@ -98,7 +98,8 @@ def compare_robots(
     jobs : int or distributed.Client
         Number of processes, or the cluster, on which plans are made.
     progress : callable, optional
-        Called as ``progress(done, total, note)`` after each robot.
+        Called as ``progress(done, total, note)`` at the beginning and after each robot; the note names the robots
+        that are left.
 
     Returns
     -------
@@ -116,15 +117,21 @@ def compare_robots(
     """
     work = partial(_choice_of, problem, settings, samples if robust else None)
     found = list[RobotChoice]()
+    if progress is not None:
+        progress(0, len(robots), ", ".join(robots))
     for _, one in run_in_parallel(work, list(robots.items()), jobs):
         found.append(one)
         if progress is not None:
-            progress(len(found), len(robots), one.name)
+            planned = {each.name for each in found}
+            progress(len(found), len(robots), ", ".join(name for name in robots if name not in planned))
     return sorted(found, key=lambda one: (not one.reaches, one.cost))
 
 
 def choose_robot(
-    problem: Problem, robots: Mapping[str, Robot], settings: Settings = DEFAULT_PLANNER_SETTINGS
+    problem: Problem,
+    robots: Mapping[str, Robot],
+    settings: Settings = DEFAULT_PLANNER_SETTINGS,
+    progress: Progress | None = None,
 ) -> RobotChoice | None:
     """Choose the robot that fits a path best, by nominal plans on a few frames, about a second a robot.
 
@@ -136,6 +143,8 @@ def choose_robot(
         Robots by name.
     settings : Settings
         Options of the plans.
+    progress : callable, optional
+        Called as ``progress(done, total, note)`` before each robot.
 
     Returns
     -------
@@ -154,7 +163,11 @@ def choose_robot(
     few = problem
     if len(picked) < problem.frames:
         few = at_frames(problem, picked, int(picked[-1] - picked[-2]))
-    found = [_choice_of(few, settings, None, one) for one in robots.items()]
+    found = list[RobotChoice]()
+    for number, one in enumerate(robots.items()):
+        if progress is not None:
+            progress(number, len(robots), one[0])
+        found.append(_choice_of(few, settings, None, one))
     best = min(found, key=lambda one: one.cost, default=None)
     return None if best is None or math.isinf(best.cost) else best
 

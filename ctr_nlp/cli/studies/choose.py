@@ -64,7 +64,7 @@ def _run(arguments: argparse.Namespace) -> int:
     end_if_interrupted()
     with progress_bar() as labelled:
         asked: dict[str, Any] = {"robust": arguments.robust, "settings": settings, "jobs": arguments.jobs}
-        found = compare_robots(problem, robots, **asked, progress=labelled("robots"))
+        found = compare_robots(problem, robots, **asked, progress=labelled("robots are compared"))
     end_if_interrupted()
     print_table(f"{problem.name}, robots, in mm", list(CHOICE_TABLE_COLUMNS), [_row(one) for one in found])
     console().print(_conclusion(found, arguments.robust))
