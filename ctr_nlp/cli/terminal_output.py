@@ -278,13 +278,16 @@ class _TimeColumn(ProgressColumn):
 
 def _seconds_left(task: Task) -> float | None:
     """Return the estimate of the seconds until a step is done; None where there is none, or it has run out."""
-    estimate = task.time_remaining
-    if task.finished or estimate is None:
+    if _is_uncounted(task) or task.finished or task.start_time is None or not task.completed:
         return None
-    # rich estimates the time left at the last report, and keeps it while nothing is reported: what was to take one
-    # second more would stand at one second for as long as it takes.
-    left = estimate - (time.monotonic() - task.fields.get("reported", math.inf))
-    return left if 0 < left < math.inf else None
+    reported: float = task.fields["reported"]
+    estimate = task.time_remaining
+    if estimate is None:  # rich waits for a second report
+        estimate = (reported - task.start_time) / task.completed * (task.remaining or 0.0)
+    # The estimate is that of the last report: what was to take one second more would stand at one second for as
+    # long as it takes.
+    left = estimate - (time.monotonic() - reported)
+    return left if left > 0 else None
 
 
 class _ProgressLines:
