@@ -184,6 +184,16 @@ def test_a_bar_counts_known_steps_and_times_others(monkeypatch):
     assert max(map(len, bars)) <= 100
 
 
+def test_no_command_at_all_lists_the_commands(capsys):
+    with pytest.raises(SystemExit) as ended:
+        main([])
+    assert ended.value.code == 2
+    told = capsys.readouterr()
+    assert told.out == ""
+    assert set(COMMANDS) <= set(told.err.split())
+    assert told.err.endswith("error: no command was given; the list above says what each one does\n")
+
+
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
 @pytest.mark.parametrize("json_too", [(), ("--json",)], ids=["text", "json"])
 def test_a_full_standard_output_is_one_line_and_status_1(json_too, tmp_path):
