@@ -70,6 +70,10 @@ class _LineTimes:
     def __post_init__(self) -> None:
         self.last = self.begin
 
+    def record_line(self, now: float) -> None:
+        """Record that a line is printed at the time `now`, s of `time.monotonic`."""
+        self.last = now
+
 
 _line_times: ContextVar[_LineTimes | None] = ContextVar("line_times", default=None)
 
@@ -335,7 +339,7 @@ class _ProgressLines:
             now = time.monotonic()
             if now - self._times.last < seconds or not task.description:
                 return
-            self._times.last = now
+            self._times.record_line(now)
             count = "" if _is_uncounted(task) else f", {task.completed:.0f} of {task.total:.0f}"
             left = _seconds_left(task)
             until = "" if left is None else f", about {left:.0f} s left"

@@ -139,7 +139,7 @@ def run_study(
                     with report_scheduler_loss():
                         threads = at_work.submit_batches()
                         if progress.workers is None:
-                            progress.workers = threads
+                            progress.add_rows([], time.monotonic() - begin, threads)
                             callback(progress)
                         rows, lost = at_work.collect_rows()
                     results.add(rows)
