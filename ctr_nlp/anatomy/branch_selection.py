@@ -22,10 +22,10 @@ from ctr_nlp.anatomy.branch import (
 )
 from ctr_nlp.anatomy.files import is_markups, is_mask, list_files, read_branches
 from ctr_nlp.anatomy.formats.slicer import find_pieces_beside
-from ctr_nlp.anatomy.plausibility import widens
-from ctr_nlp.anatomy.reading import AS_THE_FILE_SAYS, NO_FACTS, FileFacts, ReadOptions
+from ctr_nlp.anatomy.plausibility import WIDEST_AIRWAY_RADIUS_MM, note_radii, widens
+from ctr_nlp.anatomy.reading import AS_THE_FILE_SAYS, GIVEN, NO_FACTS, FileFacts, ReadOptions
 from ctr_nlp.anatomy.segmentation.widths import check_widths, find_leak
-from ctr_nlp.exceptions import CurveError, OptionError
+from ctr_nlp.exceptions import CurveError, OptionError, suggest_names
 from ctr_nlp.paths.curve import Curve, curve_from_points
 from ctr_nlp.paths.points import SHORTEST_MM
 from ctr_nlp.typing import Array
@@ -36,7 +36,8 @@ SAME_TARGET_MM = 0.5
 """Branches lead to the same target that pass it as near as the nearest one, or so much farther."""
 NEAREST_SEARCH_SPACING_MM = 0.25
 """Places along a curve among which the nearest one is looked for, before it is refined."""
-MAX_LISTED_BRANCHES = 20
+MAX_LISTED_BRANCHES = 6
+"""Largest number of branches that a message lists; `ctr-nlp branches` lists more of them in a table."""
 MISTAKEN_COORDINATES: dict[str, tuple[float, float, float]] = {
     "With the signs of x and y exchanged it would: points and file seem to be one in RAS and one in LPS": (
         -1,
@@ -131,6 +132,8 @@ def read_branch_segment(
     if widens(found) and not reverse and (entry is None or target is None) and not is_mask(path):
         note = "the lumen widens along the path, as if it ran from a tip to the root; --reverse exchanges its ends"
         facts = replace(facts, notes=(*facts.notes, note))
+    if is_mask(path) and found.radius is not None:
+        facts = replace(facts, notes=(*facts.notes, *note_radii(found.radius, "the unit of the file (--units)")))
     if curve.radius is not None:
         s = np.linspace(start, stop, max(2, int(stop - start) + 1))
         points = transform_points(curve.point(s), branches.from_lps)
@@ -218,7 +221,11 @@ def select_branch(
             raise CurveError(
                 f"{name} {format_point(points[name])} is {distance:.1f} mm away from branch {found.name!r}; it "
                 f"must lie in its lumen, within {lumen:.1f} mm, and be given in mm in the file's coordinates, "
-                f"{branches.space}{_suggest_coordinates(found, branches, points)}"
+                f"{branches.space}"
+                + (
+                    _doubt_units(branches, lumen)
+                    or _suggest_coordinates(branches.branches if branch is None else (found,), branches, points)
+                )
             )
     return found
 
@@ -275,10 +282,12 @@ def find_extent(
 
 
 def describe_branches(branches: Branches) -> str:
-    """Return numbers, names and lengths of the first twenty branches as text."""
+    """Return numbers, names and lengths of branches as text, of many the numbers alone."""
+    count = len(branches.branches)
+    if count > MAX_LISTED_BRANCHES:
+        return f"1 to {count}, which `ctr-nlp branches` lists"
     entries = [f"{k} {each.name!r} ({each.length:.1f} mm)" for k, each in enumerate(branches.branches, start=1)]
-    more = len(entries) - MAX_LISTED_BRANCHES
-    return ", ".join(entries[:MAX_LISTED_BRANCHES]) + (f" and {more} more" if more > 0 else "")
+    return ", ".join(entries)
 
 
 def _find_branch_named(branches: Branches, branch: str) -> Branch:
@@ -289,7 +298,8 @@ def _find_branch_named(branches: Branches, branch: str) -> Branch:
     if len(same) == 1:
         return same[0]
     problem = f"{len(same)} branches have that name" if same else "there is none of that name or number"
-    raise CurveError(f"branch is {branch!r}; {problem}: {describe_branches(branches)}")
+    meant = "" if same else suggest_names(branch, [each.name for each in every])
+    raise CurveError(f"branch is {branch!r}; {problem}: {describe_branches(branches)}{meant}")
 
 
 def _distance(branch: Branch, point: Array) -> tuple[float, float]:
@@ -307,15 +317,28 @@ def _distance(branch: Branch, point: Array) -> tuple[float, float]:
     return float(distances[k]), float(branch.radius[k] + part[k] * (branch.radius[k + 1] - branch.radius[k]))
 
 
-def _suggest_coordinates(branch: Branch, branches: Branches, points: Mapping[str, Array]) -> str:
+def _doubt_units(branches: Branches, lumen: float) -> str:
+    """Return a sentence on the unit of a file where the lumen's radius, mm, is no airway's; else nothing."""
+    if lumen <= WIDEST_AIRWAY_RADIUS_MM:
+        return ""
+    given = branches.facts.units_known == GIVEN
+    seems = (
+        f"the file does not seem to be in {branches.facts.units}, as --units says" if given else "check --units"
+    )
+    return f". No airway has a radius of more than {WIDEST_AIRWAY_RADIUS_MM:g} mm: {seems}"
+
+
+def _suggest_coordinates(candidates: Sequence[Branch], branches: Branches, points: Mapping[str, Array]) -> str:
     """Return what to do to points so that all of them lie in the lumen of a branch, empty where nothing helps.
 
-    branch: that was chosen. branches: those of its file. points: entry and target (3,), as they were given.
+    candidates: the branch that was chosen, or all of them; the one nearest to mistaken points is any of them.
+    branches: those of the file. points: entry and target (3,), as they were given.
     """
     for what, factors in MISTAKEN_COORDINATES.items():
         tried = [transform_points(point * np.array(factors), branches.to_lps) for point in points.values()]
-        if all(distance <= lumen for distance, lumen in (_distance(branch, point) for point in tried)):
-            return f". {what}"
+        for candidate in candidates:
+            if all(distance <= lumen for distance, lumen in (_distance(candidate, point) for point in tried)):
+                return f". {what}"
     return ""
 
 

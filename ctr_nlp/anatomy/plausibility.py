@@ -52,6 +52,8 @@ WIDENS = 1.2
 """Ratio of mean radii at end and start from which on a branch seems to run from tip to root: a lumen narrows."""
 MAX_LUMEN_RADIUS_MM, MIN_LUMEN_RADIUS_MM = 40.0, 0.2
 """Radii of lumens outside of these are noted."""
+WIDEST_AIRWAY_RADIUS_MM = 15.0
+"""Radius that no airway exceeds: where a point misses a lumen that is wider, the unit of the file is doubted."""
 
 
 @dataclass(frozen=True)
@@ -220,12 +222,17 @@ def repair_radii(radius: Array | None, numbers: Index | None = None) -> tuple[Ar
         raise CurveError(
             f"the lumen radius at point {numbers[k]} is {radius[k]:g}; radii must be positive finite numbers in mm"
         )
-    if repaired.max() > MAX_LUMEN_RADIUS_MM or repaired.max() < MIN_LUMEN_RADIUS_MM:
-        notes.append(
-            f"the lumen's radius is {repaired.min():.3g} to {repaired.max():.3g} mm; check its unit, which must "
-            "be that of the points"
-        )
-    return repaired, tuple(notes)
+    return repaired, (*notes, *note_radii(repaired, "its unit, which must be that of the points"))
+
+
+def note_radii(radius: Array, doubted: str) -> tuple[str, ...]:
+    """Return a note where no radius (n,), mm, is one of a lumen that a robot enters, and nothing otherwise.
+
+    doubted: what the note asks to check.
+    """
+    if MIN_LUMEN_RADIUS_MM <= radius.max() <= MAX_LUMEN_RADIUS_MM:
+        return ()
+    return (f"the lumen's radius is {radius.min():.3g} to {radius.max():.3g} mm; check {doubted}",)
 
 
 def tidy_branch(branch: Branch, options: ReadOptions) -> tuple[Branch, tuple[str, ...]]:

@@ -164,7 +164,10 @@ def examine_motion(file: PlanFile, samples: int = 0, settle: Settle | None = Non
     found = replace(found, **_measure(file, nominal))
     found.findings.update(_judge_shapes(found))
     if drawn is None:
-        why = "Samples under a tip force or of other tolerances than uniform ones." if samples else "No samples."
+        recorded = len(file.arrays.get("draws_parts", ()))
+        why = f"The file's {recorded} samples were not simulated." if recorded else "No samples were simulated."
+        if samples:
+            why = "Samples under a tip force or of other tolerances than uniform ones."
     elif not np.isfinite(nominal.tip_angles).all():
         why = "Samples are compared with the robot, which snaps."
     elif turns.any():
@@ -282,6 +285,10 @@ def _judge_shapes(found: CheckResult) -> dict[str, Finding]:
         first = (deepest - allowed).argmax()
         depth = float(deepest[first]) if np.isfinite(found.clearance).all() else np.nan
         within_wall = _judge_at_most(depth, float(allowed[first]), "mm of contact")
+        if depth < 0:
+            # Contact is never negative; what is left to the wall has words of its own.
+            why = f"no contact, {-depth:.2g} mm clear; {allowed[first]:g} mm of contact is allowed"
+            within_wall = within_wall._replace(number=0.0, why=why)
     return {
         "arrives": arrives,
         "follows": _judge_at_most(float(found.e2.max()), threshold(file, "error_allowed"), unit),
@@ -294,7 +301,7 @@ def _judge_at_most(number: float, allowed: float, unit: str) -> Finding:
     """Return yes where a number is at most what is allowed; a NaN is not covered."""
     if not np.isfinite(number):
         return Finding(NOT_COVERED, why="The robot snaps before, or has no equilibrium.")
-    return judge(number <= allowed, number, allowed - number, f"{unit}; {allowed:g} mm is allowed")
+    return judge(number <= allowed, number, allowed - number, f"{number:.3g} {unit}; {allowed:g} mm is allowed")
 
 
 def _judge_solved(file: PlanFile) -> Finding:

@@ -88,8 +88,7 @@ def _agree(name: str, found: CheckResult, word: str | None, number: float | None
         return finding.distance is not None and abs(finding.distance) <= tolerance
     if name not in VERDICT_TOLERANCES or number is None or finding.number is None or found.snaps:
         return True
-    own, theirs = (max(value, 0.0) if name == "within_wall" else value for value in (number, finding.number))
-    deep = name == "within_wall" and min(own, theirs) > DEEP_MM
+    deep = name == "within_wall" and min(number, finding.number) > DEEP_MM
     # Of some of the samples the share may be another one; the record of each is compared.
     some = name == "holds" and found.moved < len(found.file.arrays.get("draws_parts", ()))
-    return deep or some or abs(own - theirs) <= tolerance
+    return deep or some or abs(number - finding.number) <= tolerance

@@ -62,7 +62,10 @@ def main(argv: list[str] | None = None) -> int:
     if given and given[0] in COMMANDS:
         return load(COMMANDS[given[0]])(given[1:])
     top = parser()
-    if given and not given[0].startswith("-"):
+    if not given:
+        top.print_help(sys.stderr)
+        top.exit(2, f"\n{top.prog}: error: no command was given; the list above says what each one does\n")
+    if not given[0].startswith("-"):
         top.error(
             f"no command is called {given[0]!r}; there are "
             f"{', '.join(COMMANDS)}{suggest_names(given[0], COMMANDS)}"

@@ -37,22 +37,25 @@ def write(plan: Plan, folder: Path) -> None:
 
 
 def draw(plan: Plan, points: Sequence[ParetoPoint], folder: Path, found: Sequence[Compromise] = ()) -> None:
-    """Draw a plan into files of a folder.
+    """Draw a plan into files of a folder, with a progress bar.
 
     plan: the plan. points: of a sweep of motion weights, drawn where there are any. folder: an existing folder.
     found: compromises between arrival and contact, drawn where there are any.
     """
     from ctr_nlp.view.figures import save, save_all
 
-    save_all(plan, folder)
-    if found:
-        from ctr_nlp.view.figures.compromise import compromise
+    with progress_bar() as labelled:
+        save_all(plan, folder, labelled("pictures are drawn"))
+        if found:
+            from ctr_nlp.view.figures.compromise import compromise
 
-        save(compromise(plan, found), folder / "trade_off.png")
-    if points:
-        from ctr_nlp.studies.pareto_picture import save_pareto_front
+            labelled("arrival against contact is drawn")
+            save(compromise(plan, found), folder / "trade_off.png")
+        if points:
+            from ctr_nlp.studies.pareto_picture import save_pareto_front
 
-        save_pareto_front(points, plan.meta["problem"]["name"], folder)
+            labelled("error against roughness is drawn")
+            save_pareto_front(points, plan.meta["problem"]["name"], folder)
 
 
 def draw_shapes_only(plan: Plan, folder: Path) -> None:

@@ -88,6 +88,19 @@ def load_all(names: Sequence[str], arguments: argparse.Namespace) -> list[Proble
     return found
 
 
+def file_option_words(arguments: argparse.Namespace) -> list[str]:
+    """Return the options of `FILE_OPTIONS` that were given, as words of another command that takes them."""
+    words = list[str]()
+    for name in FILE_OPTIONS:
+        value = getattr(arguments, name, None)
+        if value is None:
+            continue
+        words.append(f"--{name.replace('_', '-')}")
+        if value is not True:  # a flag has no value
+            words += map(str, value) if isinstance(value, list | tuple) else [str(value)]
+    return words
+
+
 def _check_evaluation(model: Model, problem: Problem) -> None:
     """Raise OptionError where a model does not describe a problem's robot; print where it is inaccurate for it."""
     model.check(problem.robot)

@@ -7,28 +7,34 @@ import json
 import math
 import shlex
 import sys
+import threading
 import time
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from contextvars import ContextVar
 from dataclasses import dataclass, field
+from datetime import timedelta
 from pathlib import Path
 from typing import Any
 
 from rich import box
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-from rich.table import Table
+from rich.progress import BarColumn, Progress, ProgressColumn, Task, TextColumn
+from rich.table import Column, Table
 from rich.text import Text
 
 from ctr_nlp.exceptions import escape_control_characters
 
-PIPED_WIDTH = 160
-"""Columns assumed where output does not go to a terminal."""
+PIPED_TABLE_WIDTH = 100
+"""Columns that tables may take where output does not go to a terminal."""
+UNBROKEN_LINE_WIDTH = 1_000_000
+"""Columns of a console that breaks no line."""
 MAX_UNBROKEN_WORD = 20
 """Longest word that a table does not break, such as a file's name."""
 PROGRESS_LINE_INTERVAL_S = 1.0
 """Seconds between lines of progress with --verbose."""
+LONGEST_SILENCE_S = 10.0
+"""Seconds without a line after which a command whose stderr is no terminal says what it is doing."""
 Labelled = Callable[[str], Callable[[int, int, str], None]]
 """Turns a label into a callback (done, total, note)."""
 
@@ -55,6 +61,23 @@ _json_output: ContextVar[JsonOutput | None] = ContextVar("told", default=None)
 _verbose: ContextVar[bool] = ContextVar("verbose", default=False)
 
 
+@dataclass
+class _LineTimes:
+    """When a command began and when it last printed a line of progress, s of `time.monotonic`."""
+
+    begin: float = field(default_factory=time.monotonic)
+
+    def __post_init__(self) -> None:
+        self.last = self.begin
+
+    def record_line(self, now: float) -> None:
+        """Record that a line is printed at the time `now`, s of `time.monotonic`."""
+        self.last = now
+
+
+_line_times: ContextVar[_LineTimes | None] = ContextVar("line_times", default=None)
+
+
 @contextmanager
 def collect_output(as_json: bool, verbose: bool) -> Iterator[JsonOutput | None]:
     """Collect a program's output within the block and yield it, where it is for JSON; else yield None.
@@ -62,14 +85,16 @@ def collect_output(as_json: bool, verbose: bool) -> Iterator[JsonOutput | None]:
     as_json: whether --json was given. verbose: whether progress is reported line by line on stderr.
     """
     told = JsonOutput() if as_json else None
-    before = (_json_output.get(), _verbose.get())
+    before = (_json_output.get(), _verbose.get(), _line_times.get())
     _json_output.set(told)
     _verbose.set(verbose)
+    _line_times.set(_LineTimes())
     try:
         yield told
     finally:
         _json_output.set(before[0])
         _verbose.set(before[1])
+        _line_times.set(before[2])
 
 
 class _Console(Console):
@@ -93,14 +118,12 @@ class _Console(Console):
 
 
 def console(stderr: bool = False) -> Console:
-    """Return a console on stdout or stderr, wide enough for tables where it is not a terminal; a string is
-    a line.
-    """
+    """Return a console on stdout or stderr; where it is not a terminal, a string is a line, however long."""
     told = _json_output.get()
     if told is not None and not stderr:
-        return _Console(file=told.text, width=1_000_000)
+        return _Console(file=told.text, width=UNBROKEN_LINE_WIDTH)
     found = _Console(stderr=stderr)
-    return found if found.is_terminal else _Console(stderr=stderr, width=PIPED_WIDTH)
+    return found if found.is_terminal else _Console(stderr=stderr, width=UNBROKEN_LINE_WIDTH)
 
 
 def print_stderr(line: str) -> None:
@@ -183,17 +206,13 @@ def print_table(
     if told is not None:
         told.tables.append({"title": title, "columns": list(columns), "rows": [list(row) for row in rows]})
         return
-    table = Table(
-        title=Text(escape_control_characters(title)),
-        title_justify="left",
-        box=box.SIMPLE_HEAD,
-        padding=(0, 1, 0, 0),
-    )
+    table = Table(box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0))
     written = [[cell if isinstance(cell, str) else _text(cell) for cell in row] for row in rows]
     # Escaped characters are longer than those that they stand for.
     shown = [[escape_control_characters(cell) for cell in cells] for cells in written]
     terminal = console()
-    widths = _column_widths(list(map(escape_control_characters, columns)), shown, unbroken, terminal.width)
+    width = terminal.width if terminal.is_terminal else PIPED_TABLE_WIDTH
+    widths = _column_widths(list(map(escape_control_characters, columns)), shown, unbroken, width)
     for i, column in enumerate(columns):
         table.add_column(
             column,
@@ -205,7 +224,10 @@ def print_table(
     for cells, texts in zip(written, shown, strict=True):
         styled = (Text(text, (styles or {}).get(cell, "")) for cell, text in zip(cells, texts, strict=True))
         table.add_row(*styled)
-    terminal.print(table)
+    # rich would wrap a title at the table's width, and break the name of a file in it.
+    if title:
+        terminal.print(Text(escape_control_characters(title), style="italic"), soft_wrap=True)
+    terminal.print(table, width=width)
 
 
 def _column_widths(
@@ -235,51 +257,142 @@ def _column_widths(
     return found
 
 
+class _CountColumn(ProgressColumn):
+    """Shows how many steps are done of how many; nothing of a single step, or where their number is not known."""
+
+    def render(self, task: Task) -> Text:
+        """Return the column's text for the state of a task."""
+        return Text("" if _is_uncounted(task) else f"{task.completed:.0f}/{task.total:.0f}")
+
+
+def _is_uncounted(task: Task) -> bool:
+    """Tell whether a task is a single step, or one of an unknown number of steps."""
+    return task.total is None or task.total <= 1
+
+
+class _TimeColumn(ProgressColumn):
+    """Shows the time that a step has taken and, where it can be estimated, the time left."""
+
+    def render(self, task: Task) -> Text:
+        """Return the column's text for the state of a task."""
+        taken = timedelta(seconds=int(task.elapsed or 0))
+        left = _seconds_left(task)
+        return Text(str(taken) if left is None else f"{taken}, about {timedelta(seconds=math.ceil(left))} left")
+
+
+def _seconds_left(task: Task) -> float | None:
+    """Return the estimate of the seconds until a step is done; None where there is none, or it has run out."""
+    if _is_uncounted(task) or task.finished or task.start_time is None or not task.completed:
+        return None
+    reported: float = task.fields["reported"]
+    estimate = task.time_remaining
+    if estimate is None:  # rich waits for a second report
+        estimate = (reported - task.start_time) / task.completed * (task.remaining or 0.0)
+    # The estimate is that of the last report: what was to take one second more would stand at one second for as
+    # long as it takes.
+    left = estimate - (time.monotonic() - reported)
+    return left if left > 0 else None
+
+
+class _ProgressLines:
+    """Lines about progress for those who read them in a log.
+
+    bar: whose task is reported. verbose: whether every step has a line, and further ones follow each other after
+    PROGRESS_LINE_INTERVAL_S; otherwise a line comes where there was none for LONGEST_SILENCE_S. times: when the
+    command began and last printed one.
+    """
+
+    def __init__(self, bar: Progress, verbose: bool, times: _LineTimes) -> None:
+        self._bar = bar
+        self._verbose = verbose
+        self._times = times
+        self._ended = threading.Event()
+        self._watcher = threading.Thread(target=self._watch, daemon=True)
+        self._lock = threading.Lock()
+
+    def __enter__(self) -> _ProgressLines:
+        self._watcher.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._ended.set()
+        self._watcher.join()
+
+    def begin_step(self) -> None:
+        """Print the line of a step that begins, if it is due."""
+        self._print_after(0.0 if self._verbose else LONGEST_SILENCE_S)
+
+    def report(self, done: bool) -> None:
+        """Print a line on how far the step is, if it is due; done: whether the step is done."""
+        interval = PROGRESS_LINE_INTERVAL_S if self._verbose else LONGEST_SILENCE_S
+        self._print_after(0.0 if done and self._verbose else interval)
+
+    def _watch(self) -> None:
+        """Print a line whenever there was none for too long, until the block ends."""
+        while not self._ended.wait(max(0.1, self._times.last + LONGEST_SILENCE_S - time.monotonic())):
+            self._print_after(LONGEST_SILENCE_S)
+
+    def _print_after(self, seconds: float) -> None:
+        """Print the state of the task, unless the last line is less than some seconds old."""
+        with self._lock:
+            task = self._bar.tasks[0]
+            now = time.monotonic()
+            if now - self._times.last < seconds or not task.description:
+                return
+            self._times.record_line(now)
+            count = "" if _is_uncounted(task) else f", {task.completed:.0f} of {task.total:.0f}"
+            left = _seconds_left(task)
+            until = "" if left is None else f", about {left:.0f} s left"
+            self._bar.console.print(f"{now - self._times.begin:8.1f} s  {task.description}{count}{until}")
+
+
 @contextmanager
 def progress_bar() -> Iterator[Labelled]:
-    """Show a bar on stderr, and with --verbose lines beside it; yield what turns a label into a callback."""
+    """Show a bar on stderr where it is a terminal, and lines otherwise or with --verbose; yield what turns a label
+    into a callback.
+
+    Where the number of steps is not known, the bar shows the time that has passed. A log gets a line whenever none
+    was printed for LONGEST_SILENCE_S, with --verbose more.
+    """
     columns = (
-        TextColumn("{task.description}", markup=False),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeRemainingColumn(),
+        TextColumn("{task.description}", markup=False, table_column=Column(no_wrap=True, overflow="ellipsis")),
+        BarColumn(bar_width=20),
+        _CountColumn(),
+        _TimeColumn(),
     )
-    with Progress(*columns, console=console(stderr=True), transient=True) as bar:
-        task = bar.add_task("", total=None)
-        begin = time.monotonic()
+    terminal = console(stderr=True)
+    bar = Progress(*columns, console=terminal, transient=True)
+    task = bar.add_task("", total=None, visible=False)
+    lines = None
+    if _verbose.get() or not terminal.is_terminal:
+        lines = _ProgressLines(bar, _verbose.get(), _line_times.get() or _LineTimes())
 
-        def labelled(label: str) -> Callable[[int, int, str], None]:
-            bar.reset(task, description=escape_control_characters(label), total=None)
-            last = -math.inf
-            if _verbose.get():
-                bar.console.print(f"{time.monotonic() - begin:8.1f} s  {label}")
+    def labelled(label: str) -> Callable[[int, int, str], None]:
+        bar.tasks[0].total = None  # reset(total=None) would keep the last one
+        bar.reset(task, description=escape_control_characters(label), visible=True)
+        if lines is not None:
+            lines.begin_step()
 
-            def report(done: int, total: int, note: str) -> None:
-                nonlocal last
-                if done < bar.tasks[0].completed:
-                    bar.reset(task)
-                bar.tasks[0].total = total  # update(total=...) would forget how fast it went
-                bar.update(task, description=escape_control_characters(f"{label} ({note})"), completed=done)
-                now = time.monotonic() - begin
-                if _verbose.get() and (now - last >= PROGRESS_LINE_INTERVAL_S or done == total):
-                    last = now
-                    left = bar.tasks[0].time_remaining
-                    until = "" if left is None or done == total else f", about {left:.0f} s left"
-                    bar.console.print(f"{now:8.1f} s  {label}: {note}, {done} of {total}{until}")
+        def report(done: int, total: int, note: str) -> None:
+            # What is reported as a single step takes its own time.
+            if done < bar.tasks[0].completed or total <= 1:
+                bar.reset(task)
+            bar.tasks[0].total = total  # update(total=...) would forget how fast it went
+            described = escape_control_characters(f"{label}: {note}" if note else label)
+            bar.update(task, description=described, completed=done, reported=time.monotonic())
+            if lines is not None:
+                lines.report(done == total)
 
-            return report
+        return report
 
+    # In a log, rich would print an empty line where the bar ends.
+    with bar if terminal.is_terminal else nullcontext(), lines or nullcontext():
         yield labelled
 
 
 @contextmanager
 def busy(label: str) -> Iterator[None]:
-    """Show a bar with `label` while a step runs whose progress is not known; elsewhere than on a terminal a line
-    with --verbose, and nothing without.
-    """
-    if not (console(stderr=True).is_terminal or _verbose.get()):
-        yield
-        return
+    """Show a step whose progress is not known, with the time that it has taken; see `progress_bar`."""
     with progress_bar() as labelled:
         labelled(label)
         yield

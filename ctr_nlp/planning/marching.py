@@ -164,7 +164,7 @@ def run_passes(
                 if interrupted():
                     break
                 if progress is not None:
-                    note = f"{one.direction}, try {number + 1} of {len(passes)}"
+                    note = f"frame by frame {one.direction}, initial guess {number + 1} of {len(passes)}"
                     progress(number * problem.frames + done, len(passes) * problem.frames, note)
     return passes, seconds
 
@@ -224,7 +224,7 @@ class Forecast:
     def __init__(self, progress: Progress, frames: int, number: int, count: int) -> None:
         self._progress = progress
         self._frames = frames
-        self._which = f"start {number} of {count}, " if count > 1 else ""
+        self._which = f"initial guess {number} of {count}, " if count > 1 else ""
         self._best: list[float] = []
 
     def __call__(self, iterate: Iterate) -> None:
@@ -239,6 +239,4 @@ class Forecast:
         left = (recent[-1] - math.log(BANDED_KKT_TOLERANCE)) / fall if fall > 0 else FORECAST_WINDOW_ITERATIONS
         total = iterate.number + max(1, min(math.ceil(left), MAX_BANDED_ITERATIONS - iterate.number))
         objective = iterate.objective / self._frames
-        violation = max(iterate.violation, 0.0)
-        note = f"{self._which}objective {objective:.4g} mm², violation {violation:.0e}"
-        self._progress(iterate.number, total, note)
+        self._progress(iterate.number, total, f"{self._which}objective {objective:.4g} mm²")

@@ -341,6 +341,7 @@ def _rounds(
         # refine.
         tried = [(one.tried, one.scenarios) for one in reversed(coarse)] or [(draft, scenarios)]
         for one, joined in tried[:MAX_REFINED_ROUNDS]:
+            search.report_step("one motion for all robots within the tolerances, all frames")
             whole = search.refine_draft(one, joined)
             if whole.is_shared:
                 made = coarse + replan_for_failures(search, whole, joined, lost, most, first + len(coarse))

@@ -128,6 +128,7 @@ def replan_for_failures(
     for number in range(most + 1):
         # Robots are simulated on all frames; a draft's motion is interpolated.
         q = tried.solution.q if picked is None else interpolate_frames(tried.solution.q, picked, frames)
+        search.report_step(f"round {first + number + 1}: robots within the tolerances are simulated")
         found = lost(q, first + number, picked is not None)
         rounds.append(Round(search, tried, scenarios, found))
         if found.few or number == most or search.stop():
@@ -138,6 +139,7 @@ def replan_for_failures(
             search = replace(search, margins=raise_margins_near_failures(search.margins, found.frames, picked))
         # A robot too different may have no stable motion in common with the others: then a smaller difference is
         # tried.
+        search.report_step(f"round {first + number + 1}: planned again for robots that fail")
         for push in JOINING_SCALES:
             more = add_failed_samples(scenarios, found, push)
             again = _replan_once(search, tried, more, picked)

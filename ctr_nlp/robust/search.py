@@ -137,10 +137,16 @@ class RobustSearch:
         tried = list[StartResult]()
         for number, start in enumerate(starts):
             if self.progress is not None:
-                self.progress(number, len(starts) + 1, f"draft from a motion of {start.name}")
+                which = f", initial guess {number + 1} of {len(starts)}" if len(starts) > 1 else ""
+                self.progress(number, len(starts), f"one motion for all robots within the tolerances{which}")
             if not self.stop():
                 tried.append(self.solve(start, scenarios, self.draft_frames))
         return sorted(tried, key=lambda one: one.promise)
+
+    def report_step(self, step: str) -> None:
+        """Report a step of unknown length that begins, in words."""
+        if self.progress is not None:
+            self.progress(0, 1, step)
 
     def refine_draft(self, draft: StartResult, scenarios: Scenarios) -> StartResult:
         """Solve all frames for scenarios from the result of a draft, whose motion and tips are interpolated."""

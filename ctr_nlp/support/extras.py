@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import importlib
+import sys
+from pathlib import Path
 from typing import Any
 
 from ctr_nlp.exceptions import OptionError
@@ -35,5 +37,14 @@ def import_extra(module: str) -> Any:
     except ImportError as error:
         (extra,) = (extra for extra, modules in EXTRAS.items() if module.partition(".")[0] in modules)
         raise OptionError(
-            f'{module} is not installed; pip install "ctr_nlp[{extra}]" brings it ({error})'
+            f"{module} is not installed; this command installs it: {install_command(extra)} ({error})"
         ) from error
+
+
+def install_command(extra: str) -> str:
+    """Return the command that installs an extra into the environment that runs; extra: one of EXTRAS."""
+    # `pip` alone may be that of another environment, or be on no path.
+    python = Path(sys.executable)
+    if python.is_relative_to(Path.cwd()):
+        python = python.relative_to(Path.cwd())
+    return f'{python} -m pip install "ctr_nlp[{extra}]"'

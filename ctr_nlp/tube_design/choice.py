@@ -122,7 +122,8 @@ def compare_robots(
     for _, one in run_in_parallel(work, list(robots.items()), jobs):
         found.append(one)
         if progress is not None:
-            progress(len(found), len(robots), one.name)
+            planned = {each.name for each in found}
+            progress(len(found), len(robots), ", ".join(name for name in robots if name not in planned))
     return sorted(found, key=lambda one: one.rank)
 
 

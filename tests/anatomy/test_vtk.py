@@ -368,7 +368,7 @@ def test_unreadable_files_are_refused_without_noise(tmp_path, capfd, content, su
 def test_without_pyvista_the_extra_is_named(tmp_path, monkeypatch):
     path = write_xml(tmp_path / "line.vtp", LINE, WHOLE)
     monkeypatch.setitem(sys.modules, "pyvista", None)
-    with pytest.raises(OptionError, match=r'pyvista is not installed; pip install "ctr_nlp\[anatomy\]"'):
+    with pytest.raises(OptionError, match=r'pyvista is not installed; .*-m pip install "ctr_nlp\[anatomy\]"'):
         read_branches(path)
 
 

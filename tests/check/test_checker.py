@@ -236,6 +236,7 @@ def test_command_shows_both_opinions(saved, capsys):
     assert rows["arrives"][1] in (YES, NO)
     assert rows["arrives"][1] == rows["arrives"][3]
     assert rows["holds"][3] == NOT_COVERED
+    assert "--samples N" in rows["holds"][6]
     assert rows["shapes"][3] == YES
 
 

@@ -104,7 +104,10 @@ def test_each_wall_has_its_own_limit():
     assert judged(0.0, deepest=[0.6], kept_out=[False])["within_wall"][:2] == (NO, 0.6)
     assert judged(0.0, deepest=[0.6], kept_out=[False], contact_allowed=0.7)["within_wall"].word == YES
     assert judged(0.0, deepest=[0.1, 0.3], kept_out=[True, False])["within_wall"][:2] == (NO, 0.1)
-    assert judged(0.0, deepest=[-0.1, 0.3], kept_out=[True, False])["within_wall"][:2] == (YES, -0.1)
+    assert judged(0.0, deepest=[-0.1, 0.3], kept_out=[True, False])["within_wall"][:2] == (YES, 0.0)
+    clear = judged(0.0, deepest=[-0.123], kept_out=[False])["within_wall"]
+    assert clear.number == 0.0  # contact is never negative
+    assert "0.12 mm clear" in clear.why
     assert judged(0.0, deepest=[0.4], kept_out=[False], known=False)["within_wall"].word == NOT_COVERED
 
 
@@ -189,7 +192,7 @@ def test_samples_are_those_of_the_file_or_drawn_from_its_bands():
 @pytest.mark.parametrize(
     ("change", "why"),
     [
-        ({}, "No samples."),
+        ({}, "No samples were simulated."),
         ({"tip_force": 0.1}, "Samples under a tip force or of other tolerances than uniform ones."),
     ],
 )

@@ -349,7 +349,7 @@ def test_numbers_may_differ_by_their_tolerance():
     assert not compared("stable", YES, 0.20, Finding(YES, 0.21, 0.1))
     assert compared("stable", NO, 0.0, Finding(NO, 0.21), snaps=[3])
     assert compared("within_limits", YES, 50.0, Finding(YES, 60.0, 1.0))
-    assert compared("within_wall", YES, 0.0, Finding(YES, -3.0, 3.5))
+    assert compared("within_wall", YES, 0.0, Finding(YES, 0.0, 3.5))
     assert not compared("within_wall", NO, 1.0, Finding(NO, 1.3, -0.8))
     assert compared("within_wall", NO, 20.0, Finding(NO, 25.0, -24.5))
     assert not compared("within_wall", NO, 1.0, Finding(NO, 25.0, -24.5))

@@ -52,6 +52,7 @@ def test_play_names_verdicts_that_are_not_covered(tmp_path, capsys):
     told = capsys.readouterr().err
     assert "independent check disagrees" not in told
     assert "an independent check does not cover: " in told
+    assert "an independent check agrees with the verdicts: " in told
 
 
 @pytest.mark.hazard("what was not checked reads as passed")

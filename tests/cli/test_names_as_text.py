@@ -35,7 +35,7 @@ def saved(found, name, folder):
 
 @pytest.mark.parametrize(("given", "shown"), [(MARKED, MARKED), (OBEYED, ESCAPED)])
 def test_a_terminal_shows_lines_tables_and_files_as_text(given, shown, capsys, monkeypatch):
-    monkeypatch.setattr(terminal_output, "PIPED_WIDTH", 1000)
+    monkeypatch.setattr(terminal_output, "PIPED_TABLE_WIDTH", 1000)
     console().print(given)
     announce(given)
     report_written_files(given, [given], more=given)
@@ -48,10 +48,9 @@ def test_a_terminal_shows_lines_tables_and_files_as_text(given, shown, capsys, m
 
 
 @pytest.mark.parametrize(("given", "shown"), [(MARKED, MARKED), (OBEYED, ESCAPED)])
-def test_progress_shows_names_as_text(given, shown, capsys, monkeypatch):
-    monkeypatch.setattr(terminal_output, "PIPED_WIDTH", 1000)
+def test_progress_shows_names_as_text(given, shown, capsys):
     with terminal_output.collect_output(as_json=False, verbose=True), progress_bar() as labelled:
-        labelled(given)(1, 2, given)
+        labelled(given)(2, 2, given)
     told = capsys.readouterr().err
     assert told.count(shown) == 3
     assert all(line.isprintable() for line in told.splitlines())

@@ -7,8 +7,11 @@ import pytest
 
 from ctr_nlp import Robot, Tube
 from ctr_nlp.anatomy.formats.vtk import write_vtk
+from ctr_nlp.anatomy.lumen_tree import read_lumen_tree
 from ctr_nlp.anatomy.synthetic_tree import synthetic_tree
-from ctr_nlp.cli.studies.reach import main
+from ctr_nlp.cli.studies.reach import _print, main
+from ctr_nlp.studies.reach.outcomes import UNPLANNED, EndOutcome
+from ctr_nlp.studies.reach.reach import Reach
 
 pytest.importorskip("pyvista", reason='needs pyvista: pip install -e ".[anatomy]"')
 pytest.importorskip("distributed", reason='needs dask: pip install -e ".[study]"')
@@ -41,6 +44,22 @@ def test_tree_without_room_is_listed_and_drawn_and_nothing_is_planned(tree, caps
     assert "data:image/png;base64," in page
     assert "http" not in page
     assert main(call) == 0
+
+
+def test_no_robot_is_the_best_at_an_end_without_a_plan(tree, capsys):
+    read = read_lumen_tree(tree)
+    ends = tuple(
+        EndOutcome(end.number, name, UNPLANNED, "", False, 0.0, 0.0, 0.0, 80.0, margin=1.0)
+        for end in read.ends
+        for name in ("thin", "other")
+    )
+    _print(Reach(read, ("thin", "other"), ends, robust=True))
+    printed = capsys.readouterr().out
+    assert "best of 2 robots so far" in printed
+    assert printed.count("not planned") == 4 + 3  # rows, and sentences
+    assert not [
+        line for line in printed.splitlines() if "not planned" in line and line.startswith(" ") and "thin" in line
+    ]
 
 
 def test_robots_of_one_name_are_refused(tree, tmp_path, capsys):

@@ -1,4 +1,4 @@
-"""Tables of every command on a terminal of 100 columns."""
+"""Tables of every command fit 100 columns, on a terminal and in a pipe."""
 
 import ast
 import importlib
@@ -8,16 +8,10 @@ import pytest
 from common import ROOT, named_problem
 
 from ctr_nlp import solve_per_frame
-from ctr_nlp.cli import terminal_output
 from ctr_nlp.cli.main import COMMANDS, load
-from ctr_nlp.cli.terminal_output import print_table
+from ctr_nlp.cli.terminal_output import console, print_table
 
 WIDTH = 100
-
-
-@pytest.fixture(autouse=True)
-def narrow(monkeypatch):
-    monkeypatch.setattr(terminal_output, "PIPED_WIDTH", WIDTH)
 
 
 @pytest.fixture(scope="module")
@@ -106,6 +100,15 @@ def test_coordinates_stay_on_one_line_and_text_wraps_between_words(capsys):
         next(word for word in out.split() if set(word) == {"─"}),
     }
     assert max(map(len, out.splitlines())) <= WIDTH
+
+
+def test_a_title_and_sentences_are_never_broken(capsys):
+    file = "/home/somebody/scans of the chest/" + "a_name_" * 20 + "mask.nii.gz"
+    print_table(file, ("what", "value"), [["kind", "mask"]], text=("value",))
+    console().print(f"wrote {file}")
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0] == file
+    assert lines[-1] == f"wrote {file}"
 
 
 def test_a_table_that_cannot_fit_breaks_words_and_loses_none(capsys):

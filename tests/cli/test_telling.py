@@ -1,10 +1,12 @@
 """What programs tell, for people and as JSON, and the examples in their help."""
 
+import io
 import json
 import re
 import shlex
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import numpy as np
@@ -12,9 +14,17 @@ import pytest
 from bench import sweep
 from common import UNJUDGED
 
+from ctr_nlp.cli import terminal_output
 from ctr_nlp.cli.console import examples
 from ctr_nlp.cli.main import COMMANDS, load, main
-from ctr_nlp.cli.terminal_output import collect_output, console, print_table, report_written_files
+from ctr_nlp.cli.terminal_output import (
+    busy,
+    collect_output,
+    console,
+    print_table,
+    progress_bar,
+    report_written_files,
+)
 from ctr_nlp.plan.summary_text import NOT_FOR_PATIENTS
 
 
@@ -113,7 +123,8 @@ def test_numbers_stay_numbers_and_what_is_not_finite_is_null():
     assert found["files"] == ["folder/a.csv", "folder/b.csv", "c.csv"]
 
 
-def test_verbose_tells_on_stderr_how_far_the_work_is(tmp_path, capsys):
+def test_verbose_tells_on_stderr_how_far_the_work_is(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(terminal_output, "LONGEST_SILENCE_S", 1e6)  # lines come with --verbose alone
     arguments = [
         "steer",
         "arc",
@@ -131,6 +142,56 @@ def test_verbose_tells_on_stderr_how_far_the_work_is(tmp_path, capsys):
     assert told.search(capsys.readouterr().err)
     assert main(arguments) == 0
     assert not told.search(capsys.readouterr().err)
+
+
+def test_a_log_gets_a_line_where_there_was_none_for_long(capsys, monkeypatch):
+    monkeypatch.setattr(terminal_output, "LONGEST_SILENCE_S", 0.0)
+    with collect_output(as_json=True, verbose=False), progress_bar() as labelled:
+        labelled("pictures are drawn")(1, 4, "errors")
+    found = capsys.readouterr()
+    assert re.search(r"^ +\d+\.\d s  pictures are drawn$", found.err, re.MULTILINE)
+    assert re.search(r"^ +\d+\.\d s  pictures are drawn: errors, 1 of 4", found.err, re.MULTILINE)
+    assert found.out == ""
+
+
+def test_a_log_gets_a_line_while_a_step_reports_nothing(capsys, monkeypatch):
+    monkeypatch.setattr(terminal_output, "LONGEST_SILENCE_S", 0.1)
+    seen = ""
+    with busy("the mask is read"):
+        while "the mask is read" not in seen:
+            time.sleep(0.05)
+            seen += capsys.readouterr().err
+
+
+def test_a_short_command_prints_no_progress_in_a_log(capsys, monkeypatch):
+    monkeypatch.setattr(terminal_output, "LONGEST_SILENCE_S", 1e6)
+    with progress_bar() as labelled:
+        labelled("pictures are drawn")(4, 4, "errors")
+    assert capsys.readouterr().err == ""
+
+
+def test_a_bar_counts_known_steps_and_times_others(monkeypatch):
+    seen = io.StringIO()
+    terminal = type(console())(file=seen, force_terminal=True, width=100)
+    monkeypatch.setattr(terminal_output, "console", lambda stderr=False: terminal)
+    with progress_bar() as labelled:
+        labelled("the mask is read")
+        labelled("pictures")(1, 4, "errors")
+    bars = [line for line in re.split(r"[\r\n]+", re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", seen.getvalue())) if line]
+    assert not [line for line in bars if "?" in line]
+    assert any(re.fullmatch(r"the mask is read ━+ +0:00:\d\d *", line) for line in bars)
+    assert any(re.match(r"pictures: errors [━╸╺]+ 1/4 0:00:\d\d", line) for line in bars)
+    assert max(map(len, bars)) <= 100
+
+
+def test_no_command_at_all_lists_the_commands(capsys):
+    with pytest.raises(SystemExit) as ended:
+        main([])
+    assert ended.value.code == 2
+    told = capsys.readouterr()
+    assert told.out == ""
+    assert set(COMMANDS) <= set(told.err.split())
+    assert told.err.endswith("error: no command was given; the list above says what each one does\n")
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")

@@ -399,7 +399,7 @@ class TestUr:
 
     def test_a_missing_library_is_named(self, monkeypatch, clock):
         monkeypatch.setitem(sys.modules, "rtde_receive", None)
-        with pytest.raises(OptionError, match=r'rtde_receive is not installed; pip install "ctr_nlp\[ur\]"'):
+        with pytest.raises(OptionError, match=r'rtde_receive is not installed; .*-m pip install "ctr_nlp\[ur\]"'):
             UrArm(Arm(device="ur"), clock=clock).connect()
 
 

@@ -25,7 +25,7 @@ from ctr_nlp.studies.grid.results import Results
 from ctr_nlp.studies.grid.study_file import Study
 from ctr_nlp.studies.workers.batches import FIRST_BATCH_CASES, MAX_WORKER_DEATHS, MIN_BATCH_S, Batches
 from ctr_nlp.studies.workers.clients import local_client
-from ctr_nlp.studies.workers.running import run_study
+from ctr_nlp.studies.workers.running import StudyProgress, run_study
 
 pytest.importorskip("distributed", reason="the extra `study` is not installed")
 
@@ -291,6 +291,13 @@ def test_a_study_is_done_once_and_goes_on_where_it_was(client, tmp_path):
     kept = frame[frame["digest"].isin(before["digest"])].reset_index(drop=True)
     assert kept["process_s"].tolist() == before["process_s"].tolist()
     assert len(list((tmp_path / "plans").glob("*.npz"))) == 2
+
+
+def test_progress_says_how_many_plans_are_made_at_a_time():
+    waiting = StudyProgress(total=4, done_before=0)
+    assert waiting.workers_in_words == ""  # not counted yet
+    assert replace(waiting, workers=0).workers_in_words == "no worker is there"
+    assert replace(waiting, workers=2).workers_in_words == "2 plans at a time"
 
 
 def test_a_second_study_in_the_folder_is_refused_while_the_first_is_at_work(client, tmp_path):

@@ -27,7 +27,8 @@ from ctr_nlp.studies.reach.outcomes import (
     outcome_before_planning,
     outcome_of_plan,
 )
-from ctr_nlp.studies.reach.report import TABLE_COLUMNS, table_row
+from ctr_nlp.studies.reach.reach import Reach
+from ctr_nlp.studies.reach.report import PAGE_NAME, TABLE_COLUMNS, table_row, totals, write
 from ctr_nlp.studies.reached.cases import REACHED
 
 pytest.importorskip("pyvista", reason='needs pyvista: pip install -e ".[anatomy]"')
@@ -95,6 +96,28 @@ def test_best_outcome_is_the_reached_one():
     assert best_outcome([replace(BEFORE, outcome=MISSED, tip=tip) for tip in (4.0, 3.0, math.nan)]).tip == 3.0
     counted = count_outcomes([*ends, replace(BEFORE, outcome=NARROW), replace(BEFORE, outcome=UNENTERED)])
     assert (counted["wide_enough"], counted[REACHED], counted[NARROW]) == (3, 1, 1)
+
+
+def test_end_that_waits_for_another_robot_is_not_missed_yet():
+    waiting = [replace(BEFORE, outcome=MISSED), replace(BEFORE, robot="other")]
+    assert best_outcome(waiting).outcome == UNPLANNED
+
+
+def test_interrupted_study_says_how_many_ends_are_not_planned(tree_file, tmp_path):
+    tree = read_lumen_tree(tree_file)
+    ends = [replace(BEFORE, end=end.number, robot=name) for end in tree.ends for name in ("thin", "other")]
+    ends[0] = replace(ends[0], outcome=REACHED, nominal=True)  # end 1 by the robot thin
+    ends[2] = replace(ends[2], outcome=MISSED)
+    found = Reach(tree, ("thin", "other"), tuple(ends), robust=True)
+    assert [sentence.partition(";")[0] for sentence in totals(found)] == [
+        "thin: 1 of 4 wide-enough ends reached so far, 2 are not planned yet",
+        "other: 0 of 4 wide-enough ends reached so far, 4 are not planned yet",
+        "at least one robot: 1 of 4 wide-enough ends reached so far, 3 are not planned yet",
+    ]
+    write(found, tmp_path)
+    assert "reached so far, 3 are not planned yet" in (tmp_path / PAGE_NAME).read_text(encoding="utf-8")
+    done = replace(found, outcomes=tuple(replace(one, outcome=MISSED) for one in ends))
+    assert totals(done)[0] == "thin: 0 of 4 wide-enough ends reached; 1 as described, 0 nearly, 0 too narrow"
 
 
 def test_ends_that_are_narrow_or_too_far_are_not_planned(tree_file):

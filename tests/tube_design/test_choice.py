@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from dataclasses import replace
 from functools import partial
 
@@ -121,9 +122,14 @@ def test_choose_command_lists_the_robots_of_a_folder(lumen_file, tmp_path, capsy
     folder.mkdir()
     for name, robot in ROBOTS.items():
         (folder / f"{name}.toml").write_text(robot.to_toml(), encoding="utf-8")
-    asked = ["choose", str(lumen_file), "--robots", str(folder), "--frames", str(FRAMES), "--jobs", "1"]
+    target = _points(50.0)[20].tolist()
+    path = [str(lumen_file), "--target", *map(str, target)]
+    asked = ["choose", *path, "--robots", str(folder), "--frames", str(FRAMES), "--jobs", "1"]
     assert main(asked) == 1
-    assert "None of the robots reaches the end; bent comes nearest" in _printed(capsys)
+    printed = capsys.readouterr().out
+    assert "None of the robots reaches the end; bent comes nearest" in printed
+    next_command = next(line for line in printed.splitlines() if line.startswith("next, tubes for this path: "))
+    assert next_command.partition(": ")[2] == shlex.join(["ctr-nlp", "design", *path, "--walls", "--nominal"])
 
 
 @pytest.mark.slow

@@ -38,7 +38,7 @@ def _run(arguments: argparse.Namespace) -> int:
     print_table(
         f"{arguments.plan}: the plan's verdicts beside the checker's",
         COLUMNS,
-        _rows(opinions),
+        _rows(opinions, arguments.samples),
         text=("why",),
         styles=STYLES,
     )
@@ -52,12 +52,17 @@ def _run(arguments: argparse.Namespace) -> int:
     return EXIT_SOME_FAILED if apart else EXIT_SOLVED
 
 
-def _rows(opinions: list[Opinion]) -> list[tuple[object, ...]]:
-    """Return rows of the table: an empty cell where there is nothing to compare."""
+def _rows(opinions: list[Opinion], samples: int) -> list[tuple[object, ...]]:
+    """Return rows of the table: an empty cell where there is nothing to compare.
+
+    samples: how many robots the checker was to simulate.
+    """
+    asked = () if samples else ("holds", "samples")
     return [
         (
             *(each.name.replace("_", " "), each.own_word or "", each.own_number),
-            *(each.word, each.number, "" if not _is_compared(each) else "yes" if each.agrees else "no", each.why),
+            *(each.word, each.number, "" if not _is_compared(each) else "yes" if each.agrees else "no"),
+            f"{each.why} --samples N simulates N." if each.name in asked and each.word not in STYLES else each.why,
         )
         for each in opinions
     ]

@@ -173,8 +173,7 @@ def _run(arguments: argparse.Namespace) -> int:
         if points:
             write_front(points, staging)
         if not arguments.no_figures:
-            with busy("pictures are drawn"):
-                draw(plan, points, staging, found)
+            draw(plan, points, staging, found)
         files = sorted(path.name for path in staging.iterdir())
         if film is not None:
             film = write_film([plan], film, out, place, staging)
@@ -219,7 +218,7 @@ def _with_fitting_robot(problem: Problem, arguments: argparse.Namespace, model: 
     tilt = list(zip(problem.robot.lower[-2:].tolist(), problem.robot.upper[-2:].tolist(), strict=True))
     robots = {name: robot.with_limits(theta=tilt) for name, robot in read_robot_files().items()}
     with progress_bar() as labelled:
-        best = choose_robot(problem, robots, jobs=CHOICE_JOBS, progress=labelled("robots of the package"))
+        best = choose_robot(problem, robots, jobs=CHOICE_JOBS, progress=labelled("robots of the package are compared"))
     if best is None:
         return problem
     announce(
@@ -462,17 +461,21 @@ def _plan_robust(arguments: argparse.Namespace, problem: Problem, out: Path) -> 
     if whole:
         asked |= {"settings": _settings(arguments, problem, "seed"), "motion_weight": arguments.motion_weight}
         asked["guards"] = bool(arguments.guards)
-        asked["nominal"] = partial(
-            _write_nominal_plan, out=out, figures=not arguments.no_figures, film=film_file(arguments)
-        )
     else:
         asked |= {"settings": _settings(arguments, problem, *FRAME_SETTINGS)}
         asked |= {"direction": arguments.direction or "best"}
     problems.print_problem_notes(problem)
     end_if_interrupted()
     with progress_bar() as labelled:
-        solve = solve_robust if whole else solve_robust_per_frame
-        return solve(problem, progress=labelled(problem.name), **asked)
+        if not whole:
+            return solve_robust_per_frame(problem, progress=labelled(problem.name), **asked)
+
+        def write_nominal_plan(plan: Plan) -> None:
+            labelled(f"{problem.name}: the plan for the robot as described is written")
+            _write_nominal_plan(plan, out, figures=not arguments.no_figures, film=film_file(arguments))
+            labelled(problem.name)
+
+        return solve_robust(problem, progress=labelled(problem.name), nominal=write_nominal_plan, **asked)
 
 
 def _write_nominal_plan(plan: Plan, out: Path, figures: bool, film: Path | None) -> None:

@@ -20,7 +20,7 @@ from ctr_nlp.cli.operator_control import SIGNAL_EXIT_BASE, obey_operator
 from ctr_nlp.cli.output.file import path_component
 from ctr_nlp.cli.play_report import JOURNAL, claim, print_trajectory, report
 from ctr_nlp.cli.second_opinion import require_agreement
-from ctr_nlp.cli.terminal_output import print_stderr, progress_bar
+from ctr_nlp.cli.terminal_output import busy, print_stderr, progress_bar
 from ctr_nlp.exceptions import DeviceFault, OptionError
 from ctr_nlp.hardware.axis import LETTERS
 from ctr_nlp.hardware.clock import RealClock
@@ -154,13 +154,17 @@ def _run(arguments: argparse.Namespace) -> int:
     print_stderr(NOT_FOR_PATIENTS)
     if asked:
         _ask_permission(arguments, plan)
-        _note_uncovered(require_agreement(arguments.plan))
+        with busy(f"an independent check of {arguments.plan}"):
+            opinions = require_agreement(arguments.plan)
+        _note_opinions(opinions)
     _note_untried(hardware)
     _note_loose(hardware)
     if arguments.dry_run:
         title = f"{plan.meta['problem']['name']}: checked; nothing was sent"
         share = SHARE if arguments.closed_loop else 1.0
-        print_trajectory(title, *prepare_trajectory(plan, hardware, _tempo(arguments), share=share))
+        with busy("speeds and accelerations of the axes are checked"):
+            prepared = prepare_trajectory(plan, hardware, _tempo(arguments), share=share)
+        print_trajectory(title, *prepared)
         return EXIT_SOLVED
     out = Path(arguments.out or f"runs/{path_component(str(plan.meta['problem']['name']))}-play")
     if arguments.replay:
@@ -187,11 +191,15 @@ def _ask_permission(arguments: argparse.Namespace, plan: Plan) -> None:
         print_stderr(f"note: {verdict.matter}: {verdict.word}. {verdict.why}")
 
 
-def _note_uncovered(opinions: Sequence[Opinion]) -> None:
-    """Name on stderr the verdicts of the plan that the independent check does not cover."""
-    names = [each.name.replace("_", " ") for each in opinions if each.word == NOT_COVERED and each.own_word == YES]
-    if names:
-        print_stderr(f"note: an independent check does not cover: {', '.join(names)}; see `ctr-nlp check`")
+def _note_opinions(opinions: Sequence[Opinion]) -> None:
+    """Name on stderr the verdicts of the plan with which the independent check agrees, and those not covered."""
+    agreed = [each for each in opinions if each.word == each.own_word]
+    uncovered = [each for each in opinions if each.word == NOT_COVERED and each.own_word == YES]
+    told = ("agrees with the verdicts", agreed), ("does not cover", uncovered)
+    for what, listed in told:
+        if listed:
+            names = ", ".join(each.name.replace("_", " ") for each in listed)
+            print_stderr(f"note: an independent check {what}: {names}; see `ctr-nlp check`")
 
 
 def _note_untried(hardware: Hardware) -> None:

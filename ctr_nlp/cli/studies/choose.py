@@ -16,7 +16,7 @@ from ctr_nlp.cli.arguments import (
     whole,
 )
 from ctr_nlp.cli.console import EXIT_SOLVED, EXIT_SOME_FAILED, Command
-from ctr_nlp.cli.terminal_output import console, print_table, progress_bar
+from ctr_nlp.cli.terminal_output import console, print_table, progress_bar, suggest_next
 from ctr_nlp.exceptions import ProblemError
 from ctr_nlp.ocp.settings import THRESHOLDS
 from ctr_nlp.plan.measures import e3
@@ -74,11 +74,15 @@ def _run(arguments: argparse.Namespace) -> int:
     end_if_interrupted()
     with progress_bar() as labelled:
         asked: dict[str, Any] = {"robust": arguments.robust, "settings": settings, "jobs": arguments.jobs}
-        found = compare_robots(problem, robots, **asked, progress=labelled("robots"))
+        found = compare_robots(problem, robots, **asked, progress=labelled("robots are compared"))
     end_if_interrupted()
     print_table(f"{problem.name}, robots, in mm", list(CHOICE_TABLE_COLUMNS), [_row(one) for one in found])
     console().print(_conclusion(found, arguments.robust))
-    return EXIT_SOLVED if found[0].reaches else EXIT_SOME_FAILED
+    if found[0].reaches:
+        return EXIT_SOLVED
+    words = ["design", arguments.problem, *problems.file_option_words(arguments), "--walls"]
+    suggest_next(("tubes for this path", words if arguments.robust else [*words, "--nominal"]))
+    return EXIT_SOME_FAILED
 
 
 def _row(one: RobotChoice) -> list[Any]:
@@ -104,10 +108,7 @@ def _conclusion(found: Sequence[RobotChoice], robust: bool) -> str:
     nearest = found[0]
     if nearest.plan is None:
         return "None of the robots can be planned for on this path."
-    return (
-        f"None of the robots reaches the end; {nearest.name} comes nearest. `ctr-nlp design PROBLEM --walls` "
-        "chooses tubes for this path."
-    )
+    return f"None of the robots reaches the end; {nearest.name} comes nearest."
 
 
 main = Command("ctr-nlp choose", _parser, _run)

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import argparse
+import math
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from ctr_nlp.anatomy.files import ANATOMY_SUFFIXES, title
@@ -28,7 +30,7 @@ from ctr_nlp.plan.summary_text import NOT_FOR_PATIENTS
 from ctr_nlp.robot import Robot
 from ctr_nlp.robot.shipped import read_robot, read_robot_files
 from ctr_nlp.studies.grid.results import Results
-from ctr_nlp.studies.reach.outcomes import LENGTH_CHECK, MISSED, NEARLY, EndOutcome
+from ctr_nlp.studies.reach.outcomes import LENGTH_CHECK, MISSED, NEARLY, UNPLANNED, EndOutcome
 from ctr_nlp.studies.reach.reach import DEFAULT_BOUND_S, Reach, reach_tree
 from ctr_nlp.studies.reached.cases import REACHED
 from ctr_nlp.studies.workers.running import StudyProgress
@@ -105,13 +107,11 @@ def _run(arguments: argparse.Namespace) -> int:
         pass
     with open_client(arguments) as client, progress_bar() as labelled, deferred_interrupt() as interrupted:
         print_stderr(f"The cluster's own page is {client.dashboard_link}.")
-        report = labelled("reach")
+        report = labelled("plans to the ends")
 
         def seen(progress: StudyProgress) -> None:
-            told = f"{progress.failed} failed"
-            if not progress.workers and progress.done < progress.total:
-                told += ", no worker is there"
-            report(progress.done, progress.total, told)
+            failed = f"{progress.failed} failed" if progress.failed else ""
+            report(progress.done, progress.total, ", ".join(filter(None, (failed, progress.workers_in_words))))
 
         found = reach_tree(
             arguments.file,
@@ -183,8 +183,14 @@ def _print(found: Reach) -> None:
     """Print a row for each end, with its best robot, and how many ends are reached."""
     from ctr_nlp.studies.reach.report import TABLE_COLUMNS, table_row, totals
 
-    rows = [table_row(one) for one in found.best]
-    robots = f", best of {len(found.robots)} robots" if len(found.robots) > 1 else ""
+    # An end that waits for a plan waits for those of several robots: none of them is the best.
+    several = len(found.robots) > 1
+    rows = [
+        table_row(replace(one, robot="", margin=math.nan) if several and one.outcome == UNPLANNED else one)
+        for one in found.best
+    ]
+    robots = f", best of {len(found.robots)} robots" if several else ""
+    robots += "" if found.complete else " so far"
     print_table(
         f"{found.tree.name}{robots}; depth, room, tip and contact in mm",
         TABLE_COLUMNS,

@@ -87,10 +87,8 @@ def _run(arguments: argparse.Namespace) -> int:
         report = labelled(study.name)
 
         def seen(progress: StudyProgress) -> None:
-            told = f"{progress.failed} failed, {progress.rate:.3g} a second"
-            if not progress.workers and progress.done < progress.total:
-                told += ", no worker is there"
-            report(progress.done, progress.total, told)
+            told = f"{progress.failed} failed", f"{progress.rate:.3g} a second", progress.workers_in_words
+            report(progress.done, progress.total, ", ".join(filter(None, told)))
 
         asked = {"keep_plans": arguments.plans, "patience": arguments.patience}
         progress = run_study(study, out, client, callback=seen, stop=interrupted, **asked)

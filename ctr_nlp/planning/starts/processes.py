@@ -70,7 +70,7 @@ def solve_starts_in_processes(
     for number, one in run_in_parallel(task.solve, motions, min(jobs, len(motions))):
         found[number] = one
         if progress is not None:
-            progress(len(found), len(motions), f"starts, in {jobs} processes")
+            progress(len(found), len(motions), f"initial guesses, in {jobs} processes")
         # Iterates of several processes would come mixed up: only whole results are passed on.
         if callback is not None and (best is None or best_solved_start([best, one]) is one):
             best = one

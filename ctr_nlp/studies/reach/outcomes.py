@@ -20,8 +20,8 @@ from ctr_nlp.studies.reached.cases import REACHED, outcome_of, read_number
 NEARLY, MISSED, NARROW, UNENTERED, UNPLANNED = "nearly", "missed", "too narrow", "not entered", "not planned"
 """Outcomes beside REACHED: missed by little, missed, without room for the robot, on a branch that does not pass
 the entry, and without a plan yet."""
-OUTCOMES = (REACHED, NEARLY, MISSED, UNPLANNED, NARROW, UNENTERED)
-"""All outcomes, the best first."""
+OUTCOMES = (REACHED, NEARLY, UNPLANNED, MISSED, NARROW, UNENTERED)
+"""All outcomes, the best first: an end that one robot misses may be reached by another that is not planned yet."""
 NEARLY_MM = 1.0
 """By how much tip and contact may exceed what is allowed where an end is nearly reached, mm."""
 LENGTH_CHECK = "length"

@@ -35,8 +35,8 @@ from ctr_nlp.view.figures.parts.palette import GREEN, ORANGE, SKY, VERMILLION
 OUTCOME_COLOURS: Mapping[str, str] = {
     REACHED: GREEN,
     NEARLY: ORANGE,
-    MISSED: VERMILLION,
     UNPLANNED: SKY,
+    MISSED: VERMILLION,
     NARROW: "#A6A6A6",
     UNENTERED: "#D9D9D9",
 }
@@ -103,6 +103,8 @@ def summary_of(found: Reach) -> dict[str, object]:
 def totals(found: Reach) -> list[str]:
     """Return a sentence on how many ends each robot reaches, and one on all robots together.
 
+    Ends that are not planned yet are named before the first semicolon, where titles are cut.
+
     Parameters
     ----------
     found : Reach
@@ -116,11 +118,20 @@ def totals(found: Reach) -> list[str]:
     several = len(found.robots) > 1
     return [
         f"{'at least one robot' if name == 'any' else name}: {count[REACHED]} of {count['wide_enough']} "
-        f"wide-enough ends reached; {count['as_described']} as described, {count[NEARLY]} nearly, "
-        f"{count[NARROW]} too narrow"
+        f"wide-enough ends reached{_say_unplanned(found, name)}; {count['as_described']} as described, "
+        f"{count[NEARLY]} nearly, {count[NARROW]} too narrow"
         for name, count in found.counts().items()
         if name != "any" or several
     ]
+
+
+def _say_unplanned(found: Reach, name: str) -> str:
+    """Return how many ends wait for a plan for the robot `name`, or for any robot; empty where none does."""
+    waiting = {one.end for one in found.outcomes if one.outcome == UNPLANNED and name in (one.robot, "any")}
+    if name == "any":
+        waiting -= {one.end for one in found.best if one.outcome == REACHED}
+    verb = "is" if len(waiting) == 1 else "are"
+    return f" so far, {len(waiting)} {verb} not planned yet" if waiting else ""
 
 
 def table_row(one: EndOutcome, whole: bool = False) -> list[str]:

@@ -42,7 +42,8 @@ class StudyProgress:
     """Progress of a study.
 
     total: number of cases; done, failed: of these; done_before: of the done ones those of earlier runs. process_s:
-    process time of the cases, s; seconds: since the run began; workers: threads of the cluster.
+    process time of the cases, s; seconds: since the run began; workers: threads of the cluster, None before they
+    are counted.
     """
 
     total: int
@@ -51,7 +52,7 @@ class StudyProgress:
     failed: int = 0
     process_s: float = 0.0
     seconds: float = 0.0
-    workers: int = 0
+    workers: int | None = None
 
     def add_rows(self, rows: Sequence[Mapping[str, Any]], seconds: float, workers: int) -> None:
         """Count rows that were written, `seconds` after the run began, with so many workers at that time."""
@@ -62,6 +63,15 @@ class StudyProgress:
         self.process_s = self.process_s + sum(times)
         self.seconds = seconds
         self.failed += sum(row["status"] != CASE_DONE for row in rows)
+
+    @property
+    def workers_in_words(self) -> str:
+        """How many plans are made at a time, or that no worker is there; empty before workers are counted."""
+        if self.workers is None or self.done == self.total:
+            return ""
+        if not self.workers:
+            return "no worker is there"
+        return "1 plan at a time" if self.workers == 1 else f"{self.workers} plans at a time"
 
     @property
     def rate(self) -> float:
@@ -95,7 +105,8 @@ def run_study(
     patience : float
         Time limit of a case, s.
     callback : callable
-        Called with the progress at the beginning, after every batch, and while no worker is there.
+        Called with the progress at the beginning, when the workers are counted, after every batch, and while no
+        worker is there.
     stop : callable
         Called regularly; after it has returned True nothing more is started.
 
@@ -127,6 +138,9 @@ def run_study(
                 while at_work:
                     with report_scheduler_loss():
                         threads = at_work.submit_batches()
+                        if progress.workers is None:
+                            progress.add_rows([], time.monotonic() - begin, threads)
+                            callback(progress)
                         rows, lost = at_work.collect_rows()
                     results.add(rows)
                     results.add_retryable_rows(lost)

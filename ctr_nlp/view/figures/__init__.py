@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -25,17 +26,24 @@ PICTURES = {"shapes": shapes, "errors": errors, "by_frame": by_frame, "configura
 FIGURE_DPI = 150
 
 
-def save_all(plan: Plan, folder: str | Path) -> list[Path]:
+def save_all(
+    plan: Plan, folder: str | Path, progress: Callable[[int, int, str], None] | None = None
+) -> list[Path]:
     """Write shapes, errors, by_frame, configuration, and where known stability, clearance and robustness, as .png
     files.
 
-    plan: the plan to draw. folder: an existing folder. Returns the paths of the files. Raises OutputError where
-    one cannot be written.
+    plan: the plan to draw. folder: an existing folder. progress: called as ``progress(done, total, name)`` before
+    each picture. Returns the paths of the files. Raises OutputError where one cannot be written.
     """
     pictures = PICTURES | ({"stability": stability} if np.isfinite(plan.stability).any() else {})
     pictures |= {} if plan.clearance is None else {"clearance": clearance}
     pictures |= {} if plan.drawn is None else {"robustness": robustness}
-    return [save(picture(plan), Path(folder) / f"{name}.png") for name, picture in pictures.items()]
+    paths = list[Path]()
+    for name, picture in pictures.items():
+        if progress is not None:
+            progress(len(paths), len(pictures), name)
+        paths.append(save(picture(plan), Path(folder) / f"{name}.png"))
+    return paths
 
 
 def save(figure: Figure, path: Path) -> Path:
