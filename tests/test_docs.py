@@ -161,7 +161,7 @@ def walk(page: Path, clone: Path) -> None:
             printed = run(clone, ["bash", "-euo", "pipefail", "-c", commands(block)], place)
         elif block.language == "python":
             examples += block.text
-            run(clone, [".venv/bin/python", "-W", "error", "-c", examples], place)
+            printed = run(clone, [".venv/bin/python", "-W", "error", "-c", examples], place)
         elif block.language == "text":
             shown, told = (" ".join(text.replace("─", " ").split()) for text in (block.text, printed))
             assert shown in told, f"{place}: not what is printed:\n{printed}"

@@ -493,8 +493,8 @@ def _write_nominal_plan(plan: Plan, out: Path, figures: bool, film: Path | None)
     found = summary(plan)
     tip = found["tip_last"]
     announce(
-        f"plan for the robot as described: {summary_text.summarise_verdicts(found)} The tip ends {tip:.2f} mm off "
-        f"the target."
+        f"the robot as described ends with its tip {tip:.2f} mm from the target. "
+        f"{summary_text.summarise_verdicts(found)}"
     )
     report_written_files(place, files)
     announce("now planning for all robots within the tolerances, which takes longer")
