@@ -46,6 +46,7 @@ ENVIRONMENT = "python3 -m venv"
 THIN = {
     ("plan * --robust*",): "--robot two.toml --frames 12 --samples 20",
     ("plan *--model dominant*",): "--frames 40 --samples 20",
+    ("plan bronchus --start*",): "--frames 24 --samples 20",
     ("plan bronchus --robot*",): "--robot two.toml --frames 12 --samples 20",
     ("plan bronchus*",): "--frames 12 --samples 20",
     ("plan *synthetic_airway*",): "--robot two.toml --frames 40 --stability-margin 0.2 --samples 20",

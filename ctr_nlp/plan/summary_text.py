@@ -153,10 +153,10 @@ def _certificate(plan: Plan) -> list[str]:
         return []
     told = []
     if "holds_at_least" in found:
-        told.append(
-            f"certificate: {found['outcome']} With 95 % confidence at least {100 * found['holds_at_least']:.1f} % "
-            "of all robots within the tolerances hold"
-        )
+        # Where hardly any sample holds the bound is 0 %, which says nothing.
+        least = f"{100 * found['holds_at_least']:.1f}"
+        bound = f" With 95 % confidence at least {least} % of all robots within the tolerances hold"
+        told.append(f"certificate: {found['outcome']}{bound if float(least) else ''}".rstrip("."))
     if found["held"]:
         return told
     frames = ", ".join(f"{frame} ({count})" for frame, count in found["lost_in"].items())

@@ -375,8 +375,10 @@ class Robot:
             if not (math.isfinite(value) and lo - tolerance <= value <= hi + tolerance):
                 turned = math.isfinite(value) and axis.partition("_")[0] in MAX_MOTOR_ANGLES_RAD
                 meant = suggest_angle(value, between(lo, hi)) if turned else []
+                unit = "mm" if axis.startswith("beta") else "rad"
                 raise RobotError(
-                    f"{axis} of {name} is {value:g}; it must lie in [{lo:g}, {hi:g}]{did_you_mean(meant)}"
+                    f"{axis} of {name} is {value:g} {unit}; it must lie in [{lo:g}, {hi:g}] {unit}"
+                    f"{did_you_mean(meant)}"
                 )
             # Limits of alpha may be infinite, but no drive turns on for ever.
             if axis.partition("_")[0] == "alpha":

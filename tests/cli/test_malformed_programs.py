@@ -60,7 +60,7 @@ BOTH = [
     ("arc --start {path}", "start .*path.csv cannot be read"),
     ("arc --start {short_q}", r"start has shape \(3,\); it must be \(8,\)"),
     ("arc --start {degrees}", "alpha_1 of start .*did you mean 1.571 rad .90 degrees."),
-    ("arc --start {outside}", r"beta_3 of start is 300; it must lie in \[0, 150\]"),
+    ("arc --start {outside}", r"beta_3 of start is 300 mm; it must lie in \[0, 150\]"),
     ("arc --trim start", "--trim goes with a centreline file or a mask; arc is a named problem"),
     ("arc --tilt 10", "--tilt goes with a centreline file"),
     ("arc --clearance 0.1", "clearance is asked for, and arc has no lumen radii"),

@@ -22,7 +22,7 @@ from ctr_nlp.paths.lumen import Lumen
 from ctr_nlp.plan.motion_evaluation import evaluate_motion
 from ctr_nlp.plan.sample_outcomes import SampleOutcomes, sample_outcomes
 from ctr_nlp.plan.simulation import Simulator
-from ctr_nlp.plan.summary_text import NOT_FOR_PATIENTS
+from ctr_nlp.plan.summary_text import NOT_FOR_PATIENTS, remarks
 from ctr_nlp.plan.verdicts import NO, NOT_CHECKED, YES, Verdicts, outcome_sentence
 from ctr_nlp.problems import named_problem
 from ctr_nlp.view.figures.parts.page import outcome
@@ -140,6 +140,15 @@ def test_a_robot_that_cuts_bends_and_arrives_says_so():
     found = replace(plan, meta=plan.meta | {"model": "elastic"}).verdicts.arrives
     assert found.number == pytest.approx(0.0, abs=1e-9)
     assert re.search(r"2 mm is allowed\. The robot is \d\.\d mm shorter than the path, because it cuts", found.why)
+
+
+@pytest.mark.parametrize(("least", "bound"), [(0.985, "at least 98.5 % of all robots"), (0.0, None)])
+def test_a_certificate_names_only_a_bound_that_says_something(least, bound):
+    plan = shifted(1.0)
+    certificate = {"outcome": "0 of 200 simulated robots hold.", "holds_at_least": least, "held": True}
+    found = replace(plan, meta=plan.meta | {"certificate": certificate})
+    (told,) = [text for text in remarks(found, summary(found)) if text.startswith("certificate")]
+    assert (bound in told) if bound else told == "certificate: 0 of 200 simulated robots hold"
 
 
 def test_printed_verdicts_are_sentences():
