@@ -118,7 +118,13 @@ def report(
             largest = float(abs(seen.error[:, some]).max())
             rows.append((f"largest error of an axis in {unit}, at the times of frames", largest, unit))
         rows.append(("time of the last frame passed, as commanded", f"{seen.time[-1]:.2f}", "s"))
-        rows.append(("time of the last frame passed, as measured without pauses", f"{seen.time[-1] + seen.late[-1]:.2f}", "s"))
+        rows.append(
+            (
+                "time of the last frame passed, as measured without pauses",
+                f"{seen.time[-1] + seen.late[-1]:.2f}",
+                "s",
+            )
+        )
     print_table(f"{name} on the {device} device", ("", "value", "unit"), rows)
     if loop is not None:
         closed_loop.print_estimates(loop)

@@ -26,6 +26,7 @@ from ctr_nlp.robot.structure import Structure, TubeNumbers, helix_pieces, kind_o
 from ctr_nlp.robot.tolerances import Tolerances
 from ctr_nlp.robot.tube import Tube
 from ctr_nlp.robot.units import between, did_you_mean, suggest_angle
+from ctr_nlp.support.mistaken_files import ROBOT_FILE, name_other_kind
 from ctr_nlp.support.packing import packable
 from ctr_nlp.support.tables import toml_text
 from ctr_nlp.support.value_checks import (
@@ -493,7 +494,7 @@ class Robot:
         try:
             return cls.from_dict(read_toml(path))
         except RobotError as error:
-            raise RobotError(f"robot file {path}: {error}") from error
+            raise RobotError(f"robot file {path}: {name_other_kind(path, ROBOT_FILE) or error}") from error
 
 
 def mm_per_unit(d: int) -> Array:

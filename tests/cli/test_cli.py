@@ -185,7 +185,7 @@ def test_a_folder_that_cannot_be_written_is_refused_before_solving(tmp_path, pla
         (["arc", "--motion-weight", "nan"], "motion_weight is nan"),
         (["arc", "--reverse"], "--reverse goes with a centreline file"),
         (["arc", "--robot", "missing.toml"], "robot file missing.toml"),
-        (["arc", "--start", "missing.json"], "start missing.json cannot be read"),
+        (["arc", "--start", "missing.json"], "configuration missing.json cannot be read"),
     ],
 )
 def test_bad_input_is_one_line_and_nothing_written(tmp_path, arguments, message, capsys):

@@ -119,7 +119,7 @@ def test_a_sweep_draws_and_lists_the_trade_off(tmp_path, capsys):
         (["arc", "--starts", "0"], "starts is 0"),
         (["arc", "--jobs", "-1"], "jobs is -1"),
         (["arc", "--seed", "-1"], "seed is -1"),
-        (["arc", "--start", "missing.json"], "start missing.json cannot be read"),
+        (["arc", "--start", "missing.json"], "configuration missing.json cannot be read"),
         (["arc", "--initial", "missing.npz"], "plan missing.npz cannot be read"),
         (["nowhere"], "problem is 'nowhere'"),
     ],

@@ -23,7 +23,7 @@ from malformed import (
     written,
 )
 
-from ctr_nlp import Plan, Robot
+from ctr_nlp import Plan, Robot, table_i_robot
 from ctr_nlp.cli.arguments import read_start
 from ctr_nlp.cli.commands import robust
 from ctr_nlp.exceptions import MAX_MESSAGE_LENGTH, HardwareError, LoadError, OptionError, OutputError, RobotError
@@ -241,13 +241,15 @@ def cases():
         run = functools.partial(rig, text=spoilt(RIG, old, new))
         yield Case(f"rig.toml: {new}", run, message and HardwareError, message or "it can be moved so")
     crossed = spoilt(
-        spoilt(RIG, "range = [0, 150]  ", "range = [45, 50]  "), RANGE_OF_Y, RANGE_OF_Y.replace("150", "30"))
+        spoilt(RIG, "range = [0, 150]  ", "range = [45, 50]  "), RANGE_OF_Y, RANGE_OF_Y.replace("150", "30")
+    )
     message = "axis Y takes beta_2 to at most 30 mm, and axis X beta_1 to at least 45 mm"
     yield Case("rig.toml: ranges that cross", functools.partial(rig, text=crossed), HardwareError, message)
     for content, message in WHOLE_RIGS:
         yield of_file(Hardware.from_toml, "rig.toml", content, HardwareError, message, repr(content))
     for content, message in STARTS:
-        yield of_file(read_start, "q.json", content, OptionError, message, content[:30])
+        read = functools.partial(read_start, robot=table_i_robot())
+        yield of_file(read, "q.json", content, OptionError, message, content[:30])
     for changes, message in PLANS:
         label = ", ".join(f"{name} = {value!r:.40}" for name, value in changes.items()).replace("\n", "")
         run = functools.partial(lambda folder, changes: Plan.load(plan_file(folder, **changes)), changes=changes)

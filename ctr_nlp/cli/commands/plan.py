@@ -378,7 +378,7 @@ def _plan_per_frame(arguments: argparse.Namespace, problem: Problem) -> Plan:
     direction: Direction = arguments.direction or "best"
     asked: dict[str, Any] = {
         "settings": _settings(arguments, problem, *FRAME_SETTINGS),
-        "start": None if arguments.start is None else read_start(arguments.start),
+        "start": None if arguments.start is None else read_start(arguments.start, problem.robot),
         "model": model_from_options(plan_options.model_from(arguments), arguments),
         "solver": arguments.solver,
         "terms": plan_options.terms_from(arguments),
@@ -401,7 +401,9 @@ def _plan_horizon(arguments: argparse.Namespace, problem: Problem) -> tuple[Plan
 
     settings = _settings(arguments, problem, "seed")
     jobs = 1 if arguments.jobs is None else arguments.jobs
-    start, end = (None if path is None else read_start(path) for path in (arguments.start, arguments.end))
+    start, end = (
+        None if path is None else read_start(path, problem.robot) for path in (arguments.start, arguments.end)
+    )
     check_search(arguments.motion_weight, arguments.starts, jobs)
     initial = checked_motions(problem, [Plan.load(path).q for path in arguments.initial or ()])
     points: list[ParetoPoint] = []
@@ -454,7 +456,7 @@ def _plan_robust(arguments: argparse.Namespace, problem: Problem, out: Path) -> 
     }
     for name in ("start", "end"):
         if (path := getattr(arguments, name, None)) is not None:
-            asked[name] = read_start(path)
+            asked[name] = read_start(path, problem.robot)
     if arguments.most_lost is not None:
         asked["most_lost"] = arguments.most_lost
     if whole:

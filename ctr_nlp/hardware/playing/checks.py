@@ -90,7 +90,9 @@ def _check_limits(robot: Robot, q: Array, name: str) -> None:
     try:
         robot.check(q, name)
     except RobotError as exception:
-        raise TrajectoryError(f"{exception} on this hardware{_hint_at_limits(robot, str(exception))}") from exception
+        raise TrajectoryError(
+            f"{exception} on this hardware{_hint_at_limits(robot, str(exception))}"
+        ) from exception
 
 
 def _hint_at_limits(robot: Robot, message: str) -> str:
@@ -105,8 +107,8 @@ def _hint_at_limits(robot: Robot, message: str) -> str:
         level = not (robot.lower[-2:].any() or robot.upper[-2:].any())
         return "; it has no arm that tilts: plan with --lock-tilt" if level else ""
     return (
-        f"; the `range` of the axis with joint = \"{joint}\" in the hardware file, and the limits of the robot, bound "
-        "it. Is the hardware file for the robot that was planned for?"
+        f'; the `range` of the axis with joint = "{joint}" in the hardware file, and the limits of the robot, '
+        "bound it. Is the hardware file for the robot that was planned for?"
     )
 
 
